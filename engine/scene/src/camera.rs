@@ -1,0 +1,145 @@
+//! Pinhole cameras and rigs of them.
+
+use crate::Pose;
+
+/// A pinhole camera without distortion. Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Image width in pixels, at least 1.
+    pub width_px: u32,
+    /// Image height in pixels, at least 1.
+    pub height_px: u32,
+    /// Focal length along x, pixels.
+    pub fx_px: f64,
+    /// Focal length along y, pixels.
+    pub fy_px: f64,
+    /// Principal point, pixels from the left edge of the image.
+    pub cx_px: f64,
+    /// Principal point, pixels from the top edge of the image.
+    pub cy_px: f64,
+}
+
+impl Intrinsics {
+    /// A camera with square pixels, a centred principal point and the given horizontal field of view.
+    #[must_use]
+    pub fn from_horizontal_fov(width_px: u32, height_px: u32, fov_rad: f64) -> Self {
+        let focal_px = 0.5 * f64::from(width_px) / (0.5 * fov_rad).tan();
+        Self {
+            width_px,
+            height_px,
+            fx_px: focal_px,
+            fy_px: focal_px,
+            cx_px: 0.5 * f64::from(width_px),
+            cy_px: 0.5 * f64::from(height_px),
+        }
+    }
+
+    /// The same view sampled at another size; the field of view stays, pixels may become non-square.
+    #[must_use]
+    pub fn resized(&self, width_px: u32, height_px: u32) -> Self {
+        let sx = f64::from(width_px) / f64::from(self.width_px);
+        let sy = f64::from(height_px) / f64::from(self.height_px);
+        Self {
+            width_px,
+            height_px,
+            fx_px: self.fx_px * sx,
+            fy_px: self.fy_px * sy,
+            cx_px: self.cx_px * sx,
+            cy_px: self.cy_px * sy,
+        }
+    }
+
+    /// The window of `width_px` by `height_px` pixels whose top left pixel is `(left_px, top_px)`, as a camera of its own.
+    #[must_use]
+    pub fn cropped(&self, left_px: u32, top_px: u32, width_px: u32, height_px: u32) -> Self {
+        Self { width_px, height_px, cx_px: self.cx_px - f64::from(left_px), cy_px: self.cy_px - f64::from(top_px), ..*self }
+    }
+
+    /// Pixels in the image.
+    #[must_use]
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.width_px) * u64::from(self.height_px)
+    }
+
+    /// Why these intrinsics cannot make a picture, if they cannot.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), String> {
+        if self.width_px == 0 || self.height_px == 0 || self.width_px > 65_536 || self.height_px > 65_536 {
+            return Err(format!("image size {}x{} is outside 1x1 to 65536x65536", self.width_px, self.height_px));
+        }
+        if !(self.fx_px.is_finite() && self.fx_px > 0.0 && self.fy_px.is_finite() && self.fy_px > 0.0) {
+            return Err(format!("focal lengths {} and {} must be finite and positive", self.fx_px, self.fy_px));
+        }
+        if !(self.cx_px.is_finite() && self.cy_px.is_finite()) {
+            return Err(format!("principal point ({}, {}) must be finite", self.cx_px, self.cy_px));
+        }
+        Ok(())
+    }
+}
+
+/// A camera placed in the world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    /// Names the picture; unique in a rig.
+    pub name: String,
+    /// How it projects.
+    pub intrinsics: Intrinsics,
+    /// Where it stands, f64 world coordinates.
+    pub world_from_camera: Pose,
+}
+
+/// A camera fixed to a vehicle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigCamera {
+    /// Names the picture; unique in the rig.
+    pub name: String,
+    /// How it projects.
+    pub intrinsics: Intrinsics,
+    /// Where it sits on the vehicle.
+    pub rig_from_camera: Pose,
+}
+
+/// The cameras of one vehicle.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rig {
+    /// In the order in which pictures are returned.
+    pub cameras: Vec<RigCamera>,
+}
+
+impl Rig {
+    /// The rig's cameras in the world when the vehicle stands at `world_from_rig`.
+    #[must_use]
+    pub fn at(&self, world_from_rig: &Pose) -> Vec<Camera> {
+        self.cameras
+            .iter()
+            .map(|camera| Camera {
+                name: camera.name.clone(),
+                intrinsics: camera.intrinsics,
+                world_from_camera: world_from_rig.then(&camera.rig_from_camera),
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cropping_keeps_the_ray_of_a_pixel() {
+        let full = Intrinsics::from_horizontal_fov(1600, 900, 1.2);
+        let crop = full.cropped(300, 200, 64, 64);
+        let x_of = |k: &Intrinsics, i: f64| (i + 0.5 - k.cx_px) / k.fx_px;
+        assert!((x_of(&full, 310.0) - x_of(&crop, 10.0)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_its_value() {
+        let good = Intrinsics::from_horizontal_fov(4, 4, 1.0);
+        assert!(good.check().is_ok());
+        assert!(Intrinsics { width_px: 0, ..good }.check().unwrap_err().contains("0x4"));
+        assert!(Intrinsics { fx_px: f64::NAN, ..good }.check().unwrap_err().contains("NaN"));
+    }
+}

@@ -1,0 +1,21 @@
+//! What a world is: splats, spherical harmonics, poses, cameras and the rules by which they become a picture.
+//!
+//! Plain data and mathematics; nothing here reads a file or knows a GPU. Units are metres, seconds and radians,
+//! frames are right-handed. World: z up. Vehicle and agent: x forward, y left, z up, origin at the centre of the
+//! bounding box. Camera: OpenCV (x right, y down, z forward). A [`Pose`] is active: `p_parent = R p_child + t`.
+#![forbid(unsafe_code)]
+
+pub mod bounds;
+pub mod camera;
+pub mod pose;
+pub mod rules;
+pub mod sh;
+pub mod splats;
+pub mod world;
+
+pub use bounds::Bounds;
+pub use camera::{Camera, Intrinsics, Rig, RigCamera};
+pub use pose::Pose;
+pub use rules::{DepthOrder, EarlyStop, Rules};
+pub use splats::{SplatCloud, SplatDefect};
+pub use world::{AgentPlacement, ShFrame, World};

@@ -1,0 +1,84 @@
+//! The rules of image formation: what a Gaussian adds to a pixel.
+//!
+//! Public renderers disagree here by far more than by rounding, so a picture is compared only with pictures made by
+//! the same rules. The constants live here once; the shaders receive them from here.
+
+/// Added to both diagonal entries of a projected covariance, square pixels
+/// (Kerbl et al., 3D Gaussian Splatting, 2023: a splat never falls below about a pixel).
+pub const DILATION_PX2: f64 = 0.3;
+
+/// A splat adds nothing to a pixel where its alpha is below this.
+pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+
+/// Transmittance at which a pixel counts as full.
+pub const TRANSMITTANCE_MIN: f64 = 1e-4;
+
+/// How far beyond the image edges, as a share of tan(fov/2), x/z and y/z may lie in the projection's Jacobian
+/// (gsplat's form, right for off-centre principal points).
+pub const JACOBIAN_MARGIN: f64 = 0.3;
+
+/// When a pixel stops blending.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EarlyStop {
+    /// Never, by definition. An implementation may stop after the splat that takes the transmittance to
+    /// [`TRANSMITTANCE_MIN`] or below: an error of at most that.
+    None,
+    /// The splat that would take the transmittance to [`TRANSMITTANCE_MIN`] or below is not blended, nor any behind it.
+    Exclusive,
+}
+
+/// What 'nearer' means.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DepthOrder {
+    /// Camera-space z: what scenes are trained with.
+    #[default]
+    Z,
+    /// Distance from the camera centre, for cameras wider than 180 degrees.
+    Radial,
+}
+
+/// One definition of a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rules {
+    /// Upper bound of a splat's alpha.
+    pub alpha_max: f64,
+    /// When a pixel stops.
+    pub stop: EarlyStop,
+    /// A splat whose centre has z below this is dropped, metres.
+    pub near_m: f64,
+    /// Multiply opacity by sqrt(det S / det S') so that dilation does not brighten thin splats
+    /// (Yu et al., Mip-Splatting, 2024).
+    pub antialias: bool,
+    /// Front to back by what.
+    pub order: DepthOrder,
+}
+
+impl Rules {
+    /// Ours: alpha at most 0.99, no early stop, near plane at 0.01 m.
+    pub const DEFAULT: Self =
+        Self { alpha_max: 0.99, stop: EarlyStop::None, near_m: 0.01, antialias: false, order: DepthOrder::Z };
+    /// gsplat 1.5's: alpha at most 0.999, exclusive stop.
+    pub const GSPLAT15: Self = Self { alpha_max: 0.999, stop: EarlyStop::Exclusive, ..Self::DEFAULT };
+    /// The INRIA rasteriser's: exclusive stop, near plane at 0.2 m.
+    pub const INRIA: Self = Self { stop: EarlyStop::Exclusive, near_m: 0.2, ..Self::DEFAULT };
+
+    /// The rules called `name`, of [`Rules::NAMES`].
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        match name {
+            "default" => Some(Self::DEFAULT),
+            "gsplat15" => Some(Self::GSPLAT15),
+            "inria" => Some(Self::INRIA),
+            _ => None,
+        }
+    }
+
+    /// What [`Rules::by_name`] knows.
+    pub const NAMES: [&'static str; 3] = ["default", "gsplat15", "inria"];
+}
+
+impl Default for Rules {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}

@@ -1,0 +1,95 @@
+//! A world to be drawn: a background, the agents placed in it, its sky and its rules.
+
+use glam::DVec3;
+
+use crate::{Pose, Rules, SplatCloud};
+
+/// How an asset's spherical harmonics are meant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ShFrame {
+    /// In the asset's own frame: colours turn with the object (object captures).
+    #[default]
+    Canonical,
+    /// In the world's frame: trained in place, as HUGSIM and drivestudio export. Must not be turned.
+    World,
+}
+
+/// An agent standing in a world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AgentPlacement {
+    /// Names the agent in reports.
+    pub name: String,
+    /// Which asset it shows, an index into the list the agent is placed with.
+    pub asset: usize,
+    /// Where it stands, f64 world coordinates.
+    pub world_from_agent: Pose,
+    /// How the asset's colours are meant.
+    pub sh_frame: ShFrame,
+}
+
+/// Everything that the picture of one moment depends on, besides the camera.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct World {
+    /// All splats, background first, then agents in order; means are relative to [`World::origin`].
+    pub splats: SplatCloud,
+    /// The instance each splat belongs to: 0 the background, `k` the `k`-th agent. Empty where there is only background.
+    pub instance_from_splat: Vec<u16>,
+    /// World coordinates of the point that means are relative to, f64 metres: UTM-sized worlds keep their millimetres.
+    pub origin: DVec3,
+    /// Seen where transmittance is left, display-referred RGB.
+    pub sky: [f32; 3],
+    /// How its splats become a picture.
+    pub rules: Rules,
+}
+
+impl World {
+    /// A world of background only, its origin at zero, a black sky and the default rules.
+    #[must_use]
+    pub fn of(splats: SplatCloud) -> Self {
+        Self { splats, ..Self::default() }
+    }
+
+    /// Adds `agent`, showing `asset`, as world-space splats. Its instance id is returned.
+    ///
+    /// # Errors
+    /// When the 65,535 instances that an id can name are used up.
+    pub fn bake_agent(&mut self, asset: &SplatCloud, agent: &AgentPlacement) -> Result<u16, String> {
+        let last = self.instance_from_splat.last().copied().unwrap_or(0);
+        let instance = last.checked_add(1).ok_or_else(|| format!("agent {}: more than 65535 agents in one world", agent.name))?;
+        let relative = Pose { translation: agent.world_from_agent.translation - self.origin, ..agent.world_from_agent };
+        self.instance_from_splat.resize(self.splats.len(), last);
+        self.splats.append(&asset.placed(&relative, agent.sh_frame == ShFrame::Canonical));
+        self.instance_from_splat.resize(self.splats.len(), instance);
+        Ok(instance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn agents_come_behind_the_background_with_ids_from_one() {
+        let one = SplatCloud {
+            means: vec![[1.0, 0.0, 0.0]],
+            scales: vec![[0.1; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacities: vec![1.0],
+            sh_degree: 0,
+            sh_dc: vec![[0.0; 3]],
+            sh_rest: vec![],
+        };
+        let mut world = World { origin: DVec3::new(4.5e6, 0.0, 0.0), ..World::of(one.clone()) };
+        for x in [0.0, 10.0] {
+            let agent = AgentPlacement {
+                name: "car".into(),
+                asset: 0,
+                world_from_agent: Pose::from_yaw(std::f64::consts::FRAC_PI_2, world.origin + DVec3::X * x),
+                sh_frame: ShFrame::Canonical,
+            };
+            world.bake_agent(&one, &agent).unwrap();
+        }
+        assert_eq!(world.instance_from_splat, [0, 1, 2]);
+        assert!((world.splats.means[2][0] - 10.0).abs() < 1e-6 && (world.splats.means[2][1] - 1.0).abs() < 1e-6);
+    }
+}
