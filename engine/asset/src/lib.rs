@@ -1,1 +1,27 @@
-//! To be written.
+//! How a world is stored: splat files, cameras and scene files.
+//!
+//! One module a format. Each reader takes bytes that anyone may have written: it returns a [`DecodeError`] and neither
+//! panics nor allocates by a count that the bytes do not cover. Each writer goes through [`write_atomically`].
+#![forbid(unsafe_code)]
+
+mod activation;
+mod atomic;
+mod error;
+mod ply;
+mod read;
+mod summary;
+
+pub mod cameras;
+pub mod compressed_ply;
+pub mod inria_ply;
+pub mod scene_file;
+pub mod splat;
+pub mod spz;
+pub mod street;
+
+pub use atomic::write_atomically;
+pub use error::{AssetError, DecodeError, EncodeError, SceneError};
+pub use cameras::read_cameras;
+pub use read::{SplatFormat, read_splats};
+pub use scene_file::{LoadedScene, SceneAgent, SceneFile, open_scene};
+pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};

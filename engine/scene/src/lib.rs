@@ -11,6 +11,7 @@ pub mod pose;
 pub mod rules;
 pub mod sh;
 pub mod splats;
+pub mod trajectory;
 pub mod world;
 
 pub use bounds::Bounds;
@@ -18,4 +19,5 @@ pub use camera::{Camera, Intrinsics, Rig, RigCamera};
 pub use pose::Pose;
 pub use rules::{DepthOrder, EarlyStop, Rules};
 pub use splats::{SplatCloud, SplatDefect};
+pub use trajectory::{TimedPose, Trajectory};
 pub use world::{AgentPlacement, ShFrame, World};

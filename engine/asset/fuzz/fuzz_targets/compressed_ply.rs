@@ -1,0 +1,12 @@
+//! Any bytes as a file: an error or a cloud.
+#![no_main]
+
+use decouplegs_asset::{SplatSummary, compressed_ply};
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| {
+    if let Ok(cloud) = compressed_ply::decode(bytes) {
+        // Every array is as long as the summary, which walks them all, takes it to be.
+        assert_eq!(SplatSummary::of(&cloud).splats, cloud.len() as u64);
+    }
+});

@@ -1,0 +1,197 @@
+//! nerfstudio (and instant-ngp) `transforms.json`.
+//!
+//! `transform_matrix` is world from camera with OpenGL axes (x right, y up, z backward); y and z are turned here.
+//! Intrinsics stand at the top or in a frame, which wins. `applied_transform` and scale factors are not undone: cameras
+//! stay in the coordinates of the file, which are those that a scene trained from it has.
+
+use decouplegs_scene::{Camera, Intrinsics};
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+
+use super::{json_error, pose_of};
+use crate::DecodeError;
+
+#[derive(Deserialize)]
+struct File {
+    frames: Vec<Frame>,
+    #[serde(flatten)]
+    shared: Lens,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    #[serde(default)]
+    file_path: String,
+    transform_matrix: Vec<[f64; 4]>,
+    #[serde(flatten)]
+    own: Lens,
+}
+
+/// What may stand at the top and in each frame.
+#[derive(Clone, Default, Deserialize)]
+struct Lens {
+    w: Option<f64>,
+    h: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    camera_model: Option<String>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    k5: Option<f64>,
+    k6: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+impl Lens {
+    /// These values where given, else those of `shared`.
+    fn or(&self, shared: &Self) -> Self {
+        Self {
+            w: self.w.or(shared.w),
+            h: self.h.or(shared.h),
+            fl_x: self.fl_x.or(shared.fl_x),
+            fl_y: self.fl_y.or(shared.fl_y),
+            cx: self.cx.or(shared.cx),
+            cy: self.cy.or(shared.cy),
+            camera_angle_x: self.camera_angle_x.or(shared.camera_angle_x),
+            camera_angle_y: self.camera_angle_y.or(shared.camera_angle_y),
+            camera_model: self.camera_model.clone().or_else(|| shared.camera_model.clone()),
+            k1: self.k1.or(shared.k1),
+            k2: self.k2.or(shared.k2),
+            k3: self.k3.or(shared.k3),
+            k4: self.k4.or(shared.k4),
+            k5: self.k5.or(shared.k5),
+            k6: self.k6.or(shared.k6),
+            p1: self.p1.or(shared.p1),
+            p2: self.p2.or(shared.p2),
+        }
+    }
+
+    /// Why this is no pinhole camera, if it is none.
+    fn distortion(&self) -> Option<String> {
+        if let Some(model) = self.camera_model.as_deref()
+            && !["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "perspective"].contains(&model)
+        {
+            return Some(format!("camera model {model}"));
+        }
+        let coefficients = [
+            ("k1", self.k1),
+            ("k2", self.k2),
+            ("k3", self.k3),
+            ("k4", self.k4),
+            ("k5", self.k5),
+            ("k6", self.k6),
+            ("p1", self.p1),
+            ("p2", self.p2),
+        ];
+        let set =
+            coefficients.into_iter().find_map(|(name, value)| value.filter(|value| *value != 0.0).map(|value| (name, value)));
+        set.map(|(name, value)| format!("distortion {name} = {value}"))
+    }
+
+    fn intrinsics(&self) -> Result<Intrinsics, String> {
+        let size = |value: Option<f64>, key: &str| match value {
+            Some(value) if value.fract() == 0.0 && (1.0..=65_536.0).contains(&value) => Ok(value as u32),
+            Some(value) => Err(format!("{key} = {value}; an image has 1 to 65536 whole pixels a side")),
+            None => Err(format!("'{key}' is missing; add the size of the images as 'w' and 'h'")),
+        };
+        let (width_px, height_px) = (size(self.w, "w")?, size(self.h, "h")?);
+        let focal_px = |length: Option<f64>, angle_rad: Option<f64>, side_px: u32| {
+            length.or_else(|| angle_rad.map(|angle_rad| 0.5 * f64::from(side_px) / (0.5 * angle_rad).tan()))
+        };
+        let fx_px = focal_px(self.fl_x, self.camera_angle_x, width_px).ok_or("neither 'fl_x' nor 'camera_angle_x' is given")?;
+        Ok(Intrinsics {
+            width_px,
+            height_px,
+            fx_px,
+            fy_px: focal_px(self.fl_y, self.camera_angle_y, height_px).unwrap_or(fx_px),
+            cx_px: self.cx.unwrap_or(0.5 * f64::from(width_px)),
+            cy_px: self.cy.unwrap_or(0.5 * f64::from(height_px)),
+        })
+    }
+}
+
+pub(super) fn decode(bytes: &[u8]) -> Result<Vec<Camera>, DecodeError> {
+    let File { frames, shared } = serde_json::from_slice(bytes).map_err(|error| json_error(&error))?;
+    frames.into_iter().enumerate().map(|(index, frame)| camera(index, frame, &shared)).collect()
+}
+
+fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeError> {
+    let name = if frame.file_path.is_empty() { format!("frame_{index}") } else { frame.file_path };
+    let lens = frame.own.or(shared);
+    if let Some(distortion) = lens.distortion() {
+        return Err(DecodeError::Unsupported(format!(
+            "camera '{name}': {distortion}; only undistorted pinhole cameras are rendered: undistort first (for example with \
+             'colmap image_undistorter') and train and render with the undistorted cameras"
+        )));
+    }
+    let intrinsics = lens.intrinsics().map_err(|reason| DecodeError::Malformed(format!("camera '{name}': {reason}")))?;
+    let rows = &frame.transform_matrix;
+    if !(3..=4).contains(&rows.len()) {
+        return Err(DecodeError::Malformed(format!("camera '{name}': transform_matrix has {} rows, expected 4", rows.len())));
+    }
+    let column = |axis: usize| DVec3::new(rows[0][axis], rows[1][axis], rows[2][axis]);
+    let axes = DMat3::from_cols(column(0), -column(1), -column(2));
+    Ok(Camera { intrinsics, world_from_camera: pose_of(axes, column(3), &name)?, name })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::decode;
+    use glam::DVec3;
+
+    const FILE: &str = r#"{"camera_model": "OPENCV", "w": 640, "h": 480.0, "fl_x": 500, "fl_y": 510, "cx": 321, "cy": 239, "k1": 0.0,
+        "frames": [
+        {"file_path": "./images/frame_00001.png", "transform_matrix": [[1,0,0,4],[0,1,0,5],[0,0,1,6],[0,0,0,1]]},
+        {"file_path": "images/frame_00001.jpg", "fl_x": 250, "k2": 0, "transform_matrix": [[1,0,0,4],[0,1,0,5],[0,0,1,6],[0,0,0,1]]}]}"#;
+
+    #[test]
+    fn opengl_axes_become_opencv_axes() {
+        let cameras = decode(FILE.as_bytes()).unwrap();
+        let place = cameras[0].world_from_camera;
+        assert!((place.transform(DVec3::ZERO) - DVec3::new(4.0, 5.0, 6.0)).length() < 1e-12);
+        assert!((place.rotation * DVec3::X - DVec3::X).length() < 1e-12);
+        assert!((place.rotation * DVec3::Y + DVec3::Y).length() < 1e-12);
+        assert!((place.rotation * DVec3::Z + DVec3::Z).length() < 1e-12, "an OpenGL camera looks along -z");
+    }
+
+    #[test]
+    fn a_frames_own_intrinsics_win_and_names_are_unique() {
+        let cameras = decode(FILE.as_bytes()).unwrap();
+        let focal_px: Vec<_> = cameras.iter().map(|camera| (camera.intrinsics.fx_px, camera.intrinsics.fy_px)).collect();
+        assert_eq!(focal_px, [(500.0, 510.0), (250.0, 510.0)]);
+        assert_eq!([cameras[0].name.as_str(), cameras[1].name.as_str()], ["images_frame_00001", "images_frame_00001_2"]);
+        assert_eq!((cameras[0].intrinsics.cx_px, cameras[0].intrinsics.height_px), (321.0, 480));
+    }
+
+    #[test]
+    fn the_angle_stands_in_for_the_focal_length() {
+        let file =
+            FILE.replace("\"fl_x\": 500, \"fl_y\": 510, \"cx\": 321, \"cy\": 239,", "\"camera_angle_x\": 1.5707963267948966,");
+        let camera = &decode(file.as_bytes()).unwrap()[0];
+        assert!((camera.intrinsics.fx_px - 320.0).abs() < 1e-9 && (camera.intrinsics.fy_px - 320.0).abs() < 1e-9);
+        assert_eq!((camera.intrinsics.cx_px, camera.intrinsics.cy_px), (320.0, 240.0));
+    }
+
+    #[test]
+    fn distortion_and_missing_sizes_are_refused_with_advice() {
+        for (from, to, part) in [
+            ("\"k1\": 0.0", "\"k1\": 0.01", "undistort"),
+            ("\"k2\": 0", "\"k2\": -0.2", "k2 = -0.2"),
+            ("OPENCV", "OPENCV_FISHEYE", "OPENCV_FISHEYE"),
+            ("\"w\": 640,", "", "'w' is missing"),
+            ("480.0", "480.5", "whole"),
+            ("[[1,0,0,4],[0,1,0,5]", "[[2,0,0,4],[0,2,0,5]", "rigid"),
+            (",[0,0,1,6],[0,0,0,1]]", "]", "2 rows"),
+        ] {
+            let error = decode(FILE.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(part), "{to}: {error}");
+        }
+    }
+}

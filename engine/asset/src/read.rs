@@ -1,0 +1,105 @@
+//! Which format a splat file has.
+
+use std::path::Path;
+
+use decouplegs_scene::SplatCloud;
+
+use crate::error::read_bytes;
+use crate::ply::Ply;
+use crate::{AssetError, DecodeError, compressed_ply, inria_ply, splat, spz};
+
+/// The formats that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SplatFormat {
+    /// PLY with one property a parameter.
+    InriaPly,
+    /// PlayCanvas' quantised PLY.
+    CompressedPly,
+    /// antimatter15's 32 bytes a splat.
+    Splat,
+    /// Niantic's, versions 1 to 4.
+    Spz,
+}
+
+impl SplatFormat {
+    /// What users call it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::InriaPly => "INRIA PLY",
+            Self::CompressedPly => "compressed PLY",
+            Self::Splat => "SPLAT",
+            Self::Spz => "SPZ",
+        }
+    }
+
+    /// The format of `bytes`: by their first bytes where the format has such, else by the file's `extension`.
+    ///
+    /// # Errors
+    /// A sentence on what the bytes look like and what to do.
+    pub fn detect(bytes: &[u8], extension: &str) -> Result<Self, String> {
+        let converted = |what: &str| Err(format!("{what}, which is not read; convert it to .ply"));
+        match bytes {
+            [b'p', b'l', b'y', b'\n' | b'\r', ..] => match Ply::parse(bytes) {
+                Ok(ply) if compressed_ply::is_compressed(&ply) => Ok(Self::CompressedPly),
+                // A broken header is the PLY reader's to explain.
+                _ => Ok(Self::InriaPly),
+            },
+            [b'N', b'G', b'S', b'P', ..] | [0x1f, 0x8b, ..] => Ok(Self::Spz),
+            [b'P', b'K', 3, 4, ..] => converted("a zip archive (SOG, USDZ or a checkpoint)"),
+            [b'g', b'l', b'T', b'F', ..] => converted("a binary glTF"),
+            _ if extension.eq_ignore_ascii_case("splat") => Ok(Self::Splat),
+            [] => Err("the file is empty".into()),
+            _ => Err(format!("neither its first bytes nor its extension '{extension}' tell a splat format")),
+        }
+    }
+}
+
+/// Reads the splats of a file in any format, chosen by its content and, where that says nothing, its extension.
+///
+/// Coordinates are the file's own; SPZ is turned to the axes of the PLY it was made from (see [`spz`]). Splats that
+/// cannot be drawn are kept: [`SplatCloud::defect_of`] tells them.
+///
+/// # Errors
+/// [`AssetError::Read`], [`AssetError::UnknownFormat`] or [`AssetError::Decode`].
+pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
+    let bytes = read_bytes(path)?;
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    let format =
+        SplatFormat::detect(&bytes, &extension).map_err(|found| AssetError::UnknownFormat { path: path.to_owned(), found })?;
+    decode(&bytes, format).map_err(|source| AssetError::Decode { path: path.to_owned(), format: format.name(), source })
+}
+
+fn decode(bytes: &[u8], format: SplatFormat) -> Result<SplatCloud, DecodeError> {
+    match format {
+        SplatFormat::InriaPly => inria_ply::decode(bytes),
+        SplatFormat::CompressedPly => compressed_ply::decode(bytes),
+        SplatFormat::Splat => splat::decode(bytes),
+        SplatFormat::Spz => spz::decode(bytes),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn content_is_believed_before_the_extension() {
+        assert_eq!(SplatFormat::detect(b"ply\nformat", "splat"), Ok(SplatFormat::InriaPly));
+        assert_eq!(SplatFormat::detect(b"NGSP", "bin"), Ok(SplatFormat::Spz));
+        assert_eq!(SplatFormat::detect(&[0x1f, 0x8b, 8], "ply"), Ok(SplatFormat::Spz));
+        assert_eq!(SplatFormat::detect(&[0; 32], "SPLAT"), Ok(SplatFormat::Splat));
+        assert!(SplatFormat::detect(b"PK\x03\x04", "sog").unwrap_err().contains("SOG"));
+        assert!(SplatFormat::detect(b"hello", "txt").unwrap_err().contains("'txt'"));
+    }
+
+    #[test]
+    fn errors_name_the_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.splat");
+        assert!(read_splats(&path).unwrap_err().to_string().contains("a.splat"));
+        std::fs::write(&path, [0; 33]).unwrap();
+        let error = read_splats(&path).unwrap_err().to_string();
+        assert!(error.contains("a.splat") && error.contains("needs 64 bytes, found 33"), "{error}");
+    }
+}

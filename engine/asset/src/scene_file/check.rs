@@ -1,0 +1,247 @@
+//! From the TOML form of a scene file to a checked [`SceneFile`]; every complaint names its line and key.
+
+use std::collections::HashSet;
+use std::ops::Range;
+
+use decouplegs_scene::{Intrinsics, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
+use glam::{DQuat, DVec3};
+use toml::Spanned;
+
+use super::form::{AgentForm, CameraForm, RulesForm, SceneForm, ShFrameForm, TimedPoseForm};
+use super::{SceneAgent, SceneFile, VERSION};
+use crate::SceneError;
+
+/// Ids that agents can have: 16 bits, of which 0 is the background.
+const AGENTS_MAX: usize = 65_535;
+
+/// Text that is being checked.
+struct Checker<'a> {
+    text: &'a str,
+}
+
+impl Checker<'_> {
+    /// A complaint about `field` of the table called `table`, whose text begins in `span`.
+    fn error(&self, span: &Range<usize>, table: &str, field: &str, reason: impl Into<String>) -> SceneError {
+        let key = if table.is_empty() { field.to_owned() } else { format!("{table}.{field}") };
+        SceneError { line: self.line_of(span.start, field), key, reason: reason.into() }
+    }
+
+    /// The line of `field` in the table at byte `start`, or of the table where it does not write the field out.
+    fn line_of(&self, start: usize, field: &str) -> usize {
+        let line_at = |byte: usize| 1 + self.text.bytes().take(byte).filter(|&b| b == b'\n').count();
+        let table = self.text.get(start..).unwrap_or_default();
+        let mut offset = 0;
+        for (index, line) in table.split_inclusive('\n').enumerate() {
+            // The table ends where the next begins.
+            if index > 0 && line.trim_start().starts_with('[') {
+                break;
+            }
+            let key = line.split('=').next().unwrap_or_default();
+            if line.contains('=') && key.trim() == field {
+                return line_at(start + offset);
+            }
+            offset += line.len();
+        }
+        line_at(start)
+    }
+}
+
+/// Reads and checks `text`.
+pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
+    let form: SceneForm = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
+    let checker = Checker { text };
+    let top = 0..0;
+    if form.version != VERSION {
+        let reason = format!("{} is not read; this program reads version {VERSION}", form.version);
+        return Err(checker.error(&top, "", "version", reason));
+    }
+    if !form.origin.iter().all(|x| x.is_finite()) {
+        return Err(checker.error(&top, "", "origin", "must be finite"));
+    }
+    if !form.sky.iter().all(|x| x.is_finite()) {
+        return Err(checker.error(&top, "", "sky", "must be finite"));
+    }
+    let ego = if form.ego.is_empty() { None } else { Some(checker.trajectory(&form.ego, "ego")?) };
+    Ok(SceneFile {
+        origin: DVec3::from_array(form.origin),
+        background: form.background.into(),
+        sky: form.sky,
+        rules: checker.rules(&form.rules)?,
+        rig: Rig { cameras: checker.cameras(&form.rig)? },
+        ego,
+        agents: checker.agents(&form.agent)?,
+    })
+}
+
+/// What serde or the TOML grammar complain of, with its line.
+fn syntax_error(text: &str, error: &toml::de::Error) -> SceneError {
+    let start = error.span().map_or(0, |span| span.start);
+    let line = 1 + text.bytes().take(start).filter(|&byte| byte == b'\n').count();
+    let found = text.lines().nth(line - 1).unwrap_or_default().trim();
+    let key: String = found.split('=').next().unwrap_or_default().trim().chars().take(60).collect();
+    let key = if key.is_empty() { "the file".to_owned() } else { key };
+    SceneError { line, key, reason: error.message().to_owned() }
+}
+
+impl Checker<'_> {
+    fn rules(&self, form: &Spanned<RulesForm>) -> Result<Rules, SceneError> {
+        let (span, form) = (form.span(), form.get_ref());
+        let name = form.name.as_deref().unwrap_or("default");
+        let rules = Rules::by_name(name).ok_or_else(|| {
+            self.error(&span, "rules", "name", format!("'{name}' is unknown; there are {}", Rules::NAMES.join(", ")))
+        })?;
+        let near_m = form.near_m.unwrap_or(rules.near_m);
+        if !(near_m.is_finite() && near_m > 0.0) {
+            return Err(self.error(&span, "rules", "near_m", format!("{near_m} must be finite and positive")));
+        }
+        Ok(Rules { antialias: form.antialias.unwrap_or(rules.antialias), near_m, ..rules })
+    }
+
+    fn cameras(&self, forms: &[Spanned<CameraForm>]) -> Result<Vec<RigCamera>, SceneError> {
+        let mut names = HashSet::new();
+        let mut cameras = Vec::with_capacity(forms.len());
+        for (index, form) in forms.iter().enumerate() {
+            let (span, form, table) = (form.span(), form.get_ref(), format!("rig[{index}]"));
+            self.check_name(&mut names, &form.name, &span, &table)?;
+            if form.name.contains(['/', '\\', '\0']) || form.name.starts_with('.') {
+                let reason = format!("'{}' names a picture file: no slash, no leading dot", form.name);
+                return Err(self.error(&span, &table, "name", reason));
+            }
+            let intrinsics = Intrinsics {
+                width_px: form.width_px,
+                height_px: form.height_px,
+                fx_px: form.fx_px,
+                fy_px: form.fy_px,
+                cx_px: form.cx_px,
+                cy_px: form.cy_px,
+            };
+            intrinsics.check().map_err(|reason| self.error(&span, &table, intrinsics_field(&intrinsics), reason))?;
+            let rig_from_camera = self.camera_pose(form, &span, &table)?;
+            cameras.push(RigCamera { name: form.name.clone(), intrinsics, rig_from_camera });
+        }
+        Ok(cameras)
+    }
+
+    fn camera_pose(&self, form: &CameraForm, span: &Range<usize>, table: &str) -> Result<Pose, SceneError> {
+        match (form.rotation_wxyz, form.look) {
+            (Some(_), None) => self.pose(form.position_m, form.rotation_wxyz, None, span, table),
+            (None, Some(look)) => {
+                let eye = self.position(form.position_m, span, table)?;
+                let direction = DVec3::from_array(look).try_normalize().filter(|direction| direction.is_finite());
+                direction.and_then(|direction| Pose::look_at(DVec3::ZERO, direction, DVec3::Z)).map_or_else(
+                    || Err(self.error(span, table, "look", format!("{look:?} is no direction that leaves the vertical"))),
+                    |pose| Ok(Pose { translation: eye, ..pose }),
+                )
+            }
+            _ => Err(self.error(span, table, "rotation_wxyz", "give either 'rotation_wxyz' or 'look'")),
+        }
+    }
+
+    fn agents(&self, forms: &[Spanned<AgentForm>]) -> Result<Vec<SceneAgent>, SceneError> {
+        if let Some(first) = forms.get(AGENTS_MAX) {
+            let reason = format!("{} agents; at most {AGENTS_MAX} have an id", forms.len());
+            return Err(self.error(&first.span(), &format!("agent[{AGENTS_MAX}]"), "name", reason));
+        }
+        let mut names = HashSet::new();
+        let mut agents = Vec::with_capacity(forms.len());
+        for (index, form) in forms.iter().enumerate() {
+            let (span, form, table) = (form.span(), form.get_ref(), format!("agent[{index}]"));
+            self.check_name(&mut names, &form.name, &span, &table)?;
+            let trajectory = match (form.position_m, form.trajectory.as_slice()) {
+                (Some(position_m), []) => {
+                    Trajectory::standing(self.pose(position_m, form.rotation_wxyz, form.yaw_rad, &span, &table)?)
+                }
+                (None, poses @ [_, ..]) if form.rotation_wxyz.is_none() && form.yaw_rad.is_none() => {
+                    self.trajectory(poses, &format!("{table}.trajectory"))?
+                }
+                _ => return Err(self.error(&span, &table, "position_m", "give either one pose or a 'trajectory' of poses")),
+            };
+            let sh_frame = match form.sh_frame {
+                ShFrameForm::Canonical => ShFrame::Canonical,
+                ShFrameForm::World => ShFrame::World,
+            };
+            agents.push(SceneAgent { name: form.name.clone(), asset: form.asset.clone().into(), sh_frame, trajectory });
+        }
+        Ok(agents)
+    }
+
+    fn trajectory(&self, forms: &[Spanned<TimedPoseForm>], table: &str) -> Result<Trajectory, SceneError> {
+        let mut poses: Vec<TimedPose> = Vec::with_capacity(forms.len());
+        for (index, form) in forms.iter().enumerate() {
+            let (span, form, table) = (form.span(), form.get_ref(), format!("{table}[{index}]"));
+            if !form.time_s.is_finite() || poses.last().is_some_and(|last| form.time_s <= last.time_s) {
+                let reason = format!("{} must be finite and later than the pose before", form.time_s);
+                return Err(self.error(&span, &table, "time_s", reason));
+            }
+            let pose = self.pose(form.position_m, form.rotation_wxyz, form.yaw_rad, &span, &table)?;
+            poses.push(TimedPose { time_s: form.time_s, pose });
+        }
+        let start = forms.first().map_or(0..0, Spanned::span);
+        Trajectory::new(poses).map_err(|reason| self.error(&start, table, "time_s", reason))
+    }
+
+    fn pose(
+        &self,
+        position_m: [f64; 3],
+        rotation_wxyz: Option<[f64; 4]>,
+        yaw_rad: Option<f64>,
+        span: &Range<usize>,
+        table: &str,
+    ) -> Result<Pose, SceneError> {
+        let translation = self.position(position_m, span, table)?;
+        match (rotation_wxyz, yaw_rad) {
+            (Some([w, x, y, z]), None) => {
+                let rotation = DQuat::from_xyzw(x, y, z, w);
+                // A file may round its quaternions; one that is far from unit length is another thing in this place.
+                if !rotation.is_finite() || (rotation.length() - 1.0).abs() > 1e-3 {
+                    let reason = format!("[{w}, {x}, {y}, {z}] is no unit quaternion");
+                    return Err(self.error(span, table, "rotation_wxyz", reason));
+                }
+                Ok(Pose { rotation: unit(rotation), translation })
+            }
+            (None, Some(yaw_rad)) if yaw_rad.is_finite() => Ok(Pose::from_yaw(yaw_rad, translation)),
+            (None, Some(yaw_rad)) => Err(self.error(span, table, "yaw_rad", format!("{yaw_rad} must be finite"))),
+            (None, None) => Ok(Pose { translation, ..Pose::IDENTITY }),
+            (Some(_), Some(_)) => Err(self.error(span, table, "yaw_rad", "give either 'rotation_wxyz' or 'yaw_rad'")),
+        }
+    }
+
+    fn position(&self, position_m: [f64; 3], span: &Range<usize>, table: &str) -> Result<DVec3, SceneError> {
+        let position = DVec3::from_array(position_m);
+        if position.is_finite() { Ok(position) } else { Err(self.error(span, table, "position_m", "must be finite")) }
+    }
+
+    fn check_name<'n>(
+        &self,
+        names: &mut HashSet<&'n str>,
+        name: &'n str,
+        span: &Range<usize>,
+        table: &str,
+    ) -> Result<(), SceneError> {
+        if name.is_empty() {
+            return Err(self.error(span, table, "name", "must not be empty"));
+        }
+        if !names.insert(name) {
+            return Err(self.error(span, table, "name", format!("'{name}' is taken; names must differ")));
+        }
+        Ok(())
+    }
+}
+
+/// `rotation` at unit length; one that already has it keeps its bits, so that writing and reading changes nothing.
+fn unit(rotation: DQuat) -> DQuat {
+    if (rotation.length_squared() - 1.0).abs() < 1e-14 { rotation } else { rotation.normalize() }
+}
+
+/// The field that [`Intrinsics::check`] complains of.
+fn intrinsics_field(intrinsics: &Intrinsics) -> &'static str {
+    let focal_is_good = |focal_px: f64| focal_px.is_finite() && focal_px > 0.0;
+    match intrinsics {
+        k if !(1..=65_536).contains(&k.width_px) => "width_px",
+        k if !(1..=65_536).contains(&k.height_px) => "height_px",
+        k if !focal_is_good(k.fx_px) => "fx_px",
+        k if !focal_is_good(k.fy_px) => "fy_px",
+        k if !k.cx_px.is_finite() => "cx_px",
+        _ => "cy_px",
+    }
+}

@@ -1,0 +1,179 @@
+//! The TOML form of a scene file: what serde sees, and how a [`SceneFile`] is written in it.
+
+use decouplegs_scene::{Intrinsics, Pose, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
+use glam::DQuat;
+use serde::{Deserialize, Serialize};
+use toml::Spanned;
+
+use super::{SceneAgent, SceneFile, VERSION};
+
+/// Tables keep their place in the text so that a complaint can name its line.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneForm {
+    pub(super) version: u32,
+    #[serde(default)]
+    pub(super) origin: [f64; 3],
+    pub(super) background: String,
+    #[serde(default)]
+    pub(super) sky: [f32; 3],
+    #[serde(default = "default_rules")]
+    pub(super) rules: Spanned<RulesForm>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) rig: Vec<Spanned<CameraForm>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) ego: Vec<Spanned<TimedPoseForm>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) agent: Vec<Spanned<AgentForm>>,
+}
+
+#[derive(Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RulesForm {
+    pub(super) name: Option<String>,
+    pub(super) antialias: Option<bool>,
+    pub(super) near_m: Option<f64>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CameraForm {
+    pub(super) name: String,
+    pub(super) width_px: u32,
+    pub(super) height_px: u32,
+    pub(super) fx_px: f64,
+    pub(super) fy_px: f64,
+    pub(super) cx_px: f64,
+    pub(super) cy_px: f64,
+    pub(super) position_m: [f64; 3],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) rotation_wxyz: Option<[f64; 4]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) look: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TimedPoseForm {
+    pub(super) time_s: f64,
+    pub(super) position_m: [f64; 3],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) rotation_wxyz: Option<[f64; 4]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) yaw_rad: Option<f64>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AgentForm {
+    pub(super) name: String,
+    pub(super) asset: String,
+    #[serde(default)]
+    pub(super) sh_frame: ShFrameForm,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) position_m: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) rotation_wxyz: Option<[f64; 4]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) yaw_rad: Option<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) trajectory: Vec<Spanned<TimedPoseForm>>,
+}
+
+#[derive(Clone, Copy, Default, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum ShFrameForm {
+    #[default]
+    Canonical,
+    World,
+}
+
+fn default_rules() -> Spanned<RulesForm> {
+    spanless(RulesForm::default())
+}
+
+fn spanless<T>(value: T) -> Spanned<T> {
+    Spanned::new(0..0, value)
+}
+
+/// Writes a scene.
+pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
+    let path = |path: &std::path::Path| {
+        path.to_str().map(str::to_owned).ok_or_else(|| format!("the path {} is not Unicode, which TOML needs", path.display()))
+    };
+    let agents = scene.agents.iter().map(|agent| Ok(spanless(agent_form(agent, path(&agent.asset)?))));
+    let form = SceneForm {
+        version: VERSION,
+        origin: scene.origin.to_array(),
+        background: path(&scene.background)?,
+        sky: scene.sky,
+        rules: spanless(rules_form(&scene.rules)?),
+        rig: scene.rig.cameras.iter().map(|camera| spanless(camera_form(camera))).collect(),
+        ego: scene.ego.as_ref().map(timed_pose_forms).unwrap_or_default(),
+        agent: agents.collect::<Result<_, String>>()?,
+    };
+    toml::to_string(&form).map_err(|error| error.to_string())
+}
+
+/// The rules as a name and what departs from it.
+fn rules_form(rules: &Rules) -> Result<RulesForm, String> {
+    let named = |name: &&str| {
+        Rules::by_name(name).is_some_and(|base| Rules { antialias: rules.antialias, near_m: rules.near_m, ..base } == *rules)
+    };
+    let name =
+        Rules::NAMES.iter().find(|name| Rules::by_name(name) == Some(*rules)).or_else(|| Rules::NAMES.iter().find(|n| named(n)));
+    let name =
+        name.ok_or_else(|| format!("rules {rules:?} have no name; a scene file holds one of {}", Rules::NAMES.join(", ")))?;
+    Ok(RulesForm { name: Some((*name).to_owned()), antialias: Some(rules.antialias), near_m: Some(rules.near_m) })
+}
+
+fn camera_form(camera: &RigCamera) -> CameraForm {
+    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px } = camera.intrinsics;
+    let Pose { rotation, translation } = camera.rig_from_camera;
+    CameraForm {
+        name: camera.name.clone(),
+        width_px,
+        height_px,
+        fx_px,
+        fy_px,
+        cx_px,
+        cy_px,
+        position_m: translation.to_array(),
+        rotation_wxyz: Some(wxyz(rotation)),
+        look: None,
+    }
+}
+
+fn agent_form(agent: &SceneAgent, asset: String) -> AgentForm {
+    let sh_frame = match agent.sh_frame {
+        ShFrame::Canonical => ShFrameForm::Canonical,
+        ShFrame::World => ShFrameForm::World,
+    };
+    let standing = match agent.trajectory.poses() {
+        [only] if only.time_s == 0.0 => Some(only.pose),
+        _ => None,
+    };
+    AgentForm {
+        name: agent.name.clone(),
+        asset,
+        sh_frame,
+        position_m: standing.map(|pose| pose.translation.to_array()),
+        rotation_wxyz: standing.map(|pose| wxyz(pose.rotation)),
+        yaw_rad: None,
+        trajectory: if standing.is_some() { Vec::new() } else { timed_pose_forms(&agent.trajectory) },
+    }
+}
+
+fn timed_pose_forms(trajectory: &Trajectory) -> Vec<Spanned<TimedPoseForm>> {
+    let form = |timed: &TimedPose| TimedPoseForm {
+        time_s: timed.time_s,
+        position_m: timed.pose.translation.to_array(),
+        rotation_wxyz: Some(wxyz(timed.pose.rotation)),
+        yaw_rad: None,
+    };
+    trajectory.poses().iter().map(|timed| spanless(form(timed))).collect()
+}
+
+fn wxyz(rotation: DQuat) -> [f64; 4] {
+    [rotation.w, rotation.x, rotation.y, rotation.z]
+}

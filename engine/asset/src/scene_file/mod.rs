@@ -1,0 +1,110 @@
+//! Our scene file: a background, its cameras, the way of the ego vehicle and the agents, as TOML.
+//!
+//! The format is documented, with an example, in `engine/asset/scene-file.md`.
+
+mod check;
+mod form;
+mod load;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use decouplegs_scene::{Rig, Rules, ShFrame, Trajectory};
+use glam::DVec3;
+
+use crate::error::read_bytes;
+use crate::{AssetError, SceneError, write_atomically};
+
+pub use load::{LoadedScene, open_scene};
+
+/// The version that is written, and the only one there is.
+pub const VERSION: u32 = 1;
+
+/// A scene as its file describes it, checked: names are unique, poses rigid, times rise, intrinsics make pictures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneFile {
+    /// World coordinates of the point that the background's means are relative to, metres.
+    pub origin: DVec3,
+    /// Splats of the background, a path relative to the scene file.
+    pub background: PathBuf,
+    /// Seen where no splat is, display-referred RGB.
+    pub sky: [f32; 3],
+    /// How splats become a picture.
+    pub rules: Rules,
+    /// The ego vehicle's cameras.
+    pub rig: Rig,
+    /// Where the ego vehicle is when, world coordinates. None: it stands at [`SceneFile::origin`].
+    pub ego: Option<Trajectory>,
+    /// What moves, or stands, in front of the background.
+    pub agents: Vec<SceneAgent>,
+}
+
+/// An agent of a scene file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneAgent {
+    /// Names the agent; unique in the scene.
+    pub name: String,
+    /// Its splats, a path relative to the scene file. Agents may share one.
+    pub asset: PathBuf,
+    /// How the asset's colours are meant.
+    pub sh_frame: ShFrame,
+    /// Where it is when, world coordinates.
+    pub trajectory: Trajectory,
+}
+
+impl SceneFile {
+    /// A scene of a background alone, at the origin, by the default rules.
+    #[must_use]
+    pub fn of_background(background: impl Into<PathBuf>) -> Self {
+        Self {
+            origin: DVec3::ZERO,
+            background: background.into(),
+            sky: [0.0; 3],
+            rules: Rules::DEFAULT,
+            rig: Rig::default(),
+            ego: None,
+            agents: Vec::new(),
+        }
+    }
+
+    /// Reads the scene file at `path`.
+    ///
+    /// # Errors
+    /// [`AssetError::Read`], or [`AssetError::Scene`] with line, key and reason.
+    pub fn read(path: &Path) -> Result<Self, AssetError> {
+        let bytes = read_bytes(path)?;
+        let scene_error = |source| AssetError::Scene { path: path.to_owned(), source };
+        let text = std::str::from_utf8(&bytes).map_err(|error| {
+            let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
+            scene_error(SceneError { line, key: "text".into(), reason: "is not UTF-8".into() })
+        })?;
+        Self::parse(text).map_err(scene_error)
+    }
+
+    /// Reads a scene from the text of a file.
+    ///
+    /// # Errors
+    /// A [`SceneError`] with line, key and reason.
+    pub fn parse(text: &str) -> Result<Self, SceneError> {
+        check::parse(text)
+    }
+
+    /// The text of a file that describes this scene. Reading it gives the same scene.
+    ///
+    /// # Errors
+    /// A sentence, when a path is not Unicode.
+    pub fn to_toml(&self) -> Result<String, String> {
+        form::to_toml(self)
+    }
+
+    /// Writes the scene file to `path`, atomically.
+    ///
+    /// # Errors
+    /// [`AssetError::Write`].
+    pub fn write(&self, path: &Path) -> Result<(), AssetError> {
+        let text = self
+            .to_toml()
+            .map_err(|reason| AssetError::Write { path: path.to_owned(), source: std::io::Error::other(reason) })?;
+        write_atomically(path, |file| file.write_all(text.as_bytes()))
+    }
+}

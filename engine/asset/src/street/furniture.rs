@@ -1,0 +1,69 @@
+//! Lamp posts and traffic lights.
+
+use glam::{Quat, Vec3};
+
+use super::layout::{Axis, KERB_M, LANES_HALF_M, ROAD_HALF_M, Spot};
+use super::loft::bar;
+use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
+
+/// Splats a square metre of posts, relative to asphalt: thin things need many.
+const POST_DENSITY: f32 = 4.0;
+
+fn painted_metal(point: &SurfacePoint) -> Texel {
+    Texel { gloss: 0.3, ..Texel::matt(display(74, 82, 84) * (0.85 + 0.2 * point.v)) }
+}
+
+fn post(from: Vec3, to: Vec3, radius_m: f32) -> Element {
+    Element::new(Shape::Loft(bar(from, to, radius_m, 0.65 * radius_m)), POST_DENSITY, painted_metal)
+}
+
+/// A lamp on an arm over the road.
+pub(super) fn lamp(spot: &Spot) -> Vec<Element> {
+    let height_m = 7.2;
+    let top = Vec3::Z * height_m;
+    let tip = Vec3::new(2.1, 0.0, height_m + 0.35);
+    let mut elements = vec![post(Vec3::ZERO, top, 0.095), post(Vec3::ZERO, Vec3::Z * 1.0, 0.15), post(top, tip, 0.06)];
+    elements.extend(boxed(tip - Vec3::new(0.1, 0.16, 0.05), tip + Vec3::new(0.65, 0.16, 0.07), 5.0, |point| {
+        if point.normal.z < -0.5 { Texel::matt(display(240, 236, 220)) } else { Texel::matt(display(104, 110, 112)) }
+    }));
+    elements.into_iter().map(|e| e.placed(Quat::from_rotation_z(spot.yaw_rad), spot.position)).collect()
+}
+
+/// A traffic light before the crossing on every arm: green for the main street, red for the other.
+pub(super) fn traffic_lights() -> Vec<Element> {
+    let mut elements = Vec::new();
+    for (axis, green) in [(Axis::Main, true), (Axis::Cross, false)] {
+        for arm in [-1.0f32, 1.0] {
+            let s = axis.crossing_s() + arm * (ROAD_HALF_M + 4.9);
+            let foot = axis.at(s, arm * (ROAD_HALF_M + 0.55)).extend(KERB_M);
+            // Local x runs with the traffic that obeys it, so the lenses face -x; local y is that traffic's left.
+            let yaw_rad = axis.yaw_rad() + if arm < 0.0 { 0.0 } else { std::f32::consts::PI };
+            elements.extend(signal(green).into_iter().map(|e| e.placed(Quat::from_rotation_z(yaw_rad), foot)));
+        }
+    }
+    elements
+}
+
+fn signal(green: bool) -> Vec<Element> {
+    let top = Vec3::Z * 5.9;
+    let reach = Vec3::new(0.0, ROAD_HALF_M - LANES_HALF_M + 2.2, 6.0);
+    let mut elements = vec![post(Vec3::ZERO, top, 0.1), post(top, reach, 0.07)];
+    for centre in [Vec3::new(0.0, 0.0, 3.0), reach - Vec3::Z * 0.55] {
+        let half = Vec3::new(0.13, 0.19, 0.5);
+        elements.extend(boxed(centre - half, centre + half, 9.0, move |point| {
+            let offset = point.position - centre;
+            let lens = (-(offset.z / 0.31).round()).clamp(-1.0, 1.0);
+            let radius_m = (offset.y * offset.y + (offset.z + lens * 0.31).powi(2)).sqrt();
+            if point.normal.x > -0.5 || radius_m > 0.125 {
+                return Texel::matt(display(34, 36, 36));
+            }
+            let (lit, colour) = match lens as i32 {
+                -1 => (!green, display(255, 60, 44)),
+                0 => (false, display(220, 160, 40)),
+                _ => (green, display(70, 255, 150)),
+            };
+            if lit { Texel { emitted: Some(colour), ..Texel::matt(colour) } } else { Texel::matt(colour * 0.12) }
+        }));
+    }
+    elements
+}

@@ -1,0 +1,154 @@
+//! A synthetic street as Gaussians: for demonstrations, tests and measurements that need a driving scene of any size.
+//!
+//! It looks like a street on a sunny afternoon, and its splats have the statistics of trained driving scenes: discs
+//! with log-normal scales, two modes of opacity with 45 % faint, spherical harmonics with noise that falls by band,
+//! detail near the road and a coarse shell far away. The same options give the same bits on any number of threads.
+//!
+//! The street runs along x, its detailed part from -100 m to 100 m; another crosses it at x = 40 m. The ground is
+//! z = 0, traffic keeps right. Surfaces (`surface`) are textured functions; `emit` samples splats from them.
+
+mod building;
+mod car;
+mod car_paint;
+mod emit;
+mod facade;
+mod furniture;
+mod layout;
+mod light;
+mod loft;
+mod random;
+mod road;
+mod sky;
+mod surface;
+#[cfg(test)]
+mod tests;
+mod traffic;
+mod tree;
+
+use decouplegs_scene::{AgentPlacement, Pose, Rig, SplatCloud};
+use glam::{Quat, Vec3};
+use rayon::prelude::*;
+
+use car::Build;
+use layout::{Layout, Spot};
+use light::{Light, Occluder};
+use surface::Element;
+
+/// What street to make.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StreetOptions {
+    /// Splats of the static background. Surfaces close from about 50,000 on, and look sharp from about a million.
+    pub background: usize,
+    /// Cars that drive.
+    pub agents: usize,
+    /// Splats of each asset.
+    pub agent_splats: usize,
+    /// Degree of the spherical harmonics; values above 3 count as 3.
+    pub sh_degree: u8,
+    /// Everything random follows from it.
+    pub seed: u64,
+}
+
+/// A street with its traffic and a vehicle that films it.
+#[derive(Clone, Debug)]
+pub struct Street {
+    /// The static part, world frame, relative to the world's origin at zero.
+    pub background: SplatCloud,
+    /// At most twelve distinct cars, canonical frame: x forward, y left, z up, origin at the middle of the box, wheels
+    /// touching z = -H/2.
+    pub assets: Vec<SplatCloud>,
+    /// Length, width and height of each asset's box, metres; mirrors stand out beyond the width.
+    pub asset_dims_m: Vec<[f32; 3]>,
+    /// Where each agent stands at time zero. No two overlap.
+    pub agents: Vec<AgentPlacement>,
+    /// The knots (seconds, world from agent) of each agent's way, straight along its lane; at least two each.
+    pub agent_trajectories: Vec<Vec<(f64, Pose)>>,
+    /// Six cameras on the roof of the ego, in the frame of its box.
+    pub rig: Rig,
+    /// The ego's way (seconds, world from ego): 90 m straight, then a right turn at the crossing.
+    pub ego: Vec<(f64, Pose)>,
+    /// Seen where the dome of sky lets light through, display-referred RGB.
+    pub sky: [f32; 3],
+}
+
+/// Towards the sun: half-way up, behind the ego on its right, so that it drives into lit fronts and short shadows.
+const TOWARDS_SUN: Vec3 = Vec3::new(-0.50, -0.36, 0.79);
+
+/// Towards the sun in an asset's frame. High, since the asset may head anywhere.
+const TOWARDS_SUN_ASSET: Vec3 = Vec3::new(-0.22, 0.18, 0.95);
+
+impl Street {
+    /// The street of `options`.
+    #[must_use]
+    pub fn generate(options: &StreetOptions) -> Self {
+        let sh_degree = options.sh_degree.min(decouplegs_scene::sh::DEGREE_MAX);
+        let layout = Layout::new(options.seed);
+        let light = Light::new(TOWARDS_SUN, occluders(&layout));
+        let elements = background_elements(&layout, options.seed, light.towards_sun);
+        let background = emit::emit(&elements, options.background, sh_degree, options.seed, &light);
+
+        let asset_light = Light::new(TOWARDS_SUN_ASSET, vec![]);
+        let variants: Vec<(Build, car_paint::Paint)> = (0..traffic::asset_count(options.agents)).map(Build::of).collect();
+        let assets = variants
+            .par_iter()
+            .enumerate()
+            .map(|(variant, (build, paint))| {
+                let seed = options.seed.wrapping_add(variant as u64 + 1);
+                emit::emit(&build.elements(*paint), options.agent_splats, sh_degree, seed, &asset_light)
+            })
+            .collect();
+        let traffic = traffic::traffic(options.agents, variants.len(), options.seed);
+        Self {
+            background,
+            assets,
+            asset_dims_m: variants.iter().map(|(build, _)| build.size.to_array()).collect(),
+            agents: traffic.agents,
+            agent_trajectories: traffic.trajectories,
+            rig: traffic::rig(),
+            ego: traffic::ego(),
+            sky: sky::SKY_RGB,
+        }
+    }
+}
+
+/// The variant of a parked car.
+fn variant_of(spot: &Spot) -> usize {
+    (spot.seed % car::VARIANTS as u64) as usize
+}
+
+/// What throws shadows: houses, crowns and parked cars.
+fn occluders(layout: &Layout) -> Vec<Occluder> {
+    let mut occluders = Vec::new();
+    for lot in layout.lots.iter().filter(|lot| !lot.far) {
+        let (a, b) = (lot.translation(), lot.rotation() * lot.size + lot.translation());
+        occluders.push(Occluder::Box { min: a.min(b), max: a.max(b) });
+    }
+    occluders.extend(layout.trees.iter().flat_map(tree::tree_occluders));
+    for spot in &layout.parked {
+        let (build, _) = Build::of(variant_of(spot));
+        // The box is narrower than the car, whose own roof edge would otherwise stand in its shadow.
+        let half = Vec3::new(0.46 * build.size.x, 0.42 * build.size.y, 0.0);
+        let turned = (Quat::from_rotation_z(spot.yaw_rad) * half).abs();
+        let (min, max) = (spot.position - turned, spot.position + turned);
+        occluders.push(Occluder::Car { min: min + Vec3::Z * 0.15, max: max + Vec3::Z * (0.75 * build.belt_z()) });
+    }
+    occluders
+}
+
+fn background_elements(layout: &Layout, seed: u64, towards_sun: Vec3) -> Vec<Element> {
+    let mut elements = road::road(seed);
+    elements.extend(layout.lots.iter().flat_map(building::building));
+    elements.extend(layout.trees.iter().flat_map(tree::tree));
+    elements.extend(layout.lamps.iter().flat_map(furniture::lamp));
+    elements.extend(furniture::traffic_lights());
+    let cars: Vec<(Build, Vec<Element>)> =
+        (0..car::VARIANTS).map(Build::of).map(|(build, paint)| (build, build.elements(paint))).collect();
+    for spot in &layout.parked {
+        let (build, parts) = &cars[variant_of(spot)];
+        let position = spot.position + Vec3::Z * (0.5 * build.size.z);
+        let rotation = Quat::from_rotation_z(spot.yaw_rad);
+        elements.extend(parts.iter().map(|part| part.placed(rotation, position).denser(car::CAR_DENSITY)));
+    }
+    elements.extend(sky::far_shell(seed, towards_sun));
+    elements
+}

@@ -1,0 +1,9 @@
+//! Readers and writers as their users meet them: whole files, real files, broken files.
+
+mod frozen;
+mod hostile;
+mod properties;
+mod real;
+mod sample;
+mod scene_files;
+mod spz_round_trip;

@@ -1,0 +1,114 @@
+//! Properties over generated files.
+
+use decouplegs_asset::{SceneFile, cameras, compressed_ply, inria_ply, spz};
+use decouplegs_scene::{SplatCloud, sh};
+use proptest::prelude::*;
+
+use crate::sample;
+
+/// Clouds of drawable splats within the ranges that SPZ can hold.
+fn clouds() -> impl Strategy<Value = SplatCloud> {
+    (0u8..=3, 0usize..12).prop_flat_map(|(degree, count)| {
+        let stride = sh::coefficient_count(degree) - 1;
+        let triples =
+            |count: usize, range: std::ops::Range<f32>| prop::collection::vec(prop::array::uniform3(range), count..=count);
+        let rotations = prop::collection::vec(prop::array::uniform4(-1.0f32..1.0), count..=count);
+        let opacities = prop::collection::vec(0.0f32..=1.0, count..=count);
+        (
+            triples(count, -2000.0..2000.0),
+            triples(count, 0.0001..300.0),
+            rotations,
+            opacities,
+            triples(count, -3.0..3.0),
+            triples(count * stride, -0.99..0.99),
+        )
+            .prop_map(move |(means, scales, rotations, opacities, sh_dc, sh_rest)| {
+                let rotations = rotations.into_iter().map(unit).collect();
+                SplatCloud { means, scales, rotations, opacities, sh_degree: degree, sh_dc, sh_rest }
+            })
+    })
+}
+
+/// A unit quaternion along `q`, the identity where `q` is too short to have a direction.
+fn unit(q: [f32; 4]) -> [f32; 4] {
+    let length = q.iter().map(|x| x * x).sum::<f32>().sqrt();
+    if length > 1e-3 { q.map(|x| x / length) } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
+fn close(a: &[f32], b: &[f32], tolerance: f32) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_ply_reads_back_as_it_was_written(cloud in clouds()) {
+        let back = inria_ply::decode(&inria_ply::encode(&cloud)).unwrap();
+        prop_assert_eq!(&back.means, &cloud.means);
+        prop_assert_eq!(&back.sh_dc, &cloud.sh_dc);
+        prop_assert_eq!(&back.sh_rest, &cloud.sh_rest);
+        prop_assert_eq!(back.sh_degree, cloud.sh_degree);
+        prop_assert!(close(&back.opacities, &cloud.opacities, 1e-6));
+        prop_assert!(close(back.rotations.as_flattened(), cloud.rotations.as_flattened(), 1e-6));
+        for (a, b) in back.scales.as_flattened().iter().zip(cloud.scales.as_flattened()) {
+            prop_assert!((a / b - 1.0).abs() < 4e-6, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn an_spz_reads_back_within_its_quantisation(cloud in clouds()) {
+        let back = spz::decode(&spz::encode(&cloud).unwrap()).unwrap();
+        prop_assert_eq!((back.len(), back.sh_degree), (cloud.len(), cloud.sh_degree));
+        // Half a step of 2^-12 m, and the f32 that holds it.
+        prop_assert!(close(back.means.as_flattened(), cloud.means.as_flattened(), 0.5 / 4096.0 + 2e-4));
+        prop_assert!(close(&back.opacities, &cloud.opacities, 0.501 / 255.0));
+        prop_assert!(close(back.sh_dc.as_flattened(), cloud.sh_dc.as_flattened(), 0.501 / (255.0 * 0.15)));
+        prop_assert!(close(back.sh_rest.as_flattened(), cloud.sh_rest.as_flattened(), 0.501 / 128.0));
+        for (a, b) in back.scales.as_flattened().iter().zip(cloud.scales.as_flattened()) {
+            prop_assert!((a.ln() - b.ln()).abs() < 0.501 / 16.0, "{a} {b}");
+        }
+        for (a, b) in back.rotations.iter().zip(&cloud.rotations) {
+            let dot: f32 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+            prop_assert!(dot.abs() > 1.0 - 1e-5, "{a:?} {b:?}");
+        }
+    }
+
+    #[test]
+    fn writing_an_spz_again_changes_nothing(cloud in clouds()) {
+        let once = spz::decode(&spz::encode(&cloud).unwrap()).unwrap();
+        let twice = spz::decode(&spz::encode(&once).unwrap()).unwrap();
+        prop_assert_eq!(&once.means, &twice.means);
+        prop_assert_eq!(&once.scales, &twice.scales);
+        prop_assert_eq!(&once.opacities, &twice.opacities);
+        prop_assert_eq!(&once.sh_dc, &twice.sh_dc);
+        prop_assert_eq!(&once.sh_rest, &twice.sh_rest);
+    }
+
+    #[test]
+    fn overwritten_bytes_never_panic(
+        file in 0usize..7,
+        edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
+    ) {
+        let (name, mut bytes, read) = sample::files().swap_remove(file);
+        for (at, value) in edits {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Ok(cloud) = read(&bytes) {
+            prop_assert!(cloud.len() <= 65_536 + 4 * bytes.len(), "{name}: {} splats", cloud.len());
+        }
+    }
+
+    #[test]
+    fn noise_never_panics(noise in prop::collection::vec(any::<u8>(), 0..300)) {
+        let after = |head: &[u8]| [head, &noise].concat();
+        let _ = spz::decode(&after(b"NGSP\x04\0\0\0"));
+        let _ = spz::decode(&after(&[0x1f, 0x8b, 8, 0]));
+        let _ = inria_ply::decode(&after(b"ply\nformat binary_little_endian 1.0\n"));
+        let _ = compressed_ply::decode(&after(b"ply\nformat binary_little_endian 1.0\nelement chunk "));
+        let _ = cameras::decode(&noise);
+        let _ = cameras::decode(&after(b"{\"frames\":["));
+        let _ = SceneFile::parse(&String::from_utf8_lossy(&after(b"version = 1\n")));
+    }
+}

@@ -1,0 +1,143 @@
+//! Scene files: the documented example, round trips, complaints, and loading.
+
+use std::path::Path;
+
+use decouplegs_asset::{AssetError, SceneFile, inria_ply, open_scene};
+use decouplegs_scene::{Pose, Rules, ShFrame};
+use glam::{DQuat, DVec3};
+
+use crate::sample::cloud;
+
+/// The example of the format's page.
+fn example() -> String {
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scene-file.md")).unwrap();
+    let from = page.find("```toml\n").expect("the page has an example") + "```toml\n".len();
+    let length = page[from..].find("```").expect("the example ends");
+    page[from..from + length].to_owned()
+}
+
+#[test]
+fn the_documented_example_means_what_it_says() {
+    let scene = SceneFile::parse(&example()).unwrap();
+    assert_eq!(scene.origin, DVec3::new(458_000.0, 5_428_000.0, 112.0));
+    assert_eq!((scene.background.to_str(), scene.sky, scene.rules), (Some("street.ply"), [0.53, 0.68, 0.86], Rules::DEFAULT));
+    let [front, left] = scene.rig.cameras.as_slice() else { panic!("two cameras") };
+    assert_eq!((front.name.as_str(), front.intrinsics.width_px, front.intrinsics.cx_px), ("front", 1600, 816.3));
+    assert!((front.rig_from_camera.rotation * DVec3::Z - DVec3::X).length() < 1e-12, "the front camera looks along x");
+    let looks = left.rig_from_camera.rotation * DVec3::Z;
+    assert!((looks - DVec3::new(0.57, 0.82, 0.0).normalize()).length() < 1e-12);
+    assert!((left.rig_from_camera.rotation * DVec3::Y + DVec3::Z).length() < 1e-12, "image down is vehicle down");
+    let ego = scene.ego.unwrap();
+    assert!((ego.at(1.0).translation.x - 458_010.0).abs() < 1e-9);
+    assert!(ego.at(2.0).rotation.angle_between(DQuat::from_rotation_z(0.1)) < 1e-6);
+    let [parked, oncoming] = scene.agents.as_slice() else { panic!("two agents") };
+    assert_eq!((parked.name.as_str(), parked.sh_frame, oncoming.sh_frame), ("parked", ShFrame::Canonical, ShFrame::Canonical));
+    assert_eq!((parked.trajectory.poses().len(), oncoming.trajectory.poses().len()), (1, 2));
+    assert!((oncoming.trajectory.at(2.0).translation.x - 458_035.0).abs() < 1e-9);
+}
+
+#[test]
+fn what_is_written_reads_back_the_same() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("scene.toml");
+    let mut scene = SceneFile::parse(&example()).unwrap();
+    scene.rules = Rules { antialias: true, near_m: 0.3, ..Rules::INRIA };
+    scene.agents[1].sh_frame = ShFrame::World;
+    scene.write(&path).unwrap();
+    let back = SceneFile::read(&path).unwrap();
+    assert_eq!(back, scene);
+    let bare = SceneFile::of_background("b.spz");
+    assert_eq!(SceneFile::parse(&bare.to_toml().unwrap()).unwrap(), bare);
+    scene.rules.alpha_max = 0.5;
+    assert!(scene.to_toml().unwrap_err().contains("no name"));
+}
+
+#[test]
+fn complaints_name_file_line_and_key() {
+    let text = example();
+    let line_of =
+        |part: &str, nth: usize| 1 + text.lines().enumerate().filter(|(_, line)| line.contains(part)).nth(nth).unwrap().0;
+    for (from, to, key, part) in [
+        ("version = 1", "version = 2", "version", "reads version 1"),
+        ("background = ", "backround = ", "backround", "unknown field"),
+        ("name = \"default\"", "name = \"fast\"", "rules.name", "gsplat15"),
+        ("near_m = 0.01", "near_m = -1.0", "rules.near_m", "positive"),
+        ("cx_px = 826.6", "cx_px = nan", "rig[1].cx_px", "finite"),
+        ("fx_px = 1266.4", "fx_px = 0.0", "rig[0].fx_px", "positive"),
+        ("width_px = 1600", "width_px = -4", "width_px", "u32"),
+        ("rotation_wxyz = [0.5, -0.5, 0.5, -0.5]", "rotation_wxyz = [1.0, -0.5, 0.5, -0.5]", "rig[0].rotation_wxyz", "unit"),
+        ("look = [0.57, 0.82, 0.0]", "look = [0.0, 0.0, 1.0]", "rig[1].look", "vertical"),
+        ("name = \"front_left\"", "name = \"front\"", "rig[1].name", "taken"),
+        ("name = \"front_left\"", "name = \"../front\"", "rig[1].name", "slash"),
+        ("time_s = 2.0", "time_s = 0.0", "ego[1].time_s", "later"),
+        ("name = \"oncoming\"", "name = \"\"", "agent[1].name", "empty"),
+        ("time_s = 4.0", "time_s = inf", "agent[1].trajectory[1].time_s", "finite"),
+        ("sh_frame = \"canonical\"", "sh_frame = \"body\"", "sh_frame", "canonical"),
+    ] {
+        let at = if from.starts_with("name = \"default") { "name = \"default\"" } else { from };
+        let error = SceneFile::parse(&text.replacen(from, to, 1)).unwrap_err();
+        assert_eq!((error.line, error.key.as_str()), (line_of(at, 0), key), "{error}");
+        assert!(error.reason.contains(part), "{error}");
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("broken.toml");
+    std::fs::write(&path, text.replacen("version = 1", "version = ", 1)).unwrap();
+    let error = SceneFile::read(&path).unwrap_err().to_string();
+    assert!(error.contains("broken.toml") && error.contains("line 1"), "{error}");
+    std::fs::write(&path, b"version = 1\n# \xff\n").unwrap();
+    assert!(SceneFile::read(&path).unwrap_err().to_string().contains("line 2"));
+}
+
+#[test]
+fn a_pose_is_given_once() {
+    let twice = example().replacen("yaw_rad = 3.14159", "yaw_rad = 3.14159\nrotation_wxyz = [1.0, 0.0, 0.0, 0.0]", 1);
+    assert!(SceneFile::parse(&twice).unwrap_err().reason.contains("either"));
+    let both = example().replacen("name = \"oncoming\"", "name = \"oncoming\"\nposition_m = [0.0, 0.0, 0.0]", 1);
+    assert!(SceneFile::parse(&both).unwrap_err().reason.contains("trajectory"));
+    let none = example().replacen("look = [0.57, 0.82, 0.0]", "", 1);
+    assert!(SceneFile::parse(&none).unwrap_err().reason.contains("look"));
+}
+
+#[test]
+fn a_scene_is_loaded_with_its_agents_where_they_are() {
+    let directory = tempfile::tempdir().unwrap();
+    let (background, car) = (cloud(400, 1), cloud(30, 2));
+    inria_ply::write(&directory.path().join("street.ply"), &background).unwrap();
+    inria_ply::write(&directory.path().join("car.ply"), &car).unwrap();
+    let path = directory.path().join("scene.toml");
+    std::fs::write(&path, example()).unwrap();
+    let early = open_scene(&path, 0.0).unwrap();
+    let late = open_scene(&path, 2.0).unwrap();
+    assert_eq!((early.world.splats.len(), early.world.splats.sh_degree, early.rig.cameras.len()), (460, 2, 2));
+    assert_eq!(early.agent_names, ["parked", "oncoming"]);
+    let of_instance = |id: u16| early.world.instance_from_splat.iter().filter(|&&instance| instance == id).count();
+    assert_eq!([of_instance(0), of_instance(1), of_instance(2)], [400, 30, 30]);
+    assert_eq!(early.world.splats.means[..430], late.world.splats.means[..430], "background and parked car stand");
+    let moved = late.world.splats.means[430][0] - early.world.splats.means[430][0];
+    assert!((moved + 25.0).abs() < 1e-3, "{moved}");
+    // Means are relative to the origin, so they are small whatever the world coordinates are.
+    assert!(early.world.splats.means.iter().flatten().all(|x| x.abs() < 200.0));
+    let order = background.spatial_order();
+    assert_eq!(early.world.splats.means[0], background.means[order[0] as usize]);
+    assert!((early.ego.at(0.0).translation - DVec3::new(458_000.0, 5_428_000.0, 112.8)).length() < 1e-9);
+}
+
+#[test]
+fn a_splat_file_is_a_scene_without_cameras() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("a.ply");
+    inria_ply::write(&path, &cloud(50, 0)).unwrap();
+    let scene = open_scene(&path, 0.0).unwrap();
+    assert_eq!((scene.world.splats.len(), scene.world.origin, scene.rig.cameras.len()), (50, DVec3::ZERO, 0));
+    assert_eq!(scene.ego.at(3.0), Pose::IDENTITY);
+    assert!(scene.world.splats.spatial_order().iter().enumerate().all(|(i, &splat)| i as u32 == splat), "already in order");
+}
+
+#[test]
+fn a_missing_asset_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("scene.toml");
+    std::fs::write(&path, example()).unwrap();
+    let error = open_scene(&path, 0.0).unwrap_err();
+    assert!(matches!(&error, AssetError::Read { path, .. } if path.ends_with("street.ply")), "{error}");
+}
