@@ -1,0 +1,131 @@
+//! Typed buffers.
+
+use std::{fmt, marker::PhantomData, sync::Arc};
+
+use bytemuck::Pod;
+
+use crate::memory::BufferMemory;
+
+/// Where a buffer's memory is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Residence {
+    /// Device-local: fast for kernels, out of the host's reach but by copies.
+    Device,
+    /// Mapped; the host writes, kernels read. Slow for the host to read.
+    Upload,
+    /// Mapped and cached; kernels write, the host reads.
+    Readback,
+}
+
+/// `len` values of `T` on the device. Clones share the memory, which is freed with the last of them and the last submitted work
+/// that uses it.
+///
+/// A kernel's descriptor covers the buffer in whole 32-bit words and at least 16 bytes of it, so that a buffer of no elements
+/// can be bound; what lies behind `len` has no defined content.
+pub struct Buffer<T> {
+    pub(crate) memory: Arc<BufferMemory>,
+    len: usize,
+    element: PhantomData<fn() -> T>,
+}
+
+impl<T> Clone for Buffer<T> {
+    fn clone(&self) -> Self {
+        Self { memory: self.memory.clone(), len: self.len, element: PhantomData }
+    }
+}
+
+impl<T> fmt::Debug for Buffer<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} x {} ({:?})", self.name(), self.len, std::any::type_name::<T>(), self.memory.residence)
+    }
+}
+
+impl<T> Buffer<T> {
+    /// `memory` must hold `len` values of `T`.
+    pub(crate) fn new(memory: Arc<BufferMemory>, len: usize) -> Self {
+        Self { memory, len, element: PhantomData }
+    }
+
+    /// Number of values.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether it holds no value.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Size of its values in bytes.
+    #[must_use]
+    pub fn byte_len(&self) -> u64 {
+        self.memory.byte_len
+    }
+
+    /// The name it was made with.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.memory.name
+    }
+
+    /// The buffer without its type, to be bound to a kernel.
+    #[must_use]
+    pub fn binding(&self) -> Bound<'_> {
+        Bound { memory: &self.memory }
+    }
+}
+
+impl<T: Pod> Buffer<T> {
+    /// Writes `data` from element `first` on, at once. Submitted work that reads these elements must be done.
+    ///
+    /// # Panics
+    /// When the buffer lives on the device or `data` does not fit.
+    pub fn write_host(&self, first: usize, data: &[T]) {
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        let range = self.byte_range(first, data.len());
+        self.memory.with_host_bytes(|host| host[range].copy_from_slice(bytes));
+    }
+
+    /// Its values as the host sees them. Submitted work that writes them must be done.
+    ///
+    /// # Panics
+    /// When the buffer lives on the device.
+    #[must_use]
+    pub fn read_host(&self) -> Vec<T> {
+        let mut data = vec![T::zeroed(); self.len];
+        self.read_host_into(0, &mut data);
+        data
+    }
+
+    /// The values from element `first` on, into `data`.
+    ///
+    /// # Panics
+    /// When the buffer lives on the device or has fewer values.
+    pub fn read_host_into(&self, first: usize, data: &mut [T]) {
+        let range = self.byte_range(first, data.len());
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(data);
+        self.memory.with_host_bytes(|host| bytes.copy_from_slice(&host[range]));
+    }
+
+    /// # Panics
+    /// When the elements are not all inside the buffer.
+    pub(crate) fn byte_range(&self, first: usize, count: usize) -> std::ops::Range<usize> {
+        let end = first.checked_add(count).filter(|&end| end <= self.len);
+        let Some(end) = end else { panic!("buffer {}: elements {first} + {count} wanted, it has {}", self.name(), self.len) };
+        first * size_of::<T>()..end * size_of::<T>()
+    }
+}
+
+/// A buffer without its element type, as a kernel sees it.
+#[derive(Clone, Copy)]
+pub struct Bound<'a> {
+    pub(crate) memory: &'a Arc<BufferMemory>,
+}
+
+impl fmt::Debug for Bound<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ({} bytes)", self.memory.name, self.memory.byte_len)
+    }
+}

@@ -1,0 +1,201 @@
+//! The open device, as the rest of the engine sees it.
+
+use std::sync::Arc;
+
+use bytemuck::Pod;
+
+use crate::{
+    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, Limits, MemoryReport, QueueRole, Recorder, Residence, Ticket,
+    context::Context, device, instance::Instance, memory::BufferMemory, queue::Queue, transfer,
+};
+
+/// An open device. Clones share it; dropping the last one waits until the device is idle.
+#[derive(Clone)]
+pub struct Gpu(Arc<Shared>);
+
+struct Shared {
+    main: Arc<Queue>,
+    /// The same as `main` where the device has no queue beside it.
+    update: Arc<Queue>,
+    context: Arc<Context>,
+}
+
+impl std::fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.info())
+    }
+}
+
+impl Gpu {
+    /// All devices that the loader finds, whether they can do the work or not.
+    ///
+    /// # Errors
+    /// When there is no loader or no device; the sentence says what to install.
+    pub fn list() -> Result<Vec<DeviceInfo>, GpuError> {
+        let devices = device::enumerate(&Instance::new(false)?)?;
+        if devices.is_empty() {
+            return Err(GpuError::NoDevice);
+        }
+        Ok(devices.into_iter().map(|device| device.info).collect())
+    }
+
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// When there is no loader, no validation layer where one is asked for, no such device, or the device lacks what we
+    /// require: Vulkan 1.3 with timeline semaphores, host query reset, scalar block layout, synchronization2 and maintenance4,
+    /// and `VK_KHR_push_descriptor`.
+    pub fn open(options: &DeviceOptions) -> Result<Self, GpuError> {
+        let context = Arc::new(Context::open(options)?);
+        let families = context.families;
+        let main = Arc::new(Queue::new(&context, families.main, families.main_timestamp_bits)?);
+        let update = match families.update {
+            Some(family) => Arc::new(Queue::new(&context, family, families.update_timestamp_bits)?),
+            None => main.clone(),
+        };
+        Ok(Self(Arc::new(Shared { main, update, context })))
+    }
+
+    /// The device.
+    #[must_use]
+    pub fn info(&self) -> &DeviceInfo {
+        &self.0.context.info
+    }
+
+    /// What it can do at most.
+    #[must_use]
+    pub fn limits(&self) -> &Limits {
+        &self.0.context.limits
+    }
+
+    /// Whether work for [`QueueRole::Update`] has a queue of its own.
+    #[must_use]
+    pub fn has_update_queue(&self) -> bool {
+        !Arc::ptr_eq(&self.0.main, &self.0.update)
+    }
+
+    /// Memory in use by purpose. What finished work held is given back first.
+    #[must_use]
+    pub fn memory(&self) -> MemoryReport {
+        self.0.reap();
+        self.0.context.memory_report()
+    }
+
+    /// Warnings and errors of the validation layer since the last call; nothing where validation is off.
+    #[must_use]
+    pub fn take_validation_messages(&self) -> Vec<String> {
+        self.0.context.take_messages()
+    }
+
+    /// A buffer of `len` values with undefined content. `name` is what debuggers and errors call it, `purpose` what its bytes
+    /// are counted under.
+    ///
+    /// # Errors
+    /// When memory is used up, or the buffer is longer than a kernel can see (`storage_buffer_bytes_max`).
+    pub fn buffer<T: Pod>(
+        &self,
+        name: &'static str,
+        purpose: &'static str,
+        len: usize,
+        residence: Residence,
+    ) -> Result<Buffer<T>, GpuError> {
+        let byte_len = (len as u64).saturating_mul(size_of::<T>() as u64);
+        self.0.reap();
+        let memory = BufferMemory::new(&self.0.context, name, purpose, byte_len, residence)?;
+        Ok(Buffer::new(Arc::new(memory), len))
+    }
+
+    /// A buffer on the device that holds `data`.
+    ///
+    /// # Errors
+    /// Those of [`Gpu::buffer`], and when the device is lost.
+    pub fn upload<T: Pod>(&self, name: &'static str, purpose: &'static str, data: &[T]) -> Result<Buffer<T>, GpuError> {
+        let buffer = self.buffer(name, purpose, data.len(), Residence::Device)?;
+        self.write(&buffer, 0, data)?;
+        Ok(buffer)
+    }
+
+    /// Writes `data` from element `first` of `buffer` on, behind everything submitted to the main queue before, and waits for
+    /// it. Work on the update queue that uses the buffer must be done.
+    ///
+    /// # Errors
+    /// When memory for staging is used up or the device is lost.
+    ///
+    /// # Panics
+    /// When `data` does not fit.
+    pub fn write<T: Pod>(&self, buffer: &Buffer<T>, first: usize, data: &[T]) -> Result<(), GpuError> {
+        transfer::write(self, buffer, first, data, self.piece_bytes())
+    }
+
+    /// All values of `buffer`, behind everything submitted to the main queue before. Work on the update queue that writes the
+    /// buffer must be done.
+    ///
+    /// # Errors
+    /// When memory for staging is used up or the device is lost.
+    pub fn read<T: Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
+        transfer::read(self, buffer, self.piece_bytes())
+    }
+
+    /// Builds a kernel from a SPIR-V module with names (debug information), its specialization constants given by name. A
+    /// constant that sizes the workgroup and has no other use goes by `local_size_x`, `local_size_y` or `local_size_z`, as
+    /// compilers drop its name.
+    ///
+    /// # Errors
+    /// When the device lacks a feature that the module uses, its workgroup is too large for the device, the module binds
+    /// something other than storage buffers in set 0, or the driver cannot build it.
+    ///
+    /// # Panics
+    /// When the module has no constant of a name, or one of another type.
+    pub fn kernel(&self, name: &'static str, spirv: &[u32], constants: &[(&str, Constant)]) -> Result<Kernel, GpuError> {
+        Kernel::new(&self.0.context, name, spirv, constants)
+    }
+
+    /// Starts a command buffer.
+    pub fn record(&self, role: QueueRole) -> Recorder {
+        Recorder::new(&self.0.context, self.0.queue(role))
+    }
+
+    /// Submits what was recorded, to run behind `after` and behind everything submitted to the same queue before.
+    ///
+    /// # Errors
+    /// When the device is lost or memory is used up, also where that happened while recording.
+    ///
+    /// # Panics
+    /// When the recorder or a ticket belongs to another device.
+    pub fn submit(&self, recorder: Recorder, after: &[&Ticket]) -> Result<Ticket, GpuError> {
+        let ours = |context: &Arc<Context>| Arc::ptr_eq(context, &self.0.context);
+        assert!(ours(&recorder.context), "the recorder belongs to another device");
+        assert!(after.iter().all(|ticket| ours(&ticket.queue.context)), "a ticket belongs to another device");
+        let queue = recorder.queue.clone();
+        let (slot, stages) = recorder.finish()?;
+        queue.submit(slot, stages, after)
+    }
+
+    /// Staging is bound to nothing, and still a buffer like all others.
+    fn piece_bytes(&self) -> usize {
+        transfer::PIECE_BYTES.min(self.limits().storage_buffer_bytes_max as usize)
+    }
+}
+
+impl Shared {
+    fn queue(&self, role: QueueRole) -> &Arc<Queue> {
+        match role {
+            QueueRole::Main => &self.main,
+            QueueRole::Update => &self.update,
+        }
+    }
+
+    /// A failure is a device lost, which whoever submits or waits next is told.
+    fn reap(&self) {
+        let _ = self.main.reap();
+        let _ = self.update.reap();
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        // A lost or hung device has nobody left to be told; the queues' own drops decide what is sound to free.
+        let _ = self.main.wait_idle();
+        let _ = self.update.wait_idle();
+    }
+}

@@ -1,0 +1,342 @@
+//! Kernels: a compute pipeline whose buffers, constants and layouts go by the names in the shader.
+
+mod module;
+mod reflection;
+
+use std::sync::Arc;
+
+use ash::vk;
+
+use crate::{
+    GpuError, Limits,
+    context::{Context, ShortName},
+    device::BINDINGS_MAX,
+    error::failed,
+};
+use module::Kind;
+use reflection::{Block, Interface};
+
+/// What a kernel does with a buffer, from `readonly` and `writeonly` in the shader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Declared `readonly`.
+    Read,
+    /// Declared `writeonly`.
+    Write,
+    /// Declared neither.
+    ReadWrite,
+}
+
+/// The value of a specialization constant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Constant {
+    /// `uint`
+    U32(u32),
+    /// `int`
+    I32(i32),
+    /// `float`
+    F32(f32),
+    /// `bool`
+    Bool(bool),
+}
+
+impl Constant {
+    fn bits(self) -> u32 {
+        match self {
+            Self::U32(value) => value,
+            Self::I32(value) => value as u32,
+            Self::F32(value) => value.to_bits(),
+            Self::Bool(value) => u32::from(value),
+        }
+    }
+
+    fn kind(self) -> Kind {
+        match self {
+            Self::U32(_) => Kind::U32,
+            Self::I32(_) => Kind::I32,
+            Self::F32(_) => Kind::F32,
+            Self::Bool(_) => Kind::Bool,
+        }
+    }
+}
+
+/// A buffer that a kernel wants.
+#[derive(Clone, Debug)]
+pub struct KernelBinding {
+    /// The block's instance name; without one, the name of its only member, else of the block.
+    pub name: String,
+    /// What the kernel does with it.
+    pub access: Access,
+    pub(crate) binding: u32,
+    block: Block,
+}
+
+/// A compute pipeline, ready to be dispatched. Clones share it.
+#[derive(Clone)]
+pub struct Kernel {
+    pub(crate) core: Arc<KernelCore>,
+}
+
+impl std::fmt::Debug for Kernel {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {:?}", self.core.name, self.core.workgroup_size)
+    }
+}
+
+pub(crate) struct KernelCore {
+    pub(crate) name: &'static str,
+    pub(crate) bindings: Vec<KernelBinding>,
+    pub(crate) push_bytes: u32,
+    pub(crate) pipeline: vk::Pipeline,
+    pub(crate) layout: vk::PipelineLayout,
+    set_layout: vk::DescriptorSetLayout,
+    push: Block,
+    workgroup_size: [u32; 3],
+    subgroups_pinned: bool,
+    context: Arc<Context>,
+}
+
+impl Kernel {
+    pub(crate) fn new(
+        context: &Arc<Context>,
+        name: &'static str,
+        spirv: &[u32],
+        constants: &[(&str, Constant)],
+    ) -> Result<Self, GpuError> {
+        let refuse = |reason| GpuError::Kernel { kernel: name, reason };
+        let interface = reflection::reflect(spirv).map_err(refuse)?;
+        let specialized = specialize(name, &interface, constants);
+        let workgroup_size = interface.workgroup_size(&specialized);
+        check_capabilities(context, name, &interface)?;
+        check_sizes(&context.limits, &interface, workgroup_size).map_err(refuse)?;
+        let push = interface.push.clone().unwrap_or_default();
+        let bindings: Vec<KernelBinding> = interface
+            .bindings
+            .iter()
+            .map(|found| KernelBinding {
+                name: found.name.clone(),
+                access: found.access,
+                binding: found.binding,
+                block: found.block.clone(),
+            })
+            .collect();
+        // Handles stay null until they are made, and destroying null does nothing: so a failure half way leaks nothing.
+        let mut core = KernelCore {
+            name,
+            bindings,
+            push_bytes: push.bytes,
+            pipeline: vk::Pipeline::null(),
+            layout: vk::PipelineLayout::null(),
+            set_layout: vk::DescriptorSetLayout::null(),
+            push,
+            workgroup_size,
+            subgroups_pinned: pins_subgroups(context, workgroup_size),
+            context: context.clone(),
+        };
+        core.make_layout()?;
+        core.make_pipeline(spirv, &interface.entry_point, &specialized)?;
+        Ok(Self { core: Arc::new(core) })
+    }
+
+    /// The name it was made with.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.core.name
+    }
+
+    /// Invocations of a workgroup along x, y and z, after specialization.
+    #[must_use]
+    pub fn workgroup_size(&self) -> [u32; 3] {
+        self.core.workgroup_size
+    }
+
+    /// Whether its subgroups have exactly [`Limits::subgroup_size`] invocations, all of them active.
+    #[must_use]
+    pub fn subgroups_pinned(&self) -> bool {
+        self.core.subgroups_pinned
+    }
+
+    /// The buffers it wants, by binding number.
+    #[must_use]
+    pub fn bindings(&self) -> &[KernelBinding] {
+        &self.core.bindings
+    }
+
+    /// Size of its push constants.
+    #[must_use]
+    pub fn push_bytes(&self) -> u32 {
+        self.core.push_bytes
+    }
+
+    /// Names and byte offsets of the push constants.
+    #[must_use]
+    pub fn push_member_offsets(&self) -> &[(String, u32)] {
+        &self.core.push.members
+    }
+
+    /// Names and byte offsets of the members of the structure that `binding` holds: of an element where the block is an array
+    /// of structures, else of the block itself. `None` for a name that the kernel does not have.
+    #[must_use]
+    pub fn member_offsets(&self, binding: &str) -> Option<Vec<(String, u32)>> {
+        self.binding(binding).map(|found| found.block.members.clone())
+    }
+
+    /// Bytes from element to element, where `binding` holds nothing but an array.
+    #[must_use]
+    pub fn element_stride(&self, binding: &str) -> Option<u32> {
+        self.binding(binding).and_then(|found| found.block.stride)
+    }
+
+    fn binding(&self, name: &str) -> Option<&KernelBinding> {
+        self.core.bindings.iter().find(|found| found.name == name)
+    }
+}
+
+impl KernelCore {
+    pub(crate) fn binding_names(&self) -> Vec<&str> {
+        self.bindings.iter().map(|found| found.name.as_str()).collect()
+    }
+
+    fn make_layout(&mut self) -> Result<(), GpuError> {
+        let device = &self.context.device;
+        let bindings: Vec<vk::DescriptorSetLayoutBinding<'_>> = self
+            .bindings
+            .iter()
+            .map(|found| {
+                vk::DescriptorSetLayoutBinding::default()
+                    .binding(found.binding)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .descriptor_count(1)
+                    .stage_flags(vk::ShaderStageFlags::COMPUTE)
+            })
+            .collect();
+        let create = vk::DescriptorSetLayoutCreateInfo::default()
+            .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
+            .bindings(&bindings);
+        // SAFETY: the device has push descriptors, and reflection made sure that binding numbers differ and are few.
+        self.set_layout =
+            unsafe { device.create_descriptor_set_layout(&create, None) }.map_err(failed("vkCreateDescriptorSetLayout"))?;
+        let sets = [self.set_layout];
+        let push = [vk::PushConstantRange { stage_flags: vk::ShaderStageFlags::COMPUTE, offset: 0, size: self.push_bytes }];
+        let ranges = if self.push_bytes == 0 { &[][..] } else { &push[..] };
+        let create = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets).push_constant_ranges(ranges);
+        // SAFETY: the set layout is of this device, and the push constants were checked against its limit.
+        self.layout = unsafe { device.create_pipeline_layout(&create, None) }.map_err(failed("vkCreatePipelineLayout"))?;
+        Ok(())
+    }
+
+    fn make_pipeline(&mut self, spirv: &[u32], entry_point: &str, specialized: &[(u32, u32)]) -> Result<(), GpuError> {
+        let context = self.context.clone();
+        let entries: Vec<vk::SpecializationMapEntry> = (0_u32..)
+            .zip(specialized)
+            .map(|(i, (spec_id, _))| vk::SpecializationMapEntry { constant_id: *spec_id, offset: 4 * i, size: 4 })
+            .collect();
+        let values: Vec<u32> = specialized.iter().map(|(_, bits)| *bits).collect();
+        let specialization = vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(&values));
+        let create = vk::ShaderModuleCreateInfo::default().code(spirv);
+        // SAFETY: `spirv` is SPIR-V by its header and reflection; that it is valid beyond that is the shader compiler's
+        // promise.
+        let module = unsafe { context.device.create_shader_module(&create, None) }.map_err(failed("vkCreateShaderModule"))?;
+        let entry_point = ShortName::new(entry_point);
+        let mut subgroups =
+            vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default().required_subgroup_size(context.limits.subgroup_size);
+        let mut stage = vk::PipelineShaderStageCreateInfo::default()
+            .stage(vk::ShaderStageFlags::COMPUTE)
+            .module(module)
+            .name(entry_point.as_c_str())
+            .specialization_info(&specialization);
+        if self.subgroups_pinned {
+            stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut subgroups);
+        }
+        let create = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.layout);
+        // SAFETY: module and layout are live and of this device, what `create` points to outlives the call, and the layout was
+        // reflected from the module.
+        let pipelines = unsafe { context.device.create_compute_pipelines(vk::PipelineCache::null(), &[create], None) };
+        // SAFETY: a module may go as soon as its pipelines are made.
+        unsafe { context.device.destroy_shader_module(module, None) };
+        self.pipeline = match pipelines {
+            Ok(pipelines) => pipelines[0],
+            Err((_, vk::Result::ERROR_DEVICE_LOST)) => {
+                return Err(failed("vkCreateComputePipelines")(vk::Result::ERROR_DEVICE_LOST));
+            }
+            Err((_, code)) => {
+                return Err(GpuError::Kernel { kernel: self.name, reason: format!("the driver could not build it: {code:?}") });
+            }
+        };
+        context.set_name(self.pipeline, self.name);
+        Ok(())
+    }
+}
+
+impl Drop for KernelCore {
+    fn drop(&mut self) {
+        let device = &self.context.device;
+        // SAFETY: submitted work holds its kernels until it is done, so nothing uses the pipeline; null is allowed.
+        unsafe { device.destroy_pipeline(self.pipeline, None) };
+        // SAFETY: as above.
+        unsafe { device.destroy_pipeline_layout(self.layout, None) };
+        // SAFETY: as above.
+        unsafe { device.destroy_descriptor_set_layout(self.set_layout, None) };
+    }
+}
+
+/// The given constants by their ids.
+///
+/// # Panics
+/// When the shader has no constant of a name, or one of another type.
+fn specialize(kernel: &str, interface: &Interface, constants: &[(&str, Constant)]) -> Vec<(u32, u32)> {
+    let found = |name: &str, constant: Constant| {
+        let Some(declared) = interface.constants.iter().find(|declared| declared.name == name) else {
+            let names: Vec<&str> = interface.constants.iter().map(|declared| declared.name.as_str()).collect();
+            panic!("kernel {kernel}: no specialization constant '{name}', it has {names:?}");
+        };
+        assert!(
+            declared.kind == constant.kind(),
+            "kernel {kernel}: specialization constant '{name}' is {:?} in the shader, given is {constant:?}",
+            declared.kind
+        );
+        (declared.spec_id, constant.bits())
+    };
+    constants.iter().map(|&(name, constant)| found(name, constant)).collect()
+}
+
+fn check_capabilities(context: &Context, kernel: &'static str, interface: &Interface) -> Result<(), GpuError> {
+    let missing = &context.abilities.missing_capabilities;
+    match missing.iter().find(|(capability, _)| interface.capabilities.contains(capability)) {
+        Some((_, feature)) => Err(GpuError::MissingFeature {
+            device: context.info.name.clone(),
+            feature: (*feature).into(),
+            needed_by: format!("kernel {kernel}"),
+        }),
+        None => Ok(()),
+    }
+}
+
+fn check_sizes(limits: &Limits, interface: &Interface, workgroup: [u32; 3]) -> Result<(), String> {
+    let threads: u64 = workgroup.iter().map(|&size| u64::from(size)).product();
+    if threads == 0 || threads > u64::from(limits.workgroup_threads_max) {
+        return Err(format!(
+            "a workgroup of {workgroup:?} has {threads} invocations, this device runs 1 to {}",
+            limits.workgroup_threads_max
+        ));
+    }
+    if interface.bindings.len() > BINDINGS_MAX {
+        return Err(format!("{} buffers bound, at most {BINDINGS_MAX} can be", interface.bindings.len()));
+    }
+    let push_bytes = interface.push.as_ref().map_or(0, |push| push.bytes);
+    if push_bytes > limits.push_constant_bytes_max || !push_bytes.is_multiple_of(4) {
+        let max = limits.push_constant_bytes_max;
+        return Err(format!("{push_bytes} bytes of push constants, this device has at most {max}, in whole words"));
+    }
+    Ok(())
+}
+
+/// Full subgroups of the size that [`Limits`] promises, wherever Vulkan lets us ask for it
+/// (VUID-VkPipelineShaderStageCreateInfo-pNext-02756 and -02757).
+fn pins_subgroups(context: &Context, workgroup: [u32; 3]) -> bool {
+    let size = context.limits.subgroup_size;
+    let threads: u32 = workgroup.iter().product();
+    context.abilities.pinned_subgroups
+        && workgroup[0].is_multiple_of(size)
+        && threads / size <= context.limits.workgroup_subgroups_max
+}

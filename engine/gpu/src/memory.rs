@@ -1,0 +1,260 @@
+//! Memory of buffers: where it comes from, who holds how much of it, and the sentence when there is no more.
+
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use ash::vk;
+use gpu_allocator::{
+    AllocationError, MemoryLocation,
+    vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
+};
+
+use crate::{GpuError, MemoryReport, Residence, context::Context, error::failed};
+
+/// From this size a buffer has its own allocation: freed, it goes back to the driver at once, and capacities that grow leave no
+/// holes.
+const OWN_ALLOCATION_FROM_BYTES: u64 = 4 << 20;
+
+/// The least that is bound: a buffer of no elements still needs a descriptor.
+const BOUND_BYTES_MIN: u64 = 16;
+
+/// What is in use, by purpose.
+#[derive(Debug, Default)]
+pub(crate) struct Accounting {
+    bytes_by_purpose: BTreeMap<&'static str, u64>,
+    /// Of the total, what lies in device-local memory.
+    device_local_bytes: u64,
+}
+
+impl Accounting {
+    pub(crate) fn report(&self) -> MemoryReport {
+        let bytes_by_purpose = self.bytes_by_purpose.clone();
+        let total_bytes = bytes_by_purpose.values().sum();
+        MemoryReport { bytes_by_purpose, total_bytes, budget_bytes: None, driver_usage_bytes: None }
+    }
+
+    fn add(&mut self, purpose: &'static str, bytes: u64, device_local: bool) {
+        *self.bytes_by_purpose.entry(purpose).or_default() += bytes;
+        self.device_local_bytes += if device_local { bytes } else { 0 };
+    }
+
+    fn remove(&mut self, purpose: &'static str, bytes: u64, device_local: bool) {
+        self.device_local_bytes -= if device_local { bytes } else { 0 };
+        let held = self.bytes_by_purpose.entry(purpose).or_default();
+        *held -= bytes;
+        if *held == 0 {
+            self.bytes_by_purpose.remove(purpose);
+        }
+    }
+
+    fn used_by_purpose(&self) -> String {
+        if self.bytes_by_purpose.is_empty() {
+            return "nothing yet".into();
+        }
+        let texts: Vec<String> = self.bytes_by_purpose.iter().map(|(purpose, bytes)| format!("{purpose} {bytes}")).collect();
+        texts.join(", ")
+    }
+}
+
+/// A buffer and its memory, freed with the last clone of whatever holds it.
+pub(crate) struct BufferMemory {
+    pub(crate) context: Arc<Context>,
+    pub(crate) raw: vk::Buffer,
+    /// Different for each buffer of this process: what barriers are derived by.
+    pub(crate) id: u64,
+    pub(crate) name: &'static str,
+    pub(crate) residence: Residence,
+    /// What was asked for.
+    pub(crate) byte_len: u64,
+    /// What a descriptor covers: `byte_len` in whole words, at least [`BOUND_BYTES_MIN`].
+    pub(crate) bound_bytes: u64,
+    purpose: &'static str,
+    counted_bytes: u64,
+    device_local: bool,
+    /// `None` only while it is dropped. Locked while the host reads or writes it.
+    allocation: Mutex<Option<Allocation>>,
+}
+
+impl BufferMemory {
+    pub(crate) fn new(
+        context: &Arc<Context>,
+        name: &'static str,
+        purpose: &'static str,
+        byte_len: u64,
+        residence: Residence,
+    ) -> Result<Self, GpuError> {
+        static NEXT_ID: AtomicU64 = AtomicU64::new(0);
+        let limit_bytes = context.limits.storage_buffer_bytes_max;
+        if byte_len > limit_bytes {
+            return Err(GpuError::BufferTooLarge { name, wanted_bytes: byte_len, limit_bytes });
+        }
+        let bound_bytes = byte_len.next_multiple_of(4).max(BOUND_BYTES_MIN);
+        refuse_above_heap(context, name, purpose, bound_bytes, residence)?;
+        let raw = create(context, bound_bytes).map_err(|code| translate(context, name, purpose, bound_bytes, code))?;
+        let (allocation, counted_bytes) = match allocate_and_bind(context, raw, name, purpose, residence) {
+            Ok(done) => done,
+            Err(error) => {
+                // SAFETY: made above, bound to nothing and known to nobody.
+                unsafe { context.device.destroy_buffer(raw, None) };
+                return Err(error);
+            }
+        };
+        context.set_name(raw, name);
+        let device_local = allocation.memory_properties().contains(vk::MemoryPropertyFlags::DEVICE_LOCAL);
+        context.accounting.lock().unwrap_or_else(PoisonError::into_inner).add(purpose, counted_bytes, device_local);
+        Ok(Self {
+            context: context.clone(),
+            raw,
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            name,
+            residence,
+            byte_len,
+            bound_bytes,
+            purpose,
+            counted_bytes,
+            device_local,
+            allocation: Mutex::new(Some(allocation)),
+        })
+    }
+
+    /// Runs `body` on the buffer's bytes as the host sees them.
+    ///
+    /// # Panics
+    /// For a buffer with [`Residence::Device`].
+    pub(crate) fn with_host_bytes<R>(&self, body: impl FnOnce(&mut [u8]) -> R) -> R {
+        assert!(
+            self.residence != Residence::Device,
+            "buffer {}: lives on the device; the host reaches it through the Gpu only",
+            self.name
+        );
+        let mut allocation = self.allocation.lock().unwrap_or_else(PoisonError::into_inner);
+        let bytes =
+            allocation.as_mut().and_then(Allocation::mapped_slice_mut).expect("host-visible memory is mapped while it lives");
+        body(&mut bytes[..self.byte_len as usize])
+    }
+}
+
+impl Drop for BufferMemory {
+    fn drop(&mut self) {
+        // SAFETY: submitted work holds what it uses until it is done, so no device work uses the buffer any more.
+        unsafe { self.context.device.destroy_buffer(self.raw, None) };
+        let allocation = self.allocation.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(allocation) = allocation {
+            // An error would mean that the allocation is not of this allocator; there is nobody to tell in a drop.
+            let _ = self.context.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
+        }
+        let mut accounting = self.context.accounting.lock().unwrap_or_else(PoisonError::into_inner);
+        accounting.remove(self.purpose, self.counted_bytes, self.device_local);
+    }
+}
+
+/// Some drivers promise more than the heap has and fail when it is touched; so what cannot fit is refused here.
+fn refuse_above_heap(
+    context: &Context,
+    name: &'static str,
+    purpose: &'static str,
+    bytes: u64,
+    residence: Residence,
+) -> Result<(), GpuError> {
+    let used = context.accounting.lock().unwrap_or_else(PoisonError::into_inner).device_local_bytes;
+    if residence == Residence::Device && used.saturating_add(bytes) > context.limits.device_memory_bytes {
+        return Err(out_of_memory(context, name, purpose, bytes));
+    }
+    Ok(())
+}
+
+fn create(context: &Context, bytes: u64) -> Result<vk::Buffer, vk::Result> {
+    use vk::BufferUsageFlags as Usage;
+    let families = [context.families.main, context.families.update.unwrap_or(context.families.main)];
+    let mut create = vk::BufferCreateInfo::default()
+        .size(bytes)
+        .usage(Usage::STORAGE_BUFFER | Usage::INDIRECT_BUFFER | Usage::TRANSFER_SRC | Usage::TRANSFER_DST);
+    if context.families.update.is_some() {
+        // Buffers need no ownership transfers: storage buffers lose nothing by being shared on the devices that we know.
+        create = create.sharing_mode(vk::SharingMode::CONCURRENT).queue_family_indices(&families);
+    }
+    // SAFETY: the size is not zero, and the families are two different ones of this device where sharing is concurrent.
+    unsafe { context.device.create_buffer(&create, None) }
+}
+
+/// The allocation and the bytes it is counted with.
+fn allocate_and_bind(
+    context: &Context,
+    buffer: vk::Buffer,
+    name: &'static str,
+    purpose: &'static str,
+    residence: Residence,
+) -> Result<(Allocation, u64), GpuError> {
+    // SAFETY: a query on a live buffer of this device.
+    let requirements = unsafe { context.device.get_buffer_memory_requirements(buffer) };
+    let own = requirements.size >= OWN_ALLOCATION_FROM_BYTES;
+    let description = AllocationCreateDesc {
+        name,
+        requirements,
+        location: match residence {
+            Residence::Device => MemoryLocation::GpuOnly,
+            Residence::Upload => MemoryLocation::CpuToGpu,
+            Residence::Readback => MemoryLocation::GpuToCpu,
+        },
+        linear: true,
+        allocation_scheme: if own { AllocationScheme::DedicatedBuffer(buffer) } else { AllocationScheme::GpuAllocatorManaged },
+    };
+    let mut allocator = context.allocator.lock().unwrap_or_else(PoisonError::into_inner);
+    let allocation = allocator.allocate(&description).map_err(|error| match error {
+        AllocationError::OutOfMemory => out_of_memory(context, name, purpose, requirements.size),
+        other => GpuError::Driver { call: "allocating memory", code: other.to_string() },
+    })?;
+    // SAFETY: the memory is of this device, large enough and aligned as the buffer requires, and the buffer is bound to nothing
+    // yet.
+    let bound = unsafe { context.device.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
+    if let Err(code) = bound {
+        // The allocation is unbound and of this allocator: freeing cannot fail, and the first error is the one to report.
+        let _ = allocator.free(allocation);
+        return Err(translate(context, name, purpose, requirements.size, code));
+    }
+    Ok((allocation, requirements.size))
+}
+
+fn translate(context: &Context, name: &'static str, purpose: &'static str, bytes: u64, code: vk::Result) -> GpuError {
+    match code {
+        vk::Result::ERROR_OUT_OF_DEVICE_MEMORY | vk::Result::ERROR_OUT_OF_HOST_MEMORY => {
+            out_of_memory(context, name, purpose, bytes)
+        }
+        _ => failed("making a buffer")(code),
+    }
+}
+
+fn out_of_memory(context: &Context, name: &'static str, purpose: &'static str, wanted_bytes: u64) -> GpuError {
+    let accounting = context.accounting.lock().unwrap_or_else(PoisonError::into_inner);
+    GpuError::OutOfMemory {
+        name,
+        purpose,
+        wanted_bytes,
+        used_bytes: accounting.report().total_bytes,
+        used_by_purpose: accounting.used_by_purpose(),
+        heap_bytes: context.limits.device_memory_bytes,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn purposes_that_hold_nothing_are_left_out() {
+        let mut accounting = Accounting::default();
+        accounting.add("splats", 100, true);
+        accounting.add("splats", 20, false);
+        accounting.add("images", 3, true);
+        assert_eq!(accounting.device_local_bytes, 103);
+        assert_eq!(accounting.used_by_purpose(), "images 3, splats 120");
+        accounting.remove("images", 3, true);
+        assert_eq!(accounting.report().bytes_by_purpose, BTreeMap::from([("splats", 120)]));
+        assert_eq!(accounting.report().total_bytes, 120);
+    }
+}

@@ -1,0 +1,241 @@
+//! Queues: submitting, waiting, and taking back what the device is done with.
+//!
+//! Each queue has one timeline semaphore that counts submissions. A submission of the same queue needs no wait: it starts with
+//! a full barrier. One of the other queue becomes a semaphore wait.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use ash::vk;
+
+use crate::{
+    DeviceKind, GpuError,
+    context::Context,
+    error::failed,
+    slot::CommandSlot,
+    ticket::{Submission, Ticket},
+};
+
+/// Which work a command buffer belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum QueueRole {
+    /// The frame.
+    Main,
+    /// What runs beside the frame, on the compute-only family where the device has one, else on the main queue.
+    Update,
+}
+
+/// After this long, work counts as hung. Drivers of real GPUs give up within seconds; the CPU driver on a loaded machine has
+/// been seen to take a minute for one large frame.
+const HANG_AFTER: Duration = Duration::from_secs(300);
+
+/// Between two looks at how far waiting work has come: short enough to know the last stage when the device is lost.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+
+/// Command slots kept for reuse; more are in flight only in a burst of uploads.
+const FREE_SLOTS_MAX: usize = 8;
+
+pub(crate) struct Queue {
+    pub(crate) context: Arc<Context>,
+    pub(crate) timeline: vk::Semaphore,
+    raw: vk::Queue,
+    family: u32,
+    timestamp_bits: u32,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    /// The last value that the timeline was told to count to.
+    submitted: u64,
+    in_flight: VecDeque<(u64, CommandSlot, Arc<Submission>)>,
+    free: Vec<CommandSlot>,
+}
+
+impl Queue {
+    /// The first queue of `family`, which the device was opened with.
+    pub(crate) fn new(context: &Arc<Context>, family: u32, timestamp_bits: u32) -> Result<Self, GpuError> {
+        let mut timeline = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let create = vk::SemaphoreCreateInfo::default().push_next(&mut timeline);
+        // SAFETY: timeline semaphores are required of every device.
+        let timeline = unsafe { context.device.create_semaphore(&create, None) }.map_err(failed("vkCreateSemaphore"))?;
+        // SAFETY: the device was opened with one queue of this family.
+        let raw = unsafe { context.device.get_device_queue(family, 0) };
+        Ok(Self { context: context.clone(), timeline, raw, family, timestamp_bits, state: Mutex::default() })
+    }
+
+    /// A slot that is being recorded.
+    pub(crate) fn begin(&self) -> Result<CommandSlot, GpuError> {
+        self.reap()?;
+        let free = self.state().free.pop();
+        let mut slot = match free {
+            Some(slot) => slot,
+            None => CommandSlot::new(&self.context, self.family, self.timestamp_bits > 0)?,
+        };
+        slot.begin()?;
+        Ok(slot)
+    }
+
+    /// Submits a recorded slot behind `after`.
+    pub(crate) fn submit(
+        self: &Arc<Self>,
+        slot: CommandSlot,
+        stages: Vec<&'static str>,
+        after: &[&Ticket],
+    ) -> Result<Ticket, GpuError> {
+        let waits: Vec<vk::SemaphoreSubmitInfo<'_>> = after
+            .iter()
+            .filter(|ticket| !Arc::ptr_eq(&ticket.queue, self))
+            .map(|ticket| semaphore_at(ticket.queue.timeline, ticket.value))
+            .collect();
+        let submission = Arc::new(Submission::new(stages));
+        let mut state = self.state();
+        let value = state.submitted + 1;
+        let commands = [vk::CommandBufferSubmitInfo::default().command_buffer(slot.commands)];
+        let signals = [semaphore_at(self.timeline, value)];
+        let submit = vk::SubmitInfo2::default()
+            .wait_semaphore_infos(&waits)
+            .command_buffer_infos(&commands)
+            .signal_semaphore_infos(&signals);
+        // SAFETY: the state's lock makes us the only user of the queue; the command buffer is recorded and not pending, and the
+        // slot with all that it uses stays in flight until the timeline has its value.
+        let submitted = unsafe { self.context.device.queue_submit2(self.raw, &[submit], vk::Fence::null()) };
+        match submitted {
+            Ok(()) => {
+                state.submitted = value;
+                state.in_flight.push_back((value, slot, submission.clone()));
+                Ok(Ticket { queue: self.clone(), value, submission })
+            }
+            Err(code) => Err(self.explain(&state, "vkQueueSubmit2", code)),
+        }
+    }
+
+    /// Waits until the timeline has `value`.
+    pub(crate) fn wait(&self, value: u64, submission: &Submission) -> Result<(), GpuError> {
+        let (semaphores, values) = ([self.timeline], [value]);
+        let wait = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+        let since = Instant::now();
+        loop {
+            // SAFETY: the semaphore lives as long as this queue, and was told to count to `value`.
+            match unsafe { self.context.device.wait_semaphores(&wait, LOOK_EVERY.as_nanos() as u64) } {
+                Ok(()) => return self.reap(),
+                Err(vk::Result::TIMEOUT) => self.look(&self.state()),
+                Err(code) => return Err(self.explain(&self.state(), "vkWaitSemaphores", code)),
+            }
+            if since.elapsed() > HANG_AFTER {
+                return Err(GpuError::Hang { seconds: HANG_AFTER.as_secs(), progress: submission.progress() });
+            }
+        }
+    }
+
+    pub(crate) fn is_done(&self, value: u64) -> Result<bool, GpuError> {
+        Ok(self.counted(&self.state())? >= value)
+    }
+
+    /// Waits for everything submitted.
+    pub(crate) fn wait_idle(&self) -> Result<(), GpuError> {
+        let last = self.state().in_flight.back().map(|(value, _, submission)| (*value, submission.clone()));
+        last.map_or(Ok(()), |(value, submission)| self.wait(value, &submission))
+    }
+
+    /// Takes back what the device is done with, and its times.
+    pub(crate) fn reap(&self) -> Result<(), GpuError> {
+        let mut state = self.state();
+        if state.in_flight.is_empty() {
+            return Ok(());
+        }
+        let counted = self.counted(&state)?;
+        while state.in_flight.front().is_some_and(|(value, ..)| *value <= counted) {
+            let Some((_, mut slot, submission)) = state.in_flight.pop_front() else { break };
+            submission.finish(&slot, self.timestamp_bits, self.context.limits.timestamp_period_ns);
+            slot.release();
+            if state.free.len() < FREE_SLOTS_MAX {
+                state.free.push(slot);
+            }
+        }
+        Ok(())
+    }
+
+    fn counted(&self, state: &State) -> Result<u64, GpuError> {
+        // SAFETY: a query on a live semaphore.
+        let counted = unsafe { self.context.device.get_semaphore_counter_value(self.timeline) };
+        counted.map_err(|code| self.explain(state, "vkGetSemaphoreCounterValue", code))
+    }
+
+    /// How far the device is with the work that it has now. Not on CPU devices: lavapipe (Mesa 22.3) answers only when it is
+    /// idle, which would make waiting for a hung kernel endless.
+    fn look(&self, state: &State) {
+        if self.context.info.kind == DeviceKind::Cpu {
+            return;
+        }
+        if let Some((_, slot, submission)) = state.in_flight.front() {
+            submission.look(slot);
+        }
+    }
+
+    fn explain(&self, state: &State, during: &'static str, code: vk::Result) -> GpuError {
+        if code != vk::Result::ERROR_DEVICE_LOST {
+            return failed(during)(code);
+        }
+        self.look(state);
+        let progress = state.in_flight.front().map(|(_, _, submission)| submission.progress());
+        GpuError::DeviceLost { during, progress: progress.unwrap_or_else(|| "nothing was in flight".into()) }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Queue {
+    fn drop(&mut self) {
+        if let Err(GpuError::Hang { .. }) = self.wait_idle() {
+            // The device still uses these: leaking them is the only sound thing left.
+            std::mem::forget(std::mem::take(&mut self.state().in_flight));
+            return;
+        }
+        // SAFETY: the device is idle or lost, and every ticket that knew the semaphore held this queue.
+        unsafe { self.context.device.destroy_semaphore(self.timeline, None) };
+    }
+}
+
+fn semaphore_at(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo<'static> {
+    vk::SemaphoreSubmitInfo::default().semaphore(semaphore).value(value).stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{DeviceKind, DeviceOptions, Gpu, QueueRole};
+
+    /// What a lost device is reported with: the look while work runs, as there may be none after.
+    #[test]
+    fn a_look_at_running_work_tells_the_stages_that_are_done() {
+        let gpu = Gpu::open(&DeviceOptions::default()).unwrap();
+        let bytes = include_bytes!("../tests/kernels/spin.spv").chunks_exact(4);
+        let spirv: Vec<u32> = bytes.map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]])).collect();
+        let spin = gpu.kernel("spin", &spirv, &[]).unwrap();
+        let values = gpu.upload("values", "test", &vec![1_u32; 1 << 15]).unwrap();
+        let mut recorder = gpu.record(QueueRole::Main);
+        for (name, rounds) in [("short", 1_u32), ("long", 50_000)] {
+            let push: Vec<u8> = [1_u32 << 15, rounds].iter().flat_map(|word| word.to_ne_bytes()).collect();
+            recorder.stage(name, |recorder| recorder.dispatch(&spin, &[("values", values.binding())], &push, [512, 1, 1]));
+        }
+        let ticket = gpu.submit(recorder, &[]).unwrap();
+        ticket.queue.look(&ticket.queue.state());
+        // Seconds of work: a look that waits for it would be no use when the device hangs.
+        assert!(!ticket.is_done().unwrap());
+        let mut seen = vec![ticket.submission.progress()];
+        while !ticket.is_done().unwrap() {
+            ticket.queue.look(&ticket.queue.state());
+            seen.push(ticket.submission.progress());
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        let between = "the last stage known to have finished is 'short', the next is 'long'";
+        assert!(gpu.info().kind == DeviceKind::Cpu || seen.iter().any(|progress| progress == between), "{seen:#?}");
+        ticket.wait().unwrap();
+        assert_eq!(ticket.submission.progress(), "the last stage known to have finished is 'long'");
+    }
+}

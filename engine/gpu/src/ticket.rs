@@ -1,0 +1,173 @@
+//! What submitting gives: something to wait for, and the times of what was done.
+
+use std::sync::{
+    Arc, OnceLock,
+    atomic::{AtomicUsize, Ordering},
+};
+
+use crate::{GpuError, queue::Queue, slot::CommandSlot};
+
+/// How long a stage took.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StageTime {
+    /// The stage's name.
+    pub name: &'static str,
+    /// From the start of its command buffer, in nanoseconds.
+    pub start_ns: u64,
+    /// From its start until its last command was done, in nanoseconds.
+    pub duration_ns: u64,
+}
+
+/// Submitted work. Clones stand for the same work.
+#[derive(Clone)]
+pub struct Ticket {
+    pub(crate) queue: Arc<Queue>,
+    /// What the queue's timeline counts to when the work is done.
+    pub(crate) value: u64,
+    pub(crate) submission: Arc<Submission>,
+}
+
+impl std::fmt::Debug for Ticket {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "submission {}", self.value)
+    }
+}
+
+impl Ticket {
+    /// Waits until the work is done. What it wrote to readback buffers can be read then.
+    ///
+    /// # Errors
+    /// When the device is lost, or did not finish in minutes; both name the last stage known to have finished.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.queue.wait(self.value, &self.submission)
+    }
+
+    /// Whether the work is done, without waiting.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn is_done(&self) -> Result<bool, GpuError> {
+        self.queue.is_done(self.value)
+    }
+
+    /// When each stage ran, in the order recorded; waits for the work.
+    ///
+    /// # Errors
+    /// Those of [`Ticket::wait`], and when the queue has no timestamps.
+    pub fn stage_times(&self) -> Result<Vec<StageTime>, GpuError> {
+        self.times().map(|times| times.stages.clone())
+    }
+
+    /// How long the whole command buffer ran, in nanoseconds; waits for the work.
+    ///
+    /// # Errors
+    /// Those of [`Ticket::wait`], and when the queue has no timestamps.
+    pub fn gpu_time_ns(&self) -> Result<u64, GpuError> {
+        self.times().map(|times| times.total_ns)
+    }
+
+    fn times(&self) -> Result<&Times, GpuError> {
+        self.wait()?;
+        let times = self.submission.times.get().and_then(Option::as_ref);
+        times.ok_or_else(|| GpuError::MissingFeature {
+            device: self.queue.context.info.name.clone(),
+            feature: "timestamps on this queue (timestampValidBits)".into(),
+            needed_by: "timing of stages".into(),
+        })
+    }
+}
+
+/// What is remembered of submitted work when its command buffer is long reused.
+pub(crate) struct Submission {
+    stages: Vec<&'static str>,
+    /// Stages known to have finished.
+    finished: AtomicUsize,
+    /// Set once the work is done; `None` inside where there are no timestamps.
+    times: OnceLock<Option<Times>>,
+}
+
+struct Times {
+    total_ns: u64,
+    stages: Vec<StageTime>,
+}
+
+impl Submission {
+    pub(crate) fn new(stages: Vec<&'static str>) -> Self {
+        Self { stages, finished: AtomicUsize::new(0), times: OnceLock::new() }
+    }
+
+    /// Takes the times over from `slot`, whose work is done. `valid_bits` of a timestamp count, a tick takes `period_ns`.
+    pub(crate) fn finish(&self, slot: &CommandSlot, valid_bits: u32, period_ns: f32) {
+        let times = times(&self.stages, &slot.ticks(self.stages.len()), valid_bits, period_ns);
+        self.finished.store(self.stages.len(), Ordering::Relaxed);
+        // Set once: whoever reaps the slot has taken it out of the queue.
+        let _ = self.times.set(times);
+    }
+
+    /// Looks how far the device is with `slot`, whose work may still run.
+    pub(crate) fn look(&self, slot: &CommandSlot) {
+        let ticks = slot.ticks(self.stages.len());
+        let finished = (0..self.stages.len()).take_while(|stage| ticks.get(3 + 2 * stage).is_some_and(Option::is_some)).count();
+        self.finished.fetch_max(finished, Ordering::Relaxed);
+    }
+
+    /// How far the work is known to have come, as a clause.
+    pub(crate) fn progress(&self) -> String {
+        let finished = self.finished.load(Ordering::Relaxed);
+        let next = self.stages.get(finished).map_or_else(String::new, |next| format!(", the next is '{next}'"));
+        match finished.checked_sub(1).and_then(|last| self.stages.get(last)) {
+            Some(last) => format!("the last stage known to have finished is '{last}'{next}"),
+            None => format!("no stage is known to have finished{next}"),
+        }
+    }
+}
+
+/// Ticks count in `valid_bits` bits and start anywhere, so only differences mean something, and they wrap.
+fn times(names: &[&'static str], ticks: &[Option<u64>], valid_bits: u32, period_ns: f32) -> Option<Times> {
+    let start = (*ticks.first()?)?;
+    let mask = if valid_bits >= 64 { u64::MAX } else { (1 << valid_bits) - 1 };
+    let since = |from: u64, tick: u64| ((tick.wrapping_sub(from) & mask) as f64 * f64::from(period_ns)) as u64;
+    let stage = |(i, &name): (usize, &&'static str)| {
+        let (from, to) = (ticks[2 + 2 * i]?, ticks[3 + 2 * i]?);
+        Some(StageTime { name, start_ns: since(start, from), duration_ns: since(from, to) })
+    };
+    let stages = names.iter().enumerate().map(stage).collect::<Option<Vec<_>>>()?;
+    Some(Times { total_ns: since(start, ticks[1]?), stages })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_wraps_gives_the_same_times() {
+        let expected = [
+            StageTime { name: "project", start_ns: 20, duration_ns: 40 },
+            StageTime { name: "blend", start_ns: 60, duration_ns: 200 },
+        ];
+        for (start, bits) in [(100, 64), ((1 << 36) - 15, 36), (u64::MAX - 3, 64)] {
+            let mask = if bits == 64 { u64::MAX } else { (1 << bits) - 1 };
+            // Bits above the valid ones mean nothing: set them.
+            let tick = |ticks: u64| Some(u64::wrapping_add(start, ticks) & mask | !mask);
+            let ticks = [tick(0), tick(140), tick(10), tick(30), tick(30), tick(130)];
+            let times = times(&["project", "blend"], &ticks, bits, 2.0).unwrap();
+            assert_eq!((times.total_ns, times.stages.as_slice()), (280, &expected[..]), "{bits} bits from {start}");
+        }
+    }
+
+    #[test]
+    fn no_timestamps_are_no_times() {
+        assert!(times(&["project"], &[], 0, 1.0).is_none());
+        assert!(times(&["project"], &[Some(0), None, Some(1), Some(2)], 64, 1.0).is_none());
+    }
+
+    #[test]
+    fn progress_names_the_last_stage_and_the_next() {
+        let submission = Submission::new(vec!["project", "sort", "blend"]);
+        assert_eq!(submission.progress(), "no stage is known to have finished, the next is 'project'");
+        submission.finished.store(2, Ordering::Relaxed);
+        assert_eq!(submission.progress(), "the last stage known to have finished is 'sort', the next is 'blend'");
+        submission.finished.store(3, Ordering::Relaxed);
+        assert_eq!(submission.progress(), "the last stage known to have finished is 'blend'");
+    }
+}

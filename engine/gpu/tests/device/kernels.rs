@@ -1,0 +1,128 @@
+//! Kernels: constants and bindings by name, layouts, and what is refused.
+
+use decouplegs_gpu::{Access, Constant, GpuError, QueueRole, Residence};
+
+use crate::{Watched, bytes, scale, scale_push, spirv};
+
+#[test]
+fn constants_are_given_by_name() {
+    let gpu = Watched::open();
+    let source: Vec<i32> = (0..1000).collect();
+    let constants = [("NEGATE", Constant::Bool(true)), ("GROUP_SIZE", Constant::U32(32)), ("FACTOR", Constant::U32(3))];
+    let kernel = gpu.kernel("scale", &spirv("scale"), &constants).unwrap();
+    assert_eq!(kernel.workgroup_size(), [32, 1, 1]);
+    println!("subgroups pinned to {}: {}", gpu.limits().subgroup_size, kernel.subgroups_pinned());
+    let from = gpu.upload("source", "test", &source).unwrap();
+    let to = gpu.buffer::<i32>("target", "test", source.len(), Residence::Device).unwrap();
+    let mut recorder = gpu.record(QueueRole::Main);
+    let buffers = [("target_values", to.binding()), ("source_values", from.binding())];
+    recorder.dispatch(&kernel, &buffers, &scale_push(1000, 7), [32, 1, 1]);
+    gpu.submit(recorder, &[]).unwrap();
+    let expected: Vec<i32> = source.iter().map(|value| -(value * 3 + 7)).collect();
+    assert_eq!(gpu.read(&to).unwrap(), expected);
+}
+
+#[test]
+fn bindings_say_name_access_and_layout() {
+    let gpu = Watched::open();
+    let kernel = gpu.kernel("layout", &spirv("layout"), &[]).unwrap();
+    let bindings: Vec<(&str, Access)> = kernel.bindings().iter().map(|binding| (binding.name.as_str(), binding.access)).collect();
+    // By binding number: the block with an instance name goes by it, the others by their only member.
+    assert_eq!(bindings, [("counted", Access::ReadWrite), ("item", Access::Write), ("items", Access::Read)]);
+    assert_eq!(kernel.workgroup_size(), [8, 4, 2]);
+    let named =
+        |members: &[(&str, u32)]| Some(members.iter().map(|(name, offset)| ((*name).to_owned(), *offset)).collect::<Vec<_>>());
+    assert_eq!(kernel.member_offsets("items"), named(&[("mean", 0), ("id", 12), ("extent", 16)]));
+    assert_eq!(kernel.member_offsets("item"), named(&[("mean", 0), ("id", 12), ("extent", 16)]));
+    assert_eq!(kernel.member_offsets("counted"), named(&[("count", 0), ("weights", 4), ("ids", 20)]));
+    assert_eq!(kernel.member_offsets("nothing"), None);
+    assert_eq!((kernel.element_stride("items"), kernel.element_stride("counted")), (Some(24), None));
+    assert_eq!(kernel.push_bytes(), 16 + 3 * 16);
+    assert_eq!(Some(kernel.push_member_offsets().to_vec()), named(&[("origin", 0), ("count", 12), ("turn", 16)]));
+}
+
+#[test]
+fn indirect_dispatch_reads_its_arguments_behind_their_writer() {
+    let gpu = Watched::open();
+    let source: Vec<i32> = (0..1000).collect();
+    let arguments = gpu.kernel("arguments", &spirv("arguments"), &[]).unwrap();
+    let kernel = scale(&gpu, 2);
+    let from = gpu.upload("source", "test", &source).unwrap();
+    let to = gpu.upload("target", "test", &vec![-1; source.len()]).unwrap();
+    let words = gpu.upload("arguments", "test", &[0_u32; 8]).unwrap();
+    let mut recorder = gpu.record(QueueRole::Main);
+    recorder.dispatch(&arguments, &[("arguments", words.binding())], &bytes(&[700, 64, 4]), [1, 1, 1]);
+    let buffers = [("source_values", from.binding()), ("target_values", to.binding())];
+    recorder.dispatch_indirect(&kernel, &buffers, &scale_push(1000, 0), words.binding(), 16);
+    gpu.submit(recorder, &[]).unwrap();
+    // 700 invocations in groups of 64 are 11 groups: 704 values.
+    let expected: Vec<i32> = source.iter().map(|&value| if value < 704 { value * 2 } else { -1 }).collect();
+    assert_eq!(gpu.read(&to).unwrap(), expected);
+    assert_eq!(gpu.read(&words).unwrap(), [0, 0, 0, 0, 11, 1, 1, 0]);
+}
+
+#[test]
+fn what_is_no_storage_buffer_and_what_is_no_spirv_is_refused() {
+    let gpu = Watched::open();
+    let refusal = |words: &[u32]| match gpu.kernel("refused", words, &[]) {
+        Err(error @ GpuError::Kernel { .. }) => error.to_string(),
+        other => panic!("expected a refusal, got {other:?}"),
+    };
+    assert!(refusal(&spirv("texture")).contains("picture is not a storage buffer"));
+    assert!(refusal(&[1, 2, 3]).contains("not a SPIR-V module"));
+    let large = Constant::U32(gpu.limits().workgroup_threads_max + 1);
+    let error = gpu.kernel("scale", &spirv("scale"), &[("GROUP_SIZE", large)]).unwrap_err().to_string();
+    assert!(error.contains(&format!("1 to {}", gpu.limits().workgroup_threads_max)), "{error}");
+}
+
+/// Dispatches `scale` with names and sizes that may be wrong.
+fn dispatch(names: &[&str], push_bytes: usize, groups: [u32; 3]) {
+    let gpu = Watched::open();
+    let buffer = gpu.upload("values", "test", &[1_i32; 64]).unwrap();
+    let buffers: Vec<_> = names.iter().map(|name| (*name, buffer.binding())).collect();
+    gpu.record(QueueRole::Main).dispatch(&scale(&gpu, 2), &buffers, &vec![0; push_bytes], groups);
+}
+
+#[test]
+#[should_panic(expected = "no binding 'sauce_values', it has [\"source_values\", \"target_values\"]")]
+fn a_wrong_binding_name_asserts() {
+    dispatch(&["sauce_values", "target_values"], 8, [1, 1, 1]);
+}
+
+#[test]
+#[should_panic(expected = "binding 'target_values' is not given exactly once")]
+fn a_missing_binding_asserts() {
+    dispatch(&["source_values"], 8, [1, 1, 1]);
+}
+
+#[test]
+#[should_panic(expected = "binding 'source_values' is not given exactly once")]
+fn a_binding_given_twice_asserts() {
+    dispatch(&["source_values", "target_values", "source_values"], 8, [1, 1, 1]);
+}
+
+#[test]
+#[should_panic(expected = "12 bytes of push constants given, the shader declares 8")]
+fn push_constants_of_another_size_assert() {
+    dispatch(&["source_values", "target_values"], 12, [1, 1, 1]);
+}
+
+#[test]
+#[should_panic(expected = "workgroups, the device runs at most")]
+fn too_many_workgroups_assert() {
+    dispatch(&["source_values", "target_values"], 8, [1, u32::MAX, 1]);
+}
+
+#[test]
+#[should_panic(expected = "no specialization constant 'FAKTOR', it has [\"GROUP_SIZE\", \"FACTOR\"")]
+fn an_unknown_constant_asserts() {
+    let gpu = Watched::open();
+    let _ = gpu.kernel("scale", &spirv("scale"), &[("FAKTOR", Constant::U32(1))]);
+}
+
+#[test]
+#[should_panic(expected = "specialization constant 'FACTOR' is U32 in the shader, given is F32(1.0)")]
+fn a_constant_of_another_type_asserts() {
+    let gpu = Watched::open();
+    let _ = gpu.kernel("scale", &spirv("scale"), &[("FACTOR", Constant::F32(1.0))]);
+}
