@@ -1,1 +1,16 @@
-//! To be written.
+//! The kernels, written in GLSL, compiled to SPIR-V when this crate is built.
+//!
+//! Each `NAME.comp` in this folder is a [`Kernel`] here called `NAME` in capitals. Names of buffers, structure members
+//! and specialization constants are kept in the SPIR-V: kernels are bound by name.
+#![forbid(unsafe_code)]
+
+/// One compiled compute shader.
+#[derive(Debug)]
+pub struct Kernel {
+    /// The stem of its source file.
+    pub name: &'static str,
+    /// SPIR-V words.
+    pub spirv: &'static [u32],
+}
+
+include!(concat!(env!("OUT_DIR"), "/kernels.rs"));

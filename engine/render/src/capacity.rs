@@ -1,0 +1,129 @@
+//! How much room a frame has. Pure sizes: nothing here touches a device.
+//!
+//! No capacity truncates silently. The GPU counts what it wanted ([`Needs`]); when that is more than there was room for,
+//! the frame grows and is drawn again, and says so.
+
+use crate::layout::{Needs, PAIR_BLOCK};
+
+/// Room for the lists of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Capacity {
+    /// Visible (camera, splat).
+    pub records: usize,
+    /// (Macro tile, record).
+    pub pairs: usize,
+    /// Results of segments that are not their macro tile's only one.
+    pub partials: usize,
+}
+
+impl Capacity {
+    /// A first guess for `splats` seen by `cameras`: a wrong one costs one redrawn frame.
+    #[must_use]
+    pub fn guess(splats: usize, cameras: usize) -> Self {
+        let records = (splats * cameras).min(splats / 2 + splats * cameras / 16 + 1024);
+        Self { records, pairs: records * 2 + 1024, partials: 64 }
+    }
+
+    /// Whether everything that was needed fitted.
+    #[must_use]
+    pub fn holds(&self, needs: &Needs) -> bool {
+        needs.records as usize <= self.records && needs.pairs as usize <= self.pairs && needs.partials as usize <= self.partials
+    }
+
+    /// Room for `needs` with an eighth to spare, so that a moving camera does not outgrow it at every step. Never smaller.
+    ///
+    /// Needs found while an earlier list overflowed are too low: it may take another turn.
+    #[must_use]
+    pub fn grown_to(&self, needs: &Needs) -> Self {
+        let grown = |have: usize, need: u32| {
+            let need = need as usize;
+            if need > have { need + need / 8 + 64 } else { have }
+        };
+        Self {
+            records: grown(self.records, needs.records),
+            pairs: grown(self.pairs, needs.pairs),
+            partials: grown(self.partials, needs.partials),
+        }
+    }
+
+    /// Segments of macro tiles: one for each of `bins` and one for each partial result.
+    #[must_use]
+    pub fn items(&self, bins: u32) -> usize {
+        bins as usize + self.partials
+    }
+
+    /// Macro tiles that can be cut: each takes two partial results at least. Cut tiles are listed even when their results
+    /// find no room, so that their number is known.
+    #[must_use]
+    pub fn composites(&self, bins: u32) -> usize {
+        bins as usize
+    }
+
+    /// Blocks of records that `count_pairs` makes.
+    #[must_use]
+    pub fn pair_blocks(&self) -> usize {
+        self.records.div_ceil(PAIR_BLOCK)
+    }
+}
+
+/// How the radix sort cuts its keys, from what the device can do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SortShape {
+    /// Threads a workgroup: 8 subgroups of them, so that a counter a (subgroup, digit) fits everywhere.
+    pub threads: u32,
+    /// Keys a thread.
+    pub items: u32,
+}
+
+impl SortShape {
+    /// For subgroups of `subgroup_size` lanes (4 to 64) and workgroups of at most `threads_max`.
+    #[must_use]
+    pub fn for_device(subgroup_size: u32, threads_max: u32) -> Self {
+        Self { threads: (8 * subgroup_size).min(256).min(threads_max), items: 16 }
+    }
+
+    /// Keys a workgroup.
+    #[must_use]
+    pub fn block(&self) -> u32 {
+        self.threads * self.items
+    }
+}
+
+/// The device's limit of groups along an axis, for counts known on the host; `groups_for` in `frame.glsl` is its twin.
+#[must_use]
+pub fn groups_for(count: usize) -> [u32; 3] {
+    const GROUPS_X_MAX: usize = 65_535;
+    if count <= GROUPS_X_MAX { [count as u32, 1, 1] } else { [GROUPS_X_MAX as u32, count.div_ceil(GROUPS_X_MAX) as u32, 1] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn growth_holds_what_was_needed_and_never_shrinks() {
+        let start = Capacity { records: 100, pairs: 1000, partials: 64 };
+        let needs = Needs { records: 5000, pairs: 10, partials: 65, ..Needs::default() };
+        assert!(!start.holds(&needs));
+        let grown = start.grown_to(&needs);
+        assert!(grown.holds(&needs));
+        assert_eq!(grown.pairs, 1000);
+        assert!(!start.holds(&Needs { pairs: 1001, ..Needs::default() }), "one too many must be seen");
+    }
+
+    #[test]
+    fn sort_workgroups_hold_at_most_eight_subgroups() {
+        for subgroup in [4, 8, 16, 32, 64] {
+            let shape = SortShape::for_device(subgroup, 256);
+            assert!(shape.threads.div_ceil(subgroup) <= 8 && shape.threads % subgroup == 0);
+        }
+    }
+
+    #[test]
+    fn groups_cover_the_count_within_the_limit() {
+        for count in [0, 1, 65_535, 65_536, 10_000_000] {
+            let [x, y, z] = groups_for(count);
+            assert!(x <= 65_535 && y <= 65_535 && z == 1 && x as usize * y as usize >= count);
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! Structures shared with the shaders, written once here and checked field by field against the shaders' reflection.
+//!
+//! Arrays of `f32` and `u32` only: glam's vectors may be padded for SIMD. The shaders use scalar block layout, whose
+//! offsets are those of `repr(C)`.
+
+use bytemuck::{Pod, Zeroable};
+use decouplegs_scene::{Camera, rules};
+use glam::{DMat3, DVec3};
+
+/// Splats a chunk: culled as one, one workgroup of `cull` and `project`.
+pub const CHUNK_SPLATS: usize = 256;
+/// Width of a macro tile, 8 render tiles of 8 pixels.
+pub const MACRO_WIDTH_PX: u32 = 64;
+/// Height of a macro tile, 4 render tiles of 8 pixels.
+pub const MACRO_HEIGHT_PX: u32 = 32;
+/// Pixels of a macro tile.
+pub const MACRO_PIXELS: usize = (MACRO_WIDTH_PX * MACRO_HEIGHT_PX) as usize;
+/// Records that one workgroup of `count_pairs` and `emit_pairs` takes, and pairs that one of `find_ranges` takes.
+pub const PAIR_BLOCK: usize = 1024;
+/// Entries that one workgroup of `scan` takes.
+pub const SCAN_BLOCK: usize = 1024;
+/// Indirect dispatches of a frame.
+pub const ARGUMENT_SETS: usize = 6;
+/// Cameras that one submission can draw.
+pub const CAMERAS_MAX: usize = 32;
+
+/// `Camera` of `frame.glsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct CameraRecord {
+    /// Camera from world rotation, first row.
+    pub row_x: [f32; 3],
+    /// Second row.
+    pub row_y: [f32; 3],
+    /// Third row.
+    pub row_z: [f32; 3],
+    /// The centre relative to the world's origin, rounded to f32.
+    pub centre_high_m: [f32; 3],
+    /// What rounding left.
+    pub centre_low_m: [f32; 3],
+    /// Focal lengths.
+    pub focal_px: [f32; 2],
+    /// Principal point.
+    pub principal_px: [f32; 2],
+    /// Lower limits of x/z and y/z in the Jacobian.
+    pub slope_min: [f32; 2],
+    /// Upper limits.
+    pub slope_max: [f32; 2],
+    /// Image size.
+    pub size_px: [u32; 2],
+    /// Macro tiles along x and y.
+    pub macro_tiles: [u32; 2],
+    /// Index of the camera's first macro tile among all cameras'.
+    pub first_bin: u32,
+    /// Index of the camera's first pixel in the output buffers.
+    pub first_pixel: u32,
+}
+
+impl CameraRecord {
+    /// The record of `camera` in a world with the given `origin`; bins and pixels begin where the arguments say.
+    #[must_use]
+    pub fn new(camera: &Camera, origin: DVec3, first_bin: u32, first_pixel: u32) -> Self {
+        let k = &camera.intrinsics;
+        let size = DVec3::new(f64::from(k.width_px), f64::from(k.height_px), 0.0);
+        let margin = |size: f64, focal: f64| rules::JACOBIAN_MARGIN * 0.5 * size / focal;
+        let axes = DMat3::from_quat(camera.world_from_camera.rotation.normalize());
+        let centre = camera.world_from_camera.translation - origin;
+        let high = centre.as_vec3();
+        let low = (centre - high.as_dvec3()).as_vec3();
+        Self {
+            row_x: axes.x_axis.as_vec3().to_array(),
+            row_y: axes.y_axis.as_vec3().to_array(),
+            row_z: axes.z_axis.as_vec3().to_array(),
+            centre_high_m: high.to_array(),
+            centre_low_m: low.to_array(),
+            focal_px: [k.fx_px as f32, k.fy_px as f32],
+            principal_px: [k.cx_px as f32, k.cy_px as f32],
+            slope_min: [
+                (-k.cx_px / k.fx_px - margin(size.x, k.fx_px)) as f32,
+                (-k.cy_px / k.fy_px - margin(size.y, k.fy_px)) as f32,
+            ],
+            slope_max: [
+                ((size.x - k.cx_px) / k.fx_px + margin(size.x, k.fx_px)) as f32,
+                ((size.y - k.cy_px) / k.fy_px + margin(size.y, k.fy_px)) as f32,
+            ],
+            size_px: [k.width_px, k.height_px],
+            macro_tiles: [k.width_px.div_ceil(MACRO_WIDTH_PX), k.height_px.div_ceil(MACRO_HEIGHT_PX)],
+            first_bin,
+            first_pixel,
+        }
+    }
+
+    /// Macro tiles of the camera's image.
+    #[must_use]
+    pub fn bins(&self) -> u32 {
+        self.macro_tiles[0] * self.macro_tiles[1]
+    }
+
+    /// Pixels of the camera's image.
+    #[must_use]
+    pub fn pixels(&self) -> usize {
+        self.size_px[0] as usize * self.size_px[1] as usize
+    }
+}
+
+/// `Chunk` of `frame.glsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ChunkRecord {
+    /// Centre of the box around the means.
+    pub centre_m: [f32; 3],
+    /// Half its size.
+    pub half_extent_m: [f32; 3],
+    /// Longest standard deviation times cut-off radius of any splat in it.
+    pub reach_m: f32,
+}
+
+/// `Needs` of `frame.glsl`: how many of each were wanted, whatever the capacity.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, serde::Serialize)]
+pub struct Needs {
+    /// Visible (camera, splat).
+    pub records: u32,
+    /// (Macro tile, record).
+    pub pairs: u32,
+    /// (Macro tile, segment of its list).
+    pub items: u32,
+    /// Items of macro tiles that were cut into more than one segment.
+    pub partials: u32,
+    /// Macro tiles that were cut.
+    pub composites: u32,
+}
+
+/// `Item` of `frame.glsl`: one segment of one macro tile's list.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct Item {
+    /// Macro tile.
+    pub bin: u32,
+    /// First entry of the segment in the sorted pairs.
+    pub first_pair: u32,
+    /// Entries.
+    pub pairs: u32,
+    /// Slot of its partial result, or [`NO_PARTIAL`].
+    pub partial: u32,
+}
+
+/// The segment is its tile's only one and writes pixels itself.
+pub const NO_PARTIAL: u32 = u32::MAX;
+
+/// `Composite` of `frame.glsl`: a macro tile whose partial results are joined.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct Composite {
+    /// Macro tile.
+    pub bin: u32,
+    /// Its first partial result.
+    pub first_partial: u32,
+    /// How many it has.
+    pub partials: u32,
+}
+
+/// The cameras of one frame as the shaders see them.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// One record a camera.
+    pub cameras: Vec<CameraRecord>,
+    /// Macro tiles of all cameras.
+    pub bins: u32,
+    /// Pixels of all cameras.
+    pub pixels: usize,
+}
+
+impl View {
+    /// Lays out the pictures of `cameras` one after the other.
+    ///
+    /// # Errors
+    /// A sentence when there is no camera, too many, or one that cannot make a picture.
+    pub fn new(cameras: &[Camera], origin: DVec3) -> Result<Self, String> {
+        if cameras.is_empty() || cameras.len() > CAMERAS_MAX {
+            return Err(format!("{} cameras were given; a frame draws 1 to {CAMERAS_MAX}", cameras.len()));
+        }
+        let mut view = Self { cameras: Vec::with_capacity(cameras.len()), bins: 0, pixels: 0 };
+        for camera in cameras {
+            camera.intrinsics.check().map_err(|reason| format!("camera {}: {reason}", camera.name))?;
+            let pose = &camera.world_from_camera;
+            if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
+                return Err(format!("camera {}: its pose {pose:?} is not finite", camera.name));
+            }
+            let first_pixel = u32::try_from(view.pixels)
+                .map_err(|_| format!("camera {}: more than 2^32 pixels in one frame", camera.name))?;
+            let record = CameraRecord::new(camera, origin, view.bins, first_pixel);
+            view.bins += record.bins();
+            view.pixels += record.pixels();
+            view.cameras.push(record);
+        }
+        Ok(view)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use decouplegs_scene::{Intrinsics, Pose};
+
+    fn camera(width: u32, height: u32) -> Camera {
+        let intrinsics = Intrinsics::from_horizontal_fov(width, height, 1.0);
+        Camera { name: "c".into(), intrinsics, world_from_camera: Pose::IDENTITY }
+    }
+
+    #[test]
+    fn pictures_lie_one_after_the_other() {
+        let view = View::new(&[camera(65, 33), camera(1, 1)], DVec3::ZERO).unwrap();
+        assert_eq!(view.cameras[0].macro_tiles, [2, 2]);
+        assert_eq!((view.cameras[1].first_bin, view.cameras[1].first_pixel), (4, 65 * 33));
+        assert_eq!((view.bins, view.pixels), (5, 65 * 33 + 1));
+    }
+
+    #[test]
+    fn a_centre_at_utm_distance_keeps_its_micrometres() {
+        let mut far = camera(4, 4);
+        far.world_from_camera.translation = DVec3::new(4.5e6 + 0.001, 1.0, 0.0);
+        let record = CameraRecord::new(&far, DVec3::ZERO, 0, 0);
+        let kept = f64::from(record.centre_high_m[0]) + f64::from(record.centre_low_m[0]);
+        assert!((kept - (4.5e6 + 0.001)).abs() < 1e-7);
+    }
+
+    #[test]
+    fn cameras_that_cannot_be_drawn_are_named() {
+        assert!(View::new(&[], DVec3::ZERO).is_err());
+        assert!(View::new(&vec![camera(4, 4); 33], DVec3::ZERO).unwrap_err().contains("33"));
+        let mut lost = camera(4, 4);
+        lost.world_from_camera.translation.x = f64::NAN;
+        assert!(View::new(&[lost], DVec3::ZERO).unwrap_err().contains("camera c"));
+    }
+}

@@ -1,0 +1,70 @@
+//! What a frame gives, and where it lies on the device.
+
+use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, Residence};
+
+/// Purpose under which the memory of pictures is counted.
+pub const PURPOSE: &str = "pictures";
+
+/// How colour is stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub enum ColourFormat {
+    /// Four f32: RGB as blended, unclamped, and alpha.
+    #[default]
+    F32,
+    /// Four bytes: RGB clamped to 0 to 1 and rounded, and alpha. What a camera delivers.
+    U8,
+}
+
+/// What is asked for beside colour and alpha. What is not asked for costs nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Outputs {
+    /// How colour is stored.
+    pub colour: ColourFormat,
+    /// Expected depth along z (or distance, where the order is radial), metres; 0 where nothing was hit.
+    pub depth: bool,
+    /// Instance of the splat with the largest weight; 0 is the background.
+    pub instance: bool,
+}
+
+impl Outputs {
+    pub(crate) fn constants(&self) -> [(&'static str, Constant); 3] {
+        [
+            ("COLOUR_U8", Constant::Bool(self.colour == ColourFormat::U8)),
+            ("DEPTH", Constant::Bool(self.depth)),
+            ("INSTANCE", Constant::Bool(self.instance)),
+        ]
+    }
+}
+
+/// Pictures on the device, of all cameras one after the other, rows from the top. Of length 0 where not asked for.
+pub struct OutputBuffers {
+    pub(crate) pictures_f32: Buffer<[f32; 4]>,
+    pub(crate) pictures_u8: Buffer<u32>,
+    pub(crate) depths_m: Buffer<f32>,
+    pub(crate) instance_ids: Buffer<u32>,
+}
+
+impl OutputBuffers {
+    /// Buffers for `pixels` pixels.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu, pixels: usize, outputs: &Outputs) -> Result<Self, GpuError> {
+        let len = |asked: bool| if asked { pixels } else { 0 };
+        Ok(Self {
+            pictures_f32: gpu.buffer("pictures_f32", PURPOSE, len(outputs.colour == ColourFormat::F32), Residence::Device)?,
+            pictures_u8: gpu.buffer("pictures_u8", PURPOSE, len(outputs.colour == ColourFormat::U8), Residence::Device)?,
+            depths_m: gpu.buffer("depths_m", PURPOSE, len(outputs.depth), Residence::Device)?,
+            instance_ids: gpu.buffer("instance_ids", PURPOSE, len(outputs.instance), Residence::Device)?,
+        })
+    }
+
+    pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 4] {
+        [
+            ("pictures_f32_block", self.pictures_f32.binding()),
+            ("pictures_u8_block", self.pictures_u8.binding()),
+            ("depths_block", self.depths_m.binding()),
+            ("instance_ids_block", self.instance_ids.binding()),
+        ]
+    }
+}

@@ -1,0 +1,150 @@
+//! PNG and OpenEXR.
+
+use std::io::Cursor;
+
+use exr::meta::{BlockDescription, MetaData};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+
+use super::{PIXELS_MAX, Picture, PictureError, PictureFormat};
+
+/// Most bytes that one byte of a deflated stream can stand for.
+const DEFLATE_RATIO_MAX: u64 = 1032;
+
+/// Bytes that a block of an OpenEXR file may always unpack to, however small the file: a tile is larger than a small picture.
+const BLOCK_BYTES_FREE: usize = 1 << 22;
+
+/// Most pixels that one byte of a file can stand for: one bit each in PNG, three 16-bit channels in OpenEXR.
+fn pixels_per_byte_max(format: PictureFormat) -> u64 {
+    if format == PictureFormat::Png { DEFLATE_RATIO_MAX * 8 } else { DEFLATE_RATIO_MAX / 6 }
+}
+
+pub fn decode(format: PictureFormat, bytes: &[u8]) -> Result<Picture, PictureError> {
+    if format == PictureFormat::Exr {
+        check_exr_sizes(bytes)?;
+    }
+    let refused = |error: image::ImageError| format.malformed(error.to_string());
+    let kind = if format == PictureFormat::Png { ImageFormat::Png } else { ImageFormat::OpenExr };
+    let decoder = ImageReader::with_format(Cursor::new(bytes), kind).into_decoder().map_err(refused)?;
+    let (width, height) = decoder.dimensions();
+    let pixels = u64::from(width) * u64::from(height);
+    let believed = pixels_believed(format, bytes);
+    if pixels == 0 || pixels > believed {
+        return Err(format.malformed(format!(
+            "it claims {width}x{height} pixels, and {} bytes of file can hold 1 to {believed}",
+            bytes.len()
+        )));
+    }
+    let image = DynamicImage::from_decoder(decoder).map_err(refused)?.into_rgba32f();
+    Ok(Picture {
+        width,
+        height,
+        rgb: image.pixels().map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect(),
+        alpha: image.pixels().map(|pixel| pixel[3]).collect(),
+        depth: None,
+        instance: None,
+    })
+}
+
+fn pixels_believed(format: PictureFormat, bytes: &[u8]) -> u64 {
+    PIXELS_MAX.min(pixels_per_byte_max(format) * bytes.len() as u64)
+}
+
+/// Refuses claims about layers and blocks, which the decoder would take memory for before it looks at the pixels.
+fn check_exr_sizes(bytes: &[u8]) -> Result<(), PictureError> {
+    let format = PictureFormat::Exr;
+    let meta = MetaData::read_from_buffered(bytes, false).map_err(|error| format.malformed(error.to_string()))?;
+    let believed = pixels_believed(format, bytes) as usize;
+    for header in &meta.headers {
+        let layer = header.layer_size;
+        let block = match header.blocks {
+            BlockDescription::Tiles(tiles) => (tiles.tile_size.width(), tiles.tile_size.height()),
+            BlockDescription::ScanLines => (layer.width(), header.compression.scan_lines_per_block()),
+        };
+        let block_bytes = block.0.saturating_mul(block.1).saturating_mul(header.channels.bytes_per_pixel);
+        let block_bytes_max = BLOCK_BYTES_FREE.max(believed.saturating_mul(header.channels.bytes_per_pixel));
+        if layer.width().saturating_mul(layer.height()) > believed || block_bytes > block_bytes_max {
+            return Err(format.malformed(format!(
+                "it claims a layer of {}x{} pixels in blocks of {}x{}, more than {} bytes of file can hold",
+                layer.width(),
+                layer.height(),
+                block.0,
+                block.1,
+                bytes.len()
+            )));
+        }
+    }
+    Ok(())
+}
+
+pub fn encode_png(picture: &Picture) -> Result<Vec<u8>, PictureError> {
+    let level = |value: &f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+    let levels: Vec<u8> = picture.rgb.iter().flatten().map(level).collect();
+    encode(picture, PictureFormat::Png, ImageFormat::Png, &levels, ColorType::Rgb8)
+}
+
+pub fn encode_exr(picture: &Picture) -> Result<Vec<u8>, PictureError> {
+    let bytes: Vec<u8> = picture.interleaved_rgba().iter().flat_map(|value| value.to_ne_bytes()).collect();
+    encode(picture, PictureFormat::Exr, ImageFormat::OpenExr, &bytes, ColorType::Rgba32F)
+}
+
+fn encode(
+    picture: &Picture,
+    format: PictureFormat,
+    kind: ImageFormat,
+    samples: &[u8],
+    colour: ColorType,
+) -> Result<Vec<u8>, PictureError> {
+    let mut file = Cursor::new(Vec::new());
+    image::write_buffer_with_format(&mut file, samples, picture.width, picture.height, colour, kind).map_err(|error| {
+        PictureError::Encoding { format, width: picture.width, height: picture.height, message: error.to_string() }
+    })?;
+    Ok(file.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The header of a PNG that claims to be very large, and no pixels.
+    fn boastful_png() -> Vec<u8> {
+        let mut bytes = Picture::filled(1, 1, [0.0; 3]).encode(PictureFormat::Png).unwrap();
+        bytes[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
+        // The checksum of the chunk that was changed (ISO 3309), or the claim would not be looked at.
+        let mut crc = !0u32;
+        for &byte in &bytes[12..29] {
+            crc ^= u32::from(byte);
+            for _ in 0..8 {
+                crc = (crc >> 1) ^ (0xedb8_8320 & (crc & 1).wrapping_neg());
+            }
+        }
+        bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
+        bytes
+    }
+
+    #[test]
+    fn a_claim_that_the_file_cannot_hold_is_refused_before_memory_is_taken() {
+        let error = decode(PictureFormat::Png, &boastful_png()).unwrap_err().to_string();
+        assert!(error.contains("65535x65535"), "{error}");
+    }
+
+    #[test]
+    fn a_layer_or_tile_that_the_file_cannot_hold_is_refused_before_memory_is_taken() {
+        let bytes = Picture::filled(5, 3, [0.3; 3]).encode(PictureFormat::Exr).unwrap();
+        let place_of = |name: &[u8]| bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len();
+        for (attribute, offset) in [(&b"dataWindow\0box2i\0"[..], 4 + 8), (b"tiles\0tiledesc\0", 4)] {
+            let mut boastful = bytes.clone();
+            let at = place_of(attribute) + offset;
+            boastful[at..at + 4].copy_from_slice(&0x0fff_0000u32.to_le_bytes());
+            let error = decode(PictureFormat::Exr, &boastful).unwrap_err().to_string();
+            assert!(error.contains("more than") && error.contains("26836992"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_strongest_compression_is_still_believed() {
+        let flat = Picture::filled(4000, 2000, [0.25; 3]);
+        for format in [PictureFormat::Png, PictureFormat::Exr] {
+            assert_eq!(decode(format, &flat.encode(format).unwrap()).unwrap().rgb.len(), 8_000_000, "{format}");
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! Pictures: what a render returns, and the files they are kept in.
+//!
+//! Values are display-referred RGB as blended: the sky is in them, nothing is clamped. Only PNG clamps and rounds.
+
+mod image_files;
+mod npy;
+mod sheet;
+
+pub use sheet::contact_sheet;
+
+use std::path::{Path, PathBuf};
+
+/// Most pixels a file may hold: 4 GiB of RGBA in f32.
+const PIXELS_MAX: u64 = 1 << 28;
+
+/// A picture in f32, row-major from the top left; every array holds `width * height` entries.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Pixels a row, at least 1.
+    pub width: u32,
+    /// Rows, at least 1.
+    pub height: u32,
+    /// As blended: unclamped, sky included.
+    pub rgb: Vec<[f32; 3]>,
+    /// 1 - the transmittance left for the sky.
+    pub alpha: Vec<f32>,
+    /// Expected depth, metres: camera-space z, or distance where the order is radial; 0 where nothing was blended.
+    /// `None` where it was not asked for.
+    pub depth: Option<Vec<f32>>,
+    /// Instance with the largest weight, 0 the background; `None` where it was not asked for.
+    pub instance: Option<Vec<u16>>,
+}
+
+/// The files a picture can be kept in. None of them holds depth or instances.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureFormat {
+    /// RGB, 8 bits: clamped to 0 to 1 and rounded to nearest. No alpha.
+    Png,
+    /// OpenEXR, RGBA as f32.
+    Exr,
+    /// NumPy: little-endian float32 `[height, width, 4]` in C order, RGB and alpha.
+    Npy,
+}
+
+/// Why a picture could not be read or encoded.
+#[derive(Debug, thiserror::Error)]
+pub enum PictureError {
+    /// The file could not be read at all.
+    #[error("{}: cannot read the picture: {source}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The name tells no format.
+    #[error("{}: expected a picture named *.png, *.exr or *.npy", path.display())]
+    Extension {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The bytes are not such a picture.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with its bytes.
+        source: Box<Self>,
+    },
+    /// The bytes are not a picture of the format.
+    #[error("not a usable {format} picture: {message}")]
+    Malformed {
+        /// The format expected.
+        format: PictureFormat,
+        /// What was expected and what was found.
+        message: String,
+    },
+    /// The encoder refused the picture.
+    #[error("cannot encode {width}x{height} pixels as {format}: {message}")]
+    Encoding {
+        /// The format asked for.
+        format: PictureFormat,
+        /// Pixels a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// What the encoder said.
+        message: String,
+    },
+}
+
+impl PictureFormat {
+    /// The format that a file's name tells by its extension, in any case of letters.
+    #[must_use]
+    pub fn of_path(path: &Path) -> Option<Self> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        [Self::Png, Self::Exr, Self::Npy].into_iter().find(|format| format.extension() == extension)
+    }
+
+    /// How files of this format end, without the dot.
+    #[must_use]
+    pub const fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Exr => "exr",
+            Self::Npy => "npy",
+        }
+    }
+
+    fn malformed(self, message: impl Into<String>) -> PictureError {
+        PictureError::Malformed { format: self, message: message.into() }
+    }
+}
+
+impl std::fmt::Display for PictureFormat {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.extension())
+    }
+}
+
+impl Picture {
+    /// A picture of one opaque colour, without depth and instances.
+    #[must_use]
+    pub fn filled(width: u32, height: u32, rgb: [f32; 3]) -> Self {
+        let count = width as usize * height as usize;
+        Self { width, height, rgb: vec![rgb; count], alpha: vec![1.0; count], depth: None, instance: None }
+    }
+
+    /// Reads a picture; its name's extension tells the format. Alpha is 1 where the file has none.
+    ///
+    /// # Errors
+    /// When the file cannot be read, its name tells no format, or its bytes are not such a picture.
+    pub fn read(path: &Path) -> Result<Self, PictureError> {
+        let format = PictureFormat::of_path(path).ok_or_else(|| PictureError::Extension { path: path.into() })?;
+        let bytes = std::fs::read(path).map_err(|source| PictureError::Unreadable { path: path.into(), source })?;
+        Self::decode(format, &bytes).map_err(|source| PictureError::File { path: path.into(), source: Box::new(source) })
+    }
+
+    /// The picture in the bytes of a file. Never allocates more than the length of `bytes` can account for.
+    ///
+    /// # Errors
+    /// When the bytes are not a picture of that format.
+    pub fn decode(format: PictureFormat, bytes: &[u8]) -> Result<Self, PictureError> {
+        match format {
+            PictureFormat::Png | PictureFormat::Exr => image_files::decode(format, bytes),
+            PictureFormat::Npy => npy::decode(bytes),
+        }
+    }
+
+    /// The bytes of a file of that format.
+    ///
+    /// # Errors
+    /// When the encoder refuses the picture's size.
+    pub fn encode(&self, format: PictureFormat) -> Result<Vec<u8>, PictureError> {
+        match format {
+            PictureFormat::Png => image_files::encode_png(self),
+            PictureFormat::Exr => image_files::encode_exr(self),
+            PictureFormat::Npy => Ok(npy::encode(self)),
+        }
+    }
+
+    /// RGBA of every pixel, interleaved: `[height, width, 4]`.
+    fn interleaved_rgba(&self) -> Vec<f32> {
+        self.rgb.iter().zip(&self.alpha).flat_map(|(&[r, g, b], &a)| [r, g, b, a]).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(super) fn sample(width: u32, height: u32) -> Picture {
+        let count = (width * height) as usize;
+        let ramp = |k: usize| (k as f32 * 0.37).sin() * 1.3;
+        Picture {
+            rgb: (0..count).map(|i| [ramp(3 * i), ramp(3 * i + 1), ramp(3 * i + 2)]).collect(),
+            alpha: (0..count).map(|i| i as f32 / count as f32).collect(),
+            ..Picture::filled(width, height, [0.0; 3])
+        }
+    }
+
+    #[test]
+    fn float_formats_bring_back_the_same_bits() {
+        for (width, height) in [(1, 1), (7, 5), (33, 2)] {
+            let picture = sample(width, height);
+            for format in [PictureFormat::Exr, PictureFormat::Npy] {
+                assert_eq!(Picture::decode(format, &picture.encode(format).unwrap()).unwrap(), picture, "{format}");
+            }
+        }
+    }
+
+    #[test]
+    fn png_clamps_and_rounds_to_the_nearest_level() {
+        let half_level = 0.5 / 255.0;
+        let mut picture = Picture::filled(3, 1, [-0.5, 0.0, half_level - 1e-4]);
+        picture.rgb[1] = [half_level + 1e-4, 100.0 / 255.0, 254.6 / 255.0];
+        picture.rgb[2] = [1.0, 7.5, f32::NAN];
+        let back = Picture::decode(PictureFormat::Png, &picture.encode(PictureFormat::Png).unwrap()).unwrap();
+        let levels: Vec<f32> = back.rgb.iter().flatten().map(|value| value * 255.0).collect();
+        assert_eq!(
+            levels.iter().map(|level| level.round()).collect::<Vec<_>>(),
+            [0.0, 0.0, 0.0, 1.0, 100.0, 255.0, 255.0, 255.0, 0.0]
+        );
+        assert!(back.alpha.iter().all(|&alpha| alpha == 1.0));
+    }
+
+    #[test]
+    fn cut_and_flipped_files_are_errors_and_never_a_panic() {
+        let picture = sample(5, 3);
+        for format in [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Npy] {
+            let bytes = picture.encode(format).unwrap();
+            for length in 0..bytes.len() {
+                // A PNG is complete before its last chunk, which holds nothing.
+                if let Ok(read) = Picture::decode(format, &bytes[..length]) {
+                    assert!(
+                        format == PictureFormat::Png && length >= bytes.len() - 12,
+                        "{format} cut to {length} bytes was read"
+                    );
+                    assert_eq!((read.width, read.height), (5, 3));
+                }
+            }
+            for bit in 0..bytes.len() * 8 {
+                let mut flipped = bytes.clone();
+                flipped[bit / 8] ^= 1 << (bit % 8);
+                // Many flips leave a picture, of other values; what matters is that all of them return.
+                if let Ok(read) = Picture::decode(format, &flipped) {
+                    assert_eq!(read.rgb.len(), (read.width * read.height) as usize);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn errors_name_the_file_and_what_was_expected() {
+        let folder = std::env::temp_dir().join(format!("decouplegs-picture-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("broken.npy");
+        std::fs::write(&path, b"no picture").unwrap();
+        let message = Picture::read(&path).unwrap_err().to_string();
+        assert!(message.contains("broken.npy") && message.contains("NUMPY"), "{message}");
+        assert!(Picture::read(&folder.join("a.jpeg")).unwrap_err().to_string().contains("*.png"));
+        assert!(Picture::read(&folder.join("absent.png")).unwrap_err().to_string().contains("absent.png"));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

@@ -1,0 +1,183 @@
+//! The definition of a picture: every pixel by brute force in f64, from the stored f32 parameters.
+//!
+//! What 'error' means anywhere in the engine is the distance to this. There are no tiles, no approximations and no
+//! capacities. Splats are passed over only where they add exactly nothing: outside the box of [`project::Projected64`]
+//! alpha is below `ALPHA_MIN`. Projection after Zwicker et al., EWA Splatting, 2001, in the form of Kerbl et al., 2023;
+//! the clamp of the Jacobian is gsplat's.
+
+pub mod blend;
+pub mod colour;
+pub mod project;
+
+#[cfg(test)]
+mod truths;
+
+use decouplegs_scene::{Camera, Intrinsics, Rules, World};
+use glam::DVec2;
+use rayon::prelude::*;
+
+use crate::picture::Picture;
+use blend::{Pixel64, Splat64};
+use project::View;
+
+/// Pixels along each side of the blocks for which candidates are gathered once. Only speed depends on it.
+const BLOCK_PX: u32 = 8;
+
+/// A picture in f64, row-major from the top left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture64 {
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// As blended, sky included, unclamped.
+    pub rgb: Vec<[f64; 3]>,
+    /// 1 - transmittance.
+    pub alpha: Vec<f64>,
+    /// Expected depth: z (distance, where the order is radial) of the blended splats averaged by weight, metres; 0 where
+    /// nothing was blended.
+    pub depth: Vec<f64>,
+    /// Instance of the splat with the largest weight; 0 where nothing was blended.
+    pub instance: Vec<u16>,
+}
+
+impl Picture64 {
+    /// The same picture rounded to f32, with depth and instance.
+    #[must_use]
+    pub fn to_picture(&self) -> Picture {
+        Picture {
+            width: self.width,
+            height: self.height,
+            rgb: self.rgb.iter().map(|rgb| rgb.map(|value| value as f32)).collect(),
+            alpha: self.alpha.iter().map(|&alpha| alpha as f32).collect(),
+            depth: Some(self.depth.iter().map(|&depth| depth as f32).collect()),
+            instance: Some(self.instance.clone()),
+        }
+    }
+}
+
+/// A rectangle of pixels of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// Its first column.
+    pub left_px: u32,
+    /// Its first row.
+    pub top_px: u32,
+    /// Columns, at least 1.
+    pub width_px: u32,
+    /// Rows, at least 1.
+    pub height_px: u32,
+}
+
+impl Window {
+    /// The whole image of a camera.
+    #[must_use]
+    pub fn whole(intrinsics: &Intrinsics) -> Self {
+        Self { left_px: 0, top_px: 0, width_px: intrinsics.width_px, height_px: intrinsics.height_px }
+    }
+
+    /// Whether the box of `splat` reaches the centre of a pixel in here.
+    fn is_reached_by(&self, splat: &Splat64) -> bool {
+        let reaches = |mean_px: f64, half_extent_px: f64, first_px: u32, count_px: u32| {
+            let first_centre_px = f64::from(first_px) + 0.5;
+            mean_px + half_extent_px >= first_centre_px && mean_px - half_extent_px <= first_centre_px + f64::from(count_px) - 1.0
+        };
+        let (mean, half) = (splat.projected.mean_px, splat.projected.half_extent_px);
+        reaches(mean.x, half.x, self.left_px, self.width_px) && reaches(mean.y, half.y, self.top_px, self.height_px)
+    }
+}
+
+/// What `camera` sees of `world` under `rules` (which replace the world's own).
+///
+/// # Panics
+/// When the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.
+#[must_use]
+pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Picture64 {
+    render_window(world, camera, rules, Window::whole(&camera.intrinsics))
+}
+
+/// The pixels of [`render`] that lie in `window`, bit for bit, in the time that the window takes.
+///
+/// A camera cropped by [`Intrinsics::cropped`] is not the same thing: where the Jacobian is clamped depends on the image's
+/// size, so splats beyond a crop's edges spread otherwise.
+///
+/// # Panics
+/// When the camera's intrinsics fail [`Intrinsics::check`] or the window does not lie in its image.
+#[must_use]
+pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Window) -> Picture64 {
+    let intrinsics = &camera.intrinsics;
+    if let Err(fault) = intrinsics.check() {
+        panic!("camera {}: {fault}", camera.name);
+    }
+    let inside = |first: u32, count: u32, size: u32| count >= 1 && u64::from(first) + u64::from(count) <= u64::from(size);
+    assert!(
+        inside(window.left_px, window.width_px, intrinsics.width_px)
+            && inside(window.top_px, window.height_px, intrinsics.height_px),
+        "camera {}: {window:?} does not lie in its image of {}x{}",
+        camera.name,
+        intrinsics.width_px,
+        intrinsics.height_px
+    );
+    let splats = front_to_back(world, camera, rules, &window);
+    let bottom_px = window.top_px + window.height_px;
+    let bands: Vec<Vec<Pixel64>> = (window.top_px..bottom_px)
+        .into_par_iter()
+        .step_by(BLOCK_PX as usize)
+        .map(|top_px| {
+            let band = Window { top_px, height_px: BLOCK_PX.min(bottom_px - top_px), ..window };
+            render_band(&splats, &band, rules, world.sky)
+        })
+        .collect();
+    let pixels = || bands.iter().flatten();
+    Picture64 {
+        width: window.width_px,
+        height: window.height_px,
+        rgb: pixels().map(|pixel| pixel.rgb).collect(),
+        alpha: pixels().map(|pixel| pixel.alpha).collect(),
+        depth: pixels().map(|pixel| pixel.depth_m).collect(),
+        instance: pixels().map(|pixel| pixel.instance).collect(),
+    }
+}
+
+/// The splats that reach a pixel of `window`, nearest first, equal depths by index.
+fn front_to_back(world: &World, camera: &Camera, rules: &Rules, window: &Window) -> Vec<Splat64> {
+    let view = View::new(world.origin, camera, rules);
+    let mut splats: Vec<Splat64> = (0..world.splats.len())
+        .into_par_iter()
+        .filter_map(|index| {
+            let mut splat = Splat64 {
+                projected: view.project(&world.splats, index)?,
+                colour: [0.0; 3],
+                index: index as u32,
+                instance: world.instance_from_splat.get(index).copied().unwrap_or(0),
+            };
+            if !window.is_reached_by(&splat) {
+                return None;
+            }
+            splat.colour = colour::colour(&world.splats, index, view.centre);
+            Some(splat)
+        })
+        .collect();
+    splats.par_sort_unstable_by(|a, b| a.projected.depth_m.total_cmp(&b.projected.depth_m).then(a.index.cmp(&b.index)));
+    splats
+}
+
+/// A few rows of pixels, row-major.
+fn render_band(splats: &[Splat64], band: &Window, rules: &Rules, sky: [f32; 3]) -> Vec<Pixel64> {
+    let in_band: Vec<&Splat64> = splats.iter().filter(|splat| band.is_reached_by(splat)).collect();
+    let nothing = Pixel64 { rgb: [0.0; 3], alpha: 0.0, depth_m: 0.0, instance: 0 };
+    let mut pixels = vec![nothing; band.width_px as usize * band.height_px as usize];
+    for first_column in (0..band.width_px).step_by(BLOCK_PX as usize) {
+        let width_px = BLOCK_PX.min(band.width_px - first_column);
+        let block = Window { left_px: band.left_px + first_column, width_px, ..*band };
+        let in_block: Vec<&Splat64> = in_band.iter().copied().filter(|splat| block.is_reached_by(splat)).collect();
+        for row in 0..band.height_px {
+            for column in first_column..first_column + width_px {
+                let centre_px = DVec2::new(f64::from(band.left_px + column) + 0.5, f64::from(band.top_px + row) + 0.5);
+                pixels[row as usize * band.width_px as usize + column as usize] =
+                    blend::blend(in_block.iter().copied(), centre_px, rules, sky);
+            }
+        }
+    }
+    pixels
+}

@@ -1,0 +1,152 @@
+//! A world on the device: attributes as the kernels read them.
+
+use bytemuck::Zeroable;
+use decouplegs_gpu::{Buffer, Gpu};
+use decouplegs_scene::{Bounds, SplatCloud, World, rules, sh};
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::RenderError;
+use crate::layout::{CHUNK_SPLATS, ChunkRecord};
+use crate::sh_codec;
+
+/// Purpose under which the memory of worlds is counted.
+pub const PURPOSE: &str = "scene";
+
+/// The splats of a world in device memory. Drawn by any number of frames; dropping it frees the memory.
+pub struct ResidentWorld {
+    /// Splats, defective ones included: these are never drawn, but keep their index.
+    pub splats: usize,
+    /// Splats that cannot be drawn.
+    pub defects: usize,
+    /// Degree of the colours stored.
+    pub sh_degree: u8,
+    /// Whether splats belong to instances.
+    pub has_instances: bool,
+    /// World coordinates of the point that means are relative to.
+    pub origin: DVec3,
+    /// Colour where transmittance is left.
+    pub sky: [f32; 3],
+    pub(crate) chunks: Buffer<ChunkRecord>,
+    pub(crate) means: Buffer<[f32; 3]>,
+    pub(crate) shapes: Buffer<[f32; 4]>,
+    pub(crate) rotations: Buffer<[f32; 4]>,
+    pub(crate) sh_dc: Buffer<[f32; 3]>,
+    /// Bands 1, 2 and 3, by plane of words; of length 0 where the degree is lower.
+    pub(crate) sh_bands: [Buffer<u32>; 3],
+    pub(crate) instances: Buffer<u32>,
+}
+
+impl ResidentWorld {
+    /// Copies `world` to the device.
+    ///
+    /// Splats are drawn in the order given; culling is quickest when neighbours in it are neighbours in space
+    /// ([`SplatCloud::spatial_order`]). Splats with a defect are kept as ones of opacity 0.
+    ///
+    /// # Errors
+    /// When the device has not the memory, with the bytes wanted.
+    pub fn upload(gpu: &Gpu, world: &World) -> Result<Self, RenderError> {
+        let cloud = &world.splats;
+        let prepared: Vec<Prepared> = (0..cloud.len()).into_par_iter().map(|splat| Prepared::of(cloud, splat)).collect();
+        let gather = |name, of: fn(&Prepared) -> [f32; 4]| -> Result<Buffer<[f32; 4]>, RenderError> {
+            let values: Vec<[f32; 4]> = prepared.par_iter().map(of).collect();
+            Ok(gpu.upload(name, PURPOSE, &values)?)
+        };
+        let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
+        let dc: Vec<[f32; 3]> = prepared.iter().zip(&cloud.sh_dc).map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] }).collect();
+        let chunks: Vec<ChunkRecord> = prepared.par_chunks(CHUNK_SPLATS).map(chunk_of).collect();
+        Ok(Self {
+            splats: cloud.len(),
+            defects: prepared.iter().filter(|splat| !splat.drawn).count(),
+            sh_degree: cloud.sh_degree,
+            has_instances: !world.instance_from_splat.is_empty(),
+            origin: world.origin,
+            sky: world.sky,
+            chunks: gpu.upload("chunks", PURPOSE, &chunks)?,
+            means: gpu.upload("means", PURPOSE, &means)?,
+            shapes: gather("shapes", |splat| splat.shape)?,
+            rotations: gather("rotations", |splat| splat.rotation)?,
+            sh_dc: gpu.upload("sh_dc", PURPOSE, &dc)?,
+            sh_bands: [upload_band(gpu, cloud, &prepared, 1)?, upload_band(gpu, cloud, &prepared, 2)?, upload_band(gpu, cloud, &prepared, 3)?],
+            instances: gpu.upload("instances", PURPOSE, &pack_pairs(&world.instance_from_splat))?,
+        })
+    }
+
+    /// Chunks of the world.
+    #[must_use]
+    pub fn chunk_count(&self) -> usize {
+        self.splats.div_ceil(CHUNK_SPLATS)
+    }
+}
+
+/// One splat as it is stored.
+struct Prepared {
+    drawn: bool,
+    mean_m: [f32; 3],
+    /// Scales (m) and opacity.
+    shape: [f32; 4],
+    rotation: [f32; 4],
+}
+
+impl Prepared {
+    fn of(cloud: &SplatCloud, splat: usize) -> Self {
+        if cloud.defect_of(splat).is_some() {
+            return Self { drawn: false, mean_m: [0.0; 3], shape: [0.0; 4], rotation: [1.0, 0.0, 0.0, 0.0] };
+        }
+        let [sx, sy, sz] = cloud.scales[splat];
+        let q = cloud.rotations[splat].map(f64::from);
+        let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+        Self {
+            drawn: true,
+            mean_m: cloud.means[splat],
+            shape: [sx, sy, sz, cloud.opacities[splat]],
+            rotation: q.map(|x| (x / norm) as f32),
+        }
+    }
+
+    /// Standard deviation times cut-off radius along the longest axis, metres, rounded up.
+    fn reach_m(&self) -> f32 {
+        let radius = (2.0 * (f64::from(self.shape[3]) / rules::ALPHA_MIN).ln().max(0.0)).sqrt();
+        let longest = self.shape[..3].iter().copied().fold(0.0f32, f32::max);
+        (f64::from(longest) * radius * 1.001) as f32
+    }
+}
+
+/// The box of a chunk's drawn splats; one that no camera reaches when it has none.
+fn chunk_of(splats: &[Prepared]) -> ChunkRecord {
+    // An opacity below 1/255 is never seen, wherever it is.
+    let drawn = || splats.iter().filter(|splat| splat.drawn && f64::from(splat.shape[3]) >= rules::ALPHA_MIN * 0.999);
+    if drawn().next().is_none() {
+        // Infinitely small at infinity would be NaN in the test; far behind nothing is simplest said by a negative reach.
+        return ChunkRecord { reach_m: -1e30, ..ChunkRecord::zeroed() };
+    }
+    let bounds = Bounds::of(drawn().map(|splat| &splat.mean_m));
+    ChunkRecord {
+        centre_m: bounds.centre(),
+        half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
+        reach_m: drawn().map(Prepared::reach_m).fold(0.0, f32::max),
+    }
+}
+
+fn upload_band(gpu: &Gpu, cloud: &SplatCloud, prepared: &[Prepared], band: usize) -> Result<Buffer<u32>, RenderError> {
+    const NAMES: [&str; 3] = ["sh_band1", "sh_band2", "sh_band3"];
+    let name = NAMES[band - 1];
+    if usize::from(cloud.sh_degree) < band {
+        return Ok(gpu.upload(name, PURPOSE, &[])?);
+    }
+    let (first, end) = (sh::coefficient_count(band as u8 - 1) - 1, sh::coefficient_count(band as u8) - 1);
+    let encoded: Vec<[u32; sh_codec::WORDS_MAX]> = (0..cloud.len())
+        .into_par_iter()
+        .map(|splat| {
+            if prepared[splat].drawn { sh_codec::encode_band(&cloud.rest_of(splat)[first..end]) } else { [0; sh_codec::WORDS_MAX] }
+        })
+        .collect();
+    let planes: Vec<u32> =
+        (0..sh_codec::words_of(band)).into_par_iter().flat_map_iter(|word| encoded.iter().map(move |words| words[word])).collect();
+    Ok(gpu.upload(name, PURPOSE, &planes)?)
+}
+
+/// Two 16-bit ids a word, the earlier one in the low half.
+fn pack_pairs(ids: &[u16]) -> Vec<u32> {
+    ids.chunks(2).map(|pair| u32::from(pair[0]) | u32::from(pair.get(1).copied().unwrap_or(0)) << 16).collect()
+}

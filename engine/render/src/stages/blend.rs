@@ -1,0 +1,95 @@
+//! Blends segments of macro tiles' lists.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_scene::{EarlyStop, Rules};
+
+use super::{Arguments, Control, PURPOSE, Plan, Projected, kernel};
+use crate::layout::{CameraRecord, MACRO_PIXELS};
+use crate::output::{OutputBuffers, Outputs};
+
+/// What segments leave for composite: a pixel each, in blend's own order. Of length 0 where the output was not asked for.
+pub struct Partials {
+    /// RGB and transmittance.
+    pub colours: Buffer<[f32; 4]>,
+    /// Sum of weight times depth.
+    pub depths: Buffer<f32>,
+    /// Largest weight (bits of an f32) and its instance.
+    pub instances: Buffer<[u32; 2]>,
+}
+
+impl Partials {
+    /// Buffers for `slots` segments.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu, slots: usize, outputs: &Outputs) -> Result<Self, GpuError> {
+        let pixels = |asked: bool| if asked { slots * MACRO_PIXELS } else { 0 };
+        Ok(Self {
+            colours: gpu.buffer("partial_colours", PURPOSE, pixels(true), Residence::Device)?,
+            depths: gpu.buffer("partial_depths", PURPOSE, pixels(outputs.depth), Residence::Device)?,
+            instances: gpu.buffer("partial_instances", PURPOSE, pixels(outputs.instance), Residence::Device)?,
+        })
+    }
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Push {
+    sky: [f32; 3],
+    camera_count: u32,
+    items_max: u32,
+}
+
+/// `blend.comp`.
+pub struct Blend {
+    kernel: Kernel,
+}
+
+impl Blend {
+    /// The stage for pictures of the given rules.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
+        let [u8_colour, depth, instance] = outputs.constants();
+        let alpha_max = ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32));
+        let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &[u8_colour, depth, instance, alpha_max, stop])? })
+    }
+
+    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results.
+    #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        control: &Control,
+        cameras: &Buffer<CameraRecord>,
+        camera_count: usize,
+        sky: [f32; 3],
+        plan: &Plan,
+        records: &Buffer<u32>,
+        projected: &Projected,
+        partials: &Partials,
+        pictures: &OutputBuffers,
+    ) {
+        let push = Push { sky, camera_count: camera_count as u32, items_max: plan.items.len() as u32 };
+        let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
+        let buffers = [
+            ("cameras_block", cameras.binding()),
+            pictures_f32,
+            pictures_u8,
+            depths,
+            instances,
+            ("needs_block", control.needs.binding()),
+            ("items_block", plan.items.binding()),
+            ("records_block", records.binding()),
+            ("footprints_block", projected.footprints.binding()),
+            ("colours_block", projected.colours.binding()),
+            ("partial_colours_block", partials.colours.binding()),
+            ("partial_depths_block", partials.depths.binding()),
+            ("partial_instances_block", partials.instances.binding()),
+        ];
+        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), Arguments::Blend.byte_offset());
+    }
+}

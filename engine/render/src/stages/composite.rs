@@ -1,0 +1,61 @@
+//! Joins the segments of macro tiles that were cut.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
+
+use super::{Arguments, Control, Partials, Plan, kernel};
+use crate::layout::CameraRecord;
+use crate::output::{OutputBuffers, Outputs};
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Push {
+    sky: [f32; 3],
+    camera_count: u32,
+}
+
+/// `composite.comp`.
+pub struct CompositeSegments {
+    kernel: Kernel,
+}
+
+impl CompositeSegments {
+    /// The stage.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, GpuError> {
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::COMPOSITE, &outputs.constants())? })
+    }
+
+    /// Writes the pixels of every macro tile that `plan` cut.
+    #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        control: &Control,
+        cameras: &Buffer<CameraRecord>,
+        camera_count: usize,
+        sky: [f32; 3],
+        plan: &Plan,
+        partials: &Partials,
+        pictures: &OutputBuffers,
+    ) {
+        let push = Push { sky, camera_count: camera_count as u32 };
+        let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
+        let buffers = [
+            ("cameras_block", cameras.binding()),
+            pictures_f32,
+            pictures_u8,
+            depths,
+            instances,
+            ("needs_block", control.needs.binding()),
+            ("composites_block", plan.composites.binding()),
+            ("partial_colours_block", partials.colours.binding()),
+            ("partial_depths_block", partials.depths.binding()),
+            ("partial_instances_block", partials.instances.binding()),
+        ];
+        let offset = Arguments::Composite.byte_offset();
+        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);
+    }
+}

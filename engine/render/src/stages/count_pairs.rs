@@ -1,0 +1,34 @@
+//! How many (macro tile, record) pairs each block of depth-sorted records makes.
+
+use bytemuck::bytes_of;
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
+
+use super::{Arguments, Control, Projected, kernel};
+
+/// `count_pairs.comp`.
+pub struct CountPairs {
+    kernel: Kernel,
+}
+
+impl CountPairs {
+    /// The stage.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::COUNT_PAIRS, &[])? })
+    }
+
+    /// Writes to `pair_counts` the pairs of each block of `order`.
+    pub fn record(&self, recorder: &mut Recorder, control: &Control, order: &Buffer<u32>, projected: &Projected, pair_counts: &Buffer<u32>) {
+        let records_max = projected.colours.len() as u32;
+        let buffers = [
+            ("needs_block", control.needs.binding()),
+            ("order_block", order.binding()),
+            ("tile_counts_block", projected.tile_counts.binding()),
+            ("pair_counts_block", pair_counts.binding()),
+        ];
+        let offset = Arguments::PairBlocks.byte_offset();
+        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&records_max), control.arguments.binding(), offset);
+    }
+}

@@ -1,0 +1,71 @@
+//! Which splats can be seen by which camera.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_scene::Rules;
+
+use super::{PURPOSE, kernel};
+use crate::capacity::groups_for;
+use crate::layout::{CHUNK_SPLATS, CameraRecord};
+use crate::resident::ResidentWorld;
+
+/// What culling finds.
+pub struct Visible {
+    /// One bit a splat, `[camera][chunk][8 words]`.
+    pub words: Buffer<u32>,
+    /// Visible splats a `[camera][chunk]`.
+    pub counts: Buffer<u32>,
+}
+
+impl Visible {
+    /// Buffers for a world of `chunks` seen by `cameras`.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu, cameras: usize, chunks: usize) -> Result<Self, GpuError> {
+        let lists = cameras * chunks;
+        Ok(Self {
+            words: gpu.buffer("visible_words", PURPOSE, lists * CHUNK_SPLATS / 32, Residence::Device)?,
+            counts: gpu.buffer("visible_counts", PURPOSE, lists, Residence::Device)?,
+        })
+    }
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Push {
+    splat_count: u32,
+    camera_count: u32,
+    chunk_count: u32,
+}
+
+/// `cull.comp`.
+pub struct Cull {
+    kernel: Kernel,
+}
+
+impl Cull {
+    /// The stage for pictures of the given rules.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
+        let constants = [("NEAR_M", Constant::F32(rules.near_m as f32)), ("ANTIALIAS", Constant::Bool(rules.antialias))];
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL, &constants)? })
+    }
+
+    /// Marks what `cameras` see of `world`.
+    pub fn record(&self, recorder: &mut Recorder, world: &ResidentWorld, cameras: &Buffer<CameraRecord>, camera_count: usize, visible: &Visible) {
+        let push = Push { splat_count: world.splats as u32, camera_count: camera_count as u32, chunk_count: world.chunk_count() as u32 };
+        let buffers = [
+            ("cameras_block", cameras.binding()),
+            ("chunks_block", world.chunks.binding()),
+            ("means_block", world.means.binding()),
+            ("shapes_block", world.shapes.binding()),
+            ("rotations_block", world.rotations.binding()),
+            ("visible_words_block", visible.words.binding()),
+            ("visible_counts_block", visible.counts.binding()),
+        ];
+        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
+    }
+}

@@ -1,0 +1,76 @@
+//! Writes a (macro tile, record) pair for every macro tile that a record reaches, records in depth order.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
+
+use super::{Arguments, Control, Projected, kernel};
+use crate::layout::CameraRecord;
+
+/// Where the pairs go.
+pub struct Pairs<'a> {
+    /// Macro tile of each pair.
+    pub bins: &'a Buffer<u32>,
+    /// Record of each pair.
+    pub records: &'a Buffer<u32>,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Push {
+    camera_count: u32,
+    chunk_count: u32,
+    records_max: u32,
+    pairs_max: u32,
+}
+
+/// `emit_pairs.comp`.
+pub struct EmitPairs {
+    kernel: Kernel,
+}
+
+impl EmitPairs {
+    /// The stage; `sort_block` is how many keys a workgroup of the sort takes.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, sort_block: u32) -> Result<Self, GpuError> {
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::EMIT_PAIRS, &[("SORT_BLOCK", Constant::U32(sort_block))])? })
+    }
+
+    /// Writes `pairs`; `firsts` tells which camera a record belongs to, `chunk_count` how many entries of it a camera has.
+    #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        control: &Control,
+        cameras: &Buffer<CameraRecord>,
+        camera_count: usize,
+        chunk_count: usize,
+        firsts: &Buffer<u32>,
+        order: &Buffer<u32>,
+        projected: &Projected,
+        pair_counts: &Buffer<u32>,
+        pairs: &Pairs<'_>,
+    ) {
+        let push = Push {
+            camera_count: camera_count as u32,
+            chunk_count: chunk_count as u32,
+            records_max: projected.colours.len() as u32,
+            pairs_max: pairs.bins.len() as u32,
+        };
+        let buffers = [
+            ("cameras_block", cameras.binding()),
+            ("needs_block", control.needs.binding()),
+            ("order_block", order.binding()),
+            ("tile_counts_block", projected.tile_counts.binding()),
+            ("pair_counts_block", pair_counts.binding()),
+            ("firsts_block", firsts.binding()),
+            ("footprints_block", projected.footprints.binding()),
+            ("bins_block", pairs.bins.binding()),
+            ("records_block", pairs.records.binding()),
+            ("arguments_block", control.arguments.binding()),
+        ];
+        let offset = Arguments::PairBlocks.byte_offset();
+        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);
+    }
+}

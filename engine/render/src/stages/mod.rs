@@ -1,0 +1,84 @@
+//! The stages of a frame. A stage is one stem: `shaders/NAME.comp`, `stages/NAME.rs`, its twin in `twins/NAME.rs` and a
+//! case in `tests/stages/`. Its kernel is built once, its buffers once per capacity, its commands every frame.
+//!
+//! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a named struct of buffers, made
+//! beforehand, that the next stage takes.
+
+mod blend;
+mod composite;
+mod count_pairs;
+mod cull;
+mod emit_pairs;
+mod find_ranges;
+mod plan_segments;
+mod project;
+mod scan;
+mod sort;
+
+pub use blend::{Blend, Partials};
+pub use composite::CompositeSegments;
+pub use count_pairs::CountPairs;
+pub use cull::{Cull, Visible};
+pub use emit_pairs::{EmitPairs, Pairs};
+pub use find_ranges::FindRanges;
+pub use plan_segments::{Plan, PlanSegments};
+pub use project::{Project, Projected, ProjectVariant};
+pub use scan::Scan;
+pub use sort::{RadixSort, SortCount, SortScratch};
+
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Residence};
+
+use crate::layout::{ARGUMENT_SETS, Needs};
+
+/// Purpose under which the memory of a frame's lists is counted.
+pub const PURPOSE: &str = "frame";
+
+/// The counts that a frame finds and the sizes of the dispatches that follow from them.
+pub struct Control {
+    /// One [`Needs`].
+    pub needs: Buffer<Needs>,
+    /// Arguments of the indirect dispatches.
+    pub arguments: Buffer<[u32; 3]>,
+}
+
+impl Control {
+    /// Buffers for one frame.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self {
+            needs: gpu.buffer("needs", PURPOSE, 1, Residence::Device)?,
+            arguments: gpu.buffer("arguments", PURPOSE, ARGUMENT_SETS, Residence::Device)?,
+        })
+    }
+}
+
+/// Indirect dispatches, by their place in [`Control::arguments`]; the twins of `ARGUMENTS_*` in `frame.glsl`.
+#[derive(Clone, Copy, Debug)]
+pub enum Arguments {
+    /// Blocks of the sort by depth.
+    SortRecords = 0,
+    /// Blocks of records to be binned.
+    PairBlocks = 1,
+    /// Blocks of the sort by macro tile.
+    SortPairs = 2,
+    /// Blocks of pairs whose ranges are found.
+    Ranges = 3,
+    /// Segments to be blended.
+    Blend = 4,
+    /// Cut macro tiles to be joined.
+    Composite = 5,
+}
+
+impl Arguments {
+    /// Where they stand.
+    #[must_use]
+    pub fn byte_offset(self) -> u64 {
+        self as u64 * 12
+    }
+}
+
+fn kernel(gpu: &Gpu, shader: &'static decouplegs_shaders::Kernel, constants: &[(&str, decouplegs_gpu::Constant)]) -> Result<Kernel, GpuError> {
+    gpu.kernel(shader.name, shader.spirv, constants)
+}

@@ -1,0 +1,113 @@
+//! Footprint, depth key and colour of every visible (camera, splat).
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_scene::{DepthOrder, Rules};
+
+use super::{PURPOSE, Visible, kernel};
+use crate::capacity::groups_for;
+use crate::layout::CameraRecord;
+use crate::resident::ResidentWorld;
+
+/// One entry a visible (camera, splat): by camera, and by splat within a camera.
+pub struct Projected {
+    /// Two vectors a record: mean (px), slope, rate_x; rate_y, log2 opacity, depth (m), instance bits. See `footprint.glsl`.
+    pub footprints: Buffer<[f32; 4]>,
+    /// RGB and an unused fourth.
+    pub colours: Buffer<[f32; 4]>,
+    /// Macro tiles it reaches.
+    pub tile_counts: Buffer<u32>,
+}
+
+impl Projected {
+    /// Buffers for `records` entries.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu, records: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            footprints: gpu.buffer("footprints", PURPOSE, 2 * records, Residence::Device)?,
+            colours: gpu.buffer("colours", PURPOSE, records, Residence::Device)?,
+            tile_counts: gpu.buffer("tile_counts", PURPOSE, records, Residence::Device)?,
+        })
+    }
+}
+
+/// What the kernel is specialised for, beside the rules.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ProjectVariant {
+    /// Degree of the colours evaluated; bands above it are neither stored nor read.
+    pub sh_degree: u8,
+    /// Whether records carry their instance.
+    pub instances: bool,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Push {
+    splat_count: u32,
+    camera_count: u32,
+    chunk_count: u32,
+    records_max: u32,
+}
+
+/// `project.comp`.
+pub struct Project {
+    kernel: Kernel,
+}
+
+impl Project {
+    /// The stage for pictures of the given rules and worlds of the given kind.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules, variant: ProjectVariant) -> Result<Self, GpuError> {
+        let constants = [
+            ("NEAR_M", Constant::F32(rules.near_m as f32)),
+            ("ANTIALIAS", Constant::Bool(rules.antialias)),
+            ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
+            ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
+            ("INSTANCES", Constant::Bool(variant.instances)),
+        ];
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT, &constants)? })
+    }
+
+    /// Writes a record and its depth key in `keys` for every bit of `visible`, the first of each list at `firsts`.
+    #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        world: &ResidentWorld,
+        cameras: &Buffer<CameraRecord>,
+        camera_count: usize,
+        visible: &Visible,
+        firsts: &Buffer<u32>,
+        projected: &Projected,
+        keys: &Buffer<u32>,
+    ) {
+        let push = Push {
+            splat_count: world.splats as u32,
+            camera_count: camera_count as u32,
+            chunk_count: world.chunk_count() as u32,
+            records_max: projected.colours.len() as u32,
+        };
+        let buffers = [
+            ("cameras_block", cameras.binding()),
+            ("means_block", world.means.binding()),
+            ("shapes_block", world.shapes.binding()),
+            ("rotations_block", world.rotations.binding()),
+            ("visible_words_block", visible.words.binding()),
+            ("firsts_block", firsts.binding()),
+            ("sh_dc_block", world.sh_dc.binding()),
+            ("sh_band1_block", world.sh_bands[0].binding()),
+            ("sh_band2_block", world.sh_bands[1].binding()),
+            ("sh_band3_block", world.sh_bands[2].binding()),
+            ("instances_block", world.instances.binding()),
+            ("footprints_block", projected.footprints.binding()),
+            ("colours_block", projected.colours.binding()),
+            ("keys_block", keys.binding()),
+            ("tile_counts_block", projected.tile_counts.binding()),
+        ];
+        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
+    }
+}

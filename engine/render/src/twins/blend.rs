@@ -1,0 +1,87 @@
+//! Blends one segment of one macro tile's list, front to back: `blend.comp`.
+
+use super::footprint::{LOG2_255, centre_of, log2_alpha};
+use super::output::{BLEND_THREADS, PIXEL_EMPTY, PIXELS, Pixel, RENDER_TILE_PX, camera_of_bin, macro_tile_origin, pixel_offset};
+use super::projection::rgb_of;
+use super::record::load_footprint;
+use crate::layout::{CameraRecord, Item, MACRO_HEIGHT_PX, MACRO_PIXELS, MACRO_WIDTH_PX};
+
+/// Records that are taken at a time; whether a render tile is full is looked at between batches.
+const BATCH: usize = 256;
+const TRANSMITTANCE_MIN: f32 = 1e-4;
+const MACRO_TILES: usize = ((MACRO_WIDTH_PX / RENDER_TILE_PX) * (MACRO_HEIGHT_PX / RENDER_TILE_PX)) as usize;
+
+/// log2 of the alpha that record `record` has at pixel `(column, row)` of its picture.
+#[must_use]
+pub fn log2_alpha_at(footprints: &[[f32; 4]], record: u32, column: u32, row: u32) -> f32 {
+    log2_alpha(&load_footprint(footprints, record as usize), centre_of(column, row))
+}
+
+/// Adds one splat to a pixel. `full` is for the exclusive stop only.
+fn blend_pixel(
+    pixel: &mut Pixel,
+    full: &mut bool,
+    log2_alpha: f32,
+    colour: [f32; 4],
+    high: [f32; 4],
+    alpha_max: f32,
+    exclusive_stop: bool,
+) {
+    if log2_alpha < -LOG2_255 || (exclusive_stop && *full) {
+        return;
+    }
+    let alpha = log2_alpha.exp2().min(alpha_max);
+    if exclusive_stop && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN {
+        *full = true;
+        return;
+    }
+    let weight = pixel.transmittance * alpha;
+    pixel.colour += weight * rgb_of(colour);
+    pixel.transmittance -= weight;
+    pixel.weighted_depth += weight * high[2];
+    if weight > pixel.best_weight {
+        pixel.best_weight = weight;
+        pixel.best_instance = high[3].to_bits();
+    }
+}
+
+/// The pixels of the item's macro tile, in the order in which the kernel keeps them: pixel `index` of thread `thread` at
+/// `index * BLEND_THREADS + thread`, whose place in the tile is [`pixel_offset`]. Every record meets every pixel: the
+/// kernel's masks may leave out nothing that counts.
+#[must_use]
+pub fn blend(
+    cameras: &[CameraRecord],
+    item: &Item,
+    records: &[u32],
+    footprints: &[[f32; 4]],
+    colours: &[[f32; 4]],
+    alpha_max: f32,
+    exclusive_stop: bool,
+) -> Vec<Pixel> {
+    let camera = &cameras[camera_of_bin(cameras, item.bin)];
+    let origin = macro_tile_origin(item.bin, camera);
+    let mut pixels = vec![PIXEL_EMPTY; MACRO_PIXELS];
+    let mut full = vec![false; MACRO_PIXELS];
+    let mut open = [true; MACRO_TILES];
+    let first = item.first_pair as usize;
+    for batch in records[first..first + item.pairs as usize].chunks(BATCH) {
+        let mut still_open = [false; MACRO_TILES];
+        for (place, pixel) in pixels.iter_mut().enumerate() {
+            let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+            let tile = (y / RENDER_TILE_PX * (MACRO_WIDTH_PX / RENDER_TILE_PX) + x / RENDER_TILE_PX) as usize;
+            if !open[tile] {
+                continue;
+            }
+            let full = &mut full[place];
+            for &record in batch {
+                let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
+                let (colour, high) = (colours[record as usize], footprints[2 * record as usize + 1]);
+                blend_pixel(pixel, full, log2_alpha, colour, high, alpha_max, exclusive_stop);
+            }
+            still_open[tile] |= if exclusive_stop { !*full } else { pixel.transmittance > TRANSMITTANCE_MIN };
+        }
+        open = still_open;
+    }
+    debug_assert_eq!(pixels.len(), PIXELS * BLEND_THREADS);
+    pixels
+}

@@ -1,0 +1,78 @@
+//! Which splats of a chunk can be seen by which camera: `cull.comp`.
+
+use glam::{Vec2, Vec3, vec2};
+
+use super::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
+use super::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
+use crate::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord};
+
+const CHUNK_WORDS: usize = CHUNK_SPLATS / 32;
+
+/// Pixels that dilation adds to a splat's half-width at most.
+const DILATION_REACH_PX: f32 = 1.9;
+
+/// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
+fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
+    normal.dot(centre) + normal.abs().dot(Vec3::from_array(chunk.half_extent_m))
+}
+
+/// Whether a splat of the chunk may reach the camera's image.
+#[must_use]
+pub fn chunk_reaches(chunk: &ChunkRecord, camera: &CameraRecord, near_m: f32) -> bool {
+    let centre = from_camera_m(chunk.centre_m, camera);
+    let limit = Vec2::from_array(camera.slope_min).abs().max(Vec2::from_array(camera.slope_max).abs());
+    let spread = vec2((1.0 + limit.x * limit.x).sqrt(), (1.0 + limit.y * limit.y).sqrt());
+    let half_extent = Vec3::from_array(chunk.half_extent_m);
+    let slack = 1e-5 * (centre.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
+    let reach = chunk.reach_m * spread + slack;
+    let [focal, principal] = [camera.focal_px, camera.principal_px].map(Vec2::from_array);
+    let size = vec2(camera.size_px[0] as f32, camera.size_px[1] as f32);
+    let low = (principal + DILATION_REACH_PX) / focal;
+    let high = (size - principal + DILATION_REACH_PX) / focal;
+    let [row_x, row_y, row_z] = [camera.row_x, camera.row_y, camera.row_z].map(Vec3::from_array);
+    farthest(chunk, centre, row_z) + slack >= near_m
+        && farthest(chunk, centre, row_x + low.x * row_z) + reach.x >= 0.0
+        && farthest(chunk, centre, -row_x + high.x * row_z) + reach.x >= 0.0
+        && farthest(chunk, centre, row_y + low.y * row_z) + reach.y >= 0.0
+        && farthest(chunk, centre, -row_y + high.y * row_z) + reach.y >= 0.0
+}
+
+/// Whether the splat may reach a macro tile of the camera.
+fn splat_reaches(splat: &Footprint, camera: &CameraRecord) -> bool {
+    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
+    (first..=last).any(|row| {
+        let [left, right] = reached_macro_tiles(splat, row as u32, camera.size_px);
+        left <= right
+    })
+}
+
+/// Writes one bit a splat, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`.
+pub fn cull(
+    cameras: &[CameraRecord],
+    chunks: &[ChunkRecord],
+    means_m: &[[f32; 3]],
+    shapes: &[[f32; 4]],
+    rotations: &[[f32; 4]],
+    visible_words: &mut [u32],
+    visible_counts: &mut [u32],
+    variant: Variant,
+) {
+    visible_words.fill(0);
+    visible_counts.fill(0);
+    for (camera_index, camera) in cameras.iter().enumerate() {
+        for (splat_index, &mean_m) in means_m.iter().enumerate() {
+            let chunk_index = splat_index / CHUNK_SPLATS;
+            if !chunk_reaches(&chunks[chunk_index], camera, variant.near_m) {
+                continue;
+            }
+            let shape = shapes[splat_index];
+            let t = to_camera_axes(camera, from_camera_m(mean_m, camera));
+            let (splat, drawn) = project_splat(camera, t, axes_of(shape, rotations[splat_index]), shape[3], variant);
+            if drawn && splat_reaches(&splat, camera) {
+                let list = camera_index * chunks.len() + chunk_index;
+                visible_words[list * CHUNK_WORDS + splat_index % CHUNK_SPLATS / 32] |= 1 << (splat_index % 32);
+                visible_counts[list] += 1;
+            }
+        }
+    }
+}

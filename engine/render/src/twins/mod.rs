@@ -1,0 +1,38 @@
+//! The stages once more, for reading: sequential, f32, un-clever.
+//!
+//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `footprint`, `projection`, `sh`, `record` and `output` what
+//! the shared GLSL of the same name does. Arguments have the shader's names and order: buffers first (outputs are written
+//! in place, as there), then push constants, then specialization constants. The stage tests feed both sides the same
+//! bytes. Nothing here saves work: no workgroups, no masks, no shared memory.
+//!
+//! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that the formulas are right:
+//! that is measured against [`crate::reference`].
+#![expect(clippy::too_many_arguments, reason = "one argument a buffer or constant of the shader")]
+
+pub mod footprint;
+pub mod output;
+pub mod projection;
+pub mod record;
+pub mod sh;
+
+mod blend;
+mod composite;
+mod count_pairs;
+mod cull;
+mod emit_pairs;
+mod find_ranges;
+mod plan_segments;
+mod project;
+mod scan;
+mod sort;
+
+pub use blend::{blend, log2_alpha_at};
+pub use composite::composite;
+pub use count_pairs::count_pairs;
+pub use cull::{chunk_reaches, cull};
+pub use emit_pairs::emit_pairs;
+pub use find_ranges::find_ranges;
+pub use plan_segments::plan_segments;
+pub use project::{count_macro_tiles, project};
+pub use scan::scan;
+pub use sort::sort;

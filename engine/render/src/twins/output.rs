@@ -1,0 +1,101 @@
+//! What a pixel gathers and where it goes: `output.glsl`.
+
+use glam::Vec3;
+
+use crate::layout::{CameraRecord, MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
+
+/// Threads of a workgroup of `blend`.
+pub const BLEND_THREADS: usize = 256;
+/// Pixels a thread has.
+pub const PIXELS: usize = 8;
+/// Width and height of a render tile.
+pub const RENDER_TILE_PX: u32 = 8;
+/// Render tiles in a row of a macro tile.
+pub const MACRO_COLUMNS: u32 = MACRO_WIDTH_PX / RENDER_TILE_PX;
+
+const TEAM: usize = 32;
+const TEAMS: usize = BLEND_THREADS / TEAM;
+
+/// Position `[column, row]` in the macro tile of pixel `index` of a thread.
+#[must_use]
+pub fn pixel_offset(thread: usize, index: usize) -> [u32; 2] {
+    let tile = (thread / TEAM + TEAMS * (index / 2)) as u32;
+    let lane = (thread % TEAM) as u32;
+    let in_tile = [lane % 4 + 4 * (index as u32 % 2), lane / 4];
+    [tile % MACRO_COLUMNS * RENDER_TILE_PX + in_tile[0], tile / MACRO_COLUMNS * RENDER_TILE_PX + in_tile[1]]
+}
+
+/// What a pixel has gathered, front to back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pixel {
+    /// Sum of weight times colour.
+    pub colour: Vec3,
+    /// What is left for what lies behind.
+    pub transmittance: f32,
+    /// Sum of weight times depth.
+    pub weighted_depth: f32,
+    /// Largest single weight so far.
+    pub best_weight: f32,
+    /// The instance it belongs to.
+    pub best_instance: u32,
+}
+
+/// A pixel that nothing was added to.
+pub const PIXEL_EMPTY: Pixel =
+    Pixel { colour: Vec3::ZERO, transmittance: 1.0, weighted_depth: 0.0, best_weight: 0.0, best_instance: 0 };
+
+/// The camera whose picture macro tile `bin` belongs to.
+#[must_use]
+pub fn camera_of_bin(cameras: &[CameraRecord], bin: u32) -> usize {
+    (1..cameras.len()).fold(0, |camera, next| if cameras[next].first_bin <= bin { next } else { camera })
+}
+
+/// Top left pixel of a macro tile.
+#[must_use]
+pub fn macro_tile_origin(bin: u32, camera: &CameraRecord) -> [u32; 2] {
+    let tile = bin - camera.first_bin;
+    [tile % camera.macro_tiles[0] * MACRO_WIDTH_PX, tile / camera.macro_tiles[0] * MACRO_HEIGHT_PX]
+}
+
+/// Pictures in f32, of all cameras one after the other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pictures {
+    /// RGB over the sky, and alpha.
+    pub pictures_f32: Vec<[f32; 4]>,
+    /// Expected depth, metres.
+    pub depths_m: Vec<f32>,
+    /// Instance of the splat with the largest weight.
+    pub instance_ids: Vec<u32>,
+}
+
+/// Writes a pixel of `camera`'s picture, if it lies in it.
+pub fn write_pixel(pictures: &mut Pictures, camera: &CameraRecord, at: [u32; 2], pixel: &Pixel, sky: Vec3) {
+    if at[0] >= camera.size_px[0] || at[1] >= camera.size_px[1] {
+        return;
+    }
+    let place = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
+    let alpha = 1.0 - pixel.transmittance;
+    pictures.pictures_f32[place] = (pixel.colour + pixel.transmittance * sky).extend(alpha).to_array();
+    pictures.depths_m[place] = if alpha > 0.0 { pixel.weighted_depth / alpha } else { 0.0 };
+    pictures.instance_ids[place] = pixel.best_instance;
+}
+
+/// RGBA as four bytes, clamped and rounded, red lowest.
+#[must_use]
+pub fn pack_unorm_4x8(value: [f32; 4]) -> u32 {
+    u32::from_le_bytes(value.map(|channel| (channel.clamp(0.0, 1.0) * 255.0).round() as u8))
+}
+
+/// The pixel after `nearer`, then `farther` behind it.
+#[must_use]
+pub fn over(mut nearer: Pixel, farther: &Pixel) -> Pixel {
+    let share = nearer.transmittance;
+    nearer.colour += share * farther.colour;
+    nearer.transmittance *= farther.transmittance;
+    nearer.weighted_depth += share * farther.weighted_depth;
+    if share * farther.best_weight > nearer.best_weight {
+        nearer.best_weight = share * farther.best_weight;
+        nearer.best_instance = farther.best_instance;
+    }
+    nearer
+}

@@ -1,0 +1,55 @@
+//! Colour of a splat from its spherical harmonics as they are stored: `sh.glsl`.
+
+use glam::{Vec3, vec3};
+
+use crate::sh_codec;
+
+/// Coefficients of a splat on the device: DC as they are, bands by plane of words (word `w` of splat `i` is at
+/// `w * splat_count + i`).
+#[derive(Clone, Copy, Debug)]
+pub struct Stored<'a> {
+    /// DC coefficients.
+    pub sh_dc: &'a [[f32; 3]],
+    /// Bands 1, 2 and 3; those above the degree that is evaluated are not read.
+    pub sh_bands: [&'a [u32]; 3],
+}
+
+/// The splat's colour seen along the unit vector `d`, from the camera to the splat.
+#[must_use]
+pub fn sh_colour(stored: &Stored<'_>, splat: usize, splat_count: usize, d: Vec3, sh_degree: usize) -> Vec3 {
+    let mut colour = 0.282_094_8 * Vec3::from_array(stored.sh_dc[splat]) + 0.5;
+    for band in 1..=sh_degree {
+        let planes = stored.sh_bands[band - 1];
+        let words: Vec<u32> = (0..sh_codec::words_of(band)).map(|word| planes[word * splat_count + splat]).collect();
+        let coefficients = sh_codec::decode_band(&words, 2 * band + 1);
+        for (coefficient, basis) in coefficients.iter().zip(band_basis(band, d)) {
+            colour += basis * Vec3::from_array(*coefficient);
+        }
+    }
+    colour.max(Vec3::ZERO)
+}
+
+/// The basis functions of a band, in the order of its coefficients.
+fn band_basis(band: usize, d: Vec3) -> Vec<f32> {
+    let Vec3 { x, y, z } = d;
+    let Vec3 { x: xx, y: yy, z: zz } = vec3(x * x, y * y, z * z);
+    match band {
+        1 => vec![-0.488_602_5 * y, 0.488_602_5 * z, -0.488_602_5 * x],
+        2 => vec![
+            1.092_548_5 * x * y,
+            -1.092_548_5 * y * z,
+            0.315_391_57 * (2.0 * zz - xx - yy),
+            -1.092_548_5 * x * z,
+            0.546_274_2 * (xx - yy),
+        ],
+        _ => vec![
+            -0.590_043_6 * y * (3.0 * xx - yy),
+            2.890_611_4 * x * y * z,
+            -0.457_045_8 * y * (4.0 * zz - xx - yy),
+            0.373_176_34 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+            -0.457_045_8 * x * (4.0 * zz - xx - yy),
+            1.445_305_7 * z * (xx - yy),
+            -0.590_043_6 * x * (xx - 3.0 * yy),
+        ],
+    }
+}

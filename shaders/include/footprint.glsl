@@ -1,0 +1,75 @@
+// The pixels a projected splat can reach. Cull, binning, masks and blending all use the numbers here, so that nothing is
+// dropped that blending would count.
+
+// A projected Gaussian in the factored form that blending evaluates: with d = pixel centre - mean,
+//   log2(alpha) = log2_opacity - ((d.x - slope * d.y) * rate_x)^2 - (d.y * rate_y)^2,
+// a sum of squares: never positive by rounding, however thin the splat (Cholesky factors of the inverse covariance).
+struct Footprint {
+    vec2 mean_px;
+    float slope;
+    float rate_x;
+    float rate_y;
+    float log2_opacity;
+};
+
+// log2(255): alpha >= 1/255 where the sum of squares is at most log2_opacity + LOG2_255.
+const float LOG2_255 = 7.994353436858858;
+
+// Added to the squared reach wherever pixels are only bounded, never where they are blended. Rounding moves the sum of
+// squares of a pixel by less than 1e-3 for means within 10^5 pixels of the image; a wider bound costs work, not truth.
+const float REACH_SLACK = 0.01;
+
+// Squared radius, in units of the exponent, beyond which the splat adds nothing. Negative: nothing anywhere.
+float squared_reach(Footprint splat) {
+    return splat.log2_opacity + LOG2_255;
+}
+
+// Pixel coordinates [first, last] along one axis whose centres lie in [low, high], clipped to the image.
+ivec2 pixels_between(float low, float high, uint size_px) {
+    return ivec2(max(ceil(low - 0.5), 0.0), min(floor(high - 0.5), float(size_px) - 1.0));
+}
+
+// Rows of pixels the splat can reach, [first, last].
+ivec2 reached_rows(Footprint splat, uint height_px) {
+    float half_height = sqrt(squared_reach(splat) + REACH_SLACK) / splat.rate_y;
+    return pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px);
+}
+
+// Columns of pixels [first, last] the splat can reach in the rows whose centres lie in [low_y, high_y].
+//
+// In v = d.y * rate_y the ellipse's left and right edges are x = A v -+ B sqrt(r2 - v^2), A = slope / rate_y,
+// B = 1 / rate_x. The right edge is concave in v with its top at v = r A / sqrt(A^2 + B^2), the left edge is its mirror
+// image: the extreme over a strip is at that v, moved into the strip.
+ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px) {
+    float r2 = squared_reach(splat) + REACH_SLACK;
+    float r = sqrt(r2);
+    float low_v = max((low_y - splat.mean_px.y) * splat.rate_y, -r);
+    float high_v = min((high_y - splat.mean_px.y) * splat.rate_y, r);
+    if (!(low_v <= high_v)) {
+        return ivec2(0, -1);
+    }
+    float a = splat.slope / splat.rate_y;
+    float b = 1.0 / splat.rate_x;
+    float top_v = r * a * inversesqrt(a * a + b * b);
+    float right_v = clamp(top_v, low_v, high_v);
+    float left_v = clamp(-top_v, low_v, high_v);
+    float right = a * right_v + b * sqrt(max(r2 - right_v * right_v, 0.0));
+    float left = a * left_v - b * sqrt(max(r2 - left_v * left_v, 0.0));
+    // Rounding of the edges themselves, which needles of 10^5 pixels make visible.
+    float rounding = 1e-6 * (abs(a) * r + b * r);
+    return pixels_between(splat.mean_px.x + left - rounding, splat.mean_px.x + right + rounding, width_px);
+}
+
+// Macro tiles [x, y] of row `row` of the camera's tiles that the splat can reach; empty when x > y.
+ivec2 reached_macro_tiles(Footprint splat, uint row, uvec2 size_px) {
+    float top = float(row * MACRO_HEIGHT_PX);
+    float bottom = min(top + float(MACRO_HEIGHT_PX), float(size_px.y));
+    ivec2 columns = reached_columns(splat, top + 0.5, bottom - 0.5, size_px.x);
+    return columns.x > columns.y ? ivec2(0, -1) : columns / int(MACRO_WIDTH_PX);
+}
+
+// Rows [x, y] of macro tiles that the splat can reach; empty when x > y.
+ivec2 reached_macro_rows(Footprint splat, uint height_px) {
+    ivec2 rows = reached_rows(splat, height_px);
+    return rows.x > rows.y ? ivec2(0, -1) : rows / int(MACRO_HEIGHT_PX);
+}

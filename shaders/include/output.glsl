@@ -1,0 +1,85 @@
+// Where finished pixels go. Outputs that were not asked for are neither computed nor written.
+
+layout(constant_id = 0) const bool COLOUR_U8 = false;       // RGBA8, clamped and rounded, instead of 4 x f32
+layout(constant_id = 1) const bool DEPTH = false;           // expected depth, metres
+layout(constant_id = 2) const bool INSTANCE = false;        // instance of the splat with the largest weight
+
+layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
+layout(set = 0, binding = 1, std430) writeonly buffer pictures_f32_block { vec4 pictures_f32[]; };
+layout(set = 0, binding = 2, std430) writeonly buffer pictures_u8_block { uint pictures_u8[]; };
+layout(set = 0, binding = 3, std430) writeonly buffer depths_block { float depths_m[]; };
+layout(set = 0, binding = 4, std430) writeonly buffer instance_ids_block { uint instance_ids[]; };
+
+// How blend shares a macro tile's pixels: a team of 32 threads has every eighth render tile, two pixels a thread in each.
+const uint BLEND_THREADS = 256u;
+const uint TEAM = 32u;
+const uint TEAMS = BLEND_THREADS / TEAM;
+const uint TILES_A_TEAM = MACRO_COLUMNS * MACRO_ROWS / TEAMS;
+const uint PIXELS = 2u * TILES_A_TEAM; // of a thread
+
+// Position in the macro tile of pixel `index` (0 to PIXELS - 1) of a thread: two a render tile, four columns apart.
+uvec2 pixel_offset(uint thread, uint index) {
+    uint tile = thread / TEAM + TEAMS * (index / 2u);
+    uint lane = thread % TEAM;
+    return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(lane % 4u + 4u * (index % 2u), lane / 4u);
+}
+
+// What a pixel has gathered, front to back.
+struct Pixel {
+    vec3 colour;
+    float transmittance;
+    float weighted_depth; // sum of weight * depth
+    float best_weight;    // largest single weight so far
+    uint best_instance;
+};
+
+const Pixel PIXEL_EMPTY = Pixel(vec3(0.0), 1.0, 0.0, 0.0, 0u);
+
+uint camera_of_bin(uint bin, uint camera_count) {
+    uint camera = 0u;
+    for (uint next = 1u; next < camera_count; ++next) {
+        camera = cameras[next].first_bin <= bin ? next : camera;
+    }
+    return camera;
+}
+
+// Top left pixel of a macro tile.
+uvec2 macro_tile_origin(uint bin, Camera camera) {
+    uint tile = bin - camera.first_bin;
+    return uvec2(tile % camera.macro_tiles.x * MACRO_WIDTH_PX, tile / camera.macro_tiles.x * MACRO_HEIGHT_PX);
+}
+
+void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky) {
+    if (any(greaterThanEqual(at, camera.size_px))) {
+        return;
+    }
+    uint place = camera.first_pixel + at.y * camera.size_px.x + at.x;
+    float alpha = 1.0 - pixel.transmittance;
+    vec4 value = vec4(pixel.colour + pixel.transmittance * sky, alpha);
+    if (COLOUR_U8) {
+        pictures_u8[place] = packUnorm4x8(value);
+    } else {
+        pictures_f32[place] = value;
+    }
+    if (DEPTH) {
+        depths_m[place] = alpha > 0.0 ? pixel.weighted_depth / alpha : 0.0;
+    }
+    if (INSTANCE) {
+        instance_ids[place] = pixel.best_instance;
+    }
+}
+
+// The pixel after `nearer`, then `farther` behind it.
+Pixel over(Pixel nearer, Pixel farther) {
+    float share = nearer.transmittance;
+    nearer.colour += share * farther.colour;
+    nearer.transmittance *= farther.transmittance;
+    if (DEPTH) {
+        nearer.weighted_depth += share * farther.weighted_depth;
+    }
+    if (INSTANCE && share * farther.best_weight > nearer.best_weight) {
+        nearer.best_weight = share * farther.best_weight;
+        nearer.best_instance = farther.best_instance;
+    }
+    return nearer;
+}

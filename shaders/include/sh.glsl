@@ -1,0 +1,86 @@
+// Spherical harmonics of a splat, to degree 3, with the basis signs of the original 3DGS.
+//
+// DC is f32. Each higher band is stored as 16-bit fractions of its own largest coefficient (rounded up to f16): half-word
+// 0 is that scale, then [coefficient][rgb]. Against f32 the error is at most 1.6e-5 of the band's largest coefficient,
+// a thirtieth of what f16 would make of it, for the same bytes. Words are stored by plane: word w of splat i stands at
+// w * splat_count + i, so that neighbouring threads read neighbouring words.
+
+layout(constant_id = 2) const uint SH_DEGREE = 3u;
+
+layout(set = 0, binding = 6, scalar) readonly buffer sh_dc_block { vec3 sh_dc[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer sh_band1_block { uint sh_band1[]; }; // 5 words
+layout(set = 0, binding = 8, scalar) readonly buffer sh_band2_block { uint sh_band2[]; }; // 8 words
+layout(set = 0, binding = 9, scalar) readonly buffer sh_band3_block { uint sh_band3[]; }; // 11 words
+
+// Adds weight * half-word `index` of a band; `words` are the band's words, `channel` the colour it belongs to.
+#define ADD_COEFFICIENT(colour, words, k, basis)                                                      \
+    colour += (basis) * vec3(sh_fraction(words[(3 * (k) + 1) / 2], (3 * (k) + 1) % 2),                \
+                             sh_fraction(words[(3 * (k) + 2) / 2], (3 * (k) + 2) % 2),                \
+                             sh_fraction(words[(3 * (k) + 3) / 2], (3 * (k) + 3) % 2))
+
+float sh_fraction(uint word, int half_word) {
+    int value = half_word == 0 ? int(word << 16) >> 16 : int(word) >> 16;
+    return float(value);
+}
+
+float sh_scale(uint word) {
+    return unpackHalf2x16(word).x / 32767.0;
+}
+
+vec3 sh_band1_colour(uint splat, uint splat_count, vec3 d) {
+    uint words[5];
+    [[unroll]] for (int w = 0; w < 5; ++w) {
+        words[w] = sh_band1[w * splat_count + splat];
+    }
+    vec3 colour = vec3(0.0);
+    ADD_COEFFICIENT(colour, words, 0, -0.4886025119029199 * d.y);
+    ADD_COEFFICIENT(colour, words, 1, 0.4886025119029199 * d.z);
+    ADD_COEFFICIENT(colour, words, 2, -0.4886025119029199 * d.x);
+    return colour * sh_scale(words[0]);
+}
+
+vec3 sh_band2_colour(uint splat, uint splat_count, vec3 d) {
+    uint words[8];
+    [[unroll]] for (int w = 0; w < 8; ++w) {
+        words[w] = sh_band2[w * splat_count + splat];
+    }
+    vec3 colour = vec3(0.0);
+    ADD_COEFFICIENT(colour, words, 0, 1.0925484305920792 * d.x * d.y);
+    ADD_COEFFICIENT(colour, words, 1, -1.0925484305920792 * d.y * d.z);
+    ADD_COEFFICIENT(colour, words, 2, 0.31539156525252005 * (2.0 * d.z * d.z - d.x * d.x - d.y * d.y));
+    ADD_COEFFICIENT(colour, words, 3, -1.0925484305920792 * d.x * d.z);
+    ADD_COEFFICIENT(colour, words, 4, 0.5462742152960396 * (d.x * d.x - d.y * d.y));
+    return colour * sh_scale(words[0]);
+}
+
+vec3 sh_band3_colour(uint splat, uint splat_count, vec3 d) {
+    uint words[11];
+    [[unroll]] for (int w = 0; w < 11; ++w) {
+        words[w] = sh_band3[w * splat_count + splat];
+    }
+    float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z;
+    vec3 colour = vec3(0.0);
+    ADD_COEFFICIENT(colour, words, 0, -0.5900435899266435 * d.y * (3.0 * xx - yy));
+    ADD_COEFFICIENT(colour, words, 1, 2.890611442640554 * d.x * d.y * d.z);
+    ADD_COEFFICIENT(colour, words, 2, -0.4570457994644658 * d.y * (4.0 * zz - xx - yy));
+    ADD_COEFFICIENT(colour, words, 3, 0.3731763325901154 * d.z * (2.0 * zz - 3.0 * xx - 3.0 * yy));
+    ADD_COEFFICIENT(colour, words, 4, -0.4570457994644658 * d.x * (4.0 * zz - xx - yy));
+    ADD_COEFFICIENT(colour, words, 5, 1.445305721320277 * d.z * (xx - yy));
+    ADD_COEFFICIENT(colour, words, 6, -0.5900435899266435 * d.x * (xx - 3.0 * yy));
+    return colour * sh_scale(words[0]);
+}
+
+// The splat's colour seen along the unit vector d, from the camera to the splat.
+vec3 sh_colour(uint splat, uint splat_count, vec3 d) {
+    vec3 colour = 0.28209479177387814 * sh_dc[splat] + 0.5;
+    if (SH_DEGREE >= 1u) {
+        colour += sh_band1_colour(splat, splat_count, d);
+    }
+    if (SH_DEGREE >= 2u) {
+        colour += sh_band2_colour(splat, splat_count, d);
+    }
+    if (SH_DEGREE >= 3u) {
+        colour += sh_band3_colour(splat, splat_count, d);
+    }
+    return max(colour, vec3(0.0));
+}

@@ -1,0 +1,95 @@
+#version 460
+// Cuts each macro tile's list into segments that are blended side by side, and plans how their results are joined.
+//
+// One tile may hold a hundred times the average list; blended by one workgroup it would set the frame's time. Over is
+// associative, (C, T) o (C', T') = (C + T C', T T'), so segments need not wait for each other. A tile's segments depend on
+// its own list alone, so its pixels do not change with what else is drawn.
+//
+// One thread a tile. Each workgroup adds up what earlier tiles take by itself; no group waits for another.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "frame.glsl"
+
+const uint WORKGROUP_THREADS = 256u;
+layout(local_size_x = 256) in;
+#include "block.glsl"
+
+layout(constant_id = 0) const uint SEGMENT_PAIRS = 1024u; // 0xffffffff: never cut, blend each list in one run
+
+layout(set = 0, binding = 0, scalar) buffer needs_block { Needs needs; };
+layout(set = 0, binding = 1, scalar) readonly buffer range_firsts_block { uint range_firsts[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer items_block { Item items[]; };
+layout(set = 0, binding = 3, scalar) writeonly buffer composites_block { Composite composites[]; };
+layout(set = 0, binding = 4, scalar) writeonly buffer arguments_block { uvec3 arguments[]; };
+
+layout(push_constant, scalar) uniform push_block {
+    uint bin_count;
+    uint pairs_max;
+    uint items_max;
+    uint partials_max;
+};
+
+// Workgroups that share the joining of one macro tile.
+const uint COMPOSITE_GROUPS = MACRO_PIXELS / 256u;
+
+uint pairs_of(uint bin, uint pairs) {
+    return pairs == 0u ? 0u : range_firsts[bin + 1u] - range_firsts[bin];
+}
+
+uint segments_of(uint length) {
+    return max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS != 0u ? 1u : 0u));
+}
+
+void main() {
+    uint pairs = min(needs.pairs, pairs_max);
+    uint thread = block_thread();
+    uint block_first = group_index() * WORKGROUP_THREADS;
+    uint earlier_items = 0u;
+    uint earlier_tiles = 0u; // cut into more than one segment
+    uint earlier_singles = 0u;
+    for (uint bin = thread; bin < min(block_first, bin_count); bin += WORKGROUP_THREADS) {
+        uint segments = segments_of(pairs_of(bin, pairs));
+        earlier_items += segments;
+        earlier_tiles += segments > 1u ? 1u : 0u;
+    }
+    uint items_before = block_sum(earlier_items);
+    uint composites_before = block_sum(earlier_tiles);
+    // Tiles of one segment take an item and no partial result.
+    uint partials_before = items_before - (min(block_first, bin_count) - composites_before);
+
+    uint bin = block_first + thread;
+    bool real = bin < bin_count;
+    uint length = real ? pairs_of(bin, pairs) : 0u;
+    uint segments = real ? segments_of(length) : 0u;
+    bool cut = segments > 1u;
+    uint item_total, partial_total, composite_total;
+    uint item = items_before + block_exclusive_sum(segments, item_total);
+    uint partial = partials_before + block_exclusive_sum(cut ? segments : 0u, partial_total);
+    uint composite = composites_before + block_exclusive_sum(cut ? 1u : 0u, composite_total);
+
+    uint first_pair = real && pairs > 0u ? range_firsts[bin] : 0u;
+    for (uint segment = 0u; segment < segments; ++segment) {
+        uint taken = segment * SEGMENT_PAIRS;
+        // Where there is no room for the partial result nothing may be written: the picture is drawn again.
+        uint slot = cut ? min(partial + segment, partials_max - 1u) : NO_PARTIAL;
+        if (item + segment < items_max) {
+            items[item + segment] = Item(bin, first_pair + taken, min(SEGMENT_PAIRS, length - taken), slot);
+        }
+    }
+    if (cut) {
+        composites[composite] = Composite(bin, partial, segments);
+    }
+    if (thread == 0u && block_first + WORKGROUP_THREADS >= bin_count && block_first < bin_count) {
+        uint all_items = items_before + item_total;
+        uint all_composites = composites_before + composite_total;
+        uint all_partials = partials_before + partial_total;
+        needs.items = all_items;
+        needs.partials = all_partials;
+        needs.composites = all_composites;
+        bool fit = all_partials <= partials_max;
+        arguments[ARGUMENTS_BLEND] = groups_for(min(all_items, items_max));
+        arguments[ARGUMENTS_COMPOSITE] = groups_for(fit ? all_composites * COMPOSITE_GROUPS : 0u);
+    }
+}
