@@ -1,1 +1,87 @@
-fn main() {}
+//! The command line program `decouplegs`: one file for each subcommand.
+//!
+//! It exits with 0 when the work is done, with 1 when it could not be done (one sentence on standard error, then its
+//! causes), and with 2 when the command line makes no sense.
+#![forbid(unsafe_code)]
+
+mod arguments;
+mod bench;
+mod compare;
+mod devices;
+mod inspect;
+mod progress;
+mod render;
+mod scene_source;
+mod synth;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Renders 3D Gaussian scenes for driving simulation on any Vulkan 1.3 device.
+#[derive(Parser)]
+#[command(name = "decouplegs", version, propagate_version = true)]
+struct Program {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Render(render::Arguments),
+    Inspect(inspect::Arguments),
+    Compare(compare::Arguments),
+    Synth(synth::Arguments),
+    Bench(bench::Arguments),
+    Devices(devices::Arguments),
+}
+
+fn main() -> ExitCode {
+    let done = match &Program::parse().command {
+        Command::Render(arguments) => render::run(arguments),
+        Command::Inspect(arguments) => inspect::run(arguments),
+        Command::Compare(arguments) => compare::run(arguments),
+        Command::Synth(arguments) => synth::run(arguments),
+        Command::Bench(arguments) => bench::run(arguments),
+        Command::Devices(arguments) => devices::run(arguments),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprint!("{}", explanation(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The error as a sentence and its causes, one a line. A cause that the line above already tells is left out.
+fn explanation(error: &anyhow::Error) -> String {
+    let mut told = error.to_string();
+    let mut lines = format!("error: {told}\n");
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !told.contains(&cause) {
+            lines.push_str(&format!("  because: {cause}\n"));
+        }
+        told = cause;
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Program::command().debug_assert();
+    }
+
+    #[test]
+    fn an_error_is_explained_once() {
+        let error =
+            anyhow::anyhow!("disk on fire").context("cannot write a.ply: disk on fire").context("the street was not written");
+        let lines = "error: the street was not written\n  because: cannot write a.ply: disk on fire\n";
+        assert_eq!(explanation(&error), lines);
+    }
+}

@@ -1,0 +1,173 @@
+//! The program as a user meets it: what it writes, what it says, and how it exits.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn decouplegs(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_decouplegs")).args(arguments).output().expect("the program starts")
+}
+
+/// Standard output of a run that must succeed.
+fn succeed(arguments: &[&str]) -> String {
+    let output = decouplegs(arguments);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?} exited with {:?}: {said}", output.status.code());
+    String::from_utf8(output.stdout).expect("reports are text")
+}
+
+/// Standard error of a run that must exit with `code`.
+fn fail(code: i32, arguments: &[&str]) -> String {
+    let output = decouplegs(arguments);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?} said: {said}");
+    assert!(output.stdout.is_empty(), "{arguments:?} failed and wrote to standard output");
+    said
+}
+
+fn json(arguments: &[&str]) -> Value {
+    serde_json::from_str(&succeed(arguments)).expect("--json prints JSON")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("the folder for temporary files has a Unicode name")
+}
+
+/// A street of a few thousand splats in a folder of its own.
+fn small_street(folder: &Path) {
+    let sizes = ["--background", "4000", "--agents", "2", "--agent-splats", "300", "--degree", "1"];
+    let rest = ["--seed", "5", "--size", "48x27", "--baked", "--out", text(folder)];
+    succeed(&[["synth", "street"].as_slice(), &sizes, &rest].concat());
+}
+
+#[test]
+fn nonsense_on_the_command_line_exits_with_two() {
+    assert!(fail(2, &["paint"]).contains("paint"));
+    assert!(fail(2, &["render", "a.ply", "--out", "b", "--size", "0x9"]).contains("0x9"));
+    assert!(fail(2, &["render", "a.ply", "--out", "b", "--rules", "ours"]).contains("gsplat15"));
+    assert!(fail(2, &["synth", "street", "--degree", "4", "--out", "a"]).contains('4'));
+    assert!(fail(2, &["compare", "a.png", "b.png", "--difference", "c.png", "--gain", "0"]).contains("above zero"));
+}
+
+#[test]
+fn a_failure_exits_with_one_and_names_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.ply");
+    fs::write(&path, "ply\nformat binary_little_endian 1.0\nelement vertex 7\nproperty float x\n").unwrap();
+    assert!(fail(1, &["inspect", text(&path)]).contains("cut.ply"));
+    let absent = folder.path().join("absent.ply");
+    let said = fail(1, &["render", text(&absent), "--out", text(folder.path()), "--reference"]);
+    assert!(said.starts_with("error: ") && said.contains("absent.ply"), "{said}");
+    assert_eq!(said.matches("absent.ply").count(), 1, "the cause is told once: {said}");
+}
+
+#[test]
+fn a_street_is_the_same_bytes_every_time_and_what_was_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    small_street(&first);
+    small_street(&second);
+    for name in ["scene.toml", "background.ply", "world.ply", "transforms.json", "assets/car_00.ply"] {
+        assert!(fs::read(first.join(name)).unwrap() == fs::read(second.join(name)).unwrap(), "{name} differs");
+    }
+    let background = json(&["inspect", text(&first.join("background.ply")), "--json"]);
+    assert_eq!((&background["splats"], &background["sh_degree"]), (&Value::from(4000), &Value::from(1)));
+    assert_eq!(background["defects"]["total"], 0);
+    for whole in ["world.ply", "scene.toml"] {
+        assert_eq!(json(&["inspect", text(&first.join(whole)), "--json"])["splats"], 4600, "{whole}");
+    }
+    let report = succeed(&["inspect", text(&first.join("world.ply"))]);
+    assert!(report.contains("4600") && report.contains("opacity"), "{report}");
+}
+
+#[test]
+fn the_reference_draws_each_camera_into_a_file_of_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    small_street(&street);
+    let scene = street.join("scene.toml");
+    let [own, given] = ["own", "given"].map(|name| folder.path().join(name));
+    let sheet = folder.path().join("sheet.png");
+    succeed(&["render", text(&scene), "--reference", "--format", "npy", "--out", text(&own), "--contact-sheet", text(&sheet)]);
+    // The rig where the ego starts is what transforms.json holds: the same pictures, to the bit.
+    let cameras = street.join("transforms.json");
+    succeed(&["render", text(&scene), "--reference", "--format", "npy", "--out", text(&given), "--cameras", text(&cameras)]);
+    let mut names: Vec<_> = fs::read_dir(&own).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names.len(), 6, "{names:?}");
+    for name in &names {
+        let difference = json(&["compare", text(&own.join(name)), text(&given.join(name)), "--json"]);
+        assert!(difference["max_abs"].as_f64().unwrap() < 1e-4, "{name:?}: {difference}");
+    }
+    assert!(fs::metadata(&sheet).unwrap().len() > 1000);
+
+    // The comparison can fail: two cameras see different things.
+    let [a, b] = [own.join(&names[0]), own.join(&names[1])];
+    let picture = folder.path().join("difference.png");
+    let difference = json(&["compare", text(&a), text(&b), "--json", "--difference", text(&picture)]);
+    assert!(difference["psnr_db"].as_f64().unwrap() < 40.0, "{difference}");
+    assert!(picture.exists());
+    let said = fail(1, &["compare", text(&a), text(&sheet)]);
+    assert!(said.contains("48x27"), "sizes that differ are named: {said}");
+}
+
+#[test]
+fn splats_without_cameras_are_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let world = folder.path().join("world.ply");
+    let said = fail(1, &["render", text(&world), "--reference", "--out", text(&folder.path().join("out"))]);
+    assert!(said.contains("--cameras"), "{said}");
+    assert!(!folder.path().join("out").exists(), "nothing is left behind");
+}
+
+#[test]
+fn the_gpu_draws_what_the_reference_draws() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let scene = folder.path().join("scene.toml");
+    let [gpu, truth] = ["gpu", "truth"].map(|name| folder.path().join(name));
+    succeed(&["render", text(&scene), "--format", "npy", "--out", text(&gpu)]);
+    succeed(&["render", text(&scene), "--format", "npy", "--out", text(&truth), "--reference"]);
+    for entry in fs::read_dir(&truth).unwrap() {
+        let name = entry.unwrap().file_name();
+        let difference = json(&["compare", text(&gpu.join(&name)), text(&truth.join(&name)), "--json"]);
+        // The exact mode's bound of error at equal rules; null stands for no error at all.
+        let psnr_db = difference["psnr_db"].as_f64().unwrap_or(f64::INFINITY);
+        assert!(psnr_db >= 95.0, "{name:?}: {difference}");
+    }
+}
+
+#[test]
+fn a_bench_reports_time_memory_and_error() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let report = folder.path().join("bench.json");
+    let scene = folder.path().join("scene.toml");
+    let said =
+        succeed(&["bench", text(&scene), "--frames", "3", "--warm-up", "1", "--cameras-used", "2", "--json", text(&report)]);
+    assert!(said.contains("images/s"), "{said}");
+    let report: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
+    assert_eq!((&report["cameras"], &report["frames"], &report["splats"]), (&2.into(), &3.into(), &4600.into()));
+    let frame_ms = report["frame_gpu_ms"]["median"].as_f64().unwrap();
+    let stages = report["stages"].as_array().unwrap();
+    assert!(frame_ms > 0.0 && stages.len() > 3, "{report}");
+    assert!(report["memory_bytes"]["total"].as_u64().unwrap() > 0);
+    assert!(report["error"]["difference"]["max_abs"].as_f64().unwrap() <= 0.01, "{report}");
+    assert!(fail(1, &["bench", text(&scene), "--cameras-used", "7"]).contains("6 cameras"));
+}
+
+#[test]
+fn devices_are_listed_and_an_unknown_one_is_refused_with_the_list() {
+    let devices = json(&["devices", "--json"]);
+    let first = devices[0]["name"].as_str().expect("there is a device to test on").to_owned();
+    assert!(succeed(&["devices"]).contains(&first));
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let scene = folder.path().join("scene.toml");
+    let out = folder.path().join("out");
+    let said = fail(1, &["render", text(&scene), "--out", text(&out), "--device", "no such card"]);
+    assert!(said.contains("no such card") && said.contains(&first), "{said}");
+}

@@ -1,0 +1,91 @@
+//! Frames on the GPU against the f64 definition.
+
+mod determinism;
+mod growth;
+mod hard_cases;
+mod outputs;
+//mod scenes;
+
+use decouplegs::render::metrics::Difference;
+use decouplegs::render::{Outputs, Picture, RenderOptions, Renderer, reference};
+use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World};
+use glam::{DQuat, DVec3};
+
+use crate::device::Validated;
+
+/// What exact mode promises at equal rules (one flipped 1/255 decision moves a pixel by up to 0.004).
+pub const PSNR_MIN_DB: f64 = 95.0;
+pub const ERROR_MAX: f64 = 0.01;
+
+/// A splat to be put into a small world.
+#[derive(Clone, Copy, Debug)]
+pub struct Splat {
+    pub mean_m: [f32; 3],
+    pub scale_m: [f32; 3],
+    pub rotation: [f32; 4],
+    pub opacity: f32,
+    pub rgb: [f32; 3],
+}
+
+impl Splat {
+    /// A grey ball of 10 cm.
+    pub fn at(x: f32, y: f32, z: f32) -> Self {
+        Self { mean_m: [x, y, z], scale_m: [0.1; 3], rotation: [1.0, 0.0, 0.0, 0.0], opacity: 0.8, rgb: [0.6, 0.5, 0.4] }
+    }
+}
+
+/// A world of degree 0. Its camera frame is the world's: x right, y down, z forward.
+pub fn world_of(splats: &[Splat]) -> World {
+    World::of(SplatCloud {
+        means: splats.iter().map(|s| s.mean_m).collect(),
+        scales: splats.iter().map(|s| s.scale_m).collect(),
+        rotations: splats.iter().map(|s| s.rotation).collect(),
+        opacities: splats.iter().map(|s| s.opacity).collect(),
+        sh_degree: 0,
+        sh_dc: splats.iter().map(|s| s.rgb.map(|c| (c - 0.5) / 0.282_094_8)).collect(),
+        sh_rest: vec![],
+    })
+}
+
+/// A camera at `centre` that looks along +z of the world, 60 degrees wide.
+pub fn camera_at(centre: DVec3, width_px: u32, height_px: u32) -> Camera {
+    let intrinsics = Intrinsics::from_horizontal_fov(width_px, height_px, 60f64.to_radians());
+    Camera { name: "test".into(), intrinsics, world_from_camera: Pose::new(DQuat::IDENTITY, centre) }
+}
+
+/// All outputs in f32.
+pub fn all_outputs() -> Outputs {
+    Outputs { depth: true, instance: true, ..Outputs::default() }
+}
+
+/// What the GPU draws.
+pub fn draw(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Picture> {
+    let mut renderer = Renderer::new(gpu, RenderOptions { rules, outputs: all_outputs(), ..RenderOptions::default() });
+    let resident = renderer.upload(world).unwrap();
+    renderer.render(&resident, cameras).unwrap();
+    renderer.read_pictures().unwrap()
+}
+
+/// The difference of the GPU's picture from the definition, per camera.
+pub fn differences(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Difference> {
+    draw(gpu, world, cameras, rules)
+        .iter()
+        .zip(cameras)
+        .map(|(picture, camera)| Difference::between(picture, &reference::render(world, camera, &rules).to_picture()).unwrap())
+        .collect()
+}
+
+/// Draws on the GPU and by definition, and holds them to what exact mode promises.
+pub fn assert_exact(world: &World, cameras: &[Camera], rules: Rules) {
+    let gpu = Validated::open();
+    for (difference, camera) in differences(&gpu, world, cameras, rules).iter().zip(cameras) {
+        println!("{} {}: {:.1} dB, max {:.5}", gpu.info().name, camera.name, difference.psnr_db, difference.max_abs);
+        assert!(
+            difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
+            "{}: {:.2} dB and {:.5} at most, against {PSNR_MIN_DB} and {ERROR_MAX}",
+            camera.name,
+            difference.psnr_db,
+            difference.max_abs
+        );
+    }
+}

@@ -1,0 +1,80 @@
+//! Depth, instances and 8-bit colour.
+
+use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, reference};
+use decouplegs::scene::{Rules, World};
+use glam::DVec3;
+
+use super::{Splat, camera_at, draw, world_of};
+use crate::device::Validated;
+
+fn scene() -> World {
+    let splats: Vec<Splat> = (0..600)
+        .map(|i| {
+            let (a, b) = ((i as f32 * 0.618).fract(), (i as f32 * 0.324).fract());
+            Splat { opacity: 0.3 + 0.6 * a, scale_m: [0.15; 3], rgb: [a, b, 0.5], ..Splat::at(4.0 * a - 2.0, 2.0 * b - 1.0, 3.0 + 4.0 * b) }
+        })
+        .collect();
+    let mut world = world_of(&splats);
+    world.instance_from_splat = (0..600).map(|i| (i / 200) as u16).collect();
+    world.sky = [0.3, 0.5, 1.4];
+    world
+}
+
+#[test]
+fn depth_and_instance_are_the_definitions() {
+    let gpu = Validated::open();
+    let camera = camera_at(DVec3::ZERO, 160, 90);
+    let world = scene();
+    let picture = &draw(&gpu, &world, std::slice::from_ref(&camera), Rules::DEFAULT)[0];
+    let truth = reference::render(&world, &camera, &Rules::DEFAULT);
+    let depths = picture.depth.as_ref().unwrap();
+    for (i, (&depth, &expected)) in depths.iter().zip(&truth.depth).enumerate() {
+        // A pixel of one faint splat can gain or lose it at the 1/255 threshold; compare where something was hit.
+        if truth.alpha[i] > 0.05 {
+            assert!((f64::from(depth) - expected).abs() <= 0.01 * expected, "pixel {i}: {depth} m, not {expected} m");
+        }
+    }
+    let ids = picture.instance.as_ref().unwrap();
+    let wrong = ids.iter().zip(&truth.instance).filter(|(a, b)| a != b).count();
+    // Two weights can be equal to rounding.
+    assert!(wrong * 1000 <= ids.len(), "{wrong} of {} pixels name another instance", ids.len());
+    assert!((0..3).all(|id| truth.instance.contains(&id)), "the scene must show all three");
+}
+
+#[test]
+fn bytes_are_the_floats_clamped_and_rounded() {
+    let gpu = Validated::open();
+    let camera = [camera_at(DVec3::ZERO, 100, 60)];
+    let world = scene();
+    let floats = &draw(&gpu, &world, &camera, Rules::DEFAULT)[0];
+    let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+    let mut renderer = Renderer::new(&gpu, RenderOptions { outputs, ..RenderOptions::default() });
+    let resident = renderer.upload(&world).unwrap();
+    renderer.render(&resident, &camera).unwrap();
+    let bytes = &renderer.read_pictures().unwrap()[0];
+    assert!(bytes.depth.is_none() && bytes.instance.is_none());
+    for (a, b) in floats.rgb.iter().flatten().zip(bytes.rgb.iter().flatten()) {
+        assert!((a.clamp(0.0, 1.0) - b).abs() <= 0.5001 / 255.0, "{a} became {b}");
+    }
+    assert!(floats.rgb.iter().flatten().any(|&c| c > 1.0), "the sky is brighter than white here");
+}
+
+#[test]
+fn a_lower_degree_is_the_picture_without_its_bands() {
+    let gpu = Validated::open();
+    let camera = camera_at(DVec3::ZERO, 80, 50);
+    let mut world = scene();
+    world.splats.sh_degree = 2;
+    world.splats.sh_rest = (0..600 * 8).map(|i| [0.05 * (i as f32).sin(), 0.1, -0.05]).collect();
+    for degree in 0..=2 {
+        let mut renderer = Renderer::new(&gpu, RenderOptions { sh_degree_max: degree, ..RenderOptions::default() });
+        let resident = renderer.upload(&world).unwrap();
+        renderer.render(&resident, std::slice::from_ref(&camera)).unwrap();
+        let picture = renderer.read_pictures().unwrap().remove(0);
+        let mut lower = world.clone();
+        lower.splats.set_degree(degree);
+        let truth = reference::render(&lower, &camera, &Rules::DEFAULT).to_picture();
+        let worst = picture.rgb.iter().flatten().zip(truth.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+        assert!(worst <= 0.005, "degree {degree}: {worst}");
+    }
+}

@@ -1,0 +1,6 @@
+//! The one integration binary: what only shows when the crates meet.
+
+mod data;
+mod device;
+mod frames;
+mod tidy;

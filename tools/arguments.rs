@@ -1,0 +1,89 @@
+//! Values that several subcommands take, and what they all print with.
+
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+use std::str::FromStr;
+
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use decouplegs::asset::write_atomically;
+use decouplegs::render::picture::{Picture, PictureFormat};
+use decouplegs::scene::Rules;
+
+/// The size of a picture, written `1600x900`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size {
+    pub width_px: u32,
+    pub height_px: u32,
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = text.split_once('x').and_then(|(width, height)| {
+            let side = |text: &str| text.parse().ok().filter(|side| (1..=65_536).contains(side));
+            Some(Self { width_px: side(width)?, height_px: side(height)? })
+        });
+        parsed.ok_or_else(|| format!("expected WIDTHxHEIGHT in pixels, 1x1 to 65536x65536, like 1600x900, found {text:?}"))
+    }
+}
+
+/// By whose definition splats become a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum RulesName {
+    /// Alpha at most 0.99, no early stop, near plane at 0.01 m
+    Default,
+    /// gsplat 1.5: alpha at most 0.999, stops before the splat that would fill the pixel
+    Gsplat15,
+    /// The INRIA rasteriser: alpha at most 0.99, the same stop, near plane at 0.2 m
+    Inria,
+}
+
+impl RulesName {
+    pub fn rules(self) -> Rules {
+        match self {
+            Self::Default => Rules::DEFAULT,
+            Self::Gsplat15 => Rules::GSPLAT15,
+            Self::Inria => Rules::INRIA,
+        }
+    }
+}
+
+/// Writes a report to standard output. A reader that has seen enough (`| head`) is no failure.
+pub fn print(report: &str) -> Result<()> {
+    match std::io::stdout().write_all(report.as_bytes()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        result => result.context("standard output cannot be written"),
+    }
+}
+
+/// Writes a picture; the file is there whole or not at all.
+pub fn write_picture(path: &Path, picture: &Picture, format: PictureFormat) -> Result<()> {
+    let bytes = picture.encode(format).with_context(|| format!("{} was not written", path.display()))?;
+    Ok(write_atomically(path, |file| file.write_all(&bytes))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_and_nonsense_is_refused() {
+        assert_eq!("1600x900".parse(), Ok(Size { width_px: 1600, height_px: 900 }));
+        for nonsense in ["", "1600", "1600x", "x900", "0x900", "-1x5", "1600x900x3", "70000x1", "1600 x 900", "1e3x5"] {
+            let refused = nonsense.parse::<Size>().unwrap_err();
+            assert!(refused.contains(&format!("{nonsense:?}")), "{refused}");
+        }
+    }
+
+    #[test]
+    fn every_rule_of_the_engine_can_be_asked_for() {
+        let offered: Vec<_> = RulesName::value_variants().iter().map(|name| name.to_possible_value().unwrap()).collect();
+        assert_eq!(offered.iter().map(|value| value.get_name()).collect::<Vec<_>>(), Rules::NAMES);
+        for name in RulesName::value_variants() {
+            let value = name.to_possible_value().unwrap();
+            assert_eq!(Rules::by_name(value.get_name()), Some(name.rules()));
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! What is drawn: a scene and its cameras, as the command line names them.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use decouplegs::asset::{open_scene, read_cameras};
+use decouplegs::scene::{Camera, World};
+
+use crate::arguments::{RulesName, Size};
+use crate::progress;
+
+/// The arguments of every command that draws.
+#[derive(clap::Args)]
+pub struct SceneArguments {
+    /// Splats (.ply, .splat, .spz) or a scene (.toml)
+    scene: PathBuf,
+    /// Cameras: INRIA cameras.json or nerfstudio transforms.json (default: the scene's own rig)
+    #[arg(long, value_name = "FILE")]
+    cameras: Option<PathBuf>,
+    /// The moment at which the scene is drawn, seconds (default: when the ego's trajectory begins)
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    time: Option<f64>,
+    /// Render every picture at this size, with its field of view (default: the camera's own)
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// By whose definition splats become a picture (default: the scene's own rules)
+    #[arg(long, value_enum)]
+    rules: Option<RulesName>,
+    /// Keep thin splats from growing brighter when they are widened to a pixel (Mip-Splatting)
+    #[arg(long)]
+    antialias: bool,
+}
+
+/// A world and the cameras that look at it.
+pub struct Scene {
+    /// Its rules are those asked for.
+    pub world: World,
+    /// At least one.
+    pub cameras: Vec<Camera>,
+}
+
+impl Scene {
+    pub fn open(arguments: &SceneArguments) -> Result<Self> {
+        let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
+        let mut loaded = open_scene(&arguments.scene, arguments.time.unwrap_or(0.0))?;
+        let start_s = loaded.ego.start_s();
+        let time_s = arguments.time.unwrap_or(start_s);
+        if arguments.time.is_none() && start_s != 0.0 {
+            loaded = open_scene(&arguments.scene, start_s)?;
+        }
+        reading.finish_and_clear();
+
+        let mut cameras = match &arguments.cameras {
+            Some(file) => read_cameras(file)?,
+            None => loaded.rig.at(&loaded.ego.at(time_s)),
+        };
+        if cameras.is_empty() {
+            bail!("{} has no cameras of its own: name some with --cameras FILE", arguments.scene.display());
+        }
+        if let Some(Size { width_px, height_px }) = arguments.size {
+            for camera in &mut cameras {
+                camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
+            }
+        }
+        let mut world = loaded.world;
+        if let Some(name) = arguments.rules {
+            world.rules = decouplegs::scene::Rules { antialias: world.rules.antialias, ..name.rules() };
+        }
+        world.rules.antialias |= arguments.antialias;
+        Ok(Self { world, cameras })
+    }
+}
+
+/// The world of a splat file, or of a scene at its time zero, without cameras.
+pub fn read_world(path: &Path) -> Result<World> {
+    Ok(open_scene(path, 0.0)?.world)
+}

@@ -1,0 +1,176 @@
+//! `decouplegs synth`: scenes made up, of any size.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::Subcommand;
+use decouplegs::asset::street::{Street, StreetOptions};
+use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, write_atomically};
+use decouplegs::scene::{Camera, Pose, Rules, SplatCloud, TimedPose, Trajectory, World};
+use glam::DVec3;
+use serde_json::{Value, json};
+
+use crate::arguments::Size;
+use crate::progress;
+
+/// Make up a scene and write it as files
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    scene: SyntheticScene,
+}
+
+#[derive(Subcommand)]
+enum SyntheticScene {
+    Street(StreetArguments),
+}
+
+/// A street with traffic and a vehicle of six cameras: scene.toml, background.ply, assets/*.ply, transforms.json
+#[derive(clap::Args)]
+struct StreetArguments {
+    /// Splats of the street without its traffic
+    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    background: usize,
+    /// Cars that drive
+    #[arg(long, value_name = "K", default_value_t = 10)]
+    agents: usize,
+    /// Splats of each car
+    #[arg(long, value_name = "M", default_value_t = 10_000)]
+    agent_splats: usize,
+    /// Degree of the spherical harmonics
+    #[arg(long, value_name = "D", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    degree: u8,
+    /// Everything random follows from it: the same seed gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Size of the cameras' pictures
+    #[arg(long, value_name = "WxH", default_value = "1600x900")]
+    size: Size,
+    /// Write world.ply too: street and cars as one cloud of splats, for programs that know no agents
+    #[arg(long)]
+    baked: bool,
+    /// Folder for the files; made if it does not exist
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let SyntheticScene::Street(arguments) = &arguments.scene;
+    let working = progress::spinner(format!("{} splats", arguments.background));
+    let mut street = Street::generate(&StreetOptions {
+        background: arguments.background,
+        agents: arguments.agents,
+        agent_splats: arguments.agent_splats,
+        sh_degree: arguments.degree,
+        seed: arguments.seed,
+    });
+    for camera in &mut street.rig.cameras {
+        camera.intrinsics = camera.intrinsics.resized(arguments.size.width_px, arguments.size.height_px);
+    }
+    working.set_message(format!("writing {}", arguments.out.display()));
+    write_street(&street, &arguments.out, arguments.baked)?;
+    working.finish_and_clear();
+    Ok(())
+}
+
+fn write_street(street: &Street, out: &Path, baked: bool) -> Result<()> {
+    let assets = out.join("assets");
+    fs::create_dir_all(&assets).with_context(|| format!("{} cannot be made", assets.display()))?;
+    inria_ply::write(&out.join("background.ply"), &street.background)?;
+    for (index, asset) in street.assets.iter().enumerate() {
+        inria_ply::write(&out.join(asset_path(index)), asset)?;
+    }
+    let ego = trajectory(&street.ego).context("the ego's way is no trajectory")?;
+    let cameras = transforms(&street.rig.at(&ego.at(ego.start_s())));
+    write_atomically(&out.join("transforms.json"), |file| writeln!(file, "{cameras:#}"))?;
+    if baked {
+        inria_ply::write(&out.join("world.ply"), &baked_world(street)?)?;
+    }
+    // Last, because it is what makes a folder a scene: when it is there, all that it names is there.
+    scene_file(street, ego)?.write(&out.join("scene.toml"))?;
+    Ok(())
+}
+
+/// Relative to the scene file.
+fn asset_path(index: usize) -> PathBuf {
+    PathBuf::from(format!("assets/car_{index:02}.ply"))
+}
+
+fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
+    let agents = street.agents.iter().zip(&street.agent_trajectories).map(|(agent, way)| {
+        Ok(SceneAgent {
+            name: agent.name.clone(),
+            asset: asset_path(agent.asset),
+            sh_frame: agent.sh_frame,
+            trajectory: trajectory(way).with_context(|| format!("the way of {} is no trajectory", agent.name))?,
+        })
+    });
+    Ok(SceneFile {
+        sky: street.sky,
+        rules: Rules::DEFAULT,
+        rig: street.rig.clone(),
+        ego: Some(ego),
+        agents: agents.collect::<Result<_>>()?,
+        ..SceneFile::of_background("background.ply")
+    })
+}
+
+fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
+    let poses = knots.iter().map(|&(time_s, pose)| TimedPose { time_s, pose }).collect();
+    Trajectory::new(poses).map_err(anyhow::Error::msg)
+}
+
+/// Street and cars as they stand at time zero, one cloud.
+fn baked_world(street: &Street) -> Result<SplatCloud> {
+    let mut world = World::of(street.background.clone());
+    for agent in &street.agents {
+        world.bake_agent(&street.assets[agent.asset], agent).map_err(anyhow::Error::msg)?;
+    }
+    Ok(world.splats)
+}
+
+/// nerfstudio's transforms.json: world from camera in OpenGL axes (x right, y up, z back), intrinsics for each frame.
+fn transforms(cameras: &[Camera]) -> Value {
+    let frame = |camera: &Camera| {
+        let Pose { rotation, translation } = camera.world_from_camera;
+        let (right, up, back) = (rotation * DVec3::X, rotation * DVec3::NEG_Y, rotation * DVec3::NEG_Z);
+        let row = |axis: usize| json!([right[axis], up[axis], back[axis], translation[axis]]);
+        let lens = &camera.intrinsics;
+        json!({
+            "file_path": format!("{}.png", camera.name),
+            "w": lens.width_px,
+            "h": lens.height_px,
+            "fl_x": lens.fx_px,
+            "fl_y": lens.fy_px,
+            "cx": lens.cx_px,
+            "cy": lens.cy_px,
+            "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+        })
+    };
+    json!({ "camera_model": "OPENCV", "frames": cameras.iter().map(frame).collect::<Vec<_>>() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use decouplegs::asset::cameras;
+    use decouplegs::scene::Intrinsics;
+    use glam::DQuat;
+
+    #[test]
+    fn cameras_that_are_written_are_read_back() {
+        let camera = Camera {
+            name: "front_left".into(),
+            intrinsics: Intrinsics { cx_px: 310.5, ..Intrinsics::from_horizontal_fov(640, 360, 1.1) },
+            world_from_camera: Pose::new(DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5), DVec3::new(1.0, -2.5, 4.5e6)),
+        };
+        let bytes = transforms(std::slice::from_ref(&camera)).to_string();
+        let read = cameras::decode(bytes.as_bytes()).unwrap();
+        assert_eq!((read.len(), &read[0].name, read[0].intrinsics), (1, &camera.name, camera.intrinsics));
+        let (read, written) = (read[0].world_from_camera, camera.world_from_camera);
+        assert_eq!(read.translation, written.translation);
+        assert!(read.rotation.dot(written.rotation).abs() > 1.0 - 1e-12);
+    }
+}
