@@ -4,7 +4,7 @@ mod determinism;
 mod growth;
 mod hard_cases;
 mod outputs;
-//mod scenes;
+mod scenes;
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Outputs, Picture, RenderOptions, Renderer, reference};

@@ -94,7 +94,7 @@ fn dense_street_of_degree_0() {
 fn a_scene_opened_in_spatial_order_is_the_same_scene() {
     let Some(path) = data::file("a_scene_opened_in_spatial_order_is_the_same_scene", "splats/hfk_keys.ply") else { return };
     let plain = read_splats(&path).unwrap();
-    let opened = open_scene(&path).unwrap().world;
+    let opened = open_scene(&path, 0.0).unwrap().world;
     assert_eq!(opened.splats.len(), plain.len());
     let mut a: Vec<_> = plain.means.iter().map(|m| m.map(f32::to_bits)).collect();
     let mut b: Vec<_> = opened.splats.means.iter().map(|m| m.map(f32::to_bits)).collect();

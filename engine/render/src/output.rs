@@ -61,10 +61,10 @@ impl OutputBuffers {
 
     pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 4] {
         [
-            ("pictures_f32_block", self.pictures_f32.binding()),
-            ("pictures_u8_block", self.pictures_u8.binding()),
-            ("depths_block", self.depths_m.binding()),
-            ("instance_ids_block", self.instance_ids.binding()),
+            ("pictures_f32", self.pictures_f32.binding()),
+            ("pictures_u8", self.pictures_u8.binding()),
+            ("depths_m", self.depths_m.binding()),
+            ("instance_ids", self.instance_ids.binding()),
         ]
     }
 }

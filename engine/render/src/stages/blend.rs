@@ -76,19 +76,19 @@ impl Blend {
         let push = Push { sky, camera_count: camera_count as u32, items_max: plan.items.len() as u32 };
         let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
         let buffers = [
-            ("cameras_block", cameras.binding()),
+            ("cameras", cameras.binding()),
             pictures_f32,
             pictures_u8,
             depths,
             instances,
-            ("needs_block", control.needs.binding()),
-            ("items_block", plan.items.binding()),
-            ("records_block", records.binding()),
-            ("footprints_block", projected.footprints.binding()),
-            ("colours_block", projected.colours.binding()),
-            ("partial_colours_block", partials.colours.binding()),
-            ("partial_depths_block", partials.depths.binding()),
-            ("partial_instances_block", partials.instances.binding()),
+            ("needs", control.needs.binding()),
+            ("items", plan.items.binding()),
+            ("records", records.binding()),
+            ("footprints", projected.footprints.binding()),
+            ("colours", projected.colours.binding()),
+            ("partial_colours", partials.colours.binding()),
+            ("partial_depths", partials.depths.binding()),
+            ("partial_instances", partials.instances.binding()),
         ];
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), Arguments::Blend.byte_offset());
     }

@@ -44,16 +44,16 @@ impl CompositeSegments {
         let push = Push { sky, camera_count: camera_count as u32 };
         let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
         let buffers = [
-            ("cameras_block", cameras.binding()),
+            ("cameras", cameras.binding()),
             pictures_f32,
             pictures_u8,
             depths,
             instances,
-            ("needs_block", control.needs.binding()),
-            ("composites_block", plan.composites.binding()),
-            ("partial_colours_block", partials.colours.binding()),
-            ("partial_depths_block", partials.depths.binding()),
-            ("partial_instances_block", partials.instances.binding()),
+            ("needs", control.needs.binding()),
+            ("composites", plan.composites.binding()),
+            ("partial_colours", partials.colours.binding()),
+            ("partial_depths", partials.depths.binding()),
+            ("partial_instances", partials.instances.binding()),
         ];
         let offset = Arguments::Composite.byte_offset();
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);

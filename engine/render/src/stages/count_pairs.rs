@@ -23,10 +23,10 @@ impl CountPairs {
     pub fn record(&self, recorder: &mut Recorder, control: &Control, order: &Buffer<u32>, projected: &Projected, pair_counts: &Buffer<u32>) {
         let records_max = projected.colours.len() as u32;
         let buffers = [
-            ("needs_block", control.needs.binding()),
-            ("order_block", order.binding()),
-            ("tile_counts_block", projected.tile_counts.binding()),
-            ("pair_counts_block", pair_counts.binding()),
+            ("needs", control.needs.binding()),
+            ("order", order.binding()),
+            ("tile_counts", projected.tile_counts.binding()),
+            ("pair_counts", pair_counts.binding()),
         ];
         let offset = Arguments::PairBlocks.byte_offset();
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&records_max), control.arguments.binding(), offset);

@@ -58,13 +58,13 @@ impl Cull {
     pub fn record(&self, recorder: &mut Recorder, world: &ResidentWorld, cameras: &Buffer<CameraRecord>, camera_count: usize, visible: &Visible) {
         let push = Push { splat_count: world.splats as u32, camera_count: camera_count as u32, chunk_count: world.chunk_count() as u32 };
         let buffers = [
-            ("cameras_block", cameras.binding()),
-            ("chunks_block", world.chunks.binding()),
-            ("means_block", world.means.binding()),
-            ("shapes_block", world.shapes.binding()),
-            ("rotations_block", world.rotations.binding()),
-            ("visible_words_block", visible.words.binding()),
-            ("visible_counts_block", visible.counts.binding()),
+            ("cameras", cameras.binding()),
+            ("chunks", world.chunks.binding()),
+            ("means_m", world.means.binding()),
+            ("shapes", world.shapes.binding()),
+            ("rotations", world.rotations.binding()),
+            ("visible_words", visible.words.binding()),
+            ("visible_counts", visible.counts.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
     }

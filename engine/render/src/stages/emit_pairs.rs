@@ -59,16 +59,16 @@ impl EmitPairs {
             pairs_max: pairs.bins.len() as u32,
         };
         let buffers = [
-            ("cameras_block", cameras.binding()),
-            ("needs_block", control.needs.binding()),
-            ("order_block", order.binding()),
-            ("tile_counts_block", projected.tile_counts.binding()),
-            ("pair_counts_block", pair_counts.binding()),
-            ("firsts_block", firsts.binding()),
-            ("footprints_block", projected.footprints.binding()),
-            ("bins_block", pairs.bins.binding()),
-            ("records_block", pairs.records.binding()),
-            ("arguments_block", control.arguments.binding()),
+            ("cameras", cameras.binding()),
+            ("needs", control.needs.binding()),
+            ("order", order.binding()),
+            ("tile_counts", projected.tile_counts.binding()),
+            ("pair_counts", pair_counts.binding()),
+            ("firsts", firsts.binding()),
+            ("footprints", projected.footprints.binding()),
+            ("bins", pairs.bins.binding()),
+            ("records", pairs.records.binding()),
+            ("arguments", control.arguments.binding()),
         ];
         let offset = Arguments::PairBlocks.byte_offset();
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);

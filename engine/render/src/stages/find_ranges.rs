@@ -30,9 +30,9 @@ impl FindRanges {
     pub fn record(&self, recorder: &mut Recorder, control: &Control, bins: &Buffer<u32>, range_firsts: &Buffer<u32>, bin_count: u32) {
         let push = Push { pairs_max: bins.len() as u32, bin_count };
         let buffers = [
-            ("needs_block", control.needs.binding()),
-            ("bins_block", bins.binding()),
-            ("range_firsts_block", range_firsts.binding()),
+            ("needs", control.needs.binding()),
+            ("bins", bins.binding()),
+            ("range_firsts", range_firsts.binding()),
         ];
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), Arguments::Ranges.byte_offset());
     }

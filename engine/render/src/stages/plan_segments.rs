@@ -68,11 +68,11 @@ impl PlanSegments {
             partials_max: capacity.partials as u32,
         };
         let buffers = [
-            ("needs_block", control.needs.binding()),
-            ("range_firsts_block", range_firsts.binding()),
-            ("items_block", plan.items.binding()),
-            ("composites_block", plan.composites.binding()),
-            ("arguments_block", control.arguments.binding()),
+            ("needs", control.needs.binding()),
+            ("range_firsts", range_firsts.binding()),
+            ("items", plan.items.binding()),
+            ("composites", plan.composites.binding()),
+            ("arguments", control.arguments.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for((bin_count as usize).div_ceil(256)));
     }

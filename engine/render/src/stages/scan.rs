@@ -32,10 +32,10 @@ impl Scan {
     pub fn record(&self, recorder: &mut Recorder, counts: &Buffer<u32>, firsts: &Buffer<u32>, count: usize, records_max: usize, control: &Control) {
         let push = Push { count: count as u32, records_max: records_max as u32 };
         let buffers = [
-            ("counts_block", counts.binding()),
-            ("firsts_block", firsts.binding()),
-            ("needs_block", control.needs.binding()),
-            ("arguments_block", control.arguments.binding()),
+            ("counts", counts.binding()),
+            ("firsts", firsts.binding()),
+            ("needs", control.needs.binding()),
+            ("arguments", control.arguments.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(count.div_ceil(SCAN_BLOCK)));
     }

@@ -107,10 +107,10 @@ impl RadixSort {
             let (from, to) = (pass % 2, 1 - pass % 2);
             let push = Push { count_index: count as u32, count_max, shift: pass as u32 * RADIX_BITS };
             let scan_push = ScanPush { count_index: count as u32, count_max };
-            let needs = ("needs_block", control.needs.binding());
-            let histograms = ("histograms_block", scratch.histograms.binding());
-            let digit_totals = ("digit_totals_block", scratch.digit_totals.binding());
-            let keys_in = ("keys_in_block", scratch.keys[from].binding());
+            let needs = ("needs", control.needs.binding());
+            let histograms = ("histograms", scratch.histograms.binding());
+            let digit_totals = ("digit_totals", scratch.digit_totals.binding());
+            let keys_in = ("keys_in", scratch.keys[from].binding());
             let offset = arguments.byte_offset();
             recorder.dispatch_indirect(&self.count, &[needs, keys_in, histograms], bytes_of(&push), control.arguments.binding(), offset);
             recorder.dispatch(&self.scan, &[needs, histograms, digit_totals], bytes_of(&scan_push), [RADIX as u32, 1, 1]);
@@ -120,9 +120,9 @@ impl RadixSort {
                 histograms,
                 digit_totals,
                 keys_in,
-                ("values_in_block", scratch.values[from].binding()),
-                ("keys_out_block", scratch.keys[to].binding()),
-                ("values_out_block", scratch.values[to].binding()),
+                ("values_in", scratch.values[from].binding()),
+                ("keys_out", scratch.keys[to].binding()),
+                ("values_out", scratch.values[to].binding()),
             ];
             recorder.dispatch_indirect(scatter, &buffers, bytes_of(&push), control.arguments.binding(), offset);
         }
