@@ -9,6 +9,8 @@
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "projection.glsl"
+#include "double_float.glsl"
+#include "depth_key.glsl"
 #include "record.glsl"
 #include "sh.glsl"
 
@@ -95,7 +97,7 @@ void main() {
         footprints[2u * slot] = pack_record_low(record);
         footprints[2u * slot + 1u] = pack_record_high(record);
         colours[slot] = vec4(sh_colour(splat_index, splat_count, normalize(offset)), 0.0);
-        keys[slot] = floatBitsToUint(record.depth_m); // positive floats order as their bits do
+        keys[slot] = depth_key(RADIAL ? distance_m(mean_m, camera) : depth_z_m(mean_m, camera));
         tile_counts[slot] = count_macro_tiles(record.splat, camera);
     }
 }

@@ -16,6 +16,7 @@ struct Camera {
     vec3 row_x; // camera from world rotation, by rows
     vec3 row_y;
     vec3 row_z;
+    vec3 row_z_low; // what rounding left of row_z: depths are ordered by both
     vec3 centre_high_m; // the camera's centre relative to the world's origin is centre_high_m + centre_low_m
     vec3 centre_low_m;
     vec2 focal_px;

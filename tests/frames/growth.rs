@@ -9,7 +9,7 @@ use crate::device::Validated;
 #[test]
 fn every_list_grows_and_the_picture_is_whole() {
     let gpu = Validated::open();
-    let splats: Vec<Splat> = (0..2000).map(|i| Splat { opacity: 0.05, scale_m: [2.0; 3], ..Splat::at(0.0, 0.0, 5.0 + i as f32 * 0.01) }).collect();
+    let splats: Vec<Splat> = (0..2000).map(|i| Splat { opacity: 0.05, scale_m: [2.0; 3], ..Splat::at(0.0, 0.0, 5.0 + i as f32 * 0.0005) }).collect();
     let world = world_of(&splats);
     let cameras = [camera_at(DVec3::ZERO, 150, 100)];
     let options = RenderOptions { segment_pairs: 256, ..RenderOptions::default() };

@@ -4,7 +4,7 @@
 //! offsets are those of `repr(C)`.
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::{Camera, rules};
+use decouplegs_scene::{Camera, Rules, rules};
 use glam::{DMat3, DVec3};
 
 /// Splats a chunk: culled as one, one workgroup of `cull` and `project`.
@@ -34,6 +34,8 @@ pub struct CameraRecord {
     pub row_y: [f32; 3],
     /// Third row.
     pub row_z: [f32; 3],
+    /// What rounding left of the third row.
+    pub row_z_low: [f32; 3],
     /// The centre relative to the world's origin, rounded to f32.
     pub centre_high_m: [f32; 3],
     /// What rounding left.
@@ -71,6 +73,7 @@ impl CameraRecord {
             row_x: axes.x_axis.as_vec3().to_array(),
             row_y: axes.y_axis.as_vec3().to_array(),
             row_z: axes.z_axis.as_vec3().to_array(),
+            row_z_low: (axes.z_axis - axes.z_axis.as_vec3().as_dvec3()).as_vec3().to_array(),
             centre_high_m: high.to_array(),
             centre_low_m: low.to_array(),
             focal_px: [k.fx_px as f32, k.fy_px as f32],
@@ -101,6 +104,14 @@ impl CameraRecord {
     pub fn pixels(&self) -> usize {
         self.size_px[0] as usize * self.size_px[1] as usize
     }
+}
+
+/// The near plane as the shaders compare with it: the smallest f32 that is not nearer than the rules', so that f32 depths
+/// fall on the same side of both.
+#[must_use]
+pub fn near_m(rules: &Rules) -> f32 {
+    let rounded = rules.near_m as f32;
+    if f64::from(rounded) < rules.near_m { rounded.next_up() } else { rounded }
 }
 
 /// `Chunk` of `frame.glsl`.

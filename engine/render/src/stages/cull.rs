@@ -6,7 +6,7 @@ use decouplegs_scene::Rules;
 
 use super::{PURPOSE, kernel};
 use crate::capacity::groups_for;
-use crate::layout::{CHUNK_SPLATS, CameraRecord};
+use crate::layout::{CHUNK_SPLATS, CameraRecord, near_m};
 use crate::resident::ResidentWorld;
 
 /// What culling finds.
@@ -50,7 +50,7 @@ impl Cull {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
-        let constants = [("NEAR_M", Constant::F32(rules.near_m as f32)), ("ANTIALIAS", Constant::Bool(rules.antialias))];
+        let constants = [("NEAR_M", Constant::F32(near_m(rules))), ("ANTIALIAS", Constant::Bool(rules.antialias))];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL, &constants)? })
     }
 

@@ -6,7 +6,7 @@ use decouplegs_scene::{DepthOrder, Rules};
 
 use super::{PURPOSE, Visible, kernel};
 use crate::capacity::groups_for;
-use crate::layout::CameraRecord;
+use crate::layout::{CameraRecord, near_m};
 use crate::resident::ResidentWorld;
 
 /// One entry a visible (camera, splat): by camera, and by splat within a camera.
@@ -63,7 +63,7 @@ impl Project {
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: ProjectVariant) -> Result<Self, GpuError> {
         let constants = [
-            ("NEAR_M", Constant::F32(rules.near_m as f32)),
+            ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),

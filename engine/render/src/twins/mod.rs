@@ -1,6 +1,6 @@
 //! The stages once more, for reading: sequential, f32, un-clever.
 //!
-//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `footprint`, `projection`, `sh`, `record` and `output` what
+//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `depth_key`, `footprint`, `projection`, `sh`, `record` and `output` what
 //! the shared GLSL of the same name does. Arguments have the shader's names and order: buffers first (outputs are written
 //! in place, as there), then push constants, then specialization constants. The stage tests feed both sides the same
 //! bytes. Nothing here saves work: no workgroups, no masks, no shared memory.
@@ -9,6 +9,7 @@
 //! that is measured against [`crate::reference`].
 #![expect(clippy::too_many_arguments, reason = "one argument a buffer or constant of the shader")]
 
+pub mod depth_key;
 pub mod footprint;
 pub mod output;
 pub mod projection;

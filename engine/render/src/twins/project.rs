@@ -1,5 +1,6 @@
 //! Footprint, depth key and colour of every visible (camera, splat): `project.comp`.
 
+use super::depth_key::{depth_key, depth_m};
 use super::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
 use super::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use super::record::{Record, pack_record_high, pack_record_low};
@@ -62,7 +63,7 @@ pub fn project(
                     footprints[2 * slot] = pack_record_low(&record);
                     footprints[2 * slot + 1] = pack_record_high(&record);
                     colours[slot] = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree).extend(0.0).to_array();
-                    keys[slot] = record.depth_m.to_bits();
+                    keys[slot] = depth_key(depth_m(means_m[splat_index], camera, radial), variant.near_m);
                     tile_counts[slot] = count_macro_tiles(&splat, camera);
                 }
                 slot += 1;

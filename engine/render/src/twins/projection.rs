@@ -4,7 +4,7 @@ use decouplegs_scene::Rules;
 use glam::{Mat3, Vec2, Vec3, Vec4, vec3};
 
 use super::footprint::{Footprint, squared_reach};
-use crate::layout::CameraRecord;
+use crate::layout::{CameraRecord, near_m};
 
 /// 0.5 log2(e): exp(-q/2) = exp2(-HALF_LOG2_E q).
 pub const HALF_LOG2_E: f32 = 0.721_347_5;
@@ -24,7 +24,7 @@ impl Variant {
     /// The variant for `rules`.
     #[must_use]
     pub fn of(rules: &Rules) -> Self {
-        Self { near_m: rules.near_m as f32, antialias: rules.antialias }
+        Self { near_m: near_m(rules), antialias: rules.antialias }
     }
 }
 
