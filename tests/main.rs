@@ -3,4 +3,5 @@
 mod data;
 mod device;
 mod frames;
+mod stages;
 mod tidy;

@@ -38,10 +38,14 @@ impl Outputs {
 
 /// Pictures on the device, of all cameras one after the other, rows from the top. Of length 0 where not asked for.
 pub struct OutputBuffers {
-    pub(crate) pictures_f32: Buffer<[f32; 4]>,
-    pub(crate) pictures_u8: Buffer<u32>,
-    pub(crate) depths_m: Buffer<f32>,
-    pub(crate) instance_ids: Buffer<u32>,
+    /// RGB over the sky, unclamped, and alpha.
+    pub pictures_f32: Buffer<[f32; 4]>,
+    /// The same in four bytes, red lowest.
+    pub pictures_u8: Buffer<u32>,
+    /// Expected depth, metres.
+    pub depths_m: Buffer<f32>,
+    /// Instance of the splat with the largest weight.
+    pub instance_ids: Buffer<u32>,
 }
 
 impl OutputBuffers {

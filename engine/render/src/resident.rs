@@ -27,14 +27,20 @@ pub struct ResidentWorld {
     pub origin: DVec3,
     /// Colour where transmittance is left.
     pub sky: [f32; 3],
-    pub(crate) chunks: Buffer<ChunkRecord>,
-    pub(crate) means: Buffer<[f32; 3]>,
-    pub(crate) shapes: Buffer<[f32; 4]>,
-    pub(crate) rotations: Buffer<[f32; 4]>,
-    pub(crate) sh_dc: Buffer<[f32; 3]>,
+    /// One a [`CHUNK_SPLATS`] splats.
+    pub chunks: Buffer<ChunkRecord>,
+    /// Relative to the origin, metres.
+    pub means: Buffer<[f32; 3]>,
+    /// Scales (m) and opacity.
+    pub shapes: Buffer<[f32; 4]>,
+    /// Unit quaternions w, x, y, z.
+    pub rotations: Buffer<[f32; 4]>,
+    /// DC coefficients.
+    pub sh_dc: Buffer<[f32; 3]>,
     /// Bands 1, 2 and 3, by plane of words; of length 0 where the degree is lower.
-    pub(crate) sh_bands: [Buffer<u32>; 3],
-    pub(crate) instances: Buffer<u32>,
+    pub sh_bands: [Buffer<u32>; 3],
+    /// Two 16-bit ids a word, the earlier one in the low half; of length 0 where splats belong to no instance.
+    pub instances: Buffer<u32>,
 }
 
 impl ResidentWorld {

@@ -23,8 +23,7 @@ pub fn plan_segments(
     let pairs = needs.pairs.min(pairs_max);
     let (mut item, mut partial, mut composite) = (0u32, 0u32, 0u32);
     for bin in 0..bin_count {
-        let [first_pair, end] =
-            if pairs == 0 { [0, 0] } else { [range_firsts[bin as usize], range_firsts[bin as usize + 1]] };
+        let [first_pair, end] = if pairs == 0 { [0, 0] } else { [range_firsts[bin as usize], range_firsts[bin as usize + 1]] };
         let length = end - first_pair;
         let segments = length.div_ceil(segment_pairs).max(1);
         for segment in 0..segments {

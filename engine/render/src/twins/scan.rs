@@ -5,7 +5,14 @@ use crate::layout::{Needs, PAIR_BLOCK};
 use crate::stages::Arguments;
 
 /// Writes the exclusive sums of `counts`, their total, and the dispatches that depend on it. Nothing for no counts.
-pub fn scan(counts: &[u32], firsts: &mut [u32], needs: &mut Needs, arguments: &mut [[u32; 3]], records_max: u32, sort_block: u32) {
+pub fn scan(
+    counts: &[u32],
+    firsts: &mut [u32],
+    needs: &mut Needs,
+    arguments: &mut [[u32; 3]],
+    records_max: u32,
+    sort_block: u32,
+) {
     if counts.is_empty() {
         return;
     }

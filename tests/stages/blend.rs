@@ -1,0 +1,299 @@
+//! `blend.comp`: segments of lists become pixels.
+
+mod rounding;
+
+use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
+use decouplegs::render::stages::{Arguments, Blend, Partials, Plan, Projected};
+use decouplegs::render::twins::output::{Pictures, Pixel, macro_tile_origin, pixel_offset, write_pixel};
+use decouplegs::render::twins::{self, output::BLEND_THREADS};
+use decouplegs::render::{Capacity, OutputBuffers, Outputs};
+use decouplegs::scene::{EarlyStop, Rules};
+use glam::Vec3;
+
+use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
+use super::{UNTOUCHED, control, identical, open, run, upload, within};
+use crate::device::Validated;
+use rounding::PixelBounds;
+
+const SKY: [f32; 3] = [0.2, 0.5, 1.3];
+const OUTPUTS: Outputs = Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true };
+
+/// What all items of a run share.
+struct Case {
+    scene: Scene,
+    projected: ProjectedTwin,
+    /// Records front to back, which every item takes a piece of. Most do not reach a given tile: masks must leave those out.
+    records: Vec<u32>,
+    items: Vec<Item>,
+    rules: Rules,
+}
+
+/// Pixels of each item, as its threads keep them.
+type Blended = Vec<Vec<Pixel>>;
+
+impl Case {
+    /// The records of two cameras of the rig, their opacities scaled by `faintness`, for the first `tiles` macro tiles of each.
+    fn new(gpu: &Validated, splats: usize, faintness: f32, rules: Rules) -> Self {
+        let mut world = hard_world(splats, 21);
+        world.splats.opacities.iter_mut().for_each(|opacity| *opacity *= faintness);
+        let scene = Scene::new(gpu, &world, &rig()[..2]);
+        let listed = scene.listed(&rules);
+        let projected = scene.projected(&listed, &rules, 1, true, listed.records.len());
+        let mut records: Vec<u32> = (0..projected.keys.len() as u32).collect();
+        records.sort_by_key(|&record| projected.keys[record as usize]);
+        let all = records.len() as u32;
+        // Every macro tile once; lengths around a batch, and tiles that are cut.
+        let mut partial = 0;
+        let items = (0..scene.view.bins)
+            .map(|bin| {
+                let length = [all, 255, 256, 257, 1, 0, 513][bin as usize % 7].min(all);
+                let first_pair = (bin * 97) % (all - length + 1);
+                let slot = if bin % 3 == 0 { partial } else { NO_PARTIAL };
+                partial += u32::from(bin % 3 == 0);
+                Item { bin, first_pair, pairs: length, partial: slot }
+            })
+            .collect();
+        Self { scene, projected, records, items, rules }
+    }
+
+    fn slots(&self) -> usize {
+        self.items.iter().filter(|item| item.partial != NO_PARTIAL).count()
+    }
+
+    fn twin(&self) -> Blended {
+        let Self { scene, projected, records, items, rules } = self;
+        let exclusive = rules.stop == EarlyStop::Exclusive;
+        let blend = |item: &Item| {
+            let cameras = &scene.view.cameras;
+            twins::blend(cameras, item, records, &projected.footprints, &projected.colours, rules.alpha_max as f32, exclusive)
+        };
+        items.iter().map(blend).collect()
+    }
+
+    fn bounds(&self, item: &Item) -> Vec<PixelBounds> {
+        let camera = &self.scene.view.cameras[twins::output::camera_of_bin(&self.scene.view.cameras, item.bin)];
+        let origin = macro_tile_origin(item.bin, camera);
+        let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
+        (0..MACRO_PIXELS)
+            .map(|place| {
+                let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+                PixelBounds::of(&self.projected, list, [origin[0] + x, origin[1] + y], &self.rules)
+            })
+            .collect()
+    }
+
+    /// The camera and position of a pixel of an item, if it lies in the picture.
+    fn place_in_pictures(&self, item: &Item, place: usize) -> Option<(&CameraRecord, [u32; 2])> {
+        let cameras = &self.scene.view.cameras;
+        let camera = &cameras[twins::output::camera_of_bin(cameras, item.bin)];
+        let [left, top] = macro_tile_origin(item.bin, camera);
+        let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+        let at = [left + x, top + y];
+        (at[0] < camera.size_px[0] && at[1] < camera.size_px[1]).then_some((camera, at))
+    }
+
+    /// The kernel's pictures and partial results.
+    fn kernel(&self, gpu: &Validated) -> (Pictures, Blended) {
+        let Self { scene, projected, records, items, rules } = self;
+        let (count, slots) = (projected.keys.len(), self.slots());
+        let needs = Needs { items: items.len() as u32, ..Needs::default() };
+        let control = control(gpu, needs, &[(Arguments::Blend, items.len())]);
+        let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, items.len() as u32).unwrap();
+        gpu.write(&plan.items, 0, items).unwrap();
+        let on_device = Projected::new(gpu, count).unwrap();
+        gpu.write(&on_device.footprints, 0, &projected.footprints).unwrap();
+        gpu.write(&on_device.colours, 0, &projected.colours).unwrap();
+        let partials = Partials::new(gpu, slots, &OUTPUTS).unwrap();
+        let outputs = OutputBuffers::new(gpu, scene.view.pixels, &OUTPUTS).unwrap();
+        gpu.write(&outputs.instance_ids, 0, &vec![UNTOUCHED; scene.view.pixels]).unwrap();
+        let records = upload(gpu, records);
+        let blend = Blend::new(gpu, rules, &OUTPUTS).unwrap();
+        let cameras = scene.view.cameras.len();
+        run(gpu, |r| {
+            blend.record(r, &control, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);
+        });
+        let pictures = Pictures {
+            pictures_f32: gpu.read(&outputs.pictures_f32).unwrap(),
+            depths_m: gpu.read(&outputs.depths_m).unwrap(),
+            instance_ids: gpu.read(&outputs.instance_ids).unwrap(),
+        };
+        (pictures, read_partials(gpu, &partials))
+    }
+
+    /// Partial results of cut tiles, one after the other.
+    fn check_partials(&self, kernel: &Blended, twin: &Blended) -> Result<(), String> {
+        let mut report = Report::default();
+        for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial != NO_PARTIAL) {
+            for (place, ((bounds, kernel), twin)) in
+                self.bounds(item).iter().zip(&kernel[item.partial as usize]).zip(twin).enumerate()
+            {
+                // Beside the picture nobody reads them.
+                if self.place_in_pictures(item, place).is_none() {
+                    continue;
+                }
+                let what = format!("pixel {place} of {item:?}");
+                report.add(bounds, |bounds| {
+                    let values = |pixel: &Pixel| {
+                        [pixel.colour.x, pixel.colour.y, pixel.colour.z, pixel.transmittance, pixel.weighted_depth]
+                    };
+                    let [c, t, d] = [bounds.colour, bounds.transmittance, bounds.weighted_depth];
+                    let share = within(&what, &values(kernel), &values(twin), &[c, c, c, t, d])?;
+                    bounds.check_instance(&what, kernel.best_instance, twin.best_instance)?;
+                    Ok(share)
+                })?;
+            }
+        }
+        report.finish("partial results")
+    }
+
+    /// Pixels of tiles of one segment.
+    fn check_pictures(&self, kernel: &Pictures, twin: &Blended) -> Result<(), String> {
+        let mut report = Report::default();
+        for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial == NO_PARTIAL) {
+            for (place, (bounds, pixel)) in self.bounds(item).iter().zip(twin).enumerate() {
+                let Some((camera, at)) = self.place_in_pictures(item, place) else { continue };
+                let written = written_alone(pixel);
+                let target = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
+                let what = format!("column and row {at:?} of {item:?}");
+                report.add(bounds, |bounds| {
+                    let [r, g, b, a] = written.pictures_f32[0];
+                    let (depth, k) = (written.depths_m[0], kernel.pictures_f32[target]);
+                    let c = bounds.colour + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
+                    let t = bounds.transmittance + super::ROUNDOFF;
+                    let d = bounds.depth_m(depth, a);
+                    let share = within(
+                        &what,
+                        &[k[0], k[1], k[2], k[3], kernel.depths_m[target]],
+                        &[r, g, b, a, depth],
+                        &[c, c, c, t, d],
+                    )?;
+                    bounds.check_instance(&what, kernel.instance_ids[target], written.instance_ids[0])?;
+                    Ok(share)
+                })?;
+            }
+        }
+        report.finish("pictures")
+    }
+}
+
+/// What the twin writes for `pixel`, in a picture of its own.
+fn written_alone(pixel: &Pixel) -> Pictures {
+    let mut picture = Pictures { pictures_f32: vec![[0.0; 4]], depths_m: vec![0.0], instance_ids: vec![0] };
+    let camera = CameraRecord { size_px: [1, 1], ..bytemuck::Zeroable::zeroed() };
+    write_pixel(&mut picture, &camera, [0, 0], pixel, Vec3::from_array(SKY));
+    picture
+}
+
+/// What a comparison of pixels has met.
+#[derive(Default)]
+struct Report {
+    pixels: usize,
+    unsettled: usize,
+    worst: f64,
+}
+
+impl Report {
+    /// Compares one pixel, unless rounding decides whether a splat counts there.
+    fn add(&mut self, bounds: &PixelBounds, compare: impl FnOnce(&PixelBounds) -> Result<f64, String>) -> Result<(), String> {
+        self.pixels += 1;
+        if bounds.unsettled {
+            self.unsettled += 1;
+        } else {
+            self.worst = self.worst.max(compare(bounds)?);
+        }
+        Ok(())
+    }
+
+    fn finish(&self, what: &str) -> Result<(), String> {
+        let Self { pixels, unsettled, worst } = self;
+        println!("{what}: {pixels} pixels, {unsettled} left to rounding, the others use {worst:.3} of their bound at most");
+        if unsettled * 20 > *pixels {
+            Err(format!("{what}: {unsettled} of {pixels} pixels are left to rounding"))
+        } else {
+            Ok(())
+        }
+    }
+}
+
+fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {
+    let (colours, depths) = (gpu.read(&partials.colours).unwrap(), gpu.read(&partials.depths).unwrap());
+    let instances = gpu.read(&partials.instances).unwrap();
+    let pixel = |place: usize| Pixel {
+        colour: Vec3::from_slice(&colours[place]),
+        transmittance: colours[place][3],
+        weighted_depth: depths[place],
+        best_weight: f32::from_bits(instances[place][0]),
+        best_instance: instances[place][1],
+    };
+    (0..colours.len() / MACRO_PIXELS).map(|slot| (slot * MACRO_PIXELS..(slot + 1) * MACRO_PIXELS).map(pixel).collect()).collect()
+}
+
+fn compare(splats: usize, faintness: f32, rules: Rules) {
+    let gpu = open();
+    let case = Case::new(&gpu, splats, faintness, rules);
+    let (pictures, partials) = case.kernel(&gpu);
+    let twin = case.twin();
+    println!("{} records, {} items", case.records.len(), case.items.len());
+    case.check_pictures(&pictures, &twin).unwrap();
+    case.check_partials(&partials, &twin).unwrap();
+}
+
+#[test]
+fn opaque_splats_that_fill_pixels() {
+    compare(1200, 1.0, Rules::DEFAULT);
+}
+
+#[test]
+fn faint_splats_that_all_count() {
+    compare(2000, 0.1, Rules::DEFAULT);
+}
+
+#[test]
+fn stopping_before_the_splat_that_would_fill_a_pixel() {
+    compare(1200, 1.0, Rules::GSPLAT15);
+    compare(1200, 1.0, Rules::INRIA);
+}
+
+#[test]
+fn every_pixel_is_written_once_and_no_other() {
+    // Tiles that were cut leave their pixels to composite; edges of the pictures cut through macro tiles.
+    let gpu = open();
+    let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
+    let (pictures, _) = case.kernel(&gpu);
+    let mut expected = vec![true; case.scene.view.pixels];
+    for item in case.items.iter().filter(|item| item.partial != NO_PARTIAL) {
+        for (camera, at) in (0..MACRO_PIXELS).filter_map(|place| case.place_in_pictures(item, place)) {
+            expected[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = false;
+        }
+    }
+    let written: Vec<bool> = pictures.instance_ids.iter().map(|&id| id != UNTOUCHED).collect();
+    identical("pixels written", &written, &expected).unwrap();
+}
+
+#[test]
+fn one_changed_pixel_is_seen() {
+    let gpu = open();
+    let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
+    let (pictures, partials) = case.kernel(&gpu);
+    case.check_pictures(&pictures, &case.twin()).unwrap();
+    case.check_partials(&partials, &case.twin()).unwrap();
+    let place = |item: &Item| case.bounds(item).iter().position(|bounds| !bounds.unsettled).unwrap();
+    for (i, item) in case.items.iter().enumerate().take(2) {
+        let mut twin = case.twin();
+        twin[i][place(item)].colour.y += 0.001;
+        let seen = if item.partial == NO_PARTIAL {
+            case.check_pictures(&pictures, &twin)
+        } else {
+            case.check_partials(&partials, &twin)
+        };
+        assert!(seen.unwrap_err().contains("value 1"));
+        twin[i][place(item)].colour.y -= 0.001;
+        twin[i][place(item)].best_instance = 7;
+        let seen = if item.partial == NO_PARTIAL {
+            case.check_pictures(&pictures, &twin)
+        } else {
+            case.check_partials(&partials, &twin)
+        };
+        assert!(seen.unwrap_err().contains("instance"));
+    }
+}

@@ -1,0 +1,139 @@
+//! How far f32 arithmetic may take a blended pixel: a running error analysis (Higham, Accuracy and Stability of Numerical
+//! Algorithms, 2002, section 3.3) of the same sums in f64.
+
+use decouplegs::render::twins::footprint::centre_of;
+use decouplegs::render::twins::record::load_footprint;
+use decouplegs::scene::rules::TRANSMITTANCE_MIN;
+use decouplegs::scene::{EarlyStop, Rules};
+
+use crate::stages::ROUNDOFF;
+use crate::stages::scenes::ProjectedTwin;
+
+/// How far apart two correct implementations may be at one pixel.
+#[derive(Debug)]
+pub struct PixelBounds {
+    pub colour: f64,
+    pub transmittance: f64,
+    pub weighted_depth: f64,
+    /// Rounding decides whether a splat counts here, or where an exclusive stop falls.
+    pub unsettled: bool,
+    alpha: f64,
+    /// Largest weight of each instance, and how far a weight may be off.
+    best_weights: [f64; 3],
+    weight_error: f64,
+}
+
+/// What blending a pixel in f64 has come to.
+struct Run {
+    transmittance: f64,
+    bounds: PixelBounds,
+}
+
+impl PixelBounds {
+    /// Of the pixel at column and row `at`, where `list` is blended front to back.
+    pub fn of(projected: &ProjectedTwin, list: &[u32], at: [u32; 2], rules: &Rules) -> Self {
+        let bounds = Self {
+            colour: 0.0,
+            transmittance: 0.0,
+            weighted_depth: 0.0,
+            unsettled: false,
+            alpha: 0.0,
+            best_weights: [0.0; 3],
+            weight_error: 0.0,
+        };
+        let mut run = Run { transmittance: 1.0, bounds };
+        // Where a pixel is full, an implementation that stops inclusively may leave out all that follows.
+        let mut behind = [0.0f64; 2];
+        for &record in list {
+            let record = record as usize;
+            let (log2_alpha, error) = log2_alpha(projected, record, at);
+            if log2_alpha < -LOG2_255 - error {
+                continue;
+            }
+            let colour = projected.colours[record][..3].iter().fold(0.0, |largest, &c| f64::from(c).max(largest));
+            let depth_m = f64::from(projected.footprints[2 * record + 1][2]);
+            let full = run.transmittance <= TRANSMITTANCE_MIN * (1.0 + 1e-3);
+            if rules.stop == EarlyStop::None && full {
+                behind = [behind[0].max(colour), behind[1].max(depth_m)];
+                continue;
+            }
+            run.bounds.unsettled |= (log2_alpha + LOG2_255).abs() <= error;
+            let instance = projected.footprints[2 * record + 1][3].to_bits() as usize;
+            if run.add(log2_alpha, error, [colour, depth_m], instance, rules) {
+                break;
+            }
+        }
+        let mut bounds = run.bounds;
+        if behind != [0.0; 2] {
+            let left = TRANSMITTANCE_MIN * (1.0 + 2e-3);
+            bounds.transmittance += left;
+            bounds.colour += left * behind[0];
+            bounds.weighted_depth += left * behind[1];
+        }
+        bounds.alpha = 1.0 - run.transmittance;
+        bounds
+    }
+
+    /// Of the depth that is written where the twin writes `depth_m` and `alpha`: a quotient of two sums with errors.
+    pub fn depth_m(&self, depth_m: f32, alpha: f32) -> f64 {
+        if alpha == 0.0 {
+            return 0.0;
+        }
+        let (depth_m, alpha) = (f64::from(depth_m), f64::from(alpha));
+        (self.weighted_depth + depth_m * (self.transmittance + 2.0 * ROUNDOFF)) / (alpha - self.transmittance)
+            + 8.0 * ROUNDOFF * depth_m
+    }
+
+    /// Two instances may be confused where their largest weights are equal to rounding.
+    pub fn check_instance(&self, what: &str, kernel: u32, twin: u32) -> Result<(), String> {
+        let weight = |instance: u32| self.best_weights.get(instance as usize).copied().unwrap_or(-1.0);
+        if kernel == twin || (weight(kernel) - weight(twin)).abs() <= 2.0 * self.weight_error {
+            return Ok(());
+        }
+        Err(format!("{what}: the kernel names instance {kernel}, the twin {twin}"))
+    }
+}
+
+const LOG2_255: f64 = 7.994_353_436_858_858;
+
+/// log2 of a record's alpha at a pixel, and how far it may be off.
+fn log2_alpha(projected: &ProjectedTwin, record: usize, at: [u32; 2]) -> (f64, f64) {
+    let splat = load_footprint(&projected.footprints, record);
+    let d = (centre_of(at[0], at[1]) - splat.mean_px).as_dvec2();
+    let [slope, rate_x, rate_y] = [splat.slope, splat.rate_x, splat.rate_y].map(f64::from);
+    let (shear, peak) = (slope * d.y, f64::from(splat.log2_opacity));
+    let (u, v) = ((d.x - shear) * rate_x, d.y * rate_y);
+    let value = peak - v * v - u * u;
+    // A kernel may get one pixel's dx from another's by an addition, so d.x is off by a rounding or two of its own.
+    let u_error = 4.0 * ROUNDOFF * rate_x * (d.x.abs() + shear.abs() + 8.0) + 2.0 * ROUNDOFF * u.abs();
+    (value, 2.0 * u.abs() * u_error + 6.0 * ROUNDOFF * (peak.abs() + v * v + u * u))
+}
+
+impl Run {
+    /// Adds one splat; whether the pixel stops before it.
+    fn add(&mut self, log2_alpha: f64, log2_error: f64, [colour, depth_m]: [f64; 2], instance: usize, rules: &Rules) -> bool {
+        // exp2 may be off by 3 + 2 |x| roundings in the last place (Vulkan specification), on both sides.
+        let relative = std::f64::consts::LN_2 * log2_error + 4.0 * ROUNDOFF * (3.0 + 2.0 * log2_alpha.abs());
+        let alpha = log2_alpha.exp2().min(rules.alpha_max);
+        let alpha_error = alpha * relative;
+        let Self { transmittance, bounds } = self;
+        let left = *transmittance * (1.0 - alpha);
+        let left_error = bounds.transmittance * (1.0 - alpha) + *transmittance * (alpha_error + 2.0 * ROUNDOFF);
+        if rules.stop == EarlyStop::Exclusive {
+            bounds.unsettled |= (left - TRANSMITTANCE_MIN).abs() <= left_error;
+            if left <= TRANSMITTANCE_MIN {
+                return true;
+            }
+        }
+        let weight = *transmittance * alpha;
+        let weight_error = bounds.transmittance * alpha + *transmittance * alpha_error + 2.0 * ROUNDOFF * weight;
+        // Sums of weights are at most 1, so no partial sum is larger than the largest value.
+        bounds.colour += weight_error * colour + 4.0 * ROUNDOFF * colour.max(1.0);
+        bounds.weighted_depth += weight_error * depth_m + 4.0 * ROUNDOFF * depth_m;
+        bounds.transmittance = left_error;
+        bounds.weight_error = bounds.weight_error.max(weight_error);
+        bounds.best_weights[instance] = bounds.best_weights[instance].max(weight);
+        *transmittance = left;
+        false
+    }
+}

@@ -1,0 +1,165 @@
+//! `composite.comp`: segments are joined and pixels written.
+
+use decouplegs::render::layout::{Composite, MACRO_PIXELS, Needs, View};
+use decouplegs::render::stages::{Arguments, CompositeSegments, Partials, Plan};
+use decouplegs::render::twins::output::{
+    BLEND_THREADS, PIXELS, Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
+};
+use decouplegs::render::{Capacity, ColourFormat, OutputBuffers, Outputs, twins};
+use glam::{DVec3, Vec3};
+
+use super::scenes::rig;
+use super::{ROUNDOFF, Random, UNTOUCHED, control, identical, open, run, upload, within};
+use crate::device::Validated;
+
+const SKY: [f32; 3] = [0.2, 0.5, 1.3];
+
+/// Partial results of cut macro tiles.
+struct Case {
+    view: View,
+    composites: Vec<Composite>,
+    partials: Vec<Pixel>,
+}
+
+impl Case {
+    /// Every second macro tile of two cameras, cut into 2 to 40 segments of random pixels.
+    fn new(seed: u64) -> Self {
+        let view = View::new(&rig()[..2], DVec3::ZERO).unwrap();
+        let mut random = Random(seed);
+        let mut first_partial = 0;
+        let mut composites = Vec::new();
+        for bin in (0..view.bins).step_by(2) {
+            let partials = 2 + if bin % 8 == 0 { random.below(39) } else { random.below(4) };
+            composites.push(Composite { bin, first_partial, partials });
+            first_partial += partials;
+        }
+        let partials = (0..first_partial as usize * MACRO_PIXELS).map(|_| random_pixel(&mut random)).collect();
+        Self { view, composites, partials }
+    }
+
+    /// What the kernel writes, the colours in bytes if these are asked for.
+    fn kernel(&self, gpu: &Validated, colour: ColourFormat) -> (Pictures, Vec<u32>) {
+        let Self { view, composites, partials } = self;
+        let outputs = Outputs { colour, depth: true, instance: true };
+        let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
+        let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * PIXELS)]);
+        let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, view.bins).unwrap();
+        gpu.write(&plan.composites, 0, composites).unwrap();
+        let on_device = Partials::new(gpu, partials.len() / MACRO_PIXELS, &outputs).unwrap();
+        let gather = |of: fn(&Pixel) -> [f32; 4]| partials.iter().map(of).collect::<Vec<_>>();
+        gpu.write(&on_device.colours, 0, &gather(|pixel| pixel.colour.extend(pixel.transmittance).to_array())).unwrap();
+        gpu.write(&on_device.depths, 0, &partials.iter().map(|pixel| pixel.weighted_depth).collect::<Vec<_>>()).unwrap();
+        let instances: Vec<_> = partials.iter().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
+        gpu.write(&on_device.instances, 0, &instances).unwrap();
+        let pictures = OutputBuffers::new(gpu, view.pixels, &outputs).unwrap();
+        gpu.write(&pictures.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
+        let cameras = upload(gpu, &view.cameras);
+        let composite = CompositeSegments::new(gpu, &outputs).unwrap();
+        run(gpu, |r| composite.record(r, &control, &cameras, view.cameras.len(), SKY, &plan, &on_device, &pictures));
+        let floats = Pictures {
+            pictures_f32: gpu.read(&pictures.pictures_f32).unwrap(),
+            depths_m: gpu.read(&pictures.depths_m).unwrap(),
+            instance_ids: gpu.read(&pictures.instance_ids).unwrap(),
+        };
+        (floats, gpu.read(&pictures.pictures_u8).unwrap())
+    }
+
+    /// The twin's pictures, and for each pixel how many segments it was joined from: 0 where it was not written.
+    fn twin(&self) -> (Pictures, Vec<u32>) {
+        let pixels = self.view.pixels;
+        let (pictures_f32, depths_m) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
+        let mut pictures = Pictures { pictures_f32, depths_m, instance_ids: vec![UNTOUCHED; pixels] };
+        let mut segments = vec![0; pixels];
+        for composite in &self.composites {
+            let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
+            let origin = macro_tile_origin(composite.bin, camera);
+            for (place, pixel) in twins::composite(composite, &self.partials).iter().enumerate() {
+                let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+                let at = [origin[0] + x, origin[1] + y];
+                write_pixel(&mut pictures, camera, at, pixel, Vec3::from_array(SKY));
+                if at[0] < camera.size_px[0] && at[1] < camera.size_px[1] {
+                    segments[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = composite.partials;
+                }
+            }
+        }
+        (pictures, segments)
+    }
+
+    /// Every segment adds a product to a sum of positive terms: 4 roundings of the whole a segment at most, on both sides. A
+    /// depth is a quotient by alpha, whose error is relative to 1.
+    fn check(kernel: &Pictures, twin: &Pictures, segments: &[u32]) -> Result<(), String> {
+        let mut worst = 0.0f64;
+        identical("instance_ids", &kernel.instance_ids, &twin.instance_ids)?;
+        for (place, &count) in segments.iter().enumerate().filter(|(_, count)| **count > 0) {
+            let relative = 8.0 * ROUNDOFF * f64::from(count + 2);
+            let (k, t) = (kernel.pictures_f32[place], twin.pictures_f32[place]);
+            let colours = [0, 1, 2].map(|channel| relative * f64::from(t[channel]));
+            let depth = if t[3] > 0.0 { 2.0 * relative * f64::from(twin.depths_m[place]) / f64::from(t[3]) } else { 0.0 };
+            let bounds = [colours[0], colours[1], colours[2], relative, depth];
+            let what = format!("pixel {place}");
+            let [k, t] =
+                [(k, kernel), (t, twin)].map(|(value, side)| [value[0], value[1], value[2], value[3], side.depths_m[place]]);
+            worst = worst.max(within(&what, &k, &t, &bounds)?);
+        }
+        println!("{worst:.3} of the bound");
+        Ok(())
+    }
+}
+
+fn random_pixel(random: &mut Random) -> Pixel {
+    // One in five saw nothing; transmittance is at most one, and the depth a mean times alpha.
+    if random.below(5) == 0 {
+        return twins::output::PIXEL_EMPTY;
+    }
+    let transmittance = if random.below(3) == 0 { random.across_scales(1e-5, 1.0) } else { random.between(0.5, 0.996) };
+    let alpha = 1.0 - transmittance;
+    Pixel {
+        colour: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
+        transmittance,
+        weighted_depth: alpha * random.between(0.5, 100.0),
+        best_weight: alpha * random.between(0.1, 1.0),
+        best_instance: random.below(5),
+    }
+}
+
+#[test]
+fn segments_are_joined_front_to_back() {
+    let gpu = open();
+    let case = Case::new(1);
+    let (twin, segments) = case.twin();
+    Case::check(&case.kernel(&gpu, ColourFormat::F32).0, &twin, &segments).unwrap();
+}
+
+#[test]
+fn bytes_are_rounded() {
+    let gpu = open();
+    let case = Case::new(2);
+    let (twin, segments) = case.twin();
+    let bytes = case.kernel(&gpu, ColourFormat::U8).1;
+    for (place, value) in twin.pictures_f32.iter().enumerate().filter(|(place, _)| segments[*place] > 0) {
+        let packed = pack_unorm_4x8(*value).to_le_bytes();
+        for (channel, (&a, &b)) in bytes[place].to_le_bytes().iter().zip(&packed).enumerate() {
+            // Half-way values may be rounded either way.
+            let half_way = ((f64::from(value[channel].clamp(0.0, 1.0)) * 255.0).fract() - 0.5).abs() < 0.01;
+            assert!(a == b || (half_way && a.abs_diff(b) == 1), "pixel {place}, channel {channel}: {a}, the twin has {b}");
+        }
+    }
+}
+
+#[test]
+fn segments_in_another_order_are_seen() {
+    let gpu = open();
+    let mut case = Case::new(3);
+    let (kernel, _) = case.kernel(&gpu, ColourFormat::F32);
+    let (twin, segments) = case.twin();
+    Case::check(&kernel, &twin, &segments).unwrap();
+    let first = case.composites[0].first_partial as usize * MACRO_PIXELS;
+    for place in 0..MACRO_PIXELS {
+        case.partials.swap(first + place, first + MACRO_PIXELS + place);
+    }
+    let (twin, segments) = case.twin();
+    assert!(Case::check(&kernel, &twin, &segments).is_err());
+    let mut kernel = kernel;
+    kernel.instance_ids.clone_from(&twin.instance_ids);
+    assert!(Case::check(&kernel, &twin, &segments).unwrap_err().starts_with("pixel"));
+}

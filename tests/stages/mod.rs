@@ -1,0 +1,158 @@
+//! Each stage's kernels against its twin: both are given the same bytes.
+//!
+//! Integers must be identical. Floats lie within a bound that the test derives from the operations that were rounded, and an
+//! integer that was decided by floats may differ only where the twin's own decision does not survive that rounding.
+
+mod blend;
+mod composite;
+mod count_pairs;
+mod cull;
+mod emit_pairs;
+mod find_ranges;
+mod plan_segments;
+mod project;
+mod properties;
+mod scan;
+mod scenes;
+mod sort;
+mod subgroups;
+
+use std::cmp::Ordering;
+use std::fmt::Debug;
+
+use decouplegs::gpu::{Buffer, QueueRole, Recorder};
+use decouplegs::render::capacity::{SortShape, groups_for};
+use decouplegs::render::layout::{ARGUMENT_SETS, Needs};
+use decouplegs::render::stages::{Arguments, Control};
+
+use crate::device::Validated;
+
+/// Unit roundoff of f32: what one operation may be off by, relative to its result.
+const ROUNDOFF: f64 = 1.0 / 16_777_216.0;
+
+/// What output buffers hold before a kernel runs: what it leaves alone still holds it.
+const UNTOUCHED: u32 = 0xdead_beef;
+
+/// The device; in a child process of `subgroups`, one whose subgroups have the size that was asked for.
+fn open() -> Validated {
+    let gpu = Validated::open();
+    if let Ok(lanes) = std::env::var(subgroups::EXPECTED_LANES) {
+        assert_eq!(gpu.limits().subgroup_size.to_string(), lanes, "{} gives subgroups of another size", gpu.info());
+    }
+    gpu
+}
+
+fn sort_shape(gpu: &Validated) -> SortShape {
+    SortShape::for_device(gpu.limits().subgroup_size, gpu.limits().workgroup_threads_max)
+}
+
+/// Runs what `record` records, to its end.
+fn run(gpu: &Validated, record: impl FnOnce(&mut Recorder)) {
+    let mut recorder = gpu.record(QueueRole::Main);
+    record(&mut recorder);
+    gpu.submit(recorder, &[]).unwrap().wait().unwrap();
+}
+
+fn upload<T: bytemuck::Pod>(gpu: &Validated, data: &[T]) -> Buffer<T> {
+    gpu.upload("test input", "test", data).unwrap()
+}
+
+/// A buffer of `len` words that no kernel has written yet.
+fn untouched(gpu: &Validated, len: usize) -> Buffer<u32> {
+    upload(gpu, &vec![UNTOUCHED; len])
+}
+
+/// What earlier stages found, and the workgroups of the dispatches that they sized; the others hold [`UNTOUCHED`].
+fn control(gpu: &Validated, needs: Needs, groups: &[(Arguments, usize)]) -> Control {
+    let control = Control::new(gpu).unwrap();
+    gpu.write(&control.needs, 0, &[needs]).unwrap();
+    let mut arguments = [[UNTOUCHED; 3]; ARGUMENT_SETS];
+    for &(set, count) in groups {
+        arguments[set as usize] = groups_for(count);
+    }
+    gpu.write(&control.arguments, 0, &arguments).unwrap();
+    control
+}
+
+/// What the kernel found, and how it sized the dispatches behind it.
+fn found(gpu: &Validated, control: &Control) -> (Needs, Vec<[u32; 3]>) {
+    (gpu.read(&control.needs).unwrap()[0], gpu.read(&control.arguments).unwrap())
+}
+
+/// Says where `kernel` and `twin` differ first.
+fn identical<T: PartialEq + Debug>(what: &str, kernel: &[T], twin: &[T]) -> Result<(), String> {
+    if kernel.len() != twin.len() {
+        return Err(format!("{what}: the kernel has {} values, the twin {}", kernel.len(), twin.len()));
+    }
+    let different = kernel.iter().zip(twin).filter(|(a, b)| a != b).count();
+    match kernel.iter().zip(twin).position(|(a, b)| a != b) {
+        None => Ok(()),
+        Some(i) => Err(format!("{what}: {different} differ; value {i} is {:?}, the twin has {:?}", kernel[i], twin[i])),
+    }
+}
+
+/// Says where `kernel` is farther from `twin` than the bound given for each value; else returns the largest share of its
+/// bound that a value used.
+fn within(what: &str, kernel: &[f32], twin: &[f32], bounds: &[f64]) -> Result<f64, String> {
+    assert!(kernel.len() == twin.len() && twin.len() == bounds.len(), "{what}: lists of different lengths are compared");
+    let mut worst = 0.0f64;
+    for (i, ((&a, &b), &bound)) in kernel.iter().zip(twin).zip(bounds).enumerate() {
+        let error = (f64::from(a) - f64::from(b)).abs();
+        // A NaN on either side compares as none and fails.
+        if error.partial_cmp(&bound).is_none_or(Ordering::is_gt) {
+            return Err(format!("{what}: value {i} is {a}, the twin has {b}: {error:e} apart, at most {bound:e} is rounding"));
+        }
+        worst = worst.max(if bound > 0.0 { error / bound } else { 0.0 });
+    }
+    Ok(worst)
+}
+
+/// Numbers that are the same in every run (Steele et al., Fast Splittable Pseudorandom Number Generators, 2014).
+struct Random(u64);
+
+impl Random {
+    fn word(&mut self) -> u32 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut x = self.0;
+        x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (x ^ x >> 31) as u32
+    }
+
+    /// From 0 to `end - 1`.
+    fn below(&mut self, end: u32) -> u32 {
+        ((u64::from(self.word()) * u64::from(end)) >> 32) as u32
+    }
+
+    /// From `low` to `high`.
+    fn between(&mut self, low: f32, high: f32) -> f32 {
+        low + (high - low) * ((self.word() >> 8) as f32 / 16_777_216.0)
+    }
+
+    /// From `low` to `high`, each power of ten as often as the next.
+    fn across_scales(&mut self, low: f32, high: f32) -> f32 {
+        self.between(low.ln(), high.ln()).exp()
+    }
+
+    fn shuffled(&mut self, count: usize) -> Vec<u32> {
+        let mut order: Vec<u32> = (0..count as u32).collect();
+        for i in (1..count).rev() {
+            order.swap(i, self.below(i as u32 + 1) as usize);
+        }
+        order
+    }
+}
+
+#[test]
+fn comparators_see_one_changed_value() {
+    let words = [1u32, 2, 3];
+    identical("same", &words, &words).unwrap();
+    assert!(identical("changed", &[1, 2, 4], &words).unwrap_err().contains("value 2 is 4"));
+    assert!(identical("shorter", &words[..2], &words).is_err());
+    let floats = [1.0f32, -2.0];
+    assert_eq!(within("same", &floats, &floats, &[0.0; 2]), Ok(0.0));
+    assert!(within("inside", &[1.0, -2.001], &floats, &[0.0, 0.002]).unwrap() < 0.51);
+    assert!(within("outside", &[1.0, -2.001], &floats, &[0.0, 0.0005]).is_err());
+    assert!(within("not a number", &[f32::NAN, -2.0], &floats, &[1e9; 2]).is_err());
+    assert!(within("no bound", &floats, &floats, &[f64::NAN; 2]).is_err());
+}

@@ -1,0 +1,126 @@
+//! `plan_segments.comp`: segments of lists and how their results are joined.
+
+use bytemuck::Zeroable;
+use decouplegs::render::Capacity;
+use decouplegs::render::layout::{Composite, Item, Needs};
+use decouplegs::render::stages::{Plan, PlanSegments};
+use decouplegs::render::twins;
+
+use super::{Random, UNTOUCHED, control, found, identical, open, run, upload};
+use crate::device::Validated;
+
+/// Lists of these lengths, cut at `segment_pairs`.
+struct Case<'a> {
+    lengths: &'a [u32],
+    segment_pairs: u32,
+    pairs_max: usize,
+    partials_max: usize,
+}
+
+impl Case<'_> {
+    fn range_firsts(&self) -> Vec<u32> {
+        let ends = self.lengths.iter().scan(0, |end, length| {
+            *end += length;
+            Some(*end)
+        });
+        std::iter::once(0).chain(ends).collect()
+    }
+
+    /// Plans on the device, and by a twin that cuts at `twin_segment_pairs`.
+    fn compare(&self, gpu: &Validated, twin_segment_pairs: u32) -> Result<Needs, String> {
+        let bin_count = self.lengths.len() as u32;
+        let capacity = Capacity { records: 1, pairs: self.pairs_max, partials: self.partials_max };
+        let range_firsts = self.range_firsts();
+        let before = Needs { pairs: range_firsts[bin_count as usize], ..Needs::default() };
+        let control = control(gpu, before, &[]);
+        let plan = Plan::new(gpu, &capacity, bin_count).unwrap();
+        let mut items = vec![Item { bin: UNTOUCHED, ..Item::zeroed() }; plan.items.len()];
+        let mut composites = vec![Composite { bin: UNTOUCHED, ..Composite::zeroed() }; plan.composites.len()];
+        gpu.write(&plan.items, 0, &items).unwrap();
+        gpu.write(&plan.composites, 0, &composites).unwrap();
+        let plan_segments = PlanSegments::new(gpu, self.segment_pairs).unwrap();
+        run(gpu, |r| plan_segments.record(r, &control, &upload(gpu, &range_firsts), bin_count, &capacity, &plan));
+        let (needs, arguments) = found(gpu, &control);
+
+        let (mut twin_needs, mut twin_arguments) = (before, vec![[UNTOUCHED; 3]; arguments.len()]);
+        twins::plan_segments(
+            &mut twin_needs,
+            &range_firsts,
+            &mut items,
+            &mut composites,
+            &mut twin_arguments,
+            bin_count,
+            self.pairs_max as u32,
+            self.partials_max as u32,
+            twin_segment_pairs,
+        );
+        identical("items", &gpu.read(&plan.items).unwrap(), &items)?;
+        identical("composites", &gpu.read(&plan.composites).unwrap(), &composites)?;
+        identical("needs", &[needs], &[twin_needs])?;
+        identical("arguments", &arguments, &twin_arguments)?;
+        Ok(needs)
+    }
+}
+
+fn lengths(bins: usize) -> Vec<u32> {
+    let mut random = Random(bins as u64);
+    (0..bins)
+        .map(|_| match random.below(4) {
+            0 => 0,
+            1 => random.below(60),
+            2 => 64 * random.below(20),
+            _ => random.below(5000),
+        })
+        .collect()
+}
+
+#[test]
+fn lists_of_all_lengths_are_cut() {
+    let gpu = open();
+    for bins in [1, 2, 255, 256, 257, 2000] {
+        let lengths = lengths(bins);
+        for segment_pairs in [64, 256, 1024, u32::MAX] {
+            let case = Case { lengths: &lengths, segment_pairs, pairs_max: 1 << 24, partials_max: 1 << 18 };
+            let needs =
+                case.compare(&gpu, segment_pairs).unwrap_or_else(|error| panic!("{bins} lists, {segment_pairs}: {error}"));
+            assert_eq!(needs.partials == 0, segment_pairs == u32::MAX || needs.composites == 0);
+        }
+    }
+}
+
+#[test]
+fn edges_of_a_segment() {
+    let gpu = open();
+    let lengths = [0, 1, 255, 256, 257, 511, 512, 513, 25_600, 25_601];
+    let case = Case { lengths: &lengths, segment_pairs: 256, pairs_max: 1 << 20, partials_max: 1 << 10 };
+    let needs = case.compare(&gpu, 256).unwrap();
+    assert_eq!((needs.items, needs.partials, needs.composites), (4 + 2 + 2 + 2 + 3 + 100 + 101, 2 + 2 + 2 + 3 + 100 + 101, 6));
+}
+
+#[test]
+fn no_pairs_is_an_item_a_tile() {
+    let gpu = open();
+    let lengths = [0; 700];
+    let case = Case { lengths: &lengths, segment_pairs: 64, pairs_max: 10, partials_max: 10 };
+    assert_eq!(case.compare(&gpu, 64).unwrap().items, 700);
+}
+
+#[test]
+fn what_has_no_room_is_counted_and_not_written() {
+    let gpu = open();
+    let lengths = lengths(600);
+    for partials_max in [1, 2, 100, 1000] {
+        let case = Case { lengths: &lengths, segment_pairs: 64, pairs_max: 1 << 24, partials_max };
+        let needs = case.compare(&gpu, 64).unwrap_or_else(|error| panic!("room for {partials_max}: {error}"));
+        assert!(needs.partials as usize > partials_max, "the case must not fit");
+    }
+}
+
+#[test]
+fn another_segment_length_is_seen() {
+    let gpu = open();
+    let lengths = lengths(300);
+    let case = Case { lengths: &lengths, segment_pairs: 64, pairs_max: 1 << 24, partials_max: 1 << 18 };
+    case.compare(&gpu, 64).unwrap();
+    assert!(case.compare(&gpu, 65).is_err());
+}

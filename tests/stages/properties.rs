@@ -1,0 +1,192 @@
+//! What must hold for any splat and any camera.
+
+use decouplegs::render::layout::{CameraRecord, View};
+use decouplegs::render::reference;
+use decouplegs::render::stages::{Project, ProjectVariant, Projected, Visible};
+use decouplegs::render::twins::footprint::{Footprint, log2_alpha, reached_macro_rows, reached_macro_tiles};
+use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
+use decouplegs::scene::rules::ALPHA_MIN;
+use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
+use glam::{DQuat, DVec2, DVec3, Vec2};
+use proptest::prelude::*;
+use proptest::test_runner::{Config, TestRunner};
+
+use super::scenes::{Scene, hard_splats, hard_world, rig};
+use super::{open, run, upload};
+use crate::device::Validated;
+use crate::frames::{Splat, camera_at, draw, world_of};
+
+const SIZE: (u32, u32) = (150, 90);
+
+/// Means for which footprint.glsl promises its slack to be enough.
+const MEAN_MAX_PX: f32 = 1e5;
+
+/// Needles, discs and balls from a tenth of a millimetre to a kilometre, from the near plane on, in and far beside the image.
+fn any_splat() -> impl Strategy<Value = Splat> {
+    let length_m = || (-4.0f32..3.0).prop_map(|exponent| 10f32.powf(exponent));
+    let depth_m = (-2.0f32..2.0).prop_map(|exponent| 10f32.powf(exponent));
+    let slope = prop_oneof![3 => -0.7f32..0.7, 1 => -30.0f32..30.0];
+    let opacity = prop_oneof![Just(1.0f32), 0.0039f32..0.0045, 0.004f32..1.0];
+    (prop::array::uniform3(length_m()), depth_m, slope.clone(), slope, prop::array::uniform4(-1.0f32..1.0), opacity)
+        .prop_filter("a rotation has a direction", |(_, _, _, _, q, _)| q.iter().map(|x| x * x).sum::<f32>() > 0.01)
+        .prop_map(|(scale_m, z, x, y, rotation, opacity)| Splat { scale_m, rotation, opacity, ..Splat::at(x * z, y * z, z) })
+}
+
+/// The footprint that the twin gives the splat, `None` where it is not drawn.
+fn footprint_of(splat: &Splat, camera: &CameraRecord, rules: &Rules) -> Option<Footprint> {
+    let q = splat.rotation.map(f64::from);
+    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let [sx, sy, sz] = splat.scale_m;
+    let axes = axes_of([sx, sy, sz, splat.opacity], q.map(|x| (x / norm) as f32));
+    let t = to_camera_axes(camera, from_camera_m(splat.mean_m, camera));
+    let (footprint, drawn) = project_splat(camera, t, axes, splat.opacity, Variant::of(rules));
+    drawn.then_some(footprint)
+}
+
+/// Whether the list of the pixel's macro tile holds the splat.
+fn is_listed(splat: &Footprint, column: u32, row: u32) -> bool {
+    let [first, last] = reached_macro_rows(splat, SIZE.1);
+    let tile_row = (row / 32) as i32;
+    let [left, right] = reached_macro_tiles(splat, row / 32, [SIZE.0, SIZE.1]);
+    (first..=last).contains(&tile_row) && (left..=right).contains(&((column / 64) as i32))
+}
+
+/// log2 of the footprint's alpha in f64.
+fn log2_alpha_f64(splat: &Footprint, centre: DVec2) -> f64 {
+    let d = centre - splat.mean_px.as_dvec2();
+    let u = (d.x - f64::from(splat.slope) * d.y) * f64::from(splat.rate_x);
+    let v = d.y * f64::from(splat.rate_y);
+    f64::from(splat.log2_opacity) - u * u - v * v
+}
+
+/// A pixel that `splat` reaches, by its footprint or by definition, and that no list has it for.
+fn pixel_left_out(splat: &Splat, rules: &Rules, is_listed: fn(&Footprint, u32, u32) -> bool) -> Option<String> {
+    let camera = camera_at(DVec3::ZERO, SIZE.0, SIZE.1);
+    let record = CameraRecord::new(&camera, DVec3::ZERO, 0, 0);
+    let footprint = footprint_of(splat, &record, rules);
+    let cloud = world_of(std::slice::from_ref(splat)).splats;
+    let truth = reference::project::View::new(DVec3::ZERO, &camera, rules).project(&cloud, 0);
+    for row in 0..SIZE.1 {
+        for column in 0..SIZE.0 {
+            let centre = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+            let listed = footprint.is_some_and(|footprint| is_listed(&footprint, column, row));
+            if let Some(footprint) = footprint.filter(|footprint| footprint.mean_px.abs().max_element() < MEAN_MAX_PX) {
+                let counts = log2_alpha_f64(&footprint, centre) >= ALPHA_MIN.log2()
+                    || log2_alpha(&footprint, Vec2::new(centre.x as f32, centre.y as f32)) >= ALPHA_MIN.log2() as f32;
+                if counts && !listed {
+                    return Some(format!("column {column}, row {row} of the footprint {footprint:?}"));
+                }
+            }
+            // By definition, with a hundredth of the threshold for the rounding of the projection itself.
+            let alpha = truth.as_ref().and_then(|truth| reference::blend::alpha_at(truth, centre, rules)).unwrap_or(0.0);
+            if alpha >= 1.01 * ALPHA_MIN && !listed {
+                return Some(format!("column {column}, row {row}: alpha {alpha} by definition"));
+            }
+        }
+    }
+    None
+}
+
+proptest! {
+    #![proptest_config(Config::with_cases(600))]
+
+    #[test]
+    fn lists_hold_every_pixel_that_a_splat_reaches(splat in any_splat(), antialias: bool) {
+        let left_out = pixel_left_out(&splat, &Rules { antialias, ..Rules::DEFAULT }, is_listed);
+        prop_assert!(left_out.is_none(), "{}", left_out.unwrap());
+    }
+}
+
+#[test]
+fn a_list_that_ends_a_pixel_early_is_seen() {
+    // The ball's edge falls into the first column of the second macro tile.
+    let splat = Splat { scale_m: [1.0; 3], opacity: 1.0, ..Splat::at(-0.5, 0.0, 4.0) };
+    assert_eq!(pixel_left_out(&splat, &Rules::DEFAULT, is_listed), None);
+    let without_last_tile = |splat: &Footprint, column, row| is_listed(splat, column, row) && column < 128;
+    assert!(pixel_left_out(&splat, &Rules::DEFAULT, without_last_tile).is_some());
+}
+
+#[test]
+fn culled_splats_change_nothing() {
+    let gpu = open();
+    let cameras = &rig()[..2];
+    let mut runner = TestRunner::new(Config::with_cases(8));
+    let property = |seed: u64| {
+        let world = hard_world(500, seed);
+        let scene = Scene::new(&gpu, &world, cameras);
+        let unseen = |splat: usize| {
+            (0..cameras.len()).all(|camera| scene.settled_visibility(camera, splat, &Rules::DEFAULT) == Some(false))
+        };
+        let kept: Vec<u32> = (0..500).filter(|&splat| !unseen(splat as usize)).collect();
+        prop_assert!(kept.len() < 400, "few splats are culled: the property says little");
+        let without = |kept: &[u32]| World {
+            instance_from_splat: kept.iter().map(|&splat| world.instance_from_splat[splat as usize]).collect(),
+            ..World::of(world.splats.select(kept))
+        };
+        let pictures = draw(&gpu, &world, cameras, Rules::DEFAULT);
+        prop_assert!(draw(&gpu, &without(&kept), cameras, Rules::DEFAULT) == pictures, "a culled splat is in the picture");
+        prop_assert!(draw(&gpu, &without(&kept[kept.len() / 2..]), cameras, Rules::DEFAULT) != pictures, "no splat is");
+        Ok(())
+    };
+    runner.run(&(0..u64::MAX / 2), property).unwrap();
+}
+
+/// Depth keys of all splats as the kernel finds them, by splat; all splats are in front of the camera.
+fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
+    let scene = Scene::new(gpu, world, std::slice::from_ref(camera));
+    let splats = world.splats.len();
+    let visible = Visible::new(gpu, 1, scene.chunks.len()).unwrap();
+    let mut words = vec![u32::MAX; visible.words.len()];
+    for bit in splats..words.len() * 32 {
+        words[bit / 32] &= !(1 << (bit % 32));
+    }
+    gpu.write(&visible.words, 0, &words).unwrap();
+    let firsts: Vec<u32> = (0..scene.chunks.len() as u32).map(|chunk| chunk * 256).collect();
+    let projected = Projected::new(gpu, splats).unwrap();
+    let (firsts, keys) = (upload(gpu, &firsts), upload(gpu, &vec![0u32; splats]));
+    let project = Project::new(gpu, &Rules::DEFAULT, ProjectVariant { sh_degree: 0, instances: false }).unwrap();
+    run(gpu, |r| project.record(r, &scene.resident, &scene.camera_buffer, 1, &visible, &firsts, &projected, &keys));
+    gpu.read(&keys).unwrap()
+}
+
+/// `value` on a grid that f32 holds exactly up to 2^13 m.
+fn on_grid(value: f32) -> f32 {
+    (value * 1024.0).round() / 1024.0
+}
+
+#[test]
+fn moving_world_and_camera_together_changes_no_order() {
+    let gpu = open();
+    let splats: Vec<Splat> = hard_splats(700, 5)
+        .into_iter()
+        .filter(|splat| splat.mean_m[0].abs() < 60.0 && splat.mean_m[2] > 0.1)
+        .map(|splat| Splat { mean_m: splat.mean_m.map(on_grid), scale_m: [0.1; 3], ..splat })
+        .collect();
+    let move_m = prop::array::uniform3((-60_000i32..60_000).prop_map(|sixteenths| sixteenths as f32 / 16.0));
+    // Finer than f32 holds at that distance: the camera's centre takes both of its parts.
+    let centre_m = prop::array::uniform3((-1000i32..0).prop_map(|step| f64::from(step) / 1_048_576.0));
+    let mut runner = TestRunner::new(Config::with_cases(12));
+    let property = |(move_m, centre_m, turn): ([f32; 3], [f64; 3], f64)| {
+        let centre = DVec3::from_array(centre_m);
+        let camera = |centre: DVec3| {
+            let pose = Pose::new(DQuat::from_rotation_z(turn) * DQuat::from_rotation_y(0.1 * turn), centre);
+            Camera { name: "moved".into(), intrinsics: Intrinsics::from_horizontal_fov(64, 64, 1.0), world_from_camera: pose }
+        };
+        let shifted = |splat: &Splat| Splat { mean_m: std::array::from_fn(|axis| splat.mean_m[axis] + move_m[axis]), ..*splat };
+        let moved: Vec<Splat> = splats.iter().map(shifted).collect();
+        let moved_centre = centre + DVec3::from_array(move_m.map(f64::from));
+        let keys = depth_keys(&gpu, &world_of(&splats), &camera(centre));
+        prop_assert!(keys.iter().any(|&key| key != keys[0]));
+        prop_assert!(depth_keys(&gpu, &world_of(&moved), &camera(moved_centre)) == keys, "an order has changed");
+        // A thousandth of a millimetre is seen.
+        let beside = moved_centre + camera(centre).world_from_camera.rotation * DVec3::new(0.0, 0.0, 1e-6);
+        prop_assert!(depth_keys(&gpu, &world_of(&moved), &camera(beside)) != keys);
+        // Moved by its origin, the world is the same to the last bit.
+        let origin = DVec3::new(4.5e6, 0.7e6, 100.0);
+        let [here, there] = [(centre, DVec3::ZERO), (centre + origin, origin)]
+            .map(|(centre, origin)| View::new(&[camera(centre)], origin).unwrap());
+        prop_assert_eq!(&here.cameras, &there.cameras);
+        Ok(())
+    };
+    runner.run(&(move_m, centre_m, -0.5f64..0.5), property).unwrap();
+}

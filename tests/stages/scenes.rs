@@ -1,0 +1,233 @@
+//! Splats of every kind that is hard for a stage, as the stages hold them.
+
+use decouplegs::gpu::Buffer;
+use decouplegs::render::ResidentWorld;
+use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, View};
+use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
+use decouplegs::render::twins::{self, footprint::Footprint, sh::Stored};
+use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
+use glam::{DQuat, DVec3, Vec3};
+
+use super::{ROUNDOFF, Random, upload};
+use crate::device::Validated;
+use crate::frames::{Splat, world_of};
+
+/// Ordinary splats, needles, discs, ones that cover the image or no pixel centre, far beside it, at the near plane, behind
+/// it, too faint, and at the edge of too faint.
+pub fn hard_splats(count: usize, seed: u64) -> Vec<Splat> {
+    let mut random = Random(seed);
+    (0..count)
+        .map(|i| {
+            let depth_m = random.across_scales(0.5, 60.0);
+            let ordinary = Splat {
+                mean_m: [random.between(-1.0, 1.0) * depth_m, random.between(-0.6, 0.6) * depth_m, depth_m],
+                scale_m: std::array::from_fn(|_| random.across_scales(0.005, 0.5)),
+                rotation: std::array::from_fn(|_| random.between(-1.0, 1.0)),
+                opacity: random.between(0.01, 1.0),
+                rgb: std::array::from_fn(|_| random.between(0.0, 1.0)),
+            };
+            let [x, y, z] = ordinary.mean_m;
+            match i % 16 {
+                0 => Splat { scale_m: [random.between(0.5, 2.0), 1e-5, 1e-5], ..ordinary },
+                1 => Splat { scale_m: [random.between(0.1, 1.0), random.between(0.1, 1.0), 1e-6], ..ordinary },
+                2 => Splat { scale_m: [random.across_scales(1.0, 1000.0); 3], opacity: 0.1, ..ordinary },
+                3 => Splat { scale_m: [1e-6; 3], ..ordinary },
+                4 => Splat { mean_m: [x * 10.0, y * 10.0, z], ..ordinary },
+                // So far beside the axis that its pixel is none that an integer holds.
+                5 => Splat { mean_m: [x * 1e6, y, random.between(0.01, 0.02)], scale_m: [0.1; 3], ..ordinary },
+                6 => Splat { mean_m: [x * 0.01, y * 0.01, random.between(0.009, 0.011)], scale_m: [0.002; 3], ..ordinary },
+                7 => Splat { mean_m: [x, y, -z], ..ordinary },
+                8 => Splat { opacity: random.between(0.003, 0.005), ..ordinary },
+                9 => Splat { opacity: f32::from_bits((1.0f32 / 255.0).to_bits() - 2 + random.below(5)), ..ordinary },
+                _ => ordinary,
+            }
+        })
+        .collect()
+}
+
+/// A world of hard splats of degree 3 in three instances.
+pub fn hard_world(count: usize, seed: u64) -> World {
+    let mut world = world_of(&hard_splats(count, seed));
+    let mut random = Random(seed + 1);
+    world.splats.sh_degree = 3;
+    world.splats.sh_rest = (0..count * 15).map(|_| std::array::from_fn(|_| random.between(-0.3, 0.3))).collect();
+    world.instance_from_splat = (0..count).map(|_| random.below(3) as u16).collect();
+    world
+}
+
+/// Cameras that see the hard splats: straight on, turned with the principal point off centre, wide, and of one pixel.
+pub fn rig() -> Vec<Camera> {
+    let camera = |name: &str, size: (u32, u32), fov_deg: f64, pose: Pose| Camera {
+        name: name.into(),
+        intrinsics: Intrinsics::from_horizontal_fov(size.0, size.1, fov_deg.to_radians()),
+        world_from_camera: pose,
+    };
+    let turned = Pose::new(DQuat::from_rotation_y(0.3) * DQuat::from_rotation_z(0.2), DVec3::new(0.4, -0.2, -1.0));
+    let mut shifted = camera("shifted", (333, 217), 50.0, turned);
+    shifted.intrinsics.cx_px = 20.0;
+    vec![
+        camera("straight", (200, 120), 60.0, Pose::IDENTITY),
+        shifted,
+        camera("wide", (1000, 700), 130.0, Pose::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, -0.5))),
+        camera("pixel", (1, 1), 60.0, Pose::IDENTITY),
+    ]
+}
+
+/// A world on the device, its bytes as the kernels read them, and the cameras.
+pub struct Scene {
+    pub resident: ResidentWorld,
+    pub view: View,
+    pub camera_buffer: Buffer<CameraRecord>,
+    pub chunks: Vec<ChunkRecord>,
+    pub means_m: Vec<[f32; 3]>,
+    pub shapes: Vec<[f32; 4]>,
+    pub rotations: Vec<[f32; 4]>,
+    pub instances: Vec<u32>,
+    sh_dc: Vec<[f32; 3]>,
+    sh_bands: [Vec<u32>; 3],
+}
+
+impl Scene {
+    pub fn new(gpu: &Validated, world: &World, cameras: &[Camera]) -> Self {
+        let resident = ResidentWorld::upload(gpu, world).unwrap();
+        let view = View::new(cameras, world.origin).unwrap();
+        Self {
+            camera_buffer: upload(gpu, &view.cameras),
+            chunks: gpu.read(&resident.chunks).unwrap(),
+            means_m: gpu.read(&resident.means).unwrap(),
+            shapes: gpu.read(&resident.shapes).unwrap(),
+            rotations: gpu.read(&resident.rotations).unwrap(),
+            instances: gpu.read(&resident.instances).unwrap(),
+            sh_dc: gpu.read(&resident.sh_dc).unwrap(),
+            sh_bands: std::array::from_fn(|band| gpu.read(&resident.sh_bands[band]).unwrap()),
+            resident,
+            view,
+        }
+    }
+
+    pub fn sh(&self) -> Stored<'_> {
+        Stored { sh_dc: &self.sh_dc, sh_bands: std::array::from_fn(|band| self.sh_bands[band].as_slice()) }
+    }
+
+    /// The twin's visible words and counts.
+    pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
+        let lists = self.view.cameras.len() * self.chunks.len();
+        let (mut words, mut counts) = (vec![0; lists * CHUNK_SPLATS / 32], vec![0; lists]);
+        let Self { view, chunks, means_m, shapes, rotations, .. } = self;
+        twins::cull(&view.cameras, chunks, means_m, shapes, rotations, &mut words, &mut counts, Variant::of(rules));
+        (words, counts)
+    }
+
+    /// Whether the splat can be seen, if that is the same however f32 rounds on the way: else `None`.
+    ///
+    /// Tried are the mean moved by the rounding of a camera transform along each axis, and size and opacity by some
+    /// roundings of their own.
+    pub fn settled_visibility(&self, camera: usize, splat: usize, rules: &Rules) -> Option<bool> {
+        let (camera, variant) = (&self.view.cameras[camera], Variant::of(rules));
+        let offset = from_camera_m(self.means_m[splat], camera);
+        let t = to_camera_axes(camera, offset);
+        let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
+        let grown = (16.0 * ROUNDOFF) as f32;
+        let visible = |t: Vec3, size: f32, opacity: f32| {
+            let [sx, sy, sz, peak] = self.shapes[splat];
+            let axes = axes_of([sx * size, sy * size, sz * size, peak], self.rotations[splat]);
+            let (footprint, drawn) = project_splat(camera, t, axes, peak * opacity, variant);
+            drawn && twins::count_macro_tiles(&footprint, camera) > 0
+        };
+        let decision = visible(t, 1.0, 1.0);
+        let moves = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [t + moved_m * axis, t - moved_m * axis]);
+        let changes = [1.0 - grown, 1.0 + grown];
+        let same = moves.into_iter().all(|t| visible(t, 1.0, 1.0) == decision)
+            && changes.iter().all(|&change| visible(t, change, 1.0) == decision && visible(t, 1.0, change) == decision);
+        same.then_some(decision)
+    }
+}
+
+/// How many macro tiles the splat reaches, if that is the same however f32 rounds its edges: else `None`.
+pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u32> {
+    let count = |dx: f32, dy: f32| {
+        let mut moved = *splat;
+        moved.mean_px.x += dx;
+        moved.mean_px.y += dy;
+        twins::count_macro_tiles(&moved, camera)
+    };
+    let reach = (splat.log2_opacity + 8.01).max(0.0).sqrt();
+    let half_height = reach / splat.rate_y;
+    let half_width = (splat.slope.abs() * half_height) + reach / splat.rate_x;
+    let roundings = (16.0 * ROUNDOFF) as f32;
+    let dx = roundings * (splat.mean_px.x.abs() + half_width + camera.size_px[0] as f32);
+    let dy = roundings * (splat.mean_px.y.abs() + half_height + camera.size_px[1] as f32);
+    let here = count(0.0, 0.0);
+    [(dx, 0.0), (-dx, 0.0), (0.0, dy), (0.0, -dy)].iter().all(|&(dx, dy)| count(dx, dy) == here).then_some(here)
+}
+
+/// What the twin of project writes.
+pub struct ProjectedTwin {
+    pub footprints: Vec<[f32; 4]>,
+    pub colours: Vec<[f32; 4]>,
+    pub keys: Vec<u32>,
+    pub tile_counts: Vec<u32>,
+}
+
+/// The splats to be projected: a bit each, and where each list of them begins.
+pub struct Listed {
+    pub words: Vec<u32>,
+    pub firsts: Vec<u32>,
+    /// (camera, splat) of each record.
+    pub records: Vec<(usize, usize)>,
+}
+
+impl Scene {
+    /// The visible splats, without those whose visibility is a matter of rounding.
+    pub fn listed(&self, rules: &Rules) -> Listed {
+        let (mut words, _) = self.culled(rules);
+        let mut listed = Listed { words: Vec::new(), firsts: Vec::new(), records: Vec::new() };
+        for camera in 0..self.view.cameras.len() {
+            for chunk in 0..self.chunks.len() {
+                listed.firsts.push(listed.records.len() as u32);
+                for place in 0..CHUNK_SPLATS {
+                    let bit = (camera * self.chunks.len() + chunk) * CHUNK_SPLATS + place;
+                    if words[bit / 32] >> (bit % 32) & 1 == 0 {
+                        continue;
+                    }
+                    let splat = chunk * CHUNK_SPLATS + place;
+                    if self.settled_visibility(camera, splat, rules) == Some(true) {
+                        listed.records.push((camera, splat));
+                    } else {
+                        words[bit / 32] &= !(1 << (bit % 32));
+                    }
+                }
+            }
+        }
+        listed.words = words;
+        listed
+    }
+
+    /// The twin's records where there is room for `room`.
+    pub fn projected(&self, listed: &Listed, rules: &Rules, sh_degree: usize, instances: bool, room: usize) -> ProjectedTwin {
+        let mut out = ProjectedTwin {
+            footprints: vec![[0.0; 4]; 2 * room],
+            colours: vec![[0.0; 4]; room],
+            keys: vec![0; room],
+            tile_counts: vec![0; room],
+        };
+        twins::project(
+            &self.view.cameras,
+            &self.means_m,
+            &self.shapes,
+            &self.rotations,
+            &listed.words,
+            &listed.firsts,
+            &self.sh(),
+            instances.then_some(self.instances.as_slice()),
+            &mut out.footprints,
+            &mut out.colours,
+            &mut out.keys,
+            &mut out.tile_counts,
+            Variant::of(rules),
+            sh_degree,
+            rules.order == decouplegs::scene::DepthOrder::Radial,
+        );
+        out
+    }
+}
