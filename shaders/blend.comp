@@ -5,11 +5,16 @@
 // can reach, and the masks are turned into one bit list a render tile. A team of 32 threads then walks the bits of its
 // four render tiles, two pixels a thread, so that a splat costs only where it is. Sums are f32; the pixel decides
 // alpha >= 1/255 by itself, masks only leave out what that test would refuse.
+//
+// A segment leaves out render tiles that the segments before it have covered, as far as these are done when it starts:
+// composite stops at the same transmittance, so that the picture does not depend on who was done first.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_memory_scope_semantics : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_ballot : require
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "record.glsl"
@@ -18,6 +23,7 @@
 layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const float ALPHA_MAX = 0.99;
+layout(constant_id = 5) const bool TEAM_HOLDS_SUBGROUPS = false; // subgroups have at most 32 lanes
 layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
@@ -29,18 +35,27 @@ layout(set = 0, binding = 10, std430) writeonly buffer partial_colours_block { v
 layout(set = 0, binding = 11, std430) writeonly buffer partial_depths_block { float partial_depths[]; };
 layout(set = 0, binding = 12, std430) writeonly buffer partial_instances_block { uvec2 partial_instances[]; };
 
+// Of each partial result, by render tile: bits of the largest transmittance it left, or 0 while that is not known.
+layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint partial_transmittances[]; };
+
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; };
 
 const uint BATCH = BLEND_THREADS;
 const uint BATCH_WORDS = BATCH / 32u;
-const float TRANSMITTANCE_MIN = 1e-4;
+// A product of largest transmittances up to here means that composite stops before, its own rounding included.
+const float COVERED = 0.999 * TRANSMITTANCE_MIN;
 
-shared vec4 batch_low[BATCH];
-shared vec4 batch_high[BATCH];
-shared vec4 batch_colour[BATCH];
+// The exponent of a record at (x, y), relative to the macro tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
+// - (y * fades.x + slants.w)^2, log2_opacity being fades.y.
+shared vec4 batch_slants[BATCH];
+shared vec2 batch_fades[BATCH];
+shared vec4 batch_colours[BATCH]; // and depth
+shared uint batch_instances[INSTANCE ? BATCH : 1u];
 shared uint batch_tiles[BATCH];            // render tiles each record of the batch can reach
 shared uint tile_records[32][BATCH_WORDS]; // the same by render tile
 shared uint open_tiles;                    // render tiles with a pixel that is not full
+shared float team_transmittances[TEAMS][32];
+shared uint tile_largest[32];
 
 // Render tiles of the macro tile at `origin` that the splat can reach, as bits row * 8 + column.
 uint reached_render_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
@@ -66,10 +81,16 @@ void load_batch(uint first, uint count, uint thread, uvec2 origin, uvec2 size_px
         uint record = records[first + thread];
         vec4 low = footprints[2u * record];
         vec4 high = footprints[2u * record + 1u];
-        tiles = reached_render_tiles(unpack_footprint(low, high), origin, size_px);
-        batch_low[thread] = low;
-        batch_high[thread] = high;
-        batch_colour[thread] = colours[record];
+        Footprint splat = unpack_footprint(low, high);
+        tiles = reached_render_tiles(splat, origin, size_px);
+        vec2 mean = splat.mean_px - vec2(origin);
+        float sheared_x = mean.x - splat.slope * mean.y;
+        batch_slants[thread] = vec4(splat.rate_x, -splat.slope * splat.rate_x, -sheared_x * splat.rate_x, -mean.y * splat.rate_y);
+        batch_fades[thread] = vec2(splat.rate_y, splat.log2_opacity);
+        batch_colours[thread] = vec4(colours[record].rgb, high.z);
+        if (INSTANCE) {
+            batch_instances[thread] = floatBitsToUint(high.w);
+        }
     }
     batch_tiles[thread] = tiles;
 }
@@ -85,44 +106,130 @@ void turn_masks(uint thread) {
     tile_records[tile][word] = bits;
 }
 
-// Adds one splat to a pixel at horizontal distance dx from its mean; `shear` is slope * dy, `exponent` what dy leaves.
-void blend_pixel(inout Pixel pixel, inout bool full, float dx, float shear, float rate_x, float exponent, uint entry) {
-    float u = (dx - shear) * rate_x;
-    float log2_alpha = exponent - u * u;
-    if (log2_alpha < -LOG2_255 || (EXCLUSIVE_STOP && full)) {
-        return;
-    }
-    float alpha = min(exp2(log2_alpha), ALPHA_MAX);
-    if (EXCLUSIVE_STOP && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN) {
-        full = true;
-        return;
+// log2(alpha) of a record at two pixels, the second four columns to the right of the first, whose centre is `at`.
+vec2 log2_alphas(uint entry, vec2 at) {
+    vec4 slants = batch_slants[entry];
+    vec2 fades = batch_fades[entry];
+    float u = at.x * slants.x + (at.y * slants.y + slants.z);
+    float u_right = u + 4.0 * slants.x;
+    float v = at.y * fades.x + slants.w;
+    float exponent = fades.y - v * v;
+    return vec2(exponent - u * u, exponent - u_right * u_right);
+}
+
+// A thread's share of a render tile. Named, not an array: what is indexed may end up outside of registers.
+struct TilePixels {
+    Pixel left;
+    Pixel right; // four columns to the right of the first
+    bool left_full;
+    bool right_full;
+};
+
+// Place in the macro tile of the thread's left pixel in its team's render tile `step`.
+uvec2 left_offset(uint thread, uint step) {
+    return pixel_offset(thread, 2u * step);
+}
+
+TilePixels empty_pixels(uvec2 at, uvec2 size_px) {
+    // Pixels beyond the image are full from the start, or they would keep their tile open.
+    bool left_full = at.x >= size_px.x || at.y >= size_px.y;
+    bool right_full = at.x + 4u >= size_px.x || at.y >= size_px.y;
+    TilePixels pixels = TilePixels(PIXEL_EMPTY, PIXEL_EMPTY, left_full, right_full);
+    pixels.left.transmittance = left_full ? 0.0 : 1.0;
+    pixels.right.transmittance = right_full ? 0.0 : 1.0;
+    return pixels;
+}
+
+void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec4 colour, uint entry) {
+    float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
+    if (EXCLUSIVE_STOP) {
+        full = full || pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN;
+        alpha = full ? 0.0 : alpha;
     }
     float weight = pixel.transmittance * alpha;
-    pixel.colour += weight * batch_colour[entry].rgb;
+    pixel.colour += weight * colour.rgb;
     pixel.transmittance -= weight;
     if (DEPTH) {
-        pixel.weighted_depth += weight * batch_high[entry].z;
+        pixel.weighted_depth += weight * colour.a;
     }
     if (INSTANCE && weight > pixel.best_weight) {
         pixel.best_weight = weight;
-        pixel.best_instance = floatBitsToUint(batch_high[entry].w);
+        pixel.best_instance = batch_instances[entry];
     }
 }
 
-void write_result(Item item, Camera camera, uvec2 origin, uint thread, Pixel pixels[PIXELS]) {
-    [[unroll]] for (uint index = 0u; index < PIXELS; ++index) {
-        if (item.partial == NO_PARTIAL) {
-            write_pixel(camera, origin + pixel_offset(thread, index), pixels[index], sky);
-        } else {
-            uint place = item.partial * MACRO_PIXELS + index * BATCH + thread;
-            partial_colours[place] = vec4(pixels[index].colour, pixels[index].transmittance);
-            if (DEPTH) {
-                partial_depths[place] = pixels[index].weighted_depth;
-            }
-            if (INSTANCE) {
-                partial_instances[place] = uvec2(floatBitsToUint(pixels[index].best_weight), pixels[index].best_instance);
-            }
+// Render tiles that the segments before this one are not known to have covered.
+uint uncovered_tiles(Item item, uint thread) {
+    uint tile = thread % 32u;
+    uint team = thread / 32u;
+    float transmittance = 1.0;
+    for (uint back = 1u + team; back <= item.segment; back += TEAMS) {
+        uint slot = item.partial - back;
+        uint bits = atomicLoad(partial_transmittances[32u * slot + tile], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
+        transmittance *= bits == 0u ? 1.0 : uintBitsToFloat(bits);
+    }
+    team_transmittances[team][tile] = transmittance;
+    if (thread == 0u) {
+        open_tiles = 0u;
+    }
+    barrier();
+    if (thread < 32u) {
+        for (uint other = 1u; other < TEAMS; ++other) {
+            transmittance *= team_transmittances[other][tile];
         }
+        atomicOr(open_tiles, transmittance > COVERED ? 1u << tile : 0u);
+    }
+    barrier();
+    return open_tiles;
+}
+
+// Blends what the batch holds for the team's render tile `step`; says whether a pixel of the thread is still open.
+bool blend_tile(inout TilePixels pixels, uint thread, uint step) {
+    uint tile = thread / TEAM + TEAMS * step;
+    vec2 at = vec2(left_offset(thread, step)) + 0.5;
+    for (uint word = 0u; word < BATCH_WORDS; ++word) {
+        uint bits = tile_records[tile][word];
+        if (TEAM_HOLDS_SUBGROUPS) {
+            bits = subgroupBroadcastFirst(bits); // the same for all: tells the compiler so
+        }
+        while (bits != 0u) {
+            uint entry = word * 32u + findLSB(bits);
+            bits &= bits - 1u;
+            // No branch where a record adds nothing: that would cost more than the arithmetic it saves.
+            vec2 log2_alpha = log2_alphas(entry, at);
+            vec4 colour = batch_colours[entry];
+            blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, colour, entry);
+            blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, colour, entry);
+        }
+    }
+    if (EXCLUSIVE_STOP) {
+        return !(pixels.left_full && pixels.right_full);
+    }
+    return max(pixels.left.transmittance, pixels.right.transmittance) > TRANSMITTANCE_MIN;
+}
+
+void write_partial(uint place, Pixel pixel) {
+    partial_colours[place] = vec4(pixel.colour, pixel.transmittance);
+    if (DEPTH) {
+        partial_depths[place] = pixel.weighted_depth;
+    }
+    if (INSTANCE) {
+        partial_instances[place] = uvec2(floatBitsToUint(pixel.best_weight), pixel.best_instance);
+    }
+}
+
+void write_result(Item item, Camera camera, uvec2 origin, uint thread, uint step, TilePixels pixels) {
+    if (item.partial == NO_PARTIAL) {
+        uvec2 at = origin + left_offset(thread, step);
+        write_pixel(camera, at, pixels.left, sky);
+        write_pixel(camera, at + uvec2(4u, 0u), pixels.right, sky);
+    } else {
+        uint place = item.partial * MACRO_PIXELS + 2u * step * BATCH + thread;
+        write_partial(place, pixels.left);
+        write_partial(place + BATCH, pixels.right);
+        // Positive floats order as their bits.
+        uint largest = floatBitsToUint(max(pixels.left.transmittance, pixels.right.transmittance));
+        atomicMax(tile_largest[thread / TEAM + TEAMS * step], largest);
     }
 }
 
@@ -135,16 +242,21 @@ void main() {
     Camera camera = cameras[camera_of_bin(item.bin, camera_count)];
     uvec2 origin = macro_tile_origin(item.bin, camera);
     uint thread = gl_LocalInvocationIndex;
-
-    Pixel pixels[PIXELS];
-    bool full[PIXELS];
-    [[unroll]] for (uint index = 0u; index < PIXELS; ++index) {
-        pixels[index] = PIXEL_EMPTY;
-        full[index] = false;
+    if (thread < 32u) {
+        tile_largest[thread] = 1u; // 0 would mean that it is not known
     }
-    if (thread == 0u) {
+    if (item.segment > 0u) {
+        if (uncovered_tiles(item, thread) == 0u) {
+            return; // composite stops before it gets here
+        }
+    } else if (thread == 0u) {
         open_tiles = 0xffffffffu;
     }
+    TilePixels pixels0 = empty_pixels(origin + left_offset(thread, 0u), camera.size_px);
+    TilePixels pixels1 = empty_pixels(origin + left_offset(thread, 1u), camera.size_px);
+    TilePixels pixels2 = empty_pixels(origin + left_offset(thread, 2u), camera.size_px);
+    TilePixels pixels3 = empty_pixels(origin + left_offset(thread, 3u), camera.size_px);
+    uint tile = thread / TEAM;
     for (uint done = 0u; done < item.pairs; done += BATCH) {
         barrier(); // the batch before is read to its end, and open_tiles is written
         uint open = open_tiles;
@@ -159,35 +271,33 @@ void main() {
         }
         barrier();
         uint still_open = 0u;
-        [[unroll]] for (uint step = 0u; step < TILES_A_TEAM; ++step) {
-            uint tile = thread / TEAM + TEAMS * step;
-            if ((open >> tile & 1u) == 0u) {
-                continue;
-            }
-            vec2 centre = vec2(origin + pixel_offset(thread, 2u * step)) + 0.5;
-            for (uint word = 0u; word < BATCH_WORDS; ++word) {
-                uint bits = tile_records[tile][word];
-                while (bits != 0u) {
-                    uint entry = word * 32u + findLSB(bits);
-                    bits &= bits - 1u;
-                    vec4 low = batch_low[entry];
-                    vec2 high = batch_high[entry].xy;
-                    vec2 d = centre - low.xy;
-                    float shear = low.z * d.y;
-                    float v = d.y * high.x;
-                    float exponent = high.y - v * v;
-                    blend_pixel(pixels[2u * step], full[2u * step], d.x, shear, low.w, exponent, entry);
-                    blend_pixel(pixels[2u * step + 1u], full[2u * step + 1u], d.x + 4.0, shear, low.w, exponent, entry);
-                }
-            }
-            bool open_left = EXCLUSIVE_STOP ? !full[2u * step] : pixels[2u * step].transmittance > TRANSMITTANCE_MIN;
-            bool open_right = EXCLUSIVE_STOP ? !full[2u * step + 1u] : pixels[2u * step + 1u].transmittance > TRANSMITTANCE_MIN;
-            still_open |= open_left || open_right ? 1u << tile : 0u;
+        if ((open >> tile & 1u) != 0u && blend_tile(pixels0, thread, 0u)) {
+            still_open |= 1u;
         }
-        still_open = subgroupOr(still_open);
+        if ((open >> (tile + TEAMS) & 1u) != 0u && blend_tile(pixels1, thread, 1u)) {
+            still_open |= 1u << TEAMS;
+        }
+        if ((open >> (tile + 2u * TEAMS) & 1u) != 0u && blend_tile(pixels2, thread, 2u)) {
+            still_open |= 1u << (2u * TEAMS);
+        }
+        if ((open >> (tile + 3u * TEAMS) & 1u) != 0u && blend_tile(pixels3, thread, 3u)) {
+            still_open |= 1u << (3u * TEAMS);
+        }
+        still_open = subgroupOr(still_open << tile);
         if (subgroupElect()) {
             atomicOr(open_tiles, still_open);
         }
     }
-    write_result(item, camera, origin, thread, pixels);
+    write_result(item, camera, origin, thread, 0u, pixels0);
+    write_result(item, camera, origin, thread, 1u, pixels1);
+    write_result(item, camera, origin, thread, 2u, pixels2);
+    write_result(item, camera, origin, thread, 3u, pixels3);
+    if (item.partial != NO_PARTIAL) {
+        // Tells later segments of the tile how much this one lets through.
+        barrier();
+        if (thread < 32u) {
+            uint place = 32u * item.partial + thread;
+            atomicStore(partial_transmittances[place], tile_largest[thread], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
+        }
+    }
 }

@@ -14,8 +14,12 @@ fn main() {
     for path in kernel_paths(&here) {
         let stem = path.file_stem().and_then(|stem| stem.to_str()).expect("a shader's file name is UTF-8");
         let words = compile(&compiler, &here, &path);
-        writeln!(source, "/// `{stem}.comp`.\npub static {}: Kernel = Kernel {{ name: \"{stem}\", spirv: &{words:?} }};", stem.to_uppercase())
-            .expect("writing to a string cannot fail");
+        writeln!(
+            source,
+            "/// `{stem}.comp`.\npub static {}: Kernel = Kernel {{ name: \"{stem}\", spirv: &{words:?} }};",
+            stem.to_uppercase()
+        )
+        .expect("writing to a string cannot fail");
     }
     fs::write(out.join("kernels.rs"), source).expect("OUT_DIR is writable");
 }

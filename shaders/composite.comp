@@ -2,9 +2,12 @@
 // Joins the segments of macro tiles that were cut, front to back, and writes their pixels.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
 #include "frame.glsl"
 #include "output.glsl"
 
+const uint WORKGROUP_THREADS = 256u;
+const uint COMPOSITE_GROUPS = MACRO_PIXELS / WORKGROUP_THREADS; // workgroups that share a macro tile
 layout(local_size_x = 256) in;
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
@@ -14,6 +17,9 @@ layout(set = 0, binding = 8, std430) readonly buffer partial_depths_block { floa
 layout(set = 0, binding = 9, std430) readonly buffer partial_instances_block { uvec2 partial_instances[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; };
+
+// Segments that are read before the first is used, so that the reads overlap.
+const uint AHEAD = 4u;
 
 Pixel load_partial(uint place) {
     vec4 colour = partial_colours[place];
@@ -30,18 +36,29 @@ Pixel load_partial(uint place) {
 }
 
 void main() {
-    // One workgroup for the pixels that blend's threads hold at one index.
-    uint composite_index = group_index() / PIXELS;
+    uint composite_index = group_index() / COMPOSITE_GROUPS;
     if (composite_index >= needs.composites) {
         return;
     }
-    uint index = group_index() % PIXELS;
-    uint thread = gl_LocalInvocationIndex;
+    // The pixel's place in a partial result: thread of blend and index among its pixels.
+    uint place = group_index() % COMPOSITE_GROUPS * WORKGROUP_THREADS + gl_LocalInvocationIndex;
+    uint thread = place % BLEND_THREADS;
+    uint index = place / BLEND_THREADS;
     Composite composite = composites[composite_index];
     Camera camera = cameras[camera_of_bin(composite.bin, camera_count)];
     Pixel pixel = PIXEL_EMPTY;
-    for (uint partial = 0u; partial < composite.partials; ++partial) {
-        pixel = over(pixel, load_partial((composite.first_partial + partial) * MACRO_PIXELS + index * BLEND_THREADS + thread));
+    uint first_place = composite.first_partial * MACRO_PIXELS + place;
+    // Segments behind a full pixel may never have been blended. They may be read, not used.
+    for (uint base = 0u; base < composite.partials && pixel.transmittance > TRANSMITTANCE_MIN; base += AHEAD) {
+        Pixel ahead[AHEAD];
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            ahead[next] = load_partial(first_place + min(base + next, composite.partials - 1u) * MACRO_PIXELS);
+        }
+        [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
+            if (base + next < composite.partials && pixel.transmittance > TRANSMITTANCE_MIN) {
+                pixel = over(pixel, ahead[next]);
+            }
+        }
     }
     write_pixel(camera, macro_tile_origin(composite.bin, camera) + pixel_offset(thread, index), pixel, sky);
 }

@@ -35,13 +35,13 @@ layout(push_constant, scalar) uniform push_block {
     uint pairs_max;
 };
 
-// Records with more macro tiles than this are written by the whole workgroup.
-const uint ALONE_MAX = 12u;
+// Records with more macro tiles than this are written by the whole workgroup, a row of macro tiles at a time.
+const uint ALONE_MAX = 4u;
 
-shared uint shared_count;
+// By thread: the record it gave away, where the next of its pairs goes, and how many rows were given away before it.
 shared uint shared_records[WORKGROUP_THREADS];
-shared uint shared_firsts[WORKGROUP_THREADS];
-shared uint shared_cursor;
+shared uint shared_cursors[WORKGROUP_THREADS];
+shared uint shared_rows_before[WORKGROUP_THREADS];
 
 // Records are ordered by camera: the last camera whose records begin at or before this one.
 uint camera_of(uint record) {
@@ -77,20 +77,31 @@ void write_alone(uint record, uint first) {
     }
 }
 
-void write_together(uint record, uint first, uint thread) {
-    if (thread == 0u) {
-        shared_cursor = first;
+// The last thread that gave away rows before `row`, counted over the workgroup.
+uint giver_of(uint row) {
+    uint giver = 0u;
+    for (uint step = WORKGROUP_THREADS / 2u; step > 0u; step /= 2u) {
+        giver += shared_rows_before[giver + step] <= row ? step : 0u;
     }
-    barrier();
-    Camera camera = cameras[camera_of(record)];
-    Footprint splat = load_footprint(record);
-    ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
-    for (int row = rows.x + int(thread); row <= rows.y; row += int(WORKGROUP_THREADS)) {
-        ivec2 tiles = reached_macro_tiles(splat, uint(row), camera.size_px);
-        uint place = atomicAdd(shared_cursor, uint(tiles.y - tiles.x + 1));
-        write_row(camera, record, uint(row), tiles, place);
+    return giver;
+}
+
+// Writes the rows that the threads gave away, one thread a row. Which row of a record takes which places is free.
+void write_together(uint row_total, uint thread) {
+    for (uint given = thread; given < row_total; given += WORKGROUP_THREADS) {
+        uint giver = giver_of(given);
+        uint record = shared_records[giver];
+        Camera camera = cameras[camera_of(record)];
+        Footprint splat = load_footprint(record);
+        uint row = uint(reached_macro_rows(splat, camera.size_px.y).x) + given - shared_rows_before[giver];
+        ivec2 tiles = reached_macro_tiles(splat, row, camera.size_px);
+        write_row(camera, record, row, tiles, atomicAdd(shared_cursors[giver], uint(tiles.y - tiles.x + 1)));
     }
-    barrier();
+}
+
+uint macro_rows_of(uint record) {
+    ivec2 rows = reached_macro_rows(load_footprint(record), cameras[camera_of(record)].size_px.y);
+    return uint(rows.y - rows.x + 1);
 }
 
 uint saturating_sum(uint a, uint b) {
@@ -127,22 +138,18 @@ void main() {
         uint total;
         uint first = before + block_exclusive_sum(count, total);
         before = saturating_sum(before, total);
-        if (thread == 0u) {
-            shared_count = 0u;
-        }
+        bool alone = count <= ALONE_MAX;
+        uint row_total;
+        uint rows_before = block_exclusive_sum(alone ? 0u : macro_rows_of(record), row_total);
+        shared_records[thread] = record;
+        shared_cursors[thread] = first;
+        shared_rows_before[thread] = rows_before;
         barrier();
-        if (count > ALONE_MAX) {
-            uint slot = atomicAdd(shared_count, 1u);
-            shared_records[slot] = record;
-            shared_firsts[slot] = first;
-        } else if (count > 0u) {
+        if (alone && count > 0u) {
             write_alone(record, first);
         }
-        barrier();
-        for (uint slot = 0u; slot < shared_count; ++slot) {
-            write_together(shared_records[slot], shared_firsts[slot], thread);
-        }
-        barrier();
+        write_together(row_total, thread);
+        barrier(); // the shared lists are read to their end
     }
     if (first_place + PAIR_BLOCK >= record_count && thread == 0u) {
         uint pairs = min(before, pairs_max);

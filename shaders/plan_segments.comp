@@ -5,7 +5,10 @@
 // associative, (C, T) o (C', T') = (C + T C', T T'), so segments need not wait for each other. A tile's segments depend on
 // its own list alone, so its pixels do not change with what else is drawn.
 //
-// One thread a tile. Each workgroup adds up what earlier tiles take by itself; no group waits for another.
+// Items are ordered in waves, segment 0 of every tile before segment 1 of any, then segments 2 and 3, then 4 to 7 and so
+// on, so that a segment mostly starts when those before it are done and can leave out what they have covered.
+//
+// One thread a tile and wave. Each workgroup adds up what stands before it by itself; no group waits for another.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -38,53 +41,63 @@ uint pairs_of(uint bin, uint pairs) {
     return pairs == 0u ? 0u : range_firsts[bin + 1u] - range_firsts[bin];
 }
 
+// The last segment takes what is left, up to half a segment more: a short one is not worth the memory for its result.
 uint segments_of(uint length) {
-    return max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS != 0u ? 1u : 0u));
+    return max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS > SEGMENT_PAIRS / 2u ? 1u : 0u));
+}
+
+// First segment of a wave: 0, 1, 2, 4, 8 ...
+uint wave_first(uint wave) {
+    return wave == 0u ? 0u : 1u << (wave - 1u);
 }
 
 void main() {
     uint pairs = min(needs.pairs, pairs_max);
     uint thread = block_thread();
-    uint block_first = group_index() * WORKGROUP_THREADS;
-    uint earlier_items = 0u;
-    uint earlier_tiles = 0u; // cut into more than one segment
-    uint earlier_singles = 0u;
-    for (uint bin = thread; bin < min(block_first, bin_count); bin += WORKGROUP_THREADS) {
+    uint block_first = gl_WorkGroupID.x * WORKGROUP_THREADS;
+    uint first_segment = wave_first(gl_WorkGroupID.y);
+    uint end_segment = wave_first(gl_WorkGroupID.y + 1u);
+    uint earlier_items = 0u;    // of earlier waves, and of earlier tiles in this one
+    uint earlier_partials = 0u; // of earlier tiles
+    uint earlier_tiles = 0u;    // earlier tiles cut into more than one segment
+    for (uint bin = thread; bin < bin_count; bin += WORKGROUP_THREADS) {
         uint segments = segments_of(pairs_of(bin, pairs));
-        earlier_items += segments;
-        earlier_tiles += segments > 1u ? 1u : 0u;
+        bool earlier = bin < block_first;
+        earlier_items += min(segments, earlier ? end_segment : first_segment);
+        earlier_partials += earlier && segments > 1u ? segments : 0u;
+        earlier_tiles += earlier && segments > 1u ? 1u : 0u;
     }
     uint items_before = block_sum(earlier_items);
+    uint partials_before = block_sum(earlier_partials);
     uint composites_before = block_sum(earlier_tiles);
-    // Tiles of one segment take an item and no partial result.
-    uint partials_before = items_before - (min(block_first, bin_count) - composites_before);
 
     uint bin = block_first + thread;
     bool real = bin < bin_count;
     uint length = real ? pairs_of(bin, pairs) : 0u;
     uint segments = real ? segments_of(length) : 0u;
     bool cut = segments > 1u;
+    uint wave_end = min(segments, end_segment);
     uint item_total, partial_total, composite_total;
-    uint item = items_before + block_exclusive_sum(segments, item_total);
+    uint item = items_before + block_exclusive_sum(wave_end - min(first_segment, wave_end), item_total);
     uint partial = partials_before + block_exclusive_sum(cut ? segments : 0u, partial_total);
     uint composite = composites_before + block_exclusive_sum(cut ? 1u : 0u, composite_total);
 
     uint first_pair = real && pairs > 0u ? range_firsts[bin] : 0u;
-    for (uint segment = 0u; segment < segments; ++segment) {
+    for (uint segment = first_segment; segment < wave_end; ++segment, ++item) {
         uint taken = segment * SEGMENT_PAIRS;
-        // Where there is no room for the partial result nothing may be written: the picture is drawn again.
+        // Where there is no room for the partial result any slot will do: the picture is drawn again.
         uint slot = cut ? min(partial + segment, partials_max - 1u) : NO_PARTIAL;
-        if (item + segment < items_max) {
-            items[item + segment] = Item(bin, first_pair + taken, min(SEGMENT_PAIRS, length - taken), slot);
+        if (item < items_max) {
+            items[item] = Item(bin, first_pair + taken, segment + 1u < segments ? SEGMENT_PAIRS : length - taken, slot, segment);
         }
     }
-    if (cut) {
+    if (cut && first_segment == 0u) {
         composites[composite] = Composite(bin, partial, segments);
     }
-    if (thread == 0u && block_first + WORKGROUP_THREADS >= bin_count && block_first < bin_count) {
+    if (thread == 0u && gl_WorkGroupID.xy == gl_NumWorkGroups.xy - 1u) {
         uint all_items = items_before + item_total;
-        uint all_composites = composites_before + composite_total;
         uint all_partials = partials_before + partial_total;
+        uint all_composites = composites_before + composite_total;
         needs.items = all_items;
         needs.partials = all_partials;
         needs.composites = all_composites;

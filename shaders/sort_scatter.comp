@@ -3,6 +3,8 @@
 //
 // Each subgroup takes a run of consecutive keys and finds, by ballots, which of its lanes hold the same digit; counters a
 // (subgroup, digit) carry the rank from one step of the run to the next. Right for subgroups of 4 to 64 lanes.
+//
+// The block is put in order in shared memory first, so that keys of one digit leave as one run of neighbours.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -28,6 +30,9 @@ layout(push_constant, scalar) uniform push_block { uint count_index; uint count_
 const uint SUBGROUPS_MAX = 8u;
 const uint ITEMS_MAX = 16u;
 shared uint counters[SUBGROUPS_MAX * RADIX];
+shared uint steps_to_output[RADIX]; // what turns a place in the ordered block into one in the output, by digit
+shared uint ordered_keys[WORKGROUP_THREADS * ITEMS];
+shared uint ordered_values[WORKGROUP_THREADS * ITEMS];
 
 // The lanes whose digit equals this lane's.
 uvec2 lanes_with_same_digit(uint digit) {
@@ -65,21 +70,28 @@ uint rank_in_run(uint digit) {
     return earlier + rank;
 }
 
-// Turns the counters into the places where each (subgroup, digit) begins in the output.
+// Turns the counters into the places where each (subgroup, digit) begins in the ordered block.
 void place_counters(uint block, uint blocks, uint thread) {
-    uint before = 0u;
+    uint before = 0u;       // keys of lower digits, in the output
+    uint local_before = 0u; // in the block
     for (uint base = 0u; base < RADIX; base += WORKGROUP_THREADS) {
         uint digit = base + thread;
         bool real = digit < RADIX;
-        uint total;
+        uint count = 0u;
+        for (uint subgroup = 0u; real && subgroup < gl_NumSubgroups; ++subgroup) {
+            count += counters[subgroup * RADIX + digit];
+        }
+        uint total, local_total;
         uint place = before + block_exclusive_sum(real ? digit_totals[digit] : 0u, total);
+        uint local = local_before + block_exclusive_sum(count, local_total);
         before += total;
+        local_before += local_total;
         if (real) {
-            place += histograms[digit * blocks + block];
+            steps_to_output[digit] = place + histograms[digit * blocks + block] - local;
             for (uint subgroup = 0u; subgroup < gl_NumSubgroups; ++subgroup) {
-                uint count = counters[subgroup * RADIX + digit];
-                counters[subgroup * RADIX + digit] = place;
-                place += count;
+                uint own = counters[subgroup * RADIX + digit];
+                counters[subgroup * RADIX + digit] = local;
+                local += own;
             }
         }
     }
@@ -114,8 +126,16 @@ void main() {
         uint index = first + item * gl_SubgroupSize;
         if (index < count) {
             uint place = counters[gl_SubgroupID * RADIX + (keys[item] >> shift & (RADIX - 1u))] + ranks[item];
-            keys_out[place] = keys[item];
-            values_out[place] = INDEX_VALUES ? index : values_in[index];
+            ordered_keys[place] = keys[item];
+            ordered_values[place] = INDEX_VALUES ? index : values_in[index];
         }
+    }
+    barrier();
+    uint block_keys = min(WORKGROUP_THREADS * ITEMS, count - block * WORKGROUP_THREADS * ITEMS);
+    for (uint place = gl_LocalInvocationIndex; place < block_keys; place += WORKGROUP_THREADS) {
+        uint key = ordered_keys[place];
+        uint output_place = place + steps_to_output[key >> shift & (RADIX - 1u)];
+        keys_out[output_place] = key;
+        values_out[output_place] = ordered_values[place];
     }
 }

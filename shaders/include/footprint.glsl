@@ -1,5 +1,6 @@
 // The pixels a projected splat can reach. Cull, binning, masks and blending all use the numbers here, so that nothing is
-// dropped that blending would count.
+// dropped that blending would count. `precise`: count_macro_tiles and emit_pairs must find the same tiles in two kernels,
+// which a compiler might fuse differently.
 
 // A projected Gaussian in the factored form that blending evaluates: with d = pixel centre - mean,
 //   log2(alpha) = log2_opacity - ((d.x - slope * d.y) * rate_x)^2 - (d.y * rate_y)^2,
@@ -26,12 +27,14 @@ float squared_reach(Footprint splat) {
 
 // Pixel coordinates [first, last] along one axis whose centres lie in [low, high], clipped to the image.
 ivec2 pixels_between(float low, float high, uint size_px) {
-    return ivec2(max(ceil(low - 0.5), 0.0), min(floor(high - 0.5), float(size_px) - 1.0));
+    // Both ends from both sides: what an int cannot hold has no defined conversion.
+    float size = float(size_px);
+    return ivec2(clamp(ceil(low - 0.5), 0.0, size), clamp(floor(high - 0.5), -1.0, size - 1.0));
 }
 
 // Rows of pixels the splat can reach, [first, last].
 ivec2 reached_rows(Footprint splat, uint height_px) {
-    float half_height = sqrt(squared_reach(splat) + REACH_SLACK) / splat.rate_y;
+    precise float half_height = sqrt(squared_reach(splat) + REACH_SLACK) / splat.rate_y;
     return pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px);
 }
 
@@ -41,22 +44,22 @@ ivec2 reached_rows(Footprint splat, uint height_px) {
 // B = 1 / rate_x. The right edge is concave in v with its top at v = r A / sqrt(A^2 + B^2), the left edge is its mirror
 // image: the extreme over a strip is at that v, moved into the strip.
 ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px) {
-    float r2 = squared_reach(splat) + REACH_SLACK;
-    float r = sqrt(r2);
-    float low_v = max((low_y - splat.mean_px.y) * splat.rate_y, -r);
-    float high_v = min((high_y - splat.mean_px.y) * splat.rate_y, r);
+    precise float r2 = squared_reach(splat) + REACH_SLACK;
+    precise float r = sqrt(r2);
+    precise float low_v = max((low_y - splat.mean_px.y) * splat.rate_y, -r);
+    precise float high_v = min((high_y - splat.mean_px.y) * splat.rate_y, r);
     if (!(low_v <= high_v)) {
         return ivec2(0, -1);
     }
-    float a = splat.slope / splat.rate_y;
-    float b = 1.0 / splat.rate_x;
-    float top_v = r * a * inversesqrt(a * a + b * b);
-    float right_v = clamp(top_v, low_v, high_v);
-    float left_v = clamp(-top_v, low_v, high_v);
-    float right = a * right_v + b * sqrt(max(r2 - right_v * right_v, 0.0));
-    float left = a * left_v - b * sqrt(max(r2 - left_v * left_v, 0.0));
+    precise float a = splat.slope / splat.rate_y;
+    precise float b = 1.0 / splat.rate_x;
+    precise float top_v = r * a * inversesqrt(a * a + b * b);
+    precise float right_v = clamp(top_v, low_v, high_v);
+    precise float left_v = clamp(-top_v, low_v, high_v);
+    precise float right = a * right_v + b * sqrt(max(r2 - right_v * right_v, 0.0));
+    precise float left = a * left_v - b * sqrt(max(r2 - left_v * left_v, 0.0));
     // Rounding of the edges themselves, which needles of 10^5 pixels make visible.
-    float rounding = 1e-6 * (abs(a) * r + b * r);
+    precise float rounding = 1e-6 * (abs(a) * r + b * r);
     return pixels_between(splat.mean_px.x + left - rounding, splat.mean_px.x + right + rounding, width_px);
 }
 

@@ -72,6 +72,7 @@ struct Item {
     uint first_pair;
     uint pairs;
     uint partial; // slot of its partial result, or NO_PARTIAL when it is its tile's only segment
+    uint segment; // its place in its tile's list; the slots of those before it are the ones before its own
 };
 const uint NO_PARTIAL = 0xffffffffu;
 

@@ -24,6 +24,9 @@ uvec2 pixel_offset(uint thread, uint index) {
     return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(lane % 4u + 4u * (index % 2u), lane / 4u);
 }
 
+// A pixel that lets no more than this through is full.
+const float TRANSMITTANCE_MIN = 1e-4;
+
 // What a pixel has gathered, front to back.
 struct Pixel {
     vec3 colour;

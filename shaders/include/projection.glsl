@@ -24,6 +24,7 @@ mat3 matrix_from_quaternion(vec4 q) { // w, x, y, z, of unit length
 // The footprint of a splat whose mean is `t` in camera space and whose covariance is `axes` * transpose(`axes`) in world
 // space. False when the splat is behind the near plane or adds nothing to any pixel.
 bool project_splat(Camera camera, vec3 t, mat3 axes, float opacity, out Footprint splat) {
+    splat = Footprint(vec2(0.0), 0.0, 1.0, 1.0, -1.0);
     if (!(t.z >= NEAR_M)) {
         return false;
     }

@@ -100,16 +100,20 @@ fn needles() {
 
 #[test]
 fn discs() {
-    let splats: Vec<Splat> = (0..200)
-        .map(|i| Splat { scale_m: [0.3 + noise(i, 20), 0.3 + noise(i, 21), 1e-6], ..crowd(200)[i] })
-        .collect();
+    let splats: Vec<Splat> =
+        (0..200).map(|i| Splat { scale_m: [0.3 + noise(i, 20), 0.3 + noise(i, 21), 1e-6], ..crowd(200)[i] }).collect();
     assert_exact(&world_of(&splats), &[camera()], Rules::DEFAULT);
 }
 
 #[test]
 fn huge_splats_that_cover_the_image() {
-    let mut splats: Vec<Splat> =
-        (0..20).map(|i| Splat { scale_m: [10f32.powi(i % 4); 3], opacity: 0.1 + 0.04 * i as f32, ..Splat::at(0.1 * i as f32, 0.0, 5.0 + i as f32) }).collect();
+    let mut splats: Vec<Splat> = (0..20)
+        .map(|i| Splat {
+            scale_m: [10f32.powi(i % 4); 3],
+            opacity: 0.1 + 0.04 * i as f32,
+            ..Splat::at(0.1 * i as f32, 0.0, 5.0 + i as f32)
+        })
+        .collect();
     // A kilometre across, its centre a metre away.
     splats.push(Splat { scale_m: [1e3, 1e3, 1e3], opacity: 0.2, ..Splat::at(0.0, 0.0, 1.0) });
     splats.extend(crowd(100));
@@ -175,12 +179,16 @@ fn a_stack_of_100_000_layers_on_a_pixel() {
 #[test]
 fn equal_depths_are_ordered_by_index() {
     // The same place a hundred times, every one another colour: only the order decides.
-    let splats: Vec<Splat> =
-        (0..100).map(|i| Splat { opacity: 0.3, rgb: std::array::from_fn(|c| noise(i, c as u64)), ..Splat::at(0.0, 0.0, 3.0) }).collect();
+    let splats: Vec<Splat> = (0..100)
+        .map(|i| Splat { opacity: 0.3, rgb: std::array::from_fn(|c| noise(i, c as u64)), ..Splat::at(0.0, 0.0, 3.0) })
+        .collect();
     assert_exact(&world_of(&splats), &[camera()], Rules::DEFAULT);
     let reversed: Vec<Splat> = splats.iter().rev().copied().collect();
     let gpu = Validated::open();
-    let (a, b) = (draw(&gpu, &world_of(&splats), &[camera()], Rules::DEFAULT), draw(&gpu, &world_of(&reversed), &[camera()], Rules::DEFAULT));
+    let (a, b) = (
+        draw(&gpu, &world_of(&splats), &[camera()], Rules::DEFAULT),
+        draw(&gpu, &world_of(&reversed), &[camera()], Rules::DEFAULT),
+    );
     assert_ne!(a, b, "the order must be seen in the picture, or this proves nothing");
 }
 
@@ -213,7 +221,8 @@ fn defective_splats_change_nothing() {
 #[test]
 fn zero_and_denormal_scales() {
     let mut splats = crowd(50);
-    for (i, scale) in [[0.0; 3], [0.0, 0.1, 0.0], [f32::from_bits(1); 3], [0.2, f32::from_bits(77), 0.2]].into_iter().enumerate() {
+    for (i, scale) in [[0.0; 3], [0.0, 0.1, 0.0], [f32::from_bits(1); 3], [0.2, f32::from_bits(77), 0.2]].into_iter().enumerate()
+    {
         splats.push(Splat { scale_m: scale, ..Splat::at(0.3 * i as f32 - 0.4, 0.1, 2.0) });
     }
     assert_exact(&world_of(&splats), &[camera()], Rules::DEFAULT);
@@ -249,7 +258,9 @@ fn sh_extremes() {
     let mut world = world_of(&splats);
     let cloud = &mut world.splats;
     cloud.sh_degree = 3;
-    cloud.sh_rest = (0..splats.len() * (sh::coefficient_count(3) - 1)).map(|i| std::array::from_fn(|c| 20.0 * noise(i, 30 + c as u64) - 10.0)).collect();
+    cloud.sh_rest = (0..splats.len() * (sh::coefficient_count(3) - 1))
+        .map(|i| std::array::from_fn(|c| 20.0 * noise(i, 30 + c as u64) - 10.0))
+        .collect();
     let gpu = Validated::open();
     let picture = &draw(&gpu, &world, &[camera()], Rules::DEFAULT)[0];
     let truth = reference::render(&world, &camera(), &Rules::DEFAULT).to_picture();
@@ -307,7 +318,10 @@ fn an_8k_wide_image() {
 fn interpenetrating_clouds_of_the_same_kind() {
     // Two clouds through each other, met in one depth order whichever comes first in the world.
     let a = crowd(300);
-    let b: Vec<Splat> = crowd(300).into_iter().map(|s| Splat { rgb: [s.rgb[2], s.rgb[0], 1.0], mean_m: [s.mean_m[1], s.mean_m[0], s.mean_m[2] + 0.01], ..s }).collect();
+    let b: Vec<Splat> = crowd(300)
+        .into_iter()
+        .map(|s| Splat { rgb: [s.rgb[2], s.rgb[0], 1.0], mean_m: [s.mean_m[1], s.mean_m[0], s.mean_m[2] + 0.01], ..s })
+        .collect();
     let turned = Camera { world_from_camera: Pose::new(DQuat::from_rotation_y(0.4), DVec3::new(-1.0, 0.0, 0.0)), ..camera() };
     assert_exact(&world_of(&[a, b].concat()), &[camera(), turned], Rules::DEFAULT);
 }

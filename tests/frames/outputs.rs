@@ -11,7 +11,12 @@ fn scene() -> World {
     let splats: Vec<Splat> = (0..600)
         .map(|i| {
             let (a, b) = ((i as f32 * 0.618).fract(), (i as f32 * 0.324).fract());
-            Splat { opacity: 0.3 + 0.6 * a, scale_m: [0.15; 3], rgb: [a, b, 0.5], ..Splat::at(4.0 * a - 2.0, 2.0 * b - 1.0, 3.0 + 4.0 * b) }
+            Splat {
+                opacity: 0.3 + 0.6 * a,
+                scale_m: [0.15; 3],
+                rgb: [a, b, 0.5],
+                ..Splat::at(4.0 * a - 2.0, 2.0 * b - 1.0, 3.0 + 4.0 * b)
+            }
         })
         .collect();
     let mut world = world_of(&splats);

@@ -50,7 +50,7 @@ impl Case {
                 let first_pair = (bin * 97) % (all - length + 1);
                 let slot = if bin % 3 == 0 { partial } else { NO_PARTIAL };
                 partial += u32::from(bin % 3 == 0);
-                Item { bin, first_pair, pairs: length, partial: slot }
+                Item { bin, first_pair, pairs: length, partial: slot, segment: 0 }
             })
             .collect();
         Self { scene, projected, records, items, rules }

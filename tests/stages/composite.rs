@@ -3,7 +3,7 @@
 use decouplegs::render::layout::{Composite, MACRO_PIXELS, Needs, View};
 use decouplegs::render::stages::{Arguments, CompositeSegments, Partials, Plan};
 use decouplegs::render::twins::output::{
-    BLEND_THREADS, PIXELS, Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
+    BLEND_THREADS, Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
 use decouplegs::render::{Capacity, ColourFormat, OutputBuffers, Outputs, twins};
 use glam::{DVec3, Vec3};
@@ -13,6 +13,9 @@ use super::{ROUNDOFF, Random, UNTOUCHED, control, identical, open, run, upload, 
 use crate::device::Validated;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
+
+/// Workgroups that share the pixels of a macro tile.
+const COMPOSITE_GROUPS: usize = MACRO_PIXELS / 256;
 
 /// Partial results of cut macro tiles.
 struct Case {
@@ -42,7 +45,7 @@ impl Case {
         let Self { view, composites, partials } = self;
         let outputs = Outputs { colour, depth: true, instance: true };
         let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
-        let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * PIXELS)]);
+        let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
         let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, view.bins).unwrap();
         gpu.write(&plan.composites, 0, composites).unwrap();
         let on_device = Partials::new(gpu, partials.len() / MACRO_PIXELS, &outputs).unwrap();

@@ -1,7 +1,7 @@
 //! `sort_count.comp`, `sort_scan.comp` and `sort_scatter.comp`: a stable sort.
 
 use decouplegs::render::layout::Needs;
-use decouplegs::render::stages::{Arguments, RadixSort, SortCount, SortScratch};
+use decouplegs::render::stages::{Arguments, RadixSort, SortCount, SortInput, SortScratch};
 use decouplegs::render::twins;
 
 use super::{Random, UNTOUCHED, control, identical, open, run, sort_shape};
@@ -60,7 +60,8 @@ impl Sorter {
             gpu.write(&scratch.values[0], 0, values).unwrap();
         }
         let mut sorted = 0;
-        run(gpu, |r| sorted = self.sort.record(r, &scratch, &control, which, input.bits, input.values.is_none()));
+        let sort_input = SortInput { count: which, max: input.keys.len(), first: 0, index_values: input.values.is_none() };
+        run(gpu, |r| sorted = self.sort.record(r, &scratch, &control, sort_input, input.bits));
         let first = |buffer| gpu.read(buffer).unwrap()[..held].to_vec();
         (first(&scratch.keys[sorted]), first(&scratch.values[sorted]))
     }

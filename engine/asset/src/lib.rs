@@ -20,8 +20,8 @@ pub mod spz;
 pub mod street;
 
 pub use atomic::write_atomically;
-pub use error::{AssetError, DecodeError, EncodeError, SceneError};
 pub use cameras::read_cameras;
+pub use error::{AssetError, DecodeError, EncodeError, SceneError};
 pub use read::{SplatFormat, read_splats};
 pub use scene_file::{LoadedScene, SceneAgent, SceneFile, open_scene};
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};

@@ -30,14 +30,14 @@ impl Capacity {
         needs.records as usize <= self.records && needs.pairs as usize <= self.pairs && needs.partials as usize <= self.partials
     }
 
-    /// Room for `needs` with an eighth to spare, so that a moving camera does not outgrow it at every step. Never smaller.
+    /// Room for `needs` with a sixteenth to spare, so that a moving camera does not outgrow it at every step. Never smaller.
     ///
     /// Needs found while an earlier list overflowed are too low: it may take another turn.
     #[must_use]
     pub fn grown_to(&self, needs: &Needs) -> Self {
         let grown = |have: usize, need: u32| {
             let need = need as usize;
-            if need > have { need + need / 8 + 64 } else { have }
+            if need > have { need + need / 16 + 64 } else { have }
         };
         Self {
             records: grown(self.records, needs.records),
@@ -115,7 +115,7 @@ mod tests {
     fn sort_workgroups_hold_at_most_eight_subgroups() {
         for subgroup in [4, 8, 16, 32, 64] {
             let shape = SortShape::for_device(subgroup, 256);
-            assert!(shape.threads.div_ceil(subgroup) <= 8 && shape.threads % subgroup == 0);
+            assert!(shape.threads.div_ceil(subgroup) <= 8 && shape.threads.is_multiple_of(subgroup));
         }
     }
 

@@ -8,11 +8,14 @@ use crate::layout::{CameraRecord, Needs, View};
 use crate::output::{OutputBuffers, Outputs};
 use crate::resident::ResidentWorld;
 use crate::stages::{
-    Blend, CompositeSegments, Control, CountPairs, Cull, EmitPairs, FindRanges, PURPOSE, Pairs, Partials, Plan, PlanSegments, Project,
-    ProjectVariant, Projected, RadixSort, Scan, SortCount, SortScratch, Visible,
+    Blend, CompositeSegments, Control, CountPairs, Cull, EmitPairs, FindRanges, PURPOSE, Pairs, Partials, Plan, PlanSegments,
+    Project, ProjectVariant, Projected, RadixSort, Scan, SortCount, SortInput, SortScratch, Visible,
 };
 
-/// Depth keys are f32 bit patterns; the sign bit is never set.
+/// Longer segments are no segments.
+const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
+
+/// All of a depth key: see `depth_key.glsl`.
 const DEPTH_KEY_BITS: u32 = 32;
 
 /// The kernels of a frame, built once for a set of rules and outputs and a kind of world.
@@ -39,7 +42,8 @@ impl Stages {
         sort: SortShape,
     ) -> Result<Self, GpuError> {
         // Whether a pixel stops before a splat depends on all splats before it: such lists are not cut.
-        let segment_pairs = if rules.stop == EarlyStop::Exclusive { u32::MAX } else { segment_pairs };
+        let whole = rules.stop == EarlyStop::Exclusive || segment_pairs > SEGMENT_PAIRS_MAX;
+        let segment_pairs = if whole { u32::MAX } else { segment_pairs.max(1) };
         Ok(Self {
             cull: Cull::new(gpu, rules)?,
             scan: Scan::new(gpu, sort.block())?,
@@ -74,9 +78,9 @@ pub(crate) struct FrameBuffers {
     visible: Visible,
     firsts: Buffer<u32>,
     projected: Projected,
-    by_depth: SortScratch,
+    /// First records by depth, then pairs by macro tile.
+    sort: SortScratch,
     pair_counts: Buffer<u32>,
-    by_bin: SortScratch,
     range_firsts: Buffer<u32>,
     plan: Plan,
     partials: Partials,
@@ -96,9 +100,8 @@ impl FrameBuffers {
             visible: Visible::new(gpu, cameras, chunks)?,
             firsts: gpu.buffer("firsts", PURPOSE, cameras * chunks, device)?,
             projected: Projected::new(gpu, capacity.records)?,
-            by_depth: SortScratch::new(gpu, sort, capacity.records)?,
+            sort: SortScratch::new(gpu, sort, capacity.records.max(capacity.pairs))?,
             pair_counts: gpu.buffer("pair_counts", PURPOSE, capacity.pair_blocks(), device)?,
-            by_bin: SortScratch::new(gpu, sort, capacity.pairs)?,
             range_firsts: gpu.buffer("range_firsts", PURPOSE, bins as usize + 1, device)?,
             plan: Plan::new(gpu, &capacity, bins)?,
             partials: Partials::new(gpu, capacity.partials, outputs)?,
@@ -121,6 +124,8 @@ pub(crate) fn record_frame(recorder: &mut Recorder, stages: &Stages, world: &Res
     recorder.stage("begin", |r| {
         r.copy(&frame.staged_cameras, 0, cameras, 0, camera_count);
         r.fill(control.needs.binding(), 0, control.needs.byte_len(), 0);
+        let transmittances = &frame.partials.transmittances;
+        r.fill(transmittances.binding(), 0, transmittances.byte_len(), 0);
         r.fill(control.arguments.binding(), 0, control.arguments.byte_len(), 0);
     });
     recorder.stage("cull", |r| stages.cull.record(r, world, cameras, camera_count, &frame.visible));
@@ -128,31 +133,34 @@ pub(crate) fn record_frame(recorder: &mut Recorder, stages: &Stages, world: &Res
         stages.scan.record(r, &frame.visible.counts, &frame.firsts, camera_count * chunks, capacity.records, control);
     });
     recorder.stage("project", |r| {
-        let keys = &frame.by_depth.keys[0];
+        let keys = &frame.sort.keys[0];
         stages.project.record(r, world, cameras, camera_count, &frame.visible, &frame.firsts, &frame.projected, keys);
     });
     let mut sorted = 0;
     recorder.stage("sort by depth", |r| {
-        sorted = stages.sort.record(r, &frame.by_depth, control, SortCount::Records, DEPTH_KEY_BITS, true);
+        let input = SortInput { count: SortCount::Records, max: capacity.records, first: 0, index_values: true };
+        sorted = stages.sort.record(r, &frame.sort, control, input, DEPTH_KEY_BITS);
     });
-    let order = &frame.by_depth.values[sorted];
+    // The order is one pair of the sort's buffers; the other is free again, for the pairs.
+    let (order, free) = (&frame.sort.values[sorted], 1 - sorted);
     recorder.stage("emit pairs", |r| {
-        let pairs = Pairs { bins: &frame.by_bin.keys[0], records: &frame.by_bin.values[0] };
+        let pairs = Pairs { bins: &frame.sort.keys[free], records: &frame.sort.values[free] };
         let (firsts, projected) = (&frame.firsts, &frame.projected);
         stages.count_pairs.record(r, control, order, projected, &frame.pair_counts);
         stages.emit_pairs.record(r, control, cameras, camera_count, chunks, firsts, order, projected, &frame.pair_counts, &pairs);
     });
     let mut binned = 0;
     recorder.stage("sort by tile", |r| {
-        binned = stages.sort.record(r, &frame.by_bin, control, SortCount::Pairs, bits_for(bins), false);
+        let input = SortInput { count: SortCount::Pairs, max: frame.sort.keys[free].len(), first: free, index_values: false };
+        binned = stages.sort.record(r, &frame.sort, control, input, bits_for(bins));
     });
     recorder.stage("plan", |r| {
-        stages.find_ranges.record(r, control, &frame.by_bin.keys[binned], &frame.range_firsts, bins);
+        stages.find_ranges.record(r, control, &frame.sort.keys[binned], &frame.range_firsts, bins);
         stages.plan_segments.record(r, control, &frame.range_firsts, bins, &capacity, &frame.plan);
     });
     let (plan, partials, pictures) = (&frame.plan, &frame.partials, &frame.pictures);
     recorder.stage("blend", |r| {
-        let records = &frame.by_bin.values[binned];
+        let records = &frame.sort.values[binned];
         let projected = &frame.projected;
         stages.blend.record(r, control, cameras, camera_count, world.sky, plan, records, projected, partials, pictures);
     });

@@ -154,6 +154,8 @@ pub struct Item {
     pub pairs: u32,
     /// Slot of its partial result, or [`NO_PARTIAL`].
     pub partial: u32,
+    /// Its place in its macro tile's list; the slots of those before it are the ones before its own.
+    pub segment: u32,
 }
 
 /// The segment is its tile's only one and writes pixels itself.
@@ -198,8 +200,8 @@ impl View {
             if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
                 return Err(format!("camera {}: its pose {pose:?} is not finite", camera.name));
             }
-            let first_pixel = u32::try_from(view.pixels)
-                .map_err(|_| format!("camera {}: more than 2^32 pixels in one frame", camera.name))?;
+            let first_pixel =
+                u32::try_from(view.pixels).map_err(|_| format!("camera {}: more than 2^32 pixels in one frame", camera.name))?;
             let record = CameraRecord::new(camera, origin, view.bins, first_pixel);
             view.bins += record.bins();
             view.pixels += record.pixels();

@@ -29,8 +29,9 @@ pub struct RenderOptions {
     pub outputs: Outputs,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
-    /// Macro tiles whose list is longer are blended in segments of this length, side by side. Shorter segments balance
-    /// better and take more memory: 32 KiB of partial result each.
+    /// Macro tiles whose list is longer are blended in segments of this length (the last up to half longer), side
+    /// by side. Shorter segments balance better and take more memory: 32 KiB of partial result each. Above 2^24 lists are not
+    /// cut.
     pub segment_pairs: u32,
 }
 
@@ -136,7 +137,15 @@ impl Renderer {
                 let gpu_time = Duration::from_nanos(ticket.gpu_time_ns()?);
                 let stages = ticket.stage_times()?;
                 self.view = Some(view);
-                return Ok(FrameStatistics { needs, capacity, redrawn, gpu_time, stages, wall_time: start.elapsed(), record_time });
+                return Ok(FrameStatistics {
+                    needs,
+                    capacity,
+                    redrawn,
+                    gpu_time,
+                    stages,
+                    wall_time: start.elapsed(),
+                    record_time,
+                });
             }
             self.capacity = Some(capacity.grown_to(&needs));
         }

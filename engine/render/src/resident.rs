@@ -59,7 +59,8 @@ impl ResidentWorld {
             Ok(gpu.upload(name, PURPOSE, &values)?)
         };
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
-        let dc: Vec<[f32; 3]> = prepared.iter().zip(&cloud.sh_dc).map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] }).collect();
+        let dc: Vec<[f32; 3]> =
+            prepared.iter().zip(&cloud.sh_dc).map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] }).collect();
         let chunks: Vec<ChunkRecord> = prepared.par_chunks(CHUNK_SPLATS).map(chunk_of).collect();
         Ok(Self {
             splats: cloud.len(),
@@ -73,7 +74,11 @@ impl ResidentWorld {
             shapes: gather("shapes", |splat| splat.shape)?,
             rotations: gather("rotations", |splat| splat.rotation)?,
             sh_dc: gpu.upload("sh_dc", PURPOSE, &dc)?,
-            sh_bands: [upload_band(gpu, cloud, &prepared, 1)?, upload_band(gpu, cloud, &prepared, 2)?, upload_band(gpu, cloud, &prepared, 3)?],
+            sh_bands: [
+                upload_band(gpu, cloud, &prepared, 1)?,
+                upload_band(gpu, cloud, &prepared, 2)?,
+                upload_band(gpu, cloud, &prepared, 3)?,
+            ],
             instances: gpu.upload("instances", PURPOSE, &pack_pairs(&world.instance_from_splat))?,
         })
     }
@@ -144,11 +149,17 @@ fn upload_band(gpu: &Gpu, cloud: &SplatCloud, prepared: &[Prepared], band: usize
     let encoded: Vec<[u32; sh_codec::WORDS_MAX]> = (0..cloud.len())
         .into_par_iter()
         .map(|splat| {
-            if prepared[splat].drawn { sh_codec::encode_band(&cloud.rest_of(splat)[first..end]) } else { [0; sh_codec::WORDS_MAX] }
+            if prepared[splat].drawn {
+                sh_codec::encode_band(&cloud.rest_of(splat)[first..end])
+            } else {
+                [0; sh_codec::WORDS_MAX]
+            }
         })
         .collect();
-    let planes: Vec<u32> =
-        (0..sh_codec::words_of(band)).into_par_iter().flat_map_iter(|word| encoded.iter().map(move |words| words[word])).collect();
+    let planes: Vec<u32> = (0..sh_codec::words_of(band))
+        .into_par_iter()
+        .flat_map_iter(|word| encoded.iter().map(move |words| words[word]))
+        .collect();
     Ok(gpu.upload(name, PURPOSE, &planes)?)
 }
 

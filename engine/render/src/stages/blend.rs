@@ -16,6 +16,8 @@ pub struct Partials {
     pub depths: Buffer<f32>,
     /// Largest weight (bits of an f32) and its instance.
     pub instances: Buffer<[u32; 2]>,
+    /// Bits of the largest transmittance by render tile; zero before the frame.
+    pub transmittances: Buffer<[u32; 32]>,
 }
 
 impl Partials {
@@ -29,6 +31,7 @@ impl Partials {
             colours: gpu.buffer("partial_colours", PURPOSE, pixels(true), Residence::Device)?,
             depths: gpu.buffer("partial_depths", PURPOSE, pixels(outputs.depth), Residence::Device)?,
             instances: gpu.buffer("partial_instances", PURPOSE, pixels(outputs.instance), Residence::Device)?,
+            transmittances: gpu.buffer("partial_transmittances", PURPOSE, slots, Residence::Device)?,
         })
     }
 }
@@ -55,7 +58,8 @@ impl Blend {
         let [u8_colour, depth, instance] = outputs.constants();
         let alpha_max = ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32));
         let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &[u8_colour, depth, instance, alpha_max, stop])? })
+        let uniform = ("TEAM_HOLDS_SUBGROUPS", Constant::Bool(gpu.limits().subgroup_size <= 32));
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &[u8_colour, depth, instance, alpha_max, stop, uniform])? })
     }
 
     /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results.
@@ -89,7 +93,14 @@ impl Blend {
             ("partial_colours", partials.colours.binding()),
             ("partial_depths", partials.depths.binding()),
             ("partial_instances", partials.instances.binding()),
+            ("partial_transmittances", partials.transmittances.binding()),
         ];
-        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), Arguments::Blend.byte_offset());
+        recorder.dispatch_indirect(
+            &self.kernel,
+            &buffers,
+            bytes_of(&push),
+            control.arguments.binding(),
+            Arguments::Blend.byte_offset(),
+        );
     }
 }

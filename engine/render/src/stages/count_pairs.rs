@@ -20,7 +20,14 @@ impl CountPairs {
     }
 
     /// Writes to `pair_counts` the pairs of each block of `order`.
-    pub fn record(&self, recorder: &mut Recorder, control: &Control, order: &Buffer<u32>, projected: &Projected, pair_counts: &Buffer<u32>) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        control: &Control,
+        order: &Buffer<u32>,
+        projected: &Projected,
+        pair_counts: &Buffer<u32>,
+    ) {
         let records_max = projected.colours.len() as u32;
         let buffers = [
             ("needs", control.needs.binding()),

@@ -55,8 +55,16 @@ impl Cull {
     }
 
     /// Marks what `cameras` see of `world`.
-    pub fn record(&self, recorder: &mut Recorder, world: &ResidentWorld, cameras: &Buffer<CameraRecord>, camera_count: usize, visible: &Visible) {
-        let push = Push { splat_count: world.splats as u32, camera_count: camera_count as u32, chunk_count: world.chunk_count() as u32 };
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        world: &ResidentWorld,
+        cameras: &Buffer<CameraRecord>,
+        camera_count: usize,
+        visible: &Visible,
+    ) {
+        let push =
+            Push { splat_count: world.splats as u32, camera_count: camera_count as u32, chunk_count: world.chunk_count() as u32 };
         let buffers = [
             ("cameras", cameras.binding()),
             ("chunks", world.chunks.binding()),

@@ -27,13 +27,22 @@ impl FindRanges {
     }
 
     /// Writes to `range_firsts`, of one entry more than there are macro tiles, where each list of `bins` begins.
-    pub fn record(&self, recorder: &mut Recorder, control: &Control, bins: &Buffer<u32>, range_firsts: &Buffer<u32>, bin_count: u32) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        control: &Control,
+        bins: &Buffer<u32>,
+        range_firsts: &Buffer<u32>,
+        bin_count: u32,
+    ) {
         let push = Push { pairs_max: bins.len() as u32, bin_count };
-        let buffers = [
-            ("needs", control.needs.binding()),
-            ("bins", bins.binding()),
-            ("range_firsts", range_firsts.binding()),
-        ];
-        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), Arguments::Ranges.byte_offset());
+        let buffers = [("needs", control.needs.binding()), ("bins", bins.binding()), ("range_firsts", range_firsts.binding())];
+        recorder.dispatch_indirect(
+            &self.kernel,
+            &buffers,
+            bytes_of(&push),
+            control.arguments.binding(),
+            Arguments::Ranges.byte_offset(),
+        );
     }
 }

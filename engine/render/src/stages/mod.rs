@@ -22,9 +22,9 @@ pub use cull::{Cull, Visible};
 pub use emit_pairs::{EmitPairs, Pairs};
 pub use find_ranges::FindRanges;
 pub use plan_segments::{Plan, PlanSegments};
-pub use project::{Project, Projected, ProjectVariant};
+pub use project::{Project, ProjectVariant, Projected};
 pub use scan::Scan;
-pub use sort::{RadixSort, SortCount, SortScratch};
+pub use sort::{RadixSort, SortCount, SortInput, SortScratch};
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Residence};
 
@@ -79,6 +79,10 @@ impl Arguments {
     }
 }
 
-fn kernel(gpu: &Gpu, shader: &'static decouplegs_shaders::Kernel, constants: &[(&str, decouplegs_gpu::Constant)]) -> Result<Kernel, GpuError> {
+fn kernel(
+    gpu: &Gpu,
+    shader: &'static decouplegs_shaders::Kernel,
+    constants: &[(&str, decouplegs_gpu::Constant)],
+) -> Result<Kernel, GpuError> {
     gpu.kernel(shader.name, shader.spirv, constants)
 }

@@ -4,12 +4,12 @@ use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 
 use super::{Control, PURPOSE, kernel};
-use crate::capacity::{Capacity, groups_for};
+use crate::capacity::Capacity;
 use crate::layout::{Composite, Item};
 
 /// The work of blend and composite.
 pub struct Plan {
-    /// Segments, by macro tile and front to back within one.
+    /// Segments, in waves: those that are first in their macro tile, then the second, then the third and fourth and so on.
     pub items: Buffer<Item>,
     /// Macro tiles that were cut.
     pub composites: Buffer<Composite>,
@@ -40,6 +40,7 @@ struct Push {
 /// `plan_segments.comp`.
 pub struct PlanSegments {
     kernel: Kernel,
+    segment_pairs: u32,
 }
 
 impl PlanSegments {
@@ -48,7 +49,8 @@ impl PlanSegments {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, segment_pairs: u32) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &[("SEGMENT_PAIRS", Constant::U32(segment_pairs))])? })
+        let constants = [("SEGMENT_PAIRS", Constant::U32(segment_pairs))];
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &constants)?, segment_pairs })
     }
 
     /// Writes `plan` for the lists that begin at `range_firsts`.
@@ -74,6 +76,22 @@ impl PlanSegments {
             ("composites", plan.composites.binding()),
             ("arguments", control.arguments.binding()),
         ];
-        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for((bin_count as usize).div_ceil(256)));
+        let waves = waves_for(capacity.pairs.div_ceil(self.segment_pairs as usize));
+        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), [bin_count.div_ceil(256), waves, 1]);
+    }
+}
+
+/// Waves that hold `segments` of one macro tile: wave 0 is segment 0, wave w the segments from 2^(w - 1) to 2^w - 1.
+fn waves_for(segments: usize) -> u32 {
+    1 + segments.max(1).next_power_of_two().trailing_zeros()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waves_hold_all_segments() {
+        assert_eq!([0, 1, 2, 3, 4, 5, 8, 9].map(waves_for), [1, 1, 2, 3, 3, 4, 4, 5]);
     }
 }

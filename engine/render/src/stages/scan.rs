@@ -29,7 +29,15 @@ impl Scan {
     }
 
     /// Writes the exclusive sums of `counts` to `firsts`, and the total, which sizes the stages that follow.
-    pub fn record(&self, recorder: &mut Recorder, counts: &Buffer<u32>, firsts: &Buffer<u32>, count: usize, records_max: usize, control: &Control) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        counts: &Buffer<u32>,
+        firsts: &Buffer<u32>,
+        count: usize,
+        records_max: usize,
+        control: &Control,
+    ) {
         let push = Push { count: count as u32, records_max: records_max as u32 };
         let buffers = [
             ("counts", counts.binding()),

@@ -14,9 +14,9 @@ const RADIX: usize = 1 << RADIX_BITS;
 
 /// Keys, values and counters, twice where a pass needs to read one and write the other.
 pub struct SortScratch {
-    /// Keys: the input is `keys[0]`.
+    /// Keys.
     pub keys: [Buffer<u32>; 2],
-    /// Values: the input, where there is one, is `values[0]`.
+    /// Values.
     pub values: [Buffer<u32>; 2],
     histograms: Buffer<u32>,
     digit_totals: Buffer<u32>,
@@ -45,6 +45,19 @@ pub enum SortCount {
     Records = 0,
     /// (Macro tile, record).
     Pairs = 1,
+}
+
+/// What is to be sorted.
+#[derive(Clone, Copy, Debug)]
+pub struct SortInput {
+    /// Where the device finds the number of keys.
+    pub count: SortCount,
+    /// No more than this many, whatever that number is.
+    pub max: usize,
+    /// Which of the scratch's pairs of buffers holds them.
+    pub first: usize,
+    /// The values are the keys' own places, whatever the values buffer holds.
+    pub index_values: bool,
 }
 
 #[repr(C)]
@@ -77,7 +90,9 @@ impl RadixSort {
     /// When the driver refuses a kernel.
     pub fn new(gpu: &Gpu, shape: SortShape) -> Result<Self, GpuError> {
         let size = [("WORKGROUP_THREADS", Constant::U32(shape.threads)), ("ITEMS", Constant::U32(shape.items))];
-        let scatter = |indices| kernel(gpu, &decouplegs_shaders::SORT_SCATTER, &[size[0], size[1], ("INDEX_VALUES", Constant::Bool(indices))]);
+        let scatter = |indices| {
+            kernel(gpu, &decouplegs_shaders::SORT_SCATTER, &[size[0], size[1], ("INDEX_VALUES", Constant::Bool(indices))])
+        };
         Ok(Self {
             count: kernel(gpu, &decouplegs_shaders::SORT_COUNT, &size)?,
             scan: kernel(gpu, &decouplegs_shaders::SORT_SCAN, &size)?,
@@ -86,35 +101,44 @@ impl RadixSort {
         })
     }
 
-    /// Sorts `keys[0]` by its low `key_bits`, values along with it; with `index_values` the values are the keys' own
-    /// places, whatever `values[0]` holds. Returns which of the two buffers holds the result.
+    /// Sorts `input` by the low `key_bits` of its keys, values along with them. Returns which pair of buffers holds the result.
+    ///
+    /// # Panics
+    /// When `input.max` is more than the scratch has room for.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scratch: &SortScratch,
         control: &Control,
-        count: SortCount,
+        input: SortInput,
         key_bits: u32,
-        index_values: bool,
     ) -> usize {
-        let arguments = match count {
+        assert!(input.max <= scratch.keys[0].len(), "a sort of {} keys, the scratch holds {}", input.max, scratch.keys[0].len());
+        let arguments = match input.count {
             SortCount::Records => Arguments::SortRecords,
             SortCount::Pairs => Arguments::SortPairs,
         };
-        let count_max = scratch.keys[0].len() as u32;
+        let (count_index, count_max) = (input.count as u32, input.max as u32);
         let passes = key_bits.div_ceil(RADIX_BITS) as usize;
         for pass in 0..passes {
-            let (from, to) = (pass % 2, 1 - pass % 2);
-            let push = Push { count_index: count as u32, count_max, shift: pass as u32 * RADIX_BITS };
-            let scan_push = ScanPush { count_index: count as u32, count_max };
+            let from = (input.first + pass) % 2;
+            let to = 1 - from;
+            let push = Push { count_index, count_max, shift: pass as u32 * RADIX_BITS };
+            let scan_push = ScanPush { count_index, count_max };
             let needs = ("needs", control.needs.binding());
             let histograms = ("histograms", scratch.histograms.binding());
             let digit_totals = ("digit_totals", scratch.digit_totals.binding());
             let keys_in = ("keys_in", scratch.keys[from].binding());
             let offset = arguments.byte_offset();
-            recorder.dispatch_indirect(&self.count, &[needs, keys_in, histograms], bytes_of(&push), control.arguments.binding(), offset);
+            recorder.dispatch_indirect(
+                &self.count,
+                &[needs, keys_in, histograms],
+                bytes_of(&push),
+                control.arguments.binding(),
+                offset,
+            );
             recorder.dispatch(&self.scan, &[needs, histograms, digit_totals], bytes_of(&scan_push), [RADIX as u32, 1, 1]);
-            let scatter = if index_values && pass == 0 { &self.scatter_indices } else { &self.scatter };
+            let scatter = if input.index_values && pass == 0 { &self.scatter_indices } else { &self.scatter };
             let buffers = [
                 needs,
                 histograms,
@@ -126,6 +150,6 @@ impl RadixSort {
             ];
             recorder.dispatch_indirect(scatter, &buffers, bytes_of(&push), control.arguments.binding(), offset);
         }
-        passes % 2
+        (input.first + passes) % 2
     }
 }

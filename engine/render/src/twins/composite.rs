@@ -1,4 +1,6 @@
-//! Joins the segments of a macro tile that was cut, front to back: `composite.comp`.
+//! Joins the segments of a macro tile that was cut, front to back, until it is full: `composite.comp`.
+
+use decouplegs_scene::rules::TRANSMITTANCE_MIN;
 
 use super::output::{PIXEL_EMPTY, Pixel, over};
 use crate::layout::{Composite, MACRO_PIXELS};
@@ -8,6 +10,12 @@ use crate::layout::{Composite, MACRO_PIXELS};
 pub fn composite(composite: &Composite, partials: &[Pixel]) -> Vec<Pixel> {
     let slots = composite.first_partial as usize..(composite.first_partial + composite.partials) as usize;
     (0..MACRO_PIXELS)
-        .map(|place| slots.clone().fold(PIXEL_EMPTY, |pixel, slot| over(pixel, &partials[slot * MACRO_PIXELS + place])))
+        .map(|place| {
+            let nearer_first = slots.clone().map(|slot| &partials[slot * MACRO_PIXELS + place]);
+            // Segments behind a full pixel may never have been blended.
+            nearer_first.fold(PIXEL_EMPTY, |pixel, farther| {
+                if pixel.transmittance > TRANSMITTANCE_MIN as f32 { over(pixel, farther) } else { pixel }
+            })
+        })
         .collect()
 }

@@ -1,4 +1,6 @@
 //! Cuts each macro tile's list into segments and plans how their results are joined: `plan_segments.comp`.
+//!
+//! Items come in waves: segment 0 of every tile, segment 1, segments 2 and 3, segments 4 to 7 and so on.
 
 use crate::capacity::groups_for;
 use crate::layout::{Composite, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
@@ -21,25 +23,43 @@ pub fn plan_segments(
     segment_pairs: u32,
 ) {
     let pairs = needs.pairs.min(pairs_max);
-    let (mut item, mut partial, mut composite) = (0u32, 0u32, 0u32);
-    for bin in 0..bin_count {
-        let [first_pair, end] = if pairs == 0 { [0, 0] } else { [range_firsts[bin as usize], range_firsts[bin as usize + 1]] };
-        let length = end - first_pair;
-        let segments = length.div_ceil(segment_pairs).max(1);
-        for segment in 0..segments {
-            let taken = segment * segment_pairs;
-            // Where there is no room for the partial result, any slot will do: the picture is drawn again.
-            let slot = if segments > 1 { (partial + segment).min(partials_max.wrapping_sub(1)) } else { NO_PARTIAL };
-            if let Some(place) = items.get_mut((item + segment) as usize) {
-                *place = Item { bin, first_pair: first_pair + taken, pairs: segment_pairs.min(length - taken), partial: slot };
-            }
-        }
-        item += segments;
+    let lists: Vec<[u32; 2]> =
+        (0..bin_count as usize).map(|bin| if pairs == 0 { [0, 0] } else { [range_firsts[bin], range_firsts[bin + 1]] }).collect();
+    let segments_of = |[first, end]: [u32; 2]| {
+        let (whole, left) = ((end - first) / segment_pairs, (end - first) % segment_pairs);
+        (whole + u32::from(left > segment_pairs / 2)).max(1)
+    };
+
+    let (mut partial, mut composite) = (0u32, 0u32);
+    let mut first_partials = Vec::new();
+    for (bin, &list) in (0u32..).zip(&lists) {
+        let segments = segments_of(list);
+        first_partials.push(partial);
         if segments > 1 {
             composites[composite as usize] = Composite { bin, first_partial: partial, partials: segments };
             composite += 1;
             partial += segments;
         }
+    }
+
+    let mut item = 0u32;
+    let longest = lists.iter().map(|&list| segments_of(list)).max().unwrap_or(0);
+    let mut wave = 0..1;
+    while wave.start < longest {
+        for (bin, &list) in (0u32..).zip(&lists) {
+            for segment in wave.start..wave.end.min(segments_of(list)) {
+                let taken = segment * segment_pairs;
+                // Where there is no room for the partial result, any slot will do: the picture is drawn again.
+                let slot = (first_partials[bin as usize] + segment).min(partials_max.wrapping_sub(1));
+                if let Some(place) = items.get_mut(item as usize) {
+                    let pairs = if segment + 1 < segments_of(list) { segment_pairs } else { list[1] - list[0] - taken };
+                    let partial = if segments_of(list) > 1 { slot } else { NO_PARTIAL };
+                    *place = Item { bin, first_pair: list[0] + taken, pairs, partial, segment };
+                }
+                item += 1;
+            }
+        }
+        wave = wave.end..2 * wave.end;
     }
     if bin_count == 0 {
         return;
