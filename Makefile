@@ -1,4 +1,4 @@
-# Two commands from a fresh Debian or Ubuntu machine that has cargo, git and make:
+# Two commands from a fresh Debian or Ubuntu machine that has cargo (from rustup, which reads rust-toolchain.toml), git and make:
 #
 #   make demo   renders a small synthetic street with a six-camera rig and writes the pictures to out/demo
 #   make test   runs every test, with the Vulkan validation layers on
@@ -18,9 +18,10 @@ DEMO := out/demo
 DECOUPLEGS := cargo run --quiet --package decouplegs-tools --
 
 # The demo is built like the tests (optimised, see [profile.dev] in Cargo.toml), so that shaderc is compiled once for both.
+# Its sizes are what lavapipe draws on two cores in half a minute.
 demo: packages
 	cargo build --package decouplegs-tools
-	$(DECOUPLEGS) synth street --background 60000 --agents 6 --agent-splats 4000 --degree 2 --seed 7 --out $(DEMO)/street
+	$(DECOUPLEGS) synth street --background 400000 --agents 8 --agent-splats 8000 --degree 1 --seed 7 --size 800x450 --out $(DEMO)/street
 	$(DECOUPLEGS) render $(DEMO)/street/scene.toml --out $(DEMO) --contact-sheet $(DEMO)/contact-sheet.png
 	@echo "The six pictures are in $(DEMO), side by side in $(DEMO)/contact-sheet.png."
 
@@ -29,9 +30,9 @@ test: export DECOUPLEGS_VALIDATION := 1
 test: packages
 	cargo test --workspace --doc
 	if cargo nextest --version >/dev/null 2>&1; then \
-		cargo nextest run --workspace --all-targets; \
+		cargo nextest run --workspace --all-targets --no-fail-fast; \
 	else \
-		cargo test --workspace --lib --bins --tests; \
+		cargo test --workspace --lib --bins --tests --no-fail-fast; \
 	fi
 
 packages:

@@ -5,3 +5,4 @@ mod device;
 mod frames;
 mod stages;
 mod tidy;
+mod truths;

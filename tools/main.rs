@@ -7,6 +7,7 @@
 mod arguments;
 mod bench;
 mod compare;
+mod device;
 mod devices;
 mod inspect;
 mod progress;

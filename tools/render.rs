@@ -2,20 +2,20 @@
 
 use std::collections::HashSet;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
 use decouplegs::render::picture::{Picture, PictureFormat, contact_sheet};
-use decouplegs::render::{RenderOptions, Renderer, reference};
+use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::Camera;
 
-use crate::arguments::write_picture;
+use crate::arguments::{print, write_picture};
+use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
 
-/// Render a scene for every camera, one picture each, named by the camera
+/// Render a scene for every camera, one picture each, named by the camera; the files are listed as they are written
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -26,15 +26,20 @@ pub struct Arguments {
     /// How pictures are written
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
-    /// Device to render on: an index, a part of its name or its UUID, as `devices` lists them
-    #[arg(long, value_name = "DEVICE", default_value = "auto")]
-    device: DeviceChoice,
+    #[command(flatten)]
+    device: DeviceArguments,
     /// Render with the f64 definition on the processor: exact and slow
     #[arg(long, conflicts_with = "device")]
     reference: bool,
-    /// Write all pictures side by side to this PNG too
-    #[arg(long, value_name = "FILE")]
+    /// Write all pictures side by side to this file too, which ends with .png
+    #[arg(long, value_name = "FILE", value_parser = png_path)]
     contact_sheet: Option<PathBuf>,
+}
+
+fn png_path(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let is_png = PictureFormat::of_path(&path) == Some(PictureFormat::Png);
+    if is_png { Ok(path) } else { Err(format!("expected a name that ends with .png, found {text:?}")) }
 }
 
 /// How a picture is written.
@@ -61,51 +66,95 @@ impl From<Format> for PictureFormat {
 /// Pictures in a row of a contact sheet: a rig's front row stands above its back row.
 const SHEET_COLUMNS: u32 = 3;
 
+/// Most cameras of one submission. A rig has fewer; a file of training cameras has hundreds, whose pictures no device holds.
+const CAMERAS_AT_ONCE: usize = 8;
+
 pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = Scene::open(&arguments.scene)?;
     check_names(&scene.cameras)?;
-    let pictures = if arguments.reference { render_by_definition(&scene) } else { render_on_gpu(&scene, &arguments.device)? };
-
-    fs::create_dir_all(&arguments.out).with_context(|| format!("{} cannot be made", arguments.out.display()))?;
-    let format = PictureFormat::from(arguments.format);
-    for (camera, picture) in scene.cameras.iter().zip(&pictures) {
-        write_picture(&arguments.out.join(format!("{}.{}", camera.name, format.extension())), picture, format)?;
+    let mut album =
+        Album { out: &arguments.out, format: arguments.format.into(), kept: arguments.contact_sheet.as_ref().map(|_| vec![]) };
+    if arguments.reference {
+        render_by_definition(&scene, &mut album)?;
+    } else {
+        render_on_gpu(&scene, &arguments.device, &mut album)?;
     }
-    if let Some(path) = &arguments.contact_sheet {
-        let sheet = contact_sheet(&pictures, SHEET_COLUMNS).context("there is no camera, so there is no picture")?;
+    if let (Some(path), Some(pictures)) = (&arguments.contact_sheet, &album.kept) {
+        let sheet = contact_sheet(pictures, SHEET_COLUMNS).context("there is no camera, so there is no picture")?;
         write_picture(path, &sheet, PictureFormat::Png)?;
+        print(&format!("{}\n", path.display()))?;
     }
     Ok(())
 }
 
-/// The device of `choice`, said on standard error: which one made a picture matters to whoever looks at it later.
-pub fn open_device(choice: &DeviceChoice) -> Result<Gpu> {
-    let gpu = Gpu::open(&DeviceOptions { choice: choice.clone(), ..DeviceOptions::default() })?;
-    eprintln!("on {}", gpu.info());
-    Ok(gpu)
+/// Where pictures go, one after the other: hundreds of them need not be in memory together.
+struct Album<'a> {
+    out: &'a Path,
+    format: PictureFormat,
+    /// The pictures so far, where a contact sheet is asked for.
+    kept: Option<Vec<Picture>>,
 }
 
-fn render_on_gpu(scene: &Scene, device: &DeviceChoice) -> Result<Vec<Picture>> {
-    let gpu = open_device(device)?;
-    let working = progress::spinner(format!("{} splats, {} cameras", scene.world.splats.len(), scene.cameras.len()));
-    let mut renderer = Renderer::new(&gpu, RenderOptions { rules: scene.world.rules, ..RenderOptions::default() });
-    let resident = renderer.upload(&scene.world)?;
-    renderer.render(&resident, &scene.cameras)?;
-    let pictures = renderer.read_pictures()?;
-    working.finish_and_clear();
-    Ok(pictures)
+impl Album<'_> {
+    fn add(&mut self, camera: &Camera, picture: Picture) -> Result<()> {
+        fs::create_dir_all(self.out).with_context(|| format!("{} cannot be made", self.out.display()))?;
+        let path = self.out.join(format!("{}.{}", camera.name, self.format.extension()));
+        write_picture(&path, &picture, self.format)?;
+        print(&format!("{}\n", path.display()))?;
+        if let Some(kept) = &mut self.kept {
+            kept.push(picture);
+        }
+        Ok(())
+    }
 }
 
-fn render_by_definition(scene: &Scene) -> Vec<Picture> {
-    let bar = progress::bar("reference", scene.cameras.len());
-    let render = |camera: &Camera| {
-        let picture = reference::render(&scene.world, camera, &scene.world.rules).to_picture();
-        bar.inc(1);
-        picture
+fn render_on_gpu(scene: &Scene, device: &DeviceArguments, album: &mut Album) -> Result<()> {
+    let gpu = device.open()?;
+    let bar = progress::bar("pictures", scene.cameras.len());
+    // What a PNG can hold takes a quarter of the memory.
+    let (colour, pixel_bytes) = match album.format {
+        PictureFormat::Png => (ColourFormat::U8, 4),
+        PictureFormat::Exr | PictureFormat::Npy => (ColourFormat::F32, 16),
     };
-    let pictures = scene.cameras.iter().map(render).collect();
+    let outputs = Outputs { colour, ..Outputs::default() };
+    let mut renderer = Renderer::new(&gpu, RenderOptions { rules: scene.world.rules, outputs, ..RenderOptions::default() });
+    let resident = renderer.upload(&scene.world)?;
+    for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {
+        renderer.render(&resident, cameras)?;
+        for (camera, picture) in cameras.iter().zip(renderer.read_pictures()?) {
+            album.add(camera, picture)?;
+            bar.inc(1);
+        }
+    }
     bar.finish_and_clear();
-    pictures
+    check_validation(&gpu)
+}
+
+/// `cameras` in runs that are drawn together: at most [`CAMERAS_AT_ONCE`] with at most `pixels_max` pixels, or a single one.
+fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
+    let mut runs = Vec::new();
+    let mut rest = cameras;
+    while !rest.is_empty() {
+        let mut pixels = 0;
+        let fitting = rest.iter().take(CAMERAS_AT_ONCE).take_while(|camera| {
+            pixels += camera.intrinsics.pixels();
+            pixels <= pixels_max
+        });
+        let (run, behind) = rest.split_at(fitting.count().max(1));
+        runs.push(run);
+        rest = behind;
+    }
+    runs
+}
+
+fn render_by_definition(scene: &Scene, album: &mut Album) -> Result<()> {
+    let bar = progress::bar("reference", scene.cameras.len());
+    for camera in &scene.cameras {
+        album.add(camera, reference::render(&scene.world, camera, &scene.world.rules).to_picture())?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(())
 }
 
 /// Refuses names that would write outside the folder, or over another camera's picture.
@@ -137,5 +186,25 @@ mod tests {
             assert!(error.contains(&format!("{bad:?}")), "{error}");
         }
         assert!(check_names(&cameras(&["front", "Front"])).unwrap_err().to_string().contains("replace"));
+    }
+
+    #[test]
+    fn a_submission_is_a_rig_and_fits_the_device() {
+        let eleven = cameras(&["c"; 11]);
+        let lengths = |pixels_max| submissions(&eleven, pixels_max).iter().map(|run| run.len()).collect::<Vec<_>>();
+        // Four pixels each.
+        assert_eq!(lengths(u64::MAX), [8, 3]);
+        assert_eq!(lengths(16), [4, 4, 3]);
+        assert_eq!(lengths(15), [3, 3, 3, 2]);
+        assert_eq!(lengths(1), [1; 11], "a picture that is too large is refused by the engine, with its bytes");
+        assert!(submissions(&[], 16).is_empty());
+    }
+
+    #[test]
+    fn a_contact_sheet_is_a_png() {
+        assert!(png_path("a/sheet.PNG").is_ok());
+        for other in ["sheet", "sheet.exr", ".png"] {
+            assert!(png_path(other).unwrap_err().contains(other));
+        }
     }
 }

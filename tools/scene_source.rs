@@ -55,7 +55,10 @@ impl Scene {
             None => loaded.rig.at(&loaded.ego.at(time_s)),
         };
         if cameras.is_empty() {
-            bail!("{} has no cameras of its own: name some with --cameras FILE", arguments.scene.display());
+            bail!(
+                "{} has no cameras of its own: name some with --cameras FILE (INRIA cameras.json or nerfstudio transforms.json)",
+                arguments.scene.display()
+            );
         }
         if let Some(Size { width_px, height_px }) = arguments.size {
             for camera in &mut cameras {

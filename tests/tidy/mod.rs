@@ -1,5 +1,6 @@
 //! Taste as a test: rules about the sources themselves, each with a case that must fail.
 
+mod checks;
 mod code;
 mod rules;
 mod tree;

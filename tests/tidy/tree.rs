@@ -47,15 +47,20 @@ impl Tree {
     }
 }
 
-/// What is built, downloaded or kept by git, at the top or in a fuzzing crate.
-const NOT_OURS: [&str; 5] = ["target", ".git", "out", "corpus", "artifacts"];
+/// What is built or downloaded, at the top or in a fuzzing crate.
+const NOT_OURS: [&str; 4] = ["target", "out", "corpus", "artifacts"];
+
+/// Whether people write what is in the folder of this name. Hidden folders are those of tools, but for that of the CI run.
+fn is_ours(folder: &str) -> bool {
+    !NOT_OURS.contains(&folder) && (folder == ".ci" || !folder.starts_with('.'))
+}
 
 fn collect(root: &Path, folder: &Path, files: &mut Vec<SourceFile>) {
     for entry in fs::read_dir(folder).expect("the repository can be read") {
         let path = entry.expect("the repository can be read").path();
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if path.is_dir() {
-            if !NOT_OURS.contains(&name) {
+            if is_ours(name) {
                 collect(root, &path, files);
             }
         } else if let Ok(text) = fs::read_to_string(&path) {

@@ -10,7 +10,7 @@ pub const WORDS_MAX: usize = 11;
 /// Words that band `band` (1 to 3) of one splat takes.
 #[must_use]
 pub fn words_of(band: usize) -> usize {
-    (3 * (2 * band + 1) + 1) / 2
+    (3 * (2 * band + 1)).div_ceil(2)
 }
 
 /// The words of one band; those beyond [`words_of`] the band are zero.

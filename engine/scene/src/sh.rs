@@ -128,9 +128,9 @@ fn solve(mut a: [[f64; 7]; 7], mut b: [[f64; 7]; 7], count: usize) -> [[f64; 7];
             }
         }
     }
-    for row in 0..count {
-        for column in 0..count {
-            b[row][column] /= a[row][row];
+    for (row, values) in b.iter_mut().enumerate().take(count) {
+        for value in &mut values[..count] {
+            *value /= a[row][row];
         }
     }
     b

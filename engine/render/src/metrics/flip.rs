@@ -190,7 +190,7 @@ fn hunt_lab(linear: [f64; 3]) -> [f64; 3] {
     let [x, y, z] =
         relative_xyz(linear).map(|t| if t > DELTA.powi(3) { t.cbrt() } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 });
     let lightness = 116.0 * y - 16.0;
-    let hunt = 0.0101 * lightness;
+    let hunt = 0.01 * lightness;
     [lightness, hunt * 500.0 * (x - y), hunt * 200.0 * (y - z)]
 }
 

@@ -168,6 +168,7 @@ impl Picture {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     pub(super) fn sample(width: u32, height: u32) -> Picture {
         let count = (width * height) as usize;
@@ -226,6 +227,39 @@ mod tests {
                 if let Ok(read) = Picture::decode(format, &flipped) {
                     assert_eq!(read.rgb.len(), (read.width * read.height) as usize);
                 }
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn damage_anywhere_is_an_error_or_a_picture(
+            places in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
+            cut in any::<prop::sample::Index>(),
+            tail in prop::collection::vec(any::<u8>(), 0..40),
+        ) {
+            for format in [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Npy] {
+                let mut bytes = sample(7, 4).encode(format).unwrap();
+                for (place, byte) in &places {
+                    let at = place.index(bytes.len());
+                    bytes[at] = *byte;
+                }
+                bytes.truncate(cut.index(bytes.len() * 2));
+                bytes.extend(&tail);
+                if let Ok(read) = Picture::decode(format, &bytes) {
+                    prop_assert!(read.rgb.len() == read.width as usize * read.height as usize && read.alpha.len() == read.rgb.len());
+                }
+            }
+        }
+
+        #[test]
+        fn noise_behind_a_format_s_first_bytes_is_refused(noise in prop::collection::vec(any::<u8>(), 0..400)) {
+            for format in [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Npy] {
+                let magic = &sample(1, 1).encode(format).unwrap()[..8];
+                prop_assert!(Picture::decode(format, &[magic, &noise].concat()).is_err());
+                prop_assert!(Picture::decode(format, &noise).is_err());
             }
         }
     }

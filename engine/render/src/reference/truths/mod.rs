@@ -1,0 +1,71 @@
+//! What must be true of the definition itself, against closed forms worked out by hand.
+
+mod blending;
+mod limits;
+mod projection;
+
+use decouplegs_scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World, sh};
+
+use super::Picture64;
+use super::project::{Projected64, View};
+
+/// A splat of one colour; `rgb` is what it shows.
+struct Plain {
+    mean: [f32; 3],
+    scales: [f32; 3],
+    opacity: f32,
+    rgb: [f32; 3],
+}
+
+impl Plain {
+    fn ball(mean: [f32; 3], scale: f32, opacity: f32, rgb: [f32; 3]) -> Self {
+        Self { mean, scales: [scale; 3], opacity, rgb }
+    }
+}
+
+fn world_of(plain: &[Plain]) -> World {
+    World::of(SplatCloud {
+        means: plain.iter().map(|splat| splat.mean).collect(),
+        scales: plain.iter().map(|splat| splat.scales).collect(),
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; plain.len()],
+        opacities: plain.iter().map(|splat| splat.opacity).collect(),
+        sh_degree: 0,
+        sh_dc: plain.iter().map(|splat| splat.rgb.map(|value| ((f64::from(value) - 0.5) / sh::Y0) as f32)).collect(),
+        sh_rest: vec![],
+    })
+}
+
+/// At the world's zero, looking along +z with x right and y down; an odd size puts a pixel's centre on the axis.
+fn camera(size_px: u32) -> Camera {
+    let focal_px = 100.0;
+    let centre_px = 0.5 * f64::from(size_px);
+    Camera {
+        name: "front".into(),
+        intrinsics: Intrinsics {
+            width_px: size_px,
+            height_px: size_px,
+            fx_px: focal_px,
+            fy_px: focal_px,
+            cx_px: centre_px,
+            cy_px: centre_px,
+        },
+        world_from_camera: Pose::IDENTITY,
+    }
+}
+
+fn middle(picture: &Picture64) -> usize {
+    (picture.width * picture.height / 2) as usize
+}
+
+fn projected(world: &World, camera: &Camera, rules: &Rules) -> Option<Projected64> {
+    View::new(world.origin, camera, rules).project(&world.splats, 0)
+}
+
+fn largest_difference(a: &Picture64, b: &Picture64) -> f64 {
+    let channels = |picture: &Picture64| picture.rgb.iter().flatten().copied().collect::<Vec<_>>();
+    channels(a).iter().zip(channels(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+const WHITE: [f32; 3] = [1.0; 3];
+const RED: [f32; 3] = [1.0, 0.0, 0.0];
+const BLUE: [f32; 3] = [0.0, 0.0, 1.0];

@@ -1,0 +1,207 @@
+//! How each rule is checked. Words that a rule forbids are put together from halves, so that this file keeps the rules too.
+
+use super::Finding;
+use super::tree::{SourceFile, Tree};
+
+/// Kernels that belong to a stage of another name, as `(kernel, stage)`: a stage of several dispatches has one file.
+const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[("sort_count", "sort"), ("sort_scan", "sort"), ("sort_scatter", "sort")];
+
+/// What of ours the crate of a `Cargo.toml` may use.
+const MAY_USE: &[(&str, &[&str])] = &[
+    ("engine/scene/Cargo.toml", &[]),
+    ("engine/gpu/Cargo.toml", &[]),
+    ("shaders/Cargo.toml", &[]),
+    ("engine/asset/Cargo.toml", &["decouplegs-scene"]),
+    ("engine/render/Cargo.toml", &["decouplegs-scene", "decouplegs-gpu", "decouplegs-shaders"]),
+    ("tools/Cargo.toml", &["decouplegs"]),
+];
+
+/// Findings for the lines of `texts` in which `fault` sees one.
+fn lines_with(file: &SourceFile, text: &str, fault: impl Fn(&str) -> Option<String>) -> Vec<Finding> {
+    let lines = text.lines().enumerate();
+    lines.filter_map(|(i, line)| Some(Finding { path: file.path.clone(), line: i + 1, what: fault(line)? })).collect()
+}
+
+/// Whether `word` stands in `text` with nothing of a name on either side.
+fn has_word(text: &str, word: &str) -> bool {
+    let part_of_a_name = |c: char| c.is_alphanumeric() || c == '_';
+    text.match_indices(word)
+        .any(|(at, _)| !text[..at].ends_with(part_of_a_name) && !text[at + word.len()..].starts_with(part_of_a_name))
+}
+
+pub fn nothing_undone(tree: &Tree) -> Vec<Finding> {
+    let words = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X")];
+    let code = [concat!("to", "do!"), concat!("unimpl", "emented!"), concat!("#[ign", "ore")];
+    let fault = |line: &str| {
+        let word = words.iter().find(|word| has_word(line, word));
+        word.or_else(|| code.iter().find(|part| line.contains(*part))).map(|found| format!("{found} in {:?}", line.trim()))
+    };
+    tree.files.iter().flat_map(|file| lines_with(file, &file.text, fault)).collect()
+}
+
+pub fn named_for_a_subject(tree: &Tree) -> Vec<Finding> {
+    let empty_words = ["util", "utils", "helper", "helpers", "common", "manager", "misc"];
+    let parts_of = |path: &str| -> Vec<String> { path.split(['/', '.', '_', '-']).map(str::to_lowercase).collect() };
+    let bad = tree.files.iter().filter_map(|file| {
+        let parts = parts_of(&file.path);
+        let word = parts.iter().find(|part| empty_words.contains(&part.as_str()))?;
+        Some(Finding { path: file.path.clone(), line: 0, what: format!("{word:?} names no subject") })
+    });
+    bad.collect()
+}
+
+fn is_gpu(file: &SourceFile) -> bool {
+    file.path.starts_with("engine/gpu/")
+}
+
+pub fn unsafe_only_in_gpu(tree: &Tree) -> Vec<Finding> {
+    let fault = |line: &str| has_word(line, "unsafe").then(|| line.trim().to_owned());
+    tree.files
+        .iter()
+        .filter(|file| file.is_rust() && !is_gpu(file))
+        .flat_map(|file| lines_with(file, &file.code, fault))
+        .collect()
+}
+
+pub fn unsafe_is_explained(tree: &Tree) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for file in tree.files.iter().filter(|file| file.is_rust()) {
+        let lines: Vec<(&str, &str)> = file.text.lines().zip(file.code.lines()).collect();
+        for (i, (_, code)) in lines.iter().enumerate() {
+            let opens = code.split("unsafe").skip(1).any(|rest| {
+                let rest = rest.trim_start();
+                rest.starts_with('{') || rest.starts_with("impl") || rest.is_empty()
+            });
+            if opens && has_word(code, "unsafe") && !explained(&lines[..=i]) {
+                findings.push(Finding { path: file.path.clone(), line: i + 1, what: code.trim().to_owned() });
+            }
+        }
+    }
+    findings
+}
+
+/// Whether a comment with the word stands on the last of `lines` or in front of the statement that ends there.
+fn explained(lines: &[(&str, &str)]) -> bool {
+    let (last, above) = lines.split_last().expect("there is the line with the block");
+    let mut in_statement = true;
+    last.0.contains("SAFETY:")
+        || above
+            .iter()
+            .rev()
+            .take_while(|(text, code)| {
+                let comment = code.trim().is_empty() && !text.trim().is_empty();
+                in_statement &= comment || !code.trim_end().ends_with([';', '{', '}', ',']);
+                in_statement
+            })
+            .any(|(text, _)| text.contains("SAFETY:"))
+}
+
+pub fn vulkan_only_in_gpu(tree: &Tree) -> Vec<Finding> {
+    let fault = |line: &str| {
+        let seen = ["vk::", "ash::"].iter().any(|path| has_word(&line.replace("::", ":: "), path));
+        seen.then(|| line.trim().to_owned())
+    };
+    tree.files
+        .iter()
+        .filter(|file| file.is_rust() && !is_gpu(file))
+        .flat_map(|file| lines_with(file, &file.code, fault))
+        .collect()
+}
+
+pub fn shader_says_what_it_is(tree: &Tree) -> Vec<Finding> {
+    let shaders = tree.files.iter().filter(|file| file.path.ends_with(".comp") || file.path.ends_with(".glsl"));
+    let first_line =
+        |file: &&SourceFile| file.text.lines().find(|line| !line.starts_with("#version")).unwrap_or_default().to_owned();
+    let silent = shaders.filter(|file| !first_line(file).starts_with("//"));
+    let what = "the first line is no comment".to_owned();
+    silent.map(|file| Finding { path: file.path.clone(), line: 1, what: what.clone() }).collect()
+}
+
+pub fn kernel_has_its_stem(tree: &Tree) -> Vec<Finding> {
+    let kernels = tree.files.iter().filter(|file| file.path.starts_with("shaders/") && file.path.ends_with(".comp"));
+    let alone = kernels.filter_map(|file| {
+        let stem = KERNELS_OF_A_STAGE.iter().find(|(kernel, _)| *kernel == file.stem()).map_or(file.stem(), |(_, stage)| stage);
+        let places = ["engine/render/src/stages", "engine/render/src/twins", "tests/stages"];
+        let missing: Vec<String> = (places.iter().map(|folder| format!("{folder}/{stem}.rs")))
+            .filter(|path| !tree.files.iter().any(|other| other.path == *path))
+            .collect();
+        let finding = || Finding { path: file.path.clone(), line: 0, what: format!("missing: {}", missing.join(", ")) };
+        (!missing.is_empty()).then(finding)
+    });
+    alone.collect()
+}
+
+pub fn crates_depend_one_way(tree: &Tree) -> Vec<Finding> {
+    let depends = |file: &SourceFile, allowed: &[&str]| {
+        let fault = |line: &str| {
+            let used =
+                line.split(['.', ' ', '=']).next().filter(|name| *name == "decouplegs" || name.starts_with("decouplegs-"))?;
+            (!allowed.contains(&used)).then(|| format!("{used} is above or beside it"))
+        };
+        lines_with(file, &file.text, fault)
+    };
+    let known = tree.files.iter().filter_map(|file| Some((file, MAY_USE.iter().find(|(path, _)| *path == file.path)?.1)));
+    known.flat_map(|(file, allowed)| depends(file, allowed)).collect()
+}
+
+pub fn crates_forbid_unsafe(tree: &Tree) -> Vec<Finding> {
+    let is_first = |file: &&SourceFile| file.path == "tools/main.rs" || file.name() == "lib.rs";
+    let open = tree.files.iter().filter(|file| is_first(file) && !is_gpu(file) && !file.code.contains("#![forbid(unsafe_code)]"));
+    open.map(|file| Finding { path: file.path.clone(), line: 0, what: "#![forbid(unsafe_code)] is missing".into() }).collect()
+}
+
+pub fn files_have_an_end(tree: &Tree) -> Vec<Finding> {
+    const LINES_MAX: usize = 400;
+    let sources = tree.files.iter().filter(|file| [".rs", ".comp", ".glsl"].iter().any(|end| file.path.ends_with(end)));
+    let long = sources.map(|file| (file, file.text.lines().count())).filter(|(_, lines)| *lines > LINES_MAX);
+    long.map(|(file, lines)| Finding { path: file.path.clone(), line: 0, what: format!("{lines} lines") }).collect()
+}
+
+pub fn no_machine_paths(tree: &Tree) -> Vec<Finding> {
+    let folders = [concat!("/wo", "rk"), concat!("/ro", "ot"), concat!("/t", "mp"), concat!("/ho", "me")];
+    let fault = |line: &str| {
+        let absolute = |folder: &&&str| {
+            line.match_indices(**folder).any(|(at, found)| {
+                let starts = !line[..at].ends_with(|c: char| c.is_alphanumeric() || "_.-})*".contains(c));
+                starts && !line[at + found.len()..].starts_with(|c: char| c.is_alphanumeric() || "_-".contains(c))
+            })
+        };
+        folders.iter().find(absolute).map(|folder| format!("{folder} in {:?}", line.trim()))
+    };
+    let read_by_others = tree.files.iter().filter(|file| !file.path.starts_with("tests/"));
+    read_by_others.flat_map(|file| lines_with(file, &file.text, fault)).collect()
+}
+
+pub fn functions_fit_a_screen(tree: &Tree) -> Vec<Finding> {
+    const LINES_MAX: usize = 70;
+    let mut findings = Vec::new();
+    for file in tree.files.iter().filter(|file| file.is_rust()) {
+        for (at, _) in file.code.match_indices("fn ") {
+            let starts_a_word = !file.code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
+            let lines = function_lines(&file.code[at..]);
+            if starts_a_word && lines > LINES_MAX {
+                let line = file.code[..at].lines().count().max(1);
+                findings.push(Finding { path: file.path.clone(), line, what: format!("a function of {lines} lines") });
+            }
+        }
+    }
+    findings
+}
+
+/// Lines from the start of `code` to the brace that closes its first block; 0 where a `;` comes before any block.
+fn function_lines(code: &str) -> usize {
+    let (mut braces, mut brackets) = (0_usize, 0_usize);
+    for (at, c) in code.char_indices() {
+        match c {
+            '[' => brackets += 1,
+            ']' => brackets = brackets.saturating_sub(1),
+            // Inside brackets it is the type [T; N].
+            ';' if braces == 0 && brackets == 0 => return 0,
+            '{' => braces += 1,
+            '}' if braces == 1 => return code[..=at].lines().count(),
+            '}' => braces = braces.saturating_sub(1),
+            _ => {}
+        }
+    }
+    0
+}

@@ -1,0 +1,79 @@
+//! What must be true of any picture, worked out by hand: neither the f64 definition nor a twin is asked.
+//!
+//! The definition's own truths stand in `engine/render/src/reference/truths.rs`; these hold the GPU to the same mathematics.
+
+mod one_splat;
+mod order;
+mod properties;
+mod rules;
+
+use decouplegs::render::{Picture, RenderOptions, Renderer};
+use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
+
+use crate::device::Validated;
+use crate::frames::{Splat, all_outputs, world_of};
+
+/// Rounding of f32 through projection, exponential and a few blends, on colours up to 1. A flipped decision at 1/255 is a
+/// hundred times as much.
+const ROUNDING: f32 = 4e-5;
+
+const WHITE: [f32; 3] = [1.0; 3];
+const RED: [f32; 3] = [1.0, 0.0, 0.0];
+const BLUE: [f32; 3] = [0.0, 0.0, 1.0];
+
+/// At the world's zero, looking along +z, `size_px` pixels square with a focal length of 100 pixels: an odd size puts a
+/// pixel's centre on the axis.
+fn square_camera(size_px: u32) -> Camera {
+    let centre_px = 0.5 * f64::from(size_px);
+    Camera {
+        name: "square".into(),
+        intrinsics: Intrinsics {
+            width_px: size_px,
+            height_px: size_px,
+            fx_px: 100.0,
+            fy_px: 100.0,
+            cx_px: centre_px,
+            cy_px: centre_px,
+        },
+        world_from_camera: Pose::IDENTITY,
+    }
+}
+
+/// A splat that covers the image evenly: so wide and flat that its fall-off is below rounding.
+fn sheet(z_m: f32, opacity: f32, rgb: [f32; 3]) -> Splat {
+    Splat { scale_m: [1e4, 1e4, 1e-6], opacity, rgb, ..Splat::at(0.0, 0.0, z_m) }
+}
+
+/// One device and one renderer for many small worlds.
+struct Easel {
+    renderer: Renderer,
+    /// Dropped last, because it fails the test if the layers had something to say.
+    gpu: Validated,
+}
+
+impl Easel {
+    fn new(rules: Rules) -> Self {
+        let gpu = Validated::open();
+        let renderer = Renderer::new(&gpu, RenderOptions { rules, outputs: all_outputs(), ..RenderOptions::default() });
+        Self { renderer, gpu }
+    }
+
+    fn draw(&mut self, world: &World, camera: &Camera) -> Picture {
+        let resident = self.renderer.upload(world).unwrap_or_else(|error| panic!("{}: {error}", self.gpu.info()));
+        self.renderer.render(&resident, std::slice::from_ref(camera)).unwrap();
+        self.renderer.read_pictures().unwrap().remove(0)
+    }
+}
+
+/// The middle pixel of what `splats` look like under `rules`: RGB and alpha.
+fn middle_of(splats: &[Splat], rules: Rules) -> ([f32; 3], f32) {
+    let picture = Easel::new(rules).draw(&world_of(splats), &square_camera(9));
+    (picture.rgb[40], picture.alpha[40])
+}
+
+/// The largest difference of a colour channel or an alpha.
+fn worst_difference(a: &Picture, b: &Picture) -> f32 {
+    assert_eq!((a.width, a.height), (b.width, b.height));
+    let values = |picture: &Picture| picture.rgb.iter().flatten().chain(&picture.alpha).copied().collect::<Vec<_>>();
+    values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}

@@ -1,0 +1,190 @@
+//! What a bench found, as JSON and as text.
+
+use decouplegs::render::FrameStatistics;
+use decouplegs::scene::{Camera, Rules};
+use serde_json::{Value, json};
+
+use super::Measured;
+use crate::scene_source::Scene;
+
+/// Everything that was measured, with what it was measured on.
+pub fn figures(scene: &Scene, measured: &Measured) -> Value {
+    let Measured { device, outputs, warm_up, frames, memory, window, difference } = measured;
+    let last = frames.last().expect("at least one frame was timed");
+    let milliseconds = |of: &dyn Fn(&FrameStatistics) -> f64| spread(frames.iter().map(of).collect());
+    let wall_ms = milliseconds(&|frame| frame.wall_time.as_secs_f64() * 1e3);
+    let rig_steps_per_s = 1e3 / wall_ms["median"].as_f64().unwrap_or(f64::NAN);
+    let stages: Vec<Value> = (0..last.stages.len())
+        .map(|at| json!({ "name": last.stages[at].name, "gpu_ms": milliseconds(&|frame| frame.stages[at].duration_ns as f64 / 1e6) }))
+        .collect();
+    let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "device": device.name,
+        "driver": device.driver,
+        "splats": scene.world.splats.len(),
+        "sh_degree": scene.world.splats.sh_degree,
+        "cameras": scene.cameras.len(),
+        "width_px": scene.cameras[0].intrinsics.width_px,
+        "height_px": scene.cameras[0].intrinsics.height_px,
+        "sizes_px": scene.cameras.iter().map(size).collect::<Vec<_>>(),
+        "rules": rules_text(&scene.world.rules),
+        "outputs": outputs,
+        "warm_up": warm_up,
+        "frames": frames.len(),
+        "frames_redrawn": frames.iter().filter(|frame| frame.redrawn > 0).count(),
+        "frame_gpu_ms": milliseconds(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
+        "frame_wall_ms": wall_ms,
+        "record_ms": milliseconds(&|frame| frame.record_time.as_secs_f64() * 1e3),
+        "rig_steps_per_s": rig_steps_per_s,
+        "images_per_s": rig_steps_per_s * scene.cameras.len() as f64,
+        "stages": stages,
+        "needs": last.needs,
+        "capacity": last.capacity,
+        "memory_bytes": {
+            "total": memory.total_bytes,
+            "by_purpose": memory.bytes_by_purpose,
+            "driver_usage": memory.driver_usage_bytes,
+        },
+        "error": {
+            "camera": scene.cameras[0].name,
+            "window_px": [window.left_px, window.top_px, window.width_px, window.height_px],
+            "difference": difference,
+        },
+    })
+}
+
+/// Median, 99th percentile (the value that 99 of 100 do not exceed) and the extremes of at least one value.
+fn spread(mut values: Vec<f64>) -> Value {
+    values.sort_by(f64::total_cmp);
+    let count = values.len();
+    let median = 0.5 * (values[(count - 1) / 2] + values[count / 2]);
+    let p99 = values[(count * 99).div_ceil(100) - 1];
+    json!({ "median": median, "p99": p99, "min": values[0], "max": values[count - 1] })
+}
+
+/// What `rules` are called, or all of them where they have no name.
+fn rules_text(rules: &Rules) -> String {
+    let named = Rules::NAMES
+        .iter()
+        .find(|name| Rules::by_name(name).map(|known| Rules { antialias: rules.antialias, ..known }) == Some(*rules));
+    let name = named.map_or_else(|| format!("{rules:?}"), |name| (*name).to_owned());
+    if rules.antialias && named.is_some() { format!("{name}, antialiased") } else { name }
+}
+
+fn outputs_text(outputs: &Value) -> String {
+    let colour = if outputs["colour"] == "U8" { "rgba8" } else { "f32" };
+    let beside = ["depth", "instance"].into_iter().filter(|output| outputs[*output] == true);
+    std::iter::once(colour).chain(beside).collect::<Vec<_>>().join(", ")
+}
+
+/// Widest bar of the chart, characters.
+const BAR_CHARS: f64 = 30.0;
+
+/// What a person reads: of what, then the stages as a chart, the frame, memory and error.
+pub fn to_text(figures: &Value) -> String {
+    format!("{}\n{}\n{}{}{}", heading(figures), chart(figures), rates(figures), memory(figures), error(figures))
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or(f64::NAN)
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().unwrap_or_default()
+}
+
+fn heading(figures: &Value) -> String {
+    format!(
+        "{} ({})\n{} splats of degree {}, rules {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
+        text(&figures["device"]),
+        text(&figures["driver"]),
+        figures["splats"],
+        figures["sh_degree"],
+        text(&figures["rules"]),
+        figures["cameras"],
+        figures["width_px"],
+        figures["height_px"],
+        outputs_text(&figures["outputs"]),
+        figures["frames"],
+        figures["warm_up"],
+        figures["frames_redrawn"],
+    )
+}
+
+/// A line for each stage with a bar as long as its median, then the frame.
+fn chart(figures: &Value) -> String {
+    let stages: Vec<(&str, &Value)> =
+        figures["stages"].as_array().into_iter().flatten().map(|stage| (text(&stage["name"]), &stage["gpu_ms"])).collect();
+    let longest_ms = stages.iter().map(|(_, times)| number(&times["median"])).fold(f64::MIN_POSITIVE, f64::max);
+    let row = |name: &str, times: &Value, bar: &str| {
+        format!("  {name:<16} {:>9.3} {:>9.3}  {bar}", number(&times["median"]), number(&times["p99"])).trim_end().to_owned()
+            + "\n"
+    };
+    let mut lines = format!("  {:<16} {:>9} {:>9}\n", "ms", "median", "p99");
+    for (name, times) in &stages {
+        let bar = "#".repeat((number(&times["median"]) / longest_ms * BAR_CHARS).round() as usize);
+        lines.push_str(&row(name, times, &bar));
+    }
+    lines.push_str(&row("frame, GPU", &figures["frame_gpu_ms"], ""));
+    lines.push_str(&row("frame, wall", &figures["frame_wall_ms"], ""));
+    lines
+}
+
+fn rates(figures: &Value) -> String {
+    let (images, steps) = (number(&figures["images_per_s"]), number(&figures["rig_steps_per_s"]));
+    let needs = &figures["needs"];
+    format!(
+        "  {images:.1} images/s, {steps:.1} rig steps/s by the wall clock; {} visible splats in {} tile entries\n",
+        needs["records"], needs["pairs"]
+    )
+}
+
+fn memory(figures: &Value) -> String {
+    let mebibytes = |value: &Value| number(value) / f64::from(1 << 20);
+    let by_purpose = figures["memory_bytes"]["by_purpose"].as_object().into_iter().flatten();
+    let purposes: Vec<String> = by_purpose.map(|(purpose, bytes)| format!("{purpose} {:.1}", mebibytes(bytes))).collect();
+    format!("  {:.1} MiB on the device: {}\n", mebibytes(&figures["memory_bytes"]["total"]), purposes.join(", "))
+}
+
+fn error(figures: &Value) -> String {
+    let (error, difference) = (&figures["error"], &figures["error"]["difference"]);
+    let psnr = difference["psnr_db"].as_f64().map_or("no error".to_owned(), |psnr| format!("PSNR {psnr:.2} dB"));
+    format!(
+        "  against f64, {}x{} in the middle of {}: {psnr}, max {:.6}\n",
+        error["window_px"][2],
+        error["window_px"][3],
+        text(&error["camera"]),
+        number(&difference["max_abs"])
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spread_is_of_the_sorted_values() {
+        assert_eq!(spread(vec![5.0]), json!({ "median": 5.0, "p99": 5.0, "min": 5.0, "max": 5.0 }));
+        let hundred: Vec<f64> = (0..100).rev().map(f64::from).collect();
+        assert_eq!(spread(hundred), json!({ "median": 49.5, "p99": 98.0, "min": 0.0, "max": 99.0 }));
+    }
+
+    #[test]
+    fn rules_are_called_by_their_names() {
+        assert_eq!(rules_text(&Rules::INRIA), "inria");
+        assert_eq!(rules_text(&Rules { antialias: true, ..Rules::DEFAULT }), "default, antialiased");
+        assert!(rules_text(&Rules { near_m: 3.5, ..Rules::DEFAULT }).contains("3.5"));
+    }
+
+    #[test]
+    fn the_longest_stage_has_the_longest_bar() {
+        let times = |median: f64| json!({ "median": median, "p99": 2.0 * median });
+        let stages = json!([{ "name": "cull", "gpu_ms": times(0.5) }, { "name": "blend", "gpu_ms": times(1.5) }]);
+        let chart = chart(&json!({ "stages": stages, "frame_gpu_ms": times(2.0), "frame_wall_ms": times(2.25) }));
+        let lines: Vec<Vec<&str>> = chart.lines().map(|line| line.split_whitespace().collect()).collect();
+        assert_eq!(lines[1], ["cull", "0.500", "1.000", "#".repeat(10).as_str()]);
+        assert_eq!(lines[2], ["blend", "1.500", "3.000", "#".repeat(30).as_str()]);
+        assert_eq!(lines[4], ["frame,", "wall", "2.250", "4.500"]);
+    }
+}

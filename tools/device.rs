@@ -1,0 +1,30 @@
+//! The device that a command draws on.
+
+use anyhow::{Result, bail};
+use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
+
+/// The argument of every command that draws on a device.
+#[derive(clap::Args)]
+pub struct DeviceArguments {
+    /// Device to render on: an index, a part of its name or its UUID, as `devices` lists them
+    #[arg(long, value_name = "DEVICE", default_value = "auto")]
+    device: DeviceChoice,
+}
+
+impl DeviceArguments {
+    /// The device, said on standard error: which one made a picture matters to whoever looks at it later.
+    pub fn open(&self) -> Result<Gpu> {
+        let gpu = Gpu::open(&DeviceOptions { choice: self.device.clone(), ..DeviceOptions::default() })?;
+        eprintln!("on {}", gpu.info());
+        Ok(gpu)
+    }
+}
+
+/// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`) and had something to say.
+pub fn check_validation(gpu: &Gpu) -> Result<()> {
+    let messages = gpu.take_validation_messages();
+    if messages.is_empty() {
+        return Ok(());
+    }
+    bail!("the Vulkan validation layers reported {} faults, the first: {}", messages.len(), messages[0])
+}
