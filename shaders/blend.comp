@@ -13,7 +13,6 @@
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_memory_scope_semantics : require
 #extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_ballot : require
 #include "frame.glsl"
 #include "footprint.glsl"
@@ -283,10 +282,9 @@ void main() {
         if ((open >> (tile + 3u * TEAMS) & 1u) != 0u && blend_tile(pixels3, thread, 3u)) {
             still_open |= 1u << (3u * TEAMS);
         }
-        still_open = subgroupOr(still_open << tile);
-        if (subgroupElect()) {
-            atomicOr(open_tiles, still_open);
-        }
+        // Not by way of subgroupOr and subgroupElect: lanes whose pixels are full take another path here, and NVIDIA's driver
+        // (580.159) then lost the bits of those that are open.
+        atomicOr(open_tiles, still_open << tile);
     }
     write_result(item, camera, origin, thread, 0u, pixels0);
     write_result(item, camera, origin, thread, 1u, pixels1);

@@ -37,6 +37,8 @@ layout(push_constant, scalar) uniform push_block {
 // Workgroups that share the joining of one macro tile.
 const uint COMPOSITE_GROUPS = MACRO_PIXELS / 256u;
 
+shared uint longest_list;
+
 uint pairs_of(uint bin, uint pairs) {
     return pairs == 0u ? 0u : range_firsts[bin + 1u] - range_firsts[bin];
 }
@@ -60,8 +62,14 @@ void main() {
     uint earlier_items = 0u;    // of earlier waves, and of earlier tiles in this one
     uint earlier_partials = 0u; // of earlier tiles
     uint earlier_tiles = 0u;    // earlier tiles cut into more than one segment
+    if (thread == 0u) {
+        longest_list = 0u;
+    }
+    barrier();
     for (uint bin = thread; bin < bin_count; bin += WORKGROUP_THREADS) {
-        uint segments = segments_of(pairs_of(bin, pairs));
+        uint length = pairs_of(bin, pairs);
+        atomicMax(longest_list, length);
+        uint segments = segments_of(length);
         bool earlier = bin < block_first;
         earlier_items += min(segments, earlier ? end_segment : first_segment);
         earlier_partials += earlier && segments > 1u ? segments : 0u;
@@ -101,6 +109,7 @@ void main() {
         needs.items = all_items;
         needs.partials = all_partials;
         needs.composites = all_composites;
+        needs.longest = longest_list; // block_sum has waited for all threads
         bool fit = all_partials <= partials_max;
         arguments[ARGUMENTS_BLEND] = groups_for(min(all_items, items_max));
         arguments[ARGUMENTS_COMPOSITE] = groups_for(fit ? all_composites * COMPOSITE_GROUPS : 0u);

@@ -42,6 +42,7 @@ struct Needs {
     uint items;      // (macro tile, segment of its list)
     uint partials;   // items of macro tiles with more than one segment
     uint composites; // macro tiles with more than one segment
+    uint longest;    // pairs of one macro tile, at most
 };
 
 // Where the arguments of each indirect dispatch stand, in units of uvec3.

@@ -1,9 +1,12 @@
 //! More than the buffers hold: counted, grown, drawn again, and said.
 
-use decouplegs::render::{Capacity, RenderOptions, Renderer};
+use decouplegs::gpu::DeviceKind;
+use decouplegs::render::metrics::Difference;
+use decouplegs::render::{Capacity, RenderOptions, Renderer, reference};
+use decouplegs::scene::Rules;
 use glam::DVec3;
 
-use super::{Splat, camera_at, world_of};
+use super::{PSNR_MIN_DB, Splat, camera_at, world_of};
 use crate::device::Validated;
 
 #[test]
@@ -67,5 +70,54 @@ fn cutting_lists_into_segments_changes_rounding_only() {
         let worst = first.rgb.iter().flatten().zip(other.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
         // Stopping when a pixel is full may come a segment later: at most the transmittance left, 1e-4.
         assert!(worst <= 1.5e-4, "{worst}");
+    }
+}
+
+/// Render tiles of one macro tile fill at different times: near splats fill its left edge, far ones the rest, batches later.
+#[test]
+fn tiles_that_fill_late_are_drawn_to_the_end() {
+    let gpu = Validated::open();
+    let near =
+        (0..700).map(|i| Splat { scale_m: [0.02; 3], ..Splat::at(-1.2, 0.01 * (i % 40) as f32 - 0.2, 2.0 + 1e-4 * i as f32) });
+    let far = (0..3000).map(|i| Splat {
+        scale_m: [0.3; 3],
+        rgb: [0.1, 0.9, 0.3],
+        ..Splat::at(4.0 * (i as f32 * 0.618).fract() - 2.0, 0.0, 4.0 + 1e-3 * i as f32)
+    });
+    let world = world_of(&near.chain(far).collect::<Vec<_>>());
+    let camera = camera_at(DVec3::ZERO, 64, 32);
+    for (rules, segment_pairs) in
+        [(Rules::DEFAULT, 1024), (Rules::DEFAULT, u32::MAX), (Rules::GSPLAT15, 1024), (Rules::INRIA, 1024)]
+    {
+        let mut renderer = Renderer::new(&gpu, RenderOptions { rules, segment_pairs, ..RenderOptions::default() });
+        let resident = renderer.upload(&world).unwrap();
+        renderer.render(&resident, std::slice::from_ref(&camera)).unwrap();
+        let picture = renderer.read_pictures().unwrap().remove(0);
+        let difference = Difference::between(&picture, &reference::render(&world, &camera, &rules).to_picture()).unwrap();
+        println!("{rules:?}, segments of {segment_pairs}: {:.1} dB, max {}", difference.psnr_db, difference.max_abs);
+        assert!(difference.psnr_db >= PSNR_MIN_DB, "{rules:?}, segments of {segment_pairs}: {:.1} dB", difference.psnr_db);
+    }
+}
+
+/// What may not be cut and is too long for software is refused there, and drawn right elsewhere; cut, it is drawn right everywhere.
+#[test]
+fn a_list_too_long_for_software_is_refused_where_it_may_not_be_cut() {
+    let gpu = Validated::open();
+    let splats: Vec<Splat> =
+        (0..17_000).map(|i| Splat { opacity: 0.005, scale_m: [1.0; 3], ..Splat::at(0.0, 0.0, 5.0 + 1e-4 * i as f32) }).collect();
+    let world = world_of(&splats);
+    let camera = camera_at(DVec3::ZERO, 16, 16);
+    for rules in [Rules::DEFAULT, Rules::GSPLAT15] {
+        let mut renderer = Renderer::new(&gpu, RenderOptions { rules, ..RenderOptions::default() });
+        let resident = renderer.upload(&world).unwrap();
+        let drawn = renderer.render(&resident, std::slice::from_ref(&camera));
+        if rules == Rules::GSPLAT15 && gpu.info().kind == DeviceKind::Cpu {
+            assert!(drawn.unwrap_err().to_string().contains("17000"));
+            continue;
+        }
+        assert_eq!(drawn.unwrap().needs.longest, 17_000);
+        let picture = renderer.read_pictures().unwrap().remove(0);
+        let difference = Difference::between(&picture, &reference::render(&world, &camera, &rules).to_picture()).unwrap();
+        assert!(difference.psnr_db >= PSNR_MIN_DB, "{rules:?}: {:.1} dB", difference.psnr_db);
     }
 }

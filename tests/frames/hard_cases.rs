@@ -168,7 +168,7 @@ fn a_stack_of_100_000_layers_on_a_pixel() {
         .collect();
     let small = camera_at(DVec3::ZERO, 40, 24);
     let world = world_of(&splats);
-    assert_exact(&world, &[small.clone()], Rules::DEFAULT);
+    assert_exact(&world, std::slice::from_ref(&small), Rules::DEFAULT);
     let gpu = Validated::open();
     let picture = &draw(&gpu, &world, &[small], Rules::DEFAULT)[0];
     let centre = 12 * 40 + 20;
@@ -343,7 +343,7 @@ fn a_scene_larger_than_the_device_is_refused_with_its_bytes() {
     let resident = renderer.upload(&world_of(&crowd(10))).unwrap();
     // Three pictures of 32768 x 32768 pixels: 48 GiB in one buffer, where devices bind 4 GiB at most.
     let cameras: Vec<Camera> = (0..3).map(|_| camera_at(DVec3::ZERO, 32_768, 32_768)).collect();
-    let error = renderer.render(&resident, &cameras).err().expect("no device has it").to_string();
+    let error = renderer.render(&resident, &cameras).expect_err("no device has it").to_string();
     assert!(error.contains("51539607552") || error.contains("bytes"), "{error}");
     assert!(error.chars().any(|c| c.is_ascii_digit()), "{error}");
     // And the renderer goes on.

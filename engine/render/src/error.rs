@@ -19,6 +19,17 @@ pub enum RenderError {
         /// What the last one needed.
         needs: String,
     },
+    /// A list that may not be cut and that software cannot blend in one run.
+    #[error(
+        "a macro tile's list holds {longest} splats, which an exclusive early stop does not let be cut, and lavapipe blends at most \
+         {max} in one run: use the default rules, a larger picture or a GPU"
+    )]
+    ListTooLong {
+        /// Entries of the longest list.
+        longest: u32,
+        /// How many can be blended.
+        max: u32,
+    },
     /// A world of more splats than an index can name.
     #[error("the world has {splats} splats; a frame addresses at most {max}")]
     TooManySplats {

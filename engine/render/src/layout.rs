@@ -140,6 +140,8 @@ pub struct Needs {
     pub partials: u32,
     /// Macro tiles that were cut.
     pub composites: u32,
+    /// Pairs of the macro tile that has most.
+    pub longest: u32,
 }
 
 /// `Item` of `frame.glsl`: one segment of one macro tile's list.

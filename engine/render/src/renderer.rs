@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use decouplegs_gpu::{Gpu, QueueRole, StageTime};
-use decouplegs_scene::{Camera, Rules, World};
+use decouplegs_gpu::{DeviceKind, Gpu, QueueRole, StageTime};
+use decouplegs_scene::{Camera, EarlyStop, Rules, World};
 
 use crate::RenderError;
 use crate::capacity::{Capacity, SortShape};
@@ -16,6 +16,10 @@ use crate::stages::ProjectVariant;
 
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
+
+/// Entries of a list that may not be cut that a software device blends: llvmpipe ends all loops of a thread after 65,535
+/// rounds in total, silently, and a thread of blend makes up to four a list entry.
+const UNCUT_PAIRS_MAX_IN_SOFTWARE: u32 = 16_000;
 
 /// Frames that may outgrow their buffers in a row: each list can grow once, and once more for what it hid.
 const ATTEMPTS_MAX: u32 = 6;
@@ -134,6 +138,7 @@ impl Renderer {
             let needs = frame.found_needs.read_host()[0];
             let capacity = frame.shape.capacity;
             if capacity.holds(&needs) {
+                self.check_uncut_lists(&needs)?;
                 let gpu_time = Duration::from_nanos(ticket.gpu_time_ns()?);
                 let stages = ticket.stage_times()?;
                 self.view = Some(view);
@@ -183,6 +188,15 @@ impl Renderer {
             }
         });
         Ok(pictures.collect())
+    }
+
+    /// Refuses what a software device would draw wrong without a word.
+    fn check_uncut_lists(&self, needs: &Needs) -> Result<(), RenderError> {
+        let uncut = self.options.rules.stop == EarlyStop::Exclusive || self.options.segment_pairs > UNCUT_PAIRS_MAX_IN_SOFTWARE;
+        if uncut && self.gpu.info().kind == DeviceKind::Cpu && needs.longest > UNCUT_PAIRS_MAX_IN_SOFTWARE {
+            return Err(RenderError::ListTooLong { longest: needs.longest, max: UNCUT_PAIRS_MAX_IN_SOFTWARE });
+        }
+        Ok(())
     }
 
     /// The place in `self.stages` of the kernels for `world`, built when they are new.

@@ -64,6 +64,7 @@ pub fn plan_segments(
     if bin_count == 0 {
         return;
     }
+    needs.longest = lists.iter().map(|[first, end]| end - first).max().unwrap_or(0);
     (needs.items, needs.partials, needs.composites) = (item, partial, composite);
     let composite_groups = if partial <= partials_max { composite * COMPOSITE_GROUPS } else { 0 };
     arguments[Arguments::Blend as usize] = groups_for(item.min(items.len() as u32) as usize);
