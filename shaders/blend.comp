@@ -42,7 +42,7 @@ layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; 
 const uint BATCH = BLEND_THREADS;
 const uint BATCH_WORDS = BATCH / 32u;
 // A product of largest transmittances up to here means that composite stops before, its own rounding included.
-const float COVERED = 0.999 * TRANSMITTANCE_MIN;
+const float COVERED = 0.999 * TRANSMITTANCE_FULL;
 
 // The exponent of a record at (x, y), relative to the macro tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
 // - (y * fades.x + slants.w)^2, log2_opacity being fades.y.
@@ -204,7 +204,7 @@ bool blend_tile(inout TilePixels pixels, uint thread, uint step) {
     if (EXCLUSIVE_STOP) {
         return !(pixels.left_full && pixels.right_full);
     }
-    return max(pixels.left.transmittance, pixels.right.transmittance) > TRANSMITTANCE_MIN;
+    return max(pixels.left.transmittance, pixels.right.transmittance) > TRANSMITTANCE_FULL;
 }
 
 void write_partial(uint place, Pixel pixel) {

@@ -49,13 +49,13 @@ void main() {
     Pixel pixel = PIXEL_EMPTY;
     uint first_place = composite.first_partial * MACRO_PIXELS + place;
     // Segments behind a full pixel may never have been blended. They may be read, not used.
-    for (uint base = 0u; base < composite.partials && pixel.transmittance > TRANSMITTANCE_MIN; base += AHEAD) {
+    for (uint base = 0u; base < composite.partials && pixel.transmittance > TRANSMITTANCE_FULL; base += AHEAD) {
         Pixel ahead[AHEAD];
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
             ahead[next] = load_partial(first_place + min(base + next, composite.partials - 1u) * MACRO_PIXELS);
         }
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
-            if (base + next < composite.partials && pixel.transmittance > TRANSMITTANCE_MIN) {
+            if (base + next < composite.partials && pixel.transmittance > TRANSMITTANCE_FULL) {
                 pixel = over(pixel, ahead[next]);
             }
         }

@@ -24,8 +24,11 @@ uvec2 pixel_offset(uint thread, uint index) {
     return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(lane % 4u + 4u * (index % 2u), lane / 4u);
 }
 
-// A pixel that lets no more than this through is full.
+// Where the rules ask for it, a pixel stops before the splat that would take its transmittance to this or below.
 const float TRANSMITTANCE_MIN = 1e-4;
+
+// Elsewhere it stops once no more than this is left: the rules allow an error of 1e-4, and 95 dB do not.
+const float TRANSMITTANCE_FULL = 2e-5;
 
 // What a pixel has gathered, front to back.
 struct Pixel {

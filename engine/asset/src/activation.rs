@@ -1,5 +1,18 @@
 //! Between trained parameters, as files store them, and the values that are drawn.
 
+/// A standard deviation, metres, from its stored natural logarithm.
+///
+/// Through f64, here and below: libraries differ in the last bit of an f32 `exp`, while the f64 one is right far beyond
+/// the bits that are kept. So a file gives the same cloud on every machine.
+pub(crate) fn scale_of_log(log_scale: f32) -> f32 {
+    f64::from(log_scale).exp() as f32
+}
+
+/// The inverse of [`scale_of_log`].
+pub(crate) fn log_of_scale(scale: f32) -> f32 {
+    f64::from(scale).ln() as f32
+}
+
 /// 1 / (1 + e^-x). Plus infinity, which trainers do write, gives 1.
 pub(crate) fn sigmoid(logit: f32) -> f32 {
     (1.0 / (1.0 + (-f64::from(logit)).exp())) as f32
@@ -34,6 +47,14 @@ mod tests {
         assert!(sigmoid(f32::NAN).is_nan());
         for opacity in [0.001, 0.3, 0.999] {
             assert!((sigmoid(logit(opacity)) - opacity).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn logarithms_of_scales_survive() {
+        assert_eq!((scale_of_log(0.0), scale_of_log(1.0), log_of_scale(0.0)), (1.0, std::f32::consts::E, f32::NEG_INFINITY));
+        for log_scale in [-12.0f32, -3.7, 0.3, 5.9] {
+            assert!((log_of_scale(scale_of_log(log_scale)) - log_scale).abs() <= 1e-6, "{log_scale}");
         }
     }
 

@@ -8,7 +8,7 @@ use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
 use crate::DecodeError;
-use crate::activation::normalised;
+use crate::activation::{normalised, scale_of_log};
 use crate::inria_ply::{RestColumns, row_slices};
 use crate::ply::{Column, Ply, Rows, Scalar};
 
@@ -53,7 +53,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     let (sh_degree, sh_rest) = rest_coefficients(&ply, rows.count)?;
     Ok(SplatCloud {
         means: words(position).map(|(chunk, word)| chunks[chunk].means.at(unpack_11_10_11(word))).collect(),
-        scales: words(scale).map(|(chunk, word)| chunks[chunk].log_scales.at(unpack_11_10_11(word)).map(f32::exp)).collect(),
+        scales: words(scale).map(|(chunk, word)| chunks[chunk].log_scales.at(unpack_11_10_11(word)).map(scale_of_log)).collect(),
         rotations: words(rotation).map(|(_, word)| unpack_rotation(word)).collect(),
         opacities: words(colour).map(|(_, word)| unorm(word, 8)).collect(),
         sh_degree,

@@ -8,7 +8,9 @@ use thiserror::Error;
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum DecodeError {
     /// The bytes end before what they announce.
-    #[error("{what} needs {expected_bytes} bytes, found {found_bytes}: the file is cut short or its counts are wrong")]
+    #[error(
+        "{what} needs {expected_bytes} bytes, found {found_bytes}: the file is cut short or its counts are wrong; copy or export it again"
+    )]
     Truncated {
         /// What was being read.
         what: String,

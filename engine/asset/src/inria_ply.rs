@@ -11,7 +11,7 @@ use std::path::Path;
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
-use crate::activation::{logit, normalised, sigmoid};
+use crate::activation::{log_of_scale, logit, normalised, scale_of_log, sigmoid};
 use crate::ply::{Column, Ply, Rows};
 use crate::{AssetError, DecodeError, write_atomically};
 
@@ -53,7 +53,7 @@ fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, DecodeError> {
     let rows = ply.rows(element)?;
     Ok(SplatCloud {
         means: triples(&rows, &mean),
-        scales: triples(&rows, &scale).into_par_iter().map(|logarithms| logarithms.map(f32::exp)).collect(),
+        scales: triples(&rows, &scale).into_par_iter().map(|logarithms| logarithms.map(scale_of_log)).collect(),
         rotations: row_slices(&rows).map(|row| normalised(std::array::from_fn(|i| rotation[i].f32_of(row)))).collect(),
         opacities: row_slices(&rows).map(|row| sigmoid(opacity.f32_of(row))).collect(),
         sh_degree: rest.degree,
@@ -170,7 +170,7 @@ fn fill_row(row: &mut [u8], cloud: &SplatCloud, splat: usize) {
         .chain(cloud.sh_dc[splat])
         .chain(channel_major)
         .chain([logit(cloud.opacities[splat])])
-        .chain(cloud.scales[splat].map(f32::ln))
+        .chain(cloud.scales[splat].map(log_of_scale))
         .chain(cloud.rotations[splat]);
     for (to, value) in row.chunks_exact_mut(size_of::<f32>()).zip(values) {
         to.copy_from_slice(&value.to_le_bytes());
@@ -215,7 +215,7 @@ mod tests {
         let cloud = decode(&file(&ONE)).unwrap();
         assert_eq!(cloud.means, [[1.0, 2.0, 3.0]]);
         assert_eq!(cloud.rotations, [[1.0, 0.0, 0.0, 0.0]]);
-        assert_eq!(cloud.scales, [[(-1.0f32).exp(), 1.0, 1.0f32.exp()]]);
+        assert_eq!(cloud.scales, [[(-1.0f64).exp() as f32, 1.0, std::f32::consts::E]]);
         assert_eq!((cloud.opacities[0], cloud.sh_dc[0], cloud.sh_degree), (1.0, [0.1, 0.2, 0.3], 0));
         assert_eq!(cloud.defect_of(0), None);
     }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::axes::StoredAxes;
 use crate::EncodeError;
-use crate::activation::normalised;
+use crate::activation::{log_of_scale, normalised, scale_of_log};
 
 /// The streams in the order of the file.
 pub(super) const STREAMS: [&str; 6] = ["positions", "alphas", "colors", "scales", "rotations", "sh"];
@@ -74,7 +74,7 @@ pub(super) fn unpack(packed: &Packed) -> SplatCloud {
         } else {
             means.map(|p| std::array::from_fn(|i| signed_24([p[3 * i], p[3 * i + 1], p[3 * i + 2]]) as f32 * step)).collect()
         },
-        scales: triples(scales, |code| (f32::from(code) / 16.0 - 10.0).exp()),
+        scales: triples(scales, |code| scale_of_log(f32::from(code) / 16.0 - 10.0)),
         rotations: if layout.version < 3 {
             rotations.map(|codes| unpack_first_three([codes[0], codes[1], codes[2]])).collect()
         } else {
@@ -118,7 +118,7 @@ pub(super) fn pack(cloud: &SplatCloud) -> Result<Packed, EncodeError> {
         positions.collect(),
         cloud.opacities.par_iter().map(|opacity| byte(opacity * 255.0)).collect(),
         flattened(&cloud.sh_dc, |dc| byte(dc * (COLOUR_SCALE * 255.0) + 0.5 * 255.0)),
-        flattened(&cloud.scales, |scale| byte((scale.ln() + 10.0) * 16.0)),
+        flattened(&cloud.scales, |scale| byte((log_of_scale(scale) + 10.0) * 16.0)),
         cloud.rotations.par_iter().flat_map_iter(|&rotation| pack_smallest_three(rotation).to_le_bytes()).collect(),
         flattened(&cloud.sh_rest, |coefficient| byte(coefficient * 128.0 + 128.0)),
     ];

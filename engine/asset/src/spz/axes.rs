@@ -9,6 +9,9 @@ use crate::DecodeError;
 /// The axes of a file, by the code of the Adobe coordinate-system extension.
 ///
 /// Codes 1 to 8 name x, y, z as left/right, down/up, back/front; codes 9 to 16 as left/right, front/back, down/up.
+///
+/// We follow the names. The reference (nianticlabs/spz at 3f156355) flips y where LFD, RFD, LBU and RBU (9, 10, 15, 16)
+/// ask for z and z where they ask for y, so a file that it wrote in one of these four reads upside down. All others agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct StoredAxes(u32);
 

@@ -24,10 +24,10 @@ const EXTENSION_AXES: u32 = 0xadbe_0003;
 const EXTENSION_BYTES_MAX: u64 = 1 << 16;
 
 /// A file's claim is believed up to this many splats however small the file is, so that tiny uniform clouds are read.
-const SPLATS_ALWAYS: u64 = 1 << 16;
+const SPLATS_ALWAYS: u64 = 1 << 14;
 /// And up to this many splats for each of its bytes. Real files take 5 to 20 bytes a splat; without a bound a file of
 /// a megabyte could ask for a terabyte.
-const SPLATS_PER_BYTE_MAX: u64 = 4;
+const SPLATS_PER_BYTE_MAX: u64 = 1;
 
 /// Zstandard level: beyond it, files get slower to write but hardly smaller.
 const LEVEL: i32 = 9;
@@ -68,7 +68,9 @@ fn read_header(bytes: &[u8; HEADER_BYTES], file_bytes: u64) -> Result<Header, De
     }
     let count_max = SPLATS_ALWAYS + SPLATS_PER_BYTE_MAX * file_bytes;
     if u64::from(count) > count_max {
-        return Err(DecodeError::Malformed(format!("{count} splats in {file_bytes} bytes; at most {count_max} are believed")));
+        return Err(DecodeError::Malformed(format!(
+            "{count} splats in {file_bytes} bytes; at most {count_max} are believed: the count is damaged, export the file again"
+        )));
     }
     let layout = Layout { version, count: count as usize, stored_degree, fractional_bits };
     Ok(Header { layout, has_extensions: flags & FLAG_EXTENSIONS != 0, byte_15 })

@@ -7,16 +7,18 @@ use super::layout::{FAR_M, KERB_M, Lot};
 use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
 
-/// Splats a square metre of front, relative to asphalt, at the main street.
-const FRONT_DENSITY: f32 = 0.8;
+/// Splats a square metre of front, relative to asphalt.
+const FRONT_DENSITY: f32 = 1.1;
+
+/// Share of it beyond the detailed extent.
+const FAR_DENSITY: f32 = 0.06;
 
 /// How much of it windows get on top: glass bars and curtains are finer than walls.
-const WINDOW_DENSITY: f32 = 0.9;
+const WINDOW_DENSITY: f32 = 1.4;
 
 /// All surfaces of one house, in the world.
 pub(super) fn building(lot: &Lot) -> Vec<Element> {
     let design = Design::new(lot.seed);
-    let nearness = nearness(lot);
     let (width, depth, height) = (lot.size.x, lot.size.y, lot.size.z);
     let mut elements = vec![front(&design, Vec3::ZERO, Vec3::X * width, height, FRONT_DENSITY)];
     if !lot.far {
@@ -37,14 +39,10 @@ pub(super) fn building(lot: &Lot) -> Vec<Element> {
     elements.push(bare_wall(back, 0.03, design));
     elements.push(roof(width, depth, height, lot.seed));
     let lift = lot.translation() + Vec3::Z * if lot.far { 0.0 } else { KERB_M };
-    elements.into_iter().map(|element| element.placed(lot.rotation(), lift).denser(nearness)).collect()
-}
-
-/// Density by distance from the drive along the main street: detail pays where cameras come close.
-fn nearness(lot: &Lot) -> f32 {
-    let middle = lot.rotation() * (lot.size * 0.5) + lot.translation();
-    let off_drive_m = (middle.y.abs() - 20.0).max(0.0).max(middle.x.abs() - 95.0);
-    if lot.far { 0.12 } else { 0.3 + 0.7 * smoothstep(45.0, 0.0, off_drive_m) }
+    elements
+        .into_iter()
+        .map(|element| element.placed(lot.rotation(), lift).denser(if lot.far { FAR_DENSITY } else { 1.0 }))
+        .collect()
 }
 
 /// A wall with windows from `corner` along `along`.

@@ -15,7 +15,13 @@ use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 pub(super) const VARIANTS: usize = 12;
 
 /// Splats a square metre, relative to asphalt, on a parked car.
-pub(super) const CAR_DENSITY: f32 = 7.0;
+pub(super) const CAR_DENSITY: f32 = 9.0;
+
+/// Height of the shadow over the road that is not in the asset, metres: above the road's own splats, which stray.
+const SHADOW_Z_M: f32 = 0.06;
+
+/// Splats a square metre of shadow, relative to the body's: it is soft.
+const SHADOW_DENSITY: f32 = 0.25;
 
 /// The build of a car. Heights are above the ground, x is from the middle, metres.
 #[derive(Clone, Copy, Debug)]
@@ -208,6 +214,19 @@ impl Build {
             rim,
             Element::new(Shape::Loft(well.bordered()), 0.4, |_| Texel { openness: 0.2, ..Texel::matt(display(30, 30, 32)) }),
         ]
+    }
+
+    /// The dark that the car lays on whatever road it drives over: a sheer plate under it, fading to its border.
+    pub(super) fn shadow(&self) -> Element {
+        let half = Vec2::new(0.5 * self.size.x, 0.5 * self.size.y);
+        let corner = Vec3::new(-half.x, -half.y, SHADOW_Z_M - 0.5 * self.size.z);
+        let shape = Shape::Rectangle { corner, along: Vec3::X * self.size.x, up: Vec3::Y * self.size.y };
+        Element::new(shape, SHADOW_DENSITY, move |point| {
+            let inside_m = (half - point.position.truncate().abs()).min_element();
+            let sheer = 0.75 - 0.7 * smoothstep(0.0, 0.45, inside_m);
+            Texel { sheer, openness: 0.3, emitted: Some(display(34, 34, 36)), ..Texel::matt(Vec3::ZERO) }
+        })
+        .seamless()
     }
 
     fn mirror(&self, side: f32, colour: Vec3) -> Element {

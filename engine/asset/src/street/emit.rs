@@ -1,39 +1,26 @@
 //! From surfaces to splats, with the statistics of trained driving scenes.
 
 use decouplegs_scene::{SplatCloud, sh};
-use glam::{DVec3, Mat3, Quat, Vec3};
+use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
 
+use super::focus::Focus;
+use super::footprint::Footprint;
 use super::light::Light;
 use super::random::Stream;
-use super::surface::{Element, SurfacePoint, Texel};
+use super::surface::{Element, Texel};
 
 /// Share of splats with an opacity below [`FAINT_OPACITY_MAX`]: what densification leaves behind in trained scenes.
 pub(super) const FAINT_SHARE: f32 = 0.45;
 
+/// Below what any pixel shows (1/255), yet with a finite logit.
+const OPACITY_MIN: f32 = 0.003;
+
 /// Upper end of the faint mode.
 pub(super) const FAINT_OPACITY_MAX: f32 = 0.15;
 
-/// Median tangential standard deviation over the spacing of the opaque splats. Below about 0.5, holes open between
-/// jittered neighbours; above 0.8, lane markings smear.
-const SCALE_OVER_SPACING: f32 = 0.7;
-
-/// Spread of ln scale that a splat's two tangential axes share, and that each has of its own; together 0.6.
-const LN_SCALE_SHARED: f32 = 0.42;
-/// See [`LN_SCALE_SHARED`].
-const LN_SCALE_OWN: f32 = 0.43;
-
 /// How far splats stray out of their surface: wheels must not sink into the road. Inward they may stray freely.
 const OUTWARD_MAX_M: f32 = 0.015;
-
-/// Change of albedo, as the difference of square roots (roughly of what is displayed), that counts as an edge.
-const EDGE_CONTRAST: f32 = 0.14;
-
-/// Where the surroundings are probed, as shares of the reach: dense enough not to step over a lane line.
-const PROBES: [f32; 6] = [1.0, -1.0, 0.55, -0.55, 0.25, -0.25];
-
-/// Leaves are smaller than a closed surface would need: light shows through crowns.
-const LEAF_SHRINK: f32 = 0.6;
 
 /// Splats sampled by one task; large enough that finding the element costs nothing.
 const CHUNK: usize = 2048;
@@ -67,8 +54,8 @@ struct Splat {
 
 /// Exactly `total` splats over `elements`, the same for the same `seed` whatever the threads.
 ///
-/// With no surface to put them on, the cloud is empty.
-pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64, light: &Light) -> SplatCloud {
+/// Splats close to where `focus` has cameras pass stay small. With no surface to put them on, the cloud is empty.
+pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64, light: &Light, focus: &Focus) -> SplatCloud {
     let counts = allocate(elements, total);
     let mut firsts = Vec::with_capacity(elements.len() + 1);
     firsts.push(0usize);
@@ -106,7 +93,8 @@ pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64,
                 let item = index - firsts[element];
                 let mut random = Stream::new(seed, element as u64, item as u64);
                 let rest = &mut rest[slot * stride..(slot + 1) * stride];
-                let splat = splat(&elements[element], item, counts[element], light, &mut random, rest);
+                let splat =
+                    splat(&elements[element], (item, counts[element]), is_faint(index), (light, focus), &mut random, rest);
                 means[slot] = splat.mean.to_array();
                 scales[slot] = splat.scales.to_array();
                 let q = splat.rotation;
@@ -118,18 +106,33 @@ pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64,
     cloud
 }
 
+/// Whether splat `index` of the cloud is of the faint mode. A golden-ratio sequence: faint splats never leave a gap of
+/// more than two along a row, and elements of one splat are faint as often as others.
+fn is_faint(index: usize) -> bool {
+    ((index as f64 + 0.5) * 0.618_033_988_749_894_9).fract() < f64::from(FAINT_SHARE)
+}
+
 /// Splat `item` of the `count` on an element.
-fn splat(element: &Element, item: usize, count: usize, light: &Light, random: &mut Stream, rest: &mut [[f32; 3]]) -> Splat {
+fn splat(
+    element: &Element,
+    (item, count): (usize, usize),
+    faint: bool,
+    (light, focus): (&Light, &Focus),
+    random: &mut Stream,
+    rest: &mut [[f32; 3]],
+) -> Splat {
     let point = element.shape.sample(item, count, random);
     let mut texel = (element.texture)(&point);
-    // A golden-ratio sequence: faint splats never leave a gap of more than two along a row.
-    let faint = ((item as f64 + 0.5) * 0.618_033_988_749_894_9).fract() < f64::from(FAINT_SHARE);
     let spacing_m = (element.shape.area_m2() / (count as f32 * (1.0 - FAINT_SHARE))).sqrt();
 
     let position = element.rotation * point.position + element.translation;
     let normal = element.rotation * point.normal;
-    let off_surface_m = ((if faint { 0.25 } else { 0.02 }) * random.normal() * spacing_m.min(1.0)).min(OUTWARD_MAX_M);
-    let (scales, rotation) = shape_of(element, &point, &texel, spacing_m, random);
+    // Shadows have no depth: they must not reach into the road.
+    let depth = if texel.sheer > 0.0 { 0.0 } else { 1.0 };
+    let off_surface_m = (depth * (if faint { 0.25 } else { 0.02 }) * random.normal() * spacing_m.min(1.0)).min(OUTWARD_MAX_M);
+    let footprint = Footprint::new(element, &point, &texel, (spacing_m, focus.largest_m(position)), random);
+    let (scales, rotation) = footprint.disc(point.normal, random);
+    texel.albedo = footprint.mean_albedo(element, &point, &texel);
 
     if let Some(weather) = element.weather.as_ref().filter(|_| texel.weathered) {
         texel.albedo *= weather(&point);
@@ -140,8 +143,8 @@ fn splat(element: &Element, item: usize, count: usize, light: &Light, random: &m
     Splat {
         mean: position + normal * off_surface_m,
         scales,
-        rotation,
-        opacity: opacity_of(faint, random),
+        rotation: (element.rotation * rotation).normalize(),
+        opacity: (opacity_of(faint, random) * (1.0 - texel.sheer)).max(OPACITY_MIN),
         dc: (colour - 0.5) / sh::Y0 as f32,
     }
 }
@@ -150,61 +153,12 @@ fn splat(element: &Element, item: usize, count: usize, light: &Light, random: &m
 fn opacity_of(faint: bool, random: &mut Stream) -> f32 {
     let unit = random.unit();
     if faint {
-        0.003 + (FAINT_OPACITY_MAX - 0.004) * unit * unit
+        OPACITY_MIN + (FAINT_OPACITY_MAX - 0.004) * unit * unit
     } else if random.chance(0.1) {
         0.2 + 0.5 * unit
     } else {
         0.999 - 0.28 * unit * unit
     }
-}
-
-/// Standard deviations and rotation of a disc in the surface, narrowed where a change of colour is near.
-fn shape_of(element: &Element, point: &SurfacePoint, texel: &Texel, spacing_m: f32, random: &mut Stream) -> (Vec3, Quat) {
-    let leaf = texel.translucency > 0.5;
-    let median_m = SCALE_OVER_SPACING * spacing_m * if leaf { LEAF_SHRINK } else { 1.0 };
-    let shared = LN_SCALE_SHARED * random.normal();
-    // The tail is cut where one splat would cover dozens of others.
-    let mut draw = || median_m * (shared + LN_SCALE_OWN * random.normal()).min(1.1).exp();
-    let (mut along_m, mut across_m) = (draw(), draw());
-    let bitangent = point.normal.cross(point.tangent).normalize_or(point.normal.any_orthonormal_vector());
-    let tangent = bitangent.cross(point.normal);
-
-    let reach_m = 1.6 * along_m.max(across_m);
-    let near_edge = !leaf && [tangent, bitangent].iter().any(|axis| !clear(element, point, texel, *axis, reach_m));
-    let turn = if near_edge { 0.0 } else { random.range(0.0, std::f32::consts::TAU) };
-    if near_edge {
-        // Most edges run along the surface's own axes: lie along them, and stop short of them.
-        let floor_m = 0.2 * spacing_m;
-        for (scale_m, axis) in [(&mut along_m, tangent), (&mut across_m, bitangent)] {
-            while *scale_m > floor_m && !clear(element, point, texel, axis, 1.6 * *scale_m) {
-                *scale_m *= 0.6;
-            }
-        }
-    }
-    let thin_m = (along_m * across_m).sqrt() / random.range(5.0, 20.0);
-
-    let (sin, cos) = turn.sin_cos();
-    let axes = Mat3::from_cols(tangent * cos + bitangent * sin, bitangent * cos - tangent * sin, point.normal);
-    // Training does not order the axes either, so readers must not count on the last being the normal.
-    let (scales, axes) = match random.bits() % 3 {
-        0 => (Vec3::new(along_m, across_m, thin_m), axes),
-        1 => (Vec3::new(across_m, thin_m, along_m), Mat3::from_cols(axes.y_axis, axes.z_axis, axes.x_axis)),
-        _ => (Vec3::new(thin_m, along_m, across_m), Mat3::from_cols(axes.z_axis, axes.x_axis, axes.y_axis)),
-    };
-    (scales, (element.rotation * Quat::from_mat3(&axes)).normalize())
-}
-
-/// Whether the surface goes on in the same colour for `reach_m` both ways along `axis`.
-fn clear(element: &Element, point: &SurfacePoint, texel: &Texel, axis: Vec3, reach_m: f32) -> bool {
-    let border_m = if axis.dot(point.tangent).abs() > 0.5 { point.border_m[0] } else { point.border_m[1] };
-    let root = |albedo: Vec3| albedo.max(Vec3::ZERO).map(f32::sqrt);
-    let here = root(texel.albedo);
-    border_m >= reach_m
-        && PROBES.into_iter().all(|share| {
-            let offset_m = share * reach_m;
-            let there = SurfacePoint { position: point.position + axis * offset_m, ..*point };
-            (root((element.texture)(&there).albedo) - here).abs().max_element() < EDGE_CONTRAST
-        })
 }
 
 /// Coefficients after DC: a sheen where the sun is mirrored, and noise that falls by band.
@@ -231,6 +185,8 @@ fn view_dependence(rest: &mut [[f32; 3]], texel: &Texel, colour: Vec3, normal: V
 
 #[cfg(test)]
 mod tests {
+    use glam::Mat3;
+
     use super::*;
     use crate::street::surface::Shape;
 
@@ -254,7 +210,7 @@ mod tests {
     #[test]
     fn a_wall_has_the_promised_scales_and_closes() {
         let light = Light::new(Vec3::new(0.0, -1.0, 1.0), vec![]);
-        let cloud = emit(&[wall(8.0, 1.0)], 20_000, 0, 3, &light);
+        let cloud = emit(&[wall(8.0, 1.0)], 20_000, 0, 3, &light, &Focus::nowhere());
         let (mut ln_scales, mut flatness) = (vec![], vec![]);
         for (mean, scale) in cloud.means.iter().zip(&cloud.scales) {
             let mut sorted = *scale;

@@ -140,7 +140,7 @@ impl Light {
             let wrapped = facing.max(0.0).max(texel.translucency * (0.55 + 0.45 * facing.abs()));
             let sunlit = if wrapped > 0.0 { self.sunlit(position + normal * 0.04, random) } else { 0.0 };
             let open = texel.openness * self.open_sky(position);
-            let sun = Vec3::new(1.0, 0.92, 0.78) * (1.2 * wrapped * sunlit);
+            let sun = Vec3::new(1.0, 0.92, 0.78) * (1.35 * wrapped * sunlit);
             let sky = Vec3::new(0.31, 0.37, 0.47) * (0.5 + 0.5 * normal.z) + Vec3::new(0.2, 0.185, 0.16) * (0.5 - 0.5 * normal.z);
             texel.albedo * (sun + sky * open)
         });

@@ -12,6 +12,8 @@ mod car;
 mod car_paint;
 mod emit;
 mod facade;
+mod focus;
+mod footprint;
 mod furniture;
 mod layout;
 mod light;
@@ -30,6 +32,7 @@ use glam::{Quat, Vec3};
 use rayon::prelude::*;
 
 use car::Build;
+use focus::Focus;
 use layout::{Layout, Spot};
 use light::{Light, Occluder};
 use surface::Element;
@@ -84,8 +87,9 @@ impl Street {
         let sh_degree = options.sh_degree.min(decouplegs_scene::sh::DEGREE_MAX);
         let layout = Layout::new(options.seed);
         let light = Light::new(TOWARDS_SUN, occluders(&layout));
-        let elements = background_elements(&layout, options.seed, light.towards_sun);
-        let background = emit::emit(&elements, options.background, sh_degree, options.seed, &light);
+        let focus = Focus::new();
+        let elements = background_elements(&layout, options.seed, &focus, light.towards_sun);
+        let background = emit::emit(&elements, options.background, sh_degree, options.seed, &light, &focus);
 
         let asset_light = Light::new(TOWARDS_SUN_ASSET, vec![]);
         let variants: Vec<(Build, car_paint::Paint)> = (0..traffic::asset_count(options.agents)).map(Build::of).collect();
@@ -94,7 +98,9 @@ impl Street {
             .enumerate()
             .map(|(variant, (build, paint))| {
                 let seed = options.seed.wrapping_add(variant as u64 + 1);
-                emit::emit(&build.elements(*paint), options.agent_splats, sh_degree, seed, &asset_light)
+                let mut elements = build.elements(*paint);
+                elements.push(build.shadow());
+                emit::emit(&elements, options.agent_splats, sh_degree, seed, &asset_light, &Focus::nowhere())
             })
             .collect();
         let traffic = traffic::traffic(options.agents, variants.len(), options.seed);
@@ -135,11 +141,12 @@ fn occluders(layout: &Layout) -> Vec<Occluder> {
     occluders
 }
 
-fn background_elements(layout: &Layout, seed: u64, towards_sun: Vec3) -> Vec<Element> {
+fn background_elements(layout: &Layout, seed: u64, focus: &Focus, towards_sun: Vec3) -> Vec<Element> {
     let mut elements = road::road(seed);
-    elements.extend(layout.lots.iter().flat_map(building::building));
+    elements.extend(layout.lots.iter().filter(|lot| !lot.far).flat_map(building::building));
     elements.extend(layout.trees.iter().flat_map(tree::tree));
     elements.extend(layout.lamps.iter().flat_map(furniture::lamp));
+    elements.extend(layout.lamps.iter().flat_map(furniture::beside_lamp));
     elements.extend(furniture::traffic_lights());
     let cars: Vec<(Build, Vec<Element>)> =
         (0..car::VARIANTS).map(Build::of).map(|(build, paint)| (build, build.elements(paint))).collect();
@@ -149,6 +156,9 @@ fn background_elements(layout: &Layout, seed: u64, towards_sun: Vec3) -> Vec<Ele
         let rotation = Quat::from_rotation_z(spot.yaw_rad);
         elements.extend(parts.iter().map(|part| part.placed(rotation, position).denser(car::CAR_DENSITY)));
     }
+    let mut elements: Vec<Element> = elements.into_iter().map(|element| focus.on(element)).collect();
+    // What is far is as coarse as its distance allows from everywhere on the way.
+    elements.extend(layout.lots.iter().filter(|lot| lot.far).flat_map(building::building));
     elements.extend(sky::far_shell(seed, towards_sun));
     elements
 }

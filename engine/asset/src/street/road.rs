@@ -12,7 +12,13 @@ use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 const MARGIN_M: f32 = 0.12;
 
 /// How much finer than the asphalt markings are sampled.
-const MARKING_DENSITY: f32 = 5.0;
+const MARKING_DENSITY: f32 = 8.0;
+
+/// Asphalt on the carriageways, over what densities are relative to: cameras see most of it, and from near by.
+const ASPHALT_DENSITY: f32 = 2.8;
+
+/// About the length of a piece of road whose density is of its own, metres.
+const SLAB_M: f32 = 12.0;
 
 /// A painted rectangle on the road.
 #[derive(Clone, Copy, Debug)]
@@ -107,7 +113,7 @@ fn crossing_paint(axis: Axis, stripes: &mut Vec<Stripe>) {
 
 /// The road's surface at a point of the world.
 fn road_texel(markings: &Markings, point: Vec2) -> Texel {
-    let (albedo, gloss) = if markings.at(point) { (display(240, 238, 228), 0.15) } else { (display(124, 122, 120), 0.35) };
+    let (albedo, gloss) = if markings.at(point) { (display(240, 238, 228), 0.15) } else { (display(114, 112, 111), 0.35) };
     Texel { gloss, weathered: true, ..Texel::matt(albedo) }
 }
 
@@ -176,18 +182,26 @@ pub(super) fn road(seed: u64) -> Vec<Element> {
         Element::new(shape, density, move |point: &SurfacePoint| road_texel(&markings, point.position.truncate()))
             .weathered(move |point| road_weather(seed, point.position.truncate()))
     };
-    elements.push(textured(flat(Vec2::new(-EXTENT_M, -ROAD_HALF_M), Vec2::new(EXTENT_M, ROAD_HALF_M), 0.0), 1.0));
-    for (from, to) in Axis::Cross.stretches(ROAD_HALF_M) {
-        elements.push(textured(flat_of(Axis::Cross, (from, to), (-ROAD_HALF_M, ROAD_HALF_M), 0.0), 0.4));
+    for axis in [Axis::Main, Axis::Cross] {
+        // The main street owns the crossing.
+        let clear_m = if axis == Axis::Main { 0.0 } else { ROAD_HALF_M };
+        for (from, to) in axis.stretches(clear_m) {
+            let slabs = ((to - from) / SLAB_M).round().max(1.0);
+            let end = |slab: u32| from + (to - from) * slab as f32 / slabs;
+            for slab in 0..slabs as u32 {
+                for t in [(-ROAD_HALF_M, 0.0), (0.0, ROAD_HALF_M)] {
+                    elements.push(textured(flat_of(axis, (end(slab), end(slab + 1)), t, 0.0), ASPHALT_DENSITY).seamless());
+                }
+            }
+        }
     }
     for axis in [Axis::Main, Axis::Cross] {
         for (from, to) in [(-FAR_M - 60.0, -EXTENT_M), (EXTENT_M, FAR_M + 60.0)] {
-            elements.push(textured(flat_of(axis, (from, to), (-FRONT_M, FRONT_M), 0.0), 0.04));
+            elements.push(textured(flat_of(axis, (from, to), (-FRONT_M, FRONT_M), 0.0), 0.06).seamless());
         }
     }
     for Stripe { min, max } in &markings.stripes {
-        let finer = if min.y.abs().max(max.y.abs()) < FRONT_M + 2.0 { MARKING_DENSITY } else { 0.35 * MARKING_DENSITY };
-        elements.push(textured(flat(*min - MARGIN_M, *max + MARGIN_M, 0.001), finer));
+        elements.push(textured(flat(*min - MARGIN_M, *max + MARGIN_M, 0.001), MARKING_DENSITY));
     }
     for axis in [Axis::Main, Axis::Cross] {
         elements.extend(sidewalks(axis, seed));
@@ -198,7 +212,7 @@ pub(super) fn road(seed: u64) -> Vec<Element> {
 /// Sidewalks and kerbs on both sides of one street; the corners belong to the main street.
 fn sidewalks(axis: Axis, seed: u64) -> Vec<Element> {
     let mut elements = Vec::new();
-    let (walk_clear_m, density) = if axis == Axis::Main { (ROAD_HALF_M, 0.8) } else { (FRONT_M, 0.3) };
+    let (walk_clear_m, density) = (if axis == Axis::Main { ROAD_HALF_M } else { FRONT_M }, 0.8);
     for (stretch, (from, to)) in axis.stretches(walk_clear_m).into_iter().enumerate() {
         for side in [1.0f32, -1.0] {
             let t = (side * ROAD_HALF_M, side * FRONT_M);

@@ -35,7 +35,7 @@ pub(super) const SKY_RGB: [f32; 3] = [0.70, 0.79, 0.89];
 
 /// Everything beyond the houses.
 pub(super) fn far_shell(seed: u64, towards_sun: Vec3) -> Vec<Element> {
-    let dome = Element::new(Shape::Dome { radius_m: DOME_RADIUS_M, low: -0.05 }, 0.0022, move |point: &SurfacePoint| {
+    let dome = Element::new(Shape::Dome { radius_m: DOME_RADIUS_M, low: -0.05 }, 0.0012, move |point: &SurfacePoint| {
         let direction = point.position.normalize_or(Vec3::Z);
         Texel { emitted: Some(sky_colour(direction, towards_sun, seed)), ..Texel::matt(Vec3::ONE) }
     });
@@ -59,7 +59,7 @@ fn hills(seed: u64, radius_m: f32, height_m: f32, haze: f32) -> Element {
         let radius = radius_m + 25.0 * v;
         Vec3::new(radius * cos, radius * sin, -3.0 + (ridge(u) + 3.0) * v)
     });
-    Element::new(Shape::Loft(loft), 0.012, move |point| {
+    Element::new(Shape::Loft(loft), 0.008, move |point| {
         let azimuth_m = point.u * 6.0 * radius_m;
         let woods = fractal_noise(seed + 137, azimuth_m * 0.05, point.position.z * 0.12, 4);
         let albedo = display(92, 112, 66).lerp(display(128, 132, 84), smoothstep(0.4, 0.65, woods)) * (0.7 + 0.5 * woods);
@@ -83,7 +83,7 @@ fn ground(seed: u64) -> Vec<Element> {
         for (y0, y1) in [(-reach, -inner), (inner, reach)] {
             let shape =
                 Shape::Rectangle { corner: Vec3::new(x0, y0, -0.05), along: Vec3::X * (x1 - x0), up: Vec3::Y * (y1 - y0) };
-            elements.push(Element::new(shape, 0.004, land));
+            elements.push(Element::new(shape, 0.0012, land));
         }
     }
     elements
@@ -108,10 +108,10 @@ fn towers(seed: u64) -> Vec<Element> {
             let storey = (p.z / 7.0).floor() as i32;
             let bay = ((p.x + p.y) / 5.0).floor() as i32;
             let glass = (p.x + p.y).rem_euclid(5.0) > 1.6 && (p.z / 7.0).fract() > 0.45 && point.normal.z < 0.5;
-            let albedo = if glass { display(84, 104, 128) * (0.7 + 0.6 * cell(tower, bay, storey)) } else { wall };
+            let albedo = if glass { display(112, 128, 148) * (0.85 + 0.3 * cell(tower, bay, storey)) } else { wall };
             Texel { haze, ..Texel::matt(albedo) }
         };
-        elements.extend(boxed(centre - half, centre + half + Vec3::Z * height_m, 0.03, texture));
+        elements.extend(boxed(centre - half, centre + half + Vec3::Z * height_m, 0.011, texture));
     }
     elements
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{Quat, Vec3};
 
 use super::loft::Loft;
-use super::random::Stream;
+use super::random::{Stream, noise};
 
 /// Distance reported where no edge is near, metres.
 pub(super) const FAR_M: f32 = 1e6;
@@ -27,6 +27,13 @@ pub(super) struct SurfacePoint {
     pub border_m: [f32; 2],
 }
 
+impl SurfacePoint {
+    /// The point `offset` away in the tangent plane, metres.
+    pub(super) fn moved(&self, offset: Vec3) -> Self {
+        Self { position: self.position + offset, ..*self }
+    }
+}
+
 /// What a point looks like before light falls on it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texel {
@@ -44,12 +51,14 @@ pub(super) struct Texel {
     pub weathered: bool,
     /// Linear RGB that replaces lit albedo: lamps and the sky.
     pub emitted: Option<Vec3>,
+    /// Share of its opacity that a splat here loses: shadows laid over a ground that is not ours.
+    pub sheer: f32,
 }
 
 impl Texel {
     /// A matt point of the given linear albedo.
     pub(super) fn matt(albedo: Vec3) -> Self {
-        Self { albedo, gloss: 0.0, openness: 1.0, translucency: 0.0, haze: 0.0, weathered: false, emitted: None }
+        Self { albedo, gloss: 0.0, openness: 1.0, translucency: 0.0, haze: 0.0, weathered: false, emitted: None, sheer: 0.0 }
     }
 }
 
@@ -89,6 +98,16 @@ impl Shape {
         }
     }
 
+    /// A point in the midst of the surface or on it.
+    pub(super) fn middle(&self) -> Vec3 {
+        match self {
+            Self::Rectangle { corner, along, up } => *corner + (*along + *up) * 0.5,
+            Self::Loft(loft) => loft.at(0.5, 0.5).position,
+            Self::Crown { centre, .. } => *centre,
+            Self::Dome { .. } => Vec3::ZERO,
+        }
+    }
+
     /// Length along u over length along v.
     fn aspect(&self) -> f32 {
         match self {
@@ -118,7 +137,9 @@ impl Shape {
             Self::Crown { centre, radii } => {
                 let outward = on_sphere(u, 2.0 * v - 1.0);
                 let depth = random.unit();
-                let position = *centre + *radii * outward * (1.08 - 0.5 * depth * depth);
+                // Twigs of unequal length, so that no crown ends in a smooth line.
+                let twigs = noise(17, 4.0 * outward.x + 2.3 * outward.z + centre.x, 4.0 * outward.y - 2.9 * outward.z + centre.y);
+                let position = *centre + *radii * outward * ((0.84 + 0.4 * twigs) * (1.08 - 0.5 * depth * depth));
                 // Leaves face all ways, but more often out and up than in.
                 let normal = (outward + 1.1 * random.signed3() + Vec3::new(0.0, 0.0, 0.4)).normalize_or(outward);
                 SurfacePoint { u, v, position, normal, tangent: normal.any_orthonormal_vector(), border_m: [FAR_M; 2] }
@@ -168,6 +189,8 @@ pub(super) struct Element {
     pub weather: Option<Weather>,
     /// Splats a square metre, relative to the asphalt's.
     pub density: f32,
+    /// Whether the surface goes on in the same look beyond its border, which splats may then overhang.
+    pub seamless: bool,
     /// Parent from element.
     pub rotation: Quat,
     /// See `rotation`, metres.
@@ -182,6 +205,7 @@ impl Element {
             texture: Arc::new(texture),
             weather: None,
             density,
+            seamless: false,
             rotation: Quat::IDENTITY,
             translation: Vec3::ZERO,
         }
@@ -194,6 +218,15 @@ impl Element {
 
     pub(super) fn weathered(self, weather: impl Fn(&SurfacePoint) -> f32 + Send + Sync + 'static) -> Self {
         Self { weather: Some(Arc::new(weather)), ..self }
+    }
+
+    pub(super) fn seamless(self) -> Self {
+        Self { seamless: true, ..self }
+    }
+
+    /// See [`Shape::middle`], in the element's parent.
+    pub(super) fn middle(&self) -> Vec3 {
+        self.rotation * self.shape.middle() + self.translation
     }
 
     pub(super) fn denser(self, factor: f32) -> Self {
@@ -222,17 +255,11 @@ pub(super) fn boxed(
     texture: impl Fn(&SurfacePoint) -> Texel + Send + Sync + 'static,
 ) -> Vec<Element> {
     let texture: Texture = Arc::new(texture);
-    box_faces(min, max, false)
-        .into_iter()
-        .map(|shape| Element {
-            shape: Arc::new(shape),
-            texture: texture.clone(),
-            weather: None,
-            density,
-            rotation: Quat::IDENTITY,
-            translation: Vec3::ZERO,
-        })
-        .collect()
+    let face = |shape| {
+        let texture = texture.clone();
+        Element::new(shape, density, move |point| texture(point))
+    };
+    box_faces(min, max, false).into_iter().map(face).collect()
 }
 
 #[cfg(test)]

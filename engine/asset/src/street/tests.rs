@@ -115,6 +115,62 @@ fn detail_is_near_the_road_and_the_shell_is_far() {
     assert!(far > cloud.len() / 100, "{far} in the far shell");
 }
 
+/// Metres from the nearest place that a camera passes, whose height over the road is 1.6 m.
+fn to_the_way_m(street: &Street, mean: [f32; 3]) -> f64 {
+    let mean = Vec3::from_array(mean).as_dvec3();
+    street.ego.iter().map(|(_, pose)| pose.translation.with_z(1.6).distance(mean)).fold(f64::MAX, f64::min)
+}
+
+#[test]
+fn asphalt_is_finest_where_the_ego_drives() {
+    let street = Street::generate(&SMALL);
+    let cloud = &street.background;
+    let median_scale_m = |low_m: f64, high_m: f64| {
+        let mut scales: Vec<f32> = (0..cloud.len())
+            .filter(|&splat| {
+                let [x, y, z] = cloud.means[splat];
+                y.abs() < 9.0 && x.abs() < 100.0 && z.abs() < 0.02 && (low_m..high_m).contains(&to_the_way_m(&street, [x, y, z]))
+            })
+            .map(|splat| cloud.scales[splat].into_iter().fold(0.0, f32::max))
+            .collect();
+        scales.sort_by(f32::total_cmp);
+        assert!(scales.len() > 300, "{}", scales.len());
+        scales[scales.len() / 2]
+    };
+    let (near_m, far_m) = (median_scale_m(0.0, 5.0), median_scale_m(20.0, 80.0));
+    assert!(near_m < 0.7 * far_m, "{near_m} near the way, {far_m} far from it");
+}
+
+/// A splat beside a camera's image plane that is large for its distance lies as fog over the whole picture.
+#[test]
+fn no_splat_beside_the_way_is_large_for_its_distance() {
+    let street = Street::generate(&SMALL);
+    let cloud = &street.background;
+    for (mean, scale) in cloud.means.iter().zip(&cloud.scales) {
+        let largest_m = f64::from(scale.iter().copied().fold(0.0, f32::max));
+        let distance_m = to_the_way_m(&street, *mean);
+        // Knots are a metre apart, and splats stray a little off their surfaces.
+        assert!(largest_m < 0.26 * distance_m + 0.05, "{largest_m} m at {distance_m} m: {mean:?}");
+    }
+}
+
+#[test]
+fn assets_carry_a_dark_and_sheer_shadow_within_their_box() {
+    let street = Street::generate(&SMALL);
+    for (asset, dims_m) in street.assets.iter().zip(&street.asset_dims_m) {
+        let below = |splat: &usize| {
+            let [x, y, z] = asset.means[*splat];
+            // Beyond the wheels' inner sides lie the wheels; between them only the shadow is so low.
+            z + 0.5 * dims_m[2] < 0.1 && y.abs() < 0.5 * dims_m[1] - 0.3 && x.abs() < 0.5 * dims_m[0]
+        };
+        let shadow: Vec<usize> = (0..asset.len()).filter(below).collect();
+        assert!(shadow.len() > asset.len() / 100, "{} splats", shadow.len());
+        assert!(shadow.iter().all(|&splat| asset.sh_dc[splat].iter().all(|dc| 0.5 + 0.282_094_8 * dc < 0.25)));
+        let border = |splat: &&usize| asset.means[**splat][0].abs() > 0.5 * dims_m[0] - 0.1;
+        assert!(shadow.iter().filter(border).all(|&splat| asset.opacities[splat] < 0.5), "the border fades");
+    }
+}
+
 #[test]
 fn cars_stand_on_the_road_in_their_box() {
     let street = Street::generate(&StreetOptions { agent_splats: 30_000, ..SMALL });

@@ -1,13 +1,13 @@
-//! Broken files: an error or another cloud, never a panic, a hang or memory that the file does not pay for.
+//! Broken files: an error or another cloud, never a panic or a hang. What memory they take is measured in `memory.rs`.
 
 use decouplegs_asset::{DecodeError, inria_ply, splat, spz};
 use decouplegs_scene::SplatCloud;
 
 use crate::sample::{self, cloud};
 
-/// Bytes of memory that a file may ask for: compressed formats pay at most a quarter byte a splat, beyond a floor.
+/// Splats that a file may give: every one is paid for with a byte, beyond a floor.
 fn within_means(cloud: &SplatCloud, file_bytes: usize) -> bool {
-    cloud.len() <= 65_536 + 4 * file_bytes
+    cloud.len() <= 16_384 + file_bytes
 }
 
 #[test]
@@ -17,7 +17,7 @@ fn a_file_cut_anywhere_is_an_error() {
         for length in 0..bytes.len() {
             let result = read(&bytes[..length]);
             // .splat has no count: whole splats that are left are a file.
-            let is_whole = name == "splat" && length > 0 && length % 32 == 0;
+            let is_whole = name.ends_with(".splat") && length > 0 && length % 32 == 0;
             assert_eq!(result.is_ok(), is_whole, "{name} cut to {length} of {} bytes: {result:?}", bytes.len());
         }
     }
@@ -40,13 +40,13 @@ fn a_flipped_bit_never_panics() {
             bytes[bit / 8] ^= 1 << (bit % 8);
         }
         // Headers are checked, so some flips must be noticed; bits of a .splat are all data.
-        assert_eq!(refused > 0, name != "splat", "{name}: {refused} flips refused");
+        assert_eq!(refused > 0, !name.ends_with(".splat"), "{name}: {refused} flips refused");
     }
 }
 
 #[test]
 fn trailing_bytes_are_refused_where_the_format_knows_its_end() {
-    for (name, mut bytes, read) in sample::files().into_iter().filter(|(name, ..)| *name == "spz_v4") {
+    for (name, mut bytes, read) in sample::files().into_iter().filter(|(name, ..)| name.ends_with(".v4.spz")) {
         bytes.push(0);
         assert!(read(&bytes).unwrap_err().to_string().contains("follow"), "{name}");
     }
@@ -56,7 +56,7 @@ fn trailing_bytes_are_refused_where_the_format_knows_its_end() {
 
 #[test]
 fn absurd_counts_are_refused() {
-    for count in [65_537, 1 << 20, u32::MAX / 2, u32::MAX] {
+    for count in [20_000, 1 << 20, u32::MAX / 2, u32::MAX] {
         let gzip = sample::spz_gzip(3, count, 3, 12, &[0; 64]);
         assert!(matches!(spz::decode(&gzip), Err(DecodeError::Malformed(_) | DecodeError::Truncated { .. })), "{count}");
         let mut plain = spz::encode(&cloud(2, 3)).unwrap();
@@ -71,7 +71,7 @@ fn absurd_counts_are_refused() {
 
 #[test]
 fn a_bomb_is_not_inflated() {
-    // 1 GiB of zeros in about a megabyte, claimed as few splats: reading stops at the size of those splats.
+    // 64 MiB of zeros in 64 KiB, claimed as few splats: reading stops at the size of those splats.
     use std::io::Write;
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     encoder.write_all(b"NGSP\x03\0\0\0\x02\0\0\0\0\x0c\0\0").unwrap();

@@ -1,5 +1,6 @@
 //! Readers and writers as their users meet them: whole files, real files, broken files.
 
+mod errors;
 mod frozen;
 mod hostile;
 mod properties;
@@ -7,3 +8,4 @@ mod real;
 mod sample;
 mod scene_files;
 mod spz_round_trip;
+mod text_properties;

@@ -3,106 +3,18 @@
 //! Reads binary little-endian bodies. Nothing is allocated by what a header claims: every element's extent is checked
 //! against the bytes that are there before a row is touched.
 
+mod column;
+mod header;
+
 use std::ops::Range;
 
 use crate::DecodeError;
+use header::{Element, shown};
 
-/// A header longer than this is taken for garbage; real ones have a few kilobytes.
-const HEADER_BYTES_MAX: usize = 1 << 20;
+pub(crate) use column::{Column, Scalar};
 
-/// A scalar type of a PLY property.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn by_name(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-}
-
-/// Where one property lies in a row.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Column {
-    offset: usize,
-    pub(crate) scalar: Scalar,
-}
-
-impl Column {
-    /// The property's value in `row` as f32; integers keep their number, doubles are rounded.
-    pub(crate) fn f32_of(self, row: &[u8]) -> f32 {
-        match self.scalar {
-            Scalar::F32 => f32::from_le_bytes(self.bytes_of(row)),
-            Scalar::F64 => f64::from_le_bytes(self.bytes_of(row)) as f32,
-            Scalar::I8 => f32::from(i8::from_le_bytes(self.bytes_of(row))),
-            Scalar::U8 => f32::from(row[self.offset]),
-            Scalar::I16 => f32::from(i16::from_le_bytes(self.bytes_of(row))),
-            Scalar::U16 => f32::from(u16::from_le_bytes(self.bytes_of(row))),
-            Scalar::I32 => i32::from_le_bytes(self.bytes_of(row)) as f32,
-            Scalar::U32 => u32::from_le_bytes(self.bytes_of(row)) as f32,
-        }
-    }
-
-    /// The bits of a four-byte property.
-    pub(crate) fn u32_of(self, row: &[u8]) -> u32 {
-        debug_assert_eq!(self.scalar.bytes(), 4);
-        u32::from_le_bytes(self.bytes_of(row))
-    }
-
-    fn bytes_of<const N: usize>(self, row: &[u8]) -> [u8; N] {
-        let mut bytes = [0; N];
-        bytes.copy_from_slice(&row[self.offset..self.offset + N]);
-        bytes
-    }
-}
-
-#[derive(Clone, Debug)]
-struct Property {
-    name: String,
-    /// `None` for a list, whose rows have no fixed stride.
-    column: Option<Column>,
-}
-
-#[derive(Clone, Debug)]
-struct Element {
-    name: String,
-    count: u64,
-    properties: Vec<Property>,
-}
-
-impl Element {
-    /// Bytes of a row, unless a list makes that differ from row to row.
-    fn stride(&self) -> Option<usize> {
-        self.properties.iter().try_fold(0, |sum, property| Some(sum + property.column?.scalar.bytes()))
-    }
-}
+/// Names that a message lists; a file may have thousands.
+const NAMES_SHOWN_MAX: usize = 20;
 
 /// A parsed header over its body.
 #[derive(Clone, Debug)]
@@ -125,36 +37,8 @@ pub(crate) struct Rows<'a> {
 impl<'a> Ply<'a> {
     /// Parses the header of `bytes`.
     pub(crate) fn parse(bytes: &'a [u8]) -> Result<Self, DecodeError> {
-        let mut lines = HeaderLines { bytes, next: 0 };
-        if lines.next_line()? != "ply" {
-            return Err(DecodeError::Malformed("the first line must be 'ply'".into()));
-        }
-        let mut elements: Vec<Element> = Vec::new();
-        let mut has_format = false;
-        loop {
-            let line = lines.next_line()?;
-            let words: Vec<&str> = line.split_ascii_whitespace().collect();
-            match words.as_slice() {
-                ["end_header"] => break,
-                [] | ["comment" | "obj_info", ..] => {}
-                ["format", format, _version] => {
-                    require_little_endian(format)?;
-                    has_format = true;
-                }
-                ["element", name, count] => elements.push(parse_element(name, count)?),
-                ["property", rest @ ..] => match elements.last_mut() {
-                    Some(element) => add_property(element, rest, line)?,
-                    None => {
-                        return Err(DecodeError::Malformed(format!("header line '{}' stands before any element", shown(line))));
-                    }
-                },
-                _ => return Err(DecodeError::Malformed(format!("header line '{}' is not PLY", shown(line)))),
-            }
-        }
-        if !has_format {
-            return Err(DecodeError::Malformed("the header has no 'format' line".into()));
-        }
-        Ok(Self { elements, body: &bytes[lines.next..] })
+        let (elements, body_at) = header::parse(bytes)?;
+        Ok(Self { elements, body: &bytes[body_at..] })
     }
 
     /// Whether there is an element called `name`.
@@ -164,7 +48,7 @@ impl<'a> Ply<'a> {
 
     /// The names of all elements, for messages.
     pub(crate) fn element_names(&self) -> String {
-        self.elements.iter().map(|element| shown(&element.name)).collect::<Vec<_>>().join(", ")
+        listed(self.elements.iter().map(|element| element.name.as_str()))
     }
 
     /// The names of the properties of `element`, none if it is not there.
@@ -175,8 +59,13 @@ impl<'a> Ply<'a> {
 
     /// The column of a scalar property.
     pub(crate) fn column(&self, element: &str, property: &str) -> Result<Column, DecodeError> {
-        self.column_if_present(element, property)
-            .ok_or_else(|| DecodeError::Malformed(format!("element '{element}' has no scalar property '{property}'")))
+        self.column_if_present(element, property).ok_or_else(|| {
+            DecodeError::Malformed(format!(
+                "element '{element}' has no scalar property '{property}', only: {}; if these are points or a mesh, export the \
+                 Gaussian splats that were trained from them",
+                listed(self.property_names(element))
+            ))
+        })
     }
 
     /// The column of a scalar property, if it exists.
@@ -225,66 +114,14 @@ impl<'a> Ply<'a> {
     }
 }
 
-/// Walks over header lines; a line ends with LF, before which a CR is dropped.
-struct HeaderLines<'a> {
-    bytes: &'a [u8],
-    next: usize,
-}
-
-impl<'a> HeaderLines<'a> {
-    fn next_line(&mut self) -> Result<&'a str, DecodeError> {
-        let end = self.bytes.len().min(HEADER_BYTES_MAX);
-        let rest = self.bytes.get(self.next..end).unwrap_or_default();
-        let Some(length) = rest.iter().position(|&byte| byte == b'\n') else {
-            return Err(DecodeError::Malformed(format!("the header has no 'end_header' line in its first {end} bytes")));
-        };
-        let line = rest[..length].strip_suffix(b"\r").unwrap_or(&rest[..length]);
-        self.next += length + 1;
-        // Comments may be in any encoding; everything that carries meaning is ASCII.
-        Ok(std::str::from_utf8(line).unwrap_or("comment"))
+/// The first of `names`, for messages.
+fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
+    let mut names = names.map(shown);
+    let mut list = names.by_ref().take(NAMES_SHOWN_MAX).collect::<Vec<_>>().join(", ");
+    if names.next().is_some() {
+        list += ", ...";
     }
-}
-
-fn require_little_endian(format: &str) -> Result<(), DecodeError> {
-    match format {
-        "binary_little_endian" => Ok(()),
-        "ascii" | "binary_big_endian" => Err(DecodeError::Unsupported(format!(
-            "the body is {format}; only binary_little_endian is read: convert the file, for example with the PLY tool that wrote it"
-        ))),
-        _ => Err(DecodeError::Malformed(format!("'{}' is no PLY format", shown(format)))),
-    }
-}
-
-fn parse_element(name: &str, count: &str) -> Result<Element, DecodeError> {
-    let count = count.parse().map_err(|_| {
-        DecodeError::Malformed(format!("element '{}' has the count '{}', expected a number", shown(name), shown(count)))
-    })?;
-    Ok(Element { name: name.to_owned(), count, properties: Vec::new() })
-}
-
-fn add_property(element: &mut Element, words: &[&str], line: &str) -> Result<(), DecodeError> {
-    let malformed = || DecodeError::Malformed(format!("header line '{}' is no PLY property", shown(line)));
-    let property = match *words {
-        ["list", count, item, name] => {
-            Scalar::by_name(count).and(Scalar::by_name(item)).ok_or_else(malformed)?;
-            Property { name: name.to_owned(), column: None }
-        }
-        [scalar, name] => {
-            let scalar = Scalar::by_name(scalar).ok_or_else(malformed)?;
-            let last = element.properties.last().and_then(|property| property.column);
-            // After a list there is no fixed offset; such rows are refused before a column is used.
-            let offset = last.map_or(0, |column| column.offset + column.scalar.bytes());
-            Property { name: name.to_owned(), column: Some(Column { offset, scalar }) }
-        }
-        _ => return Err(malformed()),
-    };
-    element.properties.push(property);
-    Ok(())
-}
-
-/// The start of a text from a file, fit for a message.
-fn shown(text: &str) -> String {
-    text.chars().take(60).map(|c| if c.is_control() { '?' } else { c }).collect()
+    list
 }
 
 #[cfg(test)]

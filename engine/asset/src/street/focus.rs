@@ -1,0 +1,79 @@
+//! Where detail pays: training refines what its cameras saw large, so splats are densest and smallest along the ego's way.
+
+use glam::Vec3;
+
+use super::surface::Element;
+use super::traffic;
+
+/// Distance from the ego's way at which density has halved, metres.
+const HALVED_AT_M: f32 = 11.0;
+
+/// The least share of its density that an element keeps however far it is.
+const SHARE_MIN: f32 = 0.1;
+
+/// Every how many knots the ego's way is bent: in its turn, half a second of arc departs 0.1 m from its chord.
+const KNOT_STRIDE: usize = 5;
+
+/// Standard deviation over distance from a camera, at most. A larger splat beside a camera's image plane spreads over
+/// the whole picture, since perspective is no longer linear across it; training would have split it.
+const LARGEST_OVER_DISTANCE: f32 = 0.25;
+
+/// Height of the cameras over the road, metres.
+const CAMERA_HEIGHT_M: f32 = 1.6;
+
+/// The places that the cameras pass.
+pub(super) struct Focus {
+    passed: Vec<Vec3>,
+}
+
+impl Focus {
+    pub(super) fn new() -> Self {
+        let way = traffic::ego();
+        let bends = way.iter().step_by(KNOT_STRIDE).chain(way.last());
+        Self { passed: bends.map(|(_, pose)| pose.translation.as_vec3().with_z(CAMERA_HEIGHT_M)).collect() }
+    }
+
+    /// No way at all: assets are seen from anywhere.
+    pub(super) fn nowhere() -> Self {
+        Self { passed: Vec::new() }
+    }
+
+    /// The element with the density that its middle's distance leaves it.
+    pub(super) fn on(&self, element: Element) -> Element {
+        let share = self.share(element.middle());
+        element.denser(share)
+    }
+
+    /// The largest standard deviation of a splat at `position`, metres.
+    pub(super) fn largest_m(&self, position: Vec3) -> f32 {
+        LARGEST_OVER_DISTANCE * self.nearest_m(position)
+    }
+
+    fn nearest_m(&self, position: Vec3) -> f32 {
+        let to_leg_squared = |leg: &[Vec3]| {
+            let (along, offset) = (leg[1] - leg[0], position - leg[0]);
+            let share = (offset.dot(along) / along.length_squared().max(1e-6)).clamp(0.0, 1.0);
+            (offset - along * share).length_squared()
+        };
+        self.passed.windows(2).map(to_leg_squared).fold(f32::MAX, f32::min).sqrt()
+    }
+
+    fn share(&self, position: Vec3) -> f32 {
+        (1.0 / (1.0 + self.nearest_m(position) / HALVED_AT_M)).max(SHARE_MIN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn density_falls_with_distance_from_the_way_and_never_to_nothing() {
+        let focus = Focus::new();
+        let on_the_way = focus.share(Vec3::new(-30.0, -5.0, 0.8));
+        let across = focus.share(Vec3::new(-30.0, 13.0, 3.0));
+        assert!(on_the_way > 0.9 && across < 0.6 * on_the_way && across > SHARE_MIN, "{on_the_way}, {across}");
+        assert_eq!(focus.share(Vec3::splat(1e6)), SHARE_MIN);
+        assert_eq!(Focus::nowhere().share(Vec3::ZERO), SHARE_MIN);
+    }
+}

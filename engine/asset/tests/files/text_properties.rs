@@ -1,0 +1,112 @@
+//! Properties over generated cameras and scene files.
+
+use decouplegs_asset::{SceneAgent, SceneFile, cameras};
+use decouplegs_scene::{Camera, Intrinsics, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
+use glam::{DMat3, DQuat, DVec3, EulerRot};
+use proptest::prelude::*;
+
+fn poses() -> impl Strategy<Value = Pose> {
+    (prop::array::uniform3(-1e6f64..1e6), prop::array::uniform3(-3.1f64..3.1))
+        .prop_map(|(place, [a, b, c])| Pose::new(DQuat::from_euler(EulerRot::ZYX, a, b, c), DVec3::from_array(place)))
+}
+
+fn intrinsics() -> impl Strategy<Value = Intrinsics> {
+    (1u32..=65_536, 1u32..=65_536, prop::array::uniform4(1.0f64..5000.0)).prop_map(
+        |(width_px, height_px, [fx_px, fy_px, cx_px, cy_px])| Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px },
+    )
+}
+
+fn trajectories() -> impl Strategy<Value = Trajectory> {
+    prop::collection::vec((0.01f64..5.0, poses()), 1..5).prop_map(|steps| {
+        let mut time_s = -3.0;
+        let timed = steps.into_iter().map(|(step_s, pose)| {
+            time_s += step_s;
+            TimedPose { time_s, pose }
+        });
+        Trajectory::new(timed.collect()).unwrap()
+    })
+}
+
+fn scenes() -> impl Strategy<Value = SceneFile> {
+    let agent = (any::<bool>(), trajectories());
+    (
+        prop::array::uniform3(-1e7f64..1e7),
+        prop::array::uniform3(0.0f32..1.0),
+        (0usize..3, any::<bool>(), 0.001f64..1.0),
+        prop::collection::vec((intrinsics(), poses()), 0..4),
+        prop::option::of(trajectories()),
+        prop::collection::vec(agent, 0..4),
+        "[a-z\"\\\\\u{e9}# ]{1,12}",
+    )
+        .prop_map(|(origin, sky, (rules, antialias, near_m), cameras, ego, agents, name)| {
+            let rig_camera =
+                |(i, (intrinsics, rig_from_camera))| RigCamera { name: format!("c{i}"), intrinsics, rig_from_camera };
+            let scene_agent = |(i, (is_world, trajectory)): (usize, (bool, Trajectory))| SceneAgent {
+                name: format!("{name}{i}"),
+                asset: format!("{name}.ply").into(),
+                sh_frame: if is_world { ShFrame::World } else { ShFrame::Canonical },
+                trajectory,
+            };
+            SceneFile {
+                origin: DVec3::from_array(origin),
+                background: format!("{name}.spz").into(),
+                sky,
+                rules: Rules { antialias, near_m, ..Rules::by_name(Rules::NAMES[rules]).unwrap() },
+                rig: Rig { cameras: cameras.into_iter().enumerate().map(rig_camera).collect() },
+                ego,
+                agents: agents.into_iter().enumerate().map(scene_agent).collect(),
+            }
+        })
+}
+
+/// Whether `camera` is `intrinsics` at `pose`, up to rounding.
+fn is_camera(camera: &Camera, intrinsics: &Intrinsics, pose: &Pose) -> bool {
+    let Pose { rotation, translation } = camera.world_from_camera;
+    let axes = DMat3::from_quat(rotation);
+    camera.intrinsics == *intrinsics
+        && translation == pose.translation
+        && axes.abs_diff_eq(DMat3::from_quat(pose.rotation), 1e-12)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_scene_file_reads_back_as_it_was_written(scene in scenes()) {
+        let text = scene.to_toml().unwrap();
+        let back = SceneFile::parse(&text);
+        prop_assert_eq!(back.as_ref(), Ok(&scene), "{}", text);
+    }
+
+    #[test]
+    fn inria_cameras_are_where_their_file_says(intrinsics in intrinsics(), pose in poses()) {
+        // The form has no principal point: it is the middle.
+        let (width, height) = (intrinsics.width_px, intrinsics.height_px);
+        let intrinsics = Intrinsics { cx_px: 0.5 * f64::from(width), cy_px: 0.5 * f64::from(height), ..intrinsics };
+        let rows = DMat3::from_quat(pose.rotation).transpose().to_cols_array_2d();
+        let file = serde_json::json!([{
+            "id": 7, "img_name": "a", "width": width, "height": height, "fx": intrinsics.fx_px, "fy": intrinsics.fy_px,
+            "position": pose.translation.to_array(), "rotation": rows,
+        }]);
+        let cameras = cameras::decode(file.to_string().as_bytes()).unwrap();
+        prop_assert!(cameras.len() == 1 && is_camera(&cameras[0], &intrinsics, &pose), "{cameras:?}");
+    }
+
+    #[test]
+    fn nerfstudio_cameras_are_where_their_file_says(intrinsics in intrinsics(), pose in poses(), in_frame in any::<bool>()) {
+        // OpenGL axes: y and z of the camera point the other way.
+        let axes = DMat3::from_quat(pose.rotation);
+        let row = |i: usize| [axes.x_axis[i], -axes.y_axis[i], -axes.z_axis[i], pose.translation[i]];
+        let mut frame = serde_json::json!({"file_path": "a.png", "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]});
+        let mut lens = serde_json::json!({
+            "w": intrinsics.width_px, "h": intrinsics.height_px, "fl_x": intrinsics.fx_px, "fl_y": intrinsics.fy_px,
+            "cx": intrinsics.cx_px, "cy": intrinsics.cy_px, "k1": 0, "p2": 0.0,
+        });
+        let owner = if in_frame { &mut frame } else { &mut serde_json::json!({}) };
+        owner.as_object_mut().unwrap().append(lens.as_object_mut().unwrap());
+        let mut file = if in_frame { serde_json::json!({}) } else { owner.clone() };
+        file["frames"] = serde_json::json!([frame]);
+        let cameras = cameras::decode(file.to_string().as_bytes()).unwrap();
+        prop_assert!(cameras.len() == 1 && is_camera(&cameras[0], &intrinsics, &pose), "{cameras:?}");
+    }
+}
