@@ -14,8 +14,10 @@ uint depth_key(vec2 depth_m) {
     }
     // The distance to the next float: 2^-23 of the power of two below depth_m.x.
     float place_m = uintBitsToFloat(floatBitsToUint(depth_m.x) & 0x7f800000u) * 1.1920929e-7;
-    // At most half a place up or down; the first place counts from 8 so that down is never below 0.
-    int step = int(floor(clamp(depth_m.y / place_m, -0.5, 0.5) * STEPS));
+    // At most half a place up or down; the first place counts from 8 so that down is never below 0. The nearest step, not
+    // the one below: a depth that an f32 holds stands in the middle of its step, and what a rotation's last digit adds to
+    // one of two equal depths leaves them tied.
+    int step = int(floor(clamp(depth_m.y / place_m, -0.5, 0.5) * STEPS + 0.5));
     return (places << 4u) + uint(8 + step);
 }
 

@@ -25,7 +25,7 @@ pub fn depth_key(depth_m: f64, near_m: f32) -> u32 {
         return u32::MAX;
     }
     let place_m = f64::from(f32::from_bits(rounded.to_bits() & 0x7f80_0000)) * 2f64.powi(-23);
-    let step = (((depth_m - f64::from(rounded)) / place_m).clamp(-0.5, 0.5) * STEPS).floor();
+    let step = (((depth_m - f64::from(rounded)) / place_m).clamp(-0.5, 0.5) * STEPS + 0.5).floor();
     (places << 4) + (8.0 + step) as u32
 }
 
@@ -41,5 +41,14 @@ mod tests {
         let floats = depths.iter().map(|&depth| depth as f32);
         assert!(floats.clone().zip(floats.skip(1)).any(|(a, b)| a == b), "as f32 some would be");
         assert_eq!(depth_key(1e30, 0.01), u32::MAX);
+    }
+
+    #[test]
+    fn what_the_last_digit_of_a_rotation_adds_to_a_depth_keeps_its_tie() {
+        for depth_m in [2.143_554_7f32, 0.5, 1.0, 1e3] {
+            let depth_m = f64::from(depth_m);
+            assert_eq!(depth_key(depth_m * (1.0 - f64::EPSILON), 0.01), depth_key(depth_m, 0.01));
+            assert_eq!(depth_key(depth_m * (1.0 + f64::EPSILON), 0.01), depth_key(depth_m, 0.01));
+        }
     }
 }

@@ -3,7 +3,7 @@
 use decouplegs_scene::Rules;
 use glam::{Mat3, Vec2, Vec3, Vec4, vec3};
 
-use super::footprint::{Footprint, squared_reach};
+use super::footprint::{ALPHA_MIN, Footprint, LOG2_255, LOG2_UNSEEN, squared_reach};
 use crate::layout::{CameraRecord, near_m};
 
 /// 0.5 log2(e): exp(-q/2) = exp2(-HALF_LOG2_E q).
@@ -91,7 +91,7 @@ pub fn project_splat(camera: &CameraRecord, t: Vec3, axes: Mat3, opacity: f32, v
         slope: m0.dot(m1) / variance_y,
         rate_x: (HALF_LOG2_E * variance_y / determinant).sqrt() / unit_px,
         rate_y: (HALF_LOG2_E / variance_y).sqrt() / unit_px,
-        log2_opacity: opacity.log2(),
+        log2_opacity: if opacity >= ALPHA_MIN { opacity.log2().max(-LOG2_255) } else { LOG2_UNSEEN },
     };
     let drawn = squared_reach(&splat) >= 0.0
         && splat.rate_x > 0.0
