@@ -19,14 +19,11 @@ const float LOG2_255 = 7.994353436858858;
 // The least alpha that is blended.
 const float ALPHA_MIN = 1.0 / 255.0;
 
-// Of an opacity that is never blended: any value below -LOG2_255.
-const float LOG2_UNSEEN = -1e3;
-
 // Added to the squared reach wherever pixels are only bounded, never where they are blended. Rounding moves the sum of
 // squares of a pixel by less than 1e-3 for means within 10^5 pixels of the image; a wider bound costs work, not truth.
 const float REACH_SLACK = 0.01;
 
-// Squared radius, in units of the exponent, beyond which the splat adds nothing. Negative: nothing anywhere.
+// Squared radius, in units of the exponent, beyond which the splat adds nothing.
 float squared_reach(Footprint splat) {
     return splat.log2_opacity + LOG2_255;
 }

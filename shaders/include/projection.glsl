@@ -52,9 +52,10 @@ bool project_splat(Camera camera, vec3 t, mat3 axes, float opacity, out Footprin
     splat.slope = dot(m0, m1) / variance_y;
     splat.rate_x = sqrt(HALF_LOG2_E * variance_y / determinant) / unit_px;
     splat.rate_y = sqrt(HALF_LOG2_E / variance_y) / unit_px;
-    // Asked of the opacity itself: the last digits of log2 differ from device to device.
-    splat.log2_opacity = opacity >= ALPHA_MIN ? max(log2(opacity), -LOG2_255) : LOG2_UNSEEN;
+    // At least that of 1/255: whether the opacity reaches it is asked of the opacity itself, below, because the last digits
+    // of log2 differ from device to device.
+    splat.log2_opacity = max(log2(opacity), -LOG2_255);
     // Written so that a NaN anywhere fails.
-    return squared_reach(splat) >= 0.0 && splat.rate_x > 0.0 && splat.rate_y > 0.0 && abs(splat.slope) < 1e30
+    return opacity >= ALPHA_MIN && splat.rate_x > 0.0 && splat.rate_y > 0.0 && abs(splat.slope) < 1e30
         && all(lessThan(abs(splat.mean_px), vec2(1e30)));
 }

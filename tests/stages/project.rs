@@ -5,6 +5,7 @@ use decouplegs::render::stages::{Project, ProjectVariant, Projected, Visible};
 use decouplegs::render::twins;
 use decouplegs::render::twins::projection::{from_camera_m, matrix_from_quaternion};
 use decouplegs::render::twins::record::load_footprint;
+use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::{DepthOrder, Rules};
 use glam::{DVec2, DVec3, Vec3};
 
@@ -74,7 +75,6 @@ struct Shape {
 impl Shape {
     /// Of slope, both rates and log2 opacity.
     fn errors(&self, opacity: f64, antialias: bool) -> [f64; 4] {
-        const DILATION_PX2: f64 = 0.3;
         let Self { m0, m1, area, xy, e0, e1 } = *self;
         let u = ROUNDOFF;
         let (xx, yy) = (m0 * m0, m1 * m1);

@@ -23,16 +23,10 @@ pub struct Footprint {
 /// log2(255): alpha is at least 1/255 where the sum of squares is at most log2_opacity + LOG2_255.
 pub const LOG2_255: f32 = 7.994_353_3;
 
-/// The least alpha that is blended.
-pub const ALPHA_MIN: f32 = 1.0 / 255.0;
-
-/// Of an opacity that is never blended: any value below -log2(255).
-pub const LOG2_UNSEEN: f32 = -1e3;
-
 /// Added to the squared reach wherever pixels are only bounded.
 pub const REACH_SLACK: f32 = 0.01;
 
-/// Squared radius, in units of the exponent, beyond which the splat adds nothing. Negative: nothing anywhere.
+/// Squared radius, in units of the exponent, beyond which the splat adds nothing.
 #[must_use]
 pub fn squared_reach(splat: &Footprint) -> f32 {
     splat.log2_opacity + LOG2_255

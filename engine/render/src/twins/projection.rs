@@ -1,15 +1,16 @@
 //! From a Gaussian in the world to its footprint in an image, in f32: `projection.glsl`.
 
-use decouplegs_scene::Rules;
+use decouplegs_scene::{Rules, rules};
 use glam::{Mat3, Vec2, Vec3, Vec4, vec3};
 
-use super::footprint::{ALPHA_MIN, Footprint, LOG2_255, LOG2_UNSEEN, squared_reach};
+use super::footprint::{Footprint, LOG2_255};
 use crate::layout::{CameraRecord, near_m};
 
 /// 0.5 log2(e): exp(-q/2) = exp2(-HALF_LOG2_E q).
 pub const HALF_LOG2_E: f32 = 0.721_347_5;
 
-const DILATION_PX2: f32 = 0.3;
+const DILATION_PX2: f32 = rules::DILATION_PX2 as f32;
+const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;
 
 /// Variants of a picture's rules that the projection is built for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,9 +92,9 @@ pub fn project_splat(camera: &CameraRecord, t: Vec3, axes: Mat3, opacity: f32, v
         slope: m0.dot(m1) / variance_y,
         rate_x: (HALF_LOG2_E * variance_y / determinant).sqrt() / unit_px,
         rate_y: (HALF_LOG2_E / variance_y).sqrt() / unit_px,
-        log2_opacity: if opacity >= ALPHA_MIN { opacity.log2().max(-LOG2_255) } else { LOG2_UNSEEN },
+        log2_opacity: opacity.log2().max(-LOG2_255),
     };
-    let drawn = squared_reach(&splat) >= 0.0
+    let drawn = opacity >= ALPHA_MIN
         && splat.rate_x > 0.0
         && splat.rate_y > 0.0
         && splat.slope.abs() < 1e30
