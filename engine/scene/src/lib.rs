@@ -7,15 +7,18 @@
 
 pub mod bounds;
 pub mod camera;
+pub mod codebook;
 pub mod pose;
 pub mod rules;
 pub mod sh;
+pub mod shape;
 pub mod splats;
 pub mod trajectory;
 pub mod world;
 
 pub use bounds::Bounds;
 pub use camera::{Camera, Intrinsics, Rig, RigCamera};
+pub use codebook::{CodedCloud, CodedSplat, SplatCodes};
 pub use pose::Pose;
 pub use rules::{DepthOrder, EarlyStop, Rules};
 pub use splats::{SplatCloud, SplatDefect};
