@@ -18,7 +18,7 @@ layout(set = 0, binding = 3, scalar) writeonly buffer pair_counts_block { uint p
 layout(push_constant, scalar) uniform push_block { uint records_max; };
 
 void main() {
-    uint records = min(needs.records, records_max);
+    uint records = held(needs.records, records_max);
     uint block = group_index();
     if (block * PAIR_BLOCK >= records) {
         return;

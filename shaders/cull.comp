@@ -2,14 +2,14 @@
 // Which splats of a chunk can be seen by which camera of the rig.
 //
 // One workgroup a chunk, one thread a splat; attributes are read once for all cameras. A chunk whose box cannot reach a
-// camera's image is skipped with one test that is conservative for the projection used: a splat's half-width in pixels is
-// at most reach * (focal / z) * sqrt(1 + slope_limit^2) plus the dilation, so 'reaches the image' is a plane test.
-// Writes one bit a splat and the count a (camera, chunk).
+// camera's image is skipped with one test. Writes one bit a splat and the count a (camera, chunk); where the order of a
+// direction is kept, also one bit at the splat's place in that order.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "projection.glsl"
+#include "visibility.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -21,44 +21,16 @@ layout(set = 0, binding = 4, scalar) readonly buffer rotations_block { vec4 rota
 layout(set = 0, binding = 5, scalar) writeonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
 
+layout(set = 0, binding = 7, scalar) readonly buffer view_orders_block { ViewOrder view_orders[]; };
+layout(set = 0, binding = 8, scalar) readonly buffer ranks_block { uint ranks[]; }; // [rank set][splat]
+layout(set = 0, binding = 9, scalar) buffer rank_words_block { uint rank_words[]; }; // [camera][chunk][word], by rank
+
+layout(constant_id = 2) const bool RANKED = false; // some camera's order is kept
+
 layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint chunk_count; };
 
 const uint CAMERAS_MAX = 32u;
 shared uint words[CAMERAS_MAX * CHUNK_WORDS];
-
-// Pixels that dilation adds to a splat's half-width at most: sqrt(0.3 * 2 ln 255), rounded up.
-const float DILATION_REACH_PX = 1.9;
-
-// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
-float farthest(Chunk chunk, vec3 centre, vec3 normal) {
-    return dot(normal, centre) + dot(abs(normal), chunk.half_extent_m);
-}
-
-bool chunk_reaches(Chunk chunk, Camera camera) {
-    vec3 centre = from_camera_m(chunk.centre_m, camera);
-    vec2 spread = sqrt(1.0 + pow(max(abs(camera.slope_min), abs(camera.slope_max)), vec2(2.0)));
-    // Rounding of the box, relative to its distance.
-    float slack = 1e-5 * (dot(abs(centre), vec3(1.0)) + dot(chunk.half_extent_m, vec3(1.0)) + chunk.reach_m);
-    vec2 reach = chunk.reach_m * spread + slack;
-    vec2 low = (camera.principal_px + DILATION_REACH_PX) / camera.focal_px;
-    vec2 high = (vec2(camera.size_px) - camera.principal_px + DILATION_REACH_PX) / camera.focal_px;
-    return farthest(chunk, centre, camera.row_z) + slack >= NEAR_M
-        && farthest(chunk, centre, camera.row_x + low.x * camera.row_z) + reach.x >= 0.0
-        && farthest(chunk, centre, -camera.row_x + high.x * camera.row_z) + reach.x >= 0.0
-        && farthest(chunk, centre, camera.row_y + low.y * camera.row_z) + reach.y >= 0.0
-        && farthest(chunk, centre, -camera.row_y + high.y * camera.row_z) + reach.y >= 0.0;
-}
-
-bool splat_reaches(Footprint splat, Camera camera) {
-    ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
-    for (int row = rows.x; row <= rows.y; ++row) {
-        ivec2 tiles = reached_macro_tiles(splat, uint(row), camera.size_px);
-        if (tiles.x <= tiles.y) {
-            return true;
-        }
-    }
-    return false;
-}
 
 void main() {
     uint chunk_index = group_index();
@@ -93,10 +65,14 @@ void main() {
             loaded = true;
         }
         vec3 offset = from_camera_m(mean_m, camera);
-        vec3 t = vec3(dot(camera.row_x, offset), dot(camera.row_y, offset), dot(camera.row_z, offset));
+        vec3 t = to_camera_axes(camera, offset);
         Footprint splat;
         if (project_splat(camera, t, axes, opacity, splat) && splat_reaches(splat, camera)) {
             atomicOr(words[camera_index * CHUNK_WORDS + thread / 32u], 1u << (thread % 32u));
+            if (RANKED && view_orders[camera_index].path != ORDER_SORTED) {
+                uint rank = ranks[view_orders[camera_index].rank_set * splat_count + splat_index];
+                atomicOr(rank_words[camera_index * chunk_count * CHUNK_WORDS + rank / 32u], 1u << (rank % 32u));
+            }
         }
     }
     barrier();

@@ -22,15 +22,15 @@ layout(set = 0, binding = 1, scalar) buffer needs_block { Needs needs; };
 layout(set = 0, binding = 2, scalar) readonly buffer order_block { uint order[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer tile_counts_block { uint tile_counts[]; };
 layout(set = 0, binding = 4, scalar) readonly buffer pair_counts_block { uint pair_counts[]; };
-layout(set = 0, binding = 5, scalar) readonly buffer firsts_block { uint firsts[]; };
+layout(set = 0, binding = 5, scalar) readonly buffer lists_block { ViewLists lists[]; };
 layout(set = 0, binding = 6, std430) readonly buffer footprints_block { vec4 footprints[]; };
 layout(set = 0, binding = 7, scalar) writeonly buffer bins_block { uint bins[]; };
 layout(set = 0, binding = 8, scalar) writeonly buffer records_block { uint records[]; };
 layout(set = 0, binding = 9, scalar) writeonly buffer arguments_block { uvec3 arguments[]; };
+layout(set = 0, binding = 10, scalar) writeonly buffer segments_block { SortSegment segments[]; };
 
 layout(push_constant, scalar) uniform push_block {
     uint camera_count;
-    uint chunk_count;
     uint records_max;
     uint pairs_max;
 };
@@ -43,11 +43,13 @@ shared uint shared_records[WORKGROUP_THREADS];
 shared uint shared_cursors[WORKGROUP_THREADS];
 shared uint shared_rows_before[WORKGROUP_THREADS];
 
-// Records are ordered by camera: the last camera whose records begin at or before this one.
+// The camera of a record: records of the background lie by camera, and behind them those of the agents.
 uint camera_of(uint record) {
     uint camera = 0u;
+    bool moving = record >= lists[0].first_moving;
     for (uint next = 1u; next < camera_count; ++next) {
-        camera = firsts[next * chunk_count] <= record ? next : camera;
+        uint first = moving ? lists[next].first_moving : lists[next].first_static;
+        camera = first <= record ? next : camera;
     }
     return camera;
 }
@@ -123,7 +125,7 @@ uint pairs_before(uint block, uint thread) {
 }
 
 void main() {
-    uint record_count = min(needs.records, records_max);
+    uint record_count = held(needs.records, records_max);
     uint block = group_index();
     uint first_place = block * PAIR_BLOCK;
     if (first_place >= record_count) {
@@ -154,6 +156,7 @@ void main() {
     if (first_place + PAIR_BLOCK >= record_count && thread == 0u) {
         uint pairs = min(before, pairs_max);
         needs.pairs = before;
+        segments[0] = SortSegment(0u, pairs, 0u);
         arguments[ARGUMENTS_SORT_PAIRS] = groups_for((pairs + SORT_BLOCK - 1u) / SORT_BLOCK);
         arguments[ARGUMENTS_RANGES] = groups_for((pairs + PAIR_BLOCK - 1u) / PAIR_BLOCK);
     }

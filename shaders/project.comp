@@ -1,23 +1,26 @@
 #version 460
-// Footprint, depth key and colour of every visible (camera, splat), at the place that the scan gave it.
+// Footprint, depth key and colour of every visible (camera, splat) of the background, at the place that the scan gave it.
 //
 // One workgroup a chunk, one thread a splat, all cameras: attributes are read once. Records of a camera are in splat order,
-// so that a stable sort by depth breaks ties by splat index. Also counts the macro tiles of each record.
+// so that a stable sort by depth breaks ties by splat index. Where the order of a direction is kept, the key goes straight
+// to its place in that order: the bit of its rank counts the visible splats before it. Also counts the macro tiles of each
+// record.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "projection.glsl"
+#include "visibility.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "record.glsl"
-#include "sh.glsl"
 
 layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const bool RADIAL = false;    // order by distance instead of z
 layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instances, and these are asked for
+layout(constant_id = 5) const bool RANKED = false;    // some camera's order is kept
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[]; };
@@ -25,35 +28,43 @@ layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { vec4 shapes[
 layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { vec4 rotations[]; };
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer firsts_block { uint firsts[]; };
+layout(set = 0, binding = 6, scalar) readonly buffer sh_dc_block { vec3 sh_dc[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer sh_band1_block { uint sh_band1[]; }; // 5 words
+layout(set = 0, binding = 8, scalar) readonly buffer sh_band2_block { uint sh_band2[]; }; // 8 words
+layout(set = 0, binding = 9, scalar) readonly buffer sh_band3_block { uint sh_band3[]; }; // 11 words
 layout(set = 0, binding = 10, scalar) readonly buffer instances_block { uint instances[]; }; // two 16-bit ids a word
-layout(set = 0, binding = 11, std430) writeonly buffer footprints_block { vec4 footprints[]; }; // two a record
-layout(set = 0, binding = 12, std430) writeonly buffer colours_block { vec4 colours[]; };
-layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[]; };
-layout(set = 0, binding = 14, scalar) writeonly buffer tile_counts_block { uint tile_counts[]; };
+layout(set = 0, binding = 16, scalar) readonly buffer view_orders_block { ViewOrder view_orders[]; };
+layout(set = 0, binding = 17, scalar) readonly buffer ranks_block { uint ranks[]; };
+layout(set = 0, binding = 18, scalar) readonly buffer rank_words_block { uint rank_words[]; };
+layout(set = 0, binding = 19, scalar) readonly buffer rank_firsts_block { uint rank_firsts[]; }; // [camera][chunk]
+layout(set = 0, binding = 20, scalar) writeonly buffer unranked_keys_block { uint unranked_keys[]; };
 
 layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint chunk_count; uint records_max; };
 
-uint count_macro_tiles(Footprint splat, Camera camera) {
-    uint count = 0u;
-    ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
-    for (int row = rows.x; row <= rows.y; ++row) {
-        ivec2 tiles = reached_macro_tiles(splat, uint(row), camera.size_px);
-        count += uint(tiles.y - tiles.x + 1);
-    }
-    return count;
+// By plane: word w of splat i stands at w * splat_count + i, so that neighbouring threads read neighbouring words.
+#define SH_WORD(band, word, index, stride) sh_band##band[(word) * (stride) + (index)]
+#include "sh.glsl"
+#include "write_record.glsl"
+
+int visible_rank(uint first_word, uint bit) {
+    VISIBLE_RANK(visible_words, first_word, bit);
 }
 
-// The thread's place among the visible splats of its chunk, or -1 when it is not one of them.
-int visible_rank(uint first_word, uint thread) {
-    uint word = visible_words[first_word + thread / 32u];
-    if ((word >> (thread % 32u) & 1u) == 0u) {
-        return -1;
+int rank_among_visible(uint first_word, uint bit) {
+    VISIBLE_RANK(rank_words, first_word, bit);
+}
+
+// Where the key of a record stands before the sort: by rank, where ranks are kept.
+uint place_of(uint camera_index, uint splat_index, uint slot) {
+    ViewOrder order = view_orders[camera_index];
+    if (order.path == ORDER_SORTED) {
+        return slot;
     }
-    int rank = bitCount(word & ((1u << (thread % 32u)) - 1u));
-    for (uint earlier = 0u; earlier < thread / 32u; ++earlier) {
-        rank += bitCount(visible_words[first_word + earlier]);
-    }
-    return rank;
+    uint first_chunk = camera_index * chunk_count;
+    uint rank = ranks[order.rank_set * splat_count + splat_index];
+    uint chunk = first_chunk + rank / CHUNK_SPLATS;
+    uint before = rank_firsts[chunk] - rank_firsts[first_chunk];
+    return firsts[first_chunk] + before + uint(rank_among_visible(chunk * CHUNK_WORDS, rank % CHUNK_SPLATS));
 }
 
 void main() {
@@ -89,15 +100,20 @@ void main() {
         }
         Camera camera = cameras[camera_index];
         vec3 offset = from_camera_m(mean_m, camera);
-        vec3 t = vec3(dot(camera.row_x, offset), dot(camera.row_y, offset), dot(camera.row_z, offset));
+        vec3 t = to_camera_axes(camera, offset);
         Record record;
         project_splat(camera, t, axes, opacity, record.splat);
         record.depth_m = RADIAL ? length(offset) : t.z;
         record.instance = INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
-        footprints[2u * slot] = pack_record_low(record);
-        footprints[2u * slot + 1u] = pack_record_high(record);
-        colours[slot] = vec4(sh_colour(splat_index, splat_count, normalize(offset)), 0.0);
-        keys[slot] = depth_key(RADIAL ? distance_m(mean_m, camera) : depth_z_m(mean_m, camera));
-        tile_counts[slot] = count_macro_tiles(record.splat, camera);
+        write_record(slot, camera, record, sh_colour(sh_dc[splat_index], splat_index, splat_count, normalize(offset)));
+        uint key = depth_key(RADIAL ? scaled_distance(mean_m, camera) : scaled_depth(mean_m, camera));
+        uint place = RANKED ? place_of(camera_index, splat_index, slot) : slot;
+        if (place < records_max) {
+            keys[place] = key;
+            values[place] = slot;
+        }
+        if (RANKED && view_orders[camera_index].path == ORDER_REPAIRED) {
+            unranked_keys[slot] = key;
+        }
     }
 }

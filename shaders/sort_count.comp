@@ -7,19 +7,18 @@
 #include "frame.glsl"
 #include "sort.glsl"
 
-layout(set = 0, binding = 0, scalar) readonly buffer needs_block { uint needs[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer keys_in_block { uint keys_in[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer histograms_block { uint histograms[]; }; // [digit][block]
+layout(set = 0, binding = 2, scalar) writeonly buffer histograms_block { uint histograms[]; }; // [segment][digit][block]
 
-layout(push_constant, scalar) uniform push_block { uint count_index; uint count_max; uint shift; };
+layout(push_constant, scalar) uniform push_block { uint segment_count; uint shift; };
 
 shared uint histogram[RADIX];
 
 void main() {
-    uint count = min(needs[count_index], count_max);
-    uint block = group_index();
-    uint blocks = sort_blocks(count);
-    if (block >= blocks) {
+    uint group = group_index();
+    SortSegment segment = segments[segment_of(group, segment_count)];
+    uint block = group - segment.first_block;
+    if (block >= sort_blocks(segment.count)) {
         return;
     }
     for (uint digit = gl_LocalInvocationIndex; digit < RADIX; digit += WORKGROUP_THREADS) {
@@ -29,12 +28,12 @@ void main() {
     uint first = block * WORKGROUP_THREADS * ITEMS;
     for (uint item = 0u; item < ITEMS; ++item) {
         uint index = first + item * WORKGROUP_THREADS + gl_LocalInvocationIndex;
-        if (index < count) {
-            atomicAdd(histogram[keys_in[index] >> shift & (RADIX - 1u)], 1u);
+        if (index < segment.count) {
+            atomicAdd(histogram[keys_in[segment.first + index] >> shift & (RADIX - 1u)], 1u);
         }
     }
     barrier();
     for (uint digit = gl_LocalInvocationIndex; digit < RADIX; digit += WORKGROUP_THREADS) {
-        histograms[digit * blocks + block] = histogram[digit];
+        histograms[first_counter(segment, digit) + block] = histogram[digit];
     }
 }

@@ -1,7 +1,7 @@
 #version 460
 // Second of three kernels of a radix sort pass: where each block's keys of a digit begin among all keys of that digit.
 //
-// One workgroup a digit; the counts become their exclusive sums in place, and the digit's total is written beside.
+// One workgroup a (digit, segment); the counts become their exclusive sums in place, and the digit's total is written beside.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -10,27 +10,26 @@
 #include "sort.glsl"
 #include "block.glsl"
 
-layout(set = 0, binding = 0, scalar) readonly buffer needs_block { uint needs[]; };
 layout(set = 0, binding = 1, scalar) buffer histograms_block { uint histograms[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer digit_totals_block { uint digit_totals[]; };
-
-layout(push_constant, scalar) uniform push_block { uint count_index; uint count_max; };
+layout(set = 0, binding = 2, scalar) writeonly buffer digit_totals_block { uint digit_totals[]; }; // [segment][digit]
 
 void main() {
-    uint blocks = sort_blocks(min(needs[count_index], count_max));
     uint digit = gl_WorkGroupID.x;
+    SortSegment segment = segments[gl_WorkGroupID.y];
+    uint blocks = sort_blocks(segment.count);
+    uint counter = first_counter(segment, digit);
     uint thread = block_thread();
     uint before = 0u;
     for (uint base = 0u; base < blocks; base += WORKGROUP_THREADS) {
         uint block = base + thread;
         uint total;
-        uint offset = block_exclusive_sum(block < blocks ? histograms[digit * blocks + block] : 0u, total);
+        uint offset = block_exclusive_sum(block < blocks ? histograms[counter + block] : 0u, total);
         if (block < blocks) {
-            histograms[digit * blocks + block] = before + offset;
+            histograms[counter + block] = before + offset;
         }
         before += total;
     }
     if (thread == 0u) {
-        digit_totals[digit] = before;
+        digit_totals[gl_WorkGroupID.y * RADIX + digit] = before;
     }
 }

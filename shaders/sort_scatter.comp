@@ -15,9 +15,6 @@
 #include "sort.glsl"
 #include "block.glsl"
 
-layout(constant_id = 2) const bool INDEX_VALUES = false; // the values are the keys' own places, and are not read
-
-layout(set = 0, binding = 0, scalar) readonly buffer needs_block { uint needs[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer histograms_block { uint histograms[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer digit_totals_block { uint digit_totals[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer keys_in_block { uint keys_in[]; };
@@ -25,7 +22,7 @@ layout(set = 0, binding = 4, scalar) readonly buffer values_in_block { uint valu
 layout(set = 0, binding = 5, scalar) writeonly buffer keys_out_block { uint keys_out[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer values_out_block { uint values_out[]; };
 
-layout(push_constant, scalar) uniform push_block { uint count_index; uint count_max; uint shift; };
+layout(push_constant, scalar) uniform push_block { uint segment_count; uint shift; };
 
 const uint SUBGROUPS_MAX = 8u;
 const uint ITEMS_MAX = 16u;
@@ -71,9 +68,9 @@ uint rank_in_run(uint digit) {
 }
 
 // Turns the counters into the places where each (subgroup, digit) begins in the ordered block.
-void place_counters(uint block, uint blocks, uint thread) {
-    uint before = 0u;       // keys of lower digits, in the output
-    uint local_before = 0u; // in the block
+void place_counters(SortSegment segment, uint segment_index, uint block, uint thread) {
+    uint before = segment.first; // keys of lower digits, in the output
+    uint local_before = 0u;      // in the block
     for (uint base = 0u; base < RADIX; base += WORKGROUP_THREADS) {
         uint digit = base + thread;
         bool real = digit < RADIX;
@@ -82,12 +79,12 @@ void place_counters(uint block, uint blocks, uint thread) {
             count += counters[subgroup * RADIX + digit];
         }
         uint total, local_total;
-        uint place = before + block_exclusive_sum(real ? digit_totals[digit] : 0u, total);
+        uint place = before + block_exclusive_sum(real ? digit_totals[segment_index * RADIX + digit] : 0u, total);
         uint local = local_before + block_exclusive_sum(count, local_total);
         before += total;
         local_before += local_total;
         if (real) {
-            steps_to_output[digit] = place + histograms[digit * blocks + block] - local;
+            steps_to_output[digit] = place + histograms[first_counter(segment, digit) + block] - local;
             for (uint subgroup = 0u; subgroup < gl_NumSubgroups; ++subgroup) {
                 uint own = counters[subgroup * RADIX + digit];
                 counters[subgroup * RADIX + digit] = local;
@@ -98,10 +95,11 @@ void place_counters(uint block, uint blocks, uint thread) {
 }
 
 void main() {
-    uint count = min(needs[count_index], count_max);
-    uint block = group_index();
-    uint blocks = sort_blocks(count);
-    if (block >= blocks) {
+    uint group = group_index();
+    uint segment_index = segment_of(group, segment_count);
+    SortSegment segment = segments[segment_index];
+    uint block = group - segment.first_block;
+    if (block >= sort_blocks(segment.count)) {
         return;
     }
     uint thread = block_thread();
@@ -116,22 +114,22 @@ void main() {
     for (uint item = 0u; item < ITEMS; ++item) {
         uint index = first + item * gl_SubgroupSize;
         // Beyond the end: the highest digit, behind every key there is, never written.
-        keys[item] = index < count ? keys_in[index] : 0xffffffffu;
+        keys[item] = index < segment.count ? keys_in[segment.first + index] : 0xffffffffu;
         ranks[item] = rank_in_run(keys[item] >> shift & (RADIX - 1u));
     }
     barrier();
-    place_counters(block, blocks, thread);
+    place_counters(segment, segment_index, block, thread);
     barrier();
     for (uint item = 0u; item < ITEMS; ++item) {
         uint index = first + item * gl_SubgroupSize;
-        if (index < count) {
+        if (index < segment.count) {
             uint place = counters[gl_SubgroupID * RADIX + (keys[item] >> shift & (RADIX - 1u))] + ranks[item];
             ordered_keys[place] = keys[item];
-            ordered_values[place] = INDEX_VALUES ? index : values_in[index];
+            ordered_values[place] = values_in[segment.first + index];
         }
     }
     barrier();
-    uint block_keys = min(WORKGROUP_THREADS * ITEMS, count - block * WORKGROUP_THREADS * ITEMS);
+    uint block_keys = min(WORKGROUP_THREADS * ITEMS, segment.count - block * WORKGROUP_THREADS * ITEMS);
     for (uint place = gl_LocalInvocationIndex; place < block_keys; place += WORKGROUP_THREADS) {
         uint key = ordered_keys[place];
         uint output_place = place + steps_to_output[key >> shift & (RADIX - 1u)];

@@ -1,18 +1,21 @@
-//! `decouplegs inspect`: what is in a splat file or a scene.
+//! `decouplegs inspect`: what is in a splat file, a compressed asset or a scene.
 
-use std::fmt::Write;
-use std::path::PathBuf;
+mod scene;
+mod summary;
+
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use decouplegs::asset::{Histogram, SplatSummary};
+use decouplegs::asset::{CodedAsset, CodedSummary, SceneFile, SplatSummary, coded_asset, open_scene, read_coded};
+use serde_json::Value;
 
 use crate::arguments::print;
-use crate::scene_source::read_world;
+use summary::{Lines, splats_to_text};
 
-/// Describe a splat file or a scene: counts, bounds, histograms, splats that cannot be drawn
+/// Describe a splat file, a compressed asset or a scene: counts, bounds, histograms, splats that cannot be drawn
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats (.ply, .splat, .spz) or a scene (.toml)
+    /// Splats (.ply, .splat, .spz), a compressed asset (.safetensors) or a scene (.toml)
     file: PathBuf,
     /// Print JSON
     #[arg(long)]
@@ -20,79 +23,55 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let summary = SplatSummary::of(&read_world(&arguments.file)?.splats);
+    let (text, value) = describe(&arguments.file)?;
     if arguments.json {
-        return print(&format!("{:#}\n", serde_json::to_value(&summary)?));
+        return print(&format!("{value:#}\n"));
     }
-    print(&format!("{}\n{}", arguments.file.display(), to_text(&summary)))
+    print(&format!("{}\n{text}", arguments.file.display()))
 }
 
-fn to_text(summary: &SplatSummary) -> String {
-    let mut text = String::new();
-    let mut line = |label: &str, value: &str| text.push_str(&format!("  {label:<16} {value}\n"));
-    line("splats", &summary.splats.to_string());
-    line("SH degree", &summary.sh_degree.to_string());
-    line("in memory", &format!("{:.1} MiB", summary.memory_bytes as f64 / f64::from(1 << 20)));
-    match &summary.bounds {
-        None => line("bounds", "none: no splat has a finite mean"),
-        Some(bounds) => {
-            for (axis, name) in ["bounds x", "bounds y", "bounds z"].iter().enumerate() {
-                line(name, &format!("{:.3} to {:.3} m", bounds.min[axis], bounds.max[axis]));
-            }
-        }
+/// The report on a file, as text and as JSON.
+fn describe(path: &Path) -> Result<(String, Value)> {
+    if coded_asset::has_extension(path) {
+        let asset = read_coded(path)?;
+        let summary = CodedSummary::of(&asset, std::fs::metadata(path)?.len());
+        return Ok((asset_to_text(&asset, &summary), serde_json::to_value(&summary)?));
     }
-    let kinds: Vec<String> = summary.defects.by_kind.iter().map(|(kind, count)| format!("{count} by {kind}")).collect();
-    let kinds = if kinds.is_empty() { String::new() } else { format!(" ({})", kinds.join(", ")) };
-    line("cannot be drawn", &format!("{}{kinds}", summary.defects.total));
-    for (title, histogram) in [
-        ("standard deviation, log10 of metres, three a splat", &summary.scale_log10_m),
-        ("longest over shortest axis, log10", &summary.anisotropy_log10),
-        ("opacity", &summary.opacity),
-    ] {
-        let _ = write!(text, "\n  {title}\n{}", histogram_to_text(histogram));
+    let loaded = open_scene(path, 0.0)?;
+    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+        let summary = SplatSummary::of(&loaded.world.splats);
+        return Ok((splats_to_text(&summary), serde_json::to_value(&summary)?));
     }
-    text
+    let world = loaded.baked(0.0);
+    let summary = SplatSummary::of(&world.splats);
+    let scene = scene::Listing::of(&SceneFile::read(path)?, &loaded, &world);
+    let mut value = serde_json::to_value(&summary)?;
+    if let (Value::Object(value), Value::Object(scene)) = (&mut value, scene.to_json()) {
+        value.extend(scene);
+    }
+    Ok((scene.to_text() + &splats_to_text(&summary), value))
 }
 
-/// Widest bar of a histogram, characters.
-const BAR_CHARS: u64 = 40;
-
-/// One line a bin from the first to the last that holds something.
-fn histogram_to_text(histogram: &Histogram) -> String {
-    let most = histogram.counts.iter().copied().chain([histogram.below, histogram.above, 1]).max().unwrap_or(1);
-    let row = |label: String, count: u64| {
-        let bar = "#".repeat((count * BAR_CHARS).div_ceil(most) as usize);
-        format!("  {label:>10}  {bar:<40} {count}\n")
-    };
-    let first = histogram.counts.iter().position(|&count| count > 0).unwrap_or(histogram.counts.len());
-    let end = histogram.counts.iter().rposition(|&count| count > 0).map_or(first, |last| last + 1);
-    let mut text = String::new();
-    if histogram.below > 0 {
-        text.push_str(&row(format!("< {:.2}", histogram.edges[0]), histogram.below));
+fn asset_to_text(asset: &CodedAsset, summary: &CodedSummary) -> String {
+    let mut lines = Lines::default();
+    let levels: Vec<String> = summary.levels.iter().map(u64::to_string).collect();
+    lines.line("levels", &format!("{} splats, the finest first", levels.join(", ")));
+    lines.line(
+        "codebooks",
+        &format!("{} shapes, {} colours of degree {}", summary.shapes, summary.colours, asset.cloud.sh_degree),
+    );
+    let each = summary.bytes_per_splat.map_or_else(String::new, |bytes| format!(", {bytes:.2} for each splat of any level"));
+    lines.line("bytes", &format!("{}{each}", summary.file_bytes));
+    let [length, width, height] = summary.dims_m;
+    lines.line("shows", &format!("{length:.3} x {width:.3} x {height:.3} m (length, width, height)"));
+    lines.line("colours are", if summary.sh_frame == "world" { "in the world's frame" } else { "in its own frame (canonical)" });
+    let step_mm = summary.position_step_m.map(|step_m| format!("{:.3}", f64::from(step_m) * 1e3));
+    lines.line("position steps", &format!("{} mm", step_mm.join(", ")));
+    lines.line("made from", &summary.source);
+    lines.line("its SHA-256", &summary.source_sha256);
+    lines.line("made by", &format!("decouplegs {}", summary.tool_version));
+    for (key, value) in &summary.settings {
+        lines.line("", &format!("{key} = {value}"));
     }
-    for (edge, &count) in histogram.edges[first..end].iter().zip(&histogram.counts[first..end]) {
-        text.push_str(&row(format!("{edge:.2}"), count));
-    }
-    if histogram.above > 0 {
-        text.push_str(&row(format!("> {:.2}", histogram.edges[histogram.edges.len() - 1]), histogram.above));
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_histogram_shows_the_bins_that_hold_something() {
-        let histogram = Histogram { edges: vec![0.0, 1.0, 2.0, 3.0, 4.0], counts: vec![0, 80, 0, 1], below: 0, above: 2 };
-        let text = histogram_to_text(&histogram);
-        let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split_whitespace().collect()).collect();
-        assert_eq!(lines[0], ["1.00", "#".repeat(40).as_str(), "80"]);
-        assert_eq!(lines[1], ["2.00", "0"]);
-        assert_eq!(lines[2], ["3.00", "#", "1"], "a bin that holds something shows something");
-        assert_eq!(lines[3], [">", "4.00", "#", "2"]);
-        let empty = Histogram { edges: vec![0.0, 1.0], counts: vec![0], below: 0, above: 0 };
-        assert_eq!(histogram_to_text(&empty), "");
-    }
+    format!("{}\n  level 0, as it is drawn\n{}", lines.into_text(), splats_to_text(&summary.finest))
 }

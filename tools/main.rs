@@ -7,6 +7,7 @@
 mod arguments;
 mod bench;
 mod compare;
+mod decompress;
 mod device;
 mod devices;
 mod inspect;
@@ -31,6 +32,7 @@ struct Program {
 enum Command {
     Render(render::Arguments),
     Inspect(inspect::Arguments),
+    Decompress(decompress::Arguments),
     Compare(compare::Arguments),
     Synth(synth::Arguments),
     Bench(bench::Arguments),
@@ -41,6 +43,7 @@ fn main() -> ExitCode {
     let done = match &Program::parse().command {
         Command::Render(arguments) => render::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
+        Command::Decompress(arguments) => decompress::run(arguments),
         Command::Compare(arguments) => compare::run(arguments),
         Command::Synth(arguments) => synth::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),

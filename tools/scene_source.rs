@@ -1,6 +1,6 @@
 //! What is drawn: a scene and its cameras, as the command line names them.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use decouplegs::asset::{open_scene, read_cameras};
@@ -12,7 +12,7 @@ use crate::progress;
 /// The arguments of every command that draws.
 #[derive(clap::Args)]
 pub struct SceneArguments {
-    /// Splats (.ply, .splat, .spz) or a scene (.toml)
+    /// Splats (.ply, .splat, .spz, .safetensors) or a scene (.toml)
     scene: PathBuf,
     /// Cameras: INRIA cameras.json or nerfstudio transforms.json (default: the scene's own rig)
     #[arg(long, value_name = "FILE")]
@@ -65,16 +65,11 @@ impl Scene {
                 camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
             }
         }
-        let mut world = loaded.world;
+        let mut world = if loaded.agents.is_empty() { loaded.world } else { loaded.baked(time_s) };
         if let Some(name) = arguments.rules {
             world.rules = decouplegs::scene::Rules { antialias: world.rules.antialias, ..name.rules() };
         }
         world.rules.antialias |= arguments.antialias;
         Ok(Self { world, cameras })
     }
-}
-
-/// The world of a splat file, or of a scene at its time zero, without cameras.
-pub fn read_world(path: &Path) -> Result<World> {
-    Ok(open_scene(path, 0.0)?.world)
 }

@@ -103,7 +103,7 @@ fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
         Ok(SceneAgent {
             name: agent.name.clone(),
             asset: asset_path(agent.asset),
-            sh_frame: agent.sh_frame,
+            sh_frame: Some(agent.sh_frame),
             trajectory: trajectory(way).with_context(|| format!("the way of {} is no trajectory", agent.name))?,
         })
     });

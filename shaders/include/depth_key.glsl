@@ -1,45 +1,55 @@
 // What the front-to-back order goes by, finer than an f32 can say: 27 binary digits of a depth computed with 48.
 //
+// The depth is counted from the world's origin, along the camera's direction: f.p instead of f.(p - c), which differs by the
+// same for all splats. So a key does not change when the camera moves without turning, and neither does the order.
+//
 // Of two splats on one pixel the nearer must come first, and captured scenes hold pairs that differ by less than the
 // rounding of an f32 camera transform; drawing such a pair the wrong way round shows as a stain of their size.
 
-// Sixteen steps between one f32 and the next; counted from the near plane's f32, so that 2^28 floats have room: depths up
-// to 2^32 near planes. Farther ones share the last key and keep their index order.
-const float STEPS = 16.0;
+// Sixteen steps between one f32 and the next, of fifteen powers of two; what is smaller is counted in steps of one size.
+const float KEY_STEPS = 16.0;
+const float KEY_FLOATS_FROM = 3.0517578125e-5; // 2^-15
+const float KEY_LINEAR_STEPS = 4398046511104.0; // 2^42: as fine at 2^-15 as the floats there
+const uint KEY_LINEAR_CODES = 1u << 27u;
 
-uint depth_key(vec2 depth_m) {
-    uint places = floatBitsToUint(max(depth_m.x, NEAR_M)) - floatBitsToUint(NEAR_M);
-    if (places >= 0x0ffffffeu) {
-        return 0xffffffffu;
+// The key of a depth that lies between -1 and 1.
+uint depth_key(vec2 depth) {
+    bool negative = depth.x < 0.0;
+    vec2 size = negative ? -depth : depth;
+    uint code;
+    if (size.x < KEY_FLOATS_FROM) {
+        float scaled = size.x * KEY_LINEAR_STEPS;
+        float whole = floor(scaled);
+        precise float rest = (scaled - whole) + size.y * KEY_LINEAR_STEPS;
+        code = uint(max(int(whole) + int(floor(rest + 0.5)), 0));
+    } else {
+        uint places = floatBitsToUint(size.x) - floatBitsToUint(KEY_FLOATS_FROM);
+        // The distance to the next float: 2^-23 of the power of two below.
+        float place = uintBitsToFloat(floatBitsToUint(size.x) & 0x7f800000u) * 1.1920929e-7;
+        // At most half a place up or down. The nearest step, not the one below: a depth that an f32 holds stands in the
+        // middle of its step, and what a rotation's last digit adds to one of two equal depths leaves them tied.
+        int part = int(floor(clamp(size.y / place, -0.5, 0.5) * KEY_STEPS + 0.5));
+        code = min(KEY_LINEAR_CODES + uint(int(min(places, 0x07ffffffu) << 4u) + part), 0x7fffffffu);
     }
-    // The distance to the next float: 2^-23 of the power of two below depth_m.x.
-    float place_m = uintBitsToFloat(floatBitsToUint(depth_m.x) & 0x7f800000u) * 1.1920929e-7;
-    // At most half a place up or down; the first place counts from 8 so that down is never below 0. The nearest step, not
-    // the one below: a depth that an f32 holds stands in the middle of its step, and what a rotation's last digit adds to
-    // one of two equal depths leaves them tied.
-    int step = int(floor(clamp(depth_m.y / place_m, -0.5, 0.5) * STEPS + 0.5));
-    return (places << 4u) + uint(8 + step);
+    return negative ? 0x80000000u - code : 0x80000000u + code;
 }
 
-// The mean relative to the camera along one world axis.
-vec2 axis_offset_m(float mean_m, float centre_high_m, float centre_low_m) {
-    vec2 offset = two_sum(mean_m, -centre_high_m);
-    return add_pairs(offset, vec2(-centre_low_m, 0.0));
-}
-
-vec2 depth_z_m(vec3 mean_m, Camera camera) {
-    vec2 depth = vec2(0.0);
+// The depth, between -1 and 1, of a mean: background relative to the world's origin, or an agent's in its own frame.
+vec2 scaled_depth(vec3 mean_m, Camera camera) {
+    vec2 depth = camera.key_offset;
     for (int axis = 0; axis < 3; ++axis) {
-        vec2 offset = axis_offset_m(mean_m[axis], camera.centre_high_m[axis], camera.centre_low_m[axis]);
-        depth = add_pairs(depth, multiply_pairs(vec2(camera.row_z[axis], camera.row_z_low[axis]), offset));
+        vec2 row = vec2(camera.row_z[axis], camera.row_z_low[axis]);
+        depth = add_pairs(depth, multiply_pairs(row, vec2(mean_m[axis] * camera.key_scale, 0.0)));
     }
     return depth;
 }
 
-vec2 distance_m(vec3 mean_m, Camera camera) {
+// The same of a distance from the camera: it does not lose its sign, and only the camera's own place counts.
+vec2 scaled_distance(vec3 mean_m, Camera camera) {
     vec2 squared = vec2(0.0);
     for (int axis = 0; axis < 3; ++axis) {
-        vec2 offset = axis_offset_m(mean_m[axis], camera.centre_high_m[axis], camera.centre_low_m[axis]);
+        vec2 offset = two_sum(mean_m[axis] * camera.key_scale, -camera.centre_high_m[axis] * camera.key_scale);
+        offset = add_pairs(offset, vec2(-camera.centre_low_m[axis] * camera.key_scale, 0.0));
         squared = add_pairs(squared, multiply_pairs(offset, offset));
     }
     // One step of Newton's method on a rounded root: what the root left, over twice the root.

@@ -25,6 +25,8 @@ struct Camera {
     vec2 slope_max;
     uvec2 size_px;
     uvec2 macro_tiles;
+    vec2 key_offset;  // what a depth relative to the world's origin has before it is scaled by key_scale, high and low part
+    float key_scale;  // turns such a depth into one between -1 and 1, exactly: a power of two
     uint first_bin;   // bins of camera c are first_bin .. first_bin + macro_tiles.x * macro_tiles.y, row-major
     uint first_pixel; // where its picture begins in the output buffers
 };
@@ -45,6 +47,11 @@ struct Needs {
     uint longest;    // pairs of one macro tile, at most
 };
 
+// A count that has no room makes nothing: the host grows the buffers and draws again.
+uint held(uint need, uint room) {
+    return need > room ? 0u : need;
+}
+
 // Where the arguments of each indirect dispatch stand, in units of uvec3.
 const uint ARGUMENTS_SORT_RECORDS = 0u;
 const uint ARGUMENTS_PAIR_BLOCKS = 1u;
@@ -52,6 +59,35 @@ const uint ARGUMENTS_SORT_PAIRS = 2u;
 const uint ARGUMENTS_RANGES = 3u;
 const uint ARGUMENTS_BLEND = 4u;
 const uint ARGUMENTS_COMPOSITE = 5u;
+const uint ARGUMENTS_MERGE = 6u;
+const uint ARGUMENTS_RESTORE = 7u;
+
+// How a camera's background list comes into order.
+const uint ORDER_SORTED = 0u;   // by the radix sort
+const uint ORDER_KEPT = 1u;     // by the ranks that were found for this very direction, or for one that is near enough
+const uint ORDER_REPAIRED = 2u; // by the ranks of a direction nearby, put right and proved
+
+struct ViewOrder {
+    uint path;
+    uint rank_set; // whose ranks
+};
+
+// Where the records of a camera lie: background first, then agents, each in the order of their splats.
+struct ViewLists {
+    uint first_static;
+    uint static_count;
+    uint first_moving;
+    uint moving_count;
+    uint first_ordered; // where both together begin in the merged order
+    uint first_block;   // of merge, counted over all cameras
+};
+
+// One list that the radix sort orders by itself, in place: places first to first + count - 1.
+struct SortSegment {
+    uint first;
+    uint count;
+    uint first_block; // of the sort, counted over all segments
+};
 
 // Records handled by one workgroup of count_pairs and emit_pairs, and pairs by one of find_ranges.
 const uint PAIR_BLOCK = 1024u;

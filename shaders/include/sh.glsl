@@ -2,15 +2,10 @@
 //
 // DC is f32. Each higher band is stored as 16-bit fractions of its own largest coefficient (rounded up to f16): half-word
 // 0 is that scale, then [coefficient][rgb]. Against f32 the error is at most 1.6e-5 of the band's largest coefficient,
-// a thirtieth of what f16 would make of it, for the same bytes. Words are stored by plane: word w of splat i stands at
-// w * splat_count + i, so that neighbouring threads read neighbouring words.
+// a thirtieth of what f16 would make of it, for the same bytes. Where the words stand is the including kernel's: it says
+// SH_WORD(band, word, index, stride) before it includes this.
 
 layout(constant_id = 2) const uint SH_DEGREE = 3u;
-
-layout(set = 0, binding = 6, scalar) readonly buffer sh_dc_block { vec3 sh_dc[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer sh_band1_block { uint sh_band1[]; }; // 5 words
-layout(set = 0, binding = 8, scalar) readonly buffer sh_band2_block { uint sh_band2[]; }; // 8 words
-layout(set = 0, binding = 9, scalar) readonly buffer sh_band3_block { uint sh_band3[]; }; // 11 words
 
 // Adds weight * half-word `index` of a band; `words` are the band's words, `channel` the colour it belongs to.
 #define ADD_COEFFICIENT(colour, words, k, basis)                                                      \
@@ -27,10 +22,10 @@ float sh_scale(uint word) {
     return unpackHalf2x16(word).x / 32767.0;
 }
 
-vec3 sh_band1_colour(uint splat, uint splat_count, vec3 d) {
+vec3 sh_band1_colour(uint index, uint stride, vec3 d) {
     uint words[5];
     [[unroll]] for (int w = 0; w < 5; ++w) {
-        words[w] = sh_band1[w * splat_count + splat];
+        words[w] = SH_WORD(1, w, index, stride);
     }
     vec3 colour = vec3(0.0);
     ADD_COEFFICIENT(colour, words, 0, -0.4886025119029199 * d.y);
@@ -39,10 +34,10 @@ vec3 sh_band1_colour(uint splat, uint splat_count, vec3 d) {
     return colour * sh_scale(words[0]);
 }
 
-vec3 sh_band2_colour(uint splat, uint splat_count, vec3 d) {
+vec3 sh_band2_colour(uint index, uint stride, vec3 d) {
     uint words[8];
     [[unroll]] for (int w = 0; w < 8; ++w) {
-        words[w] = sh_band2[w * splat_count + splat];
+        words[w] = SH_WORD(2, w, index, stride);
     }
     vec3 colour = vec3(0.0);
     ADD_COEFFICIENT(colour, words, 0, 1.0925484305920792 * d.x * d.y);
@@ -53,10 +48,10 @@ vec3 sh_band2_colour(uint splat, uint splat_count, vec3 d) {
     return colour * sh_scale(words[0]);
 }
 
-vec3 sh_band3_colour(uint splat, uint splat_count, vec3 d) {
+vec3 sh_band3_colour(uint index, uint stride, vec3 d) {
     uint words[11];
     [[unroll]] for (int w = 0; w < 11; ++w) {
-        words[w] = sh_band3[w * splat_count + splat];
+        words[w] = SH_WORD(3, w, index, stride);
     }
     float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z;
     vec3 colour = vec3(0.0);
@@ -70,17 +65,17 @@ vec3 sh_band3_colour(uint splat, uint splat_count, vec3 d) {
     return colour * sh_scale(words[0]);
 }
 
-// The splat's colour seen along the unit vector d, from the camera to the splat.
-vec3 sh_colour(uint splat, uint splat_count, vec3 d) {
-    vec3 colour = 0.28209479177387814 * sh_dc[splat] + 0.5;
+// The colour of entry `index` with the DC coefficients `dc`, seen along the unit vector d, from the camera to the splat.
+vec3 sh_colour(vec3 dc, uint index, uint stride, vec3 d) {
+    vec3 colour = 0.28209479177387814 * dc + 0.5;
     if (SH_DEGREE >= 1u) {
-        colour += sh_band1_colour(splat, splat_count, d);
+        colour += sh_band1_colour(index, stride, d);
     }
     if (SH_DEGREE >= 2u) {
-        colour += sh_band2_colour(splat, splat_count, d);
+        colour += sh_band2_colour(index, stride, d);
     }
     if (SH_DEGREE >= 3u) {
-        colour += sh_band3_colour(splat, splat_count, d);
+        colour += sh_band3_colour(index, stride, d);
     }
     return max(colour, vec3(0.0));
 }

@@ -213,3 +213,103 @@ fn devices_are_listed_and_an_unknown_one_is_refused_with_the_list() {
     let said = fail(1, &["render", text(&scene), "--out", text(&out), "--device", "no such card"]);
     assert!(said.contains("no such card") && said.contains(&first), "{said}");
 }
+
+/// Bytes of `values`, little endian.
+fn bytes<const N: usize, T: Copy>(values: &[T], of: fn(T) -> [u8; N]) -> Vec<u8> {
+    values.iter().flat_map(|&value| of(value)).collect()
+}
+
+/// Writes a compressed asset of degree 0 by hand, after `engine/asset/coded-asset.md`: three splats and a second level of one,
+/// a ball of size 1 and one colour, on the diagonal of a box of 4 x 2 x 1.5 m.
+fn small_asset(path: &Path) {
+    let tensors = [
+        ("shapes", "F32", serde_json::json!([1, 6]), bytes(&[1f32, 0.0, 1.0, 0.0, 0.0, 1.0], f32::to_le_bytes)),
+        ("codes", "U32", serde_json::json!([4]), bytes(&[16u32 << 19 | 8 << 24 | 8 << 28; 4], u32::to_le_bytes)),
+        ("levels", "U32", serde_json::json!([2]), bytes(&[3u32, 1], u32::to_le_bytes)),
+        ("colours", "F16", serde_json::json!([1, 1, 3]), bytes(&[0x3c00u16, 0, 0xbc00], u16::to_le_bytes)),
+        (
+            "positions",
+            "U16",
+            serde_json::json!([4, 3]),
+            bytes(&[[0u16; 3], [32_768; 3], [65_535; 3], [32_768; 3]].concat(), u16::to_le_bytes),
+        ),
+        ("opacities", "U8", serde_json::json!([4]), vec![51, 102, 255, 204]),
+        ("sizes", "U8", serde_json::json!([4]), vec![0, 16, 32, 48]),
+    ];
+    let mut header = serde_json::json!({ "__metadata__": {
+        "format": "decouplegs-asset", "version": "1", "tool_version": "0.1.0", "source": "ball\u{1b}.ply", "source_sha256": "ab12",
+        "bounds_min_m": "[-2.0, -1.0, 0.0]", "bounds_max_m": "[2.0, 1.0, 1.5]", "dims_m": "[4.0, 2.0, 1.5]",
+        "log2_size_min": "-6.0", "log2_size_step": "0.0625", "dc_residual_step": "[0.1, 0.1, 0.1]",
+        "sh_degree": "0", "sh_frame": "world", "settings.seed": "7",
+    } });
+    let mut data = Vec::new();
+    for (name, dtype, shape, bytes) in tensors {
+        let offsets = [data.len(), data.len() + bytes.len()];
+        header[name] = serde_json::json!({ "dtype": dtype, "shape": shape, "data_offsets": offsets });
+        data.extend(bytes);
+    }
+    let header = header.to_string();
+    fs::write(path, [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &data].concat()).unwrap();
+}
+
+#[test]
+fn a_compressed_asset_is_described_and_decompressed() {
+    let folder = tempfile::tempdir().unwrap();
+    let asset = folder.path().join("ball.safetensors");
+    small_asset(&asset);
+    let report = succeed(&["inspect", text(&asset)]);
+    for part in ["3, 1 splats", "1 shapes, 1 colours of degree 0", "4.000 x 2.000 x 1.500 m", "world's frame", "seed = 7", "ab12"]
+    {
+        assert!(report.contains(part), "{part}: {report}");
+    }
+    assert!(report.contains("ball\\u{1b}.ply") && !report.contains('\u{1b}'), "a name does not steer the terminal: {report}");
+    assert_eq!(report.matches('#').count() % 40, 0, "every bin that holds something holds the most: {report}");
+    let said = json(&["inspect", text(&asset), "--json"]);
+    let file_bytes = fs::metadata(&asset).unwrap().len();
+    assert_eq!((&said["levels"], &said["splats"], &said["file_bytes"]), (&vec![3, 1].into(), &3.into(), &file_bytes.into()));
+    assert_eq!((&said["bytes_per_splat"], &said["sh_frame"]), (&(file_bytes as f64 / 4.0).into(), &"world".into()));
+
+    for (level, splats) in [(0, 3), (1, 1)] {
+        let out = folder.path().join(format!("level{level}.ply"));
+        let listed = succeed(&["decompress", text(&asset), "--out", text(&out), "--level", &level.to_string()]);
+        assert!(listed.contains(text(&out)) && listed.contains(&format!("{splats} splats")), "{listed}");
+        let said = json(&["inspect", text(&out), "--json"]);
+        assert_eq!((&said["splats"], &said["defects"]["total"]), (&splats.into(), &0.into()));
+        let middle = if level == 0 { [-2.0, -1.0, 0.0] } else { [0.0, 0.0, 0.75] };
+        for (axis, expected_m) in middle.into_iter().enumerate() {
+            // Place 32768 lies half a step beyond the middle of the box.
+            let found_m = said["bounds"]["min"][axis].as_f64().unwrap();
+            assert!((found_m - expected_m).abs() < 0.51 * 4.0 / 65_535.0, "{level}: {said}");
+        }
+    }
+    let out = folder.path().join("none.ply");
+    assert!(fail(1, &["decompress", text(&asset), "--out", text(&out), "--level", "2"]).contains("2 levels"));
+    assert!(fail(1, &["decompress", text(&folder.path().join("level0.ply")), "--out", text(&out)]).contains("level0.ply"));
+    assert!(fail(2, &["decompress", text(&asset), "--out", "ball.spz"]).contains(".ply"));
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_scene_is_listed_with_its_cameras_its_ego_and_its_agents() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    small_asset(&folder.path().join("ball.safetensors"));
+    let scene = folder.path().join("scene.toml");
+    let agent = "\n[[agent]]\nname = \"ball\"\nasset = \"ball.safetensors\"\n";
+    let ways = "[[agent.trajectory]]\ntime_s = 1.0\nposition_m = [0.0, 0.0, 0.0]\n\
+                [[agent.trajectory]]\ntime_s = 3.5\nposition_m = [3.0, 4.0, 0.0]\n";
+    fs::write(&scene, fs::read_to_string(&scene).unwrap() + agent + ways).unwrap();
+    let said = json(&["inspect", text(&scene), "--json"]);
+    assert_eq!((&said["splats"], said["cameras"].as_array().unwrap().len()), (&4603.into(), 6));
+    assert_eq!((&said["cameras"][0]["width_px"], &said["ego"]["start_s"]), (&48.into(), &0.0.into()));
+    let agents = said["agents"].as_array().unwrap();
+    assert_eq!((agents.len(), &agents[0]["splats"], &agents[0]["sh_frame"]), (3, &300.into(), &"canonical".into()));
+    let ball = serde_json::json!({
+        "instance": 3, "name": "ball", "asset": "ball.safetensors", "splats": 3, "sh_frame": "world",
+        "trajectory": { "start_s": 1.0, "end_s": 3.5, "poses": 2, "length_m": 5.0 },
+    });
+    assert_eq!(agents[2], ball);
+    let report = succeed(&["inspect", text(&scene)]);
+    let listed = "3 ball: ball.safetensors, 3 splats, colours world, 1.0 s to 3.5 s, 2 poses, 5.0 m from (0.00, 0.00, 0.00) m";
+    assert!(report.contains(listed) && report.contains("front: 48x27"), "{report}");
+}

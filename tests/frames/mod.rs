@@ -1,5 +1,6 @@
 //! Frames on the GPU against the f64 definition.
 
+mod agents;
 mod determinism;
 mod growth;
 mod hard_cases;

@@ -27,7 +27,7 @@ struct Case {
 impl Case {
     /// Every second macro tile of two cameras, cut into 2 to 40 segments of random pixels.
     fn new(seed: u64) -> Self {
-        let view = View::new(&rig()[..2], DVec3::ZERO).unwrap();
+        let view = View::new(&rig()[..2], DVec3::ZERO, 1.0).unwrap();
         let mut random = Random(seed);
         let mut first_partial = 0;
         let mut composites = Vec::new();

@@ -4,7 +4,7 @@ use decouplegs::render::layout::CHUNK_SPLATS;
 use decouplegs::render::stages::{Cull, Visible};
 use decouplegs::scene::{Camera, Rules, World};
 
-use super::scenes::{Scene, hard_world, rig};
+use super::scenes::{Scene, Unranked, hard_world, rig};
 use super::{UNTOUCHED, identical, open, run};
 use crate::device::Validated;
 
@@ -14,8 +14,8 @@ fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<u32>
     let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();
     gpu.write(&visible.words, 0, &vec![UNTOUCHED; visible.words.len()]).unwrap();
     gpu.write(&visible.counts, 0, &vec![UNTOUCHED; visible.counts.len()]).unwrap();
-    let cull = Cull::new(gpu, rules).unwrap();
-    run(gpu, |r| cull.record(r, &scene.resident, &scene.camera_buffer, cameras, &visible));
+    let (cull, unranked) = (Cull::new(gpu, rules, false).unwrap(), Unranked::new(gpu));
+    run(gpu, |r| cull.record(r, &scene.resident, &scene.camera_buffer, cameras, &visible, &unranked.ranked()));
     (gpu.read(&visible.words).unwrap(), gpu.read(&visible.counts).unwrap())
 }
 

@@ -1,6 +1,6 @@
 //! `emit_pairs.comp`: a pair for every macro tile that a record reaches.
 
-use decouplegs::render::layout::{Needs, PAIR_BLOCK};
+use decouplegs::render::layout::{Needs, PAIR_BLOCK, SortSegment, ViewLists};
 use decouplegs::render::stages::{Arguments, EmitPairs, Pairs, Projected};
 use decouplegs::render::twins;
 use decouplegs::render::twins::record::load_footprint;
@@ -13,9 +13,16 @@ use crate::device::Validated;
 /// Records of a rig, in an order.
 struct Case {
     scene: Scene,
-    firsts: Vec<u32>,
+    lists: Vec<ViewLists>,
     projected: ProjectedTwin,
     order: Vec<u32>,
+}
+
+/// The lists that begin at `firsts`, `[camera][chunk]`. There are no agents.
+fn view_lists(firsts: &[u32], chunks: usize, records: u32) -> Vec<ViewLists> {
+    let first = |camera: usize| firsts.get(camera * chunks).copied().unwrap_or(records);
+    let list = |camera: usize| ViewLists { first_static: first(camera), first_moving: records, ..ViewLists::default() };
+    (0..firsts.len() / chunks).map(list).collect()
 }
 
 type PairLists = (Vec<u32>, Vec<u32>);
@@ -25,7 +32,7 @@ impl Case {
     fn new(gpu: &Validated, splats: usize, seed: u64) -> Self {
         let rules = Rules::DEFAULT;
         let scene = Scene::new(gpu, &hard_world(splats, seed), &rig());
-        let mut listed = scene.listed(&rules);
+        let listed = scene.listed(&rules);
         let all = scene.projected(&listed, &rules, 0, false, listed.records.len());
         let chunks = scene.chunks.len();
         let mut kept = Vec::new();
@@ -43,11 +50,12 @@ impl Case {
             footprints: kept.iter().flat_map(take).collect(),
             colours: vec![[0.0; 4]; kept.len()],
             keys: vec![0; kept.len()],
+            values: vec![0; kept.len()],
             tile_counts: kept.iter().map(|&record| all.tile_counts[record]).collect(),
         };
-        listed.firsts = firsts;
+        let lists = view_lists(&firsts, chunks, kept.len() as u32);
         let order = Random(seed).shuffled(kept.len());
-        Self { scene, firsts: listed.firsts, projected, order }
+        Self { scene, lists, projected, order }
     }
 
     fn pairs(&self) -> usize {
@@ -58,10 +66,9 @@ impl Case {
     fn emit(&self, gpu: &Validated, records: usize, pairs_max: usize) -> Result<[PairLists; 2], String> {
         let sort_block = sort_shape(gpu).block();
         let cameras = &self.scene.view.cameras;
-        let chunks = self.scene.chunks.len();
         let room = self.order.len();
         let before = Needs { records: records as u32, pairs: 0, ..Needs::default() };
-        let blocks = records.min(room).div_ceil(PAIR_BLOCK);
+        let blocks = if records > room { 0 } else { records.div_ceil(PAIR_BLOCK) };
         let mut pair_counts = vec![0; blocks];
         twins::count_pairs(&before, &self.order, &self.projected.tile_counts, &mut pair_counts, room as u32);
 
@@ -69,34 +76,37 @@ impl Case {
         let projected = Projected::new(gpu, room).unwrap();
         gpu.write(&projected.footprints, 0, &self.projected.footprints).unwrap();
         gpu.write(&projected.tile_counts, 0, &self.projected.tile_counts).unwrap();
-        let [firsts, order, pair_counts] = [&self.firsts, &self.order, &pair_counts].map(|data| upload(gpu, data));
+        let [order, pair_counts] = [&self.order, &pair_counts].map(|data| upload(gpu, data));
+        let lists = upload(gpu, &self.lists);
         let (bins, records) = (untouched(gpu, pairs_max), untouched(gpu, pairs_max));
         let pairs = Pairs { bins: &bins, records: &records };
         let emit = EmitPairs::new(gpu, sort_block).unwrap();
         let camera_buffer = &self.scene.camera_buffer;
         run(gpu, |r| {
-            emit.record(r, &control, camera_buffer, cameras.len(), chunks, &firsts, &order, &projected, &pair_counts, &pairs);
+            emit.record(r, &control, camera_buffer, cameras.len(), &lists, &order, &projected, &pair_counts, &pairs);
         });
         let (needs, arguments) = found(gpu, &control);
 
         let (mut twin_needs, mut twin_bins, mut twin_records) = (before, vec![UNTOUCHED; pairs_max], vec![UNTOUCHED; pairs_max]);
+        let mut twin_segment = SortSegment::default();
         let mut twin_arguments = vec![[UNTOUCHED; 3]; arguments.len()];
         twin_arguments[Arguments::PairBlocks as usize] = arguments[Arguments::PairBlocks as usize];
         twins::emit_pairs(
             cameras,
             &mut twin_needs,
             &self.order,
-            &self.firsts,
+            &self.lists,
             &self.projected.footprints,
             &mut twin_bins,
             &mut twin_records,
             &mut twin_arguments,
-            chunks,
+            &mut twin_segment,
             room as u32,
             sort_block,
         );
         identical("needs", &[needs], &[twin_needs])?;
         identical("arguments", &arguments, &twin_arguments)?;
+        identical("segment", &gpu.read(&control.pair_segment).unwrap(), &[twin_segment])?;
         Ok([(gpu.read(&bins).unwrap(), gpu.read(&records).unwrap()), (twin_bins, twin_records)])
     }
 

@@ -22,7 +22,7 @@ use std::fmt::Debug;
 
 use decouplegs::gpu::{Buffer, QueueRole, Recorder};
 use decouplegs::render::capacity::{SortShape, groups_for};
-use decouplegs::render::layout::{ARGUMENT_SETS, Needs};
+use decouplegs::render::layout::{ARGUMENT_SETS, Needs, SortSegment};
 use decouplegs::render::stages::{Arguments, Control};
 
 use crate::device::Validated;
@@ -66,6 +66,7 @@ fn untouched(gpu: &Validated, len: usize) -> Buffer<u32> {
 fn control(gpu: &Validated, needs: Needs, groups: &[(Arguments, usize)]) -> Control {
     let control = Control::new(gpu).unwrap();
     gpu.write(&control.needs, 0, &[needs]).unwrap();
+    gpu.write(&control.pair_segment, 0, &[SortSegment::default()]).unwrap();
     let mut arguments = [[UNTOUCHED; 3]; ARGUMENT_SETS];
     for &(set, count) in groups {
         arguments[set as usize] = groups_for(count);
@@ -108,7 +109,7 @@ fn within(what: &str, kernel: &[f32], twin: &[f32], bounds: &[f64]) -> Result<f6
 }
 
 /// Numbers that are the same in every run (Steele et al., Fast Splittable Pseudorandom Number Generators, 2014).
-struct Random(u64);
+pub struct Random(pub u64);
 
 impl Random {
     fn word(&mut self) -> u32 {
@@ -120,17 +121,17 @@ impl Random {
     }
 
     /// From 0 to `end - 1`.
-    fn below(&mut self, end: u32) -> u32 {
+    pub fn below(&mut self, end: u32) -> u32 {
         ((u64::from(self.word()) * u64::from(end)) >> 32) as u32
     }
 
     /// From `low` to `high`.
-    fn between(&mut self, low: f32, high: f32) -> f32 {
+    pub fn between(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * ((self.word() >> 8) as f32 / 16_777_216.0)
     }
 
     /// From `low` to `high`, each power of ten as often as the next.
-    fn across_scales(&mut self, low: f32, high: f32) -> f32 {
+    pub fn across_scales(&mut self, low: f32, high: f32) -> f32 {
         self.between(low.ln(), high.ln()).exp()
     }
 

@@ -1,7 +1,7 @@
 //! `project.comp`: footprint, depth key and colour of every visible splat.
 
-use decouplegs::render::layout::{CameraRecord, near_m};
-use decouplegs::render::stages::{Project, ProjectVariant, Projected, Visible};
+use decouplegs::render::layout::CameraRecord;
+use decouplegs::render::stages::{Project, ProjectVariant, Projected, SortScratch, Visible};
 use decouplegs::render::twins;
 use decouplegs::render::twins::projection::{from_camera_m, matrix_from_quaternion};
 use decouplegs::render::twins::record::load_footprint;
@@ -9,8 +9,8 @@ use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::{DepthOrder, Rules};
 use glam::{DVec2, DVec3, Vec3};
 
-use super::scenes::{Listed, ProjectedTwin, Scene, hard_world, rig, settled_tile_count};
-use super::{ROUNDOFF, UNTOUCHED, identical, open, run, upload, within};
+use super::scenes::{Listed, ProjectedTwin, Scene, Unranked, hard_world, rig, settled_tile_count};
+use super::{ROUNDOFF, UNTOUCHED, identical, open, run, sort_shape, upload, within};
 use crate::device::Validated;
 
 /// How far f32 arithmetic may take the values of one record from one another, in the order in which they are stored.
@@ -128,16 +128,21 @@ impl Case {
         gpu.write(&visible.words, 0, &listed.words).unwrap();
         let projected = Projected::new(gpu, *room).unwrap();
         gpu.write(&projected.tile_counts, 0, &vec![UNTOUCHED; *room]).unwrap();
-        let keys = upload(gpu, &vec![UNTOUCHED; *room]);
+        let sort = SortScratch::new(gpu, sort_shape(gpu), *room).unwrap();
+        gpu.write(&sort.keys[0], 0, &vec![UNTOUCHED; *room]).unwrap();
+        gpu.write(&sort.values[0], 0, &vec![UNTOUCHED; *room]).unwrap();
+        let unranked = Unranked::new(gpu);
         let firsts = upload(gpu, &listed.firsts);
         let project = Project::new(gpu, rules, *variant).unwrap();
         run(gpu, |r| {
-            project.record(r, &scene.resident, &scene.camera_buffer, cameras, &visible, &firsts, &projected, &keys);
+            let (cameras_of, ranked) = (&scene.camera_buffer, unranked.ranked());
+            project.record(r, &scene.resident, cameras_of, cameras, &visible, &firsts, &projected, &sort, &ranked);
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
             colours: gpu.read(&projected.colours).unwrap(),
-            keys: gpu.read(&keys).unwrap(),
+            keys: gpu.read(&sort.keys[0]).unwrap(),
+            values: gpu.read(&sort.values[0]).unwrap(),
             tile_counts: gpu.read(&projected.tile_counts).unwrap(),
         }
     }
@@ -145,6 +150,7 @@ impl Case {
     fn check(&self, kernel: &ProjectedTwin, twin: &ProjectedTwin) -> Result<(), String> {
         self.check_floats(kernel, twin)?;
         self.check_keys(kernel, twin)?;
+        identical("values", &kernel.values, &twin.values)?;
         self.check_tile_counts(kernel)
     }
 
@@ -205,16 +211,16 @@ impl Case {
     }
 }
 
-const PLAIN: ProjectVariant = ProjectVariant { sh_degree: 0, instances: false };
+const PLAIN: ProjectVariant = ProjectVariant { sh_degree: 0, instances: false, ranked: false };
 
 #[test]
 fn records_of_hard_splats() {
     let gpu = open();
     for (rules, variant) in [
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true }),
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, instances: false }),
+        (Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false }),
+        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, instances: false, ranked: false }),
         (Rules { order: DepthOrder::Radial, ..Rules::DEFAULT }, PLAIN),
-        (Rules { antialias: true, ..Rules::INRIA }, ProjectVariant { sh_degree: 2, instances: true }),
+        (Rules { antialias: true, ..Rules::INRIA }, ProjectVariant { sh_degree: 2, instances: true, ranked: false }),
     ] {
         let case = Case::new(&gpu, 3000, rules, variant);
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
@@ -236,23 +242,23 @@ fn keys_are_depths_in_order() {
     let gpu = open();
     let case = Case::new(&gpu, 2000, Rules::DEFAULT, PLAIN);
     let keys = case.kernel(&gpu).keys;
+    // Between -1 and 1 over a world whose farthest splat is 10^7 m away: a step is 2^-42 of that, or 2^-27 of the depth.
     let depth = |record: usize| {
         let (camera, splat) = case.listed.records[record];
-        twins::depth_key::depth_m(case.scene.means_m[splat], &case.scene.view.cameras[camera], false)
+        twins::depth_key::scaled_depth(case.scene.means_m[splat], &case.scene.view.cameras[camera], false)
     };
     let mut order: Vec<usize> = (0..keys.len()).collect();
     order.sort_by_key(|&record| keys[record]);
-    assert!(depth(order[0]) >= f64::from(near_m(&Rules::DEFAULT)) - 1e-9);
     for pair in order.windows(2) {
-        // A key is a step of 2^-27 of its depth at least, and the near plane clamps what is nearer.
-        assert!(depth(pair[0]) <= depth(pair[1]) * (1.0 + 2f64.powi(-26)), "records {pair:?} are in the wrong order");
+        let step = (depth(pair[1]).abs() * 2f64.powi(-26)).max(2f64.powi(-41));
+        assert!(depth(pair[0]) <= depth(pair[1]) + step, "records {pair:?} are in the wrong order");
     }
 }
 
 #[test]
 fn one_changed_value_is_seen() {
     let gpu = open();
-    let case = Case::new(&gpu, 500, Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true });
+    let case = Case::new(&gpu, 500, Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false });
     let kernel = case.kernel(&gpu);
     let ordinary = case.listed.records.iter().position(|&(_, splat)| splat % 16 > 9).unwrap();
     let failure = |change: fn(&mut ProjectedTwin, usize)| {

@@ -2,7 +2,8 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::ResidentWorld;
-use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, View};
+use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, View, ViewOrder};
+use decouplegs::render::stages::{RankLists, Ranked};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use decouplegs::render::twins::{self, footprint::Footprint, sh::Stored};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
@@ -90,7 +91,7 @@ pub struct Scene {
 impl Scene {
     pub fn new(gpu: &Validated, world: &World, cameras: &[Camera]) -> Self {
         let resident = ResidentWorld::upload(gpu, world).unwrap();
-        let view = View::new(cameras, world.origin).unwrap();
+        let view = View::new(cameras, world.origin, resident.reach_m).unwrap();
         Self {
             camera_buffer: upload(gpu, &view.cameras),
             chunks: gpu.read(&resident.chunks).unwrap(),
@@ -166,7 +167,29 @@ pub struct ProjectedTwin {
     pub footprints: Vec<[f32; 4]>,
     pub colours: Vec<[f32; 4]>,
     pub keys: Vec<u32>,
+    pub values: Vec<u32>,
     pub tile_counts: Vec<u32>,
+}
+
+/// No order is kept: what the stages are given where there is none.
+pub struct Unranked {
+    view_orders: Buffer<ViewOrder>,
+    ranks: Buffer<u32>,
+    lists: RankLists,
+}
+
+impl Unranked {
+    pub fn new(gpu: &Validated) -> Self {
+        Self {
+            view_orders: upload(gpu, &[ViewOrder::default(); 32]),
+            ranks: upload(gpu, &[]),
+            lists: RankLists::new(gpu, 0, 0).unwrap(),
+        }
+    }
+
+    pub fn ranked(&self) -> Ranked<'_> {
+        Ranked { view_orders: &self.view_orders, ranks: &self.ranks, lists: &self.lists }
+    }
 }
 
 /// The splats to be projected: a bit each, and where each list of them begins.
@@ -209,6 +232,7 @@ impl Scene {
             footprints: vec![[0.0; 4]; 2 * room],
             colours: vec![[0.0; 4]; room],
             keys: vec![0; room],
+            values: vec![0; room],
             tile_counts: vec![0; room],
         };
         twins::project(
@@ -223,6 +247,7 @@ impl Scene {
             &mut out.footprints,
             &mut out.colours,
             &mut out.keys,
+            &mut out.values,
             &mut out.tile_counts,
             Variant::of(rules),
             sh_degree,

@@ -1,10 +1,10 @@
 //! `sort_count.comp`, `sort_scan.comp` and `sort_scatter.comp`: a stable sort.
 
-use decouplegs::render::layout::Needs;
-use decouplegs::render::stages::{Arguments, RadixSort, SortCount, SortInput, SortScratch};
+use decouplegs::render::layout::SortSegment;
+use decouplegs::render::stages::{RadixSort, SEGMENTS_MAX, SortInput, SortScratch};
 use decouplegs::render::twins;
 
-use super::{Random, UNTOUCHED, control, identical, open, run, sort_shape};
+use super::{Random, identical, open, run, sort_shape, upload};
 use crate::device::Validated;
 
 /// A sort that is built once and runs on many inputs.
@@ -13,18 +13,22 @@ struct Sorter {
     sort: RadixSort,
 }
 
-/// What to sort: the first `count` of `keys`, by their low `bits`, with these values or their places.
+/// What to sort: lists of so many keys one behind the other in `keys`, by their low `bits`, with these values or their places.
 struct Input {
     keys: Vec<u32>,
     values: Option<Vec<u32>>,
-    count: usize,
+    lists: Vec<usize>,
     bits: u32,
 }
 
 impl Input {
-    /// All of `keys` by all 32 bits, with their places as values.
+    /// All of `keys` as one list by all 32 bits, with their places as values.
     fn of(keys: Vec<u32>) -> Self {
-        Self { count: keys.len(), keys, values: None, bits: 32 }
+        Self { lists: vec![keys.len()], keys, values: None, bits: 32 }
+    }
+
+    fn values(&self) -> Vec<u32> {
+        self.values.clone().unwrap_or_else(|| (0..self.keys.len() as u32).collect())
     }
 }
 
@@ -39,42 +43,47 @@ impl Sorter {
         sort_shape(&self.gpu).block() as usize
     }
 
+    /// The lists as the device is told of them, and how many blocks they have.
+    fn segments(&self, lists: &[usize]) -> (Vec<SortSegment>, u32) {
+        let (mut first, mut first_block) = (0, 0);
+        let segment = |&count: &usize| {
+            let segment = SortSegment { first, count: count as u32, first_block };
+            first += count as u32;
+            first_block += count.div_ceil(self.block()) as u32;
+            segment
+        };
+        let segments = lists.iter().map(segment).collect();
+        (segments, first_block)
+    }
+
     /// The keys and values that the kernels leave.
-    fn sort(&self, input: &Input, which: SortCount) -> (Vec<u32>, Vec<u32>) {
+    fn sort(&self, input: &Input) -> (Vec<u32>, Vec<u32>) {
         let gpu = &self.gpu;
-        let shape = sort_shape(gpu);
-        let count = input.count as u32;
-        let needs = match which {
-            SortCount::Records => Needs { records: count, pairs: UNTOUCHED, ..Needs::default() },
-            SortCount::Pairs => Needs { records: UNTOUCHED, pairs: count, ..Needs::default() },
-        };
-        let arguments = match which {
-            SortCount::Records => Arguments::SortRecords,
-            SortCount::Pairs => Arguments::SortPairs,
-        };
-        let held = input.count.min(input.keys.len());
-        let control = control(gpu, needs, &[(arguments, held.div_ceil(self.block()))]);
-        let scratch = SortScratch::new(gpu, shape, input.keys.len()).unwrap();
+        let scratch = SortScratch::new(gpu, sort_shape(gpu), input.keys.len()).unwrap();
         gpu.write(&scratch.keys[0], 0, &input.keys).unwrap();
-        if let Some(values) = &input.values {
-            gpu.write(&scratch.values[0], 0, values).unwrap();
-        }
+        gpu.write(&scratch.values[0], 0, &input.values()).unwrap();
+        let (segments, blocks) = self.segments(&input.lists);
+        let (segment_buffer, groups) = (upload(gpu, &segments), upload(gpu, &[0u32, blocks, 1, 1]));
+        let sort_input = SortInput {
+            segments: &segment_buffer,
+            segment_count: segments.len(),
+            arguments: groups.binding(),
+            arguments_offset: 4,
+            first: 0,
+        };
         let mut sorted = 0;
-        let sort_input = SortInput { count: which, max: input.keys.len(), first: 0, index_values: input.values.is_none() };
-        run(gpu, |r| sorted = self.sort.record(r, &scratch, &control, sort_input, input.bits));
-        let first = |buffer| gpu.read(buffer).unwrap()[..held].to_vec();
-        (first(&scratch.keys[sorted]), first(&scratch.values[sorted]))
+        run(gpu, |r| sorted = self.sort.record(r, &scratch, sort_input, input.bits));
+        (gpu.read(&scratch.keys[sorted]).unwrap(), gpu.read(&scratch.values[sorted]).unwrap())
+    }
+
+    fn twin(&self, input: &Input) -> (Vec<u32>, Vec<u32>) {
+        let (mut keys, mut values) = (input.keys.clone(), input.values());
+        twins::sort(&self.segments(&input.lists).0, &mut keys, &mut values, input.bits);
+        (keys, values)
     }
 
     fn compare(&self, what: &str, input: &Input) {
-        self.compare_as(what, input, SortCount::Records);
-    }
-
-    fn compare_as(&self, what: &str, input: &Input, which: SortCount) {
-        let kernel = self.sort(input, which);
-        let held = input.count.min(input.keys.len());
-        let twin = twins::sort(held, &input.keys, input.values.as_deref(), input.bits);
-        check(&kernel, &twin).unwrap_or_else(|error| panic!("{what}: {error}"));
+        check(&self.sort(input), &self.twin(input)).unwrap_or_else(|error| panic!("{what}: {error}"));
     }
 }
 
@@ -126,7 +135,7 @@ fn equal_keys_keep_their_order() {
     let count = 4 * sorter.block() + 9;
     let mut random = Random(3);
     let input = Input::of((0..count).map(|_| random.below(5) << 20).collect());
-    let (sorted, values) = sorter.sort(&input, SortCount::Records);
+    let (sorted, values) = sorter.sort(&input);
     assert!(sorted.is_sorted());
     for i in 1..count {
         assert!(sorted[i - 1] < sorted[i] || values[i - 1] < values[i], "places {} and {} are swapped", values[i - 1], values[i]);
@@ -147,13 +156,17 @@ fn any_number_of_bits_with_values_or_places() {
 }
 
 #[test]
-fn the_count_is_the_one_asked_for_and_no_more_than_there_is_room() {
+fn lists_side_by_side_stay_apart() {
     let sorter = Sorter::new();
-    for count in [0, 5, 2000, 2999, 3000, 3001, 1_000_000] {
-        let input = Input { count, values: Some(keys(3000, 5)), ..Input::of(keys(3000, 4)) };
-        for which in [SortCount::Records, SortCount::Pairs] {
-            sorter.compare_as(&format!("{count} keys, room for 3000"), &input, which);
-        }
+    let block = sorter.block();
+    for lists in [
+        vec![0, 0, 5],
+        vec![7, 0, 0],
+        vec![0, 3 * block + 1, 0, block, 0, 0, 2, block - 1, 0],
+        (0..SEGMENTS_MAX).map(|i| i * 37 % 700).collect(),
+    ] {
+        let count = lists.iter().sum();
+        sorter.compare(&format!("{lists:?}"), &Input { lists, ..Input::of(keys(count, count as u64)) });
     }
 }
 
@@ -161,8 +174,8 @@ fn the_count_is_the_one_asked_for_and_no_more_than_there_is_room() {
 fn one_swapped_value_is_seen() {
     let sorter = Sorter::new();
     let input = Input::of(vec![7; 600]);
-    let kernel = sorter.sort(&input, SortCount::Records);
-    let mut swapped = twins::sort(600, &input.keys, None, 32);
+    let kernel = sorter.sort(&input);
+    let mut swapped = sorter.twin(&input);
     check(&kernel, &swapped).unwrap();
     swapped.1.swap(254, 255);
     assert!(check(&kernel, &swapped).unwrap_err().contains("value 254 is 254"));

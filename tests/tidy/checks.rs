@@ -4,7 +4,18 @@ use super::Finding;
 use super::tree::{SourceFile, Tree};
 
 /// Kernels that belong to a stage of another name, as `(kernel, stage)`: a stage of several dispatches has one file.
-const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[("sort_count", "sort"), ("sort_scan", "sort"), ("sort_scatter", "sort")];
+const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
+    ("sort_count", "sort"),
+    ("sort_scan", "sort"),
+    ("sort_scatter", "sort"),
+    ("cull_agents", "agents"),
+    ("project_agents", "agents"),
+    ("key_splats", "ranks"),
+    ("rank_splats", "ranks"),
+    ("count_ranks", "ranks"),
+    ("check_order", "repair_order"),
+    ("restore_order", "repair_order"),
+];
 
 /// What of ours the crate of a `Cargo.toml` may use.
 const MAY_USE: &[(&str, &[&str])] = &[

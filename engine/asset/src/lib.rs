@@ -1,4 +1,4 @@
-//! How a world is stored: splat files, cameras and scene files.
+//! How a world is stored: splat files, compressed assets, cameras and scene files.
 //!
 //! One module a format. Each reader takes bytes that anyone may have written: it returns a [`DecodeError`] and neither
 //! panics nor allocates by a count that the bytes do not cover. Each writer goes through [`write_atomically`].
@@ -12,6 +12,7 @@ mod read;
 mod summary;
 
 pub mod cameras;
+pub mod coded_asset;
 pub mod compressed_ply;
 pub mod inria_ply;
 pub mod scene_file;
@@ -21,7 +22,8 @@ pub mod street;
 
 pub use atomic::write_atomically;
 pub use cameras::read_cameras;
+pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
 pub use error::{AssetError, DecodeError, EncodeError, SceneError};
 pub use read::{SplatFormat, read_splats};
-pub use scene_file::{LoadedScene, SceneAgent, SceneFile, open_scene};
+pub use scene_file::{LoadedAgent, LoadedScene, SceneAgent, SceneFile, open_scene};
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};

@@ -6,7 +6,7 @@ use decouplegs_scene::SplatCloud;
 
 use crate::error::read_bytes;
 use crate::ply::Ply;
-use crate::{AssetError, DecodeError, compressed_ply, inria_ply, splat, spz};
+use crate::{AssetError, DecodeError, coded_asset, compressed_ply, inria_ply, splat, spz};
 
 /// The formats that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +19,8 @@ pub enum SplatFormat {
     Splat,
     /// Niantic's, versions 1 to 4.
     Spz,
+    /// Our own, of codebooks; its finest level is read.
+    CodedAsset,
 }
 
 impl SplatFormat {
@@ -30,6 +32,7 @@ impl SplatFormat {
             Self::CompressedPly => "compressed PLY",
             Self::Splat => "SPLAT",
             Self::Spz => "SPZ",
+            Self::CodedAsset => coded_asset::NAME,
         }
     }
 
@@ -49,6 +52,7 @@ impl SplatFormat {
             [b'P', b'K', 3, 4, ..] => converted("a zip archive (SOG, USDZ or a checkpoint)"),
             [b'g', b'l', b'T', b'F', ..] => converted("a binary glTF"),
             _ if extension.eq_ignore_ascii_case("splat") => Ok(Self::Splat),
+            _ if extension.eq_ignore_ascii_case("safetensors") => Ok(Self::CodedAsset),
             [] => Err("the file is empty".into()),
             _ => Err(format!("neither its first bytes nor its extension '{extension}' tell a splat format")),
         }
@@ -76,6 +80,7 @@ fn decode(bytes: &[u8], format: SplatFormat) -> Result<SplatCloud, DecodeError> 
         SplatFormat::CompressedPly => compressed_ply::decode(bytes),
         SplatFormat::Splat => splat::decode(bytes),
         SplatFormat::Spz => spz::decode(bytes),
+        SplatFormat::CodedAsset => Ok(coded_asset::decode(bytes)?.cloud.decoded(0)),
     }
 }
 
@@ -89,6 +94,7 @@ mod tests {
         assert_eq!(SplatFormat::detect(b"NGSP", "bin"), Ok(SplatFormat::Spz));
         assert_eq!(SplatFormat::detect(&[0x1f, 0x8b, 8], "ply"), Ok(SplatFormat::Spz));
         assert_eq!(SplatFormat::detect(&[0; 32], "SPLAT"), Ok(SplatFormat::Splat));
+        assert_eq!(SplatFormat::detect(&[0; 32], "safetensors"), Ok(SplatFormat::CodedAsset));
         assert!(SplatFormat::detect(b"PK\x03\x04", "sog").unwrap_err().contains("SOG"));
         assert!(SplatFormat::detect(b"hello", "txt").unwrap_err().contains("'txt'"));
     }

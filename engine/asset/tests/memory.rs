@@ -7,7 +7,7 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use decouplegs_asset::{SceneFile, SplatFormat, cameras, compressed_ply, inria_ply, splat, spz};
+use decouplegs_asset::{SceneFile, SplatFormat, cameras, coded_asset, compressed_ply, inria_ply, splat, spz};
 use peak_alloc::PeakAlloc;
 
 #[global_allocator]
@@ -37,6 +37,7 @@ fn read(bytes: &[u8], format: SplatFormat) -> Option<usize> {
         SplatFormat::CompressedPly => compressed_ply::decode(bytes),
         SplatFormat::Splat => splat::decode(bytes),
         SplatFormat::Spz => spz::decode(bytes),
+        SplatFormat::CodedAsset => coded_asset::decode(bytes).map(|asset| asset.cloud.decoded(0)),
     };
     cloud.ok().map(|cloud| cloud.len())
 }
@@ -47,6 +48,7 @@ fn seeds() -> Vec<(&'static str, SplatFormat, Vec<u8>)> {
         ("inria_ply/cone.ply", SplatFormat::InriaPly),
         ("compressed_ply/cone.compressed.ply", SplatFormat::CompressedPly),
         ("splat/cone.splat", SplatFormat::Splat),
+        ("coded_asset/cone.safetensors", SplatFormat::CodedAsset),
         ("spz/cone.v1.spz", SplatFormat::Spz),
         ("spz/cone.v2.spz", SplatFormat::Spz),
         ("spz/cone.v3.spz", SplatFormat::Spz),
@@ -113,6 +115,19 @@ fn a_claim_takes_nothing_that_the_file_does_not_hold() {
                     check(what, format, &claimed);
                 }
                 (SplatFormat::Spz, Ok(count)) => check(what, format, &gzip_of_zeros(count, 300)),
+                (SplatFormat::CodedAsset, _) => {
+                    let mut claimed = bytes.clone();
+                    claimed[..8].copy_from_slice(&count.to_le_bytes());
+                    check(format!("{what} bytes of header"), format, &claimed);
+                    for (from, to) in [
+                        ("\"shape\":[16]", format!("\"shape\":[{count}]")),
+                        ("\"shape\":[16,3],\"data_offsets\":[", format!("\"shape\":[{count},3],\"data_offsets\":[")),
+                        ("\"data_offsets\":[0,", format!("\"data_offsets\":[{count},")),
+                        (",288]", format!(",{count}]")),
+                    ] {
+                        check(format!("{what} for {from}"), format, &with_header(&bytes, from, &to));
+                    }
+                }
                 // A .splat has no count, and the count of an SPZ no more bits.
                 (SplatFormat::Splat, _) | (SplatFormat::Spz, Err(_)) => {}
             }
@@ -126,6 +141,14 @@ fn a_claim_takes_nothing_that_the_file_does_not_hold() {
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Option<Vec<u8>> {
     let at = bytes.windows(from.len()).position(|window| window == from)?;
     Some([&bytes[..at], to, &bytes[at + from.len()..]].concat())
+}
+
+/// The coded asset `bytes` with the one place of its header that says `from` saying `to`, and the header's length to match.
+fn with_header(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+    let mut changed = replaced(bytes, from.as_bytes(), to.as_bytes()).expect("the header has it");
+    let length = u64::from_le_bytes(bytes[..8].try_into().unwrap()) + to.len() as u64 - from.len() as u64;
+    changed[..8].copy_from_slice(&length.to_le_bytes());
+    changed
 }
 
 #[test]
@@ -173,6 +196,24 @@ fn text_takes_a_small_multiple_of_its_length() {
         let peak = peak_bytes(|| cameras::decode(text.as_bytes()).is_ok());
         println!("cameras {start}{middle}...: {} bytes of heap a byte", peak / text.len());
         assert!(peak <= 32 * text.len(), "{start}{middle}: {peak} bytes");
+    }
+    let empty_tensor = "\"TENSOR\":{\"dtype\":\"U8\",\"shape\":[0],\"data_offsets\":[0,0]},";
+    for (start, middle) in [("{", empty_tensor), ("{\"__metadata__\":{", "\"KEY\":\"\","), ("{\"a\":", "["), ("{\"a\":[", "[],")]
+    {
+        // Every tensor and every key has a name of its own, as far as there are names.
+        let mut names = 0u32;
+        let mut text = start.to_owned();
+        while text.len() + middle.len() + 8 < MIB {
+            names += 1;
+            text.push_str(&middle.replace("TENSOR", &format!("{names:x}")).replace("KEY", &format!("{names:x}")));
+        }
+        // Once cut, once whole where it can be.
+        for text in [text.clone(), format!("{}}}}}", text.trim_end_matches(',')), format!("{}}}", text.trim_end_matches(','))] {
+            let file = [&(text.len() as u64).to_le_bytes(), text.as_bytes()].concat();
+            let peak = peak_bytes(|| coded_asset::decode(&file).is_ok());
+            println!("coded asset {start}{middle}...: {} bytes of heap a byte", peak / file.len());
+            assert!(peak <= 32 * file.len(), "{start}{middle}: {peak} bytes");
+        }
     }
     for (start, middle) in [("a = [", "0,"), ("a = ", "["), ("", "[[rig]]\n"), ("", "[[a]]\n"), ("a = ", "{a="), ("a", ".a")] {
         let text = of(start, middle);

@@ -11,6 +11,29 @@ pub enum RenderError {
     /// A camera that cannot make a picture, or too many of them.
     #[error("{0}")]
     View(String),
+    /// An asset that cannot be drawn.
+    #[error("the asset cannot be drawn: {0}")]
+    Asset(String),
+    /// An agent that names an asset which was removed, or is another pool's.
+    #[error("an agent shows an asset that the pool does not hold: it was removed, or added to another pool")]
+    NoSuchAsset,
+    /// An agent that stands nowhere.
+    #[error("agent with instance {instance}: its pose {pose} is not finite")]
+    AgentPose {
+        /// Its instance id.
+        instance: u16,
+        /// Where it would stand.
+        pose: String,
+    },
+    /// A frame too many.
+    #[error("{max} frames are in flight, as many as may be: finish one first")]
+    TooManyInFlight {
+        /// How many may be.
+        max: usize,
+    },
+    /// No frame to wait for.
+    #[error("no frame is in flight: submit one first")]
+    NothingInFlight,
     /// The lists kept outgrowing their buffers.
     #[error("the frame was drawn {attempts} times and still needed more room than it had: {needs}")]
     Unsettled {

@@ -1,82 +1,47 @@
 //! The frame: one function that lists the stages in the order they run, and the buffers they pass to each other.
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Recorder, Residence};
-use decouplegs_scene::{EarlyStop, Rules};
 
 use crate::capacity::{Capacity, SortShape};
-use crate::layout::{CameraRecord, Needs, View};
-use crate::output::{OutputBuffers, Outputs};
+use crate::kernels::{FrameStages, OrderStages};
+use crate::layout::{CAMERAS_MAX, CameraRecord, SortSegment};
+use crate::orders::{OrderDecision, OrderPath};
+use crate::output::Outputs;
 use crate::resident::ResidentWorld;
+use crate::slot::FrameSlot;
 use crate::stages::{
-    Blend, CompositeSegments, Control, CountPairs, Cull, EmitPairs, FindRanges, PURPOSE, Pairs, Partials, Plan, PlanSegments,
-    Project, ProjectVariant, Projected, RadixSort, Scan, SortCount, SortInput, SortScratch, Visible,
+    AgentCounts, Arguments, Control, OrderPlan, PURPOSE, Pairs, Partials, Plan, Projected, RankLists, Ranked, SortInput,
+    SortScratch, StaticLists, Visible,
 };
-
-/// Longer segments are no segments.
-const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
 
 /// All of a depth key: see `depth_key.glsl`.
 const DEPTH_KEY_BITS: u32 = 32;
-
-/// The kernels of a frame, built once for a set of rules and outputs and a kind of world.
-pub(crate) struct Stages {
-    cull: Cull,
-    scan: Scan,
-    project: Project,
-    sort: RadixSort,
-    count_pairs: CountPairs,
-    emit_pairs: EmitPairs,
-    find_ranges: FindRanges,
-    plan_segments: PlanSegments,
-    blend: Blend,
-    composite: CompositeSegments,
-}
-
-impl Stages {
-    pub(crate) fn new(
-        gpu: &Gpu,
-        rules: &Rules,
-        outputs: &Outputs,
-        variant: ProjectVariant,
-        segment_pairs: u32,
-        sort: SortShape,
-    ) -> Result<Self, GpuError> {
-        // Whether a pixel stops before a splat depends on all splats before it: such lists are not cut.
-        let whole = rules.stop == EarlyStop::Exclusive || segment_pairs > SEGMENT_PAIRS_MAX;
-        let segment_pairs = if whole { u32::MAX } else { segment_pairs.max(1) };
-        Ok(Self {
-            cull: Cull::new(gpu, rules)?,
-            scan: Scan::new(gpu, sort.block())?,
-            project: Project::new(gpu, rules, variant)?,
-            sort: RadixSort::new(gpu, sort)?,
-            count_pairs: CountPairs::new(gpu)?,
-            emit_pairs: EmitPairs::new(gpu, sort.block())?,
-            find_ranges: FindRanges::new(gpu)?,
-            plan_segments: PlanSegments::new(gpu, segment_pairs)?,
-            blend: Blend::new(gpu, rules, outputs)?,
-            composite: CompositeSegments::new(gpu, outputs)?,
-        })
-    }
-}
 
 /// What the size of a frame's buffers depends on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameShape {
     pub capacity: Capacity,
     pub cameras: usize,
+    /// Splats of the background.
+    pub splats: usize,
+    /// Its chunks.
     pub chunks: usize,
     pub bins: u32,
-    pub pixels: usize,
+    /// Whether orders are kept.
+    pub ranked: bool,
 }
 
-/// The buffers of a frame.
+/// The buffers of a frame that only the device sees: frames in flight share them, as they run one after the other.
 pub(crate) struct FrameBuffers {
     pub shape: FrameShape,
     control: Control,
-    staged_cameras: Buffer<CameraRecord>,
     cameras: Buffer<CameraRecord>,
     visible: Visible,
     firsts: Buffer<u32>,
+    rank_lists: RankLists,
+    order_plan: OrderPlan,
+    /// All splats of the background, as the radix sort takes them, and the workgroups that it needs for them.
+    all_splats: (Buffer<SortSegment>, Buffer<[u32; 3]>),
     projected: Projected,
     /// First records by depth, then pairs by macro tile.
     sort: SortScratch,
@@ -84,89 +49,257 @@ pub(crate) struct FrameBuffers {
     range_firsts: Buffer<u32>,
     plan: Plan,
     partials: Partials,
-    pub pictures: OutputBuffers,
-    pub found_needs: Buffer<Needs>,
 }
 
 impl FrameBuffers {
-    pub(crate) fn new(gpu: &Gpu, shape: FrameShape, outputs: &Outputs, sort: SortShape) -> Result<Self, GpuError> {
-        let FrameShape { capacity, cameras, chunks, bins, pixels } = shape;
+    pub fn new(gpu: &Gpu, shape: FrameShape, outputs: &Outputs, sort: SortShape) -> Result<Self, GpuError> {
+        let FrameShape { capacity, cameras, splats, chunks, bins, ranked } = shape;
         let device = Residence::Device;
+        let keys = capacity.records.max(capacity.pairs).max(if ranked { splats } else { 0 });
+        let all = SortSegment { first: 0, count: splats as u32, first_block: 0 };
+        let blocks = crate::capacity::groups_for(splats.div_ceil(sort.block() as usize));
         Ok(Self {
             shape,
             control: Control::new(gpu)?,
-            staged_cameras: gpu.buffer("staged_cameras", PURPOSE, cameras, Residence::Upload)?,
             cameras: gpu.buffer("cameras", PURPOSE, cameras, device)?,
             visible: Visible::new(gpu, cameras, chunks)?,
-            firsts: gpu.buffer("firsts", PURPOSE, cameras * chunks, device)?,
+            firsts: gpu.buffer("firsts", PURPOSE, cameras * chunks + 1, device)?,
+            rank_lists: if ranked { RankLists::new(gpu, cameras, chunks)? } else { RankLists::new(gpu, 0, 0)? },
+            order_plan: OrderPlan::new(gpu)?,
+            all_splats: (gpu.upload("all_splats", PURPOSE, &[all])?, gpu.upload("all_splat_blocks", PURPOSE, &[blocks])?),
             projected: Projected::new(gpu, capacity.records)?,
-            sort: SortScratch::new(gpu, sort, capacity.records.max(capacity.pairs))?,
+            sort: SortScratch::new(gpu, sort, keys)?,
             pair_counts: gpu.buffer("pair_counts", PURPOSE, capacity.pair_blocks(), device)?,
             range_firsts: gpu.buffer("range_firsts", PURPOSE, bins as usize + 1, device)?,
             plan: Plan::new(gpu, &capacity, bins)?,
             partials: Partials::new(gpu, capacity.partials, outputs)?,
-            pictures: OutputBuffers::new(gpu, pixels, outputs)?,
-            found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
         })
     }
 
-    /// Hands the cameras to the next frame. The one before must be done.
-    pub(crate) fn set_cameras(&self, view: &View) {
-        self.staged_cameras.write_host(0, &view.cameras);
+    fn static_lists(&self) -> StaticLists<'_> {
+        StaticLists {
+            camera_count: self.shape.cameras,
+            chunk_count: self.shape.chunks,
+            firsts: &self.firsts,
+            records_max: self.shape.capacity.records,
+        }
     }
 }
 
-/// Records the frame that draws `world` for the cameras in `frame`.
-pub(crate) fn record_frame(recorder: &mut Recorder, stages: &Stages, world: &ResidentWorld, frame: &FrameBuffers) {
-    let FrameShape { capacity, cameras: camera_count, chunks, bins, .. } = frame.shape;
-    let (control, cameras) = (&frame.control, &frame.cameras);
+/// What a frame draws, beside the agents, which are in its slot.
+#[derive(Clone, Copy)]
+pub(crate) struct FrameInput<'a> {
+    pub world: &'a ResidentWorld,
+    pub orders: &'a OrderDecision,
+    pub ranks: &'a Buffer<u32>,
+    pub agents: Option<AgentCounts>,
+}
 
-    recorder.stage("begin", |r| {
-        r.copy(&frame.staged_cameras, 0, cameras, 0, camera_count);
-        r.fill(control.needs.binding(), 0, control.needs.byte_len(), 0);
-        let transmittances = &frame.partials.transmittances;
-        r.fill(transmittances.binding(), 0, transmittances.byte_len(), 0);
-        r.fill(control.arguments.binding(), 0, control.arguments.byte_len(), 0);
+/// Records the agents' part of a frame, which needs nothing of the frame before it.
+pub(crate) fn record_agents(recorder: &mut Recorder, stages: &FrameStages<'_>, slot: &FrameSlot, counts: AgentCounts) {
+    let (Some(agents), Some(pool)) = (stages.agents, slot.pool()) else { return };
+    recorder.stage("agents", |r| {
+        slot.copy_agents(r, counts);
+        agents.cull.record(r, pool, &slot.agents, counts);
+        let AgentCounts { cameras, chunks, .. } = counts;
+        stages.common.scan.record(r, &slot.agents.visible.counts, &slot.agents.firsts, cameras * chunks);
     });
-    recorder.stage("cull", |r| stages.cull.record(r, world, cameras, camera_count, &frame.visible));
+}
+
+/// Records the frame that draws `input` for the cameras in `slot`.
+pub(crate) fn record_frame(
+    recorder: &mut Recorder,
+    stages: &FrameStages<'_>,
+    frame: &FrameBuffers,
+    slot: &FrameSlot,
+    input: FrameInput<'_>,
+) {
+    record_begin(recorder, frame, slot, input);
+    if let (Some((camera, set)), Some(orders)) = (input.orders.find, stages.orders) {
+        recorder.stage("find order", |r| find_order(r, stages, orders, frame, input, camera, set));
+    }
+    record_projection(recorder, stages, frame, slot, input);
+    let sorted = record_order(recorder, stages, frame, slot, input);
+    record_pictures(recorder, stages, frame, slot, input, sorted);
+}
+
+/// Hands over what the host wrote, and empties what is counted.
+fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot, input: FrameInput<'_>) {
+    let (control, plan) = (&frame.control, &frame.order_plan);
+    let ranked = input.orders.is_ranked();
+    recorder.stage("begin", |r| {
+        let cameras = frame.shape.cameras;
+        r.copy(&slot.staged_cameras, 0, &frame.cameras, 0, cameras);
+        r.copy(&slot.staged_orders, 0, &plan.view_orders, 0, cameras);
+        let transmittances = &frame.partials.transmittances;
+        let emptied = [
+            (control.needs.binding(), control.needs.byte_len()),
+            (control.arguments.binding(), control.arguments.byte_len()),
+            (control.pair_segment.binding(), control.pair_segment.byte_len()),
+            (plan.inversions.binding(), plan.inversions.byte_len()),
+            (transmittances.binding(), transmittances.byte_len()),
+        ];
+        for (buffer, bytes) in emptied {
+            r.fill(buffer, 0, bytes, 0);
+        }
+        if ranked {
+            r.fill(frame.rank_lists.words.binding(), 0, frame.rank_lists.words.byte_len(), 0);
+        }
+        if input.agents.is_none() {
+            r.fill(slot.agents.firsts.binding(), 0, 4, 0);
+        }
+    });
+}
+
+/// Sorts all splats of the background along the direction of `camera` and keeps their ranks as set `set`.
+fn find_order(
+    r: &mut Recorder,
+    stages: &FrameStages<'_>,
+    orders: &OrderStages,
+    frame: &FrameBuffers,
+    input: FrameInput<'_>,
+    camera: usize,
+    set: usize,
+) {
+    orders.ranks.record_keys(r, input.world, &frame.cameras, camera, &frame.sort);
+    let (segments, blocks) = &frame.all_splats;
+    let all = SortInput { segments, segment_count: 1, arguments: blocks.binding(), arguments_offset: 0, first: 0 };
+    let sorted = stages.common.sort.record(r, &frame.sort, all, DEPTH_KEY_BITS);
+    orders.ranks.record_ranks(r, &frame.sort.values[sorted], input.world.splats, input.ranks, set);
+}
+
+/// From splats to records: those of the background, then those of agents.
+fn record_projection(
+    recorder: &mut Recorder,
+    stages: &FrameStages<'_>,
+    frame: &FrameBuffers,
+    slot: &FrameSlot,
+    input: FrameInput<'_>,
+) {
+    let FrameShape { cameras: camera_count, chunks, .. } = frame.shape;
+    let (world, cameras) = (input.world, &frame.cameras);
+    let ranked = Ranked { view_orders: &frame.order_plan.view_orders, ranks: input.ranks, lists: &frame.rank_lists };
+    let background = stages.background;
+    recorder.stage("cull", |r| background.cull.record(r, world, cameras, camera_count, &frame.visible, &ranked));
     recorder.stage("scan", |r| {
-        stages.scan.record(r, &frame.visible.counts, &frame.firsts, camera_count * chunks, capacity.records, control);
+        stages.common.scan.record(r, &frame.visible.counts, &frame.firsts, camera_count * chunks);
+        if let Some(orders) = stages.orders.filter(|_| input.orders.is_ranked()) {
+            orders.ranks.record_counts(r, &stages.common.scan, &frame.rank_lists, camera_count * chunks);
+        }
     });
     recorder.stage("project", |r| {
-        let keys = &frame.sort.keys[0];
-        stages.project.record(r, world, cameras, camera_count, &frame.visible, &frame.firsts, &frame.projected, keys);
+        let (visible, firsts) = (&frame.visible, &frame.firsts);
+        background.project.record(r, world, cameras, camera_count, visible, firsts, &frame.projected, &frame.sort, &ranked);
     });
-    let mut sorted = 0;
-    recorder.stage("sort by depth", |r| {
-        let input = SortInput { count: SortCount::Records, max: capacity.records, first: 0, index_values: true };
-        sorted = stages.sort.record(r, &frame.sort, control, input, DEPTH_KEY_BITS);
+    if let (Some(counts), Some(agents), Some(pool)) = (input.agents, stages.agents, slot.pool()) {
+        recorder.stage("project agents", |r| {
+            let lists = camera_count * chunks;
+            agents.project.record(r, pool, &slot.agents, counts, &frame.firsts, lists, &frame.projected, &frame.sort);
+        });
+    }
+}
+
+/// Brings records into front-to-back order; returns which pair of the sort's buffers holds it.
+fn record_order(
+    recorder: &mut Recorder,
+    stages: &FrameStages<'_>,
+    frame: &FrameBuffers,
+    slot: &FrameSlot,
+    input: FrameInput<'_>,
+) -> usize {
+    let (plan, control, sort) = (&frame.order_plan, &frame.control, &frame.sort);
+    let FrameShape { cameras, chunks, capacity, .. } = frame.shape;
+    let repaired = input.orders.has(OrderPath::Repaired);
+    if let Some(orders) = stages.orders.filter(|_| repaired || input.orders.has(OrderPath::Stale)) {
+        recorder.stage("repair order", |r| {
+            let lists = frame.static_lists();
+            if repaired {
+                orders.repair.record_rounds(r, lists, plan, sort, input.orders.repair_rounds);
+            }
+            orders.repair.record_check(r, lists, plan, sort);
+        });
+    }
+    let moving_chunks = input.agents.map_or(0, |counts| counts.chunks);
+    recorder.stage("plan order", |r| {
+        let firsts = &slot.agents.firsts;
+        stages.common.plan_order.record(
+            r,
+            cameras,
+            &frame.firsts,
+            chunks,
+            firsts,
+            moving_chunks,
+            capacity.records,
+            plan,
+            control,
+        );
     });
-    // The order is one pair of the sort's buffers; the other is free again, for the pairs.
-    let (order, free) = (&frame.sort.values[sorted], 1 - sorted);
+    if input.agents.is_some() || input.orders.sorts() {
+        recorder.stage("sort by depth", |r| {
+            if let Some(orders) = stages.orders.filter(|_| repaired) {
+                orders.repair.record_restore(r, cameras, plan, sort, control);
+            }
+            let records = SortInput {
+                segments: &plan.segments,
+                segment_count: 2 * cameras,
+                arguments: control.arguments.binding(),
+                arguments_offset: Arguments::SortRecords.byte_offset(),
+                first: 0,
+            };
+            let sorted = stages.common.sort.record(r, sort, records, DEPTH_KEY_BITS);
+            assert!(sorted == 0, "lists that need no sort stand in the first buffers, and so must the sorted ones");
+        });
+    }
+    let Some(agents) = stages.agents.filter(|_| input.agents.is_some()) else { return 0 };
+    recorder.stage("merge", |r| {
+        agents.merge.record(r, cameras, plan, &sort.keys[0], &sort.values[0], &sort.values[1], control);
+    });
+    1
+}
+
+/// From ordered records to pictures.
+fn record_pictures(
+    recorder: &mut Recorder,
+    stages: &FrameStages<'_>,
+    frame: &FrameBuffers,
+    slot: &FrameSlot,
+    input: FrameInput<'_>,
+    ordered: usize,
+) {
+    let FrameShape { capacity, cameras: camera_count, bins, .. } = frame.shape;
+    let (control, cameras, stages) = (&frame.control, &frame.cameras, stages.common);
+    // The order is in one pair of the sort's buffers; the other is free again, for the pairs.
+    let (order, free) = (&frame.sort.values[ordered], 1 - ordered);
     recorder.stage("emit pairs", |r| {
         let pairs = Pairs { bins: &frame.sort.keys[free], records: &frame.sort.values[free] };
-        let (firsts, projected) = (&frame.firsts, &frame.projected);
+        let (lists, projected) = (&frame.order_plan.lists, &frame.projected);
         stages.count_pairs.record(r, control, order, projected, &frame.pair_counts);
-        stages.emit_pairs.record(r, control, cameras, camera_count, chunks, firsts, order, projected, &frame.pair_counts, &pairs);
+        stages.emit_pairs.record(r, control, cameras, camera_count, lists, order, projected, &frame.pair_counts, &pairs);
     });
     let mut binned = 0;
     recorder.stage("sort by tile", |r| {
-        let input = SortInput { count: SortCount::Pairs, max: frame.sort.keys[free].len(), first: free, index_values: false };
-        binned = stages.sort.record(r, &frame.sort, control, input, bits_for(bins));
+        let pairs = SortInput {
+            segments: &control.pair_segment,
+            segment_count: 1,
+            arguments: control.arguments.binding(),
+            arguments_offset: Arguments::SortPairs.byte_offset(),
+            first: free,
+        };
+        binned = stages.sort.record(r, &frame.sort, pairs, bits_for(bins));
     });
     recorder.stage("plan", |r| {
         stages.find_ranges.record(r, control, &frame.sort.keys[binned], &frame.range_firsts, bins);
         stages.plan_segments.record(r, control, &frame.range_firsts, bins, &capacity, &frame.plan);
     });
-    let (plan, partials, pictures) = (&frame.plan, &frame.partials, &frame.pictures);
+    let (plan, partials, pictures, sky) = (&frame.plan, &frame.partials, &slot.pictures, input.world.sky);
     recorder.stage("blend", |r| {
-        let records = &frame.sort.values[binned];
-        let projected = &frame.projected;
-        stages.blend.record(r, control, cameras, camera_count, world.sky, plan, records, projected, partials, pictures);
+        let (records, projected) = (&frame.sort.values[binned], &frame.projected);
+        stages.blend.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, pictures);
     });
     recorder.stage("composite", |r| {
-        stages.composite.record(r, control, cameras, camera_count, world.sky, plan, partials, pictures);
-        r.copy(&control.needs, 0, &frame.found_needs, 0, 1);
+        stages.composite.record(r, control, cameras, camera_count, sky, plan, partials, pictures);
+        r.copy(&control.needs, 0, &slot.found_needs, 0, 1);
+        r.copy(&frame.order_plan.inversions, 0, &slot.found_inversions, 0, CAMERAS_MAX);
     });
 }
 

@@ -4,7 +4,7 @@
 //! offsets are those of `repr(C)`.
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::{Camera, Rules, rules};
+use decouplegs_scene::{Camera, Pose, Rules, rules};
 use glam::{DMat3, DVec3};
 
 /// Splats a chunk: culled as one, one workgroup of `cull` and `project`.
@@ -20,7 +20,7 @@ pub const PAIR_BLOCK: usize = 1024;
 /// Entries that one workgroup of `scan` takes.
 pub const SCAN_BLOCK: usize = 1024;
 /// Indirect dispatches of a frame.
-pub const ARGUMENT_SETS: usize = 6;
+pub const ARGUMENT_SETS: usize = 8;
 /// Cameras that one submission can draw.
 pub const CAMERAS_MAX: usize = 32;
 
@@ -52,6 +52,10 @@ pub struct CameraRecord {
     pub size_px: [u32; 2],
     /// Macro tiles along x and y.
     pub macro_tiles: [u32; 2],
+    /// What a depth relative to the world's origin has before it is scaled: the value as f32, and what rounding left.
+    pub key_offset: [f32; 2],
+    /// A power of two that takes such a depth between -1 and 1.
+    pub key_scale: f32,
     /// Index of the camera's first macro tile among all cameras'.
     pub first_bin: u32,
     /// Index of the camera's first pixel in the output buffers.
@@ -59,9 +63,10 @@ pub struct CameraRecord {
 }
 
 impl CameraRecord {
-    /// The record of `camera` in a world with the given `origin`; bins and pixels begin where the arguments say.
+    /// The record of `camera` in a world with the given `origin`, whose depths are scaled by `key_scale`; bins and pixels begin
+    /// where the arguments say.
     #[must_use]
-    pub fn new(camera: &Camera, origin: DVec3, first_bin: u32, first_pixel: u32) -> Self {
+    pub fn new(camera: &Camera, origin: DVec3, key_scale: f32, first_bin: u32, first_pixel: u32) -> Self {
         let k = &camera.intrinsics;
         let size = DVec3::new(f64::from(k.width_px), f64::from(k.height_px), 0.0);
         let margin = |size: f64, focal: f64| rules::JACOBIAN_MARGIN * 0.5 * size / focal;
@@ -88,8 +93,26 @@ impl CameraRecord {
             ],
             size_px: [k.width_px, k.height_px],
             macro_tiles: [k.width_px.div_ceil(MACRO_WIDTH_PX), k.height_px.div_ceil(MACRO_HEIGHT_PX)],
+            key_offset: [0.0; 2],
+            key_scale,
             first_bin,
             first_pixel,
+        }
+    }
+
+    /// This camera as the splats of an agent see it, which stands at `world_from_agent`: the picture and the depth keys of a
+    /// splat are the same whether it is moved into the world or the camera into the agent's frame. `camera` and `origin` are
+    /// those that the record was made of.
+    #[must_use]
+    pub fn moved_into(&self, camera: &Camera, origin: DVec3, world_from_agent: &Pose) -> Self {
+        let agent_from_camera = world_from_agent.inverse().then(&camera.world_from_camera);
+        let local = Camera { world_from_camera: agent_from_camera, ..camera.clone() };
+        let forward = DMat3::from_quat(camera.world_from_camera.rotation.normalize()).z_axis;
+        let offset = forward.dot(world_from_agent.translation - origin) * f64::from(self.key_scale);
+        let high = offset as f32;
+        Self {
+            key_offset: [high, (offset - f64::from(high)) as f32],
+            ..Self::new(&local, DVec3::ZERO, self.key_scale, self.first_bin, self.first_pixel)
         }
     }
 
@@ -104,6 +127,14 @@ impl CameraRecord {
     pub fn pixels(&self) -> usize {
         self.size_px[0] as usize * self.size_px[1] as usize
     }
+}
+
+/// The largest power of two that takes depths of up to `reach_m` between -1 and 1, and no f32 out of its range.
+#[must_use]
+pub fn key_scale(reach_m: f64) -> f32 {
+    // A sixteenth more: what rounding adds stays below 1 as well.
+    let exponent = (reach_m.max(1e-30) * 1.0625).log2().ceil().clamp(-100.0, 100.0);
+    (-exponent).exp2() as f32
 }
 
 /// The near plane as the shaders compare with it: the smallest f32 that is not nearer than the rules', so that f32 depths
@@ -142,6 +173,97 @@ pub struct Needs {
     pub composites: u32,
     /// Pairs of the macro tile that has most.
     pub longest: u32,
+}
+
+/// `SortSegment` of `frame.glsl`: one list that the radix sort orders by itself, in place.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct SortSegment {
+    /// Its first place.
+    pub first: u32,
+    /// Its length.
+    pub count: u32,
+    /// Its first block of the sort, counted over all segments.
+    pub first_block: u32,
+}
+
+/// How a camera's background list comes into order; `ORDER_*` of `frame.glsl`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OrderStep {
+    /// By the radix sort.
+    Sorted = 0,
+    /// As the ranks say.
+    Kept = 1,
+    /// As the ranks say, put right and proved.
+    Repaired = 2,
+}
+
+/// `ViewOrder` of `frame.glsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct ViewOrder {
+    /// An [`OrderStep`].
+    pub path: u32,
+    /// Whose ranks.
+    pub rank_set: u32,
+}
+
+/// `ViewLists` of `frame.glsl`: where the records of a camera lie.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct ViewLists {
+    /// Its first record of the background.
+    pub first_static: u32,
+    /// How many there are.
+    pub static_count: u32,
+    /// Its first record of agents.
+    pub first_moving: u32,
+    /// How many there are.
+    pub moving_count: u32,
+    /// Where both together begin in the merged order.
+    pub first_ordered: u32,
+    /// Its first block of `merge_order`, counted over all cameras.
+    pub first_block: u32,
+}
+
+/// `Agent` of `agent.glsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct AgentRecord {
+    /// World from agent rotation, first row.
+    pub row_x: [f32; 3],
+    /// Second row.
+    pub row_y: [f32; 3],
+    /// Third row.
+    pub row_z: [f32; 3],
+    /// Lower corner of the position grid.
+    pub box_min_m: [f32; 3],
+    /// From one place of it to the next.
+    pub box_step_m: [f32; 3],
+    /// Of luma, orange and green.
+    pub dc_residual_step: [f32; 3],
+    /// Binary logarithm of the smallest size.
+    pub log2_size_min: f32,
+    /// And of the ratio between two.
+    pub log2_size_step: f32,
+    /// First chunk among those of all agents of the frame.
+    pub first_chunk: u32,
+    /// First box of its level of detail in the pool.
+    pub first_bounds: u32,
+    /// First splat in the pool.
+    pub first_splat: u32,
+    /// Splats of its level of detail.
+    pub splat_count: u32,
+    /// First shape in the pool.
+    pub first_shape: u32,
+    /// First colour in the pool.
+    pub first_colour: u32,
+    /// A bit each camera that may see it.
+    pub cameras: u32,
+    /// Its instance id.
+    pub instance: u32,
+    /// 1 where colours are not turned with it.
+    pub colours_in_world: u32,
 }
 
 /// `Item` of `frame.glsl`: one segment of one macro tile's list.
@@ -187,14 +309,15 @@ pub struct View {
 }
 
 impl View {
-    /// Lays out the pictures of `cameras` one after the other.
+    /// Lays out the pictures of `cameras` one after the other; depths up to `reach_m` from the world's `origin` are told apart.
     ///
     /// # Errors
     /// A sentence when there is no camera, too many, or one that cannot make a picture.
-    pub fn new(cameras: &[Camera], origin: DVec3) -> Result<Self, String> {
+    pub fn new(cameras: &[Camera], origin: DVec3, reach_m: f64) -> Result<Self, String> {
         if cameras.is_empty() || cameras.len() > CAMERAS_MAX {
             return Err(format!("{} cameras were given; a frame draws 1 to {CAMERAS_MAX}", cameras.len()));
         }
+        let key_scale = key_scale(reach_m);
         let mut view = Self { cameras: Vec::with_capacity(cameras.len()), bins: 0, pixels: 0 };
         for camera in cameras {
             camera.intrinsics.check().map_err(|reason| format!("camera {}: {reason}", camera.name))?;
@@ -204,7 +327,7 @@ impl View {
             }
             let first_pixel =
                 u32::try_from(view.pixels).map_err(|_| format!("camera {}: more than 2^32 pixels in one frame", camera.name))?;
-            let record = CameraRecord::new(camera, origin, view.bins, first_pixel);
+            let record = CameraRecord::new(camera, origin, key_scale, view.bins, first_pixel);
             view.bins += record.bins();
             view.pixels += record.pixels();
             view.cameras.push(record);
@@ -216,7 +339,7 @@ impl View {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use decouplegs_scene::{Intrinsics, Pose};
+    use decouplegs_scene::Intrinsics;
 
     fn camera(width: u32, height: u32) -> Camera {
         let intrinsics = Intrinsics::from_horizontal_fov(width, height, 1.0);
@@ -225,7 +348,7 @@ mod tests {
 
     #[test]
     fn pictures_lie_one_after_the_other() {
-        let view = View::new(&[camera(65, 33), camera(1, 1)], DVec3::ZERO).unwrap();
+        let view = View::new(&[camera(65, 33), camera(1, 1)], DVec3::ZERO, 1.0).unwrap();
         assert_eq!(view.cameras[0].macro_tiles, [2, 2]);
         assert_eq!((view.cameras[1].first_bin, view.cameras[1].first_pixel), (4, 65 * 33));
         assert_eq!((view.bins, view.pixels), (5, 65 * 33 + 1));
@@ -235,17 +358,17 @@ mod tests {
     fn a_centre_at_utm_distance_keeps_its_micrometres() {
         let mut far = camera(4, 4);
         far.world_from_camera.translation = DVec3::new(4.5e6 + 0.001, 1.0, 0.0);
-        let record = CameraRecord::new(&far, DVec3::ZERO, 0, 0);
+        let record = CameraRecord::new(&far, DVec3::ZERO, 1.0, 0, 0);
         let kept = f64::from(record.centre_high_m[0]) + f64::from(record.centre_low_m[0]);
         assert!((kept - (4.5e6 + 0.001)).abs() < 1e-7);
     }
 
     #[test]
     fn cameras_that_cannot_be_drawn_are_named() {
-        assert!(View::new(&[], DVec3::ZERO).is_err());
-        assert!(View::new(&vec![camera(4, 4); 33], DVec3::ZERO).unwrap_err().contains("33"));
+        assert!(View::new(&[], DVec3::ZERO, 1.0).is_err());
+        assert!(View::new(&vec![camera(4, 4); 33], DVec3::ZERO, 1.0).unwrap_err().contains("33"));
         let mut lost = camera(4, 4);
         lost.world_from_camera.translation.x = f64::NAN;
-        assert!(View::new(&[lost], DVec3::ZERO).unwrap_err().contains("camera c"));
+        assert!(View::new(&[lost], DVec3::ZERO, 1.0).unwrap_err().contains("camera c"));
     }
 }

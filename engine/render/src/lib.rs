@@ -4,11 +4,18 @@
 //! [`metrics`] measures one against the other. `frame.rs` lists the stages of a frame in the order they run.
 #![forbid(unsafe_code)]
 
+mod agents;
+mod asset_pool;
 mod error;
 mod frame;
+mod kernels;
+mod options;
+mod orders;
 mod output;
+mod range_allocator;
 mod renderer;
 mod resident;
+mod slot;
 
 pub mod capacity;
 pub mod layout;
@@ -19,9 +26,13 @@ pub mod sh_codec;
 pub mod stages;
 pub mod twins;
 
+pub use agents::{Agent, Scene};
+pub use asset_pool::{AssetId, AssetPool, PoolBuffers};
 pub use capacity::Capacity;
 pub use error::RenderError;
+pub use options::{FrameStatistics, RenderOptions};
+pub use orders::{OrderMode, OrderPath};
 pub use output::{ColourFormat, OutputBuffers, Outputs};
 pub use picture::Picture;
-pub use renderer::{FrameStatistics, RenderOptions, Renderer};
+pub use renderer::Renderer;
 pub use resident::ResidentWorld;

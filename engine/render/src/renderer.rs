@@ -1,18 +1,23 @@
 //! Draws worlds: the public face of the frame.
 
+use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use decouplegs_gpu::{DeviceKind, Gpu, QueueRole, StageTime};
-use decouplegs_scene::{Camera, EarlyStop, Rules, World};
+use decouplegs_gpu::{Buffer, DeviceKind, Gpu, QueueRole, Ticket};
+use decouplegs_scene::{Camera, DepthOrder, EarlyStop, World};
 
 use crate::RenderError;
+use crate::agents::{AgentList, Scene};
 use crate::capacity::{Capacity, SortShape};
-use crate::frame::{FrameBuffers, FrameShape, Stages, record_frame};
-use crate::layout::{Needs, View};
-use crate::output::Outputs;
+use crate::frame::{FrameBuffers, FrameInput, FrameShape, record_agents, record_frame};
+use crate::kernels::{FrameVariant, Kernels};
+use crate::layout::{Needs, View, near_m};
+use crate::options::{FrameStatistics, RenderOptions};
+use crate::orders::{OrderDecision, OrderPath, Orders};
 use crate::picture::Picture;
 use crate::resident::ResidentWorld;
-use crate::stages::ProjectVariant;
+use crate::slot::{FrameSlot, Pending};
+use crate::stages::{AgentCounts, ProjectVariant};
 
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
@@ -24,55 +29,20 @@ const UNCUT_PAIRS_MAX_IN_SOFTWARE: u32 = 16_000;
 /// Frames that may outgrow their buffers in a row: each list can grow once, and once more for what it hid.
 const ATTEMPTS_MAX: u32 = 6;
 
-/// How pictures are made.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RenderOptions {
-    /// The definition of a picture.
-    pub rules: Rules,
-    /// What is asked for.
-    pub outputs: Outputs,
-    /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
-    pub sh_degree_max: u8,
-    /// Macro tiles whose list is longer are blended in segments of this length (the last up to half longer), side
-    /// by side. Shorter segments balance better and take more memory: 32 KiB of partial result each. Above 2^24 lists are not
-    /// cut.
-    pub segment_pairs: u32,
-}
-
-impl Default for RenderOptions {
-    fn default() -> Self {
-        Self { rules: Rules::DEFAULT, outputs: Outputs::default(), sh_degree_max: 3, segment_pairs: 1024 }
-    }
-}
-
-/// What a frame took.
-#[derive(Clone, Debug)]
-pub struct FrameStatistics {
-    /// How many of each it listed.
-    pub needs: Needs,
-    /// How many it had room for.
-    pub capacity: Capacity,
-    /// How often it was drawn again because a list outgrew its buffer.
-    pub redrawn: u32,
-    /// GPU time from the first command to the last.
-    pub gpu_time: Duration,
-    /// GPU time by stage, in order.
-    pub stages: Vec<StageTime>,
-    /// Wall clock from the call to the finished picture, redrawing included.
-    pub wall_time: Duration,
-    /// Host time to record and submit the last drawing.
-    pub record_time: Duration,
-}
-
 /// Draws worlds on one device with one set of options. Buffers are kept from frame to frame and grow as needed.
 pub struct Renderer {
     gpu: Gpu,
     options: RenderOptions,
     sort: SortShape,
-    stages: Vec<(ProjectVariant, Stages)>,
+    kernels: Kernels,
     capacity: Option<Capacity>,
     frame: Option<FrameBuffers>,
-    view: Option<View>,
+    slots: Vec<FrameSlot>,
+    /// Slots of the frames in flight, the oldest first.
+    in_flight: VecDeque<usize>,
+    /// The slot of the frame that was finished last.
+    shown: Option<usize>,
+    orders: Option<Orders>,
 }
 
 impl Renderer {
@@ -81,7 +51,18 @@ impl Renderer {
     pub fn new(gpu: &Gpu, options: RenderOptions) -> Self {
         let limits = gpu.limits();
         let sort = SortShape::for_device(limits.subgroup_size, limits.workgroup_threads_max);
-        Self { gpu: gpu.clone(), options, sort, stages: Vec::new(), capacity: None, frame: None, view: None }
+        Self {
+            gpu: gpu.clone(),
+            options,
+            sort,
+            kernels: Kernels::new(&options.rules, &options.outputs, options.segment_pairs, sort),
+            capacity: None,
+            frame: None,
+            slots: Vec::new(),
+            in_flight: VecDeque::new(),
+            shown: None,
+            orders: None,
+        }
     }
 
     /// The device it draws on.
@@ -115,58 +96,103 @@ impl Renderer {
         ResidentWorld::upload(&self.gpu, world)
     }
 
-    /// Draws `world` for all `cameras` in one submission and waits for the pictures.
+    /// Draws `scene` for all `cameras` in one submission and waits for the pictures.
     ///
-    /// They stay on the device until the next call; [`Renderer::read_pictures`] fetches them.
+    /// They stay on the device until the next call; [`Renderer::read_pictures`] fetches them. Frames submitted before are
+    /// finished first, and what they took is dropped.
     ///
     /// # Errors
-    /// When a camera cannot make a picture, the device has not the memory or was lost.
-    pub fn render(&mut self, world: &ResidentWorld, cameras: &[Camera]) -> Result<FrameStatistics, RenderError> {
-        let start = Instant::now();
-        let view = View::new(cameras, world.origin).map_err(RenderError::View)?;
-        let stages = self.stages_for(world)?;
-        for redrawn in 0..ATTEMPTS_MAX {
-            self.fit_buffers(world, &view)?;
-            let Some(frame) = &self.frame else { unreachable!("fit_buffers made them") };
-            let record_start = Instant::now();
-            frame.set_cameras(&view);
-            let mut recorder = self.gpu.record(QueueRole::Main);
-            record_frame(&mut recorder, &self.stages[stages].1, world, frame);
-            let ticket = self.gpu.submit(recorder, &[])?;
-            let record_time = record_start.elapsed();
-            ticket.wait()?;
-            let needs = frame.found_needs.read_host()[0];
-            let capacity = frame.shape.capacity;
-            if capacity.holds(&needs) {
-                self.check_uncut_lists(&needs)?;
-                let gpu_time = Duration::from_nanos(ticket.gpu_time_ns()?);
-                let stages = ticket.stage_times()?;
-                self.view = Some(view);
-                return Ok(FrameStatistics {
-                    needs,
-                    capacity,
-                    redrawn,
-                    gpu_time,
-                    stages,
-                    wall_time: start.elapsed(),
-                    record_time,
-                });
-            }
-            self.capacity = Some(capacity.grown_to(&needs));
+    /// When a camera or an agent cannot make a picture, the device has not the memory or was lost.
+    pub fn render<'a>(&mut self, scene: impl Into<Scene<'a>>, cameras: &[Camera]) -> Result<FrameStatistics, RenderError> {
+        while !self.in_flight.is_empty() {
+            self.finish()?;
         }
-        let needs = self.frame.as_ref().map(|frame| frame.found_needs.read_host());
-        Err(RenderError::Unsettled { attempts: ATTEMPTS_MAX, needs: format!("{needs:?}") })
+        self.submit(scene, cameras)?;
+        self.finish()
     }
 
-    /// The pictures of the last frame, one a camera, in the order the cameras were given.
+    /// Submits the frame that shows `scene` to all `cameras`, and returns without waiting for it. Frames are finished in the
+    /// order submitted, by [`Renderer::finish`].
     ///
-    /// Colours of [`crate::ColourFormat::U8`] come back as multiples of 1/255. Empty before the first frame.
+    /// # Errors
+    /// Those of [`Renderer::render`], and when [`RenderOptions::frames_in_flight`] frames are in flight already.
+    pub fn submit<'a>(&mut self, scene: impl Into<Scene<'a>>, cameras: &[Camera]) -> Result<(), RenderError> {
+        let (scene, since) = (scene.into(), Instant::now());
+        let slot = self.free_slot()?;
+        let options = self.options;
+        let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?).map_err(RenderError::View)?;
+        let list = AgentList::new(&scene, cameras, &view, near_m(&options.rules), options.level_pitch_px)?;
+        let orders = match &mut self.orders {
+            Some(orders) => orders,
+            None => self.orders.insert(Orders::new(&self.gpu)?),
+        };
+        let decision = orders.decide(&self.gpu, scene.world, &view, options.order, &options.rules)?;
+        let variant = FrameVariant {
+            background: ProjectVariant {
+                sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
+                instances: scene.world.has_instances && options.outputs.instance,
+                ranked: decision.is_ranked(),
+            },
+            agents: list.as_ref().map(|list| list.sh_degree.min(options.sh_degree_max)),
+            orders: decision.is_ranked(),
+        };
+        let ranks = orders.ranks().clone();
+        let added = scene.agents.and_then(|(pool, _)| pool.last_upload().cloned());
+        self.slots[slot].set(&self.gpu, &options.outputs, view, list)?;
+        self.slots[slot].staged_orders.write_host(0, &decision.view_orders);
+        let update = self.submit_agents(slot, variant, added.as_ref())?;
+        let record_start = Instant::now();
+        let (frame, capacity) = self.submit_frame(slot, scene.world, variant, &decision, &ranks, update.as_ref())?;
+        let (world, record_time) = (scene.world.clone(), record_start.elapsed());
+        let pending = Pending { world, variant, orders: decision, ranks, frame, update, capacity, since, record_time };
+        self.slots[slot].pending = Some(pending);
+        self.in_flight.push_back(slot);
+        Ok(())
+    }
+
+    /// Waits for the oldest frame in flight, whose pictures can be read then.
+    ///
+    /// # Errors
+    /// When there is none, the device has not the memory for what the frame needed, or was lost.
+    pub fn finish(&mut self) -> Result<FrameStatistics, RenderError> {
+        let slot = self.in_flight.pop_front().ok_or(RenderError::NothingInFlight)?;
+        let Some(mut pending) = self.slots[slot].pending.take() else { return Err(RenderError::NothingInFlight) };
+        for redrawn in 0..ATTEMPTS_MAX {
+            pending.frame.wait()?;
+            let needs = self.slots[slot].found_needs.read_host()[0];
+            if pending.capacity.holds(&needs) {
+                self.check_uncut_lists(&needs)?;
+                self.shown = Some(slot);
+                return self.statistics(slot, &pending, needs, redrawn);
+            }
+            // Another frame may have grown the buffers since.
+            let capacity = self.capacity.unwrap_or(pending.capacity);
+            self.capacity = Some(capacity.grown_to(&needs));
+            let record_start = Instant::now();
+            // Frames submitted since may have taken the place of the ranks that this one was to use.
+            pending.orders = OrderDecision::sorted(pending.orders.paths.len());
+            pending.variant.orders = false;
+            pending.variant.background.ranked = false;
+            self.slots[slot].staged_orders.write_host(0, &pending.orders.view_orders);
+            let Pending { world, variant, orders, ranks, update, .. } = &pending;
+            let (frame, capacity) = self.submit_frame(slot, world, *variant, orders, ranks, update.as_ref())?;
+            (pending.frame, pending.capacity, pending.record_time) = (frame, capacity, record_start.elapsed());
+        }
+        let needs = format!("{:?}", self.slots[slot].found_needs.read_host());
+        Err(RenderError::Unsettled { attempts: ATTEMPTS_MAX, needs })
+    }
+
+    /// The pictures of the frame that was finished last, one a camera, in the order the cameras were given.
+    ///
+    /// Colours of [`crate::ColourFormat::U8`] come back as multiples of 1/255. Empty before the first frame, and once its place is taken by
+    /// a frame submitted later ([`RenderOptions::frames_in_flight`]).
     ///
     /// # Errors
     /// When the device was lost.
     pub fn read_pictures(&self) -> Result<Vec<Picture>, RenderError> {
-        let (Some(frame), Some(view)) = (&self.frame, &self.view) else { return Ok(Vec::new()) };
-        let buffers = &frame.pictures;
+        let Some(slot) = self.shown.and_then(|shown| self.slots.get(shown)) else { return Ok(Vec::new()) };
+        let Some(view) = &slot.view else { return Ok(Vec::new()) };
+        let buffers = &slot.pictures;
         let pixels: Vec<[f32; 4]> = match self.options.outputs.colour {
             crate::ColourFormat::F32 => self.gpu.read(&buffers.pictures_f32)?,
             crate::ColourFormat::U8 => {
@@ -199,37 +225,133 @@ impl Renderer {
         Ok(())
     }
 
-    /// The place in `self.stages` of the kernels for `world`, built when they are new.
-    fn stages_for(&mut self, world: &ResidentWorld) -> Result<usize, RenderError> {
-        let variant = ProjectVariant {
-            sh_degree: world.sh_degree.min(self.options.sh_degree_max),
-            instances: world.has_instances && self.options.outputs.instance,
-        };
-        if let Some(place) = self.stages.iter().position(|(built, _)| *built == variant) {
-            return Ok(place);
+    fn statistics(&mut self, slot: usize, pending: &Pending, needs: Needs, redrawn: u32) -> Result<FrameStatistics, RenderError> {
+        let found = self.slots[slot].found_inversions.read_host();
+        let mut orders = pending.orders.paths.clone();
+        for (path, &inversions) in orders.iter_mut().zip(&found) {
+            if *path == OrderPath::Repaired && inversions > 0 {
+                *path = OrderPath::RepairFailed;
+            }
         }
-        let RenderOptions { rules, outputs, segment_pairs, .. } = &self.options;
-        let stages = Stages::new(&self.gpu, rules, outputs, variant, *segment_pairs, self.sort)?;
-        self.stages.push((variant, stages));
-        Ok(self.stages.len() - 1)
+        if orders.contains(&OrderPath::RepairFailed)
+            && let Some(kept) = &mut self.orders
+        {
+            kept.repair_failed();
+        }
+        let list = self.slots[slot].list.as_ref();
+        let update_time = pending.update.as_ref().map(Ticket::gpu_time_ns).transpose()?.map(Duration::from_nanos);
+        Ok(FrameStatistics {
+            needs,
+            capacity: pending.capacity,
+            redrawn,
+            inversions: found[..orders.len()].to_vec(),
+            orders,
+            agents: list.map_or(0, |list| list.counts.agents),
+            agent_splats: list.map_or(0, |list| list.splats),
+            gpu_time: Duration::from_nanos(pending.frame.gpu_time_ns()?),
+            stages: pending.frame.stage_times()?,
+            update_time,
+            wall_time: pending.since.elapsed(),
+            record_time: pending.record_time,
+        })
     }
 
-    /// Makes the buffers what `view` of `world` needs, as far as that is known.
-    fn fit_buffers(&mut self, world: &ResidentWorld, view: &View) -> Result<(), RenderError> {
+    /// A slot that no frame in flight has.
+    fn free_slot(&mut self) -> Result<usize, RenderError> {
+        let max = self.options.frames_in_flight.max(1);
+        if self.in_flight.len() >= max {
+            return Err(RenderError::TooManyInFlight { max });
+        }
+        // Not the one whose pictures may be read, as long as there is another.
+        let free = |slot: &usize| !self.in_flight.contains(slot);
+        let slot = (0..self.slots.len()).filter(free).min_by_key(|slot| self.shown == Some(*slot));
+        match slot {
+            Some(slot) if self.shown != Some(slot) || self.slots.len() >= max => {
+                self.shown = self.shown.filter(|shown| *shown != slot);
+                Ok(slot)
+            }
+            _ => {
+                self.slots.push(FrameSlot::new(&self.gpu, &self.options.outputs)?);
+                Ok(self.slots.len() - 1)
+            }
+        }
+    }
+
+    /// No depth of the scene is larger, metres.
+    fn reach_m(&self, scene: &Scene<'_>, cameras: &[Camera]) -> Result<f64, RenderError> {
+        let reach_m = scene.reach_m()?;
+        // Distances count from the camera, depths from the origin.
+        Ok(if self.options.rules.order == DepthOrder::Radial {
+            let from_origin = |camera: &Camera| (camera.world_from_camera.translation - scene.world.origin).length();
+            cameras.iter().map(from_origin).fold(0.0, f64::max) + reach_m
+        } else {
+            reach_m
+        })
+    }
+
+    /// Submits the agents' part of the frame in `slot` by itself, behind `added`; nothing where it is to run in line.
+    fn submit_agents(
+        &mut self,
+        slot: usize,
+        variant: FrameVariant,
+        added: Option<&Ticket>,
+    ) -> Result<Option<Ticket>, RenderError> {
+        let Some(counts) = self.agent_counts(slot).filter(|_| self.options.overlap) else { return Ok(None) };
+        let stages = self.kernels.of(&self.gpu, variant)?;
+        let mut recorder = self.gpu.record(QueueRole::Update);
+        record_agents(&mut recorder, &stages, &self.slots[slot], counts);
+        let behind: Vec<&Ticket> = added.into_iter().collect();
+        Ok(Some(self.gpu.submit(recorder, &behind)?))
+    }
+
+    /// Submits the frame in `slot`; returns what room it was given.
+    fn submit_frame(
+        &mut self,
+        slot: usize,
+        world: &ResidentWorld,
+        variant: FrameVariant,
+        orders: &OrderDecision,
+        ranks: &Buffer<u32>,
+        update: Option<&Ticket>,
+    ) -> Result<(Ticket, Capacity), RenderError> {
+        let agents = self.agent_counts(slot);
+        let frame_capacity = self.fit_buffers(slot, world, variant)?;
+        let Some(frame) = &self.frame else { unreachable!("fit_buffers made them") };
+        let stages = self.kernels.of(&self.gpu, variant)?;
+        let mut recorder = self.gpu.record(QueueRole::Main);
+        if let Some(counts) = agents.filter(|_| update.is_none()) {
+            record_agents(&mut recorder, &stages, &self.slots[slot], counts);
+        }
+        let input = FrameInput { world, orders, ranks, agents };
+        record_frame(&mut recorder, &stages, frame, &self.slots[slot], input);
+        let behind: Vec<&Ticket> = update.into_iter().collect();
+        Ok((self.gpu.submit(recorder, &behind)?, frame_capacity))
+    }
+
+    fn agent_counts(&self, slot: usize) -> Option<AgentCounts> {
+        self.slots[slot].list.as_ref().map(|list| list.counts)
+    }
+
+    /// Makes the buffers what the frame in `slot` needs, as far as that is known.
+    fn fit_buffers(&mut self, slot: usize, world: &ResidentWorld, variant: FrameVariant) -> Result<Capacity, RenderError> {
+        let slot = &self.slots[slot];
+        let Some(view) = &slot.view else { unreachable!("a slot is set before it is submitted") };
+        let splats = world.splats + slot.list.as_ref().map_or(0, |list| list.splats);
         let shape = FrameShape {
-            capacity: self.capacity.unwrap_or_else(|| Capacity::guess(world.splats, view.cameras.len())),
+            capacity: self.capacity.unwrap_or_else(|| Capacity::guess(splats, view.cameras.len())),
             cameras: view.cameras.len(),
+            splats: world.splats,
             chunks: world.chunk_count(),
             bins: view.bins,
-            pixels: view.pixels,
+            // Buffers that serve kept orders serve frames without them as well.
+            ranked: variant.orders || self.frame.as_ref().is_some_and(|frame| frame.shape.ranked),
         };
         if self.frame.as_ref().is_none_or(|frame| frame.shape != shape) {
             // The old ones go first: both would not always fit.
             self.frame = None;
-            self.view = None;
             self.frame = Some(FrameBuffers::new(&self.gpu, shape, &self.options.outputs, self.sort)?);
             self.capacity = Some(shape.capacity);
         }
-        Ok(())
+        Ok(shape.capacity)
     }
 }

@@ -1,9 +1,11 @@
 //! A world on the device: attributes as the kernels read them.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use bytemuck::Zeroable;
 use decouplegs_gpu::{Buffer, Gpu};
 use decouplegs_scene::{Bounds, SplatCloud, World, rules, sh};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::RenderError;
@@ -13,8 +15,14 @@ use crate::sh_codec;
 /// Purpose under which the memory of worlds is counted.
 pub const PURPOSE: &str = "scene";
 
-/// The splats of a world in device memory. Drawn by any number of frames; dropping it frees the memory.
+/// Tells worlds apart whose orders are kept.
+static NEXT_ID: AtomicU64 = AtomicU64::new(1);
+
+/// The splats of a world in device memory. Drawn by any number of frames; clones share the memory, and dropping the last
+/// frees it.
+#[derive(Clone)]
 pub struct ResidentWorld {
+    pub(crate) id: u64,
     /// Splats, defective ones included: these are never drawn, but keep their index.
     pub splats: usize,
     /// Splats that cannot be drawn.
@@ -23,6 +31,8 @@ pub struct ResidentWorld {
     pub sh_degree: u8,
     /// Whether splats belong to instances.
     pub has_instances: bool,
+    /// No drawn mean is farther from the origin, metres.
+    pub reach_m: f64,
     /// World coordinates of the point that means are relative to.
     pub origin: DVec3,
     /// Colour where transmittance is left.
@@ -61,8 +71,14 @@ impl ResidentWorld {
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
         let dc: Vec<[f32; 3]> =
             prepared.iter().zip(&cloud.sh_dc).map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] }).collect();
-        let chunks: Vec<ChunkRecord> = prepared.par_chunks(CHUNK_SPLATS).map(chunk_of).collect();
+        let chunks: Vec<ChunkRecord> = prepared
+            .par_chunks(CHUNK_SPLATS)
+            .map(|splats| chunk_of(&splats.iter().filter_map(Prepared::extent).collect::<Vec<_>>()))
+            .collect();
+        let distance_m = |splat: &Prepared| Vec3::from_array(splat.mean_m).as_dvec3().length();
         Ok(Self {
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            reach_m: prepared.par_iter().filter(|splat| splat.drawn).map(distance_m).reduce(|| 0.0, f64::max),
             splats: cloud.len(),
             defects: prepared.iter().filter(|splat| !splat.drawn).count(),
             sh_degree: cloud.sh_degree,
@@ -115,18 +131,32 @@ impl Prepared {
         }
     }
 
+    fn extent(&self) -> Option<Extent> {
+        let [x, y, z, opacity] = self.shape;
+        self.drawn.then_some(Extent { mean_m: self.mean_m, longest_m: x.max(y).max(z), opacity })
+    }
+}
+
+/// What a chunk's box has to know of a splat.
+pub(crate) struct Extent {
+    pub mean_m: [f32; 3],
+    /// Longest standard deviation.
+    pub longest_m: f32,
+    pub opacity: f32,
+}
+
+impl Extent {
     /// Standard deviation times cut-off radius along the longest axis, metres, rounded up.
     fn reach_m(&self) -> f32 {
-        let radius = (2.0 * (f64::from(self.shape[3]) / rules::ALPHA_MIN).ln().max(0.0)).sqrt();
-        let longest = self.shape[..3].iter().copied().fold(0.0f32, f32::max);
-        (f64::from(longest) * radius * 1.001) as f32
+        let radius = (2.0 * (f64::from(self.opacity) / rules::ALPHA_MIN).ln().max(0.0)).sqrt();
+        (f64::from(self.longest_m) * radius * 1.001) as f32
     }
 }
 
 /// The box of a chunk's drawn splats; one that no camera reaches when it has none.
-fn chunk_of(splats: &[Prepared]) -> ChunkRecord {
+pub(crate) fn chunk_of(splats: &[Extent]) -> ChunkRecord {
     // An opacity below 1/255 is never seen, wherever it is.
-    let drawn = || splats.iter().filter(|splat| splat.drawn && f64::from(splat.shape[3]) >= rules::ALPHA_MIN * 0.999);
+    let drawn = || splats.iter().filter(|splat| f64::from(splat.opacity) >= rules::ALPHA_MIN * 0.999);
     if drawn().next().is_none() {
         // Infinitely small at infinity would be NaN in the test; far behind nothing is simplest said by a negative reach.
         return ChunkRecord { reach_m: -1e30, ..ChunkRecord::zeroed() };
@@ -135,7 +165,7 @@ fn chunk_of(splats: &[Prepared]) -> ChunkRecord {
     ChunkRecord {
         centre_m: bounds.centre(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
-        reach_m: drawn().map(Prepared::reach_m).fold(0.0, f32::max),
+        reach_m: drawn().map(Extent::reach_m).fold(0.0, f32::max),
     }
 }
 

@@ -49,18 +49,25 @@ impl World {
         Self { splats, ..Self::default() }
     }
 
-    /// Adds `agent`, showing `asset`, as world-space splats. Its instance id is returned.
+    /// Adds `agent`, showing `asset`, as world-space splats with the id that follows the last one. It is returned.
     ///
     /// # Errors
     /// When the 65,535 instances that an id can name are used up.
     pub fn bake_agent(&mut self, asset: &SplatCloud, agent: &AgentPlacement) -> Result<u16, String> {
         let last = self.instance_from_splat.last().copied().unwrap_or(0);
         let instance = last.checked_add(1).ok_or_else(|| format!("agent {}: more than 65535 agents in one world", agent.name))?;
-        let relative = Pose { translation: agent.world_from_agent.translation - self.origin, ..agent.world_from_agent };
-        self.instance_from_splat.resize(self.splats.len(), last);
-        self.splats.append(&asset.placed(&relative, agent.sh_frame == ShFrame::Canonical));
-        self.instance_from_splat.resize(self.splats.len(), instance);
+        self.bake_instance(asset, &agent.world_from_agent, agent.sh_frame, instance);
         Ok(instance)
+    }
+
+    /// Adds `asset`, standing at `world_from_agent`, as world-space splats that belong to `instance`.
+    pub fn bake_instance(&mut self, asset: &SplatCloud, world_from_agent: &Pose, sh_frame: ShFrame, instance: u16) {
+        let relative = Pose { translation: world_from_agent.translation - self.origin, ..*world_from_agent };
+        if self.instance_from_splat.is_empty() {
+            self.instance_from_splat.resize(self.splats.len(), 0);
+        }
+        self.splats.append(&asset.placed(&relative, sh_frame == ShFrame::Canonical));
+        self.instance_from_splat.resize(self.splats.len(), instance);
     }
 }
 
@@ -90,6 +97,9 @@ mod tests {
             world.bake_agent(&one, &agent).unwrap();
         }
         assert_eq!(world.instance_from_splat, [0, 1, 2]);
+        let mut mixed = world.clone();
+        mixed.bake_instance(&one, &Pose::IDENTITY, ShFrame::World, 9);
+        assert_eq!(mixed.instance_from_splat, [0, 1, 2, 9]);
         assert!((world.splats.means[2][0] - 10.0).abs() < 1e-6 && (world.splats.means[2][1] - 1.0).abs() < 1e-6);
     }
 }

@@ -156,10 +156,10 @@ impl Checker<'_> {
                 }
                 _ => return Err(self.error(&span, &table, "position_m", "give either one pose or a 'trajectory' of poses")),
             };
-            let sh_frame = match form.sh_frame {
+            let sh_frame = form.sh_frame.map(|sh_frame| match sh_frame {
                 ShFrameForm::Canonical => ShFrame::Canonical,
                 ShFrameForm::World => ShFrame::World,
-            };
+            });
             agents.push(SceneAgent { name: form.name.clone(), asset: form.asset.clone().into(), sh_frame, trajectory });
         }
         Ok(agents)

@@ -68,8 +68,8 @@ pub(super) struct TimedPoseForm {
 pub(super) struct AgentForm {
     pub(super) name: String,
     pub(super) asset: String,
-    #[serde(default)]
-    pub(super) sh_frame: ShFrameForm,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) sh_frame: Option<ShFrameForm>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) position_m: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -80,10 +80,9 @@ pub(super) struct AgentForm {
     pub(super) trajectory: Vec<Spanned<TimedPoseForm>>,
 }
 
-#[derive(Clone, Copy, Default, Deserialize, Serialize)]
+#[derive(Clone, Copy, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum ShFrameForm {
-    #[default]
     Canonical,
     World,
 }
@@ -145,10 +144,10 @@ fn camera_form(camera: &RigCamera) -> CameraForm {
 }
 
 fn agent_form(agent: &SceneAgent, asset: String) -> AgentForm {
-    let sh_frame = match agent.sh_frame {
+    let sh_frame = agent.sh_frame.map(|sh_frame| match sh_frame {
         ShFrame::Canonical => ShFrameForm::Canonical,
         ShFrame::World => ShFrameForm::World,
-    };
+    });
     let standing = match agent.trajectory.poses() {
         [only] if only.time_s == 0.0 => Some(only.pose),
         _ => None,

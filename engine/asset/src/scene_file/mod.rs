@@ -15,7 +15,7 @@ use glam::DVec3;
 use crate::error::read_bytes;
 use crate::{AssetError, SceneError, write_atomically};
 
-pub use load::{LoadedScene, open_scene};
+pub use load::{LoadedAgent, LoadedScene, open_scene};
 
 /// The version that is written, and the only one there is.
 pub const VERSION: u32 = 1;
@@ -46,8 +46,8 @@ pub struct SceneAgent {
     pub name: String,
     /// Its splats, a path relative to the scene file. Agents may share one.
     pub asset: PathBuf,
-    /// How the asset's colours are meant.
-    pub sh_frame: ShFrame,
+    /// How the asset's colours are meant. None: as the asset says, canonical for a plain splat file.
+    pub sh_frame: Option<ShFrame>,
     /// Where it is when, world coordinates.
     pub trajectory: Trajectory,
 }

@@ -1,5 +1,8 @@
 //! Readers and writers as their users meet them: whole files, real files, broken files.
 
+mod coded_asset;
+mod coded_properties;
+mod coded_python;
 mod errors;
 mod frozen;
 mod hostile;

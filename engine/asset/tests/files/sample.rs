@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use decouplegs_asset::{compressed_ply, inria_ply, splat, spz};
-use decouplegs_scene::{SplatCloud, sh};
+use decouplegs_asset::{CodedAsset, Provenance, coded_asset, compressed_ply, inria_ply, splat, spz};
+use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
+use decouplegs_scene::{CodedCloud, ShFrame, SplatCloud, SplatCodes, sh};
 
 /// A way to read bytes, by the name of its format.
 pub type Reader = fn(&[u8]) -> Result<SplatCloud, decouplegs_asset::DecodeError>;
@@ -57,9 +58,53 @@ pub fn cone() -> SplatCloud {
     }
 }
 
+/// The cone as a coded asset of two levels: a shape and a colour for each of its splats, and a second level of every third.
+///
+/// Sizes are powers of two and DC residuals fractions of two, so that decoding it gives the same bits on every machine.
+pub fn coded_cone() -> CodedAsset {
+    let (cone, bounds) = (cone(), cone().bounds());
+    let code = |i: usize| {
+        let position = std::array::from_fn(|axis| {
+            let share = (cone.means[i][axis] - bounds.min[axis]) / (bounds.max[axis] - bounds.min[axis]);
+            (share * 65_535.0).round() as u16
+        });
+        let opacity = (cone.opacities[i] * 255.0).round() as u8;
+        let residual = [(i % 5) as i8 - 2, (i % 3) as i8 - 1, (i % 4) as i8 - 2];
+        SplatCodes { position, opacity, size: 16 * (i % 4) as u8, shape: i as u16, colour: i as u16, dc_residual: residual }
+    };
+    let codes: Vec<SplatCodes> = (0..12).chain((0..12).step_by(3)).map(code).collect();
+    let shape = |codes: &SplatCodes| {
+        let (i, size) = (usize::from(codes.shape), f32::from(1u8 << (codes.size / 16)) / 256.0);
+        let axes = PrincipalAxes { scales: cone.scales[i].map(|scale| scale / size), rotation: cone.rotations[i] };
+        triangular_factor(&axes).map(|entry| entry as f32)
+    };
+    let mut cloud = CodedCloud {
+        bounds,
+        log2_size_min: -8.0,
+        log2_size_step: 1.0 / 16.0,
+        dc_residual_step: [1.0 / 64.0, 1.0 / 32.0, 1.0 / 32.0],
+        splats: codes.iter().map(|&codes| codes.into()).collect(),
+        levels: vec![12, 4],
+        shapes: codes[..12].iter().map(shape).collect(),
+        sh_degree: 3,
+        colours: Vec::new(),
+        sh_frame: ShFrame::World,
+        dims_m: [0.375, 0.375, 0.75],
+    };
+    for (i, codes) in codes[..12].iter().enumerate() {
+        let residual = cloud.dc_residual(codes);
+        cloud.colours.push(std::array::from_fn(|channel| cone.sh_dc[i][channel] - residual[channel]));
+        cloud.colours.extend_from_slice(cone.rest_of(i));
+    }
+    let mut provenance = Provenance::of_source("cone.ply", b"the bytes of a cone");
+    provenance.tool_version = "0.1.0".into();
+    provenance.settings.insert("keep_ratio".into(), "1".into());
+    CodedAsset { cloud, provenance }
+}
+
 /// The cone in every format and version that is read: name of the file, bytes and reader.
 pub fn files() -> Vec<(&'static str, Vec<u8>, Reader)> {
-    let readers: [(&'static str, Reader); 7] = [
+    let readers: [(&'static str, Reader); 8] = [
         ("inria_ply/cone.ply", inria_ply::decode),
         ("compressed_ply/cone.compressed.ply", compressed_ply::decode),
         ("splat/cone.splat", splat::decode),
@@ -67,6 +112,7 @@ pub fn files() -> Vec<(&'static str, Vec<u8>, Reader)> {
         ("spz/cone.v2.spz", spz::decode),
         ("spz/cone.v3.spz", spz::decode),
         ("spz/cone.v4.spz", spz::decode),
+        ("coded_asset/cone.safetensors", |bytes| Ok(coded_asset::decode(bytes)?.cloud.decoded(0))),
     ];
     readers.map(|(name, reader)| (name, std::fs::read(seed(name)).unwrap(), reader)).to_vec()
 }

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use decouplegs_asset::{AssetError, SceneFile, inria_ply, open_scene};
-use decouplegs_scene::{Pose, Rules, ShFrame};
+use decouplegs_asset::{AssetError, SceneFile, inria_ply, open_scene, write_coded};
+use decouplegs_scene::{Pose, Rules, ShFrame, World};
 use glam::{DQuat, DVec3};
 
-use crate::sample::cloud;
+use crate::sample::{cloud, coded_cone};
 
 /// The example of the format's page.
 fn example() -> String {
@@ -31,7 +31,7 @@ fn the_documented_example_means_what_it_says() {
     assert!((ego.at(1.0).translation.x - 458_010.0).abs() < 1e-9);
     assert!(ego.at(2.0).rotation.angle_between(DQuat::from_rotation_z(0.1)) < 1e-6);
     let [parked, oncoming] = scene.agents.as_slice() else { panic!("two agents") };
-    assert_eq!((parked.name.as_str(), parked.sh_frame, oncoming.sh_frame), ("parked", ShFrame::Canonical, ShFrame::Canonical));
+    assert_eq!((parked.name.as_str(), parked.sh_frame, oncoming.sh_frame), ("parked", Some(ShFrame::Canonical), None));
     assert_eq!((parked.trajectory.poses().len(), oncoming.trajectory.poses().len()), (1, 2));
     assert!((oncoming.trajectory.at(2.0).translation.x - 458_035.0).abs() < 1e-9);
 }
@@ -42,7 +42,7 @@ fn what_is_written_reads_back_the_same() {
     let path = directory.path().join("scene.toml");
     let mut scene = SceneFile::parse(&example()).unwrap();
     scene.rules = Rules { antialias: true, near_m: 0.3, ..Rules::INRIA };
-    scene.agents[1].sh_frame = ShFrame::World;
+    scene.agents[1].sh_frame = Some(ShFrame::World);
     scene.write(&path).unwrap();
     let back = SceneFile::read(&path).unwrap();
     assert_eq!(back, scene);
@@ -140,4 +140,74 @@ fn a_missing_asset_is_named() {
     std::fs::write(&path, example()).unwrap();
     let error = open_scene(&path, 0.0).unwrap_err();
     assert!(matches!(&error, AssetError::Read { path, .. } if path.ends_with("street.ply")), "{error}");
+}
+
+/// The example with `car.ply` replaced for one of its agents: `parked` or `oncoming`.
+fn example_with_asset(agent: &str, asset: &str) -> String {
+    let from = format!("name = \"{agent}\"\nasset = \"car.ply\"");
+    let to = format!("name = \"{agent}\"\nasset = \"{asset}\"");
+    assert!(example().contains(&from));
+    example().replacen(&from, &to, 1)
+}
+
+#[test]
+fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
+    let directory = tempfile::tempdir().unwrap();
+    inria_ply::write(&directory.path().join("street.ply"), &cloud(400, 1)).unwrap();
+    inria_ply::write(&directory.path().join("car.ply"), &cloud(30, 2)).unwrap();
+    write_coded(&directory.path().join("cone.safetensors"), &coded_cone()).unwrap();
+    let path = directory.path().join("scene.toml");
+    // Before a plain agent and behind it: neither shifts the other's id.
+    for (agent, instance, plain_instance) in [("parked", 1, 2), ("oncoming", 2, 1)] {
+        std::fs::write(&path, example_with_asset(agent, "cone.safetensors")).unwrap();
+        let scene = open_scene(&path, 0.0).unwrap();
+        let of_instance = |world: &World, id: u16| world.instance_from_splat.iter().filter(|&&found| found == id).count();
+        assert_eq!((scene.agent_names.len(), scene.assets.len(), scene.agents.len()), (2, 1, 1));
+        assert_eq!((scene.agents[0].name.as_str(), scene.agents[0].asset, scene.agents[0].instance), (agent, 0, instance));
+        assert_eq!((scene.world.splats.len(), of_instance(&scene.world, plain_instance)), (430, 30));
+        assert_eq!(scene.assets[0], coded_cone().cloud);
+
+        let twin = scene.baked(2.0);
+        assert_eq!((twin.splats.len(), of_instance(&twin, instance), of_instance(&twin, plain_instance)), (442, 12, 30));
+        let pose = scene.agents[0].trajectory.at(2.0);
+        let decoded = coded_cone().cloud.decoded(0);
+        for (splat, mean) in decoded.means.iter().enumerate() {
+            let expected = pose.transform(glam::Vec3::from_array(*mean).as_dvec3()) - scene.world.origin;
+            let found = glam::Vec3::from_array(twin.splats.means[430 + splat]).as_dvec3();
+            assert!((found - expected).length() < 1e-5, "{splat}: {found} {expected}");
+        }
+    }
+}
+
+#[test]
+fn an_asset_is_read_once_and_its_frame_of_colours_holds_unless_the_scene_says_otherwise() {
+    let directory = tempfile::tempdir().unwrap();
+    inria_ply::write(&directory.path().join("street.ply"), &cloud(40, 1)).unwrap();
+    write_coded(&directory.path().join("cone.safetensors"), &coded_cone()).unwrap();
+    let path = directory.path().join("scene.toml");
+    std::fs::write(&path, example().replace("car.ply", "cone.safetensors")).unwrap();
+    let scene = open_scene(&path, 0.0).unwrap();
+    assert_eq!((scene.assets.len(), scene.agents.len(), scene.world.instance_from_splat.len()), (1, 2, 0));
+    let found: Vec<_> = scene.agents.iter().map(|agent| (agent.asset, agent.instance, agent.sh_frame)).collect();
+    assert_eq!(coded_cone().cloud.sh_frame, ShFrame::World);
+    assert_eq!(found, [(0, 1, ShFrame::Canonical), (0, 2, ShFrame::World)], "the first agent of the example says canonical");
+    // The parked cone stands turned by half a turn: its coefficients turn, those of the other do not.
+    let (twin, decoded) = (scene.baked(0.0), coded_cone().cloud.decoded(0));
+    assert_eq!(twin.instance_from_splat.iter().filter(|&&instance| instance == 0).count(), 40);
+    assert_ne!(twin.splats.rest_of(40), decoded.rest_of(0));
+    assert_eq!(twin.splats.rest_of(52), decoded.rest_of(0));
+}
+
+#[test]
+fn a_coded_asset_alone_is_a_scene_and_a_broken_one_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("cone.safetensors");
+    write_coded(&path, &coded_cone()).unwrap();
+    assert_eq!(open_scene(&path, 0.0).unwrap().world.splats.len(), 12);
+    inria_ply::write(&directory.path().join("street.ply"), &cloud(40, 1)).unwrap();
+    std::fs::write(&path, b"{}").unwrap();
+    let scene = directory.path().join("scene.toml");
+    std::fs::write(&scene, example_with_asset("parked", "cone.safetensors")).unwrap();
+    let error = open_scene(&scene, 0.0).unwrap_err().to_string();
+    assert!(error.contains("cone.safetensors: not a readable coded asset file"), "{error}");
 }

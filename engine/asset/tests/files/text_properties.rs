@@ -28,7 +28,7 @@ fn trajectories() -> impl Strategy<Value = Trajectory> {
 }
 
 fn scenes() -> impl Strategy<Value = SceneFile> {
-    let agent = (any::<bool>(), trajectories());
+    let agent = (prop::option::of(any::<bool>()), trajectories());
     (
         prop::array::uniform3(-1e7f64..1e7),
         prop::array::uniform3(0.0f32..1.0),
@@ -41,10 +41,10 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
         .prop_map(|(origin, sky, (rules, antialias, near_m), cameras, ego, agents, name)| {
             let rig_camera =
                 |(i, (intrinsics, rig_from_camera))| RigCamera { name: format!("c{i}"), intrinsics, rig_from_camera };
-            let scene_agent = |(i, (is_world, trajectory)): (usize, (bool, Trajectory))| SceneAgent {
+            let scene_agent = |(i, (is_world, trajectory)): (usize, (Option<bool>, Trajectory))| SceneAgent {
                 name: format!("{name}{i}"),
                 asset: format!("{name}.ply").into(),
-                sh_frame: if is_world { ShFrame::World } else { ShFrame::Canonical },
+                sh_frame: is_world.map(|is_world| if is_world { ShFrame::World } else { ShFrame::Canonical }),
                 trajectory,
             };
             SceneFile {

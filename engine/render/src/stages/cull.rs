@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::Rules;
 
-use super::{PURPOSE, kernel};
+use super::{PURPOSE, Ranked, kernel};
 use crate::capacity::groups_for;
 use crate::layout::{CHUNK_SPLATS, CameraRecord, near_m};
 use crate::resident::ResidentWorld;
@@ -45,16 +45,20 @@ pub struct Cull {
 }
 
 impl Cull {
-    /// The stage for pictures of the given rules.
+    /// The stage for pictures of the given rules; `ranked` where the order of some direction is kept.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
-        let constants = [("NEAR_M", Constant::F32(near_m(rules))), ("ANTIALIAS", Constant::Bool(rules.antialias))];
+    pub fn new(gpu: &Gpu, rules: &Rules, ranked: bool) -> Result<Self, GpuError> {
+        let constants = [
+            ("NEAR_M", Constant::F32(near_m(rules))),
+            ("ANTIALIAS", Constant::Bool(rules.antialias)),
+            ("RANKED", Constant::Bool(ranked)),
+        ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL, &constants)? })
     }
 
-    /// Marks what `cameras` see of `world`.
+    /// Marks what `cameras` see of `world`, and its ranks in the orders that are kept.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -62,6 +66,7 @@ impl Cull {
         cameras: &Buffer<CameraRecord>,
         camera_count: usize,
         visible: &Visible,
+        ranked: &Ranked<'_>,
     ) {
         let push =
             Push { splat_count: world.splats as u32, camera_count: camera_count as u32, chunk_count: world.chunk_count() as u32 };
@@ -73,6 +78,9 @@ impl Cull {
             ("rotations", world.rotations.binding()),
             ("visible_words", visible.words.binding()),
             ("visible_counts", visible.counts.binding()),
+            ("view_orders", ranked.view_orders.binding()),
+            ("ranks", ranked.ranks.binding()),
+            ("rank_words", ranked.lists.words.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
     }

@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
 
 use super::{Arguments, Control, Projected, kernel};
-use crate::layout::CameraRecord;
+use crate::layout::{CameraRecord, ViewLists};
 
 /// Where the pairs go.
 pub struct Pairs<'a> {
@@ -18,7 +18,6 @@ pub struct Pairs<'a> {
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Push {
     camera_count: u32,
-    chunk_count: u32,
     records_max: u32,
     pairs_max: u32,
 }
@@ -37,7 +36,7 @@ impl EmitPairs {
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::EMIT_PAIRS, &[("SORT_BLOCK", Constant::U32(sort_block))])? })
     }
 
-    /// Writes `pairs`; `firsts` tells which camera a record belongs to, `chunk_count` how many entries of it a camera has.
+    /// Writes `pairs`; `lists` tells which camera a record belongs to.
     #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
     pub fn record(
         &self,
@@ -45,8 +44,7 @@ impl EmitPairs {
         control: &Control,
         cameras: &Buffer<CameraRecord>,
         camera_count: usize,
-        chunk_count: usize,
-        firsts: &Buffer<u32>,
+        lists: &Buffer<ViewLists>,
         order: &Buffer<u32>,
         projected: &Projected,
         pair_counts: &Buffer<u32>,
@@ -54,7 +52,6 @@ impl EmitPairs {
     ) {
         let push = Push {
             camera_count: camera_count as u32,
-            chunk_count: chunk_count as u32,
             records_max: projected.colours.len() as u32,
             pairs_max: pairs.bins.len() as u32,
         };
@@ -64,11 +61,12 @@ impl EmitPairs {
             ("order", order.binding()),
             ("tile_counts", projected.tile_counts.binding()),
             ("pair_counts", pair_counts.binding()),
-            ("firsts", firsts.binding()),
+            ("lists", lists.binding()),
             ("footprints", projected.footprints.binding()),
             ("bins", pairs.bins.binding()),
             ("records", pairs.records.binding()),
             ("arguments", control.arguments.binding()),
+            ("segments", control.pair_segment.binding()),
         ];
         let offset = Arguments::PairBlocks.byte_offset();
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);

@@ -4,31 +4,41 @@
 //! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a named struct of buffers, made
 //! beforehand, that the next stage takes.
 
+mod agents;
 mod blend;
 mod composite;
 mod count_pairs;
 mod cull;
 mod emit_pairs;
 mod find_ranges;
+mod merge_order;
+mod plan_order;
 mod plan_segments;
 mod project;
+mod ranks;
+mod repair_order;
 mod scan;
 mod sort;
 
+pub use agents::{AgentBuffers, AgentCounts, CullAgents, ProjectAgents};
 pub use blend::{Blend, Partials};
 pub use composite::CompositeSegments;
 pub use count_pairs::CountPairs;
 pub use cull::{Cull, Visible};
 pub use emit_pairs::{EmitPairs, Pairs};
 pub use find_ranges::FindRanges;
+pub use merge_order::MergeOrder;
+pub use plan_order::{OrderPlan, PlanOrder};
 pub use plan_segments::{Plan, PlanSegments};
 pub use project::{Project, ProjectVariant, Projected};
+pub use ranks::{RankLists, Ranked, Ranks};
+pub use repair_order::{REPAIR_WINDOW, RepairOrder, StaticLists};
 pub use scan::Scan;
-pub use sort::{RadixSort, SortCount, SortInput, SortScratch};
+pub use sort::{RadixSort, SEGMENTS_MAX, SortInput, SortScratch};
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Residence};
 
-use crate::layout::{ARGUMENT_SETS, Needs};
+use crate::layout::{ARGUMENT_SETS, Needs, SortSegment};
 
 /// Purpose under which the memory of a frame's lists is counted.
 pub const PURPOSE: &str = "frame";
@@ -39,6 +49,8 @@ pub struct Control {
     pub needs: Buffer<Needs>,
     /// Arguments of the indirect dispatches.
     pub arguments: Buffer<[u32; 3]>,
+    /// The list of all pairs, as the radix sort takes it.
+    pub pair_segment: Buffer<SortSegment>,
 }
 
 impl Control {
@@ -50,6 +62,7 @@ impl Control {
         Ok(Self {
             needs: gpu.buffer("needs", PURPOSE, 1, Residence::Device)?,
             arguments: gpu.buffer("arguments", PURPOSE, ARGUMENT_SETS, Residence::Device)?,
+            pair_segment: gpu.buffer("pair_segment", PURPOSE, 1, Residence::Device)?,
         })
     }
 }
@@ -57,7 +70,7 @@ impl Control {
 /// Indirect dispatches, by their place in [`Control::arguments`]; the twins of `ARGUMENTS_*` in `frame.glsl`.
 #[derive(Clone, Copy, Debug)]
 pub enum Arguments {
-    /// Blocks of the sort by depth.
+    /// Blocks of the sort by depth, of all lists that it orders.
     SortRecords = 0,
     /// Blocks of records to be binned.
     PairBlocks = 1,
@@ -69,6 +82,10 @@ pub enum Arguments {
     Blend = 4,
     /// Cut macro tiles to be joined.
     Composite = 5,
+    /// Blocks of the merged order.
+    Merge = 6,
+    /// Blocks of records in which a repaired order may have failed.
+    Restore = 7,
 }
 
 impl Arguments {

@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Visible, kernel};
+use super::{PURPOSE, Ranked, SortScratch, Visible, kernel};
 use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, near_m};
 use crate::resident::ResidentWorld;
@@ -40,6 +40,8 @@ pub struct ProjectVariant {
     pub sh_degree: u8,
     /// Whether records carry their instance.
     pub instances: bool,
+    /// Whether the order of some direction is kept.
+    pub ranked: bool,
 }
 
 #[repr(C)]
@@ -68,12 +70,14 @@ impl Project {
             ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
             ("INSTANCES", Constant::Bool(variant.instances)),
+            ("RANKED", Constant::Bool(variant.ranked)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }
 
-    /// Writes a record and its depth key in `keys` for every bit of `visible`, the first of each list at `firsts`.
-    #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
+    /// Writes a record for every bit of `visible`, the first of each list at `firsts`, and its depth key and place to the first
+    /// buffers of `sort`.
+    #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -83,7 +87,8 @@ impl Project {
         visible: &Visible,
         firsts: &Buffer<u32>,
         projected: &Projected,
-        keys: &Buffer<u32>,
+        sort: &SortScratch,
+        ranked: &Ranked<'_>,
     ) {
         let push = Push {
             splat_count: world.splats as u32,
@@ -105,8 +110,14 @@ impl Project {
             ("instances", world.instances.binding()),
             ("footprints", projected.footprints.binding()),
             ("colours", projected.colours.binding()),
-            ("keys", keys.binding()),
+            ("keys", sort.keys[0].binding()),
+            ("values", sort.values[0].binding()),
             ("tile_counts", projected.tile_counts.binding()),
+            ("view_orders", ranked.view_orders.binding()),
+            ("ranks", ranked.ranks.binding()),
+            ("rank_words", ranked.lists.words.binding()),
+            ("rank_firsts", ranked.lists.firsts.binding()),
+            ("unranked_keys", sort.keys[1].binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
     }

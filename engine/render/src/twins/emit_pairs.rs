@@ -3,12 +3,14 @@
 use super::footprint::{reached_macro_rows, reached_macro_tiles};
 use super::record::load_footprint;
 use crate::capacity::groups_for;
-use crate::layout::{CameraRecord, Needs, PAIR_BLOCK};
+use crate::layout::{CameraRecord, Needs, PAIR_BLOCK, SortSegment, ViewLists};
 use crate::stages::Arguments;
 
-/// Records are ordered by camera: the last camera whose records begin at or before this one.
-fn camera_of(record: u32, firsts: &[u32], camera_count: usize, chunk_count: usize) -> usize {
-    (1..camera_count).fold(0, |camera, next| if firsts[next * chunk_count] <= record { next } else { camera })
+/// The camera of a record: records of the background lie by camera, and behind them those of the agents.
+fn camera_of(record: u32, lists: &[ViewLists], camera_count: usize) -> usize {
+    let moving = record >= lists[0].first_moving;
+    let first = |camera: usize| if moving { lists[camera].first_moving } else { lists[camera].first_static };
+    (1..camera_count).fold(0, |camera, next| if first(next) <= record { next } else { camera })
 }
 
 /// Writes the pairs of the records of `order`, each record's by row and then column of its tiles (the kernel leaves the
@@ -17,22 +19,22 @@ pub fn emit_pairs(
     cameras: &[CameraRecord],
     needs: &mut Needs,
     order: &[u32],
-    firsts: &[u32],
+    lists: &[ViewLists],
     footprints: &[[f32; 4]],
     bins: &mut [u32],
     records: &mut [u32],
     arguments: &mut [[u32; 3]],
-    chunk_count: usize,
+    segment: &mut SortSegment,
     records_max: u32,
     sort_block: u32,
 ) {
-    let record_count = needs.records.min(records_max) as usize;
+    let record_count = if needs.records > records_max { 0 } else { needs.records as usize };
     if record_count == 0 {
         return;
     }
     let mut place = 0usize;
     for &record in &order[..record_count] {
-        let camera = &cameras[camera_of(record, firsts, cameras.len(), chunk_count)];
+        let camera = &cameras[camera_of(record, lists, cameras.len())];
         let splat = load_footprint(footprints, record as usize);
         let [first_row, last_row] = reached_macro_rows(&splat, camera.size_px[1]);
         for row in first_row..=last_row {
@@ -48,6 +50,7 @@ pub fn emit_pairs(
     }
     needs.pairs = u32::try_from(place).unwrap_or(u32::MAX);
     let pairs = needs.pairs.min(bins.len() as u32);
+    *segment = SortSegment { first: 0, count: pairs, first_block: 0 };
     arguments[Arguments::SortPairs as usize] = groups_for(pairs.div_ceil(sort_block) as usize);
     arguments[Arguments::Ranges as usize] = groups_for(pairs.div_ceil(PAIR_BLOCK as u32) as usize);
 }

@@ -1,6 +1,6 @@
 //! Footprint, depth key and colour of every visible (camera, splat): `project.comp`.
 
-use super::depth_key::{depth_key, depth_m};
+use super::depth_key::{depth_key, scaled_depth};
 use super::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
 use super::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use super::record::{Record, pack_record_high, pack_record_low};
@@ -19,8 +19,8 @@ pub fn count_macro_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
         .sum()
 }
 
-/// Writes a record, its colour, depth key and number of macro tiles for every bit of `visible_words`, the first of each
-/// `[camera][chunk]` at `firsts`, as far as there is room. `instances` holds two 16-bit ids a word, and is `None` where
+/// Writes a record, its colour, depth key, place and number of macro tiles for every bit of `visible_words`, the first of each
+/// `[camera][chunk]` at `firsts`, as far as there is room. No order is kept. `instances` holds two 16-bit ids a word, and is `None` where
 /// they are not asked for.
 pub fn project(
     cameras: &[CameraRecord],
@@ -34,6 +34,7 @@ pub fn project(
     footprints: &mut [[f32; 4]],
     colours: &mut [[f32; 4]],
     keys: &mut [u32],
+    values: &mut [u32],
     tile_counts: &mut [u32],
     variant: Variant,
     sh_degree: usize,
@@ -63,7 +64,8 @@ pub fn project(
                     footprints[2 * slot] = pack_record_low(&record);
                     footprints[2 * slot + 1] = pack_record_high(&record);
                     colours[slot] = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree).extend(0.0).to_array();
-                    keys[slot] = depth_key(depth_m(means_m[splat_index], camera, radial), variant.near_m);
+                    keys[slot] = depth_key(scaled_depth(means_m[splat_index], camera, radial));
+                    values[slot] = slot as u32;
                     tile_counts[slot] = count_macro_tiles(&splat, camera);
                 }
                 slot += 1;

@@ -1,0 +1,196 @@
+//! How much each splat matters: `s = 0.5 V + 0.3 D + 0.2 H`.
+//!
+//! V is what the splat adds to pictures, D how its colour stands out from its neighbourhood, H how varied that neighbourhood is.
+//! Each is brought to 0 to 1 over the asset by its rank: the share of splats with a smaller value, ties by the middle of their
+//! places. V spans many orders of magnitude and D and H have outliers, so that dividing by the largest would leave nearly all
+//! splats near zero; ranks make the three weights what they say, whatever the asset. A splat that no view shows (V = 0) has
+//! importance 0: nobody sees how its colour stands out.
+
+use std::collections::HashMap;
+
+use decouplegs_scene::{Bounds, SplatCloud, sh};
+use rayon::prelude::*;
+
+/// Weights of V, D and H (the paper's).
+const WEIGHTS: [f32; 3] = [0.5, 0.3, 0.2];
+
+/// Splats that a cell of the neighbourhood grid should hold, on surfaces: a neighbourhood is 3 cells wide.
+const CELL_SPLATS: f64 = 4.0;
+
+/// Most cells along an axis: keys stay small.
+const CELLS_MAX: f64 = 4096.0;
+
+/// Levels a channel in histograms of colour.
+const HISTOGRAM_LEVELS: usize = 4;
+const HISTOGRAM_BINS: usize = HISTOGRAM_LEVELS * HISTOGRAM_LEVELS * HISTOGRAM_LEVELS;
+
+/// The importance of every splat, 0 to 1, from its visibility V (the mean over views of its blending weights). Splats with a
+/// defect count as invisible.
+///
+/// # Panics
+/// When `visibility` has another length than the cloud.
+#[must_use]
+pub fn importance(cloud: &SplatCloud, visibility: &[f32]) -> Vec<f32> {
+    assert_eq!(cloud.len(), visibility.len(), "one visibility a splat");
+    let seen: Vec<u32> = (0..cloud.len() as u32)
+        .filter(|&splat| visibility[splat as usize] > 0.0 && cloud.defect_of(splat as usize).is_none())
+        .collect();
+    let (contrast, entropy) = contrast_and_entropy(cloud, &seen);
+    let shown: Vec<f32> = seen.iter().map(|&splat| visibility[splat as usize]).collect();
+    let mut importance = vec![0.0; cloud.len()];
+    for (values, weight) in [shown, contrast, entropy].iter().zip(WEIGHTS) {
+        for (&splat, rank) in seen.iter().zip(ranks(values)) {
+            importance[splat as usize] += weight * rank;
+        }
+    }
+    importance
+}
+
+/// The rank of each value as a share, in (0, 1); equal values share the middle of their places.
+fn ranks(values: &[f32]) -> Vec<f32> {
+    let mut order: Vec<u32> = (0..values.len() as u32).collect();
+    order.par_sort_unstable_by(|&a, &b| values[a as usize].total_cmp(&values[b as usize]).then(a.cmp(&b)));
+    let mut ranks = vec![0.0; values.len()];
+    let mut first = 0;
+    for equal in order.chunk_by(|&a, &b| values[a as usize] == values[b as usize]) {
+        let middle = (first as f64 + 0.5 * equal.len() as f64) / values.len() as f64;
+        equal.iter().for_each(|&place| ranks[place as usize] = middle as f32);
+        first += equal.len();
+    }
+    ranks
+}
+
+/// Sum and histogram of the colours in a cell.
+#[derive(Clone)]
+struct Colours {
+    sum: [f64; 3],
+    histogram: [u32; HISTOGRAM_BINS],
+}
+
+impl Colours {
+    const NONE: Self = Self { sum: [0.0; 3], histogram: [0; HISTOGRAM_BINS] };
+
+    fn add(&mut self, other: &Self) {
+        self.sum.iter_mut().zip(other.sum).for_each(|(a, b)| *a += b);
+        self.histogram.iter_mut().zip(other.histogram).for_each(|(a, b)| *a += b);
+    }
+
+    fn count(&self) -> f64 {
+        f64::from(self.histogram.iter().sum::<u32>())
+    }
+
+    /// Shannon's, bits.
+    fn entropy(&self) -> f64 {
+        let count = self.count();
+        let shares = self.histogram.iter().filter(|&&in_bin| in_bin > 0).map(|&in_bin| f64::from(in_bin) / count);
+        shares.map(|share| -share * share.log2()).sum()
+    }
+}
+
+/// For each of `splats`: how far its DC colour is from the mean of its neighbourhood (3 by 3 by 3 cells), and the entropy of the
+/// neighbourhood's colours. Cells are summed up before they are joined, so that a heap of splats in one place costs nothing more.
+fn contrast_and_entropy(cloud: &SplatCloud, splats: &[u32]) -> (Vec<f32>, Vec<f32>) {
+    let grid = Grid::of(cloud, splats);
+    let mut cells: HashMap<[i32; 3], Colours> = HashMap::new();
+    for &splat in splats {
+        let rgb = shown_rgb(&cloud.sh_dc[splat as usize]);
+        let cell = cells.entry(grid.cell(&cloud.means[splat as usize])).or_insert(Colours::NONE);
+        cell.sum.iter_mut().zip(rgb).for_each(|(sum, value)| *sum += value);
+        let level = |value: f64| ((value * HISTOGRAM_LEVELS as f64) as usize).min(HISTOGRAM_LEVELS - 1);
+        let bin = rgb.iter().fold(0, |bin, &value| bin * HISTOGRAM_LEVELS + level(value));
+        cell.histogram[bin] += 1;
+    }
+    let keys: Vec<[i32; 3]> = cells.keys().copied().collect();
+    let around: HashMap<[i32; 3], ([f64; 3], f64)> = keys.par_iter().map(|&key| (key, neighbourhood(&cells, key))).collect();
+    let of = |&splat: &u32| {
+        let (mean, entropy) = around[&grid.cell(&cloud.means[splat as usize])];
+        let rgb = shown_rgb(&cloud.sh_dc[splat as usize]);
+        let contrast = rgb.iter().zip(mean).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
+        (contrast as f32, entropy as f32)
+    };
+    splats.par_iter().map(of).unzip()
+}
+
+/// Mean colour and entropy of a cell and those around it, in a fixed order of cells.
+fn neighbourhood(cells: &HashMap<[i32; 3], Colours>, [x, y, z]: [i32; 3]) -> ([f64; 3], f64) {
+    let mut all = Colours::NONE;
+    for place in 0..27 {
+        let key = [x + place % 3 - 1, y + place / 3 % 3 - 1, z + place / 9 - 1];
+        if let Some(cell) = cells.get(&key) {
+            all.add(cell);
+        }
+    }
+    let count = all.count();
+    (all.sum.map(|sum| sum / count), all.entropy())
+}
+
+/// The colour that the DC term alone shows, 0 to 1.
+fn shown_rgb(dc: &[f32; 3]) -> [f64; 3] {
+    dc.map(|value| (0.5 + sh::Y0 * f64::from(value)).clamp(0.0, 1.0))
+}
+
+/// Cubic cells over the box of some splats.
+struct Grid {
+    min: [f32; 3],
+    cells_per_m: f64,
+}
+
+impl Grid {
+    fn of(cloud: &SplatCloud, splats: &[u32]) -> Self {
+        let bounds = Bounds::of(splats.iter().map(|&splat| &cloud.means[splat as usize]));
+        let longest_m = (0..3).map(|axis| f64::from(bounds.max[axis]) - f64::from(bounds.min[axis])).fold(0.0, f64::max);
+        // Splats lie on surfaces: of n^2 cells over them each holds CELL_SPLATS, in the order of magnitude.
+        let cells = (splats.len() as f64 / CELL_SPLATS).sqrt().clamp(1.0, CELLS_MAX);
+        Self { min: bounds.min, cells_per_m: if longest_m > 0.0 { cells / longest_m } else { 0.0 } }
+    }
+
+    fn cell(&self, mean: &[f32; 3]) -> [i32; 3] {
+        std::array::from_fn(|axis| ((f64::from(mean[axis]) - f64::from(self.min[axis])) * self.cells_per_m) as i32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compress::tests::plane;
+
+    #[test]
+    fn ranks_are_shares_and_ties_are_shared() {
+        assert_eq!(ranks(&[5.0, 1.0, 1.0, 9.0]), [0.625, 0.25, 0.25, 0.875]);
+        assert!(ranks(&[]).is_empty());
+    }
+
+    #[test]
+    fn what_stands_out_and_what_is_seen_matters_more() {
+        let mut cloud = plane(400, 0);
+        cloud.sh_dc = vec![[0.0; 3]; 400];
+        cloud.sh_dc[210] = [1.5, -1.5, 0.0];
+        let mut visibility = vec![1.0; 400];
+        visibility[7] = 0.0;
+        visibility[8] = 1e6;
+        let importance = importance(&cloud, &visibility);
+        assert_eq!(importance[7], 0.0, "no view shows it");
+        let others = (0..400).filter(|splat| ![8, 210].contains(splat)).map(|splat| importance[splat]).fold(0.0, f32::max);
+        assert!(importance[210] > others + 0.1 && importance[8] > others - 0.1, "{} {others}", importance[210]);
+        assert!(importance.iter().all(|s| (0.0..=1.0).contains(s)));
+    }
+
+    #[test]
+    fn entropy_counts_colours() {
+        let mut colours = Colours::NONE;
+        colours.histogram[3] = 4;
+        assert_eq!(colours.entropy(), 0.0);
+        colours.histogram[9] = 4;
+        assert!((colours.entropy() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn defects_and_heaps_in_one_place_are_survived() {
+        let mut cloud = plane(50, 0);
+        cloud.means = vec![[1.0; 3]; 50];
+        cloud.means[3][1] = f32::NAN;
+        let importance = importance(&cloud, &[1.0; 50]);
+        assert_eq!(importance[3], 0.0);
+        assert!(importance.iter().all(|s| s.is_finite()));
+    }
+}

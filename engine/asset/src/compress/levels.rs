@@ -1,0 +1,255 @@
+//! Levels of detail: the same object by ever fewer splats, for agents that are far away.
+//!
+//! A level is made by cutting the finest splats into clusters that are small in place and colour, and putting one splat
+//! of the same moments in the place of each cluster.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use decouplegs_scene::{SplatCloud, sh};
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+
+use super::symmetric::OwnAxes;
+
+/// Splats of one level for each of the next.
+pub const LEVEL_RATIO: usize = 8;
+
+/// Most levels: the finest and three coarser ones, the last a five-hundredth of the first.
+pub const LEVELS: usize = 4;
+
+/// No level has fewer splats, but for the finest.
+pub const LEVEL_SPLATS_MIN: usize = 32;
+
+/// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest side.
+const COLOUR_WEIGHT: f64 = 0.1;
+
+/// Exponent of Thomsen's approximation to the surface of an ellipsoid (error below 1.1 %).
+const THOMSEN: f64 = 1.6075;
+
+/// The coarser levels of `cloud`, which has no splat with a defect.
+#[must_use]
+pub fn coarser_levels(cloud: &SplatCloud) -> Vec<SplatCloud> {
+    let mut levels = Vec::new();
+    let mut splats = cloud.len() / LEVEL_RATIO;
+    while levels.len() + 1 < LEVELS && splats >= LEVEL_SPLATS_MIN {
+        levels.push(merged(cloud, &clusters(cloud, splats)));
+        splats /= LEVEL_RATIO;
+    }
+    levels
+}
+
+/// `cloud` with one splat for each cluster.
+#[must_use]
+pub fn merged(cloud: &SplatCloud, clusters: &[Vec<u32>]) -> SplatCloud {
+    let splats: Vec<SplatCloud> = clusters.par_iter().map(|members| moment_match(cloud, members)).collect();
+    let mut merged = SplatCloud::with_degree(cloud.sh_degree);
+    splats.iter().for_each(|splat| merged.append(splat));
+    merged
+}
+
+/// The area that a splat covers in a picture, over all directions, but for a constant factor: a quarter of its ellipsoid's
+/// surface (Cauchy), after Thomsen. Square metres. Of splats without any size it is tiny, not zero, so that they keep a say.
+#[must_use]
+pub fn mean_projected_area_m2(scales: &[f32; 3]) -> f64 {
+    let [a, b, c] = scales.map(f64::from);
+    let mean = ((a * b).powf(THOMSEN) + (a * c).powf(THOMSEN) + (b * c).powf(THOMSEN)) / 3.0;
+    mean.powf(1.0 / THOMSEN).max(1e-60)
+}
+
+/// One splat for `members` (at least one): the mean, covariance and colour of them all, each weighted by opacity times projected
+/// area; its opacity is such that opacity times area is the sum of theirs, at most 1.
+fn moment_match(cloud: &SplatCloud, members: &[u32]) -> SplatCloud {
+    let weights: Vec<f64> = members.iter().map(|&splat| weight_of(cloud, splat as usize)).collect();
+    let total: f64 = weights.iter().sum();
+    let mean_of = |value: &dyn Fn(usize) -> f64| {
+        members.iter().zip(&weights).map(|(&splat, weight)| weight * value(splat as usize)).sum::<f64>() / total
+    };
+    let mean = DVec3::from_array(std::array::from_fn(|axis| mean_of(&|splat| f64::from(cloud.means[splat][axis]))));
+    let mut covariance = DMat3::ZERO;
+    for (&splat, weight) in members.iter().zip(&weights) {
+        let off = DVec3::from_array(cloud.means[splat as usize].map(f64::from)) - mean;
+        let spread = DMat3::from_cols(off * off.x, off * off.y, off * off.z);
+        covariance += (covariance_of(cloud, splat as usize) + spread) * (weight / total);
+    }
+    let own = OwnAxes::of(&covariance);
+    let scales = own.values.max(DVec3::ZERO).map(f64::sqrt).as_vec3().to_array();
+    let colour = |of: &dyn Fn(usize) -> [f32; 3]| -> [f32; 3] {
+        std::array::from_fn(|channel| mean_of(&|splat| f64::from(of(splat)[channel])) as f32)
+    };
+    SplatCloud {
+        means: vec![mean.as_vec3().to_array()],
+        scales: vec![scales],
+        rotations: vec![own.rotation_wxyz()],
+        opacities: vec![(total / mean_projected_area_m2(&scales)).min(1.0) as f32],
+        sh_degree: cloud.sh_degree,
+        sh_dc: vec![colour(&|splat| cloud.sh_dc[splat])],
+        sh_rest: (0..cloud.rest_stride()).map(|k| colour(&|splat| cloud.rest_of(splat)[k])).collect(),
+    }
+}
+
+/// Opacity times projected area.
+fn weight_of(cloud: &SplatCloud, splat: usize) -> f64 {
+    f64::from(cloud.opacities[splat]) * mean_projected_area_m2(&cloud.scales[splat])
+}
+
+fn covariance_of(cloud: &SplatCloud, splat: usize) -> DMat3 {
+    let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
+    let scales = DVec3::from_array(cloud.scales[splat].map(f64::from));
+    let scaled = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()) * DMat3::from_diagonal(scales);
+    scaled * scaled.transpose()
+}
+
+/// The splats of `cloud` in `count` clusters (fewer where it has fewer different ones): again and again the cluster that spreads
+/// most, in place and colour, is cut in two at its mean across the axis of its largest spread (Wan et al., Variance-Based
+/// Color Image Quantization, 1988).
+#[must_use]
+pub fn clusters(cloud: &SplatCloud, count: usize) -> Vec<Vec<u32>> {
+    let bounds = cloud.bounds();
+    let longest_m = bounds.half_extent().iter().fold(0.0f64, |longest, &half| longest.max(2.0 * f64::from(half)));
+    let feature = |splat: usize| -> Feature {
+        let colour = cloud.sh_dc[splat].map(|dc| f64::from(dc) * sh::Y0 * COLOUR_WEIGHT * longest_m);
+        let mean = cloud.means[splat].map(f64::from);
+        Feature { at: [mean[0], mean[1], mean[2], colour[0], colour[1], colour[2]], weight: weight_of(cloud, splat) }
+    };
+    let features: Vec<Feature> = (0..cloud.len()).into_par_iter().map(feature).collect();
+    let mut heap = BinaryHeap::new();
+    heap.push(Cluster::of((0..cloud.len() as u32).collect(), &features));
+    while heap.len() < count {
+        // Nothing to cut is left when the widest cluster is a point.
+        if heap.peek().is_none_or(|widest| widest.spread <= 0.0) {
+            break;
+        }
+        let Some(widest) = heap.pop() else { break };
+        let (low, high) = widest.cut(&features);
+        heap.push(Cluster::of(low, &features));
+        heap.push(Cluster::of(high, &features));
+    }
+    let mut clusters: Vec<Vec<u32>> = heap.into_iter().map(|cluster| cluster.members).collect();
+    clusters.sort_unstable();
+    clusters
+}
+
+/// A splat as clusters see it: place and colour in one space.
+struct Feature {
+    at: [f64; 6],
+    weight: f64,
+}
+
+/// Splats in rising order, and how they spread.
+struct Cluster {
+    members: Vec<u32>,
+    /// Weighted sum of squared distances to the mean, along the axis where it is largest.
+    spread: f64,
+    axis: usize,
+    mean: f64,
+}
+
+impl Cluster {
+    fn of(members: Vec<u32>, features: &[Feature]) -> Self {
+        let (mut weight, mut sums) = (0.0, [0.0; 6]);
+        for &splat in &members {
+            let feature = &features[splat as usize];
+            weight += feature.weight;
+            (0..6).for_each(|axis| sums[axis] += feature.weight * feature.at[axis]);
+        }
+        let means = sums.map(|sum| sum / weight);
+        let mut squares = [0.0; 6];
+        for &splat in &members {
+            let feature = &features[splat as usize];
+            (0..6).for_each(|axis| squares[axis] += feature.weight * (feature.at[axis] - means[axis]).powi(2));
+        }
+        let axis = (0..6).max_by(|&a, &b| squares[a].total_cmp(&squares[b]).then(b.cmp(&a))).unwrap_or(0);
+        // A mean that rounding moved to one side of all members would cut nothing off.
+        let low = members.iter().filter(|&&splat| features[splat as usize].at[axis] <= means[axis]).count();
+        let cuts = low > 0 && low < members.len();
+        Self { spread: if cuts { squares[axis] } else { 0.0 }, axis, mean: means[axis], members }
+    }
+
+    fn cut(self, features: &[Feature]) -> (Vec<u32>, Vec<u32>) {
+        let Self { members, axis, mean, .. } = self;
+        members.into_iter().partition(|&splat| features[splat as usize].at[axis] <= mean)
+    }
+}
+
+impl PartialEq for Cluster {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Cluster {}
+
+impl PartialOrd for Cluster {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Cluster {
+    /// By spread; of equal ones the one with the earliest splat is the greater. Clusters share no splats.
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.spread.total_cmp(&other.spread).then_with(|| other.members.first().cmp(&self.members.first()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compress::tests::plane;
+
+    #[test]
+    fn two_equal_splats_keep_mean_covariance_colour_and_covered_area() {
+        let mut cloud = plane(2, 1);
+        cloud.means = vec![[-3.0, 1.0, 2.0], [3.0, 1.0, 2.0]];
+        cloud.scales = vec![[4.0, 2.0, 1.0]; 2];
+        cloud.rotations = vec![[1.0, 0.0, 0.0, 0.0]; 2];
+        cloud.opacities = vec![0.3; 2];
+        cloud.sh_dc = vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let one = merged(&cloud, &[vec![0, 1]]);
+        assert_eq!(one.means[0], [0.0, 1.0, 2.0]);
+        // Variance along x: 16 + 9.
+        let mut scales = one.scales[0];
+        scales.sort_by(f32::total_cmp);
+        for (scale, expected) in scales.iter().zip([1.0, 2.0, 5.0]) {
+            assert!((scale - expected).abs() < 1e-5, "{scales:?}");
+        }
+        assert_eq!(one.sh_dc[0], [0.5, 0.5, 0.0]);
+        let covered = |cloud: &SplatCloud| (0..cloud.len()).map(|splat| weight_of(cloud, splat)).sum::<f64>();
+        assert!((covered(&one) / covered(&cloud) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_splat_alone_and_a_heap_in_one_place_stay_what_they_are() {
+        let mut cloud = plane(3, 0);
+        let alone = merged(&cloud, &[vec![1]]);
+        assert!((alone.opacities[0] - cloud.opacities[1]).abs() < 1e-6);
+        cloud = cloud.select(&[1, 1, 1]);
+        assert_eq!(clusters(&cloud, 3).len(), 1, "equal splats cannot be told apart");
+        let heap = merged(&cloud, &clusters(&cloud, 1));
+        assert_eq!((heap.len(), heap.opacities[0]), (1, 1.0), "more than an opaque splat covers is held to 1");
+        cloud.scales = vec![[0.0; 3]; 3];
+        assert!(merged(&cloud, &[vec![0, 1, 2]]).defect_of(0).is_none());
+    }
+
+    #[test]
+    fn clusters_are_near_in_place_and_colour_and_hold_every_splat_once() {
+        let cloud = plane(1000, 0);
+        let clusters = clusters(&cloud, 125);
+        assert_eq!(clusters.len(), 125);
+        let mut all = clusters.concat();
+        all.sort_unstable();
+        assert!(all.iter().enumerate().all(|(place, &splat)| place as u32 == splat) && all.len() == 1000);
+        let width = |members: &Vec<u32>| cloud.select(members).bounds().half_extent().into_iter().fold(0.0, f32::max);
+        let mean = clusters.iter().map(width).sum::<f32>() / 125.0;
+        assert!(mean < 0.1 * cloud.bounds().half_extent()[0].max(cloud.bounds().half_extent()[1]), "{mean}");
+    }
+
+    #[test]
+    fn levels_fall_by_eight_and_end_before_they_are_too_few() {
+        let counts = |splats| coarser_levels(&plane(splats, 0)).iter().map(SplatCloud::len).collect::<Vec<_>>();
+        assert_eq!(counts(20_000), [2500, 312, 39]);
+        assert_eq!(counts(2_100), [262, 32]);
+        assert!(counts(200).is_empty());
+    }
+}

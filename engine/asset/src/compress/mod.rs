@@ -1,0 +1,190 @@
+//! Compression of agents: from splats to a [`CodedCloud`], offline.
+//!
+//! Splats that matter little are pruned by [`importance`], the shapes and the colours of the others become entries of two codebooks
+//! ([`vector_quantise`]), and coarser levels of detail are made of the same entries ([`levels`]). Everything random follows from
+//! one seed; the result is the same on any number of threads.
+
+mod colour_space;
+mod encode;
+mod importance;
+pub mod levels;
+mod options;
+mod prune;
+mod random;
+mod report;
+mod shape_space;
+mod symmetric;
+#[cfg(test)]
+mod tests;
+mod vector_quantise;
+
+pub use importance::importance;
+pub use options::{CompressError, CompressOptions};
+pub use prune::{Kept, Prune, THRESHOLD, prune};
+pub use report::{BookReport, CompressionReport, PartBytes};
+pub use shape_space::ShapeSpace;
+pub use vector_quantise::{Nearest, QuantiseOptions, Quantised, SearchBook, Vectors, vector_quantise};
+
+use decouplegs_scene::{CodedCloud, SplatCloud, sh};
+
+use encode::{Books, SHAPE_DIMENSION, SizeScale, shape_vectors};
+
+/// Iterations over all splats that finish a codebook: beyond, a picture gains less than 0.05 dB.
+const FINAL_ITERATIONS: usize = 8;
+
+/// How far a compression is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Splats are weighed and pruned, then merged into levels.
+    Pruning,
+    /// The codebook of shapes is made; iterations done.
+    Shapes(usize),
+    /// The codebook of colours is made; iterations done.
+    Colours(usize),
+    /// Splats are coded.
+    Coding,
+}
+
+/// What a compression makes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compressed {
+    /// The asset.
+    pub cloud: CodedCloud,
+    /// What was done.
+    pub report: CompressionReport,
+}
+
+/// `cloud`, an asset in its own frame, coded.
+///
+/// `visibility` is, for each splat, the mean over views all around the asset of its blending weights, summed over pixels.
+/// `dims_m` of the result is the box of the kept means; nothing is added for what splats reach beyond it.
+///
+/// # Errors
+/// When the options make no sense, `visibility` does not fit the cloud, no splat is left, or the cloud's extent is beyond f32.
+pub fn compress(
+    cloud: &SplatCloud,
+    visibility: &[f32],
+    options: &CompressOptions,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Compressed, CompressError> {
+    options.check()?;
+    options::check_visibility(cloud, visibility)?;
+    progress(Progress::Pruning);
+    let kept = prune(cloud, &importance(cloud, visibility), options.prune);
+    let Some(least_importance) = kept.least_importance else {
+        return Err(CompressError::NothingLeft {
+            splats: cloud.len(),
+            defects: kept.defects,
+            transparent: kept.transparent,
+            unseen: visibility.iter().filter(|&&value| value == 0.0).count(),
+        });
+    };
+    let levels = levels_of(cloud, &kept.splats);
+    let finest: Vec<f32> = levels.order.iter().map(|&splat| visibility[splat as usize]).collect();
+    let weights = book_weights(&finest);
+    let (coded, [shapes, colours]) = code(&levels.clouds, &weights, options, progress)?;
+    let report = CompressionReport {
+        splats: cloud.len(),
+        kept: kept.splats.len(),
+        defects: kept.defects,
+        transparent: kept.transparent,
+        least_importance,
+        shape_space: options.shape_space,
+        shapes,
+        colours,
+        bytes: PartBytes::of(&coded),
+    };
+    Ok(Compressed { cloud: coded, report })
+}
+
+/// All levels, each in spatial order, which the renderer's culling by runs of splats needs.
+struct Levels {
+    clouds: Vec<SplatCloud>,
+    /// Where in the source each splat of the finest level is.
+    order: Vec<u32>,
+}
+
+fn levels_of(cloud: &SplatCloud, kept: &[u32]) -> Levels {
+    let selected = cloud.select(kept);
+    let order = selected.spatial_order();
+    let finest = selected.select(&order);
+    let coarser = levels::coarser_levels(&finest);
+    let mut clouds = vec![finest];
+    clouds.extend(coarser.iter().map(|level| level.select(&level.spatial_order())));
+    Levels { clouds, order: order.iter().map(|&place| kept[place as usize]).collect() }
+}
+
+/// How much splats count in the codebooks: the root of their visibility, and a little for those that no view showed.
+fn book_weights(visibility: &[f32]) -> Vec<f32> {
+    let mean = visibility.iter().map(|&value| f64::from(value)).sum::<f64>() / visibility.len() as f64;
+    if mean <= 0.0 {
+        return vec![1.0; visibility.len()];
+    }
+    visibility.iter().map(|&value| (f64::from(value) / mean + 1e-3).sqrt() as f32).collect()
+}
+
+/// The coded asset of `levels` (the finest first), whose finest splats count by `weights`, and how its two books were made.
+fn code(
+    levels: &[SplatCloud],
+    weights: &[f32],
+    options: &CompressOptions,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<(CodedCloud, [BookReport; 2]), CompressError> {
+    let finest = &levels[0];
+    let bounds = finest.bounds();
+    let unit_m = finest.scales.iter().map(shape_space::size_of).fold(0.0, f64::max);
+    let shape_values = shape_vectors(finest, options.shape_space, unit_m);
+    let shape_book = vector_quantise(
+        Vectors { values: &shape_values, dimension: SHAPE_DIMENSION },
+        weights,
+        &options.book(options.shapes, 0),
+        &|done| progress(Progress::Shapes(done)),
+    );
+    let colour_values = colour_space::vectors(finest, options.colour_dc_weight);
+    let colour_book = vector_quantise(
+        Vectors { values: &colour_values, dimension: 3 * sh::coefficient_count(finest.sh_degree) },
+        weights,
+        &options.book(options.colours, 1),
+        &|done| progress(Progress::Colours(done)),
+    );
+    progress(Progress::Coding);
+    let colours = colour_space::entries(&colour_book.entries, finest.sh_degree, options.colour_dc_weight);
+    let sizes = SizeScale::of(levels, options.shape_space, unit_m);
+    let books = Books {
+        options,
+        bounds,
+        unit_m,
+        sizes,
+        shape_vectors: &shape_book.entries,
+        colour_vectors: &colour_book.entries,
+        colours: &colours,
+        dc_residual_step: residual_steps(finest, &colour_book, &colours, weights),
+    };
+    let coded = CodedCloud {
+        bounds,
+        log2_size_min: sizes.log2_min,
+        log2_size_step: sizes.log2_step,
+        dc_residual_step: books.dc_residual_step,
+        splats: levels.iter().flat_map(|level| books.encode(level)).collect(),
+        levels: levels.iter().map(SplatCloud::len).collect(),
+        shapes: shape_book.entries.chunks_exact(SHAPE_DIMENSION).map(|entry| options.shape_space.factor(entry)).collect(),
+        sh_degree: finest.sh_degree,
+        sh_frame: options.sh_frame,
+        dims_m: std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]),
+        colours,
+    };
+    coded.check().map_err(CompressError::Unrepresentable)?;
+    Ok((coded, [book_report(shape_book, SHAPE_DIMENSION), book_report(colour_book, colour_values.len() / finest.len())]))
+}
+
+fn residual_steps(finest: &SplatCloud, book: &Quantised, colours: &[[f32; 3]], weights: &[f32]) -> [f32; 3] {
+    let coefficients = sh::coefficient_count(finest.sh_degree);
+    let entries = book.assignment.iter().map(|&entry| &colours[usize::from(entry) * coefficients]);
+    let residuals: Vec<[f32; 3]> = finest.sh_dc.iter().zip(entries).map(|(dc, entry)| colour_space::residual(dc, entry)).collect();
+    colour_space::residual_steps(&residuals, weights)
+}
+
+fn book_report(book: Quantised, dimension: usize) -> BookReport {
+    let Quantised { entries, distortion, batches, reseeded, .. } = book;
+    BookReport { entries: entries.len() / dimension, distortion, batches, reseeded }
+}

@@ -1,0 +1,130 @@
+//! What a compression is asked for, and why it may refuse.
+
+use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
+use decouplegs_scene::{ShFrame, SplatCloud};
+
+use super::prune::{Prune, THRESHOLD};
+use super::shape_space::ShapeSpace;
+use super::vector_quantise::QuantiseOptions;
+use super::FINAL_ITERATIONS;
+
+/// How an asset is compressed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CompressOptions {
+    /// Which splats are kept.
+    pub prune: Prune,
+    /// Entries of the colour codebook, 1 to [`COLOURS_MAX`].
+    pub colours: usize,
+    /// Entries of the shape codebook, 1 to [`SHAPES_MAX`].
+    pub shapes: usize,
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// How the asset's colours are meant.
+    pub sh_frame: ShFrame,
+    /// Where distances between shapes are taken.
+    pub shape_space: ShapeSpace,
+    /// What a DC coefficient counts against the others in the distance between colours, above 0. Less than 1, because splats
+    /// keep what their DC terms are off by.
+    pub colour_dc_weight: f32,
+    /// Most mini-batches for each codebook.
+    pub iterations_max: usize,
+}
+
+impl Default for CompressOptions {
+    fn default() -> Self {
+        Self {
+            prune: Prune::Threshold(THRESHOLD),
+            colours: COLOURS_MAX,
+            shapes: SHAPES_MAX,
+            seed: 1,
+            sh_frame: ShFrame::Canonical,
+            shape_space: ShapeSpace::default(),
+            colour_dc_weight: 0.25,
+            iterations_max: 5000,
+        }
+    }
+}
+
+impl CompressOptions {
+    pub(super) fn check(&self) -> Result<(), CompressError> {
+        let within = |what, value: usize, max: usize| {
+            let fault = || Err(CompressError::Option(format!("{what} is {value}; expected 1 to {max}")));
+            if (1..=max).contains(&value) { Ok(()) } else { fault() }
+        };
+        within("the number of colours", self.colours, COLOURS_MAX)?;
+        within("the number of shapes", self.shapes, SHAPES_MAX)?;
+        let fault = match self.prune {
+            Prune::Threshold(least) if !(0.0..=1.0).contains(&least) => format!("the threshold is {least}; expected 0 to 1"),
+            Prune::KeepRatio(ratio) if !(ratio > 0.0 && ratio <= 1.0) => {
+                format!("the keep ratio is {ratio}; expected a share above 0, at most 1")
+            }
+            _ if !(self.colour_dc_weight.is_finite() && self.colour_dc_weight >= 1e-3) => {
+                format!("the weight of DC is {}; expected at least 0.001", self.colour_dc_weight)
+            }
+            _ => return Ok(()),
+        };
+        Err(CompressError::Option(fault))
+    }
+
+    /// How the codebook called `stream` is made: books share no random numbers.
+    pub(super) fn book(&self, entries: usize, stream: u64) -> QuantiseOptions {
+        QuantiseOptions {
+            entries,
+            iterations_max: self.iterations_max,
+            final_iterations_max: FINAL_ITERATIONS,
+            seed: self.seed.wrapping_mul(2).wrapping_add(stream),
+        }
+    }
+}
+
+/// Why a cloud cannot be compressed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CompressError {
+    /// An option out of its range.
+    #[error("{0}")]
+    Option(String),
+    /// Not one visibility a splat.
+    #[error("{found} visibilities were given for {expected} splats; expected one for each")]
+    VisibilityCount {
+        /// Splats.
+        expected: usize,
+        /// Visibilities.
+        found: usize,
+    },
+    /// A visibility that is none.
+    #[error("the visibility of splat {splat} is {value}; expected a finite number, at least 0")]
+    Visibility {
+        /// Which splat.
+        splat: usize,
+        /// Its visibility as text, for NaN is not equal to itself.
+        value: String,
+    },
+    /// Nothing is left to compress.
+    #[error(
+        "none of {splats} splats is left: {transparent} have an opacity below 1/255, {defects} cannot be drawn, {unseen} are seen in \
+         no view; keep more of them (a lower threshold or a larger ratio), or look at the asset with `inspect`"
+    )]
+    NothingLeft {
+        /// Splats that came in.
+        splats: usize,
+        /// Of which have a defect.
+        defects: usize,
+        /// Of which are too faint.
+        transparent: usize,
+        /// Of which have a visibility of zero.
+        unseen: usize,
+    },
+    /// What comes out cannot be stored.
+    #[error("the splats cannot be coded: {0}")]
+    Unrepresentable(String),
+}
+
+pub(super) fn check_visibility(cloud: &SplatCloud, visibility: &[f32]) -> Result<(), CompressError> {
+    if visibility.len() != cloud.len() {
+        return Err(CompressError::VisibilityCount { expected: cloud.len(), found: visibility.len() });
+    }
+    match visibility.iter().position(|value| !(value.is_finite() && *value >= 0.0)) {
+        Some(splat) => Err(CompressError::Visibility { splat, value: visibility[splat].to_string() }),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,84 @@
+//! What a compression did.
+
+use decouplegs_scene::{CodedCloud, CodedSplat};
+use serde::Serialize;
+
+use super::shape_space::ShapeSpace;
+
+/// What became of the splats, how well the codebooks stand for them, and what it all takes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CompressionReport {
+    /// Splats that came in.
+    pub splats: usize,
+    /// Splats of the finest level.
+    pub kept: usize,
+    /// Splats dropped because they cannot be drawn.
+    pub defects: usize,
+    /// Splats dropped because no pixel shows their opacity.
+    pub transparent: usize,
+    /// The least importance that was kept.
+    pub least_importance: f32,
+    /// The space of the shape codebook.
+    pub shape_space: ShapeSpace,
+    /// How the shape codebook was made.
+    pub shapes: BookReport,
+    /// How the colour codebook was made.
+    pub colours: BookReport,
+    /// Bytes of the parts, without the container's header.
+    pub bytes: PartBytes,
+}
+
+/// How one codebook was made.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BookReport {
+    /// Entries.
+    pub entries: usize,
+    /// Weighted mean squared distance by iteration.
+    pub distortion: Vec<f64>,
+    /// How many of these are of mini-batches; the others are over all splats.
+    pub batches: usize,
+    /// Entries that began again because nothing used them.
+    pub reseeded: usize,
+}
+
+/// Bytes of each part of an asset as it is stored: colours as f16, shapes as f32.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PartBytes {
+    /// Splats of each level of detail.
+    pub levels: Vec<usize>,
+    /// The shape codebook.
+    pub shapes: usize,
+    /// The colour codebook.
+    pub colours: usize,
+}
+
+impl PartBytes {
+    pub(super) fn of(cloud: &CodedCloud) -> Self {
+        Self {
+            levels: cloud.levels.iter().map(|level| level * size_of::<CodedSplat>()).collect(),
+            shapes: size_of_val(cloud.shapes.as_slice()),
+            // Two bytes a number instead of four.
+            colours: size_of_val(cloud.colours.as_slice()) / 2,
+        }
+    }
+
+    /// All of them.
+    #[must_use]
+    pub fn total(&self) -> usize {
+        self.levels.iter().sum::<usize>() + self.shapes + self.colours
+    }
+}
+
+impl CompressionReport {
+    /// Everything that is stored, for each splat of the finest level.
+    #[must_use]
+    pub fn bytes_per_kept_splat(&self) -> f64 {
+        self.bytes.total() as f64 / self.kept as f64
+    }
+
+    /// Everything that is stored, for each splat that came in.
+    #[must_use]
+    pub fn bytes_per_splat(&self) -> f64 {
+        self.bytes.total() as f64 / self.splats as f64
+    }
+}

@@ -1,0 +1,147 @@
+//! Agents of a frame: which of them some camera may see, at which level of detail, and the rig as each of them sees it.
+//!
+//! Nothing of an agent is turned: each camera is moved into the agent's frame instead, in f64, which is one record an agent
+//! and camera where turning a codebook would be 512 entries. Shapes, colours and depth keys come out the same.
+
+use decouplegs_scene::{Camera, Pose, ShFrame};
+use glam::{DMat3, DVec3, Vec3};
+
+use crate::RenderError;
+use crate::asset_pool::{Asset, AssetId, AssetPool, PoolBuffers};
+use crate::layout::{AgentRecord, CameraRecord, View};
+use crate::resident::ResidentWorld;
+use crate::stages::AgentCounts;
+use crate::twins;
+
+/// Something that stands in the world for one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Agent {
+    /// What it shows.
+    pub asset: AssetId,
+    /// Where it stands, f64 world coordinates.
+    pub world_from_agent: Pose,
+    /// How its colours are meant; `None`: as the asset says.
+    pub sh_frame: Option<ShFrame>,
+    /// The id it has in instance pictures; 0 is the background's.
+    pub instance: u16,
+}
+
+/// What is drawn: a background, and agents that may be others in every frame.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    /// The background.
+    pub world: &'a ResidentWorld,
+    /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
+    pub agents: Option<(&'a AssetPool, &'a [Agent])>,
+}
+
+impl<'a> From<&'a ResidentWorld> for Scene<'a> {
+    fn from(world: &'a ResidentWorld) -> Self {
+        Self { world, agents: None }
+    }
+}
+
+impl Scene<'_> {
+    /// No mean that is drawn is farther from the world's origin, metres.
+    pub(crate) fn reach_m(&self) -> Result<f64, RenderError> {
+        let mut reach_m = self.world.reach_m;
+        let (pool, agents) = match self.agents {
+            Some((pool, agents)) => (pool, agents),
+            None => return Ok(reach_m),
+        };
+        for agent in agents {
+            let pose = &agent.world_from_agent;
+            if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
+                return Err(RenderError::AgentPose { instance: agent.instance, pose: format!("{pose:?}") });
+            }
+            reach_m = reach_m.max((pose.translation - self.world.origin).length() + pool.asset(agent.asset)?.reach_m());
+        }
+        Ok(reach_m)
+    }
+}
+
+/// The agents of a frame as the device is told of them.
+#[derive(Clone)]
+pub(crate) struct AgentList {
+    pub pool: PoolBuffers,
+    /// Of those that some camera may see.
+    pub records: Vec<AgentRecord>,
+    /// `[agent][camera]`.
+    pub cameras: Vec<CameraRecord>,
+    pub counts: AgentCounts,
+    /// Highest degree of their colours.
+    pub sh_degree: u8,
+    /// Splats of the levels of detail that were chosen.
+    pub splats: usize,
+}
+
+impl AgentList {
+    /// The agents of `scene` for `cameras`, which `view` is made of; levels of detail are as coarse as
+    /// `level_pitch_px` lets neighbouring splats be apart, the finest where it is `None`.
+    ///
+    /// `None` where no camera can see an agent.
+    pub fn new(
+        scene: &Scene<'_>,
+        cameras: &[Camera],
+        view: &View,
+        near_m: f32,
+        level_pitch_px: Option<f64>,
+    ) -> Result<Option<Self>, RenderError> {
+        let Some((pool, agents)) = scene.agents else { return Ok(None) };
+        let mut list = Self {
+            pool: pool.buffers().clone(),
+            records: Vec::new(),
+            cameras: Vec::new(),
+            counts: AgentCounts { cameras: cameras.len(), ..AgentCounts::default() },
+            sh_degree: 0,
+            splats: 0,
+        };
+        for agent in agents {
+            let asset = pool.asset(agent.asset)?;
+            let records = view.cameras.iter().zip(cameras);
+            let origin = scene.world.origin;
+            let seen_by: Vec<CameraRecord> =
+                records.map(|(record, camera)| record.moved_into(camera, origin, &agent.world_from_agent)).collect();
+            let reached = |camera: &CameraRecord| twins::chunk_reaches(&asset.whole, camera, near_m);
+            let mask = seen_by.iter().enumerate().fold(0u32, |mask, (i, camera)| mask | u32::from(reached(camera)) << i);
+            if mask == 0 {
+                continue;
+            }
+            let level = level_pitch_px.map_or(0, |pitch_px| level_for(asset, &seen_by, mask, near_m, pitch_px));
+            list.push(agent, asset, level, mask, seen_by);
+        }
+        Ok((list.counts.chunks > 0).then_some(list))
+    }
+
+    fn push(&mut self, agent: &Agent, asset: &Asset, level: usize, mask: u32, seen_by: Vec<CameraRecord>) {
+        let rotation = DMat3::from_quat(agent.world_from_agent.rotation.normalize()).transpose();
+        let row = |column: DVec3| column.as_vec3().to_array();
+        self.records.push(AgentRecord {
+            row_x: row(rotation.x_axis),
+            row_y: row(rotation.y_axis),
+            row_z: row(rotation.z_axis),
+            first_chunk: self.counts.chunks as u32,
+            cameras: mask,
+            instance: agent.instance.into(),
+            colours_in_world: u32::from(agent.sh_frame.unwrap_or(asset.sh_frame) == ShFrame::World),
+            ..asset.record(level)
+        });
+        self.cameras.extend(seen_by);
+        self.counts.agents += 1;
+        self.counts.chunks += asset.levels[level].chunks();
+        self.sh_degree = self.sh_degree.max(asset.sh_degree);
+        self.splats += self.records[self.records.len() - 1].splat_count as usize;
+    }
+}
+
+/// The coarsest level of detail whose splats are at most `pitch_px` apart in every picture that shows them.
+fn level_for(asset: &Asset, seen_by: &[CameraRecord], mask: u32, near_m: f32, pitch_px: f64) -> usize {
+    let half_diagonal_m = Vec3::from_array(asset.whole.half_extent_m).length();
+    let px_per_m = seen_by.iter().enumerate().filter(|(i, _)| mask >> i & 1 == 1).map(|(_, camera)| {
+        let centre = twins::projection::from_camera_m(asset.whole.centre_m, camera);
+        let nearest_m = (Vec3::from_array(camera.row_z).dot(centre) - half_diagonal_m).max(near_m);
+        f64::from(camera.focal_px[0].max(camera.focal_px[1]) / nearest_m)
+    });
+    let px_per_m = px_per_m.fold(0.0, f64::max);
+    asset.levels.iter().rposition(|level| level.pitch_m * px_per_m <= pitch_px).unwrap_or(0)
+}

@@ -1,0 +1,385 @@
+//! Agents' assets on the device: all in one set of buffers, so that one dispatch draws agents of any assets.
+
+use std::sync::Arc;
+
+use bytemuck::Zeroable;
+use decouplegs_gpu::{Buffer, Gpu, QueueRole, Residence, Ticket};
+use decouplegs_scene::{Bounds, CodedCloud, ShFrame, SplatCodes, sh, shape};
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::RenderError;
+use crate::layout::{AgentRecord, CHUNK_SPLATS, ChunkRecord};
+use crate::range_allocator::RangeAllocator;
+use crate::resident::{Extent, chunk_of};
+use crate::sh_codec;
+
+/// Purpose under which the memory of assets is counted.
+pub const PURPOSE: &str = "assets";
+
+/// Words that bands 1 to 3 of a colour take.
+const COLOUR_WORDS: usize = 24;
+
+/// Names an asset of a pool. Stale after the asset was removed, which is noticed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct AssetId {
+    index: u32,
+    generation: u32,
+}
+
+/// The pool's buffers as the kernels read them.
+#[derive(Clone)]
+pub struct PoolBuffers {
+    /// Coded splats, three words each.
+    pub splats: Buffer<[u32; 3]>,
+    /// Boxes of chunks of 256 splats, each level of detail beginning one.
+    pub chunks: Buffer<ChunkRecord>,
+    /// Triangular factors.
+    pub shapes: Buffer<[f32; 6]>,
+    /// DC coefficients of colours.
+    pub colour_dc: Buffer<[f32; 3]>,
+    /// Bands 1 to 3 of colours, 24 words each.
+    pub colour_bands: Buffer<[u32; COLOUR_WORDS]>,
+}
+
+/// One level of detail in the pool.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Level {
+    first_splat: usize,
+    splats: usize,
+    first_bounds: usize,
+    /// Metres from a splat to the next, about.
+    pub pitch_m: f64,
+}
+
+impl Level {
+    pub fn chunks(&self) -> usize {
+        self.splats.div_ceil(CHUNK_SPLATS)
+    }
+}
+
+/// An asset in the pool.
+pub(crate) struct Asset {
+    generation: u32,
+    /// Box of the means of all it draws, in its own frame, and how far these reach out of it.
+    pub whole: ChunkRecord,
+    pub levels: Vec<Level>,
+    pub sh_degree: u8,
+    pub sh_frame: ShFrame,
+    /// What the kernels need of it; where it stands is the agent's.
+    record: AgentRecord,
+    ranges: Ranges,
+}
+
+impl Asset {
+    /// The record of an agent that shows it at level of detail `level`, its splats' place and codebooks filled in.
+    pub fn record(&self, level: usize) -> AgentRecord {
+        let Level { first_splat, splats, first_bounds, .. } = self.levels[level];
+        AgentRecord {
+            first_splat: first_splat as u32,
+            splat_count: splats as u32,
+            first_bounds: first_bounds as u32,
+            ..self.record
+        }
+    }
+
+    /// The farthest that a drawn mean is from its origin, metres.
+    pub fn reach_m(&self) -> f64 {
+        let farthest = |axis: usize| f64::from(self.whole.centre_m[axis].abs() + self.whole.half_extent_m[axis]);
+        DVec3::new(farthest(0), farthest(1), farthest(2)).length()
+    }
+}
+
+/// First and count in each of the pool's buffers.
+#[derive(Clone, Copy)]
+struct Ranges {
+    splats: (usize, usize),
+    chunks: (usize, usize),
+    shapes: (usize, usize),
+    colours: (usize, usize),
+}
+
+/// Assets on a device, shared by any number of agents. Adding one copies it behind the frames in flight and waits for nothing.
+pub struct AssetPool {
+    gpu: Gpu,
+    buffers: PoolBuffers,
+    splats: RangeAllocator,
+    chunks: RangeAllocator,
+    shapes: RangeAllocator,
+    colours: RangeAllocator,
+    assets: Vec<Option<Asset>>,
+    generation: u32,
+    last_upload: Option<Ticket>,
+}
+
+impl AssetPool {
+    /// A pool without assets.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
+        let buffers = PoolBuffers {
+            splats: gpu.buffer("coded_splats", PURPOSE, 0, Residence::Device)?,
+            chunks: gpu.buffer("asset_chunks", PURPOSE, 0, Residence::Device)?,
+            shapes: gpu.buffer("coded_shapes", PURPOSE, 0, Residence::Device)?,
+            colour_dc: gpu.buffer("coded_dc", PURPOSE, 0, Residence::Device)?,
+            colour_bands: gpu.buffer("coded_bands", PURPOSE, 0, Residence::Device)?,
+        };
+        Ok(Self {
+            gpu: gpu.clone(),
+            buffers,
+            splats: RangeAllocator::default(),
+            chunks: RangeAllocator::default(),
+            shapes: RangeAllocator::default(),
+            colours: RangeAllocator::default(),
+            assets: Vec::new(),
+            generation: 0,
+            last_upload: None,
+        })
+    }
+
+    /// Assets that it holds.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.assets.iter().flatten().count()
+    }
+
+    /// Whether it holds none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Copies `cloud` to the device. All agents that show it share it.
+    ///
+    /// # Errors
+    /// When the cloud cannot be drawn ([`CodedCloud::check`]), or the device has not the memory.
+    pub fn add(&mut self, cloud: &CodedCloud) -> Result<AssetId, RenderError> {
+        cloud.check().map_err(RenderError::Asset)?;
+        let encoded = Encoded::of(cloud);
+        let ranges = self.allocate(&encoded)?;
+        if let Err(error) = self.upload(&encoded, &ranges) {
+            self.release(&ranges);
+            return Err(error);
+        }
+        self.generation += 1;
+        let asset = Asset {
+            generation: self.generation,
+            whole: encoded.whole,
+            levels: levels_of(cloud, &ranges),
+            sh_degree: cloud.sh_degree,
+            sh_frame: cloud.sh_frame,
+            record: AgentRecord {
+                box_min_m: cloud.bounds.min,
+                box_step_m: cloud.position_step_m(),
+                dc_residual_step: cloud.dc_residual_step,
+                log2_size_min: cloud.log2_size_min,
+                log2_size_step: cloud.log2_size_step,
+                first_shape: ranges.shapes.0 as u32,
+                first_colour: ranges.colours.0 as u32,
+                ..AgentRecord::default()
+            },
+            ranges,
+        };
+        let index = self.assets.iter().position(Option::is_none).unwrap_or(self.assets.len());
+        if index == self.assets.len() {
+            self.assets.push(None);
+        }
+        self.assets[index] = Some(asset);
+        Ok(AssetId { index: index as u32, generation: self.generation })
+    }
+
+    /// Gives the asset's memory back to the pool. Frames in flight still draw it.
+    ///
+    /// # Errors
+    /// When the pool does not hold it.
+    pub fn remove(&mut self, id: AssetId) -> Result<(), RenderError> {
+        let ranges = self.asset(id)?.ranges;
+        self.assets[id.index as usize] = None;
+        self.release(&ranges);
+        Ok(())
+    }
+
+    pub(crate) fn asset(&self, id: AssetId) -> Result<&Asset, RenderError> {
+        let asset = self.assets.get(id.index as usize).and_then(Option::as_ref);
+        asset.filter(|asset| asset.generation == id.generation).ok_or(RenderError::NoSuchAsset)
+    }
+
+    pub(crate) fn buffers(&self) -> &PoolBuffers {
+        &self.buffers
+    }
+
+    /// The copy of the asset that was added last.
+    pub(crate) fn last_upload(&self) -> Option<&Ticket> {
+        self.last_upload.as_ref()
+    }
+
+    fn allocate(&mut self, encoded: &Encoded) -> Result<Ranges, RenderError> {
+        let [splats, chunks, shapes, colours] =
+            [encoded.splats.len(), encoded.chunks.len(), encoded.shapes.len(), encoded.colour_dc.len()];
+        let ranges = Ranges {
+            splats: (self.splats.take(splats), splats),
+            chunks: (self.chunks.take(chunks), chunks),
+            shapes: (self.shapes.take(shapes), shapes),
+            colours: (self.colours.take(colours), colours),
+        };
+        if let Err(error) = self.fit_buffers() {
+            self.release(&ranges);
+            return Err(error);
+        }
+        Ok(ranges)
+    }
+
+    fn release(&mut self, ranges: &Ranges) {
+        self.splats.give_back(ranges.splats.0, ranges.splats.1);
+        self.chunks.give_back(ranges.chunks.0, ranges.chunks.1);
+        self.shapes.give_back(ranges.shapes.0, ranges.shapes.1);
+        self.colours.give_back(ranges.colours.0, ranges.colours.1);
+    }
+
+    /// Buffers as long as what was allocated, the assets in them copied over on the device.
+    fn fit_buffers(&mut self) -> Result<(), RenderError> {
+        let lengths = [self.splats.end(), self.chunks.end(), self.shapes.end(), self.colours.end()];
+        let old = self.buffers.clone();
+        if lengths[0] <= old.splats.len()
+            && lengths[1] <= old.chunks.len()
+            && lengths[2] <= old.shapes.len()
+            && lengths[3] <= old.colour_dc.len()
+        {
+            return Ok(());
+        }
+        let buffers = PoolBuffers {
+            splats: grown(&self.gpu, "coded_splats", &old.splats, lengths[0])?,
+            chunks: grown(&self.gpu, "asset_chunks", &old.chunks, lengths[1])?,
+            shapes: grown(&self.gpu, "coded_shapes", &old.shapes, lengths[2])?,
+            colour_dc: grown(&self.gpu, "coded_dc", &old.colour_dc, lengths[3])?,
+            colour_bands: grown(&self.gpu, "coded_bands", &old.colour_bands, lengths[3])?,
+        };
+        let mut recorder = self.gpu.record(QueueRole::Main);
+        recorder.stage("grow assets", |r| {
+            r.copy(&old.splats, 0, &buffers.splats, 0, old.splats.len());
+            r.copy(&old.chunks, 0, &buffers.chunks, 0, old.chunks.len());
+            r.copy(&old.shapes, 0, &buffers.shapes, 0, old.shapes.len());
+            r.copy(&old.colour_dc, 0, &buffers.colour_dc, 0, old.colour_dc.len());
+            r.copy(&old.colour_bands, 0, &buffers.colour_bands, 0, old.colour_bands.len());
+        });
+        self.last_upload = Some(self.gpu.submit(recorder, &[])?);
+        self.buffers = buffers;
+        Ok(())
+    }
+
+    fn upload(&mut self, encoded: &Encoded, ranges: &Ranges) -> Result<(), RenderError> {
+        let gpu = &self.gpu;
+        let staged = PoolBuffers {
+            splats: staged(gpu, &encoded.splats)?,
+            chunks: staged(gpu, &encoded.chunks)?,
+            shapes: staged(gpu, &encoded.shapes)?,
+            colour_dc: staged(gpu, &encoded.colour_dc)?,
+            colour_bands: staged(gpu, &encoded.colour_bands)?,
+        };
+        let to = &self.buffers;
+        let mut recorder = gpu.record(QueueRole::Main);
+        recorder.stage("add asset", |r| {
+            r.copy(&staged.splats, 0, &to.splats, ranges.splats.0, ranges.splats.1);
+            r.copy(&staged.chunks, 0, &to.chunks, ranges.chunks.0, ranges.chunks.1);
+            r.copy(&staged.shapes, 0, &to.shapes, ranges.shapes.0, ranges.shapes.1);
+            r.copy(&staged.colour_dc, 0, &to.colour_dc, ranges.colours.0, ranges.colours.1);
+            r.copy(&staged.colour_bands, 0, &to.colour_bands, ranges.colours.0, ranges.colours.1);
+        });
+        self.last_upload = Some(gpu.submit(recorder, &[])?);
+        Ok(())
+    }
+}
+
+/// A buffer of at least `len`; `old` itself where that is long enough. The next asset shall not make it grow again at once.
+fn grown<T: bytemuck::Pod>(gpu: &Gpu, name: &'static str, old: &Buffer<T>, len: usize) -> Result<Buffer<T>, RenderError> {
+    let room = if len <= old.len() { old.len() } else { len + len / 4 };
+    Ok(gpu.buffer(name, PURPOSE, room, Residence::Device)?)
+}
+
+fn staged<T: bytemuck::Pod>(gpu: &Gpu, data: &[T]) -> Result<Buffer<T>, RenderError> {
+    let buffer = gpu.buffer("staged asset", "staging", data.len(), Residence::Upload)?;
+    buffer.write_host(0, data);
+    Ok(buffer)
+}
+
+fn levels_of(cloud: &CodedCloud, ranges: &Ranges) -> Vec<Level> {
+    let size = DVec3::from_array(cloud.bounds.half_extent().map(f64::from)) * 2.0;
+    // What it shows lies on surfaces: about those of its box.
+    let area_m2 = 2.0 * (size.x * size.y + size.y * size.z + size.z * size.x);
+    let (mut first_splat, mut first_bounds) = (ranges.splats.0, ranges.chunks.0);
+    let levels = cloud.levels.iter().map(|&splats| {
+        let level = Level { first_splat, splats, first_bounds, pitch_m: (area_m2 / splats.max(1) as f64).sqrt() };
+        first_splat += splats;
+        first_bounds += level.chunks();
+        level
+    });
+    levels.collect()
+}
+
+/// An asset as the device holds it.
+struct Encoded {
+    splats: Vec<[u32; 3]>,
+    chunks: Vec<ChunkRecord>,
+    shapes: Vec<[f32; 6]>,
+    colour_dc: Vec<[f32; 3]>,
+    colour_bands: Vec<[u32; COLOUR_WORDS]>,
+    whole: ChunkRecord,
+}
+
+impl Encoded {
+    fn of(cloud: &CodedCloud) -> Self {
+        let longest: Arc<[f32]> = cloud.shapes.iter().map(|factor| shape::principal_axes(factor).scales[0]).collect();
+        let extent = |codes: SplatCodes| Extent {
+            mean_m: cloud.mean_m(&codes),
+            longest_m: longest[usize::from(codes.shape)] * cloud.size(&codes),
+            opacity: f32::from(codes.opacity) / 255.0,
+        };
+        let mut chunks = Vec::new();
+        for level in 0..cloud.levels.len() {
+            let of_level = cloud.level(level).par_chunks(CHUNK_SPLATS);
+            let boxes = of_level.map(|splats| chunk_of(&splats.iter().map(|&splat| extent(splat.into())).collect::<Vec<_>>()));
+            chunks.extend(boxes.collect::<Vec<_>>());
+        }
+        Self {
+            splats: cloud.splats.iter().map(|splat| splat.0).collect(),
+            shapes: cloud.shapes.clone(),
+            colour_dc: (0..cloud.colour_count()).map(|entry| cloud.colour(entry)[0]).collect(),
+            colour_bands: (0..cloud.colour_count()).map(|entry| encode_bands(cloud.colour(entry), cloud.sh_degree)).collect(),
+            whole: whole_of(&chunks),
+            chunks,
+        }
+    }
+}
+
+/// Bands 1 to 3 one behind the other; those that the colour has not are zero.
+fn encode_bands(coefficients: &[[f32; 3]], sh_degree: u8) -> [u32; COLOUR_WORDS] {
+    let mut words = [0; COLOUR_WORDS];
+    let mut first_word = 0;
+    for band in 1..=3usize {
+        let count = sh_codec::words_of(band);
+        if band <= usize::from(sh_degree) {
+            let range = sh::coefficient_count(band as u8 - 1)..sh::coefficient_count(band as u8);
+            words[first_word..first_word + count].copy_from_slice(&sh_codec::encode_band(&coefficients[range])[..count]);
+        }
+        first_word += count;
+    }
+    words
+}
+
+/// The box around the chunks' boxes; one that no camera reaches when nothing is drawn.
+fn whole_of(chunks: &[ChunkRecord]) -> ChunkRecord {
+    let mut bounds = Bounds::EMPTY;
+    let mut reach_m = -1e30f32;
+    for chunk in chunks.iter().filter(|chunk| chunk.reach_m >= 0.0) {
+        for side in [-1.0f32, 1.0] {
+            bounds.include(&std::array::from_fn(|axis| chunk.centre_m[axis] + side * chunk.half_extent_m[axis]));
+        }
+        reach_m = reach_m.max(chunk.reach_m);
+    }
+    if reach_m < 0.0 {
+        return ChunkRecord { reach_m, ..ChunkRecord::zeroed() };
+    }
+    let half_extent_m = bounds.half_extent().map(|half| half * 1.000_01);
+    ChunkRecord { centre_m: bounds.centre(), half_extent_m, reach_m }
+}

@@ -1,0 +1,142 @@
+//! The kernels of a frame, built when the first frame needs them.
+
+use decouplegs_gpu::{Gpu, GpuError};
+use decouplegs_scene::{EarlyStop, Rules};
+
+use crate::capacity::SortShape;
+use crate::output::Outputs;
+use crate::stages::{
+    Blend, CompositeSegments, CountPairs, Cull, CullAgents, EmitPairs, FindRanges, MergeOrder, PlanOrder, PlanSegments, Project,
+    ProjectAgents, ProjectVariant, RadixSort, Ranks, RepairOrder, Scan,
+};
+
+/// Longer segments are no segments.
+const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
+
+/// What every frame runs, whatever it shows.
+pub(crate) struct CommonStages {
+    pub scan: Scan,
+    pub plan_order: PlanOrder,
+    pub sort: RadixSort,
+    pub count_pairs: CountPairs,
+    pub emit_pairs: EmitPairs,
+    pub find_ranges: FindRanges,
+    pub plan_segments: PlanSegments,
+    pub blend: Blend,
+    pub composite: CompositeSegments,
+}
+
+/// What frames of one kind of background run.
+pub(crate) struct BackgroundStages {
+    pub cull: Cull,
+    pub project: Project,
+}
+
+/// What frames with agents run beside.
+pub(crate) struct AgentStages {
+    pub cull: CullAgents,
+    pub project: ProjectAgents,
+    pub merge: MergeOrder,
+}
+
+/// What frames that keep orders run beside.
+pub(crate) struct OrderStages {
+    pub ranks: Ranks,
+    pub repair: RepairOrder,
+}
+
+/// All kernels of a renderer.
+pub(crate) struct Kernels {
+    rules: Rules,
+    outputs: Outputs,
+    segment_pairs: u32,
+    shape: SortShape,
+    common: Option<CommonStages>,
+    background: Vec<(ProjectVariant, BackgroundStages)>,
+    agents: Vec<(u8, AgentStages)>,
+    orders: Option<OrderStages>,
+}
+
+/// The kernels of one frame.
+#[derive(Clone, Copy)]
+pub(crate) struct FrameStages<'a> {
+    pub common: &'a CommonStages,
+    pub background: &'a BackgroundStages,
+    pub agents: Option<&'a AgentStages>,
+    pub orders: Option<&'a OrderStages>,
+}
+
+/// What a frame is specialised for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct FrameVariant {
+    pub background: ProjectVariant,
+    /// Degree of the agents' colours; `None` without agents.
+    pub agents: Option<u8>,
+    /// Whether orders are found, kept or repaired.
+    pub orders: bool,
+}
+
+impl Kernels {
+    /// For pictures of the given rules and outputs; nothing is built yet.
+    pub fn new(rules: &Rules, outputs: &Outputs, segment_pairs: u32, shape: SortShape) -> Self {
+        // Whether a pixel stops before a splat depends on all splats before it: such lists are not cut.
+        let whole = rules.stop == EarlyStop::Exclusive || segment_pairs > SEGMENT_PAIRS_MAX;
+        Self {
+            rules: *rules,
+            outputs: *outputs,
+            segment_pairs: if whole { u32::MAX } else { segment_pairs.max(1) },
+            shape,
+            common: None,
+            background: Vec::new(),
+            agents: Vec::new(),
+            orders: None,
+        }
+    }
+
+    /// The kernels for `variant`, those that are new built now.
+    pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
+        let Self { rules, outputs, segment_pairs, shape, .. } = self;
+        if self.common.is_none() {
+            self.common = Some(CommonStages {
+                scan: Scan::new(gpu)?,
+                plan_order: PlanOrder::new(gpu, shape.block())?,
+                sort: RadixSort::new(gpu, *shape)?,
+                count_pairs: CountPairs::new(gpu)?,
+                emit_pairs: EmitPairs::new(gpu, shape.block())?,
+                find_ranges: FindRanges::new(gpu)?,
+                plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
+                blend: Blend::new(gpu, rules, outputs)?,
+                composite: CompositeSegments::new(gpu, outputs)?,
+            });
+        }
+        if !self.background.iter().any(|(built, _)| *built == variant.background) {
+            let cull = Cull::new(gpu, rules, variant.background.ranked)?;
+            let project = Project::new(gpu, rules, variant.background)?;
+            self.background.push((variant.background, BackgroundStages { cull, project }));
+        }
+        if let Some(degree) = variant.agents
+            && !self.agents.iter().any(|(built, _)| *built == degree)
+        {
+            let stages = AgentStages {
+                cull: CullAgents::new(gpu, rules)?,
+                project: ProjectAgents::new(gpu, rules, degree)?,
+                merge: MergeOrder::new(gpu)?,
+            };
+            self.agents.push((degree, stages));
+        }
+        if variant.orders && self.orders.is_none() {
+            self.orders = Some(OrderStages { ranks: Ranks::new(gpu)?, repair: RepairOrder::new(gpu)? });
+        }
+        let built = |what| GpuError::Driver { call: "building kernels", code: format!("{what} was not built") };
+        Ok(FrameStages {
+            common: self.common.as_ref().ok_or_else(|| built("a stage"))?,
+            background: self
+                .background
+                .iter()
+                .find_map(|(built, stages)| (*built == variant.background).then_some(stages))
+                .ok_or_else(|| built("the background's projection"))?,
+            agents: self.agents.iter().find_map(|(degree, stages)| (Some(*degree) == variant.agents).then_some(stages)),
+            orders: self.orders.as_ref().filter(|_| variant.orders),
+        })
+    }
+}

@@ -1,0 +1,80 @@
+//! How frames are drawn, and what they took.
+
+use std::time::Duration;
+
+use decouplegs_gpu::StageTime;
+use decouplegs_scene::Rules;
+
+use crate::capacity::Capacity;
+use crate::layout::Needs;
+use crate::orders::{OrderMode, OrderPath};
+use crate::output::Outputs;
+
+/// How pictures are made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderOptions {
+    /// The definition of a picture.
+    pub rules: Rules,
+    /// What is asked for.
+    pub outputs: Outputs,
+    /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
+    pub sh_degree_max: u8,
+    /// Macro tiles whose list is longer are blended in segments of this length (the last up to half longer), side
+    /// by side. Shorter segments balance better and take more memory: 32 KiB of partial result each. Above 2^24 lists are not
+    /// cut.
+    pub segment_pairs: u32,
+    /// How splats come into front-to-back order.
+    pub order: OrderMode,
+    /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in the picture. `None`: always
+    /// at the finest, which is exact.
+    pub level_pitch_px: Option<f64>,
+    /// Frames that may be submitted before the first of them is finished, at least 1. Each has pictures of its own.
+    pub frames_in_flight: usize,
+    /// Whether the agents' part of a frame runs on the queue for updates, beside the frame before, or in line with the rest.
+    pub overlap: bool,
+}
+
+impl Default for RenderOptions {
+    fn default() -> Self {
+        Self {
+            rules: Rules::DEFAULT,
+            outputs: Outputs::default(),
+            sh_degree_max: 3,
+            segment_pairs: 1024,
+            order: OrderMode::default(),
+            level_pitch_px: None,
+            frames_in_flight: 2,
+            overlap: true,
+        }
+    }
+}
+
+/// What a frame took.
+#[derive(Clone, Debug)]
+pub struct FrameStatistics {
+    /// How many of each it listed.
+    pub needs: Needs,
+    /// How many it had room for.
+    pub capacity: Capacity,
+    /// How often it was drawn again because a list outgrew its buffer.
+    pub redrawn: u32,
+    /// How the background of each view came into order.
+    pub orders: Vec<OrderPath>,
+    /// Neighbours in each view's background that stand the wrong way round: only where an order was taken as it was, or its
+    /// repair was not enough.
+    pub inversions: Vec<u32>,
+    /// Agents that some camera could see, and their splats at the levels of detail that were drawn.
+    pub agents: usize,
+    /// Splats of those agents.
+    pub agent_splats: usize,
+    /// GPU time from the first command to the last, without the agents' part where that ran on its own queue.
+    pub gpu_time: Duration,
+    /// GPU time by stage, in order.
+    pub stages: Vec<StageTime>,
+    /// GPU time of the agents' part where it was submitted by itself.
+    pub update_time: Option<Duration>,
+    /// Wall clock from the submission to the finished picture, redrawing included.
+    pub wall_time: Duration,
+    /// Host time to record and submit the last drawing.
+    pub record_time: Duration,
+}

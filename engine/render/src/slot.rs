@@ -1,0 +1,120 @@
+//! What each frame in flight has for itself: what the host writes before it, what the host reads after it, and its agents.
+
+use std::time::{Duration, Instant};
+
+use decouplegs_gpu::{Buffer, Gpu, Recorder, Residence, Ticket};
+
+use crate::RenderError;
+use crate::agents::AgentList;
+use crate::capacity::Capacity;
+use crate::kernels::FrameVariant;
+use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, Needs, View, ViewOrder};
+use crate::orders::OrderDecision;
+use crate::output::{OutputBuffers, Outputs};
+use crate::resident::ResidentWorld;
+use crate::stages::{AgentBuffers, AgentCounts, PURPOSE};
+
+/// A frame that was submitted and not yet finished.
+pub(crate) struct Pending {
+    pub world: ResidentWorld,
+    pub variant: FrameVariant,
+    pub orders: OrderDecision,
+    /// The buffer of ranks that it was submitted with.
+    pub ranks: Buffer<u32>,
+    pub frame: Ticket,
+    /// The agents' part, where there is one.
+    pub update: Option<Ticket>,
+    pub capacity: Capacity,
+    pub since: Instant,
+    pub record_time: Duration,
+}
+
+/// The buffers of one frame in flight.
+pub(crate) struct FrameSlot {
+    pub staged_cameras: Buffer<CameraRecord>,
+    pub staged_orders: Buffer<ViewOrder>,
+    staged_agents: Buffer<AgentRecord>,
+    staged_agent_cameras: Buffer<CameraRecord>,
+    pub agents: AgentBuffers,
+    agent_room: AgentCounts,
+    pub pictures: OutputBuffers,
+    pixels: usize,
+    pub found_needs: Buffer<Needs>,
+    pub found_inversions: Buffer<u32>,
+    pub view: Option<View>,
+    pub list: Option<AgentList>,
+    pub pending: Option<Pending>,
+}
+
+impl FrameSlot {
+    /// Buffers for no agents and no pixels yet.
+    pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, RenderError> {
+        Ok(Self {
+            staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
+            staged_orders: gpu.buffer("staged_orders", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
+            staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, Residence::Upload)?,
+            staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, Residence::Upload)?,
+            agents: AgentBuffers::new(gpu, 0, 0, 0)?,
+            agent_room: AgentCounts::default(),
+            pictures: OutputBuffers::new(gpu, 0, outputs)?,
+            pixels: 0,
+            found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
+            found_inversions: gpu.buffer("found_inversions", PURPOSE, CAMERAS_MAX, Residence::Readback)?,
+            view: None,
+            list: None,
+            pending: None,
+        })
+    }
+
+    /// The assets of its agents.
+    pub fn pool(&self) -> Option<&crate::asset_pool::PoolBuffers> {
+        self.list.as_ref().map(|list| &list.pool)
+    }
+
+    /// Takes the views and agents of the next frame. The frame before in this slot must be done.
+    pub fn set(&mut self, gpu: &Gpu, outputs: &Outputs, view: View, list: Option<AgentList>) -> Result<(), RenderError> {
+        self.view = None;
+        if self.pixels != view.pixels {
+            // The old ones go first: both would not always fit.
+            self.pixels = 0;
+            self.pictures = OutputBuffers::new(gpu, 0, outputs)?;
+            self.pictures = OutputBuffers::new(gpu, view.pixels, outputs)?;
+            self.pixels = view.pixels;
+        }
+        self.staged_cameras.write_host(0, &view.cameras);
+        if let Some(list) = &list {
+            self.fit_agents(gpu, list.counts)?;
+            self.staged_agents.write_host(0, &list.records);
+            self.staged_agent_cameras.write_host(0, &list.cameras);
+        }
+        self.list = list;
+        self.view = Some(view);
+        Ok(())
+    }
+
+    /// Room for `counts`, with some to spare: agents come into view and leave it all the time.
+    fn fit_agents(&mut self, gpu: &Gpu, counts: AgentCounts) -> Result<(), RenderError> {
+        let room = self.agent_room;
+        if counts.agents <= room.agents && counts.chunks <= room.chunks && counts.cameras == room.cameras {
+            return Ok(());
+        }
+        let spare = |wanted: usize, had: usize| if wanted <= had { had } else { wanted + wanted / 4 };
+        let room = AgentCounts {
+            agents: spare(counts.agents, room.agents),
+            chunks: spare(counts.chunks, room.chunks),
+            cameras: counts.cameras,
+        };
+        let cameras = room.agents * room.cameras;
+        self.staged_agents = gpu.buffer("staged_agents", PURPOSE, room.agents, Residence::Upload)?;
+        self.staged_agent_cameras = gpu.buffer("staged_agent_cameras", PURPOSE, cameras, Residence::Upload)?;
+        self.agents = AgentBuffers::new(gpu, room.agents, room.chunks, room.cameras)?;
+        self.agent_room = room;
+        Ok(())
+    }
+
+    /// Records the copy of what the host wrote of agents.
+    pub fn copy_agents(&self, recorder: &mut Recorder, counts: AgentCounts) {
+        recorder.copy(&self.staged_agents, 0, &self.agents.agents, 0, counts.agents);
+        recorder.copy(&self.staged_agent_cameras, 0, &self.agents.cameras, 0, counts.agents * counts.cameras);
+    }
+}

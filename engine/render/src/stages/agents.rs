@@ -1,0 +1,162 @@
+//! Culling and projection of agents.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_scene::{DepthOrder, Rules};
+
+use super::{PURPOSE, Projected, SortScratch, Visible, kernel};
+use crate::asset_pool::PoolBuffers;
+use crate::capacity::groups_for;
+use crate::layout::{AgentRecord, CameraRecord, near_m};
+
+/// The agents of a frame on the device.
+pub struct AgentBuffers {
+    /// One record an agent that some camera may see.
+    pub agents: Buffer<AgentRecord>,
+    /// The rig as each of them sees it, `[agent][camera]`.
+    pub cameras: Buffer<CameraRecord>,
+    /// What is visible of them.
+    pub visible: Visible,
+    /// Visible splats before each `[camera][chunk]` of the agents, and their total.
+    pub firsts: Buffer<u32>,
+}
+
+impl AgentBuffers {
+    /// Buffers for `agents` agents of `chunks` chunks in all, seen by `cameras`.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu, agents: usize, chunks: usize, cameras: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            agents: gpu.buffer("agents", PURPOSE, agents, Residence::Device)?,
+            cameras: gpu.buffer("agent_cameras", PURPOSE, agents * cameras, Residence::Device)?,
+            visible: Visible::new(gpu, cameras, chunks)?,
+            firsts: gpu.buffer("agent_firsts", PURPOSE, cameras * chunks + 1, Residence::Device)?,
+        })
+    }
+}
+
+/// How many of each a frame has; the buffers may have room for more.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AgentCounts {
+    /// Agents that some camera may see.
+    pub agents: usize,
+    /// Cameras of the rig.
+    pub cameras: usize,
+    /// Chunks of all those agents.
+    pub chunks: usize,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct CullPush {
+    agent_count: u32,
+    camera_count: u32,
+    chunk_count: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct ProjectPush {
+    agent_count: u32,
+    camera_count: u32,
+    chunk_count: u32,
+    records_max: u32,
+    static_lists: u32,
+}
+
+/// `cull_agents.comp`.
+pub struct CullAgents {
+    kernel: Kernel,
+}
+
+impl CullAgents {
+    /// The stage for pictures of the given rules.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
+        let constants = [("NEAR_M", Constant::F32(near_m(rules))), ("ANTIALIAS", Constant::Bool(rules.antialias))];
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)? })
+    }
+
+    /// Marks what is visible of the agents.
+    pub fn record(&self, recorder: &mut Recorder, pool: &PoolBuffers, buffers: &AgentBuffers, counts: AgentCounts) {
+        let push = CullPush {
+            agent_count: counts.agents as u32,
+            camera_count: counts.cameras as u32,
+            chunk_count: counts.chunks as u32,
+        };
+        let bound = [
+            ("agents", buffers.agents.binding()),
+            ("agent_cameras", buffers.cameras.binding()),
+            ("coded_splats", pool.splats.binding()),
+            ("coded_shapes", pool.shapes.binding()),
+            ("asset_chunks", pool.chunks.binding()),
+            ("visible_words", buffers.visible.words.binding()),
+            ("visible_counts", buffers.visible.counts.binding()),
+        ];
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.chunks));
+    }
+}
+
+/// `project_agents.comp`.
+pub struct ProjectAgents {
+    kernel: Kernel,
+}
+
+impl ProjectAgents {
+    /// The stage for pictures of the given rules and colours of the given degree.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules, sh_degree: u8) -> Result<Self, GpuError> {
+        let constants = [
+            ("NEAR_M", Constant::F32(near_m(rules))),
+            ("ANTIALIAS", Constant::Bool(rules.antialias)),
+            ("SH_DEGREE", Constant::U32(u32::from(sh_degree))),
+            ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
+        ];
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)? })
+    }
+
+    /// Writes a record for every visible splat of the agents behind those of the background, whose `static_lists` lists begin
+    /// at `static_firsts`, and its depth key and place to the first buffers of `sort`.
+    #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        pool: &PoolBuffers,
+        buffers: &AgentBuffers,
+        counts: AgentCounts,
+        static_firsts: &Buffer<u32>,
+        static_lists: usize,
+        projected: &Projected,
+        sort: &SortScratch,
+    ) {
+        let push = ProjectPush {
+            agent_count: counts.agents as u32,
+            camera_count: counts.cameras as u32,
+            chunk_count: counts.chunks as u32,
+            records_max: projected.colours.len() as u32,
+            static_lists: static_lists as u32,
+        };
+        let bound = [
+            ("agents", buffers.agents.binding()),
+            ("agent_cameras", buffers.cameras.binding()),
+            ("coded_splats", pool.splats.binding()),
+            ("coded_shapes", pool.shapes.binding()),
+            ("visible_words", buffers.visible.words.binding()),
+            ("firsts", buffers.firsts.binding()),
+            ("coded_dc", pool.colour_dc.binding()),
+            ("coded_bands", pool.colour_bands.binding()),
+            ("static_firsts", static_firsts.binding()),
+            ("footprints", projected.footprints.binding()),
+            ("colours", projected.colours.binding()),
+            ("keys", sort.keys[0].binding()),
+            ("values", sort.values[0].binding()),
+            ("tile_counts", projected.tile_counts.binding()),
+        ];
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.chunks));
+    }
+}

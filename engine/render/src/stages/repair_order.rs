@@ -1,0 +1,130 @@
+//! Puts almost sorted lists right, proves it, and hands back those that it failed on.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
+
+use super::{Arguments, Control, OrderPlan, SortScratch, kernel};
+use crate::capacity::groups_for;
+
+/// Places that one workgroup sorts.
+pub const REPAIR_WINDOW: usize = 1024;
+/// Places that one workgroup checks.
+const CHECK_BLOCK: usize = 1024;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct RepairPush {
+    camera_count: u32,
+    chunk_count: u32,
+    records_max: u32,
+    shift: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct CheckPush {
+    camera_count: u32,
+    chunk_count: u32,
+    records_max: u32,
+}
+
+/// `repair_order.comp`, `check_order.comp` and `restore_order.comp`.
+pub struct RepairOrder {
+    repair: Kernel,
+    check: Kernel,
+    restore: Kernel,
+}
+
+/// The background's lists as the projection left them.
+#[derive(Clone, Copy)]
+pub struct StaticLists<'a> {
+    /// How many cameras there are.
+    pub camera_count: usize,
+    /// Chunks of the background.
+    pub chunk_count: usize,
+    /// Records before each `[camera][chunk]`, and their total.
+    pub firsts: &'a Buffer<u32>,
+    /// Room for records.
+    pub records_max: usize,
+}
+
+impl RepairOrder {
+    /// The stages.
+    ///
+    /// # Errors
+    /// When the driver refuses a kernel.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self {
+            repair: kernel(gpu, &decouplegs_shaders::REPAIR_ORDER, &[])?,
+            check: kernel(gpu, &decouplegs_shaders::CHECK_ORDER, &[])?,
+            restore: kernel(gpu, &decouplegs_shaders::RESTORE_ORDER, &[])?,
+        })
+    }
+
+    /// Sorts windows of the first buffers of `sort`, `rounds` times, every other time shifted by half a window.
+    pub fn record_rounds(
+        &self,
+        recorder: &mut Recorder,
+        lists: StaticLists<'_>,
+        plan: &OrderPlan,
+        sort: &SortScratch,
+        rounds: u32,
+    ) {
+        for round in 0..rounds {
+            let push = RepairPush {
+                camera_count: lists.camera_count as u32,
+                chunk_count: lists.chunk_count as u32,
+                records_max: lists.records_max as u32,
+                shift: if round % 2 == 0 { 0 } else { REPAIR_WINDOW as u32 / 2 },
+            };
+            let buffers = [
+                ("view_orders", plan.view_orders.binding()),
+                ("firsts", lists.firsts.binding()),
+                ("keys", sort.keys[0].binding()),
+                ("values", sort.values[0].binding()),
+            ];
+            // As many windows as there can be: each list may end in one that is not full, and begin in one.
+            let windows = lists.records_max.div_ceil(REPAIR_WINDOW) + 2 * lists.camera_count;
+            recorder.dispatch(&self.repair, &buffers, bytes_of(&push), groups_for(windows));
+        }
+    }
+
+    /// Counts the inversions that are left.
+    pub fn record_check(&self, recorder: &mut Recorder, lists: StaticLists<'_>, plan: &OrderPlan, sort: &SortScratch) {
+        let push = CheckPush {
+            camera_count: lists.camera_count as u32,
+            chunk_count: lists.chunk_count as u32,
+            records_max: lists.records_max as u32,
+        };
+        let buffers = [
+            ("view_orders", plan.view_orders.binding()),
+            ("firsts", lists.firsts.binding()),
+            ("keys", sort.keys[0].binding()),
+            ("values", sort.values[0].binding()),
+            ("inversions", plan.inversions.binding()),
+        ];
+        recorder.dispatch(&self.check, &buffers, bytes_of(&push), groups_for(lists.records_max.div_ceil(CHECK_BLOCK)));
+    }
+
+    /// Puts the lists that are still out of order back into the order of their splats.
+    pub fn record_restore(
+        &self,
+        recorder: &mut Recorder,
+        camera_count: usize,
+        plan: &OrderPlan,
+        sort: &SortScratch,
+        control: &Control,
+    ) {
+        let buffers = [
+            ("view_orders", plan.view_orders.binding()),
+            ("inversions", plan.inversions.binding()),
+            ("lists", plan.lists.binding()),
+            ("unranked_keys", sort.keys[1].binding()),
+            ("keys", sort.keys[0].binding()),
+            ("values", sort.values[0].binding()),
+        ];
+        let offset = Arguments::Restore.byte_offset();
+        let push = camera_count as u32;
+        recorder.dispatch_indirect(&self.restore, &buffers, bytes_of(&push), control.arguments.binding(), offset);
+    }
+}

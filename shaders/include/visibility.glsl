@@ -1,0 +1,51 @@
+// Whether boxes and splats reach a camera's image. The test of a box is conservative for the projection used: a splat's
+// half-width in pixels is at most reach * (focal / z) * sqrt(1 + slope_limit^2) plus the dilation, so 'reaches the image'
+// is a plane test.
+
+// Pixels that dilation adds to a splat's half-width at most: sqrt(0.3 * 2 ln 255), rounded up.
+const float DILATION_REACH_PX = 1.9;
+
+// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
+float farthest(Chunk chunk, vec3 centre, vec3 normal) {
+    return dot(normal, centre) + dot(abs(normal), chunk.half_extent_m);
+}
+
+bool chunk_reaches(Chunk chunk, Camera camera) {
+    vec3 centre = from_camera_m(chunk.centre_m, camera);
+    vec2 spread = sqrt(1.0 + pow(max(abs(camera.slope_min), abs(camera.slope_max)), vec2(2.0)));
+    // Rounding of the box, relative to its distance.
+    float slack = 1e-5 * (dot(abs(centre), vec3(1.0)) + dot(chunk.half_extent_m, vec3(1.0)) + chunk.reach_m);
+    vec2 reach = chunk.reach_m * spread + slack;
+    vec2 low = (camera.principal_px + DILATION_REACH_PX) / camera.focal_px;
+    vec2 high = (vec2(camera.size_px) - camera.principal_px + DILATION_REACH_PX) / camera.focal_px;
+    return farthest(chunk, centre, camera.row_z) + slack >= NEAR_M
+        && farthest(chunk, centre, camera.row_x + low.x * camera.row_z) + reach.x >= 0.0
+        && farthest(chunk, centre, -camera.row_x + high.x * camera.row_z) + reach.x >= 0.0
+        && farthest(chunk, centre, camera.row_y + low.y * camera.row_z) + reach.y >= 0.0
+        && farthest(chunk, centre, -camera.row_y + high.y * camera.row_z) + reach.y >= 0.0;
+}
+
+bool splat_reaches(Footprint splat, Camera camera) {
+    ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
+    for (int row = rows.x; row <= rows.y; ++row) {
+        ivec2 tiles = reached_macro_tiles(splat, uint(row), camera.size_px);
+        if (tiles.x <= tiles.y) {
+            return true;
+        }
+    }
+    return false;
+}
+
+uint count_macro_tiles(Footprint splat, Camera camera) {
+    uint count = 0u;
+    ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
+    for (int row = rows.x; row <= rows.y; ++row) {
+        ivec2 tiles = reached_macro_tiles(splat, uint(row), camera.size_px);
+        count += uint(tiles.y - tiles.x + 1);
+    }
+    return count;
+}
+
+vec3 to_camera_axes(Camera camera, vec3 offset) {
+    return vec3(dot(camera.row_x, offset), dot(camera.row_y, offset), dot(camera.row_z, offset));
+}

@@ -1,0 +1,26 @@
+// What both projections write for a visible (camera, splat).
+
+layout(set = 0, binding = 11, std430) writeonly buffer footprints_block { vec4 footprints[]; }; // two a record
+layout(set = 0, binding = 12, std430) writeonly buffer colours_block { vec4 colours[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[]; };
+layout(set = 0, binding = 14, scalar) writeonly buffer values_block { uint values[]; }; // the record of each key
+layout(set = 0, binding = 15, scalar) writeonly buffer tile_counts_block { uint tile_counts[]; };
+
+// The place of bit `bit` among the set bits of a chunk's words, or -1 when it is not set.
+#define VISIBLE_RANK(bits, first_word, bit)                          \
+    uint word = bits[(first_word) + (bit) / 32u];                    \
+    if ((word >> ((bit) % 32u) & 1u) == 0u) {                        \
+        return -1;                                                   \
+    }                                                                \
+    int rank = bitCount(word & ((1u << ((bit) % 32u)) - 1u));        \
+    for (uint earlier = 0u; earlier < (bit) / 32u; ++earlier) {      \
+        rank += bitCount(bits[(first_word) + earlier]);              \
+    }                                                                \
+    return rank
+
+void write_record(uint slot, Camera camera, Record record, vec3 colour) {
+    footprints[2u * slot] = pack_record_low(record);
+    footprints[2u * slot + 1u] = pack_record_high(record);
+    colours[slot] = vec4(colour, 0.0);
+    tile_counts[slot] = count_macro_tiles(record.splat, camera);
+}

@@ -1,0 +1,98 @@
+#version 460
+// Footprint, depth key and colour of every visible (camera, splat) of the agents: what project is for the background.
+//
+// Their records come behind those of the background, by camera, agent and splat. Shapes and colours are entries of the
+// asset's codebooks, decoded here and nowhere else.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#include "frame.glsl"
+#include "footprint.glsl"
+#include "projection.glsl"
+#include "visibility.glsl"
+#include "double_float.glsl"
+#include "depth_key.glsl"
+#include "record.glsl"
+#include "agent.glsl"
+
+layout(local_size_x = 256) in;
+#include "agent_buffers.glsl"
+
+layout(constant_id = 3) const bool RADIAL = false;
+
+layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
+layout(set = 0, binding = 5, scalar) readonly buffer firsts_block { uint firsts[]; }; // of agents, [camera][chunk]
+layout(set = 0, binding = 6, scalar) readonly buffer coded_dc_block { vec3 coded_dc[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a colour
+layout(set = 0, binding = 8, scalar) readonly buffer static_firsts_block { uint static_firsts[]; }; // of the background
+
+layout(push_constant, scalar) uniform push_block {
+    uint agent_count;
+    uint camera_count;
+    uint chunk_count;
+    uint records_max;
+    uint static_lists; // of the background: how many records it has stands behind them
+};
+
+// All bands of a colour in one piece: a codebook stays in cache, and its entries are read in any order.
+const uint COLOUR_WORDS = 24u;
+const uint FIRST_WORD_1 = 0u;
+const uint FIRST_WORD_2 = 5u;
+const uint FIRST_WORD_3 = 13u;
+#define SH_WORD(band, word, index, stride) coded_bands[(index) * (stride) + FIRST_WORD_##band + (word)]
+#include "sh.glsl"
+#include "write_record.glsl"
+
+int visible_rank(uint first_word, uint bit) {
+    VISIBLE_RANK(visible_words, first_word, bit);
+}
+
+vec3 turned(Agent agent, vec3 d) {
+    return vec3(dot(agent.row_x, d), dot(agent.row_y, d), dot(agent.row_z, d));
+}
+
+void main() {
+    uint chunk_index = group_index();
+    if (chunk_index >= chunk_count) {
+        return;
+    }
+    uint thread = gl_LocalInvocationIndex;
+    uint agent_index = agent_of_chunk(chunk_index, agent_count);
+    Agent agent = agents[agent_index];
+    uint own_splat = (chunk_index - agent.first_chunk) * CHUNK_SPLATS + thread;
+    if (own_splat >= agent.splat_count) {
+        return;
+    }
+    bool loaded = false;
+    CodedSplat coded;
+    mat3 axes;
+    for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
+        uint list = camera_index * chunk_count + chunk_index;
+        int rank = visible_rank(list * CHUNK_WORDS, thread);
+        if (rank < 0) {
+            continue;
+        }
+        uint slot = static_firsts[static_lists] + firsts[list] + uint(rank);
+        if (slot >= records_max) {
+            continue; // the need is known: the host grows the buffer and draws again
+        }
+        if (!loaded) {
+            coded = unpack_splat(coded_splats[agent.first_splat + own_splat], agent);
+            axes = axes_of(agent, coded);
+            loaded = true;
+        }
+        Camera camera = agent_cameras[agent_index * camera_count + camera_index];
+        vec3 offset = from_camera_m(coded.mean_m, camera);
+        vec3 t = to_camera_axes(camera, offset);
+        Record record;
+        project_splat(camera, t, axes, coded.opacity, record.splat);
+        record.depth_m = RADIAL ? length(offset) : t.z;
+        record.instance = agent.instance;
+        vec3 d = normalize(offset);
+        uint colour = agent.first_colour + coded.colour;
+        vec3 dc = coded_dc[colour] + coded.dc_residual;
+        write_record(slot, camera, record, sh_colour(dc, colour, COLOUR_WORDS, agent.colours_in_world != 0u ? turned(agent, d) : d));
+        keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));
+        values[slot] = slot;
+    }
+}
