@@ -24,6 +24,8 @@ layout(local_size_x = 256) in;
 layout(constant_id = 3) const float ALPHA_MAX = 0.99;
 layout(constant_id = 5) const bool TEAM_HOLDS_SUBGROUPS = false; // subgroups have at most 32 lanes
 layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
+layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
+layout(constant_id = 7) const bool ORDER_ERROR = false; // lists may be out of order: measure by how much
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { Item items[]; };
@@ -37,7 +39,13 @@ layout(set = 0, binding = 12, std430) writeonly buffer partial_instances_block {
 // Of each partial result, by render tile: bits of the largest transmittance it left, or 0 while that is not known.
 layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint partial_transmittances[]; };
 
-layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; };
+// Of each splat, the sum of its weights in all pixels, in steps of 1 / contribution_scale.
+layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contributions[]; };
+
+// Bits of the largest order error of a pixel, and how many pixels have one above 1/255.
+layout(set = 0, binding = 15, scalar) buffer order_error_block { uint order_error[2]; };
+
+layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; };
 
 const uint BATCH = BLEND_THREADS;
 const uint BATCH_WORDS = BATCH / 32u;
@@ -49,7 +57,7 @@ const float COVERED = 0.999 * TRANSMITTANCE_FULL;
 shared vec4 batch_slants[BATCH];
 shared vec2 batch_fades[BATCH];
 shared vec4 batch_colours[BATCH]; // and depth
-shared uint batch_instances[INSTANCE ? BATCH : 1u];
+shared uint batch_instances[INSTANCE || CONTRIBUTIONS ? BATCH : 1u];
 shared uint batch_tiles[BATCH];            // render tiles each record of the batch can reach
 shared uint tile_records[32][BATCH_WORDS]; // the same by render tile
 shared uint open_tiles;                    // render tiles with a pixel that is not full
@@ -87,7 +95,7 @@ void load_batch(uint first, uint count, uint thread, uvec2 origin, uvec2 size_px
         batch_slants[thread] = vec4(splat.rate_x, -splat.slope * splat.rate_x, -sheared_x * splat.rate_x, -mean.y * splat.rate_y);
         batch_fades[thread] = vec2(splat.rate_y, splat.log2_opacity);
         batch_colours[thread] = vec4(colours[record].rgb, high.z);
-        if (INSTANCE) {
+        if (INSTANCE || CONTRIBUTIONS) {
             batch_instances[thread] = floatBitsToUint(high.w);
         }
     }
@@ -116,12 +124,25 @@ vec2 log2_alphas(uint entry, vec2 at) {
     return vec2(exponent - u * u, exponent - u_right * u_right);
 }
 
+// What a pixel's last splat was, to be compared with the next, and what their wrong order has cost so far. Neighbours that
+// stand the wrong way round change a pixel by their weights: T a_i a_j |c_i - c_j| for transmittance T before both.
+struct OrderState {
+    float weight;
+    float depth_m;
+    vec3 colour;
+    float error;
+};
+
+const OrderState ORDER_STATE_EMPTY = OrderState(0.0, 0.0, vec3(0.0), 0.0);
+
 // A thread's share of a render tile. Named, not an array: what is indexed may end up outside of registers.
 struct TilePixels {
     Pixel left;
     Pixel right; // four columns to the right of the first
     bool left_full;
     bool right_full;
+    OrderState left_order;
+    OrderState right_order;
 };
 
 // Place in the macro tile of the thread's left pixel in its team's render tile `step`.
@@ -133,13 +154,25 @@ TilePixels empty_pixels(uvec2 at, uvec2 size_px) {
     // Pixels beyond the image are full from the start, or they would keep their tile open.
     bool left_full = at.x >= size_px.x || at.y >= size_px.y;
     bool right_full = at.x + 4u >= size_px.x || at.y >= size_px.y;
-    TilePixels pixels = TilePixels(PIXEL_EMPTY, PIXEL_EMPTY, left_full, right_full);
+    TilePixels pixels =
+        TilePixels(PIXEL_EMPTY, PIXEL_EMPTY, left_full, right_full, ORDER_STATE_EMPTY, ORDER_STATE_EMPTY);
     pixels.left.transmittance = left_full ? 0.0 : 1.0;
     pixels.right.transmittance = right_full ? 0.0 : 1.0;
     return pixels;
 }
 
-void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec4 colour, uint entry) {
+void note_order(inout OrderState order, float weight, float alpha, vec4 colour) {
+    if (alpha > 0.0) {
+        vec3 apart = abs(colour.rgb - order.colour);
+        float change = order.weight * alpha * max(apart.r, max(apart.g, apart.b));
+        order.error += colour.a < order.depth_m ? change : 0.0;
+        order.weight = weight;
+        order.depth_m = colour.a;
+        order.colour = colour.rgb;
+    }
+}
+
+void blend_pixel(inout Pixel pixel, inout bool full, inout OrderState order, float log2_alpha, vec4 colour, uint entry) {
     float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
     if (EXCLUSIVE_STOP) {
         full = full || pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN;
@@ -148,6 +181,12 @@ void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec4 colo
     float weight = pixel.transmittance * alpha;
     pixel.colour += weight * colour.rgb;
     pixel.transmittance -= weight;
+    if (CONTRIBUTIONS && weight > 0.0) {
+        atomicAdd(contributions[batch_instances[entry]], uint(weight * contribution_scale + 0.5));
+    }
+    if (ORDER_ERROR) {
+        note_order(order, weight, alpha, colour);
+    }
     if (DEPTH) {
         pixel.weighted_depth += weight * colour.a;
     }
@@ -197,8 +236,8 @@ bool blend_tile(inout TilePixels pixels, uint thread, uint step) {
             // No branch where a record adds nothing: that would cost more than the arithmetic it saves.
             vec2 log2_alpha = log2_alphas(entry, at);
             vec4 colour = batch_colours[entry];
-            blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, colour, entry);
-            blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, colour, entry);
+            blend_pixel(pixels.left, pixels.left_full, pixels.left_order, log2_alpha.x, colour, entry);
+            blend_pixel(pixels.right, pixels.right_full, pixels.right_order, log2_alpha.y, colour, entry);
         }
     }
     if (EXCLUSIVE_STOP) {
@@ -217,7 +256,20 @@ void write_partial(uint place, Pixel pixel) {
     }
 }
 
+void write_order_error(float error) {
+    if (error > 0.0) {
+        atomicMax(order_error[0], floatBitsToUint(error)); // positive floats order as their bits
+        if (error > 1.0 / 255.0) {
+            atomicAdd(order_error[1], 1u);
+        }
+    }
+}
+
 void write_result(Item item, Camera camera, uvec2 origin, uint thread, uint step, TilePixels pixels) {
+    if (ORDER_ERROR) {
+        write_order_error(pixels.left_order.error);
+        write_order_error(pixels.right_order.error);
+    }
     if (item.partial == NO_PARTIAL) {
         uvec2 at = origin + left_offset(thread, step);
         write_pixel(camera, at, pixels.left, sky);

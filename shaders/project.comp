@@ -21,6 +21,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 3) const bool RADIAL = false;    // order by distance instead of z
 layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instances, and these are asked for
 layout(constant_id = 5) const bool RANKED = false;    // some camera's order is kept
+layout(constant_id = 6) const bool SPLAT_IDS = false; // records hold the splat's index instead of an instance
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[]; };
@@ -104,7 +105,7 @@ void main() {
         Record record;
         project_splat(camera, t, axes, opacity, record.splat);
         record.depth_m = RADIAL ? length(offset) : t.z;
-        record.instance = INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
+        record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
         write_record(slot, camera, record, sh_colour(sh_dc[splat_index], splat_index, splat_count, normalize(offset)));
         uint key = depth_key(RADIAL ? scaled_distance(mean_m, camera) : scaled_depth(mean_m, camera));
         uint place = RANKED ? place_of(camera_index, splat_index, slot) : slot;

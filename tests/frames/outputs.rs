@@ -83,3 +83,30 @@ fn a_lower_degree_is_the_picture_without_its_bands() {
         assert!(worst <= 0.005, "degree {degree}: {worst}");
     }
 }
+
+#[test]
+fn contributions_add_up_to_what_pixels_cover() {
+    let gpu = Validated::open();
+    let splats: Vec<Splat> = (0..300)
+        .map(|i| Splat {
+            scale_m: [0.3; 3],
+            ..Splat::at((i % 17) as f32 * 0.2 - 1.6, (i % 5) as f32 * 0.3 - 0.6, 3.0 + i as f32 * 0.01)
+        })
+        .chain([Splat::at(0.0, 0.0, -5.0)])
+        .collect();
+    let world = world_of(&splats);
+    let cameras = [camera_at(DVec3::ZERO, 97, 61), camera_at(DVec3::new(0.5, 0.0, -1.0), 97, 61)];
+    let mut renderer = Renderer::new(&gpu, RenderOptions::default());
+    let resident = renderer.upload(&world).unwrap();
+    let weights = renderer.contribution_weights(&resident, &cameras).unwrap();
+    renderer.render(&resident, &cameras).unwrap();
+    let covered: f64 = renderer.read_pictures().unwrap().iter().flat_map(|p| p.alpha.clone()).map(f64::from).sum();
+    let sum: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
+    println!("{sum} of {covered} pixels");
+    assert!((sum / covered - 1.0).abs() < 1e-3, "weights sum to {sum}, pixels are covered by {covered}");
+    assert_eq!(weights[300], 0.0, "what is behind the cameras adds nothing");
+    // The first is in front of all others: its weight is its own alpha.
+    let alone = renderer.upload(&world_of(&splats[..1])).unwrap();
+    let own = renderer.contribution_weights(&alone, &cameras).unwrap()[0];
+    assert!((weights[0] - own).abs() < 1e-3 * own, "{} against {own}", weights[0]);
+}

@@ -16,7 +16,8 @@ use crate::device::Validated;
 use rounding::PixelBounds;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
-const OUTPUTS: Outputs = Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true };
+const OUTPUTS: Outputs =
+    Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true, contributions: false };
 
 /// What all items of a run share.
 struct Case {
@@ -104,10 +105,10 @@ impl Case {
         gpu.write(&on_device.footprints, 0, &projected.footprints).unwrap();
         gpu.write(&on_device.colours, 0, &projected.colours).unwrap();
         let partials = Partials::new(gpu, slots, &OUTPUTS).unwrap();
-        let outputs = OutputBuffers::new(gpu, scene.view.pixels, &OUTPUTS).unwrap();
+        let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
         gpu.write(&outputs.instance_ids, 0, &vec![UNTOUCHED; scene.view.pixels]).unwrap();
         let records = upload(gpu, records);
-        let blend = Blend::new(gpu, rules, &OUTPUTS).unwrap();
+        let blend = Blend::new(gpu, rules, &OUTPUTS, false).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
             blend.record(r, &control, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);

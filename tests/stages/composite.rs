@@ -43,7 +43,7 @@ impl Case {
     /// What the kernel writes, the colours in bytes if these are asked for.
     fn kernel(&self, gpu: &Validated, colour: ColourFormat) -> (Pictures, Vec<u32>) {
         let Self { view, composites, partials } = self;
-        let outputs = Outputs { colour, depth: true, instance: true };
+        let outputs = Outputs { colour, depth: true, instance: true, contributions: false };
         let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
         let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
         let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, view.bins).unwrap();
@@ -54,7 +54,7 @@ impl Case {
         gpu.write(&on_device.depths, 0, &partials.iter().map(|pixel| pixel.weighted_depth).collect::<Vec<_>>()).unwrap();
         let instances: Vec<_> = partials.iter().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
         gpu.write(&on_device.instances, 0, &instances).unwrap();
-        let pictures = OutputBuffers::new(gpu, view.pixels, &outputs).unwrap();
+        let pictures = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
         gpu.write(&pictures.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
         let cameras = upload(gpu, &view.cameras);
         let composite = CompositeSegments::new(gpu, &outputs).unwrap();

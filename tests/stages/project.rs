@@ -211,16 +211,19 @@ impl Case {
     }
 }
 
-const PLAIN: ProjectVariant = ProjectVariant { sh_degree: 0, instances: false, ranked: false };
+const PLAIN: ProjectVariant = ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false };
 
 #[test]
 fn records_of_hard_splats() {
     let gpu = open();
     for (rules, variant) in [
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false }),
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, instances: false, ranked: false }),
+        (Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false, splat_ids: false }),
+        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, instances: false, ranked: false, splat_ids: false }),
         (Rules { order: DepthOrder::Radial, ..Rules::DEFAULT }, PLAIN),
-        (Rules { antialias: true, ..Rules::INRIA }, ProjectVariant { sh_degree: 2, instances: true, ranked: false }),
+        (
+            Rules { antialias: true, ..Rules::INRIA },
+            ProjectVariant { sh_degree: 2, instances: true, ranked: false, splat_ids: false },
+        ),
     ] {
         let case = Case::new(&gpu, 3000, rules, variant);
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
@@ -258,7 +261,8 @@ fn keys_are_depths_in_order() {
 #[test]
 fn one_changed_value_is_seen() {
     let gpu = open();
-    let case = Case::new(&gpu, 500, Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false });
+    let case =
+        Case::new(&gpu, 500, Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false, splat_ids: false });
     let kernel = case.kernel(&gpu);
     let ordinary = case.listed.records.iter().position(|&(_, splat)| splat % 16 > 9).unwrap();
     let failure = |change: fn(&mut ProjectedTwin, usize)| {

@@ -145,7 +145,9 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     let projected = Projected::new(gpu, splats).unwrap();
     let (firsts, unranked) = (upload(gpu, &firsts), Unranked::new(gpu));
     let sort = SortScratch::new(gpu, sort_shape(gpu), splats).unwrap();
-    let project = Project::new(gpu, &Rules::DEFAULT, ProjectVariant { sh_degree: 0, instances: false, ranked: false }).unwrap();
+    let project =
+        Project::new(gpu, &Rules::DEFAULT, ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false })
+            .unwrap();
     run(gpu, |r| {
         let (camera, ranked) = (&scene.camera_buffer, unranked.ranked());
         project.record(r, &scene.resident, camera, 1, &visible, &firsts, &projected, &sort, &ranked);

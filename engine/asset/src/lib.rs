@@ -13,6 +13,7 @@ mod summary;
 
 pub mod cameras;
 pub mod coded_asset;
+pub mod compress;
 pub mod compressed_ply;
 pub mod inria_ply;
 pub mod scene_file;

@@ -137,6 +137,8 @@ fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot,
             (control.arguments.binding(), control.arguments.byte_len()),
             (control.pair_segment.binding(), control.pair_segment.byte_len()),
             (plan.inversions.binding(), plan.inversions.byte_len()),
+            (control.order_error.binding(), control.order_error.byte_len()),
+            (slot.pictures.contributions.binding(), slot.pictures.contributions.byte_len()),
             (transmittances.binding(), transmittances.byte_len()),
         ];
         for (buffer, bytes) in emptied {
@@ -300,6 +302,7 @@ fn record_pictures(
         stages.composite.record(r, control, cameras, camera_count, sky, plan, partials, pictures);
         r.copy(&control.needs, 0, &slot.found_needs, 0, 1);
         r.copy(&frame.order_plan.inversions, 0, &slot.found_inversions, 0, CAMERAS_MAX);
+        r.copy(&control.order_error, 0, &slot.found_order_error, 0, 1);
     });
 }
 

@@ -4,6 +4,8 @@ use decouplegs_gpu::{Gpu, GpuError};
 use decouplegs_scene::{EarlyStop, Rules};
 
 use crate::capacity::SortShape;
+use crate::options::RenderOptions;
+use crate::orders::OrderMode;
 use crate::output::Outputs;
 use crate::stages::{
     Blend, CompositeSegments, CountPairs, Cull, CullAgents, EmitPairs, FindRanges, MergeOrder, PlanOrder, PlanSegments, Project,
@@ -50,6 +52,7 @@ pub(crate) struct Kernels {
     rules: Rules,
     outputs: Outputs,
     segment_pairs: u32,
+    order_error: bool,
     shape: SortShape,
     common: Option<CommonStages>,
     background: Vec<(ProjectVariant, BackgroundStages)>,
@@ -77,13 +80,15 @@ pub(crate) struct FrameVariant {
 }
 
 impl Kernels {
-    /// For pictures of the given rules and outputs; nothing is built yet.
-    pub fn new(rules: &Rules, outputs: &Outputs, segment_pairs: u32, shape: SortShape) -> Self {
-        // Whether a pixel stops before a splat depends on all splats before it: such lists are not cut.
-        let whole = rules.stop == EarlyStop::Exclusive || segment_pairs > SEGMENT_PAIRS_MAX;
+    /// For pictures as `options` say; nothing is built yet.
+    pub fn new(options: &RenderOptions, shape: SortShape) -> Self {
+        let RenderOptions { rules, outputs, segment_pairs, order, .. } = *options;
+        // Whether a pixel stops before a splat depends on all splats before it, as does its weight: such lists are not cut.
+        let whole = rules.stop == EarlyStop::Exclusive || outputs.contributions || segment_pairs > SEGMENT_PAIRS_MAX;
         Self {
-            rules: *rules,
-            outputs: *outputs,
+            rules,
+            outputs,
+            order_error: matches!(order, OrderMode::Bounded { .. }),
             segment_pairs: if whole { u32::MAX } else { segment_pairs.max(1) },
             shape,
             common: None,
@@ -95,7 +100,7 @@ impl Kernels {
 
     /// The kernels for `variant`, those that are new built now.
     pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
-        let Self { rules, outputs, segment_pairs, shape, .. } = self;
+        let Self { rules, outputs, segment_pairs, order_error, shape, .. } = self;
         if self.common.is_none() {
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,
@@ -105,7 +110,7 @@ impl Kernels {
                 emit_pairs: EmitPairs::new(gpu, shape.block())?,
                 find_ranges: FindRanges::new(gpu)?,
                 plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
-                blend: Blend::new(gpu, rules, outputs)?,
+                blend: Blend::new(gpu, rules, outputs, *order_error)?,
                 composite: CompositeSegments::new(gpu, outputs)?,
             });
         }

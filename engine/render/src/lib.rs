@@ -6,6 +6,7 @@
 
 mod agents;
 mod asset_pool;
+mod contributions;
 mod error;
 mod frame;
 mod kernels;
@@ -30,7 +31,7 @@ pub use agents::{Agent, Scene};
 pub use asset_pool::{AssetId, AssetPool, PoolBuffers};
 pub use capacity::Capacity;
 pub use error::RenderError;
-pub use options::{FrameStatistics, RenderOptions};
+pub use options::{FrameStatistics, OrderError, RenderOptions};
 pub use orders::{OrderMode, OrderPath};
 pub use output::{ColourFormat, OutputBuffers, Outputs};
 pub use picture::Picture;

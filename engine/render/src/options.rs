@@ -49,6 +49,15 @@ impl Default for RenderOptions {
     }
 }
 
+/// What a stale order costs, over all pixels of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct OrderError {
+    /// The largest change of a pixel's colour.
+    pub max: f32,
+    /// Pixels that change by more than 1/255.
+    pub pixels_above_255th: u32,
+}
+
 /// What a frame took.
 #[derive(Clone, Debug)]
 pub struct FrameStatistics {
@@ -63,6 +72,9 @@ pub struct FrameStatistics {
     /// Neighbours in each view's background that stand the wrong way round: only where an order was taken as it was, or its
     /// repair was not enough.
     pub inversions: Vec<u32>,
+    /// Where an order was taken as it was ([`OrderMode::Bounded`]): by how much its neighbours that stand the wrong way round
+    /// change a pixel at most, to first order, T a_i a_j |c_i - c_j| summed over them.
+    pub order_error: Option<OrderError>,
     /// Agents that some camera could see, and their splats at the levels of detail that were drawn.
     pub agents: usize,
     /// Splats of those agents.

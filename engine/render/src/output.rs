@@ -24,6 +24,9 @@ pub struct Outputs {
     pub depth: bool,
     /// Instance of the splat with the largest weight; 0 is the background.
     pub instance: bool,
+    /// The sum of each background splat's weights over all pixels ([`crate::Renderer::read_contributions`]). Lists are not cut
+    /// for it, instances cannot be had beside it, and agents take part as what hides the background.
+    pub contributions: bool,
 }
 
 impl Outputs {
@@ -46,21 +49,37 @@ pub struct OutputBuffers {
     pub depths_m: Buffer<f32>,
     /// Instance of the splat with the largest weight.
     pub instance_ids: Buffer<u32>,
+    /// Of each splat of the background, the sum of its weights in all pixels, in steps of 1 / [`Self::contribution_scale`].
+    pub contributions: Buffer<u32>,
+    pixels: usize,
 }
 
 impl OutputBuffers {
-    /// Buffers for `pixels` pixels.
+    /// Buffers for `pixels` pixels of a background of `splats`.
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, pixels: usize, outputs: &Outputs) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, pixels: usize, splats: usize, outputs: &Outputs) -> Result<Self, GpuError> {
         let len = |asked: bool| if asked { pixels } else { 0 };
         Ok(Self {
             pictures_f32: gpu.buffer("pictures_f32", PURPOSE, len(outputs.colour == ColourFormat::F32), Residence::Device)?,
             pictures_u8: gpu.buffer("pictures_u8", PURPOSE, len(outputs.colour == ColourFormat::U8), Residence::Device)?,
             depths_m: gpu.buffer("depths_m", PURPOSE, len(outputs.depth), Residence::Device)?,
             instance_ids: gpu.buffer("instance_ids", PURPOSE, len(outputs.instance), Residence::Device)?,
+            contributions: gpu.buffer(
+                "contributions",
+                PURPOSE,
+                if outputs.contributions { splats } else { 0 },
+                Residence::Device,
+            )?,
+            pixels,
         })
+    }
+
+    /// Steps of a contribution to 1: as many as all pixels together can be counted in.
+    #[must_use]
+    pub fn contribution_scale(&self) -> f32 {
+        (2147483648.0 / self.pixels.max(1) as f64).min(65_536.0) as f32
     }
 
     pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 4] {

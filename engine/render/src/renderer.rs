@@ -12,8 +12,8 @@ use crate::capacity::{Capacity, SortShape};
 use crate::frame::{FrameBuffers, FrameInput, FrameShape, record_agents, record_frame};
 use crate::kernels::{FrameVariant, Kernels};
 use crate::layout::{Needs, View, near_m};
-use crate::options::{FrameStatistics, RenderOptions};
-use crate::orders::{OrderDecision, OrderPath, Orders};
+use crate::options::{FrameStatistics, OrderError, RenderOptions};
+use crate::orders::{OrderDecision, OrderMode, OrderPath, Orders};
 use crate::picture::Picture;
 use crate::resident::ResidentWorld;
 use crate::slot::{FrameSlot, Pending};
@@ -55,7 +55,7 @@ impl Renderer {
             gpu: gpu.clone(),
             options,
             sort,
-            kernels: Kernels::new(&options.rules, &options.outputs, options.segment_pairs, sort),
+            kernels: Kernels::new(&options, sort),
             capacity: None,
             frame: None,
             slots: Vec::new(),
@@ -132,13 +132,14 @@ impl Renderer {
                 sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
                 instances: scene.world.has_instances && options.outputs.instance,
                 ranked: decision.is_ranked(),
+                splat_ids: options.outputs.contributions,
             },
             agents: list.as_ref().map(|list| list.sh_degree.min(options.sh_degree_max)),
             orders: decision.is_ranked(),
         };
         let ranks = orders.ranks().clone();
         let added = scene.agents.and_then(|(pool, _)| pool.last_upload().cloned());
-        self.slots[slot].set(&self.gpu, &options.outputs, view, list)?;
+        self.slots[slot].set(&self.gpu, &options.outputs, view, scene.world.splats, list)?;
         self.slots[slot].staged_orders.write_host(0, &decision.view_orders);
         let update = self.submit_agents(slot, variant, added.as_ref())?;
         let record_start = Instant::now();
@@ -216,9 +217,23 @@ impl Renderer {
         Ok(pictures.collect())
     }
 
+    /// The sum of each background splat's weights over all pixels of the frame that was finished last, in the order of splats.
+    /// Empty where [`Outputs::contributions`](crate::Outputs) were not asked for.
+    ///
+    /// # Errors
+    /// When the device was lost.
+    pub fn read_contributions(&self) -> Result<Vec<f32>, RenderError> {
+        let Some(slot) = self.shown.and_then(|shown| self.slots.get(shown)) else { return Ok(Vec::new()) };
+        let scale = slot.pictures.contribution_scale();
+        let steps = self.gpu.read(&slot.pictures.contributions)?;
+        Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
+    }
+
     /// Refuses what a software device would draw wrong without a word.
     fn check_uncut_lists(&self, needs: &Needs) -> Result<(), RenderError> {
-        let uncut = self.options.rules.stop == EarlyStop::Exclusive || self.options.segment_pairs > UNCUT_PAIRS_MAX_IN_SOFTWARE;
+        let uncut = self.options.rules.stop == EarlyStop::Exclusive
+            || self.options.outputs.contributions
+            || self.options.segment_pairs > UNCUT_PAIRS_MAX_IN_SOFTWARE;
         if uncut && self.gpu.info().kind == DeviceKind::Cpu && needs.longest > UNCUT_PAIRS_MAX_IN_SOFTWARE {
             return Err(RenderError::ListTooLong { longest: needs.longest, max: UNCUT_PAIRS_MAX_IN_SOFTWARE });
         }
@@ -238,6 +253,10 @@ impl Renderer {
         {
             kept.repair_failed();
         }
+        let order_error = matches!(self.options.order, OrderMode::Bounded { .. }).then(|| {
+            let [bits, pixels_above_255th] = self.slots[slot].found_order_error.read_host()[0];
+            OrderError { max: f32::from_bits(bits), pixels_above_255th }
+        });
         let list = self.slots[slot].list.as_ref();
         let update_time = pending.update.as_ref().map(Ticket::gpu_time_ns).transpose()?.map(Duration::from_nanos);
         Ok(FrameStatistics {
@@ -246,6 +265,7 @@ impl Renderer {
             redrawn,
             inversions: found[..orders.len()].to_vec(),
             orders,
+            order_error,
             agents: list.map_or(0, |list| list.counts.agents),
             agent_splats: list.map_or(0, |list| list.splats),
             gpu_time: Duration::from_nanos(pending.frame.gpu_time_ns()?),

@@ -38,9 +38,11 @@ pub(crate) struct FrameSlot {
     pub agents: AgentBuffers,
     agent_room: AgentCounts,
     pub pictures: OutputBuffers,
-    pixels: usize,
+    /// Pixels and splats that the pictures are made for.
+    room: (usize, usize),
     pub found_needs: Buffer<Needs>,
     pub found_inversions: Buffer<u32>,
+    pub found_order_error: Buffer<[u32; 2]>,
     pub view: Option<View>,
     pub list: Option<AgentList>,
     pub pending: Option<Pending>,
@@ -56,10 +58,11 @@ impl FrameSlot {
             staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, Residence::Upload)?,
             agents: AgentBuffers::new(gpu, 0, 0, 0)?,
             agent_room: AgentCounts::default(),
-            pictures: OutputBuffers::new(gpu, 0, outputs)?,
-            pixels: 0,
+            pictures: OutputBuffers::new(gpu, 0, 0, outputs)?,
+            room: (0, 0),
             found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
             found_inversions: gpu.buffer("found_inversions", PURPOSE, CAMERAS_MAX, Residence::Readback)?,
+            found_order_error: gpu.buffer("found_order_error", PURPOSE, 1, Residence::Readback)?,
             view: None,
             list: None,
             pending: None,
@@ -71,15 +74,23 @@ impl FrameSlot {
         self.list.as_ref().map(|list| &list.pool)
     }
 
-    /// Takes the views and agents of the next frame. The frame before in this slot must be done.
-    pub fn set(&mut self, gpu: &Gpu, outputs: &Outputs, view: View, list: Option<AgentList>) -> Result<(), RenderError> {
+    /// Takes the views and agents of the next frame, before a background of `splats`. The frame before in this slot must be done.
+    pub fn set(
+        &mut self,
+        gpu: &Gpu,
+        outputs: &Outputs,
+        view: View,
+        splats: usize,
+        list: Option<AgentList>,
+    ) -> Result<(), RenderError> {
         self.view = None;
-        if self.pixels != view.pixels {
+        let room = (view.pixels, splats * usize::from(outputs.contributions));
+        if self.room != room {
             // The old ones go first: both would not always fit.
-            self.pixels = 0;
-            self.pictures = OutputBuffers::new(gpu, 0, outputs)?;
-            self.pictures = OutputBuffers::new(gpu, view.pixels, outputs)?;
-            self.pixels = view.pixels;
+            self.room = (0, 0);
+            self.pictures = OutputBuffers::new(gpu, 0, 0, outputs)?;
+            self.pictures = OutputBuffers::new(gpu, view.pixels, splats, outputs)?;
+            self.room = room;
         }
         self.staged_cameras.write_host(0, &view.cameras);
         if let Some(list) = &list {

@@ -63,11 +63,7 @@ impl Books<'_> {
     /// The splats of one level, in their order.
     pub(super) fn encode(&self, cloud: &SplatCloud) -> Vec<CodedSplat> {
         let coefficients = sh::coefficient_count(cloud.sh_degree);
-        let shapes = nearest(
-            &shape_vectors(cloud, self.options.shape_space, self.unit_m),
-            self.shape_vectors,
-            SHAPE_DIMENSION,
-        );
+        let shapes = nearest(&shape_vectors(cloud, self.options.shape_space, self.unit_m), self.shape_vectors, SHAPE_DIMENSION);
         let vectors = colour_space::vectors(cloud, self.options.colour_dc_weight);
         let colours = nearest(&vectors, self.colour_vectors, 3 * coefficients);
         let splat = |splat: usize| {

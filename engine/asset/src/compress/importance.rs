@@ -1,10 +1,19 @@
 //! How much each splat matters: `s = 0.5 V + 0.3 D + 0.2 H`.
 //!
 //! V is what the splat adds to pictures, D how its colour stands out from its neighbourhood, H how varied that neighbourhood is.
-//! Each is brought to 0 to 1 over the asset by its rank: the share of splats with a smaller value, ties by the middle of their
-//! places. V spans many orders of magnitude and D and H have outliers, so that dividing by the largest would leave nearly all
-//! splats near zero; ranks make the three weights what they say, whatever the asset. A splat that no view shows (V = 0) has
-//! importance 0: nobody sees how its colour stands out.
+//! Each is brought to 0 to 1 over the asset: V by its rank (the share of splats with a smaller value, ties by the middle of their
+//! places), because it spans many orders of magnitude; D and H by their largest value, because they do not. A splat that no
+//! view shows (V = 0) has importance 0: nobody sees how its colour stands out.
+//!
+//! Measured on a synthetic car of 50,000 splats and a captured object of 13,536: PSNR in dB of the pruned cloud from a car's
+//! distance of 10 m, when a share of 0.8, 0.6 and 0.4 of the splats is kept.
+//!
+//! | V, D and H normalised by | car | captured object |
+//! |---|---|---|
+//! | rank, largest, largest (this) | 74.5, 49.4, 36.9 | 63.7, 54.4, 44.5 |
+//! | rank, rank, rank | 72.4, 45.4, 32.3 | 57.6, 45.5, 23.4 |
+//! | logarithm, largest, largest | 74.7, 47.2, 31.9 | 38.4, 27.4, 22.0 |
+//! | largest, largest, largest | 58.2, 34.6, 26.1 | 21.8, 17.2, 13.4 |
 
 use std::collections::HashMap;
 
@@ -38,9 +47,9 @@ pub fn importance(cloud: &SplatCloud, visibility: &[f32]) -> Vec<f32> {
     let (contrast, entropy) = contrast_and_entropy(cloud, &seen);
     let shown: Vec<f32> = seen.iter().map(|&splat| visibility[splat as usize]).collect();
     let mut importance = vec![0.0; cloud.len()];
-    for (values, weight) in [shown, contrast, entropy].iter().zip(WEIGHTS) {
-        for (&splat, rank) in seen.iter().zip(ranks(values)) {
-            importance[splat as usize] += weight * rank;
+    for (values, weight) in [ranks(&shown), by_largest(contrast), by_largest(entropy)].iter().zip(WEIGHTS) {
+        for (&splat, value) in seen.iter().zip(values) {
+            importance[splat as usize] += weight * value;
         }
     }
     importance
@@ -58,6 +67,12 @@ fn ranks(values: &[f32]) -> Vec<f32> {
         first += equal.len();
     }
     ranks
+}
+
+/// Each value as a share of the largest; zeros stay zeros.
+fn by_largest(values: Vec<f32>) -> Vec<f32> {
+    let largest = values.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+    values.into_iter().map(|value| value / largest).collect()
 }
 
 /// Sum and histogram of the colours in a cell.
@@ -170,8 +185,9 @@ mod tests {
         visibility[8] = 1e6;
         let importance = importance(&cloud, &visibility);
         assert_eq!(importance[7], 0.0, "no view shows it");
-        let others = (0..400).filter(|splat| ![8, 210].contains(splat)).map(|splat| importance[splat]).fold(0.0, f32::max);
-        assert!(importance[210] > others + 0.1 && importance[8] > others - 0.1, "{} {others}", importance[210]);
+        assert!(importance[8] > importance[9] + 0.2, "what is seen more: {} against {}", importance[8], importance[9]);
+        let most = importance.iter().copied().fold(0.0, f32::max);
+        assert!(importance[210] == most, "what stands out: {} against {most}", importance[210]);
         assert!(importance.iter().all(|s| (0.0..=1.0).contains(s)));
     }
 

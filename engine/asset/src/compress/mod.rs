@@ -180,7 +180,8 @@ fn code(
 fn residual_steps(finest: &SplatCloud, book: &Quantised, colours: &[[f32; 3]], weights: &[f32]) -> [f32; 3] {
     let coefficients = sh::coefficient_count(finest.sh_degree);
     let entries = book.assignment.iter().map(|&entry| &colours[usize::from(entry) * coefficients]);
-    let residuals: Vec<[f32; 3]> = finest.sh_dc.iter().zip(entries).map(|(dc, entry)| colour_space::residual(dc, entry)).collect();
+    let residuals: Vec<[f32; 3]> =
+        finest.sh_dc.iter().zip(entries).map(|(dc, entry)| colour_space::residual(dc, entry)).collect();
     colour_space::residual_steps(&residuals, weights)
 }
 

@@ -3,10 +3,10 @@
 use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
 use decouplegs_scene::{ShFrame, SplatCloud};
 
+use super::FINAL_ITERATIONS;
 use super::prune::{Prune, THRESHOLD};
 use super::shape_space::ShapeSpace;
 use super::vector_quantise::QuantiseOptions;
-use super::FINAL_ITERATIONS;
 
 /// How an asset is compressed.
 #[derive(Clone, Copy, Debug, PartialEq)]

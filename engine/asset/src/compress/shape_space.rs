@@ -41,7 +41,7 @@ impl ShapeSpace {
 
     /// A shape whose `size` (metres) counts as 1, as a vector of this space.
     pub(super) fn vector(self, axes: &PrincipalAxes, size: f64) -> [f32; 6] {
-        let scales = DVec3::from_array(axes.scales.map(|scale| f64::from(scale) / size));
+        let scales = held(&axes.scales) / size;
         let floor = (LOG_ASPECT_MIN * scales.max_element()).max(1e-12);
         let values = match self {
             Self::Covariance => scales * scales,
@@ -73,8 +73,12 @@ impl ShapeSpace {
 /// The size of a splat: the root of the sum of its squared scales, metres. Not zero unless all scales are, and smooth where the
 /// longest axis changes places.
 pub(super) fn size_of(scales: &[f32; 3]) -> f64 {
-    let limit = f64::from(LOG2_SIZE_MAX).exp2();
-    DVec3::from_array(scales.map(f64::from)).length().clamp(limit.recip(), limit)
+    held(scales).length().max(f64::from(-LOG2_SIZE_MAX).exp2())
+}
+
+fn held(scales: &[f32; 3]) -> DVec3 {
+    // The root of 3 keeps the size, too, within the limit.
+    DVec3::from_array(scales.map(|scale| f64::from(scale).min(f64::from(LOG2_SIZE_MAX - 1.0).exp2())))
 }
 
 #[cfg(test)]
@@ -111,7 +115,7 @@ mod tests {
         for scales in [[1.0, 1e-5, 1e-5], [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0; 3], [1e-30; 3], [3e38; 3]] {
             let axes = PrincipalAxes { scales, rotation: [0.5, 0.5, -0.5, 0.5] };
             for space in ShapeSpace::ALL {
-                let vector = space.vector(&axes, size_of(&scales).max(1e30 * f64::from(scales[0] > 1e30)));
+                let vector = space.vector(&axes, size_of(&scales));
                 assert!(vector.iter().all(|value| value.is_finite()), "{space:?} of {scales:?}: {vector:?}");
                 assert!(space.factor(&vector).iter().all(|value| value.is_finite()), "{space:?} of {scales:?}");
             }

@@ -42,6 +42,7 @@ struct Push {
     sky: [f32; 3],
     camera_count: u32,
     items_max: u32,
+    contribution_scale: f32,
 }
 
 /// `blend.comp`.
@@ -50,16 +51,19 @@ pub struct Blend {
 }
 
 impl Blend {
-    /// The stage for pictures of the given rules.
+    /// The stage for pictures of the given rules; `order_error` where lists may be out of order and that is to be measured.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, order_error: bool) -> Result<Self, GpuError> {
         let [u8_colour, depth, instance] = outputs.constants();
         let alpha_max = ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32));
         let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
         let uniform = ("TEAM_HOLDS_SUBGROUPS", Constant::Bool(gpu.limits().subgroup_size <= 32));
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &[u8_colour, depth, instance, alpha_max, stop, uniform])? })
+        let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
+        let order = ("ORDER_ERROR", Constant::Bool(order_error));
+        let constants = [u8_colour, depth, instance, alpha_max, stop, uniform, contributions, order];
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &constants)? })
     }
 
     /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results.
@@ -77,7 +81,12 @@ impl Blend {
         partials: &Partials,
         pictures: &OutputBuffers,
     ) {
-        let push = Push { sky, camera_count: camera_count as u32, items_max: plan.items.len() as u32 };
+        let push = Push {
+            sky,
+            camera_count: camera_count as u32,
+            items_max: plan.items.len() as u32,
+            contribution_scale: pictures.contribution_scale(),
+        };
         let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
         let buffers = [
             ("cameras", cameras.binding()),
@@ -94,6 +103,8 @@ impl Blend {
             ("partial_depths", partials.depths.binding()),
             ("partial_instances", partials.instances.binding()),
             ("partial_transmittances", partials.transmittances.binding()),
+            ("contributions", pictures.contributions.binding()),
+            ("order_error", control.order_error.binding()),
         ];
         recorder.dispatch_indirect(
             &self.kernel,

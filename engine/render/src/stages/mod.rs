@@ -51,6 +51,8 @@ pub struct Control {
     pub arguments: Buffer<[u32; 3]>,
     /// The list of all pairs, as the radix sort takes it.
     pub pair_segment: Buffer<SortSegment>,
+    /// Where lists may be out of order: bits of the largest error of a pixel, and pixels with one above 1/255.
+    pub order_error: Buffer<[u32; 2]>,
 }
 
 impl Control {
@@ -63,6 +65,7 @@ impl Control {
             needs: gpu.buffer("needs", PURPOSE, 1, Residence::Device)?,
             arguments: gpu.buffer("arguments", PURPOSE, ARGUMENT_SETS, Residence::Device)?,
             pair_segment: gpu.buffer("pair_segment", PURPOSE, 1, Residence::Device)?,
+            order_error: gpu.buffer("order_error", PURPOSE, 1, Residence::Device)?,
         })
     }
 }

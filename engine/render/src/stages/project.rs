@@ -42,6 +42,8 @@ pub struct ProjectVariant {
     pub instances: bool,
     /// Whether the order of some direction is kept.
     pub ranked: bool,
+    /// Whether records carry the index of their splat instead.
+    pub splat_ids: bool,
 }
 
 #[repr(C)]
@@ -71,6 +73,7 @@ impl Project {
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
             ("INSTANCES", Constant::Bool(variant.instances)),
             ("RANKED", Constant::Bool(variant.ranked)),
+            ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }

@@ -1,52 +1,13 @@
 //! Which splats of a chunk can be seen by which camera: `cull.comp`.
 
-use glam::{Vec2, Vec3, vec2};
-
-use super::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
 use super::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
-use crate::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord};
+use super::visibility::{chunk_reaches, splat_reaches};
+use crate::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, OrderStep, ViewOrder};
 
 const CHUNK_WORDS: usize = CHUNK_SPLATS / 32;
 
-/// Pixels that dilation adds to a splat's half-width at most.
-const DILATION_REACH_PX: f32 = 1.9;
-
-/// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
-fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
-    normal.dot(centre) + normal.abs().dot(Vec3::from_array(chunk.half_extent_m))
-}
-
-/// Whether a splat of the chunk may reach the camera's image.
-#[must_use]
-pub fn chunk_reaches(chunk: &ChunkRecord, camera: &CameraRecord, near_m: f32) -> bool {
-    let centre = from_camera_m(chunk.centre_m, camera);
-    let limit = Vec2::from_array(camera.slope_min).abs().max(Vec2::from_array(camera.slope_max).abs());
-    let spread = vec2((1.0 + limit.x * limit.x).sqrt(), (1.0 + limit.y * limit.y).sqrt());
-    let half_extent = Vec3::from_array(chunk.half_extent_m);
-    let slack = 1e-5 * (centre.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
-    let reach = chunk.reach_m * spread + slack;
-    let [focal, principal] = [camera.focal_px, camera.principal_px].map(Vec2::from_array);
-    let size = vec2(camera.size_px[0] as f32, camera.size_px[1] as f32);
-    let low = (principal + DILATION_REACH_PX) / focal;
-    let high = (size - principal + DILATION_REACH_PX) / focal;
-    let [row_x, row_y, row_z] = [camera.row_x, camera.row_y, camera.row_z].map(Vec3::from_array);
-    farthest(chunk, centre, row_z) + slack >= near_m
-        && farthest(chunk, centre, row_x + low.x * row_z) + reach.x >= 0.0
-        && farthest(chunk, centre, -row_x + high.x * row_z) + reach.x >= 0.0
-        && farthest(chunk, centre, row_y + low.y * row_z) + reach.y >= 0.0
-        && farthest(chunk, centre, -row_y + high.y * row_z) + reach.y >= 0.0
-}
-
-/// Whether the splat may reach a macro tile of the camera.
-fn splat_reaches(splat: &Footprint, camera: &CameraRecord) -> bool {
-    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
-    (first..=last).any(|row| {
-        let [left, right] = reached_macro_tiles(splat, row as u32, camera.size_px);
-        left <= right
-    })
-}
-
-/// Writes one bit a splat, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`.
+/// Writes one bit a splat, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`. Where `ranked`, also sets a bit of
+/// `rank_words` at the splat's rank, `[camera][chunk][8 words]`, for the cameras whose order is kept.
 pub fn cull(
     cameras: &[CameraRecord],
     chunks: &[ChunkRecord],
@@ -55,8 +16,13 @@ pub fn cull(
     rotations: &[[f32; 4]],
     visible_words: &mut [u32],
     visible_counts: &mut [u32],
+    view_orders: &[ViewOrder],
+    ranks: &[u32],
+    rank_words: &mut [u32],
     variant: Variant,
+    ranked: bool,
 ) {
+    let splat_count = means_m.len();
     visible_words.fill(0);
     visible_counts.fill(0);
     for (camera_index, camera) in cameras.iter().enumerate() {
@@ -72,6 +38,10 @@ pub fn cull(
                 let list = camera_index * chunks.len() + chunk_index;
                 visible_words[list * CHUNK_WORDS + splat_index % CHUNK_SPLATS / 32] |= 1 << (splat_index % 32);
                 visible_counts[list] += 1;
+                if ranked && view_orders[camera_index].path != OrderStep::Sorted as u32 {
+                    let rank = ranks[view_orders[camera_index].rank_set as usize * splat_count + splat_index];
+                    rank_words[camera_index * chunks.len() * CHUNK_WORDS + rank as usize / 32] |= 1 << (rank % 32);
+                }
             }
         }
     }

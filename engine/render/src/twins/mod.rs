@@ -1,7 +1,7 @@
 //! The stages once more, for reading: sequential, f32, un-clever.
 //!
-//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `depth_key`, `footprint`, `projection`, `sh`, `record` and `output` what
-//! the shared GLSL of the same name does. Arguments have the shader's names and order: buffers first (outputs are written
+//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`, `output`, `projection`,
+//! `record`, `sh`, `visibility` and `write_record` what the shared GLSL of the same name does. Arguments have the shader's names and order: buffers first (outputs are written
 //! in place, as there), then push constants, then specialization constants. The stage tests feed both sides the same
 //! bytes. Nothing here saves work: no workgroups, no masks, no shared memory.
 //!
@@ -9,31 +9,45 @@
 //! that is measured against [`crate::reference`].
 #![expect(clippy::too_many_arguments, reason = "one argument a buffer or constant of the shader")]
 
+pub mod agent;
 pub mod depth_key;
 pub mod footprint;
 pub mod output;
 pub mod projection;
 pub mod record;
 pub mod sh;
+pub mod visibility;
 
+mod agents;
 mod blend;
 mod composite;
 mod count_pairs;
 mod cull;
 mod emit_pairs;
 mod find_ranges;
+mod merge_order;
+mod plan_order;
 mod plan_segments;
 mod project;
+mod ranks;
+mod repair_order;
 mod scan;
 mod sort;
+mod write_record;
 
+pub use agents::{cull_agents, project_agents};
 pub use blend::{blend, log2_alpha_at};
 pub use composite::composite;
 pub use count_pairs::count_pairs;
-pub use cull::{chunk_reaches, cull};
+pub use cull::cull;
 pub use emit_pairs::emit_pairs;
 pub use find_ranges::find_ranges;
+pub use merge_order::merge_order;
+pub use plan_order::plan_order;
 pub use plan_segments::plan_segments;
-pub use project::{count_macro_tiles, project};
+pub use project::project;
+pub use ranks::{count_ranks, key_splats, rank_splats};
+pub use repair_order::{check_order, repair_order, restore_order};
 pub use scan::scan;
 pub use sort::sort;
+pub use visibility::{chunk_reaches, count_macro_tiles};

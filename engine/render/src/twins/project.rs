@@ -1,27 +1,39 @@
 //! Footprint, depth key and colour of every visible (camera, splat): `project.comp`.
 
 use super::depth_key::{depth_key, scaled_depth};
-use super::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
 use super::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
-use super::record::{Record, pack_record_high, pack_record_low};
+use super::record::Record;
 use super::sh::{Stored, sh_colour};
-use crate::layout::{CHUNK_SPLATS, CameraRecord};
+use super::write_record::write_record;
+use crate::layout::{CHUNK_SPLATS, CameraRecord, OrderStep, ViewOrder};
 
-/// Macro tiles of `camera` that the splat can reach.
-#[must_use]
-pub fn count_macro_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
-    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
-    (first..=last)
-        .map(|row| {
-            let [left, right] = reached_macro_tiles(splat, row as u32, camera.size_px);
-            (right - left + 1) as u32
-        })
-        .sum()
+/// Where the key of a record stands before the sort: in its slot, or where the camera's order is kept, behind the keys of
+/// all visible splats of lower rank. The kernel finds how many these are from sums over the words, `rank_firsts`.
+fn place_of(
+    camera_index: usize,
+    splat_index: usize,
+    slot: usize,
+    splat_count: usize,
+    firsts: &[u32],
+    view_orders: &[ViewOrder],
+    ranks: &[u32],
+    rank_words: &[u32],
+) -> usize {
+    let order = view_orders[camera_index];
+    if order.path == OrderStep::Sorted as u32 {
+        return slot;
+    }
+    let first_chunk = camera_index * splat_count.div_ceil(CHUNK_SPLATS);
+    let rank = ranks[order.rank_set as usize * splat_count + splat_index] as usize;
+    let first_bit = first_chunk * CHUNK_SPLATS;
+    let lower = (first_bit..first_bit + rank).filter(|bit| rank_words[bit / 32] >> (bit % 32) & 1 == 1).count();
+    firsts[first_chunk] as usize + lower
 }
 
 /// Writes a record, its colour, depth key, place and number of macro tiles for every bit of `visible_words`, the first of each
-/// `[camera][chunk]` at `firsts`, as far as there is room. No order is kept. `instances` holds two 16-bit ids a word, and is `None` where
-/// they are not asked for.
+/// `[camera][chunk]` at `firsts`, as far as there is room. `instances` holds two 16-bit ids a word, and is `None` where they are
+/// not asked for; with `splat_ids` the splat's index is written instead. Where `ranked`, keys of a camera whose order is kept
+/// stand by rank, and in `unranked_keys` by slot as well if that order is to be repaired.
 pub fn project(
     cameras: &[CameraRecord],
     means_m: &[[f32; 3]],
@@ -36,39 +48,51 @@ pub fn project(
     keys: &mut [u32],
     values: &mut [u32],
     tile_counts: &mut [u32],
+    view_orders: &[ViewOrder],
+    ranks: &[u32],
+    rank_words: &[u32],
+    unranked_keys: &mut [u32],
     variant: Variant,
     sh_degree: usize,
     radial: bool,
+    ranked: bool,
+    splat_ids: bool,
 ) {
     let splat_count = means_m.len();
     let chunk_count = splat_count.div_ceil(CHUNK_SPLATS);
+    let records_max = colours.len();
+    let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
     for (camera_index, camera) in cameras.iter().enumerate() {
         for chunk_index in 0..chunk_count {
             let list = camera_index * chunk_count + chunk_index;
-            let mut slot = firsts[list] as usize;
-            for place in 0..CHUNK_SPLATS {
+            let seen = (0..CHUNK_SPLATS).filter(|&place| visible(list, place));
+            for (slot, place) in (firsts[list] as usize..records_max).zip(seen) {
                 let splat_index = chunk_index * CHUNK_SPLATS + place;
-                if visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 0 {
-                    continue;
+                let offset = from_camera_m(means_m[splat_index], camera);
+                let t = to_camera_axes(camera, offset);
+                let shape = shapes[splat_index];
+                let (splat, _) = project_splat(camera, t, axes_of(shape, rotations[splat_index]), shape[3], variant);
+                let id = instances.map_or(0, |ids| ids[splat_index / 2] >> (16 * (splat_index % 2)) & 0xffff);
+                let record = Record {
+                    splat,
+                    depth_m: if radial { offset.length() } else { t.z },
+                    instance: if splat_ids { splat_index as u32 } else { id },
+                };
+                let colour = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree);
+                write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
+                let key = depth_key(scaled_depth(means_m[splat_index], camera, radial));
+                let place = if ranked {
+                    place_of(camera_index, splat_index, slot, splat_count, firsts, view_orders, ranks, rank_words)
+                } else {
+                    slot
+                };
+                if place < records_max {
+                    keys[place] = key;
+                    values[place] = slot as u32;
                 }
-                if slot < colours.len() {
-                    let offset = from_camera_m(means_m[splat_index], camera);
-                    let t = to_camera_axes(camera, offset);
-                    let shape = shapes[splat_index];
-                    let (splat, _) = project_splat(camera, t, axes_of(shape, rotations[splat_index]), shape[3], variant);
-                    let record = Record {
-                        splat,
-                        depth_m: if radial { offset.length() } else { t.z },
-                        instance: instances.map_or(0, |ids| ids[splat_index / 2] >> (16 * (splat_index % 2)) & 0xffff),
-                    };
-                    footprints[2 * slot] = pack_record_low(&record);
-                    footprints[2 * slot + 1] = pack_record_high(&record);
-                    colours[slot] = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree).extend(0.0).to_array();
-                    keys[slot] = depth_key(scaled_depth(means_m[splat_index], camera, radial));
-                    values[slot] = slot as u32;
-                    tile_counts[slot] = count_macro_tiles(&splat, camera);
+                if ranked && view_orders[camera_index].path == OrderStep::Repaired as u32 {
+                    unranked_keys[slot] = key;
                 }
-                slot += 1;
             }
         }
     }

@@ -1,0 +1,30 @@
+//! How much each splat adds to pictures.
+
+use decouplegs_scene::Camera;
+
+use crate::orders::OrderMode;
+use crate::output::Outputs;
+use crate::{RenderError, RenderOptions, Renderer, ResidentWorld};
+
+impl Renderer {
+    /// Of each splat of `world`, the sum of its blending weights T alpha over all pixels of all `cameras`, by this renderer's rules.
+    ///
+    /// Cameras are drawn one after the other, with buffers of their own.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::render`]; on a software device also when more than 16,000 splats reach one macro tile: larger
+    /// pictures have fewer.
+    pub fn contribution_weights(&self, world: &ResidentWorld, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
+        let outputs = Outputs { contributions: true, ..Outputs::default() };
+        let options = RenderOptions { outputs, order: OrderMode::Full, frames_in_flight: 1, ..*self.options() };
+        let mut renderer = Self::new(self.gpu(), options);
+        let mut sums = vec![0.0f64; world.splats];
+        for camera in cameras {
+            renderer.render(world, std::slice::from_ref(camera))?;
+            for (sum, weight) in sums.iter_mut().zip(renderer.read_contributions()?) {
+                *sum += f64::from(weight);
+            }
+        }
+        Ok(sums.into_iter().map(|sum| sum as f32).collect())
+    }
+}

@@ -1,0 +1,121 @@
+//! Culling and projection of agents: `cull_agents.comp` and `project_agents.comp`.
+
+use glam::Vec3;
+
+use super::agent::{agent_of_chunk, axes_of, unpack_splat};
+use super::depth_key::{depth_key, scaled_depth};
+use super::projection::{Variant, from_camera_m, project_splat, to_camera_axes};
+use super::record::Record;
+use super::sh::{Stored, sh_colour};
+use super::visibility::{chunk_reaches, splat_reaches};
+use super::write_record::write_record;
+use crate::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord};
+use crate::sh_codec::words_of;
+
+const CHUNK_WORDS: usize = CHUNK_SPLATS / 32;
+
+/// Words that bands 1 to 3 of a colour take, one behind the other.
+const COLOUR_WORDS: usize = 24;
+
+/// Writes one bit a splat of the agents, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`; chunks are counted over
+/// all agents. Cameras are `[agent][camera]`.
+pub fn cull_agents(
+    agents: &[AgentRecord],
+    agent_cameras: &[CameraRecord],
+    coded_splats: &[[u32; 3]],
+    coded_shapes: &[[f32; 6]],
+    asset_chunks: &[ChunkRecord],
+    visible_words: &mut [u32],
+    visible_counts: &mut [u32],
+    camera_count: usize,
+    chunk_count: usize,
+    variant: Variant,
+) {
+    visible_words.fill(0);
+    visible_counts.fill(0);
+    for (agent_index, agent) in agents.iter().enumerate() {
+        for own_splat in 0..agent.splat_count as usize {
+            let own_chunk = own_splat / CHUNK_SPLATS;
+            let chunk = &asset_chunks[agent.first_bounds as usize + own_chunk];
+            let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
+            for camera_index in 0..camera_count {
+                let camera = &agent_cameras[agent_index * camera_count + camera_index];
+                if agent.cameras >> camera_index & 1 == 0 || !chunk_reaches(chunk, camera, variant.near_m) {
+                    continue;
+                }
+                let t = to_camera_axes(camera, from_camera_m(coded.mean_m, camera));
+                let (splat, drawn) = project_splat(camera, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
+                if drawn && splat_reaches(&splat, camera) {
+                    let list = camera_index * chunk_count + agent.first_chunk as usize + own_chunk;
+                    visible_words[list * CHUNK_WORDS + own_splat % CHUNK_SPLATS / 32] |= 1 << (own_splat % 32);
+                    visible_counts[list] += 1;
+                }
+            }
+        }
+    }
+}
+
+/// `d` of the agent's frame in the world's.
+fn turned(agent: &AgentRecord, d: Vec3) -> Vec3 {
+    [agent.row_x, agent.row_y, agent.row_z].map(|row| Vec3::from_array(row).dot(d)).into()
+}
+
+/// The DC and the bands of a colour, as [`sh_colour`] takes those of a single splat.
+fn stored<'a>(dc: &'a [[f32; 3]; 1], bands: &'a [u32; COLOUR_WORDS]) -> Stored<'a> {
+    let (band1, rest) = bands.split_at(words_of(1));
+    let (band2, band3) = rest.split_at(words_of(2));
+    Stored { sh_dc: dc, sh_bands: [band1, band2, band3] }
+}
+
+/// Writes a record, its colour, depth key, place and number of macro tiles for every bit of `visible_words`, as far as there is
+/// room: behind the records of the background, of which there are `static_firsts[static_lists]`, the first of each
+/// `[camera][chunk]` at `firsts`.
+pub fn project_agents(
+    agents: &[AgentRecord],
+    agent_cameras: &[CameraRecord],
+    coded_splats: &[[u32; 3]],
+    coded_shapes: &[[f32; 6]],
+    visible_words: &[u32],
+    firsts: &[u32],
+    coded_dc: &[[f32; 3]],
+    coded_bands: &[[u32; COLOUR_WORDS]],
+    static_firsts: &[u32],
+    footprints: &mut [[f32; 4]],
+    colours: &mut [[f32; 4]],
+    keys: &mut [u32],
+    values: &mut [u32],
+    tile_counts: &mut [u32],
+    camera_count: usize,
+    chunk_count: usize,
+    static_lists: usize,
+    variant: Variant,
+    sh_degree: usize,
+    radial: bool,
+) {
+    let records_max = colours.len();
+    let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
+    for list in 0..camera_count * chunk_count {
+        let (camera_index, chunk_index) = (list / chunk_count, list % chunk_count);
+        let agent_index = agent_of_chunk(chunk_index as u32, agents);
+        let agent = &agents[agent_index];
+        let camera = &agent_cameras[agent_index * camera_count + camera_index];
+        let first_slot = (static_firsts[static_lists] + firsts[list]) as usize;
+        let seen = (0..CHUNK_SPLATS).filter(|&place| visible(list, place));
+        for (slot, place) in (first_slot..records_max).zip(seen) {
+            let own_splat = (chunk_index - agent.first_chunk as usize) * CHUNK_SPLATS + place;
+            let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
+            let offset = from_camera_m(coded.mean_m, camera);
+            let t = to_camera_axes(camera, offset);
+            let (splat, _) = project_splat(camera, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
+            let record = Record { splat, depth_m: if radial { offset.length() } else { t.z }, instance: agent.instance };
+            let d = offset.normalize();
+            let d = if agent.colours_in_world != 0 { turned(agent, d) } else { d };
+            let entry = (agent.first_colour + coded.colour) as usize;
+            let dc = [(Vec3::from_array(coded_dc[entry]) + coded.dc_residual).to_array()];
+            let colour = sh_colour(&stored(&dc, &coded_bands[entry]), 0, 1, d, sh_degree);
+            write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
+            keys[slot] = depth_key(scaled_depth(coded.mean_m, camera, radial));
+            values[slot] = slot as u32;
+        }
+    }
+}

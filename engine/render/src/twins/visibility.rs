@@ -1,0 +1,58 @@
+//! Whether boxes and splats reach a camera's image: `visibility.glsl`.
+
+use glam::{Vec2, Vec3, vec2};
+
+use super::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
+use super::projection::from_camera_m;
+use crate::layout::{CameraRecord, ChunkRecord};
+
+/// Pixels that dilation adds to a splat's half-width at most.
+const DILATION_REACH_PX: f32 = 1.9;
+
+/// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
+fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
+    normal.dot(centre) + normal.abs().dot(Vec3::from_array(chunk.half_extent_m))
+}
+
+/// Whether a splat of the chunk may reach the camera's image.
+#[must_use]
+pub fn chunk_reaches(chunk: &ChunkRecord, camera: &CameraRecord, near_m: f32) -> bool {
+    let centre = from_camera_m(chunk.centre_m, camera);
+    let limit = Vec2::from_array(camera.slope_min).abs().max(Vec2::from_array(camera.slope_max).abs());
+    let spread = vec2((1.0 + limit.x * limit.x).sqrt(), (1.0 + limit.y * limit.y).sqrt());
+    let half_extent = Vec3::from_array(chunk.half_extent_m);
+    let slack = 1e-5 * (centre.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
+    let reach = chunk.reach_m * spread + slack;
+    let [focal, principal] = [camera.focal_px, camera.principal_px].map(Vec2::from_array);
+    let size = vec2(camera.size_px[0] as f32, camera.size_px[1] as f32);
+    let low = (principal + DILATION_REACH_PX) / focal;
+    let high = (size - principal + DILATION_REACH_PX) / focal;
+    let [row_x, row_y, row_z] = [camera.row_x, camera.row_y, camera.row_z].map(Vec3::from_array);
+    farthest(chunk, centre, row_z) + slack >= near_m
+        && farthest(chunk, centre, row_x + low.x * row_z) + reach.x >= 0.0
+        && farthest(chunk, centre, -row_x + high.x * row_z) + reach.x >= 0.0
+        && farthest(chunk, centre, row_y + low.y * row_z) + reach.y >= 0.0
+        && farthest(chunk, centre, -row_y + high.y * row_z) + reach.y >= 0.0
+}
+
+/// Whether the splat may reach a macro tile of the camera.
+#[must_use]
+pub fn splat_reaches(splat: &Footprint, camera: &CameraRecord) -> bool {
+    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
+    (first..=last).any(|row| {
+        let [left, right] = reached_macro_tiles(splat, row as u32, camera.size_px);
+        left <= right
+    })
+}
+
+/// Macro tiles of `camera` that the splat can reach.
+#[must_use]
+pub fn count_macro_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
+    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
+    (first..=last)
+        .map(|row| {
+            let [left, right] = reached_macro_tiles(splat, row as u32, camera.size_px);
+            (right - left + 1) as u32
+        })
+        .sum()
+}
