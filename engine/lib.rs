@@ -4,7 +4,7 @@
 //! depth order, so that agents and background hide each other exactly, per pixel. All cameras of a vehicle's rig are drawn
 //! in one submission, on any Vulkan 1.3 device, including lavapipe, which is software.
 //!
-//! This crate is a facade: it joins the engine's crates under one name and adds nothing to them.
+//! This crate is a facade: it joins the engine's crates under one name, and adds [`LiveScene`], where files meet the device.
 //!
 //! | module | what it is | reads on |
 //! |---|---|---|
@@ -17,7 +17,10 @@
 //! y down, z forward). Coordinates of the world are f64, so that a world in UTM coordinates keeps its millimetres.
 #![forbid(unsafe_code)]
 
+mod live_scene;
+
 pub use decouplegs_asset as asset;
 pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
+pub use live_scene::LiveScene;

@@ -4,18 +4,20 @@ mod report;
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
+use decouplegs::LiveScene;
 use decouplegs::asset::write_atomically;
 use decouplegs::gpu::{DeviceInfo, Gpu, MemoryReport};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::picture::Picture;
 use decouplegs::render::reference::{self, Window};
 use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
-use decouplegs::scene::Intrinsics;
+use decouplegs::scene::{Intrinsics, Rules};
 
-use crate::arguments::{Size, print};
+use crate::arguments::{OrderName, Size, print};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -43,6 +45,22 @@ pub struct Arguments {
     /// Draw the instance ids too
     #[arg(long)]
     instance: bool,
+    /// How splats come into front-to-back order: sorted in every frame, kept from frame to frame with the same pictures to the
+    /// last bit, or kept as it is up to an angle in radians (bounded=0.01)
+    #[arg(long, value_name = "full|exact|bounded=RAD", default_value = "exact")]
+    order: OrderName,
+    /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
+    #[arg(long, value_name = "PX")]
+    level_pitch: Option<f64>,
+    /// Time from one frame to the next, in which the ego and the agents drive on (default: they stand)
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    step: f64,
+    /// Frames in flight: with 2, a frame is submitted before the one before it is waited for
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    in_flight: u8,
+    /// Run the agents' part of a frame in line with the rest instead of on the queue for updates
+    #[arg(long)]
+    serial: bool,
     #[command(flatten)]
     device: DeviceArguments,
     /// Middle of the first camera's picture whose error is measured, in f32 whatever --colour says
@@ -62,6 +80,18 @@ enum Colour {
 }
 
 impl Arguments {
+    fn options(&self, rules: Rules) -> RenderOptions {
+        RenderOptions {
+            rules,
+            outputs: self.outputs(),
+            order: self.order.0,
+            level_pitch_px: self.level_pitch,
+            frames_in_flight: usize::from(self.in_flight),
+            overlap: !self.serial,
+            ..RenderOptions::default()
+        }
+    }
+
     fn outputs(&self) -> Outputs {
         let colour = match self.colour {
             Colour::Rgba8 => ColourFormat::U8,
@@ -71,14 +101,22 @@ impl Arguments {
     }
 }
 
+/// Frames that were timed.
+struct Timed {
+    frames: Vec<FrameStatistics>,
+    /// Wall clock from the end of the frame before to the end of each.
+    steps_ms: Vec<f64>,
+    /// While the frames were drawn.
+    memory: MemoryReport,
+}
+
 /// What was measured, and of what.
 struct Measured {
     device: DeviceInfo,
-    outputs: Outputs,
+    options: RenderOptions,
+    step_s: f64,
     warm_up: u32,
-    frames: Vec<FrameStatistics>,
-    /// While the frames were drawn.
-    memory: MemoryReport,
+    timed: Timed,
     window: Window,
     difference: Difference,
 }
@@ -90,13 +128,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     scene.cameras.truncate(used);
 
     let gpu = arguments.device.open()?;
-    let (frames, memory) = time_frames(&gpu, &scene, arguments)?;
+    let timed = time_frames(&gpu, &scene, arguments)?;
     let window = middle(&scene.cameras[0].intrinsics, arguments.error_window);
-    let difference = error_in_window(&gpu, &scene, window)?;
+    let difference = error_in_window(&gpu, &scene, arguments, window)?;
     check_validation(&gpu)?;
 
     let (device, warm_up) = (gpu.info().clone(), arguments.warm_up);
-    let measured = Measured { device, outputs: arguments.outputs(), warm_up, frames, memory, window, difference };
+    let (options, step_s) = (arguments.options(scene.rules()), arguments.step);
+    let measured = Measured { device, options, step_s, warm_up, timed, window, difference };
     let figures = report::figures(&scene, &measured);
     if let Some(path) = &arguments.json {
         write_atomically(path, |file| writeln!(file, "{figures:#}"))?;
@@ -104,22 +143,34 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print(&report::to_text(&figures))
 }
 
-/// The frames after the warm-up, and the memory that they took.
-fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<(Vec<FrameStatistics>, MemoryReport)> {
-    let options = RenderOptions { rules: scene.world.rules, outputs: arguments.outputs(), ..RenderOptions::default() };
-    let mut renderer = Renderer::new(gpu, options);
-    let resident = renderer.upload(&scene.world)?;
-    let bar = progress::bar("frames", arguments.warm_up as usize + arguments.frames as usize);
-    let mut frames = Vec::new();
-    for frame in 0..arguments.warm_up + arguments.frames {
-        let statistics = renderer.render(&resident, &scene.cameras)?;
-        if frame >= arguments.warm_up {
-            frames.push(statistics);
+/// The frames after the warm-up, the wall clock from one to the next, and the memory that they took.
+fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed> {
+    let mut renderer = Renderer::new(gpu, arguments.options(scene.rules()));
+    let live = LiveScene::new(&renderer, &scene.loaded)?;
+    let count = arguments.warm_up + arguments.frames;
+    let bar = progress::bar("frames", count as usize);
+    let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
+    let mut last = Instant::now();
+    let in_flight = u32::from(arguments.in_flight);
+    for frame in 0..count + in_flight - 1 {
+        if frame < count {
+            let later_s = f64::from(frame) * arguments.step;
+            let agents = live.agents_at(scene.time_s + later_s);
+            renderer.submit(live.with(&agents), &scene.cameras_after(later_s))?;
         }
-        bar.inc(1);
+        if frame + 1 >= in_flight {
+            let statistics = renderer.finish()?;
+            let now = Instant::now();
+            let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
+            if frame + 1 - in_flight >= arguments.warm_up {
+                frames.push(statistics);
+                steps_ms.push(step_ms);
+            }
+            bar.inc(1);
+        }
     }
     bar.finish_and_clear();
-    Ok((frames, gpu.memory()))
+    Ok(Timed { frames, steps_ms, memory: gpu.memory() })
 }
 
 /// The window of at most `size` in the middle of an image.
@@ -129,14 +180,16 @@ fn middle(image: &Intrinsics, size: Size) -> Window {
 }
 
 /// How far the first camera's picture, drawn once more in f32, is from the definition: 8 bits would hide it.
-fn error_in_window(gpu: &Gpu, scene: &Scene, window: Window) -> Result<Difference> {
+fn error_in_window(gpu: &Gpu, scene: &Scene, arguments: &Arguments, window: Window) -> Result<Difference> {
     let working = progress::spinner("the middle of a picture by the f64 definition".into());
     let camera = &scene.cameras[0];
-    let mut renderer = Renderer::new(gpu, RenderOptions { rules: scene.world.rules, ..RenderOptions::default() });
-    let resident = renderer.upload(&scene.world)?;
-    renderer.render(&resident, std::slice::from_ref(camera))?;
+    let outputs = Outputs::default();
+    let mut renderer = Renderer::new(gpu, RenderOptions { outputs, ..arguments.options(scene.rules()) });
+    let live = LiveScene::new(&renderer, &scene.loaded)?;
+    renderer.render(live.with(&live.agents_at(scene.time_s)), std::slice::from_ref(camera))?;
     let found = cut(&renderer.read_pictures()?[0], window);
-    let expected = reference::render_window(&scene.world, camera, &scene.world.rules, window).to_picture();
+    let world = scene.world();
+    let expected = reference::render_window(&world, camera, &world.rules, window).to_picture();
     working.finish_and_clear();
     Ok(Difference::between(&found, &expected)?)
 }

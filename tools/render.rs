@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
+use decouplegs::LiveScene;
 use decouplegs::render::picture::{Picture, PictureFormat, contact_sheet};
 use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::Camera;
@@ -117,10 +118,11 @@ fn render_on_gpu(scene: &Scene, device: &DeviceArguments, album: &mut Album) -> 
         PictureFormat::Exr | PictureFormat::Npy => (ColourFormat::F32, 16),
     };
     let outputs = Outputs { colour, ..Outputs::default() };
-    let mut renderer = Renderer::new(&gpu, RenderOptions { rules: scene.world.rules, outputs, ..RenderOptions::default() });
-    let resident = renderer.upload(&scene.world)?;
+    let mut renderer = Renderer::new(&gpu, RenderOptions { rules: scene.rules(), outputs, ..RenderOptions::default() });
+    let live = LiveScene::new(&renderer, &scene.loaded)?;
+    let agents = live.agents_at(scene.time_s);
     for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {
-        renderer.render(&resident, cameras)?;
+        renderer.render(live.with(&agents), cameras)?;
         for (camera, picture) in cameras.iter().zip(renderer.read_pictures()?) {
             album.add(camera, picture)?;
             bar.inc(1);
@@ -149,8 +151,9 @@ fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
 
 fn render_by_definition(scene: &Scene, album: &mut Album) -> Result<()> {
     let bar = progress::bar("reference", scene.cameras.len());
+    let world = scene.world();
     for camera in &scene.cameras {
-        album.add(camera, reference::render(&scene.world, camera, &scene.world.rules).to_picture())?;
+        album.add(camera, reference::render(&world, camera, &world.rules).to_picture())?;
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use decouplegs::asset::{open_scene, read_cameras};
-use decouplegs::scene::{Camera, World};
+use decouplegs::asset::{LoadedScene, open_scene, read_cameras};
+use decouplegs::scene::{Camera, Rules, World};
 
 use crate::arguments::{RulesName, Size};
 use crate::progress;
@@ -31,12 +31,16 @@ pub struct SceneArguments {
     antialias: bool,
 }
 
-/// A world and the cameras that look at it.
+/// A scene and the cameras that look at it.
 pub struct Scene {
     /// Its rules are those asked for.
-    pub world: World,
+    pub loaded: LoadedScene,
+    /// The moment that the cameras stand at, seconds.
+    pub time_s: f64,
     /// At least one.
     pub cameras: Vec<Camera>,
+    /// Whether the cameras are the ego vehicle's, and drive with it.
+    drives: bool,
 }
 
 impl Scene {
@@ -50,6 +54,11 @@ impl Scene {
         }
         reading.finish_and_clear();
 
+        if let Some(Size { width_px, height_px }) = arguments.size {
+            for camera in &mut loaded.rig.cameras {
+                camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
+            }
+        }
         let mut cameras = match &arguments.cameras {
             Some(file) => read_cameras(file)?,
             None => loaded.rig.at(&loaded.ego.at(time_s)),
@@ -60,16 +69,36 @@ impl Scene {
                 arguments.scene.display()
             );
         }
-        if let Some(Size { width_px, height_px }) = arguments.size {
+        if let (Some(Size { width_px, height_px }), Some(_)) = (arguments.size, &arguments.cameras) {
             for camera in &mut cameras {
                 camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
             }
         }
-        let mut world = if loaded.agents.is_empty() { loaded.world } else { loaded.baked(time_s) };
+        let rules = &mut loaded.world.rules;
         if let Some(name) = arguments.rules {
-            world.rules = decouplegs::scene::Rules { antialias: world.rules.antialias, ..name.rules() };
+            *rules = Rules { antialias: rules.antialias, ..name.rules() };
         }
-        world.rules.antialias |= arguments.antialias;
-        Ok(Self { world, cameras })
+        rules.antialias |= arguments.antialias;
+        Ok(Self { loaded, time_s, cameras, drives: arguments.cameras.is_none() })
+    }
+
+    /// By whose definition splats become a picture.
+    pub fn rules(&self) -> Rules {
+        self.loaded.world.rules
+    }
+
+    /// The cameras `later_s` after the moment of the scene: those of a file stay where they are.
+    pub fn cameras_after(&self, later_s: f64) -> Vec<Camera> {
+        if !self.drives {
+            return self.cameras.clone();
+        }
+        let mut cameras = self.loaded.rig.at(&self.loaded.ego.at(self.time_s + later_s));
+        cameras.truncate(self.cameras.len());
+        cameras
+    }
+
+    /// Background and agents as one cloud, at the moment of the scene: what the f64 definition draws.
+    pub fn world(&self) -> World {
+        if self.loaded.agents.is_empty() { self.loaded.world.clone() } else { self.loaded.baked(self.time_s) }
     }
 }

@@ -3,13 +3,13 @@
 use decouplegs::gpu::Buffer;
 use decouplegs::render::ResidentWorld;
 use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, View, ViewOrder};
-use decouplegs::render::stages::{RankLists, Ranked};
+use decouplegs::render::stages::{ProjectVariant, RankLists, Ranked};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use decouplegs::render::twins::{self, footprint::Footprint, sh::Stored};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
 use glam::{DQuat, DVec3, Vec3};
 
-use super::{ROUNDOFF, Random, upload};
+use super::{ROUNDOFF, Random, UNTOUCHED, upload};
 use crate::device::Validated;
 use crate::frames::{Splat, world_of};
 
@@ -112,11 +112,30 @@ impl Scene {
 
     /// The twin's visible words and counts.
     pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
+        let (words, counts, _) = self.culled_by_rank(rules, &Kept::none(self.view.cameras.len()));
+        (words, counts)
+    }
+
+    /// The same, and the words by rank that it adds to those of `kept`.
+    pub fn culled_by_rank(&self, rules: &Rules, kept: &Kept) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
         let lists = self.view.cameras.len() * self.chunks.len();
         let (mut words, mut counts) = (vec![0; lists * CHUNK_SPLATS / 32], vec![0; lists]);
-        let Self { view, chunks, means_m, shapes, rotations, .. } = self;
-        twins::cull(&view.cameras, chunks, means_m, shapes, rotations, &mut words, &mut counts, Variant::of(rules));
-        (words, counts)
+        let mut rank_words = kept.rank_words.clone();
+        twins::cull(
+            &self.view.cameras,
+            &self.chunks,
+            &self.means_m,
+            &self.shapes,
+            &self.rotations,
+            &mut words,
+            &mut counts,
+            &kept.view_orders,
+            &kept.ranks,
+            &mut rank_words,
+            Variant::of(rules),
+            kept.is_any(),
+        );
+        (words, counts, rank_words)
     }
 
     /// Whether the splat can be seen, if that is the same however f32 rounds on the way: else `None`.
@@ -169,6 +188,27 @@ pub struct ProjectedTwin {
     pub keys: Vec<u32>,
     pub values: Vec<u32>,
     pub tile_counts: Vec<u32>,
+}
+
+/// How the cameras' backgrounds come into order.
+#[derive(Clone)]
+pub struct Kept {
+    pub view_orders: Vec<ViewOrder>,
+    /// `[rank set][splat]`.
+    pub ranks: Vec<u32>,
+    /// `[camera][chunk][8 words]`; of no length where no order is kept.
+    pub rank_words: Vec<u32>,
+}
+
+impl Kept {
+    /// No order is kept.
+    pub fn none(cameras: usize) -> Self {
+        Self { view_orders: vec![ViewOrder::default(); cameras], ranks: Vec::new(), rank_words: Vec::new() }
+    }
+
+    pub fn is_any(&self) -> bool {
+        !self.ranks.is_empty()
+    }
 }
 
 /// No order is kept: what the stages are given where there is none.
@@ -226,15 +266,28 @@ impl Scene {
         listed
     }
 
-    /// The twin's records where there is room for `room`.
-    pub fn projected(&self, listed: &Listed, rules: &Rules, sh_degree: usize, instances: bool, room: usize) -> ProjectedTwin {
+    /// The twin's records where there is room for `room` and no order is kept.
+    pub fn projected(&self, listed: &Listed, rules: &Rules, variant: ProjectVariant, room: usize) -> ProjectedTwin {
+        self.projected_by_rank(listed, rules, variant, room, &Kept::none(self.view.cameras.len())).0
+    }
+
+    /// The twin's records, and their keys by slot for the orders that are to be repaired. What is not written is `UNTOUCHED`.
+    pub fn projected_by_rank(
+        &self,
+        listed: &Listed,
+        rules: &Rules,
+        variant: ProjectVariant,
+        room: usize,
+        kept: &Kept,
+    ) -> (ProjectedTwin, Vec<u32>) {
         let mut out = ProjectedTwin {
             footprints: vec![[0.0; 4]; 2 * room],
             colours: vec![[0.0; 4]; room],
-            keys: vec![0; room],
-            values: vec![0; room],
-            tile_counts: vec![0; room],
+            keys: vec![UNTOUCHED; room],
+            values: vec![UNTOUCHED; room],
+            tile_counts: vec![UNTOUCHED; room],
         };
+        let mut unranked_keys = vec![UNTOUCHED; room];
         twins::project(
             &self.view.cameras,
             &self.means_m,
@@ -243,16 +296,22 @@ impl Scene {
             &listed.words,
             &listed.firsts,
             &self.sh(),
-            instances.then_some(self.instances.as_slice()),
+            variant.instances.then_some(self.instances.as_slice()),
             &mut out.footprints,
             &mut out.colours,
             &mut out.keys,
             &mut out.values,
             &mut out.tile_counts,
+            &kept.view_orders,
+            &kept.ranks,
+            &kept.rank_words,
+            &mut unranked_keys,
             Variant::of(rules),
-            sh_degree,
+            usize::from(variant.sh_degree),
             rules.order == decouplegs::scene::DepthOrder::Radial,
+            variant.ranked,
+            variant.splat_ids,
         );
-        out
+        (out, unranked_keys)
     }
 }

@@ -1,40 +1,57 @@
 //! What a bench found, as JSON and as text.
 
+use std::collections::BTreeMap;
+
 use decouplegs::render::FrameStatistics;
 use decouplegs::scene::{Camera, Rules};
 use serde_json::{Value, json};
 
-use super::Measured;
+use super::{Measured, Timed};
 use crate::scene_source::Scene;
 
 /// Everything that was measured, with what it was measured on.
 pub fn figures(scene: &Scene, measured: &Measured) -> Value {
-    let Measured { device, outputs, warm_up, frames, memory, window, difference } = measured;
+    let Measured { device, options, step_s, warm_up, timed, window, difference } = measured;
+    let Timed { frames, steps_ms, memory } = timed;
     let last = frames.last().expect("at least one frame was timed");
     let milliseconds = |of: &dyn Fn(&FrameStatistics) -> f64| spread(frames.iter().map(of).collect());
     let wall_ms = milliseconds(&|frame| frame.wall_time.as_secs_f64() * 1e3);
-    let rig_steps_per_s = 1e3 / wall_ms["median"].as_f64().unwrap_or(f64::NAN);
-    let stages: Vec<Value> = (0..last.stages.len())
-        .map(|at| json!({ "name": last.stages[at].name, "gpu_ms": milliseconds(&|frame| frame.stages[at].duration_ns as f64 / 1e6) }))
+    let step_wall_ms = spread(steps_ms.clone());
+    let rig_steps_per_s = 1e3 / step_wall_ms["median"].as_f64().unwrap_or(f64::NAN);
+    let stages: Vec<Value> = stage_names(frames)
+        .into_iter()
+        .map(|name| json!({ "name": name, "gpu_ms": milliseconds(&|frame| stage_ms(frame, name)) }))
         .collect();
+    let mut orders = BTreeMap::<String, usize>::new();
+    for path in frames.iter().flat_map(|frame| &frame.orders) {
+        *orders.entry(format!("{path:?}").to_lowercase()).or_default() += 1;
+    }
     let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
     json!({
         "version": env!("CARGO_PKG_VERSION"),
         "device": device.name,
         "driver": device.driver,
-        "splats": scene.world.splats.len(),
-        "sh_degree": scene.world.splats.sh_degree,
+        "splats": scene.loaded.world.splats.len(),
+        "sh_degree": scene.loaded.world.splats.sh_degree,
+        "agents": { "in_scene": scene.loaded.agents.len(), "drawn": last.agents, "splats": last.agent_splats },
+        "order": options.order,
+        "level_pitch_px": options.level_pitch_px,
+        "frames_in_flight": options.frames_in_flight,
+        "step_s": step_s,
         "cameras": scene.cameras.len(),
         "width_px": scene.cameras[0].intrinsics.width_px,
         "height_px": scene.cameras[0].intrinsics.height_px,
         "sizes_px": scene.cameras.iter().map(size).collect::<Vec<_>>(),
-        "rules": rules_text(&scene.world.rules),
-        "outputs": outputs,
+        "rules": rules_text(&options.rules),
+        "outputs": options.outputs,
         "warm_up": warm_up,
         "frames": frames.len(),
         "frames_redrawn": frames.iter().filter(|frame| frame.redrawn > 0).count(),
         "frame_gpu_ms": milliseconds(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
         "frame_wall_ms": wall_ms,
+        "step_wall_ms": step_wall_ms,
+        "orders": orders,
+        "update_gpu_ms": milliseconds(&|frame| frame.update_time.map_or(0.0, |time| time.as_secs_f64() * 1e3)),
         "record_ms": milliseconds(&|frame| frame.record_time.as_secs_f64() * 1e3),
         "rig_steps_per_s": rig_steps_per_s,
         "images_per_s": rig_steps_per_s * scene.cameras.len() as f64,
@@ -52,6 +69,21 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
             "difference": difference,
         },
     })
+}
+
+/// Names of all stages that some frame had, in the order they run.
+fn stage_names(frames: &[FrameStatistics]) -> Vec<&'static str> {
+    let mut names: Vec<&'static str> = Vec::new();
+    for stage in frames.iter().flat_map(|frame| &frame.stages) {
+        if !names.contains(&stage.name) {
+            names.push(stage.name);
+        }
+    }
+    names
+}
+
+fn stage_ms(frame: &FrameStatistics, name: &str) -> f64 {
+    frame.stages.iter().filter(|stage| stage.name == name).map(|stage| stage.duration_ns as f64 / 1e6).sum()
 }
 
 /// Median, 99th percentile (the value that 99 of 100 do not exceed) and the extremes of at least one value.
@@ -96,12 +128,16 @@ fn text(value: &Value) -> &str {
 
 fn heading(figures: &Value) -> String {
     format!(
-        "{} ({})\n{} splats of degree {}, rules {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
+        "{} ({})\n{} splats of degree {} and {} agents of {} splats, rules {}\norder {}; views by how their background came into order: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
         text(&figures["device"]),
         text(&figures["driver"]),
         figures["splats"],
         figures["sh_degree"],
+        figures["agents"]["drawn"],
+        figures["agents"]["splats"],
         text(&figures["rules"]),
+        figures["order"],
+        figures["orders"],
         figures["cameras"],
         figures["width_px"],
         figures["height_px"],

@@ -24,7 +24,7 @@ const STEADY_SHARE: f64 = 0.34;
 const REPAIR_ROUNDS: u32 = 4;
 
 /// How splats come into front-to-back order.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub enum OrderMode {
     /// Everything is sorted in every frame.
     Full,

@@ -1,0 +1,45 @@
+//! A scene on the device, its agents moved by their trajectories.
+
+use decouplegs_asset::{LoadedAgent, LoadedScene};
+use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentWorld, Scene};
+
+/// A loaded scene on the device: what a loop of frames needs of it.
+pub struct LiveScene {
+    /// The background.
+    pub world: ResidentWorld,
+    /// The agents' assets.
+    pub pool: AssetPool,
+    agents: Vec<(AssetId, LoadedAgent)>,
+}
+
+impl LiveScene {
+    /// Copies background and assets of `loaded` to the device of `renderer`.
+    ///
+    /// # Errors
+    /// When the device has not the memory, or an asset cannot be drawn.
+    pub fn new(renderer: &Renderer, loaded: &LoadedScene) -> Result<Self, RenderError> {
+        let world = renderer.upload(&loaded.world)?;
+        let mut pool = AssetPool::new(renderer.gpu())?;
+        let assets = loaded.assets.iter().map(|asset| pool.add(asset)).collect::<Result<Vec<_>, _>>()?;
+        let agents = loaded.agents.iter().map(|agent| (assets[agent.asset], agent.clone())).collect();
+        Ok(Self { world, pool, agents })
+    }
+
+    /// All agents where they are at `time_s`.
+    #[must_use]
+    pub fn agents_at(&self, time_s: f64) -> Vec<Agent> {
+        let agent = |(asset, agent): &(AssetId, LoadedAgent)| Agent {
+            asset: *asset,
+            world_from_agent: agent.trajectory.at(time_s),
+            sh_frame: Some(agent.sh_frame),
+            instance: agent.instance,
+        };
+        self.agents.iter().map(agent).collect()
+    }
+
+    /// The background with `agents`, as [`Renderer::render`] takes it.
+    #[must_use]
+    pub fn with<'a>(&'a self, agents: &'a [Agent]) -> Scene<'a> {
+        Scene { world: &self.world, agents: Some((&self.pool, agents)) }
+    }
+}

@@ -1,0 +1,103 @@
+//! What is lost in pictures: every version of an asset against the original, from the same cameras.
+
+use anyhow::Result;
+use decouplegs::gpu::Gpu;
+use decouplegs::render::metrics::Difference;
+use decouplegs::render::{Picture, RenderOptions, Renderer};
+use decouplegs::scene::{Camera, SplatCloud, World};
+use serde_json::{Value, json};
+
+/// Behind the asset: neither black nor white, so that what is missing shows on both dark and light parts.
+const SKY_RGB: [f32; 3] = [0.6, 0.7, 0.8];
+
+/// How near pictures are to the original's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Score {
+    /// Of the mean squared error over all pictures, decibels; infinite for equal pictures.
+    pub psnr_db: f64,
+    /// Mean over pictures; `None` where they are too small for a window.
+    pub ssim: Option<f64>,
+}
+
+impl Score {
+    pub fn to_json(self) -> Value {
+        json!({ "psnr_db": self.psnr_db.is_finite().then_some(self.psnr_db), "ssim": self.ssim })
+    }
+
+    fn between(found: &[Picture], expected: &[Picture]) -> Result<Self> {
+        let (mut square_sum, mut ssims) = (0.0, Vec::new());
+        for (found, expected) in found.iter().zip(expected) {
+            let difference = Difference::between(found, expected)?;
+            square_sum += difference.rmse * difference.rmse;
+            ssims.extend(difference.ssim);
+        }
+        let ssim = (!ssims.is_empty()).then(|| ssims.iter().sum::<f64>() / ssims.len() as f64);
+        Ok(Self { psnr_db: -10.0 * (square_sum / found.len() as f64).log10(), ssim })
+    }
+}
+
+/// Cameras under one name, and what they see of the original.
+pub struct Views {
+    pub name: &'static str,
+    pub what: String,
+    pub cameras: Vec<Camera>,
+    pub original: Vec<Picture>,
+}
+
+/// Draws versions of an asset and scores them.
+pub struct Yardstick {
+    renderer: Renderer,
+    pub views: Vec<Views>,
+}
+
+impl Yardstick {
+    /// Scores against `original` from the `cameras` of each name; the second of each is what the cameras are, for the reader.
+    pub fn new(gpu: &Gpu, original: &SplatCloud, cameras: Vec<(&'static str, String, Vec<Camera>)>) -> Result<Self> {
+        let mut yardstick = Self { renderer: Renderer::new(gpu, RenderOptions::default()), views: Vec::new() };
+        for (name, what, cameras) in cameras {
+            let original = yardstick.draw(original, &cameras)?;
+            yardstick.views.push(Views { name, what, cameras, original });
+        }
+        Ok(yardstick)
+    }
+
+    pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Picture>> {
+        let world = World { sky: SKY_RGB, ..World::of(cloud.select(&cloud.spatial_order())) };
+        let resident = self.renderer.upload(&world)?;
+        self.renderer.render(&resident, cameras)?;
+        Ok(self.renderer.read_pictures()?)
+    }
+
+    /// How near `cloud` is to the original, one score for each of the views.
+    pub fn score(&mut self, cloud: &SplatCloud) -> Result<Vec<Score>> {
+        let mut scores = Vec::new();
+        for at in 0..self.views.len() {
+            let cameras = self.views[at].cameras.clone();
+            let found = self.draw(cloud, &cameras)?;
+            scores.push(Score::between(&found, &self.views[at].original)?);
+        }
+        Ok(scores)
+    }
+
+    /// How near `found` is to `expected`, both drawn for `cameras`.
+    pub fn compare(&mut self, found: &SplatCloud, expected: &SplatCloud, cameras: &[Camera]) -> Result<Score> {
+        let expected = self.draw(expected, cameras)?;
+        Score::between(&self.draw(found, cameras)?, &expected)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_averaged_before_the_logarithm() {
+        let grey = |value: f32| Picture::filled(16, 16, [value; 3]);
+        let score = Score::between(&[grey(0.5), grey(0.5)], &[grey(0.5), grey(0.6)]).unwrap();
+        // Squared errors 0 and 0.01.
+        assert!((score.psnr_db - 23.0103).abs() < 1e-3, "{score:?}");
+        let equal = Score::between(&[grey(0.5)], &[grey(0.5)]).unwrap();
+        assert_eq!((equal.psnr_db, equal.to_json()["psnr_db"].is_null()), (f64::INFINITY, true));
+        assert!((equal.ssim.unwrap() - 1.0).abs() < 1e-9);
+    }
+}
