@@ -1,6 +1,7 @@
 //! `decouplegs bench`: how long a frame takes, stage by stage, what memory it holds, and how wrong it is.
 
 mod report;
+mod trace;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -61,6 +62,9 @@ pub struct Arguments {
     /// Run the agents' part of a frame in line with the rest instead of on the queue for updates
     #[arg(long)]
     serial: bool,
+    /// Write what both queues and the host did when, as a trace for chrome://tracing or ui.perfetto.dev
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
     /// Middle of the first camera's picture whose error is measured, in f32 whatever --colour says
@@ -129,6 +133,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
     let gpu = arguments.device.open()?;
     let timed = time_frames(&gpu, &scene, arguments)?;
+    if let Some(path) = &arguments.trace {
+        let trace = trace::chrome_trace(&timed.frames, gpu.clock()?);
+        write_atomically(path, |file| writeln!(file, "{trace}"))?;
+    }
     let window = middle(&scene.cameras[0].intrinsics, arguments.error_window);
     let difference = error_in_window(&gpu, &scene, arguments, window)?;
     check_validation(&gpu)?;

@@ -14,7 +14,6 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::compress::{CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress};
 use decouplegs::asset::{CodedAsset, Provenance, read_splats, write_coded};
-use decouplegs::gpu::Gpu;
 use decouplegs::scene::codebook::{COLOURS_MAX, SHAPES_MAX};
 use decouplegs::scene::{ShFrame, SplatCloud};
 use indicatif::ProgressBar;

@@ -7,6 +7,7 @@
 mod arguments;
 mod bench;
 mod compare;
+mod compress;
 mod decompress;
 mod device;
 mod devices;
@@ -33,6 +34,7 @@ enum Command {
     Render(render::Arguments),
     Inspect(inspect::Arguments),
     Decompress(decompress::Arguments),
+    Compress(compress::Arguments),
     Compare(compare::Arguments),
     Synth(synth::Arguments),
     Bench(bench::Arguments),
@@ -44,6 +46,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Decompress(arguments) => decompress::run(arguments),
+        Command::Compress(arguments) => compress::run(arguments),
         Command::Compare(arguments) => compare::run(arguments),
         Command::Synth(arguments) => synth::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),

@@ -1,7 +1,7 @@
 //! Agents: what is drawn through codebooks against the same splats decoded, placed and drawn by definition.
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, OrderMode, RenderOptions, Renderer, Scene, reference};
+use decouplegs::render::{Agent, AssetPool, Picture, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::{AgentPlacement, Bounds, Camera, CodedCloud, Intrinsics, Pose, Rules, ShFrame, SplatCodes, World};
 use glam::{DQuat, DVec3};
 
@@ -130,65 +130,119 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
         let difference = Difference::between(picture, &expected).unwrap();
         println!("{}: {:.1} dB, max {:.5}", camera.name, difference.psnr_db, difference.max_abs);
         assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{}: {difference:?}", camera.name);
-        let ids = |picture: &decouplegs::render::Picture| picture.instance.clone().unwrap();
+        let ids = |picture: &Picture| picture.instance.clone().unwrap();
         let other = ids(picture).iter().zip(ids(&expected)).filter(|(a, b)| **a != *b).count();
         assert!(other * 500 <= ids(picture).len(), "{other} pixels belong to another instance");
     }
 }
 
-#[test]
-fn a_drive_gives_the_same_bytes_however_the_order_is_found() {
-    let gpu = Validated::open();
-    let world = background(9000, 4);
-    let car = coded_car(400, 5);
-    let orders = [OrderMode::Full, OrderMode::Exact];
-    let mut renderers = orders.map(|order| Renderer::new(&gpu, RenderOptions { order, ..RenderOptions::default() }));
-    let resident = renderers[0].upload(&world).unwrap();
-    let mut pool = AssetPool::new(&gpu).unwrap();
-    let asset = pool.add(&car).unwrap();
-    let mut paths = std::collections::BTreeMap::<String, usize>::new();
-    for frame in 0..60 {
-        let (eye, yaw) = drive(frame);
-        let forward = DQuat::from_rotation_z(yaw) * DVec3::X;
-        let side = DQuat::from_rotation_z(yaw + 1.0) * DVec3::X;
-        let cameras = [camera_towards("front", eye, eye + forward, (160, 96)), camera_towards("side", eye, eye + side, (96, 96))];
-        let agents = [
-            Agent {
-                asset,
-                world_from_agent: Pose::from_yaw(0.1, DVec3::new(6.0 + 0.1 * frame as f64, 0.5, 0.0)),
-                sh_frame: None,
-                instance: 1,
-            },
-            Agent {
-                asset,
-                world_from_agent: Pose::from_yaw(3.0 - 0.01 * frame as f64, DVec3::new(15.0 - 0.2 * frame as f64, -2.0, 0.0)),
-                sh_frame: None,
-                instance: 2,
-            },
-        ];
-        let pictures = renderers.each_mut().map(|renderer| {
-            let statistics = renderer.render(Scene { world: &resident, agents: Some((&pool, &agents)) }, &cameras).unwrap();
-            if renderer.options().order == OrderMode::Exact {
-                for path in &statistics.orders {
-                    *paths.entry(format!("{path:?}")).or_default() += 1;
-                }
-            }
-            renderer.read_pictures().unwrap()
-        });
-        assert!(pictures[0] == pictures[1], "frame {frame} differs");
-    }
-    println!("{paths:?}");
+/// Draws `agents` before `world` by a renderer of its own.
+fn draw_agents(gpu: &Validated, world: &World, pool: &AssetPool, agents: &[Agent], cameras: &[Camera]) -> Vec<Picture> {
+    let mut renderer = Renderer::new(gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
+    let resident = renderer.upload(world).unwrap();
+    renderer.render(Scene { world: &resident, agents: Some((pool, agents)) }, cameras).unwrap();
+    renderer.read_pictures().unwrap()
 }
 
-/// Where the ego is and where it looks: straight on, slow and fast turns, a stop, a cut and a turn on the spot.
-fn drive(frame: usize) -> (DVec3, f64) {
-    let t = frame as f64;
-    match frame {
-        0..15 => (DVec3::new(0.1 * t, 0.0, 0.5), 0.0),
-        15..30 => (DVec3::new(0.1 * t, 0.0, 0.5), 0.0004 * (t - 14.0)),
-        30..40 => (DVec3::new(0.1 * t, 0.0, 0.5), 0.035 * (t - 29.0)),
-        40..45 => (DVec3::new(4.0, 0.0, 0.5), 0.35),
-        45..50 => (DVec3::new(30.0, 3.0, 1.0), 3.0),
-        _ => (DVec3::new(0.0, 0.1 * (t - 50.0), 0.5), if frame % 2 == 0 { 0.0 } else { std::f64::consts::PI }),
+#[test]
+fn agents_come_go_change_and_move_between_frames() {
+    let gpu = Validated::open();
+    let world = background(1500, 21);
+    let mut pool = AssetPool::new(&gpu).unwrap();
+    let [red, blue] = [coded_car(300, 22), coded_car(500, 23)].map(|car| pool.add(&car).unwrap());
+    let cameras = [camera_towards("ahead", DVec3::ZERO, DVec3::X, (120, 80))];
+    let agent = |asset, x: f64, instance| Agent {
+        asset,
+        world_from_agent: Pose::from_yaw(0.2 * x, DVec3::new(x, 0.3 * x - 2.0, 0.0)),
+        sh_frame: None,
+        instance,
+    };
+    let frames = [
+        vec![],
+        vec![agent(red, 8.0, 1)],
+        vec![agent(red, 8.0, 1), agent(blue, 9.0, 2)],
+        vec![agent(blue, 8.0, 1), agent(red, 9.5, 2)],
+        vec![agent(blue, 9.5, 2)],
+        vec![],
+    ];
+    let mut renderer = Renderer::new(&gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
+    let resident = renderer.upload(&world).unwrap();
+    for (index, agents) in frames.iter().enumerate() {
+        renderer.render(Scene { world: &resident, agents: Some((&pool, agents)) }, &cameras).unwrap();
+        let pictures = renderer.read_pictures().unwrap();
+        assert!(pictures == draw_agents(&gpu, &world, &pool, agents, &cameras), "frame {index} remembers another");
+        let seen = |id: u16| pictures[0].instance.as_ref().unwrap().contains(&id);
+        assert_eq!([seen(1), seen(2)], [1, 2].map(|id| agents.iter().any(|agent| agent.instance == id)), "frame {index}");
     }
+}
+
+#[test]
+fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
+    let gpu = Validated::open();
+    let world = background(800, 31);
+    let mut pool = AssetPool::new(&gpu).unwrap();
+    let asset = pool.add(&coded_car(300, 32)).unwrap();
+    let cameras = [camera_towards("ahead", DVec3::ZERO, DVec3::X, (120, 80))];
+    let pose = Pose::from_yaw(0.4, DVec3::new(8.0, 0.0, 0.0));
+    let agents = [Agent { asset, world_from_agent: pose, sh_frame: None, instance: 1 }];
+    let expected = draw_agents(&gpu, &world, &pool, &agents, &cameras);
+    let mut renderer = Renderer::new(&gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
+    let resident = renderer.upload(&world).unwrap();
+    renderer.submit(Scene { world: &resident, agents: Some((&pool, &agents)) }, &cameras).unwrap();
+    pool.remove(asset).unwrap();
+    // Its place is taken by another at once, and the pool grows.
+    let others: Vec<Agent> =
+        (0..3).map(|i| Agent { asset: pool.add(&coded_car(400, 40 + i)).unwrap(), instance: 2, ..agents[0] }).collect();
+    renderer.submit(Scene { world: &resident, agents: Some((&pool, &others)) }, &cameras).unwrap();
+    renderer.finish().unwrap();
+    assert!(renderer.read_pictures().unwrap() == expected, "the frame in flight lost its asset");
+    renderer.finish().unwrap();
+    assert!(renderer.read_pictures().unwrap() == draw_agents(&gpu, &world, &pool, &others, &cameras));
+    let stale = renderer.submit(Scene { world: &resident, agents: Some((&pool, &agents)) }, &cameras).unwrap_err();
+    assert!(stale.to_string().contains("removed"), "{stale}");
+    let nowhere = [Agent { world_from_agent: Pose { translation: DVec3::NAN, ..pose }, ..others[0] }];
+    let error = renderer.submit(Scene { world: &resident, agents: Some((&pool, &nowhere)) }, &cameras).unwrap_err();
+    assert!(error.to_string().contains("not finite"), "{error}");
+}
+
+#[test]
+fn turning_world_agents_and_camera_together_changes_nothing() {
+    let gpu = Validated::open();
+    let world = background(1200, 51);
+    let mut pool = AssetPool::new(&gpu).unwrap();
+    let asset = pool.add(&coded_car(400, 52)).unwrap();
+    let pose = Pose::from_yaw(0.7, DVec3::new(9.0, 1.0, 0.1));
+    let camera = camera_towards("ahead", DVec3::ZERO, DVec3::X, (160, 100));
+    let agent = |world_from_agent| [Agent { asset, world_from_agent, sh_frame: None, instance: 1 }];
+    let here = draw_agents(&gpu, &world, &pool, &agent(pose), std::slice::from_ref(&camera));
+    for turn in [DQuat::from_rotation_z(1.3), DQuat::from_rotation_x(2.0) * DQuat::from_rotation_y(0.4)] {
+        let turned = Pose::new(turn, DVec3::new(100.0, -40.0, 7.0));
+        let moved = World { splats: world.splats.placed(&turned, true), ..world.clone() };
+        let there = Camera { world_from_camera: turned.then(&camera.world_from_camera), ..camera.clone() };
+        let pictures = draw_agents(&gpu, &moved, &pool, &agent(turned.then(&pose)), &[there]);
+        let difference = Difference::between(&pictures[0], &here[0]).unwrap();
+        println!("{:.1} dB, max {:.5}", difference.psnr_db, difference.max_abs);
+        assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{difference:?}");
+    }
+}
+
+#[test]
+fn a_far_agent_is_drawn_at_a_coarser_level() {
+    let gpu = Validated::open();
+    let world = background(200, 61);
+    let mut pool = AssetPool::new(&gpu).unwrap();
+    let car = coded_car(800, 62);
+    let asset = pool.add(&car).unwrap();
+    let camera = [camera_towards("ahead", DVec3::ZERO, DVec3::X, (120, 80))];
+    let drawn = |x: f64, level_pitch_px| {
+        let mut renderer = Renderer::new(&gpu, RenderOptions { level_pitch_px, ..RenderOptions::default() });
+        let resident = renderer.upload(&world).unwrap();
+        let agents = [Agent { asset, world_from_agent: Pose::from_yaw(0.0, DVec3::X * x), sh_frame: None, instance: 1 }];
+        renderer.render(Scene { world: &resident, agents: Some((&pool, &agents)) }, &camera).unwrap().agent_splats
+    };
+    // Of 800 and 100 splats on about 30 m^2: 0.19 m and 0.55 m apart; 88 px a metre at 1 m.
+    assert_eq!([drawn(10.0, None), drawn(200.0, None)], [800, 800]);
+    assert_eq!([drawn(10.0, Some(1.0)), drawn(200.0, Some(1.0))], [800, 100]);
+    let worst = car.decoded(1);
+    assert_eq!(worst.len(), 100);
 }

@@ -4,6 +4,8 @@ mod agents;
 mod determinism;
 mod growth;
 mod hard_cases;
+mod in_flight;
+mod orders;
 mod outputs;
 mod scenes;
 

@@ -3,7 +3,7 @@
 mod rounding;
 
 use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
-use decouplegs::render::stages::{Arguments, Blend, Partials, Plan, Projected};
+use decouplegs::render::stages::{Arguments, Blend, Partials, Plan, ProjectVariant, Projected};
 use decouplegs::render::twins::output::{Pictures, Pixel, macro_tile_origin, pixel_offset, write_pixel};
 use decouplegs::render::twins::{self, output::BLEND_THREADS};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
@@ -18,6 +18,9 @@ use rounding::PixelBounds;
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 const OUTPUTS: Outputs =
     Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true, contributions: false };
+
+/// Records whose instance is to be found in the picture.
+const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ranked: false, splat_ids: false };
 
 /// What all items of a run share.
 struct Case {
@@ -39,7 +42,7 @@ impl Case {
         world.splats.opacities.iter_mut().for_each(|opacity| *opacity *= faintness);
         let scene = Scene::new(gpu, &world, &rig()[..2]);
         let listed = scene.listed(&rules);
-        let projected = scene.projected(&listed, &rules, 1, true, listed.records.len());
+        let projected = scene.projected(&listed, &rules, VARIANT, listed.records.len());
         let mut records: Vec<u32> = (0..projected.keys.len() as u32).collect();
         records.sort_by_key(|&record| projected.keys[record as usize]);
         let all = records.len() as u32;

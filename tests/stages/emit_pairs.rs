@@ -6,6 +6,7 @@ use decouplegs::render::twins;
 use decouplegs::render::twins::record::load_footprint;
 use decouplegs::scene::Rules;
 
+use super::project::PLAIN;
 use super::scenes::{ProjectedTwin, Scene, hard_world, rig, settled_tile_count};
 use super::{Random, UNTOUCHED, control, found, identical, open, run, sort_shape, untouched, upload};
 use crate::device::Validated;
@@ -33,7 +34,7 @@ impl Case {
         let rules = Rules::DEFAULT;
         let scene = Scene::new(gpu, &hard_world(splats, seed), &rig());
         let listed = scene.listed(&rules);
-        let all = scene.projected(&listed, &rules, 0, false, listed.records.len());
+        let all = scene.projected(&listed, &rules, PLAIN, listed.records.len());
         let chunks = scene.chunks.len();
         let mut kept = Vec::new();
         let mut firsts = Vec::new();

@@ -3,15 +3,20 @@
 //! Integers must be identical. Floats lie within a bound that the test derives from the operations that were rounded, and an
 //! integer that was decided by floats may differ only where the twin's own decision does not survive that rounding.
 
+pub mod agents;
 mod blend;
 mod composite;
 mod count_pairs;
 mod cull;
 mod emit_pairs;
 mod find_ranges;
+mod merge_order;
+mod plan_order;
 mod plan_segments;
 mod project;
 mod properties;
+mod ranks;
+mod repair_order;
 mod scan;
 mod scenes;
 mod sort;

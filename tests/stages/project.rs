@@ -98,7 +98,8 @@ impl Case {
     }
 }
 
-const PLAIN: ProjectVariant = ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false };
+/// Colours of degree 0 and nothing else.
+pub const PLAIN: ProjectVariant = ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false };
 
 #[test]
 fn records_of_hard_splats() {
@@ -111,6 +112,7 @@ fn records_of_hard_splats() {
             Rules { antialias: true, ..Rules::INRIA },
             ProjectVariant { sh_degree: 2, instances: true, ranked: false, splat_ids: false },
         ),
+        (Rules::DEFAULT, ProjectVariant { splat_ids: true, ..PLAIN }),
     ] {
         let case = Case::new(&gpu, 3000, rules, variant);
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();

@@ -7,7 +7,7 @@ use decouplegs::render::stages::{ProjectVariant, RankLists, Ranked};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use decouplegs::render::twins::{self, footprint::Footprint, sh::Stored};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DQuat, DVec3, Mat3, Vec3};
 
 use super::{ROUNDOFF, Random, UNTOUCHED, upload};
 use crate::device::Validated;
@@ -139,28 +139,39 @@ impl Scene {
     }
 
     /// Whether the splat can be seen, if that is the same however f32 rounds on the way: else `None`.
-    ///
-    /// Tried are the mean moved by the rounding of a camera transform along each axis, and size and opacity by some
-    /// roundings of their own.
     pub fn settled_visibility(&self, camera: usize, splat: usize, rules: &Rules) -> Option<bool> {
-        let (camera, variant) = (&self.view.cameras[camera], Variant::of(rules));
-        let offset = from_camera_m(self.means_m[splat], camera);
-        let t = to_camera_axes(camera, offset);
-        let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
-        let grown = (16.0 * ROUNDOFF) as f32;
-        let visible = |t: Vec3, size: f32, opacity: f32| {
-            let [sx, sy, sz, peak] = self.shapes[splat];
-            let axes = axes_of([sx * size, sy * size, sz * size, peak], self.rotations[splat]);
-            let (footprint, drawn) = project_splat(camera, t, axes, peak * opacity, variant);
-            drawn && twins::count_macro_tiles(&footprint, camera) > 0
-        };
-        let decision = visible(t, 1.0, 1.0);
-        let moves = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [t + moved_m * axis, t - moved_m * axis]);
-        let changes = [1.0 - grown, 1.0 + grown];
-        let same = moves.into_iter().all(|t| visible(t, 1.0, 1.0) == decision)
-            && changes.iter().all(|&change| visible(t, change, 1.0) == decision && visible(t, 1.0, change) == decision);
-        same.then_some(decision)
+        let (shape, rotation) = (self.shapes[splat], self.rotations[splat]);
+        let axes = axes_of(shape, rotation);
+        settled_visibility(&self.view.cameras[camera], self.means_m[splat], axes, 16.0 * ROUNDOFF, shape[3], rules)
     }
+}
+
+/// Whether a splat can be seen, if that is the same however f32 rounds on the way: else `None`.
+///
+/// Tried are the mean moved by the rounding of a camera transform along each axis, the size changed by `size_share` and the
+/// opacity by some roundings of its own.
+pub fn settled_visibility(
+    camera: &CameraRecord,
+    mean_m: [f32; 3],
+    axes: Mat3,
+    size_share: f64,
+    opacity: f32,
+    rules: &Rules,
+) -> Option<bool> {
+    let offset = from_camera_m(mean_m, camera);
+    let t = to_camera_axes(camera, offset);
+    let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
+    let visible = |t: Vec3, size: f32, opacity: f32| {
+        let (footprint, drawn) = project_splat(camera, t, axes * size, opacity, Variant::of(rules));
+        drawn && twins::count_macro_tiles(&footprint, camera) > 0
+    };
+    let decision = visible(t, 1.0, opacity);
+    let moves = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [t + moved_m * axis, t - moved_m * axis]);
+    let changes = |share: f64| [1.0 - share as f32, 1.0 + share as f32];
+    let same = moves.into_iter().all(|t| visible(t, 1.0, opacity) == decision)
+        && changes(size_share).iter().all(|&change| visible(t, change, opacity) == decision)
+        && changes(16.0 * ROUNDOFF).iter().all(|&change| visible(t, 1.0, opacity * change) == decision);
+    same.then_some(decision)
 }
 
 /// How many macro tiles the splat reaches, if that is the same however f32 rounds its edges: else `None`.

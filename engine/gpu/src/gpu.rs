@@ -1,6 +1,7 @@
 //! The open device, as the rest of the engine sees it.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use bytemuck::Pod;
 
@@ -8,6 +9,17 @@ use crate::{
     Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, Limits, MemoryReport, QueueRole, Recorder, Residence, Ticket,
     context::Context, device, instance::Instance, memory::BufferMemory, queue::Queue, transfer,
 };
+
+/// One moment on the clocks of host and device.
+#[derive(Clone, Copy, Debug)]
+pub struct DeviceClock {
+    /// On the host's.
+    pub host: Instant,
+    /// On the device's, nanoseconds.
+    pub device_ns: u64,
+    /// How far the two may be apart.
+    pub uncertainty: Duration,
+}
 
 /// An open device. Clones share it; dropping the last one waits until the device is idle.
 #[derive(Clone)]
@@ -169,6 +181,26 @@ impl Gpu {
         let queue = recorder.queue.clone();
         let (slot, stages) = recorder.finish()?;
         queue.submit(slot, stages, after)
+    }
+
+    /// How the device's clock stands to the host's. Waits for everything submitted to the main queue before.
+    ///
+    /// # Errors
+    /// When the device is lost, or the queue has no timestamps.
+    pub fn clock(&self) -> Result<DeviceClock, GpuError> {
+        let mut best: Option<DeviceClock> = None;
+        // The shortest way there and back says most.
+        for _ in 0..8 {
+            let before = Instant::now();
+            let ticket = self.submit(self.record(QueueRole::Main), &[])?;
+            ticket.wait()?;
+            let half = before.elapsed() / 2;
+            let middle_ns = ticket.begin_ns()? + ticket.gpu_time_ns()? / 2;
+            if best.is_none_or(|best| half < best.uncertainty) {
+                best = Some(DeviceClock { host: before + half, device_ns: middle_ns, uncertainty: half });
+            }
+        }
+        best.ok_or(GpuError::Driver { call: "reading the clock", code: "no measurement".into() })
     }
 
     /// Staging is bound to nothing, and still a buffer like all others.

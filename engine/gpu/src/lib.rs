@@ -37,7 +37,7 @@ mod transfer;
 pub use buffer::{Bound, Buffer, Residence};
 pub use choice::{DeviceChoice, DeviceOptions, QueueUse};
 pub use error::GpuError;
-pub use gpu::Gpu;
+pub use gpu::{DeviceClock, Gpu};
 pub use info::{DeviceInfo, DeviceKind, Limits, MemoryReport};
 pub use kernel::{Access, Constant, Kernel, KernelBinding};
 pub use queue::QueueRole;

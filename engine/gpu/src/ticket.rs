@@ -66,6 +66,14 @@ impl Ticket {
         self.times().map(|times| times.total_ns)
     }
 
+    /// When the command buffer began, in nanoseconds of the device's clock, which all queues share; waits for the work.
+    ///
+    /// # Errors
+    /// Those of [`Ticket::wait`], and when the queue has no timestamps.
+    pub fn begin_ns(&self) -> Result<u64, GpuError> {
+        self.times().map(|times| times.begin_ns)
+    }
+
     fn times(&self) -> Result<&Times, GpuError> {
         self.wait()?;
         let times = self.submission.times.get().and_then(Option::as_ref);
@@ -87,6 +95,7 @@ pub(crate) struct Submission {
 }
 
 struct Times {
+    begin_ns: u64,
     total_ns: u64,
     stages: Vec<StageTime>,
 }
@@ -132,7 +141,8 @@ fn times(names: &[&'static str], ticks: &[Option<u64>], valid_bits: u32, period_
         Some(StageTime { name, start_ns: since(start, from), duration_ns: since(from, to) })
     };
     let stages = names.iter().enumerate().map(stage).collect::<Option<Vec<_>>>()?;
-    Some(Times { total_ns: since(start, ticks[1]?), stages })
+    let begin_ns = ((start & mask) as f64 * f64::from(period_ns)) as u64;
+    Some(Times { begin_ns, total_ns: since(start, ticks[1]?), stages })
 }
 
 #[cfg(test)]

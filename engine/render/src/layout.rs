@@ -71,14 +71,15 @@ impl CameraRecord {
         let size = DVec3::new(f64::from(k.width_px), f64::from(k.height_px), 0.0);
         let margin = |size: f64, focal: f64| rules::JACOBIAN_MARGIN * 0.5 * size / focal;
         let axes = DMat3::from_quat(camera.world_from_camera.rotation.normalize());
+        let forward = steady(axes.z_axis);
         let centre = camera.world_from_camera.translation - origin;
         let high = centre.as_vec3();
         let low = (centre - high.as_dvec3()).as_vec3();
         Self {
             row_x: axes.x_axis.as_vec3().to_array(),
             row_y: axes.y_axis.as_vec3().to_array(),
-            row_z: axes.z_axis.as_vec3().to_array(),
-            row_z_low: (axes.z_axis - axes.z_axis.as_vec3().as_dvec3()).as_vec3().to_array(),
+            row_z: forward.as_vec3().to_array(),
+            row_z_low: (forward - forward.as_vec3().as_dvec3()).as_vec3().to_array(),
             centre_high_m: high.to_array(),
             centre_low_m: low.to_array(),
             focal_px: [k.fx_px as f32, k.fy_px as f32],
@@ -107,7 +108,7 @@ impl CameraRecord {
     pub fn moved_into(&self, camera: &Camera, origin: DVec3, world_from_agent: &Pose) -> Self {
         let agent_from_camera = world_from_agent.inverse().then(&camera.world_from_camera);
         let local = Camera { world_from_camera: agent_from_camera, ..camera.clone() };
-        let forward = DMat3::from_quat(camera.world_from_camera.rotation.normalize()).z_axis;
+        let forward = steady(DMat3::from_quat(camera.world_from_camera.rotation.normalize()).z_axis);
         let offset = forward.dot(world_from_agent.translation - origin) * f64::from(self.key_scale);
         let high = offset as f32;
         Self {
@@ -127,6 +128,13 @@ impl CameraRecord {
     pub fn pixels(&self) -> usize {
         self.size_px[0] as usize * self.size_px[1] as usize
     }
+}
+
+/// A direction without its last digits, which rounding changes from one frame to the next although nothing turned: what is
+/// left out moves a splat a kilometre away by a nanometre.
+fn steady(direction: DVec3) -> DVec3 {
+    const STEPS: f64 = (1u64 << 40) as f64;
+    (direction * STEPS).round() / STEPS
 }
 
 /// The largest power of two that takes depths of up to `reach_m` between -1 and 1, and no f32 out of its range.

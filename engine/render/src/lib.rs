@@ -31,7 +31,7 @@ pub use agents::{Agent, Scene};
 pub use asset_pool::{AssetId, AssetPool, PoolBuffers};
 pub use capacity::Capacity;
 pub use error::RenderError;
-pub use options::{FrameStatistics, OrderError, RenderOptions};
+pub use options::{FrameStatistics, OrderError, QueueTrace, RenderOptions};
 pub use orders::{OrderMode, OrderPath};
 pub use output::{ColourFormat, OutputBuffers, Outputs};
 pub use picture::Picture;

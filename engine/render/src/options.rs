@@ -1,8 +1,8 @@
 //! How frames are drawn, and what they took.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use decouplegs_gpu::StageTime;
+use decouplegs_gpu::{GpuError, StageTime, Ticket};
 use decouplegs_scene::Rules;
 
 use crate::capacity::Capacity;
@@ -49,6 +49,26 @@ impl Default for RenderOptions {
     }
 }
 
+/// What one queue did for a frame.
+#[derive(Clone, Debug)]
+pub struct QueueTrace {
+    /// `main` or `update`; the same queue on devices with one.
+    pub queue: &'static str,
+    /// When it began, nanoseconds of the device's clock, which queues share ([`decouplegs_gpu::Gpu::clock`]).
+    pub begin_ns: u64,
+    /// How long it took.
+    pub total_ns: u64,
+    /// Its stages, from its own beginning.
+    pub stages: Vec<StageTime>,
+}
+
+impl QueueTrace {
+    pub(crate) fn of(queue: &'static str, ticket: &Ticket) -> Result<Self, GpuError> {
+        let (begin_ns, total_ns, stages) = (ticket.begin_ns()?, ticket.gpu_time_ns()?, ticket.stage_times()?);
+        Ok(Self { queue, begin_ns, total_ns, stages })
+    }
+}
+
 /// What a stale order costs, over all pixels of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct OrderError {
@@ -85,6 +105,12 @@ pub struct FrameStatistics {
     pub stages: Vec<StageTime>,
     /// GPU time of the agents' part where it was submitted by itself.
     pub update_time: Option<Duration>,
+    /// What each queue did when.
+    pub queues: Vec<QueueTrace>,
+    /// When the frame was handed over, and when all of it was submitted.
+    pub submitted: (Instant, Instant),
+    /// When the host began to wait for it, and when it was done.
+    pub awaited: (Instant, Instant),
     /// Wall clock from the submission to the finished picture, redrawing included.
     pub wall_time: Duration,
     /// Host time to record and submit the last drawing.

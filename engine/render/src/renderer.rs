@@ -12,7 +12,7 @@ use crate::capacity::{Capacity, SortShape};
 use crate::frame::{FrameBuffers, FrameInput, FrameShape, record_agents, record_frame};
 use crate::kernels::{FrameVariant, Kernels};
 use crate::layout::{Needs, View, near_m};
-use crate::options::{FrameStatistics, OrderError, RenderOptions};
+use crate::options::{FrameStatistics, OrderError, QueueTrace, RenderOptions};
 use crate::orders::{OrderDecision, OrderMode, OrderPath, Orders};
 use crate::picture::Picture;
 use crate::resident::ResidentWorld;
@@ -145,7 +145,8 @@ impl Renderer {
         let record_start = Instant::now();
         let (frame, capacity) = self.submit_frame(slot, scene.world, variant, &decision, &ranks, update.as_ref())?;
         let (world, record_time) = (scene.world.clone(), record_start.elapsed());
-        let pending = Pending { world, variant, orders: decision, ranks, frame, update, capacity, since, record_time };
+        let submitted = Instant::now();
+        let pending = Pending { world, variant, orders: decision, ranks, frame, update, capacity, since, submitted, record_time };
         self.slots[slot].pending = Some(pending);
         self.in_flight.push_back(slot);
         Ok(())
@@ -158,13 +159,14 @@ impl Renderer {
     pub fn finish(&mut self) -> Result<FrameStatistics, RenderError> {
         let slot = self.in_flight.pop_front().ok_or(RenderError::NothingInFlight)?;
         let Some(mut pending) = self.slots[slot].pending.take() else { return Err(RenderError::NothingInFlight) };
+        let awaited = Instant::now();
         for redrawn in 0..ATTEMPTS_MAX {
             pending.frame.wait()?;
             let needs = self.slots[slot].found_needs.read_host()[0];
             if pending.capacity.holds(&needs) {
                 self.check_uncut_lists(&needs)?;
                 self.shown = Some(slot);
-                return self.statistics(slot, &pending, needs, redrawn);
+                return self.statistics(slot, &pending, needs, redrawn, awaited);
             }
             // Another frame may have grown the buffers since.
             let capacity = self.capacity.unwrap_or(pending.capacity);
@@ -240,7 +242,14 @@ impl Renderer {
         Ok(())
     }
 
-    fn statistics(&mut self, slot: usize, pending: &Pending, needs: Needs, redrawn: u32) -> Result<FrameStatistics, RenderError> {
+    fn statistics(
+        &mut self,
+        slot: usize,
+        pending: &Pending,
+        needs: Needs,
+        redrawn: u32,
+        awaited: Instant,
+    ) -> Result<FrameStatistics, RenderError> {
         let found = self.slots[slot].found_inversions.read_host();
         let mut orders = pending.orders.paths.clone();
         for (path, &inversions) in orders.iter_mut().zip(&found) {
@@ -258,7 +267,10 @@ impl Renderer {
             OrderError { max: f32::from_bits(bits), pixels_above_255th }
         });
         let list = self.slots[slot].list.as_ref();
-        let update_time = pending.update.as_ref().map(Ticket::gpu_time_ns).transpose()?.map(Duration::from_nanos);
+        let mut queues = vec![QueueTrace::of("main", &pending.frame)?];
+        if let Some(update) = &pending.update {
+            queues.push(QueueTrace::of("update", update)?);
+        }
         Ok(FrameStatistics {
             needs,
             capacity: pending.capacity,
@@ -268,9 +280,12 @@ impl Renderer {
             order_error,
             agents: list.map_or(0, |list| list.counts.agents),
             agent_splats: list.map_or(0, |list| list.splats),
-            gpu_time: Duration::from_nanos(pending.frame.gpu_time_ns()?),
-            stages: pending.frame.stage_times()?,
-            update_time,
+            gpu_time: Duration::from_nanos(queues[0].total_ns),
+            stages: queues[0].stages.clone(),
+            update_time: queues.get(1).map(|update| Duration::from_nanos(update.total_ns)),
+            queues,
+            submitted: (pending.since, pending.submitted),
+            awaited: (awaited, Instant::now()),
             wall_time: pending.since.elapsed(),
             record_time: pending.record_time,
         })

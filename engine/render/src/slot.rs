@@ -26,6 +26,8 @@ pub(crate) struct Pending {
     pub update: Option<Ticket>,
     pub capacity: Capacity,
     pub since: Instant,
+    /// When all of it was submitted.
+    pub submitted: Instant,
     pub record_time: Duration,
 }
 

@@ -10,7 +10,7 @@ const COEFFICIENT_MAX: f32 = 1000.0;
 const RESIDUAL_HALF: [f32; 3] = [16.0, 8.0, 8.0];
 
 /// Share of the weight of splats whose residuals are within the range of codes; those beyond are held to its ends.
-const RESIDUAL_SHARE: f64 = 0.998;
+const RESIDUAL_SHARE: f64 = 0.9999;
 
 /// No step is finer: a 4096th of the range of a channel.
 const RESIDUAL_STEP_MIN: f32 = 1e-3;

@@ -1,7 +1,18 @@
 //! Levels of detail: the same object by ever fewer splats, for agents that are far away.
 //!
-//! A level is made by cutting the finest splats into clusters that are small in place and colour, and putting one splat
-//! of the same moments in the place of each cluster.
+//! A level is made by cutting the finest splats into clusters that are small in place and colour, and putting one splat of the
+//! same moments in the place of each cluster. Splats count by their visibility, so that what is hidden inside has no say, and
+//! a cluster that covers more than one opaque splat of its size would makes a wider one.
+//!
+//! Measured on a synthetic car of 50,000 splats and a captured object of 13,536: PSNR in dB of the first coarser level against the
+//! finest, from where its splats are 1 pixel apart.
+//!
+//! | weights | widened at most | car | captured object |
+//! |---|---|---|---|
+//! | opacity times area | not at all | 23.5 | 27.3 |
+//! | visibility | not at all | 26.6 | 31.5 |
+//! | visibility | twofold (this) | 29.7 | 33.6 |
+//! | visibility | fourfold | 29.3 | 33.6 |
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -21,28 +32,47 @@ pub const LEVELS: usize = 4;
 /// No level has fewer splats, but for the finest.
 pub const LEVEL_SPLATS_MIN: usize = 32;
 
+/// Most that a merged splat is widened.
+const WIDENING_MAX: f64 = 2.0;
+
+/// What opacity times area counts beside visibility: it decides among splats that no view showed.
+const UNSEEN_SHARE: f64 = 1e-6;
+
 /// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest side.
 const COLOUR_WEIGHT: f64 = 0.1;
 
 /// Exponent of Thomsen's approximation to the surface of an ellipsoid (error below 1.1 %).
 const THOMSEN: f64 = 1.6075;
 
-/// The coarser levels of `cloud`, which has no splat with a defect.
+/// The coarser levels of `cloud`, which has no splat with a defect; `visibility` is that of its splats.
 #[must_use]
-pub fn coarser_levels(cloud: &SplatCloud) -> Vec<SplatCloud> {
+pub fn coarser_levels(cloud: &SplatCloud, visibility: &[f32]) -> Vec<SplatCloud> {
+    let weights = weights(cloud, visibility);
     let mut levels = Vec::new();
     let mut splats = cloud.len() / LEVEL_RATIO;
     while levels.len() + 1 < LEVELS && splats >= LEVEL_SPLATS_MIN {
-        levels.push(merged(cloud, &clusters(cloud, splats)));
+        levels.push(merged(cloud, &weights, &clusters(cloud, &weights, splats)));
         splats /= LEVEL_RATIO;
     }
     levels
 }
 
-/// `cloud` with one splat for each cluster.
+/// How much each splat counts in what replaces it, above 0: its visibility.
 #[must_use]
-pub fn merged(cloud: &SplatCloud, clusters: &[Vec<u32>]) -> SplatCloud {
-    let splats: Vec<SplatCloud> = clusters.par_iter().map(|members| moment_match(cloud, members)).collect();
+pub fn weights(cloud: &SplatCloud, visibility: &[f32]) -> Vec<f64> {
+    let covered: Vec<f64> = (0..cloud.len()).map(|splat| covered_m2(cloud, splat)).collect();
+    let mean_covered = covered.iter().sum::<f64>() / cloud.len() as f64;
+    let mean_seen = visibility.iter().map(|&value| f64::from(value)).sum::<f64>() / cloud.len() as f64;
+    let seen_unit = if mean_seen > 0.0 { mean_seen } else { 1.0 };
+    let weight =
+        |(&seen, &covered): (&f32, &f64)| f64::from(seen) / seen_unit + UNSEEN_SHARE * (covered / mean_covered).max(1e-12);
+    visibility.iter().zip(&covered).map(weight).collect()
+}
+
+/// `cloud` with one splat for each cluster, whose members count by `weights`.
+#[must_use]
+pub fn merged(cloud: &SplatCloud, weights: &[f64], clusters: &[Vec<u32>]) -> SplatCloud {
+    let splats: Vec<SplatCloud> = clusters.par_iter().map(|members| moment_match(cloud, weights, members)).collect();
     let mut merged = SplatCloud::with_degree(cloud.sh_degree);
     splats.iter().for_each(|splat| merged.append(splat));
     merged
@@ -57,10 +87,11 @@ pub fn mean_projected_area_m2(scales: &[f32; 3]) -> f64 {
     mean.powf(1.0 / THOMSEN).max(1e-60)
 }
 
-/// One splat for `members` (at least one): the mean, covariance and colour of them all, each weighted by opacity times projected
-/// area; its opacity is such that opacity times area is the sum of theirs, at most 1.
-fn moment_match(cloud: &SplatCloud, members: &[u32]) -> SplatCloud {
-    let weights: Vec<f64> = members.iter().map(|&splat| weight_of(cloud, splat as usize)).collect();
+/// One splat for `members` (at least one): the mean, covariance and colour of them all, each by its weight; its opacity is such
+/// that opacity times area is the sum of theirs. Where that asks for more than 1, the splat is opaque and wider, up to
+/// [`WIDENING_MAX`]; what is beyond was overlap.
+fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCloud {
+    let weights: Vec<f64> = members.iter().map(|&splat| weights[splat as usize]).collect();
     let total: f64 = weights.iter().sum();
     let mean_of = |value: &dyn Fn(usize) -> f64| {
         members.iter().zip(&weights).map(|(&splat, weight)| weight * value(splat as usize)).sum::<f64>() / total
@@ -73,15 +104,18 @@ fn moment_match(cloud: &SplatCloud, members: &[u32]) -> SplatCloud {
         covariance += (covariance_of(cloud, splat as usize) + spread) * (weight / total);
     }
     let own = OwnAxes::of(&covariance);
-    let scales = own.values.max(DVec3::ZERO).map(f64::sqrt).as_vec3().to_array();
+    let scales = own.values.max(DVec3::ZERO).map(f64::sqrt);
+    let covered: f64 = members.iter().map(|&splat| covered_m2(cloud, splat as usize)).sum();
+    let wanted = covered / mean_projected_area_m2(&scales.as_vec3().to_array());
+    let widening = wanted.sqrt().clamp(1.0, WIDENING_MAX);
     let colour = |of: &dyn Fn(usize) -> [f32; 3]| -> [f32; 3] {
         std::array::from_fn(|channel| mean_of(&|splat| f64::from(of(splat)[channel])) as f32)
     };
     SplatCloud {
         means: vec![mean.as_vec3().to_array()],
-        scales: vec![scales],
+        scales: vec![(scales * widening).as_vec3().to_array()],
         rotations: vec![own.rotation_wxyz()],
-        opacities: vec![(total / mean_projected_area_m2(&scales)).min(1.0) as f32],
+        opacities: vec![wanted.min(1.0) as f32],
         sh_degree: cloud.sh_degree,
         sh_dc: vec![colour(&|splat| cloud.sh_dc[splat])],
         sh_rest: (0..cloud.rest_stride()).map(|k| colour(&|splat| cloud.rest_of(splat)[k])).collect(),
@@ -89,7 +123,7 @@ fn moment_match(cloud: &SplatCloud, members: &[u32]) -> SplatCloud {
 }
 
 /// Opacity times projected area.
-fn weight_of(cloud: &SplatCloud, splat: usize) -> f64 {
+fn covered_m2(cloud: &SplatCloud, splat: usize) -> f64 {
     f64::from(cloud.opacities[splat]) * mean_projected_area_m2(&cloud.scales[splat])
 }
 
@@ -104,13 +138,13 @@ fn covariance_of(cloud: &SplatCloud, splat: usize) -> DMat3 {
 /// most, in place and colour, is cut in two at its mean across the axis of its largest spread (Wan et al., Variance-Based
 /// Color Image Quantization, 1988).
 #[must_use]
-pub fn clusters(cloud: &SplatCloud, count: usize) -> Vec<Vec<u32>> {
+pub fn clusters(cloud: &SplatCloud, weights: &[f64], count: usize) -> Vec<Vec<u32>> {
     let bounds = cloud.bounds();
     let longest_m = bounds.half_extent().iter().fold(0.0f64, |longest, &half| longest.max(2.0 * f64::from(half)));
     let feature = |splat: usize| -> Feature {
         let colour = cloud.sh_dc[splat].map(|dc| f64::from(dc) * sh::Y0 * COLOUR_WEIGHT * longest_m);
         let mean = cloud.means[splat].map(f64::from);
-        Feature { at: [mean[0], mean[1], mean[2], colour[0], colour[1], colour[2]], weight: weight_of(cloud, splat) }
+        Feature { at: [mean[0], mean[1], mean[2], colour[0], colour[1], colour[2]], weight: weights[splat] }
     };
     let features: Vec<Feature> = (0..cloud.len()).into_par_iter().map(feature).collect();
     let mut heap = BinaryHeap::new();
@@ -206,7 +240,7 @@ mod tests {
         cloud.rotations = vec![[1.0, 0.0, 0.0, 0.0]; 2];
         cloud.opacities = vec![0.3; 2];
         cloud.sh_dc = vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        let one = merged(&cloud, &[vec![0, 1]]);
+        let one = merged(&cloud, &[3.0, 3.0], &[vec![0, 1]]);
         assert_eq!(one.means[0], [0.0, 1.0, 2.0]);
         // Variance along x: 16 + 9.
         let mut scales = one.scales[0];
@@ -215,27 +249,51 @@ mod tests {
             assert!((scale - expected).abs() < 1e-5, "{scales:?}");
         }
         assert_eq!(one.sh_dc[0], [0.5, 0.5, 0.0]);
-        let covered = |cloud: &SplatCloud| (0..cloud.len()).map(|splat| weight_of(cloud, splat)).sum::<f64>();
+        let covered = |cloud: &SplatCloud| (0..cloud.len()).map(|splat| covered_m2(cloud, splat)).sum::<f64>();
         assert!((covered(&one) / covered(&cloud) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_covers_more_than_it_can_grows_instead() {
+        let mut cloud = plane(2, 0);
+        cloud.means = vec![[-3.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
+        cloud.scales = vec![[4.0, 4.0, 4.0]; 2];
+        cloud.opacities = vec![0.9; 2];
+        let one = merged(&cloud, &[1.0, 1.0], &[vec![0, 1]]);
+        let covered = |cloud: &SplatCloud| (0..cloud.len()).map(|splat| covered_m2(cloud, splat)).sum::<f64>();
+        assert_eq!(one.opacities[0], 1.0);
+        assert!((covered(&one) / covered(&cloud) - 1.0).abs() < 1e-6);
+        // A splat of five-fold weight draws the mean to itself.
+        let drawn = merged(&cloud, &[1.0, 5.0], &[vec![0, 1]]);
+        assert!((drawn.means[0][0] - 2.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn splats_count_by_visibility_and_by_area_where_none_is_seen() {
+        let cloud = plane(3, 0);
+        let seen = weights(&cloud, &[0.0, 1.0, 3.0]);
+        assert!(seen[0] > 0.0 && seen[0] < 1e-4 && (seen[2] / seen[1] - 3.0).abs() < 1e-3, "{seen:?}");
+        let unseen = weights(&cloud, &[0.0; 3]);
+        assert!((unseen[0] / unseen[1] * covered_m2(&cloud, 1) / covered_m2(&cloud, 0) - 1.0).abs() < 1e-9);
     }
 
     #[test]
     fn a_splat_alone_and_a_heap_in_one_place_stay_what_they_are() {
         let mut cloud = plane(3, 0);
-        let alone = merged(&cloud, &[vec![1]]);
+        let alone = merged(&cloud, &[1.0; 3], &[vec![1]]);
         assert!((alone.opacities[0] - cloud.opacities[1]).abs() < 1e-6);
         cloud = cloud.select(&[1, 1, 1]);
-        assert_eq!(clusters(&cloud, 3).len(), 1, "equal splats cannot be told apart");
-        let heap = merged(&cloud, &clusters(&cloud, 1));
-        assert_eq!((heap.len(), heap.opacities[0]), (1, 1.0), "more than an opaque splat covers is held to 1");
+        assert_eq!(clusters(&cloud, &[1.0; 3], 3).len(), 1, "equal splats cannot be told apart");
+        let heap = merged(&cloud, &[1.0; 3], &clusters(&cloud, &[1.0; 3], 1));
+        assert_eq!((heap.len(), heap.opacities[0]), (1, 1.0), "three of 0.8 on one another are opaque");
         cloud.scales = vec![[0.0; 3]; 3];
-        assert!(merged(&cloud, &[vec![0, 1, 2]]).defect_of(0).is_none());
+        assert!(merged(&cloud, &[1.0; 3], &[vec![0, 1, 2]]).defect_of(0).is_none());
     }
 
     #[test]
     fn clusters_are_near_in_place_and_colour_and_hold_every_splat_once() {
         let cloud = plane(1000, 0);
-        let clusters = clusters(&cloud, 125);
+        let clusters = clusters(&cloud, &[1.0; 1000], 125);
         assert_eq!(clusters.len(), 125);
         let mut all = clusters.concat();
         all.sort_unstable();
@@ -247,7 +305,8 @@ mod tests {
 
     #[test]
     fn levels_fall_by_eight_and_end_before_they_are_too_few() {
-        let counts = |splats| coarser_levels(&plane(splats, 0)).iter().map(SplatCloud::len).collect::<Vec<_>>();
+        let counts =
+            |splats| coarser_levels(&plane(splats, 0), &vec![1.0; splats]).iter().map(SplatCloud::len).collect::<Vec<_>>();
         assert_eq!(counts(20_000), [2500, 312, 39]);
         assert_eq!(counts(2_100), [262, 32]);
         assert!(counts(200).is_empty());

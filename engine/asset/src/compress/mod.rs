@@ -79,9 +79,8 @@ pub fn compress(
             unseen: visibility.iter().filter(|&&value| value == 0.0).count(),
         });
     };
-    let levels = levels_of(cloud, &kept.splats);
-    let finest: Vec<f32> = levels.order.iter().map(|&splat| visibility[splat as usize]).collect();
-    let weights = book_weights(&finest);
+    let levels = Levels::of(cloud, visibility, &kept.splats);
+    let weights = book_weights(&levels.visibility);
     let (coded, [shapes, colours]) = code(&levels.clouds, &weights, options, progress)?;
     let report = CompressionReport {
         splats: cloud.len(),
@@ -100,18 +99,19 @@ pub fn compress(
 /// All levels, each in spatial order, which the renderer's culling by runs of splats needs.
 struct Levels {
     clouds: Vec<SplatCloud>,
-    /// Where in the source each splat of the finest level is.
-    order: Vec<u32>,
+    /// Of the splats of the finest level.
+    visibility: Vec<f32>,
 }
 
-fn levels_of(cloud: &SplatCloud, kept: &[u32]) -> Levels {
-    let selected = cloud.select(kept);
-    let order = selected.spatial_order();
-    let finest = selected.select(&order);
-    let coarser = levels::coarser_levels(&finest);
-    let mut clouds = vec![finest];
-    clouds.extend(coarser.iter().map(|level| level.select(&level.spatial_order())));
-    Levels { clouds, order: order.iter().map(|&place| kept[place as usize]).collect() }
+impl Levels {
+    fn of(cloud: &SplatCloud, visibility: &[f32], kept: &[u32]) -> Self {
+        let order: Vec<u32> = cloud.select(kept).spatial_order().iter().map(|&place| kept[place as usize]).collect();
+        let visibility: Vec<f32> = order.iter().map(|&splat| visibility[splat as usize]).collect();
+        let mut clouds = vec![cloud.select(&order)];
+        let coarser = levels::coarser_levels(&clouds[0], &visibility);
+        clouds.extend(coarser.iter().map(|level| level.select(&level.spatial_order())));
+        Self { clouds, visibility }
+    }
 }
 
 /// How much splats count in the codebooks: the root of their visibility, and a little for those that no view showed.

@@ -24,7 +24,8 @@ pub struct CompressOptions {
     /// Where distances between shapes are taken.
     pub shape_space: ShapeSpace,
     /// What a DC coefficient counts against the others in the distance between colours, above 0. Less than 1, because splats
-    /// keep what their DC terms are off by.
+    /// keep what their DC terms are off by. A tenth gave the best pictures of a car and of a captured object; from a fiftieth to a
+    /// quarter they differ by half a decibel.
     pub colour_dc_weight: f32,
     /// Most mini-batches for each codebook.
     pub iterations_max: usize,
@@ -39,7 +40,7 @@ impl Default for CompressOptions {
             seed: 1,
             sh_frame: ShFrame::Canonical,
             shape_space: ShapeSpace::default(),
-            colour_dc_weight: 0.25,
+            colour_dc_weight: 0.1,
             iterations_max: 5000,
         }
     }

@@ -94,28 +94,30 @@ pub fn project_agents(
 ) {
     let records_max = colours.len();
     let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
-    for list in 0..camera_count * chunk_count {
-        let (camera_index, chunk_index) = (list / chunk_count, list % chunk_count);
-        let agent_index = agent_of_chunk(chunk_index as u32, agents);
-        let agent = &agents[agent_index];
-        let camera = &agent_cameras[agent_index * camera_count + camera_index];
-        let first_slot = (static_firsts[static_lists] + firsts[list]) as usize;
-        let seen = (0..CHUNK_SPLATS).filter(|&place| visible(list, place));
-        for (slot, place) in (first_slot..records_max).zip(seen) {
-            let own_splat = (chunk_index - agent.first_chunk as usize) * CHUNK_SPLATS + place;
-            let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
-            let offset = from_camera_m(coded.mean_m, camera);
-            let t = to_camera_axes(camera, offset);
-            let (splat, _) = project_splat(camera, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
-            let record = Record { splat, depth_m: if radial { offset.length() } else { t.z }, instance: agent.instance };
-            let d = offset.normalize();
-            let d = if agent.colours_in_world != 0 { turned(agent, d) } else { d };
-            let entry = (agent.first_colour + coded.colour) as usize;
-            let dc = [(Vec3::from_array(coded_dc[entry]) + coded.dc_residual).to_array()];
-            let colour = sh_colour(&stored(&dc, &coded_bands[entry]), 0, 1, d, sh_degree);
-            write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
-            keys[slot] = depth_key(scaled_depth(coded.mean_m, camera, radial));
-            values[slot] = slot as u32;
+    for camera_index in 0..camera_count {
+        for chunk_index in 0..chunk_count {
+            let list = camera_index * chunk_count + chunk_index;
+            let agent_index = agent_of_chunk(chunk_index as u32, agents);
+            let agent = &agents[agent_index];
+            let camera = &agent_cameras[agent_index * camera_count + camera_index];
+            let first_slot = (static_firsts[static_lists] + firsts[list]) as usize;
+            let seen = (0..CHUNK_SPLATS).filter(|&place| visible(list, place));
+            for (slot, place) in (first_slot..records_max).zip(seen) {
+                let own_splat = (chunk_index - agent.first_chunk as usize) * CHUNK_SPLATS + place;
+                let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
+                let offset = from_camera_m(coded.mean_m, camera);
+                let t = to_camera_axes(camera, offset);
+                let (splat, _) = project_splat(camera, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
+                let record = Record { splat, depth_m: if radial { offset.length() } else { t.z }, instance: agent.instance };
+                let d = offset.normalize();
+                let d = if agent.colours_in_world != 0 { turned(agent, d) } else { d };
+                let entry = (agent.first_colour + coded.colour) as usize;
+                let dc = [(Vec3::from_array(coded_dc[entry]) + coded.dc_residual).to_array()];
+                let colour = sh_colour(&stored(&dc, &coded_bands[entry]), 0, 1, d, sh_degree);
+                write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
+                keys[slot] = depth_key(scaled_depth(coded.mean_m, camera, radial));
+                values[slot] = slot as u32;
+            }
         }
     }
 }

@@ -1,0 +1,370 @@
+//! Agents of every kind that is hard for a stage, as the stages hold them.
+
+use decouplegs::gpu::Buffer;
+use decouplegs::render::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, View};
+use decouplegs::render::stages::{AgentBuffers, AgentCounts};
+use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
+use decouplegs::render::twins::projection::Variant;
+use decouplegs::render::{PoolBuffers, sh_codec, twins};
+use decouplegs::scene::shape::{PrincipalAxes, principal_axes, triangular_factor};
+use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, Pose, Rules, ShFrame, SplatCodes, sh};
+use glam::{DMat3, DQuat, DVec3, Mat3};
+
+use super::super::scenes::{ProjectedTwin, settled_visibility};
+use super::super::{ROUNDOFF, Random, UNTOUCHED, upload};
+use crate::device::Validated;
+
+/// Binary logarithm of the smallest size of the hard clouds, and of the ratio between two: sizes from a quarter of a millimetre
+/// to 16 m.
+const LOG2_SIZE: [f32; 2] = [-12.0, 16.0 / 255.0];
+
+/// Needles, discs, balls, points and ordinary shapes.
+fn hard_shapes(random: &mut Random) -> Vec<[f32; 6]> {
+    let shape = |i: usize| {
+        let rotation: [f32; 4] = std::array::from_fn(|_| random.between(-1.0, 1.0));
+        let scales = match i % 8 {
+            0 => [1.0, 1e-5, 1e-5],
+            1 => [1.0, 0.7, 1e-6],
+            2 => [1.0; 3],
+            3 => [0.0; 3],
+            _ => std::array::from_fn(|_| random.across_scales(0.01, 1.0)),
+        };
+        triangular_factor(&PrincipalAxes { scales, rotation }).map(|entry| entry as f32)
+    };
+    (0..512).map(shape).collect()
+}
+
+/// A cloud of all 512 shapes and 1024 colours, splats at the corners of its box and anywhere in it, invisible, at the edge of
+/// being so, and opaque.
+pub fn hard_cloud(levels: Vec<usize>, seed: u64) -> CodedCloud {
+    let mut random = Random(seed);
+    let splat = |i: usize| -> CodedSplat {
+        let corner = |axis: usize| if i >> (4 + axis) & 1 == 0 { 0 } else { 65_535 };
+        let codes = SplatCodes {
+            position: std::array::from_fn(|axis| if i % 16 == 5 { corner(axis) } else { random.below(65_536) as u16 }),
+            opacity: match i % 32 {
+                0 => 0,
+                1 => 1,
+                2..8 => 255,
+                _ => 2 + random.below(254) as u8,
+            },
+            size: if i % 16 == 6 { 255 } else { random.below(240) as u8 },
+            shape: (i % 512) as u16,
+            colour: (i % 1024) as u16,
+            dc_residual: [random.below(32) as i8 - 16, random.below(16) as i8 - 8, random.below(16) as i8 - 8],
+        };
+        codes.into()
+    };
+    let splats = (0..levels.iter().sum()).map(splat).collect();
+    let mut random = Random(seed + 1);
+    CodedCloud {
+        bounds: Bounds { min: [-2.2, -0.9, -0.75], max: [2.2, 0.9, 0.75] },
+        log2_size_min: LOG2_SIZE[0],
+        log2_size_step: LOG2_SIZE[1],
+        dc_residual_step: [0.03, 0.02, 0.02],
+        splats,
+        levels,
+        shapes: hard_shapes(&mut random),
+        sh_degree: 3,
+        colours: (0..1024 * 16).map(|_| std::array::from_fn(|_| random.between(-0.3, 0.3))).collect(),
+        sh_frame: ShFrame::Canonical,
+        dims_m: [4.4, 1.8, 1.5],
+    }
+}
+
+/// One agent: what it shows, where, to whom.
+#[derive(Clone, Copy)]
+pub struct Placed {
+    pub cloud: usize,
+    pub level: usize,
+    pub pose: Pose,
+    pub cameras: u32,
+    pub colours_in_world: bool,
+}
+
+impl Placed {
+    /// The finest level of a cloud, seen by all cameras.
+    pub fn new(cloud: usize, pose: Pose) -> Self {
+        Self { cloud, level: 0, pose, cameras: u32::MAX, colours_in_world: false }
+    }
+}
+
+/// Clouds in a pool and the agents of a frame, as the kernels read them.
+#[derive(Default)]
+pub struct AgentScene {
+    pub agents: Vec<AgentRecord>,
+    /// `[agent][camera]`.
+    pub cameras: Vec<CameraRecord>,
+    pub splats: Vec<[u32; 3]>,
+    pub shapes: Vec<[f32; 6]>,
+    pub dc: Vec<[f32; 3]>,
+    pub bands: Vec<[u32; 24]>,
+    pub chunks: Vec<ChunkRecord>,
+    pub counts: AgentCounts,
+}
+
+/// The splats to be projected: a bit each, and where each list of them begins, with their total behind.
+pub struct ListedAgents {
+    pub words: Vec<u32>,
+    pub firsts: Vec<u32>,
+    /// (camera, agent, splat of its level) of each record.
+    pub records: Vec<(usize, usize, usize)>,
+}
+
+impl AgentScene {
+    /// `placed` agents of `clouds`, seen by `cameras`.
+    pub fn new(clouds: &[CodedCloud], placed: &[Placed], cameras: &[Camera]) -> Self {
+        let mut scene = Self::default();
+        // An entry of another asset stands before each.
+        let firsts: Vec<AgentRecord> = clouds.iter().map(|cloud| scene.add(cloud)).collect();
+        let view = View::new(cameras, DVec3::ZERO, 1e4).unwrap();
+        scene.counts.cameras = cameras.len();
+        for (instance, placed) in (1..).zip(placed) {
+            let (cloud, first) = (&clouds[placed.cloud], firsts[placed.cloud]);
+            let before = &cloud.levels[..placed.level];
+            let rows = DMat3::from_quat(placed.pose.rotation).transpose();
+            scene.agents.push(AgentRecord {
+                row_x: rows.x_axis.as_vec3().to_array(),
+                row_y: rows.y_axis.as_vec3().to_array(),
+                row_z: rows.z_axis.as_vec3().to_array(),
+                first_chunk: scene.counts.chunks as u32,
+                first_bounds: first.first_bounds
+                    + before.iter().map(|splats| splats.div_ceil(CHUNK_SPLATS)).sum::<usize>() as u32,
+                first_splat: first.first_splat + before.iter().sum::<usize>() as u32,
+                splat_count: cloud.levels[placed.level] as u32,
+                cameras: placed.cameras,
+                instance,
+                colours_in_world: placed.colours_in_world.into(),
+                ..first
+            });
+            scene.counts.chunks += cloud.levels[placed.level].div_ceil(CHUNK_SPLATS);
+            let moved = view.cameras.iter().zip(cameras);
+            scene.cameras.extend(moved.map(|(record, camera)| record.moved_into(camera, DVec3::ZERO, &placed.pose)));
+        }
+        scene.counts.agents = placed.len();
+        scene
+    }
+
+    /// Puts a cloud into the pool; returns where its parts begin.
+    fn add(&mut self, cloud: &CodedCloud) -> AgentRecord {
+        cloud.check().unwrap();
+        self.splats.push([u32::MAX; 3]);
+        self.shapes.push([1e9; 6]);
+        self.dc.push([1e9; 3]);
+        self.bands.push([u32::MAX; 24]);
+        self.chunks.push(ChunkRecord { centre_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 });
+        let record = AgentRecord {
+            box_min_m: cloud.bounds.min,
+            box_step_m: cloud.position_step_m(),
+            dc_residual_step: cloud.dc_residual_step,
+            log2_size_min: cloud.log2_size_min,
+            log2_size_step: cloud.log2_size_step,
+            first_bounds: self.chunks.len() as u32,
+            first_splat: self.splats.len() as u32,
+            first_shape: self.shapes.len() as u32,
+            first_colour: self.dc.len() as u32,
+            ..AgentRecord::default()
+        };
+        self.splats.extend(cloud.splats.iter().map(|splat| splat.0));
+        self.shapes.extend(&cloud.shapes);
+        for colour in 0..cloud.colour_count() {
+            self.dc.push(cloud.colour(colour)[0]);
+            self.bands.push(encoded_bands(cloud.colour(colour)));
+        }
+        for level in 0..cloud.levels.len() {
+            self.chunks.extend(cloud.level(level).chunks(CHUNK_SPLATS).map(|splats| chunk_of(cloud, splats)));
+        }
+        record
+    }
+
+    pub fn unpacked(&self, agent: usize, splat: usize) -> (UnpackedSplat, Mat3) {
+        let agent = &self.agents[agent];
+        let coded = unpack_splat(self.splats[agent.first_splat as usize + splat], agent);
+        (coded, axes_of(agent, &coded, &self.shapes))
+    }
+
+    pub fn camera(&self, agent: usize, camera: usize) -> &CameraRecord {
+        &self.cameras[agent * self.counts.cameras + camera]
+    }
+
+    /// What the size of a splat may be off by: a power of two is good to 3 + 2 |x| units in the last place (Vulkan
+    /// specification, Precision of SPIR-V Instructions), and its exponent is a rounded product and sum.
+    pub fn size_share(&self, agent: usize, splat: usize) -> f64 {
+        let record = &self.agents[agent];
+        let log2_size = f64::from(self.unpacked(agent, splat).0.size).log2();
+        let steps = f64::from((record.log2_size_min.abs() + 255.0 * record.log2_size_step).max(1.0));
+        2.0 * ROUNDOFF * (3.0 + 2.0 * log2_size.abs()) + std::f64::consts::LN_2 * 2.0 * ROUNDOFF * steps
+    }
+
+    /// Whether the splat can be seen, if that is the same however f32 rounds on the way: else `None`.
+    pub fn settled_visibility(&self, camera: usize, agent: usize, splat: usize, rules: &Rules) -> Option<bool> {
+        if self.agents[agent].cameras >> camera & 1 == 0 {
+            return Some(false);
+        }
+        let (coded, axes) = self.unpacked(agent, splat);
+        let size_share = 16.0 * ROUNDOFF + self.size_share(agent, splat);
+        settled_visibility(self.camera(agent, camera), coded.mean_m, axes, size_share, coded.opacity, rules)
+    }
+
+    /// Of a bit of the visible words: its camera, its agent and its splat, `None` beyond the agent's last.
+    pub fn splat_of_bit(&self, bit: usize) -> (usize, usize, Option<usize>) {
+        let (camera, place) = (bit / (self.counts.chunks * CHUNK_SPLATS), bit % (self.counts.chunks * CHUNK_SPLATS));
+        let agent = twins::agent::agent_of_chunk((place / CHUNK_SPLATS) as u32, &self.agents);
+        let splat = place - self.agents[agent].first_chunk as usize * CHUNK_SPLATS;
+        (camera, agent, Some(splat).filter(|&splat| splat < self.agents[agent].splat_count as usize))
+    }
+
+    /// The twin's visible words and counts.
+    pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
+        let AgentCounts { cameras, chunks, .. } = self.counts;
+        let (mut words, mut counts) = (vec![0; cameras * chunks * CHUNK_SPLATS / 32], vec![0; cameras * chunks]);
+        twins::cull_agents(
+            &self.agents,
+            &self.cameras,
+            &self.splats,
+            &self.shapes,
+            &self.chunks,
+            &mut words,
+            &mut counts,
+            cameras,
+            chunks,
+            Variant::of(rules),
+        );
+        (words, counts)
+    }
+
+    /// The visible splats, without those whose visibility is a matter of rounding.
+    pub fn listed(&self, rules: &Rules) -> ListedAgents {
+        let (mut words, _) = self.culled(rules);
+        let mut listed = ListedAgents { words: Vec::new(), firsts: Vec::new(), records: Vec::new() };
+        for bit in 0..words.len() * 32 {
+            if bit % CHUNK_SPLATS == 0 {
+                listed.firsts.push(listed.records.len() as u32);
+            }
+            let (camera, agent, splat) = self.splat_of_bit(bit);
+            match splat.filter(|_| words[bit / 32] >> (bit % 32) & 1 == 1) {
+                Some(splat) if self.settled_visibility(camera, agent, splat, rules) == Some(true) => {
+                    listed.records.push((camera, agent, splat));
+                }
+                _ => words[bit / 32] &= !(1 << (bit % 32)),
+            }
+        }
+        listed.firsts.push(listed.records.len() as u32);
+        listed.words = words;
+        listed
+    }
+
+    /// The twin's records behind `static_firsts[static_lists]` of the background, where there is room for `room` in all.
+    pub fn projected(
+        &self,
+        listed: &ListedAgents,
+        static_firsts: &[u32],
+        rules: &Rules,
+        sh_degree: u8,
+        room: usize,
+    ) -> ProjectedTwin {
+        let mut out = ProjectedTwin {
+            footprints: vec![[0.0; 4]; 2 * room],
+            colours: vec![[0.0; 4]; room],
+            keys: vec![UNTOUCHED; room],
+            values: vec![UNTOUCHED; room],
+            tile_counts: vec![UNTOUCHED; room],
+        };
+        twins::project_agents(
+            &self.agents,
+            &self.cameras,
+            &self.splats,
+            &self.shapes,
+            &listed.words,
+            &listed.firsts,
+            &self.dc,
+            &self.bands,
+            static_firsts,
+            &mut out.footprints,
+            &mut out.colours,
+            &mut out.keys,
+            &mut out.values,
+            &mut out.tile_counts,
+            self.counts.cameras,
+            self.counts.chunks,
+            static_firsts.len() - 1,
+            Variant::of(rules),
+            sh_degree.into(),
+            rules.order == decouplegs::scene::DepthOrder::Radial,
+        );
+        out
+    }
+
+    pub fn pool(&self, gpu: &Validated) -> PoolBuffers {
+        PoolBuffers {
+            splats: upload(gpu, &self.splats),
+            chunks: upload(gpu, &self.chunks),
+            shapes: upload(gpu, &self.shapes),
+            colour_dc: upload(gpu, &self.dc),
+            colour_bands: upload(gpu, &self.bands),
+        }
+    }
+
+    /// The agents on the device; what the kernels write holds [`UNTOUCHED`].
+    pub fn buffers(&self, gpu: &Validated) -> AgentBuffers {
+        let AgentCounts { agents, cameras, chunks } = self.counts;
+        let buffers = AgentBuffers::new(gpu, agents, chunks, cameras).unwrap();
+        gpu.write(&buffers.agents, 0, &self.agents).unwrap();
+        gpu.write(&buffers.cameras, 0, &self.cameras).unwrap();
+        let fill = |buffer: &Buffer<u32>| gpu.write(buffer, 0, &vec![UNTOUCHED; buffer.len()]).unwrap();
+        [&buffers.visible.words, &buffers.visible.counts, &buffers.firsts].into_iter().for_each(fill);
+        buffers
+    }
+}
+
+/// Bands 1 to 3 one behind the other.
+fn encoded_bands(coefficients: &[[f32; 3]]) -> [u32; 24] {
+    let mut words = Vec::new();
+    for band in 1..=3u8 {
+        let range = sh::coefficient_count(band - 1)..sh::coefficient_count(band);
+        words.extend(&sh_codec::encode_band(&coefficients[range])[..sh_codec::words_of(band.into())]);
+    }
+    words.try_into().unwrap()
+}
+
+/// A box that holds what is drawn of `splats`.
+fn chunk_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ChunkRecord {
+    let codes: Vec<SplatCodes> =
+        splats.iter().map(|&splat| splat.into()).filter(|codes: &SplatCodes| codes.opacity > 0).collect();
+    let means: Vec<[f32; 3]> = codes.iter().map(|codes| cloud.mean_m(codes)).collect();
+    if means.is_empty() {
+        return ChunkRecord { centre_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 };
+    }
+    let bounds = Bounds::of(&means);
+    let reach_m = |codes: &SplatCodes| {
+        let longest = principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);
+        longest * (2.0 * f32::from(codes.opacity).ln()).sqrt() * 1.001
+    };
+    ChunkRecord {
+        centre_m: bounds.centre(),
+        half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
+        reach_m: codes.iter().map(reach_m).fold(0.0, f32::max),
+    }
+}
+
+/// Agents in front of the rig, turned, around the near plane, behind, so far that they are a pixel, and beside it; some for some
+/// cameras only, some of a coarser level, of a level of no splats or with colours that are not turned.
+pub fn hard_agents(cameras: &[Camera]) -> AgentScene {
+    let clouds = [hard_cloud(vec![900, 256, 0, 1], 31), hard_cloud(vec![1100], 32)];
+    let turned = DQuat::from_rotation_z(2.1) * DQuat::from_rotation_x(0.4) * DQuat::from_rotation_y(-0.7);
+    let at = |cloud: usize, x: f64, y: f64, z: f64, rotation: DQuat| Placed::new(cloud, Pose::new(rotation, DVec3::new(x, y, z)));
+    let placed = [
+        at(0, 0.5, 0.2, 8.0, DQuat::IDENTITY),
+        at(1, -1.0, 0.5, 5.0, turned),
+        Placed { level: 2, ..at(0, 0.0, 0.0, 6.0, turned) },
+        at(1, 0.1, 0.0, 0.3, turned.inverse()),
+        at(0, 0.0, 0.0, -30.0, turned),
+        Placed { level: 1, ..at(0, 20.0, -9.0, 3000.0, turned) },
+        Placed { colours_in_world: true, cameras: 0b0101, ..at(1, 1.0, -1.0, 12.0, turned) },
+        Placed { level: 3, colours_in_world: true, ..at(0, 0.2, 0.1, 4.0, turned.inverse()) },
+        Placed { cameras: 0, ..at(0, 0.0, 0.0, 7.0, turned) },
+        at(1, 40.0, 0.0, 6.0, turned * turned),
+        Placed { level: 2, ..at(0, 0.0, 0.0, 9.0, turned) },
+    ];
+    AgentScene::new(&clouds, &placed, cameras)
+}

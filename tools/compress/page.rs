@@ -1,0 +1,211 @@
+//! The report as one HTML page that needs nothing beside it.
+
+use std::fmt::Write;
+
+use anyhow::Result;
+use decouplegs::asset::compress::{BookReport, Compressed};
+use decouplegs::render::metrics::difference_picture;
+use decouplegs::render::picture::{Picture, PictureFormat};
+
+use super::plot::{Plot, Series, escaped};
+use super::report::{Measured, Subject, Trial};
+use super::yardstick::{Score, Yardstick};
+
+/// What differences are multiplied by in pictures of them.
+const DIFFERENCE_GAIN: f32 = 8.0;
+
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}\
+table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:right}\
+td:first-child,th:first-child{text-align:left}.row{display:flex;flex-wrap:wrap;gap:1em}figure{margin:0}img{image-rendering:pixelated}\
+svg text{font:11px sans-serif}svg .title{font-weight:bold;font-size:13px}svg .x{text-anchor:middle}svg .y{text-anchor:end}\
+svg .grid{stroke:#ddd}svg polyline{fill:none;stroke-width:2}";
+
+/// The page.
+pub fn page(subject: &Subject<'_>, compressed: &Compressed, yardstick: &mut Yardstick, measured: &Measured) -> Result<String> {
+    let file = escaped(&subject.arguments.file.display().to_string());
+    let mut html =
+        format!("<!doctype html><meta charset=\"utf-8\"><title>{file} compressed</title><style>{STYLE}</style><h1>{file}</h1>");
+    html.push_str(&summary(subject, compressed));
+    let names: Vec<&str> = yardstick.views.iter().map(|views| views.name).collect();
+    html.push_str("<h2>Against the original</h2><ul>");
+    for views in &yardstick.views {
+        let _ = write!(html, "<li><b>{}</b>: {}, {} views</li>", views.name, escaped(&views.what), views.cameras.len());
+    }
+    html.push_str("</ul>");
+    html.push_str(&trial_table(&names, std::slice::from_ref(&measured.asset)));
+    html.push_str(&pictures(yardstick, compressed)?);
+    html.push_str(&curves(&names, compressed, measured));
+    html.push_str("<h2>Shares kept, not compressed otherwise</h2>");
+    html.push_str(&trial_table(&names, &measured.pruned_only));
+    html.push_str("<h2>Shares kept</h2>");
+    html.push_str(&trial_table(&names, &measured.kept));
+    html.push_str("<h2>Sizes of the codebooks</h2>");
+    html.push_str(&trial_table(&names, &measured.books));
+    html.push_str(
+        "<h2>Spaces of the shape codebook</h2><p>What a covariance is turned into before shapes are gathered around entries.</p>",
+    );
+    html.push_str(&trial_table(&names, &measured.spaces));
+    html.push_str(&level_table(measured));
+    Ok(html)
+}
+
+fn summary(subject: &Subject<'_>, compressed: &Compressed) -> String {
+    let report = &compressed.report;
+    let mut html = format!(
+        "<p>{} of {} splats kept ({} cannot be drawn, {} are below 1/255). <b>{} bytes</b>: {:.2} for each splat that came in, {:.2} for \
+         each kept. Measured on {}.</p><table><tr><th>part<th>bytes<th>bytes a kept splat</tr>",
+        report.kept,
+        report.splats,
+        report.defects,
+        report.transparent,
+        subject.stored_bytes,
+        subject.stored_bytes as f64 / report.splats as f64,
+        subject.stored_bytes as f64 / report.kept as f64,
+        escaped(&subject.gpu.info().name)
+    );
+    let mut row = |name: String, bytes: u64| {
+        let _ = write!(html, "<tr><td>{name}<td>{bytes}<td>{:.3}</tr>", bytes as f64 / report.kept as f64);
+    };
+    for (level, &bytes) in report.bytes.levels.iter().enumerate() {
+        row(format!("level {level}: {} splats", compressed.cloud.levels[level]), bytes as u64);
+    }
+    row(format!("{} shapes", report.shapes.entries), report.bytes.shapes as u64);
+    row(format!("{} colours of degree {}", report.colours.entries, compressed.cloud.sh_degree), report.bytes.colours as u64);
+    row("header".into(), subject.stored_bytes.saturating_sub(report.bytes.total() as u64));
+    html.push_str("</table>");
+    html
+}
+
+fn score_cells(score: &Score) -> String {
+    let psnr = if score.psnr_db.is_finite() { format!("{:.2} dB", score.psnr_db) } else { "equal".into() };
+    format!("<td>{psnr}<td>{}", score.ssim.map_or("-".into(), |ssim| format!("{ssim:.4}")))
+}
+
+fn trial_table(names: &[&str], trials: &[Trial]) -> String {
+    let mut html = String::from("<table><tr><th><th>bytes a splat");
+    names.iter().for_each(|name| {
+        let _ = write!(html, "<th>PSNR {name}<th>SSIM");
+    });
+    for trial in trials {
+        let bytes = if trial.bytes_per_splat.is_finite() { format!("{:.2}", trial.bytes_per_splat) } else { "-".into() };
+        let _ = write!(html, "<tr><td>{}<td>{bytes}", escaped(&trial.name));
+        trial.scores.iter().for_each(|score| html.push_str(&score_cells(score)));
+    }
+    html.push_str("</table>");
+    html
+}
+
+fn level_table(measured: &Measured) -> String {
+    let mut html = String::from(
+        "<h2>Levels of detail</h2><p>Each level against the finest, where so many pixels lie between its splats; the window is as \
+         large as the asset.</p><table><tr><th>level<th>splats<th>pitch, px<th>distance, m<th>PSNR<th>SSIM",
+    );
+    for trial in &measured.levels {
+        let _ = write!(
+            html,
+            "<tr><td>{}<td>{}<td>{}<td>{:.1}{}",
+            trial.level,
+            trial.splats,
+            trial.pitch_px,
+            trial.distance_m,
+            score_cells(&trial.score)
+        );
+    }
+    html.push_str("</table>");
+    html
+}
+
+fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> String {
+    let by_view = |trials: &[Trial], suffix: &str| -> Vec<Series> {
+        let of = |(at, name): (usize, &&str)| Series {
+            name: format!("{name}{suffix}"),
+            points: trials.iter().map(|trial| (trial.at, trial.scores[at].psnr_db)).collect(),
+        };
+        names.iter().enumerate().map(of).collect()
+    };
+    let mut kept = by_view(&measured.kept, "");
+    kept.extend(by_view(&measured.pruned_only, ", only pruned"));
+    let psnr = "PSNR, dB";
+    let plots = [
+        Plot { title: "Share of the splats kept", x_label: "share", y_label: psnr, log_y: false, series: kept },
+        Plot {
+            title: "Sizes of the codebooks (half as many shapes)",
+            x_label: "colours",
+            y_label: psnr,
+            log_y: false,
+            series: by_view(&measured.books, ""),
+        },
+        distortion("Distortion of shapes", &compressed.report.shapes),
+        distortion("Distortion of colours", &compressed.report.colours),
+    ];
+    let svgs: String = plots.iter().map(|plot| format!("<figure>{}</figure>", plot.to_svg())).collect();
+    format!("<h2>Curves</h2><div class=\"row\">{svgs}</div>")
+}
+
+fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
+    let numbered: Vec<(f64, f64)> = book.distortion.iter().enumerate().map(|(at, &value)| (at as f64, value)).collect();
+    let (batches, all) = numbered.split_at(book.batches);
+    let series = |name: &str, points: &[(f64, f64)]| Series { name: name.into(), points: points.to_vec() };
+    Plot {
+        title,
+        x_label: "iteration",
+        y_label: "mean squared distance",
+        log_y: true,
+        series: vec![series("mini-batches", batches), series("all splats", all)],
+    }
+}
+
+/// The first picture of each kind of view: before, after, and the difference.
+fn pictures(yardstick: &mut Yardstick, compressed: &Compressed) -> Result<String> {
+    let decoded = compressed.cloud.decoded(0);
+    let mut html = String::new();
+    for at in 0..yardstick.views.len() {
+        let camera = yardstick.views[at].cameras[..1].to_vec();
+        let after = yardstick.draw(&decoded, &camera)?;
+        let before = &yardstick.views[at].original[0];
+        let difference = difference_picture(before, &after[0], DIFFERENCE_GAIN)?;
+        html.push_str("<div class=\"row\">");
+        for (what, picture) in [("before", before), ("after", &after[0]), ("difference, times 8", &difference)] {
+            let name = yardstick.views[at].name;
+            let _ = write!(
+                html,
+                "<figure><img src=\"{}\" alt=\"{name} {what}\"><figcaption>{name}, {what}</figcaption></figure>",
+                data_uri(picture)?
+            );
+        }
+        html.push_str("</div>");
+    }
+    Ok(html)
+}
+
+fn data_uri(picture: &Picture) -> Result<String> {
+    Ok(format!("data:image/png;base64,{}", base64(&picture.encode(PictureFormat::Png)?)))
+}
+
+/// RFC 4648, section 4.
+fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for group in bytes.chunks(3) {
+        let word = (0..3).fold(0u32, |word, at| word << 8 | u32::from(group.get(at).copied().unwrap_or(0)));
+        for digit in 0..4 {
+            let value = word >> (18 - 6 * digit) & 63;
+            text.push(if digit <= group.len() { char::from(DIGITS[value as usize]) } else { '=' });
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_that_of_the_rfc() {
+        let vectors = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
+        for (bytes, text) in vectors {
+            assert_eq!(base64(bytes.as_bytes()), text);
+        }
+        assert_eq!(base64(&[0xff, 0xfe, 0xfd]), "//79");
+    }
+}

@@ -1,0 +1,192 @@
+//! Ways to draw the same drive.
+
+use std::str::FromStr;
+
+use decouplegs::render::{ColourFormat, OrderMode, Outputs, RenderOptions};
+use decouplegs::scene::{Rules, sh};
+
+/// What is drawn where agents are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Agents {
+    /// Copies of the original assets in world space, part of one cloud of splats.
+    Copies {
+        /// Share of that cloud that is kept, the most important splats; 1 keeps it as it is.
+        keep: f32,
+    },
+    /// Compressed assets that move.
+    Coded(Coding),
+}
+
+/// How assets are compressed, where it is not by the defaults.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Coding {
+    /// Share of the splats that are kept, instead of a threshold.
+    pub keep: Option<f32>,
+    /// Entries of the colour codebook, and twice as many as of the shape codebook.
+    pub colours: Option<usize>,
+}
+
+/// One way to draw the drive.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mode {
+    /// As it was asked for.
+    pub name: String,
+    /// For the reader of a report.
+    pub what: String,
+    pub agents: Agents,
+    order: OrderMode,
+    level_pitch_px: Option<f64>,
+    sh_degree_max: u8,
+    overlap: bool,
+    frames_in_flight: usize,
+}
+
+/// Those drawn where none are asked for.
+pub const DEFAULT_MODES: &str = "vanilla,prune,decoupled,decoupled-serial,bounded,lod,sh1,sh0";
+
+const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, bounded[=RADIANS], lod[=PIXELS], sh0, sh1, sh2, \
+                     keep=SHARE or colors=N";
+
+/// What the paper's baseline keeps (Fan et al., LightGaussian, 2024: 66 % are pruned).
+const PRUNE_KEEP: f64 = 0.34;
+const BOUNDED_RAD: f64 = 0.01;
+const LEVEL_PITCH_PX: f64 = 0.7;
+/// Fewer make no codebook worth the name, and shapes have half as many.
+const COLOURS_MIN: f64 = 2.0;
+const COLOURS_MAX: f64 = decouplegs::scene::codebook::COLOURS_MAX as f64;
+
+impl Mode {
+    /// Compressed agents that drive, drawn as exactly as can be; the other modes are this one with something changed.
+    fn decoupled(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            what: "compressed agents that drive; the background's order is kept from frame to frame, with the same pictures to the \
+                   last bit; agents' updates overlap the frame before; 2 frames in flight"
+                .into(),
+            agents: Agents::Coded(Coding::default()),
+            order: OrderMode::Exact,
+            level_pitch_px: None,
+            sh_degree_max: sh::DEGREE_MAX,
+            overlap: true,
+            frames_in_flight: 2,
+        }
+    }
+
+    fn vanilla(name: &str) -> Self {
+        Self {
+            what: "the paper's baseline: every agent is an uncompressed copy in world space, all splats are sorted in every frame; \
+                   2 frames in flight"
+                .into(),
+            agents: Agents::Copies { keep: 1.0 },
+            order: OrderMode::Full,
+            ..Self::decoupled(name)
+        }
+    }
+
+    pub fn is_vanilla(&self) -> bool {
+        self.agents == Agents::Copies { keep: 1.0 }
+    }
+
+    /// Whether a picture depends on the frames before it.
+    pub fn has_history(&self) -> bool {
+        matches!(self.order, OrderMode::Bounded { .. })
+    }
+
+    pub fn options(&self, rules: Rules, colour: ColourFormat) -> RenderOptions {
+        RenderOptions {
+            rules,
+            outputs: Outputs { colour, ..Outputs::default() },
+            sh_degree_max: self.sh_degree_max,
+            order: self.order,
+            level_pitch_px: self.level_pitch_px,
+            frames_in_flight: self.frames_in_flight,
+            overlap: self.overlap,
+            ..RenderOptions::default()
+        }
+    }
+}
+
+impl FromStr for Mode {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (base, value) = text.split_once('=').map_or((text, None), |(base, value)| (base, Some(value)));
+        // A value where the mode takes one, its default where it is left out; an error where it is out of its range.
+        let number = |least: f64, most: f64, default: Option<f64>| match (value, default) {
+            (None, Some(default)) => Ok(default),
+            (given, _) => given
+                .and_then(|given| given.parse().ok())
+                .filter(|number| (least..=most).contains(number))
+                .ok_or_else(|| format!("'{text}': {base} takes a number from {least} to {most}, such as {base}={}", default.unwrap_or(most))),
+        };
+        let decoupled = Self::decoupled(text);
+        Ok(match (base, value) {
+            ("vanilla", None) => Self::vanilla(text),
+            ("prune", _) => {
+                let keep = number(1e-6, 1.0, Some(PRUNE_KEEP))? as f32;
+                let what = format!("vanilla with {:.3} of all splats kept, by their weights in the ego's views and their volume", keep);
+                Self { agents: Agents::Copies { keep }, what, ..Self::vanilla(text) }
+            }
+            ("decoupled", None) => decoupled,
+            ("decoupled-serial", None) => {
+                let what = "decoupled, the agents' updates in line with the rest of the frame, 1 frame in flight".into();
+                Self { overlap: false, frames_in_flight: 1, what, ..decoupled }
+            }
+            ("bounded", _) => {
+                let angle_rad = number(0.0, 1.0, Some(BOUNDED_RAD))?;
+                let what = format!("decoupled, an order of the background serves until a camera has turned by {angle_rad} rad");
+                Self { order: OrderMode::Bounded { angle_rad }, what, ..decoupled }
+            }
+            ("lod", _) => {
+                let pitch_px = number(0.01, 1000.0, Some(LEVEL_PITCH_PX))?;
+                let what = format!("decoupled, agents at the coarsest level whose splats are at most {pitch_px} px apart");
+                Self { level_pitch_px: Some(pitch_px), what, ..decoupled }
+            }
+            ("sh0" | "sh1" | "sh2", None) => {
+                let sh_degree_max = base.as_bytes()[2] - b'0';
+                let what = format!("decoupled, colours evaluated to degree {sh_degree_max}");
+                Self { sh_degree_max, what, ..decoupled }
+            }
+            ("keep", _) => {
+                let keep = number(1e-6, 1.0, None)? as f32;
+                let what = format!("decoupled, assets compressed with {keep} of their splats kept");
+                Self { agents: Agents::Coded(Coding { keep: Some(keep), colours: None }), what, ..decoupled }
+            }
+            ("colors", _) => {
+                let colours = number(COLOURS_MIN, COLOURS_MAX, None)? as usize;
+                let what = format!("decoupled, assets compressed with {colours} colours and {} shapes", colours / 2);
+                Self { agents: Agents::Coded(Coding { keep: None, colours: Some(colours) }), what, ..decoupled }
+            }
+            _ => return Err(format!("'{text}' is no mode: there are {KNOWN}")),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_mode_by_default_is_one() {
+        let modes: Vec<Mode> = DEFAULT_MODES.split(',').map(|name| name.parse().unwrap()).collect();
+        assert!(modes[0].is_vanilla() && modes.iter().filter(|mode| mode.is_vanilla()).count() == 1);
+        assert_eq!(modes[1].agents, Agents::Copies { keep: 0.34 });
+        assert_eq!(modes.iter().filter(|mode| mode.has_history()).count(), 1);
+        let serial = modes[3].options(Rules::DEFAULT, ColourFormat::U8);
+        assert_eq!((serial.overlap, serial.frames_in_flight, serial.order), (false, 1, OrderMode::Exact));
+    }
+
+    #[test]
+    fn values_are_read_and_nonsense_is_refused_with_what_there_is() {
+        let lod: Mode = "lod=1.5".parse().unwrap();
+        assert_eq!(lod.options(Rules::DEFAULT, ColourFormat::F32).level_pitch_px, Some(1.5));
+        let few: Mode = "colors=64".parse().unwrap();
+        assert_eq!(few.agents, Agents::Coded(Coding { keep: None, colours: Some(64) }));
+        for nonsense in ["", "vanila", "vanilla=1", "sh3", "sh", "decoupled=2"] {
+            assert!(nonsense.parse::<Mode>().unwrap_err().contains("decoupled-serial"), "{nonsense}");
+        }
+        for nonsense in ["prune=0", "prune=2", "lod=", "lod=-1", "bounded=NaN", "keep", "keep=x", "colors=5000"] {
+            assert!(nonsense.parse::<Mode>().unwrap_err().contains("from"), "{nonsense}");
+        }
+    }
+}
