@@ -25,7 +25,7 @@ layout(constant_id = 3) const float ALPHA_MAX = 0.99;
 layout(constant_id = 5) const bool TEAM_HOLDS_SUBGROUPS = false; // subgroups have at most 32 lanes
 layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
-layout(constant_id = 7) const bool ORDER_ERROR = false; // lists may be out of order: measure by how much
+layout(constant_id = 7) const bool ORDER_ERROR = false; // measure by how much lists are out of order, and draw nothing
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { Item items[]; };
@@ -42,10 +42,10 @@ layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint
 // Of each splat, the sum of its weights in all pixels, in steps of 1 / contribution_scale.
 layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contributions[]; };
 
-// Bits of the largest order error of a pixel, and how many pixels have one above 1/255.
+// Bits of the largest order error of a pixel, and how many pixels have one above 1/255, over one item of measured_stride.
 layout(set = 0, binding = 15, scalar) buffer order_error_block { uint order_error[2]; };
 
-layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; };
+layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint measured_stride; uint measured_first; };
 
 const uint BATCH = BLEND_THREADS;
 const uint BATCH_WORDS = BATCH / 32u;
@@ -269,6 +269,7 @@ void write_result(Item item, Camera camera, uvec2 origin, uint thread, uint step
     if (ORDER_ERROR) {
         write_order_error(pixels.left_order.error);
         write_order_error(pixels.right_order.error);
+        return;
     }
     if (item.partial == NO_PARTIAL) {
         uvec2 at = origin + left_offset(thread, step);
@@ -286,7 +287,7 @@ void write_result(Item item, Camera camera, uvec2 origin, uint thread, uint step
 
 void main() {
     uint item_index = group_index();
-    if (item_index >= min(needs.items, items_max)) {
+    if (item_index >= min(needs.items, items_max) || (ORDER_ERROR && item_index % measured_stride != measured_first)) {
         return;
     }
     Item item = items[item_index];
@@ -296,7 +297,7 @@ void main() {
     if (thread < 32u) {
         tile_largest[thread] = 1u; // 0 would mean that it is not known
     }
-    if (item.segment > 0u) {
+    if (item.segment > 0u && !ORDER_ERROR) {
         if (uncovered_tiles(item, thread) == 0u) {
             return; // composite stops before it gets here
         }
@@ -342,7 +343,7 @@ void main() {
     write_result(item, camera, origin, thread, 1u, pixels1);
     write_result(item, camera, origin, thread, 2u, pixels2);
     write_result(item, camera, origin, thread, 3u, pixels3);
-    if (item.partial != NO_PARTIAL) {
+    if (item.partial != NO_PARTIAL && !ORDER_ERROR) {
         // Tells later segments of the tile how much this one lets through.
         barrier();
         if (thread < 32u) {

@@ -89,6 +89,9 @@ mod tests {
     }
 }
 
+/// Segments of lists of which one is looked at in each frame for the error of a stale order.
+pub const MEASURED_ONE_OF: u32 = 16;
+
 /// How splats come into front-to-back order, as the command line says it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrderName(pub OrderMode);
@@ -100,7 +103,9 @@ impl FromStr for OrderName {
         match (text, text.strip_prefix("bounded=").map(str::parse::<f64>)) {
             ("full", _) => Ok(Self(OrderMode::Full)),
             ("exact", _) => Ok(Self(OrderMode::Exact)),
-            (_, Some(Ok(angle_rad))) if angle_rad >= 0.0 && angle_rad.is_finite() => Ok(Self(OrderMode::Bounded { angle_rad })),
+            (_, Some(Ok(angle_rad))) if angle_rad >= 0.0 && angle_rad.is_finite() => {
+                Ok(Self(OrderMode::Bounded { angle_rad, measured_one_of: MEASURED_ONE_OF }))
+            }
             _ => Err(format!("'{text}' is no order: expected full, exact or bounded=RADIANS, such as bounded=0.01")),
         }
     }

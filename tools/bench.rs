@@ -65,6 +65,9 @@ pub struct Arguments {
     /// Write what both queues and the host did when, as a trace for chrome://tracing or ui.perfetto.dev
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
+    /// Write three frames of that trace as a picture
+    #[arg(long, value_name = "FILE.svg")]
+    trace_picture: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
     /// Middle of the first camera's picture whose error is measured, in f32 whatever --colour says
@@ -133,9 +136,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
     let gpu = arguments.device.open()?;
     let timed = time_frames(&gpu, &scene, arguments)?;
-    if let Some(path) = &arguments.trace {
+    if arguments.trace.is_some() || arguments.trace_picture.is_some() {
         let trace = trace::chrome_trace(&timed.frames, gpu.clock()?);
-        write_atomically(path, |file| writeln!(file, "{trace}"))?;
+        if let Some(path) = &arguments.trace {
+            write_atomically(path, |file| writeln!(file, "{trace}"))?;
+        }
+        if let Some(path) = &arguments.trace_picture {
+            write_atomically(path, |file| file.write_all(trace::picture(&trace).as_bytes()))?;
+        }
     }
     let window = middle(&scene.cameras[0].intrinsics, arguments.error_window);
     let difference = error_in_window(&gpu, &scene, arguments, window)?;

@@ -3,8 +3,8 @@
 mod page;
 mod plot;
 mod report;
-mod views;
-mod visibility;
+pub mod views;
+pub mod visibility;
 mod yardstick;
 
 use std::fs;
@@ -21,6 +21,7 @@ use indicatif::ProgressBar;
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
+use visibility::VIEW_PX_MAX;
 
 /// Compress the splats of an agent: prune what matters little, and keep shapes and colours as entries of codebooks
 #[derive(clap::Args)]
@@ -53,8 +54,8 @@ pub struct Arguments {
     /// Views all around the asset from which its splats' visibility is measured
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
-    /// Side of these views, pixels
-    #[arg(long, value_name = "PX", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=4096))]
+    /// Side of these views, pixels; lavapipe takes larger ones where it must
+    #[arg(long, value_name = "PX", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
     view_size: u32,
     /// Measure what is lost and write report.html and report.json to this folder; takes minutes
     #[arg(long, value_name = "DIR")]

@@ -8,13 +8,16 @@ mod arguments;
 mod bench;
 mod compare;
 mod compress;
+mod data_uri;
 mod decompress;
 mod device;
 mod devices;
 mod inspect;
+mod plot;
 mod progress;
 mod render;
 mod scene_source;
+mod stress;
 mod synth;
 
 use std::process::ExitCode;
@@ -38,6 +41,7 @@ enum Command {
     Compare(compare::Arguments),
     Synth(synth::Arguments),
     Bench(bench::Arguments),
+    Stress(Box<stress::Arguments>),
     Devices(devices::Arguments),
 }
 
@@ -50,6 +54,7 @@ fn main() -> ExitCode {
         Command::Compare(arguments) => compare::run(arguments),
         Command::Synth(arguments) => synth::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
+        Command::Stress(arguments) => stress::run(arguments),
         Command::Devices(arguments) => devices::run(arguments),
     };
     match done {

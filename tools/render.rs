@@ -27,6 +27,9 @@ pub struct Arguments {
     /// How pictures are written
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
+    /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
+    #[arg(long, value_name = "PX", conflicts_with = "reference")]
+    level_pitch: Option<f64>,
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 definition on the processor: exact and slow
@@ -78,7 +81,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.reference {
         render_by_definition(&scene, &mut album)?;
     } else {
-        render_on_gpu(&scene, &arguments.device, &mut album)?;
+        render_on_gpu(&scene, arguments, &mut album)?;
     }
     if let (Some(path), Some(pictures)) = (&arguments.contact_sheet, &album.kept) {
         let sheet = contact_sheet(pictures, SHEET_COLUMNS).context("there is no camera, so there is no picture")?;
@@ -109,8 +112,8 @@ impl Album<'_> {
     }
 }
 
-fn render_on_gpu(scene: &Scene, device: &DeviceArguments, album: &mut Album) -> Result<()> {
-    let gpu = device.open()?;
+fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Result<()> {
+    let gpu = arguments.device.open()?;
     let bar = progress::bar("pictures", scene.cameras.len());
     // What a PNG can hold takes a quarter of the memory.
     let (colour, pixel_bytes) = match album.format {
@@ -118,7 +121,10 @@ fn render_on_gpu(scene: &Scene, device: &DeviceArguments, album: &mut Album) -> 
         PictureFormat::Exr | PictureFormat::Npy => (ColourFormat::F32, 16),
     };
     let outputs = Outputs { colour, ..Outputs::default() };
-    let mut renderer = Renderer::new(&gpu, RenderOptions { rules: scene.rules(), outputs, ..RenderOptions::default() });
+    let mut renderer = Renderer::new(
+        &gpu,
+        RenderOptions { rules: scene.rules(), outputs, level_pitch_px: arguments.level_pitch, ..RenderOptions::default() },
+    );
     let live = LiveScene::new(&renderer, &scene.loaded)?;
     let agents = live.agents_at(scene.time_s);
     for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {

@@ -22,11 +22,11 @@ fn drive(frame: usize) -> (DVec3, f64) {
     match frame {
         0..50 => (DVec3::new(0.05 * t, 0.01 * t, 0.5), 0.0),
         50..60 => (DVec3::new(2.5, 0.5, 0.5), 0.0),
-        60..90 => (DVec3::new(0.05 * t, 0.0, 0.5), 0.0003 * (t - 59.0)),
-        90..110 => (DVec3::new(0.05 * t, 0.0, 0.5), 0.01 + 0.035 * (t - 89.0)),
+        60..90 => (DVec3::new(0.05 * t, 0.0, 0.5), 0.00004 * (t - 59.0)),
+        90..110 => (DVec3::new(0.05 * t, 0.0, 0.5), 0.035 * (t - 89.0)),
         110..120 => (DVec3::new(6.0, 1.0, 0.5), 0.71),
         120..125 => (DVec3::new(30.0, 3.0, 1.0), 3.0),
-        125..140 => (DVec3::new(0.0, 0.1 * (t - 125.0), 0.5), if frame % 2 == 0 { 0.0 } else { PI }),
+        125..140 => (DVec3::new(0.0, 0.1 * (t - 125.0), 0.5), if frame.is_multiple_of(2) { 0.0 } else { PI }),
         140..170 => (DVec3::new(0.05 * (t - 140.0), 0.0, 0.5), 0.0001 * (t * 7.3).sin()),
         _ => (DVec3::new(3.0 - 0.1 * (t - 170.0), 0.0, 0.8), 0.002 * (t - 169.0)),
     }
@@ -82,15 +82,15 @@ fn a_drive_gives_the_same_bytes_however_the_order_is_found() {
 #[test]
 fn a_repair_that_is_not_enough_is_noticed_and_sorted() {
     let gpu = Validated::open();
-    // Splats close behind each other far to the side: a turn of a milliradian reorders them over thousands of places.
+    // Splats close behind each other far to the side: a turn of half a milliradian reorders them over thousands of places.
     let splats: Vec<Splat> = (0..9000)
         .map(|i| {
-            let (side, row) = ((i % 90) as f32 - 45.0, (i / 90) as f32);
+            let (side, row) = (((i % 90) as f32 - 45.0) * 2.0, (i / 90) as f32);
             Splat {
                 scale_m: [0.3; 3],
                 opacity: 0.2,
                 rgb: [(i % 7) as f32 / 7.0, 0.5, (i % 3) as f32 / 3.0],
-                ..Splat::at(side, row * 0.1 - 5.0, 60.0 + ((i * 37) % 9000) as f32 * 1e-5)
+                ..Splat::at(side, row * 0.1 - 5.0, 60.0 + ((i * 37) % 9000) as f32 * 2e-6)
             }
         })
         .collect();
@@ -103,7 +103,8 @@ fn a_repair_that_is_not_enough_is_noticed_and_sorted() {
     let mut full = Renderer::new(&gpu, RenderOptions { order: OrderMode::Full, ..RenderOptions::default() });
     let resident = exact.upload(&world).unwrap();
     let mut paths = Vec::new();
-    for angle in [0.0, 0.0, 0.0, 0.0018, 0.0018, 0.0018, 0.0019] {
+    // Every angle is another by more than the last tenth of what is repaired: none is worth finding ranks for.
+    for angle in [0.0, 0.0, 0.0].into_iter().chain((0..12).map(|i| 0.0004 + 0.0001 * f64::from(i % 2))) {
         let statistics = exact.render(&resident, &turned(angle)).unwrap();
         paths.push(statistics.orders[0]);
         assert_eq!(statistics.inversions[0] > 0, statistics.orders[0] == OrderPath::RepairFailed);
@@ -112,15 +113,17 @@ fn a_repair_that_is_not_enough_is_noticed_and_sorted() {
     }
     println!("{paths:?}");
     assert_eq!(paths[..4], [OrderPath::Sorted, OrderPath::Found, OrderPath::Kept, OrderPath::RepairFailed]);
-    assert!(!paths[4..].contains(&OrderPath::RepairFailed), "after a failure smaller turns are repaired only: {paths:?}");
+    assert!(!paths[4..].contains(&OrderPath::RepairFailed), "after a failure only smaller turns are repaired: {paths:?}");
 }
 
 #[test]
 fn a_stale_order_says_what_it_costs() {
     let gpu = Validated::open();
     let world = background(6000, 6);
-    let mut bounded =
-        Renderer::new(&gpu, RenderOptions { order: OrderMode::Bounded { angle_rad: 0.2 }, ..RenderOptions::default() });
+    let mut bounded = Renderer::new(
+        &gpu,
+        RenderOptions { order: OrderMode::Bounded { angle_rad: 0.2, measured_one_of: 1 }, ..RenderOptions::default() },
+    );
     let mut full = Renderer::new(&gpu, RenderOptions { order: OrderMode::Full, ..RenderOptions::default() });
     let resident = bounded.upload(&world).unwrap();
     let mut draw = |yaw: f64| {

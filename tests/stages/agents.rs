@@ -1,6 +1,7 @@
 //! `cull_agents.comp` and `project_agents.comp`: what is visible of agents, and their records behind those of the background.
 
 pub mod hard_agents;
+mod hard_clouds;
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{CHUNK_SPLATS, near_m};
@@ -13,7 +14,8 @@ use super::project::rounding::{Projection, check_keys, check_record, check_tile_
 use super::scenes::{ProjectedTwin, rig};
 use super::{ROUNDOFF, UNTOUCHED, identical, open, run, sort_shape, untouched, upload};
 use crate::device::Validated;
-use hard_agents::{AgentScene, ListedAgents, Placed, hard_agents, hard_cloud};
+use hard_agents::{AgentScene, ListedAgents, Placed, hard_agents};
+use hard_clouds::hard_cloud;
 
 /// What the kernel sees: bits and counts.
 fn visible(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {

@@ -3,7 +3,7 @@
 mod rounding;
 
 use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
-use decouplegs::render::stages::{Arguments, Blend, Partials, Plan, ProjectVariant, Projected};
+use decouplegs::render::stages::{Arguments, Blend, Measured, Partials, Plan, ProjectVariant, Projected};
 use decouplegs::render::twins::output::{Pictures, Pixel, macro_tile_origin, pixel_offset, write_pixel};
 use decouplegs::render::twins::{self, output::BLEND_THREADS};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
@@ -114,7 +114,19 @@ impl Case {
         let blend = Blend::new(gpu, rules, &OUTPUTS, false).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
-            blend.record(r, &control, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);
+            blend.record(
+                r,
+                &control,
+                &scene.camera_buffer,
+                cameras,
+                SKY,
+                &plan,
+                &records,
+                &on_device,
+                &partials,
+                &outputs,
+                Measured::ALL,
+            );
         });
         let pictures = Pictures {
             pictures_f32: gpu.read(&outputs.pictures_f32).unwrap(),

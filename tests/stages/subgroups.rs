@@ -84,7 +84,7 @@ fn a_child_of_another_size_fails() {
     if !is_lavapipe("a_child_of_another_size_fails") {
         return;
     }
-    let (succeeded, text) = child(256, 4, "stages::scan::what_follows");
+    let (succeeded, text) = child(256, 4, "stages::scan::counts_of_nothing");
     assert!(!succeeded && text.contains("subgroups of another size"), "{text}");
     assert_eq!((passed("test result: ok. 12 passed; 0 failed"), passed("")), (12, 0));
 }

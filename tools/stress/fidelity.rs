@@ -36,7 +36,8 @@ impl Fidelity {
         let differences = differences.into_iter().collect::<Result<Vec<Difference>, _>>()?;
         let ssims: Vec<f64> = differences.iter().filter_map(|difference| difference.ssim).collect();
         Ok(Self {
-            psnr_all_db: psnr_db(pairs.iter().map(|(found, expected)| errors(found, expected, |_| true))).unwrap_or(f64::INFINITY),
+            psnr_all_db: psnr_db(pairs.iter().map(|(found, expected)| errors(found, expected, |_| true)))
+                .unwrap_or(f64::INFINITY),
             psnr_vehicles_db: psnr_db(pairs.iter().map(|(found, expected)| errors(found, expected, |id| id != 0))),
             ssim: (!ssims.is_empty()).then(|| ssims.iter().sum::<f64>() / ssims.len() as f64),
             max_abs: differences.iter().map(|difference| difference.max_abs).fold(0.0, f64::max),

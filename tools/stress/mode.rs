@@ -60,9 +60,10 @@ impl Mode {
     fn decoupled(name: &str) -> Self {
         Self {
             name: name.to_owned(),
-            what: "compressed agents that drive; the background's order is kept from frame to frame, with the same pictures to the \
+            what:
+                "compressed agents that drive; the background's order is kept from frame to frame, with the same pictures to the \
                    last bit; agents' updates overlap the frame before; 2 frames in flight"
-                .into(),
+                    .into(),
             agents: Agents::Coded(Coding::default()),
             order: OrderMode::Exact,
             level_pitch_px: None,
@@ -74,9 +75,10 @@ impl Mode {
 
     fn vanilla(name: &str) -> Self {
         Self {
-            what: "the paper's baseline: every agent is an uncompressed copy in world space, all splats are sorted in every frame; \
+            what:
+                "the paper's baseline: every agent is an uncompressed copy in world space, all splats are sorted in every frame; \
                    2 frames in flight"
-                .into(),
+                    .into(),
             agents: Agents::Copies { keep: 1.0 },
             order: OrderMode::Full,
             ..Self::decoupled(name)
@@ -85,6 +87,11 @@ impl Mode {
 
     pub fn is_vanilla(&self) -> bool {
         self.agents == Agents::Copies { keep: 1.0 }
+    }
+
+    /// Whether it is what this renderer is for, nothing changed.
+    pub fn is_decoupled(&self) -> bool {
+        *self == Self::decoupled("decoupled")
     }
 
     /// Whether a picture depends on the frames before it.
@@ -114,17 +121,19 @@ impl FromStr for Mode {
         // A value where the mode takes one, its default where it is left out; an error where it is out of its range.
         let number = |least: f64, most: f64, default: Option<f64>| match (value, default) {
             (None, Some(default)) => Ok(default),
-            (given, _) => given
-                .and_then(|given| given.parse().ok())
-                .filter(|number| (least..=most).contains(number))
-                .ok_or_else(|| format!("'{text}': {base} takes a number from {least} to {most}, such as {base}={}", default.unwrap_or(most))),
+            (given, _) => {
+                given.and_then(|given| given.parse().ok()).filter(|number| (least..=most).contains(number)).ok_or_else(|| {
+                    format!("'{text}': {base} takes a number from {least} to {most}, such as {base}={}", default.unwrap_or(most))
+                })
+            }
         };
         let decoupled = Self::decoupled(text);
         Ok(match (base, value) {
             ("vanilla", None) => Self::vanilla(text),
             ("prune", _) => {
                 let keep = number(1e-6, 1.0, Some(PRUNE_KEEP))? as f32;
-                let what = format!("vanilla with {:.3} of all splats kept, by their weights in the ego's views and their volume", keep);
+                let what =
+                    format!("vanilla with {:.3} of all splats kept, by their weights in the ego's views and their volume", keep);
                 Self { agents: Agents::Copies { keep }, what, ..Self::vanilla(text) }
             }
             ("decoupled", None) => decoupled,
@@ -135,7 +144,11 @@ impl FromStr for Mode {
             ("bounded", _) => {
                 let angle_rad = number(0.0, 1.0, Some(BOUNDED_RAD))?;
                 let what = format!("decoupled, an order of the background serves until a camera has turned by {angle_rad} rad");
-                Self { order: OrderMode::Bounded { angle_rad }, what, ..decoupled }
+                Self {
+                    order: OrderMode::Bounded { angle_rad, measured_one_of: crate::arguments::MEASURED_ONE_OF },
+                    what,
+                    ..decoupled
+                }
             }
             ("lod", _) => {
                 let pitch_px = number(0.01, 1000.0, Some(LEVEL_PITCH_PX))?;

@@ -122,7 +122,8 @@ impl Subject {
             ego: trajectory(&street.ego)?,
             agent_names: Vec::new(),
         };
-        let named = |(at, cloud): (usize, &SplatCloud)| Asset { name: format!("car {at}"), original: spatial(cloud), stored: None };
+        let named =
+            |(at, cloud): (usize, &SplatCloud)| Asset { name: format!("car {at}"), original: spatial(cloud), stored: None };
         let assets = clouds.iter().enumerate().map(named).collect();
         working.finish_and_clear();
         let source = json!({ "synth": {
@@ -152,7 +153,8 @@ impl Subject {
     /// Splats of the original and of the compressed asset, by asset.
     pub fn asset_splats(&self) -> Vec<(String, usize, Option<usize>)> {
         let coded = self.codings.first().map(|(_, coded)| coded);
-        let of = |(at, asset): (usize, &Asset)| (asset.name.clone(), asset.original.len(), coded.map(|coded| coded[at].levels[0]));
+        let of =
+            |(at, asset): (usize, &Asset)| (asset.name.clone(), asset.original.len(), coded.map(|coded| coded[at].levels[0]));
         self.assets.iter().enumerate().map(of).collect()
     }
 
@@ -206,7 +208,8 @@ impl Subject {
     pub fn staged(&mut self, count: usize, coding: Coding) -> &LoadedScene {
         let places = self.places(count);
         let coded = self.codings.iter().find(|(known, _)| *known == coding).map_or(&[][..], |(_, coded)| coded.as_slice());
-        let mut shown: Vec<(usize, &CodedCloud)> = places.iter().zip(coded).filter_map(|(place, cloud)| Some(((*place)?, cloud))).collect();
+        let mut shown: Vec<(usize, &CodedCloud)> =
+            places.iter().zip(coded).filter_map(|(place, cloud)| Some(((*place)?, cloud))).collect();
         shown.sort_by_key(|(place, _)| *place);
         self.staged.assets = shown.into_iter().map(|(_, cloud)| cloud.clone()).collect();
         let placed = |agent: &LoadedAgent| Some(LoadedAgent { asset: places[agent.asset]?, ..agent.clone() });
@@ -237,7 +240,11 @@ impl Asset {
     }
 
     fn coded(&self, gpu: &Gpu, coding: Coding, views: u32, seed: u64, working: String) -> Result<CodedCloud> {
-        let cameras = views::sphere(&self.original.bounds(), views as usize, VIEW_SIZE_PX, 0.0);
+        // The box of what can be drawn: a mean that is NaN has no place in it.
+        let drawn: Vec<u32> =
+            (0..self.original.len() as u32).filter(|&splat| self.original.defect_of(splat as usize).is_none()).collect();
+        ensure!(!drawn.is_empty(), "it has no splat that can be drawn");
+        let cameras = views::sphere(&self.original.select(&drawn).bounds(), views as usize, VIEW_SIZE_PX, 0.0);
         let visibility = visibility::visibility(gpu, &self.original, &cameras)?;
         let defaults = CompressOptions::default();
         let options = CompressOptions {

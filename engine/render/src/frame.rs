@@ -10,8 +10,8 @@ use crate::output::Outputs;
 use crate::resident::ResidentWorld;
 use crate::slot::FrameSlot;
 use crate::stages::{
-    AgentCounts, Arguments, Control, OrderPlan, PURPOSE, Pairs, Partials, Plan, Projected, RankLists, Ranked, SortInput,
-    SortScratch, StaticLists, Visible,
+    AgentCounts, Arguments, Control, Measured, OrderPlan, PURPOSE, Pairs, Partials, Plan, Projected, RankLists, Ranked,
+    SortInput, SortScratch, StaticLists, Visible,
 };
 
 /// All of a depth key: see `depth_key.glsl`.
@@ -216,7 +216,7 @@ fn record_order(
         recorder.stage("repair order", |r| {
             let lists = frame.static_lists();
             if repaired {
-                orders.repair.record_rounds(r, lists, plan, sort, input.orders.repair_rounds);
+                orders.repair.record_repair(r, lists, plan, sort, input.orders.repair_reach);
             }
             orders.repair.record_check(r, lists, plan, sort);
         });
@@ -296,8 +296,16 @@ fn record_pictures(
     let (plan, partials, pictures, sky) = (&frame.plan, &frame.partials, &slot.pictures, input.world.sky);
     recorder.stage("blend", |r| {
         let (records, projected) = (&frame.sort.values[binned], &frame.projected);
-        stages.blend.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, pictures);
+        let all = Measured::ALL;
+        stages.blend.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, pictures, all);
     });
+    if let Some(probe) = stages.order_probe.as_ref().filter(|_| input.orders.has(OrderPath::Stale)) {
+        recorder.stage("measure order", |r| {
+            let (records, projected) = (&frame.sort.values[binned], &frame.projected);
+            let measured = input.orders.measured;
+            probe.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, pictures, measured);
+        });
+    }
     recorder.stage("composite", |r| {
         stages.composite.record(r, control, cameras, camera_count, sky, plan, partials, pictures);
         r.copy(&control.needs, 0, &slot.found_needs, 0, 1);

@@ -25,6 +25,8 @@ pub(crate) struct CommonStages {
     pub find_ranges: FindRanges,
     pub plan_segments: PlanSegments,
     pub blend: Blend,
+    /// Measures what stale orders cost, where there may be any.
+    pub order_probe: Option<Blend>,
     pub composite: CompositeSegments,
 }
 
@@ -110,7 +112,8 @@ impl Kernels {
                 emit_pairs: EmitPairs::new(gpu, shape.block())?,
                 find_ranges: FindRanges::new(gpu)?,
                 plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
-                blend: Blend::new(gpu, rules, outputs, *order_error)?,
+                blend: Blend::new(gpu, rules, outputs, false)?,
+                order_probe: if *order_error { Some(Blend::new(gpu, rules, outputs, true)?) } else { None },
                 composite: CompositeSegments::new(gpu, outputs)?,
             });
         }

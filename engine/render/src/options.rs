@@ -69,7 +69,7 @@ impl QueueTrace {
     }
 }
 
-/// What a stale order costs, over all pixels of a frame.
+/// What a stale order costs, over the pixels in which it was measured ([`OrderMode::Bounded`]).
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct OrderError {
     /// The largest change of a pixel's colour.
@@ -92,7 +92,7 @@ pub struct FrameStatistics {
     /// Neighbours in each view's background that stand the wrong way round: only where an order was taken as it was, or its
     /// repair was not enough.
     pub inversions: Vec<u32>,
-    /// Where an order was taken as it was ([`OrderMode::Bounded`]): by how much its neighbours that stand the wrong way round
+    /// Where an order was taken as it was ([`OrderPath::Stale`]): by how much its neighbours that stand the wrong way round
     /// change a pixel at most, to first order, T a_i a_j |c_i - c_j| summed over them.
     pub order_error: Option<OrderError>,
     /// Agents that some camera could see, and their splats at the levels of detail that were drawn.

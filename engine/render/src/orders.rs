@@ -11,17 +11,15 @@ use glam::{DVec3, Vec3};
 use crate::RenderError;
 use crate::layout::{CameraRecord, OrderStep, View, ViewOrder};
 use crate::resident::ResidentWorld;
-use crate::stages::PURPOSE;
+use crate::stages::{Measured, PURPOSE, REPAIR_REACH_MAX};
 
 /// Ranks are repaired after turns of up to this at first; a repair that failed halves it.
-const REPAIR_ANGLE_RAD: f64 = 0.002;
+const REPAIR_ANGLE_RAD: f64 = 5e-4;
 /// A repair angle is not halved below this.
-const REPAIR_ANGLE_MIN_RAD: f64 = 1e-5;
-/// Ranks of a direction are found when it turned by less than this share of the repair angle since the frame before: it will
-/// serve a few frames at least.
-const STEADY_SHARE: f64 = 0.34;
-/// Rounds of a repair.
-const REPAIR_ROUNDS: u32 = 4;
+const REPAIR_ANGLE_MIN_RAD: f64 = 1e-6;
+/// Ranks of a direction are found when it turned by less than this share of the repair angle since the frame before, so that
+/// they serve ten frames: finding them takes as long as sorting what one view sees seven times (measured, H200, 2 M splats).
+const STEADY_SHARE: f64 = 0.1;
 
 /// How splats come into front-to-back order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -37,12 +35,15 @@ pub enum OrderMode {
     Bounded {
         /// Largest angle between a camera and the direction whose order it takes, radians.
         angle_rad: f64,
+        /// The error is measured in one of so many segments of macro tiles' lists, in others in the next frame: measuring in
+        /// all takes longer than sorting.
+        measured_one_of: u32,
     },
 }
 
 impl OrderMode {
     fn stale_rad(self) -> f64 {
-        if let Self::Bounded { angle_rad } = self { angle_rad } else { 0.0 }
+        if let Self::Bounded { angle_rad, .. } = self { angle_rad } else { 0.0 }
     }
 }
 
@@ -103,19 +104,28 @@ struct RankSet {
 }
 
 /// How the backgrounds of a frame's views come into order.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct OrderDecision {
     pub view_orders: Vec<ViewOrder>,
     pub paths: Vec<OrderPath>,
     /// The camera whose ranks are to be found, and the set they are to be kept in.
     pub find: Option<(usize, usize)>,
-    pub repair_rounds: u32,
+    /// Places over which a repair looks.
+    pub repair_reach: u32,
+    /// Where the error of stale orders is measured.
+    pub measured: Measured,
 }
 
 impl OrderDecision {
     /// Everything sorted.
     pub fn sorted(views: usize) -> Self {
-        Self { view_orders: vec![ViewOrder::default(); views], paths: vec![OrderPath::Sorted; views], ..Self::default() }
+        Self {
+            view_orders: vec![ViewOrder::default(); views],
+            paths: vec![OrderPath::Sorted; views],
+            find: None,
+            repair_reach: 0,
+            measured: Measured::ALL,
+        }
     }
 
     pub fn is_ranked(&self) -> bool {
@@ -187,7 +197,10 @@ impl Orders {
         self.fit(gpu, world, views)?;
         let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
         let find = self.worth_finding(&directions, mode).map(|camera| (camera, self.free_set(directions[camera], &directions)));
-        let mut decision = OrderDecision { find, repair_rounds: REPAIR_ROUNDS, ..OrderDecision::default() };
+        let repair_reach = self.reach_for(&directions);
+        let stride = if let OrderMode::Bounded { measured_one_of, .. } = mode { measured_one_of.max(1) } else { 1 };
+        let measured = Measured { stride, first: (self.frame % u64::from(stride)) as u32 };
+        let mut decision = OrderDecision { view_orders: Vec::new(), paths: Vec::new(), find, repair_reach, measured };
         for (camera, direction) in directions.iter().enumerate() {
             let (order, path) = self.order_of(direction, mode);
             decision.view_orders.push(order);
@@ -221,6 +234,17 @@ impl Orders {
             let angle = self.nearest(&directions[camera]).map_or(f64::INFINITY, |(_, angle)| angle);
             angle > 0.0 && (stands(camera) || (angle > serves_rad && steady(camera)))
         })
+    }
+
+    /// How far a repair has to look: the farther, the wider the widest turn that is repaired.
+    fn reach_for(&self, directions: &[Direction]) -> u32 {
+        let repaired = directions.iter().filter_map(|direction| self.nearest(direction)).map(|(_, angle)| angle);
+        let widest_rad = repaired.filter(|&angle| angle <= self.repair_angle_rad).fold(0.0, f64::max);
+        let share = widest_rad / self.repair_angle_rad;
+        [(0.25, 4), (0.5, 2)]
+            .iter()
+            .find(|(up_to, _)| share <= *up_to)
+            .map_or(REPAIR_REACH_MAX, |(_, part)| REPAIR_REACH_MAX / part)
     }
 
     /// The set for the ranks along `direction`: a new one, or the one whose last use is longest ago.

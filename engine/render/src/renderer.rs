@@ -13,7 +13,7 @@ use crate::frame::{FrameBuffers, FrameInput, FrameShape, record_agents, record_f
 use crate::kernels::{FrameVariant, Kernels};
 use crate::layout::{Needs, View, near_m};
 use crate::options::{FrameStatistics, OrderError, QueueTrace, RenderOptions};
-use crate::orders::{OrderDecision, OrderMode, OrderPath, Orders};
+use crate::orders::{OrderDecision, OrderPath, Orders};
 use crate::picture::Picture;
 use crate::resident::ResidentWorld;
 use crate::slot::{FrameSlot, Pending};
@@ -262,7 +262,7 @@ impl Renderer {
         {
             kept.repair_failed();
         }
-        let order_error = matches!(self.options.order, OrderMode::Bounded { .. }).then(|| {
+        let order_error = orders.contains(&OrderPath::Stale).then(|| {
             let [bits, pixels_above_255th] = self.slots[slot].found_order_error.read_host()[0];
             OrderError { max: f32::from_bits(bits), pixels_above_255th }
         });

@@ -43,6 +43,22 @@ struct Push {
     camera_count: u32,
     items_max: u32,
     contribution_scale: f32,
+    measured_stride: u32,
+    measured_first: u32,
+}
+
+/// Which of a frame's segments the order error is measured in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Measured {
+    /// One of so many, at least 1.
+    pub stride: u32,
+    /// The first of them, below the stride.
+    pub first: u32,
+}
+
+impl Measured {
+    /// All of them.
+    pub const ALL: Self = Self { stride: 1, first: 0 };
 }
 
 /// `blend.comp`.
@@ -51,7 +67,8 @@ pub struct Blend {
 }
 
 impl Blend {
-    /// The stage for pictures of the given rules; `order_error` where lists may be out of order and that is to be measured.
+    /// The stage for pictures of the given rules; with `order_error` it draws nothing, and measures what it
+    /// costs that lists are out of order.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
@@ -66,7 +83,8 @@ impl Blend {
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &constants)? })
     }
 
-    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results.
+    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results. Where it measures
+    /// the order error, it does so in the items that `measured` names.
     #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
     pub fn record(
         &self,
@@ -80,12 +98,15 @@ impl Blend {
         projected: &Projected,
         partials: &Partials,
         pictures: &OutputBuffers,
+        measured: Measured,
     ) {
         let push = Push {
             sky,
             camera_count: camera_count as u32,
             items_max: plan.items.len() as u32,
             contribution_scale: pictures.contribution_scale(),
+            measured_stride: measured.stride.max(1),
+            measured_first: measured.first,
         };
         let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
         let buffers = [

@@ -21,7 +21,7 @@ mod scan;
 mod sort;
 
 pub use agents::{AgentBuffers, AgentCounts, CullAgents, ProjectAgents};
-pub use blend::{Blend, Partials};
+pub use blend::{Blend, Measured, Partials};
 pub use composite::CompositeSegments;
 pub use count_pairs::CountPairs;
 pub use cull::{Cull, Visible};
@@ -32,7 +32,7 @@ pub use plan_order::{OrderPlan, PlanOrder};
 pub use plan_segments::{Plan, PlanSegments};
 pub use project::{Project, ProjectVariant, Projected};
 pub use ranks::{RankLists, Ranked, Ranks};
-pub use repair_order::{REPAIR_WINDOW, RepairOrder, StaticLists};
+pub use repair_order::{REPAIR_REACH_MAX, RepairOrder, StaticLists};
 pub use scan::Scan;
 pub use sort::{RadixSort, SEGMENTS_MAX, SortInput, SortScratch};
 

@@ -6,10 +6,10 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 use super::{Arguments, Control, OrderPlan, SortScratch, kernel};
 use crate::capacity::groups_for;
 
-/// Places that one workgroup sorts.
-pub const REPAIR_WINDOW: usize = 1024;
-/// Places that one workgroup checks.
-const CHECK_BLOCK: usize = 1024;
+/// Places that one workgroup repairs or checks.
+const BLOCK: usize = 1024;
+/// Entries that stand the wrong way round are found up to this many places apart.
+pub const REPAIR_REACH_MAX: u32 = 256;
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -17,7 +17,7 @@ struct RepairPush {
     camera_count: u32,
     chunk_count: u32,
     records_max: u32,
-    shift: u32,
+    reach: u32,
 }
 
 #[repr(C)]
@@ -61,35 +61,39 @@ impl RepairOrder {
         })
     }
 
-    /// Sorts windows of the first buffers of `sort`, `rounds` times, every other time shifted by half a window.
-    pub fn record_rounds(
+    /// Finds the order of the lists in the first buffers of `sort` in which entries that stand the wrong way round are at most
+    /// `reach` places apart; [`RepairOrder::record_check`] takes it over.
+    ///
+    /// # Panics
+    /// When `reach` is more than [`REPAIR_REACH_MAX`].
+    pub fn record_repair(
         &self,
         recorder: &mut Recorder,
         lists: StaticLists<'_>,
         plan: &OrderPlan,
         sort: &SortScratch,
-        rounds: u32,
+        reach: u32,
     ) {
-        for round in 0..rounds {
-            let push = RepairPush {
-                camera_count: lists.camera_count as u32,
-                chunk_count: lists.chunk_count as u32,
-                records_max: lists.records_max as u32,
-                shift: if round % 2 == 0 { 0 } else { REPAIR_WINDOW as u32 / 2 },
-            };
-            let buffers = [
-                ("view_orders", plan.view_orders.binding()),
-                ("firsts", lists.firsts.binding()),
-                ("keys", sort.keys[0].binding()),
-                ("values", sort.values[0].binding()),
-            ];
-            // As many windows as there can be: each list may end in one that is not full, and begin in one.
-            let windows = lists.records_max.div_ceil(REPAIR_WINDOW) + 2 * lists.camera_count;
-            recorder.dispatch(&self.repair, &buffers, bytes_of(&push), groups_for(windows));
-        }
+        assert!(reach <= REPAIR_REACH_MAX, "a repair over {reach} places, at most {REPAIR_REACH_MAX} are looked at");
+        let push = RepairPush {
+            camera_count: lists.camera_count as u32,
+            chunk_count: lists.chunk_count as u32,
+            records_max: lists.records_max as u32,
+            reach,
+        };
+        let buffers = [
+            ("view_orders", plan.view_orders.binding()),
+            ("firsts", lists.firsts.binding()),
+            ("keys", sort.keys[0].binding()),
+            ("values", sort.values[0].binding()),
+            ("repaired", sort.values[1].binding()),
+        ];
+        // As many blocks as there can be: each list may end in one that is not full.
+        let blocks = lists.records_max.div_ceil(BLOCK) + lists.camera_count;
+        recorder.dispatch(&self.repair, &buffers, bytes_of(&push), groups_for(blocks));
     }
 
-    /// Counts the inversions that are left.
+    /// Takes over what [`RepairOrder::record_repair`] found, and counts the inversions that are left.
     pub fn record_check(&self, recorder: &mut Recorder, lists: StaticLists<'_>, plan: &OrderPlan, sort: &SortScratch) {
         let push = CheckPush {
             camera_count: lists.camera_count as u32,
@@ -101,9 +105,11 @@ impl RepairOrder {
             ("firsts", lists.firsts.binding()),
             ("keys", sort.keys[0].binding()),
             ("values", sort.values[0].binding()),
+            ("repaired", sort.values[1].binding()),
+            ("unranked_keys", sort.keys[1].binding()),
             ("inversions", plan.inversions.binding()),
         ];
-        recorder.dispatch(&self.check, &buffers, bytes_of(&push), groups_for(lists.records_max.div_ceil(CHECK_BLOCK)));
+        recorder.dispatch(&self.check, &buffers, bytes_of(&push), groups_for(lists.records_max.div_ceil(BLOCK)));
     }
 
     /// Puts the lists that are still out of order back into the order of their splats.

@@ -1,0 +1,376 @@
+//! Plots as inline SVG: curves, scatters and stacked bars. The page that holds them also holds [`STYLE`].
+
+use std::fmt::Write;
+
+/// What the drawings need of a page's style sheet: readable on a light and on a dark ground. Series are told apart with most kinds
+/// of colour blindness (Okabe and Ito).
+pub const STYLE: &str = ":root{color-scheme:light dark;--ground:#fff;--ink:#1d2229;--dim:#5c6672;--rule:#d9dee4;\
+--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#cc79a7;--c4:#b8860b;--c5:#56b4e9;--c6:#7a5195;--c7:#7f8c8d;--c8:#8c564b;--c9:#3b7d23}\
+@media(prefers-color-scheme:dark){:root{--ground:#15181c;--ink:#e4e8ec;--dim:#9aa5b1;--rule:#343b44;\
+--c0:#4aa8e0;--c1:#f08a3c;--c2:#2fc79b;--c3:#e39cc4;--c4:#e6b422;--c5:#8fd0f5;--c6:#b48ad0;--c7:#aab4b5;--c8:#c4907f;--c9:#7cc45f}}\
+svg{max-width:100%;height:auto}svg text{font:12px system-ui,sans-serif;fill:var(--dim)}\
+svg .title{font-weight:600;font-size:14px;fill:var(--ink)}svg .middle{text-anchor:middle}svg .end{text-anchor:end}\
+svg .grid{stroke:var(--rule)}svg .curve{fill:none;stroke-width:2}svg .mark{fill:var(--ground);stroke-width:2}svg .name{fill:var(--ink)}";
+
+/// Colours there are; series beyond take them again.
+const COLOURS: usize = 10;
+/// About so many ticks on an axis.
+const TICKS: f64 = 6.0;
+const WIDTH: f64 = 640.0;
+const HEIGHT: f64 = 340.0;
+/// The frame of a plot within the drawing.
+const FRAME: Frame = Frame { left: 70.0, right: 480.0, top: 34.0, bottom: 286.0 };
+const LEGEND_X: f64 = 494.0;
+const LEGEND_STEP: f64 = 18.0;
+/// A letter of the plots' text is about so wide.
+const LETTER: f64 = 6.6;
+
+/// Points under one name.
+pub struct Series {
+    pub name: String,
+    /// Which of the colours.
+    pub colour: usize,
+    pub points: Vec<(f64, f64)>,
+    /// Where the series ends for a reason: the place along x, and the reason.
+    pub end: Option<(f64, String)>,
+}
+
+/// One axis of a plot.
+#[derive(Clone, Copy, Default)]
+pub struct Axis<'a> {
+    pub label: &'a str,
+    /// By the decimal logarithm.
+    pub log: bool,
+    /// Whether it begins at zero, where it is not logarithmic.
+    pub from_zero: bool,
+}
+
+/// Series over two axes.
+pub struct Plot<'a> {
+    pub title: &'a str,
+    pub x: Axis<'a>,
+    pub y: Axis<'a>,
+    /// Whether the points of a series are joined; else each is named beside it.
+    pub joined: bool,
+    pub series: Vec<Series>,
+}
+
+/// Bars of parts, one below the other.
+pub struct Bars<'a> {
+    pub title: &'a str,
+    pub x_label: &'a str,
+    pub parts: Vec<String>,
+    /// A name, and one value a part.
+    pub rows: Vec<(String, Vec<f64>)>,
+}
+
+struct Frame {
+    left: f64,
+    right: f64,
+    top: f64,
+    bottom: f64,
+}
+
+/// An axis with its range: where values lie and which of them are written.
+struct Scale {
+    log: bool,
+    min: f64,
+    max: f64,
+    ticks: Vec<f64>,
+}
+
+impl Scale {
+    /// For `values`; those that the axis cannot show are passed over.
+    fn over(values: impl Iterator<Item = f64>, axis: Axis<'_>) -> Self {
+        let shown = values.filter(|&value| value.is_finite() && (!axis.log || value > 0.0));
+        let (min, max) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), value| (min.min(value), max.max(value)));
+        let (min, max) = if min <= max { (min, max) } else { (1.0, 10.0) };
+        if axis.log { Self::logarithmic(min, max) } else { Self::linear(if axis.from_zero { min.min(0.0) } else { min }, max) }
+    }
+
+    fn linear(min: f64, max: f64) -> Self {
+        let max = if max > min { max } else { min + min.abs().max(1.0) };
+        let rough = (max - min) / TICKS;
+        let power = 10f64.powf(rough.log10().floor());
+        let step =
+            [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power).into_iter().find(|step| *step >= rough).unwrap_or(10.0 * power);
+        let (first, last) = ((min / step).floor(), (max / step - 1e-9).ceil());
+        let ticks: Vec<f64> = (0..=(last - first) as usize).map(|at| (first + at as f64) * step).collect();
+        Self { log: false, min: first * step, max: last * step, ticks }
+    }
+
+    fn logarithmic(min: f64, max: f64) -> Self {
+        let decades = (min.log10().floor() as i32, max.log10().ceil() as i32);
+        let factors: &[f64] = if decades.1 - decades.0 > 3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+        let all: Vec<f64> =
+            (decades.0..=decades.1).flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power))).collect();
+        let below = all.iter().copied().filter(|tick| *tick <= min * 1.0001).fold(f64::NEG_INFINITY, f64::max);
+        let above = all.iter().copied().find(|tick| *tick >= max * 0.9999 && *tick > below).unwrap_or(max * 2.0);
+        let ticks = all.into_iter().filter(|tick| (below..=above).contains(tick)).collect();
+        Self { log: true, min: below, max: above, ticks }
+    }
+
+    /// The place of `value` between `from` and `to`; `None` where it has none.
+    fn place(&self, value: f64, from: f64, to: f64) -> Option<f64> {
+        let on = |value: f64| if self.log { value.log10() } else { value };
+        let share = (on(value) - on(self.min)) / (on(self.max) - on(self.min));
+        share.is_finite().then_some(from + share * (to - from))
+    }
+}
+
+fn svg_of(title: &str, height: f64) -> String {
+    let name = escaped(title);
+    format!(
+        "<svg viewBox=\"0 0 {WIDTH} {height}\" width=\"{WIDTH}\" role=\"img\" aria-label=\"{name}\"><text x=\"{}\" y=\"20\" class=\"title\">{name}</text>",
+        FRAME.left
+    )
+}
+
+fn legend(svg: &mut String, at: usize, colour: usize, name: &str) {
+    let y = FRAME.top + 8.0 + LEGEND_STEP * at as f64;
+    let _ = write!(
+        svg,
+        "<rect x=\"{LEGEND_X}\" y=\"{}\" width=\"12\" height=\"8\" style=\"fill:var(--c{})\"/><text x=\"{}\" y=\"{}\" class=\"name\">{}</text>",
+        y - 8.0,
+        colour % COLOURS,
+        LEGEND_X + 18.0,
+        y,
+        escaped(name)
+    );
+}
+
+impl Plot<'_> {
+    /// The drawing. Points that an axis cannot show are left out.
+    pub fn to_svg(&self) -> String {
+        let points = || self.series.iter().flat_map(|series| &series.points);
+        let ends = self.series.iter().filter_map(|series| Some(series.end.as_ref()?.0));
+        let x = Scale::over(points().map(|point| point.0).chain(ends), self.x);
+        let y = Scale::over(points().map(|point| point.1), self.y);
+        let mut svg = svg_of(self.title, HEIGHT);
+        self.draw_axes(&mut svg, &x, &y);
+        let mut labels = Vec::new();
+        for (at, series) in self.series.iter().enumerate() {
+            draw_series(&mut svg, series, &x, &y, self.joined, &mut labels);
+            if self.joined {
+                legend(&mut svg, at, series.colour, &series.name);
+            }
+        }
+        svg.push_str("</svg>");
+        svg
+    }
+
+    fn draw_axes(&self, svg: &mut String, x: &Scale, y: &Scale) {
+        let Frame { left, right, top, bottom } = FRAME;
+        for &tick in &y.ticks {
+            if let Some(at) = y.place(tick, bottom, top) {
+                let _ = write!(svg, "<line x1=\"{left}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\" class=\"grid\"/>");
+                let _ = write!(svg, "<text x=\"{}\" y=\"{:.1}\" class=\"end\">{}</text>", left - 8.0, at + 4.0, number(tick));
+            }
+        }
+        for &tick in &x.ticks {
+            if let Some(at) = x.place(tick, left, right) {
+                let _ =
+                    write!(svg, "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{bottom}\" y2=\"{}\" class=\"grid\"/>", bottom + 5.0);
+                let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{}\" class=\"middle\">{}</text>", bottom + 20.0, number(tick));
+            }
+        }
+        let _ = write!(
+            svg,
+            "<text x=\"{}\" y=\"{}\" class=\"middle\">{}</text>",
+            0.5 * (left + right),
+            HEIGHT - 12.0,
+            escaped(self.x.label)
+        );
+        let middle = 0.5 * (top + bottom);
+        let _ = write!(
+            svg,
+            "<text transform=\"translate(16 {middle}) rotate(-90)\" class=\"middle\">{}</text>",
+            escaped(self.y.label)
+        );
+    }
+}
+
+/// A curve or named points; `labels` are the places of names that are written already.
+fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, joined: bool, labels: &mut Vec<(f64, f64, f64)>) {
+    let colour = series.colour % COLOURS;
+    let place = |&(px, py): &(f64, f64)| Some((x.place(px, FRAME.left, FRAME.right)?, y.place(py, FRAME.bottom, FRAME.top)?));
+    let places: Vec<(f64, f64)> = series.points.iter().filter_map(place).collect();
+    if joined {
+        let line: Vec<String> = places.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+        let _ = write!(svg, "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{colour})\"/>", line.join(" "));
+    }
+    for &(x, y) in &places {
+        let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" class=\"mark\" style=\"stroke:var(--c{colour})\"/>");
+        if !joined {
+            let width = LETTER * series.name.chars().count() as f64;
+            let left = x + 9.0;
+            // Down until no other name is in the way.
+            let mut base = y + 4.0;
+            while labels.iter().any(|&(l, b, w)| (b - base).abs() < 13.0 && l < left + width && left < l + w) {
+                base += 13.0;
+            }
+            labels.push((left, base, width));
+            let _ = write!(svg, "<text x=\"{left:.1}\" y=\"{base:.1}\" class=\"name\">{}</text>", escaped(&series.name));
+        }
+    }
+    if let Some((end, reason)) = &series.end
+        && let Some(at) = x.place(*end, FRAME.left, FRAME.right)
+    {
+        let base = FRAME.bottom - 8.0 - 13.0 * labels.len() as f64;
+        labels.push((at, base, 0.0));
+        let _ = write!(
+            svg,
+            "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{}\" y2=\"{}\" style=\"stroke:var(--c{colour})\" stroke-dasharray=\"3 4\"/>\
+             <text x=\"{:.1}\" y=\"{base:.1}\" class=\"end\">{}</text>",
+            FRAME.top,
+            FRAME.bottom,
+            at - 6.0,
+            escaped(reason)
+        );
+    }
+}
+
+impl Bars<'_> {
+    /// The drawing, as high as its rows need.
+    pub fn to_svg(&self) -> String {
+        const ROW: f64 = 26.0;
+        const LEFT: f64 = 130.0;
+        let rows_height = (ROW * self.rows.len() as f64).max(LEGEND_STEP * self.parts.len() as f64 + 12.0);
+        let (right, bottom) = (FRAME.right, FRAME.top + rows_height);
+        let sum = |values: &[f64]| values.iter().sum::<f64>();
+        let axis = Axis { from_zero: true, ..Axis::default() };
+        let scale = Scale::over(self.rows.iter().map(|(_, values)| sum(values)), axis);
+        let mut svg = svg_of(self.title, bottom + 54.0);
+        for &tick in &scale.ticks {
+            if let Some(at) = scale.place(tick, LEFT, right) {
+                let _ = write!(svg, "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{}\" y2=\"{bottom}\" class=\"grid\"/>", FRAME.top);
+                let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{}\" class=\"middle\">{}</text>", bottom + 18.0, number(tick));
+            }
+        }
+        for (row, (name, values)) in self.rows.iter().enumerate() {
+            let y = FRAME.top + ROW * row as f64 + 4.0;
+            let _ = write!(svg, "<text x=\"{}\" y=\"{:.1}\" class=\"end name\">{}</text>", LEFT - 8.0, y + 13.0, escaped(name));
+            let mut from = 0.0;
+            for (part, value) in values.iter().enumerate() {
+                if let (Some(a), Some(b)) = (scale.place(from, LEFT, right), scale.place(from + value, LEFT, right)) {
+                    let _ = write!(
+                        svg,
+                        "<rect x=\"{a:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"18\" style=\"fill:var(--c{});opacity:{}\"><title>{} {} ms</title></rect>",
+                        (b - a).max(0.0),
+                        part % COLOURS,
+                        opacity(part),
+                        escaped(&self.parts[part]),
+                        number(*value)
+                    );
+                }
+                from += value;
+            }
+        }
+        for (at, part) in self.parts.iter().enumerate() {
+            legend(&mut svg, at, at, part);
+        }
+        let _ = write!(
+            svg,
+            "<text x=\"{}\" y=\"{}\" class=\"middle\">{}</text></svg>",
+            0.5 * (LEFT + right),
+            bottom + 40.0,
+            escaped(self.x_label)
+        );
+        svg
+    }
+}
+
+/// Parts that take a colour again are paler.
+fn opacity(part: usize) -> f64 {
+    if part < COLOURS { 1.0 } else { 0.55 }
+}
+
+/// Three digits that count.
+pub fn number(value: f64) -> String {
+    let size = value.abs();
+    if size != 0.0 && !(1e-3..1e6).contains(&size) {
+        return format!("{value:.1e}");
+    }
+    let decimals = if size >= 100.0 || size == 0.0 {
+        0
+    } else if size >= 10.0 {
+        1
+    } else if size >= 1.0 {
+        2
+    } else {
+        3
+    };
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// `text` as HTML shows it.
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn series(points: &[(f64, f64)]) -> Series {
+        Series { name: "a < b".into(), colour: 0, points: points.to_vec(), end: None }
+    }
+
+    #[test]
+    fn a_curve_lies_in_its_frame_and_what_is_no_number_is_left_out() {
+        let points = [(0.0, 10.0), (1.0, 1000.0), (2.0, f64::NAN), (3.0, 0.0)];
+        let plot = |log| {
+            let y = Axis { label: "y", log, ..Axis::default() };
+            Plot { title: "t", x: Axis::default(), y, joined: true, series: vec![series(&points)] }.to_svg()
+        };
+        assert!(plot(true).contains("points=\"70.0,286.0 206.7,34.0\""), "{}", plot(true));
+        assert!(plot(false).contains(" 480.0,286.0\"") && plot(false).contains("a &lt; b"), "{}", plot(false));
+        let empty = Plot { title: "", x: Axis::default(), y: Axis::default(), joined: false, series: vec![] }.to_svg();
+        assert!(!empty.contains("NaN") && !empty.contains("inf"));
+    }
+
+    #[test]
+    fn ticks_are_round_and_hold_the_values() {
+        let scale = Scale::linear(0.0, 52.4);
+        assert_eq!(scale.ticks, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]);
+        let scale = Scale::logarithmic(3.0, 70.0);
+        assert_eq!((scale.min, scale.max, scale.ticks.as_slice()), (2.0, 100.0, [2.0, 5.0, 10.0, 20.0, 50.0, 100.0].as_slice()));
+        let one = Scale::linear(5.0, 5.0);
+        assert!(one.min <= 5.0 && one.max > one.min && one.ticks.len() < 20);
+        let one = Scale::logarithmic(10.0, 10.0);
+        assert!(one.min <= 10.0 && one.max > one.min);
+    }
+
+    #[test]
+    fn names_of_points_in_one_place_do_not_cover_each_other() {
+        let named = |name: &str| Series { name: name.into(), ..series(&[(1.0, 1.0)]) };
+        let all = Plot {
+            title: "",
+            x: Axis::default(),
+            y: Axis::default(),
+            joined: false,
+            series: vec![named("first"), named("second")],
+        };
+        let svg = all.to_svg();
+        let bases: Vec<&str> = svg.split("class=\"name\"").collect();
+        assert_eq!(bases.len(), 3);
+        let base = |text: &str| text.rsplit("y=\"").next().unwrap().split('"').next().unwrap().parse::<f64>().unwrap();
+        assert!((base(bases[0]) - base(bases[1])).abs() >= 13.0, "{svg}");
+    }
+
+    #[test]
+    fn bars_are_as_long_as_their_parts() {
+        let bars =
+            Bars { title: "t", x_label: "ms", parts: vec!["a".into(), "b".into()], rows: vec![("m".into(), vec![1.0, 3.0])] };
+        let svg = bars.to_svg();
+        // The axis ends at 4, so 350 px are 4 ms.
+        assert!(svg.contains("x=\"130.0\" y=\"38.0\" width=\"87.5\"") && svg.contains("width=\"262.5\""), "{svg}");
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        let written = [0.0, 0.5, 1.0, 12.34, 123.4, 2e7, -0.25].map(number);
+        assert_eq!(written, ["0", "0.5", "1", "12.3", "123", "2.0e7", "-0.25"]);
+    }
+}

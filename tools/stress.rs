@@ -1,0 +1,309 @@
+//! `decouplegs stress`: how frames, memory and error go with the number of agents, for several ways to draw them.
+
+mod charts;
+mod course;
+mod fidelity;
+mod figures;
+mod fit;
+mod measure;
+mod mode;
+mod page;
+mod prune;
+mod report;
+mod subject;
+mod tables;
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::{Result, ensure};
+use decouplegs::asset::{read_cameras, write_atomically};
+use decouplegs::gpu::Gpu;
+use decouplegs::render::Picture;
+use serde_json::{Value, json};
+
+use crate::arguments::{Size, print};
+use crate::device::{DeviceArguments, check_validation};
+use crate::progress;
+use course::Course;
+use figures::Point;
+use measure::Stand;
+use mode::{Agents, Mode};
+use report::{Report, Thumbnails};
+use subject::{StreetWish, Subject};
+
+/// Measure frames, memory and error against the number of agents that drive, for several ways to draw them
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A scene (.toml) with agents, plain or compressed
+    #[arg(required_unless_present = "synth", conflicts_with = "synth")]
+    scene: Option<PathBuf>,
+    /// Make up a street instead, with as many agents as are asked for, and compress its cars
+    #[arg(long)]
+    synth: bool,
+    #[command(flatten)]
+    street: StreetArguments,
+    /// Numbers of agents: the first so many of the scene
+    #[arg(long, value_name = "N,...", value_delimiter = ',', default_value = "0,1,2,5,10,20,30,40,50")]
+    agents: Vec<usize>,
+    /// Cameras that stand: INRIA cameras.json or nerfstudio transforms.json (default: the ego's rig, which drives)
+    #[arg(long, value_name = "FILE")]
+    cameras: Option<PathBuf>,
+    /// Draw the first so many cameras, in one submission (default: all)
+    #[arg(long, value_name = "N")]
+    cameras_used: Option<usize>,
+    /// Render every picture at this size, with its field of view (default: the camera's own)
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// Frames that are timed
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    frames: u32,
+    /// Frames before them that are not
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    warm_up: u32,
+    /// Time from one frame to the next, in which the ego and the agents drive on
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.05, value_parser = seconds)]
+    step: f64,
+    /// The moment of the first frame, seconds (default: when the ego's trajectory begins)
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
+    time: Option<f64>,
+    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, bounded[=RAD], lod[=PX], sh0, sh1, sh2, keep=SHARE, colors=N
+    #[arg(long, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
+    modes: Vec<Mode>,
+    /// Moments at which pictures are compared with vanilla's
+    #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    samples: u32,
+    /// Report modes that take more device memory as out of memory, such as 2GiB or 500MiB
+    #[arg(long, value_name = "BYTES")]
+    memory_limit: Option<ByteSize>,
+    /// Views all around an asset from which its splats' visibility is measured, where it is to be compressed
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    views: u32,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// Write all figures to this file
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write a page with plots, tables and pictures to this file
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+}
+
+/// The street of `--synth`.
+#[derive(clap::Args)]
+struct StreetArguments {
+    /// Splats of the street without its traffic
+    #[arg(long, value_name = "N", default_value_t = 200_000, requires = "synth")]
+    background: usize,
+    /// Splats of each car
+    #[arg(long, value_name = "N", default_value_t = 10_000, requires = "synth", value_parser = at_least_one)]
+    agent_splats: usize,
+    /// Distinct cars
+    #[arg(long, value_name = "N", default_value_t = 12, requires = "synth", value_parser = at_least_one)]
+    assets: usize,
+    /// Degree of the spherical harmonics
+    #[arg(long, value_name = "D", default_value_t = 3, requires = "synth", value_parser = clap::value_parser!(u8).range(0..=3))]
+    degree: u8,
+    /// Everything random follows from it, the codebooks of compressed assets too
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+}
+
+/// A number of bytes, with or without a unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct ByteSize(u64);
+
+impl FromStr for ByteSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+        let unit = match &text[digits.len()..] {
+            "" | "B" => Some(1.0),
+            "KiB" => Some(1024.0),
+            "MiB" => Some(1048576.0),
+            "GiB" => Some(1073741824.0),
+            "kB" => Some(1e3),
+            "MB" => Some(1e6),
+            "GB" => Some(1e9),
+            _ => None,
+        };
+        let bytes = unit.and_then(|unit| Some(digits.trim().parse::<f64>().ok()? * unit));
+        let fits = bytes.filter(|bytes| (1.0..1e18).contains(bytes));
+        fits.map(|bytes| Self(bytes as u64))
+            .ok_or_else(|| format!("expected bytes such as 2GiB, 500MB or 1048576, found {text:?}"))
+    }
+}
+
+fn at_least_one(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|&count| count >= 1).ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
+}
+
+fn finite(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| format!("expected seconds, found {text:?}"))
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    finite(text)
+        .and_then(|value| if value >= 0.0 { Ok(value) } else { Err(format!("expected seconds of at least 0, found {text:?}")) })
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let mut counts = arguments.agents.clone();
+    counts.sort_unstable();
+    counts.dedup();
+    let modes = without_repetition(&arguments.modes);
+    let mut subject = open(arguments, counts.last().copied().unwrap_or(0))?;
+    let most = counts.last().copied().unwrap_or(0);
+    ensure!(most <= subject.agents(), "--agents {most}: the scene has {} agents", subject.agents());
+    let course = course(arguments, &mut subject)?;
+
+    let gpu = arguments.device.open()?;
+    for mode in &modes {
+        if let Agents::Coded(coding) = mode.agents {
+            subject.code(&gpu, coding, arguments.views, arguments.street.seed)?;
+        }
+    }
+    let conditions = conditions(arguments, &gpu, &subject, &course);
+    let mut stand = Stand::new(&gpu, subject, &course, arguments.memory_limit.map(|limit| limit.0));
+    let (points, thumbnails) = measure_all(&mut stand, &modes, &counts)?;
+    check_validation(&gpu)?;
+
+    let report = Report { conditions, modes, counts, points, thumbnails };
+    if let Some(path) = &arguments.json {
+        write_atomically(path, |file| writeln!(file, "{:#}", report.to_json()))?;
+    }
+    if let Some(path) = &arguments.report {
+        let page = page::page(&report)?;
+        write_atomically(path, |file| file.write_all(page.as_bytes()))?;
+    }
+    print(&report.to_text())
+}
+
+fn without_repetition(asked: &[Mode]) -> Vec<Mode> {
+    let mut modes: Vec<Mode> = Vec::new();
+    for mode in asked {
+        if !modes.contains(mode) {
+            modes.push(mode.clone());
+        }
+    }
+    modes
+}
+
+fn open(arguments: &Arguments, agents: usize) -> Result<Subject> {
+    let StreetArguments { background, agent_splats, assets, degree, seed } = arguments.street;
+    match &arguments.scene {
+        Some(path) => Subject::open(path),
+        None => Subject::street(&StreetWish { background, agents, agent_splats, assets, sh_degree: degree, seed }),
+    }
+}
+
+/// The drive, for which the scene's cameras get the size that was asked for.
+fn course(arguments: &Arguments, subject: &mut Subject) -> Result<Course> {
+    let scene = subject.background_mut();
+    let mut standing = arguments.cameras.as_deref().map(read_cameras).transpose()?;
+    if let Some(Size { width_px, height_px }) = arguments.size {
+        let rig = scene.rig.cameras.iter_mut().map(|camera| &mut camera.intrinsics);
+        let fixed = standing.iter_mut().flatten().map(|camera| &mut camera.intrinsics);
+        rig.chain(fixed).for_each(|intrinsics| *intrinsics = intrinsics.resized(width_px, height_px));
+    }
+    let there = standing.as_ref().map_or(scene.rig.cameras.len(), Vec::len);
+    ensure!(there > 0, "the scene has no cameras of its own: name some with --cameras FILE (INRIA or nerfstudio)");
+    let cameras_used = arguments.cameras_used.unwrap_or(there);
+    ensure!((1..=there).contains(&cameras_used), "--cameras-used {cameras_used}: there are {there} cameras");
+    Ok(Course {
+        start_s: arguments.time.unwrap_or(scene.ego.start_s()),
+        step_s: arguments.step,
+        warm_up: arguments.warm_up,
+        frames: arguments.frames,
+        samples: arguments.samples,
+        cameras_used,
+        standing,
+    })
+}
+
+/// Of what, on what and how, for whoever reads the figures later.
+fn conditions(arguments: &Arguments, gpu: &Gpu, subject: &Subject, course: &Course) -> Value {
+    let scene = subject.background();
+    let cameras = course.cameras(scene, course.start_s);
+    let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+    let assets = subject.asset_splats().into_iter();
+    let assets: Vec<Value> =
+        assets.map(|(name, splats, coded)| json!({ "name": name, "splats": splats, "coded_splats": coded })).collect();
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "device": gpu.info().name,
+        "driver": gpu.info().driver,
+        "device_memory_bytes": gpu.info().device_memory_bytes,
+        "two_queues": gpu.has_update_queue(),
+        "source": subject.source(),
+        "background_splats": scene.world.splats.len(),
+        "sh_degree": scene.world.splats.sh_degree,
+        "rules": format!("{:?}", scene.world.rules),
+        "assets": assets,
+        "originals_known": subject.has_originals(),
+        "compression": { "views": arguments.views, "seed": arguments.street.seed },
+        "cameras": cameras.len(),
+        "camera_names": names,
+        "width_px": cameras[0].intrinsics.width_px,
+        "height_px": cameras[0].intrinsics.height_px,
+        "start_s": course.start_s,
+        "step_s": course.step_s,
+        "warm_up": course.warm_up,
+        "frames": course.frames,
+        "samples_s": course.sample_frames().into_iter().map(|frame| course.time_s(frame)).collect::<Vec<_>>(),
+        "memory_limit_bytes": arguments.memory_limit.map(|limit| limit.0),
+    })
+}
+
+/// Every mode with every number of agents, and one view of the last that vanilla and decoupled were both drawn with.
+fn measure_all(stand: &mut Stand<'_>, modes: &[Mode], counts: &[usize]) -> Result<(Vec<Point>, Option<Thumbnails>)> {
+    let bar = progress::bar("stress", counts.len() * (modes.len() + 1));
+    let (mut points, mut thumbnails) = (Vec::new(), None);
+    for &agents in counts {
+        bar.set_message(format!("{agents} agents: the pictures to compare with"));
+        let vanilla = stand.vanilla_pictures(agents)?;
+        bar.inc(1);
+        for mode in modes {
+            bar.set_message(format!("{agents} agents: {}", mode.name));
+            let (outcome, pictures) = stand.measure(mode, agents, vanilla.as_deref())?;
+            if mode.is_decoupled() {
+                thumbnails = view_of(stand.course, agents, vanilla.as_deref(), &pictures).or(thumbnails);
+            }
+            points.push(Point { mode: mode.clone(), agents, unique_assets: stand.subject.unique_assets(agents), outcome });
+            bar.inc(1);
+        }
+    }
+    bar.finish_and_clear();
+    Ok((points, thumbnails))
+}
+
+/// The first camera at the middle one of the sampled moments.
+fn view_of(course: &Course, agents: usize, vanilla: Option<&[Picture]>, decoupled: &[Picture]) -> Option<Thumbnails> {
+    let samples = course.sample_frames();
+    let middle = samples.len() / 2;
+    let place = middle * course.cameras_used;
+    Some(Thumbnails {
+        agents,
+        time_s: course.time_s(*samples.get(middle)?),
+        vanilla: vanilla?.get(place)?.clone(),
+        decoupled: decoupled.get(place)?.clone(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_are_read_with_their_unit() {
+        let read = |text: &str| text.parse::<ByteSize>().map(|size| size.0);
+        assert_eq!(read("2GiB"), Ok(2 << 30));
+        assert_eq!(read("1.5kB"), Ok(1500));
+        assert_eq!(read("1048576"), Ok(1 << 20));
+        for nonsense in ["", "GiB", "-1MB", "2 gigabytes", "NaN", "0", "1e30GB"] {
+            assert!(read(nonsense).unwrap_err().contains("2GiB"), "{nonsense}");
+        }
+    }
+}

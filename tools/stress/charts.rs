@@ -1,0 +1,96 @@
+//! The page's drawings.
+
+use super::figures::Outcome;
+use super::report::{Report, mebibytes};
+use crate::plot::{Axis, Bars, Plot, Series};
+
+fn figure(svg: &str) -> String {
+    format!("<figure>{svg}</figure>")
+}
+
+const AGENTS: Axis<'static> = Axis { label: "agents", log: false, from_zero: true };
+
+/// A curve for each mode over the number of agents; one that ends says why.
+fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -> Vec<Series> {
+    let series = |(at, mode): (usize, &super::mode::Mode)| {
+        let lost = report.points_of(mode).find(|point| point.measured().is_none());
+        let reason = |outcome: &Outcome| match outcome {
+            Outcome::OutOfMemory { .. } => format!("{} out of memory", mode.name),
+            _ => format!("{} not drawn", mode.name),
+        };
+        Series {
+            name: mode.name.clone(),
+            colour: at,
+            points: report.measured_of(mode).map(|(point, measured)| (point.agents as f64, of(measured))).collect(),
+            end: lost.map(|point| (point.agents as f64, reason(&point.outcome))),
+        }
+    };
+    report.modes.iter().enumerate().map(series).collect()
+}
+
+pub fn images_against_agents(report: &Report) -> String {
+    let y = Axis { label: "images/s", log: false, from_zero: true };
+    let series = over_agents(report, &|measured| measured.images_per_s());
+    figure(&Plot { title: "Images a second against agents", x: AGENTS, y, joined: true, series }.to_svg())
+}
+
+pub fn memory_against_agents(report: &Report) -> String {
+    let y = Axis { label: "MiB", log: false, from_zero: true };
+    let series = over_agents(report, &|measured| mebibytes(measured.memory.total_bytes));
+    figure(&Plot { title: "Device memory against agents", x: AGENTS, y, joined: true, series }.to_svg())
+}
+
+/// Median GPU time by stage, a bar for each mode, with the most agents.
+pub fn stages(report: &Report) -> String {
+    let largest = report.largest_count();
+    let points: Vec<_> = report.points.iter().filter(|point| point.agents == largest).collect();
+    let mut parts: Vec<&'static str> = Vec::new();
+    for (name, _) in points.iter().filter_map(|point| point.measured()).flat_map(|measured| &measured.stages) {
+        if !parts.contains(name) {
+            parts.push(name);
+        }
+    }
+    let rows = points.iter().filter_map(|point| {
+        let measured = point.measured()?;
+        let time =
+            |part: &&'static str| measured.stages.iter().find(|(name, _)| name == part).map_or(0.0, |(_, times)| times.median);
+        Some((point.mode.name.clone(), parts.iter().map(time).collect()))
+    });
+    let bars = Bars {
+        title: "GPU time by stage, both queues",
+        x_label: "ms a frame, medians",
+        rows: rows.collect(),
+        parts: parts.iter().map(|part| (*part).to_owned()).collect(),
+    };
+    figure(&bars.to_svg())
+}
+
+/// How far above the largest finite PSNR pictures without error are drawn, decibels.
+const EQUAL_ABOVE_DB: f64 = 10.0;
+
+/// Speed against error of every mode with the most agents.
+pub fn speed_against_error(report: &Report) -> String {
+    let largest = report.largest_count();
+    let measured: Vec<_> = (report.modes.iter().enumerate())
+        .filter_map(|(at, mode)| {
+            let (_, measured) = report.measured_of(mode).find(|(point, _)| point.agents == largest)?;
+            let psnr_db = if mode.is_vanilla() { f64::INFINITY } else { measured.fidelity?.psnr_all_db };
+            Some((at, mode, measured.images_per_s(), psnr_db))
+        })
+        .collect();
+    let highest =
+        measured.iter().map(|(.., psnr_db)| *psnr_db).filter(|psnr_db| psnr_db.is_finite()).fold(f64::NEG_INFINITY, f64::max);
+    let equal = if highest.is_finite() { highest + EQUAL_ABOVE_DB } else { 100.0 };
+    let series = measured.into_iter().map(|(at, mode, images_per_s, psnr_db)| {
+        let name = if psnr_db.is_finite() { mode.name.clone() } else { format!("{} (no error)", mode.name) };
+        Series { name, colour: at, points: vec![(images_per_s, psnr_db.min(equal))], end: None }
+    });
+    let plot = Plot {
+        title: "Speed against error: up and right is better",
+        x: Axis { label: "images/s, logarithmic", log: true, from_zero: false },
+        y: Axis { label: "PSNR-All against vanilla, dB", log: false, from_zero: false },
+        joined: false,
+        series: series.collect(),
+    };
+    figure(&plot.to_svg())
+}

@@ -1,0 +1,219 @@
+//! What was measured, and its JSON.
+
+use std::collections::BTreeMap;
+
+use decouplegs::gpu::MemoryReport;
+use decouplegs::render::FrameStatistics;
+use serde_json::{Value, json};
+
+use super::fidelity::Fidelity;
+use super::mode::Mode;
+
+/// One mode with so many agents.
+pub struct Point {
+    pub mode: Mode,
+    pub agents: usize,
+    pub unique_assets: usize,
+    pub outcome: Outcome,
+}
+
+pub enum Outcome {
+    Measured(Box<Measured>),
+    /// It needs more memory than it may have, or than there is.
+    OutOfMemory {
+        needed_bytes: u64,
+        /// How that is known.
+        known: &'static str,
+    },
+    /// The device cannot draw it at all.
+    Refused(String),
+}
+
+/// What the timed frames took.
+pub struct Measured {
+    /// Wall clock from the end of a frame to the end of the next.
+    pub step_ms: Spread,
+    /// Of the main queue.
+    pub gpu_ms: Spread,
+    /// Of the agents' part, where it runs by itself.
+    pub update_ms: Option<Spread>,
+    /// Of the host, to record and submit.
+    pub record_ms: Spread,
+    /// In the order they run; of both queues.
+    pub stages: Vec<(&'static str, Spread)>,
+    /// While the last of the frames was shown.
+    pub memory: MemoryReport,
+    /// What the scene alone was expected to take.
+    pub predicted_scene_bytes: u64,
+    /// Splats of the cloud that is no agent's own.
+    pub world_splats: usize,
+    /// Medians: agents in sight, their splats, visible splats, entries of macro tiles.
+    pub agents_drawn: f64,
+    pub agent_splats: f64,
+    pub records: f64,
+    pub pairs: f64,
+    pub cameras: usize,
+    /// Frames that were drawn again because a list outgrew its buffer.
+    pub redrawn: usize,
+    /// Views by how their background came into order.
+    pub orders: BTreeMap<String, usize>,
+    /// The largest change of a pixel that a stale order may have made.
+    pub order_error_max: Option<f64>,
+    /// Against vanilla; `None` for vanilla itself, or where nothing was compared.
+    pub fidelity: Option<Fidelity>,
+}
+
+/// Order statistics of at least one value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    pub median: f64,
+    /// The value that 99 of 100 do not exceed.
+    pub p99: f64,
+    pub min: f64,
+    pub max: f64,
+}
+
+impl Spread {
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
+        let mut values: Vec<f64> = values.into_iter().collect();
+        values.sort_by(f64::total_cmp);
+        let count = values.len();
+        assert!(count > 0, "a spread is of at least one value");
+        Self {
+            median: 0.5 * (values[(count - 1) / 2] + values[count / 2]),
+            p99: values[(count * 99).div_ceil(100) - 1],
+            min: values[0],
+            max: values[count - 1],
+        }
+    }
+
+    fn to_json(self) -> Value {
+        json!({ "median": self.median, "p99": self.p99, "min": self.min, "max": self.max })
+    }
+}
+
+impl Point {
+    pub fn measured(&self) -> Option<&Measured> {
+        if let Outcome::Measured(measured) = &self.outcome { Some(measured) } else { None }
+    }
+
+    pub fn to_json(&self) -> Value {
+        let mut point = match &self.outcome {
+            Outcome::Measured(measured) => measured.to_json(),
+            Outcome::OutOfMemory { needed_bytes, known } => {
+                json!({ "out_of_memory": { "needed_bytes": needed_bytes, "known": known } })
+            }
+            Outcome::Refused(reason) => json!({ "refused": reason }),
+        };
+        point["mode"] = json!(self.mode.name);
+        point["agents"] = json!(self.agents);
+        point["unique_assets"] = json!(self.unique_assets);
+        point
+    }
+}
+
+impl Measured {
+    /// The figures of `frames`, which took `steps_ms` one after the other; neither is empty. Fidelity is left open.
+    pub fn of(frames: &[FrameStatistics], steps_ms: &[f64], memory: MemoryReport) -> Self {
+        let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
+        let median = |of: &dyn Fn(&FrameStatistics) -> f64| spread(of).median;
+        let updates: Vec<f64> = frames.iter().filter_map(|frame| Some(frame.update_time?.as_secs_f64() * 1e3)).collect();
+        let mut orders = BTreeMap::<String, usize>::new();
+        for path in frames.iter().flat_map(|frame| &frame.orders) {
+            *orders.entry(format!("{path:?}").to_lowercase()).or_default() += 1;
+        }
+        let order_errors = frames.iter().filter_map(|frame| frame.order_error.map(|error| f64::from(error.max)));
+        Self {
+            step_ms: Spread::of(steps_ms.iter().copied()),
+            gpu_ms: spread(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
+            update_ms: (!updates.is_empty()).then(|| Spread::of(updates)),
+            record_ms: spread(&|frame| frame.record_time.as_secs_f64() * 1e3),
+            stages: stage_names(frames).into_iter().map(|name| (name, spread(&|frame| stage_ms(frame, name)))).collect(),
+            memory,
+            predicted_scene_bytes: 0,
+            world_splats: 0,
+            agents_drawn: median(&|frame| frame.agents as f64),
+            agent_splats: median(&|frame| frame.agent_splats as f64),
+            records: median(&|frame| f64::from(frame.needs.records)),
+            pairs: median(&|frame| f64::from(frame.needs.pairs)),
+            cameras: frames[0].orders.len(),
+            redrawn: frames.iter().filter(|frame| frame.redrawn > 0).count(),
+            orders,
+            order_error_max: order_errors.reduce(f64::max),
+            fidelity: None,
+        }
+    }
+
+    pub fn rig_steps_per_s(&self) -> f64 {
+        1e3 / self.step_ms.median
+    }
+
+    pub fn images_per_s(&self) -> f64 {
+        self.rig_steps_per_s() * self.cameras as f64
+    }
+
+    /// The share of views that took no pass of the radix sort over the background.
+    pub fn share_without_sorting(&self) -> f64 {
+        let all: usize = self.orders.values().sum();
+        let free: usize = ["kept", "repaired", "stale"].iter().filter_map(|path| self.orders.get(*path)).sum();
+        free as f64 / all.max(1) as f64
+    }
+
+    fn to_json(&self) -> Value {
+        let stages = self.stages.iter().map(|(name, times)| json!({ "name": name, "gpu_ms": times.to_json() }));
+        json!({
+            "rig_steps_per_s": self.rig_steps_per_s(),
+            "images_per_s": self.images_per_s(),
+            "step_wall_ms": self.step_ms.to_json(),
+            "frame_gpu_ms": self.gpu_ms.to_json(),
+            "update_gpu_ms": self.update_ms.map(Spread::to_json),
+            "record_ms": self.record_ms.to_json(),
+            "stages": stages.collect::<Vec<_>>(),
+            "memory_bytes": {
+                "total": self.memory.total_bytes,
+                "by_purpose": self.memory.bytes_by_purpose,
+                "driver_usage": self.memory.driver_usage_bytes,
+                "driver_budget": self.memory.budget_bytes,
+                "predicted_scene": self.predicted_scene_bytes,
+            },
+            "world_splats": self.world_splats,
+            "agents_drawn": self.agents_drawn,
+            "agent_splats": self.agent_splats,
+            "records": self.records,
+            "pairs": self.pairs,
+            "frames_redrawn": self.redrawn,
+            "orders": self.orders,
+            "share_without_sorting": self.share_without_sorting(),
+            "order_error_max": self.order_error_max,
+            "fidelity": self.fidelity.map(Fidelity::to_json),
+        })
+    }
+}
+
+/// Names of all stages that some frame had, in the order they run, those of the update queue first.
+fn stage_names(frames: &[FrameStatistics]) -> Vec<&'static str> {
+    let mut names: Vec<&'static str> = Vec::new();
+    for stage in frames.iter().flat_map(|frame| frame.queues.iter().rev()).flat_map(|queue| &queue.stages) {
+        if !names.contains(&stage.name) {
+            names.push(stage.name);
+        }
+    }
+    names
+}
+
+fn stage_ms(frame: &FrameStatistics, name: &str) -> f64 {
+    let stages = frame.queues.iter().flat_map(|queue| &queue.stages);
+    stages.filter(|stage| stage.name == name).map(|stage| stage.duration_ns as f64 / 1e6).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spread_is_of_the_sorted_values() {
+        assert_eq!(Spread::of([5.0]), Spread { median: 5.0, p99: 5.0, min: 5.0, max: 5.0 });
+        let hundred = Spread::of((0..100).rev().map(f64::from));
+        assert_eq!(hundred, Spread { median: 49.5, p99: 98.0, min: 0.0, max: 99.0 });
+    }
+}

@@ -1,0 +1,256 @@
+//! Drives a mode through the scene: how long its frames take, what memory they hold, and its pictures at the sampled moments.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use decouplegs::LiveScene;
+use decouplegs::gpu::{Gpu, GpuError};
+use decouplegs::render::layout::{CHUNK_SPLATS, ChunkRecord};
+use decouplegs::render::{
+    ColourFormat, FrameStatistics, Outputs, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec,
+};
+use decouplegs::scene::{Camera, CodedCloud, World};
+
+use super::course::Course;
+use super::fidelity::Fidelity;
+use super::figures::{Measured, Outcome};
+use super::mode::{Agents, Mode};
+use super::prune;
+use super::subject::Subject;
+
+/// Moments of the drive from which the importance of splats is measured for pruning.
+const PRUNE_MOMENTS: u32 = 8;
+
+/// What modes are measured with.
+pub struct Stand<'a> {
+    pub gpu: &'a Gpu,
+    pub subject: Subject,
+    pub course: &'a Course,
+    pub memory_limit_bytes: Option<u64>,
+    /// Of the splats of the cloud with the first so many agents, what each matters.
+    importance: Option<(usize, Vec<f64>)>,
+}
+
+/// A scene on the device.
+enum Resident {
+    Copies(Box<ResidentWorld>),
+    Live(Box<LiveScene>),
+}
+
+impl Resident {
+    fn submit(&self, renderer: &mut Renderer, time_s: f64, cameras: &[Camera]) -> Result<(), RenderError> {
+        match self {
+            Self::Copies(world) => renderer.submit(&**world, cameras),
+            Self::Live(live) => renderer.submit(live.with(&live.agents_at(time_s)), cameras),
+        }
+    }
+}
+
+impl<'a> Stand<'a> {
+    pub fn new(gpu: &'a Gpu, subject: Subject, course: &'a Course, memory_limit_bytes: Option<u64>) -> Self {
+        Self { gpu, subject, course, memory_limit_bytes, importance: None }
+    }
+
+    /// What the first `count` agents take in `mode`, and its pictures at the sampled moments, compared with `vanilla` where there
+    /// are such.
+    pub fn measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Picture]>) -> Result<(Outcome, Vec<Picture>)> {
+        match self.try_measure(mode, count, vanilla) {
+            Ok(found) => Ok(found),
+            Err(error) => match refusal(&error) {
+                Some(outcome) => Ok((outcome, Vec::new())),
+                None => Err(error),
+            },
+        }
+    }
+
+    /// The pictures that others are compared with, with instances; `None` where the device has not the memory for them.
+    pub fn vanilla_pictures(&mut self, count: usize) -> Result<Option<Vec<Picture>>> {
+        let outputs = Outputs { instance: true, ..Outputs::default() };
+        let options =
+            RenderOptions { outputs, frames_in_flight: 1, order: decouplegs::render::OrderMode::Full, ..self.defaults() };
+        match self.pictures_of_copies(options, count, None) {
+            Ok(pictures) => Ok(Some(pictures)),
+            Err(error) if refusal(&error).is_some() => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn defaults(&self) -> RenderOptions {
+        RenderOptions { rules: self.subject.background().world.rules, ..RenderOptions::default() }
+    }
+
+    fn try_measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Picture]>) -> Result<(Outcome, Vec<Picture>)> {
+        let kept = self.kept(mode, count)?;
+        let rules = self.subject.background().world.rules;
+        let (course, limit_bytes) = (self.course, self.memory_limit_bytes.unwrap_or(u64::MAX));
+        let predicted_scene_bytes;
+        let world_splats;
+        let measured = {
+            let mut renderer = Renderer::new(self.gpu, mode.options(rules, ColourFormat::U8));
+            let resident = match mode.agents {
+                Agents::Copies { .. } => {
+                    let world =
+                        World { instance_from_splat: Vec::new(), ..self.copies(count, course.middle_s(), kept.as_deref()) };
+                    predicted_scene_bytes = world_bytes(&world);
+                    world_splats = world.splats.len();
+                    if predicted_scene_bytes > limit_bytes {
+                        return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
+                    }
+                    Resident::Copies(Box::new(renderer.upload(&world)?))
+                }
+                Agents::Coded(coding) => {
+                    let scene = self.subject.staged(count, coding);
+                    predicted_scene_bytes = world_bytes(&scene.world) + scene.assets.iter().map(asset_bytes).sum::<u64>();
+                    world_splats = scene.world.splats.len();
+                    if predicted_scene_bytes > limit_bytes {
+                        return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
+                    }
+                    Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
+                }
+            };
+            let (frames, steps_ms) = self.drive(&mut renderer, &resident)?;
+            Measured::of(&frames, &steps_ms, self.gpu.memory())
+        };
+        if measured.memory.total_bytes > limit_bytes {
+            return Ok((out_of_memory(measured.memory.total_bytes, COUNTED), Vec::new()));
+        }
+        let mut measured = Measured { predicted_scene_bytes, world_splats, ..measured };
+        let mut pictures = Vec::new();
+        if let Some(vanilla) = vanilla.filter(|vanilla| !vanilla.is_empty() && !mode.is_vanilla()) {
+            pictures = self.pictures(mode, count, kept.as_deref())?;
+            measured.fidelity = Some(Fidelity::between(&pictures, vanilla)?);
+        }
+        Ok((Outcome::Measured(Box::new(measured)), pictures))
+    }
+
+    /// All frames of the course: what the timed ones took, and the wall clock from one to the next.
+    fn drive(&self, renderer: &mut Renderer, resident: &Resident) -> Result<(Vec<FrameStatistics>, Vec<f64>)> {
+        let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
+        let (count, in_flight) = (self.course.frame_count(), renderer.options().frames_in_flight as u32);
+        let mut last = Instant::now();
+        for frame in 0..count + in_flight - 1 {
+            if frame < count {
+                let time_s = self.course.time_s(frame);
+                resident.submit(renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
+            }
+            if frame + 1 >= in_flight {
+                let statistics = renderer.finish()?;
+                let now = Instant::now();
+                let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
+                if frame + 1 - in_flight >= self.course.warm_up {
+                    frames.push(statistics);
+                    steps_ms.push(step_ms);
+                }
+            }
+        }
+        Ok((frames, steps_ms))
+    }
+
+    /// The pictures of `mode` at the sampled moments, all cameras of one after those of the other.
+    fn pictures(&mut self, mode: &Mode, count: usize, kept: Option<&[u32]>) -> Result<Vec<Picture>> {
+        let options = RenderOptions { frames_in_flight: 1, ..mode.options(self.defaults().rules, ColourFormat::F32) };
+        let Agents::Coded(coding) = mode.agents else { return self.pictures_of_copies(options, count, kept) };
+        let mut renderer = Renderer::new(self.gpu, options);
+        let resident = Resident::Live(Box::new(LiveScene::new(&renderer, self.subject.staged(count, coding))?));
+        let samples = self.course.sample_frames();
+        let last = samples.iter().copied().max().unwrap_or(0);
+        // What an order from earlier frames does to a picture is seen only after these.
+        let frames: Vec<u32> = if mode.has_history() { (0..=last).collect() } else { samples.clone() };
+        let mut pictures = Vec::new();
+        for frame in frames {
+            let time_s = self.course.time_s(frame);
+            resident.submit(&mut renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
+            renderer.finish()?;
+            if samples.contains(&frame) {
+                pictures.extend(renderer.read_pictures()?);
+            }
+        }
+        Ok(pictures)
+    }
+
+    fn pictures_of_copies(&self, options: RenderOptions, count: usize, kept: Option<&[u32]>) -> Result<Vec<Picture>> {
+        let mut renderer = Renderer::new(self.gpu, options);
+        let mut pictures = Vec::new();
+        for frame in self.course.sample_frames() {
+            let time_s = self.course.time_s(frame);
+            let world = renderer.upload(&self.copies(count, time_s, kept))?;
+            renderer.render(&world, &self.course.cameras(self.subject.background(), time_s))?;
+            pictures.extend(renderer.read_pictures()?);
+        }
+        Ok(pictures)
+    }
+
+    /// Background and copies of the agents where they are at `time_s`; of all their splats those at `kept`, if given.
+    fn copies(&self, count: usize, time_s: f64, kept: Option<&[u32]>) -> World {
+        let world = self.subject.copies(count, time_s);
+        let Some(kept) = kept else { return world };
+        let of = |&splat: &u32| world.instance_from_splat[splat as usize];
+        let instance_from_splat = if world.instance_from_splat.is_empty() { Vec::new() } else { kept.iter().map(of).collect() };
+        World { splats: world.splats.select(kept), instance_from_splat, ..world }
+    }
+
+    /// The splats that `mode` keeps of background and copies; `None` for all.
+    fn kept(&mut self, mode: &Mode, count: usize) -> Result<Option<Vec<u32>>> {
+        let Agents::Copies { keep } = mode.agents else { return Ok(None) };
+        if keep >= 1.0 {
+            return Ok(None);
+        }
+        if self.importance.as_ref().is_none_or(|(known, _)| *known != count) {
+            self.importance = Some((count, self.measured_importance(count)?));
+        }
+        Ok(self.importance.as_ref().map(|(_, importance)| prune::kept(importance, keep)))
+    }
+
+    fn measured_importance(&self, count: usize) -> Result<Vec<f64>> {
+        let renderer = Renderer::new(self.gpu, self.defaults());
+        let mut weights = Vec::new();
+        for frame in self.course.spread_frames(PRUNE_MOMENTS) {
+            let time_s = self.course.time_s(frame);
+            let world = renderer.upload(&self.copies(count, time_s, None))?;
+            let found = renderer.contribution_weights(&world, &self.course.cameras(self.subject.background(), time_s))?;
+            weights.resize(found.len(), 0.0);
+            weights.iter_mut().zip(found).for_each(|(sum, weight)| *sum += f64::from(weight));
+        }
+        Ok(prune::importance(&self.copies(count, self.course.start_s, None).splats, &weights))
+    }
+}
+
+const PREDICTED: &str = "predicted before upload: its splats alone";
+const COUNTED: &str = "counted after the last frame";
+const DEVICE: &str = "refused by the device";
+
+fn out_of_memory(needed_bytes: u64, known: &'static str) -> Outcome {
+    Outcome::OutOfMemory { needed_bytes, known }
+}
+
+/// What a failure to draw says of a mode; `None` where the whole run has failed.
+fn refusal(error: &anyhow::Error) -> Option<Outcome> {
+    let error = error.downcast_ref::<RenderError>()?;
+    match error {
+        RenderError::Gpu(GpuError::OutOfMemory { wanted_bytes, used_bytes, .. }) => {
+            Some(out_of_memory(used_bytes + wanted_bytes, DEVICE))
+        }
+        RenderError::Gpu(GpuError::BufferTooLarge { .. })
+        | RenderError::ListTooLong { .. }
+        | RenderError::TooManySplats { .. } => Some(Outcome::Refused(error.to_string())),
+        _ => None,
+    }
+}
+
+/// What `world` takes on the device, without rounding by its allocator.
+fn world_bytes(world: &World) -> u64 {
+    // Mean, scales and opacity, rotation, DC.
+    const SPLAT_BYTES: usize = 12 + 16 + 16 + 12;
+    let words: usize = (1..=usize::from(world.splats.sh_degree)).map(sh_codec::words_of).sum();
+    let chunks = world.splats.len().div_ceil(CHUNK_SPLATS) * size_of::<ChunkRecord>();
+    (world.splats.len() * (SPLAT_BYTES + 4 * words) + chunks + 2 * world.instance_from_splat.len()) as u64
+}
+
+/// What an asset takes on the device, without rounding.
+fn asset_bytes(asset: &CodedCloud) -> u64 {
+    // A colour's DC term, and its bands.
+    const COLOUR_BYTES: usize = 12 + 4 * 24;
+    let chunks: usize = asset.levels.iter().map(|level| level.div_ceil(CHUNK_SPLATS)).sum();
+    let books = size_of_val(asset.shapes.as_slice()) + asset.colour_count() * COLOUR_BYTES;
+    (size_of_val(asset.splats.as_slice()) + books + chunks * size_of::<ChunkRecord>()) as u64
+}

@@ -1,0 +1,181 @@
+//! The page's tables.
+
+use std::fmt::Write;
+use std::ops::RangeInclusive;
+
+use super::figures::{Measured, Outcome, Point};
+use super::mode::Mode;
+use super::report::{Report, decibels, mebibytes};
+use crate::plot::escaped;
+
+/// Traffic densities of the paper's table.
+const DENSITIES: [(&str, RangeInclusive<usize>); 3] = [("S (1 to 2)", 1..=2), ("M (3 to 5)", 3..=5), ("L (6 to 10)", 6..=10)];
+
+/// The paper's table: vanilla, the pruned scene and decoupled by traffic density, each the mean over the counts measured.
+pub fn compression(report: &Report) -> String {
+    let mut html = String::from(
+        "<div class=\"wide\"><table><tr><th>agents<th>mode<th>PSNR-Veh, dB<th>PSNR-All, dB<th>SSIM<th>images/s<th>MiB<th>counts</tr>",
+    );
+    let modes = [report.vanilla(), report.pruned(), report.decoupled()];
+    for (density, counts) in &DENSITIES {
+        for mode in modes.iter().flatten() {
+            let points: Vec<&Point> = report.points_of(mode).filter(|point| counts.contains(&point.agents)).collect();
+            let ours = if report.decoupled() == Some(*mode) { " class=\"ours\"" } else { "" };
+            let name = escaped(&mode.name);
+            let _ = write!(html, "<tr{ours}><td>{density}<td>{name}{}</tr>", density_cells(mode, &points));
+        }
+    }
+    html.push_str(
+        "</table></div><p class=\"dim\">Each figure is the mean over the agent counts of its row. Vanilla is what the others are \
+         compared with.</p>",
+    );
+    html
+}
+
+fn density_cells(mode: &Mode, points: &[&Point]) -> String {
+    if points.is_empty() {
+        return "<td colspan=\"6\">no such count was measured".into();
+    }
+    let measured: Vec<&Measured> = points.iter().filter_map(|point| point.measured()).collect();
+    if measured.is_empty() {
+        return format!(
+            "<td colspan=\"6\" class=\"text\">{}",
+            points.iter().map(|point| reason(&point.outcome)).next().unwrap_or_default()
+        );
+    }
+    let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+    let fidelity = |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| {
+        mean(measured.iter().filter_map(|measured| of(measured.fidelity.as_ref()?)).collect())
+    };
+    let psnr = |value: Option<f64>| match value {
+        _ if mode.is_vanilla() => "reference".to_owned(),
+        value => value.map_or("-".into(), decibels),
+    };
+    let counts: Vec<String> =
+        points.iter().filter(|point| point.measured().is_some()).map(|point| point.agents.to_string()).collect();
+    format!(
+        "<td>{}<td>{}<td>{}<td>{:.1}<td>{:.1}<td>{}",
+        psnr(fidelity(&|fidelity| fidelity.psnr_vehicles_db)),
+        psnr(fidelity(&|fidelity| Some(fidelity.psnr_all_db))),
+        if mode.is_vanilla() { "reference".into() } else { ssim(fidelity(&|fidelity| fidelity.ssim)) },
+        mean(measured.iter().map(|measured| measured.images_per_s()).collect()).unwrap_or(f64::NAN),
+        mean(measured.iter().map(|measured| mebibytes(measured.memory.total_bytes)).collect()).unwrap_or(f64::NAN),
+        counts.join(", ")
+    )
+}
+
+fn ssim(value: Option<f64>) -> String {
+    value.map_or("-".into(), |value| format!("{value:.4}"))
+}
+
+fn reason(outcome: &Outcome) -> String {
+    match outcome {
+        Outcome::Measured(_) => String::new(),
+        Outcome::OutOfMemory { needed_bytes, known } => format!("out of memory: {:.1} MiB, {known}", mebibytes(*needed_bytes)),
+        Outcome::Refused(reason) => format!("not drawn: {}", escaped(reason)),
+    }
+}
+
+pub fn modes(report: &Report) -> String {
+    let mut html = String::from("<table><tr><th>mode<th>what it is</tr>");
+    for mode in &report.modes {
+        let _ = write!(html, "<tr><td>{}<td class=\"text\">{}</tr>", escaped(&mode.name), escaped(&mode.what));
+    }
+    html.push_str("</table>");
+    html
+}
+
+/// A row for each point: `head` and `cells` of what was measured, or why there is nothing.
+fn rows(report: &Report, head: &[&str], cells: &dyn Fn(&Point, &Measured) -> Vec<String>) -> String {
+    let mut html = format!("<div class=\"wide\"><table><tr><th>mode<th>agents<th>{}</tr>", head.join("<th>"));
+    for mode in &report.modes {
+        for point in report.points_of(mode) {
+            let _ = write!(html, "<tr><td>{}<td>{}", escaped(&mode.name), point.agents);
+            let _ = match point.measured() {
+                Some(measured) => write!(html, "<td>{}</tr>", cells(point, measured).join("<td>")),
+                None => write!(html, "<td colspan=\"{}\" class=\"text\">{}</tr>", head.len(), reason(&point.outcome)),
+            };
+        }
+    }
+    html.push_str("</table></div>");
+    html
+}
+
+pub fn all_times(report: &Report) -> String {
+    let head = [
+        "images/s",
+        "rig steps/s",
+        "step p50, ms",
+        "step p99",
+        "GPU p50, ms",
+        "GPU p99",
+        "update p50, ms",
+        "record p50, ms",
+        "PSNR-All, dB",
+        "PSNR-Veh, dB",
+        "SSIM",
+        "max",
+        "unsorted views",
+        "order error",
+    ];
+    rows(report, &head, &|point, measured| {
+        let mut cells = vec![
+            format!("{:.2}", measured.images_per_s()),
+            format!("{:.2}", measured.rig_steps_per_s()),
+            format!("{:.3}", measured.step_ms.median),
+            format!("{:.3}", measured.step_ms.p99),
+            format!("{:.3}", measured.gpu_ms.median),
+            format!("{:.3}", measured.gpu_ms.p99),
+            measured.update_ms.map_or("-".into(), |update| format!("{:.3}", update.median)),
+            format!("{:.3}", measured.record_ms.median),
+        ];
+        cells.extend(match &measured.fidelity {
+            _ if point.mode.is_vanilla() => vec!["reference".into(), "reference".into(), "-".into(), "-".into()],
+            None => vec!["-".to_owned(); 4],
+            Some(fidelity) => vec![
+                decibels(fidelity.psnr_all_db),
+                fidelity.psnr_vehicles_db.map_or("-".into(), decibels),
+                ssim(fidelity.ssim),
+                format!("{:.4}", fidelity.max_abs),
+            ],
+        });
+        cells.push(format!("{:.0} %", 100.0 * measured.share_without_sorting()));
+        cells.push(measured.order_error_max.map_or("-".into(), |error| format!("{error:.4}")));
+        cells
+    })
+}
+
+pub fn all_memory(report: &Report) -> String {
+    let head = [
+        "MiB in all",
+        "by purpose, MiB",
+        "driver, MiB",
+        "unique assets",
+        "splats of the cloud",
+        "agents in sight",
+        "their splats",
+        "visible splats",
+        "tile entries",
+        "redrawn",
+    ];
+    rows(report, &head, &|point, measured| {
+        let purposes: Vec<String> = measured
+            .memory
+            .bytes_by_purpose
+            .iter()
+            .map(|(purpose, bytes)| format!("{purpose} {:.1}", mebibytes(*bytes)))
+            .collect();
+        vec![
+            format!("{:.1}", mebibytes(measured.memory.total_bytes)),
+            purposes.join(", "),
+            measured.memory.driver_usage_bytes.map_or("-".into(), |bytes| format!("{:.1}", mebibytes(bytes))),
+            point.unique_assets.to_string(),
+            measured.world_splats.to_string(),
+            format!("{:.0}", measured.agents_drawn),
+            format!("{:.0}", measured.agent_splats),
+            format!("{:.0}", measured.records),
+            format!("{:.0}", measured.pairs),
+            measured.redrawn.to_string(),
+        ]
+    })
+}
