@@ -10,7 +10,7 @@ pub const STYLE: &str = ":root{color-scheme:light dark;--ground:#fff;--ink:#1d22
 --c0:#4aa8e0;--c1:#f08a3c;--c2:#2fc79b;--c3:#e39cc4;--c4:#e6b422;--c5:#8fd0f5;--c6:#b48ad0;--c7:#aab4b5;--c8:#c4907f;--c9:#7cc45f}}\
 svg{max-width:100%;height:auto}svg text{font:12px system-ui,sans-serif;fill:var(--dim)}\
 svg .title{font-weight:600;font-size:14px;fill:var(--ink)}svg .middle{text-anchor:middle}svg .end{text-anchor:end}\
-svg .grid{stroke:var(--rule)}svg .curve{fill:none;stroke-width:2}svg .mark{fill:var(--ground);stroke-width:2}svg .name{fill:var(--ink)}";
+svg .grid{stroke:var(--rule)}svg .curve{fill:none;stroke-width:2}svg .guide{fill:none;stroke:var(--dim);stroke-dasharray:2 4}svg .mark{fill:var(--ground);stroke-width:2}svg .name{fill:var(--ink)}";
 
 /// Colours there are; series beyond take them again.
 const COLOURS: usize = 10;
@@ -31,8 +31,20 @@ pub struct Series {
     /// Which of the colours.
     pub colour: usize,
     pub points: Vec<(f64, f64)>,
+    pub shape: Shape,
     /// Where the series ends for a reason: the place along x, and the reason.
     pub end: Option<(f64, String)>,
+}
+
+/// How the points of a series are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// Joined, the series' name in the legend.
+    Curve,
+    /// Each with the series' name beside it.
+    Named,
+    /// A thin line, without points or name.
+    Guide,
 }
 
 /// One axis of a plot.
@@ -50,8 +62,6 @@ pub struct Plot<'a> {
     pub title: &'a str,
     pub x: Axis<'a>,
     pub y: Axis<'a>,
-    /// Whether the points of a series are joined; else each is named beside it.
-    pub joined: bool,
     pub series: Vec<Series>,
 }
 
@@ -101,7 +111,11 @@ impl Scale {
 
     fn logarithmic(min: f64, max: f64) -> Self {
         let decades = (min.log10().floor() as i32, max.log10().ceil() as i32);
-        let factors: &[f64] = if decades.1 - decades.0 > 3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+        let factors: &[f64] = match decades.1 - decades.0 {
+            ..=1 => &[1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0],
+            2..=3 => &[1.0, 2.0, 5.0],
+            _ => &[1.0],
+        };
         let all: Vec<f64> =
             (decades.0..=decades.1).flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power))).collect();
         let below = all.iter().copied().filter(|tick| *tick <= min * 1.0001).fold(f64::NEG_INFINITY, f64::max);
@@ -130,9 +144,10 @@ fn legend(svg: &mut String, at: usize, colour: usize, name: &str) {
     let y = FRAME.top + 8.0 + LEGEND_STEP * at as f64;
     let _ = write!(
         svg,
-        "<rect x=\"{LEGEND_X}\" y=\"{}\" width=\"12\" height=\"8\" style=\"fill:var(--c{})\"/><text x=\"{}\" y=\"{}\" class=\"name\">{}</text>",
+        "<rect x=\"{LEGEND_X}\" y=\"{}\" width=\"12\" height=\"8\" style=\"fill:var(--c{});opacity:{}\"/><text x=\"{}\" y=\"{}\" class=\"name\">{}</text>",
         y - 8.0,
         colour % COLOURS,
+        opacity(colour),
         LEGEND_X + 18.0,
         y,
         escaped(name)
@@ -148,12 +163,15 @@ impl Plot<'_> {
         let y = Scale::over(points().map(|point| point.1), self.y);
         let mut svg = svg_of(self.title, HEIGHT);
         self.draw_axes(&mut svg, &x, &y);
-        let mut labels = Vec::new();
-        for (at, series) in self.series.iter().enumerate() {
-            draw_series(&mut svg, series, &x, &y, self.joined, &mut labels);
-            if self.joined {
-                legend(&mut svg, at, series.colour, &series.name);
-            }
+        // Names keep clear of marks, too.
+        let named = self.series.iter().filter(|series| series.shape == Shape::Named).flat_map(|series| &series.points);
+        let mark = |&(px, py): &(f64, f64)| Some((x.place(px, FRAME.left, FRAME.right)?, y.place(py, FRAME.bottom, FRAME.top)?));
+        let mut labels: Vec<(f64, f64, f64)> = named.filter_map(mark).map(|(x, y)| (x - 6.0, y + 4.0, 12.0)).collect();
+        for series in &self.series {
+            draw_series(&mut svg, series, &x, &y, &mut labels);
+        }
+        for (at, series) in self.series.iter().filter(|series| series.shape == Shape::Curve).enumerate() {
+            legend(&mut svg, at, series.colour, &series.name);
         }
         svg.push_str("</svg>");
         svg
@@ -191,17 +209,21 @@ impl Plot<'_> {
 }
 
 /// A curve or named points; `labels` are the places of names that are written already.
-fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, joined: bool, labels: &mut Vec<(f64, f64, f64)>) {
+fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, labels: &mut Vec<(f64, f64, f64)>) {
     let colour = series.colour % COLOURS;
     let place = |&(px, py): &(f64, f64)| Some((x.place(px, FRAME.left, FRAME.right)?, y.place(py, FRAME.bottom, FRAME.top)?));
     let places: Vec<(f64, f64)> = series.points.iter().filter_map(place).collect();
-    if joined {
-        let line: Vec<String> = places.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-        let _ = write!(svg, "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{colour})\"/>", line.join(" "));
+    let line = || places.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ");
+    if series.shape == Shape::Guide {
+        let _ = write!(svg, "<polyline points=\"{}\" class=\"guide\"/>", line());
+        return;
+    }
+    if series.shape == Shape::Curve {
+        let _ = write!(svg, "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{colour})\"/>", line());
     }
     for &(x, y) in &places {
         let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" class=\"mark\" style=\"stroke:var(--c{colour})\"/>");
-        if !joined {
+        if series.shape == Shape::Named {
             let width = LETTER * series.name.chars().count() as f64;
             let left = x + 9.0;
             // Down until no other name is in the way.
@@ -280,9 +302,9 @@ impl Bars<'_> {
     }
 }
 
-/// Parts that take a colour again are paler.
-fn opacity(part: usize) -> f64 {
-    if part < COLOURS { 1.0 } else { 0.55 }
+/// What takes a colour again is paler.
+fn opacity(colour: usize) -> f64 {
+    if colour < COLOURS { 1.0 } else { 0.55 }
 }
 
 /// Three digits that count.
@@ -314,7 +336,7 @@ mod tests {
     use super::*;
 
     fn series(points: &[(f64, f64)]) -> Series {
-        Series { name: "a < b".into(), colour: 0, points: points.to_vec(), end: None }
+        Series { name: "a < b".into(), colour: 0, points: points.to_vec(), shape: Shape::Curve, end: None }
     }
 
     #[test]
@@ -322,11 +344,11 @@ mod tests {
         let points = [(0.0, 10.0), (1.0, 1000.0), (2.0, f64::NAN), (3.0, 0.0)];
         let plot = |log| {
             let y = Axis { label: "y", log, ..Axis::default() };
-            Plot { title: "t", x: Axis::default(), y, joined: true, series: vec![series(&points)] }.to_svg()
+            Plot { title: "t", x: Axis::default(), y, series: vec![series(&points)] }.to_svg()
         };
         assert!(plot(true).contains("points=\"70.0,286.0 206.7,34.0\""), "{}", plot(true));
         assert!(plot(false).contains(" 480.0,286.0\"") && plot(false).contains("a &lt; b"), "{}", plot(false));
-        let empty = Plot { title: "", x: Axis::default(), y: Axis::default(), joined: false, series: vec![] }.to_svg();
+        let empty = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![] }.to_svg();
         assert!(!empty.contains("NaN") && !empty.contains("inf"));
     }
 
@@ -344,14 +366,8 @@ mod tests {
 
     #[test]
     fn names_of_points_in_one_place_do_not_cover_each_other() {
-        let named = |name: &str| Series { name: name.into(), ..series(&[(1.0, 1.0)]) };
-        let all = Plot {
-            title: "",
-            x: Axis::default(),
-            y: Axis::default(),
-            joined: false,
-            series: vec![named("first"), named("second")],
-        };
+        let named = |name: &str| Series { name: name.into(), shape: Shape::Named, ..series(&[(1.0, 1.0)]) };
+        let all = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![named("first"), named("second")] };
         let svg = all.to_svg();
         let bases: Vec<&str> = svg.split("class=\"name\"").collect();
         assert_eq!(bases.len(), 3);

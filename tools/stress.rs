@@ -35,12 +35,13 @@ use subject::{StreetWish, Subject};
 
 /// Measure frames, memory and error against the number of agents that drive, for several ways to draw them
 #[derive(clap::Args)]
+#[command(group = clap::ArgGroup::new("what").required(true))]
 pub struct Arguments {
     /// A scene (.toml) with agents, plain or compressed
-    #[arg(required_unless_present = "synth", conflicts_with = "synth")]
+    #[arg(group = "what")]
     scene: Option<PathBuf>,
     /// Make up a street instead, with as many agents as are asked for, and compress its cars
-    #[arg(long)]
+    #[arg(long, group = "what")]
     synth: bool,
     #[command(flatten)]
     street: StreetArguments,
@@ -57,13 +58,13 @@ pub struct Arguments {
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Frames that are timed
-    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Frames before them that are not
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     warm_up: u32,
     /// Time from one frame to the next, in which the ego and the agents drive on
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.05, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.1, value_parser = seconds)]
     step: f64,
     /// The moment of the first frame, seconds (default: when the ego's trajectory begins)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
@@ -94,16 +95,16 @@ pub struct Arguments {
 #[derive(clap::Args)]
 struct StreetArguments {
     /// Splats of the street without its traffic
-    #[arg(long, value_name = "N", default_value_t = 200_000, requires = "synth")]
+    #[arg(long, value_name = "N", default_value_t = 200_000, conflicts_with = "scene")]
     background: usize,
     /// Splats of each car
-    #[arg(long, value_name = "N", default_value_t = 10_000, requires = "synth", value_parser = at_least_one)]
+    #[arg(long, value_name = "N", default_value_t = 10_000, conflicts_with = "scene", value_parser = at_least_one)]
     agent_splats: usize,
     /// Distinct cars
-    #[arg(long, value_name = "N", default_value_t = 12, requires = "synth", value_parser = at_least_one)]
+    #[arg(long, value_name = "N", default_value_t = 12, conflicts_with = "scene", value_parser = at_least_one)]
     assets: usize,
     /// Degree of the spherical harmonics
-    #[arg(long, value_name = "D", default_value_t = 3, requires = "synth", value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "D", default_value_t = 3, conflicts_with = "scene", value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
     /// Everything random follows from it, the codebooks of compressed assets too
     #[arg(long, value_name = "S", default_value_t = 1)]

@@ -1,5 +1,7 @@
 //! The program as a user meets it: what it writes, what it says, and how it exits.
 
+mod stress;
+
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};

@@ -2,7 +2,7 @@
 
 use super::figures::Outcome;
 use super::report::{Report, mebibytes};
-use crate::plot::{Axis, Bars, Plot, Series};
+use crate::plot::{Axis, Bars, Plot, Series, Shape};
 
 fn figure(svg: &str) -> String {
     format!("<figure>{svg}</figure>")
@@ -22,6 +22,7 @@ fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -
             name: mode.name.clone(),
             colour: at,
             points: report.measured_of(mode).map(|(point, measured)| (point.agents as f64, of(measured))).collect(),
+            shape: Shape::Curve,
             end: lost.map(|point| (point.agents as f64, reason(&point.outcome))),
         }
     };
@@ -31,21 +32,24 @@ fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -
 pub fn images_against_agents(report: &Report) -> String {
     let y = Axis { label: "images/s", log: false, from_zero: true };
     let series = over_agents(report, &|measured| measured.images_per_s());
-    figure(&Plot { title: "Images a second against agents", x: AGENTS, y, joined: true, series }.to_svg())
+    figure(&Plot { title: "Images a second against agents", x: AGENTS, y, series }.to_svg())
 }
 
 pub fn memory_against_agents(report: &Report) -> String {
     let y = Axis { label: "MiB", log: false, from_zero: true };
     let series = over_agents(report, &|measured| mebibytes(measured.memory.total_bytes));
-    figure(&Plot { title: "Device memory against agents", x: AGENTS, y, joined: true, series }.to_svg())
+    figure(&Plot { title: "Device memory against agents", x: AGENTS, y, series }.to_svg())
 }
 
 /// Median GPU time by stage, a bar for each mode, with the most agents.
 pub fn stages(report: &Report) -> String {
     let largest = report.largest_count();
     let points: Vec<_> = report.points.iter().filter(|point| point.agents == largest).collect();
+    let mut listed: Vec<_> = points.iter().filter_map(|point| point.measured()).map(|measured| &measured.stages).collect();
+    // The mode of most stages says in which order they run.
+    listed.sort_by_key(|stages| std::cmp::Reverse(stages.len()));
     let mut parts: Vec<&'static str> = Vec::new();
-    for (name, _) in points.iter().filter_map(|point| point.measured()).flat_map(|measured| &measured.stages) {
+    for (name, _) in listed.into_iter().flatten() {
         if !parts.contains(name) {
             parts.push(name);
         }
@@ -81,16 +85,38 @@ pub fn speed_against_error(report: &Report) -> String {
     let highest =
         measured.iter().map(|(.., psnr_db)| *psnr_db).filter(|psnr_db| psnr_db.is_finite()).fold(f64::NEG_INFINITY, f64::max);
     let equal = if highest.is_finite() { highest + EQUAL_ABOVE_DB } else { 100.0 };
-    let series = measured.into_iter().map(|(at, mode, images_per_s, psnr_db)| {
+    let places: Vec<(f64, f64)> =
+        measured.iter().map(|(_, _, images_per_s, psnr_db)| (*images_per_s, psnr_db.min(equal))).collect();
+    let guide = Series { name: String::new(), colour: 0, points: front(&places), shape: Shape::Guide, end: None };
+    let named = measured.iter().zip(&places).map(|((at, mode, _, psnr_db), place)| {
         let name = if psnr_db.is_finite() { mode.name.clone() } else { format!("{} (no error)", mode.name) };
-        Series { name, colour: at, points: vec![(images_per_s, psnr_db.min(equal))], end: None }
+        Series { name, colour: *at, points: vec![*place], shape: Shape::Named, end: None }
     });
     let plot = Plot {
         title: "Speed against error: up and right is better",
         x: Axis { label: "images/s, logarithmic", log: true, from_zero: false },
         y: Axis { label: "PSNR-All against vanilla, dB", log: false, from_zero: false },
-        joined: false,
-        series: series.collect(),
+        series: std::iter::once(guide).chain(named).collect(),
     };
     figure(&plot.to_svg())
+}
+
+/// Those of `places` that no other is above and right of, by rising x.
+fn front(places: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let beaten = |a: &(f64, f64)| places.iter().any(|b| b.0 >= a.0 && b.1 >= a.1 && b != a);
+    let mut front: Vec<(f64, f64)> = places.iter().copied().filter(|place| !beaten(place)).collect();
+    front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    front
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_front_is_what_nothing_beats_in_both() {
+        let places = [(1.0, 9.0), (3.0, 5.0), (2.0, 5.0), (4.0, 1.0), (2.0, 7.0), (3.5, 0.5)];
+        assert_eq!(front(&places), [(1.0, 9.0), (2.0, 7.0), (3.0, 5.0), (4.0, 1.0)]);
+        assert!(front(&[]).is_empty());
+    }
 }

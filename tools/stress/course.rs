@@ -38,21 +38,27 @@ impl Course {
 
     /// The cameras at `time_s`.
     pub fn cameras(&self, scene: &LoadedScene, time_s: f64) -> Vec<Camera> {
-        let mut cameras = self.standing.clone().unwrap_or_else(|| scene.rig.at(&scene.ego.at(time_s)));
+        let mut cameras = self.all_cameras(scene, time_s);
         cameras.truncate(self.cameras_used);
         cameras
     }
 
-    /// `count` of the timed frames, evenly spread; never more than there are.
-    pub fn spread_frames(&self, count: u32) -> Vec<u32> {
-        let count = count.min(self.frames);
+    /// The frames whose pictures are compared: timed ones, evenly spread.
+    pub fn sample_frames(&self) -> Vec<u32> {
+        let count = self.samples.min(self.frames);
         let place = |at: u32| ((2 * u64::from(at) + 1) * u64::from(self.frames) / (2 * u64::from(count))) as u32;
         (0..count).map(|at| self.warm_up + place(at)).collect()
     }
 
-    /// The frames whose pictures are compared.
-    pub fn sample_frames(&self) -> Vec<u32> {
-        self.spread_frames(self.samples)
+    /// `count` moments spread over all of the ego's way, seconds: more than the drive sees where that is short.
+    pub fn way_moments_s(&self, scene: &LoadedScene, count: u32) -> Vec<f64> {
+        let (start_s, end_s) = (scene.ego.start_s(), scene.ego.end_s());
+        (0..count).map(|at| start_s + (f64::from(at) + 0.5) / f64::from(count) * (end_s - start_s)).collect()
+    }
+
+    /// All cameras at `time_s`, those that are not drawn too.
+    pub fn all_cameras(&self, scene: &LoadedScene, time_s: f64) -> Vec<Camera> {
+        self.standing.clone().unwrap_or_else(|| scene.rig.at(&scene.ego.at(time_s)))
     }
 }
 

@@ -57,7 +57,7 @@ pub struct Measured {
     pub redrawn: usize,
     /// Views by how their background came into order.
     pub orders: BTreeMap<String, usize>,
-    /// The largest change of a pixel that a stale order may have made.
+    /// An estimate of the largest change of a pixel that a stale order made.
     pub order_error_max: Option<f64>,
     /// Against vanilla; `None` for vanilla itself, or where nothing was compared.
     pub fidelity: Option<Fidelity>,
@@ -66,6 +66,7 @@ pub struct Measured {
 /// Order statistics of at least one value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
+    pub mean: f64,
     pub median: f64,
     /// The value that 99 of 100 do not exceed.
     pub p99: f64,
@@ -80,6 +81,7 @@ impl Spread {
         let count = values.len();
         assert!(count > 0, "a spread is of at least one value");
         Self {
+            mean: values.iter().sum::<f64>() / count as f64,
             median: 0.5 * (values[(count - 1) / 2] + values[count / 2]),
             p99: values[(count * 99).div_ceil(100) - 1],
             min: values[0],
@@ -88,7 +90,7 @@ impl Spread {
     }
 
     fn to_json(self) -> Value {
-        json!({ "median": self.median, "p99": self.p99, "min": self.min, "max": self.max })
+        json!({ "mean": self.mean, "median": self.median, "p99": self.p99, "min": self.min, "max": self.max })
     }
 }
 
@@ -144,8 +146,9 @@ impl Measured {
         }
     }
 
+    /// By the time that all of them took: frames in flight may end in pairs, so that a median says nothing of a rate.
     pub fn rig_steps_per_s(&self) -> f64 {
-        1e3 / self.step_ms.median
+        1e3 / self.step_ms.mean
     }
 
     pub fn images_per_s(&self) -> f64 {
@@ -212,8 +215,8 @@ mod tests {
 
     #[test]
     fn a_spread_is_of_the_sorted_values() {
-        assert_eq!(Spread::of([5.0]), Spread { median: 5.0, p99: 5.0, min: 5.0, max: 5.0 });
+        assert_eq!(Spread::of([5.0]), Spread { mean: 5.0, median: 5.0, p99: 5.0, min: 5.0, max: 5.0 });
         let hundred = Spread::of((0..100).rev().map(f64::from));
-        assert_eq!(hundred, Spread { median: 49.5, p99: 98.0, min: 0.0, max: 99.0 });
+        assert_eq!(hundred, Spread { mean: 49.5, median: 49.5, p99: 98.0, min: 0.0, max: 99.0 });
     }
 }

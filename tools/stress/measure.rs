@@ -18,7 +18,7 @@ use super::mode::{Agents, Mode};
 use super::prune;
 use super::subject::Subject;
 
-/// Moments of the drive from which the importance of splats is measured for pruning.
+/// Moments of the ego's way from which the importance of splats is measured for pruning.
 const PRUNE_MOMENTS: u32 = 8;
 
 /// What modes are measured with.
@@ -204,10 +204,9 @@ impl<'a> Stand<'a> {
     fn measured_importance(&self, count: usize) -> Result<Vec<f64>> {
         let renderer = Renderer::new(self.gpu, self.defaults());
         let mut weights = Vec::new();
-        for frame in self.course.spread_frames(PRUNE_MOMENTS) {
-            let time_s = self.course.time_s(frame);
+        for time_s in self.course.way_moments_s(self.subject.background(), PRUNE_MOMENTS) {
             let world = renderer.upload(&self.copies(count, time_s, None))?;
-            let found = renderer.contribution_weights(&world, &self.course.cameras(self.subject.background(), time_s))?;
+            let found = renderer.contribution_weights(&world, &self.course.all_cameras(self.subject.background(), time_s))?;
             weights.resize(found.len(), 0.0);
             weights.iter_mut().zip(found).for_each(|(sum, weight)| *sum += f64::from(weight));
         }

@@ -11,7 +11,7 @@ pub enum Agents {
     /// Copies of the original assets in world space, part of one cloud of splats.
     Copies {
         /// Share of that cloud that is kept, the most important splats; 1 keeps it as it is.
-        keep: f32,
+        keep: f64,
     },
     /// Compressed assets that move.
     Coded(Coding),
@@ -131,9 +131,9 @@ impl FromStr for Mode {
         Ok(match (base, value) {
             ("vanilla", None) => Self::vanilla(text),
             ("prune", _) => {
-                let keep = number(1e-6, 1.0, Some(PRUNE_KEEP))? as f32;
+                let keep = number(1e-6, 1.0, Some(PRUNE_KEEP))?;
                 let what =
-                    format!("vanilla with {:.3} of all splats kept, by their weights in the ego's views and their volume", keep);
+                    format!("vanilla with {keep} of all splats kept, by their weights in the ego's views and their volume");
                 Self { agents: Agents::Copies { keep }, what, ..Self::vanilla(text) }
             }
             ("decoupled", None) => decoupled,

@@ -7,7 +7,7 @@ use decouplegs::render::metrics::difference_picture;
 
 use super::charts;
 use super::fit::Line;
-use super::report::{MemoryLines, Report, mebibytes};
+use super::report::{MemoryLines, Report, decibels, mebibytes};
 use super::tables;
 use crate::data_uri;
 use crate::plot::{self, escaped};
@@ -16,12 +16,12 @@ use crate::plot::{self, escaped};
 const DIFFERENCE_GAIN: f32 = 8.0;
 const THUMBNAIL_WIDTH_PX: u32 = 480;
 
-const STYLE: &str = "body{font:15px/1.55 system-ui,sans-serif;max-width:1340px;margin:2em auto;padding:0 1.2em;background:var(--ground);\
-color:var(--ink)}h1{font-size:1.6em;margin-bottom:.2em}h2{margin-top:2em;font-size:1.2em}p,li{max-width:75em}.dim{color:var(--dim)}\
-.wide{overflow-x:auto}table{border-collapse:collapse;margin:1em 0;font-variant-numeric:tabular-nums}\
-td,th{padding:.25em .7em;border-bottom:1px solid var(--rule);text-align:right;white-space:nowrap}th{color:var(--dim);font-weight:600}\
-td:first-child,th:first-child{text-align:left}td.text{text-align:left;white-space:normal}tr.ours td{font-weight:600}\
-.row{display:flex;flex-wrap:wrap;gap:1.2em}figure{margin:0}figcaption{color:var(--dim)}figure img{max-width:100%}";
+const STYLE: &str = "body{font:15px/1.55 system-ui,sans-serif;max-width:1340px;margin:2em auto;padding:0 1.2em;\
+background:var(--ground);color:var(--ink)}h1{font-size:1.6em;margin-bottom:.2em}h2{margin-top:2em;font-size:1.2em}p,li{max-width:75em}\
+.dim{color:var(--dim)}.wide{overflow-x:auto}table{border-collapse:collapse;margin:1em 0;\
+font-variant-numeric:tabular-nums}td,th{padding:.25em .7em;border-bottom:1px solid var(--rule);text-align:right;white-space:nowrap}\
+th{color:var(--dim);font-weight:600}td:first-child,th:first-child{text-align:left}td.text,th.text{text-align:left;white-space:normal}\
+tr.ours td{font-weight:600}.row{display:flex;flex-wrap:wrap;gap:1.2em}figure{margin:0}figcaption{color:var(--dim)}figure img{max-width:100%}";
 
 /// The page.
 pub fn page(report: &Report) -> Result<String> {
@@ -31,6 +31,7 @@ pub fn page(report: &Report) -> Result<String> {
          <title>{title}</title><style>{}{STYLE}</style><h1>{title}</h1>",
         plot::STYLE
     );
+    html.push_str(&summary(report));
     html.push_str(&conditions(report));
     html.push_str(&thumbnails(report)?);
     html.push_str("<h2>Scalability</h2><div class=\"row\">");
@@ -54,6 +55,31 @@ pub fn page(report: &Report) -> Result<String> {
     Ok(html)
 }
 
+/// What vanilla and decoupled come to with the most agents, as a sentence each.
+fn summary(report: &Report) -> String {
+    let largest = report.largest_count();
+    let mut html = String::new();
+    for mode in [report.vanilla(), report.decoupled()].into_iter().flatten() {
+        let Some(point) = report.points_of(mode).find(|point| point.agents == largest) else { continue };
+        let found = match point.measured() {
+            None => tables::reason(&point.outcome),
+            Some(measured) => {
+                let error = measured
+                    .fidelity
+                    .map_or(String::new(), |fidelity| format!(", PSNR {} dB against vanilla", decibels(fidelity.psnr_all_db)));
+                format!(
+                    "{:.1} images/s ({:.1} rig steps/s), {:.1} MiB of device memory{error}",
+                    measured.images_per_s(),
+                    measured.rig_steps_per_s(),
+                    mebibytes(measured.memory.total_bytes)
+                )
+            }
+        };
+        let _ = write!(html, "<p><b>{}</b> with {largest} agents: {found}.</p>", escaped(&mode.name));
+    }
+    html
+}
+
 fn conditions(report: &Report) -> String {
     let c = &report.conditions;
     let text = |value: &serde_json::Value| escaped(value.as_str().unwrap_or_default());
@@ -61,8 +87,8 @@ fn conditions(report: &Report) -> String {
         format!(" Modes that take more than {:.0} MiB are reported as out of memory.", mebibytes(bytes))
     });
     format!(
-        "<p class=\"dim\">{} ({}), DecoupleGS {}. {} splats of background, degree {}; {} assets; {} cameras of {}x{} px, 8 bits a \
-         channel; {} frames timed after {} to warm up, {} s of the drive apart. Scene: {}.{limit}</p>",
+        "<p class=\"dim\">{} ({}), DecoupleGS {}. {} splats of background, degree {}; {} assets; {} camera(s) of {}x{} px, \
+         8 bits a channel; {} frames timed after {} to warm up, {} s of the drive apart. {}{limit}</p>",
         text(&c["device"]),
         text(&c["driver"]),
         text(&c["version"]),
@@ -75,8 +101,19 @@ fn conditions(report: &Report) -> String {
         c["frames"],
         c["warm_up"],
         c["step_s"],
-        escaped(&c["source"].to_string()),
+        escaped(&source_text(&c["source"])),
     )
+}
+
+fn source_text(source: &serde_json::Value) -> String {
+    let street = &source["synth"];
+    match source["scene"].as_str() {
+        Some(path) => format!("Scene {path}."),
+        None => format!(
+            "A street made up from seed {}, its {} cars of {} splats each before compression.",
+            street["seed"], street["assets"], street["agent_splats"]
+        ),
+    }
 }
 
 fn thumbnails(report: &Report) -> Result<String> {
@@ -114,36 +151,43 @@ fn memory_lines(lines: &MemoryLines) -> String {
     item("Decoupled, memory of every other purpose", lines.rest, "for each agent");
     item("Decoupled, all memory", lines.total, "for each agent");
     item("Vanilla, all memory", lines.vanilla_total, "for each agent");
-    html.push_str("</ul><p class=\"dim\">Straight lines by least squares through our own count of bytes. Memory of purpose <i>frame</i> grows \
-                   with what is in sight, in steps of a sixteenth; a low R² says that it is not a line.</p>");
+    html.push_str(
+        "</ul><p class=\"dim\">Straight lines by least squares through our own count of bytes. Memory of purpose <i>frame</i> grows \
+         with what is in sight, in steps of a sixteenth; a low R² says that it is not a line.</p>",
+    );
     html
 }
 
 fn how_to_read(report: &Report) -> String {
     let originals = if report.conditions["originals_known"] == true {
-        "the splats as they were before compression"
+        "Vanilla's copies are the splats as they were before compression."
     } else {
-        "what the compressed assets decode to, since the scene holds no others: what compression itself costs is <b>not</b> in the errors"
+        "Vanilla's copies of assets that came compressed are what these decode to: what compression itself costs is then \
+         <b>not</b> in the errors."
     };
-    format!(
-        "<h2>How to read this, and what is not measured</h2><ul>\
-         <li>Images/s and rig steps/s are by the median wall clock from the end of one frame to the end of the next; a rig step draws all \
-         cameras once. GPU times are of the device's own clock. p99 is the value that 99 of 100 frames do not exceed: with fewer than \
-         100 frames, the slowest.</li>\
-         <li><b>Vanilla is flattered.</b> Its agents are world-space copies that stand where they are in the middle of the drive while the \
-         ego drives on. Moving them would mean to transform and upload every splat of every agent in every frame; that is <b>not</b> charged \
-         to it, nor to prune.</li>\
-         <li>Vanilla's copies are {originals}.</li>\
-         <li>Errors are against vanilla's picture from the same cameras at the same moment, its copies standing where the agents are then, in \
-         32-bit float: PSNR of the mean squared error over all sampled pictures. PSNR-Veh counts the pixels where vanilla's strongest splat \
-         belongs to an agent. They are not against photographs, as the paper's are, and LPIPS is not measured.</li>\
-         <li>Prune is what LightGaussian does first: one importance over the whole scene. Its training afterwards and its quantisation are \
-         <b>not</b> done, so both its error and its memory are larger than in the paper. Importance is measured in the ego's views of this \
-         drive, the ones that are compared.</li>\
-         <li>Memory is our own count of all buffers after the last timed frame: scene, assets, frame, pictures, transfers. The driver's figure, \
-         where it gives one, includes pipelines and unused parts of blocks. Uploads need more for a moment, which is not shown.</li>\
-         <li>Out of memory means more than <i>--memory-limit</i>, by prediction from the splats or by count, or a refusal of the device; \
-         the table says which.</li>\
-         <li>Where a trajectory ends before the drive does, its agent stands at its end.</li></ul>"
-    )
+    let items = HOW_TO_READ.iter().chain(std::iter::once(&originals)).map(|item| format!("<li>{item}</li>"));
+    format!("<h2>How to read this, and what is not measured</h2><ul>{}</ul>", items.collect::<String>())
 }
+
+const HOW_TO_READ: &[&str] = &[
+    "Images/s and rig steps/s are timed frames by the wall clock that all of them took; a rig step draws all cameras once. A step is \
+     the wall clock from the end of a frame to the end of the next; with two frames in flight, some devices end them in pairs. GPU \
+     times are of the device's own clock. p99 is the value that 99 of 100 frames do not exceed: with fewer than 100 frames, the \
+     slowest.",
+    "<b>Vanilla is flattered.</b> Its agents are world-space copies that stand where they are in the middle of the drive while the \
+     ego drives on. Moving them would mean to transform and upload every splat of every agent in every frame; that is <b>not</b> \
+     charged to it, nor to prune.",
+    "Errors are against vanilla's picture from the same cameras at the same moment, its copies standing where the agents are then, \
+     in 32-bit float: PSNR of the mean squared error over all sampled pictures. PSNR-Veh counts the pixels where vanilla's \
+     strongest splat belongs to an agent. They are not against photographs, as the paper's are, and LPIPS is not measured.",
+    "Prune is what LightGaussian does first: one importance over the whole scene. Its training afterwards and its quantisation are \
+     <b>not</b> done, so both its error and its memory are larger than in the paper. Importance is measured in views of all the \
+     ego's cameras along all of its way: what is never seen from there is pruned without any error.",
+    "Memory is our own count of all buffers after the last timed frame: scene, assets, frame, pictures, transfers. The driver's \
+     figure, where it gives one, includes pipelines and unused parts of blocks. Uploads need more for a moment, which is not shown.",
+    "Out of memory means more than <i>--memory-limit</i>, by prediction from the splats or by count, or a refusal of the device; the \
+     table says which.",
+    "Modes are measured one after the other. On a machine that does other work at the same time, differences of a few per cent say \
+     nothing.",
+    "Where a trajectory ends before the drive does, its agent stands at its end.",
+];

@@ -20,11 +20,11 @@ pub fn importance(cloud: &SplatCloud, weights: &[f64]) -> Vec<f64> {
 }
 
 /// The share `keep` of the splats that matters most, in rising order; of equal ones the earlier stay.
-pub fn kept(importance: &[f64], keep: f32) -> Vec<u32> {
+pub fn kept(importance: &[f64], keep: f64) -> Vec<u32> {
     let mut order: Vec<u32> = (0..importance.len() as u32).collect();
     let of = |splat: u32| importance[splat as usize];
     order.sort_by(|&a, &b| of(b).total_cmp(&of(a)).then(a.cmp(&b)));
-    order.truncate((f64::from(keep) * importance.len() as f64).ceil() as usize);
+    order.truncate((keep * importance.len() as f64).ceil() as usize);
     order.sort_unstable();
     order
 }

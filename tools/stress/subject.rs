@@ -150,9 +150,9 @@ impl Subject {
         &mut self.staged
     }
 
-    /// Splats of the original and of the compressed asset, by asset.
+    /// Splats of the original and of the asset compressed by the defaults, where it was, by asset.
     pub fn asset_splats(&self) -> Vec<(String, usize, Option<usize>)> {
-        let coded = self.codings.first().map(|(_, coded)| coded);
+        let coded = self.codings.iter().find(|(coding, _)| *coding == Coding::default()).map(|(_, coded)| coded);
         let of =
             |(at, asset): (usize, &Asset)| (asset.name.clone(), asset.original.len(), coded.map(|coded| coded[at].levels[0]));
         self.assets.iter().enumerate().map(of).collect()

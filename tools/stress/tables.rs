@@ -14,7 +14,8 @@ const DENSITIES: [(&str, RangeInclusive<usize>); 3] = [("S (1 to 2)", 1..=2), ("
 /// The paper's table: vanilla, the pruned scene and decoupled by traffic density, each the mean over the counts measured.
 pub fn compression(report: &Report) -> String {
     let mut html = String::from(
-        "<div class=\"wide\"><table><tr><th>agents<th>mode<th>PSNR-Veh, dB<th>PSNR-All, dB<th>SSIM<th>images/s<th>MiB<th>counts</tr>",
+        "<div class=\"wide\"><table><tr><th>agents<th class=\"text\">mode\
+         <th>PSNR-Veh, dB<th>PSNR-All, dB<th>SSIM<th>images/s<th>MiB<th>counts</tr>",
     );
     let modes = [report.vanilla(), report.pruned(), report.decoupled()];
     for (density, counts) in &DENSITIES {
@@ -22,12 +23,12 @@ pub fn compression(report: &Report) -> String {
             let points: Vec<&Point> = report.points_of(mode).filter(|point| counts.contains(&point.agents)).collect();
             let ours = if report.decoupled() == Some(*mode) { " class=\"ours\"" } else { "" };
             let name = escaped(&mode.name);
-            let _ = write!(html, "<tr{ours}><td>{density}<td>{name}{}</tr>", density_cells(mode, &points));
+            let _ = write!(html, "<tr{ours}><td>{density}<td class=\"text\">{name}{}</tr>", density_cells(mode, &points));
         }
     }
     html.push_str(
-        "</table></div><p class=\"dim\">Each figure is the mean over the agent counts of its row. Vanilla is what the others are \
-         compared with.</p>",
+        "</table></div><p class=\"dim\">Each figure is the mean over the agent counts of its row, PSNR that of the mean squared \
+         error. Vanilla is what the others are compared with.</p>",
     );
     html
 }
@@ -47,16 +48,18 @@ fn density_cells(mode: &Mode, points: &[&Point]) -> String {
     let fidelity = |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| {
         mean(measured.iter().filter_map(|measured| of(measured.fidelity.as_ref()?)).collect())
     };
-    let psnr = |value: Option<f64>| match value {
-        _ if mode.is_vanilla() => "reference".to_owned(),
-        value => value.map_or("-".into(), decibels),
-    };
+    // Errors are averaged before the logarithm: pictures without error have no finite PSNR.
+    let psnr =
+        |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| match fidelity(&|found| Some(10f64.powf(of(found)? / -10.0))) {
+            _ if mode.is_vanilla() => "reference".to_owned(),
+            square => square.map_or("-".into(), |square| decibels(-10.0 * square.log10())),
+        };
     let counts: Vec<String> =
         points.iter().filter(|point| point.measured().is_some()).map(|point| point.agents.to_string()).collect();
     format!(
         "<td>{}<td>{}<td>{}<td>{:.1}<td>{:.1}<td>{}",
-        psnr(fidelity(&|fidelity| fidelity.psnr_vehicles_db)),
-        psnr(fidelity(&|fidelity| Some(fidelity.psnr_all_db))),
+        psnr(&|fidelity| fidelity.psnr_vehicles_db),
+        psnr(&|fidelity| Some(fidelity.psnr_all_db)),
         if mode.is_vanilla() { "reference".into() } else { ssim(fidelity(&|fidelity| fidelity.ssim)) },
         mean(measured.iter().map(|measured| measured.images_per_s()).collect()).unwrap_or(f64::NAN),
         mean(measured.iter().map(|measured| mebibytes(measured.memory.total_bytes)).collect()).unwrap_or(f64::NAN),
@@ -68,7 +71,7 @@ fn ssim(value: Option<f64>) -> String {
     value.map_or("-".into(), |value| format!("{value:.4}"))
 }
 
-fn reason(outcome: &Outcome) -> String {
+pub fn reason(outcome: &Outcome) -> String {
     match outcome {
         Outcome::Measured(_) => String::new(),
         Outcome::OutOfMemory { needed_bytes, known } => format!("out of memory: {:.1} MiB, {known}", mebibytes(*needed_bytes)),
@@ -77,7 +80,7 @@ fn reason(outcome: &Outcome) -> String {
 }
 
 pub fn modes(report: &Report) -> String {
-    let mut html = String::from("<table><tr><th>mode<th>what it is</tr>");
+    let mut html = String::from("<table><tr><th>mode<th class=\"text\">what it is</tr>");
     for mode in &report.modes {
         let _ = write!(html, "<tr><td>{}<td class=\"text\">{}</tr>", escaped(&mode.name), escaped(&mode.what));
     }
@@ -115,8 +118,8 @@ pub fn all_times(report: &Report) -> String {
         "PSNR-Veh, dB",
         "SSIM",
         "max",
-        "unsorted views",
-        "order error",
+        "views not sorted",
+        "order error, estimate",
     ];
     rows(report, &head, &|point, measured| {
         let mut cells = vec![

@@ -69,8 +69,6 @@ pub(crate) struct AgentList {
     /// `[agent][camera]`.
     pub cameras: Vec<CameraRecord>,
     pub counts: AgentCounts,
-    /// Highest degree of their colours.
-    pub sh_degree: u8,
     /// Splats of the levels of detail that were chosen.
     pub splats: usize,
 }
@@ -93,7 +91,6 @@ impl AgentList {
             records: Vec::new(),
             cameras: Vec::new(),
             counts: AgentCounts { cameras: cameras.len(), ..AgentCounts::default() },
-            sh_degree: 0,
             splats: 0,
         };
         for agent in agents {
@@ -129,7 +126,6 @@ impl AgentList {
         self.cameras.extend(seen_by);
         self.counts.agents += 1;
         self.counts.chunks += asset.levels[level].chunks();
-        self.sh_degree = self.sh_degree.max(asset.sh_degree);
         self.splats += self.records[self.records.len() - 1].splat_count as usize;
     }
 }

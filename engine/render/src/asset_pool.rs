@@ -205,6 +205,11 @@ impl AssetPool {
         asset.filter(|asset| asset.generation == id.generation).ok_or(RenderError::NoSuchAsset)
     }
 
+    /// Highest degree of the colours of its assets; `None` when there are none.
+    pub(crate) fn sh_degree(&self) -> Option<u8> {
+        self.assets.iter().flatten().map(|asset| asset.sh_degree).max()
+    }
+
     pub(crate) fn buffers(&self) -> &PoolBuffers {
         &self.buffers
     }

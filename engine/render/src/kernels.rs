@@ -1,7 +1,7 @@
 //! The kernels of a frame, built when the first frame needs them.
 
 use decouplegs_gpu::{Gpu, GpuError};
-use decouplegs_scene::{EarlyStop, Rules};
+use decouplegs_scene::{DepthOrder, EarlyStop, Rules};
 
 use crate::capacity::SortShape;
 use crate::options::RenderOptions;
@@ -54,6 +54,7 @@ pub(crate) struct Kernels {
     rules: Rules,
     outputs: Outputs,
     segment_pairs: u32,
+    keeps_orders: bool,
     order_error: bool,
     shape: SortShape,
     common: Option<CommonStages>,
@@ -90,6 +91,7 @@ impl Kernels {
         Self {
             rules,
             outputs,
+            keeps_orders: order != OrderMode::Full && rules.order == DepthOrder::Z,
             order_error: matches!(order, OrderMode::Bounded { .. }),
             segment_pairs: if whole { u32::MAX } else { segment_pairs.max(1) },
             shape,
@@ -102,7 +104,7 @@ impl Kernels {
 
     /// The kernels for `variant`, those that are new built now.
     pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
-        let Self { rules, outputs, segment_pairs, order_error, shape, .. } = self;
+        let Self { rules, outputs, segment_pairs, keeps_orders, order_error, shape, .. } = self;
         if self.common.is_none() {
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,
@@ -117,10 +119,13 @@ impl Kernels {
                 composite: CompositeSegments::new(gpu, outputs)?,
             });
         }
-        if !self.background.iter().any(|(built, _)| *built == variant.background) {
-            let cull = Cull::new(gpu, rules, variant.background.ranked)?;
-            let project = Project::new(gpu, rules, variant.background)?;
-            self.background.push((variant.background, BackgroundStages { cull, project }));
+        // Both kinds at once where orders may be kept: building the other in the middle of a drive would stall it.
+        for ranked in [variant.background.ranked, *keeps_orders] {
+            let kind = ProjectVariant { ranked, ..variant.background };
+            if !self.background.iter().any(|(built, _)| *built == kind) {
+                let (cull, project) = (Cull::new(gpu, rules, ranked)?, Project::new(gpu, rules, kind)?);
+                self.background.push((kind, BackgroundStages { cull, project }));
+            }
         }
         if let Some(degree) = variant.agents
             && !self.agents.iter().any(|(built, _)| *built == degree)
@@ -132,7 +137,7 @@ impl Kernels {
             };
             self.agents.push((degree, stages));
         }
-        if variant.orders && self.orders.is_none() {
+        if *keeps_orders && self.orders.is_none() {
             self.orders = Some(OrderStages { ranks: Ranks::new(gpu)?, repair: RepairOrder::new(gpu)? });
         }
         let built = |what| GpuError::Driver { call: "building kernels", code: format!("{what} was not built") };

@@ -134,7 +134,8 @@ impl Renderer {
                 ranked: decision.is_ranked(),
                 splat_ids: options.outputs.contributions,
             },
-            agents: list.as_ref().map(|list| list.sh_degree.min(options.sh_degree_max)),
+            // That of all assets, whoever is in view: building kernels in the middle of a drive would stall it.
+            agents: scene.agents.and_then(|(pool, _)| pool.sh_degree()).map(|degree| degree.min(options.sh_degree_max)),
             orders: decision.is_ranked(),
         };
         let ranks = orders.ranks().clone();
