@@ -1,21 +1,17 @@
 //! Plots as inline SVG: curves, scatters and stacked bars. The page that holds them also holds [`STYLE`].
 
+mod scale;
+
 use std::fmt::Write;
 
-/// What the drawings need of a page's style sheet: readable on a light and on a dark ground. Series are told apart with most kinds
-/// of colour blindness (Okabe and Ito).
-pub const STYLE: &str = ":root{color-scheme:light dark;--ground:#fff;--ink:#1d2229;--dim:#5c6672;--rule:#d9dee4;\
---c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#cc79a7;--c4:#b8860b;--c5:#56b4e9;--c6:#7a5195;--c7:#7f8c8d;--c8:#8c564b;--c9:#3b7d23}\
-@media(prefers-color-scheme:dark){:root{--ground:#15181c;--ink:#e4e8ec;--dim:#9aa5b1;--rule:#343b44;\
---c0:#4aa8e0;--c1:#f08a3c;--c2:#2fc79b;--c3:#e39cc4;--c4:#e6b422;--c5:#8fd0f5;--c6:#b48ad0;--c7:#aab4b5;--c8:#c4907f;--c9:#7cc45f}}\
-svg{max-width:100%;height:auto}svg text{font:12px system-ui,sans-serif;fill:var(--dim)}\
-svg .title{font-weight:600;font-size:14px;fill:var(--ink)}svg .middle{text-anchor:middle}svg .end{text-anchor:end}\
-svg .grid{stroke:var(--rule)}svg .curve{fill:none;stroke-width:2}svg .guide{fill:none;stroke:var(--dim);stroke-dasharray:2 4}svg .mark{fill:var(--ground);stroke-width:2}svg .name{fill:var(--ink)}";
+use scale::Scale;
+pub use scale::{Axis, number};
+
+/// What the drawings need of a page's style sheet: readable on a light and on a dark ground.
+pub const STYLE: &str = include_str!("plot/style.css");
 
 /// Colours there are; series beyond take them again.
 const COLOURS: usize = 10;
-/// About so many ticks on an axis.
-const TICKS: f64 = 6.0;
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 340.0;
 /// The frame of a plot within the drawing.
@@ -47,16 +43,6 @@ pub enum Shape {
     Guide,
 }
 
-/// One axis of a plot.
-#[derive(Clone, Copy, Default)]
-pub struct Axis<'a> {
-    pub label: &'a str,
-    /// By the decimal logarithm.
-    pub log: bool,
-    /// Whether it begins at zero, where it is not logarithmic.
-    pub from_zero: bool,
-}
-
 /// Series over two axes.
 pub struct Plot<'a> {
     pub title: &'a str,
@@ -81,61 +67,11 @@ struct Frame {
     bottom: f64,
 }
 
-/// An axis with its range: where values lie and which of them are written.
-struct Scale {
-    log: bool,
-    min: f64,
-    max: f64,
-    ticks: Vec<f64>,
-}
-
-impl Scale {
-    /// For `values`; those that the axis cannot show are passed over.
-    fn over(values: impl Iterator<Item = f64>, axis: Axis<'_>) -> Self {
-        let shown = values.filter(|&value| value.is_finite() && (!axis.log || value > 0.0));
-        let (min, max) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), value| (min.min(value), max.max(value)));
-        let (min, max) = if min <= max { (min, max) } else { (1.0, 10.0) };
-        if axis.log { Self::logarithmic(min, max) } else { Self::linear(if axis.from_zero { min.min(0.0) } else { min }, max) }
-    }
-
-    fn linear(min: f64, max: f64) -> Self {
-        let max = if max > min { max } else { min + min.abs().max(1.0) };
-        let rough = (max - min) / TICKS;
-        let power = 10f64.powf(rough.log10().floor());
-        let step =
-            [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power).into_iter().find(|step| *step >= rough).unwrap_or(10.0 * power);
-        let (first, last) = ((min / step).floor(), (max / step - 1e-9).ceil());
-        let ticks: Vec<f64> = (0..=(last - first) as usize).map(|at| (first + at as f64) * step).collect();
-        Self { log: false, min: first * step, max: last * step, ticks }
-    }
-
-    fn logarithmic(min: f64, max: f64) -> Self {
-        let decades = (min.log10().floor() as i32, max.log10().ceil() as i32);
-        let factors: &[f64] = match decades.1 - decades.0 {
-            ..=1 => &[1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0],
-            2..=3 => &[1.0, 2.0, 5.0],
-            _ => &[1.0],
-        };
-        let all: Vec<f64> =
-            (decades.0..=decades.1).flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power))).collect();
-        let below = all.iter().copied().filter(|tick| *tick <= min * 1.0001).fold(f64::NEG_INFINITY, f64::max);
-        let above = all.iter().copied().find(|tick| *tick >= max * 0.9999 && *tick > below).unwrap_or(max * 2.0);
-        let ticks = all.into_iter().filter(|tick| (below..=above).contains(tick)).collect();
-        Self { log: true, min: below, max: above, ticks }
-    }
-
-    /// The place of `value` between `from` and `to`; `None` where it has none.
-    fn place(&self, value: f64, from: f64, to: f64) -> Option<f64> {
-        let on = |value: f64| if self.log { value.log10() } else { value };
-        let share = (on(value) - on(self.min)) / (on(self.max) - on(self.min));
-        share.is_finite().then_some(from + share * (to - from))
-    }
-}
-
 fn svg_of(title: &str, height: f64) -> String {
     let name = escaped(title);
     format!(
-        "<svg viewBox=\"0 0 {WIDTH} {height}\" width=\"{WIDTH}\" role=\"img\" aria-label=\"{name}\"><text x=\"{}\" y=\"20\" class=\"title\">{name}</text>",
+        "<svg viewBox=\"0 0 {WIDTH} {height}\" width=\"{WIDTH}\" role=\"img\" aria-label=\"{name}\">\
+         <text x=\"{}\" y=\"20\" class=\"title\">{name}</text>",
         FRAME.left
     )
 }
@@ -144,7 +80,8 @@ fn legend(svg: &mut String, at: usize, colour: usize, name: &str) {
     let y = FRAME.top + 8.0 + LEGEND_STEP * at as f64;
     let _ = write!(
         svg,
-        "<rect x=\"{LEGEND_X}\" y=\"{}\" width=\"12\" height=\"8\" style=\"fill:var(--c{});opacity:{}\"/><text x=\"{}\" y=\"{}\" class=\"name\">{}</text>",
+        "<rect x=\"{LEGEND_X}\" y=\"{}\" width=\"12\" height=\"8\" style=\"fill:var(--c{});opacity:{}\"/>\
+         <text x=\"{}\" y=\"{}\" class=\"name\">{}</text>",
         y - 8.0,
         colour % COLOURS,
         opacity(colour),
@@ -277,7 +214,8 @@ impl Bars<'_> {
                 if let (Some(a), Some(b)) = (scale.place(from, LEFT, right), scale.place(from + value, LEFT, right)) {
                     let _ = write!(
                         svg,
-                        "<rect x=\"{a:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"18\" style=\"fill:var(--c{});opacity:{}\"><title>{} {} ms</title></rect>",
+                        "<rect x=\"{a:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"18\" \
+                         style=\"fill:var(--c{});opacity:{}\"><title>{} {} ms</title></rect>",
                         (b - a).max(0.0),
                         part % COLOURS,
                         opacity(part),
@@ -307,25 +245,6 @@ fn opacity(colour: usize) -> f64 {
     if colour < COLOURS { 1.0 } else { 0.55 }
 }
 
-/// Three digits that count.
-pub fn number(value: f64) -> String {
-    let size = value.abs();
-    if size != 0.0 && !(1e-3..1e6).contains(&size) {
-        return format!("{value:.1e}");
-    }
-    let decimals = if size >= 100.0 || size == 0.0 {
-        0
-    } else if size >= 10.0 {
-        1
-    } else if size >= 1.0 {
-        2
-    } else {
-        3
-    };
-    let text = format!("{value:.decimals$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-}
-
 /// `text` as HTML shows it.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
@@ -353,18 +272,6 @@ mod tests {
     }
 
     #[test]
-    fn ticks_are_round_and_hold_the_values() {
-        let scale = Scale::linear(0.0, 52.4);
-        assert_eq!(scale.ticks, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]);
-        let scale = Scale::logarithmic(3.0, 70.0);
-        assert_eq!((scale.min, scale.max, scale.ticks.as_slice()), (2.0, 100.0, [2.0, 5.0, 10.0, 20.0, 50.0, 100.0].as_slice()));
-        let one = Scale::linear(5.0, 5.0);
-        assert!(one.min <= 5.0 && one.max > one.min && one.ticks.len() < 20);
-        let one = Scale::logarithmic(10.0, 10.0);
-        assert!(one.min <= 10.0 && one.max > one.min);
-    }
-
-    #[test]
     fn names_of_points_in_one_place_do_not_cover_each_other() {
         let named = |name: &str| Series { name: name.into(), shape: Shape::Named, ..series(&[(1.0, 1.0)]) };
         let all = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![named("first"), named("second")] };
@@ -382,11 +289,5 @@ mod tests {
         let svg = bars.to_svg();
         // The axis ends at 4, so 350 px are 4 ms.
         assert!(svg.contains("x=\"130.0\" y=\"38.0\" width=\"87.5\"") && svg.contains("width=\"262.5\""), "{svg}");
-    }
-
-    #[test]
-    fn numbers_are_short() {
-        let written = [0.0, 0.5, 1.0, 12.34, 123.4, 2e7, -0.25].map(number);
-        assert_eq!(written, ["0", "0.5", "1", "12.3", "123", "2.0e7", "-0.25"]);
     }
 }

@@ -69,7 +69,8 @@ pub struct Arguments {
     /// The moment of the first frame, seconds (default: when the ego's trajectory begins)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, bounded[=RAD], lod[=PX], sh0, sh1, sh2, keep=SHARE, colors=N
+    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, bounded[=RAD], lod[=PX], sh0, sh1, sh2, keep=SHARE,
+    /// colors=N
     #[arg(long, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
     /// Moments at which pictures are compared with vanilla's
@@ -104,7 +105,8 @@ struct StreetArguments {
     #[arg(long, value_name = "N", default_value_t = 12, conflicts_with = "scene", value_parser = at_least_one)]
     assets: usize,
     /// Degree of the spherical harmonics
-    #[arg(long, value_name = "D", default_value_t = 3, conflicts_with = "scene", value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "D", default_value_t = 3, conflicts_with = "scene",
+        value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
     /// Everything random follows from it, the codebooks of compressed assets too
     #[arg(long, value_name = "S", default_value_t = 1)]

@@ -16,12 +16,8 @@ use crate::plot::{self, escaped};
 const DIFFERENCE_GAIN: f32 = 8.0;
 const THUMBNAIL_WIDTH_PX: u32 = 480;
 
-const STYLE: &str = "body{font:15px/1.55 system-ui,sans-serif;max-width:1340px;margin:2em auto;padding:0 1.2em;\
-background:var(--ground);color:var(--ink)}h1{font-size:1.6em;margin-bottom:.2em}h2{margin-top:2em;font-size:1.2em}p,li{max-width:75em}\
-.dim{color:var(--dim)}.wide{overflow-x:auto}table{border-collapse:collapse;margin:1em 0;\
-font-variant-numeric:tabular-nums}td,th{padding:.25em .7em;border-bottom:1px solid var(--rule);text-align:right;white-space:nowrap}\
-th{color:var(--dim);font-weight:600}td:first-child,th:first-child{text-align:left}td.text,th.text{text-align:left;white-space:normal}\
-tr.ours td{font-weight:600}.row{display:flex;flex-wrap:wrap;gap:1.2em}figure{margin:0}figcaption{color:var(--dim)}figure img{max-width:100%}";
+const STYLE: &str = include_str!("page.css");
+const HOW_TO_READ: &str = include_str!("how_to_read.html");
 
 /// The page.
 pub fn page(report: &Report) -> Result<String> {
@@ -152,8 +148,8 @@ fn memory_lines(lines: &MemoryLines) -> String {
     item("Decoupled, all memory", lines.total, "for each agent");
     item("Vanilla, all memory", lines.vanilla_total, "for each agent");
     html.push_str(
-        "</ul><p class=\"dim\">Straight lines by least squares through our own count of bytes. Memory of purpose <i>frame</i> grows \
-         with what is in sight, in steps of a sixteenth; a low R² says that it is not a line.</p>",
+        "</ul><p class=\"dim\">Straight lines by least squares through our own count of bytes. Memory of purpose <i>frame</i> \
+         grows with what is in sight, in steps of a sixteenth; a low R² says that it is not a line.</p>",
     );
     html
 }
@@ -165,29 +161,5 @@ fn how_to_read(report: &Report) -> String {
         "Vanilla's copies of assets that came compressed are what these decode to: what compression itself costs is then \
          <b>not</b> in the errors."
     };
-    let items = HOW_TO_READ.iter().chain(std::iter::once(&originals)).map(|item| format!("<li>{item}</li>"));
-    format!("<h2>How to read this, and what is not measured</h2><ul>{}</ul>", items.collect::<String>())
+    format!("<h2>How to read this, and what is not measured</h2><ul>{HOW_TO_READ}<li>{originals}</li></ul>")
 }
-
-const HOW_TO_READ: &[&str] = &[
-    "Images/s and rig steps/s are timed frames by the wall clock that all of them took; a rig step draws all cameras once. A step is \
-     the wall clock from the end of a frame to the end of the next; with two frames in flight, some devices end them in pairs. GPU \
-     times are of the device's own clock. p99 is the value that 99 of 100 frames do not exceed: with fewer than 100 frames, the \
-     slowest.",
-    "<b>Vanilla is flattered.</b> Its agents are world-space copies that stand where they are in the middle of the drive while the \
-     ego drives on. Moving them would mean to transform and upload every splat of every agent in every frame; that is <b>not</b> \
-     charged to it, nor to prune.",
-    "Errors are against vanilla's picture from the same cameras at the same moment, its copies standing where the agents are then, \
-     in 32-bit float: PSNR of the mean squared error over all sampled pictures. PSNR-Veh counts the pixels where vanilla's \
-     strongest splat belongs to an agent. They are not against photographs, as the paper's are, and LPIPS is not measured.",
-    "Prune is what LightGaussian does first: one importance over the whole scene. Its training afterwards and its quantisation are \
-     <b>not</b> done, so both its error and its memory are larger than in the paper. Importance is measured in views of all the \
-     ego's cameras along all of its way: what is never seen from there is pruned without any error.",
-    "Memory is our own count of all buffers after the last timed frame: scene, assets, frame, pictures, transfers. The driver's \
-     figure, where it gives one, includes pipelines and unused parts of blocks. Uploads need more for a moment, which is not shown.",
-    "Out of memory means more than <i>--memory-limit</i>, by prediction from the splats or by count, or a refusal of the device; the \
-     table says which.",
-    "Modes are measured one after the other. On a machine that does other work at the same time, differences of a few per cent say \
-     nothing.",
-    "Where a trajectory ends before the drive does, its agent stands at its end.",
-];

@@ -190,13 +190,14 @@ impl Subject {
             coded.push(match &asset.stored {
                 Some(stored) if coding == Coding::default() => stored.clone(),
                 Some(_) => bail!(
-                    "{}: is compressed already, so it cannot be compressed otherwise: leave out modes keep and colors, or name a scene \
-                     of plain splats",
+                    "{}: is compressed already, so it cannot be compressed otherwise: leave out modes keep and colors, or name a \
+                     scene of plain splats",
                     asset.name
                 ),
                 None => {
                     let working = format!("compressing {} ({} of {})", asset.name, at + 1, self.assets.len());
-                    asset.coded(gpu, coding, views, seed, working).with_context(|| format!("{} cannot be compressed", asset.name))?
+                    let failed = || format!("{} cannot be compressed", asset.name);
+                    asset.coded(gpu, coding, views, seed, working).with_context(failed)?
                 }
             });
         }

@@ -35,7 +35,7 @@ pub fn compression(report: &Report) -> String {
 
 fn density_cells(mode: &Mode, points: &[&Point]) -> String {
     if points.is_empty() {
-        return "<td colspan=\"6\">no such count was measured".into();
+        return "<td colspan=\"6\" class=\"text\">no such count was measured".into();
     }
     let measured: Vec<&Measured> = points.iter().filter_map(|point| point.measured()).collect();
     if measured.is_empty() {
