@@ -6,6 +6,7 @@
 // them all. Where some are, two entries claim one place: check_order sees that.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
 #include "frame.glsl"
 
 layout(local_size_x = 256) in;
@@ -21,7 +22,8 @@ layout(push_constant, scalar) uniform push_block { uint camera_count; uint chunk
 #include "static_lists.glsl"
 
 const uint BLOCK = 1024u;
-const uint REACH_MAX = 256u;
+const uint REACH_MAX = 256u; // a reach is a multiple of STEPS_AT_ONCE
+const uint STEPS_AT_ONCE = 8u;
 shared uint window_keys[BLOCK + 2u * REACH_MAX];
 shared uint window_values[BLOCK + 2u * REACH_MAX];
 
@@ -42,6 +44,12 @@ bool find_block(uint block, out uvec2 list, out uint first) {
     return false;
 }
 
+// 1 when the entry of the window comes behind (key, value) in the order. No branch: entries disagree.
+uint comes_behind(uint entry, uint key, uint value) {
+    uint other = window_keys[entry];
+    return uint(other > key) | (uint(other == key) & uint(window_values[entry] > value));
+}
+
 void main() {
     uint thread = gl_LocalInvocationIndex;
     uvec2 list;
@@ -49,26 +57,25 @@ void main() {
     if (!find_block(group_index(), list, first)) {
         return;
     }
-    uint window_first = first < reach ? 0u : first - reach;
-    uint window_end = min(first + BLOCK + reach, list.y);
-    for (uint place = window_first + thread; place < window_end; place += 256u) {
-        window_keys[place - window_first] = keys[list.x + place];
-        window_values[place - window_first] = values[list.x + place];
+    // What lies outside of the list belongs there: nothing has to ask where it ends.
+    for (uint entry = thread; entry < BLOCK + 2u * reach; entry += 256u) {
+        uint place = first + entry - reach; // below 0 it wraps, and is beyond the end
+        bool before = first + entry < reach;
+        bool real = !before && place < list.y;
+        window_keys[entry] = real ? keys[list.x + place] : before ? 0u : 0xffffffffu;
+        window_values[entry] = real ? values[list.x + place] : before ? 0u : 0xffffffffu;
     }
     barrier();
     for (uint place = first + thread; place < min(first + BLOCK, list.y); place += 256u) {
-        uint own = place - window_first;
+        uint own = place - first + reach;
         uint key = window_keys[own];
         uint value = window_values[own];
         uint target = place;
-        for (uint other = own < reach ? 0u : own - reach; other < own; ++other) {
-            uint other_key = window_keys[other];
-            target -= other_key > key || (other_key == key && window_values[other] > value) ? 1u : 0u;
-        }
-        uint end = min(own + reach + 1u, window_end - window_first);
-        for (uint other = own + 1u; other < end; ++other) {
-            uint other_key = window_keys[other];
-            target += other_key < key || (other_key == key && window_values[other] < value) ? 1u : 0u;
+        for (uint step = 0u; step < reach; step += STEPS_AT_ONCE) {
+            [[unroll]] for (uint part = 1u; part <= STEPS_AT_ONCE; ++part) {
+                target -= comes_behind(own - step - part, key, value);
+                target += 1u - comes_behind(own + step + part, key, value);
+            }
         }
         repaired[list.x + target] = value;
     }

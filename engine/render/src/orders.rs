@@ -17,8 +17,8 @@ use crate::stages::{Measured, PURPOSE, REPAIR_REACH_MAX};
 const REPAIR_ANGLE_RAD: f64 = 5e-4;
 /// A repair angle is not halved below this.
 const REPAIR_ANGLE_MIN_RAD: f64 = 1e-6;
-/// Ranks of a direction are found when it turned by less than this share of the repair angle since the frame before, so that
-/// they serve ten frames: finding them takes as long as sorting what one view sees seven times (measured, H200, 2 M splats).
+/// Ranks of a direction are found when it turned by less than this share of the angle that they serve for since the frame
+/// before, so that they serve ten frames: finding them takes as long as sorting what one view sees seven times (measured, H200, 2 M splats).
 const STEADY_SHARE: f64 = 0.1;
 
 /// How splats come into front-to-back order.
@@ -227,7 +227,7 @@ impl Orders {
         let serves_rad = self.repair_angle_rad.max(mode.stale_rad());
         let steady = |camera: usize| {
             let before = self.previous.get(camera);
-            before.is_some_and(|before| before.angle_to(&directions[camera]) <= STEADY_SHARE * self.repair_angle_rad)
+            before.is_some_and(|before| before.angle_to(&directions[camera]) <= STEADY_SHARE * serves_rad)
         };
         let stands = |camera: usize| self.previous.get(camera) == Some(&directions[camera]);
         (0..directions.len()).find(|&camera| {

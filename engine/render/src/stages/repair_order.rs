@@ -65,7 +65,7 @@ impl RepairOrder {
     /// `reach` places apart; [`RepairOrder::record_check`] takes it over.
     ///
     /// # Panics
-    /// When `reach` is more than [`REPAIR_REACH_MAX`].
+    /// When `reach` is more than [`REPAIR_REACH_MAX`] or no multiple of 8.
     pub fn record_repair(
         &self,
         recorder: &mut Recorder,
@@ -74,7 +74,8 @@ impl RepairOrder {
         sort: &SortScratch,
         reach: u32,
     ) {
-        assert!(reach <= REPAIR_REACH_MAX, "a repair over {reach} places, at most {REPAIR_REACH_MAX} are looked at");
+        let whole = reach <= REPAIR_REACH_MAX && reach.is_multiple_of(8);
+        assert!(whole, "a repair over {reach} places; multiples of 8 up to {REPAIR_REACH_MAX} can be looked at");
         let push = RepairPush {
             camera_count: lists.camera_count as u32,
             chunk_count: lists.chunk_count as u32,
