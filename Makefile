@@ -7,12 +7,15 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test packages
+.PHONY: demo test packages python
 
 # Building needs a C++ compiler, cmake, ninja, pkg-config and python3 (for shaderc, which compiles the shaders); running
 # needs the Vulkan loader, a driver (lavapipe, the software one, unless the machine has a better) and the validation layers.
 PROGRAMS := g++ cmake ninja pkg-config python3
-LIBRARIES := libvulkan1 mesa-vulkan-drivers vulkan-validationlayers
+LIBRARIES := libvulkan1 mesa-vulkan-drivers vulkan-validationlayers python3-venv
+
+# A test reads compressed assets from Python, as users do, with the packages safetensors and numpy.
+PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 
 DEMO := out/demo
 DECOUPLEGS := cargo run --quiet --package decouplegs-tools --
@@ -27,13 +30,20 @@ demo: packages
 
 # Documentation tests come first: what stands last in the output is the count of the tests proper.
 test: export DECOUPLEGS_VALIDATION := 1
-test: packages
+test: packages python
 	cargo test --workspace --doc
+	if [[ -x $(PYTHON)/bin/python ]]; then export DECOUPLEGS_PYTHON=$(PYTHON)/bin/python; fi; \
 	if cargo nextest --version >/dev/null 2>&1; then \
 		cargo nextest run --workspace --all-targets --no-fail-fast; \
 	else \
 		cargo test --workspace --lib --bins --tests --no-fail-fast; \
 	fi
+
+# Without a network the test that needs it says that it is skipped.
+python: packages
+	@if $(PYTHON)/bin/python -c 'import safetensors, numpy' 2>/dev/null; then exit 0; fi; \
+	python3 -m venv $(PYTHON) && $(PYTHON)/bin/pip install --quiet --disable-pip-version-check safetensors numpy \
+		|| { rm -rf $(PYTHON); echo "safetensors and numpy cannot be installed for Python: the test that reads assets from it is skipped."; }
 
 packages:
 	@missing=(); \

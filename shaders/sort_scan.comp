@@ -16,6 +16,9 @@ layout(set = 0, binding = 2, scalar) writeonly buffer digit_totals_block { uint 
 void main() {
     uint digit = gl_WorkGroupID.x;
     SortSegment segment = segments[gl_WorkGroupID.y];
+    if (segment.count == 0u) {
+        return;
+    }
     uint blocks = sort_blocks(segment.count);
     uint counter = first_counter(segment, digit);
     uint thread = block_thread();

@@ -1,14 +1,13 @@
 //! `decouplegs compress`: splats of an agent as a small asset.
 
 mod page;
-mod plot;
 mod report;
 pub mod views;
 pub mod visibility;
-mod yardstick;
+pub mod yardstick;
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
@@ -24,14 +23,18 @@ use crate::progress;
 use visibility::VIEW_PX_MAX;
 
 /// Compress the splats of an agent: prune what matters little, and keep shapes and colours as entries of codebooks
+///
+/// An agent is what moves through a scene, such as a car. Its splats are drawn from all around; those that hardly show are
+/// dropped, and the shapes and colours of the others become entries of two codebooks, so that a splat takes 12 bytes. The asset
+/// stands in a scene file where plain splats may, `inspect` describes it and `decompress` turns it back into plain splats.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats in the agent's own frame (.ply, .splat, .spz)
+    /// Splats in the agent's own frame: metres, x forward, y left, z up (.ply, .splat, .spz)
     file: PathBuf,
-    /// The asset to write
+    /// The asset to write (.safetensors)
     #[arg(long, value_name = "FILE", value_parser = asset_path)]
     out: PathBuf,
-    /// Share of the splats to keep, the most important ones
+    /// Share of the splats to keep, the most important ones, above 0 and at most 1 (default: by --tau)
     #[arg(long, value_name = "R", conflicts_with = "tau", value_parser = keep_ratio)]
     keep: Option<f32>,
     /// Least importance that is kept, 0 to 1; anything above 0 drops what no view shows
@@ -48,21 +51,24 @@ pub struct Arguments {
     /// Everything random follows from it: the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Whether colours turn with the agent (object captures) or were trained in place
-    #[arg(long, value_enum, default_value_t = Frame::Canonical)]
+    /// What colours that change with the direction of view refer to
+    #[arg(long, value_name = "FRAME", value_enum, default_value_t = Frame::Canonical)]
     sh_frame: Frame,
     /// Views all around the asset from which its splats' visibility is measured
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
-    /// Side of these views, pixels; lavapipe takes larger ones where it must
+    /// Side of these views, pixels; doubled for a device that cannot draw so many splats on so few of them
     #[arg(long, value_name = "PX", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
     view_size: u32,
-    /// Measure what is lost and write report.html and report.json to this folder; takes minutes
+    /// Measure what is lost, with other settings too, and write report.html and report.json to this folder; takes minutes
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     /// How far away the report's street cameras stand, metres: ten is for cars
     #[arg(long, value_name = "METRES", default_value_t = 10.0, value_parser = distance)]
     report_distance: f64,
+    /// Cameras of each kind in the report (default: 4 on the street, 2 close by, 7 all around)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
+    report_views: Option<u32>,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -70,9 +76,9 @@ pub struct Arguments {
 /// How an asset's colours are meant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Frame {
-    /// They turn with the agent
+    /// They turn with the agent: object captures
     Canonical,
-    /// They stay as the world sees them
+    /// They stay as the world sees them: trained in place, as HUGSIM and drivestudio export
     World,
 }
 
@@ -99,6 +105,7 @@ fn distance(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    check_outputs(arguments)?;
     let source = fs::read(&arguments.file).with_context(|| format!("cannot read {}", arguments.file.display()))?;
     let cloud = read_splats(&arguments.file)?;
     let drawn: Vec<u32> = (0..cloud.len() as u32).filter(|&splat| cloud.defect_of(splat as usize).is_none()).collect();
@@ -119,6 +126,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         print(&format!("{}\n", folder.join("report.html").display()))?;
     }
     check_validation(&gpu)
+}
+
+/// Refuses, before minutes of work, what could not be written after them.
+fn check_outputs(arguments: &Arguments) -> Result<()> {
+    let out = &arguments.out;
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    ensure!(folder.is_dir(), "cannot write {}: there is no folder {}; make it first", out.display(), folder.display());
+    ensure!(!out.is_dir(), "cannot write {}: it is a folder; --out is the file to write", out.display());
+    if let Some(report) = &arguments.report {
+        ensure!(report.is_dir() || !report.exists(), "--report {}: it is a file; expected a folder", report.display());
+    }
+    Ok(())
 }
 
 fn options(arguments: &Arguments) -> CompressOptions {

@@ -1,4 +1,4 @@
-//! Plots as inline SVG: curves, scatters and stacked bars. The page that holds them also holds [`STYLE`].
+//! Plots as inline SVG: curves, scatters and stacked bars; and the start of the page that holds them.
 
 mod scale;
 
@@ -8,7 +8,9 @@ use scale::Scale;
 pub use scale::{Axis, number};
 
 /// What the drawings need of a page's style sheet: readable on a light and on a dark ground.
-pub const STYLE: &str = include_str!("plot/style.css");
+const STYLE: &str = include_str!("plot/style.css");
+/// The rest of the page, in the same colours.
+const PAGE_STYLE: &str = include_str!("plot/page.css");
 
 /// Colours there are; series beyond take them again.
 const COLOURS: usize = 10;
@@ -20,6 +22,8 @@ const LEGEND_X: f64 = 494.0;
 const LEGEND_STEP: f64 = 18.0;
 /// A letter of the plots' text is about so wide.
 const LETTER: f64 = 6.6;
+/// Points of a longer curve are not marked: marks would cover the line.
+const MARKED_MAX: usize = 40;
 
 /// Points under one name.
 pub struct Series {
@@ -158,7 +162,8 @@ fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, labels: 
     if series.shape == Shape::Curve {
         let _ = write!(svg, "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{colour})\"/>", line());
     }
-    for &(x, y) in &places {
+    let marked = if series.shape == Shape::Curve && places.len() > MARKED_MAX { &[] } else { places.as_slice() };
+    for &(x, y) in marked {
         let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" class=\"mark\" style=\"stroke:var(--c{colour})\"/>");
         if series.shape == Shape::Named {
             let width = LETTER * series.name.chars().count() as f64;
@@ -245,6 +250,15 @@ fn opacity(colour: usize) -> f64 {
     if colour < COLOURS { 1.0 } else { 0.55 }
 }
 
+/// A page up to its heading. It needs nothing beside it, follows the reader's choice of light or dark, and ends with `</html>`.
+/// `title` is HTML already.
+pub fn page_start(title: &str) -> String {
+    format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>{title}</title><style>{STYLE}{PAGE_STYLE}</style><h1>{title}</h1>"
+    )
+}
+
 /// `text` as HTML shows it.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
@@ -269,6 +283,16 @@ mod tests {
         assert!(plot(false).contains(" 480.0,286.0\"") && plot(false).contains("a &lt; b"), "{}", plot(false));
         let empty = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![] }.to_svg();
         assert!(!empty.contains("NaN") && !empty.contains("inf"));
+    }
+
+    #[test]
+    fn a_long_curve_is_a_line_without_marks() {
+        let marks = |count: usize| {
+            let points: Vec<(f64, f64)> = (0..count).map(|at| (at as f64, 1.0)).collect();
+            let plot = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![series(&points)] };
+            plot.to_svg().matches("<circle").count()
+        };
+        assert_eq!((marks(MARKED_MAX), marks(MARKED_MAX + 1)), (MARKED_MAX, 0));
     }
 
     #[test]

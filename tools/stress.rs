@@ -34,6 +34,10 @@ use report::{Report, Thumbnails};
 use subject::{StreetWish, Subject};
 
 /// Measure frames, memory and error against the number of agents that drive, for several ways to draw them
+///
+/// The ego drives through a scene file or a street made up, with more and more agents around it, once for each mode. Every
+/// mode's frames are timed, its memory is counted, and its pictures are compared with those of vanilla. A table is printed;
+/// --report writes a page with plots, and says there how to read them.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true))]
 pub struct Arguments {
@@ -45,7 +49,7 @@ pub struct Arguments {
     synth: bool,
     #[command(flatten)]
     street: StreetArguments,
-    /// Numbers of agents: the first so many of the scene
+    /// Numbers of agents to measure with, always the first so many of the scene
     #[arg(long, value_name = "N,...", value_delimiter = ',', default_value = "0,1,2,5,10,20,30,40,50")]
     agents: Vec<usize>,
     /// Cameras that stand: INRIA cameras.json or nerfstudio transforms.json (default: the ego's rig, which drives)
@@ -58,25 +62,39 @@ pub struct Arguments {
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Frames that are timed
-    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
-    /// Frames before them that are not
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    /// Least number of frames before them that are not timed
+    ///
+    /// They are the first frames of the drive backwards, so that the timed ones begin at --time in any case. A GPU warms up for at
+    /// least 0.5 s, until its clocks have risen, and by the whole drive where that has at most 240 frames. A software device draws
+    /// exactly N.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     warm_up: u32,
-    /// Time from one frame to the next, in which the ego and the agents drive on
+    /// Time from one frame to the next, in which the ego and the agents drive on, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 0.1, value_parser = seconds)]
     step: f64,
-    /// The moment of the first frame, seconds (default: when the ego's trajectory begins)
+    /// The moment of the first timed frame, seconds (default: when the ego's trajectory begins)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
     /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, bounded[=RAD], lod[=PX], sh0, sh1, sh2, keep=SHARE,
     /// colors=N
-    #[arg(long, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
+    ///
+    /// vanilla: uncompressed copies of the agents, everything sorted in every frame; the others are compared with it
+    /// prune=SHARE: vanilla with a share of all splats kept (0.34)
+    /// decoupled: compressed agents that drive, the background's order kept from frame to frame with the same pictures
+    /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2
+    /// bounded=RAD: decoupled, an order of the background serves until a camera has turned by so much (0.01)
+    /// lod=PX: decoupled, agents at the coarsest level whose splats are at most so far apart (0.7)
+    /// sh0, sh1, sh2: decoupled, colours evaluated to that degree
+    /// keep=SHARE: decoupled, assets compressed with a share of their splats kept
+    /// colors=N: decoupled, assets compressed with N colours and half as many shapes
+    #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
     /// Moments at which pictures are compared with vanilla's
     #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
     samples: u32,
-    /// Report modes that take more device memory as out of memory, such as 2GiB or 500MiB
+    /// Report a mode that takes more device memory than this, such as 2GiB or 500MiB, as out of memory
     #[arg(long, value_name = "BYTES")]
     memory_limit: Option<ByteSize>,
     /// Views all around an asset from which its splats' visibility is measured, where it is to be compressed
@@ -231,6 +249,7 @@ fn conditions(arguments: &Arguments, gpu: &Gpu, subject: &Subject, course: &Cour
     let scene = subject.background();
     let cameras = course.cameras(scene, course.start_s);
     let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+    let warm_up = course.warm_up_on(gpu.info().kind);
     let assets = subject.asset_splats().into_iter();
     let assets: Vec<Value> =
         assets.map(|(name, splats, coded)| json!({ "name": name, "splats": splats, "coded_splats": coded })).collect();
@@ -253,7 +272,8 @@ fn conditions(arguments: &Arguments, gpu: &Gpu, subject: &Subject, course: &Cour
         "height_px": cameras[0].intrinsics.height_px,
         "start_s": course.start_s,
         "step_s": course.step_s,
-        "warm_up": course.warm_up,
+        "warm_up": warm_up.turn.len(),
+        "warm_up_least_s": warm_up.least.as_secs_f64(),
         "frames": course.frames,
         "samples_s": course.sample_frames().into_iter().map(|frame| course.time_s(frame)).collect::<Vec<_>>(),
         "memory_limit_bytes": arguments.memory_limit.map(|limit| limit.0),

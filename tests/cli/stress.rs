@@ -26,6 +26,10 @@ fn modes_are_measured_against_agents_and_compared_with_vanilla() {
     let (said, figures, page) = small_stress(folder.path(), &["--agents", "0,3", "--modes", modes, "--samples", "2"]);
     assert_eq!((figures["points"].as_array().unwrap().len(), said.lines().count()), (12, 13), "{said}");
     assert_eq!((&figures["width_px"], &figures["cameras"], &figures["background_splats"]), (&96.into(), &1.into(), &3000.into()));
+    // Frames 0 and 2 of 3, a tenth of a second apart: the warm-up takes nothing of the drive.
+    let start_s = figures["start_s"].as_f64().unwrap();
+    let sampled = figures["samples_s"].as_array().unwrap().iter().map(|time_s| time_s.as_f64().unwrap() - start_s);
+    assert!(sampled.zip([0.0, 0.2]).all(|(found_s, expected_s)| (found_s - expected_s).abs() < 1e-9), "{figures}");
     let splats = |mode, agents| point(&figures, mode, agents)["world_splats"].as_u64().unwrap();
     assert_eq!([splats("vanilla", 3), splats("decoupled", 3), splats("prune", 3)], [3600, 3000, 1224]);
     for mode in ["vanilla", "prune", "decoupled"] {
@@ -52,7 +56,7 @@ fn modes_are_measured_against_agents_and_compared_with_vanilla() {
 }
 
 /// It names no other resource, and holds no number that is none.
-fn assert_page_stands_alone(page: &str) {
+pub fn assert_page_stands_alone(page: &str) {
     for outside in ["http", "src=\"/", "@import", "url(", "<script", "<link", "NaN", "inf\""] {
         assert!(!page.contains(outside), "{outside} in the page");
     }

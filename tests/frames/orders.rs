@@ -22,12 +22,12 @@ fn drive(frame: usize) -> (DVec3, f64) {
     match frame {
         0..50 => (DVec3::new(0.05 * t, 0.01 * t, 0.5), 0.0),
         50..60 => (DVec3::new(2.5, 0.5, 0.5), 0.0),
-        60..90 => (DVec3::new(0.05 * t, 0.0, 0.5), 0.00004 * (t - 59.0)),
+        60..90 => (DVec3::new(0.05 * t, 0.0, 0.5), 0.000_004 * (t - 59.0)),
         90..110 => (DVec3::new(0.05 * t, 0.0, 0.5), 0.035 * (t - 89.0)),
         110..120 => (DVec3::new(6.0, 1.0, 0.5), 0.71),
         120..125 => (DVec3::new(30.0, 3.0, 1.0), 3.0),
         125..140 => (DVec3::new(0.0, 0.1 * (t - 125.0), 0.5), if frame.is_multiple_of(2) { 0.0 } else { PI }),
-        140..170 => (DVec3::new(0.05 * (t - 140.0), 0.0, 0.5), 0.0001 * (t * 7.3).sin()),
+        140..170 => (DVec3::new(0.05 * (t - 140.0), 0.0, 0.5), 0.000_03 * (t * 7.3).sin()),
         _ => (DVec3::new(3.0 - 0.1 * (t - 170.0), 0.0, 0.8), 0.002 * (t - 169.0)),
     }
 }
@@ -82,7 +82,7 @@ fn a_drive_gives_the_same_bytes_however_the_order_is_found() {
 #[test]
 fn a_repair_that_is_not_enough_is_noticed_and_sorted() {
     let gpu = Validated::open();
-    // Splats close behind each other far to the side: a turn of half a milliradian reorders them over thousands of places.
+    // Splats close behind each other far to the side: a turn of 40 microradians reorders them over thousands of places.
     let splats: Vec<Splat> = (0..9000)
         .map(|i| {
             let (side, row) = (((i % 90) as f32 - 45.0) * 2.0, (i / 90) as f32);
@@ -90,7 +90,7 @@ fn a_repair_that_is_not_enough_is_noticed_and_sorted() {
                 scale_m: [0.3; 3],
                 opacity: 0.2,
                 rgb: [(i % 7) as f32 / 7.0, 0.5, (i % 3) as f32 / 3.0],
-                ..Splat::at(side, row * 0.1 - 5.0, 60.0 + ((i * 37) % 9000) as f32 * 2e-6)
+                ..Splat::at(side, row * 0.1 - 5.0, 60.0 + ((i * 37) % 9000) as f32 * 2e-7)
             }
         })
         .collect();
@@ -104,7 +104,7 @@ fn a_repair_that_is_not_enough_is_noticed_and_sorted() {
     let resident = exact.upload(&world).unwrap();
     let mut paths = Vec::new();
     // Every angle is another by more than the last tenth of what is repaired: none is worth finding ranks for.
-    for angle in [0.0, 0.0, 0.0].into_iter().chain((0..12).map(|i| 0.0004 + 0.0001 * f64::from(i % 2))) {
+    for angle in [0.0, 0.0, 0.0].into_iter().chain((0..12).map(|i| 0.000_04 + 0.000_015 * f64::from(i % 2))) {
         let statistics = exact.render(&resident, &turned(angle)).unwrap();
         paths.push(statistics.orders[0]);
         assert_eq!(statistics.inversions[0] > 0, statistics.orders[0] == OrderPath::RepairFailed);

@@ -5,26 +5,19 @@ use std::fmt::Write;
 use anyhow::Result;
 use decouplegs::asset::compress::{BookReport, Compressed};
 use decouplegs::render::metrics::difference_picture;
-use decouplegs::render::picture::{Picture, PictureFormat};
 
-use super::plot::{Plot, Series, escaped};
 use super::report::{Measured, Subject, Trial};
 use super::yardstick::{Score, Yardstick};
+use crate::data_uri;
+use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
 
 /// What differences are multiplied by in pictures of them.
 const DIFFERENCE_GAIN: f32 = 8.0;
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}\
-table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:right}\
-td:first-child,th:first-child{text-align:left}.row{display:flex;flex-wrap:wrap;gap:1em}figure{margin:0}img{image-rendering:pixelated}\
-svg text{font:11px sans-serif}svg .title{font-weight:bold;font-size:13px}svg .x{text-anchor:middle}svg .y{text-anchor:end}\
-svg .grid{stroke:#ddd}svg polyline{fill:none;stroke-width:2}";
-
 /// The page.
 pub fn page(subject: &Subject<'_>, compressed: &Compressed, yardstick: &mut Yardstick, measured: &Measured) -> Result<String> {
     let file = escaped(&subject.arguments.file.display().to_string());
-    let mut html =
-        format!("<!doctype html><meta charset=\"utf-8\"><title>{file} compressed</title><style>{STYLE}</style><h1>{file}</h1>");
+    let mut html = plot::page_start(&format!("{file} compressed"));
     html.push_str(&summary(subject, compressed));
     let names: Vec<&str> = yardstick.views.iter().map(|views| views.name).collect();
     html.push_str("<h2>Against the original</h2><ul>");
@@ -46,6 +39,7 @@ pub fn page(subject: &Subject<'_>, compressed: &Compressed, yardstick: &mut Yard
     );
     html.push_str(&trial_table(&names, &measured.spaces));
     html.push_str(&level_table(measured));
+    html.push_str("</html>\n");
     Ok(html)
 }
 
@@ -116,24 +110,23 @@ fn level_table(measured: &Measured) -> String {
 }
 
 fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> String {
-    let by_view = |trials: &[Trial], suffix: &str| -> Vec<Series> {
-        let of = |(at, name): (usize, &&str)| Series {
-            name: format!("{name}{suffix}"),
-            points: trials.iter().map(|trial| (trial.at, trial.scores[at].psnr_db)).collect(),
+    let by_view = |trials: &[Trial], suffix: &str, first_colour: usize| -> Vec<Series> {
+        let of = |(at, name): (usize, &&str)| {
+            let points = trials.iter().map(|trial| (trial.at, trial.scores[at].psnr_db)).collect();
+            curve(format!("{name}{suffix}"), first_colour + at, points)
         };
         names.iter().enumerate().map(of).collect()
     };
-    let mut kept = by_view(&measured.kept, "");
-    kept.extend(by_view(&measured.pruned_only, ", only pruned"));
-    let psnr = "PSNR, dB";
+    let mut kept = by_view(&measured.kept, "", 0);
+    kept.extend(by_view(&measured.pruned_only, ", only pruned", names.len()));
+    let linear = |label| Axis { label, ..Axis::default() };
     let plots = [
-        Plot { title: "Share of the splats kept", x_label: "share", y_label: psnr, log_y: false, series: kept },
+        Plot { title: "Share of the splats kept", x: linear("share"), y: linear("PSNR, dB"), series: kept },
         Plot {
             title: "Sizes of the codebooks (half as many shapes)",
-            x_label: "colours",
-            y_label: psnr,
-            log_y: false,
-            series: by_view(&measured.books, ""),
+            x: linear("colours"),
+            y: linear("PSNR, dB"),
+            series: by_view(&measured.books, "", 0),
         },
         distortion("Distortion of shapes", &compressed.report.shapes),
         distortion("Distortion of colours", &compressed.report.colours),
@@ -142,16 +135,18 @@ fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> Strin
     format!("<h2>Curves</h2><div class=\"row\">{svgs}</div>")
 }
 
+fn curve(name: String, colour: usize, points: Vec<(f64, f64)>) -> Series {
+    Series { name, colour, points, shape: Shape::Curve, end: None }
+}
+
 fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
     let numbered: Vec<(f64, f64)> = book.distortion.iter().enumerate().map(|(at, &value)| (at as f64, value)).collect();
     let (batches, all) = numbered.split_at(book.batches);
-    let series = |name: &str, points: &[(f64, f64)]| Series { name: name.into(), points: points.to_vec() };
     Plot {
         title,
-        x_label: "iteration",
-        y_label: "mean squared distance",
-        log_y: true,
-        series: vec![series("mini-batches", batches), series("all splats", all)],
+        x: Axis { label: "iteration", from_zero: true, log: false },
+        y: Axis { label: "mean squared distance", log: true, from_zero: false },
+        series: vec![curve("mini-batches".into(), 0, batches.to_vec()), curve("all splats".into(), 1, all.to_vec())],
     }
 }
 
@@ -169,43 +164,11 @@ fn pictures(yardstick: &mut Yardstick, compressed: &Compressed) -> Result<String
             let name = yardstick.views[at].name;
             let _ = write!(
                 html,
-                "<figure><img src=\"{}\" alt=\"{name} {what}\"><figcaption>{name}, {what}</figcaption></figure>",
-                data_uri(picture)?
+                "<figure><img class=\"pixels\" src=\"{}\" alt=\"{name} {what}\"><figcaption>{name}, {what}</figcaption></figure>",
+                data_uri::png(picture)?
             );
         }
         html.push_str("</div>");
     }
     Ok(html)
-}
-
-fn data_uri(picture: &Picture) -> Result<String> {
-    Ok(format!("data:image/png;base64,{}", base64(&picture.encode(PictureFormat::Png)?)))
-}
-
-/// RFC 4648, section 4.
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for group in bytes.chunks(3) {
-        let word = (0..3).fold(0u32, |word, at| word << 8 | u32::from(group.get(at).copied().unwrap_or(0)));
-        for digit in 0..4 {
-            let value = word >> (18 - 6 * digit) & 63;
-            text.push(if digit <= group.len() { char::from(DIGITS[value as usize]) } else { '=' });
-        }
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn base64_is_that_of_the_rfc() {
-        let vectors = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
-        for (bytes, text) in vectors {
-            assert_eq!(base64(bytes.as_bytes()), text);
-        }
-        assert_eq!(base64(&[0xff, 0xfe, 0xfd]), "//79");
-    }
 }

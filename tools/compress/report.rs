@@ -26,7 +26,7 @@ const BOOK_SIZES: [(usize, usize); 4] = [(64, 32), (256, 128), (512, 256), (1024
 /// Distances at which a level of detail is compared with the finest: where this many pixels lie between its splats.
 const PITCHES_PX: [f64; 4] = [0.5, 0.7, 1.0, 1.4];
 
-/// Cameras of each kind.
+/// Cameras of each kind, where the command line does not say.
 const STREET_VIEWS: usize = 4;
 const CLOSE_VIEWS: usize = 2;
 const AROUND_VIEWS: usize = 7;
@@ -87,7 +87,7 @@ pub fn write(subject: &Subject<'_>, compressed: &Compressed, folder: &Path) -> R
         kept: kept(subject, &mut yardstick, &bar)?,
         books: books(subject, &mut yardstick, &bar)?,
         spaces: spaces(subject, &mut yardstick, &bar)?,
-        levels: levels(&mut yardstick, &compressed.cloud)?,
+        levels: levels(subject, &mut yardstick, &compressed.cloud)?,
     };
     bar.finish_and_clear();
     let figures = figures(subject, compressed, &yardstick, &measured);
@@ -106,13 +106,15 @@ fn yardstick(subject: &Subject<'_>) -> Result<Yardstick> {
         format!("window of {width_px}x{height_px} px of a 1600x900 camera (focal length {STREET_FOCAL_PX} px) at {distance_m} m")
     };
     let close_m = 0.4 * distance_m;
+    let views_of = |by_default: usize| subject.arguments.report_views.map_or(by_default, |views| views as usize);
+    let around = views_of(AROUND_VIEWS);
     let cameras = vec![
-        ("street", street(distance_m), views::street(&bounds, STREET_VIEWS, distance_m, STREET_FOCAL_PX, WINDOW_PX)),
-        ("close", street(close_m), views::street(&bounds, CLOSE_VIEWS, close_m, STREET_FOCAL_PX, WINDOW_PX)),
+        ("street", street(distance_m), views::street(&bounds, views_of(STREET_VIEWS), distance_m, STREET_FOCAL_PX, WINDOW_PX)),
+        ("close", street(close_m), views::street(&bounds, views_of(CLOSE_VIEWS), close_m, STREET_FOCAL_PX, WINDOW_PX)),
         (
             "around",
-            format!("all of it from {AROUND_VIEWS} held-out directions on a sphere, {AROUND_PX} px"),
-            views::sphere(&bounds, AROUND_VIEWS, AROUND_PX, HELD_OUT_TURN_RAD),
+            format!("all of it from {around} held-out directions on a sphere, {AROUND_PX} px"),
+            views::sphere(&bounds, around, AROUND_PX, HELD_OUT_TURN_RAD),
         ),
     ];
     Yardstick::new(subject.gpu, subject.cloud, cameras)
@@ -173,10 +175,11 @@ fn spaces(subject: &Subject<'_>, yardstick: &mut Yardstick, bar: &ProgressBar) -
 
 /// Each coarser level against the finest, where [`PITCHES_PX`] lie between its splats: the root of the share of its box's
 /// surface that each has.
-fn levels(yardstick: &mut Yardstick, cloud: &CodedCloud) -> Result<Vec<LevelTrial>> {
+fn levels(subject: &Subject<'_>, yardstick: &mut Yardstick, cloud: &CodedCloud) -> Result<Vec<LevelTrial>> {
     let finest = cloud.decoded(0);
     let [length, width, height] = cloud.dims_m.map(f64::from);
     let surface_m2 = 2.0 * (length * width + length * height + width * height);
+    let views = subject.arguments.report_views.map_or(STREET_VIEWS, |views| views as usize);
     let mut trials = Vec::new();
     for level in 1..cloud.levels.len() {
         let decoded = cloud.decoded(level);
@@ -186,7 +189,7 @@ fn levels(yardstick: &mut Yardstick, cloud: &CodedCloud) -> Result<Vec<LevelTria
             // As large as the asset: pixels of sky would flatter it.
             let size_px = |size_m: f64| ((size_m / distance_m * STREET_FOCAL_PX).ceil() as u32).clamp(16, 400);
             let window = [size_px(length.max(width)), size_px(height)];
-            let cameras = views::street(&finest.bounds(), STREET_VIEWS, distance_m, STREET_FOCAL_PX, window);
+            let cameras = views::street(&finest.bounds(), views, distance_m, STREET_FOCAL_PX, window);
             let score = yardstick.compare(&decoded, &finest, &cameras)?;
             trials.push(LevelTrial { level, splats: decoded.len(), pitch_px, distance_m, score });
         }

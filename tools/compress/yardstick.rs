@@ -1,5 +1,7 @@
 //! What is lost in pictures: every version of an asset against the original, from the same cameras.
 
+use std::thread;
+
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::Difference;
@@ -26,14 +28,28 @@ impl Score {
 
     fn between(found: &[Picture], expected: &[Picture]) -> Result<Self> {
         let (mut square_sum, mut ssims) = (0.0, Vec::new());
-        for (found, expected) in found.iter().zip(expected) {
-            let difference = Difference::between(found, expected)?;
+        for difference in differences(found, expected)? {
             square_sum += difference.rmse * difference.rmse;
             ssims.extend(difference.ssim);
         }
         let ssim = (!ssims.is_empty()).then(|| ssims.iter().sum::<f64>() / ssims.len() as f64);
         Ok(Self { psnr_db: -10.0 * (square_sum / found.len() as f64).log10(), ssim })
     }
+}
+
+/// How far each of `found` is from its like in `expected`; several are compared at once.
+pub fn differences(found: &[Picture], expected: &[Picture]) -> Result<Vec<Difference>> {
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    let pairs: Vec<(&Picture, &Picture)> = found.iter().zip(expected).collect();
+    let mut differences = Vec::new();
+    for pairs in pairs.chunks(threads) {
+        thread::scope(|scope| {
+            let running: Vec<_> =
+                pairs.iter().map(|(found, expected)| scope.spawn(|| Difference::between(found, expected))).collect();
+            differences.extend(running.into_iter().map(|thread| thread.join().expect("metrics do not panic")));
+        });
+    }
+    Ok(differences.into_iter().collect::<Result<_, _>>()?)
 }
 
 /// Cameras under one name, and what they see of the original.

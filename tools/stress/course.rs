@@ -1,15 +1,25 @@
 //! Which moments are drawn from where.
 
+use std::iter;
+use std::time::{Duration, Instant};
+
 use decouplegs::asset::LoadedScene;
+use decouplegs::gpu::DeviceKind;
 use decouplegs::scene::Camera;
+
+/// The clocks of a GPU that idled rise within some 100 ms of work; frames before that take twice as long.
+const CLOCKS_RISE: Duration = Duration::from_millis(500);
+
+/// A drive of more frames is not made once as a warm-up.
+const REHEARSED_FRAMES_MAX: u32 = 240;
 
 /// The drive that every mode makes.
 pub struct Course {
-    /// The moment of the first frame, seconds.
+    /// The moment of the first timed frame, seconds.
     pub start_s: f64,
     /// From one frame to the next, seconds.
     pub step_s: f64,
-    /// Frames before those that are timed.
+    /// Least number of frames before those that are timed.
     pub warm_up: u32,
     /// Frames that are timed.
     pub frames: u32,
@@ -21,19 +31,45 @@ pub struct Course {
     pub standing: Option<Vec<Camera>>,
 }
 
+/// What is drawn before the timed frames.
+pub struct WarmUp {
+    /// One turn of it: frames of the course, drawn backwards so that the timed ones go on where it ends.
+    pub turn: Vec<u32>,
+    /// Turns are repeated until so much time has passed.
+    pub least: Duration,
+}
+
+impl WarmUp {
+    /// The frames to draw, and whether they are timed: the warm-up from now on, then the course of `frames`.
+    pub fn then(self, frames: u32) -> impl Iterator<Item = (u32, bool)> {
+        let begun = Instant::now();
+        let mut turns = 0;
+        let warm_up = iter::from_fn(move || {
+            turns += 1;
+            (turns == 1 || begun.elapsed() < self.least).then(|| self.turn.clone())
+        });
+        warm_up.flatten().map(|frame| (frame, false)).chain((0..frames).map(|frame| (frame, true)))
+    }
+}
+
 impl Course {
     pub fn time_s(&self, frame: u32) -> f64 {
         self.start_s + f64::from(frame) * self.step_s
     }
 
-    /// All frames, warm-up included.
-    pub fn frame_count(&self) -> u32 {
-        self.warm_up + self.frames
+    /// The warm-up on a device of `kind`. A GPU draws every frame of the course at least once, so that no list outgrows its
+    /// buffer while it is timed, and long enough for its clocks to rise; software, which has no clocks of its own and takes long
+    /// for a frame, draws as many as were asked for.
+    pub fn warm_up_on(&self, kind: DeviceKind) -> WarmUp {
+        let is_software = kind == DeviceKind::Cpu;
+        let rehearsed = if is_software || self.frames > REHEARSED_FRAMES_MAX { 0 } else { self.frames };
+        let turn = (1..=self.warm_up.max(rehearsed)).rev().map(|ahead| ahead % self.frames).collect();
+        WarmUp { turn, least: if is_software { Duration::ZERO } else { CLOCKS_RISE } }
     }
 
     /// The middle of the timed frames, seconds: where agents stand that cannot drive.
     pub fn middle_s(&self) -> f64 {
-        self.time_s(self.warm_up + self.frames / 2)
+        self.time_s(self.frames / 2)
     }
 
     /// The cameras at `time_s`.
@@ -47,7 +83,7 @@ impl Course {
     pub fn sample_frames(&self) -> Vec<u32> {
         let count = self.samples.min(self.frames);
         let place = |at: u32| ((2 * u64::from(at) + 1) * u64::from(self.frames) / (2 * u64::from(count))) as u32;
-        (0..count).map(|at| self.warm_up + place(at)).collect()
+        (0..count).map(place).collect()
     }
 
     /// `count` moments spread over all of the ego's way, seconds: more than the drive sees where that is short.
@@ -66,14 +102,51 @@ impl Course {
 mod tests {
     use super::*;
 
+    fn course(warm_up: u32, frames: u32, samples: u32) -> Course {
+        Course { start_s: 1.0, step_s: 0.5, warm_up, frames, samples, cameras_used: 1, standing: None }
+    }
+
     #[test]
     fn samples_are_timed_frames_and_spread() {
-        let course =
-            |frames, samples| Course { start_s: 1.0, step_s: 0.5, warm_up: 10, frames, samples, cameras_used: 1, standing: None };
-        assert_eq!(course(6, 3).sample_frames(), [11, 13, 15]);
-        assert_eq!(course(2, 5).sample_frames(), [10, 11]);
-        assert_eq!(course(7, 1).sample_frames(), [13]);
-        assert!(course(4, 0).sample_frames().is_empty());
-        assert_eq!((course(6, 3).middle_s(), course(6, 3).frame_count()), (7.5, 16));
+        assert_eq!(course(10, 6, 3).sample_frames(), [1, 3, 5]);
+        assert_eq!(course(10, 2, 5).sample_frames(), [0, 1]);
+        assert_eq!(course(10, 7, 1).sample_frames(), [3]);
+        assert!(course(10, 4, 0).sample_frames().is_empty());
+    }
+
+    #[test]
+    fn the_drive_does_not_depend_on_the_warm_up() {
+        for warm_up in [1, 10, 1000] {
+            let course = course(warm_up, 6, 3);
+            assert_eq!((course.time_s(0), course.middle_s(), course.sample_frames()), (1.0, 2.5, vec![1, 3, 5]));
+        }
+    }
+
+    #[test]
+    fn software_warms_up_by_what_was_asked_for_and_a_gpu_by_all_of_a_short_course() {
+        let [software, gpu] = [DeviceKind::Cpu, DeviceKind::Discrete];
+        assert_eq!(course(2, 6, 0).warm_up_on(software).turn, [2, 1]);
+        assert_eq!(course(8, 6, 0).warm_up_on(software).turn, [2, 1, 0, 5, 4, 3, 2, 1]);
+        assert_eq!(course(3, 1, 0).warm_up_on(software).turn, [0, 0, 0]);
+        assert_eq!(course(2, 6, 0).warm_up_on(gpu).turn, [0, 5, 4, 3, 2, 1]);
+        assert_eq!(course(2, 241, 0).warm_up_on(gpu).turn, [2, 1]);
+        assert_eq!(course(2, 6, 0).warm_up_on(software).least, Duration::ZERO);
+        assert!(course(2, 241, 0).warm_up_on(gpu).least >= Duration::from_millis(500));
+    }
+
+    #[test]
+    fn a_warm_up_is_repeated_in_whole_turns_until_its_time_has_passed() {
+        let all = |least| {
+            let warm_up = WarmUp { turn: vec![2, 1], least };
+            let begun = Instant::now();
+            let moments: Vec<(u32, bool)> = warm_up.then(3).inspect(|_| std::thread::sleep(Duration::from_millis(1))).collect();
+            (moments, begun.elapsed())
+        };
+        let timed = [(0, true), (1, true), (2, true)];
+        assert_eq!(all(Duration::ZERO).0, [[(2, false), (1, false)].as_slice(), &timed].concat());
+        let (moments, took) = all(Duration::from_millis(20));
+        let (warm_up, rest) = moments.split_at(moments.len() - 3);
+        assert!(took >= Duration::from_millis(20) && warm_up.len() >= 4, "{moments:?} in {took:?}");
+        assert!(warm_up.chunks(2).all(|turn| turn == [(2, false), (1, false)]) && rest == timed, "{moments:?}");
     }
 }

@@ -1,11 +1,10 @@
 //! How near pictures are to those of vanilla, over several moments and cameras.
 
-use std::thread;
-
 use anyhow::Result;
 use decouplegs::render::Picture;
-use decouplegs::render::metrics::Difference;
 use serde_json::{Value, json};
+
+use crate::compress::yardstick::differences;
 
 /// Errors of all pictures together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,25 +22,15 @@ pub struct Fidelity {
 impl Fidelity {
     /// How near `found` are to `expected`, which tell which pixels show an agent. Both hold at least one picture.
     pub fn between(found: &[Picture], expected: &[Picture]) -> Result<Self> {
-        let threads = thread::available_parallelism().map_or(1, usize::from);
-        let pairs: Vec<(&Picture, &Picture)> = found.iter().zip(expected).collect();
-        let mut differences = Vec::new();
-        for pairs in pairs.chunks(threads) {
-            thread::scope(|scope| {
-                let running: Vec<_> =
-                    pairs.iter().map(|(found, expected)| scope.spawn(|| Difference::between(found, expected))).collect();
-                differences.extend(running.into_iter().map(|thread| thread.join().expect("metrics do not panic")));
-            });
-        }
-        let differences = differences.into_iter().collect::<Result<Vec<Difference>, _>>()?;
+        let pairs = || found.iter().zip(expected);
+        let differences = differences(found, expected)?;
         let ssims: Vec<f64> = differences.iter().filter_map(|difference| difference.ssim).collect();
         Ok(Self {
-            psnr_all_db: psnr_db(pairs.iter().map(|(found, expected)| errors(found, expected, |_| true)))
-                .unwrap_or(f64::INFINITY),
-            psnr_vehicles_db: psnr_db(pairs.iter().map(|(found, expected)| errors(found, expected, |id| id != 0))),
+            psnr_all_db: psnr_db(pairs().map(|(found, expected)| errors(found, expected, |_| true))).unwrap_or(f64::INFINITY),
+            psnr_vehicles_db: psnr_db(pairs().map(|(found, expected)| errors(found, expected, |id| id != 0))),
             ssim: (!ssims.is_empty()).then(|| ssims.iter().sum::<f64>() / ssims.len() as f64),
             max_abs: differences.iter().map(|difference| difference.max_abs).fold(0.0, f64::max),
-            pictures: pairs.len(),
+            pictures: differences.len(),
         })
     }
 

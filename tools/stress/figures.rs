@@ -31,6 +31,8 @@ pub enum Outcome {
 
 /// What the timed frames took.
 pub struct Measured {
+    /// Frames that were drawn before them.
+    pub warm_up_frames: usize,
     /// Wall clock from the end of a frame to the end of the next.
     pub step_ms: Spread,
     /// Of the main queue.
@@ -115,7 +117,8 @@ impl Point {
 }
 
 impl Measured {
-    /// The figures of `frames`, which took `steps_ms` one after the other; neither is empty. Fidelity is left open.
+    /// The figures of `frames`, which took `steps_ms` one after the other; neither is empty. Fidelity and what the frames
+    /// do not tell are left open.
     pub fn of(frames: &[FrameStatistics], steps_ms: &[f64], memory: MemoryReport) -> Self {
         let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
         let median = |of: &dyn Fn(&FrameStatistics) -> f64| spread(of).median;
@@ -126,6 +129,7 @@ impl Measured {
         }
         let order_errors = frames.iter().filter_map(|frame| frame.order_error.map(|error| f64::from(error.max)));
         Self {
+            warm_up_frames: 0,
             step_ms: Spread::of(steps_ms.iter().copied()),
             gpu_ms: spread(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
             update_ms: (!updates.is_empty()).then(|| Spread::of(updates)),
@@ -167,6 +171,7 @@ impl Measured {
         json!({
             "rig_steps_per_s": self.rig_steps_per_s(),
             "images_per_s": self.images_per_s(),
+            "warm_up_frames": self.warm_up_frames,
             "step_wall_ms": self.step_ms.to_json(),
             "frame_gpu_ms": self.gpu_ms.to_json(),
             "update_gpu_ms": self.update_ms.map(Spread::to_json),

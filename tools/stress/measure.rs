@@ -1,5 +1,6 @@
 //! Drives a mode through the scene: how long its frames take, what memory they hold, and its pictures at the sampled moments.
 
+use std::collections::VecDeque;
 use std::time::Instant;
 
 use anyhow::Result;
@@ -108,8 +109,8 @@ impl<'a> Stand<'a> {
                     Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
                 }
             };
-            let (frames, steps_ms) = self.drive(&mut renderer, &resident)?;
-            Measured::of(&frames, &steps_ms, self.gpu.memory())
+            let (frames, steps_ms, warm_up_frames) = self.drive(&mut renderer, &resident)?;
+            Measured { warm_up_frames, ..Measured::of(&frames, &steps_ms, self.gpu.memory()) }
         };
         if measured.memory.total_bytes > limit_bytes {
             return Ok((out_of_memory(measured.memory.total_bytes, COUNTED), Vec::new()));
@@ -123,27 +124,36 @@ impl<'a> Stand<'a> {
         Ok((Outcome::Measured(Box::new(measured)), pictures))
     }
 
-    /// All frames of the course: what the timed ones took, and the wall clock from one to the next.
-    fn drive(&self, renderer: &mut Renderer, resident: &Resident) -> Result<(Vec<FrameStatistics>, Vec<f64>)> {
-        let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
-        let (count, in_flight) = (self.course.frame_count(), renderer.options().frames_in_flight as u32);
+    /// The warm-up and then the course: what the timed frames took, the wall clock from one to the next, and how many came before.
+    fn drive(&self, renderer: &mut Renderer, resident: &Resident) -> Result<(Vec<FrameStatistics>, Vec<f64>, usize)> {
+        let (mut frames, mut steps_ms, mut untimed) = (Vec::new(), Vec::new(), 0);
+        let depth = renderer.options().frames_in_flight;
+        // One follows the other without a pause, so that the first timed frame finds the device as busy as the others do.
+        let mut moments = self.course.warm_up_on(self.gpu.info().kind).then(self.course.frames);
+        // Of the frames in flight, oldest first, whether they are timed.
+        let mut in_flight = VecDeque::with_capacity(depth);
         let mut last = Instant::now();
-        for frame in 0..count + in_flight - 1 {
-            if frame < count {
+        loop {
+            let next = moments.next();
+            if let Some((frame, is_timed)) = next {
                 let time_s = self.course.time_s(frame);
                 resident.submit(renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
+                in_flight.push_back(is_timed);
             }
-            if frame + 1 >= in_flight {
-                let statistics = renderer.finish()?;
-                let now = Instant::now();
-                let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
-                if frame + 1 - in_flight >= self.course.warm_up {
-                    frames.push(statistics);
-                    steps_ms.push(step_ms);
-                }
+            if in_flight.len() < depth && next.is_some() {
+                continue;
+            }
+            let Some(is_timed) = in_flight.pop_front() else { return Ok((frames, steps_ms, untimed)) };
+            let statistics = renderer.finish()?;
+            let now = Instant::now();
+            let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
+            if is_timed {
+                frames.push(statistics);
+                steps_ms.push(step_ms);
+            } else {
+                untimed += 1;
             }
         }
-        Ok((frames, steps_ms))
     }
 
     /// The pictures of `mode` at the sampled moments, all cameras of one after those of the other.
@@ -155,13 +165,14 @@ impl<'a> Stand<'a> {
         let samples = self.course.sample_frames();
         let last = samples.iter().copied().max().unwrap_or(0);
         // What an order from earlier frames does to a picture is seen only after these.
-        let frames: Vec<u32> = if mode.has_history() { (0..=last).collect() } else { samples.clone() };
+        let before = if mode.has_history() { self.course.warm_up_on(self.gpu.info().kind).turn } else { Vec::new() };
+        let course = (0..=last).filter(|frame| mode.has_history() || samples.contains(frame));
         let mut pictures = Vec::new();
-        for frame in frames {
+        for (frame, is_warm_up) in before.into_iter().map(|frame| (frame, true)).chain(course.map(|frame| (frame, false))) {
             let time_s = self.course.time_s(frame);
             resident.submit(&mut renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
             renderer.finish()?;
-            if samples.contains(&frame) {
+            if !is_warm_up && samples.contains(&frame) {
                 pictures.extend(renderer.read_pictures()?);
             }
         }

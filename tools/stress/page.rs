@@ -16,17 +16,12 @@ use crate::plot::{self, escaped};
 const DIFFERENCE_GAIN: f32 = 8.0;
 const THUMBNAIL_WIDTH_PX: u32 = 480;
 
-const STYLE: &str = include_str!("page.css");
 const HOW_TO_READ: &str = include_str!("how_to_read.html");
 
 /// The page.
 pub fn page(report: &Report) -> Result<String> {
     let title = "Stress: frames, memory and error against agents";
-    let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{title}</title><style>{}{STYLE}</style><h1>{title}</h1>",
-        plot::STYLE
-    );
+    let mut html = plot::page_start(title);
     html.push_str(&summary(report));
     html.push_str(&conditions(report));
     html.push_str(&thumbnails(report)?);
@@ -84,7 +79,7 @@ fn conditions(report: &Report) -> String {
     });
     format!(
         "<p class=\"dim\">{} ({}), DecoupleGS {}. {} splats of background, degree {}; {} assets; {} camera(s) of {}x{} px, \
-         8 bits a channel; {} frames timed after {} to warm up, {} s of the drive apart. {}{limit}</p>",
+         8 bits a channel; {} frames timed, {} s of the drive apart, after {} to warm up. {}{limit}</p>",
         text(&c["device"]),
         text(&c["driver"]),
         text(&c["version"]),
@@ -95,10 +90,15 @@ fn conditions(report: &Report) -> String {
         c["width_px"],
         c["height_px"],
         c["frames"],
-        c["warm_up"],
         c["step_s"],
+        warm_up_text(c),
         escaped(&source_text(&c["source"])),
     )
+}
+
+fn warm_up_text(conditions: &serde_json::Value) -> String {
+    let (frames, least_s) = (&conditions["warm_up"], conditions["warm_up_least_s"].as_f64().unwrap_or(0.0));
+    if least_s > 0.0 { format!("at least {frames} and {least_s} s") } else { frames.to_string() }
 }
 
 fn source_text(source: &serde_json::Value) -> String {

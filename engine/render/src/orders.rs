@@ -11,10 +11,13 @@ use glam::{DVec3, Vec3};
 use crate::RenderError;
 use crate::layout::{CameraRecord, OrderStep, View, ViewOrder};
 use crate::resident::ResidentWorld;
-use crate::stages::{Measured, PURPOSE, REPAIR_REACH_MAX};
+use crate::stages::{Measured, PURPOSE};
 
 /// Ranks are repaired after turns of up to this at first; a repair that failed halves it.
-const REPAIR_ANGLE_RAD: f64 = 5e-4;
+const REPAIR_ANGLE_RAD: f64 = 6e-5;
+/// Places over which a repair looks after the widest turn that it is tried for: looking farther takes longer than the sort that
+/// it saves (measured, H200 and lavapipe).
+const REPAIR_REACH: u32 = 32;
 /// A repair angle is not halved below this.
 const REPAIR_ANGLE_MIN_RAD: f64 = 1e-6;
 /// Ranks of a direction are found when it turned by less than this share of the angle that they serve for since the frame
@@ -236,15 +239,12 @@ impl Orders {
         })
     }
 
-    /// How far a repair has to look: the farther, the wider the widest turn that is repaired.
+    /// How far a repair has to look: entries move in proportion to the turn.
     fn reach_for(&self, directions: &[Direction]) -> u32 {
         let repaired = directions.iter().filter_map(|direction| self.nearest(direction)).map(|(_, angle)| angle);
         let widest_rad = repaired.filter(|&angle| angle <= self.repair_angle_rad).fold(0.0, f64::max);
         let share = widest_rad / self.repair_angle_rad;
-        [(0.25, 4), (0.5, 2)]
-            .iter()
-            .find(|(up_to, _)| share <= *up_to)
-            .map_or(REPAIR_REACH_MAX, |(_, part)| REPAIR_REACH_MAX / part)
+        ((share * f64::from(REPAIR_REACH)) as u32 + 1).next_multiple_of(8).min(REPAIR_REACH)
     }
 
     /// The set for the ranks along `direction`: a new one, or the one whose last use is longest ago.
