@@ -156,3 +156,24 @@ fn a_stale_order_says_what_it_costs() {
     let (statistics, difference) = draw(0.5);
     assert_eq!((statistics.orders[0], difference.max_abs), (OrderPath::Sorted, 0.0), "beyond the angle it is sorted");
 }
+
+#[test]
+fn a_frame_that_is_refused_leaves_no_order_behind_that_was_never_found() {
+    let gpu = Validated::open();
+    let world = background(2000, 8);
+    let mut exact = Renderer::new(&gpu, RenderOptions::default());
+    let resident = exact.upload(&world).unwrap();
+    exact.render(&resident, &rig(0)).unwrap();
+    // The second frame would find ranks; it has no room for its pictures.
+    let mut huge = rig(1);
+    for camera in &mut huge {
+        camera.intrinsics = camera.intrinsics.resized(65_536, 65_536);
+    }
+    assert!(exact.render(&resident, &huge).is_err());
+    let mut full = Renderer::new(&gpu, RenderOptions { order: OrderMode::Full, ..RenderOptions::default() });
+    full.render(&resident, &rig(1)).unwrap();
+    for _ in 0..4 {
+        exact.render(&resident, &rig(1)).unwrap();
+        assert!(exact.read_pictures().unwrap() == full.read_pictures().unwrap());
+    }
+}

@@ -7,6 +7,18 @@ use crate::output::Outputs;
 use crate::{RenderError, RenderOptions, Renderer, ResidentWorld};
 
 impl Renderer {
+    /// The sum of each background splat's weights over all pixels of the frame that was finished last, in the order of splats.
+    /// Empty where [`Outputs::contributions`](crate::Outputs) were not asked for.
+    ///
+    /// # Errors
+    /// When the device was lost.
+    pub fn read_contributions(&self) -> Result<Vec<f32>, RenderError> {
+        let Some(slot) = self.shown_slot() else { return Ok(Vec::new()) };
+        let scale = slot.pictures.contribution_scale();
+        let steps = self.gpu().read(&slot.pictures.contributions)?;
+        Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
+    }
+
     /// Of each splat of `world`, the sum of its blending weights T alpha over all pixels of all `cameras`, by this renderer's rules.
     ///
     /// Cameras are drawn one after the other, with buffers of their own.

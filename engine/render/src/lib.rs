@@ -14,6 +14,7 @@ mod options;
 mod orders;
 mod output;
 mod range_allocator;
+mod read_back;
 mod renderer;
 mod resident;
 mod slot;

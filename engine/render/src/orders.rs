@@ -147,7 +147,6 @@ impl OrderDecision {
 /// The kept orders of one world.
 pub(crate) struct Orders {
     world: u64,
-    splats: usize,
     ranks: Buffer<u32>,
     sets: Vec<RankSet>,
     sets_max: usize,
@@ -161,7 +160,6 @@ impl Orders {
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         Ok(Self {
             world: 0,
-            splats: 0,
             ranks: gpu.buffer("ranks", PURPOSE, 0, Residence::Device)?,
             sets: Vec::new(),
             sets_max: 0,
@@ -200,6 +198,10 @@ impl Orders {
         self.fit(gpu, world, views)?;
         let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
         let find = self.worth_finding(&directions, mode).map(|camera| (camera, self.free_set(directions[camera], &directions)));
+        if find.is_some() && self.ranks.is_empty() {
+            // Those who draw a single picture have no use for it.
+            self.ranks = gpu.buffer("ranks", PURPOSE, world.splats * self.sets_max, Residence::Device)?;
+        }
         let repair_reach = self.reach_for(&directions);
         let stride = if let OrderMode::Bounded { measured_one_of, .. } = mode { measured_one_of.max(1) } else { 1 };
         let measured = Measured { stride, first: (self.frame % u64::from(stride)) as u32 };
@@ -213,13 +215,13 @@ impl Orders {
         Ok(decision)
     }
 
-    /// Room for a set a view. What was kept of another world is forgotten.
+    /// Sets for as many views. What was kept of another world is forgotten.
     fn fit(&mut self, gpu: &Gpu, world: &ResidentWorld, views: usize) -> Result<(), RenderError> {
         if self.world != world.id || self.sets_max < views {
             self.sets.clear();
             self.previous.clear();
-            self.ranks = gpu.buffer("ranks", PURPOSE, world.splats * views, Residence::Device)?;
-            (self.world, self.splats, self.sets_max) = (world.id, world.splats, views);
+            self.ranks = gpu.buffer("ranks", PURPOSE, 0, Residence::Device)?;
+            (self.world, self.sets_max) = (world.id, views);
         }
         Ok(())
     }

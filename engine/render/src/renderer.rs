@@ -14,7 +14,6 @@ use crate::kernels::{FrameVariant, Kernels};
 use crate::layout::{Needs, View, near_m};
 use crate::options::{FrameStatistics, OrderError, QueueTrace, RenderOptions};
 use crate::orders::{OrderDecision, OrderPath, Orders};
-use crate::picture::Picture;
 use crate::resident::ResidentWorld;
 use crate::slot::{FrameSlot, Pending};
 use crate::stages::{AgentCounts, ProjectVariant};
@@ -117,7 +116,16 @@ impl Renderer {
     /// # Errors
     /// Those of [`Renderer::render`], and when [`RenderOptions::frames_in_flight`] frames are in flight already.
     pub fn submit<'a>(&mut self, scene: impl Into<Scene<'a>>, cameras: &[Camera]) -> Result<(), RenderError> {
-        let (scene, since) = (scene.into(), Instant::now());
+        let submitted = self.try_submit(scene.into(), cameras);
+        if submitted.is_err() {
+            // Ranks that this frame was to find may never be found.
+            self.orders = None;
+        }
+        submitted
+    }
+
+    fn try_submit(&mut self, scene: Scene<'_>, cameras: &[Camera]) -> Result<(), RenderError> {
+        let since = Instant::now();
         let slot = self.free_slot()?;
         let options = self.options;
         let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?).map_err(RenderError::View)?;
@@ -186,50 +194,9 @@ impl Renderer {
         Err(RenderError::Unsettled { attempts: ATTEMPTS_MAX, needs })
     }
 
-    /// The pictures of the frame that was finished last, one a camera, in the order the cameras were given.
-    ///
-    /// Colours of [`crate::ColourFormat::U8`] come back as multiples of 1/255. Empty before the first frame, and once its place is taken by
-    /// a frame submitted later ([`RenderOptions::frames_in_flight`]).
-    ///
-    /// # Errors
-    /// When the device was lost.
-    pub fn read_pictures(&self) -> Result<Vec<Picture>, RenderError> {
-        let Some(slot) = self.shown.and_then(|shown| self.slots.get(shown)) else { return Ok(Vec::new()) };
-        let Some(view) = &slot.view else { return Ok(Vec::new()) };
-        let buffers = &slot.pictures;
-        let pixels: Vec<[f32; 4]> = match self.options.outputs.colour {
-            crate::ColourFormat::F32 => self.gpu.read(&buffers.pictures_f32)?,
-            crate::ColourFormat::U8 => {
-                let words = self.gpu.read(&buffers.pictures_u8)?;
-                words.iter().map(|word| word.to_le_bytes().map(|byte| f32::from(byte) / 255.0)).collect()
-            }
-        };
-        let depths = if self.options.outputs.depth { Some(self.gpu.read(&buffers.depths_m)?) } else { None };
-        let instances = if self.options.outputs.instance { Some(self.gpu.read(&buffers.instance_ids)?) } else { None };
-        let pictures = view.cameras.iter().map(|camera| {
-            let range = camera.first_pixel as usize..camera.first_pixel as usize + camera.pixels();
-            Picture {
-                width: camera.size_px[0],
-                height: camera.size_px[1],
-                rgb: pixels[range.clone()].iter().map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect(),
-                alpha: pixels[range.clone()].iter().map(|pixel| pixel[3]).collect(),
-                depth: depths.as_ref().map(|depths| depths[range.clone()].to_vec()),
-                instance: instances.as_ref().map(|ids| ids[range.clone()].iter().map(|&id| id as u16).collect()),
-            }
-        });
-        Ok(pictures.collect())
-    }
-
-    /// The sum of each background splat's weights over all pixels of the frame that was finished last, in the order of splats.
-    /// Empty where [`Outputs::contributions`](crate::Outputs) were not asked for.
-    ///
-    /// # Errors
-    /// When the device was lost.
-    pub fn read_contributions(&self) -> Result<Vec<f32>, RenderError> {
-        let Some(slot) = self.shown.and_then(|shown| self.slots.get(shown)) else { return Ok(Vec::new()) };
-        let scale = slot.pictures.contribution_scale();
-        let steps = self.gpu.read(&slot.pictures.contributions)?;
-        Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
+    /// The place of the frame that was finished last.
+    pub(crate) fn shown_slot(&self) -> Option<&FrameSlot> {
+        self.shown.and_then(|shown| self.slots.get(shown))
     }
 
     /// Refuses what a software device would draw wrong without a word.
@@ -302,7 +269,8 @@ impl Renderer {
         let free = |slot: &usize| !self.in_flight.contains(slot);
         let slot = (0..self.slots.len()).filter(free).min_by_key(|slot| self.shown == Some(*slot));
         match slot {
-            Some(slot) if self.shown != Some(slot) || self.slots.len() >= max => {
+            // One place is enough for those who wait for every frame.
+            Some(slot) if self.shown != Some(slot) || self.in_flight.is_empty() || self.slots.len() >= max => {
                 self.shown = self.shown.filter(|shown| *shown != slot);
                 Ok(slot)
             }
