@@ -4,6 +4,30 @@ use decouplegs_asset::{LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentWorld, Scene};
 
 /// A loaded scene on the device: what a loop of frames needs of it.
+///
+/// ```no_run
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use std::path::Path;
+///
+/// use decouplegs::LiveScene;
+/// use decouplegs::asset::open_scene;
+/// use decouplegs::gpu::{DeviceOptions, Gpu};
+/// use decouplegs::render::{RenderOptions, Renderer};
+///
+/// let gpu = Gpu::open(&DeviceOptions::default())?;
+/// let mut renderer = Renderer::new(&gpu, RenderOptions::default());
+/// let loaded = open_scene(Path::new("street/scene.toml"), 0.0)?;
+/// let live = LiveScene::new(&renderer, &loaded)?;
+/// for step in 0..100 {
+///     let time_s = 0.033 * f64::from(step);
+///     let cameras = loaded.rig.at(&loaded.ego.at(time_s));
+///     let statistics = renderer.render(live.with(&live.agents_at(time_s)), &cameras)?;
+///     println!("{:?} {:?}", statistics.gpu_time, statistics.orders);
+///     let pictures = renderer.read_pictures()?;
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct LiveScene {
     /// The background.
     pub world: ResidentWorld,
