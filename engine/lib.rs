@@ -10,6 +10,7 @@
 //! |---|---|---|
 //! | [`scene`] | what a world is: splats, poses, cameras, rules; plain data and mathematics | - |
 //! | [`asset`] | how it is stored: splat files, camera files, scene files, the synthetic street | `scene` |
+//! | [`drive`] | how it moves: lanes, ground, registration of tracks | `scene` |
 //! | [`gpu`] | how we speak Vulkan: device, queue, memory, kernel; the only `unsafe` code | - |
 //! | [`render`] | how it becomes pictures: the GPU frame, its f64 definition, and the error between two pictures | `scene`, `gpu` |
 //!
@@ -20,6 +21,7 @@
 mod live_scene;
 
 pub use decouplegs_asset as asset;
+pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;

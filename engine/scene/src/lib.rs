@@ -8,19 +8,25 @@
 pub mod bounds;
 pub mod camera;
 pub mod codebook;
+pub mod lane_map;
+pub mod light;
 pub mod pose;
 pub mod rules;
 pub mod sh;
 pub mod shape;
 pub mod splats;
+pub mod track;
 pub mod trajectory;
 pub mod world;
 
 pub use bounds::Bounds;
 pub use camera::{Camera, Intrinsics, Rig, RigCamera};
 pub use codebook::{CodedCloud, CodedSplat, SplatCodes};
+pub use lane_map::{Lane, LaneKind, LaneMap};
+pub use light::{AmbientDescriptor, ColourTransfer, ContactShadow, LightTransfer};
 pub use pose::Pose;
 pub use rules::{DepthOrder, EarlyStop, Rules};
 pub use splats::{SplatCloud, SplatDefect};
+pub use track::{Track, TrackPoint};
 pub use trajectory::{TimedPose, Trajectory};
 pub use world::{AgentPlacement, ShFrame, World};

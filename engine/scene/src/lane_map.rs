@@ -1,0 +1,100 @@
+//! Lanes: where vehicles drive, as every map format is read into.
+
+use glam::DVec3;
+
+/// What a lane is for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LaneKind {
+    /// Vehicles drive on it.
+    #[default]
+    Driving,
+    /// Bicycles.
+    Bicycle,
+    /// Pedestrians: sidewalks and crosswalks.
+    Walking,
+    /// Vehicles stand on it.
+    Parking,
+    /// Shoulders, borders, medians and whatever else a format names.
+    Other,
+}
+
+impl LaneKind {
+    /// The name it has in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Driving => "driving",
+            Self::Bicycle => "bicycle",
+            Self::Walking => "walking",
+            Self::Parking => "parking",
+            Self::Other => "other",
+        }
+    }
+
+    /// The kind that a file names so.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        [Self::Driving, Self::Bicycle, Self::Walking, Self::Parking, Self::Other].into_iter().find(|kind| kind.name() == name)
+    }
+}
+
+/// One lane, its lines in driving direction.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Lane {
+    /// As the file names it; unique in its map.
+    pub id: String,
+    /// What it is for.
+    pub kind: LaneKind,
+    /// At least two points, no two neighbours the same, world coordinates in metres. z is 0 where [`Lane::has_height`] is false.
+    pub centreline: Vec<DVec3>,
+    /// Left border, none where the file tells nothing of it.
+    pub left: Vec<DVec3>,
+    /// Right border.
+    pub right: Vec<DVec3>,
+    /// Whether z is the road's height and not merely absent.
+    pub has_height: bool,
+    /// Lanes that it goes on in, places in [`LaneMap::lanes`].
+    pub successors: Vec<usize>,
+    /// Lanes that go on in it.
+    pub predecessors: Vec<usize>,
+    /// The lane to the left with the same direction.
+    pub left_neighbour: Option<usize>,
+    /// The lane to the right with the same direction.
+    pub right_neighbour: Option<usize>,
+    /// Metres a second.
+    pub speed_limit_mps: Option<f64>,
+}
+
+/// All lanes of a place.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LaneMap {
+    /// In the order of the file.
+    pub lanes: Vec<Lane>,
+    /// What was added to coordinates to get from the file's to these: zero where they are the file's own. Latitude and longitude
+    /// have none, as they are projected.
+    pub offset: DVec3,
+}
+
+impl LaneMap {
+    /// What is wrong with it, if anything: lines too short, numbers that are not finite, links beyond the list.
+    ///
+    /// # Errors
+    /// A sentence naming the lane at fault.
+    pub fn check(&self) -> Result<(), String> {
+        for lane in &self.lanes {
+            let id = &lane.id;
+            if lane.centreline.len() < 2 {
+                return Err(format!("lane {id}: a centreline of {} points; expected at least 2", lane.centreline.len()));
+            }
+            let mut points = lane.centreline.iter().chain(&lane.left).chain(&lane.right);
+            if let Some(point) = points.find(|point| !point.is_finite()) {
+                return Err(format!("lane {id}: a point at {point}; expected finite numbers"));
+            }
+            let links = lane.successors.iter().chain(&lane.predecessors).chain(&lane.left_neighbour).chain(&lane.right_neighbour);
+            if let Some(link) = links.copied().find(|&link| link >= self.lanes.len()) {
+                return Err(format!("lane {id}: names lane number {link} of {}", self.lanes.len()));
+            }
+        }
+        Ok(())
+    }
+}

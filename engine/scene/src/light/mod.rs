@@ -1,0 +1,12 @@
+//! Light about agents: what the background tells of it, what it does to their colours, and the shadow they stand in.
+//!
+//! DecoupleGS section 3.4 and supplement: an ambient descriptor L(x) from the background's spherical harmonics, an affine
+//! transfer c' = T(L) (.) c + b(L), and a contact shadow on the ground.
+
+mod ambient;
+mod shadow;
+mod transfer;
+
+pub use ambient::AmbientDescriptor;
+pub use shadow::{ContactShadow, bake_shadows};
+pub use transfer::{ColourTransfer, LightTransfer};

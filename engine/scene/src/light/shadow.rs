@@ -1,0 +1,129 @@
+//! The contact shadow: a soft super-ellipse about an agent's footprint, laid on the ground that it stands on.
+
+use glam::{DVec2, DVec3};
+
+use crate::{Pose, SplatCloud, World, sh};
+
+/// Exponent of the super-ellipse: a rounded rectangle.
+pub const EXPONENT: i32 = 4;
+
+/// The mask counts as zero below this: half of what an eight-bit picture shows at full strength.
+pub const MASK_MIN: f64 = 1.0 / 512.0;
+
+/// The shadow of one agent: ground at u, in its plane, is darkened by `1 - strength M(u)`,
+/// `M(u) = exp(-decay (|u_x / (L / 2)|^4 + |u_y / (W / 2)|^4)^(1/4))`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactShadow {
+    /// The ground under the agent: origin below its middle, x along it, z out of the ground. f64 world coordinates.
+    pub world_from_ground: Pose,
+    /// Half of its length and width, metres.
+    pub half_size_m: [f64; 2],
+    /// lambda I_dom: share of the light that is gone in the middle, 0 to 1.
+    pub strength: f64,
+    /// tau_decay: how fast it fades outward.
+    pub decay: f64,
+    /// Splats whose mean is farther from the plane are not ground, metres.
+    pub slab_m: f64,
+}
+
+impl ContactShadow {
+    /// How far out the mask counts, in half sizes.
+    #[must_use]
+    pub fn reach(&self) -> f64 {
+        -MASK_MIN.ln() / self.decay
+    }
+
+    /// M at `u`, metres along and across the agent.
+    #[must_use]
+    pub fn mask(&self, u: DVec2) -> f64 {
+        let radius = (u / DVec2::from_array(self.half_size_m))
+            .abs()
+            .powf(f64::from(EXPONENT))
+            .element_sum()
+            .powf(1.0 / f64::from(EXPONENT));
+        let mask = (-self.decay * radius).exp();
+        if mask >= MASK_MIN { mask } else { 0.0 }
+    }
+
+    /// What is left of the colour of a splat whose mean is at `position`, world coordinates: 1 away from the shadow.
+    #[must_use]
+    pub fn factor(&self, position: DVec3) -> f64 {
+        let local = self.world_from_ground.inverse().transform(position);
+        if local.z.abs() > self.slab_m {
+            return 1.0;
+        }
+        (1.0 - self.strength * self.mask(local.truncate())).clamp(0.0, 1.0)
+    }
+}
+
+/// `world` as it looks under `shadows`, whose factors multiply. Splats of agents stay as they are: shadows lie on the ground.
+///
+/// `max(0, 0.5 + SH) f = max(0, f (0.5 + SH))`, so a darkened splat is a splat again.
+pub fn bake_shadows(world: &mut World, shadows: &[ContactShadow]) {
+    let (origin, instances) = (world.origin, world.instance_from_splat.clone());
+    let SplatCloud { means, sh_degree, sh_dc, sh_rest, .. } = &mut world.splats;
+    let stride = sh::coefficient_count(*sh_degree) - 1;
+    let shift = 0.5 / sh::Y0;
+    for (splat, mean) in means.iter().enumerate().filter(|(splat, _)| instances.get(*splat).is_none_or(|&id| id == 0)) {
+        let position = origin + DVec3::from_array(mean.map(f64::from));
+        let factor: f64 = shadows.iter().map(|shadow| shadow.factor(position)).product();
+        if factor == 1.0 {
+            continue;
+        }
+        sh_dc[splat] = sh_dc[splat].map(|dc| (factor * (f64::from(dc) + shift) - shift) as f32);
+        for coefficient in &mut sh_rest[splat * stride..(splat + 1) * stride] {
+            *coefficient = coefficient.map(|value| (factor * f64::from(value)) as f32);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shadow() -> ContactShadow {
+        ContactShadow {
+            world_from_ground: Pose::from_yaw(std::f64::consts::FRAC_PI_2, DVec3::new(4.5e6, 10.0, 0.0)),
+            half_size_m: [2.0, 1.0],
+            strength: 0.8,
+            decay: 2.0,
+            slab_m: 0.1,
+        }
+    }
+
+    #[test]
+    fn it_is_darkest_in_the_middle_fades_outward_and_turns_with_the_agent() {
+        let shadow = shadow();
+        let at = |x: f64, y: f64, z: f64| shadow.factor(DVec3::new(4.5e6 + x, 10.0 + y, z));
+        assert!((at(0.0, 0.0, 0.0) - 0.2).abs() < 1e-12);
+        // The agent looks along y: its end is at y = 2, its side at x = 1, and both are as dark.
+        assert!((at(0.0, 2.0, 0.0) - at(1.0, 0.0, 0.0)).abs() < 1e-9 && at(1.0, 0.0, 0.0) < at(2.0, 0.0, 0.0));
+        assert_eq!((at(0.0, 0.0, 0.11), at(40.0, 0.0, 0.0)), (1.0, 1.0));
+    }
+
+    #[test]
+    fn shadows_multiply_and_leave_agents_alone() {
+        let splat = |mean| SplatCloud {
+            means: vec![mean],
+            scales: vec![[0.1; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacities: vec![1.0],
+            sh_degree: 1,
+            sh_dc: vec![[0.3; 3]],
+            sh_rest: vec![[0.2; 3]; 3],
+        };
+        let mut world = World { origin: DVec3::new(4.5e6, 0.0, 0.0), ..World::of(splat([0.0, 10.0, 0.05])) };
+        world.bake_instance(
+            &splat([0.0; 3]),
+            &Pose { translation: DVec3::new(4.5e6, 10.0, 0.05), ..Pose::IDENTITY },
+            crate::ShFrame::Canonical,
+            1,
+        );
+        let before = world.clone();
+        bake_shadows(&mut world, &[shadow(), shadow()]);
+        let shown = |world: &World, splat: usize| 0.5 + sh::Y0 * f64::from(world.splats.sh_dc[splat][0]);
+        assert!((shown(&world, 0) - 0.04 * shown(&before, 0)).abs() < 1e-6);
+        assert!((world.splats.sh_rest[0][0] - 0.04 * 0.2).abs() < 1e-6);
+        assert_eq!(world.splats.sh_dc[1], before.splats.sh_dc[1]);
+    }
+}

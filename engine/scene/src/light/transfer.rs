@@ -1,0 +1,154 @@
+//! What light does to colours: c' = T(L) (.) c + b(L) with T = W_T L + w_0 and b = W_B L + b_0.
+
+use crate::light::AmbientDescriptor;
+use crate::{SplatCloud, sh};
+
+/// What the DC term of a splat's colour leaves out: a colour is 0.5 + Y0 dc + ..., as a plain expansion Y0 (dc + 0.5 / Y0) + ...
+const DC_SHIFT: f32 = (0.5 / sh::Y0) as f32;
+
+/// Coefficients of the highest degree.
+const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);
+
+/// T and b of one agent in one light: a factor and a summand for each coefficient and channel. Both are meant for the plain
+/// expansion: DC without the 0.5 that splats' colours add.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ColourTransfer {
+    /// `[coefficient][rgb]`.
+    pub gain: [[f32; 3]; COEFFICIENTS],
+    /// `[coefficient][rgb]`.
+    pub offset: [[f32; 3]; COEFFICIENTS],
+}
+
+impl ColourTransfer {
+    /// Leaves colours as they are.
+    pub const IDENTITY: Self = Self { gain: [[1.0; 3]; COEFFICIENTS], offset: [[0.0; 3]; COEFFICIENTS] };
+
+    /// `colour`, the coefficients of one colour with DC first, in this light.
+    pub fn apply(&self, colour: &mut [[f32; 3]]) {
+        for (index, coefficient) in colour.iter_mut().enumerate() {
+            let shift = if index == 0 { DC_SHIFT } else { 0.0 };
+            for (channel, value) in coefficient.iter_mut().enumerate() {
+                *value = self.gain[index][channel] * (*value + shift) + self.offset[index][channel] - shift;
+            }
+        }
+    }
+
+    /// All splats of `cloud` in this light.
+    #[must_use]
+    pub fn relit(&self, cloud: &SplatCloud) -> SplatCloud {
+        let mut relit = cloud.clone();
+        let stride = sh::coefficient_count(cloud.sh_degree);
+        let mut colour = vec![[0.0; 3]; stride];
+        for splat in 0..cloud.len() {
+            colour[0] = cloud.sh_dc[splat];
+            colour[1..].copy_from_slice(cloud.rest_of(splat));
+            self.apply(&mut colour);
+            relit.sh_dc[splat] = colour[0];
+            relit.sh_rest[splat * (stride - 1)..(splat + 1) * (stride - 1)].copy_from_slice(&colour[1..]);
+        }
+        relit
+    }
+}
+
+/// Theta of the paper: how light becomes a [`ColourTransfer`], the same for all agents.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LightTransfer {
+    /// Degree of the colours that it was calibrated for; coefficients above it stay as they are.
+    pub sh_degree: u8,
+    /// W_T and w_0: a row of 27 weights and a constant for each `[coefficient][rgb]`.
+    pub gain: Vec<([f32; AmbientDescriptor::LEN], f32)>,
+    /// W_B and b_0, likewise.
+    pub offset: Vec<([f32; AmbientDescriptor::LEN], f32)>,
+    /// The light that assets are shown in as they are: for places whose light is not known.
+    pub neutral: AmbientDescriptor,
+}
+
+impl LightTransfer {
+    /// What is wrong with it, if anything.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), String> {
+        if self.sh_degree > sh::DEGREE_MAX {
+            return Err(format!("a light transfer of degree {}; 0 to {} are known", self.sh_degree, sh::DEGREE_MAX));
+        }
+        let rows = 3 * sh::coefficient_count(self.sh_degree);
+        if self.gain.len() != rows || self.offset.len() != rows {
+            return Err(format!("{} rows of gain and {} of offset; expected {rows} each", self.gain.len(), self.offset.len()));
+        }
+        let rows = self.gain.iter().chain(&self.offset).flat_map(|(weights, constant)| weights.iter().chain([constant]));
+        match rows.chain(self.neutral.coefficients.as_flattened()).find(|value| !value.is_finite()) {
+            Some(value) => Err(format!("a light transfer holds {value}; expected finite numbers")),
+            None => Ok(()),
+        }
+    }
+
+    /// T(L) and b(L), `light` in the frame of the colours that they are for.
+    #[must_use]
+    pub fn at(&self, light: &AmbientDescriptor) -> ColourTransfer {
+        let light = light.to_vector();
+        let value = |(weights, constant): &([f32; AmbientDescriptor::LEN], f32)| {
+            let sum: f64 = weights.iter().zip(light).map(|(weight, l)| f64::from(*weight) * l).sum();
+            (sum + f64::from(*constant)) as f32
+        };
+        let mut transfer = ColourTransfer::IDENTITY;
+        for (row, (gain, offset)) in self.gain.iter().zip(&self.offset).enumerate() {
+            transfer.gain[row / 3][row % 3] = value(gain);
+            transfer.offset[row / 3][row % 3] = value(offset);
+        }
+        transfer
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Brightness follows the mean of the light; a green summand on the band 1 coefficient along z.
+    fn transfer() -> LightTransfer {
+        let row = ([0.0; AmbientDescriptor::LEN], 0.0);
+        let mut transfer = LightTransfer {
+            sh_degree: 1,
+            gain: vec![row; 12],
+            offset: vec![row; 12],
+            neutral: AmbientDescriptor::uniform([0.5; 3]),
+        };
+        for channel in 0..3 {
+            transfer.gain[channel].0[channel] = 2.0 * sh::Y0 as f32;
+        }
+        transfer.offset[7].1 = 0.25;
+        transfer
+    }
+
+    #[test]
+    fn black_stays_black_in_any_light() {
+        let mut black = [[-DC_SHIFT; 3]];
+        transfer().at(&AmbientDescriptor::uniform([0.9, 0.1, 0.4])).apply(&mut black);
+        assert!(black[0].iter().all(|dc| (dc + DC_SHIFT).abs() < 1e-6));
+    }
+
+    #[test]
+    fn gains_and_offsets_go_to_their_coefficients_and_channels() {
+        let mut colour = [[0.0; 3]; 4];
+        transfer().at(&AmbientDescriptor::uniform([1.0, 0.5, 0.0])).apply(&mut colour);
+        // A colour of 0.5 in light twice, once and no times as bright as the one that changes nothing.
+        let shown = colour[0].map(|dc| 0.5 + sh::Y0 as f32 * dc);
+        assert!((shown[0] - 1.0).abs() < 1e-6 && (shown[1] - 0.5).abs() < 1e-6 && shown[2].abs() < 1e-6);
+        assert_eq!(colour[2], [0.0, 0.25, 0.0]);
+    }
+
+    #[test]
+    fn the_identity_changes_nothing_and_broken_ones_are_named() {
+        let mut colour = [[0.3, -0.2, 0.9]; 16];
+        ColourTransfer::IDENTITY.apply(&mut colour);
+        assert!(
+            colour.as_flattened().iter().zip([0.3, -0.2, 0.9].iter().cycle()).all(|(a, b): (&f32, &f32)| (a - b).abs() < 1e-6)
+        );
+        let mut broken = transfer();
+        broken.gain.pop();
+        assert!(broken.check().unwrap_err().contains("11 rows"));
+        let mut broken = transfer();
+        broken.offset[3].1 = f32::NAN;
+        assert!(broken.check().unwrap_err().contains("NaN"));
+    }
+}
