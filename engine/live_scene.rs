@@ -57,6 +57,7 @@ impl LiveScene {
             world_from_agent: agent.trajectory.at(time_s),
             sh_frame: Some(agent.sh_frame),
             instance: agent.instance,
+            relight: None,
         };
         self.agents.iter().map(agent).collect()
     }
@@ -64,6 +65,6 @@ impl LiveScene {
     /// The background with `agents`, as [`Renderer::render`] takes it.
     #[must_use]
     pub fn with<'a>(&'a self, agents: &'a [Agent]) -> Scene<'a> {
-        Scene { world: &self.world, agents: Some((&self.pool, agents)) }
+        Scene::with_agents(&self.world, &self.pool, agents)
     }
 }

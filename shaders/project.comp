@@ -15,6 +15,7 @@
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "record.glsl"
+#include "shadow.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -22,6 +23,7 @@ layout(constant_id = 3) const bool RADIAL = false;    // order by distance inste
 layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instances, and these are asked for
 layout(constant_id = 5) const bool RANKED = false;    // some camera's order is kept
 layout(constant_id = 6) const bool SPLAT_IDS = false; // records hold the splat's index instead of an instance
+layout(constant_id = 7) const bool SHADOWS = false;   // agents throw contact shadows
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[]; };
@@ -39,8 +41,16 @@ layout(set = 0, binding = 17, scalar) readonly buffer ranks_block { uint ranks[]
 layout(set = 0, binding = 18, scalar) readonly buffer rank_words_block { uint rank_words[]; };
 layout(set = 0, binding = 19, scalar) readonly buffer rank_firsts_block { uint rank_firsts[]; }; // [camera][chunk]
 layout(set = 0, binding = 20, scalar) writeonly buffer unranked_keys_block { uint unranked_keys[]; };
+layout(set = 0, binding = 21, scalar) readonly buffer shadows_block { Shadow shadows[]; };
+layout(set = 0, binding = 22, scalar) readonly buffer shadow_words_block { uint shadow_words[]; }; // [chunk][word]
 
-layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint chunk_count; uint records_max; };
+layout(push_constant, scalar) uniform push_block {
+    uint splat_count;
+    uint camera_count;
+    uint chunk_count;
+    uint records_max;
+    uint shadow_word_count; // a chunk
+};
 
 // By plane: word w of splat i stands at w * splat_count + i, so that neighbouring threads read neighbouring words.
 #define SH_WORD(band, word, index, stride) sh_band##band[(word) * (stride) + (index)]
@@ -68,6 +78,19 @@ uint place_of(uint camera_index, uint splat_index, uint slot) {
     return firsts[first_chunk] + before + uint(rank_among_visible(chunk * CHUNK_WORDS, rank % CHUNK_SPLATS));
 }
 
+// What all shadows that may lie on the chunk leave of a splat's light.
+float light_left(uint chunk_index, vec3 mean_m) {
+    float light = 1.0;
+    for (uint word = 0u; word < shadow_word_count; ++word) {
+        uint bits = shadow_words[chunk_index * shadow_word_count + word];
+        while (bits != 0u) {
+            light *= shadow_factor(shadows[32u * word + uint(findLSB(bits))], mean_m);
+            bits &= bits - 1u;
+        }
+    }
+    return light;
+}
+
 void main() {
     uint chunk_index = group_index();
     uint thread = gl_LocalInvocationIndex;
@@ -79,6 +102,7 @@ void main() {
     vec3 mean_m;
     float opacity;
     mat3 axes;
+    float light = 1.0;
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         uint list = camera_index * chunk_count + chunk_index;
         int rank = visible_rank(list * CHUNK_WORDS, thread);
@@ -97,6 +121,9 @@ void main() {
             axes[0] *= shape.x;
             axes[1] *= shape.y;
             axes[2] *= shape.z;
+            if (SHADOWS) {
+                light = light_left(chunk_index, mean_m);
+            }
             loaded = true;
         }
         Camera camera = cameras[camera_index];
@@ -106,7 +133,8 @@ void main() {
         project_splat(camera, t, axes, opacity, record.splat);
         record.depth_m = RADIAL ? length(offset) : t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
-        write_record(slot, camera, record, sh_colour(sh_dc[splat_index], splat_index, splat_count, normalize(offset)));
+        vec3 colour = sh_colour(sh_dc[splat_index], splat_index, splat_count, normalize(offset));
+        write_record(slot, camera, record, SHADOWS ? light * colour : colour);
         uint key = depth_key(RADIAL ? scaled_distance(mean_m, camera) : scaled_depth(mean_m, camera));
         uint place = RANKED ? place_of(camera_index, splat_index, slot) : slot;
         if (place < records_max) {

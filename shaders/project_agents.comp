@@ -19,12 +19,15 @@ layout(local_size_x = 256) in;
 #include "agent_buffers.glsl"
 
 layout(constant_id = 3) const bool RADIAL = false;
+layout(constant_id = 4) const bool RELIT = false; // some agents have colours of their own
 
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer firsts_block { uint firsts[]; }; // of agents, [camera][chunk]
 layout(set = 0, binding = 6, scalar) readonly buffer coded_dc_block { vec3 coded_dc[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a colour
 layout(set = 0, binding = 8, scalar) readonly buffer static_firsts_block { uint static_firsts[]; }; // of the background
+layout(set = 0, binding = 9, scalar) readonly buffer relit_dc_block { vec3 relit_dc[]; };
+layout(set = 0, binding = 10, scalar) readonly buffer relit_bands_block { uint relit_bands[]; };
 
 layout(push_constant, scalar) uniform push_block {
     uint agent_count;
@@ -39,7 +42,12 @@ const uint COLOUR_WORDS = 24u;
 const uint FIRST_WORD_1 = 0u;
 const uint FIRST_WORD_2 = 5u;
 const uint FIRST_WORD_3 = 13u;
-#define SH_WORD(band, word, index, stride) coded_bands[(index) * (stride) + FIRST_WORD_##band + (word)]
+// Whose colours are read.
+bool from_relit = false;
+uint colour_word(uint at) {
+    return RELIT && from_relit ? relit_bands[at] : coded_bands[at];
+}
+#define SH_WORD(band, word, index, stride) colour_word((index) * (stride) + FIRST_WORD_##band + (word))
 #include "sh.glsl"
 #include "write_record.glsl"
 
@@ -63,6 +71,7 @@ void main() {
     if (own_splat >= agent.splat_count) {
         return;
     }
+    from_relit = agent.colours_relit != 0u;
     bool loaded = false;
     CodedSplat coded;
     mat3 axes;
@@ -90,7 +99,7 @@ void main() {
         record.instance = agent.instance;
         vec3 d = normalize(offset);
         uint colour = agent.first_colour + coded.colour;
-        vec3 dc = coded_dc[colour] + coded.dc_residual;
+        vec3 dc = (RELIT && from_relit ? relit_dc[colour] : coded_dc[colour]) + agent.dc_residual_gain * coded.dc_residual;
         write_record(slot, camera, record, sh_colour(dc, colour, COLOUR_WORDS, agent.colours_in_world != 0u ? turned(agent, d) : d));
         keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));
         values[slot] = slot;

@@ -19,6 +19,8 @@ struct Agent {
     uint cameras; // a bit each that may see it
     uint instance;
     uint colours_in_world; // 1: not turned with the agent
+    uint colours_relit; // 1: its colours are those that were made for it, not the pool's
+    vec3 dc_residual_gain; // of what is added to the DC term of its colours
 };
 
 struct CodedSplat {

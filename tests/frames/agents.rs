@@ -116,13 +116,11 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
         .iter()
         .enumerate()
         .map(|(i, &(world_from_agent, sh_frame))| Agent {
-            asset: assets[i % 2],
-            world_from_agent,
             sh_frame: Some(sh_frame),
-            instance: i as u16 + 1,
+            ..Agent::new(assets[i % 2], world_from_agent, i as u16 + 1)
         })
         .collect();
-    let statistics = renderer.render(Scene { world: &resident, agents: Some((&pool, &agents)) }, &cameras).unwrap();
+    let statistics = renderer.render(Scene::with_agents(&resident, &pool, &agents), &cameras).unwrap();
     assert_eq!(statistics.agents, 3, "the one behind all cameras is not sent to the device");
     let truth = baked(&world, &cars, &moved);
     for (picture, camera) in renderer.read_pictures().unwrap().iter().zip(&cameras) {
@@ -140,7 +138,7 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
 fn draw_agents(gpu: &Validated, world: &World, pool: &AssetPool, agents: &[Agent], cameras: &[Camera]) -> Vec<Picture> {
     let mut renderer = Renderer::new(gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
     let resident = renderer.upload(world).unwrap();
-    renderer.render(Scene { world: &resident, agents: Some((pool, agents)) }, cameras).unwrap();
+    renderer.render(Scene::with_agents(&resident, pool, agents), cameras).unwrap();
     renderer.read_pictures().unwrap()
 }
 
@@ -151,12 +149,7 @@ fn agents_come_go_change_and_move_between_frames() {
     let mut pool = AssetPool::new(&gpu).unwrap();
     let [red, blue] = [coded_car(300, 22), coded_car(500, 23)].map(|car| pool.add(&car).unwrap());
     let cameras = [camera_towards("ahead", DVec3::ZERO, DVec3::X, (120, 80))];
-    let agent = |asset, x: f64, instance| Agent {
-        asset,
-        world_from_agent: Pose::from_yaw(0.2 * x, DVec3::new(x, 0.3 * x - 2.0, 0.0)),
-        sh_frame: None,
-        instance,
-    };
+    let agent = |asset, x: f64, instance| Agent::new(asset, Pose::from_yaw(0.2 * x, DVec3::new(x, 0.3 * x - 2.0, 0.0)), instance);
     let frames = [
         vec![],
         vec![agent(red, 8.0, 1)],
@@ -168,7 +161,7 @@ fn agents_come_go_change_and_move_between_frames() {
     let mut renderer = Renderer::new(&gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
     let resident = renderer.upload(&world).unwrap();
     for (index, agents) in frames.iter().enumerate() {
-        renderer.render(Scene { world: &resident, agents: Some((&pool, agents)) }, &cameras).unwrap();
+        renderer.render(Scene::with_agents(&resident, &pool, agents), &cameras).unwrap();
         let pictures = renderer.read_pictures().unwrap();
         assert!(pictures == draw_agents(&gpu, &world, &pool, agents, &cameras), "frame {index} remembers another");
         let seen = |id: u16| pictures[0].instance.as_ref().unwrap().contains(&id);
@@ -184,24 +177,24 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
     let asset = pool.add(&coded_car(300, 32)).unwrap();
     let cameras = [camera_towards("ahead", DVec3::ZERO, DVec3::X, (120, 80))];
     let pose = Pose::from_yaw(0.4, DVec3::new(8.0, 0.0, 0.0));
-    let agents = [Agent { asset, world_from_agent: pose, sh_frame: None, instance: 1 }];
+    let agents = [Agent::new(asset, pose, 1)];
     let expected = draw_agents(&gpu, &world, &pool, &agents, &cameras);
     let mut renderer = Renderer::new(&gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
     let resident = renderer.upload(&world).unwrap();
-    renderer.submit(Scene { world: &resident, agents: Some((&pool, &agents)) }, &cameras).unwrap();
+    renderer.submit(Scene::with_agents(&resident, &pool, &agents), &cameras).unwrap();
     pool.remove(asset).unwrap();
     // Its place is taken by another at once, and the pool grows.
     let others: Vec<Agent> =
         (0..3).map(|i| Agent { asset: pool.add(&coded_car(400, 40 + i)).unwrap(), instance: 2, ..agents[0] }).collect();
-    renderer.submit(Scene { world: &resident, agents: Some((&pool, &others)) }, &cameras).unwrap();
+    renderer.submit(Scene::with_agents(&resident, &pool, &others), &cameras).unwrap();
     renderer.finish().unwrap();
     assert!(renderer.read_pictures().unwrap() == expected, "the frame in flight lost its asset");
     renderer.finish().unwrap();
     assert!(renderer.read_pictures().unwrap() == draw_agents(&gpu, &world, &pool, &others, &cameras));
-    let stale = renderer.submit(Scene { world: &resident, agents: Some((&pool, &agents)) }, &cameras).unwrap_err();
+    let stale = renderer.submit(Scene::with_agents(&resident, &pool, &agents), &cameras).unwrap_err();
     assert!(stale.to_string().contains("removed"), "{stale}");
     let nowhere = [Agent { world_from_agent: Pose { translation: DVec3::NAN, ..pose }, ..others[0] }];
-    let error = renderer.submit(Scene { world: &resident, agents: Some((&pool, &nowhere)) }, &cameras).unwrap_err();
+    let error = renderer.submit(Scene::with_agents(&resident, &pool, &nowhere), &cameras).unwrap_err();
     assert!(error.to_string().contains("not finite"), "{error}");
 }
 
@@ -213,7 +206,7 @@ fn turning_world_agents_and_camera_together_changes_nothing() {
     let asset = pool.add(&coded_car(400, 52)).unwrap();
     let pose = Pose::from_yaw(0.7, DVec3::new(9.0, 1.0, 0.1));
     let camera = camera_towards("ahead", DVec3::ZERO, DVec3::X, (160, 100));
-    let agent = |world_from_agent| [Agent { asset, world_from_agent, sh_frame: None, instance: 1 }];
+    let agent = |world_from_agent| [Agent::new(asset, world_from_agent, 1)];
     let here = draw_agents(&gpu, &world, &pool, &agent(pose), std::slice::from_ref(&camera));
     for turn in [DQuat::from_rotation_z(1.3), DQuat::from_rotation_x(2.0) * DQuat::from_rotation_y(0.4)] {
         let turned = Pose::new(turn, DVec3::new(100.0, -40.0, 7.0));
@@ -237,8 +230,8 @@ fn a_far_agent_is_drawn_at_a_coarser_level() {
     let drawn = |x: f64, level_pitch_px| {
         let mut renderer = Renderer::new(&gpu, RenderOptions { level_pitch_px, ..RenderOptions::default() });
         let resident = renderer.upload(&world).unwrap();
-        let agents = [Agent { asset, world_from_agent: Pose::from_yaw(0.0, DVec3::X * x), sh_frame: None, instance: 1 }];
-        renderer.render(Scene { world: &resident, agents: Some((&pool, &agents)) }, &camera).unwrap().agent_splats
+        let agents = [Agent::new(asset, Pose::from_yaw(0.0, DVec3::X * x), 1)];
+        renderer.render(Scene::with_agents(&resident, &pool, &agents), &camera).unwrap().agent_splats
     };
     // Of 800 and 100 splats on about 30 m^2: 0.19 m and 0.55 m apart; 88 px a metre at 1 m.
     assert_eq!([drawn(10.0, None), drawn(200.0, None)], [800, 800]);

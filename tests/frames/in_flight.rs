@@ -20,13 +20,13 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
     let asset = pool.add(&coded_car(500, 72)).unwrap();
     let agents = |frame: usize| {
         let pose = Pose::from_yaw(0.1 * frame as f64, DVec3::new(8.0 + 0.3 * frame as f64, 0.0, 0.0));
-        [Agent { asset, world_from_agent: pose, sh_frame: None, instance: 1 }]
+        [Agent::new(asset, pose, 1)]
     };
     let mut one_by_one = Renderer::new(&gpu, RenderOptions { overlap: false, frames_in_flight: 1, ..RenderOptions::default() });
     let resident = one_by_one.upload(&world).unwrap();
     let expected: Vec<_> = (0..8)
         .map(|frame| {
-            one_by_one.render(Scene { world: &resident, agents: Some((&pool, &agents(frame))) }, &camera(frame)).unwrap();
+            one_by_one.render(Scene::with_agents(&resident, &pool, &agents(frame)), &camera(frame)).unwrap();
             one_by_one.read_pictures().unwrap()
         })
         .collect();
@@ -38,7 +38,7 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
         let mut redrawn = 0;
         for step in 0..8 + frames_in_flight - 1 {
             if step < 8 {
-                renderer.submit(Scene { world: &resident, agents: Some((&pool, &agents(step))) }, &camera(step)).unwrap();
+                renderer.submit(Scene::with_agents(&resident, &pool, &agents(step)), &camera(step)).unwrap();
             }
             if step + 1 >= frames_in_flight {
                 let statistics = renderer.finish().unwrap();

@@ -5,9 +5,12 @@ mod determinism;
 mod growth;
 mod hard_cases;
 mod in_flight;
+mod light;
 mod orders;
 mod outputs;
 mod scenes;
+
+pub use agents::background;
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Outputs, Picture, RenderOptions, Renderer, reference};

@@ -51,13 +51,13 @@ fn a_drive_gives_the_same_bytes_however_the_order_is_found() {
     let mut straight = Vec::new();
     for frame in 0..FRAMES {
         let t = frame as f64;
-        let agent = |world_from_agent, instance| Agent { asset, world_from_agent, sh_frame: None, instance };
+        let agent = |world_from_agent, instance| Agent::new(asset, world_from_agent, instance);
         let agents = [
             agent(Pose::from_yaw(0.1, DVec3::new(6.0 + 0.1 * t, 0.5, 0.0)), 1),
             agent(Pose::from_yaw(3.0 - 0.01 * t, DVec3::new(15.0 - 0.05 * t, -2.0, 0.0)), 2),
         ];
         let pictures = renderers.each_mut().map(|renderer| {
-            let statistics = renderer.render(Scene { world: &resident, agents: Some((&pool, &agents)) }, &rig(frame)).unwrap();
+            let statistics = renderer.render(Scene::with_agents(&resident, &pool, &agents), &rig(frame)).unwrap();
             if renderer.options().order == OrderMode::Exact {
                 for path in &statistics.orders {
                     *paths.entry(format!("{path:?}")).or_default() += 1;

@@ -7,7 +7,7 @@ use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{CHUNK_SPLATS, near_m};
 use decouplegs::render::stages::{AgentCounts, CullAgents, ProjectAgents, Projected, SortScratch};
 use decouplegs::render::twins::{self, agent::UnpackedSplat};
-use decouplegs::scene::{Camera, DepthOrder, Pose, Rules};
+use decouplegs::scene::{Camera, ColourTransfer, DepthOrder, Pose, Rules};
 use glam::{DQuat, DVec3};
 
 use super::project::rounding::{Projection, check_keys, check_record, check_tile_counts};
@@ -143,9 +143,11 @@ impl Case {
         let sort = SortScratch::new(gpu, sort_shape(gpu), *room).unwrap();
         let fill = |buffer: &Buffer<u32>| gpu.write(buffer, 0, &vec![UNTOUCHED; *room]).unwrap();
         [&projected.tile_counts, &sort.keys[0], &sort.values[0]].into_iter().for_each(fill);
-        let project = ProjectAgents::new(gpu, rules, *sh_degree).unwrap();
+        let (relit, is_relit) = (scene.relit(gpu), !scene.relit_dc.is_empty());
+        let project = ProjectAgents::new(gpu, rules, *sh_degree, is_relit).unwrap();
+        let lists = STATIC_FIRSTS.len() - 1;
         run(gpu, |r| {
-            project.record(r, &pool, &buffers, scene.counts, &static_firsts, STATIC_FIRSTS.len() - 1, &projected, &sort);
+            project.record(r, &pool, &buffers, &relit, scene.counts, &static_firsts, lists, &projected, &sort);
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
@@ -161,7 +163,8 @@ impl Case {
         let (camera, agent, splat) = self.listed.records[record];
         let (coded, axes) = self.scene.unpacked(agent, splat);
         let entry = (self.scene.agents[agent].first_colour + coded.colour) as usize;
-        let dc = self.scene.dc[entry].iter().chain(coded.dc_residual.as_ref()).map(|value| f64::from(value.abs())).sum::<f64>();
+        let dc_of = if self.scene.agents[agent].colours_relit != 0 { &self.scene.relit_dc } else { &self.scene.dc };
+        let dc = dc_of[entry].iter().chain(coded.dc_residual.as_ref()).map(|value| f64::from(value.abs())).sum::<f64>();
         Projection {
             camera: self.scene.camera(agent, camera),
             mean_m: coded.mean_m,
@@ -210,6 +213,29 @@ fn records_of_hard_agents() {
 }
 
 #[test]
+fn records_of_relit_agents() {
+    let gpu = open();
+    let plain = Case::new(hard_agents(&rig()), Rules::DEFAULT, 3);
+    let mut scene = hard_agents(&rig());
+    let mut light = ColourTransfer::IDENTITY;
+    light.gain[0] = [0.5, 1.25, 0.75];
+    light.offset[2] = [0.125, -0.25, 0.0];
+    // Some are relit and some are not; the first and the sixth show the same asset in other lights.
+    scene.relight(0, 1024, &light);
+    light.gain[0] = [1.5; 3];
+    scene.relight(5, 1024, &light);
+    scene.relight(6, 1024, &light);
+    let case = Case::new(scene, Rules::DEFAULT, 3);
+    let kernel = case.kernel(&gpu);
+    case.check(&kernel, &case.twin()).unwrap();
+    let (changed, lit) = (case.check(&kernel, &plain.twin()).unwrap_err(), plain.kernel(&gpu));
+    assert!(changed.contains("value"), "other light is seen: {changed}");
+    let of = |wanted: usize| case.listed.records.iter().position(|&(_, agent, _)| agent == wanted).unwrap() + STATIC_RECORDS;
+    assert!(kernel.colours[of(1)] == lit.colours[of(1)], "an agent that is not relit has the bits it has without light");
+    assert!(kernel.colours[of(0)] != lit.colours[of(0)]);
+}
+
+#[test]
 fn every_shape_and_colour_is_read() {
     let case = Case::new(hard_agents(&rig()), Rules::DEFAULT, 3);
     let read = |of: fn(&UnpackedSplat) -> u32| {
@@ -239,11 +265,11 @@ fn no_agents_are_nothing() {
     let sort = SortScratch::new(&gpu, sort_shape(&gpu), 8).unwrap();
     gpu.write(&sort.keys[0], 0, &[UNTOUCHED; 8]).unwrap();
     let (cull, project) =
-        (CullAgents::new(&gpu, &Rules::DEFAULT).unwrap(), ProjectAgents::new(&gpu, &Rules::DEFAULT, 3).unwrap());
+        (CullAgents::new(&gpu, &Rules::DEFAULT).unwrap(), ProjectAgents::new(&gpu, &Rules::DEFAULT, 3, false).unwrap());
     let (none, static_firsts) = (AgentCounts { cameras: 4, ..AgentCounts::default() }, untouched(&gpu, 1));
     run(&gpu, |r| {
         cull.record(r, &pool, &buffers, none);
-        project.record(r, &pool, &buffers, none, &static_firsts, 0, &projected, &sort);
+        project.record(r, &pool, &buffers, &scene.relit(&gpu), none, &static_firsts, 0, &projected, &sort);
     });
     let left = [&buffers.visible.words, &buffers.visible.counts, &sort.keys[0]].map(|buffer| gpu.read(buffer).unwrap());
     assert!(left.iter().flatten().all(|&word| word == UNTOUCHED));

@@ -10,6 +10,7 @@ use decouplegs::render::{Capacity, OutputBuffers, Outputs};
 use decouplegs::scene::{EarlyStop, Rules};
 use glam::Vec3;
 
+use super::project::PLAIN;
 use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
 use super::{UNTOUCHED, control, identical, open, run, upload, within};
 use crate::device::Validated;
@@ -20,7 +21,7 @@ const OUTPUTS: Outputs =
     Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true, contributions: false };
 
 /// Records whose instance is to be found in the picture.
-const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ranked: false, splat_ids: false };
+const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ..PLAIN };
 
 /// What all items of a run share.
 struct Case {

@@ -5,6 +5,7 @@ pub mod rounding;
 use decouplegs::render::stages::{Project, ProjectVariant, Projected, SortScratch, Visible};
 use decouplegs::render::twins;
 use decouplegs::render::twins::projection::axes_of;
+use decouplegs::render::twins::shadow::shadow_factor;
 use decouplegs::scene::{DepthOrder, Rules};
 
 use super::scenes::{Listed, ProjectedTwin, Scene, Unranked, hard_world, rig};
@@ -13,8 +14,8 @@ use crate::device::Validated;
 use rounding::{Projection, check_keys, check_record, check_tile_counts};
 
 /// One run of the stage: what is drawn and how.
-struct Case {
-    scene: Scene,
+pub struct Case {
+    pub scene: Scene,
     listed: Listed,
     rules: Rules,
     variant: ProjectVariant,
@@ -22,18 +23,18 @@ struct Case {
 }
 
 impl Case {
-    fn new(gpu: &Validated, splats: usize, rules: Rules, variant: ProjectVariant) -> Self {
+    pub fn new(gpu: &Validated, splats: usize, rules: Rules, variant: ProjectVariant) -> Self {
         let scene = Scene::new(gpu, &hard_world(splats, 11), &rig());
         let listed = scene.listed(&rules);
         let room = listed.records.len();
         Self { scene, listed, rules, variant, room }
     }
 
-    fn twin(&self) -> ProjectedTwin {
+    pub fn twin(&self) -> ProjectedTwin {
         self.scene.projected(&self.listed, &self.rules, self.variant, self.room)
     }
 
-    fn kernel(&self, gpu: &Validated) -> ProjectedTwin {
+    pub fn kernel(&self, gpu: &Validated) -> ProjectedTwin {
         let Self { scene, listed, rules, variant, room } = self;
         let cameras = scene.view.cameras.len();
         let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();
@@ -43,12 +44,25 @@ impl Case {
         let sort = SortScratch::new(gpu, sort_shape(gpu), *room).unwrap();
         gpu.write(&sort.keys[0], 0, &vec![UNTOUCHED; *room]).unwrap();
         gpu.write(&sort.values[0], 0, &vec![UNTOUCHED; *room]).unwrap();
-        let unranked = Unranked::new(gpu);
+        let (unranked, shadows) = (Unranked::new(gpu), scene.shadow_buffers(gpu));
         let firsts = upload(gpu, &listed.firsts);
         let project = Project::new(gpu, rules, *variant).unwrap();
         run(gpu, |r| {
             let (cameras_of, ranked) = (&scene.camera_buffer, unranked.ranked());
-            project.record(r, &scene.resident, cameras_of, cameras, &visible, &firsts, &projected, &sort, &ranked);
+            let (shadows, count) = (&shadows, scene.shadows.len());
+            project.record(
+                r,
+                &scene.resident,
+                cameras_of,
+                cameras,
+                &visible,
+                &firsts,
+                &projected,
+                &sort,
+                &ranked,
+                shadows,
+                count,
+            );
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
@@ -72,11 +86,11 @@ impl Case {
             axes_share: 40.0 * ROUNDOFF,
             opacity: shape[3].into(),
             // A unit vector is off by some 12 roundings, and no basis function is steeper than 10.
-            colour: 200.0 * ROUNDOFF * (1.0 + self.coefficient_sum(splat)),
+            colour: (200.0 * ROUNDOFF + self.shadow_share(splat)) * (1.0 + self.coefficient_sum(splat)),
         }
     }
 
-    fn check(&self, kernel: &ProjectedTwin, twin: &ProjectedTwin) -> Result<(), String> {
+    pub fn check(&self, kernel: &ProjectedTwin, twin: &ProjectedTwin) -> Result<(), String> {
         let mut worst = [0.0f64; 2];
         for record in 0..self.room {
             let splat = self.listed.records[record].1;
@@ -90,6 +104,23 @@ impl Case {
         check_tile_counts(kernel, (0..self.room).map(|record| (record, self.projection(record).camera)))
     }
 
+    /// By how much rounding may change what shadows leave of the splat's light: at an edge of one, by all of it.
+    fn shadow_share(&self, splat: usize) -> f64 {
+        let mean = self.scene.means_m[splat];
+        let share = |shadow| {
+            let far_m = mean.iter().fold(0.0f32, |sum, x| sum + x.abs()) + 40.0;
+            let moved_m = (16.0 * ROUNDOFF) as f32 * far_m;
+            let here = shadow_factor(shadow, mean);
+            let change = |axis: usize, by_m: f32| {
+                let mut moved = mean;
+                moved[axis] += by_m;
+                f64::from((shadow_factor(shadow, moved) - here).abs())
+            };
+            8.0 * ROUNDOFF + (0..3).map(|axis| change(axis, moved_m).max(change(axis, -moved_m))).sum::<f64>()
+        };
+        self.scene.shadows.iter().map(share).sum()
+    }
+
     /// Sum of the largest SH coefficients, DC among them.
     fn coefficient_sum(&self, splat: usize) -> f64 {
         let stored = self.scene.sh();
@@ -99,19 +130,17 @@ impl Case {
 }
 
 /// Colours of degree 0 and nothing else.
-pub const PLAIN: ProjectVariant = ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false };
+pub const PLAIN: ProjectVariant =
+    ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false, shadows: false };
 
 #[test]
 fn records_of_hard_splats() {
     let gpu = open();
     for (rules, variant) in [
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false, splat_ids: false }),
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, instances: false, ranked: false, splat_ids: false }),
+        (Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ..PLAIN }),
+        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, ..PLAIN }),
         (Rules { order: DepthOrder::Radial, ..Rules::DEFAULT }, PLAIN),
-        (
-            Rules { antialias: true, ..Rules::INRIA },
-            ProjectVariant { sh_degree: 2, instances: true, ranked: false, splat_ids: false },
-        ),
+        (Rules { antialias: true, ..Rules::INRIA }, ProjectVariant { sh_degree: 2, instances: true, ..PLAIN }),
         (Rules::DEFAULT, ProjectVariant { splat_ids: true, ..PLAIN }),
     ] {
         let case = Case::new(&gpu, 3000, rules, variant);
@@ -150,8 +179,7 @@ fn keys_are_depths_in_order() {
 #[test]
 fn one_changed_value_is_seen() {
     let gpu = open();
-    let case =
-        Case::new(&gpu, 500, Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ranked: false, splat_ids: false });
+    let case = Case::new(&gpu, 500, Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ..PLAIN });
     let kernel = case.kernel(&gpu);
     let ordinary = case.listed.records.iter().position(|&(_, splat)| splat % 16 > 9).unwrap();
     let failure = |change: fn(&mut ProjectedTwin, usize)| {

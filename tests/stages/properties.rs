@@ -2,7 +2,7 @@
 
 use decouplegs::render::layout::{CameraRecord, View};
 use decouplegs::render::reference;
-use decouplegs::render::stages::{Project, ProjectVariant, Projected, SortScratch, Visible};
+use decouplegs::render::stages::{Project, Projected, SortScratch, Visible};
 use decouplegs::render::twins::footprint::{Footprint, log2_alpha, reached_macro_rows, reached_macro_tiles};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use decouplegs::scene::rules::ALPHA_MIN;
@@ -11,6 +11,7 @@ use glam::{DQuat, DVec2, DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 
+use super::project::PLAIN;
 use super::scenes::{Scene, Unranked, hard_splats, hard_world, rig};
 use super::{open, run, sort_shape, upload};
 use crate::device::Validated;
@@ -148,12 +149,11 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     let projected = Projected::new(gpu, splats).unwrap();
     let (firsts, unranked) = (upload(gpu, &firsts), Unranked::new(gpu));
     let sort = SortScratch::new(gpu, sort_shape(gpu), splats).unwrap();
-    let project =
-        Project::new(gpu, &Rules::DEFAULT, ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false })
-            .unwrap();
+    let shadows = scene.shadow_buffers(gpu);
+    let project = Project::new(gpu, &Rules::DEFAULT, PLAIN).unwrap();
     run(gpu, |r| {
         let (camera, ranked) = (&scene.camera_buffer, unranked.ranked());
-        project.record(r, &scene.resident, camera, 1, &visible, &firsts, &projected, &sort, &ranked);
+        project.record(r, &scene.resident, camera, 1, &visible, &firsts, &projected, &sort, &ranked, &shadows, 0);
     });
     gpu.read(&sort.keys[0]).unwrap()
 }

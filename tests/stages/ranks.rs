@@ -227,10 +227,10 @@ impl Case {
         let sort = SortScratch::new(gpu, sort_shape(gpu), room).unwrap();
         let written = [&sort.keys[0], &sort.values[0], &sort.keys[1]];
         written.iter().for_each(|buffer| gpu.write(buffer, 0, &vec![UNTOUCHED; room]).unwrap());
-        let project = Project::new(gpu, &Rules::DEFAULT, RANKED).unwrap();
+        let (project, shadows) = (Project::new(gpu, &Rules::DEFAULT, RANKED).unwrap(), scene.shadow_buffers(gpu));
         run(gpu, |r| {
             let (cameras, ranked) = (&scene.camera_buffer, self.ranked(&lists));
-            project.record(r, &scene.resident, cameras, 4, &visible, &firsts, &projected, &sort, &ranked);
+            project.record(r, &scene.resident, cameras, 4, &visible, &firsts, &projected, &sort, &ranked, &shadows, 0);
         });
         let [keys, values, unranked_keys] = written.map(|buffer| gpu.read(buffer).unwrap());
         Placed { keys, values, unranked_keys }

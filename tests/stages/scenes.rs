@@ -2,8 +2,8 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::ResidentWorld;
-use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, View, ViewOrder};
-use decouplegs::render::stages::{ProjectVariant, RankLists, Ranked};
+use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, ShadowRecord, View, ViewOrder};
+use decouplegs::render::stages::{ProjectVariant, RankLists, Ranked, ShadowBuffers, words_for};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use decouplegs::render::twins::{self, footprint::Footprint, sh::Stored};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
@@ -86,6 +86,8 @@ pub struct Scene {
     pub instances: Vec<u32>,
     sh_dc: Vec<[f32; 3]>,
     sh_bands: [Vec<u32>; 3],
+    /// None, unless a test puts some there.
+    pub shadows: Vec<ShadowRecord>,
 }
 
 impl Scene {
@@ -103,6 +105,7 @@ impl Scene {
             sh_bands: std::array::from_fn(|band| gpu.read(&resident.sh_bands[band]).unwrap()),
             resident,
             view,
+            shadows: Vec::new(),
         }
     }
 
@@ -116,7 +119,22 @@ impl Scene {
         (words, counts)
     }
 
-    /// The same, and the words by rank that it adds to those of `kept`.
+    /// The twin's bits of which shadow may lie on which chunk.
+    pub fn shadow_words(&self) -> Vec<u32> {
+        let mut words = vec![0; self.chunks.len() * words_for(self.shadows.len())];
+        twins::cull_shadows(&self.chunks, &self.shadows, &mut words);
+        words
+    }
+
+    /// Its shadows on the device.
+    pub fn shadow_buffers(&self, gpu: &Validated) -> ShadowBuffers {
+        let buffers = ShadowBuffers::new(gpu, self.shadows.len(), self.chunks.len()).unwrap();
+        gpu.write(&buffers.shadows, 0, &self.shadows).unwrap();
+        gpu.write(&buffers.words, 0, &self.shadow_words()).unwrap();
+        buffers
+    }
+
+    /// The twin's visible words and counts, and the words by rank that it adds to those of `kept`.
     pub fn culled_by_rank(&self, rules: &Rules, kept: &Kept) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
         let lists = self.view.cameras.len() * self.chunks.len();
         let (mut words, mut counts) = (vec![0; lists * CHUNK_SPLATS / 32], vec![0; lists]);
@@ -317,6 +335,8 @@ impl Scene {
             &kept.ranks,
             &kept.rank_words,
             &mut unranked_keys,
+            &self.shadows,
+            &self.shadow_words(),
             Variant::of(rules),
             usize::from(variant.sh_degree),
             rules.order == decouplegs::scene::DepthOrder::Radial,

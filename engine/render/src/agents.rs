@@ -3,12 +3,12 @@
 //! Nothing of an agent is turned: each camera is moved into the agent's frame instead, in f64, which is one record an agent
 //! and camera where turning a codebook would be 512 entries. Shapes, colours and depth keys come out the same.
 
-use decouplegs_scene::{Camera, Pose, ShFrame};
+use decouplegs_scene::{Camera, ColourTransfer, ContactShadow, Pose, ShFrame};
 use glam::{DMat3, DVec3, Vec3};
 
 use crate::RenderError;
 use crate::asset_pool::{Asset, AssetId, AssetPool, PoolBuffers};
-use crate::layout::{AgentRecord, CameraRecord, View};
+use crate::layout::{AgentRecord, CameraRecord, RelightRecord, View};
 use crate::resident::ResidentWorld;
 use crate::stages::AgentCounts;
 use crate::twins;
@@ -24,6 +24,16 @@ pub struct Agent {
     pub sh_frame: Option<ShFrame>,
     /// The id it has in instance pictures; 0 is the background's.
     pub instance: u16,
+    /// What the light about it does to its colours, in the frame that these are meant in; `None`: nothing.
+    pub relight: Option<ColourTransfer>,
+}
+
+impl Agent {
+    /// An agent as its asset shows it.
+    #[must_use]
+    pub fn new(asset: AssetId, world_from_agent: Pose, instance: u16) -> Self {
+        Self { asset, world_from_agent, sh_frame: None, instance, relight: None }
+    }
 }
 
 /// What is drawn: a background, and agents that may be others in every frame.
@@ -33,11 +43,26 @@ pub struct Scene<'a> {
     pub world: &'a ResidentWorld,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
+    /// Contact shadows on the background. They multiply, and need not be those of agents that are drawn.
+    pub shadows: &'a [ContactShadow],
 }
 
 impl<'a> From<&'a ResidentWorld> for Scene<'a> {
     fn from(world: &'a ResidentWorld) -> Self {
-        Self { world, agents: None }
+        Self { world, agents: None, shadows: &[] }
+    }
+}
+
+impl<'a> Scene<'a> {
+    /// A background with agents, without shadows.
+    #[must_use]
+    pub fn with_agents(world: &'a ResidentWorld, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
+        Self { world, agents: Some((pool, agents)), shadows: &[] }
+    }
+
+    /// Whether some agent, in view or not, is to be relit.
+    pub(crate) fn relights(&self) -> bool {
+        self.agents.is_some_and(|(_, agents)| agents.iter().any(|agent| agent.relight.is_some()))
     }
 }
 
@@ -45,6 +70,9 @@ impl Scene<'_> {
     /// No mean that is drawn is farther from the world's origin, metres.
     pub(crate) fn reach_m(&self) -> Result<f64, RenderError> {
         let mut reach_m = self.world.reach_m;
+        for (index, shadow) in self.shadows.iter().enumerate() {
+            shadow.check().map_err(|reason| RenderError::Shadow { index, reason })?;
+        }
         let (pool, agents) = match self.agents {
             Some((pool, agents)) => (pool, agents),
             None => return Ok(reach_m),
@@ -53,6 +81,12 @@ impl Scene<'_> {
             let pose = &agent.world_from_agent;
             if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
                 return Err(RenderError::AgentPose { instance: agent.instance, pose: format!("{pose:?}") });
+            }
+            if agent
+                .relight
+                .is_some_and(|light| light.gain.iter().chain(&light.offset).flatten().any(|number| !number.is_finite()))
+            {
+                return Err(RenderError::AgentLight { instance: agent.instance });
             }
             reach_m = reach_m.max((pose.translation - self.world.origin).length() + pool.asset(agent.asset)?.reach_m());
         }
@@ -71,6 +105,8 @@ pub(crate) struct AgentList {
     pub counts: AgentCounts,
     /// Splats of the levels of detail that were chosen.
     pub splats: usize,
+    /// The agents that are to be relit, as places in [`AgentList::records`]: their asset and light.
+    pub relights: Vec<(usize, AssetId, RelightRecord)>,
 }
 
 impl AgentList {
@@ -92,6 +128,7 @@ impl AgentList {
             cameras: Vec::new(),
             counts: AgentCounts { cameras: cameras.len(), ..AgentCounts::default() },
             splats: 0,
+            relights: Vec::new(),
         };
         for agent in agents {
             let asset = pool.asset(agent.asset)?;
@@ -121,8 +158,15 @@ impl AgentList {
             cameras: mask,
             instance: agent.instance.into(),
             colours_in_world: u32::from(agent.sh_frame.unwrap_or(asset.sh_frame) == ShFrame::World),
+            colours_relit: u32::from(agent.relight.is_some()),
+            dc_residual_gain: agent.relight.map_or([1.0; 3], |light| light.gain[0]),
             ..asset.record(level)
         });
+        if let Some(light) = &agent.relight {
+            let (first, colours) = asset.colours();
+            let relight = RelightRecord::new(light, asset.sh_degree, first, colours);
+            self.relights.push((self.records.len() - 1, agent.asset, relight));
+        }
         self.cameras.extend(seen_by);
         self.counts.agents += 1;
         self.counts.chunks += asset.levels[level].chunks();

@@ -18,13 +18,13 @@ use crate::sh_codec;
 pub const PURPOSE: &str = "assets";
 
 /// Words that bands 1 to 3 of a colour take.
-const COLOUR_WORDS: usize = 24;
+pub const COLOUR_WORDS: usize = 24;
 
 /// Names an asset of a pool. Stale after the asset was removed, which is noticed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct AssetId {
-    index: u32,
-    generation: u32,
+    pub(crate) index: u32,
+    pub(crate) generation: u32,
 }
 
 /// The pool's buffers as the kernels read them.
@@ -81,6 +81,11 @@ impl Asset {
             first_bounds: first_bounds as u32,
             ..self.record
         }
+    }
+
+    /// First and number of its colours in the pool.
+    pub fn colours(&self) -> (usize, usize) {
+        self.ranges.colours
     }
 
     /// The farthest that a drawn mean is from its origin, metres.
@@ -177,6 +182,7 @@ impl AssetPool {
                 log2_size_step: cloud.log2_size_step,
                 first_shape: ranges.shapes.0 as u32,
                 first_colour: ranges.colours.0 as u32,
+                dc_residual_gain: [1.0; 3],
                 ..AgentRecord::default()
             },
             ranges,

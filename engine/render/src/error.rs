@@ -25,6 +25,20 @@ pub enum RenderError {
         /// Where it would stand.
         pose: String,
     },
+    /// An agent in a light that is no light.
+    #[error("agent with instance {instance}: the light it is put in has numbers that are not finite")]
+    AgentLight {
+        /// Its instance id.
+        instance: u16,
+    },
+    /// A shadow that lies nowhere.
+    #[error("shadow {index}: {reason}")]
+    Shadow {
+        /// Its place among the scene's.
+        index: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// A frame too many.
     #[error("{max} frames are in flight, as many as may be: finish one first")]
     TooManyInFlight {

@@ -95,9 +95,29 @@ pub(crate) struct FrameInput<'a> {
     pub agents: Option<AgentCounts>,
 }
 
-/// Records the agents' part of a frame, which needs nothing of the frame before it.
-pub(crate) fn record_agents(recorder: &mut Recorder, stages: &FrameStages<'_>, slot: &FrameSlot, counts: AgentCounts) {
-    let (Some(agents), Some(pool)) = (stages.agents, slot.pool()) else { return };
+/// Records the agents' part of a frame, which needs nothing of the frame before it: their shadows on `world`, their colours in
+/// their light, and what of them is visible.
+pub(crate) fn record_agents(
+    recorder: &mut Recorder,
+    stages: &FrameStages<'_>,
+    slot: &FrameSlot,
+    world: &ResidentWorld,
+    counts: Option<AgentCounts>,
+) {
+    if let Some(shadows) = stages.shadows.filter(|_| slot.shadow_count > 0) {
+        recorder.stage("shadows", |r| {
+            slot.copy_shadows(r);
+            shadows.record(r, world, &slot.shadows, slot.shadow_count);
+        });
+    }
+    let (Some(agents), Some(pool), Some(counts)) = (stages.agents, slot.pool(), counts) else { return };
+    if let Some(relight) = agents.relight.as_ref().filter(|_| slot.relit.to_make.0 > 0) {
+        recorder.stage("relight", |r| {
+            let (count, groups) = slot.relit.to_make;
+            slot.relit.copy(r);
+            relight.record(r, pool, &slot.relit.records, count, groups, &slot.relit.colours);
+        });
+    }
     recorder.stage("agents", |r| {
         slot.copy_agents(r, counts);
         agents.cull.record(r, pool, &slot.agents, counts);
@@ -191,12 +211,15 @@ fn record_projection(
     });
     recorder.stage("project", |r| {
         let (visible, firsts) = (&frame.visible, &frame.firsts);
-        background.project.record(r, world, cameras, camera_count, visible, firsts, &frame.projected, &frame.sort, &ranked);
+        let (projected, sort, shadows) = (&frame.projected, &frame.sort, &slot.shadows);
+        let project = &background.project;
+        project.record(r, world, cameras, camera_count, visible, firsts, projected, sort, &ranked, shadows, slot.shadow_count);
     });
     if let (Some(counts), Some(agents), Some(pool)) = (input.agents, stages.agents, slot.pool()) {
         recorder.stage("project agents", |r| {
             let lists = camera_count * chunks;
-            agents.project.record(r, pool, &slot.agents, counts, &frame.firsts, lists, &frame.projected, &frame.sort);
+            let (relit, projected, sort) = (&slot.relit.colours, &frame.projected, &frame.sort);
+            agents.project.record(r, pool, &slot.agents, relit, counts, &frame.firsts, lists, projected, sort);
         });
     }
 }

@@ -8,8 +8,8 @@ use crate::options::RenderOptions;
 use crate::orders::OrderMode;
 use crate::output::Outputs;
 use crate::stages::{
-    Blend, CompositeSegments, CountPairs, Cull, CullAgents, EmitPairs, FindRanges, MergeOrder, PlanOrder, PlanSegments, Project,
-    ProjectAgents, ProjectVariant, RadixSort, Ranks, RepairOrder, Scan,
+    Blend, CompositeSegments, CountPairs, Cull, CullAgents, CullShadows, EmitPairs, FindRanges, MergeOrder, PlanOrder,
+    PlanSegments, Project, ProjectAgents, ProjectVariant, RadixSort, Ranks, Relight, RepairOrder, Scan,
 };
 
 /// Longer segments are no segments.
@@ -41,6 +41,8 @@ pub(crate) struct AgentStages {
     pub cull: CullAgents,
     pub project: ProjectAgents,
     pub merge: MergeOrder,
+    /// Where agents are relit.
+    pub relight: Option<Relight>,
 }
 
 /// What frames that keep orders run beside.
@@ -59,7 +61,8 @@ pub(crate) struct Kernels {
     shape: SortShape,
     common: Option<CommonStages>,
     background: Vec<(ProjectVariant, BackgroundStages)>,
-    agents: Vec<(u8, AgentStages)>,
+    agents: Vec<(AgentVariant, AgentStages)>,
+    shadows: Option<CullShadows>,
     orders: Option<OrderStages>,
 }
 
@@ -70,14 +73,24 @@ pub(crate) struct FrameStages<'a> {
     pub background: &'a BackgroundStages,
     pub agents: Option<&'a AgentStages>,
     pub orders: Option<&'a OrderStages>,
+    pub shadows: Option<&'a CullShadows>,
+}
+
+/// What the agents' stages are specialised for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct AgentVariant {
+    /// Degree of their colours.
+    pub sh_degree: u8,
+    /// Whether some are relit.
+    pub relit: bool,
 }
 
 /// What a frame is specialised for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameVariant {
     pub background: ProjectVariant,
-    /// Degree of the agents' colours; `None` without agents.
-    pub agents: Option<u8>,
+    /// `None` without agents.
+    pub agents: Option<AgentVariant>,
     /// Whether orders are found, kept or repaired.
     pub orders: bool,
 }
@@ -98,6 +111,7 @@ impl Kernels {
             common: None,
             background: Vec::new(),
             agents: Vec::new(),
+            shadows: None,
             orders: None,
         }
     }
@@ -127,15 +141,19 @@ impl Kernels {
                 self.background.push((kind, BackgroundStages { cull, project }));
             }
         }
-        if let Some(degree) = variant.agents
-            && !self.agents.iter().any(|(built, _)| *built == degree)
+        if let Some(kind) = variant.agents
+            && !self.agents.iter().any(|(built, _)| *built == kind)
         {
             let stages = AgentStages {
                 cull: CullAgents::new(gpu, rules)?,
-                project: ProjectAgents::new(gpu, rules, degree)?,
+                project: ProjectAgents::new(gpu, rules, kind.sh_degree, kind.relit)?,
                 merge: MergeOrder::new(gpu)?,
+                relight: if kind.relit { Some(Relight::new(gpu, kind.sh_degree)?) } else { None },
             };
-            self.agents.push((degree, stages));
+            self.agents.push((kind, stages));
+        }
+        if variant.background.shadows && self.shadows.is_none() {
+            self.shadows = Some(CullShadows::new(gpu)?);
         }
         if *keeps_orders && self.orders.is_none() {
             self.orders = Some(OrderStages { ranks: Ranks::new(gpu)?, repair: RepairOrder::new(gpu)? });
@@ -148,8 +166,9 @@ impl Kernels {
                 .iter()
                 .find_map(|(built, stages)| (*built == variant.background).then_some(stages))
                 .ok_or_else(|| built("the background's projection"))?,
-            agents: self.agents.iter().find_map(|(degree, stages)| (Some(*degree) == variant.agents).then_some(stages)),
+            agents: self.agents.iter().find_map(|(built, stages)| (Some(*built) == variant.agents).then_some(stages)),
             orders: self.orders.as_ref().filter(|_| variant.orders),
+            shadows: self.shadows.as_ref().filter(|_| variant.background.shadows),
         })
     }
 }

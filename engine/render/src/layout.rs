@@ -3,6 +3,10 @@
 //! Arrays of `f32` and `u32` only: glam's vectors may be padded for SIMD. The shaders use scalar block layout, whose
 //! offsets are those of `repr(C)`.
 
+mod light;
+
+pub use light::{RelightRecord, ShadowRecord};
+
 use bytemuck::{Pod, Zeroable};
 use decouplegs_scene::{Camera, Pose, Rules, rules};
 use glam::{DMat3, DVec3};
@@ -272,6 +276,10 @@ pub struct AgentRecord {
     pub instance: u32,
     /// 1 where colours are not turned with it.
     pub colours_in_world: u32,
+    /// 1 where its colours are those that were made for it, and `first_colour` counts among these.
+    pub colours_relit: u32,
+    /// Of what is added to the DC term of its colours.
+    pub dc_residual_gain: [f32; 3],
 }
 
 /// `Item` of `frame.glsl`: one segment of one macro tile's list.

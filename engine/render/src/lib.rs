@@ -15,6 +15,7 @@ mod orders;
 mod output;
 mod range_allocator;
 mod read_back;
+mod relit;
 mod renderer;
 mod resident;
 mod slot;

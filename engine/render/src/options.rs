@@ -99,6 +99,8 @@ pub struct FrameStatistics {
     pub agents: usize,
     /// Splats of those agents.
     pub agent_splats: usize,
+    /// Codebooks that were relit for this frame: those of agents whose light changed since their place was last drawn.
+    pub relit: usize,
     /// GPU time from the first command to the last, without the agents' part where that ran on its own queue.
     pub gpu_time: Duration,
     /// GPU time by stage, in order.

@@ -10,7 +10,7 @@ use crate::RenderError;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::{Capacity, SortShape};
 use crate::frame::{FrameBuffers, FrameInput, FrameShape, record_agents, record_frame};
-use crate::kernels::{FrameVariant, Kernels};
+use crate::kernels::{AgentVariant, FrameVariant, Kernels};
 use crate::layout::{Needs, View, near_m};
 use crate::options::{FrameStatistics, OrderError, QueueTrace, RenderOptions};
 use crate::orders::{OrderDecision, OrderPath, Orders};
@@ -120,6 +120,7 @@ impl Renderer {
         if submitted.is_err() {
             // Ranks that this frame was to find may never be found.
             self.orders = None;
+            self.slots.iter_mut().for_each(|slot| slot.relit.forget());
         }
         submitted
     }
@@ -141,16 +142,20 @@ impl Renderer {
                 instances: scene.world.has_instances && options.outputs.instance,
                 ranked: decision.is_ranked(),
                 splat_ids: options.outputs.contributions,
+                shadows: !scene.shadows.is_empty(),
             },
             // That of all assets, whoever is in view: building kernels in the middle of a drive would stall it.
-            agents: scene.agents.and_then(|(pool, _)| pool.sh_degree()).map(|degree| degree.min(options.sh_degree_max)),
+            agents: scene
+                .agents
+                .and_then(|(pool, _)| pool.sh_degree())
+                .map(|degree| AgentVariant { sh_degree: degree.min(options.sh_degree_max), relit: scene.relights() }),
             orders: decision.is_ranked(),
         };
         let ranks = orders.ranks().clone();
         let added = scene.agents.and_then(|(pool, _)| pool.last_upload().cloned());
-        self.slots[slot].set(&self.gpu, &options.outputs, view, scene.world.splats, list)?;
+        self.slots[slot].set(&self.gpu, &options.outputs, view, scene.world, list, scene.shadows)?;
         self.slots[slot].staged_orders.write_host(0, &decision.view_orders);
-        let update = self.submit_agents(slot, variant, added.as_ref())?;
+        let update = self.submit_agents(slot, scene.world, variant, added.as_ref())?;
         let record_start = Instant::now();
         let (frame, capacity) = self.submit_frame(slot, scene.world, variant, &decision, &ranks, update.as_ref())?;
         let (world, record_time) = (scene.world.clone(), record_start.elapsed());
@@ -248,6 +253,7 @@ impl Renderer {
             order_error,
             agents: list.map_or(0, |list| list.counts.agents),
             agent_splats: list.map_or(0, |list| list.splats),
+            relit: self.slots[slot].relit.to_make.0,
             gpu_time: Duration::from_nanos(queues[0].total_ns),
             stages: queues[0].stages.clone(),
             update_time: queues.get(1).map(|update| Duration::from_nanos(update.total_ns)),
@@ -297,13 +303,17 @@ impl Renderer {
     fn submit_agents(
         &mut self,
         slot: usize,
+        world: &ResidentWorld,
         variant: FrameVariant,
         added: Option<&Ticket>,
     ) -> Result<Option<Ticket>, RenderError> {
-        let Some(counts) = self.agent_counts(slot).filter(|_| self.options.overlap) else { return Ok(None) };
+        let counts = self.agent_counts(slot);
+        if !self.options.overlap || (counts.is_none() && self.slots[slot].shadow_count == 0) {
+            return Ok(None);
+        }
         let stages = self.kernels.of(&self.gpu, variant)?;
         let mut recorder = self.gpu.record(QueueRole::Update);
-        record_agents(&mut recorder, &stages, &self.slots[slot], counts);
+        record_agents(&mut recorder, &stages, &self.slots[slot], world, counts);
         let behind: Vec<&Ticket> = added.into_iter().collect();
         Ok(Some(self.gpu.submit(recorder, &behind)?))
     }
@@ -323,8 +333,8 @@ impl Renderer {
         let Some(frame) = &self.frame else { unreachable!("fit_buffers made them") };
         let stages = self.kernels.of(&self.gpu, variant)?;
         let mut recorder = self.gpu.record(QueueRole::Main);
-        if let Some(counts) = agents.filter(|_| update.is_none()) {
-            record_agents(&mut recorder, &stages, &self.slots[slot], counts);
+        if update.is_none() {
+            record_agents(&mut recorder, &stages, &self.slots[slot], world, agents);
         }
         let input = FrameInput { world, orders, ranks, agents };
         record_frame(&mut recorder, &stages, frame, &self.slots[slot], input);

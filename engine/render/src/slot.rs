@@ -3,16 +3,18 @@
 use std::time::{Duration, Instant};
 
 use decouplegs_gpu::{Buffer, Gpu, Recorder, Residence, Ticket};
+use decouplegs_scene::ContactShadow;
 
 use crate::RenderError;
 use crate::agents::AgentList;
 use crate::capacity::Capacity;
 use crate::kernels::FrameVariant;
-use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, Needs, View, ViewOrder};
+use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, Needs, ShadowRecord, View, ViewOrder};
 use crate::orders::OrderDecision;
 use crate::output::{OutputBuffers, Outputs};
+use crate::relit::RelitCodebooks;
 use crate::resident::ResidentWorld;
-use crate::stages::{AgentBuffers, AgentCounts, PURPOSE};
+use crate::stages::{AgentBuffers, AgentCounts, PURPOSE, ShadowBuffers};
 
 /// A frame that was submitted and not yet finished.
 pub(crate) struct Pending {
@@ -39,6 +41,13 @@ pub(crate) struct FrameSlot {
     staged_agent_cameras: Buffer<CameraRecord>,
     pub agents: AgentBuffers,
     agent_room: AgentCounts,
+    pub relit: RelitCodebooks,
+    staged_shadows: Buffer<ShadowRecord>,
+    pub shadows: ShadowBuffers,
+    /// Shadows and chunks that there is room for.
+    shadow_room: (usize, usize),
+    /// Shadows of the frame.
+    pub shadow_count: usize,
     pub pictures: OutputBuffers,
     /// Pixels and splats that the pictures are made for.
     room: (usize, usize),
@@ -60,6 +69,11 @@ impl FrameSlot {
             staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, Residence::Upload)?,
             agents: AgentBuffers::new(gpu, 0, 0, 0)?,
             agent_room: AgentCounts::default(),
+            relit: RelitCodebooks::new(gpu)?,
+            staged_shadows: gpu.buffer("staged_shadows", PURPOSE, 0, Residence::Upload)?,
+            shadows: ShadowBuffers::new(gpu, 0, 0)?,
+            shadow_room: (0, 0),
+            shadow_count: 0,
             pictures: OutputBuffers::new(gpu, 0, 0, outputs)?,
             room: (0, 0),
             found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
@@ -76,16 +90,19 @@ impl FrameSlot {
         self.list.as_ref().map(|list| &list.pool)
     }
 
-    /// Takes the views and agents of the next frame, before a background of `splats`. The frame before in this slot must be done.
+    /// Takes the views and agents of the next frame, before `world`, and the shadows on it. The frame before in this slot must
+    /// be done.
     pub fn set(
         &mut self,
         gpu: &Gpu,
         outputs: &Outputs,
         view: View,
-        splats: usize,
+        world: &ResidentWorld,
         list: Option<AgentList>,
+        shadows: &[ContactShadow],
     ) -> Result<(), RenderError> {
         self.view = None;
+        let splats = world.splats;
         let room = (view.pixels, splats * usize::from(outputs.contributions));
         if self.room != room {
             // The old ones go first: both would not always fit.
@@ -95,13 +112,33 @@ impl FrameSlot {
             self.room = room;
         }
         self.staged_cameras.write_host(0, &view.cameras);
-        if let Some(list) = &list {
+        self.set_shadows(gpu, world, shadows)?;
+        let mut list = list;
+        if let Some(list) = &mut list {
             self.fit_agents(gpu, list.counts)?;
+            let wanted: Vec<_> = list.relights.iter().map(|&(_, asset, relight)| (asset, relight)).collect();
+            for (&(agent, ..), first) in list.relights.iter().zip(self.relit.set(gpu, &wanted)?) {
+                list.records[agent].first_colour = first;
+            }
             self.staged_agents.write_host(0, &list.records);
             self.staged_agent_cameras.write_host(0, &list.cameras);
         }
         self.list = list;
         self.view = Some(view);
+        Ok(())
+    }
+
+    fn set_shadows(&mut self, gpu: &Gpu, world: &ResidentWorld, shadows: &[ContactShadow]) -> Result<(), RenderError> {
+        let (room, chunks) = (self.shadow_room, world.chunk_count());
+        if shadows.len() > room.0 || chunks > room.1 {
+            let wanted = if shadows.len() > room.0 { shadows.len() + shadows.len() / 4 } else { room.0 };
+            self.staged_shadows = gpu.buffer("staged_shadows", PURPOSE, wanted, Residence::Upload)?;
+            self.shadows = ShadowBuffers::new(gpu, wanted, chunks)?;
+            self.shadow_room = (wanted, chunks);
+        }
+        let records: Vec<ShadowRecord> = shadows.iter().map(|shadow| ShadowRecord::new(shadow, world.origin)).collect();
+        self.staged_shadows.write_host(0, &records);
+        self.shadow_count = shadows.len();
         Ok(())
     }
 
@@ -123,6 +160,11 @@ impl FrameSlot {
         self.agents = AgentBuffers::new(gpu, room.agents, room.chunks, room.cameras)?;
         self.agent_room = room;
         Ok(())
+    }
+
+    /// Records the copy of what the host wrote of shadows.
+    pub fn copy_shadows(&self, recorder: &mut Recorder) {
+        recorder.copy(&self.staged_shadows, 0, &self.shadows.shadows, 0, self.shadow_count);
     }
 
     /// Records the copy of what the host wrote of agents.

@@ -1,13 +1,13 @@
 //! Agents of every kind that is hard for a stage, as the stages hold them.
 
 use decouplegs::gpu::Buffer;
-use decouplegs::render::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, View};
-use decouplegs::render::stages::{AgentBuffers, AgentCounts};
+use decouplegs::render::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, RelightRecord, View};
+use decouplegs::render::stages::{AgentBuffers, AgentCounts, RelitColours};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
 use decouplegs::render::twins::projection::Variant;
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
 use decouplegs::scene::shape::principal_axes;
-use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, Pose, Rules, SplatCodes, sh};
+use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, ColourTransfer, Pose, Rules, SplatCodes, sh};
 use glam::{DMat3, DQuat, DVec3, Mat3};
 
 use super::super::scenes::{ProjectedTwin, settled_visibility};
@@ -43,6 +43,9 @@ pub struct AgentScene {
     pub dc: Vec<[f32; 3]>,
     pub bands: Vec<[u32; 24]>,
     pub chunks: Vec<ChunkRecord>,
+    /// Colours of the agents that are relit.
+    pub relit_dc: Vec<[f32; 3]>,
+    pub relit_bands: Vec<[u32; 24]>,
     pub counts: AgentCounts,
 }
 
@@ -106,6 +109,7 @@ impl AgentScene {
             first_splat: self.splats.len() as u32,
             first_shape: self.shapes.len() as u32,
             first_colour: self.dc.len() as u32,
+            dc_residual_gain: [1.0; 3],
             ..AgentRecord::default()
         };
         self.splats.extend(cloud.splats.iter().map(|splat| splat.0));
@@ -118,6 +122,26 @@ impl AgentScene {
             self.chunks.extend(cloud.level(level).chunks(CHUNK_SPLATS).map(|splats| chunk_of(cloud, splats)));
         }
         record
+    }
+
+    /// Puts `agent`, which shows a codebook of `colours`, in a light of its own.
+    pub fn relight(&mut self, agent: usize, colours: usize, light: &ColourTransfer) {
+        let (record, first) = (&mut self.agents[agent], self.relit_dc.len());
+        let relight =
+            RelightRecord { first_relit: first as u32, ..RelightRecord::new(light, 3, record.first_colour as usize, colours) };
+        self.relit_dc.resize(first + colours, [0.0; 3]);
+        self.relit_bands.resize(first + colours, [0; 24]);
+        twins::relight(&[relight], &self.dc, &self.bands, &mut self.relit_dc, &mut self.relit_bands, 3);
+        record.first_colour = first as u32;
+        record.colours_relit = 1;
+        record.dc_residual_gain = light.gain[0];
+    }
+
+    pub fn relit(&self, gpu: &Validated) -> RelitColours {
+        let relit = RelitColours::new(gpu, self.relit_dc.len()).unwrap();
+        gpu.write(&relit.dc, 0, &self.relit_dc).unwrap();
+        gpu.write(&relit.bands, 0, &self.relit_bands).unwrap();
+        relit
     }
 
     pub fn unpacked(&self, agent: usize, splat: usize) -> (UnpackedSplat, Mat3) {
@@ -223,6 +247,8 @@ impl AgentScene {
             &self.dc,
             &self.bands,
             static_firsts,
+            &self.relit_dc,
+            &self.relit_bands,
             &mut out.footprints,
             &mut out.colours,
             &mut out.keys,

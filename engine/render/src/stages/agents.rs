@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Projected, SortScratch, Visible, kernel};
+use super::{PURPOSE, Projected, RelitColours, SortScratch, Visible, kernel};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
 use crate::layout::{AgentRecord, CameraRecord, near_m};
@@ -106,16 +106,18 @@ pub struct ProjectAgents {
 }
 
 impl ProjectAgents {
-    /// The stage for pictures of the given rules and colours of the given degree.
+    /// The stage for pictures of the given rules and colours of the given degree; `relit` where some agents have colours of
+    /// their own.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, sh_degree: u8) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, sh_degree: u8, relit: bool) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("SH_DEGREE", Constant::U32(u32::from(sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
+            ("RELIT", Constant::Bool(relit)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)? })
     }
@@ -128,6 +130,7 @@ impl ProjectAgents {
         recorder: &mut Recorder,
         pool: &PoolBuffers,
         buffers: &AgentBuffers,
+        relit: &RelitColours,
         counts: AgentCounts,
         static_firsts: &Buffer<u32>,
         static_lists: usize,
@@ -151,6 +154,8 @@ impl ProjectAgents {
             ("coded_dc", pool.colour_dc.binding()),
             ("coded_bands", pool.colour_bands.binding()),
             ("static_firsts", static_firsts.binding()),
+            ("relit_dc", relit.dc.binding()),
+            ("relit_bands", relit.bands.binding()),
             ("footprints", projected.footprints.binding()),
             ("colours", projected.colours.binding()),
             ("keys", sort.keys[0].binding()),

@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Ranked, SortScratch, Visible, kernel};
+use super::{PURPOSE, Ranked, ShadowBuffers, SortScratch, Visible, kernel, words_for};
 use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, near_m};
 use crate::resident::ResidentWorld;
@@ -44,6 +44,8 @@ pub struct ProjectVariant {
     pub ranked: bool,
     /// Whether records carry the index of their splat instead.
     pub splat_ids: bool,
+    /// Whether agents throw contact shadows.
+    pub shadows: bool,
 }
 
 #[repr(C)]
@@ -53,6 +55,7 @@ struct Push {
     camera_count: u32,
     chunk_count: u32,
     records_max: u32,
+    shadow_word_count: u32,
 }
 
 /// `project.comp`.
@@ -74,12 +77,13 @@ impl Project {
             ("INSTANCES", Constant::Bool(variant.instances)),
             ("RANKED", Constant::Bool(variant.ranked)),
             ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
+            ("SHADOWS", Constant::Bool(variant.shadows)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }
 
     /// Writes a record for every bit of `visible`, the first of each list at `firsts`, and its depth key and place to the first
-    /// buffers of `sort`.
+    /// buffers of `sort`, darkened by the first `shadow_count` of `shadows`.
     #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
     pub fn record(
         &self,
@@ -92,12 +96,15 @@ impl Project {
         projected: &Projected,
         sort: &SortScratch,
         ranked: &Ranked<'_>,
+        shadows: &ShadowBuffers,
+        shadow_count: usize,
     ) {
         let push = Push {
             splat_count: world.splats as u32,
             camera_count: camera_count as u32,
             chunk_count: world.chunk_count() as u32,
             records_max: projected.colours.len() as u32,
+            shadow_word_count: words_for(shadow_count) as u32,
         };
         let buffers = [
             ("cameras", cameras.binding()),
@@ -121,6 +128,8 @@ impl Project {
             ("rank_words", ranked.lists.words.binding()),
             ("rank_firsts", ranked.lists.firsts.binding()),
             ("unranked_keys", sort.keys[1].binding()),
+            ("shadows", shadows.shadows.binding()),
+            ("shadow_words", shadows.words.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
     }

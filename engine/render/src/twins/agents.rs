@@ -80,6 +80,8 @@ pub fn project_agents(
     coded_dc: &[[f32; 3]],
     coded_bands: &[[u32; COLOUR_WORDS]],
     static_firsts: &[u32],
+    relit_dc: &[[f32; 3]],
+    relit_bands: &[[u32; COLOUR_WORDS]],
     footprints: &mut [[f32; 4]],
     colours: &mut [[f32; 4]],
     keys: &mut [u32],
@@ -112,8 +114,10 @@ pub fn project_agents(
                 let d = offset.normalize();
                 let d = if agent.colours_in_world != 0 { turned(agent, d) } else { d };
                 let entry = (agent.first_colour + coded.colour) as usize;
-                let dc = [(Vec3::from_array(coded_dc[entry]) + coded.dc_residual).to_array()];
-                let colour = sh_colour(&stored(&dc, &coded_bands[entry]), 0, 1, d, sh_degree);
+                let (dc_of, bands_of) = if agent.colours_relit != 0 { (relit_dc, relit_bands) } else { (coded_dc, coded_bands) };
+                let residual = Vec3::from_array(agent.dc_residual_gain) * coded.dc_residual;
+                let dc = [(Vec3::from_array(dc_of[entry]) + residual).to_array()];
+                let colour = sh_colour(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
                 write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
                 keys[slot] = depth_key(scaled_depth(coded.mean_m, camera, radial));
                 values[slot] = slot as u32;

@@ -1,7 +1,7 @@
 //! The stages once more, for reading: sequential, f32, un-clever.
 //!
 //! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`, `output`, `projection`,
-//! `record`, `sh`, `visibility` and `write_record` what the shared GLSL of the same name does. Arguments have the shader's names
+//! `record`, `sh`, `shadow`, `visibility` and `write_record` what the shared GLSL of the same name does. Arguments have the shader's names
 //! and order: buffers first (outputs are written in place, as there), then push constants, then specialization constants. The
 //! stage tests feed both sides the same bytes. Nothing here saves work: no workgroups, no masks, no shared memory.
 //!
@@ -16,6 +16,7 @@ pub mod output;
 pub mod projection;
 pub mod record;
 pub mod sh;
+pub mod shadow;
 pub mod visibility;
 
 mod agents;
@@ -23,6 +24,7 @@ mod blend;
 mod composite;
 mod count_pairs;
 mod cull;
+mod cull_shadows;
 mod emit_pairs;
 mod find_ranges;
 mod merge_order;
@@ -30,6 +32,7 @@ mod plan_order;
 mod plan_segments;
 mod project;
 mod ranks;
+mod relight;
 mod repair_order;
 mod scan;
 mod sort;
@@ -40,6 +43,7 @@ pub use blend::{blend, log2_alpha_at};
 pub use composite::composite;
 pub use count_pairs::count_pairs;
 pub use cull::cull;
+pub use cull_shadows::cull_shadows;
 pub use emit_pairs::emit_pairs;
 pub use find_ranges::find_ranges;
 pub use merge_order::merge_order;
@@ -47,6 +51,7 @@ pub use plan_order::plan_order;
 pub use plan_segments::plan_segments;
 pub use project::project;
 pub use ranks::{count_ranks, key_splats, rank_splats};
+pub use relight::relight;
 pub use repair_order::{check_order, repair_order, restore_order};
 pub use scan::scan;
 pub use sort::sort;

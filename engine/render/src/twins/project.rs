@@ -4,8 +4,9 @@ use super::depth_key::{depth_key, scaled_depth};
 use super::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use super::record::Record;
 use super::sh::{Stored, sh_colour};
+use super::shadow::shadow_factor;
 use super::write_record::write_record;
-use crate::layout::{CHUNK_SPLATS, CameraRecord, OrderStep, ViewOrder};
+use crate::layout::{CHUNK_SPLATS, CameraRecord, OrderStep, ShadowRecord, ViewOrder};
 
 /// Where the key of a record stands before the sort: in its slot, or where the camera's order is kept, behind the keys of
 /// all visible splats of lower rank. The kernel finds how many these are from sums over the words, `rank_firsts`.
@@ -30,6 +31,14 @@ fn place_of(
     firsts[first_chunk] as usize + lower
 }
 
+/// What all shadows that may lie on the chunk leave of a splat's light.
+fn light_left(chunk_index: usize, mean_m: [f32; 3], shadows: &[ShadowRecord], shadow_words: &[u32]) -> f32 {
+    let words = shadows.len().div_ceil(32);
+    let may_lie = |index: usize| shadow_words[chunk_index * words + index / 32] >> (index % 32) & 1 == 1;
+    let near = shadows.iter().enumerate().filter(|(index, _)| may_lie(*index));
+    near.map(|(_, shadow)| shadow_factor(shadow, mean_m)).product()
+}
+
 /// Writes a record, its colour, depth key, place and number of macro tiles for every bit of `visible_words`, the first of each
 /// `[camera][chunk]` at `firsts`, as far as there is room. `instances` holds two 16-bit ids a word, and is `None` where they are
 /// not asked for; with `splat_ids` the splat's index is written instead. Where `ranked`, keys of a camera whose order is kept
@@ -52,6 +61,8 @@ pub fn project(
     ranks: &[u32],
     rank_words: &[u32],
     unranked_keys: &mut [u32],
+    shadows: &[ShadowRecord],
+    shadow_words: &[u32],
     variant: Variant,
     sh_degree: usize,
     radial: bool,
@@ -79,6 +90,7 @@ pub fn project(
                     instance: if splat_ids { splat_index as u32 } else { id },
                 };
                 let colour = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree);
+                let colour = light_left(chunk_index, means_m[splat_index], shadows, shadow_words) * colour;
                 write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
                 let key = depth_key(scaled_depth(means_m[splat_index], camera, radial));
                 let place = if ranked {

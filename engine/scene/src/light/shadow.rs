@@ -27,6 +27,24 @@ pub struct ContactShadow {
 }
 
 impl ContactShadow {
+    /// What is wrong with it, if anything.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), String> {
+        let pose = &self.world_from_ground;
+        if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
+            return Err(format!("its pose {pose:?} is not finite"));
+        }
+        let [length_m, width_m] = self.half_size_m;
+        let positive = [("half length", length_m), ("half width", width_m), ("decay", self.decay), ("slab", self.slab_m)];
+        match positive.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            Some((what, value)) => Err(format!("a {what} of {value}; expected a number above zero")),
+            None if !(0.0..=1.0).contains(&self.strength) => Err(format!("a strength of {}; expected 0 to 1", self.strength)),
+            None => Ok(()),
+        }
+    }
+
     /// How far out the mask counts, in half sizes.
     #[must_use]
     pub fn reach(&self) -> f64 {
@@ -56,15 +74,15 @@ impl ContactShadow {
     }
 }
 
-/// `world` as it looks under `shadows`, whose factors multiply. Splats of agents stay as they are: shadows lie on the ground.
+/// `world` as it looks under `shadows`, whose factors multiply: before agents are added to it, which shadows do not lie on.
 ///
 /// `max(0, 0.5 + SH) f = max(0, f (0.5 + SH))`, so a darkened splat is a splat again.
 pub fn bake_shadows(world: &mut World, shadows: &[ContactShadow]) {
-    let (origin, instances) = (world.origin, world.instance_from_splat.clone());
+    let origin = world.origin;
     let SplatCloud { means, sh_degree, sh_dc, sh_rest, .. } = &mut world.splats;
     let stride = sh::coefficient_count(*sh_degree) - 1;
     let shift = 0.5 / sh::Y0;
-    for (splat, mean) in means.iter().enumerate().filter(|(splat, _)| instances.get(*splat).is_none_or(|&id| id == 0)) {
+    for (splat, mean) in means.iter().enumerate() {
         let position = origin + DVec3::from_array(mean.map(f64::from));
         let factor: f64 = shadows.iter().map(|shadow| shadow.factor(position)).product();
         if factor == 1.0 {
@@ -102,28 +120,36 @@ mod tests {
     }
 
     #[test]
-    fn shadows_multiply_and_leave_agents_alone() {
-        let splat = |mean| SplatCloud {
-            means: vec![mean],
-            scales: vec![[0.1; 3]],
-            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
-            opacities: vec![1.0],
+    fn shadows_multiply() {
+        let splat = SplatCloud {
+            means: vec![[0.0, 10.0, 0.05], [30.0, 10.0, 0.05]],
+            scales: vec![[0.1; 3]; 2],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+            opacities: vec![1.0; 2],
             sh_degree: 1,
-            sh_dc: vec![[0.3; 3]],
-            sh_rest: vec![[0.2; 3]; 3],
+            sh_dc: vec![[0.3; 3]; 2],
+            sh_rest: vec![[0.2; 3]; 6],
         };
-        let mut world = World { origin: DVec3::new(4.5e6, 0.0, 0.0), ..World::of(splat([0.0, 10.0, 0.05])) };
-        world.bake_instance(
-            &splat([0.0; 3]),
-            &Pose { translation: DVec3::new(4.5e6, 10.0, 0.05), ..Pose::IDENTITY },
-            crate::ShFrame::Canonical,
-            1,
-        );
+        let mut world = World { origin: DVec3::new(4.5e6, 0.0, 0.0), ..World::of(splat) };
         let before = world.clone();
         bake_shadows(&mut world, &[shadow(), shadow()]);
         let shown = |world: &World, splat: usize| 0.5 + sh::Y0 * f64::from(world.splats.sh_dc[splat][0]);
         assert!((shown(&world, 0) - 0.04 * shown(&before, 0)).abs() < 1e-6);
         assert!((world.splats.sh_rest[0][0] - 0.04 * 0.2).abs() < 1e-6);
         assert_eq!(world.splats.sh_dc[1], before.splats.sh_dc[1]);
+    }
+
+    #[test]
+    fn what_is_no_shadow_is_named() {
+        shadow().check().unwrap();
+        let broken = |change: fn(&mut ContactShadow)| {
+            let mut shadow = shadow();
+            change(&mut shadow);
+            shadow.check().unwrap_err()
+        };
+        assert!(broken(|s| s.half_size_m[1] = 0.0).contains("half width"));
+        assert!(broken(|s| s.strength = 1.5).contains("1.5"));
+        assert!(broken(|s| s.decay = f64::NAN).contains("decay"));
+        assert!(broken(|s| s.world_from_ground.translation.x = f64::INFINITY).contains("pose"));
     }
 }

@@ -1,0 +1,90 @@
+//! Records of light: contact shadows, and colours to be relit.
+
+use bytemuck::{Pod, Zeroable};
+use decouplegs_scene::{ColourTransfer, ContactShadow, sh};
+use glam::{DMat3, DVec3};
+
+/// `Shadow` of `shadow.glsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct ShadowRecord {
+    /// The ground under the agent's middle relative to the world's origin, rounded to f32.
+    pub centre_high_m: [f32; 3],
+    /// What rounding left.
+    pub centre_low_m: [f32; 3],
+    /// Along the agent in the ground, over its half length.
+    pub along: [f32; 3],
+    /// Across it, over its half width.
+    pub across: [f32; 3],
+    /// Out of the ground, unit.
+    pub normal: [f32; 3],
+    /// Share of the light that is gone in the middle.
+    pub strength: f32,
+    /// Decay for a half size, as a power of two.
+    pub log2_decay: f32,
+    /// Half sizes beyond which the mask counts as zero.
+    pub reach: f32,
+    /// Splats whose mean is farther from the plane are not ground.
+    pub slab_m: f32,
+}
+
+impl ShadowRecord {
+    /// `shadow` in a world whose means are relative to `origin`. Made in f64: only the result is rounded.
+    #[must_use]
+    pub fn new(shadow: &ContactShadow, origin: DVec3) -> Self {
+        let centre = shadow.world_from_ground.translation - origin;
+        let high = centre.as_vec3();
+        let axes = DMat3::from_quat(shadow.world_from_ground.rotation.normalize());
+        let [half_length_m, half_width_m] = shadow.half_size_m;
+        Self {
+            centre_high_m: high.to_array(),
+            centre_low_m: (centre - high.as_dvec3()).as_vec3().to_array(),
+            along: (axes.x_axis / half_length_m).as_vec3().to_array(),
+            across: (axes.y_axis / half_width_m).as_vec3().to_array(),
+            normal: axes.z_axis.as_vec3().to_array(),
+            strength: shadow.strength as f32,
+            log2_decay: (shadow.decay * std::f64::consts::LOG2_E) as f32,
+            reach: shadow.reach() as f32,
+            slab_m: shadow.slab_m as f32,
+        }
+    }
+}
+
+/// Numbers of T, and of b.
+const NUMBERS: usize = 48;
+
+/// `Relight` of `relight.comp`: a codebook's colours, and the light that they are put in.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct RelightRecord {
+    /// T, `[coefficient][rgb]`.
+    pub gain: [f32; NUMBERS],
+    /// b.
+    pub summand: [f32; NUMBERS],
+    /// First colour in the pool.
+    pub first_colour: u32,
+    /// How many there are.
+    pub colours: u32,
+    /// Where the first goes.
+    pub first_relit: u32,
+    /// Workgroups of those before it.
+    pub first_group: u32,
+}
+
+impl RelightRecord {
+    /// `colours` colours of degree `sh_degree` from `first_colour` on, in the light of `transfer`; where they go is said later.
+    #[must_use]
+    pub fn new(transfer: &ColourTransfer, sh_degree: u8, first_colour: usize, colours: usize) -> Self {
+        // What the colours have no coefficient for stays nothing.
+        let has = |number: usize| f32::from(u8::from(number / 3 < sh::coefficient_count(sh_degree)));
+        let numbers = |of: &[[f32; 3]; 16]| std::array::from_fn(|number| has(number) * of[number / 3][number % 3]);
+        Self {
+            gain: numbers(&transfer.gain),
+            summand: numbers(&transfer.offset),
+            first_colour: first_colour as u32,
+            colours: colours as u32,
+            first_relit: 0,
+            first_group: 0,
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! Colours made for agents in their light, which a frame in flight keeps until it shows another light.
+
+use std::collections::{HashMap, HashSet};
+
+use decouplegs_gpu::{Buffer, Gpu, Recorder, Residence};
+
+use crate::RenderError;
+use crate::asset_pool::AssetId;
+use crate::layout::RelightRecord;
+use crate::range_allocator::RangeAllocator;
+use crate::stages::{PURPOSE, RELIGHT_BLOCK, RelitColours};
+
+/// An asset in a light: the bits of T and b.
+type InLight = (AssetId, [u32; 96]);
+
+/// The relit codebooks of one frame in flight. What the frame before in its place made is used again where asset and light
+/// are the same: an agent that stands still costs nothing, and alike ones share.
+pub(crate) struct RelitCodebooks {
+    pub colours: RelitColours,
+    places: RelitPlaces,
+    staged: Buffer<RelightRecord>,
+    pub records: Buffer<RelightRecord>,
+    /// Of those that are to be made now: how many, and their workgroups.
+    pub to_make: (usize, usize),
+}
+
+impl RelitCodebooks {
+    /// None yet.
+    pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
+        Ok(Self {
+            colours: RelitColours::new(gpu, 0)?,
+            places: RelitPlaces::default(),
+            staged: gpu.buffer("staged_relights", PURPOSE, 0, Residence::Upload)?,
+            records: gpu.buffer("relights", PURPOSE, 0, Residence::Device)?,
+            to_make: (0, 0),
+        })
+    }
+
+    /// Finds a place for each of `wanted`, and lists those that have to be made. Returns the first colour of each.
+    pub fn set(&mut self, gpu: &Gpu, wanted: &[(AssetId, RelightRecord)]) -> Result<Vec<u32>, RenderError> {
+        let (mut firsts, mut to_make) = self.places.find(wanted);
+        let room = self.places.allocator.end();
+        if room > self.colours.dc.len() {
+            self.colours = RelitColours::new(gpu, room + room / 4)?;
+            // The old ones are gone: all are made again.
+            self.forget();
+            (firsts, to_make) = self.places.find(wanted);
+        }
+        if to_make.len() > self.staged.len() {
+            let room = to_make.len() + to_make.len() / 4;
+            self.staged = gpu.buffer("staged_relights", PURPOSE, room, Residence::Upload)?;
+            self.records = gpu.buffer("relights", PURPOSE, room, Residence::Device)?;
+        }
+        self.staged.write_host(0, &to_make);
+        self.to_make = (to_make.len(), to_make.last().map_or(0, |last| last.first_group as usize + groups_of(last)));
+        Ok(firsts)
+    }
+
+    /// Makes all again next time: what was to be made may never have been.
+    pub fn forget(&mut self) {
+        self.places = RelitPlaces::default();
+    }
+
+    /// Records the copy of what is to be made.
+    pub fn copy(&self, recorder: &mut Recorder) {
+        recorder.copy(&self.staged, 0, &self.records, 0, self.to_make.0);
+    }
+}
+
+/// Which codebook is where.
+#[derive(Default)]
+struct RelitPlaces {
+    allocator: RangeAllocator,
+    made: HashMap<InLight, (usize, usize)>,
+}
+
+impl RelitPlaces {
+    /// The first colour of each of `wanted`, and those that are not there yet, with their place and workgroups.
+    fn find(&mut self, wanted: &[(AssetId, RelightRecord)]) -> (Vec<u32>, Vec<RelightRecord>) {
+        let keys: Vec<InLight> = wanted.iter().map(|(asset, record)| (*asset, light_of(record))).collect();
+        self.drop_others(&keys);
+        let mut to_make: Vec<RelightRecord> = Vec::new();
+        let mut groups = 0;
+        let mut firsts = Vec::with_capacity(wanted.len());
+        for (key, (_, record)) in keys.into_iter().zip(wanted) {
+            let (first, _) = *self.made.entry(key).or_insert_with(|| {
+                let colours = record.colours as usize;
+                let first = self.allocator.take(colours);
+                to_make.push(RelightRecord { first_relit: first as u32, first_group: groups, ..*record });
+                groups += groups_of(record) as u32;
+                (first, colours)
+            });
+            firsts.push(first as u32);
+        }
+        (firsts, to_make)
+    }
+
+    /// Frees the places of what nobody wants any more.
+    fn drop_others(&mut self, keys: &[InLight]) {
+        let wanted: HashSet<&InLight> = keys.iter().collect();
+        // In order of place: a map's own order is another in every run, and so would places be.
+        let mut dropped: Vec<(usize, usize)> =
+            self.made.iter().filter(|(key, _)| !wanted.contains(key)).map(|(_, place)| *place).collect();
+        dropped.sort_unstable();
+        self.made.retain(|key, _| wanted.contains(key));
+        dropped.into_iter().for_each(|(first, colours)| self.allocator.give_back(first, colours));
+    }
+}
+
+fn groups_of(record: &RelightRecord) -> usize {
+    (record.colours as usize).div_ceil(RELIGHT_BLOCK)
+}
+
+fn light_of(record: &RelightRecord) -> [u32; 96] {
+    let mut bits = [0; 96];
+    for (bit, number) in bits.iter_mut().zip(record.gain.iter().chain(&record.summand)) {
+        *bit = number.to_bits();
+    }
+    bits
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bytemuck::Zeroable;
+
+    fn wanted(index: u32, gain: f32, colours: u32) -> (AssetId, RelightRecord) {
+        (AssetId { index, generation: 1 }, RelightRecord { gain: [gain; 48], colours, ..RelightRecord::zeroed() })
+    }
+
+    #[test]
+    fn what_stays_is_not_made_again_and_alike_ones_share() {
+        let mut places = RelitPlaces::default();
+        let (first, made) = places.find(&[wanted(1, 1.0, 300), wanted(1, 1.0, 300), wanted(2, 1.0, 10)]);
+        assert_eq!((first, made.len(), made[1].first_group), (vec![0, 0, 300], 2, 2));
+        let (second, made) = places.find(&[wanted(2, 1.0, 10), wanted(1, 1.0, 300)]);
+        assert_eq!((second, made.len()), (vec![300, 0], 0));
+        // Another light of one of them; the other stays where it is.
+        let (third, made) = places.find(&[wanted(1, 1.0, 300), wanted(2, 0.5, 10)]);
+        assert_eq!((third[0], made.len(), made[0].gain[0], made[0].first_group), (0, 1, 0.5, 0));
+        assert_ne!(third[1], 0);
+        let (none, made) = places.find(&[]);
+        assert_eq!((none.len(), made.len(), places.allocator.end()), (0, 0, 0));
+    }
+}

@@ -1,0 +1,71 @@
+//! Which contact shadows may lie on which chunk of the background.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Residence};
+
+use super::{PURPOSE, kernel};
+use crate::capacity::groups_for;
+use crate::layout::{CHUNK_SPLATS, ShadowRecord};
+use crate::resident::ResidentWorld;
+
+/// The shadows of a frame on the device.
+pub struct ShadowBuffers {
+    /// One record a shadow.
+    pub shadows: Buffer<ShadowRecord>,
+    /// A bit a shadow, `[chunk][word]`.
+    pub words: Buffer<u32>,
+}
+
+impl ShadowBuffers {
+    /// Buffers for `shadows` shadows over `chunks` chunks.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu, shadows: usize, chunks: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            shadows: gpu.buffer("shadows", PURPOSE, shadows, Residence::Device)?,
+            words: gpu.buffer("shadow_words", PURPOSE, chunks * words_for(shadows), Residence::Device)?,
+        })
+    }
+}
+
+/// Words that the bits of `shadows` shadows take.
+#[must_use]
+pub fn words_for(shadows: usize) -> usize {
+    shadows.div_ceil(32)
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Push {
+    chunk_count: u32,
+    shadow_count: u32,
+}
+
+/// `cull_shadows.comp`.
+pub struct CullShadows {
+    kernel: Kernel,
+}
+
+impl CullShadows {
+    /// The stage.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])? })
+    }
+
+    /// Marks which of the first `shadow_count` shadows may lie on each chunk of `world`.
+    pub fn record(&self, recorder: &mut Recorder, world: &ResidentWorld, buffers: &ShadowBuffers, shadow_count: usize) {
+        let chunks = world.chunk_count();
+        let push = Push { chunk_count: chunks as u32, shadow_count: shadow_count as u32 };
+        let bound = [
+            ("chunks", world.chunks.binding()),
+            ("shadows", buffers.shadows.binding()),
+            ("shadow_words", buffers.words.binding()),
+        ];
+        let threads = chunks * words_for(shadow_count);
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(threads.div_ceil(CHUNK_SPLATS)));
+    }
+}

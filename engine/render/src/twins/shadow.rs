@@ -1,0 +1,40 @@
+//! Contact shadows: `shadow.glsl`, and which chunks they may lie on: `cull_shadows.comp`.
+
+use glam::Vec3;
+
+use crate::layout::{ChunkRecord, ShadowRecord};
+
+fn from_shadow_m(position_m: [f32; 3], shadow: &ShadowRecord) -> Vec3 {
+    (Vec3::from_array(position_m) - Vec3::from_array(shadow.centre_high_m)) - Vec3::from_array(shadow.centre_low_m)
+}
+
+/// What is left of the light of a splat with its mean at `mean_m`.
+#[must_use]
+pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
+    let offset = from_shadow_m(mean_m, shadow);
+    if Vec3::from_array(shadow.normal).dot(offset).abs() > shadow.slab_m {
+        return 1.0;
+    }
+    let [x, y] = [shadow.along, shadow.across].map(|axis| Vec3::from_array(axis).dot(offset).powi(2));
+    let radius = (x * x + y * y).sqrt().sqrt();
+    if radius > shadow.reach {
+        return 1.0;
+    }
+    (1.0 - shadow.strength * (-shadow.log2_decay * radius).exp2()).clamp(0.0, 1.0)
+}
+
+/// Whether the box of a chunk's means reaches into the slab of ground that the shadow lies on.
+#[must_use]
+pub fn shadow_reaches(shadow: &ShadowRecord, chunk: &ChunkRecord) -> bool {
+    let centre = from_shadow_m(chunk.centre_m, shadow);
+    let half_extent = Vec3::from_array(chunk.half_extent_m);
+    let wide = half_extent + 1e-5 * (centre.abs().element_sum() + half_extent.element_sum());
+    let within = |axis: [f32; 3], limit: f32| {
+        let axis = Vec3::from_array(axis);
+        axis.dot(centre).abs() <= axis.abs().dot(wide) + limit
+    };
+    chunk.reach_m >= 0.0
+        && within(shadow.normal, shadow.slab_m)
+        && within(shadow.along, shadow.reach)
+        && within(shadow.across, shadow.reach)
+}

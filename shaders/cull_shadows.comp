@@ -1,0 +1,46 @@
+#version 460
+// Which shadows may lie on which chunk of the background: a bit each. Where no agent stands near, projection reads a zero.
+//
+// One thread a word: 32 shadows on one chunk.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
+#include "frame.glsl"
+#include "shadow.glsl"
+
+layout(local_size_x = 256) in;
+
+layout(set = 0, binding = 0, scalar) readonly buffer chunks_block { Chunk chunks[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer shadows_block { Shadow shadows[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer shadow_words_block { uint shadow_words[]; }; // [chunk][word]
+
+layout(push_constant, scalar) uniform push_block { uint chunk_count; uint shadow_count; };
+
+// Whether the box of the chunk's means reaches into the slab of ground that the shadow lies on.
+bool shadow_reaches(Shadow shadow, Chunk chunk) {
+    vec3 centre = from_shadow_m(chunk.centre_m, shadow);
+    vec3 half_extent = chunk.half_extent_m;
+    // Rounding of the box, relative to its distance.
+    float slack = 1e-5 * (dot(abs(centre), vec3(1.0)) + dot(half_extent, vec3(1.0)));
+    vec3 wide = half_extent + slack;
+    return abs(dot(shadow.normal, centre)) <= dot(abs(shadow.normal), wide) + shadow.slab_m
+        && abs(dot(shadow.along, centre)) <= dot(abs(shadow.along), wide) + shadow.reach
+        && abs(dot(shadow.across, centre)) <= dot(abs(shadow.across), wide) + shadow.reach;
+}
+
+void main() {
+    uint words = (shadow_count + 31u) / 32u;
+    uint index = group_index() * gl_WorkGroupSize.x + gl_LocalInvocationIndex;
+    if (words == 0u || index >= chunk_count * words) {
+        return;
+    }
+    Chunk chunk = chunks[index / words];
+    uint first = index % words * 32u;
+    uint bits = 0u;
+    // A negative reach: nothing of the chunk is drawn.
+    if (chunk.reach_m >= 0.0) {
+        for (uint bit = 0u; bit < min(32u, shadow_count - first); ++bit) {
+            bits |= uint(shadow_reaches(shadows[first + bit], chunk)) << bit;
+        }
+    }
+    shadow_words[index] = bits;
+}

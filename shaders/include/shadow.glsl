@@ -1,0 +1,29 @@
+// The contact shadow of an agent: a soft super-ellipse about its footprint, laid on the ground that it stands on.
+
+struct Shadow {
+    vec3 centre_high_m; // the ground under the agent's middle, relative to the world's origin: high and low part
+    vec3 centre_low_m;
+    vec3 along;  // of the agent, in the ground; a half length of it is 1
+    vec3 across; // likewise, a half width
+    vec3 normal; // of the ground, unit
+    float strength;   // share of the light that is gone in the middle
+    float log2_decay; // binary logarithm of what a half size farther out leaves of the mask, negated
+    float reach;      // half sizes beyond which the mask counts as zero
+    float slab_m;     // splats whose mean is farther from the plane are not ground
+};
+
+vec3 from_shadow_m(vec3 position_m, Shadow shadow) {
+    return (position_m - shadow.centre_high_m) - shadow.centre_low_m;
+}
+
+// What is left of the light of a splat with its mean at `mean_m`.
+float shadow_factor(Shadow shadow, vec3 mean_m) {
+    vec3 offset = from_shadow_m(mean_m, shadow);
+    if (abs(dot(shadow.normal, offset)) > shadow.slab_m) {
+        return 1.0;
+    }
+    vec2 u = vec2(dot(shadow.along, offset), dot(shadow.across, offset));
+    u *= u;
+    float radius = sqrt(sqrt(dot(u, u))); // (|x|^4 + |y|^4)^(1/4)
+    return radius > shadow.reach ? 1.0 : clamp(1.0 - shadow.strength * exp2(-shadow.log2_decay * radius), 0.0, 1.0);
+}

@@ -1,0 +1,249 @@
+//! Relit agents and contact shadows against the definition: colours transferred, splats darkened, all baked and drawn in f64.
+
+use decouplegs::render::metrics::Difference;
+use decouplegs::render::{Agent, AssetPool, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, Scene, reference};
+use decouplegs::scene::light::bake_shadows;
+use decouplegs::scene::{
+    AmbientDescriptor, Camera, CodedCloud, ColourTransfer, ContactShadow, LightTransfer, Pose, Rules, ShFrame, World, sh,
+};
+use glam::{DQuat, DVec3};
+
+use super::agents::{background, camera_towards, coded_car};
+use super::{ERROR_MAX, PSNR_MIN_DB, all_outputs};
+use crate::device::Validated;
+use crate::stages::Random;
+
+/// A transfer that changes every coefficient, and not every channel alike.
+pub fn some_transfer(seed: u64) -> ColourTransfer {
+    let mut random = Random(seed);
+    let mut transfer = ColourTransfer::IDENTITY;
+    for (gain, offset) in transfer.gain.iter_mut().zip(&mut transfer.offset) {
+        *gain = std::array::from_fn(|_| random.between(0.4, 1.6));
+        *offset = std::array::from_fn(|_| random.between(-0.2, 0.2));
+    }
+    transfer
+}
+
+/// A shadow on ground that is tilted, below the background's middle.
+fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
+    ContactShadow {
+        world_from_ground: Pose::new(DQuat::from_rotation_z(yaw_rad) * DQuat::from_rotation_x(0.1), at),
+        half_size_m: [2.2, 0.9],
+        strength,
+        decay: 1.5,
+        slab_m: 1.2,
+    }
+}
+
+/// What a frame shows.
+struct Case {
+    world: World,
+    cars: Vec<CodedCloud>,
+    /// Car, pose, frame of its colours, and light.
+    placed: Vec<(usize, Pose, ShFrame, Option<ColourTransfer>)>,
+    shadows: Vec<ContactShadow>,
+    cameras: Vec<Camera>,
+}
+
+impl Case {
+    fn new() -> Self {
+        let mut world = background(3000, 1);
+        world.origin = DVec3::new(4.5e6, 0.7e6, 30.0);
+        let at = |x: f64, y: f64, z: f64| world.origin + DVec3::new(x, y, z);
+        let turned = DQuat::from_rotation_z(2.1) * DQuat::from_rotation_x(0.4) * DQuat::from_rotation_y(-0.2);
+        let placed = vec![
+            (0, Pose::from_yaw(0.3, at(8.0, 1.0, 0.0)), ShFrame::Canonical, Some(some_transfer(1))),
+            (1, Pose::new(turned, at(11.0, -3.0, 0.5)), ShFrame::Canonical, None),
+            (0, Pose::new(turned, at(9.0, 2.5, 0.2)), ShFrame::World, Some(some_transfer(2))),
+            (0, Pose::from_yaw(1.0, at(14.0, 0.0, 0.0)), ShFrame::Canonical, Some(some_transfer(1))),
+        ];
+        let shadows = vec![
+            shadow(at(8.0, 1.0, -0.6), 0.3, 0.9),
+            shadow(at(9.5, 0.0, -0.5), 1.3, 0.7),
+            shadow(at(20.0, -4.0, 0.0), 0.0, 1.0),
+            shadow(at(-300.0, 0.0, 0.0), 0.0, 1.0),
+        ];
+        let cameras = vec![
+            camera_towards("ahead", at(0.0, 0.0, 0.0), at(10.0, 0.0, 0.2), (200, 120)),
+            camera_towards("above", at(9.0, -7.0, 5.0), at(10.0, 0.0, 0.0), (150, 130)),
+        ];
+        Self { cars: vec![coded_car(700, 2), coded_car(300, 3)], world, placed, shadows, cameras }
+    }
+
+    fn agents(&self, assets: &[decouplegs::render::AssetId]) -> Vec<Agent> {
+        let agent = |(i, &(car, pose, sh_frame, relight)): (usize, &(usize, Pose, ShFrame, Option<ColourTransfer>))| Agent {
+            sh_frame: Some(sh_frame),
+            relight,
+            ..Agent::new(assets[car], pose, i as u16 + 1)
+        };
+        self.placed.iter().enumerate().map(agent).collect()
+    }
+
+    fn drawn(&self, gpu: &Validated) -> Vec<Picture> {
+        let mut stage = Stage::of(gpu, self);
+        let agents = self.agents(&stage.assets);
+        stage.draw(&agents, &self.shadows, &self.cameras)
+    }
+
+    /// By definition.
+    fn truth(&self) -> Vec<Picture> {
+        let mut world = self.world.clone();
+        bake_shadows(&mut world, &self.shadows);
+        for (i, (car, pose, sh_frame, relight)) in self.placed.iter().enumerate() {
+            let decoded = self.cars[*car].decoded(0);
+            let lit = relight.map_or(decoded.clone(), |relight| relight.relit(&decoded));
+            world.bake_instance(&lit, pose, *sh_frame, i as u16 + 1);
+        }
+        self.cameras.iter().map(|camera| reference::render(&world, camera, &Rules::DEFAULT).to_picture()).collect()
+    }
+}
+
+/// A world and its assets on the device.
+struct Stage {
+    renderer: Renderer,
+    world: ResidentWorld,
+    pool: AssetPool,
+    assets: Vec<decouplegs::render::AssetId>,
+}
+
+impl Stage {
+    fn of(gpu: &Validated, case: &Case) -> Self {
+        let renderer = Renderer::new(gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
+        let world = renderer.upload(&case.world).unwrap();
+        let mut pool = AssetPool::new(gpu).unwrap();
+        let assets = case.cars.iter().map(|car| pool.add(car).unwrap()).collect();
+        Self { renderer, world, pool, assets }
+    }
+
+    fn draw(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> Vec<Picture> {
+        self.relit(agents, shadows, cameras);
+        self.renderer.read_pictures().unwrap()
+    }
+
+    /// Draws; returns how many codebooks were relit for it.
+    fn relit(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> usize {
+        let scene = Scene { world: &self.world, agents: Some((&self.pool, agents)), shadows };
+        self.renderer.render(scene, cameras).unwrap().relit
+    }
+}
+
+#[test]
+fn lit_agents_and_their_shadows_are_the_definition() {
+    let gpu = Validated::open();
+    let case = Case::new();
+    let (pictures, truth) = (case.drawn(&gpu), case.truth());
+    for ((picture, truth), camera) in pictures.iter().zip(&truth).zip(&case.cameras) {
+        let difference = Difference::between(picture, truth).unwrap();
+        println!("{}: {:.1} dB, max {:.5}", camera.name, difference.psnr_db, difference.max_abs);
+        assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{}: {difference:?}", camera.name);
+    }
+    // And they are seen: without light, or without shadows, the picture is another.
+    for change in
+        [|case: &mut Case| case.shadows.clear(), |case: &mut Case| case.placed.iter_mut().for_each(|agent| agent.3 = None)]
+    {
+        let mut plain = Case::new();
+        change(&mut plain);
+        for (picture, truth) in plain.drawn(&gpu).iter().zip(&truth) {
+            assert!(Difference::between(picture, truth).unwrap().psnr_db < 60.0);
+        }
+    }
+}
+
+#[test]
+fn codebooks_are_relit_once_for_each_light() {
+    let gpu = Validated::open();
+    let case = Case::new();
+    let mut stage = Stage::of(&gpu, &case);
+    let mut agents = case.agents(&stage.assets);
+    // Two lights of one asset, of which one is shown twice. Frames that are waited for have one place.
+    let relit: Vec<usize> = (0..3).map(|_| stage.relit(&agents, &case.shadows, &case.cameras)).collect();
+    assert_eq!(relit, [2, 0, 0]);
+    agents[0].world_from_agent.translation.x += 0.5;
+    assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 0, "moving alone is no other light");
+    agents[0].relight = Some(some_transfer(9));
+    agents[1].relight = Some(some_transfer(9));
+    // One light, two assets; and the two that stay, since four have no room where two had.
+    assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 4);
+    agents[1].relight = Some(some_transfer(8));
+    assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 1);
+    let pictures = stage.renderer.read_pictures().unwrap();
+    let fresh = Stage::of(&gpu, &case).draw(&agents, &case.shadows, &case.cameras);
+    assert!(pictures == fresh, "a frame that makes one of four is the one that makes all");
+    agents.iter_mut().for_each(|agent| agent.relight = None);
+    let unlit = stage.draw(&agents, &[], &case.cameras);
+    let mut without = Stage::of(&gpu, &case);
+    assert!(unlit == without.draw(&agents, &[], &case.cameras), "what was lit before is as if it never was");
+}
+
+#[test]
+fn world_light_and_agent_turned_together_look_the_same() {
+    let gpu = Validated::open();
+    let mut case = Case::new();
+    case.placed.truncate(1);
+    // A transfer that depends on every number of the light; the light is turned into the agent's frame.
+    let mut random = Random(5);
+    let mut row = |scale: f32, constant: f32| (std::array::from_fn(|_| random.between(-scale, scale)), constant);
+    let rows = 3 * sh::coefficient_count(3);
+    let theta = LightTransfer {
+        sh_degree: 3,
+        gain: (0..rows).map(|_| row(0.2, 1.0)).collect(),
+        offset: (0..rows).map(|_| row(0.1, 0.0)).collect(),
+        neutral: AmbientDescriptor::uniform([0.5; 3]),
+    };
+    theta.check().unwrap();
+    let light = AmbientDescriptor { coefficients: std::array::from_fn(|k| [0.9 / (1.0 + k as f32), 0.2, -0.1 * k as f32]) };
+    let turn = DQuat::from_rotation_z(0.8) * DQuat::from_rotation_y(0.3);
+    let seen = |turn: DQuat| {
+        let mut turned = Case::new();
+        let (centre, about) = (case.world.origin, Pose::new(turn, DVec3::ZERO));
+        let moved = |pose: &Pose| {
+            let relative = Pose { translation: pose.translation - centre, ..*pose };
+            let moved = about.then(&relative);
+            Pose { translation: moved.translation + centre, ..moved }
+        };
+        turned.world.splats = case.world.splats.placed(&about, true);
+        turned.shadows.iter_mut().for_each(|shadow| shadow.world_from_ground = moved(&shadow.world_from_ground));
+        turned.cameras.iter_mut().for_each(|camera| camera.world_from_camera = moved(&camera.world_from_camera));
+        turned.placed.truncate(1);
+        let (_, pose, _, relight) = &mut turned.placed[0];
+        *pose = moved(pose);
+        *relight = Some(theta.at(&light.turned(turn).turned(pose.rotation.inverse())));
+        turned.drawn(&gpu)
+    };
+    for (still, turned) in seen(DQuat::IDENTITY).iter().zip(&seen(turn)) {
+        let difference = Difference::between(still, turned).unwrap();
+        println!("turned: {:.1} dB", difference.psnr_db);
+        assert!(difference.psnr_db >= PSNR_MIN_DB, "{difference:?}");
+    }
+}
+
+#[test]
+fn light_and_shadows_that_are_none_are_refused() {
+    let gpu = Validated::open();
+    let case = Case::new();
+    let mut stage = Stage::of(&gpu, &case);
+    let mut agents = case.agents(&stage.assets);
+    let nowhere = [ContactShadow { strength: f64::NAN, ..case.shadows[0] }];
+    let scene = Scene { world: &stage.world, agents: None, shadows: &nowhere };
+    let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
+    assert!(matches!(error, RenderError::Shadow { index: 0, .. }) && error.to_string().contains("strength"), "{error}");
+    let mut dark = some_transfer(1);
+    dark.offset[3][1] = f32::INFINITY;
+    agents[2].relight = Some(dark);
+    let scene = Scene { world: &stage.world, agents: Some((&stage.pool, &agents)), shadows: &[] };
+    let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
+    assert!(matches!(error, RenderError::AgentLight { instance: 3 }), "{error}");
+    agents[2].relight = None;
+    assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 1, "a refused frame leaves nothing behind");
+}
+
+#[test]
+fn shadows_lie_on_the_background_where_no_agent_is() {
+    let gpu = Validated::open();
+    let mut case = Case::new();
+    case.placed.clear();
+    for (picture, truth) in case.drawn(&gpu).iter().zip(&case.truth()) {
+        let difference = Difference::between(picture, truth).unwrap();
+        assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{difference:?}");
+    }
+}
