@@ -25,4 +25,4 @@ pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
-pub use live_scene::LiveScene;
+pub use live_scene::{LiveScene, Moment};

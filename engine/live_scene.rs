@@ -2,6 +2,8 @@
 
 use decouplegs_asset::{LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentWorld, Scene};
+use decouplegs_scene::light::Lighting;
+use decouplegs_scene::{ContactShadow, Pose};
 
 /// A loaded scene on the device: what a loop of frames needs of it.
 ///
@@ -21,7 +23,7 @@ use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, Reside
 /// for step in 0..100 {
 ///     let time_s = 0.033 * f64::from(step);
 ///     let cameras = loaded.rig.at(&loaded.ego.at(time_s));
-///     let statistics = renderer.render(live.with(&live.agents_at(time_s)), &cameras)?;
+///     let statistics = renderer.render(live.with(&live.at(time_s)), &cameras)?;
 ///     println!("{:?} {:?}", statistics.gpu_time, statistics.orders);
 ///     let pictures = renderer.read_pictures()?;
 /// }
@@ -33,11 +35,30 @@ pub struct LiveScene {
     pub world: ResidentWorld,
     /// The agents' assets.
     pub pool: AssetPool,
-    agents: Vec<(AssetId, LoadedAgent)>,
+    agents: Vec<LiveAgent>,
+    lighting: Option<Lighting>,
+}
+
+/// An agent of the scene file.
+struct LiveAgent {
+    asset: AssetId,
+    dims_m: [f32; 3],
+    agent: LoadedAgent,
+}
+
+/// All that moves in a scene, at one instant.
+#[derive(Clone, Debug, Default)]
+pub struct Moment {
+    /// The agents, in the light of where they stand.
+    pub agents: Vec<Agent>,
+    /// The contact shadows that they throw.
+    pub shadows: Vec<ContactShadow>,
+    /// Agents about whose place the background tells nothing: they keep the light that their assets were captured in.
+    pub unlit: usize,
 }
 
 impl LiveScene {
-    /// Copies background and assets of `loaded` to the device of `renderer`.
+    /// Copies background and assets of `loaded` to the device of `renderer`, and sums up its light where agents drive.
     ///
     /// # Errors
     /// When the device has not the memory, or an asset cannot be drawn.
@@ -45,26 +66,42 @@ impl LiveScene {
         let world = renderer.upload(&loaded.world)?;
         let mut pool = AssetPool::new(renderer.gpu())?;
         let assets = loaded.assets.iter().map(|asset| pool.add(asset)).collect::<Result<Vec<_>, _>>()?;
-        let agents = loaded.agents.iter().map(|agent| (assets[agent.asset], agent.clone())).collect();
-        Ok(Self { world, pool, agents })
-    }
-
-    /// All agents where they are at `time_s`.
-    #[must_use]
-    pub fn agents_at(&self, time_s: f64) -> Vec<Agent> {
-        let agent = |(asset, agent): &(AssetId, LoadedAgent)| Agent {
-            asset: *asset,
-            world_from_agent: agent.trajectory.at(time_s),
-            sh_frame: Some(agent.sh_frame),
-            instance: agent.instance,
-            relight: None,
+        let live = |agent: &LoadedAgent| LiveAgent {
+            asset: assets[agent.asset],
+            dims_m: loaded.assets[agent.asset].dims_m,
+            agent: agent.clone(),
         };
-        self.agents.iter().map(agent).collect()
+        let agents = loaded.agents.iter().map(live).collect();
+        Ok(Self { world, pool, agents, lighting: loaded.lighting(true) })
     }
 
-    /// The background with `agents`, as [`Renderer::render`] takes it.
+    /// All agents where they are at `time_s`, in the light of the scene.
     #[must_use]
-    pub fn with<'a>(&'a self, agents: &'a [Agent]) -> Scene<'a> {
-        Scene::with_agents(&self.world, &self.pool, agents)
+    pub fn at(&self, time_s: f64) -> Moment {
+        self.posed(|agent| agent.trajectory.at(time_s))
+    }
+
+    /// All agents where `pose_of` puts them, world coordinates, in the light of the scene.
+    #[must_use]
+    pub fn posed(&self, pose_of: impl Fn(&LoadedAgent) -> Pose) -> Moment {
+        let mut moment = Moment::default();
+        for LiveAgent { asset, dims_m, agent } in &self.agents {
+            let pose = pose_of(agent);
+            let mut shown = Agent { sh_frame: Some(agent.sh_frame), ..Agent::new(*asset, pose, agent.instance) };
+            if let Some(lighting) = &self.lighting {
+                let lit = lighting.of_agent(&pose, *dims_m, agent.sh_frame);
+                moment.unlit += usize::from(!lit.known);
+                shown.relight = lit.relight;
+                moment.shadows.extend(lit.shadow);
+            }
+            moment.agents.push(shown);
+        }
+        moment
+    }
+
+    /// The background with what moves, as [`Renderer::render`] takes it.
+    #[must_use]
+    pub fn with<'a>(&'a self, moment: &'a Moment) -> Scene<'a> {
+        Scene { shadows: &moment.shadows, ..Scene::with_agents(&self.world, &self.pool, &moment.agents) }
     }
 }

@@ -171,8 +171,8 @@ fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed>
     for frame in 0..count + in_flight - 1 {
         if frame < count {
             let later_s = f64::from(frame) * arguments.step;
-            let agents = live.agents_at(scene.time_s + later_s);
-            renderer.submit(live.with(&agents), &scene.cameras_after(later_s))?;
+            let moment = live.at(scene.time_s + later_s);
+            renderer.submit(live.with(&moment), &scene.cameras_after(later_s))?;
         }
         if frame + 1 >= in_flight {
             let statistics = renderer.finish()?;
@@ -202,7 +202,7 @@ fn error_in_window(gpu: &Gpu, scene: &Scene, arguments: &Arguments, window: Wind
     let outputs = Outputs::default();
     let mut renderer = Renderer::new(gpu, RenderOptions { outputs, ..arguments.options(scene.rules()) });
     let live = LiveScene::new(&renderer, &scene.loaded)?;
-    renderer.render(live.with(&live.agents_at(scene.time_s)), std::slice::from_ref(camera))?;
+    renderer.render(live.with(&live.at(scene.time_s)), std::slice::from_ref(camera))?;
     let found = cut(&renderer.read_pictures()?[0], window);
     let world = scene.world();
     let expected = reference::render_window(&world, camera, &world.rules, window).to_picture();

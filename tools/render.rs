@@ -126,9 +126,9 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Res
         RenderOptions { rules: scene.rules(), outputs, level_pitch_px: arguments.level_pitch, ..RenderOptions::default() },
     );
     let live = LiveScene::new(&renderer, &scene.loaded)?;
-    let agents = live.agents_at(scene.time_s);
+    let moment = live.at(scene.time_s);
     for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {
-        renderer.render(live.with(&agents), cameras)?;
+        renderer.render(live.with(&moment), cameras)?;
         for (camera, picture) in cameras.iter().zip(renderer.read_pictures()?) {
             album.add(camera, picture)?;
             bar.inc(1);

@@ -42,7 +42,7 @@ impl Resident {
     fn submit(&self, renderer: &mut Renderer, time_s: f64, cameras: &[Camera]) -> Result<(), RenderError> {
         match self {
             Self::Copies(world) => renderer.submit(&**world, cameras),
-            Self::Live(live) => renderer.submit(live.with(&live.agents_at(time_s)), cameras),
+            Self::Live(live) => renderer.submit(live.with(&live.at(time_s)), cameras),
         }
     }
 }

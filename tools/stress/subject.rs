@@ -91,6 +91,7 @@ impl Subject {
             agent_splats: wish.agent_splats,
             sh_degree: wish.sh_degree,
             seed: wish.seed,
+            ..StreetOptions::default()
         };
         let mut street = Street::generate(&options);
         let mut clouds = std::mem::take(&mut street.assets);
@@ -121,6 +122,7 @@ impl Subject {
             rig: street.rig.clone(),
             ego: trajectory(&street.ego)?,
             agent_names: Vec::new(),
+            light: None,
         };
         let named =
             |(at, cloud): (usize, &SplatCloud)| Asset { name: format!("car {at}"), original: spatial(cloud), stored: None };

@@ -3,12 +3,13 @@
 use std::collections::HashSet;
 use std::ops::Range;
 
+use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{Intrinsics, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
 use glam::{DQuat, DVec3};
 use toml::Spanned;
 
-use super::form::{AgentForm, CameraForm, RulesForm, SceneForm, ShFrameForm, TimedPoseForm};
-use super::{SceneAgent, SceneFile, VERSION};
+use super::form::{AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, TimedPoseForm};
+use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 use crate::SceneError;
 
 /// Ids that agents can have: 16 bits, of which 0 is the background.
@@ -70,6 +71,7 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
         rig: Rig { cameras: checker.cameras(&form.rig)? },
         ego,
         agents: checker.agents(&form.agent)?,
+        light: form.light.as_ref().map(|light| checker.light(light)).transpose()?,
     })
 }
 
@@ -95,6 +97,32 @@ impl Checker<'_> {
             return Err(self.error(&span, "rules", "near_m", format!("{near_m} must be finite and positive")));
         }
         Ok(Rules { antialias: form.antialias.unwrap_or(rules.antialias), near_m, ..rules })
+    }
+
+    fn light(&self, form: &Spanned<LightForm>) -> Result<SceneLight, SceneError> {
+        let (span, form) = (form.span(), form.get_ref());
+        let default = AmbientOptions::default();
+        let ambient = AmbientOptions {
+            sigma_m: form.sigma_m.unwrap_or(default.sigma_m),
+            radius_m: form.radius_m.unwrap_or(3.0 * form.sigma_m.unwrap_or(default.sigma_m)),
+            spacing_m: form.spacing_m.unwrap_or(default.spacing_m),
+        };
+        ambient.check().map_err(|reason| self.error(&span, "light", field_of(&reason), reason.as_str()))?;
+        let shadows = form.shadows.as_ref().map(|form| self.shadows(form)).transpose()?;
+        Ok(SceneLight { transfer: form.transfer.as_ref().map(Into::into), ambient, shadows })
+    }
+
+    fn shadows(&self, form: &Spanned<ShadowForm>) -> Result<ShadowOptions, SceneError> {
+        let (span, form, default) = (form.span(), form.get_ref(), ShadowOptions::default());
+        let shadows = ShadowOptions {
+            strength: form.strength.unwrap_or(default.strength),
+            decay: form.decay.unwrap_or(default.decay),
+            slab_m: form.slab_m.unwrap_or(default.slab_m),
+            full_directionality: form.full_directionality.unwrap_or(default.full_directionality),
+            floor: form.floor.unwrap_or(default.floor),
+        };
+        shadows.check().map_err(|reason| self.error(&span, "light.shadows", field_of(&reason), reason.as_str()))?;
+        Ok(shadows)
     }
 
     fn cameras(&self, forms: &[Spanned<CameraForm>]) -> Result<Vec<RigCamera>, SceneError> {
@@ -229,6 +257,11 @@ impl Checker<'_> {
 }
 
 /// `rotation` at unit length; one that already has it keeps its bits, so that writing and reading changes nothing.
+/// The field that a complaint begins with.
+fn field_of(reason: &str) -> &str {
+    reason.split(' ').next().unwrap_or_default()
+}
+
 fn unit(rotation: DQuat) -> DQuat {
     if (rotation.length_squared() - 1.0).abs() < 1e-14 { rotation } else { rotation.normalize() }
 }

@@ -1,11 +1,12 @@
 //! The TOML form of a scene file: what serde sees, and how a [`SceneFile`] is written in it.
 
+use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{Intrinsics, Pose, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
 use glam::DQuat;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
-use super::{SceneAgent, SceneFile, VERSION};
+use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 
 /// Tables keep their place in the text so that a complaint can name its line.
 #[derive(Deserialize, Serialize)]
@@ -25,6 +26,30 @@ pub(super) struct SceneForm {
     pub(super) ego: Vec<Spanned<TimedPoseForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) agent: Vec<Spanned<AgentForm>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) light: Option<Spanned<LightForm>>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LightForm {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) transfer: Option<String>,
+    pub(super) sigma_m: Option<f64>,
+    pub(super) radius_m: Option<f64>,
+    pub(super) spacing_m: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) shadows: Option<Spanned<ShadowForm>>,
+}
+
+#[derive(Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ShadowForm {
+    pub(super) strength: Option<f64>,
+    pub(super) decay: Option<f64>,
+    pub(super) slab_m: Option<f64>,
+    pub(super) full_directionality: Option<f64>,
+    pub(super) floor: Option<f64>,
 }
 
 #[derive(Default, Deserialize, Serialize)]
@@ -110,8 +135,30 @@ pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
         rig: scene.rig.cameras.iter().map(|camera| spanless(camera_form(camera))).collect(),
         ego: scene.ego.as_ref().map(timed_pose_forms).unwrap_or_default(),
         agent: agents.collect::<Result<_, String>>()?,
+        light: scene.light.as_ref().map(|light| light_form(light, path)).transpose()?,
     };
     toml::to_string(&form).map_err(|error| error.to_string())
+}
+
+fn light_form(
+    light: &SceneLight,
+    path: impl Fn(&std::path::Path) -> Result<String, String>,
+) -> Result<Spanned<LightForm>, String> {
+    let AmbientOptions { sigma_m, radius_m, spacing_m } = light.ambient;
+    let shadows = |shadows: ShadowOptions| ShadowForm {
+        strength: Some(shadows.strength),
+        decay: Some(shadows.decay),
+        slab_m: Some(shadows.slab_m),
+        full_directionality: Some(shadows.full_directionality),
+        floor: Some(shadows.floor),
+    };
+    Ok(spanless(LightForm {
+        transfer: light.transfer.as_deref().map(path).transpose()?,
+        sigma_m: Some(sigma_m),
+        radius_m: Some(radius_m),
+        spacing_m: Some(spacing_m),
+        shadows: light.shadows.map(|options| spanless(shadows(options))),
+    }))
 }
 
 /// The rules as a name and what departs from it.

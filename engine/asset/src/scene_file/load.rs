@@ -3,10 +3,12 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use decouplegs_scene::{CodedCloud, Pose, Rig, ShFrame, SplatCloud, Trajectory, World};
+use decouplegs_scene::light::{AmbientField, AmbientOptions, Lighting, LitAgent, ShadowOptions, bake_shadows};
+use decouplegs_scene::{CodedCloud, ContactShadow, LightTransfer, Pose, Rig, ShFrame, SplatCloud, Trajectory, World};
+use glam::DVec3;
 
 use super::{SceneAgent, SceneFile};
-use crate::{AssetError, coded_asset, read_coded, read_splats};
+use crate::{AssetError, coded_asset, read_coded, read_light_transfer, read_splats};
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +26,19 @@ pub struct LoadedScene {
     pub ego: Trajectory,
     /// Names of all agents of both kinds; the instance id of agent `i` is `i + 1`.
     pub agent_names: Vec<String>,
+    /// How the background lights the agents that are moved from frame to frame.
+    pub light: Option<LoadedLight>,
+}
+
+/// The light of a loaded scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LoadedLight {
+    /// What light does to colours.
+    pub transfer: Option<LightTransfer>,
+    /// From how far it is gathered.
+    pub ambient: AmbientOptions,
+    /// Contact shadows.
+    pub shadows: Option<ShadowOptions>,
 }
 
 /// An agent that shows a compressed asset.
@@ -51,20 +66,58 @@ impl LoadedScene {
             rig: Rig::default(),
             ego: Trajectory::standing(Pose::IDENTITY),
             agent_names: Vec::new(),
+            light: None,
         }
     }
 
     /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added where it is at `time_s`, in
-    /// order. What was in the world already stays as it stands.
+    /// order, in the scene's light. What was in the world already stays as it stands.
     #[must_use]
     pub fn baked(&self, time_s: f64) -> World {
         let mut world = self.world.clone();
+        let lighting = self.lighting(false);
+        let of_agent = |agent: &LoadedAgent| {
+            let (pose, dims_m) = (agent.trajectory.at(time_s), self.assets[agent.asset].dims_m);
+            (pose, lighting.as_ref().map(|lighting| lighting.of_agent(&pose, dims_m, agent.sh_frame)))
+        };
+        let lit: Vec<(Pose, Option<LitAgent>)> = self.agents.iter().map(of_agent).collect();
+        // Before there are agents in it, which shadows do not lie on.
+        let shadows: Vec<ContactShadow> = lit.iter().filter_map(|(_, lit)| lit.and_then(|lit| lit.shadow)).collect();
+        bake_shadows(&mut world, &shadows);
         let decoded: Vec<SplatCloud> = self.assets.iter().map(|asset| asset.decoded(0)).collect();
-        for agent in &self.agents {
-            world.bake_instance(&decoded[agent.asset], &agent.trajectory.at(time_s), agent.sh_frame, agent.instance);
+        for (agent, (pose, lit)) in self.agents.iter().zip(lit) {
+            let asset = &decoded[agent.asset];
+            let relit = lit.and_then(|lit| lit.relight).map(|relight| relight.relit(asset));
+            world.bake_instance(relit.as_ref().unwrap_or(asset), &pose, agent.sh_frame, agent.instance);
         }
         world
     }
+
+    /// The light of the background; `None` where the scene has none. With `baked`, the field is made ready where agents drive.
+    #[must_use]
+    pub fn lighting(&self, baked: bool) -> Option<Lighting> {
+        let light = self.light.as_ref()?;
+        let instances = &self.world.instance_from_splat;
+        let background = instances.iter().position(|&id| id != 0).unwrap_or(self.world.splats.len());
+        let mut field = AmbientField::new(&self.world.splats, background, self.world.origin, &light.ambient);
+        if baked {
+            field.bake(self.agents.iter().flat_map(|agent| places(&agent.trajectory, light.ambient.spacing_m)));
+        }
+        Some(Lighting { field, transfer: light.transfer.clone(), shadows: light.shadows })
+    }
+}
+
+/// Places along a trajectory, at most `step_m` apart.
+fn places(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
+    let knots: Vec<DVec3> = trajectory.poses().iter().map(|timed| timed.pose.translation).collect();
+    let between = move |pair: &[DVec3]| {
+        let (from, to) = (pair[0], pair[1]);
+        // A teleport is no road.
+        let steps = ((to - from).length() / step_m).ceil().clamp(1.0, 4096.0) as usize;
+        (0..steps).map(move |step| from.lerp(to, step as f64 / steps as f64))
+    };
+    let along: Vec<DVec3> = knots.windows(2).flat_map(between).collect();
+    along.into_iter().chain(knots.last().copied())
 }
 
 impl SceneFile {
@@ -87,6 +140,11 @@ impl SceneFile {
         scene.rig = self.rig.clone();
         let standing = || Trajectory::standing(Pose { translation: self.origin, ..Pose::IDENTITY });
         scene.ego = self.ego.clone().unwrap_or_else(standing);
+        if let Some(light) = &self.light {
+            let transfer = light.transfer.as_ref().map(|path| read_light_transfer(&directory.join(path))).transpose()?;
+            let transfer = transfer.map(|file| file.transfer);
+            scene.light = Some(LoadedLight { transfer, ambient: light.ambient, shadows: light.shadows });
+        }
         scene.agent_names = self.agents.iter().map(|agent| agent.name.clone()).collect();
         Ok(scene)
     }

@@ -9,13 +9,14 @@ mod load;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{Rig, Rules, ShFrame, Trajectory};
 use glam::DVec3;
 
 use crate::error::read_bytes;
 use crate::{AssetError, SceneError, write_atomically};
 
-pub use load::{LoadedAgent, LoadedScene, open_scene};
+pub use load::{LoadedAgent, LoadedLight, LoadedScene, open_scene};
 
 /// The version that is written, and the only one there is.
 pub const VERSION: u32 = 1;
@@ -37,6 +38,19 @@ pub struct SceneFile {
     pub ego: Option<Trajectory>,
     /// What moves, or stands, in front of the background.
     pub agents: Vec<SceneAgent>,
+    /// How the background lights the agents. None: they keep the light that their assets were captured in.
+    pub light: Option<SceneLight>,
+}
+
+/// The light of a scene file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SceneLight {
+    /// What light does to colours, a path relative to the scene file; `calibrate-light` makes it. None: colours stay.
+    pub transfer: Option<PathBuf>,
+    /// From how far the light is gathered.
+    pub ambient: AmbientOptions,
+    /// Contact shadows. None: agents throw none.
+    pub shadows: Option<ShadowOptions>,
 }
 
 /// An agent of a scene file.
@@ -64,6 +78,7 @@ impl SceneFile {
             rig: Rig::default(),
             ego: None,
             agents: Vec::new(),
+            light: None,
         }
     }
 

@@ -6,6 +6,7 @@ mod coded_python;
 mod errors;
 mod frozen;
 mod hostile;
+mod light_transfer;
 mod properties;
 mod real;
 mod sample;

@@ -1,6 +1,7 @@
 //! Properties over generated cameras and scene files.
 
-use decouplegs_asset::{SceneAgent, SceneFile, cameras};
+use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, cameras};
+use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{Camera, Intrinsics, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
@@ -27,18 +28,37 @@ fn trajectories() -> impl Strategy<Value = Trajectory> {
     })
 }
 
+fn lights() -> impl Strategy<Value = SceneLight> {
+    let shadows = (0.0f64..=1.0, 0.1f64..9.0, 0.01f64..1.0, 1e-4f64..1.0, 0.0f64..=1.0).prop_map(
+        |(strength, decay, slab_m, full_directionality, floor)| ShadowOptions {
+            strength,
+            decay,
+            slab_m,
+            full_directionality,
+            floor,
+        },
+    );
+    (prop::option::of("[a-z]{1,8}"), 1.0f64..9.0, 1.0f64..30.0, 0.7f64..4.0, prop::option::of(shadows)).prop_map(
+        |(transfer, sigma_m, radius_m, spacing_m, shadows)| SceneLight {
+            transfer: transfer.map(Into::into),
+            ambient: AmbientOptions { sigma_m, radius_m, spacing_m },
+            shadows,
+        },
+    )
+}
+
 fn scenes() -> impl Strategy<Value = SceneFile> {
     let agent = (prop::option::of(any::<bool>()), trajectories());
     (
-        prop::array::uniform3(-1e7f64..1e7),
-        prop::array::uniform3(0.0f32..1.0),
+        (prop::array::uniform3(-1e7f64..1e7), prop::array::uniform3(0.0f32..1.0)),
         (0usize..3, any::<bool>(), 0.001f64..1.0),
         prop::collection::vec((intrinsics(), poses()), 0..4),
         prop::option::of(trajectories()),
         prop::collection::vec(agent, 0..4),
         "[a-z\"\\\\\u{e9}# ]{1,12}",
+        prop::option::of(lights()),
     )
-        .prop_map(|(origin, sky, (rules, antialias, near_m), cameras, ego, agents, name)| {
+        .prop_map(|((origin, sky), (rules, antialias, near_m), cameras, ego, agents, name, light)| {
             let rig_camera =
                 |(i, (intrinsics, rig_from_camera))| RigCamera { name: format!("c{i}"), intrinsics, rig_from_camera };
             let scene_agent = |(i, (is_world, trajectory)): (usize, (Option<bool>, Trajectory))| SceneAgent {
@@ -55,6 +75,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
                 rig: Rig { cameras: cameras.into_iter().enumerate().map(rig_camera).collect() },
                 ego,
                 agents: agents.into_iter().enumerate().map(scene_agent).collect(),
+                light,
             }
         })
 }

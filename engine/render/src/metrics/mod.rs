@@ -5,10 +5,12 @@
 
 mod false_colour;
 mod flip;
+mod masked;
 mod ssim;
 
 pub use false_colour::difference_picture;
 pub use flip::PIXELS_PER_DEGREE;
+pub use masked::{MaskedDifference, MaskedErrors, Peak};
 
 use serde::{Serialize, Serializer};
 

@@ -4,9 +4,13 @@
 //! transfer c' = T(L) (.) c + b(L), and a contact shadow on the ground.
 
 mod ambient;
+mod ambient_field;
+mod lighting;
 mod shadow;
 mod transfer;
 
 pub use ambient::AmbientDescriptor;
+pub use ambient_field::{AmbientField, AmbientOptions, ambient_by_definition};
+pub use lighting::{Lighting, LitAgent, ShadowOptions};
 pub use shadow::{ContactShadow, bake_shadows};
 pub use transfer::{ColourTransfer, LightTransfer};

@@ -1,0 +1,308 @@
+//! L(x) over a background: its definition, and a field that answers for any place in microseconds.
+
+use std::collections::{HashMap, HashSet};
+use std::ops::Range;
+
+use glam::{DVec3, IVec3, ivec3};
+use rayon::prelude::*;
+
+use crate::light::AmbientDescriptor;
+use crate::{SplatCloud, sh};
+
+/// Numbers of a sum: 27 of light, and the weight that they are divided by.
+const SUM: usize = AmbientDescriptor::LEN + 1;
+
+/// How far about a place the light is gathered from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AmbientOptions {
+    /// Standard deviation of the weight with distance, metres.
+    pub sigma_m: f64,
+    /// Splats farther away count nothing, metres.
+    pub radius_m: f64,
+    /// From one probe of a baked field to the next, metres.
+    pub spacing_m: f64,
+}
+
+impl Default for AmbientOptions {
+    fn default() -> Self {
+        Self { sigma_m: 5.0, radius_m: 15.0, spacing_m: 1.0 }
+    }
+}
+
+impl AmbientOptions {
+    /// What is wrong with them, if anything.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), String> {
+        let values = [("sigma_m", self.sigma_m), ("radius_m", self.radius_m), ("spacing_m", self.spacing_m)];
+        match values.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            Some((name, value)) => Err(format!("{name} is {value}; expected a number of metres above zero")),
+            None if self.radius_m > 100.0 * self.sigma_m || self.radius_m > 50.0 * self.spacing_m => Err(format!(
+                "radius_m is {}, out of proportion to sigma_m, {}, or spacing_m, {}",
+                self.radius_m, self.sigma_m, self.spacing_m
+            )),
+            None => Ok(()),
+        }
+    }
+
+    fn weight(&self, distance2_m2: f64) -> f64 {
+        if distance2_m2 > self.radius_m * self.radius_m {
+            0.0
+        } else {
+            (-0.5 * distance2_m2 / (self.sigma_m * self.sigma_m)).exp()
+        }
+    }
+}
+
+/// The ambient descriptor at `place`, relative to the cloud's origin: the mean of the splats' spherical harmonics of bands 0
+/// to 2, weighted by `opacity exp(-|x - mu|^2 / (2 sigma^2))` (DecoupleGS, section 3.4). `None` without a splat in reach.
+///
+/// This is the definition, summed over all splats; [`AmbientField`] is what a frame asks.
+#[must_use]
+pub fn ambient_by_definition(cloud: &SplatCloud, place: DVec3, options: &AmbientOptions) -> Option<AmbientDescriptor> {
+    let mut sum = [0.0; SUM];
+    for splat in 0..cloud.len() {
+        let mean = DVec3::from_array(cloud.means[splat].map(f64::from));
+        let weight = options.weight(mean.distance_squared(place)) * f64::from(cloud.opacities[splat]);
+        if weight > 0.0 {
+            add(&mut sum, weight, &light_of(cloud, splat));
+        }
+    }
+    descriptor(&sum)
+}
+
+/// The 27 numbers of a splat, DC as of a plain expansion.
+fn light_of(cloud: &SplatCloud, splat: usize) -> [f64; AmbientDescriptor::LEN] {
+    let rest = cloud.rest_of(splat);
+    std::array::from_fn(|number| match number / 3 {
+        0 => f64::from(cloud.sh_dc[splat][number]) + 0.5 / sh::Y0,
+        k => rest.get(k - 1).map_or(0.0, |coefficient| f64::from(coefficient[number % 3])),
+    })
+}
+
+fn add(sum: &mut [f64; SUM], weight: f64, light: &[f64; AmbientDescriptor::LEN]) {
+    for (sum, light) in sum.iter_mut().zip(light) {
+        *sum += weight * light;
+    }
+    sum[SUM - 1] += weight;
+}
+
+fn descriptor(sum: &[f64; SUM]) -> Option<AmbientDescriptor> {
+    let weight = sum[SUM - 1];
+    // Written so that a NaN fails.
+    (weight > 1e-12).then(|| AmbientDescriptor {
+        coefficients: std::array::from_fn(|k| std::array::from_fn(|channel| (sum[3 * k + channel] / weight) as f32)),
+    })
+}
+
+/// Splats of one cube, summed up.
+struct Voxel {
+    /// Where they are in the mean, by weight.
+    centre: DVec3,
+    sum: [f32; SUM],
+}
+
+/// The ambient light over a background, ready to be asked anywhere.
+///
+/// Splats are summed up in cubes of a fifth of sigma, and [`AmbientField::bake`] sums the cubes up at the points of a grid,
+/// between which sums are interpolated. Places that were not baked are summed from the cubes. Measured against the definition:
+/// see the tests.
+pub struct AmbientField {
+    options: AmbientOptions,
+    /// World coordinates of the point that everything below is relative to.
+    origin: DVec3,
+    voxel_m: f64,
+    /// By column, and by height within one.
+    voxels: Vec<Voxel>,
+    columns: HashMap<(i32, i32), Range<usize>>,
+    /// Sums at the points of the grid.
+    probes: HashMap<IVec3, [f32; SUM]>,
+}
+
+impl AmbientField {
+    /// The field of the first `splats` of `cloud`, whose means are relative to `origin`. Nothing is baked yet.
+    ///
+    /// Splats without a finite mean, opacity or colour are left out.
+    #[must_use]
+    pub fn new(cloud: &SplatCloud, splats: usize, origin: DVec3, options: &AmbientOptions) -> Self {
+        let voxel_m = 0.2 * options.sigma_m;
+        let key = |splat: usize| {
+            let cell = (DVec3::from_array(cloud.means[splat].map(f64::from)) / voxel_m).floor().as_ivec3();
+            let usable = cloud.defect_of(splat).is_none() && cloud.opacities[splat] > 0.0;
+            usable.then_some((cell.x, cell.y, cell.z, splat as u32))
+        };
+        let mut keys: Vec<(i32, i32, i32, u32)> = (0..splats).into_par_iter().filter_map(key).collect();
+        keys.par_sort_unstable();
+        let runs: Vec<&[(i32, i32, i32, u32)]> = keys.chunk_by(|a, b| (a.0, a.1, a.2) == (b.0, b.1, b.2)).collect();
+        let voxels = runs.par_iter().map(|run| voxel(cloud, run)).collect();
+        let mut columns: HashMap<(i32, i32), Range<usize>> = HashMap::new();
+        for (index, run) in runs.iter().enumerate() {
+            columns.entry((run[0].0, run[0].1)).or_insert(index..index).end = index + 1;
+        }
+        Self { options: *options, origin, voxel_m, voxels, columns, probes: HashMap::new() }
+    }
+
+    /// Sums up the probes about `places`, world coordinates, between which light is interpolated from then on. Returns how
+    /// many there are now.
+    pub fn bake(&mut self, places: impl IntoIterator<Item = DVec3>) -> usize {
+        let cells: HashSet<IVec3> = places.into_iter().map(|place| self.cell(place)).collect();
+        let corners = cells.iter().flat_map(|cell| (0..8).map(move |corner| *cell + corner_offset(corner)));
+        let missing: HashSet<IVec3> = corners.filter(|probe| !self.probes.contains_key(probe)).collect();
+        let spacing_m = self.options.spacing_m;
+        let baked: Vec<(IVec3, [f32; SUM])> = missing
+            .into_par_iter()
+            .map(|probe| (probe, self.sum_at(probe.as_dvec3() * spacing_m).map(|sum| sum as f32)))
+            .collect();
+        self.probes.extend(baked);
+        self.probes.len()
+    }
+
+    /// L(x) at `place`, world coordinates: interpolated where it was baked, else summed from the cubes. `None` where no splat
+    /// is in reach.
+    #[must_use]
+    pub fn at(&self, place: DVec3) -> Option<AmbientDescriptor> {
+        descriptor(&self.interpolated(place).unwrap_or_else(|| self.sum_at(place - self.origin)))
+    }
+
+    /// Probes that were baked, and the cubes that they were summed from.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.probes.len(), self.voxels.len())
+    }
+
+    /// The grid point below `place`.
+    fn cell(&self, place: DVec3) -> IVec3 {
+        ((place - self.origin) / self.options.spacing_m).floor().as_ivec3()
+    }
+
+    fn interpolated(&self, place: DVec3) -> Option<[f64; SUM]> {
+        let cell = self.cell(place);
+        let share = (place - self.origin) / self.options.spacing_m - cell.as_dvec3();
+        let mut sum = [0.0; SUM];
+        for corner in 0..8 {
+            let offset = corner_offset(corner);
+            let probe = self.probes.get(&(cell + offset))?;
+            let along = |axis: usize| if offset[axis] == 1 { share[axis] } else { 1.0 - share[axis] };
+            let weight = along(0) * along(1) * along(2);
+            sum.iter_mut().zip(probe).for_each(|(sum, value)| *sum += weight * f64::from(*value));
+        }
+        Some(sum)
+    }
+
+    /// The sum over all cubes in reach of `place`, relative to the origin.
+    fn sum_at(&self, place: DVec3) -> [f64; SUM] {
+        let (low, high) = ((place - self.options.radius_m) / self.voxel_m, (place + self.options.radius_m) / self.voxel_m);
+        let (low, high) = (low.floor().as_ivec3(), high.floor().as_ivec3());
+        let mut sum = [0.0; SUM];
+        for x in low.x..=high.x {
+            for y in low.y..=high.y {
+                let Some(column) = self.columns.get(&(x, y)) else { continue };
+                for voxel in &self.voxels[column.clone()] {
+                    let weight = self.options.weight(voxel.centre.distance_squared(place));
+                    if weight > 0.0 {
+                        sum.iter_mut().zip(&voxel.sum).for_each(|(sum, value)| *sum += weight * f64::from(*value));
+                    }
+                }
+            }
+        }
+        sum
+    }
+}
+
+/// Of corner 0 to 7 of a cube.
+fn corner_offset(corner: i32) -> IVec3 {
+    ivec3(corner & 1, corner >> 1 & 1, corner >> 2)
+}
+
+fn voxel(cloud: &SplatCloud, run: &[(i32, i32, i32, u32)]) -> Voxel {
+    let mut sum = [0.0; SUM];
+    let mut centre = DVec3::ZERO;
+    for &(.., splat) in run {
+        let splat = splat as usize;
+        let weight = f64::from(cloud.opacities[splat]);
+        add(&mut sum, weight, &light_of(cloud, splat));
+        centre += weight * DVec3::from_array(cloud.means[splat].map(f64::from));
+    }
+    Voxel { centre: centre / sum[SUM - 1], sum: sum.map(|value| value as f32) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ground, a wall that is red, and noise; lighter towards +x.
+    fn street(count: usize) -> SplatCloud {
+        let mut state = 9u64;
+        let mut unit = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / 16_777_216.0
+        };
+        let mut cloud = SplatCloud::with_degree(2);
+        for i in 0..count {
+            let (x, y) = (60.0 * unit() - 30.0, 24.0 * unit() - 12.0);
+            let wall = i % 3 == 0;
+            cloud.means.push(if wall { [x, 12.0, 8.0 * unit()] } else { [x, y, 0.1 * unit()] });
+            cloud.scales.push([0.1; 3]);
+            cloud.rotations.push([1.0, 0.0, 0.0, 0.0]);
+            cloud.opacities.push(0.1 + 0.9 * unit());
+            let bright = 0.02 * x + 0.4 * (unit() - 0.5);
+            cloud.sh_dc.push(if wall { [bright + 1.0, bright - 0.5, bright - 0.5] } else { [bright; 3] });
+            cloud.sh_rest.extend((0..8).map(|k| if k == 2 { [-0.1; 3] } else { [0.05 * (unit() - 0.5); 3] }));
+        }
+        cloud
+    }
+
+    #[test]
+    fn the_field_is_the_definition_but_for_a_little() {
+        let (cloud, origin) = (street(60_000), DVec3::new(4.5e6, 7e5, 20.0));
+        let options = AmbientOptions::default();
+        let mut field = AmbientField::new(&cloud, cloud.len(), origin, &options);
+        let places: Vec<DVec3> = (0..40)
+            .map(|i| DVec3::new(1.3 * f64::from(i) - 26.0, f64::from(i % 7) * 3.0 - 9.0, 0.5 + 0.05 * f64::from(i)))
+            .collect();
+        let error = |field: &AmbientField| {
+            let of = |place: &DVec3| {
+                let (found, truth) =
+                    (field.at(origin + *place).unwrap(), ambient_by_definition(&cloud, *place, &options).unwrap());
+                let off = found.to_vector().iter().zip(truth.to_vector()).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
+                off / f64::from(truth.coefficients[0][0])
+            };
+            places.iter().map(of).fold(0.0, f64::max)
+        };
+        let summed = error(&field);
+        assert_eq!(field.size().0, 0);
+        let probes = field.bake(places.iter().map(|place| origin + *place));
+        let baked = error(&field);
+        println!("of the mean light: {summed:.2e} from cubes, {baked:.2e} from {probes} probes");
+        assert!(summed < 1e-3 && baked < 2e-3, "{summed} {baked}");
+        assert!(summed > 0.0 && baked != summed, "the three are not the same computation");
+    }
+
+    #[test]
+    fn light_is_that_of_what_stands_near() {
+        let (cloud, options) = (street(30_000), AmbientOptions::default());
+        let field = AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &options);
+        let mean = |x: f64, y: f64| field.at(DVec3::new(x, y, 0.8)).unwrap().mean();
+        assert!(mean(20.0, 0.0)[1] > mean(-20.0, 0.0)[1] + 0.1, "lighter towards +x");
+        assert!(mean(0.0, 10.0)[0] > mean(0.0, 10.0)[1] + 0.1, "red beside the wall");
+        assert!(field.at(DVec3::new(0.0, 0.0, 500.0)).is_none(), "nothing in reach");
+        // All splats have the same band 1 term along x: the light has it as well, and nothing of y.
+        let light = field.at(DVec3::ZERO).unwrap();
+        assert!((light.coefficients[3][0] + 0.1).abs() < 1e-3 && light.coefficients[1][0].abs() < 2e-3);
+    }
+
+    #[test]
+    fn defects_are_left_out_and_options_checked() {
+        let mut cloud = street(300);
+        cloud.means[7][0] = f32::NAN;
+        cloud.opacities[9] = f32::NAN;
+        cloud.sh_dc[11][2] = f32::INFINITY;
+        let field = AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &AmbientOptions::default());
+        assert!(field.at(DVec3::ZERO).unwrap().to_vector().iter().all(|value| value.is_finite()));
+        AmbientOptions::default().check().unwrap();
+        let zero = AmbientOptions { sigma_m: 0.0, ..AmbientOptions::default() };
+        assert!(zero.check().unwrap_err().contains("sigma_m is 0"));
+        assert!(AmbientOptions { radius_m: 1e9, ..AmbientOptions::default() }.check().unwrap_err().contains("proportion"));
+    }
+}

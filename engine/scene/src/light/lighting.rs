@@ -1,0 +1,159 @@
+//! The light of a scene: from where an agent stands to its colours and its shadow.
+
+use glam::DVec3;
+
+use crate::light::{AmbientDescriptor, AmbientField, ColourTransfer, ContactShadow, LightTransfer};
+use crate::{Pose, ShFrame};
+
+/// How contact shadows look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShadowOptions {
+    /// lambda: share of the light that is gone under an agent in light that comes from one side, 0 to 1.
+    pub strength: f64,
+    /// tau_decay: how fast a shadow fades outward.
+    pub decay: f64,
+    /// Splats whose mean is farther from the ground's plane are not darkened, metres.
+    pub slab_m: f64,
+    /// [`AmbientDescriptor::directionality`] at which light counts as coming from one side. Splats show little of it: what
+    /// glitters in the sun, seen from all round.
+    pub full_directionality: f64,
+    /// Share of its full strength that a shadow has in light from nowhere: under a car it is dark on an overcast day too.
+    pub floor: f64,
+}
+
+impl Default for ShadowOptions {
+    fn default() -> Self {
+        Self { strength: 0.8, decay: 1.5, slab_m: 0.15, full_directionality: 0.01, floor: 0.0 }
+    }
+}
+
+impl ShadowOptions {
+    /// What is wrong with them, if anything.
+    ///
+    /// # Errors
+    /// A sentence naming the value at fault.
+    pub fn check(&self) -> Result<(), String> {
+        let shares = [("strength", self.strength), ("floor", self.floor)];
+        if let Some((name, value)) = shares.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
+            return Err(format!("{name} is {value}; expected 0 to 1"));
+        }
+        let sizes = [("decay", self.decay), ("slab_m", self.slab_m), ("full_directionality", self.full_directionality)];
+        match sizes.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            Some((name, value)) => Err(format!("{name} is {value}; expected a number above zero")),
+            None => Ok(()),
+        }
+    }
+
+    /// I_dom: how stark the shadows of `light` are, 0 to 1. It follows how much the light comes from one side, not how bright
+    /// it is, so that a bright overcast sky throws faint ones.
+    #[must_use]
+    pub fn starkness(&self, light: &AmbientDescriptor) -> f64 {
+        let directed = (light.directionality() / self.full_directionality).min(1.0);
+        self.floor + (1.0 - self.floor) * directed
+    }
+
+    /// The shadow of an agent of size `dims_m` (length, width, height) that stands at `world_from_agent` in `light`.
+    #[must_use]
+    pub fn shadow(&self, world_from_agent: &Pose, dims_m: [f32; 3], light: &AmbientDescriptor) -> ContactShadow {
+        let [length_m, width_m, height_m] = dims_m.map(f64::from);
+        let ground = Pose { translation: DVec3::new(0.0, 0.0, -0.5 * height_m), ..Pose::IDENTITY };
+        ContactShadow {
+            world_from_ground: world_from_agent.then(&ground),
+            half_size_m: [0.5 * length_m, 0.5 * width_m].map(|half| half.max(1e-3)),
+            strength: self.strength * self.starkness(light),
+            decay: self.decay,
+            slab_m: self.slab_m,
+        }
+    }
+}
+
+/// The light of a scene.
+pub struct Lighting {
+    /// What the background tells of it.
+    pub field: AmbientField,
+    /// What it does to agents' colours; `None`: nothing.
+    pub transfer: Option<LightTransfer>,
+    /// How it throws shadows; `None`: it throws none.
+    pub shadows: Option<ShadowOptions>,
+}
+
+/// What light does to one agent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LitAgent {
+    /// To its colours, in the frame that these are meant in.
+    pub relight: Option<ColourTransfer>,
+    /// The shadow that it throws.
+    pub shadow: Option<ContactShadow>,
+    /// Whether the background told the light, or it is the one that assets are shown in as they are.
+    pub known: bool,
+}
+
+impl Lighting {
+    /// What the light does to an agent of size `dims_m` at `world_from_agent`, whose colours are meant as `sh_frame` says.
+    #[must_use]
+    pub fn of_agent(&self, world_from_agent: &Pose, dims_m: [f32; 3], sh_frame: ShFrame) -> LitAgent {
+        let (light, known) = self.at(world_from_agent.translation);
+        LitAgent {
+            relight: self.relight(&light, world_from_agent, sh_frame),
+            shadow: self.shadows.map(|shadows| shadows.shadow(world_from_agent, dims_m, &light)),
+            known,
+        }
+    }
+
+    /// The light at `place`, and whether the background told it: else it is the one that assets are shown in as they are.
+    #[must_use]
+    pub fn at(&self, place: DVec3) -> (AmbientDescriptor, bool) {
+        match self.field.at(place) {
+            Some(light) => (light, true),
+            None => (self.transfer.as_ref().map_or(AmbientDescriptor::uniform([0.5; 3]), |transfer| transfer.neutral), false),
+        }
+    }
+
+    /// What `light` does to the colours of an agent at `world_from_agent`, which are meant as `sh_frame` says.
+    #[must_use]
+    pub fn relight(&self, light: &AmbientDescriptor, world_from_agent: &Pose, sh_frame: ShFrame) -> Option<ColourTransfer> {
+        let transfer = self.transfer.as_ref()?;
+        Some(match sh_frame {
+            ShFrame::Canonical => transfer.at(&light.turned(world_from_agent.rotation.normalize().inverse())),
+            ShFrame::World => transfer.at(light),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sh;
+
+    /// A grey light of which `share` comes from one side.
+    fn light(grey: f32, share: f32) -> AmbientDescriptor {
+        let mut light = AmbientDescriptor::uniform([grey; 3]);
+        light.coefficients[3] = [share * 3f32.sqrt() * grey / sh::Y0 as f32; 3];
+        light
+    }
+
+    #[test]
+    fn overcast_shadows_are_fainter_than_sunny_ones_however_bright_the_sky() {
+        let options = ShadowOptions::default();
+        let strength = |light: &AmbientDescriptor| options.shadow(&Pose::IDENTITY, [4.5, 1.9, 1.5], light).strength;
+        let (sunny, overcast) = (strength(&light(0.3, 0.008)), strength(&light(0.9, 0.0005)));
+        assert!((sunny - 0.64).abs() < 1e-6 && (overcast - 0.04).abs() < 1e-6, "{sunny} {overcast}");
+        assert!((strength(&light(0.3, 0.5)) - 0.8).abs() < 1e-9, "never more than lambda");
+    }
+
+    #[test]
+    fn the_shadow_lies_under_the_wheels() {
+        let pose = Pose::from_yaw(0.5, DVec3::new(10.0, 20.0, 3.75));
+        let shadow = ShadowOptions::default().shadow(&pose, [4.0, 2.0, 1.5], &light(0.5, 0.01));
+        let off_m = (shadow.world_from_ground.translation - DVec3::new(10.0, 20.0, 3.0)).length();
+        assert!(shadow.half_size_m == [2.0, 1.0] && off_m < 1e-12);
+        shadow.check().unwrap();
+    }
+
+    #[test]
+    fn options_that_make_no_shadow_are_named() {
+        ShadowOptions::default().check().unwrap();
+        assert!(ShadowOptions { strength: 2.0, ..ShadowOptions::default() }.check().unwrap_err().contains("strength is 2"));
+        assert!(ShadowOptions { decay: 0.0, ..ShadowOptions::default() }.check().unwrap_err().contains("decay is 0"));
+    }
+}
