@@ -5,8 +5,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use clap::Subcommand;
-use decouplegs::asset::street::{Street, StreetOptions};
+use clap::{Subcommand, ValueEnum};
+use decouplegs::asset::maps::lane_json;
+use decouplegs::asset::street::{AssetLight, Street, StreetOptions, Weather};
+use decouplegs::asset::tracks::{self, PoseRow};
 use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, write_atomically};
 use decouplegs::scene::{Camera, Pose, Rules, SplatCloud, TimedPose, Trajectory, World};
 use glam::DVec3;
@@ -14,6 +16,9 @@ use serde_json::{Value, json};
 
 use crate::arguments::Size;
 use crate::progress;
+
+/// How often tracks tell where a car is.
+const TRACK_RATE_HZ: f64 = 10.0;
 
 /// Make up a scene and write it as files
 #[derive(clap::Args)]
@@ -27,7 +32,32 @@ enum SyntheticScene {
     Street(StreetArguments),
 }
 
-/// A street with traffic and a vehicle of six cameras: scene.toml, background.ply, assets/*.ply, transforms.json
+/// The light over the street.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum WeatherName {
+    /// A sunny afternoon
+    Clear,
+    /// Grey light from all of the sky, no cast shadows
+    Overcast,
+    /// A low, orange sun and long shadows
+    Dusk,
+    /// Street lamps and lit windows
+    Night,
+}
+
+impl WeatherName {
+    fn weather(self) -> Weather {
+        match self {
+            Self::Clear => Weather::Clear,
+            Self::Overcast => Weather::Overcast,
+            Self::Dusk => Weather::Dusk,
+            Self::Night => Weather::Night,
+        }
+    }
+}
+
+/// A street with traffic and a vehicle of six cameras: scene.toml, background.ply, assets/*.ply, transforms.json, lanes.json and
+/// tracks.csv (where each car truly is, ten times a second)
 #[derive(clap::Args)]
 struct StreetArguments {
     /// Splats of the street without its traffic
@@ -45,6 +75,12 @@ struct StreetArguments {
     /// Everything random follows from it: the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
+    /// The light over the street
+    #[arg(long, value_name = "WEATHER", value_enum, default_value = "clear")]
+    weather: WeatherName,
+    /// Capture the cars in even white light, without sun, sheen and shadow: what relighting starts from
+    #[arg(long)]
+    neutral_assets: bool,
     /// Size of the cameras' pictures
     #[arg(long, value_name = "WxH", default_value = "1600x900")]
     size: Size,
@@ -65,6 +101,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         agent_splats: arguments.agent_splats,
         sh_degree: arguments.degree,
         seed: arguments.seed,
+        weather: arguments.weather.weather(),
+        asset_light: if arguments.neutral_assets { AssetLight::Neutral } else { AssetLight::Sun },
     });
     for camera in &mut street.rig.cameras {
         camera.intrinsics = camera.intrinsics.resized(arguments.size.width_px, arguments.size.height_px);
@@ -85,6 +123,8 @@ fn write_street(street: &Street, out: &Path, baked: bool) -> Result<()> {
     let ego = trajectory(&street.ego).context("the ego's way is no trajectory")?;
     let cameras = transforms(&street.rig.at(&ego.at(ego.start_s())));
     write_atomically(&out.join("transforms.json"), |file| writeln!(file, "{cameras:#}"))?;
+    lane_json::write(&out.join("lanes.json"), &street.lanes)?;
+    tracks::write_poses(&out.join("tracks.csv"), &poses(street)?)?;
     if baked {
         inria_ply::write(&out.join("world.ply"), &baked_world(street)?)?;
     }
@@ -115,6 +155,29 @@ fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
         agents: agents.collect::<Result<_>>()?,
         ..SceneFile::of_background("background.ply")
     })
+}
+
+/// Where each agent is from when it sets out to when it arrives.
+fn poses(street: &Street) -> Result<Vec<PoseRow>> {
+    let mut rows = Vec::new();
+    for (agent, way) in street.agents.iter().zip(&street.agent_trajectories) {
+        let way = trajectory(way).with_context(|| format!("the way of {} is no trajectory", agent.name))?;
+        let steps = ((way.end_s() - way.start_s()) * TRACK_RATE_HZ).round() as u32;
+        rows.extend((0..=steps).map(|step| {
+            let time_s = way.start_s() + f64::from(step) / TRACK_RATE_HZ;
+            let Pose { rotation, translation } = way.at(time_s);
+            PoseRow {
+                id: agent.name.clone(),
+                class: "car".into(),
+                time_s,
+                position: translation,
+                rotation,
+                dims_m: Some(street.asset_dims_m[agent.asset].map(f64::from)),
+                note: String::new(),
+            }
+        }));
+    }
+    Ok(rows)
 }
 
 fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {

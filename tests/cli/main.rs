@@ -1,6 +1,9 @@
 //! The program as a user meets it: what it writes, what it says, and how it exits.
 
+mod calibrate_light;
 mod compress;
+mod map;
+mod register;
 mod stress;
 
 use std::fs;
@@ -86,6 +89,41 @@ fn a_street_is_the_same_bytes_every_time_and_what_was_asked_for() {
     }
     let report = succeed(&["inspect", text(&first.join("world.ply"))]);
     assert!(report.contains("4600") && report.contains("opacity"), "{report}");
+}
+
+#[test]
+fn a_street_comes_with_its_lanes_and_the_poses_of_its_cars() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let map = decouplegs::asset::read_map(&folder.path().join("lanes.json")).unwrap();
+    assert_eq!(map.lanes.len(), 32);
+    assert!(map.lanes.iter().any(|lane| lane.id == "main/forward/0/before" && lane.successors.len() == 2));
+    let tracks = decouplegs::asset::read_tracks(&folder.path().join("tracks.csv")).unwrap();
+    assert_eq!(tracks.len(), 2);
+    for track in &tracks {
+        assert_eq!((track.points.len(), track.class.as_str()), (201, "car"), "20 s at 10 Hz and both ends");
+        assert!((track.points[200].time_s - 20.0).abs() < 1e-9 && track.points.iter().all(|point| point.z_m.unwrap() > 0.6));
+    }
+}
+
+#[test]
+fn weather_changes_the_street_and_neutral_light_the_cars_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = |name: &str, options: &[&str]| {
+        let out = folder.path().join(name);
+        let sizes = ["--background", "2000", "--agents", "1", "--agent-splats", "200", "--out", text(&out)];
+        succeed(&[["synth", "street"].as_slice(), &sizes, options].concat());
+        ["background.ply", "assets/car_00.ply"].map(|file| fs::read(out.join(file)).unwrap())
+    };
+    let plain = bytes("plain", &[]);
+    assert!(bytes("clear", &["--weather", "clear"]) == plain, "clear is what it is without being asked for");
+    for weather in ["overcast", "dusk", "night"] {
+        let [background, car] = bytes(weather, &["--weather", weather]);
+        assert!(background != plain[0] && car == plain[1], "{weather}");
+    }
+    let [background, car] = bytes("neutral", &["--neutral-assets"]);
+    assert!(background == plain[0] && car != plain[1]);
+    assert!(fail(2, &["synth", "street", "--weather", "hail", "--out", "a"]).contains("overcast"));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use super::focus::Focus;
 use super::footprint::Footprint;
 use super::light::Light;
 use super::random::Stream;
-use super::surface::{Element, Texel};
+use super::surface::Element;
 
 /// Share of splats with an opacity below [`FAINT_OPACITY_MAX`]: what densification leaves behind in trained scenes.
 pub(super) const FAINT_SHARE: f32 = 0.45;
@@ -138,8 +138,8 @@ fn splat(
         texel.albedo *= weather(&point);
     }
     let lit = light.shade(&texel, position, normal, random);
-    let colour = (lit * (1.0 + 0.035 * random.normal()) + 0.012 * random.signed3()).clamp(Vec3::ZERO, Vec3::ONE);
-    view_dependence(rest, &texel, colour, normal, light.towards_sun, random);
+    let colour = (lit.colour * (1.0 + 0.035 * random.normal()) + 0.012 * random.signed3()).clamp(Vec3::ZERO, Vec3::ONE);
+    view_dependence(rest, colour, normal, (light.towards_sun(), texel.gloss * lit.sheen), random);
     Splat {
         mean: position + normal * off_surface_m,
         scales,
@@ -162,14 +162,14 @@ fn opacity_of(faint: bool, random: &mut Stream) -> f32 {
 }
 
 /// Coefficients after DC: a sheen where the sun is mirrored, and noise that falls by band.
-fn view_dependence(rest: &mut [[f32; 3]], texel: &Texel, colour: Vec3, normal: Vec3, towards_sun: Vec3, random: &mut Stream) {
+fn view_dependence(rest: &mut [[f32; 3]], colour: Vec3, normal: Vec3, (towards_sun, sheen): (Vec3, Vec3), random: &mut Stream) {
     if rest.is_empty() {
         return;
     }
     // The view direction (camera to splat) in which the camera stands in the mirrored sunbeam.
     let mirrored = towards_sun - 2.0 * normal.dot(towards_sun) * normal;
-    let strength = texel.gloss * normal.dot(towards_sun).max(0.0);
-    let lobe = if strength > 0.0 { sh::basis(mirrored.as_dvec3().normalize_or(DVec3::Z)) } else { [0.0; 16] };
+    let strength = sheen * normal.dot(towards_sun).max(0.0);
+    let lobe = if strength != Vec3::ZERO { sh::basis(mirrored.as_dvec3().normalize_or(DVec3::Z)) } else { [0.0; 16] };
     for (index, coefficient) in rest.iter_mut().enumerate() {
         // Noise and lobe by band; index 0 is the first of band 1.
         let (noise, lobe_weight) = match index {
@@ -179,7 +179,7 @@ fn view_dependence(rest: &mut [[f32; 3]], texel: &Texel, colour: Vec3, normal: V
         };
         let grey = noise * random.normal() * (0.3 + 0.7 * colour.max_element());
         let sheen = strength * lobe_weight * lobe[index + 1] as f32;
-        *coefficient = (Vec3::splat(grey + sheen) + 0.35 * noise * random.signed3()).to_array();
+        *coefficient = (Vec3::splat(grey) + sheen + 0.35 * noise * random.signed3()).to_array();
     }
 }
 
@@ -188,7 +188,8 @@ mod tests {
     use glam::Mat3;
 
     use super::*;
-    use crate::street::surface::Shape;
+    use crate::street::surface::{Shape, Texel};
+    use crate::street::weather::{Air, Weather};
 
     fn wall(width_m: f32, density: f32) -> Element {
         let shape = Shape::Rectangle { corner: Vec3::ZERO, along: Vec3::X * width_m, up: Vec3::Z };
@@ -209,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_wall_has_the_promised_scales_and_closes() {
-        let light = Light::new(Vec3::new(0.0, -1.0, 1.0), vec![]);
+        let light = Light::new(Air { towards_sun: Vec3::new(0.0, -1.0, 1.0), ..Air::of(Weather::Clear) }, vec![]);
         let cloud = emit(&[wall(8.0, 1.0)], 20_000, 0, 3, &light, &Focus::nowhere());
         let (mut ln_scales, mut flatness) = (vec![], vec![]);
         for (mean, scale) in cloud.means.iter().zip(&cloud.scales) {

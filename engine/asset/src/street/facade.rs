@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Texel, display};
+use super::weather::lamplight;
 
 /// Top of the shop windows' storey, metres.
 pub(super) const SHOP_STOREY_M: f32 = 4.0;
@@ -152,7 +153,11 @@ impl Design {
         };
         // The reveal above and beside the glass keeps the sky out.
         let openness = 0.45 + 0.55 * smoothstep(0.05, 0.45, height_m - z);
-        Texel { gloss: 0.9, openness, ..Texel::matt(albedo) }
+        // Some rooms have a light on, by their lamps from yellow to white, weaker behind curtains and towards the sill.
+        let evening = cell(self.seed + 109, bay, storey);
+        let lamp = lamplight().lerp(display(236, 238, 240), 0.6 * cell(self.seed + 113, bay, storey));
+        let glow = if evening < 0.34 { lamp * (0.3 + 1.6 * evening) * (0.5 + 0.5 * height) } else { Vec3::ZERO };
+        Texel { gloss: 0.9, openness, glow: glow * if taste < 0.4 { 0.6 } else { 1.0 }, ..Texel::matt(albedo) }
     }
 
     /// Shop windows with a sign above, or a plain ground floor with a door.
@@ -194,8 +199,8 @@ impl Design {
         let within = (x / 0.34).fract();
         let written = (3.22..3.58).contains(&z) && (0.15..0.8).contains(&within) && cell(self.seed + 73, letter / 9, 2) > 0.35;
         let stroke = cell(self.seed + 79, (x / 0.085).floor() as i32, ((z - 3.22) / 0.12).floor() as i32) > 0.4;
-        let albedo = if written && stroke { display(240, 234, 220) } else { board };
-        Texel { gloss: 0.25, ..Texel::matt(albedo) }
+        let (albedo, glow) = if written && stroke { (display(240, 234, 220), 0.75) } else { (board, 0.25) };
+        Texel { gloss: 0.25, glow: albedo * glow, ..Texel::matt(albedo) }
     }
 
     fn door(&self, inside: [f32; 2], z: f32) -> Texel {
@@ -222,7 +227,13 @@ impl Design {
         let depth = smoothstep(2.7, 0.9, z);
         let room = display(44, 46, 50).lerp(display(150, 122, 88), smoothstep(0.52, 0.72, goods) * depth);
         let mirrored = display(116, 138, 156) * 0.55;
-        Texel { gloss: 0.9, openness: 0.9, ..Texel::matt(room.lerp(mirrored, 0.35 + 0.4 * smoothstep(1.4, 2.8, z))) }
+        let open = cell(self.seed + 127, 0, 0) < 0.7;
+        let glow = if open {
+            lamplight() * (0.10 + 0.55 * smoothstep(0.40, 0.72, goods) * depth + 0.25 * smoothstep(2.2, 2.8, z))
+        } else {
+            Vec3::ZERO
+        };
+        Texel { gloss: 0.9, openness: 0.9, glow, ..Texel::matt(room.lerp(mirrored, 0.35 + 0.4 * smoothstep(1.4, 2.8, z))) }
     }
 
     /// The bare wall.

@@ -5,6 +5,7 @@ use glam::{Quat, Vec3};
 use super::layout::{Axis, KERB_M, LANES_HALF_M, ROAD_HALF_M, Spot};
 use super::loft::{Loft, bar};
 use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
+use super::weather::lamplight;
 
 /// Splats a square metre of posts, relative to asphalt: thin things need many.
 const POST_DENSITY: f32 = 4.0;
@@ -20,14 +21,26 @@ fn post(from: Vec3, to: Vec3, radius_m: f32) -> Element {
     Element::new(Shape::Loft(bar(from, to, radius_m, 0.65 * radius_m)), POST_DENSITY, painted_metal)
 }
 
+/// The end of a lamp's arm, in the frame of its foot, metres.
+const LAMP_TIP: Vec3 = Vec3::new(2.1, 0.0, 7.2 + 0.35);
+
+/// Where the lamp on a spot shines, in the world.
+pub(super) fn lamp_light(spot: &Spot) -> Vec3 {
+    Quat::from_rotation_z(spot.yaw_rad) * (LAMP_TIP + Vec3::new(0.275, 0.0, -0.3)) + spot.position
+}
+
 /// A lamp on an arm over the road.
 pub(super) fn lamp(spot: &Spot) -> Vec<Element> {
     let height_m = 7.2;
     let top = Vec3::Z * height_m;
-    let tip = Vec3::new(2.1, 0.0, height_m + 0.35);
+    let tip = LAMP_TIP;
     let mut elements = vec![post(Vec3::ZERO, top, 0.095), post(Vec3::ZERO, Vec3::Z * 1.0, 0.15), post(top, tip, 0.06)];
     elements.extend(boxed(tip - Vec3::new(0.1, 0.16, 0.05), tip + Vec3::new(0.65, 0.16, 0.07), 5.0, |point| {
-        if point.normal.z < -0.5 { Texel::matt(display(240, 236, 220)) } else { Texel::matt(display(104, 110, 112)) }
+        if point.normal.z < -0.5 {
+            Texel { glow: lamplight() * 4.0, ..Texel::matt(display(240, 236, 220)) }
+        } else {
+            Texel::matt(display(104, 110, 112))
+        }
     }));
     elements.into_iter().map(|e| e.placed(Quat::from_rotation_z(spot.yaw_rad), spot.position)).collect()
 }

@@ -1,12 +1,11 @@
-//! A sunny afternoon, baked: sun with cast shadows, sky, bounce from the ground, and the dark under parked cars.
+//! Light, baked: the sun with cast shadows, the sky, bounce from the ground, street lamps, and the dark under cars.
 
-use glam::{Vec2, Vec3};
+use glam::{Quat, Vec2, Vec3};
 
+use super::occluder::Occluder;
 use super::random::{Stream, smoothstep};
 use super::surface::Texel;
-
-/// Linear RGB of the air between here and far away.
-const HAZE: Vec3 = Vec3::new(0.56, 0.66, 0.78);
+use super::weather::{Air, TOWARDS_SUN, TOWARDS_SUN_ASSET};
 
 /// Width of the cells in which occluders are looked up, metres.
 const CELL_M: f32 = 8.0;
@@ -18,99 +17,97 @@ const CELLS: i32 = 64;
 /// splats of some centimetres can show.
 const PENUMBRA_RAD: f32 = 0.012;
 
-/// Something that stands in the sun's way.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Occluder {
-    /// A house.
-    Box { min: Vec3, max: Vec3 },
-    /// A car: a box that also darkens the ground about it.
-    Car { min: Vec3, max: Vec3 },
-    /// The crown of a tree, through which some light comes.
-    Crown { centre: Vec3, radii: Vec3 },
-}
+/// Half the size of what shines in a street lamp, metres: larger than life, for the same reason.
+const LAMP_HALF_M: f32 = 0.25;
 
-impl Occluder {
-    fn bounds(&self) -> (Vec3, Vec3) {
-        match *self {
-            Self::Box { min, max } | Self::Car { min, max } => (min, max),
-            Self::Crown { centre, radii } => (centre - radii, centre + radii),
-        }
-    }
+/// How far the light of a street lamp reaches, metres.
+const LAMP_REACH_M: f32 = 32.0;
 
-    /// Share of the light along the ray that passes.
-    fn transmittance(&self, from: Vec3, direction: Vec3) -> f32 {
-        match *self {
-            Self::Box { min, max } | Self::Car { min, max } => {
-                let (near, far) = slab(min - from, max - from, direction);
-                if far > near.max(0.0) { 0.0 } else { 1.0 }
-            }
-            Self::Crown { centre, radii } => {
-                let (offset, ray) = ((from - centre) / radii, direction / radii);
-                let (a, b, c) = (ray.length_squared(), offset.dot(ray), offset.length_squared() - 1.0);
-                let discriminant = b * b - a * c;
-                if discriminant <= 0.0 {
-                    return 1.0;
-                }
-                let root = discriminant.sqrt();
-                let inside_m = ((-b + root) / a).max(0.0) - ((-b - root) / a).max(0.0);
-                (-0.85 * inside_m).exp()
-            }
-        }
-    }
-}
+/// How far from a car or a crown, towards a lamp's far side, its shadow can fall, metres.
+const LAMP_SHADOW_M: f32 = 7.0;
 
-/// Where the ray from the origin enters and leaves the box.
-fn slab(min: Vec3, max: Vec3, direction: Vec3) -> (f32, f32) {
-    let inverse = direction.recip();
-    let (a, b) = (min * inverse, max * inverse);
-    (a.min(b).max_element(), a.max(b).min_element())
-}
+/// Share of a lamp's light that comes back from what it shines on, to faces turned away from it as well.
+const LAMP_BOUNCE: f32 = 0.06;
 
 /// The light of the street, or of one asset under an open sky.
 #[derive(Debug)]
 pub(super) struct Light {
     /// Unit, towards the sun.
-    pub towards_sun: Vec3,
+    towards_sun: Vec3,
+    air: Air,
     occluders: Vec<Occluder>,
     /// Occluders whose shadow can fall into each cell.
-    shading: Vec<Vec<u16>>,
+    shading: Vec<Vec<u32>>,
+    /// Where street lamps shine.
+    lamps: Vec<Vec3>,
+    /// World from what is lit.
+    rotation: Quat,
+    translation: Vec3,
+    /// The sun by whose side of a face random numbers are drawn, in the frame of what is lit. Splats and their noise are then
+    /// the same in any light.
+    drawn_by: Vec3,
+}
+
+/// What light makes of a texel.
+pub(super) struct Lit {
+    /// Display-referred RGB in [0, 1].
+    pub colour: Vec3,
+    /// What of the sun is mirrored, by channel.
+    pub sheen: Vec3,
 }
 
 impl Light {
-    /// Light from the sun in direction `towards_sun` past `occluders`.
-    pub(super) fn new(towards_sun: Vec3, occluders: Vec<Occluder>) -> Self {
-        let towards_sun = towards_sun.normalize_or(Vec3::Z);
+    /// The light of `air` past `occluders` on what is placed in the world already.
+    pub(super) fn new(air: Air, occluders: Vec<Occluder>) -> Self {
+        let towards_sun = air.towards_sun.normalize_or(Vec3::Z);
+        let lamplit = air.lamp != Vec3::ZERO;
         let mut shading = vec![Vec::new(); if occluders.is_empty() { 0 } else { (CELLS * CELLS) as usize }];
         for (index, occluder) in occluders.iter().enumerate() {
             let (min, max) = occluder.bounds();
             // Down to the ground, the shadow reaches this far the other way.
             let reach = -towards_sun.truncate() / towards_sun.z.max(0.1) * max.z;
-            let margin = Vec2::splat(1.5);
+            let margin = Vec2::splat(if lamplit { LAMP_SHADOW_M } else { 1.5 });
             let low = min.truncate().min(min.truncate() + reach) - margin;
             let high = max.truncate().max(max.truncate() + reach) + margin;
             let ((i0, j0), (i1, j1)) = (cell_of(low), cell_of(high));
             for j in j0.max(0)..=j1.min(CELLS - 1) {
                 for i in i0.max(0)..=i1.min(CELLS - 1) {
-                    shading[(j * CELLS + i) as usize].push(index as u16);
+                    shading[(j * CELLS + i) as usize].push(index as u32);
                 }
             }
         }
-        Self { towards_sun, occluders, shading }
+        let (rotation, translation) = (Quat::IDENTITY, Vec3::ZERO);
+        let drawn_by = TOWARDS_SUN.normalize_or(Vec3::Z);
+        Self { towards_sun, air, occluders, shading, lamps: Vec::new(), rotation, translation, drawn_by }
+    }
+
+    /// The same with street lamps at `lamps`.
+    pub(super) fn with_lamps(self, lamps: Vec<Vec3>) -> Self {
+        Self { lamps, ..self }
+    }
+
+    /// The same on an asset that stands at `rotation` and `translation`, while its splats are made in its own frame.
+    pub(super) fn on_asset(self, rotation: Quat, translation: Vec3) -> Self {
+        Self { rotation, translation, drawn_by: TOWARDS_SUN_ASSET.normalize_or(Vec3::Z), ..self }
+    }
+
+    /// Unit, towards the sun in the frame of what is lit.
+    pub(super) fn towards_sun(&self) -> Vec3 {
+        self.rotation.inverse() * self.towards_sun
     }
 
     fn near(&self, position: Vec3) -> impl Iterator<Item = &Occluder> {
         let (i, j) = cell_of(position.truncate());
         let inside = !self.shading.is_empty() && (0..CELLS).contains(&i) && (0..CELLS).contains(&j);
-        let cell: &[u16] = if inside { &self.shading[(j * CELLS + i) as usize] } else { &[] };
-        cell.iter().map(|&index| &self.occluders[usize::from(index)])
+        let cell: &[u32] = if inside { &self.shading[(j * CELLS + i) as usize] } else { &[] };
+        cell.iter().map(|&index| &self.occluders[index as usize])
     }
 
-    /// Share of the sun that reaches a point.
-    fn sunlit(&self, position: Vec3, random: &mut Stream) -> f32 {
-        let direction = self.towards_sun + PENUMBRA_RAD * random.signed3();
+    /// Share of the light from `reach` lengths of `direction` away that arrives.
+    fn passing(&self, position: Vec3, direction: Vec3, reach: f32) -> f32 {
         let mut passing = 1.0;
         for occluder in self.near(position) {
-            passing *= occluder.transmittance(position, direction);
+            passing *= occluder.transmittance(position, direction, reach);
             if passing < 0.01 {
                 return 0.0;
             }
@@ -118,34 +115,74 @@ impl Light {
         passing
     }
 
-    /// Share of the sky that parked cars leave to a point near the ground.
+    /// Share of the sun that reaches a point. `spread` moves the ray within the penumbra.
+    fn sunlit(&self, position: Vec3, spread: Vec3) -> f32 {
+        if self.air.sun_strength == 0.0 {
+            return 0.0;
+        }
+        self.passing(position, self.towards_sun + PENUMBRA_RAD * spread, f32::INFINITY)
+    }
+
+    /// Share of the sky that cars leave to a point near the ground.
     fn open_sky(&self, position: Vec3) -> f32 {
         if position.z > 0.3 {
             return 1.0;
         }
-        self.near(position).fold(1.0, |open, occluder| match *occluder {
-            Occluder::Car { min, max } => {
-                let outside = (min - position).max(position - max).truncate();
-                let distance_m = outside.max(Vec2::ZERO).length() + outside.max_element().min(0.0);
-                open * (0.22 + 0.78 * smoothstep(-0.35, 0.75, distance_m))
-            }
-            _ => open,
-        })
+        self.near(position).fold(1.0, |open, occluder| open * occluder.open_sky(position))
     }
 
-    /// Display-referred RGB in [0, 1] of a texel at `position` that faces `normal`.
-    pub(super) fn shade(&self, texel: &Texel, position: Vec3, normal: Vec3, random: &mut Stream) -> Vec3 {
-        let linear = texel.emitted.unwrap_or_else(|| {
-            let facing = normal.dot(self.towards_sun);
-            let wrapped = facing.max(0.0).max(texel.translucency * (0.55 + 0.45 * facing.abs()));
-            let sunlit = if wrapped > 0.0 { self.sunlit(position + normal * 0.04, random) } else { 0.0 };
-            let open = texel.openness * self.open_sky(position);
-            let sun = Vec3::new(1.0, 0.92, 0.78) * (1.35 * wrapped * sunlit);
-            let sky = Vec3::new(0.31, 0.37, 0.47) * (0.5 + 0.5 * normal.z) + Vec3::new(0.2, 0.185, 0.16) * (0.5 - 0.5 * normal.z);
-            texel.albedo * (sun + sky * open)
-        });
-        to_display(linear.lerp(HAZE, texel.haze))
+    /// What street lamps bring to a point, and what comes back from around it.
+    fn lamplight(&self, texel: &Texel, (position, normal): (Vec3, Vec3), open: f32, aside: &mut Stream) -> Vec3 {
+        let (mut direct, mut around) = (0.0, 0.0);
+        for lamp in &self.lamps {
+            let to_lamp = *lamp + LAMP_HALF_M * aside.signed3() - position;
+            let distance_m = to_lamp.length();
+            if !(0.5..LAMP_REACH_M).contains(&distance_m) {
+                continue;
+            }
+            let direction = to_lamp / distance_m;
+            // It hangs with its back to the sky, and its light ends softly.
+            let shining = smoothstep(0.0, 0.75, direction.z) * (1.0 - (distance_m / LAMP_REACH_M).powi(2)).powi(2);
+            let arriving = shining / (distance_m * distance_m + 3.0);
+            around += arriving;
+            // Leaves let less of a single beam through than of the whole bright side of the sky.
+            let facing = normal.dot(direction).max(0.35 * wrapped(texel, normal.dot(direction)));
+            if facing * arriving > 1e-5 {
+                direct += arriving * facing * self.passing(position + normal * 0.04, direction, distance_m);
+            }
+        }
+        self.air.lamp * (direct * (0.4 + 0.6 * open) + LAMP_BOUNCE * around * open)
     }
+
+    /// What a texel at `position` that faces `normal` looks like, both in the frame of what is lit.
+    pub(super) fn shade(&self, texel: &Texel, position: Vec3, normal: Vec3, random: &mut Stream) -> Lit {
+        let sheen = self.air.sheen * self.air.shaded_sheen;
+        if let Some(emitted) = texel.emitted {
+            return Lit { colour: to_display(emitted.lerp(self.air.haze, texel.haze)), sheen };
+        }
+        let mut aside = random.aside();
+        let drawn = wrapped(texel, normal.dot(self.drawn_by)) > 0.0;
+        let spread = if drawn { random.signed3() } else { aside.signed3() };
+
+        let (position, normal) = (self.rotation * position + self.translation, self.rotation * normal);
+        let facing = wrapped(texel, normal.dot(self.towards_sun));
+        let sunlit = if facing > 0.0 { self.sunlit(position + normal * 0.04, spread) } else { 0.0 };
+        let open = texel.openness * self.open_sky(position);
+        let air = &self.air;
+        let sun = air.sun * (air.sun_strength * facing * sunlit);
+        let sky = air.sky * (0.5 + 0.5 * normal.z) + air.bounce * (0.5 - 0.5 * normal.z);
+        let mut linear = texel.albedo * (sun + sky * open);
+        if !self.lamps.is_empty() {
+            linear += texel.albedo * self.lamplight(texel, (position, normal), open, &mut aside);
+        }
+        linear += texel.glow * air.glow;
+        Lit { colour: to_display(linear.lerp(air.haze, texel.haze)), sheen: air.sheen * sunlit.max(air.shaded_sheen) }
+    }
+}
+
+/// Share of the light from a direction that a face takes, from the cosine between them: leaves let it through.
+fn wrapped(texel: &Texel, facing: f32) -> f32 {
+    facing.max(0.0).max(texel.translucency * (0.55 + 0.45 * facing.abs()))
 }
 
 fn cell_of(position: Vec2) -> (i32, i32) {
@@ -164,18 +201,27 @@ fn to_display(linear: Vec3) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::street::weather::Weather;
 
-    fn light() -> Light {
+    fn light(air: Air) -> Light {
         let house = Occluder::Box { min: Vec3::new(-5.0, 2.0, 0.0), max: Vec3::new(5.0, 8.0, 10.0) };
         let crown = Occluder::Crown { centre: Vec3::new(40.0, 5.0, 5.0), radii: Vec3::splat(2.0) };
         let car = Occluder::Car { min: Vec3::new(-42.0, -1.0, 0.0), max: Vec3::new(-38.0, 1.0, 1.5) };
-        Light::new(Vec3::new(0.0, 1.0, 1.0), vec![house, crown, car])
+        Light::new(air, vec![house, crown, car])
+    }
+
+    fn sunny() -> Light {
+        light(Air { towards_sun: Vec3::new(0.0, 1.0, 1.0), ..Air::of(Weather::Clear) })
+    }
+
+    fn white_ground(light: &Light, x: f32, y: f32) -> Vec3 {
+        light.shade(&Texel::matt(Vec3::splat(0.3)), Vec3::new(x, y, 0.0), Vec3::Z, &mut Stream::new(1, 1, 1)).colour
     }
 
     #[test]
     fn shadows_fall_away_from_the_sun() {
-        let light = light();
-        let sunlit = |x: f32, y: f32| light.sunlit(Vec3::new(x, y, 0.0), &mut Stream::new(1, 1, 1));
+        let light = sunny();
+        let sunlit = |x: f32, y: f32| light.sunlit(Vec3::new(x, y, 0.0), Stream::new(1, 1, 1).signed3());
         assert_eq!(sunlit(0.0, -3.0), 0.0, "ten metres of house shade as much ground at 45 degrees");
         assert_eq!(sunlit(0.0, -9.5), 1.0);
         assert_eq!(sunlit(0.0, 9.0), 1.0, "the sunny side");
@@ -185,10 +231,57 @@ mod tests {
 
     #[test]
     fn the_ground_is_dark_under_a_car_and_open_away_from_it() {
-        let light = light();
+        let light = sunny();
         let open = |x: f32| light.open_sky(Vec3::new(x, 0.0, 0.0));
         assert!(open(-40.0) < 0.3 && open(-37.7) > 0.3 && open(-37.7) < 0.9);
         assert_eq!(open(-36.5), 1.0);
+    }
+
+    #[test]
+    fn clouds_leave_no_cast_shadow_but_the_dark_under_a_car() {
+        let (sunny, grey) = (sunny(), light(Air::of(Weather::Overcast)));
+        assert!(white_ground(&sunny, 0.0, -3.0).x < 0.7 * white_ground(&sunny, 0.0, -20.0).x);
+        assert_eq!(white_ground(&grey, 0.0, -3.0), white_ground(&grey, 0.0, -20.0));
+        assert!(white_ground(&grey, -40.0, 0.0).x < 0.6 * white_ground(&grey, -30.0, 0.0).x);
+        // Relative to open ground, what a car hides from the sun is darker than what it hides from clouds.
+        let below = |light: &Light| white_ground(light, -40.0, 0.0).x / white_ground(light, -30.0, 0.0).x;
+        assert!(below(&sunny) < below(&grey) - 0.05, "{} and {}", below(&sunny), below(&grey));
+    }
+
+    #[test]
+    fn a_lamp_lights_what_is_below_it_warmly_and_a_car_throws_its_shadow() {
+        let lamp = Vec3::new(-34.0, 0.0, 7.5);
+        let lit = light(Air::of(Weather::Night)).with_lamps(vec![lamp]);
+        let (below, far) = (white_ground(&lit, -34.0, 0.0), white_ground(&lit, -34.0, 60.0));
+        assert!(below.x > 3.0 * far.x && below.x > 1.4 * below.z && far.z > far.x, "{below} and {far}");
+        assert!(white_ground(&lit, -34.0, 9.0).x < 0.9 * below.x, "it falls with distance");
+        // The car at -42 to -38 stands between the lamp and -42.6, and open ground is as far on the other side.
+        let (shaded, open) = (white_ground(&lit, -42.8, 0.0), white_ground(&lit, -25.2, 0.0));
+        assert!(shaded.x < 0.75 * open.x, "{shaded} and {open}");
+    }
+
+    #[test]
+    fn neutral_light_shows_albedo() {
+        let light =
+            Light::new(Air::of_assets(super::super::weather::AssetLight::Neutral), vec![]).on_asset(Quat::IDENTITY, Vec3::ZERO);
+        for normal in [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::new(0.6, 0.0, -0.8)] {
+            let texel = Texel { openness: 0.5, gloss: 1.0, ..Texel::matt(Vec3::new(0.4, 0.2, 0.1)) };
+            let lit = light.shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1));
+            assert!((lit.colour - to_display(texel.albedo * 0.5)).abs().max_element() < 1e-6 && lit.sheen == Vec3::ZERO);
+        }
+    }
+
+    #[test]
+    fn an_asset_is_lit_as_it_stands() {
+        let light = || Light::new(Air::of(Weather::Dusk), vec![]);
+        let turn = Quat::from_rotation_z(2.1);
+        let texel = Texel::matt(Vec3::splat(0.3));
+        let shade = |light: &Light, normal: Vec3| light.shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1)).colour;
+        let turned = light().on_asset(turn, Vec3::new(5.0, 0.0, 0.7));
+        for normal in [Vec3::X, Vec3::Y, Vec3::NEG_X] {
+            assert!((shade(&turned, normal) - shade(&light(), turn * normal)).abs().max_element() < 1e-5);
+        }
+        assert!((turn * turned.towards_sun() - light().towards_sun).length() < 1e-5);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! A synthetic street as Gaussians: for demonstrations, tests and measurements that need a driving scene of any size.
 //!
-//! It looks like a street on a sunny afternoon, and its splats have the statistics of trained driving scenes: discs
+//! It looks like a street on a sunny afternoon or in another [`Weather`], and its splats have the statistics of trained driving scenes: discs
 //! with log-normal scales, two modes of opacity with 45 % faint, spherical harmonics with noise that falls by band,
 //! detail near the road and a coarse shell far away. The same options give the same bits on any number of threads.
 //!
@@ -15,9 +15,11 @@ mod facade;
 mod focus;
 mod footprint;
 mod furniture;
+mod lanes;
 mod layout;
 mod light;
 mod loft;
+mod occluder;
 mod random;
 mod road;
 mod sky;
@@ -26,16 +28,23 @@ mod surface;
 mod tests;
 mod traffic;
 mod tree;
+mod truth;
+mod weather;
 
-use decouplegs_scene::{AgentPlacement, Pose, Rig, SplatCloud};
+pub use truth::Truth;
+pub use weather::{AssetLight, Weather};
+
+use decouplegs_scene::{AgentPlacement, LaneMap, Pose, Rig, SplatCloud};
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 
 use car::Build;
 use focus::Focus;
 use layout::{Layout, Spot};
-use light::{Light, Occluder};
+use light::Light;
+use occluder::Occluder;
 use surface::Element;
+use weather::Air;
 
 /// What street to make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +59,25 @@ pub struct StreetOptions {
     pub sh_degree: u8,
     /// Everything random follows from it.
     pub seed: u64,
+    /// The light over the street. The splats are the same in each but for their colours.
+    pub weather: Weather,
+    /// The light in the assets.
+    pub asset_light: AssetLight,
+}
+
+impl Default for StreetOptions {
+    /// 200,000 splats of street and ten cars of 10,000, degree 3, on a sunny afternoon.
+    fn default() -> Self {
+        Self {
+            background: 200_000,
+            agents: 10,
+            agent_splats: 10_000,
+            sh_degree: 3,
+            seed: 1,
+            weather: Weather::Clear,
+            asset_light: AssetLight::Sun,
+        }
+    }
 }
 
 /// A street with its traffic and a vehicle that films it.
@@ -70,51 +98,70 @@ pub struct Street {
     pub rig: Rig,
     /// The ego's way (seconds, world from ego): 90 m straight, then a right turn at the crossing.
     pub ego: Vec<(f64, Pose)>,
+    /// Lanes of both streets and the ways over their crossing.
+    pub lanes: LaneMap,
     /// Seen where the dome of sky lets light through, display-referred RGB.
     pub sky: [f32; 3],
 }
-
-/// Towards the sun: half-way up, behind the ego on its right, so that it drives into lit fronts and short shadows.
-const TOWARDS_SUN: Vec3 = Vec3::new(-0.50, -0.36, 0.79);
-
-/// Towards the sun in an asset's frame. High, since the asset may head anywhere.
-const TOWARDS_SUN_ASSET: Vec3 = Vec3::new(-0.22, 0.18, 0.95);
 
 impl Street {
     /// The street of `options`.
     #[must_use]
     pub fn generate(options: &StreetOptions) -> Self {
-        let sh_degree = options.sh_degree.min(decouplegs_scene::sh::DEGREE_MAX);
         let layout = Layout::new(options.seed);
-        let light = Light::new(TOWARDS_SUN, occluders(&layout));
-        let focus = Focus::new();
-        let elements = background_elements(&layout, options.seed, &focus, light.towards_sun);
-        let background = emit::emit(&elements, options.background, sh_degree, options.seed, &light, &focus);
-
-        let asset_light = Light::new(TOWARDS_SUN_ASSET, vec![]);
-        let variants: Vec<(Build, car_paint::Paint)> = (0..traffic::asset_count(options.agents)).map(Build::of).collect();
-        let assets = variants
-            .par_iter()
-            .enumerate()
-            .map(|(variant, (build, paint))| {
-                let seed = options.seed.wrapping_add(variant as u64 + 1);
-                let mut elements = build.elements(*paint);
-                elements.push(build.shadow());
-                emit::emit(&elements, options.agent_splats, sh_degree, seed, &asset_light, &Focus::nowhere())
+        let background = background(options, &layout, vec![]);
+        let asset_count = traffic::asset_count(options.agents);
+        let assets = (0..asset_count)
+            .into_par_iter()
+            .map(|asset| {
+                let air = Air::of_assets(options.asset_light);
+                asset_in(options, asset, &Light::new(air, vec![]).on_asset(Quat::IDENTITY, Vec3::ZERO))
             })
             .collect();
-        let traffic = traffic::traffic(options.agents, variants.len(), options.seed);
+        let traffic = traffic::traffic(options.agents, asset_count, options.seed);
         Self {
             background,
             assets,
-            asset_dims_m: variants.iter().map(|(build, _)| build.size.to_array()).collect(),
+            asset_dims_m: (0..asset_count).map(|asset| Build::of(asset).0.size.to_array()).collect(),
             agents: traffic.agents,
             agent_trajectories: traffic.trajectories,
             rig: traffic::rig(),
             ego: traffic::ego(),
-            sky: sky::SKY_RGB,
+            lanes: lanes::lanes(),
+            sky: weather::sky_rgb(options.weather),
         }
     }
+}
+
+/// The static part, with what else stands in its light.
+fn background(options: &StreetOptions, layout: &Layout, others: Vec<Occluder>) -> SplatCloud {
+    let focus = Focus::new();
+    let elements = background_elements(layout, options.seed, &focus, options.weather);
+    let light = street_light(options.weather, layout, others);
+    emit::emit(&elements, options.background, sh_degree(options), options.seed, &light, &focus)
+}
+
+/// Asset `asset` in `light`, in its own frame.
+fn asset_in(options: &StreetOptions, asset: usize, light: &Light) -> SplatCloud {
+    let (build, paint) = Build::of(asset);
+    let mut elements = build.elements(paint);
+    if options.asset_light == AssetLight::Sun {
+        elements.push(build.shadow());
+    }
+    let seed = options.seed.wrapping_add(asset as u64 + 1);
+    emit::emit(&elements, options.agent_splats, sh_degree(options), seed, light, &Focus::nowhere())
+}
+
+fn sh_degree(options: &StreetOptions) -> u8 {
+    options.sh_degree.min(decouplegs_scene::sh::DEGREE_MAX)
+}
+
+/// The light on the street among its houses, trees and parked cars, and `others`.
+fn street_light(weather: Weather, layout: &Layout, others: Vec<Occluder>) -> Light {
+    let mut occluders = occluders(layout, weather);
+    occluders.extend(others);
+    let lamps = if weather == Weather::Night { layout.lamps.iter().map(furniture::lamp_light).collect() } else { vec![] };
+    Light::new(Air::of(weather), occluders).with_lamps(lamps)
 }
 
 /// The variant of a parked car.
@@ -123,9 +170,10 @@ fn variant_of(spot: &Spot) -> usize {
 }
 
 /// What throws shadows: houses, crowns and parked cars.
-fn occluders(layout: &Layout) -> Vec<Occluder> {
+fn occluders(layout: &Layout, weather: Weather) -> Vec<Occluder> {
     let mut occluders = Vec::new();
-    for lot in layout.lots.iter().filter(|lot| !lot.far) {
+    // Only a low sun throws the shadows of far houses into the street that is looked at.
+    for lot in layout.lots.iter().filter(|lot| !lot.far || weather == Weather::Dusk) {
         let (a, b) = (lot.translation(), lot.rotation() * lot.size + lot.translation());
         occluders.push(Occluder::Box { min: a.min(b), max: a.max(b) });
     }
@@ -141,7 +189,7 @@ fn occluders(layout: &Layout) -> Vec<Occluder> {
     occluders
 }
 
-fn background_elements(layout: &Layout, seed: u64, focus: &Focus, towards_sun: Vec3) -> Vec<Element> {
+fn background_elements(layout: &Layout, seed: u64, focus: &Focus, weather: Weather) -> Vec<Element> {
     let mut elements = road::road(seed);
     elements.extend(layout.lots.iter().filter(|lot| !lot.far).flat_map(building::building));
     elements.extend(layout.trees.iter().flat_map(tree::tree));
@@ -159,6 +207,6 @@ fn background_elements(layout: &Layout, seed: u64, focus: &Focus, towards_sun: V
     let mut elements: Vec<Element> = elements.into_iter().map(|element| focus.on(element)).collect();
     // What is far is as coarse as its distance allows from everywhere on the way.
     elements.extend(layout.lots.iter().filter(|lot| lot.far).flat_map(building::building));
-    elements.extend(sky::far_shell(seed, towards_sun));
+    elements.extend(sky::far_shell(seed, weather));
     elements
 }

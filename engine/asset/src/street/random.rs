@@ -25,6 +25,11 @@ impl Stream {
         Self { state: mix(mix(keyed).wrapping_add(index.wrapping_mul(GOLDEN))) }
     }
 
+    /// A sequence of its own that leaves this one where it is.
+    pub(super) fn aside(&self) -> Self {
+        Self { state: mix(self.state ^ 0x6c69_6768_7473) }
+    }
+
     pub(super) fn bits(&mut self) -> u64 {
         self.state = self.state.wrapping_add(GOLDEN);
         mix(self.state)

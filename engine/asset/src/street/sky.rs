@@ -6,6 +6,7 @@ use super::layout::{Axis, FAR_M, FRONT_M, LOT_DEPTH_M};
 use super::loft::Loft;
 use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
+use super::weather::{Air, Weather, lamplight};
 
 /// Radius of the dome, metres.
 pub(super) const DOME_RADIUS_M: f32 = 480.0;
@@ -13,8 +14,57 @@ pub(super) const DOME_RADIUS_M: f32 = 480.0;
 /// Radius of the hills' ring, metres.
 const HILLS_RADIUS_M: f32 = 400.0;
 
-/// Linear RGB of a clear afternoon sky and its clouds in the direction of `direction`, the sun towards `sun`.
-fn sky_colour(direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
+/// Linear RGB of the sky in the direction of `direction`, the sun towards `sun`.
+fn sky_colour(weather: Weather, direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
+    match weather {
+        Weather::Clear => clear_sky(direction, sun, seed),
+        Weather::Overcast => overcast_sky(direction, seed),
+        Weather::Dusk => dusk_sky(direction, sun, seed),
+        Weather::Night => night_sky(direction, seed),
+    }
+}
+
+/// How much clouds cover there: drawn on a plane, so that they shrink towards the horizon.
+fn cover(direction: Vec3, seed: u64, stretch: f32) -> f32 {
+    let plane = direction.truncate() / (direction.z.max(0.0) + 0.16);
+    fractal_noise(seed + 111, plane.x * 1.1 + 3.0, plane.y * stretch, 5)
+}
+
+/// A closed cover, brighter overhead, with darker billows.
+fn overcast_sky(direction: Vec3, seed: u64) -> Vec3 {
+    let height = direction.z.max(0.0);
+    let grey = display(196, 200, 204).lerp(display(222, 225, 229), 1.0 - (-2.5 * height).exp());
+    let billow = smoothstep(0.35, 0.7, cover(direction, seed, 1.7)) * smoothstep(0.0, 0.15, height);
+    grey * (1.0 - 0.30 * billow)
+}
+
+/// Gold about the sun, rose opposite to it, violet above, and thin clouds lit from below.
+fn dusk_sky(direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
+    let height = direction.z.max(0.0);
+    let facing = direction.truncate().normalize_or_zero().dot(sun.truncate().normalize_or_zero());
+    let sunward = smoothstep(-0.5, 1.0, facing);
+    let horizon = display(190, 138, 150).lerp(display(255, 176, 92), sunward);
+    let middle = display(126, 112, 158).lerp(display(196, 142, 142), sunward);
+    let zenith = display(62, 66, 118);
+    let clear = horizon.lerp(middle, 1.0 - (-7.0 * height).exp()).lerp(zenith, smoothstep(0.08, 0.75, height));
+    let glow = direction.dot(sun).max(0.0);
+    let clear = clear + Vec3::new(1.0, 0.52, 0.18) * (0.30 * glow.powi(12) + 0.6 * glow.powi(80) + 2.5 * glow.powi(900));
+    let clouds = smoothstep(0.52, 0.72, cover(direction, seed, 3.4)) * smoothstep(0.01, 0.10, height) * 0.8;
+    let lit = display(150, 104, 126).lerp(display(255, 158, 98), smoothstep(-0.2, 0.9, glow));
+    clear.lerp(lit, clouds)
+}
+
+/// Nearly black, with the light of the town over the horizon and under the clouds.
+fn night_sky(direction: Vec3, seed: u64) -> Vec3 {
+    let height = direction.z.max(0.0);
+    let town = display(64, 52, 46);
+    let clear = display(12, 15, 30).lerp(town, (-6.0 * height).exp());
+    let clouds = smoothstep(0.50, 0.75, cover(direction, seed, 1.7)) * smoothstep(0.02, 0.15, height);
+    clear.lerp(display(44, 40, 44), 0.6 * clouds)
+}
+
+/// A clear afternoon sky and its clouds.
+fn clear_sky(direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
     let height = direction.z.max(0.0);
     let horizon = display(206, 220, 232);
     let zenith = display(66, 124, 205);
@@ -30,14 +80,12 @@ fn sky_colour(direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
     clear.lerp(cloud, cover)
 }
 
-/// The colour of the air above the horizon, display-referred: what is seen where the dome lets light through.
-pub(super) const SKY_RGB: [f32; 3] = [0.70, 0.79, 0.89];
-
 /// Everything beyond the houses.
-pub(super) fn far_shell(seed: u64, towards_sun: Vec3) -> Vec<Element> {
+pub(super) fn far_shell(seed: u64, weather: Weather) -> Vec<Element> {
+    let towards_sun = Air::of(weather).towards_sun.normalize_or(Vec3::Z);
     let dome = Element::new(Shape::Dome { radius_m: DOME_RADIUS_M, low: -0.05 }, 0.0012, move |point: &SurfacePoint| {
         let direction = point.position.normalize_or(Vec3::Z);
-        Texel { emitted: Some(sky_colour(direction, towards_sun, seed)), ..Texel::matt(Vec3::ONE) }
+        Texel { emitted: Some(sky_colour(weather, direction, towards_sun, seed)), ..Texel::matt(Vec3::ONE) }
     });
     let mut elements = vec![dome];
     elements.push(hills(seed, HILLS_RADIUS_M, 34.0, 0.62));
@@ -109,7 +157,9 @@ fn towers(seed: u64) -> Vec<Element> {
             let bay = ((p.x + p.y) / 5.0).floor() as i32;
             let glass = (p.x + p.y).rem_euclid(5.0) > 1.6 && (p.z / 7.0).fract() > 0.45 && point.normal.z < 0.5;
             let albedo = if glass { display(112, 128, 148) * (0.85 + 0.3 * cell(tower, bay, storey)) } else { wall };
-            Texel { haze, ..Texel::matt(albedo) }
+            let lit = glass && cell(tower + 1, bay, storey) < 0.3;
+            let glow = if lit { lamplight() * (0.2 + 0.4 * cell(tower + 2, bay, storey)) } else { Vec3::ZERO };
+            Texel { haze, glow, ..Texel::matt(albedo) }
         };
         elements.extend(boxed(centre - half, centre + half + Vec3::Z * height_m, 0.011, texture));
     }
@@ -129,7 +179,7 @@ mod tests {
                 .map(|i| {
                     let azimuth = i as f32 / 64.0 * std::f32::consts::TAU;
                     let ring = (1.0 - height * height).sqrt();
-                    let colour = sky_colour(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), height), sun, 1);
+                    let colour = clear_sky(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), height), sun, 1);
                     colour.z - colour.x
                 })
                 .sum()

@@ -51,6 +51,8 @@ pub(super) struct Texel {
     pub weathered: bool,
     /// Linear RGB that replaces lit albedo: lamps and the sky.
     pub emitted: Option<Vec3>,
+    /// Linear RGB of its own light, shown as much as the weather has lamps lit.
+    pub glow: Vec3,
     /// Share of its opacity that a splat here loses: shadows laid over a ground that is not ours.
     pub sheer: f32,
 }
@@ -58,7 +60,17 @@ pub(super) struct Texel {
 impl Texel {
     /// A matt point of the given linear albedo.
     pub(super) fn matt(albedo: Vec3) -> Self {
-        Self { albedo, gloss: 0.0, openness: 1.0, translucency: 0.0, haze: 0.0, weathered: false, emitted: None, sheer: 0.0 }
+        Self {
+            albedo,
+            gloss: 0.0,
+            openness: 1.0,
+            translucency: 0.0,
+            haze: 0.0,
+            weathered: false,
+            emitted: None,
+            glow: Vec3::ZERO,
+            sheer: 0.0,
+        }
     }
 }
 
@@ -177,7 +189,7 @@ fn stratified(index: usize, count: usize, aspect: f32, random: &mut Stream) -> (
 pub(super) type Texture = Arc<dyn Fn(&SurfacePoint) -> Texel + Send + Sync>;
 
 /// How time changed a surface at a point.
-pub(super) type Weather = Arc<dyn Fn(&SurfacePoint) -> f32 + Send + Sync>;
+pub(super) type Weathering = Arc<dyn Fn(&SurfacePoint) -> f32 + Send + Sync>;
 
 /// One surface of the street.
 #[derive(Clone)]
@@ -186,7 +198,7 @@ pub(super) struct Element {
     pub texture: Texture,
     /// Factor on the albedo of weathered texels: slow variation, kept apart because the texture is also asked for
     /// edges, many times a splat.
-    pub weather: Option<Weather>,
+    pub weather: Option<Weathering>,
     /// Splats a square metre, relative to the asphalt's.
     pub density: f32,
     /// Whether the surface goes on in the same look beyond its border, which splats may then overhang.

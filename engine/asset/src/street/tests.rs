@@ -6,9 +6,18 @@ use std::hash::{Hash, Hasher};
 use decouplegs_scene::SplatCloud;
 use glam::{DVec3, Vec3};
 
-use super::{Street, StreetOptions, sky};
+use super::layout::Layout;
+use super::{AssetLight, Street, StreetOptions, Weather, furniture, sky};
 
-const SMALL: StreetOptions = StreetOptions { background: 60_000, agents: 14, agent_splats: 4_000, sh_degree: 3, seed: 9 };
+const SMALL: StreetOptions = StreetOptions {
+    background: 60_000,
+    agents: 14,
+    agent_splats: 4_000,
+    sh_degree: 3,
+    seed: 9,
+    weather: Weather::Clear,
+    asset_light: AssetLight::Sun,
+};
 
 fn hash(street: &Street) -> u64 {
     let mut hasher = DefaultHasher::new();
@@ -31,6 +40,34 @@ fn the_same_seed_gives_the_same_bits_on_any_number_of_threads() {
     assert_eq!(one, hash(&on_threads(1, &SMALL)), "twice on one thread");
     assert_eq!(one, hash(&on_threads(2, &SMALL)), "one thread and two");
     assert_ne!(one, hash(&on_threads(2, &StreetOptions { seed: 10, ..SMALL })), "the seed must matter");
+    for weather in [Weather::Overcast, Weather::Dusk, Weather::Night] {
+        let options = StreetOptions { background: 20_000, weather, ..SMALL };
+        assert_eq!(hash(&on_threads(1, &options)), hash(&on_threads(2, &options)), "{weather:?}");
+    }
+}
+
+/// Figures of earlier releases are of this street: what is added must leave it as it was. Sums rather than bits, which functions
+/// of the C library may round differently from one machine to the next.
+#[test]
+fn the_clear_street_and_its_sunlit_cars_are_what_they_were() {
+    let street = Street::generate(&SMALL);
+    let frozen = [
+        (&street.background, [-0.358_112_209, -0.328_467_123, -0.354_766_834, 0.422_052_496, 0.496_321_015, 5.314_217_242]),
+        (&street.assets[0], [-0.345_663_563, -0.324_978_186, -0.297_708_669, 0.477_371_978, 0.488_315_753, 0.178_925_274]),
+    ];
+    for (cloud, expected) in frozen {
+        let mean = |values: &mut dyn Iterator<Item = f32>| values.map(f64::from).sum::<f64>() / cloud.len() as f64;
+        let found = [
+            mean(&mut cloud.sh_dc.iter().map(|dc| dc[0])),
+            mean(&mut cloud.sh_dc.iter().map(|dc| dc[1])),
+            mean(&mut cloud.sh_dc.iter().map(|dc| dc[2])),
+            mean(&mut cloud.sh_rest.as_flattened().iter().map(|value| value.abs())),
+            mean(&mut cloud.opacities.iter().copied()),
+            mean(&mut cloud.scales.as_flattened().iter().copied()),
+        ];
+        let off = found.iter().zip(expected).map(|(a, b): (&f64, f64)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-6, "{found:?}; expected {expected:?}");
+    }
 }
 
 #[test]
@@ -38,7 +75,7 @@ fn counts_are_exact_at_every_size_and_degree() {
     for (background, agents, agent_splats, sh_degree) in
         [(0, 0, 0, 0), (1, 1, 1, 1), (777, 3, 10, 2), (50_000, 40, 1_234, 3), (2_000, 500, 5, 9)]
     {
-        let street = Street::generate(&StreetOptions { background, agents, agent_splats, sh_degree, seed: 1 });
+        let street = Street::generate(&StreetOptions { background, agents, agent_splats, sh_degree, ..SMALL });
         let check = |cloud: &SplatCloud, count: usize| {
             let lengths =
                 [cloud.means.len(), cloud.scales.len(), cloud.rotations.len(), cloud.opacities.len(), cloud.sh_dc.len()];
@@ -113,6 +150,35 @@ fn detail_is_near_the_road_and_the_shell_is_far() {
     assert!(near as f64 > 0.75 * cloud.len() as f64, "{near} of {} in the 200 m street", cloud.len());
     let far = cloud.means.iter().filter(|m| Vec3::from_array(**m).length() > 300.0).count();
     assert!(far > cloud.len() / 100, "{far} in the far shell");
+}
+
+/// At night asphalt is bright and warm below the lamps and darker between them; under clouds it is grey all over.
+#[test]
+fn lamps_lay_warm_pools_on_the_road_at_night() {
+    let layout = Layout::new(SMALL.seed);
+    let lamps: Vec<Vec3> = layout.lamps.iter().map(furniture::lamp_light).collect();
+    let road = |weather: Weather, from_m: f32, to_m: f32| -> Vec3 {
+        let cloud = Street::generate(&StreetOptions { weather, agents: 0, ..SMALL }).background;
+        let (mut sum, mut count) = (Vec3::ZERO, 0.0);
+        for (mean, dc) in cloud.means.iter().zip(&cloud.sh_dc) {
+            let at = Vec3::from_array(*mean);
+            let to_lamp_m = lamps.iter().map(|lamp| lamp.truncate().distance(at.truncate())).fold(f32::MAX, f32::min);
+            if at.x.abs() < 90.0 && at.y.abs() < 6.5 && at.z.abs() < 0.02 && (from_m..to_m).contains(&to_lamp_m) {
+                sum += Vec3::from_array(*dc) * 0.282_094_8 + 0.5;
+                count += 1.0;
+            }
+        }
+        assert!(count > 100.0, "{count} splats of road");
+        sum / count
+    };
+    let (below, away) = (road(Weather::Night, 0.0, 4.0), road(Weather::Night, 13.0, 30.0));
+    let (grey_below, grey_away) = (road(Weather::Overcast, 0.0, 4.0), road(Weather::Overcast, 13.0, 30.0));
+    for grey in [grey_below, grey_away] {
+        assert!((grey.x - grey.z).abs() < 0.02, "{grey}");
+    }
+    // Over what clouds show of the same road: paint is not spread evenly.
+    assert!(below.x / grey_below.x > 1.4 * away.x / grey_away.x, "{below} below lamps, {away} between them");
+    assert!(below.x > 1.4 * below.z, "{below}");
 }
 
 /// Metres from the nearest place that a camera passes, whose height over the road is 1.6 m.
@@ -190,7 +256,7 @@ fn cars_stand_on_the_road_in_their_box() {
 
 #[test]
 fn no_two_agents_overlap_nor_hit_the_ego() {
-    let street = Street::generate(&StreetOptions { background: 0, agents: 300, agent_splats: 0, sh_degree: 0, seed: 2 });
+    let street = Street::generate(&StreetOptions { background: 0, agents: 300, agent_splats: 0, sh_degree: 0, seed: 2, ..SMALL });
     let footprint = |pose: &decouplegs_scene::Pose, dims: [f32; 3]| {
         let half = (pose.rotation * DVec3::new(f64::from(dims[0]), f64::from(dims[1]), 0.0) * 0.5).abs();
         (pose.translation - half, pose.translation + half)

@@ -20,7 +20,7 @@ const EGO_TURN_SPEED_MPS: f64 = 5.0;
 /// Braking before the turn and accelerating after it, metres a second squared.
 const EGO_ACCELERATION_MPS2: f64 = 1.5;
 /// Radius of the ego's right turn into the crossing street: as wide as the kerb allows, metres.
-const EGO_TURN_RADIUS_M: f64 = 9.0;
+pub(super) const EGO_TURN_RADIUS_M: f64 = 9.0;
 /// Time between knots of the ego's trajectory, seconds.
 const EGO_STEP_S: f64 = 0.1;
 /// How long agents' trajectories are, seconds.

@@ -3,8 +3,8 @@
 use glam::Vec3;
 
 use super::layout::Spot;
-use super::light::Occluder;
 use super::loft::bar;
+use super::occluder::Occluder;
 use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 
