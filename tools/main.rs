@@ -6,6 +6,7 @@
 
 mod arguments;
 mod bench;
+mod calibrate_light;
 mod compare;
 mod compress;
 mod data_uri;
@@ -13,8 +14,10 @@ mod decompress;
 mod device;
 mod devices;
 mod inspect;
+mod map;
 mod plot;
 mod progress;
+mod register;
 mod render;
 mod scene_source;
 mod stress;
@@ -36,10 +39,13 @@ struct Program {
 enum Command {
     Render(render::Arguments),
     Inspect(inspect::Arguments),
+    Map(map::Arguments),
+    Register(Box<register::Arguments>),
     Decompress(decompress::Arguments),
     Compress(compress::Arguments),
     Compare(compare::Arguments),
     Synth(synth::Arguments),
+    CalibrateLight(calibrate_light::Arguments),
     Bench(bench::Arguments),
     Stress(Box<stress::Arguments>),
     Devices(devices::Arguments),
@@ -49,10 +55,13 @@ fn main() -> ExitCode {
     let done = match &Program::parse().command {
         Command::Render(arguments) => render::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
+        Command::Map(arguments) => map::run(arguments),
+        Command::Register(arguments) => register::run(arguments),
         Command::Decompress(arguments) => decompress::run(arguments),
         Command::Compress(arguments) => compress::run(arguments),
         Command::Compare(arguments) => compare::run(arguments),
         Command::Synth(arguments) => synth::run(arguments),
+        Command::CalibrateLight(arguments) => calibrate_light::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
         Command::Stress(arguments) => stress::run(arguments),
         Command::Devices(arguments) => devices::run(arguments),

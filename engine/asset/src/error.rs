@@ -69,6 +69,16 @@ pub enum AssetError {
         /// What it looks like, and what to do.
         found: String,
     },
+    /// A map or a table of tracks in no form that is read here.
+    #[error("{}: {found}; expected {expected}", path.display())]
+    Unrecognised {
+        /// The file.
+        path: PathBuf,
+        /// What it looks like.
+        found: String,
+        /// What is read.
+        expected: &'static str,
+    },
     /// A cloud that a format cannot hold.
     #[error("{}: the splats cannot be stored as {format}: {source}", path.display())]
     Encode {

@@ -1,4 +1,4 @@
-//! How a world is stored: splat files, compressed assets, cameras and scene files.
+//! How a world is stored: splat files, compressed assets, cameras, scene files, maps and tracks.
 //!
 //! One module a format. Each reader takes bytes that anyone may have written: it returns a [`DecodeError`] and neither
 //! panics nor allocates by a count that the bytes do not cover. Each writer goes through [`write_atomically`].
@@ -10,21 +10,29 @@ mod error;
 mod ply;
 mod read;
 mod summary;
+mod xml;
 
+pub mod calibrate;
 pub mod cameras;
 pub mod coded_asset;
 pub mod compress;
 pub mod compressed_ply;
 pub mod inria_ply;
+pub mod light_transfer_file;
+pub mod maps;
 pub mod scene_file;
 pub mod splat;
 pub mod spz;
 pub mod street;
+pub mod tracks;
 
 pub use atomic::write_atomically;
 pub use cameras::read_cameras;
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
 pub use error::{AssetError, DecodeError, EncodeError, SceneError};
+pub use light_transfer_file::{LightTransferFile, read_light_transfer, write_light_transfer};
+pub use maps::read_map;
 pub use read::{SplatFormat, read_splats};
-pub use scene_file::{LoadedAgent, LoadedScene, SceneAgent, SceneFile, open_scene};
+pub use scene_file::{LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, open_scene};
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
+pub use tracks::read_tracks;

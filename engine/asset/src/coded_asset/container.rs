@@ -17,23 +17,23 @@ const LENGTH_BYTES: usize = 8;
 const HEADER_BYTES_MAX: usize = 1 << 20;
 
 /// A file taken apart.
-pub(super) struct Container<'a> {
+pub(crate) struct Container<'a> {
     header: Metadata,
     data: &'a [u8],
 }
 
 /// A tensor to be written.
-pub(super) struct Tensor {
-    pub(super) name: &'static str,
-    pub(super) dtype: Dtype,
-    pub(super) shape: Vec<usize>,
+pub(crate) struct Tensor {
+    pub(crate) name: &'static str,
+    pub(crate) dtype: Dtype,
+    pub(crate) shape: Vec<usize>,
     /// Little endian, row-major.
-    pub(super) bytes: Vec<u8>,
+    pub(crate) bytes: Vec<u8>,
 }
 
 impl<'a> Container<'a> {
     /// Finds the tensors in `bytes`, which they fill to the end.
-    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, DecodeError> {
+    pub(crate) fn read(bytes: &'a [u8]) -> Result<Self, DecodeError> {
         let truncated = |what: &str, expected_bytes: u64, found: usize| DecodeError::Truncated {
             what: what.to_owned(),
             expected_bytes,
@@ -44,7 +44,8 @@ impl<'a> Container<'a> {
         };
         let header_bytes = u64::from_le_bytes(*length);
         if header_bytes > HEADER_BYTES_MAX as u64 {
-            let reason = format!("a header of {header_bytes} bytes; at most {HEADER_BYTES_MAX} are read: this is no coded asset");
+            let reason =
+                format!("a header of {header_bytes} bytes; at most {HEADER_BYTES_MAX} are read: this is no file of ours");
             return Err(DecodeError::Malformed(reason));
         }
         let Some((header, data)) = rest.split_at_checked(header_bytes as usize) else {
@@ -63,19 +64,19 @@ impl<'a> Container<'a> {
     }
 
     /// One string of the metadata.
-    pub(super) fn text(&self, key: &str) -> Result<&str, DecodeError> {
+    pub(crate) fn text(&self, key: &str) -> Result<&str, DecodeError> {
         let found = self.header.metadata().as_ref().and_then(|metadata| metadata.get(key));
         found.map(String::as_str).ok_or_else(|| DecodeError::Malformed(format!("the metadata have no '{key}'")))
     }
 
     /// All strings of the metadata whose key begins with `prefix`, by the rest of the key.
-    pub(super) fn texts_below(&self, prefix: &str) -> BTreeMap<String, String> {
+    pub(crate) fn texts_below(&self, prefix: &str) -> BTreeMap<String, String> {
         let below = |(key, value): (&String, &String)| Some((key.strip_prefix(prefix)?.to_owned(), value.clone()));
         self.header.metadata().iter().flatten().filter_map(below).collect()
     }
 
     /// The bytes of a tensor of `columns` values a row (or of no second axis) and how many rows it has.
-    pub(super) fn rows(&self, name: &str, dtype: Dtype, columns: &[usize]) -> Result<(&'a [u8], usize), DecodeError> {
+    pub(crate) fn rows(&self, name: &str, dtype: Dtype, columns: &[usize]) -> Result<(&'a [u8], usize), DecodeError> {
         let info = self.header.info(name).ok_or_else(|| DecodeError::Malformed(format!("the tensor '{name}' is missing")))?;
         match info.shape.split_first() {
             Some((&rows, rest)) if rest == columns && info.dtype == dtype => {
@@ -90,7 +91,7 @@ impl<'a> Container<'a> {
     }
 
     /// Refuses tensors that are not among `names`: what they hold would be lost unnoticed.
-    pub(super) fn check_names(&self, names: &[&str]) -> Result<(), DecodeError> {
+    pub(crate) fn check_names(&self, names: &[&str]) -> Result<(), DecodeError> {
         match self.header.offset_keys().iter().find(|name| !names.contains(&name.as_str())) {
             Some(name) => Err(DecodeError::Malformed(format!("there is no tensor '{name}' in this version of the format"))),
             None => Ok(()),
@@ -108,7 +109,7 @@ struct Header<'a> {
 }
 
 /// A file of `tensors`, in their order, which should put wider types first so that every tensor is aligned.
-pub(super) fn write(metadata: &BTreeMap<String, String>, tensors: &[Tensor]) -> Result<Vec<u8>, EncodeError> {
+pub(crate) fn write(metadata: &BTreeMap<String, String>, tensors: &[Tensor]) -> Result<Vec<u8>, EncodeError> {
     let mut end = 0;
     let infos = tensors.iter().map(|tensor| {
         let start = end;

@@ -3,7 +3,7 @@
 //! Twelve bytes a splat and two codebooks, readable from Python with the `safetensors` package alone. The format is
 //! documented, with an example, in `engine/asset/coded-asset.md`.
 
-mod container;
+pub(crate) mod container;
 mod metadata;
 mod summary;
 mod tensors;

@@ -10,7 +10,7 @@ mod importance;
 pub mod levels;
 mod options;
 mod prune;
-mod random;
+pub(crate) mod random;
 mod report;
 mod shape_space;
 mod symmetric;

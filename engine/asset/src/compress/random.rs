@@ -6,13 +6,13 @@ const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A sequence of random numbers.
 #[derive(Clone, Debug)]
-pub(super) struct Random {
+pub(crate) struct Random {
     state: u64,
 }
 
 impl Random {
     /// The sequence of `seed`.
-    pub(super) fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self { state: seed.wrapping_mul(GOLDEN) ^ 0x5bf0_3635 }
     }
 
@@ -24,18 +24,18 @@ impl Random {
     }
 
     /// Uniform in [0, 1).
-    pub(super) fn unit(&mut self) -> f64 {
+    pub(crate) fn unit(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / 9_007_199_254_740_992.0
     }
 
     /// Uniform in 0 to `count` - 1, which must not be empty.
-    pub(super) fn index(&mut self, count: usize) -> usize {
+    pub(crate) fn index(&mut self, count: usize) -> usize {
         ((u128::from(self.bits()) * count as u128) >> 64) as usize
     }
 
     /// `picked` distinct numbers below `count` in increasing order, all of them when there are no more
     /// (Knuth, The Art of Computer Programming 2, algorithm S).
-    pub(super) fn subset(&mut self, count: usize, picked: usize) -> Vec<usize> {
+    pub(crate) fn subset(&mut self, count: usize, picked: usize) -> Vec<usize> {
         let mut wanted = picked.min(count);
         let mut subset = Vec::with_capacity(wanted);
         for index in 0..count {

@@ -1,0 +1,149 @@
+//! What a probe's light makes of the ground about an agent: the descriptor that the light has at run time.
+//!
+//! At run time L(x) is the mean of the background's colours, so it tells what lit surroundings look like, not what shines on
+//! them. Here a reference ground stands in for the background: flat, grey, somewhat glossy.
+
+use std::f64::consts::PI;
+
+use decouplegs_scene::{AmbientDescriptor, sh};
+use glam::DVec3;
+
+use super::display::{to_display, to_linear};
+use super::probe::Probe;
+
+/// Sheen of a fully glossy surface, in coefficients of its colour for each unit of gloss, under a sun that a white surface
+/// facing it shows with [`SHEEN_SUN`]: bands 1 and 2. Those of the synthetic street (`street/emit.rs`).
+const SHEEN_BY_BAND: [f64; 3] = [0.0, 0.10, 0.07];
+
+/// E / pi of the sun to which [`SHEEN_BY_BAND`] refers; that of the synthetic street (`street/light.rs`).
+const SHEEN_SUN: f64 = 1.35;
+
+/// Weights of red, green and blue in luminance (Rec. 709).
+pub(super) const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
+
+/// The reference ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surroundings {
+    /// Linear albedo of all channels, above 0, at most 1. Asphalt is darker, concrete brighter than the default.
+    pub albedo: f64,
+    /// Strength of the view-dependent sheen, 0 to 1.
+    pub gloss: f64,
+}
+
+impl Default for Surroundings {
+    fn default() -> Self {
+        Self { albedo: 0.18, gloss: 0.35 }
+    }
+}
+
+impl Surroundings {
+    /// The descriptor where a white surface that faces up shows `up` (E / pi) and the sheen is `sheen`; both as exposed.
+    pub(super) fn descriptor(&self, up: [f64; 3], sheen: &[[f64; 3]; AmbientDescriptor::COEFFICIENTS]) -> AmbientDescriptor {
+        let mut coefficients = sheen.map(|rgb| rgb.map(|value| value as f32));
+        coefficients[0] = up.map(|white| (to_display(self.albedo * white) / sh::Y0) as f32);
+        AmbientDescriptor { coefficients }
+    }
+
+    /// The descriptor of the light that shows colours as they are: white, from everywhere.
+    #[must_use]
+    pub fn neutral(&self) -> AmbientDescriptor {
+        self.descriptor([1.0; 3], &[[0.0; 3]; AmbientDescriptor::COEFFICIENTS])
+    }
+
+    /// What light has to be multiplied by so that the ground's display value is `display` in luminance, where a white
+    /// surface that faces up shows `up` without. None in the dark.
+    pub(super) fn exposure(&self, up: [f64; 3], display: f64) -> Option<f64> {
+        let luminance: f64 = up.iter().zip(LUMA).map(|(value, weight)| value * weight).sum();
+        let exposure = to_linear(display) / (self.albedo * luminance);
+        exposure.is_finite().then_some(exposure)
+    }
+
+    /// Bands 1 and 2 of the ground's colour, linear in the light; DC is left at 0.
+    ///
+    /// A sun of radiant strength E / pi in direction s gives `gloss (E / pi / 1.35) max(0, s_z) w_l Y_lm(s mirrored in z)`,
+    /// as in the synthetic street, in whose convention Y is taken in the direction of view. The sky is a sun in every
+    /// direction, of which only what stands out from the sky's median counts: an even sky has no highlights. Unlike the
+    /// street's, the sheen keeps the colour of what is mirrored: with grey bands 1 and 2, 16 of the 28 columns of a
+    /// calibration would say what the others do.
+    #[must_use]
+    pub fn sheen(&self, probe: &Probe) -> [[f64; 3]; AmbientDescriptor::COEFFICIENTS] {
+        let median = median_of_sky(probe);
+        let mut sheen = [[0.0; 3]; AmbientDescriptor::COEFFICIENTS];
+        for (direction, steradians, rgb) in probe.rays().filter(|(direction, ..)| direction.z > 0.0) {
+            let basis = sh::basis(DVec3 { z: -direction.z, ..direction });
+            let share = self.gloss * steradians * direction.z / (PI * SHEEN_SUN);
+            for (k, coefficient) in sheen.iter_mut().enumerate().skip(1) {
+                let weight = share * SHEEN_BY_BAND[k.isqrt()] * basis[k];
+                (0..3).for_each(|channel| coefficient[channel] += weight * (rgb[channel] - median[channel]));
+            }
+        }
+        sheen
+    }
+}
+
+/// The radiance, per channel, that half of the upper hemisphere exceeds.
+fn median_of_sky(probe: &Probe) -> [f64; 3] {
+    std::array::from_fn(|channel| {
+        let mut sky: Vec<(f64, f64)> = probe
+            .rays()
+            .filter(|(direction, ..)| direction.z > 0.0)
+            .map(|(_, steradians, rgb)| (rgb[channel], steradians))
+            .collect();
+        sky.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let half = 0.5 * sky.iter().map(|(_, steradians)| steradians).sum::<f64>();
+        let mut passed = 0.0;
+        let middle = sky.iter().find(|(_, steradians)| {
+            passed += steradians;
+            passed >= half
+        });
+        middle.map_or(0.0, |(value, _)| *value)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An even sky with a sun of one pixel: E / pi of the sun, and the direction of the pixel's middle.
+    fn sun_and_sky(towards: DVec3, strength: f64, sky: f32) -> (Probe, DVec3) {
+        let even = Probe::from_fn("sky", 256, |_| [sky; 3]);
+        let nearest = |probe: &Probe| {
+            (0..probe.pixels().len()).max_by(|&a, &b| probe.direction(a).dot(towards).total_cmp(&probe.direction(b).dot(towards)))
+        };
+        let pixel = nearest(&even).unwrap();
+        let mut pixels = even.pixels().to_vec();
+        pixels[pixel] = [sky + (strength * PI / even.solid_angle(pixel)) as f32; 3];
+        (Probe::new("sun", even.width(), even.height(), pixels), even.direction(pixel))
+    }
+
+    #[test]
+    fn a_sun_draws_the_sheen_that_the_synthetic_street_draws_whatever_the_sky() {
+        let ground = Surroundings::default();
+        for sky in [0.0, 0.3] {
+            let (probe, sun) = sun_and_sky(DVec3::new(-0.5, -0.36, 0.79).normalize(), 1.35, sky);
+            let sheen = ground.sheen(&probe);
+            // street/emit.rs, view_dependence: gloss, the cosine, the band's weight, Y in the mirrored direction.
+            let lobe = sh::basis(sun - 2.0 * sun.z * DVec3::Z);
+            for k in 1..9 {
+                let expected = 0.35 * sun.z * if k < 4 { 0.10 } else { 0.07 } * lobe[k];
+                for value in sheen[k] {
+                    assert!((value - expected).abs() < 2e-6, "coefficient {k}, sky {sky}: {value}, expected {expected}");
+                }
+            }
+            assert!(sheen[6][0].abs() > 1e-3, "a sheen of nothing is no test");
+        }
+    }
+
+    #[test]
+    fn exposure_brings_the_ground_to_the_value_asked_for() {
+        let ground = Surroundings::default();
+        let up = [0.4, 0.4, 0.4];
+        for display in [0.12, 0.55, 0.9] {
+            let exposure = ground.exposure(up, display).unwrap();
+            let shown = ground.descriptor(up.map(|value| value * exposure), &[[0.0; 3]; 9]).mean()[1];
+            assert!((f64::from(shown) - display).abs() < 1e-6, "{shown} for {display}");
+        }
+        assert_eq!(ground.exposure([0.0; 3], 0.5), None);
+        assert!((f64::from(ground.neutral().mean()[0]) - 0.18f64.powf(1.0 / 2.2)).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,192 @@
+//! Our own lanes: JSON that can be written by hand or by a script from any source.
+//!
+//! ```json
+//! {"version": 1, "lanes": [
+//!   {"id": "a", "centreline": [[0, 0], [50, 0]]},
+//!   {"id": "b", "kind": "driving", "centreline": [[50, 0, 1.5], [90, 8, 1.5]], "left": [[50, 2, 1.5], [90, 10, 1.5]],
+//!    "right": [[50, -2, 1.5], [90, 6, 1.5]], "successors": ["a"], "left_neighbour": null, "speed_limit_mps": 13.9}
+//! ]}
+//! ```
+//!
+//! A lane needs its id, a text or a whole number, and its centreline, world coordinates in metres in driving direction. Points
+//! of two numbers have no height: where a lane has one, or says `"has_height": false`, its z is 0. `kind` is one of
+//! [`LaneKind::by_name`]'s, driving where absent. Links name lanes of the same file; predecessors follow from successors.
+//! `offset` (see [`LaneMap::offset`]) is zero where absent. Keys that are not known are refused, so that no typing error
+//! passes for an absent key.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use decouplegs_scene::{Lane, LaneKind, LaneMap};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use super::links::{Places, join};
+use super::polyline::cleaned;
+use crate::xml::excerpt;
+use crate::{AssetError, DecodeError, write_atomically};
+
+/// The version that is written, and the only one there is.
+pub const VERSION: u32 = 1;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    version: Option<u32>,
+    offset: Option<[f64; 3]>,
+    lanes: Vec<LaneForm>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct LaneForm {
+    id: Id,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    kind: Option<String>,
+    #[serde(alias = "centerline")]
+    centreline: Vec<Point>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    left: Vec<Point>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    right: Vec<Point>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    has_height: Option<bool>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    successors: Vec<Id>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    left_neighbour: Option<Id>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    right_neighbour: Option<Id>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    speed_limit_mps: Option<f64>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(untagged, expecting = "expected an id: a text or a whole number")]
+enum Id {
+    Text(String),
+    Number(i64),
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(untagged, expecting = "expected a point of 2 or 3 numbers")]
+enum Point {
+    Solid([f64; 3]),
+    Flat([f64; 2]),
+}
+
+impl Id {
+    fn into_text(self) -> String {
+        match self {
+            Self::Text(text) => text,
+            Self::Number(number) => number.to_string(),
+        }
+    }
+}
+
+/// Reads lanes from the bytes of a file.
+///
+/// # Errors
+/// A [`DecodeError`] that names the line or the lane at fault.
+pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
+    let file: File = serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
+    if let Some(version) = file.version.filter(|version| *version != VERSION) {
+        return Err(DecodeError::Unsupported(format!("version {version}; version {VERSION} is read")));
+    }
+    let mut lanes = Vec::with_capacity(file.lanes.len());
+    let mut links = Vec::with_capacity(file.lanes.len());
+    for mut form in file.lanes {
+        links.push((std::mem::take(&mut form.successors), form.left_neighbour.take(), form.right_neighbour.take()));
+        lanes.push(form.into_lane()?);
+    }
+    let places = Places::of(&lanes)?;
+    for (at, (successors, left, right)) in links.into_iter().enumerate() {
+        let place = |id: Id| {
+            let id = id.into_text();
+            let from = excerpt(&lanes[at].id);
+            let missing = || DecodeError::Malformed(format!("lane {from} names lane {}, which is not there", excerpt(&id)));
+            places.get(&id).ok_or_else(missing)
+        };
+        let next = successors.into_iter().map(place).collect::<Result<Vec<_>, _>>()?;
+        let (left, right) = (left.map(place).transpose()?, right.map(place).transpose()?);
+        (lanes[at].left_neighbour, lanes[at].right_neighbour) = (left, right);
+        next.into_iter().for_each(|next| join(&mut lanes, at, next));
+    }
+    super::finished(lanes, DVec3::from_array(file.offset.unwrap_or_default()))
+}
+
+impl LaneForm {
+    fn into_lane(self) -> Result<Lane, DecodeError> {
+        let id = self.id.into_text();
+        let kind = match self.kind {
+            None => LaneKind::Driving,
+            Some(name) => LaneKind::by_name(&name).ok_or_else(|| {
+                let kinds = "driving, bicycle, walking, parking or other";
+                DecodeError::Malformed(format!("lane {}: the kind '{}'; expected {kinds}", excerpt(&id), excerpt(&name)))
+            })?,
+        };
+        if let Some(limit) = self.speed_limit_mps.filter(|limit| *limit <= 0.0) {
+            return Err(DecodeError::Malformed(format!("lane {}: a speed limit of {limit} m/s; expected more", excerpt(&id))));
+        }
+        let mut points = self.centreline.iter().chain(&self.left).chain(&self.right);
+        let is_solid = points.all(|point| matches!(point, Point::Solid(_)));
+        if self.has_height == Some(true) && !is_solid {
+            return Err(DecodeError::Malformed(format!("lane {}: has_height, but a point of two numbers", excerpt(&id))));
+        }
+        let has_height = is_solid && self.has_height != Some(false);
+        let line = |points: Vec<Point>| {
+            cleaned(points.into_iter().map(|point| match point {
+                Point::Solid([x, y, z]) => DVec3::new(x, y, if has_height { z } else { 0.0 }),
+                Point::Flat([x, y]) => DVec3::new(x, y, 0.0),
+            }))
+        };
+        let [centreline, left, right] = [self.centreline, self.left, self.right].map(line);
+        Ok(Lane { id, kind, centreline, left, right, has_height, speed_limit_mps: self.speed_limit_mps, ..Lane::default() })
+    }
+
+    fn of(lane: &Lane, all: &[Lane]) -> Self {
+        let line = |points: &[DVec3]| -> Vec<Point> {
+            let point = |point: &DVec3| match lane.has_height {
+                true => Point::Solid(point.to_array()),
+                false => Point::Flat([point.x, point.y]),
+            };
+            points.iter().map(point).collect()
+        };
+        let id = |at: usize| Id::Text(all[at].id.clone());
+        Self {
+            id: Id::Text(lane.id.clone()),
+            kind: Some(lane.kind.name().to_owned()),
+            centreline: line(&lane.centreline),
+            left: line(&lane.left),
+            right: line(&lane.right),
+            has_height: Some(lane.has_height),
+            successors: lane.successors.iter().copied().map(id).collect(),
+            left_neighbour: lane.left_neighbour.map(id),
+            right_neighbour: lane.right_neighbour.map(id),
+            speed_limit_mps: lane.speed_limit_mps,
+        }
+    }
+}
+
+/// The bytes of a file that holds `map`, a lane a line; numbers come back to the last bit.
+///
+/// # Errors
+/// A sentence on what is wrong with the map, see [`LaneMap::check`].
+pub fn encode(map: &LaneMap) -> Result<Vec<u8>, String> {
+    map.check()?;
+    let lanes = map.lanes.iter().map(|lane| serde_json::to_string(&LaneForm::of(lane, &map.lanes)));
+    let lanes = lanes.collect::<Result<Vec<_>, _>>().map_err(|error| error.to_string())?;
+    let offset = serde_json::to_string(&map.offset.to_array()).map_err(|error| error.to_string())?;
+    Ok(format!("{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]}}\n", lanes.join(",\n")).into_bytes())
+}
+
+/// Writes `map` to `path`, whole or not at all.
+///
+/// # Errors
+/// [`AssetError::Write`].
+pub fn write(path: &Path, map: &LaneMap) -> Result<(), AssetError> {
+    let refused =
+        |reason| AssetError::Write { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) };
+    let bytes = encode(map).map_err(refused)?;
+    write_atomically(path, |file| file.write_all(&bytes))
+}

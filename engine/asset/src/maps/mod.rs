@@ -1,0 +1,175 @@
+//! Maps of lanes: OpenDRIVE, Lanelet2, Argoverse 2, CommonRoad and our own JSON.
+//!
+//! Every reader gives a [`LaneMap`]: borders and a centreline in driving direction, metres, x east and y north where the file
+//! knows of such, and how lanes join. Coordinates are the file's own ([`LaneMap::offset`] is zero); latitudes and longitudes
+//! are projected, see [`projection`]. A link to a lane that the file does not hold is dropped, as maps are often cut out of
+//! larger ones (our own JSON, which is written whole, is refused instead); an id that two lanes have is refused, and so is a
+//! map without lanes.
+
+pub mod argoverse2;
+mod budget;
+pub mod commonroad;
+pub mod lane_json;
+pub mod lanelet2;
+mod links;
+pub mod open_drive;
+mod polyline;
+pub mod projection;
+
+use std::path::Path;
+
+use decouplegs_scene::{Lane, LaneMap};
+use glam::DVec3;
+
+use crate::error::read_bytes;
+use crate::{AssetError, DecodeError};
+
+pub use polyline::length_m;
+
+/// Larger coordinates are no place on Earth, metres.
+const COORDINATE_MAX_M: f64 = 1e8;
+
+/// The formats of maps that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapFormat {
+    /// ASAM OpenDRIVE, `.xodr`.
+    OpenDrive,
+    /// Lanelet2 in OpenStreetMap's XML, `.osm`.
+    Lanelet2,
+    /// Argoverse 2, `log_map_archive_*.json`.
+    Argoverse2,
+    /// CommonRoad scenarios, `.xml`.
+    CommonRoad,
+    /// Our own, see [`lane_json`].
+    LaneJson,
+}
+
+impl MapFormat {
+    /// What users call it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::OpenDrive => "OpenDRIVE",
+            Self::Lanelet2 => "Lanelet2",
+            Self::Argoverse2 => "Argoverse 2 map",
+            Self::CommonRoad => "CommonRoad",
+            Self::LaneJson => "lane JSON",
+        }
+    }
+
+    /// The format of `bytes`, told by the names in them.
+    ///
+    /// # Errors
+    /// A sentence on what was found.
+    pub fn detect(bytes: &[u8]) -> Result<Self, String> {
+        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
+        match text.first() {
+            Some(b'<') => {
+                let named =
+                    |name: &str| text.windows(name.len()).take(ROOT_WITHIN_BYTES).position(|part| part == name.as_bytes());
+                let roots = [("<OpenDRIVE", Self::OpenDrive), ("<osm", Self::Lanelet2), ("<commonRoad", Self::CommonRoad)];
+                let first =
+                    roots.into_iter().filter_map(|(name, format)| Some((named(name)?, format))).min_by_key(|found| found.0);
+                first.map(|(_, format)| format).ok_or_else(|| "XML of another kind".to_owned())
+            }
+            Some(b'{') if has_key(text, "lane_segments") => Ok(Self::Argoverse2),
+            Some(b'{') => Ok(Self::LaneJson),
+            Some(_) => Err("neither XML nor a JSON object".to_owned()),
+            None => Err("the file is empty".to_owned()),
+        }
+    }
+}
+
+/// A root element starts within so many bytes of its file.
+const ROOT_WITHIN_BYTES: usize = 1 << 16;
+
+/// Whether `text` is a JSON object with `key`; what is no JSON is its reader's to explain.
+fn has_key(text: &[u8], key: &str) -> bool {
+    type Object = std::collections::HashMap<String, serde::de::IgnoredAny>;
+    serde_json::from_slice::<Object>(text).is_ok_and(|object| object.contains_key(key))
+}
+
+/// Reads the lanes of a map in any format, told by its content.
+///
+/// # Errors
+/// [`AssetError::Read`], [`AssetError::Unrecognised`] or [`AssetError::Decode`].
+pub fn read_map(path: &Path) -> Result<LaneMap, AssetError> {
+    let bytes = read_bytes(path)?;
+    let format = MapFormat::detect(&bytes).map_err(|found| AssetError::Unrecognised {
+        path: path.to_owned(),
+        found,
+        expected: "a map: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad XML",
+    })?;
+    decode(&bytes, format).map_err(|source| AssetError::Decode { path: path.to_owned(), format: format.name(), source })
+}
+
+/// Reads the lanes of a map from the bytes of its file.
+///
+/// # Errors
+/// A [`DecodeError`] that names the line, element or lane at fault.
+pub fn decode(bytes: &[u8], format: MapFormat) -> Result<LaneMap, DecodeError> {
+    match format {
+        MapFormat::OpenDrive => open_drive::decode(bytes),
+        MapFormat::Lanelet2 => lanelet2::decode(bytes),
+        MapFormat::Argoverse2 => argoverse2::decode(bytes),
+        MapFormat::CommonRoad => commonroad::decode(bytes),
+        MapFormat::LaneJson => lane_json::decode(bytes),
+    }
+}
+
+/// The map of `lanes`, their links in order.
+///
+/// # Errors
+/// A [`DecodeError`] where there are none or one of them is no lane.
+fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError> {
+    if lanes.is_empty() {
+        return Err(DecodeError::Malformed("the file holds no lane; expected at least one".into()));
+    }
+    links::tidy(&mut lanes);
+    let map = LaneMap { lanes, offset };
+    map.check().map_err(DecodeError::Malformed)?;
+    for lane in &map.lanes {
+        let mut points = lane.centreline.iter().chain(&lane.left).chain(&lane.right);
+        if let Some(point) = points.find(|point| point.abs().max_element() > COORDINATE_MAX_M) {
+            let id = &lane.id;
+            return Err(DecodeError::Malformed(format!("lane {id}: a point at {point} m, which is no place on Earth")));
+        }
+    }
+    Ok(map)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn formats_are_told_by_content() {
+        for (text, expected) in [
+            ("<?xml version='1.0'?>\n<OpenDRIVE>", Ok(MapFormat::OpenDrive)),
+            ("\u{feff} <osm version='0.6'>", Ok(MapFormat::Lanelet2)),
+            ("<!-- not <osm --><commonRoad>", Ok(MapFormat::Lanelet2)),
+            ("<commonRoad>", Ok(MapFormat::CommonRoad)),
+            ("{\"lane_segments\": {}}", Ok(MapFormat::Argoverse2)),
+            ("{\"lanes\": []}", Ok(MapFormat::LaneJson)),
+            ("{broken", Ok(MapFormat::LaneJson)),
+            ("<html>", Err("XML of another kind".to_owned())),
+            ("[1]", Err("neither XML nor a JSON object".to_owned())),
+            ("", Err("the file is empty".to_owned())),
+        ] {
+            assert_eq!(MapFormat::detect(text.as_bytes()), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn errors_name_the_file_and_what_is_expected() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.xodr");
+        assert!(read_map(&path).unwrap_err().to_string().contains("a.xodr"));
+        std::fs::write(&path, "[]").unwrap();
+        let error = read_map(&path).unwrap_err().to_string();
+        assert!(error.contains("a.xodr") && error.contains("OpenDRIVE (.xodr)"), "{error}");
+        std::fs::write(&path, "<OpenDRIVE/>").unwrap();
+        let error = read_map(&path).unwrap_err().to_string();
+        assert!(error.contains("not a readable OpenDRIVE file") && error.contains("no lane"), "{error}");
+    }
+}

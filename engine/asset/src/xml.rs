@@ -1,0 +1,132 @@
+//! XML as the readers of maps and tracks take it: errors with lines, numbers that are finite, and no document types, so that
+//! no entity grows.
+
+use roxmltree::{Document, Node};
+
+use crate::DecodeError;
+
+/// The document that `bytes` hold.
+pub(crate) fn parse(bytes: &[u8]) -> Result<Document<'_>, DecodeError> {
+    let text = std::str::from_utf8(bytes)
+        .map_err(|error| DecodeError::Malformed(format!("{error}; expected XML in UTF-8, without which it is not read")))?;
+    Document::parse(text).map_err(|error| DecodeError::Malformed(format!("not XML that is read here: {error}")))
+}
+
+/// An element of a document.
+#[derive(Clone, Copy)]
+pub(crate) struct Element<'a>(Node<'a, 'a>);
+
+impl<'a> Element<'a> {
+    /// The root, which must have `name`.
+    pub(crate) fn root(document: &'a Document<'a>, name: &str) -> Result<Self, DecodeError> {
+        let root = Self(document.root_element());
+        if root.name() == name { Ok(root) } else { Err(root.fault(format!("the root is no <{name}>"))) }
+    }
+
+    /// Its name without a namespace.
+    pub(crate) fn name(self) -> &'a str {
+        self.0.tag_name().name()
+    }
+
+    /// All elements in it.
+    pub(crate) fn elements(self) -> impl Iterator<Item = Self> {
+        self.0.children().filter(Node::is_element).map(Self)
+    }
+
+    /// The elements in it that have `name`.
+    pub(crate) fn all(self, name: &str) -> impl Iterator<Item = Self> {
+        self.elements().filter(move |element| element.name() == name)
+    }
+
+    /// The first element in it that has `name`.
+    pub(crate) fn first(self, name: &str) -> Option<Self> {
+        self.all(name).next()
+    }
+
+    /// As [`Element::first`], where there must be one.
+    pub(crate) fn needed(self, name: &str) -> Result<Self, DecodeError> {
+        self.first(name).ok_or_else(|| self.fault(format!("it has no <{name}>")))
+    }
+
+    /// What an attribute says.
+    pub(crate) fn attribute(self, name: &str) -> Option<&'a str> {
+        self.0.attribute(name).map(str::trim)
+    }
+
+    /// As [`Element::attribute`], where there must be one.
+    pub(crate) fn needed_attribute(self, name: &str) -> Result<&'a str, DecodeError> {
+        self.attribute(name).ok_or_else(|| self.fault(format!("it has no attribute '{name}'")))
+    }
+
+    /// The number in an attribute.
+    pub(crate) fn number(self, name: &str) -> Result<f64, DecodeError> {
+        let text = self.needed_attribute(name)?;
+        finite(text).ok_or_else(|| self.fault(format!("{name}=\"{}\" is no finite number", excerpt(text))))
+    }
+
+    /// As [`Element::number`], or `otherwise` where the attribute is absent.
+    pub(crate) fn number_or(self, name: &str, otherwise: f64) -> Result<f64, DecodeError> {
+        if self.attribute(name).is_some() { self.number(name) } else { Ok(otherwise) }
+    }
+
+    /// The text in it, trimmed; empty where there is none.
+    pub(crate) fn text(self) -> &'a str {
+        self.0.text().unwrap_or_default().trim()
+    }
+
+    /// The number that its text is.
+    pub(crate) fn text_number(self) -> Result<f64, DecodeError> {
+        finite(self.text()).ok_or_else(|| self.fault(format!("'{}' is no finite number", excerpt(self.text()))))
+    }
+
+    /// What is wrong with it, with its line and name.
+    pub(crate) fn fault(self, reason: impl AsRef<str>) -> DecodeError {
+        let line = self.0.document().text_pos_at(self.0.range().start).row;
+        DecodeError::Malformed(format!("line {line}, <{}>: {}", excerpt(self.name()), reason.as_ref()))
+    }
+}
+
+/// The finite number that `text` is.
+pub(crate) fn finite(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|number: &f64| number.is_finite())
+}
+
+/// The start of `text`, short enough for a sentence.
+pub(crate) fn excerpt(text: &str) -> String {
+    const CHARS_MAX: usize = 60;
+    match text.char_indices().nth(CHARS_MAX) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_has_its_line_and_name() {
+        let document = parse(b"<a>\n<b x='1e999' y=' 2 '/>\n</a>").unwrap();
+        let root = Element::root(&document, "a").unwrap();
+        let error = root.first("b").unwrap().number("x").unwrap_err().to_string();
+        assert_eq!(error, "line 2, <b>: x=\"1e999\" is no finite number");
+        assert_eq!(root.first("b").unwrap().number("y"), Ok(2.0));
+        assert!(root.needed("c").is_err_and(|error| error.to_string().contains("<c>")));
+        assert!(Element::root(&document, "z").is_err());
+    }
+
+    #[test]
+    fn document_types_and_other_encodings_are_refused() {
+        let bomb = b"<!DOCTYPE a [<!ENTITY b 'bb'><!ENTITY c '&b;&b;&b;'>]><a>&c;</a>";
+        assert!(parse(bomb).is_err());
+        assert!(parse(b"\xff\xfe<\0a\0").unwrap_err().to_string().contains("UTF-8"));
+    }
+
+    #[test]
+    fn depth_costs_no_stack() {
+        let deep = "<a>".repeat(200_000) + &"</a>".repeat(200_000);
+        let document = parse(deep.as_bytes()).unwrap();
+        assert_eq!(Element::root(&document, "a").unwrap().elements().count(), 1);
+        assert!(parse("<a>".repeat(200_000).as_bytes()).is_err());
+    }
+}

@@ -1,0 +1,198 @@
+//! Lines measured along their length, with headings that do not jump.
+
+use glam::{DVec2, DVec3};
+
+/// A line of at least two points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Polyline {
+    points: Vec<DVec3>,
+    /// Length up to each point, metres, from above: heights do not count.
+    arcs: Vec<f64>,
+    /// Heading at each point, the middle of those before and behind it; unwrapped, so that neighbours differ by less than pi.
+    headings: Vec<f64>,
+}
+
+/// The place on a line nearest to a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Foot {
+    /// Length along the line up to it, metres.
+    pub arc_m: f64,
+    /// The place itself.
+    pub point: DVec3,
+    /// Heading of the line there, radians, interpolated between its points.
+    pub heading_rad: f64,
+    /// From the line to the point, across, metres: to the left is positive.
+    pub lateral_m: f64,
+    /// From the line to the point, metres; more than the lateral offset beyond the line's ends.
+    pub distance_m: f64,
+}
+
+/// Points nearer to each other than this are one, metres.
+const SAME_POINT_M: f64 = 1e-6;
+
+impl Polyline {
+    /// The line through `points`, repeated ones left out; `None` where fewer than two are left or one is not finite.
+    #[must_use]
+    pub fn new(points: impl IntoIterator<Item = DVec3>) -> Option<Self> {
+        let mut kept: Vec<DVec3> = Vec::new();
+        for point in points {
+            if !point.is_finite() {
+                return None;
+            }
+            if kept.last().is_none_or(|last| last.truncate().distance(point.truncate()) > SAME_POINT_M) {
+                kept.push(point);
+            }
+        }
+        if kept.len() < 2 {
+            return None;
+        }
+        let mut arcs = vec![0.0];
+        for pair in kept.windows(2) {
+            arcs.push(arcs[arcs.len() - 1] + pair[0].truncate().distance(pair[1].truncate()));
+        }
+        arcs[arcs.len() - 1].is_finite().then(|| Self { headings: vertex_headings(&kept), points: kept, arcs })
+    }
+
+    /// The points it goes through.
+    #[must_use]
+    pub fn points(&self) -> &[DVec3] {
+        &self.points
+    }
+
+    /// Metres from end to end.
+    #[must_use]
+    pub fn length_m(&self) -> f64 {
+        self.arcs[self.arcs.len() - 1]
+    }
+
+    /// Length up to each of [`Polyline::points`], metres.
+    #[must_use]
+    pub fn arcs_m(&self) -> &[f64] {
+        &self.arcs
+    }
+
+    /// The place `arc_m` along it, its ends beyond them.
+    #[must_use]
+    pub fn at(&self, arc_m: f64) -> DVec3 {
+        let (segment, share) = self.locate(arc_m);
+        self.points[segment].lerp(self.points[segment + 1], share)
+    }
+
+    /// Heading `arc_m` along it, radians; not wrapped to a turn.
+    #[must_use]
+    pub fn heading_at(&self, arc_m: f64) -> f64 {
+        let (segment, share) = self.locate(arc_m);
+        self.headings[segment] + share * (self.headings[segment + 1] - self.headings[segment])
+    }
+
+    /// Height a metre along it at `arc_m`.
+    #[must_use]
+    pub fn grade_at(&self, arc_m: f64) -> f64 {
+        let (segment, _) = self.locate(arc_m);
+        (self.points[segment + 1].z - self.points[segment].z) / (self.arcs[segment + 1] - self.arcs[segment])
+    }
+
+    fn locate(&self, arc_m: f64) -> (usize, f64) {
+        let segment = self.segment_at(arc_m);
+        let share = (arc_m - self.arcs[segment]) / (self.arcs[segment + 1] - self.arcs[segment]);
+        (segment, share.clamp(0.0, 1.0))
+    }
+
+    fn segment_at(&self, arc_m: f64) -> usize {
+        self.arcs.partition_point(|&arc| arc <= arc_m).saturating_sub(1).min(self.points.len() - 2)
+    }
+
+    /// The place nearest to `at`.
+    #[must_use]
+    pub fn project(&self, at: DVec2) -> Foot {
+        self.project_within(at, f64::NEG_INFINITY, f64::INFINITY)
+    }
+
+    /// The place nearest to `at` between two lengths along the line.
+    #[must_use]
+    pub fn project_within(&self, at: DVec2, from_m: f64, to_m: f64) -> Foot {
+        let (from_m, to_m) = (from_m.clamp(0.0, self.length_m()), to_m.clamp(0.0, self.length_m()));
+        let segments = self.segment_at(from_m)..=self.segment_at(to_m);
+        let nearest = |segment: usize| {
+            let arc_m = self.arcs[segment] + self.share_of(segment, at) * (self.arcs[segment + 1] - self.arcs[segment]);
+            let arc_m = arc_m.clamp(from_m, to_m.max(from_m));
+            (self.at(arc_m).truncate().distance_squared(at), arc_m)
+        };
+        let best = segments.map(nearest).min_by(|a, b| a.0.total_cmp(&b.0));
+        self.foot(at, best.map_or(from_m, |best| best.1))
+    }
+
+    /// How far along segment `segment` the place nearest to `at` lies, 0 to 1.
+    pub(crate) fn share_of(&self, segment: usize, at: DVec2) -> f64 {
+        let (a, b) = (self.points[segment].truncate(), self.points[segment + 1].truncate());
+        ((at - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0)
+    }
+
+    /// The foot of `at` where it is known to be `arc_m` along the line.
+    pub(crate) fn foot(&self, at: DVec2, arc_m: f64) -> Foot {
+        let (point, heading_rad) = (self.at(arc_m), self.heading_at(arc_m));
+        let off = at - point.truncate();
+        // Across the segment itself: the interpolated heading would lean where the line is coarse.
+        let segment = self.segment_at(arc_m);
+        let along = (self.points[segment + 1] - self.points[segment]).truncate().normalize_or_zero();
+        let lateral_m = along.perp_dot(off);
+        Foot { arc_m, point, heading_rad, lateral_m, distance_m: off.length() }
+    }
+}
+
+/// Angles between neighbours by the shorter way around.
+fn vertex_headings(points: &[DVec3]) -> Vec<f64> {
+    let mut segments: Vec<f64> = Vec::with_capacity(points.len() - 1);
+    for pair in points.windows(2) {
+        let heading = (pair[1] - pair[0]).truncate().to_angle();
+        let last = segments.last().copied().unwrap_or(heading);
+        segments.push(last + wrapped(heading - last));
+    }
+    let last = segments.len() - 1;
+    (0..points.len()).map(|at| 0.5 * (segments[at.saturating_sub(1)] + segments[at.min(last)])).collect()
+}
+
+/// The same angle between -pi and pi.
+#[must_use]
+pub fn wrapped(angle_rad: f64) -> f64 {
+    angle_rad - std::f64::consts::TAU * (angle_rad / std::f64::consts::TAU).round()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_offsets_and_headings_are_those_of_the_line() {
+        let line = Polyline::new([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [10.0, 10.0, 1.0]].map(DVec3::from_array))
+            .unwrap();
+        assert_eq!((line.points().len(), line.length_m()), (3, 20.0));
+        let foot = line.project(DVec2::new(4.0, 0.5));
+        assert_eq!((foot.arc_m, foot.lateral_m, foot.point.z), (4.0, 0.5, 0.4));
+        let beyond = line.project(DVec2::new(10.5, 13.0));
+        assert!((beyond.arc_m - 20.0).abs() < 1e-12 && beyond.distance_m > 3.0);
+        assert!((line.heading_at(10.0) - std::f64::consts::FRAC_PI_4).abs() < 1e-12);
+        let windowed = line.project_within(DVec2::new(4.0, 0.5), 11.0, 15.0);
+        assert_eq!(windowed.arc_m, 11.0);
+        assert_eq!(line.grade_at(3.0), 0.1);
+    }
+
+    #[test]
+    fn headings_do_not_jump_where_angles_do() {
+        let circle = (0..200).map(|at| DVec2::from_angle(0.1 * f64::from(at)).extend(0.0) * 20.0);
+        let line = Polyline::new(circle).unwrap();
+        let mut last = line.heading_at(0.0);
+        for at in 1..4000 {
+            let heading = line.heading_at(0.1 * f64::from(at));
+            assert!((heading - last).abs() < 0.02, "at {at}: {last} to {heading}");
+            last = heading;
+        }
+    }
+
+    #[test]
+    fn what_is_no_line_is_refused() {
+        assert!(Polyline::new([DVec3::ZERO; 5]).is_none());
+        assert!(Polyline::new([DVec3::ZERO, DVec3::NAN]).is_none());
+        assert!(Polyline::new([DVec3::ZERO, DVec3::X * 1e200, -DVec3::X * 1.7e308]).is_none());
+    }
+}

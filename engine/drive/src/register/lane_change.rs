@@ -1,0 +1,83 @@
+//! Which points of a track are between lanes: their distance from a centreline is no drift.
+
+use super::route::Leg;
+
+/// Around the moment at which the nearest lane is another one, so much is taken for the change at first, seconds: most changes
+/// take 3 to 6 s.
+const HALF_CHANGE_S: f64 = 3.0;
+/// The shortest half of a change, seconds.
+const HALF_CHANGE_MIN_S: f64 = 0.5;
+/// Who is nearer than this to his lane has arrived, metres; more where the track lies about its lane more.
+const ARRIVED_M: f64 = 0.15;
+const ARRIVED_DEVIATIONS: f64 = 3.0;
+
+/// A change from one leg to the next, and how long it takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LaneChange {
+    /// When the nearer lane is the new one, seconds.
+    pub time_s: f64,
+    /// It begins then, seconds.
+    pub from_s: f64,
+    /// And ends then.
+    pub to_s: f64,
+}
+
+impl LaneChange {
+    /// Whether `time_s` is within it.
+    #[must_use]
+    pub fn contains(&self, time_s: f64) -> bool {
+        (self.from_s..=self.to_s).contains(&time_s)
+    }
+}
+
+/// The lane changes between `legs`, their lengths guessed; `times_s` are the waypoints' times.
+#[must_use]
+pub fn changes(legs: &[Leg], times_s: &[f64]) -> Vec<LaneChange> {
+    let between = |pair: &[Leg]| {
+        let (before, after) = (&pair[0].waypoints, &pair[1].waypoints);
+        let time_s = 0.5 * (times_s[*before.last()?] + times_s[*after.first()?]);
+        // Of each lane a third of its time is left at least.
+        let third = |leg: &[usize]| Some((times_s[*leg.last()?] - times_s[*leg.first()?]) * 2.0 / 3.0);
+        let (from, to) = (third(before)?.min(HALF_CHANGE_S), third(after)?.min(HALF_CHANGE_S));
+        pair[1].by_lane_change.then_some(LaneChange { time_s, from_s: time_s - from, to_s: time_s + to })
+    };
+    legs.windows(2).filter_map(between).collect()
+}
+
+/// The same changes with their lengths as the track shows them: from each moment outwards while `laterals_m`, pairs of time and
+/// distance from the own lane, rising in time, are beyond what is usual, a deviation of `residual_m`.
+#[must_use]
+pub fn measured(changes: &[LaneChange], laterals_m: &[(f64, f64)], residual_m: f64) -> Vec<LaneChange> {
+    let arrived_m = ARRIVED_M.max(ARRIVED_DEVIATIONS * residual_m);
+    let measure = |change: &LaneChange| {
+        let middle = laterals_m.partition_point(|(time_s, _)| *time_s < change.time_s);
+        let away = |(_, lateral_m): &&(f64, f64)| lateral_m.abs() > arrived_m;
+        let after = laterals_m[middle..].iter().take_while(away).last().map_or(change.time_s, |last| last.0);
+        let before = laterals_m[..middle].iter().rev().take_while(away).last().map_or(change.time_s, |last| last.0);
+        LaneChange {
+            time_s: change.time_s,
+            from_s: before.clamp(change.from_s, change.time_s - HALF_CHANGE_MIN_S.min(change.time_s - change.from_s)),
+            to_s: after.clamp(change.time_s + HALF_CHANGE_MIN_S.min(change.to_s - change.time_s), change.to_s),
+        }
+    };
+    changes.iter().map(measure).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_change_lasts_while_the_track_is_between_lanes() {
+        let guess = LaneChange { time_s: 10.0, from_s: 7.0, to_s: 13.0 };
+        // Leaves at 8.5 s, arrives at 11 s; another deviation far away is none of it.
+        let lateral = |time_s: f64| if (8.5..=11.0).contains(&time_s) || time_s > 15.0 { 1.0 } else { 0.05 };
+        let laterals: Vec<(f64, f64)> = (0..200).map(|at| 0.1 * f64::from(at)).map(|time_s| (time_s, lateral(time_s))).collect();
+        let found = measured(&[guess], &laterals, 0.03)[0];
+        assert!((found.from_s - 8.5).abs() < 0.11 && (found.to_s - 11.0).abs() < 0.11, "{found:?}");
+        assert!(found.contains(9.0) && !found.contains(11.5));
+        // A track that lies about its lane by half a metre is not changing it.
+        let wide = measured(&[guess], &laterals, 0.5)[0];
+        assert_eq!((wide.from_s, wide.to_s), (9.5, 10.5));
+    }
+}

@@ -1,0 +1,262 @@
+//! Registration: tracks brought onto the lanes of a map and onto the ground.
+//!
+//! A track is smoothed ([`smooth`]), its lanes are chosen by the whole of it ([`route`]), its points are matched to their line in
+//! order ([`dtw`]) except where it changes lanes ([`lane_change`]), and one planar motion brings it there ([`procrustes`], then
+//! [`fit`]). Its poses are then set on the ground at the four bottom corners of its box ([`grounding`]).
+//!
+//! Registration is for background traffic, never for the ego vehicle.
+
+mod align;
+pub mod dtw;
+pub mod fit;
+pub mod grounding;
+pub mod lane_change;
+pub mod procrustes;
+pub mod route;
+pub mod smooth;
+
+use decouplegs_scene::{LaneMap, Pose, Track};
+use rayon::prelude::*;
+
+use crate::ground::Ground;
+use crate::lane_index::LaneIndex;
+use crate::polyline::Foot;
+use align::Aligned;
+use fit::{MotionPrior, PlanarFit};
+use lane_change::LaneChange;
+
+/// How tracks are registered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegisterOptions {
+    /// What a heading across the lane costs in metres, half of that against it (the paper's 2.5).
+    pub heading_weight: f64,
+    /// Half the width of the Sakoe-Chiba band, metres along the lane.
+    pub band_m: f64,
+    /// Lanes farther from a track are none of its, metres.
+    pub radius_m: f64,
+    /// Deviation of the tracks' noise along one axis, metres. None: told by each track itself.
+    pub noise_m: Option<f64>,
+    /// One motion for all tracks of the log together: for drift of the log as a whole.
+    pub shared: bool,
+    /// How far logs drift.
+    pub prior: MotionPrior,
+    /// A motion of more is not believed: shift in metres.
+    pub shift_max_m: f64,
+    /// And turn in radians.
+    pub yaw_max_rad: f64,
+    /// A track that lies about its lane by more, as a deviation in metres, does not follow it.
+    pub residual_max_m: f64,
+    /// Tracks that travel less have no motion of their own, metres.
+    pub travel_min_m: f64,
+    /// A lane on another level is one whose height differs by more, metres.
+    pub deck_m: f64,
+    /// Length, width and height of tracks that tell none, metres.
+    pub dims_m: [f64; 3],
+}
+
+impl Default for RegisterOptions {
+    fn default() -> Self {
+        Self {
+            heading_weight: 2.5,
+            band_m: 10.0,
+            radius_m: 6.0,
+            noise_m: None,
+            shared: false,
+            prior: MotionPrior { shift_m: 1.0, yaw_rad: 2f64.to_radians() },
+            shift_max_m: 3.0,
+            yaw_max_rad: 6f64.to_radians(),
+            residual_max_m: 0.8,
+            travel_min_m: 8.0,
+            deck_m: 2.5,
+            dims_m: [4.5, 1.9, 1.6],
+        }
+    }
+}
+
+/// Why nothing could be registered.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RegisterError {
+    /// The map has no lanes.
+    #[error("the map has no lanes; tracks are registered to lanes")]
+    NoLanes,
+    /// The map is not one.
+    #[error("the map cannot be used: {0}")]
+    Map(String),
+    /// There are no tracks.
+    #[error("there are no tracks to register")]
+    NoTracks,
+    /// An option is not a positive number.
+    #[error("option {name} is {value}; expected a number above zero")]
+    Option {
+        /// Its field in [`RegisterOptions`].
+        name: &'static str,
+        /// What it is.
+        value: f64,
+    },
+}
+
+/// All tracks of a log.
+#[derive(Clone, Debug)]
+pub struct Registration {
+    /// In the order of the log.
+    pub tracks: Vec<RegisteredTrack>,
+    /// The one motion of all tracks together, where it was asked for or needed and could be found.
+    pub shared: Option<PlanarFit>,
+}
+
+/// What became of a track.
+#[derive(Clone, Debug)]
+pub struct RegisteredTrack {
+    /// As in the log.
+    pub id: String,
+    /// As in the log.
+    pub class: String,
+    /// As in the log, or [`RegisterOptions::dims_m`].
+    pub dims_m: [f64; 3],
+    /// Poses, or why there are none.
+    pub outcome: Outcome,
+}
+
+/// Poses, or why there are none.
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    /// It stands on its lanes.
+    Registered(Box<Registered>),
+    /// It does not, and is best left out.
+    Refused {
+        /// Why, as a sentence without its end.
+        reason: String,
+    },
+}
+
+/// A track on its lanes.
+#[derive(Clone, Debug)]
+pub struct Registered {
+    /// Registered from logged.
+    pub fit: PlanarFit,
+    /// Whether the motion is that of all tracks: this one travels too little to have one of its own.
+    pub by_shared: bool,
+    /// Places in [`LaneMap::lanes`], in driving order.
+    pub lanes: Vec<usize>,
+    /// Where it changes lanes.
+    pub lane_changes: Vec<LaneChange>,
+    /// One for each point of the track.
+    pub poses: Vec<RegisteredPose>,
+    /// Deviation of the log's noise, metres.
+    pub noise_m: f64,
+}
+
+/// Where a road user is at a moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegisteredPose {
+    /// The moment, seconds.
+    pub time_s: f64,
+    /// World from box, its origin in the middle of the box.
+    pub pose: Pose,
+    /// Where its lane is, none where it follows none.
+    pub lane: Option<Foot>,
+    /// What is to be known of it.
+    pub flags: PoseFlags,
+}
+
+/// What is to be known of a pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PoseFlags {
+    /// Fewer than three corners had ground below them: height and grade are those of the lane.
+    pub no_support: bool,
+    /// Neither ground nor lane nor log told a height.
+    pub no_height: bool,
+    /// The corners are no plane: a kerb, or something on the road.
+    pub uneven: bool,
+    /// It is between two lanes.
+    pub lane_change: bool,
+    /// The log has it far from its neighbours; it was put where they say.
+    pub outlier: bool,
+}
+
+impl PoseFlags {
+    /// The names of those that are set.
+    #[must_use]
+    pub fn names(self) -> Vec<&'static str> {
+        let all = [
+            (self.no_support, "no-support"),
+            (self.no_height, "no-height"),
+            (self.uneven, "uneven"),
+            (self.lane_change, "lane-change"),
+            (self.outlier, "outlier"),
+        ];
+        all.into_iter().filter(|(set, _)| *set).map(|(_, name)| name).collect()
+    }
+}
+
+/// Registers `tracks` to `map`, and sets them on `ground` where there is one; otherwise on the lanes' own heights.
+///
+/// # Errors
+/// [`RegisterError`], where map, tracks or options are none. A track that cannot be registered is an [`Outcome`].
+pub fn register(
+    map: &LaneMap,
+    tracks: &[Track],
+    ground: Option<&Ground>,
+    options: &RegisterOptions,
+) -> Result<Registration, RegisterError> {
+    check(map, tracks, options)?;
+    let index = LaneIndex::new(map);
+    let register = align::Register { map, index: &index, options };
+    let prepared: Vec<Result<align::Prepared, String>> = tracks.par_iter().map(align::Prepared::new(options)).collect();
+    let long = |prepared: &&align::Prepared| prepared.travelled_m >= options.travel_min_m;
+    let needs_shared = options.shared || prepared.iter().flatten().any(|prepared| !long(&prepared));
+    let mut guides: Vec<&align::Prepared> = prepared.iter().flatten().filter(long).collect();
+    // Sums do not depend on the order of the log.
+    guides.sort_by(|a, b| a.track.id.cmp(&b.track.id));
+    let shared = if needs_shared { register.shared(&guides) } else { None };
+    let one = |prepared: &Result<align::Prepared, String>| -> Result<Box<Registered>, String> {
+        let prepared = prepared.as_ref().map_err(Clone::clone)?;
+        let aligned = match (&shared, long(&prepared)) {
+            (Some(shared), true) if options.shared => register.with_motion(prepared, shared)?,
+            (Some(shared), false) => Aligned::by_shared(shared),
+            (None, false) => return Err(too_short(prepared, options)),
+            _ => register.align(prepared)?,
+        };
+        Ok(Box::new(grounding::Grounding { register: &register, ground, options }.place(prepared, aligned)))
+    };
+    let registered = tracks.par_iter().zip(&prepared).map(|(track, prepared)| RegisteredTrack {
+        id: track.id.clone(),
+        class: track.class.clone(),
+        dims_m: track.dims_m.unwrap_or(options.dims_m),
+        outcome: one(prepared).map_or_else(|reason| Outcome::Refused { reason }, Outcome::Registered),
+    });
+    Ok(Registration { tracks: registered.collect(), shared })
+}
+
+fn too_short(prepared: &align::Prepared, options: &RegisterOptions) -> String {
+    let (points, travelled_m, least_m) = (prepared.track.points.len(), prepared.travelled_m, options.travel_min_m);
+    format!(
+        "{points} points over {travelled_m:.1} m show no motion onto lanes (at least {least_m} m), and no other track of the log does"
+    )
+}
+
+fn check(map: &LaneMap, tracks: &[Track], options: &RegisterOptions) -> Result<(), RegisterError> {
+    map.check().map_err(RegisterError::Map)?;
+    if map.lanes.is_empty() {
+        return Err(RegisterError::NoLanes);
+    }
+    if tracks.is_empty() {
+        return Err(RegisterError::NoTracks);
+    }
+    let numbers = [
+        ("heading_weight", options.heading_weight),
+        ("band_m", options.band_m),
+        ("radius_m", options.radius_m),
+        ("noise_m", options.noise_m.map_or(1.0, |noise_m| noise_m + 1e-9)),
+        ("prior.shift_m", options.prior.shift_m),
+        ("prior.yaw_rad", options.prior.yaw_rad),
+        ("shift_max_m", options.shift_max_m),
+        ("yaw_max_rad", options.yaw_max_rad),
+        ("residual_max_m", options.residual_max_m),
+        ("travel_min_m", options.travel_min_m),
+        ("deck_m", options.deck_m),
+        ("dims_m", options.dims_m.into_iter().fold(f64::INFINITY, f64::min)),
+    ];
+    let wrong = numbers.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0));
+    wrong.map_or(Ok(()), |(name, value)| Err(RegisterError::Option { name, value }))
+}

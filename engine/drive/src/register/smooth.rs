@@ -1,0 +1,165 @@
+//! Tracks freed of the noise of their observation.
+//!
+//! Cars do not jump by decimetres between frames, detections do. Each point is replaced by a parabola in time fitted to its
+//! neighbours (local regression after Cleveland, Robust Locally Weighted Regression, 1979): what cars do within a second or
+//! two is kept, outliers are passed over.
+
+use decouplegs_scene::Track;
+use glam::{DMat3, DVec2, DVec3};
+
+use crate::polyline::wrapped;
+
+/// Half the window in seconds for each metre of noise: noise of a decimetre is averaged over three seconds.
+const WINDOW_S_PER_M: f64 = 15.0;
+/// The widest half window, seconds: within it a lane change is still nearly a parabola.
+const WINDOW_MAX_S: f64 = 1.5;
+/// Less noise than this is left, metres.
+const NOISE_MIN_M: f64 = 0.01;
+/// Neighbours to each side, whatever the rate of the log.
+const NEIGHBOURS_MAX: usize = 60;
+/// Fits for a point, each after the first without the outliers of the one before.
+const ROUNDS: usize = 3;
+/// Outliers are farther from the fit than this times its spread.
+const OUTLIER_SPREADS: f64 = 5.0;
+/// Slower than this nothing is told of where a car points, metres a second.
+const MOVING_MPS: f64 = 0.7;
+
+/// A track without noise, in the frame of its log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Smoothed {
+    /// One for each point of the track.
+    pub positions: Vec<DVec2>,
+    /// Where the nose points, radians, where that is known: as logged, or else the way it moves.
+    pub yaws: Vec<Option<f64>>,
+    /// Points far from where their neighbours say.
+    pub outliers: Vec<bool>,
+    /// Standard deviation of the noise along one axis, metres, as told by differences of four points in a row.
+    pub noise_m: f64,
+}
+
+/// `track` smoothed for noise of `noise_m`, which is estimated where it is not given.
+#[must_use]
+pub fn smooth(track: &Track, noise_m: Option<f64>) -> Smoothed {
+    let noise_m = noise_m.unwrap_or_else(|| estimated_noise_m(track));
+    let positions = track.points.iter().map(|point| point.position_m).collect();
+    let count = track.points.len();
+    let mut smoothed = Smoothed { positions, yaws: Vec::new(), outliers: vec![false; count], noise_m };
+    let half_s = (WINDOW_S_PER_M * noise_m.max(NOISE_MIN_M)).min(WINDOW_MAX_S);
+    let fits: Vec<Option<Fit>> = (0..count).map(|at| local_fit(track, at, half_s)).collect();
+    for (at, fit) in fits.iter().enumerate() {
+        if let Some(fit) = fit {
+            let off = fit.position.distance(track.points[at].position_m);
+            smoothed.outliers[at] = off > OUTLIER_SPREADS * fit.spread_m.max(noise_m).max(0.05);
+            if noise_m >= NOISE_MIN_M || smoothed.outliers[at] {
+                smoothed.positions[at] = fit.position;
+            }
+        }
+    }
+    smoothed.yaws = yaws(track, &fits, &smoothed.positions);
+    smoothed
+}
+
+/// From third differences of neighbours at an even pace, which motion hardly shows in; the median withstands outliers. 0 for tracks
+/// too short or too uneven to tell.
+fn estimated_noise_m(track: &Track) -> f64 {
+    // The variance of x0 - 3 x1 + 3 x2 - x3 is 20 times that of one. Lengths in the plane, whose median is 1.1774 deviations: axes
+    // would make the answer depend on which way is north.
+    let mut sizes: Vec<f64> = Vec::new();
+    for four in track.points.windows(4) {
+        let steps = [1, 2, 3].map(|at| four[at].time_s - four[at - 1].time_s);
+        if steps.iter().all(|step| (step / steps[0] - 1.0).abs() < 0.05) && steps[0] < 0.35 {
+            let third = four[0].position_m - 3.0 * four[1].position_m + 3.0 * four[2].position_m - four[3].position_m;
+            sizes.push(third.length());
+        }
+    }
+    if sizes.len() < 6 {
+        return 0.0;
+    }
+    median(&mut sizes) / (1.1774 * 20f64.sqrt())
+}
+
+struct Fit {
+    position: DVec2,
+    velocity: DVec2,
+    spread_m: f64,
+}
+
+/// A parabola about point `at` over the neighbours within `half_s`, or over two to each side where these are fewer.
+fn local_fit(track: &Track, at: usize, half_s: f64) -> Option<Fit> {
+    let points = &track.points;
+    let time_s = points[at].time_s;
+    let from = (at.saturating_sub(NEIGHBOURS_MAX)..at).find(|&i| time_s - points[i].time_s <= half_s).unwrap_or(at);
+    let to = (at..points.len().min(at + NEIGHBOURS_MAX)).rfind(|&i| points[i].time_s - time_s <= half_s).unwrap_or(at);
+    let (from, to) = (from.min(at.saturating_sub(2)), to.max(at + 2).min(points.len() - 1));
+    let near = &points[from..=to];
+    let reach_s = near.iter().map(|point| (point.time_s - time_s).abs()).fold(0.0, f64::max) * 1.0001;
+    if near.len() < 4 || reach_s <= 0.0 {
+        return None;
+    }
+    let scaled: Vec<(f64, DVec2)> =
+        near.iter().map(|point| ((point.time_s - time_s) / reach_s, point.position_m - points[at].position_m)).collect();
+    let kernel: Vec<f64> = scaled.iter().map(|(t, _)| (1.0 - t.abs().powi(3)).powi(3)).collect();
+    let mut weights = kernel.clone();
+    let mut fit = None;
+    for _ in 0..ROUNDS {
+        let [place, slope, bend] = parabola(&scaled, &weights)?;
+        let distance = |(t, place_then): &(f64, DVec2)| (place + slope * *t + bend * (t * t)).distance(*place_then);
+        let distances: Vec<f64> = scaled.iter().map(distance).collect();
+        // The median length of a deviation in the plane is 1.18 times its deviation along an axis.
+        let spread_m = median(&mut distances.clone()) / 1.18;
+        let cut_m = (6.0 * spread_m).max(0.05);
+        for ((weight, kernel), distance) in weights.iter_mut().zip(&kernel).zip(&distances) {
+            let left = (distance / cut_m).min(1.0);
+            // Never nothing at all: a parabola needs three points.
+            *weight = kernel * (1.0 - left * left).powi(2) + 1e-12;
+        }
+        fit = Some(Fit { position: points[at].position_m + place, velocity: slope / reach_s, spread_m });
+    }
+    fit
+}
+
+/// Place, slope and bend at zero of the weighted parabola through `points`, times and places.
+fn parabola(points: &[(f64, DVec2)], weights: &[f64]) -> Option<[DVec2; 3]> {
+    let (mut normal, mut x, mut y) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
+    for ((t, place), &weight) in points.iter().zip(weights) {
+        let row = DVec3::new(1.0, *t, t * t);
+        normal += DMat3::from_cols(row * (row.x * weight), row * (row.y * weight), row * (row.z * weight));
+        (x, y) = (x + row * (weight * place.x), y + row * (weight * place.y));
+    }
+    let inverse = (normal + DMat3::from_diagonal(DVec3::new(0.0, 1e-9, 1e-9))).inverse();
+    let (x, y) = (inverse * x, inverse * y);
+    (x.is_finite() && y.is_finite()).then(|| [DVec2::new(x.x, y.x), DVec2::new(x.y, y.y), DVec2::new(x.z, y.z)])
+}
+
+/// The middle of `values`, of which there must be one; their order is lost.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Logged yaws where there are any, otherwise directions of motion; where the car stands, as it pointed before (or will point).
+fn yaws(track: &Track, fits: &[Option<Fit>], positions: &[DVec2]) -> Vec<Option<f64>> {
+    if track.points.iter().any(|point| point.yaw_rad.is_some()) {
+        return track.points.iter().map(|point| point.yaw_rad.map(wrapped)).collect();
+    }
+    let count = positions.len();
+    let moving = |at: usize| {
+        let velocity = match &fits[at] {
+            Some(fit) => fit.velocity,
+            None if count > 1 => {
+                let (a, b) = (at.saturating_sub(1), (at + 1).min(count - 1));
+                (positions[b] - positions[a]) / (track.points[b].time_s - track.points[a].time_s)
+            }
+            None => DVec2::ZERO,
+        };
+        (velocity.length() >= MOVING_MPS).then(|| velocity.to_angle())
+    };
+    let mut yaws: Vec<Option<f64>> = (0..count).map(moving).collect();
+    for at in 1..count {
+        yaws[at] = yaws[at].or(yaws[at - 1]);
+    }
+    for at in (0..count.saturating_sub(1)).rev() {
+        yaws[at] = yaws[at].or(yaws[at + 1]);
+    }
+    yaws
+}

@@ -1,0 +1,223 @@
+//! `decouplegs register`, on a small road and on real maps.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use decouplegs::asset::read_map;
+use decouplegs::drive::alignment::{TruthError, against_truth};
+use decouplegs::drive::polyline::wrapped;
+use decouplegs::drive::{LaneIndex, Outcome, PlanarTransform, Polyline, RegisterOptions, register};
+use decouplegs::scene::{LaneKind, LaneMap, Track, TrackPoint};
+use glam::DVec2;
+
+use super::stress::assert_page_stands_alone;
+use super::*;
+
+/// A lane of 100 m that rises by 4 %, a track 0.4 m beside it, another against it, its truth, and the ground 0.3 m above the map.
+fn small_road(folder: &Path) -> [PathBuf; 4] {
+    let lane: Vec<[f64; 3]> = (0..=50).map(|i| [2.0 * f64::from(i), 0.0, 0.08 * f64::from(i)]).collect();
+    let map = serde_json::json!({"version": 1, "lanes": [{"id": "a", "centreline": lane}]});
+    let track = |y: f64| {
+        let mut table = String::from("time_s,id,class,x,y\n");
+        for i in 0..90 {
+            let _ = writeln!(table, "{},there,car,{},{y}", 0.1 * f64::from(i), 2.0 + f64::from(i));
+            let _ = writeln!(table, "{},against,car,{},{y}", 0.1 * f64::from(i), 98.0 - f64::from(i));
+        }
+        table
+    };
+    let mut points = String::from("x,y,z\n");
+    for (x, y) in (-20..220).flat_map(|x| (-6..=6).map(move |y| (0.5 * f64::from(x), 0.5 * f64::from(y)))) {
+        let _ = writeln!(points, "{x},{y},{}", 0.3 + 0.04 * x);
+    }
+    let files = ["map.json", "tracks.csv", "truth.csv", "points.csv"].map(|name| folder.join(name));
+    for (file, text) in files.iter().zip([map.to_string(), track(0.4), track(0.0), points]) {
+        fs::write(file, text).unwrap();
+    }
+    files
+}
+
+#[test]
+fn tracks_are_registered_measured_and_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let [map, tracks, truth, points] = small_road(folder.path());
+    let [out, page] = ["poses.csv", "report.html"].map(|name| folder.path().join(name));
+    let inputs = ["register", "--map", text(&map), "--tracks", text(&tracks), "--scene", text(&points), "--truth", text(&truth)];
+    let outputs = ["--ground-truth", text(&points), "--out", text(&out), "--report", text(&page)];
+    let said = succeed(&[&inputs[..], &outputs].concat());
+    assert!(said.contains("1 of 2 tracks registered") && said.contains("against its lanes"), "{said}");
+    assert!(said.contains("0.400 -> 0.00"), "{said}");
+    let poses = decouplegs::asset::read_tracks(&out).unwrap();
+    assert_eq!((poses.len(), poses[0].points.len()), (1, 90));
+    for point in &poses[0].points {
+        let expected_m = 0.3 + 0.04 * point.position_m.x + 0.5 * poses[0].dims_m.unwrap()[2];
+        assert!(point.position_m.y.abs() < 0.01 && (point.z_m.unwrap() - expected_m).abs() < 0.02, "{point:?}");
+    }
+    let page = fs::read_to_string(page).unwrap();
+    assert_page_stands_alone(&page);
+    for part in ["as logged", "registered", "Corners by clearance", "independent ground", "was refused"] {
+        assert!(page.contains(part), "{part}");
+    }
+}
+
+#[test]
+fn what_cannot_be_registered_is_told_and_nothing_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let [map, tracks, _, points] = small_road(folder.path());
+    let out = folder.path().join("poses.csv");
+    let run = |map: &Path, tracks: &Path, more: &[&str]| {
+        let files = ["register", "--map", text(map), "--tracks", text(tracks), "--out", text(&out)];
+        decouplegs(&[&files[..], more].concat())
+    };
+    let other = folder.path().join("other.csv");
+    fs::write(&other, "time_s,id,x,y\n0,b,1,2\n").unwrap();
+    let broken = folder.path().join("broken.csv");
+    fs::write(&broken, "x,y,z\n1,2,three\n").unwrap();
+    let cases: [(&Path, &Path, &[&str], &str); 5] = [
+        (&map, &map, &[], "map.json"),
+        (&folder.path().join("none.json"), &tracks, &[], "none.json"),
+        (&map, &tracks, &["--truth", text(&other)], "none of the tracks"),
+        (&map, &tracks, &["--scene", text(&broken)], "line 2"),
+        (&map, &other, &["--scene", text(&points)], "could be registered"),
+    ];
+    for (map, tracks, more, expected) in cases {
+        let output = run(map, tracks, more);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(1) && said.contains(expected), "{more:?} said: {said}");
+        assert!(!out.exists());
+    }
+    assert_eq!(run(&map, &tracks, &["--sigma", "-1"]).status.code(), Some(2));
+}
+
+/// A real map, or `None` with a word of it where the test files are missing.
+fn real_map(file: &str) -> Option<LaneMap> {
+    let folder = std::env::var_os("DECOUPLEGS_DATA")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
+    let path = folder.join(file);
+    if !path.is_file() {
+        println!("SKIPPED: {} is not there; set DECOUPLEGS_DATA to the folder of test files", path.display());
+        return None;
+    }
+    Some(read_map(&path).unwrap())
+}
+
+/// Errors of cars on `map` that were moved by up to 1 m and 1.7 degrees, with noise of 8 cm; those changing to a lane on the left
+/// where `changing`.
+fn errors(map: &LaneMap, changing: bool) -> Vec<TruthError> {
+    const YAWS: [f64; 4] = [0.02, -0.03, 0.01, 0.0];
+    let mut errors = Vec::new();
+    for (at, line) in routes(map, 60.0, 24).iter().enumerate().filter(|(_, line)| line.length_m() < 250.0) {
+        let middle_m = 0.5 * line.length_m();
+        let width_m = if changing { left_lane_m(map, line, middle_m + 20.0) } else { Some(0.0) };
+        let Some(width_m) = width_m else { continue };
+        let left = |s: f64| 0.5 * width_m * (1.0 - (std::f64::consts::PI * ((s - middle_m + 15.0) / 30.0).clamp(0.0, 1.0)).cos());
+        let truth = drive("car", line, left);
+        let shift_m = DVec2::new([0.6, -0.7, 0.2][at % 3], [-0.6, 0.5, 0.8, -0.9, 0.1][at % 5]);
+        let log = logged(&truth, YAWS[at % 4], shift_m, 0.08);
+        let registration = register(map, &[log], None, &RegisterOptions::default()).unwrap();
+        let Outcome::Registered(found) = &registration.tracks[0].outcome else { panic!("{:?}", registration.tracks[0].outcome) };
+        assert_eq!(found.lane_changes.len(), usize::from(changing), "route {at}");
+        let places = found.poses.iter().map(|pose| (pose.time_s, pose.pose.translation.truncate()));
+        errors.push(against_truth(places, &truth).unwrap());
+    }
+    errors
+}
+
+/// How far to the left of `line` a lane of the same direction lies from `from_m` on, where one does all along.
+fn left_lane_m(map: &LaneMap, line: &Polyline, from_m: f64) -> Option<f64> {
+    let index = LaneIndex::new(map);
+    let beside = |arc_m: f64| {
+        let near = index.lanes_near(line.at(arc_m).truncate(), 5.0);
+        let same_way = |heading_rad: f64| wrapped(heading_rad - line.heading_at(arc_m)).abs() < 0.15;
+        let found = near.iter().find(|near| {
+            let kind = map.lanes[near.lane].kind;
+            same_way(near.foot.heading_rad) && kind == LaneKind::Driving && (-4.5..-2.3).contains(&near.foot.lateral_m)
+        });
+        found.map(|near| -near.foot.lateral_m)
+    };
+    let width_m = beside(from_m)?;
+    let rest_m = line.length_m() - 1.0 - from_m;
+    (0..30)
+        .all(|i| beside(from_m + rest_m * f64::from(i) / 29.0).is_some_and(|own| (own - width_m).abs() < 0.05))
+        .then_some(width_m)
+}
+
+#[test]
+fn tracks_on_real_maps_are_brought_back_across_their_lanes() {
+    const ADE_MAX_M: f64 = 0.05;
+    // How many routes each map has to show, keeping their lanes and changing them.
+    let maps = [
+        ("maps/lanelet2_mapping_example.osm", [20, 0]),
+        ("maps/esmini_fabriksgatan.xodr", [15, 0]),
+        ("scenarios/commonroad_USA_Lanker-1_1_T-1.xml", [19, 4]),
+    ];
+    for (file, least) in maps {
+        let Some(map) = real_map(file) else { continue };
+        for (changing, least) in [false, true].into_iter().zip(least) {
+            let errors = errors(&map, changing);
+            let mut across: Vec<f64> = errors.iter().map(|error| error.lateral_m).collect();
+            across.sort_by(f64::total_cmp);
+            println!("{file}, changing {changing}: across {across:.3?}");
+            assert!(errors.len() >= least, "{} routes", errors.len());
+            // One short route of each map lies between lanes that a track of its length does not tell apart in place and turn.
+            let beyond = across.iter().filter(|across| **across > ADE_MAX_M).count();
+            assert!(beyond <= 1 && across.last().is_none_or(|worst| *worst < 0.15), "{across:?}");
+        }
+    }
+}
+
+/// Ways of at least `least_m` along lanes that follow one another, about `count` of them, spread over the map.
+fn routes(map: &LaneMap, least_m: f64, count: usize) -> Vec<Polyline> {
+    let mut routes = Vec::new();
+    for (start, lane) in map.lanes.iter().enumerate().filter(|(_, lane)| lane.kind == LaneKind::Driving) {
+        let (mut lanes, mut points) = (vec![start], lane.centreline.clone());
+        loop {
+            let line = Polyline::new(points.iter().copied()).unwrap();
+            if line.length_m() > 150.0 {
+                break;
+            }
+            let next = map.lanes[lanes[lanes.len() - 1]].successors.iter().copied();
+            let Some(next) = next.clone().find(|next| !lanes.contains(next) && map.lanes[*next].kind == LaneKind::Driving) else {
+                break;
+            };
+            lanes.push(next);
+            // The first point of a lane is the last of the one before, or nearly.
+            points.extend(&map.lanes[next].centreline[1..]);
+        }
+        let line = Polyline::new(points).unwrap();
+        if line.length_m() >= least_m {
+            routes.push(line);
+        }
+    }
+    let step = routes.len().div_ceil(count).max(1);
+    routes.into_iter().step_by(step).collect()
+}
+
+/// A car along `line` from `from_m`, seen ten times a second, `left(metres)` to the left of it.
+fn drive(id: &str, line: &Polyline, left: impl Fn(f64) -> f64) -> Track {
+    let count = ((line.length_m() - 2.0) / 0.8) as usize;
+    let point = |at: usize| {
+        let arc_m = 1.0 + 0.8 * at as f64;
+        let side = DVec2::from_angle(line.heading_at(arc_m)).perp() * left(arc_m);
+        TrackPoint { time_s: 0.1 * at as f64, position_m: line.at(arc_m).truncate() + side, z_m: None, yaw_rad: None }
+    };
+    Track { id: id.into(), class: "car".into(), dims_m: Some([4.5, 1.9, 1.6]), points: (0..count).map(point).collect() }
+}
+
+/// `truth` as a log that drifts has it: moved about its middle and noisy.
+fn logged(truth: &Track, yaw_rad: f64, shift_m: DVec2, noise_m: f64) -> Track {
+    let first = truth.points[0].position_m;
+    let sum: DVec2 = truth.points.iter().map(|point| point.position_m - first).sum();
+    let drift = PlanarTransform { pivot_m: first + sum / truth.points.len() as f64, yaw_rad, shift_m };
+    let mut seed = 1_u64;
+    let mut uniform = || {
+        // The sum of four even numbers is normal enough for noise.
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+    };
+    let mut normal = || (uniform() + uniform() + uniform() + uniform()) * 3f64.sqrt();
+    let mut track = truth.clone();
+    for point in &mut track.points {
+        point.position_m = drift.apply(point.position_m) + DVec2::new(normal(), normal()) * noise_m;
+    }
+    track
+}

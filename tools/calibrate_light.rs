@@ -1,0 +1,215 @@
+//! `decouplegs calibrate-light`: how light changes the colours of agents, from probes and assets.
+
+mod page;
+mod views;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use decouplegs::asset::calibrate::{
+    CalibrateOptions, Calibration, Comparison, Objective, Probe, Progress, Surroundings, calibrate, probe_paths,
+};
+use decouplegs::asset::{LightTransferFile, Provenance, read_splats, write_atomically, write_light_transfer};
+use decouplegs::scene::SplatCloud;
+
+use crate::arguments::print;
+use crate::progress;
+
+/// Calibrate how light changes the colours of agents
+///
+/// Fits Theta, which turns the colours of a place into a factor and a summand for each colour coefficient of an agent that
+/// stands there, so that agents look as their surroundings are lit. Truth are the given assets in the light of the given
+/// environment probes, each turned, mirrored and exposed in several ways. Each probe is also left out in turn to see how far
+/// colours are off in light that the fit was not shown.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Assets in their own frame: metres, x forward, y left, z up (.ply, .splat, .spz, coded .safetensors)
+    #[arg(required = true, value_name = "ASSET")]
+    assets: Vec<PathBuf>,
+    /// Folder of lat-long pictures of linear radiance (.exr, .hdr), top row up
+    #[arg(long, value_name = "DIR")]
+    probes: PathBuf,
+    /// The light transfer to write (.safetensors)
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Degree of the colours it is for (default: the highest among the assets)
+    #[arg(long, value_name = "D", value_parser = clap::value_parser!(u8).range(0..=3))]
+    degree: Option<u8>,
+    /// How strongly weights are drawn to those of a brightness alone, above 0 (default: what serves probes left out best)
+    #[arg(long, value_name = "X")]
+    ridge: Option<f64>,
+    /// What the fit makes small
+    #[arg(long, value_name = "WHAT", value_enum, default_value_t = ObjectiveName::Seen)]
+    objective: ObjectiveName,
+    /// How many ways each probe is turned about the vertical
+    #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=64))]
+    rotations: u64,
+    /// Splats looked at, shared by the assets
+    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
+    samples: u64,
+    /// Linear albedo of the ground whose colour tells of the light, above 0, at most 1
+    #[arg(long, value_name = "A", default_value_t = Surroundings::default().albedo)]
+    ground_albedo: f64,
+    /// Everything random follows from it: the same seed gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Write a page with what was measured and pictures of the first asset
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+}
+
+/// What the fit makes small, as the command line says it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ObjectiveName {
+    /// Each coefficient's error on its own, as in the paper
+    Coefficients,
+    /// The error of colours in the directions in which they are seen
+    Seen,
+}
+
+/// What is calibrated with.
+pub struct Subject {
+    /// Names and splats.
+    pub assets: Vec<(String, SplatCloud)>,
+    /// As they were read.
+    pub probes: Vec<Probe>,
+    /// How.
+    pub options: CalibrateOptions,
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    for out in [Some(&arguments.out), arguments.report.as_ref()].into_iter().flatten() {
+        check_output(out)?;
+    }
+    let mut sources = BTreeMap::new();
+    let subject = read(arguments, &mut sources)?;
+    for probe in subject.probes.iter().filter(|probe| probe.clamped > 0) {
+        eprintln!("{}: {} pixels hold no radiance (NaN, infinite or negative) and were clamped", probe.name, probe.clamped);
+    }
+    let bar = progress::bar("calibrating", 2 * subject.probes.len() + 1);
+    let assets: Vec<(String, &SplatCloud)> = subject.assets.iter().map(|(name, cloud)| (name.clone(), cloud)).collect();
+    let calibration = calibrate(&assets, &subject.probes, &subject.options, &|step| match step {
+        Progress::Sampling => {}
+        Progress::Probes(done) => bar.set_position(done as u64),
+        Progress::Moments => bar.set_position(subject.probes.len() as u64),
+        Progress::HeldOut(done) => bar.set_position((subject.probes.len() + 1 + done) as u64),
+    });
+    bar.finish_and_clear();
+    let calibration = calibration?;
+    let file = LightTransferFile {
+        transfer: calibration.transfer.clone(),
+        tool_version: env!("CARGO_PKG_VERSION").into(),
+        sources,
+        settings: settings(&subject.options, &calibration),
+    };
+    write_light_transfer(&arguments.out, &file)?;
+    print(&summary(&arguments.out, &subject, &calibration))?;
+    if let Some(path) = &arguments.report {
+        let html = page::page(&subject, &calibration)?;
+        write_atomically(path, |file| std::io::Write::write_all(file, html.as_bytes()))?;
+        print(&format!("{}\n", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Refuses, before minutes of work, what could not be written after them.
+fn check_output(out: &Path) -> Result<()> {
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    ensure!(folder.is_dir(), "cannot write {}: there is no folder {}; make it first", out.display(), folder.display());
+    ensure!(!out.is_dir(), "cannot write {}: it is a folder; name the file to write", out.display());
+    Ok(())
+}
+
+fn read(arguments: &Arguments, sources: &mut BTreeMap<String, String>) -> Result<Subject> {
+    let mut hashed = |path: &Path| -> Result<String> {
+        let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let Provenance { source, source_sha256, .. } =
+            Provenance::of_source(path.file_name().unwrap_or_default().to_string_lossy(), &bytes);
+        sources.insert(source.clone(), source_sha256);
+        Ok(source)
+    };
+    let mut assets = Vec::new();
+    for path in &arguments.assets {
+        assets.push((hashed(path)?, read_splats(path)?));
+    }
+    let mut probes = Vec::new();
+    for path in probe_paths(&arguments.probes)? {
+        hashed(&path)?;
+        probes.push(Probe::read(&path)?);
+    }
+    ensure!(!probes.is_empty(), "{} holds no probe: expected .exr or .hdr files", arguments.probes.display());
+    let options = CalibrateOptions {
+        sh_degree: arguments.degree,
+        ridge: arguments.ridge,
+        objective: match arguments.objective {
+            ObjectiveName::Coefficients => Objective::Coefficients,
+            ObjectiveName::Seen => Objective::Seen,
+        },
+        rotations: arguments.rotations as usize,
+        samples: arguments.samples as usize,
+        ground: Surroundings { albedo: arguments.ground_albedo, ..Surroundings::default() },
+        seed: arguments.seed,
+    };
+    Ok(Subject { assets, probes, options })
+}
+
+fn settings(options: &CalibrateOptions, calibration: &Calibration) -> BTreeMap<String, String> {
+    let settings = [
+        ("objective", options.objective.to_string()),
+        ("ridge", calibration.ridge.to_string()),
+        ("rotations", options.rotations.to_string()),
+        ("samples", options.samples.to_string()),
+        ("ground_albedo", options.ground.albedo.to_string()),
+        ("ground_gloss", options.ground.gloss.to_string()),
+        ("seed", options.seed.to_string()),
+    ];
+    settings.map(|(key, value)| (key.to_owned(), value)).into()
+}
+
+fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
+    let mut text = format!(
+        "{}: degree {}, {} splats of {} asset(s) in {} lights from {} probes, objective {}, ridge {:.1e}\n\
+         smallest singular value {:.1e} of the largest; neutral light changes colours by {:.4} (RMSE)\n",
+        out.display(),
+        calibration.transfer.sh_degree,
+        calibration.samples,
+        subject.assets.len(),
+        calibration.lights,
+        subject.probes.len(),
+        subject.options.objective,
+        calibration.ridge,
+        calibration.smallest_over_largest,
+        calibration.neutral.relit.rmse(),
+    );
+    if calibration.held_out.is_empty() {
+        text.push_str("no probe could be left out: the others do not determine a fit without it; give more\n");
+        return text;
+    }
+    text.push_str(
+        "left out           RMSE none  relit  best affine   angle none mean/p95    relit mean/p95    affine mean/p95\n",
+    );
+    for held_out in &calibration.held_out {
+        text.push_str(&row(&subject.probes[held_out.probe].name, &held_out.comparison));
+    }
+    text.push_str(&row("all", &calibration.total()));
+    text
+}
+
+fn row(name: &str, comparison: &Comparison) -> String {
+    let Comparison { none, relit, affine } = comparison;
+    let angle = |error: &decouplegs::asset::calibrate::ColourError| {
+        format!("{:6.2} / {:5.2} deg", error.angle_mean_deg(), error.angle_p95_deg())
+    };
+    format!(
+        "{name:<18} {:9.4} {:6.4} {:12.4}   {} {} {}\n",
+        none.rmse(),
+        relit.rmse(),
+        affine.rmse(),
+        angle(none),
+        angle(relit),
+        angle(affine)
+    )
+}

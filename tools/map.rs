@@ -1,0 +1,52 @@
+//! `decouplegs map`: the lanes of a map, as a table and as a picture, and where tracks run over them.
+
+mod drawing;
+mod style;
+mod summary;
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::Result;
+use decouplegs::asset::{read_map, read_tracks, write_atomically};
+
+use crate::arguments::print;
+use drawing::Drawing;
+use summary::{MapSummary, TrackSummary};
+
+/// Describe a map's lanes and draw them: kinds, lengths, heights, links; and tracks over them
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad (.xml)
+    file: PathBuf,
+    /// Draw the lanes from above into an SVG file
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Tracks to describe and draw as well: a CSV or JSON table, or CommonRoad
+    #[arg(long, value_name = "FILE")]
+    tracks: Option<PathBuf>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let map = read_map(&arguments.file)?;
+    let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?;
+    let summary = MapSummary::of(&map);
+    let driven = tracks.as_deref().map(|tracks| TrackSummary::of(tracks, &summary));
+    if let Some(path) = &arguments.svg {
+        let name = arguments.file.file_name().unwrap_or_default().to_string_lossy();
+        let svg = Drawing { name: &name, map: &map, summary: &summary, tracks: tracks.as_deref().unwrap_or_default() }.to_svg();
+        write_atomically(path, |file| file.write_all(svg.as_bytes()))?;
+    }
+    if arguments.json {
+        let mut value = summary.to_json();
+        if let Some(driven) = driven {
+            value["tracks"] = driven.to_json();
+        }
+        return print(&format!("{value:#}\n"));
+    }
+    let driven = driven.map_or_else(String::new, |driven| driven.to_text());
+    print(&format!("{}\n{}{driven}", arguments.file.display(), summary.to_text()))
+}

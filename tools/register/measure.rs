@@ -1,0 +1,142 @@
+//! What registration did to each track, in figures.
+
+use decouplegs::drive::alignment::{TruthError, ade_to_lanes, against_truth, clearances};
+use decouplegs::drive::register::fit::PlanarFit;
+use decouplegs::drive::register::route::may_use;
+use decouplegs::drive::{Ground, LaneIndex, LanePoint, Outcome, Registration};
+use decouplegs::scene::{LaneMap, Track};
+use glam::DVec2;
+
+/// Figures of all tracks.
+pub struct Measured {
+    pub tracks: Vec<MeasuredTrack>,
+    /// Corners that are deeper below the ground have penetrated it, metres.
+    pub tolerance_m: f64,
+    /// Whether a truth was given.
+    pub has_truth: bool,
+    /// Whether there was a ground to measure clearances against.
+    pub has_ground: bool,
+}
+
+/// Figures of a track; poses within lane changes do not count for distances to lanes.
+pub struct MeasuredTrack {
+    pub id: String,
+    pub class: String,
+    /// Why it was left out.
+    pub refused: Option<String>,
+    /// Its motion, and whether that is the one of all tracks.
+    pub fit: Option<(PlanarFit, bool)>,
+    /// Mean distance to the nearest centreline, metres.
+    pub to_lane_m: BeforeAfter<Option<f64>>,
+    pub to_truth: BeforeAfter<Option<TruthError>>,
+    /// Of each bottom corner of each pose, metres.
+    pub clearances_m: Vec<f64>,
+    pub lane_changes: usize,
+    /// Names of flags, and how many poses have them.
+    pub flags: Vec<(&'static str, usize)>,
+    /// Time in seconds and signed distance to the nearest centreline, metres.
+    pub offsets_m: BeforeAfter<Vec<(f64, f64)>>,
+}
+
+/// As logged, and as registered.
+#[derive(Clone, Debug, Default)]
+pub struct BeforeAfter<T> {
+    pub before: T,
+    pub after: T,
+}
+
+impl Measured {
+    pub fn of(
+        map: &LaneMap,
+        tracks: &[Track],
+        registration: &Registration,
+        truth: Option<&[Track]>,
+        ground: Option<&Ground>,
+        tolerance_m: f64,
+    ) -> Self {
+        let index = LaneIndex::new(map);
+        let measure = |(at, track): (usize, &Track)| {
+            let truth = truth.and_then(|truth| truth.iter().find(|truth| truth.id == track.id));
+            let usable = |point: &LanePoint| may_use(&track.class, map.lanes[point.lane].kind);
+            Scene { index: &index, truth, ground }.measure(track, &registration.tracks[at].outcome, &usable)
+        };
+        let tracks = tracks.iter().enumerate().map(measure).collect();
+        Self { tracks, tolerance_m, has_truth: truth.is_some(), has_ground: ground.is_some() }
+    }
+
+    /// Clearances of all tracks.
+    pub fn clearances_m(&self) -> Vec<f64> {
+        self.tracks.iter().flat_map(|track| track.clearances_m.iter().copied()).collect()
+    }
+
+    /// Mean over the tracks that have both, each counting the same.
+    pub fn mean(&self, of: impl Fn(&MeasuredTrack) -> BeforeAfter<Option<f64>>) -> Option<BeforeAfter<f64>> {
+        let both = self.tracks.iter().filter_map(|track| {
+            let BeforeAfter { before, after } = of(track);
+            Some((before?, after?))
+        });
+        let (before, after, count) = both.fold((0.0, 0.0, 0), |(b, a, n), (before, after)| (b + before, a + after, n + 1));
+        (count > 0).then(|| BeforeAfter { before: before / f64::from(count), after: after / f64::from(count) })
+    }
+}
+
+/// What a track is measured against.
+struct Scene<'a> {
+    index: &'a LaneIndex,
+    truth: Option<&'a Track>,
+    ground: Option<&'a Ground>,
+}
+
+impl Scene<'_> {
+    fn measure(&self, track: &Track, outcome: &Outcome, usable: &dyn Fn(&LanePoint) -> bool) -> MeasuredTrack {
+        let logged: Vec<(f64, DVec2)> = track.points.iter().map(|point| (point.time_s, point.position_m)).collect();
+        let offsets = |places: &[(f64, DVec2)]| -> Vec<(f64, f64)> {
+            places.iter().filter_map(|(time_s, at)| Some((*time_s, self.index.nearest(*at, usable)?.foot.lateral_m))).collect()
+        };
+        let truth_of = |places: &[(f64, DVec2)]| against_truth(places.iter().copied(), self.truth?);
+        let mut measured = MeasuredTrack {
+            id: track.id.clone(),
+            class: track.class.clone(),
+            refused: None,
+            fit: None,
+            to_lane_m: BeforeAfter::default(),
+            to_truth: BeforeAfter { before: truth_of(&logged), after: None },
+            clearances_m: Vec::new(),
+            lane_changes: 0,
+            flags: Vec::new(),
+            offsets_m: BeforeAfter { before: offsets(&logged), after: Vec::new() },
+        };
+        let registered = match outcome {
+            Outcome::Refused { reason } => {
+                measured.refused = Some(reason.clone());
+                return measured;
+            }
+            Outcome::Registered(registered) => registered,
+        };
+        let placed: Vec<(f64, DVec2)> =
+            registered.poses.iter().map(|pose| (pose.time_s, pose.pose.translation.truncate())).collect();
+        let on_lane = |places: &[(f64, DVec2)]| {
+            let counted = places.iter().zip(&registered.poses).filter(|(_, pose)| !pose.flags.lane_change);
+            ade_to_lanes(self.index, counted.map(|((_, at), _)| *at), usable)
+        };
+        // Who follows no lane, as a parked car, is not meant to be on its middle.
+        if !registered.by_shared {
+            measured.to_lane_m = BeforeAfter { before: on_lane(&logged), after: on_lane(&placed) };
+        }
+        measured.to_truth.after = truth_of(&placed);
+        measured.offsets_m.after = offsets(&placed);
+        measured.fit = Some((registered.fit, registered.by_shared));
+        measured.lane_changes = registered.lane_changes.len();
+        let names: Vec<&str> = registered.poses.iter().flat_map(|pose| pose.flags.names()).collect();
+        for name in ["no-support", "no-height", "uneven", "lane-change", "outlier"] {
+            let count = names.iter().filter(|found| **found == name).count();
+            measured.flags.extend((count > 0).then_some((name, count)));
+        }
+        if let Some(ground) = self.ground {
+            let dims_m = track.dims_m.unwrap_or(decouplegs::drive::RegisterOptions::default().dims_m);
+            let near = |at: DVec2, z_m: f64| ground.height_at(at, Some(z_m)).map(|height| height.z_m);
+            measured.clearances_m = clearances(registered.poses.iter().map(|pose| pose.pose), dims_m, near);
+        }
+        measured
+    }
+}
