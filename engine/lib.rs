@@ -9,7 +9,7 @@
 //! | module | what it is | reads on |
 //! |---|---|---|
 //! | [`scene`] | what a world is: splats, poses, cameras, rules; plain data and mathematics | - |
-//! | [`asset`] | how it is stored: splat files, camera files, scene files, the synthetic street | `scene` |
+//! | [`asset`] | how it is stored: splat files, maps, tracks, scene files, calibrated light, the synthetic street | `scene` |
 //! | [`drive`] | how it moves: lanes, ground, registration of tracks | `scene` |
 //! | [`gpu`] | how we speak Vulkan: device, queue, memory, kernel; the only `unsafe` code | - |
 //! | [`render`] | how it becomes pictures: the GPU frame, its f64 definition, and the error between two pictures | `scene`, `gpu` |

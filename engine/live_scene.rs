@@ -3,7 +3,7 @@
 use decouplegs_asset::{LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentWorld, Scene};
 use decouplegs_scene::light::Lighting;
-use decouplegs_scene::{ContactShadow, Pose};
+use decouplegs_scene::{ContactShadow, Pose, ShFrame};
 
 /// A loaded scene on the device: what a loop of frames needs of it.
 ///
@@ -72,7 +72,7 @@ impl LiveScene {
             agent: agent.clone(),
         };
         let agents = loaded.agents.iter().map(live).collect();
-        Ok(Self { world, pool, agents, lighting: loaded.lighting(true) })
+        Ok(Self { world, pool, agents, lighting: loaded.lighting() })
     }
 
     /// All agents where they are at `time_s`, in the light of the scene.
@@ -84,19 +84,19 @@ impl LiveScene {
     /// All agents where `pose_of` puts them, world coordinates, in the light of the scene.
     #[must_use]
     pub fn posed(&self, pose_of: impl Fn(&LoadedAgent) -> Pose) -> Moment {
-        let mut moment = Moment::default();
-        for LiveAgent { asset, dims_m, agent } in &self.agents {
-            let pose = pose_of(agent);
-            let mut shown = Agent { sh_frame: Some(agent.sh_frame), ..Agent::new(*asset, pose, agent.instance) };
-            if let Some(lighting) = &self.lighting {
-                let lit = lighting.of_agent(&pose, *dims_m, agent.sh_frame);
-                moment.unlit += usize::from(!lit.known);
-                shown.relight = lit.relight;
-                moment.shadows.extend(lit.shadow);
-            }
-            moment.agents.push(shown);
+        let placed = |live: &LiveAgent| (pose_of(&live.agent), live.dims_m, live.agent.sh_frame);
+        let placed: Vec<(Pose, [f32; 3], ShFrame)> = self.agents.iter().map(placed).collect();
+        let lit = self.lighting.as_ref().map(|lighting| lighting.of_agents(&placed));
+        let agent = |(index, (live, (pose, _, sh_frame))): (usize, (&LiveAgent, &(Pose, [f32; 3], ShFrame)))| Agent {
+            sh_frame: Some(*sh_frame),
+            relight: lit.as_ref().and_then(|lit| lit[index].relight),
+            ..Agent::new(live.asset, *pose, live.agent.instance)
+        };
+        Moment {
+            agents: self.agents.iter().zip(&placed).enumerate().map(agent).collect(),
+            shadows: lit.iter().flatten().filter_map(|lit| lit.shadow).collect(),
+            unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
         }
-        moment
     }
 
     /// The background with what moves, as [`Renderer::render`] takes it.

@@ -1,9 +1,9 @@
 //! `decouplegs stress`: how frames, memory and error go with the number of agents, for several ways to draw them.
 
 mod charts;
-mod course;
+pub mod course;
 mod fidelity;
-mod figures;
+pub mod figures;
 mod fit;
 mod measure;
 mod mode;

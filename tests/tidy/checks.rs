@@ -23,6 +23,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("engine/gpu/Cargo.toml", &[]),
     ("shaders/Cargo.toml", &[]),
     ("engine/asset/Cargo.toml", &["decouplegs-scene"]),
+    ("engine/drive/Cargo.toml", &["decouplegs-scene"]),
     ("engine/render/Cargo.toml", &["decouplegs-scene", "decouplegs-gpu", "decouplegs-shaders"]),
     ("tools/Cargo.toml", &["decouplegs"]),
 ];

@@ -3,6 +3,8 @@
 //! Coefficient 0 is the direct (DC) term. Band `l` holds `2l + 1` coefficients. A splat's colour is
 //! `max(0, 0.5 + sum_k c_k Y_k(d))` with `d` the unit vector from the camera centre to the splat's mean.
 
+use std::sync::LazyLock;
+
 use glam::{DQuat, DVec3};
 
 /// Highest degree stored or evaluated.
@@ -45,7 +47,7 @@ pub fn basis(d: DVec3) -> [f64; 16] {
 /// Turns coefficients with the object they belong to.
 ///
 /// After `c' = rotate(c)`, `sum c'_k Y_k(R d) = sum c_k Y_k(d)` for every `d`. Bands do not mix, so this is one
-/// small matrix a band, found by evaluating the basis at fixed directions and solving in the least-squares sense.
+/// small matrix a band: the basis at fixed directions that were turned, times its pseudo-inverse at these directions.
 #[derive(Clone, Debug)]
 pub struct ShRotation {
     /// Row-major square matrices of bands 1, 2 and 3 in the upper left `2l + 1` of each.
@@ -57,8 +59,17 @@ impl ShRotation {
     #[must_use]
     pub fn new(rotation: DQuat) -> Self {
         let mut bands = [[[0.0; 7]; 7]; 3];
-        for (index, matrix) in bands.iter_mut().enumerate() {
-            *matrix = band_matrix(index + 1, rotation);
+        let samples = &*ROTATION_SAMPLES;
+        for (sample, d) in samples.directions.iter().enumerate() {
+            let turned = basis(rotation * *d);
+            for (index, matrix) in bands.iter_mut().enumerate() {
+                let (count, first) = (2 * index + 3, (index + 1) * (index + 1));
+                for (row, values) in matrix.iter_mut().enumerate().take(count) {
+                    for (value, inverse) in values[..count].iter_mut().zip(&samples.inverses[index][sample]) {
+                        *value += turned[first + row] * inverse;
+                    }
+                }
+            }
         }
         Self { bands }
     }
@@ -88,28 +99,45 @@ impl ShRotation {
     }
 }
 
-/// The matrix D of band `l` with `Y(R d)^T D = Y(d)^T` at every sample direction `d`.
-fn band_matrix(l: usize, rotation: DQuat) -> [[f64; 7]; 7] {
-    const SAMPLES: usize = 24;
-    let count = 2 * l + 1;
-    let first = l * l;
-    // Normal equations (A^T A) D = A^T B with A = Y(R d), B = Y(d); well conditioned: A^T A is near a multiple of I.
-    let mut normal = [[0.0f64; 7]; 7];
-    let mut right = [[0.0f64; 7]; 7];
-    for sample in 0..SAMPLES {
+/// Directions at which the basis is evaluated to find a rotation of its coefficients.
+const SAMPLES: usize = 24;
+
+/// What does not depend on the rotation: the directions, and for each band the pseudo-inverse of the basis there.
+struct RotationSamples {
+    directions: [DVec3; SAMPLES],
+    /// `[band - 1][sample][column]`.
+    inverses: [[[f64; 7]; SAMPLES]; 3],
+}
+
+static ROTATION_SAMPLES: LazyLock<RotationSamples> = LazyLock::new(|| {
+    let directions = std::array::from_fn(|sample| {
         let z = 1.0 - (2.0 * sample as f64 + 1.0) / SAMPLES as f64;
         let azimuth = sample as f64 * 2.399_963_229_728_653;
         let radius = (1.0 - z * z).sqrt();
-        let d = DVec3::new(radius * azimuth.cos(), radius * azimuth.sin(), z);
-        let (a, b) = (basis(rotation * d), basis(d));
-        for row in 0..count {
+        DVec3::new(radius * azimuth.cos(), radius * azimuth.sin(), z)
+    });
+    RotationSamples { directions, inverses: std::array::from_fn(|index| inverse_basis(index + 1, &directions)) }
+});
+
+/// (A^T A)^-1 A^T by columns, A the basis of band `l` at `directions`. Well conditioned: A^T A is near a multiple of I.
+fn inverse_basis(l: usize, directions: &[DVec3; SAMPLES]) -> [[f64; 7]; SAMPLES] {
+    let (count, first) = (2 * l + 1, l * l);
+    let mut normal = [[0.0f64; 7]; 7];
+    let mut identity = [[0.0f64; 7]; 7];
+    for row in 0..count {
+        identity[row][row] = 1.0;
+        for d in directions {
+            let y = basis(*d);
             for column in 0..count {
-                normal[row][column] += a[first + row] * a[first + column];
-                right[row][column] += a[first + row] * b[first + column];
+                normal[row][column] += y[first + row] * y[first + column];
             }
         }
     }
-    solve(normal, right, count)
+    let inverse = solve(normal, identity, count);
+    directions.map(|d| {
+        let y = basis(d);
+        std::array::from_fn(|row| (0..count).map(|column| inverse[row][column] * y[first + column]).sum())
+    })
 }
 
 /// Gaussian elimination with partial pivoting on the upper left `count` rows.

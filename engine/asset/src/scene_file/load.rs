@@ -75,7 +75,7 @@ impl LoadedScene {
     #[must_use]
     pub fn baked(&self, time_s: f64) -> World {
         let mut world = self.world.clone();
-        let lighting = self.lighting(false);
+        let lighting = self.lighting();
         let of_agent = |agent: &LoadedAgent| {
             let (pose, dims_m) = (agent.trajectory.at(time_s), self.assets[agent.asset].dims_m);
             (pose, lighting.as_ref().map(|lighting| lighting.of_agent(&pose, dims_m, agent.sh_frame)))
@@ -93,16 +93,14 @@ impl LoadedScene {
         world
     }
 
-    /// The light of the background; `None` where the scene has none. With `baked`, the field is made ready where agents drive.
+    /// The light of the background, its field baked where agents drive; `None` where the scene has none.
     #[must_use]
-    pub fn lighting(&self, baked: bool) -> Option<Lighting> {
+    pub fn lighting(&self) -> Option<Lighting> {
         let light = self.light.as_ref()?;
         let instances = &self.world.instance_from_splat;
         let background = instances.iter().position(|&id| id != 0).unwrap_or(self.world.splats.len());
         let mut field = AmbientField::new(&self.world.splats, background, self.world.origin, &light.ambient);
-        if baked {
-            field.bake(self.agents.iter().flat_map(|agent| places(&agent.trajectory, light.ambient.spacing_m)));
-        }
+        field.bake(self.agents.iter().flat_map(|agent| places(&agent.trajectory, light.ambient.spacing_m)));
         Some(Lighting { field, transfer: light.transfer.clone(), shadows: light.shadows })
     }
 }

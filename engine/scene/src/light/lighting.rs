@@ -1,6 +1,7 @@
 //! The light of a scene: from where an agent stands to its colours and its shadow.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::light::{AmbientDescriptor, AmbientField, ColourTransfer, ContactShadow, LightTransfer};
 use crate::{Pose, ShFrame};
@@ -98,6 +99,14 @@ impl Lighting {
             shadow: self.shadows.map(|shadows| shadows.shadow(world_from_agent, dims_m, &light)),
             known,
         }
+    }
+
+    /// [`Lighting::of_agent`] for many: pose, size and frame of the colours of each. On as many threads as there are.
+    #[must_use]
+    pub fn of_agents(&self, agents: &[(Pose, [f32; 3], ShFrame)]) -> Vec<LitAgent> {
+        let lit = |(pose, dims_m, sh_frame): &(Pose, [f32; 3], ShFrame)| self.of_agent(pose, *dims_m, *sh_frame);
+        // Some microseconds an agent: fewer are not worth waking a thread for.
+        agents.par_iter().with_min_len(8).map(lit).collect()
     }
 
     /// The light at `place`, and whether the background told it: else it is the one that assets are shown in as they are.
