@@ -87,13 +87,13 @@ impl LiveScene {
         let placed = |live: &LiveAgent| (pose_of(&live.agent), live.dims_m, live.agent.sh_frame);
         let placed: Vec<(Pose, [f32; 3], ShFrame)> = self.agents.iter().map(placed).collect();
         let lit = self.lighting.as_ref().map(|lighting| lighting.of_agents(&placed));
-        let agent = |(index, (live, (pose, _, sh_frame))): (usize, (&LiveAgent, &(Pose, [f32; 3], ShFrame)))| Agent {
-            sh_frame: Some(*sh_frame),
+        let agent = |(index, live): (usize, &LiveAgent)| Agent {
+            sh_frame: Some(live.agent.sh_frame),
             relight: lit.as_ref().and_then(|lit| lit[index].relight),
-            ..Agent::new(live.asset, *pose, live.agent.instance)
+            ..Agent::new(live.asset, placed[index].0, live.agent.instance)
         };
         Moment {
-            agents: self.agents.iter().zip(&placed).enumerate().map(agent).collect(),
+            agents: self.agents.iter().enumerate().map(agent).collect(),
             shadows: lit.iter().flatten().filter_map(|lit| lit.shadow).collect(),
             unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
         }

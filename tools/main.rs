@@ -4,6 +4,7 @@
 //! causes), and with 2 when the command line makes no sense.
 #![forbid(unsafe_code)]
 
+mod ablate;
 mod arguments;
 mod bench;
 mod calibrate_light;
@@ -48,6 +49,7 @@ enum Command {
     CalibrateLight(calibrate_light::Arguments),
     Bench(bench::Arguments),
     Stress(Box<stress::Arguments>),
+    Ablate(Box<ablate::Arguments>),
     Devices(devices::Arguments),
 }
 
@@ -64,6 +66,7 @@ fn main() -> ExitCode {
         Command::CalibrateLight(arguments) => calibrate_light::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
         Command::Stress(arguments) => stress::run(arguments),
+        Command::Ablate(arguments) => ablate::run(arguments),
         Command::Devices(arguments) => devices::run(arguments),
     };
     match done {

@@ -220,12 +220,13 @@ impl Bars<'_> {
                     let _ = write!(
                         svg,
                         "<rect x=\"{a:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"18\" \
-                         style=\"fill:var(--c{});opacity:{}\"><title>{} {} ms</title></rect>",
+                         style=\"fill:var(--c{});opacity:{}\"><title>{} {} {}</title></rect>",
                         (b - a).max(0.0),
                         part % COLOURS,
                         opacity(part),
                         escaped(&self.parts[part]),
-                        number(*value)
+                        number(*value),
+                        escaped(self.x_label)
                     );
                 }
                 from += value;

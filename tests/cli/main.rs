@@ -1,5 +1,6 @@
 //! The program as a user meets it: what it writes, what it says, and how it exits.
 
+mod ablate;
 mod calibrate_light;
 mod compress;
 mod map;

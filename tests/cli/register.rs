@@ -4,8 +4,9 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use decouplegs::asset::read_map;
-use decouplegs::drive::alignment::{TruthError, against_truth};
+use decouplegs::drive::alignment::{TruthError, against_truth_along};
 use decouplegs::drive::polyline::wrapped;
+use decouplegs::drive::register::fit::PlanarFit;
 use decouplegs::drive::{LaneIndex, Outcome, PlanarTransform, Polyline, RegisterOptions, register};
 use decouplegs::scene::{LaneKind, LaneMap, Track, TrackPoint};
 use glam::DVec2;
@@ -54,7 +55,9 @@ fn tracks_are_registered_measured_and_reported() {
     }
     let page = fs::read_to_string(page).unwrap();
     assert_page_stands_alone(&page);
-    for part in ["as logged", "registered", "Corners by clearance", "independent ground", "was refused"] {
+    for part in
+        ["as logged", "registered", "Corners by clearance", "independent ground", "Ground penetration rate", "was refused"]
+    {
         assert!(page.contains(part), "{part}");
     }
 }
@@ -100,26 +103,45 @@ fn real_map(file: &str) -> Option<LaneMap> {
     Some(read_map(&path).unwrap())
 }
 
-/// Errors of cars on `map` that were moved by up to 1 m and 1.7 degrees, with noise of 8 cm; those changing to a lane on the left
-/// where `changing`.
-fn errors(map: &LaneMap, changing: bool) -> Vec<TruthError> {
+/// How a car on a map was brought back.
+struct Found {
+    error: TruthError,
+    fit: PlanarFit,
+    /// How far the track as a whole is off along its mean direction, metres: what [`PlanarFit::along_m`] is the deviation of.
+    shifted_m: f64,
+}
+
+/// Cars on `map` that were moved by up to 1.1 m and 1.7 degrees, with noise of 8 cm, as they were brought back; those
+/// changing to a lane on the left where `changing`. Several draws of noise and drift for each route.
+fn brought_back(map: &LaneMap, changing: bool) -> Vec<Found> {
     const YAWS: [f64; 4] = [0.02, -0.03, 0.01, 0.0];
-    let mut errors = Vec::new();
-    for (at, line) in routes(map, 60.0, 24).iter().enumerate().filter(|(_, line)| line.length_m() < 250.0) {
+    const DRAWS: usize = 4;
+    let mut all = Vec::new();
+    let lines = routes(map, 60.0, 24);
+    let short = lines.iter().enumerate().filter(|(_, line)| line.length_m() < 250.0);
+    for ((at, line), draw) in short.flat_map(|route| (0..DRAWS).map(move |draw| (route, draw))) {
         let middle_m = 0.5 * line.length_m();
         let width_m = if changing { left_lane_m(map, line, middle_m + 20.0) } else { Some(0.0) };
         let Some(width_m) = width_m else { continue };
         let left = |s: f64| 0.5 * width_m * (1.0 - (std::f64::consts::PI * ((s - middle_m + 15.0) / 30.0).clamp(0.0, 1.0)).cos());
         let truth = drive("car", line, left);
-        let shift_m = DVec2::new([0.6, -0.7, 0.2][at % 3], [-0.6, 0.5, 0.8, -0.9, 0.1][at % 5]);
-        let log = logged(&truth, YAWS[at % 4], shift_m, 0.08);
+        let drift = at + 7 * draw;
+        let shift_m = DVec2::new([0.6, -0.7, 0.2][drift % 3], [-0.6, 0.5, 0.8, -0.9, 0.1][drift % 5]);
+        let log = logged(&truth, YAWS[drift % 4], shift_m, 0.08, draw as u64 + 1);
         let registration = register(map, &[log], None, &RegisterOptions::default()).unwrap();
         let Outcome::Registered(found) = &registration.tracks[0].outcome else { panic!("{:?}", registration.tracks[0].outcome) };
-        assert_eq!(found.lane_changes.len(), usize::from(changing), "route {at}");
-        let places = found.poses.iter().map(|pose| (pose.time_s, pose.pose.translation.truncate()));
-        errors.push(against_truth(places, &truth).unwrap());
+        assert_eq!(found.lane_changes.len(), usize::from(changing), "route {at}, draw {draw}");
+        let places = found.poses.iter().map(|pose| {
+            let lane_heading = pose.lane.map(|lane| lane.heading_rad);
+            (pose.time_s, pose.pose.translation.truncate(), lane_heading)
+        });
+        let error = against_truth_along(places, &truth).unwrap();
+        let off = found.poses.iter().zip(&truth.points).map(|(pose, point)| pose.pose.translation.truncate() - point.position_m);
+        let way: DVec2 = truth.points.windows(2).map(|pair| (pair[1].position_m - pair[0].position_m).normalize()).sum();
+        let shifted_m = (off.sum::<DVec2>() / truth.points.len() as f64).dot(way.normalize()).abs();
+        all.push(Found { error, fit: found.fit, shifted_m });
     }
-    errors
+    all
 }
 
 /// How far to the left of `line` a lane of the same direction lies from `from_m` on, where one does all along.
@@ -144,25 +166,42 @@ fn left_lane_m(map: &LaneMap, line: &Polyline, from_m: f64) -> Option<f64> {
 #[test]
 fn tracks_on_real_maps_are_brought_back_across_their_lanes() {
     const ADE_MAX_M: f64 = 0.05;
-    // How many routes each map has to show, keeping their lanes and changing them.
+    // How many logs each map has at least, keeping their lanes and changing them.
     let maps = [
-        ("maps/lanelet2_mapping_example.osm", [20, 0]),
-        ("maps/esmini_fabriksgatan.xodr", [15, 0]),
-        ("scenarios/commonroad_USA_Lanker-1_1_T-1.xml", [19, 4]),
+        ("maps/lanelet2_mapping_example.osm", [80, 0]),
+        ("maps/esmini_fabriksgatan.xodr", [44, 0]),
+        ("scenarios/commonroad_USA_Lanker-1_1_T-1.xml", [76, 16]),
     ];
+    let mut along = Vec::new();
     for (file, least) in maps {
         let Some(map) = real_map(file) else { continue };
         for (changing, least) in [false, true].into_iter().zip(least) {
-            let errors = errors(&map, changing);
-            let mut across: Vec<f64> = errors.iter().map(|error| error.lateral_m).collect();
-            across.sort_by(f64::total_cmp);
-            println!("{file}, changing {changing}: across {across:.3?}");
-            assert!(errors.len() >= least, "{} routes", errors.len());
-            // One short route of each map lies between lanes that a track of its length does not tell apart in place and turn.
-            let beyond = across.iter().filter(|across| **across > ADE_MAX_M).count();
-            assert!(beyond <= 1 && across.last().is_none_or(|worst| *worst < 0.15), "{across:?}");
+            let found = brought_back(&map, changing);
+            let worst = found.iter().map(|found| found.error.lateral_m).fold(0.0, f64::max);
+            println!("{file}, changing {changing}: {} logs, at worst {worst:.3} m across", found.len());
+            assert!(found.len() >= least, "{} logs", found.len());
+            assert!(worst <= ADE_MAX_M, "{file}, changing {changing}: {worst}");
+            along.extend(found.iter().map(|found| (found.shifted_m, found.fit.along_m)));
         }
     }
+    assert_deviations_hold(&along);
+}
+
+/// Shifts along lanes that are left and the deviations told with them: as a normal distribution has them, about two thirds within one deviation and few
+/// beyond two. Errors of no motion at all, as deviations too large to say anything would have them, are not.
+fn assert_deviations_hold(along: &[(f64, f64)]) {
+    let shown: Vec<f64> = along.iter().filter(|(_, told_m)| *told_m < 0.2).map(|(error_m, told_m)| error_m / told_m).collect();
+    if shown.is_empty() {
+        return;
+    }
+    let share = |reach: f64| shown.iter().filter(|error| **error <= reach).count() as f64 / shown.len() as f64;
+    println!(
+        "{} logs that show the place along: {:.2} within a deviation, {:.2} within two",
+        shown.len(),
+        share(1.0),
+        share(2.0)
+    );
+    assert!((0.5..0.9).contains(&share(1.0)) && share(2.0) >= 0.9 && share(5.0) >= 1.0, "{} {}", share(1.0), share(2.0));
 }
 
 /// Ways of at least `least_m` along lanes that follow one another, about `count` of them, spread over the map.
@@ -204,11 +243,11 @@ fn drive(id: &str, line: &Polyline, left: impl Fn(f64) -> f64) -> Track {
 }
 
 /// `truth` as a log that drifts has it: moved about its middle and noisy.
-fn logged(truth: &Track, yaw_rad: f64, shift_m: DVec2, noise_m: f64) -> Track {
+fn logged(truth: &Track, yaw_rad: f64, shift_m: DVec2, noise_m: f64, seed: u64) -> Track {
     let first = truth.points[0].position_m;
     let sum: DVec2 = truth.points.iter().map(|point| point.position_m - first).sum();
     let drift = PlanarTransform { pivot_m: first + sum / truth.points.len() as f64, yaw_rad, shift_m };
-    let mut seed = 1_u64;
+    let mut seed = seed;
     let mut uniform = || {
         // The sum of four even numbers is normal enough for noise.
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

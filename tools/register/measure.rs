@@ -1,9 +1,9 @@
 //! What registration did to each track, in figures.
 
-use decouplegs::drive::alignment::{TruthError, ade_to_lanes, against_truth, clearances};
+use decouplegs::drive::alignment::{TruthError, ade_to_lanes, against_truth, against_truth_along, clearances};
 use decouplegs::drive::register::fit::PlanarFit;
 use decouplegs::drive::register::route::may_use;
-use decouplegs::drive::{Ground, LaneIndex, LanePoint, Outcome, Registration};
+use decouplegs::drive::{Foot, Ground, LaneIndex, LanePoint, Outcome, Registration};
 use decouplegs::scene::{LaneMap, Track};
 use glam::DVec2;
 
@@ -34,7 +34,7 @@ pub struct MeasuredTrack {
     pub lane_changes: usize,
     /// Names of flags, and how many poses have them.
     pub flags: Vec<(&'static str, usize)>,
-    /// Time in seconds and signed distance to the nearest centreline, metres.
+    /// Time in seconds and signed distance from the centreline of its lane, metres; empty where it follows none.
     pub offsets_m: BeforeAfter<Vec<(f64, f64)>>,
 }
 
@@ -90,21 +90,20 @@ struct Scene<'a> {
 impl Scene<'_> {
     fn measure(&self, track: &Track, outcome: &Outcome, usable: &dyn Fn(&LanePoint) -> bool) -> MeasuredTrack {
         let logged: Vec<(f64, DVec2)> = track.points.iter().map(|point| (point.time_s, point.position_m)).collect();
-        let offsets = |places: &[(f64, DVec2)]| -> Vec<(f64, f64)> {
-            places.iter().filter_map(|(time_s, at)| Some((*time_s, self.index.nearest(*at, usable)?.foot.lateral_m))).collect()
-        };
-        let truth_of = |places: &[(f64, DVec2)]| against_truth(places.iter().copied(), self.truth?);
         let mut measured = MeasuredTrack {
             id: track.id.clone(),
             class: track.class.clone(),
             refused: None,
             fit: None,
             to_lane_m: BeforeAfter::default(),
-            to_truth: BeforeAfter { before: truth_of(&logged), after: None },
+            to_truth: BeforeAfter {
+                before: self.truth.and_then(|truth| against_truth(logged.iter().copied(), truth)),
+                after: None,
+            },
             clearances_m: Vec::new(),
             lane_changes: 0,
             flags: Vec::new(),
-            offsets_m: BeforeAfter { before: offsets(&logged), after: Vec::new() },
+            offsets_m: BeforeAfter::default(),
         };
         let registered = match outcome {
             Outcome::Refused { reason } => {
@@ -123,8 +122,23 @@ impl Scene<'_> {
         if !registered.by_shared {
             measured.to_lane_m = BeforeAfter { before: on_lane(&logged), after: on_lane(&placed) };
         }
-        measured.to_truth.after = truth_of(&placed);
-        measured.offsets_m.after = offsets(&placed);
+        // Before and after, across and along mean those of the lane that the track was found to follow.
+        let truth_of = |places: &[(f64, DVec2)]| {
+            let lanes = registered.poses.iter().map(|pose| pose.lane.map(|lane| lane.heading_rad));
+            against_truth_along(
+                places.iter().zip(lanes).map(|(&(time_s, at), heading_rad)| (time_s, at, heading_rad)),
+                self.truth?,
+            )
+        };
+        let offsets = |places: &[(f64, DVec2)]| -> Vec<(f64, f64)> {
+            let of = |(&(time_s, at), lane): (&(f64, DVec2), Option<Foot>)| {
+                let lane = lane?;
+                Some((time_s, DVec2::from_angle(lane.heading_rad).perp_dot(at - lane.point.truncate())))
+            };
+            places.iter().zip(registered.poses.iter().map(|pose| pose.lane)).filter_map(of).collect()
+        };
+        measured.to_truth = BeforeAfter { before: truth_of(&logged), after: truth_of(&placed) };
+        measured.offsets_m = BeforeAfter { before: offsets(&logged), after: offsets(&placed) };
         measured.fit = Some((registered.fit, registered.by_shared));
         measured.lane_changes = registered.lane_changes.len();
         let names: Vec<&str> = registered.poses.iter().flat_map(|pose| pose.flags.names()).collect();

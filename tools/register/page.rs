@@ -67,9 +67,12 @@ fn table(measured: &Measured) -> String {
         }
     }
     html.push_str(
-        "</table></div><p class=\"dim\">Shift and yaw move the track's middle and turn it. 'along' is the deviation of the shift along \
-         the track's mean direction: near 1 m, the lanes did not show it and the place along the lane is as logged. ADE is as logged, \
-         then registered; distances to lanes leave lane changes out. 'across' and 'along truth' are the parts of the ADE to the truth.</p>",
+        "</table></div><p class=\"dim\">Shift (x y) and yaw (from x to y) are the one motion of the track, about its middle. 'known to' is one \
+         standard deviation of that, across the lane and along it: near 1 m, which is what is assumed of drift before, the lanes do \
+         not show it and the place along the lane is as logged. ADE is the mean distance, as logged -&gt; registered: to the nearest \
+         centreline (lane changes left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from \
+         the ground that 95 % of corners keep within, are as in Clearance. Notes count poses: no-support had no ground below and stands at \
+         the height of the map, uneven stands on something.</p>",
     );
     html
 }
@@ -80,8 +83,9 @@ fn clearance_part(arguments: &Arguments, measured: &Measured) -> String {
         return String::new();
     }
     let against = match (&arguments.ground_truth, &arguments.scene) {
-        (Some(truth), _) => format!("Against the independent ground of {}.", escaped(&truth.display().to_string())),
-        _ => "Against the same ground that the boxes were set on: it shows how well four wheels fit it, not whether it is right."
+        (Some(truth), _) => format!("Judged against the independent ground of {}.", escaped(&truth.display().to_string())),
+        _ => "Judged against the same ground that the boxes were set on, the background's own splats: it shows how well four wheels fit it, not \
+              whether it is right. --ground-truth names an independent one."
             .into(),
     };
     format!(
@@ -191,6 +195,6 @@ fn offsets(track: &MeasuredTrack) -> String {
         series.push(curve("registered", AFTER, &track.offsets_m.after));
     }
     let linear = |label| Axis { label, ..Axis::default() };
-    let title = format!("{}: offset from the nearest centreline", track.id);
+    let title = format!("{}: offset from the centreline of its lane", track.id);
     Plot { title: &title, x: linear("time, s"), y: linear("to the left, m"), series }.to_svg()
 }

@@ -6,12 +6,12 @@ use super::measure::{BeforeAfter, Measured, MeasuredTrack};
 
 /// Names of the columns and what stands below them, for text and page alike.
 pub fn columns(measured: &Measured) -> Vec<&'static str> {
-    let mut columns = vec!["track", "class", "outcome", "shift m", "yaw deg", "along m", "ADE lane m"];
+    let mut columns = vec!["track", "outcome", "shift m", "yaw deg", "known to m", "ADE lane m"];
     if measured.has_truth {
-        columns.extend(["ADE truth m", "across m", "along truth m"]);
+        columns.extend(["ADE truth m", "across m", "along m"]);
     }
     if measured.has_ground {
-        columns.extend(["GPR %", "p95 clearance cm"]);
+        columns.extend(["GPR %", "p95 cm"]);
     }
     columns.push("notes");
     columns
@@ -24,13 +24,13 @@ pub fn cells(measured: &Measured, track: &MeasuredTrack) -> Vec<String> {
         (None, Some((_, true))) => "by the others",
         _ => "registered",
     };
-    let mut cells = vec![track.id.clone(), track.class.clone(), outcome.to_owned()];
+    let mut cells = vec![format!("{} ({})", track.id, track.class), outcome.to_owned()];
     match track.fit {
         Some((fit, _)) => {
             let shift = fit.motion.shift_m;
             cells.push(format!("{:+.2} {:+.2}", shift.x, shift.y));
             cells.push(format!("{:+.2}", fit.motion.yaw_rad.to_degrees()));
-            cells.push(format!("±{:.2}", fit.along_m));
+            cells.push(format!("{:.2}, {:.2}", fit.across_m, fit.along_m));
         }
         None => cells.extend(["-".into(), "-".into(), "-".into()]),
     }
@@ -70,7 +70,10 @@ pub fn totals(measured: &Measured) -> Vec<String> {
     let changes: usize = measured.tracks.iter().map(|track| track.lane_changes).sum();
     let mut lines = vec![format!("{registered} of {} tracks registered, {changes} lane changes", measured.tracks.len())];
     if let Some(mean) = measured.mean(|track| track.to_lane_m.clone()) {
-        lines.push(format!("ADE to the nearest centreline: {:.3} m as logged, {:.3} m registered", mean.before, mean.after));
+        lines.push(format!(
+            "Average displacement error (ADE) to the nearest centreline: {:.3} m as logged, {:.3} m registered",
+            mean.before, mean.after
+        ));
     }
     let to_truth = |pick: fn(&decouplegs::drive::alignment::TruthError) -> f64| {
         measured.mean(|track| BeforeAfter {
@@ -90,10 +93,11 @@ pub fn totals(measured: &Measured) -> Vec<String> {
     if let (Some(rate), Some(p95_m)) = (penetration_rate(&clearances_m, measured.tolerance_m), size_quantile(&clearances_m, 0.95))
     {
         lines.push(format!(
-            "GPR {:.2} % below {:.1} cm; 95 % of {} corners within {:.2} cm of the ground",
+            "Ground penetration rate (GPR): {:.2} % of {} bottom corners are more than {:.1} cm below the ground; 95 % are within {:.2} cm \
+             of it, above or below",
             100.0 * rate,
-            100.0 * measured.tolerance_m,
             clearances_m.len(),
+            100.0 * measured.tolerance_m,
             100.0 * p95_m
         ));
     }

@@ -24,7 +24,7 @@ pub fn ade_to_lanes(
 pub struct TruthError {
     /// Mean distance.
     pub ade_m: f64,
-    /// Mean size of the distance across the truth's direction of motion.
+    /// Mean size of the distance across the lane, or where none is given across the truth's direction of motion.
     pub lateral_m: f64,
     /// Mean size of the distance along it, which lanes do not show where they are straight.
     pub longitudinal_m: f64,
@@ -36,9 +36,16 @@ pub struct TruthError {
 /// where no moment is left.
 #[must_use]
 pub fn against_truth(positions: impl IntoIterator<Item = (f64, DVec2)>, truth: &Track) -> Option<TruthError> {
+    against_truth_along(positions.into_iter().map(|(time_s, position)| (time_s, position, None)), truth)
+}
+
+/// The same with the direction, radians, along which and across which each error is told: that of the lane, where one is known. Who
+/// changes lanes drives across them a little, and an error along the lane, which lanes do not show, would be one across his motion.
+#[must_use]
+pub fn against_truth_along(positions: impl IntoIterator<Item = (f64, DVec2, Option<f64>)>, truth: &Track) -> Option<TruthError> {
     let points = &truth.points;
     let (mut sums, mut moments) = (DVec3::ZERO, 0);
-    for (time_s, position) in positions {
+    for (time_s, position, heading_rad) in positions {
         let next = points.partition_point(|point| point.time_s < time_s);
         let exact = points.get(next).is_some_and(|point| point.time_s <= time_s);
         let (before, after) = (if exact { next } else { next.wrapping_sub(1) }, next);
@@ -49,6 +56,7 @@ pub fn against_truth(positions: impl IntoIterator<Item = (f64, DVec2)>, truth: &
         let (first, last) = (&points[before.saturating_sub(1)], &points[(after + 1).min(points.len() - 1)]);
         let way = (last.position_m - first.position_m).try_normalize();
         let way = way.or(a.yaw_rad.map(DVec2::from_angle)).unwrap_or(DVec2::X);
+        let way = heading_rad.map_or(way, DVec2::from_angle);
         let off = position - place;
         sums += DVec3::new(off.length(), way.perp_dot(off).abs(), way.dot(off).abs());
         moments += 1;
@@ -137,6 +145,9 @@ mod tests {
         let aside = against_truth(moved(DVec2::new(0.3, 0.4)), &truth).unwrap();
         assert!((aside.ade_m - 0.5).abs() < 1e-9 && (aside.lateral_m - 0.3).abs() < 1e-9, "{aside:?}");
         assert!((aside.longitudinal_m - 0.4).abs() < 1e-9, "{aside:?}");
+        let lane = moved(DVec2::new(0.3, 0.4)).map(|(time_s, position)| (time_s, position, Some(0.0)));
+        let along_x = against_truth_along(lane, &truth).unwrap();
+        assert!((along_x.lateral_m - 0.4).abs() < 1e-9 && (along_x.longitudinal_m - 0.3).abs() < 1e-9, "{along_x:?}");
         assert_eq!(against_truth([(100.0, DVec2::ZERO)], &truth), None);
         assert_eq!(against_truth(moved(DVec2::ZERO), &Track::default()), None);
     }

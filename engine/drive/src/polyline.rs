@@ -8,7 +8,7 @@ pub struct Polyline {
     points: Vec<DVec3>,
     /// Length up to each point, metres, from above: heights do not count.
     arcs: Vec<f64>,
-    /// Heading at each point, the middle of those before and behind it; unwrapped, so that neighbours differ by less than pi.
+    /// Heading of each segment; unwrapped, so that neighbours differ by less than pi.
     headings: Vec<f64>,
 }
 
@@ -19,7 +19,7 @@ pub struct Foot {
     pub arc_m: f64,
     /// The place itself.
     pub point: DVec3,
-    /// Heading of the line there, radians, interpolated between its points.
+    /// Heading of the line there, radians, as [`Polyline::heading_at`].
     pub heading_rad: f64,
     /// From the line to the point, across, metres: to the left is positive.
     pub lateral_m: f64,
@@ -29,6 +29,9 @@ pub struct Foot {
 
 /// Points nearer to each other than this are one, metres.
 const SAME_POINT_M: f64 = 1e-6;
+/// A heading is that of the chord from so far before a place to so far behind it, metres: about the length of a car, so that a corner of
+/// the line turns as a car does, while the middle of a long segment points where the segment does.
+const HALF_CHORD_M: f64 = 2.0;
 
 impl Polyline {
     /// The line through `points`, repeated ones left out; `None` where fewer than two are left or one is not finite.
@@ -50,7 +53,7 @@ impl Polyline {
         for pair in kept.windows(2) {
             arcs.push(arcs[arcs.len() - 1] + pair[0].truncate().distance(pair[1].truncate()));
         }
-        arcs[arcs.len() - 1].is_finite().then(|| Self { headings: vertex_headings(&kept), points: kept, arcs })
+        arcs[arcs.len() - 1].is_finite().then(|| Self { headings: segment_headings(&kept), points: kept, arcs })
     }
 
     /// The points it goes through.
@@ -78,11 +81,28 @@ impl Polyline {
         self.points[segment].lerp(self.points[segment + 1], share)
     }
 
-    /// Heading `arc_m` along it, radians; not wrapped to a turn.
+    /// Heading `arc_m` along it, radians: that of a chord of 4 m about it; not wrapped to a turn.
     #[must_use]
     pub fn heading_at(&self, arc_m: f64) -> f64 {
-        let (segment, share) = self.locate(arc_m);
-        self.headings[segment] + share * (self.headings[segment + 1] - self.headings[segment])
+        let heading_rad = self.headings[self.segment_at(arc_m)];
+        let chord = (self.at(arc_m + HALF_CHORD_M) - self.at(arc_m - HALF_CHORD_M)).truncate();
+        if chord.length() < HALF_CHORD_M {
+            // A line that turns back within the chord: its own segment says more.
+            return heading_rad;
+        }
+        heading_rad + wrapped(chord.to_angle() - heading_rad)
+    }
+
+    /// Direction across the line, to the left, in which its distance from `at` grows: `foot` is the place nearest to `at`. Beside a
+    /// corner, that is the way from the corner; beyond an end of the line, across its last segment, as nothing is known along it.
+    pub(crate) fn across(&self, foot: &Foot, at: DVec2) -> DVec2 {
+        let segment = self.segment_at(foot.arc_m);
+        let normal = DVec2::from_angle(self.headings[segment]).perp();
+        let last = self.points.len() - 1;
+        let corner =
+            [segment, segment + 1].into_iter().any(|at| 0 < at && at < last && (self.arcs[at] - foot.arc_m).abs() < SAME_POINT_M);
+        let away = if corner { (at - foot.point.truncate()).try_normalize() } else { None };
+        away.map_or(normal, |away| if away.dot(normal) < 0.0 { -away } else { away })
     }
 
     /// Height a metre along it at `arc_m`.
@@ -111,7 +131,9 @@ impl Polyline {
     /// The place nearest to `at` between two lengths along the line.
     #[must_use]
     pub fn project_within(&self, at: DVec2, from_m: f64, to_m: f64) -> Foot {
-        let (from_m, to_m) = (from_m.clamp(0.0, self.length_m()), to_m.clamp(0.0, self.length_m()));
+        // What is no number is taken for the line's start.
+        let within = |arc_m: f64| arc_m.clamp(0.0, self.length_m()).max(0.0);
+        let (from_m, to_m) = (within(from_m), within(to_m));
         let segments = self.segment_at(from_m)..=self.segment_at(to_m);
         let nearest = |segment: usize| {
             let arc_m = self.arcs[segment] + self.share_of(segment, at) * (self.arcs[segment + 1] - self.arcs[segment]);
@@ -141,15 +163,14 @@ impl Polyline {
 }
 
 /// Angles between neighbours by the shorter way around.
-fn vertex_headings(points: &[DVec3]) -> Vec<f64> {
+fn segment_headings(points: &[DVec3]) -> Vec<f64> {
     let mut segments: Vec<f64> = Vec::with_capacity(points.len() - 1);
     for pair in points.windows(2) {
         let heading = (pair[1] - pair[0]).truncate().to_angle();
         let last = segments.last().copied().unwrap_or(heading);
         segments.push(last + wrapped(heading - last));
     }
-    let last = segments.len() - 1;
-    (0..points.len()).map(|at| 0.5 * (segments[at.saturating_sub(1)] + segments[at.min(last)])).collect()
+    segments
 }
 
 /// The same angle between -pi and pi.
@@ -187,6 +208,19 @@ mod tests {
             assert!((heading - last).abs() < 0.02, "at {at}: {last} to {heading}");
             last = heading;
         }
+    }
+
+    #[test]
+    fn beside_a_corner_the_distance_grows_away_from_it_and_beside_a_segment_across_it() {
+        let line = Polyline::new([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [10.0, 10.0, 0.0]].map(DVec3::from_array)).unwrap();
+        let across = |x: f64, y: f64| line.across(&line.project(DVec2::new(x, y)), DVec2::new(x, y));
+        assert!(across(4.0, -0.5).distance(DVec2::Y) < 1e-12 && across(10.2, 6.0).distance(DVec2::NEG_X) < 1e-12);
+        // Outside the corner, to its right.
+        assert!(across(11.0, -1.0).distance(DVec2::new(-1.0, 1.0).normalize()) < 1e-9);
+        // Beyond an end nothing is known along the line.
+        assert!(across(-3.0, 1.0).distance(DVec2::Y) < 1e-12);
+        // The middle of a long segment points where the segment does, though a corner follows.
+        assert_eq!(line.heading_at(5.0), 0.0);
     }
 
     #[test]

@@ -1,90 +1,41 @@
 //! One track and its lanes: from the log to a planar motion.
 
-use decouplegs_scene::{LaneMap, Track};
+use decouplegs_scene::LaneMap;
 use glam::DVec2;
 
 use super::RegisterOptions;
 use super::dtw::{Band, align};
-use super::fit::{LinePair, PlanarFit, fit};
+use super::fit::{LinePair, PlanarFit, RESIDUAL_MIN_M, fit};
 use super::lane_change::{LaneChange, changes, measured};
+use super::prepared::Prepared;
 use super::procrustes::{WeightedPair, procrustes};
 use super::route::{self, Leg, Waypoint};
-use super::smooth::{Smoothed, median, smooth};
 use crate::lane_index::LaneIndex;
 use crate::planar::PlanarTransform;
 use crate::polyline::{Foot, wrapped};
 
-/// Between waypoints, metres: closer ones tell nothing more of a lane.
-const WAYPOINT_M: f64 = 1.0;
 /// Steps of the warping along a lane, metres.
 const STEP_M: f64 = 0.5;
+/// So many points count from one waypoint to the next, be there more.
+const POINTS_A_WAYPOINT: f64 = 4.0;
 /// Times that lanes are chosen, each after the first by the track as it was moved.
 const ROUTES: usize = 2;
 /// Times that points are matched and the motion found.
-const MATCHES: usize = 6;
+const MATCHES: usize = 12;
+/// What deviates by less is no outlier at first, metres, and half of that each time further: a logged track is nearly a lane's shape at
+/// the wrong place, and were its bends outliers from the start, its straight parts alone would decide.
+const SCALE_FIRST_M: f64 = 1.0;
 /// Matching ends when the motion changes by less, metres and (times a hundred metres) radians.
 const SETTLED: f64 = 1e-5;
-/// Lanes without a change of lanes are believed where a track lies on them by so much, as a deviation in metres.
-const ONE_LANE_RESIDUAL_M: f64 = 0.35;
+/// Drivers keep to the middle of their lane to about so much, as a deviation in metres, and for about so many waypoints to the same side.
+const LANE_KEEPING_M: f64 = 0.2;
+const KEEPING_WAYPOINTS: f64 = 5.0;
+/// Costs of a waypoint that is anywhere, of a lane change, and of a leg that does not follow the one before: logarithms of how rare they are.
+const OFF_COST_MAX: f64 = 9.0;
+const CHANGE_COST: f64 = 8.0;
+const JUMP_COST: f64 = 40.0;
 /// Waypoints that a motion needs outside lane changes.
 const PAIRS_MIN: usize = 4;
-
-/// A track, smoothed, and the points of it that lanes are chosen by.
-pub struct Prepared<'a> {
-    pub track: &'a Track,
-    pub smoothed: Smoothed,
-    pub waypoints: Vec<Waypoint>,
-    /// Metres between its waypoints, added up.
-    pub travelled_m: f64,
-}
-
-impl<'a> Prepared<'a> {
-    pub fn new(options: &RegisterOptions) -> impl Fn(&'a Track) -> Result<Self, String> {
-        let options = *options;
-        move |track| {
-            track.check()?;
-            let smoothed = smooth(track, options.noise_m);
-            let half_height = 0.5 * track.dims_m.unwrap_or(options.dims_m)[2];
-            let mut waypoints: Vec<Waypoint> = Vec::new();
-            for (index, &position) in smoothed.positions.iter().enumerate() {
-                let far = waypoints.last().is_none_or(|last| last.position.distance(position) >= WAYPOINT_M);
-                if far && !smoothed.outliers[index] {
-                    let ground_z_m = track.points[index].z_m.map(|z_m| z_m - half_height);
-                    waypoints.push(Waypoint { index, position, heading_rad: 0.0, ground_z_m });
-                }
-            }
-            let positions: Vec<DVec2> = waypoints.iter().map(|waypoint| waypoint.position).collect();
-            let last = positions.len().saturating_sub(1);
-            for (at, waypoint) in waypoints.iter_mut().enumerate() {
-                // Over four steps where there are so many: two neighbours a metre apart point anywhere.
-                let way = positions[(at + 2).min(last)] - positions[at.saturating_sub(2)];
-                waypoint.heading_rad = way.to_angle();
-            }
-            let travelled_m = positions.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
-            Ok(Self { track, smoothed, waypoints, travelled_m })
-        }
-    }
-
-    fn moved(&self, motion: &PlanarTransform) -> Vec<Waypoint> {
-        let moved = |waypoint: &Waypoint| Waypoint {
-            position: motion.apply(waypoint.position),
-            heading_rad: waypoint.heading_rad + motion.yaw_rad,
-            ..*waypoint
-        };
-        self.waypoints.iter().map(moved).collect()
-    }
-
-    /// The middle of its waypoints.
-    fn middle(&self) -> DVec2 {
-        let first = self.waypoints.first().map_or(DVec2::ZERO, |waypoint| waypoint.position);
-        let sum: DVec2 = self.waypoints.iter().map(|waypoint| waypoint.position - first).sum();
-        first + sum / self.waypoints.len().max(1) as f64
-    }
-
-    fn times_s(&self) -> Vec<f64> {
-        self.waypoints.iter().map(|waypoint| self.track.points[waypoint.index].time_s).collect()
-    }
-}
 
 /// A track with its motion and its lanes.
 pub struct Aligned {
@@ -119,39 +70,73 @@ pub struct Register<'a> {
     pub options: &'a RegisterOptions,
 }
 
+/// The least deviation that makes an outlier, each time that points are matched.
+fn scales() -> impl Iterator<Item = f64> {
+    (0..MATCHES).map(|at| (SCALE_FIRST_M * 0.5f64.powi(at as i32)).max(RESIDUAL_MIN_M))
+}
+
 /// A track on lanes that were chosen.
 struct Routed<'a, 'b> {
     prepared: &'b Prepared<'a>,
     legs: Vec<Leg>,
+    /// Lane changes, their lengths guessed, and as they were measured last.
+    guessed: Vec<LaneChange>,
     lane_changes: Vec<LaneChange>,
     times_s: Vec<f64>,
 }
 
 impl Register<'_> {
-    /// The track's own motion: without a change of lanes where the track lies on its lanes so, and with one otherwise.
+    /// The track's own motion: the more probable one of that without and that with changes of lanes.
     pub fn align(&self, prepared: &Prepared) -> Result<Aligned, String> {
-        let straight = self.align_on(prepared, false);
-        let plain = |aligned: &Aligned| {
-            let shape = aligned.legs.len() == 1 && self.mean_distance(prepared, aligned) < ONE_LANE_RESIDUAL_M;
-            shape && self.doubt(&aligned.fit).is_none()
-        };
-        let aligned = match straight {
-            Ok(aligned) if plain(&aligned) => aligned,
-            _ => self.align_on(prepared, true)?,
-        };
-        self.doubt(&aligned.fit).map_or(Ok(aligned), Err)
+        let believed = |aligned: Aligned| self.doubt(&aligned.fit).map_or(Ok(aligned), Err);
+        let keeping = self.align_on(prepared, false).and_then(believed);
+        let keeping_cost = keeping.as_ref().map_or(f64::INFINITY, |aligned| self.cost(prepared, aligned));
+        if keeping_cost <= CHANGE_COST {
+            return keeping;
+        }
+        match self.align_on(prepared, true).and_then(believed) {
+            Ok(changing) if self.cost(prepared, &changing) < keeping_cost => Ok(changing),
+            Ok(_) => keeping,
+            Err(reason) => keeping.map_err(|_| reason),
+        }
     }
 
-    /// Mean distance of the moved waypoints from their lanes, metres.
-    fn mean_distance(&self, prepared: &Prepared, aligned: &Aligned) -> f64 {
-        let moved = prepared.moved(&aligned.fit.motion);
-        let laterals = moved.iter().zip(&aligned.feet).filter_map(|(_, foot)| foot.map(|(_, foot)| foot.lateral_m.abs()));
-        let (sum, count) = laterals.fold((0.0, 0), |(sum, count), lateral| (sum + lateral, count + 1));
-        if count == 0 { f64::INFINITY } else { sum / f64::from(count) }
+    /// Minus the logarithm of how probable `aligned` is, but for a constant: drift, distances from lanes, and changes from leg to leg.
+    fn cost(&self, prepared: &Prepared, aligned: &Aligned) -> f64 {
+        let (motion, prior) = (&aligned.fit.motion, &self.options.prior);
+        let drift = 0.5 * ((motion.shift_m / prior.shift_m).length_squared() + (motion.yaw_rad / prior.yaw_rad).powi(2));
+        let usual_m = LANE_KEEPING_M.hypot(prepared.smoothed.noise_m);
+        let times_s = prepared.times_s();
+        let off = |(foot, time_s): (&Option<(usize, Foot)>, &f64)| {
+            let changing = aligned.lane_changes.iter().any(|change| change.contains(*time_s));
+            let lateral_m = foot.map_or(f64::INFINITY, |(_, foot)| foot.lateral_m);
+            if changing { 0.0 } else { 0.5 * (lateral_m / usual_m).powi(2).min(OFF_COST_MAX) }
+        };
+        let off: f64 = aligned.feet.iter().zip(&times_s).map(off).sum();
+        let changes = aligned.lane_changes.len();
+        let jumps = aligned.legs.len().saturating_sub(1 + changes);
+        drift + off / KEEPING_WAYPOINTS + CHANGE_COST * changes as f64 + JUMP_COST * jumps as f64
     }
 
+    /// The most probable of what is found from several starts.
     fn align_on(&self, prepared: &Prepared, lane_changes: bool) -> Result<Aligned, String> {
-        let mut motion = self.turned(prepared, lane_changes)?;
+        let (mut best, mut reason) = (None, None);
+        for start in self.starts(prepared, lane_changes)? {
+            match self.align_from(prepared, start, lane_changes) {
+                Ok(found) => {
+                    let cost = self.cost(prepared, &found);
+                    if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                        best = Some((cost, found));
+                    }
+                }
+                Err(why) => reason = Some(why),
+            }
+        }
+        best.map(|(_, found)| found).ok_or_else(|| reason.unwrap_or_else(|| "no place of it was matched to a lane".into()))
+    }
+
+    fn align_from(&self, prepared: &Prepared, start: PlanarTransform, lane_changes: bool) -> Result<Aligned, String> {
+        let mut motion = start;
         for route in 0..ROUTES {
             let mut routed = self.route(prepared, &motion, lane_changes)?;
             let found = self.settle(&mut routed, motion)?;
@@ -163,9 +148,10 @@ impl Register<'_> {
         Err("no lanes were chosen".into())
     }
 
-    /// A first turn by headings alone: at the ends of a long track a turn of two degrees looks like another lane, but the median of
-    /// its headings against those of any lanes along it does not.
-    fn turned(&self, prepared: &Prepared, lane_changes: bool) -> Result<PlanarTransform, String> {
+    /// Motions to begin at: none, and turns by headings alone. At the ends of a long track a turn of two degrees looks like another lane,
+    /// but its headings against those of any lanes along it show the turn: their median, or where the track changes lanes, which turns
+    /// nearly half of them, the middle of the half that agrees best.
+    fn starts(&self, prepared: &Prepared, lane_changes: bool) -> Result<Vec<PlanarTransform>, String> {
         let motion = PlanarTransform::identity(prepared.middle());
         let routed = self.route(prepared, &motion, lane_changes)?;
         let feet = self.feet(&routed, &motion);
@@ -177,8 +163,12 @@ impl Register<'_> {
         if turns.is_empty() {
             return Err("no place of it was matched to a lane".into());
         }
-        let turned = PlanarTransform { yaw_rad: median(&mut turns), ..motion };
-        Ok(if self.believed(&turned) { turned } else { motion })
+        turns.sort_by(f64::total_cmp);
+        let half = turns.len() / 2;
+        let agreeing = turns.windows(half + 1).min_by(|a, b| (a[half] - a[0]).total_cmp(&(b[half] - b[0])));
+        let agreed = agreeing.map_or(0.0, |half_of_them| half_of_them[half / 2]);
+        let turned = [agreed, turns[half]].map(|yaw_rad| PlanarTransform { yaw_rad, ..motion });
+        Ok(std::iter::once(motion).chain(turned.into_iter().filter(|turned| self.believed(turned))).collect())
     }
 
     fn route<'a, 'b>(
@@ -190,8 +180,8 @@ impl Register<'_> {
         let class = &prepared.track.class;
         let legs = route::find(self.map, self.index, &prepared.moved(motion), class, changes_allowed, self.options)?;
         let times_s = prepared.times_s();
-        let lane_changes = changes(&legs, &times_s);
-        Ok(Routed { prepared, legs, lane_changes, times_s })
+        let guessed = changes(&legs, &times_s);
+        Ok(Routed { prepared, legs, lane_changes: guessed.clone(), guessed, times_s })
     }
 
     /// Matches and moves in turn until nothing changes.
@@ -200,17 +190,17 @@ impl Register<'_> {
         if pairs.len() < PAIRS_MIN {
             return Err(format!("{} places on lanes outside lane changes; a motion needs {PAIRS_MIN}", pairs.len()));
         }
-        let weighted = pairs.iter().map(|pair| WeightedPair { from: pair.from, to: pair.on_line, weight: 1.0 });
+        let weighted = pairs.iter().map(|pair| WeightedPair { from: pair.from, to: pair.on_line, weight: pair.weight });
         let first = procrustes(&weighted.collect::<Vec<_>>())?.about(start.pivot_m);
         let first = if self.believed(&first) { first } else { start };
-        let mut found = fit(&pairs, &first, &self.options.prior);
-        for _ in 1..MATCHES {
+        let mut found = fit(&pairs, &first, &self.options.prior, SCALE_FIRST_M);
+        for scale_m in scales().skip(1) {
             let before = found.motion;
-            let laterals = self.laterals(routed, &found.motion);
-            routed.lane_changes = measured(&routed.lane_changes, &laterals, found.residual_m);
-            found = fit(&self.pairs(routed, &before), &before, &self.options.prior);
+            self.measure_changes(routed, &found);
+            found = fit(&self.pairs(routed, &before), &before, &self.options.prior, scale_m);
             let turned = 100.0 * (found.motion.yaw_rad - before.yaw_rad).abs();
-            if turned < SETTLED && found.motion.shift_m.distance(before.shift_m) < SETTLED {
+            let settled = turned < SETTLED && found.motion.shift_m.distance(before.shift_m) < SETTLED;
+            if settled && scale_m <= RESIDUAL_MIN_M {
                 break;
             }
         }
@@ -238,16 +228,15 @@ impl Register<'_> {
                 own.then(|| self.route(guide, &motion, true).ok()).flatten()
             };
             let mut routed: Vec<Routed> = guides.iter().filter_map(follows).collect();
-            for _ in 0..MATCHES {
+            for scale_m in scales() {
                 let pairs: Vec<LinePair> = routed.iter().flat_map(|routed| self.pairs(routed, &motion)).collect();
                 if pairs.len() < PAIRS_MIN {
                     return None;
                 }
-                let fitted = fit(&pairs, &motion, &self.options.prior);
+                let fitted = fit(&pairs, &motion, &self.options.prior, scale_m);
                 motion = fitted.motion;
                 for one in &mut routed {
-                    let laterals = self.laterals(one, &motion);
-                    one.lane_changes = measured(&one.lane_changes, &laterals, fitted.residual_m);
+                    self.measure_changes(one, &fitted);
                 }
                 found = Some(fitted);
             }
@@ -258,8 +247,7 @@ impl Register<'_> {
     /// The track on its lanes under a motion that is given.
     pub fn with_motion(&self, prepared: &Prepared, shared: &PlanarFit) -> Result<Aligned, String> {
         let mut routed = self.route(prepared, &shared.motion, true)?;
-        let laterals = self.laterals(&routed, &shared.motion);
-        routed.lane_changes = measured(&routed.lane_changes, &laterals, shared.residual_m);
+        self.measure_changes(&mut routed, shared);
         Ok(self.finish(routed, *shared))
     }
 
@@ -311,20 +299,42 @@ impl Register<'_> {
         feet
     }
 
+    /// Points of the track as they were logged and the places that they belong to, those left out that are between lanes.
+    ///
+    /// The motion is told by what was logged, not by the smoothed track: smoothing cuts corners, always to the same side.
     fn pairs(&self, routed: &Routed, motion: &PlanarTransform) -> Vec<LinePair> {
         let feet = self.feet(routed, motion);
-        let pair = |(at, foot): (usize, &Option<(usize, Foot)>)| {
-            let (_, foot) = (*foot)?;
-            let changing = routed.lane_changes.iter().any(|change| change.contains(routed.times_s[at]));
-            let from = routed.prepared.waypoints[at].position;
-            let pair = LinePair { from, on_line: foot.point.truncate(), heading_rad: foot.heading_rad };
-            (!changing).then_some(pair)
-        };
-        feet.iter().enumerate().filter_map(pair).collect()
+        let prepared = routed.prepared;
+        let points = &prepared.track.points;
+        let mut pairs = Vec::new();
+        for (at, (waypoint, foot)) in prepared.waypoints.iter().zip(&feet).enumerate() {
+            let Some((leg, foot)) = *foot else { continue };
+            let next = prepared.waypoints.get(at + 1).map_or(points.len(), |next| next.index);
+            let usable = |&point: &usize| {
+                let changing = routed.lane_changes.iter().any(|change| change.contains(points[point].time_s));
+                !changing && !prepared.smoothed.outliers[point]
+            };
+            let usable: Vec<usize> = (waypoint.index..next).filter(usable).collect();
+            let line = &routed.legs[leg].line;
+            pairs.extend(usable.iter().map(|&point| {
+                let from = points[point].position_m;
+                let (moved, ahead_m) = (motion.apply(from), from.distance(waypoint.position));
+                let own = line.project_within(moved, foot.arc_m - 2.0 * STEP_M, foot.arc_m + ahead_m + 2.0 * STEP_M);
+                // Where it waits, a track has many points that say the same.
+                let weight = (POINTS_A_WAYPOINT / usable.len() as f64).min(1.0);
+                LinePair { from, on_line: own.point.truncate(), across: line.across(&own, moved), weight }
+            }));
+        }
+        pairs
     }
 
-    fn laterals(&self, routed: &Routed, motion: &PlanarTransform) -> Vec<(f64, f64)> {
-        let feet = self.feet(routed, motion);
-        feet.iter().zip(&routed.times_s).filter_map(|(foot, time_s)| Some((*time_s, foot.as_ref()?.1.lateral_m))).collect()
+    /// Sees how long the lane changes last under a motion that was found; always from the guess, which an earlier motion may not shorten.
+    fn measure_changes(&self, routed: &mut Routed, found: &PlanarFit) {
+        let feet = self.feet(routed, &found.motion);
+        let laterals = feet.iter().zip(&routed.times_s).filter_map(|(foot, time_s)| Some((*time_s, foot.as_ref()?.1.lateral_m)));
+        // Waypoints are smoothed: the noise of the log is not what they deviate by.
+        let noise_m = routed.prepared.smoothed.noise_m;
+        let deviation_m = (found.residual_m.powi(2) - noise_m.powi(2)).max(0.0).sqrt();
+        routed.lane_changes = measured(&routed.guessed, &laterals.collect::<Vec<_>>(), deviation_m);
     }
 }

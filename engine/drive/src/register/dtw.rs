@@ -94,7 +94,7 @@ mod tests {
         let lane = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 4.0, 3.0, 2.0, 1.0, 0.0];
         let track = [0.1, 2.1, 4.1, 4.1, 2.0, 0.1];
         let middles = [0.0, 2.0, 4.0, 6.0, 8.0, 10.0];
-        let cost = |point: usize, step: usize| (track[point] - lane[step] as f64).abs();
+        let cost = |point: usize, step: usize| f64::abs(track[point] - lane[step]);
         assert_eq!(align(&Band::around(&middles, 2, 11), cost).unwrap(), [0, 2, 4, 4, 8, 10]);
         let narrow = align(&Band::around(&[5.0; 6], 1, 11), cost).unwrap();
         assert!(narrow.iter().all(|step| (4..=6).contains(step)), "{narrow:?}");

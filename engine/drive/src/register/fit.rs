@@ -17,8 +17,10 @@ pub struct LinePair {
     pub from: DVec2,
     /// A place on the line.
     pub on_line: DVec2,
-    /// Direction of the line there, radians.
-    pub heading_rad: f64,
+    /// Across the line there, to its left; of length 1.
+    pub across: DVec2,
+    /// How much it counts, 1 as a rule.
+    pub weight: f64,
 }
 
 /// What is known of motions before any track is seen: standard deviations about none.
@@ -39,23 +41,25 @@ pub struct PlanarFit {
     pub residual_m: f64,
     /// Standard deviation of the shift along the track's mean direction: near that of the prior, the lanes did not show it.
     pub along_m: f64,
-    /// Standard deviation of the shift across it.
+    /// Standard deviation of the moved points across their lanes, by shift and turn together, as a root mean square over the track. Drivers
+    /// who keep to one side of their lane are not in it: what all points share looks like drift.
     pub across_m: f64,
     /// Standard deviation of the turn, radians.
     pub yaw_deviation_rad: f64,
 }
 
-/// Neighbouring points are off by about the same, as drivers are: so many count as one.
-const CORRELATED: f64 = 5.0;
 /// The least deviation that is believed, metres.
-const RESIDUAL_MIN_M: f64 = 0.02;
+pub const RESIDUAL_MIN_M: f64 = 0.02;
 /// Tukey's biweight at 95 % of the efficiency of least squares.
 const BIWEIGHT: f64 = 4.685;
 const ROUNDS: usize = 12;
 
 /// The most probable motion given `pairs`, of which there must be one, beginning at `start`.
+///
+/// Pairs far beyond the usual deviation count for nothing; what is usual is told by the pairs themselves, but is `scale_min_m` at least.
+/// From a start that is not near, that must be large, or the few pairs that show the place along the lane are taken for outliers.
 #[must_use]
-pub fn fit(pairs: &[LinePair], start: &PlanarTransform, prior: &MotionPrior) -> PlanarFit {
+pub fn fit(pairs: &[LinePair], start: &PlanarTransform, prior: &MotionPrior, scale_min_m: f64) -> PlanarFit {
     let mut motion = *start;
     let prior_information = DVec3::new(prior.yaw_rad.powi(-2), prior.shift_m.powi(-2), prior.shift_m.powi(-2));
     let mut covariance = DMat3::IDENTITY;
@@ -63,15 +67,14 @@ pub fn fit(pairs: &[LinePair], start: &PlanarTransform, prior: &MotionPrior) -> 
     for _ in 0..ROUNDS {
         let off: Vec<f64> = pairs.iter().map(|pair| distance(pair, &motion)).collect();
         residual_m = 1.4826 * median(&mut off.iter().map(|off| off.abs()).collect::<Vec<_>>());
-        let scale_m = residual_m.max(RESIDUAL_MIN_M);
+        let scale_m = residual_m.max(RESIDUAL_MIN_M).max(scale_min_m);
+        let correlated = correlation_length(&off, BIWEIGHT * scale_m);
         let mut information = DMat3::from_diagonal(prior_information);
         let mut pull = -prior_information * DVec3::new(motion.yaw_rad, motion.shift_m.x, motion.shift_m.y);
         for (pair, off) in pairs.iter().zip(&off) {
             let left = (off / (BIWEIGHT * scale_m)).min(1.0);
-            let weight = (1.0 - left * left).max(0.0).powi(2) / (CORRELATED * scale_m * scale_m);
-            let normal = DVec2::from_angle(pair.heading_rad).perp();
-            let arm = DVec2::from_angle(motion.yaw_rad).rotate(pair.from - motion.pivot_m).perp();
-            let row = DVec3::new(normal.dot(arm), normal.x, normal.y);
+            let weight = pair.weight * (1.0 - left * left).max(0.0).powi(2) / (correlated * scale_m * scale_m);
+            let row = row(pair, &motion);
             information += DMat3::from_cols(row * (row.x * weight), row * (row.y * weight), row * (row.z * weight));
             pull -= row * (weight * off);
         }
@@ -83,19 +86,42 @@ pub fn fit(pairs: &[LinePair], start: &PlanarTransform, prior: &MotionPrior) -> 
             break;
         }
     }
-    let mean = pairs.iter().map(|pair| DVec2::from_angle(pair.heading_rad)).sum::<DVec2>();
-    let along = mean.normalize_or(DVec2::X);
-    let deviation = |of: DVec2| {
-        let row = DVec3::new(0.0, of.x, of.y);
-        row.dot(covariance * row).max(0.0).sqrt()
-    };
-    let yaw_deviation_rad = covariance.x_axis.x.max(0.0).sqrt();
-    PlanarFit { motion, residual_m, along_m: deviation(along), across_m: deviation(along.perp()), yaw_deviation_rad }
+    let mean = pairs.iter().map(|pair| pair.across).sum::<DVec2>();
+    let along = -mean.perp().normalize_or(DVec2::NEG_X);
+    let variance = |row: DVec3| row.dot(covariance * row).max(0.0);
+    let across: f64 = pairs.iter().map(|pair| variance(row(pair, &motion))).sum();
+    PlanarFit {
+        motion,
+        residual_m,
+        along_m: variance(DVec3::new(0.0, along.x, along.y)).sqrt(),
+        across_m: (across / pairs.len().max(1) as f64).sqrt(),
+        yaw_deviation_rad: covariance.x_axis.x.max(0.0).sqrt(),
+    }
+}
+
+/// How much the distance of a pair grows with turn and shift.
+fn row(pair: &LinePair, motion: &PlanarTransform) -> DVec3 {
+    let arm = DVec2::from_angle(motion.yaw_rad).rotate(pair.from - motion.pivot_m).perp();
+    DVec3::new(pair.across.dot(arm), pair.across.x, pair.across.y)
+}
+
+/// How many neighbours in `off` say the same: noise of a sensor is new at each point, but a driver who keeps to the left does so for many.
+/// One and twice the sum of autocorrelations up to the first that is none; what is beyond `cut_m` is left out.
+fn correlation_length(off: &[f64], cut_m: f64) -> f64 {
+    let kept = |off: &f64| if off.abs() < cut_m { *off } else { 0.0 };
+    let off: Vec<f64> = off.iter().map(kept).collect();
+    let product = |lag: usize| off[lag..].iter().zip(&off).map(|(a, b)| a * b).sum::<f64>();
+    let all = product(0);
+    if all <= 0.0 {
+        return 1.0;
+    }
+    let correlations = (1..off.len() / 2).map(|lag| product(lag) / all);
+    1.0 + 2.0 * correlations.take_while(|correlation| *correlation > 0.0).sum::<f64>()
 }
 
 /// From the line to the moved point, metres, to the left positive.
 fn distance(pair: &LinePair, motion: &PlanarTransform) -> f64 {
-    DVec2::from_angle(pair.heading_rad).perp_dot(motion.apply(pair.from) - pair.on_line)
+    pair.across.dot(motion.apply(pair.from) - pair.on_line)
 }
 
 #[cfg(test)]
@@ -110,7 +136,7 @@ mod tests {
             let (on_line, heading_rad) = at(i as f64);
             let moved = drift.apply(on_line);
             let from = if i % 7 == 3 && i / 7 < outliers { moved + DVec2::new(3.0, 7.0) } else { moved };
-            LinePair { from, on_line, heading_rad }
+            LinePair { from, on_line, across: DVec2::from_angle(heading_rad).perp(), weight: 1.0 }
         };
         (0..100).map(pair).collect()
     }
@@ -119,7 +145,7 @@ mod tests {
     fn across_a_straight_lane_all_is_recovered_and_along_it_nothing_is_invented() {
         let drift = PlanarTransform { pivot_m: DVec2::new(50.0, 0.0), yaw_rad: 0.03, shift_m: DVec2::new(0.8, -0.6) };
         let pairs = pairs(&drift, |s| (DVec2::new(s, 0.0), 0.0), 8);
-        let found = fit(&pairs, &PlanarTransform::identity(drift.apply(drift.pivot_m)), &PRIOR);
+        let found = fit(&pairs, &PlanarTransform::identity(drift.apply(drift.pivot_m)), &PRIOR, RESIDUAL_MIN_M);
         for pair in pairs.iter().filter(|pair| pair.from.y.abs() < 3.0) {
             let moved = found.motion.apply(pair.from);
             assert!(moved.y.abs() < 0.01, "{found:?}");
@@ -141,10 +167,37 @@ mod tests {
         };
         let drift = PlanarTransform { pivot_m: DVec2::new(40.0, 10.0), yaw_rad: -0.03, shift_m: DVec2::new(0.8, 0.6) };
         let pairs = pairs(&drift, at, 8);
-        let found = fit(&pairs, &PlanarTransform::identity(DVec2::new(40.0, 10.0)), &PRIOR);
+        let found = fit(&pairs, &PlanarTransform::identity(DVec2::new(40.0, 10.0)), &PRIOR, RESIDUAL_MIN_M);
         for (i, pair) in pairs.iter().enumerate().filter(|(i, _)| i % 7 != 3) {
             assert!(found.motion.apply(pair.from).distance(at(i as f64).0) < 0.02, "{i}: {found:?}");
         }
         assert!(found.along_m < 0.1, "{found:?}");
+    }
+
+    #[test]
+    fn a_short_bend_is_an_outlier_for_a_narrow_scale_and_none_for_one_that_narrows() {
+        // 90 m straight and 10 m across: from half a metre too far, the last part looks half a metre off.
+        let at =
+            |s: f64| if s < 90.0 { (DVec2::new(s, 0.0), 0.0) } else { (DVec2::new(90.0, s - 90.0), std::f64::consts::FRAC_PI_2) };
+        let drift = PlanarTransform { pivot_m: DVec2::new(40.0, 0.0), yaw_rad: 0.0, shift_m: DVec2::new(0.5, 0.0) };
+        let pairs = pairs(&drift, at, 0);
+        let start = PlanarTransform::identity(DVec2::new(40.0, 0.0));
+        let off_m = |scales_m: &[f64]| {
+            let found = scales_m.iter().fold(start, |motion, scale_m| fit(&pairs, &motion, &PRIOR, *scale_m).motion);
+            (found.shift_m.x + 0.5).abs()
+        };
+        let (narrow_m, narrowing_m) = (off_m(&[RESIDUAL_MIN_M; 4]), off_m(&[1.0, 0.3, 0.1, RESIDUAL_MIN_M]));
+        assert!(narrow_m > 0.4 && narrowing_m < 0.02, "{narrow_m} {narrowing_m}");
+    }
+
+    #[test]
+    fn neighbours_that_say_the_same_count_once() {
+        let new_each = |at: u64| (at.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 / f64::from(1 << 24) - 0.5;
+        let alone: Vec<f64> = (0..400).map(new_each).collect();
+        let tens: Vec<f64> = (0..400).map(|at| new_each(at / 10)).collect();
+        let (alone, tens) = (correlation_length(&alone, 1.0), correlation_length(&tens, 1.0));
+        assert!(alone < 2.0 && tens > 5.0, "{alone} {tens}");
+        assert_eq!(correlation_length(&[0.0; 9], 1.0), 1.0);
+        assert_eq!(correlation_length(&[], 1.0), 1.0);
     }
 }

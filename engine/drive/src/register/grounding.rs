@@ -3,7 +3,8 @@
 use decouplegs_scene::Pose;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use super::align::{Aligned, Prepared, Register};
+use super::align::{Aligned, Register};
+use super::prepared::Prepared;
 use super::route::{Leg, may_use};
 use super::{PoseFlags, RegisterOptions, Registered, RegisteredPose};
 use crate::ground::Ground;

@@ -11,6 +11,7 @@ pub mod dtw;
 pub mod fit;
 pub mod grounding;
 pub mod lane_change;
+mod prepared;
 pub mod procrustes;
 pub mod route;
 pub mod smooth;
@@ -24,6 +25,7 @@ use crate::polyline::Foot;
 use align::Aligned;
 use fit::{MotionPrior, PlanarFit};
 use lane_change::LaneChange;
+use prepared::Prepared;
 
 /// How tracks are registered.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -202,14 +204,14 @@ pub fn register(
     check(map, tracks, options)?;
     let index = LaneIndex::new(map);
     let register = align::Register { map, index: &index, options };
-    let prepared: Vec<Result<align::Prepared, String>> = tracks.par_iter().map(align::Prepared::new(options)).collect();
-    let long = |prepared: &&align::Prepared| prepared.travelled_m >= options.travel_min_m;
+    let prepared: Vec<Result<Prepared, String>> = tracks.par_iter().map(Prepared::new(options)).collect();
+    let long = |prepared: &&Prepared| prepared.travelled_m >= options.travel_min_m;
     let needs_shared = options.shared || prepared.iter().flatten().any(|prepared| !long(&prepared));
-    let mut guides: Vec<&align::Prepared> = prepared.iter().flatten().filter(long).collect();
+    let mut guides: Vec<&Prepared> = prepared.iter().flatten().filter(long).collect();
     // Sums do not depend on the order of the log.
     guides.sort_by(|a, b| a.track.id.cmp(&b.track.id));
     let shared = if needs_shared { register.shared(&guides) } else { None };
-    let one = |prepared: &Result<align::Prepared, String>| -> Result<Box<Registered>, String> {
+    let one = |prepared: &Result<Prepared, String>| -> Result<Box<Registered>, String> {
         let prepared = prepared.as_ref().map_err(Clone::clone)?;
         let aligned = match (&shared, long(&prepared)) {
             (Some(shared), true) if options.shared => register.with_motion(prepared, shared)?,
@@ -228,7 +230,7 @@ pub fn register(
     Ok(Registration { tracks: registered.collect(), shared })
 }
 
-fn too_short(prepared: &align::Prepared, options: &RegisterOptions) -> String {
+fn too_short(prepared: &Prepared, options: &RegisterOptions) -> String {
     let (points, travelled_m, least_m) = (prepared.track.points.len(), prepared.travelled_m, options.travel_min_m);
     format!(
         "{points} points over {travelled_m:.1} m show no motion onto lanes (at least {least_m} m), and no other track of the log does"

@@ -2,17 +2,24 @@
 //!
 //! Cars do not jump by decimetres between frames, detections do. Each point is replaced by a parabola in time fitted to its
 //! neighbours (local regression after Cleveland, Robust Locally Weighted Regression, 1979): what cars do within a second or
-//! two is kept, outliers are passed over.
+//! two is kept, outliers are passed over. Wide windows average more and cut corners more; each point has the widest one that
+//! does not contradict narrower ones by more than noise does (the intersection of confidence intervals, after Goldenshluger and
+//! Nemirovski, On Spatial Adaptive Estimation of Nonparametric Regression, 1997).
 
-use decouplegs_scene::Track;
+use decouplegs_scene::{Track, TrackPoint};
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::polyline::wrapped;
 
-/// Half the window in seconds for each metre of noise: noise of a decimetre is averaged over three seconds.
+/// Half the widest window in seconds for each metre of noise: noise of a decimetre is averaged over three seconds.
 const WINDOW_S_PER_M: f64 = 15.0;
-/// The widest half window, seconds: within it a lane change is still nearly a parabola.
+/// Half the widest window of all, seconds: within it a lane change is still nearly a parabola.
 const WINDOW_MAX_S: f64 = 1.5;
+/// Narrower windows are each this of the next wider one, down to half so many seconds.
+const WINDOW_STEP: f64 = 0.7;
+const WINDOW_MIN_S: f64 = 0.25;
+/// A wider window is believed while what it says is within so many deviations of what narrower ones said.
+const AGREED: f64 = 1.5;
 /// Less noise than this is left, metres.
 const NOISE_MIN_M: f64 = 0.01;
 /// Neighbours to each side, whatever the rate of the log.
@@ -45,14 +52,19 @@ pub fn smooth(track: &Track, noise_m: Option<f64>) -> Smoothed {
     let count = track.points.len();
     let mut smoothed = Smoothed { positions, yaws: Vec::new(), outliers: vec![false; count], noise_m };
     let half_s = (WINDOW_S_PER_M * noise_m.max(NOISE_MIN_M)).min(WINDOW_MAX_S);
-    let fits: Vec<Option<Fit>> = (0..count).map(|at| local_fit(track, at, half_s)).collect();
-    for (at, fit) in fits.iter().enumerate() {
-        if let Some(fit) = fit {
+    // Outliers are seen in wide windows: a narrow one would follow them.
+    for at in 0..count {
+        if let Some(fit) = local_fit(track, at, half_s, None) {
             let off = fit.position.distance(track.points[at].position_m);
             smoothed.outliers[at] = off > OUTLIER_SPREADS * fit.spread_m.max(noise_m).max(0.05);
-            if noise_m >= NOISE_MIN_M || smoothed.outliers[at] {
-                smoothed.positions[at] = fit.position;
-            }
+        }
+    }
+    let fits: Vec<Option<Fit>> = (0..count).map(|at| widest_fit(track, at, half_s, noise_m, &smoothed.outliers)).collect();
+    for (at, fit) in fits.iter().enumerate() {
+        if let Some(fit) = fit
+            && (noise_m >= NOISE_MIN_M || smoothed.outliers[at])
+        {
+            smoothed.positions[at] = fit.position;
         }
     }
     smoothed.yaws = yaws(track, &fits, &smoothed.positions);
@@ -78,20 +90,40 @@ fn estimated_noise_m(track: &Track) -> f64 {
     median(&mut sizes) / (1.1774 * 20f64.sqrt())
 }
 
+#[derive(Clone, Copy)]
 struct Fit {
     position: DVec2,
     velocity: DVec2,
     spread_m: f64,
+    /// Deviation of the position along an axis, for noise of deviation 1.
+    deviation: f64,
 }
 
-/// A parabola about point `at` over the neighbours within `half_s`, or over two to each side where these are fewer.
-fn local_fit(track: &Track, at: usize, half_s: f64) -> Option<Fit> {
+/// The local fit over the widest window up to `half_s` that agrees with the narrower ones.
+fn widest_fit(track: &Track, at: usize, half_s: f64, noise_m: f64, outliers: &[bool]) -> Option<Fit> {
+    let steps = ((WINDOW_MIN_S / half_s).ln() / WINDOW_STEP.ln()).floor().max(0.0) as i32;
+    let mut believed: Vec<Fit> = Vec::new();
+    for step in (0..=steps).rev() {
+        let Some(fit) = local_fit(track, at, half_s * WINDOW_STEP.powi(step), Some(outliers)) else { continue };
+        let reach = |fit: &Fit| AGREED * noise_m.max(NOISE_MIN_M) * fit.deviation;
+        if believed.iter().any(|narrow| narrow.position.distance(fit.position) > reach(narrow) + reach(&fit)) {
+            break;
+        }
+        believed.push(fit);
+    }
+    believed.pop()
+}
+
+/// A parabola about point `at` over the neighbours within `half_s`, or over two to each side where these are fewer; over those that are no
+/// `outliers`, where these are known.
+fn local_fit(track: &Track, at: usize, half_s: f64, outliers: Option<&[bool]>) -> Option<Fit> {
     let points = &track.points;
     let time_s = points[at].time_s;
     let from = (at.saturating_sub(NEIGHBOURS_MAX)..at).find(|&i| time_s - points[i].time_s <= half_s).unwrap_or(at);
     let to = (at..points.len().min(at + NEIGHBOURS_MAX)).rfind(|&i| points[i].time_s - time_s <= half_s).unwrap_or(at);
     let (from, to) = (from.min(at.saturating_sub(2)), to.max(at + 2).min(points.len() - 1));
-    let near = &points[from..=to];
+    let usable = |point: &usize| outliers.is_none_or(|outliers| !outliers[*point]);
+    let near: Vec<&TrackPoint> = (from..=to).filter(usable).map(|point| &points[point]).collect();
     let reach_s = near.iter().map(|point| (point.time_s - time_s).abs()).fold(0.0, f64::max) * 1.0001;
     if near.len() < 4 || reach_s <= 0.0 {
         return None;
@@ -102,7 +134,7 @@ fn local_fit(track: &Track, at: usize, half_s: f64) -> Option<Fit> {
     let mut weights = kernel.clone();
     let mut fit = None;
     for _ in 0..ROUNDS {
-        let [place, slope, bend] = parabola(&scaled, &weights)?;
+        let ([place, slope, bend], deviation) = parabola(&scaled, &weights)?;
         let distance = |(t, place_then): &(f64, DVec2)| (place + slope * *t + bend * (t * t)).distance(*place_then);
         let distances: Vec<f64> = scaled.iter().map(distance).collect();
         // The median length of a deviation in the plane is 1.18 times its deviation along an axis.
@@ -113,22 +145,25 @@ fn local_fit(track: &Track, at: usize, half_s: f64) -> Option<Fit> {
             // Never nothing at all: a parabola needs three points.
             *weight = kernel * (1.0 - left * left).powi(2) + 1e-12;
         }
-        fit = Some(Fit { position: points[at].position_m + place, velocity: slope / reach_s, spread_m });
+        fit = Some(Fit { position: points[at].position_m + place, velocity: slope / reach_s, spread_m, deviation });
     }
     fit
 }
 
-/// Place, slope and bend at zero of the weighted parabola through `points`, times and places.
-fn parabola(points: &[(f64, DVec2)], weights: &[f64]) -> Option<[DVec2; 3]> {
-    let (mut normal, mut x, mut y) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
+/// Place, slope and bend at zero of the weighted parabola through `points`, times and places; and the deviation of the place along an
+/// axis for noise of deviation 1.
+fn parabola(points: &[(f64, DVec2)], weights: &[f64]) -> Option<([DVec2; 3], f64)> {
+    let (mut normal, mut noise, mut x, mut y) = (DMat3::ZERO, DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
     for ((t, place), &weight) in points.iter().zip(weights) {
         let row = DVec3::new(1.0, *t, t * t);
-        normal += DMat3::from_cols(row * (row.x * weight), row * (row.y * weight), row * (row.z * weight));
+        let outer = DMat3::from_cols(row * row.x, row * row.y, row * row.z);
+        (normal, noise) = (normal + outer * weight, noise + outer * (weight * weight));
         (x, y) = (x + row * (weight * place.x), y + row * (weight * place.y));
     }
     let inverse = (normal + DMat3::from_diagonal(DVec3::new(0.0, 1e-9, 1e-9))).inverse();
     let (x, y) = (inverse * x, inverse * y);
-    (x.is_finite() && y.is_finite()).then(|| [DVec2::new(x.x, y.x), DVec2::new(x.y, y.y), DVec2::new(x.z, y.z)])
+    let deviation = inverse.x_axis.dot(noise * inverse.x_axis).max(0.0).sqrt();
+    (x.is_finite() && y.is_finite()).then(|| ([DVec2::new(x.x, y.x), DVec2::new(x.y, y.y), DVec2::new(x.z, y.z)], deviation))
 }
 
 /// The middle of `values`, of which there must be one; their order is lost.
@@ -162,4 +197,41 @@ fn yaws(track: &Track, fits: &[Option<Fit>], positions: &[DVec2]) -> Vec<Option<
         yaws[at] = yaws[at].or(yaws[at + 1]);
     }
     yaws
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ten metres a second through a corner of 45 degrees, ten times a second, with noise of `noise_m`.
+    fn corner(noise_m: f64) -> (Track, Vec<DVec2>) {
+        let mut seed = 7_u64;
+        let mut uniform = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        };
+        let mut normal = || (uniform() + uniform() + uniform() + uniform()) * 3f64.sqrt();
+        let truth: Vec<DVec2> = (-40..=40)
+            .map(|at| if at < 0 { DVec2::new(f64::from(at), 0.0) } else { DVec2::ONE.normalize() * f64::from(at) })
+            .collect();
+        let point = |(at, place): (usize, &DVec2)| TrackPoint {
+            time_s: 0.1 * at as f64,
+            position_m: *place + noise_m * DVec2::new(normal(), normal()),
+            z_m: None,
+            yaw_rad: None,
+        };
+        (Track { points: truth.iter().enumerate().map(point).collect(), ..Track::default() }, truth)
+    }
+
+    #[test]
+    fn noise_is_averaged_and_corners_are_not_cut() {
+        let (track, truth) = corner(0.08);
+        let smoothed = smooth(&track, Some(0.08));
+        let off: Vec<f64> = smoothed.positions.iter().zip(&truth).map(|(found, truth)| found.distance(*truth)).collect();
+        let straight = off[5..30].iter().sum::<f64>() / 25.0;
+        // Noise of 8 cm along each axis is 10 cm on average, and the widest window alone is off by 55 cm at the corner.
+        assert!(straight < 0.05 && off[40] < 0.25, "{straight} {}", off[40]);
+        let wide = local_fit(&track, 40, WINDOW_S_PER_M * 0.08, None).unwrap();
+        assert!(wide.position.distance(truth[40]) > 2.0 * off[40], "{} {}", wide.position.distance(truth[40]), off[40]);
+    }
 }

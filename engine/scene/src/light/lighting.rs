@@ -24,7 +24,7 @@ pub struct ShadowOptions {
 
 impl Default for ShadowOptions {
     fn default() -> Self {
-        Self { strength: 0.8, decay: 1.5, slab_m: 0.15, full_directionality: 0.01, floor: 0.0 }
+        Self { strength: 1.0, decay: 1.5, slab_m: 0.15, full_directionality: 0.002, floor: 0.3 }
     }
 }
 
@@ -145,9 +145,9 @@ mod tests {
     fn overcast_shadows_are_fainter_than_sunny_ones_however_bright_the_sky() {
         let options = ShadowOptions::default();
         let strength = |light: &AmbientDescriptor| options.shadow(&Pose::IDENTITY, [4.5, 1.9, 1.5], light).strength;
-        let (sunny, overcast) = (strength(&light(0.3, 0.008)), strength(&light(0.9, 0.0005)));
-        assert!((sunny - 0.64).abs() < 1e-6 && (overcast - 0.04).abs() < 1e-6, "{sunny} {overcast}");
-        assert!((strength(&light(0.3, 0.5)) - 0.8).abs() < 1e-9, "never more than lambda");
+        let (sunny, overcast) = (strength(&light(0.3, 0.0016)), strength(&light(0.9, 0.0002)));
+        assert!((sunny - 0.86).abs() < 1e-5 && (overcast - 0.37).abs() < 1e-5, "{sunny} {overcast}");
+        assert!((strength(&light(0.3, 0.5)) - 1.0).abs() < 1e-9, "never more than lambda");
     }
 
     #[test]

@@ -1,0 +1,223 @@
+//! `decouplegs ablate`: cars put back where they were, and what each part of the system is worth.
+
+mod affine;
+mod cars;
+mod charts;
+mod figures;
+mod page;
+mod placing;
+mod reinsert;
+mod ring;
+mod showcase;
+mod speed;
+mod stage;
+mod system;
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, ensure};
+use decouplegs::asset::street::{AssetLight, StreetOptions, Weather};
+use decouplegs::asset::{read_light_transfer, write_atomically};
+use decouplegs::gpu::Gpu;
+use serde_json::{Value, json};
+
+use crate::arguments::{Size, print};
+use crate::device::{DeviceArguments, check_validation};
+use crate::progress;
+use cars::Cars;
+use figures::Report;
+use placing::Drift;
+use reinsert::Reinsertion;
+use stage::Stage;
+
+/// Put cars back into streets they were taken out of, and leave out parts of the system one by one
+///
+/// Streets are made up, so that the truth is known: what their cars look like in the light of the place, and the dark about them.
+/// Cars captured in neutral light are put where the true ones stand, relit by the street about them, and compared with the truth
+/// over the pixels of vehicles. Then the system runs in full and without compression, registration and relighting.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// What light does to colours: a light transfer that `calibrate-light` wrote (.safetensors)
+    #[arg(long, value_name = "FILE")]
+    light: PathBuf,
+    /// The light over the streets, one street each: clear, overcast, dusk, night; the system is measured in the first
+    #[arg(long, value_name = "WEATHER", value_delimiter = ',', default_value = "clear,overcast,dusk,night", value_parser = weather)]
+    weather: Vec<Weather>,
+    /// Splats of the street without its traffic
+    #[arg(long, value_name = "N", default_value_t = 300_000, value_parser = at_least_one)]
+    background: usize,
+    /// Cars that drive
+    #[arg(long, value_name = "K", default_value_t = 6, value_parser = at_least_one)]
+    agents: usize,
+    /// Splats of each car
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = at_least_one)]
+    agent_splats: usize,
+    /// Draw the first so many cameras of six
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=6))]
+    cameras_used: u32,
+    /// Size of every picture
+    #[arg(long, value_name = "WxH", default_value = "800x450")]
+    size: Size,
+    /// Moments at which pictures are compared with the truth: of so many parts of the drive those with most of the cars in sight
+    #[arg(long, value_name = "M", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    moments: u32,
+    /// Frames that are timed, a tenth of a second apart
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: u32,
+    /// Everything random follows from it: the street, the codebooks, the drift of tracks
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Each track is shifted by this, in a direction of its own, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.5, value_parser = not_negative)]
+    drift_m: f64,
+    /// And turned by this about its middle, to the left or to the right, degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.4, value_parser = not_negative)]
+    drift_deg: f64,
+    /// Deviation of each of its places along each axis, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.05, value_parser = not_negative)]
+    noise_m: f64,
+    /// Pixels whose true colour is shorter as a vector (of at most 1.73) have no hue
+    #[arg(long, value_name = "LENGTH", default_value_t = 0.05, value_parser = not_negative)]
+    floor: f64,
+    /// Views all around a car from which its splats' visibility is measured for compression
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    views: u32,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// Write all figures to this file
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// The page to write, with tables and pictures
+    #[arg(long, value_name = "FILE.html")]
+    out: PathBuf,
+}
+
+fn weather(text: &str) -> Result<Weather, String> {
+    let names = Weather::ALL.map(Weather::name).join(", ");
+    Weather::ALL
+        .into_iter()
+        .find(|weather| weather.name() == text)
+        .ok_or_else(|| format!("expected one of {names}, found {text:?}"))
+}
+
+fn at_least_one(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|&count| count >= 1).ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|value: &f64| value.is_finite() && *value >= 0.0);
+    number.ok_or_else(|| format!("expected a number of at least 0, found {text:?}"))
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    for out in [Some(&arguments.out), arguments.json.as_ref()].into_iter().flatten() {
+        check_output(out)?;
+    }
+    let light = read_light_transfer(&arguments.light)?.transfer;
+    let mut weathers: Vec<Weather> = Vec::new();
+    for &weather in &arguments.weather {
+        if !weathers.contains(&weather) {
+            weathers.push(weather);
+        }
+    }
+    let gpu = arguments.device.open()?;
+    let cars = Cars::captured(&gpu, &street_options(arguments, weathers[0]), arguments.views)?;
+    let bar = progress::bar("ablate", weathers.len() * arguments.moments as usize);
+    let mut reinsertions = Vec::new();
+    let mut system = None;
+    for &weather in &weathers {
+        let options = street_options(arguments, weather);
+        let stage = Stage::set(&options, &cars, &light, arguments.size, arguments.cameras_used as usize)?;
+        let moments_s = stage.moments_s(arguments.moments);
+        let reinsertion = Reinsertion { gpu: &gpu, stage: &stage, cars: &cars, floor: arguments.floor };
+        let (measured, truths) = reinsertion.measure(&moments_s, &|| bar.inc(1))?;
+        if system.is_none() {
+            bar.set_message("the system and its parts");
+            let drift = Drift {
+                shift_m: arguments.drift_m,
+                turn_rad: arguments.drift_deg.to_radians(),
+                noise_m: arguments.noise_m,
+                seed: arguments.seed,
+            };
+            system = Some(reinsertion.system(&drift, &truths, &measured, arguments.frames)?);
+        }
+        reinsertions.push(measured);
+    }
+    bar.finish_and_clear();
+    check_validation(&gpu)?;
+    let Some(system) = system else { return Ok(()) };
+    let report = Report { conditions: conditions(arguments, &gpu, &cars), reinsertions, system };
+    if let Some(path) = &arguments.json {
+        write_atomically(path, |file| writeln!(file, "{:#}", report.to_json()))?;
+    }
+    let page = page::page(&report)?;
+    write_atomically(&arguments.out, |file| file.write_all(page.as_bytes()))?;
+    print(&report.to_text())
+}
+
+fn street_options(arguments: &Arguments, weather: Weather) -> StreetOptions {
+    StreetOptions {
+        background: arguments.background,
+        agents: arguments.agents,
+        agent_splats: arguments.agent_splats,
+        seed: arguments.seed,
+        weather,
+        asset_light: AssetLight::Neutral,
+        ..StreetOptions::default()
+    }
+}
+
+/// Refuses, before minutes of work, what could not be written after them.
+fn check_output(out: &Path) -> Result<()> {
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let is_folder = fs::metadata(folder).is_ok_and(|found| found.is_dir());
+    ensure!(is_folder, "cannot write {}: there is no folder {}; make it first", out.display(), folder.display());
+    ensure!(!out.is_dir(), "cannot write {}: it is a folder; name the file to write", out.display());
+    Ok(())
+}
+
+/// Of what, on what and how, for whoever reads the figures later.
+fn conditions(arguments: &Arguments, gpu: &Gpu, cars: &Cars) -> Value {
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "device": gpu.info().name,
+        "driver": gpu.info().driver,
+        "light": arguments.light.file_name().map(|name| name.to_string_lossy()),
+        "background_splats": arguments.background,
+        "agents": arguments.agents,
+        "agent_splats": arguments.agent_splats,
+        "assets": cars.originals.len(),
+        "coded_splats": cars.coded.iter().map(|coded| coded.levels[0]).collect::<Vec<_>>(),
+        "cameras": arguments.cameras_used,
+        "width_px": arguments.size.width_px,
+        "height_px": arguments.size.height_px,
+        "moments": arguments.moments,
+        "frames": arguments.frames,
+        "seed": arguments.seed,
+        "drift_m": arguments.drift_m,
+        "drift_deg": arguments.drift_deg,
+        "noise_m": arguments.noise_m,
+        "floor": arguments.floor,
+        "views": arguments.views,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nonsense_is_refused_with_what_there_is() {
+        assert_eq!(weather("dusk"), Ok(Weather::Dusk));
+        assert!(weather("fog").unwrap_err().contains("clear, overcast, dusk, night"));
+        assert_eq!(at_least_one("3"), Ok(3));
+        for nonsense in ["0", "-1", "many"] {
+            assert!(at_least_one(nonsense).unwrap_err().contains(nonsense));
+        }
+        for nonsense in ["-0.1", "NaN", "inf", "far"] {
+            assert!(not_negative(nonsense).unwrap_err().contains(nonsense));
+        }
+    }
+}

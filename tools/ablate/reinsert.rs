@@ -1,0 +1,278 @@
+//! Cars put back where true ones stood, in several ways, and how far each is from the truth.
+
+use anyhow::{Result, ensure};
+use decouplegs::asset::street::Weather;
+use decouplegs::gpu::Gpu;
+use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
+use decouplegs::render::{Agent, AssetPool, Outputs, Picture, RenderOptions, Renderer, Scene};
+use decouplegs::scene::light::{ShadowOptions, bake_shadows};
+use decouplegs::scene::{Camera, ContactShadow, ShFrame, World};
+use decouplegs::{LiveScene, Moment};
+
+use super::affine;
+use super::cars::Cars;
+use super::ring::{self, Darkness};
+use super::showcase::{self, Showcase};
+use super::stage::{Stage, Truth};
+
+/// A way to put cars back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arm {
+    NoRelighting,
+    Ours,
+    OursUnshadowed,
+    OursUncompressed,
+    BestAffine,
+    TruthCompressed,
+}
+
+impl Arm {
+    pub const ALL: [Self; 6] =
+        [Self::NoRelighting, Self::Ours, Self::OursUnshadowed, Self::OursUncompressed, Self::BestAffine, Self::TruthCompressed];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NoRelighting => "no relighting",
+            Self::Ours => "ours",
+            Self::OursUnshadowed => "ours, no shadows",
+            Self::OursUncompressed => "ours, uncompressed",
+            Self::BestAffine => "best affine on DC",
+            Self::TruthCompressed => "truth colours, compressed",
+        }
+    }
+
+    /// For the reader of a report.
+    pub fn what(self) -> &'static str {
+        match self {
+            Self::NoRelighting => "compressed cars as they were captured in neutral light, no shadows",
+            Self::Ours => "compressed cars, relit from the colours of the street about them, and contact shadows",
+            Self::OursUnshadowed => "ours without the contact shadows",
+            Self::OursUncompressed => "ours with every splat of the captured cars: what compression adds to the error",
+            Self::BestAffine => {
+                "no method, for only the truth tells it: whole cars whose DC terms take the factor and the summand for each channel \
+                 that come nearest to the true ones over all of the car; what bands above DC would change is left"
+            }
+            Self::TruthCompressed => {
+                "no method, but what compression alone costs: cars in their true colours, compressed, on a street without shadows"
+            }
+        }
+    }
+}
+
+/// What the pictures of one moment are compared with.
+pub struct Sample {
+    pub time_s: f64,
+    pub cameras: Vec<Camera>,
+    /// With instances, one a camera.
+    pub truth: Vec<Picture>,
+    /// For each picture the pixels that show vehicles.
+    pub vehicles: Vec<Vec<bool>>,
+    /// And those about them.
+    pub ground: Vec<Vec<bool>>,
+}
+
+/// Errors of one arm over all moments of a weather.
+pub struct ArmFigures {
+    pub arm: Arm,
+    pub vehicles: MaskedDifference,
+    /// About vehicles, where shadows lie; `None` where vehicles fill all pictures.
+    pub ground: Option<MaskedDifference>,
+    /// How much darker the ground about vehicles is than without them.
+    pub darkness: Option<f64>,
+}
+
+/// All arms in one weather.
+pub struct Reinserted {
+    pub weather: Weather,
+    pub arms: Vec<ArmFigures>,
+    /// As [`ArmFigures::darkness`], of the truth.
+    pub truth_darkness: Option<f64>,
+    /// I_dom, the mean over agents and moments.
+    pub starkness: f64,
+    /// How much the light comes from one side, the mean over agents and moments.
+    pub directionality: f64,
+    /// Agents, counted at each moment, about whose place the street tells nothing.
+    pub unlit: usize,
+    pub showcase: Showcase,
+}
+
+/// What it takes to put cars back into one street.
+pub struct Reinsertion<'a> {
+    pub gpu: &'a Gpu,
+    pub stage: &'a Stage,
+    pub cars: &'a Cars,
+    /// Colours shorter than this have no hue.
+    pub floor: f64,
+}
+
+struct Errors {
+    vehicles: MaskedErrors,
+    ground: MaskedErrors,
+    darkness: Darkness,
+}
+
+impl Reinsertion<'_> {
+    /// Puts the cars back by every arm at `moments_s`; `done` is told each moment.
+    pub fn measure(&self, moments_s: &[f64], done: &dyn Fn()) -> Result<(Reinserted, Vec<Sample>)> {
+        let mut renderer = self.renderer();
+        let live = LiveScene::new(&renderer, &self.stage.loaded)?;
+        let new = |_| Errors {
+            vehicles: MaskedErrors::new(self.floor),
+            ground: MaskedErrors::new(self.floor),
+            darkness: Darkness::default(),
+        };
+        let mut errors: Vec<Errors> = Arm::ALL.iter().map(new).collect();
+        let (mut truth_darkness, mut shown, mut samples) = (Darkness::default(), None, Vec::new());
+        for &time_s in moments_s {
+            let truth = self.stage.truth(self.cars, time_s);
+            let sample = self.sample(&mut renderer, &truth, time_s)?;
+            renderer.render(&live.world, &sample.cameras)?;
+            let empty = renderer.read_pictures()?;
+            let mut drawn = Vec::new();
+            for (&arm, errors) in Arm::ALL.iter().zip(&mut errors) {
+                let pictures = self.pictures(&mut renderer, &live, arm, &truth, &sample)?;
+                for (at, found) in pictures.iter().enumerate() {
+                    errors.vehicles.add(found, &sample.truth[at], |pixel| sample.vehicles[at][pixel])?;
+                    errors.ground.add(found, &sample.truth[at], |pixel| sample.ground[at][pixel])?;
+                    errors.darkness.add(found, &empty[at], &sample.ground[at]);
+                }
+                drawn.push(pictures);
+            }
+            for (at, picture) in sample.truth.iter().enumerate() {
+                truth_darkness.add(picture, &empty[at], &sample.ground[at]);
+            }
+            let [plain, ours] = [&drawn[0], &drawn[1]];
+            shown = showcase::better(shown, &sample, ours, plain, self.floor);
+            samples.push(sample);
+            done();
+        }
+        let (starkness, directionality, unlit) = self.light(&live, moments_s);
+        let reinserted = Reinserted {
+            weather: self.stage.weather(),
+            arms: figures(errors)?,
+            truth_darkness: truth_darkness.share(),
+            starkness,
+            directionality,
+            unlit,
+            showcase: shown.map(|(_, showcase)| showcase).unwrap_or_default(),
+        };
+        Ok((reinserted, samples))
+    }
+
+    /// One that draws as exactly as can be.
+    pub fn renderer(&self) -> Renderer {
+        let outputs = Outputs { instance: true, ..Outputs::default() };
+        Renderer::new(self.gpu, RenderOptions { outputs, frames_in_flight: 1, ..RenderOptions::default() })
+    }
+
+    fn sample(&self, renderer: &mut Renderer, truth: &Truth, time_s: f64) -> Result<Sample> {
+        let cameras = self.stage.cameras(time_s);
+        let world = renderer.upload(&truth.world)?;
+        renderer.render(&world, &cameras)?;
+        let truth = renderer.read_pictures()?;
+        let vehicles: Vec<Vec<bool>> =
+            truth.iter().map(|picture| picture.instance.iter().flatten().map(|&id| id != 0).collect()).collect();
+        let ground = vehicles.iter().zip(&truth).map(|(mask, picture)| ring::around(mask, picture.width as usize)).collect();
+        Ok(Sample { time_s, cameras, truth, vehicles, ground })
+    }
+
+    fn pictures(
+        &self,
+        renderer: &mut Renderer,
+        live: &LiveScene,
+        arm: Arm,
+        truth: &Truth,
+        sample: &Sample,
+    ) -> Result<Vec<Picture>> {
+        let mut moment = live.at(sample.time_s);
+        match arm {
+            Arm::Ours => {}
+            Arm::OursUnshadowed => moment.shadows.clear(),
+            Arm::NoRelighting => {
+                moment.shadows.clear();
+                moment.agents.iter_mut().for_each(|agent| agent.relight = None);
+            }
+            Arm::BestAffine => {
+                for ((agent, car), placed) in moment.agents.iter_mut().zip(&truth.cars).zip(&self.stage.loaded.agents) {
+                    let weights = &self.cars.visibility[placed.asset];
+                    agent.relight = Some(affine::best_on_dc(&self.cars.originals[placed.asset], car, weights));
+                }
+            }
+            Arm::OursUncompressed => {}
+            Arm::TruthCompressed => return self.pictures_in_true_colours(renderer, live, &moment, truth, sample),
+        }
+        if matches!(arm, Arm::OursUncompressed | Arm::BestAffine) {
+            let world = renderer.upload(&self.copies(&moment))?;
+            renderer.render(&world, &sample.cameras)?;
+        } else {
+            renderer.render(live.with(&moment), &sample.cameras)?;
+        }
+        Ok(renderer.read_pictures()?)
+    }
+
+    /// The true cars compressed, those that are seen: it takes long.
+    fn pictures_in_true_colours(
+        &self,
+        renderer: &mut Renderer,
+        live: &LiveScene,
+        moment: &Moment,
+        truth: &Truth,
+        sample: &Sample,
+    ) -> Result<Vec<Picture>> {
+        let is_seen =
+            |instance: u16| sample.truth.iter().flat_map(|picture| picture.instance.iter().flatten()).any(|&id| id == instance);
+        let placed = &self.stage.loaded.agents;
+        let seen: Vec<usize> = (0..placed.len()).filter(|&at| is_seen(placed[at].instance)).collect();
+        let clouds: Vec<_> = seen.iter().map(|&at| (placed[at].asset, &truth.cars[at])).collect();
+        let mut pool = AssetPool::new(renderer.gpu())?;
+        let mut agents = Vec::new();
+        for (coded, at) in self.cars.compressed(&clouds)?.iter().zip(seen) {
+            agents.push(Agent { asset: pool.add(coded)?, relight: None, ..moment.agents[at] });
+        }
+        renderer.render(Scene::with_agents(&live.world, &pool, &agents), &sample.cameras)?;
+        Ok(renderer.read_pictures()?)
+    }
+
+    /// The background under the shadows of `moment`, and world-space copies of the whole cars in its light.
+    pub fn copies(&self, moment: &Moment) -> World {
+        let mut world = self.stage.loaded.world.clone();
+        bake_shadows(&mut world, &moment.shadows);
+        for (agent, placed) in moment.agents.iter().zip(&self.stage.loaded.agents) {
+            let original = &self.cars.originals[placed.asset];
+            let relit = agent.relight.map(|relight| relight.relit(original));
+            let shown = relit.as_ref().unwrap_or(original);
+            world.bake_instance(shown, &agent.world_from_agent, ShFrame::Canonical, agent.instance);
+        }
+        world
+    }
+
+    /// Means of I_dom and of directionality, and how many agents stand where nothing tells of the light.
+    fn light(&self, live: &LiveScene, moments_s: &[f64]) -> (f64, f64, usize) {
+        let moments: Vec<Moment> = moments_s.iter().map(|&time_s| live.at(time_s)).collect();
+        let strength = ShadowOptions::default().strength;
+        let starkness = |shadow: &ContactShadow| shadow.strength / strength;
+        let lighting = self.stage.loaded.lighting();
+        let places = moments.iter().flat_map(|moment| &moment.agents).map(|agent| agent.world_from_agent.translation);
+        let directionality = places.filter_map(|place| Some(lighting.as_ref()?.at(place).0.directionality()));
+        (
+            mean(moments.iter().flat_map(|moment| &moment.shadows).map(starkness)),
+            mean(directionality),
+            moments.iter().map(|moment| moment.unlit).sum(),
+        )
+    }
+}
+
+fn figures(errors: Vec<Errors>) -> Result<Vec<ArmFigures>> {
+    let mut figures = Vec::new();
+    for (arm, errors) in Arm::ALL.into_iter().zip(errors) {
+        let Some(vehicles) = errors.vehicles.finish() else { continue };
+        figures.push(ArmFigures { arm, vehicles, ground: errors.ground.finish(), darkness: errors.darkness.share() });
+    }
+    ensure!(!figures.is_empty(), "no camera sees a car at any moment: ask for more --agents, --moments or --cameras-used");
+    Ok(figures)
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
+    if count > 0 { sum / f64::from(count) } else { 0.0 }
+}

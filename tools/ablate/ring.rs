@@ -1,0 +1,86 @@
+//! The ground about vehicles in a picture, where their shadows lie.
+
+use decouplegs::render::Picture;
+
+/// How far about a vehicle ground is looked at, as a share of the picture's width: 25 px of 800.
+const REACH: f64 = 25.0 / 800.0;
+
+/// Weights of red, green and blue in luminance (Rec. 709).
+const LUMA: [f32; 3] = [0.2126, 0.7152, 0.0722];
+
+/// For each pixel of a picture `width_px` wide whether it lies near `vehicles`, and is not of them.
+pub fn around(vehicles: &[bool], width_px: usize) -> Vec<bool> {
+    let reach_px = ((REACH * width_px as f64).round() as usize).max(1);
+    let height_px = vehicles.len() / width_px.max(1);
+    let rows = spread(vehicles, (height_px, width_px), (width_px, 1), reach_px);
+    let near = spread(&rows, (width_px, height_px), (1, width_px), reach_px);
+    near.iter().zip(vehicles).map(|(near, vehicle)| *near && !vehicle).collect()
+}
+
+/// `mask` with all within `reach` along lines set: `lines` lines of `length` pixels, one `steps.0` from the next, its pixels `steps.1`.
+fn spread(mask: &[bool], (lines, length): (usize, usize), steps: (usize, usize), reach: usize) -> Vec<bool> {
+    let mut found = vec![false; mask.len()];
+    for line in 0..lines {
+        let place = |at: usize| line * steps.0 + at * steps.1;
+        // The first pixel that nothing has reached yet.
+        let mut next = 0;
+        for at in (0..length).filter(|&at| mask[place(at)]) {
+            let end = (at + reach + 1).min(length);
+            (next.max(at.saturating_sub(reach))..end).for_each(|at| found[place(at)] = true);
+            next = end;
+        }
+    }
+    found
+}
+
+/// How much darker pixels are than in pictures without vehicles.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Darkness {
+    with: f64,
+    without: f64,
+}
+
+impl Darkness {
+    /// Adds the pixels of `mask`.
+    pub fn add(&mut self, with: &Picture, without: &Picture, mask: &[bool]) {
+        let luminance = |rgb: &[f32; 3]| f64::from(rgb.iter().zip(LUMA).map(|(value, weight)| value * weight).sum::<f32>());
+        for ((with, without), _) in with.rgb.iter().zip(&without.rgb).zip(mask).filter(|(_, is_in)| **is_in) {
+            self.with += luminance(with);
+            self.without += luminance(without);
+        }
+    }
+
+    /// Share of the luminance that is gone; `None` where there was none.
+    pub fn share(&self) -> Option<f64> {
+        (self.without > 0.0).then(|| 1.0 - self.with / self.without)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ring_is_a_box_about_the_mask_without_it() {
+        // 64 wide: two pixels about.
+        let mut mask = vec![false; 64 * 9];
+        mask[4 * 64] = true;
+        mask[4 * 64 + 30] = true;
+        mask[4 * 64 + 31] = true;
+        let ring = around(&mask, 64);
+        let row = |y: usize| (0..64).filter(|x| ring[y * 64 + x]).collect::<Vec<_>>();
+        assert_eq!(row(2), [0, 1, 2, 28, 29, 30, 31, 32, 33]);
+        assert_eq!((row(4), row(6).len(), row(7)), (vec![1, 2, 28, 29, 32, 33], 9, vec![]));
+        assert!(around(&[], 64).is_empty());
+    }
+
+    #[test]
+    fn darkness_is_the_share_that_is_gone() {
+        let mut darkness = Darkness::default();
+        assert_eq!(darkness.share(), None);
+        let mut with = Picture::filled(2, 1, [0.8; 3]);
+        with.rgb[0] = [0.4; 3];
+        darkness.add(&with, &Picture::filled(2, 1, [0.8; 3]), &[true, false]);
+        assert!((darkness.share().unwrap() - 0.5).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,100 @@
+//! How long frames of a drive take.
+
+use std::collections::VecDeque;
+use std::time::Instant;
+
+use anyhow::Result;
+use decouplegs::gpu::Gpu;
+use decouplegs::render::{ColourFormat, OrderMode, Outputs, RenderOptions, Renderer, ResidentWorld};
+use decouplegs::scene::World;
+use decouplegs::{LiveScene, asset::LoadedScene};
+
+use crate::stress::course::Course;
+use crate::stress::figures::Measured;
+
+/// Least number of frames before the timed ones.
+const WARM_UP_FRAMES: u32 = 2;
+/// From one frame to the next, seconds.
+const STEP_S: f64 = 0.1;
+
+/// What is driven through, for its time.
+pub struct Speed<'a> {
+    pub gpu: &'a Gpu,
+    pub scene: &'a LoadedScene,
+    pub course: Course,
+}
+
+impl<'a> Speed<'a> {
+    /// `frames` timed frames from the middle moment on backwards and forwards: the middle of the drive is the middle of the frames.
+    pub fn over(gpu: &'a Gpu, scene: &'a LoadedScene, frames: u32) -> Self {
+        let cameras_used = scene.rig.cameras.len();
+        let middle_s = 0.5 * (scene.ego.start_s() + scene.ego.end_s());
+        let start_s = (middle_s - 0.5 * STEP_S * f64::from(frames)).max(scene.ego.start_s());
+        let course =
+            Course { start_s, step_s: STEP_S, warm_up: WARM_UP_FRAMES, frames, samples: 0, cameras_used, standing: None };
+        Self { gpu, scene, course }
+    }
+
+    /// Compressed agents that drive as `driven` says, two frames in flight.
+    pub fn of_coded(&self, driven: &LoadedScene) -> Result<Measured> {
+        let mut renderer = self.renderer(OrderMode::Exact, 2);
+        let live = LiveScene::new(&renderer, driven)?;
+        self.drive(&mut renderer, |renderer, time_s| {
+            let moment = live.at(time_s);
+            Ok(renderer.submit(live.with(&moment), &self.course.cameras(self.scene, time_s))?)
+        })
+    }
+
+    /// Copies that stand, everything sorted in every frame, two frames in flight: as `stress` measures vanilla.
+    pub fn of_copies(&self, copies: World) -> Result<Measured> {
+        let mut renderer = self.renderer(OrderMode::Full, 2);
+        let resident = renderer.upload(&World { instance_from_splat: Vec::new(), ..copies })?;
+        self.drive(&mut renderer, |renderer, time_s| Ok(renderer.submit(&resident, &self.course.cameras(self.scene, time_s))?))
+    }
+
+    /// Copies that are made and uploaded anew in each frame, as they must be where agents drive or light changes.
+    pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> World) -> Result<Measured> {
+        let mut renderer = self.renderer(OrderMode::Full, 1);
+        // Kept until the next frame: this one is drawn from it.
+        let mut shown: Option<ResidentWorld> = None;
+        self.drive(&mut renderer, |renderer, time_s| {
+            let world = World { instance_from_splat: Vec::new(), ..copies_at(time_s) };
+            let resident = shown.insert(renderer.upload(&world)?);
+            Ok(renderer.submit(&*resident, &self.course.cameras(self.scene, time_s))?)
+        })
+    }
+
+    fn renderer(&self, order: OrderMode, frames_in_flight: usize) -> Renderer {
+        let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+        Renderer::new(self.gpu, RenderOptions { outputs, order, frames_in_flight, ..RenderOptions::default() })
+    }
+
+    /// The warm-up and then the course, as far ahead as frames may be in flight.
+    fn drive(&self, renderer: &mut Renderer, mut submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Measured> {
+        let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
+        let depth = renderer.options().frames_in_flight;
+        let mut moments = self.course.warm_up_on(self.gpu.info().kind).then(self.course.frames);
+        // Of the frames in flight, oldest first, whether they are timed.
+        let mut in_flight = VecDeque::with_capacity(depth);
+        let mut last = Instant::now();
+        loop {
+            let next = moments.next();
+            if let Some((frame, is_timed)) = next {
+                submit(renderer, self.course.time_s(frame))?;
+                in_flight.push_back(is_timed);
+            }
+            if in_flight.len() < depth && next.is_some() {
+                continue;
+            }
+            let Some(is_timed) = in_flight.pop_front() else { break };
+            let statistics = renderer.finish()?;
+            let now = Instant::now();
+            let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
+            if is_timed {
+                frames.push(statistics);
+                steps_ms.push(step_ms);
+            }
+        }
+        Ok(Measured::of(&frames, &steps_ms, self.gpu.memory()))
+    }
+}
