@@ -3,6 +3,7 @@
 //! The definition's own truths stand in `engine/render/src/reference/truths.rs`; these hold the GPU to the same mathematics.
 
 mod agents;
+mod light;
 mod one_splat;
 mod order;
 mod properties;
