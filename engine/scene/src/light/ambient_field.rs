@@ -9,6 +9,9 @@ use rayon::prelude::*;
 use crate::light::AmbientDescriptor;
 use crate::{SplatCloud, sh};
 
+/// Grid points on either side of the origin, along an axis.
+const CELLS_MAX: f64 = 1e9;
+
 /// Numbers of a sum: 27 of light, and the weight that they are divided by.
 const SUM: usize = AmbientDescriptor::LEN + 1;
 
@@ -173,7 +176,9 @@ impl AmbientField {
 
     /// The grid point below `place`.
     fn cell(&self, place: DVec3) -> IVec3 {
-        ((place - self.origin) / self.options.spacing_m).floor().as_ivec3()
+        // No farther than a neighbour can still be counted: an agent may claim to stand anywhere.
+        let cell = ((place - self.origin) / self.options.spacing_m).floor();
+        cell.clamp(DVec3::splat(-CELLS_MAX), DVec3::splat(CELLS_MAX)).as_ivec3()
     }
 
     fn interpolated(&self, place: DVec3) -> Option<[f64; SUM]> {
@@ -290,6 +295,17 @@ mod tests {
         // All splats have the same band 1 term along x: the light has it as well, and nothing of y.
         let light = field.at(DVec3::ZERO).unwrap();
         assert!((light.coefficients[3][0] + 0.1).abs() < 1e-3 && light.coefficients[1][0].abs() < 2e-3);
+    }
+
+    #[test]
+    fn places_beyond_all_measure_are_dark() {
+        let cloud = street(300);
+        let mut field = AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &AmbientOptions::default());
+        for place in [DVec3::splat(1e12), DVec3::splat(-f64::MAX), DVec3::splat(f64::NAN), DVec3::new(f64::INFINITY, 0.0, 0.0)] {
+            assert!(field.at(place).is_none(), "{place}");
+            field.bake([place]);
+            assert!(field.at(place).is_none(), "{place}");
+        }
     }
 
     #[test]
