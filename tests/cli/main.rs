@@ -355,3 +355,27 @@ fn a_scene_is_listed_with_its_cameras_its_ego_and_its_agents() {
     let listed = "3 ball: ball.safetensors, 3 splats, colours world, 1.0 s to 3.5 s, 2 poses, 5.0 m from (0.00, 0.00, 0.00) m";
     assert!(report.contains(listed) && report.contains("front: 48x27"), "{report}");
 }
+
+#[test]
+fn a_scene_says_how_it_is_lit() {
+    let folder = tempfile::tempdir().unwrap();
+    small_street(folder.path());
+    let scene = folder.path().join("scene.toml");
+    assert!(json(&["inspect", text(&scene), "--json"])["light"].is_null());
+    let unlit = fs::read_to_string(&scene).unwrap();
+    fs::write(&scene, format!("{unlit}\n[light]\n[light.shadows]\n")).unwrap();
+    assert!(succeed(&["inspect", text(&scene)]).contains("colours stay as captured, contact shadows"));
+    // Agents of plain files are part of the world and take no light; a compressed one does.
+    let asset = folder.path().join("assets/car_00.ply");
+    let coded = folder.path().join("car.safetensors");
+    succeed(&["compress", text(&asset), "--out", text(&coded), "--views", "4", "--view-size", "32"]);
+    let one = unlit.replacen("assets/car_00.ply", "car.safetensors", 1);
+    fs::write(&scene, format!("{one}\n[light]\n[light.shadows]\n")).unwrap();
+    let light = &json(&["inspect", text(&scene), "--json"])["light"];
+    assert_eq!(light["starts"].as_array().unwrap().len(), 1, "{light}");
+    assert!(light["probes"].as_u64().unwrap() > 8 && light["field_error_of_mean"].as_f64().unwrap() < 0.02, "{light}");
+    fs::write(&scene, format!("{unlit}\n[light]\nsigma_m = -1.0\n")).unwrap();
+    assert!(fail(1, &["inspect", text(&scene)]).contains("light.sigma_m"));
+    fs::write(&scene, format!("{unlit}\n[light]\ntransfer = \"absent.safetensors\"\n")).unwrap();
+    assert!(fail(1, &["inspect", text(&scene)]).contains("absent.safetensors"));
+}

@@ -121,7 +121,8 @@ fn weather(found: &Reinserted) -> Result<String> {
 fn pictures(showcase: &Showcase) -> Result<String> {
     let mut html = String::from("<div class=\"row\">");
     for (what, picture) in &showcase.pictures {
-        let address = data_uri::png(picture)?;
+        // Shown at some 300 pixels: all of a large picture would make the page megabytes.
+        let address = data_uri::png(&data_uri::shrunk(picture, 640))?;
         let _ = write!(
             html,
             "<figure><img class=\"pixels\" width=\"300\" src=\"{address}\" alt=\"{what}\"><figcaption>{what}</figcaption></figure>"

@@ -1,8 +1,10 @@
 //! What a scene file lists: cameras, the ego vehicle's way, agents.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 
 use decouplegs::asset::{LoadedScene, SceneFile};
+use decouplegs::scene::light::ambient_by_definition;
 use decouplegs::scene::{RigCamera, ShFrame, Trajectory, World};
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -14,6 +16,25 @@ pub struct Listing {
     cameras: Vec<RigCamera>,
     ego: Trajectory,
     agents: Vec<Agent>,
+    light: Option<Light>,
+}
+
+/// The light of the scene, and how far its field is from what it stands for.
+struct Light {
+    transfer: Option<PathBuf>,
+    shadows: bool,
+    probes: usize,
+    /// Where each agent that is lit starts.
+    starts: Vec<Start>,
+    /// Of the mean light, where it is off most.
+    error: f64,
+}
+
+/// The light where an agent starts.
+struct Start {
+    instance: u16,
+    /// Its mean colour, and how stark shadows are in it; `None` where the background tells nothing.
+    light: Option<([f32; 3], f64)>,
 }
 
 struct Agent {
@@ -47,6 +68,7 @@ impl Listing {
             cameras: scene.rig.cameras.clone(),
             ego: loaded.ego.clone(),
             agents: scene.agents.iter().enumerate().map(agent).collect(),
+            light: Light::of(scene, loaded),
         }
     }
 
@@ -69,6 +91,9 @@ impl Listing {
         for Agent { instance, name, asset, splats, sh_frame, trajectory } in &self.agents {
             let (asset, way) = (asset.display(), way_to_text(trajectory));
             lines.line("", &format!("{instance} {name}: {asset}, {splats} splats, colours {sh_frame}, {way}"));
+        }
+        if let Some(light) = &self.light {
+            light.add_to(&mut lines);
         }
         lines.into_text()
     }
@@ -96,6 +121,66 @@ impl Listing {
             "cameras": self.cameras.iter().map(camera).collect::<Vec<_>>(),
             "ego": way_to_json(&self.ego),
             "agents": self.agents.iter().map(agent).collect::<Vec<_>>(),
+            "light": self.light.as_ref().map(Light::to_json),
+        })
+    }
+}
+
+impl Light {
+    fn of(scene: &SceneFile, loaded: &LoadedScene) -> Option<Self> {
+        let (file, lighting) = (scene.light.as_ref()?, loaded.lighting()?);
+        let shadows = lighting.shadows.unwrap_or_default();
+        // Agents of plain files stand behind the background.
+        let instances = &loaded.world.instance_from_splat;
+        let background = match instances.iter().position(|&instance| instance != 0) {
+            Some(end) => Cow::Owned(loaded.world.splats.select(&(0..end as u32).collect::<Vec<_>>())),
+            None => Cow::Borrowed(&loaded.world.splats),
+        };
+        let (mut starts, mut error) = (Vec::new(), 0.0f64);
+        for agent in &loaded.agents {
+            let place = agent.trajectory.poses()[0].pose.translation;
+            let found = lighting.field.at(place);
+            let light = found.map(|light| (light.mean(), shadows.starkness(&light)));
+            starts.push(Start { instance: agent.instance, light });
+            let truth = ambient_by_definition(&background, place - loaded.world.origin, &file.ambient);
+            if let (Some(found), Some(truth)) = (found, truth) {
+                let off = found.to_vector().iter().zip(truth.to_vector()).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
+                error = error.max(off / f64::from(truth.coefficients[0][1]).max(1e-9));
+            }
+        }
+        let (probes, _) = lighting.field.size();
+        Some(Self { transfer: file.transfer.clone(), shadows: file.shadows.is_some(), probes, starts, error })
+    }
+
+    fn add_to(&self, lines: &mut Lines) {
+        let transfer =
+            self.transfer.as_ref().map_or("colours stay as captured".into(), |path| format!("relit by {}", path.display()));
+        let shadows = if self.shadows { "contact shadows" } else { "no shadows" };
+        let error = 100.0 * self.error;
+        lines
+            .line("light", &format!("{transfer}, {shadows}; {} probes, at most {error:.2} % of the mean light off", self.probes));
+        for Start { instance, light } in &self.starts {
+            let told = light.map_or("nothing is told of the light where it starts".into(), |([red, green, blue], starkness)| {
+                format!("starts in light of ({red:.2}, {green:.2}, {blue:.2}), shadows {starkness:.2} stark")
+            });
+            lines.line("", &format!("{instance}: {told}"));
+        }
+    }
+
+    fn to_json(&self) -> Value {
+        let start = |Start { instance, light }: &Start| {
+            json!({
+                "instance": instance,
+                "mean_rgb": light.map(|(mean, _)| mean),
+                "starkness": light.map(|(_, starkness)| starkness),
+            })
+        };
+        json!({
+            "transfer": self.transfer.as_ref().map(|path| path.to_string_lossy().into_owned()),
+            "shadows": self.shadows,
+            "probes": self.probes,
+            "field_error_of_mean": self.error,
+            "starts": self.starts.iter().map(start).collect::<Vec<_>>(),
         })
     }
 }
