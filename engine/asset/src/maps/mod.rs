@@ -126,6 +126,10 @@ fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError>
         return Err(DecodeError::Malformed("the file holds no lane; expected at least one".into()));
     }
     links::tidy(&mut lanes);
+    // A limit of nothing is none: maps write 0 where they know no limit.
+    for lane in &mut lanes {
+        lane.speed_limit_mps = lane.speed_limit_mps.filter(|speed_mps| *speed_mps > 0.0);
+    }
     let map = LaneMap { lanes, offset };
     map.check().map_err(DecodeError::Malformed)?;
     for lane in &map.lanes {
@@ -171,5 +175,25 @@ mod tests {
         std::fs::write(&path, "<OpenDRIVE/>").unwrap();
         let error = read_map(&path).unwrap_err().to_string();
         assert!(error.contains("not a readable OpenDRIVE file") && error.contains("no lane"), "{error}");
+    }
+}
+
+#[cfg(test)]
+mod limits {
+    use super::*;
+
+    #[test]
+    fn a_speed_limit_of_nothing_is_none() {
+        let lane = |id: &str, speed_limit_mps: Option<f64>| Lane {
+            id: id.into(),
+            centreline: vec![DVec3::ZERO, DVec3::X],
+            speed_limit_mps,
+            ..Lane::default()
+        };
+        let map = finished(vec![lane("a", Some(0.0)), lane("b", Some(-1.0)), lane("c", Some(9.0))], DVec3::ZERO).unwrap();
+        let limits: Vec<Option<f64>> = map.lanes.iter().map(|lane| lane.speed_limit_mps).collect();
+        assert_eq!(limits, [None, None, Some(9.0)]);
+        let written = lane_json::encode(&map).unwrap();
+        assert_eq!(lane_json::decode(&written).unwrap(), map);
     }
 }
