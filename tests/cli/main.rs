@@ -3,6 +3,8 @@
 mod ablate;
 mod calibrate_light;
 mod compress;
+#[path = "../data.rs"]
+mod data;
 mod map;
 mod register;
 mod stress;

@@ -93,13 +93,7 @@ fn what_cannot_be_registered_is_told_and_nothing_is_written() {
 
 /// A real map, or `None` with a word of it where the test files are missing.
 fn real_map(file: &str) -> Option<LaneMap> {
-    let folder = std::env::var_os("DECOUPLEGS_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
-    let path = folder.join(file);
-    if !path.is_file() {
-        println!("SKIPPED: {} is not there; set DECOUPLEGS_DATA to the folder of test files", path.display());
-        return None;
-    }
+    let path = data::file("a real map", file)?;
     Some(read_map(&path).unwrap())
 }
 

@@ -6,7 +6,7 @@ use decouplegs::scene::{ColourTransfer, SplatCloud, sh};
 /// stay as they are. Both clouds hold the same splats.
 pub fn best_on_dc(canonical: &SplatCloud, truth: &SplatCloud, weights: &[f32]) -> ColourTransfer {
     // As a plain expansion, which transfers act on.
-    let shift = 0.5 / sh::Y0;
+    let shift = sh::DC_SHIFT;
     let mut transfer = ColourTransfer::IDENTITY;
     for channel in 0..3 {
         let plain = |cloud: &SplatCloud, splat: usize| f64::from(cloud.sh_dc[splat][channel]) + shift;
@@ -42,7 +42,7 @@ mod tests {
     #[test]
     fn a_change_of_brightness_and_hue_is_found_again() {
         let canonical = cloud(&[[0.1, 0.2, 0.3], [0.5, -0.4, 0.3], [-0.7, 0.8, 0.3]]);
-        let shift = (0.5 / sh::Y0) as f32;
+        let shift = sh::DC_SHIFT as f32;
         let lit = |dc: &[f32; 3]| [2.0 * (dc[0] + shift) - shift, 0.5 * (dc[1] + shift) + 0.1 - shift, dc[2] - 0.2];
         let truth = cloud(&canonical.sh_dc.iter().map(lit).collect::<Vec<_>>());
         let found = best_on_dc(&canonical, &truth, &[1.0, 0.5, 2.0]);

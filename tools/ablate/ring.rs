@@ -1,12 +1,10 @@
 //! The ground about vehicles in a picture, where their shadows lie.
 
 use decouplegs::render::Picture;
+use decouplegs::scene::light::LUMA;
 
 /// How far about a vehicle ground is looked at, as a share of the picture's width: 25 px of 800.
 const REACH: f64 = 25.0 / 800.0;
-
-/// Weights of red, green and blue in luminance (Rec. 709).
-const LUMA: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
 /// For each pixel of a picture `width_px` wide whether it lies near `vehicles`, and is not of them.
 pub fn around(vehicles: &[bool], width_px: usize) -> Vec<bool> {
@@ -43,7 +41,8 @@ pub struct Darkness {
 impl Darkness {
     /// Adds the pixels of `mask`.
     pub fn add(&mut self, with: &Picture, without: &Picture, mask: &[bool]) {
-        let luminance = |rgb: &[f32; 3]| f64::from(rgb.iter().zip(LUMA).map(|(value, weight)| value * weight).sum::<f32>());
+        let luminance =
+            |rgb: &[f32; 3]| f64::from(rgb.iter().zip(LUMA).map(|(value, weight)| value * weight as f32).sum::<f32>());
         for ((with, without), _) in with.rgb.iter().zip(&without.rgb).zip(mask).filter(|(_, is_in)| **is_in) {
             self.with += luminance(with);
             self.without += luminance(without);

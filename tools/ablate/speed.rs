@@ -1,15 +1,12 @@
 //! How long frames of a drive take.
 
-use std::collections::VecDeque;
-use std::time::Instant;
-
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::{ColourFormat, OrderMode, Outputs, RenderOptions, Renderer, ResidentWorld};
 use decouplegs::scene::World;
 use decouplegs::{LiveScene, asset::LoadedScene};
 
-use crate::stress::course::Course;
+use crate::stress::course::{Course, Driven};
 use crate::stress::figures::Measured;
 
 /// Least number of frames before the timed ones.
@@ -69,32 +66,8 @@ impl<'a> Speed<'a> {
         Renderer::new(self.gpu, RenderOptions { outputs, order, frames_in_flight, ..RenderOptions::default() })
     }
 
-    /// The warm-up and then the course, as far ahead as frames may be in flight.
-    fn drive(&self, renderer: &mut Renderer, mut submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Measured> {
-        let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
-        let depth = renderer.options().frames_in_flight;
-        let mut moments = self.course.warm_up_on(self.gpu.info().kind).then(self.course.frames);
-        // Of the frames in flight, oldest first, whether they are timed.
-        let mut in_flight = VecDeque::with_capacity(depth);
-        let mut last = Instant::now();
-        loop {
-            let next = moments.next();
-            if let Some((frame, is_timed)) = next {
-                submit(renderer, self.course.time_s(frame))?;
-                in_flight.push_back(is_timed);
-            }
-            if in_flight.len() < depth && next.is_some() {
-                continue;
-            }
-            let Some(is_timed) = in_flight.pop_front() else { break };
-            let statistics = renderer.finish()?;
-            let now = Instant::now();
-            let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
-            if is_timed {
-                frames.push(statistics);
-                steps_ms.push(step_ms);
-            }
-        }
+    fn drive(&self, renderer: &mut Renderer, submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Measured> {
+        let Driven { frames, steps_ms, .. } = self.course.drive(renderer, submit)?;
         Ok(Measured::of(&frames, &steps_ms, self.gpu.memory()))
     }
 }

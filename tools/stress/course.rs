@@ -1,10 +1,13 @@
 //! Which moments are drawn from where.
 
+use std::collections::VecDeque;
 use std::iter;
 use std::time::{Duration, Instant};
 
+use anyhow::Result;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::DeviceKind;
+use decouplegs::render::{FrameStatistics, Renderer};
 use decouplegs::scene::Camera;
 
 /// The clocks of a GPU that idled rise within some 100 ms of work; frames before that take twice as long.
@@ -39,6 +42,16 @@ pub struct WarmUp {
     pub least: Duration,
 }
 
+/// What a drive took.
+pub struct Driven {
+    /// The timed frames.
+    pub frames: Vec<FrameStatistics>,
+    /// Wall clock from the end of the frame before to that of each, milliseconds.
+    pub steps_ms: Vec<f64>,
+    /// Frames before the timed ones.
+    pub warm_up_frames: usize,
+}
+
 impl WarmUp {
     /// The frames to draw, and whether they are timed: the warm-up from now on, then the course of `frames`.
     pub fn then(self, frames: u32) -> impl Iterator<Item = (u32, bool)> {
@@ -65,6 +78,37 @@ impl Course {
         let rehearsed = if is_software || self.frames > REHEARSED_FRAMES_MAX { 0 } else { self.frames };
         let turn = (1..=self.warm_up.max(rehearsed)).rev().map(|ahead| ahead % self.frames).collect();
         WarmUp { turn, least: if is_software { Duration::ZERO } else { CLOCKS_RISE } }
+    }
+
+    /// The warm-up and then the course, as far ahead as frames may be in flight; `submit` draws the moment it is given, seconds.
+    pub fn drive(&self, renderer: &mut Renderer, mut submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Driven> {
+        let mut driven = Driven { frames: Vec::new(), steps_ms: Vec::new(), warm_up_frames: 0 };
+        let depth = renderer.options().frames_in_flight;
+        // One follows the other without a pause, so that the first timed frame finds the device as busy as the others do.
+        let mut moments = self.warm_up_on(renderer.gpu().info().kind).then(self.frames);
+        // Of the frames in flight, oldest first, whether they are timed.
+        let mut in_flight = VecDeque::with_capacity(depth);
+        let mut last = Instant::now();
+        loop {
+            let next = moments.next();
+            if let Some((frame, is_timed)) = next {
+                submit(renderer, self.time_s(frame))?;
+                in_flight.push_back(is_timed);
+            }
+            if in_flight.len() < depth && next.is_some() {
+                continue;
+            }
+            let Some(is_timed) = in_flight.pop_front() else { return Ok(driven) };
+            let statistics = renderer.finish()?;
+            let now = Instant::now();
+            let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
+            if is_timed {
+                driven.frames.push(statistics);
+                driven.steps_ms.push(step_ms);
+            } else {
+                driven.warm_up_frames += 1;
+            }
+        }
     }
 
     /// The middle of the timed frames, seconds: where agents stand that cannot drive.

@@ -1,18 +1,13 @@
 //! Drives a mode through the scene: how long its frames take, what memory they hold, and its pictures at the sampled moments.
 
-use std::collections::VecDeque;
-use std::time::Instant;
-
 use anyhow::Result;
 use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CHUNK_SPLATS, ChunkRecord};
-use decouplegs::render::{
-    ColourFormat, FrameStatistics, Outputs, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec,
-};
+use decouplegs::render::{ColourFormat, Outputs, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec};
 use decouplegs::scene::{Camera, CodedCloud, World};
 
-use super::course::Course;
+use super::course::{Course, Driven};
 use super::fidelity::Fidelity;
 use super::figures::{Measured, Outcome};
 use super::mode::{Agents, Mode};
@@ -109,7 +104,9 @@ impl<'a> Stand<'a> {
                     Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
                 }
             };
-            let (frames, steps_ms, warm_up_frames) = self.drive(&mut renderer, &resident)?;
+            let Driven { frames, steps_ms, warm_up_frames } = self.course.drive(&mut renderer, |renderer, time_s| {
+                Ok(resident.submit(renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?)
+            })?;
             Measured { warm_up_frames, ..Measured::of(&frames, &steps_ms, self.gpu.memory()) }
         };
         if measured.memory.total_bytes > limit_bytes {
@@ -122,38 +119,6 @@ impl<'a> Stand<'a> {
             measured.fidelity = Some(Fidelity::between(&pictures, vanilla)?);
         }
         Ok((Outcome::Measured(Box::new(measured)), pictures))
-    }
-
-    /// The warm-up and then the course: what the timed frames took, the wall clock from one to the next, and how many came before.
-    fn drive(&self, renderer: &mut Renderer, resident: &Resident) -> Result<(Vec<FrameStatistics>, Vec<f64>, usize)> {
-        let (mut frames, mut steps_ms, mut untimed) = (Vec::new(), Vec::new(), 0);
-        let depth = renderer.options().frames_in_flight;
-        // One follows the other without a pause, so that the first timed frame finds the device as busy as the others do.
-        let mut moments = self.course.warm_up_on(self.gpu.info().kind).then(self.course.frames);
-        // Of the frames in flight, oldest first, whether they are timed.
-        let mut in_flight = VecDeque::with_capacity(depth);
-        let mut last = Instant::now();
-        loop {
-            let next = moments.next();
-            if let Some((frame, is_timed)) = next {
-                let time_s = self.course.time_s(frame);
-                resident.submit(renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
-                in_flight.push_back(is_timed);
-            }
-            if in_flight.len() < depth && next.is_some() {
-                continue;
-            }
-            let Some(is_timed) = in_flight.pop_front() else { return Ok((frames, steps_ms, untimed)) };
-            let statistics = renderer.finish()?;
-            let now = Instant::now();
-            let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
-            if is_timed {
-                frames.push(statistics);
-                steps_ms.push(step_ms);
-            } else {
-                untimed += 1;
-            }
-        }
     }
 
     /// The pictures of `mode` at the sampled moments, all cameras of one after those of the other.

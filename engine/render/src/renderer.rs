@@ -253,7 +253,7 @@ impl Renderer {
             order_error,
             agents: list.map_or(0, |list| list.counts.agents),
             agent_splats: list.map_or(0, |list| list.splats),
-            relit: self.slots[slot].relit.to_make.0,
+            relit: list.map_or(0, |_| self.slots[slot].relit.to_make.0),
             gpu_time: Duration::from_nanos(queues[0].total_ns),
             stages: queues[0].stages.clone(),
             update_time: queues.get(1).map(|update| Duration::from_nanos(update.total_ns)),

@@ -13,6 +13,9 @@ pub const DEGREE_MAX: u8 = 3;
 /// Y of the DC term, 1 / (2 sqrt(pi)).
 pub const Y0: f64 = 0.282_094_791_773_878_14;
 
+/// What the DC term of a splat's colour leaves out, as colours are 0.5 + Y0 dc + ...: a plain expansion has dc + 0.5 / Y0 there.
+pub const DC_SHIFT: f64 = 0.5 / Y0;
+
 /// Coefficients up to and including `degree`, DC included.
 #[must_use]
 pub const fn coefficient_count(degree: u8) -> usize {

@@ -33,7 +33,7 @@ impl Surface {
         let outward = DVec3::from_array(cloud.means[splat].map(f64::from)) - centre;
         let normal = if axis.dot(outward) < 0.0 { -axis } else { axis };
         let mut colour = [[0.0; 3]; COEFFICIENTS];
-        colour[0] = cloud.sh_dc[splat].map(|dc| f64::from(dc) + 0.5 / sh::Y0);
+        colour[0] = cloud.sh_dc[splat].map(|dc| f64::from(dc) + sh::DC_SHIFT);
         for (coefficient, rest) in colour[1..].iter_mut().zip(cloud.rest_of(splat)) {
             *coefficient = rest.map(f64::from);
         }
@@ -73,7 +73,7 @@ pub fn lit_cloud(cloud: &SplatCloud, reflected_by_white: impl Fn(DVec3) -> [f64;
     for splat in (0..cloud.len()).filter(|&splat| cloud.defect_of(splat).is_none()) {
         let surface = Surface::of(cloud, splat, centre);
         let lit = surface.lit(reflected_by_white(surface.normal));
-        lit_cloud.sh_dc[splat] = lit[0].map(|value| (value - 0.5 / sh::Y0) as f32);
+        lit_cloud.sh_dc[splat] = lit[0].map(|value| (value - sh::DC_SHIFT) as f32);
         for (rest, value) in lit_cloud.sh_rest[splat * stride..(splat + 1) * stride].iter_mut().zip(&lit[1..]) {
             *rest = value.map(|value| value as f32);
         }

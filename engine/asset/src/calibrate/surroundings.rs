@@ -5,6 +5,7 @@
 
 use std::f64::consts::PI;
 
+use decouplegs_scene::light::LUMA;
 use decouplegs_scene::{AmbientDescriptor, sh};
 use glam::DVec3;
 
@@ -17,9 +18,6 @@ const SHEEN_BY_BAND: [f64; 3] = [0.0, 0.10, 0.07];
 
 /// E / pi of the sun to which [`SHEEN_BY_BAND`] refers; that of the synthetic street (`street/light.rs`).
 const SHEEN_SUN: f64 = 1.35;
-
-/// Weights of red, green and blue in luminance (Rec. 709).
-pub(super) const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// The reference ground.
 #[derive(Clone, Copy, Debug, PartialEq)]

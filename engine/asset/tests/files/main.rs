@@ -3,6 +3,7 @@
 mod coded_asset;
 mod coded_properties;
 mod coded_python;
+mod data;
 mod errors;
 mod frozen;
 mod hostile;

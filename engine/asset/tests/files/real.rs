@@ -3,7 +3,7 @@
 use decouplegs_asset::{SplatSummary, read_splats};
 use decouplegs_scene::SplatCloud;
 
-use crate::sample::data;
+use crate::data::data;
 
 /// The captured object that exists as `.ply` and as `.splat`, both.
 fn object() -> Option<(SplatCloud, SplatCloud)> {

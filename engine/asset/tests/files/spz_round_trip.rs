@@ -3,8 +3,9 @@
 use decouplegs_asset::{inria_ply, read_splats, spz};
 use decouplegs_scene::SplatCloud;
 
+use crate::data::data;
 use crate::errors::{Errors, SMALLEST_THREE_MAX_RAD};
-use crate::sample::{self, cloud, data};
+use crate::sample::{self, cloud};
 
 /// `cloud` with every value moved to the nearest that SPZ reaches: what is measured is the quantisation within.
 fn within_range(mut cloud: SplatCloud) -> SplatCloud {

@@ -5,7 +5,7 @@ use decouplegs_asset::{read_map, read_tracks};
 use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::{DVec2, DVec3};
 
-use super::data;
+use super::data::data;
 
 /// Distance from a point to a line, seen from above, metres.
 fn distance_m(point: DVec2, line: &[DVec3]) -> f64 {

@@ -2,13 +2,11 @@
 //! Realism Metrics'), with what the paper leaves open: the signal-to-noise ratio is of the mean over channels, hue is not asked
 //! of the dark, and beside each peak, which is one pixel, stand its quantiles.
 
+use decouplegs_scene::light::LUMA;
 use serde::Serialize;
 
 use super::{DifferenceError, check_finite, check_sizes, null_where_infinite};
 use crate::picture::Picture;
-
-/// Weights of red, green and blue in luminance (Rec. 709).
-const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// Errors over the pixels of masks, of one picture or of many.
 #[derive(Clone, Debug)]

@@ -2,10 +2,8 @@
 
 use glam::{DQuat, DVec3};
 
+use crate::light::LUMA;
 use crate::sh::{self, ShRotation};
-
-/// Weights of red, green and blue in luminance (Rec. 709).
-const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// The light about a place: bands 0 to 2 of spherical harmonics of display-referred colour, as a plain expansion
 /// `colour(d) = sum_k coefficients[k] Y_k(d)`, without the 0.5 that splats' colours add. L(x) of the paper, in R^27.

@@ -79,7 +79,7 @@ pub fn ambient_by_definition(cloud: &SplatCloud, place: DVec3, options: &Ambient
 fn light_of(cloud: &SplatCloud, splat: usize) -> [f64; AmbientDescriptor::LEN] {
     let rest = cloud.rest_of(splat);
     std::array::from_fn(|number| match number / 3 {
-        0 => f64::from(cloud.sh_dc[splat][number]) + 0.5 / sh::Y0,
+        0 => f64::from(cloud.sh_dc[splat][number]) + sh::DC_SHIFT,
         k => rest.get(k - 1).map_or(0.0, |coefficient| f64::from(coefficient[number % 3])),
     })
 }

@@ -3,6 +3,9 @@
 //! DecoupleGS section 3.4 and supplement: an ambient descriptor L(x) from the background's spherical harmonics, an affine
 //! transfer c' = T(L) (.) c + b(L), and a contact shadow on the ground.
 
+/// Weights of red, green and blue in luminance (Rec. 709).
+pub const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
+
 mod ambient;
 mod ambient_field;
 mod lighting;

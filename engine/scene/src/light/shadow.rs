@@ -78,10 +78,13 @@ impl ContactShadow {
 ///
 /// `max(0, 0.5 + SH) f = max(0, f (0.5 + SH))`, so a darkened splat is a splat again.
 pub fn bake_shadows(world: &mut World, shadows: &[ContactShadow]) {
+    if shadows.is_empty() {
+        return;
+    }
     let origin = world.origin;
     let SplatCloud { means, sh_degree, sh_dc, sh_rest, .. } = &mut world.splats;
     let stride = sh::coefficient_count(*sh_degree) - 1;
-    let shift = 0.5 / sh::Y0;
+    let shift = sh::DC_SHIFT;
     for (splat, mean) in means.iter().enumerate() {
         let position = origin + DVec3::from_array(mean.map(f64::from));
         let factor: f64 = shadows.iter().map(|shadow| shadow.factor(position)).product();

@@ -3,8 +3,8 @@
 use crate::light::AmbientDescriptor;
 use crate::{SplatCloud, sh};
 
-/// What the DC term of a splat's colour leaves out: a colour is 0.5 + Y0 dc + ..., as a plain expansion Y0 (dc + 0.5 / Y0) + ...
-const DC_SHIFT: f32 = (0.5 / sh::Y0) as f32;
+/// [`sh::DC_SHIFT`] as colours are stored.
+const DC_SHIFT: f32 = sh::DC_SHIFT as f32;
 
 /// Coefficients of the highest degree.
 const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);
