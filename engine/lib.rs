@@ -19,6 +19,7 @@
 #![forbid(unsafe_code)]
 
 mod live_scene;
+pub mod planner;
 
 pub use decouplegs_asset as asset;
 pub use decouplegs_drive as drive;

@@ -31,8 +31,9 @@ mod tree;
 mod truth;
 mod weather;
 
+pub use decouplegs_scene::Weather;
 pub use truth::Truth;
-pub use weather::{AssetLight, Weather};
+pub use weather::AssetLight;
 
 use decouplegs_scene::{AgentPlacement, LaneMap, Pose, Rig, SplatCloud};
 use glam::{Quat, Vec3};

@@ -1,38 +1,9 @@
 //! In which light the street and its assets stand: the sun, the sky, the lamps and the air, in numbers.
 
+pub use decouplegs_scene::Weather;
 use glam::Vec3;
 
 use super::surface::display;
-
-/// The light over a street.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Weather {
-    /// A sunny afternoon.
-    #[default]
-    Clear,
-    /// A closed cover of clouds: grey light from all of the sky, no cast shadows.
-    Overcast,
-    /// A low, orange sun in a violet sky, and long shadows.
-    Dusk,
-    /// Street lamps and lit windows in the dark.
-    Night,
-}
-
-impl Weather {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Clear, Self::Overcast, Self::Dusk, Self::Night];
-
-    /// The name it has on the command line and in reports.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Clear => "clear",
-            Self::Overcast => "overcast",
-            Self::Dusk => "dusk",
-            Self::Night => "night",
-        }
-    }
-}
 
 /// The light that the assets are captured in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -1,0 +1,160 @@
+//! Who drives the ego: planners, which see pictures and answer trajectories.
+//!
+//! A planner sees what it asks for in [`Planner::sees`], and the episode's log keeps what that was. All of them are told what any
+//! vehicle knows of itself (speed, steering) and what a navigation system says. States of others and the map are
+//! [privileged](Privileged): no camera shows them.
+
+use decouplegs_scene::plan::Plan;
+use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
+use glam::DVec2;
+
+/// What a planner wants to be shown.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Sees {
+    /// Which pictures.
+    pub cameras: Cameras,
+    /// Whether it wants [`Privileged`] state.
+    pub privileged: bool,
+}
+
+/// Which cameras of a rig a planner wants pictures of.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Cameras {
+    /// None: nothing has to be drawn for it.
+    #[default]
+    None,
+    /// The one that looks ahead: named `front`, otherwise the first.
+    Front,
+    /// The whole rig.
+    All,
+}
+
+/// A picture as a planner sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame<'a> {
+    /// Which camera, how it projects and where it sits on the ego (x forward, y left, z up from the middle of its box).
+    pub camera: &'a RigCamera,
+    /// Row by row from the top, four bytes a pixel, display-referred; the fourth is alpha.
+    pub rgba: &'a [u8],
+}
+
+/// What the next crossing asks of the ego.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Turn {
+    /// Straight on, or no crossing ahead.
+    #[default]
+    Straight,
+    /// To the left.
+    Left,
+    /// To the right.
+    Right,
+}
+
+impl Turn {
+    /// The name it has in the protocol.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Straight => "straight",
+            Self::Left => "left",
+            Self::Right => "right",
+        }
+    }
+}
+
+/// What a navigation system says.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Guidance {
+    /// The next turn of the route.
+    pub turn: Turn,
+    /// Until it begins, metres along the route; below zero within it, and the rest of the route where none is ahead.
+    pub distance_m: f64,
+    /// By how much the heading changes in it, radians, to the left where above zero.
+    pub angle_rad: f64,
+    /// How long it is, metres along the route.
+    pub length_m: f64,
+    /// How fast the route is to be driven where nothing is in the way.
+    pub cruise_mps: f64,
+}
+
+/// What a vehicle knows of its own motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EgoMotion {
+    /// Along its heading.
+    pub speed_mps: f64,
+    /// Rate of the speed.
+    pub acceleration_mps2: f64,
+    /// Angle of its front wheels, to the left where above zero.
+    pub steer_rad: f64,
+    /// Rate of its heading.
+    pub yaw_rate_radps: f64,
+}
+
+/// What no camera shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Privileged {
+    /// Where the ego is.
+    pub ego: VehicleState,
+    /// Its box.
+    pub ego_size: VehicleSize,
+    /// Its route from start to end, world coordinates, metres.
+    pub route_m: Vec<DVec2>,
+    /// All agents and their boxes.
+    pub agents: Vec<(VehicleState, VehicleSize)>,
+}
+
+/// What a planner is told at a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation<'a> {
+    /// From 0.
+    pub step: u32,
+    /// Since the episode's start, seconds.
+    pub time_s: f64,
+    /// The pictures it asked for; none at a step that is not drawn.
+    pub frames: &'a [Frame<'a>],
+    /// How the ego moves.
+    pub ego: EgoMotion,
+    /// Where it is to go.
+    pub guidance: Guidance,
+    /// Where it asked for that.
+    pub privileged: Option<&'a Privileged>,
+}
+
+/// What a planner is told before an episode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Briefing {
+    /// The scenario's name.
+    pub scenario: String,
+    /// From one plan to the next, seconds.
+    pub step_s: f64,
+    /// The ego's box.
+    pub ego_size: VehicleSize,
+    /// The cameras it asked for.
+    pub cameras: Vec<RigCamera>,
+}
+
+/// Why a planner has no plan: a sentence. It ends the episode, not the run.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct PlannerError(pub String);
+
+/// Somebody who drives the ego.
+pub trait Planner: Send {
+    /// Its name in logs and reports.
+    fn name(&self) -> String;
+
+    /// What it wants to be shown; the same for all episodes.
+    fn sees(&self) -> Sees;
+
+    /// Called before each episode: what it remembers of the one before is to be forgotten.
+    ///
+    /// # Errors
+    /// Where it cannot drive.
+    fn begin(&mut self, briefing: &Briefing) -> Result<(), PlannerError>;
+
+    /// The way on from here.
+    ///
+    /// # Errors
+    /// Where it has no answer, or not in time.
+    fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError>;
+}

@@ -1,0 +1,275 @@
+//! Scenarios: where an episode takes place, what the ego is to do there and who else is on the road.
+
+use std::path::PathBuf;
+
+use crate::vehicle::VehicleSize;
+
+/// How hard a scenario is, as the paper has it (supplement, "Definition of Evaluation Scenarios").
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Level {
+    /// 1 to 3 agents within 50 m, a clear day, steady lane keeping.
+    Easy,
+    /// 4 to 8 agents, day or overcast, yielding and lane changes.
+    Medium,
+    /// 9 to 15 agents, dusk or overcast, congested crossings, close cut-ins.
+    Hard,
+    /// More than 15 agents, night or glare, hard braking and swerving.
+    Extreme,
+}
+
+impl Level {
+    /// From easy to extreme.
+    pub const ALL: [Self; 4] = [Self::Easy, Self::Medium, Self::Hard, Self::Extreme];
+
+    /// The name it has in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Easy => "easy",
+            Self::Medium => "medium",
+            Self::Hard => "hard",
+            Self::Extreme => "extreme",
+        }
+    }
+
+    /// The level that a file names so.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|level| level.name() == name)
+    }
+}
+
+/// The light over a place that is made up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Weather {
+    /// A sunny afternoon.
+    #[default]
+    Clear,
+    /// Grey light from all of the sky.
+    Overcast,
+    /// A low, orange sun and long shadows.
+    Dusk,
+    /// Street lamps and lit windows.
+    Night,
+}
+
+impl Weather {
+    /// From bright to dark.
+    pub const ALL: [Self; 4] = [Self::Clear, Self::Overcast, Self::Dusk, Self::Night];
+
+    /// The name it has in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Clear => "clear",
+            Self::Overcast => "overcast",
+            Self::Dusk => "dusk",
+            Self::Night => "night",
+        }
+    }
+
+    /// The weather that a file names so.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|weather| weather.name() == name)
+    }
+}
+
+/// Where an episode takes place.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Place {
+    /// The synthetic street with a crossing.
+    Street {
+        /// The light over it.
+        weather: Weather,
+        /// Splats of the static part.
+        background: usize,
+        /// Splats of each car.
+        agent_splats: usize,
+        /// Houses, trees and parked cars follow from it.
+        seed: u64,
+    },
+    /// The roads of a map, drawn as asphalt and markings under the sky of a light probe.
+    Roads {
+        /// Lanes, in any format that maps are read in; relative to the scenario's file.
+        map: PathBuf,
+        /// A lat-long .hdr or .exr that lights the place. None: an overcast sky.
+        probe: Option<PathBuf>,
+        /// Stops by which the probe's light is made brighter, below zero darker.
+        exposure_ev: f64,
+        /// Splats of the static part.
+        background: usize,
+        /// Splats of each car.
+        agent_splats: usize,
+    },
+    /// A captured scene: a scene file, whose assets the agents show, and the map of its lanes.
+    Scene {
+        /// The scene file, relative to the scenario's file.
+        scene: PathBuf,
+        /// Its lanes.
+        map: PathBuf,
+    },
+}
+
+/// What the ego vehicle is to do.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EgoTask {
+    /// Lanes of its route, by id, each a successor or a neighbour of the one before.
+    pub route: Vec<String>,
+    /// Where it starts on the first of them, metres along.
+    pub start_m: f64,
+    /// Where the route ends on the last, metres along.
+    pub end_m: f64,
+    /// Its speed at the start.
+    pub speed_mps: f64,
+    /// How fast its route is to be driven where nothing is in the way.
+    pub cruise_mps: f64,
+    /// Its box.
+    pub size: VehicleSize,
+}
+
+/// How somebody drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum DriverKind {
+    /// Slower than allowed, long gaps, hardly changes lanes.
+    Calm,
+    /// Treiber's defaults.
+    Normal,
+    /// Faster, shorter gaps, changes lanes for little.
+    Hurried,
+    /// Close behind others, into small gaps, no politeness.
+    Aggressive,
+}
+
+impl DriverKind {
+    /// From calm to aggressive.
+    pub const ALL: [Self; 4] = [Self::Calm, Self::Normal, Self::Hurried, Self::Aggressive];
+
+    /// The name it has in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Calm => "calm",
+            Self::Normal => "normal",
+            Self::Hurried => "hurried",
+            Self::Aggressive => "aggressive",
+        }
+    }
+
+    /// The driver that a file names so.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|driver| driver.name() == name)
+    }
+}
+
+/// When an injected behaviour begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Trigger {
+    /// So long after the episode's start, seconds.
+    Time {
+        /// Seconds.
+        time_s: f64,
+    },
+    /// When the middle of the ego is first so near, metres.
+    NearEgo {
+        /// Metres.
+        distance_m: f64,
+    },
+}
+
+/// What an agent does that a model of good driving would not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Maneuver {
+    /// Brakes hard.
+    Brake {
+        /// How hard, above zero.
+        deceleration_mps2: f64,
+        /// How long.
+        duration_s: f64,
+    },
+    /// Changes into the ego's lane whatever gap there is, as long as no other agent is in the way.
+    CutIn,
+    /// Leaves the middle of its lane and comes back.
+    Swerve {
+        /// How far at most, to the left where above zero.
+        amplitude_m: f64,
+        /// How long it takes, out and back.
+        duration_s: f64,
+    },
+}
+
+/// A maneuver and when it begins; it happens once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Behaviour {
+    /// When.
+    pub trigger: Trigger,
+    /// What.
+    pub maneuver: Maneuver,
+}
+
+/// An agent of the traffic at the episode's start.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrafficAgent {
+    /// Unique in the scenario.
+    pub name: String,
+    /// Which of the place's assets it shows, those beyond the last starting over.
+    pub asset: usize,
+    /// Its box.
+    pub size: VehicleSize,
+    /// The lane it starts on, by id.
+    pub lane: String,
+    /// Where on it the middle of its box is, metres along.
+    pub at_m: f64,
+    /// Its speed at the start.
+    pub speed_mps: f64,
+    /// How it drives.
+    pub driver: DriverKind,
+    /// Whether it may change lanes of its own accord.
+    pub changes_lanes: bool,
+    /// What it does beside driving well.
+    pub behaviours: Vec<Behaviour>,
+}
+
+/// An episode before it is driven. With a planner it tells all that happens.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scenario {
+    /// Names its files: letters, digits, `-` and `_`.
+    pub name: String,
+    /// How hard it is; `None` where somebody wrote it by hand.
+    pub level: Option<Level>,
+    /// What is random in its traffic (ways at crossings) follows from it.
+    pub seed: u64,
+    /// When it ends at the latest, seconds.
+    pub duration_s: f64,
+    /// From one plan to the next, seconds.
+    pub step_s: f64,
+    /// Where.
+    pub place: Place,
+    /// The ego's part.
+    pub ego: EgoTask,
+    /// Everybody else.
+    pub agents: Vec<TrafficAgent>,
+}
+
+impl Scenario {
+    /// The control step of nuScenes planners, seconds.
+    pub const STEP_S: f64 = 0.5;
+    /// The length of the paper's episodes, seconds.
+    pub const DURATION_S: f64 = 20.0;
+    /// Traffic and vehicles move in steps of this at most, seconds.
+    pub const SUBSTEP_S_MAX: f64 = 0.1;
+
+    /// Sub-steps of a step, and how long each is, seconds.
+    #[must_use]
+    pub fn substeps(&self) -> (u32, f64) {
+        let count = (self.step_s / Self::SUBSTEP_S_MAX - 1e-9).ceil().max(1.0);
+        (count as u32, self.step_s / count)
+    }
+
+    /// Steps until its time is over.
+    #[must_use]
+    pub fn steps(&self) -> u32 {
+        (self.duration_s / self.step_s - 1e-9).ceil().max(1.0) as u32
+    }
+}
