@@ -18,6 +18,7 @@
 //! y down, z forward). Coordinates of the world are f64, so that a world in UTM coordinates keeps its millimetres.
 #![forbid(unsafe_code)]
 
+pub mod episode;
 mod live_scene;
 pub mod planner;
 
@@ -26,4 +27,4 @@ pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
-pub use live_scene::{LiveScene, Moment};
+pub use live_scene::{LiveEditError, LiveScene, Moment, Placed};

@@ -1,9 +1,14 @@
 //! A scene on the device, its agents moved by their trajectories.
 
-use decouplegs_asset::{LoadedAgent, LoadedScene};
+mod editing;
+
+use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
 use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentWorld, Scene};
 use decouplegs_scene::light::Lighting;
 use decouplegs_scene::{ContactShadow, Pose, ShFrame};
+use glam::DVec3;
+
+pub use editing::LiveEditError;
 
 /// A loaded scene on the device: what a loop of frames needs of it.
 ///
@@ -35,15 +40,34 @@ pub struct LiveScene {
     pub world: ResidentWorld,
     /// The agents' assets.
     pub pool: AssetPool,
-    agents: Vec<LiveAgent>,
+    assets: Vec<LiveAsset>,
+    agents: Vec<LoadedAgent>,
+    /// Name and instance of agents that are splats of the world.
+    plain_agents: Vec<(String, u16)>,
     lighting: Option<Lighting>,
+    /// Light is summed up along trajectories in steps of so much, metres.
+    light_step_m: f64,
 }
 
-/// An agent of the scene file.
-struct LiveAgent {
-    asset: AssetId,
+/// An asset on the device.
+#[derive(Clone, Copy)]
+struct LiveAsset {
+    id: AssetId,
     dims_m: [f32; 3],
-    agent: LoadedAgent,
+    sh_frame: ShFrame,
+}
+
+/// An agent as somebody puts it into a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placed {
+    /// Which asset it shows, a place in [`LoadedScene::assets`].
+    pub asset: usize,
+    /// Where it stands, world coordinates.
+    pub pose: Pose,
+    /// How the asset's colours are meant; `None`: as the asset says.
+    pub sh_frame: Option<ShFrame>,
+    /// Its instance id, above zero.
+    pub instance: u16,
 }
 
 /// All that moves in a scene, at one instant.
@@ -63,16 +87,44 @@ impl LiveScene {
     /// # Errors
     /// When the device has not the memory, or an asset cannot be drawn.
     pub fn new(renderer: &Renderer, loaded: &LoadedScene) -> Result<Self, RenderError> {
-        let world = renderer.upload(&loaded.world)?;
-        let mut pool = AssetPool::new(renderer.gpu())?;
-        let assets = loaded.assets.iter().map(|asset| pool.add(asset)).collect::<Result<Vec<_>, _>>()?;
-        let live = |agent: &LoadedAgent| LiveAgent {
-            asset: assets[agent.asset],
-            dims_m: loaded.assets[agent.asset].dims_m,
-            agent: agent.clone(),
+        Self::layer(renderer, loaded, Layer::All)
+    }
+
+    /// [`LiveScene::new`], of what belongs to `layer`: all, the background without agents and their shadows, or the agents over
+    /// nothing, in the light of the background.
+    ///
+    /// Agents alone still have shadows in their [`Moment`]: these lie on agents of plain splats, as in the full picture.
+    ///
+    /// # Errors
+    /// When the device has not the memory, or an asset cannot be drawn.
+    pub fn layer(renderer: &Renderer, loaded: &LoadedScene, layer: Layer) -> Result<Self, RenderError> {
+        let mut live = Self {
+            world: renderer.upload(&loaded.standing(layer))?,
+            pool: AssetPool::new(renderer.gpu())?,
+            assets: Vec::new(),
+            agents: Vec::new(),
+            plain_agents: Vec::new(),
+            lighting: None,
+            light_step_m: loaded.light.as_ref().map_or(1.0, |light| light.ambient.spacing_m),
         };
-        let agents = loaded.agents.iter().map(live).collect();
-        Ok(Self { world, pool, agents, lighting: loaded.lighting() })
+        if layer != Layer::Background {
+            for asset in &loaded.assets {
+                live.add_asset(asset)?;
+            }
+            let moves = |instance: &u16| loaded.agents.iter().any(|agent| agent.instance == *instance);
+            let named = loaded.agent_names.iter().cloned().zip(1..=u16::MAX);
+            live.plain_agents = named.filter(|(_, instance)| !moves(instance)).collect();
+            live.agents.clone_from(&loaded.agents);
+            live.lighting = loaded.lighting();
+        }
+        Ok(live)
+    }
+
+    /// Sums up the light about `places`, where agents may come that no trajectory of the scene file leads to.
+    pub fn bake_light(&mut self, places: impl IntoIterator<Item = DVec3>) {
+        if let Some(lighting) = &mut self.lighting {
+            lighting.field.bake(places);
+        }
     }
 
     /// All agents where they are at `time_s`, in the light of the scene.
@@ -84,16 +136,31 @@ impl LiveScene {
     /// All agents where `pose_of` puts them, world coordinates, in the light of the scene.
     #[must_use]
     pub fn posed(&self, pose_of: impl Fn(&LoadedAgent) -> Pose) -> Moment {
-        let placed = |live: &LiveAgent| (pose_of(&live.agent), live.dims_m, live.agent.sh_frame);
-        let placed: Vec<(Pose, [f32; 3], ShFrame)> = self.agents.iter().map(placed).collect();
-        let lit = self.lighting.as_ref().map(|lighting| lighting.of_agents(&placed));
-        let agent = |(index, live): (usize, &LiveAgent)| Agent {
-            sh_frame: Some(live.agent.sh_frame),
+        let placed = |agent: &LoadedAgent| Placed {
+            asset: agent.asset,
+            pose: pose_of(agent),
+            sh_frame: Some(agent.sh_frame),
+            instance: agent.instance,
+        };
+        self.placed(&self.agents.iter().map(placed).collect::<Vec<_>>())
+    }
+
+    /// Any agents anywhere, in the light of the scene.
+    ///
+    /// # Panics
+    /// When an asset is not one of the scene's.
+    #[must_use]
+    pub fn placed(&self, placed: &[Placed]) -> Moment {
+        let sh_frame = |placed: &Placed| placed.sh_frame.unwrap_or(self.assets[placed.asset].sh_frame);
+        let to_light = |placed: &Placed| (placed.pose, self.assets[placed.asset].dims_m, sh_frame(placed));
+        let lit = self.lighting.as_ref().map(|lighting| lighting.of_agents(&placed.iter().map(to_light).collect::<Vec<_>>()));
+        let agent = |(index, placed): (usize, &Placed)| Agent {
+            sh_frame: Some(sh_frame(placed)),
             relight: lit.as_ref().and_then(|lit| lit[index].relight),
-            ..Agent::new(live.asset, placed[index].0, live.agent.instance)
+            ..Agent::new(self.assets[placed.asset].id, placed.pose, placed.instance)
         };
         Moment {
-            agents: self.agents.iter().enumerate().map(agent).collect(),
+            agents: placed.iter().enumerate().map(agent).collect(),
             shadows: lit.iter().flatten().filter_map(|lit| lit.shadow).collect(),
             unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
         }

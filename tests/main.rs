@@ -3,6 +3,7 @@
 mod data;
 mod device;
 mod frames;
+mod planners;
 mod stages;
 mod tidy;
 mod truths;

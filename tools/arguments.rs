@@ -65,6 +65,12 @@ pub fn write_picture(path: &Path, picture: &Picture, format: PictureFormat) -> R
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
+/// [`write_picture`], for one to be laid over another: PNG holds its alpha too.
+pub fn write_picture_with_alpha(path: &Path, picture: &Picture, format: PictureFormat) -> Result<()> {
+    let bytes = picture.encode_with_alpha(format).with_context(|| format!("{} was not written", path.display()))?;
+    Ok(write_atomically(path, |file| file.write_all(&bytes))?)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -14,13 +14,20 @@ mod data_uri;
 mod decompress;
 mod device;
 mod devices;
+mod drive;
+mod edit;
+mod episode_report;
 mod inspect;
+mod lane_drawing;
 mod map;
+mod open_loop;
 mod plot;
 mod progress;
 mod register;
 mod render;
+mod replay;
 mod scene_source;
+mod score;
 mod stress;
 mod synth;
 
@@ -50,6 +57,11 @@ enum Command {
     Bench(bench::Arguments),
     Stress(Box<stress::Arguments>),
     Ablate(Box<ablate::Arguments>),
+    Edit(edit::Arguments),
+    Drive(Box<drive::Arguments>),
+    Replay(replay::Arguments),
+    OpenLoop(open_loop::Arguments),
+    Score(score::Arguments),
     Devices(devices::Arguments),
 }
 
@@ -67,6 +79,11 @@ fn main() -> ExitCode {
         Command::Bench(arguments) => bench::run(arguments),
         Command::Stress(arguments) => stress::run(arguments),
         Command::Ablate(arguments) => ablate::run(arguments),
+        Command::Edit(arguments) => edit::run(arguments),
+        Command::Drive(arguments) => drive::run(arguments),
+        Command::Replay(arguments) => replay::run(arguments),
+        Command::OpenLoop(arguments) => open_loop::run(arguments),
+        Command::Score(arguments) => score::run(arguments),
         Command::Devices(arguments) => devices::run(arguments),
     };
     match done {

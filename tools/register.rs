@@ -1,6 +1,5 @@
 //! `decouplegs register`: tracks brought onto the lanes of a map and the ground of a scene, as poses.
 
-mod lane_drawing;
 mod measure;
 mod page;
 mod points;

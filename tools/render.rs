@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::LiveScene;
+use decouplegs::asset::Layer;
 use decouplegs::render::picture::{Picture, PictureFormat, contact_sheet};
 use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::Camera;
 
-use crate::arguments::{print, write_picture};
+use crate::arguments::{print, write_picture, write_picture_with_alpha};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -27,6 +28,9 @@ pub struct Arguments {
     /// How pictures are written
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
+    /// What of the scene is drawn
+    #[arg(long, value_enum, default_value_t = LayerName::All)]
+    layer: LayerName,
     /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
     #[arg(long, value_name = "PX", conflicts_with = "reference")]
     level_pitch: Option<f64>,
@@ -49,9 +53,9 @@ fn png_path(text: &str) -> Result<PathBuf, String> {
 /// How a picture is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// 8 bits a channel, clamped; no alpha
+    /// 8 bits a channel, clamped; no alpha, but for `--layer agents`: RGBA, colours divided by alpha
     Png,
-    /// float32 RGBA as blended
+    /// float32 RGBA as blended: premultiplied by alpha in `--layer agents`
     Exr,
     /// float32 [height, width, 4]: RGB as blended, unclamped, and alpha
     Npy,
@@ -67,6 +71,27 @@ impl From<Format> for PictureFormat {
     }
 }
 
+/// What of a scene is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum LayerName {
+    /// Everything
+    All,
+    /// The scene as if no agent had ever been there: without agents and their shadows
+    Background,
+    /// The agents over nothing, in the light of the whole scene, with their true coverage as alpha
+    Agents,
+}
+
+impl From<LayerName> for Layer {
+    fn from(name: LayerName) -> Self {
+        match name {
+            LayerName::All => Self::All,
+            LayerName::Background => Self::Background,
+            LayerName::Agents => Self::Agents,
+        }
+    }
+}
+
 /// Pictures in a row of a contact sheet: a rig's front row stands above its back row.
 const SHEET_COLUMNS: u32 = 3;
 
@@ -76,16 +101,20 @@ const CAMERAS_AT_ONCE: usize = 8;
 pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = Scene::open(&arguments.scene)?;
     check_names(&scene.cameras)?;
-    let mut album =
-        Album { out: &arguments.out, format: arguments.format.into(), kept: arguments.contact_sheet.as_ref().map(|_| vec![]) };
+    let mut album = Album {
+        out: &arguments.out,
+        format: arguments.format.into(),
+        transparent: arguments.layer == LayerName::Agents,
+        kept: arguments.contact_sheet.as_ref().map(|_| vec![]),
+    };
     if arguments.reference {
-        render_by_definition(&scene, &mut album)?;
+        render_by_definition(&scene, arguments.layer.into(), &mut album)?;
     } else {
         render_on_gpu(&scene, arguments, &mut album)?;
     }
     if let (Some(path), Some(pictures)) = (&arguments.contact_sheet, &album.kept) {
         let sheet = contact_sheet(pictures, SHEET_COLUMNS).context("there is no camera, so there is no picture")?;
-        write_picture(path, &sheet, PictureFormat::Png)?;
+        album.write(path, &sheet, PictureFormat::Png)?;
         print(&format!("{}\n", path.display()))?;
     }
     Ok(())
@@ -95,6 +124,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 struct Album<'a> {
     out: &'a Path,
     format: PictureFormat,
+    /// Whether there is nothing behind what the pictures show.
+    transparent: bool,
     /// The pictures so far, where a contact sheet is asked for.
     kept: Option<Vec<Picture>>,
 }
@@ -103,29 +134,34 @@ impl Album<'_> {
     fn add(&mut self, camera: &Camera, picture: Picture) -> Result<()> {
         fs::create_dir_all(self.out).with_context(|| format!("{} cannot be made", self.out.display()))?;
         let path = self.out.join(format!("{}.{}", camera.name, self.format.extension()));
-        write_picture(&path, &picture, self.format)?;
+        self.write(&path, &picture, self.format)?;
         print(&format!("{}\n", path.display()))?;
         if let Some(kept) = &mut self.kept {
             kept.push(picture);
         }
         Ok(())
     }
+
+    fn write(&self, path: &Path, picture: &Picture, format: PictureFormat) -> Result<()> {
+        let write = if self.transparent { write_picture_with_alpha } else { write_picture };
+        write(path, picture, format)
+    }
 }
 
 fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Result<()> {
     let gpu = arguments.device.open()?;
     let bar = progress::bar("pictures", scene.cameras.len());
-    // What a PNG can hold takes a quarter of the memory.
+    // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps of 8 bits.
     let (colour, pixel_bytes) = match album.format {
-        PictureFormat::Png => (ColourFormat::U8, 4),
-        PictureFormat::Exr | PictureFormat::Npy => (ColourFormat::F32, 16),
+        PictureFormat::Png if !album.transparent => (ColourFormat::U8, 4),
+        PictureFormat::Png | PictureFormat::Exr | PictureFormat::Npy => (ColourFormat::F32, 16),
     };
     let outputs = Outputs { colour, ..Outputs::default() };
     let mut renderer = Renderer::new(
         &gpu,
         RenderOptions { rules: scene.rules(), outputs, level_pitch_px: arguments.level_pitch, ..RenderOptions::default() },
     );
-    let live = LiveScene::new(&renderer, &scene.loaded)?;
+    let live = LiveScene::layer(&renderer, &scene.loaded, arguments.layer.into())?;
     let moment = live.at(scene.time_s);
     for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {
         renderer.render(live.with(&moment), cameras)?;
@@ -155,9 +191,9 @@ fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
     runs
 }
 
-fn render_by_definition(scene: &Scene, album: &mut Album) -> Result<()> {
+fn render_by_definition(scene: &Scene, layer: Layer, album: &mut Album) -> Result<()> {
     let bar = progress::bar("reference", scene.cameras.len());
-    let world = scene.world();
+    let world = scene.loaded.baked_layer(scene.time_s, layer);
     for camera in &scene.cameras {
         album.add(camera, reference::render(&world, camera, &world.rules).to_picture())?;
         bar.inc(1);

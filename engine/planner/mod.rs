@@ -4,6 +4,21 @@
 //! vehicle knows of itself (speed, steering) and what a navigation system says. States of others and the map are
 //! [privileged](Privileged): no camera shows them.
 
+mod cadence;
+mod choice;
+mod constant_velocity;
+mod external;
+mod lane_follow;
+mod replay;
+mod vision;
+
+pub use choice::PlannerChoice;
+pub use constant_velocity::ConstantVelocity;
+pub use external::{Attachment, External, Patience};
+pub use lane_follow::LaneFollow;
+pub use replay::Replay;
+pub use vision::{Sight, Vision};
+
 use decouplegs_scene::plan::Plan;
 use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
 use glam::DVec2;
@@ -157,4 +172,9 @@ pub trait Planner: Send {
     /// # Errors
     /// Where it has no answer, or not in time.
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError>;
+}
+
+/// What a privileged planner of the name `who` is told.
+fn state_needed<'a>(observation: &Observation<'a>, who: &str) -> Result<&'a Privileged, PlannerError> {
+    observation.privileged.ok_or_else(|| PlannerError(format!("{who} was not told where the ego is; expected privileged state")))
 }

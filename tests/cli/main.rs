@@ -5,6 +5,8 @@ mod calibrate_light;
 mod compress;
 #[path = "../data.rs"]
 mod data;
+mod drive;
+mod edit;
 mod map;
 mod register;
 mod stress;

@@ -2,6 +2,7 @@
 
 mod agents;
 mod determinism;
+mod editing;
 mod growth;
 mod hard_cases;
 mod in_flight;

@@ -7,9 +7,9 @@ use decouplegs::drive::{Outcome, Registration};
 use decouplegs::scene::{LaneMap, Track};
 
 use super::Arguments;
-use super::lane_drawing::{Way, drawing};
 use super::measure::{Measured, MeasuredTrack};
 use super::table::{cells, columns, totals};
+use crate::lane_drawing::{Way, drawing};
 use crate::plot::{self, Axis, Plot, Series, Shape, escaped, number};
 
 /// Tracks that are drawn; a page of hundreds would not be read.
@@ -182,7 +182,7 @@ fn above(subject: &Subject<'_>, at: usize) -> String {
         let places = registered.poses.iter().map(|pose| pose.pose.translation.truncate()).collect();
         ways.push(Way { name: "registered", colour: AFTER, dashed: true, places });
     }
-    drawing(&format!("{} ({})", track.id, track.class), subject.map, &ways)
+    drawing(&format!("{} ({})", track.id, track.class), &subject.map.lanes, &ways, &[])
 }
 
 fn offsets(track: &MeasuredTrack) -> String {

@@ -27,7 +27,7 @@ pub enum DecodeError {
     Unsupported(String),
 }
 
-/// Why a format cannot hold a cloud, and what to do.
+/// Why a format cannot hold something, and what to do.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{0}")]
 pub struct EncodeError(pub String);
@@ -79,8 +79,8 @@ pub enum AssetError {
         /// What is read.
         expected: &'static str,
     },
-    /// A cloud that a format cannot hold.
-    #[error("{}: the splats cannot be stored as {format}: {source}", path.display())]
+    /// Something that a format cannot hold.
+    #[error("{}: cannot be stored as {format}: {source}", path.display())]
     Encode {
         /// The file.
         path: PathBuf,
@@ -97,10 +97,10 @@ pub enum AssetError {
         /// What is wrong with which camera.
         source: DecodeError,
     },
-    /// A scene file that is not one.
+    /// A scene file or a scenario file that is not one.
     #[error("{}: {source}", path.display())]
     Scene {
-        /// The scene file.
+        /// The file.
         path: PathBuf,
         /// Line, key and reason.
         source: SceneError,
@@ -110,7 +110,7 @@ pub enum AssetError {
     Placement(String),
 }
 
-/// What is wrong with a scene file, and where.
+/// What is wrong with a scene file or a scenario file, and where.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("line {line}, {key}: {reason}")]
 pub struct SceneError {

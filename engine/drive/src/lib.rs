@@ -4,14 +4,29 @@
 #![forbid(unsafe_code)]
 
 pub mod alignment;
+pub mod ego;
+pub mod generate;
 pub mod ground;
 pub mod lane_index;
+pub mod oriented_box;
 pub mod planar;
 pub mod polyline;
 pub mod register;
+pub mod road_graph;
+pub mod road_surface;
+pub mod route;
+pub mod score;
+pub mod traffic;
 
+pub use ego::{Ego, EgoOptions};
 pub use ground::{Ground, GroundHeight, GroundOptions};
 pub use lane_index::{LaneIndex, LanePoint};
+pub use oriented_box::{OrientedBox, time_to_collision};
 pub use planar::PlanarTransform;
 pub use polyline::{Foot, Polyline};
 pub use register::{Outcome, RegisterError, RegisterOptions, RegisteredTrack, Registration, register};
+pub use road_graph::{Conflict, RoadGraph, RoadLane};
+pub use road_surface::RoadSurface;
+pub use route::{Route, RouteTurn};
+pub use score::{EpisodeScore, Summary};
+pub use traffic::{LanePlace, Traffic, TrafficError, driver, idm, mobil};

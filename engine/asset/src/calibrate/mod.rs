@@ -14,6 +14,7 @@ mod moments;
 mod options;
 mod prior;
 mod probe;
+mod procedural;
 mod ridge;
 mod sample;
 mod standard;
@@ -31,6 +32,7 @@ pub use irradiance::{IrradianceMap, reflected_by_white, reflected_by_white_of_ni
 pub use lighting::{GROUND_DISPLAY, Lighting, PreparedProbe, lightings};
 pub use options::{CalibrateError, CalibrateOptions, LIGHTS_MIN, Objective};
 pub use probe::{Probe, probe_paths};
+pub use procedural::{overcast_probe, procedural_probes};
 pub use surface::lit_cloud;
 pub use surroundings::Surroundings;
 

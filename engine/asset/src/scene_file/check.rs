@@ -11,41 +11,10 @@ use toml::Spanned;
 use super::form::{AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, TimedPoseForm};
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 use crate::SceneError;
+use crate::toml_text::{Checker, syntax_error};
 
 /// Ids that agents can have: 16 bits, of which 0 is the background.
 const AGENTS_MAX: usize = 65_535;
-
-/// Text that is being checked.
-struct Checker<'a> {
-    text: &'a str,
-}
-
-impl Checker<'_> {
-    /// A complaint about `field` of the table called `table`, whose text begins in `span`.
-    fn error(&self, span: &Range<usize>, table: &str, field: &str, reason: impl Into<String>) -> SceneError {
-        let key = if table.is_empty() { field.to_owned() } else { format!("{table}.{field}") };
-        SceneError { line: self.line_of(span.start, field), key, reason: reason.into() }
-    }
-
-    /// The line of `field` in the table at byte `start`, or of the table where it does not write the field out.
-    fn line_of(&self, start: usize, field: &str) -> usize {
-        let line_at = |byte: usize| 1 + self.text.bytes().take(byte).filter(|&b| b == b'\n').count();
-        let table = self.text.get(start..).unwrap_or_default();
-        let mut offset = 0;
-        for (index, line) in table.split_inclusive('\n').enumerate() {
-            // The table ends where the next begins.
-            if index > 0 && line.trim_start().starts_with('[') {
-                break;
-            }
-            let key = line.split('=').next().unwrap_or_default();
-            if line.contains('=') && key.trim() == field {
-                return line_at(start + offset);
-            }
-            offset += line.len();
-        }
-        line_at(start)
-    }
-}
 
 /// Reads and checks `text`.
 pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
@@ -73,16 +42,6 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
         agents: checker.agents(&form.agent)?,
         light: form.light.as_ref().map(|light| checker.light(light)).transpose()?,
     })
-}
-
-/// What serde or the TOML grammar complain of, with its line.
-fn syntax_error(text: &str, error: &toml::de::Error) -> SceneError {
-    let start = error.span().map_or(0, |span| span.start);
-    let line = 1 + text.bytes().take(start).filter(|&byte| byte == b'\n').count();
-    let found = text.lines().nth(line - 1).unwrap_or_default().trim();
-    let key: String = found.split('=').next().unwrap_or_default().trim().chars().take(60).collect();
-    let key = if key.is_empty() { "the file".to_owned() } else { key };
-    SceneError { line, key, reason: error.message().to_owned() }
 }
 
 impl Checker<'_> {
@@ -256,12 +215,12 @@ impl Checker<'_> {
     }
 }
 
-/// `rotation` at unit length; one that already has it keeps its bits, so that writing and reading changes nothing.
 /// The field that a complaint begins with.
 fn field_of(reason: &str) -> &str {
     reason.split(' ').next().unwrap_or_default()
 }
 
+/// `rotation` at unit length; one that already has it keeps its bits, so that writing and reading changes nothing.
 fn unit(rotation: DQuat) -> DQuat {
     if (rotation.length_squared() - 1.0).abs() < 1e-14 { rotation } else { rotation.normalize() }
 }

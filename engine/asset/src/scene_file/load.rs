@@ -100,13 +100,13 @@ impl LoadedScene {
         let instances = &self.world.instance_from_splat;
         let background = instances.iter().position(|&id| id != 0).unwrap_or(self.world.splats.len());
         let mut field = AmbientField::new(&self.world.splats, background, self.world.origin, &light.ambient);
-        field.bake(self.agents.iter().flat_map(|agent| places(&agent.trajectory, light.ambient.spacing_m)));
+        field.bake(self.agents.iter().flat_map(|agent| places_along(&agent.trajectory, light.ambient.spacing_m)));
         Some(Lighting { field, transfer: light.transfer.clone(), shadows: light.shadows })
     }
 }
 
-/// Places along a trajectory, at most `step_m` apart.
-fn places(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
+/// Places along a trajectory, world coordinates, at most `step_m` apart: where its light is summed up beforehand.
+pub fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
     let knots: Vec<DVec3> = trajectory.poses().iter().map(|timed| timed.pose.translation).collect();
     let between = move |pair: &[DVec3]| {
         let (from, to) = (pair[0], pair[1]);

@@ -3,8 +3,11 @@
 //! The format is documented, with an example, in `engine/asset/scene-file.md`.
 
 mod check;
+pub mod editing;
 mod form;
+mod layer;
 mod load;
+mod paths;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -14,9 +17,13 @@ use decouplegs_scene::{Rig, Rules, ShFrame, Trajectory};
 use glam::DVec3;
 
 use crate::error::read_bytes;
+use crate::toml_text::text_of;
 use crate::{AssetError, SceneError, write_atomically};
 
-pub use load::{LoadedAgent, LoadedLight, LoadedScene, open_scene};
+pub use editing::EditError;
+pub use layer::Layer;
+pub use load::{LoadedAgent, LoadedLight, LoadedScene, open_scene, places_along};
+pub use paths::path_from;
 
 /// The version that is written, and the only one there is.
 pub const VERSION: u32 = 1;
@@ -89,11 +96,7 @@ impl SceneFile {
     pub fn read(path: &Path) -> Result<Self, AssetError> {
         let bytes = read_bytes(path)?;
         let scene_error = |source| AssetError::Scene { path: path.to_owned(), source };
-        let text = std::str::from_utf8(&bytes).map_err(|error| {
-            let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
-            scene_error(SceneError { line, key: "text".into(), reason: "is not UTF-8".into() })
-        })?;
-        Self::parse(text).map_err(scene_error)
+        text_of(&bytes).and_then(Self::parse).map_err(scene_error)
     }
 
     /// Reads a scene from the text of a file.

@@ -20,10 +20,10 @@ mod layout;
 mod light;
 mod loft;
 mod occluder;
-mod random;
+pub(crate) mod random;
 mod road;
 mod sky;
-mod surface;
+pub(crate) mod surface;
 #[cfg(test)]
 mod tests;
 mod traffic;
@@ -191,6 +191,8 @@ fn occluders(layout: &Layout, weather: Weather) -> Vec<Occluder> {
 }
 
 fn background_elements(layout: &Layout, seed: u64, focus: &Focus, weather: Weather) -> Vec<Element> {
+    // Textures add to the seed, which must leave room.
+    let seed = seed & (u64::MAX >> 1);
     let mut elements = road::road(seed);
     elements.extend(layout.lots.iter().filter(|lot| !lot.far).flat_map(building::building));
     elements.extend(layout.trees.iter().flat_map(tree::tree));

@@ -14,70 +14,70 @@ fn mix(mut z: u64) -> u64 {
 
 /// A short sequence of random numbers that belongs to one item of one element.
 #[derive(Clone, Debug)]
-pub(super) struct Stream {
+pub(crate) struct Stream {
     state: u64,
 }
 
 impl Stream {
     /// The sequence of item `index` of `element` in the street of `seed`.
-    pub(super) fn new(seed: u64, element: u64, index: u64) -> Self {
+    pub(crate) fn new(seed: u64, element: u64, index: u64) -> Self {
         let keyed = mix(seed ^ 0x5bf0_3635).wrapping_add(element.wrapping_mul(GOLDEN));
         Self { state: mix(mix(keyed).wrapping_add(index.wrapping_mul(GOLDEN))) }
     }
 
     /// A sequence of its own that leaves this one where it is.
-    pub(super) fn aside(&self) -> Self {
+    pub(crate) fn aside(&self) -> Self {
         Self { state: mix(self.state ^ 0x6c69_6768_7473) }
     }
 
-    pub(super) fn bits(&mut self) -> u64 {
+    pub(crate) fn bits(&mut self) -> u64 {
         self.state = self.state.wrapping_add(GOLDEN);
         mix(self.state)
     }
 
     /// Uniform in [0, 1).
-    pub(super) fn unit(&mut self) -> f32 {
+    pub(crate) fn unit(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / 16_777_216.0
     }
 
     /// Uniform in [low, high).
-    pub(super) fn range(&mut self, low: f32, high: f32) -> f32 {
+    pub(crate) fn range(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * self.unit()
     }
 
     /// Approximately standard normal: the sum of four 16-bit uniforms, so never beyond 3.47. Three normals cost what
     /// one Box-Muller draw does, and a splat needs dozens.
-    pub(super) fn normal(&mut self) -> f32 {
+    pub(crate) fn normal(&mut self) -> f32 {
         let bits = self.bits();
         let sum: u32 = (0..4).map(|part| (bits >> (16 * part)) as u32 & 0xffff).sum();
         (sum as f32 - 131_070.0) / 37_837.0
     }
 
     /// Three uniforms in [-1, 1) from one draw.
-    pub(super) fn signed3(&mut self) -> Vec3 {
+    pub(crate) fn signed3(&mut self) -> Vec3 {
         let bits = self.bits();
         let part = |shift: u32| ((bits >> shift) & 0x1f_ffff) as f32 / 1_048_576.0 - 1.0;
         Vec3::new(part(0), part(21), part(42))
     }
 
-    pub(super) fn chance(&mut self, probability: f32) -> bool {
+    pub(crate) fn chance(&mut self, probability: f32) -> bool {
         self.unit() < probability
     }
 
     /// One of `choices`, which must not be empty.
-    pub(super) fn pick<'a, T>(&mut self, choices: &'a [T]) -> &'a T {
+    pub(crate) fn pick<'a, T>(&mut self, choices: &'a [T]) -> &'a T {
         &choices[(self.bits() % choices.len() as u64) as usize]
     }
 }
 
 /// A uniform in [0, 1) that belongs to an integer cell: a brick, a window, a paving stone.
-pub(super) fn cell(seed: u64, i: i32, j: i32) -> f32 {
+pub(crate) fn cell(seed: u64, i: i32, j: i32) -> f32 {
     let key = (u64::from(i as u32) << 32) | u64::from(j as u32);
     (mix(mix(seed.wrapping_add(GOLDEN)) ^ key) >> 40) as f32 / 16_777_216.0
 }
 
 /// Smooth value noise in [0, 1], features one unit across.
-pub(super) fn noise(seed: u64, x: f32, y: f32) -> f32 {
+pub(crate) fn noise(seed: u64, x: f32, y: f32) -> f32 {
     let (i, j) = (x.floor(), y.floor());
     let smooth = |t: f32| t * t * (3.0 - 2.0 * t);
     let (s, t) = (smooth(x - i), smooth(y - j));
@@ -88,7 +88,7 @@ pub(super) fn noise(seed: u64, x: f32, y: f32) -> f32 {
 }
 
 /// Octaves of [`noise`], each half as strong and twice as fine as the one before; in [0, 1] with mean 0.5.
-pub(super) fn fractal_noise(seed: u64, x: f32, y: f32, octaves: u32) -> f32 {
+pub(crate) fn fractal_noise(seed: u64, x: f32, y: f32, octaves: u32) -> f32 {
     let (mut sum, mut weight, mut total, mut frequency) = (0.0, 0.5, 0.0, 1.0);
     for octave in 0..octaves {
         sum += weight * noise(seed.wrapping_add(u64::from(octave)), x * frequency, y * frequency);
@@ -101,7 +101,7 @@ pub(super) fn fractal_noise(seed: u64, x: f32, y: f32, octaves: u32) -> f32 {
 }
 
 /// 0 below `from`, 1 above `to`, smooth between; `from > to` falls instead.
-pub(super) fn smoothstep(from: f32, to: f32, x: f32) -> f32 {
+pub(crate) fn smoothstep(from: f32, to: f32, x: f32) -> f32 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

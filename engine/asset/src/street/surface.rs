@@ -75,7 +75,7 @@ impl Texel {
 }
 
 /// Linear RGB of a colour given as it is displayed, each channel 0 to 255.
-pub(super) fn display(red: u8, green: u8, blue: u8) -> Vec3 {
+pub(crate) fn display(red: u8, green: u8, blue: u8) -> Vec3 {
     Vec3::new(f32::from(red), f32::from(green), f32::from(blue)).map(|value| (value / 255.0).powf(2.2))
 }
 

@@ -122,6 +122,12 @@ fn opacities_have_two_modes_and_scales_are_discs() {
 }
 
 #[test]
+fn any_seed_makes_a_street() {
+    let street = Street::generate(&StreetOptions { seed: u64::MAX, background: 500, agents: 1, agent_splats: 100, ..SMALL });
+    assert_eq!(street.background.len(), 500);
+}
+
+#[test]
 fn bands_decay_and_lower_degrees_are_the_same_street() {
     let street = Street::generate(&SMALL);
     let cloud = &street.background;

@@ -1,8 +1,19 @@
-//! Ground and registration against truths that are known.
+//! Ground, registration and traffic against truths that are known.
 
+mod boxes;
+mod ego;
+mod episodes;
+mod faults;
+mod generate;
 mod ground;
 mod grounding;
 mod lanes;
 mod properties;
 mod register;
 mod roads;
+mod route;
+mod score;
+mod traffic;
+mod traffic_invariants;
+mod traffic_junctions;
+mod traffic_scenes;

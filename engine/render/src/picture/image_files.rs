@@ -77,9 +77,23 @@ fn check_exr_sizes(bytes: &[u8]) -> Result<(), PictureError> {
 }
 
 pub fn encode_png(picture: &Picture) -> Result<Vec<u8>, PictureError> {
-    let level = |value: &f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
-    let levels: Vec<u8> = picture.rgb.iter().flatten().map(level).collect();
+    let levels: Vec<u8> = picture.rgb.iter().flatten().copied().map(level).collect();
     encode(picture, PictureFormat::Png, ImageFormat::Png, &levels, ColorType::Rgb8)
+}
+
+/// RGBA as the PNG specification has it, colours not premultiplied.
+pub fn encode_png_with_alpha(picture: &Picture) -> Result<Vec<u8>, PictureError> {
+    let straight = |(rgb, alpha): (&[f32; 3], &f32)| {
+        let [r, g, b] = rgb.map(|premultiplied| if *alpha > 0.0 { level(premultiplied / alpha) } else { 0 });
+        [r, g, b, level(*alpha)]
+    };
+    let levels: Vec<u8> = picture.rgb.iter().zip(&picture.alpha).flat_map(straight).collect();
+    encode(picture, PictureFormat::Png, ImageFormat::Png, &levels, ColorType::Rgba8)
+}
+
+/// `value` of 0 to 1 as 8 bits.
+fn level(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }
 
 pub fn encode_exr(picture: &Picture) -> Result<Vec<u8>, PictureError> {

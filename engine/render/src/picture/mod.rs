@@ -159,6 +159,18 @@ impl Picture {
         }
     }
 
+    /// [`Picture::encode`], for a picture over a black sky that is to be laid over another: PNG holds alpha too, its colours
+    /// divided by it; the other formats hold colours premultiplied by alpha, as blended, as they always do.
+    ///
+    /// # Errors
+    /// When the encoder refuses the picture's size.
+    pub fn encode_with_alpha(&self, format: PictureFormat) -> Result<Vec<u8>, PictureError> {
+        match format {
+            PictureFormat::Png => image_files::encode_png_with_alpha(self),
+            PictureFormat::Exr | PictureFormat::Npy => self.encode(format),
+        }
+    }
+
     /// RGBA of every pixel, interleaved: `[height, width, 4]`.
     fn interleaved_rgba(&self) -> Vec<f32> {
         self.rgb.iter().zip(&self.alpha).flat_map(|(&[r, g, b], &a)| [r, g, b, a]).collect()
@@ -203,6 +215,21 @@ mod tests {
             [0.0, 0.0, 0.0, 1.0, 100.0, 255.0, 255.0, 255.0, 0.0]
         );
         assert!(back.alpha.iter().all(|&alpha| alpha == 1.0));
+    }
+
+    #[test]
+    fn a_transparent_png_holds_colours_that_are_not_premultiplied() {
+        let mut picture = Picture::filled(2, 2, [0.1, 0.2, 0.25]);
+        picture.alpha = vec![0.25, 0.0, 1.0, 0.5];
+        picture.rgb[1] = [0.0; 3];
+        let back = Picture::decode(PictureFormat::Png, &picture.encode_with_alpha(PictureFormat::Png).unwrap()).unwrap();
+        let levels = |values: &[f32]| values.iter().map(|value| (value * 255.0).round()).collect::<Vec<_>>();
+        assert_eq!(levels(&back.alpha), [64.0, 0.0, 255.0, 128.0]);
+        let expected = [102.0, 204.0, 255.0, 0.0, 0.0, 0.0, 26.0, 51.0, 64.0, 51.0, 102.0, 128.0];
+        assert_eq!(levels(back.rgb.as_flattened()), expected);
+        for format in [PictureFormat::Exr, PictureFormat::Npy] {
+            assert_eq!(picture.encode_with_alpha(format).unwrap(), picture.encode(format).unwrap(), "{format}");
+        }
     }
 
     #[test]

@@ -150,6 +150,30 @@ fn relit_colours_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
 }
 
 #[test]
+fn environments_that_are_made_up_calibrate_as_probes_from_files_do() {
+    let cloud = ball(600, 1);
+    let made_up = procedural_probes();
+    let calibration = calibrated(&[("ball".to_owned(), &cloud)], &made_up, &options());
+    assert_eq!((calibration.held_out.len(), made_up.len()), (12, 12), "each can be told from the others");
+    assert!(calibration.lights > 28 * 10 && calibration.smallest_over_largest > 1e-6, "{}", calibration.smallest_over_largest);
+    // In their own light, and in light that is nothing like theirs.
+    let Comparison { none, relit, .. } = calibration.total();
+    assert!(relit.rmse() < 0.6 * none.rmse(), "{} {}", none.rmse(), relit.rmse());
+    let ground = Surroundings::default();
+    for sky in skies(4) {
+        let probe = PreparedProbe::new(&sky, &ground);
+        let light = Lighting::of_probe((0, &probe), &ground, 0.7, false, 0.4).unwrap();
+        let truth = lit_cloud(&cloud, |normal| light.reflected_by_white(normal));
+        let relit = calibration.transfer.at(&light.descriptor).relit(&cloud);
+        let error = |found: &SplatCloud| {
+            let pairs = found.sh_dc.iter().flatten().zip(truth.sh_dc.iter().flatten());
+            pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
+        };
+        assert!(error(&relit) < 0.8 * error(&cloud), "{}: {} and {} as they are", sky.name, error(&relit), error(&cloud));
+    }
+}
+
+#[test]
 fn turning_light_and_asset_together_turns_the_colours() {
     let cloud = ball(400, 2);
     let transfer = calibrated(&[("ball".to_owned(), &cloud)], &skies(8), &options()).transfer;

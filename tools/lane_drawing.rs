@@ -1,8 +1,8 @@
-//! A track on its lanes from above, before and after, as inline SVG.
+//! Ways and vehicles on their lanes from above, as inline SVG.
 
 use std::fmt::Write;
 
-use decouplegs::scene::{LaneKind, LaneMap};
+use decouplegs::scene::{Lane, LaneKind};
 use glam::DVec2;
 
 use crate::plot::{escaped, number};
@@ -20,6 +20,13 @@ pub struct Way<'a> {
     pub colour: usize,
     pub dashed: bool,
     pub places: Vec<DVec2>,
+}
+
+/// A vehicle from above.
+pub struct Body {
+    /// Which of the page's colours.
+    pub colour: usize,
+    pub corners: [DVec2; 4],
 }
 
 /// World to picture.
@@ -53,15 +60,15 @@ impl View {
     }
 }
 
-/// Lanes around `ways`, and these over them.
-pub fn drawing(title: &str, map: &LaneMap, ways: &[Way<'_>]) -> String {
+/// Lanes around `ways`, and these and `bodies` over them. A way without a name is not in the legend.
+pub fn drawing(title: &str, lanes: &[Lane], ways: &[Way<'_>], bodies: &[Body]) -> String {
     let Some(view) = View::around(ways.iter().flat_map(|way| &way.places)) else { return String::new() };
     let name = escaped(title);
     let mut svg = format!(
         "<svg viewBox=\"0 0 {WIDTH_PX} {HEIGHT_PX}\" width=\"{WIDTH_PX}\" role=\"img\" aria-label=\"{name}\">\
          <text x=\"{MARGIN_PX}\" y=\"20\" class=\"title\">{name}</text>"
     );
-    for lane in map.lanes.iter().filter(|lane| view.shows(&lane.centreline)) {
+    for lane in lanes.iter().filter(|lane| view.shows(&lane.centreline)) {
         for border in [&lane.left, &lane.right].into_iter().filter(|border| border.len() > 1) {
             let line = view.line(border.iter().map(|point| point.truncate()));
             let _ = write!(svg, "<polyline points=\"{line}\" fill=\"none\" style=\"stroke:var(--rule)\"/>");
@@ -75,12 +82,29 @@ pub fn drawing(title: &str, map: &LaneMap, ways: &[Way<'_>]) -> String {
             let _ = write!(svg, "<polyline points=\"{line}\" class=\"guide\" opacity=\"0.6\"/>");
         }
     }
-    for (at, way) in ways.iter().enumerate() {
-        let dashes = if way.dashed { "stroke-dasharray:6 5" } else { "" };
+    for way in ways {
         let (colour, line) = (way.colour, view.line(way.places.iter().copied()));
+        let dashes = dashes(way);
         let _ = write!(svg, "<polyline points=\"{line}\" class=\"curve\" style=\"stroke:var(--c{colour});{dashes}\"/>");
-        let x = MARGIN_PX + 130.0 * at as f64;
-        let y = HEIGHT_PX - 12.0;
+    }
+    for body in bodies {
+        let (colour, outline) = (body.colour, view.line(body.corners.into_iter()));
+        let _ = write!(svg, "<polygon points=\"{outline}\" style=\"fill:var(--c{colour});stroke:var(--ink);stroke-width:0.7\"/>");
+    }
+    draw_legend(&mut svg, ways);
+    draw_scale(&mut svg, &view);
+    svg.push_str("</svg>");
+    svg
+}
+
+fn dashes(way: &Way<'_>) -> &'static str {
+    if way.dashed { "stroke-dasharray:6 5" } else { "" }
+}
+
+fn draw_legend(svg: &mut String, ways: &[Way<'_>]) {
+    for (at, way) in ways.iter().filter(|way| !way.name.is_empty()).enumerate() {
+        let (x, y) = (MARGIN_PX + 130.0 * at as f64, HEIGHT_PX - 12.0);
+        let (colour, dashes) = (way.colour, dashes(way));
         let _ = write!(
             svg,
             "<line x1=\"{x}\" x2=\"{:.1}\" y1=\"{:.1}\" y2=\"{:.1}\" class=\"curve\" style=\"stroke:var(--c{colour});{dashes}\"/>\
@@ -92,9 +116,6 @@ pub fn drawing(title: &str, map: &LaneMap, ways: &[Way<'_>]) -> String {
             escaped(way.name)
         );
     }
-    draw_scale(&mut svg, &view);
-    svg.push_str("</svg>");
-    svg
 }
 
 /// A bar of a round number of metres.

@@ -1,0 +1,211 @@
+//! Records as JSON: what serde sees, and what of an [`Episode`](decouplegs_scene::Episode) it stands for.
+
+use decouplegs_scene::episode::{DrawnBy, ImageRecord, Instant, PlannerRecord};
+use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, VehicleSize, VehicleState};
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+use super::{FORMAT, VERSION};
+use crate::scenario_file;
+
+/// x, y, yaw, speed and acceleration.
+type StateForm = [f64; 5];
+
+/// Time, ego, its steering, whether it is on the road, agents.
+type InstantForm = (f64, StateForm, f64, bool, Vec<StateForm>);
+
+/// What of the first line is the same in all versions.
+#[derive(Deserialize)]
+pub(super) struct FormatForm {
+    pub(super) format: String,
+    pub(super) version: u32,
+}
+
+/// The first line.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct HeadForm {
+    format: String,
+    version: u32,
+    program: String,
+    scenario: String,
+    planner: PlannerForm,
+    drawn_by: Option<DrawnByForm>,
+    route_m: Vec<[f64; 2]>,
+    agent_sizes_m: Vec<[f64; 3]>,
+    start: InstantForm,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct PlannerForm {
+    name: String,
+    cameras: Vec<String>,
+    privileged: bool,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct DrawnByForm {
+    device: String,
+    width_px: u32,
+    height_px: u32,
+    every: u32,
+}
+
+/// A line of a step.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StepForm {
+    step: u32,
+    /// Camera and hash in 32 hex digits.
+    images: Vec<(String, String)>,
+    /// Time, x and y.
+    plan: Vec<[f64; 3]>,
+    instants: Vec<InstantForm>,
+}
+
+/// The last line.
+#[derive(Deserialize, Serialize)]
+#[serde(tag = "end", rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum EndForm {
+    RouteDone {},
+    Collision { agent: usize },
+    Time {},
+    Planner { reason: String },
+}
+
+/// Any line but the first. A step has a `step`, an end has an `end`.
+pub(super) enum Record {
+    Step(StepForm),
+    End(EndForm),
+}
+
+impl Record {
+    pub(super) fn parse(payload: &str) -> Result<Self, String> {
+        let json_error = |error: serde_json::Error| format!("is no record of a step or an end: {error}");
+        if payload.starts_with("{\"end\"") {
+            return serde_json::from_str(payload).map(Self::End).map_err(json_error);
+        }
+        serde_json::from_str(payload).map(Self::Step).map_err(json_error)
+    }
+}
+
+/// JSON of one line. Numbers are as short as they can be while every bit comes back.
+pub(super) fn to_json(form: &impl Serialize) -> String {
+    serde_json::to_string(form).expect("numbers and text, which JSON can hold")
+}
+
+fn state_form(state: &VehicleState) -> StateForm {
+    let VehicleState { position_m, yaw_rad, speed_mps, acceleration_mps2 } = *state;
+    [position_m.x, position_m.y, yaw_rad, speed_mps, acceleration_mps2]
+}
+
+fn state([x, y, yaw_rad, speed_mps, acceleration_mps2]: StateForm) -> VehicleState {
+    VehicleState { position_m: DVec2::new(x, y), yaw_rad, speed_mps, acceleration_mps2 }
+}
+
+fn instant_form(instant: &Instant) -> InstantForm {
+    let Instant { time_s, ego, steer_rad, on_road, agents } = instant;
+    (*time_s, state_form(ego), *steer_rad, *on_road, agents.iter().map(state_form).collect())
+}
+
+fn instant((time_s, ego, steer_rad, on_road, agents): InstantForm) -> Instant {
+    Instant { time_s, ego: state(ego), steer_rad, on_road, agents: agents.into_iter().map(state).collect() }
+}
+
+impl HeadForm {
+    /// # Errors
+    /// A sentence, when no file can say its scenario.
+    pub(super) fn of(head: &EpisodeHead, start: &Instant) -> Result<Self, String> {
+        let EpisodeHead { version, scenario, planner, drawn_by, route_m, agent_sizes } = head;
+        let PlannerRecord { name, cameras, privileged } = planner.clone();
+        let drawn_by = drawn_by.clone().map(|DrawnBy { device, width_px, height_px, every }| DrawnByForm {
+            device,
+            width_px,
+            height_px,
+            every,
+        });
+        Ok(Self {
+            format: FORMAT.into(),
+            version: VERSION,
+            program: version.clone(),
+            scenario: scenario_file::to_toml(scenario).map_err(|error| format!("its scenario: {error}"))?,
+            planner: PlannerForm { name, cameras, privileged },
+            drawn_by,
+            route_m: route_m.iter().map(DVec2::to_array).collect(),
+            agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
+            start: instant_form(start),
+        })
+    }
+
+    /// # Errors
+    /// A sentence, when its scenario is none.
+    pub(super) fn into_head(self) -> Result<(EpisodeHead, Instant), String> {
+        let scenario = scenario_file::parse(&self.scenario).map_err(|error| format!("its scenario, {error}"))?;
+        let PlannerForm { name, cameras, privileged } = self.planner;
+        let drawn_by = self.drawn_by.map(|DrawnByForm { device, width_px, height_px, every }| DrawnBy {
+            device,
+            width_px,
+            height_px,
+            every,
+        });
+        let head = EpisodeHead {
+            version: self.program,
+            scenario,
+            planner: PlannerRecord { name, cameras, privileged },
+            drawn_by,
+            route_m: self.route_m.into_iter().map(DVec2::from_array).collect(),
+            agent_sizes: self.agent_sizes_m.into_iter().map(VehicleSize::from_array).collect(),
+        };
+        Ok((head, instant(self.start)))
+    }
+}
+
+impl StepForm {
+    pub(super) fn of(step: &EpisodeStep) -> Self {
+        let EpisodeStep { step, images, plan, instants } = step;
+        Self {
+            step: *step,
+            images: images.iter().map(|image| (image.camera.clone(), format!("{:032x}", image.hash))).collect(),
+            plan: plan.points().iter().map(|point| [point.time_s, point.position_m.x, point.position_m.y]).collect(),
+            instants: instants.iter().map(instant_form).collect(),
+        }
+    }
+
+    /// # Errors
+    /// A sentence, when a hash or the plan is none.
+    pub(super) fn into_step(self) -> Result<EpisodeStep, String> {
+        let image = |(camera, hash): (String, String)| match u128::from_str_radix(&hash, 16) {
+            Ok(bits) => Ok(ImageRecord { camera, hash: bits }),
+            Err(_) => Err(format!("the picture of camera {camera:?} has the hash {hash:?}; expected 32 hex digits")),
+        };
+        let point = |[time_s, x, y]: [f64; 3]| PlanPoint { time_s, position_m: DVec2::new(x, y) };
+        Ok(EpisodeStep {
+            step: self.step,
+            images: self.images.into_iter().map(image).collect::<Result<_, _>>()?,
+            plan: Plan::new(self.plan.into_iter().map(point).collect())?,
+            instants: self.instants.into_iter().map(instant).collect(),
+        })
+    }
+}
+
+impl EndForm {
+    pub(super) fn of(end: &EpisodeEnd) -> Self {
+        match end {
+            EpisodeEnd::RouteDone => Self::RouteDone {},
+            EpisodeEnd::Collision { agent } => Self::Collision { agent: *agent },
+            EpisodeEnd::Time => Self::Time {},
+            EpisodeEnd::Planner { reason } => Self::Planner { reason: reason.clone() },
+        }
+    }
+
+    pub(super) fn into_end(self) -> EpisodeEnd {
+        match self {
+            Self::RouteDone {} => EpisodeEnd::RouteDone,
+            Self::Collision { agent } => EpisodeEnd::Collision { agent },
+            Self::Time {} => EpisodeEnd::Time,
+            Self::Planner { reason } => EpisodeEnd::Planner { reason },
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! Which line is painted on the border of a lane.
+
+use decouplegs_scene::LaneKind;
+use glam::{Vec2, Vec3};
+
+use super::strip_index::{Hit, StripIndex};
+use super::strips::Section;
+
+/// Width of a line, metres.
+pub(super) const LINE_M: f32 = 0.14;
+
+/// Length of a dash; the gap behind it is twice as long.
+pub(super) const DASH_M: f32 = 3.0;
+
+/// A border so deep in another lane is no edge of the road, metres.
+const INSIDE_M: f32 = 0.35;
+
+/// Where one looks for who is on the other side, metres beyond the border.
+const BEYOND_M: f32 = 0.4;
+
+/// What a border shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Line {
+    /// Nothing: other lanes run across it.
+    None,
+    /// The lane on the other side paints it.
+    OfNeighbour,
+    /// Lanes in the same direction on both sides.
+    Dashed,
+    /// The edge of the road, or traffic against it on the other side.
+    Solid,
+}
+
+/// The line on the left (`true`) or right border of lane `strip` where it is cut by `section`.
+pub(super) fn line(index: &StripIndex, strip: usize, section: &Section, ahead: Vec2, on_left: bool) -> Line {
+    let (border, other) = if on_left { (section.left, section.right) } else { (section.right, section.left) };
+    let drives = |hit: &Hit| hit.strip != strip && index.strips[hit.strip].kind == LaneKind::Driving;
+    if index.strips[strip].kind != LaneKind::Driving || index.at(border).any(|hit| drives(&hit) && hit.depth_m > INSIDE_M) {
+        return Line::None;
+    }
+    let outward = (border - other).normalize_or(Vec3::Y);
+    let beyond: Vec<Hit> = index.at(border + outward * BEYOND_M).filter(drives).collect();
+    let Some(neighbour) = beyond.iter().map(|hit| hit.strip).min() else { return Line::Solid };
+    // Of two lanes that share a border the first paints it.
+    if neighbour < strip {
+        return Line::OfNeighbour;
+    }
+    let same_way = beyond.iter().any(|hit| hit.strip == neighbour && hit.ahead.dot(ahead) > 0.0);
+    if same_way { Line::Dashed } else { Line::Solid }
+}

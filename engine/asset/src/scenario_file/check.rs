@@ -1,0 +1,222 @@
+//! What makes a scenario one that can be driven: names, and numbers in ranges that mean something.
+
+use std::collections::HashSet;
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use decouplegs_scene::scenario::{Behaviour, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::{Scenario, VehicleSize};
+
+/// Most agents of a scenario.
+pub const AGENTS_MAX: usize = 10_000;
+
+/// Longest episode, seconds.
+pub const DURATION_S_MAX: f64 = 3600.0;
+
+/// Shortest time from one plan to the next, seconds.
+pub const STEP_S_MIN: f64 = 0.02;
+
+/// Longest time from one plan to the next, seconds.
+pub const STEP_S_MAX: f64 = 5.0;
+
+/// Letters of a name or a lane's id: a name is a part of file names.
+const NAME_BYTES_MAX: usize = 100;
+const LANE_BYTES_MAX: usize = 1000;
+
+/// Lanes of a route.
+const ROUTE_LANES_MAX: usize = 10_000;
+
+/// Behaviours of an agent.
+const BEHAVIOURS_MAX: usize = 100;
+
+/// Splats of a background and of an agent: beyond what devices hold.
+const BACKGROUND_SPLATS_MAX: usize = 200_000_000;
+const AGENT_SPLATS_MAX: usize = 10_000_000;
+
+/// Assets have numbers below this.
+const ASSETS_MAX: usize = 65_536;
+
+const ALONG_M: RangeInclusive<f64> = 0.0..=1e6;
+const SPEED_MPS: RangeInclusive<f64> = 0.0..=100.0;
+/// Shortest and longest side of a vehicle.
+const SIDE_M: RangeInclusive<f64> = 0.1..=100.0;
+const EXPOSURE_EV: RangeInclusive<f64> = -20.0..=20.0;
+const NEAR_EGO_M: RangeInclusive<f64> = 0.0..=10_000.0;
+const DECELERATION_MPS2: RangeInclusive<f64> = 0.01..=20.0;
+const AMPLITUDE_M: RangeInclusive<f64> = -20.0..=20.0;
+const MANEUVER_S: RangeInclusive<f64> = 0.01..=DURATION_S_MAX;
+
+/// A table of the file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Table {
+    Top,
+    Place,
+    Ego,
+    Agent(usize),
+    Behaviour(usize, usize),
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Top => Ok(()),
+            Self::Place => formatter.write_str("place"),
+            Self::Ego => formatter.write_str("ego"),
+            Self::Agent(agent) => write!(formatter, "agent[{agent}]"),
+            Self::Behaviour(agent, behaviour) => write!(formatter, "agent[{agent}].behaviour[{behaviour}]"),
+        }
+    }
+}
+
+/// What is wrong, and where.
+#[derive(Debug)]
+pub(super) struct Fault {
+    pub(super) table: Table,
+    pub(super) field: &'static str,
+    pub(super) reason: String,
+}
+
+impl Fault {
+    pub(super) fn new(table: Table, field: &'static str, reason: String) -> Self {
+        Self { table, field, reason }
+    }
+}
+
+/// Nothing, or the first fault of `scenario`.
+pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
+    let top = Table::Top;
+    check_name(top, &scenario.name)?;
+    within(top, "duration_s", scenario.duration_s, &(STEP_S_MIN..=DURATION_S_MAX))?;
+    within(top, "step_s", scenario.step_s, &(STEP_S_MIN..=STEP_S_MAX))?;
+    check_place(&scenario.place)?;
+    check_ego(&scenario.ego)?;
+    if scenario.agents.len() > AGENTS_MAX {
+        let reason = format!("{} agents; expected at most {AGENTS_MAX}", scenario.agents.len());
+        return Err(Fault::new(Table::Agent(AGENTS_MAX), "name", reason));
+    }
+    let mut names = HashSet::new();
+    for (index, agent) in scenario.agents.iter().enumerate() {
+        check_agent(Table::Agent(index), agent)?;
+        if !names.insert(agent.name.as_str()) {
+            let reason = format!("'{}' is taken; names must differ", agent.name);
+            return Err(Fault::new(Table::Agent(index), "name", reason));
+        }
+        if agent.behaviours.len() > BEHAVIOURS_MAX {
+            let reason = format!("{} behaviours; expected at most {BEHAVIOURS_MAX}", agent.behaviours.len());
+            return Err(Fault::new(Table::Behaviour(index, BEHAVIOURS_MAX), "maneuver", reason));
+        }
+        for (at, behaviour) in agent.behaviours.iter().enumerate() {
+            check_behaviour(Table::Behaviour(index, at), behaviour)?;
+        }
+    }
+    Ok(())
+}
+
+fn within(table: Table, field: &'static str, value: f64, range: &RangeInclusive<f64>) -> Result<(), Fault> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(Fault::new(table, field, format!("{value} is out of range; expected {} to {}", range.start(), range.end())))
+}
+
+fn count(table: Table, field: &'static str, value: usize, range: &RangeInclusive<usize>) -> Result<(), Fault> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(Fault::new(table, field, format!("{value} is out of range; expected {} to {}", range.start(), range.end())))
+}
+
+fn check_name(table: Table, name: &str) -> Result<(), Fault> {
+    let is_safe = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_';
+    if (1..=NAME_BYTES_MAX).contains(&name.len()) && name.bytes().all(is_safe) {
+        return Ok(());
+    }
+    let shown: String = name.chars().take(NAME_BYTES_MAX).collect();
+    let reason = format!("'{shown}' names files; expected 1 to {NAME_BYTES_MAX} letters (a to z), digits, '-' and '_'");
+    Err(Fault::new(table, "name", reason))
+}
+
+fn check_path(field: &'static str, path: &Path) -> Result<(), Fault> {
+    if path.as_os_str().is_empty() {
+        return Err(Fault::new(Table::Place, field, "is empty; expected the path of a file".into()));
+    }
+    Ok(())
+}
+
+fn check_place(place: &Place) -> Result<(), Fault> {
+    let splats = |background: usize, agent_splats: usize| {
+        count(Table::Place, "background", background, &(1..=BACKGROUND_SPLATS_MAX))?;
+        count(Table::Place, "agent_splats", agent_splats, &(1..=AGENT_SPLATS_MAX))
+    };
+    match place {
+        Place::Street { background, agent_splats, .. } => splats(*background, *agent_splats),
+        Place::Roads { map, probe, exposure_ev, background, agent_splats } => {
+            check_path("map", map)?;
+            probe.as_deref().map_or(Ok(()), |probe| check_path("probe", probe))?;
+            within(Table::Place, "exposure_ev", *exposure_ev, &EXPOSURE_EV)?;
+            splats(*background, *agent_splats)
+        }
+        Place::Scene { scene, map } => {
+            check_path("scene", scene)?;
+            check_path("map", map)
+        }
+    }
+}
+
+fn check_size(table: Table, size: VehicleSize) -> Result<(), Fault> {
+    size.to_array().into_iter().try_for_each(|side_m| within(table, "size_m", side_m, &SIDE_M))
+}
+
+fn check_lane(table: Table, field: &'static str, lane: &str) -> Result<(), Fault> {
+    if (1..=LANE_BYTES_MAX).contains(&lane.len()) {
+        return Ok(());
+    }
+    let reason = format!("a lane's id of {} bytes; expected 1 to {LANE_BYTES_MAX}", lane.len());
+    Err(Fault::new(table, field, reason))
+}
+
+fn check_ego(ego: &EgoTask) -> Result<(), Fault> {
+    let table = Table::Ego;
+    if !(1..=ROUTE_LANES_MAX).contains(&ego.route.len()) {
+        let reason = format!("{} lanes; expected 1 to {ROUTE_LANES_MAX}", ego.route.len());
+        return Err(Fault::new(table, "route", reason));
+    }
+    ego.route.iter().try_for_each(|lane| check_lane(table, "route", lane))?;
+    within(table, "start_m", ego.start_m, &ALONG_M)?;
+    within(table, "end_m", ego.end_m, &ALONG_M)?;
+    if ego.route.len() == 1 && ego.end_m <= ego.start_m {
+        let reason = format!("{} m does not lie beyond the start at {} m of the only lane", ego.end_m, ego.start_m);
+        return Err(Fault::new(table, "end_m", reason));
+    }
+    within(table, "speed_mps", ego.speed_mps, &SPEED_MPS)?;
+    within(table, "cruise_mps", ego.cruise_mps, &SPEED_MPS)?;
+    check_size(table, ego.size)
+}
+
+fn check_agent(table: Table, agent: &TrafficAgent) -> Result<(), Fault> {
+    check_name(table, &agent.name)?;
+    count(table, "asset", agent.asset, &(0..=ASSETS_MAX - 1))?;
+    check_size(table, agent.size)?;
+    check_lane(table, "lane", &agent.lane)?;
+    within(table, "at_m", agent.at_m, &ALONG_M)?;
+    within(table, "speed_mps", agent.speed_mps, &SPEED_MPS)
+}
+
+fn check_behaviour(table: Table, behaviour: &Behaviour) -> Result<(), Fault> {
+    match behaviour.trigger {
+        Trigger::Time { time_s } => within(table, "at_time_s", time_s, &(0.0..=DURATION_S_MAX))?,
+        Trigger::NearEgo { distance_m } => within(table, "near_ego_m", distance_m, &NEAR_EGO_M)?,
+    }
+    match behaviour.maneuver {
+        Maneuver::Brake { deceleration_mps2, duration_s } => {
+            within(table, "deceleration_mps2", deceleration_mps2, &DECELERATION_MPS2)?;
+            within(table, "duration_s", duration_s, &MANEUVER_S)
+        }
+        Maneuver::CutIn => Ok(()),
+        Maneuver::Swerve { amplitude_m, duration_s } => {
+            within(table, "amplitude_m", amplitude_m, &AMPLITUDE_M)?;
+            within(table, "duration_s", duration_s, &MANEUVER_S)
+        }
+    }
+}

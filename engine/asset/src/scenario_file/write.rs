@@ -1,0 +1,113 @@
+//! From a [`Scenario`] to the text of its file.
+
+use std::path::Path;
+
+use decouplegs_scene::scenario::{Behaviour, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::{Level, Scenario};
+use toml::Spanned;
+
+use super::VERSION;
+use super::check::check;
+use super::form::{AgentForm, BehaviourForm, EgoForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm, StreetForm};
+use super::seed::Seed;
+use crate::EncodeError;
+
+/// What stands above a scenario, for those who open the file in an editor.
+const HEADING: &str = "\
+# A scenario: where an episode takes place, what the ego is to do there and who else is on the road.
+# Metres, seconds; vehicles are length, width, height; places on lanes are metres along. Change what you like and drive it again:
+# the same file gives the same episode. What each key means, and its limits: engine/asset/scenario-file.md.
+";
+
+pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
+    check(scenario).map_err(|fault| {
+        let key = format!("{}.{}", fault.table, fault.field);
+        EncodeError(format!("{}: {}", key.trim_start_matches('.'), fault.reason))
+    })?;
+    let form = ScenarioForm {
+        version: VERSION,
+        name: scenario.name.clone(),
+        level: scenario.level.map(Level::name).map(str::to_owned),
+        seed: Seed(scenario.seed),
+        duration_s: scenario.duration_s,
+        step_s: scenario.step_s,
+        place: place_form(&scenario.place)?,
+        ego: spanless(ego_form(&scenario.ego)),
+        agent: scenario.agents.iter().map(|agent| spanless(agent_form(agent))).collect(),
+    };
+    let body = toml::to_string(&form).map_err(|error| EncodeError(error.to_string()))?;
+    Ok(format!("{HEADING}{body}"))
+}
+
+fn spanless<T>(value: T) -> Spanned<T> {
+    Spanned::new(0..0, value)
+}
+
+fn path_text(path: &Path) -> Result<String, EncodeError> {
+    let text = path.to_str().map(str::to_owned);
+    text.ok_or_else(|| EncodeError(format!("the path {} is not Unicode, which TOML needs; rename it", path.display())))
+}
+
+fn place_form(place: &Place) -> Result<PlaceForm, EncodeError> {
+    Ok(match place {
+        Place::Street { weather, background, agent_splats, seed } => PlaceForm::Street(spanless(StreetForm {
+            weather: weather.name().to_owned(),
+            background: *background,
+            agent_splats: *agent_splats,
+            seed: Seed(*seed),
+        })),
+        Place::Roads { map, probe, exposure_ev, background, agent_splats } => PlaceForm::Roads(spanless(RoadsForm {
+            map: path_text(map)?,
+            probe: probe.as_deref().map(path_text).transpose()?,
+            exposure_ev: *exposure_ev,
+            background: *background,
+            agent_splats: *agent_splats,
+        })),
+        Place::Scene { scene, map } => PlaceForm::Scene(spanless(SceneForm { scene: path_text(scene)?, map: path_text(map)? })),
+    })
+}
+
+fn ego_form(ego: &EgoTask) -> EgoForm {
+    EgoForm {
+        route: ego.route.clone(),
+        start_m: ego.start_m,
+        end_m: ego.end_m,
+        speed_mps: ego.speed_mps,
+        cruise_mps: ego.cruise_mps,
+        size_m: ego.size.to_array(),
+    }
+}
+
+fn agent_form(agent: &TrafficAgent) -> AgentForm {
+    AgentForm {
+        name: agent.name.clone(),
+        asset: agent.asset,
+        size_m: agent.size.to_array(),
+        lane: agent.lane.clone(),
+        at_m: agent.at_m,
+        speed_mps: agent.speed_mps,
+        driver: agent.driver.name().to_owned(),
+        changes_lanes: agent.changes_lanes,
+        behaviour: agent.behaviours.iter().map(|behaviour| spanless(behaviour_form(behaviour))).collect(),
+    }
+}
+
+fn behaviour_form(behaviour: &Behaviour) -> BehaviourForm {
+    let (at_time_s, near_ego_m) = match behaviour.trigger {
+        Trigger::Time { time_s } => (Some(time_s), None),
+        Trigger::NearEgo { distance_m } => (None, Some(distance_m)),
+    };
+    let form = BehaviourForm { at_time_s, near_ego_m, ..BehaviourForm::default() };
+    match behaviour.maneuver {
+        Maneuver::Brake { deceleration_mps2, duration_s } => BehaviourForm {
+            maneuver: "brake".into(),
+            deceleration_mps2: Some(deceleration_mps2),
+            duration_s: Some(duration_s),
+            ..form
+        },
+        Maneuver::CutIn => BehaviourForm { maneuver: "cut_in".into(), ..form },
+        Maneuver::Swerve { amplitude_m, duration_s } => {
+            BehaviourForm { maneuver: "swerve".into(), amplitude_m: Some(amplitude_m), duration_s: Some(duration_s), ..form }
+        }
+    }
+}

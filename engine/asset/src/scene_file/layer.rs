@@ -1,0 +1,105 @@
+//! A scene taken apart: its background alone, or its agents alone ("Scene Decoupling" in the DecoupleGS paper's supplement).
+
+use std::borrow::Cow;
+
+use decouplegs_scene::World;
+
+use super::LoadedScene;
+
+/// What of a scene is drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Layer {
+    /// Everything: background, agents and their shadows.
+    #[default]
+    All,
+    /// The scene as if no agent had ever been there: without them and without their shadows.
+    Background,
+    /// The agents over nothing, in the light that the whole background throws on them. The sky is black and lets through, so
+    /// that colour is premultiplied by alpha.
+    Agents,
+}
+
+impl LoadedScene {
+    /// What of [`LoadedScene::world`] belongs to `layer`: its background, its agents of plain splats, or both.
+    #[must_use]
+    pub fn standing(&self, layer: Layer) -> Cow<'_, World> {
+        match layer {
+            Layer::All => Cow::Borrowed(&self.world),
+            Layer::Background | Layer::Agents => Cow::Owned(only(&self.world, layer)),
+        }
+    }
+
+    /// [`LoadedScene::baked`], and of that what belongs to `layer`: the definition of the layer's picture.
+    #[must_use]
+    pub fn baked_layer(&self, time_s: f64, layer: Layer) -> World {
+        match layer {
+            Layer::All => self.baked(time_s),
+            // Not of the baked world: shadows lie there.
+            Layer::Background => only(&self.world, layer),
+            Layer::Agents => only(&self.baked(time_s), layer),
+        }
+    }
+}
+
+/// The part of `world` that belongs to `layer`, in the order it had.
+fn only(world: &World, layer: Layer) -> World {
+    let of_agents = |splat: &u32| world.instance_from_splat.get(*splat as usize).is_some_and(|id| *id != 0);
+    let splats = 0..world.splats.len() as u32;
+    if layer == Layer::Background {
+        let kept: Vec<u32> = splats.filter(|splat| !of_agents(splat)).collect();
+        return World { splats: world.splats.select(&kept), instance_from_splat: Vec::new(), ..*world };
+    }
+    let kept: Vec<u32> = splats.filter(of_agents).collect();
+    World {
+        splats: world.splats.select(&kept),
+        instance_from_splat: kept.iter().map(|splat| world.instance_from_splat[*splat as usize]).collect(),
+        sky: [0.0; 3],
+        ..*world
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use decouplegs_scene::{Pose, Rules, ShFrame, SplatCloud};
+    use glam::DVec3;
+
+    fn splats(xs: &[f32]) -> SplatCloud {
+        SplatCloud {
+            means: xs.iter().map(|x| [*x, 0.0, 0.0]).collect(),
+            scales: vec![[0.1; 3]; xs.len()],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; xs.len()],
+            opacities: vec![0.9; xs.len()],
+            sh_degree: 0,
+            sh_dc: vec![[0.3; 3]; xs.len()],
+            sh_rest: vec![],
+        }
+    }
+
+    #[test]
+    fn layers_part_the_splats_of_a_world_and_keep_their_order() {
+        let of = |xs: &[f32]| World {
+            origin: DVec3::new(4.5e6, 0.0, 0.0),
+            sky: [0.2, 0.3, 0.4],
+            rules: Rules::INRIA,
+            ..World::of(splats(xs))
+        };
+        let background = of(&[3.0, 1.0, 2.0]);
+        let mut world = background.clone();
+        for (instance, x) in [(1, 10.0), (4, 20.0)] {
+            world.bake_instance(
+                &splats(&[x, x + 1.0]),
+                &Pose { translation: world.origin, ..Pose::IDENTITY },
+                ShFrame::World,
+                instance,
+            );
+        }
+        assert_eq!(only(&world, Layer::Background), background);
+        let agents = only(&world, Layer::Agents);
+        assert_eq!(agents.instance_from_splat, [1, 1, 4, 4]);
+        assert_eq!(agents.splats.means, world.splats.means[3..]);
+        assert_eq!((agents.sky, agents.origin, agents.rules), ([0.0; 3], world.origin, world.rules));
+        assert_eq!(only(&background, Layer::Background), background);
+        assert!(only(&background, Layer::Agents).splats.is_empty());
+    }
+}

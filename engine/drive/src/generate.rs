@@ -1,0 +1,181 @@
+//! Scenarios made up for a level: where the ego starts and goes, who else is on the road, what the light is and what goes wrong.
+//!
+//! Everything follows from a seed and an index. Numbers are round (centimetres, tenths of a metre a second), so that a person can read and
+//! change what comes out. At the start
+//! - nobody overlaps, and everybody is all on one lane and off all places where other lanes cross or merge;
+//! - everybody can stop: behind the vehicle ahead if that brakes as hard as it can, with a second to react; before a crossing where others
+//!   go first; before the end of a road;
+//! - the ego's route is some 100 to 180 m, shorter where lanes end or allow less, and takes 13 s at most where nobody is in the way;
+//! - from Medium on somebody slower drives 15 to 40 m ahead of the ego, so that keeping one's speed is not enough.
+
+mod behaviours;
+mod ego_start;
+mod light;
+mod placement;
+mod random;
+mod roads;
+mod rules;
+mod safe_speed;
+
+use decouplegs_scene::scenario::EgoTask;
+use decouplegs_scene::{LaneMap, Level, Scenario, VehicleSize};
+use glam::DVec2;
+
+pub use ego_start::Area;
+pub use light::{PlaceOptions, Sky};
+pub use rules::{NEAR_M, agents_near, weathers};
+
+use crate::road_graph::RoadGraph;
+use ego_start::Wishes;
+use placement::Placement;
+use random::Stream;
+use roads::Roads;
+use rules::Rules;
+
+/// How often another start of the ego is tried.
+const TRIES: u64 = 240;
+/// So many of them with all that the level would like to have, and so many at least before a crossing.
+const TRIES_WITH_ALL: u64 = 100;
+const TRIES_BEFORE_CROSSING: u64 = 180;
+/// The synthetic street shows details within this of its origin, and little beyond, metres.
+const STREET_RADIUS_M: f64 = 125.0;
+
+/// What the numbers of a scenario are for.
+const FOR_LIGHT: u64 = 0;
+const FOR_TRAFFIC: u64 = 1;
+const FOR_TRIES: u64 = 2;
+
+/// Why no scenario can be made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GenerateError {
+    /// The map, or the size of an asset.
+    #[error("no scenarios can be made: {0}")]
+    Roads(String),
+    /// Nothing to show.
+    #[error("no scenarios can be made without assets for agents to show; expected the size of at least one")]
+    NoAssets,
+    /// No way for the ego.
+    #[error(
+        "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for 60 m; expected longer driving lanes"
+    )]
+    NoRoute {
+        /// Of the scenario.
+        name: String,
+        /// How many places were looked at.
+        tries: u64,
+    },
+    /// Too few agents fit.
+    #[error(
+        "scenario {name}: expected {least} to {most} agents within 50 m of the ego, all with room to stop; found room for {found} at most, \
+         in {tries} tries; take a larger map or an easier level"
+    )]
+    NoRoom {
+        /// Of the scenario.
+        name: String,
+        /// Agents that the level has at least.
+        least: usize,
+        /// And at most.
+        most: usize,
+        /// The most that were put near an ego.
+        found: usize,
+        /// How many places were looked at.
+        tries: u64,
+    },
+}
+
+/// Makes scenarios in one place.
+pub struct Generator<'a> {
+    roads: Roads<'a>,
+    place: PlaceOptions,
+    area: Option<Area>,
+    assets: Vec<VehicleSize>,
+}
+
+impl<'a> Generator<'a> {
+    /// A generator for `place`, whose lanes are `map` and whose agents show `assets` of these sizes, in the order of
+    /// [`TrafficAgent::asset`](decouplegs_scene::scenario::TrafficAgent::asset). Egos on the synthetic street stay where it has details.
+    ///
+    /// # Errors
+    /// [`GenerateError::Roads`] and [`GenerateError::NoAssets`].
+    pub fn new(map: &'a LaneMap, place: PlaceOptions, assets: &[VehicleSize]) -> Result<Self, GenerateError> {
+        if assets.is_empty() {
+            return Err(GenerateError::NoAssets);
+        }
+        let size = |size: fn(&VehicleSize) -> f64, least: f64| assets.iter().map(size).fold(least, f64::max);
+        let largest = VehicleSize {
+            length_m: size(|asset| asset.length_m, RoadGraph::VEHICLE.length_m),
+            width_m: size(|asset| asset.width_m, RoadGraph::VEHICLE.width_m),
+            height_m: size(|asset| asset.height_m, RoadGraph::VEHICLE.height_m),
+        };
+        if let Some(asset) = assets.iter().find(|asset| asset.to_array().iter().any(|side| !(0.1..=40.0).contains(side))) {
+            let [length_m, width_m, height_m] = asset.to_array();
+            let what = format!("an asset of {length_m} by {width_m} by {height_m} m; expected sides of 0.1 to 40 m");
+            return Err(GenerateError::Roads(what));
+        }
+        let roads = Roads::new(map, largest).map_err(GenerateError::Roads)?;
+        let street = matches!(place, PlaceOptions::Street { .. });
+        let area = street.then_some(Area { centre_m: DVec2::ZERO, radius_m: STREET_RADIUS_M });
+        Ok(Self { roads, place, area, assets: assets.to_vec() })
+    }
+
+    /// The same with routes that start and end within `area`: where a captured scene has been seen.
+    #[must_use]
+    pub fn within(self, area: Area) -> Self {
+        Self { area: Some(area), ..self }
+    }
+
+    /// Scenario `index` of `level`, called for instance `hard_0007`.
+    ///
+    /// # Errors
+    /// [`GenerateError::NoRoute`] and [`GenerateError::NoRoom`], where the map is too small for the level.
+    pub fn scenario(&self, level: Level, seed: u64, index: u32) -> Result<Scenario, GenerateError> {
+        let name = format!("{}_{index:04}", level.name());
+        let stream = Stream::new(seed).of(level as u64).of(u64::from(index));
+        let (rules, (least, most)) = (Rules::of(level), agents_near(level));
+        let (mut found, mut routes) = (0, 0_u32);
+        for number in 0..TRIES {
+            let random = stream.of(FOR_TRIES).of(number);
+            let beside = number < TRIES_WITH_ALL && self.roads.has_lanes_beside;
+            let wishes = Wishes { crossing: number < TRIES_BEFORE_CROSSING, beside };
+            let Some(start) = ego_start::choose(&self.roads, self.area, &rules, &random.of(0), wishes) else { continue };
+            routes += 1;
+            let placement = Placement::new(&self.roads, &rules, &start, &self.assets, random.of(1));
+            let vehicles = match placement.fill((least, most)) {
+                Ok(vehicles) => vehicles,
+                Err(placement::TooFew(near)) => {
+                    found = found.max(near);
+                    continue;
+                }
+            };
+            return Ok(Scenario {
+                name,
+                level: Some(level),
+                // Short enough to be read, and a whole number in any format.
+                seed: stream.of(FOR_TRAFFIC).bits() >> 32,
+                duration_s: Scenario::DURATION_S,
+                step_s: Scenario::STEP_S,
+                place: self.place.lit_for(level, &mut stream.of(FOR_LIGHT)),
+                agents: behaviours::agents(self.roads.map, level, &start, &vehicles, &random.of(2)),
+                ego: EgoTask { speed_mps: vehicles[0].speed_mps, ..start.task },
+            });
+        }
+        Err(match routes {
+            0 => GenerateError::NoRoute { name, tries: TRIES },
+            _ => GenerateError::NoRoom { name, least, most, found, tries: TRIES },
+        })
+    }
+}
+
+fn to_centimetre(value: f64) -> f64 {
+    (value * 100.0).round() / 100.0
+}
+
+fn to_tenth(value: f64) -> f64 {
+    (value * 10.0).round() / 10.0
+}
+
+/// Rounded so that what was safe stays safe.
+fn down_to_tenth(value: f64) -> f64 {
+    // A speed that came out of rounding is itself again.
+    ((value.max(0.0) * 10.0 + 1e-6).floor()) / 10.0
+}

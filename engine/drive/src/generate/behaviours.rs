@@ -1,0 +1,108 @@
+//! How agents drive, and what some of them do that good drivers would not.
+
+use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, TrafficAgent, Trigger};
+use decouplegs_scene::{LaneMap, Level};
+use glam::DVec2;
+
+use super::ego_start::EgoStart;
+use super::placement::{Role, Vehicle};
+use super::random::Stream;
+use super::rules::{NEAR_M, Rules};
+use super::to_tenth;
+
+/// Somebody who stands cannot swerve, m/s.
+const SWERVE_MPS_MIN: f64 = 2.0;
+/// Who drives ahead of the ego its way swerves when it has come so near, metres: it can still brake.
+const SWERVE_NEAR_M: (f64, f64) = (12.0, 25.0);
+/// So far to the side: into the lane beside.
+const SWERVE_M: (f64, f64) = (0.8, 1.6);
+/// Who meets the ego or is abreast of it swerves within its own lane: an ego that is hit from there could have done nothing.
+const SWERVE_IN_LANE_M: (f64, f64) = (0.4, 0.7);
+/// Cosine of the angle between the headings of two that drive the same way.
+const ALONG: f64 = 0.8;
+
+/// The agents among `vehicles`, of which the first is the ego.
+pub(super) fn agents(map: &LaneMap, level: Level, start: &EgoStart, vehicles: &[Vehicle], random: &Stream) -> Vec<TrafficAgent> {
+    let rules = Rules::of(level);
+    let mut draw = random.of(0);
+    let mut agents: Vec<TrafficAgent> = Vec::with_capacity(vehicles.len());
+    for (number, vehicle) in vehicles.iter().enumerate().skip(1) {
+        let driver = draw.pick(rules.drivers).copied().unwrap_or(DriverKind::Normal);
+        agents.push(TrafficAgent {
+            name: match vehicle.role {
+                Role::Lead => "lead".into(),
+                Role::CutIn => "cut_in".into(),
+                Role::Ego | Role::Other => format!("car_{number:02}"),
+            },
+            asset: vehicle.asset,
+            size: vehicle.size,
+            lane: map.lanes[vehicle.spot.lane].id.clone(),
+            at_m: vehicle.spot.at_m,
+            speed_mps: vehicle.speed_mps,
+            driver,
+            changes_lanes: draw.chance(rules.lane_change_share),
+            behaviours: Vec::new(),
+        });
+    }
+    let mut inject = random.of(1);
+    let cuts_in = vehicles.iter().any(|vehicle| vehicle.role == Role::CutIn);
+    for (agent, vehicle) in agents.iter_mut().zip(&vehicles[1..]) {
+        let distance_m = vehicle.outline.centre_m.distance(vehicles[0].outline.centre_m);
+        match vehicle.role {
+            Role::CutIn => agent.behaviours.push(cut_in(&mut inject)),
+            Role::Lead if rules.lead_brakes => agent.behaviours.push(brake((6.0, 8.0), distance_m, &mut inject)),
+            // Where no lane lies beside the ego's, who drives ahead takes the gap away by other means.
+            Role::Lead if rules.cut_ins > 0 && !cuts_in => agent.behaviours.push(brake((3.0, 5.0), distance_m, &mut inject)),
+            _ => {}
+        }
+    }
+    for (at, reach_m) in swerving(start, vehicles, inject.whole(rules.swerves)) {
+        agents[at - 1].behaviours.push(swerve(reach_m, &mut inject));
+    }
+    agents
+}
+
+fn cut_in(random: &mut Stream) -> Behaviour {
+    Behaviour { trigger: Trigger::Time { time_s: to_tenth(random.between((0.5, 3.0))) }, maneuver: Maneuver::CutIn }
+}
+
+/// A brake after some seconds, or when the ego has come nearer than the `distance_m` of the start.
+fn brake(deceleration_mps2: (f64, f64), distance_m: f64, random: &mut Stream) -> Behaviour {
+    let trigger = if random.chance(0.5) {
+        Trigger::Time { time_s: to_tenth(random.between((2.0, 6.0))) }
+    } else {
+        Trigger::NearEgo { distance_m: (random.between((0.6, 0.85)) * distance_m).round() }
+    };
+    let maneuver = Maneuver::Brake {
+        deceleration_mps2: to_tenth(random.between(deceleration_mps2)),
+        duration_s: to_tenth(random.between((1.5, 3.0))),
+    };
+    Behaviour { trigger, maneuver }
+}
+
+fn swerve(reach_m: (f64, f64), random: &mut Stream) -> Behaviour {
+    let side = if random.chance(0.5) { 1.0 } else { -1.0 };
+    let maneuver = Maneuver::Swerve {
+        amplitude_m: to_tenth(side * random.between(reach_m)),
+        duration_s: to_tenth(random.between((2.0, 4.0))),
+    };
+    Behaviour { trigger: Trigger::NearEgo { distance_m: random.between(SWERVE_NEAR_M).round() }, maneuver }
+}
+
+/// Which vehicles swerve, and how far: of those near the ego, first who drives ahead of it its way, then who moves, then who is nearest to
+/// its route. All others keep to their lanes.
+fn swerving(start: &EgoStart, vehicles: &[Vehicle], count: usize) -> Vec<(usize, (f64, f64))> {
+    let ego = &vehicles[0].outline;
+    let mut near: Vec<(bool, bool, f64, usize)> = Vec::new();
+    for (at, vehicle) in vehicles.iter().enumerate().filter(|(_, vehicle)| vehicle.role == Role::Other) {
+        let local_m = ego.to_local(vehicle.outline.centre_m);
+        let along = DVec2::from_angle(vehicle.outline.yaw_rad - ego.yaw_rad).x;
+        if local_m.length() <= NEAR_M {
+            let ahead = along > ALONG && local_m.x > SWERVE_NEAR_M.0;
+            let off_m = start.route.line().project(vehicle.outline.centre_m).distance_m;
+            near.push((!ahead, vehicle.speed_mps < SWERVE_MPS_MIN, off_m, at));
+        }
+    }
+    near.sort_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3)));
+    near.into_iter().take(count).map(|(not_ahead, .., at)| (at, if not_ahead { SWERVE_IN_LANE_M } else { SWERVE_M })).collect()
+}

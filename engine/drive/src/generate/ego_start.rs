@@ -1,0 +1,213 @@
+//! Where the ego starts and which way it is to go.
+
+use decouplegs_scene::VehicleSize;
+use decouplegs_scene::scenario::EgoTask;
+use glam::DVec2;
+
+use super::random::Stream;
+use super::roads::{Roads, Spot};
+use super::rules::Rules;
+use super::{down_to_tenth, to_centimetre};
+use crate::route::Route;
+
+/// The ego's box.
+pub(super) const EGO: VehicleSize = VehicleSize::CAR;
+/// How long a route is asked to be, metres.
+const ROUTE_M: (f64, f64) = (100.0, 180.0);
+/// A route that has to be shorter than this is none, metres.
+const ROUTE_M_MIN: f64 = 60.0;
+/// A route is so short that it can be driven in this time where nothing is in the way: it leaves a third of an episode to wait for others,
+/// seconds.
+const FREE_TIME_S: f64 = 13.0;
+/// The ego is never asked to be faster than is allowed in towns.
+const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
+/// Nor slower than a bicycle: lanes that allow less are none to test on.
+const CRUISE_MPS_MIN: f64 = 4.0;
+/// How many routes lead straight on where they may.
+const STRAIGHT_SHARE: f64 = 0.65;
+/// A lane that turns by less leads straight on, radians.
+const STRAIGHT_RAD: f64 = 0.35;
+/// A route ends at least so far from the end of a lane that leads nowhere, metres: the ego needs somewhere to go.
+const DEAD_END_M: f64 = 5.0;
+/// Acceleration, braking and acceleration across of somebody who drives the route freely, m/s^2: comfortable ones.
+const COMFORT_MPS2: f64 = 1.5;
+const LATERAL_MPS2: f64 = 2.0;
+/// Curvature is looked at in steps of this, metres.
+const STRIDE_M: f64 = 1.0;
+
+/// Where routes may start and end: a circle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Area {
+    /// Its middle, world coordinates, metres.
+    pub centre_m: DVec2,
+    /// Its radius.
+    pub radius_m: f64,
+}
+
+impl Area {
+    pub(super) fn holds(&self, position_m: DVec2) -> bool {
+        self.centre_m.distance(position_m) <= self.radius_m
+    }
+}
+
+/// A task for the ego.
+pub(super) struct EgoStart {
+    /// Its speed is that at which it would like to start.
+    pub task: EgoTask,
+    pub spot: Spot,
+    /// The lanes of the route.
+    pub lanes: Vec<usize>,
+    pub route: Route,
+    /// The first lane of the route that others cross.
+    pub crossing: Option<usize>,
+}
+
+impl EgoStart {
+    /// The place `ahead_m` along the route.
+    pub fn along(&self, roads: &Roads, ahead_m: f64) -> Option<Spot> {
+        let mut at_m = self.spot.at_m + ahead_m;
+        for &lane in &self.lanes {
+            let length_m = roads.length_m(lane);
+            if at_m <= length_m {
+                return Some(Spot { lane, at_m });
+            }
+            at_m -= length_m;
+        }
+        None
+    }
+
+    /// How far along the route `spot` is, where it is on one of its lanes; below zero behind the start.
+    pub fn ahead_m(&self, roads: &Roads, spot: Spot) -> Option<f64> {
+        let mut begin_m = -self.spot.at_m;
+        for &lane in &self.lanes {
+            if lane == spot.lane {
+                return Some(begin_m + spot.at_m);
+            }
+            begin_m += roads.length_m(lane);
+        }
+        None
+    }
+}
+
+/// What a level would like a start to have. Maps that have none of it are driven on all the same.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wishes {
+    /// A crossing ahead.
+    pub crossing: bool,
+    /// A lane beside the ego's to cut in from.
+    pub beside: bool,
+}
+
+/// A start and a route; none where the random place was none for either.
+pub(super) fn choose(roads: &Roads, area: Option<Area>, rules: &Rules, random: &Stream, wishes: Wishes) -> Option<EgoStart> {
+    let mut draw = random.of(0);
+    let before_crossing = draw.chance(rules.crossing_share) && wishes.crossing;
+    let lanes = if before_crossing { before_a_crossing(roads, rules, &mut draw)? } else { vec![roads.anywhere(&mut draw)?] };
+    let spot = Spot { at_m: to_centimetre(lanes[0].at_m), ..lanes[0] };
+    let inside = |spot: Spot| area.is_none_or(|area| area.holds(roads.position_m(spot)));
+    let road = roads.graph.lane(spot.lane)?;
+    let lacks_lane = wishes.beside && rules.cut_ins > 0 && road.left.or(road.right).is_none();
+    if lacks_lane || !inside(spot) || !roads.has_room(spot, &EGO) {
+        return None;
+    }
+    let led: Vec<usize> = lanes.iter().map(|spot| spot.lane).collect();
+    let mut length_m = draw.between(ROUTE_M);
+    // Each time too long is made shorter; the same turns are taken.
+    for _ in 0..6 {
+        let (lanes, end_m) = onward(roads, spot, &led, length_m, random.of(1))?;
+        let end = Spot { lane: *lanes.last()?, at_m: end_m };
+        let start = task(roads, spot, lanes, end_m)?;
+        let time_s = free_time_s(&start.route, start.task.cruise_mps);
+        if time_s <= FREE_TIME_S && inside(end) {
+            let share = draw.between(rules.ego_speed_share);
+            let speed_mps = down_to_tenth(share * start.task.cruise_mps);
+            return Some(EgoStart { task: EgoTask { speed_mps, ..start.task }, ..start });
+        }
+        let shorter = if inside(end) { 0.97 * FREE_TIME_S / time_s } else { 0.9 };
+        length_m = start.route.length_m() * shorter;
+        if length_m < ROUTE_M_MIN {
+            return None;
+        }
+    }
+    None
+}
+
+/// Lanes that lead to a crossing, the first with the place to start.
+fn before_a_crossing(roads: &Roads, rules: &Rules, draw: &mut Stream) -> Option<Vec<Spot>> {
+    let crossing = *draw.pick(&roads.crossings)?;
+    let mut lanes = vec![Spot { at_m: crossing.at_m - draw.between(rules.before_crossing_m) - 0.5 * EGO.length_m, ..crossing }];
+    while lanes[0].at_m < 0.0 {
+        let before = *draw.pick(&roads.graph.lane(lanes[0].lane)?.predecessors)?;
+        if lanes.iter().any(|spot| spot.lane == before) {
+            return None;
+        }
+        let at_m = lanes[0].at_m + roads.length_m(before);
+        lanes[0].at_m = 0.0;
+        lanes.insert(0, Spot { lane: before, at_m });
+    }
+    Some(lanes)
+}
+
+/// Lanes from `spot` on, first those it is `led` over, and how far along the last of them `length_m` leads. Less where the lanes end.
+fn onward(roads: &Roads, spot: Spot, led: &[usize], length_m: f64, mut random: Stream) -> Option<(Vec<usize>, f64)> {
+    let (mut lanes, mut end_m) = (vec![spot.lane], spot.at_m + length_m);
+    loop {
+        let last = *lanes.last()?;
+        let own_m = roads.length_m(last);
+        if end_m <= own_m {
+            break;
+        }
+        let road = roads.graph.lane(last)?;
+        let onward: Vec<usize> = road.successors.iter().copied().filter(|next| !lanes.contains(next)).collect();
+        let turn = |lane: usize| roads.graph.lane(lane).map_or(0.0, |lane| lane.turn_rad.abs());
+        let (straight, aside): (Vec<usize>, Vec<usize>) = onward.iter().partition(|&&lane| turn(lane) < STRAIGHT_RAD);
+        let rather = if random.chance(STRAIGHT_SHARE) { [&straight, &aside] } else { [&aside, &straight] };
+        let drawn = random.pick(if rather[0].is_empty() { rather[1] } else { rather[0] });
+        let Some(&next) = led.get(lanes.len()).or(drawn) else {
+            end_m = own_m - DEAD_END_M;
+            break;
+        };
+        end_m -= own_m;
+        lanes.push(next);
+    }
+    let end_m = to_centimetre(end_m.min(roads.length_m(*lanes.last()?) - 0.01));
+    let driven_m: f64 = lanes.iter().map(|&lane| roads.length_m(lane)).sum::<f64>() - spot.at_m;
+    let rest_m = roads.length_m(*lanes.last()?) - end_m;
+    (end_m > 0.0 && driven_m - rest_m >= ROUTE_M_MIN).then_some((lanes, end_m))
+}
+
+fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoStart> {
+    let limit_mps = lanes.iter().map(|&lane| roads.speed_limit_mps(lane)).fold(CRUISE_MPS_MAX, f64::min);
+    let task = EgoTask {
+        route: lanes.iter().map(|&lane| roads.map.lanes[lane].id.clone()).collect(),
+        start_m: spot.at_m,
+        end_m,
+        speed_mps: 0.0,
+        cruise_mps: down_to_tenth(limit_mps),
+        size: EGO,
+    };
+    let route = Route::new(roads.map, &task).ok().filter(|_| task.cruise_mps >= CRUISE_MPS_MIN)?;
+    let crossed = |lane: &&usize| roads.graph.lane(**lane).is_some_and(|lane| !lane.conflicts.is_empty());
+    let crossing = lanes.iter().find(crossed).copied();
+    Some(EgoStart { task, spot, lanes, route, crossing })
+}
+
+/// How long a comfortable drive along the route takes that begins at half of its cruise speed and meets nobody, seconds.
+fn free_time_s(route: &Route, cruise_mps: f64) -> f64 {
+    let count = (route.length_m() / STRIDE_M).ceil() as usize + 1;
+    let heading = |at: usize| route.line().heading_at(at as f64 * STRIDE_M);
+    let allowed = |at: usize| {
+        let curvature = (heading(at + 2) - heading(at.saturating_sub(2))).abs() / (4.0 * STRIDE_M);
+        (LATERAL_MPS2 / curvature.max(1e-6)).sqrt().min(cruise_mps)
+    };
+    let mut speeds: Vec<f64> = (0..count).map(allowed).collect();
+    let reached = |from_mps: f64| (from_mps * from_mps + 2.0 * COMFORT_MPS2 * STRIDE_M).sqrt();
+    for at in (1..count).rev() {
+        speeds[at - 1] = speeds[at - 1].min(reached(speeds[at]));
+    }
+    speeds[0] = speeds[0].min(0.5 * cruise_mps);
+    for at in 1..count {
+        speeds[at] = speeds[at].min(reached(speeds[at - 1]));
+    }
+    speeds.windows(2).map(|pair| 2.0 * STRIDE_M / (pair[0] + pair[1])).sum()
+}

@@ -1,0 +1,121 @@
+//! What each level asks of a scenario, in figures.
+//!
+//! Counts, light and behaviours are those of the paper's supplement ("Definition of Evaluation Scenarios"). Speeds and distances it does
+//! not give: they are ours.
+
+use decouplegs_scene::scenario::DriverKind;
+use decouplegs_scene::{Level, Weather};
+
+/// Agents nearer than this to the ego at the start are those that a level counts, metres from middle to middle.
+pub const NEAR_M: f64 = 50.0;
+
+/// How many agents a level has within [`NEAR_M`] of the ego at the start: least and most.
+#[must_use]
+pub const fn agents_near(level: Level) -> (usize, usize) {
+    match level {
+        Level::Easy => (1, 3),
+        Level::Medium => (4, 8),
+        Level::Hard => (9, 15),
+        Level::Extreme => (16, 24),
+    }
+}
+
+/// The light of a level: one of these.
+#[must_use]
+pub const fn weathers(level: Level) -> &'static [Weather] {
+    match level {
+        Level::Easy => &[Weather::Clear],
+        Level::Medium => &[Weather::Clear, Weather::Overcast],
+        Level::Hard => &[Weather::Dusk, Weather::Overcast],
+        // Dusk is the one with the sun low ahead: glare.
+        Level::Extreme => &[Weather::Night, Weather::Dusk],
+    }
+}
+
+/// Everything else that differs from level to level. Pairs are least and most; shares of speed are of what a lane allows.
+pub(super) struct Rules {
+    /// Agents that come along from farther away.
+    pub far: (usize, usize),
+    pub drivers: &'static [DriverKind],
+    /// How many of the agents may change lanes of their own accord.
+    pub lane_change_share: f64,
+    pub ego_speed_share: (f64, f64),
+    /// Share of the ego's speed, not of what the lane allows.
+    pub lead_speed_share: (f64, f64),
+    /// In how many scenarios somebody drives ahead of the ego.
+    pub lead_share: f64,
+    pub flow_speed_share: (f64, f64),
+    /// How far before a crossing the ego's front is at the start, metres.
+    pub before_crossing_m: (f64, f64),
+    /// In how many scenarios the ego starts before a crossing.
+    pub crossing_share: f64,
+    /// Whether the ways to the crossing are full.
+    pub congested: bool,
+    pub cut_ins: usize,
+    /// Whether the vehicle ahead brakes hard.
+    pub lead_brakes: bool,
+    pub swerves: (usize, usize),
+}
+
+impl Rules {
+    pub fn of(level: Level) -> Self {
+        use DriverKind::{Aggressive, Calm, Hurried, Normal};
+        let easy = Self {
+            far: (0, 2),
+            drivers: &[Calm, Normal],
+            lane_change_share: 0.0,
+            ego_speed_share: (0.7, 0.9),
+            lead_speed_share: (0.9, 1.0),
+            lead_share: 0.7,
+            flow_speed_share: (0.7, 0.9),
+            before_crossing_m: (40.0, 90.0),
+            crossing_share: 0.5,
+            congested: false,
+            cut_ins: 0,
+            lead_brakes: false,
+            swerves: (0, 0),
+        };
+        let medium = Self {
+            far: (2, 4),
+            drivers: &[Calm, Normal, Normal, Normal],
+            lane_change_share: 0.6,
+            ego_speed_share: (0.8, 1.0),
+            lead_speed_share: (0.3, 0.6),
+            lead_share: 1.0,
+            flow_speed_share: (0.6, 0.9),
+            before_crossing_m: (30.0, 70.0),
+            crossing_share: 0.8,
+            ..easy
+        };
+        let hard = Self {
+            far: (4, 8),
+            drivers: &[Normal, Normal, Hurried],
+            lane_change_share: 0.7,
+            lead_speed_share: (0.25, 0.5),
+            flow_speed_share: (0.3, 0.7),
+            // Nearer than this, the vehicle ahead finds no room before the crossing.
+            before_crossing_m: (24.0, 38.0),
+            crossing_share: 1.0,
+            congested: true,
+            cut_ins: 1,
+            ..medium
+        };
+        match level {
+            Level::Easy => easy,
+            Level::Medium => medium,
+            Level::Hard => hard,
+            Level::Extreme => Self {
+                far: (6, 10),
+                drivers: &[Hurried, Aggressive, Aggressive],
+                lane_change_share: 0.9,
+                lead_speed_share: (0.5, 0.75),
+                flow_speed_share: (0.5, 0.9),
+                // On the open road traffic is fast, and hard braking is harder.
+                crossing_share: 1.0,
+                lead_brakes: true,
+                swerves: (1, 3),
+                ..hard
+            },
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Vehicles as rectangles seen from above: whether they overlap, how far apart they are and when they will touch.
+
+use decouplegs_scene::{VehicleSize, VehicleState};
+use glam::DVec2;
+
+/// A rectangle on the plane, turned by its yaw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrientedBox {
+    /// Its middle, world coordinates, metres.
+    pub centre_m: DVec2,
+    /// Where its length points, counted from x towards y.
+    pub yaw_rad: f64,
+    /// From the middle to the front.
+    pub half_length_m: f64,
+    /// From the middle to the left side.
+    pub half_width_m: f64,
+}
+
+/// What two boxes are to each other along one direction: the only thing that the separating axes need.
+struct Shadow {
+    /// From the middle of the first to that of the second, along the direction, metres.
+    offset_m: f64,
+    /// How far apart the middles are at most where the boxes' shadows touch.
+    reach_m: f64,
+    /// The direction.
+    axis: DVec2,
+}
+
+impl OrientedBox {
+    /// The outline of a vehicle.
+    #[must_use]
+    pub fn of(state: &VehicleState, size: &VehicleSize) -> Self {
+        Self {
+            centre_m: state.position_m,
+            yaw_rad: state.yaw_rad,
+            half_length_m: 0.5 * size.length_m,
+            half_width_m: 0.5 * size.width_m,
+        }
+    }
+
+    /// Its corners: front left, rear left, rear right, front right; counter-clockwise, world coordinates, metres.
+    #[must_use]
+    pub fn corners(&self) -> [DVec2; 4] {
+        self.offsets().map(|offset| self.centre_m + offset)
+    }
+
+    /// Its corners from its middle, in the world's axes.
+    fn offsets(&self) -> [DVec2; 4] {
+        let ahead = DVec2::from_angle(self.yaw_rad);
+        let (length, width) = (ahead * self.half_length_m, ahead.perp() * self.half_width_m);
+        [length + width, width - length, -length - width, length - width]
+    }
+
+    /// A place in the world, seen from the box: x towards its front, y to its left, metres.
+    #[must_use]
+    pub fn to_local(&self, world_m: DVec2) -> DVec2 {
+        DVec2::from_angle(-self.yaw_rad).rotate(world_m - self.centre_m)
+    }
+
+    /// Whether the two share a point; touching is sharing.
+    #[must_use]
+    pub fn overlaps(&self, other: &Self) -> bool {
+        self.shadows(other).iter().all(|shadow| shadow.offset_m.abs() <= shadow.reach_m)
+    }
+
+    /// The gap between the two, metres: 0 where they overlap.
+    #[must_use]
+    pub fn distance_m(&self, other: &Self) -> f64 {
+        if self.overlaps(other) {
+            return 0.0;
+        }
+        // Of two convex shapes that are apart, a corner of one is nearest to the other.
+        self.nearest_corner_m(other).min(other.nearest_corner_m(self))
+    }
+
+    /// From this box to the nearest corner of `other`, metres.
+    fn nearest_corner_m(&self, other: &Self) -> f64 {
+        let (half, turn) = (DVec2::new(self.half_length_m, self.half_width_m), DVec2::from_angle(-self.yaw_rad));
+        // Middles are subtracted before corners are made of them: what is left is exact far from the world's origin.
+        let between = other.centre_m - self.centre_m;
+        let outside = |offset: DVec2| (turn.rotate(between + offset).abs() - half).max(DVec2::ZERO).length();
+        other.offsets().into_iter().map(outside).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The two along the sides of both: they overlap where their shadows do on all four (separating axis theorem).
+    fn shadows(&self, other: &Self) -> [Shadow; 4] {
+        let between = other.centre_m - self.centre_m;
+        let (a, b) = (DVec2::from_angle(self.yaw_rad), DVec2::from_angle(other.yaw_rad));
+        let radius = |ahead: DVec2, half: &Self, axis: DVec2| {
+            half.half_length_m * ahead.dot(axis).abs() + half.half_width_m * ahead.perp().dot(axis).abs()
+        };
+        [a, a.perp(), b, b.perp()].map(|axis| Shadow {
+            offset_m: between.dot(axis),
+            reach_m: radius(a, self, axis) + radius(b, other, axis),
+            axis,
+        })
+    }
+}
+
+/// When two boxes first touch, seconds from now, if both move on at their velocities (metres a second) without turning: 0 where they
+/// overlap already, `None` where they do not touch within `horizon_s`. Exact: the boxes overlap while their shadows overlap along the
+/// sides of both, and along each side that is one span of time.
+#[must_use]
+pub fn time_to_collision(
+    a: &OrientedBox,
+    velocity_a_mps: DVec2,
+    b: &OrientedBox,
+    velocity_b_mps: DVec2,
+    horizon_s: f64,
+) -> Option<f64> {
+    let relative_mps = velocity_b_mps - velocity_a_mps;
+    let (mut first_s, mut last_s) = (0.0_f64, horizon_s);
+    for Shadow { offset_m, reach_m, axis } in a.shadows(b) {
+        let along_mps = relative_mps.dot(axis);
+        if along_mps == 0.0 {
+            if offset_m.abs() > reach_m {
+                return None;
+            }
+            continue;
+        }
+        let ends = [(-reach_m - offset_m) / along_mps, (reach_m - offset_m) / along_mps];
+        first_s = first_s.max(ends[0].min(ends[1]));
+        last_s = last_s.min(ends[0].max(ends[1]));
+    }
+    // What is no number makes no collision.
+    let finite = a.centre_m.is_finite() && b.centre_m.is_finite() && relative_mps.is_finite();
+    (finite && first_s <= last_s && first_s <= horizon_s).then_some(first_s)
+}

@@ -1,0 +1,97 @@
+//! Scores of episodes, from their records alone: no map and no picture is needed, so that a log scores the same wherever it is read.
+//!
+//! As CARLA's leaderboard has it (leaderboard.carla.org, "Evaluation criteria"), a driving score is the share of the route that was
+//! completed, times a factor for each infraction. Only collisions that are the ego's fault are penalised so; one that is not ends the episode
+//! and costs the rest of the route. Success is a completed route without any such infraction, so no set of episodes has more success than
+//! completion, nor a driving score above its completion: [`Summary::check`].
+
+use decouplegs_scene::{Episode, EpisodeEnd, Level};
+
+mod comfort;
+mod fault;
+mod infractions;
+mod plan_error;
+mod progress;
+mod summary;
+mod time_to_collision;
+
+pub use comfort::Comfort;
+pub use fault::Fault;
+pub use infractions::{Infraction, InfractionKind};
+pub use plan_error::plan_ade_m;
+pub use progress::RouteProgress;
+pub use summary::{Moments, SetSummary, Summary};
+pub use time_to_collision::{Closest, TTC_HORIZON_S, TTC_SHORT_S};
+
+/// Factor on the driving score for each collision with a vehicle that is the ego's fault.
+pub const COLLISION_FACTOR: f64 = 0.60;
+/// Factor on the driving score for each time the ego leaves the road.
+pub const LAYOUT_FACTOR: f64 = 0.65;
+
+/// How an episode went.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EpisodeScore {
+    /// The scenario's name.
+    pub scenario: String,
+    /// The scenario's level.
+    pub level: Option<Level>,
+    /// Share of the route that was driven, 0 to 1; 1 exactly where the episode ended with the route done.
+    pub route_completion: f64,
+    /// [`Self::route_completion`] times [`COLLISION_FACTOR`] and [`LAYOUT_FACTOR`] for each infraction.
+    pub driving_score: f64,
+    /// Whether the route was done without an infraction of the ego's.
+    pub success: bool,
+    /// What went wrong, in time.
+    pub infractions: Vec<Infraction>,
+    /// The smallest time to collision, `None` where the ego was never on course for one within [`TTC_HORIZON_S`].
+    pub closest: Option<Closest>,
+    /// Share of moments with a time to collision below [`TTC_SHORT_S`].
+    pub ttc_short_share: f64,
+    /// How it felt.
+    pub comfort: Comfort,
+    /// Mean displacement between what was planned and what was driven at the same time, metres; `None` where no plan reached into what
+    /// was driven.
+    pub plan_ade_m: Option<f64>,
+}
+
+impl EpisodeScore {
+    /// The score of `episode`.
+    #[must_use]
+    pub fn of(episode: &Episode) -> Self {
+        let done = episode.end == EpisodeEnd::RouteDone;
+        let route_completion = progress::route_completion(episode);
+        let infractions = infractions::infractions(episode);
+        let factor: f64 = infractions.iter().map(Infraction::factor).product();
+        let (closest, ttc_short_share) = time_to_collision::closest(episode);
+        Self {
+            scenario: episode.head.scenario.name.clone(),
+            level: episode.head.scenario.level,
+            route_completion,
+            driving_score: route_completion * factor,
+            success: done && infractions.iter().all(|infraction| !infraction.at_fault()),
+            infractions,
+            closest,
+            ttc_short_share,
+            comfort: Comfort::of(episode),
+            plan_ade_m: plan_error::episode_ade_m(episode),
+        }
+    }
+
+    /// The smallest time to collision, seconds.
+    #[must_use]
+    pub fn min_ttc_s(&self) -> Option<f64> {
+        self.closest.map(|closest| closest.ttc_s)
+    }
+
+    /// Collisions with vehicles, whoever's fault they were.
+    #[must_use]
+    pub fn collisions(&self) -> usize {
+        self.infractions.iter().filter(|infraction| matches!(infraction.kind, InfractionKind::Collision { .. })).count()
+    }
+
+    /// Times that the ego left the road.
+    #[must_use]
+    pub fn layout_infractions(&self) -> usize {
+        self.infractions.len() - self.collisions()
+    }
+}

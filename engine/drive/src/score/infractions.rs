@@ -1,0 +1,104 @@
+//! What goes wrong in an episode: collisions and excursions from the road.
+
+use decouplegs_scene::episode::Instant;
+use decouplegs_scene::{Episode, EpisodeEnd};
+
+use super::fault::{Fault, fault};
+use super::{COLLISION_FACTOR, LAYOUT_FACTOR};
+use crate::oriented_box::OrientedBox;
+
+/// An excursion is over when the ego has been on the road for so long, seconds: who drives along the edge leaves the road once.
+const BACK_ON_ROAD_S: f64 = 1.0;
+/// Two contacts with the same agent are one where the boxes were apart for less, seconds.
+const APART_S: f64 = 1.0;
+
+/// One thing that went wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Infraction {
+    /// When it began, seconds since the start.
+    pub time_s: f64,
+    /// What.
+    pub kind: InfractionKind,
+}
+
+/// What can go wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InfractionKind {
+    /// The ego's box touches an agent's.
+    Collision {
+        /// Its place in the scenario.
+        agent: usize,
+        /// Whose fault it is, and why.
+        fault: Fault,
+    },
+    /// The ego leaves the road.
+    Layout,
+}
+
+impl Infraction {
+    /// Whether it is the ego's.
+    #[must_use]
+    pub fn at_fault(&self) -> bool {
+        match self.kind {
+            InfractionKind::Collision { fault, .. } => fault.at_fault(),
+            InfractionKind::Layout => true,
+        }
+    }
+
+    /// What it makes of a driving score.
+    #[must_use]
+    pub fn factor(&self) -> f64 {
+        match self.kind {
+            InfractionKind::Collision { fault, .. } if fault.at_fault() => COLLISION_FACTOR,
+            InfractionKind::Collision { .. } => 1.0,
+            InfractionKind::Layout => LAYOUT_FACTOR,
+        }
+    }
+}
+
+/// All infractions of an episode, in time.
+pub(super) fn infractions(episode: &Episode) -> Vec<Infraction> {
+    let instants: Vec<&Instant> = episode.instants().collect();
+    let mut infractions = excursions(&instants);
+    infractions.extend(collisions(episode, &instants));
+    infractions.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    infractions
+}
+
+fn excursions(instants: &[&Instant]) -> Vec<Infraction> {
+    let mut excursions = Vec::new();
+    // When the ego was last off the road, while that excursion is not over.
+    let mut off_s: Option<f64> = None;
+    for instant in instants {
+        off_s = off_s.filter(|off_s| instant.time_s - off_s < BACK_ON_ROAD_S);
+        if !instant.on_road {
+            if off_s.is_none() {
+                excursions.push(Infraction { time_s: instant.time_s, kind: InfractionKind::Layout });
+            }
+            off_s = Some(instant.time_s);
+        }
+    }
+    excursions
+}
+
+fn collisions(episode: &Episode, instants: &[&Instant]) -> Vec<Infraction> {
+    let mut collisions = Vec::new();
+    for (agent, size) in episode.head.agent_sizes.iter().enumerate() {
+        let mut touched_s: Option<f64> = None;
+        for (at, instant) in instants.iter().enumerate() {
+            let Some(state) = instant.agents.get(agent) else { continue };
+            touched_s = touched_s.filter(|touched_s| instant.time_s - touched_s < APART_S);
+            // The record's own word counts, too: it may have looked between its moments.
+            let told = at + 1 == instants.len() && episode.end == EpisodeEnd::Collision { agent };
+            let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
+            if told || ego.overlaps(&OrientedBox::of(state, size)) {
+                if touched_s.is_none() {
+                    let kind = InfractionKind::Collision { agent, fault: fault(episode, instants, at, agent) };
+                    collisions.push(Infraction { time_s: instant.time_s, kind });
+                }
+                touched_s = Some(instant.time_s);
+            }
+        }
+    }
+    collisions
+}

@@ -1,0 +1,66 @@
+//! How much of its route an ego has driven.
+
+use decouplegs_scene::{Episode, EpisodeEnd};
+use glam::DVec2;
+
+use crate::polyline::Polyline;
+
+/// Farther from the route than this, progress along it does not count, metres: about two lanes.
+const OFF_ROUTE_M: f64 = 8.0;
+/// Progress is searched ahead as far as was driven, times this (corners may be cut), and ...
+const SEARCH_FACTOR: f64 = 2.0;
+/// ... so much more, metres. A route that comes near itself does not make the ego jump along it.
+const SEARCH_M: f64 = 10.0;
+
+/// How far along a route a vehicle has come, moment by moment.
+#[derive(Clone, Debug)]
+pub struct RouteProgress {
+    route: Polyline,
+    progress_m: f64,
+    /// Driven since it last got on.
+    driven_m: f64,
+    last_m: DVec2,
+}
+
+impl RouteProgress {
+    /// At the start of the line through `route_m`, for a vehicle that stands at `start_m`; `None` where it is no line.
+    #[must_use]
+    pub fn new(route_m: &[DVec2], start_m: DVec2) -> Option<Self> {
+        let route = Polyline::new(route_m.iter().map(|point| point.extend(0.0)))?;
+        Some(Self { route, progress_m: 0.0, driven_m: 0.0, last_m: start_m })
+    }
+
+    /// The vehicle is at `position_m` now.
+    pub fn advance(&mut self, position_m: DVec2) {
+        self.driven_m += position_m.distance(self.last_m);
+        self.last_m = position_m;
+        let ahead_m = self.progress_m + SEARCH_FACTOR * self.driven_m + SEARCH_M;
+        let foot = self.route.project_within(position_m, self.progress_m, ahead_m);
+        if foot.distance_m <= OFF_ROUTE_M && foot.arc_m >= self.progress_m {
+            (self.progress_m, self.driven_m) = (foot.arc_m, 0.0);
+        }
+    }
+
+    /// Metres along the route where it had come farthest.
+    #[must_use]
+    pub fn progress_m(&self) -> f64 {
+        self.progress_m
+    }
+
+    /// Whether that is the end.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.progress_m >= self.route.length_m()
+    }
+}
+
+/// Share of the route behind the ego where it had come farthest: 1 exactly where the episode ended with the route done.
+pub(super) fn route_completion(episode: &Episode) -> f64 {
+    if episode.end == EpisodeEnd::RouteDone {
+        return 1.0;
+    }
+    let Some(mut progress) = RouteProgress::new(&episode.head.route_m, episode.start.ego.position_m) else { return 0.0 };
+    episode.instants().for_each(|instant| progress.advance(instant.ego.position_m));
+    // Whoever came to the very end but was not done is not done.
+    (progress.progress_m / progress.route.length_m()).clamp(0.0, 1.0 - f64::EPSILON)
+}

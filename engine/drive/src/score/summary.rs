@@ -1,0 +1,138 @@
+//! Scores of many episodes, in the layout of the paper's Table 3.
+
+use std::collections::BTreeMap;
+
+use decouplegs_scene::Level;
+
+use super::{EpisodeScore, InfractionKind};
+
+/// Rounding that a mean may show.
+const ROUNDING: f64 = 1e-9;
+
+/// Mean and spread of a figure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moments {
+    /// Over so many episodes, at least one.
+    pub count: usize,
+    /// Their mean.
+    pub mean: f64,
+    /// Their sample standard deviation (over count - 1); `None` of a single one.
+    pub std: Option<f64>,
+}
+
+impl Moments {
+    /// Those of `values`; `None` of none.
+    #[must_use]
+    pub fn of(values: &[f64]) -> Option<Self> {
+        if values.is_empty() {
+            return None;
+        }
+        let count = values.len();
+        let mean = values.iter().sum::<f64>() / count as f64;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        Some(Self { count, mean, std: (count > 1).then(|| (squares / (count - 1) as f64).sqrt()) })
+    }
+}
+
+/// Figures of a set of episodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SetSummary {
+    /// DS.
+    pub driving_score: Moments,
+    /// SR: its mean is the share of episodes that succeeded.
+    pub success: Moments,
+    /// RC.
+    pub route_completion: Moments,
+    /// minTTC in seconds, over the episodes that have one.
+    pub min_ttc_s: Option<Moments>,
+    /// mADE in metres, over the episodes that have one.
+    pub plan_ade_m: Option<Moments>,
+    /// Share of moments with a short time to collision.
+    pub ttc_short_share: Moments,
+    /// Collisions in all episodes.
+    pub collisions: usize,
+    /// Those that were the ego's fault.
+    pub collisions_at_fault: usize,
+    /// Excursions from the road in all episodes.
+    pub layout_infractions: usize,
+}
+
+impl SetSummary {
+    /// Of `scores`; `None` of none.
+    #[must_use]
+    pub fn of(scores: &[&EpisodeScore]) -> Option<Self> {
+        let moments = |figure: &dyn Fn(&EpisodeScore) -> Option<f64>| {
+            let values: Vec<f64> = scores.iter().filter_map(|score| figure(score)).collect();
+            Moments::of(&values)
+        };
+        let count = |counts: &dyn Fn(&EpisodeScore) -> usize| scores.iter().map(|score| counts(score)).sum();
+        let at_fault = |score: &EpisodeScore| {
+            let collided = |kind: &InfractionKind| matches!(kind, InfractionKind::Collision { fault, .. } if fault.at_fault());
+            score.infractions.iter().filter(|infraction| collided(&infraction.kind)).count()
+        };
+        Some(Self {
+            driving_score: moments(&|score| Some(score.driving_score))?,
+            success: moments(&|score| Some(f64::from(u8::from(score.success))))?,
+            route_completion: moments(&|score| Some(score.route_completion))?,
+            min_ttc_s: moments(&EpisodeScore::min_ttc_s),
+            plan_ade_m: moments(&|score| score.plan_ade_m),
+            ttc_short_share: moments(&|score| Some(score.ttc_short_share))?,
+            collisions: count(&EpisodeScore::collisions),
+            collisions_at_fault: count(&at_fault),
+            layout_infractions: count(&EpisodeScore::layout_infractions),
+        })
+    }
+
+    /// Episodes in the set.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.route_completion.count
+    }
+
+    fn check(&self, set: &str) -> Result<(), String> {
+        let completion = self.route_completion.mean;
+        for (name, mean) in [("success rate", self.success.mean), ("mean driving score", self.driving_score.mean)] {
+            // Written so that what is no number fails.
+            if !(0.0 <= mean && mean <= completion + ROUNDING && completion <= 1.0) {
+                return Err(format!(
+                    "{set}: a {name} of {mean} with a mean route completion of {completion}; expected 0 <= {name} <= route completion <= 1"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Figures of many episodes, for each level and over all.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// From easy to extreme, after those of no level.
+    pub levels: BTreeMap<Option<Level>, SetSummary>,
+    /// Over all episodes; `None` where there is none.
+    pub all: Option<SetSummary>,
+}
+
+impl Summary {
+    /// Of `scores`.
+    #[must_use]
+    pub fn of(scores: &[EpisodeScore]) -> Self {
+        let mut by_level: BTreeMap<Option<Level>, Vec<&EpisodeScore>> = BTreeMap::new();
+        for score in scores {
+            by_level.entry(score.level).or_default().push(score);
+        }
+        let levels = by_level.into_iter().filter_map(|(level, scores)| Some((level, SetSummary::of(&scores)?))).collect();
+        Self { levels, all: SetSummary::of(&scores.iter().collect::<Vec<_>>()) }
+    }
+
+    /// Holds what must be true of any set of episodes: no more success than completion, no driving score above completion. Published tables
+    /// break it.
+    ///
+    /// # Errors
+    /// A sentence with the set and its figures.
+    pub fn check(&self) -> Result<(), String> {
+        for (level, set) in &self.levels {
+            set.check(level.map_or("no level", Level::name))?;
+        }
+        self.all.as_ref().map_or(Ok(()), |set| set.check("all levels"))
+    }
+}

@@ -1,0 +1,124 @@
+//! Traffic: agents that follow, change lanes, give way and now and then misbehave, on the driving lanes of a map.
+//!
+//! What keeps agents apart is built in, not repaired. Each knows where its front would be if it braked as hard as tyres allow
+//! ([`idm::BRAKING_MPS2`]). Behind another on its path it never lets that place pass where the other's rear could come to a stand; before
+//! a place that conflicts with another lane it never lets it pass unless the place is its own (`claims`, `junction`). Whoever brakes as
+//! hard as that keeps all of it true, so there is always a way to go on. The models (IDM, MOBIL) drive within these bounds.
+//!
+//! The ego is seen by everybody, but nobody is kept from it: who cannot stop for it hits it.
+//!
+//! Everything follows from the agents, the seed and the ego's motion, bit by bit.
+
+mod agent;
+mod behaviour;
+mod claims;
+pub mod driver;
+mod ego;
+mod following;
+pub mod idm;
+mod junction;
+mod lane_change;
+mod lane_order;
+pub mod mobil;
+mod random;
+mod start;
+
+use std::sync::Arc;
+
+use decouplegs_scene::scenario::{Behaviour, Scenario};
+use decouplegs_scene::{VehicleSize, VehicleState};
+
+use crate::road_graph::RoadGraph;
+use agent::{Agent, AsideKind};
+use claims::Claims;
+use ego::EgoSeen;
+use lane_order::LaneOrder;
+
+pub use start::TrafficError;
+
+/// Where an agent is on the lanes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LanePlace {
+    /// Place in the map's list of lanes. Who changes lanes is on the new one from the beginning.
+    pub lane: usize,
+    /// Along it, metres.
+    pub arc_m: f64,
+    /// From its middle to the left, metres.
+    pub lateral_m: f64,
+}
+
+/// All agents of an episode.
+#[derive(Clone, Debug)]
+pub struct Traffic {
+    graph: Arc<RoadGraph>,
+    agents: Vec<Agent>,
+    behaviours: Vec<Vec<Behaviour>>,
+    states: Vec<VehicleState>,
+    order: LaneOrder,
+    claims: Claims,
+    /// Who asks for a crossing, and what everybody does: kept for their memory only.
+    waiting: Vec<u32>,
+    accelerations: Vec<f64>,
+    ego: Option<EgoSeen>,
+    time_s: f64,
+    steps: u64,
+    seed: u64,
+}
+
+impl Traffic {
+    /// One step of `dt_s` seconds, above 0 and at most [`Scenario::SUBSTEP_S_MAX`]; `ego` is where the ego is at its beginning.
+    ///
+    /// # Panics
+    /// Where `dt_s` is not in that range.
+    pub fn step(&mut self, dt_s: f64, ego: Option<(&VehicleState, &VehicleSize)>) {
+        assert!(dt_s > 0.0 && dt_s <= Scenario::SUBSTEP_S_MAX + 1e-9, "a step of {dt_s} s");
+        self.ego = ego.and_then(|(state, size)| EgoSeen::new(&self.graph, state, size));
+        self.order.build(&self.graph, &self.agents, self.ego.as_ref());
+        self.claims.build(&self.graph, &self.agents, self.ego.as_ref());
+        self.behave();
+        self.change_lanes(dt_s);
+        self.cross(dt_s);
+        for number in 0..self.agents.len() {
+            self.agents[number].free_mps = self.free_speed(&self.agents[number]);
+        }
+        let mut accelerations = std::mem::take(&mut self.accelerations);
+        accelerations.clear();
+        accelerations.extend(self.agents.iter().map(|agent| self.acceleration(agent, dt_s)));
+        for (agent, &acceleration_mps2) in self.agents.iter_mut().zip(&accelerations) {
+            agent.advance(&self.graph, self.seed, acceleration_mps2, dt_s);
+        }
+        self.accelerations = accelerations;
+        for number in 0..self.agents.len() {
+            self.states[number] = self.agents[number].state(&self.graph);
+            self.follow_on_left_lane(number);
+        }
+        self.time_s += dt_s;
+        self.steps += 1;
+    }
+
+    /// Where everybody is, in the order of the scenario.
+    #[must_use]
+    pub fn states(&self) -> &[VehicleState] {
+        &self.states
+    }
+
+    /// Where on the lanes everybody is, in the order of the scenario.
+    pub fn places(&self) -> impl Iterator<Item = LanePlace> {
+        self.agents.iter().map(|agent| LanePlace { lane: agent.lane(), arc_m: agent.arc_m, lateral_m: agent.lateral_m() })
+    }
+
+    /// The lanes that it drives on.
+    #[must_use]
+    pub fn graph(&self) -> &RoadGraph {
+        &self.graph
+    }
+
+    /// Where an agent is on the lane that it is leaving.
+    fn follow_on_left_lane(&mut self, number: usize) {
+        let position_m = self.states[number].position_m;
+        if let Some(AsideKind::Change { from, from_arc_m, .. }) = self.agents[number].aside.as_mut().map(|aside| &mut aside.kind) {
+            let foot = self.graph.road(*from).line.project_within(position_m, *from_arc_m, *from_arc_m + 10.0);
+            *from_arc_m = foot.arc_m;
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! One vehicle of the traffic: where on its path it is, where it goes, what it is about to do.
+
+use decouplegs_scene::scenario::Maneuver;
+use decouplegs_scene::{VehicleSize, VehicleState};
+use glam::DVec2;
+
+use super::driver::Driver;
+use super::idm::{IdmParameters, advance, stopping_m};
+use super::random;
+use crate::polyline::wrapped;
+use crate::road_graph::{RoadGraph, length_of, place_on};
+
+/// A path is known so far ahead, metres: beyond what anybody looks for.
+const PATH_AHEAD_M: f64 = 250.0;
+/// Lanes that lead on so far, metres, or half as far as any, are chosen from.
+const ONWARD_M: f64 = 500.0;
+/// Lanes that were left behind so many lanes ago are forgotten.
+const LANES_BEHIND: usize = 24;
+
+/// A run of conflicts on a path. Places are metres from the start of the agent's lane.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Crossing {
+    pub from_m: f64,
+    pub to_m: f64,
+    /// Whether all of it is the agent's until it has left it.
+    pub granted: bool,
+}
+
+/// A vehicle that is not in the middle of its lane.
+#[derive(Clone, Debug)]
+pub(super) struct Aside {
+    pub travelled_m: f64,
+    pub length_m: f64,
+    pub kind: AsideKind,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum AsideKind {
+    /// On its way from another lane, on which it still counts.
+    Change {
+        from: usize,
+        /// Where on the other lane it is.
+        from_arc_m: f64,
+        /// Where it was when it began, seen from its place on the new lane: along and to the left, metres.
+        offset_m: DVec2,
+    },
+    /// Out to a side and back.
+    Swerve {
+        amplitude_m: f64,
+        /// Cells of other lanes that it takes up meanwhile.
+        cells: Vec<u32>,
+    },
+}
+
+/// How far a behaviour is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Phase {
+    Waiting,
+    /// It began, and is tried until then, seconds.
+    Trying {
+        until_s: f64,
+    },
+    Done,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Agent {
+    pub number: usize,
+    pub size: VehicleSize,
+    pub half_m: f64,
+    pub driver: Driver,
+    pub changes_lanes: bool,
+    /// Lanes from where its rear was on; each but the first is a successor of the one before.
+    pub path: Vec<usize>,
+    /// Where in `path` the lane is that its middle is on.
+    pub here: usize,
+    pub arc_m: f64,
+    pub speed_mps: f64,
+    pub acceleration_mps2: f64,
+    /// How fast it would be on a free road, for its lane and curves.
+    pub free_mps: f64,
+    pub aside: Option<Aside>,
+    pub crossing: Option<Crossing>,
+    /// There are no conflicts on its path from its own crossing, or where it stops, up to there.
+    pub clear_m: f64,
+    /// Whether it has to stop before its crossing.
+    pub held_up: bool,
+    pub waited_s: f64,
+    /// Until it may change lanes again.
+    pub cool_down_s: f64,
+    /// Hard braking, and until when.
+    pub brake: Option<(f64, f64)>,
+    pub phases: Vec<Phase>,
+    choices: u32,
+}
+
+impl Agent {
+    pub(super) fn new(number: usize, size: VehicleSize, driver: Driver, lane: usize, arc_m: f64) -> Self {
+        Self {
+            number,
+            size,
+            half_m: 0.5 * size.length_m,
+            driver,
+            changes_lanes: false,
+            path: vec![lane],
+            here: 0,
+            arc_m,
+            speed_mps: 0.0,
+            acceleration_mps2: 0.0,
+            free_mps: driver.idm.speed_mps,
+            aside: None,
+            crossing: None,
+            clear_m: f64::NEG_INFINITY,
+            held_up: false,
+            waited_s: 0.0,
+            cool_down_s: 0.0,
+            brake: None,
+            phases: Vec::new(),
+            choices: 0,
+        }
+    }
+
+    pub(super) fn lane(&self) -> usize {
+        self.path[self.here]
+    }
+
+    pub(super) fn front_m(&self) -> f64 {
+        self.arc_m + self.half_m
+    }
+
+    pub(super) fn rear_m(&self) -> f64 {
+        self.arc_m - self.half_m
+    }
+
+    /// Where its front is if it brakes as hard as it can.
+    pub(super) fn stop_m(&self) -> f64 {
+        self.front_m() + stopping_m(self.speed_mps)
+    }
+
+    /// Its driver at the speed that it would like here.
+    pub(super) fn idm(&self) -> IdmParameters {
+        IdmParameters { speed_mps: self.free_mps, ..self.driver.idm }
+    }
+
+    /// Longer where needed: at crossings a way is chosen among those that lead on.
+    pub(super) fn extend_path(&mut self, graph: &RoadGraph, seed: u64) {
+        let mut ahead_m: f64 = self.path[self.here..].iter().map(|&lane| length_of(graph.lanes(), lane)).sum();
+        while ahead_m - self.arc_m < PATH_AHEAD_M {
+            let last = self.path[self.path.len() - 1];
+            let ways = &graph.road(last).successors;
+            let onward_m = |way: usize| graph.road(way).onward_m;
+            let farthest_m = ways.iter().map(|&way| onward_m(way)).fold(0.0, f64::max);
+            let good = |way: &&usize| onward_m(**way) >= ONWARD_M.min(0.5 * farthest_m);
+            let count = ways.iter().filter(good).count();
+            if count == 0 {
+                break;
+            }
+            let chosen = if count == 1 { 0 } else { random::way(seed, self.number, self.choices, count) };
+            self.choices += u32::from(count > 1);
+            let Some(&next) = ways.iter().filter(good).nth(chosen) else { break };
+            self.path.push(next);
+            ahead_m += length_of(graph.lanes(), next);
+        }
+    }
+
+    /// Where the path ends for good, if it does: metres from the start of its lane.
+    pub(super) fn end_m(&self, graph: &RoadGraph) -> Option<f64> {
+        let last = self.path[self.path.len() - 1];
+        let ends = graph.road(last).successors.is_empty();
+        ends.then(|| self.path[self.here..].iter().map(|&lane| length_of(graph.lanes(), lane)).sum())
+    }
+
+    /// One step on. Places are counted from the new lane where it comes to one.
+    pub(super) fn advance(&mut self, graph: &RoadGraph, seed: u64, acceleration_mps2: f64, dt_s: f64) {
+        let (moved_m, after_mps) = advance(self.speed_mps, acceleration_mps2, dt_s);
+        self.acceleration_mps2 = (after_mps - self.speed_mps) / dt_s;
+        self.speed_mps = after_mps;
+        self.arc_m += moved_m;
+        self.cool_down_s = (self.cool_down_s - dt_s).max(0.0);
+        if let Some(aside) = &mut self.aside {
+            aside.travelled_m += moved_m;
+            if aside.travelled_m >= aside.length_m {
+                self.aside = None;
+            }
+        }
+        while self.here + 1 < self.path.len() && self.arc_m >= length_of(graph.lanes(), self.lane()) {
+            let length_m = length_of(graph.lanes(), self.lane());
+            self.arc_m -= length_m;
+            self.clear_m -= length_m;
+            if let Some(crossing) = &mut self.crossing {
+                (crossing.from_m, crossing.to_m) = (crossing.from_m - length_m, crossing.to_m - length_m);
+            }
+            self.here += 1;
+        }
+        if self.here > LANES_BEHIND {
+            let behind_m: f64 = self.path[LANES_BEHIND / 2..self.here].iter().map(|&lane| length_of(graph.lanes(), lane)).sum();
+            if behind_m > self.size.length_m {
+                self.path.drain(..LANES_BEHIND / 2);
+                self.here -= LANES_BEHIND / 2;
+            }
+        }
+        self.extend_path(graph, seed);
+    }
+
+    /// Where its box is.
+    pub(super) fn state(&self, graph: &RoadGraph) -> VehicleState {
+        let (position_m, yaw_rad) = self.pose_at(graph, 0.0, self.aside.as_ref());
+        VehicleState { position_m, yaw_rad, speed_mps: self.speed_mps, acceleration_mps2: self.acceleration_mps2 }
+    }
+
+    /// Position and heading `ahead_m` farther on, at a place of a maneuver that it may be in.
+    pub(super) fn pose_at(&self, graph: &RoadGraph, ahead_m: f64, aside: Option<&Aside>) -> (DVec2, f64) {
+        let place = place_on(graph.lanes(), &self.path, self.here, self.arc_m + ahead_m);
+        let Some(aside) = aside else { return (place.position_m, place.yaw_rad) };
+        let (offset_m, slope) = aside.offset_after(ahead_m);
+        let position_m = place.position_m + DVec2::from_angle(place.yaw_rad).rotate(offset_m);
+        (position_m, wrapped(place.yaw_rad + slope.atan()))
+    }
+
+    /// To the left of the middle of its lane, metres.
+    pub(super) fn lateral_m(&self) -> f64 {
+        self.aside.as_ref().map_or(0.0, |aside| aside.offset_after(0.0).0.y)
+    }
+}
+
+impl Aside {
+    /// Offset along and to the left of the path after `ahead_m` more, metres, and how much to the left a metre ahead.
+    pub(super) fn offset_after(&self, ahead_m: f64) -> (DVec2, f64) {
+        let t = ((self.travelled_m + ahead_m) / self.length_m).clamp(0.0, 1.0);
+        match self.kind {
+            AsideKind::Change { offset_m, .. } => {
+                (offset_m * (1.0 - t * t * (3.0 - 2.0 * t)), -offset_m.y * 6.0 * t * (1.0 - t) / self.length_m)
+            }
+            AsideKind::Swerve { amplitude_m, .. } => {
+                let (sin, cos) = (std::f64::consts::PI * t).sin_cos();
+                let slope = 2.0 * std::f64::consts::PI * amplitude_m * sin * cos / self.length_m;
+                (DVec2::new(0.0, amplitude_m * sin * sin), slope)
+            }
+        }
+    }
+}
+
+/// What a behaviour does, for those who only want to know how long it may be tried, seconds.
+pub(super) fn patience_s(maneuver: &Maneuver) -> f64 {
+    match maneuver {
+        Maneuver::Brake { .. } => 0.0,
+        Maneuver::CutIn => 10.0,
+        Maneuver::Swerve { .. } => 3.0,
+    }
+}

@@ -1,0 +1,119 @@
+//! What agents do that a model of good driving would not: hard braking, cutting in, swerving. None of it reaches another agent.
+
+use decouplegs_scene::scenario::{Maneuver, Trigger};
+
+use super::Traffic;
+use super::agent::{Aside, AsideKind, Phase, patience_s};
+use super::idm::BRAKING_MPS2;
+use super::lane_order::Entry;
+use crate::oriented_box::OrientedBox;
+
+/// A swerve takes at least so much of the road for each metre to the side, metres: nobody slides.
+const SWERVE_M_PER_M: f64 = 12.0;
+/// Nobody leaves the middle of his lane by more, metres.
+const SWERVE_M_MAX: f64 = 3.5;
+/// From one place to the next at which a swerve is looked at, metres, and what its box is widened by.
+const SWERVE_STEP_M: f64 = 1.0;
+const SWERVE_MARGIN_M: f64 = 0.15;
+/// Those beside a swerve must have so much of their way free, seconds.
+const SWERVE_REACTION_S: f64 = 2.0;
+/// Shares of the amplitude that are tried until there is room.
+const SWERVE_SHARES: [f64; 4] = [1.0, 0.75, 0.5, 0.25];
+
+impl Traffic {
+    /// Begins what is due, goes on trying what had no room, and ends what is over.
+    pub(super) fn behave(&mut self) {
+        for number in 0..self.agents.len() {
+            let agent = &mut self.agents[number];
+            if agent.brake.is_some_and(|(_, until_s)| until_s <= self.time_s) {
+                agent.brake = None;
+            }
+            for which in 0..self.behaviours[number].len() {
+                let behaviour = self.behaviours[number][which];
+                if self.agents[number].phases[which] == Phase::Waiting && self.is_due(number, behaviour.trigger) {
+                    let until_s = self.time_s + patience_s(&behaviour.maneuver);
+                    self.agents[number].phases[which] = Phase::Trying { until_s };
+                }
+                if let Phase::Trying { until_s } = self.agents[number].phases[which] {
+                    let over = self.attempt(number, behaviour.maneuver) || self.time_s >= until_s;
+                    if over {
+                        self.agents[number].phases[which] = Phase::Done;
+                    }
+                }
+            }
+        }
+    }
+
+    fn is_due(&self, number: usize, trigger: Trigger) -> bool {
+        match trigger {
+            Trigger::Time { time_s } => self.time_s >= time_s,
+            Trigger::NearEgo { distance_m } => {
+                let at = self.states[number].position_m;
+                self.ego.as_ref().is_some_and(|ego| ego.position_m.distance(at) <= distance_m)
+            }
+        }
+    }
+
+    /// Begins a maneuver; whether there is nothing more to try.
+    fn attempt(&mut self, number: usize, maneuver: Maneuver) -> bool {
+        match maneuver {
+            Maneuver::Brake { deceleration_mps2, duration_s } => {
+                let braking_mps2 = deceleration_mps2.clamp(0.0, BRAKING_MPS2);
+                self.agents[number].brake = Some((braking_mps2, self.time_s + duration_s));
+                true
+            }
+            Maneuver::CutIn => self.cut_in(number).unwrap_or(true),
+            Maneuver::Swerve { amplitude_m, duration_s } => self.swerve(number, amplitude_m, duration_s),
+        }
+    }
+
+    /// Begins a swerve as wide as there is room beside all other agents; whether there was any.
+    fn swerve(&mut self, number: usize, amplitude_m: f64, duration_s: f64) -> bool {
+        let agent = &self.agents[number];
+        if agent.aside.is_some() || !amplitude_m.is_finite() || !duration_s.is_finite() {
+            return false;
+        }
+        for share in SWERVE_SHARES {
+            let amplitude_m = share * amplitude_m.clamp(-SWERVE_M_MAX, SWERVE_M_MAX);
+            let length_m = (agent.speed_mps * duration_s).clamp(SWERVE_M_PER_M * amplitude_m.abs() + 5.0, 150.0);
+            let kind = AsideKind::Swerve { amplitude_m, cells: Vec::new() };
+            let aside = Aside { travelled_m: 0.0, length_m, kind };
+            if let Some(cells) = self.swerve_cells(number, &aside) {
+                let kind = AsideKind::Swerve { amplitude_m, cells };
+                self.agents[number].aside = Some(Aside { kind, ..aside });
+                self.claims.claim(&self.graph, &self.agents[number]);
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Cells beside its path that a swerve touches, sorted; `None` where one of them, or one that conflicts with it, is somebody else's.
+    fn swerve_cells(&self, number: usize, aside: &Aside) -> Option<Vec<u32>> {
+        let agent = &self.agents[number];
+        let (mut cells, mut touched) = (Vec::new(), Vec::new());
+        let steps = (aside.length_m / SWERVE_STEP_M).ceil() as u32;
+        for step in 0..=steps {
+            let (centre_m, yaw_rad) = agent.pose_at(&self.graph, f64::from(step) * SWERVE_STEP_M, Some(aside));
+            let half_length_m = agent.half_m + 0.5 * SWERVE_STEP_M + SWERVE_MARGIN_M;
+            let half_width_m = 0.5 * agent.size.width_m + SWERVE_MARGIN_M;
+            self.graph.cells().touched(&OrientedBox { centre_m, yaw_rad, half_length_m, half_width_m }, &mut touched);
+            cells.extend_from_slice(&touched);
+        }
+        cells.sort_unstable();
+        cells.dedup();
+        let rear = agent.here.saturating_sub(4);
+        let own = |cell: u32| agent.path[rear..].contains(&self.graph.cells().stretch_of(cell as usize).0);
+        cells.retain(|&cell| !own(cell));
+        let free = |&cell: &u32| {
+            let (lane, stretch) = self.graph.cells().stretch_of(cell as usize);
+            // Who would have to brake hard for it leaves no room either.
+            let comes = |entry: &Entry| {
+                let reach_m = entry.front_m + SWERVE_REACTION_S * entry.speed_mps;
+                entry.agent as usize != number && entry.rear_m < stretch.to_m && reach_m > stretch.from_m
+            };
+            !self.claims.taken(cell as usize, number) && !self.order.on(lane).iter().any(comes)
+        };
+        cells.iter().all(free).then_some(cells)
+    }
+}

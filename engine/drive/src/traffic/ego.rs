@@ -1,0 +1,77 @@
+//! The ego as the traffic sees it: on which lanes it is, and which cells it takes up.
+
+use decouplegs_scene::{VehicleSize, VehicleState};
+use glam::DVec2;
+
+use super::idm::stopping_m;
+use super::lane_order::{EGO, Entry, NO_LANE};
+use crate::oriented_box::OrientedBox;
+use crate::road_graph::RoadGraph;
+
+/// It is expected to go straight on for so long, seconds, and then to brake comfortably.
+const REACTION_S: f64 = 0.5;
+/// Braking that is expected of it, m/s^2.
+const BRAKING_MPS2: f64 = 3.0;
+/// Nobody drives as fast: more is a mistake.
+const SPEED_MPS_MAX: f64 = 100.0;
+
+#[derive(Clone, Debug)]
+pub(super) struct EgoSeen {
+    pub position_m: DVec2,
+    /// One for each lane whose corridor its box touches.
+    pub entries: Vec<Entry>,
+    /// Cells that it touches, or will if it goes straight on and then stops; sorted.
+    pub cells: Vec<u32>,
+}
+
+impl EgoSeen {
+    /// `None` where its numbers are no place.
+    pub(super) fn new(graph: &RoadGraph, state: &VehicleState, size: &VehicleSize) -> Option<Self> {
+        let numbers = [state.yaw_rad, state.speed_mps, size.length_m, size.width_m];
+        if !state.position_m.is_finite() || !numbers.iter().all(|number| number.is_finite()) {
+            return None;
+        }
+        let speed_mps = state.speed_mps.clamp(0.0, SPEED_MPS_MAX);
+        let size = VehicleSize { length_m: size.length_m.clamp(0.1, 40.0), width_m: size.width_m.clamp(0.1, 10.0), ..*size };
+        let outline = OrientedBox::of(state, &size);
+        let mut cells = Vec::new();
+        graph.cells().touched(&outline, &mut cells);
+        let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells);
+        let reach_m = speed_mps * REACTION_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2);
+        let sweep = OrientedBox {
+            centre_m: outline.centre_m + state.ahead() * (0.5 * reach_m),
+            half_length_m: outline.half_length_m + 0.5 * reach_m,
+            ..outline
+        };
+        graph.cells().touched(&sweep, &mut cells);
+        Some(Self { position_m: state.position_m, entries, cells })
+    }
+}
+
+/// Where on each lane of `cells` the box is.
+fn entries(graph: &RoadGraph, outline: &OrientedBox, velocity_mps: DVec2, cells: &[u32]) -> Vec<Entry> {
+    let mut entries = Vec::new();
+    let stretch = |cell: &u32| graph.cells().stretch_of(*cell as usize);
+    for group in cells.chunk_by(|a, b| stretch(a).0 == stretch(b).0) {
+        let (lane, first) = stretch(&group[0]);
+        let (_, last) = stretch(&group[group.len() - 1]);
+        let line = &graph.road(lane).line;
+        let foot = |at: DVec2| line.project_within(at, first.from_m - 2.0, last.to_m + 2.0);
+        let arcs = outline.corners().map(|corner| foot(corner).arc_m);
+        let rear_m = arcs.iter().copied().fold(f64::INFINITY, f64::min).max(first.from_m);
+        let front_m = arcs.iter().copied().fold(f64::NEG_INFINITY, f64::max).min(last.to_m).max(rear_m + 0.1);
+        // Who comes towards one counts as standing.
+        let speed_mps = velocity_mps.dot(DVec2::from_angle(foot(outline.centre_m).heading_rad)).max(0.0);
+        entries.push(Entry {
+            lane: lane as u32,
+            agent: EGO,
+            next: NO_LANE,
+            middle_m: 0.5 * (rear_m + front_m),
+            rear_m,
+            front_m,
+            stop_rear_m: rear_m + stopping_m(speed_mps),
+            speed_mps,
+        });
+    }
+    entries
+}

@@ -1,0 +1,241 @@
+//! Crossings: a row of conflicts on somebody's path is his as a whole, or he waits before it.
+//!
+//! It is granted when nobody else claims what conflicts with it, there will be room for the vehicle behind it, and nobody who goes first
+//! would be hindered. So whoever is in a crossing can always leave it, and nobody can block another for ever. Who has waited long does
+//! not give way any longer, and what he waits for is granted to nobody who has waited less: first the longest waiting, then the lower
+//! number. That breaks circles such as four vehicles that each have another to their right.
+
+use super::Traffic;
+use super::agent::{Agent, Crossing};
+use super::claims::each_cell;
+use super::following::each_ahead;
+use super::idm::stopping_m;
+use super::lane_order::EGO;
+use crate::road_graph::{Conflict, length_of};
+
+/// Who has waited so long does not give way any longer, seconds.
+const PATIENCE_S: f64 = 5.0;
+/// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one, metres.
+const BETWEEN_M: f64 = 1.5;
+/// Short vehicles leave as much room behind a crossing as this long one, metres: more than anybody drives in a step.
+const LENGTH_M_MIN: f64 = 4.5;
+/// The row of conflicts that is granted as a whole is at most so long, metres. A map may have lanes that lie on each other all along.
+const RUN_M_MAX: f64 = 150.0;
+/// Conflicts are looked for up to so far ahead of where a vehicle could stop, metres.
+const AHEAD_M: f64 = 100.0;
+/// Braking before a crossing that is not granted, m/s^2: it is asked for when one would have to begin.
+const BRAKING_MPS2: f64 = 2.0;
+/// Who goes first is looked for up to so far from the conflict, metres.
+const GIVE_WAY_M: f64 = 80.0;
+/// Who stands is expected to start at this, m/s^2.
+const START_MPS2: f64 = 1.5;
+
+impl Traffic {
+    /// Room that an agent needs behind a crossing.
+    pub(super) fn clearance_m(&self, agent: &Agent) -> f64 {
+        agent.size.length_m.max(LENGTH_M_MIN) + BETWEEN_M
+    }
+
+    /// Keeps every agent's crossing, and grants those that can be.
+    pub(super) fn cross(&mut self, dt_s: f64) {
+        let mut waiting = std::mem::take(&mut self.waiting);
+        waiting.clear();
+        for number in 0..self.agents.len() {
+            self.find_crossing(number);
+            let agent = &mut self.agents[number];
+            agent.held_up = false;
+            let Some(crossing) = agent.crossing else { continue };
+            let speed_mps = agent.speed_mps;
+            let asks_m = speed_mps * speed_mps / (2.0 * BRAKING_MPS2) + speed_mps + agent.driver.idm.standstill_gap_m + 3.0;
+            // Granted, but he could still stop before it: whether it holds is asked anew.
+            let open = !crossing.granted || agent.stop_m() < crossing.from_m - 0.01;
+            if open && crossing.from_m - agent.front_m() < asks_m {
+                waiting.push(number as u32);
+            }
+        }
+        let agents = &self.agents;
+        waiting.sort_unstable_by(|&a, &b| {
+            let waited = |number: u32| agents[number as usize].waited_s;
+            waited(b).total_cmp(&waited(a)).then(a.cmp(&b))
+        });
+        for &number in &waiting {
+            self.ask(number as usize, dt_s);
+        }
+        self.waiting = waiting;
+    }
+
+    /// The next row of conflicts on an agent's path, where it has none or has left the last.
+    pub(super) fn find_crossing(&mut self, number: usize) {
+        let agent = &self.agents[number];
+        let stop_m = agent.stop_m();
+        match agent.crossing {
+            Some(crossing) if !crossing.granted || stop_m < crossing.to_m => return,
+            None if agent.clear_m > stop_m + AHEAD_M => return,
+            _ => {}
+        }
+        let (crossing, clear_m) = self.next_crossing(agent, stop_m);
+        let agent = &mut self.agents[number];
+        (agent.crossing, agent.clear_m) = (crossing, clear_m);
+    }
+
+    fn next_crossing(&self, agent: &Agent, stop_m: f64) -> (Option<Crossing>, f64) {
+        let (mut found, mut start_m): (Option<Crossing>, f64) = (None, 0.0);
+        let clearance_m = self.clearance_m(agent);
+        for &lane in &agent.path[agent.here..] {
+            for stretch in self.graph.cells().stretches(lane) {
+                let (from_m, to_m) = (stretch.from_m + start_m, stretch.to_m + start_m);
+                if to_m <= stop_m {
+                    continue;
+                }
+                match &mut found {
+                    None => found = Some(Crossing { from_m: from_m.max(stop_m), to_m, granted: false }),
+                    Some(run) if from_m - run.to_m < clearance_m && to_m - run.from_m < RUN_M_MAX => run.to_m = to_m,
+                    Some(_) => return (found, f64::INFINITY),
+                }
+            }
+            start_m += length_of(self.graph.lanes(), lane);
+            if start_m > found.map_or(stop_m + 1.5 * AHEAD_M, |run| run.to_m + clearance_m) {
+                break;
+            }
+        }
+        // Beyond the path's end nothing is driven: its end is a wall of its own.
+        let ends = agent.end_m(&self.graph).is_some_and(|end_m| start_m >= end_m);
+        (found, if ends || found.is_some() { f64::INFINITY } else { start_m })
+    }
+
+    /// Grants an agent its crossing, or makes it wait.
+    fn ask(&mut self, number: usize, dt_s: f64) {
+        let agent = &self.agents[number];
+        let Some(crossing) = agent.crossing else { return };
+        let patient = agent.waited_s < PATIENCE_S;
+        let can_leave = self.can_leave(agent, &crossing);
+        let free = can_leave && (crossing.granted || self.is_free(agent, &crossing));
+        let granted = free && !self.ego_crosses(agent, &crossing) && !(patient && !crossing.granted && self.gives_way(agent, &crossing));
+        if granted && !crossing.granted {
+            self.claims.claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
+        }
+        if !granted && !patient && can_leave {
+            let (graph, agent) = (&self.graph, &self.agents[number]);
+            let claims = &mut self.claims;
+            each_cell(graph, agent, crossing.from_m, crossing.to_m - 0.01, |cell| {
+                claims.want(cell);
+                true
+            });
+        }
+        let agent = &mut self.agents[number];
+        agent.crossing = Some(Crossing { granted, ..crossing });
+        agent.held_up = !granted;
+        if granted {
+            agent.waited_s = 0.0;
+        } else if agent.speed_mps < 2.0 {
+            agent.waited_s += dt_s;
+        }
+    }
+
+    /// Grants a crossing at the start, where nobody has the right of way yet.
+    pub(super) fn grant_at_start(&mut self, number: usize) {
+        let agent = &self.agents[number];
+        let Some(crossing) = agent.crossing.filter(|crossing| !crossing.granted) else { return };
+        if self.can_leave(agent, &crossing) && self.is_free(agent, &crossing) {
+            self.claims.claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
+            self.agents[number].crossing = Some(Crossing { granted: true, ..crossing });
+        }
+    }
+
+    /// Whether nobody who is ahead can keep an agent from leaving a crossing.
+    fn can_leave(&self, agent: &Agent, crossing: &Crossing) -> bool {
+        // Where there has to be room for him, and for those before him who are not out yet.
+        let mut out_m = crossing.to_m + self.clearance_m(agent);
+        if agent.end_m(&self.graph).is_some_and(|end_m| end_m < out_m) {
+            return false;
+        }
+        let (mut can_leave, mut counted) = (true, Vec::new());
+        let here = (agent.number, &agent.path[..], agent.here, agent.arc_m);
+        each_ahead(&self.graph, &self.order, here, GIVE_WAY_M + out_m - agent.arc_m, |seen| {
+            if seen.stop_rear_m >= out_m {
+                return !seen.same_way;
+            }
+            let on_its_way = seen.stop_rear_m > crossing.from_m;
+            if seen.same_way && on_its_way && !counted.contains(&seen.agent) {
+                out_m += self.clearance_m(&self.agents[seen.agent as usize]);
+                counted.push(seen.agent);
+            }
+            // Who goes another way only has to be on it.
+            can_leave &= seen.same_way && on_its_way || seen.agent != EGO && on_its_way && seen.speed_mps > 1.0;
+            can_leave
+        });
+        can_leave
+    }
+
+    /// Whether nobody else claims what conflicts with a crossing.
+    fn is_free(&self, agent: &Agent, crossing: &Crossing) -> bool {
+        let free = |cell| !self.claims.conflict(&self.graph, cell, agent.number) && !self.claims.is_wanted(&self.graph, cell);
+        each_cell(&self.graph, agent, crossing.from_m, crossing.to_m - 0.01, free)
+    }
+
+    /// Whether the ego is in a crossing or comes to it, other than behind the agent.
+    fn ego_crosses(&self, agent: &Agent, crossing: &Crossing) -> bool {
+        let Some(ego) = &self.ego else { return false };
+        let follows = ego.entries.iter().any(|entry| {
+            let lane = agent.path[..=agent.here].iter().position(|&lane| lane == entry.lane as usize);
+            lane.is_some_and(|lane| lane < agent.here || entry.middle_m < agent.arc_m)
+        });
+        !follows && !each_cell(&self.graph, agent, crossing.from_m, crossing.to_m - 0.01, |cell| !self.claims.ego_on(cell))
+    }
+
+    /// Whether somebody who goes first comes before the agent is out of his way.
+    fn gives_way(&self, agent: &Agent, crossing: &Crossing) -> bool {
+        let mut start_m = 0.0;
+        for &lane in &agent.path[agent.here..] {
+            if start_m >= crossing.to_m {
+                break;
+            }
+            for conflict in &self.graph.road(lane).conflicts {
+                let (from_m, to_m) = (conflict.from_m + start_m, conflict.to_m + start_m);
+                if !conflict.goes_first && to_m > crossing.from_m && from_m < crossing.to_m {
+                    let out_s = seconds_for(to_m - agent.rear_m(), agent.speed_mps, agent.driver.idm.acceleration_mps2);
+                    if self.somebody_comes(agent, conflict, out_s + agent.driver.gap_s) {
+                        return true;
+                    }
+                }
+            }
+            start_m += length_of(self.graph.lanes(), lane);
+        }
+        false
+    }
+
+    /// Whether somebody on the other lane of a conflict, or on his way to it, is there within `within_s`.
+    fn somebody_comes(&self, agent: &Agent, conflict: &Conflict, within_s: f64) -> bool {
+        let mut open = vec![(conflict.other, 0.0_f64)];
+        while let Some((lane, start_m)) = open.pop() {
+            let entries = self.order.on(lane);
+            let last = entries.partition_point(|entry| entry.middle_m + start_m < conflict.other_to_m);
+            let comes = |number: u32| {
+                let other = self.agents.get(number as usize);
+                other.is_none_or(|other| other.path[other.here..].iter().take(8).any(|&lane| lane == conflict.other))
+            };
+            let others = entries[..last].iter().rev().filter(|entry| entry.agent as usize != agent.number);
+            if let Some(entry) = others.clone().find(|entry| comes(entry.agent)) {
+                let distance_m = conflict.other_from_m - entry.front_m - start_m;
+                // Whoever is in the conflict has claimed it: that is another matter.
+                let granted = self.agents.get(entry.agent as usize).and_then(|other| other.crossing).is_some_and(|run| run.granted);
+                if !granted && distance_m > -stopping_m(entry.speed_mps) {
+                    if seconds_for(distance_m.max(0.0), entry.speed_mps, START_MPS2) < within_s {
+                        return true;
+                    }
+                    continue;
+                }
+            }
+            if conflict.other_from_m - start_m < GIVE_WAY_M && open.len() < 16 {
+                let before = &self.graph.road(lane).predecessors;
+                open.extend(before.iter().map(|&before| (before, start_m - length_of(self.graph.lanes(), before))));
+            }
+        }
+        false
+    }
+}
+
+/// How long a distance takes from a speed at an even acceleration, seconds.
+fn seconds_for(distance_m: f64, speed_mps: f64, acceleration_mps2: f64) -> f64 {
+    ((speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m).sqrt() - speed_mps) / acceleration_mps2
+}

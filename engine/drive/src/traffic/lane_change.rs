@@ -1,0 +1,230 @@
+//! Changing lanes: who wants to, who may, and how it begins. The rest is a vehicle beside the middle of its lane (see `agent`), which
+//! counts as present on both lanes until it is over.
+
+use glam::DVec2;
+
+use super::Traffic;
+use super::agent::{Agent, Aside, AsideKind};
+use super::following::{GAP_M, behind, each_ahead};
+use super::idm::{IdmParameters, Leader, stopping_m};
+use super::lane_order::EGO;
+use super::mobil::{Change, Concerned, Side};
+use crate::polyline::wrapped;
+use crate::road_graph::length_of;
+
+/// A change takes so long, seconds, and at least so much of the road: metres, and lengths of the vehicle. Shorter ones would turn its nose
+/// out of the two lanes.
+const DURATION_S: f64 = 4.0;
+const HASTY_DURATION_S: f64 = 2.0;
+const LENGTH_M_MIN: f64 = 20.0;
+const LENGTHS_MIN: f64 = 5.0;
+/// Drivers think of it once in so long, seconds, and for so long not after a change.
+const PERIOD_S: f64 = 1.0;
+const COOL_DOWN_S: f64 = 2.0;
+/// Slower than this nobody changes lanes of his own accord, m/s.
+const SPEED_MPS_MIN: f64 = 1.5;
+/// Between the middles of two lanes, metres.
+const ASIDE_M: std::ops::Range<f64> = 1.5..6.0;
+/// By how much two lanes may differ in heading, and each of them turn meanwhile, radians: else their lengths differ.
+const PARALLEL_RAD: f64 = 0.1;
+const TURN_RAD: f64 = 0.3;
+/// Who comes from behind is looked for so far, metres: from there the fastest can stop.
+const BEHIND_M: f64 = 120.0;
+/// Added for those who have a lane that goes on where one's own ends, m/s^2.
+const DEAD_END_MPS2: f64 = 1.0;
+
+/// Where an agent would be on another lane.
+#[derive(Clone, Debug)]
+struct Target {
+    lane: usize,
+    arc_m: f64,
+    length_m: f64,
+}
+
+impl Traffic {
+    /// Lets those change lanes whose turn it is to think of it.
+    pub(super) fn change_lanes(&mut self, dt_s: f64) {
+        // Everybody once in a period, spread evenly over its steps.
+        let steps = (PERIOD_S / dt_s).round().max(1.0) as u64;
+        let first = (self.steps % steps) as usize;
+        for number in (first..self.agents.len()).step_by(steps as usize) {
+            let agent = &self.agents[number];
+            let ready = agent.changes_lanes && agent.cool_down_s == 0.0 && agent.speed_mps >= SPEED_MPS_MIN;
+            if ready && agent.brake.is_none() {
+                self.consider_change(number);
+            }
+        }
+    }
+
+    fn consider_change(&mut self, number: usize) {
+        let agent = &self.agents[number];
+        let road = self.graph.road(agent.lane());
+        let mut best: Option<(f64, Target)> = None;
+        for (lane, side) in [(road.left, Side::Left), (road.right, Side::Right)] {
+            let Some(target) = lane.and_then(|lane| self.target(agent, lane, DURATION_S)) else { continue };
+            let Some(incentive) = self.incentive(agent, &target, side) else { continue };
+            if incentive > best.as_ref().map_or(0.0, |best| best.0) && self.is_safe(agent, &target, true) {
+                best = Some((incentive, target));
+            }
+        }
+        if let Some((_, target)) = best {
+            self.begin_change(number, &target);
+        }
+    }
+
+    /// Changes into the lane beside that the ego is on, whatever the gap to it. `None` where it is on none of them, else whether the
+    /// change began.
+    pub(super) fn cut_in(&mut self, number: usize) -> Option<bool> {
+        let agent = &self.agents[number];
+        let ego = self.ego.as_ref()?;
+        let road = self.graph.road(agent.lane());
+        let on_it = |lane: usize| {
+            // The ego may still be on the lane before, or already on the next.
+            let near = self.graph.road(lane);
+            let mut lanes = near.predecessors.iter().chain(&near.successors).chain([&lane]);
+            lanes.any(|&lane| ego.entries.iter().any(|entry| entry.lane as usize == lane))
+        };
+        let own = ego.entries.iter().any(|entry| entry.lane as usize == agent.lane());
+        let lane = [road.left, road.right].into_iter().flatten().find(|&lane| on_it(lane) && !own)?;
+        if agent.aside.is_some() {
+            return Some(false);
+        }
+        let target = self.target(agent, lane, HASTY_DURATION_S).filter(|target| self.is_safe(agent, target, false));
+        if let Some(target) = &target {
+            self.begin_change(number, target);
+        }
+        Some(target.is_some())
+    }
+
+    /// The place beside an agent on another lane, where both lanes run side by side, and nobody crosses them, for as long as a change
+    /// takes.
+    fn target(&self, agent: &Agent, lane: usize, duration_s: f64) -> Option<Target> {
+        if agent.aside.is_some() {
+            return None;
+        }
+        let (own, other) = (self.graph.road(agent.lane()), self.graph.road(lane));
+        let least_m = LENGTH_M_MIN.max(LENGTHS_MIN * agent.size.length_m);
+        let length_m = (duration_s * agent.speed_mps).max(least_m);
+        let at = own.line.at(agent.arc_m).truncate();
+        let foot = other.line.project(at);
+        let reach_m = length_m + agent.half_m + 2.0;
+        let within = |arc_m: f64, lane: usize| arc_m > agent.half_m + 1.0 && arc_m + reach_m < length_of(self.graph.lanes(), lane);
+        if !within(agent.arc_m, agent.lane()) || !within(foot.arc_m, lane) || !ASIDE_M.contains(&foot.distance_m) {
+            return None;
+        }
+        let turns = |line: &crate::Polyline, arc_m: f64| wrapped(line.heading_at(arc_m + reach_m) - line.heading_at(arc_m)).abs();
+        let apart = wrapped(foot.heading_rad - own.line.heading_at(agent.arc_m)).abs();
+        if apart > PARALLEL_RAD || turns(&other.line, foot.arc_m) > TURN_RAD || turns(&own.line, agent.arc_m) > TURN_RAD {
+            return None;
+        }
+        let crossed = |lane: usize, arc_m: f64| {
+            let (from_m, to_m) = (arc_m - agent.half_m, arc_m + reach_m);
+            let stretches = self.graph.cells().stretches(lane).iter();
+            let forks = &self.graph.road(lane).forks;
+            let blocks = self.claims.blocks.iter().filter(|block| block.lane == lane);
+            stretches.clone().any(|stretch| stretch.from_m < to_m && stretch.to_m > from_m)
+                || forks.iter().any(|fork| fork.to_m > from_m)
+                || blocks.clone().any(|block| block.from_m < to_m && block.to_m > from_m)
+        };
+        let clear = !crossed(agent.lane(), agent.arc_m) && !crossed(lane, foot.arc_m);
+        clear.then_some(Target { lane, arc_m: foot.arc_m, length_m })
+    }
+
+    /// What a change gains by MOBIL; `None` where its safety forbids it.
+    fn incentive(&self, agent: &Agent, target: &Target, side: Side) -> Option<f64> {
+        let old = self.neighbours(agent, agent.lane(), &agent.path[agent.here..], agent.arc_m);
+        let new = self.neighbours(agent, target.lane, &[target.lane], target.arc_m);
+        let oneself = Change {
+            before_mps2: self.following(agent, &agent.path, agent.here, agent.arc_m),
+            after_mps2: self.following(agent, &self.path_on(agent, target.lane), 0, target.arc_m),
+        };
+        let own_rear = |arc_m: f64| Some((arc_m - agent.half_m, agent.speed_mps));
+        let concerned = Concerned {
+            oneself,
+            new_follower: new.of_follower(new.leader, own_rear(target.arc_m)),
+            old_follower: old.of_follower(own_rear(agent.arc_m), old.leader),
+        };
+        let (own, other) = (self.graph.road(agent.lane()), self.graph.road(target.lane));
+        let onward = if other.onward_m - target.arc_m > own.onward_m - agent.arc_m + 100.0 { DEAD_END_MPS2 } else { 0.0 };
+        let urgent = if own.onward_m - agent.arc_m < 20.0 * agent.speed_mps { onward } else { 0.0 };
+        Some(agent.driver.mobil.incentive(&concerned, side)? + urgent)
+    }
+
+    /// A path that begins on another lane: straight over its successors, as far as one looks.
+    fn path_on(&self, agent: &Agent, lane: usize) -> Vec<usize> {
+        let mut probe = Agent::new(agent.number, agent.size, agent.driver, lane, 0.0);
+        probe.extend_path(&self.graph, self.seed);
+        probe.path
+    }
+
+    /// Who is ahead of an agent and behind it on a lane.
+    fn neighbours(&self, agent: &Agent, lane: usize, path: &[usize], arc_m: f64) -> Neighbours {
+        let mut found = Neighbours::default();
+        each_ahead(&self.graph, &self.order, (agent.number, path, 0, arc_m), BEHIND_M, |seen| {
+            found.leader = Some((seen.rear_m, seen.speed_mps));
+            false
+        });
+        let behind = behind(&self.graph, &self.order, agent.number, lane, arc_m, BEHIND_M);
+        let nearest = behind.iter().max_by(|a, b| a.front_m.total_cmp(&b.front_m));
+        found.follower = nearest.map(|follower| {
+            let idm = self.agents.get(follower.agent as usize).map_or_else(IdmParameters::default, Agent::idm);
+            (idm, follower.front_m, follower.speed_mps)
+        });
+        found
+    }
+
+    /// Whether everybody on the new lane can stop behind whom he has ahead after the change, and nobody is beside.
+    fn is_safe(&self, agent: &Agent, target: &Target, mind_ego: bool) -> bool {
+        let (front_m, rear_m) = (target.arc_m + agent.half_m, target.arc_m - agent.half_m);
+        let stopping_m_ = stopping_m(agent.speed_mps);
+        let counts = |number: u32| mind_ego || number != EGO;
+        let mut safe = true;
+        each_ahead(&self.graph, &self.order, (agent.number, &[target.lane], 0, target.arc_m), BEHIND_M, |seen| {
+            let room = seen.rear_m - front_m >= GAP_M && seen.stop_rear_m - front_m - stopping_m_ >= GAP_M;
+            safe &= room || !counts(seen.agent);
+            safe && !seen.same_way
+        });
+        let behind = behind(&self.graph, &self.order, agent.number, target.lane, target.arc_m, BEHIND_M);
+        safe && behind.iter().filter(|other| counts(other.agent)).all(|other| {
+            let stop_m = other.front_m + stopping_m(other.speed_mps);
+            rear_m - other.front_m >= GAP_M && rear_m + stopping_m_ - stop_m >= GAP_M
+        })
+    }
+
+    fn begin_change(&mut self, number: usize, target: &Target) {
+        let (graph, agent) = (&self.graph, &mut self.agents[number]);
+        let (position_m, _) = agent.pose_at(graph, 0.0, None);
+        let (from, from_arc_m) = (agent.lane(), agent.arc_m);
+        (agent.path, agent.here, agent.arc_m) = (vec![target.lane], 0, target.arc_m);
+        agent.extend_path(graph, self.seed);
+        let (on_lane_m, yaw_rad) = agent.pose_at(graph, 0.0, None);
+        let offset_m = DVec2::from_angle(-yaw_rad).rotate(position_m - on_lane_m);
+        let kind = AsideKind::Change { from, from_arc_m, offset_m };
+        agent.aside = Some(Aside { travelled_m: 0.0, length_m: target.length_m, kind });
+        (agent.crossing, agent.clear_m, agent.held_up, agent.waited_s) = (None, f64::NEG_INFINITY, false, 0.0);
+        agent.cool_down_s = target.length_m / agent.speed_mps.max(1.0) + COOL_DOWN_S;
+        self.order.build(graph, &self.agents, self.ego.as_ref());
+        self.claims.claim(graph, &self.agents[number]);
+    }
+}
+
+/// Who is next to a place on a lane.
+#[derive(Clone, Debug, Default)]
+struct Neighbours {
+    /// Its rear and its speed.
+    leader: Option<(f64, f64)>,
+    /// Its driver, its front and its speed.
+    follower: Option<(IdmParameters, f64, f64)>,
+}
+
+impl Neighbours {
+    /// What becomes of the follower's acceleration where its leader's rear and speed become others.
+    fn of_follower(&self, before: Option<(f64, f64)>, after: Option<(f64, f64)>) -> Change {
+        let Some((idm, front_m, speed_mps)) = &self.follower else { return Change::default() };
+        let behind = |leader: Option<(f64, f64)>| {
+            let leader = leader.map(|(rear_m, speed_mps)| Leader { gap_m: rear_m - front_m, speed_mps });
+            idm.acceleration(*speed_mps, leader)
+        };
+        Change { before_mps2: behind(before), after_mps2: behind(after) }
+    }
+}

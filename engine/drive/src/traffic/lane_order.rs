@@ -1,0 +1,108 @@
+//! Who is where on each lane, sorted along it.
+
+use super::agent::{Agent, AsideKind};
+use super::ego::EgoSeen;
+use super::idm::stopping_m;
+use crate::road_graph::{RoadGraph, length_of};
+
+/// In place of an agent's number.
+pub(super) const EGO: u32 = u32::MAX;
+/// In place of a lane: the vehicle is on this one only in part, or what it will do is not known.
+pub(super) const NO_LANE: u32 = u32::MAX;
+/// In place of a lane: none goes on.
+pub(super) const DEAD_END: u32 = u32::MAX - 1;
+/// Of the stopping distance of one who leaves a lane, what is counted on that lane: it may be a little longer there.
+const LEAVING_SHARE: f64 = 0.9;
+
+/// A vehicle on a lane; one on several has an entry on each. Places are metres along the lane, before and beyond it too.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Entry {
+    pub lane: u32,
+    pub agent: u32,
+    /// The lane that it goes on in, [`NO_LANE`] or [`DEAD_END`].
+    pub next: u32,
+    pub middle_m: f64,
+    pub rear_m: f64,
+    pub front_m: f64,
+    /// Where its rear is if it brakes as hard as it can.
+    pub stop_rear_m: f64,
+    pub speed_mps: f64,
+}
+
+/// Entries of all lanes.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LaneOrder {
+    entries: Vec<Entry>,
+    starts: Vec<u32>,
+}
+
+impl LaneOrder {
+    pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], ego: Option<&EgoSeen>) {
+        self.entries.clear();
+        for agent in agents {
+            self.add(graph, agent);
+        }
+        self.entries.extend(ego.iter().flat_map(|ego| &ego.entries));
+        self.entries.sort_unstable_by(|a, b| {
+            a.lane.cmp(&b.lane).then(a.middle_m.total_cmp(&b.middle_m)).then(a.agent.cmp(&b.agent))
+        });
+        self.starts.clear();
+        self.starts.resize(graph.lanes_in_map() + 1, 0);
+        for entry in &self.entries {
+            self.starts[entry.lane as usize + 1] += 1;
+        }
+        for lane in 0..graph.lanes_in_map() {
+            self.starts[lane + 1] += self.starts[lane];
+        }
+    }
+
+    /// Entries on a lane, along it.
+    pub(super) fn on(&self, lane: usize) -> &[Entry] {
+        &self.entries[self.starts[lane] as usize..self.starts[lane + 1] as usize]
+    }
+
+    fn add(&mut self, graph: &RoadGraph, agent: &Agent) {
+        let stopping_m = stopping_m(agent.speed_mps);
+        let entry = |lane: usize, next: u32, middle_m: f64, share: f64| Entry {
+            lane: lane as u32,
+            agent: agent.number as u32,
+            next,
+            middle_m,
+            rear_m: middle_m - agent.half_m,
+            front_m: middle_m + agent.half_m,
+            stop_rear_m: middle_m - agent.half_m + share * stopping_m,
+            speed_mps: agent.speed_mps,
+        };
+        // Back to the lane that its rear is on.
+        let (mut at, mut middle_m) = (agent.here, agent.arc_m);
+        while at > 0 && middle_m < agent.half_m {
+            at -= 1;
+            middle_m += length_of(graph.lanes(), agent.path[at]);
+        }
+        while at < agent.path.len() && (at <= agent.here || middle_m + agent.half_m > 0.0) {
+            let lane = agent.path[at];
+            let next = agent.path.get(at + 1).map_or(DEAD_END, |&next| next as u32);
+            self.entries.push(entry(lane, next, middle_m, 1.0));
+            for fork in &graph.road(lane).forks {
+                if middle_m - agent.half_m < fork.to_m {
+                    let own = entry(fork.other, NO_LANE, middle_m, 1.0);
+                    let rear_m = behind_fork(own.rear_m, fork.lead_m);
+                    let stop_rear_m = behind_fork(own.stop_rear_m, fork.lead_m);
+                    let middle_m = rear_m + agent.half_m;
+                    self.entries.push(Entry { rear_m, stop_rear_m, middle_m, front_m: rear_m + 2.0 * agent.half_m, ..own });
+                }
+            }
+            middle_m -= length_of(graph.lanes(), lane);
+            at += 1;
+        }
+        if let Some(AsideKind::Change { from, from_arc_m, .. }) = agent.aside.as_ref().map(|aside| &aside.kind) {
+            self.entries.push(entry(*from, NO_LANE, *from_arc_m, LEAVING_SHARE));
+        }
+    }
+}
+
+/// Where on a lane the rear of a vehicle counts that is on another lane of the same fork. It never falls while the vehicle moves on, so
+/// whoever could stop behind it still can.
+pub(super) fn behind_fork(rear_m: f64, lead_m: f64) -> f64 {
+    if rear_m < 0.0 { rear_m } else { (rear_m - lead_m).max(0.0) }
+}

@@ -1,0 +1,262 @@
+//! How traffic begins: agents are put on their lanes, and those who could not be there are refused.
+
+use std::sync::Arc;
+
+use decouplegs_scene::VehicleSize;
+use decouplegs_scene::scenario::TrafficAgent;
+
+use super::Traffic;
+use super::agent::{Agent, Phase};
+use super::claims::{Claims, each_cell};
+use super::driver::Driver;
+use super::following::{GAP_M, each_ahead};
+use super::idm::{BRAKING_MPS2, stopping_m};
+use super::lane_order::LaneOrder;
+use crate::oriented_box::OrientedBox;
+use crate::polyline::wrapped;
+use crate::road_graph::{RoadGraph, length_of};
+
+/// Speeds at the start are raised in so many rounds at most: a queue of so many vehicles.
+const ROUNDS_MAX: usize = 200;
+
+/// Why traffic cannot begin.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TrafficError {
+    /// The map has no such lane.
+    #[error("agent {agent}: lane {lane} is not a driving lane of the map")]
+    UnknownLane {
+        /// Who.
+        agent: String,
+        /// The lane's id.
+        lane: String,
+    },
+    /// The lane is shorter.
+    #[error("agent {agent}: {at_m} m along lane {lane}; expected 0 to {length_m:.2}")]
+    BeyondLane {
+        /// Who.
+        agent: String,
+        /// The lane's id.
+        lane: String,
+        /// Where it should start.
+        at_m: f64,
+        /// How long the lane is.
+        length_m: f64,
+    },
+    /// A number is none, or no vehicle's.
+    #[error("agent {agent}: {what} of {value}; expected {expected}")]
+    NotAVehicle {
+        /// Who.
+        agent: String,
+        /// Which number.
+        what: &'static str,
+        /// What it is.
+        value: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// Two are in each other's way from the start.
+    #[error("agents {first} and {second} overlap at the start, or one could not drive without touching the other; move one of them")]
+    Overlap {
+        /// One.
+        first: String,
+        /// The other.
+        second: String,
+    },
+    /// The lanes are not for vehicles so large.
+    #[error("{0}")]
+    Roads(String),
+}
+
+impl Traffic {
+    /// Traffic of `agents` on the lanes of `graph`, in the scenario's order. `seed` decides their ways at crossings.
+    ///
+    /// Who asks for a speed at which he could not stop for who is ahead, or before a crossing that is not free, starts slower.
+    ///
+    /// # Errors
+    /// An unknown lane, a place beyond it, a number that is no vehicle's, agents that overlap.
+    pub fn new(graph: Arc<RoadGraph>, agents: &[TrafficAgent], seed: u64) -> Result<Self, TrafficError> {
+        agents.iter().try_for_each(check)?;
+        let graph = roads_for(graph, agents)?;
+        let mut placed = Vec::with_capacity(agents.len());
+        for (number, agent) in agents.iter().enumerate() {
+            placed.push(place(&graph, number, agent, seed)?);
+        }
+        let claims = Claims::new(graph.cells().count());
+        let mut traffic = Self {
+            states: placed.iter().map(|agent| agent.state(&graph)).collect(),
+            behaviours: agents.iter().map(|agent| agent.behaviours.clone()).collect(),
+            graph,
+            agents: placed,
+            order: LaneOrder::default(),
+            claims,
+            waiting: Vec::new(),
+            accelerations: Vec::new(),
+            ego: None,
+            time_s: 0.0,
+            steps: 0,
+            seed,
+        };
+        traffic.order.build(&traffic.graph, &traffic.agents, None);
+        traffic.claims.build(&traffic.graph, &traffic.agents, None);
+        if let Some((first, second)) = traffic.first_overlap() {
+            return Err(TrafficError::Overlap { first: agents[first].name.clone(), second: agents[second].name.clone() });
+        }
+        traffic.raise_speeds(agents);
+        for agent in &mut traffic.agents {
+            agent.free_mps = agent.driver.idm.speed_mps;
+            traffic.states[agent.number] = agent.state(&traffic.graph);
+        }
+        Ok(traffic)
+    }
+
+    /// Two agents that stand too near to each other, where all stand.
+    fn first_overlap(&self) -> Option<(usize, usize)> {
+        for agent in &self.agents {
+            let mut other = None;
+            each_ahead(&self.graph, &self.order, (agent.number, &agent.path, agent.here, agent.arc_m), 60.0, |seen| {
+                if seen.rear_m - agent.front_m() < GAP_M {
+                    other = Some(seen.agent as usize);
+                }
+                other.is_none()
+            });
+            each_cell(&self.graph, agent, agent.rear_m(), agent.front_m(), |cell| {
+                if self.claims.conflict(&self.graph, cell, agent.number) {
+                    other = other.or_else(|| self.nearest(agent.number));
+                }
+                other.is_none()
+            });
+            other = other.or_else(|| self.beside_on_fork(agent)).or_else(|| self.touching(agent.number));
+            if let Some(other) = other {
+                return Some((agent.number.min(other), agent.number.max(other)));
+            }
+        }
+        None
+    }
+
+    /// Somebody on another lane of a fork who is neither ahead of an agent nor behind it.
+    fn beside_on_fork(&self, agent: &Agent) -> Option<usize> {
+        self.graph.road(agent.lane()).forks.iter().filter(|fork| agent.rear_m() < fork.to_m).find_map(|fork| {
+            let back = self.graph.road(fork.other).forks.iter().find(|back| back.other == agent.lane())?;
+            let beside = |other: &&Agent| {
+                let apart_m = (other.arc_m - agent.arc_m).abs() - other.half_m - agent.half_m;
+                other.lane() == fork.other && other.rear_m() < back.to_m && apart_m < fork.lead_m.max(back.lead_m) + GAP_M
+            };
+            self.agents.iter().find(beside).map(|other| other.number)
+        })
+    }
+
+    /// Somebody whose box is at an agent's.
+    fn touching(&self, number: usize) -> Option<usize> {
+        let at_m = self.states[number].position_m;
+        let outline = |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
+        let reach_m = |other: usize| self.agents[number].size.length_m + self.agents[other].size.length_m;
+        let near = |&other: &usize| other != number && self.states[other].position_m.distance(at_m) < reach_m(other);
+        (0..self.agents.len()).filter(near).find(|&other| outline(number).distance_m(&outline(other)) < 0.1)
+    }
+
+    /// The agent whose box is nearest to another's.
+    fn nearest(&self, number: usize) -> Option<usize> {
+        let outline = |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
+        let own = outline(number);
+        let others = (0..self.agents.len()).filter(|&other| other != number);
+        others.map(|other| (own.distance_m(&outline(other)), other)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|found| found.1)
+    }
+
+    /// Everybody as fast as he asks to be, or as he can be with those ahead as slow as they are: round after round nobody is slower than
+    /// before, so what was safe stays so.
+    fn raise_speeds(&mut self, asked: &[TrafficAgent]) {
+        for _ in 0..ROUNDS_MAX {
+            let mut raised = false;
+            for number in 0..self.agents.len() {
+                self.find_crossing(number);
+                let crossed_m = self.agents[number].crossing.map_or(f64::INFINITY, |crossing| crossing.from_m);
+                let wants_m = self.agents[number].front_m() + stopping_m(asked[number].speed_mps);
+                if wants_m > crossed_m - 1.0 {
+                    self.grant_at_start(number);
+                }
+                let agent = &self.agents[number];
+                let mut limit_m = agent.clear_m - 1.0;
+                if let Some(crossing) = agent.crossing {
+                    let clearance_m = self.clearance_m(agent);
+                    limit_m = limit_m.min(if crossing.granted { crossing.to_m + clearance_m } else { crossing.from_m } - 0.1);
+                }
+                limit_m = limit_m.min(agent.end_m(&self.graph).unwrap_or(f64::INFINITY) - 0.1);
+                each_ahead(&self.graph, &self.order, (number, &agent.path, agent.here, agent.arc_m), 400.0, |seen| {
+                    limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
+                    !seen.same_way
+                });
+                let safe_mps = (2.0 * BRAKING_MPS2 * (limit_m - agent.front_m()).max(0.0)).sqrt();
+                let speed_mps = asked[number].speed_mps.min(safe_mps);
+                if speed_mps > agent.speed_mps + 1e-3 {
+                    self.agents[number].speed_mps = speed_mps;
+                    raised = true;
+                }
+            }
+            self.order.build(&self.graph, &self.agents, None);
+            self.claims.build(&self.graph, &self.agents, None);
+            if !raised {
+                break;
+            }
+        }
+    }
+}
+
+fn check(agent: &TrafficAgent) -> Result<(), TrafficError> {
+    let numbers = [
+        ("a length", agent.size.length_m, 0.5..=25.0, "0.5 to 25 m"),
+        ("a width", agent.size.width_m, 0.3..=4.0, "0.3 to 4 m"),
+        ("a height", agent.size.height_m, 0.1..=10.0, "0.1 to 10 m"),
+        ("a speed", agent.speed_mps, 0.0..=70.0, "0 to 70 m/s"),
+    ];
+    for (what, value, range, expected) in numbers {
+        if !range.contains(&value) {
+            return Err(TrafficError::NotAVehicle { agent: agent.name.clone(), what, value, expected });
+        }
+    }
+    Ok(())
+}
+
+/// The graph, or one for larger vehicles where some are.
+fn roads_for(graph: Arc<RoadGraph>, agents: &[TrafficAgent]) -> Result<Arc<RoadGraph>, TrafficError> {
+    let mut largest = graph.vehicle();
+    for VehicleSize { length_m, width_m, .. } in agents.iter().map(|agent| agent.size) {
+        (largest.length_m, largest.width_m) = (largest.length_m.max(length_m), largest.width_m.max(width_m));
+    }
+    if largest == graph.vehicle() {
+        return Ok(graph);
+    }
+    let graph = Arc::try_unwrap(graph).unwrap_or_else(|graph| (*graph).clone());
+    graph.for_vehicle(largest).map(Arc::new).map_err(TrafficError::Roads)
+}
+
+/// An agent on its lane, standing, its path known.
+fn place(graph: &RoadGraph, number: usize, agent: &TrafficAgent, seed: u64) -> Result<Agent, TrafficError> {
+    let unknown = || TrafficError::UnknownLane { agent: agent.name.clone(), lane: agent.lane.clone() };
+    let lane = graph.find(&agent.lane).ok_or_else(unknown)?;
+    let length_m = length_of(graph.lanes(), lane);
+    if !(0.0..=length_m).contains(&agent.at_m) {
+        let (name, lane) = (agent.name.clone(), agent.lane.clone());
+        return Err(TrafficError::BeyondLane { agent: name, lane, at_m: agent.at_m, length_m });
+    }
+    let mut placed = Agent::new(number, agent.size, Driver::from(agent.driver), lane, agent.at_m);
+    placed.changes_lanes = agent.changes_lanes;
+    placed.phases = vec![Phase::Waiting; agent.behaviours.len()];
+    // Its rear may be on the lane before: the one that bends least.
+    let mut behind_m = agent.at_m;
+    while behind_m < placed.half_m + 2.0 {
+        let road = graph.road(placed.path[0]);
+        let bend = |&lane: &usize| {
+            let line = &graph.road(lane).line;
+            wrapped(line.heading_at(line.length_m()) - road.line.heading_at(0.0)).abs()
+        };
+        let Some(&before) = road.predecessors.iter().min_by(|a, b| bend(a).total_cmp(&bend(b))) else { break };
+        placed.path.insert(0, before);
+        placed.here += 1;
+        behind_m += length_of(graph.lanes(), before);
+        if placed.here > 32 {
+            break;
+        }
+    }
+    placed.extend_path(graph, seed);
+    Ok(placed)
+}

@@ -1,0 +1,141 @@
+//! Maps, agents and checks for tests of traffic.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+
+use decouplegs_asset::read_map;
+use decouplegs_asset::street::{Street, StreetOptions};
+use decouplegs_drive::idm::BRAKING_MPS2;
+use decouplegs_drive::{OrientedBox, RoadGraph, Traffic, TrafficError};
+use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, TrafficAgent, Trigger};
+use decouplegs_scene::{Lane, LaneMap, VehicleSize};
+use glam::DVec3;
+
+use crate::roads::Random;
+
+/// The lanes of the synthetic street.
+pub fn street() -> Arc<RoadGraph> {
+    static STREET: OnceLock<Arc<RoadGraph>> = OnceLock::new();
+    let graph = || {
+        let options = StreetOptions { background: 0, agents: 1, agent_splats: 1, ..StreetOptions::default() };
+        Arc::new(RoadGraph::new(&Street::generate(&options).lanes).unwrap())
+    };
+    STREET.get_or_init(graph).clone()
+}
+
+/// The lanes of a map of the test data, or nothing and a line that says so where there is none.
+pub fn roads(name: &str) -> Option<Arc<RoadGraph>> {
+    let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let path = std::env::var_os("DECOUPLEGS_DATA").map_or_else(default, PathBuf::from).join("maps").join(name);
+    if !path.exists() {
+        println!("skipped: {} is not there; set DECOUPLEGS_DATA to the folder of test data", path.display());
+        return None;
+    }
+    Some(Arc::new(RoadGraph::new(&read_map(&path).unwrap()).unwrap()))
+}
+
+/// A lane along points.
+pub fn lane(id: &str, points: &[[f64; 2]]) -> Lane {
+    let centreline = points.iter().map(|&[x, y]| DVec3::new(x, y, 0.0)).collect();
+    Lane { id: id.into(), centreline, ..Lane::default() }
+}
+
+/// One straight lane of so many metres, and as many more beside it, each to the left of the one before.
+pub fn straight(length_m: f64, lanes: usize, speed_limit_mps: f64) -> Arc<RoadGraph> {
+    let mut map = LaneMap::default();
+    for number in 0..lanes {
+        let y = 3.5 * number as f64;
+        map.lanes.push(Lane {
+            speed_limit_mps: Some(speed_limit_mps),
+            right_neighbour: number.checked_sub(1),
+            left_neighbour: Some(number + 1).filter(|&left| left < lanes),
+            ..lane(&number.to_string(), &[[0.0, y], [length_m, y]])
+        });
+    }
+    Arc::new(RoadGraph::new(&map).unwrap())
+}
+
+/// A normal driver in a family car who keeps his lane.
+pub fn agent(name: &str, lane: &str, at_m: f64, speed_mps: f64) -> TrafficAgent {
+    TrafficAgent {
+        name: name.into(),
+        asset: 0,
+        size: VehicleSize::CAR,
+        lane: lane.into(),
+        at_m,
+        speed_mps,
+        driver: DriverKind::Normal,
+        changes_lanes: false,
+        behaviours: vec![],
+    }
+}
+
+fn random_behaviour(random: &mut Random) -> Behaviour {
+    let maneuver = match (3.0 * random.unit()) as u32 {
+        0 => Maneuver::Brake { deceleration_mps2: random.between(2.0, 12.0), duration_s: random.between(0.5, 4.0) },
+        1 => Maneuver::CutIn,
+        _ => Maneuver::Swerve { amplitude_m: random.between(-2.5, 2.5), duration_s: random.between(1.0, 4.0) },
+    };
+    let trigger = if random.unit() < 0.5 {
+        Trigger::Time { time_s: random.between(0.0, 15.0) }
+    } else {
+        Trigger::NearEgo { distance_m: random.between(5.0, 60.0) }
+    };
+    Behaviour { trigger, maneuver }
+}
+
+/// Up to `count` agents of all kinds at random; those who would overlap others are left out.
+pub fn random_traffic(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> (Traffic, Vec<TrafficAgent>) {
+    let mut random = Random(seed);
+    let lanes: Vec<_> = (0..graph.lanes_in_map()).filter_map(|lane| graph.lane(lane)).collect();
+    let mut agents: Vec<TrafficAgent> = Vec::new();
+    for number in 0..count {
+        let lane = lanes[(random.unit() * lanes.len() as f64) as usize];
+        let size = VehicleSize {
+            length_m: random.between(3.5, 5.3),
+            width_m: random.between(1.6, 2.0),
+            height_m: random.between(1.4, 2.0),
+        };
+        let behaviours = (0..2).filter(|_| random.unit() < 0.3).map(|_| ()).collect::<Vec<_>>();
+        agents.push(TrafficAgent {
+            size,
+            driver: DriverKind::ALL[(4.0 * random.unit()) as usize],
+            changes_lanes: random.unit() < 0.7,
+            behaviours: behaviours.into_iter().map(|()| random_behaviour(&mut random)).collect(),
+            ..agent(&format!("{number}"), &lane.id, random.unit() * lane.line.length_m(), random.between(0.0, 16.0))
+        });
+    }
+    loop {
+        match Traffic::new(graph.clone(), &agents, seed) {
+            Ok(traffic) => return (traffic, agents),
+            Err(TrafficError::Overlap { second, .. }) => agents.retain(|agent| agent.name != second),
+            Err(other) => panic!("seed {seed}: {other}"),
+        }
+    }
+}
+
+/// What holds for agents at any moment.
+pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> String) {
+    for ((state, agent), place) in traffic.states().iter().zip(agents).zip(traffic.places()) {
+        let name = &agent.name;
+        assert!(state.position_m.is_finite() && state.yaw_rad.is_finite(), "{}: agent {name} is nowhere", what());
+        assert!(state.speed_mps >= 0.0, "{}: agent {name} at {} m/s", what(), state.speed_mps);
+        let acceleration = state.acceleration_mps2;
+        assert!((-BRAKING_MPS2 - 1e-9..=2.0 + 1e-9).contains(&acceleration), "{}: agent {name} at {acceleration} m/s^2", what());
+        let lane = traffic.graph().lane(place.lane).unwrap();
+        assert!((0.0..=lane.line.length_m() + 1e-9).contains(&place.arc_m), "{}: agent {name} is beyond its lane", what());
+        let off_m = lane.line.project(state.position_m).distance_m;
+        assert!(off_m <= place.lateral_m.abs() + 0.05 && off_m < 6.0, "{}: agent {name} is {off_m} m off its lane", what());
+    }
+    let boxes: Vec<_> = traffic.states().iter().zip(agents).map(|(state, agent)| OrientedBox::of(state, &agent.size)).collect();
+    for (number, a) in boxes.iter().enumerate() {
+        for (other, b) in boxes.iter().enumerate().skip(number + 1) {
+            let near = a.centre_m.distance_squared(b.centre_m) < 36.0;
+            let place = |number: usize| {
+                let place = traffic.places().nth(number).unwrap();
+                (agents[number].name.clone(), traffic.graph().lane(place.lane).unwrap().id.clone(), place, traffic.states()[number])
+            };
+            assert!(!near || !a.overlaps(b), "{}: overlap: {:?}, {:?}", what(), place(number), place(other));
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! What the ego's cameras see.
+
+use decouplegs_render::{ColourFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
+use decouplegs_scene::episode::{DrawnBy, ImageRecord};
+use decouplegs_scene::{Rig, RigCamera, Rules};
+use rayon::prelude::*;
+use xxhash_rust::xxh3::xxh3_128;
+
+use super::simulation::Simulation;
+use crate::LiveScene;
+use crate::planner::{Cameras, Frame};
+
+/// Cameras that look at an episode.
+pub struct Eyes<'a> {
+    live: &'a LiveScene,
+    renderer: Renderer,
+    rig: Rig,
+    every: u32,
+    pictures: PictureBytes,
+}
+
+/// How a renderer for episodes draws: by `rules`, in bytes.
+#[must_use]
+pub fn render_options(rules: Rules) -> RenderOptions {
+    let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+    RenderOptions { rules, outputs, ..RenderOptions::default() }
+}
+
+/// Those of the cameras of `rig` that `cameras` asks for, at `size_px` where it is given.
+///
+/// # Errors
+/// When there is none to choose from.
+pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, String> {
+    let first = || rig.cameras.iter().find(|camera| camera.name == "front").or(rig.cameras.first());
+    let mut chosen: Vec<RigCamera> = match cameras {
+        Cameras::None => Vec::new(),
+        Cameras::Front => first().cloned().into_iter().collect(),
+        Cameras::All => rig.cameras.clone(),
+    };
+    if cameras != Cameras::None && chosen.is_empty() {
+        return Err("the planner wants pictures, and the scene has no cameras: add a [[rig]] to the scene file".into());
+    }
+    if let Some([width_px, height_px]) = size_px {
+        for camera in &mut chosen {
+            camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
+        }
+    }
+    Ok(Rig { cameras: chosen })
+}
+
+impl<'a> Eyes<'a> {
+    /// The cameras of `rig` in `live`, drawn by `renderer` at every `every`th step.
+    #[must_use]
+    pub fn new(live: &'a LiveScene, renderer: Renderer, rig: Rig, every: u32) -> Self {
+        Self { live, renderer, rig, every: every.max(1), pictures: PictureBytes::default() }
+    }
+
+    /// The cameras.
+    #[must_use]
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// The renderer, for other eyes.
+    #[must_use]
+    pub fn into_renderer(self) -> Renderer {
+        self.renderer
+    }
+
+    /// What a log keeps of them.
+    #[must_use]
+    pub fn drawn_by(&self) -> Option<DrawnBy> {
+        let first = self.rig.cameras.first()?;
+        Some(DrawnBy {
+            device: self.renderer.gpu().info().to_string(),
+            width_px: first.intrinsics.width_px,
+            height_px: first.intrinsics.height_px,
+            every: self.every,
+        })
+    }
+
+    /// Draws `simulation` if `step` is one that is drawn; what was seen before is gone either way.
+    ///
+    /// # Errors
+    /// When the device was lost or has not the memory.
+    pub fn look(&mut self, simulation: &mut Simulation, step: u32) -> Result<bool, RenderError> {
+        if self.rig.cameras.is_empty() || !step.is_multiple_of(self.every) {
+            self.pictures.clear();
+            return Ok(false);
+        }
+        let (ego, placed) = simulation.placed();
+        let moment = self.live.placed(&placed);
+        self.renderer.render(self.live.with(&moment), &self.rig.at(&ego))?;
+        self.renderer.read_bytes(&mut self.pictures)?;
+        Ok(true)
+    }
+
+    /// What was seen last.
+    #[must_use]
+    pub fn frames(&self) -> Vec<Frame<'_>> {
+        (0..self.pictures.len())
+            .map(|index| Frame { camera: &self.rig.cameras[index], rgba: self.pictures.rgba(index) })
+            .collect()
+    }
+
+    /// The bits of what was seen last.
+    #[must_use]
+    pub fn hashes(&self) -> Vec<ImageRecord> {
+        let hash = |index: usize| ImageRecord {
+            camera: self.rig.cameras[index].name.clone(),
+            hash: xxh3_128(self.pictures.rgba(index)),
+        };
+        (0..self.pictures.len()).into_par_iter().map(hash).collect()
+    }
+}

@@ -1,0 +1,214 @@
+//! The closed loop: the ego's cameras are drawn, a planner answers with a trajectory, the ego follows it, traffic answers, and again.
+//!
+//! This is the only place that joins what moves with what draws. [`Site`] is where it happens, [`Simulation`] what moves, [`Eyes`]
+//! what is seen, and [`drive`] goes round the loop. Everything that happens is in an [`Episode`], from which [`replay`] makes
+//! it again, bit by bit.
+
+mod eyes;
+pub mod open_loop;
+mod replay;
+mod simulation;
+mod site;
+
+use std::time::{Duration, Instant as Clock};
+
+use decouplegs_asset::AssetError;
+use decouplegs_render::RenderError;
+use decouplegs_scene::Scenario;
+use decouplegs_scene::episode::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Instant, PlannerRecord};
+
+use crate::planner::{Briefing, Cameras, Frame, Observation, Planner};
+
+pub use eyes::{Eyes, chosen, render_options};
+pub use replay::{Replayed, replay};
+pub use simulation::Simulation;
+pub use site::{Look, Site, SiteError, rig_of};
+
+/// Why an episode could not be driven: the run's fault, not the planner's.
+#[derive(Debug, thiserror::Error)]
+pub enum EpisodeError {
+    /// The scenario does not fit its place.
+    #[error("scenario {scenario}: {reason}")]
+    Unfit {
+        /// Its name.
+        scenario: String,
+        /// What does not fit.
+        reason: String,
+    },
+    /// The pictures.
+    #[error("the cameras cannot be drawn")]
+    Render(#[from] RenderError),
+    /// The log.
+    #[error(transparent)]
+    Log(#[from] AssetError),
+}
+
+/// Somebody who is told what happens while it happens: a log, an album of pictures.
+pub trait Witness {
+    /// Before the first step.
+    ///
+    /// # Errors
+    /// Ends the episode and the run.
+    fn begin(&mut self, _head: &EpisodeHead, _start: &Instant) -> Result<(), EpisodeError> {
+        Ok(())
+    }
+
+    /// After each step, with the pictures that its plan was made from.
+    ///
+    /// # Errors
+    /// Ends the episode and the run.
+    fn step(&mut self, step: &EpisodeStep, frames: &[Frame]) -> Result<(), EpisodeError>;
+
+    /// After the last.
+    ///
+    /// # Errors
+    /// Ends the run.
+    fn end(&mut self, _end: &EpisodeEnd) -> Result<(), EpisodeError> {
+        Ok(())
+    }
+}
+
+/// Nobody.
+impl Witness for () {
+    fn step(&mut self, _step: &EpisodeStep, _frames: &[Frame]) -> Result<(), EpisodeError> {
+        Ok(())
+    }
+}
+
+/// What one step took by the clock on the wall.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StepTime {
+    /// Poses, light, the frame on the device, and its pictures back on the host.
+    pub draw: Duration,
+    /// Hashes of the pictures.
+    pub hash: Duration,
+    /// The planner's.
+    pub plan: Duration,
+    /// Ego and traffic.
+    pub advance: Duration,
+    /// The witness: logs and albums.
+    pub witness: Duration,
+}
+
+impl StepTime {
+    /// All but the planner's.
+    #[must_use]
+    pub fn simulator(&self) -> Duration {
+        self.draw + self.hash + self.advance + self.witness
+    }
+}
+
+/// An episode that was driven, and what its steps took.
+pub struct Driven {
+    /// What happened.
+    pub episode: Episode,
+    /// A step each.
+    pub times: Vec<StepTime>,
+}
+
+/// Drives `scenario` in `site` with `planner`, who sees through `eyes`.
+///
+/// # Errors
+/// When the scenario does not fit the site, the device fails, or the witness cannot go on. A planner that fails ends the
+/// episode with its reason, which is no error.
+pub fn drive(
+    scenario: &Scenario,
+    site: &Site,
+    mut eyes: Option<&mut Eyes>,
+    planner: &mut dyn Planner,
+    witness: &mut dyn Witness,
+) -> Result<Driven, EpisodeError> {
+    let mut simulation = Simulation::new(scenario, site)?;
+    let (head, start) = (head(&simulation, eyes.as_deref(), planner), simulation.instant());
+    witness.begin(&head, &start)?;
+    let mut driven = Driven { episode: Episode { head, start, steps: Vec::new(), end: EpisodeEnd::Time }, times: Vec::new() };
+    if let Err(error) = planner.begin(&briefing(scenario, eyes.as_deref())) {
+        simulation.fail(error.to_string());
+    }
+    while simulation.end().is_none() {
+        let number = driven.episode.steps.len() as u32;
+        let (step, time) = one_step(&mut simulation, eyes.as_deref_mut(), planner, witness, number)?;
+        driven.times.push(time);
+        driven.episode.steps.extend(step);
+    }
+    driven.episode.end = simulation.end().cloned().unwrap_or(EpisodeEnd::Time);
+    witness.end(&driven.episode.end)?;
+    Ok(driven)
+}
+
+/// Once round the loop. No step where the planner failed.
+fn one_step(
+    simulation: &mut Simulation,
+    mut eyes: Option<&mut Eyes>,
+    planner: &mut dyn Planner,
+    witness: &mut dyn Witness,
+    number: u32,
+) -> Result<(Option<EpisodeStep>, StepTime), EpisodeError> {
+    let mut time = StepTime::default();
+    let mut since = Clock::now();
+    let mut lap = || {
+        let now = Clock::now();
+        let taken = now - since;
+        since = now;
+        taken
+    };
+    if let Some(eyes) = eyes.as_deref_mut() {
+        eyes.look(simulation, number)?;
+    }
+    time.draw = lap();
+    let (frames, images) = eyes.as_deref().map(|eyes| (eyes.frames(), eyes.hashes())).unwrap_or_default();
+    time.hash = lap();
+    let privileged = planner.sees().privileged.then(|| simulation.privileged());
+    let answer = planner.plan(&Observation {
+        step: number,
+        time_s: simulation.time_s(),
+        frames: &frames,
+        ego: simulation.motion(),
+        guidance: simulation.guidance(),
+        privileged: privileged.as_ref(),
+    });
+    time.plan = lap();
+    let plan = match answer {
+        Ok(plan) => plan,
+        Err(error) => {
+            simulation.fail(error.to_string());
+            return Ok((None, time));
+        }
+    };
+    let instants = simulation.advance(&plan);
+    time.advance = lap();
+    let step = EpisodeStep { step: number, images, plan, instants };
+    witness.step(&step, &frames)?;
+    time.witness = lap();
+    Ok((Some(step), time))
+}
+
+fn head(simulation: &Simulation, eyes: Option<&Eyes>, planner: &dyn Planner) -> EpisodeHead {
+    let cameras = eyes.map(|eyes| eyes.rig().cameras.iter().map(|camera| camera.name.clone()).collect()).unwrap_or_default();
+    EpisodeHead {
+        version: env!("CARGO_PKG_VERSION").into(),
+        scenario: simulation.scenario().clone(),
+        planner: PlannerRecord { name: planner.name(), cameras, privileged: planner.sees().privileged },
+        drawn_by: eyes.and_then(Eyes::drawn_by),
+        route_m: simulation.route_m(),
+        agent_sizes: simulation.agent_sizes().to_vec(),
+    }
+}
+
+fn briefing(scenario: &Scenario, eyes: Option<&Eyes>) -> Briefing {
+    Briefing {
+        scenario: scenario.name.clone(),
+        step_s: scenario.step_s,
+        ego_size: scenario.ego.size,
+        cameras: eyes.map(|eyes| eyes.rig().cameras.clone()).unwrap_or_default(),
+    }
+}
+
+/// The cameras that have to be drawn for `planner` in an episode where pictures are made.
+#[must_use]
+pub fn cameras_of(planner: &dyn Planner, at_least: Cameras) -> Cameras {
+    match planner.sees().cameras {
+        Cameras::None => at_least,
+        wanted => wanted,
+    }
+}

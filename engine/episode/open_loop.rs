@@ -1,0 +1,51 @@
+//! Open loop: what a planner would have answered along a log, given other pictures. Nothing it answers is driven.
+
+use decouplegs_scene::episode::Episode;
+use decouplegs_scene::{Plan, Rig};
+
+use super::site::Site;
+use super::{EpisodeError, Simulation};
+use crate::planner::{Briefing, Frame, Observation, Planner};
+
+/// Pictures of a step, four bytes a pixel, one a camera of the rig.
+pub type Pictures = Vec<Vec<u8>>;
+
+/// Shows `planner` the pictures that `pictures_of` has of each step, the ego moving as in `episode`. Its answers, `None` where it
+/// had none.
+///
+/// # Errors
+/// When the scenario does not fit the site, or `pictures_of` fails.
+pub fn plans<E: From<EpisodeError>>(
+    episode: &Episode,
+    site: &Site,
+    rig: &Rig,
+    planner: &mut dyn Planner,
+    mut pictures_of: impl FnMut(u32) -> Result<Pictures, E>,
+) -> Result<Vec<Option<Plan>>, E> {
+    let scenario = &episode.head.scenario;
+    let mut simulation = Simulation::new(scenario, site)?;
+    let briefing = Briefing {
+        scenario: scenario.name.clone(),
+        step_s: scenario.step_s,
+        ego_size: scenario.ego.size,
+        cameras: rig.cameras.clone(),
+    };
+    let begun = planner.begin(&briefing).is_ok();
+    let mut answers = Vec::with_capacity(episode.steps.len());
+    for step in &episode.steps {
+        let pictures = pictures_of(step.step)?;
+        let frames: Vec<Frame> = rig.cameras.iter().zip(&pictures).map(|(camera, rgba)| Frame { camera, rgba }).collect();
+        let privileged = planner.sees().privileged.then(|| simulation.privileged());
+        let observation = Observation {
+            step: step.step,
+            time_s: simulation.time_s(),
+            frames: &frames,
+            ego: simulation.motion(),
+            guidance: simulation.guidance(),
+            privileged: privileged.as_ref(),
+        };
+        answers.push(if begun { planner.plan(&observation).ok() } else { None });
+        simulation.advance(&step.plan);
+    }
+    Ok(answers)
+}

@@ -1,0 +1,91 @@
+//! An episode driven again from its log.
+
+use decouplegs_scene::episode::{Episode, EpisodeEnd};
+use decouplegs_scene::{Plan, Scenario};
+
+use super::{EpisodeError, Eyes, Site, Witness, drive};
+use crate::planner::{Briefing, Observation, Planner, PlannerError, Sees};
+
+/// What came of driving an episode again.
+pub struct Replayed {
+    /// What happened this time, its head that of the log but for who drew it.
+    pub episode: Episode,
+    /// The first difference in what moved, a sentence; `None` where all is the same to the last bit.
+    pub moved_differently: Option<String>,
+    /// Pictures that were drawn both times.
+    pub pictures: usize,
+    /// Those whose bits differ.
+    pub pictures_different: usize,
+}
+
+/// Answers what the log says.
+struct Logged<'a> {
+    episode: &'a Episode,
+}
+
+impl Planner for Logged<'_> {
+    fn name(&self) -> String {
+        self.episode.head.planner.name.clone()
+    }
+
+    fn sees(&self) -> Sees {
+        Sees { privileged: self.episode.head.planner.privileged, ..Sees::default() }
+    }
+
+    fn begin(&mut self, _briefing: &Briefing) -> Result<(), PlannerError> {
+        match (&self.episode.end, self.episode.steps.is_empty()) {
+            (EpisodeEnd::Planner { reason }, true) => Err(PlannerError(reason.clone())),
+            _ => Ok(()),
+        }
+    }
+
+    fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
+        let step = self.episode.steps.get(observation.step as usize);
+        step.map(|step| step.plan.clone()).ok_or_else(|| match &self.episode.end {
+            EpisodeEnd::Planner { reason } => PlannerError(reason.clone()),
+            _ => PlannerError(format!("the log ends before step {}", observation.step)),
+        })
+    }
+}
+
+/// Drives the plans of `episode` again in `site`, drawn by `eyes`, and compares.
+///
+/// # Errors
+/// Those of [`drive`].
+pub fn replay(
+    episode: &Episode,
+    site: &Site,
+    eyes: Option<&mut Eyes>,
+    witness: &mut dyn Witness,
+) -> Result<Replayed, EpisodeError> {
+    let scenario: &Scenario = &episode.head.scenario;
+    let again = drive(scenario, site, eyes, &mut Logged { episode }, witness)?.episode;
+    let images = |episode: &Episode| episode.steps.iter().flat_map(|step| step.images.clone()).collect::<Vec<_>>();
+    let (before, after) = (images(episode), images(&again));
+    let same_frames = before.len() == after.len();
+    Ok(Replayed {
+        moved_differently: first_difference(episode, &again),
+        pictures: if same_frames { after.len() } else { 0 },
+        pictures_different: if same_frames { before.iter().zip(&after).filter(|(a, b)| a != b).count() } else { 0 },
+        episode: again,
+    })
+}
+
+/// Where two episodes part, pictures apart.
+fn first_difference(a: &Episode, b: &Episode) -> Option<String> {
+    if a.head.route_m != b.head.route_m || a.head.agent_sizes != b.head.agent_sizes || a.start != b.start {
+        return Some("the start is another: its map, its assets or the program has changed".into());
+    }
+    for (a, b) in a.steps.iter().zip(&b.steps) {
+        if let Some((a, _)) = a.instants.iter().zip(&b.instants).find(|(a, b)| a != b) {
+            return Some(format!("somebody moves differently at {} s", a.time_s));
+        }
+        if a.instants.len() != b.instants.len() {
+            return Some(format!("step {} has {} moments instead of {}", a.step, b.instants.len(), a.instants.len()));
+        }
+    }
+    if a.steps.len() != b.steps.len() || a.end != b.end {
+        return Some(format!("it ends after {} steps instead of {}", b.steps.len(), a.steps.len()));
+    }
+    None
+}

@@ -1,0 +1,236 @@
+//! The world of one episode in motion: the ego, the traffic and the clock.
+
+use decouplegs_drive::score::RouteProgress;
+use decouplegs_drive::{Ego, EgoOptions, OrientedBox, Route, Traffic};
+use decouplegs_scene::episode::{EpisodeEnd, Instant};
+use decouplegs_scene::{Plan, Pose, Scenario, VehicleSize, VehicleState};
+use glam::DVec2;
+
+use super::EpisodeError;
+use super::site::Site;
+use crate::Placed;
+use crate::planner::{EgoMotion, Guidance, Privileged, Turn};
+
+/// A wheel may be so far beyond the lanes' borders, metres: markings are as wide.
+const ROAD_SLACK_M: f64 = 0.15;
+
+/// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the same bits.
+pub struct Simulation<'a> {
+    scenario: &'a Scenario,
+    site: &'a Site,
+    route: Route,
+    progress: RouteProgress,
+    ego: Ego,
+    traffic: Traffic,
+    agent_sizes: Vec<VehicleSize>,
+    /// Heights at which the ego and then the agents stood last.
+    ground_z_m: Vec<f64>,
+    substep: u32,
+    end: Option<EpisodeEnd>,
+}
+
+impl<'a> Simulation<'a> {
+    /// `scenario` at its start.
+    ///
+    /// # Errors
+    /// When its lanes are not those of `site`, or vehicles stand in one another.
+    pub fn new(scenario: &'a Scenario, site: &'a Site) -> Result<Self, EpisodeError> {
+        let unfit = |reason: String| EpisodeError::Unfit { scenario: scenario.name.clone(), reason };
+        let route = Route::new(&site.lanes, &scenario.ego).map_err(unfit)?;
+        let traffic =
+            Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed).map_err(|error| unfit(error.to_string()))?;
+        let (start, heading_rad) = route.pose_at(0.0);
+        let state = VehicleState {
+            position_m: start.truncate(),
+            yaw_rad: heading_rad,
+            speed_mps: scenario.ego.speed_mps,
+            acceleration_mps2: 0.0,
+        };
+        let progress =
+            RouteProgress::new(&line_of(&route), state.position_m).ok_or_else(|| unfit("the route is no line".into()))?;
+        let agent_sizes: Vec<VehicleSize> = scenario.agents.iter().map(|agent| agent.size).collect();
+        let ego_box = OrientedBox::of(&state, &scenario.ego.size);
+        let touched =
+            traffic.states().iter().zip(&agent_sizes).position(|(state, size)| OrientedBox::of(state, size).overlaps(&ego_box));
+        if let Some(agent) = touched {
+            return Err(unfit(format!("the ego starts where agent {} stands", scenario.agents[agent].name)));
+        }
+        let mut simulation = Self {
+            progress,
+            route,
+            ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
+            traffic,
+            agent_sizes,
+            ground_z_m: vec![start.z; scenario.agents.len() + 1],
+            scenario,
+            site,
+            substep: 0,
+            end: None,
+        };
+        simulation.find_ground();
+        Ok(simulation)
+    }
+
+    /// Heights of the agents at the start, from their lanes.
+    fn find_ground(&mut self) {
+        let lanes = &self.site.lanes.lanes;
+        for (agent, z_m) in self.scenario.agents.iter().zip(&mut self.ground_z_m[1..]) {
+            let lane = lanes.iter().find(|lane| lane.id == agent.lane);
+            *z_m = lane.and_then(|lane| lane.centreline.first()).map_or(*z_m, |point| point.z);
+        }
+    }
+
+    /// What is driven.
+    #[must_use]
+    pub fn scenario(&self) -> &Scenario {
+        self.scenario
+    }
+
+    /// The ego's way.
+    #[must_use]
+    pub fn route(&self) -> &Route {
+        &self.route
+    }
+
+    /// Boxes of the agents.
+    #[must_use]
+    pub fn agent_sizes(&self) -> &[VehicleSize] {
+        &self.agent_sizes
+    }
+
+    /// Since the start, seconds. Counted, not summed up: steps of a tenth do not add up to one.
+    #[must_use]
+    pub fn time_s(&self) -> f64 {
+        let (per_step, _) = self.scenario.substeps();
+        f64::from(self.substep) * self.scenario.step_s / f64::from(per_step)
+    }
+
+    /// Why it is over, if it is.
+    #[must_use]
+    pub fn end(&self) -> Option<&EpisodeEnd> {
+        self.end.as_ref()
+    }
+
+    /// Ends it because the planner failed.
+    pub fn fail(&mut self, reason: String) {
+        self.end.get_or_insert(EpisodeEnd::Planner { reason });
+    }
+
+    /// Where everybody is.
+    #[must_use]
+    pub fn instant(&self) -> Instant {
+        let ego = self.ego.state();
+        Instant {
+            time_s: self.time_s(),
+            on_road: self.site.surface.holds_box(&OrientedBox::of(&ego, &self.scenario.ego.size), ROAD_SLACK_M),
+            ego,
+            steer_rad: self.ego.steer_rad(),
+            agents: self.traffic.states().to_vec(),
+        }
+    }
+
+    /// What the ego knows of its own motion.
+    #[must_use]
+    pub fn motion(&self) -> EgoMotion {
+        let state = self.ego.state();
+        EgoMotion {
+            speed_mps: state.speed_mps,
+            acceleration_mps2: state.acceleration_mps2,
+            steer_rad: self.ego.steer_rad(),
+            yaw_rate_radps: self.ego.yaw_rate_radps(),
+        }
+    }
+
+    /// What a navigation system says.
+    #[must_use]
+    pub fn guidance(&self) -> Guidance {
+        let (progress_m, cruise_mps) = (self.progress.progress_m(), self.scenario.ego.cruise_mps);
+        match self.route.next_turn(progress_m) {
+            Some(turn) => Guidance {
+                turn: if turn.angle_rad > 0.0 { Turn::Left } else { Turn::Right },
+                distance_m: turn.begin_m - progress_m,
+                angle_rad: turn.angle_rad,
+                length_m: turn.end_m - turn.begin_m,
+                cruise_mps,
+            },
+            None => Guidance { distance_m: self.route.length_m() - progress_m, cruise_mps, ..Guidance::default() },
+        }
+    }
+
+    /// What no camera shows.
+    #[must_use]
+    pub fn privileged(&self) -> Privileged {
+        Privileged {
+            ego: self.ego.state(),
+            ego_size: self.scenario.ego.size,
+            route_m: self.route_m(),
+            agents: self.traffic.states().iter().copied().zip(self.agent_sizes.iter().copied()).collect(),
+        }
+    }
+
+    /// Drives `plan` for a step. The moments after each sub-step, the last of them that at which the episode ended, if it did.
+    pub fn advance(&mut self, plan: &Plan) -> Vec<Instant> {
+        let (substeps, substep_s) = self.scenario.substeps();
+        self.ego.follow(plan);
+        let mut instants = Vec::with_capacity(substeps as usize);
+        for _ in 0..substeps {
+            if self.end.is_some() {
+                break;
+            }
+            // Everybody acts on what was: neither sees the other's step before its own.
+            let seen = self.ego.state();
+            self.ego.step(substep_s);
+            self.traffic.step(substep_s, Some((&seen, &self.scenario.ego.size)));
+            self.substep += 1;
+            self.progress.advance(self.ego.state().position_m);
+            let instant = self.instant();
+            self.end = self.end_at(&instant);
+            instants.push(instant);
+        }
+        instants
+    }
+
+    fn end_at(&self, instant: &Instant) -> Option<EpisodeEnd> {
+        let ego = OrientedBox::of(&instant.ego, &self.scenario.ego.size);
+        let mut boxes = instant.agents.iter().zip(&self.agent_sizes).map(|(state, size)| OrientedBox::of(state, size));
+        if let Some(agent) = boxes.position(|other| other.overlaps(&ego)) {
+            return Some(EpisodeEnd::Collision { agent });
+        }
+        if self.progress.is_done() {
+            return Some(EpisodeEnd::RouteDone);
+        }
+        let (per_step, _) = self.scenario.substeps();
+        (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
+    }
+
+    /// The ego's pose and the agents, as they are drawn.
+    pub fn placed(&mut self) -> (Pose, Vec<Placed>) {
+        let assets = self.site.asset_sizes.len().max(1);
+        let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
+        let states = self.traffic.states().to_vec();
+        let placed = states.iter().enumerate().map(|(index, state)| Placed {
+            asset: self.scenario.agents[index].asset % assets,
+            pose: self.stand(index + 1, *state, self.agent_sizes[index]),
+            sh_frame: None,
+            instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
+        });
+        (ego, placed.collect())
+    }
+
+    /// Sets a vehicle on the ground, and remembers how high that is.
+    fn stand(&mut self, vehicle: usize, state: VehicleState, size: VehicleSize) -> Pose {
+        let pose = self.site.pose_of(&state, &size, self.ground_z_m[vehicle]);
+        self.ground_z_m[vehicle] = pose.translation.z - 0.5 * size.height_m;
+        pose
+    }
+
+    /// The route as a line on the plane, metres.
+    #[must_use]
+    pub fn route_m(&self) -> Vec<DVec2> {
+        line_of(&self.route)
+    }
+}
+
+fn line_of(route: &Route) -> Vec<DVec2> {
+    route.line().points().iter().map(|point| point.truncate()).collect()
+}

@@ -1,0 +1,242 @@
+//! Places made ready: what an episode needs of where it takes place.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use decouplegs_asset::compress::{CompressError, CompressOptions, Prune, compress};
+use decouplegs_asset::roads::{self, RoadsOptions};
+use decouplegs_asset::street::{AssetLight, Street, StreetOptions};
+use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, open_scene, read_map};
+use decouplegs_drive::register::grounding::{corners, plane, pose_on};
+use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
+use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
+use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs_scene::scenario::Place;
+use decouplegs_scene::{
+    CodedCloud, LaneMap, LightTransfer, Pose, Rig, SplatCloud, Trajectory, VehicleSize, VehicleState, Weather, World,
+};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Why a place cannot be driven in.
+#[derive(Debug, thiserror::Error)]
+pub enum SiteError {
+    /// A file of it.
+    #[error(transparent)]
+    Asset(#[from] AssetError),
+    /// An asset that was made up.
+    #[error("a car of the street cannot be coded")]
+    Compress(#[from] CompressError),
+    /// Its lanes make no roads, or its scene has nothing to show.
+    #[error("{0}")]
+    Unfit(String),
+}
+
+/// What is seen of a place.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Look {
+    /// What light does to the colours of agents in a place that is made up; `None`: they keep those they were captured in. Scene
+    /// files have their own.
+    pub transfer: Option<LightTransfer>,
+}
+
+/// A place made ready.
+pub struct Site {
+    /// What there is to draw; no splats where nothing is to be seen.
+    pub loaded: LoadedScene,
+    /// Its lanes.
+    pub lanes: LaneMap,
+    /// The same for traffic.
+    pub graph: Arc<RoadGraph>,
+    /// The same for whoever may leave them.
+    pub surface: RoadSurface,
+    /// Boxes of the assets that agents may show.
+    pub asset_sizes: Vec<VehicleSize>,
+    /// The ground that was captured, where it was.
+    ground: Option<Ground>,
+}
+
+/// Mini-batches for the codebooks of cars that are made up: a place has to be ready in seconds.
+const CAR_ITERATIONS: usize = 16;
+/// Splats of a car that is made up for each entry of its codebooks, where the books could hold more.
+const SPLATS_AN_ENTRY: usize = 16;
+/// The ground is looked for within this of the lane's height, metres: less than there is between two decks.
+const GROUND_BAND_M: f64 = 1.0;
+
+impl Site {
+    /// Light is summed up along lanes in steps of this, metres: what its field is spaced by.
+    pub const LIGHT_STEP_M: f64 = 1.0;
+
+    /// `place` made ready, its files relative to `directory`. Without a `look` nothing is made that is only to be seen.
+    ///
+    /// # Errors
+    /// When a file is at fault, or lanes or assets are missing.
+    pub fn open(place: &Place, directory: &Path, look: Option<&Look>) -> Result<Self, SiteError> {
+        match place {
+            Place::Street { weather, background, agent_splats, seed } => {
+                Self::street(*weather, [*background, *agent_splats], *seed, look)
+            }
+            Place::Roads { map, probe, exposure_ev, background, agent_splats } => {
+                let lanes = read_map(&directory.join(map))?;
+                let cars = cars(*agent_splats * usize::from(look.is_some()), AssetLight::Neutral);
+                let Some(look) = look else { return Self::bare(lanes, cars.sizes) };
+                let probe = probe.as_ref().map(|probe| directory.join(probe));
+                let options = RoadsOptions::new(*background, probe.as_deref(), *exposure_ev)?;
+                let drawn = roads::generate(&lanes, &options);
+                let world = World { origin: drawn.origin, sky: drawn.sky, ..World::of(drawn.background) };
+                Self::made_up(lanes, world, cars, look)
+            }
+            Place::Scene { scene, map } => Self::captured(&directory.join(scene), read_map(&directory.join(map))?, look),
+        }
+    }
+
+    fn street(
+        weather: Weather,
+        [background, agent_splats]: [usize; 2],
+        seed: u64,
+        look: Option<&Look>,
+    ) -> Result<Self, SiteError> {
+        // Cars that no light is put on are shown in the sun of their capture.
+        let asset_light = match look {
+            Some(Look { transfer: Some(_) }) => AssetLight::Neutral,
+            _ => AssetLight::Sun,
+        };
+        let cars = cars(agent_splats * usize::from(look.is_some()), asset_light);
+        let background = background * usize::from(look.is_some());
+        let street = Street::generate(&StreetOptions { background, agents: 0, seed, weather, ..StreetOptions::default() });
+        let Some(look) = look else { return Self::bare(street.lanes, cars.sizes) };
+        let world = World { sky: street.sky, ..World::of(street.background) };
+        Self::made_up(street.lanes, world, cars, look)
+    }
+
+    /// A place that nobody looks at.
+    fn bare(lanes: LaneMap, asset_sizes: Vec<VehicleSize>) -> Result<Self, SiteError> {
+        Self::of(empty_scene(World::default()), lanes, asset_sizes, None)
+    }
+
+    fn made_up(lanes: LaneMap, mut world: World, cars: Cars, look: &Look) -> Result<Self, SiteError> {
+        world.splats = world.splats.select(&world.splats.spatial_order());
+        let assets = cars.clouds.par_iter().zip(&cars.sizes).map(|(cloud, size)| coded(cloud, size));
+        let light = LoadedLight {
+            transfer: look.transfer.clone(),
+            ambient: AmbientOptions::default(),
+            shadows: Some(ShadowOptions::default()),
+        };
+        let loaded =
+            LoadedScene { assets: assets.collect::<Result<_, _>>()?, rig: cars.rig, light: Some(light), ..empty_scene(world) };
+        Self::of(loaded, lanes, cars.sizes, None)
+    }
+
+    fn captured(scene: &Path, lanes: LaneMap, look: Option<&Look>) -> Result<Self, SiteError> {
+        let mut loaded = open_scene(scene, 0.0)?;
+        // Traffic takes the place of whoever drove when the scene was captured.
+        loaded.agents.clear();
+        loaded.agent_names.clear();
+        if look.is_some() && loaded.assets.is_empty() {
+            let scene = scene.display();
+            return Err(SiteError::Unfit(format!("{scene} names no compressed asset (.safetensors) that agents could show")));
+        }
+        let sizes = loaded.assets.iter().map(|asset| size_of(asset.dims_m)).collect();
+        let options = GroundOptions { band_m: GROUND_BAND_M, ..GroundOptions::default() };
+        let ground = Ground::new(&loaded.world.splats, loaded.world.origin, &options);
+        Self::of(loaded, lanes, sizes, Some(ground))
+    }
+
+    fn of(loaded: LoadedScene, lanes: LaneMap, asset_sizes: Vec<VehicleSize>, ground: Option<Ground>) -> Result<Self, SiteError> {
+        let graph = Arc::new(RoadGraph::new(&lanes).map_err(SiteError::Unfit)?);
+        let surface = RoadSurface::new(&lanes);
+        Ok(Self { loaded, lanes, graph, surface, asset_sizes, ground })
+    }
+
+    /// How a vehicle stands on the ground: wheels at the height of the captured ground, otherwise of the lanes.
+    ///
+    /// `near_z_m` is the height at which it was last, which tells decks apart.
+    #[must_use]
+    pub fn pose_of(&self, state: &VehicleState, size: &VehicleSize, near_z_m: f64) -> Pose {
+        let dims_m = size.to_array();
+        let height_at = |local| {
+            let at = state.to_world(local);
+            let lane_z_m = self.surface.height_at(at, near_z_m);
+            let captured = self.ground.as_ref().and_then(|ground| ground.height_at(at, Some(lane_z_m.unwrap_or(near_z_m))));
+            captured.map(|height| height.z_m).or(lane_z_m)
+        };
+        let corners = corners(dims_m);
+        match plane(&corners, &corners.map(height_at)) {
+            Some((plane, _)) => pose_on(&plane, state.position_m, state.yaw_rad, size.height_m),
+            None => Pose::from_yaw(state.yaw_rad, state.position_m.extend(near_z_m + 0.5 * size.height_m)),
+        }
+    }
+
+    /// Places all along its lanes, `step_m` apart: where light has to be known.
+    pub fn places(&self, step_m: f64) -> impl Iterator<Item = DVec3> + '_ {
+        self.lanes.lanes.iter().flat_map(move |lane| {
+            lane.centreline.windows(2).flat_map(move |pair| {
+                let steps = (pair[0].distance(pair[1]) / step_m).ceil().clamp(1.0, 4096.0) as u32;
+                (0..steps).map(move |step| pair[0].lerp(pair[1], f64::from(step) / f64::from(steps)))
+            })
+        })
+    }
+}
+
+/// The cameras of the ego in `place`, its files relative to `directory`.
+///
+/// # Errors
+/// When the scene file is at fault.
+pub fn rig_of(place: &Place, directory: &Path) -> Result<Rig, SiteError> {
+    match place {
+        Place::Scene { scene, .. } => Ok(SceneFile::read(&directory.join(scene))?.rig),
+        Place::Street { .. } | Place::Roads { .. } => Ok(cars(0, AssetLight::Neutral).rig),
+    }
+}
+
+/// The cars of the synthetic street, and the six cameras of its ego.
+struct Cars {
+    clouds: Vec<SplatCloud>,
+    sizes: Vec<VehicleSize>,
+    rig: Rig,
+}
+
+/// Seed of the cars: the same in all places, so that scenarios differ by who drives and where.
+const CARS_SEED: u64 = 1;
+/// More agents than there are different cars: all of them are made.
+const ALL_CARS: usize = 64;
+
+fn cars(splats: usize, asset_light: AssetLight) -> Cars {
+    let options = StreetOptions {
+        background: 0,
+        agents: ALL_CARS,
+        agent_splats: splats,
+        seed: CARS_SEED,
+        asset_light,
+        ..StreetOptions::default()
+    };
+    let street = Street::generate(&options);
+    let sizes = street.asset_dims_m.iter().map(|dims| size_of(*dims)).collect();
+    Cars { clouds: street.assets, sizes, rig: street.rig }
+}
+
+/// In millimetres, so that a person can read what a scenario says of it.
+fn size_of(dims_m: [f32; 3]) -> VehicleSize {
+    VehicleSize::from_array(dims_m.map(|side_m| (f64::from(side_m) * 1e3).round() / 1e3))
+}
+
+/// A car with every splat it has, in the renderer's form.
+fn coded(cloud: &SplatCloud, size: &VehicleSize) -> Result<CodedCloud, SiteError> {
+    let options =
+        CompressOptions { prune: Prune::KeepRatio(1.0), iterations_max: STREET_ITERATIONS, ..CompressOptions::default() };
+    let mut coded = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| {})?.cloud;
+    coded.dims_m = size.to_array().map(|side_m| side_m as f32);
+    Ok(coded)
+}
+
+fn empty_scene(world: World) -> LoadedScene {
+    LoadedScene {
+        world,
+        assets: Vec::new(),
+        agents: Vec::new(),
+        rig: Rig::default(),
+        ego: Trajectory::standing(Pose::IDENTITY),
+        agent_names: Vec::new(),
+        light: None,
+    }
+}

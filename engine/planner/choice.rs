@@ -1,0 +1,147 @@
+//! Planners by the names that the command line gives them.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use decouplegs_asset::read_episode_log;
+
+use super::external::{Attachment, External, Patience};
+use super::{ConstantVelocity, LaneFollow, Planner, PlannerError, Replay, Vision};
+
+/// Which planner drives. It can be opened many times over: each thread that drives episodes has a planner of its own.
+///
+/// | text | planner |
+/// |---|---|
+/// | `constant-velocity` | [`ConstantVelocity`] |
+/// | `lane-follow` | [`LaneFollow`] |
+/// | `vision` | [`Vision`] |
+/// | `replay:LOG` | [`Replay`] of an episode's log |
+/// | `exec:COMMAND ARGUMENTS` | [`External`], a process; words with blanks stand in `'` or `"` |
+/// | `unix:PATH` | [`External`], a server on a Unix socket |
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PlannerChoice {
+    /// Straight on.
+    ConstantVelocity,
+    /// The privileged driver.
+    LaneFollow,
+    /// The one that looks.
+    Vision,
+    /// The way of the ego in the episode of this log.
+    Replay(PathBuf),
+    /// Somebody else's.
+    External(Attachment),
+}
+
+impl PlannerChoice {
+    /// A planner of this kind. `patience` is for those of others.
+    ///
+    /// # Errors
+    /// Where an external planner cannot be reached or started, or a log cannot be read or replayed.
+    pub fn open(&self, patience: Patience) -> Result<Box<dyn Planner>, PlannerError> {
+        Ok(match self {
+            Self::ConstantVelocity => Box::new(ConstantVelocity),
+            Self::LaneFollow => Box::new(LaneFollow::default()),
+            Self::Vision => Box::new(Vision::default()),
+            Self::Replay(log) => {
+                let episode = read_episode_log(log).map_err(|error| PlannerError(error.to_string()))?;
+                Box::new(Replay::of_episode(&episode)?)
+            }
+            Self::External(attachment) => Box::new(External::open(attachment.clone(), patience)?),
+        })
+    }
+}
+
+impl FromStr for PlannerChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
+        match (kind, rest) {
+            ("constant-velocity", None) => Ok(Self::ConstantVelocity),
+            ("lane-follow", None) => Ok(Self::LaneFollow),
+            ("vision", None) => Ok(Self::Vision),
+            ("replay", Some(log)) if !log.is_empty() => Ok(Self::Replay(log.into())),
+            ("unix", Some(path)) if !path.is_empty() => Ok(Self::External(Attachment::Socket(path.into()))),
+            ("exec", Some(command)) => match words_of(command)? {
+                words if words.is_empty() => Err("exec: names no program; expected exec:COMMAND ARGUMENTS".into()),
+                words => Ok(Self::External(Attachment::Command(words))),
+            },
+            _ => Err(format!(
+                "unknown planner {text:?}; expected constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND ARGUMENTS or unix:PATH"
+            )),
+        }
+    }
+}
+
+impl fmt::Display for PlannerChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ConstantVelocity => f.write_str("constant-velocity"),
+            Self::LaneFollow => f.write_str("lane-follow"),
+            Self::Vision => f.write_str("vision"),
+            Self::Replay(log) => write!(f, "replay:{}", log.display()),
+            Self::External(Attachment::Socket(path)) => write!(f, "unix:{}", path.display()),
+            Self::External(Attachment::Command(words)) => {
+                write!(f, "exec:{}", words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" "))
+            }
+        }
+    }
+}
+
+/// The words of a command: parted by blanks, those with blanks in `'` or `"`.
+fn words_of(command: &str) -> Result<Vec<String>, String> {
+    let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
+    for c in command.chars() {
+        match quote {
+            Some(open) if c == open => quote = None,
+            None if c == '\'' || c == '"' => {
+                quote = Some(c);
+                word.get_or_insert_default();
+            }
+            None if c.is_whitespace() => words.extend(word.take()),
+            _ => word.get_or_insert_default().push(c),
+        }
+    }
+    match quote {
+        Some(open) => Err(format!("a {open} in {command:?} is not closed")),
+        None => Ok(words.into_iter().chain(word).collect()),
+    }
+}
+
+/// A word so that [`words_of`] reads it back.
+fn quoted(word: &str) -> String {
+    let needs_none = |c: char| !(c.is_whitespace() || c == '\'' || c == '"');
+    match word {
+        _ if !word.is_empty() && word.chars().all(needs_none) => word.to_owned(),
+        _ if !word.contains('\'') => format!("'{word}'"),
+        // Single quotes stand in double ones, all else in single ones.
+        _ => word.split('\'').map(|part| format!("'{part}'")).collect::<Vec<_>>().join("\"'\""),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_choice_reads_back_what_it_shows() {
+        let texts = ["constant-velocity", "lane-follow", "vision", "replay:a b/c.log", "unix:run/p.sock", "exec:python3 -u my.py"];
+        for text in texts {
+            assert_eq!(text.parse::<PlannerChoice>().unwrap().to_string(), text);
+        }
+        let words = ["a b", "it's", "\"", "", "x'\"y", "plain"].map(String::from).to_vec();
+        let choice = PlannerChoice::External(Attachment::Command(words));
+        assert_eq!(choice.to_string().parse::<PlannerChoice>().unwrap(), choice, "{choice}");
+    }
+
+    #[test]
+    fn what_is_no_planner_is_refused_with_what_is() {
+        for text in ["", "fast", "replay:", "unix:", "replay", "lane-follow:x"] {
+            let refusal = text.parse::<PlannerChoice>().unwrap_err();
+            assert!(refusal.contains("expected constant-velocity, lane-follow, vision, replay:LOG"), "{refusal}");
+        }
+        assert!("exec:  ".parse::<PlannerChoice>().unwrap_err().contains("names no program"));
+        assert!("exec:sh -c 'x".parse::<PlannerChoice>().unwrap_err().contains("is not closed"));
+    }
+}

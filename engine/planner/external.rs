@@ -1,0 +1,128 @@
+//! Planners of others, in any language: a child process or a server on a Unix socket that speaks the protocol of `protocol.md`.
+//!
+//! Nothing that such a planner does ends more than its episode: an answer that is late, endless, wrong or missing is an error with a
+//! sentence, the process is ended with all that it started, and the next episode begins with a new one.
+
+mod connection;
+mod message;
+mod process;
+mod session;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use decouplegs_scene::plan::Plan;
+
+use self::message::{Answer, Introduction};
+use self::session::Session;
+use super::{Briefing, Observation, Planner, PlannerError, Sees};
+
+/// Where an external planner is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Attachment {
+    /// A program and its arguments, which is started and spoken to through its stdin and stdout.
+    Command(Vec<String>),
+    /// A Unix socket on which a planner listens.
+    Socket(PathBuf),
+}
+
+/// How long an external planner is waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Patience {
+    /// From its start to its hello: it may have to load a network.
+    pub hello: Duration,
+    /// From the first byte of a question to the last of the answer.
+    pub answer: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self { hello: Duration::from_secs(30), answer: Duration::from_secs(10) }
+    }
+}
+
+/// A planner outside this program.
+#[derive(Debug)]
+pub struct External {
+    attachment: Attachment,
+    patience: Patience,
+    introduction: Introduction,
+    /// None after a failure, until the next episode begins.
+    session: Option<Session>,
+}
+
+impl External {
+    /// Starts or connects to the planner and has it say what it wants to see.
+    ///
+    /// # Errors
+    /// Where it cannot be started or reached, or does not introduce itself in time and form.
+    pub fn open(attachment: Attachment, patience: Patience) -> Result<Self, PlannerError> {
+        let (session, introduction) = Session::open(&attachment, &patience)?;
+        Ok(Self { attachment, patience, introduction, session: Some(session) })
+    }
+
+    /// The same planner, waited for so long from here on.
+    #[must_use]
+    pub fn with_patience(self, patience: Patience) -> Self {
+        Self { patience, ..self }
+    }
+
+    /// Sees to it that there is a session, a new one where the last was lost.
+    fn reopen(&mut self) -> Result<(), PlannerError> {
+        if self.session.as_mut().is_some_and(Session::is_open) {
+            return Ok(());
+        }
+        self.session = None;
+        let (mut session, introduction) = Session::open(&self.attachment, &self.patience)?;
+        if introduction != self.introduction {
+            return Err(session.broken("introduced itself in another way than before; expected the same name and wishes"));
+        }
+        self.session = Some(session);
+        Ok(())
+    }
+
+    /// The answer to a question; a session that does not have one is over.
+    fn ask(&mut self, header: &serde_json::Value, payload: &[&[u8]]) -> Result<Answer, PlannerError> {
+        let lost = || PlannerError("the external planner was lost; it is started again when an episode begins".into());
+        let answer = self.session.as_mut().ok_or_else(lost)?.ask(header, payload, self.patience.answer);
+        if answer.is_err() {
+            self.session = None;
+        }
+        answer
+    }
+
+    /// What came of an answer that is not the one asked for. Who says that he failed keeps to the protocol and may go on.
+    fn refused(&mut self, answer: &Answer, asked: &str, expected: &str) -> PlannerError {
+        if let Answer::Fail(reason) = answer {
+            return PlannerError(format!("the external planner failed: {reason}"));
+        }
+        let what = format!("answered `{asked}` with {}; expected {expected} or fail", answer.word());
+        self.session.take().map_or_else(|| PlannerError(what.clone()), |mut session| session.broken(&what))
+    }
+}
+
+impl Planner for External {
+    fn name(&self) -> String {
+        self.introduction.name.clone()
+    }
+
+    fn sees(&self) -> Sees {
+        self.introduction.sees.clone()
+    }
+
+    fn begin(&mut self, briefing: &Briefing) -> Result<(), PlannerError> {
+        self.reopen()?;
+        match self.ask(&message::begin(briefing), &[])? {
+            Answer::Ready => Ok(()),
+            other => Err(self.refused(&other, "begin", "ready")),
+        }
+    }
+
+    fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
+        let frames: Vec<&[u8]> = observation.frames.iter().map(|frame| frame.rgba).collect();
+        match self.ask(&message::observe(observation), &frames)? {
+            Answer::Plan { step, plan } if step == u64::from(observation.step) => Ok(plan),
+            other => Err(self.refused(&other, "observe", &format!("a plan for step {}", observation.step))),
+        }
+    }
+}

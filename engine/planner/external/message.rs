@@ -1,0 +1,179 @@
+//! The words of the protocol, as `protocol.md` has them.
+
+use decouplegs_scene::plan::{Plan, PlanPoint};
+use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
+use glam::DVec2;
+use serde_json::{Value, json};
+
+use crate::planner::{Briefing, Cameras, Frame, Observation, Privileged, Sees};
+
+/// The version of the protocol. Another one is refused.
+pub(super) const PROTOCOL: u64 = 1;
+/// Longest name of a planner and longest reason, characters.
+const NAME_CHARS_MAX: usize = 64;
+const REASON_CHARS_MAX: usize = 400;
+
+/// What a planner says of itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Introduction {
+    pub(super) name: String,
+    pub(super) sees: Sees,
+}
+
+/// What a planner says.
+#[derive(Debug, PartialEq)]
+pub(super) enum Answer {
+    Hello(Introduction),
+    Ready,
+    Plan {
+        step: u64,
+        plan: Plan,
+    },
+    /// It cannot go on, and why.
+    Fail(String),
+}
+
+impl Answer {
+    /// The word for it in the protocol.
+    pub(super) const fn word(&self) -> &'static str {
+        match self {
+            Self::Hello(_) => "hello",
+            Self::Ready => "ready",
+            Self::Plan { .. } => "plan",
+            Self::Fail(_) => "fail",
+        }
+    }
+
+    /// An answer from its line.
+    ///
+    /// # Errors
+    /// What is wrong with it, the end of a sentence that names the planner.
+    pub(super) fn from_line(line: &[u8]) -> Result<Self, String> {
+        let text = std::str::from_utf8(line).map_err(|_| format!("sent a line that is not UTF-8: {}", beginning(line)))?;
+        let message: Value = serde_json::from_str(text).map_err(|error| {
+            let hint = if text.contains("NaN") || text.contains("Infinity") { " (NaN and Infinity are not JSON)" } else { "" };
+            format!("sent a line that is not JSON: {error}{hint}: {}", beginning(line))
+        })?;
+        if message["bytes"].as_u64().unwrap_or(0) != 0 {
+            return Err("announced bytes after its line; expected none from a planner".into());
+        }
+        match message["type"].as_str() {
+            Some("hello") => introduction(&message).map(Self::Hello),
+            Some("ready") => Ok(Self::Ready),
+            Some("plan") => plan(&message),
+            Some("fail") => Ok(Self::Fail(printable(message["reason"].as_str().unwrap_or("no reason given"), REASON_CHARS_MAX))),
+            _ => Err(format!("sent a message whose `type` is not hello, ready, plan or fail: {}", beginning(line))),
+        }
+    }
+}
+
+fn introduction(message: &Value) -> Result<Introduction, String> {
+    if message["protocol"].as_u64() != Some(PROTOCOL) {
+        let spoken = if message["protocol"].is_null() { "none".into() } else { printable(&message["protocol"].to_string(), 20) };
+        return Err(format!("speaks protocol {spoken}; expected {PROTOCOL}"));
+    }
+    let name = message["name"].as_str().filter(|name| !name.is_empty()).ok_or("said hello without a `name`")?;
+    let cameras = match message["cameras"].as_str() {
+        Some("none") => Cameras::None,
+        Some("front") => Cameras::Front,
+        Some("all") => Cameras::All,
+        _ => return Err("said hello without `cameras`; expected none, front or all".into()),
+    };
+    let privileged = message["privileged"].as_bool().ok_or("said hello without `privileged`; expected true or false")?;
+    Ok(Introduction { name: printable(name, NAME_CHARS_MAX), sees: Sees { cameras, privileged } })
+}
+
+fn plan(message: &Value) -> Result<Answer, String> {
+    let step = message["step"].as_u64().ok_or("sent a plan without the `step` it is for")?;
+    let points = message["points"].as_array().ok_or("sent a plan without `points`")?;
+    let point = |(index, point): (usize, &Value)| {
+        let numbers: Vec<f64> = point.as_array()?.iter().map_while(Value::as_f64).collect();
+        let [time_s, x, y] = <[f64; 3]>::try_from(numbers).ok().filter(|_| point.as_array().is_some_and(|all| all.len() == 3))?;
+        Some((index, PlanPoint { time_s, position_m: DVec2::new(x, y) }))
+    };
+    let mut read = Vec::with_capacity(points.len());
+    for (index, value) in points.iter().enumerate() {
+        let (_, point) = point((index, value))
+            .ok_or_else(|| format!("sent a plan whose point {index} is not [seconds, metres ahead, metres to the left]"))?;
+        read.push(point);
+    }
+    let plan = Plan::new(read).map_err(|fault| format!("sent what is no plan: {fault}"))?;
+    Ok(Answer::Plan { step, plan })
+}
+
+/// The first of `text`'s characters, those that a terminal would obey replaced.
+fn printable(text: &str, chars_max: usize) -> String {
+    text.chars().take(chars_max).map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+/// How a line begins, quoted.
+pub(super) fn beginning(line: &[u8]) -> String {
+    let shown = &line[..line.len().min(80)];
+    let more = if shown.len() < line.len() { "..." } else { "" };
+    format!("{:?}{more}", String::from_utf8_lossy(shown))
+}
+
+/// Our first word.
+pub(super) fn hello() -> Value {
+    json!({ "type": "hello", "protocol": PROTOCOL, "engine": concat!("decouplegs ", env!("CARGO_PKG_VERSION")), "bytes": 0 })
+}
+
+/// Before an episode.
+pub(super) fn begin(briefing: &Briefing) -> Value {
+    let camera = |camera: &RigCamera| {
+        let (k, pose) = (camera.intrinsics, camera.rig_from_camera);
+        let rotation = [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z];
+        json!({
+            "name": camera.name, "width_px": k.width_px, "height_px": k.height_px,
+            "fx_px": k.fx_px, "fy_px": k.fy_px, "cx_px": k.cx_px, "cy_px": k.cy_px,
+            "position_m": pose.translation.to_array(), "rotation_wxyz": rotation,
+        })
+    };
+    json!({
+        "type": "begin", "scenario": briefing.scenario, "step_s": briefing.step_s, "ego_size_m": briefing.ego_size.to_array(),
+        "cameras": briefing.cameras.iter().map(camera).collect::<Vec<_>>(), "bytes": 0,
+    })
+}
+
+/// At a step. The pictures follow the line in the order of `frames`.
+pub(super) fn observe(observation: &Observation) -> Value {
+    let (ego, guidance) = (observation.ego, observation.guidance);
+    let frame = |frame: &Frame| {
+        let k = frame.camera.intrinsics;
+        json!({ "camera": frame.camera.name, "width_px": k.width_px, "height_px": k.height_px, "bytes": frame.rgba.len() })
+    };
+    json!({
+        "type": "observe", "step": observation.step, "time_s": observation.time_s,
+        "ego": {
+            "speed_mps": ego.speed_mps, "acceleration_mps2": ego.acceleration_mps2,
+            "steer_rad": ego.steer_rad, "yaw_rate_radps": ego.yaw_rate_radps,
+        },
+        "guidance": {
+            "turn": guidance.turn.name(), "distance_m": guidance.distance_m, "angle_rad": guidance.angle_rad,
+            "length_m": guidance.length_m, "cruise_mps": guidance.cruise_mps,
+        },
+        "frames": observation.frames.iter().map(frame).collect::<Vec<_>>(),
+        "privileged": observation.privileged.map(privileged),
+        "bytes": observation.frames.iter().map(|frame| frame.rgba.len()).sum::<usize>(),
+    })
+}
+
+fn privileged(known: &Privileged) -> Value {
+    json!({
+        "ego": vehicle(&known.ego, &known.ego_size),
+        "route_m": known.route_m.iter().map(|place| place.to_array()).collect::<Vec<_>>(),
+        "agents": known.agents.iter().map(|(agent, size)| vehicle(agent, size)).collect::<Vec<_>>(),
+    })
+}
+
+fn vehicle(state: &VehicleState, size: &VehicleSize) -> Value {
+    json!({
+        "position_m": state.position_m.to_array(), "yaw_rad": state.yaw_rad, "speed_mps": state.speed_mps,
+        "acceleration_mps2": state.acceleration_mps2, "size_m": size.to_array(),
+    })
+}
+
+/// Our last word.
+pub(super) fn end() -> Value {
+    json!({ "type": "end", "bytes": 0 })
+}

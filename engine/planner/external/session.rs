@@ -1,0 +1,119 @@
+//! A conversation with a planner: questions and answers, each within its time.
+
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use super::connection::{Connection, Fault, LINE_BYTES_MAX};
+use super::message::{self, Answer, Introduction, beginning};
+use super::process::Process;
+use super::{Attachment, Patience};
+use crate::planner::PlannerError;
+
+/// Who closes his side is given this long to end, so that his exit status can be told.
+const EXIT_GRACE: Duration = Duration::from_secs(1);
+/// Our last word is not worth a longer wait.
+const FAREWELL: Duration = Duration::from_millis(200);
+
+/// A connection, and the process behind it where we started it.
+#[derive(Debug)]
+pub(super) struct Session {
+    connection: Connection,
+    process: Option<Process>,
+    /// Whether nothing has gone wrong: who keeps to the protocol is told of the end, and given time for it.
+    is_sound: bool,
+}
+
+impl Session {
+    /// Starts or connects to the planner and has it introduce itself.
+    pub(super) fn open(attachment: &Attachment, patience: &Patience) -> Result<(Self, Introduction), PlannerError> {
+        let (process, connection) = match attachment {
+            Attachment::Command(words) => Process::start(words).map(|(process, connection)| (Some(process), connection)),
+            Attachment::Socket(path) => connect(path, patience.hello).map(|connection| (None, connection)),
+        }
+        .map_err(|fault| PlannerError(format!("the external planner: {fault}")))?;
+        let mut session = Self { connection, process, is_sound: true };
+        match session.ask(&message::hello(), &[], patience.hello)? {
+            Answer::Hello(introduction) => Ok((session, introduction)),
+            other => Err(session.broken(&format!("answered hello with {}; expected hello", other.word()))),
+        }
+    }
+
+    /// Whether it is there and has said nothing unasked.
+    pub(super) fn is_open(&mut self) -> bool {
+        self.is_sound && !matches!(self.connection.is_silent(), Err(Fault::Closed | Fault::System(_)))
+    }
+
+    /// Sends `header` and `payload` and waits for the answer, all within `time`.
+    pub(super) fn ask(&mut self, header: &Value, payload: &[&[u8]], time: Duration) -> Result<Answer, PlannerError> {
+        let asked = header["type"].as_str().unwrap_or_default();
+        let line = format!("{header}\n");
+        let mut parts = vec![line.as_bytes()];
+        parts.extend_from_slice(payload);
+        let deadline = Instant::now() + time;
+        let silent = self.connection.is_silent();
+        if let Err(fault) = silent.and_then(|()| self.connection.send(&parts, deadline)) {
+            return Err(self.faulty(&fault, &format!("did not take `{asked}`"), time));
+        }
+        let line = match self.connection.read_line(deadline) {
+            Ok(line) => line,
+            Err(fault) => return Err(self.faulty(&fault, &format!("did not answer `{asked}`"), time)),
+        };
+        Answer::from_line(&line).map_err(|fault| self.broken(&fault))
+    }
+
+    /// The session ends with a sentence about what the planner did.
+    pub(super) fn broken(&mut self, what: &str) -> PlannerError {
+        self.fails(what, Duration::ZERO)
+    }
+
+    fn faulty(&mut self, fault: &Fault, undone: &str, time: Duration) -> PlannerError {
+        let what = match fault {
+            Fault::Late => format!("{undone} within {} s", time.as_secs_f64()),
+            Fault::Closed => return self.fails(&format!("{undone} and closed the connection"), EXIT_GRACE),
+            Fault::Endless(line) => {
+                format!("sent a line of more than {LINE_BYTES_MAX} bytes, which begins with {}", beginning(line))
+            }
+            Fault::Unasked(bytes) => format!("spoke without being asked: {}", beginning(bytes)),
+            Fault::System(error) => format!("{undone}: {error}"),
+        };
+        self.broken(&what)
+    }
+
+    fn fails(&mut self, what: &str, grace: Duration) -> PlannerError {
+        self.is_sound = false;
+        let end = self.process.as_mut().map_or_else(String::new, |process| format!(" ({})", process.end(grace)));
+        PlannerError(format!("the external planner {what}{end}"))
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        if self.is_sound {
+            // Who no longer listens has no use for it.
+            let _ = self.connection.send(&[format!("{}\n", message::end()).as_bytes()], Instant::now() + FAREWELL);
+            self.connection.close();
+            if let Some(process) = &mut self.process {
+                process.end(EXIT_GRACE);
+            }
+        }
+    }
+}
+
+/// Connects to a listening planner. A queue that is full makes the system wait without a deadline, so that a thread does the waiting.
+fn connect(path: &Path, time: Duration) -> Result<Connection, String> {
+    let (done, connected) = mpsc::channel();
+    let to: PathBuf = path.to_owned();
+    std::thread::spawn(move || {
+        // Nobody waits any longer where it took too long.
+        let _ = done.send(UnixStream::connect(to));
+    });
+    let shown = path.display();
+    let stream =
+        connected.recv_timeout(time).map_err(|_| format!("{shown} took no connection within {} s", time.as_secs_f64()))?;
+    let connection = stream.and_then(|stream| Ok(Connection::new(stream.try_clone()?, stream)));
+    connection.map_err(|error| format!("cannot connect to {shown}: {error}; expected a planner that listens there"))
+}

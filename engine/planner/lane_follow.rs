@@ -1,0 +1,206 @@
+//! A prudent driver who knows everything: the Intelligent Driver Model along the route, slow in bends, yielding to whoever will be in
+//! the way. What planners that look at pictures are measured against.
+
+mod corridor;
+
+use decouplegs_drive::traffic::idm::{BRAKING_MPS2, IdmParameters, Leader};
+use decouplegs_scene::plan::Plan;
+
+use self::corridor::{Corridor, Span, Way};
+use super::cadence::{HORIZON_S, plan_through};
+use super::{Briefing, Cameras, Observation, Planner, PlannerError, Privileged, Sees, state_needed};
+
+/// Sideways acceleration that is borne in bends.
+const LATERAL_MPS2: f64 = 2.0;
+/// How hard is braked for bends, and with comfort for others.
+const COMFORT_MPS2: f64 = 2.0;
+/// How hard the speed is gained: livelier than Treiber's 1 m/s^2, as the ego has a route to finish.
+const ACCELERATION_MPS2: f64 = 1.5;
+/// Headway to whoever is ahead, seconds.
+const HEADWAY_S: f64 = 1.5;
+/// What is looked ahead in is this long, seconds.
+const TICK_S: f64 = 0.2;
+/// Whoever will be on the strip within this is followed as if he were, seconds.
+const FORESIGHT_S: f64 = 2.0;
+/// Whoever crosses may be earlier or later by this, seconds, and is given so much room, metres.
+const CROSSING_S: f64 = 0.6;
+const CROSSING_M: f64 = 1.0;
+/// Being off the route's middle decays along this much of it, metres.
+const RETURN_M: f64 = 8.0;
+/// Ways to slow down that are tried, the most comfortable first.
+const BRAKES_MPS2: [f64; 6] = [0.0, 1.0, 2.0, 3.5, 5.0, BRAKING_MPS2];
+
+/// Follows the lanes of its route. Privileged: it is told where everybody is.
+#[derive(Clone, Debug, Default)]
+pub struct LaneFollow {
+    /// Along its route when it last looked, metres.
+    arc_m: Option<f64>,
+}
+
+/// An agent as it is expected to go on: a span for each tick.
+struct Expected {
+    way: Way,
+    spans: Vec<Span>,
+}
+
+/// What is known when a way ahead is chosen.
+struct Outlook {
+    ego_arc_m: f64,
+    half_length_m: f64,
+    idm: IdmParameters,
+    /// Highest speed at each metre ahead.
+    bend_mps: Vec<f64>,
+    agents: Vec<Expected>,
+}
+
+/// Places along the route, one a tick, and when on them somebody is met.
+struct Course {
+    arcs_m: Vec<f64>,
+    met_s: Option<f64>,
+}
+
+impl Planner for LaneFollow {
+    fn name(&self) -> String {
+        "lane-follow".into()
+    }
+
+    fn sees(&self) -> Sees {
+        Sees { cameras: Cameras::None, privileged: true }
+    }
+
+    fn begin(&mut self, _: &Briefing) -> Result<(), PlannerError> {
+        self.arc_m = None;
+        Ok(())
+    }
+
+    fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
+        let known = state_needed(observation, "lane-follow")?;
+        let corridor = Corridor::new(&known.route_m, known.ego.position_m, known.ego_size.width_m, self.arc_m)
+            .ok_or_else(|| PlannerError("lane-follow needs a route of at least two places, all finite".into()))?;
+        self.arc_m = Some(corridor.ego_arc_m);
+        let outlook = Outlook::new(&corridor, known, observation.guidance.cruise_mps);
+        let course = outlook.choose(known.ego.speed_mps);
+        plan_through(|time_s| {
+            let arc_m = course.at(time_s);
+            let lateral_m = corridor.ego_lateral_m * (-(arc_m - corridor.ego_arc_m) / RETURN_M).exp();
+            known.ego.to_local(corridor.place(arc_m, lateral_m))
+        })
+    }
+}
+
+/// Ticks from the observation to the end of the plan, that of the observation included.
+fn ticks() -> usize {
+    (HORIZON_S / TICK_S).round() as usize + 1
+}
+
+impl Outlook {
+    fn new(corridor: &Corridor, known: &Privileged, cruise_mps: f64) -> Self {
+        let times_s: Vec<f64> = (0..ticks()).map(|tick| tick as f64 * TICK_S).collect();
+        let near = |speed_mps: f64| 40.0 + HORIZON_S * (known.ego.speed_mps + speed_mps);
+        let agents =
+            known.agents.iter().filter(|(agent, _)| agent.position_m.distance(known.ego.position_m) < near(agent.speed_mps));
+        let agents = agents.map(|(agent, size)| {
+            let (way, spans) = corridor.spans(agent, size, &times_s);
+            Expected { way, spans }
+        });
+        Self {
+            ego_arc_m: corridor.ego_arc_m,
+            half_length_m: 0.5 * known.ego_size.length_m,
+            idm: IdmParameters {
+                speed_mps: cruise_mps,
+                headway_s: HEADWAY_S,
+                acceleration_mps2: ACCELERATION_MPS2,
+                braking_mps2: COMFORT_MPS2,
+                ..IdmParameters::default()
+            },
+            bend_mps: bend_speeds(corridor, known.ego.speed_mps.max(cruise_mps)),
+            // Who is behind on our own road minds us, not we him.
+            agents: agents.filter(|agent| !(agent.way == Way::Along && agent.spans[0].front_m < corridor.ego_arc_m)).collect(),
+        }
+    }
+
+    /// The most comfortable course on which nobody is met, else the one on which somebody is met last.
+    fn choose(&self, speed_mps: f64) -> Course {
+        let mut best: Option<Course> = None;
+        for brake_mps2 in BRAKES_MPS2 {
+            let course = self.roll(speed_mps, brake_mps2);
+            let met_s = course.met_s.unwrap_or(f64::INFINITY);
+            if best.as_ref().is_none_or(|best| met_s >= best.met_s.unwrap_or(f64::INFINITY)) {
+                best = Some(course);
+            }
+            if met_s == f64::INFINITY {
+                break;
+            }
+        }
+        best.expect("there are ways to slow down")
+    }
+
+    /// Where the ego gets when it follows, and brakes at least by `brake_mps2`.
+    fn roll(&self, speed_mps: f64, brake_mps2: f64) -> Course {
+        let (mut arc_m, mut speed_mps) = (self.ego_arc_m, speed_mps);
+        let mut course = Course { arcs_m: vec![arc_m], met_s: None };
+        for tick in 0..ticks() - 1 {
+            let mut rate_mps2 = self.rate(tick, arc_m, speed_mps);
+            if brake_mps2 > 0.0 {
+                rate_mps2 = rate_mps2.min(-brake_mps2);
+            }
+            let next_mps = (speed_mps + rate_mps2 * TICK_S).max(0.0);
+            arc_m += 0.5 * (speed_mps + next_mps) * TICK_S;
+            speed_mps = next_mps;
+            course.arcs_m.push(arc_m);
+            if course.met_s.is_none() && self.agents.iter().any(|agent| self.meets(agent, tick + 1, arc_m)) {
+                course.met_s = Some((tick + 1) as f64 * TICK_S);
+            }
+        }
+        course
+    }
+
+    /// Acceleration of the ego at `arc_m` for the road and for everybody on it.
+    fn rate(&self, tick: usize, arc_m: f64, speed_mps: f64) -> f64 {
+        let metre = ((arc_m - self.ego_arc_m + speed_mps * TICK_S).round() as usize).min(self.bend_mps.len() - 1);
+        let bend_mps2 = (self.bend_mps[metre] - speed_mps) / (2.0 * TICK_S);
+        let foresight = (FORESIGHT_S / TICK_S).round() as usize;
+        let followed = self.agents.iter().filter(|agent| {
+            let until = if agent.way == Way::Across { tick } else { (tick + foresight).min(agent.spans.len() - 1) };
+            let ahead = 0.5 * (agent.spans[tick].rear_m + agent.spans[tick].front_m) > arc_m;
+            ahead && agent.spans[tick..=until].iter().any(|span| span.inside)
+        });
+        let rates = followed.map(|agent| {
+            let gap_m = agent.spans[tick].rear_m - (arc_m + self.half_length_m);
+            self.idm.acceleration(speed_mps, Some(Leader { gap_m, speed_mps: agent.spans[tick].speed_mps }))
+        });
+        rates.fold(self.idm.free_acceleration(speed_mps).min(bend_mps2), f64::min).max(-BRAKING_MPS2)
+    }
+
+    /// Whether the ego at `arc_m` touches the agent, or nearly.
+    fn meets(&self, agent: &Expected, tick: usize, arc_m: f64) -> bool {
+        let crossing = agent.way == Way::Across;
+        let slack = if crossing { (CROSSING_S / TICK_S).round() as usize } else { 0 };
+        let room_m = self.half_length_m + if crossing { CROSSING_M } else { 0.0 };
+        let until = (tick + slack).min(agent.spans.len() - 1);
+        let spans = &agent.spans[tick.saturating_sub(slack)..=until];
+        spans.iter().any(|span| span.inside && span.rear_m < arc_m + room_m && span.front_m > arc_m - room_m)
+    }
+}
+
+impl Course {
+    /// Along the route `time_s` from now, metres.
+    fn at(&self, time_s: f64) -> f64 {
+        let at = (time_s / TICK_S).clamp(0.0, (self.arcs_m.len() - 1) as f64);
+        let before = at.floor() as usize;
+        let after = (before + 1).min(self.arcs_m.len() - 1);
+        self.arcs_m[before] + (self.arcs_m[after] - self.arcs_m[before]) * (at - before as f64)
+    }
+}
+
+/// The highest speed at each metre ahead from which every bend is still reached slowly enough.
+fn bend_speeds(corridor: &Corridor, speed_mps: f64) -> Vec<f64> {
+    let count = (HORIZON_S * speed_mps + 0.5 * speed_mps * speed_mps / COMFORT_MPS2).clamp(1.0, 400.0) as usize + 1;
+    let bend = |metre: usize| (LATERAL_MPS2 / corridor.curvature_at(corridor.ego_arc_m + metre as f64).max(1e-6)).sqrt();
+    let mut speeds: Vec<f64> = (0..=count).map(bend).collect();
+    for metre in (0..count).rev() {
+        let reached_mps = (speeds[metre + 1].powi(2) + 2.0 * COMFORT_MPS2).sqrt();
+        speeds[metre] = speeds[metre].min(reached_mps);
+    }
+    speeds
+}

@@ -1,0 +1,77 @@
+//! Pictures as bytes on the host: what a planner or an encoder takes, without a detour over floats.
+
+use decouplegs_gpu::{Buffer, QueueRole, Residence};
+
+use crate::output::{ColourFormat, PURPOSE};
+use crate::{RenderError, Renderer};
+
+/// The pictures of a frame, four bytes a pixel: red, green, blue, alpha.
+#[derive(Default)]
+pub struct PictureBytes {
+    words: Vec<u32>,
+    /// First pixel, width and height of each.
+    places: Vec<(usize, [u32; 2])>,
+    /// Memory that the device writes and the host reads, kept from frame to frame: to make it takes longer than a copy.
+    staging: Option<Buffer<u32>>,
+}
+
+impl PictureBytes {
+    /// How many pictures there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.places.is_empty()
+    }
+
+    /// Forgets the pictures and keeps their memory.
+    pub fn clear(&mut self) {
+        self.places.clear();
+    }
+
+    /// Width and height of picture `index`, pixels.
+    #[must_use]
+    pub fn size_px(&self, index: usize) -> [u32; 2] {
+        self.places[index].1
+    }
+
+    /// Picture `index`, row by row from the top.
+    #[must_use]
+    pub fn rgba(&self, index: usize) -> &[u8] {
+        let (first, [width, height]) = self.places[index];
+        bytemuck::cast_slice(&self.words[first..first + width as usize * height as usize])
+    }
+}
+
+impl Renderer {
+    /// Reads the pictures of the frame that was finished last into `bytes`, in the order of its cameras. None before the first frame.
+    ///
+    /// # Errors
+    /// When the device was lost or has not the memory.
+    ///
+    /// # Panics
+    /// When the renderer does not store [`ColourFormat::U8`].
+    pub fn read_bytes(&self, bytes: &mut PictureBytes) -> Result<(), RenderError> {
+        assert!(self.options().outputs.colour == ColourFormat::U8, "the pictures are stored as floats");
+        bytes.places.clear();
+        let Some(slot) = self.shown_slot() else { return Ok(()) };
+        let Some(view) = &slot.view else { return Ok(()) };
+        let pictures = &slot.pictures.pictures_u8;
+        if bytes.staging.as_ref().is_none_or(|staging| staging.len() < view.pixels) {
+            bytes.staging = Some(self.gpu().buffer("staged_pictures", PURPOSE, view.pixels, Residence::Readback)?);
+        }
+        if let Some(staging) = &bytes.staging {
+            let mut recorder = self.gpu().record(QueueRole::Main);
+            recorder.copy(pictures, 0, staging, 0, view.pixels);
+            self.gpu().submit(recorder, &[])?.wait()?;
+            bytes.words.resize(view.pixels, 0);
+            staging.read_host_into(0, &mut bytes.words);
+        }
+        bytes.places.extend(view.cameras.iter().map(|camera| (camera.first_pixel as usize, camera.size_px)));
+        Ok(())
+    }
+}

@@ -1,0 +1,373 @@
+//! Scenes taken apart into layers, and edited while they are shown: six cameras, against what the files say and the definition.
+
+use std::path::Path;
+
+use decouplegs::LiveScene;
+use decouplegs::asset::scene_file::editing::{begun_at, shifted};
+use decouplegs::asset::street::{Street, StreetOptions};
+use decouplegs::asset::{
+    CodedAsset, Layer, LightTransferFile, LoadedScene, Provenance, SceneAgent, SceneFile, SceneLight, inria_ply, read_coded,
+    read_splats, write_coded, write_light_transfer,
+};
+use decouplegs::render::metrics::Difference;
+use decouplegs::render::{Picture, RenderOptions, Renderer, reference};
+use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
+use decouplegs::scene::{AmbientDescriptor, Camera, LightTransfer, Pose, Rules, ShFrame, TimedPose, Trajectory};
+use glam::DVec3;
+
+use super::agents::coded_car;
+use super::{ERROR_MAX, PSNR_MIN_DB, all_outputs};
+use crate::device::Validated;
+use crate::stages::Random;
+
+const SIZE: (u32, u32) = (160, 90);
+
+/// No splat of an agent is deeper in any camera, metres.
+const AGENTS_DEPTH_MAX_M: f64 = 12.0;
+
+/// Where the background is cleared away, nothing of it has its mean nearer to the ego vehicle, metres.
+const CLEARED_M: f64 = 22.0;
+
+/// A street with a car of plain splats and five coded ones around the ego vehicle, one of which drives, in a folder.
+struct Site {
+    folder: tempfile::TempDir,
+    file: SceneFile,
+}
+
+impl Site {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let options =
+            StreetOptions { background: 12_000, agents: 1, agent_splats: 800, sh_degree: 1, ..StreetOptions::default() };
+        let street = Street::generate(&options);
+        inria_ply::write(&at("background.ply"), &street.background).unwrap();
+        inria_ply::write(&at("plain.ply"), &street.assets[0]).unwrap();
+        for (name, seed) in [("red", 2), ("blue", 3), ("green", 4)] {
+            let cloud = coded_car(500, seed);
+            write_coded(&at(&format!("{name}.safetensors")), &CodedAsset { cloud, provenance: Provenance::default() }).unwrap();
+        }
+        let transfer = LightTransferFile {
+            transfer: some_theta(),
+            tool_version: "0".into(),
+            sources: Default::default(),
+            settings: Default::default(),
+        };
+        write_light_transfer(&at("light.safetensors"), &transfer).unwrap();
+        let ego = street.ego[0].1;
+        let beside =
+            |x: f64, y: f64, yaw_rad: f64| Trajectory::standing(ego.then(&Pose::from_yaw(yaw_rad, DVec3::new(x, y, 0.0))));
+        let drives = Trajectory::new(vec![
+            TimedPose { time_s: 0.0, pose: ego.then(&Pose::from_yaw(0.1, DVec3::new(7.5, -2.5, 0.0))) },
+            TimedPose { time_s: 2.0, pose: ego.then(&Pose::from_yaw(0.3, DVec3::new(9.5, -2.0, 0.0))) },
+        ]);
+        let agent = |name: &str, asset: &str, trajectory| SceneAgent {
+            name: name.into(),
+            asset: asset.into(),
+            sh_frame: None,
+            trajectory,
+        };
+        let mut rig = street.rig.clone();
+        rig.cameras.iter_mut().for_each(|camera| camera.intrinsics = camera.intrinsics.resized(SIZE.0, SIZE.1));
+        let file = SceneFile {
+            sky: street.sky,
+            rig,
+            ego: Some(Trajectory::standing(ego)),
+            agents: vec![
+                agent("ahead", "red.safetensors", drives.unwrap()),
+                agent("plain", "plain.ply", beside(6.0, 5.5, 2.0)),
+                agent("left", "blue.safetensors", beside(0.5, 7.0, 1.2)),
+                agent("right", "red.safetensors", beside(1.0, -7.5, -0.4)),
+                agent("behind", "blue.safetensors", beside(-8.0, 0.5, 0.2)),
+                agent("behind left", "red.safetensors", beside(-5.0, 6.0, -2.0)),
+            ],
+            light: Some(SceneLight {
+                transfer: Some("light.safetensors".into()),
+                ambient: AmbientOptions::default(),
+                // A slab that reaches the wheels of the plain car: its splats are darkened in every layer that has them.
+                shadows: Some(ShadowOptions { slab_m: 0.5, ..ShadowOptions::default() }),
+            }),
+            ..SceneFile::of_background("background.ply")
+        };
+        Self { folder, file }
+    }
+
+    fn without_shadows(mut self) -> Self {
+        self.file.light.as_mut().unwrap().shadows = None;
+        self
+    }
+
+    fn cleared(self) -> Self {
+        let (path, ego) = (self.folder.path().join("background.ply"), self.file.ego.as_ref().unwrap().at(0.0).translation);
+        let cloud = read_splats(&path).unwrap();
+        let far = |splat: &u32| DVec3::from_array(cloud.means[*splat as usize].map(f64::from)).distance(ego) > CLEARED_M;
+        let kept: Vec<u32> = (0..cloud.len() as u32).filter(far).collect();
+        inria_ply::write(&path, &cloud.select(&kept)).unwrap();
+        self
+    }
+
+    fn loaded(&self) -> LoadedScene {
+        loaded(&self.file, self.folder.path())
+    }
+}
+
+/// `file` as it is read back.
+fn loaded(file: &SceneFile, folder: &Path) -> LoadedScene {
+    let path = folder.join("scene.toml");
+    file.write(&path).unwrap();
+    SceneFile::read(&path).unwrap().load(folder, 0.0).unwrap()
+}
+
+/// A calibration in which the colours follow every number of the light a little.
+fn some_theta() -> LightTransfer {
+    let mut random = Random(5);
+    let mut row = |scale: f32, constant: f32| (std::array::from_fn(|_| random.between(-scale, scale)), constant);
+    let rows = 3 * 16;
+    LightTransfer {
+        sh_degree: 3,
+        gain: (0..rows).map(|_| row(0.2, 1.0)).collect(),
+        offset: (0..rows).map(|_| row(0.1, 0.0)).collect(),
+        neutral: AmbientDescriptor::uniform([0.5; 3]),
+    }
+}
+
+fn cameras(loaded: &LoadedScene) -> Vec<Camera> {
+    loaded.rig.at(&loaded.ego.at(0.0))
+}
+
+fn draw_by(gpu: &Validated, loaded: &LoadedScene, layer: Layer, options: RenderOptions) -> Vec<Picture> {
+    let mut renderer = Renderer::new(gpu, options);
+    let live = LiveScene::layer(&renderer, loaded, layer).unwrap();
+    renderer.render(live.with(&live.at(0.0)), &cameras(loaded)).unwrap();
+    renderer.read_pictures().unwrap()
+}
+
+fn options() -> RenderOptions {
+    RenderOptions { outputs: all_outputs(), ..RenderOptions::default() }
+}
+
+fn draw(gpu: &Validated, loaded: &LoadedScene, layer: Layer) -> Vec<Picture> {
+    draw_by(gpu, loaded, layer, options())
+}
+
+#[test]
+fn the_background_is_a_scene_that_never_had_agents() {
+    let gpu = Validated::open();
+    let site = Site::new();
+    let mut empty = site.file.clone();
+    for agent in &site.file.agents {
+        empty.remove_agent(&agent.name).unwrap();
+    }
+    let expected = draw(&gpu, &loaded(&empty, site.folder.path()), Layer::All);
+    let whole = site.loaded();
+    assert!(draw(&gpu, &whole, Layer::Background) == expected);
+    let all = draw(&gpu, &whole, Layer::All);
+    assert!(all.iter().zip(&expected).all(|(all, expected)| all != expected), "every camera sees an agent");
+}
+
+/// Pixels whose colour, alpha or depth is not the same to the last bit.
+fn differing(a: &Picture, b: &Picture) -> Vec<bool> {
+    let bits = |picture: &Picture, at: usize| {
+        let [r, g, b] = picture.rgb[at].map(f32::to_bits);
+        [r, g, b, picture.alpha[at].to_bits(), picture.depth.as_ref().unwrap()[at].to_bits()]
+    };
+    (0..a.alpha.len()).map(|at| bits(a, at) != bits(b, at)).collect()
+}
+
+/// What the whole and the background show differently where no agent covers a pixel, in one camera.
+#[derive(Debug)]
+struct Uncovered {
+    pixels: usize,
+    differing: usize,
+    /// Those of them where light from behind still gets through.
+    differing_open: usize,
+    error_max: f32,
+}
+
+fn uncovered(gpu: &Validated, site: &Site, options: RenderOptions) -> Vec<Uncovered> {
+    let loaded = site.loaded();
+    let [all, background, agents] =
+        [Layer::All, Layer::Background, Layer::Agents].map(|layer| draw_by(gpu, &loaded, layer, options));
+    let rows = all.iter().zip(&background).zip(&agents).map(|((all, background), agents)| {
+        let covered = agents.alpha.iter().filter(|alpha| **alpha > 0.0).count();
+        assert!(covered > 200, "an agent is in view of every camera, found {covered} pixels of it");
+        let differs = differing(all, background);
+        let free: Vec<usize> = (0..all.alpha.len()).filter(|at| agents.alpha[*at] == 0.0).collect();
+        let error = |at: &usize| (0..3).fold(0f32, |worst, c| worst.max((all.rgb[*at][c] - background.rgb[*at][c]).abs()));
+        Uncovered {
+            pixels: free.len(),
+            differing: free.iter().filter(|at| differs[**at]).count(),
+            differing_open: free.iter().filter(|at| differs[**at] && background.alpha[**at] < 0.9999).count(),
+            error_max: free.iter().map(error).fold(0.0, f32::max),
+        }
+    });
+    rows.collect()
+}
+
+#[test]
+fn where_agents_have_no_alpha_the_whole_is_the_background_to_the_last_bit() {
+    let gpu = Validated::open();
+    let site = Site::new().without_shadows();
+    // By these rules a pixel stops by itself, and lists are walked whole.
+    let exact = uncovered(&gpu, &site, RenderOptions { rules: Rules::GSPLAT15, ..options() });
+    println!("gsplat15: {exact:?}");
+    assert!(exact.iter().all(|camera| camera.pixels > 1000 && camera.differing == 0), "{exact:?}");
+    // By the default ones a pixel that is full takes splats as long as one beside it is not, at most 2e-5 of their light.
+    let whole_lists = uncovered(&gpu, &site, RenderOptions { segment_pairs: u32::MAX, ..options() });
+    println!("default, whole lists: {whole_lists:?}");
+    assert!(whole_lists.iter().all(|camera| camera.differing_open == 0 && camera.error_max <= 4e-5), "{whole_lists:?}");
+    // Where a list is cut depends on what else is in it, and rounding on where it is cut.
+    let default = uncovered(&gpu, &site, options());
+    println!("default: {default:?}");
+    assert!(default.iter().all(|camera| camera.error_max <= 4e-5), "{default:?}");
+    let shaded = uncovered(&gpu, &Site::new(), RenderOptions { rules: Rules::GSPLAT15, ..options() });
+    println!("with shadows: {shaded:?}");
+    let seen = |camera: &Uncovered| camera.differing > 0 && camera.error_max > 0.01;
+    assert!(shaded.iter().any(seen), "shadows lie where no agent is, and are seen to");
+}
+
+#[test]
+fn agents_laid_over_the_background_are_the_whole() {
+    let gpu = Validated::open();
+    let loaded = Site::new().without_shadows().cleared().loaded();
+    let [all, background, agents] = [Layer::All, Layer::Background, Layer::Agents].map(|layer| draw(&gpu, &loaded, layer));
+    // Where the background has nothing up to the depth of the farthest agent, leaving that out changes nothing.
+    let rules = Rules { near_m: AGENTS_DEPTH_MAX_M, ..loaded.world.rules };
+    let beyond = draw_by(&gpu, &loaded, Layer::Background, RenderOptions { rules, ..options() });
+    let [mut sum, mut sum_opaque, mut channels, mut worst] = [0.0f64; 4];
+    for camera in 0..6 {
+        let (all, background, agents) = (&all[camera], &background[camera], &agents[camera]);
+        let in_front = |at: &usize| {
+            let same = background.rgb[*at].iter().zip(&beyond[camera].rgb[*at]).all(|(a, b)| (a - b).abs() < 1e-6);
+            agents.alpha[*at] > 0.0 && same
+        };
+        let seen: Vec<usize> = (0..all.alpha.len()).filter(in_front).collect();
+        assert!(seen.len() > 50, "camera {camera} sees agents before everything in {} pixels", seen.len());
+        for at in seen {
+            for channel in 0..3 {
+                let (front, behind) = (agents.rgb[at][channel], background.rgb[at][channel]);
+                let expected = f64::from(all.rgb[at][channel]);
+                let error = f64::from(front + (1.0 - agents.alpha[at]) * behind) - expected;
+                sum += error * error;
+                sum_opaque += (f64::from(front) - expected).powi(2);
+                worst = worst.max(error.abs());
+                channels += 1.0;
+            }
+        }
+    }
+    let [composed_db, opaque_db] = [sum, sum_opaque].map(|sum| -10.0 * (sum / channels).log10());
+    println!("{} pixels: {composed_db:.1} dB, max {worst:.6}; as if opaque {opaque_db:.1} dB", channels / 3.0);
+    // What blending leaves out once a pixel is full: 1e-4 of what is behind.
+    assert!(composed_db >= PSNR_MIN_DB && worst <= 2e-4, "{composed_db:.2} dB, {worst}");
+    assert!(opaque_db < 60.0, "alpha matters: without it {opaque_db} dB");
+}
+
+#[test]
+fn every_layer_is_its_definition() {
+    let gpu = Validated::open();
+    let loaded = Site::new().loaded();
+    let truths = [Layer::All, Layer::Background, Layer::Agents].map(|layer| {
+        let world = loaded.baked_layer(0.0, layer);
+        let truth = |camera: &Camera| reference::render(&world, camera, &world.rules).to_picture();
+        let truths: Vec<Picture> = cameras(&loaded).iter().map(truth).collect();
+        for (picture, truth) in draw(&gpu, &loaded, layer).iter().zip(&truths) {
+            let difference = Difference::between(picture, truth).unwrap();
+            let alpha_error = picture.alpha.iter().zip(&truth.alpha).fold(0f32, |worst, (a, b)| worst.max((a - b).abs()));
+            println!("{layer:?}: {:.1} dB, max {:.5}, alpha {alpha_error:.5}", difference.psnr_db, difference.max_abs);
+            assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{layer:?}: {difference:?}");
+            assert!(f64::from(alpha_error) <= ERROR_MAX, "{layer:?}: {alpha_error}");
+        }
+        truths
+    });
+    // The comparison can fail: layers are different pictures.
+    for (all, background) in truths[0].iter().zip(&truths[1]) {
+        assert!(Difference::between(all, background).unwrap().psnr_db < 60.0);
+    }
+}
+
+/// The same pictures, and in each pixel agents of the same name.
+fn assert_same(live: (&[Picture], &LiveScene), fresh: (&[Picture], &LoadedScene), step: &str) {
+    let plain = |instance: u16| fresh.1.agent_names.get(usize::from(instance).wrapping_sub(1)).cloned();
+    let named = |instance: u16| live.1.agents().iter().find(|agent| agent.instance == instance).map(|agent| agent.name.clone());
+    for (camera, (live, fresh)) in live.0.iter().zip(fresh.0).enumerate() {
+        assert!(!differing(live, fresh).contains(&true), "{step}: camera {camera} differs");
+        let ids = live.instance.as_ref().unwrap().iter().zip(fresh.instance.as_ref().unwrap());
+        for (live, fresh) in ids {
+            // A plain agent is no agent of the live scene; in this one it keeps its place.
+            assert_eq!(named(*live).or_else(|| plain(*live)), plain(*fresh), "{step}: camera {camera}");
+        }
+    }
+}
+
+#[test]
+fn a_scene_edited_while_it_is_shown_is_the_edited_file_loaded() {
+    let gpu = Validated::open();
+    let site = Site::new();
+    let (mut file, folder) = (site.file.clone(), site.folder.path());
+    let loaded_first = site.loaded();
+    let mut renderer = Renderer::new(&gpu, options());
+    let mut live = LiveScene::new(&renderer, &loaded_first).unwrap();
+    let green = live.add_asset(&read_coded(&folder.join("green.safetensors")).unwrap().cloud).unwrap();
+    let views = cameras(&loaded_first);
+    let mut shown = Vec::new();
+    let mut check = |live: &LiveScene, file: &SceneFile, step: &str| {
+        renderer.render(live.with(&live.at(0.0)), &views).unwrap();
+        let pictures = renderer.read_pictures().unwrap();
+        let fresh = loaded(file, folder);
+        assert_same((&pictures, live), (&draw(&gpu, &fresh, Layer::All), &fresh), step);
+        assert!(!shown.contains(&pictures), "{step} is seen");
+        shown.push(pictures);
+    };
+    check(&live, &file, "as loaded");
+
+    let way = begun_at(
+        &file.agent("ahead").unwrap().trajectory,
+        DVec3::new(1.0, 2.0, 0.0) + views[0].world_from_camera.translation,
+        0.4,
+    )
+    .unwrap();
+    live.set_trajectory("ahead", way.clone()).unwrap();
+    file.set_trajectory("ahead", way).unwrap();
+    check(&live, &file, "moved");
+
+    let shift = Pose::from_yaw(0.3, DVec3::new(1.5, -0.5, 0.0));
+    let way = shifted(&file.agent("left").unwrap().trajectory, &shift).unwrap();
+    live.set_trajectory("left", way).unwrap();
+    file.shift_agent("left", &shift).unwrap();
+    check(&live, &file, "shifted");
+
+    live.swap_asset("right", green).unwrap();
+    file.swap_asset("right", "green.safetensors").unwrap();
+    check(&live, &file, "swapped");
+
+    let taken = live.remove_agent("left").unwrap();
+    assert_eq!(taken.instance, 3);
+    let ids: Vec<u16> = live.agents().iter().map(|agent| agent.instance).collect();
+    assert_eq!(ids, [1, 4, 5, 6], "those of the others stay");
+    file.remove_agent("left").unwrap();
+    check(&live, &file, "removed");
+
+    assert_eq!(live.add_agent("new", green, Some(ShFrame::World), taken.trajectory.clone()).unwrap(), 7);
+    let (asset, trajectory) = ("green.safetensors".into(), taken.trajectory);
+    file.add_agent(SceneAgent { name: "new".into(), asset, sh_frame: Some(ShFrame::World), trajectory }).unwrap();
+    check(&live, &file, "added");
+}
+
+#[test]
+fn an_edit_that_cannot_be_is_refused_and_changes_nothing() {
+    let gpu = Validated::open();
+    let loaded = Site::new().loaded();
+    let renderer = Renderer::new(&gpu, RenderOptions::default());
+    let mut live = LiveScene::new(&renderer, &loaded).unwrap();
+    let standing = || Trajectory::standing(Pose::IDENTITY);
+    let said = live.remove_agent("nobody").unwrap_err().to_string();
+    assert!(said.contains("\"nobody\"") && said.contains("\"behind left\"") && said.contains("\"plain\""), "{said}");
+    let said = live.set_trajectory("plain", standing()).unwrap_err().to_string();
+    assert!(said.contains("\"plain\"") && said.contains("load it again"), "{said}");
+    assert!(live.swap_asset("ahead", 2).unwrap_err().to_string().contains("the scene has 2"));
+    assert!(live.add_agent("plain", 0, None, standing()).unwrap_err().to_string().contains("already"));
+    assert!(live.add_agent("", 0, None, standing()).is_err() && live.add_agent("new", 9, None, standing()).is_err());
+    assert_eq!(live.agents(), loaded.agents);
+    let none = LiveScene::layer(&renderer, &loaded, Layer::Background).unwrap();
+    assert!(none.agents().is_empty() && none.at(0.0).shadows.is_empty());
+}

@@ -1,0 +1,289 @@
+//! `decouplegs drive`: episodes in closed loop.
+
+mod album;
+mod folder;
+mod jobs;
+mod sites;
+mod video;
+
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use decouplegs::asset::{read_episode_log, read_light_transfer};
+use decouplegs::episode::{self, Driven, Eyes, Look, chosen, drive, render_options};
+use decouplegs::gpu::Gpu;
+use decouplegs::planner::{Cameras, Patience, Planner, PlannerChoice};
+use decouplegs::render::Renderer;
+use decouplegs::scene::Level;
+use decouplegs::scene::episode::Episode;
+use indicatif::ProgressBar;
+use serde_json::json;
+
+use self::album::Keeper;
+pub use self::album::{Album, Pictures};
+use self::folder::RunFolder;
+use self::jobs::Job;
+pub use self::sites::{Ready, Sites};
+use crate::arguments::{Size, print};
+use crate::device::{DeviceArguments, check_validation};
+use crate::episode_report::{self, Scored};
+use crate::progress;
+
+/// Drive episodes in closed loop: cameras are drawn, a planner answers, the ego follows, traffic reacts. Finished episodes stay in
+/// --out; the same command goes on where a run was stopped
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scenarios (.toml) to drive, one episode each
+    #[arg(required_unless_present = "level", value_name = "SCENARIO")]
+    scenarios: Vec<PathBuf>,
+    /// Make up scenarios of these levels: easy, medium, hard, extreme or all
+    #[arg(long, value_name = "LEVEL", value_delimiter = ',', value_parser = levels, conflicts_with = "scenarios")]
+    level: Vec<LevelName>,
+    /// Who drives: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND or unix:SOCKET
+    #[arg(long, value_name = "PLANNER")]
+    planner: PlannerChoice,
+    /// Episodes of each level
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    episodes: u32,
+    /// Scenarios that are made up follow from it
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Folder for the run; made if it does not exist
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    place: jobs::PlaceArguments,
+    /// Draw every N-th step, or `off` to draw nothing
+    #[arg(long, value_name = "N|off", default_value = "1")]
+    render: Every,
+    /// Size of the pictures
+    #[arg(long, value_name = "WxH", default_value = "320x180")]
+    size: Size,
+    /// Draw all cameras of the rig, even if the planner looks at fewer
+    #[arg(long)]
+    all_cameras: bool,
+    /// What light does to the cars of a place that is made up; `calibrate-light` makes it
+    #[arg(long, value_name = "FILE")]
+    light: Option<PathBuf>,
+    /// Episodes that are driven side by side: two hide what one waits for, and a device has only so much to give
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
+    workers: u32,
+    /// Which pictures are kept
+    #[arg(long, value_enum, default_value_t = Pictures::Key)]
+    pictures: Pictures,
+    /// Make a video of each camera of each episode, by ffmpeg; keeps all pictures
+    #[arg(long)]
+    video: bool,
+    /// How long a planner of others may take for an answer: later ones end its episode
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
+    planner_timeout: f64,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let parsed = text.parse::<f64>().ok().filter(|seconds| (0.001..=86_400.0).contains(seconds));
+    parsed.ok_or_else(|| format!("expected seconds from 0.001 to 86400, found {text:?}"))
+}
+
+/// `all` or a level.
+#[derive(Clone, Copy, Debug)]
+struct LevelName(Option<Level>);
+
+fn levels(text: &str) -> Result<LevelName, String> {
+    match (text, Level::by_name(text)) {
+        ("all", _) => Ok(LevelName(None)),
+        (_, Some(level)) => Ok(LevelName(Some(level))),
+        _ => Err("expected easy, medium, hard, extreme or all".into()),
+    }
+}
+
+/// Every so manyth step; 0 is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Every(u32);
+
+impl std::str::FromStr for Every {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let every = if text == "off" { Some(0) } else { text.parse().ok().filter(|every| *every > 0) };
+        every.map(Self).ok_or_else(|| format!("expected a number from 1 on, or off, found {text:?}"))
+    }
+}
+
+impl Arguments {
+    fn levels(&self) -> Vec<Level> {
+        let mut levels: Vec<Level> =
+            self.level.iter().flat_map(|name| name.0.map_or(Level::ALL.to_vec(), |level| vec![level])).collect();
+        levels.sort_unstable();
+        levels.dedup();
+        levels
+    }
+
+    /// What has to be the same when a run is gone on with.
+    fn settings(&self) -> serde_json::Value {
+        json!({
+            "planner": self.planner.to_string(),
+            "seed": self.seed,
+            "place": self.place.to_json(),
+            "render": self.render.0,
+            "size": [self.size.width_px, self.size.height_px],
+            "all_cameras": self.all_cameras,
+            "light": self.light.as_ref().map(|light| light.display().to_string()),
+        })
+    }
+
+    fn planner(&self) -> Result<Box<dyn Planner>> {
+        let patience = Patience { answer: Duration::from_secs_f64(self.planner_timeout), ..Patience::default() };
+        self.planner.open(patience).with_context(|| format!("the planner {} is not to be had", self.planner))
+    }
+
+    fn keeps(&self) -> Pictures {
+        if self.video { Pictures::All } else { self.pictures }
+    }
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    if arguments.video {
+        ensure!(arguments.render.0 > 0, "--video needs pictures, and --render off draws none");
+        video::check_ffmpeg()?;
+    }
+    // Before the first episode: a planner that cannot be had is no episode's failure.
+    let planner = arguments.planner()?;
+    ensure!(
+        arguments.render.0 > 0 || planner.sees().cameras == Cameras::None,
+        "{} drives by what it sees, and --render off draws nothing",
+        arguments.planner
+    );
+    drop(planner);
+    let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
+    let jobs = jobs::of(arguments, &folder)?;
+    let gpu = (arguments.render.0 > 0).then(|| arguments.device.open()).transpose()?;
+    let look = Look { transfer: arguments.light.as_deref().map(read_light_transfer).transpose()?.map(|file| file.transfer) };
+    let sites = Sites::new(gpu.as_ref(), look);
+    let run = Run { arguments, folder: &folder, sites: &sites, gpu: gpu.as_ref(), bar: progress::bar("episodes", jobs.len()) };
+    let mut scored = run.all(&jobs)?;
+    run.bar.finish_and_clear();
+    scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
+    let text = episode_report::write(&scored, &sites, &arguments.out)?;
+    print(&text)?;
+    gpu.as_ref().map_or(Ok(()), check_validation)
+}
+
+/// What workers share.
+struct Run<'a> {
+    arguments: &'a Arguments,
+    folder: &'a RunFolder,
+    sites: &'a Sites<'a>,
+    gpu: Option<&'a Gpu>,
+    bar: ProgressBar,
+}
+
+impl Run<'_> {
+    /// Every episode, those that were finished before as they are.
+    fn all(&self, jobs: &[Job]) -> Result<Vec<Scored>> {
+        let (next, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let scored = Mutex::new(Vec::with_capacity(jobs.len()));
+        let work = || -> Result<()> {
+            let mut worker = Worker { run: self, planner: None, renderer: None };
+            while !failed.load(Ordering::Relaxed) {
+                let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
+                let done = worker.job(job).with_context(|| format!("episode {} was not driven", job.scenario.name));
+                match done {
+                    Ok(done) => scored.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(done),
+                    Err(error) => {
+                        failed.store(true, Ordering::Relaxed);
+                        return Err(error);
+                    }
+                }
+                self.bar.inc(1);
+            }
+            Ok(())
+        };
+        std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..self.arguments.workers).map(|_| scope.spawn(work)).collect();
+            workers.into_iter().try_for_each(|worker| worker.join().expect("a worker does not panic"))
+        })?;
+        Ok(scored.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner))
+    }
+}
+
+/// One of the threads that drive.
+struct Worker<'a> {
+    run: &'a Run<'a>,
+    planner: Option<Box<dyn Planner>>,
+    renderer: Option<Renderer>,
+}
+
+impl Worker<'_> {
+    fn job(&mut self, job: &Job) -> Result<Scored> {
+        let name = &job.scenario.name;
+        let path = self.run.folder.log(name);
+        if path.exists() {
+            let episode = read_episode_log(&path)?;
+            ensure!(
+                episode.head.scenario == job.scenario,
+                "{} is of another scenario of the same name: remove it, or name another folder with --out",
+                path.display()
+            );
+            return Scored::new(episode, path, self.run.folder.pictures(name), None);
+        }
+        let driven = self.drive(job)?;
+        if self.run.arguments.video {
+            self.videos(&driven.episode)?;
+        }
+        Scored::new(driven.episode, path, self.run.folder.pictures(name), Some(driven.times))
+    }
+
+    fn drive(&mut self, job: &Job) -> Result<Driven> {
+        let run = self.run;
+        let ready = run.sites.get(&job.scenario.place, &job.directory)?;
+        let planner = match &mut self.planner {
+            Some(planner) => planner,
+            none => none.insert(run.arguments.planner()?),
+        };
+        let name = &job.scenario.name;
+        let album = Album::new(run.folder.pictures(name), run.arguments.keeps());
+        let mut keeper = Keeper::new(run.folder.log(name), album);
+        let driven = match (run.gpu, &ready.live) {
+            (Some(gpu), Some(live)) => {
+                let options = render_options(ready.site.loaded.world.rules);
+                let renderer = self.renderer.take().filter(|renderer| *renderer.options() == options);
+                let renderer = renderer.unwrap_or_else(|| Renderer::new(gpu, options));
+                let at_least = if run.arguments.all_cameras { Cameras::All } else { Cameras::Front };
+                let size = run.arguments.size;
+                let rig = chosen(
+                    &ready.site.loaded.rig,
+                    episode::cameras_of(planner.as_ref(), at_least),
+                    Some([size.width_px, size.height_px]),
+                )
+                .map_err(anyhow::Error::msg)?;
+                let mut eyes = Eyes::new(live, renderer, rig, run.arguments.render.0);
+                let driven = drive(&job.scenario, &ready.site, Some(&mut eyes), planner.as_mut(), &mut keeper)?;
+                self.renderer = Some(eyes.into_renderer());
+                driven
+            }
+            _ => drive(&job.scenario, &ready.site, None, planner.as_mut(), &mut keeper)?,
+        };
+        keeper.album_error.map_or(Ok(driven), Err)
+    }
+
+    fn videos(&self, episode: &Episode) -> Result<()> {
+        let name = &episode.head.scenario.name;
+        let folder = self.run.folder.pictures(name);
+        let every = f64::from(self.run.arguments.render.0);
+        for camera in &episode.head.planner.cameras {
+            let video = self.run.folder.pictures(name).join(format!("{camera}.mp4"));
+            video::encode(&folder, camera, 1.0 / (every * episode.head.scenario.step_s), &video)?;
+        }
+        Ok(())
+    }
+}
+
+/// Milliseconds.
+pub fn to_ms(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
+}

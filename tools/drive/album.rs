@@ -1,0 +1,176 @@
+//! Pictures of an episode that are kept: all of them, or the few that a report shows.
+
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use decouplegs::asset::EpisodeLog;
+use decouplegs::episode::{EpisodeError, Witness};
+use decouplegs::planner::Frame;
+use decouplegs::render::Picture;
+use decouplegs::render::picture::PictureFormat;
+use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, Instant};
+
+use crate::arguments::write_picture;
+
+/// Which pictures are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Pictures {
+    /// None
+    None,
+    /// Of the first camera: the first, the last and some between, for the report
+    Key,
+    /// Each of every camera, and the key frames
+    All,
+}
+
+/// The pictures of one episode.
+pub struct Album {
+    folder: PathBuf,
+    keeps: Pictures,
+    /// What the first camera saw at the start and at each moment that would be the middle, were the next one the end.
+    keys: Vec<Key>,
+    /// What it saw last: any step may be the last, so this is written over in every step.
+    last: Option<Key>,
+}
+
+/// What one camera saw at a step, four bytes a pixel.
+#[derive(Clone)]
+struct Key {
+    step: u32,
+    size_px: [u32; 2],
+    rgba: Vec<u8>,
+}
+
+/// Key frames come at steps 0, 10, 20 and so on, as long as there are few of them.
+const KEY_EVERY: u32 = 10;
+const KEYS_MAX: usize = 3;
+
+impl Album {
+    pub fn new(folder: PathBuf, keeps: Pictures) -> Self {
+        Self { folder, keeps, keys: Vec::new(), last: None }
+    }
+
+    pub fn add(&mut self, step: u32, frames: &[Frame]) -> Result<()> {
+        if self.keeps == Pictures::All {
+            for frame in frames {
+                self.write(&format!("{}_{step:04}.png", frame.camera.name), &picture(frame))?;
+            }
+        }
+        if let (Some(frame), true) = (frames.first(), self.keeps != Pictures::None) {
+            let mut rgba = self.last.take().map(|last| last.rgba).unwrap_or_default();
+            rgba.clear();
+            rgba.extend_from_slice(frame.rgba);
+            let lens = &frame.camera.intrinsics;
+            let key = Key { step, size_px: [lens.width_px, lens.height_px], rgba };
+            if step.is_multiple_of(KEY_EVERY) && self.keys.len() < KEYS_MAX {
+                self.keys.push(key.clone());
+            }
+            self.last = Some(key);
+        }
+        Ok(())
+    }
+
+    /// Writes the key frames.
+    fn close(&mut self) -> Result<()> {
+        let mut keys = std::mem::take(&mut self.keys);
+        keys.extend(self.last.take().filter(|last| keys.last().is_none_or(|key| key.step != last.step)));
+        for Key { step, size_px, rgba } in keys {
+            self.write(&format!("key_{step:04}.png"), &picture_of(size_px, &rgba))?;
+        }
+        Ok(())
+    }
+
+    fn write(&self, name: &str, picture: &Picture) -> Result<()> {
+        fs::create_dir_all(&self.folder).with_context(|| format!("{} cannot be made", self.folder.display()))?;
+        write_picture(&self.folder.join(name), picture, PictureFormat::Png)
+    }
+}
+
+/// A frame as a picture that can be written.
+pub fn picture(frame: &Frame) -> Picture {
+    let lens = &frame.camera.intrinsics;
+    picture_of([lens.width_px, lens.height_px], frame.rgba)
+}
+
+fn picture_of([width_px, height_px]: [u32; 2], rgba: &[u8]) -> Picture {
+    let pixels = rgba.chunks_exact(4);
+    let share = |byte: u8| f32::from(byte) / 255.0;
+    Picture {
+        rgb: pixels.clone().map(|pixel| [share(pixel[0]), share(pixel[1]), share(pixel[2])]).collect(),
+        alpha: pixels.map(|pixel| share(pixel[3])).collect(),
+        ..Picture::filled(width_px, height_px, [0.0; 3])
+    }
+}
+
+/// Keeps what happens: the log on disk, and the album.
+pub struct Keeper {
+    path: PathBuf,
+    log: Option<EpisodeLog>,
+    album: Album,
+    /// Why a picture could not be written: the log is what counts, so it is said when the episode is over.
+    pub album_error: Option<anyhow::Error>,
+}
+
+impl Keeper {
+    pub fn new(path: PathBuf, album: Album) -> Self {
+        Self { path, log: None, album, album_error: None }
+    }
+
+    fn keep(&mut self, result: Result<()>) {
+        if let (Err(error), None) = (result, &self.album_error) {
+            self.album_error = Some(error);
+        }
+    }
+}
+
+impl Witness for Keeper {
+    fn begin(&mut self, head: &EpisodeHead, start: &Instant) -> Result<(), EpisodeError> {
+        self.log = Some(EpisodeLog::create(&self.path, head, start)?);
+        Ok(())
+    }
+
+    fn step(&mut self, step: &EpisodeStep, frames: &[Frame]) -> Result<(), EpisodeError> {
+        if let Some(log) = &mut self.log {
+            log.append(step)?;
+        }
+        let added = self.album.add(step.step, frames);
+        self.keep(added);
+        Ok(())
+    }
+
+    fn end(&mut self, end: &EpisodeEnd) -> Result<(), EpisodeError> {
+        // Pictures first: a log under its own name says that all of the episode is there.
+        let closed = self.album.close();
+        self.keep(closed);
+        if let Some(log) = self.log.take() {
+            log.finish(end)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use decouplegs::scene::{Intrinsics, Pose, RigCamera};
+
+    #[test]
+    fn key_frames_are_the_first_the_last_and_some_between() {
+        let folder = tempfile::tempdir().unwrap();
+        let intrinsics = Intrinsics::from_horizontal_fov(2, 1, 1.0);
+        let camera = RigCamera { name: "front".into(), intrinsics, rig_from_camera: Pose::IDENTITY };
+        let mut album = Album::new(folder.path().join("a"), Pictures::Key);
+        for step in 0..14_u8 {
+            let rgba = [step, 0, 0, 255, 0, step, 0, 255];
+            album.add(u32::from(step), &[Frame { camera: &camera, rgba: &rgba }]).unwrap();
+        }
+        album.close().unwrap();
+        let mut names: Vec<_> = fs::read_dir(folder.path().join("a")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, ["key_0000.png", "key_0010.png", "key_0013.png"]);
+        let last = Picture::read(&folder.path().join("a/key_0013.png")).unwrap();
+        assert_eq!((last.rgb[0], last.rgb[1]), ([13.0 / 255.0, 0.0, 0.0], [0.0, 13.0 / 255.0, 0.0]));
+    }
+}

@@ -1,0 +1,94 @@
+//! The folder of a run: what is finished stays, and what is not is driven again.
+//!
+//! `run.json` says with what the run was begun, `scenarios/` holds what is driven, `logs/` what happened. A log under its own name
+//! is whole: it is renamed when its last line is in, so that a run can be stopped at any moment and loses what is under way.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use decouplegs::asset::write_atomically;
+use serde_json::Value;
+
+pub struct RunFolder {
+    root: PathBuf,
+}
+
+impl RunFolder {
+    /// The folder at `root`, made if it does not exist, for a run with `settings`.
+    pub fn open(root: &Path, settings: &Value) -> Result<Self> {
+        for part in ["scenarios", "logs"] {
+            let part = root.join(part);
+            fs::create_dir_all(&part).with_context(|| format!("{} cannot be made", part.display()))?;
+        }
+        let folder = Self { root: root.to_owned() };
+        let path = folder.root.join("run.json");
+        match fs::read(&path) {
+            Ok(bytes) => {
+                let begun: Value = serde_json::from_slice(&bytes)
+                    .with_context(|| format!("{} is no JSON: remove it to begin again", path.display()))?;
+                check_same(&path, &begun, settings)?;
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                write_atomically(&path, |file| writeln!(file, "{settings:#}"))?;
+            }
+            Err(error) => return Err(error).with_context(|| format!("{} cannot be read", path.display())),
+        }
+        Ok(folder)
+    }
+
+    pub fn scenario(&self, name: &str) -> PathBuf {
+        self.root.join("scenarios").join(format!("{name}.toml"))
+    }
+
+    pub fn log(&self, name: &str) -> PathBuf {
+        self.root.join("logs").join(format!("{name}.log"))
+    }
+
+    /// The folder of an episode's pictures.
+    pub fn pictures(&self, name: &str) -> PathBuf {
+        self.root.join("pictures").join(name)
+    }
+}
+
+/// Refuses to add episodes to those of another run: their scores would be mixed.
+fn check_same(path: &Path, begun: &Value, settings: &Value) -> Result<()> {
+    let keys = settings.as_object().into_iter().flatten();
+    for (key, wanted) in keys {
+        let was = begun.get(key).unwrap_or(&Value::Null);
+        if was != wanted {
+            bail!(
+                "{} holds a run with {key} = {was}, and this one has {wanted}: give the same options to go on with it, or another \
+                 folder with --out",
+                path.parent().unwrap_or(path).display()
+            );
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_run_goes_on_with_the_same_settings_and_no_others() {
+        let root = tempfile::tempdir().unwrap();
+        let settings = json!({ "planner": "lane-follow", "seed": 1 });
+        RunFolder::open(root.path(), &settings).unwrap();
+        RunFolder::open(root.path(), &settings).unwrap();
+        let other = RunFolder::open(root.path(), &json!({ "planner": "vision", "seed": 1 })).err().unwrap().to_string();
+        assert!(other.contains("planner = \"lane-follow\"") && other.contains("\"vision\""), "{other}");
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_named() {
+        let root = tempfile::tempdir().unwrap();
+        let taken = root.path().join("taken");
+        fs::write(&taken, "a file").unwrap();
+        let refused = RunFolder::open(&taken, &json!({})).err().unwrap().to_string();
+        assert!(refused.contains("taken"), "{refused}");
+    }
+}

@@ -1,0 +1,196 @@
+//! Scores of episodes as text, JSON and one HTML page.
+
+mod birds_eye;
+mod page;
+mod timing;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use decouplegs::asset::write_atomically;
+use decouplegs::drive::score::{EpisodeScore, Infraction, InfractionKind, Moments, SetSummary, Summary};
+use decouplegs::episode::StepTime;
+use decouplegs::scene::Level;
+use decouplegs::scene::episode::{Episode, EpisodeEnd};
+use serde_json::{Value, json};
+
+use crate::drive::Sites;
+
+/// An episode and what it is worth.
+pub struct Scored {
+    pub episode: Episode,
+    pub score: EpisodeScore,
+    pub log: PathBuf,
+    /// Where its pictures are, if there are any.
+    pub pictures: PathBuf,
+    /// What its steps took; none where it was driven before.
+    pub times: Option<Vec<StepTime>>,
+}
+
+impl Scored {
+    pub fn new(episode: Episode, log: PathBuf, pictures: PathBuf, times: Option<Vec<StepTime>>) -> Result<Self> {
+        Ok(Self { score: EpisodeScore::of(&episode), episode, log, pictures, times })
+    }
+
+    pub fn name(&self) -> &str {
+        &self.episode.head.scenario.name
+    }
+
+    /// Whether the ego did something wrong.
+    pub fn at_fault(&self) -> bool {
+        self.score.infractions.iter().any(Infraction::at_fault)
+    }
+
+    pub fn level(&self) -> Option<Level> {
+        self.episode.head.scenario.level
+    }
+
+    /// Why it ended, as people say it.
+    pub fn ending(&self) -> String {
+        match &self.episode.end {
+            EpisodeEnd::RouteDone => "route done".into(),
+            EpisodeEnd::Collision { agent } => {
+                let agents = &self.episode.head.scenario.agents;
+                let name = agents.get(*agent).map_or("an agent", |agent| agent.name.as_str());
+                let hit = |infraction: &Infraction| match infraction.kind {
+                    InfractionKind::Collision { agent: other, fault } if other == *agent => Some(fault.why()),
+                    _ => None,
+                };
+                let why = self.score.infractions.iter().find_map(hit).unwrap_or("nobody knows why");
+                format!("collision with {name}: {why}")
+            }
+            EpisodeEnd::Time => "time over".into(),
+            EpisodeEnd::Planner { reason } => format!("planner failed: {reason}"),
+        }
+    }
+}
+
+/// Where `drive` keeps the pictures of the episode whose log is `log`.
+pub fn pictures_beside(log: &Path) -> PathBuf {
+    let root = log.parent().and_then(Path::parent).unwrap_or(Path::new(""));
+    root.join("pictures").join(log.file_stem().unwrap_or_default())
+}
+
+/// Sums up, and refuses sums that cannot be: they would be a fault of the scoring.
+pub fn summary(scored: &[Scored]) -> Result<Summary> {
+    let scores: Vec<EpisodeScore> = scored.iter().map(|scored| scored.score.clone()).collect();
+    let summary = Summary::of(&scores);
+    summary.check().map_err(anyhow::Error::msg).context("the scores contradict each other")?;
+    Ok(summary)
+}
+
+/// The figures of each level, from easy to extreme, and of all where there are several.
+pub fn rows(summary: &Summary) -> Vec<(&'static str, SetSummary)> {
+    let mut rows: Vec<_> = summary.levels.iter().map(|(level, set)| (level.map_or("own", Level::name), *set)).collect();
+    if rows.len() > 1 {
+        rows.extend(summary.all.map(|all| ("all", all)));
+    }
+    rows
+}
+
+/// `mean ± std`, or a dash where there is none.
+pub fn spread(moments: Option<&Moments>, digits: usize) -> String {
+    match moments {
+        None => "-".into(),
+        Some(Moments { mean, std: None, .. }) => format!("{mean:.digits$}"),
+        Some(Moments { mean, std: Some(std), .. }) => format!("{mean:.digits$} ± {std:.digits$}"),
+    }
+}
+
+/// The table of the paper, a line a level.
+pub fn text(scored: &[Scored]) -> Result<String> {
+    let mut text = format!(
+        "{:<8} {:>8}  {:>13}  {:>5}  {:>13}  {:>11}  {:>10} {:>8} {:>8}\n",
+        "level", "episodes", "DS", "SR", "RC", "minTTC, s", "collisions", "at fault", "off-road"
+    );
+    for (level, set) in rows(&summary(scored)?) {
+        text.push_str(&format!(
+            "{level:<8} {:>8}  {:>13}  {:>5.3}  {:>13}  {:>11}  {:>10} {:>8} {:>8}\n",
+            set.count(),
+            spread(Some(&set.driving_score), 3),
+            set.success.mean,
+            spread(Some(&set.route_completion), 3),
+            spread(set.min_ttc_s.as_ref(), 2),
+            set.collisions,
+            set.collisions_at_fault,
+            set.layout_infractions,
+        ));
+    }
+    Ok(text)
+}
+
+/// Writes report.json and report.html to `out`. The text of the table.
+pub fn write(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
+    std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
+    let (json, html) = (out.join("report.json"), out.join("report.html"));
+    let report = to_json(scored)?;
+    write_atomically(&json, |file| writeln!(file, "{report:#}"))?;
+    let page = page::page(scored, sites, out)?;
+    write_atomically(&html, |file| file.write_all(page.as_bytes()))?;
+    let mut text = text(scored)?;
+    text.push_str(&timing::text(scored));
+    text.push_str(&format!("{}\n{}\n", json.display(), html.display()));
+    Ok(text)
+}
+
+fn to_json(scored: &[Scored]) -> Result<Value> {
+    let levels: serde_json::Map<String, Value> =
+        rows(&summary(scored)?).iter().map(|(name, set)| ((*name).to_owned(), set_to_json(set))).collect();
+    let planner = scored.first().map(|scored| &scored.episode.head.planner);
+    let drawn_by = scored.first().and_then(|scored| scored.episode.head.drawn_by.as_ref());
+    Ok(json!({
+        "planner": planner.map(|planner| json!({
+            "name": planner.name, "cameras": planner.cameras, "privileged": planner.privileged,
+        })),
+        "drawn_by": drawn_by.map(|by| json!({
+            "device": by.device, "width_px": by.width_px, "height_px": by.height_px, "every": by.every,
+        })),
+        "levels": levels,
+        "episodes": scored.iter().map(episode_to_json).collect::<Vec<_>>(),
+        "times": timing::to_json(scored),
+    }))
+}
+
+fn set_to_json(set: &SetSummary) -> Value {
+    let moments = |moments: &Moments| json!({ "n": moments.count, "mean": moments.mean, "std": moments.std });
+    json!({
+        "episodes": set.count(),
+        "driving_score": moments(&set.driving_score),
+        "success_rate": moments(&set.success),
+        "route_completion": moments(&set.route_completion),
+        "min_ttc_s": set.min_ttc_s.as_ref().map(moments),
+        "plan_ade_m": set.plan_ade_m.as_ref().map(moments),
+        "ttc_short_share": moments(&set.ttc_short_share),
+        "collisions": set.collisions,
+        "collisions_at_fault": set.collisions_at_fault,
+        "layout_infractions": set.layout_infractions,
+    })
+}
+
+fn episode_to_json(scored: &Scored) -> Value {
+    let score = &scored.score;
+    let agents = &scored.episode.head.scenario.agents;
+    let infraction = |infraction: &Infraction| match infraction.kind {
+        InfractionKind::Collision { agent, fault } => json!({
+            "time_s": infraction.time_s, "kind": "collision", "agent": agents.get(agent).map(|agent| &agent.name),
+            "at_fault": fault.at_fault(), "why": fault.why(),
+        }),
+        InfractionKind::Layout => json!({ "time_s": infraction.time_s, "kind": "off_road", "at_fault": true }),
+    };
+    json!({
+        "name": scored.name(),
+        "level": scored.level().map(Level::name),
+        "ending": scored.ending(),
+        "driving_score": score.driving_score,
+        "route_completion": score.route_completion,
+        "success": score.success,
+        "min_ttc_s": score.min_ttc_s(),
+        "ttc_short_share": score.ttc_short_share,
+        "plan_ade_m": score.plan_ade_m,
+        "braking_max_mps2": score.comfort.braking_max_mps2,
+        "lateral_acceleration_max_mps2": score.comfort.lateral_acceleration_max_mps2,
+        "infractions": score.infractions.iter().map(infraction).collect::<Vec<_>>(),
+        "log": scored.log.display().to_string(),
+    })
+}

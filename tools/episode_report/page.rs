@@ -1,0 +1,144 @@
+//! The report as one HTML page that needs nothing beside it.
+
+use std::cmp::Ordering;
+use std::fmt::Write;
+use std::path::Path;
+
+use anyhow::Result;
+use decouplegs::render::Picture;
+use decouplegs::scene::Lane;
+use decouplegs::scene::scenario::Place;
+
+use super::{Scored, birds_eye, rows, spread, summary, timing};
+use crate::drive::Sites;
+use crate::{data_uri, plot};
+use crate::plot::escaped;
+
+/// Episodes that are shown; a page of hundreds would not be read.
+const SHOWN_MAX: usize = 24;
+/// Key frames are shown so wide at most, pixels.
+const KEY_WIDTH_PX: u32 = 420;
+
+pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
+    let planner = scored.first().map_or("", |scored| scored.episode.head.planner.name.as_str());
+    let mut html = plot::page_start(&format!("{} in closed loop", escaped(planner)));
+    html.push_str(&facts(scored));
+    html.push_str(&table(scored)?);
+    html.push_str(&timing::table(scored));
+    html.push_str(&episodes(scored, sites, out)?);
+    html.push_str("</html>\n");
+    Ok(html)
+}
+
+fn facts(scored: &[Scored]) -> String {
+    let Some(first) = scored.first() else { return "<p>No episodes.</p>".into() };
+    let planner = &first.episode.head.planner;
+    let sees = match (planner.cameras.is_empty(), planner.privileged) {
+        (true, true) => "It was told where everybody is, which no camera shows, and needed no pictures.".to_owned(),
+        (_, true) => "It was told where everybody is, which no camera shows.".to_owned(),
+        (true, false) => "It saw nothing.".to_owned(),
+        (false, false) => "It was told nothing but its own motion and its navigation.".to_owned(),
+    };
+    let drawn = first.episode.head.drawn_by.as_ref().map_or("Nothing was drawn.".to_owned(), |by| {
+        let cameras = planner.cameras.join(", ");
+        format!("Cameras {cameras} at {}x{}, every {} steps, on {}.", by.width_px, by.height_px, by.every, by.device)
+    });
+    format!("<p>{} {}</p>", escaped(&sees), escaped(&drawn))
+}
+
+fn table(scored: &[Scored]) -> Result<String> {
+    let mut html = String::from(
+        "<h2>Scores</h2><table><tr><th>level<th>episodes<th>DS<th>SR<th>RC<th>minTTC, s<th>on a collision course<th>TTC &lt; 1.5 s<th>collisions\
+         <th>at fault<th>off-road",
+    );
+    for (level, set) in rows(&summary(scored)?) {
+        let _ = write!(
+            html,
+            "<tr><td>{level}<td>{}<td>{}<td>{:.3}<td>{}<td>{}<td>{}<td>{:.1} %<td>{}<td>{}<td>{}",
+            set.count(),
+            spread(Some(&set.driving_score), 3),
+            set.success.mean,
+            spread(Some(&set.route_completion), 3),
+            spread(set.min_ttc_s.as_ref(), 2),
+            set.min_ttc_s.map_or(0, |moments| moments.count),
+            100.0 * set.ttc_short_share.mean,
+            set.collisions,
+            set.collisions_at_fault,
+            set.layout_infractions,
+        );
+    }
+    html.push_str(
+        "</table><p class=\"dim\">Mean and standard deviation over episodes. RC: share of the route that was driven. DS: RC times 0.60 for a \
+         collision at fault and 0.65 for each time the ego left the road. SR: share of episodes that came to the end of the route without \
+         either, so SR &lt;= RC and DS &lt;= RC. minTTC: least time until the boxes of the ego and an agent would touch if both kept their \
+         velocities, within 10 s, over the episodes that were on a collision course at all.</p>",
+    );
+    Ok(html)
+}
+
+/// Failures first, the worst of them at the top.
+fn by_failure(a: &Scored, b: &Scored) -> Ordering {
+    let key = |scored: &Scored| (scored.score.success, !scored.at_fault());
+    key(a).cmp(&key(b)).then(a.score.driving_score.total_cmp(&b.score.driving_score)).then(a.name().cmp(b.name()))
+}
+
+fn episodes(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
+    let mut order: Vec<&Scored> = scored.iter().collect();
+    order.sort_by(|a, b| by_failure(a, b));
+    let mut html = String::from("<h2>Episodes, failures first</h2>");
+    if order.len() > SHOWN_MAX {
+        let _ = write!(html, "<p>{SHOWN_MAX} of {}; report.json has all.</p>", order.len());
+    }
+    for scored in order.into_iter().take(SHOWN_MAX) {
+        html.push_str(&card(scored, &lanes(scored, sites, out))?);
+    }
+    Ok(html)
+}
+
+/// The lanes of an episode's place; none where its map is not at hand.
+fn lanes(scored: &Scored, sites: &Sites, out: &Path) -> Vec<Lane> {
+    let place = match &scored.episode.head.scenario.place {
+        // Where nothing is drawn, all weathers and sizes have the same lanes.
+        Place::Street { weather, seed, .. } => Place::Street { weather: *weather, background: 0, agent_splats: 0, seed: *seed },
+        place => place.clone(),
+    };
+    sites.lanes(&place, out).unwrap_or_default()
+}
+
+fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
+    let score = &scored.score;
+    let mut html = format!(
+        "<h3>{}: {}</h3><p>DS {:.3}, RC {:.3}, {}, {:.1} s, at most {:.1} m/s² of braking and {:.1} m/s² sideways</p><div class=\"row\"><figure \
+         style=\"flex:1 1 24em\">{}</figure>",
+        escaped(scored.name()),
+        escaped(&scored.ending()),
+        score.driving_score,
+        score.route_completion,
+        score.min_ttc_s().map_or("never on a collision course".into(), |ttc_s| format!("minTTC {ttc_s:.2} s")),
+        scored.episode.instants().last().map_or(0.0, |instant| instant.time_s),
+        score.comfort.braking_max_mps2,
+        score.comfort.lateral_acceleration_max_mps2,
+        birds_eye::svg(scored, lanes)
+    );
+    for path in key_frames(&scored.pictures) {
+        let picture = data_uri::shrunk(&Picture::read(&path)?, KEY_WIDTH_PX);
+        let step = path.file_stem().unwrap_or_default().to_string_lossy().replace("key_", "step ");
+        let _ = write!(
+            html,
+            "<figure><img src=\"{}\" alt=\"{step}\"><figcaption>{}</figcaption></figure>",
+            data_uri::png(&picture)?,
+            escaped(&step)
+        );
+    }
+    html.push_str("</div>");
+    Ok(html)
+}
+
+/// The key frames in `folder`, in time.
+fn key_frames(folder: &Path) -> Vec<std::path::PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_key = |path: &std::path::PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("key_"));
+    let mut keys: Vec<_> = entries.filter(is_key).collect();
+    keys.sort();
+    keys
+}

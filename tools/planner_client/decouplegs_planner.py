@@ -1,0 +1,207 @@
+"""Planners for DecoupleGS in Python, as engine/planner/protocol.md has it. The standard library is enough; 3.9 or later.
+
+    import decouplegs_planner
+
+    class Mine(decouplegs_planner.Planner):
+        name, cameras = "mine", "front"
+
+        def plan(self, observation):
+            speed_mps = observation.ego.speed_mps
+            return [(0.25 * i, 0.25 * i * speed_mps, 0.0) for i in range(1, 17)]
+
+    if __name__ == "__main__":
+        decouplegs_planner.run(Mine)
+
+and then `--planner "exec:python3 mine.py"`, or `python3 mine.py --socket PATH` in one terminal and `--planner unix:PATH` in
+another. What is printed goes to stderr, as stdout belongs to the protocol. An exception in `begin` or `plan` ends the episode with
+its text as the reason; the planner goes on with the next one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import socket
+import sys
+import threading
+import traceback
+from types import SimpleNamespace
+from typing import BinaryIO, Callable, Dict, Iterable, List, Tuple
+
+PROTOCOL = 1
+
+
+class ProtocolError(Exception):
+    """The other side does not keep to the protocol."""
+
+
+class Frame:
+    """A picture: `rgba` holds `height_px` rows from the top, each of `width_px` pixels of four bytes."""
+
+    def __init__(self, camera: str, width_px: int, height_px: int, rgba: bytes):
+        self.camera, self.width_px, self.height_px, self.rgba = camera, width_px, height_px, rgba
+
+    def array(self):
+        """The picture as a numpy array of shape (height_px, width_px, 4), uint8, read-only. Needs numpy."""
+        import numpy
+
+        return numpy.frombuffer(self.rgba, numpy.uint8).reshape(self.height_px, self.width_px, 4)
+
+
+class Observation:
+    """What is known at a step.
+
+    `step` counts from 0, `time_s` is since the episode's start. `ego` has speed_mps, acceleration_mps2, steer_rad and
+    yaw_rate_radps; `guidance` has turn (straight, left, right), distance_m, angle_rad, length_m and cruise_mps. `frames` are the
+    pictures by camera. `privileged` is None or has ego, route_m and agents.
+    """
+
+    def __init__(self, header: dict, frames: Dict[str, Frame]):
+        self.step: int = header["step"]
+        self.time_s: float = header["time_s"]
+        self.ego = SimpleNamespace(**header["ego"])
+        self.guidance = SimpleNamespace(**header["guidance"])
+        self.frames = frames
+        known = header.get("privileged")
+        self.privileged = None if known is None else SimpleNamespace(
+            ego=SimpleNamespace(**known["ego"]),
+            route_m=known["route_m"],
+            agents=[SimpleNamespace(**agent) for agent in known["agents"]],
+        )
+
+
+class Planner:
+    """What a planner is made of. Set the three wishes and override `plan`."""
+
+    name = "unnamed"
+    #: Pictures it wants: "none", "front" or "all".
+    cameras = "none"
+    #: Whether it wants to be told the states of others and its route, which no camera shows.
+    privileged = False
+
+    def begin(self, briefing: SimpleNamespace) -> None:
+        """Before each episode: forget the one before.
+
+        `briefing` has scenario, step_s, ego_size_m (length, width, height) and cameras, each a dictionary of name, width_px,
+        height_px, fx_px, fy_px, cx_px, cy_px, and where it sits on the ego: position_m and rotation_wxyz.
+        """
+
+    def plan(self, observation: Observation) -> Iterable[Tuple[float, float, float]]:
+        """The way on: (seconds from now, metres ahead, metres to the left), times rising, at most 256 points."""
+        raise NotImplementedError(f"{type(self).__name__} has no plan")
+
+
+def read_exactly(stream: BinaryIO, count: int) -> bytes:
+    """`count` bytes of `stream`. Raises ProtocolError where it ends before."""
+    parts: List[bytes] = []
+    while count > 0:
+        part = stream.read(min(count, 1 << 20))
+        if not part:
+            raise ProtocolError(f"the connection ended {count} bytes before the end of a message")
+        parts.append(part)
+        count -= len(part)
+    return b"".join(parts)
+
+
+def read_frames(stream: BinaryIO, header: dict) -> Dict[str, Frame]:
+    """The pictures that follow the header of an observation."""
+    sizes = header["frames"]
+    if sum(size["bytes"] for size in sizes) != header["bytes"]:
+        raise ProtocolError(f"{header['bytes']} bytes follow; expected as many as the frames have together")
+    frames = {}
+    for size in sizes:
+        rgba = read_exactly(stream, size["bytes"])
+        frames[size["camera"]] = Frame(size["camera"], size["width_px"], size["height_px"], rgba)
+    return frames
+
+
+def answer_to(planner: Planner, header: dict, frames: Dict[str, Frame]) -> dict:
+    """What `planner` answers to a message other than `end`."""
+    asked = header.get("type")
+    if asked == "hello":
+        if header.get("protocol") != PROTOCOL:
+            raise ProtocolError(f"protocol {header.get('protocol')}; expected {PROTOCOL}")
+        wishes = {"name": planner.name, "cameras": planner.cameras, "privileged": planner.privileged}
+        return {"type": "hello", "protocol": PROTOCOL, **wishes}
+    if asked not in ("begin", "observe"):
+        raise ProtocolError(f"a message of type {asked!r}; expected hello, begin, observe or end")
+    try:
+        if asked == "begin":
+            planner.begin(SimpleNamespace(**{key: value for key, value in header.items() if key not in ("type", "bytes")}))
+            return {"type": "ready"}
+        points = [[float(number) for number in point] for point in planner.plan(Observation(header, frames))]
+        answer = {"type": "plan", "step": header["step"], "points": points}
+        json.dumps(answer, allow_nan=False)
+        return answer
+    except Exception as error:  # pylint: disable=broad-except  # Whatever a planner raises ends its episode and nothing else.
+        traceback.print_exc(file=sys.stderr)
+        return {"type": "fail", "reason": f"{type(error).__name__}: {error}"}
+
+
+def converse(planner: Planner, reading: BinaryIO, writing: BinaryIO) -> None:
+    """Answers messages until the other side ends. Raises ProtocolError where it does not keep to the protocol."""
+    while True:
+        line = reading.readline()
+        if not line:
+            return
+        try:
+            header = json.loads(line)
+        except ValueError as error:
+            raise ProtocolError(f"a line that is not JSON: {error}") from error
+        frames: Dict[str, Frame] = {}
+        if header.get("type") == "end":
+            return
+        if header.get("type") == "observe":
+            frames = read_frames(reading, header)
+        elif header.get("bytes"):
+            read_exactly(reading, header["bytes"])
+        writing.write(json.dumps(answer_to(planner, header, frames)).encode() + b"\n")
+        writing.flush()
+
+
+def _over_stdio(make_planner: Callable[[], Planner]) -> None:
+    """Speaks through stdin and stdout; whatever is printed from here on goes to stderr."""
+    writing = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    converse(make_planner(), sys.stdin.buffer, writing)
+
+
+def _over_connection(make_planner: Callable[[], Planner], connection: socket.socket) -> None:
+    try:
+        with connection, connection.makefile("rb") as reading, connection.makefile("wb") as writing:
+            converse(make_planner(), reading, writing)
+    except (ProtocolError, OSError) as error:
+        print(f"a connection ended: {error}", file=sys.stderr)
+
+
+def _over_socket(make_planner: Callable[[], Planner], path: str) -> None:
+    """Listens at `path`; each connection has a planner and a thread of its own."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
+        listening.bind(path)
+        try:
+            listening.listen()
+            while True:
+                connection, _ = listening.accept()
+                threading.Thread(target=_over_connection, args=(make_planner, connection), daemon=True).start()
+        finally:
+            os.unlink(path)
+
+
+def run(make_planner: Callable[[], Planner]) -> None:
+    """Answers through stdin and stdout, or, after `--socket PATH`, on a Unix socket until it is interrupted.
+
+    `make_planner` is a class or a function without arguments: each connection has a planner of its own.
+    """
+    parser = argparse.ArgumentParser(description="A planner for DecoupleGS.")
+    parser.add_argument("--socket", metavar="PATH", help="listen on a Unix socket rather than speak through stdin and stdout")
+    path = parser.parse_args().socket
+    try:
+        if path is None:
+            _over_stdio(make_planner)
+        else:
+            _over_socket(make_planner, path)
+    except KeyboardInterrupt:
+        pass
+    except (ProtocolError, OSError) as error:
+        sys.exit(f"the planner ended: {error}")

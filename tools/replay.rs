@@ -1,0 +1,122 @@
+//! `decouplegs replay`: an episode driven again from its log.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use decouplegs::asset::{read_episode_log, read_light_transfer};
+use decouplegs::drive::score::EpisodeScore;
+use decouplegs::episode::{Eyes, Look, Replayed, Site, Witness, render_options, replay};
+use decouplegs::render::Renderer;
+use decouplegs::scene::Rig;
+use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
+
+use crate::arguments::print;
+use crate::device::{DeviceArguments, check_validation};
+use crate::drive::{Album, Pictures, Ready, Sites};
+use crate::progress;
+
+/// Drive a log's plans again and compare: everybody's motion and the score to the last bit, pictures by their hashes. Exits with 1
+/// where something differs
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// The log of an episode, as `drive` writes it
+    log: PathBuf,
+    /// Folder that the scenario's files are relative to (default: the log's)
+    #[arg(long, value_name = "DIR")]
+    base: Option<PathBuf>,
+    /// Draw nothing: compare motion and score alone
+    #[arg(long)]
+    no_render: bool,
+    /// What light does to the cars, as the run was given it
+    #[arg(long, value_name = "FILE")]
+    light: Option<PathBuf>,
+    /// Write the pictures to this folder
+    #[arg(long, value_name = "DIR", conflicts_with = "no_render")]
+    pictures: Option<PathBuf>,
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let episode = read_episode_log(&arguments.log)?;
+    let base = arguments.base.as_deref().or(arguments.log.parent()).unwrap_or(Path::new(""));
+    let working = progress::spinner(format!("replaying {}", arguments.log.display()));
+    let (replayed, device) = match (&episode.head.drawn_by, arguments.no_render) {
+        (Some(drawn_by), false) => drawn(arguments, &episode, drawn_by, base)?,
+        _ => {
+            let site = Site::open(&episode.head.scenario.place, base, None)?;
+            (replay(&episode, &site, None, &mut ())?, None)
+        }
+    };
+    working.finish_and_clear();
+    report(&episode, &replayed, device.as_deref())
+}
+
+/// Drawn as the log was: its cameras, their size, every so manyth step.
+fn drawn(arguments: &Arguments, episode: &Episode, drawn_by: &DrawnBy, base: &Path) -> Result<(Replayed, Option<String>)> {
+    let gpu = arguments.device.open()?;
+    let look = Look { transfer: arguments.light.as_deref().map(read_light_transfer).transpose()?.map(|file| file.transfer) };
+    let ready = Sites::new(Some(&gpu), look).get(&episode.head.scenario.place, base)?;
+    let Ready { site, live: Some(live) } = ready.as_ref() else { bail!("the place has nothing to draw") };
+    let mut rig = Rig::default();
+    for name in &episode.head.planner.cameras {
+        let camera = site.loaded.rig.cameras.iter().find(|camera| camera.name == *name);
+        let mut camera = camera.with_context(|| format!("the place has no camera called {name}, which the log has"))?.clone();
+        camera.intrinsics = camera.intrinsics.resized(drawn_by.width_px, drawn_by.height_px);
+        rig.cameras.push(camera);
+    }
+    let renderer = Renderer::new(&gpu, render_options(site.loaded.world.rules));
+    let mut eyes = Eyes::new(live, renderer, rig, drawn_by.every);
+    let keeps = if arguments.pictures.is_some() { Pictures::All } else { Pictures::None };
+    let mut viewer = Viewer { album: Album::new(arguments.pictures.clone().unwrap_or_default(), keeps), error: None };
+    let replayed = replay(episode, site, Some(&mut eyes), &mut viewer)?;
+    check_validation(&gpu)?;
+    viewer.error.map_or(Ok(()), Err)?;
+    Ok((replayed, eyes.drawn_by().map(|by| by.device)))
+}
+
+/// Keeps pictures and nothing else.
+struct Viewer {
+    album: Album,
+    error: Option<anyhow::Error>,
+}
+
+impl Witness for Viewer {
+    fn begin(&mut self, _: &EpisodeHead, _: &decouplegs::scene::episode::Instant) -> Result<(), decouplegs::episode::EpisodeError> {
+        Ok(())
+    }
+
+    fn step(
+        &mut self,
+        step: &EpisodeStep,
+        frames: &[decouplegs::planner::Frame],
+    ) -> Result<(), decouplegs::episode::EpisodeError> {
+        if let Err(error) = self.album.add(step.step, frames) {
+            self.error.get_or_insert(error);
+        }
+        Ok(())
+    }
+}
+
+fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Result<()> {
+    if let Some(difference) = &replayed.moved_differently {
+        bail!("the replay is another episode: {difference}");
+    }
+    let (before, after) = (EpisodeScore::of(episode), EpisodeScore::of(&replayed.episode));
+    ensure!(before == after, "the same motion was scored differently: {before:?} in the log, {after:?} now");
+    let steps = episode.steps.len();
+    print(&format!("{steps} steps: everybody moves as in the log, to the last bit; the score is the same\n"))?;
+    let Some(device) = device else { return Ok(()) };
+    let logged_on = episode.head.drawn_by.as_ref().map_or("", |by| by.device.as_str());
+    let Replayed { pictures, pictures_different, .. } = replayed;
+    if *pictures_different == 0 {
+        return print(&format!("{pictures} pictures: the same, to the last bit\n"));
+    }
+    if logged_on == device {
+        bail!("{pictures_different} of {pictures} pictures are not those of the log, on the same device: {device}");
+    }
+    print(&format!(
+        "{pictures_different} of {pictures} pictures have other bits: they were drawn on {logged_on}, now on {device}, and devices round \
+         differently\n"
+    ))
+}

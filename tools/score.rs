@@ -1,0 +1,40 @@
+//! `decouplegs score`: scores from logs.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use decouplegs::asset::read_episode_log;
+use decouplegs::episode::Look;
+
+use crate::arguments::print;
+use crate::drive::Sites;
+use crate::episode_report::{self, Scored};
+use crate::progress;
+
+/// Score episodes again from their logs, without drawing anything
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Logs of episodes, as `drive` writes them
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    /// Write report.json and report.html to this folder too
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let bar = progress::bar("logs", arguments.logs.len());
+    let mut scored = Vec::with_capacity(arguments.logs.len());
+    for path in &arguments.logs {
+        let pictures = episode_report::pictures_beside(path);
+        scored.push(Scored::new(read_episode_log(path)?, path.clone(), pictures, None)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
+    let text = match &arguments.out {
+        Some(out) => episode_report::write(&scored, &Sites::new(None, Look::default()), out)?,
+        None => episode_report::text(&scored)?,
+    };
+    print(&text)
+}
