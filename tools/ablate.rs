@@ -18,7 +18,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::street::{AssetLight, StreetOptions, Weather};
+use decouplegs::asset::street::{AssetLight, Capture, StreetOptions, Weather};
 use decouplegs::asset::{read_light_transfer, write_atomically};
 use decouplegs::gpu::Gpu;
 use serde_json::{Value, json};
@@ -165,6 +165,7 @@ fn street_options(arguments: &Arguments, weather: Weather) -> StreetOptions {
         seed: arguments.seed,
         weather,
         asset_light: AssetLight::Neutral,
+        capture: Capture::Ego,
         ..StreetOptions::default()
     }
 }

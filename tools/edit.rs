@@ -119,8 +119,10 @@ fn set_on_ground(scene: &mut SceneFile, name: &str, folder: &Path, footing: &Foo
     scene.set_trajectory(name, set.trajectory)?;
     let missing = poses - set.grounded;
     ensure!(set.grounded > 0, "there is no ground below agent {name:?}; move it over the street that was captured");
-    let left = if missing == 0 { String::new() } else { format!("; no ground below {missing} others, which keep their heights") };
-    Ok(format!("{name}: {} poses on the ground, raised by {:.3} m at most{left}\n", set.grounded, set.raised_max_m))
+    let left = if missing == 0 { String::new() } else { format!("; {missing} without ground below keep their heights") };
+    let turned = if set.raised_max_m < 0.0 { "lowered" } else { "raised" };
+    let by_m = set.raised_max_m.abs();
+    Ok(format!("{name}: poses on the ground {} of {poses}, {turned} by {by_m:.3} m at most{left}\n", set.grounded))
 }
 
 #[cfg(test)]

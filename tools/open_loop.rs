@@ -93,6 +93,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
             let drawn = |step: u32| -> Result<Pictures> {
                 eyes.look(&mut shadow, step).map_err(EpisodeError::from)?;
+                eyes.read().map_err(EpisodeError::from)?;
                 let pictures = eyes.frames().iter().map(|frame| frame.rgba.to_vec()).collect();
                 shadow.advance(&episode.steps[step as usize].plan);
                 Ok(pictures)
@@ -127,8 +128,7 @@ fn read_pictures(folder: &Path, rig: &Rig, step: u32) -> Result<Pictures> {
     let read = |camera: &decouplegs::scene::RigCamera| -> Result<Vec<u8>> {
         let path = path_of(folder, &camera.name, step);
         let picture = Picture::read(&path)?;
-        let (wanted, found) =
-            ([camera.intrinsics.width_px, camera.intrinsics.height_px], [picture.width, picture.height]);
+        let (wanted, found) = ([camera.intrinsics.width_px, camera.intrinsics.height_px], [picture.width, picture.height]);
         ensure!(wanted == found, "{} is {found:?} pixels large; expected {wanted:?}, as the first", path.display());
         let bytes = picture.rgb.iter().flat_map(|rgb| {
             let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
@@ -142,7 +142,8 @@ fn read_pictures(folder: &Path, rig: &Rig, step: u32) -> Result<Pictures> {
 fn judged(source: &Path, episode: &Episode, plans: Vec<Option<Plan>>) -> Answers {
     let instants: Vec<&Instant> = episode.instants().collect();
     let pose = |instant: &Instant| Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0));
-    let driven = Trajectory::new(instants.iter().map(|instant| TimedPose { time_s: instant.time_s, pose: pose(instant) }).collect());
+    let driven =
+        Trajectory::new(instants.iter().map(|instant| TimedPose { time_s: instant.time_s, pose: pose(instant) }).collect());
     let mut before = 0;
     let (mut ade_m, mut ttc_s) = (Vec::new(), Vec::new());
     for (plan, step) in plans.iter().zip(&episode.steps) {

@@ -82,7 +82,11 @@ struct Viewer {
 }
 
 impl Witness for Viewer {
-    fn begin(&mut self, _: &EpisodeHead, _: &decouplegs::scene::episode::Instant) -> Result<(), decouplegs::episode::EpisodeError> {
+    fn begin(
+        &mut self,
+        _: &EpisodeHead,
+        _: &decouplegs::scene::episode::Instant,
+    ) -> Result<(), decouplegs::episode::EpisodeError> {
         Ok(())
     }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::{Subcommand, ValueEnum};
 use decouplegs::asset::maps::lane_json;
-use decouplegs::asset::street::{AssetLight, Street, StreetOptions, Weather};
+use decouplegs::asset::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 use decouplegs::asset::tracks::{self, PoseRow};
 use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, write_atomically};
 use decouplegs::scene::{Camera, Pose, Rules, SplatCloud, TimedPose, Trajectory, World};
@@ -81,6 +81,9 @@ struct StreetArguments {
     /// Capture the cars in even white light, without sun, sheen and shadow: what relighting starts from
     #[arg(long)]
     neutral_assets: bool,
+    /// Capture the street from all of its lanes instead of the ego's way: for those who drive where they like
+    #[arg(long)]
+    all_lanes: bool,
     /// Size of the cameras' pictures
     #[arg(long, value_name = "WxH", default_value = "1600x900")]
     size: Size,
@@ -103,6 +106,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         seed: arguments.seed,
         weather: arguments.weather.weather(),
         asset_light: if arguments.neutral_assets { AssetLight::Neutral } else { AssetLight::Sun },
+        capture: if arguments.all_lanes { Capture::Lanes } else { Capture::Ego },
     });
     for camera in &mut street.rig.cameras {
         camera.intrinsics = camera.intrinsics.resized(arguments.size.width_px, arguments.size.height_px);

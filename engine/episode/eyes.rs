@@ -17,13 +17,18 @@ pub struct Eyes<'a> {
     rig: Rig,
     every: u32,
     pictures: PictureBytes,
+    /// Whether a frame was drawn whose pictures are still on the device.
+    unread: bool,
 }
+
+/// From step to step the ego drives metres, and other houses fill the pictures.
+const SPARE: f64 = 0.5;
 
 /// How a renderer for episodes draws: by `rules`, in bytes.
 #[must_use]
 pub fn render_options(rules: Rules) -> RenderOptions {
     let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
-    RenderOptions { rules, outputs, ..RenderOptions::default() }
+    RenderOptions { rules, outputs, spare: SPARE, ..RenderOptions::default() }
 }
 
 /// Those of the cameras of `rig` that `cameras` asks for, at `size_px` where it is given.
@@ -52,7 +57,7 @@ impl<'a> Eyes<'a> {
     /// The cameras of `rig` in `live`, drawn by `renderer` at every `every`th step.
     #[must_use]
     pub fn new(live: &'a LiveScene, renderer: Renderer, rig: Rig, every: u32) -> Self {
-        Self { live, renderer, rig, every: every.max(1), pictures: PictureBytes::default() }
+        Self { live, renderer, rig, every: every.max(1), pictures: PictureBytes::default(), unread: false }
     }
 
     /// The cameras.
@@ -91,8 +96,16 @@ impl<'a> Eyes<'a> {
         let (ego, placed) = simulation.placed();
         let moment = self.live.placed(&placed);
         self.renderer.render(self.live.with(&moment), &self.rig.at(&ego))?;
-        self.renderer.read_bytes(&mut self.pictures)?;
+        self.unread = true;
         Ok(true)
+    }
+
+    /// Fetches what was drawn.
+    ///
+    /// # Errors
+    /// When the device was lost or has not the memory.
+    pub fn read(&mut self) -> Result<(), RenderError> {
+        if std::mem::take(&mut self.unread) { self.renderer.read_bytes(&mut self.pictures) } else { Ok(()) }
     }
 
     /// What was seen last.
@@ -106,10 +119,17 @@ impl<'a> Eyes<'a> {
     /// The bits of what was seen last.
     #[must_use]
     pub fn hashes(&self) -> Vec<ImageRecord> {
-        let hash = |index: usize| ImageRecord {
-            camera: self.rig.cameras[index].name.clone(),
-            hash: xxh3_128(self.pictures.rgba(index)),
-        };
+        let hash =
+            |index: usize| ImageRecord { camera: self.rig.cameras[index].name.clone(), hash: hash_of(self.pictures.rgba(index)) };
         (0..self.pictures.len()).into_par_iter().map(hash).collect()
     }
+}
+
+/// Bytes that one thread hashes.
+const HASHED_BYTES: usize = 1 << 20;
+
+/// The hash of [`ImageRecord`]: of the hashes of its pieces, which are found side by side.
+fn hash_of(rgba: &[u8]) -> u128 {
+    let pieces: Vec<[u8; 16]> = rgba.par_chunks(HASHED_BYTES).map(|piece| xxh3_128(piece).to_le_bytes()).collect();
+    xxh3_128(pieces.as_flattened())
 }

@@ -78,12 +78,14 @@ impl Witness for () {
 /// What one step took by the clock on the wall.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepTime {
-    /// Poses, light, the frame on the device, and its pictures back on the host.
+    /// Poses, light and the frame on the device.
     pub draw: Duration,
-    /// Hashes of the pictures.
-    pub hash: Duration,
+    /// Its pictures, back on the host.
+    pub read: Duration,
     /// The planner's.
     pub plan: Duration,
+    /// Waiting for the hashes of the pictures, which are made while the planner plans.
+    pub hash: Duration,
     /// Ego and traffic.
     pub advance: Duration,
     /// The witness: logs and albums.
@@ -94,7 +96,7 @@ impl StepTime {
     /// All but the planner's.
     #[must_use]
     pub fn simulator(&self) -> Duration {
-        self.draw + self.hash + self.advance + self.witness
+        self.draw + self.read + self.hash + self.advance + self.witness
     }
 }
 
@@ -156,18 +158,28 @@ fn one_step(
         eyes.look(simulation, number)?;
     }
     time.draw = lap();
-    let (frames, images) = eyes.as_deref().map(|eyes| (eyes.frames(), eyes.hashes())).unwrap_or_default();
-    time.hash = lap();
+    if let Some(eyes) = eyes.as_deref_mut() {
+        eyes.read()?;
+    }
+    time.read = lap();
+    let eyes = eyes.as_deref();
+    let frames = eyes.map(Eyes::frames).unwrap_or_default();
     let privileged = planner.sees().privileged.then(|| simulation.privileged());
-    let answer = planner.plan(&Observation {
+    let observation = Observation {
         step: number,
         time_s: simulation.time_s(),
         frames: &frames,
         ego: simulation.motion(),
         guidance: simulation.guidance(),
         privileged: privileged.as_ref(),
+    };
+    let (answer, images) = std::thread::scope(|scope| {
+        let hashes = scope.spawn(|| eyes.map(Eyes::hashes).unwrap_or_default());
+        let answer = planner.plan(&observation);
+        time.plan = lap();
+        (answer, hashes.join().expect("hashing does not panic"))
     });
-    time.plan = lap();
+    time.hash = lap();
     let plan = match answer {
         Ok(plan) => plan,
         Err(error) => {

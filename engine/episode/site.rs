@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use decouplegs_asset::compress::{CompressError, CompressOptions, Prune, compress};
 use decouplegs_asset::roads::{self, RoadsOptions};
-use decouplegs_asset::street::{AssetLight, Street, StreetOptions};
+use decouplegs_asset::street::{AssetLight, Capture, Street, StreetOptions};
 use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, open_scene, read_map};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
@@ -103,7 +103,9 @@ impl Site {
         };
         let cars = cars(agent_splats * usize::from(look.is_some()), asset_light);
         let background = background * usize::from(look.is_some());
-        let street = Street::generate(&StreetOptions { background, agents: 0, seed, weather, ..StreetOptions::default() });
+        let capture = Capture::Lanes;
+        let options = StreetOptions { background, agents: 0, seed, weather, capture, ..StreetOptions::default() };
+        let street = Street::generate(&options);
         let Some(look) = look else { return Self::bare(street.lanes, cars.sizes) };
         let world = World { sky: street.sky, ..World::of(street.background) };
         Self::made_up(street.lanes, world, cars, look)
@@ -222,8 +224,15 @@ fn size_of(dims_m: [f32; 3]) -> VehicleSize {
 
 /// A car with every splat it has, in the renderer's form.
 fn coded(cloud: &SplatCloud, size: &VehicleSize) -> Result<CodedCloud, SiteError> {
-    let options =
-        CompressOptions { prune: Prune::KeepRatio(1.0), iterations_max: STREET_ITERATIONS, ..CompressOptions::default() };
+    // A book with an entry for every few splats takes as long to make as it takes to look at it.
+    let entries = |max: usize| (cloud.len() / SPLATS_AN_ENTRY).clamp(64, max);
+    let options = CompressOptions {
+        prune: Prune::KeepRatio(1.0),
+        colours: entries(COLOURS_MAX),
+        shapes: entries(SHAPES_MAX),
+        iterations_max: CAR_ITERATIONS,
+        ..CompressOptions::default()
+    };
     let mut coded = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| {})?.cloud;
     coded.dims_m = size.to_array().map(|side_m| side_m as f32);
     Ok(coded)

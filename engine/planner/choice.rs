@@ -126,7 +126,8 @@ mod tests {
 
     #[test]
     fn every_choice_reads_back_what_it_shows() {
-        let texts = ["constant-velocity", "lane-follow", "vision", "replay:a b/c.log", "unix:run/p.sock", "exec:python3 -u my.py"];
+        let texts =
+            ["constant-velocity", "lane-follow", "vision", "replay:a b/c.log", "unix:run/p.sock", "exec:python3 -u my.py"];
         for text in texts {
             assert_eq!(text.parse::<PlannerChoice>().unwrap().to_string(), text);
         }

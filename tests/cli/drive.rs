@@ -21,7 +21,8 @@ fn drawn(out: &Path, planner: &str, more: &[&str]) -> String {
 /// Names and bytes of all logs.
 fn logs(out: &Path) -> Vec<(String, Vec<u8>)> {
     let entries = fs::read_dir(out.join("logs")).unwrap().map(|entry| entry.unwrap().path());
-    let mut logs: Vec<_> = entries.map(|path| (path.file_name().unwrap().to_string_lossy().into_owned(), fs::read(path).unwrap())).collect();
+    let mut logs: Vec<_> =
+        entries.map(|path| (path.file_name().unwrap().to_string_lossy().into_owned(), fs::read(path).unwrap())).collect();
     logs.sort();
     logs
 }
@@ -42,7 +43,10 @@ fn episodes_are_driven_scored_and_reported() {
     assert_eq!(episodes.len(), 4);
     for level in ["easy", "hard", "all"] {
         let mean = |figure: &str| report["levels"][level][figure]["mean"].as_f64().unwrap();
-        assert!(mean("success_rate") <= mean("route_completion") && mean("driving_score") <= mean("route_completion"), "{report}");
+        assert!(
+            mean("success_rate") <= mean("route_completion") && mean("driving_score") <= mean("route_completion"),
+            "{report}"
+        );
     }
     super::stress::assert_page_stands_alone(&fs::read_to_string(folder.path().join("report.html")).unwrap());
     // The same again finds everything done.
@@ -100,7 +104,8 @@ fn a_run_that_is_killed_goes_on_where_it_was() {
     let [whole, killed] = ["whole", "killed"].map(|name| folder.path().join(name));
     let run = |out: &Path| {
         let mut run = Command::new(env!("CARGO_BIN_EXE_decouplegs"));
-        let arguments = ["drive", "--level", "all", "--planner", "lane-follow", "--episodes", "12", "--render", "off", "--out", text(out)];
+        let arguments =
+            ["drive", "--level", "all", "--planner", "lane-follow", "--episodes", "12", "--render", "off", "--out", text(out)];
         run.args(arguments).stdout(Stdio::null()).stderr(Stdio::null());
         run
     };
@@ -166,7 +171,19 @@ fn what_cannot_be_driven_is_said_before_anything_is() {
 fn a_scenario_that_was_written_can_be_edited_and_driven() {
     let folder = tempfile::tempdir().unwrap();
     let made = folder.path().join("made");
-    succeed(&["drive", "--level", "medium", "--planner", "lane-follow", "--episodes", "1", "--render", "off", "--out", text(&made)]);
+    succeed(&[
+        "drive",
+        "--level",
+        "medium",
+        "--planner",
+        "lane-follow",
+        "--episodes",
+        "1",
+        "--render",
+        "off",
+        "--out",
+        text(&made),
+    ]);
     let scenario = fs::read_to_string(made.join("scenarios/medium_0000.toml")).unwrap();
     let mine = folder.path().join("mine.toml");
     fs::write(&mine, scenario.replace("medium_0000", "mine").replace("duration_s = 20.0", "duration_s = 3.0")).unwrap();
@@ -197,11 +214,16 @@ fn a_planner_of_others_that_fails_ends_its_episode_and_not_the_run() {
         fs::write(&script, planner).unwrap();
         let out = folder.path().join(fault);
         let exec = format!("exec:python3 {}", text(&script));
-        let run = ["drive", "--level", "easy", "--planner", &exec, "--episodes", "2", "--render", "off", "--planner-timeout", "1.5"];
+        let run =
+            ["drive", "--level", "easy", "--planner", &exec, "--episodes", "2", "--render", "off", "--planner-timeout", "1.5"];
         succeed(&[&run[..], &["--out", text(&out)]].concat());
         let report: Value = serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
-        let endings: Vec<&str> = report["episodes"].as_array().unwrap().iter().map(|episode| episode["ending"].as_str().unwrap()).collect();
-        assert!(endings.len() == 2 && endings.iter().all(|ending| ending.starts_with("planner failed") && ending.contains(reason)), "{fault}: {endings:?}");
+        let endings: Vec<&str> =
+            report["episodes"].as_array().unwrap().iter().map(|episode| episode["ending"].as_str().unwrap()).collect();
+        assert!(
+            endings.len() == 2 && endings.iter().all(|ending| ending.starts_with("planner failed") && ending.contains(reason)),
+            "{fault}: {endings:?}"
+        );
     }
 }
 
@@ -220,7 +242,8 @@ fn two_sources_of_pictures_are_compared_by_what_a_planner_makes_of_them() {
     for entry in fs::read_dir(&pictures).unwrap().map(|entry| entry.unwrap()) {
         let mut picture = decouplegs::render::Picture::read(&entry.path()).unwrap();
         picture.rgb.iter_mut().for_each(|rgb| *rgb = [0.0; 3]);
-        fs::write(dark.join(entry.file_name()), picture.encode(decouplegs::render::picture::PictureFormat::Png).unwrap()).unwrap();
+        fs::write(dark.join(entry.file_name()), picture.encode(decouplegs::render::picture::PictureFormat::Png).unwrap())
+            .unwrap();
     }
     succeed(&[&common[..], &["--reference", text(&pictures), "--other", text(&dark)]].concat());
     let report: Value = serde_json::from_slice(&fs::read(&figures).unwrap()).unwrap();

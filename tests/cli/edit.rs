@@ -113,7 +113,9 @@ fn layers_are_drawn_by_name_and_agents_let_through_what_is_behind() {
     succeed(&["edit", text(&scene), "--out", text(&new), "--move", &format!("{car}={},{},{},30", at.x, at.y, at.z)]);
     let front = |layer: &str, format: &str, more: &[&str]| {
         let out = folder.path().join(format!("{layer}-{format}-{}", more.len()));
-        succeed(&[&["render", text(&new), "--layer", layer, "--format", format, "--out", text(&out)], more].concat());
+        // By these rules each pixel stops by itself, so that pixels beside an agent know nothing of it.
+        let always = ["render", text(&new), "--layer", layer, "--rules", "gsplat15", "--format", format, "--out", text(&out)];
+        succeed(&[&always, more].concat());
         Picture::read(&out.join(format!("front.{format}"))).unwrap()
     };
     let [all, background, agents] = ["all", "background", "agents"].map(|layer| front(layer, "npy", &[]));

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Long enough for a Python on a machine that does other things; no test waits for it to pass.
-pub const PATIENT: Patience = Patience { hello: Duration::from_secs(20), answer: Duration::from_secs(20) };
+pub const PATIENT: Patience = Patience { hello: Duration::from_secs(120), answer: Duration::from_secs(120) };
 
 /// A script of this folder as a command.
 pub fn script(name: &str, arguments: &[&str]) -> Attachment {

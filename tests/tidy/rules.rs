@@ -83,9 +83,11 @@ pub const RULES: &[Rule] = &[
         kept_by: &[
             ("engine/render/Cargo.toml", "[dependencies]\ndecouplegs-gpu.workspace = true\n"),
             ("tools/Cargo.toml", "name = \"decouplegs-tools\"\ndecouplegs.workspace = true\n"),
+            ("engine/drive/Cargo.toml", "[dev-dependencies]\ndecouplegs-asset.workspace = true\n"),
         ],
         broken_by: &[
             ("engine/asset/Cargo.toml", "[dependencies]\ndecouplegs-render.workspace = true\n"),
+            ("engine/drive/Cargo.toml", "[dependencies]\ndecouplegs-asset.workspace = true\n\n[dev-dependencies]\n"),
             ("engine/gpu/Cargo.toml", "[dependencies]\ndecouplegs-scene = { path = \"../scene\" }\n"),
             ("engine/scene/Cargo.toml", "[dev-dependencies]\ndecouplegs.workspace = true\n"),
         ],

@@ -29,7 +29,7 @@ pub struct PlaceArguments {
     #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
     scene: Option<PathBuf>,
     /// Splats of the static part of a place that is made up
-    #[arg(long, value_name = "N", default_value_t = 100_000)]
+    #[arg(long, value_name = "N", default_value_t = 200_000)]
     background: usize,
     /// Splats of each car of a place that is made up
     #[arg(long, value_name = "N", default_value_t = 4_000)]
@@ -54,9 +54,8 @@ pub fn of(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
 }
 
 fn from_files(paths: &[PathBuf]) -> Result<Vec<Job>> {
-    let job = |path: &PathBuf| {
-        Ok(Job { scenario: read_scenario(path)?, directory: path.parent().unwrap_or(Path::new("")).to_owned() })
-    };
+    let job =
+        |path: &PathBuf| Ok(Job { scenario: read_scenario(path)?, directory: path.parent().unwrap_or(Path::new("")).to_owned() });
     paths.iter().map(job).collect()
 }
 

@@ -50,7 +50,8 @@ impl<'a> Sites<'a> {
     }
 
     fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
-        let site = Site::open(place, directory, self.gpu.map(|_| &self.look)).context("the place of the scenario is not usable")?;
+        let site =
+            Site::open(place, directory, self.gpu.map(|_| &self.look)).context("the place of the scenario is not usable")?;
         let Some(gpu) = self.gpu else { return Ok(Ready { site, live: None }) };
         let renderer = Renderer::new(gpu, render_options(site.loaded.world.rules));
         let mut live = LiveScene::new(&renderer, &site.loaded)?;

@@ -28,11 +28,22 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
     let near = |state: &VehicleState| ego_way.iter().any(|at| at.distance(state.position_m) < NEAR_M);
     let mut ways = vec![Way { name: "route", colour: ROUTE, dashed: true, places: episode.head.route_m.clone() }];
     for agent in (0..last.agents.len()).filter(|&agent| near(&last.agents[agent])) {
-        let places = instants.iter().map(|instant| instant.agents[agent].position_m).filter(|at| ego_way.iter().any(|ego| ego.distance(*at) < NEAR_M));
-        ways.push(Way { name: "", colour: if hit == Some(agent) { HIT } else { AGENT }, dashed: false, places: places.collect() });
+        let places = instants
+            .iter()
+            .map(|instant| instant.agents[agent].position_m)
+            .filter(|at| ego_way.iter().any(|ego| ego.distance(*at) < NEAR_M));
+        ways.push(Way {
+            name: "",
+            colour: if hit == Some(agent) { HIT } else { AGENT },
+            dashed: false,
+            places: places.collect(),
+        });
     }
     ways.push(Way { name: "ego", colour: EGO, dashed: false, places: ego_way.clone() });
-    let body = |colour: usize, state: &VehicleState, size: &VehicleSize| Body { colour, corners: OrientedBox::of(state, size).corners() };
+    let body = |colour: usize, state: &VehicleState, size: &VehicleSize| Body {
+        colour,
+        corners: OrientedBox::of(state, size).corners(),
+    };
     let agents = last.agents.iter().zip(&episode.head.agent_sizes).enumerate();
     let mut bodies: Vec<Body> = agents
         .filter(|(_, (state, _))| near(state))

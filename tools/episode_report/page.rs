@@ -11,8 +11,8 @@ use decouplegs::scene::scenario::Place;
 
 use super::{Scored, birds_eye, rows, spread, summary, timing};
 use crate::drive::Sites;
-use crate::{data_uri, plot};
 use crate::plot::escaped;
+use crate::{data_uri, plot};
 
 /// Episodes that are shown; a page of hundreds would not be read.
 const SHOWN_MAX: usize = 24;

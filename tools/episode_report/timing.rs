@@ -7,8 +7,9 @@ use super::Scored;
 use crate::drive::to_ms;
 
 /// Parts of a step, as reports call them.
-const PARTS: [(&str, fn(&StepTime) -> f64); 6] = [
+const PARTS: [(&str, fn(&StepTime) -> f64); 7] = [
     ("draw", |time| to_ms(time.draw)),
+    ("read", |time| to_ms(time.read)),
     ("hash", |time| to_ms(time.hash)),
     ("advance", |time| to_ms(time.advance)),
     ("keep", |time| to_ms(time.witness)),
@@ -21,7 +22,8 @@ const WARM_UP: usize = 2;
 
 /// The median and the 99th percentile of each part, milliseconds, over the steps that were driven in this run.
 fn parts(scored: &[Scored]) -> Option<(usize, Vec<(&'static str, f64, f64)>)> {
-    let times: Vec<&StepTime> = scored.iter().filter_map(|scored| scored.times.as_ref()).flat_map(|times| times.iter().skip(WARM_UP)).collect();
+    let times: Vec<&StepTime> =
+        scored.iter().filter_map(|scored| scored.times.as_ref()).flat_map(|times| times.iter().skip(WARM_UP)).collect();
     if times.is_empty() {
         return None;
     }
@@ -54,8 +56,9 @@ pub fn table(scored: &[Scored]) -> String {
     let Some((steps, parts)) = parts(scored) else { return String::new() };
     let rows: String = parts.iter().map(|(name, p50, p99)| format!("<tr><td>{name}<td>{p50:.2}<td>{p99:.2}")).collect();
     format!(
-        "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light, \
-         the frame and its pictures back on the host; their hashes; ego and traffic; logs and pictures that are kept.</p>\
+        "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light and \
+         the frame (draw); its pictures, back on the host (read); what is left of hashing them when the planner is done (hash); ego and traffic \
+         (advance); logs and pictures that are kept (keep).</p>\
          <table><tr><th>part<th>median, ms<th>p99, ms{rows}</table>"
     )
 }

@@ -23,7 +23,9 @@ fn town() -> LaneMap {
         for y in 0..CROSSINGS {
             let middle = DVec2::new(x as f64, y as f64) * BLOCK_M;
             for side in 0..4 {
-                let at = |along: f64, left: f64| (middle + DVec2::from_angle(FRAC_PI_2 * side as f64).rotate(DVec2::new(along, left))).extend(0.0);
+                let at = |along: f64, left: f64| {
+                    (middle + DVec2::from_angle(FRAC_PI_2 * side as f64).rotate(DVec2::new(along, left))).extend(0.0)
+                };
                 let arc = |radius_m: f64, sign: f64| -> Vec<DVec3> {
                     let point = |step: u32| {
                         let (sin, cos) = (FRAC_PI_2 * f64::from(step) / 12.0).sin_cos();
@@ -59,7 +61,8 @@ fn town() -> LaneMap {
 }
 
 fn agents(graph: &RoadGraph, count: usize) -> Vec<TrafficAgent> {
-    let lanes: Vec<_> = (0..graph.lanes_in_map()).filter_map(|lane| graph.lane(lane)).filter(|lane| lane.line.length_m() > 100.0).collect();
+    let lanes: Vec<_> =
+        (0..graph.lanes_in_map()).filter_map(|lane| graph.lane(lane)).filter(|lane| lane.line.length_m() > 100.0).collect();
     let agent = |number: usize| {
         let (lane, row) = (lanes[number % lanes.len()], number / lanes.len());
         TrafficAgent {
@@ -91,7 +94,10 @@ fn main() -> Result<(), TrafficError> {
         }
         let seconds = started.elapsed().as_secs_f64();
         let (rate, speed_mps) = (f64::from(steps) / seconds, driven_m / (0.1 * f64::from(steps) * count as f64));
-        println!("{count} agents: {rate:.0} steps/s on one thread; mean speed {speed_mps:.1} m/s over {:.0} s", 0.1 * f64::from(steps));
+        println!(
+            "{count} agents: {rate:.0} steps/s on one thread; mean speed {speed_mps:.1} m/s over {:.0} s",
+            0.1 * f64::from(steps)
+        );
     }
     Ok(())
 }

@@ -38,7 +38,7 @@ const TRIES: u64 = 240;
 const TRIES_WITH_ALL: u64 = 100;
 const TRIES_BEFORE_CROSSING: u64 = 180;
 /// The synthetic street shows details within this of its origin, and little beyond, metres.
-const STREET_RADIUS_M: f64 = 125.0;
+const STREET_RADIUS_M: f64 = 105.0;
 
 /// What the numbers of a scenario are for.
 const FOR_LIGHT: u64 = 0;
@@ -76,7 +76,7 @@ pub enum GenerateError {
         least: usize,
         /// And at most.
         most: usize,
-        /// The most that were put near an ego.
+        /// The most that were put near an ego with room for all to stop.
         found: usize,
         /// How many places were looked at.
         tries: u64,
@@ -101,17 +101,16 @@ impl<'a> Generator<'a> {
         if assets.is_empty() {
             return Err(GenerateError::NoAssets);
         }
-        let size = |size: fn(&VehicleSize) -> f64, least: f64| assets.iter().map(size).fold(least, f64::max);
-        let largest = VehicleSize {
-            length_m: size(|asset| asset.length_m, RoadGraph::VEHICLE.length_m),
-            width_m: size(|asset| asset.width_m, RoadGraph::VEHICLE.width_m),
-            height_m: size(|asset| asset.height_m, RoadGraph::VEHICLE.height_m),
-        };
-        if let Some(asset) = assets.iter().find(|asset| asset.to_array().iter().any(|side| !(0.1..=40.0).contains(side))) {
+        if let Some(asset) = assets.iter().find(|asset| !is_a_vehicle(asset)) {
             let [length_m, width_m, height_m] = asset.to_array();
-            let what = format!("an asset of {length_m} by {width_m} by {height_m} m; expected sides of 0.1 to 40 m");
-            return Err(GenerateError::Roads(what));
+            let expected = "expected 0.5 to 25 by 0.3 to 4 by 0.1 to 10 m";
+            return Err(GenerateError::Roads(format!("an asset is {length_m} by {width_m} by {height_m} m; {expected}")));
         }
+        let largest = assets.iter().fold(RoadGraph::VEHICLE, |largest, asset| VehicleSize {
+            length_m: largest.length_m.max(asset.length_m),
+            width_m: largest.width_m.max(asset.width_m),
+            height_m: largest.height_m.max(asset.height_m),
+        });
         let roads = Roads::new(map, largest).map_err(GenerateError::Roads)?;
         let street = matches!(place, PlaceOptions::Street { .. });
         let area = street.then_some(Area { centre_m: DVec2::ZERO, radius_m: STREET_RADIUS_M });
@@ -164,6 +163,11 @@ impl<'a> Generator<'a> {
             _ => GenerateError::NoRoom { name, least, most, found, tries: TRIES },
         })
     }
+}
+
+/// Whether traffic takes an agent of this size.
+fn is_a_vehicle(size: &VehicleSize) -> bool {
+    (0.5..=25.0).contains(&size.length_m) && (0.3..=4.0).contains(&size.width_m) && (0.1..=10.0).contains(&size.height_m)
 }
 
 fn to_centimetre(value: f64) -> f64 {

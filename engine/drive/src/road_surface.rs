@@ -61,8 +61,9 @@ impl RoadSurface {
         let corners = outline.corners();
         (0..4).all(|side| {
             let (from, to) = (corners[side], corners[(side + 1) % 4]);
+            let places = (from.distance(to) / OUTLINE_STRIDE_M).ceil();
             // What is no number has one place, which is not on the road.
-            let places = (from.distance(to) / OUTLINE_STRIDE_M).ceil().max(1.0).min(OUTLINE_PLACES_MAX);
+            let places = if places > 1.0 { places.min(OUTLINE_PLACES_MAX) } else { 1.0 };
             (0..places as usize).all(|place| self.reaches(from.lerp(to, place as f64 / places), slack_m))
         })
     }

@@ -116,7 +116,8 @@ impl Traffic {
     /// Where an agent is on the lane that it is leaving.
     fn follow_on_left_lane(&mut self, number: usize) {
         let position_m = self.states[number].position_m;
-        if let Some(AsideKind::Change { from, from_arc_m, .. }) = self.agents[number].aside.as_mut().map(|aside| &mut aside.kind) {
+        if let Some(AsideKind::Change { from, from_arc_m, .. }) = self.agents[number].aside.as_mut().map(|aside| &mut aside.kind)
+        {
             let foot = self.graph.road(*from).line.project_within(position_m, *from_arc_m, *from_arc_m + 10.0);
             *from_arc_m = foot.arc_m;
         }

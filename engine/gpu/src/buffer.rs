@@ -99,6 +99,16 @@ impl<T: Pod> Buffer<T> {
         data
     }
 
+    /// Shows `see` its first `count` values where they lie, for those who copy on several threads. Submitted work that writes them must
+    /// be done.
+    ///
+    /// # Panics
+    /// When the buffer lives on the device or has fewer values.
+    pub fn with_host<R>(&self, count: usize, see: impl FnOnce(&[T]) -> R) -> R {
+        let range = self.byte_range(0, count);
+        self.memory.with_host_bytes(|host| see(bytemuck::cast_slice(&host[range])))
+    }
+
     /// The values from element `first` on, into `data`.
     ///
     /// # Panics

@@ -141,7 +141,7 @@ mod tests {
         });
         let begin = Instant::now();
         assert!(matches!(connection.read_line(soon()), Err(Fault::Late)));
-        assert!(begin.elapsed() < Duration::from_secs(2));
+        assert!(begin.elapsed() < Duration::from_secs(20));
         drop(connection);
         dribbling.join().unwrap();
     }
@@ -159,7 +159,7 @@ mod tests {
         });
         let begin = Instant::now();
         assert!(matches!(connection.send(&[&frame], soon()), Err(Fault::Late)));
-        assert!(begin.elapsed() < Duration::from_secs(2));
+        assert!(begin.elapsed() < Duration::from_secs(20));
         drop(connection);
         sipping.join().unwrap();
     }

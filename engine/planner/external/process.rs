@@ -121,7 +121,7 @@ impl Complaints {
     /// The last lines in one, without control characters. A moment is given to what is still on its way.
     fn last_lines(&self) -> String {
         let tail = self.tail.lock().unwrap_or_else(PoisonError::into_inner);
-        let waited = self.ended.wait_timeout_while(tail, Duration::from_millis(300), |tail| !tail.is_whole);
+        let waited = self.ended.wait_timeout_while(tail, Duration::from_secs(1), |tail| !tail.is_whole);
         let tail = waited.unwrap_or_else(PoisonError::into_inner).0;
         let bytes: Vec<u8> = tail.bytes.iter().copied().collect();
         let text = String::from_utf8_lossy(&bytes);

@@ -1,6 +1,6 @@
 //! The way that the ego is expected to take: its lane as it is believed to run, and the turn that the navigation system announced.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 use decouplegs_drive::polyline::wrapped;
 use glam::DVec2;
@@ -19,6 +19,10 @@ const EASING: (f64, f64) = (2.6, 0.07);
 const EASING_M: (f64, f64) = (0.5, 2.0);
 /// The most of a turn's length that is easing, on each side.
 const EASING_SHARE: f64 = 0.2;
+/// Turns that are farther or longer than this are no news, metres.
+const TURN_M_MAX: f64 = 10_000.0;
+/// No turn changes the heading by more, radians: a full circle.
+const TURN_RAD_MAX: f64 = 2.0 * PI;
 /// No turn is tighter than this, 1/m: no car follows a radius below 5 m.
 const CURVATURE_MAX: f64 = 0.2;
 
@@ -35,9 +39,8 @@ impl Arc {
     /// The arc that `guidance` describes; `None` where it announces no turn.
     pub(super) fn announced(guidance: &Guidance) -> Option<Self> {
         let &Guidance { turn, distance_m, angle_rad, length_m, .. } = guidance;
-        let told =
-            turn != Turn::Straight && distance_m.is_finite() && angle_rad.is_finite() && length_m.is_finite() && length_m > 0.0;
-        if !told {
+        let told = distance_m.abs() <= TURN_M_MAX && angle_rad.abs() <= TURN_RAD_MAX && (0.1..=TURN_M_MAX).contains(&length_m);
+        if turn == Turn::Straight || !told {
             return None;
         }
         let radius_m = length_m / angle_rad.abs().max(1e-3);

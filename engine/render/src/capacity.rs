@@ -30,14 +30,14 @@ impl Capacity {
         needs.records as usize <= self.records && needs.pairs as usize <= self.pairs && needs.partials as usize <= self.partials
     }
 
-    /// Room for `needs` with a sixteenth to spare, so that a moving camera does not outgrow it at every step. Never smaller.
+    /// Room for `needs` with a share of them to `spare`, so that a moving camera does not outgrow it at every step. Never smaller.
     ///
     /// Needs found while an earlier list overflowed are too low: it may take another turn.
     #[must_use]
-    pub fn grown_to(&self, needs: &Needs) -> Self {
+    pub fn grown_to(&self, needs: &Needs, spare: f64) -> Self {
         let grown = |have: usize, need: u32| {
             let need = need as usize;
-            if need > have { need + need / 16 + 64 } else { have }
+            if need > have { need + (need as f64 * spare.max(0.0)) as usize + 64 } else { have }
         };
         Self {
             records: grown(self.records, needs.records),
@@ -105,7 +105,7 @@ mod tests {
         let start = Capacity { records: 100, pairs: 1000, partials: 64 };
         let needs = Needs { records: 5000, pairs: 10, partials: 65, ..Needs::default() };
         assert!(!start.holds(&needs));
-        let grown = start.grown_to(&needs);
+        let grown = start.grown_to(&needs, 1.0 / 16.0);
         assert!(grown.holds(&needs));
         assert_eq!(grown.pairs, 1000);
         assert!(!start.holds(&Needs { pairs: 1001, ..Needs::default() }), "one too many must be seen");

@@ -30,6 +30,9 @@ pub struct RenderOptions {
     pub level_pitch_px: Option<f64>,
     /// Frames that may be submitted before the first of them is finished, at least 1. Each has pictures of its own.
     pub frames_in_flight: usize,
+    /// Buffers that were too small grow to what was needed and this share of it more. Cameras that leap outgrow a small one
+    /// again and again, and each time a frame is drawn twice.
+    pub spare: f64,
     /// Whether the agents' part of a frame runs on the queue for updates, beside the frame before, or in line with the rest.
     pub overlap: bool,
 }
@@ -44,6 +47,7 @@ impl Default for RenderOptions {
             order: OrderMode::default(),
             level_pitch_px: None,
             frames_in_flight: 2,
+            spare: 1.0 / 16.0,
             overlap: true,
         }
     }

@@ -184,7 +184,7 @@ impl Renderer {
             }
             // Another frame may have grown the buffers since.
             let capacity = self.capacity.unwrap_or(pending.capacity);
-            self.capacity = Some(capacity.grown_to(&needs));
+            self.capacity = Some(capacity.grown_to(&needs, self.options.spare));
             let record_start = Instant::now();
             // Frames submitted since may have taken the place of the ranks that this one was to use.
             pending.orders = OrderDecision::sorted(pending.orders.paths.len());

@@ -52,7 +52,7 @@ pub struct EpisodeHead {
 pub struct ImageRecord {
     /// The camera's name.
     pub camera: String,
-    /// XXH3-128 of its RGBA bytes.
+    /// XXH3-128 of the XXH3-128s (little-endian) of its RGBA bytes, 2^20 at a time.
     pub hash: u128,
 }
 

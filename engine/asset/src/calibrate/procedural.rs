@@ -149,7 +149,7 @@ fn nights() -> [Environment; 2] {
         ground: [0.010, 0.008, 0.006],
         lobes,
     };
-    let (sodium, white) = ([0.10, 0.062, 0.029], [0.05, 0.055, 0.06]);
+    let (sodium, white) = ([0.03, 0.0186, 0.0087], [0.015, 0.0165, 0.018]);
     [
         night(
             "night-lamps",
@@ -159,7 +159,7 @@ fn nights() -> [Environment; 2] {
             "night-shops",
             vec![
                 lobe(90.0, 8.0, white, GLOW_SHARPNESS),
-                lobe(250.0, 12.0, [0.04, 0.02, 0.035], GLOW_SHARPNESS),
+                lobe(250.0, 12.0, [0.012, 0.006, 0.0105], GLOW_SHARPNESS),
                 lobe(330.0, 70.0, white, LAMP_SHARPNESS),
             ],
         ),

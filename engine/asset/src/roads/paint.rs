@@ -21,7 +21,7 @@ const BEYOND_M: f32 = 0.4;
 /// What a border shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Line {
-    /// Nothing: other lanes run across it.
+    /// Nothing: other lanes run across it, or nobody drives there.
     None,
     /// The lane on the other side paints it.
     OfNeighbour,
@@ -35,14 +35,17 @@ pub(super) enum Line {
 pub(super) fn line(index: &StripIndex, strip: usize, section: &Section, ahead: Vec2, on_left: bool) -> Line {
     let (border, other) = if on_left { (section.left, section.right) } else { (section.right, section.left) };
     let drives = |hit: &Hit| hit.strip != strip && index.strips[hit.strip].kind == LaneKind::Driving;
-    if index.strips[strip].kind != LaneKind::Driving || index.at(border).any(|hit| drives(&hit) && hit.depth_m > INSIDE_M) {
+    if index.at(border).any(|hit| drives(&hit) && hit.depth_m > INSIDE_M) {
         return Line::None;
     }
     let outward = (border - other).normalize_or(Vec3::Y);
     let beyond: Vec<Hit> = index.at(border + outward * BEYOND_M).filter(drives).collect();
-    let Some(neighbour) = beyond.iter().map(|hit| hit.strip).min() else { return Line::Solid };
-    // Of two lanes that share a border the first paints it.
-    if neighbour < strip {
+    let is_driven = index.strips[strip].kind == LaneKind::Driving;
+    let Some(neighbour) = beyond.iter().map(|hit| hit.strip).min() else {
+        return if is_driven { Line::Solid } else { Line::None };
+    };
+    // Of two lanes that share a border the first paints it; sidewalks leave it free.
+    if neighbour < strip || !is_driven {
         return Line::OfNeighbour;
     }
     let same_way = beyond.iter().any(|hit| hit.strip == neighbour && hit.ahead.dot(ahead) > 0.0);

@@ -32,6 +32,7 @@ mod truth;
 mod weather;
 
 pub use decouplegs_scene::Weather;
+pub use focus::Capture;
 pub use truth::Truth;
 pub use weather::AssetLight;
 
@@ -64,6 +65,8 @@ pub struct StreetOptions {
     pub weather: Weather,
     /// The light in the assets.
     pub asset_light: AssetLight,
+    /// Where the cameras were: splats are small about them.
+    pub capture: Capture,
 }
 
 impl Default for StreetOptions {
@@ -77,6 +80,7 @@ impl Default for StreetOptions {
             seed: 1,
             weather: Weather::Clear,
             asset_light: AssetLight::Sun,
+            capture: Capture::Ego,
         }
     }
 }
@@ -136,7 +140,7 @@ impl Street {
 
 /// The static part, with what else stands in its light.
 fn background(options: &StreetOptions, layout: &Layout, others: Vec<Occluder>) -> SplatCloud {
-    let focus = Focus::new();
+    let focus = Focus::new(options.capture);
     let elements = background_elements(layout, options.seed, &focus, options.weather);
     let light = street_light(options.weather, layout, others);
     emit::emit(&elements, options.background, sh_degree(options), options.seed, &light, &focus)

@@ -7,7 +7,7 @@ use decouplegs_scene::SplatCloud;
 use glam::{DVec3, Vec3};
 
 use super::layout::Layout;
-use super::{AssetLight, Street, StreetOptions, Weather, furniture, sky};
+use super::{AssetLight, Capture, Street, StreetOptions, Weather, furniture, sky};
 
 const SMALL: StreetOptions = StreetOptions {
     background: 60_000,
@@ -17,6 +17,7 @@ const SMALL: StreetOptions = StreetOptions {
     seed: 9,
     weather: Weather::Clear,
     asset_light: AssetLight::Sun,
+    capture: Capture::Ego,
 };
 
 fn hash(street: &Street) -> u64 {

@@ -76,7 +76,7 @@ mod tests {
     use glam::DVec2;
 
     use super::*;
-    use crate::street::{AssetLight, Weather};
+    use crate::street::{AssetLight, Capture, Weather};
 
     const SMALL: StreetOptions = StreetOptions {
         background: 60_000,
@@ -86,6 +86,7 @@ mod tests {
         seed: 9,
         weather: Weather::Clear,
         asset_light: AssetLight::Neutral,
+        capture: Capture::Ego,
     };
 
     /// Cars on the main street's sunny part, headings of all kinds.

@@ -19,6 +19,8 @@ const ROUTE_M_MIN: f64 = 60.0;
 /// A route is so short that it can be driven in this time where nothing is in the way: it leaves a third of an episode to wait for others,
 /// seconds.
 const FREE_TIME_S: f64 = 13.0;
+/// A route is over no more lanes than this: lanes of a metre are short, shorter ones a mistake.
+const LANES_MAX: usize = 300;
 /// The ego is never asked to be faster than is allowed in towns.
 const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
 /// Nor slower than a bicycle: lanes that allow less are none to test on.
@@ -138,7 +140,7 @@ fn before_a_crossing(roads: &Roads, rules: &Rules, draw: &mut Stream) -> Option<
     let mut lanes = vec![Spot { at_m: crossing.at_m - draw.between(rules.before_crossing_m) - 0.5 * EGO.length_m, ..crossing }];
     while lanes[0].at_m < 0.0 {
         let before = *draw.pick(&roads.graph.lane(lanes[0].lane)?.predecessors)?;
-        if lanes.iter().any(|spot| spot.lane == before) {
+        if lanes.len() >= LANES_MAX || lanes.iter().any(|spot| spot.lane == before) {
             return None;
         }
         let at_m = lanes[0].at_m + roads.length_m(before);
@@ -163,7 +165,7 @@ fn onward(roads: &Roads, spot: Spot, led: &[usize], length_m: f64, mut random: S
         let (straight, aside): (Vec<usize>, Vec<usize>) = onward.iter().partition(|&&lane| turn(lane) < STRAIGHT_RAD);
         let rather = if random.chance(STRAIGHT_SHARE) { [&straight, &aside] } else { [&aside, &straight] };
         let drawn = random.pick(if rather[0].is_empty() { rather[1] } else { rather[0] });
-        let Some(&next) = led.get(lanes.len()).or(drawn) else {
+        let Some(&next) = led.get(lanes.len()).or(drawn).filter(|_| lanes.len() < LANES_MAX) else {
             end_m = own_m - DEAD_END_M;
             break;
         };

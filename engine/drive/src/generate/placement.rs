@@ -59,7 +59,7 @@ pub(super) struct Vehicle {
     pub speed_mps: f64,
 }
 
-/// Why a start of the ego did not do: how many agents found room near it.
+/// Why a start of the ego did not do: how many agents found room near it, none where they left nothing to drive for.
 pub(super) struct TooFew(pub usize);
 
 /// The vehicles of a scenario as they are put on the road; the ego is the first.
@@ -100,7 +100,7 @@ impl<'a> Placement<'a> {
         if near < least {
             return Err(TooFew(near));
         }
-        if self.settle_speeds() { Ok(self.vehicles) } else { Err(TooFew(near)) }
+        if self.settle_speeds() { Ok(self.vehicles) } else { Err(TooFew(0)) }
     }
 
     fn is_near(&self, position_m: DVec2) -> bool {
@@ -219,6 +219,9 @@ impl<'a> Placement<'a> {
 
     /// Puts another vehicle there unless there are enough as near or far as it is, or it came between the ego and who drives ahead.
     fn put_where_wanted(&mut self, spot: Spot, asset: usize, wish_mps: f64, (wanted, far): (usize, usize)) {
+        // Near or far is told by the place that it will have.
+        let Some(spot) = self.roads.on_its_lane(spot) else { return };
+        let spot = Spot { at_m: to_centimetre(spot.at_m), ..spot };
         let position_m = self.roads.position_m(spot);
         let near = self.near();
         let enough = if self.is_near(position_m) { near >= wanted } else { self.vehicles.len() - 1 - near >= far };

@@ -125,9 +125,10 @@ impl<'a> Roads<'a> {
     /// Whether nobody of another lane may come where `lane` is between two places; what lies before its start or beyond its end is on the
     /// lanes there, and has to be free on all of them. False where none are.
     fn is_free(&self, lane: usize, from_m: f64, to_m: f64) -> bool {
-        let mut open = vec![(lane, from_m, to_m, 0_i32)];
+        let (mut open, mut looked_at) = (vec![(lane, from_m, to_m, 0_i32)], 0);
         while let Some((lane, from_m, to_m, way)) = open.pop() {
-            let Some(road) = self.graph.lane(lane).filter(|_| open.len() < LANES_UNDER_MAX) else { return false };
+            looked_at += 1;
+            let Some(road) = self.graph.lane(lane).filter(|_| looked_at < LANES_UNDER_MAX) else { return false };
             let length_m = road.line.length_m();
             let (low_m, high_m) = (from_m - STRETCH_MARGIN_M, to_m + STRETCH_MARGIN_M);
             let (before, after) = (way <= 0 && from_m < 0.0, way >= 0 && to_m > length_m);
@@ -192,7 +193,7 @@ impl<'a> Roads<'a> {
         while let Some(&LaneAhead { lane, begin_m }) = found.get(next) {
             next += 1;
             let end_m = begin_m + self.length_m(lane);
-            let Some(road) = self.graph.lane(lane).filter(|_| end_m <= reach_m && found.len() < LANES_AHEAD_MAX) else {
+            let Some(road) = self.graph.lane(lane).filter(|_| end_m <= reach_m) else {
                 continue;
             };
             for &successor in &road.successors {
@@ -200,6 +201,7 @@ impl<'a> Roads<'a> {
                 let known = found.iter().position(|ahead| ahead.lane == successor && ahead.begin_m >= 0.0);
                 match known {
                     Some(at) if found[at].begin_m <= end_m => {}
+                    _ if found.len() >= LANES_AHEAD_MAX => break,
                     _ => found.push(LaneAhead { lane: successor, begin_m: end_m }),
                 }
             }

@@ -110,8 +110,6 @@ impl Rules {
                 lane_change_share: 0.9,
                 lead_speed_share: (0.5, 0.75),
                 flow_speed_share: (0.5, 0.9),
-                // On the open road traffic is fast, and hard braking is harder.
-                crossing_share: 1.0,
                 lead_brakes: true,
                 swerves: (1, 3),
                 ..hard

@@ -74,8 +74,7 @@ fn sweep(lanes: &[Option<RoadLane>], cells: &Cells, frames: &mut [Frame], path: 
         let local = |share: f64| half_m.x * (2.0 * (f64::from(slice) + share) / slices - 1.0);
         let (low_m, high_m) = (local(0.0), local(1.0));
         let corner = |along_m: f64, across_m: f64| place.position_m + ahead * along_m + ahead.perp() * across_m;
-        let corners =
-            [corner(low_m, half_m.y), corner(low_m, -half_m.y), corner(high_m, half_m.y), corner(high_m, -half_m.y)];
+        let corners = [corner(low_m, half_m.y), corner(low_m, -half_m.y), corner(high_m, half_m.y), corner(high_m, -half_m.y)];
         for (number, &lane) in path.iter().enumerate() {
             let (from_m, to_m) = (at_m + low_m - starts[number], at_m + high_m - starts[number]);
             // Beyond the path's ends a vehicle belongs to its last cells.

@@ -11,7 +11,7 @@
 //! All else is: running into what is ahead, into what crosses, and changing into the way of others. Lanes are not in the record. What
 //! stands for them is the route, averaged over up to 40 m to both sides: a line that bends with the road but hardly changes lanes where
 //! the route does, so that it shows which of two vehicles leaves its lane. In bends it is averaged over less, or it would cut them; in
-//! those of less than about 60 m radius it no longer tells a route that changes lanes from a road that bends.
+//! those of less than about 80 m radius it no longer tells a route that changes lanes from a road that bends.
 
 use decouplegs_scene::episode::Instant;
 use decouplegs_scene::{Episode, VehicleSize, VehicleState};
@@ -29,7 +29,7 @@ const SAME_DIRECTION_RAD: f64 = std::f64::consts::FRAC_PI_4;
 /// The route is averaged over so much to both sides at most, metres: more than a lane change is long, ...
 const AVERAGED_M: f64 = 40.0;
 /// ... and over so little that it bends by no more than this, radians.
-const AVERAGED_BEND_RAD: f64 = std::f64::consts::FRAC_PI_6;
+const AVERAGED_BEND_RAD: f64 = std::f64::consts::FRAC_PI_4;
 /// From one point of the averaged route to the next, metres.
 const STRIDE_M: f64 = 2.0;
 /// Points of a longer route lie farther apart.

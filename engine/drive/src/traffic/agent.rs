@@ -1,6 +1,5 @@
 //! One vehicle of the traffic: where on its path it is, where it goes, what it is about to do.
 
-use decouplegs_scene::scenario::Maneuver;
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -237,14 +236,5 @@ impl Aside {
                 (DVec2::new(0.0, amplitude_m * sin * sin), slope)
             }
         }
-    }
-}
-
-/// What a behaviour does, for those who only want to know how long it may be tried, seconds.
-pub(super) fn patience_s(maneuver: &Maneuver) -> f64 {
-    match maneuver {
-        Maneuver::Brake { .. } => 0.0,
-        Maneuver::CutIn => 10.0,
-        Maneuver::Swerve { .. } => 3.0,
     }
 }

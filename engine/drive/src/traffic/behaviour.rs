@@ -3,7 +3,7 @@
 use decouplegs_scene::scenario::{Maneuver, Trigger};
 
 use super::Traffic;
-use super::agent::{Aside, AsideKind, Phase, patience_s};
+use super::agent::{Aside, AsideKind, Phase};
 use super::idm::BRAKING_MPS2;
 use super::lane_order::Entry;
 use crate::oriented_box::OrientedBox;
@@ -20,14 +20,21 @@ const SWERVE_REACTION_S: f64 = 2.0;
 /// Shares of the amplitude that are tried until there is room.
 const SWERVE_SHARES: [f64; 4] = [1.0, 0.75, 0.5, 0.25];
 
+/// How long a maneuver that has no room is tried, seconds.
+fn patience_s(maneuver: &Maneuver) -> f64 {
+    match maneuver {
+        Maneuver::Brake { .. } => 0.0,
+        Maneuver::CutIn => 10.0,
+        Maneuver::Swerve { .. } => 3.0,
+    }
+}
+
 impl Traffic {
     /// Begins what is due, goes on trying what had no room, and ends what is over.
     pub(super) fn behave(&mut self) {
         for number in 0..self.agents.len() {
             let agent = &mut self.agents[number];
-            if agent.brake.is_some_and(|(_, until_s)| until_s <= self.time_s) {
-                agent.brake = None;
-            }
+            agent.brake = agent.brake.filter(|(_, until_s)| *until_s > self.time_s);
             for which in 0..self.behaviours[number].len() {
                 let behaviour = self.behaviours[number][which];
                 if self.agents[number].phases[which] == Phase::Waiting && self.is_due(number, behaviour.trigger) {

@@ -52,7 +52,8 @@ impl Claims {
 
     /// All that belongs to an agent.
     pub(super) fn claim(&mut self, graph: &RoadGraph, agent: &Agent) {
-        let granted_m = agent.crossing.filter(|crossing| crossing.granted).map_or(f64::NEG_INFINITY, |crossing| crossing.to_m - 0.01);
+        let granted_m =
+            agent.crossing.filter(|crossing| crossing.granted).map_or(f64::NEG_INFINITY, |crossing| crossing.to_m - 0.01);
         self.claim_between(graph, agent, agent.rear_m(), agent.stop_m().max(granted_m));
         match agent.aside.as_ref().map(|aside| &aside.kind) {
             Some(AsideKind::Change { from, from_arc_m, .. }) => {

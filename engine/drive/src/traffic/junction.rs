@@ -110,7 +110,8 @@ impl Traffic {
         let patient = agent.waited_s < PATIENCE_S;
         let can_leave = self.can_leave(agent, &crossing);
         let free = can_leave && (crossing.granted || self.is_free(agent, &crossing));
-        let granted = free && !self.ego_crosses(agent, &crossing) && !(patient && !crossing.granted && self.gives_way(agent, &crossing));
+        let granted =
+            free && !self.ego_crosses(agent, &crossing) && !(patient && !crossing.granted && self.gives_way(agent, &crossing));
         if granted && !crossing.granted {
             self.claims.claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
         }
@@ -218,7 +219,8 @@ impl Traffic {
             if let Some(entry) = others.clone().find(|entry| comes(entry.agent)) {
                 let distance_m = conflict.other_from_m - entry.front_m - start_m;
                 // Whoever is in the conflict has claimed it: that is another matter.
-                let granted = self.agents.get(entry.agent as usize).and_then(|other| other.crossing).is_some_and(|run| run.granted);
+                let granted =
+                    self.agents.get(entry.agent as usize).and_then(|other| other.crossing).is_some_and(|run| run.granted);
                 if !granted && distance_m > -stopping_m(entry.speed_mps) {
                     if seconds_for(distance_m.max(0.0), entry.speed_mps, START_MPS2) < within_s {
                         return true;

@@ -108,7 +108,8 @@ impl Traffic {
         let at = own.line.at(agent.arc_m).truncate();
         let foot = other.line.project(at);
         let reach_m = length_m + agent.half_m + 2.0;
-        let within = |arc_m: f64, lane: usize| arc_m > agent.half_m + 1.0 && arc_m + reach_m < length_of(self.graph.lanes(), lane);
+        let within =
+            |arc_m: f64, lane: usize| arc_m > agent.half_m + 1.0 && arc_m + reach_m < length_of(self.graph.lanes(), lane);
         if !within(agent.arc_m, agent.lane()) || !within(foot.arc_m, lane) || !ASIDE_M.contains(&foot.distance_m) {
             return None;
         }
@@ -150,7 +151,7 @@ impl Traffic {
         Some(agent.driver.mobil.incentive(&concerned, side)? + urgent)
     }
 
-    /// A path that begins on another lane: straight over its successors, as far as one looks.
+    /// A path that begins on another lane, as far as one looks.
     fn path_on(&self, agent: &Agent, lane: usize) -> Vec<usize> {
         let mut probe = Agent::new(agent.number, agent.size, agent.driver, lane, 0.0);
         probe.extend_path(&self.graph, self.seed);
@@ -176,18 +177,18 @@ impl Traffic {
     /// Whether everybody on the new lane can stop behind whom he has ahead after the change, and nobody is beside.
     fn is_safe(&self, agent: &Agent, target: &Target, mind_ego: bool) -> bool {
         let (front_m, rear_m) = (target.arc_m + agent.half_m, target.arc_m - agent.half_m);
-        let stopping_m_ = stopping_m(agent.speed_mps);
+        let own_stopping_m = stopping_m(agent.speed_mps);
         let counts = |number: u32| mind_ego || number != EGO;
         let mut safe = true;
         each_ahead(&self.graph, &self.order, (agent.number, &[target.lane], 0, target.arc_m), BEHIND_M, |seen| {
-            let room = seen.rear_m - front_m >= GAP_M && seen.stop_rear_m - front_m - stopping_m_ >= GAP_M;
+            let room = seen.rear_m - front_m >= GAP_M && seen.stop_rear_m - front_m - own_stopping_m >= GAP_M;
             safe &= room || !counts(seen.agent);
             safe && !seen.same_way
         });
         let behind = behind(&self.graph, &self.order, agent.number, target.lane, target.arc_m, BEHIND_M);
         safe && behind.iter().filter(|other| counts(other.agent)).all(|other| {
             let stop_m = other.front_m + stopping_m(other.speed_mps);
-            rear_m - other.front_m >= GAP_M && rear_m + stopping_m_ - stop_m >= GAP_M
+            rear_m - other.front_m >= GAP_M && rear_m + own_stopping_m - stop_m >= GAP_M
         })
     }
 

@@ -43,9 +43,8 @@ impl LaneOrder {
             self.add(graph, agent);
         }
         self.entries.extend(ego.iter().flat_map(|ego| &ego.entries));
-        self.entries.sort_unstable_by(|a, b| {
-            a.lane.cmp(&b.lane).then(a.middle_m.total_cmp(&b.middle_m)).then(a.agent.cmp(&b.agent))
-        });
+        self.entries
+            .sort_unstable_by(|a, b| a.lane.cmp(&b.lane).then(a.middle_m.total_cmp(&b.middle_m)).then(a.agent.cmp(&b.agent)));
         self.starts.clear();
         self.starts.resize(graph.lanes_in_map() + 1, 0);
         for entry in &self.entries {

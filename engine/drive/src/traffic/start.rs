@@ -55,7 +55,9 @@ pub enum TrafficError {
         expected: &'static str,
     },
     /// Two are in each other's way from the start.
-    #[error("agents {first} and {second} overlap at the start, or one could not drive without touching the other; move one of them")]
+    #[error(
+        "agents {first} and {second} overlap at the start, or one could not drive without touching the other; move one of them"
+    )]
     Overlap {
         /// One.
         first: String,
@@ -167,10 +169,10 @@ impl Traffic {
     fn raise_speeds(&mut self, asked: &[TrafficAgent]) {
         for _ in 0..ROUNDS_MAX {
             let mut raised = false;
-            for number in 0..self.agents.len() {
+            for (number, asked) in asked.iter().enumerate() {
                 self.find_crossing(number);
                 let crossed_m = self.agents[number].crossing.map_or(f64::INFINITY, |crossing| crossing.from_m);
-                let wants_m = self.agents[number].front_m() + stopping_m(asked[number].speed_mps);
+                let wants_m = self.agents[number].front_m() + stopping_m(asked.speed_mps);
                 if wants_m > crossed_m - 1.0 {
                     self.grant_at_start(number);
                 }
@@ -186,7 +188,7 @@ impl Traffic {
                     !seen.same_way
                 });
                 let safe_mps = (2.0 * BRAKING_MPS2 * (limit_m - agent.front_m()).max(0.0)).sqrt();
-                let speed_mps = asked[number].speed_mps.min(safe_mps);
+                let speed_mps = asked.speed_mps.min(safe_mps);
                 if speed_mps > agent.speed_mps + 1e-3 {
                     self.agents[number].speed_mps = speed_mps;
                     raised = true;

@@ -235,7 +235,7 @@ fn check_all(grounds: &Grounds, count: u32) -> [usize; 4] {
                     true
                 }
                 Err(GenerateError::NoRoom { found, .. }) => {
-                    assert!(found < agents_near(level).1, "{what}: {found}");
+                    assert!(found < agents_near(level).0, "{what}: {found}");
                     false
                 }
                 Err(why) => panic!("{what}: {why}"),

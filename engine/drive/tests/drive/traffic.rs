@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use decouplegs_drive::idm::{IdmParameters, Leader, advance};
+use decouplegs_drive::idm::{IdmParameters, Leader, advance, stopping_m};
 use decouplegs_drive::{RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{VehicleSize, VehicleState};
@@ -107,7 +107,8 @@ fn derivatives(idm: &IdmParameters, speed_mps: f64) -> [f64; 3] {
     let at = |gap: f64, own: f64, leader: f64| {
         idm.acceleration(speed_mps + own, Some(Leader { gap_m: gap_m + gap, speed_mps: speed_mps + leader }))
     };
-    [at(h, 0.0, 0.0) - at(-h, 0.0, 0.0), at(0.0, h, 0.0) - at(0.0, -h, 0.0), at(0.0, 0.0, h) - at(0.0, 0.0, -h)].map(|d| d / (2.0 * h))
+    [at(h, 0.0, 0.0) - at(-h, 0.0, 0.0), at(0.0, h, 0.0) - at(0.0, -h, 0.0), at(0.0, 0.0, h) - at(0.0, 0.0, -h)]
+        .map(|d| d / (2.0 * h))
 }
 
 /// What linear theory says of [`growth`]: the size of `(f_s + i w f_l) / (f_s - w^2 - i w f_v)` (M. Treiber, A. Kesting: Traffic Flow
@@ -127,7 +128,8 @@ fn waves_grow_and_fade_along_a_platoon_as_theory_says() {
         by_own * by_own - by_leader * by_leader > 2.0 * by_gap
     };
     assert!(is_stable(&stable) && !is_stable(&unstable));
-    for (idm, grows) in [(&stable, false), (&unstable, true), (&IdmParameters::default(), !is_stable(&IdmParameters::default()))] {
+    for (idm, grows) in [(&stable, false), (&unstable, true), (&IdmParameters::default(), !is_stable(&IdmParameters::default()))]
+    {
         for rate_radps in [0.05, 0.1] {
             let (measured, theory) = (growth(idm, 8.0, rate_radps, 20), growth_in_theory(idm, 8.0, rate_radps));
             println!("{rate_radps} rad/s, a = {}: {measured:.5}, theory {theory:.5}", idm.acceleration_mps2);
@@ -142,12 +144,17 @@ fn a_platoon_survives_a_leader_that_brakes_as_hard_as_tyres_hold() {
     let graph = straight(3000.0, 1, 50.0 / 3.6);
     for driver in DriverKind::ALL {
         let mut agents: Vec<TrafficAgent> = (0..25)
-            .map(|number| TrafficAgent { driver, ..agent(&number.to_string(), "0", 900.0 - 16.0 * f64::from(number), 12.0) })
+            .map(|number| TrafficAgent { driver, ..agent(&number.to_string(), "0", 900.0 - 9.0 * f64::from(number), 12.0) })
             .collect();
         let brake = Maneuver::Brake { deceleration_mps2: 99.0, duration_s: 5.0 };
         agents[0].behaviours.push(Behaviour { trigger: Trigger::Time { time_s: 2.0 }, maneuver: brake });
         let mut traffic = traffic(&graph, &agents);
-        drive(&mut traffic, &agents, 45, None);
+        for step in 0..45 {
+            drive(&mut traffic, &agents, 1, None);
+            // What is more than not to touch: all could stop where they are, one behind the other.
+            let stops: Vec<f64> = traffic.states().iter().map(|state| state.position_m.x + stopping_m(state.speed_mps)).collect();
+            assert!(stops.windows(2).all(|pair| pair[0] - pair[1] >= 4.5 + 0.49), "{driver:?}, step {step}: {stops:?}");
+        }
         assert_eq!(traffic.states()[0].speed_mps, 0.0, "12 m/s are gone in 1.5 s");
         drive(&mut traffic, &agents, 800, None);
         assert!(traffic.states().iter().all(|state| state.speed_mps > 5.0), "{driver:?}: they drive on");

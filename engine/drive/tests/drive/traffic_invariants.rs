@@ -67,12 +67,17 @@ fn drive_all(graph: &Arc<RoadGraph>, seeds: u64, count: usize, steps: u32) {
 
 #[test]
 fn nobody_meets_another_on_the_street() {
-    drive_all(&street(), 1000, 24, 200);
+    drive_all(&street(), 1000, 24, 150);
 }
 
 #[test]
-fn nobody_meets_another_on_a_real_map() {
-    if let Some(graph) = roads("esmini_fabriksgatan.xodr") {
-        drive_all(&graph, 300, 24, 200);
+fn nobody_meets_another_on_real_maps() {
+    // Curves and a junction with narrow turns; a motorway with ramps; a town of which a part is cut out, with many ends.
+    let maps = [("esmini_fabriksgatan.xodr", 150), ("esmini_soderleden.xodr", 40), ("lanelet2_mapping_example.osm", 40)];
+    for (name, seeds) in maps {
+        if let Some(graph) = roads(name) {
+            println!("{name}");
+            drive_all(&graph, seeds, 24, 200);
+        }
     }
 }

@@ -133,7 +133,12 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
             let near = a.centre_m.distance_squared(b.centre_m) < 36.0;
             let place = |number: usize| {
                 let place = traffic.places().nth(number).unwrap();
-                (agents[number].name.clone(), traffic.graph().lane(place.lane).unwrap().id.clone(), place, traffic.states()[number])
+                (
+                    agents[number].name.clone(),
+                    traffic.graph().lane(place.lane).unwrap().id.clone(),
+                    place,
+                    traffic.states()[number],
+                )
             };
             assert!(!near || !a.overlaps(b), "{}: overlap: {:?}, {:?}", what(), place(number), place(other));
         }

@@ -1,0 +1,38 @@
+//! The planner that looks, shown pictures of which the truth is known.
+
+mod drawn;
+mod drawn_road;
+mod driven;
+mod hostile;
+mod rendered;
+
+use decouplegs::planner::{Briefing, EgoMotion, Frame, Guidance, Observation, Planner, Sight, Vision};
+use decouplegs::scene::{Plan, RigCamera};
+
+use drawn_road::EGO;
+
+/// The planner before an episode with `camera`.
+fn beginner(camera: &RigCamera) -> Vision {
+    let mut vision = Vision::default();
+    let briefing = Briefing { scenario: "test".into(), step_s: 0.5, ego_size: EGO, cameras: vec![camera.clone()] };
+    vision.begin(&briefing).expect("it needs nothing to begin");
+    vision
+}
+
+/// What it sees and plans at step `step`.
+fn shown(vision: &mut Vision, step: u32, frames: &[Frame], ego: EgoMotion, guidance: Guidance) -> (Sight, Plan) {
+    let time_s = 0.5 * f64::from(step);
+    let observation = Observation { step, time_s, frames, ego, guidance, privileged: None };
+    let plan = vision.plan(&observation).expect("it always has a plan");
+    (vision.sight().expect("it began"), plan)
+}
+
+/// What it sees in one picture at first sight.
+fn glance(camera: &RigCamera, rgba: &[u8]) -> Sight {
+    let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
+    shown(&mut beginner(camera), 0, &[Frame { camera, rgba }], ego, cruising(10.0)).0
+}
+
+fn cruising(cruise_mps: f64) -> Guidance {
+    Guidance { distance_m: 100.0, cruise_mps, ..Guidance::default() }
+}
