@@ -48,7 +48,7 @@ fn episodes_are_driven_scored_and_reported() {
             "{report}"
         );
     }
-    super::stress::assert_page_stands_alone(&fs::read_to_string(folder.path().join("report.html")).unwrap());
+    stress::assert_page_stands_alone(&fs::read_to_string(folder.path().join("report.html")).unwrap());
     // The same again finds everything done.
     let before = logs(folder.path());
     let again = blind(folder.path(), &[]);

@@ -218,7 +218,7 @@ impl State {
 /// Progress along the way between two announcements of the same turn, metres.
 fn progress_m(before: &Guidance, now: &Guidance) -> Option<f64> {
     let same = before.turn == now.turn && before.angle_rad == now.angle_rad && before.length_m == now.length_m;
-    (same && now.turn != Turn::Straight).then(|| before.distance_m - now.distance_m)
+    (same && now.turn != Turn::Straight).then_some(before.distance_m - now.distance_m)
 }
 
 /// Motion without numbers that no car has.

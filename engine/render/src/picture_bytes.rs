@@ -76,7 +76,7 @@ impl Renderer {
             // One thread alone copies tens of megabytes in milliseconds.
             let pieces = bytes.words.par_chunks_mut(COPY_PIXELS);
             staging.with_host(view.pixels, |host| {
-                pieces.zip(host.par_chunks(COPY_PIXELS)).for_each(|(to, from)| to.copy_from_slice(from))
+                pieces.zip(host.par_chunks(COPY_PIXELS)).for_each(|(to, from)| to.copy_from_slice(from));
             });
         }
         bytes.places.extend(view.cameras.iter().map(|camera| (camera.first_pixel as usize, camera.size_px)));
