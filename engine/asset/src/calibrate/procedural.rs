@@ -211,6 +211,9 @@ mod tests {
         assert!(green("clear-70") > green("clear-25") && green("clear-25") > green("dusk"));
         assert!(green("dusk") > green("blue-hour") && green("blue-hour") > green("night-shops"));
         assert!((0.6..1.0).contains(&green("overcast")), "{}", green("overcast"));
-        assert!(up("dusk")[0] > 1.3 * up("dusk")[2] && up("blue-hour")[2] > up("blue-hour")[0]);
+        assert!(up("blue-hour")[2] > up("blue-hour")[0] && green("night-shops") < 0.05);
+        let dusk = procedural_probes().into_iter().find(|probe| probe.name == "dusk").unwrap();
+        let [red, _, blue] = reflected_by_white(&dusk, self::towards(200.0, 4.0));
+        assert!(red > 1.3 * blue, "a wall that faces the low sun is red: {red} {blue}");
     }
 }

@@ -20,7 +20,11 @@ const HOUSES_MAX: usize = 600;
 const CLEAR_M: f32 = 4.0;
 
 /// Width of a patch of wall over the spacing on roads.
-const PATCH_OVER_SPACING: f32 = 2.2;
+const PATCH_OVER_SPACING: f32 = 2.6;
+
+/// Of the walls aside and of those that no road sees, over that of the front.
+const ASIDE: f32 = 1.4;
+const UNSEEN: f32 = 4.0;
 
 /// Standard deviation of a disc over the width of its patch.
 const SCALE_OVER_PATCH: f32 = 0.62;
@@ -44,6 +48,8 @@ pub(super) struct House {
     height_m: f32,
     wall: Vec3,
     roof: Vec3,
+    /// 1 where the road is on its right, -1 where it is on its left.
+    road_on_right: f32,
     number: u64,
 }
 
@@ -105,6 +111,7 @@ fn drawn(random: &mut Stream, (border, ahead, side): (Vec3, Vec2, f32), relief: 
         height_m: storeys * STOREY_M + 0.6,
         wall: *random.pick(&walls),
         roof: *random.pick(&roofs),
+        road_on_right: side,
         number,
     }
 }
@@ -122,26 +129,27 @@ fn is_free(index: &StripIndex, house: &House) -> bool {
 pub(super) fn walls(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
     let is_dark = place.light.is_dark();
     for house in &place.houses {
-        let patch_m = (PATCH_OVER_SPACING * spacing_m * place.coarseness(house.middle)).min(BAY_M);
+        let patch_m = |share: f32| (PATCH_OVER_SPACING * spacing_m * place.coarseness(house.middle) * share).min(BAY_M);
+        let (right, left) = if house.road_on_right > 0.0 { (1.0, UNSEEN) } else { (UNSEEN, 1.0) };
         let (ahead, side) = (house.ahead.extend(0.0), house.side().extend(0.0));
         let (length_m, depth_m) = (2.0 * house.half_length_m, 2.0 * house.half_depth_m);
         let corner = |u: f32, v: f32| house.middle + ahead * (u * house.half_length_m) + side * (v * house.half_depth_m);
         let up = Vec3::Z * house.height_m;
         let walls = [
-            (corner(-1.0, -1.0), ahead * length_m),
-            (corner(1.0, -1.0), side * depth_m),
-            (corner(1.0, 1.0), -ahead * length_m),
-            (corner(-1.0, 1.0), -side * depth_m),
+            (corner(-1.0, -1.0), ahead * length_m, right),
+            (corner(1.0, -1.0), side * depth_m, ASIDE),
+            (corner(1.0, 1.0), -ahead * length_m, left),
+            (corner(-1.0, 1.0), -side * depth_m, ASIDE),
         ];
-        for (number, (start, along)) in walls.into_iter().enumerate() {
+        for (number, (start, along, share)) in walls.into_iter().enumerate() {
             let colour = |along_m: f32, up_m: f32| wall(house, number as u64, (along_m, up_m), is_dark);
-            tiles(canvas, (start, along, up), patch_m, colour);
+            tiles(canvas, (start, along, up), patch_m(share), colour);
         }
         let colour = |along_m: f32, up_m: f32| {
             let tone = fractal_noise(house.number, along_m * 0.5, up_m * 0.5, 2);
             (house.roof * (0.75 + 0.5 * tone), Look::Lit { gloss: 0.0 })
         };
-        tiles(canvas, (corner(-1.0, -1.0) + up, ahead * length_m, side * depth_m), 1.5 * patch_m, colour);
+        tiles(canvas, (corner(-1.0, -1.0) + up, ahead * length_m, side * depth_m), patch_m(UNSEEN), colour);
     }
 }
 

@@ -20,7 +20,9 @@ impl Illumination {
         let probe = probe.map_or_else(overcast_probe, |probe| probe.downsampled(PROBE_WIDTH));
         let ground = Surroundings { gloss: 1.0, ..Surroundings::default() };
         let exposure = exposure_ev.clamp(-30.0, 30.0).exp2();
-        Self { irradiance: IrradianceMap::new(&probe), sheen: ground.sheen(&probe), exposure, probe }
+        // Irradiance is smooth: a sun of a few degrees lights as one of half a degree does.
+        let irradiance = IrradianceMap::new(&probe.downsampled(PROBE_WIDTH / 2));
+        Self { irradiance, sheen: ground.sheen(&probe), exposure, probe }
     }
 
     /// A surface of linear `albedo` that faces the unit vector `normal`, display-referred RGB.

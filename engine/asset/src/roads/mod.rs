@@ -82,8 +82,9 @@ const DOME_SHARE: f64 = 0.08;
 /// Largest spacing of splats on roads that is tried, metres. What does not fit at this spacing is left out.
 const SPACING_M_MAX: f32 = 12.0;
 
-/// How often spacings are tried; each try about halves the distance to the count asked for.
+/// How often spacings are tried, and the share of the count asked for that ends it. The sky takes what is left.
 const TRIES: usize = 8;
+const FITTED: f32 = 0.93;
 
 /// The roads of `map`. Lanes farther than 50 km from the first are left out.
 #[must_use]
@@ -122,7 +123,8 @@ impl Drawn {
 
     /// Everything but the sky at the spacing at which it is close below `target` splats, and never above.
     fn fitted(&self, target: usize) -> Canvas {
-        let mut spacing_m = 0.5;
+        // Coarse first: the count there is soon known, and tells where to go.
+        let mut spacing_m = 2.0;
         let mut best = Canvas::new(0);
         for _ in 0..TRIES {
             // Twice the target tells how far off the spacing is; more is never kept.
@@ -130,7 +132,7 @@ impl Drawn {
             let share = canvas.len() as f32 / target.max(1) as f32;
             if canvas.len() <= target && canvas.len() > best.len() {
                 best = canvas;
-                if share > 0.97 {
+                if share > FITTED {
                     break;
                 }
             }
@@ -138,7 +140,7 @@ impl Drawn {
                 break;
             }
             // Counts fall with the square of the spacing, but where one splat a cell is the least there is.
-            spacing_m = (spacing_m * (share * 1.01).sqrt().clamp(0.25, 2.0)).clamp(0.01, SPACING_M_MAX);
+            spacing_m = (spacing_m * (share * 1.03).sqrt().clamp(0.1, 2.0)).clamp(0.01, SPACING_M_MAX);
         }
         if best.len() == 0 { self.at_spacing(SPACING_M_MAX, target) } else { best }
     }

@@ -93,7 +93,7 @@ fn every_place_on_a_road_is_paved_once_and_paint_is_not_covered() {
             0.97 * (-0.5 * (u * u + v * v)).exp()
         };
         let passing: f32 = discs.iter().map(|disc| 1.0 - opacity(disc)).product();
-        let layers: f32 = discs.iter().map(|disc| opacity(disc)).sum();
+        let layers: f32 = discs.iter().map(opacity).sum();
         assert!(passing < 0.12, "{passing} of the light passes the road at {x}, {y}");
         assert!(layers < 4.5, "{layers} layers at {x}, {y}");
     }
@@ -132,7 +132,7 @@ fn brightness_of_road(scene: &RoadsScene) -> f32 {
         .filter(|(mean, _)| on_road(mean))
         .map(|(_, dc)| 0.5 + sh::Y0 as f32 * dc[1])
         .collect();
-    assert!(colours.len() > 100, "{}", colours.len());
+    assert!(colours.len() > 40, "{}", colours.len());
     colours.iter().sum::<f32>() / colours.len() as f32
 }
 

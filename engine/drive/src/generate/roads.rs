@@ -1,5 +1,7 @@
 //! What a map offers those who are to be put on it: where there is room, where crossings are, and what lies ahead.
 
+use std::sync::Arc;
+
 use decouplegs_scene::{LaneMap, VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -39,7 +41,7 @@ pub(super) struct LaneAhead {
 /// A map, made ready to be peopled.
 pub(super) struct Roads<'a> {
     pub map: &'a LaneMap,
-    pub graph: RoadGraph,
+    pub graph: Arc<RoadGraph>,
     pub index: LaneIndex,
     /// Left and right border of each lane, where the map knows them.
     borders: Vec<[Option<Polyline>; 2]>,
@@ -58,7 +60,7 @@ pub(super) struct Roads<'a> {
 impl<'a> Roads<'a> {
     /// The roads of `map` for vehicles up to `largest`.
     pub fn new(map: &'a LaneMap, largest: VehicleSize) -> Result<Self, String> {
-        let graph = RoadGraph::new(map)?.for_vehicle(largest)?;
+        let graph = Arc::new(RoadGraph::new(map)?.for_vehicle(largest)?);
         let count = map.lanes.len();
         let (mut shared, mut yields) = (vec![Vec::new(); count], vec![Vec::new(); count]);
         let (mut crossings, mut reach, mut total_m) = (Vec::new(), Vec::new(), 0.0);
