@@ -62,7 +62,7 @@ pub struct Arguments {
     /// Size of the pictures
     #[arg(long, value_name = "WxH", default_value = "320x180")]
     size: Size,
-    /// Draw all cameras of the rig, even if the planner looks at fewer
+    /// Draw all cameras of the rig for a planner that looks at none, instead of the front one
     #[arg(long)]
     all_cameras: bool,
     /// What light does to the cars of a place that is made up; `calibrate-light` makes it
