@@ -4,7 +4,8 @@
 //! depth order, so that agents and background hide each other exactly, per pixel. All cameras of a vehicle's rig are drawn
 //! in one submission, on any Vulkan 1.3 device, including lavapipe, which is software.
 //!
-//! This crate is a facade: it joins the engine's crates under one name, and adds [`LiveScene`], where files meet the device.
+//! This crate is a facade: it joins the engine's crates under one name, and adds [`LiveScene`], where files meet the device, and
+//! [`session`], which is what other programs use: many scenes, worlds and views on one device.
 //!
 //! | module | what it is | reads on |
 //! |---|---|---|
@@ -21,6 +22,7 @@
 pub mod episode;
 mod live_scene;
 pub mod planner;
+pub mod session;
 
 pub use decouplegs_asset as asset;
 pub use decouplegs_drive as drive;

@@ -127,6 +127,25 @@ impl LiveScene {
         }
     }
 
+    /// Whether the light about `places` is summed up, or cannot be: there is none, or more than `probes_max` probes are kept already.
+    #[must_use]
+    pub fn has_light_at(&self, places: &[DVec3], probes_max: usize) -> bool {
+        let Some(lighting) = &self.lighting else { return true };
+        lighting.field.size().0 >= probes_max || places.iter().all(|place| lighting.field.is_baked(*place))
+    }
+
+    /// Assets that agents may show.
+    #[must_use]
+    pub fn asset_count(&self) -> usize {
+        self.assets.len()
+    }
+
+    /// Length, width and height of an asset's box, metres; `None` where there is no such asset.
+    #[must_use]
+    pub fn asset_dims_m(&self, asset: usize) -> Option<[f32; 3]> {
+        self.assets.get(asset).map(|asset| asset.dims_m)
+    }
+
     /// All agents where they are at `time_s`, in the light of the scene.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Moment {

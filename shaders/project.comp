@@ -24,6 +24,7 @@ layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instan
 layout(constant_id = 5) const bool RANKED = false;    // some camera's order is kept
 layout(constant_id = 6) const bool SPLAT_IDS = false; // records hold the splat's index instead of an instance
 layout(constant_id = 7) const bool SHADOWS = false;   // agents throw contact shadows
+layout(constant_id = 8) const bool SHADOWS_BY_CAMERA = false; // not all cameras see all of them
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[]; };
@@ -78,14 +79,17 @@ uint place_of(uint camera_index, uint splat_index, uint slot) {
     return firsts[first_chunk] + before + uint(rank_among_visible(chunk * CHUNK_WORDS, rank % CHUNK_SPLATS));
 }
 
-// What all shadows that may lie on the chunk leave of a splat's light.
-float light_left(uint chunk_index, vec3 mean_m) {
+// What all shadows that may lie on the chunk leave of a splat's light; where cameras see different ones, those that this one sees.
+float light_left(uint chunk_index, vec3 mean_m, uint camera_index) {
     float light = 1.0;
     for (uint word = 0u; word < shadow_word_count; ++word) {
         uint bits = shadow_words[chunk_index * shadow_word_count + word];
         while (bits != 0u) {
-            light *= shadow_factor(shadows[32u * word + uint(findLSB(bits))], mean_m);
+            uint index = 32u * word + uint(findLSB(bits));
             bits &= bits - 1u;
+            if (!SHADOWS_BY_CAMERA || (shadows[index].cameras >> camera_index & 1u) != 0u) {
+                light *= shadow_factor(shadows[index], mean_m);
+            }
         }
     }
     return light;
@@ -121,10 +125,13 @@ void main() {
             axes[0] *= shape.x;
             axes[1] *= shape.y;
             axes[2] *= shape.z;
-            if (SHADOWS) {
-                light = light_left(chunk_index, mean_m);
+            if (SHADOWS && !SHADOWS_BY_CAMERA) {
+                light = light_left(chunk_index, mean_m, camera_index);
             }
             loaded = true;
+        }
+        if (SHADOWS_BY_CAMERA) {
+            light = light_left(chunk_index, mean_m, camera_index);
         }
         Camera camera = cameras[camera_index];
         vec3 offset = from_camera_m(mean_m, camera);

@@ -104,7 +104,7 @@ impl Arguments {
             Colour::Rgba8 => ColourFormat::U8,
             Colour::F32 => ColourFormat::F32,
         };
-        Outputs { colour, depth: self.depth, instance: self.instance, contributions: false }
+        Outputs { colour, depth: self.depth, instance: self.instance, ..Outputs::default() }
     }
 }
 

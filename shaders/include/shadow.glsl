@@ -10,6 +10,7 @@ struct Shadow {
     float log2_decay; // binary logarithm of what a half size farther out leaves of the mask, negated
     float reach;      // half sizes beyond which the mask counts as zero
     float slab_m;     // splats whose mean is farther from the plane are not ground
+    uint cameras;     // those that see it, a bit each
 };
 
 vec3 from_shadow_m(vec3 position_m, Shadow shadow) {

@@ -122,7 +122,7 @@ impl Stage {
 
     /// Draws; returns how many codebooks were relit for it.
     fn relit(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> usize {
-        let scene = Scene { world: &self.world, agents: Some((&self.pool, agents)), shadows };
+        let scene = Scene { shadows, ..Scene::with_agents(&self.world, &self.pool, agents) };
         self.renderer.render(scene, cameras).unwrap().relit
     }
 }

@@ -18,7 +18,7 @@ use rounding::PixelBounds;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 const OUTPUTS: Outputs =
-    Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true, contributions: false };
+    Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true, contributions: false, exported: false };
 
 /// Records whose instance is to be found in the picture.
 const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ..PLAIN };

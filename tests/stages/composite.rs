@@ -43,7 +43,7 @@ impl Case {
     /// What the kernel writes, the colours in bytes if these are asked for.
     fn kernel(&self, gpu: &Validated, colour: ColourFormat) -> (Pictures, Vec<u32>) {
         let Self { view, composites, partials } = self;
-        let outputs = Outputs { colour, depth: true, instance: true, contributions: false };
+        let outputs = Outputs { colour, depth: true, instance: true, ..Outputs::default() };
         let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
         let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
         let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, view.bins).unwrap();

@@ -4,7 +4,7 @@ use std::{fmt, marker::PhantomData, sync::Arc};
 
 use bytemuck::Pod;
 
-use crate::memory::BufferMemory;
+use crate::{ExportedMemory, GpuError, memory::BufferMemory};
 
 /// Where a buffer's memory is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,6 +15,9 @@ pub enum Residence {
     Upload,
     /// Mapped and cached; kernels write, the host reads.
     Readback,
+    /// As [`Residence::Device`], in memory of its own that another API on the same device may import ([`Buffer::export`]). Only where
+    /// [`crate::Gpu::can_export`].
+    Exported,
 }
 
 /// `len` values of `T` on the device. Clones share the memory, which is freed with the last of them and the last submitted work
@@ -68,6 +71,24 @@ impl<T> Buffer<T> {
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.memory.name
+    }
+
+    /// Its memory, for another API on the same device. Each call gives a descriptor of its own; the memory lives until the buffer and
+    /// all that was imported are gone.
+    ///
+    /// # Errors
+    /// When the driver cannot.
+    ///
+    /// # Panics
+    /// When the buffer was not made with [`Residence::Exported`].
+    pub fn export(&self) -> Result<ExportedMemory, GpuError> {
+        self.memory.export()
+    }
+
+    /// How many hold the buffer, submitted work that uses it included.
+    #[must_use]
+    pub fn holders(&self) -> usize {
+        Arc::strong_count(&self.memory)
     }
 
     /// The buffer without its type, to be bound to a kernel.

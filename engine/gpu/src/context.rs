@@ -15,6 +15,7 @@ use gpu_allocator::{
 use crate::{
     DeviceInfo, DeviceOptions, GpuError, Limits, MemoryReport, QueueUse, choice,
     device::{self, Abilities, Families, Opened, Physical},
+    export::Exports,
     instance::Instance,
     memory::Accounting,
 };
@@ -28,6 +29,8 @@ const HOST_BLOCK_BYTES: u64 = 8 << 20;
 pub(crate) struct Context {
     pub(crate) device: ash::Device,
     pub(crate) push_descriptor: khr::push_descriptor::Device,
+    /// Where the device can export.
+    pub(crate) exports: Option<Exports>,
     /// Names and labels, where the instance has them.
     pub(crate) debug: Option<ext::debug_utils::Device>,
     pub(crate) info: DeviceInfo,
@@ -82,6 +85,7 @@ impl Context {
         };
         Ok(Self {
             push_descriptor: khr::push_descriptor::Device::new(&instance.raw, &device),
+            exports: abilities.exports.then(|| Exports::new(&instance, &device)),
             debug: instance.labels.then(|| ext::debug_utils::Device::new(&instance.raw, &device)),
             info: physical.info.clone(),
             limits,
@@ -115,6 +119,17 @@ impl Context {
             report.driver_usage_bytes = Some(local.iter().map(|&i| budget.heap_usage[i]).sum());
         }
         report
+    }
+
+    /// The first device-local type among those in `bits`.
+    pub(crate) fn device_local_type(&self, bits: u32) -> Option<u32> {
+        // SAFETY: a query on a device of this instance.
+        let memory = unsafe { self.instance.raw.get_physical_device_memory_properties(self.physical) };
+        let local = |index: &u32| {
+            let flags = memory.memory_types[*index as usize].property_flags;
+            bits >> index & 1 == 1 && flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
+        };
+        (0..memory.memory_type_count).find(local)
     }
 
     /// Gives `handle` a name in validation messages and debuggers. A name that cannot be given is no reason to fail.

@@ -7,7 +7,7 @@ use std::{
 
 use ash::{ext, khr, vk};
 
-use crate::{DeviceInfo, DeviceKind, GpuError, Limits, error::failed, instance::Instance};
+use crate::{DeviceInfo, DeviceKind, GpuError, Limits, error::failed, export, instance::Instance};
 
 /// Bindings of a kernel; what push descriptors hold on every device seen.
 pub(crate) const BINDINGS_MAX: usize = 32;
@@ -104,6 +104,8 @@ pub(crate) struct Abilities {
     pub(crate) pinned_subgroups: bool,
     /// `VK_EXT_memory_budget` is there.
     pub(crate) memory_budget: bool,
+    /// Buffers and timelines can be exported to other APIs.
+    pub(crate) exports: bool,
     /// SPIR-V capabilities that this device does not have, with the feature that would give them.
     pub(crate) missing_capabilities: Vec<(u32, &'static str)>,
 }
@@ -137,10 +139,17 @@ pub(crate) fn open(instance: &Instance, physical: &Physical, families: &[u32]) -
     if memory_budget {
         names.push(ext::memory_budget::NAME.as_ptr());
     }
+    let exports = has(khr::external_memory_fd::NAME)
+        && has(khr::external_semaphore_fd::NAME)
+        && export::is_possible(instance, physical.raw);
+    if exports {
+        names.extend([khr::external_memory_fd::NAME.as_ptr(), khr::external_semaphore_fd::NAME.as_ptr()]);
+    }
     let found = features(instance, physical)?;
     let abilities = Abilities {
         pinned_subgroups: found.has_full_subgroups() && subgroup_size_can_be_asked_for,
         memory_budget,
+        exports,
         missing_capabilities: found.missing_capabilities(),
     };
     let device = create_device(instance, physical, families, &names, &found)?;

@@ -1,5 +1,6 @@
 //! The open device, as the rest of the engine sees it.
 
+use std::os::fd::OwnedFd;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -84,6 +85,21 @@ impl Gpu {
     #[must_use]
     pub fn has_update_queue(&self) -> bool {
         !Arc::ptr_eq(&self.0.main, &self.0.update)
+    }
+
+    /// Whether buffers ([`Residence::Exported`]) and timelines can be handed to another API on this device.
+    #[must_use]
+    pub fn can_export(&self) -> bool {
+        self.0.context.exports.is_some()
+    }
+
+    /// The timeline that counts the submissions to the queue of `role`, for another API to wait on: an opaque descriptor, as of a
+    /// timeline semaphore.
+    ///
+    /// # Errors
+    /// When the device cannot export.
+    pub fn export_timeline(&self, role: QueueRole) -> Result<OwnedFd, GpuError> {
+        self.0.context.export_semaphore(self.0.queue(role).timeline)
     }
 
     /// Memory in use by purpose. What finished work held is given back first.

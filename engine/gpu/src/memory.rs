@@ -14,7 +14,7 @@ use gpu_allocator::{
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
 
-use crate::{GpuError, MemoryReport, Residence, context::Context, error::failed};
+use crate::{ExportedMemory, GpuError, MemoryReport, Residence, context::Context, error::failed, export};
 
 /// From this size a buffer has its own allocation: freed, it goes back to the driver at once, and capacities that grow leave no
 /// holes.
@@ -77,7 +77,15 @@ pub(crate) struct BufferMemory {
     counted_bytes: u64,
     device_local: bool,
     /// `None` only while it is dropped. Locked while the host reads or writes it.
-    allocation: Mutex<Option<Allocation>>,
+    allocation: Mutex<Option<Held>>,
+}
+
+/// Where a buffer's bytes are.
+enum Held {
+    /// In a block of the allocator, or an allocation of its own that the allocator knows.
+    Allocated(Allocation),
+    /// In memory that may be exported, and its size.
+    Exported(vk::DeviceMemory, u64),
 }
 
 impl BufferMemory {
@@ -95,9 +103,20 @@ impl BufferMemory {
         }
         let bound_bytes = byte_len.next_multiple_of(4).max(BOUND_BYTES_MIN);
         refuse_above_heap(context, name, purpose, bound_bytes, residence)?;
-        let raw = create(context, bound_bytes).map_err(|code| translate(context, name, purpose, bound_bytes, code))?;
-        let (allocation, counted_bytes) = match allocate_and_bind(context, raw, name, purpose, residence) {
-            Ok(done) => done,
+        let exported = residence == Residence::Exported;
+        if exported {
+            context.exports()?;
+        }
+        let raw = create(context, bound_bytes, exported).map_err(|code| translate(context, name, purpose, bound_bytes, code))?;
+        let held = if exported {
+            let made = export::allocate(context, raw);
+            made.map(|(memory, bytes)| (Held::Exported(memory, bytes), bytes, true))
+                .map_err(|code| translate(context, name, purpose, bound_bytes, code))
+        } else {
+            allocate_and_bind(context, raw, name, purpose, residence)
+        };
+        let (held, counted_bytes, device_local) = match held {
+            Ok(held) => held,
             Err(error) => {
                 // SAFETY: made above, bound to nothing and known to nobody.
                 unsafe { context.device.destroy_buffer(raw, None) };
@@ -105,7 +124,6 @@ impl BufferMemory {
             }
         };
         context.set_name(raw, name);
-        let device_local = allocation.memory_properties().contains(vk::MemoryPropertyFlags::DEVICE_LOCAL);
         context.accounting.lock().unwrap_or_else(PoisonError::into_inner).add(purpose, counted_bytes, device_local);
         Ok(Self {
             context: context.clone(),
@@ -118,24 +136,34 @@ impl BufferMemory {
             purpose,
             counted_bytes,
             device_local,
-            allocation: Mutex::new(Some(allocation)),
+            allocation: Mutex::new(Some(held)),
         })
     }
 
     /// Runs `body` on the buffer's bytes as the host sees them.
     ///
     /// # Panics
-    /// For a buffer with [`Residence::Device`].
+    /// For a buffer with [`Residence::Device`] or [`Residence::Exported`].
     pub(crate) fn with_host_bytes<R>(&self, body: impl FnOnce(&mut [u8]) -> R) -> R {
         assert!(
-            self.residence != Residence::Device,
+            !matches!(self.residence, Residence::Device | Residence::Exported),
             "buffer {}: lives on the device; the host reaches it through the Gpu only",
             self.name
         );
         let mut allocation = self.allocation.lock().unwrap_or_else(PoisonError::into_inner);
-        let bytes =
-            allocation.as_mut().and_then(Allocation::mapped_slice_mut).expect("host-visible memory is mapped while it lives");
+        let Some(Held::Allocated(allocation)) = allocation.as_mut() else { unreachable!("only device memory is exported") };
+        let bytes = allocation.mapped_slice_mut().expect("host-visible memory is mapped while it lives");
         body(&mut bytes[..self.byte_len as usize])
+    }
+
+    /// # Panics
+    /// For a buffer without [`Residence::Exported`].
+    pub(crate) fn export(&self) -> Result<ExportedMemory, GpuError> {
+        let held = self.allocation.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(Held::Exported(memory, allocation_bytes)) = *held else {
+            panic!("buffer {}: its memory was not made to be exported", self.name)
+        };
+        Ok(ExportedMemory { descriptor: self.context.export_memory(memory)?, allocation_bytes })
     }
 }
 
@@ -143,10 +171,14 @@ impl Drop for BufferMemory {
     fn drop(&mut self) {
         // SAFETY: submitted work holds what it uses until it is done, so no device work uses the buffer any more.
         unsafe { self.context.device.destroy_buffer(self.raw, None) };
-        let allocation = self.allocation.get_mut().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(allocation) = allocation {
-            // An error would mean that the allocation is not of this allocator; there is nobody to tell in a drop.
-            let _ = self.context.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
+        match self.allocation.get_mut().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(Held::Allocated(allocation)) => {
+                // An error would mean that the allocation is not of this allocator; there is nobody to tell in a drop.
+                let _ = self.context.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
+            }
+            // SAFETY: its buffer is gone, and what was imported holds the memory by itself.
+            Some(Held::Exported(memory, _)) => unsafe { self.context.device.free_memory(memory, None) },
+            None => {}
         }
         let mut accounting = self.context.accounting.lock().unwrap_or_else(PoisonError::into_inner);
         accounting.remove(self.purpose, self.counted_bytes, self.device_local);
@@ -162,13 +194,15 @@ fn refuse_above_heap(
     residence: Residence,
 ) -> Result<(), GpuError> {
     let used = context.accounting.lock().unwrap_or_else(PoisonError::into_inner).device_local_bytes;
-    if residence == Residence::Device && used.saturating_add(bytes) > context.limits.device_memory_bytes {
+    if matches!(residence, Residence::Device | Residence::Exported)
+        && used.saturating_add(bytes) > context.limits.device_memory_bytes
+    {
         return Err(out_of_memory(context, name, purpose, bytes));
     }
     Ok(())
 }
 
-fn create(context: &Context, bytes: u64) -> Result<vk::Buffer, vk::Result> {
+fn create(context: &Context, bytes: u64, exported: bool) -> Result<vk::Buffer, vk::Result> {
     use vk::BufferUsageFlags as Usage;
     let families = [context.families.main, context.families.update.unwrap_or(context.families.main)];
     let mut create = vk::BufferCreateInfo::default()
@@ -178,18 +212,22 @@ fn create(context: &Context, bytes: u64) -> Result<vk::Buffer, vk::Result> {
         // Buffers need no ownership transfers: storage buffers lose nothing by being shared on the devices that we know.
         create = create.sharing_mode(vk::SharingMode::CONCURRENT).queue_family_indices(&families);
     }
+    let mut export = export::buffer_info();
+    if exported {
+        create = create.push_next(&mut export);
+    }
     // SAFETY: the size is not zero, and the families are two different ones of this device where sharing is concurrent.
     unsafe { context.device.create_buffer(&create, None) }
 }
 
-/// The allocation and the bytes it is counted with.
+/// The allocation, the bytes it is counted with, and whether these are local to the device.
 fn allocate_and_bind(
     context: &Context,
     buffer: vk::Buffer,
     name: &'static str,
     purpose: &'static str,
     residence: Residence,
-) -> Result<(Allocation, u64), GpuError> {
+) -> Result<(Held, u64, bool), GpuError> {
     // SAFETY: a query on a live buffer of this device.
     let requirements = unsafe { context.device.get_buffer_memory_requirements(buffer) };
     let own = requirements.size >= OWN_ALLOCATION_FROM_BYTES;
@@ -197,7 +235,7 @@ fn allocate_and_bind(
         name,
         requirements,
         location: match residence {
-            Residence::Device => MemoryLocation::GpuOnly,
+            Residence::Device | Residence::Exported => MemoryLocation::GpuOnly,
             Residence::Upload => MemoryLocation::CpuToGpu,
             Residence::Readback => MemoryLocation::GpuToCpu,
         },
@@ -217,7 +255,8 @@ fn allocate_and_bind(
         let _ = allocator.free(allocation);
         return Err(translate(context, name, purpose, requirements.size, code));
     }
-    Ok((allocation, requirements.size))
+    let device_local = allocation.memory_properties().contains(vk::MemoryPropertyFlags::DEVICE_LOCAL);
+    Ok((Held::Allocated(allocation), requirements.size, device_local))
 }
 
 fn translate(context: &Context, name: &'static str, purpose: &'static str, bytes: u64, code: vk::Result) -> GpuError {

@@ -15,6 +15,7 @@ use crate::{
     DeviceKind, GpuError,
     context::Context,
     error::failed,
+    export,
     slot::CommandSlot,
     ticket::{Submission, Ticket},
 };
@@ -59,8 +60,12 @@ impl Queue {
     /// The first queue of `family`, which the device was opened with.
     pub(crate) fn new(context: &Arc<Context>, family: u32, timestamp_bits: u32) -> Result<Self, GpuError> {
         let mut timeline = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
-        let create = vk::SemaphoreCreateInfo::default().push_next(&mut timeline);
-        // SAFETY: timeline semaphores are required of every device.
+        let mut export = export::semaphore_info();
+        let mut create = vk::SemaphoreCreateInfo::default().push_next(&mut timeline);
+        if context.abilities.exports {
+            create = create.push_next(&mut export);
+        }
+        // SAFETY: timeline semaphores are required of every device, and those of this one can be exported where it is asked for.
         let timeline = unsafe { context.device.create_semaphore(&create, None) }.map_err(failed("vkCreateSemaphore"))?;
         // SAFETY: the device was opened with one queue of this family.
         let raw = unsafe { context.device.get_device_queue(family, 0) };

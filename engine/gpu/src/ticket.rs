@@ -42,6 +42,12 @@ impl Ticket {
         self.queue.wait(self.value, &self.submission)
     }
 
+    /// What the queue's timeline ([`crate::Gpu::export_timeline`]) has counted to when the work is done.
+    #[must_use]
+    pub fn value(&self) -> u64 {
+        self.value
+    }
+
     /// Whether the work is done, without waiting.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 //! Nothing of an agent is turned: each camera is moved into the agent's frame instead, in f64, which is one record an agent
 //! and camera where turning a codebook would be 512 entries. Shapes, colours and depth keys come out the same.
 
+use bytemuck::Zeroable;
 use decouplegs_scene::{Camera, ColourTransfer, ContactShadow, Pose, ShFrame};
 use glam::{DMat3, DVec3, Vec3};
 
@@ -26,13 +27,16 @@ pub struct Agent {
     pub instance: u16,
     /// What the light about it does to its colours, in the frame that these are meant in; `None`: nothing.
     pub relight: Option<ColourTransfer>,
+    /// Cameras of the frame that may see it, a bit each, the first lowest: worlds that share a background are cameras that see
+    /// different agents.
+    pub cameras: u32,
 }
 
 impl Agent {
-    /// An agent as its asset shows it.
+    /// An agent as its asset shows it, for all cameras.
     #[must_use]
     pub fn new(asset: AssetId, world_from_agent: Pose, instance: u16) -> Self {
-        Self { asset, world_from_agent, sh_frame: None, instance, relight: None }
+        Self { asset, world_from_agent, sh_frame: None, instance, relight: None, cameras: u32::MAX }
     }
 }
 
@@ -45,11 +49,13 @@ pub struct Scene<'a> {
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
     /// Contact shadows on the background. They multiply, and need not be those of agents that are drawn.
     pub shadows: &'a [ContactShadow],
+    /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; `None`: all see all.
+    pub shadow_cameras: Option<&'a [u32]>,
 }
 
 impl<'a> From<&'a ResidentWorld> for Scene<'a> {
     fn from(world: &'a ResidentWorld) -> Self {
-        Self { world, agents: None, shadows: &[] }
+        Self { world, agents: None, shadows: &[], shadow_cameras: None }
     }
 }
 
@@ -57,7 +63,7 @@ impl<'a> Scene<'a> {
     /// A background with agents, without shadows.
     #[must_use]
     pub fn with_agents(world: &'a ResidentWorld, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
-        Self { world, agents: Some((pool, agents)), shadows: &[] }
+        Self { world, agents: Some((pool, agents)), shadows: &[], shadow_cameras: None }
     }
 
     /// Whether some agent, in view or not, is to be relit.
@@ -70,6 +76,9 @@ impl Scene<'_> {
     /// No mean that is drawn is farther from the world's origin, metres.
     pub(crate) fn reach_m(&self) -> Result<f64, RenderError> {
         let mut reach_m = self.world.reach_m;
+        if let Some(cameras) = self.shadow_cameras {
+            assert!(cameras.len() == self.shadows.len(), "{} shadows, and cameras for {}", self.shadows.len(), cameras.len());
+        }
         for (index, shadow) in self.shadows.iter().enumerate() {
             shadow.check().map_err(|reason| RenderError::Shadow { index, reason })?;
         }
@@ -134,10 +143,14 @@ impl AgentList {
             let asset = pool.asset(agent.asset)?;
             let records = view.cameras.iter().zip(cameras);
             let origin = scene.world.origin;
-            let seen_by: Vec<CameraRecord> =
-                records.map(|(record, camera)| record.moved_into(camera, origin, &agent.world_from_agent)).collect();
-            let reached = |camera: &CameraRecord| twins::chunk_reaches(&asset.whole, camera, near_m);
-            let mask = seen_by.iter().enumerate().fold(0u32, |mask, (i, camera)| mask | u32::from(reached(camera)) << i);
+            let may_see = |index: usize| agent.cameras >> index & 1 == 1;
+            // Records of cameras that may not see it are never read.
+            let moved = |(index, (record, camera)): (usize, (&CameraRecord, &Camera))| {
+                if may_see(index) { record.moved_into(camera, origin, &agent.world_from_agent) } else { CameraRecord::zeroed() }
+            };
+            let seen_by: Vec<CameraRecord> = records.enumerate().map(moved).collect();
+            let reached = |index: usize| may_see(index) && twins::chunk_reaches(&asset.whole, &seen_by[index], near_m);
+            let mask = (0..seen_by.len()).fold(0u32, |mask, index| mask | u32::from(reached(index)) << index);
             if mask == 0 {
                 continue;
             }

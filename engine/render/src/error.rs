@@ -45,6 +45,12 @@ pub enum RenderError {
         /// How many may be.
         max: usize,
     },
+    /// Pictures too many that somebody holds.
+    #[error("the pictures of {max} frames are held, as many as may be: drop some, or allow more (taken_max)")]
+    TooManyTaken {
+        /// How many may be.
+        max: usize,
+    },
     /// No frame to wait for.
     #[error("no frame is in flight: submit one first")]
     NothingInFlight,

@@ -19,6 +19,7 @@ mod relit;
 mod renderer;
 mod resident;
 mod slot;
+mod taken;
 
 pub mod capacity;
 pub mod layout;
@@ -41,3 +42,4 @@ pub use picture::Picture;
 pub use picture_bytes::PictureBytes;
 pub use renderer::Renderer;
 pub use resident::ResidentWorld;
+pub use taken::TakenPictures;

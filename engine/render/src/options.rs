@@ -30,6 +30,8 @@ pub struct RenderOptions {
     pub level_pitch_px: Option<f64>,
     /// Frames that may be submitted before the first of them is finished, at least 1. Each has pictures of its own.
     pub frames_in_flight: usize,
+    /// Frames whose pictures may be taken ([`crate::Renderer::take_pictures`]) and not yet dropped.
+    pub taken_max: usize,
     /// Buffers that were too small grow to what was needed and this share of it more. Cameras that leap outgrow a small one
     /// again and again, and each time a frame is drawn twice.
     pub spare: f64,
@@ -47,6 +49,7 @@ impl Default for RenderOptions {
             order: OrderMode::default(),
             level_pitch_px: None,
             frames_in_flight: 2,
+            taken_max: 16,
             spare: 1.0 / 16.0,
             overlap: true,
         }

@@ -1,5 +1,6 @@
 //! What a frame gives, and where it lies on the device.
 
+use bytemuck::Pod;
 use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, Residence};
 
 /// Purpose under which the memory of pictures is counted.
@@ -27,6 +28,8 @@ pub struct Outputs {
     /// The sum of each background splat's weights over all pixels ([`crate::Renderer::read_contributions`]). Lists are not cut
     /// for it, instances cannot be had beside it, and agents take part as what hides the background.
     pub contributions: bool,
+    /// Whether another API on the device may import the pictures ([`crate::Renderer::take_pictures`]).
+    pub exported: bool,
 }
 
 impl Outputs {
@@ -40,6 +43,7 @@ impl Outputs {
 }
 
 /// Pictures on the device, of all cameras one after the other, rows from the top. Of length 0 where not asked for.
+#[derive(Clone)]
 pub struct OutputBuffers {
     /// RGB over the sky, unclamped, and alpha.
     pub pictures_f32: Buffer<[f32; 4]>,
@@ -60,12 +64,12 @@ impl OutputBuffers {
     /// # Errors
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu, pixels: usize, splats: usize, outputs: &Outputs) -> Result<Self, GpuError> {
-        let len = |asked: bool| if asked { pixels } else { 0 };
+        let (f32, u8) = (outputs.colour == ColourFormat::F32, outputs.colour == ColourFormat::U8);
         Ok(Self {
-            pictures_f32: gpu.buffer("pictures_f32", PURPOSE, len(outputs.colour == ColourFormat::F32), Residence::Device)?,
-            pictures_u8: gpu.buffer("pictures_u8", PURPOSE, len(outputs.colour == ColourFormat::U8), Residence::Device)?,
-            depths_m: gpu.buffer("depths_m", PURPOSE, len(outputs.depth), Residence::Device)?,
-            instance_ids: gpu.buffer("instance_ids", PURPOSE, len(outputs.instance), Residence::Device)?,
+            pictures_f32: picture(gpu, "pictures_f32", f32, pixels, outputs)?,
+            pictures_u8: picture(gpu, "pictures_u8", u8, pixels, outputs)?,
+            depths_m: picture(gpu, "depths_m", outputs.depth, pixels, outputs)?,
+            instance_ids: picture(gpu, "instance_ids", outputs.instance, pixels, outputs)?,
             contributions: gpu.buffer(
                 "contributions",
                 PURPOSE,
@@ -90,4 +94,10 @@ impl OutputBuffers {
             ("instance_ids", self.instance_ids.binding()),
         ]
     }
+}
+
+/// A buffer for a value of each pixel, of length 0 where it is not asked for.
+fn picture<T: Pod>(gpu: &Gpu, name: &'static str, asked: bool, pixels: usize, outputs: &Outputs) -> Result<Buffer<T>, GpuError> {
+    let len = if asked { pixels } else { 0 };
+    gpu.buffer(name, PURPOSE, len, if outputs.exported && len > 0 { Residence::Exported } else { Residence::Device })
 }

@@ -17,6 +17,7 @@ use crate::orders::{OrderDecision, OrderPath, Orders};
 use crate::resident::ResidentWorld;
 use crate::slot::{FrameSlot, Pending};
 use crate::stages::{AgentCounts, ProjectVariant};
+use crate::taken::SharedShelf;
 
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
@@ -42,6 +43,7 @@ pub struct Renderer {
     /// The slot of the frame that was finished last.
     shown: Option<usize>,
     orders: Option<Orders>,
+    shelf: SharedShelf,
 }
 
 impl Renderer {
@@ -61,6 +63,7 @@ impl Renderer {
             in_flight: VecDeque::new(),
             shown: None,
             orders: None,
+            shelf: SharedShelf::default(),
         }
     }
 
@@ -143,6 +146,7 @@ impl Renderer {
                 ranked: decision.is_ranked(),
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
+                shadows_by_camera: scene.shadow_cameras.is_some(),
             },
             // That of all assets, whoever is in view: building kernels in the middle of a drive would stall it.
             agents: scene
@@ -153,7 +157,14 @@ impl Renderer {
         };
         let ranks = orders.ranks().clone();
         let added = scene.agents.and_then(|(pool, _)| pool.last_upload().cloned());
-        self.slots[slot].set(&self.gpu, &options.outputs, view, scene.world, list, scene.shadows)?;
+        self.slots[slot].set(
+            &self.gpu,
+            (&options.outputs, &self.shelf),
+            view,
+            scene.world,
+            list,
+            (scene.shadows, scene.shadow_cameras),
+        )?;
         self.slots[slot].staged_orders.write_host(0, &decision.view_orders);
         let update = self.submit_agents(slot, scene.world, variant, added.as_ref())?;
         let record_start = Instant::now();
@@ -180,6 +191,7 @@ impl Renderer {
             if pending.capacity.holds(&needs) {
                 self.check_uncut_lists(&needs)?;
                 self.shown = Some(slot);
+                self.slots[slot].done = Some(pending.frame.clone());
                 return self.statistics(slot, &pending, needs, redrawn, awaited);
             }
             // Another frame may have grown the buffers since.
@@ -202,6 +214,26 @@ impl Renderer {
     /// The place of the frame that was finished last.
     pub(crate) fn shown_slot(&self) -> Option<&FrameSlot> {
         self.shown.and_then(|shown| self.slots.get(shown))
+    }
+
+    /// Whether some frame is in flight.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        !self.in_flight.is_empty()
+    }
+
+    pub(crate) fn shown_slot_mut(&mut self) -> Option<&mut FrameSlot> {
+        self.shown.and_then(|shown| self.slots.get_mut(shown))
+    }
+
+    /// The frame that was finished last has no pictures any more.
+    pub(crate) fn show_nothing(&mut self) {
+        self.shown = None;
+    }
+
+    /// Pictures that wait for a frame.
+    pub(crate) fn shelf(&self) -> &SharedShelf {
+        &self.shelf
     }
 
     /// Refuses what a software device would draw wrong without a word.

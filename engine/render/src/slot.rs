@@ -15,6 +15,7 @@ use crate::output::{OutputBuffers, Outputs};
 use crate::relit::RelitCodebooks;
 use crate::resident::ResidentWorld;
 use crate::stages::{AgentBuffers, AgentCounts, PURPOSE, ShadowBuffers};
+use crate::taken::SharedShelf;
 
 /// A frame that was submitted and not yet finished.
 pub(crate) struct Pending {
@@ -49,6 +50,7 @@ pub(crate) struct FrameSlot {
     /// Shadows of the frame.
     pub shadow_count: usize,
     pub pictures: OutputBuffers,
+    no_pictures: OutputBuffers,
     /// Pixels and splats that the pictures are made for.
     room: (usize, usize),
     pub found_needs: Buffer<Needs>,
@@ -57,11 +59,14 @@ pub(crate) struct FrameSlot {
     pub view: Option<View>,
     pub list: Option<AgentList>,
     pub pending: Option<Pending>,
+    /// The frame that was finished last, whose pictures are those above.
+    pub done: Option<Ticket>,
 }
 
 impl FrameSlot {
     /// Buffers for no agents and no pixels yet.
     pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, RenderError> {
+        let no_pictures = OutputBuffers::new(gpu, 0, 0, outputs)?;
         Ok(Self {
             staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
             staged_orders: gpu.buffer("staged_orders", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
@@ -74,7 +79,8 @@ impl FrameSlot {
             shadows: ShadowBuffers::new(gpu, 0, 0)?,
             shadow_room: (0, 0),
             shadow_count: 0,
-            pictures: OutputBuffers::new(gpu, 0, 0, outputs)?,
+            pictures: no_pictures.clone(),
+            no_pictures,
             room: (0, 0),
             found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
             found_inversions: gpu.buffer("found_inversions", PURPOSE, CAMERAS_MAX, Residence::Readback)?,
@@ -82,7 +88,14 @@ impl FrameSlot {
             view: None,
             list: None,
             pending: None,
+            done: None,
         })
+    }
+
+    /// Its pictures and what they are made for; it has none then.
+    pub fn give_pictures(&mut self) -> ((usize, usize), OutputBuffers) {
+        let room = std::mem::take(&mut self.room);
+        (room, std::mem::replace(&mut self.pictures, self.no_pictures.clone()))
     }
 
     /// The assets of its agents.
@@ -95,20 +108,22 @@ impl FrameSlot {
     pub fn set(
         &mut self,
         gpu: &Gpu,
-        outputs: &Outputs,
+        (outputs, shelf): (&Outputs, &SharedShelf),
         view: View,
         world: &ResidentWorld,
         list: Option<AgentList>,
-        shadows: &[ContactShadow],
+        shadows: (&[ContactShadow], Option<&[u32]>),
     ) -> Result<(), RenderError> {
         self.view = None;
         let splats = world.splats;
         let room = (view.pixels, splats * usize::from(outputs.contributions));
         if self.room != room {
             // The old ones go first: both would not always fit.
-            self.room = (0, 0);
-            self.pictures = OutputBuffers::new(gpu, 0, 0, outputs)?;
-            self.pictures = OutputBuffers::new(gpu, view.pixels, splats, outputs)?;
+            self.give_pictures();
+            self.pictures = match shelf.find(room) {
+                Some(waiting) => waiting,
+                None => OutputBuffers::new(gpu, view.pixels, splats, outputs)?,
+            };
             self.room = room;
         }
         self.staged_cameras.write_host(0, &view.cameras);
@@ -128,7 +143,12 @@ impl FrameSlot {
         Ok(())
     }
 
-    fn set_shadows(&mut self, gpu: &Gpu, world: &ResidentWorld, shadows: &[ContactShadow]) -> Result<(), RenderError> {
+    fn set_shadows(
+        &mut self,
+        gpu: &Gpu,
+        world: &ResidentWorld,
+        (shadows, cameras): (&[ContactShadow], Option<&[u32]>),
+    ) -> Result<(), RenderError> {
         let (room, chunks) = (self.shadow_room, world.chunk_count());
         if shadows.len() > room.0 || chunks > room.1 {
             let wanted = if shadows.len() > room.0 { shadows.len() + shadows.len() / 4 } else { room.0 };
@@ -136,7 +156,11 @@ impl FrameSlot {
             self.shadows = ShadowBuffers::new(gpu, wanted, chunks)?;
             self.shadow_room = (wanted, chunks);
         }
-        let records: Vec<ShadowRecord> = shadows.iter().map(|shadow| ShadowRecord::new(shadow, world.origin)).collect();
+        let record = |(index, shadow): (usize, &ContactShadow)| ShadowRecord {
+            cameras: cameras.map_or(u32::MAX, |cameras| cameras[index]),
+            ..ShadowRecord::new(shadow, world.origin)
+        };
+        let records: Vec<ShadowRecord> = shadows.iter().enumerate().map(record).collect();
         self.staged_shadows.write_host(0, &records);
         self.shadow_count = shadows.len();
         Ok(())

@@ -26,10 +26,12 @@ pub struct ShadowRecord {
     pub reach: f32,
     /// Splats whose mean is farther from the plane are not ground.
     pub slab_m: f32,
+    /// Cameras of the frame that see it, a bit each.
+    pub cameras: u32,
 }
 
 impl ShadowRecord {
-    /// `shadow` in a world whose means are relative to `origin`. Made in f64: only the result is rounded.
+    /// `shadow` in a world whose means are relative to `origin`, seen by all cameras. Made in f64: only the result is rounded.
     #[must_use]
     pub fn new(shadow: &ContactShadow, origin: DVec3) -> Self {
         let centre = shadow.world_from_ground.translation - origin;
@@ -46,6 +48,7 @@ impl ShadowRecord {
             log2_decay: (shadow.decay * std::f64::consts::LOG2_E) as f32,
             reach: shadow.reach() as f32,
             slab_m: shadow.slab_m as f32,
+            cameras: u32::MAX,
         }
     }
 }

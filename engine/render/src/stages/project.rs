@@ -46,6 +46,8 @@ pub struct ProjectVariant {
     pub splat_ids: bool,
     /// Whether agents throw contact shadows.
     pub shadows: bool,
+    /// Whether some of these are not seen by all cameras.
+    pub shadows_by_camera: bool,
 }
 
 #[repr(C)]
@@ -78,6 +80,7 @@ impl Project {
             ("RANKED", Constant::Bool(variant.ranked)),
             ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
             ("SHADOWS", Constant::Bool(variant.shadows)),
+            ("SHADOWS_BY_CAMERA", Constant::Bool(variant.shadows && variant.shadows_by_camera)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }

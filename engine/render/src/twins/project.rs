@@ -31,11 +31,11 @@ fn place_of(
     firsts[first_chunk] as usize + lower
 }
 
-/// What all shadows that may lie on the chunk leave of a splat's light.
-fn light_left(chunk_index: usize, mean_m: [f32; 3], shadows: &[ShadowRecord], shadow_words: &[u32]) -> f32 {
+/// What all shadows that may lie on the chunk and that the camera sees leave of a splat's light.
+fn light_left(chunk_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[ShadowRecord], shadow_words: &[u32]) -> f32 {
     let words = shadows.len().div_ceil(32);
     let may_lie = |index: usize| shadow_words[chunk_index * words + index / 32] >> (index % 32) & 1 == 1;
-    let near = shadows.iter().enumerate().filter(|(index, _)| may_lie(*index));
+    let near = shadows.iter().enumerate().filter(|(index, shadow)| may_lie(*index) && shadow.cameras >> camera & 1 == 1);
     near.map(|(_, shadow)| shadow_factor(shadow, mean_m)).product()
 }
 
@@ -90,7 +90,7 @@ pub fn project(
                     instance: if splat_ids { splat_index as u32 } else { id },
                 };
                 let colour = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree);
-                let colour = light_left(chunk_index, means_m[splat_index], shadows, shadow_words) * colour;
+                let colour = light_left(chunk_index, camera_index, means_m[splat_index], shadows, shadow_words) * colour;
                 write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
                 let key = depth_key(scaled_depth(means_m[splat_index], camera, radial));
                 let place = if ranked {

@@ -161,6 +161,13 @@ impl AmbientField {
         self.probes.len()
     }
 
+    /// Whether light at `place` is interpolated between probes that were baked.
+    #[must_use]
+    pub fn is_baked(&self, place: DVec3) -> bool {
+        let cell = self.cell(place);
+        (0..8).all(|corner| self.probes.contains_key(&(cell + corner_offset(corner))))
+    }
+
     /// L(x) at `place`, world coordinates: interpolated where it was baked, else summed from the cubes. `None` where no splat
     /// is in reach.
     #[must_use]

@@ -1,0 +1,107 @@
+//! Pictures that outlive their frame: somebody else reads them on the device, and the renderer draws on into others.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use decouplegs_gpu::Ticket;
+
+use crate::output::OutputBuffers;
+use crate::{RenderError, Renderer};
+
+/// Where buffers wait that nobody shows, and how many are out.
+#[derive(Default)]
+pub(crate) struct Shelf {
+    waiting: Vec<((usize, usize), OutputBuffers)>,
+    out: usize,
+}
+
+/// The shelf of one renderer.
+#[derive(Clone, Default)]
+pub(crate) struct SharedShelf(Arc<Mutex<Shelf>>);
+
+impl SharedShelf {
+    fn lock(&self) -> MutexGuard<'_, Shelf> {
+        lock(&self.0)
+    }
+
+    /// Buffers made for `room`, if some wait. Those of other sizes are let go: cameras that changed rarely change back.
+    pub fn find(&self, room: (usize, usize)) -> Option<OutputBuffers> {
+        let mut shelf = self.lock();
+        shelf.waiting.retain(|(made_for, _)| *made_for == room);
+        shelf.waiting.pop().map(|(_, buffers)| buffers)
+    }
+}
+
+fn lock(shelf: &Mutex<Shelf>) -> MutexGuard<'_, Shelf> {
+    shelf.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The pictures of one frame, finished. They stay as they are until this is dropped; then their memory is drawn into again.
+///
+/// Whoever reads them on the device has to be done before the drop: the renderer cannot know.
+pub struct TakenPictures {
+    /// `None` only while it is dropped.
+    buffers: Option<OutputBuffers>,
+    room: (usize, usize),
+    places: Vec<(usize, [u32; 2])>,
+    frame: Ticket,
+    home: Weak<Mutex<Shelf>>,
+}
+
+impl TakenPictures {
+    /// Where they lie: of all cameras one after the other, rows from the top.
+    ///
+    /// # Panics
+    /// Never: the buffers are there until it is dropped.
+    #[must_use]
+    pub fn buffers(&self) -> &OutputBuffers {
+        self.buffers.as_ref().expect("the buffers are there until it is dropped")
+    }
+
+    /// First pixel, and width and height, of each camera's picture.
+    #[must_use]
+    pub fn places(&self) -> &[(usize, [u32; 2])] {
+        &self.places
+    }
+
+    /// The frame that drew them, which is finished: what another queue or API may wait for, so that it sees what was written.
+    #[must_use]
+    pub fn frame(&self) -> &Ticket {
+        &self.frame
+    }
+}
+
+impl Drop for TakenPictures {
+    fn drop(&mut self) {
+        if let (Some(home), Some(buffers)) = (self.home.upgrade(), self.buffers.take()) {
+            let mut shelf = lock(&home);
+            shelf.out -= 1;
+            shelf.waiting.push((self.room, buffers));
+        }
+    }
+}
+
+impl Renderer {
+    /// Takes the pictures of the frame that was finished last, which [`Renderer::read_pictures`] does not find any more. Later frames
+    /// are drawn into other buffers, so that rendering goes on while somebody looks at these; with
+    /// [`crate::Outputs::exported`] another API may.
+    ///
+    /// `None` before the first frame, and when they were taken already.
+    ///
+    /// # Errors
+    /// When as many are out as [`crate::RenderOptions::taken_max`] allows: memory stays bounded where somebody forgets to drop.
+    pub fn take_pictures(&mut self) -> Result<Option<TakenPictures>, RenderError> {
+        let (shelf, max) = (self.shelf().clone(), self.options().taken_max);
+        let Some(slot) = self.shown_slot_mut() else { return Ok(None) };
+        let (Some(view), Some(frame)) = (&slot.view, &slot.done) else { return Ok(None) };
+        let out = shelf.lock().out;
+        if out >= max {
+            return Err(RenderError::TooManyTaken { max });
+        }
+        let places = view.cameras.iter().map(|camera| (camera.first_pixel as usize, camera.size_px)).collect();
+        let frame = frame.clone();
+        let (room, buffers) = slot.give_pictures();
+        shelf.lock().out += 1;
+        self.show_nothing();
+        Ok(Some(TakenPictures { buffers: Some(buffers), room, places, frame, home: Arc::downgrade(&shelf.0) }))
+    }
+}

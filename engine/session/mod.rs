@@ -1,0 +1,276 @@
+//! Many scenes, many worlds and many views on one device: how other programs use the engine.
+//!
+//! A [`Session`] owns the device and the scenes that were opened on it: each background and each asset is there once, however many
+//! show it. A [`World`] is a set of agents over one of these scenes, and costs a few hundred bytes. A [`Viewer`] draws any number of
+//! worlds for any cameras in as few submissions as there are 32 cameras; several viewers may work on several threads.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use decouplegs::session::{HostPictures, Session, SessionOptions, World, WorldView};
+//! use decouplegs::scene::Pose;
+//!
+//! let session = Session::open(&SessionOptions::default())?;
+//! let scene = session.open_scene("street/scene.toml".as_ref())?;
+//! let mut viewer = session.viewer();
+//! let mut worlds = [World::new(&scene), World::new(&scene)];
+//! let mut pictures = HostPictures::default();
+//! for step in 0..100 {
+//!     let time_s = 0.1 * f64::from(step);
+//!     worlds[0].set_time(time_s);
+//!     let pose = Pose { translation: glam::DVec3::new(0.2 * f64::from(step), 3.5, 0.0), ..Pose::IDENTITY };
+//!     worlds[1].move_to("car_001", pose)?;
+//!     let cameras = scene.rig().at(&scene.ego().at(time_s));
+//!     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
+//!     let drawn = viewer.draw(&views, &mut pictures)?;
+//!     println!("{:?}, first pixel {:?}", drawn[0].gpu_time, &pictures.rgba(0, 0)[..4]);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+
+mod batch;
+mod viewer;
+mod world;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, Weak};
+
+use decouplegs_asset::{AssetError, LoadedAgent, LoadedScene, open_scene, read_coded};
+use decouplegs_gpu::{DeviceOptions, Gpu, GpuError};
+use decouplegs_render::{ColourFormat, Outputs, RenderError, RenderOptions, Renderer};
+use decouplegs_scene::{Rig, Trajectory};
+use glam::DVec3;
+
+use crate::LiveScene;
+
+pub use viewer::{HostPictures, Viewer, WorldView};
+pub use world::{World, WorldAgent};
+
+/// Probes of light that a scene keeps at most, about 110 bytes each: agents that are sent anywhere at all must not fill the memory.
+/// Light elsewhere is summed up anew in every frame.
+const PROBES_MAX: usize = 1 << 18;
+
+/// Why a session could not do what it was asked for.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// The device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// A file.
+    #[error(transparent)]
+    Asset(#[from] AssetError),
+    /// A frame, or an upload.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// No such agent in the world.
+    #[error("the world has no agent {name:?}: it has {there}")]
+    NoAgent {
+        /// The name asked for.
+        name: String,
+        /// Some of those that there are.
+        there: String,
+    },
+    /// No such asset in the scene.
+    #[error("the scene has no asset {asset}: it has {count}, counted from 0")]
+    NoAsset {
+        /// The number asked for.
+        asset: usize,
+        /// Assets that there are.
+        count: usize,
+    },
+    /// An agent of plain splats cannot be moved.
+    #[error(
+        "agent {name:?} is of plain splats, which are part of the background: compress its asset (decouplegs compress) to move it"
+    )]
+    PlainSplats {
+        /// The agent.
+        name: String,
+    },
+    /// More agents than instance ids.
+    #[error("a world has at most {max} agents")]
+    TooManyAgents {
+        /// How many there may be.
+        max: usize,
+    },
+    /// Bytes were asked of a viewer that draws floats.
+    #[error("the viewer stores floats: open the session with ColourFormat::U8 to read bytes")]
+    NotBytes,
+    /// Nothing to draw.
+    #[error("a view without cameras was asked for: give each at least one")]
+    NoCameras,
+}
+
+/// How a session is opened.
+#[derive(Clone, Debug)]
+pub struct SessionOptions {
+    /// Which device, and how it is used.
+    pub device: DeviceOptions,
+    /// How viewers draw.
+    pub render: RenderOptions,
+}
+
+impl Default for SessionOptions {
+    /// The best device, pictures in bytes, and room to spare for cameras that leap.
+    fn default() -> Self {
+        let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+        Self { device: DeviceOptions::default(), render: RenderOptions { outputs, spare: 0.5, ..RenderOptions::default() } }
+    }
+}
+
+/// A device and the scenes on it. Share it by reference or in an [`Arc`]; all its methods may be called from any thread.
+pub struct Session {
+    gpu: Gpu,
+    options: SessionOptions,
+    /// Those that somebody still holds, by path.
+    scenes: Mutex<BTreeMap<PathBuf, Weak<SessionScene>>>,
+}
+
+/// A scene on the device. It stays there as long as somebody holds it.
+pub struct SessionScene {
+    rig: Rig,
+    ego: Trajectory,
+    agents: Vec<LoadedAgent>,
+    /// Those of plain splats, which are part of the background.
+    plain_agents: Vec<String>,
+    live: RwLock<LiveScene>,
+}
+
+impl Session {
+    /// Opens the device.
+    ///
+    /// # Errors
+    /// [`SessionError::Gpu`]: no device, or none that can do the work.
+    pub fn open(options: &SessionOptions) -> Result<Self, SessionError> {
+        Ok(Self { gpu: Gpu::open(&options.device)?, options: options.clone(), scenes: Mutex::default() })
+    }
+
+    /// The device.
+    #[must_use]
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// How it was opened.
+    #[must_use]
+    pub fn options(&self) -> &SessionOptions {
+        &self.options
+    }
+
+    /// The scene of a scene file or splat file, loaded unless somebody holds it already.
+    ///
+    /// # Errors
+    /// When a file is missing or wrong, or the device has not the memory.
+    pub fn open_scene(&self, path: &Path) -> Result<Arc<SessionScene>, SessionError> {
+        let key = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        if let Some(scene) = self.held(&key) {
+            return Ok(scene);
+        }
+        // Loaded without the lock, so that frames of other scenes go on; who comes second lets his go.
+        let scene = self.add_scene(&open_scene(path, 0.0)?)?;
+        let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(other) = scenes.get(&key).and_then(Weak::upgrade) {
+            return Ok(other);
+        }
+        scenes.retain(|_, scene| scene.strong_count() > 0);
+        scenes.insert(key, Arc::downgrade(&scene));
+        Ok(scene)
+    }
+
+    fn held(&self, key: &Path) -> Option<Arc<SessionScene>> {
+        self.scenes.lock().unwrap_or_else(PoisonError::into_inner).get(key).and_then(Weak::upgrade)
+    }
+
+    /// A scene that was loaded or made up by the caller, copied to the device.
+    ///
+    /// # Errors
+    /// When the device has not the memory, or an asset cannot be drawn.
+    pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<SessionScene>, SessionError> {
+        let live = LiveScene::new(&Renderer::new(&self.gpu, self.options.render), loaded)?;
+        let moves = |name: &&String| loaded.agents.iter().any(|agent| agent.name == **name);
+        Ok(Arc::new(SessionScene {
+            rig: loaded.rig.clone(),
+            ego: loaded.ego.clone(),
+            agents: loaded.agents.clone(),
+            plain_agents: loaded.agent_names.iter().filter(|name| !moves(name)).cloned().collect(),
+            live: RwLock::new(live),
+        }))
+    }
+
+    /// Something that draws worlds of this session, as [`SessionOptions::render`] says.
+    #[must_use]
+    pub fn viewer(&self) -> Viewer {
+        Viewer::new(Renderer::new(&self.gpu, self.options.render))
+    }
+}
+
+impl SessionScene {
+    /// The ego vehicle's cameras; none for a splat file.
+    #[must_use]
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// Where the ego vehicle is when, as the scene file says.
+    #[must_use]
+    pub fn ego(&self) -> &Trajectory {
+        &self.ego
+    }
+
+    /// The agents of the scene file that can be moved, with which a [`World`] begins.
+    #[must_use]
+    pub fn agents(&self) -> &[LoadedAgent] {
+        &self.agents
+    }
+
+    /// The agents of plain splats, which stand where they are.
+    #[must_use]
+    pub fn plain_agents(&self) -> &[String] {
+        &self.plain_agents
+    }
+
+    /// Assets that agents may show.
+    #[must_use]
+    pub fn asset_count(&self) -> usize {
+        self.live().asset_count()
+    }
+
+    /// Length, width and height of an asset's box, metres, whose bottom centre is the asset's origin.
+    ///
+    /// # Errors
+    /// When there is no such asset.
+    pub fn asset_dims_m(&self, asset: usize) -> Result<[f32; 3], SessionError> {
+        let live = self.live();
+        live.asset_dims_m(asset).ok_or(SessionError::NoAsset { asset, count: live.asset_count() })
+    }
+
+    /// Copies another compressed asset (`.safetensors`) to the device, for all worlds over this scene; returns its number.
+    ///
+    /// # Errors
+    /// When the file is missing or wrong, or the device has not the memory.
+    pub fn add_asset(&self, path: &Path) -> Result<usize, SessionError> {
+        let asset = read_coded(path)?;
+        Ok(self.live_mut().add_asset(&asset)?)
+    }
+
+    /// Splats of the background.
+    #[must_use]
+    pub fn background_splats(&self) -> usize {
+        self.live().world.splats
+    }
+
+    /// Sums up the light about `places`, so that frames find it ready.
+    pub(crate) fn ready_light(&self, places: &[DVec3]) {
+        if !self.live().has_light_at(places, PROBES_MAX) {
+            self.live_mut().bake_light(places.iter().copied());
+        }
+    }
+
+    pub(crate) fn live(&self) -> RwLockReadGuard<'_, LiveScene> {
+        self.live.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn live_mut(&self) -> RwLockWriteGuard<'_, LiveScene> {
+        self.live.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,179 @@
+//! Draws worlds.
+
+use std::collections::VecDeque;
+
+use decouplegs_render::{ColourFormat, FrameStatistics, Picture, PictureBytes, Renderer, TakenPictures};
+use decouplegs_scene::Camera;
+use glam::DVec3;
+
+use super::batch::{Batch, batches};
+use super::{SessionError, World};
+
+/// A world, and the cameras that look at it.
+#[derive(Clone, Copy)]
+pub struct WorldView<'a> {
+    /// What is seen.
+    pub world: &'a World,
+    /// Who sees it; at least one.
+    pub cameras: &'a [Camera],
+}
+
+/// Draws worlds of one session. Its buffers are kept from frame to frame, so one viewer for one use is fastest.
+pub struct Viewer {
+    renderer: Renderer,
+}
+
+/// Pictures on the host, four bytes a pixel: red, green, blue, alpha. Kept from frame to frame, their memory is used again.
+#[derive(Default)]
+pub struct HostPictures {
+    frames: Vec<PictureBytes>,
+    /// Frame and place in it of each camera, by view.
+    places: Vec<Vec<(usize, usize)>>,
+}
+
+impl HostPictures {
+    /// Pictures of view `view`.
+    #[must_use]
+    pub fn cameras(&self, view: usize) -> usize {
+        self.places[view].len()
+    }
+
+    /// Views that were drawn.
+    #[must_use]
+    pub fn views(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Width and height of a camera's picture, pixels.
+    #[must_use]
+    pub fn size_px(&self, view: usize, camera: usize) -> [u32; 2] {
+        let (frame, place) = self.places[view][camera];
+        self.frames[frame].size_px(place)
+    }
+
+    /// The picture of camera `camera` of view `view`, row by row from the top.
+    #[must_use]
+    pub fn rgba(&self, view: usize, camera: usize) -> &[u8] {
+        let (frame, place) = self.places[view][camera];
+        self.frames[frame].rgba(place)
+    }
+}
+
+impl Viewer {
+    pub(super) fn new(renderer: Renderer) -> Self {
+        Self { renderer }
+    }
+
+    /// How it draws.
+    #[must_use]
+    pub fn renderer(&self) -> &Renderer {
+        &self.renderer
+    }
+
+    /// Draws `views` and brings the pictures to the host. What each frame took is returned: one frame draws up to 32 cameras of
+    /// worlds over the same scene that follow one another, and all frames are submitted before the first is waited for, as far as
+    /// [`decouplegs_render::RenderOptions::frames_in_flight`] lets them.
+    ///
+    /// # Errors
+    /// When a camera or agent cannot make a picture, the device has not the memory or was lost, or pictures are floats.
+    pub fn draw(&mut self, views: &[WorldView<'_>], pictures: &mut HostPictures) -> Result<Vec<FrameStatistics>, SessionError> {
+        if self.renderer.options().outputs.colour != ColourFormat::U8 {
+            return Err(SessionError::NotBytes);
+        }
+        pictures.places = vec![Vec::new(); views.len()];
+        let HostPictures { frames, places } = pictures;
+        self.each_frame(views, |renderer, number, batch| {
+            if frames.len() <= number {
+                frames.push(PictureBytes::default());
+            }
+            renderer.read_bytes(&mut frames[number])?;
+            let own = batch.parts.iter().flat_map(|part| part.cameras.clone().map(|_| part.view));
+            own.enumerate().for_each(|(place, view)| places[view].push((number, place)));
+            Ok(())
+        })
+    }
+
+    /// [`Viewer::draw`], in floats, with depth and instances where the session's outputs have them: `[view][camera]`.
+    ///
+    /// # Errors
+    /// Those of [`Viewer::draw`].
+    pub fn draw_pictures(&mut self, views: &[WorldView<'_>]) -> Result<(Vec<Vec<Picture>>, Vec<FrameStatistics>), SessionError> {
+        let mut pictures: Vec<Vec<Picture>> = vec![Vec::new(); views.len()];
+        let statistics = self.each_frame(views, |renderer, _, batch| {
+            let own = batch.parts.iter().flat_map(|part| part.cameras.clone().map(|_| part.view));
+            own.zip(renderer.read_pictures()?).for_each(|(view, picture)| pictures[view].push(picture));
+            Ok(())
+        })?;
+        Ok((pictures, statistics))
+    }
+
+    /// Draws `views` and leaves the pictures on the device, a frame each: cameras in the order of the views. They stay as they are
+    /// until they are dropped, and with [`decouplegs_render::Outputs::exported`] another API may read them there.
+    ///
+    /// # Errors
+    /// Those of [`Viewer::draw`], and when too many are held already.
+    pub fn draw_on_device(
+        &mut self,
+        views: &[WorldView<'_>],
+    ) -> Result<(Vec<TakenPictures>, Vec<FrameStatistics>), SessionError> {
+        let mut taken = Vec::new();
+        let statistics = self.each_frame(views, |renderer, _, _| {
+            taken.extend(renderer.take_pictures()?);
+            Ok(())
+        })?;
+        Ok((taken, statistics))
+    }
+
+    /// Submits a frame a batch, and calls `done` with each as it is finished.
+    fn each_frame(
+        &mut self,
+        views: &[WorldView<'_>],
+        mut done: impl FnMut(&mut Renderer, usize, &Batch) -> Result<(), SessionError>,
+    ) -> Result<Vec<FrameStatistics>, SessionError> {
+        self.drain();
+        let batches = batches(views, self.pixels_max())?;
+        let mut statistics = Vec::with_capacity(batches.len());
+        let mut waiting: VecDeque<usize> = VecDeque::new();
+        for (number, batch) in batches.iter().enumerate() {
+            if waiting.len() >= self.renderer.options().frames_in_flight.max(1)
+                && let Some(oldest) = waiting.pop_front()
+            {
+                statistics.push(self.renderer.finish()?);
+                done(&mut self.renderer, oldest, &batches[oldest])?;
+            }
+            self.submit(batch, views)?;
+            waiting.push_back(number);
+        }
+        for oldest in waiting {
+            statistics.push(self.renderer.finish()?);
+            done(&mut self.renderer, oldest, &batches[oldest])?;
+        }
+        Ok(statistics)
+    }
+
+    fn submit(&mut self, batch: &Batch, views: &[WorldView<'_>]) -> Result<(), SessionError> {
+        let agents = batch.parts.iter().flat_map(|part| views[part.view].world.agents());
+        let places: Vec<DVec3> = agents.map(|agent| agent.placed.pose.translation).collect();
+        batch.scene.ready_light(&places);
+        let live = batch.scene.live();
+        let cast = batch.cast(&live, views);
+        Ok(self.renderer.submit(cast.over(&live), &batch.cameras(views))?)
+    }
+
+    /// Lets go of frames that a call before left in flight when it failed.
+    fn drain(&mut self) {
+        // Frames that fail are nobody's any more; the loop ends when none is in flight.
+        while self.renderer.is_busy() {
+            let _ = self.renderer.finish();
+        }
+    }
+
+    /// Pixels that one buffer of pictures can hold.
+    fn pixels_max(&self) -> u64 {
+        let bytes = match self.renderer.options().outputs.colour {
+            ColourFormat::F32 => 16,
+            ColourFormat::U8 => 4,
+        };
+        self.renderer.gpu().limits().storage_buffer_bytes_max / bytes
+    }
+}

@@ -1,0 +1,135 @@
+//! A set of agents over a scene.
+
+use std::sync::Arc;
+
+use decouplegs_scene::{Pose, ShFrame};
+
+use super::{SessionError, SessionScene};
+use crate::Placed;
+
+/// Agents have ids from 1 to this.
+const AGENTS_MAX: usize = u16::MAX as usize;
+
+/// Names that an error lists.
+const NAMES_LISTED: usize = 8;
+
+/// An agent of a world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorldAgent {
+    /// Unique in the world.
+    pub name: String,
+    /// What it shows and where it stands.
+    pub placed: Placed,
+}
+
+/// A set of agents over a scene, which other worlds may be over as well: the background is shared, the agents are not.
+#[derive(Clone)]
+pub struct World {
+    scene: Arc<SessionScene>,
+    agents: Vec<WorldAgent>,
+}
+
+impl World {
+    /// The agents of the scene file, where they are at time 0.
+    #[must_use]
+    pub fn new(scene: &Arc<SessionScene>) -> Self {
+        let agent = |agent: &decouplegs_asset::LoadedAgent| WorldAgent {
+            name: agent.name.clone(),
+            placed: Placed {
+                asset: agent.asset,
+                pose: agent.trajectory.at(0.0),
+                sh_frame: Some(agent.sh_frame),
+                instance: agent.instance,
+            },
+        };
+        Self { agents: scene.agents().iter().map(agent).collect(), scene: scene.clone() }
+    }
+
+    /// The background alone.
+    #[must_use]
+    pub fn empty(scene: &Arc<SessionScene>) -> Self {
+        Self { agents: Vec::new(), scene: scene.clone() }
+    }
+
+    /// The scene that it is over.
+    #[must_use]
+    pub fn scene(&self) -> &Arc<SessionScene> {
+        &self.scene
+    }
+
+    /// Its agents, in the order in which equal depths are drawn.
+    #[must_use]
+    pub fn agents(&self) -> &[WorldAgent] {
+        &self.agents
+    }
+
+    /// Puts the agents of the scene file that are still here where their trajectories have them at `time_s`.
+    pub fn set_time(&mut self, time_s: f64) {
+        for loaded in self.scene.agents() {
+            if let Some(agent) = self.agents.iter_mut().find(|agent| agent.name == loaded.name) {
+                agent.placed.pose = loaded.trajectory.at(time_s);
+            }
+        }
+    }
+
+    /// Moves an agent; world coordinates of its origin, the bottom centre of its box.
+    ///
+    /// # Errors
+    /// When there is none of that name, or it is part of the background.
+    pub fn move_to(&mut self, name: &str, pose: Pose) -> Result<(), SessionError> {
+        let index = self.index_of(name)?;
+        self.agents[index].placed.pose = pose;
+        Ok(())
+    }
+
+    /// Adds an agent that shows `asset`, or lets the one of that name show it. `sh_frame` says how the asset's colours are meant; `None`:
+    /// as the asset says. Returns its instance id.
+    ///
+    /// # Errors
+    /// When there is no such asset, or there are as many agents as ids.
+    pub fn place(&mut self, name: &str, asset: usize, pose: Pose, sh_frame: Option<ShFrame>) -> Result<u16, SessionError> {
+        self.scene.asset_dims_m(asset)?;
+        if let Ok(index) = self.index_of(name) {
+            let placed = &mut self.agents[index].placed;
+            *placed = Placed { asset, pose, sh_frame, instance: placed.instance };
+            return Ok(placed.instance);
+        }
+        let instance = self.free_instance()?;
+        self.agents.push(WorldAgent { name: name.to_owned(), placed: Placed { asset, pose, sh_frame, instance } });
+        Ok(instance)
+    }
+
+    /// Takes an agent out.
+    ///
+    /// # Errors
+    /// When there is none of that name, or it is part of the background.
+    pub fn remove(&mut self, name: &str) -> Result<WorldAgent, SessionError> {
+        let index = self.index_of(name)?;
+        Ok(self.agents.remove(index))
+    }
+
+    fn index_of(&self, name: &str) -> Result<usize, SessionError> {
+        if let Some(index) = self.agents.iter().position(|agent| agent.name == name) {
+            return Ok(index);
+        }
+        if self.scene.plain_agents().iter().any(|plain| plain == name) {
+            return Err(SessionError::PlainSplats { name: name.to_owned() });
+        }
+        let mut there: Vec<&str> = self.agents.iter().take(NAMES_LISTED).map(|agent| agent.name.as_str()).collect();
+        if self.agents.len() > NAMES_LISTED {
+            there.push("and more");
+        }
+        let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+        Err(SessionError::NoAgent { name: name.to_owned(), there })
+    }
+
+    /// One above the highest in use, of this world or of the background; the lowest free one where that is the highest there is.
+    fn free_instance(&self) -> Result<u16, SessionError> {
+        let background = self.scene.agents().len() + self.scene.plain_agents().len();
+        let mut taken: Vec<u16> = self.agents.iter().map(|agent| agent.placed.instance).collect();
+        taken.sort_unstable();
+        let above = taken.last().copied().unwrap_or(0).max(background as u16).checked_add(1);
+        let gap = || (1..=u16::MAX).skip(background).find(|id| taken.binary_search(id).is_err());
+        above.or_else(gap).ok_or(SessionError::TooManyAgents { max: AGENTS_MAX })
+    }
+}
