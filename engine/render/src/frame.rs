@@ -1,149 +1,17 @@
-//! The frame: one function that lists the stages in the order they run, and the buffers they pass to each other.
+//! The frame: one function that lists the stages in the order they run.
 
-use decouplegs_gpu::{Buffer, Gpu, GpuError, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Recorder};
 
-use crate::capacity::{Capacity, SortShape};
+use crate::frame_buffers::{AllSplats, FrameBuffers, FrameShape};
 use crate::kernels::{FrameStages, OrderStages};
-use crate::layout::{CAMERAS_MAX, CameraRecord, SortSegment};
+use crate::layout::CAMERAS_MAX;
 use crate::orders::{OrderDecision, OrderPath};
-use crate::output::Outputs;
 use crate::resident::ResidentWorld;
 use crate::slot::FrameSlot;
-use crate::stages::{
-    AgentCounts, Arguments, Control, Measured, OrderPlan, PURPOSE, Pairs, Partials, Plan, Projected, RankLists, Ranked,
-    SortInput, SortScratch, StaticLists, Visible,
-};
+use crate::stages::{AgentCounts, Arguments, Measured, Pairs, Ranked, SortInput};
 
 /// All of a depth key: see `depth_key.glsl`.
 const DEPTH_KEY_BITS: u32 = 32;
-
-/// What the size of a frame's buffers depends on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct FrameShape {
-    pub capacity: Capacity,
-    pub cameras: usize,
-    /// Splats of the background.
-    pub splats: usize,
-    /// Its chunks.
-    pub chunks: usize,
-    pub bins: u32,
-    /// Whether orders are kept.
-    pub ranked: bool,
-}
-
-impl FrameShape {
-    /// Whether buffers of this shape serve a frame of shape `other`.
-    pub fn covers(&self, other: &Self) -> bool {
-        self.capacity == other.capacity && self.with(other) == *self
-    }
-
-    /// The smallest shape, with the capacity of `other`, that covers both.
-    pub fn with(&self, other: &Self) -> Self {
-        Self {
-            capacity: other.capacity,
-            cameras: self.cameras.max(other.cameras),
-            splats: self.splats.max(other.splats),
-            chunks: self.chunks.max(other.chunks),
-            bins: self.bins.max(other.bins),
-            ranked: self.ranked || other.ranked,
-        }
-    }
-}
-
-/// All splats of a background, as the radix sort takes them.
-struct AllSplats {
-    splats: usize,
-    segment: Buffer<SortSegment>,
-    /// The workgroups that the sort needs for them.
-    blocks: Buffer<[u32; 3]>,
-}
-
-impl AllSplats {
-    fn new(gpu: &Gpu, splats: usize, sort: SortShape) -> Result<Self, GpuError> {
-        let all = SortSegment { first: 0, count: splats as u32, first_block: 0 };
-        let blocks = crate::capacity::groups_for(splats.div_ceil(sort.block() as usize));
-        let segment = gpu.upload("all_splats", PURPOSE, &[all])?;
-        Ok(Self { splats, segment, blocks: gpu.upload("all_splat_blocks", PURPOSE, &[blocks])? })
-    }
-}
-
-/// Backgrounds that frames may take turns with before they wait for a small upload.
-const WORLDS_REMEMBERED: usize = 16;
-
-/// The buffers of a frame that only the device sees: frames in flight share them, as they run one after the other.
-pub(crate) struct FrameBuffers {
-    /// What they are made for: as many cameras, splats and so on at most, so that frames that take turns share them.
-    room: FrameShape,
-    /// The frame that is recorded.
-    pub shape: FrameShape,
-    control: Control,
-    cameras: Buffer<CameraRecord>,
-    visible: Visible,
-    firsts: Buffer<u32>,
-    rank_lists: RankLists,
-    order_plan: OrderPlan,
-    /// All splats of a background, by their number: that of the frame is the first.
-    all_splats: Vec<AllSplats>,
-    projected: Projected,
-    /// First records by depth, then pairs by macro tile.
-    sort: SortScratch,
-    pair_counts: Buffer<u32>,
-    range_firsts: Buffer<u32>,
-    plan: Plan,
-    partials: Partials,
-}
-
-impl FrameBuffers {
-    pub fn new(gpu: &Gpu, shape: FrameShape, outputs: &Outputs, sort: SortShape) -> Result<Self, GpuError> {
-        let FrameShape { capacity, cameras, splats, chunks, bins, ranked } = shape;
-        let device = Residence::Device;
-        let keys = capacity.records.max(capacity.pairs).max(if ranked { splats } else { 0 });
-        Ok(Self {
-            room: shape,
-            shape,
-            control: Control::new(gpu)?,
-            cameras: gpu.buffer("cameras", PURPOSE, cameras, device)?,
-            visible: Visible::new(gpu, cameras, chunks)?,
-            firsts: gpu.buffer("firsts", PURPOSE, cameras * chunks + 1, device)?,
-            rank_lists: if ranked { RankLists::new(gpu, cameras, chunks)? } else { RankLists::new(gpu, 0, 0)? },
-            order_plan: OrderPlan::new(gpu)?,
-            all_splats: vec![AllSplats::new(gpu, splats, sort)?],
-            projected: Projected::new(gpu, capacity.records)?,
-            sort: SortScratch::new(gpu, sort, keys)?,
-            pair_counts: gpu.buffer("pair_counts", PURPOSE, capacity.pair_blocks(), device)?,
-            range_firsts: gpu.buffer("range_firsts", PURPOSE, bins as usize + 1, device)?,
-            plan: Plan::new(gpu, &capacity, bins)?,
-            partials: Partials::new(gpu, capacity.partials, outputs)?,
-        })
-    }
-
-    /// Makes them those of a frame of `shape`, which they cover.
-    pub fn set(&mut self, gpu: &Gpu, shape: FrameShape, sort: SortShape) -> Result<(), GpuError> {
-        match self.all_splats.iter().position(|all| all.splats == shape.splats) {
-            Some(place) => self.all_splats.swap(0, place),
-            None => {
-                self.all_splats.truncate(WORLDS_REMEMBERED - 1);
-                self.all_splats.insert(0, AllSplats::new(gpu, shape.splats, sort)?);
-            }
-        }
-        self.shape = shape;
-        Ok(())
-    }
-
-    /// What they are made for.
-    pub fn room(&self) -> &FrameShape {
-        &self.room
-    }
-
-    fn static_lists(&self) -> StaticLists<'_> {
-        StaticLists {
-            camera_count: self.shape.cameras,
-            chunk_count: self.shape.chunks,
-            firsts: &self.firsts,
-            records_max: self.shape.capacity.records,
-        }
-    }
-}
 
 /// What a frame draws, beside the agents, which are in its slot.
 #[derive(Clone, Copy)]

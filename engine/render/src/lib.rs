@@ -9,6 +9,7 @@ mod asset_pool;
 mod contributions;
 mod error;
 mod frame;
+mod frame_buffers;
 mod kernels;
 mod options;
 mod orders;
@@ -19,6 +20,7 @@ mod relit;
 mod renderer;
 mod resident;
 mod slot;
+mod statistics;
 mod taken;
 
 pub mod capacity;

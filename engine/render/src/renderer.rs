@@ -1,7 +1,7 @@
 //! Draws worlds: the public face of the frame.
 
 use std::collections::VecDeque;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use decouplegs_gpu::{Buffer, DeviceKind, Gpu, QueueRole, Ticket};
 use decouplegs_scene::{Camera, DepthOrder, EarlyStop, World};
@@ -9,10 +9,11 @@ use decouplegs_scene::{Camera, DepthOrder, EarlyStop, World};
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::{Capacity, SortShape};
-use crate::frame::{FrameBuffers, FrameInput, FrameShape, record_agents, record_frame};
+use crate::frame::{FrameInput, record_agents, record_frame};
+use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::kernels::{AgentVariant, FrameVariant, Kernels};
 use crate::layout::{Needs, View, near_m};
-use crate::options::{FrameStatistics, OrderError, QueueTrace, RenderOptions};
+use crate::options::{FrameStatistics, RenderOptions};
 use crate::orders::{OrderDecision, OrderPath, Orders};
 use crate::resident::ResidentWorld;
 use crate::slot::{FrameSlot, Pending};
@@ -192,7 +193,13 @@ impl Renderer {
                 self.check_uncut_lists(&needs)?;
                 self.shown = Some(slot);
                 self.slots[slot].done = Some(pending.frame.clone());
-                return self.statistics(slot, &pending, needs, redrawn, awaited);
+                let statistics = self.slots[slot].statistics(&pending, needs, redrawn, awaited)?;
+                if statistics.orders.contains(&OrderPath::RepairFailed)
+                    && let Some(kept) = &mut self.orders
+                {
+                    kept.repair_failed();
+                }
+                return Ok(statistics);
             }
             // Another frame may have grown the buffers since.
             let capacity = self.capacity.unwrap_or(pending.capacity);
@@ -245,56 +252,6 @@ impl Renderer {
             return Err(RenderError::ListTooLong { longest: needs.longest, max: UNCUT_PAIRS_MAX_IN_SOFTWARE });
         }
         Ok(())
-    }
-
-    fn statistics(
-        &mut self,
-        slot: usize,
-        pending: &Pending,
-        needs: Needs,
-        redrawn: u32,
-        awaited: Instant,
-    ) -> Result<FrameStatistics, RenderError> {
-        let found = self.slots[slot].found_inversions.read_host();
-        let mut orders = pending.orders.paths.clone();
-        for (path, &inversions) in orders.iter_mut().zip(&found) {
-            if *path == OrderPath::Repaired && inversions > 0 {
-                *path = OrderPath::RepairFailed;
-            }
-        }
-        if orders.contains(&OrderPath::RepairFailed)
-            && let Some(kept) = &mut self.orders
-        {
-            kept.repair_failed();
-        }
-        let order_error = orders.contains(&OrderPath::Stale).then(|| {
-            let [bits, pixels_above_255th] = self.slots[slot].found_order_error.read_host()[0];
-            OrderError { max: f32::from_bits(bits), pixels_above_255th }
-        });
-        let list = self.slots[slot].list.as_ref();
-        let mut queues = vec![QueueTrace::of("main", &pending.frame)?];
-        if let Some(update) = &pending.update {
-            queues.push(QueueTrace::of("update", update)?);
-        }
-        Ok(FrameStatistics {
-            needs,
-            capacity: pending.capacity,
-            redrawn,
-            inversions: found[..orders.len()].to_vec(),
-            orders,
-            order_error,
-            agents: list.map_or(0, |list| list.counts.agents),
-            agent_splats: list.map_or(0, |list| list.splats),
-            relit: list.map_or(0, |_| self.slots[slot].relit.to_make.0),
-            gpu_time: Duration::from_nanos(queues[0].total_ns),
-            stages: queues[0].stages.clone(),
-            update_time: queues.get(1).map(|update| Duration::from_nanos(update.total_ns)),
-            queues,
-            submitted: (pending.since, pending.submitted),
-            awaited: (awaited, Instant::now()),
-            wall_time: pending.since.elapsed(),
-            record_time: pending.record_time,
-        })
     }
 
     /// A slot that no frame in flight has, one with room for just `pixels` if there is one: frames of two sizes that take turns

@@ -1,0 +1,57 @@
+//! What a finished frame took, gathered from what its slot holds.
+
+use std::time::{Duration, Instant};
+
+use crate::RenderError;
+use crate::layout::Needs;
+use crate::options::{FrameStatistics, OrderError, QueueTrace};
+use crate::orders::OrderPath;
+use crate::slot::{FrameSlot, Pending};
+
+impl FrameSlot {
+    /// What the frame `pending` of this slot took, which needed `needs`, was drawn again `redrawn` times, and that the host waited for
+    /// since `awaited`.
+    pub fn statistics(
+        &self,
+        pending: &Pending,
+        needs: Needs,
+        redrawn: u32,
+        awaited: Instant,
+    ) -> Result<FrameStatistics, RenderError> {
+        let found = self.found_inversions.read_host();
+        let mut orders = pending.orders.paths.clone();
+        for (path, &inversions) in orders.iter_mut().zip(&found) {
+            if *path == OrderPath::Repaired && inversions > 0 {
+                *path = OrderPath::RepairFailed;
+            }
+        }
+        let order_error = orders.contains(&OrderPath::Stale).then(|| {
+            let [bits, pixels_above_255th] = self.found_order_error.read_host()[0];
+            OrderError { max: f32::from_bits(bits), pixels_above_255th }
+        });
+        let list = self.list.as_ref();
+        let mut queues = vec![QueueTrace::of("main", &pending.frame)?];
+        if let Some(update) = &pending.update {
+            queues.push(QueueTrace::of("update", update)?);
+        }
+        Ok(FrameStatistics {
+            needs,
+            capacity: pending.capacity,
+            redrawn,
+            inversions: found[..orders.len()].to_vec(),
+            orders,
+            order_error,
+            agents: list.map_or(0, |list| list.counts.agents),
+            agent_splats: list.map_or(0, |list| list.splats),
+            relit: list.map_or(0, |_| self.relit.to_make.0),
+            gpu_time: Duration::from_nanos(queues[0].total_ns),
+            stages: queues[0].stages.clone(),
+            update_time: queues.get(1).map(|update| Duration::from_nanos(update.total_ns)),
+            queues,
+            submitted: (pending.since, pending.submitted),
+            awaited: (awaited, Instant::now()),
+            wall_time: pending.since.elapsed(),
+            record_time: pending.record_time,
+        })
+    }
+}
