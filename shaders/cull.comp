@@ -10,6 +10,7 @@
 #include "footprint.glsl"
 #include "projection.glsl"
 #include "visibility.glsl"
+#include "lens.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -51,7 +52,7 @@ void main() {
     mat3 axes;
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         Camera camera = cameras[camera_index];
-        if (splat_index >= splat_count || !chunk_reaches(chunk, camera)) {
+        if (splat_index >= splat_count || !chunk_reaches_seen(chunk, camera, camera_index)) {
             continue;
         }
         if (!loaded) {
@@ -67,7 +68,7 @@ void main() {
         vec3 offset = from_camera_m(mean_m, camera);
         vec3 t = to_camera_axes(camera, offset);
         Footprint splat;
-        if (project_splat(camera, t, axes, opacity, splat) && splat_reaches(splat, camera)) {
+        if (project_splat_seen(camera, camera_index, t, axes, opacity, splat) && splat_reaches(splat, camera)) {
             atomicOr(words[camera_index * CHUNK_WORDS + thread / 32u], 1u << (thread % 32u));
             if (RANKED && view_orders[camera_index].path != ORDER_SORTED) {
                 uint rank = ranks[view_orders[camera_index].rank_set * splat_count + splat_index];

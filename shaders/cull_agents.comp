@@ -8,6 +8,7 @@
 #include "footprint.glsl"
 #include "projection.glsl"
 #include "visibility.glsl"
+#include "lens.glsl"
 #include "agent.glsl"
 
 layout(local_size_x = 256) in;
@@ -46,7 +47,7 @@ void main() {
             continue;
         }
         Camera camera = agent_cameras[agent_index * camera_count + camera_index];
-        if (!chunk_reaches(chunk, camera)) {
+        if (!chunk_reaches_seen(chunk, camera, camera_index)) {
             continue;
         }
         if (!loaded) {
@@ -56,7 +57,7 @@ void main() {
         }
         vec3 t = to_camera_axes(camera, from_camera_m(coded.mean_m, camera));
         Footprint splat;
-        if (project_splat(camera, t, axes, coded.opacity, splat) && splat_reaches(splat, camera)) {
+        if (project_splat_seen(camera, camera_index, t, axes, coded.opacity, splat) && splat_reaches(splat, camera)) {
             atomicOr(words[camera_index * CHUNK_WORDS + thread / 32u], 1u << (thread % 32u));
         }
     }

@@ -12,6 +12,7 @@
 #include "footprint.glsl"
 #include "projection.glsl"
 #include "visibility.glsl"
+#include "lens.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "record.glsl"
@@ -137,7 +138,7 @@ void main() {
         vec3 offset = from_camera_m(mean_m, camera);
         vec3 t = to_camera_axes(camera, offset);
         Record record;
-        project_splat(camera, t, axes, opacity, record.splat);
+        project_splat_seen(camera, camera_index, t, axes, opacity, record.splat);
         record.depth_m = RADIAL ? length(offset) : t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
         vec3 colour = sh_colour(sh_dc[splat_index], splat_index, splat_count, normalize(offset));

@@ -10,6 +10,7 @@
 #include "footprint.glsl"
 #include "projection.glsl"
 #include "visibility.glsl"
+#include "lens.glsl"
 #include "double_float.glsl"
 #include "depth_key.glsl"
 #include "record.glsl"
@@ -94,7 +95,7 @@ void main() {
         vec3 offset = from_camera_m(coded.mean_m, camera);
         vec3 t = to_camera_axes(camera, offset);
         Record record;
-        project_splat(camera, t, axes, coded.opacity, record.splat);
+        project_splat_seen(camera, camera_index, t, axes, coded.opacity, record.splat);
         record.depth_m = RADIAL ? length(offset) : t.z;
         record.instance = agent.instance;
         vec3 d = normalize(offset);

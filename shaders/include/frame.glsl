@@ -34,7 +34,7 @@ struct Camera {
 struct Chunk {
     vec3 centre_m; // of the box around the means
     vec3 half_extent_m;
-    float reach_m; // longest standard deviation times cut-off radius of any splat in it
+    float reach_m; // longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it
 };
 
 // How many were wanted, whatever the capacity: the host grows the buffers that were too small and draws again.

@@ -23,7 +23,7 @@ fn noise(index: usize, stream: u64) -> f32 {
 }
 
 /// Splats of all kinds in front of the camera.
-fn crowd(count: usize) -> Vec<Splat> {
+pub fn crowd(count: usize) -> Vec<Splat> {
     (0..count)
         .map(|i| Splat {
             mean_m: [(noise(i, 1) - 0.5) * 12.0, (noise(i, 2) - 0.5) * 8.0, 1.0 + 20.0 * noise(i, 3)],

@@ -6,6 +6,7 @@ mod editing;
 mod growth;
 mod hard_cases;
 mod in_flight;
+mod lenses;
 mod light;
 mod orders;
 mod outputs;

@@ -6,12 +6,12 @@ mod hard_clouds;
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{CHUNK_SPLATS, near_m};
 use decouplegs::render::stages::{AgentCounts, CullAgents, ProjectAgents, Projected, SortScratch};
-use decouplegs::render::twins::{self, agent::UnpackedSplat};
+use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
 use decouplegs::scene::{Camera, ColourTransfer, DepthOrder, Pose, Rules};
 use glam::{DQuat, DVec3};
 
 use super::project::rounding::{Projection, check_keys, check_record, check_tile_counts};
-use super::scenes::{ProjectedTwin, rig};
+use super::scenes::{ProjectedTwin, lens_rig, rig};
 use super::{ROUNDOFF, UNTOUCHED, identical, open, run, sort_shape, untouched, upload};
 use crate::device::Validated;
 use hard_agents::{AgentScene, ListedAgents, Placed, hard_agents};
@@ -20,7 +20,7 @@ use hard_clouds::hard_cloud;
 /// What the kernel sees: bits and counts.
 fn visible(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
     let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
-    let cull = CullAgents::new(gpu, rules).unwrap();
+    let cull = CullAgents::new(gpu, rules, !scene.lenses.is_empty()).unwrap();
     run(gpu, |r| cull.record(r, &pool, &buffers, scene.counts));
     (gpu.read(&buffers.visible.words).unwrap(), gpu.read(&buffers.visible.counts).unwrap())
 }
@@ -57,6 +57,7 @@ fn hard_agents_are_seen_by_the_same_cameras() {
     let scene = hard_agents(&rig());
     for rules in [Rules::DEFAULT, Rules::INRIA, Rules { antialias: true, ..Rules::DEFAULT }] {
         compare_bits(&gpu, &scene, rules);
+        compare_bits(&gpu, &hard_agents(&lens_rig()), rules);
     }
 }
 
@@ -144,7 +145,7 @@ impl Case {
         let fill = |buffer: &Buffer<u32>| gpu.write(buffer, 0, &vec![UNTOUCHED; *room]).unwrap();
         [&projected.tile_counts, &sort.keys[0], &sort.values[0]].into_iter().for_each(fill);
         let (relit, is_relit) = (scene.relit(gpu), !scene.relit_dc.is_empty());
-        let project = ProjectAgents::new(gpu, rules, *sh_degree, is_relit).unwrap();
+        let project = ProjectAgents::new(gpu, rules, *sh_degree, is_relit, !scene.lenses.is_empty()).unwrap();
         let lists = STATIC_FIRSTS.len() - 1;
         run(gpu, |r| {
             project.record(r, &pool, &buffers, &relit, scene.counts, &static_firsts, lists, &projected, &sort);
@@ -167,6 +168,7 @@ impl Case {
         let dc = dc_of[entry].iter().chain(coded.dc_residual.as_ref()).map(|value| f64::from(value.abs())).sum::<f64>();
         Projection {
             camera: self.scene.camera(agent, camera),
+            lens: lens_of(&self.scene.lenses, camera).map(|lens| (self.scene.maps[camera], lens)),
             mean_m: coded.mean_m,
             axes: axes.as_dmat3(),
             // Entries of a factor are stored; only their size and the dot products are rounded.
@@ -209,6 +211,8 @@ fn records_of_hard_agents() {
         };
         assert!(kinds(|record| record.0) == 4 && kinds(|record| record.1) >= 6, "cameras or agents without a record");
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
+        let through = Case::new(hard_agents(&lens_rig()), rules, sh_degree);
+        through.check(&through.kernel(&gpu), &through.twin()).unwrap();
     }
 }
 
@@ -264,8 +268,10 @@ fn no_agents_are_nothing() {
     let projected = Projected::new(&gpu, 8).unwrap();
     let sort = SortScratch::new(&gpu, sort_shape(&gpu), 8).unwrap();
     gpu.write(&sort.keys[0], 0, &[UNTOUCHED; 8]).unwrap();
-    let (cull, project) =
-        (CullAgents::new(&gpu, &Rules::DEFAULT).unwrap(), ProjectAgents::new(&gpu, &Rules::DEFAULT, 3, false).unwrap());
+    let (cull, project) = (
+        CullAgents::new(&gpu, &Rules::DEFAULT, false).unwrap(),
+        ProjectAgents::new(&gpu, &Rules::DEFAULT, 3, false, false).unwrap(),
+    );
     let (none, static_firsts) = (AgentCounts { cameras: 4, ..AgentCounts::default() }, untouched(&gpu, 1));
     run(&gpu, |r| {
         cull.record(r, &pool, &buffers, none);

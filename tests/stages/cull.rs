@@ -2,9 +2,10 @@
 
 use decouplegs::render::layout::CHUNK_SPLATS;
 use decouplegs::render::stages::{Cull, Visible};
+use decouplegs::render::twins::lens::lens_of;
 use decouplegs::scene::{Camera, Rules, World};
 
-use super::scenes::{Scene, Unranked, hard_world, rig};
+use super::scenes::{Scene, Unranked, hard_world, lens_rig, rig};
 use super::{UNTOUCHED, identical, open, run};
 use crate::device::Validated;
 
@@ -14,8 +15,9 @@ fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<u32>
     let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();
     gpu.write(&visible.words, 0, &vec![UNTOUCHED; visible.words.len()]).unwrap();
     gpu.write(&visible.counts, 0, &vec![UNTOUCHED; visible.counts.len()]).unwrap();
-    let (cull, unranked) = (Cull::new(gpu, rules, false).unwrap(), Unranked::new(gpu));
-    run(gpu, |r| cull.record(r, &scene.resident, &scene.camera_buffer, cameras, &visible, &unranked.ranked()));
+    let (cull, unranked) = (Cull::new(gpu, rules, false, !scene.view.lenses.is_empty()).unwrap(), Unranked::new(gpu));
+    let (of_cameras, lenses) = (&scene.camera_buffer, &scene.lens_buffer);
+    run(gpu, |r| cull.record(r, &scene.resident, of_cameras, lenses, cameras, &visible, &unranked.ranked()));
     (gpu.read(&visible.words).unwrap(), gpu.read(&visible.counts).unwrap())
 }
 
@@ -56,6 +58,7 @@ fn hard_splats_are_seen_by_the_same_cameras() {
     let gpu = open();
     for rules in [Rules::DEFAULT, Rules::INRIA, Rules { antialias: true, ..Rules::DEFAULT }] {
         compare(&gpu, &hard_world(3000, 1), &rig(), rules);
+        compare(&gpu, &hard_world(3000, 1), &lens_rig(), rules);
     }
 }
 
@@ -78,15 +81,21 @@ fn as_many_cameras_as_there_may_be() {
 
 #[test]
 fn spatial_chunks_are_dropped_without_loss() {
+    drop_chunks_of(&rig());
+    drop_chunks_of(&lens_rig());
+}
+
+fn drop_chunks_of(rig: &[Camera]) {
     // Small splats in spatial order: many chunks lie outside of a camera's view, so that the test of boxes decides.
     let gpu = open();
     let small: Vec<u32> = (0..16_000).filter(|i| i % 16 >= 6).collect();
     let small = hard_world(16_000, 7).splats.select(&small);
     let ordered = World::of(small.select(&small.spatial_order()));
-    let scene = Scene::new(&gpu, &ordered, &rig());
+    let scene = Scene::new(&gpu, &ordered, rig);
     let near_m = decouplegs::render::layout::near_m(&Rules::DEFAULT);
     let reach = |camera: usize, chunk: usize| {
-        decouplegs::render::twins::chunk_reaches(&scene.chunks[chunk], &scene.view.cameras[camera], near_m)
+        let lens = lens_of(&scene.view.lenses, camera);
+        decouplegs::render::twins::chunk_reaches_seen(&scene.chunks[chunk], &scene.view.cameras[camera], lens, near_m)
     };
     let dropped = (0..scene.chunks.len()).filter(|&chunk| !reach(0, chunk)).count();
     assert!(dropped > 0, "no chunk is dropped: the test shows nothing");
@@ -97,7 +106,7 @@ fn spatial_chunks_are_dropped_without_loss() {
             }
         }
     }
-    compare(&gpu, &ordered, &rig(), Rules::DEFAULT);
+    compare(&gpu, &ordered, rig, Rules::DEFAULT);
 }
 
 #[test]

@@ -20,7 +20,7 @@ mod ranks;
 mod relight;
 mod repair_order;
 mod scan;
-mod scenes;
+pub mod scenes;
 mod sort;
 mod subgroups;
 

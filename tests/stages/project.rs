@@ -4,11 +4,12 @@ pub mod rounding;
 
 use decouplegs::render::stages::{Project, ProjectVariant, Projected, SortScratch, Visible};
 use decouplegs::render::twins;
+use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::shadow::shadow_factor;
-use decouplegs::scene::{DepthOrder, Rules};
+use decouplegs::scene::{Camera, DepthOrder, RayMap, Rules};
 
-use super::scenes::{Listed, ProjectedTwin, Scene, Unranked, hard_world, rig};
+use super::scenes::{Listed, ProjectedTwin, Scene, Unranked, hard_world, lens_rig, rig};
 use super::{ROUNDOFF, UNTOUCHED, identical, open, run, sort_shape, upload};
 use crate::device::Validated;
 use rounding::{Projection, check_keys, check_record, check_tile_counts};
@@ -16,6 +17,7 @@ use rounding::{Projection, check_keys, check_record, check_tile_counts};
 /// One run of the stage: what is drawn and how.
 pub struct Case {
     pub scene: Scene,
+    maps: Vec<RayMap>,
     listed: Listed,
     rules: Rules,
     variant: ProjectVariant,
@@ -24,10 +26,15 @@ pub struct Case {
 
 impl Case {
     pub fn new(gpu: &Validated, splats: usize, rules: Rules, variant: ProjectVariant) -> Self {
-        let scene = Scene::new(gpu, &hard_world(splats, 11), &rig());
+        Self::seen_by(gpu, splats, &rig(), rules, variant)
+    }
+
+    fn seen_by(gpu: &Validated, splats: usize, cameras: &[Camera], rules: Rules, variant: ProjectVariant) -> Self {
+        let scene = Scene::new(gpu, &hard_world(splats, 11), cameras);
+        let maps = cameras.iter().map(|camera| RayMap::new(&camera.intrinsics)).collect();
         let listed = scene.listed(&rules);
         let room = listed.records.len();
-        Self { scene, listed, rules, variant, room }
+        Self { scene, maps, listed, rules, variant, room }
     }
 
     pub fn twin(&self) -> ProjectedTwin {
@@ -35,7 +42,7 @@ impl Case {
     }
 
     pub fn kernel(&self, gpu: &Validated) -> ProjectedTwin {
-        let Self { scene, listed, rules, variant, room } = self;
+        let Self { scene, listed, rules, variant, room, .. } = self;
         let cameras = scene.view.cameras.len();
         let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();
         gpu.write(&visible.words, 0, &listed.words).unwrap();
@@ -48,12 +55,13 @@ impl Case {
         let firsts = upload(gpu, &listed.firsts);
         let project = Project::new(gpu, rules, *variant).unwrap();
         run(gpu, |r| {
-            let (cameras_of, ranked) = (&scene.camera_buffer, unranked.ranked());
+            let (cameras_of, lenses, ranked) = (&scene.camera_buffer, &scene.lens_buffer, unranked.ranked());
             let (shadows, count) = (&shadows, scene.shadows.len());
             project.record(
                 r,
                 &scene.resident,
                 cameras_of,
+                lenses,
                 cameras,
                 &visible,
                 &firsts,
@@ -80,6 +88,7 @@ impl Case {
         let shape = scene.shapes[splat];
         Projection {
             camera: &scene.view.cameras[camera],
+            lens: lens_of(&scene.view.lenses, camera).map(|lens| (self.maps[camera], lens)),
             mean_m: scene.means_m[splat],
             axes: axes_of(shape, scene.rotations[splat]).as_dmat3(),
             // Entries of the rotation are sums of products off by some roundings of 1.
@@ -131,7 +140,7 @@ impl Case {
 
 /// Colours of degree 0 and nothing else.
 pub const PLAIN: ProjectVariant =
-    ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false, shadows: false, shadows_by_camera: false };
+    ProjectVariant { sh_degree: 0, instances: false, ranked: false, splat_ids: false, shadows: false, shadows_by_camera: false, lenses: false };
 
 #[test]
 fn records_of_hard_splats() {
@@ -144,6 +153,20 @@ fn records_of_hard_splats() {
         (Rules::DEFAULT, ProjectVariant { splat_ids: true, ..PLAIN }),
     ] {
         let case = Case::new(&gpu, 3000, rules, variant);
+        case.check(&case.kernel(&gpu), &case.twin()).unwrap();
+    }
+}
+
+#[test]
+fn records_through_lenses() {
+    let gpu = open();
+    for (rules, variant) in [
+        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, lenses: true, ..PLAIN }),
+        (Rules { antialias: true, order: DepthOrder::Radial, ..Rules::INRIA }, ProjectVariant { lenses: true, ..PLAIN }),
+    ] {
+        let case = Case::seen_by(&gpu, 3000, &lens_rig(), rules, variant);
+        let cameras: std::collections::BTreeSet<usize> = case.listed.records.iter().map(|record| record.0).collect();
+        assert_eq!(cameras.len(), 4, "a lens shows nothing");
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
     }
 }

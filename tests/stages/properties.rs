@@ -153,7 +153,20 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     let project = Project::new(gpu, &Rules::DEFAULT, PLAIN).unwrap();
     run(gpu, |r| {
         let (camera, ranked) = (&scene.camera_buffer, unranked.ranked());
-        project.record(r, &scene.resident, camera, 1, &visible, &firsts, &projected, &sort, &ranked, &shadows, 0);
+        project.record(
+            r,
+            &scene.resident,
+            camera,
+            &scene.lens_buffer,
+            1,
+            &visible,
+            &firsts,
+            &projected,
+            &sort,
+            &ranked,
+            &shadows,
+            0,
+        );
     });
     gpu.read(&sort.keys[0]).unwrap()
 }

@@ -190,8 +190,8 @@ fn culling_marks_ranks_where_orders_are_kept() {
     let (scene, rules) = (&case.scene, Rules::DEFAULT);
     let visible = Visible::new(&gpu, 4, scene.chunks.len()).unwrap();
     let lists = case.lists(&gpu, &case.kept.rank_words);
-    let cull = Cull::new(&gpu, &rules, true).unwrap();
-    run(&gpu, |r| cull.record(r, &scene.resident, &scene.camera_buffer, 4, &visible, &case.ranked(&lists)));
+    let cull = Cull::new(&gpu, &rules, true, false).unwrap();
+    run(&gpu, |r| cull.record(r, &scene.resident, &scene.camera_buffer, &scene.lens_buffer, 4, &visible, &case.ranked(&lists)));
     let (words, rank_words) = (gpu.read(&visible.words).unwrap(), gpu.read(&lists.words).unwrap());
     let (_, _, twin_words) = scene.culled_by_rank(&rules, &case.kept);
     let mut seen = 0;
@@ -230,7 +230,20 @@ impl Case {
         let (project, shadows) = (Project::new(gpu, &Rules::DEFAULT, RANKED).unwrap(), scene.shadow_buffers(gpu));
         run(gpu, |r| {
             let (cameras, ranked) = (&scene.camera_buffer, self.ranked(&lists));
-            project.record(r, &scene.resident, cameras, 4, &visible, &firsts, &projected, &sort, &ranked, &shadows, 0);
+            project.record(
+                r,
+                &scene.resident,
+                cameras,
+                &scene.lens_buffer,
+                4,
+                &visible,
+                &firsts,
+                &projected,
+                &sort,
+                &ranked,
+                &shadows,
+                0,
+            );
         });
         let [keys, values, unranked_keys] = written.map(|buffer| gpu.read(buffer).unwrap());
         Placed { keys, values, unranked_keys }

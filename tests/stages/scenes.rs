@@ -2,11 +2,13 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::ResidentWorld;
-use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, ShadowRecord, View, ViewOrder};
+use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, ShadowRecord, View, ViewOrder};
 use decouplegs::render::stages::{ProjectVariant, RankLists, Ranked, ShadowBuffers, words_for};
-use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
+use decouplegs::render::twins::lens::{lens_of, project_splat_seen};
+use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
 use decouplegs::render::twins::{self, footprint::Footprint, sh::Stored};
-use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
+use decouplegs::scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 
 use super::{ROUNDOFF, Random, UNTOUCHED, upload};
@@ -74,11 +76,40 @@ pub fn rig() -> Vec<Camera> {
     ]
 }
 
+/// A pinhole, distorted ones, and lenses by angle that end inside the image and beyond it.
+pub fn lens_rig() -> Vec<Camera> {
+    let lenses = [
+        Lens::Pinhole,
+        Lens::OpenCv(OpenCv {
+            radial: [-0.3, 0.1, -0.004, 0.02, -0.01, 0.003],
+            tangential: [0.002, -0.001],
+            thin_prism: [0.001, -0.0005, -0.0007, 0.0002],
+        }),
+        Lens::Fisheye(Fisheye { radial: [-0.02, 0.004, -0.002, 0.0003], max_angle_rad: 1.3 }),
+        Lens::FTheta(FTheta {
+            reference: FThetaReference::PixelDistanceToAngle,
+            pixel_distance_to_angle: [0.0, 0.0042, 5.6e-7, -6.4e-9, 3.8e-11, -5.8e-14],
+            angle_to_pixel_distance: [0.0; 6],
+            max_angle_rad: 1.2,
+            linear_cde: [0.9998, 6.3e-4, -1.0e-3],
+        }),
+    ];
+    let focal_px = [180.0, 150.0, 110.0, 238.0];
+    let with = |(mut camera, (lens, focal_px)): (Camera, (Lens, f64))| {
+        let size = (400, 260);
+        camera.intrinsics = Intrinsics { lens, ..Intrinsics::from_horizontal_fov(size.0, size.1, 1.0) };
+        (camera.intrinsics.fx_px, camera.intrinsics.fy_px, camera.intrinsics.cx_px) = (focal_px, 1.01 * focal_px, 207.5);
+        camera
+    };
+    rig().into_iter().zip(lenses.into_iter().zip(focal_px)).map(with).collect()
+}
+
 /// A world on the device, its bytes as the kernels read them, and the cameras.
 pub struct Scene {
     pub resident: ResidentWorld,
     pub view: View,
     pub camera_buffer: Buffer<CameraRecord>,
+    pub lens_buffer: Buffer<LensRecord>,
     pub chunks: Vec<ChunkRecord>,
     pub means_m: Vec<[f32; 3]>,
     pub shapes: Vec<[f32; 4]>,
@@ -96,6 +127,7 @@ impl Scene {
         let view = View::new(cameras, world.origin, resident.reach_m).unwrap();
         Self {
             camera_buffer: upload(gpu, &view.cameras),
+            lens_buffer: upload(gpu, &view.lenses),
             chunks: gpu.read(&resident.chunks).unwrap(),
             means_m: gpu.read(&resident.means).unwrap(),
             shapes: gpu.read(&resident.shapes).unwrap(),
@@ -150,6 +182,7 @@ impl Scene {
             &kept.view_orders,
             &kept.ranks,
             &mut rank_words,
+            &self.view.lenses,
             Variant::of(rules),
             kept.is_any(),
         );
@@ -160,7 +193,8 @@ impl Scene {
     pub fn settled_visibility(&self, camera: usize, splat: usize, rules: &Rules) -> Option<bool> {
         let (shape, rotation) = (self.shapes[splat], self.rotations[splat]);
         let axes = axes_of(shape, rotation);
-        settled_visibility(&self.view.cameras[camera], self.means_m[splat], axes, 16.0 * ROUNDOFF, shape[3], rules)
+        let (camera, lens) = (&self.view.cameras[camera], lens_of(&self.view.lenses, camera));
+        settled_visibility(camera, lens, self.means_m[splat], axes, 16.0 * ROUNDOFF, shape[3], rules)
     }
 }
 
@@ -170,6 +204,7 @@ impl Scene {
 /// opacity by some roundings of its own.
 pub fn settled_visibility(
     camera: &CameraRecord,
+    lens: Option<&LensRecord>,
     mean_m: [f32; 3],
     axes: Mat3,
     size_share: f64,
@@ -180,7 +215,7 @@ pub fn settled_visibility(
     let t = to_camera_axes(camera, offset);
     let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
     let visible = |t: Vec3, size: f32, opacity: f32| {
-        let (footprint, drawn) = project_splat(camera, t, axes * size, opacity, Variant::of(rules));
+        let (footprint, drawn) = project_splat_seen(camera, lens, t, axes * size, opacity, Variant::of(rules));
         drawn && twins::count_macro_tiles(&footprint, camera) > 0
     };
     let decision = visible(t, 1.0, opacity);
@@ -337,6 +372,7 @@ impl Scene {
             &mut unranked_keys,
             &self.shadows,
             &self.shadow_words(),
+            &self.view.lenses,
             Variant::of(rules),
             usize::from(variant.sh_degree),
             rules.order == decouplegs::scene::DepthOrder::Radial,

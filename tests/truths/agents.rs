@@ -107,7 +107,7 @@ fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((u
     let projected = Projected::new(gpu, room).unwrap();
     let shape = SortShape::for_device(gpu.limits().subgroup_size, gpu.limits().workgroup_threads_max);
     let sort = SortScratch::new(gpu, shape, room).unwrap();
-    let project = ProjectAgents::new(gpu, rules, 3, false).unwrap();
+    let project = ProjectAgents::new(gpu, rules, 3, false, false).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     project.record(&mut recorder, &pool, &buffers, &scene.relit(gpu), scene.counts, &static_firsts, 0, &projected, &sort);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();

@@ -10,7 +10,7 @@ mod properties;
 mod rules;
 
 use decouplegs::render::{Picture, RenderOptions, Renderer};
-use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
 
 use crate::device::Validated;
 use crate::frames::{Splat, all_outputs, world_of};
@@ -36,6 +36,7 @@ fn square_camera(size_px: u32) -> Camera {
             fy_px: 100.0,
             cx_px: centre_px,
             cy_px: centre_px,
+            lens: Lens::Pinhole,
         },
         world_from_camera: Pose::IDENTITY,
     }

@@ -93,9 +93,10 @@ impl Stage {
         let seen = |place: DVec3| {
             let of = |camera: &Camera| {
                 let at = camera.world_from_camera.inverse().transform(place);
-                let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px } = camera.intrinsics;
-                let (x, y) = (fx_px * at.x / at.z + cx_px, fy_px * at.y / at.z + cy_px);
-                let inside = (0.0..f64::from(width_px)).contains(&x) && (0.0..f64::from(height_px)).contains(&y);
+                let Intrinsics { width_px, height_px, .. } = camera.intrinsics;
+                let inside = camera.intrinsics.project(at).is_some_and(|pixel| {
+                    (0.0..f64::from(width_px)).contains(&pixel.x) && (0.0..f64::from(height_px)).contains(&pixel.y)
+                });
                 if at.z > NEAR_M && inside { at.length_squared().recip() } else { 0.0 }
             };
             cameras.iter().map(of).sum::<f64>()

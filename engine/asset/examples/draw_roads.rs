@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use decouplegs_asset::roads::{self, RoadsOptions};
 use decouplegs_asset::{SceneFile, inria_ply, read_map};
-use decouplegs_scene::{Intrinsics, LaneKind, Pose, Rig, RigCamera, Trajectory};
+use decouplegs_scene::{Intrinsics, LaneKind, Lens, Pose, Rig, RigCamera, Trajectory};
 use glam::DVec3;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -37,7 +37,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{} driving lanes; on lane {} of {} points", driving.len(), lane.id, lane.centreline.len());
     let camera = |name: &str, eye: DVec3, look: DVec3| RigCamera {
         name: name.into(),
-        intrinsics: Intrinsics { width_px: 960, height_px: 540, fx_px: 760.0, fy_px: 760.0, cx_px: 480.0, cy_px: 270.0 },
+        intrinsics: Intrinsics {
+            width_px: 960,
+            height_px: 540,
+            fx_px: 760.0,
+            fy_px: 760.0,
+            cx_px: 480.0,
+            cy_px: 270.0,
+            lens: Lens::Pinhole,
+        },
         rig_from_camera: Pose { translation: eye, ..Pose::look_at(DVec3::ZERO, look, DVec3::Z).expect("no vertical look") },
     };
     let rig = Rig {

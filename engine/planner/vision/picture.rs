@@ -2,6 +2,7 @@
 
 use decouplegs_scene::Pose;
 use decouplegs_scene::camera::Intrinsics;
+use decouplegs_scene::lens::RayMap;
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::planner::Frame;
@@ -42,6 +43,8 @@ pub(super) struct Picture {
     translation: DVec3,
     /// Of the picture as it is kept.
     intrinsics: Intrinsics,
+    /// What its lens does, where that is more than a pinhole.
+    lens: Option<RayMap>,
     /// Height of the ground in the ego's frame, metres: wheels touch it half a height below the middle of the box.
     ground_z_m: f64,
 }
@@ -61,14 +64,16 @@ impl Picture {
         }
         let (kept_width, kept_height) = (width >> halvings, height >> halvings);
         let Pose { rotation, translation } = camera.rig_from_camera.inverse();
+        // Cropped to whole blocks of pixels first, so that the principal point keeps its place.
+        let intrinsics = scaled(&camera.intrinsics, 1.0 / f64::from(1_u32 << halvings));
         let kept = Self {
             width: kept_width,
             height: kept_height,
             colours: halved(frame.rgba, width, (kept_width, kept_height), 1 << halvings),
             rotation: DMat3::from_quat(rotation),
             translation,
-            // Cropped to whole blocks of pixels first, so that the principal point keeps its place.
-            intrinsics: scaled(&camera.intrinsics, 1.0 / f64::from(1_u32 << halvings)),
+            lens: (!intrinsics.lens.is_pinhole()).then(|| RayMap::new(&intrinsics)),
+            intrinsics,
             ground_z_m: -0.5 * ego_height_m,
         };
         (rotation.is_finite() && translation.is_finite() && ego_height_m.is_finite()).then_some(kept)
@@ -81,7 +86,10 @@ impl Picture {
             return None;
         }
         let at = &self.intrinsics;
-        let pixel = DVec2::new(at.fx_px * seen.x / seen.z + at.cx_px, at.fy_px * seen.y / seen.z + at.cy_px);
+        let pixel = match &self.lens {
+            Some(lens) => lens.project(seen)?,
+            None => DVec2::new(at.fx_px * seen.x / seen.z + at.cx_px, at.fy_px * seen.y / seen.z + at.cy_px),
+        };
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x <= self.width as f64 && pixel.y <= self.height as f64;
         inside.then_some(pixel)
     }
@@ -125,6 +133,7 @@ fn scaled(intrinsics: &Intrinsics, scale: f64) -> Intrinsics {
         fy_px: intrinsics.fy_px * scale,
         cx_px: intrinsics.cx_px * scale,
         cy_px: intrinsics.cy_px * scale,
+        lens: intrinsics.lens.scaled(scale, scale),
         ..*intrinsics
     }
 }

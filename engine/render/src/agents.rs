@@ -149,7 +149,10 @@ impl AgentList {
                 if may_see(index) { record.moved_into(camera, origin, &agent.world_from_agent) } else { CameraRecord::zeroed() }
             };
             let seen_by: Vec<CameraRecord> = records.enumerate().map(moved).collect();
-            let reached = |index: usize| may_see(index) && twins::chunk_reaches(&asset.whole, &seen_by[index], near_m);
+            let reached = |index: usize| {
+                let lens = twins::lens::lens_of(&view.lenses, index);
+                may_see(index) && twins::chunk_reaches_seen(&asset.whole, &seen_by[index], lens, near_m)
+            };
             let mask = (0..seen_by.len()).fold(0u32, |mask, index| mask | u32::from(reached(index)) << index);
             if mask == 0 {
                 continue;

@@ -77,6 +77,7 @@ fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot,
     recorder.stage("begin", |r| {
         let cameras = frame.shape.cameras;
         r.copy(&slot.staged_cameras, 0, &frame.cameras, 0, cameras);
+        slot.copy_lenses(r, &frame.lenses);
         r.copy(&slot.staged_orders, 0, &plan.view_orders, 0, cameras);
         let transmittances = &frame.partials.transmittances;
         let emptied = [
@@ -126,10 +127,10 @@ fn record_projection(
     input: FrameInput<'_>,
 ) {
     let FrameShape { cameras: camera_count, chunks, .. } = frame.shape;
-    let (world, cameras) = (input.world, &frame.cameras);
+    let (world, cameras, lenses) = (input.world, &frame.cameras, &frame.lenses);
     let ranked = Ranked { view_orders: &frame.order_plan.view_orders, ranks: input.ranks, lists: &frame.rank_lists };
     let background = stages.background;
-    recorder.stage("cull", |r| background.cull.record(r, world, cameras, camera_count, &frame.visible, &ranked));
+    recorder.stage("cull", |r| background.cull.record(r, world, cameras, lenses, camera_count, &frame.visible, &ranked));
     recorder.stage("scan", |r| {
         stages.common.scan.record(r, &frame.visible.counts, &frame.firsts, camera_count * chunks);
         if let Some(orders) = stages.orders.filter(|_| input.orders.is_ranked()) {
@@ -140,7 +141,20 @@ fn record_projection(
         let (visible, firsts) = (&frame.visible, &frame.firsts);
         let (projected, sort, shadows) = (&frame.projected, &frame.sort, &slot.shadows);
         let project = &background.project;
-        project.record(r, world, cameras, camera_count, visible, firsts, projected, sort, &ranked, shadows, slot.shadow_count);
+        project.record(
+            r,
+            world,
+            cameras,
+            lenses,
+            camera_count,
+            visible,
+            firsts,
+            projected,
+            sort,
+            &ranked,
+            shadows,
+            slot.shadow_count,
+        );
     });
     if let (Some(counts), Some(agents), Some(pool)) = (input.agents, stages.agents, slot.pool()) {
         recorder.stage("project agents", |r| {

@@ -3,7 +3,7 @@
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Residence};
 
 use crate::capacity::{Capacity, SortShape};
-use crate::layout::{CameraRecord, SortSegment};
+use crate::layout::{CameraRecord, LensRecord, SortSegment};
 use crate::output::Outputs;
 use crate::stages::{Control, OrderPlan, PURPOSE, Partials, Plan, Projected, RankLists, SortScratch, StaticLists, Visible};
 
@@ -68,6 +68,7 @@ pub(crate) struct FrameBuffers {
     pub shape: FrameShape,
     pub control: Control,
     pub cameras: Buffer<CameraRecord>,
+    pub lenses: Buffer<LensRecord>,
     pub visible: Visible,
     pub firsts: Buffer<u32>,
     pub rank_lists: RankLists,
@@ -93,6 +94,7 @@ impl FrameBuffers {
             shape,
             control: Control::new(gpu)?,
             cameras: gpu.buffer("cameras", PURPOSE, cameras, device)?,
+            lenses: gpu.buffer("lenses", PURPOSE, cameras, device)?,
             visible: Visible::new(gpu, cameras, chunks)?,
             firsts: gpu.buffer("firsts", PURPOSE, cameras * chunks + 1, device)?,
             rank_lists: if ranked { RankLists::new(gpu, cameras, chunks)? } else { RankLists::new(gpu, 0, 0)? },

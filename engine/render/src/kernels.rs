@@ -83,6 +83,8 @@ pub(crate) struct AgentVariant {
     pub sh_degree: u8,
     /// Whether some are relit.
     pub relit: bool,
+    /// Whether some camera is no pinhole.
+    pub lenses: bool,
 }
 
 /// What a frame is specialised for.
@@ -137,7 +139,7 @@ impl Kernels {
         for ranked in [variant.background.ranked, *keeps_orders] {
             let kind = ProjectVariant { ranked, ..variant.background };
             if !self.background.iter().any(|(built, _)| *built == kind) {
-                let (cull, project) = (Cull::new(gpu, rules, ranked)?, Project::new(gpu, rules, kind)?);
+                let (cull, project) = (Cull::new(gpu, rules, ranked, kind.lenses)?, Project::new(gpu, rules, kind)?);
                 self.background.push((kind, BackgroundStages { cull, project }));
             }
         }
@@ -145,8 +147,8 @@ impl Kernels {
             && !self.agents.iter().any(|(built, _)| *built == kind)
         {
             let stages = AgentStages {
-                cull: CullAgents::new(gpu, rules)?,
-                project: ProjectAgents::new(gpu, rules, kind.sh_degree, kind.relit)?,
+                cull: CullAgents::new(gpu, rules, kind.lenses)?,
+                project: ProjectAgents::new(gpu, rules, kind.sh_degree, kind.relit, kind.lenses)?,
                 merge: MergeOrder::new(gpu)?,
                 relight: if kind.relit { Some(Relight::new(gpu, kind.sh_degree)?) } else { None },
             };

@@ -3,8 +3,10 @@
 //! Arrays of `f32` and `u32` only: glam's vectors may be padded for SIMD. The shaders use scalar block layout, whose
 //! offsets are those of `repr(C)`.
 
+mod lens;
 mod light;
 
+pub use lens::{LENS_INTERVALS, LensKind, LensRecord};
 pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};
@@ -165,7 +167,7 @@ pub struct ChunkRecord {
     pub centre_m: [f32; 3],
     /// Half its size.
     pub half_extent_m: [f32; 3],
-    /// Longest standard deviation times cut-off radius of any splat in it.
+    /// Longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it.
     pub reach_m: f32,
 }
 
@@ -318,6 +320,8 @@ pub struct Composite {
 pub struct View {
     /// One record a camera.
     pub cameras: Vec<CameraRecord>,
+    /// One record a camera; none at all where all are pinholes.
+    pub lenses: Vec<LensRecord>,
     /// Macro tiles of all cameras.
     pub bins: u32,
     /// Pixels of all cameras.
@@ -334,7 +338,7 @@ impl View {
             return Err(format!("{} cameras were given; a frame draws 1 to {CAMERAS_MAX}", cameras.len()));
         }
         let key_scale = key_scale(reach_m);
-        let mut view = Self { cameras: Vec::with_capacity(cameras.len()), bins: 0, pixels: 0 };
+        let mut view = Self { cameras: Vec::with_capacity(cameras.len()), lenses: Vec::new(), bins: 0, pixels: 0 };
         for camera in cameras {
             camera.intrinsics.check().map_err(|reason| format!("camera {}: {reason}", camera.name))?;
             let pose = &camera.world_from_camera;
@@ -347,6 +351,9 @@ impl View {
             view.bins += record.bins();
             view.pixels += record.pixels();
             view.cameras.push(record);
+        }
+        if cameras.iter().any(|camera| !camera.intrinsics.lens.is_pinhole()) {
+            view.lenses = cameras.iter().map(|camera| LensRecord::new(&camera.intrinsics)).collect();
         }
         Ok(view)
     }

@@ -148,12 +148,14 @@ impl Renderer {
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),
+                lenses: !view.lenses.is_empty(),
             },
             // That of all assets, whoever is in view: building kernels in the middle of a drive would stall it.
-            agents: scene
-                .agents
-                .and_then(|(pool, _)| pool.sh_degree())
-                .map(|degree| AgentVariant { sh_degree: degree.min(options.sh_degree_max), relit: scene.relights() }),
+            agents: scene.agents.and_then(|(pool, _)| pool.sh_degree()).map(|degree| AgentVariant {
+                sh_degree: degree.min(options.sh_degree_max),
+                relit: scene.relights(),
+                lenses: !view.lenses.is_empty(),
+            }),
             orders: decision.is_ranked(),
         };
         let ranks = orders.ranks().clone();

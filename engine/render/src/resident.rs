@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::RenderError;
 use crate::layout::{CHUNK_SPLATS, ChunkRecord};
+use crate::reference::unscented::SIGMA_REACH;
 use crate::sh_codec;
 
 /// Purpose under which the memory of worlds is counted.
@@ -146,9 +147,10 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// Standard deviation times cut-off radius along the longest axis, metres, rounded up.
+    /// Standard deviation times cut-off radius along the longest axis, metres, rounded up; no less than how far the points stand
+    /// that the unscented transform takes.
     fn reach_m(&self) -> f32 {
-        let radius = (2.0 * (f64::from(self.opacity) / rules::ALPHA_MIN).ln().max(0.0)).sqrt();
+        let radius = (2.0 * (f64::from(self.opacity) / rules::ALPHA_MIN).ln().max(0.0)).sqrt().max(SIGMA_REACH);
         (f64::from(self.longest_m) * radius * 1.001) as f32
     }
 }

@@ -9,7 +9,7 @@ use crate::RenderError;
 use crate::agents::AgentList;
 use crate::capacity::Capacity;
 use crate::kernels::FrameVariant;
-use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, Needs, ShadowRecord, View, ViewOrder};
+use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, Needs, ShadowRecord, View, ViewOrder};
 use crate::orders::OrderDecision;
 use crate::output::{OutputBuffers, Outputs};
 use crate::relit::RelitCodebooks;
@@ -37,6 +37,7 @@ pub(crate) struct Pending {
 /// The buffers of one frame in flight.
 pub(crate) struct FrameSlot {
     pub staged_cameras: Buffer<CameraRecord>,
+    staged_lenses: Buffer<LensRecord>,
     pub staged_orders: Buffer<ViewOrder>,
     staged_agents: Buffer<AgentRecord>,
     staged_agent_cameras: Buffer<CameraRecord>,
@@ -69,6 +70,7 @@ impl FrameSlot {
         let no_pictures = OutputBuffers::new(gpu, 0, 0, outputs)?;
         Ok(Self {
             staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
+            staged_lenses: gpu.buffer("staged_lenses", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
             staged_orders: gpu.buffer("staged_orders", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
             staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, Residence::Upload)?,
             staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, Residence::Upload)?,
@@ -132,6 +134,7 @@ impl FrameSlot {
             self.room = room;
         }
         self.staged_cameras.write_host(0, &view.cameras);
+        self.staged_lenses.write_host(0, &view.lenses);
         self.set_shadows(gpu, world, shadows)?;
         let mut list = list;
         if let Some(list) = &mut list {
@@ -196,9 +199,18 @@ impl FrameSlot {
         recorder.copy(&self.staged_shadows, 0, &self.shadows.shadows, 0, self.shadow_count);
     }
 
+    /// Records the copy of what the host wrote of lenses, if it did.
+    pub fn copy_lenses(&self, recorder: &mut Recorder, lenses: &Buffer<LensRecord>) {
+        let count = self.view.as_ref().map_or(0, |view| view.lenses.len());
+        if count > 0 {
+            recorder.copy(&self.staged_lenses, 0, lenses, 0, count);
+        }
+    }
+
     /// Records the copy of what the host wrote of agents.
     pub fn copy_agents(&self, recorder: &mut Recorder, counts: AgentCounts) {
         recorder.copy(&self.staged_agents, 0, &self.agents.agents, 0, counts.agents);
         recorder.copy(&self.staged_agent_cameras, 0, &self.agents.cameras, 0, counts.agents * counts.cameras);
+        self.copy_lenses(recorder, &self.agents.lenses);
     }
 }

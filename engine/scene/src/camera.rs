@@ -1,8 +1,11 @@
-//! Pinhole cameras and rigs of them.
+//! Cameras and rigs of them.
+
+use glam::{DVec2, DVec3};
 
 use crate::Pose;
+use crate::lens::{Lens, RayMap};
 
-/// A pinhole camera without distortion. Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`.
+/// How a camera projects. Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Image width in pixels, at least 1.
@@ -17,10 +20,12 @@ pub struct Intrinsics {
     pub cx_px: f64,
     /// Principal point, pixels from the top edge of the image.
     pub cy_px: f64,
+    /// What departs from a pinhole.
+    pub lens: Lens,
 }
 
 impl Intrinsics {
-    /// A camera with square pixels, a centred principal point and the given horizontal field of view.
+    /// A pinhole with square pixels, a centred principal point and the given horizontal field of view.
     #[must_use]
     pub fn from_horizontal_fov(width_px: u32, height_px: u32, fov_rad: f64) -> Self {
         let focal_px = 0.5 * f64::from(width_px) / (0.5 * fov_rad).tan();
@@ -31,6 +36,7 @@ impl Intrinsics {
             fy_px: focal_px,
             cx_px: 0.5 * f64::from(width_px),
             cy_px: 0.5 * f64::from(height_px),
+            lens: Lens::Pinhole,
         }
     }
 
@@ -46,6 +52,7 @@ impl Intrinsics {
             fy_px: self.fy_px * sy,
             cx_px: self.cx_px * sx,
             cy_px: self.cy_px * sy,
+            lens: self.lens.scaled(sx, sy),
         }
     }
 
@@ -75,7 +82,29 @@ impl Intrinsics {
         if !(self.cx_px.is_finite() && self.cy_px.is_finite()) {
             return Err(format!("principal point ({}, {}) must be finite", self.cx_px, self.cy_px));
         }
-        Ok(())
+        self.lens.check()?;
+        if self.lens == Lens::Pinhole { Ok(()) } else { RayMap::new(self).check(self) }
+    }
+
+    /// Where `ray` (x right, y down, z forward, of any length) falls, pixels, in the image or beside it; `None` for a ray that the
+    /// lens does not show. For many rays, make a [`RayMap`] once.
+    #[must_use]
+    pub fn project(&self, ray: DVec3) -> Option<DVec2> {
+        if self.lens.is_pinhole() {
+            let on_plane = DVec2::new(self.fx_px, self.fy_px) * (ray.truncate() / ray.z) + DVec2::new(self.cx_px, self.cy_px);
+            return (ray.z > 0.0).then_some(on_plane);
+        }
+        RayMap::new(self).project(ray)
+    }
+
+    /// The ray of unit length that falls on `pixel`; `None` where there is none.
+    #[must_use]
+    pub fn unproject(&self, pixel: DVec2) -> Option<DVec3> {
+        if self.lens.is_pinhole() {
+            let slope = (pixel - DVec2::new(self.cx_px, self.cy_px)) / DVec2::new(self.fx_px, self.fy_px);
+            return slope.is_finite().then(|| slope.extend(1.0).normalize());
+        }
+        RayMap::new(self).unproject(pixel)
     }
 }
 

@@ -1,13 +1,14 @@
 //! Agents of every kind that is hard for a stage, as the stages hold them.
 
 use decouplegs::gpu::Buffer;
-use decouplegs::render::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, RelightRecord, View};
+use decouplegs::render::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, RelightRecord, View};
 use decouplegs::render::stages::{AgentBuffers, AgentCounts, RelitColours};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
+use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::Variant;
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
 use decouplegs::scene::shape::principal_axes;
-use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, ColourTransfer, Pose, Rules, SplatCodes, sh};
+use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, ColourTransfer, Pose, RayMap, Rules, SplatCodes, sh};
 use glam::{DMat3, DQuat, DVec3, Mat3};
 
 use super::super::scenes::{ProjectedTwin, settled_visibility};
@@ -38,6 +39,8 @@ pub struct AgentScene {
     pub agents: Vec<AgentRecord>,
     /// `[agent][camera]`.
     pub cameras: Vec<CameraRecord>,
+    pub lenses: Vec<LensRecord>,
+    pub maps: Vec<RayMap>,
     pub splats: Vec<[u32; 3]>,
     pub shapes: Vec<[f32; 6]>,
     pub dc: Vec<[f32; 3]>,
@@ -88,6 +91,8 @@ impl AgentScene {
             scene.cameras.extend(moved.map(|(record, camera)| record.moved_into(camera, DVec3::ZERO, &placed.pose)));
         }
         scene.counts.agents = placed.len();
+        scene.lenses = view.lenses;
+        scene.maps = cameras.iter().map(|camera| RayMap::new(&camera.intrinsics)).collect();
         scene
     }
 
@@ -170,7 +175,15 @@ impl AgentScene {
         }
         let (coded, axes) = self.unpacked(agent, splat);
         let size_share = 16.0 * ROUNDOFF + self.size_share(agent, splat);
-        settled_visibility(self.camera(agent, camera), coded.mean_m, axes, size_share, coded.opacity, rules)
+        settled_visibility(
+            self.camera(agent, camera),
+            lens_of(&self.lenses, camera),
+            coded.mean_m,
+            axes,
+            size_share,
+            coded.opacity,
+            rules,
+        )
     }
 
     /// Of a bit of the visible words: its camera, its agent and its splat, `None` beyond the agent's last.
@@ -193,6 +206,7 @@ impl AgentScene {
             &self.chunks,
             &mut words,
             &mut counts,
+            &self.lenses,
             cameras,
             chunks,
             Variant::of(rules),
@@ -254,6 +268,7 @@ impl AgentScene {
             &mut out.keys,
             &mut out.values,
             &mut out.tile_counts,
+            &self.lenses,
             self.counts.cameras,
             self.counts.chunks,
             static_firsts.len() - 1,
@@ -280,6 +295,7 @@ impl AgentScene {
         let buffers = AgentBuffers::new(gpu, agents, chunks, cameras).unwrap();
         gpu.write(&buffers.agents, 0, &self.agents).unwrap();
         gpu.write(&buffers.cameras, 0, &self.cameras).unwrap();
+        gpu.write(&buffers.lenses, 0, &self.lenses).unwrap();
         let fill = |buffer: &Buffer<u32>| gpu.write(buffer, 0, &vec![UNTOUCHED; buffer.len()]).unwrap();
         [&buffers.visible.words, &buffers.visible.counts, &buffers.firsts].into_iter().for_each(fill);
         buffers
@@ -307,7 +323,7 @@ fn chunk_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ChunkRecord {
     let bounds = Bounds::of(&means);
     let reach_m = |codes: &SplatCodes| {
         let longest = principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);
-        longest * (2.0 * f32::from(codes.opacity).ln()).sqrt() * 1.001
+        longest * (2.0 * f32::from(codes.opacity).ln()).sqrt().max(1.7321) * 1.001
     };
     ChunkRecord {
         centre_m: bounds.centre(),

@@ -1,10 +1,11 @@
 //! How far rounding may take the values of a record, and comparisons that hold a kernel to it.
 
-use decouplegs::render::layout::CameraRecord;
+use decouplegs::render::layout::{CameraRecord, LensRecord};
+use decouplegs::render::reference::unscented::unscented;
 use decouplegs::render::twins::projection::from_camera_m;
 use decouplegs::render::twins::record::load_footprint;
 use decouplegs::scene::rules::DILATION_PX2;
-use decouplegs::scene::{DepthOrder, Rules};
+use decouplegs::scene::{DepthOrder, RayMap, Rules};
 use glam::{DMat3, DVec2, DVec3, Vec3};
 
 use super::super::scenes::{ProjectedTwin, settled_tile_count};
@@ -13,6 +14,8 @@ use super::super::{ROUNDOFF, identical, within};
 /// A splat that is projected.
 pub struct Projection<'a> {
     pub camera: &'a CameraRecord,
+    /// Where it is no pinhole: what its lens does, and its record.
+    pub lens: Option<(RayMap, &'a LensRecord)>,
     pub mean_m: [f32; 3],
     /// Columns whose products with themselves sum to the covariance.
     pub axes: DMat3,
@@ -42,6 +45,12 @@ impl Projection<'_> {
         let t = DVec3::new(rows[0].dot(offset), rows[1].dot(offset), rows[2].dot(offset));
         let u = ROUNDOFF;
         let t_error = 8.0 * u * offset.abs().element_sum();
+        let radial = rules.order == DepthOrder::Radial;
+        let depth_m = if radial { 8.0 * u * offset.length() } else { t_error };
+        if let Some((map, record)) = &self.lens {
+            let axes = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose() * self.axes;
+            return RecordBounds { footprint: self.through(map, record, t, t_error, axes, rules), depth_m, colour: self.colour };
+        }
         let focal = DVec2::from_array(k.focal_px.map(f64::from));
         let xy = t.truncate() / t.z;
         let xy_error = (DVec2::ONE + xy.abs()) * (t_error / t.z) + 6.0 * u * xy.abs();
@@ -61,12 +70,39 @@ impl Projection<'_> {
         let (m1, e1) = axis(row_y, slope.y, xy_error.y, focal.y);
         let shape = Shape { m0: m0.length(), m1: m1.length(), area: m0.cross(m1).length(), xy: m0.dot(m1), e0, e1 };
         let [slope, rate_x, rate_y, log2_opacity] = shape.errors(self.opacity, rules.antialias);
-        let radial = rules.order == DepthOrder::Radial;
         RecordBounds {
             footprint: [mean_error.x, mean_error.y, slope, rate_x, rate_y, log2_opacity],
-            depth_m: if radial { 8.0 * u * offset.length() } else { t_error },
+            depth_m,
             colour: self.colour,
         }
+    }
+
+    /// Of the footprint that a lens makes of seven points, each off by what rounding turns it, as far as the lens's steepest
+    /// place takes that in the image, and by the roundings of its pixel.
+    fn through(&self, map: &RayMap, lens: &LensRecord, t: DVec3, t_error: f64, axes: DMat3, rules: &Rules) -> [f64; 6] {
+        let u = ROUNDOFF;
+        let principal = DVec2::from_array(self.camera.principal_px.map(f64::from));
+        let offsets = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * 3f64.sqrt());
+        let lengths = offsets.iter().map(|offset| offset.length()).sum::<f64>();
+        let points = offsets.iter().flat_map(|&offset| [t + offset, t - offset]).chain([t]);
+        let point_error = points.map(|point| {
+            let turned_rad = (t_error + (self.axes_share + 8.0 * u) * lengths) / point.length() + 40.0 * u;
+            let radius_px = (map.project_extended(point) - principal).length();
+            f64::from(lens.pixels_per_rad) * turned_rad + 24.0 * u * radius_px
+        });
+        let error = point_error.fold(0.0, f64::max);
+        let spread = unscented(map, t, &axes).expect("the record of a splat that the lens shows");
+        let shape = Shape {
+            m0: spread.xx.sqrt(),
+            m1: spread.yy.sqrt(),
+            area: spread.det.sqrt(),
+            xy: spread.xy,
+            e0: 4.0 * error,
+            e1: 4.0 * error,
+        };
+        let [slope, rate_x, rate_y, log2_opacity] = shape.errors(self.opacity, rules.antialias);
+        let mean = 2.0 * error + 4.0 * u * (spread.mean_px.length() + principal.length());
+        [mean, mean, slope, rate_x, rate_y, log2_opacity]
     }
 }
 

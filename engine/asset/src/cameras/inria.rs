@@ -1,6 +1,6 @@
 //! INRIA `cameras.json`: what the original 3DGS writes beside a trained model.
 
-use decouplegs_scene::{Camera, Intrinsics};
+use decouplegs_scene::{Camera, Intrinsics, Lens};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -38,6 +38,7 @@ fn camera(entry: Entry) -> Result<Camera, DecodeError> {
             fy_px: entry.fy,
             cx_px: 0.5 * f64::from(entry.width),
             cy_px: 0.5 * f64::from(entry.height),
+            lens: Lens::Pinhole,
         },
         world_from_camera: pose_of(axes, DVec3::from_array(entry.position), &name)?,
         name,

@@ -1,6 +1,6 @@
 //! Cameras of a dataset: INRIA `cameras.json` and nerfstudio `transforms.json`.
 //!
-//! Both become pinhole cameras in the coordinates of the file, with OpenCV axes (x right, y down, z forward). Names are
+//! Both become cameras in the coordinates of the file, with OpenCV axes (x right, y down, z forward). Names are
 //! made fit for file names and unique, so that each camera can name its picture.
 
 mod inria;

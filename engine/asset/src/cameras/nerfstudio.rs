@@ -4,7 +4,8 @@
 //! Intrinsics stand at the top or in a frame, which wins. `applied_transform` and scale factors are not undone: cameras
 //! stay in the coordinates of the file, which are those that a scene trained from it has.
 
-use decouplegs_scene::{Camera, Intrinsics};
+use decouplegs_scene::lens::{Fisheye, OpenCv};
+use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
@@ -73,26 +74,29 @@ impl Lens {
         }
     }
 
-    /// Why this is no pinhole camera, if it is none.
-    fn distortion(&self) -> Option<String> {
-        if let Some(model) = self.camera_model.as_deref()
-            && !["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "perspective"].contains(&model)
-        {
-            return Some(format!("camera model {model}"));
+    /// What departs from a pinhole. `Err` names a camera model that is none of those that are drawn.
+    ///
+    /// nerfstudio distorts by k1 to k4 as one polynomial of r2 and undistorts its cameras so; OpenCV's k4 is another number, the
+    /// first of a denominator, which files of `FULL_OPENCV` mean.
+    fn lens(&self) -> Result<Distortion, String> {
+        let of = |value: Option<f64>| value.unwrap_or(0.0);
+        let [k1, k2, k3, k4, k5, k6] = [self.k1, self.k2, self.k3, self.k4, self.k5, self.k6].map(of);
+        let tangential = [of(self.p1), of(self.p2)];
+        match self.camera_model.as_deref() {
+            Some("OPENCV_FISHEYE") => {
+                let radial = [k1, k2, k3, k4];
+                return Ok(Distortion::Fisheye(Fisheye { radial, ..Fisheye::default() }));
+            }
+            Some("FULL_OPENCV") => {}
+            None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "perspective")
+                if [k4, k5, k6] == [0.0; 3] => {}
+            None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "perspective") => {
+                return Err(format!("distortion k4 = {k4}, k5 = {k5}, k6 = {k6} of a model that has none of these"));
+            }
+            Some(model) => return Err(format!("camera model {model}")),
         }
-        let coefficients = [
-            ("k1", self.k1),
-            ("k2", self.k2),
-            ("k3", self.k3),
-            ("k4", self.k4),
-            ("k5", self.k5),
-            ("k6", self.k6),
-            ("p1", self.p1),
-            ("p2", self.p2),
-        ];
-        let set =
-            coefficients.into_iter().find_map(|(name, value)| value.filter(|value| *value != 0.0).map(|value| (name, value)));
-        set.map(|(name, value)| format!("distortion {name} = {value}"))
+        let lens = Distortion::OpenCv(OpenCv { radial: [k1, k2, k3, k4, k5, k6], tangential, ..OpenCv::default() });
+        Ok(if lens.is_pinhole() { Distortion::Pinhole } else { lens })
     }
 
     fn intrinsics(&self) -> Result<Intrinsics, String> {
@@ -113,6 +117,7 @@ impl Lens {
             fy_px: focal_px(self.fl_y, self.camera_angle_y, height_px).unwrap_or(fx_px),
             cx_px: self.cx.unwrap_or(0.5 * f64::from(width_px)),
             cy_px: self.cy.unwrap_or(0.5 * f64::from(height_px)),
+            lens: Distortion::Pinhole,
         })
     }
 }
@@ -125,13 +130,14 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Vec<Camera>, DecodeError> {
 fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeError> {
     let name = if frame.file_path.is_empty() { format!("frame_{index}") } else { frame.file_path };
     let lens = frame.own.or(shared);
-    if let Some(distortion) = lens.distortion() {
-        return Err(DecodeError::Unsupported(format!(
-            "camera '{name}': {distortion}; only undistorted pinhole cameras are rendered: undistort first (for example with \
-             'colmap image_undistorter') and train and render with the undistorted cameras"
-        )));
-    }
-    let intrinsics = lens.intrinsics().map_err(|reason| DecodeError::Malformed(format!("camera '{name}': {reason}")))?;
+    let distortion = lens.lens().map_err(|reason| {
+        DecodeError::Unsupported(format!(
+            "camera '{name}': {reason}; drawn are pinholes, OPENCV, FULL_OPENCV and OPENCV_FISHEYE: undistort first (for example \
+             with 'colmap image_undistorter') and train and render with the undistorted cameras"
+        ))
+    })?;
+    let intrinsics = lens.intrinsics().map(|plain| Intrinsics { lens: distortion, ..plain });
+    let intrinsics = intrinsics.map_err(|reason| DecodeError::Malformed(format!("camera '{name}': {reason}")))?;
     let rows = &frame.transform_matrix;
     if !(3..=4).contains(&rows.len()) {
         return Err(DecodeError::Malformed(format!("camera '{name}': transform_matrix has {} rows, expected 4", rows.len())));
@@ -144,6 +150,8 @@ fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeErr
 #[cfg(test)]
 mod tests {
     use super::super::decode;
+    use decouplegs_scene::Lens;
+    use decouplegs_scene::lens::{Fisheye, OpenCv};
     use glam::DVec3;
 
     const FILE: &str = r#"{"camera_model": "OPENCV", "w": 640, "h": 480.0, "fl_x": 500, "fl_y": 510, "cx": 321, "cy": 239, "k1": 0.0,
@@ -180,11 +188,25 @@ mod tests {
     }
 
     #[test]
+    fn distortion_becomes_a_lens() {
+        let decoded = |from: &str, to: &str| decode(FILE.replacen(from, to, 1).as_bytes()).unwrap();
+        assert!(decoded("", "").iter().all(|camera| camera.intrinsics.lens == Lens::Pinhole), "zeros are none");
+        let file = decoded("\"k1\": 0.0", "\"k1\": 0.01, \"p2\": -0.001");
+        let expected = OpenCv { radial: [0.01, 0.0, 0.0, 0.0, 0.0, 0.0], tangential: [0.0, -0.001], ..OpenCv::default() };
+        assert_eq!(file[0].intrinsics.lens, Lens::OpenCv(expected));
+        let file = decoded("\"OPENCV\", \"w\": 640", "\"OPENCV_FISHEYE\", \"k4\": 0.002, \"w\": 640");
+        let expected = Fisheye { radial: [0.0, 0.0, 0.0, 0.002], ..Fisheye::default() };
+        assert_eq!(file[1].intrinsics.lens, Lens::Fisheye(expected));
+        let file = decoded("\"OPENCV\", \"w\": 640", "\"FULL_OPENCV\", \"k4\": 0.002, \"w\": 640");
+        assert!(matches!(file[0].intrinsics.lens, Lens::OpenCv(lens) if lens.radial[3] == 0.002));
+    }
+
+    #[test]
     fn distortion_and_missing_sizes_are_refused_with_advice() {
         for (from, to, part) in [
-            ("\"k1\": 0.0", "\"k1\": 0.01", "undistort"),
-            ("\"k2\": 0", "\"k2\": -0.2", "k2 = -0.2"),
-            ("OPENCV", "OPENCV_FISHEYE", "OPENCV_FISHEYE"),
+            ("\"k1\": 0.0", "\"k4\": 0.01", "undistort"),
+            ("\"k2\": 0", "\"k2\": -200", "folds"),
+            ("OPENCV", "FOV", "FOV"),
             ("\"w\": 640,", "", "'w' is missing"),
             ("480.0", "480.5", "whole"),
             ("[[1,0,0,4],[0,1,0,5]", "[[2,0,0,4],[0,2,0,5]", "rigid"),

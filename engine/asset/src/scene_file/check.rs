@@ -4,11 +4,12 @@ use std::collections::HashSet;
 use std::ops::Range;
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{Intrinsics, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
+use decouplegs_scene::{Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
 use glam::{DQuat, DVec3};
 use toml::Spanned;
 
 use super::form::{AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, TimedPoseForm};
+use super::lens::LensForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 use crate::SceneError;
 use crate::toml_text::{Checker, syntax_error};
@@ -94,13 +95,21 @@ impl Checker<'_> {
                 let reason = format!("'{}' names a picture file: no slash, no leading dot", form.name);
                 return Err(self.error(&span, &table, "name", reason));
             }
+            let lens = form.lens.as_ref().map_or(Ok(Lens::Pinhole), LensForm::lens);
+            let lens = lens.map_err(|reason| self.error(&span, &table, "lens", reason))?;
+            let focal_px = |given: Option<f64>, axis: usize, field: &str| match (given, &lens) {
+                (Some(focal_px), _) => Ok(focal_px),
+                (None, Lens::FTheta(lens)) => Ok(lens.centre_focal_px()[axis]),
+                (None, _) => Err(self.error(&span, &table, field, format!("missing field '{field}'"))),
+            };
             let intrinsics = Intrinsics {
                 width_px: form.width_px,
                 height_px: form.height_px,
-                fx_px: form.fx_px,
-                fy_px: form.fy_px,
+                fx_px: focal_px(form.fx_px, 0, "fx_px")?,
+                fy_px: focal_px(form.fy_px, 1, "fy_px")?,
                 cx_px: form.cx_px,
                 cy_px: form.cy_px,
+                lens,
             };
             intrinsics.check().map_err(|reason| self.error(&span, &table, intrinsics_field(&intrinsics), reason))?;
             let rig_from_camera = self.camera_pose(form, &span, &table)?;
@@ -234,6 +243,7 @@ fn intrinsics_field(intrinsics: &Intrinsics) -> &'static str {
         k if !focal_is_good(k.fx_px) => "fx_px",
         k if !focal_is_good(k.fy_px) => "fy_px",
         k if !k.cx_px.is_finite() => "cx_px",
-        _ => "cy_px",
+        k if !k.cy_px.is_finite() => "cy_px",
+        _ => "lens",
     }
 }

@@ -6,6 +6,7 @@ use glam::DQuat;
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
+use super::lens::LensForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 
 /// Tables keep their place in the text so that a complaint can name its line.
@@ -66,8 +67,11 @@ pub(super) struct CameraForm {
     pub(super) name: String,
     pub(super) width_px: u32,
     pub(super) height_px: u32,
-    pub(super) fx_px: f64,
-    pub(super) fy_px: f64,
+    /// May be left out where the lens is f-theta, which does without.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) fx_px: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) fy_px: Option<f64>,
     pub(super) cx_px: f64,
     pub(super) cy_px: f64,
     pub(super) position_m: [f64; 3],
@@ -75,6 +79,8 @@ pub(super) struct CameraForm {
     pub(super) rotation_wxyz: Option<[f64; 4]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) look: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) lens: Option<LensForm>,
 }
 
 #[derive(Deserialize, Serialize)]
@@ -174,19 +180,20 @@ fn rules_form(rules: &Rules) -> Result<RulesForm, String> {
 }
 
 fn camera_form(camera: &RigCamera) -> CameraForm {
-    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px } = camera.intrinsics;
+    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics;
     let Pose { rotation, translation } = camera.rig_from_camera;
     CameraForm {
         name: camera.name.clone(),
         width_px,
         height_px,
-        fx_px,
-        fy_px,
+        fx_px: Some(fx_px),
+        fy_px: Some(fy_px),
         cx_px,
         cy_px,
         position_m: translation.to_array(),
         rotation_wxyz: Some(wxyz(rotation)),
         look: None,
+        lens: LensForm::of(&lens),
     }
 }
 

@@ -6,6 +6,7 @@ mod check;
 pub mod editing;
 mod form;
 mod layer;
+mod lens;
 mod load;
 mod paths;
 

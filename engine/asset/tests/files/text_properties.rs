@@ -2,7 +2,7 @@
 
 use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, cameras};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{Camera, Intrinsics, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
 
@@ -13,7 +13,15 @@ fn poses() -> impl Strategy<Value = Pose> {
 
 fn intrinsics() -> impl Strategy<Value = Intrinsics> {
     (1u32..=65_536, 1u32..=65_536, prop::array::uniform4(1.0f64..5000.0)).prop_map(
-        |(width_px, height_px, [fx_px, fy_px, cx_px, cy_px])| Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px },
+        |(width_px, height_px, [fx_px, fy_px, cx_px, cy_px])| Intrinsics {
+            width_px,
+            height_px,
+            fx_px,
+            fy_px,
+            cx_px,
+            cy_px,
+            lens: Lens::Pinhole,
+        },
     )
 }
 

@@ -3,11 +3,12 @@
 //! What 'error' means anywhere in the engine is the distance to this. There are no tiles, no approximations and no
 //! capacities. Splats are passed over only where they add exactly nothing: outside the box of [`project::Projected64`]
 //! alpha is below `ALPHA_MIN`. Projection after Zwicker et al., EWA Splatting, 2001, in the form of Kerbl et al., 2023;
-//! the clamp of the Jacobian is gsplat's.
+//! the clamp of the Jacobian is gsplat's. Through a lens that is no pinhole, by the unscented transform.
 
 pub mod blend;
 pub mod colour;
 pub mod project;
+pub mod unscented;
 
 #[cfg(test)]
 mod truths;

@@ -1,8 +1,10 @@
 //! One splat seen by one camera, in f64.
 
 use decouplegs_scene::rules::{ALPHA_MIN, DILATION_PX2, JACOBIAN_MARGIN};
-use decouplegs_scene::{Camera, DepthOrder, Intrinsics, Rules, SplatCloud};
+use decouplegs_scene::{Camera, DepthOrder, Intrinsics, RayMap, Rules, SplatCloud};
 use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::unscented::{Spread, unscented};
 
 /// A camera made ready to project splats whose means are relative to a world's origin.
 pub struct View {
@@ -11,6 +13,8 @@ pub struct View {
     /// The camera's centre relative to the world's origin, metres.
     pub centre: DVec3,
     intrinsics: Intrinsics,
+    /// `None`: a pinhole.
+    lens: Option<RayMap>,
     rules: Rules,
 }
 
@@ -58,6 +62,7 @@ impl View {
             camera_from_world: DMat3::from_quat(camera.world_from_camera.rotation.conjugate()),
             centre: camera.world_from_camera.translation - origin,
             intrinsics: camera.intrinsics,
+            lens: (!camera.intrinsics.lens.is_pinhole()).then(|| RayMap::new(&camera.intrinsics)),
             rules: *rules,
         }
     }
@@ -73,17 +78,19 @@ impl View {
         if !(t.z >= self.rules.near_m && t.z > 0.0) {
             return None;
         }
-        let [m0, m1] = self.projected_axes(t, splats.rotations[splat], splats.scales[splat]);
-        let (xx, xy, yy) = (m0.length_squared() + DILATION_PX2, m0.dot(m1), m1.length_squared() + DILATION_PX2);
-        // det(S) = |m0 x m1|^2 and det(S + d I) = det S + d trace S + d^2: no difference of nearly equal numbers.
-        let det = m0.cross(m1).length_squared();
-        let det_dilated = det + DILATION_PX2 * (m0.length_squared() + m1.length_squared()) + DILATION_PX2 * DILATION_PX2;
+        let axes = self.camera_axes(splats.rotations[splat], splats.scales[splat]);
+        let spread = match &self.lens {
+            None => self.linear(t, &axes),
+            Some(lens) => unscented(lens, t, &axes)?,
+        };
+        let (det, mean_px) = (spread.det, spread.mean_px);
+        let (xx, xy, yy) = (spread.xx + DILATION_PX2, spread.xy, spread.yy + DILATION_PX2);
+        // det(S + d I) = det S + d trace S + d^2.
+        let det_dilated = det + DILATION_PX2 * (spread.xx + spread.yy) + DILATION_PX2 * DILATION_PX2;
         let mut opacity = f64::from(splats.opacities[splat]);
         if self.rules.antialias {
             opacity *= (det / det_dilated).max(0.0).sqrt();
         }
-        let k = &self.intrinsics;
-        let mean_px = DVec2::new(k.fx_px * t.x / t.z + k.cx_px, k.fy_px * t.y / t.z + k.cy_px);
         if opacity < ALPHA_MIN || !det_dilated.is_finite() || !mean_px.is_finite() {
             return None;
         }
@@ -99,16 +106,29 @@ impl View {
         })
     }
 
-    /// The two rows of J W R diag(s), pixels: the covariance in the image is their Gram matrix.
-    fn projected_axes(&self, t: DVec3, rotation_wxyz: [f32; 4], scales: [f32; 3]) -> [DVec3; 2] {
-        let k = &self.intrinsics;
+    /// W R diag(s): the splat's axes in the camera's, each as long as its standard deviation.
+    fn camera_axes(&self, rotation_wxyz: [f32; 4], scales: [f32; 3]) -> DMat3 {
         let [w, x, y, z] = rotation_wxyz.map(f64::from);
         let world_from_splat = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
-        let camera_from_splat = self.camera_from_world * world_from_splat * DMat3::from_diagonal(dvec3(scales));
+        self.camera_from_world * world_from_splat * DMat3::from_diagonal(dvec3(scales))
+    }
+
+    /// What a pinhole makes of a Gaussian with mean `t`, linear about it.
+    fn linear(&self, t: DVec3, camera_from_splat: &DMat3) -> Spread {
+        let k = &self.intrinsics;
         let tan_x = clamped_tangent(t.x / t.z, f64::from(k.width_px), k.fx_px, k.cx_px);
         let tan_y = clamped_tangent(t.y / t.z, f64::from(k.height_px), k.fy_px, k.cy_px);
         let [row_x, row_y, row_z] = [camera_from_splat.row(0), camera_from_splat.row(1), camera_from_splat.row(2)];
-        [(row_x - tan_x * row_z) * (k.fx_px / t.z), (row_y - tan_y * row_z) * (k.fy_px / t.z)]
+        // The two rows of J W R diag(s), pixels: the covariance in the image is their Gram matrix.
+        let [m0, m1] = [(row_x - tan_x * row_z) * (k.fx_px / t.z), (row_y - tan_y * row_z) * (k.fy_px / t.z)];
+        Spread {
+            mean_px: DVec2::new(k.fx_px * t.x / t.z + k.cx_px, k.fy_px * t.y / t.z + k.cy_px),
+            xx: m0.length_squared(),
+            xy: m0.dot(m1),
+            yy: m1.length_squared(),
+            // |m0 x m1|^2: no difference of nearly equal numbers.
+            det: m0.cross(m1).length_squared(),
+        }
     }
 }
 

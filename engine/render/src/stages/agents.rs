@@ -7,7 +7,7 @@ use decouplegs_scene::{DepthOrder, Rules};
 use super::{PURPOSE, Projected, RelitColours, SortScratch, Visible, kernel};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
-use crate::layout::{AgentRecord, CameraRecord, near_m};
+use crate::layout::{AgentRecord, CameraRecord, LensRecord, near_m};
 
 /// The agents of a frame on the device.
 pub struct AgentBuffers {
@@ -15,6 +15,8 @@ pub struct AgentBuffers {
     pub agents: Buffer<AgentRecord>,
     /// The rig as each of them sees it, `[agent][camera]`.
     pub cameras: Buffer<CameraRecord>,
+    /// The rig's lenses, read where some camera is no pinhole.
+    pub lenses: Buffer<LensRecord>,
     /// What is visible of them.
     pub visible: Visible,
     /// Visible splats before each `[camera][chunk]` of the agents, and their total.
@@ -30,6 +32,7 @@ impl AgentBuffers {
         Ok(Self {
             agents: gpu.buffer("agents", PURPOSE, agents, Residence::Device)?,
             cameras: gpu.buffer("agent_cameras", PURPOSE, agents * cameras, Residence::Device)?,
+            lenses: gpu.buffer("agent_lenses", PURPOSE, cameras, Residence::Device)?,
             visible: Visible::new(gpu, cameras, chunks)?,
             firsts: gpu.buffer("agent_firsts", PURPOSE, cameras * chunks + 1, Residence::Device)?,
         })
@@ -71,12 +74,16 @@ pub struct CullAgents {
 }
 
 impl CullAgents {
-    /// The stage for pictures of the given rules.
+    /// The stage for pictures of the given rules; `lenses` where some camera is no pinhole.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
-        let constants = [("NEAR_M", Constant::F32(near_m(rules))), ("ANTIALIAS", Constant::Bool(rules.antialias))];
+    pub fn new(gpu: &Gpu, rules: &Rules, lenses: bool) -> Result<Self, GpuError> {
+        let constants = [
+            ("NEAR_M", Constant::F32(near_m(rules))),
+            ("ANTIALIAS", Constant::Bool(rules.antialias)),
+            ("LENSES", Constant::Bool(lenses)),
+        ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)? })
     }
 
@@ -95,6 +102,7 @@ impl CullAgents {
             ("asset_chunks", pool.chunks.binding()),
             ("visible_words", buffers.visible.words.binding()),
             ("visible_counts", buffers.visible.counts.binding()),
+            ("lenses", buffers.lenses.binding()),
         ];
         recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.chunks));
     }
@@ -107,17 +115,18 @@ pub struct ProjectAgents {
 
 impl ProjectAgents {
     /// The stage for pictures of the given rules and colours of the given degree; `relit` where some agents have colours of
-    /// their own.
+    /// their own, `lenses` where some camera is no pinhole.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, sh_degree: u8, relit: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, sh_degree: u8, relit: bool, lenses: bool) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("SH_DEGREE", Constant::U32(u32::from(sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
             ("RELIT", Constant::Bool(relit)),
+            ("LENSES", Constant::Bool(lenses)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)? })
     }
@@ -161,6 +170,7 @@ impl ProjectAgents {
             ("keys", sort.keys[0].binding()),
             ("values", sort.values[0].binding()),
             ("tile_counts", projected.tile_counts.binding()),
+            ("lenses", buffers.lenses.binding()),
         ];
         recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.chunks));
     }

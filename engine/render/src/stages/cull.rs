@@ -6,7 +6,7 @@ use decouplegs_scene::Rules;
 
 use super::{PURPOSE, Ranked, kernel};
 use crate::capacity::groups_for;
-use crate::layout::{CHUNK_SPLATS, CameraRecord, near_m};
+use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, near_m};
 use crate::resident::ResidentWorld;
 
 /// What culling finds.
@@ -45,15 +45,17 @@ pub struct Cull {
 }
 
 impl Cull {
-    /// The stage for pictures of the given rules; `ranked` where the order of some direction is kept.
+    /// The stage for pictures of the given rules; `ranked` where the order of some direction is kept,
+    /// `lenses` where some camera is no pinhole.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, ranked: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, ranked: bool, lenses: bool) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("RANKED", Constant::Bool(ranked)),
+            ("LENSES", Constant::Bool(lenses)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL, &constants)? })
     }
@@ -64,6 +66,7 @@ impl Cull {
         recorder: &mut Recorder,
         world: &ResidentWorld,
         cameras: &Buffer<CameraRecord>,
+        lenses: &Buffer<LensRecord>,
         camera_count: usize,
         visible: &Visible,
         ranked: &Ranked<'_>,
@@ -81,6 +84,7 @@ impl Cull {
             ("view_orders", ranked.view_orders.binding()),
             ("ranks", ranked.ranks.binding()),
             ("rank_words", ranked.lists.words.binding()),
+            ("lenses", lenses.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
     }

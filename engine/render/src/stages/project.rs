@@ -6,7 +6,7 @@ use decouplegs_scene::{DepthOrder, Rules};
 
 use super::{PURPOSE, Ranked, ShadowBuffers, SortScratch, Visible, kernel, words_for};
 use crate::capacity::groups_for;
-use crate::layout::{CameraRecord, near_m};
+use crate::layout::{CameraRecord, LensRecord, near_m};
 use crate::resident::ResidentWorld;
 
 /// One entry a visible (camera, splat): by camera, and by splat within a camera.
@@ -48,6 +48,8 @@ pub struct ProjectVariant {
     pub shadows: bool,
     /// Whether some of these are not seen by all cameras.
     pub shadows_by_camera: bool,
+    /// Whether some camera is no pinhole.
+    pub lenses: bool,
 }
 
 #[repr(C)]
@@ -81,6 +83,7 @@ impl Project {
             ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
             ("SHADOWS", Constant::Bool(variant.shadows)),
             ("SHADOWS_BY_CAMERA", Constant::Bool(variant.shadows && variant.shadows_by_camera)),
+            ("LENSES", Constant::Bool(variant.lenses)),
         ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }
@@ -93,6 +96,7 @@ impl Project {
         recorder: &mut Recorder,
         world: &ResidentWorld,
         cameras: &Buffer<CameraRecord>,
+        lenses: &Buffer<LensRecord>,
         camera_count: usize,
         visible: &Visible,
         firsts: &Buffer<u32>,
@@ -133,6 +137,7 @@ impl Project {
             ("unranked_keys", sort.keys[1].binding()),
             ("shadows", shadows.shadows.binding()),
             ("shadow_words", shadows.words.binding()),
+            ("lenses", lenses.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
     }

@@ -4,12 +4,13 @@ use glam::Vec3;
 
 use super::agent::{agent_of_chunk, axes_of, unpack_splat};
 use super::depth_key::{depth_key, scaled_depth};
-use super::projection::{Variant, from_camera_m, project_splat, to_camera_axes};
+use super::lens::{chunk_reaches_seen, lens_of, project_splat_seen};
+use super::projection::{Variant, from_camera_m, to_camera_axes};
 use super::record::Record;
 use super::sh::{Stored, sh_colour};
-use super::visibility::{chunk_reaches, splat_reaches};
+use super::visibility::splat_reaches;
 use super::write_record::write_record;
-use crate::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord};
+use crate::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord};
 use crate::sh_codec::words_of;
 
 const CHUNK_WORDS: usize = CHUNK_SPLATS / 32;
@@ -27,6 +28,7 @@ pub fn cull_agents(
     asset_chunks: &[ChunkRecord],
     visible_words: &mut [u32],
     visible_counts: &mut [u32],
+    lenses: &[LensRecord],
     camera_count: usize,
     chunk_count: usize,
     variant: Variant,
@@ -40,11 +42,13 @@ pub fn cull_agents(
             let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
             for camera_index in 0..camera_count {
                 let camera = &agent_cameras[agent_index * camera_count + camera_index];
-                if agent.cameras >> camera_index & 1 == 0 || !chunk_reaches(chunk, camera, variant.near_m) {
+                let lens = lens_of(lenses, camera_index);
+                if agent.cameras >> camera_index & 1 == 0 || !chunk_reaches_seen(chunk, camera, lens, variant.near_m) {
                     continue;
                 }
                 let t = to_camera_axes(camera, from_camera_m(coded.mean_m, camera));
-                let (splat, drawn) = project_splat(camera, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
+                let (splat, drawn) =
+                    project_splat_seen(camera, lens, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
                 if drawn && splat_reaches(&splat, camera) {
                     let list = camera_index * chunk_count + agent.first_chunk as usize + own_chunk;
                     visible_words[list * CHUNK_WORDS + own_splat % CHUNK_SPLATS / 32] |= 1 << (own_splat % 32);
@@ -87,6 +91,7 @@ pub fn project_agents(
     keys: &mut [u32],
     values: &mut [u32],
     tile_counts: &mut [u32],
+    lenses: &[LensRecord],
     camera_count: usize,
     chunk_count: usize,
     static_lists: usize,
@@ -109,7 +114,14 @@ pub fn project_agents(
                 let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
                 let offset = from_camera_m(coded.mean_m, camera);
                 let t = to_camera_axes(camera, offset);
-                let (splat, _) = project_splat(camera, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
+                let (splat, _) = project_splat_seen(
+                    camera,
+                    lens_of(lenses, camera_index),
+                    t,
+                    axes_of(agent, &coded, coded_shapes),
+                    coded.opacity,
+                    variant,
+                );
                 let record = Record { splat, depth_m: if radial { offset.length() } else { t.z }, instance: agent.instance };
                 let d = offset.normalize();
                 let d = if agent.colours_in_world != 0 { turned(agent, d) } else { d };

@@ -1,6 +1,6 @@
 //! The stages once more, for reading: sequential, f32, un-clever.
 //!
-//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`, `output`, `projection`,
+//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`, `lens`, `output`, `projection`,
 //! `record`, `sh`, `shadow`, `visibility` and `write_record` what the shared GLSL of the same name does. Arguments have the shader's names
 //! and order: buffers first (outputs are written in place, as there), then push constants, then specialization constants. The
 //! stage tests feed both sides the same bytes. Nothing here saves work: no workgroups, no masks, no shared memory.
@@ -12,6 +12,7 @@
 pub mod agent;
 pub mod depth_key;
 pub mod footprint;
+pub mod lens;
 pub mod output;
 pub mod projection;
 pub mod record;
@@ -46,6 +47,7 @@ pub use cull::cull;
 pub use cull_shadows::cull_shadows;
 pub use emit_pairs::emit_pairs;
 pub use find_ranges::find_ranges;
+pub use lens::chunk_reaches_seen;
 pub use merge_order::merge_order;
 pub use plan_order::plan_order;
 pub use plan_segments::plan_segments;

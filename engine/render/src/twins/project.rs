@@ -1,12 +1,13 @@
 //! Footprint, depth key and colour of every visible (camera, splat): `project.comp`.
 
 use super::depth_key::{depth_key, scaled_depth};
-use super::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
+use super::lens::{lens_of, project_splat_seen};
+use super::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
 use super::record::Record;
 use super::sh::{Stored, sh_colour};
 use super::shadow::shadow_factor;
 use super::write_record::write_record;
-use crate::layout::{CHUNK_SPLATS, CameraRecord, OrderStep, ShadowRecord, ViewOrder};
+use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, OrderStep, ShadowRecord, ViewOrder};
 
 /// Where the key of a record stands before the sort: in its slot, or where the camera's order is kept, behind the keys of
 /// all visible splats of lower rank. The kernel finds how many these are from sums over the words, `rank_firsts`.
@@ -63,6 +64,7 @@ pub fn project(
     unranked_keys: &mut [u32],
     shadows: &[ShadowRecord],
     shadow_words: &[u32],
+    lenses: &[LensRecord],
     variant: Variant,
     sh_degree: usize,
     radial: bool,
@@ -74,6 +76,7 @@ pub fn project(
     let records_max = colours.len();
     let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
     for (camera_index, camera) in cameras.iter().enumerate() {
+        let lens = lens_of(lenses, camera_index);
         for chunk_index in 0..chunk_count {
             let list = camera_index * chunk_count + chunk_index;
             let seen = (0..CHUNK_SPLATS).filter(|&place| visible(list, place));
@@ -82,7 +85,7 @@ pub fn project(
                 let offset = from_camera_m(means_m[splat_index], camera);
                 let t = to_camera_axes(camera, offset);
                 let shape = shapes[splat_index];
-                let (splat, _) = project_splat(camera, t, axes_of(shape, rotations[splat_index]), shape[3], variant);
+                let (splat, _) = project_splat_seen(camera, lens, t, axes_of(shape, rotations[splat_index]), shape[3], variant);
                 let id = instances.map_or(0, |ids| ids[splat_index / 2] >> (16 * (splat_index % 2)) & 0xffff);
                 let record = Record {
                     splat,

@@ -9,8 +9,8 @@ use crate::layout::{CameraRecord, near_m};
 /// 0.5 log2(e): exp(-q/2) = exp2(-HALF_LOG2_E q).
 pub const HALF_LOG2_E: f32 = 0.721_347_5;
 
-const DILATION_PX2: f32 = rules::DILATION_PX2 as f32;
-const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;
+pub(super) const DILATION_PX2: f32 = rules::DILATION_PX2 as f32;
+pub(super) const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;
 
 /// Variants of a picture's rules that the projection is built for.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,10 +7,10 @@ use super::projection::from_camera_m;
 use crate::layout::{CameraRecord, ChunkRecord};
 
 /// Pixels that dilation adds to a splat's half-width at most.
-const DILATION_REACH_PX: f32 = 1.9;
+pub(super) const DILATION_REACH_PX: f32 = 1.9;
 
 /// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
-fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
+pub(super) fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
     normal.dot(centre) + normal.abs().dot(Vec3::from_array(chunk.half_extent_m))
 }
 

@@ -1,10 +1,11 @@
 //! What must be true of the definition itself, against closed forms worked out by hand.
 
 mod blending;
+mod lenses;
 mod limits;
 mod projection;
 
-use decouplegs_scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World, sh};
+use decouplegs_scene::{Camera, Intrinsics, Lens, Pose, Rules, SplatCloud, World, sh};
 
 use super::Picture64;
 use super::project::{Projected64, View};
@@ -48,6 +49,7 @@ fn camera(size_px: u32) -> Camera {
             fy_px: focal_px,
             cx_px: centre_px,
             cy_px: centre_px,
+            lens: Lens::Pinhole,
         },
         world_from_camera: Pose::IDENTITY,
     }

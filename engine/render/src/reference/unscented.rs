@@ -1,0 +1,57 @@
+//! What a lens makes of a Gaussian, in f64: the unscented transform (Wu et al., 3DGUT, 2025).
+//!
+//! Seven points stand for the Gaussian: its mean, and the mean a distance of `SIGMA_REACH` standard deviations along each axis,
+//! either way. The lens takes each to the image, and the footprint is the Gaussian with their weighted mean and covariance
+//! (alpha 1, beta 2 and kappa 0: the middle one has no weight in the mean and twice a whole one in the covariance).
+
+use decouplegs_scene::RayMap;
+use glam::{DMat3, DVec2, DVec3};
+
+/// How far the points stand from the mean, in standard deviations: the square root of three dimensions.
+pub const SIGMA_REACH: f64 = 1.732_050_807_568_877_2;
+
+/// A Gaussian in the image, before it is dilated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// Its mean, pixels.
+    pub mean_px: DVec2,
+    /// Variance along x, square pixels.
+    pub xx: f64,
+    /// Covariance of x and y.
+    pub xy: f64,
+    /// Variance along y.
+    pub yy: f64,
+    /// The determinant of the covariance, from a sum of squares: no difference of nearly equal numbers.
+    pub det: f64,
+}
+
+/// The image of the Gaussian with mean `t` and covariance `axes` times its transpose, both in camera axes. `None` where the lens
+/// shows none of the seven points.
+#[must_use]
+pub fn unscented(lens: &RayMap, t: DVec3, axes: &DMat3) -> Option<Spread> {
+    let offsets = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * SIGMA_REACH);
+    let around = offsets.into_iter().flat_map(|offset| [t + offset, t - offset]);
+    if !lens.shows(t) && !around.clone().any(|point| lens.shows(point)) {
+        return None;
+    }
+    let middle = lens.project_extended(t);
+    let mut rows = [DVec2::ZERO; 7];
+    for (row, point) in rows[1..].iter_mut().zip(around) {
+        *row = lens.project_extended(point) - middle;
+    }
+    let shift = rows[1..].iter().sum::<DVec2>() / 6.0;
+    rows[0] = -shift * 2f64.sqrt();
+    for row in &mut rows[1..] {
+        *row = (*row - shift) / 6f64.sqrt();
+    }
+    let gram = |f: fn(&DVec2) -> f64| rows.iter().map(f).sum::<f64>();
+    // Lagrange's identity: the Gram determinant of two vectors is the sum of the squares of all their minors.
+    let minors = (0..7).flat_map(|i| (0..i).map(move |j| (i, j)));
+    Some(Spread {
+        mean_px: middle + shift,
+        xx: gram(|row| row.x * row.x),
+        xy: gram(|row| row.x * row.y),
+        yy: gram(|row| row.y * row.y),
+        det: minors.map(|(i, j)| rows[i].perp_dot(rows[j]).powi(2)).sum(),
+    })
+}

@@ -1,0 +1,163 @@
+//! What a lens that is no pinhole makes of a Gaussian, in f32: `lens.glsl`.
+
+use glam::{Mat3, Vec2, Vec3, vec2};
+
+use super::footprint::{Footprint, LOG2_255};
+use super::projection::{ALPHA_MIN, DILATION_PX2, HALF_LOG2_E, Variant, from_camera_m, project_splat, to_camera_axes};
+use super::visibility::{DILATION_REACH_PX, chunk_reaches, farthest};
+use crate::layout::{CameraRecord, ChunkRecord, LENS_INTERVALS, LensKind, LensRecord};
+
+const SIGMA_REACH: f32 = 1.732_050_8;
+const SQRT_SIXTH: f32 = 0.408_248_3;
+const UNSCENTED_REACH: f32 = 3.45;
+
+fn shows(lens: &LensRecord, t: Vec3) -> bool {
+    t.z > 0.0 && t.truncate().length() <= lens.tan_limit * t.z
+}
+
+fn distorted(lens: &LensRecord, p: Vec2) -> Vec2 {
+    let [k1, k2, k3, k4, k5, k6] = lens.radial;
+    let [p1, p2] = lens.tangential;
+    let [s1, s2, s3, s4] = lens.thin_prism;
+    let r2 = p.dot(p);
+    let over = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+    let under = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+    let square = Vec2::splat(r2) + 2.0 * p * p;
+    let bent = vec2(2.0 * p.x * p.y * p1 + square.x * p2, square.y * p1 + 2.0 * p.x * p.y * p2);
+    p * (over / under) + bent + r2 * (vec2(s1, s3) + r2 * vec2(s2, s4))
+}
+
+fn radius_at(lens: &LensRecord, chord: f32) -> f32 {
+    let place = chord * lens.chord_intervals;
+    let interval = (place as usize).min(LENS_INTERVALS - 1);
+    let s = place - interval as f32;
+    let [low, by_low] = lens.table[interval];
+    let [high, by_high] = lens.table[interval + 1];
+    let rise = high - low;
+    low + s * (by_low + s * (3.0 * rise - 2.0 * by_low - by_high + s * (by_low + by_high - 2.0 * rise)))
+}
+
+/// Where a point in camera axes falls, pixels from the principal point.
+#[must_use]
+pub fn through_lens(lens: &LensRecord, t: Vec3) -> Vec2 {
+    let ray = t.normalize();
+    let across = ray.truncate().length();
+    let chord = if ray.z >= 0.0 { across * (2.0 / (1.0 + ray.z)).sqrt() } else { (2.0 - 2.0 * ray.z).sqrt() };
+    let direction = if across > 0.0 { ray.truncate() / across } else { vec2(if ray.z < 0.0 { 1.0 } else { 0.0 }, 0.0) };
+    let shown = shows(lens, t);
+    let mut p = if lens.kind == LensKind::Planar as u32 {
+        distorted(lens, if shown { t.truncate() / t.z } else { direction * lens.tan_limit })
+    } else {
+        direction * radius_at(lens, if shown { chord.min(lens.chord_limit) } else { lens.chord_limit })
+    };
+    if !shown {
+        p += direction * (lens.slope_beyond * (chord - lens.chord_limit));
+    }
+    let [xx, yx, xy, yy] = lens.matrix;
+    p.x * vec2(xx, yx) + p.y * vec2(xy, yy)
+}
+
+/// [`project_splat`] for a lens that is no pinhole.
+fn project_splat_unscented(
+    camera: &CameraRecord,
+    lens: &LensRecord,
+    t: Vec3,
+    axes: Mat3,
+    opacity: f32,
+    variant: Variant,
+) -> (Footprint, bool) {
+    let nothing = (Footprint::default(), false);
+    // Written so that a NaN fails.
+    if t.z.is_nan() || t.z < variant.near_m {
+        return nothing;
+    }
+    let middle = through_lens(lens, t);
+    let offsets = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| SIGMA_REACH * to_camera_axes(camera, axis));
+    let around = offsets.into_iter().flat_map(|offset| [t + offset, t - offset]);
+    if !shows(lens, t) && !around.clone().any(|point| shows(lens, point)) {
+        return nothing;
+    }
+    let mut points = [Vec2::ZERO; 7];
+    for (point, from) in points[1..].iter_mut().zip(around) {
+        *point = through_lens(lens, from) - middle;
+    }
+    let shift = points[1..].iter().sum::<Vec2>() / 6.0;
+    points[0] = -std::f32::consts::SQRT_2 * shift;
+    points[1..].iter_mut().for_each(|point| *point = SQRT_SIXTH * (*point - shift));
+    let unit_px = points.iter().map(|point| point.abs().max_element()).fold(1.0, f32::max);
+    points.iter_mut().for_each(|point| *point /= unit_px);
+    let sum = |f: fn(&Vec2) -> f32| points.iter().map(f).sum::<f32>();
+    let (xx, xy, yy) = (sum(|p| p.x * p.x), sum(|p| p.x * p.y), sum(|p| p.y * p.y));
+    let minors = (0..7).flat_map(|i| (0..i).map(move |j| (i, j)));
+    let undilated: f32 = minors.map(|(i, j)| points[i].perp_dot(points[j]).powi(2)).sum();
+    let dilation = DILATION_PX2 / (unit_px * unit_px);
+    let determinant = undilated + dilation * (xx + yy) + dilation * dilation;
+    let variance_y = yy + dilation;
+    let opacity = if variant.antialias { opacity * (undilated / determinant).sqrt() } else { opacity };
+    let splat = Footprint {
+        mean_px: Vec2::from_array(camera.principal_px) + (middle + shift),
+        slope: xy / variance_y,
+        rate_x: (HALF_LOG2_E * variance_y / determinant).sqrt() / unit_px,
+        rate_y: (HALF_LOG2_E / variance_y).sqrt() / unit_px,
+        log2_opacity: opacity.log2().max(-LOG2_255),
+    };
+    let drawn = opacity >= ALPHA_MIN
+        && splat.rate_x > 0.0
+        && splat.rate_y > 0.0
+        && splat.slope.abs() < 1e30
+        && splat.mean_px.x.abs() < 1e30
+        && splat.mean_px.y.abs() < 1e30;
+    (splat, drawn)
+}
+
+/// The lens of camera `camera` among `lenses`, one a camera or none at all; `None` for a pinhole.
+#[must_use]
+pub fn lens_of(lenses: &[LensRecord], camera: usize) -> Option<&LensRecord> {
+    lenses.get(camera).filter(|lens| lens.kind != LensKind::Pinhole as u32)
+}
+
+/// [`project_splat`], whatever the camera's lens; `None` is a pinhole.
+#[must_use]
+pub fn project_splat_seen(
+    camera: &CameraRecord,
+    lens: Option<&LensRecord>,
+    t: Vec3,
+    axes: Mat3,
+    opacity: f32,
+    variant: Variant,
+) -> (Footprint, bool) {
+    match lens {
+        Some(lens) => project_splat_unscented(camera, lens, t, axes, opacity, variant),
+        None => project_splat(camera, t, axes, opacity, variant),
+    }
+}
+
+/// At least the arc sine, for sines up to a quarter.
+fn arc_sine_bound(s: f32) -> f32 {
+    s / (1.0 - s * s).sqrt()
+}
+
+/// [`chunk_reaches`], whatever the camera's lens; `None` is a pinhole.
+#[must_use]
+pub fn chunk_reaches_seen(chunk: &ChunkRecord, camera: &CameraRecord, lens: Option<&LensRecord>, near_m: f32) -> bool {
+    let Some(lens) = lens else { return chunk_reaches(chunk, camera, near_m) };
+    let centre = from_camera_m(chunk.centre_m, camera);
+    let half_extent = Vec3::from_array(chunk.half_extent_m);
+    let slack = 1e-5 * (centre.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
+    let nearest = farthest(chunk, centre, Vec3::from_array(camera.row_z)) + slack;
+    if chunk.reach_m < 0.0 || nearest.is_nan() || nearest < near_m {
+        return false;
+    }
+    let distance_m = centre.length();
+    let spread_m = half_extent.length() + slack;
+    let (spread, reach) = (spread_m / distance_m, chunk.reach_m / (distance_m - spread_m));
+    let t = to_camera_axes(camera, centre);
+    if !(spread < 0.25 && reach < 0.25 && t.z > 0.0) {
+        return true;
+    }
+    let angle_rad = 1.001 * (arc_sine_bound(spread) + UNSCENTED_REACH * arc_sine_bound(reach));
+    let margin = Vec2::splat(lens.pixels_per_rad * angle_rad + DILATION_REACH_PX + 1.0);
+    let pixel = Vec2::from_array(camera.principal_px) + through_lens(lens, t);
+    let size = vec2(camera.size_px[0] as f32, camera.size_px[1] as f32);
+    pixel.cmpge(-margin).all() && pixel.cmple(size + margin).all()
+}
