@@ -78,6 +78,18 @@ vec2 through_lens(uint lens, vec3 t) {
     return p.x * m.xy + p.y * m.zw;
 }
 
+// Turns two columns of a factor into each other so that `row` of the second becomes zero.
+void turn_columns(inout vec3 first, inout vec3 second, int row) {
+    float side = length(vec2(first[row], second[row]));
+    if (side > 0.0) {
+        float c = first[row] / side;
+        float s = second[row] / side;
+        vec3 turned = c * first + s * second;
+        second = c * second - s * first;
+        first = turned;
+    }
+}
+
 // project_splat for a lens that is no pinhole.
 bool project_splat_unscented(Camera camera, uint lens, vec3 t, mat3 axes, float opacity, out Footprint splat) {
     splat = Footprint(vec2(0.0), 0.0, 1.0, 1.0, -1.0);
@@ -86,10 +98,15 @@ bool project_splat_unscented(Camera camera, uint lens, vec3 t, mat3 axes, float 
     }
     vec2 middle = through_lens(lens, t);
     bool shown = lens_shows(lens, t);
+    // The triangular factor in the camera's axes: it is the same whichever factor of its covariance the splat is stored by.
+    vec3 columns[3] = vec3[3](to_camera_axes(camera, axes[0]), to_camera_axes(camera, axes[1]), to_camera_axes(camera, axes[2]));
+    turn_columns(columns[0], columns[1], 0);
+    turn_columns(columns[0], columns[2], 0);
+    turn_columns(columns[1], columns[2], 1);
     vec2 points[7];
     vec2 shift = vec2(0.0);
     for (int axis = 0; axis < 3; ++axis) {
-        vec3 offset = SIGMA_REACH * to_camera_axes(camera, axes[axis]);
+        vec3 offset = SIGMA_REACH * columns[axis];
         for (int side = 0; side < 2; ++side) {
             vec3 point = side == 0 ? t + offset : t - offset;
             shown = shown || lens_shows(lens, point);

@@ -86,7 +86,7 @@ impl Projection<'_> {
         let lengths = offsets.iter().map(|offset| offset.length()).sum::<f64>();
         let points = offsets.iter().flat_map(|&offset| [t + offset, t - offset]).chain([t]);
         let point_error = points.map(|point| {
-            let turned_rad = (t_error + (self.axes_share + 8.0 * u) * lengths) / point.length() + 40.0 * u;
+            let turned_rad = (t_error + (self.axes_share + 32.0 * u) * lengths) / point.length() + 40.0 * u;
             let radius_px = (map.project_extended(point) - principal).length();
             f64::from(lens.pixels_per_rad) * turned_rad + 24.0 * u * radius_px
         });

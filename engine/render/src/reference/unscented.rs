@@ -1,7 +1,8 @@
 //! What a lens makes of a Gaussian, in f64: the unscented transform (Wu et al., 3DGUT, 2025).
 //!
-//! Seven points stand for the Gaussian: its mean, and the mean a distance of `SIGMA_REACH` standard deviations along each axis,
-//! either way. The lens takes each to the image, and the footprint is the Gaussian with their weighted mean and covariance
+//! Seven points stand for the Gaussian: its mean, and its mean plus and minus each column of a factor of its covariance times
+//! `SIGMA_REACH`. The factor is the triangular one in the camera's axes: it follows from the covariance alone, whichever factor
+//! a splat is stored by, and one column is depth. The lens takes each to the image, and the footprint is the Gaussian with their weighted mean and covariance
 //! (alpha 1, beta 2 and kappa 0: the middle one has no weight in the mean and twice a whole one in the covariance).
 
 use decouplegs_scene::RayMap;
@@ -25,10 +26,28 @@ pub struct Spread {
     pub det: f64,
 }
 
+/// The lower triangular factor of `axes` times its transpose, found by turning columns into each other: nothing is squared, so thin
+/// splats keep their digits.
+#[must_use]
+pub fn triangular(axes: &DMat3) -> DMat3 {
+    let mut columns = [axes.x_axis, axes.y_axis, axes.z_axis];
+    for (row, first, second) in [(0, 0, 1), (0, 0, 2), (1, 1, 2)] {
+        let (a, b) = (columns[first], columns[second]);
+        let length = a[row].hypot(b[row]);
+        if length > 0.0 {
+            let (c, s) = (a[row] / length, b[row] / length);
+            columns[first] = c * a + s * b;
+            columns[second] = c * b - s * a;
+        }
+    }
+    DMat3::from_cols(columns[0], columns[1], columns[2])
+}
+
 /// The image of the Gaussian with mean `t` and covariance `axes` times its transpose, both in camera axes. `None` where the lens
 /// shows none of the seven points.
 #[must_use]
 pub fn unscented(lens: &RayMap, t: DVec3, axes: &DMat3) -> Option<Spread> {
+    let axes = triangular(axes);
     let offsets = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * SIGMA_REACH);
     let around = offsets.into_iter().flat_map(|offset| [t + offset, t - offset]);
     if !lens.shows(t) && !around.clone().any(|point| lens.shows(point)) {
@@ -54,4 +73,24 @@ pub fn unscented(lens: &RayMap, t: DVec3, axes: &DMat3) -> Option<Spread> {
         yy: gram(|row| row.y * row.y),
         det: minors.map(|(i, j)| rows[i].perp_dot(rows[j]).powi(2)).sum(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DQuat;
+
+    #[test]
+    fn the_triangular_factor_is_that_of_the_covariance_alone() {
+        let turn = DMat3::from_quat(DQuat::from_xyzw(0.3, -0.5, 0.7, 0.2).normalize());
+        let axes = turn * DMat3::from_diagonal(DVec3::new(0.3, 0.02, 1e-5));
+        let factor = triangular(&axes);
+        assert!((factor * factor.transpose()).abs_diff_eq(axes * axes.transpose(), 1e-15));
+        assert!(factor.y_axis.x.abs().max(factor.z_axis.x.abs()).max(factor.z_axis.y.abs()) < 1e-16);
+        let other = axes * DMat3::from_quat(DQuat::from_rotation_y(1.1) * DQuat::from_rotation_x(-0.4));
+        let magnitudes = |m: DMat3| m.to_cols_array().map(f64::abs);
+        for (a, b) in magnitudes(factor).into_iter().zip(magnitudes(triangular(&other))) {
+            assert!((a - b).abs() < 1e-11, "{a} and {b}");
+        }
+    }
 }

@@ -72,7 +72,16 @@ fn project_splat_unscented(
         return nothing;
     }
     let middle = through_lens(lens, t);
-    let offsets = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| SIGMA_REACH * to_camera_axes(camera, axis));
+    let mut columns = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| to_camera_axes(camera, axis));
+    for (row, first, second) in [(0, 0, 1), (0, 0, 2), (1, 1, 2)] {
+        let (a, b) = (columns[first], columns[second]);
+        let side = vec2(a[row], b[row]).length();
+        if side > 0.0 {
+            let (c, s) = (a[row] / side, b[row] / side);
+            (columns[first], columns[second]) = (c * a + s * b, c * b - s * a);
+        }
+    }
+    let offsets = columns.map(|column| SIGMA_REACH * column);
     let around = offsets.into_iter().flat_map(|offset| [t + offset, t - offset]);
     if !shows(lens, t) && !around.clone().any(|point| shows(lens, point)) {
         return nothing;
