@@ -23,9 +23,9 @@ struct Lens {
     vec2 table[LENS_INTERVALS + 1u]; // radius, and what it grows by an interval
 };
 
-layout(constant_id = 8) const bool LENSES = false; // some camera is no pinhole
+layout(constant_id = 16) const bool LENSES = false; // some camera is no pinhole
 
-layout(set = 0, binding = 24, scalar) readonly buffer lenses_block { Lens lenses[]; }; // by camera
+layout(set = 0, binding = 32, scalar) readonly buffer lenses_block { Lens lenses[]; }; // by camera
 
 // The square root of three dimensions: how far the points stand from the mean, in standard deviations.
 const float SIGMA_REACH = 1.7320508075688772;
