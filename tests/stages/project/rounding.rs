@@ -93,8 +93,9 @@ impl Projection<'_> {
         let error = point_error.fold(0.0, f64::max);
         let spread = unscented(map, t, &axes).expect("the record of a splat that the lens shows");
         let shape = Shape {
-            m0: spread.xx.sqrt(),
-            m1: spread.yy.sqrt(),
+            // With what rounding adds: splats of no size at all have nothing else.
+            m0: spread.xx.sqrt() + 4.0 * error,
+            m1: spread.yy.sqrt() + 4.0 * error,
             area: spread.det.sqrt(),
             xy: spread.xy,
             e0: 4.0 * error,
