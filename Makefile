@@ -7,14 +7,17 @@
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test packages python
+.PHONY: demo test python-test packages python
 
 # Building needs a C++ compiler, cmake, ninja, pkg-config and python3 (for shaderc, which compiles the shaders); running
 # needs the Vulkan loader, a driver (lavapipe, the software one, unless the machine has a better) and the validation layers.
 PROGRAMS := g++ cmake ninja pkg-config python3
-LIBRARIES := libvulkan1 mesa-vulkan-drivers vulkan-validationlayers python3-venv
+LIBRARIES := libvulkan1 mesa-vulkan-drivers vulkan-validationlayers python3-venv valgrind
 
-# A test reads compressed assets from Python, as users do, with the packages safetensors and numpy.
+# Tests use the project from Python as users do: they read compressed assets, build and install the wheel, speak to the server and
+# drive episodes on a cluster of this machine. A test whose package cannot be installed says that it is skipped.
+PYTHON_PACKAGES := safetensors numpy maturin pytest gymnasium matplotlib grpcio protobuf
+PYTHON_PACKAGES_OPTIONAL := ray
 PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 
 DEMO := out/demo
@@ -38,12 +41,23 @@ test: packages python
 	else \
 		cargo test --workspace --lib --bins --tests --no-fail-fast; \
 	fi
+	$(MAKE) --no-print-directory python-test
+
+# The wheel, built like the tests, in an environment of its own, and its tests on lavapipe.
+python-test: export DECOUPLEGS_VALIDATION := 1
+python-test: packages python
+	@if ! [[ -x $(PYTHON)/bin/maturin ]]; then echo "The Python package is not tested: maturin could not be installed."; exit 0; fi; \
+	. $(PYTHON)/bin/activate; \
+	maturin develop --quiet --profile dev --manifest-path tools/python/Cargo.toml; \
+	python -m pytest -q tools/python/tests
 
 # Without a network the test that needs it says that it is skipped.
 python: packages
-	@if $(PYTHON)/bin/python -c 'import safetensors, numpy' 2>/dev/null; then exit 0; fi; \
-	python3 -m venv $(PYTHON) && $(PYTHON)/bin/pip install --quiet --disable-pip-version-check safetensors numpy \
-		|| { rm -rf $(PYTHON); echo "safetensors and numpy cannot be installed for Python: the test that reads assets from it is skipped."; }
+	@if $(PYTHON)/bin/python -c 'import safetensors, numpy, maturin, pytest, gymnasium, matplotlib, grpc' 2>/dev/null; then exit 0; fi; \
+	python3 -m venv $(PYTHON) && $(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES) \
+		|| { rm -rf $(PYTHON); echo "$(PYTHON_PACKAGES) cannot be installed for Python: the tests that need them are skipped."; exit 0; }; \
+	$(PYTHON)/bin/pip install --quiet --disable-pip-version-check $(PYTHON_PACKAGES_OPTIONAL) \
+		|| echo "$(PYTHON_PACKAGES_OPTIONAL) cannot be installed for Python: the test of a cluster is skipped."
 
 packages:
 	@missing=(); \
