@@ -10,6 +10,7 @@ mod bench;
 mod calibrate_light;
 mod compare;
 mod compress;
+mod convert;
 mod data_uri;
 mod decompress;
 mod device;
@@ -49,6 +50,7 @@ enum Command {
     Inspect(inspect::Arguments),
     Map(map::Arguments),
     Register(Box<register::Arguments>),
+    Convert(convert::Arguments),
     Decompress(decompress::Arguments),
     Compress(compress::Arguments),
     Compare(compare::Arguments),
@@ -71,6 +73,7 @@ fn main() -> ExitCode {
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Map(arguments) => map::run(arguments),
         Command::Register(arguments) => register::run(arguments),
+        Command::Convert(arguments) => convert::run(arguments),
         Command::Decompress(arguments) => decompress::run(arguments),
         Command::Compress(arguments) => compress::run(arguments),
         Command::Compare(arguments) => compare::run(arguments),
