@@ -22,6 +22,7 @@ mod inspect;
 mod lane_drawing;
 mod map;
 mod open_loop;
+mod pack;
 mod plot;
 mod progress;
 mod register;
@@ -60,6 +61,7 @@ enum Command {
     Stress(Box<stress::Arguments>),
     Ablate(Box<ablate::Arguments>),
     Edit(edit::Arguments),
+    Pack(pack::Arguments),
     Drive(Box<drive::Arguments>),
     Replay(replay::Arguments),
     OpenLoop(open_loop::Arguments),
@@ -83,6 +85,7 @@ fn main() -> ExitCode {
         Command::Stress(arguments) => stress::run(arguments),
         Command::Ablate(arguments) => ablate::run(arguments),
         Command::Edit(arguments) => edit::run(arguments),
+        Command::Pack(arguments) => pack::run(arguments),
         Command::Drive(arguments) => drive::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),
         Command::OpenLoop(arguments) => open_loop::run(arguments),

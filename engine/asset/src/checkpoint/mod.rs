@@ -24,7 +24,7 @@ use crate::DecodeError;
 use crate::zip::Archive;
 use pickle::Unpickler;
 
-pub(crate) use gaussians::{Names, cloud_of};
+pub(crate) use gaussians::{Names, cloud_of, plain_dc};
 pub(crate) use tensor::Tensor;
 pub(crate) use value::{Node, Tree};
 
