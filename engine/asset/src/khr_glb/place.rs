@@ -30,7 +30,10 @@ pub(super) fn place(cloud: &mut SplatCloud, world: &DAffine3) {
     let is_uniform = stretch.abs_diff_eq(DMat3::from_diagonal(DVec3::splat(scale)), EQUAL * scale);
     let (own_scales, own_rotations) = (cloud.scales.clone(), cloud.rotations.clone());
     let own_means = cloud.means.clone();
-    *cloud = cloud.placed(&Pose { rotation: turn, translation: DVec3::ZERO }, true);
+    // Turning by nothing would still round.
+    if turn != DQuat::IDENTITY {
+        *cloud = cloud.placed(&Pose { rotation: turn, translation: DVec3::ZERO }, true);
+    }
     let linear = DAffine3 { matrix3: matrix, translation: world.translation };
     cloud.means.par_iter_mut().zip(own_means).for_each(|(mean, own)| {
         *mean = linear.transform_point3(DVec3::from_array(own.map(f64::from))).as_vec3().to_array();
