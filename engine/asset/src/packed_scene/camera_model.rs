@@ -1,6 +1,6 @@
 //! Pinhole cameras in the words of the f-theta model, which is the one that readers of packages know.
 
-use decouplegs_scene::Intrinsics;
+use decouplegs_scene::{Intrinsics, Lens};
 use serde_json::{Value, json};
 
 /// Coefficients of a polynomial, the constant first.
@@ -8,10 +8,19 @@ const COEFFICIENTS: usize = 6;
 /// Angles at which the polynomial is fitted.
 const SAMPLES: usize = 64;
 
+/// The model of a camera: f-theta for a pinhole. A lens has none here, and what cannot be told is not told wrongly.
+pub(super) fn model(intrinsics: &Intrinsics) -> Value {
+    if intrinsics.lens == Lens::default() {
+        json!({"type": "ftheta", "parameters": f_theta(intrinsics)})
+    } else {
+        json!({"type": "other", "parameters": {"resolution": [intrinsics.width_px, intrinsics.height_px]}})
+    }
+}
+
 /// The parameters of `intrinsics` as f-theta: distance from the principal point against the angle from the axis, and back, as
 /// polynomials of the fifth degree up to the farthest corner.
-pub(super) fn f_theta(intrinsics: &Intrinsics) -> Value {
-    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px } = *intrinsics;
+fn f_theta(intrinsics: &Intrinsics) -> Value {
+    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = *intrinsics;
     let reach = |centre: f64, size: u32| centre.abs().max((f64::from(size) - centre).abs());
     let (x, y) = (reach(cx_px, width_px) / fx_px, reach(cy_px, height_px) / fy_px);
     let angle_max = x.hypot(y).atan();
@@ -32,7 +41,7 @@ pub(super) fn f_theta(intrinsics: &Intrinsics) -> Value {
 }
 
 /// The polynomial without a constant that is nearest to `to` at `from`, least squares.
-pub(super) fn fit(from: &[f64], to: &[f64]) -> [f64; COEFFICIENTS] {
+fn fit(from: &[f64], to: &[f64]) -> [f64; COEFFICIENTS] {
     const UNKNOWNS: usize = COEFFICIENTS - 1;
     // Between 0 and 1, where powers are of a size.
     let scale = from.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
@@ -69,7 +78,8 @@ mod tests {
 
     #[test]
     fn a_usual_camera_is_told_to_a_fraction_of_a_pixel() {
-        let intrinsics = Intrinsics { width_px: 1600, height_px: 900, fx_px: 1266.4, fy_px: 1266.4, cx_px: 816.3, cy_px: 491.5 };
+        let square = Intrinsics::from_horizontal_fov(1600, 900, 1.0);
+        let intrinsics = Intrinsics { fx_px: 1266.4, fy_px: 1266.4, cx_px: 816.3, cy_px: 491.5, ..square };
         let model = f_theta(&intrinsics);
         let polynomial = |name: &str, x: f64| -> f64 {
             model[name].as_array().unwrap().iter().rev().fold(0.0, |sum, c| sum * x + c.as_f64().unwrap())

@@ -4,7 +4,7 @@ use decouplegs_scene::{Pose, Trajectory};
 use glam::{DMat4, DVec3};
 use serde_json::{Map, Value, json};
 
-use super::camera_model::f_theta;
+use super::camera_model::model;
 use super::{DURATION_MAX_S, PackOptions, SAMPLES_HZ, STANDING_S};
 use crate::SceneFile;
 
@@ -66,7 +66,7 @@ pub(super) fn rig_trajectories(scene: &SceneFile, options: &PackOptions, span_s:
             "unique_sensor_idx": index,
             // Rig from sensor, as its readers multiply it.
             "T_sensor_rig": rows(&rig_from_sensor),
-            "camera_model": {"type": "ftheta", "parameters": f_theta(&camera.intrinsics)},
+            "camera_model": model(&camera.intrinsics),
         });
         calibrations.insert(key.clone(), calibration);
         frames.insert(key, json!(frame_times));
