@@ -29,7 +29,7 @@ use visibility::VIEW_PX_MAX;
 /// stands in a scene file where plain splats may, `inspect` describes it and `decompress` turns it back into plain splats.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats in the agent's own frame: metres, x forward, y left, z up (.ply, .splat, .spz)
+    /// Splats in the agent's own frame: metres, x forward, y left, z up (.ply, .splat, .spz, .sog, .glb, .pt)
     file: PathBuf,
     /// The asset to write (.safetensors)
     #[arg(long, value_name = "FILE", value_parser = asset_path)]

@@ -15,7 +15,7 @@ use summary::{Lines, splats_to_text};
 /// Describe a splat file, a compressed asset or a scene: counts, bounds, histograms, splats that cannot be drawn
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats (.ply, .splat, .spz), a compressed asset (.safetensors) or a scene (.toml)
+    /// Splats (.ply, .splat, .spz, .sog, .glb, .pt), a compressed asset (.safetensors) or a scene (.toml, .usdz)
     file: PathBuf,
     /// Print JSON
     #[arg(long)]
@@ -39,7 +39,12 @@ fn describe(path: &Path) -> Result<(String, Value)> {
     }
     let loaded = open_scene(path, 0.0)?;
     if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
-        let summary = SplatSummary::of(&loaded.world.splats);
+        // Of a package the agents as well.
+        let summary = if loaded.agents.is_empty() {
+            SplatSummary::of(&loaded.world.splats)
+        } else {
+            SplatSummary::of(&loaded.baked(0.0).splats)
+        };
         return Ok((splats_to_text(&summary), serde_json::to_value(&summary)?));
     }
     let world = loaded.baked(0.0);

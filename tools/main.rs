@@ -10,6 +10,7 @@ mod bench;
 mod calibrate_light;
 mod compare;
 mod compress;
+mod convert;
 mod data_uri;
 mod decompress;
 mod device;
@@ -21,6 +22,7 @@ mod inspect;
 mod lane_drawing;
 mod map;
 mod open_loop;
+mod pack;
 mod plot;
 mod progress;
 mod register;
@@ -49,6 +51,7 @@ enum Command {
     Inspect(inspect::Arguments),
     Map(map::Arguments),
     Register(Box<register::Arguments>),
+    Convert(convert::Arguments),
     Decompress(decompress::Arguments),
     Compress(compress::Arguments),
     Compare(compare::Arguments),
@@ -58,6 +61,7 @@ enum Command {
     Stress(Box<stress::Arguments>),
     Ablate(Box<ablate::Arguments>),
     Edit(edit::Arguments),
+    Pack(pack::Arguments),
     Drive(Box<drive::Arguments>),
     Replay(replay::Arguments),
     OpenLoop(open_loop::Arguments),
@@ -71,6 +75,7 @@ fn main() -> ExitCode {
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Map(arguments) => map::run(arguments),
         Command::Register(arguments) => register::run(arguments),
+        Command::Convert(arguments) => convert::run(arguments),
         Command::Decompress(arguments) => decompress::run(arguments),
         Command::Compress(arguments) => compress::run(arguments),
         Command::Compare(arguments) => compare::run(arguments),
@@ -80,6 +85,7 @@ fn main() -> ExitCode {
         Command::Stress(arguments) => stress::run(arguments),
         Command::Ablate(arguments) => ablate::run(arguments),
         Command::Edit(arguments) => edit::run(arguments),
+        Command::Pack(arguments) => pack::run(arguments),
         Command::Drive(arguments) => drive::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),
         Command::OpenLoop(arguments) => open_loop::run(arguments),

@@ -12,7 +12,7 @@ use crate::progress;
 /// The arguments of every command that draws.
 #[derive(clap::Args)]
 pub struct SceneArguments {
-    /// Splats (.ply, .splat, .spz, .safetensors) or a scene (.toml)
+    /// Splats (.ply, .splat, .spz, .sog, .glb, .pt, .safetensors) or a scene (.toml, .usdz)
     scene: PathBuf,
     /// Cameras: INRIA cameras.json or nerfstudio transforms.json (default: the scene's own rig)
     #[arg(long, value_name = "FILE")]

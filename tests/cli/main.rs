@@ -7,6 +7,7 @@ mod compress;
 mod data;
 mod drive;
 mod edit;
+mod exchange;
 mod map;
 mod register;
 mod stress;

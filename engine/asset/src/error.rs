@@ -62,7 +62,7 @@ pub enum AssetError {
         source: DecodeError,
     },
     /// Neither content nor extension tell a format that is read here.
-    #[error("{}: {found}; expected INRIA .ply, PlayCanvas compressed .ply, .splat, .spz or .safetensors", path.display())]
+    #[error("{}: {found}; expected INRIA .ply, PlayCanvas compressed .ply, .splat, .spz, .sog, .glb, .pt or .safetensors", path.display())]
     UnknownFormat {
         /// The file.
         path: PathBuf,

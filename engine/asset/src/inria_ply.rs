@@ -3,7 +3,8 @@
 //! One row a splat: `x y z`, optional normals, `f_dc_0..2`, `f_rest_*`, `opacity`, `scale_0..2`, `rot_0..3`. Opacity is a
 //! logit, scales are natural logarithms, rotations w, x, y, z of any length. `f_rest` is channel-major: all red
 //! coefficients, then all green, then all blue. Properties are found by name, of any scalar type, among any others.
-//! Coordinates are the trainer's and stay as they are.
+//! Coordinates are the trainer's and stay as they are. Where DC has several terms a channel, those of a Fourier series over time
+//! (Street Gaussians), their mean over time is read.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -13,6 +14,7 @@ use rayon::prelude::*;
 
 use crate::activation::{log_of_scale, logit, normalised, scale_of_log, sigmoid};
 use crate::ply::{Column, Ply, Rows};
+use crate::scene_import::mean_weights;
 use crate::{AssetError, DecodeError, write_atomically};
 
 /// The element that holds the splats of a file with one model.
@@ -38,7 +40,7 @@ pub fn decode_element(bytes: &[u8], element: &str) -> Result<SplatCloud, DecodeE
 }
 
 /// Reads the splats of `element` of a parsed file.
-fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, DecodeError> {
+pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, DecodeError> {
     if !ply.has_element(element) {
         return Err(DecodeError::Malformed(format!("there is no element '{element}', only: {}", ply.element_names())));
     }
@@ -48,7 +50,7 @@ fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, DecodeError> {
     let scale = columns(&["scale_0", "scale_1", "scale_2"])?;
     let rotation = columns(&["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let opacity = ply.column(element, "opacity")?;
-    let dc = columns(&["f_dc_0", "f_dc_1", "f_dc_2"])?;
+    let dc = dc_columns(ply, element)?;
     let rest = RestColumns::of(ply, element)?;
     let rows = ply.rows(element)?;
     Ok(SplatCloud {
@@ -57,9 +59,37 @@ fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, DecodeError> {
         rotations: row_slices(&rows).map(|row| normalised(std::array::from_fn(|i| rotation[i].f32_of(row)))).collect(),
         opacities: row_slices(&rows).map(|row| sigmoid(opacity.f32_of(row))).collect(),
         sh_degree: rest.degree,
-        sh_dc: triples(&rows, &dc),
+        sh_dc: row_slices(&rows).map(|row| std::array::from_fn(|channel| dc.value(channel, row))).collect(),
         sh_rest: rest.read(&rows, |column, row| column.f32_of(row)),
     })
+}
+
+/// The `f_dc` columns of an element, channel-major: one a channel, or the terms of its series over time.
+struct DcColumns {
+    columns: Vec<Column>,
+    /// What each term is on average.
+    weights: Vec<f64>,
+}
+
+/// Finds `f_dc_0..` in `element`.
+fn dc_columns(ply: &Ply<'_>, element: &str) -> Result<DcColumns, DecodeError> {
+    let count = ply.property_names(element).filter(|name| name.starts_with("f_dc_")).count();
+    // Fewer than three are missed by name.
+    let terms = if count > 3 && count.is_multiple_of(3) { count / 3 } else { 1 };
+    let columns = (0..3 * terms).map(|i| ply.column(element, &format!("f_dc_{i}"))).collect::<Result<_, DecodeError>>()?;
+    Ok(DcColumns { columns, weights: mean_weights(terms) })
+}
+
+impl DcColumns {
+    fn value(&self, channel: usize, row: &[u8]) -> f32 {
+        let terms = self.weights.len();
+        let columns = &self.columns[channel * terms..(channel + 1) * terms];
+        match columns {
+            [only] => only.f32_of(row),
+            _ => columns.iter().zip(&self.weights).map(|(column, weight)| f64::from(column.f32_of(row)) * weight).sum::<f64>()
+                as f32,
+        }
+    }
 }
 
 /// The `f_rest` columns of an element, `[coefficient][rgb]`.

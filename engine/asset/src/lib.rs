@@ -15,20 +15,27 @@ mod xml;
 
 pub mod calibrate;
 pub mod cameras;
+pub mod checkpoint;
 pub mod coded_asset;
 pub mod compress;
 pub mod compressed_ply;
 pub mod episode_log;
 pub mod inria_ply;
+pub mod khr_glb;
 pub mod light_transfer_file;
+pub mod loss;
 pub mod maps;
+pub mod packed_scene;
 pub mod roads;
 pub mod scenario_file;
 pub mod scene_file;
+pub mod scene_import;
+pub mod sog;
 pub mod splat;
 pub mod spz;
 pub mod street;
 pub mod tracks;
+pub mod zip;
 
 pub use atomic::write_atomically;
 pub use cameras::read_cameras;
@@ -36,7 +43,9 @@ pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_co
 pub use episode_log::{EpisodeLog, read_episode_log};
 pub use error::{AssetError, DecodeError, EncodeError, SceneError};
 pub use light_transfer_file::{LightTransferFile, read_light_transfer, write_light_transfer};
+pub use loss::{AttributeLoss, LossReport};
 pub use maps::read_map;
+pub use packed_scene::open_packed_scene;
 pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, open_scene};

@@ -6,7 +6,8 @@ use decouplegs_scene::SplatCloud;
 
 use crate::error::read_bytes;
 use crate::ply::Ply;
-use crate::{AssetError, DecodeError, coded_asset, compressed_ply, inria_ply, splat, spz};
+use crate::zip::Archive;
+use crate::{AssetError, DecodeError, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, sog, splat, spz};
 
 /// The formats that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +20,12 @@ pub enum SplatFormat {
     Splat,
     /// Niantic's, versions 1 to 4.
     Spz,
+    /// PlayCanvas' bundle of lossless pictures, version 2.
+    Sog,
+    /// Binary glTF with the extension KHR_gaussian_splatting.
+    KhrGlb,
+    /// What gsplat's trainer saves by PyTorch.
+    Checkpoint,
     /// Our own, of codebooks; its finest level is read.
     CodedAsset,
 }
@@ -32,6 +39,9 @@ impl SplatFormat {
             Self::CompressedPly => "compressed PLY",
             Self::Splat => "SPLAT",
             Self::Spz => "SPZ",
+            Self::Sog => sog::NAME,
+            Self::KhrGlb => khr_glb::NAME,
+            Self::Checkpoint => checkpoint::NAME,
             Self::CodedAsset => coded_asset::NAME,
         }
     }
@@ -41,7 +51,6 @@ impl SplatFormat {
     /// # Errors
     /// A sentence on what the bytes look like and what to do.
     pub fn detect(bytes: &[u8], extension: &str) -> Result<Self, String> {
-        let converted = |what: &str| Err(format!("{what}, which is not read; convert it to .ply"));
         match bytes {
             [b'p', b'l', b'y', b'\n' | b'\r', ..] => match Ply::parse(bytes) {
                 Ok(ply) if compressed_ply::is_compressed(&ply) => Ok(Self::CompressedPly),
@@ -49,24 +58,46 @@ impl SplatFormat {
                 _ => Ok(Self::InriaPly),
             },
             [b'N', b'G', b'S', b'P', ..] | [0x1f, 0x8b, ..] => Ok(Self::Spz),
-            [b'P', b'K', 3, 4, ..] => converted("a zip archive (SOG, USDZ or a checkpoint)"),
-            [b'g', b'l', b'T', b'F', ..] => converted("a binary glTF"),
+            [b'P', b'K', 3, 4, ..] => Self::of_zip(bytes, extension),
+            [b'g', b'l', b'T', b'F', ..] => Ok(Self::KhrGlb),
+            // As PyTorch saved before 1.6.
+            [0x80, 2, 0x8a, 10, ..] => Ok(Self::Checkpoint),
             _ if extension.eq_ignore_ascii_case("splat") => Ok(Self::Splat),
             _ if extension.eq_ignore_ascii_case("safetensors") => Ok(Self::CodedAsset),
             [] => Err("the file is empty".into()),
             _ => Err(format!("neither its first bytes nor its extension '{extension}' tell a splat format")),
         }
     }
+
+    /// The format of a zip, by what is in it.
+    fn of_zip(bytes: &[u8], extension: &str) -> Result<Self, String> {
+        let is = |other: &str| extension.eq_ignore_ascii_case(other);
+        match Archive::parse(bytes) {
+            Ok(archive) if sog::is_bundle(&archive) => Ok(Self::Sog),
+            Ok(archive) if checkpoint::is_checkpoint(&archive) => Ok(Self::Checkpoint),
+            Ok(_) if is("usdz") => Err("a USDZ package, which is a scene: open it as one, not as splats".into()),
+            Ok(_) => Err("a zip archive with neither a SOG's meta.json nor a checkpoint's data.pkl in it".into()),
+            // A broken zip is its reader's to explain.
+            Err(_) if is("pt") || is("pth") || is("ckpt") => Ok(Self::Checkpoint),
+            Err(_) => Ok(Self::Sog),
+        }
+    }
 }
 
 /// Reads the splats of a file in any format, chosen by its content and, where that says nothing, its extension.
 ///
-/// Coordinates are the file's own; SPZ is turned to the axes of the PLY it was made from (see [`spz`]). Splats that
+/// A SOG may also be a folder, or the `meta.json` in it. Coordinates are the file's own; SPZ is turned to the axes of the PLY it was made from (see [`spz`]). Splats that
 /// cannot be drawn are kept: [`SplatCloud::defect_of`] tells them.
 ///
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::UnknownFormat`] or [`AssetError::Decode`].
 pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
+    if path.is_dir() {
+        return sog::read_folder(path);
+    }
+    if path.file_name().is_some_and(|name| name == sog::META) {
+        return sog::read_folder(path.parent().unwrap_or(Path::new("")));
+    }
     let bytes = read_bytes(path)?;
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     let format =
@@ -80,6 +111,9 @@ fn decode(bytes: &[u8], format: SplatFormat) -> Result<SplatCloud, DecodeError> 
         SplatFormat::CompressedPly => compressed_ply::decode(bytes),
         SplatFormat::Splat => splat::decode(bytes),
         SplatFormat::Spz => spz::decode(bytes),
+        SplatFormat::Sog => sog::decode(bytes),
+        SplatFormat::KhrGlb => khr_glb::decode(bytes),
+        SplatFormat::Checkpoint => checkpoint::decode(bytes),
         SplatFormat::CodedAsset => Ok(coded_asset::decode(bytes)?.cloud.decoded(0)),
     }
 }
@@ -95,7 +129,9 @@ mod tests {
         assert_eq!(SplatFormat::detect(&[0x1f, 0x8b, 8], "ply"), Ok(SplatFormat::Spz));
         assert_eq!(SplatFormat::detect(&[0; 32], "SPLAT"), Ok(SplatFormat::Splat));
         assert_eq!(SplatFormat::detect(&[0; 32], "safetensors"), Ok(SplatFormat::CodedAsset));
-        assert!(SplatFormat::detect(b"PK\x03\x04", "sog").unwrap_err().contains("SOG"));
+        assert_eq!(SplatFormat::detect(b"PK\x03\x04", "sog"), Ok(SplatFormat::Sog));
+        assert_eq!(SplatFormat::detect(b"PK\x03\x04", "pt"), Ok(SplatFormat::Checkpoint));
+        assert_eq!(SplatFormat::detect(b"glTF\x02", "bin"), Ok(SplatFormat::KhrGlb));
         assert!(SplatFormat::detect(b"hello", "txt").unwrap_err().contains("'txt'"));
     }
 

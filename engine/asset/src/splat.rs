@@ -3,11 +3,14 @@
 //! Mean and linear scale as three floats each, colour and opacity as four bytes, rotation w, x, y, z as four bytes
 //! around 128. No header, no spherical harmonics beyond DC.
 
+use std::io::Write;
+use std::path::Path;
+
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
-use crate::DecodeError;
 use crate::activation::normalised;
+use crate::{AssetError, DecodeError, write_atomically};
 
 const SPLAT_BYTES: usize = 32;
 
@@ -38,6 +41,32 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     })
 }
 
+/// `cloud` as the bytes of a file, in its order. Colours outside 0 to 1 are clamped, coefficients beyond DC are left out.
+#[must_use]
+pub fn encode(cloud: &SplatCloud) -> Vec<u8> {
+    let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
+    let mut file = Vec::with_capacity(cloud.len() * SPLAT_BYTES);
+    for splat in 0..cloud.len() {
+        file.extend(cloud.means[splat].iter().chain(&cloud.scales[splat]).flat_map(|value| value.to_le_bytes()));
+        file.extend(cloud.sh_dc[splat].map(|dc| byte((dc * sh::Y0 as f32 + 0.5) * 255.0)));
+        file.push(byte(cloud.opacities[splat] * 255.0));
+        // -q is the same rotation: plus one has no code, minus one has.
+        let q = normalised(cloud.rotations[splat]);
+        let largest = q.into_iter().fold(0.0f32, |most, x| if x.abs() > most.abs() { x } else { most });
+        let sign = if largest > 0.0 { -1.0 } else { 1.0 };
+        file.extend(q.map(|x| byte(sign * x * 128.0 + 128.0)));
+    }
+    file
+}
+
+/// Writes `cloud` to `path`, atomically.
+///
+/// # Errors
+/// When the operating system refuses.
+pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
+    write_atomically(path, |file| file.write_all(&encode(cloud)))
+}
+
 fn floats(row: &[u8], first: usize) -> [f32; 3] {
     std::array::from_fn(|axis| {
         let at = first + 4 * axis;
@@ -58,6 +87,21 @@ mod tests {
         assert_eq!((cloud.rotations[0], cloud.opacities[0]), ([0.0, 0.0, -1.0, 0.0], 0.2));
         let y0 = sh::Y0 as f32;
         assert!((cloud.sh_dc[0][0] * y0 - 0.5).abs() < 1e-6 && (cloud.sh_dc[0][1] * y0 + 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_is_written_is_read_to_the_byte() {
+        let rows = [[3u8, 200, 77, 128, 0, 128, 90, 166], [255, 0, 1, 255, 128, 128, 128, 0]];
+        let floats = [0.5f32, -4.0, 1e6, 1e-3, 2.0, 0.25].map(f32::to_le_bytes).concat();
+        let file: Vec<u8> = rows.iter().flat_map(|row| floats.iter().chain(row).copied()).collect();
+        let cloud = decode(&file).unwrap();
+        let back = decode(&encode(&cloud)).unwrap();
+        assert_eq!((&back.means, &back.scales, &back.opacities), (&cloud.means, &cloud.scales, &cloud.opacities));
+        assert_eq!(back.sh_dc, cloud.sh_dc);
+        for (a, b) in cloud.rotations.iter().zip(&back.rotations) {
+            let cosine: f32 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+            assert!(cosine.abs() > 0.9998, "{a:?} {b:?}");
+        }
     }
 
     #[test]

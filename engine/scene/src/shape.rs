@@ -51,13 +51,18 @@ fn orthogonal_to(others: &[DVec3]) -> DVec3 {
     best.normalize()
 }
 
-/// The axes of the covariance L L^T with `factor` = L by rows: one-sided Jacobi rotations (Hestenes, Inversion of Matrices
-/// by Biorthogonalization, 1958), which keep the digits of the smallest axis.
+/// The axes of the covariance L L^T with `factor` = L by rows.
 #[must_use]
 pub fn principal_axes(factor: &[f32; 6]) -> PrincipalAxes {
     let [xx, yx, yy, zx, zy, zz] = factor.map(f64::from);
-    // Columns of L; rotating pairs of them leaves L L^T as it is, and orthogonal columns are the scaled axes.
-    let mut columns = [DVec3::new(xx, yx, zx), DVec3::new(0.0, yy, zy), DVec3::new(0.0, 0.0, zz)];
+    principal_axes_of([DVec3::new(xx, yx, zx), DVec3::new(0.0, yy, zy), DVec3::new(0.0, 0.0, zz)])
+}
+
+/// The axes of the covariance M M^T with `columns` those of M: one-sided Jacobi rotations (Hestenes, Inversion of Matrices
+/// by Biorthogonalization, 1958), which keep the digits of the smallest axis.
+#[must_use]
+pub fn principal_axes_of(mut columns: [DVec3; 3]) -> PrincipalAxes {
+    // Rotating pairs of columns leaves M M^T as it is, and orthogonal columns are the scaled axes.
     for _sweep in 0..30 {
         let mut turned = false;
         for (i, j) in [(0, 1), (0, 2), (1, 2)] {

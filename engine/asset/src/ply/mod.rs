@@ -46,9 +46,14 @@ impl<'a> Ply<'a> {
         self.elements.iter().any(|element| element.name == name)
     }
 
+    /// The names of all elements, in the order of the header.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.elements.iter().map(|element| element.name.as_str())
+    }
+
     /// The names of all elements, for messages.
     pub(crate) fn element_names(&self) -> String {
-        listed(self.elements.iter().map(|element| element.name.as_str()))
+        listed(self.names())
     }
 
     /// The names of the properties of `element`, none if it is not there.

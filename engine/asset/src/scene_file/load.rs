@@ -8,6 +8,7 @@ use decouplegs_scene::{CodedCloud, ContactShadow, LightTransfer, Pose, Rig, ShFr
 use glam::DVec3;
 
 use super::{SceneAgent, SceneFile};
+use crate::packed_scene::{is_package, open_packed_scene};
 use crate::{AssetError, coded_asset, read_coded, read_light_transfer, read_splats};
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to frame.
@@ -187,7 +188,7 @@ impl AgentLoader<'_> {
     }
 }
 
-/// Opens what a user calls a scene: a scene file (`.toml`), loaded as at `time_s`, or a splat file, which becomes a world
+/// Opens what a user calls a scene: a scene file (`.toml`) or a package of one (`.usdz`), loaded as at `time_s`, or a splat file, which becomes a world
 /// of background only, its origin at zero, without cameras.
 ///
 /// # Errors
@@ -196,6 +197,9 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
         let directory = path.parent().unwrap_or(Path::new(""));
         return SceneFile::read(path)?.load(directory, time_s);
+    }
+    if is_package(path) {
+        return open_packed_scene(path, time_s);
     }
     Ok(LoadedScene::of_world(World::of(read_in_spatial_order(path)?)))
 }

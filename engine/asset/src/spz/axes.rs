@@ -50,7 +50,7 @@ impl StoredAxes {
 }
 
 /// Mirrors a cloud along the axes whose sign is negative. Exact: only signs change.
-fn flip(cloud: &mut SplatCloud, signs: [f32; 3]) {
+pub(crate) fn flip(cloud: &mut SplatCloud, signs: [f32; 3]) {
     if signs == [1.0; 3] {
         return;
     }

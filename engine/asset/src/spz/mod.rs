@@ -26,6 +26,8 @@ use decouplegs_scene::SplatCloud;
 use crate::{AssetError, DecodeError, EncodeError, write_atomically};
 use attributes::{pack, unpack};
 
+pub(crate) use axes::flip;
+
 /// Reads the splats of any version.
 ///
 /// # Errors
@@ -35,6 +37,11 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     let mut cloud = unpack(&packed);
     packed.axes.turn_to_ply(&mut cloud);
     Ok(cloud)
+}
+
+/// Reads the splats of any version in the axes that they are stored in.
+pub(crate) fn decode_as_stored(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
+    Ok(unpack(&container::read(bytes)?))
 }
 
 /// `cloud` as the bytes of a version 4 file.

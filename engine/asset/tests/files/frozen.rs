@@ -81,6 +81,12 @@ fn the_cone_in_every_format_is_the_cone() {
     check("cone.v1", &cone(), first_three);
     check("cone.v2", &cone(), first_three);
     check("cone.v3", &cone(), [0.0, 0.501 / 16.0, SMALLEST_THREE_MAX_RAD, byte, dc, 0.0]);
+    // 16 bits of a logarithm within 1.4, and 256 numbers that are the cone's own; 8 bits a component of a rotation.
+    let sog_angle_rad = 4.0 * 3f64.sqrt() * std::f64::consts::SQRT_2 / 510.0;
+    check("cone.sog", &cone(), [1e-4, 1e-6, sog_angle_rad, byte, 1e-6, 1e-6]);
+    // Rotations and opacities are 16-bit integers; a node moves and halves what was doubled.
+    check("cone.glb", &cone(), [1e-6, 1e-6, 2e-4, 1e-5, 0.0, 0.0]);
+    check("cone.pt", &cone(), [0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0]);
     // Versions that store a thing alike give it alike, to the bit.
     assert_eq!(read("cone.v1"), read("cone.v2"));
     assert_eq!(read("cone.v3"), read("cone.v4"));

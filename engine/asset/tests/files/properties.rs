@@ -132,7 +132,7 @@ proptest! {
 
     #[test]
     fn overwritten_bytes_never_panic(
-        file in 0usize..8,
+        file in 0usize..11,
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
     ) {
         let (name, mut bytes, read) = sample::files().swap_remove(file);

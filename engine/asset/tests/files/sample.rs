@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use decouplegs_asset::{CodedAsset, Provenance, coded_asset, compressed_ply, inria_ply, splat, spz};
+use decouplegs_asset::{CodedAsset, Provenance, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, sog, splat, spz};
 use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
 use decouplegs_scene::{CodedCloud, ShFrame, SplatCloud, SplatCodes, sh};
 
@@ -104,7 +104,7 @@ pub fn coded_cone() -> CodedAsset {
 
 /// The cone in every format and version that is read: name of the file, bytes and reader.
 pub fn files() -> Vec<(&'static str, Vec<u8>, Reader)> {
-    let readers: [(&'static str, Reader); 8] = [
+    let readers: [(&'static str, Reader); 11] = [
         ("inria_ply/cone.ply", inria_ply::decode),
         ("compressed_ply/cone.compressed.ply", compressed_ply::decode),
         ("splat/cone.splat", splat::decode),
@@ -112,6 +112,9 @@ pub fn files() -> Vec<(&'static str, Vec<u8>, Reader)> {
         ("spz/cone.v2.spz", spz::decode),
         ("spz/cone.v3.spz", spz::decode),
         ("spz/cone.v4.spz", spz::decode),
+        ("sog/cone.sog", sog::decode),
+        ("khr_glb/cone.glb", khr_glb::decode),
+        ("checkpoint/cone.pt", checkpoint::decode),
         ("coded_asset/cone.safetensors", |bytes| Ok(coded_asset::decode(bytes)?.cloud.decoded(0))),
     ];
     readers.map(|(name, reader)| (name, std::fs::read(seed(name)).unwrap(), reader)).to_vec()

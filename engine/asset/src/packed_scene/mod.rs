@@ -1,0 +1,90 @@
+//! Scenes as one USDZ package, which AlpaSim's runtime and CARLA's NuRec scripts read and [`crate::open_scene`] opens again.
+//!
+//! A package is a zip of stored, aligned entries. Read by others (names and fields followed: NVlabs/alpasim at 3032e0cf of July 2026,
+//! `src/utils/alpasim_utils/{artifact,scenario,scene_metadata}.py`, and CARLA 0.9.16, `PythonAPI/examples/nvidia/nurec/scenario.py`):
+//!
+//! | entry | what is in it | for |
+//! |---|---|---|
+//! | `default.usda` | an empty stage, z up, metres: the layer that makes the package one | USD |
+//! | `metadata.yaml` | scene id, sensors, time range | AlpaSim |
+//! | `rig_trajectories.json` | rig poses, camera calibrations (as f-theta polynomials), frames of the cameras | both |
+//! | `sequence_tracks.json` | boxes and poses of the agents; the sequence is called as CARLA's script wants it | both |
+//! | `data_info.json` | first and last moment | CARLA |
+//! | `map.xodr` | the map, if one is given | AlpaSim |
+//! | `mesh_ground.ply`, `mesh.ply` | the ground as triangles, if it is given | AlpaSim |
+//! | `decouplegs/` | our scene file and everything it names | us |
+//!
+//! **Frames.** `local` is the scene's world seen from its origin, axes as they are: others keep it in 32-bit floats. The rig's origin is
+//! where [`PackOptions::rig_origin_m`] says, on the ground below the rear axle by default; agents are the middles of their boxes, as
+//! in scene files. **Times** are the scene's in microseconds, and have to be at least 0.
+//!
+//! Trajectories are sampled ten times a second: others interpolate, and smooth, more than two poses far apart.
+
+mod agents;
+mod camera_model;
+mod read;
+mod rig;
+mod write;
+
+pub(crate) use read::is_package;
+pub use read::{open_packed_scene, unpack};
+pub use write::{PackSummary, pack};
+
+use decouplegs_scene::VehicleSize;
+use glam::DVec3;
+
+/// The folder in a package that is ours.
+const OURS: &str = "decouplegs/";
+/// Our scene file in it.
+const SCENE: &str = "decouplegs/scene.toml";
+/// Poses a second of what is sampled.
+const SAMPLES_HZ: f64 = 10.0;
+/// How long a scene is in which nothing has times, seconds.
+const STANDING_S: f64 = 20.0;
+/// Longest scene, seconds: a day.
+const DURATION_MAX_S: f64 = 86_400.0;
+/// The name of the only sequence of tracks: CARLA's script asks for no other.
+const SEQUENCE: &str = "dummy_chunk_id";
+
+/// What a scene file does not say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PackOptions {
+    /// By which clients ask for the scene.
+    pub scene_id: String,
+    /// The ego vehicle.
+    pub vehicle: VehicleSize,
+    /// Where the rig of others has its origin, in the vehicle frame (from the middle of its box), metres.
+    pub rig_origin_m: DVec3,
+    /// An OpenDRIVE map, as it is.
+    pub map: Option<Vec<u8>>,
+    /// The ground as triangles in the local frame, a PLY ([`ground_mesh_ply`]).
+    pub ground_mesh: Option<Vec<u8>>,
+}
+
+impl PackOptions {
+    /// A family car whose rear axle is 1.35 m behind its middle, no map, no ground.
+    #[must_use]
+    pub fn new(scene_id: impl Into<String>) -> Self {
+        let vehicle = VehicleSize::CAR;
+        let rig_origin_m = DVec3::new(-0.3 * vehicle.length_m, 0.0, -0.5 * vehicle.height_m);
+        Self { scene_id: scene_id.into(), vehicle, rig_origin_m, map: None, ground_mesh: None }
+    }
+}
+
+/// A mesh as a binary PLY: vertices in metres, three of them a triangle.
+#[must_use]
+pub fn ground_mesh_ply(vertices: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<u8> {
+    let mut file = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         element face {}\nproperty list uchar int vertex_indices\nend_header\n",
+        vertices.len(),
+        triangles.len()
+    )
+    .into_bytes();
+    file.extend(vertices.as_flattened().iter().flat_map(|value| value.to_le_bytes()));
+    for triangle in triangles {
+        file.push(3);
+        file.extend(triangle.iter().flat_map(|index| index.to_le_bytes()));
+    }
+    file
+}

@@ -1,0 +1,147 @@
+//! Scenes of other trainers, taken apart into a background and actors, as a scene file and its assets.
+//!
+//! | source | tracks |
+//! |---|---|
+//! | drivestudio, OmniRe (`checkpoint_*.pth`): `Background` and `RigidNodes` | in the checkpoint, one pose a frame; frames have no times, so a rate is asked for |
+//! | Street Gaussians (`.pth`, or the `.ply` with an element for each model): `background` and `obj_*` | in the data set alone: the checkpoint holds corrections; given beside it, or actors are written and not placed |
+//!
+//! Actors are in the frame of their boxes, x forward, y left, z up, origin in the middle. Both trainers evaluate spherical
+//! harmonics in the directions of the world and do not turn them, so every actor's `sh_frame` is `world`.
+//!
+//! Left out, with a line in [`ImportedScene::notes`] each: what deforms or walks (`DeformableNodes`, `SMPLNodes`), skies, corrections
+//! of colours and of camera poses. A scene file cannot say that an actor is absent: before its first frame and after its last it
+//! stands there.
+
+mod drivestudio;
+mod street_gaussians;
+
+use std::path::Path;
+
+use decouplegs_scene::{ShFrame, SplatCloud, Trajectory};
+
+use crate::checkpoint::{self, Checkpoint};
+use crate::error::read_bytes;
+use crate::ply::Ply;
+use crate::{AssetError, DecodeError, SceneAgent, SceneFile, inria_ply};
+
+pub(crate) use street_gaussians::mean_weights;
+
+/// How what files do not say is understood.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportOptions {
+    /// Frames a second of a checkpoint whose frames have no times.
+    pub frame_rate_hz: f64,
+    /// Where actors were when, for sources without tracks: by the name of the model (`obj_007`) or its number (`7`).
+    pub tracks: Vec<decouplegs_scene::Track>,
+}
+
+impl Default for ImportOptions {
+    /// Ten frames a second, as nearly all driving data sets have, and no tracks.
+    fn default() -> Self {
+        Self { frame_rate_hz: 10.0, tracks: Vec::new() }
+    }
+}
+
+/// A background and what moves in front of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedScene {
+    /// Which trainer it comes from.
+    pub source: &'static str,
+    /// What stands still, in the axes of the source.
+    pub background: SplatCloud,
+    /// What moves.
+    pub actors: Vec<ImportedActor>,
+    /// What was left out or understood in a certain way, a sentence each.
+    pub notes: Vec<String>,
+}
+
+/// Something that moves as a whole.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedActor {
+    /// Names it; unique in its scene, and fit for a file name.
+    pub name: String,
+    /// Its splats in the frame of its box.
+    pub splats: SplatCloud,
+    /// Where it was when. None: nobody says.
+    pub trajectory: Option<Trajectory>,
+}
+
+/// Reads the scene at `path`. None where the file is of another kind: splats alone.
+///
+/// # Errors
+/// [`AssetError::Read`] or [`AssetError::Decode`].
+pub fn read_scene(path: &Path, options: &ImportOptions) -> Result<Option<ImportedScene>, AssetError> {
+    if path.is_dir() {
+        return Ok(None);
+    }
+    let bytes = read_bytes(path)?;
+    let (format, decoded) = match bytes.as_slice() {
+        [b'P', b'K', 3, 4, ..] if is_checkpoint(&bytes) => (checkpoint::NAME, decode_checkpoint(&bytes, options)),
+        [b'p', b'l', b'y', b'\n' | b'\r', ..] => ("PLY of several models", decode_ply(&bytes, options)),
+        _ => return Ok(None),
+    };
+    decoded.map_err(|source| AssetError::Decode { path: path.to_owned(), format, source })
+}
+
+fn is_checkpoint(bytes: &[u8]) -> bool {
+    crate::zip::Archive::parse(bytes).is_ok_and(|archive| checkpoint::is_checkpoint(&archive))
+}
+
+/// Reads the scene of a checkpoint. None where it is one of splats alone.
+///
+/// # Errors
+/// A [`DecodeError`] that names the tensor at fault.
+pub fn decode_checkpoint(bytes: &[u8], options: &ImportOptions) -> Result<Option<ImportedScene>, DecodeError> {
+    let checkpoint = Checkpoint::parse(bytes)?;
+    let root = checkpoint.tree.root();
+    if let Some(models) = checkpoint.tree.get(root, "models") {
+        return drivestudio::scene(&checkpoint, models, options).map(Some);
+    }
+    if checkpoint.tree.get(root, "background").is_some() {
+        return street_gaussians::scene(&checkpoint, root, options).map(Some);
+    }
+    Ok(None)
+}
+
+/// Reads the scene of a PLY with an element for each model. None where it has a single one.
+///
+/// # Errors
+/// A [`DecodeError`] that names the element at fault.
+pub fn decode_ply(bytes: &[u8], options: &ImportOptions) -> Result<Option<ImportedScene>, DecodeError> {
+    // A broken header is the splat reader's to explain.
+    let Ok(ply) = Ply::parse(bytes) else { return Ok(None) };
+    if !ply.has_element("vertex_background") {
+        return Ok(None);
+    }
+    street_gaussians::scene_of_ply(&ply, options).map(Some)
+}
+
+impl ImportedScene {
+    /// Writes `scene.toml`, `background.ply` and `assets/*.ply` into `folder`, which exists.
+    ///
+    /// Actors that nobody says the way of are written and not named in the scene.
+    ///
+    /// # Errors
+    /// [`AssetError::Write`].
+    pub fn write(&self, folder: &Path) -> Result<SceneFile, AssetError> {
+        let assets = folder.join("assets");
+        std::fs::create_dir_all(&assets).map_err(|source| AssetError::Write { path: assets.clone(), source })?;
+        inria_ply::write(&folder.join("background.ply"), &self.background)?;
+        let mut scene = SceneFile::of_background("background.ply");
+        for actor in &self.actors {
+            let asset = Path::new("assets").join(format!("{}.ply", actor.name));
+            inria_ply::write(&folder.join(&asset), &actor.splats)?;
+            if let Some(trajectory) = &actor.trajectory {
+                scene.agents.push(SceneAgent {
+                    name: actor.name.clone(),
+                    asset,
+                    sh_frame: Some(ShFrame::World),
+                    trajectory: trajectory.clone(),
+                });
+            }
+        }
+        // Last: whoever finds a scene finds all of it.
+        scene.write(&folder.join("scene.toml"))?;
+        Ok(scene)
+    }
+}

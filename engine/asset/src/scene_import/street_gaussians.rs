@@ -1,0 +1,178 @@
+//! Scenes of Street Gaussians (zju3dv/street_gaussians, `lib/models/street_gaussian_model.py`): a dictionary of models, or a PLY
+//! with an element for each.
+
+use std::cell::Cell;
+
+use decouplegs_scene::{Pose, SplatCloud, TimedPose, Track, Trajectory};
+
+use super::{ImportOptions, ImportedActor, ImportedScene};
+use crate::checkpoint::{Checkpoint, Names, Node, Tensor, cloud_of};
+use crate::ply::Ply;
+use crate::{DecodeError, inria_ply};
+
+const NAMES: Names = Names {
+    means: "xyz",
+    scales: "scaling",
+    rotations: "rotation",
+    opacities: "opacity",
+    dc: "feature_dc",
+    rest: "feature_rest",
+};
+
+const SOURCE: &str = "Street Gaussians";
+const BACKGROUND: &str = "background";
+const ACTOR: &str = "obj_";
+/// What elements of the PLY are called before the model's name.
+const ELEMENT: &str = "vertex_";
+/// Moments over which colours that change with time are averaged.
+const MOMENTS: usize = 64;
+
+/// The scene of a checkpoint, whose models are the values of `root`.
+pub(super) fn scene(checkpoint: &Checkpoint<'_>, root: &Node, options: &ImportOptions) -> Result<ImportedScene, DecodeError> {
+    let tree = &checkpoint.tree;
+    let over_time = Cell::new(0);
+    let dc = |tensor: &Tensor<'_>| {
+        over_time.set(over_time.get() + usize::from(tensor.shape().get(1).is_some_and(|&terms| terms > 1)));
+        mean_dc(tensor)
+    };
+    let cloud = |name: &str| cloud_of(checkpoint, tree.get(root, name).unwrap_or(&Node::None), &NAMES, dc);
+    let background = cloud(BACKGROUND)?;
+    let mut actors = Vec::new();
+    let mut notes = Vec::new();
+    for key in tree.keys(root).filter(|&key| key != BACKGROUND) {
+        if is_actor(key) {
+            actors.push(ImportedActor { name: key.to_owned(), splats: cloud(key)?, trajectory: None });
+        } else if matches!(tree.get(root, key), Some(Node::Dictionary(_))) {
+            notes.push(left_out(key));
+        }
+    }
+    notes_on_time(over_time.get(), &mut notes);
+    finished(background, actors, notes, options)
+}
+
+/// The scene of a PLY.
+pub(super) fn scene_of_ply(ply: &Ply<'_>, options: &ImportOptions) -> Result<ImportedScene, DecodeError> {
+    let background = inria_ply::decode_ply(ply, "vertex_background")?;
+    let mut actors = Vec::new();
+    let mut notes = Vec::new();
+    let mut over_time = 0;
+    for element in ply.names() {
+        let Some(name) = element.strip_prefix(ELEMENT) else { continue };
+        if is_actor(name) {
+            over_time += usize::from(ply.property_names(element).filter(|name| name.starts_with("f_dc_")).count() > 3);
+            let splats = inria_ply::decode_ply(ply, element)?;
+            actors.push(ImportedActor { name: name.to_owned(), splats, trajectory: None });
+        } else if name != BACKGROUND {
+            notes.push(left_out(name));
+        }
+    }
+    notes_on_time(over_time, &mut notes);
+    finished(background, actors, notes, options)
+}
+
+/// `obj_` and a number: the name goes into a file's.
+fn is_actor(name: &str) -> bool {
+    name.strip_prefix(ACTOR).is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+fn left_out(name: &str) -> String {
+    let shown: String = name.chars().take(40).collect();
+    let why = match name {
+        "sky" | "sky_cubemap" => "the sky lies around the scene: set 'sky' in the scene file to a colour like it",
+        "actor_pose" => "it holds corrections of tracks that are in the data set, not the tracks",
+        "color_correction" => "corrections of each camera's colours belong to its pictures",
+        "pose_correction" => "corrections of camera poses belong to its cameras",
+        _ => "it is no model of splats that is known",
+    };
+    format!("{shown} is left out: {why}")
+}
+
+fn notes_on_time(over_time: usize, notes: &mut Vec<String>) {
+    if over_time > 0 {
+        notes.push(format!("{over_time} models have colours that change with time (Fourier): their mean over time is kept"));
+    }
+}
+
+/// The scene, with actors placed where `options` say.
+fn finished(
+    background: SplatCloud,
+    mut actors: Vec<ImportedActor>,
+    mut notes: Vec<String>,
+    options: &ImportOptions,
+) -> Result<ImportedScene, DecodeError> {
+    let mut lost = 0;
+    for actor in &mut actors {
+        let track = options.tracks.iter().find(|track| names(&actor.name, &track.id));
+        actor.trajectory = track.map(trajectory_of).transpose()?;
+        lost += usize::from(actor.trajectory.is_none());
+    }
+    if lost > 0 {
+        notes.push(format!(
+            "{lost} of {} actors are written and not placed: their tracks are in the data set; give them with --tracks",
+            actors.len()
+        ));
+    }
+    Ok(ImportedScene { source: SOURCE, background, actors, notes })
+}
+
+/// Whether a track called `id` is that of the model called `name`.
+fn names(name: &str, id: &str) -> bool {
+    let number = |text: &str| text.parse::<u64>().ok();
+    name == id || (number(id).is_some() && name.strip_prefix(ACTOR).and_then(number) == number(id))
+}
+
+/// A track as a way: level, with the last heading where a point tells none.
+fn trajectory_of(track: &Track) -> Result<Trajectory, DecodeError> {
+    let mut yaw_rad = track.points.iter().find_map(|point| point.yaw_rad).unwrap_or(0.0);
+    let poses = track.points.iter().map(|point| {
+        yaw_rad = point.yaw_rad.unwrap_or(yaw_rad);
+        TimedPose { time_s: point.time_s, pose: Pose::from_yaw(yaw_rad, point.position()) }
+    });
+    Trajectory::new(poses.collect()).map_err(|told| DecodeError::Malformed(format!("track {}: {told}", track.id)))
+}
+
+/// DC of `[N, terms, 3]`: the mean over time of the terms of a Fourier series (`IDFT` in `lib/utils/sh_utils.py`).
+fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
+    let &[count, terms, 3] = tensor.shape() else {
+        return Err(DecodeError::Malformed(format!("'{}' has the shape {:?}, expected [N, terms, 3]", NAMES.dc, tensor.shape())));
+    };
+    let weights = mean_weights(terms);
+    let mut values = tensor.f64s();
+    let mut colour = || {
+        let mut sum = [0.0; 3];
+        for weight in &weights {
+            sum = sum.map(|channel: f64| channel + weight * values.next().unwrap_or_default());
+        }
+        sum.map(|channel| channel as f32)
+    };
+    Ok((0..count).map(|_| colour()).collect())
+}
+
+/// What each term of the series is on average over time 0 to 1: cosines at even places, sines at odd ones.
+pub(crate) fn mean_weights(terms: usize) -> Vec<f64> {
+    let term = |term: usize, time: f64| {
+        let angle = std::f64::consts::PI * time;
+        if term.is_multiple_of(2) { (angle * term as f64).cos() } else { (angle * (term + 1) as f64).sin() }
+    };
+    let moment = |index: usize| (index as f64 + 0.5) / MOMENTS as f64;
+    (0..terms).map(|t| (0..MOMENTS).map(|index| term(t, moment(index))).sum::<f64>() / MOMENTS as f64).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tracks_are_found_by_name_and_by_number() {
+        assert!(names("obj_007", "obj_007") && names("obj_007", "7") && names("obj_007", "007"));
+        assert!(!names("obj_007", "8") && !names("obj_007", "car") && !names("obj_007", ""));
+        assert!(is_actor("obj_007") && !is_actor("obj_") && !is_actor("obj_../x") && !is_actor("sky"));
+    }
+
+    #[test]
+    fn the_mean_over_time_is_the_constant_term() {
+        let weights = mean_weights(5);
+        assert!((weights[0] - 1.0).abs() < 1e-12);
+        assert!(weights[1..].iter().all(|weight| weight.abs() < 1e-9), "{weights:?}");
+    }
+}

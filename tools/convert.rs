@@ -1,0 +1,199 @@
+//! `decouplegs convert`: splats from one format to another, and checkpoints with actors to a scene.
+
+mod format;
+mod report;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use decouplegs::asset::scene_import::{ImportOptions, ImportedScene, read_scene};
+use decouplegs::asset::{LossReport, khr_glb, read_splats, read_tracks};
+use decouplegs::scene::SplatCloud;
+
+use crate::arguments::print;
+use crate::progress;
+use format::Format;
+use report::Report;
+
+/// Convert splats from one format to another, or a checkpoint with actors to a scene, and say what was lost
+///
+/// Read are .ply (INRIA and PlayCanvas compressed), .spz, .splat, .sog (or its folder), .glb with KHR_gaussian_splatting, .pt of
+/// gsplat and .safetensors; written are .ply, .spz, .splat, .sog, .glb and .safetensors. What was written is read back and
+/// compared, splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians becomes a folder with a scene file.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// What to convert
+    input: PathBuf,
+    /// The file to write, its format told by its extension, or the folder for a scene
+    output: PathBuf,
+    /// The format to write, whatever the extension says
+    #[arg(long, value_name = "FORMAT", value_enum)]
+    to: Option<Format>,
+    /// Highest degree of spherical harmonics to write (default: all)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
+    degree: Option<u8>,
+    /// Write what was lost as JSON
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Frames a second of a checkpoint whose frames have no times
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
+    frame_rate: f64,
+    /// Where actors were, for a checkpoint without tracks: a table of tracks whose ids are the models' names or numbers
+    #[arg(long, value_name = "FILE")]
+    tracks: Option<PathBuf>,
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|&hz: &f64| hz > 0.0 && hz <= 10_000.0);
+    value.ok_or_else(|| format!("expected frames a second, above 0, found {text:?}"))
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?.unwrap_or_default();
+    let options = ImportOptions { frame_rate_hz: arguments.frame_rate, tracks };
+    let reading = progress::spinner(format!("reading {}", arguments.input.display()));
+    let scene = read_scene(&arguments.input, &options)?;
+    reading.finish_and_clear();
+    match scene {
+        Some(scene) => write_scene(arguments, &scene),
+        None => write_splats(arguments),
+    }
+}
+
+/// Splats to splats.
+fn write_splats(arguments: &Arguments) -> Result<()> {
+    let format = match arguments.to {
+        Some(format) => format,
+        None => Format::of_path(&arguments.output)?,
+    };
+    let reading = progress::spinner(format!("reading {}", arguments.input.display()));
+    let before = read_splats(&arguments.input)?;
+    reading.finish_and_clear();
+    ensure!(!before.is_empty(), "{} has no splats", arguments.input.display());
+    let mut notes = notes_of(&arguments.input)?;
+    let (mut wanted, dropped) = if format.holds_defects() { (before.clone(), 0) } else { without_defects(&before) };
+    if dropped > 0 {
+        notes.push(format!("{dropped} splats that cannot be drawn are left out: {} has no code for them", format.name()));
+    }
+    ensure!(!wanted.is_empty(), "{} has no splat that can be drawn", arguments.input.display());
+    let original = wanted.clone();
+    let degree = arguments.degree.unwrap_or(wanted.sh_degree).min(wanted.sh_degree);
+    wanted.set_degree(degree);
+    notes.extend(format.limits(&wanted));
+    let writing = progress::spinner(format!("writing {}", arguments.output.display()));
+    let order = format.write(&arguments.output, &arguments.input, &wanted)?;
+    let after = format.read(&arguments.output)?;
+    writing.finish_and_clear();
+    let compared = order.map_or_else(|| original.clone(), |order| original.select(&order));
+    let loss = (compared.len() == after.len()).then(|| LossReport::between(&compared, &after, format.keeps_axes()));
+    let report = Report {
+        input: &arguments.input,
+        output: &arguments.output,
+        format: format.name(),
+        splats_in: before.len(),
+        splats_out: after.len(),
+        bytes_in: bytes_of(&arguments.input)?,
+        bytes_out: bytes_of(&arguments.output)?,
+        loss,
+        notes,
+    };
+    finish(arguments, &report)
+}
+
+/// A checkpoint with actors to a folder with a scene: there whole, or not at all.
+fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
+    let out = &arguments.output;
+    if let Some(format) = arguments.to {
+        bail!(
+            "{} holds actors: it becomes a folder with a scene, not {}; leave out --to",
+            arguments.input.display(),
+            format.name()
+        );
+    }
+    let is_taken = out.is_file() || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
+    ensure!(!is_taken, "{} is there already; give a folder that is empty or not there", out.display());
+    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let name = out.file_name().with_context(|| format!("{} names no folder", out.display()))?;
+    let unfinished = parent.join(format!(".writing-{}-{}", std::process::id(), name.to_string_lossy()));
+    let written = write_into(&unfinished, out, scene);
+    if written.is_err() {
+        // What is left of an attempt is nobody's.
+        let _ = fs::remove_dir_all(&unfinished);
+    }
+    let agents = written?;
+    let mut notes = scene.notes.clone();
+    let placed = format!("{} of {} actors stand in the scene, their colours in the world's frame", agents, scene.actors.len());
+    notes.insert(0, placed);
+    let splats: usize = scene.background.len() + scene.actors.iter().map(|actor| actor.splats.len()).sum::<usize>();
+    let report = Report {
+        input: &arguments.input,
+        output: out,
+        format: "scene folder",
+        splats_in: splats,
+        splats_out: splats,
+        bytes_in: bytes_of(&arguments.input)?,
+        bytes_out: bytes_of(out)?,
+        loss: Some(read_back(out, scene)?),
+        notes,
+    };
+    finish(arguments, &report)
+}
+
+/// Writes the scene under the name `unfinished` and renames it; agents in it.
+fn write_into(unfinished: &Path, out: &Path, scene: &ImportedScene) -> Result<usize> {
+    fs::create_dir(unfinished).with_context(|| format!("cannot make a folder beside {}", out.display()))?;
+    let agents = scene.write(unfinished)?.agents.len();
+    if out.is_dir() {
+        fs::remove_dir(out).with_context(|| format!("cannot replace {}", out.display()))?;
+    }
+    fs::rename(unfinished, out).with_context(|| format!("cannot give {} its name", out.display()))?;
+    Ok(agents)
+}
+
+/// What the splats of a scene lost in its files.
+fn read_back(out: &Path, scene: &ImportedScene) -> Result<LossReport> {
+    let mut before = scene.background.clone();
+    let mut after = read_splats(&out.join("background.ply"))?;
+    for actor in &scene.actors {
+        before.append(&actor.splats);
+        after.append(&read_splats(&out.join("assets").join(format!("{}.ply", actor.name)))?);
+    }
+    Ok(LossReport::between(&before, &after, true))
+}
+
+fn finish(arguments: &Arguments, report: &Report<'_>) -> Result<()> {
+    if let Some(path) = &arguments.report {
+        report.write(path)?;
+    }
+    print(&report.to_text())
+}
+
+/// What the input means beside what is read of it.
+fn notes_of(path: &Path) -> Result<Vec<String>> {
+    if !path.is_file() {
+        return Ok(Vec::new());
+    }
+    let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    if !bytes.starts_with(b"glTF") {
+        return Ok(Vec::new());
+    }
+    khr_glb::read_notes(&bytes).with_context(|| format!("{} cannot be read", path.display()))
+}
+
+/// The splats that can be drawn, and how many cannot.
+fn without_defects(cloud: &SplatCloud) -> (SplatCloud, usize) {
+    let drawn: Vec<u32> = (0..cloud.len() as u32).filter(|&splat| cloud.defect_of(splat as usize).is_none()).collect();
+    let dropped = cloud.len() - drawn.len();
+    if dropped == 0 { (cloud.clone(), 0) } else { (cloud.select(&drawn), dropped) }
+}
+
+/// Bytes of a file, or of all files in a folder.
+fn bytes_of(path: &Path) -> Result<u64> {
+    let metadata = fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
+    if !metadata.is_dir() {
+        return Ok(metadata.len());
+    }
+    let entries = fs::read_dir(path).with_context(|| format!("cannot read {}", path.display()))?;
+    entries.map(|entry| bytes_of(&entry?.path())).sum()
+}

@@ -1,0 +1,158 @@
+//! The formats that are written.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use decouplegs::asset::compress::{CompressOptions, Prune, compress};
+use decouplegs::asset::{CodedAsset, Provenance, inria_ply, khr_glb, read_splats, sog, splat, spz, write_coded};
+use decouplegs::scene::SplatCloud;
+
+/// A format that splats are written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// INRIA PLY: all in 32-bit floats
+    Ply,
+    /// SPZ version 4
+    Spz,
+    /// antimatter15's 32 bytes a splat
+    Splat,
+    /// PlayCanvas' bundle of lossless pictures, version 2
+    Sog,
+    /// Binary glTF with KHR_gaussian_splatting: all in 32-bit floats
+    Glb,
+    /// Our compressed asset, without pruning; `compress` prunes by what is seen
+    Safetensors,
+}
+
+impl Format {
+    /// The format of a name.
+    pub fn of_path(path: &Path) -> Result<Self> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        if name.ends_with(".compressed.ply") {
+            bail!("{}: PlayCanvas' compressed PLY is read, not written; write .sog or .spz", path.display());
+        }
+        Ok(match name.rsplit_once('.').map_or("", |(_, extension)| extension) {
+            "ply" => Self::Ply,
+            "spz" => Self::Spz,
+            "splat" => Self::Splat,
+            "sog" => Self::Sog,
+            "glb" => Self::Glb,
+            "safetensors" => Self::Safetensors,
+            other => bail!(
+                "{}: expected a name that ends with .ply, .spz, .splat, .sog, .glb or .safetensors, or --to FORMAT, found {other:?}",
+                path.display()
+            ),
+        })
+    }
+
+    /// What users call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ply => "INRIA PLY",
+            Self::Spz => "SPZ version 4",
+            Self::Splat => "SPLAT",
+            Self::Sog => "SOG version 2",
+            Self::Glb => "KHR_gaussian_splatting glTF",
+            Self::Safetensors => "compressed asset",
+        }
+    }
+
+    /// Whether splats that cannot be drawn can be written.
+    pub fn holds_defects(self) -> bool {
+        matches!(self, Self::Ply | Self::Splat)
+    }
+
+    /// Whether a splat's axes keep their order.
+    pub fn keeps_axes(self) -> bool {
+        self != Self::Safetensors
+    }
+
+    /// What of `cloud` the format cannot hold, a sentence each.
+    pub fn limits(self, cloud: &SplatCloud) -> Vec<String> {
+        let mut limits = Vec::new();
+        let mut say = |told: &str| limits.push(told.to_owned());
+        match self {
+            Self::Ply => say("opacities and scales are stored as logits and logarithms, rounded to 32-bit floats"),
+            Self::Glb => {}
+            Self::Spz => {
+                say("positions on a grid of 0.24 mm (coarser beyond 2 km), scales in steps of 6.4 % from 4.5e-5 to 379 m");
+                say("rotations of 10 bits a component, opacities and colours of 8 bits, coefficients within -1 to 1 in 8 bits");
+            }
+            Self::Splat => {
+                say("colours and opacities of 8 bits within 0 to 1, rotations of 8 bits a component");
+                if cloud.sh_degree > 0 {
+                    say("no spherical harmonics: colours are the same from everywhere");
+                }
+            }
+            Self::Sog => {
+                say("positions of 16 bits an axis, closer where the scene is small and near its origin");
+                say("rotations of 8 bits a component, opacities of 8 bits; scales and coefficients are one of 256 numbers each");
+            }
+            Self::Safetensors => {
+                say("positions of 16 bits an axis; shapes and colours are entries of codebooks; splats in another order");
+                say("axes are stored as a shape: which is the first is not kept, and rotations are not compared");
+            }
+        }
+        limits
+    }
+
+    /// Writes `cloud`. Where the splats come in another order: which of them stand in the file, one behind the other.
+    pub fn write(self, out: &Path, source: &Path, cloud: &SplatCloud) -> Result<Option<Vec<u32>>> {
+        match self {
+            Self::Ply => inria_ply::write(out, cloud)?,
+            Self::Spz => spz::write(out, cloud)?,
+            Self::Splat => {
+                let mut plain = cloud.clone();
+                plain.set_degree(0);
+                splat::write(out, &plain)?;
+            }
+            Self::Sog => sog::write(out, cloud)?,
+            Self::Glb => khr_glb::write(out, cloud)?,
+            Self::Safetensors => return write_asset(out, source, cloud).map(Some),
+        }
+        Ok(None)
+    }
+
+    /// Reads what was written, whatever it is called.
+    pub fn read(self, path: &Path) -> Result<SplatCloud> {
+        let bytes = || fs::read(path).with_context(|| format!("cannot read {}", path.display()));
+        let decoded = match self {
+            // These are told by their first bytes.
+            Self::Ply | Self::Spz | Self::Sog | Self::Glb => return Ok(read_splats(path)?),
+            Self::Splat => splat::decode(&bytes()?),
+            Self::Safetensors => decouplegs::asset::coded_asset::decode(&bytes()?).map(|asset| asset.cloud.decoded(0)),
+        };
+        decoded.with_context(|| format!("{} cannot be read back", path.display()))
+    }
+}
+
+/// Writes a compressed asset of all splats that are not transparent; which they are, in the order of the file.
+fn write_asset(out: &Path, source: &Path, cloud: &SplatCloud) -> Result<Vec<u32>> {
+    // Every splat counts alike: nothing is rendered, so nobody knows which are seen.
+    let options = CompressOptions { prune: Prune::KeepRatio(1.0), ..CompressOptions::default() };
+    let compressed = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| ())?;
+    let bytes = if source.is_file() { fs::read(source)? } else { Vec::new() };
+    let mut provenance = Provenance::of_source(source.file_name().unwrap_or_default().to_string_lossy(), &bytes);
+    provenance.settings.insert("prune".into(), "none".into());
+    write_coded(out, &CodedAsset { cloud: compressed.cloud, provenance })?;
+    let kept: Vec<u32> = (0..cloud.len() as u32).filter(|&splat| cloud.opacities[splat as usize] > 0.0).collect();
+    Ok(cloud.select(&kept).spatial_order().into_iter().map(|place| kept[place as usize]).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn formats_are_told_by_extension_and_others_refused() {
+        for format in Format::value_variants() {
+            let name = format.to_possible_value().unwrap().get_name().to_owned();
+            assert_eq!(Format::of_path(Path::new(&format!("a.b.{}", name.to_uppercase()))).unwrap(), *format);
+        }
+        for (name, part) in [("a.compressed.ply", "not written"), ("a", "\"\""), ("a.obj", "\"obj\"")] {
+            assert!(Format::of_path(Path::new(name)).unwrap_err().to_string().contains(part), "{name}");
+        }
+    }
+}

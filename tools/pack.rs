@@ -1,0 +1,133 @@
+//! `decouplegs pack`: a scene as one USDZ package.
+
+mod ground;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use anyhow::{Context, Result, ensure};
+use decouplegs::asset::SceneFile;
+use decouplegs::asset::packed_scene::{PackOptions, ground_mesh_ply, pack};
+use decouplegs::scene::VehicleSize;
+use glam::DVec3;
+
+use crate::arguments::print;
+
+/// Pack a scene into one USDZ that AlpaSim's runtime and CARLA's NuRec scripts read
+///
+/// In the package are the ego's way, the cameras, the agents and the ground as these programs want them, and the scene itself with
+/// all its splats, so that the package is opened wherever a scene is. Others see the world from the scene's origin.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// The scene (.toml)
+    scene: PathBuf,
+    /// The package to write
+    #[arg(long, value_name = "OUT.usdz", value_parser = package_path)]
+    usdz: PathBuf,
+    /// By which clients ask for the scene (default: the name of the scene's folder)
+    #[arg(long, value_name = "ID")]
+    scene_id: Option<String>,
+    /// An OpenDRIVE map of the scene's world
+    #[arg(long, value_name = "FILE.xodr")]
+    map: Option<PathBuf>,
+    /// Length, width and height of the ego vehicle, metres
+    #[arg(long, value_name = "L,W,H", default_value = "4.5,1.8,1.5")]
+    vehicle: Triple,
+    /// Where clients have their rig's origin, metres forward, left and up of the middle of the vehicle's box (default: 1.35 m behind
+    /// it, on the ground)
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    rig_origin: Option<Triple>,
+    /// Leave the ground out: finding it takes seconds
+    #[arg(long)]
+    no_ground: bool,
+}
+
+/// Three numbers, written `4.5,1.8,1.5`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Triple([f64; 3]);
+
+impl FromStr for Triple {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Vec<f64> =
+            text.split(',').filter_map(|part| part.trim().parse().ok()).filter(|x: &f64| x.is_finite()).collect();
+        let all = <[f64; 3]>::try_from(numbers).ok().filter(|_| text.split(',').count() == 3);
+        all.map(Self).ok_or_else(|| format!("expected three numbers of metres, like 4.5,1.8,1.5, found {text:?}"))
+    }
+}
+
+fn package_path(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let is_package = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"));
+    if is_package { Ok(path) } else { Err(format!("expected a name that ends with .usdz, found {text:?}")) }
+}
+
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let scene = SceneFile::read(&arguments.scene)?;
+    let directory = arguments.scene.parent().unwrap_or(Path::new(""));
+    let Triple(dims_m) = arguments.vehicle;
+    ensure!(dims_m.iter().all(|&side_m| side_m > 0.0), "--vehicle {dims_m:?}: sides are above 0");
+    let mut options = PackOptions::new(scene_id(arguments)?);
+    options.vehicle = VehicleSize::from_array(dims_m);
+    let below = DVec3::new(options.rig_origin_m.x, 0.0, -0.5 * dims_m[2]);
+    options.rig_origin_m = arguments.rig_origin.map_or(below, |Triple(origin)| DVec3::from_array(origin));
+    if let Some(map) = &arguments.map {
+        options.map = Some(fs::read(map).with_context(|| format!("cannot read {}", map.display()))?);
+    }
+    let mut notes = Vec::new();
+    if !arguments.no_ground {
+        let mesh = ground::mesh_of(&scene, directory, dims_m[2])?;
+        if mesh.triangles.is_empty() {
+            notes.push("no ground was found along the ego's way: the package has no mesh_ground.ply".to_owned());
+        } else {
+            notes.push(format!(
+                "ground: {} vertices, {} triangles, {} m apart",
+                mesh.vertices.len(),
+                mesh.triangles.len(),
+                mesh.step_m
+            ));
+            options.ground_mesh = Some(ground_mesh_ply(&mesh.vertices, &mesh.triangles));
+        }
+    }
+    let summary = pack(&scene, directory, &options, &arguments.usdz)?;
+    if options.map.is_some() && !summary.is_georeferenced {
+        notes.push("the map has no geoReference with +lat_0 and +lon_0: AlpaSim cannot lay it under the scene".to_owned());
+    }
+    let (start_s, end_s) = summary.span_s;
+    let bytes = fs::metadata(&arguments.usdz).with_context(|| format!("cannot read {}", arguments.usdz.display()))?.len();
+    let mut text = format!(
+        "{}: scene '{}', {start_s} to {end_s} s, {} cameras, {} agents, {} entries, {bytes} bytes\n",
+        arguments.usdz.display(),
+        options.scene_id,
+        scene.rig.cameras.len(),
+        scene.agents.len(),
+        summary.entries.len()
+    );
+    notes.iter().for_each(|note| text.push_str(&format!("  {note}\n")));
+    print(&text)
+}
+
+/// The id asked for, or the name of the folder that the scene is in.
+fn scene_id(arguments: &Arguments) -> Result<String> {
+    if let Some(id) = &arguments.scene_id {
+        return Ok(id.clone());
+    }
+    let scene = arguments.scene.canonicalize().with_context(|| format!("cannot read {}", arguments.scene.display()))?;
+    let folder = scene.parent().and_then(Path::file_name).map(|name| name.to_string_lossy().into_owned());
+    folder.with_context(|| format!("{} is in no folder that could name the scene; give --scene-id", arguments.scene.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn three_numbers_are_read_and_nonsense_is_refused() {
+        assert_eq!("4.5, 1.8,-1".parse(), Ok(Triple([4.5, 1.8, -1.0])));
+        for nonsense in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf", "1,2,3,x"] {
+            assert!(nonsense.parse::<Triple>().unwrap_err().contains(&format!("{nonsense:?}")), "{nonsense}");
+        }
+    }
+}
