@@ -29,6 +29,9 @@ const SHUTTER_US: u64 = 20_000;
 /// The first requests, in which buffers still grow, are left out of the figures.
 const WARM_UP: usize = 20;
 
+/// Bytes that the server may send ahead of what is read.
+const WINDOW_BYTES: u32 = 64 << 20;
+
 /// What is asked, and how long.
 #[derive(Args, Clone, Debug)]
 pub struct BenchOptions {
@@ -91,6 +94,8 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
     let running = running::start(&server).await?;
     let listening = started.elapsed();
     let endpoint = Endpoint::from_shared(format!("http://{}", running.address))?.tcp_nodelay(true);
+    // Pictures come in one piece; a window smaller than one would be asked for again and again.
+    let endpoint = endpoint.initial_stream_window_size(WINDOW_BYTES).initial_connection_window_size(WINDOW_BYTES);
     let mut rollout = Rollout::begin(endpoint.connect().await?, options).await?;
     rollout.ask(0).await?;
     let first_image = started.elapsed();

@@ -31,8 +31,8 @@ pub struct ServerOptions {
     pub device: DeviceChoice,
     /// Where the clients' rig has its origin, in the scenes' vehicle frame (metres, x forward, y left, z up): simulators
     /// put it on the ground below the rear axle, scene files in the middle of the box
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, default_values_t = [0.0, 0.0, 0.0], allow_hyphen_values = true)]
-    pub rig_origin: Vec<f64>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = metres, default_value = "0,0,0", allow_hyphen_values = true)]
+    pub rig_origin: [f64; 3],
     /// Read all scenes into the cache at the start instead of when they are first asked for
     #[arg(long)]
     pub preload: bool,
@@ -148,4 +148,10 @@ impl Limits {
 fn seconds(text: &str) -> Result<f64, String> {
     let parsed = text.parse().ok().filter(|seconds| (0.001..=86_400.0).contains(seconds));
     parsed.ok_or_else(|| format!("expected seconds, 0.001 to 86400, found {text:?}"))
+}
+
+fn metres(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+    let parsed = numbers.try_into().ok().filter(|place: &[f64; 3]| place.iter().all(|metres| metres.is_finite()));
+    parsed.ok_or_else(|| format!("expected three numbers in metres, like -1.4,0,-0.75, found {text:?}"))
 }

@@ -86,9 +86,7 @@ impl Running {
 /// # Errors
 /// When there are no scenes, no device, a file cannot be read, or the address is taken.
 pub async fn start(options: &ServerOptions) -> Result<Running> {
-    let [x, y, z] = options.rig_origin[..] else { anyhow::bail!("--rig-origin takes three numbers") };
-    let rig_origin = DVec3::new(x, y, z);
-    ensure!(rig_origin.is_finite(), "--rig-origin must be finite");
+    let rig_origin = DVec3::from_array(options.rig_origin);
     let catalogue = Arc::new(Catalogue::new(&options.scenes, &options.artifact_glob, rig_origin)?);
     let token = options.token_file.as_deref().map(token_of).transpose()?;
     let tls = tls_of(options)?;

@@ -12,6 +12,9 @@ use tonic::Status;
 
 use crate::sight::{PlacedObject, Sight};
 
+/// Probes of light that are kept for one scene, wherever clients put objects: a square kilometre of them.
+const PROBES_MAX: usize = 1 << 20;
+
 /// A scene that can be drawn.
 pub struct Stage {
     renderer: Renderer,
@@ -62,7 +65,10 @@ impl Stage {
                 None => drawn.unknown.push(track_id.clone()),
             }
         }
-        self.live.bake_light(placed.iter().map(|agent| agent.pose.translation));
+        let places: Vec<_> = placed.iter().map(|agent| agent.pose.translation).collect();
+        if !self.live.has_light_at(&places, PROBES_MAX) {
+            self.live.bake_light(places);
+        }
         let moment = self.live.placed(&placed);
         let cameras: Vec<Camera> = sights.iter().enumerate().map(|(index, sight)| self.camera(index, sight)).collect();
         self.renderer.render(self.live.with(&moment), &cameras)?;

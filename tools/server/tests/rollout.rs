@@ -38,11 +38,11 @@ async fn a_hundred_steps_with_two_and_with_six_cameras() {
         // Once a rollout begins: the rig.
         let rig: Vec<_> = cameras(&mut sensorsim, "street").await.into_iter().take(count).collect();
         sensorsim.get_available_ego_masks(Empty {}).await.unwrap();
-        let mut ego_way = file.ego.clone().unwrap();
+        let ego_way = file.ego.clone().unwrap();
         let mut different = HashSet::new();
         for step in 0..STEPS {
             let (now_us, then_us) = (step * STEP_US, (step + 1) * STEP_US);
-            grounded(&mut physics, &file, &mut ego_way, now_us, then_us).await;
+            grounded(&mut physics, &file, &ego_way, now_us, then_us).await;
             let shutter_us = [then_us - SHUTTER_US, then_us];
             let requests = rig.iter().map(|camera| {
                 let rig_from_camera = pose(&camera.rig_to_camera.unwrap());
@@ -79,7 +79,7 @@ async fn a_hundred_steps_with_two_and_with_six_cameras() {
 async fn grounded(
     physics: &mut PhysicsServiceClient<tonic::transport::Channel>,
     file: &SceneFile,
-    ego_way: &mut Trajectory,
+    ego_way: &Trajectory,
     now_us: u64,
     then_us: u64,
 ) {
