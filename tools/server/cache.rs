@@ -77,12 +77,6 @@ impl<T> Cache<T> {
         }
         out
     }
-
-    /// Takes out the value called `name`.
-    pub fn remove(&mut self, name: &str) -> Option<T> {
-        let place = self.entries.iter().position(|entry| entry.name == name)?;
-        Some(self.entries.remove(place).value)
-    }
 }
 
 #[cfg(test)]
@@ -109,7 +103,6 @@ mod tests {
         assert_eq!(cache.resize("a", 60), [("b".to_owned(), "b")]);
         assert_eq!((cache.bytes(), cache.names().len()), (90, 2));
         assert_eq!(cache.make_room(20), Some(("a".to_owned(), "a")));
-        assert_eq!(cache.remove("c"), Some("c"));
-        assert_eq!((cache.remove("c"), cache.bytes()), (None, 0));
+        assert_eq!((cache.names(), cache.bytes_of("c"), cache.bytes_of("a")), (vec!["c".to_owned()], 30, 0));
     }
 }

@@ -36,6 +36,7 @@ pub struct ServerOptions {
     /// Read all scenes into the cache at the start instead of when they are first asked for
     #[arg(long)]
     pub preload: bool,
+    /// How much of everything is given away
     #[command(flatten)]
     pub limits: Limits,
     /// Certificate chain (PEM) for TLS
