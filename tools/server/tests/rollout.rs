@@ -56,6 +56,8 @@ async fn a_hundred_steps_with_two_and_with_six_cameras() {
                     frame_start_us: shutter_us[0],
                     frame_end_us: shutter_us[1],
                     dynamic_objects: objects.collect(),
+                    resolution_w: 96,
+                    resolution_h: 60,
                     ..request("street", camera, &Pose::IDENTITY, ImageFormat::Jpeg)
                 };
                 (camera.logical_id.clone(), asked)
