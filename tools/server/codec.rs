@@ -129,7 +129,8 @@ mod tests {
     use super::*;
     use crate::wire::physics::PhysicsGroundIntersectionRequest;
     use crate::wire::sensorsim::{
-        AggregatedRenderRequest, BatchRgbRenderRequest, BatchRgbRenderRequestItem, DynamicObject, LidarRenderRequest, RgbRenderRequest,
+        AggregatedRenderRequest, BatchRgbRenderRequest, BatchRgbRenderRequestItem, DynamicObject, LidarRenderRequest,
+        RgbRenderRequest,
     };
 
     fn entries<M: Message + Name>(message: &M) -> usize {
@@ -141,7 +142,12 @@ mod tests {
 
     fn request(objects: usize) -> RgbRenderRequest {
         let object = DynamicObject { track_id: "a car".into(), pose_pair: None };
-        RgbRenderRequest { scene_id: "street".into(), frame_end_us: 7, dynamic_objects: vec![object; objects], ..Default::default() }
+        RgbRenderRequest {
+            scene_id: "street".into(),
+            frame_end_us: 7,
+            dynamic_objects: vec![object; objects],
+            ..Default::default()
+        }
     }
 
     #[test]
@@ -152,7 +158,10 @@ mod tests {
         let lidar = LidarRenderRequest { dynamic_objects: request(5).dynamic_objects, ..Default::default() };
         let aggregated = AggregatedRenderRequest { rgb_requests: vec![request(2)], lidar_requests: vec![lidar.clone()] };
         assert_eq!((entries(&lidar), entries(&aggregated)), (5, 1 + 2 + 1 + 5));
-        assert_eq!(entries(&PhysicsGroundIntersectionRequest { other_objects: vec![Default::default(); 6], ..Default::default() }), 6);
+        assert_eq!(
+            entries(&PhysicsGroundIntersectionRequest { other_objects: vec![Default::default(); 6], ..Default::default() }),
+            6
+        );
     }
 
     #[test]

@@ -73,7 +73,8 @@ pub fn encode(rgba: &[u8], [width_px, height_px]: [u32; 2], encoding: Encoding) 
             Ok(bytes)
         }
         Encoding::Jpeg { quality } => {
-            let side = |side_px: u32| u16::try_from(side_px).map_err(|_| format!("JPEG holds sides of 65535 pixels, not {side_px}"));
+            let side =
+                |side_px: u32| u16::try_from(side_px).map_err(|_| format!("JPEG holds sides of 65535 pixels, not {side_px}"));
             let (width_px, height_px) = (side(width_px)?, side(height_px)?);
             let mut bytes = Vec::with_capacity(rgba.len() / 8);
             let mut encoder = Encoder::new(&mut bytes, quality);
@@ -153,7 +154,9 @@ mod tests {
 
     #[test]
     fn formats_that_there_are_not_are_named_with_those_that_there_are() {
-        for (format, code) in [(0, tonic::Code::InvalidArgument), (3, tonic::Code::Unimplemented), (99, tonic::Code::InvalidArgument)] {
+        for (format, code) in
+            [(0, tonic::Code::InvalidArgument), (3, tonic::Code::Unimplemented), (99, tonic::Code::InvalidArgument)]
+        {
             let status = Encoding::of(format, 0.0, "image_format").unwrap_err();
             assert!(status.code() == code && status.message().contains("JPEG (2)"), "{status}");
         }

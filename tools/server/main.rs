@@ -37,19 +37,35 @@ fn main() -> ExitCode {
     let started = Instant::now();
     let done = match Program::parse().command {
         Command::Serve(options) => serve(&options),
-        Command::Bench(options) => bench::run(&options, started),
+        Command::Bench(options) => {
+            log(LogForm::Text, "warn");
+            bench::run(&options, started)
+        }
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprint!("{}", explanation(&error));
             ExitCode::FAILURE
         }
     }
 }
 
+/// The error as a sentence and its causes, one a line. A cause that the line above already tells is left out.
+fn explanation(error: &anyhow::Error) -> String {
+    let mut told = error.to_string();
+    let mut lines = format!("error: {told}\n");
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !told.contains(&cause) {
+            lines.push_str(&format!("  because: {cause}\n"));
+        }
+        told = cause;
+    }
+    lines
+}
+
 fn serve(options: &ServerOptions) -> Result<()> {
-    log(options.log);
+    log(options.log, "info");
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("no threads")?;
     runtime.block_on(async {
         let (mut terminated, mut interrupted) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
@@ -72,9 +88,9 @@ fn serve(options: &ServerOptions) -> Result<()> {
     })
 }
 
-/// Events go to standard error; `RUST_LOG` says which.
-fn log(form: LogForm) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+/// Events go to standard error: those that `RUST_LOG` says, otherwise those of `level` and above.
+fn log(form: LogForm, level: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
     let events = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     match form {
         LogForm::Text => events.init(),

@@ -9,8 +9,7 @@ use std::time::Duration;
 use tonic::Code;
 
 /// Upper ends of the histogram's buckets, seconds.
-const BUCKETS_S: [f64; 16] =
-    [0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
+const BUCKETS_S: [f64; 16] = [0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
 
 /// Everything that is counted.
 #[derive(Default)]
@@ -94,7 +93,12 @@ impl Metrics {
         for (name, kind, meaning, value) in [
             ("pictures_total", "counter", "Pictures drawn.", unsigned(&self.pictures)),
             ("submissions_total", "counter", "Frames submitted to the device.", unsigned(&self.submissions)),
-            ("unknown_objects_total", "counter", "Objects asked for that a scene does not have.", unsigned(&self.unknown_objects)),
+            (
+                "unknown_objects_total",
+                "counter",
+                "Objects asked for that a scene does not have.",
+                unsigned(&self.unknown_objects),
+            ),
             ("queue_depth", "gauge", "Jobs that wait to be drawn or are being drawn.", signed(&self.queue)),
             ("scenes_cached", "gauge", "Scenes on the device.", scenes),
             ("scene_cache_bytes", "gauge", "Device memory of the scenes in the cache.", unsigned(&self.cache_bytes)),
@@ -102,10 +106,8 @@ impl Metrics {
             ("connections_refused_total", "counter", "Connections closed at the limit.", unsigned(&self.connections_refused)),
         ] {
             // Writing to a string cannot fail.
-            let _ = write!(
-                text,
-                "# HELP decouplegs_{name} {meaning}\n# TYPE decouplegs_{name} {kind}\ndecouplegs_{name} {value}\n"
-            );
+            let _ =
+                write!(text, "# HELP decouplegs_{name} {meaning}\n# TYPE decouplegs_{name} {kind}\ndecouplegs_{name} {value}\n");
         }
         text
     }
@@ -162,7 +164,8 @@ mod tests {
         ] {
             assert!(text.lines().any(|written| written == line), "{line} is not in\n{text}");
         }
-        let values = text.lines().filter(|line| !line.starts_with('#')).map(|line| line.rsplit(' ').next().map(str::parse::<f64>));
+        let values =
+            text.lines().filter(|line| !line.starts_with('#')).map(|line| line.rsplit(' ').next().map(str::parse::<f64>));
         assert!(values.flatten().all(|value| value.is_ok()));
     }
 }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{Builder, JoinHandle};
+use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{AssetError, LoadedScene};
@@ -88,12 +89,19 @@ impl Painter {
     ///
     /// # Errors
     /// When the operating system gives no threads.
-    pub fn start(gpu: Gpu, catalogue: Arc<Catalogue>, limits: &Limits, metrics: Arc<Metrics>) -> Result<(Self, JoinHandle<Result<()>>)> {
+    pub fn start(
+        gpu: Gpu,
+        catalogue: Arc<Catalogue>,
+        limits: &Limits,
+        metrics: Arc<Metrics>,
+    ) -> Result<(Self, JoinHandle<Result<()>>)> {
         let (messages, inbox) = channel();
         let (loads, to_load) = channel();
         let loaded = messages.clone();
         let read = move |(id, path): (String, PathBuf)| {
+            let since = Instant::now();
             let scene = read_scene(&path).map(Box::new);
+            tracing::info!(scene = id, seconds = since.elapsed().as_secs_f64(), "a scene was read");
             // No one to tell: the painter has ended.
             let _ = loaded.send(Message::Loaded(id, scene));
         };
@@ -182,7 +190,12 @@ impl Studio {
     /// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`) and had something to say.
     fn check_validation(&self) -> Result<()> {
         let messages = self.gpu.take_validation_messages();
-        ensure!(messages.is_empty(), "the Vulkan validation layers reported {} faults, the first: {}", messages.len(), messages[0]);
+        ensure!(
+            messages.is_empty(),
+            "the Vulkan validation layers reported {} faults, the first: {}",
+            messages.len(),
+            messages[0]
+        );
         Ok(())
     }
 
@@ -212,7 +225,8 @@ impl Studio {
 
     fn loaded(&mut self, id: &str, scene: Result<Box<LoadedScene>, AssetError>) {
         let jobs = self.waiting.remove(id).unwrap_or_default();
-        let staged = scene.map_err(|error| Status::failed_precondition(error.to_string())).and_then(|scene| self.stage(id, &scene));
+        let staged =
+            scene.map_err(|error| Status::failed_precondition(error.to_string())).and_then(|scene| self.stage(id, &scene));
         if let Err(status) = staged {
             tracing::error!(scene = id, reason = status.message(), "a scene cannot be served");
             jobs.into_iter().for_each(|job| self.answer(job.answer, Err(status.clone())));
@@ -228,14 +242,15 @@ impl Studio {
         while let Some((other, _)) = self.scenes.make_room(estimate.min(most)) {
             tracing::info!(scene = other, "a scene leaves the cache");
         }
-        let before = self.gpu.memory().total_bytes;
+        let (before, since) = (self.gpu.memory().total_bytes, Instant::now());
         let stage = Stage::new(&self.gpu, scene).map_err(|error| status_of(&error))?;
         let bytes = self.gpu.memory().total_bytes.saturating_sub(before);
         if bytes > most {
             let reason = format!("scene {id:?} takes {bytes} bytes of the device; the cache has {most} (--cache-bytes)");
             return Err(Status::resource_exhausted(reason));
         }
-        tracing::info!(scene = id, splats = scene.world.splats.len(), agents = scene.agents.len(), bytes, "a scene is on the device");
+        let (splats, agents, seconds) = (scene.world.splats.len(), scene.agents.len(), since.elapsed().as_secs_f64());
+        tracing::info!(scene = id, splats, agents, bytes, seconds, "a scene is on the device");
         self.scenes.insert(id.to_owned(), stage, bytes);
         self.resize(id, bytes);
         Ok(())
@@ -252,8 +267,10 @@ impl Studio {
         let Some(stage) = self.scenes.get(id) else {
             return self.answer(answer, Err(Status::unavailable(format!("scene {id:?} left the cache: ask again"))));
         };
+        let since = Instant::now();
         let result = match stage.draw(&sights, &mut pictures.bytes) {
             Ok(drawn) => {
+                tracing::debug!(scene = id, cameras = sights.len(), seconds = since.elapsed().as_secs_f64(), "a frame was drawn");
                 self.metrics.drew(sights.len(), drawn.unknown.len());
                 self.warn_of(id, drawn.unknown);
                 let grown = i128::from(self.gpu.memory().total_bytes) - i128::from(before);

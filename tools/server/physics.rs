@@ -180,7 +180,8 @@ impl PhysicsService for Physics {
         let set = move || boxes.iter().map(|each| ground.set(&each.pose, each.dims_m)).collect::<Vec<_>>();
         let mut ego = tokio::task::spawn_blocking(set).await.map_err(|error| Status::internal(error.to_string()))?;
         let others = ego.split_off(times_us.len());
-        let timed = |((pose, _), timestamp_us): (&(Pose, Outcome), u64)| PoseAtTime { pose: Some(message_of(pose)), timestamp_us };
+        let timed =
+            |((pose, _), timestamp_us): (&(Pose, Outcome), u64)| PoseAtTime { pose: Some(message_of(pose)), timestamp_us };
         let returned = |(pose, outcome): (Pose, Outcome)| ReturnPose { pose: Some(message_of(&pose)), status: outcome.into() };
         Ok(Response::new(PhysicsGroundIntersectionReturn {
             ego_status: ego.iter().map(|(_, outcome)| (*outcome).into()).collect(),

@@ -66,7 +66,11 @@ fn code_plain(loaded: &mut LoadedScene, agents: Vec<SceneAgent>, directory: &Pat
         });
     }
     let seconds = since.elapsed().as_secs_f64();
-    tracing::warn!(assets = places.len(), seconds, "plain splat files of agents were compressed: `decouplegs compress` does it once");
+    tracing::warn!(
+        assets = places.len(),
+        seconds,
+        "plain splat files of agents were compressed: `decouplegs compress` does it once"
+    );
     Ok(())
 }
 

@@ -183,10 +183,7 @@ impl SensorsimService for Sensorsim {
         Ok(Response::new(AggregatedRenderReturn { rgb_returns, ..AggregatedRenderReturn::default() }))
     }
 
-    async fn batch_render_rgb(
-        &self,
-        request: Request<BatchRgbRenderRequest>,
-    ) -> Result<Response<BatchRgbRenderReturn>, Status> {
+    async fn batch_render_rgb(&self, request: Request<BatchRgbRenderRequest>) -> Result<Response<BatchRgbRenderReturn>, Status> {
         let items = request.into_inner().items;
         self.check_cameras(items.len(), "items")?;
         let (mut names, mut sights) = (Vec::with_capacity(items.len()), Vec::with_capacity(items.len()));

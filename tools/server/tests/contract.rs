@@ -90,8 +90,7 @@ async fn ground_under_every_name(channel: &Channel) {
         let _: VersionId = call(channel, service, "get_version", Empty {}).await.unwrap();
         let scenes: AvailableScenesReturn = call(channel, service, "get_available_scenes", Empty {}).await.unwrap();
         assert_eq!(scenes.scene_ids, ["marked", "street"]);
-        let set: PhysicsGroundIntersectionReturn =
-            call(channel, service, "ground_intersection", asked.clone()).await.unwrap();
+        let set: PhysicsGroundIntersectionReturn = call(channel, service, "ground_intersection", asked.clone()).await.unwrap();
         let place = set.other_poses[0].pose.unwrap().vec.unwrap();
         assert_eq!((set.other_poses.len(), set.other_poses[0].status), (1, 0), "{set:?}");
         assert!((place.z - 0.75).abs() < 0.1 && place.x == 5.0 && place.y == 0.0, "{place:?}");

@@ -1,10 +1,10 @@
 //! Poses, by where balls of light at known places land in pictures: against a projection in f64 that is written here.
 
-use decouplegs_server::wire::common;
-use decouplegs_server::wire::sensorsim::camera_spec::CameraParam;
-use decouplegs_server::wire::sensorsim::available_cameras_return::AvailableCamera;
-use decouplegs_server::wire::sensorsim::{ImageFormat, RgbRenderRequest};
 use decouplegs::scene::Pose;
+use decouplegs_server::wire::common;
+use decouplegs_server::wire::sensorsim::available_cameras_return::AvailableCamera;
+use decouplegs_server::wire::sensorsim::camera_spec::CameraParam;
+use decouplegs_server::wire::sensorsim::{ImageFormat, RgbRenderRequest};
 use glam::{DQuat, DVec3};
 
 use crate::asking::{cameras, client, message, object, options, pair, pose, request, serve};

@@ -44,8 +44,13 @@ pub fn street(folder: &Path) -> PathBuf {
 }
 
 fn coded(cloud: &SplatCloud) -> CodedAsset {
-    let options =
-        CompressOptions { prune: Prune::KeepRatio(1.0), iterations_max: 4, colours: 64, shapes: 64, ..CompressOptions::default() };
+    let options = CompressOptions {
+        prune: Prune::KeepRatio(1.0),
+        iterations_max: 4,
+        colours: 64,
+        shapes: 64,
+        ..CompressOptions::default()
+    };
     let cloud = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| {}).unwrap().cloud;
     CodedAsset { cloud, provenance: Provenance::default() }
 }
@@ -84,16 +89,13 @@ pub fn marked(folder: &Path) -> PathBuf {
     inria_ply::write(&place.join("lamp.ply"), &lamp).unwrap();
     let camera = |name: &str, position: DVec3, look: DVec3| RigCamera {
         name: name.into(),
-        intrinsics: Intrinsics {
-            cx_px: 83.0,
-            cy_px: 47.5,
-            fy_px: 95.0,
-            ..Intrinsics::from_horizontal_fov(160, 100, 1.4)
-        },
+        intrinsics: Intrinsics { cx_px: 83.0, cy_px: 47.5, fy_px: 95.0, ..Intrinsics::from_horizontal_fov(160, 100, 1.4) },
         rig_from_camera: Pose { translation: position, ..Pose::look_at(DVec3::ZERO, look, DVec3::Z).unwrap() },
     };
-    let cameras =
-        vec![camera("front", DVec3::new(1.7, 0.1, 0.6), DVec3::X), camera("left", DVec3::new(1.0, 0.6, 0.7), DVec3::new(1.0, 0.6, 0.1))];
+    let cameras = vec![
+        camera("front", DVec3::new(1.7, 0.1, 0.6), DVec3::X),
+        camera("left", DVec3::new(1.0, 0.6, 0.7), DVec3::new(1.0, 0.6, 0.1)),
+    ];
     let agent = SceneAgent {
         name: "lamp".into(),
         asset: "lamp.ply".into(),
