@@ -26,6 +26,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("engine/drive/Cargo.toml", &["decouplegs-scene"]),
     ("engine/render/Cargo.toml", &["decouplegs-scene", "decouplegs-gpu", "decouplegs-shaders"]),
     ("tools/Cargo.toml", &["decouplegs"]),
+    ("tools/server/Cargo.toml", &["decouplegs"]),
 ];
 
 /// What a crate's own tests may use besides: they need something to drive on.

@@ -1,0 +1,164 @@
+//! Pictures as bytes of a file, on threads of their own: while one frame is encoded, the next is drawn.
+
+use std::sync::Arc;
+
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use tonic::Status;
+
+use crate::wire::sensorsim::ImageFormat;
+
+/// Quality of JPEG where a request leaves it at zero.
+const QUALITY_DEFAULT: u8 = 95;
+/// From this quality on, colours keep the resolution of brightness.
+const FULL_COLOUR_FROM: u8 = 90;
+
+/// How a picture is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// Lossless, compressed lightly.
+    Png,
+    /// With losses.
+    Jpeg {
+        /// 1 to 100.
+        quality: u8,
+    },
+    /// All red bytes, then all green ones, then all blue ones; rows from the top.
+    Planar,
+}
+
+impl Encoding {
+    /// That of `format`, and of `quality` as simulators send it: 0 to 1, or above 1 to 100; 0 leaves it to us.
+    ///
+    /// # Errors
+    /// UNIMPLEMENTED for formats that there are not, INVALID_ARGUMENT for numbers that are no format or no quality.
+    pub fn of(format: i32, quality: f32, field: &str) -> Result<Self, Status> {
+        const SUPPORTED: &str = "supported are PNG (1), JPEG (2) and RGB_UINT8_PLANAR (4)";
+        match ImageFormat::try_from(format) {
+            Ok(ImageFormat::Png) => Ok(Self::Png),
+            Ok(ImageFormat::RgbUint8Planar) => Ok(Self::Planar),
+            Ok(ImageFormat::Jpeg) => Ok(Self::Jpeg { quality: quality_of(quality)? }),
+            Ok(ImageFormat::Undefined) => Err(Status::invalid_argument(format!("{field} is not given; {SUPPORTED}"))),
+            Ok(other) => Err(Status::unimplemented(format!("{field}: {} is not written; {SUPPORTED}", other.as_str_name()))),
+            Err(_) => Err(Status::invalid_argument(format!("{field}: {format} is no format; {SUPPORTED}"))),
+        }
+    }
+}
+
+fn quality_of(quality: f32) -> Result<u8, Status> {
+    match quality {
+        0.0 => Ok(QUALITY_DEFAULT),
+        share if share > 0.0 && share <= 1.0 => Ok((100.0 * share).round().max(1.0) as u8),
+        percent if percent > 1.0 && percent <= 100.0 => Ok(percent.round() as u8),
+        _ => Err(Status::invalid_argument(format!("image_quality: {quality} is neither within 0 to 1 nor within 1 to 100"))),
+    }
+}
+
+/// The bytes of a picture, `rgba` row by row from the top, four bytes a pixel; alpha is not stored.
+///
+/// # Errors
+/// A sentence, when the format cannot hold the size.
+pub fn encode(rgba: &[u8], [width_px, height_px]: [u32; 2], encoding: Encoding) -> Result<Vec<u8>, String> {
+    match encoding {
+        Encoding::Planar => Ok((0..3).flat_map(|channel| rgba.iter().skip(channel).step_by(4).copied()).collect()),
+        Encoding::Png => {
+            let mut bytes = Vec::with_capacity(rgba.len() / 2);
+            let mut encoder = png::Encoder::new(&mut bytes, width_px, height_px);
+            encoder.set_color(png::ColorType::Rgb);
+            encoder.set_depth(png::BitDepth::Eight);
+            encoder.set_compression(png::Compression::Fast);
+            let rgb: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
+            let mut writer = encoder.write_header().map_err(|error| error.to_string())?;
+            writer.write_image_data(&rgb).and_then(|()| writer.finish()).map_err(|error| error.to_string())?;
+            Ok(bytes)
+        }
+        Encoding::Jpeg { quality } => {
+            let side =
+                |side_px: u32| u16::try_from(side_px).map_err(|_| format!("JPEG holds sides of 65535 pixels, not {side_px}"));
+            let (width_px, height_px) = (side(width_px)?, side(height_px)?);
+            let mut bytes = Vec::with_capacity(rgba.len() / 8);
+            let mut encoder = Encoder::new(&mut bytes, quality);
+            let full = quality >= FULL_COLOUR_FROM;
+            encoder.set_sampling_factor(if full { SamplingFactor::F_1_1 } else { SamplingFactor::F_2_2 });
+            encoder.encode(rgba, width_px, height_px, ColorType::Rgba).map_err(|error| error.to_string())?;
+            Ok(bytes)
+        }
+    }
+}
+
+/// Threads that encode.
+#[derive(Clone)]
+pub struct Encoders {
+    threads: Arc<ThreadPool>,
+}
+
+impl Encoders {
+    /// `threads` of them; 0: as many as there are processors.
+    ///
+    /// # Errors
+    /// When the operating system gives no threads.
+    pub fn new(threads: usize) -> anyhow::Result<Self> {
+        let name = |index| format!("encode-{index}");
+        Ok(Self { threads: Arc::new(ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?) })
+    }
+
+    /// Runs `work` on one of the threads.
+    pub fn spawn(&self, work: impl FnOnce() + Send + 'static) {
+        self.threads.spawn(work);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(size: [u32; 2]) -> Vec<u8> {
+        let pixel = |i: u32| [(i % size[0] * 3) as u8, (i / size[0] * 5) as u8, (i % 7 * 20) as u8, 255];
+        (0..size[0] * size[1]).flat_map(pixel).collect()
+    }
+
+    #[test]
+    fn png_and_planes_lose_nothing_and_jpeg_little() {
+        let size = [37, 23];
+        let rgba = picture(size);
+        let rgb: Vec<u8> = rgba.chunks(4).flat_map(|pixel| pixel[..3].to_vec()).collect();
+        let png = encode(&rgba, size, Encoding::Png).unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
+        let mut decoded = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut decoded).unwrap();
+        assert_eq!(decoded, rgb);
+        let planar = encode(&rgba, size, Encoding::Planar).unwrap();
+        let pixels = 37 * 23;
+        assert_eq!(planar.len(), 3 * pixels);
+        for (i, pixel) in rgb.chunks(3).enumerate() {
+            assert_eq!([planar[i], planar[pixels + i], planar[2 * pixels + i]], pixel);
+        }
+        let jpeg = encode(&rgba, size, Encoding::Jpeg { quality: 95 }).unwrap();
+        let mut decoder = jpeg_decoder::Decoder::new(jpeg.as_slice());
+        let decoded = decoder.decode().unwrap();
+        assert_eq!(decoder.info().map(|info| (info.width, info.height)), Some((37, 23)));
+        let off: u64 = decoded.iter().zip(&rgb).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        assert!((off as f64) < 6.0 * rgb.len() as f64, "mean difference {}", off as f64 / rgb.len() as f64);
+    }
+
+    #[test]
+    fn quality_is_understood_both_ways() {
+        let of = |quality| Encoding::of(2, quality, "image_format");
+        for (asked, quality) in [(95.0, 95), (0.95, 95), (1.0, 100), (100.0, 100), (0.0, 95), (0.001, 1)] {
+            assert_eq!(of(asked).unwrap(), Encoding::Jpeg { quality });
+        }
+        for nonsense in [f32::NAN, -1.0, 101.0, f32::INFINITY] {
+            assert!(of(nonsense).unwrap_err().message().contains("image_quality"));
+        }
+    }
+
+    #[test]
+    fn formats_that_there_are_not_are_named_with_those_that_there_are() {
+        for (format, code) in
+            [(0, tonic::Code::InvalidArgument), (3, tonic::Code::Unimplemented), (99, tonic::Code::InvalidArgument)]
+        {
+            let status = Encoding::of(format, 0.0, "image_format").unwrap_err();
+            assert!(status.code() == code && status.message().contains("JPEG (2)"), "{status}");
+        }
+    }
+}

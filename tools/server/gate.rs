@@ -1,0 +1,190 @@
+//! What every request passes: the name of its service, its token, the number of requests there may be, and the time it may take.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use http::uri::PathAndQuery;
+use http::{Request, Response, Uri};
+use http_body::{Body as HttpBody, Frame, SizeHint};
+use subtle::ConstantTimeEq;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Sleep, sleep_until, timeout_at};
+use tonic::body::Body;
+use tonic::{Code, Status};
+use tower::{Layer, Service};
+
+use crate::metrics::Metrics;
+use crate::names::{Destination, destination_of};
+use crate::options::Limits;
+
+/// Puts a [`Gate`] in front of services.
+#[derive(Clone)]
+pub struct GateLayer {
+    rules: Arc<Rules>,
+}
+
+struct Rules {
+    metrics: Arc<Metrics>,
+    token: Option<String>,
+    deadline: Duration,
+    places: Arc<Semaphore>,
+    requests_max: u32,
+}
+
+impl GateLayer {
+    /// Lets in who has `token`, if there is one, within `limits`.
+    pub fn new(limits: &Limits, token: Option<String>, metrics: Arc<Metrics>) -> Self {
+        let places = Arc::new(Semaphore::new(limits.requests as usize));
+        let deadline = limits.deadline();
+        Self { rules: Arc::new(Rules { metrics, token, deadline, places, requests_max: limits.requests }) }
+    }
+}
+
+impl<S> Layer<S> for GateLayer {
+    type Service = Gate<S>;
+
+    fn layer(&self, service: S) -> Gate<S> {
+        Gate { service, rules: Arc::clone(&self.rules) }
+    }
+}
+
+/// A service behind the gate.
+#[derive(Clone)]
+pub struct Gate<S> {
+    service: S,
+    rules: Arc<Rules>,
+}
+
+type Answer<E> = Pin<Box<dyn Future<Output = Result<Response<Body>, E>> + Send>>;
+
+impl<S> Service<Request<Body>> for Gate<S>
+where
+    S: Service<Request<Body>, Response = Response<Body>> + Clone + Send + 'static,
+    S::Future: Send + 'static,
+{
+    type Response = Response<Body>;
+    type Error = S::Error;
+    type Future = Answer<S::Error>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.service.poll_ready(context)
+    }
+
+    fn call(&mut self, mut request: Request<Body>) -> Self::Future {
+        let destination = destination_of(request.uri().path());
+        let count = Count::new(&self.rules.metrics, destination.counted_as);
+        let place = self.rules.admit(&request, &destination);
+        if let Some(path) = destination.path.and_then(|path| PathAndQuery::try_from(path).ok()) {
+            let mut parts = std::mem::take(request.uri_mut()).into_parts();
+            parts.path_and_query = Some(path);
+            *request.uri_mut() = Uri::from_parts(parts).unwrap_or_default();
+        }
+        // The one that is ready is the one that is called.
+        let clone = self.service.clone();
+        let mut service = std::mem::replace(&mut self.service, clone);
+        let deadline = tokio::time::Instant::now() + self.rules.deadline;
+        Box::pin(async move {
+            let place = match place {
+                Ok(place) => place,
+                Err(status) => return Ok(count.refused(status)),
+            };
+            match timeout_at(deadline, service.call(request)).await {
+                Ok(Ok(response)) => {
+                    count.done(code_of(&response));
+                    let held = |body| Held { body, until: Box::pin(sleep_until(deadline)), place };
+                    Ok(response.map(|body| Body::new(held(body))))
+                }
+                Ok(Err(error)) => Err(error),
+                Err(_) => Ok(count.refused(Status::deadline_exceeded("the request took longer than the server allows"))),
+            }
+        })
+    }
+}
+
+impl Rules {
+    fn admit(&self, request: &Request<Body>, destination: &Destination) -> Result<Option<OwnedSemaphorePermit>, Status> {
+        // Whoever watches over the server may ask without a token, and however busy it is.
+        if destination.is_health {
+            return Ok(None);
+        }
+        if let Some(token) = &self.token {
+            let sent = request.headers().get(http::header::AUTHORIZATION).map(http::HeaderValue::as_bytes).unwrap_or_default();
+            let sent = sent.strip_prefix(b"Bearer ").unwrap_or_default();
+            if !bool::from(sent.ct_eq(token.as_bytes())) {
+                return Err(Status::unauthenticated("the metadata needs authorization: Bearer TOKEN, with this server's token"));
+            }
+        }
+        let full = |_| Status::resource_exhausted(format!("{} requests are being answered: ask again", self.requests_max));
+        Arc::clone(&self.places).try_acquire_owned().map(Some).map_err(full)
+    }
+}
+
+/// The status that `response` ends with. One that is not in its head comes behind a body, and bodies are sent for success alone.
+fn code_of(response: &Response<Body>) -> Code {
+    response.headers().get("grpc-status").map_or(Code::Ok, |code| Code::from_bytes(code.as_bytes()))
+}
+
+/// Counts one request, whatever becomes of it.
+struct Count {
+    metrics: Arc<Metrics>,
+    method: &'static str,
+    since: Instant,
+    is_counted: bool,
+}
+
+impl Count {
+    fn new(metrics: &Arc<Metrics>, method: &'static str) -> Self {
+        Self { metrics: Arc::clone(metrics), method, since: Instant::now(), is_counted: false }
+    }
+
+    fn done(mut self, code: Code) {
+        self.is_counted = true;
+        self.metrics.answered(self.method, code, self.since.elapsed());
+    }
+
+    fn refused(self, status: Status) -> Response<Body> {
+        tracing::debug!(method = self.method, code = ?status.code(), reason = status.message(), "refused");
+        self.done(status.code());
+        status.into_http()
+    }
+}
+
+impl Drop for Count {
+    fn drop(&mut self) {
+        if !self.is_counted {
+            self.metrics.answered(self.method, Code::Cancelled, self.since.elapsed());
+        }
+    }
+}
+
+/// A reply that keeps its place among the requests until it is sent, and that is not waited for longer than the request.
+struct Held {
+    body: Body,
+    until: Pin<Box<Sleep>>,
+    place: Option<OwnedSemaphorePermit>,
+}
+
+impl HttpBody for Held {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        // Watching for health has no end.
+        if self.place.is_some() && self.until.as_mut().poll(context).is_ready() {
+            return Poll::Ready(Some(Err(Status::deadline_exceeded("the reply was not taken in time"))));
+        }
+        let frame = ready!(Pin::new(&mut self.body).poll_frame(context));
+        Poll::Ready(frame)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}

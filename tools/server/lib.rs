@@ -1,0 +1,39 @@
+//! A render server for closed-loop simulators: pictures of scenes, and ground below vehicles, over gRPC.
+//!
+//! | file | what it is |
+//! |---|---|
+//! | `proto/`, [`wire`], `codec` | the messages of the public contract, and how they are read without trusting their counts |
+//! | [`options`], [`names`] | what can be set, and the names under which services are found |
+//! | `gate`, `connections` | who comes in: tokens, limits, deadlines, what is counted |
+//! | `sensorsim`, `physics` | the services: messages in, messages out |
+//! | `sight`, `poses`, `camera_spec` | a request, checked: cameras and agents where they stand at mid-shutter |
+//! | `catalogue`, `scene_reading` | which scenes there are, and how they come from files |
+//! | `painter`, `stage` | the one thread that draws, and a scene on the device |
+//! | [`encoding`] | pictures as PNG, JPEG or planes, on threads of their own |
+//! | [`running`] | all of it together, until it is told to stop |
+//!
+//! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32, and a world may lie in UTM
+//! coordinates. Objects are placed by the centres of their boxes, as agents are in a scene file.
+#![forbid(unsafe_code)]
+
+pub mod bench;
+mod cache;
+mod camera_spec;
+mod catalogue;
+mod codec;
+mod connections;
+pub mod encoding;
+mod gate;
+mod metrics;
+mod metrics_page;
+pub mod names;
+pub mod options;
+mod painter;
+mod physics;
+mod poses;
+pub mod running;
+mod scene_reading;
+mod sensorsim;
+mod sight;
+mod stage;
+pub mod wire;

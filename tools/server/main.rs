@@ -1,0 +1,99 @@
+//! The program `decouplegs-server`.
+//!
+//! It exits with 0 when it was told to stop, with 1 when it could not serve (one sentence on standard error, then its causes), and
+//! with 2 when the command line makes no sense.
+#![forbid(unsafe_code)]
+
+use std::io::Write;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use decouplegs_server::bench::{self, BenchOptions};
+use decouplegs_server::options::{LogForm, ServerOptions};
+use decouplegs_server::running;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+/// Serves pictures of scenes to closed-loop simulators, over gRPC.
+#[derive(Parser)]
+#[command(name = "decouplegs-server", version, propagate_version = true)]
+struct Program {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Serve until SIGTERM or SIGINT
+    #[command(name = "serve-grpc", visible_alias = "serve")]
+    Serve(Box<ServerOptions>),
+    /// Start a server in this process, ask it for pictures over the loopback, and tell how long that took
+    Bench(Box<BenchOptions>),
+}
+
+fn main() -> ExitCode {
+    let started = Instant::now();
+    let done = match Program::parse().command {
+        Command::Serve(options) => serve(&options),
+        Command::Bench(options) => {
+            log(LogForm::Text, "warn");
+            bench::run(&options, started)
+        }
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprint!("{}", explanation(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The error as a sentence and its causes, one a line. A cause that the line above already tells is left out.
+fn explanation(error: &anyhow::Error) -> String {
+    let mut told = error.to_string();
+    let mut lines = format!("error: {told}\n");
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !told.contains(&cause) {
+            lines.push_str(&format!("  because: {cause}\n"));
+        }
+        told = cause;
+    }
+    lines
+}
+
+fn serve(options: &ServerOptions) -> Result<()> {
+    log(options.log, "info");
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("no threads")?;
+    runtime.block_on(async {
+        let (mut terminated, mut interrupted) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+        let running = running::start(options).await?;
+        let mut said = std::io::stdout().lock();
+        writeln!(said, "listening on {}", running.address)?;
+        if let Some(address) = running.metrics_address {
+            writeln!(said, "metrics on http://{address}/metrics")?;
+        }
+        said.flush()?;
+        drop(said);
+        let told = async {
+            tokio::select! {
+                _ = terminated.recv() => {}
+                _ = interrupted.recv() => {}
+            }
+            tracing::info!("told to stop: finishing what has begun");
+        };
+        running.until(told).await
+    })
+}
+
+/// Events go to standard error: those that `RUST_LOG` says, otherwise those of `level` and above.
+fn log(form: LogForm, level: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    let events = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match form {
+        LogForm::Text => events.init(),
+        LogForm::Json => events.json().init(),
+    }
+}

@@ -1,0 +1,171 @@
+//! What is counted, and its text for Prometheus.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tonic::Code;
+
+/// Upper ends of the histogram's buckets, seconds.
+const BUCKETS_S: [f64; 16] = [0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
+
+/// Everything that is counted.
+#[derive(Default)]
+pub struct Metrics {
+    methods: Mutex<BTreeMap<&'static str, Method>>,
+    scenes: Mutex<Vec<String>>,
+    cache_bytes: AtomicU64,
+    queue: AtomicI64,
+    pictures: AtomicU64,
+    submissions: AtomicU64,
+    unknown_objects: AtomicU64,
+    connections: AtomicI64,
+    connections_refused: AtomicU64,
+}
+
+#[derive(Default)]
+struct Method {
+    by_status: BTreeMap<i32, u64>,
+    buckets: [u64; BUCKETS_S.len()],
+    seconds: f64,
+}
+
+impl Metrics {
+    /// A request was answered with `code` after `took`.
+    pub fn answered(&self, method: &'static str, code: Code, took: Duration) {
+        let mut methods = lock(&self.methods);
+        let method = methods.entry(method).or_default();
+        *method.by_status.entry(code as i32).or_default() += 1;
+        let seconds = took.as_secs_f64();
+        method.seconds += seconds;
+        if let Some(bucket) = BUCKETS_S.iter().position(|end| seconds <= *end) {
+            method.buckets[bucket] += 1;
+        }
+    }
+
+    /// So many more jobs wait to be drawn.
+    pub fn queued(&self, more: i64) {
+        self.queue.fetch_add(more, Ordering::Relaxed);
+    }
+
+    /// One submission drew so many pictures, and objects were asked for that the scene has not.
+    pub fn drew(&self, pictures: usize, unknown_objects: usize) {
+        self.submissions.fetch_add(1, Ordering::Relaxed);
+        self.pictures.fetch_add(pictures as u64, Ordering::Relaxed);
+        self.unknown_objects.fetch_add(unknown_objects as u64, Ordering::Relaxed);
+    }
+
+    /// The scenes on the device, and their bytes.
+    pub fn cached(&self, scenes: Vec<String>, bytes: u64) {
+        *lock(&self.scenes) = scenes;
+        self.cache_bytes.store(bytes, Ordering::Relaxed);
+    }
+
+    /// The scenes on the device.
+    pub fn scenes(&self) -> Vec<String> {
+        lock(&self.scenes).clone()
+    }
+
+    /// So many more connections are open.
+    pub fn connected(&self, more: i64) {
+        self.connections.fetch_add(more, Ordering::Relaxed);
+    }
+
+    /// A connection was closed because there were too many.
+    pub fn refused(&self) {
+        self.connections_refused.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Submissions so far: one draws all cameras of a batch.
+    pub fn submissions(&self) -> u64 {
+        self.submissions.load(Ordering::Relaxed)
+    }
+
+    /// All of it, as Prometheus reads it.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        self.write_methods(&mut text);
+        let (signed, unsigned) =
+            (|value: &AtomicI64| value.load(Ordering::Relaxed).max(0) as u64, |value: &AtomicU64| value.load(Ordering::Relaxed));
+        let scenes = lock(&self.scenes).len() as u64;
+        for (name, kind, meaning, value) in [
+            ("pictures_total", "counter", "Pictures drawn.", unsigned(&self.pictures)),
+            ("submissions_total", "counter", "Frames submitted to the device.", unsigned(&self.submissions)),
+            (
+                "unknown_objects_total",
+                "counter",
+                "Objects asked for that a scene does not have.",
+                unsigned(&self.unknown_objects),
+            ),
+            ("queue_depth", "gauge", "Jobs that wait to be drawn or are being drawn.", signed(&self.queue)),
+            ("scenes_cached", "gauge", "Scenes on the device.", scenes),
+            ("scene_cache_bytes", "gauge", "Device memory of the scenes in the cache.", unsigned(&self.cache_bytes)),
+            ("connections", "gauge", "Open connections.", signed(&self.connections)),
+            ("connections_refused_total", "counter", "Connections closed at the limit.", unsigned(&self.connections_refused)),
+        ] {
+            // Writing to a string cannot fail.
+            let _ =
+                write!(text, "# HELP decouplegs_{name} {meaning}\n# TYPE decouplegs_{name} {kind}\ndecouplegs_{name} {value}\n");
+        }
+        text
+    }
+
+    fn write_methods(&self, text: &mut String) {
+        let methods = lock(&self.methods);
+        text.push_str("# HELP decouplegs_requests_total Requests answered.\n# TYPE decouplegs_requests_total counter\n");
+        for (name, method) in methods.iter() {
+            for (code, count) in &method.by_status {
+                let code = Code::from_i32(*code);
+                let _ = writeln!(text, "decouplegs_requests_total{{method=\"{name}\",status=\"{code:?}\"}} {count}");
+            }
+        }
+        text.push_str("# HELP decouplegs_request_seconds Time to answer.\n# TYPE decouplegs_request_seconds histogram\n");
+        for (name, method) in methods.iter() {
+            let mut below = 0;
+            for (end, count) in BUCKETS_S.iter().zip(method.buckets) {
+                below += count;
+                let _ = writeln!(text, "decouplegs_request_seconds_bucket{{method=\"{name}\",le=\"{end}\"}} {below}");
+            }
+            let all: u64 = method.by_status.values().sum();
+            let _ = writeln!(text, "decouplegs_request_seconds_bucket{{method=\"{name}\",le=\"+Inf\"}} {all}");
+            let _ = writeln!(text, "decouplegs_request_seconds_sum{{method=\"{name}\"}} {}", method.seconds);
+            let _ = writeln!(text, "decouplegs_request_seconds_count{{method=\"{name}\"}} {all}");
+        }
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buckets_add_up_and_every_line_has_a_value() {
+        let metrics = Metrics::default();
+        for milliseconds in [1, 4, 4, 100_000] {
+            metrics.answered("render_rgb", Code::Ok, Duration::from_millis(milliseconds));
+        }
+        metrics.answered("render_rgb", Code::InvalidArgument, Duration::from_millis(1));
+        metrics.drew(6, 2);
+        let text = metrics.text();
+        for line in [
+            "decouplegs_requests_total{method=\"render_rgb\",status=\"Ok\"} 4",
+            "decouplegs_requests_total{method=\"render_rgb\",status=\"InvalidArgument\"} 1",
+            "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"0.005\"} 4",
+            "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"60\"} 4",
+            "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"+Inf\"} 5",
+            "decouplegs_pictures_total 6",
+            "decouplegs_unknown_objects_total 2",
+        ] {
+            assert!(text.lines().any(|written| written == line), "{line} is not in\n{text}");
+        }
+        let values =
+            text.lines().filter(|line| !line.starts_with('#')).map(|line| line.rsplit(' ').next().map(str::parse::<f64>));
+        assert!(values.flatten().all(|value| value.is_ok()));
+    }
+}

@@ -1,0 +1,158 @@
+//! What can be set: where the server listens, which scenes it has, and how much of everything it gives away.
+
+use std::net::IpAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, ValueEnum};
+use decouplegs::gpu::DeviceChoice;
+
+/// All that a server is told when it starts.
+#[derive(Args, Clone, Debug)]
+pub struct ServerOptions {
+    /// Scenes: scene files (.toml) or splat files. A scene's id is the name of the folder of scene.toml, or of any other file
+    /// without its ending
+    #[arg(value_name = "SCENE")]
+    pub scenes: Vec<PathBuf>,
+    /// More scenes, found by a pattern such as '/data/**/scene.toml'
+    #[arg(long, value_name = "GLOB")]
+    pub artifact_glob: Vec<String>,
+    /// Address to listen on. Other machines reach it only if this is not the loopback
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    pub host: IpAddr,
+    /// Port to listen on; 0 takes a free one, which is said on standard output
+    #[arg(long, value_name = "PORT", default_value_t = 8080)]
+    pub port: u16,
+    /// Port of the Prometheus metrics, on the same address; none without it
+    #[arg(long, value_name = "PORT")]
+    pub metrics_port: Option<u16>,
+    /// Device to draw on: an index, a part of its name or its UUID, as `decouplegs devices` lists them
+    #[arg(long, value_name = "DEVICE", default_value = "auto")]
+    pub device: DeviceChoice,
+    /// Where the clients' rig has its origin, in the scenes' vehicle frame (metres, x forward, y left, z up): simulators
+    /// put it on the ground below the rear axle, scene files in the middle of the box
+    #[arg(long, value_name = "X,Y,Z", value_parser = metres, default_value = "0,0,0", allow_hyphen_values = true)]
+    pub rig_origin: [f64; 3],
+    /// Read all scenes into the cache at the start instead of when they are first asked for
+    #[arg(long)]
+    pub preload: bool,
+    /// How much of everything is given away
+    #[command(flatten)]
+    pub limits: Limits,
+    /// Certificate chain (PEM) for TLS
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// Private key (PEM) for TLS
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
+    /// File with a token that clients must send, as `authorization: Bearer TOKEN`
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// Form of the log on standard error
+    #[arg(long, value_name = "FORM", value_enum, default_value = "text")]
+    pub log: LogForm,
+}
+
+impl ServerOptions {
+    /// The defaults for `scenes`, on a free port of the loopback.
+    #[must_use]
+    pub fn on_a_free_port(scenes: Vec<PathBuf>) -> Self {
+        let mut options = Defaults::parse_from(["decouplegs-server", "--port", "0"]).options;
+        options.scenes = scenes;
+        options
+    }
+}
+
+/// Options as a command line of their own.
+#[derive(Parser)]
+struct Defaults {
+    #[command(flatten)]
+    options: ServerOptions,
+}
+
+/// Form of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LogForm {
+    /// Lines for people
+    Text,
+    /// A JSON object a line
+    Json,
+}
+
+/// How much of everything is given away.
+#[derive(Args, Clone, Debug)]
+pub struct Limits {
+    /// Largest message that is sent, bytes
+    #[arg(long, value_name = "BYTES", default_value_t = 64 << 20)]
+    pub message_bytes: usize,
+    /// Largest message that is received, bytes; requests are far smaller than pictures
+    #[arg(long, value_name = "BYTES", default_value_t = 16 << 20)]
+    pub request_bytes: usize,
+    /// Requests at a time; further ones are refused with RESOURCE_EXHAUSTED
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    pub requests: u32,
+    /// Connections at a time; further ones are closed
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    pub connections: u32,
+    /// Pixels of one picture
+    #[arg(long, value_name = "N", default_value_t = 3840 * 2160)]
+    pub image_pixels: u64,
+    /// Pixels of all pictures of one request
+    #[arg(long, value_name = "N", default_value_t = 8 * 3840 * 2160)]
+    pub pixels: u64,
+    /// Cameras of one request
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    pub cameras: usize,
+    /// Objects that one camera is told of
+    #[arg(long, value_name = "N", default_value_t = 4096)]
+    pub objects: usize,
+    /// A request that takes longer is given up, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 300.0, value_parser = seconds)]
+    pub deadline: f64,
+    /// A connection that says nothing after it was opened is closed, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
+    pub handshake: f64,
+    /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
+    pub grace: f64,
+    /// Scenes that are kept on the device
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub cache_size: u32,
+    /// Device memory that scenes in the cache may take, bytes
+    #[arg(long, value_name = "BYTES", default_value_t = 32 << 30)]
+    pub cache_bytes: u64,
+    /// Threads that encode pictures; 0: as many as there are processors
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub max_workers: usize,
+}
+
+impl Limits {
+    /// [`Limits::deadline`].
+    #[must_use]
+    pub fn deadline(&self) -> Duration {
+        Duration::from_secs_f64(self.deadline)
+    }
+
+    /// [`Limits::handshake`].
+    #[must_use]
+    pub fn handshake(&self) -> Duration {
+        Duration::from_secs_f64(self.handshake)
+    }
+
+    /// [`Limits::grace`].
+    #[must_use]
+    pub fn grace(&self) -> Duration {
+        Duration::from_secs_f64(self.grace)
+    }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let parsed = text.parse().ok().filter(|seconds| (0.001..=86_400.0).contains(seconds));
+    parsed.ok_or_else(|| format!("expected seconds, 0.001 to 86400, found {text:?}"))
+}
+
+fn metres(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+    let parsed = numbers.try_into().ok().filter(|place: &[f64; 3]| place.iter().all(|metres| metres.is_finite()));
+    parsed.ok_or_else(|| format!("expected three numbers in metres, like -1.4,0,-0.75, found {text:?}"))
+}

@@ -1,0 +1,316 @@
+//! The thread that draws: it owns the device and the scenes on it. Requests come by a queue, pictures go back one by one, and files
+//! are read on a thread beside it.
+
+use std::collections::{HashMap, HashSet};
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::{Builder, JoinHandle};
+use std::time::Instant;
+
+use anyhow::{Context, Result, ensure};
+use decouplegs::asset::{AssetError, LoadedScene};
+use decouplegs::gpu::Gpu;
+use decouplegs::render::PictureBytes;
+use tokio::sync::{oneshot, watch};
+use tonic::Status;
+
+use crate::cache::Cache;
+use crate::catalogue::Catalogue;
+use crate::metrics::Metrics;
+use crate::options::Limits;
+use crate::scene_reading::read_scene;
+use crate::sight::Sight;
+use crate::stage::{Stage, is_lost, status_of};
+
+/// Frames whose pictures there may be at a time. When encoding falls so far behind, drawing waits: memory stays bounded.
+const FRAMES_MAX: usize = 4;
+/// Names of unknown objects that are remembered, so that each is warned of once.
+const WARNED_MAX: usize = 10_000;
+
+/// Asks for pictures.
+#[derive(Clone)]
+pub struct Painter {
+    messages: Sender<Message>,
+    metrics: Arc<Metrics>,
+    /// Turns true when the device was lost.
+    lost: watch::Receiver<bool>,
+}
+
+/// Pictures of one submission, in the order of its cameras. Their memory serves another frame afterwards.
+pub struct Pictures {
+    /// The pictures.
+    pub bytes: PictureBytes,
+    memory: Arc<PictureMemory>,
+}
+
+/// Memory of pictures, handed out again and again.
+#[derive(Default)]
+struct PictureMemory {
+    /// That which nobody has, and how many have some.
+    free: Mutex<(Vec<PictureBytes>, usize)>,
+    given_back: Condvar,
+}
+
+impl PictureMemory {
+    /// Memory for one frame, once there is some.
+    fn take(self: &Arc<Self>) -> Pictures {
+        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut free = self.given_back.wait_while(free, |(_, out)| *out >= FRAMES_MAX).unwrap_or_else(PoisonError::into_inner);
+        free.1 += 1;
+        Pictures { bytes: free.0.pop().unwrap_or_default(), memory: Arc::clone(self) }
+    }
+}
+
+impl Drop for Pictures {
+    fn drop(&mut self) {
+        let mut free = self.memory.free.lock().unwrap_or_else(PoisonError::into_inner);
+        free.0.push(std::mem::take(&mut self.bytes));
+        free.1 -= 1;
+        self.memory.given_back.notify_one();
+    }
+}
+
+enum Message {
+    Draw(Job),
+    Loaded(String, Result<Box<LoadedScene>, AssetError>),
+    Preload(Vec<String>),
+    Stop,
+}
+
+/// Sights of one scene with the same objects.
+struct Job {
+    sights: Vec<Sight>,
+    answer: oneshot::Sender<Result<Pictures, Status>>,
+}
+
+impl Painter {
+    /// Starts the threads, which draw scenes of `catalogue` on `gpu`.
+    ///
+    /// # Errors
+    /// When the operating system gives no threads.
+    pub fn start(
+        gpu: Gpu,
+        catalogue: Arc<Catalogue>,
+        limits: &Limits,
+        metrics: Arc<Metrics>,
+    ) -> Result<(Self, JoinHandle<Result<()>>)> {
+        let (messages, inbox) = channel();
+        let (loads, to_load) = channel();
+        let loaded = messages.clone();
+        let read = move |(id, path): (String, PathBuf)| {
+            let since = Instant::now();
+            let scene = read_scene(&path).map(Box::new);
+            tracing::info!(scene = id, seconds = since.elapsed().as_secs_f64(), "a scene was read");
+            // No one to tell: the painter has ended.
+            let _ = loaded.send(Message::Loaded(id, scene));
+        };
+        Builder::new().name("read-scenes".into()).spawn(move || to_load.into_iter().for_each(read)).context("no thread")?;
+        let (lost_sender, lost) = watch::channel(false);
+        let mut studio = Studio {
+            gpu,
+            catalogue,
+            scenes: Cache::new(limits.cache_size as usize, limits.cache_bytes),
+            waiting: HashMap::new(),
+            loads,
+            memory: Arc::default(),
+            warned: HashSet::new(),
+            metrics: Arc::clone(&metrics),
+            lost: lost_sender,
+        };
+        let paint = move || {
+            studio.work(&inbox);
+            studio.check_validation()
+        };
+        let thread = Builder::new().name("paint".into()).spawn(paint).context("no thread")?;
+        Ok((Self { messages, metrics, lost }, thread))
+    }
+
+    /// Pictures of `sights`, which are of one scene and see the same objects, drawn in one submission.
+    ///
+    /// # Errors
+    /// NOT_FOUND for unknown scenes, and what reading or drawing meets.
+    pub async fn draw(&self, sights: Vec<Sight>) -> Result<Pictures, Status> {
+        let (answer, answered) = oneshot::channel();
+        self.metrics.queued(1);
+        let sent = self.messages.send(Message::Draw(Job { sights, answer }));
+        let gone = || Status::unavailable("the server is ending: ask another");
+        let answered = match sent {
+            Ok(()) => answered.await.map_err(|_| gone()),
+            Err(_) => Err(gone()),
+        };
+        answered?
+    }
+
+    /// Reads `scenes` into the cache.
+    pub fn preload(&self, scenes: Vec<String>) {
+        // A painter that has ended needs no scenes.
+        let _ = self.messages.send(Message::Preload(scenes));
+    }
+
+    /// Ends the threads once what was asked before is done.
+    pub fn stop(&self) {
+        // It may have ended already.
+        let _ = self.messages.send(Message::Stop);
+    }
+
+    /// Turns true when the device was lost.
+    pub fn lost(&self) -> watch::Receiver<bool> {
+        self.lost.clone()
+    }
+}
+
+/// What the thread owns.
+struct Studio {
+    gpu: Gpu,
+    catalogue: Arc<Catalogue>,
+    scenes: Cache<Stage>,
+    /// Jobs for scenes that are being read.
+    waiting: HashMap<String, Vec<Job>>,
+    loads: Sender<(String, PathBuf)>,
+    memory: Arc<PictureMemory>,
+    warned: HashSet<(String, String)>,
+    metrics: Arc<Metrics>,
+    lost: watch::Sender<bool>,
+}
+
+impl Studio {
+    fn work(&mut self, inbox: &Receiver<Message>) {
+        for message in inbox {
+            match message {
+                Message::Draw(job) => self.draw_or_wait(job),
+                Message::Loaded(id, scene) => self.loaded(&id, scene),
+                Message::Preload(ids) => ids.iter().for_each(|id| self.load(id)),
+                Message::Stop => return,
+            }
+            self.metrics.cached(self.scenes.names(), self.scenes.bytes());
+        }
+    }
+
+    /// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`) and had something to say.
+    fn check_validation(&self) -> Result<()> {
+        let messages = self.gpu.take_validation_messages();
+        ensure!(
+            messages.is_empty(),
+            "the Vulkan validation layers reported {} faults, the first: {}",
+            messages.len(),
+            messages[0]
+        );
+        Ok(())
+    }
+
+    fn draw_or_wait(&mut self, job: Job) {
+        let id = job.sights.first().map(|sight| sight.scene.clone()).unwrap_or_default();
+        if self.catalogue.path(&id).is_none() {
+            let reason = format!("scene_id: there is no scene {id:?}; get_available_scenes lists them");
+            return self.answer(job.answer, Err(Status::not_found(reason)));
+        }
+        if self.scenes.get(&id).is_some() {
+            self.draw(&id, job);
+        } else {
+            self.load(&id);
+            self.waiting.entry(id).or_default().push(job);
+        }
+    }
+
+    /// Has `id` read, unless it is there or on its way.
+    fn load(&mut self, id: &str) {
+        let Some(path) = self.catalogue.path(id) else { return };
+        if self.scenes.get(id).is_none() && !self.waiting.contains_key(id) {
+            self.waiting.insert(id.to_owned(), Vec::new());
+            // The reader lives as long as this sender.
+            let _ = self.loads.send((id.to_owned(), path.to_owned()));
+        }
+    }
+
+    fn loaded(&mut self, id: &str, scene: Result<Box<LoadedScene>, AssetError>) {
+        let jobs = self.waiting.remove(id).unwrap_or_default();
+        let staged =
+            scene.map_err(|error| Status::failed_precondition(error.to_string())).and_then(|scene| self.stage(id, &scene));
+        if let Err(status) = staged {
+            tracing::error!(scene = id, reason = status.message(), "a scene cannot be served");
+            jobs.into_iter().for_each(|job| self.answer(job.answer, Err(status.clone())));
+            return;
+        }
+        jobs.into_iter().for_each(|job| self.draw(id, job));
+    }
+
+    /// Puts `scene` on the device, in the place of others if need be.
+    fn stage(&mut self, id: &str, scene: &LoadedScene) -> Result<(), Status> {
+        let most = self.scenes.bytes_max();
+        let estimate = scene.world.splats.len() as u64 * bytes_a_splat(scene.world.splats.sh_degree);
+        while let Some((other, _)) = self.scenes.make_room(estimate.min(most)) {
+            tracing::info!(scene = other, "a scene leaves the cache");
+        }
+        let (before, since) = (self.gpu.memory().total_bytes, Instant::now());
+        let stage = Stage::new(&self.gpu, scene).map_err(|error| status_of(&error))?;
+        let bytes = self.gpu.memory().total_bytes.saturating_sub(before);
+        if bytes > most {
+            let reason = format!("scene {id:?} takes {bytes} bytes of the device; the cache has {most} (--cache-bytes)");
+            return Err(Status::resource_exhausted(reason));
+        }
+        let (splats, agents, seconds) = (scene.world.splats.len(), scene.agents.len(), since.elapsed().as_secs_f64());
+        tracing::info!(scene = id, splats, agents, bytes, seconds, "a scene is on the device");
+        self.scenes.insert(id.to_owned(), stage, bytes);
+        self.resize(id, bytes);
+        Ok(())
+    }
+
+    fn draw(&mut self, id: &str, job: Job) {
+        let Job { sights, answer } = job;
+        // Whoever asked has gone, or the deadline has passed.
+        if answer.is_closed() {
+            return self.metrics.queued(-1);
+        }
+        let mut pictures = self.memory.take();
+        let (before, held) = (self.gpu.memory().total_bytes, self.scenes.bytes_of(id));
+        let Some(stage) = self.scenes.get(id) else {
+            return self.answer(answer, Err(Status::unavailable(format!("scene {id:?} left the cache: ask again"))));
+        };
+        let since = Instant::now();
+        let result = match stage.draw(&sights, &mut pictures.bytes) {
+            Ok(drawn) => {
+                tracing::debug!(scene = id, cameras = sights.len(), seconds = since.elapsed().as_secs_f64(), "a frame was drawn");
+                self.metrics.drew(sights.len(), drawn.unknown.len());
+                self.warn_of(id, drawn.unknown);
+                let grown = i128::from(self.gpu.memory().total_bytes) - i128::from(before);
+                self.resize(id, u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX));
+                Ok(pictures)
+            }
+            Err(error) => {
+                tracing::error!(scene = id, %error, "a frame was not drawn");
+                if is_lost(&error) {
+                    self.lost.send_replace(true);
+                }
+                Err(status_of(&error))
+            }
+        };
+        self.answer(answer, result);
+    }
+
+    fn resize(&mut self, id: &str, bytes: u64) {
+        for (other, _) in self.scenes.resize(id, bytes) {
+            tracing::info!(scene = other, "a scene leaves the cache");
+        }
+    }
+
+    fn warn_of(&mut self, id: &str, unknown: Vec<String>) {
+        for track in unknown {
+            if self.warned.len() < WARNED_MAX && self.warned.insert((id.to_owned(), track.clone())) {
+                tracing::warn!(scene = id, track, "an object that the scene does not have is not drawn");
+            }
+        }
+    }
+
+    fn answer(&self, answer: oneshot::Sender<Result<Pictures, Status>>, result: Result<Pictures, Status>) {
+        self.metrics.queued(-1);
+        // Whoever asked may have gone.
+        let _ = answer.send(result);
+    }
+}
+
+/// About what a splat of a background takes on the device.
+fn bytes_a_splat(sh_degree: u8) -> u64 {
+    let coefficients = (u64::from(sh_degree) + 1).pow(2);
+    48 + 6 * coefficients
+}

@@ -1,0 +1,214 @@
+//! The server, from start to end.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use decouplegs::gpu::{DeviceOptions, Gpu};
+use glam::DVec3;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tonic::transport::{Identity, Server, ServerTlsConfig};
+use tonic_health::ServingStatus;
+use tonic_health::server::{HealthReporter, health_reporter};
+
+use crate::catalogue::Catalogue;
+use crate::connections;
+use crate::encoding::Encoders;
+use crate::gate::GateLayer;
+use crate::metrics::Metrics;
+use crate::metrics_page;
+use crate::names::{PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
+use crate::options::ServerOptions;
+use crate::painter::Painter;
+use crate::physics::Physics;
+use crate::sensorsim::Sensorsim;
+use crate::wire::physics::physics_service_server::PhysicsServiceServer;
+use crate::wire::sensorsim::sensorsim_service_server::SensorsimServiceServer;
+
+/// Streams that one connection may have open at a time.
+const STREAMS_MAX: u32 = 128;
+/// Bytes that a client may send ahead of what is read, of a stream and of a connection.
+const WINDOW_BYTES: u32 = 1 << 20;
+/// A connection is asked so often whether it is still there ...
+const KEEPALIVE: Duration = Duration::from_secs(30);
+/// ... and closed after so long without an answer.
+const KEEPALIVE_PATIENCE: Duration = Duration::from_secs(20);
+/// A token shorter than this can be guessed.
+const TOKEN_BYTES_MIN: usize = 8;
+
+/// A server that answers.
+pub struct Running {
+    /// Where it listens.
+    pub address: SocketAddr,
+    /// Where its metrics are.
+    pub metrics_address: Option<SocketAddr>,
+    stop: Option<oneshot::Sender<()>>,
+    done: tokio::task::JoinHandle<Result<()>>,
+    metrics: Arc<Metrics>,
+}
+
+impl Running {
+    /// Lets what has begun finish, takes nothing new, and waits for the end.
+    ///
+    /// # Errors
+    /// When it had failed.
+    pub async fn stop(mut self) -> Result<()> {
+        if let Some(stop) = self.stop.take() {
+            // It may have ended already.
+            let _ = stop.send(());
+        }
+        self.done.await.context("the server panicked")?
+    }
+
+    /// Frames submitted to the device so far: one draws all cameras of a batch.
+    #[must_use]
+    pub fn submissions(&self) -> u64 {
+        self.metrics.submissions()
+    }
+
+    /// Runs until `end`, and then as [`Running::stop`]. Ends by itself only when it fails.
+    ///
+    /// # Errors
+    /// When it failed, or its device was lost.
+    pub async fn until(mut self, end: impl Future<Output = ()>) -> Result<()> {
+        tokio::select! {
+            () = end => self.stop().await,
+            done = &mut self.done => done.context("the server panicked")?,
+        }
+    }
+}
+
+/// Starts a server: it answers when this returns.
+///
+/// # Errors
+/// When there are no scenes, no device, a file cannot be read, or the address is taken.
+pub async fn start(options: &ServerOptions) -> Result<Running> {
+    let rig_origin = DVec3::from_array(options.rig_origin);
+    let catalogue = Arc::new(Catalogue::new(&options.scenes, &options.artifact_glob, rig_origin)?);
+    let token = options.token_file.as_deref().map(token_of).transpose()?;
+    let tls = tls_of(options)?;
+    let listener = listen(SocketAddr::new(options.host, options.port)).await?;
+    let page = match options.metrics_port {
+        Some(port) => Some(listen(SocketAddr::new(options.host, port)).await?),
+        None => None,
+    };
+    let gpu = Gpu::open(&DeviceOptions { choice: options.device.clone(), ..DeviceOptions::default() })?;
+    tracing::info!(device = %gpu.info(), scenes = catalogue.ids().len(), "ready");
+    let (limits, metrics) = (Arc::new(options.limits.clone()), Arc::new(Metrics::default()));
+    let (painter, painting) = Painter::start(gpu, Arc::clone(&catalogue), &limits, Arc::clone(&metrics))?;
+    if options.preload {
+        painter.preload(catalogue.ids().into_iter().take(limits.cache_size as usize).collect());
+    }
+    let address = listener.local_addr()?;
+    let metrics_address = page.as_ref().map(TcpListener::local_addr).transpose()?;
+    let page = page.map(|page| tokio::spawn(metrics_page::serve(page, Arc::clone(&metrics))));
+    let (stop, stopped) = oneshot::channel();
+    let services = Services {
+        sensorsim: Sensorsim {
+            catalogue: Arc::clone(&catalogue),
+            painter: painter.clone(),
+            encoders: Encoders::new(limits.max_workers)?,
+            limits: Arc::clone(&limits),
+            metrics: Arc::clone(&metrics),
+        },
+        physics: Physics::new(catalogue, limits),
+        gate: GateLayer::new(&options.limits, token, Arc::clone(&metrics)),
+        tls,
+    };
+    let counted = Arc::clone(&metrics);
+    let done = tokio::spawn(async move {
+        let served = services.serve(listener, counted, stopped).await;
+        painter.stop();
+        if let Some(page) = page {
+            page.abort();
+        }
+        let painted = tokio::task::spawn_blocking(move || painting.join()).await?;
+        painted.map_err(|_| anyhow::anyhow!("the painter panicked"))?.and(served)
+    });
+    Ok(Running { address, metrics_address, stop: Some(stop), done, metrics })
+}
+
+struct Services {
+    sensorsim: Sensorsim,
+    physics: Physics,
+    gate: GateLayer,
+    tls: Option<ServerTlsConfig>,
+}
+
+impl Services {
+    async fn serve(self, listener: TcpListener, metrics: Arc<Metrics>, stopped: oneshot::Receiver<()>) -> Result<()> {
+        let limits = Arc::clone(&self.sensorsim.limits);
+        let mut lost = self.sensorsim.painter.lost();
+        let (reporter, health) = health_reporter();
+        report(&reporter, ServingStatus::Serving).await;
+        let mut server = Server::builder()
+            .layer(self.gate)
+            .max_concurrent_streams(STREAMS_MAX)
+            .initial_stream_window_size(WINDOW_BYTES)
+            .initial_connection_window_size(WINDOW_BYTES)
+            .http2_keepalive_interval(Some(KEEPALIVE))
+            .http2_keepalive_timeout(Some(KEEPALIVE_PATIENCE));
+        if let Some(tls) = self.tls {
+            server = server.tls_config(tls.timeout(limits.handshake())).context("the certificate or its key cannot be used")?;
+        }
+        let sensorsim = SensorsimServiceServer::new(self.sensorsim)
+            .max_decoding_message_size(limits.request_bytes)
+            .max_encoding_message_size(limits.message_bytes);
+        let physics = PhysicsServiceServer::new(self.physics)
+            .max_decoding_message_size(limits.request_bytes)
+            .max_encoding_message_size(limits.message_bytes);
+        let router = server.add_service(sensorsim).add_service(physics).add_service(health);
+        let connections = connections::accept(listener, limits.connections as usize, limits.handshake(), metrics);
+        let (end, ending) = oneshot::channel();
+        let ended = async {
+            // Whoever could send it is gone: that too is an end.
+            let _ = ending.await;
+        };
+        let mut serving = tokio::spawn(router.serve_with_incoming_shutdown(connections, ended));
+        let is_lost = tokio::select! {
+            _ = stopped => false,
+            _ = lost.wait_for(|lost| *lost) => true,
+            served = &mut serving => return Ok(served.context("the server panicked")??),
+        };
+        report(&reporter, ServingStatus::NotServing).await;
+        // It listens for as long as it serves.
+        let _ = end.send(());
+        match tokio::time::timeout(limits.grace(), &mut serving).await {
+            Ok(served) => served.context("the server panicked")??,
+            Err(_) => {
+                serving.abort();
+                tracing::warn!(seconds = limits.grace, "requests that had begun are cut off");
+            }
+        }
+        ensure!(!is_lost, "the device was lost: start the server again");
+        Ok(())
+    }
+}
+
+async fn report(reporter: &HealthReporter, status: ServingStatus) {
+    for name in ["", SENSORSIM, PHYSICS].into_iter().chain(SENSORSIM_ALSO).chain(PHYSICS_ALSO) {
+        reporter.set_service_status(name, status).await;
+    }
+}
+
+async fn listen(address: SocketAddr) -> Result<TcpListener> {
+    TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}: choose another --host or --port"))
+}
+
+/// The token in `path`, without the end of its line.
+fn token_of(path: &Path) -> Result<String> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let token = text.trim_end_matches(['\r', '\n']);
+    let is_sendable = token.len() >= TOKEN_BYTES_MIN && token.bytes().all(|byte| byte.is_ascii_graphic());
+    ensure!(is_sendable, "{}: expected one line of at least {TOKEN_BYTES_MIN} visible ASCII characters", path.display());
+    Ok(token.to_owned())
+}
+
+fn tls_of(options: &ServerOptions) -> Result<Option<ServerTlsConfig>> {
+    let (Some(certificate), Some(key)) = (&options.tls_cert, &options.tls_key) else { return Ok(None) };
+    let read = |path: &Path| std::fs::read(path).with_context(|| format!("cannot read {}", path.display()));
+    Ok(Some(ServerTlsConfig::new().identity(Identity::from_pem(read(certificate)?, read(key)?))))
+}

@@ -1,0 +1,104 @@
+//! A scene on the device, and pictures of it. All use of the renderer is in this file.
+
+use std::collections::HashMap;
+
+use decouplegs::asset::LoadedScene;
+use decouplegs::gpu::{Gpu, GpuError};
+use decouplegs::render::{ColourFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
+use decouplegs::scene::{Camera, Pose};
+use decouplegs::{LiveScene, Placed};
+use glam::DVec3;
+use tonic::Status;
+
+use crate::sight::{PlacedObject, Sight};
+
+/// Probes of light that are kept for one scene, wherever clients put objects: a square kilometre of them.
+const PROBES_MAX: usize = 1 << 20;
+
+/// A scene that can be drawn.
+pub struct Stage {
+    renderer: Renderer,
+    live: LiveScene,
+    /// World coordinates of the local frame's origin.
+    origin: DVec3,
+    /// What the agents of the scene show, by name; their poses come with each request.
+    agents: HashMap<String, Placed>,
+}
+
+/// What was found beside the pictures.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Drawn {
+    /// Objects that were asked for and that the scene has not.
+    pub unknown: Vec<String>,
+}
+
+impl Stage {
+    /// `loaded` on the device.
+    ///
+    /// # Errors
+    /// When the device has not the memory, or an asset cannot be drawn.
+    pub fn new(gpu: &Gpu, loaded: &LoadedScene) -> Result<Self, RenderError> {
+        let options = RenderOptions {
+            rules: loaded.world.rules,
+            outputs: Outputs { colour: ColourFormat::U8, ..Outputs::default() },
+            ..RenderOptions::default()
+        };
+        let renderer = Renderer::new(gpu, options);
+        let live = LiveScene::new(&renderer, loaded)?;
+        let placed = |instance, asset, sh_frame| Placed { asset, pose: Pose::IDENTITY, sh_frame: Some(sh_frame), instance };
+        let agents = loaded.agents.iter();
+        let agents = agents.map(|agent| (agent.name.clone(), placed(agent.instance, agent.asset, agent.sh_frame))).collect();
+        Ok(Self { renderer, live, origin: loaded.world.origin, agents })
+    }
+
+    /// Draws what `sights` see, all of them in one submission, into `pictures`. They see the same objects at the same places.
+    ///
+    /// # Errors
+    /// When a camera cannot make a picture, the device has not the memory or was lost.
+    pub fn draw(&mut self, sights: &[Sight], pictures: &mut PictureBytes) -> Result<Drawn, RenderError> {
+        let objects = sights.first().map_or(&[][..], |sight| &sight.objects);
+        let mut drawn = Drawn::default();
+        let mut placed = Vec::with_capacity(objects.len());
+        for PlacedObject { track_id, pose } in objects {
+            match self.agents.get(track_id) {
+                Some(agent) => placed.push(Placed { pose: self.in_world(pose), ..*agent }),
+                None => drawn.unknown.push(track_id.clone()),
+            }
+        }
+        let places: Vec<_> = placed.iter().map(|agent| agent.pose.translation).collect();
+        if !self.live.has_light_at(&places, PROBES_MAX) {
+            self.live.bake_light(places);
+        }
+        let moment = self.live.placed(&placed);
+        let cameras: Vec<Camera> = sights.iter().enumerate().map(|(index, sight)| self.camera(index, sight)).collect();
+        self.renderer.render(self.live.with(&moment), &cameras)?;
+        self.renderer.read_bytes(pictures)?;
+        Ok(drawn)
+    }
+
+    fn camera(&self, index: usize, sight: &Sight) -> Camera {
+        let world_from_camera = self.in_world(&sight.local_from_camera);
+        Camera { name: index.to_string(), intrinsics: sight.intrinsics, world_from_camera }
+    }
+
+    fn in_world(&self, pose: &Pose) -> Pose {
+        Pose { translation: pose.translation + self.origin, ..*pose }
+    }
+}
+
+/// What a client is told of `error`.
+pub fn status_of(error: &RenderError) -> Status {
+    match error {
+        RenderError::View(reason) => Status::invalid_argument(reason),
+        RenderError::Gpu(GpuError::OutOfMemory { .. } | GpuError::BufferTooLarge { .. }) => {
+            Status::resource_exhausted(error.to_string())
+        }
+        RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. }) => Status::unavailable(error.to_string()),
+        _ => Status::internal(error.to_string()),
+    }
+}
+
+/// Whether nothing will be drawn on this device again.
+pub fn is_lost(error: &RenderError) -> bool {
+    matches!(error, RenderError::Gpu(GpuError::DeviceLost { .. }))
+}

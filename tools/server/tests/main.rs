@@ -1,0 +1,10 @@
+//! The server as clients meet it: over gRPC on the loopback, drawing on the first device there is.
+
+mod asking;
+mod contract;
+mod hostile;
+mod markers;
+mod python;
+mod rollout;
+mod scenes;
+mod security;
