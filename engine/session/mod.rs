@@ -142,7 +142,13 @@ impl Session {
     /// # Errors
     /// [`SessionError::Gpu`]: no device, or none that can do the work.
     pub fn open(options: &SessionOptions) -> Result<Self, SessionError> {
-        Ok(Self { gpu: Gpu::open(&options.device)?, options: options.clone(), scenes: Mutex::default() })
+        Ok(Self::on(&Gpu::open(&options.device)?, options))
+    }
+
+    /// A session on a device that is open already, which [`SessionOptions::device`] is not asked for: to look at what it can do first.
+    #[must_use]
+    pub fn on(gpu: &Gpu, options: &SessionOptions) -> Self {
+        Self { gpu: gpu.clone(), options: options.clone(), scenes: Mutex::default() }
     }
 
     /// The device.

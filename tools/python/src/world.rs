@@ -1,0 +1,105 @@
+//! Worlds: agents over a scene.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use decouplegs::session::World as EngineWorld;
+use pyo3::prelude::*;
+
+use crate::error::{of_session, value_error};
+use crate::pose::{pose_of, to_matrix};
+use crate::scene::Scene;
+
+/// A set of agents over a scene.
+#[pyclass(frozen, module = "decouplegs")]
+pub struct World {
+    inner: Mutex<EngineWorld>,
+}
+
+/// An agent of a world.
+#[pyclass(frozen, get_all, module = "decouplegs")]
+pub struct Agent {
+    name: String,
+    asset: usize,
+    instance: u16,
+    pose: Py<PyAny>,
+}
+
+#[pymethods]
+impl Agent {
+    fn __repr__(&self) -> String {
+        format!("Agent({:?}, asset {}, instance {})", self.name, self.asset, self.instance)
+    }
+}
+
+impl World {
+    pub fn of(inner: EngineWorld) -> Self {
+        Self { inner: Mutex::new(inner) }
+    }
+
+    /// Held for the time of a change or a copy, never while something is drawn.
+    pub fn lock(&self) -> MutexGuard<'_, EngineWorld> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl World {
+    #[new]
+    #[pyo3(signature = (scene, empty = false))]
+    fn new(scene: &Scene, empty: bool) -> Self {
+        Self::of(if empty { EngineWorld::empty(&scene.inner) } else { EngineWorld::new(&scene.inner) })
+    }
+
+    fn set_time(&self, time_s: f64) -> PyResult<()> {
+        if !time_s.is_finite() {
+            return Err(value_error(format!("time_s: expected a finite number, found {time_s}")));
+        }
+        self.lock().set_time(time_s);
+        Ok(())
+    }
+
+    fn move_to(&self, name: &str, pose: &Bound<'_, PyAny>) -> PyResult<()> {
+        let pose = pose_of("pose", pose)?;
+        self.lock().move_to(name, pose).map_err(|error| of_session(&error))
+    }
+
+    fn place(&self, name: &str, asset: usize, pose: &Bound<'_, PyAny>) -> PyResult<u16> {
+        let pose = pose_of("pose", pose)?;
+        self.lock().place(name, asset, pose, None).map_err(|error| of_session(&error))
+    }
+
+    fn remove(&self, name: &str) -> PyResult<()> {
+        self.lock().remove(name).map(drop).map_err(|error| of_session(&error))
+    }
+
+    #[getter]
+    fn agents(&self, py: Python<'_>) -> PyResult<Vec<Agent>> {
+        let agents = self.lock().agents().to_vec();
+        let agent = |agent: decouplegs::session::WorldAgent| {
+            let pose = to_matrix(py, &agent.placed.pose)?.unbind();
+            Ok(Agent { name: agent.name, asset: agent.placed.asset, instance: agent.placed.instance, pose })
+        };
+        agents.into_iter().map(agent).collect()
+    }
+
+    #[getter]
+    fn scene(&self) -> Scene {
+        Scene { inner: self.lock().scene().clone() }
+    }
+
+    fn copy(&self) -> Self {
+        Self::of(self.lock().clone())
+    }
+
+    fn __copy__(&self) -> Self {
+        self.copy()
+    }
+
+    fn __len__(&self) -> usize {
+        self.lock().agents().len()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("World({} agents)", self.__len__())
+    }
+}
