@@ -43,6 +43,7 @@ use decouplegs_scene::{Rig, Trajectory};
 use glam::DVec3;
 
 use crate::LiveScene;
+use crate::episode::Site;
 
 pub use viewer::{HostPictures, Viewer, WorldView};
 pub use world::{World, WorldAgent};
@@ -180,6 +181,16 @@ impl Session {
         }
         scenes.retain(|_, scene| scene.strong_count() > 0);
         scenes.insert(key, Arc::downgrade(&scene));
+        Ok(scene)
+    }
+
+    /// The place of episodes, with light summed up all along its lanes. A [`crate::episode::Rollout`] shows itself in worlds over it.
+    ///
+    /// # Errors
+    /// Those of [`Session::add_scene`].
+    pub fn add_site(&self, site: &Site) -> Result<Arc<SessionScene>, SessionError> {
+        let scene = self.add_scene(&site.loaded)?;
+        scene.live_mut().bake_light(site.places(Site::LIGHT_STEP_M));
         Ok(scene)
     }
 

@@ -12,8 +12,10 @@ mod error;
 mod lent;
 mod pictures;
 mod pose;
+mod rollout;
 mod scene;
 mod session;
+mod site;
 mod statistics;
 mod viewer;
 mod world;
@@ -33,9 +35,13 @@ mod native {
     #[pymodule_export]
     use crate::pictures::{Pictures, Tensor};
     #[pymodule_export]
+    use crate::rollout::Rollout;
+    #[pymodule_export]
     use crate::scene::Scene;
     #[pymodule_export]
     use crate::session::Session;
+    #[pymodule_export]
+    use crate::site::Site;
     #[pymodule_export]
     use crate::statistics::Statistics;
     #[pymodule_export]
