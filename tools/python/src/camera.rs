@@ -8,12 +8,19 @@ use crate::error::value_error;
 use crate::pose::{pose_of, to_matrix};
 
 /// A pinhole camera in the world.
+///
+/// A camera of ``width`` by ``height`` pixels.
+///
+/// K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its centre at (i + 0.5, j + 0.5).
+/// world_from_camera: float64 [4, 4], metres, OpenCV axes.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Camera {
     pub inner: EngineCamera,
 }
 
 /// A camera fixed to a vehicle.
+///
+/// As Camera; rig_from_camera, float64 [4, 4], metres, is where it sits on the vehicle.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct RigCamera {
     pub inner: EngineRigCamera,
@@ -40,38 +47,37 @@ impl Camera {
     #[new]
     #[pyo3(signature = (width, height, K, world_from_camera, name = String::from("camera")))]
     #[allow(non_snake_case, reason = "K is what everybody calls the matrix of intrinsics, and arguments are named in Python")]
-    fn new(
-        width: u32,
-        height: u32,
-        K: &Bound<'_, PyAny>,
-        world_from_camera: &Bound<'_, PyAny>,
-        name: String,
-    ) -> PyResult<Self> {
+    fn new(width: u32, height: u32, K: &Bound<'_, PyAny>, world_from_camera: &Bound<'_, PyAny>, name: String) -> PyResult<Self> {
         let world_from_camera = pose_of("world_from_camera", world_from_camera)?;
         Ok(Self { inner: EngineCamera { name, intrinsics: intrinsics_of(width, height, K)?, world_from_camera } })
     }
 
+    /// Names its picture.
     #[getter]
     fn name(&self) -> &str {
         &self.inner.name
     }
 
+    /// Pixels a row.
     #[getter]
     fn width(&self) -> u32 {
         self.inner.intrinsics.width_px
     }
 
+    /// Rows.
     #[getter]
     fn height(&self) -> u32 {
         self.inner.intrinsics.height_px
     }
 
+    /// Intrinsics, float64 [3, 3], pixels.
     #[getter]
     #[pyo3(name = "K")]
     fn k<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         k_of(py, &self.inner.intrinsics)
     }
 
+    /// Where it stands, float64 [4, 4], metres.
     #[getter]
     fn world_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_matrix(py, &self.inner.world_from_camera)
@@ -93,32 +99,38 @@ impl RigCamera {
         Ok(Self { inner: EngineRigCamera { name, intrinsics: intrinsics_of(width, height, K)?, rig_from_camera } })
     }
 
+    /// Names its picture.
     #[getter]
     fn name(&self) -> &str {
         &self.inner.name
     }
 
+    /// Pixels a row.
     #[getter]
     fn width(&self) -> u32 {
         self.inner.intrinsics.width_px
     }
 
+    /// Rows.
     #[getter]
     fn height(&self) -> u32 {
         self.inner.intrinsics.height_px
     }
 
+    /// Intrinsics, float64 [3, 3], pixels.
     #[getter]
     #[pyo3(name = "K")]
     fn k<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         k_of(py, &self.inner.intrinsics)
     }
 
+    /// Where it sits on the vehicle, float64 [4, 4], metres.
     #[getter]
     fn rig_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_matrix(py, &self.inner.rig_from_camera)
     }
 
+    /// The same view in another number of pixels.
     fn resized(&self, width: u32, height: u32) -> PyResult<Self> {
         let mut inner = self.inner.clone();
         inner.intrinsics = inner.intrinsics.resized(width, height);
@@ -126,6 +138,7 @@ impl RigCamera {
         Ok(Self { inner })
     }
 
+    /// The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], metres.
     fn at(&self, world_from_rig: &Bound<'_, PyAny>) -> PyResult<Camera> {
         let world_from_camera = pose_of("world_from_rig", world_from_rig)?.then(&self.inner.rig_from_camera);
         let EngineRigCamera { name, intrinsics, .. } = self.inner.clone();

@@ -11,9 +11,19 @@ use pyo3::exceptions::{PyIndexError, PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::{PyErr, create_exception};
 
 create_exception!(decouplegs, Error, PyRuntimeError, "What the engine could not do. The base of the others.");
-create_exception!(decouplegs, DeviceError, Error, "No such device, a device that was lost, or one without the memory or the means.");
+create_exception!(
+    decouplegs,
+    DeviceError,
+    Error,
+    "No such device, a device that was lost, or one without the memory or the means."
+);
 create_exception!(decouplegs, FileError, Error, "A file that is missing or wrong; the message names it and what was expected.");
-create_exception!(decouplegs, TooManyHeldError, Error, "As many frames are held on the device as `taken_max` allows: drop some tensors.");
+create_exception!(
+    decouplegs,
+    TooManyHeldError,
+    Error,
+    "As many frames are held on the device as `taken_max` allows: drop some tensors."
+);
 
 /// An error and what it comes from, in one sentence.
 pub fn sentence(error: &(dyn StdError + 'static)) -> String {

@@ -104,29 +104,37 @@ impl Pictures {
 
     fn of_view(&self, view: usize) -> PyResult<&[(usize, usize)]> {
         let there = self.views.len();
-        self.views.get(view).map(Vec::as_slice).ok_or_else(|| PyIndexError::new_err(format!("there are {there} views, not {view}")))
+        self.views
+            .get(view)
+            .map(Vec::as_slice)
+            .ok_or_else(|| PyIndexError::new_err(format!("there are {there} views, not {view}")))
     }
 }
 
 #[pymethods]
 impl Pictures {
+    /// Frames that the call took.
     #[getter]
     fn frames(&self) -> usize {
         self.frames.len()
     }
 
+    /// Views that were drawn.
     #[getter]
     fn views(&self) -> usize {
         self.views.len()
     }
 
+    /// All cameras of a frame: [C, H, W, 4] of colour, [C, H, W] of the others. Cameras must be of one size.
     #[pyo3(signature = (index, layer = "colour"))]
     fn frame(&self, index: usize, layer: &str) -> PyResult<Tensor> {
         let there = self.frames.len();
-        let frame = self.frames.get(index).ok_or_else(|| PyIndexError::new_err(format!("there are {there} frames, not {index}")))?;
+        let frame =
+            self.frames.get(index).ok_or_else(|| PyIndexError::new_err(format!("there are {there} frames, not {index}")))?;
         frame.tensor((0, frame.places.len()), layer)
     }
 
+    /// All cameras of a view, likewise.
     #[pyo3(signature = (index, layer = "colour"))]
     fn view(&self, index: usize, layer: &str) -> PyResult<Tensor> {
         let places = self.of_view(index)?;
@@ -139,6 +147,7 @@ impl Pictures {
         self.frames[frame].tensor((first, places.len()), layer)
     }
 
+    /// One camera: [H, W, 4] of colour, [H, W] of the others.
     #[pyo3(signature = (view, camera, layer = "colour"))]
     fn camera(&self, view: usize, camera: usize, layer: &str) -> PyResult<Tensor> {
         let places = self.of_view(view)?;
@@ -150,6 +159,7 @@ impl Pictures {
         Ok(tensor)
     }
 
+    /// All cameras of the call, of one frame and one size: [C, H, W, 4].
     fn tensor(&self) -> PyResult<Tensor> {
         if self.frames.len() != 1 {
             return Err(PyBufferError::new_err(format!(
@@ -160,6 +170,7 @@ impl Pictures {
         self.frame(0, "colour").map_err(|error| PyBufferError::new_err(error.to_string()))
     }
 
+    /// tensor().__dlpack__(...)
     #[pyo3(signature = (*, stream = None, max_version = None, dl_device = None, copy = None))]
     fn __dlpack__(
         &self,
@@ -172,6 +183,7 @@ impl Pictures {
         self.tensor()?.__dlpack__(py, stream, max_version, dl_device, copy)
     }
 
+    /// tensor().__dlpack_device__()
     fn __dlpack_device__(&self) -> PyResult<(i32, i32)> {
         Ok(self.tensor()?.__dlpack_device__())
     }
@@ -213,16 +225,19 @@ impl Tensor {
 
 #[pymethods]
 impl Tensor {
+    /// Its axes.
     #[getter]
     fn shape(&self) -> Vec<i64> {
         self.shape.clone()
     }
 
+    /// Its type, as NumPy calls it.
     #[getter]
     fn dtype(&self) -> &'static str {
         self.dtype.name()
     }
 
+    /// A capsule, read-only as DLPack 1 has it where max_version allows. stream as in the array API standard.
     #[pyo3(signature = (*, stream = None, max_version = None, dl_device = None, copy = None))]
     fn __dlpack__(
         &self,
@@ -245,6 +260,7 @@ impl Tensor {
         description.capsule(py, self.keeper(stream)?, max_version.is_some_and(|(major, _)| major >= 1))
     }
 
+    /// (2, number) for CUDA, (1, 0) for the host.
     fn __dlpack_device__(&self) -> (i32, i32) {
         let device = self.device();
         (device.kind, device.number)

@@ -17,7 +17,8 @@ pub fn pose_of(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Pose> {
         return Err(value_error(format!("{what}: expected the last row [0, 0, 0, 1], found {:?}", rows[3])));
     }
     let rotation = DMat3::from_cols_array_2d(&[0, 1, 2].map(|column| [0, 1, 2].map(|row: usize| rows[row][column])));
-    let off = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
+    let off =
+        (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
     if off > ORTHONORMAL_WITHIN {
         return Err(value_error(format!(
             "{what}: the upper left 3x3 is no rotation: its columns are orthonormal within {off:.1e}, expected {ORTHONORMAL_WITHIN:.0e}"

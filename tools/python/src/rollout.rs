@@ -24,6 +24,9 @@ const CONTROL_HORIZON_S: f64 = 2.0;
 const STEP_S: std::ops::RangeInclusive<f64> = 0.02..=5.0;
 
 /// One episode, step by step.
+///
+/// Scenario ``index`` of a level, made up from ``seed``; with a site of a scenario file, that scenario. ``name`` is the planner's, for
+/// logs.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Rollout {
     site: Arc<EngineSite>,
@@ -97,6 +100,9 @@ impl Rollout {
         Ok(Self { site: site.site.clone(), inner })
     }
 
+    /// Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and accelerating so (-8 to 3).
+    ///
+    /// The ego is given the trajectory that this would drive for 2 s, so that a log of it replays like any other.
     fn step_controls<'py>(&self, py: Python<'py>, steer_rad: f64, acceleration_mps2: f64) -> PyResult<Bound<'py, PyDict>> {
         let plan = {
             let rollout = self.lock();
@@ -106,6 +112,8 @@ impl Rollout {
         self.driven(py, plan)
     }
 
+    /// Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x (forward) and y (left) in the ego's
+    /// frame, metres.
     fn step_plan<'py>(&self, py: Python<'py>, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let points = rows::<3>("points", points)?;
         let points = points.into_iter().map(|[time_s, x, y]| PlanPoint { time_s, position_m: DVec2::new(x, y) });
@@ -113,17 +121,20 @@ impl Rollout {
         self.driven(py, plan)
     }
 
+    /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], metres.
     fn show<'py>(&self, py: Python<'py>, world: &World) -> PyResult<Bound<'py, PyAny>> {
         let ego = self.lock().show(&mut world.lock()).map_err(|error| of_session(&error))?;
         to_matrix(py, &ego)
     }
 
+    /// Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4].
     #[getter]
     fn ego_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let motion = self.lock().simulation().motion();
         shaped(py, vec![motion.speed_mps, motion.acceleration_mps2, motion.steer_rad, motion.yaw_rate_radps], &[4])
     }
 
+    /// What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps.
     #[getter]
     fn guidance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let guidance = self.lock().simulation().guidance();
@@ -136,6 +147,7 @@ impl Rollout {
         Ok(dict)
     }
 
+    /// Places on the route ahead, in the ego's frame: float64 [points, 2], metres.
     #[pyo3(signature = (points = 10, spacing_m = 5.0))]
     fn route_ahead<'py>(&self, py: Python<'py>, points: usize, spacing_m: f64) -> PyResult<Bound<'py, PyAny>> {
         if !(1..=4096).contains(&points) || !(spacing_m > 0.0 && spacing_m.is_finite()) {
@@ -151,36 +163,43 @@ impl Rollout {
         shaped(py, (1..=points).flat_map(place).collect(), &[points, 2])
     }
 
+    /// Metres of the route that are behind the ego, and all of them.
     #[getter]
     fn progress_m(&self) -> (f64, f64) {
         self.lock().progress_m()
     }
 
+    /// Why it is over, if it is.
     #[getter]
     fn end(&self) -> Option<&'static str> {
         self.lock().end().map(name_of)
     }
 
+    /// Steps that were driven.
     #[getter]
     fn steps(&self) -> u32 {
         self.lock().next_step()
     }
 
+    /// Length of a step, seconds.
     #[getter]
     fn step_s(&self) -> f64 {
         self.lock().simulation().scenario().step_s
     }
 
+    /// The scenario's name.
     #[getter]
     fn scenario(&self) -> String {
         self.lock().simulation().scenario().name.clone()
     }
 
+    /// How it went so far: driving_score, route_completion, success, collisions, layout_infractions, min_ttc_s, ttc_short_share.
     fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let score = self.lock().score();
         to_dict(py, &score)
     }
 
+    /// Writes its log, which ``decouplegs replay`` and ``decouplegs score`` read.
     fn write_log(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let episode = self.lock().episode().clone();
         let written = py.detach(|| {

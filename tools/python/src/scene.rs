@@ -36,59 +36,71 @@ fn finite(time_s: f64) -> PyResult<f64> {
 
 #[pymethods]
 impl Scene {
+    /// The ego vehicle's cameras; none for a splat file.
     #[getter]
     fn rig(&self) -> Vec<RigCamera> {
         self.inner.rig().cameras.iter().map(|camera| RigCamera { inner: camera.clone() }).collect()
     }
 
+    /// Where the ego vehicle is by the scene file, world_from_rig, float64 [4, 4], metres.
     fn ego_pose<'py>(&self, py: Python<'py>, time_s: f64) -> PyResult<Bound<'py, PyAny>> {
         to_matrix(py, &self.inner.ego().at(finite(time_s)?))
     }
 
+    /// First and last time of the ego's trajectory, seconds.
     #[getter]
     fn ego_span_s(&self) -> (f64, f64) {
         (self.inner.ego().start_s(), self.inner.ego().end_s())
     }
 
+    /// The rig where the ego is at time_s, in pictures of ``size`` = (width, height) pixels where it is given.
     #[pyo3(signature = (time_s = 0.0, size = None))]
     fn cameras(&self, time_s: f64, size: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
         rig_at(self.inner.rig(), &self.inner.ego().at(finite(time_s)?), size)
     }
 
+    /// The rig on a vehicle that stands at world_from_rig, float64 [4, 4], metres.
     #[pyo3(signature = (world_from_rig, size = None))]
     fn cameras_at(&self, world_from_rig: &Bound<'_, PyAny>, size: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
         rig_at(self.inner.rig(), &pose_of("world_from_rig", world_from_rig)?, size)
     }
 
+    /// Agents of the scene file that can be moved, with which a World begins.
     #[getter]
     fn agents(&self) -> Vec<String> {
         self.inner.agents().iter().map(|agent| agent.name.clone()).collect()
     }
 
+    /// Agents of plain splats, which are part of the background.
     #[getter]
     fn plain_agents(&self) -> Vec<String> {
         self.inner.plain_agents().to_vec()
     }
 
+    /// Where an agent is by the scene file, world_from_agent, float64 [4, 4], metres.
     fn agent_pose<'py>(&self, py: Python<'py>, name: &str, time_s: f64) -> PyResult<Bound<'py, PyAny>> {
         let agent = self.inner.agents().iter().find(|agent| agent.name == name);
         let agent = agent.ok_or_else(|| PyKeyError::new_err(format!("the scene has no agent {name:?} that can be moved")))?;
         to_matrix(py, &agent.trajectory.at(finite(time_s)?))
     }
 
+    /// Assets that agents may show, counted from 0.
     #[getter]
     fn asset_count(&self) -> usize {
         self.inner.asset_count()
     }
 
+    /// Length, width and height of an asset, metres. Its origin is the centre of its box.
     fn asset_size(&self, asset: usize) -> PyResult<(f32, f32, f32)> {
         self.inner.asset_dims_m(asset).map(Into::into).map_err(|error| of_session(&error))
     }
 
+    /// Copies another compressed asset (.safetensors) to the device, for all worlds over this scene; its number.
     fn add_asset(&self, py: Python<'_>, path: PathBuf) -> PyResult<usize> {
         py.detach(|| self.inner.add_asset(&path)).map_err(|error| of_session(&error))
     }
 
+    /// Splats of the background.
     #[getter]
     fn background_splats(&self) -> usize {
         self.inner.background_splats()

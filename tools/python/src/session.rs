@@ -18,6 +18,15 @@ use crate::scene::Scene;
 use crate::viewer::Viewer;
 
 /// A device, and the scenes that were opened on it.
+///
+/// Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
+///
+/// colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
+/// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
+/// exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
+/// rules: the definition of a picture.
+/// taken_max: frames that may be held on the device by tensors before TooManyHeldError.
+/// frames_in_flight: frames of one call that are submitted before the first is waited for.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Session {
     pub inner: Arc<EngineSession>,
@@ -35,9 +44,9 @@ fn choice_of(device: Option<&Bound<'_, PyAny>>) -> PyResult<DeviceChoice> {
     if let Ok(index) = device.extract::<usize>() {
         return Ok(DeviceChoice::Index(index));
     }
-    let text: String = device.extract().map_err(|_| {
-        value_error("device: expected None, a number of devices(), a part of a name or \"uuid:...\"".to_owned())
-    })?;
+    let text: String = device
+        .extract()
+        .map_err(|_| value_error("device: expected None, a number of devices(), a part of a name or \"uuid:...\"".to_owned()))?;
     Ok(text.parse().unwrap_or_default())
 }
 
@@ -105,21 +114,25 @@ impl Session {
         Ok(Self { inner: Arc::new(EngineSession::on(&gpu, &options)), cuda, not_shared })
     }
 
+    /// The device.
     #[getter]
     fn device(&self) -> Device {
         Device::of(self.inner.gpu().info())
     }
 
+    /// Whether Viewer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy.
     #[getter]
     fn exported(&self) -> bool {
         self.cuda.is_some()
     }
 
+    /// Why not, where it does not.
     #[getter]
     fn not_exported_because(&self) -> Option<&str> {
         self.not_shared.as_deref()
     }
 
+    /// How colour is stored.
     #[getter]
     fn colour(&self) -> &'static str {
         match self.inner.options().render.outputs.colour {
@@ -128,25 +141,30 @@ impl Session {
         }
     }
 
+    /// Frames that tensors may hold at a time.
     #[getter]
     fn taken_max(&self) -> usize {
         self.inner.options().render.taken_max
     }
 
+    /// The scene of a scene file (.toml) or splat file, loaded unless somebody holds it already.
     fn open_scene(&self, py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
         let inner = py.detach(|| self.inner.open_scene(&path)).map_err(|error| of_session(&error))?;
         Ok(Scene { inner })
     }
 
+    /// Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws.
     fn viewer(&self) -> PyResult<Viewer> {
         Viewer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
     }
 
+    /// Bytes on the device by purpose.
     fn memory(&self) -> BTreeMap<String, u64> {
         let report = self.inner.gpu().memory();
         report.bytes_by_purpose.into_iter().map(|(purpose, bytes)| (purpose.to_owned(), bytes)).collect()
     }
 
+    /// What the Vulkan validation layer said since the last call; it is on with DECOUPLEGS_VALIDATION=1.
     fn take_validation_messages(&self) -> Vec<String> {
         self.inner.gpu().take_validation_messages()
     }

@@ -17,6 +17,9 @@ use crate::scene::Scene;
 use crate::session::Session;
 
 /// A place of episodes, on the device.
+///
+/// The synthetic street of ``background`` splats with cars of ``agent_splats``, its houses by ``seed``; or the place of a scenario
+/// file (.toml), whose scenario is then the one that is driven.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Site {
     pub site: Arc<EngineSite>,
@@ -35,7 +38,9 @@ impl Site {
         let expected = || value_error(format!("level: expected easy, medium, hard or extreme, found {level:?}"));
         let level = Level::by_name(level).ok_or_else(expected)?;
         let Place::Street { background, agent_splats, seed: street, .. } = self.place else {
-            return Err(value_error("scenarios are made up on the synthetic street: name a scenario file for this place".to_owned()));
+            return Err(value_error(
+                "scenarios are made up on the synthetic street: name a scenario file for this place".to_owned(),
+            ));
         };
         let options = PlaceOptions::Street { background, agent_splats, seed: street };
         let generator = Generator::new(&self.site.lanes, options, &self.site.asset_sizes);
@@ -78,11 +83,13 @@ impl Site {
         })
     }
 
+    /// What is drawn of it: worlds over it show rollouts.
     #[getter]
     fn scene(&self) -> Scene {
         Scene { inner: self.scene.clone() }
     }
 
+    /// The ego's cameras.
     #[getter]
     fn rig(&self) -> Vec<RigCamera> {
         self.scene.rig().cameras.iter().map(|camera| RigCamera { inner: camera.clone() }).collect()

@@ -2,8 +2,8 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use decouplegs::session::{HostPictures, Session, Viewer as EngineViewer};
 use decouplegs::render::FrameStatistics;
+use decouplegs::session::{HostPictures, Session, Viewer as EngineViewer};
 use decouplegs_sharing::{Cuda, InteropError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -99,8 +99,7 @@ impl Viewer {
         let drawn = py.detach(|| {
             let mut state = lock(&self.state);
             lender.collect().map_err(|error| of_interop(&error))?;
-            let (taken, statistics) =
-                state.viewer.draw_on_device(&views.borrowed()).map_err(|error| of_session(&error))?;
+            let (taken, statistics) = state.viewer.draw_on_device(&views.borrowed()).map_err(|error| of_session(&error))?;
             let frames = taken.into_iter().map(|taken| {
                 let (drawn, places) = (taken.frame().value(), taken.places().to_vec());
                 let loan = lender.lend(taken, drawn);
@@ -117,14 +116,19 @@ impl Viewer {
 
 #[pymethods]
 impl Viewer {
+    /// Draws each world for its cameras, as many as 32 cameras over one scene in one submission.
+    ///
+    /// Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8, or float32 as blended. The
+    /// cameras of a view must be of one size.
     fn draw<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Bound<'py, PyList>> {
         let drawn = self.by_view(py, &copied(&views)?)?;
-        let array = |([cameras, rows, columns], layers): ([usize; 3], Layers)| {
-            to_numpy(py, layers.colour, &[cameras, rows, columns, 4])
-        };
+        let array =
+            |([cameras, rows, columns], layers): ([usize; 3], Layers)| to_numpy(py, layers.colour, &[cameras, rows, columns, 4]);
         PyList::new(py, drawn.into_iter().map(array).collect::<PyResult<Vec<_>>>()?)
     }
 
+    /// As draw: ``colour`` [C, H, W, 4], and where the session has them ``depth`` float32 [C, H, W], metres along the camera's z, 0
+    /// where nothing was hit, and ``instance`` int32 [C, H, W], 0 the background.
     fn draw_layers<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let drawn = self.by_view(py, &copied(&views)?)?;
         let dict = |(shape, layers): ([usize; 3], Layers)| {
@@ -142,6 +146,7 @@ impl Viewer {
         drawn.into_iter().map(dict).collect()
     }
 
+    /// As draw, and leaves the pictures where they were drawn: on the device where Session.exported, otherwise on the host.
     fn draw_dlpack(&self, py: Python<'_>, views: GivenViews<'_>) -> PyResult<Pictures> {
         let views = copied(&views)?;
         let of_views = views.0.iter().map(|(_, cameras)| cameras.len()).collect();
@@ -157,16 +162,19 @@ impl Viewer {
         Ok(Pictures::new(frames, of_views))
     }
 
+    /// Takes back pictures that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads.
     fn collect(&self, py: Python<'_>) -> PyResult<usize> {
         let Some((lender, _)) = &self.lender else { return Ok(0) };
         py.detach(|| lender.collect()).map_err(|error| of_interop(&error))
     }
 
+    /// Buffers of the renderer that are imported into CUDA.
     #[getter]
     fn imports(&self) -> usize {
         self.lender.as_ref().map_or(0, |(lender, _)| lender.imports())
     }
 
+    /// What the last call took, a frame each.
     #[getter]
     fn statistics(&self) -> Vec<Statistics> {
         lock(&self.statistics).clone()

@@ -10,6 +10,8 @@ use crate::pose::{pose_of, to_matrix};
 use crate::scene::Scene;
 
 /// A set of agents over a scene.
+///
+/// The agents of the scene file where they are at time 0, or none.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct World {
     inner: Mutex<EngineWorld>,
@@ -50,6 +52,7 @@ impl World {
         Self::of(if empty { EngineWorld::empty(&scene.inner) } else { EngineWorld::new(&scene.inner) })
     }
 
+    /// Puts the agents of the scene file that are still here where their trajectories have them.
     fn set_time(&self, time_s: f64) -> PyResult<()> {
         if !time_s.is_finite() {
             return Err(value_error(format!("time_s: expected a finite number, found {time_s}")));
@@ -58,20 +61,24 @@ impl World {
         Ok(())
     }
 
+    /// Moves an agent; pose is world_from_agent, float64 [4, 4], metres.
     fn move_to(&self, name: &str, pose: &Bound<'_, PyAny>) -> PyResult<()> {
         let pose = pose_of("pose", pose)?;
         self.lock().move_to(name, pose).map_err(|error| of_session(&error))
     }
 
+    /// Adds an agent that shows an asset, or lets the one of that name show it; its instance id.
     fn place(&self, name: &str, asset: usize, pose: &Bound<'_, PyAny>) -> PyResult<u16> {
         let pose = pose_of("pose", pose)?;
         self.lock().place(name, asset, pose, None).map_err(|error| of_session(&error))
     }
 
+    /// Takes an agent out.
     fn remove(&self, name: &str) -> PyResult<()> {
         self.lock().remove(name).map(drop).map_err(|error| of_session(&error))
     }
 
+    /// Its agents.
     #[getter]
     fn agents(&self, py: Python<'_>) -> PyResult<Vec<Agent>> {
         let agents = self.lock().agents().to_vec();
@@ -82,11 +89,13 @@ impl World {
         agents.into_iter().map(agent).collect()
     }
 
+    /// The scene that it is over.
     #[getter]
     fn scene(&self) -> Scene {
         Scene { inner: self.lock().scene().clone() }
     }
 
+    /// Another world with the same agents.
     fn copy(&self) -> Self {
         Self::of(self.lock().clone())
     }

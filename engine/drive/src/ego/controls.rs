@@ -33,10 +33,7 @@ impl Ego {
                 let turned_rad = ego.steer_rad + (steer_rad - ego.steer_rad).clamp(-turn_max_rad, turn_max_rad);
                 ego.advance(PART_S, acceleration_mps2, turned_rad);
             }
-            PlanPoint {
-                time_s: (number as f64 * POINT_S).min(horizon_s),
-                position_m: self.state.to_local(ego.state.position_m),
-            }
+            PlanPoint { time_s: (number as f64 * POINT_S).min(horizon_s), position_m: self.state.to_local(ego.state.position_m) }
         });
         Plan::new(points.collect())
     }
