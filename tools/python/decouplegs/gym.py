@@ -1,6 +1,6 @@
 """Gymnasium environments over the closed loop: cameras are drawn, the ego does as it is told, traffic answers.
 
->>> import gymnasium
+>>> import gymnasium, decouplegs.gym
 >>> env = gymnasium.make("decouplegs/Drive-v0", level="medium", size=(320, 180))
 >>> observation, info = env.reset(seed=7)
 >>> observation["cameras"]["front"].shape
@@ -58,7 +58,7 @@ _TURNS = {"left": 1.0, "straight": 0.0, "right": -1.0}
 
 
 def register_envs() -> None:
-    """Tells Gymnasium of ``decouplegs/Drive-v0``; done when this module is imported, and by Gymnasium itself."""
+    """Tells Gymnasium of ``decouplegs/Drive-v0``; done when this module is imported."""
     if "decouplegs/Drive-v0" not in gymnasium.registry:
         gymnasium.register(
             id="decouplegs/Drive-v0",

@@ -49,9 +49,12 @@ pub fn matrix<const R: usize, const C: usize>(what: &str, value: &Bound<'_, PyAn
 /// Rows of `C` finite numbers.
 pub fn rows<const C: usize>(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; C]>> {
     let array = numbers(what, value)?;
-    let &[count, C] = array.shape() else {
+    let &[count, columns] = array.shape() else {
         return Err(value_error(format!("{what}: expected an array of shape [N, {C}], found {:?}", array.shape())));
     };
+    if columns != C {
+        return Err(value_error(format!("{what}: expected an array of shape [N, {C}], found {:?}", array.shape())));
+    }
     let view = array.as_array();
     Ok((0..count).map(|row| std::array::from_fn(|column| view[[row, column]])).collect())
 }

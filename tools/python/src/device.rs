@@ -8,12 +8,19 @@ use crate::error::of_gpu;
 /// A Vulkan device.
 #[pyclass(frozen, get_all, module = "decouplegs")]
 pub struct Device {
+    /// Its place in devices(), which Session takes.
     index: usize,
+    /// Its own name.
     name: String,
+    /// Name and version of its driver.
     driver: String,
+    /// What kind of hardware it is.
     kind: &'static str,
+    /// ``uuid:`` and 32 hexadecimal digits: the same in every process, and CUDA's of the same device.
     uuid: String,
+    /// Size of its largest heap, bytes.
     memory_bytes: u64,
+    /// Highest Vulkan version that it offers.
     api_version: (u32, u32, u32),
 }
 

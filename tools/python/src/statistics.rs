@@ -10,14 +10,23 @@ use pyo3::prelude::*;
 #[pyclass(frozen, get_all, module = "decouplegs")]
 #[derive(Clone)]
 pub struct Statistics {
+    /// Time on the device, without the agents' part where that ran beside the frame before.
     gpu_ms: f64,
+    /// Time of the agents' part, where it was submitted by itself.
     update_ms: Option<f64>,
+    /// From the submission to the finished pictures.
     wall_ms: f64,
+    /// The host's part of it.
     record_ms: f64,
+    /// Time on the device by stage.
     stages_ms: BTreeMap<String, f64>,
+    /// Cameras that were drawn.
     cameras: usize,
+    /// Agents that some camera could see.
     agents: usize,
+    /// Their splats.
     agent_splats: usize,
+    /// How often it was drawn again, because a list outgrew its buffer.
     redrawn: u32,
 }
 

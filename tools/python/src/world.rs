@@ -20,9 +20,13 @@ pub struct World {
 /// An agent of a world.
 #[pyclass(frozen, get_all, module = "decouplegs")]
 pub struct Agent {
+    /// Unique in its world.
     name: String,
+    /// Which of the scene's assets it shows.
     asset: usize,
+    /// What the instance layer has where it is seen; 0 is the background.
     instance: u16,
+    /// world_from_agent, float64 [4, 4], metres.
     pose: Py<PyAny>,
 }
 
