@@ -1,6 +1,7 @@
 //! `decouplegs replay`: an episode driven again from its log.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{read_episode_log, read_light_transfer};
@@ -44,7 +45,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let (replayed, device) = match (&episode.head.drawn_by, arguments.no_render) {
         (Some(drawn_by), false) => drawn(arguments, &episode, drawn_by, base)?,
         _ => {
-            let site = Site::open(&episode.head.scenario.place, base, None)?;
+            let site = Arc::new(Site::open(&episode.head.scenario.place, base, None)?);
             (replay(&episode, &site, None, &mut ())?, None)
         }
     };

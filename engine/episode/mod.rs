@@ -1,15 +1,17 @@
 //! The closed loop: the ego's cameras are drawn, a planner answers with a trajectory, the ego follows it, traffic answers, and again.
 //!
 //! This is the only place that joins what moves with what draws. [`Site`] is where it happens, [`Simulation`] what moves, [`Eyes`]
-//! what is seen, and [`drive`] goes round the loop. Everything that happens is in an [`Episode`], from which [`replay`] makes
+//! what is seen, and [`drive`] goes round the loop; [`Rollout`] is for those who go round it themselves. Everything that happens is in an [`Episode`], from which [`replay`] makes
 //! it again, bit by bit.
 
 mod eyes;
 pub mod open_loop;
 mod replay;
+mod rollout;
 mod simulation;
 mod site;
 
+use std::sync::Arc;
 use std::time::{Duration, Instant as Clock};
 
 use decouplegs_asset::AssetError;
@@ -21,6 +23,7 @@ use crate::planner::{Briefing, Cameras, Frame, Observation, Planner};
 
 pub use eyes::{Eyes, chosen, render_options};
 pub use replay::{Replayed, replay};
+pub use rollout::{Crew, Rollout};
 pub use simulation::Simulation;
 pub use site::{Look, Site, SiteError, rig_of};
 
@@ -115,37 +118,33 @@ pub struct Driven {
 /// episode with its reason, which is no error.
 pub fn drive(
     scenario: &Scenario,
-    site: &Site,
+    site: &Arc<Site>,
     mut eyes: Option<&mut Eyes>,
     planner: &mut dyn Planner,
     witness: &mut dyn Witness,
 ) -> Result<Driven, EpisodeError> {
-    let mut simulation = Simulation::new(scenario, site)?;
-    let (head, start) = (head(&simulation, eyes.as_deref(), planner), simulation.instant());
-    witness.begin(&head, &start)?;
-    let mut driven = Driven { episode: Episode { head, start, steps: Vec::new(), end: EpisodeEnd::Time }, times: Vec::new() };
+    let mut rollout = Rollout::new(scenario, site, crew(eyes.as_deref(), planner))?;
+    witness.begin(&rollout.episode().head, &rollout.episode().start)?;
     if let Err(error) = planner.begin(&briefing(scenario, eyes.as_deref())) {
-        simulation.fail(error.to_string());
+        rollout.fail(error.to_string());
     }
-    while simulation.end().is_none() {
-        let number = driven.episode.steps.len() as u32;
-        let (step, time) = one_step(&mut simulation, eyes.as_deref_mut(), planner, witness, number)?;
-        driven.times.push(time);
-        driven.episode.steps.extend(step);
+    let mut times = Vec::new();
+    while rollout.end().is_none() {
+        times.push(one_step(&mut rollout, eyes.as_deref_mut(), planner, witness)?);
     }
-    driven.episode.end = simulation.end().cloned().unwrap_or(EpisodeEnd::Time);
-    witness.end(&driven.episode.end)?;
-    Ok(driven)
+    let episode = rollout.into_episode();
+    witness.end(&episode.end)?;
+    Ok(Driven { episode, times })
 }
 
 /// Once round the loop. No step where the planner failed.
 fn one_step(
-    simulation: &mut Simulation,
+    rollout: &mut Rollout,
     mut eyes: Option<&mut Eyes>,
     planner: &mut dyn Planner,
     witness: &mut dyn Witness,
-    number: u32,
-) -> Result<(Option<EpisodeStep>, StepTime), EpisodeError> {
+) -> Result<StepTime, EpisodeError> {
+    let number = rollout.next_step();
     let mut time = StepTime::default();
     let mut since = Clock::now();
     let mut lap = || {
@@ -155,7 +154,7 @@ fn one_step(
         taken
     };
     if let Some(eyes) = eyes.as_deref_mut() {
-        eyes.look(simulation, number)?;
+        eyes.look(rollout.simulation_mut(), number)?;
     }
     time.draw = lap();
     if let Some(eyes) = eyes.as_deref_mut() {
@@ -164,6 +163,7 @@ fn one_step(
     time.read = lap();
     let eyes = eyes.as_deref();
     let frames = eyes.map(Eyes::frames).unwrap_or_default();
+    let simulation = rollout.simulation();
     let privileged = planner.sees().privileged.then(|| simulation.privileged());
     let observation = Observation {
         step: number,
@@ -183,28 +183,21 @@ fn one_step(
     let plan = match answer {
         Ok(plan) => plan,
         Err(error) => {
-            simulation.fail(error.to_string());
-            return Ok((None, time));
+            rollout.fail(error.to_string());
+            return Ok(time);
         }
     };
-    let instants = simulation.advance(&plan);
+    let step = rollout.step(plan, images);
     time.advance = lap();
-    let step = EpisodeStep { step: number, images, plan, instants };
-    witness.step(&step, &frames)?;
+    witness.step(step, &frames)?;
     time.witness = lap();
-    Ok((Some(step), time))
+    Ok(time)
 }
 
-fn head(simulation: &Simulation, eyes: Option<&Eyes>, planner: &dyn Planner) -> EpisodeHead {
+fn crew(eyes: Option<&Eyes>, planner: &dyn Planner) -> Crew {
     let cameras = eyes.map(|eyes| eyes.rig().cameras.iter().map(|camera| camera.name.clone()).collect()).unwrap_or_default();
-    EpisodeHead {
-        version: env!("CARGO_PKG_VERSION").into(),
-        scenario: simulation.scenario().clone(),
-        planner: PlannerRecord { name: planner.name(), cameras, privileged: planner.sees().privileged },
-        drawn_by: eyes.and_then(Eyes::drawn_by),
-        route_m: simulation.route_m(),
-        agent_sizes: simulation.agent_sizes().to_vec(),
-    }
+    let planner = PlannerRecord { name: planner.name(), cameras, privileged: planner.sees().privileged };
+    Crew { planner, drawn_by: eyes.and_then(Eyes::drawn_by) }
 }
 
 fn briefing(scenario: &Scenario, eyes: Option<&Eyes>) -> Briefing {

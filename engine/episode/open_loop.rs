@@ -1,5 +1,7 @@
 //! Open loop: what a planner would have answered along a log, given other pictures. Nothing it answers is driven.
 
+use std::sync::Arc;
+
 use decouplegs_scene::episode::Episode;
 use decouplegs_scene::{Plan, Rig};
 
@@ -17,7 +19,7 @@ pub type Pictures = Vec<Vec<u8>>;
 /// When the scenario does not fit the site, or `pictures_of` fails.
 pub fn plans<E: From<EpisodeError>>(
     episode: &Episode,
-    site: &Site,
+    site: &Arc<Site>,
     rig: &Rig,
     planner: &mut dyn Planner,
     mut pictures_of: impl FnMut(u32) -> Result<Pictures, E>,

@@ -1,5 +1,7 @@
 //! An episode driven again from its log.
 
+use std::sync::Arc;
+
 use decouplegs_scene::episode::{Episode, EpisodeEnd};
 use decouplegs_scene::{Plan, Scenario};
 
@@ -54,7 +56,7 @@ impl Planner for Logged<'_> {
 /// Those of [`drive`].
 pub fn replay(
     episode: &Episode,
-    site: &Site,
+    site: &Arc<Site>,
     eyes: Option<&mut Eyes>,
     witness: &mut dyn Witness,
 ) -> Result<Replayed, EpisodeError> {

@@ -1,5 +1,7 @@
 //! The world of one episode in motion: the ego, the traffic and the clock.
 
+use std::sync::Arc;
+
 use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, Route, Traffic};
 use decouplegs_scene::episode::{EpisodeEnd, Instant};
@@ -15,9 +17,9 @@ use crate::planner::{EgoMotion, Guidance, Privileged, Turn};
 const ROAD_SLACK_M: f64 = 0.15;
 
 /// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the same bits.
-pub struct Simulation<'a> {
-    scenario: &'a Scenario,
-    site: &'a Site,
+pub struct Simulation {
+    scenario: Scenario,
+    site: Arc<Site>,
     route: Route,
     progress: RouteProgress,
     ego: Ego,
@@ -29,12 +31,12 @@ pub struct Simulation<'a> {
     end: Option<EpisodeEnd>,
 }
 
-impl<'a> Simulation<'a> {
+impl Simulation {
     /// `scenario` at its start.
     ///
     /// # Errors
     /// When its lanes are not those of `site`, or vehicles stand in one another.
-    pub fn new(scenario: &'a Scenario, site: &'a Site) -> Result<Self, EpisodeError> {
+    pub fn new(scenario: &Scenario, site: &Arc<Site>) -> Result<Self, EpisodeError> {
         let unfit = |reason: String| EpisodeError::Unfit { scenario: scenario.name.clone(), reason };
         let route = Route::new(&site.lanes, &scenario.ego).map_err(unfit)?;
         let traffic =
@@ -62,8 +64,8 @@ impl<'a> Simulation<'a> {
             traffic,
             agent_sizes,
             ground_z_m: vec![start.z; scenario.agents.len() + 1],
-            scenario,
-            site,
+            scenario: scenario.clone(),
+            site: site.clone(),
             substep: 0,
             end: None,
         };
@@ -83,7 +85,25 @@ impl<'a> Simulation<'a> {
     /// What is driven.
     #[must_use]
     pub fn scenario(&self) -> &Scenario {
-        self.scenario
+        &self.scenario
+    }
+
+    /// Where it takes place.
+    #[must_use]
+    pub fn site(&self) -> &Arc<Site> {
+        &self.site
+    }
+
+    /// Who drives the scenario's part.
+    #[must_use]
+    pub fn ego(&self) -> &Ego {
+        &self.ego
+    }
+
+    /// Metres along the route where the ego had come farthest.
+    #[must_use]
+    pub fn progress_m(&self) -> f64 {
+        self.progress.progress_m()
     }
 
     /// The ego's way.

@@ -43,6 +43,7 @@ use decouplegs_scene::{Rig, Trajectory};
 use glam::DVec3;
 
 use crate::LiveScene;
+use crate::episode::Site;
 
 pub use viewer::{HostPictures, Viewer, WorldView};
 pub use world::{World, WorldAgent};
@@ -142,7 +143,13 @@ impl Session {
     /// # Errors
     /// [`SessionError::Gpu`]: no device, or none that can do the work.
     pub fn open(options: &SessionOptions) -> Result<Self, SessionError> {
-        Ok(Self { gpu: Gpu::open(&options.device)?, options: options.clone(), scenes: Mutex::default() })
+        Ok(Self::on(&Gpu::open(&options.device)?, options))
+    }
+
+    /// A session on a device that is open already, which [`SessionOptions::device`] is not asked for: to look at what it can do first.
+    #[must_use]
+    pub fn on(gpu: &Gpu, options: &SessionOptions) -> Self {
+        Self { gpu: gpu.clone(), options: options.clone(), scenes: Mutex::default() }
     }
 
     /// The device.
@@ -174,6 +181,16 @@ impl Session {
         }
         scenes.retain(|_, scene| scene.strong_count() > 0);
         scenes.insert(key, Arc::downgrade(&scene));
+        Ok(scene)
+    }
+
+    /// The place of episodes, with light summed up all along its lanes. A [`crate::episode::Rollout`] shows itself in worlds over it.
+    ///
+    /// # Errors
+    /// Those of [`Session::add_scene`].
+    pub fn add_site(&self, site: &Site) -> Result<Arc<SessionScene>, SessionError> {
+        let scene = self.add_scene(&site.loaded)?;
+        scene.live_mut().bake_light(site.places(Site::LIGHT_STEP_M));
         Ok(scene)
     }
 

@@ -99,6 +99,23 @@ impl World {
         Ok(instance)
     }
 
+    /// Its agents from now on: names and where they stand. Names have to differ.
+    ///
+    /// # Errors
+    /// When there is no such asset, or there are more agents than ids; nothing is changed then.
+    pub fn set_agents(&mut self, agents: impl IntoIterator<Item = (String, Placed)>) -> Result<(), SessionError> {
+        let agents: Vec<WorldAgent> = agents.into_iter().map(|(name, placed)| WorldAgent { name, placed }).collect();
+        if agents.len() > AGENTS_MAX {
+            return Err(SessionError::TooManyAgents { max: AGENTS_MAX });
+        }
+        let count = self.scene.asset_count();
+        if let Some(agent) = agents.iter().find(|agent| agent.placed.asset >= count) {
+            return Err(SessionError::NoAsset { asset: agent.placed.asset, count });
+        }
+        self.agents = agents;
+        Ok(())
+    }
+
     /// Takes an agent out.
     ///
     /// # Errors

@@ -4,4 +4,5 @@ mod client;
 mod driving;
 mod misbehaving;
 mod road_course;
+mod rollouts;
 mod scene_ahead;

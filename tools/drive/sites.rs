@@ -16,7 +16,7 @@ const KEPT_MAX: usize = 6;
 
 /// A place, and what is on the device of it.
 pub struct Ready {
-    pub site: Site,
+    pub site: Arc<Site>,
     /// None where nothing is drawn.
     pub live: Option<LiveScene>,
 }
@@ -52,6 +52,7 @@ impl<'a> Sites<'a> {
     fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
         let site =
             Site::open(place, directory, self.gpu.map(|_| &self.look)).context("the place of the scenario is not usable")?;
+        let site = Arc::new(site);
         let Some(gpu) = self.gpu else { return Ok(Ready { site, live: None }) };
         let renderer = Renderer::new(gpu, render_options(site.loaded.world.rules));
         let mut live = LiveScene::new(&renderer, &site.loaded)?;

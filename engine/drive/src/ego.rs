@@ -11,6 +11,7 @@ use glam::DVec2;
 
 use crate::polyline::wrapped;
 
+mod controls;
 mod path;
 mod speed;
 

@@ -85,6 +85,12 @@ impl<T> Buffer<T> {
         self.memory.export()
     }
 
+    /// Tells it from all other buffers that are alive; clones share it.
+    #[must_use]
+    pub fn id(&self) -> usize {
+        Arc::as_ptr(&self.memory).addr()
+    }
+
     /// How many hold the buffer, submitted work that uses it included.
     #[must_use]
     pub fn holders(&self) -> usize {

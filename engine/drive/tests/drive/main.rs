@@ -1,6 +1,7 @@
 //! Ground, registration and traffic against truths that are known.
 
 mod boxes;
+mod controls;
 mod ego;
 mod episodes;
 mod faults;

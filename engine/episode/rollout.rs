@@ -1,0 +1,125 @@
+//! An episode that somebody else steps through: its world in motion, and the record of what happened.
+
+use std::sync::Arc;
+
+use decouplegs_drive::score::EpisodeScore;
+use decouplegs_scene::episode::{DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, ImageRecord, PlannerRecord};
+use decouplegs_scene::{Plan, Pose, Scenario};
+
+use super::{EpisodeError, Simulation, Site};
+use crate::session::{SessionError, World};
+
+/// Who drives and who draws, as a log keeps it.
+#[derive(Clone, Debug, Default)]
+pub struct Crew {
+    /// Who answers the plans.
+    pub planner: PlannerRecord,
+    /// Who draws what it sees, where something is drawn.
+    pub drawn_by: Option<DrawnBy>,
+}
+
+/// One episode, step by step. It owns all that it needs: [`super::drive`] goes through one with a planner, and others go through one when
+/// they please.
+pub struct Rollout {
+    simulation: Simulation,
+    episode: Episode,
+}
+
+impl Rollout {
+    /// `scenario` at its start.
+    ///
+    /// # Errors
+    /// When it does not fit `site`.
+    pub fn new(scenario: &Scenario, site: &Arc<Site>, crew: Crew) -> Result<Self, EpisodeError> {
+        let simulation = Simulation::new(scenario, site)?;
+        let head = EpisodeHead {
+            version: env!("CARGO_PKG_VERSION").into(),
+            scenario: scenario.clone(),
+            planner: crew.planner,
+            drawn_by: crew.drawn_by,
+            route_m: simulation.route_m(),
+            agent_sizes: simulation.agent_sizes().to_vec(),
+        };
+        let start = simulation.instant();
+        Ok(Self { simulation, episode: Episode { head, start, steps: Vec::new(), end: EpisodeEnd::Time } })
+    }
+
+    /// What moves.
+    #[must_use]
+    pub fn simulation(&self) -> &Simulation {
+        &self.simulation
+    }
+
+    /// The same, for those who draw it: vehicles remember on what ground they stood.
+    pub fn simulation_mut(&mut self) -> &mut Simulation {
+        &mut self.simulation
+    }
+
+    /// What happened so far. Its end is that of an episode whose time is over as long as [`Rollout::end`] is none.
+    #[must_use]
+    pub fn episode(&self) -> &Episode {
+        &self.episode
+    }
+
+    /// What happened.
+    #[must_use]
+    pub fn into_episode(self) -> Episode {
+        self.episode
+    }
+
+    /// The step that comes next, from 0.
+    #[must_use]
+    pub fn next_step(&self) -> u32 {
+        self.episode.steps.len() as u32
+    }
+
+    /// Why it is over, if it is.
+    #[must_use]
+    pub fn end(&self) -> Option<&EpisodeEnd> {
+        self.simulation.end()
+    }
+
+    /// Drives `plan` for a step, made from pictures whose hashes are `images`. Nothing moves any more when it is over.
+    pub fn step(&mut self, plan: Plan, images: Vec<ImageRecord>) -> &EpisodeStep {
+        let step = self.next_step();
+        let instants = self.simulation.advance(&plan);
+        self.episode.steps.push(EpisodeStep { step, images, plan, instants });
+        self.note_end();
+        &self.episode.steps[step as usize]
+    }
+
+    /// Ends it because the planner failed.
+    pub fn fail(&mut self, reason: String) {
+        self.simulation.fail(reason);
+        self.note_end();
+    }
+
+    fn note_end(&mut self) {
+        if let Some(end) = self.simulation.end() {
+            self.episode.end = end.clone();
+        }
+    }
+
+    /// Metres along the route where the ego had come farthest, and how long the route is.
+    #[must_use]
+    pub fn progress_m(&self) -> (f64, f64) {
+        (self.simulation.progress_m(), self.simulation.route().length_m())
+    }
+
+    /// How it went so far.
+    #[must_use]
+    pub fn score(&self) -> EpisodeScore {
+        EpisodeScore::of(&self.episode)
+    }
+
+    /// Puts the agents into `world` as they stand now, and takes out all others. Returns the ego's pose.
+    ///
+    /// # Errors
+    /// When the scene of `world` has not the assets.
+    pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
+        let (ego, placed) = self.simulation.placed();
+        let names = self.episode.head.scenario.agents.iter().map(|agent| agent.name.clone());
+        world.set_agents(names.zip(placed))?;
+        Ok(ego)
+    }
+}

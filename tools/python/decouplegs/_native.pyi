@@ -1,0 +1,423 @@
+"""The native part of the package: sessions, scenes, worlds, viewers, pictures and rollouts."""
+
+import os
+from collections.abc import Sequence
+from typing import Any, Literal, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__version__: str
+
+class Error(RuntimeError):
+    """What the engine could not do. The base of the others."""
+
+class DeviceError(Error):
+    """No such device, a device that was lost, or one without the memory or the means."""
+
+class FileError(Error):
+    """A file that is missing or wrong; the message names it and what was expected."""
+
+class TooManyHeldError(Error):
+    """As many frames are held on the device as ``taken_max`` allows: drop some tensors."""
+
+def devices() -> list[Device]:
+    """All Vulkan devices of this machine."""
+
+class Device:
+    """A Vulkan device."""
+
+    @property
+    def index(self) -> int:
+        """Its place in devices(), which Session takes."""
+    @property
+    def name(self) -> str:
+        """Its own name."""
+    @property
+    def driver(self) -> str:
+        """Name and version of its driver."""
+    @property
+    def kind(self) -> Literal["discrete", "integrated", "virtual", "cpu", "other"]:
+        """What kind of hardware it is."""
+    @property
+    def uuid(self) -> str:
+        """``uuid:`` and 32 hexadecimal digits: the same in every process, and CUDA's of the same device."""
+    @property
+    def memory_bytes(self) -> int:
+        """Size of its largest heap, bytes."""
+    @property
+    def api_version(self) -> tuple[int, int, int]:
+        """Highest Vulkan version that it offers."""
+
+class Camera:
+    """A pinhole camera in the world."""
+
+    def __init__(self, width: int, height: int, K: ArrayLike, world_from_camera: ArrayLike, name: str = "camera") -> None:
+        """A camera of ``width`` by ``height`` pixels.
+
+        K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its centre at (i + 0.5, j + 0.5).
+        world_from_camera: float64 [4, 4], metres, OpenCV axes.
+        """
+    @property
+    def name(self) -> str:
+        """Names its picture."""
+    @property
+    def width(self) -> int:
+        """Pixels a row."""
+    @property
+    def height(self) -> int:
+        """Rows."""
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """Intrinsics, float64 [3, 3], pixels."""
+    @property
+    def world_from_camera(self) -> NDArray[np.float64]:
+        """Where it stands, float64 [4, 4], metres."""
+
+class RigCamera:
+    """A camera fixed to a vehicle."""
+
+    def __init__(self, name: str, width: int, height: int, K: ArrayLike, rig_from_camera: ArrayLike) -> None:
+        """As Camera; rig_from_camera, float64 [4, 4], metres, is where it sits on the vehicle."""
+    @property
+    def name(self) -> str:
+        """Names its picture."""
+    @property
+    def width(self) -> int:
+        """Pixels a row."""
+    @property
+    def height(self) -> int:
+        """Rows."""
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """Intrinsics, float64 [3, 3], pixels."""
+    @property
+    def rig_from_camera(self) -> NDArray[np.float64]:
+        """Where it sits on the vehicle, float64 [4, 4], metres."""
+    def resized(self, width: int, height: int) -> RigCamera:
+        """The same view in another number of pixels."""
+    def at(self, world_from_rig: ArrayLike) -> Camera:
+        """The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], metres."""
+
+class Session:
+    """A device, and the scenes that were opened on it: each background and each asset is there once, however many show it."""
+
+    def __init__(
+        self,
+        device: int | str | None = None,
+        *,
+        colour: Literal["u8", "f32"] = "u8",
+        depth: bool = False,
+        instance: bool = False,
+        exported: bool | None = None,
+        rules: Literal["default", "gsplat15", "inria"] = "default",
+        taken_max: int = 16,
+        frames_in_flight: int = 2,
+    ) -> None:
+        """Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
+
+        colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
+        depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
+        exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
+        rules: the definition of a picture.
+        taken_max: frames that may be held on the device by tensors before TooManyHeldError.
+        frames_in_flight: frames of one call that are submitted before the first is waited for.
+        """
+    @property
+    def device(self) -> Device:
+        """The device."""
+    @property
+    def exported(self) -> bool:
+        """Whether Viewer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy."""
+    @property
+    def not_exported_because(self) -> str | None:
+        """Why not, where it does not."""
+    @property
+    def colour(self) -> Literal["u8", "f32"]:
+        """How colour is stored."""
+    @property
+    def taken_max(self) -> int:
+        """Frames that tensors may hold at a time."""
+    def open_scene(self, path: str | os.PathLike[str]) -> Scene:
+        """The scene of a scene file (.toml) or splat file, loaded unless somebody holds it already."""
+    def viewer(self) -> Viewer:
+        """Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws."""
+    def memory(self) -> dict[str, int]:
+        """Bytes on the device by purpose."""
+    def take_validation_messages(self) -> list[str]:
+        """What the Vulkan validation layer said since the last call; it is on with DECOUPLEGS_VALIDATION=1."""
+
+class Scene:
+    """A scene on the device, which stays there as long as something of it is held."""
+
+    @property
+    def rig(self) -> list[RigCamera]:
+        """The ego vehicle's cameras; none for a splat file."""
+    def ego_pose(self, time_s: float) -> NDArray[np.float64]:
+        """Where the ego vehicle is by the scene file, world_from_rig, float64 [4, 4], metres."""
+    @property
+    def ego_span_s(self) -> tuple[float, float]:
+        """First and last time of the ego's trajectory, seconds."""
+    def cameras(self, time_s: float = 0.0, size: tuple[int, int] | None = None) -> list[Camera]:
+        """The rig where the ego is at time_s, in pictures of ``size`` = (width, height) pixels where it is given."""
+    def cameras_at(self, world_from_rig: ArrayLike, size: tuple[int, int] | None = None) -> list[Camera]:
+        """The rig on a vehicle that stands at world_from_rig, float64 [4, 4], metres."""
+    @property
+    def agents(self) -> list[str]:
+        """Agents of the scene file that can be moved, with which a World begins."""
+    @property
+    def plain_agents(self) -> list[str]:
+        """Agents of plain splats, which are part of the background."""
+    def agent_pose(self, name: str, time_s: float) -> NDArray[np.float64]:
+        """Where an agent is by the scene file, world_from_agent, float64 [4, 4], metres."""
+    @property
+    def asset_count(self) -> int:
+        """Assets that agents may show, counted from 0."""
+    def asset_size(self, asset: int) -> tuple[float, float, float]:
+        """Length, width and height of an asset, metres. Its origin is the centre of its box."""
+    def add_asset(self, path: str | os.PathLike[str]) -> int:
+        """Copies another compressed asset (.safetensors) to the device, for all worlds over this scene; its number."""
+    @property
+    def background_splats(self) -> int:
+        """Splats of the background."""
+
+class Agent:
+    """An agent of a world, as it was when it was asked for."""
+
+    @property
+    def name(self) -> str:
+        """Unique in its world."""
+    @property
+    def asset(self) -> int:
+        """Which of the scene's assets it shows."""
+    @property
+    def instance(self) -> int:
+        """What the instance layer has where it is seen; 0 is the background."""
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """world_from_agent, float64 [4, 4], metres."""
+
+class World:
+    """A set of agents over a scene, which other worlds may be over as well. It costs a few hundred bytes."""
+
+    def __init__(self, scene: Scene, empty: bool = False) -> None:
+        """The agents of the scene file where they are at time 0, or none."""
+    def set_time(self, time_s: float) -> None:
+        """Puts the agents of the scene file that are still here where their trajectories have them."""
+    def move_to(self, name: str, pose: ArrayLike) -> None:
+        """Moves an agent; pose is world_from_agent, float64 [4, 4], metres."""
+    def place(self, name: str, asset: int, pose: ArrayLike) -> int:
+        """Adds an agent that shows an asset, or lets the one of that name show it; its instance id."""
+    def remove(self, name: str) -> None:
+        """Takes an agent out."""
+    @property
+    def agents(self) -> list[Agent]:
+        """Its agents."""
+    @property
+    def scene(self) -> Scene:
+        """The scene that it is over."""
+    def copy(self) -> World:
+        """Another world with the same agents."""
+    def __copy__(self) -> World: ...
+    def __len__(self) -> int: ...
+
+class Statistics:
+    """What one frame took."""
+
+    @property
+    def gpu_ms(self) -> float:
+        """Time on the device, without the agents' part where that ran beside the frame before."""
+    @property
+    def update_ms(self) -> float | None:
+        """Time of the agents' part, where it was submitted by itself."""
+    @property
+    def wall_ms(self) -> float:
+        """From the submission to the finished pictures."""
+    @property
+    def record_ms(self) -> float:
+        """The host's part of it."""
+    @property
+    def stages_ms(self) -> dict[str, float]:
+        """Time on the device by stage."""
+    @property
+    def cameras(self) -> int:
+        """Cameras that were drawn."""
+    @property
+    def agents(self) -> int:
+        """Agents that some camera could see."""
+    @property
+    def agent_splats(self) -> int:
+        """Their splats."""
+    @property
+    def redrawn(self) -> int:
+        """How often it was drawn again, because a list outgrew its buffer."""
+
+class Layers(TypedDict, total=False):
+    """Pictures of one view."""
+
+    colour: NDArray[Any]
+    depth: NDArray[np.float32]
+    instance: NDArray[np.int32]
+
+Views = Sequence[tuple[World, Sequence[Camera]]]
+
+class Viewer:
+    """Draws worlds of one session. One call at a time; calls of other threads wait."""
+
+    def draw(self, views: Views) -> list[NDArray[Any]]:
+        """Draws each world for its cameras, as many as 32 cameras over one scene in one submission.
+
+        Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8, or float32 as blended. The
+        cameras of a view must be of one size.
+        """
+    def draw_layers(self, views: Views) -> list[Layers]:
+        """As draw: ``colour`` [C, H, W, 4], and where the session has them ``depth`` float32 [C, H, W], metres along the camera's z, 0
+        where nothing was hit, and ``instance`` int32 [C, H, W], 0 the background."""
+    def draw_dlpack(self, views: Views) -> Pictures:
+        """As draw, and leaves the pictures where they were drawn: on the device where Session.exported, otherwise on the host."""
+    def collect(self) -> int:
+        """Takes back pictures that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads."""
+    @property
+    def imports(self) -> int:
+        """Buffers of the renderer that are imported into CUDA."""
+    @property
+    def statistics(self) -> list[Statistics]:
+        """What the last call took, a frame each."""
+
+class Pictures:
+    """Pictures of one call, where they were drawn. Of one frame and one size, they are themselves a tensor [C, H, W, 4]."""
+
+    @property
+    def frames(self) -> int:
+        """Frames that the call took."""
+    @property
+    def views(self) -> int:
+        """Views that were drawn."""
+    def frame(self, index: int, layer: Literal["colour", "depth", "instance"] = "colour") -> Tensor:
+        """All cameras of a frame: [C, H, W, 4] of colour, [C, H, W] of the others. Cameras must be of one size."""
+    def view(self, index: int, layer: Literal["colour", "depth", "instance"] = "colour") -> Tensor:
+        """All cameras of a view, likewise."""
+    def camera(self, view: int, camera: int, layer: Literal["colour", "depth", "instance"] = "colour") -> Tensor:
+        """One camera: [H, W, 4] of colour, [H, W] of the others."""
+    def tensor(self) -> Tensor:
+        """All cameras of the call, of one frame and one size: [C, H, W, 4]."""
+    def __dlpack__(
+        self,
+        *,
+        stream: int | None = None,
+        max_version: tuple[int, int] | None = None,
+        dl_device: tuple[int, int] | None = None,
+        copy: bool | None = None,
+    ) -> Any:
+        """tensor().__dlpack__(...)"""
+    def __dlpack_device__(self) -> tuple[int, int]:
+        """tensor().__dlpack_device__()"""
+
+class Tensor:
+    """Pictures for torch.from_dlpack, numpy.from_dlpack, cupy.from_dlpack and others: in C order, to be read, not written.
+
+    On CUDA the consumer's stream waits for the frame. The memory is drawn into again when all tensors over the frame are gone and the streams
+    that they were taken on have come so far. Whoever reads them on yet another stream has to keep the tensor until that is done.
+    """
+
+    @property
+    def shape(self) -> list[int]:
+        """Its axes."""
+    @property
+    def dtype(self) -> Literal["uint8", "float32", "int32"]:
+        """Its type, as NumPy calls it."""
+    def __dlpack__(
+        self,
+        *,
+        stream: int | None = None,
+        max_version: tuple[int, int] | None = None,
+        dl_device: tuple[int, int] | None = None,
+        copy: bool | None = None,
+    ) -> Any:
+        """A capsule, read-only as DLPack 1 has it where max_version allows. stream as in the array API standard."""
+    def __dlpack_device__(self) -> tuple[int, int]:
+        """(2, number) for CUDA, (1, 0) for the host."""
+
+class Site:
+    """A place of episodes, on the device: the synthetic street, or that of a scenario file."""
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        weather: Literal["clear", "overcast", "dusk", "night"] = "clear",
+        background: int = 200_000,
+        agent_splats: int = 4_000,
+        seed: int = 1,
+        scenario: str | os.PathLike[str] | None = None,
+    ) -> None:
+        """The synthetic street of ``background`` splats with cars of ``agent_splats``, its houses by ``seed``; or the place of a scenario
+        file (.toml), whose scenario is then the one that is driven."""
+    @property
+    def scene(self) -> Scene:
+        """What is drawn of it: worlds over it show rollouts."""
+    @property
+    def rig(self) -> list[RigCamera]:
+        """The ego's cameras."""
+
+class StepResult(TypedDict):
+    """What came of a step."""
+
+    progress_m: float
+    off_road_share: float
+    time_s: float
+    end: Literal["route_done", "collision", "time", "planner"] | None
+
+class Rollout:
+    """One episode, step by step: the ego does as it is told, traffic answers. The same steps give the same bits."""
+
+    def __init__(
+        self,
+        site: Site,
+        level: Literal["easy", "medium", "hard", "extreme"] = "easy",
+        seed: int = 0,
+        index: int = 0,
+        *,
+        step_s: float | None = None,
+        duration_s: float | None = None,
+        name: str = "python",
+    ) -> None:
+        """Scenario ``index`` of a level, made up from ``seed``; with a site of a scenario file, that scenario. ``name`` is the planner's, for
+        logs."""
+    def step_controls(self, steer_rad: float, acceleration_mps2: float) -> StepResult:
+        """Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and accelerating so (-8 to 3).
+
+        The ego is given the trajectory that this would drive for 2 s, so that a log of it replays like any other.
+        """
+    def step_plan(self, points: ArrayLike) -> StepResult:
+        """Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x (forward) and y (left) in the ego's
+        frame, metres."""
+    def show(self, world: World) -> NDArray[np.float64]:
+        """Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], metres."""
+    @property
+    def ego_state(self) -> NDArray[np.float64]:
+        """Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4]."""
+    @property
+    def guidance(self) -> dict[str, Any]:
+        """What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps."""
+    def route_ahead(self, points: int = 10, spacing_m: float = 5.0) -> NDArray[np.float64]:
+        """Places on the route ahead, in the ego's frame: float64 [points, 2], metres."""
+    @property
+    def progress_m(self) -> tuple[float, float]:
+        """Metres of the route that are behind the ego, and all of them."""
+    @property
+    def end(self) -> Literal["route_done", "collision", "time", "planner"] | None:
+        """Why it is over, if it is."""
+    @property
+    def steps(self) -> int:
+        """Steps that were driven."""
+    @property
+    def step_s(self) -> float:
+        """Length of a step, seconds."""
+    @property
+    def scenario(self) -> str:
+        """The scenario's name."""
+    def score(self) -> dict[str, Any]:
+        """How it went so far: driving_score, route_completion, success, collisions, layout_infractions, min_ttc_s, ttc_short_share."""
+    def write_log(self, path: str | os.PathLike[str]) -> None:
+        """Writes its log, which ``decouplegs replay`` and ``decouplegs score`` read."""

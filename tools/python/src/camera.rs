@@ -1,0 +1,152 @@
+//! Cameras.
+
+use decouplegs::scene::{Camera as EngineCamera, Intrinsics, RigCamera as EngineRigCamera};
+use pyo3::prelude::*;
+
+use crate::array::{matrix, shaped};
+use crate::error::value_error;
+use crate::pose::{pose_of, to_matrix};
+
+/// A pinhole camera in the world.
+///
+/// A camera of ``width`` by ``height`` pixels.
+///
+/// K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its centre at (i + 0.5, j + 0.5).
+/// world_from_camera: float64 [4, 4], metres, OpenCV axes.
+#[pyclass(frozen, module = "decouplegs")]
+pub struct Camera {
+    pub inner: EngineCamera,
+}
+
+/// A camera fixed to a vehicle.
+///
+/// As Camera; rig_from_camera, float64 [4, 4], metres, is where it sits on the vehicle.
+#[pyclass(frozen, module = "decouplegs")]
+pub struct RigCamera {
+    pub inner: EngineRigCamera,
+}
+
+fn intrinsics_of(width_px: u32, height_px: u32, k: &Bound<'_, PyAny>) -> PyResult<Intrinsics> {
+    let [[fx_px, skew, cx_px], [zero, fy_px, cy_px], last] = matrix::<3, 3>("K", k)?;
+    if skew != 0.0 || zero != 0.0 || last != [0.0, 0.0, 1.0] {
+        return Err(value_error(format!(
+            "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found a skew of {skew}, {zero} below it and the last row {last:?}"
+        )));
+    }
+    let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px };
+    intrinsics.check().map_err(value_error)?;
+    Ok(intrinsics)
+}
+
+fn k_of<'py>(py: Python<'py>, of: &Intrinsics) -> PyResult<Bound<'py, PyAny>> {
+    shaped(py, vec![of.fx_px, 0.0, of.cx_px, 0.0, of.fy_px, of.cy_px, 0.0, 0.0, 1.0], &[3, 3])
+}
+
+#[pymethods]
+impl Camera {
+    #[new]
+    #[pyo3(signature = (width, height, K, world_from_camera, name = String::from("camera")))]
+    #[allow(non_snake_case, reason = "K is what everybody calls the matrix of intrinsics, and arguments are named in Python")]
+    fn new(width: u32, height: u32, K: &Bound<'_, PyAny>, world_from_camera: &Bound<'_, PyAny>, name: String) -> PyResult<Self> {
+        let world_from_camera = pose_of("world_from_camera", world_from_camera)?;
+        Ok(Self { inner: EngineCamera { name, intrinsics: intrinsics_of(width, height, K)?, world_from_camera } })
+    }
+
+    /// Names its picture.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.inner.name
+    }
+
+    /// Pixels a row.
+    #[getter]
+    fn width(&self) -> u32 {
+        self.inner.intrinsics.width_px
+    }
+
+    /// Rows.
+    #[getter]
+    fn height(&self) -> u32 {
+        self.inner.intrinsics.height_px
+    }
+
+    /// Intrinsics, float64 [3, 3], pixels.
+    #[getter]
+    #[pyo3(name = "K")]
+    fn k<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        k_of(py, &self.inner.intrinsics)
+    }
+
+    /// Where it stands, float64 [4, 4], metres.
+    #[getter]
+    fn world_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_matrix(py, &self.inner.world_from_camera)
+    }
+
+    fn __repr__(&self) -> String {
+        let Intrinsics { width_px, height_px, fx_px, .. } = self.inner.intrinsics;
+        format!("Camera({:?}, {width_px}x{height_px}, fx {fx_px:.1} px)", self.inner.name)
+    }
+}
+
+#[pymethods]
+impl RigCamera {
+    #[new]
+    #[pyo3(signature = (name, width, height, K, rig_from_camera))]
+    #[allow(non_snake_case, reason = "as in Camera")]
+    fn new(name: String, width: u32, height: u32, K: &Bound<'_, PyAny>, rig_from_camera: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let rig_from_camera = pose_of("rig_from_camera", rig_from_camera)?;
+        Ok(Self { inner: EngineRigCamera { name, intrinsics: intrinsics_of(width, height, K)?, rig_from_camera } })
+    }
+
+    /// Names its picture.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.inner.name
+    }
+
+    /// Pixels a row.
+    #[getter]
+    fn width(&self) -> u32 {
+        self.inner.intrinsics.width_px
+    }
+
+    /// Rows.
+    #[getter]
+    fn height(&self) -> u32 {
+        self.inner.intrinsics.height_px
+    }
+
+    /// Intrinsics, float64 [3, 3], pixels.
+    #[getter]
+    #[pyo3(name = "K")]
+    fn k<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        k_of(py, &self.inner.intrinsics)
+    }
+
+    /// Where it sits on the vehicle, float64 [4, 4], metres.
+    #[getter]
+    fn rig_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_matrix(py, &self.inner.rig_from_camera)
+    }
+
+    /// The same view in another number of pixels.
+    fn resized(&self, width: u32, height: u32) -> PyResult<Self> {
+        let mut inner = self.inner.clone();
+        inner.intrinsics = inner.intrinsics.resized(width, height);
+        inner.intrinsics.check().map_err(value_error)?;
+        Ok(Self { inner })
+    }
+
+    /// The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], metres.
+    fn at(&self, world_from_rig: &Bound<'_, PyAny>) -> PyResult<Camera> {
+        let world_from_camera = pose_of("world_from_rig", world_from_rig)?.then(&self.inner.rig_from_camera);
+        let EngineRigCamera { name, intrinsics, .. } = self.inner.clone();
+        Ok(Camera { inner: EngineCamera { name, intrinsics, world_from_camera } })
+    }
+
+    fn __repr__(&self) -> String {
+        let Intrinsics { width_px, height_px, fx_px, .. } = self.inner.intrinsics;
+        format!("RigCamera({:?}, {width_px}x{height_px}, fx {fx_px:.1} px)", self.inner.name)
+    }
+}

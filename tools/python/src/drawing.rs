@@ -1,0 +1,77 @@
+//! Drawing to the host: pictures of a call, gathered as arrays want them.
+
+use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, Picture};
+use decouplegs::scene::Camera;
+use decouplegs::session::{HostPictures, SessionError, Viewer, World, WorldView};
+
+use crate::array::Values;
+
+/// Worlds and who looks at them, copied, so that a call draws what was there when it was made.
+pub struct Views(pub Vec<(World, Vec<Camera>)>);
+
+impl Views {
+    pub fn borrowed(&self) -> Vec<WorldView<'_>> {
+        self.0.iter().map(|(world, cameras)| WorldView { world, cameras }).collect()
+    }
+
+    /// View and camera of every picture, in order.
+    pub fn places(&self) -> Vec<(usize, usize)> {
+        let of_view = |(view, (_, cameras)): (usize, &(World, Vec<Camera>))| (0..cameras.len()).map(move |camera| (view, camera));
+        self.0.iter().enumerate().flat_map(of_view).collect()
+    }
+
+    /// Width and height of a picture.
+    pub fn size_px(&self, (view, camera): (usize, usize)) -> [u32; 2] {
+        let lens = &self.0[view].1[camera].intrinsics;
+        [lens.width_px, lens.height_px]
+    }
+}
+
+/// Pictures one after the other, rows from the top.
+pub struct Layers {
+    /// Four values a pixel.
+    pub colour: Values,
+    /// Metres.
+    pub depth: Option<Vec<f32>>,
+    /// Instance ids.
+    pub instance: Option<Vec<i32>>,
+}
+
+/// Draws `views` and returns, for each of `groups`, its pictures.
+pub fn draw(
+    viewer: &mut Viewer,
+    views: &Views,
+    groups: &[Vec<(usize, usize)>],
+    bytes: &mut HostPictures,
+) -> Result<(Vec<Layers>, Vec<FrameStatistics>), SessionError> {
+    let outputs = viewer.renderer().options().outputs;
+    if outputs.colour == ColourFormat::U8 && !outputs.depth && !outputs.instance {
+        let statistics = viewer.draw(&views.borrowed(), bytes)?;
+        let gather = |group: &Vec<(usize, usize)>| {
+            let pictures: Vec<&[u8]> = group.iter().map(|&(view, camera)| bytes.rgba(view, camera)).collect();
+            Layers { colour: Values::U8(pictures.concat()), depth: None, instance: None }
+        };
+        return Ok((groups.iter().map(gather).collect(), statistics));
+    }
+    let (pictures, statistics) = viewer.draw_pictures(&views.borrowed())?;
+    let gather = |group: &Vec<(usize, usize)>| {
+        let pictures: Vec<&Picture> = group.iter().map(|&(view, camera)| &pictures[view][camera]).collect();
+        gathered(&pictures, &outputs)
+    };
+    Ok((groups.iter().map(gather).collect(), statistics))
+}
+
+fn gathered(pictures: &[&Picture], outputs: &Outputs) -> Layers {
+    let colours = pictures.iter().flat_map(|picture| picture.rgb.iter().zip(&picture.alpha));
+    let colour = match outputs.colour {
+        ColourFormat::F32 => Values::F32(colours.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha]).collect()),
+        ColourFormat::U8 => {
+            // They were bytes on the device: rounding brings these back.
+            let byte = |value: f32| (255.0 * value).round() as u8;
+            Values::U8(colours.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha].map(byte)).collect())
+        }
+    };
+    let depths = || pictures.iter().flat_map(|picture| picture.depth.iter().flatten().copied()).collect();
+    let instances = || pictures.iter().flat_map(|picture| picture.instance.iter().flatten().map(|&id| i32::from(id))).collect();
+    Layers { colour, depth: outputs.depth.then(depths), instance: outputs.instance.then(instances) }
+}

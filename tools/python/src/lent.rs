@@ -1,0 +1,64 @@
+//! The renderer's pictures, as they are lent to CUDA.
+
+use std::sync::Arc;
+
+use decouplegs::gpu::{Buffer, QueueRole};
+use decouplegs::render::TakenPictures;
+use decouplegs::session::Session;
+use decouplegs_sharing::{Cuda, Exported, Handed, Interop, InteropError, Lender, Loan, Shared};
+
+pub type CudaLender = Lender<Cuda, TakenPictures>;
+pub type CudaLoan = Loan<Cuda, TakenPictures>;
+pub type CudaHanded = Handed<Cuda, TakenPictures>;
+
+/// A buffer of pictures.
+struct PictureBuffer<T>(Buffer<T>);
+
+impl<T> Shared for PictureBuffer<T> {
+    fn id(&self) -> usize {
+        self.0.id()
+    }
+
+    fn holders(&self) -> usize {
+        self.0.holders()
+    }
+
+    fn export(&self) -> Result<Exported, InteropError> {
+        let exported = self.0.export().map_err(|error| InteropError::Export(error.to_string()))?;
+        let buffer_bytes = self.0.byte_len();
+        Ok(Exported { descriptor: exported.descriptor, allocation_bytes: exported.allocation_bytes, buffer_bytes })
+    }
+}
+
+/// A lender of the pictures that are drawn in `session`.
+pub fn lender(session: &Session, cuda: &Arc<Cuda>) -> Result<Arc<CudaLender>, InteropError> {
+    let timeline = session.gpu().export_timeline(QueueRole::Main).map_err(|error| InteropError::Export(error.to_string()))?;
+    Lender::new(cuda.clone(), timeline)
+}
+
+/// Where a frame's pictures are in CUDA's eyes; 0 where they were not asked for.
+#[derive(Clone, Copy, Default)]
+pub struct Addresses {
+    pub colour: u64,
+    pub depth: u64,
+    pub instance: u64,
+}
+
+/// Imports what of `loan` was asked for.
+pub fn addresses(lender: &CudaLender, loan: &CudaLoan) -> Result<Addresses, InteropError> {
+    let buffers = loan.pictures().buffers();
+    let colour = if buffers.pictures_u8.is_empty() {
+        address(lender, &buffers.pictures_f32)?
+    } else {
+        address(lender, &buffers.pictures_u8)?
+    };
+    Ok(Addresses { colour, depth: address(lender, &buffers.depths_m)?, instance: address(lender, &buffers.instance_ids)? })
+}
+
+/// The import stays as long as somebody but the lender holds the buffer, which the loan does.
+fn address<T: 'static>(lender: &CudaLender, buffer: &Buffer<T>) -> Result<u64, InteropError> {
+    if buffer.is_empty() {
+        return Ok(0);
+    }
+    Ok(Cuda::address(&*lender.memory(PictureBuffer(buffer.clone()))?))
+}

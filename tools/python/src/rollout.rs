@@ -1,0 +1,231 @@
+//! Episodes that Python steps through.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use decouplegs::asset::EpisodeLog;
+use decouplegs::drive::score::EpisodeScore;
+use decouplegs::episode::{Crew, Rollout as EngineRollout, Site as EngineSite};
+use decouplegs::scene::episode::{EpisodeEnd, PlannerRecord};
+use decouplegs::scene::{Plan, PlanPoint};
+use glam::DVec2;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::array::{rows, shaped};
+use crate::error::{Error, FileError, of_episode, of_session, sentence, value_error};
+use crate::pose::to_matrix;
+use crate::site::Site;
+use crate::world::World;
+
+/// Controls are kept up so long in the plan that is made of them, seconds: what the ego looks ahead, and more.
+const CONTROL_HORIZON_S: f64 = 2.0;
+/// Steps that a scenario may have, seconds.
+const STEP_S: std::ops::RangeInclusive<f64> = 0.02..=5.0;
+
+/// One episode, step by step.
+///
+/// Scenario ``index`` of a level, made up from ``seed``; with a site of a scenario file, that scenario. ``name`` is the planner's, for
+/// logs.
+#[pyclass(frozen, module = "decouplegs")]
+pub struct Rollout {
+    site: Arc<EngineSite>,
+    inner: Mutex<EngineRollout>,
+}
+
+impl Rollout {
+    fn lock(&self) -> MutexGuard<'_, EngineRollout> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Drives `plan` for a step, and says what came of it.
+    fn driven<'py>(&self, py: Python<'py>, plan: Plan) -> PyResult<Bound<'py, PyDict>> {
+        let mut rollout = self.lock();
+        if rollout.end().is_some() {
+            return Err(Error::new_err("the episode is over: begin another"));
+        }
+        let before_m = rollout.progress_m().0;
+        let instants = rollout.step(plan, Vec::new()).instants.clone();
+        let off_road = instants.iter().filter(|instant| !instant.on_road).count();
+        let dict = PyDict::new(py);
+        dict.set_item("progress_m", rollout.progress_m().0 - before_m)?;
+        dict.set_item("off_road_share", off_road as f64 / instants.len().max(1) as f64)?;
+        dict.set_item("time_s", rollout.simulation().time_s())?;
+        dict.set_item("end", rollout.end().map(name_of))?;
+        Ok(dict)
+    }
+}
+
+/// As logs call it.
+fn name_of(end: &EpisodeEnd) -> &'static str {
+    match end {
+        EpisodeEnd::RouteDone => "route_done",
+        EpisodeEnd::Collision { .. } => "collision",
+        EpisodeEnd::Time => "time",
+        EpisodeEnd::Planner { .. } => "planner",
+    }
+}
+
+#[pymethods]
+impl Rollout {
+    #[new]
+    #[pyo3(signature = (site, level = "easy", seed = 0, index = 0, *, step_s = None, duration_s = None, name = "python"))]
+    #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    fn new(
+        py: Python<'_>,
+        site: &Site,
+        level: &str,
+        seed: u64,
+        index: u32,
+        step_s: Option<f64>,
+        duration_s: Option<f64>,
+        name: &str,
+    ) -> PyResult<Self> {
+        let mut scenario = py.detach(|| site.scenario(level, seed, index))?;
+        scenario.step_s = step_s.unwrap_or(scenario.step_s);
+        scenario.duration_s = duration_s.unwrap_or(scenario.duration_s);
+        if !STEP_S.contains(&scenario.step_s) || !(scenario.step_s..=3600.0).contains(&scenario.duration_s) {
+            return Err(value_error(format!(
+                "expected step_s from {} to {} and duration_s from that to 3600, found {} and {}",
+                STEP_S.start(),
+                STEP_S.end(),
+                scenario.step_s,
+                scenario.duration_s
+            )));
+        }
+        let cameras = site.scene.rig().cameras.iter().map(|camera| camera.name.clone()).collect();
+        let planner = PlannerRecord { name: name.to_owned(), cameras, privileged: false };
+        let rollout = EngineRollout::new(&scenario, &site.site, Crew { planner, drawn_by: None });
+        let inner = Mutex::new(rollout.map_err(|error| of_episode(&error))?);
+        Ok(Self { site: site.site.clone(), inner })
+    }
+
+    /// Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and accelerating so (-8 to 3).
+    ///
+    /// The ego is given the trajectory that this would drive for 2 s, so that a log of it replays like any other.
+    fn step_controls<'py>(&self, py: Python<'py>, steer_rad: f64, acceleration_mps2: f64) -> PyResult<Bound<'py, PyDict>> {
+        let plan = {
+            let rollout = self.lock();
+            let horizon_s = CONTROL_HORIZON_S.max(2.0 * rollout.simulation().scenario().step_s);
+            rollout.simulation().ego().plan_under(steer_rad, acceleration_mps2, horizon_s).map_err(value_error)?
+        };
+        self.driven(py, plan)
+    }
+
+    /// Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x (forward) and y (left) in the ego's
+    /// frame, metres.
+    fn step_plan<'py>(&self, py: Python<'py>, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
+        let points = rows::<3>("points", points)?;
+        let points = points.into_iter().map(|[time_s, x, y]| PlanPoint { time_s, position_m: DVec2::new(x, y) });
+        let plan = Plan::new(points.collect()).map_err(value_error)?;
+        self.driven(py, plan)
+    }
+
+    /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], metres.
+    fn show<'py>(&self, py: Python<'py>, world: &World) -> PyResult<Bound<'py, PyAny>> {
+        let ego = self.lock().show(&mut world.lock()).map_err(|error| of_session(&error))?;
+        to_matrix(py, &ego)
+    }
+
+    /// Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4].
+    #[getter]
+    fn ego_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let motion = self.lock().simulation().motion();
+        shaped(py, vec![motion.speed_mps, motion.acceleration_mps2, motion.steer_rad, motion.yaw_rate_radps], &[4])
+    }
+
+    /// What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps.
+    #[getter]
+    fn guidance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let guidance = self.lock().simulation().guidance();
+        let dict = PyDict::new(py);
+        dict.set_item("turn", guidance.turn.name())?;
+        dict.set_item("distance_m", guidance.distance_m)?;
+        dict.set_item("angle_rad", guidance.angle_rad)?;
+        dict.set_item("length_m", guidance.length_m)?;
+        dict.set_item("cruise_mps", guidance.cruise_mps)?;
+        Ok(dict)
+    }
+
+    /// Places on the route ahead, in the ego's frame: float64 [points, 2], metres.
+    #[pyo3(signature = (points = 10, spacing_m = 5.0))]
+    fn route_ahead<'py>(&self, py: Python<'py>, points: usize, spacing_m: f64) -> PyResult<Bound<'py, PyAny>> {
+        if !(1..=4096).contains(&points) || !(spacing_m > 0.0 && spacing_m.is_finite()) {
+            return Err(value_error(format!("expected 1 to 4096 points and a spacing above 0, found {points} and {spacing_m}")));
+        }
+        let rollout = self.lock();
+        let (ego, route) = (rollout.simulation().instant().ego, rollout.simulation().route());
+        let (progress_m, length_m) = rollout.progress_m();
+        let place = |number: usize| {
+            let (at, _) = route.pose_at((progress_m + spacing_m * number as f64).min(length_m));
+            ego.to_local(at.truncate()).to_array()
+        };
+        shaped(py, (1..=points).flat_map(place).collect(), &[points, 2])
+    }
+
+    /// Metres of the route that are behind the ego, and all of them.
+    #[getter]
+    fn progress_m(&self) -> (f64, f64) {
+        self.lock().progress_m()
+    }
+
+    /// Why it is over, if it is.
+    #[getter]
+    fn end(&self) -> Option<&'static str> {
+        self.lock().end().map(name_of)
+    }
+
+    /// Steps that were driven.
+    #[getter]
+    fn steps(&self) -> u32 {
+        self.lock().next_step()
+    }
+
+    /// Length of a step, seconds.
+    #[getter]
+    fn step_s(&self) -> f64 {
+        self.lock().simulation().scenario().step_s
+    }
+
+    /// The scenario's name.
+    #[getter]
+    fn scenario(&self) -> String {
+        self.lock().simulation().scenario().name.clone()
+    }
+
+    /// How it went so far: driving_score, route_completion, success, collisions, layout_infractions, min_ttc_s, ttc_short_share.
+    fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let score = self.lock().score();
+        to_dict(py, &score)
+    }
+
+    /// Writes its log, which ``decouplegs replay`` and ``decouplegs score`` read.
+    fn write_log(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        let episode = self.lock().episode().clone();
+        let written = py.detach(|| {
+            let mut log = EpisodeLog::create(&path, &episode.head, &episode.start)?;
+            episode.steps.iter().try_for_each(|step| log.append(step))?;
+            log.finish(&episode.end)
+        });
+        written.map_err(|error| FileError::new_err(sentence(&error)))
+    }
+
+    fn __repr__(&self) -> String {
+        let rollout = self.lock();
+        let (progress_m, length_m) = rollout.progress_m();
+        let lanes = self.site.lanes.lanes.len();
+        format!("Rollout({}, {progress_m:.1} of {length_m:.1} m, {lanes} lanes)", rollout.simulation().scenario().name)
+    }
+}
+
+fn to_dict<'py>(py: Python<'py>, score: &EpisodeScore) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    dict.set_item("driving_score", score.driving_score)?;
+    dict.set_item("route_completion", score.route_completion)?;
+    dict.set_item("success", score.success)?;
+    dict.set_item("collisions", score.collisions())?;
+    dict.set_item("layout_infractions", score.layout_infractions())?;
+    dict.set_item("min_ttc_s", score.min_ttc_s())?;
+    dict.set_item("ttc_short_share", score.ttc_short_share)?;
+    Ok(dict)
+}

@@ -1,0 +1,175 @@
+//! Sessions: a device, and what is opened on it.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
+use decouplegs::render::{ColourFormat, Outputs, RenderOptions};
+use decouplegs::scene::Rules;
+use decouplegs::session::{Session as EngineSession, SessionOptions};
+use decouplegs_sharing::Cuda;
+use pyo3::prelude::*;
+use pyo3::types::PyAny;
+
+use crate::device::Device;
+use crate::error::{DeviceError, of_gpu, of_interop, of_session, value_error};
+use crate::scene::Scene;
+use crate::viewer::Viewer;
+
+/// A device, and the scenes that were opened on it.
+///
+/// Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
+///
+/// colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
+/// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
+/// exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
+/// rules: the definition of a picture.
+/// taken_max: frames that may be held on the device by tensors before TooManyHeldError.
+/// frames_in_flight: frames of one call that are submitted before the first is waited for.
+#[pyclass(frozen, module = "decouplegs")]
+pub struct Session {
+    pub inner: Arc<EngineSession>,
+    /// Where pictures are shared with CUDA.
+    cuda: Option<Arc<Cuda>>,
+    /// Why they are not.
+    not_shared: Option<String>,
+}
+
+/// Frames whose pictures are held on the device at most.
+const TAKEN_MAX: usize = 65_536;
+
+fn choice_of(device: Option<&Bound<'_, PyAny>>) -> PyResult<DeviceChoice> {
+    let Some(device) = device else { return Ok(DeviceChoice::Automatic) };
+    if let Ok(index) = device.extract::<usize>() {
+        return Ok(DeviceChoice::Index(index));
+    }
+    let text: String = device
+        .extract()
+        .map_err(|_| value_error("device: expected None, a number of devices(), a part of a name or \"uuid:...\"".to_owned()))?;
+    Ok(text.parse().unwrap_or_default())
+}
+
+fn rules_of(name: &str) -> PyResult<Rules> {
+    match name {
+        "default" => Ok(Rules::DEFAULT),
+        "gsplat15" => Ok(Rules::GSPLAT15),
+        "inria" => Ok(Rules::INRIA),
+        _ => Err(value_error(format!("rules: expected \"default\", \"gsplat15\" or \"inria\", found {name:?}"))),
+    }
+}
+
+/// What of CUDA shares the device of `gpu`, or why nothing does.
+fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
+    if !gpu.can_export() {
+        return Err(format!("{} cannot export memory and timelines (VK_KHR_external_memory_fd)", gpu.info()));
+    }
+    Cuda::open(gpu.info().uuid).map_err(|error| error.to_string())
+}
+
+#[pymethods]
+impl Session {
+    #[new]
+    #[pyo3(signature = (device = None, *, colour = "u8", depth = false, instance = false, exported = None, rules = "default", taken_max = 16, frames_in_flight = 2))]
+    #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    fn new(
+        py: Python<'_>,
+        device: Option<&Bound<'_, PyAny>>,
+        colour: &str,
+        depth: bool,
+        instance: bool,
+        exported: Option<bool>,
+        rules: &str,
+        taken_max: usize,
+        frames_in_flight: usize,
+    ) -> PyResult<Self> {
+        let colour = match colour {
+            "u8" => ColourFormat::U8,
+            "f32" => ColourFormat::F32,
+            _ => return Err(value_error(format!("colour: expected \"u8\" or \"f32\", found {colour:?}"))),
+        };
+        if !(1..=TAKEN_MAX).contains(&taken_max) || !(1..=64).contains(&frames_in_flight) {
+            return Err(value_error(format!(
+                "expected taken_max from 1 to {TAKEN_MAX} and frames_in_flight from 1 to 64, found {taken_max} and {frames_in_flight}"
+            )));
+        }
+        let device = DeviceOptions { choice: choice_of(device)?, ..DeviceOptions::default() };
+        let mut options = SessionOptions { device, ..SessionOptions::default() };
+        let outputs = Outputs { colour, depth, instance, ..Outputs::default() };
+        options.render = RenderOptions { rules: rules_of(rules)?, outputs, taken_max, frames_in_flight, ..options.render };
+        let opened = py.detach(|| {
+            let gpu = Gpu::open(&options.device)?;
+            let cuda = if exported == Some(false) { Err("exported is False".to_owned()) } else { cuda_of(&gpu) };
+            Ok((gpu, cuda))
+        });
+        let (gpu, cuda) = opened.map_err(|error| of_gpu(&error))?;
+        let (cuda, not_shared) = match cuda {
+            Ok(cuda) => (Some(Arc::new(cuda)), None),
+            Err(reason) if exported == Some(true) => {
+                return Err(DeviceError::new_err(format!("pictures cannot be shared with CUDA: {reason}")));
+            }
+            Err(reason) => (None, Some(reason)),
+        };
+        options.render.outputs.exported = cuda.is_some();
+        Ok(Self { inner: Arc::new(EngineSession::on(&gpu, &options)), cuda, not_shared })
+    }
+
+    /// The device.
+    #[getter]
+    fn device(&self) -> Device {
+        Device::of(self.inner.gpu().info())
+    }
+
+    /// Whether Viewer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy.
+    #[getter]
+    fn exported(&self) -> bool {
+        self.cuda.is_some()
+    }
+
+    /// Why not, where it does not.
+    #[getter]
+    fn not_exported_because(&self) -> Option<&str> {
+        self.not_shared.as_deref()
+    }
+
+    /// How colour is stored.
+    #[getter]
+    fn colour(&self) -> &'static str {
+        match self.inner.options().render.outputs.colour {
+            ColourFormat::U8 => "u8",
+            ColourFormat::F32 => "f32",
+        }
+    }
+
+    /// Frames that tensors may hold at a time.
+    #[getter]
+    fn taken_max(&self) -> usize {
+        self.inner.options().render.taken_max
+    }
+
+    /// The scene of a scene file (.toml) or splat file, loaded unless somebody holds it already.
+    fn open_scene(&self, py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
+        let inner = py.detach(|| self.inner.open_scene(&path)).map_err(|error| of_session(&error))?;
+        Ok(Scene { inner })
+    }
+
+    /// Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws.
+    fn viewer(&self) -> PyResult<Viewer> {
+        Viewer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
+    }
+
+    /// Bytes on the device by purpose.
+    fn memory(&self) -> BTreeMap<String, u64> {
+        let report = self.inner.gpu().memory();
+        report.bytes_by_purpose.into_iter().map(|(purpose, bytes)| (purpose.to_owned(), bytes)).collect()
+    }
+
+    /// What the Vulkan validation layer said since the last call; it is on with DECOUPLEGS_VALIDATION=1.
+    fn take_validation_messages(&self) -> Vec<String> {
+        self.inner.gpu().take_validation_messages()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Session({})", self.inner.gpu().info())
+    }
+}

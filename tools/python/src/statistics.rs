@@ -1,0 +1,62 @@
+//! What frames took.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use decouplegs::render::FrameStatistics;
+use pyo3::prelude::*;
+
+/// What one frame took.
+#[pyclass(frozen, get_all, module = "decouplegs")]
+#[derive(Clone)]
+pub struct Statistics {
+    /// Time on the device, without the agents' part where that ran beside the frame before.
+    gpu_ms: f64,
+    /// Time of the agents' part, where it was submitted by itself.
+    update_ms: Option<f64>,
+    /// From the submission to the finished pictures.
+    wall_ms: f64,
+    /// The host's part of it.
+    record_ms: f64,
+    /// Time on the device by stage.
+    stages_ms: BTreeMap<String, f64>,
+    /// Cameras that were drawn.
+    cameras: usize,
+    /// Agents that some camera could see.
+    agents: usize,
+    /// Their splats.
+    agent_splats: usize,
+    /// How often it was drawn again, because a list outgrew its buffer.
+    redrawn: u32,
+}
+
+fn ms(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
+}
+
+impl Statistics {
+    pub fn of(frame: &FrameStatistics) -> Self {
+        let mut stages_ms = BTreeMap::new();
+        for stage in frame.queues.iter().flat_map(|queue| &queue.stages) {
+            *stages_ms.entry(stage.name.to_owned()).or_default() += stage.duration_ns as f64 / 1e6;
+        }
+        Self {
+            gpu_ms: ms(frame.gpu_time),
+            update_ms: frame.update_time.map(ms),
+            wall_ms: ms(frame.wall_time),
+            record_ms: ms(frame.record_time),
+            stages_ms,
+            cameras: frame.orders.len(),
+            agents: frame.agents,
+            agent_splats: frame.agent_splats,
+            redrawn: frame.redrawn,
+        }
+    }
+}
+
+#[pymethods]
+impl Statistics {
+    fn __repr__(&self) -> String {
+        format!("Statistics({} cameras, {} agents, {:.3} ms on the device)", self.cameras, self.agents, self.gpu_ms)
+    }
+}

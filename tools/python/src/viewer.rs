@@ -1,0 +1,182 @@
+//! Viewers: what draws.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use decouplegs::render::FrameStatistics;
+use decouplegs::session::{HostPictures, Session, Viewer as EngineViewer};
+use decouplegs_sharing::{Cuda, InteropError};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use crate::array::{Values, to_numpy};
+use crate::camera::Camera;
+use crate::drawing::{Layers, Views, draw};
+use crate::error::{of_interop, of_session, value_error};
+use crate::lent::{CudaLender, addresses, lender};
+use crate::pictures::{Frame, Pictures};
+use crate::statistics::Statistics;
+use crate::world::World;
+
+/// Draws worlds of one session.
+#[pyclass(frozen, module = "decouplegs")]
+pub struct Viewer {
+    state: Mutex<State>,
+    /// What the last call took: beside the state, so that it can be read while something is drawn.
+    statistics: Mutex<Vec<Statistics>>,
+    /// Where pictures are shared with CUDA, and the number of the device there.
+    lender: Option<(Arc<CudaLender>, i32)>,
+}
+
+struct State {
+    viewer: EngineViewer,
+    bytes: HostPictures,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+type GivenViews<'py> = Vec<(Bound<'py, World>, Vec<Bound<'py, Camera>>)>;
+
+fn copied(views: &GivenViews<'_>) -> PyResult<Views> {
+    if views.is_empty() {
+        return Err(value_error("views: expected at least one (world, cameras)".to_owned()));
+    }
+    let copy = |(world, cameras): &(Bound<'_, World>, Vec<Bound<'_, Camera>>)| {
+        let cameras = cameras.iter().map(|camera| camera.get().inner.clone()).collect();
+        (world.get().lock().clone(), cameras)
+    };
+    Ok(Views(views.iter().map(copy).collect()))
+}
+
+impl Viewer {
+    pub fn new(session: &Session, cuda: Option<&Arc<Cuda>>) -> Result<Self, InteropError> {
+        let state = State { viewer: session.viewer(), bytes: HostPictures::default() };
+        let lender = cuda.map(|cuda| Ok::<_, InteropError>((lender(session, cuda)?, cuda.ordinal()))).transpose()?;
+        Ok(Self { state: Mutex::new(state), statistics: Mutex::default(), lender })
+    }
+
+    fn keep(&self, frames: &[FrameStatistics]) {
+        *lock(&self.statistics) = frames.iter().map(Statistics::of).collect();
+    }
+
+    /// Draws to the host, without the interpreter's lock.
+    fn drawn(&self, py: Python<'_>, views: &Views, groups: &[Vec<(usize, usize)>]) -> PyResult<Vec<Layers>> {
+        let drawn = py.detach(|| {
+            let mut state = lock(&self.state);
+            let State { viewer, bytes } = &mut *state;
+            draw(viewer, views, groups, bytes)
+        });
+        let (layers, statistics) = drawn.map_err(|error| of_session(&error))?;
+        self.keep(&statistics);
+        Ok(layers)
+    }
+
+    /// Draws to the host, a group for each view. Shape of its colours: cameras, rows, columns.
+    fn by_view(&self, py: Python<'_>, views: &Views) -> PyResult<Vec<([usize; 3], Layers)>> {
+        let mut groups = vec![Vec::new(); views.0.len()];
+        views.places().into_iter().for_each(|place| groups[place.0].push(place));
+        let mut shapes = Vec::with_capacity(groups.len());
+        for (view, group) in groups.iter().enumerate() {
+            let Some(&first) = group.first() else {
+                return Err(value_error(format!("views[{view}]: expected at least one camera")));
+            };
+            let [width, height] = views.size_px(first);
+            if let Some(&other) = group.iter().find(|place| views.size_px(**place) != [width, height]) {
+                let [other_width, other_height] = views.size_px(other);
+                return Err(value_error(format!(
+                    "views[{view}]: its pictures are one array, and its cameras are of {width}x{height} and \
+                     {other_width}x{other_height}: give those of another size as a view of their own, of the same world"
+                )));
+            }
+            shapes.push([group.len(), height as usize, width as usize]);
+        }
+        Ok(shapes.into_iter().zip(self.drawn(py, views, &groups)?).collect())
+    }
+
+    /// Draws into memory that CUDA shares.
+    fn drawn_on_device(&self, py: Python<'_>, views: &Views, (lender, ordinal): &(Arc<CudaLender>, i32)) -> PyResult<Vec<Frame>> {
+        let drawn = py.detach(|| {
+            let mut state = lock(&self.state);
+            lender.collect().map_err(|error| of_interop(&error))?;
+            let (taken, statistics) = state.viewer.draw_on_device(&views.borrowed()).map_err(|error| of_session(&error))?;
+            let frames = taken.into_iter().map(|taken| {
+                let (drawn, places) = (taken.frame().value(), taken.places().to_vec());
+                let loan = lender.lend(taken, drawn);
+                let addresses = addresses(lender, &loan).map_err(|error| of_interop(&error))?;
+                Ok(Frame::on_device(loan, *ordinal, addresses, places))
+            });
+            Ok::<_, PyErr>((frames.collect::<PyResult<Vec<_>>>()?, statistics))
+        });
+        let (frames, statistics) = drawn?;
+        self.keep(&statistics);
+        Ok(frames)
+    }
+}
+
+#[pymethods]
+impl Viewer {
+    /// Draws each world for its cameras, as many as 32 cameras over one scene in one submission.
+    ///
+    /// Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8, or float32 as blended. The
+    /// cameras of a view must be of one size.
+    fn draw<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Bound<'py, PyList>> {
+        let drawn = self.by_view(py, &copied(&views)?)?;
+        let array =
+            |([cameras, rows, columns], layers): ([usize; 3], Layers)| to_numpy(py, layers.colour, &[cameras, rows, columns, 4]);
+        PyList::new(py, drawn.into_iter().map(array).collect::<PyResult<Vec<_>>>()?)
+    }
+
+    /// As draw: ``colour`` [C, H, W, 4], and where the session has them ``depth`` float32 [C, H, W], metres along the camera's z, 0
+    /// where nothing was hit, and ``instance`` int32 [C, H, W], 0 the background.
+    fn draw_layers<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let drawn = self.by_view(py, &copied(&views)?)?;
+        let dict = |(shape, layers): ([usize; 3], Layers)| {
+            let dict = PyDict::new(py);
+            let [cameras, rows, columns] = shape;
+            dict.set_item("colour", to_numpy(py, layers.colour, &[cameras, rows, columns, 4])?)?;
+            if let Some(depth) = layers.depth {
+                dict.set_item("depth", to_numpy(py, Values::F32(depth), &shape)?)?;
+            }
+            if let Some(instance) = layers.instance {
+                dict.set_item("instance", to_numpy(py, Values::I32(instance), &shape)?)?;
+            }
+            Ok(dict)
+        };
+        drawn.into_iter().map(dict).collect()
+    }
+
+    /// As draw, and leaves the pictures where they were drawn: on the device where Session.exported, otherwise on the host.
+    fn draw_dlpack(&self, py: Python<'_>, views: GivenViews<'_>) -> PyResult<Pictures> {
+        let views = copied(&views)?;
+        let of_views = views.0.iter().map(|(_, cameras)| cameras.len()).collect();
+        let frames = match &self.lender {
+            Some(lender) => self.drawn_on_device(py, &views, lender)?,
+            None => {
+                let places = views.places();
+                let sizes: Vec<_> = places.iter().map(|place| views.size_px(*place)).collect();
+                let layers = self.drawn(py, &views, &[places])?;
+                layers.into_iter().map(|layers| Frame::on_host(layers, &sizes)).collect()
+            }
+        };
+        Ok(Pictures::new(frames, of_views))
+    }
+
+    /// Takes back pictures that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads.
+    fn collect(&self, py: Python<'_>) -> PyResult<usize> {
+        let Some((lender, _)) = &self.lender else { return Ok(0) };
+        py.detach(|| lender.collect()).map_err(|error| of_interop(&error))
+    }
+
+    /// Buffers of the renderer that are imported into CUDA.
+    #[getter]
+    fn imports(&self) -> usize {
+        self.lender.as_ref().map_or(0, |(lender, _)| lender.imports())
+    }
+
+    /// What the last call took, a frame each.
+    #[getter]
+    fn statistics(&self) -> Vec<Statistics> {
+        lock(&self.statistics).clone()
+    }
+}

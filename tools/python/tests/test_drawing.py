@@ -1,0 +1,204 @@
+"""Sessions, scenes, worlds and viewers."""
+
+import threading
+
+import numpy as np
+import pytest
+
+import decouplegs
+from conftest import pose
+
+
+def test_devices_are_those_that_sessions_open(session):
+    devices = decouplegs.devices()
+    assert [device.index for device in devices] == list(range(len(devices)))
+    own = session.device
+    assert own.uuid in [device.uuid for device in devices] and own.uuid.startswith("uuid:")
+    assert decouplegs.Session(own.uuid, exported=False).device.name == own.name
+
+
+def test_the_rig_is_that_of_the_file(scene):
+    front, left = scene.rig
+    assert (front.name, front.width, front.height) == ("front", 64, 48)
+    np.testing.assert_array_equal(front.K, [[60, 0, 32], [0, 60, 24], [0, 0, 1]])
+    # Looks along x: its z axis is the vehicle's x, its x the vehicle's -y.
+    np.testing.assert_allclose(front.rig_from_camera[:3, :3], [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-12)
+    np.testing.assert_allclose(scene.ego_pose(1.0), pose(2.0), atol=1e-12)
+    assert scene.ego_span_s == (0.0, 2.0)
+    camera = scene.cameras(1.0)[1]
+    np.testing.assert_allclose(camera.world_from_camera, scene.ego_pose(1.0) @ left.rig_from_camera, atol=1e-12)
+    np.testing.assert_allclose(left.at(scene.ego_pose(1.0)).world_from_camera, camera.world_from_camera)
+    half = front.resized(32, 24)
+    assert half.K[0, 0] == 30 and half.K[0, 2] == 16
+    assert (scene.agents, scene.plain_agents) == (["standing", "moving"], ["plain"])
+    assert scene.asset_count == 1 and len(scene.asset_size(0)) == 3
+    np.testing.assert_allclose(scene.agent_pose("moving", 1.0), pose(6.0, 2.0, 1.0), atol=1e-12)
+
+
+def test_pictures_show_what_there_is(session, scene):
+    viewer = session.viewer()
+    world = decouplegs.World(scene, empty=True)
+    pictures = viewer.draw([(world, scene.cameras(0.0))])
+    assert len(pictures) == 1
+    picture = pictures[0]
+    assert picture.shape == (2, 48, 64, 4) and picture.dtype == np.uint8 and picture.flags.c_contiguous
+    left, right = picture[0, 20, 10].astype(int), picture[0, 20, 54].astype(int)
+    assert left[1] > left[0] + 80, "the wall is green on the left"
+    assert right[0] > right[1] + 80, "and red on the right"
+    statistics = viewer.statistics
+    assert len(statistics) == 1 and statistics[0].gpu_ms > 0 and statistics[0].stages_ms and statistics[0].cameras == 2
+
+
+def test_floats_are_the_same_picture_and_layers_come_along(session, scene_file, scene):
+    floats = decouplegs.Session(session.device.uuid, colour="f32", depth=True, instance=True, exported=False)
+    own = floats.open_scene(scene_file)
+    world = decouplegs.World(own)
+    cameras = own.cameras(0.0)
+    layers = floats.viewer().draw_layers([(world, cameras)])[0]
+    assert layers["colour"].dtype == np.float32 and layers["colour"].shape == (2, 48, 64, 4)
+    assert layers["depth"].dtype == np.float32 and layers["depth"].shape == (2, 48, 64)
+    assert layers["instance"].dtype == np.int32 and layers["instance"].shape == (2, 48, 64)
+    seen = {agent.instance for agent in world.agents}
+    assert set(np.unique(layers["instance"])) <= seen | {0, 3} and 0 in layers["instance"]
+    wall = layers["depth"][0][layers["instance"][0] == 0]
+    assert abs(np.median(wall[wall > 0]) - 12.0) < 0.5
+    bytes_ = session.viewer().draw([(decouplegs.World(scene), cameras)])[0]
+    rounded = np.round(np.clip(layers["colour"], 0, 1) * 255)
+    assert np.abs(rounded - bytes_).max() <= 1
+    both = decouplegs.Session(session.device.uuid, depth=True, exported=False)
+    again = both.viewer().draw_layers([(decouplegs.World(both.open_scene(scene_file)), cameras)])[0]
+    np.testing.assert_array_equal(again["colour"], bytes_)
+    assert "instance" not in again
+
+
+def test_agents_move_and_worlds_share_a_scene(session, scene):
+    viewer = session.viewer()
+    one, other = decouplegs.World(scene), decouplegs.World(scene)
+    camera = scene.cameras(0.0)[:1]
+    one.move_to("standing", pose(5.0, 0.0, 1.0, yaw=0.3))
+    instance = other.place("another", 0, pose(5.0, 0.0, 1.2))
+    assert len(other) == 3 and instance not in [agent.instance for agent in other.agents[:2]]
+    empty = decouplegs.World(scene, empty=True)
+    together = viewer.draw([(one, camera), (other, camera), (empty, camera)])
+    assert len(viewer.statistics) == 1, "one submission"
+    alone = [viewer.draw([(world, camera)])[0] for world in (one, other, empty)]
+    for a, b in zip(together, alone):
+        np.testing.assert_array_equal(a, b)
+    assert (together[0] != together[1]).any() and (together[0] != together[2]).any()
+    copy = one.copy()
+    one.remove("standing")
+    assert (len(one), len(copy)) == (1, 2)
+    assert (viewer.draw([(one, camera)])[0] != together[0]).any()
+    np.testing.assert_array_equal(viewer.draw([(copy, camera)])[0], together[0])
+    copy.set_time(1.0)
+    np.testing.assert_allclose({agent.name: agent.pose for agent in copy.agents}["moving"], pose(6.0, 2.0, 1.0), atol=1e-12)
+
+
+def test_a_scene_is_loaded_once_and_goes_with_the_last_who_holds_it(session, scene_file, scene):
+    before = sum(session.memory().values())
+    assert session.open_scene(scene_file).background_splats == scene.background_splats
+    assert sum(session.memory().values()) == before
+    number = scene.add_asset(scene_file.parent / "cone.safetensors")
+    assert number == 1 and scene.asset_count == 2
+
+
+def test_threads_draw_side_by_side(session, scene):
+    world = decouplegs.World(scene)
+    expected = session.viewer().draw([(world, scene.cameras(0.5))])[0]
+    wrong, shared = [], session.viewer()
+
+    def work(viewer):
+        for _ in range(4):
+            if (viewer.draw([(world, scene.cameras(0.5))])[0] != expected).any():
+                wrong.append(threading.get_ident())
+
+    threads = [threading.Thread(target=work, args=(viewer,)) for viewer in (shared, shared, session.viewer())]
+    [thread.start() for thread in threads]
+    [thread.join() for thread in threads]
+    assert not wrong
+
+
+def test_the_lock_of_the_interpreter_is_released_while_something_is_drawn(session, scene):
+    world, viewer = decouplegs.World(scene), session.viewer()
+    large = scene.cameras(0.0, size=(1600, 1200))
+    viewer.draw([(world, large)])
+    counted, done = [0], threading.Event()
+
+    def count():
+        while not done.is_set():
+            counted[0] += 1
+
+    thread = threading.Thread(target=count)
+    thread.start()
+    before = counted[0]
+    viewer.draw([(world, large)])
+    during = counted[0] - before
+    done.set()
+    thread.join()
+    # With the lock held the other thread would get at most a switch interval before the call and one after it.
+    assert during > 20_000, during
+
+
+def test_camera_sizes_of_a_view_are_equal_and_views_may_differ(session, scene):
+    world, viewer = decouplegs.World(scene), session.viewer()
+    small, large = scene.cameras(0.0)[:1], scene.cameras(0.0, size=(96, 72))[:1]
+    with pytest.raises(ValueError, match="64x48 and 96x72"):
+        viewer.draw([(world, small + large)])
+    a, b = viewer.draw([(world, small), (world, large)])
+    assert a.shape == (1, 48, 64, 4) and b.shape == (1, 72, 96, 4)
+    assert len(viewer.statistics) == 1
+
+
+@pytest.mark.parametrize(
+    "matrix, message",
+    [
+        (np.eye(3), r"shape \[4, 4\], found \[3, 3\]"),
+        (np.full((4, 4), np.nan), "finite"),
+        (np.diag([2.0, 1.0, 1.0, 1.0]), "no rotation"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "mirrors"),
+        (np.diag([1.0, 1.0, 1.0, 2.0]), "last row"),
+        (np.eye(4) + 1e-5, "no rotation|last row"),
+    ],
+)
+def test_poses_that_are_none_are_refused(scene, matrix, message):
+    with pytest.raises(ValueError, match=message):
+        decouplegs.World(scene).move_to("standing", matrix)
+    with pytest.raises(ValueError, match="world_from_camera"):
+        decouplegs.Camera(4, 4, np.diag([4.0, 4.0, 1.0]), matrix)
+
+
+def test_poses_may_be_lists_and_floats_of_less(scene):
+    world = decouplegs.World(scene)
+    world.move_to("standing", pose(1.0, yaw=0.7).tolist())
+    world.move_to("standing", pose(1.0, yaw=0.7).astype(np.float32))
+    with pytest.raises(TypeError, match="array of numbers"):
+        world.move_to("standing", "here")
+
+
+def test_what_is_wrong_is_said(session, scene, tmp_path):
+    world, viewer = decouplegs.World(scene), session.viewer()
+    with pytest.raises(KeyError, match="standing, moving"):
+        world.move_to("nobody", np.eye(4))
+    with pytest.raises(ValueError, match="plain splats"):
+        world.remove("plain")
+    with pytest.raises(IndexError, match="has no asset 9"):
+        world.place("new", 9, np.eye(4))
+    with pytest.raises(ValueError, match="at least one"):
+        viewer.draw([])
+    with pytest.raises(ValueError, match="at least one camera"):
+        viewer.draw([(world, [])])
+    with pytest.raises(decouplegs.FileError, match="missing.toml"):
+        session.open_scene(tmp_path / "missing.toml")
+    (tmp_path / "wrong.toml").write_text("version = 7")
+    with pytest.raises(decouplegs.Error, match="wrong.toml"):
+        session.open_scene(tmp_path / "wrong.toml")
+    with pytest.raises(decouplegs.DeviceError, match="no device matches .* found 0 ="):
+        decouplegs.Session("a device that nobody has")
+    with pytest.raises(ValueError, match="colour"):
+        decouplegs.Session(colour="u16")
+    with pytest.raises(ValueError, match="skew"):
+        decouplegs.Camera(4, 4, [[4, 1, 2], [0, 4, 2], [0, 0, 1]], np.eye(4))
+    with pytest.raises(ValueError, match="focal"):
+        decouplegs.Camera(4, 4, [[-4, 0, 2], [0, 4, 2], [0, 0, 1]], np.eye(4))
+    with pytest.raises(ValueError, match="finite"):
+        world.set_time(float("nan"))
