@@ -25,7 +25,7 @@ pub fn some_transfer(seed: u64) -> ColourTransfer {
 }
 
 /// A shadow on ground that is tilted, below the background's middle.
-fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
+pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
     ContactShadow {
         world_from_ground: Pose::new(DQuat::from_rotation_z(yaw_rad) * DQuat::from_rotation_x(0.1), at),
         half_size_m: [2.2, 0.9],

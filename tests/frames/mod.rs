@@ -10,6 +10,7 @@ mod light;
 mod orders;
 mod outputs;
 mod scenes;
+mod worlds;
 
 pub use agents::background;
 

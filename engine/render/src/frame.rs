@@ -31,8 +31,50 @@ pub(crate) struct FrameShape {
     pub ranked: bool,
 }
 
+impl FrameShape {
+    /// Whether buffers of this shape serve a frame of shape `other`.
+    pub fn covers(&self, other: &Self) -> bool {
+        self.capacity == other.capacity && self.with(other) == *self
+    }
+
+    /// The smallest shape, with the capacity of `other`, that covers both.
+    pub fn with(&self, other: &Self) -> Self {
+        Self {
+            capacity: other.capacity,
+            cameras: self.cameras.max(other.cameras),
+            splats: self.splats.max(other.splats),
+            chunks: self.chunks.max(other.chunks),
+            bins: self.bins.max(other.bins),
+            ranked: self.ranked || other.ranked,
+        }
+    }
+}
+
+/// All splats of a background, as the radix sort takes them.
+struct AllSplats {
+    splats: usize,
+    segment: Buffer<SortSegment>,
+    /// The workgroups that the sort needs for them.
+    blocks: Buffer<[u32; 3]>,
+}
+
+impl AllSplats {
+    fn new(gpu: &Gpu, splats: usize, sort: SortShape) -> Result<Self, GpuError> {
+        let all = SortSegment { first: 0, count: splats as u32, first_block: 0 };
+        let blocks = crate::capacity::groups_for(splats.div_ceil(sort.block() as usize));
+        let segment = gpu.upload("all_splats", PURPOSE, &[all])?;
+        Ok(Self { splats, segment, blocks: gpu.upload("all_splat_blocks", PURPOSE, &[blocks])? })
+    }
+}
+
+/// Backgrounds that frames may take turns with before they wait for a small upload.
+const WORLDS_REMEMBERED: usize = 16;
+
 /// The buffers of a frame that only the device sees: frames in flight share them, as they run one after the other.
 pub(crate) struct FrameBuffers {
+    /// What they are made for: as many cameras, splats and so on at most, so that frames that take turns share them.
+    room: FrameShape,
+    /// The frame that is recorded.
     pub shape: FrameShape,
     control: Control,
     cameras: Buffer<CameraRecord>,
@@ -40,8 +82,8 @@ pub(crate) struct FrameBuffers {
     firsts: Buffer<u32>,
     rank_lists: RankLists,
     order_plan: OrderPlan,
-    /// All splats of the background, as the radix sort takes them, and the workgroups that it needs for them.
-    all_splats: (Buffer<SortSegment>, Buffer<[u32; 3]>),
+    /// All splats of a background, by their number: that of the frame is the first.
+    all_splats: Vec<AllSplats>,
     projected: Projected,
     /// First records by depth, then pairs by macro tile.
     sort: SortScratch,
@@ -56,9 +98,8 @@ impl FrameBuffers {
         let FrameShape { capacity, cameras, splats, chunks, bins, ranked } = shape;
         let device = Residence::Device;
         let keys = capacity.records.max(capacity.pairs).max(if ranked { splats } else { 0 });
-        let all = SortSegment { first: 0, count: splats as u32, first_block: 0 };
-        let blocks = crate::capacity::groups_for(splats.div_ceil(sort.block() as usize));
         Ok(Self {
+            room: shape,
             shape,
             control: Control::new(gpu)?,
             cameras: gpu.buffer("cameras", PURPOSE, cameras, device)?,
@@ -66,7 +107,7 @@ impl FrameBuffers {
             firsts: gpu.buffer("firsts", PURPOSE, cameras * chunks + 1, device)?,
             rank_lists: if ranked { RankLists::new(gpu, cameras, chunks)? } else { RankLists::new(gpu, 0, 0)? },
             order_plan: OrderPlan::new(gpu)?,
-            all_splats: (gpu.upload("all_splats", PURPOSE, &[all])?, gpu.upload("all_splat_blocks", PURPOSE, &[blocks])?),
+            all_splats: vec![AllSplats::new(gpu, splats, sort)?],
             projected: Projected::new(gpu, capacity.records)?,
             sort: SortScratch::new(gpu, sort, keys)?,
             pair_counts: gpu.buffer("pair_counts", PURPOSE, capacity.pair_blocks(), device)?,
@@ -74,6 +115,24 @@ impl FrameBuffers {
             plan: Plan::new(gpu, &capacity, bins)?,
             partials: Partials::new(gpu, capacity.partials, outputs)?,
         })
+    }
+
+    /// Makes them those of a frame of `shape`, which they cover.
+    pub fn set(&mut self, gpu: &Gpu, shape: FrameShape, sort: SortShape) -> Result<(), GpuError> {
+        match self.all_splats.iter().position(|all| all.splats == shape.splats) {
+            Some(place) => self.all_splats.swap(0, place),
+            None => {
+                self.all_splats.truncate(WORLDS_REMEMBERED - 1);
+                self.all_splats.insert(0, AllSplats::new(gpu, shape.splats, sort)?);
+            }
+        }
+        self.shape = shape;
+        Ok(())
+    }
+
+    /// What they are made for.
+    pub fn room(&self) -> &FrameShape {
+        &self.room
     }
 
     fn static_lists(&self) -> StaticLists<'_> {
@@ -184,8 +243,8 @@ fn find_order(
     set: usize,
 ) {
     orders.ranks.record_keys(r, input.world, &frame.cameras, camera, &frame.sort);
-    let (segments, blocks) = &frame.all_splats;
-    let all = SortInput { segments, segment_count: 1, arguments: blocks.binding(), arguments_offset: 0, first: 0 };
+    let AllSplats { segment, blocks, .. } = &frame.all_splats[0];
+    let all = SortInput { segments: segment, segment_count: 1, arguments: blocks.binding(), arguments_offset: 0, first: 0 };
     let sorted = stages.common.sort.record(r, &frame.sort, all, DEPTH_KEY_BITS);
     orders.ranks.record_ranks(r, &frame.sort.values[sorted], input.world.splats, input.ranks, set);
 }

@@ -130,9 +130,9 @@ impl Renderer {
 
     fn try_submit(&mut self, scene: Scene<'_>, cameras: &[Camera]) -> Result<(), RenderError> {
         let since = Instant::now();
-        let slot = self.free_slot()?;
         let options = self.options;
         let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?).map_err(RenderError::View)?;
+        let slot = self.free_slot(view.pixels)?;
         let list = AgentList::new(&scene, cameras, &view, near_m(&options.rules), options.level_pitch_px)?;
         let orders = match &mut self.orders {
             Some(orders) => orders,
@@ -297,15 +297,18 @@ impl Renderer {
         })
     }
 
-    /// A slot that no frame in flight has.
-    fn free_slot(&mut self) -> Result<usize, RenderError> {
+    /// A slot that no frame in flight has, one with room for just `pixels` if there is one: frames of two sizes that take turns
+    /// then make no buffers.
+    fn free_slot(&mut self, pixels: usize) -> Result<usize, RenderError> {
         let max = self.options.frames_in_flight.max(1);
         if self.in_flight.len() >= max {
             return Err(RenderError::TooManyInFlight { max });
         }
         // Not the one whose pictures may be read, as long as there is another.
         let free = |slot: &usize| !self.in_flight.contains(slot);
-        let slot = (0..self.slots.len()).filter(free).min_by_key(|slot| self.shown == Some(*slot));
+        let slot = (0..self.slots.len())
+            .filter(free)
+            .min_by_key(|slot| (self.slots[*slot].pixels() != pixels, self.shown == Some(*slot)));
         match slot {
             // One place is enough for those who wait for every frame.
             Some(slot) if self.shown != Some(slot) || self.in_flight.is_empty() || self.slots.len() >= max => {
@@ -389,14 +392,18 @@ impl Renderer {
             splats: world.splats,
             chunks: world.chunk_count(),
             bins: view.bins,
-            // Buffers that serve kept orders serve frames without them as well.
-            ranked: variant.orders || self.frame.as_ref().is_some_and(|frame| frame.shape.ranked),
+            ranked: variant.orders,
         };
-        if self.frame.as_ref().is_none_or(|frame| frame.shape != shape) {
-            // The old ones go first: both would not always fit.
-            self.frame = None;
-            self.frame = Some(FrameBuffers::new(&self.gpu, shape, &self.options.outputs, self.sort)?);
-            self.capacity = Some(shape.capacity);
+        match &mut self.frame {
+            Some(frame) if frame.room().covers(&shape) => frame.set(&self.gpu, shape, self.sort)?,
+            frame => {
+                // The old ones go first: both would not always fit.
+                let room = frame.take().map_or(shape, |old| old.room().with(&shape));
+                let mut made = FrameBuffers::new(&self.gpu, room, &self.options.outputs, self.sort)?;
+                made.set(&self.gpu, shape, self.sort)?;
+                *frame = Some(made);
+                self.capacity = Some(shape.capacity);
+            }
         }
         Ok(shape.capacity)
     }

@@ -98,6 +98,11 @@ impl FrameSlot {
         (room, std::mem::replace(&mut self.pictures, self.no_pictures.clone()))
     }
 
+    /// Pixels that its pictures are made for.
+    pub fn pixels(&self) -> usize {
+        self.room.0
+    }
+
     /// The assets of its agents.
     pub fn pool(&self) -> Option<&crate::asset_pool::PoolBuffers> {
         self.list.as_ref().map(|list| &list.pool)
