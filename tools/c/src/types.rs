@@ -163,7 +163,7 @@ pub struct DgsSessionOptions {
 
 impl DgsSessionOptions {
     /// Its size when it was first published.
-    pub const FIRST_BYTES: usize = 24;
+    pub(crate) const FIRST_BYTES: usize = 24;
     pub const DEFAULT: Self =
         Self { struct_bytes: size_of::<Self>() as u32, colour: 0, depth: 0, instance: 0, device: std::ptr::null() };
 }
@@ -204,7 +204,7 @@ pub struct DgsDevice {
 
 impl DgsDevice {
     /// Its size when it was first published.
-    pub const FIRST_BYTES: usize = 544;
+    pub(crate) const FIRST_BYTES: usize = 544;
 
     pub fn of(info: &DeviceInfo) -> Self {
         let kind = match info.kind {
@@ -257,7 +257,7 @@ pub struct DgsStatistics {
 
 impl DgsStatistics {
     /// Its size when it was first published.
-    pub const FIRST_BYTES: usize = 48;
+    pub(crate) const FIRST_BYTES: usize = 48;
 }
 
 #[cfg(test)]

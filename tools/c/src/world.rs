@@ -174,7 +174,7 @@ pub unsafe extern "C" fn dgs_world_agent_name(
     guarded(|call| {
         let held = WORLDS.find(call, world)?;
         // SAFETY: as the header asks of all pointers.
-        unsafe { give_text(&agent(&*held.read()?, index)?.name, buffer, capacity, length) }
+        unsafe { give_text(&agent(&held.read()?, index)?.name, buffer, capacity, length) }
     })
 }
 
@@ -185,7 +185,7 @@ pub unsafe extern "C" fn dgs_world_agent(world: *const DgsWorld, index: usize, a
         // SAFETY: as the header asks of all pointers.
         let place = unsafe { out("agent", agent) }?;
         let held = WORLDS.find(call, world)?;
-        let placed = self::agent(&*held.read()?, index)?.placed;
+        let placed = self::agent(&held.read()?, index)?.placed;
         place.write(DgsAgent { pose: DgsPose::of(&placed.pose), asset: placed.asset as u32, instance: placed.instance.into() });
         Ok(())
     })

@@ -94,8 +94,8 @@ static void misuse_scenes(const DgsSession *session, const char *path) {
     EXPECT(DGS_STATUS_NOT_FOUND, "no camera", dgs_scene_camera_at(scene, count, 0.0, &camera));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "time is", dgs_scene_camera_at(scene, 0, NAN, &camera));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "time is", dgs_scene_ego_at(scene, INFINITY, &pose));
-    EXPECT(DGS_STATUS_TOO_SMALL, "5 bytes, the buffer has 4", dgs_scene_camera_name(scene, 0, name, sizeof name, &length));
-    require(length == 4, "the name's length is told");
+    EXPECT(DGS_STATUS_TOO_SMALL, "6 bytes, the buffer has 4", dgs_scene_camera_name(scene, 0, name, sizeof name, &length));
+    require(length == 5, "the name's length is told");
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "buffer is NULL", dgs_scene_camera_name(scene, 0, NULL, 9, NULL));
     OK(dgs_scene_camera_name(scene, 1, NULL, 0, &length));
     EXPECT(DGS_STATUS_NOT_FOUND, "no agent", dgs_scene_agent_name(scene, SIZE_MAX, name, sizeof name, NULL));
