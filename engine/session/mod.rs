@@ -250,7 +250,7 @@ impl SessionScene {
     /// When the file is missing or wrong, or the device has not the memory.
     pub fn add_asset(&self, path: &Path) -> Result<usize, SessionError> {
         let asset = read_coded(path)?;
-        Ok(self.live_mut().add_asset(&asset)?)
+        Ok(self.live_mut().add_asset(&asset.cloud)?)
     }
 
     /// Splats of the background.

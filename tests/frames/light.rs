@@ -224,13 +224,13 @@ fn light_and_shadows_that_are_none_are_refused() {
     let mut stage = Stage::of(&gpu, &case);
     let mut agents = case.agents(&stage.assets);
     let nowhere = [ContactShadow { strength: f64::NAN, ..case.shadows[0] }];
-    let scene = Scene { world: &stage.world, agents: None, shadows: &nowhere };
+    let scene = Scene { shadows: &nowhere, ..Scene::from(&stage.world) };
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
     assert!(matches!(error, RenderError::Shadow { index: 0, .. }) && error.to_string().contains("strength"), "{error}");
     let mut dark = some_transfer(1);
     dark.offset[3][1] = f32::INFINITY;
     agents[2].relight = Some(dark);
-    let scene = Scene { world: &stage.world, agents: Some((&stage.pool, &agents)), shadows: &[] };
+    let scene = Scene::with_agents(&stage.world, &stage.pool, &agents);
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
     assert!(matches!(error, RenderError::AgentLight { instance: 3 }), "{error}");
     agents[2].relight = None;
