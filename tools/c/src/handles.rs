@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
 
 use crate::boundary::Call;
 use crate::status::{DgsStatus, Failure};
@@ -70,9 +70,31 @@ impl<T> Registry<T> {
     }
 }
 
-/// What is said where another thread has it.
-pub fn busy(kind: &str) -> Failure {
-    Failure::new(DgsStatus::Busy, format!("another thread is using this {kind}: use it from one at a time"))
+/// Of what one thread uses at a time, whoever comes first. Nobody waits, for who comes second made a mistake.
+///
+/// Locks of the standard library are poisoned by panics too. That is passed over here: handles know which calls were stopped midway.
+pub fn alone<'a, T>(kind: &str, lock: &'a Mutex<T>) -> Result<MutexGuard<'a, T>, Failure> {
+    free(kind, lock.try_lock())
+}
+
+/// Of what is looked at by many or changed by one, to look at it.
+pub fn to_read<'a, T>(kind: &str, lock: &'a RwLock<T>) -> Result<RwLockReadGuard<'a, T>, Failure> {
+    free(kind, lock.try_read())
+}
+
+/// Of what is looked at by many or changed by one, to change it.
+pub fn to_change<'a, T>(kind: &str, lock: &'a RwLock<T>) -> Result<RwLockWriteGuard<'a, T>, Failure> {
+    free(kind, lock.try_write())
+}
+
+fn free<Guard>(kind: &str, tried: Result<Guard, TryLockError<Guard>>) -> Result<Guard, Failure> {
+    match tried {
+        Ok(guard) => Ok(guard),
+        Err(TryLockError::Poisoned(guard)) => Ok(guard.into_inner()),
+        Err(TryLockError::WouldBlock) => {
+            Err(Failure::new(DgsStatus::Busy, format!("another thread is using this {kind}: use it from one at a time")))
+        }
+    }
 }
 
 #[cfg(test)]
@@ -104,5 +126,24 @@ mod tests {
         let text = TEXTS.find(&mut call, handle).unwrap();
         TEXTS.close(handle).unwrap();
         assert_eq!(*text, "here");
+    }
+
+    #[test]
+    fn who_comes_second_is_told_so() {
+        let busy = |failure: Failure| failure.status == DgsStatus::Busy && failure.message.contains("this thing");
+        let one = Mutex::new(1);
+        let held = alone("thing", &one).unwrap();
+        assert!(alone("thing", &one).is_err_and(busy));
+        drop(held);
+        assert_eq!(*alone("thing", &one).unwrap(), 1);
+
+        let many = RwLock::new(2);
+        let readers = [to_read("thing", &many).unwrap(), to_read("thing", &many).unwrap()];
+        assert!(to_change("thing", &many).is_err_and(busy));
+        drop(readers);
+        let writer = to_change("thing", &many).unwrap();
+        assert!(to_read("thing", &many).is_err_and(busy) && to_change("thing", &many).is_err_and(busy));
+        drop(writer);
+        assert_eq!(*to_read("thing", &many).unwrap(), 2);
     }
 }

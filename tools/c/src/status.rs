@@ -1,6 +1,5 @@
 //! What a call returns, and how the engine's errors become that.
 
-use decouplegs::asset::AssetError;
 use decouplegs::gpu::GpuError;
 use decouplegs::render::RenderError;
 use decouplegs::session::SessionError;

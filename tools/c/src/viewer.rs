@@ -1,7 +1,7 @@
 //! Viewers: worlds become pictures.
 
 use std::ffi::c_void;
-use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
 use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, Picture};
@@ -10,10 +10,10 @@ use decouplegs::session::{HostPictures, Session, SessionError, Viewer, WorldView
 
 use crate::arguments::{array, give_growing, out, out_handle};
 use crate::boundary::{Call, guarded};
-use crate::handles::{Registry, busy};
+use crate::handles::{Registry, alone};
 use crate::session::{DgsSession, SESSIONS};
 use crate::status::{DgsStatus, Failure};
-use crate::types::{DgsPicture, DgsPictureKind, DgsStatistics, DgsView};
+use crate::types::{DgsCamera, DgsPicture, DgsPictureKind, DgsStatistics, DgsView};
 use crate::world::{HeldWorld, WORLDS};
 
 /// Draws worlds and keeps the pictures.
@@ -29,12 +29,7 @@ static VIEWERS: Registry<HeldViewer> = Registry::new("viewer");
 
 impl HeldViewer {
     fn lock(&self) -> Result<MutexGuard<'_, Drawing>, Failure> {
-        match self.drawing.try_lock() {
-            Ok(drawing) => Ok(drawing),
-            // The handle is what knows which call was stopped midway.
-            Err(TryLockError::Poisoned(drawing)) => Ok(drawing.into_inner()),
-            Err(TryLockError::WouldBlock) => Err(busy("viewer")),
-        }
+        alone("viewer", &self.drawing)
     }
 }
 
@@ -146,7 +141,7 @@ unsafe fn seen(
         if cameras.is_empty() {
             return Err(Failure::argument(format!("view {view} has no cameras: give it at least one")));
         }
-        let named = |(index, camera): (usize, &crate::types::DgsCamera)| camera.to_camera(format!("view {view}, camera {index}"));
+        let named = |(index, camera): (usize, &DgsCamera)| camera.to_camera(format!("view {view}, camera {index}"));
         Ok((world, cameras.iter().enumerate().map(named).collect::<Result<_, _>>()?))
     });
     seen.collect()

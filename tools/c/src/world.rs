@@ -1,13 +1,13 @@
 //! Worlds: agents over a scene.
 
 use std::ffi::c_char;
-use std::sync::{Arc, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
+use std::sync::{Arc, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use decouplegs::session::{Session, World, WorldAgent};
 
 use crate::arguments::{give_text, one, out, out_handle, text};
 use crate::boundary::guarded;
-use crate::handles::{Registry, busy};
+use crate::handles::{Registry, to_change, to_read};
 use crate::scene::{DgsScene, HeldScene, SCENES, moment};
 use crate::status::{DgsStatus, Failure};
 use crate::types::{DgsAgent, DgsPose};
@@ -30,21 +30,12 @@ impl HeldWorld {
 
     /// To look at, with others.
     pub fn read(&self) -> Result<RwLockReadGuard<'_, World>, Failure> {
-        match self.world.try_read() {
-            Ok(world) => Ok(world),
-            // The handle is what knows which call was stopped midway.
-            Err(TryLockError::Poisoned(world)) => Ok(world.into_inner()),
-            Err(TryLockError::WouldBlock) => Err(busy("world")),
-        }
+        to_read("world", &self.world)
     }
 
     /// To change, alone.
     fn write(&self) -> Result<RwLockWriteGuard<'_, World>, Failure> {
-        match self.world.try_write() {
-            Ok(world) => Ok(world),
-            Err(TryLockError::Poisoned(world)) => Ok(world.into_inner()),
-            Err(TryLockError::WouldBlock) => Err(busy("world")),
-        }
+        to_change("world", &self.world)
     }
 }
 
@@ -173,8 +164,9 @@ pub unsafe extern "C" fn dgs_world_agent_name(
 ) -> DgsStatus {
     guarded(|call| {
         let held = WORLDS.find(call, world)?;
+        let world = held.read()?;
         // SAFETY: as the header asks of all pointers.
-        unsafe { give_text(&agent(&held.read()?, index)?.name, buffer, capacity, length) }
+        unsafe { give_text(&agent(&world, index)?.name, buffer, capacity, length) }
     })
 }
 
@@ -185,7 +177,8 @@ pub unsafe extern "C" fn dgs_world_agent(world: *const DgsWorld, index: usize, a
         // SAFETY: as the header asks of all pointers.
         let place = unsafe { out("agent", agent) }?;
         let held = WORLDS.find(call, world)?;
-        let placed = self::agent(&held.read()?, index)?.placed;
+        let world = held.read()?;
+        let placed = self::agent(&world, index)?.placed;
         place.write(DgsAgent { pose: DgsPose::of(&placed.pose), asset: placed.asset as u32, instance: placed.instance.into() });
         Ok(())
     })
