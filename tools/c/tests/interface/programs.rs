@@ -69,7 +69,12 @@ fn the_example_touches_only_its_own_memory_and_leaks_none() {
     fs::create_dir(&out).unwrap();
     let suppressions = Path::new(FOLDER).join("tests/interface/valgrind.supp");
     let watched = run("valgrind", |command| {
-        command.args(["--error-exitcode=99", "--leak-check=full", "--errors-for-leak-kinds=definite"]);
+        command.args([
+            "--error-exitcode=99",
+            "--leak-check=full",
+            "--show-leak-kinds=definite",
+            "--errors-for-leak-kinds=definite",
+        ]);
         command.arg(format!("--suppressions={}", suppressions.display())).arg(&program).args([&scene, &out]).arg("2");
         // The validation layer is watched elsewhere, and takes minutes here.
         command.env("DECOUPLEGS_VALIDATION", "0")
