@@ -93,6 +93,11 @@ impl Failure {
         Self::new(DgsStatus::InvalidArgument, message)
     }
 
+    /// The same, said of `whom`.
+    pub fn of(self, whom: &str) -> Self {
+        Self { message: format!("{whom}: {}", self.message), ..self }
+    }
+
     pub fn not_found(message: impl Into<String>) -> Self {
         Self::new(DgsStatus::NotFound, message)
     }

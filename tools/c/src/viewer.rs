@@ -109,42 +109,43 @@ pub unsafe extern "C" fn dgs_viewer_draw(viewer: *mut DgsViewer, views: *const D
         if views.is_empty() {
             return Err(Failure::argument("no views were given: draw at least one"));
         }
+        let numbered = views.iter().enumerate();
         // SAFETY: the views' pointers too are as the header asks.
-        let seen = unsafe { seen(call, &held.session, views) }?;
-        let worlds = seen.iter().map(|(world, _)| world.read()).collect::<Result<Vec<_>, _>>()?;
+        let seen = numbered.map(|(index, view)| unsafe { Seen::new(call, &held.session, index, view) });
+        let seen = seen.collect::<Result<Vec<_>, _>>()?;
+        let worlds = seen.iter().map(|seen| seen.world.read()).collect::<Result<Vec<_>, _>>()?;
         let views: Vec<WorldView<'_>> =
-            worlds.iter().zip(&seen).map(|(world, (_, cameras))| WorldView { world, cameras }).collect();
+            worlds.iter().zip(&seen).map(|(world, seen)| WorldView { world, cameras: &seen.cameras }).collect();
         Ok(drawing.draw(&views)?)
     })
 }
 
-/// The worlds and cameras of `views`.
-///
-/// # Safety
-/// The views' pointers are NULL or as the header asks.
-unsafe fn seen(
-    call: &mut Call,
-    session: &Arc<Session>,
-    views: &[DgsView],
-) -> Result<Vec<(Arc<HeldWorld>, Vec<Camera>)>, Failure> {
-    let seen = views.iter().enumerate().map(|(view, &DgsView { world, cameras, camera_count })| {
-        let world = WORLDS
-            .find(call, world)
-            .map_err(|failure| Failure { message: format!("view {view}: {}", failure.message), ..failure })?;
+/// A view, looked up.
+struct Seen {
+    world: Arc<HeldWorld>,
+    cameras: Vec<Camera>,
+}
+
+impl Seen {
+    /// What view number `index`, `view`, shows to a viewer of `session`.
+    ///
+    /// # Safety
+    /// The view's pointers are NULL or as the header asks.
+    unsafe fn new(call: &mut Call, session: &Arc<Session>, index: usize, view: &DgsView) -> Result<Self, Failure> {
+        let world = WORLDS.find(call, view.world).map_err(|failure| failure.of(&format!("view {index}")))?;
         if !Arc::ptr_eq(&world.session, session) {
-            let text =
-                format!("the world of view {view} belongs to another session than the viewer: its device knows nothing of it");
-            return Err(Failure::new(DgsStatus::InvalidHandle, text));
+            let text = "belongs to another session than the viewer: its device knows nothing of it";
+            return Err(Failure::new(DgsStatus::InvalidHandle, format!("the world of view {index} {text}")));
         }
         // SAFETY: promised by our caller; a camera is of numbers.
-        let cameras = unsafe { array(&format!("cameras of view {view}"), cameras, camera_count) }?;
+        let cameras = unsafe { array(&format!("cameras of view {index}"), view.cameras, view.camera_count) }?;
         if cameras.is_empty() {
-            return Err(Failure::argument(format!("view {view} has no cameras: give it at least one")));
+            return Err(Failure::argument(format!("view {index} has no cameras: give it at least one")));
         }
-        let named = |(index, camera): (usize, &DgsCamera)| camera.to_camera(format!("view {view}, camera {index}"));
-        Ok((world, cameras.iter().enumerate().map(named).collect::<Result<_, _>>()?))
-    });
-    seen.collect()
+        let named = |(place, camera): (usize, &DgsCamera)| camera.to_camera(format!("view {index}, camera {place}"));
+        let cameras = cameras.iter().enumerate().map(named).collect::<Result<_, _>>()?;
+        Ok(Self { world, cameras })
+    }
 }
 
 impl Drawing {
