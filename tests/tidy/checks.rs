@@ -29,6 +29,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("tools/server/Cargo.toml", &["decouplegs"]),
     ("tools/python/Cargo.toml", &["decouplegs", "decouplegs-sharing"]),
     ("tools/python/sharing/Cargo.toml", &[]),
+    ("tools/c/Cargo.toml", &["decouplegs"]),
 ];
 
 /// What a crate's own tests may use besides: they need something to drive on.

@@ -1,0 +1,654 @@
+/*
+ * DecoupleGS: 3D Gaussian Splatting for driving simulation, rendered by Vulkan compute.
+ *
+ * A session owns a device and the scenes that were opened on it. A scene is a background and the assets that agents show; it is on
+ * the device once, however many use it. A world is a set of agents over a scene, and costs a few hundred bytes. A viewer draws any
+ * number of worlds for any cameras in one call, and keeps the pictures until its next.
+ *
+ * Statuses. What can fail returns a DgsStatus. dgs_last_error() says in a sentence what was expected, what was found and what to
+ * do. Numbers and structs of a call that failed are not written; handles are set to NULL.
+ *
+ * Handles. A handle is a number in the clothes of a pointer: it points at nothing, is never given out twice, and one that was
+ * closed, made up or is of another kind is DGS_STATUS_INVALID_HANDLE. Handles may be closed in any order: what others still need
+ * stays alive without its handle. NULL may be closed. Where a fault of the library stopped a call midway (DGS_STATUS_PANIC), the
+ * handles of that call can only be closed (DGS_STATUS_POISONED).
+ *
+ * Threads. Every function may be called from any thread. Sessions and scenes are used by many threads at once. A world may be read
+ * and drawn by many at once; a viewer is used by one at a time, as is a world that is changed: whoever comes second does not wait
+ * but gets DGS_STATUS_BUSY.
+ *
+ * Memory. Pointers are NULL only where it says so, and aligned; arrays are as long as the count says. Nothing is kept that a
+ * caller's pointer points at. Only the pictures of dgs_viewer_picture() belong to the library. When the host's memory is used up
+ * the process ends.
+ *
+ * Text is UTF-8 and ends with a NUL. Text that is returned goes into the caller's buffer, and its length without the NUL into
+ * `length`; NULL and 0 for the buffer ask for the length alone.
+ *
+ * Versions. dgs_abi_version() must be DGS_ABI_VERSION: with another number, structs or functions are others. Structs that may get
+ * more fields without that begin with `struct_bytes`, into which the caller writes its sizeof; all other structs stay as they are.
+ *
+ * Units are metres, seconds and pixels. World: z up. Vehicle and agent: x forward, y left, z up. Camera: x right, y down,
+ * z forward. Poses are active: parent = rotation * child + position.
+ *
+ * This file is made from the sources of the library; edits are lost.
+ */
+
+#ifndef DECOUPLEGS_H
+#define DECOUPLEGS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/**
+ * The version of functions and structs that this header describes.
+ */
+#define DGS_ABI_VERSION 1
+
+/**
+ * How a call ended. dgs_last_error() has the sentence.
+ */
+typedef enum {
+    /**
+     * Done.
+     */
+    DGS_STATUS_OK = 0,
+    /**
+     * NULL, a misaligned pointer, text that is not UTF-8, a number out of range or not finite, a struct of an unknown size.
+     */
+    DGS_STATUS_INVALID_ARGUMENT = 1,
+    /**
+     * A handle that was closed, was never given out, is of another kind, or belongs to another session.
+     */
+    DGS_STATUS_INVALID_HANDLE = 2,
+    /**
+     * No device, agent, asset, camera or picture of that name or number.
+     */
+    DGS_STATUS_NOT_FOUND = 3,
+    /**
+     * The buffer is too short for the text: `length` says how long it must be, without the NUL.
+     */
+    DGS_STATUS_TOO_SMALL = 4,
+    /**
+     * There are as many as there may be.
+     */
+    DGS_STATUS_LIMIT = 5,
+    /**
+     * Another thread is using the viewer or changing the world.
+     */
+    DGS_STATUS_BUSY = 6,
+    /**
+     * A file is missing, cannot be read, or is not what its format promises.
+     */
+    DGS_STATUS_FILE = 7,
+    /**
+     * No Vulkan loader, driver or device, or the driver refused.
+     */
+    DGS_STATUS_DEVICE = 8,
+    /**
+     * The device has not the memory.
+     */
+    DGS_STATUS_OUT_OF_MEMORY = 9,
+    /**
+     * The device stopped answering: close everything and open a session anew.
+     */
+    DGS_STATUS_DEVICE_LOST = 10,
+    /**
+     * This device, session or agent cannot do it.
+     */
+    DGS_STATUS_UNSUPPORTED = 11,
+    /**
+     * A fault of the library, which stopped the call midway. Please report it.
+     */
+    DGS_STATUS_PANIC = 12,
+    /**
+     * The handle was in a call that ended with DGS_STATUS_PANIC: it can only be closed.
+     */
+    DGS_STATUS_POISONED = 13,
+} DgsStatus;
+
+/**
+ * How colours are stored.
+ */
+typedef enum {
+    /**
+     * Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera delivers.
+     */
+    DGS_COLOUR_U8 = 0,
+    /**
+     * Four floats: red, green, blue as blended, unclamped, and alpha.
+     */
+    DGS_COLOUR_F32 = 1,
+} DgsColour;
+
+/**
+ * What is in a picture.
+ */
+typedef enum {
+    /**
+     * uint8_t red, green, blue, alpha; sessions of DGS_COLOUR_U8.
+     */
+    DGS_PICTURE_KIND_RGBA_U8 = 0,
+    /**
+     * float red, green, blue, alpha; sessions of DGS_COLOUR_F32.
+     */
+    DGS_PICTURE_KIND_RGBA_F32 = 1,
+    /**
+     * float: expected depth along the camera's z, metres; 0 where nothing was hit. Sessions with `depth`.
+     */
+    DGS_PICTURE_KIND_DEPTH_F32 = 2,
+    /**
+     * uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with `instance`.
+     */
+    DGS_PICTURE_KIND_INSTANCE_U16 = 3,
+} DgsPictureKind;
+
+/**
+ * What hardware a device is.
+ */
+typedef enum {
+    /**
+     * The driver does not say.
+     */
+    DGS_DEVICE_KIND_OTHER = 0,
+    /**
+     * A card with its own memory.
+     */
+    DGS_DEVICE_KIND_DISCRETE = 1,
+    /**
+     * Part of the processor, sharing its memory.
+     */
+    DGS_DEVICE_KIND_INTEGRATED = 2,
+    /**
+     * Handed through by a hypervisor.
+     */
+    DGS_DEVICE_KIND_VIRTUAL = 3,
+    /**
+     * Software on the processor, such as lavapipe.
+     */
+    DGS_DEVICE_KIND_CPU = 4,
+} DgsDeviceKind;
+
+/**
+ * A background, assets, a rig of cameras and a way of the ego vehicle.
+ */
+typedef struct DgsScene DgsScene;
+
+/**
+ * A device and the scenes on it.
+ */
+typedef struct DgsSession DgsSession;
+
+/**
+ * Draws worlds and keeps the pictures.
+ */
+typedef struct DgsViewer DgsViewer;
+
+/**
+ * A set of agents over a scene.
+ */
+typedef struct DgsWorld DgsWorld;
+
+/**
+ * A device that Vulkan finds.
+ */
+typedef struct {
+    /**
+     * sizeof(DgsDevice), set by the caller.
+     */
+    uint32_t struct_bytes;
+    /**
+     * A DgsDeviceKind.
+     */
+    uint32_t kind;
+    /**
+     * Size of its largest memory.
+     */
+    uint64_t memory_bytes;
+    /**
+     * The same for this device in every process and after every start; CUDA names it by the same 16 bytes.
+     */
+    uint8_t uuid[16];
+    /**
+     * Its name; ends with a NUL.
+     */
+    char name[256];
+    /**
+     * The driver's name and version; ends with a NUL.
+     */
+    char driver[256];
+} DgsDevice;
+
+/**
+ * How a session is opened. All zero but the size is what most want: the best device and pictures in bytes.
+ */
+typedef struct {
+    /**
+     * sizeof(DgsSessionOptions).
+     */
+    uint32_t struct_bytes;
+    /**
+     * How colours are stored: a DgsColour.
+     */
+    uint32_t colour;
+    /**
+     * 1 to have pictures of depth too, else 0.
+     */
+    uint32_t depth;
+    /**
+     * 1 to have pictures of instances too, else 0.
+     */
+    uint32_t instance;
+    /**
+     * Which device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or NULL or "auto" for the best.
+     */
+    const char *device;
+} DgsSessionOptions;
+
+/**
+ * Where something stands: parent = rotation * child + position.
+ */
+typedef struct {
+    /**
+     * Unit quaternion: w, x, y, z.
+     */
+    double rotation_wxyz[4];
+    /**
+     * Metres.
+     */
+    double position_m[3];
+} DgsPose;
+
+/**
+ * A pinhole camera in the world. The centre of pixel (i, j) is at (i + 0.5, j + 0.5).
+ */
+typedef struct {
+    /**
+     * Width of the picture, at least 1.
+     */
+    uint32_t width_px;
+    /**
+     * Height of the picture, at least 1.
+     */
+    uint32_t height_px;
+    /**
+     * Focal length along x.
+     */
+    double fx_px;
+    /**
+     * Focal length along y.
+     */
+    double fy_px;
+    /**
+     * Principal point, from the left edge of the picture.
+     */
+    double cx_px;
+    /**
+     * Principal point, from the upper edge of the picture.
+     */
+    double cy_px;
+    /**
+     * Where the camera stands: world from camera.
+     */
+    DgsPose world_from_camera;
+} DgsCamera;
+
+/**
+ * An agent as it stands.
+ */
+typedef struct {
+    /**
+     * Where its origin stands: world from agent.
+     */
+    DgsPose pose;
+    /**
+     * Number of the asset that it shows.
+     */
+    uint32_t asset;
+    /**
+     * Its number in pictures of instances, above 0.
+     */
+    uint32_t instance;
+} DgsAgent;
+
+/**
+ * A world, and the cameras that look at it.
+ */
+typedef struct {
+    /**
+     * What is seen. The same world may be in many views.
+     */
+    const DgsWorld *world;
+    /**
+     * Who sees it.
+     */
+    const DgsCamera *cameras;
+    /**
+     * How many; at least one.
+     */
+    size_t camera_count;
+} DgsView;
+
+/**
+ * A picture in the library's memory: rows from the top, pixels from the left.
+ */
+typedef struct {
+    /**
+     * The upper left pixel. Valid until the viewer draws or is closed.
+     */
+    const void *data;
+    /**
+     * From one row to the next.
+     */
+    size_t row_bytes;
+    /**
+     * From one pixel to the next.
+     */
+    uint32_t pixel_bytes;
+    /**
+     * Pixels in a row.
+     */
+    uint32_t width_px;
+    /**
+     * Rows.
+     */
+    uint32_t height_px;
+    /**
+     * A DgsPictureKind.
+     */
+    uint32_t kind;
+} DgsPicture;
+
+/**
+ * What a draw took.
+ */
+typedef struct {
+    /**
+     * sizeof(DgsStatistics), set by the caller.
+     */
+    uint32_t struct_bytes;
+    /**
+     * Frames that were submitted: one draws up to 32 cameras of worlds over the same scene that follow one another.
+     */
+    uint32_t frames;
+    /**
+     * Agents that some camera could see, summed over frames.
+     */
+    uint32_t agents;
+    /**
+     * How often a frame was drawn again because a list outgrew its buffer, which has grown since.
+     */
+    uint32_t redrawn;
+    /**
+     * Time on the device, milliseconds, summed over frames; without what ran beside another frame.
+     */
+    double gpu_ms;
+    /**
+     * Wall clock of the whole call, milliseconds.
+     */
+    double wall_ms;
+    /**
+     * Splats that cameras saw, each counted once for each camera.
+     */
+    uint64_t splats_listed;
+    /**
+     * Memory that the session holds on the device.
+     */
+    uint64_t memory_bytes;
+} DgsStatistics;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+/**
+ * What the last call of this thread that returned a DgsStatus had to say: a sentence, or empty text where it succeeded. Never NULL.
+ * Valid until this thread's next such call.
+ */
+const char *dgs_last_error(void);
+
+/**
+ * The version of the library's functions and structs. Programs compare it with DGS_ABI_VERSION before anything else.
+ */
+uint32_t dgs_abi_version(void);
+
+/**
+ * The version of the library, such as "0.1.0". Valid for ever.
+ */
+const char *dgs_version(void);
+
+/**
+ * A status in a word or two, such as "invalid handle"; "unknown" for a number that is none. Valid for ever.
+ */
+const char *dgs_status_name(int32_t status);
+
+/**
+ * How many devices Vulkan finds, able or not, into `count`. None is DGS_STATUS_DEVICE.
+ */
+DgsStatus dgs_device_count(size_t *count);
+
+/**
+ * What device number `index` is, from 0, into `device`, whose `struct_bytes` is set.
+ */
+DgsStatus dgs_device(size_t index, DgsDevice *device);
+
+/**
+ * Opens a device. `options` may be NULL for the best device and pictures in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
+ * Khronos validation layer watches, which is slow.
+ */
+DgsStatus dgs_session_open(const DgsSessionOptions *options,
+                           DgsSession **session);
+
+/**
+ * Closes a session. Scenes, worlds and viewers that were made of it go on; the device is let go with the last of them.
+ */
+DgsStatus dgs_session_close(DgsSession *session);
+
+/**
+ * Which device a session is on, into `device`, whose `struct_bytes` is set.
+ */
+DgsStatus dgs_session_device(const DgsSession *session, DgsDevice *device);
+
+/**
+ * Bytes that a session's scenes and viewers hold on the device.
+ */
+DgsStatus dgs_session_memory(const DgsSession *session, uint64_t *bytes);
+
+/**
+ * Loads a scene file or a file of splats, unless another handle holds it already: a scene is on the device once, and leaves it when
+ * its handles and worlds are closed. Each call gives a handle of its own, to be closed.
+ */
+DgsStatus dgs_scene_open(const DgsSession *session,
+                         const char *path,
+                         DgsScene **scene);
+
+/**
+ * Closes a handle of a scene. Worlds over the scene go on.
+ */
+DgsStatus dgs_scene_close(DgsScene *scene);
+
+/**
+ * How many splats the background has.
+ */
+DgsStatus dgs_scene_splat_count(const DgsScene *scene, size_t *count);
+
+/**
+ * How many cameras the rig has: 0 for a file of splats.
+ */
+DgsStatus dgs_scene_camera_count(const DgsScene *scene, size_t *count);
+
+/**
+ * The name of camera `index` of the rig, from 0. `length` may be NULL.
+ */
+DgsStatus dgs_scene_camera_name(const DgsScene *scene,
+                                size_t index,
+                                char *buffer,
+                                size_t capacity,
+                                size_t *length);
+
+/**
+ * Camera `index` of the rig, where it is when the ego vehicle is where the scene file has it at `time_s`.
+ */
+DgsStatus dgs_scene_camera_at(const DgsScene *scene, size_t index, double time_s, DgsCamera *camera);
+
+/**
+ * Camera `index` of the rig, where it is when the ego vehicle is at `ego`, world from ego.
+ */
+DgsStatus dgs_scene_camera_on(const DgsScene *scene, size_t index, const DgsPose *ego, DgsCamera *camera);
+
+/**
+ * When the way of the ego vehicle begins and ends, seconds. `start_s` and `end_s` are the same where it stands.
+ */
+DgsStatus dgs_scene_ego_span(const DgsScene *scene,
+                             double *start_s,
+                             double *end_s);
+
+/**
+ * Where the scene file has the ego vehicle at `time_s`: world from ego. Before its way begins and after it ends, it stands.
+ */
+DgsStatus dgs_scene_ego_at(const DgsScene *scene,
+                           double time_s,
+                           DgsPose *pose);
+
+/**
+ * How many agents the scene file has that can be moved: those that a world begins with.
+ */
+DgsStatus dgs_scene_agent_count(const DgsScene *scene, size_t *count);
+
+/**
+ * The name of agent `index` of the scene file, from 0. `length` may be NULL.
+ */
+DgsStatus dgs_scene_agent_name(const DgsScene *scene,
+                               size_t index,
+                               char *buffer,
+                               size_t capacity,
+                               size_t *length);
+
+/**
+ * Agent `index` of the scene file, where that has it at `time_s`.
+ */
+DgsStatus dgs_scene_agent_at(const DgsScene *scene, size_t index, double time_s, DgsAgent *agent);
+
+/**
+ * How many assets agents may show.
+ */
+DgsStatus dgs_scene_asset_count(const DgsScene *scene, size_t *count);
+
+/**
+ * Length, width and height of the box of asset number `asset`, from 0, metres, into three floats.
+ */
+DgsStatus dgs_scene_asset_size(const DgsScene *scene, uint32_t asset, float *size_m);
+
+/**
+ * Copies another compressed asset (.safetensors) to the device, for all worlds over this scene. Its number goes into `asset`.
+ */
+DgsStatus dgs_scene_add_asset(const DgsScene *scene,
+                              const char *path,
+                              uint32_t *asset);
+
+/**
+ * A world with the agents of the scene file, where they are at time 0.
+ */
+DgsStatus dgs_world_new(const DgsScene *scene, DgsWorld **world);
+
+/**
+ * A world without agents.
+ */
+DgsStatus dgs_world_new_empty(const DgsScene *scene, DgsWorld **world);
+
+/**
+ * Another world with agents as those of `world` are now. Over the same scene, they go their own ways from here on.
+ */
+DgsStatus dgs_world_clone(const DgsWorld *world,
+                          DgsWorld **copy);
+
+/**
+ * Closes a world.
+ */
+DgsStatus dgs_world_close(DgsWorld *world);
+
+/**
+ * Puts the agents of the scene file that are still here where that has them at `time_s`.
+ */
+DgsStatus dgs_world_set_time(DgsWorld *world, double time_s);
+
+/**
+ * Moves the agent called `name`. One of plain splats is part of the background and cannot be moved: DGS_STATUS_UNSUPPORTED.
+ */
+DgsStatus dgs_world_move(DgsWorld *world,
+                         const char *name,
+                         const DgsPose *pose);
+
+/**
+ * Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show it. Its number in pictures of
+ * instances goes into `instance`, which may be NULL.
+ */
+DgsStatus dgs_world_place(DgsWorld *world,
+                          const char *name,
+                          uint32_t asset,
+                          const DgsPose *pose,
+                          uint32_t *instance);
+
+/**
+ * Takes the agent called `name` out.
+ */
+DgsStatus dgs_world_remove(DgsWorld *world, const char *name);
+
+/**
+ * How many agents a world has.
+ */
+DgsStatus dgs_world_agent_count(const DgsWorld *world, size_t *count);
+
+/**
+ * The name of agent `index` of a world, from 0. `length` may be NULL. Removing an agent renumbers those behind it.
+ */
+DgsStatus dgs_world_agent_name(const DgsWorld *world,
+                               size_t index,
+                               char *buffer,
+                               size_t capacity,
+                               size_t *length);
+
+/**
+ * Agent `index` of a world, from 0, as it stands.
+ */
+DgsStatus dgs_world_agent(const DgsWorld *world, size_t index, DgsAgent *agent);
+
+/**
+ * A viewer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
+ * memory from draw to draw.
+ */
+DgsStatus dgs_viewer_new(const DgsSession *session,
+                         DgsViewer **viewer);
+
+/**
+ * Closes a viewer. Its pictures go with it.
+ */
+DgsStatus dgs_viewer_close(DgsViewer *viewer);
+
+/**
+ * Draws `count` views, at least one, and waits for the pictures. Worlds over one scene that follow one another are drawn together, 32
+ * cameras at a time. Where it fails, the viewer has no pictures and is as good as before.
+ */
+DgsStatus dgs_viewer_draw(DgsViewer *viewer,
+                          const DgsView *views,
+                          size_t count);
+
+/**
+ * The picture that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsPictureKind. The pixels stay
+ * until the viewer draws or is closed.
+ */
+DgsStatus dgs_viewer_picture(const DgsViewer *viewer,
+                             size_t view,
+                             size_t camera,
+                             uint32_t kind,
+                             DgsPicture *picture);
+
+/**
+ * What the last draw that succeeded took, into `statistics`, whose `struct_bytes` is set.
+ */
+DgsStatus dgs_viewer_statistics(const DgsViewer *viewer, DgsStatistics *statistics);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* DECOUPLEGS_H */

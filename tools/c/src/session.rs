@@ -1,0 +1,118 @@
+//! Devices and sessions.
+
+use std::sync::Arc;
+
+use decouplegs::gpu::{DeviceChoice, Gpu};
+use decouplegs::render::ColourFormat;
+use decouplegs::session::{Session, SessionOptions};
+
+use crate::arguments::{give_growing, growing, out, out_handle, text};
+use crate::boundary::guarded;
+use crate::handles::Registry;
+use crate::status::{DgsStatus, Failure};
+use crate::types::{DgsColour, DgsDevice, DgsSessionOptions};
+
+/// A device and the scenes on it.
+pub struct DgsSession(());
+
+/// Sessions, shared with what was made of them: what belongs to different ones must not meet.
+pub static SESSIONS: Registry<Arc<Session>> = Registry::new("session");
+
+/// How many devices Vulkan finds, able or not, into `count`. None is DGS_STATUS_DEVICE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_device_count(count: *mut usize) -> DgsStatus {
+    guarded(|_| {
+        // SAFETY: as the header asks of all pointers.
+        let count = unsafe { out("count", count) }?;
+        count.write(Gpu::list()?.len());
+        Ok(())
+    })
+}
+
+/// What device number `index` is, from 0, into `device`, whose `struct_bytes` is set.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_device(index: usize, device: *mut DgsDevice) -> DgsStatus {
+    guarded(|_| {
+        let devices = Gpu::list()?;
+        let info = devices.get(index).ok_or_else(|| {
+            Failure::not_found(format!("there is no device {index}: Vulkan finds {}, counted from 0", devices.len()))
+        })?;
+        // SAFETY: as the header asks of all pointers.
+        unsafe { give_growing("device", device, DgsDevice::FIRST_BYTES, &DgsDevice::of(info)) }
+    })
+}
+
+/// Opens a device. `options` may be NULL for the best device and pictures in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
+/// Khronos validation layer watches, which is slow.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_session_open(options: *const DgsSessionOptions, session: *mut *mut DgsSession) -> DgsStatus {
+    guarded(|_| {
+        // SAFETY: as the header asks of all pointers.
+        let session = unsafe { out_handle("session", session) }?;
+        // SAFETY: likewise.
+        let options = unsafe { session_options(options) }?;
+        session.write(SESSIONS.add(Arc::new(Session::open(&options)?)));
+        Ok(())
+    })
+}
+
+/// What the caller asks for.
+///
+/// # Safety
+/// `options` is NULL or as the header asks.
+unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOptions, Failure> {
+    let mut session = SessionOptions::default();
+    if options.is_null() {
+        return Ok(session);
+    }
+    // SAFETY: as the header asks of all pointers; the struct is of numbers and a pointer.
+    let options = unsafe { growing("options", options, DgsSessionOptions::FIRST_BYTES, DgsSessionOptions::DEFAULT) }?;
+    session.render.outputs.colour = match options.colour {
+        colour if colour == DgsColour::U8 as u32 => ColourFormat::U8,
+        colour if colour == DgsColour::F32 as u32 => ColourFormat::F32,
+        other => return Err(Failure::argument(format!("colour is {other}: expected a DgsColour, 0 or 1"))),
+    };
+    session.render.outputs.depth = flag("depth", options.depth)?;
+    session.render.outputs.instance = flag("instance", options.instance)?;
+    if !options.device.is_null() {
+        // SAFETY: as the header asks of all pointers.
+        let Ok(choice) = unsafe { text("device", options.device) }?.parse::<DeviceChoice>();
+        session.device.choice = choice;
+    }
+    Ok(session)
+}
+
+fn flag(what: &str, number: u32) -> Result<bool, Failure> {
+    match number {
+        0 | 1 => Ok(number == 1),
+        _ => Err(Failure::argument(format!("{what} is {number}: expected 0 or 1"))),
+    }
+}
+
+/// Closes a session. Scenes, worlds and viewers that were made of it go on; the device is let go with the last of them.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_session_close(session: *mut DgsSession) -> DgsStatus {
+    guarded(|_| SESSIONS.close(session))
+}
+
+/// Which device a session is on, into `device`, whose `struct_bytes` is set.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_session_device(session: *const DgsSession, device: *mut DgsDevice) -> DgsStatus {
+    guarded(|call| {
+        let session = SESSIONS.find(call, session)?;
+        // SAFETY: as the header asks of all pointers.
+        unsafe { give_growing("device", device, DgsDevice::FIRST_BYTES, &DgsDevice::of(session.gpu().info())) }
+    })
+}
+
+/// Bytes that a session's scenes and viewers hold on the device.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_session_memory(session: *const DgsSession, bytes: *mut u64) -> DgsStatus {
+    guarded(|call| {
+        let session = SESSIONS.find(call, session)?;
+        // SAFETY: as the header asks of all pointers.
+        let bytes = unsafe { out("bytes", bytes) }?;
+        bytes.write(session.gpu().memory().total_bytes);
+        Ok(())
+    })
+}

@@ -1,0 +1,297 @@
+//! The structs that C programs see.
+
+use std::ffi::{c_char, c_void};
+
+use decouplegs::gpu::{DeviceInfo, DeviceKind};
+use decouplegs::scene::{Camera, Intrinsics, Pose};
+use glam::{DQuat, DVec3};
+
+use crate::status::Failure;
+use crate::world::DgsWorld;
+
+/// Rotations are of length 1 up to so much; beyond, something else was meant.
+const ROTATION_LENGTH_SPARE: f64 = 1e-3;
+
+/// Where something stands: parent = rotation * child + position.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DgsPose {
+    /// Unit quaternion: w, x, y, z.
+    pub rotation_wxyz: [f64; 4],
+    /// Metres.
+    pub position_m: [f64; 3],
+}
+
+impl DgsPose {
+    pub fn of(pose: &Pose) -> Self {
+        let [x, y, z, w] = pose.rotation.to_array();
+        Self { rotation_wxyz: [w, x, y, z], position_m: pose.translation.to_array() }
+    }
+
+    pub fn to_pose(self, what: &str) -> Result<Pose, Failure> {
+        let [w, x, y, z] = self.rotation_wxyz;
+        let (rotation, position) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(self.position_m));
+        if !position.is_finite() {
+            return Err(Failure::argument(format!("the position of {what} is {position}: expected finite numbers")));
+        }
+        // Written so that what is not a number fails too.
+        let is_unit = (rotation.length() - 1.0).abs() <= ROTATION_LENGTH_SPARE;
+        if !is_unit {
+            let found = format!("({w}, {x}, {y}, {z})");
+            return Err(Failure::argument(format!("the rotation of {what} is {found}: expected w, x, y, z of length 1")));
+        }
+        Ok(Pose::new(rotation, position))
+    }
+}
+
+/// A pinhole camera in the world. The centre of pixel (i, j) is at (i + 0.5, j + 0.5).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DgsCamera {
+    /// Width of the picture, at least 1.
+    pub width_px: u32,
+    /// Height of the picture, at least 1.
+    pub height_px: u32,
+    /// Focal length along x.
+    pub fx_px: f64,
+    /// Focal length along y.
+    pub fy_px: f64,
+    /// Principal point, from the left edge of the picture.
+    pub cx_px: f64,
+    /// Principal point, from the upper edge of the picture.
+    pub cy_px: f64,
+    /// Where the camera stands: world from camera.
+    pub world_from_camera: DgsPose,
+}
+
+impl DgsCamera {
+    pub fn of(camera: &Camera) -> Self {
+        let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = camera.intrinsics;
+        Self { width_px, height_px, fx_px, fy_px, cx_px, cy_px, world_from_camera: DgsPose::of(&camera.world_from_camera) }
+    }
+
+    /// The camera, called `name` in what goes wrong with it.
+    pub fn to_camera(self, name: String) -> Result<Camera, Failure> {
+        let Self { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = self;
+        let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px };
+        intrinsics.check().map_err(|fault| Failure::argument(format!("{name}: {fault}")))?;
+        Ok(Camera { intrinsics, world_from_camera: self.world_from_camera.to_pose(&name)?, name })
+    }
+}
+
+/// A world, and the cameras that look at it.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct DgsView {
+    /// What is seen. The same world may be in many views.
+    pub world: *const DgsWorld,
+    /// Who sees it.
+    pub cameras: *const DgsCamera,
+    /// How many; at least one.
+    pub camera_count: usize,
+}
+
+/// An agent as it stands.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DgsAgent {
+    /// Where its origin stands: world from agent.
+    pub pose: DgsPose,
+    /// Number of the asset that it shows.
+    pub asset: u32,
+    /// Its number in pictures of instances, above 0.
+    pub instance: u32,
+}
+
+/// How colours are stored.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DgsColour {
+    /// Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera delivers.
+    U8 = 0,
+    /// Four floats: red, green, blue as blended, unclamped, and alpha.
+    F32 = 1,
+}
+
+/// What is in a picture.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DgsPictureKind {
+    /// uint8_t red, green, blue, alpha; sessions of DGS_COLOUR_U8.
+    RgbaU8 = 0,
+    /// float red, green, blue, alpha; sessions of DGS_COLOUR_F32.
+    RgbaF32 = 1,
+    /// float: expected depth along the camera's z, metres; 0 where nothing was hit. Sessions with `depth`.
+    DepthF32 = 2,
+    /// uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with `instance`.
+    InstanceU16 = 3,
+}
+
+/// A picture in the library's memory: rows from the top, pixels from the left.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct DgsPicture {
+    /// The upper left pixel. Valid until the viewer draws or is closed.
+    pub data: *const c_void,
+    /// From one row to the next.
+    pub row_bytes: usize,
+    /// From one pixel to the next.
+    pub pixel_bytes: u32,
+    /// Pixels in a row.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+    /// A DgsPictureKind.
+    pub kind: u32,
+}
+
+/// How a session is opened. All zero but the size is what most want: the best device and pictures in bytes.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct DgsSessionOptions {
+    /// sizeof(DgsSessionOptions).
+    pub struct_bytes: u32,
+    /// How colours are stored: a DgsColour.
+    pub colour: u32,
+    /// 1 to have pictures of depth too, else 0.
+    pub depth: u32,
+    /// 1 to have pictures of instances too, else 0.
+    pub instance: u32,
+    /// Which device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or NULL or "auto" for the best.
+    pub device: *const c_char,
+}
+
+impl DgsSessionOptions {
+    /// Its size when it was first published.
+    pub(crate) const FIRST_BYTES: usize = 24;
+    pub const DEFAULT: Self =
+        Self { struct_bytes: size_of::<Self>() as u32, colour: 0, depth: 0, instance: 0, device: std::ptr::null() };
+}
+
+/// What hardware a device is.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DgsDeviceKind {
+    /// The driver does not say.
+    Other = 0,
+    /// A card with its own memory.
+    Discrete = 1,
+    /// Part of the processor, sharing its memory.
+    Integrated = 2,
+    /// Handed through by a hypervisor.
+    Virtual = 3,
+    /// Software on the processor, such as lavapipe.
+    Cpu = 4,
+}
+
+/// A device that Vulkan finds.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct DgsDevice {
+    /// sizeof(DgsDevice), set by the caller.
+    pub struct_bytes: u32,
+    /// A DgsDeviceKind.
+    pub kind: u32,
+    /// Size of its largest memory.
+    pub memory_bytes: u64,
+    /// The same for this device in every process and after every start; CUDA names it by the same 16 bytes.
+    pub uuid: [u8; 16],
+    /// Its name; ends with a NUL.
+    pub name: [c_char; 256],
+    /// The driver's name and version; ends with a NUL.
+    pub driver: [c_char; 256],
+}
+
+impl DgsDevice {
+    /// Its size when it was first published.
+    pub(crate) const FIRST_BYTES: usize = 544;
+
+    pub fn of(info: &DeviceInfo) -> Self {
+        let kind = match info.kind {
+            DeviceKind::Discrete => DgsDeviceKind::Discrete,
+            DeviceKind::Integrated => DgsDeviceKind::Integrated,
+            DeviceKind::Virtual => DgsDeviceKind::Virtual,
+            DeviceKind::Cpu => DgsDeviceKind::Cpu,
+            DeviceKind::Other => DgsDeviceKind::Other,
+        };
+        Self {
+            struct_bytes: size_of::<Self>() as u32,
+            kind: kind as u32,
+            memory_bytes: info.device_memory_bytes,
+            uuid: info.uuid,
+            name: fixed_text(&info.name),
+            driver: fixed_text(&info.driver),
+        }
+    }
+}
+
+/// `text` and a NUL; cut between characters where it is too long.
+fn fixed_text<const LENGTH: usize>(text: &str) -> [c_char; LENGTH] {
+    let mut fixed = [0; LENGTH];
+    let cut = text.floor_char_boundary(LENGTH - 1);
+    fixed.iter_mut().zip(text[..cut].bytes()).for_each(|(to, byte)| *to = byte as c_char);
+    fixed
+}
+
+/// What a draw took.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DgsStatistics {
+    /// sizeof(DgsStatistics), set by the caller.
+    pub struct_bytes: u32,
+    /// Frames that were submitted: one draws up to 32 cameras of worlds over the same scene that follow one another.
+    pub frames: u32,
+    /// Agents that some camera could see, summed over frames.
+    pub agents: u32,
+    /// How often a frame was drawn again because a list outgrew its buffer, which has grown since.
+    pub redrawn: u32,
+    /// Time on the device, milliseconds, summed over frames; without what ran beside another frame.
+    pub gpu_ms: f64,
+    /// Wall clock of the whole call, milliseconds.
+    pub wall_ms: f64,
+    /// Splats that cameras saw, each counted once for each camera.
+    pub splats_listed: u64,
+    /// Memory that the session holds on the device.
+    pub memory_bytes: u64,
+}
+
+impl DgsStatistics {
+    /// Its size when it was first published.
+    pub(crate) const FIRST_BYTES: usize = 48;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn structs_are_no_smaller_than_when_they_were_published() {
+        assert!(size_of::<DgsSessionOptions>() >= DgsSessionOptions::FIRST_BYTES);
+        assert!(size_of::<DgsDevice>() >= DgsDevice::FIRST_BYTES);
+        assert!(size_of::<DgsStatistics>() >= DgsStatistics::FIRST_BYTES);
+        // Those without a size stay as they are under the ABI version.
+        let frozen =
+            [size_of::<DgsPose>(), size_of::<DgsCamera>(), size_of::<DgsView>(), size_of::<DgsAgent>(), size_of::<DgsPicture>()];
+        assert_eq!(frozen, [56, 96, 24, 64, 32]);
+    }
+
+    #[test]
+    fn long_names_are_cut_between_characters() {
+        let text = |fixed: [c_char; 6]| String::from_utf8(fixed.iter().map(|&byte| byte as u8).collect()).unwrap();
+        assert_eq!(text(fixed_text("abc")), "abc\0\0\0");
+        assert_eq!(text(fixed_text("abcdefgh")), "abcde\0");
+        assert_eq!(text(fixed_text("abcd\u{e4}f")), "abcd\0\0");
+    }
+
+    #[test]
+    fn poses_go_there_and_back() {
+        let pose = Pose::new(DQuat::from_rotation_z(0.4) * DQuat::from_rotation_x(1.0), DVec3::new(1.0, 2.0, 3.0));
+        let back = DgsPose::of(&pose).to_pose("it").unwrap();
+        assert!(back.rotation.angle_between(pose.rotation) < 1e-7 && back.translation == pose.translation);
+        let with = |rotation_wxyz, position_m| DgsPose { rotation_wxyz, position_m }.to_pose("it").map_err(|fault| fault.message);
+        assert!(with([1.0, 0.0, 0.0, 0.0], [0.0, f64::INFINITY, 0.0]).unwrap_err().contains("position of it"));
+        for nonsense in [[0.0; 4], [f64::NAN; 4], [2.0, 0.0, 0.0, 0.0], [1.0, 0.0, f64::INFINITY, 0.0]] {
+            assert!(with(nonsense, [0.0; 3]).unwrap_err().contains("length 1"));
+        }
+    }
+}

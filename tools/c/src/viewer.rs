@@ -1,0 +1,264 @@
+//! Viewers: worlds become pictures.
+
+use std::ffi::c_void;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Instant;
+
+use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, Picture};
+use decouplegs::scene::Camera;
+use decouplegs::session::{HostPictures, Session, SessionError, Viewer, WorldView};
+
+use crate::arguments::{array, give_growing, out, out_handle};
+use crate::boundary::{Call, guarded};
+use crate::handles::{Registry, alone};
+use crate::session::{DgsSession, SESSIONS};
+use crate::status::{DgsStatus, Failure};
+use crate::types::{DgsCamera, DgsPicture, DgsPictureKind, DgsStatistics, DgsView};
+use crate::world::{HeldWorld, WORLDS};
+
+/// Draws worlds and keeps the pictures.
+pub struct DgsViewer(());
+
+/// What a handle of a viewer stands for.
+struct HeldViewer {
+    session: Arc<Session>,
+    drawing: Mutex<Drawing>,
+}
+
+static VIEWERS: Registry<HeldViewer> = Registry::new("viewer");
+
+impl HeldViewer {
+    fn lock(&self) -> Result<MutexGuard<'_, Drawing>, Failure> {
+        alone("viewer", &self.drawing)
+    }
+}
+
+/// A viewer and what it drew last.
+struct Drawing {
+    viewer: Viewer,
+    /// Kept from draw to draw, their memory is used again.
+    bytes: HostPictures,
+    drawn: Drawn,
+    statistics: DgsStatistics,
+}
+
+enum Drawn {
+    /// Nothing yet, or the last draw failed.
+    Nothing,
+    /// What is in [`Drawing::bytes`].
+    Bytes,
+    /// `[view][camera]`
+    Planes(Vec<Vec<Planes>>),
+}
+
+/// One camera's pictures, those that the session has.
+struct Planes {
+    size_px: [u32; 2],
+    rgba_u8: Vec<[u8; 4]>,
+    rgba_f32: Vec<[f32; 4]>,
+    depth: Option<Vec<f32>>,
+    instance: Option<Vec<u16>>,
+}
+
+impl Planes {
+    fn new(picture: Picture, colour: ColourFormat) -> Self {
+        let pixels = || picture.rgb.iter().zip(&picture.alpha).map(|(&[r, g, b], &a)| [r, g, b, a]);
+        // They were bytes on the device, so nothing is lost.
+        let bytes = |pixel: [f32; 4]| pixel.map(|value| (255.0 * value).round() as u8);
+        let (rgba_u8, rgba_f32) = match colour {
+            ColourFormat::U8 => (pixels().map(bytes).collect(), Vec::new()),
+            ColourFormat::F32 => (Vec::new(), pixels().collect()),
+        };
+        let size_px = [picture.width, picture.height];
+        Self { size_px, rgba_u8, rgba_f32, depth: picture.depth, instance: picture.instance }
+    }
+}
+
+/// A viewer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
+/// memory from draw to draw.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_viewer_new(session: *const DgsSession, viewer: *mut *mut DgsViewer) -> DgsStatus {
+    guarded(|call| {
+        // SAFETY: as the header asks of all pointers.
+        let made = unsafe { out_handle("viewer", viewer) }?;
+        let session = Arc::clone(&*SESSIONS.find(call, session)?);
+        let viewer = session.viewer();
+        let (bytes, drawn, statistics) = (HostPictures::default(), Drawn::Nothing, DgsStatistics::default());
+        let drawing = Mutex::new(Drawing { viewer, bytes, drawn, statistics });
+        made.write(VIEWERS.add(HeldViewer { session, drawing }));
+        Ok(())
+    })
+}
+
+/// Closes a viewer. Its pictures go with it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_viewer_close(viewer: *mut DgsViewer) -> DgsStatus {
+    guarded(|_| VIEWERS.close(viewer))
+}
+
+/// Draws `count` views, at least one, and waits for the pictures. Worlds over one scene that follow one another are drawn together, 32
+/// cameras at a time. Where it fails, the viewer has no pictures and is as good as before.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_viewer_draw(viewer: *mut DgsViewer, views: *const DgsView, count: usize) -> DgsStatus {
+    guarded(|call| {
+        let held = VIEWERS.find(call, viewer)?;
+        let mut drawing = held.lock()?;
+        drawing.drawn = Drawn::Nothing;
+        // SAFETY: as the header asks of all pointers; a view is of pointers and a number.
+        let views = unsafe { array("views", views, count) }?;
+        if views.is_empty() {
+            return Err(Failure::argument("no views were given: draw at least one"));
+        }
+        let numbered = views.iter().enumerate();
+        // SAFETY: the views' pointers too are as the header asks.
+        let seen = numbered.map(|(index, view)| unsafe { Seen::new(call, &held.session, index, view) });
+        let seen = seen.collect::<Result<Vec<_>, _>>()?;
+        let worlds = seen.iter().map(|seen| seen.world.read()).collect::<Result<Vec<_>, _>>()?;
+        let views: Vec<WorldView<'_>> =
+            worlds.iter().zip(&seen).map(|(world, seen)| WorldView { world, cameras: &seen.cameras }).collect();
+        Ok(drawing.draw(&views)?)
+    })
+}
+
+/// A view, looked up.
+struct Seen {
+    world: Arc<HeldWorld>,
+    cameras: Vec<Camera>,
+}
+
+impl Seen {
+    /// What view number `index`, `view`, shows to a viewer of `session`.
+    ///
+    /// # Safety
+    /// The view's pointers are NULL or as the header asks.
+    unsafe fn new(call: &mut Call, session: &Arc<Session>, index: usize, view: &DgsView) -> Result<Self, Failure> {
+        let world = WORLDS.find(call, view.world).map_err(|failure| failure.of(&format!("view {index}")))?;
+        if !Arc::ptr_eq(&world.session, session) {
+            let text = "belongs to another session than the viewer: its device knows nothing of it";
+            return Err(Failure::new(DgsStatus::InvalidHandle, format!("the world of view {index} {text}")));
+        }
+        // SAFETY: promised by our caller; a camera is of numbers.
+        let cameras = unsafe { array(&format!("cameras of view {index}"), view.cameras, view.camera_count) }?;
+        if cameras.is_empty() {
+            return Err(Failure::argument(format!("view {index} has no cameras: give it at least one")));
+        }
+        let named = |(place, camera): (usize, &DgsCamera)| camera.to_camera(format!("view {index}, camera {place}"));
+        let cameras = cameras.iter().enumerate().map(named).collect::<Result<_, _>>()?;
+        Ok(Self { world, cameras })
+    }
+}
+
+impl Drawing {
+    fn draw(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
+        let begun = Instant::now();
+        let Outputs { colour, depth, instance, .. } = self.viewer.renderer().options().outputs;
+        let frames = if colour == ColourFormat::U8 && !depth && !instance {
+            let frames = self.viewer.draw(views, &mut self.bytes)?;
+            self.drawn = Drawn::Bytes;
+            frames
+        } else {
+            let (pictures, frames) = self.viewer.draw_pictures(views)?;
+            let planes = |cameras: Vec<Picture>| cameras.into_iter().map(|picture| Planes::new(picture, colour)).collect();
+            self.drawn = Drawn::Planes(pictures.into_iter().map(planes).collect());
+            frames
+        };
+        self.statistics = summed(&frames);
+        self.statistics.memory_bytes = self.viewer.renderer().gpu().memory().total_bytes;
+        self.statistics.wall_ms = 1e3 * begun.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// The picture of a camera, where there is one.
+    fn picture(&self, view: usize, camera: usize, kind: u32) -> Result<DgsPicture, Failure> {
+        match &self.drawn {
+            Drawn::Nothing => Err(Failure::not_found("there are no pictures: nothing was drawn, or the last draw failed")),
+            Drawn::Bytes => {
+                let there = view < self.bytes.views() && camera < self.bytes.cameras(view);
+                if !there {
+                    return Err(no_camera(view, camera));
+                }
+                let bytes = (kind == DgsPictureKind::RgbaU8 as u32).then(|| self.bytes.rgba(view, camera));
+                picture(kind, self.bytes.size_px(view, camera), bytes)
+            }
+            Drawn::Planes(views) => {
+                let planes = views.get(view).and_then(|cameras| cameras.get(camera)).ok_or_else(|| no_camera(view, camera))?;
+                let size_px = planes.size_px;
+                match kind {
+                    kind if kind == DgsPictureKind::RgbaU8 as u32 => picture(kind, size_px, of_some(&planes.rgba_u8)),
+                    kind if kind == DgsPictureKind::RgbaF32 as u32 => picture(kind, size_px, of_some(&planes.rgba_f32)),
+                    kind if kind == DgsPictureKind::DepthF32 as u32 => picture(kind, size_px, planes.depth.as_deref()),
+                    kind => picture(kind, size_px, planes.instance.as_deref()),
+                }
+            }
+        }
+    }
+}
+
+fn no_camera(view: usize, camera: usize) -> Failure {
+    Failure::not_found(format!("the last draw had no camera {camera} in a view {view}; both are counted from 0"))
+}
+
+/// `None` for an empty plane: pictures have at least one pixel.
+fn of_some<T>(plane: &[T]) -> Option<&[T]> {
+    (!plane.is_empty()).then_some(plane)
+}
+
+/// The picture whose values are `values`, rows from the top.
+fn picture<T>(kind: u32, [width_px, height_px]: [u32; 2], values: Option<&[T]>) -> Result<DgsPicture, Failure> {
+    if kind > DgsPictureKind::InstanceU16 as u32 {
+        return Err(Failure::argument(format!("kind is {kind}: expected a DgsPictureKind, 0 to 3")));
+    }
+    let values = values.ok_or_else(|| {
+        let text = "the session has no pictures of this kind: ask for it in DgsSessionOptions (colour, depth, instance)";
+        Failure::new(DgsStatus::Unsupported, text)
+    })?;
+    let pixel_bytes = size_of_val(values) / (width_px as usize * height_px as usize);
+    Ok(DgsPicture {
+        data: values.as_ptr().cast::<c_void>(),
+        row_bytes: pixel_bytes * width_px as usize,
+        pixel_bytes: pixel_bytes as u32,
+        width_px,
+        height_px,
+        kind,
+    })
+}
+
+fn summed(frames: &[FrameStatistics]) -> DgsStatistics {
+    DgsStatistics {
+        frames: frames.len() as u32,
+        agents: frames.iter().map(|frame| frame.agents as u32).sum(),
+        redrawn: frames.iter().map(|frame| frame.redrawn).sum(),
+        gpu_ms: frames.iter().map(|frame| 1e3 * frame.gpu_time.as_secs_f64()).sum(),
+        splats_listed: frames.iter().map(|frame| u64::from(frame.needs.records)).sum(),
+        ..DgsStatistics::default()
+    }
+}
+
+/// The picture that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsPictureKind. The pixels stay
+/// until the viewer draws or is closed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_viewer_picture(
+    viewer: *const DgsViewer,
+    view: usize,
+    camera: usize,
+    kind: u32,
+    picture: *mut DgsPicture,
+) -> DgsStatus {
+    guarded(|call| {
+        // SAFETY: as the header asks of all pointers.
+        let place = unsafe { out("picture", picture) }?;
+        place.write(VIEWERS.find(call, viewer)?.lock()?.picture(view, camera, kind)?);
+        Ok(())
+    })
+}
+
+/// What the last draw that succeeded took, into `statistics`, whose `struct_bytes` is set.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_viewer_statistics(viewer: *const DgsViewer, statistics: *mut DgsStatistics) -> DgsStatus {
+    guarded(|call| {
+        let held = VIEWERS.find(call, viewer)?;
+        let drawing = held.lock()?;
+        // SAFETY: as the header asks of all pointers.
+        unsafe { give_growing("statistics", statistics, DgsStatistics::FIRST_BYTES, &drawing.statistics) }
+    })
+}

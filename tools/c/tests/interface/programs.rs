@@ -1,0 +1,84 @@
+//! C programs that use the library, well and badly.
+
+use std::fs;
+use std::path::Path;
+
+use crate::library::{FOLDER, Linked, compiled, run, succeed};
+use crate::street::small_street;
+
+/// Pixels of a PPM file behind its header.
+fn ppm_pixels(path: &Path) -> Vec<u8> {
+    let bytes = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let header = b"P6\n64 48\n255\n";
+    assert!(bytes.starts_with(header) && bytes.len() == header.len() + 3 * 64 * 48, "{}", path.display());
+    bytes[header.len()..].to_vec()
+}
+
+/// Files that the example writes: of two worlds, two cameras each.
+fn assert_two_worlds(out: &Path, said: &str) {
+    let mut names: Vec<_> = fs::read_dir(out).unwrap().map(|entry| entry.unwrap().path()).collect();
+    names.sort();
+    assert_eq!(names.len(), 4, "{said}");
+    let pictures: Vec<Vec<u8>> = names.iter().map(|path| ppm_pixels(path)).collect();
+    assert!(pictures.iter().all(|picture| picture.iter().any(|&byte| byte != picture[0])), "no picture is of one colour");
+    assert!(pictures[0] != pictures[2], "the car stands elsewhere in the second world");
+    for part in ["2 cameras, 1 agents", "0.1 s: ", " ms on the device"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+}
+
+#[test]
+fn the_example_draws_two_worlds() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = small_street(folder.path(), [64, 48]);
+    for linked in [Linked::Shared, Linked::Static] {
+        let out = folder.path().join(format!("{linked:?}"));
+        fs::create_dir(&out).unwrap();
+        let program = compiled("examples/render_rig.c", linked, &out);
+        let pictures = out.join("pictures");
+        fs::create_dir(&pictures).unwrap();
+        let said = succeed(run(program.to_str().unwrap(), |command| command.args([&scene, &pictures]).arg("2")));
+        assert_two_worlds(&pictures, &said);
+    }
+}
+
+#[test]
+fn misuse_is_told_and_nothing_breaks() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = small_street(folder.path(), [64, 48]);
+    let program = compiled("tests/interface/misuse.c", Linked::Static, folder.path());
+    let said = succeed(run(program.to_str().unwrap(), |command| command.arg(&scene)));
+    assert_eq!(said, "0 failures\n");
+}
+
+#[test]
+fn pictures_of_every_kind_agree() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = small_street(folder.path(), [64, 48]);
+    let program = compiled("tests/interface/pictures.c", Linked::Shared, folder.path());
+    let said = succeed(run(program.to_str().unwrap(), |command| command.arg(&scene)));
+    assert!(said.contains("pixels are the agent's"), "{said}");
+}
+
+#[test]
+fn the_example_touches_only_its_own_memory_and_leaks_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = small_street(folder.path(), [64, 48]);
+    let program = compiled("examples/render_rig.c", Linked::Shared, folder.path());
+    let out = folder.path().join("pictures");
+    fs::create_dir(&out).unwrap();
+    let suppressions = Path::new(FOLDER).join("tests/interface/valgrind.supp");
+    let watched = run("valgrind", |command| {
+        command.args([
+            "--error-exitcode=99",
+            "--leak-check=full",
+            "--show-leak-kinds=definite",
+            "--errors-for-leak-kinds=definite",
+        ]);
+        command.arg(format!("--suppressions={}", suppressions.display())).arg(&program).args([&scene, &out]).arg("2");
+        // The validation layer is watched elsewhere, and takes minutes here.
+        command.env("DECOUPLEGS_VALIDATION", "0")
+    });
+    let said = succeed(watched);
+    assert_two_worlds(&out, &said);
+}
