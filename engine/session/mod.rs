@@ -97,6 +97,12 @@ pub enum SessionError {
     /// Bytes were asked of a viewer that draws floats.
     #[error("the viewer stores floats: open the session with ColourFormat::U8 to read bytes")]
     NotBytes,
+    /// A world of another session, whose scenes are not on this device.
+    #[error("view {view} shows a world of another session: draw it with a viewer of its own")]
+    OtherSession {
+        /// Which of the views.
+        view: usize,
+    },
     /// Nothing to draw.
     #[error("a view without cameras was asked for: give each at least one")]
     NoCameras,
@@ -129,6 +135,7 @@ pub struct Session {
 
 /// A scene on the device. It stays there as long as somebody holds it.
 pub struct SessionScene {
+    gpu: Gpu,
     rig: Rig,
     ego: Trajectory,
     agents: Vec<LoadedAgent>,
@@ -206,6 +213,7 @@ impl Session {
         let live = LiveScene::new(&Renderer::new(&self.gpu, self.options.render), loaded)?;
         let moves = |name: &&String| loaded.agents.iter().any(|agent| agent.name == **name);
         Ok(Arc::new(SessionScene {
+            gpu: self.gpu.clone(),
             rig: loaded.rig.clone(),
             ego: loaded.ego.clone(),
             agents: loaded.agents.clone(),
@@ -244,6 +252,11 @@ impl SessionScene {
     #[must_use]
     pub fn plain_agents(&self) -> &[String] {
         &self.plain_agents
+    }
+
+    /// Whether it is on the device that `gpu` is.
+    pub(crate) fn is_on(&self, gpu: &Gpu) -> bool {
+        self.gpu.is(gpu)
     }
 
     /// Assets that agents may show.

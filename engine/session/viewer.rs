@@ -131,6 +131,9 @@ impl Viewer {
         mut done: impl FnMut(&mut Renderer, usize, &Batch) -> Result<(), SessionError>,
     ) -> Result<Vec<FrameStatistics>, SessionError> {
         self.drain();
+        if let Some(view) = views.iter().position(|view| !view.world.scene().is_on(self.renderer.gpu())) {
+            return Err(SessionError::OtherSession { view });
+        }
         let batches = batches(views, self.pixels_max())?;
         let mut statistics = Vec::with_capacity(batches.len());
         let mut waiting: VecDeque<usize> = VecDeque::new();

@@ -157,6 +157,10 @@ fn what_a_world_cannot_do_is_said() {
     assert!(matches!(viewer.draw_pictures(&[WorldView { cameras: &[], ..view[0] }]), Err(SessionError::NoCameras)));
     let (good, _) = viewer.draw_pictures(&view).unwrap();
     assert!(good[0][0].depth.is_some());
+    let elsewhere = self::session(Outputs { depth: true, ..Outputs::default() });
+    let other = World::new(&elsewhere.add_scene(&loaded(3)).unwrap());
+    let foreign = [view[0], WorldView { world: &other, cameras: &cameras }];
+    assert!(matches!(viewer.draw_pictures(&foreign), Err(SessionError::OtherSession { view: 1 })));
     // A frame that cannot be drawn leaves the viewer as good as before.
     let mut lost = World::new(&scene);
     lost.move_to("a", Pose { translation: DVec3::NAN, ..Pose::IDENTITY }).unwrap();

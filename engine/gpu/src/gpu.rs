@@ -81,6 +81,12 @@ impl Gpu {
         &self.0.context.limits
     }
 
+    /// Whether `other` is this very device as it was opened: buffers of one are of no use to another.
+    #[must_use]
+    pub fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+
     /// Whether work for [`QueueRole::Update`] has a queue of its own.
     #[must_use]
     pub fn has_update_queue(&self) -> bool {

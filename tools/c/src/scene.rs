@@ -133,7 +133,7 @@ fn rig_camera(scene: &SessionScene, index: usize) -> Result<&RigCamera, Failure>
 
 fn camera_on(scene: &SessionScene, index: usize, ego: &Pose) -> Result<DgsCamera, Failure> {
     let rig = Rig { cameras: vec![rig_camera(scene, index)?.clone()] };
-    Ok(DgsCamera::of(&rig.at(ego)[0]))
+    DgsCamera::of(&rig.at(ego)[0])
 }
 
 /// When the way of the ego vehicle begins and ends, seconds. `start_s` and `end_s` are the same where it stands.

@@ -120,6 +120,7 @@ impl From<SessionError> for Failure {
             SessionError::PlainSplats { .. } | SessionError::NotBytes => DgsStatus::Unsupported,
             SessionError::TooManyAgents { .. } => DgsStatus::Limit,
             SessionError::NoCameras => DgsStatus::InvalidArgument,
+            SessionError::OtherSession { .. } => DgsStatus::InvalidHandle,
         };
         Self::new(status, error.to_string())
     }

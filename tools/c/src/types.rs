@@ -3,10 +3,10 @@
 use std::ffi::{c_char, c_void};
 
 use decouplegs::gpu::{DeviceInfo, DeviceKind};
-use decouplegs::scene::{Camera, Intrinsics, Pose};
+use decouplegs::scene::{Camera, Intrinsics, Lens, Pose};
 use glam::{DQuat, DVec3};
 
-use crate::status::Failure;
+use crate::status::{DgsStatus, Failure};
 use crate::world::DgsWorld;
 
 /// Rotations are of length 1 up to so much; beyond, something else was meant.
@@ -65,15 +65,24 @@ pub struct DgsCamera {
 }
 
 impl DgsCamera {
-    pub fn of(camera: &Camera) -> Self {
-        let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = camera.intrinsics;
-        Self { width_px, height_px, fx_px, fy_px, cx_px, cy_px, world_from_camera: DgsPose::of(&camera.world_from_camera) }
+    /// `camera`, which must be a pinhole: others do not fit.
+    pub fn of(camera: &Camera) -> Result<Self, Failure> {
+        let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics;
+        if lens != Lens::Pinhole {
+            let text = format!(
+                "camera {:?} has a lens, and cameras of this interface are pinholes: describe one of your own",
+                camera.name
+            );
+            return Err(Failure::new(DgsStatus::Unsupported, text));
+        }
+        let world_from_camera = DgsPose::of(&camera.world_from_camera);
+        Ok(Self { width_px, height_px, fx_px, fy_px, cx_px, cy_px, world_from_camera })
     }
 
     /// The camera, called `name` in what goes wrong with it.
     pub fn to_camera(self, name: String) -> Result<Camera, Failure> {
         let Self { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = self;
-        let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px };
+        let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens: Lens::Pinhole };
         intrinsics.check().map_err(|fault| Failure::argument(format!("{name}: {fault}")))?;
         Ok(Camera { intrinsics, world_from_camera: self.world_from_camera.to_pose(&name)?, name })
     }

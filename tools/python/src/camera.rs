@@ -1,6 +1,6 @@
 //! Cameras.
 
-use decouplegs::scene::{Camera as EngineCamera, Intrinsics, RigCamera as EngineRigCamera};
+use decouplegs::scene::{Camera as EngineCamera, Intrinsics, Lens, RigCamera as EngineRigCamera};
 use pyo3::prelude::*;
 
 use crate::array::{matrix, shaped};
@@ -33,7 +33,7 @@ fn intrinsics_of(width_px: u32, height_px: u32, k: &Bound<'_, PyAny>) -> PyResul
             "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found a skew of {skew}, {zero} below it and the last row {last:?}"
         )));
     }
-    let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px };
+    let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens: Lens::Pinhole };
     intrinsics.check().map_err(value_error)?;
     Ok(intrinsics)
 }

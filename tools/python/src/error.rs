@@ -56,9 +56,10 @@ pub fn of_session(error: &SessionError) -> PyErr {
         SessionError::Render(error) => of_render(error),
         SessionError::NoAgent { .. } => PyKeyError::new_err(text),
         SessionError::NoAsset { .. } => PyIndexError::new_err(text),
-        SessionError::PlainSplats { .. } | SessionError::TooManyAgents { .. } | SessionError::NoCameras => {
-            PyValueError::new_err(text)
-        }
+        SessionError::PlainSplats { .. }
+        | SessionError::TooManyAgents { .. }
+        | SessionError::NoCameras
+        | SessionError::OtherSession { .. } => PyValueError::new_err(text),
         _ => Error::new_err(text),
     }
 }

@@ -61,6 +61,7 @@ impl Cull {
     }
 
     /// Marks what `cameras` see of `world`, and its ranks in the orders that are kept.
+    #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
     pub fn record(
         &self,
         recorder: &mut Recorder,
