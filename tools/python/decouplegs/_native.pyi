@@ -146,6 +146,8 @@ class Session:
         """Bytes on the device by purpose."""
     def take_validation_messages(self) -> list[str]:
         """What the Vulkan validation layer said since the last call; it is on with DECOUPLEGS_VALIDATION=1."""
+    def __copy__(self) -> Session: ...
+    def __deepcopy__(self, memo: Any) -> Session: ...
 
 class Scene:
     """A scene on the device, which stays there as long as something of it is held."""
@@ -359,6 +361,8 @@ class Site:
     @property
     def rig(self) -> list[RigCamera]:
         """The ego's cameras."""
+    def __copy__(self) -> Site: ...
+    def __deepcopy__(self, memo: Any) -> Site: ...
 
 class StepResult(TypedDict):
     """What came of a step."""

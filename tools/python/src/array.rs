@@ -49,14 +49,11 @@ pub fn matrix<const R: usize, const C: usize>(what: &str, value: &Bound<'_, PyAn
 /// Rows of `C` finite numbers.
 pub fn rows<const C: usize>(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; C]>> {
     let array = numbers(what, value)?;
-    let &[count, columns] = array.shape() else {
-        return Err(value_error(format!("{what}: expected an array of shape [N, {C}], found {:?}", array.shape())));
-    };
-    if columns != C {
+    if array.shape().len() != 2 || array.shape()[1] != C {
         return Err(value_error(format!("{what}: expected an array of shape [N, {C}], found {:?}", array.shape())));
     }
     let view = array.as_array();
-    Ok((0..count).map(|row| std::array::from_fn(|column| view[[row, column]])).collect())
+    Ok((0..array.shape()[0]).map(|row| std::array::from_fn(|column| view[[row, column]])).collect())
 }
 
 fn numbers<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<PyArrayLikeDyn<'py, f64, AllowTypeChange>> {

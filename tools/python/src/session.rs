@@ -169,6 +169,15 @@ impl Session {
         self.inner.gpu().take_validation_messages()
     }
 
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// A handle: its copies are itself. Gymnasium copies the arguments of environments.
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
+
     fn __repr__(&self) -> String {
         format!("Session({})", self.inner.gpu().info())
     }

@@ -94,4 +94,17 @@ impl Site {
     fn rig(&self) -> Vec<RigCamera> {
         self.scene.rig().cameras.iter().map(|camera| RigCamera { inner: camera.clone() }).collect()
     }
+
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// A handle: its copies are itself. Gymnasium copies the arguments of environments.
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Site({} lanes, {} splats)", self.site.lanes.lanes.len(), self.scene.background_splats())
+    }
 }
