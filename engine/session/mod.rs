@@ -265,7 +265,7 @@ impl SessionScene {
         self.live().asset_count()
     }
 
-    /// Length, width and height of an asset's box, metres, whose bottom centre is the asset's origin.
+    /// Length, width and height of an asset's box, metres, whose centre is the asset's origin.
     ///
     /// # Errors
     /// When there is no such asset.

@@ -72,7 +72,7 @@ impl World {
         }
     }
 
-    /// Moves an agent; world coordinates of its origin, the bottom centre of its box.
+    /// Moves an agent; world coordinates of its origin, the centre of its box.
     ///
     /// # Errors
     /// When there is none of that name, or it is part of the background.
