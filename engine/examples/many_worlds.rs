@@ -1,6 +1,9 @@
 //! Many worlds over one background: each has agents of its own, all are drawn in one call, and images per second are counted.
 //!
-//! `cargo run --release --example many_worlds -- street/scene.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS]`
+//! `cargo run --release --example many_worlds -- street/scene.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS] [AGENTS] [PITCH]`
+//!
+//! Egos are spread over the way of the scene's ego. Each world has the first AGENTS agents of the scene (default: all), where they
+//! are at another time in each. With PITCH, agents are drawn at a level of detail whose splats are so many pixels apart at most.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -9,65 +12,100 @@ use std::time::{Duration, Instant};
 use decouplegs::scene::Camera;
 use decouplegs::session::{HostPictures, Session, SessionOptions, SessionScene, World, WorldView};
 
-/// The first camera of the rig at `size_px`, where the ego of world `world` is at `time_s`: each drives somewhere else.
-fn camera(scene: &SessionScene, size_px: [u32; 2], world: usize, time_s: f64) -> Result<Vec<Camera>, Box<dyn Error>> {
-    let mut rig = scene.rig().clone();
-    rig.cameras.truncate(1);
-    let front = rig.cameras.first_mut().ok_or("the scene has no rig: add a [[rig]] to the scene file")?;
-    front.intrinsics = front.intrinsics.resized(size_px[0], size_px[1]);
-    Ok(rig.at(&scene.ego().at(time_s + 0.37 * world as f64)))
+/// What to draw, and for how long.
+struct Course {
+    worlds: usize,
+    size_px: [u32; 2],
+    length: Duration,
+    agents: usize,
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let path = PathBuf::from(arguments.first().ok_or("usage: many_worlds SCENE.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS]")?);
-    let worlds: usize = arguments.get(1).map_or(Ok(64), |text| text.parse())?;
-    let (width, height) = arguments.get(2).map_or("512x320", String::as_str).split_once('x').ok_or("a size is WIDTHxHEIGHT")?;
-    let size_px = [width.parse()?, height.parse()?];
-    let length = Duration::from_secs_f64(arguments.get(3).map_or(Ok(10.0), |text| text.parse())?);
+impl Course {
+    /// When the ego of world `world` is where it is at step `step`: all over its way, again and again.
+    fn time_s(&self, scene: &SessionScene, world: usize, step: u32) -> f64 {
+        let span_s = scene.ego().poses().last().map_or(0.0, |last| last.time_s);
+        let time_s = 0.1 * f64::from(step) + span_s * world as f64 / self.worlds as f64;
+        if span_s > 0.0 { time_s % span_s } else { 0.0 }
+    }
 
-    let session = Session::open(&SessionOptions::default())?;
-    let scene = session.open_scene(&path)?;
-    println!("{}: {} splats of background, once", session.gpu().info(), scene.background_splats());
-    let mut worlds = vec![World::new(&scene); worlds];
-    for to_host in [false, true] {
+    /// The rig's first camera on an ego.
+    fn cameras(&self, scene: &SessionScene, time_s: f64) -> Result<Vec<Camera>, Box<dyn Error>> {
+        let mut rig = scene.rig().clone();
+        rig.cameras.truncate(1);
+        let front = rig.cameras.first_mut().ok_or("the scene has no rig: add a [[rig]] to the scene file")?;
+        front.intrinsics = front.intrinsics.resized(self.size_px[0], self.size_px[1]);
+        Ok(rig.at(&scene.ego().at(time_s)))
+    }
+
+    fn run(&self, session: &Session, scene: &std::sync::Arc<SessionScene>, to_host: bool) -> Result<(), Box<dyn Error>> {
+        let mut worlds = vec![World::new(scene); self.worlds];
+        for world in &mut worlds {
+            for agent in scene.agents().iter().skip(self.agents) {
+                world.remove(&agent.name)?;
+            }
+        }
         let (mut viewer, mut pictures) = (session.viewer(), HostPictures::default());
-        let (mut times_ms, mut gpu_ms) = (Vec::new(), Vec::new());
+        let (mut times_ms, mut gpu_ms, mut seen) = (Vec::new(), Vec::new(), 0);
         let start = Instant::now();
         for step in 0.. {
-            let time_s = 0.1 * f64::from(step);
-            let cameras = (0..worlds.len()).map(|world| camera(&scene, size_px, world, time_s)).collect::<Result<Vec<_>, _>>()?;
-            for (index, world) in worlds.iter_mut().enumerate() {
-                world.set_time(time_s + 0.61 * index as f64);
-            }
+            let at = |world: usize| self.time_s(scene, world, step);
+            let cameras = (0..self.worlds).map(|world| self.cameras(scene, at(world))).collect::<Result<Vec<_>, _>>()?;
+            worlds.iter_mut().enumerate().for_each(|(index, world)| world.set_time(at(index)));
             let views: Vec<WorldView<'_>> =
                 worlds.iter().zip(&cameras).map(|(world, cameras)| WorldView { world, cameras }).collect();
             let since = Instant::now();
             let frames = if to_host { viewer.draw(&views, &mut pictures)? } else { viewer.draw_on_device(&views)?.1 };
             times_ms.push(1e3 * since.elapsed().as_secs_f64());
             gpu_ms.push(frames.iter().map(|frame| 1e3 * frame.gpu_time.as_secs_f64()).sum::<f64>());
-            if start.elapsed() > length {
+            seen += frames.iter().map(|frame| frame.agents).sum::<usize>();
+            if start.elapsed() > self.length {
                 break;
             }
         }
+        let calls = times_ms.len();
         // The first calls build kernels and find out how large buffers have to be.
-        let settled = times_ms.len().min(20);
-        let [mut wall, mut gpu] =
-            [times_ms.split_off(settled.min(times_ms.len() - 1)), gpu_ms.split_off(settled.min(gpu_ms.len() - 1))];
+        let settled = 20.min(calls - 1);
+        let [mut wall, mut gpu] = [times_ms.split_off(settled), gpu_ms.split_off(settled)];
         wall.sort_by(f64::total_cmp);
         gpu.sort_by(f64::total_cmp);
         let at = |sorted: &[f64], share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];
         println!(
-            "{} worlds, {width}x{height}, pictures {}: median {:.2} ms, p99 {:.2} ms ({:.2} ms on the device), {:.0} images/s over {} calls",
-            worlds.len(),
-            if to_host { "on the host" } else { "on the device" },
+            "{} worlds of {} agents ({:.1} in view a world), {}x{}, pictures on the {}: median {:.2} ms, p99 {:.2} ms ({:.2} ms of it the \
+             device's), {:.0} images/s over {} calls",
+            self.worlds,
+            self.agents.min(scene.agents().len()),
+            seen as f64 / (calls * self.worlds) as f64,
+            self.size_px[0],
+            self.size_px[1],
+            if to_host { "host" } else { "device" },
             at(&wall, 0.5),
             at(&wall, 0.99),
             at(&gpu, 0.5),
-            1e3 * worlds.len() as f64 * wall.len() as f64 / wall.iter().sum::<f64>(),
+            1e3 * self.worlds as f64 * wall.len() as f64 / wall.iter().sum::<f64>(),
             wall.len(),
         );
+        Ok(())
     }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let usage = "usage: many_worlds SCENE.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS] [AGENTS] [PITCH]";
+    let path = PathBuf::from(arguments.first().ok_or(usage)?);
+    let (width, height) = arguments.get(2).map_or("512x320", String::as_str).split_once('x').ok_or("a size is WIDTHxHEIGHT")?;
+    let course = Course {
+        worlds: arguments.get(1).map_or(Ok(64), |text| text.parse())?,
+        size_px: [width.parse()?, height.parse()?],
+        length: Duration::from_secs_f64(arguments.get(3).map_or(Ok(10.0), |text| text.parse())?),
+        agents: arguments.get(4).map_or(Ok(usize::MAX), |text| text.parse())?,
+    };
+    let mut options = SessionOptions::default();
+    options.render.level_pitch_px = arguments.get(5).map(|text| text.parse()).transpose()?;
+    let session = Session::open(&options)?;
+    let scene = session.open_scene(&path)?;
+    println!("{}: {} splats of background, once", session.gpu().info(), scene.background_splats());
+    course.run(&session, &scene, false)?;
+    course.run(&session, &scene, true)?;
     for (purpose, bytes) in session.gpu().memory().bytes_by_purpose {
         println!("{purpose}: {:.1} MB", bytes as f64 / 1e6);
     }

@@ -230,7 +230,7 @@ def no_early_recycling(options) -> dict:
     for _ in range(20):
         with torch.cuda.stream(stream):
             tensor = bench.tensor(bench.views(0.0, (640, 360)))
-            torch.cuda._sleep(50_000_000)
+            torch.cuda._sleep(500_000_000)
             read = tensor.clone()
             del tensor
         for other in range(1, 6):

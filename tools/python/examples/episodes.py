@@ -1,0 +1,131 @@
+"""Drives episodes, one result file each: the part of a campaign that one process does, with or without a cluster.
+
+    python episodes.py --out runs --episodes 20 --level medium            # all of them, here
+    python episodes.py --out runs --episodes 1000 --share 3/100           # every hundredth, from the fourth on: a Slurm array task
+
+An episode whose result is there is not driven again, so that any share may be started again after whatever stopped it. Results
+are written under another name and renamed: a file that is there is whole. The seed of an episode is its number.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import decouplegs
+from decouplegs.gym import DriveEnv
+
+WHEELBASE_M = 2.9
+SPEED_GAIN_PER_S = 0.8
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What an episode is."""
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results, one JSON file an episode")
+    parser.add_argument("--episodes", type=int, default=4, help="how many there are in all, with seeds from 0 on (default 4)")
+    parser.add_argument("--level", default="easy", choices=["easy", "medium", "hard", "extreme"])
+    parser.add_argument("--size", default="160x90", help="pictures, WIDTHxHEIGHT (default 160x90)")
+    parser.add_argument("--background", type=int, default=100_000, help="splats of the street (default 100000)")
+    parser.add_argument("--duration", type=float, default=20.0, help="seconds that an episode lasts at most (default 20)")
+
+
+def follow(observation: dict[str, Any]) -> np.ndarray:
+    """A driver to have one: steers for the route ahead, keeps the route's speed, and does not look at the pictures."""
+    speed_mps = float(observation["ego"][0])
+    ahead = observation["route"][min(1 + int(speed_mps / 5.0), 9)]
+    distance_m = max(float(np.hypot(*ahead)), 1.0)
+    steer_rad = np.arctan2(2.0 * WHEELBASE_M * ahead[1] / distance_m, distance_m)
+    return np.array([steer_rad, SPEED_GAIN_PER_S * (observation["guidance"][4] - speed_mps)], np.float32)
+
+
+class Driver:
+    """A device, and the street on it, for as many episodes as come."""
+
+    def __init__(self, options: argparse.Namespace, device: str | None = None) -> None:
+        self.options = options
+        width, height = map(int, options.size.split("x"))
+        self.env = DriveEnv(
+            level=options.level,
+            size=(width, height),
+            cameras=["front"],
+            background=options.background,
+            duration_s=options.duration,
+            device=device,
+        )
+        self.session = self.env.course.session
+
+    def drive(self, seed: int, on_step=lambda step: None) -> dict[str, Any]:
+        """What came of the episode: its score, and a hash of all its pictures, which tells whether two runs saw the same."""
+        since = time.perf_counter()
+        observation, info = self.env.reset(seed=seed)
+        pictures, steps, reward, over = hashlib.sha256(), 0, 0.0, False
+        while not over:
+            pictures.update(observation["cameras"]["front"].tobytes())
+            on_step(steps)
+            action = np.clip(follow(observation), self.env.action_space.low, self.env.action_space.high)
+            observation, step_reward, terminated, truncated, info = self.env.step(action)
+            steps, reward, over = steps + 1, reward + step_reward, terminated or truncated
+        return {
+            "seed": seed,
+            "level": self.options.level,
+            "steps": steps,
+            "end": info["end"],
+            "reward": reward,
+            "score": info["score"],
+            "pictures_sha256": pictures.hexdigest(),
+            "device": self.session.device.uuid,
+            "seconds": time.perf_counter() - since,
+            "version": decouplegs.__version__,
+        }
+
+
+def result_path(options: argparse.Namespace, seed: int) -> Path:
+    """Where the result of an episode is: the same for whoever drives it."""
+    return options.out / f"{options.level}_{seed:06}.json"
+
+
+def write_result(path: Path, result: dict[str, Any]) -> None:
+    """Writes it whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w") as file:
+            json.dump(result, file, indent=1, default=float)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+def share(text: str) -> tuple[int, int]:
+    index, _, count = text.partition("/")
+    if not (index.isdigit() and count.isdigit() and int(index) < int(count)):
+        raise argparse.ArgumentTypeError(f"expected INDEX/COUNT with the index counted from 0, as 3/100; found {text!r}")
+    return int(index), int(count)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_arguments(parser)
+    parser.add_argument("--device", help="which Vulkan device: a number, a part of its name or uuid:... (default: the best)")
+    parser.add_argument("--share", type=share, default=(0, 1), help="INDEX/COUNT: only every COUNTth episode, from INDEX on")
+    options = parser.parse_args()
+    index, count = options.share
+    seeds = [seed for seed in range(index, options.episodes, count) if not result_path(options, seed).exists()]
+    driver = Driver(options, options.device) if seeds else None
+    for seed in seeds:
+        result = driver.drive(seed)
+        write_result(result_path(options, seed), result)
+        print(f"{seed}: {result['end']} after {result['steps']} steps, {result['seconds']:.1f} s")
+
+
+if __name__ == "__main__":
+    main()
