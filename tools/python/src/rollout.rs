@@ -150,7 +150,7 @@ impl Rollout {
     /// Places on the route ahead, in the ego's frame: float64 [points, 2], metres.
     #[pyo3(signature = (points = 10, spacing_m = 5.0))]
     fn route_ahead<'py>(&self, py: Python<'py>, points: usize, spacing_m: f64) -> PyResult<Bound<'py, PyAny>> {
-        if !(1..=4096).contains(&points) || !(spacing_m > 0.0 && spacing_m.is_finite()) {
+        if !((1..=4096).contains(&points) && spacing_m > 0.0 && spacing_m.is_finite()) {
             return Err(value_error(format!("expected 1 to 4096 points and a spacing above 0, found {points} and {spacing_m}")));
         }
         let rollout = self.lock();
