@@ -48,8 +48,13 @@ def shown(options: argparse.Namespace, session: decouplegs.Session) -> tuple[dec
     return world, site.scene.cameras_at(ego, options.size)
 
 
+# What is farther from the ego is not in the drawing, metres.
+NEAR_M = 40.0
+
+
 def plot_from_above(axes: plt.Axes, world: decouplegs.World, cameras: list[decouplegs.Camera]) -> None:
-    """Where cameras and agents are, and where they look."""
+    """Where cameras and agents are about the ego, and where they look."""
+    middle = np.mean([camera.world_from_camera[:2, 3] for camera in cameras], axis=0)
     for camera in cameras:
         pose = camera.world_from_camera
         axes.arrow(*pose[:2, 3], *(4 * pose[:2, 2]), head_width=0.8, color="tab:blue")
@@ -59,6 +64,7 @@ def plot_from_above(axes: plt.Axes, world: decouplegs.World, cameras: list[decou
         outline = corners @ agent.pose[:2, :2].T + agent.pose[:2, 3]
         axes.plot(*outline.T, color="tab:orange")
     axes.set(aspect="equal", title="from above", xlabel="x, m", ylabel="y, m")
+    axes.set(xlim=(middle[0] - NEAR_M, middle[0] + NEAR_M), ylim=(middle[1] - NEAR_M, middle[1] + NEAR_M))
 
 
 def main() -> None:
