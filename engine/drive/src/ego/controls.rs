@@ -11,6 +11,9 @@ impl Ego {
     /// The way of this ego for `horizon_s` seconds (30 at most) with its wheels turned towards `steer_rad`, to the left where above zero, and
     /// `acceleration_mps2` kept up, both within what it can do. It does not reverse.
     ///
+    /// In sharp bends the ego that follows it gains some speed with every new plan, about 2 % at 0.4 rad: positions of a plan are of the
+    /// middle of the box, which is faster there than the rear axle.
+    ///
     /// An episode that is steered by hand is so still one of plans, and its log replays.
     ///
     /// # Errors
