@@ -6,7 +6,7 @@ use decouplegs_asset::{
     AssetError, LightTransferFile, SceneFile, SceneLight, inria_ply, open_scene, write_coded, write_light_transfer,
 };
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{AmbientDescriptor, LightTransfer, Pose, Rules, ShFrame, World};
+use decouplegs_scene::{AmbientDescriptor, Lens, LightTransfer, Pose, Rules, ShFrame, World};
 use glam::{DQuat, DVec3};
 
 use crate::sample::{cloud, coded_cone};
@@ -24,7 +24,8 @@ fn the_documented_example_means_what_it_says() {
     let scene = SceneFile::parse(&example()).unwrap();
     assert_eq!(scene.origin, DVec3::new(458_000.0, 5_428_000.0, 112.0));
     assert_eq!((scene.background.to_str(), scene.sky, scene.rules), (Some("street.ply"), [0.53, 0.68, 0.86], Rules::DEFAULT));
-    let [front, left] = scene.rig.cameras.as_slice() else { panic!("two cameras") };
+    let [front, left, below] = scene.rig.cameras.as_slice() else { panic!("three cameras") };
+    assert!(front.intrinsics.lens == Lens::Pinhole && matches!(below.intrinsics.lens, Lens::Fisheye(_)));
     assert_eq!((front.name.as_str(), front.intrinsics.width_px, front.intrinsics.cx_px), ("front", 1600, 816.3));
     assert!((front.rig_from_camera.rotation * DVec3::Z - DVec3::X).length() < 1e-12, "the front camera looks along x");
     let looks = left.rig_from_camera.rotation * DVec3::Z;
@@ -176,7 +177,7 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
     std::fs::write(&path, example()).unwrap();
     let early = open_scene(&path, 0.0).unwrap();
     let late = open_scene(&path, 2.0).unwrap();
-    assert_eq!((early.world.splats.len(), early.world.splats.sh_degree, early.rig.cameras.len()), (460, 2, 2));
+    assert_eq!((early.world.splats.len(), early.world.splats.sh_degree, early.rig.cameras.len()), (460, 2, 3));
     assert_eq!(early.agent_names, ["parked", "oncoming"]);
     let of_instance = |id: u16| early.world.instance_from_splat.iter().filter(|&&instance| instance == id).count();
     assert_eq!([of_instance(0), of_instance(1), of_instance(2)], [400, 30, 30]);
