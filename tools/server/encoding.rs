@@ -2,16 +2,14 @@
 
 use std::sync::Arc;
 
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tonic::Status;
 
+use crate::jpeg;
 use crate::wire::sensorsim::ImageFormat;
 
 /// Quality of JPEG where a request leaves it at zero.
 const QUALITY_DEFAULT: u8 = 95;
-/// From this quality on, colours keep the resolution of brightness.
-const FULL_COLOUR_FROM: u8 = 90;
 
 /// How a picture is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,29 +58,27 @@ fn quality_of(quality: f32) -> Result<u8, Status> {
 /// A sentence, when the format cannot hold the size.
 pub fn encode(rgba: &[u8], [width_px, height_px]: [u32; 2], encoding: Encoding) -> Result<Vec<u8>, String> {
     match encoding {
-        Encoding::Planar => Ok((0..3).flat_map(|channel| rgba.iter().skip(channel).step_by(4).copied()).collect()),
+        Encoding::Planar => {
+            let pixels = rgba.len() / 4;
+            let mut planes = vec![0; 3 * pixels];
+            for (channel, plane) in planes.chunks_exact_mut(pixels.max(1)).enumerate() {
+                plane.iter_mut().zip(rgba.chunks_exact(4)).for_each(|(to, pixel)| *to = pixel[channel]);
+            }
+            Ok(planes)
+        }
         Encoding::Png => {
             let mut bytes = Vec::with_capacity(rgba.len() / 2);
             let mut encoder = png::Encoder::new(&mut bytes, width_px, height_px);
             encoder.set_color(png::ColorType::Rgb);
             encoder.set_depth(png::BitDepth::Eight);
             encoder.set_compression(png::Compression::Fast);
-            let rgb: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
+            let mut rgb = vec![0; 3 * (rgba.len() / 4)];
+            rgb.chunks_exact_mut(3).zip(rgba.chunks_exact(4)).for_each(|(to, pixel)| to.copy_from_slice(&pixel[..3]));
             let mut writer = encoder.write_header().map_err(|error| error.to_string())?;
             writer.write_image_data(&rgb).and_then(|()| writer.finish()).map_err(|error| error.to_string())?;
             Ok(bytes)
         }
-        Encoding::Jpeg { quality } => {
-            let side =
-                |side_px: u32| u16::try_from(side_px).map_err(|_| format!("JPEG holds sides of 65535 pixels, not {side_px}"));
-            let (width_px, height_px) = (side(width_px)?, side(height_px)?);
-            let mut bytes = Vec::with_capacity(rgba.len() / 8);
-            let mut encoder = Encoder::new(&mut bytes, quality);
-            let full = quality >= FULL_COLOUR_FROM;
-            encoder.set_sampling_factor(if full { SamplingFactor::F_1_1 } else { SamplingFactor::F_2_2 });
-            encoder.encode(rgba, width_px, height_px, ColorType::Rgba).map_err(|error| error.to_string())?;
-            Ok(bytes)
-        }
+        Encoding::Jpeg { quality } => jpeg::encode(rgba, [width_px, height_px], quality),
     }
 }
 

@@ -24,6 +24,7 @@ mod codec;
 mod connections;
 pub mod encoding;
 mod gate;
+mod jpeg;
 mod metrics;
 mod metrics_page;
 pub mod names;
