@@ -1,15 +1,28 @@
-//! Files that are there whole or not at all.
+//! Output files that are complete or absent.
 
-use std::fs::File;
+use std::fs::{File, Metadata, OpenOptions, Permissions};
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::os::fd::AsRawFd;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{AtFlags, CWD, Mode, OFlags, linkat};
 
 use crate::AssetError;
 
+/// Start of the names of temporary files.
+pub const TEMPORARY_PREFIX: &str = ".writing-";
+/// Bytes that are collected before they are handed to the operating system.
+const BUFFER_BYTES: usize = 1 << 20;
+/// Symbolic links that are followed one after the other, as many as Linux follows.
+const LINKS_MAX: usize = 40;
+
 /// Writes `path` through `fill` so that no reader ever sees half of it.
 ///
-/// The bytes go to a temporary name in the same directory, are forced to the disk and renamed over `path`. If `fill`
-/// or the disk fails, the temporary file is removed and whatever stood at `path` stays.
+/// The bytes go to a file without a name in the same directory (with a temporary name where the file system has no such files),
+/// are forced to the disk and renamed over `path`. If `fill` or the disk fails, nothing is left behind and the old file stays.
+///
+/// A symbolic link is followed, and a file that was there keeps its permissions. A device or FIFO is written to directly: it
+/// cannot be replaced.
 ///
 /// # Errors
 /// [`AssetError::Write`] with the failure of `fill` or of the operating system.
@@ -18,20 +31,78 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut File>
 }
 
 fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>) -> io::Result<()> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".writing-");
-    // Temporary files are private by default; a result is as readable as any file the user creates.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut temporary = builder.tempfile_in(directory_of(path))?;
-    let mut buffered = BufWriter::with_capacity(1 << 20, temporary.as_file_mut());
-    fill(&mut buffered)?;
-    buffered.flush()?;
-    drop(buffered);
-    temporary.as_file().sync_all()?;
-    temporary.persist(path).map_err(|error| error.error)?;
+    let there = std::fs::metadata(path).ok();
+    if there.as_ref().is_some_and(|there| !there.is_file() && !there.is_dir()) {
+        return fill_file(&mut OpenOptions::new().write(true).open(path)?, fill);
+    }
+    let path = &followed(path)?;
+    let directory = directory_of(path);
+    let unnamed = rustix::fs::open(directory, OFlags::TMPFILE | OFlags::WRONLY | OFlags::CLOEXEC, Mode::from_raw_mode(0o666));
+    match unnamed {
+        Ok(unnamed) => {
+            let mut file = File::from(unnamed);
+            fill_file(&mut file, fill)?;
+            finish(&file, there.as_ref())?;
+            give_name(&file, path)?;
+        }
+        // Whatever is wrong with the directory, the next call tells it too.
+        Err(_) => {
+            let mut temporary = temporary_name().tempfile_in(directory)?;
+            fill_file(temporary.as_file_mut(), fill)?;
+            finish(temporary.as_file(), there.as_ref())?;
+            temporary.persist(path).map_err(|error| error.error)?;
+        }
+    }
     sync_directory_of(path);
     Ok(())
+}
+
+fn fill_file(file: &mut File, fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>) -> io::Result<()> {
+    let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, file);
+    fill(&mut buffered)?;
+    buffered.flush()
+}
+
+/// Gives `file` the permissions of the file that it replaces, and forces it to the disk.
+fn finish(file: &File, replaced: Option<&Metadata>) -> io::Result<()> {
+    if let Some(replaced) = replaced {
+        file.set_permissions(replaced.permissions())?;
+    }
+    file.sync_all()
+}
+
+/// Links `file`, which has no name, to `path`, over any file there. Only the last two steps leave a file behind if the program is
+/// killed between them.
+fn give_name(file: &File, path: &Path) -> io::Result<()> {
+    let unnamed = format!("/proc/self/fd/{}", file.as_raw_fd());
+    let link = |name: &Path| linkat(CWD, unnamed.as_str(), CWD, name, AtFlags::SYMLINK_FOLLOW);
+    match link(path) {
+        Err(rustix::io::Errno::EXIST) => {
+            let temporary = temporary_name().make_in(directory_of(path), |name| Ok(link(name)?))?;
+            temporary.into_temp_path().persist(path).map_err(|error| error.error)
+        }
+        other => Ok(other?),
+    }
+}
+
+fn temporary_name() -> tempfile::Builder<'static, 'static> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY_PREFIX);
+    // Temporary files are private by default; a result is as readable as any file the user creates.
+    builder.permissions(<Permissions as std::os::unix::fs::PermissionsExt>::from_mode(0o666));
+    builder
+}
+
+/// `path` with its symbolic links followed, as far as its last part is one. What it leads to need not exist.
+fn followed(path: &Path) -> io::Result<PathBuf> {
+    let mut path = path.to_owned();
+    for _ in 0..LINKS_MAX {
+        match std::fs::read_link(&path) {
+            Ok(target) => path = directory_of(&path).join(target),
+            Err(_) => return Ok(path),
+        }
+    }
+    Err(io::Error::other("too many symbolic links, one behind the other"))
 }
 
 /// The directory that `path` is in.
@@ -68,6 +139,43 @@ mod tests {
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
         write_atomically(&path, |file| file.write_all(b"third")).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"third");
+    }
+
+    #[test]
+    fn links_are_followed_and_permissions_stay() {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        std::fs::create_dir(at("far")).unwrap();
+        symlink("far/file", at("link")).unwrap();
+        symlink("link", at("link_to_link")).unwrap();
+        write_atomically(&at("link_to_link"), |file| file.write_all(b"first")).unwrap();
+        assert_eq!(std::fs::read(at("far/file")).unwrap(), b"first");
+        std::fs::set_permissions(at("far/file"), Permissions::from_mode(0o600)).unwrap();
+        write_atomically(&at("link"), |file| file.write_all(b"second")).unwrap();
+        assert_eq!(std::fs::read(at("far/file")).unwrap(), b"second");
+        assert_eq!(std::fs::metadata(at("link")).unwrap().mode() & 0o777, 0o600);
+        assert!(std::fs::symlink_metadata(at("link")).unwrap().is_symlink());
+        assert_eq!(std::fs::read_dir(at("far")).unwrap().count(), 1, "no litter");
+        symlink("round", at("round")).unwrap();
+        assert!(write_atomically(&at("round"), |_| Ok(())).unwrap_err().to_string().contains("round"));
+    }
+
+    #[test]
+    fn devices_and_fifos_are_written_to_and_stay_what_they_are() {
+        use std::os::unix::fs::FileTypeExt;
+        write_atomically(Path::new("/dev/null"), |file| file.write_all(b"nothing")).unwrap();
+        assert!(std::fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+        let directory = tempfile::tempdir().unwrap();
+        let fifo = directory.path().join("fifo");
+        rustix::fs::mknodat(CWD, &fifo, rustix::fs::FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        let reader = std::thread::spawn({
+            let fifo = fifo.clone();
+            move || std::fs::read(fifo).unwrap()
+        });
+        write_atomically(&fifo, |file| file.write_all(b"through")).unwrap();
+        assert_eq!(reader.join().unwrap(), b"through");
+        assert!(std::fs::metadata(&fifo).unwrap().file_type().is_fifo());
     }
 
     #[test]

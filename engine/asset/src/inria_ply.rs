@@ -77,7 +77,7 @@ fn dc_columns(ply: &Ply<'_>, element: &str) -> Result<DcColumns, DecodeError> {
     // Fewer than three are missed by name.
     let terms = if count > 3 && count.is_multiple_of(3) { count / 3 } else { 1 };
     let columns = (0..3 * terms).map(|i| ply.column(element, &format!("f_dc_{i}"))).collect::<Result<_, DecodeError>>()?;
-    Ok(DcColumns { columns, weights: mean_weights(terms) })
+    Ok(DcColumns { columns, weights: mean_weights(terms)? })
 }
 
 impl DcColumns {

@@ -25,6 +25,7 @@ pub mod khr_glb;
 pub mod light_transfer_file;
 pub mod loss;
 pub mod maps;
+pub mod memory;
 pub mod packed_scene;
 pub mod roads;
 pub mod scenario_file;
@@ -37,17 +38,19 @@ pub mod street;
 pub mod tracks;
 pub mod zip;
 
-pub use atomic::write_atomically;
+pub use atomic::{TEMPORARY_PREFIX, write_atomically};
 pub use cameras::read_cameras;
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
 pub use episode_log::{EpisodeLog, read_episode_log};
-pub use error::{AssetError, DecodeError, EncodeError, SceneError};
+pub use error::{AssetError, DecodeError, EncodeError, SceneError, read_bytes};
 pub use light_transfer_file::{LightTransferFile, read_light_transfer, write_light_transfer};
 pub use loss::{AttributeLoss, LossReport};
 pub use maps::read_map;
 pub use packed_scene::open_packed_scene;
 pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
-pub use scene_file::{EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, open_scene};
+pub use scene_file::{
+    EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, open_movable_scene, open_scene,
+};
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
 pub use tracks::read_tracks;

@@ -128,7 +128,12 @@ pub fn encode(file: &LightTransferFile) -> Result<Vec<u8>, EncodeError> {
 /// # Errors
 /// [`AssetError::Read`] or [`AssetError::Decode`].
 pub fn read_light_transfer(path: &Path) -> Result<LightTransferFile, AssetError> {
-    decode(&read_bytes(path)?).map_err(|source| AssetError::Decode { path: path.to_owned(), format: NAME, source })
+    read_from(&read_bytes(path)?, path)
+}
+
+/// Reads a transfer from the bytes of its file at `path`.
+pub(crate) fn read_from(bytes: &[u8], path: &Path) -> Result<LightTransferFile, AssetError> {
+    decode(bytes).map_err(|source| AssetError::Decode { path: path.to_owned(), format: NAME, source })
 }
 
 /// Writes `file` to `path`, atomically.

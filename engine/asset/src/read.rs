@@ -98,11 +98,15 @@ pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
     if path.file_name().is_some_and(|name| name == sog::META) {
         return sog::read_folder(path.parent().unwrap_or(Path::new("")));
     }
-    let bytes = read_bytes(path)?;
+    splats_of(&read_bytes(path)?, path)
+}
+
+/// Reads the splats in the bytes of the file at `path`.
+pub(crate) fn splats_of(bytes: &[u8], path: &Path) -> Result<SplatCloud, AssetError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     let format =
-        SplatFormat::detect(&bytes, &extension).map_err(|found| AssetError::UnknownFormat { path: path.to_owned(), found })?;
-    decode(&bytes, format).map_err(|source| AssetError::Decode { path: path.to_owned(), format: format.name(), source })
+        SplatFormat::detect(bytes, &extension).map_err(|found| AssetError::UnknownFormat { path: path.to_owned(), found })?;
+    decode(bytes, format).map_err(|source| AssetError::Decode { path: path.to_owned(), format: format.name(), source })
 }
 
 fn decode(bytes: &[u8], format: SplatFormat) -> Result<SplatCloud, DecodeError> {

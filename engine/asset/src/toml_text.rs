@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::SceneError;
+use crate::{SceneError, memory};
 
 /// Text that is being checked.
 pub(crate) struct Checker<'a> {
@@ -46,10 +46,46 @@ pub(crate) fn syntax_error(text: &str, error: &toml::de::Error) -> SceneError {
     SceneError { line, key, reason: error.message().to_owned() }
 }
 
-/// The text of a file, or the line where it is not UTF-8.
+/// Most dots of a key, such as `agent.trajectory.time_s`. The parser makes a table for each, so that `a.a.a...` of a few megabytes
+/// would take gigabytes.
+const KEY_DOTS_MAX: usize = 8;
+/// About the memory that the parser takes for each byte of a text.
+const PARSER_BYTES_PER_BYTE: u64 = 100;
+
+/// The text of a TOML file, or the line where it is not UTF-8 or too deep.
 pub(crate) fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
-    std::str::from_utf8(bytes).map_err(|error| {
-        let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
+    let line_at = |byte: usize| 1 + bytes[..byte].iter().filter(|&&byte| byte == b'\n').count();
+    let text = std::str::from_utf8(bytes).map_err(|error| {
+        let line = line_at(error.valid_up_to());
         SceneError { line, key: "text".into(), reason: "is not UTF-8".into() }
-    })
+    })?;
+    memory::require("reading this text", PARSER_BYTES_PER_BYTE * bytes.len() as u64).map_err(|reason| SceneError {
+        line: 1,
+        key: "text".into(),
+        reason,
+    })?;
+    for (index, line) in text.lines().enumerate() {
+        // Numbers, in lines of arrays, stand behind commas or brackets.
+        let key = line.split(['=', ',', ']', '"', '\'', '#']).next().unwrap_or_default();
+        if key.bytes().filter(|&byte| byte == b'.').count() > KEY_DOTS_MAX {
+            let reason = format!("a key of more than {} parts; no table is so deep", KEY_DOTS_MAX + 1);
+            return Err(SceneError { line: index + 1, key: "text".into(), reason });
+        }
+    }
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deep_keys_are_refused_by_their_line() {
+        let deep = format!("version = 1\n{} = 1\n", vec!["a"; 3_000].join("."));
+        let error = text_of(deep.as_bytes()).unwrap_err();
+        assert!(error.line == 2 && error.reason.contains("9 parts"), "{error}");
+        let matrix =
+            "a.b.c = [\n  [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0],\n  1.5\n]\nb = \"x.y.z.a.b.c.d.e.f.g.h\"\n";
+        assert_eq!(text_of(matrix.as_bytes()), Ok(matrix));
+    }
 }

@@ -9,7 +9,73 @@ use crate::DecodeError;
 pub(crate) fn parse(bytes: &[u8]) -> Result<Document<'_>, DecodeError> {
     let text = std::str::from_utf8(bytes)
         .map_err(|error| DecodeError::Malformed(format!("{error}; expected XML in UTF-8, without which it is not read")))?;
+    check_attributes(bytes)?;
     Document::parse(text).map_err(|error| DecodeError::Malformed(format!("not XML that is read here: {error}")))
+}
+
+/// Most attributes of one element. The parser compares each with all others, and maps have at most twenty.
+const ATTRIBUTES_MAX: usize = 256;
+/// Most declarations of namespaces in a document. The parser copies them from element to element, and maps have one or two.
+const NAMESPACES_MAX: usize = 64;
+
+/// Refuses documents for which the parser would take quadratic time, in one pass over the bytes.
+fn check_attributes(bytes: &[u8]) -> Result<(), DecodeError> {
+    let (mut rest, mut namespaces) = (bytes, 0);
+    while let Some(start) = rest.iter().position(|&byte| byte == b'<') {
+        rest = &rest[start..];
+        let skipped = [(&b"<!--"[..], &b"-->"[..]), (b"<![CDATA[", b"]]>"), (b"<?", b"?>")];
+        let end = match skipped.into_iter().find(|(open, _)| rest.starts_with(open)) {
+            Some((open, close)) => {
+                open.len() + rest[open.len()..].windows(close.len()).position(|window| window == close).unwrap_or(rest.len())
+            }
+            None => {
+                let tag = Tag::at(rest);
+                namespaces += tag.namespaces;
+                let told = if tag.attributes > ATTRIBUTES_MAX {
+                    format!("an element has {} attributes; at most {ATTRIBUTES_MAX} are read", tag.attributes)
+                } else if namespaces > NAMESPACES_MAX {
+                    format!("more than {NAMESPACES_MAX} namespaces are declared")
+                } else {
+                    rest = &rest[tag.bytes..];
+                    continue;
+                };
+                let line = 1 + bytes[..bytes.len() - rest.len()].iter().filter(|&&byte| byte == b'\n').count();
+                return Err(DecodeError::Malformed(format!("line {line}: {told}; maps and tracks have fewer")));
+            }
+        };
+        rest = &rest[end.min(rest.len())..];
+    }
+    Ok(())
+}
+
+/// Counts of a tag.
+struct Tag {
+    bytes: usize,
+    attributes: usize,
+    namespaces: usize,
+}
+
+impl Tag {
+    /// The tag that `text` begins with, up to the first `>` outside of quotes. Each `=` outside of quotes is an attribute.
+    fn at(text: &[u8]) -> Self {
+        let mut tag = Self { bytes: text.len(), attributes: 0, namespaces: 0 };
+        let mut quote = None;
+        for (at, &byte) in text.iter().enumerate() {
+            match (quote, byte) {
+                (Some(open), _) if byte == open => quote = None,
+                (Some(_), _) => {}
+                (None, b'"' | b'\'') => quote = Some(byte),
+                (None, b'=') => tag.attributes += 1,
+                (None, b'x') => tag.namespaces += usize::from(text[at..].starts_with(b"xmlns")),
+                (None, b'>') => {
+                    tag.bytes = at + 1;
+                    break;
+                }
+                _ => {}
+            }
+        }
+        tag
+    }
 }
 
 /// An element of a document.
@@ -120,6 +186,22 @@ mod tests {
         let bomb = b"<!DOCTYPE a [<!ENTITY b 'bb'><!ENTITY c '&b;&b;&b;'>]><a>&c;</a>";
         assert!(parse(bomb).is_err());
         assert!(parse(b"\xff\xfe<\0a\0").unwrap_err().to_string().contains("UTF-8"));
+    }
+
+    #[test]
+    fn attributes_and_namespaces_without_end_are_refused_at_once() {
+        let attributes = |count: usize| (0..count).map(|i| format!(" a{i}='{i}>'")).collect::<String>();
+        let since = std::time::Instant::now();
+        let told = parse(format!("<m>\n<e{}/></m>", attributes(400_000)).as_bytes()).unwrap_err().to_string();
+        assert!(told.contains("line 2") && told.contains("400000 attributes"), "{told}");
+        let nested = (0..20_000).map(|i| format!("<e xmlns:n{i} ='u{i}'>")).collect::<String>();
+        assert!(parse(nested.as_bytes()).unwrap_err().to_string().contains("namespaces"));
+        assert!(since.elapsed().as_secs_f64() < 2.0);
+        // What is not an attribute is not counted, and what is allowed is read.
+        let equals = "=".repeat(1000);
+        let text =
+            format!("<?xml version='1.0'?><m{}><!-- it's {equals} --><![CDATA[<a {equals}>]]>{equals}</m>", attributes(256));
+        parse(text.as_bytes()).unwrap();
     }
 
     #[test]

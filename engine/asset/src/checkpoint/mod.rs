@@ -32,8 +32,9 @@ pub(crate) use value::{Node, Tree};
 pub(crate) const NAME: &str = "PyTorch checkpoint";
 /// The entry that has everything but the tensors' numbers.
 const PICKLE: &str = "data.pkl";
-/// A pickle of a checkpoint names tensors and settings; real ones have some ten kilobytes, with an optimiser's state a megabyte.
-const PICKLE_BYTES_MAX: usize = 64 << 20;
+/// Most bytes of a pickle. Real ones name tensors and settings in some ten kilobytes, with an optimizer's state in a megabyte. Each
+/// byte may build a node of [`value::Node`], 24 bytes, and a place in the memo.
+const PICKLE_BYTES_MAX: usize = 4 << 20;
 
 /// Reads the splats of a checkpoint of gsplat.
 ///
@@ -58,6 +59,8 @@ fn root_of<'n>(archive: &'n Archive<'_>) -> Option<&'n str> {
 pub(crate) struct Checkpoint<'a> {
     archive: Archive<'a>,
     root: String,
+    /// Size of the file, bytes.
+    pub(crate) file_bytes: usize,
     /// What the pickle built.
     pub(crate) tree: Tree,
 }
@@ -83,7 +86,7 @@ impl<'a> Checkpoint<'a> {
             return Err(DecodeError::Unsupported(told));
         }
         let tree = Unpickler::new(pickle).run()?;
-        Ok(Self { archive, root, tree })
+        Ok(Self { archive, root, file_bytes: bytes.len(), tree })
     }
 
     /// The numbers of a tensor, called `what` in messages.
@@ -95,6 +98,6 @@ impl<'a> Checkpoint<'a> {
             return Err(DecodeError::Malformed(format!("tensor '{what}' has no storage")));
         };
         let bytes = self.archive.stored(&format!("{}data/{}", self.root, storage.key))?;
-        Tensor::new(form, storage.scalar, bytes, what)
+        Tensor::new(form, storage.scalar, bytes, self.file_bytes, what)
     }
 }

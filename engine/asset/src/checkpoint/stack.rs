@@ -188,7 +188,7 @@ impl Machine {
         let Some(scalar) = Scalar::of_class(class) else {
             return Err(DecodeError::Unsupported(format!("numbers of '{class}' are not read; save floats and integers")));
         };
-        let node = Node::Storage(Storage { key: key.clone(), scalar });
+        let node = Node::Storage(Box::new(Storage { key: key.clone(), scalar }));
         self.push(node);
         Ok(())
     }
@@ -204,7 +204,7 @@ impl Machine {
         };
         match (self.node(storage), self.size(offset), sizes(shape), sizes(strides)) {
             (Node::Storage(_), Some(offset), Some(shape), Some(strides)) => {
-                Ok(Node::Tensor(Form { storage, offset, shape, strides }))
+                Ok(Node::Tensor(Box::new(Form { storage, offset, shape, strides })))
             }
             _ => Err(malformed("a tensor is not a storage, an offset, sizes and strides")),
         }

@@ -8,6 +8,11 @@ use crate::DecodeError;
 /// Dimensions that a tensor may have.
 const DIMENSIONS_MAX: usize = 8;
 
+/// Largest product of the sizes of an empty tensor that are not 0, however small its file is. Readers make lists as long as one
+/// dimension, so an empty tensor must not claim a large one. In larger files the product may be as large as the file, because a
+/// model of N splats without view-dependent colors has a tensor of shape [N, 0, 3].
+const EMPTY_SIZES_MAX: u64 = 1 << 16;
+
 /// The type of a storage's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scalar {
@@ -96,7 +101,13 @@ impl<'a> Tensor<'a> {
     /// The tensor of `form` over the bytes of its storage.
     ///
     /// A tensor has no more numbers than its storage, so a small file makes no large one.
-    pub(super) fn new(form: &Form, scalar: Scalar, storage: &'a [u8], what: &str) -> Result<Self, DecodeError> {
+    pub(super) fn new(
+        form: &Form,
+        scalar: Scalar,
+        storage: &'a [u8],
+        file_bytes: usize,
+        what: &str,
+    ) -> Result<Self, DecodeError> {
         let there = (storage.len() / scalar.bytes()) as u64;
         let too_large = || {
             DecodeError::Malformed(format!(
@@ -107,17 +118,22 @@ impl<'a> Tensor<'a> {
         if form.shape.len() != form.strides.len() || form.shape.len() > DIMENSIONS_MAX {
             return Err(too_large());
         }
-        let count = form.shape.iter().try_fold(1u64, |product, &size| product.checked_mul(size)).ok_or_else(too_large)?;
+        let mut sizes = form.shape.iter().filter(|&&size| size > 0);
+        let product = sizes.try_fold(1u64, |product, &size| product.checked_mul(size)).ok_or_else(too_large)?;
+        let is_empty = form.shape.contains(&0);
         let reach = form
             .shape
             .iter()
             .zip(&form.strides)
             .try_fold(form.offset, |reach, (&size, &stride)| reach.checked_add(size.saturating_sub(1).checked_mul(stride)?));
-        let is_inside = count == 0 || (count <= there && reach.is_some_and(|reach| reach < there));
+        let is_inside = match is_empty {
+            true => product <= EMPTY_SIZES_MAX.max(file_bytes as u64),
+            false => product <= there && reach.is_some_and(|reach| reach < there),
+        };
         if !is_inside {
             return Err(too_large());
         }
-        let first = if count == 0 { 0 } else { form.offset as usize * scalar.bytes() };
+        let first = if is_empty { 0 } else { form.offset as usize * scalar.bytes() };
         let all = |values: &[u64]| values.iter().map(|&value| usize::try_from(value).unwrap_or(0)).collect();
         Ok(Self { numbers: &storage[first..], scalar, shape: all(&form.shape), strides: all(&form.strides) })
     }
@@ -178,11 +194,15 @@ mod tests {
     #[test]
     fn a_transposed_tensor_is_read_in_its_own_order() {
         let storage: Vec<u8> = (0..7u8).flat_map(|value| f32::from(value).to_le_bytes()).collect();
-        let of = |form: &Form| Tensor::new(form, Scalar::F32, &storage, "t").unwrap().f32s().collect::<Vec<_>>();
+        let of = |form: &Form| Tensor::new(form, Scalar::F32, &storage, storage.len(), "t").unwrap().f32s().collect::<Vec<_>>();
         assert_eq!(of(&form(1, &[2, 3], &[3, 1])), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
         assert_eq!(of(&form(1, &[3, 2], &[1, 3])), [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
         assert_eq!(of(&form(9, &[0, 3], &[3, 1])), [0.0; 0]);
         assert_eq!(of(&form(6, &[], &[])), [6.0]);
+        // A model of many splats without view-dependent colors, in a file that is large enough for them.
+        let of_file = |file_bytes| Tensor::new(&form(0, &[1 << 20, 0, 3], &[0, 3, 1]), Scalar::F32, &[], file_bytes, "rest");
+        assert_eq!(of_file(28 << 20).unwrap().len(), 0);
+        assert!(of_file(1 << 20).is_err());
     }
 
     #[test]
@@ -211,8 +231,12 @@ mod tests {
             (0, &[2], &[u64::MAX]),
             (0, &[2], &[]),
             (0, &[1; 9], &[1; 9]),
+            // Empty, with one dimension that a reader would make a list of.
+            (0, &[0, 1 << 60], &[1, 1]),
+            (0, &[0, 1 << 17], &[1, 1]),
+            (0, &[1 << 40, 0, 1 << 40], &[1, 1, 1]),
         ] {
-            let result = Tensor::new(&form(offset, shape, strides), Scalar::F32, &storage, "means");
+            let result = Tensor::new(&form(offset, shape, strides), Scalar::F32, &storage, storage.len(), "means");
             assert!(result.unwrap_err().to_string().contains("'means'"), "{shape:?}");
         }
     }

@@ -5,7 +5,7 @@ use super::tensor::{Form, Scalar};
 /// The place of a node.
 pub(crate) type Id = u32;
 
-/// Something that a pickle built.
+/// Something that a pickle built. Small, because a byte of a pickle may build one: see `PICKLE_BYTES_MAX`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Node {
     /// Python's `None`, and what is not there.
@@ -27,9 +27,9 @@ pub(crate) enum Node {
     /// An object of a class that is not read.
     Opaque,
     /// The numbers of tensors.
-    Storage(Storage),
+    Storage(Box<Storage>),
     /// A tensor.
-    Tensor(Form),
+    Tensor(Box<Form>),
 }
 
 /// The numbers of tensors, an entry of the zip.

@@ -125,7 +125,12 @@ pub fn encode(asset: &CodedAsset) -> Result<Vec<u8>, EncodeError> {
 /// # Errors
 /// [`AssetError::Read`] or [`AssetError::Decode`].
 pub fn read_coded(path: &Path) -> Result<CodedAsset, AssetError> {
-    decode(&read_bytes(path)?).map_err(|source| AssetError::Decode { path: path.to_owned(), format: NAME, source })
+    read_from(&read_bytes(path)?, path)
+}
+
+/// Reads an asset from the bytes of its file at `path`.
+pub(crate) fn read_from(bytes: &[u8], path: &Path) -> Result<CodedAsset, AssetError> {
+    decode(bytes).map_err(|source| AssetError::Decode { path: path.to_owned(), format: NAME, source })
 }
 
 /// Writes `asset` to `path`, atomically.

@@ -52,6 +52,8 @@ pub struct Compressed {
     pub cloud: CodedCloud,
     /// What was done.
     pub report: CompressionReport,
+    /// Index in the input of each splat of the finest level, in the asset's order. Pruned splats are absent.
+    pub kept: Vec<u32>,
 }
 
 /// `cloud`, an asset in its own frame, coded.
@@ -93,7 +95,7 @@ pub fn compress(
         colours,
         bytes: PartBytes::of(&coded),
     };
-    Ok(Compressed { cloud: coded, report })
+    Ok(Compressed { cloud: coded, report, kept: levels.order })
 }
 
 /// All levels, each in spatial order, which the renderer's culling by runs of splats needs.
@@ -101,6 +103,8 @@ struct Levels {
     clouds: Vec<SplatCloud>,
     /// Of the splats of the finest level.
     visibility: Vec<f32>,
+    /// Index in the input of each splat of the finest level.
+    order: Vec<u32>,
 }
 
 impl Levels {
@@ -110,7 +114,7 @@ impl Levels {
         let mut clouds = vec![cloud.select(&order)];
         let coarser = levels::coarser_levels(&clouds[0], &visibility);
         clouds.extend(coarser.iter().map(|level| level.select(&level.spatial_order())));
-        Self { clouds, visibility }
+        Self { clouds, visibility, order }
     }
 }
 

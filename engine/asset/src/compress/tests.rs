@@ -39,7 +39,8 @@ fn extremes(cloud: &SplatCloud, splat: usize) -> (f32, f32) {
 #[test]
 fn what_comes_out_is_near_what_went_in() {
     let cloud = plane(2000, 3);
-    let Compressed { cloud: coded, report } = compressed(&cloud, &CompressOptions { iterations_max: 100, ..Default::default() });
+    let Compressed { cloud: coded, report, .. } =
+        compressed(&cloud, &CompressOptions { iterations_max: 100, ..Default::default() });
     assert_eq!((report.kept, coded.levels.as_slice()), (2000, [2000, 250].as_slice()));
     let decoded = coded.decoded(0);
     let sorted = cloud.select(&cloud.spatial_order());
@@ -58,7 +59,7 @@ fn what_comes_out_is_near_what_went_in() {
 #[test]
 fn sizes_are_counted_as_they_are_stored() {
     let cloud = plane(2000, 3);
-    let Compressed { cloud: coded, report } = compressed(&cloud, &quick());
+    let Compressed { cloud: coded, report, .. } = compressed(&cloud, &quick());
     assert_eq!(report.bytes.levels, [2000 * 12, 250 * 12]);
     assert_eq!((report.bytes.shapes, report.bytes.colours), (coded.shapes.len() * 24, coded.colour_count() * 96));
     assert!((report.bytes_per_splat() - report.bytes.total() as f64 / 2000.0).abs() < 1e-12);
@@ -108,7 +109,7 @@ fn one_splat_and_equal_splats_come_back() {
     assert_eq!((decoded.len(), decoded.means[0]), (1, one.means[0]));
     assert!((decoded.sh_rest[4][0] - one.sh_rest[4][0]).abs() < 1e-3);
     let many = one.select(&[0; 500]);
-    let Compressed { cloud: coded, report } = compressed(&many, &CompressOptions::default());
+    let Compressed { cloud: coded, report, .. } = compressed(&many, &CompressOptions::default());
     assert_eq!((coded.levels.len(), coded.shapes.len(), coded.colour_count(), report.kept), (2, 1, 1, 500));
     let decoded = coded.decoded(0);
     assert!(decoded.scales.iter().all(|scales| *scales == decoded.scales[0]));
@@ -119,7 +120,7 @@ fn one_splat_and_equal_splats_come_back() {
 #[test]
 fn fewer_splats_than_codes_lose_no_shape_and_no_colour() {
     let cloud = plane(40, 1);
-    let Compressed { cloud: coded, report } = compressed(&cloud, &CompressOptions::default());
+    let Compressed { cloud: coded, report, .. } = compressed(&cloud, &CompressOptions::default());
     assert_eq!((coded.shapes.len(), coded.colour_count()), (40, 40));
     assert!(report.shapes.distortion.last().unwrap() < &1e-12 && report.colours.distortion.last().unwrap() < &1e-12);
 }
@@ -194,7 +195,7 @@ mod properties {
                 prune: Prune::KeepRatio(ratio), shape_space: ShapeSpace::ALL[space], shapes: 5, colours: 7, iterations_max: 30,
                 ..Default::default()
             };
-            if let Ok(Compressed { cloud: coded, report }) = compress(&cloud, &vec![1.0; cloud.len()], &options, &|_| ()) {
+            if let Ok(Compressed { cloud: coded, report, .. }) = compress(&cloud, &vec![1.0; cloud.len()], &options, &|_| ()) {
                 prop_assert_eq!(coded.check(), Ok(()));
                 prop_assert!(report.shapes.distortion.iter().chain(&report.colours.distortion).all(|value| value.is_finite()));
                 let decoded = coded.decoded(0);

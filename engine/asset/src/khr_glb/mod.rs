@@ -24,6 +24,7 @@ mod write;
 use decouplegs_scene::SplatCloud;
 
 use crate::DecodeError;
+use crate::memory::decoded_bytes_max;
 use document::Document;
 
 pub use write::{encode, write};
@@ -40,8 +41,6 @@ const HEADER_BYTES: usize = 12;
 const CHUNK_HEADER_BYTES: usize = 8;
 const CHUNK_JSON: u32 = u32::from_le_bytes(*b"JSON");
 const CHUNK_BINARY: u32 = u32::from_le_bytes(*b"BIN\0");
-/// A claim is believed up to this many splats, and up to one more for each byte: nodes may show the same splats many times.
-const SPLATS_ALWAYS: usize = 1 << 14;
 
 /// Reads all splats of the scene.
 ///
@@ -50,7 +49,7 @@ const SPLATS_ALWAYS: usize = 1 << 14;
 pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     let (text, binary) = chunks(bytes)?;
     let document = Document::parse(text)?;
-    splats::gather(&document, binary, SPLATS_ALWAYS + bytes.len())
+    splats::gather(&document, binary, decoded_bytes_max(bytes.len()))
 }
 
 /// What of the file means something else than what is drawn, a sentence each.

@@ -8,25 +8,28 @@ use super::document::{Document, Primitive};
 use super::nodes::shown_meshes;
 use super::place::place;
 use crate::activation::{normalised, scale_of_log};
+use crate::memory::{DECODED_BYTES_PER_FILE_BYTE, cloud_bytes};
 use crate::{DecodeError, spz};
 
 /// A primitive's splats in its own frame. Scales are as stored.
 struct Stored {
     cloud: SplatCloud,
+    /// Part of the file's limit that it takes, bytes.
+    charged_bytes: u64,
     /// Whether scales may turn out to be logarithms: those of an SPZ are known.
     undecided: bool,
 }
 
-/// All splats that the scene shows, at most `splats_max`.
-pub(super) fn gather(document: &Document, binary: &[u8], splats_max: usize) -> Result<SplatCloud, DecodeError> {
+/// All splats that the scene shows. Nodes may show the same splats many times; decoded they take at most `bytes_max`.
+pub(super) fn gather(document: &Document, binary: &[u8], bytes_max: u64) -> Result<SplatCloud, DecodeError> {
     let mut placed = Vec::new();
-    let (mut splats, mut found) = (0, false);
+    let (mut bytes_left, mut found) = (bytes_max, false);
     for (mesh, world) in shown_meshes(document)? {
         let mesh = document.meshes.get(mesh).ok_or_else(|| DecodeError::Malformed(format!("there is no mesh {mesh}")))?;
         for primitive in mesh.primitives.iter().filter(|primitive| primitive.splats().is_some()) {
-            let stored = read(document, binary, primitive, splats_max - splats)?;
+            let stored = read(document, binary, primitive, bytes_left)?;
             found = true;
-            splats += stored.cloud.len();
+            bytes_left = bytes_left.saturating_sub(stored.charged_bytes);
             placed.push((stored, world));
         }
     }
@@ -48,16 +51,19 @@ pub(super) fn gather(document: &Document, binary: &[u8], splats_max: usize) -> R
     Ok(all)
 }
 
-/// The splats of a primitive, at most `splats_max`.
-fn read(document: &Document, binary: &[u8], primitive: &Primitive, splats_max: usize) -> Result<Stored, DecodeError> {
-    let too_many = |count: u64| {
-        DecodeError::Malformed(format!("{count} splats where at most {splats_max} are believed of a file of this size"))
+/// The splats of a primitive, which take at most `bytes_max`.
+fn read(document: &Document, binary: &[u8], primitive: &Primitive, bytes_max: u64) -> Result<Stored, DecodeError> {
+    let charge = |bytes: u64| {
+        let told =
+            || format!("its splats take more memory than is believed of a file of this size ({bytes} bytes, {bytes_max} left)");
+        if bytes <= bytes_max { Ok(bytes) } else { Err(DecodeError::Malformed(told())) }
     };
     if let Some(spz) = primitive.splats().and_then(|splats| splats.extensions.spz.as_ref()) {
         let (bytes, _) = view_bytes(document, binary, spz.buffer_view).map_err(DecodeError::Malformed)?;
         // Right, up, back are glTF's axes.
-        let cloud = spz::decode_as_stored(bytes)?;
-        return if cloud.len() > splats_max { Err(too_many(cloud.len() as u64)) } else { Ok(Stored { cloud, undecided: false }) };
+        // By its size: an SPZ bounds what it unpacks to, but many nodes may show it.
+        let charged_bytes = charge(bytes.len() as u64 * DECODED_BYTES_PER_FILE_BYTE)?;
+        return Ok(Stored { cloud: spz::decode_as_stored(bytes)?, charged_bytes, undecided: false });
     }
     let index = |name: &str| {
         primitive.attributes.get(name).copied().ok_or_else(|| {
@@ -67,17 +73,14 @@ fn read(document: &Document, binary: &[u8], primitive: &Primitive, splats_max: u
     };
     let named = |name: &str| format!("{EXTENSION}:{name}");
     let count = document.accessors.get(index("POSITION")?).map_or(0, |accessor| accessor.count);
-    if count > splats_max as u64 {
-        return Err(too_many(count));
-    }
+    let has_degree = |l: &u8| primitive.attributes.contains_key(&named(&format!("SH_DEGREE_{l}_COEF_0")));
+    let sh_degree = (1..=sh::DEGREE_MAX).rev().find(has_degree).unwrap_or(0);
+    let charged_bytes = charge(cloud_bytes(count, sh_degree))?;
     let means = rows::<3>(document, binary, index("POSITION")?, "POSITION")?;
     let triples = |name: &str| counted(rows::<3>(document, binary, index(name)?, name)?, count, name);
     let [rotation, opacity] = [named("ROTATION"), named("OPACITY")];
     let rotations = counted(rows::<4>(document, binary, index(&rotation)?, &rotation)?, count, &rotation)?;
     let opacities = counted(rows::<1>(document, binary, index(&opacity)?, &opacity)?, count, &opacity)?;
-    let sh_degree =
-        (1..=sh::DEGREE_MAX).rev().find(|l| primitive.attributes.contains_key(&named(&format!("SH_DEGREE_{l}_COEF_0"))));
-    let sh_degree = sh_degree.unwrap_or(0);
     let stride = sh::coefficient_count(sh_degree) - 1;
     let mut sh_rest = vec![[0.0; 3]; count as usize * stride];
     let coefficients = (1..=sh_degree).flat_map(|l| (0..2 * l + 1).map(move |n| (l, n)));
@@ -94,7 +97,7 @@ fn read(document: &Document, binary: &[u8], primitive: &Primitive, splats_max: u
         sh_dc: triples(&named("SH_DEGREE_0_COEF_0"))?,
         sh_rest,
     };
-    Ok(Stored { cloud, undecided: true })
+    Ok(Stored { cloud, charged_bytes, undecided: true })
 }
 
 fn counted<const N: usize>(rows: Vec<[f32; N]>, count: u64, what: &str) -> Result<Vec<[f32; N]>, DecodeError> {

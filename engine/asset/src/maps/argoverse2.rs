@@ -11,7 +11,7 @@ use glam::DVec3;
 use serde::Deserialize;
 
 use super::links::{Places, join};
-use super::polyline::{between, cleaned};
+use super::polyline::{at_heights_of, between, cleaned};
 use crate::DecodeError;
 
 #[derive(Deserialize)]
@@ -69,13 +69,23 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
 fn lane(segment: &Segment) -> Lane {
     let line = |points: &[Point]| cleaned(points.iter().map(|point| DVec3::new(point.x, point.y, point.z)));
     let (left, right) = (line(&segment.left_lane_boundary), line(&segment.right_lane_boundary));
-    let centreline = segment.centerline.as_deref().map_or_else(|| between(&left, &right), line);
+    let middle = between(&left, &right);
+    let centreline = match segment.centerline.as_deref().map(line) {
+        // Motion forecasting maps have centerlines at z = 0 between borders at their true heights.
+        Some(flat) if !middle.is_empty() && has_no_height(&flat) && !has_no_height(&middle) => at_heights_of(&flat, &middle),
+        Some(given) => given,
+        None => middle,
+    };
     let kind = match segment.lane_type.as_str() {
         "VEHICLE" | "BUS" | "" => LaneKind::Driving,
         "BIKE" => LaneKind::Bicycle,
         _ => LaneKind::Other,
     };
     Lane { id: segment.id.to_string(), kind, centreline, left, right, has_height: true, ..Lane::default() }
+}
+
+fn has_no_height(line: &[DVec3]) -> bool {
+    line.iter().all(|point| point.z == 0.0)
 }
 
 /// Whether two lanes lead in the same direction, from end to end.

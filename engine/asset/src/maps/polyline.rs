@@ -57,6 +57,16 @@ pub(super) fn between(left: &[DVec3], right: &[DVec3]) -> Vec<DVec3> {
     cleaned(all.into_iter().map(|share| 0.5 * (on_left.at(left, &left_shares, share) + on_right.at(right, &right_shares, share))))
 }
 
+/// `line` at the heights of `other`, which runs beside it: at equal shares of the two lengths.
+pub(super) fn at_heights_of(line: &[DVec3], other: &[DVec3]) -> Vec<DVec3> {
+    let (own_shares, other_shares) = (shares(line), shares(other));
+    let mut on_other = Walk::default();
+    line.iter()
+        .zip(own_shares)
+        .map(|(point, share)| point.truncate().extend(on_other.at(other, &other_shares, share).z))
+        .collect()
+}
+
 /// A way along a line whose shares only rise.
 #[derive(Default)]
 struct Walk {

@@ -1,5 +1,7 @@
-//! Pinhole cameras in the words of the f-theta model, which is the one that readers of packages know.
+//! Cameras in the vocabulary of USDZ packages (NVIDIA NCore, `docs/data/sensor_models.rst`): `ftheta`, `opencv-pinhole`,
+//! `opencv-fisheye`.
 
+use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs_scene::{Intrinsics, Lens};
 use serde_json::{Value, json};
 
@@ -7,37 +9,75 @@ use serde_json::{Value, json};
 const COEFFICIENTS: usize = 6;
 /// Angles at which the polynomial is fitted.
 const SAMPLES: usize = 64;
+/// F-theta calibrations count pixels from the center of the first one, this engine from its corner.
+const FTHETA_ORIGIN_PX: f64 = 0.5;
 
-/// The model of a camera: f-theta for a pinhole. A lens has none here, and what cannot be told is not told wrongly.
+/// The model of a camera. A pinhole is written as f-theta, which all readers of packages know.
 pub(super) fn model(intrinsics: &Intrinsics) -> Value {
-    if intrinsics.lens == Lens::default() {
-        json!({"type": "ftheta", "parameters": f_theta(intrinsics)})
-    } else {
-        json!({"type": "other", "parameters": {"resolution": [intrinsics.width_px, intrinsics.height_px]}})
-    }
+    let principal_point = [intrinsics.cx_px, intrinsics.cy_px];
+    let focal_length = [intrinsics.fx_px, intrinsics.fy_px];
+    let (name, own) = match &intrinsics.lens {
+        Lens::Pinhole => ("ftheta", f_theta(intrinsics, &fitted(intrinsics))),
+        Lens::FTheta(lens) => ("ftheta", f_theta(intrinsics, lens)),
+        Lens::OpenCv(OpenCv { radial, tangential, thin_prism }) => (
+            "opencv-pinhole",
+            json!({
+                "principal_point": principal_point,
+                "focal_length": focal_length,
+                "radial_coeffs": radial,
+                "tangential_coeffs": tangential,
+                "thin_prism_coeffs": thin_prism,
+            }),
+        ),
+        Lens::Fisheye(Fisheye { radial, max_angle_rad }) => (
+            "opencv-fisheye",
+            json!({
+                "principal_point": principal_point,
+                "focal_length": focal_length,
+                "radial_coeffs": radial,
+                "max_angle": max_angle_rad,
+            }),
+        ),
+    };
+    let mut parameters = own;
+    parameters["resolution"] = json!([intrinsics.width_px, intrinsics.height_px]);
+    parameters["shutter_type"] = json!("GLOBAL");
+    parameters["external_distortion_parameters"] = Value::Null;
+    json!({"type": name, "parameters": parameters})
 }
 
-/// The parameters of `intrinsics` as f-theta: distance from the principal point against the angle from the axis, and back, as
-/// polynomials of the fifth degree up to the farthest corner.
-fn f_theta(intrinsics: &Intrinsics) -> Value {
-    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = *intrinsics;
-    let reach = |centre: f64, size: u32| centre.abs().max((f64::from(size) - centre).abs());
-    let (x, y) = (reach(cx_px, width_px) / fx_px, reach(cy_px, height_px) / fy_px);
-    let angle_max = x.hypot(y).atan();
-    let angles: Vec<f64> = (0..SAMPLES).map(|i| angle_max * (i as f64 + 0.5) / SAMPLES as f64).collect();
-    let distances: Vec<f64> = angles.iter().map(|angle| fy_px * angle.tan()).collect();
+/// The parameters of an f-theta lens.
+fn f_theta(intrinsics: &Intrinsics, lens: &FTheta) -> Value {
     json!({
-        "resolution": [width_px, height_px],
-        "shutter_type": "GLOBAL",
-        "external_distortion_parameters": null,
-        "principal_point": [cx_px, cy_px],
-        "reference_poly": "ANGLE_TO_PIXELDIST",
-        "pixeldist_to_angle_poly": fit(&distances, &angles),
-        "angle_to_pixeldist_poly": fit(&angles, &distances),
-        "max_angle": angle_max,
-        // Pixels are as wide as fx says where the polynomial says fy.
-        "linear_cde": [fx_px / fy_px, 0.0, 0.0],
+        "principal_point": [intrinsics.cx_px - FTHETA_ORIGIN_PX, intrinsics.cy_px - FTHETA_ORIGIN_PX],
+        "reference_poly": match lens.reference {
+            FThetaReference::PixelDistanceToAngle => "PIXELDIST_TO_ANGLE",
+            FThetaReference::AngleToPixelDistance => "ANGLE_TO_PIXELDIST",
+        },
+        "pixeldist_to_angle_poly": lens.pixel_distance_to_angle,
+        "angle_to_pixeldist_poly": lens.angle_to_pixel_distance,
+        "max_angle": lens.max_angle_rad,
+        "linear_cde": lens.linear_cde,
     })
+}
+
+/// A pinhole as f-theta: distance from the principal point against the angle from the axis, and back, as polynomials of the fifth
+/// degree up to the farthest corner.
+fn fitted(intrinsics: &Intrinsics) -> FTheta {
+    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = *intrinsics;
+    let reach = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
+    let (x, y) = (reach(cx_px, width_px) / fx_px, reach(cy_px, height_px) / fy_px);
+    let max_angle_rad = x.hypot(y).atan();
+    let angles: Vec<f64> = (0..SAMPLES).map(|i| max_angle_rad * (i as f64 + 0.5) / SAMPLES as f64).collect();
+    let distances: Vec<f64> = angles.iter().map(|angle| fy_px * angle.tan()).collect();
+    FTheta {
+        reference: FThetaReference::AngleToPixelDistance,
+        pixel_distance_to_angle: fit(&distances, &angles),
+        angle_to_pixel_distance: fit(&angles, &distances),
+        max_angle_rad,
+        // Pixels are as wide as fx says where the polynomial says fy.
+        linear_cde: [fx_px / fy_px, 0.0, 0.0],
+    }
 }
 
 /// The polynomial without a constant that is nearest to `to` at `from`, least squares.
@@ -76,20 +116,47 @@ fn fit(from: &[f64], to: &[f64]) -> [f64; COEFFICIENTS] {
 mod tests {
     use super::*;
 
+    fn usual() -> Intrinsics {
+        let square = Intrinsics::from_horizontal_fov(1600, 900, 1.0);
+        Intrinsics { fx_px: 1266.4, fy_px: 1266.4, cx_px: 816.3, cy_px: 491.5, ..square }
+    }
+
     #[test]
     fn a_usual_camera_is_told_to_a_fraction_of_a_pixel() {
-        let square = Intrinsics::from_horizontal_fov(1600, 900, 1.0);
-        let intrinsics = Intrinsics { fx_px: 1266.4, fy_px: 1266.4, cx_px: 816.3, cy_px: 491.5, ..square };
-        let model = f_theta(&intrinsics);
+        let model = model(&usual());
+        let parameters = &model["parameters"];
         let polynomial = |name: &str, x: f64| -> f64 {
-            model[name].as_array().unwrap().iter().rev().fold(0.0, |sum, c| sum * x + c.as_f64().unwrap())
+            parameters[name].as_array().unwrap().iter().rev().fold(0.0, |sum, c| sum * x + c.as_f64().unwrap())
         };
-        let angle_max = model["max_angle"].as_f64().unwrap();
+        let angle_max = parameters["max_angle"].as_f64().unwrap();
         for step in 0..=100 {
             let angle = angle_max * f64::from(step) / 100.0;
             let distance_px = 1266.4 * angle.tan();
             assert!((polynomial("angle_to_pixeldist_poly", angle) - distance_px).abs() < 0.05, "{angle}");
             assert!((polynomial("pixeldist_to_angle_poly", distance_px) - angle).abs() < 5e-5, "{angle}");
+        }
+        assert_eq!(parameters["principal_point"], json!([815.8, 491.0]), "counted from the center of the first pixel");
+    }
+
+    #[test]
+    fn each_lens_has_its_type_and_its_parameters() {
+        let of = |lens: Lens| model(&Intrinsics { lens, ..usual() });
+        let tangential = [0.001, -0.002];
+        let open_cv = of(Lens::OpenCv(OpenCv { radial: [-0.3, 0.1, 0.0, 0.0, 0.0, 0.0], tangential, ..OpenCv::default() }));
+        assert_eq!(open_cv["type"], "opencv-pinhole");
+        assert_eq!(open_cv["parameters"]["principal_point"], json!([816.3, 491.5]), "counted from the corner of the image");
+        assert_eq!(open_cv["parameters"]["tangential_coeffs"], json!(tangential));
+        assert_eq!(open_cv["parameters"]["radial_coeffs"][0], -0.3);
+        let fisheye = of(Lens::Fisheye(Fisheye { radial: [0.01, 0.0, 0.0, 0.0], max_angle_rad: 1.2 }));
+        assert_eq!((&fisheye["type"], &fisheye["parameters"]["max_angle"]), (&json!("opencv-fisheye"), &json!(1.2)));
+        assert_eq!(fisheye["parameters"]["focal_length"], json!([1266.4, 1266.4]));
+        let lens = FTheta { reference: FThetaReference::PixelDistanceToAngle, ..fitted(&usual()) };
+        let f_theta = of(Lens::FTheta(lens));
+        assert_eq!(f_theta["parameters"]["reference_poly"], "PIXELDIST_TO_ANGLE");
+        assert_eq!(f_theta["parameters"]["angle_to_pixeldist_poly"], json!(lens.angle_to_pixel_distance));
+        for model in [open_cv, fisheye, f_theta] {
+            assert_eq!(model["parameters"]["resolution"], json!([1600, 900]));
+            assert_eq!(model["parameters"]["shutter_type"], "GLOBAL");
         }
     }
 }

@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | `default.usda` | an empty stage, z up, metres: the layer that makes the package one | USD |
 //! | `metadata.yaml` | scene id, sensors, time range | AlpaSim |
-//! | `rig_trajectories.json` | rig poses, camera calibrations (as f-theta polynomials), frames of the cameras | both |
+//! | `rig_trajectories.json` | rig poses, camera calibrations (`ftheta`, `opencv-pinhole`, `opencv-fisheye`), frames of the cameras | both |
 //! | `sequence_tracks.json` | boxes and poses of the agents; the sequence is called as CARLA's script wants it | both |
 //! | `data_info.json` | first and last moment | CARLA |
 //! | `map.xodr` | the map, if one is given | AlpaSim |
@@ -27,7 +27,7 @@ mod rig;
 mod write;
 
 pub(crate) use read::is_package;
-pub use read::{open_packed_scene, unpack};
+pub use read::open_packed_scene;
 pub use write::{PackSummary, pack};
 
 use decouplegs_scene::VehicleSize;

@@ -1,31 +1,30 @@
-//! A package back into a scene.
+//! Scenes read from packages. Nothing is unpacked to the disk: entries are read from the bytes of the package.
 
-use std::io::Write;
+use std::borrow::Cow;
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use crate::error::read_bytes;
+use crate::scene_file::SceneFiles;
+use crate::toml_text::text_of;
 use crate::zip::Archive;
-use crate::{AssetError, DecodeError, LoadedScene, SceneFile, write_atomically};
+use crate::{AssetError, DecodeError, LoadedScene, SceneFile};
 
 use super::{OURS, SCENE};
 
-/// What users call it.
+/// Name of the format in messages.
 const NAME: &str = "USDZ package of decouplegs";
-/// Entries of a package that are ours; scenes have as many assets.
-const ENTRIES_MAX: usize = 100_000;
 
-/// Whether `path` is called like a package.
+/// Whether `path` is named like a package.
 pub(crate) fn is_package(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"))
 }
 
-/// Unpacks what is ours in the package at `path` into `folder`, which exists; the scene file in it.
-///
-/// Entries are stored, so that they take what the package takes, and none leads out of the folder.
+/// Opens the scene in the package at `path`, loaded as at `time_s`. Only the entries that the scene names are read.
 ///
 /// # Errors
-/// [`AssetError`] of the package, or of the file that could not be written.
-pub fn unpack(path: &Path, folder: &Path) -> Result<PathBuf, AssetError> {
+/// [`AssetError`] of the package, or of the entry at fault. A scene that names files outside of its package is refused.
+pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     let bytes = read_bytes(path)?;
     let decode_error = |source| AssetError::Decode { path: path.to_owned(), format: NAME, source };
     let archive = Archive::parse(&bytes).map_err(decode_error)?;
@@ -33,39 +32,47 @@ pub fn unpack(path: &Path, folder: &Path) -> Result<PathBuf, AssetError> {
         let told = format!("it has no '{SCENE}': packages of other programs hold no scene that is read here");
         return Err(decode_error(DecodeError::Unsupported(told)));
     }
-    let names: Vec<&str> = archive.names().filter(|name| name.starts_with(OURS) && !name.ends_with('/')).collect();
-    if names.len() > ENTRIES_MAX {
-        let told = format!("it has {} entries; at most {ENTRIES_MAX} are read", names.len());
-        return Err(decode_error(DecodeError::Malformed(told)));
-    }
-    for name in names {
-        // Stored: `checked` compares the checksum and allocates nothing.
-        archive.stored(name).map_err(decode_error)?;
-        let content = archive.checked(name, bytes.len() as u64).map_err(decode_error)?;
-        let to = folder.join(&name[OURS.len()..]);
-        if let Some(parent) = to.parent() {
-            std::fs::create_dir_all(parent).map_err(|source| AssetError::Write { path: parent.to_owned(), source })?;
-        }
-        write_atomically(&to, |file| file.write_all(&content))?;
-    }
-    Ok(folder.join(&SCENE[OURS.len()..]))
+    let package = Package { path, archive, file_bytes: bytes.len() as u64, read_bytes: Cell::new(0) };
+    let text = package.bytes(Path::new(&SCENE[OURS.len()..]))?;
+    let scene_error = |source| AssetError::Scene { path: path.join(SCENE), source };
+    let scene = text_of(&text).and_then(SceneFile::parse).map_err(scene_error)?;
+    scene.load_from(&package, time_s)
 }
 
-/// Opens the scene in the package at `path`, loaded as at `time_s`. It is unpacked into a temporary folder, which is gone afterwards.
-///
-/// # Errors
-/// As [`unpack`] and [`SceneFile::load`]; a scene that names files outside of its package is refused.
-pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
-    let folder = tempfile::tempdir().map_err(|source| AssetError::Write { path: std::env::temp_dir(), source })?;
-    let scene = SceneFile::read(&unpack(path, folder.path())?)?;
-    let transfer = scene.light.as_ref().and_then(|light| light.transfer.as_ref());
-    let files = scene.agents.iter().map(|agent| &agent.asset).chain([&scene.background]).chain(transfer);
-    for file in files {
-        let is_inside = file.components().all(|part| matches!(part, std::path::Component::Normal(_)));
-        if !is_inside {
-            let told = format!("its scene names '{}', which is not in the package", file.display());
-            return Err(AssetError::Decode { path: path.to_owned(), format: NAME, source: DecodeError::Malformed(told) });
-        }
+/// The entries of a package as the files of its scene.
+struct Package<'a> {
+    path: &'a Path,
+    archive: Archive<'a>,
+    /// Size of the package.
+    file_bytes: u64,
+    /// Size of all entries read so far.
+    read_bytes: Cell<u64>,
+}
+
+impl SceneFiles for Package<'_> {
+    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
+        self.entry(file).map_err(|source| AssetError::Decode { path: self.path.to_owned(), format: NAME, source })
     }
-    scene.load(folder.path(), time_s)
+
+    fn path(&self, file: &Path) -> PathBuf {
+        self.path.join(OURS).join(file)
+    }
+}
+
+impl Package<'_> {
+    fn entry(&self, file: &Path) -> Result<Cow<'_, [u8]>, DecodeError> {
+        let is_inside = file.components().all(|part| matches!(part, std::path::Component::Normal(_)));
+        let Some(name) = file.to_str().filter(|_| is_inside) else {
+            return Err(DecodeError::Malformed(format!("its scene names '{}', which is not in the package", file.display())));
+        };
+        let name = format!("{OURS}{name}");
+        // Stored: `checked` compares the checksum and allocates nothing.
+        let bytes = self.archive.stored(&name)?.len() as u64;
+        self.read_bytes.set(self.read_bytes.get() + bytes);
+        if self.read_bytes.get() > self.file_bytes {
+            let told = "its entries overlap: together they are larger than the package. Pack the scene again";
+            return Err(DecodeError::Malformed(told.into()));
+        }
+        self.archive.checked(&name, bytes)
+    }
 }

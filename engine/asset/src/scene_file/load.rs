@@ -1,5 +1,6 @@
 //! From a scene file to a world and its agents.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -8,8 +9,10 @@ use decouplegs_scene::{CodedCloud, ContactShadow, LightTransfer, Pose, Rig, ShFr
 use glam::DVec3;
 
 use super::{SceneAgent, SceneFile};
+use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
-use crate::{AssetError, coded_asset, read_coded, read_light_transfer, read_splats};
+use crate::read::splats_of;
+use crate::{AssetError, coded_asset, light_transfer_file, read_bytes, read_splats};
 
 /// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -126,10 +129,15 @@ impl SceneFile {
     /// # Errors
     /// [`AssetError`] of the file at fault, or when there are more agents than ids.
     pub fn load(&self, directory: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
-        let background = read_in_spatial_order(&directory.join(&self.background))?;
+        self.load_from(&Folder(directory), time_s)
+    }
+
+    /// As [`SceneFile::load`], from `files`.
+    pub(crate) fn load_from(&self, files: &dyn SceneFiles, time_s: f64) -> Result<LoadedScene, AssetError> {
+        let background = in_spatial_order(&files.splats(&self.background)?);
         let mut scene =
             LoadedScene::of_world(World { origin: self.origin, sky: self.sky, rules: self.rules, ..World::of(background) });
-        let mut loader = AgentLoader { directory, time_s, plain: HashMap::new(), coded: HashMap::new() };
+        let mut loader = AgentLoader { files, time_s, plain: HashMap::new(), coded: HashMap::new(), checked_splats: 0 };
         for (index, agent) in self.agents.iter().enumerate() {
             let instance = u16::try_from(index + 1).map_err(|_| {
                 AssetError::Placement(format!("agent {}: more than {} agents in one world", agent.name, u16::MAX))
@@ -140,8 +148,8 @@ impl SceneFile {
         let standing = || Trajectory::standing(Pose { translation: self.origin, ..Pose::IDENTITY });
         scene.ego = self.ego.clone().unwrap_or_else(standing);
         if let Some(light) = &self.light {
-            let transfer = light.transfer.as_ref().map(|path| read_light_transfer(&directory.join(path))).transpose()?;
-            let transfer = transfer.map(|file| file.transfer);
+            let read = |file: &PathBuf| light_transfer_file::read_from(&files.bytes(file)?, &files.path(file));
+            let transfer = light.transfer.as_ref().map(read).transpose()?.map(|file| file.transfer);
             scene.light = Some(LoadedLight { transfer, ambient: light.ambient, shadows: light.shadows });
         }
         scene.agent_names = self.agents.iter().map(|agent| agent.name.clone()).collect();
@@ -149,31 +157,85 @@ impl SceneFile {
     }
 }
 
+/// The files that a scene names.
+pub(crate) trait SceneFiles {
+    /// The content of `file`, a path as the scene file names it.
+    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError>;
+
+    /// The place of `file`, for messages.
+    fn path(&self, file: &Path) -> PathBuf;
+
+    /// The splats in `file`.
+    fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
+        splats_of(&self.bytes(file)?, &self.path(file))
+    }
+}
+
+/// Files relative to a folder.
+struct Folder<'a>(&'a Path);
+
+impl SceneFiles for Folder<'_> {
+    fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
+        read_bytes(&self.path(file)).map(Cow::Owned)
+    }
+
+    fn path(&self, file: &Path) -> PathBuf {
+        self.0.join(file)
+    }
+
+    // A SOG may be a folder.
+    fn splats(&self, file: &Path) -> Result<SplatCloud, AssetError> {
+        read_splats(&self.path(file))
+    }
+}
+
 /// Adds agents to a scene. Many may show one asset: it is read once.
 struct AgentLoader<'a> {
-    directory: &'a Path,
+    files: &'a dyn SceneFiles,
     time_s: f64,
     plain: HashMap<PathBuf, SplatCloud>,
+    /// Splats for which memory was found.
+    checked_splats: u64,
     /// Places in [`LoadedScene::assets`].
     coded: HashMap<PathBuf, usize>,
 }
 
 impl AgentLoader<'_> {
-    fn add(&mut self, scene: &mut LoadedScene, agent: &SceneAgent, instance: u16) -> Result<(), AssetError> {
-        let path = self.directory.join(&agent.asset);
-        if !coded_asset::has_extension(&path) {
-            if !self.plain.contains_key(&path) {
-                self.plain.insert(path.clone(), read_in_spatial_order(&path)?);
-            }
-            let pose = agent.trajectory.at(self.time_s);
-            scene.world.bake_instance(&self.plain[&path], &pose, agent.sh_frame.unwrap_or_default(), instance);
+    /// Checks that the memory holds `splats` splats and as many more, as a list that is full grows to twice its size: 500 agents may
+    /// show one small file.
+    fn check_size(&mut self, splats: u64, sh_degree: u8) -> Result<(), AssetError> {
+        if splats <= self.checked_splats {
             return Ok(());
         }
-        let asset = match self.coded.get(&path) {
+        if splats > SPLATS_MAX {
+            let told =
+                format!("background and agents have more than {SPLATS_MAX} splats, which is no scene: compress the agents");
+            return Err(AssetError::Placement(told));
+        }
+        self.checked_splats = 2 * splats;
+        let what = format!("a scene of {splats} splats and more, with its agents,");
+        memory::require(&what, cloud_bytes(self.checked_splats, sh_degree)).map_err(AssetError::Placement)
+    }
+
+    fn add(&mut self, scene: &mut LoadedScene, agent: &SceneAgent, instance: u16) -> Result<(), AssetError> {
+        let file = &agent.asset;
+        if !coded_asset::has_extension(file) {
+            if !self.plain.contains_key(file) {
+                self.plain.insert(file.clone(), in_spatial_order(&self.files.splats(file)?));
+            }
+            let (there, added) = (&scene.world.splats, &self.plain[file]);
+            let splats = (there.len() + added.len()) as u64;
+            self.check_size(splats, there.sh_degree.max(added.sh_degree))?;
+            let asset = &self.plain[file];
+            let pose = agent.trajectory.at(self.time_s);
+            scene.world.bake_instance(asset, &pose, agent.sh_frame.unwrap_or_default(), instance);
+            return Ok(());
+        }
+        let asset = match self.coded.get(file) {
             Some(&asset) => asset,
             None => {
-                scene.assets.push(read_coded(&path)?.cloud);
-                self.coded.insert(path, scene.assets.len() - 1);
+                scene.assets.push(coded_asset::read_from(&self.files.bytes(file)?, &self.files.path(file))?.cloud);
+                self.coded.insert(file.clone(), scene.assets.len() - 1);
                 scene.assets.len() - 1
             }
         };
@@ -201,11 +263,10 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     if is_package(path) {
         return open_packed_scene(path, time_s);
     }
-    Ok(LoadedScene::of_world(World::of(read_in_spatial_order(path)?)))
+    Ok(LoadedScene::of_world(World::of(in_spatial_order(&read_splats(path)?))))
 }
 
 /// Neighbours in memory are neighbours in space, so that runs of splats can be culled together.
-fn read_in_spatial_order(path: &Path) -> Result<SplatCloud, AssetError> {
-    let cloud = read_splats(path)?;
-    Ok(cloud.select(&cloud.spatial_order()))
+fn in_spatial_order(cloud: &SplatCloud) -> SplatCloud {
+    cloud.select(&cloud.spatial_order())
 }

@@ -8,6 +8,7 @@ mod form;
 mod layer;
 mod lens;
 mod load;
+mod movable;
 mod paths;
 
 use std::io::Write;
@@ -23,7 +24,9 @@ use crate::{AssetError, SceneError, write_atomically};
 
 pub use editing::EditError;
 pub use layer::Layer;
+pub(crate) use load::SceneFiles;
 pub use load::{LoadedAgent, LoadedLight, LoadedScene, open_scene, places_along};
+pub use movable::open_movable_scene;
 pub use paths::path_from;
 
 /// The version that is written, and the only one there is.

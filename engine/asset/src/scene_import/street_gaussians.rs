@@ -7,6 +7,7 @@ use decouplegs_scene::{Pose, SplatCloud, TimedPose, Track, Trajectory};
 
 use super::{ImportOptions, ImportedActor, ImportedScene};
 use crate::checkpoint::{Checkpoint, Names, Node, Tensor, cloud_of};
+use crate::memory::{cloud_bytes, decoded_bytes_max};
 use crate::ply::Ply;
 use crate::{DecodeError, inria_ply};
 
@@ -26,6 +27,8 @@ const ACTOR: &str = "obj_";
 const ELEMENT: &str = "vertex_";
 /// Moments over which colours that change with time are averaged.
 const MOMENTS: usize = 64;
+/// Most terms of a Fourier series that are read; the trainer's default is 5.
+const TERMS_MAX: usize = 1024;
 
 /// The scene of a checkpoint, whose models are the values of `root`.
 pub(super) fn scene(checkpoint: &Checkpoint<'_>, root: &Node, options: &ImportOptions) -> Result<ImportedScene, DecodeError> {
@@ -39,9 +42,17 @@ pub(super) fn scene(checkpoint: &Checkpoint<'_>, root: &Node, options: &ImportOp
     let background = cloud(BACKGROUND)?;
     let mut actors = Vec::new();
     let mut notes = Vec::new();
+    // Many names may stand for the same tensors.
+    let mut decoded_bytes = cloud_bytes(background.len() as u64, background.sh_degree);
     for key in tree.keys(root).filter(|&key| key != BACKGROUND) {
         if is_actor(key) {
-            actors.push(ImportedActor { name: key.to_owned(), splats: cloud(key)?, trajectory: None });
+            let splats = cloud(key)?;
+            decoded_bytes += cloud_bytes(splats.len() as u64, splats.sh_degree);
+            if decoded_bytes > decoded_bytes_max(checkpoint.file_bytes) {
+                let told = format!("its models name the same tensors so often that they take {decoded_bytes} bytes and more");
+                return Err(DecodeError::Malformed(told));
+            }
+            actors.push(ImportedActor { name: key.to_owned(), splats, trajectory: None });
         } else if matches!(tree.get(root, key), Some(Node::Dictionary(_))) {
             notes.push(left_out(key));
         }
@@ -136,7 +147,7 @@ fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
     let &[count, terms, 3] = tensor.shape() else {
         return Err(DecodeError::Malformed(format!("'{}' has the shape {:?}, expected [N, terms, 3]", NAMES.dc, tensor.shape())));
     };
-    let weights = mean_weights(terms);
+    let weights = mean_weights(terms)?;
     let mut values = tensor.f64s();
     let mut colour = || {
         let mut sum = [0.0; 3];
@@ -149,13 +160,20 @@ fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
 }
 
 /// What each term of the series is on average over time 0 to 1: cosines at even places, sines at odd ones.
-pub(crate) fn mean_weights(terms: usize) -> Vec<f64> {
+///
+/// # Errors
+/// For more than 1024 terms.
+pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
+    if terms > TERMS_MAX {
+        let told = format!("colours are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
+        return Err(DecodeError::Malformed(told));
+    }
     let term = |term: usize, time: f64| {
         let angle = std::f64::consts::PI * time;
         if term.is_multiple_of(2) { (angle * term as f64).cos() } else { (angle * (term + 1) as f64).sin() }
     };
     let moment = |index: usize| (index as f64 + 0.5) / MOMENTS as f64;
-    (0..terms).map(|t| (0..MOMENTS).map(|index| term(t, moment(index))).sum::<f64>() / MOMENTS as f64).collect()
+    Ok((0..terms).map(|t| (0..MOMENTS).map(|index| term(t, moment(index))).sum::<f64>() / MOMENTS as f64).collect())
 }
 
 #[cfg(test)]
@@ -171,7 +189,7 @@ mod tests {
 
     #[test]
     fn the_mean_over_time_is_the_constant_term() {
-        let weights = mean_weights(5);
+        let weights = mean_weights(5).unwrap();
         assert!((weights[0] - 1.0).abs() < 1e-12);
         assert!(weights[1..].iter().all(|weight| weight.abs() < 1e-9), "{weights:?}");
     }

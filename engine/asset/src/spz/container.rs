@@ -25,9 +25,9 @@ const EXTENSION_BYTES_MAX: u64 = 1 << 16;
 
 /// A file's claim is believed up to this many splats however small the file is, so that tiny uniform clouds are read.
 const SPLATS_ALWAYS: u64 = 1 << 14;
-/// And up to this many splats for each of its bytes. Real files take 5 to 20 bytes a splat; without a bound a file of
-/// a megabyte could ask for a terabyte.
-const SPLATS_PER_BYTE_MAX: u64 = 1;
+/// Further splats are believed if the file has this many bytes for each. Real files have 5 to 20 bytes per splat; without a bound a
+/// file of a megabyte could ask for a terabyte.
+const BYTES_PER_SPLAT_MIN: u64 = 4;
 
 /// Zstandard level: beyond it, files get slower to write but hardly smaller.
 const LEVEL: i32 = 9;
@@ -66,7 +66,7 @@ fn read_header(bytes: &[u8; HEADER_BYTES], file_bytes: u64) -> Result<Header, De
     if fractional_bits > 24 {
         return Err(DecodeError::Malformed(format!("{fractional_bits} fractional bits in 24-bit positions")));
     }
-    let count_max = SPLATS_ALWAYS + SPLATS_PER_BYTE_MAX * file_bytes;
+    let count_max = SPLATS_ALWAYS + file_bytes / BYTES_PER_SPLAT_MIN;
     if u64::from(count) > count_max {
         return Err(DecodeError::Malformed(format!(
             "{count} splats in {file_bytes} bytes; at most {count_max} are believed: the count is damaged, export the file again"
@@ -246,7 +246,7 @@ pub(super) fn write(packed: &Packed) -> Result<Vec<u8>, EncodeError> {
     for stream in &compressed {
         bytes.extend_from_slice(stream);
     }
-    if u64::from(count) > SPLATS_ALWAYS + SPLATS_PER_BYTE_MAX * bytes.len() as u64 {
+    if u64::from(count) > SPLATS_ALWAYS + bytes.len() as u64 / BYTES_PER_SPLAT_MIN {
         return Err(EncodeError(format!(
             "{count} splats shrink to {} bytes, which readers take for an attack: they must be nearly all the same",
             bytes.len()

@@ -1,6 +1,7 @@
 //! Archives as bytes that anyone may have written.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::io::Read;
 
 use flate2::Crc;
@@ -28,8 +29,8 @@ enum Method {
 }
 
 #[derive(Clone, Debug)]
-struct Entry {
-    name: String,
+struct Entry<'a> {
+    name: &'a str,
     method: Method,
     packed_bytes: u64,
     bytes: u64,
@@ -41,37 +42,40 @@ struct Entry {
 #[derive(Clone, Debug)]
 pub(crate) struct Archive<'a> {
     bytes: &'a [u8],
-    entries: Vec<Entry>,
+    entries: Vec<Entry<'a>>,
+    /// Places in `entries`; of equal names the first.
+    by_name: HashMap<&'a str, usize>,
 }
 
 impl<'a> Archive<'a> {
     /// Reads the directory at the end of `bytes`.
     pub(crate) fn parse(bytes: &'a [u8]) -> Result<Self, DecodeError> {
         let (count, start) = directory(bytes)?;
-        let mut entries = Vec::new();
+        let (mut entries, mut by_name) = (Vec::new(), HashMap::new());
         let mut at = start;
         for index in 0..count {
             let (entry, next) = central_entry(bytes, at).ok_or_else(|| {
                 malformed(format!("entry {index} of {count} in the zip's directory is damaged; copy or export the file again"))
             })?;
             let entry = entry?;
-            if leads_astray(&entry.name) {
-                return Err(malformed(format!("the zip has an entry '{}', which leads out of it", shown(&entry.name))));
+            if leads_astray(entry.name) {
+                return Err(malformed(format!("the zip has an entry '{}', which leads out of it", shown(entry.name))));
             }
+            by_name.entry(entry.name).or_insert(entries.len());
             entries.push(entry);
             at = next;
         }
-        Ok(Self { bytes, entries })
+        Ok(Self { bytes, entries, by_name })
     }
 
     /// The names of all entries, in the order of the directory.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.entries.iter().map(|entry| entry.name.as_str())
+        self.entries.iter().map(|entry| entry.name)
     }
 
     /// Whether there is an entry called `name`.
     pub(crate) fn has(&self, name: &str) -> bool {
-        self.entries.iter().any(|entry| entry.name == name)
+        self.by_name.contains_key(name)
     }
 
     /// The bytes of an entry that is stored as it is, a piece of the file. Its checksum is not looked at.
@@ -103,24 +107,24 @@ impl<'a> Archive<'a> {
         Ok(content)
     }
 
-    fn entry(&self, name: &str) -> Result<&Entry, DecodeError> {
-        self.entries.iter().find(|entry| entry.name == name).ok_or_else(|| {
+    fn entry(&self, name: &str) -> Result<&Entry<'a>, DecodeError> {
+        self.by_name.get(name).map(|&place| &self.entries[place]).ok_or_else(|| {
             let there: Vec<String> = self.names().take(12).map(shown).collect();
             malformed(format!("the zip has no entry '{}', only: {}", shown(name), there.join(", ")))
         })
     }
 
     /// The bytes of an entry as they stand in the file.
-    fn packed(&self, entry: &Entry) -> Result<&'a [u8], DecodeError> {
+    fn packed(&self, entry: &Entry<'a>) -> Result<&'a [u8], DecodeError> {
         let truncated = || DecodeError::Truncated {
-            what: format!("the zip's entry '{}'", shown(&entry.name)),
+            what: format!("the zip's entry '{}'", shown(entry.name)),
             expected_bytes: entry.header_at.saturating_add(LOCAL_BYTES as u64).saturating_add(entry.packed_bytes),
             found_bytes: self.bytes.len() as u64,
         };
         let at = usize::try_from(entry.header_at).map_err(|_| truncated())?;
         let header = slice(self.bytes, at, LOCAL_BYTES).ok_or_else(truncated)?;
         if !header.starts_with(&LOCAL) {
-            return Err(malformed(format!("the zip's directory says that '{}' begins where nothing does", shown(&entry.name))));
+            return Err(malformed(format!("the zip's directory says that '{}' begins where nothing does", shown(entry.name))));
         }
         let before = LOCAL_BYTES + usize::from(u16_at(header, 26)) + usize::from(u16_at(header, 28));
         let length = usize::try_from(entry.packed_bytes).map_err(|_| truncated())?;
@@ -128,13 +132,13 @@ impl<'a> Archive<'a> {
     }
 }
 
-fn inflated(packed: &[u8], entry: &Entry) -> Result<Vec<u8>, DecodeError> {
+fn inflated(packed: &[u8], entry: &Entry<'_>) -> Result<Vec<u8>, DecodeError> {
     let mut content = Vec::new();
     // One byte more than is claimed tells a claim that is too small.
     let result = DeflateDecoder::new(packed).take(entry.bytes + 1).read_to_end(&mut content);
-    result.map_err(|error| malformed(format!("the zip's entry '{}': {error}", shown(&entry.name))))?;
+    result.map_err(|error| malformed(format!("the zip's entry '{}': {error}", shown(entry.name))))?;
     if content.len() as u64 != entry.bytes {
-        let told = format!("the zip's entry '{}' has another size than its {} bytes", shown(&entry.name), entry.bytes);
+        let told = format!("the zip's entry '{}' has another size than its {} bytes", shown(entry.name), entry.bytes);
         return Err(malformed(told));
     }
     Ok(content)
@@ -180,23 +184,23 @@ fn end_64(bytes: &[u8], end_at: usize) -> Option<(u64, u64)> {
 }
 
 /// The entry of the directory at `at`, and where the next begins. None where the bytes are no entry.
-fn central_entry(bytes: &[u8], at: usize) -> Option<(Result<Entry, DecodeError>, usize)> {
+fn central_entry(bytes: &[u8], at: usize) -> Option<(Result<Entry<'_>, DecodeError>, usize)> {
     let fixed = slice(bytes, at, CENTRAL_BYTES)?;
     if !fixed.starts_with(&CENTRAL) {
         return None;
     }
     let [name_bytes, extra_bytes, comment_bytes] = [28, 30, 32].map(|at| usize::from(u16_at(fixed, at)));
     let name_at = at + CENTRAL_BYTES;
-    let name = std::str::from_utf8(slice(bytes, name_at, name_bytes)?).ok()?.to_owned();
+    let name = std::str::from_utf8(slice(bytes, name_at, name_bytes)?).ok()?;
     let extra = slice(bytes, name_at + name_bytes, extra_bytes)?;
     let next = name_at + name_bytes + extra_bytes + comment_bytes;
     let [packed_bytes, size, header_at] = sizes(fixed, extra)?;
     let method = match (u16_at(fixed, 10), u16_at(fixed, 8) & 1) {
         (0, 0) => Method::Stored,
         (8, 0) => Method::Deflated,
-        (_, 1) => return Some((Err(DecodeError::Unsupported(format!("the zip's entry '{}' is encrypted", shown(&name)))), next)),
+        (_, 1) => return Some((Err(DecodeError::Unsupported(format!("the zip's entry '{}' is encrypted", shown(name)))), next)),
         (other, _) => {
-            let told = format!("the zip's entry '{}' is compressed by method {other}; store or deflate it", shown(&name));
+            let told = format!("the zip's entry '{}' is compressed by method {other}; store or deflate it", shown(name));
             return Some((Err(DecodeError::Unsupported(told)), next));
         }
     };

@@ -35,11 +35,11 @@ fn the_documented_example_means_what_it_says() {
         agent_splats: 10_000,
     };
     assert_eq!(scenario.place, place);
-    assert_eq!(scenario.ego.route, ["12_-1", "101_-1", "14_-1"]);
+    assert_eq!(scenario.ego.route, ["12/0/-1", "101/0/-1", "14/0/-1"]);
     assert_eq!((scenario.ego.start_m, scenario.ego.end_m, scenario.ego.size), (5.0, 60.0, VehicleSize::CAR));
     assert_eq!((scenario.ego.speed_mps, scenario.ego.cruise_mps), (8.0, 11.0));
     let [taxi] = scenario.agents.as_slice() else { panic!("one agent") };
-    assert_eq!((taxi.name.as_str(), taxi.asset, taxi.lane.as_str(), taxi.at_m), ("taxi", 3, "12_-2", 25.0));
+    assert_eq!((taxi.name.as_str(), taxi.asset, taxi.lane.as_str(), taxi.at_m), ("taxi", 3, "12/0/-2", 25.0));
     assert_eq!((taxi.driver, taxi.changes_lanes, taxi.size.to_array()), (DriverKind::Hurried, true, [4.8, 1.85, 1.5]));
     let behaviours = [
         Behaviour { trigger: Trigger::NearEgo { distance_m: 14.0 }, maneuver: Maneuver::CutIn },
@@ -87,8 +87,8 @@ fn complaints_name_line_key_and_reason() {
         ("exposure_ev = -1.5", "exposure_ev = inf", "place.exposure_ev: inf is out of range"),
         ("background = 400000", "background = 0", "place.background: 0 is out of range"),
         ("agent_splats = 10000", "agent_splats = 9000000000", "place.agent_splats: 9000000000 is out of range"),
-        ("[\"12_-1\", \"101_-1\", \"14_-1\"]", "[]", "ego.route: 0 lanes"),
-        ("[\"12_-1\", \"101_-1\", \"14_-1\"]", "[\"\"]", "ego.route: a lane's id of 0 bytes"),
+        ("[\"12/0/-1\", \"101/0/-1\", \"14/0/-1\"]", "[]", "ego.route: 0 lanes"),
+        ("[\"12/0/-1\", \"101/0/-1\", \"14/0/-1\"]", "[\"\"]", "ego.route: a lane's id of 0 bytes"),
         ("start_m = 5.0", "start_m = -5.0", "ego.start_m: -5 is out of range"),
         ("cruise_mps = 11.0", "cruise = 11.0", "cruise: unknown field"),
         ("size_m = [4.5,", "size_m = [0.0,", "ego.size_m: 0 is out of range"),

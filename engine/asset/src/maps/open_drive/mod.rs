@@ -6,6 +6,8 @@
 //! lanes of its own. The speed limit is the lane's or, where it has none, the road's where the section starts. Coordinates are
 //! those of the file: `geoReference` and the header's `offset` are not applied.
 //!
+//! Lanes that taper to nothing beside the lane that follows are bent onto it ([`tapers`]).
+//!
 //! Not read: superelevation and the lateral shape (a bank of 5% lifts the outer border of a lane by some 20 cm, its middle
 //! by half of it), kerb heights, objects, signals, railways.
 
@@ -14,6 +16,7 @@ mod junctions;
 mod lanes;
 mod plan_view;
 mod sampling;
+mod tapers;
 
 use std::collections::HashMap;
 
@@ -91,6 +94,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     for junction in root.all("junction") {
         network.join_junction(junction)?;
     }
+    tapers::join_smoothly(&mut lanes);
     super::finished(lanes, DVec3::ZERO)
 }
 
