@@ -57,9 +57,14 @@ impl<T> Cache<T> {
         })
     }
 
+    /// Takes out the value called `name`.
+    pub fn remove(&mut self, name: &str) {
+        self.entries.retain(|entry| entry.name != name);
+    }
+
     /// Adds a value for which there is room.
     pub fn insert(&mut self, name: String, value: T, bytes: u64) {
-        self.entries.retain(|entry| entry.name != name);
+        self.remove(&name);
         self.entries.push(Entry { name, value, bytes });
     }
 

@@ -5,11 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::{AssetError, SceneFile};
+use decouplegs::asset::{AssetError, SceneFile, open_scene};
 use decouplegs::scene::{Pose, Rig, RigCamera, TimedPose, Trajectory};
 use glam::DVec3;
-
-use crate::scene_reading::{is_scene_file, read_scene};
 
 /// What there is to know of a scene before it is drawn, as clients see it: in the local frame, and from the clients' rig origin.
 #[derive(Debug)]
@@ -26,6 +24,8 @@ pub struct Catalogue {
     /// The clients' rig origin in the vehicle frame, metres.
     rig_origin: DVec3,
     outlines: Mutex<HashMap<String, Arc<Outline>>>,
+    /// Held while an outline is read: one at a time, because a splat file may take gigabytes.
+    reading: Mutex<()>,
 }
 
 impl Catalogue {
@@ -52,7 +52,7 @@ impl Catalogue {
         }
         let searched = patterns.join(", ");
         ensure!(!by_id.is_empty(), "no scenes: name scene files, or a pattern that finds some (searched: {searched:?})");
-        Ok(Self { paths: by_id, rig_origin, outlines: Mutex::default() })
+        Ok(Self { paths: by_id, rig_origin, outlines: Mutex::default(), reading: Mutex::default() })
     }
 
     /// All ids, sorted.
@@ -75,12 +75,17 @@ impl Catalogue {
             return Ok(Some(Arc::clone(outline)));
         }
         let Some(path) = self.path(id) else { return Ok(None) };
+        let _reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+        // Another request may have read it meanwhile.
+        if let Some(outline) = known().get(id) {
+            return Ok(Some(Arc::clone(outline)));
+        }
         let outline = if is_scene_file(path) {
             let file = SceneFile::read(path)?;
             let ego = file.ego.unwrap_or_else(|| Trajectory::standing(Pose { translation: file.origin, ..Pose::IDENTITY }));
             self.seen_by_clients(file.rig, &ego, file.origin)
         } else {
-            let loaded = read_scene(path)?;
+            let loaded = open_scene(path, 0.0)?;
             self.seen_by_clients(loaded.rig, &loaded.ego, loaded.world.origin)
         };
         let outline = Arc::new(outline);
@@ -103,6 +108,11 @@ impl Catalogue {
             ego: Trajectory::new(poses).unwrap_or_else(|_| ego.clone()),
         }
     }
+}
+
+/// Whether `path` is a scene file, and not a scene of another kind.
+pub fn is_scene_file(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
 }
 
 /// The folder's name for `scene.toml`, and otherwise the file's without its ending.

@@ -13,9 +13,11 @@ use subtle::ConstantTimeEq;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Sleep, sleep_until, timeout_at};
 use tonic::body::Body;
+use tonic::transport::server::TlsConnectInfo;
 use tonic::{Code, Status};
 use tower::{Layer, Service};
 
+use crate::connections::{ConnectionInfo, OpenRequest};
 use crate::metrics::Metrics;
 use crate::names::{Destination, destination_of};
 use crate::options::Limits;
@@ -76,7 +78,9 @@ where
     fn call(&mut self, mut request: Request<Body>) -> Self::Future {
         let destination = destination_of(request.uri().path());
         let count = Count::new(&self.rules.metrics, destination.counted_as);
-        let place = self.rules.admit(&request, &destination);
+        let info = connection_of(&request);
+        let open = info.as_ref().map(ConnectionInfo::begin);
+        let place = self.rules.admit(&request, &destination, info.is_some_and(|info| info.is_for_health));
         if let Some(path) = destination.path.and_then(|path| PathAndQuery::try_from(path).ok()) {
             let mut parts = std::mem::take(request.uri_mut()).into_parts();
             parts.path_and_query = Some(path);
@@ -94,7 +98,9 @@ where
             match timeout_at(deadline, service.call(request)).await {
                 Ok(Ok(response)) => {
                     count.done(code_of(&response));
-                    let held = |body| Held { body, until: Box::pin(sleep_until(deadline)), place };
+                    // Watching for health has no end, and keeps no connection open.
+                    let open = open.filter(|_| !destination.is_health);
+                    let held = |body| Held { body, until: Box::pin(sleep_until(deadline)), place, _open: open };
                     Ok(response.map(|body| Body::new(held(body))))
                 }
                 Ok(Err(error)) => Err(error),
@@ -105,10 +111,18 @@ where
 }
 
 impl Rules {
-    fn admit(&self, request: &Request<Body>, destination: &Destination) -> Result<Option<OwnedSemaphorePermit>, Status> {
+    fn admit(
+        &self,
+        request: &Request<Body>,
+        destination: &Destination,
+        is_for_health: bool,
+    ) -> Result<Option<OwnedSemaphorePermit>, Status> {
         // Whoever watches over the server may ask without a token, and however busy it is.
         if destination.is_health {
             return Ok(None);
+        }
+        if is_for_health {
+            return Err(Status::resource_exhausted("there are too many connections: this one serves health checks alone"));
         }
         if let Some(token) = &self.token {
             let sent = request.headers().get(http::header::AUTHORIZATION).map(http::HeaderValue::as_bytes).unwrap_or_default();
@@ -165,6 +179,14 @@ struct Held {
     body: Body,
     until: Pin<Box<Sleep>>,
     place: Option<OwnedSemaphorePermit>,
+    _open: Option<OpenRequest>,
+}
+
+/// The connection that `request` came by.
+fn connection_of(request: &Request<Body>) -> Option<ConnectionInfo> {
+    let extensions = request.extensions();
+    let of_tls = || extensions.get::<TlsConnectInfo<ConnectionInfo>>().map(TlsConnectInfo::get_ref);
+    extensions.get::<ConnectionInfo>().or_else(of_tls).cloned()
 }
 
 impl HttpBody for Held {

@@ -7,7 +7,7 @@
 //! | `gate`, `connections` | who comes in: tokens, limits, deadlines, what is counted |
 //! | `sensorsim`, `physics` | the services: messages in, messages out |
 //! | `sight`, `poses`, `camera_spec` | a request, checked: cameras and agents where they stand at mid-shutter |
-//! | `catalogue`, `scene_reading` | which scenes there are, and how they come from files |
+//! | `catalogue` | which scenes there are, and what is told of them without drawing |
 //! | `painter`, `stage` | the one thread that draws, and a scene on the device |
 //! | [`encoding`] | pictures as PNG, JPEG or planes, on threads of their own |
 //! | [`running`] | all of it together, until it is told to stop |
@@ -25,6 +25,7 @@ mod connections;
 pub mod encoding;
 mod gate;
 mod jpeg;
+mod log_limit;
 mod metrics;
 mod metrics_page;
 pub mod names;
@@ -33,7 +34,6 @@ mod painter;
 mod physics;
 mod poses;
 pub mod running;
-mod scene_reading;
 mod sensorsim;
 mod sight;
 mod stage;

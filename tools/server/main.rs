@@ -4,17 +4,21 @@
 //! with 2 when the command line makes no sense.
 #![forbid(unsafe_code)]
 
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
+use decouplegs::explain::explain;
 use decouplegs_server::bench::{self, BenchOptions};
 use decouplegs_server::options::{LogForm, ServerOptions};
 use decouplegs_server::running;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
+
+/// Time for threads that read files to end after the server has ended.
+const THREADS_PATIENCE: Duration = Duration::from_secs(1);
 
 /// Serves pictures of scenes to closed-loop simulators, over gRPC.
 #[derive(Parser)]
@@ -45,29 +49,17 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprint!("{}", explanation(&error));
+            // Where standard error is full or closed, there is nobody to tell.
+            let _ = std::io::stderr().write_all(explain(error.as_ref()).as_bytes());
             ExitCode::FAILURE
         }
     }
 }
 
-/// The error as a sentence and its causes, one a line. A cause that the line above already tells is left out.
-fn explanation(error: &anyhow::Error) -> String {
-    let mut told = error.to_string();
-    let mut lines = format!("error: {told}\n");
-    for cause in error.chain().skip(1).map(ToString::to_string) {
-        if !told.contains(&cause) {
-            lines.push_str(&format!("  because: {cause}\n"));
-        }
-        told = cause;
-    }
-    lines
-}
-
 fn serve(options: &ServerOptions) -> Result<()> {
     log(options.log, "info");
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("no threads")?;
-    runtime.block_on(async {
+    let served = runtime.block_on(async {
         let (mut terminated, mut interrupted) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
         let running = running::start(options).await?;
         let mut said = std::io::stdout().lock();
@@ -85,13 +77,17 @@ fn serve(options: &ServerOptions) -> Result<()> {
             tracing::info!("told to stop: finishing what has begun");
         };
         running.until(told).await
-    })
+    });
+    // Threads that still read a file may wait for it forever: a hung network drive.
+    runtime.shutdown_timeout(THREADS_PATIENCE);
+    served
 }
 
 /// Events go to standard error: those that `RUST_LOG` says, otherwise those of `level` and above.
 fn log(form: LogForm, level: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    let events = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let events =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
     match form {
         LogForm::Text => events.init(),
         LogForm::Json => events.json().init(),

@@ -11,9 +11,9 @@ use tokio::time::{sleep, timeout};
 use crate::metrics::Metrics;
 
 /// Readers at a time; further ones wait.
-const READERS_MAX: usize = 8;
+const READERS_MAX: usize = 64;
 /// A reader that takes longer is hung up on.
-const PATIENCE: Duration = Duration::from_secs(5);
+const PATIENCE: Duration = Duration::from_secs(2);
 /// A request's head is not longer, bytes.
 const HEAD_MAX: usize = 8192;
 

@@ -1,5 +1,7 @@
 //! The names under which services are found: releases of the contract have moved them from package to package.
 
+use tonic::Status;
+
 /// The camera service, as this program's own messages call it.
 pub const SENSORSIM: &str = "nre.grpc.protos.sensorsim.SensorsimService";
 /// Other names of the camera service.
@@ -32,6 +34,30 @@ const METHODS: [(&str, &str); 15] = [
     (HEALTH, "Check"),
     (HEALTH, "Watch"),
 ];
+
+/// Most bytes of a name that a client sends: of a scene, a camera or an object.
+pub const NAME_BYTES_MAX: usize = 256;
+/// Characters of a client's name that are repeated in a status.
+const SHOWN_CHARS_MAX: usize = 60;
+
+/// Checks a client's `name` in `field`. Names are kept and logged, so their length is bounded.
+///
+/// # Errors
+/// INVALID_ARGUMENT with the field and the limit.
+pub fn check_name(name: &str, field: &str) -> Result<(), Status> {
+    match name.len() {
+        0 => Err(Status::invalid_argument(format!("{field} is empty"))),
+        1..=NAME_BYTES_MAX => Ok(()),
+        bytes => Err(Status::invalid_argument(format!("{field} has {bytes} bytes; at most {NAME_BYTES_MAX} are read"))),
+    }
+}
+
+/// NOT_FOUND for the scene `id`.
+#[must_use]
+pub fn no_scene(id: &str) -> Status {
+    let shown: String = id.chars().take(SHOWN_CHARS_MAX).collect();
+    Status::not_found(format!("scene_id: there is no scene {shown:?}; get_available_scenes lists them"))
+}
 
 /// Where a request goes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -79,6 +105,17 @@ mod tests {
         let own = destination_of("/physics.PhysicsService/ground_intersection");
         assert_eq!(own, Destination { path: None, counted_as: "ground_intersection", is_health: false });
         assert!(destination_of("/grpc.health.v1.Health/Check").is_health);
+    }
+
+    #[test]
+    fn long_names_are_refused_and_not_repeated() {
+        check_name("car", "track_id").unwrap();
+        check_name(&"x".repeat(256), "track_id").unwrap();
+        for name in [String::new(), "x".repeat(257), "\u{1}".repeat(15 << 20)] {
+            let status = check_name(&name, "track_id").unwrap_err();
+            assert!(status.message().starts_with("track_id") && status.message().len() < 100, "{status}");
+        }
+        assert!(no_scene(&"\u{1}".repeat(256)).message().len() < 1000);
     }
 
     #[test]

@@ -83,10 +83,10 @@ pub enum LogForm {
 #[derive(Args, Clone, Debug)]
 pub struct Limits {
     /// Largest message that is sent, bytes
-    #[arg(long, value_name = "BYTES", default_value_t = 64 << 20)]
+    #[arg(long, value_name = "BYTES", default_value_t = 64 << 20, value_parser = message_bytes)]
     pub message_bytes: usize,
     /// Largest message that is received, bytes; requests are far smaller than pictures
-    #[arg(long, value_name = "BYTES", default_value_t = 16 << 20)]
+    #[arg(long, value_name = "BYTES", default_value_t = 16 << 20, value_parser = message_bytes)]
     pub request_bytes: usize,
     /// Requests at a time; further ones are refused with RESOURCE_EXHAUSTED
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
@@ -94,6 +94,12 @@ pub struct Limits {
     /// Connections at a time; further ones are closed
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub connections: u32,
+    /// Connections at a time from one address; further ones are closed
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    pub address_connections: u32,
+    /// A connection without a request for so long is closed, seconds. Clients connect again by themselves
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = seconds)]
+    pub idle: f64,
     /// Pixels of one picture
     #[arg(long, value_name = "N", default_value_t = 3840 * 2160)]
     pub image_pixels: u64,
@@ -112,7 +118,8 @@ pub struct Limits {
     /// A connection that says nothing after it was opened is closed, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     pub handshake: f64,
-    /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds
+    /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds. Then connections are closed and the
+    /// server exits, as soon as the frame that is being drawn is done
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     pub grace: f64,
     /// Scenes that are kept on the device
@@ -139,6 +146,12 @@ impl Limits {
         Duration::from_secs_f64(self.handshake)
     }
 
+    /// [`Limits::idle`].
+    #[must_use]
+    pub fn idle(&self) -> Duration {
+        Duration::from_secs_f64(self.idle)
+    }
+
     /// [`Limits::grace`].
     #[must_use]
     pub fn grace(&self) -> Duration {
@@ -149,6 +162,12 @@ impl Limits {
 fn seconds(text: &str) -> Result<f64, String> {
     let parsed = text.parse().ok().filter(|seconds| (0.001..=86_400.0).contains(seconds));
     parsed.ok_or_else(|| format!("expected seconds, 0.001 to 86400, found {text:?}"))
+}
+
+/// A size of messages that can hold a request.
+fn message_bytes(text: &str) -> Result<usize, String> {
+    let parsed = text.parse().ok().filter(|bytes| (1024..=2 << 30).contains(bytes));
+    parsed.ok_or_else(|| format!("expected bytes, 1024 to 2147483648, found {text:?}"))
 }
 
 fn metres(text: &str) -> Result<[f64; 3], String> {

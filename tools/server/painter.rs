@@ -2,14 +2,17 @@
 //! are read on a thread beside it.
 
 use std::collections::{HashMap, HashSet};
+use std::hash::{BuildHasher, RandomState};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::asset::{AssetError, LoadedScene};
+use decouplegs::asset::{LoadedScene, open_movable_scene};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::PictureBytes;
 use tokio::sync::{oneshot, watch};
@@ -17,24 +20,29 @@ use tonic::Status;
 
 use crate::cache::Cache;
 use crate::catalogue::Catalogue;
+use crate::log_limit::LogLimit;
 use crate::metrics::Metrics;
+use crate::names::no_scene;
 use crate::options::Limits;
-use crate::scene_reading::read_scene;
 use crate::sight::Sight;
 use crate::stage::{Stage, is_lost, status_of};
 
 /// Frames whose pictures there may be at a time. When encoding falls so far behind, drawing waits: memory stays bounded.
 const FRAMES_MAX: usize = 4;
-/// Names of unknown objects that are remembered, so that each is warned of once.
-const WARNED_MAX: usize = 10_000;
+/// Unknown objects that are warned of, once each. Only hashes of their names are kept.
+const WARNED_MAX: usize = 1000;
+/// Threads that read files. One may wait for a slow disk while another reads.
+const READERS: usize = 2;
 
 /// Asks for pictures.
 #[derive(Clone)]
 pub struct Painter {
     messages: Sender<Message>,
     metrics: Arc<Metrics>,
-    /// Turns true when the device was lost.
+    /// Turns true when nothing will be drawn again.
     lost: watch::Receiver<bool>,
+    /// Whether waiting requests are refused instead of drawn.
+    refusing: Arc<AtomicBool>,
 }
 
 /// Pictures of one submission, in the order of its cameras. Their memory serves another frame afterwards.
@@ -73,7 +81,7 @@ impl Drop for Pictures {
 
 enum Message {
     Draw(Job),
-    Loaded(String, Result<Box<LoadedScene>, AssetError>),
+    Loaded(String, Result<Box<LoadedScene>, Status>),
     Preload(Vec<String>),
     Stop,
 }
@@ -97,16 +105,13 @@ impl Painter {
     ) -> Result<(Self, JoinHandle<Result<()>>)> {
         let (messages, inbox) = channel();
         let (loads, to_load) = channel();
-        let loaded = messages.clone();
-        let read = move |(id, path): (String, PathBuf)| {
-            let since = Instant::now();
-            let scene = read_scene(&path).map(Box::new);
-            tracing::info!(scene = id, seconds = since.elapsed().as_secs_f64(), "a scene was read");
-            // No one to tell: the painter has ended.
-            let _ = loaded.send(Message::Loaded(id, scene));
-        };
-        Builder::new().name("read-scenes".into()).spawn(move || to_load.into_iter().for_each(read)).context("no thread")?;
+        let to_load = Arc::new(Mutex::new(to_load));
+        for _ in 0..READERS {
+            let (to_load, loaded) = (Arc::clone(&to_load), messages.clone());
+            Builder::new().name("read-scenes".into()).spawn(move || read_scenes(&to_load, &loaded)).context("no thread")?;
+        }
         let (lost_sender, lost) = watch::channel(false);
+        let refusing = Arc::new(AtomicBool::new(false));
         let mut studio = Studio {
             gpu,
             catalogue,
@@ -115,15 +120,22 @@ impl Painter {
             loads,
             memory: Arc::default(),
             warned: HashSet::new(),
+            hashes: RandomState::new(),
+            failures: LogLimit::default(),
             metrics: Arc::clone(&metrics),
-            lost: lost_sender,
+            lost: lost_sender.clone(),
+            refusing: Arc::clone(&refusing),
         };
         let paint = move || {
-            studio.work(&inbox);
+            let worked = caught("drawing", || studio.work(&inbox));
+            if let Err(status) = worked {
+                tracing::error!(reason = status.message(), "the thread that draws ended");
+                lost_sender.send_replace(true);
+            }
             studio.check_validation()
         };
         let thread = Builder::new().name("paint".into()).spawn(paint).context("no thread")?;
-        Ok((Self { messages, metrics, lost }, thread))
+        Ok((Self { messages, metrics, lost, refusing }, thread))
     }
 
     /// Pictures of `sights`, which are of one scene and see the same objects, drawn in one submission.
@@ -154,10 +166,44 @@ impl Painter {
         let _ = self.messages.send(Message::Stop);
     }
 
-    /// Turns true when the device was lost.
+    /// Refuses all requests that wait or come from now on, with UNAVAILABLE.
+    pub fn refuse_waiting(&self) {
+        self.refusing.store(true, Ordering::Relaxed);
+    }
+
+    /// Turns true when nothing will be drawn again: the device was lost, or the thread that draws has ended.
     pub fn lost(&self) -> watch::Receiver<bool> {
         self.lost.clone()
     }
+}
+
+/// Reads scenes that are asked for, until nobody can ask. A reader that panics has failed to read one scene.
+fn read_scenes(to_load: &Mutex<Receiver<(String, PathBuf)>>, loaded: &Sender<Message>) {
+    loop {
+        // Locked only while it waits: the other reader waits for the lock then.
+        let next = to_load.lock().unwrap_or_else(PoisonError::into_inner).recv();
+        let Ok((id, path)) = next else { return };
+        let since = Instant::now();
+        let read = caught("reading the scene", || open_movable_scene(&path));
+        let read = read.and_then(|scene| scene.map_err(|error| Status::failed_precondition(error.to_string())));
+        let (seconds, is_good) = (since.elapsed().as_secs_f64(), read.is_ok());
+        tracing::info!(scene = id, seconds, is_good, "a scene was read");
+        if let Ok((_, assets @ 1..)) = read {
+            tracing::warn!(scene = id, assets, "plain splat files of agents were compressed: `decouplegs compress` does it once");
+        }
+        let scene = read.map(|(scene, _)| Box::new(scene));
+        // No one to tell: the painter has ended.
+        let _ = loaded.send(Message::Loaded(id, scene));
+    }
+}
+
+/// Runs `work`; a panic in it becomes INTERNAL.
+fn caught<T>(what: &str, work: impl FnOnce() -> T) -> Result<T, Status> {
+    catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
+        let text = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+        let text: String = text.unwrap_or("without a message").chars().take(200).collect();
+        Status::internal(format!("{what} panicked, which is a fault of this server: {text}"))
+    })
 }
 
 /// What the thread owns.
@@ -169,9 +215,14 @@ struct Studio {
     waiting: HashMap<String, Vec<Job>>,
     loads: Sender<(String, PathBuf)>,
     memory: Arc<PictureMemory>,
-    warned: HashSet<(String, String)>,
+    /// Hashes of scenes and objects.
+    warned: HashSet<u64>,
+    hashes: RandomState,
+    /// Of lines about scenes and frames that failed: a client can ask for them again and again.
+    failures: LogLimit,
     metrics: Arc<Metrics>,
     lost: watch::Sender<bool>,
+    refusing: Arc<AtomicBool>,
 }
 
 impl Studio {
@@ -201,9 +252,11 @@ impl Studio {
 
     fn draw_or_wait(&mut self, job: Job) {
         let id = job.sights.first().map(|sight| sight.scene.clone()).unwrap_or_default();
+        if self.refusing.load(Ordering::Relaxed) {
+            return self.answer(job.answer, Err(Status::unavailable("the server is ending: ask another")));
+        }
         if self.catalogue.path(&id).is_none() {
-            let reason = format!("scene_id: there is no scene {id:?}; get_available_scenes lists them");
-            return self.answer(job.answer, Err(Status::not_found(reason)));
+            return self.answer(job.answer, Err(no_scene(&id)));
         }
         if self.scenes.get(&id).is_some() {
             self.draw(&id, job);
@@ -223,16 +276,18 @@ impl Studio {
         }
     }
 
-    fn loaded(&mut self, id: &str, scene: Result<Box<LoadedScene>, AssetError>) {
+    fn loaded(&mut self, id: &str, scene: Result<Box<LoadedScene>, Status>) {
         let jobs = self.waiting.remove(id).unwrap_or_default();
-        let staged =
-            scene.map_err(|error| Status::failed_precondition(error.to_string())).and_then(|scene| self.stage(id, &scene));
+        let staged = scene.and_then(|scene| caught("preparing the scene", || self.stage(id, &scene)).flatten());
         if let Err(status) = staged {
-            tracing::error!(scene = id, reason = status.message(), "a scene cannot be served");
+            if let Some(suppressed) = self.failures.admit() {
+                tracing::error!(scene = id, reason = status.message(), suppressed, "a scene cannot be served");
+            }
             jobs.into_iter().for_each(|job| self.answer(job.answer, Err(status.clone())));
             return;
         }
-        jobs.into_iter().for_each(|job| self.draw(id, job));
+        // As they came, and refused if the server is ending meanwhile.
+        jobs.into_iter().for_each(|job| self.draw_or_wait(job));
     }
 
     /// Puts `scene` on the device, in the place of others if need be.
@@ -268,8 +323,8 @@ impl Studio {
             return self.answer(answer, Err(Status::unavailable(format!("scene {id:?} left the cache: ask again"))));
         };
         let since = Instant::now();
-        let result = match stage.draw(&sights, &mut pictures.bytes) {
-            Ok(drawn) => {
+        let result = match caught("drawing", || stage.draw(&sights, &mut pictures.bytes)) {
+            Ok(Ok(drawn)) => {
                 tracing::debug!(scene = id, cameras = sights.len(), seconds = since.elapsed().as_secs_f64(), "a frame was drawn");
                 self.metrics.drew(sights.len(), drawn.unknown.len());
                 self.warn_of(id, drawn.unknown);
@@ -277,8 +332,18 @@ impl Studio {
                 self.resize(id, u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX));
                 Ok(pictures)
             }
-            Err(error) => {
-                tracing::error!(scene = id, %error, "a frame was not drawn");
+            // What the panic left of the scene is not drawn again.
+            Err(status) => {
+                self.scenes.remove(id);
+                if let Some(suppressed) = self.failures.admit() {
+                    tracing::error!(scene = id, reason = status.message(), suppressed, "a frame was not drawn");
+                }
+                Err(status)
+            }
+            Ok(Err(error)) => {
+                if let Some(suppressed) = self.failures.admit() {
+                    tracing::error!(scene = id, %error, suppressed, "a frame was not drawn");
+                }
                 if is_lost(&error) {
                     self.lost.send_replace(true);
                 }
@@ -296,8 +361,11 @@ impl Studio {
 
     fn warn_of(&mut self, id: &str, unknown: Vec<String>) {
         for track in unknown {
-            if self.warned.len() < WARNED_MAX && self.warned.insert((id.to_owned(), track.clone())) {
+            if self.warned.len() < WARNED_MAX && self.warned.insert(self.hashes.hash_one((id, &track))) {
                 tracing::warn!(scene = id, track, "an object that the scene does not have is not drawn");
+                if self.warned.len() == WARNED_MAX {
+                    tracing::warn!("further unknown objects are not reported: see decouplegs_unknown_objects_total");
+                }
             }
         }
     }
@@ -313,4 +381,17 @@ impl Studio {
 fn bytes_a_splat(sh_degree: u8) -> u64 {
     let coefficients = (u64::from(sh_degree) + 1).pow(2);
     48 + 6 * coefficients
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_an_answer() {
+        assert_eq!(caught("reading", || 7).unwrap(), 7);
+        let status = caught("reading", || -> u8 { panic!("entry {} is odd", 3) }).unwrap_err();
+        assert_eq!(status.code(), tonic::Code::Internal);
+        assert!(status.message().contains("reading panicked") && status.message().contains("entry 3 is odd"), "{status}");
+    }
 }

@@ -11,10 +11,10 @@ use glam::{DVec2, DVec3};
 use tonic::{Request, Response, Status};
 
 use crate::cache::Cache;
-use crate::catalogue::Catalogue;
+use crate::catalogue::{Catalogue, is_scene_file};
+use crate::names::{check_name, no_scene};
 use crate::options::Limits;
 use crate::poses::{message_of, pose_of};
-use crate::scene_reading::is_scene_file;
 use crate::sensorsim::version;
 use crate::wire::common::{Aabb, AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId};
 use crate::wire::physics::physics_ground_intersection_request::{EgoData, OtherObject};
@@ -55,10 +55,8 @@ impl Physics {
     }
 
     async fn ground_of(&self, id: &str) -> Result<Arc<LocalGround>, Status> {
-        if id.is_empty() {
-            return Err(Status::invalid_argument("scene_id is empty"));
-        }
-        let path = self.catalogue.path(id).ok_or_else(|| Status::not_found(format!("scene_id: there is no scene {id:?}")))?;
+        check_name(id, "scene_id")?;
+        let path = self.catalogue.path(id).ok_or_else(|| no_scene(id))?;
         let known = || self.grounds.lock().unwrap_or_else(PoisonError::into_inner);
         let found = known().get(id).cloned();
         if let Some(found) = found {

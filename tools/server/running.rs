@@ -6,10 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
+use decouplegs::asset::read_bytes;
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use glam::DVec3;
 use tokio::net::TcpListener;
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
+use tokio::time::timeout;
 use tonic::transport::{Identity, Server, ServerTlsConfig};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
@@ -36,6 +38,8 @@ const WINDOW_BYTES: u32 = 1 << 20;
 const KEEPALIVE: Duration = Duration::from_secs(30);
 /// ... and closed after so long without an answer.
 const KEEPALIVE_PATIENCE: Duration = Duration::from_secs(20);
+/// Time for the frame that is being drawn when the server ends.
+const FRAME_PATIENCE: Duration = Duration::from_secs(60);
 /// A token shorter than this can be guessed.
 const TOKEN_BYTES_MIN: usize = 8;
 
@@ -90,6 +94,7 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
     let catalogue = Arc::new(Catalogue::new(&options.scenes, &options.artifact_glob, rig_origin)?);
     let token = options.token_file.as_deref().map(token_of).transpose()?;
     let tls = tls_of(options)?;
+    warn_of_openness(options);
     let listener = listen(SocketAddr::new(options.host, options.port)).await?;
     let page = match options.metrics_port {
         Some(port) => Some(listen(SocketAddr::new(options.host, port)).await?),
@@ -125,7 +130,8 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         if let Some(page) = page {
             page.abort();
         }
-        let painted = tokio::task::spawn_blocking(move || painting.join()).await?;
+        let painted = tokio::task::spawn_blocking(move || painting.join());
+        let painted = timeout(FRAME_PATIENCE, painted).await.context("the last frame does not end: it is given up")??;
         painted.map_err(|_| anyhow::anyhow!("the painter panicked"))?.and(served)
     });
     Ok(Running { address, metrics_address, stop: Some(stop), done, metrics })
@@ -141,7 +147,8 @@ struct Services {
 impl Services {
     async fn serve(self, listener: TcpListener, metrics: Arc<Metrics>, stopped: oneshot::Receiver<()>) -> Result<()> {
         let limits = Arc::clone(&self.sensorsim.limits);
-        let mut lost = self.sensorsim.painter.lost();
+        let painter = self.sensorsim.painter.clone();
+        let mut lost = painter.lost();
         let (reporter, health) = health_reporter();
         report(&reporter, ServingStatus::Serving).await;
         let mut server = Server::builder()
@@ -161,7 +168,8 @@ impl Services {
             .max_decoding_message_size(limits.request_bytes)
             .max_encoding_message_size(limits.message_bytes);
         let router = server.add_service(sensorsim).add_service(physics).add_service(health);
-        let connections = connections::accept(listener, limits.connections as usize, limits.handshake(), metrics);
+        let (close, closing) = watch::channel(false);
+        let connections = connections::accept(listener, &limits, &closing, metrics);
         let (end, ending) = oneshot::channel();
         let ended = async {
             // Whoever could send it is gone: that too is an end.
@@ -176,14 +184,16 @@ impl Services {
         report(&reporter, ServingStatus::NotServing).await;
         // It listens for as long as it serves.
         let _ = end.send(());
-        match tokio::time::timeout(limits.grace(), &mut serving).await {
+        match timeout(limits.grace(), &mut serving).await {
             Ok(served) => served.context("the server panicked")??,
             Err(_) => {
+                painter.refuse_waiting();
                 serving.abort();
+                close.send_replace(true);
                 tracing::warn!(seconds = limits.grace, "requests that had begun are cut off");
             }
         }
-        ensure!(!is_lost, "the device was lost: start the server again");
+        ensure!(!is_lost, "nothing can be drawn any more (the log says why): start the server again");
         Ok(())
     }
 }
@@ -198,9 +208,26 @@ async fn listen(address: SocketAddr) -> Result<TcpListener> {
     TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}: choose another --host or --port"))
 }
 
+/// Warns of what a network can read or reach. The loopback is no network.
+fn warn_of_openness(options: &ServerOptions) {
+    if options.host.is_loopback() {
+        return;
+    }
+    let (has_token, has_tls) = (options.token_file.is_some(), options.tls_cert.is_some());
+    if has_token && !has_tls {
+        tracing::warn!("the token travels in the clear: use --tls-cert and --tls-key");
+    }
+    if !has_token {
+        tracing::warn!(host = %options.host, "every machine that reaches this address may use the server: use --token-file");
+    }
+    if options.metrics_port.is_some() {
+        tracing::warn!(host = %options.host, "the metrics page asks for no token, and is not encrypted");
+    }
+}
+
 /// The token in `path`, without the end of its line.
 fn token_of(path: &Path) -> Result<String> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = String::from_utf8(read_bytes(path)?).with_context(|| format!("{} is not UTF-8", path.display()))?;
     let token = text.trim_end_matches(['\r', '\n']);
     let is_sendable = token.len() >= TOKEN_BYTES_MIN && token.bytes().all(|byte| byte.is_ascii_graphic());
     ensure!(is_sendable, "{}: expected one line of at least {TOKEN_BYTES_MIN} visible ASCII characters", path.display());
@@ -209,6 +236,6 @@ fn token_of(path: &Path) -> Result<String> {
 
 fn tls_of(options: &ServerOptions) -> Result<Option<ServerTlsConfig>> {
     let (Some(certificate), Some(key)) = (&options.tls_cert, &options.tls_key) else { return Ok(None) };
-    let read = |path: &Path| std::fs::read(path).with_context(|| format!("cannot read {}", path.display()));
+    let read = |path: &Path| read_bytes(path);
     Ok(Some(ServerTlsConfig::new().identity(Identity::from_pem(read(certificate)?, read(key)?))))
 }

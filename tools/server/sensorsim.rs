@@ -14,7 +14,7 @@ use crate::camera_spec::spec_of;
 use crate::catalogue::{Catalogue, Outline};
 use crate::encoding::{Encoders, encode};
 use crate::metrics::Metrics;
-use crate::names::CONTRACT_VERSION;
+use crate::names::{CONTRACT_VERSION, check_name, no_scene};
 use crate::options::Limits;
 use crate::painter::{Painter, Pictures};
 use crate::poses::message_of;
@@ -59,14 +59,12 @@ pub fn version() -> VersionId {
 
 /// What there is to know of the scene `id`; files are read on a thread that may wait.
 pub async fn outline_of(catalogue: &Arc<Catalogue>, id: String) -> Result<Arc<Outline>, Status> {
-    if id.is_empty() {
-        return Err(Status::invalid_argument("scene_id is empty"));
-    }
+    check_name(&id, "scene_id")?;
     let (catalogue, asked) = (Arc::clone(catalogue), id.clone());
     let read = tokio::task::spawn_blocking(move || catalogue.outline(&asked)).await;
     let outline = read.map_err(|error| Status::internal(error.to_string()))?;
     let outline = outline.map_err(|error| Status::failed_precondition(error.to_string()))?;
-    outline.ok_or_else(|| Status::not_found(format!("scene_id: there is no scene {id:?}; get_available_scenes lists them")))
+    outline.ok_or_else(|| no_scene(&id))
 }
 
 impl Sensorsim {
@@ -190,9 +188,9 @@ impl SensorsimService for Sensorsim {
         let mut seen = HashSet::new();
         for (index, item) in items.into_iter().enumerate() {
             let field = format!("items[{index}]");
-            if item.camera_name.is_empty() || !seen.insert(item.camera_name.clone()) {
-                let fault = if item.camera_name.is_empty() { "is empty" } else { "is that of an item before it" };
-                return Err(Status::invalid_argument(format!("{field}.camera_name {fault}")));
+            check_name(&item.camera_name, &format!("{field}.camera_name"))?;
+            if !seen.insert(item.camera_name.clone()) {
+                return Err(Status::invalid_argument(format!("{field}.camera_name is that of an item before it")));
             }
             let missing = || Status::invalid_argument(format!("{field}.request is missing"));
             let sight = Sight::of(item.request.ok_or_else(missing)?, &format!("{field}.request"), &self.limits);

@@ -7,6 +7,7 @@ use tonic::Status;
 
 use crate::camera_spec::intrinsics_of;
 use crate::encoding::Encoding;
+use crate::names::check_name;
 use crate::options::Limits;
 use crate::poses::middle_of;
 use crate::wire::sensorsim::{DynamicObject, RgbRenderRequest};
@@ -44,9 +45,7 @@ impl Sight {
     pub fn of(request: RgbRenderRequest, field: &str, limits: &Limits) -> Result<Self, Status> {
         let named = |name: &str| if field.is_empty() { name.to_owned() } else { format!("{field}.{name}") };
         let invalid = |name: &str, reason: &str| Status::invalid_argument(format!("{} {reason}", named(name)));
-        if request.scene_id.is_empty() {
-            return Err(invalid("scene_id", "is empty"));
-        }
+        check_name(&request.scene_id, &named("scene_id"))?;
         if request.frame_end_us < request.frame_start_us {
             return Err(invalid("frame_end_us", "is before frame_start_us"));
         }
@@ -75,9 +74,9 @@ fn objects_of(objects: &[DynamicObject], field: &str, limits: &Limits) -> Result
     let mut names = HashSet::new();
     let mut placed = Vec::with_capacity(objects.len());
     for (index, object) in objects.iter().enumerate() {
-        if object.track_id.is_empty() || !names.insert(&object.track_id) {
-            let fault = if object.track_id.is_empty() { "is empty" } else { "is that of an object before it" };
-            return Err(Status::invalid_argument(format!("{field}[{index}].track_id {fault}")));
+        check_name(&object.track_id, &format!("{field}[{index}].track_id"))?;
+        if !names.insert(&object.track_id) {
+            return Err(Status::invalid_argument(format!("{field}[{index}].track_id is that of an object before it")));
         }
         let pose = middle_of(object.pose_pair.as_ref(), &format!("{field}[{index}].pose_pair"))?;
         placed.push(PlacedObject { track_id: object.track_id.clone(), pose });

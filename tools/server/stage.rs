@@ -100,5 +100,5 @@ pub fn status_of(error: &RenderError) -> Status {
 
 /// Whether nothing will be drawn on this device again.
 pub fn is_lost(error: &RenderError) -> bool {
-    matches!(error, RenderError::Gpu(GpuError::DeviceLost { .. }))
+    matches!(error, RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. }))
 }
