@@ -20,6 +20,7 @@
 #![forbid(unsafe_code)]
 
 pub mod episode;
+pub mod explain;
 mod live_scene;
 pub mod planner;
 pub mod session;

@@ -7,6 +7,7 @@ use std::str::FromStr;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs::asset::write_atomically;
+use decouplegs::explain::one_line;
 use decouplegs::render::OrderMode;
 use decouplegs::render::picture::{Picture, PictureFormat};
 use decouplegs::scene::Rules;
@@ -57,6 +58,11 @@ pub fn print(report: &str) -> Result<()> {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         result => result.context("standard output cannot be written"),
     }
+}
+
+/// Writes a warning to standard error. One that cannot be written is lost.
+pub fn warn(sentence: &str) {
+    let _ = writeln!(std::io::stderr(), "warning: {}", one_line(sentence));
 }
 
 /// Writes a picture; the file is there whole or not at all.

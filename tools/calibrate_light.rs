@@ -4,18 +4,17 @@ mod page;
 mod views;
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::calibrate::{
     CalibrateOptions, Calibration, Comparison, Objective, Probe, Progress, Surroundings, calibrate, probe_paths,
 };
-use decouplegs::asset::{LightTransferFile, Provenance, read_splats, write_atomically, write_light_transfer};
+use decouplegs::asset::{LightTransferFile, Provenance, read_bytes, read_splats, write_atomically, write_light_transfer};
 use decouplegs::scene::SplatCloud;
 
-use crate::arguments::print;
+use crate::arguments::{print, warn};
 use crate::progress;
 
 /// Calibrate how light changes the colours of agents
@@ -87,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut sources = BTreeMap::new();
     let subject = read(arguments, &mut sources)?;
     for probe in subject.probes.iter().filter(|probe| probe.clamped > 0) {
-        eprintln!("{}: {} pixels hold no radiance (NaN, infinite or negative) and were clamped", probe.name, probe.clamped);
+        warn(&format!("{}: {} pixels hold no radiance (NaN, infinite or negative) and were clamped", probe.name, probe.clamped));
     }
     let bar = progress::bar("calibrating", 2 * subject.probes.len() + 1);
     let assets: Vec<(String, &SplatCloud)> = subject.assets.iter().map(|(name, cloud)| (name.clone(), cloud)).collect();
@@ -125,7 +124,7 @@ fn check_output(out: &Path) -> Result<()> {
 
 fn read(arguments: &Arguments, sources: &mut BTreeMap<String, String>) -> Result<Subject> {
     let mut hashed = |path: &Path| -> Result<String> {
-        let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let bytes = read_bytes(path)?;
         let Provenance { source, source_sha256, .. } =
             Provenance::of_source(path.file_name().unwrap_or_default().to_string_lossy(), &bytes);
         sources.insert(source.clone(), source_sha256);

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::compress::{CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress};
-use decouplegs::asset::{CodedAsset, Provenance, read_splats, write_coded};
+use decouplegs::asset::{CodedAsset, Provenance, read_bytes, read_splats, write_coded};
 use decouplegs::scene::codebook::{COLOURS_MAX, SHAPES_MAX};
 use decouplegs::scene::{ShFrame, SplatCloud};
 use indicatif::ProgressBar;
@@ -106,7 +106,7 @@ fn distance(text: &str) -> Result<f64, String> {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     check_outputs(arguments)?;
-    let source = fs::read(&arguments.file).with_context(|| format!("cannot read {}", arguments.file.display()))?;
+    let source = read_bytes(&arguments.file)?;
     let cloud = read_splats(&arguments.file)?;
     let drawn: Vec<u32> = (0..cloud.len() as u32).filter(|&splat| cloud.defect_of(splat as usize).is_none()).collect();
     ensure!(!drawn.is_empty(), "{} has no splat that can be drawn", arguments.file.display());
@@ -190,7 +190,7 @@ fn provenance(arguments: &Arguments, source: &[u8], options: &CompressOptions) -
 }
 
 fn summary(arguments: &Arguments, compressed: &Compressed, stored_bytes: u64) -> String {
-    let Compressed { cloud, report } = compressed;
+    let Compressed { cloud, report, .. } = compressed;
     let levels: Vec<String> = cloud.levels.iter().map(ToString::to_string).collect();
     format!(
         "{}: {} of {} splats kept, levels of {} splats, {} shapes, {} colours\n{stored_bytes} bytes, {:.2} for each splat that came \

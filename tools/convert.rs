@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::scene_import::{ImportOptions, ImportedScene, read_scene};
-use decouplegs::asset::{LossReport, khr_glb, read_splats, read_tracks};
+use decouplegs::asset::{LossReport, khr_glb, read_bytes, read_splats, read_tracks};
 use decouplegs::scene::SplatCloud;
 
 use crate::arguments::print;
@@ -83,16 +83,24 @@ fn write_splats(arguments: &Arguments) -> Result<()> {
     notes.extend(format.limits(&wanted));
     let writing = progress::spinner(format!("writing {}", arguments.output.display()));
     let order = format.write(&arguments.output, &arguments.input, &wanted)?;
-    let after = format.read(&arguments.output)?;
-    writing.finish_and_clear();
     let compared = order.map_or_else(|| original.clone(), |order| original.select(&order));
-    let loss = (compared.len() == after.len()).then(|| LossReport::between(&compared, &after, format.keeps_axes()));
+    if compared.len() < original.len() {
+        let count = original.len() - compared.len();
+        notes.push(format!("{count} splats with an opacity below 1/255, which are never drawn, are left out"));
+    }
+    // A device or FIFO cannot be read back.
+    let after = arguments.output.is_file().then(|| format.read(&arguments.output)).transpose()?;
+    writing.finish_and_clear();
+    let loss = after.as_ref().map(|after| LossReport::between(&compared, after, format.keeps_axes()));
+    if loss.is_none() {
+        notes.push(format!("{} is no regular file: it was not read back", arguments.output.display()));
+    }
     let report = Report {
         input: &arguments.input,
         output: &arguments.output,
         format: format.name(),
         splats_in: before.len(),
-        splats_out: after.len(),
+        splats_out: compared.len(),
         bytes_in: bytes_of(&arguments.input)?,
         bytes_out: bytes_of(&arguments.output)?,
         loss,
@@ -174,7 +182,7 @@ fn notes_of(path: &Path) -> Result<Vec<String>> {
     if !path.is_file() {
         return Ok(Vec::new());
     }
-    let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let bytes = read_bytes(path)?;
     if !bytes.starts_with(b"glTF") {
         return Ok(Vec::new());
     }

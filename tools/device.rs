@@ -1,5 +1,7 @@
 //! The device that a command draws on.
 
+use std::io::Write;
+
 use anyhow::{Result, bail};
 use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
 
@@ -15,7 +17,8 @@ impl DeviceArguments {
     /// The device, said on standard error: which one made a picture matters to whoever looks at it later.
     pub fn open(&self) -> Result<Gpu> {
         let gpu = Gpu::open(&DeviceOptions { choice: self.device.clone(), ..DeviceOptions::default() })?;
-        eprintln!("on {}", gpu.info());
+        // Only for information.
+        let _ = writeln!(std::io::stderr(), "on {}", gpu.info());
         Ok(gpu)
     }
 }

@@ -6,13 +6,14 @@ mod jobs;
 mod sites;
 mod video;
 
+use std::fs;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::asset::{read_episode_log, read_light_transfer};
+use decouplegs::asset::{AssetError, read_episode_log, read_light_transfer};
 use decouplegs::episode::{self, Driven, Eyes, Look, chosen, drive, render_options};
 use decouplegs::gpu::Gpu;
 use decouplegs::planner::{Cameras, Patience, Planner, PlannerChoice};
@@ -27,7 +28,7 @@ pub use self::album::{Album, Pictures};
 use self::folder::RunFolder;
 use self::jobs::Job;
 pub use self::sites::{Ready, Sites};
-use crate::arguments::{Size, print};
+use crate::arguments::{Size, print, warn};
 use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
@@ -223,13 +224,23 @@ impl Worker<'_> {
         let name = &job.scenario.name;
         let path = self.run.folder.log(name);
         if path.exists() {
-            let episode = read_episode_log(&path)?;
-            ensure!(
-                episode.head.scenario == job.scenario,
-                "{} is of another scenario of the same name: remove it, or name another folder with --out",
-                path.display()
-            );
-            return Scored::new(episode, path, self.run.folder.pictures(name), None);
+            match read_episode_log(&path) {
+                Ok(episode) => {
+                    ensure!(
+                        episode.head.scenario == job.scenario,
+                        "{} is of another scenario of the same name: remove it, or name another folder with --out",
+                        path.display()
+                    );
+                    return Scored::new(episode, path, self.run.folder.pictures(name), None);
+                }
+                // Kept under another name, and driven again.
+                Err(error @ AssetError::Decode { .. }) => {
+                    let damaged = path.with_extension("log.damaged");
+                    fs::rename(&path, &damaged).with_context(|| format!("{} cannot be renamed", path.display()))?;
+                    warn(&format!("{error}: it is kept as {}, and the episode is driven again", damaged.display()));
+                }
+                Err(error) => return Err(error.into()),
+            }
         }
         let driven = self.drive(job)?;
         if self.run.arguments.video {

@@ -33,9 +33,11 @@ mod score;
 mod stress;
 mod synth;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use decouplegs::explain::explain;
 
 /// Renders 3D Gaussian scenes for driving simulation on any Vulkan 1.3 device.
 #[derive(Parser)]
@@ -95,23 +97,11 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprint!("{}", explanation(&error));
+            // Where standard error is full or closed, there is nobody to tell.
+            let _ = std::io::stderr().write_all(explain(error.as_ref()).as_bytes());
             ExitCode::FAILURE
         }
     }
-}
-
-/// The error as a sentence and its causes, one a line. A cause that the line above already tells is left out.
-fn explanation(error: &anyhow::Error) -> String {
-    let mut told = error.to_string();
-    let mut lines = format!("error: {told}\n");
-    for cause in error.chain().skip(1).map(ToString::to_string) {
-        if !told.contains(&cause) {
-            lines.push_str(&format!("  because: {cause}\n"));
-        }
-        told = cause;
-    }
-    lines
 }
 
 #[cfg(test)]
@@ -122,13 +112,5 @@ mod tests {
     fn the_command_line_is_consistent() {
         use clap::CommandFactory;
         Program::command().debug_assert();
-    }
-
-    #[test]
-    fn an_error_is_explained_once() {
-        let error =
-            anyhow::anyhow!("disk on fire").context("cannot write a.ply: disk on fire").context("the street was not written");
-        let lines = "error: the street was not written\n  because: cannot write a.ply: disk on fire\n";
-        assert_eq!(explanation(&error), lines);
     }
 }

@@ -8,6 +8,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
+use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::{read_map, read_tracks, write_atomically};
 
 use crate::arguments::print;
@@ -19,10 +20,13 @@ use summary::{MapSummary, TrackSummary};
 pub struct Arguments {
     /// OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad (.xml)
     file: PathBuf,
-    /// Draw the lanes from above into an SVG file
+    /// Draw the lanes from above into an SVG file, with their ids where there is room. A browser shows the id of any lane below the mouse
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Print JSON
+    /// Write all lanes as lane JSON: ids, centerlines, borders, links. Scenarios name lanes by these ids, and all commands read the file
+    #[arg(long, value_name = "FILE")]
+    lanes: Option<PathBuf>,
+    /// Print the summary as JSON
     #[arg(long)]
     json: bool,
     /// Tracks to describe and draw as well: a CSV or JSON table, or CommonRoad
@@ -39,6 +43,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let name = arguments.file.file_name().unwrap_or_default().to_string_lossy();
         let svg = Drawing { name: &name, map: &map, summary: &summary, tracks: tracks.as_deref().unwrap_or_default() }.to_svg();
         write_atomically(path, |file| file.write_all(svg.as_bytes()))?;
+    }
+    if let Some(path) = &arguments.lanes {
+        lane_json::write(path, &map)?;
     }
     if arguments.json {
         let mut value = summary.to_json();

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::asset::SceneFile;
 use decouplegs::asset::packed_scene::{PackOptions, ground_mesh_ply, pack};
+use decouplegs::asset::{SceneFile, read_bytes, read_map};
 use decouplegs::scene::VehicleSize;
 use glam::DVec3;
 
@@ -74,7 +74,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let below = DVec3::new(options.rig_origin_m.x, 0.0, -0.5 * dims_m[2]);
     options.rig_origin_m = arguments.rig_origin.map_or(below, |Triple(origin)| DVec3::from_array(origin));
     if let Some(map) = &arguments.map {
-        options.map = Some(fs::read(map).with_context(|| format!("cannot read {}", map.display()))?);
+        // Read as a map too: an empty or wrong file would only be found by those who open the package.
+        read_map(map)?;
+        options.map = Some(read_bytes(map)?);
     }
     let mut notes = Vec::new();
     if !arguments.no_ground {
@@ -98,7 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let (start_s, end_s) = summary.span_s;
     let bytes = fs::metadata(&arguments.usdz).with_context(|| format!("cannot read {}", arguments.usdz.display()))?.len();
     let mut text = format!(
-        "{}: scene '{}', {start_s} to {end_s} s, {} cameras, {} agents, {} entries, {bytes} bytes\n",
+        "{}: scene '{}', {start_s:.3} to {end_s:.3} s, {} cameras, {} agents, {} entries, {bytes} bytes\n",
         arguments.usdz.display(),
         options.scene_id,
         scene.rig.cameras.len(),

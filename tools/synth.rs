@@ -4,9 +4,10 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::{Subcommand, ValueEnum};
 use decouplegs::asset::maps::lane_json;
+use decouplegs::asset::memory::{self, cloud_bytes};
 use decouplegs::asset::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 use decouplegs::asset::tracks::{self, PoseRow};
 use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, write_atomically};
@@ -14,7 +15,7 @@ use decouplegs::scene::{Camera, Pose, Rules, SplatCloud, TimedPose, Trajectory, 
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use crate::arguments::Size;
+use crate::arguments::{Size, print};
 use crate::progress;
 
 /// How often tracks tell where a car is.
@@ -97,6 +98,7 @@ struct StreetArguments {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let SyntheticScene::Street(arguments) = &arguments.scene;
+    check_size(arguments)?;
     let working = progress::spinner(format!("{} splats", arguments.background));
     let mut street = Street::generate(&StreetOptions {
         background: arguments.background,
@@ -114,7 +116,33 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     working.set_message(format!("writing {}", arguments.out.display()));
     write_street(&street, &arguments.out, arguments.baked)?;
     working.finish_and_clear();
-    Ok(())
+    let out = arguments.out.display();
+    let mut text = format!(
+        "{out}/scene.toml: {} splats, {} cars of {} kinds, {} cameras\n",
+        street.background.len(),
+        street.agents.len(),
+        street.assets.len(),
+        street.rig.cameras.len()
+    );
+    text += &format!(
+        "  beside it: background.ply, assets/*.ply, transforms.json, lanes.json, tracks.csv{}\n",
+        if arguments.baked { ", world.ply" } else { "" }
+    );
+    text += &format!("  draw it:   decouplegs render {out}/scene.toml --out pictures\n");
+    text += &format!(
+        "  drive it:  decouplegs drive --level easy --planner lane-follow --scene {out}/scene.toml --map {out}/lanes.json --out run\n"
+    );
+    print(&text)
+}
+
+/// Refuses what the memory cannot hold, before anything is made.
+fn check_size(arguments: &StreetArguments) -> Result<()> {
+    ensure!(arguments.agents <= usize::from(u16::MAX), "--agents {}: a scene has at most {} agents", arguments.agents, u16::MAX);
+    // As many different cars as agents, at most.
+    let cars = (arguments.agents as u64).saturating_mul(arguments.agent_splats as u64);
+    let splats = (arguments.background as u64).saturating_add(cars);
+    // Twice: the street is sorted into a copy.
+    memory::require("this street", cloud_bytes(splats, arguments.degree).saturating_mul(2)).map_err(anyhow::Error::msg)
 }
 
 fn write_street(street: &Street, out: &Path, baked: bool) -> Result<()> {

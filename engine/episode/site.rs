@@ -4,9 +4,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use decouplegs_asset::compress::{CompressError, CompressOptions, Prune, compress};
+use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::roads::{self, RoadsOptions};
 use decouplegs_asset::street::{AssetLight, Capture, Street, StreetOptions};
-use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, open_scene, read_map};
+use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, open_movable_scene, open_scene, read_map};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
 use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
@@ -72,6 +73,14 @@ impl Site {
     /// # Errors
     /// When a file is at fault, or lanes or assets are missing.
     pub fn open(place: &Place, directory: &Path, look: Option<&Look>) -> Result<Self, SiteError> {
+        if let (Some(_), Place::Street { background, agent_splats, .. } | Place::Roads { background, agent_splats, .. }) =
+            (look, place)
+        {
+            let splats = (*background as u64).saturating_add((*agent_splats as u64).saturating_mul(ALL_CARS as u64));
+            let what = format!("a place of {background} splats with cars of {agent_splats}");
+            // Twice, as lists are sorted into copies.
+            memory::require(&what, cloud_bytes(splats, 0).saturating_mul(2)).map_err(SiteError::Unfit)?;
+        }
         match place {
             Place::Street { weather, background, agent_splats, seed } => {
                 Self::street(*weather, [*background, *agent_splats], *seed, look)
@@ -130,13 +139,16 @@ impl Site {
     }
 
     fn captured(scene: &Path, lanes: LaneMap, look: Option<&Look>) -> Result<Self, SiteError> {
-        let mut loaded = open_scene(scene, 0.0)?;
+        // Cars of plain splats are compressed, if they are to be seen.
+        let mut loaded = if look.is_some() { open_movable_scene(scene)?.0 } else { open_scene(scene, 0.0)? };
         // Traffic takes the place of whoever drove when the scene was captured.
         loaded.agents.clear();
         loaded.agent_names.clear();
         if look.is_some() && loaded.assets.is_empty() {
             let scene = scene.display();
-            return Err(SiteError::Unfit(format!("{scene} names no compressed asset (.safetensors) that agents could show")));
+            return Err(SiteError::Unfit(format!(
+                "{scene} has no agents, so there is no asset that traffic could show: add one"
+            )));
         }
         let sizes = loaded.assets.iter().map(|asset| size_of(asset.dims_m)).collect();
         let options = GroundOptions { band_m: GROUND_BAND_M, ..GroundOptions::default() };

@@ -32,14 +32,14 @@ mod batch;
 mod viewer;
 mod world;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, Weak};
 
 use decouplegs_asset::{AssetError, LoadedAgent, LoadedScene, open_scene, read_coded};
 use decouplegs_gpu::{DeviceOptions, Gpu, GpuError};
 use decouplegs_render::{ColourFormat, Outputs, RenderError, RenderOptions, Renderer};
-use decouplegs_scene::{Rig, Trajectory};
+use decouplegs_scene::{Rig, Rules, Trajectory};
 use glam::DVec3;
 
 use crate::LiveScene;
@@ -113,15 +113,18 @@ pub enum SessionError {
 pub struct SessionOptions {
     /// Which device, and how it is used.
     pub device: DeviceOptions,
-    /// How viewers draw.
+    /// How viewers draw. [`RenderOptions::rules`] is not used: see [`SessionOptions::rules`].
     pub render: RenderOptions,
+    /// The rules that all scenes are drawn by. None: each by its own, as its scene file says.
+    pub rules: Option<Rules>,
 }
 
 impl Default for SessionOptions {
     /// The best device, pictures in bytes, and room to spare for cameras that leap.
     fn default() -> Self {
         let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
-        Self { device: DeviceOptions::default(), render: RenderOptions { outputs, spare: 0.5, ..RenderOptions::default() } }
+        let render = RenderOptions { outputs, spare: 0.5, ..RenderOptions::default() };
+        Self { device: DeviceOptions::default(), render, rules: None }
     }
 }
 
@@ -136,9 +139,12 @@ pub struct Session {
 /// A scene on the device. It stays there as long as somebody holds it.
 pub struct SessionScene {
     gpu: Gpu,
+    rules: Rules,
     rig: Rig,
     ego: Trajectory,
     agents: Vec<LoadedAgent>,
+    /// Places in `agents`.
+    agent_by_name: HashMap<String, usize>,
     /// Those of plain splats, which are part of the background.
     plain_agents: Vec<String>,
     live: RwLock<LiveScene>,
@@ -211,13 +217,16 @@ impl Session {
     /// When the device has not the memory, or an asset cannot be drawn.
     pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<SessionScene>, SessionError> {
         let live = LiveScene::new(&Renderer::new(&self.gpu, self.options.render), loaded)?;
-        let moves = |name: &&String| loaded.agents.iter().any(|agent| agent.name == **name);
+        let agent_by_name: HashMap<String, usize> =
+            loaded.agents.iter().enumerate().map(|(index, agent)| (agent.name.clone(), index)).collect();
         Ok(Arc::new(SessionScene {
             gpu: self.gpu.clone(),
+            rules: loaded.world.rules,
             rig: loaded.rig.clone(),
             ego: loaded.ego.clone(),
             agents: loaded.agents.clone(),
-            plain_agents: loaded.agent_names.iter().filter(|name| !moves(name)).cloned().collect(),
+            plain_agents: loaded.agent_names.iter().filter(|name| !agent_by_name.contains_key(*name)).cloned().collect(),
+            agent_by_name,
             live: RwLock::new(live),
         }))
     }
@@ -225,11 +234,17 @@ impl Session {
     /// Something that draws worlds of this session, as [`SessionOptions::render`] says.
     #[must_use]
     pub fn viewer(&self) -> Viewer {
-        Viewer::new(Renderer::new(&self.gpu, self.options.render))
+        Viewer::new(&self.gpu, &self.options)
     }
 }
 
 impl SessionScene {
+    /// The rules of image formation that the scene file names.
+    #[must_use]
+    pub fn rules(&self) -> Rules {
+        self.rules
+    }
+
     /// The ego vehicle's cameras; none for a splat file.
     #[must_use]
     pub fn rig(&self) -> &Rig {
@@ -252,6 +267,11 @@ impl SessionScene {
     #[must_use]
     pub fn plain_agents(&self) -> &[String] {
         &self.plain_agents
+    }
+
+    /// The agent of the scene file called `name`.
+    pub(crate) fn agent(&self, name: &str) -> Option<&LoadedAgent> {
+        self.agent_by_name.get(name).map(|&index| &self.agents[index])
     }
 
     /// Whether it is on the device that `gpu` is.

@@ -2,12 +2,13 @@
 
 use std::collections::VecDeque;
 
-use decouplegs_render::{ColourFormat, FrameStatistics, Picture, PictureBytes, Renderer, TakenPictures};
-use decouplegs_scene::Camera;
+use decouplegs_gpu::Gpu;
+use decouplegs_render::{ColourFormat, FrameStatistics, Picture, PictureBytes, RenderOptions, Renderer, TakenPictures};
+use decouplegs_scene::{Camera, Rules};
 use glam::DVec3;
 
 use super::batch::{Batch, batches};
-use super::{SessionError, World};
+use super::{SessionError, SessionOptions, SessionScene, World};
 
 /// A world, and the cameras that look at it.
 #[derive(Clone, Copy)]
@@ -20,7 +21,12 @@ pub struct WorldView<'a> {
 
 /// Draws worlds of one session. Its buffers are kept from frame to frame, so one viewer for one use is fastest.
 pub struct Viewer {
-    renderer: Renderer,
+    gpu: Gpu,
+    options: RenderOptions,
+    /// None: each scene's own.
+    rules: Option<Rules>,
+    /// One for each set of rules that was drawn by: kernels are specialized by them.
+    renderers: Vec<Renderer>,
 }
 
 /// Pictures on the host, four bytes a pixel: red, green, blue, alpha. Kept from frame to frame, their memory is used again.
@@ -60,14 +66,29 @@ impl HostPictures {
 }
 
 impl Viewer {
-    pub(super) fn new(renderer: Renderer) -> Self {
-        Self { renderer }
+    pub(super) fn new(gpu: &Gpu, options: &SessionOptions) -> Self {
+        Self { gpu: gpu.clone(), options: options.render, rules: options.rules, renderers: Vec::new() }
     }
 
-    /// How it draws.
+    /// Settings of its renderers, but for the rules.
     #[must_use]
-    pub fn renderer(&self) -> &Renderer {
-        &self.renderer
+    pub fn options(&self) -> &RenderOptions {
+        &self.options
+    }
+
+    /// The device.
+    #[must_use]
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// Index of the renderer for `scene`, made at the first use of its rules.
+    fn renderer_of(&mut self, scene: &SessionScene) -> usize {
+        let rules = self.rules.unwrap_or(scene.rules());
+        self.renderers.iter().position(|renderer| renderer.options().rules == rules).unwrap_or_else(|| {
+            self.renderers.push(Renderer::new(&self.gpu, RenderOptions { rules, ..self.options }));
+            self.renderers.len() - 1
+        })
     }
 
     /// Draws `views` and brings the pictures to the host. What each frame took is returned: one frame draws up to 32 cameras of
@@ -77,7 +98,7 @@ impl Viewer {
     /// # Errors
     /// When a camera or agent cannot make a picture, the device has not the memory or was lost, or pictures are floats.
     pub fn draw(&mut self, views: &[WorldView<'_>], pictures: &mut HostPictures) -> Result<Vec<FrameStatistics>, SessionError> {
-        if self.renderer.options().outputs.colour != ColourFormat::U8 {
+        if self.options.outputs.colour != ColourFormat::U8 {
             return Err(SessionError::NotBytes);
         }
         pictures.places = vec![Vec::new(); views.len()];
@@ -131,52 +152,57 @@ impl Viewer {
         mut done: impl FnMut(&mut Renderer, usize, &Batch) -> Result<(), SessionError>,
     ) -> Result<Vec<FrameStatistics>, SessionError> {
         self.drain();
-        if let Some(view) = views.iter().position(|view| !view.world.scene().is_on(self.renderer.gpu())) {
+        if let Some(view) = views.iter().position(|view| !view.world.scene().is_on(&self.gpu)) {
             return Err(SessionError::OtherSession { view });
         }
         let batches = batches(views, self.pixels_max())?;
+        let renderers: Vec<usize> = batches.iter().map(|batch| self.renderer_of(&batch.scene)).collect();
         let mut statistics = Vec::with_capacity(batches.len());
+        // Each renderer finishes its frames in the order of their submission, so all frames are finished in the order of the batches.
+        let mut finish = |renderers_of_viewer: &mut Vec<Renderer>, number: usize| -> Result<(), SessionError> {
+            let renderer = &mut renderers_of_viewer[renderers[number]];
+            statistics.push(renderer.finish()?);
+            done(renderer, number, &batches[number])
+        };
         let mut waiting: VecDeque<usize> = VecDeque::new();
         for (number, batch) in batches.iter().enumerate() {
-            if waiting.len() >= self.renderer.options().frames_in_flight.max(1)
+            if waiting.len() >= self.options.frames_in_flight.max(1)
                 && let Some(oldest) = waiting.pop_front()
             {
-                statistics.push(self.renderer.finish()?);
-                done(&mut self.renderer, oldest, &batches[oldest])?;
+                finish(&mut self.renderers, oldest)?;
             }
-            self.submit(batch, views)?;
+            submit(&mut self.renderers[renderers[number]], batch, views)?;
             waiting.push_back(number);
         }
-        for oldest in waiting {
-            statistics.push(self.renderer.finish()?);
-            done(&mut self.renderer, oldest, &batches[oldest])?;
-        }
+        waiting.into_iter().try_for_each(|oldest| finish(&mut self.renderers, oldest))?;
         Ok(statistics)
-    }
-
-    fn submit(&mut self, batch: &Batch, views: &[WorldView<'_>]) -> Result<(), SessionError> {
-        let agents = batch.parts.iter().flat_map(|part| views[part.view].world.agents());
-        let places: Vec<DVec3> = agents.map(|agent| agent.placed.pose.translation).collect();
-        batch.scene.ready_light(&places);
-        let live = batch.scene.live();
-        let cast = batch.cast(&live, views);
-        Ok(self.renderer.submit(cast.over(&live), &batch.cameras(views))?)
     }
 
     /// Lets go of frames that a call before left in flight when it failed.
     fn drain(&mut self) {
         // Frames that fail are nobody's any more; the loop ends when none is in flight.
-        while self.renderer.is_busy() {
-            let _ = self.renderer.finish();
+        for renderer in &mut self.renderers {
+            while renderer.is_busy() {
+                let _ = renderer.finish();
+            }
         }
     }
 
     /// Pixels that one buffer of pictures can hold.
     fn pixels_max(&self) -> u64 {
-        let bytes = match self.renderer.options().outputs.colour {
+        let bytes = match self.options.outputs.colour {
             ColourFormat::F32 => 16,
             ColourFormat::U8 => 4,
         };
-        self.renderer.gpu().limits().storage_buffer_bytes_max / bytes
+        self.gpu.limits().storage_buffer_bytes_max / bytes
     }
+}
+
+fn submit(renderer: &mut Renderer, batch: &Batch, views: &[WorldView<'_>]) -> Result<(), SessionError> {
+    let agents = batch.parts.iter().flat_map(|part| views[part.view].world.agents());
+    let places: Vec<DVec3> = agents.map(|agent| agent.placed.pose.translation).collect();
+    batch.scene.ready_light(&places);
+    let live = batch.scene.live();
+    let cast = batch.cast(&live, views);
+    Ok(renderer.submit(cast.over(&live), &batch.cameras(views))?)
 }

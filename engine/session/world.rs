@@ -65,8 +65,8 @@ impl World {
 
     /// Puts the agents of the scene file that are still here where their trajectories have them at `time_s`.
     pub fn set_time(&mut self, time_s: f64) {
-        for loaded in self.scene.agents() {
-            if let Some(agent) = self.agents.iter_mut().find(|agent| agent.name == loaded.name) {
+        for agent in &mut self.agents {
+            if let Some(loaded) = self.scene.agent(&agent.name) {
                 agent.placed.pose = loaded.trajectory.at(time_s);
             }
         }

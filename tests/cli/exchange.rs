@@ -91,8 +91,17 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
     small_street(&street);
     let (scene, package) = (street.join("scene.toml"), folder.path().join("street.usdz"));
     let map = folder.path().join("map.xodr");
-    fs::write(&map, "<OpenDRIVE><header><geoReference><![CDATA[+lat_0=49 +lon_0=8]]></geoReference></header></OpenDRIVE>")
-        .unwrap();
+    let lane = "<lane id=\"-1\" type=\"driving\"><width sOffset=\"0\" a=\"3\" b=\"0\" c=\"0\" d=\"0\"/></lane>";
+    let road = format!(
+        "<road id=\"1\" length=\"9\"><planView><geometry s=\"0\" x=\"0\" y=\"0\" hdg=\"0\" length=\"9\"><line/></geometry></planView>\
+         <lanes><laneSection s=\"0\"><right>{lane}</right></laneSection></lanes></road>"
+    );
+    let header = "<header><geoReference><![CDATA[+lat_0=49 +lon_0=8]]></geoReference></header>";
+    fs::write(&map, format!("<OpenDRIVE>{header}{road}</OpenDRIVE>")).unwrap();
+    let empty = folder.path().join("empty.xodr");
+    fs::write(&empty, "").unwrap();
+    let refused = fail(1, &["pack", text(&scene), "--usdz", text(&package), "--map", text(&empty)]);
+    assert!(refused.contains("empty.xodr") && !package.exists(), "{refused}");
     let said = succeed(&["pack", text(&scene), "--usdz", text(&package), "--map", text(&map)]);
     assert!(said.contains("'street'") && said.contains("6 cameras, 2 agents"), "{said}");
     let file = SceneFile::read(&scene).unwrap();

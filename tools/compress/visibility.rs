@@ -5,6 +5,7 @@ use decouplegs::gpu::Gpu;
 use decouplegs::render::{Outputs, RenderError, RenderOptions, Renderer, ResidentWorld};
 use decouplegs::scene::{Camera, Intrinsics, SplatCloud, World};
 
+use crate::arguments::warn;
 use crate::progress;
 
 /// Cameras of one submission: the weights of all its pixels are counted in one 32-bit sum.
@@ -27,7 +28,7 @@ pub fn visibility(gpu: &Gpu, cloud: &SplatCloud, cameras: &[Camera]) -> Result<V
         match mean_contributions(&mut renderer, &resident, &resized) {
             Err(RenderError::ListTooLong { .. }) if 2 * side_px <= VIEW_PX_MAX => {
                 finer *= 2;
-                eprintln!("too many splats on too few pixels for this device: trying views of {} pixels", 2 * side_px);
+                warn(&format!("too many splats on too few pixels for this device: trying views of {} pixels", 2 * side_px));
             }
             Err(error) => return Err(error).context("the visibility of the splats cannot be measured"),
             Ok(ordered) => {

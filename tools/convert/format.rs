@@ -1,12 +1,11 @@
 //! The formats that are written.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use decouplegs::asset::compress::{CompressOptions, Prune, compress};
-use decouplegs::asset::{CodedAsset, Provenance, inria_ply, khr_glb, read_splats, sog, splat, spz, write_coded};
+use decouplegs::asset::{CodedAsset, Provenance, inria_ply, khr_glb, read_bytes, read_splats, sog, splat, spz, write_coded};
 use decouplegs::scene::SplatCloud;
 
 /// A format that splats are written in.
@@ -22,7 +21,7 @@ pub enum Format {
     Sog,
     /// Binary glTF with KHR_gaussian_splatting: all in 32-bit floats
     Glb,
-    /// Our compressed asset, without pruning; `compress` prunes by what is seen
+    /// Our compressed asset, of all splats with an opacity of at least 1/255; `compress` prunes by what is seen
     Safetensors,
 }
 
@@ -117,7 +116,7 @@ impl Format {
 
     /// Reads what was written, whatever it is called.
     pub fn read(self, path: &Path) -> Result<SplatCloud> {
-        let bytes = || fs::read(path).with_context(|| format!("cannot read {}", path.display()));
+        let bytes = || read_bytes(path);
         let decoded = match self {
             // These are told by their first bytes.
             Self::Ply | Self::Spz | Self::Sog | Self::Glb => return Ok(read_splats(path)?),
@@ -128,17 +127,16 @@ impl Format {
     }
 }
 
-/// Writes a compressed asset of all splats that are not transparent; which they are, in the order of the file.
+/// Writes a compressed asset of all splats that can be seen. Returns their indices in `cloud`, in the order of the file.
 fn write_asset(out: &Path, source: &Path, cloud: &SplatCloud) -> Result<Vec<u32>> {
     // Every splat counts alike: nothing is rendered, so nobody knows which are seen.
     let options = CompressOptions { prune: Prune::KeepRatio(1.0), ..CompressOptions::default() };
     let compressed = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| ())?;
-    let bytes = if source.is_file() { fs::read(source)? } else { Vec::new() };
+    let bytes = if source.is_file() { read_bytes(source)? } else { Vec::new() };
     let mut provenance = Provenance::of_source(source.file_name().unwrap_or_default().to_string_lossy(), &bytes);
     provenance.settings.insert("prune".into(), "none".into());
     write_coded(out, &CodedAsset { cloud: compressed.cloud, provenance })?;
-    let kept: Vec<u32> = (0..cloud.len() as u32).filter(|&splat| cloud.opacities[splat as usize] > 0.0).collect();
-    Ok(cloud.select(&kept).spatial_order().into_iter().map(|place| kept[place as usize]).collect())
+    Ok(compressed.kept)
 }
 
 #[cfg(test)]

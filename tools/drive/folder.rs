@@ -3,16 +3,23 @@
 //! `run.json` says with what the run was begun, `scenarios/` holds what is driven, `logs/` what happened. A log under its own name
 //! is whole: it is renamed when its last line is in, so that a run can be stopped at any moment and loses what is under way.
 
-use std::fs;
-use std::io::Write;
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use decouplegs::asset::write_atomically;
+use decouplegs::asset::{TEMPORARY_PREFIX, write_atomically};
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
 use serde_json::Value;
+
+/// Name of the file that is locked while a run goes on. It holds the number of the process.
+const LOCK: &str = "run.lock";
 
 pub struct RunFolder {
     root: PathBuf,
+    /// Locked until the run ends, however it ends.
+    _lock: File,
 }
 
 impl RunFolder {
@@ -22,7 +29,8 @@ impl RunFolder {
             let part = root.join(part);
             fs::create_dir_all(&part).with_context(|| format!("{} cannot be made", part.display()))?;
         }
-        let folder = Self { root: root.to_owned() };
+        let folder = Self { root: root.to_owned(), _lock: locked(root)? };
+        sweep(&[root.to_owned(), root.join("scenarios"), root.join("logs")]);
         let path = folder.root.join("run.json");
         match fs::read(&path) {
             Ok(bytes) => {
@@ -52,6 +60,40 @@ impl RunFolder {
     }
 }
 
+/// The lock of the run in `root`. Two runs in one folder would write the same logs.
+fn locked(root: &Path) -> Result<File> {
+    let path = root.join(LOCK);
+    let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+    let mut file = open.with_context(|| format!("{} cannot be opened", path.display()))?;
+    match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => {}
+        Err(Errno::WOULDBLOCK) => {
+            let mut holder = String::new();
+            // Only for the message.
+            let _ = file.read_to_string(&mut holder);
+            bail!(
+                "{} is in use by another run (process {}): wait for its end, or name another folder with --out",
+                root.display(),
+                holder.trim()
+            );
+        }
+        Err(error) => return Err(error).with_context(|| format!("{} cannot be locked", path.display())),
+    }
+    file.set_len(0)
+        .and_then(|()| writeln!(file, "{}", std::process::id()))
+        .with_context(|| format!("{} cannot be written", path.display()))?;
+    Ok(file)
+}
+
+/// Removes what killed runs have left in `folders`: temporary files of half a second, by their names.
+fn sweep(folders: &[PathBuf]) {
+    let entries = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();
+    for entry in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX)) {
+        // One that stays does no harm.
+        let _ = fs::remove_file(entry.path());
+    }
+}
+
 /// Refuses to add episodes to those of another run: their scores would be mixed.
 fn check_same(path: &Path, begun: &Value, settings: &Value) -> Result<()> {
     let keys = settings.as_object().into_iter().flatten();
@@ -78,7 +120,12 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let settings = json!({ "planner": "lane-follow", "seed": 1 });
         RunFolder::open(root.path(), &settings).unwrap();
-        RunFolder::open(root.path(), &settings).unwrap();
+        fs::write(root.path().join("logs/.writing-abc123"), "litter").unwrap();
+        let run = RunFolder::open(root.path(), &settings).unwrap();
+        assert_eq!(fs::read_dir(root.path().join("logs")).unwrap().count(), 0, "litter of a killed run is removed");
+        let second = RunFolder::open(root.path(), &settings).err().unwrap().to_string();
+        assert!(second.contains("in use") && second.contains(&std::process::id().to_string()), "{second}");
+        drop(run);
         let other = RunFolder::open(root.path(), &json!({ "planner": "vision", "seed": 1 })).err().unwrap().to_string();
         assert!(other.contains("planner = \"lane-follow\"") && other.contains("\"vision\""), "{other}");
     }

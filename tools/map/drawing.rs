@@ -1,6 +1,7 @@
 //! A map from above as SVG: lanes in the colours of their kinds, borders, centrelines with arrows, tracks, scale and legend.
 
 mod frame;
+mod ids;
 mod legend;
 mod lines;
 
@@ -53,6 +54,7 @@ impl Drawing<'_> {
             frame.area.y
         );
         self.draw_lanes(&mut svg, &frame);
+        ids::draw(&mut svg, &frame, &self.map.lanes);
         for track in self.tracks {
             draw_track(&mut svg, &frame, track);
         }

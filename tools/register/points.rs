@@ -1,9 +1,9 @@
 //! Points of a survey as a ground.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
+use decouplegs::asset::read_bytes;
 use decouplegs::scene::SplatCloud;
 use glam::DVec3;
 
@@ -12,7 +12,7 @@ const POINT_SIGMA_M: f32 = 0.1;
 
 /// A table of x, y and z in metres, one point a line below a line of these names, as round splats about their first point.
 pub fn read(path: &Path) -> Result<(SplatCloud, DVec3)> {
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = String::from_utf8(read_bytes(path)?).with_context(|| format!("{} is not UTF-8", path.display()))?;
     parse(&text).with_context(|| format!("{} is no table of points", path.display()))
 }
 

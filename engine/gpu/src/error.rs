@@ -83,6 +83,11 @@ pub enum GpuError {
         /// What is wrong with it.
         reason: String,
     },
+    /// The device was opened by another process, of which this one is a fork.
+    #[error(
+        "the device was opened before the process forked, and a driver's threads are not copied: open it in the child, or start children by spawn instead of fork"
+    )]
+    Forked,
     /// The device stopped answering for good.
     #[error(
         "device lost during {during}; {progress}: the kernel after it most likely read or wrote out of bounds or ran too long"

@@ -45,6 +45,8 @@ pub(crate) struct Queue {
     raw: vk::Queue,
     family: u32,
     timestamp_bits: u32,
+    /// The process that opened the device.
+    process: u32,
     state: Mutex<State>,
 }
 
@@ -69,11 +71,23 @@ impl Queue {
         let timeline = unsafe { context.device.create_semaphore(&create, None) }.map_err(failed("vkCreateSemaphore"))?;
         // SAFETY: the device was opened with one queue of this family.
         let raw = unsafe { context.device.get_device_queue(family, 0) };
-        Ok(Self { context: context.clone(), timeline, raw, family, timestamp_bits, state: Mutex::default() })
+        Ok(Self {
+            context: context.clone(),
+            timeline,
+            raw,
+            family,
+            timestamp_bits,
+            process: std::process::id(),
+            state: Mutex::default(),
+        })
     }
 
     /// A slot that is being recorded.
     pub(crate) fn begin(&self) -> Result<CommandSlot, GpuError> {
+        // A child would wait for threads that it does not have.
+        if std::process::id() != self.process {
+            return Err(GpuError::Forked);
+        }
         self.reap()?;
         let free = self.state().free.pop();
         let mut slot = match free {

@@ -19,12 +19,13 @@ const TAIL_LINES: usize = 6;
 /// Between two looks at whether it has ended.
 const LOOK: Duration = Duration::from_millis(3);
 
-/// A running child that leads a process group of its own. Dropping it ends the group and reaps the child; where this program is killed,
-/// the child's input ends.
+/// A running child that leads a process group of its own. Dropping it ends the group and reaps the child. If this program ends in any
+/// other way, even by SIGKILL, the guardian ends the group.
 #[derive(Debug)]
 pub(super) struct Process {
-    /// None once it is reaped: its id may be somebody else's by then.
+    /// None once it is reaped: its id may be another process's by then.
     child: Option<Child>,
+    guardian: Option<Child>,
     complaints: Arc<Complaints>,
 }
 
@@ -57,12 +58,17 @@ impl Process {
             .process_group(0)
             .spawn();
         let mut child = child.map_err(|error| format!("cannot start {program:?}: {error}; expected a program"))?;
+        let guardian = guardian_of(&child);
         let complaints = Arc::new(Complaints::default());
         if let Some(stderr) = child.stderr.take() {
             let kept = Arc::clone(&complaints);
             std::thread::spawn(move || kept.listen(stderr));
         }
-        Ok((Self { child: Some(child), complaints }, Connection::new(to, from)))
+        // Made before a failure of the guardian is told: dropping it ends the child.
+        let mut process = Self { child: Some(child), guardian: None, complaints };
+        process.guardian =
+            Some(guardian.map_err(|error| format!("cannot start sh, which ends the planner with this program: {error}"))?);
+        Ok((process, Connection::new(to, from)))
     }
 
     /// Ends it and all that it started, once `grace` is over or it has ended by itself: what is to be said of it.
@@ -72,6 +78,11 @@ impl Process {
         if ended.is_ok() {
             // The child is not reaped yet, so its id is nobody else's. Where nobody is left in its group, nothing is to be done.
             let _ = kill_process_group(Pid::from_child(&child), Signal::KILL);
+        }
+        // Before the child is reaped: the guardian must not end a group that has its id afterwards.
+        if let Some(mut guardian) = self.guardian.take() {
+            let _ = guardian.kill();
+            let _ = guardian.wait();
         }
         let mut said = match (child.wait(), ended) {
             (Ok(status), Ok(true)) => format!("it ended with {status}"),
@@ -84,6 +95,20 @@ impl Process {
         }
         said
     }
+}
+
+/// Starts a shell that ends the process group of `child` when this program ends. It waits for the end of its input, a pipe whose other
+/// end only this program has. A signal at the death of the parent (PR_SET_PDEATHSIG) would reach the child alone, and come when the
+/// thread that started it ends.
+fn guardian_of(child: &Child) -> std::io::Result<Child> {
+    Command::new("sh")
+        .args(["-c", "read -r _; kill -s KILL -- \"-$0\""])
+        .arg(child.id().to_string())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .process_group(0)
+        .spawn()
 }
 
 /// Whether `child` ends within `grace`; it is not reaped.

@@ -9,7 +9,7 @@ use decouplegs::scene::{Pose, Rig, RigCamera};
 use decouplegs::session::{Session, SessionScene};
 
 use crate::arguments::{give_text, one, out, out_handle, text};
-use crate::boundary::guarded;
+use crate::boundary::{Call, guarded};
 use crate::handles::Registry;
 use crate::session::{DgsSession, SESSIONS};
 use crate::status::{DgsStatus, Failure};
@@ -30,10 +30,11 @@ pub static SCENES: Registry<HeldScene> = Registry::new("scene");
 /// its handles and worlds are closed. Each call gives a handle of its own, to be closed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_open(session: *const DgsSession, path: *const c_char, scene: *mut *mut DgsScene) -> DgsStatus {
-    guarded(|call| {
+    guarded(|_| {
         // SAFETY: as the header asks of all pointers.
         let (opened, path) = unsafe { (out_handle("scene", scene)?, text("path", path)?) };
-        let session = Arc::clone(&*SESSIONS.find(call, session)?);
+        // A call of its own: a file whose reader panics leaves the session as good as it was.
+        let session = Arc::clone(&*SESSIONS.find(&mut Call::default(), session)?);
         let scene = session.open_scene(Path::new(path))?;
         opened.write(SCENES.add(HeldScene { session, scene }));
         Ok(())

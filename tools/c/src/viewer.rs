@@ -151,7 +151,7 @@ impl Seen {
 impl Drawing {
     fn draw(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
         let begun = Instant::now();
-        let Outputs { colour, depth, instance, .. } = self.viewer.renderer().options().outputs;
+        let Outputs { colour, depth, instance, .. } = self.viewer.options().outputs;
         let frames = if colour == ColourFormat::U8 && !depth && !instance {
             let frames = self.viewer.draw(views, &mut self.bytes)?;
             self.drawn = Drawn::Bytes;
@@ -163,7 +163,7 @@ impl Drawing {
             frames
         };
         self.statistics = summed(&frames);
-        self.statistics.memory_bytes = self.viewer.renderer().gpu().memory().total_bytes;
+        self.statistics.memory_bytes = self.viewer.gpu().memory().total_bytes;
         self.statistics.wall_ms = 1e3 * begun.elapsed().as_secs_f64();
         Ok(())
     }

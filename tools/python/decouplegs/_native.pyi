@@ -110,7 +110,7 @@ class Session:
         depth: bool = False,
         instance: bool = False,
         exported: bool | None = None,
-        rules: Literal["default", "gsplat15", "inria"] = "default",
+        rules: Literal["default", "gsplat15", "inria"] | None = None,
         taken_max: int = 16,
         frames_in_flight: int = 2,
     ) -> None:
@@ -119,7 +119,7 @@ class Session:
         colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
         depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
         exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
-        rules: the definition of a picture.
+        rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
         frames_in_flight: frames of one call that are submitted before the first is waited for.
         """

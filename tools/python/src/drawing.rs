@@ -44,7 +44,7 @@ pub fn draw(
     groups: &[Vec<(usize, usize)>],
     bytes: &mut HostPictures,
 ) -> Result<(Vec<Layers>, Vec<FrameStatistics>), SessionError> {
-    let outputs = viewer.renderer().options().outputs;
+    let outputs = viewer.options().outputs;
     if outputs.colour == ColourFormat::U8 && !outputs.depth && !outputs.instance {
         let statistics = viewer.draw(&views.borrowed(), bytes)?;
         let gather = |group: &Vec<(usize, usize)>| {

@@ -24,7 +24,7 @@ use crate::viewer::Viewer;
 /// colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
 /// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
 /// exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
-/// rules: the definition of a picture.
+/// rules: the rules of image formation for all scenes: ``default``, ``gsplat15`` or ``inria``. None: each scene's own, as its file says.
 /// taken_max: frames that may be held on the device by tensors before TooManyHeldError.
 /// frames_in_flight: frames of one call that are submitted before the first is waited for.
 #[pyclass(frozen, module = "decouplegs")]
@@ -51,12 +51,10 @@ fn choice_of(device: Option<&Bound<'_, PyAny>>) -> PyResult<DeviceChoice> {
 }
 
 fn rules_of(name: &str) -> PyResult<Rules> {
-    match name {
-        "default" => Ok(Rules::DEFAULT),
-        "gsplat15" => Ok(Rules::GSPLAT15),
-        "inria" => Ok(Rules::INRIA),
-        _ => Err(value_error(format!("rules: expected \"default\", \"gsplat15\" or \"inria\", found {name:?}"))),
-    }
+    let told = || {
+        value_error(format!("rules: expected None, {}, found {name:?}", Rules::NAMES.map(|name| format!("{name:?}")).join(", ")))
+    };
+    Rules::by_name(name).ok_or_else(told)
 }
 
 /// What of CUDA shares the device of `gpu`, or why nothing does.
@@ -70,7 +68,7 @@ fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
 #[pymethods]
 impl Session {
     #[new]
-    #[pyo3(signature = (device = None, *, colour = "u8", depth = false, instance = false, exported = None, rules = "default", taken_max = 16, frames_in_flight = 2))]
+    #[pyo3(signature = (device = None, *, colour = "u8", depth = false, instance = false, exported = None, rules = None, taken_max = 16, frames_in_flight = 2))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
@@ -79,7 +77,7 @@ impl Session {
         depth: bool,
         instance: bool,
         exported: Option<bool>,
-        rules: &str,
+        rules: Option<&str>,
         taken_max: usize,
         frames_in_flight: usize,
     ) -> PyResult<Self> {
@@ -96,7 +94,8 @@ impl Session {
         let device = DeviceOptions { choice: choice_of(device)?, ..DeviceOptions::default() };
         let mut options = SessionOptions { device, ..SessionOptions::default() };
         let outputs = Outputs { colour, depth, instance, ..Outputs::default() };
-        options.render = RenderOptions { rules: rules_of(rules)?, outputs, taken_max, frames_in_flight, ..options.render };
+        options.rules = rules.map(rules_of).transpose()?;
+        options.render = RenderOptions { outputs, taken_max, frames_in_flight, ..options.render };
         let opened = py.detach(|| {
             let gpu = Gpu::open(&options.device)?;
             let cuda = if exported == Some(false) { Err("exported is False".to_owned()) } else { cuda_of(&gpu) };

@@ -3,9 +3,9 @@
 use std::io::Cursor;
 
 use exr::meta::{BlockDescription, MetaData};
-use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-use super::{PIXELS_MAX, Picture, PictureError, PictureFormat};
+use super::{DECODER_BYTES_MAX, PIXELS_MAX, Picture, PictureError, PictureFormat};
 
 /// Most bytes that one byte of a deflated stream can stand for.
 const DEFLATE_RATIO_MAX: u64 = 1032;
@@ -24,7 +24,11 @@ pub fn decode(format: PictureFormat, bytes: &[u8]) -> Result<Picture, PictureErr
     }
     let refused = |error: image::ImageError| format.malformed(error.to_string());
     let kind = if format == PictureFormat::Png { ImageFormat::Png } else { ImageFormat::OpenExr };
-    let decoder = ImageReader::with_format(Cursor::new(bytes), kind).into_decoder().map_err(refused)?;
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(DECODER_BYTES_MAX);
+    reader.limits(limits);
+    let decoder = reader.into_decoder().map_err(refused)?;
     let (width, height) = decoder.dimensions();
     let pixels = u64::from(width) * u64::from(height);
     let believed = pixels_believed(format, bytes);

@@ -10,8 +10,10 @@ pub use sheet::contact_sheet;
 
 use std::path::{Path, PathBuf};
 
-/// Most pixels a file may hold: 4 GiB of RGBA in f32.
-const PIXELS_MAX: u64 = 1 << 28;
+/// Most pixels a file may hold, 8192 x 8192: 1 GiB of RGBA in f32.
+const PIXELS_MAX: u64 = 1 << 26;
+/// Most bytes that a decoder may take: 64 bits for each pixel, and as much for what it works with.
+const DECODER_BYTES_MAX: u64 = 1 << 30;
 
 /// A picture in f32, row-major from the top left; every array holds `width * height` entries.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,8 +134,14 @@ impl Picture {
     /// When the file cannot be read, its name tells no format, or its bytes are not such a picture.
     pub fn read(path: &Path) -> Result<Self, PictureError> {
         let format = PictureFormat::of_path(path).ok_or_else(|| PictureError::Extension { path: path.into() })?;
-        let bytes = std::fs::read(path).map_err(|source| PictureError::Unreadable { path: path.into(), source })?;
-        Self::decode(format, &bytes).map_err(|source| PictureError::File { path: path.into(), source: Box::new(source) })
+        let unreadable = |source| PictureError::Unreadable { path: path.into(), source };
+        // A device may have no end, and a FIFO may block forever.
+        if std::fs::metadata(path).map_err(unreadable)?.is_file() {
+            let bytes = std::fs::read(path).map_err(unreadable)?;
+            return Self::decode(format, &bytes)
+                .map_err(|source| PictureError::File { path: path.into(), source: Box::new(source) });
+        }
+        Err(unreadable(std::io::Error::other("expected a regular file")))
     }
 
     /// The picture in the bytes of a file. Never allocates more than the length of `bytes` can account for.

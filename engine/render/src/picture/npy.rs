@@ -142,7 +142,7 @@ mod tests {
         assert!(decode(&header("'<f4'", "False", "(1, 1, 4)")).is_ok());
         for (bytes, word) in [
             (header("'<f4'", "False", "(4000000000, 4000000000, 4)"), "shape"),
-            (header("'<f4'", "False", "(16000, 16000, 4)"), "bytes after the header"),
+            (header("'<f4'", "False", "(8000, 8000, 4)"), "bytes after the header"),
             (header("'<f4'", "False", "(99999999999999999999, 1, 4)"), "shape"),
             (header("'<f4'", "False", "(0, 1, 4)"), "shape"),
             (header("'<f4'", "False", "(-1, 1, 4)"), "shape"),
