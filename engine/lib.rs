@@ -4,14 +4,14 @@
 //! depth order, so that agents and background hide each other exactly, per pixel. All cameras of a vehicle's rig are drawn
 //! in one submission, on any Vulkan 1.3 device, including lavapipe, which is software.
 //!
-//! This crate is a facade: it joins the engine's crates under one name, and adds [`LiveScene`], where files meet the device, and
-//! [`session`], which is what other programs use: many scenes, worlds and views on one device.
+//! This crate joins the engine's crates under one name and adds [`LiveScene`], where files meet the device; [`session`], which is what
+//! other programs use: many scenes, worlds and views on one device; [`episode`], the closed loop; and [`planner`], its drivers.
 //!
 //! | module | what it is | reads on |
 //! |---|---|---|
 //! | [`scene`] | what a world is: splats, poses, cameras, rules; plain data and mathematics | - |
 //! | [`asset`] | how it is stored: splat files, maps, tracks, scene files, calibrated light, the synthetic street | `scene` |
-//! | [`drive`] | how it moves: lanes, ground, registration of tracks | `scene` |
+//! | [`drive`] | how it moves: lanes, ground, registration of tracks, traffic, scores | `scene` |
 //! | [`gpu`] | how we speak Vulkan: device, queue, memory, kernel; the only `unsafe` code | - |
 //! | [`render`] | how it becomes pictures: the GPU frame, its f64 definition, and the error between two pictures | `scene`, `gpu` |
 //!

@@ -10,7 +10,7 @@ fn main() {
     println!("cargo::rerun-if-changed={}", here.display());
 
     let compiler = shaderc::Compiler::new().expect("the shaderc compiler starts");
-    let mut source = String::new();
+    let (mut source, mut names) = (String::new(), Vec::new());
     for path in kernel_paths(&here) {
         let stem = path.file_stem().and_then(|stem| stem.to_str()).expect("a shader's file name is UTF-8");
         let words = compile(&compiler, &here, &path);
@@ -20,7 +20,10 @@ fn main() {
             stem.to_uppercase()
         )
         .expect("writing to a string cannot fail");
+        names.push(format!("&{}", stem.to_uppercase()));
     }
+    writeln!(source, "/// All kernels.\npub static ALL: [&Kernel; {}] = [{}];", names.len(), names.join(", "))
+        .expect("writing to a string cannot fail");
     fs::write(out.join("kernels.rs"), source).expect("OUT_DIR is writable");
 }
 

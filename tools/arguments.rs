@@ -31,6 +31,17 @@ impl FromStr for Size {
     }
 }
 
+/// A finite number, for options where NaN and infinity mean nothing.
+pub fn finite(text: &str) -> Result<f64, String> {
+    let parsed = text.parse().ok().filter(|number: &f64| number.is_finite() && number.abs() <= 1e12);
+    parsed.ok_or_else(|| format!("expected a number, found {text:?}"))
+}
+
+/// A number of pixels, 0 or more.
+pub fn pixels(text: &str) -> Result<f64, String> {
+    finite(text).ok().filter(|pixels| *pixels >= 0.0).ok_or_else(|| format!("expected pixels, 0 or more, found {text:?}"))
+}
+
 /// By whose definition splats become a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum RulesName {

@@ -18,7 +18,7 @@ use decouplegs::render::reference::{self, Window};
 use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
 use decouplegs::scene::{Intrinsics, Rules};
 
-use crate::arguments::{OrderName, Size, print};
+use crate::arguments::{OrderName, Size, finite, pixels, print};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -51,10 +51,10 @@ pub struct Arguments {
     #[arg(long, value_name = "full|exact|bounded=RAD", default_value = "exact")]
     order: OrderName,
     /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", value_parser = pixels)]
     level_pitch: Option<f64>,
     /// Time from one frame to the next, in which the ego and the agents drive on (default: they stand)
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = finite)]
     step: f64,
     /// Frames in flight: with 2, a frame is submitted before the one before it is waited for
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]

@@ -11,6 +11,7 @@ use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
 use decouplegs::drive::score::{EpisodeScore, Infraction, InfractionKind, Moments, SetSummary, Summary};
 use decouplegs::episode::StepTime;
+use decouplegs::explain::one_line;
 use decouplegs::scene::Level;
 use decouplegs::scene::episode::{Episode, EpisodeEnd};
 use serde_json::{Value, json};
@@ -63,6 +64,31 @@ impl Scored {
             EpisodeEnd::Time => "time over".into(),
             EpisodeEnd::Planner { reason } => format!("planner failed: {reason}"),
         }
+    }
+}
+
+impl Scored {
+    /// The driving score as a product, each factor with its infraction and its moment.
+    pub fn explained(&self) -> String {
+        let agents = &self.episode.head.scenario.agents;
+        let factor = |infraction: &Infraction| {
+            let what = match infraction.kind {
+                InfractionKind::Layout => "off the road".to_owned(),
+                InfractionKind::Collision { agent, fault } => {
+                    let name = agents.get(agent).map_or("an agent", |agent| agent.name.as_str());
+                    format!("collision with {name}, {}", fault.why())
+                }
+            };
+            format!(" × {:.2} ({what} at {:.1} s)", infraction.factor(), infraction.time_s)
+        };
+        let factors: String = self.score.infractions.iter().map(factor).collect();
+        let lost = match &self.episode.end {
+            EpisodeEnd::RouteDone => "",
+            EpisodeEnd::Time => " (time over)",
+            EpisodeEnd::Collision { .. } => " (ended by the collision)",
+            EpisodeEnd::Planner { .. } => " (the planner failed)",
+        };
+        format!("DS {:.3} = RC {:.3}{lost}{factors}", self.score.driving_score, self.score.route_completion)
     }
 }
 
@@ -130,8 +156,25 @@ pub fn write(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
     write_atomically(&html, |file| file.write_all(page.as_bytes()))?;
     let mut text = text(scored)?;
     text.push_str(&timing::text(scored));
+    text.push_str(&failed_planners(scored));
     text.push_str(&format!("{}\n{}\n", json.display(), html.display()));
     Ok(text)
+}
+
+/// Episodes whose planner failed that are named on the console.
+const FAILED_SHOWN_MAX: usize = 3;
+
+/// A line for each of the first episodes that ended because the planner failed, and how many there are.
+fn failed_planners(scored: &[Scored]) -> String {
+    let failed: Vec<&Scored> = scored.iter().filter(|scored| matches!(scored.episode.end, EpisodeEnd::Planner { .. })).collect();
+    if failed.is_empty() {
+        return String::new();
+    }
+    let mut text = format!("the planner failed in {} of {} episodes:\n", failed.len(), scored.len());
+    for scored in failed.iter().take(FAILED_SHOWN_MAX) {
+        text.push_str(&format!("  {}: {}\n", scored.name(), one_line(&scored.ending())));
+    }
+    text
 }
 
 fn to_json(scored: &[Scored]) -> Result<Value> {

@@ -38,6 +38,7 @@ fn describe(path: &Path) -> Result<(String, Value)> {
         return Ok((asset_to_text(&asset, &summary), serde_json::to_value(&summary)?));
     }
     let loaded = open_scene(path, 0.0)?;
+    loaded.check_baked()?;
     if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
         // Of a package the agents as well.
         let summary = if loaded.agents.is_empty() {

@@ -22,6 +22,7 @@ mod inspect;
 mod lane_drawing;
 mod map;
 mod open_loop;
+mod orbit;
 mod pack;
 mod plot;
 mod progress;

@@ -14,16 +14,17 @@ use decouplegs::asset::{open_scene, read_map, read_tracks, write_atomically};
 use decouplegs::drive::{Ground, GroundOptions, Outcome, RegisterOptions, Registration, register};
 use decouplegs::scene::World;
 
-use crate::arguments::print;
+use crate::arguments::{print, warn};
 use crate::progress;
 use measure::Measured;
 
 /// Bring tracks onto the lanes of a map and the ground of a scene
 ///
-/// A log drifts: its cars drive beside their lanes, and float above the road or sink into it. Each track is matched to its lanes as a
-/// whole, moved onto them by one planar motion, and set on the splats below its four corners. Lanes show where a track is across
-/// them; where they are straight, its place along them stays as logged. Tracks that drive against their lanes, or follow none, are
-/// left out with the reason.
+/// A log may drift: its cars drive beside their lanes, and float above the road or sink into it. Tracks are matched to their lanes, moved
+/// by planar motions where lanes show that the log drifted, and set on the splats below their four corners. The log as a whole comes
+/// first; a single track is moved only by more than the habits of drivers explain. A log without drift stays as it is, and the report
+/// says so. Lanes show where a track is across them; where they are straight, its place along them stays as logged. Parked vehicles
+/// stay where they were logged. Tracks that drive against their lanes, or follow none, are left out with the reason.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Lanes: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad (.xml)
@@ -52,9 +53,12 @@ pub struct Arguments {
     /// Deviation of the log's noise, metres; 0 smooths nothing (default: told by each track itself)
     #[arg(long, value_name = "METRES", value_parser = not_negative)]
     sigma: Option<f64>,
-    /// One motion for all tracks together: for a log that drifts as a whole
+    /// Move all tracks together or not at all: for a log that drifts as a whole
     #[arg(long)]
     shared: bool,
+    /// Deviation of drivers from the middle of their lane, meters; tracks are moved one by one only for more. 0: tracks belong on the middle
+    #[arg(long, value_name = "METERS", default_value_t = 0.3, value_parser = not_negative)]
+    habit: f64,
     /// Corners that are deeper below the ground have penetrated it, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.02, value_parser = not_negative)]
     tolerance: f64,
@@ -81,9 +85,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let ground = arguments.scene.as_deref().map(ground_of).transpose()?;
     let truth_ground = arguments.ground_truth.as_deref().map(ground_of).transpose()?;
-    let options = RegisterOptions { noise_m: arguments.sigma, shared: arguments.shared, ..RegisterOptions::default() };
+    let options = RegisterOptions {
+        noise_m: arguments.sigma,
+        shared: arguments.shared,
+        keeping_m: arguments.habit,
+        ..RegisterOptions::default()
+    };
     let working = progress::spinner(format!("registering {} tracks", tracks.len()));
     let registration = register(&map, &tracks, ground.as_ref(), &options)?;
+    if arguments.shared && registration.shared.is_none() {
+        warn("--shared: lanes show no motion of the log as a whole, so no track was moved");
+    }
     let compared = truth_ground.as_ref().or(ground.as_ref());
     let measured = Measured::of(&map, &tracks, &registration, truth.as_deref(), compared, arguments.tolerance);
     working.finish_and_clear();

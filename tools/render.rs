@@ -2,17 +2,18 @@
 
 use std::collections::HashSet;
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::LiveScene;
-use decouplegs::asset::Layer;
+use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::render::picture::{Picture, PictureFormat, contact_sheet};
 use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::Camera;
 
-use crate::arguments::{print, write_picture, write_picture_with_alpha};
+use crate::arguments::{pixels, print, write_picture, write_picture_with_alpha};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -32,8 +33,12 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = LayerName::All)]
     layer: LayerName,
     /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
-    #[arg(long, value_name = "PX", conflicts_with = "reference")]
+    #[arg(long, value_name = "PX", conflicts_with = "reference", value_parser = pixels)]
     level_pitch: Option<f64>,
+    /// Write these planes beside each picture too: depth (expected depth along the camera's z, meters, 0 where nothing is) as float32
+    /// [height, width] in NAME.depth.npy, instance (0 the background, k the k-th agent) as uint16 in NAME.instance.npy
+    #[arg(long, value_enum, value_name = "PLANES", value_delimiter = ',')]
+    planes: Vec<PlaneName>,
     #[command(flatten)]
     device: DeviceArguments,
     /// Render with the f64 definition on the processor: exact and slow
@@ -71,6 +76,15 @@ impl From<Format> for PictureFormat {
     }
 }
 
+/// A plane of a picture beside its colors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum PlaneName {
+    /// Expected depth, meters
+    Depth,
+    /// Agent with the largest weight
+    Instance,
+}
+
 /// What of a scene is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum LayerName {
@@ -95,6 +109,9 @@ impl From<LayerName> for Layer {
 /// Pictures in a row of a contact sheet: a rig's front row stands above its back row.
 const SHEET_COLUMNS: u32 = 3;
 
+/// About the memory that the reference takes for each pixel.
+const REFERENCE_PIXEL_BYTES: u64 = 96;
+
 /// Most cameras of one submission. A rig has fewer; a file of training cameras has hundreds, whose pictures no device holds.
 const CAMERAS_AT_ONCE: usize = 8;
 
@@ -104,6 +121,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut album = Album {
         out: &arguments.out,
         format: arguments.format.into(),
+        planes: &arguments.planes,
         transparent: arguments.layer == LayerName::Agents,
         kept: arguments.contact_sheet.as_ref().map(|_| vec![]),
     };
@@ -124,6 +142,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 struct Album<'a> {
     out: &'a Path,
     format: PictureFormat,
+    /// Planes that are written beside them.
+    planes: &'a [PlaneName],
     /// Whether there is nothing behind what the pictures show.
     transparent: bool,
     /// The pictures so far, where a contact sheet is asked for.
@@ -136,10 +156,24 @@ impl Album<'_> {
         let path = self.out.join(format!("{}.{}", camera.name, self.format.extension()));
         self.write(&path, &picture, self.format)?;
         print(&format!("{}\n", path.display()))?;
+        for plane in self.planes {
+            self.add_plane(camera, &picture, *plane)?;
+        }
         if let Some(kept) = &mut self.kept {
             kept.push(picture);
         }
         Ok(())
+    }
+
+    fn add_plane(&self, camera: &Camera, picture: &Picture, plane: PlaneName) -> Result<()> {
+        let (name, bytes) = match plane {
+            PlaneName::Depth => ("depth", picture.encode_depth()),
+            PlaneName::Instance => ("instance", picture.encode_instance()),
+        };
+        let bytes = bytes.with_context(|| format!("the picture of {} has no {name}", camera.name))?;
+        let path = self.out.join(format!("{}.{name}.npy", camera.name));
+        write_atomically(&path, |file| file.write_all(&bytes))?;
+        print(&format!("{}\n", path.display()))
     }
 
     fn write(&self, path: &Path, picture: &Picture, format: PictureFormat) -> Result<()> {
@@ -156,7 +190,9 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Res
         PictureFormat::Png if !album.transparent => (ColourFormat::U8, 4),
         PictureFormat::Png | PictureFormat::Exr | PictureFormat::Npy => (ColourFormat::F32, 16),
     };
-    let outputs = Outputs { colour, ..Outputs::default() };
+    let asked = |plane| arguments.planes.contains(&plane);
+    let (depth, instance) = (asked(PlaneName::Depth), asked(PlaneName::Instance));
+    let outputs = Outputs { colour, depth, instance, ..Outputs::default() };
     let mut renderer = Renderer::new(
         &gpu,
         RenderOptions { rules: scene.rules(), outputs, level_pitch_px: arguments.level_pitch, ..RenderOptions::default() },
@@ -193,6 +229,9 @@ fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
 
 fn render_by_definition(scene: &Scene, layer: Layer, album: &mut Album) -> Result<()> {
     let bar = progress::bar("reference", scene.cameras.len());
+    scene.loaded.check_baked()?;
+    let most = scene.cameras.iter().map(|camera| camera.intrinsics.pixels()).max().unwrap_or(0);
+    memory::require("a reference picture of this size", REFERENCE_PIXEL_BYTES * most).map_err(anyhow::Error::msg)?;
     let world = scene.loaded.baked_layer(scene.time_s, layer);
     for camera in &scene.cameras {
         album.add(camera, reference::render(&world, camera, &world.rules).to_picture())?;

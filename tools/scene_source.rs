@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, bail};
-use decouplegs::asset::{LoadedScene, open_scene, read_cameras};
-use decouplegs::scene::{Camera, Rules, World};
+use anyhow::{Context, Result};
+use decouplegs::asset::{CameraOptions, LoadedScene, open_scene, read_cameras};
+use decouplegs::scene::{Camera, Intrinsics, Rules, World};
 
-use crate::arguments::{RulesName, Size};
+use crate::arguments::{RulesName, Size, finite, warn};
+use crate::orbit::OrbitArguments;
 use crate::progress;
 
 /// The arguments of every command that draws.
@@ -14,13 +15,19 @@ use crate::progress;
 pub struct SceneArguments {
     /// Splats (.ply, .splat, .spz, .sog, .glb, .pt, .safetensors) or a scene (.toml, .usdz)
     scene: PathBuf,
-    /// Cameras: INRIA cameras.json or nerfstudio transforms.json (default: the scene's own rig)
-    #[arg(long, value_name = "FILE")]
+    /// Cameras: INRIA cameras.json, nerfstudio or NeRF-synthetic transforms.json, or the folder of a COLMAP model (default: the
+    /// scene's own rig, or a circle of views around splats that have none)
+    #[arg(long, value_name = "FILE|DIR")]
     cameras: Option<PathBuf>,
+    /// nerfstudio's dataparser_transforms.json, with --cameras transforms.json: for splats that `ns-export` wrote
+    #[arg(long, value_name = "FILE", requires = "cameras")]
+    dataparser: Option<PathBuf>,
+    #[command(flatten)]
+    orbit: OrbitArguments,
     /// The moment at which the scene is drawn, seconds (default: when the ego's trajectory begins)
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Render every picture at this size, with its field of view (default: the camera's own)
+    /// Render every picture at this size, with its horizontal and its vertical field of view (default: the camera's own)
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// By whose definition splats become a picture (default: the scene's own rules)
@@ -43,6 +50,24 @@ pub struct Scene {
     drives: bool,
 }
 
+/// Shapes that differ by less count as one: 1600x900 and 320x180 as well as 854x480.
+const SHAPE_TOLERANCE: f64 = 0.01;
+
+/// `intrinsics` at the size asked for. A picture of another shape is squeezed, and a warning says so.
+fn resized(name: &str, intrinsics: &Intrinsics, size_px: Option<[u32; 2]>) -> Intrinsics {
+    let Some([width_px, height_px]) = size_px else { return *intrinsics };
+    let shape = |width_px: u32, height_px: u32| f64::from(width_px) / f64::from(height_px);
+    let (own, wanted) = (shape(intrinsics.width_px, intrinsics.height_px), shape(width_px, height_px));
+    if (wanted / own - 1.0).abs() > SHAPE_TOLERANCE {
+        let (own_px, height) = ([intrinsics.width_px, intrinsics.height_px], (f64::from(width_px) / own).round());
+        warn(&format!(
+            "camera {name} is {}x{}, and --size {width_px}x{height_px} has another shape: its picture is squeezed. {width_px}x{height} keeps it",
+            own_px[0], own_px[1]
+        ));
+    }
+    intrinsics.resized(width_px, height_px)
+}
+
 impl Scene {
     pub fn open(arguments: &SceneArguments) -> Result<Self> {
         let reading = progress::spinner(format!("reading {}", arguments.scene.display()));
@@ -54,32 +79,31 @@ impl Scene {
         }
         reading.finish_and_clear();
 
-        if let Some(Size { width_px, height_px }) = arguments.size {
-            for camera in &mut loaded.rig.cameras {
-                camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
-            }
+        let size_px = arguments.size.map(|size| [size.width_px, size.height_px]);
+        for camera in &mut loaded.rig.cameras {
+            camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
         }
-        let mut cameras = match &arguments.cameras {
-            Some(file) => read_cameras(file)?,
-            None => loaded.rig.at(&loaded.ego.at(time_s)),
+        let drives = arguments.cameras.is_none() && !arguments.orbit.is_asked() && !loaded.rig.cameras.is_empty();
+        let cameras = match &arguments.cameras {
+            Some(file) => {
+                let options = CameraOptions { size_px, dataparser: arguments.dataparser.as_deref() };
+                let mut cameras = read_cameras(file, &options)?;
+                cameras.iter_mut().for_each(|camera| camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px));
+                cameras
+            }
+            None if drives => loaded.rig.at(&loaded.ego.at(time_s)),
+            None => {
+                let (splats, origin) = (&loaded.world.splats, loaded.world.origin);
+                let around = arguments.orbit.cameras(splats, origin, &arguments.scene, size_px);
+                around.with_context(|| format!("{} has no splats that can be seen", arguments.scene.display()))?
+            }
         };
-        if cameras.is_empty() {
-            bail!(
-                "{} has no cameras of its own: name some with --cameras FILE (INRIA cameras.json or nerfstudio transforms.json)",
-                arguments.scene.display()
-            );
-        }
-        if let (Some(Size { width_px, height_px }), Some(_)) = (arguments.size, &arguments.cameras) {
-            for camera in &mut cameras {
-                camera.intrinsics = camera.intrinsics.resized(width_px, height_px);
-            }
-        }
         let rules = &mut loaded.world.rules;
         if let Some(name) = arguments.rules {
             *rules = Rules { antialias: rules.antialias, ..name.rules() };
         }
         rules.antialias |= arguments.antialias;
-        Ok(Self { loaded, time_s, cameras, drives: arguments.cameras.is_none() })
+        Ok(Self { loaded, time_s, cameras, drives })
     }
 
     /// By whose definition splats become a picture.

@@ -18,12 +18,12 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::{read_cameras, write_atomically};
+use decouplegs::asset::{CameraOptions, read_cameras, write_atomically};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::Picture;
 use serde_json::{Value, json};
 
-use crate::arguments::{Size, print};
+use crate::arguments::{Size, finite, print};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use course::Course;
@@ -161,10 +161,6 @@ fn at_least_one(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|&count| count >= 1).ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
 }
 
-fn finite(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| format!("expected seconds, found {text:?}"))
-}
-
 fn seconds(text: &str) -> Result<f64, String> {
     finite(text)
         .and_then(|value| if value >= 0.0 { Ok(value) } else { Err(format!("expected seconds of at least 0, found {text:?}")) })
@@ -223,7 +219,7 @@ fn open(arguments: &Arguments, agents: usize) -> Result<Subject> {
 /// The drive, for which the scene's cameras get the size that was asked for.
 fn course(arguments: &Arguments, subject: &mut Subject) -> Result<Course> {
     let scene = subject.background_mut();
-    let mut standing = arguments.cameras.as_deref().map(read_cameras).transpose()?;
+    let mut standing = arguments.cameras.as_deref().map(|path| read_cameras(path, &CameraOptions::default())).transpose()?;
     if let Some(Size { width_px, height_px }) = arguments.size {
         let rig = scene.rig.cameras.iter_mut().map(|camera| &mut camera.intrinsics);
         let fixed = standing.iter_mut().flatten().map(|camera| &mut camera.intrinsics);

@@ -204,7 +204,7 @@ fn poses(street: &Street) -> Result<Vec<PoseRow>> {
                 time_s,
                 position: translation,
                 rotation,
-                dims_m: Some(street.asset_dims_m[agent.asset].map(f64::from)),
+                dims_m: Some(street.asset_dims_m[agent.asset].map(|side_m| (f64::from(side_m) * 1e6).round() / 1e6)),
                 note: String::new(),
             }
         }));
@@ -213,7 +213,9 @@ fn poses(street: &Street) -> Result<Vec<PoseRow>> {
 }
 
 fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
-    let poses = knots.iter().map(|&(time_s, pose)| TimedPose { time_s, pose }).collect();
+    // To the micrometer: heights come from sizes in 32-bit floats, whose rounding nobody wants to read.
+    let rounded = |pose: Pose| Pose { translation: (pose.translation * 1e6).round() / 1e6, ..pose };
+    let poses = knots.iter().map(|&(time_s, pose)| TimedPose { time_s, pose: rounded(pose) }).collect();
     Trajectory::new(poses).map_err(anyhow::Error::msg)
 }
 
@@ -262,7 +264,7 @@ mod tests {
             world_from_camera: Pose::new(DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5), DVec3::new(1.0, -2.5, 4.5e6)),
         };
         let bytes = transforms(std::slice::from_ref(&camera)).to_string();
-        let read = cameras::decode(bytes.as_bytes()).unwrap();
+        let read = cameras::decode(bytes.as_bytes(), None).unwrap();
         assert_eq!((read.len(), &read[0].name, read[0].intrinsics), (1, &camera.name, camera.intrinsics));
         let (read, written) = (read[0].world_from_camera, camera.world_from_camera);
         assert_eq!(read.translation, written.translation);

@@ -1,4 +1,4 @@
-// Structures shared by the stages of a frame. Their twins are in engine/render/src/layout.rs, checked field by field.
+// Structures shared by the stages of a frame. The host has them in engine/render/src/layout.rs; tests/stages/layout.rs compares the two.
 
 // Splats a chunk; a chunk is culled as one and is one workgroup of cull and project.
 const uint CHUNK_SPLATS = 256u;

@@ -252,7 +252,7 @@ fn two_sources_of_pictures_are_compared_by_what_a_planner_makes_of_them() {
     let dark = folder.path().join("dark");
     fs::create_dir(&dark).unwrap();
     for entry in fs::read_dir(&pictures).unwrap().map(|entry| entry.unwrap()) {
-        let mut picture = decouplegs::render::Picture::read(&entry.path()).unwrap();
+        let mut picture = Picture::read(&entry.path()).unwrap();
         picture.rgb.iter_mut().for_each(|rgb| *rgb = [0.0; 3]);
         fs::write(dark.join(entry.file_name()), picture.encode(decouplegs::render::picture::PictureFormat::Png).unwrap())
             .unwrap();

@@ -8,6 +8,8 @@ mod data;
 mod drive;
 mod edit;
 mod exchange;
+mod first_hour;
+mod hostile;
 mod map;
 mod register;
 mod stress;
@@ -16,6 +18,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use decouplegs::render::Picture;
 use serde_json::Value;
 
 fn decouplegs(arguments: &[&str]) -> Output {
@@ -162,16 +165,6 @@ fn the_reference_draws_each_camera_into_a_file_of_its_name() {
     assert!(picture.exists());
     let said = fail(1, &["compare", text(&a), text(&sheet)]);
     assert!(said.contains("48x27"), "sizes that differ are named: {said}");
-}
-
-#[test]
-fn splats_without_cameras_are_refused_with_what_to_do() {
-    let folder = tempfile::tempdir().unwrap();
-    small_street(folder.path());
-    let world = folder.path().join("world.ply");
-    let said = fail(1, &["render", text(&world), "--reference", "--out", text(&folder.path().join("out"))]);
-    assert!(said.contains("--cameras"), "{said}");
-    assert!(!folder.path().join("out").exists(), "nothing is left behind");
 }
 
 #[test]

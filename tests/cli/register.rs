@@ -7,9 +7,10 @@ use decouplegs::asset::read_map;
 use decouplegs::drive::alignment::{TruthError, against_truth_along};
 use decouplegs::drive::polyline::wrapped;
 use decouplegs::drive::register::fit::PlanarFit;
-use decouplegs::drive::{LaneIndex, Outcome, PlanarTransform, Polyline, RegisterOptions, register};
+use decouplegs::drive::{LaneIndex, Outcome, PlanarTransform, Polyline, RegisterOptions, Treatment, register};
 use decouplegs::scene::{LaneKind, LaneMap, Track, TrackPoint};
 use glam::DVec2;
+use serde_json::Value;
 
 use super::stress::assert_page_stands_alone;
 use super::*;
@@ -43,7 +44,7 @@ fn tracks_are_registered_measured_and_reported() {
     let [map, tracks, truth, points] = small_road(folder.path());
     let [out, page] = ["poses.csv", "report.html"].map(|name| folder.path().join(name));
     let inputs = ["register", "--map", text(&map), "--tracks", text(&tracks), "--scene", text(&points), "--truth", text(&truth)];
-    let outputs = ["--ground-truth", text(&points), "--out", text(&out), "--report", text(&page)];
+    let outputs = ["--habit", "0", "--ground-truth", text(&points), "--out", text(&out), "--report", text(&page)];
     let said = succeed(&[&inputs[..], &outputs].concat());
     assert!(said.contains("1 of 2 tracks registered") && said.contains("against its lanes"), "{said}");
     assert!(said.contains("0.400 -> 0.00"), "{said}");
@@ -73,6 +74,9 @@ fn what_cannot_be_registered_is_told_and_nothing_is_written() {
     };
     let other = folder.path().join("other.csv");
     fs::write(&other, "time_s,id,x,y\n0,b,1,2\n").unwrap();
+    let against = folder.path().join("against.csv");
+    let only = fs::read_to_string(&tracks).unwrap();
+    fs::write(&against, only.lines().filter(|line| !line.contains("there")).collect::<Vec<_>>().join("\n")).unwrap();
     let broken = folder.path().join("broken.csv");
     fs::write(&broken, "x,y,z\n1,2,three\n").unwrap();
     let cases: [(&Path, &Path, &[&str], &str); 5] = [
@@ -80,7 +84,7 @@ fn what_cannot_be_registered_is_told_and_nothing_is_written() {
         (&folder.path().join("none.json"), &tracks, &[], "none.json"),
         (&map, &tracks, &["--truth", text(&other)], "none of the tracks"),
         (&map, &tracks, &["--scene", text(&broken)], "line 2"),
-        (&map, &other, &["--scene", text(&points)], "could be registered"),
+        (&map, &against, &["--scene", text(&points)], "could be registered"),
     ];
     for (map, tracks, more, expected) in cases {
         let output = run(map, tracks, more);
@@ -122,7 +126,9 @@ fn brought_back(map: &LaneMap, changing: bool) -> Vec<Found> {
         let drift = at + 7 * draw;
         let shift_m = DVec2::new([0.6, -0.7, 0.2][drift % 3], [-0.6, 0.5, 0.8, -0.9, 0.1][drift % 5]);
         let log = logged(&truth, YAWS[drift % 4], shift_m, 0.08, draw as u64 + 1);
-        let registration = register(map, &[log], None, &RegisterOptions::default()).unwrap();
+        // The truth lies on the middles of lanes.
+        let options = RegisterOptions { keeping_m: 0.0, ..RegisterOptions::default() };
+        let registration = register(map, &[log], None, &options).unwrap();
         let Outcome::Registered(found) = &registration.tracks[0].outcome else { panic!("{:?}", registration.tracks[0].outcome) };
         assert_eq!(found.lane_changes.len(), usize::from(changing), "route {at}, draw {draw}");
         let places = found.poses.iter().map(|pose| {
@@ -179,6 +185,121 @@ fn tracks_on_real_maps_are_brought_back_across_their_lanes() {
         }
     }
     assert_deviations_hold(&along);
+}
+
+/// Maps on which logs of many tracks are made.
+const MAPS: [&str; 3] =
+    ["maps/lanelet2_mapping_example.osm", "maps/esmini_fabriksgatan.xodr", "scenarios/commonroad_USA_Lanker-1_1_T-1.xml"];
+
+/// The truth of a log on `map`: cars that keep up to `habit_m` beside the middle of their lane and weave by `weave_m`, some that change
+/// lanes, and parked ones.
+fn truth_of_log(map: &LaneMap, habit_m: f64, weave_m: f64) -> Vec<Track> {
+    let mut tracks = Vec::new();
+    for (at, line) in routes(map, 60.0, 24).iter().enumerate().filter(|(_, line)| line.length_m() < 250.0) {
+        let middle_m = 0.5 * line.length_m();
+        let own_m = habit_m * [1.0, -1.0, 0.6, -0.3, 0.0][at % 5];
+        let weave = |s: f64| own_m + weave_m * (s / (6.0 + at as f64 % 4.0)).sin();
+        let to_left_m = if at % 4 == 3 { left_lane_m(map, line, middle_m + 20.0) } else { None };
+        let change = |s: f64| 0.5 * (1.0 - (std::f64::consts::PI * ((s - middle_m + 15.0) / 30.0).clamp(0.0, 1.0)).cos());
+        tracks.push(drive(&format!("car {at}"), line, |s| weave(s) + to_left_m.map_or(0.0, |width_m| width_m * change(s))));
+        if at % 3 == 0 {
+            let mut parked = drive(&format!("parked {at}"), line, |_| -2.6);
+            let place = parked.points[parked.points.len() / 2].position_m;
+            parked.points.truncate(40);
+            parked.points.iter_mut().for_each(|point| point.position_m = place);
+            tracks.push(parked);
+        }
+    }
+    tracks
+}
+
+/// Mean distance of the registered poses of a track from the truth, across the truth's way, metres. None where it was refused.
+fn across_m(found: &Outcome, truth: &Track) -> Option<f64> {
+    let Outcome::Registered(found) = found else { return None };
+    Some(mean_across_m(found.poses.iter().map(|pose| pose.pose.translation.truncate()), truth))
+}
+
+fn mean_across_m(places: impl Iterator<Item = DVec2>, truth: &Track) -> f64 {
+    let last = truth.points.len() - 1;
+    let way = |at: usize| truth.points[(at + 1).min(last)].position_m - truth.points[at.saturating_sub(1)].position_m;
+    let off = |(at, place): (usize, DVec2)| {
+        let off = place - truth.points[at].position_m;
+        // A parked car has no way: all of it counts.
+        way(at).try_normalize().map_or(off.length(), |way| way.perp_dot(off).abs())
+    };
+    let offs: Vec<f64> = places.enumerate().map(off).collect();
+    offs.iter().sum::<f64>() / offs.len() as f64
+}
+
+#[test]
+fn a_log_without_drift_is_not_made_worse() {
+    let (mut better, mut worse, mut refused) = (0, Vec::new(), 0);
+    for file in MAPS {
+        let Some(map) = real_map(file) else { continue };
+        for (seed, (habit_m, weave_m)) in [(0.35, 0.15), (0.35, 0.0), (0.0, 0.2), (0.2, 0.1)].into_iter().enumerate() {
+            let truths = truth_of_log(&map, habit_m, weave_m);
+            let logs: Vec<Track> = truths.iter().map(|truth| logged(truth, 0.0, DVec2::ZERO, 0.05, seed as u64 + 1)).collect();
+            let registration = register(&map, &logs, None, &RegisterOptions::default()).unwrap();
+            assert!(registration.shared.is_none(), "{file}, habits of {habit_m} m: {:?}", registration.shared);
+            for ((log, truth), found) in logs.iter().zip(&truths).zip(&registration.tracks) {
+                let before_m = mean_across_m(log.points.iter().map(|point| point.position_m), truth);
+                match across_m(&found.outcome, truth) {
+                    // The log's noise, which smoothing mostly removes, is no registration.
+                    Some(after_m) if after_m <= before_m + 0.005 => better += 1,
+                    Some(after_m) => worse.push(format!("{file} {}: {before_m:.3} -> {after_m:.3}", log.id)),
+                    None => refused += 1,
+                }
+                if log.id.starts_with("parked") {
+                    let Outcome::Registered(found) = &found.outcome else { panic!("{}: {:?}", log.id, found.outcome) };
+                    assert_eq!(found.treatment, Treatment::KeptParked);
+                }
+            }
+        }
+    }
+    let all = better + worse.len() + refused;
+    println!("{better} of {all} tracks no worse than logged, {refused} refused, worse: {worse:?}");
+    assert!(refused == 0 && 100 * worse.len() <= all, "{worse:?}");
+}
+
+#[test]
+fn a_log_that_drifted_as_a_whole_is_brought_back() {
+    const ACROSS_MAX_M: f64 = 0.05;
+    for file in MAPS {
+        let Some(map) = real_map(file) else { continue };
+        // Where lanes show nothing of the place along them, a parked car stays as far off along as it was logged.
+        let truths: Vec<Track> = truth_of_log(&map, 0.0, 0.0).into_iter().filter(|track| track.id.starts_with("car")).collect();
+        for (seed, shift) in [[0.3, 0.0], [-0.4, 0.6], [1.0, -0.9], [-1.3, -1.1], [0.4, 2.1]].into_iter().enumerate() {
+            let logs: Vec<Track> =
+                truths.iter().map(|truth| logged(truth, 0.0, DVec2::from_array(shift), 0.05, seed as u64 + 1)).collect();
+            let registration = register(&map, &logs, None, &RegisterOptions::default()).unwrap();
+            let found = registration.tracks.iter().zip(&truths).filter_map(|(found, truth)| across_m(&found.outcome, truth));
+            let across: Vec<f64> = found.collect();
+            let worst_m = across.iter().copied().fold(0.0, f64::max);
+            println!("{file}, drift {shift:?}: {} of {} tracks, at worst {worst_m:.3} m across", across.len(), truths.len());
+            assert!(registration.shared.is_some(), "{file} {shift:?}");
+            assert!(across.len() == truths.len() && worst_m <= ACROSS_MAX_M, "{file} {shift:?}: {worst_m}");
+        }
+    }
+}
+
+#[test]
+fn a_track_that_fits_two_lanes_is_not_moved_into_either() {
+    // Three lanes side by side: 2.2 m off one is 1.3 m off the next.
+    let lane = |y: f64| (0..=60).map(|i| serde_json::json!([2.0 * f64::from(i), y, 0.0])).collect::<Vec<_>>();
+    let lanes: Vec<Value> =
+        (0..3).map(|at| serde_json::json!({"id": at.to_string(), "centreline": lane(3.5 * f64::from(at))})).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.json");
+    fs::write(&path, serde_json::json!({"version": 1, "lanes": lanes}).to_string()).unwrap();
+    let map = read_map(&path).unwrap();
+    let line = Polyline::new(map.lanes[1].centreline.iter().copied()).unwrap();
+    let truth = drive("car", &line, |_| 0.0);
+    let log = logged(&truth, 0.0, DVec2::new(0.0, 2.2), 0.03, 1);
+    let registration = register(&map, std::slice::from_ref(&log), None, &RegisterOptions::default()).unwrap();
+    let Outcome::Registered(found) = &registration.tracks[0].outcome else { panic!() };
+    assert_eq!(found.treatment, Treatment::KeptLaneUnsure);
+    assert!(found.poses.iter().all(|pose| pose.flags.lane_unsure));
+    assert!((across_m(&registration.tracks[0].outcome, &truth).unwrap() - 2.2).abs() < 0.05, "it stays where it was logged");
 }
 
 /// Shifts along lanes that are left and the deviations told with them: as a normal distribution has them, about two thirds within one deviation and few

@@ -2,10 +2,13 @@
 
 use std::sync::Arc;
 
+use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
-use decouplegs::render::{Agent, AssetPool, ColourFormat, Outputs, Picture, RenderError, RenderOptions, Renderer, Scene};
-use decouplegs::scene::{Camera, Pose, Rig, ShFrame, Trajectory};
+use decouplegs::render::{
+    Agent, AssetPool, ColourFormat, Outputs, Picture, PictureBytes, RenderError, RenderOptions, Renderer, Scene,
+};
+use decouplegs::scene::{Camera, Pose, Rig, Rules, ShFrame, Trajectory};
 use decouplegs::session::{HostPictures, Session, SessionError, SessionOptions, SessionScene, World, WorldView};
 use glam::DVec3;
 
@@ -201,5 +204,45 @@ fn pictures_that_are_held_stay_and_their_memory_comes_back() {
     let last = take(0).unwrap();
     drop(viewer);
     assert!(!session.gpu().read(&last.buffers().pictures_u8).unwrap().is_empty());
+    assert_silent(&session);
+}
+
+#[test]
+fn a_session_draws_each_scene_by_its_own_rules() {
+    let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+    let (session, cameras) = (session(outputs), cameras(0.5));
+    let own = [Rules::DEFAULT, Rules { antialias: true, ..Rules::DEFAULT }, Rules::GSPLAT15, Rules::INRIA];
+    let loaded = own.map(|rules| {
+        let mut loaded = loaded(3);
+        loaded.world.rules = rules;
+        loaded
+    });
+    let scenes = loaded.each_ref().map(|loaded| session.add_scene(loaded).unwrap());
+    let worlds = scenes.each_ref().map(World::new);
+    let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
+    let mut pictures = HostPictures::default();
+    session.viewer().draw(&views, &mut pictures).unwrap();
+    for (view, loaded) in loaded.iter().enumerate() {
+        // As `render`, episodes and the server draw.
+        let mut renderer =
+            Renderer::new(session.gpu(), RenderOptions { rules: loaded.world.rules, outputs, ..RenderOptions::default() });
+        let live = LiveScene::new(&renderer, loaded).unwrap();
+        renderer.render(live.with(&live.at(0.0)), &cameras).unwrap();
+        let mut bytes = PictureBytes::default();
+        renderer.read_bytes(&mut bytes).unwrap();
+        for camera in 0..cameras.len() {
+            assert!(pictures.rgba(view, camera) == bytes.rgba(camera), "scene {view}, camera {camera}: the same bytes");
+        }
+        assert!(view == 0 || pictures.rgba(view, 0) != pictures.rgba(0, 0), "rules {view} show in the picture");
+    }
+    // Unless the session has rules for all.
+    let options = SessionOptions { rules: Some(Rules::DEFAULT), ..session.options().clone() };
+    let other = Session::on(session.gpu(), &options);
+    let scenes = loaded.each_ref().map(|loaded| other.add_scene(loaded).unwrap());
+    let worlds = scenes.each_ref().map(World::new);
+    let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
+    let mut same = HostPictures::default();
+    other.viewer().draw(&views, &mut same).unwrap();
+    assert!((0..4).all(|view| same.rgba(view, 0) == pictures.rgba(0, 0)));
     assert_silent(&session);
 }

@@ -11,6 +11,7 @@ mod cull;
 mod cull_shadows;
 mod emit_pairs;
 mod find_ranges;
+mod layout;
 mod merge_order;
 mod plan_order;
 mod plan_segments;

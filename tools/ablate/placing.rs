@@ -85,7 +85,9 @@ impl Tracks {
         let mut random = Random(drift.seed);
         let logged: Vec<Track> = truth.iter().map(|track| drifted(track, drift, &mut random)).collect();
         let ground = Ground::new(&stage.loaded.world.splats, stage.loaded.world.origin, &GroundOptions::default());
-        let registration = register(&stage.street.lanes, &logged, Some(&ground), &RegisterOptions::default())?;
+        // Each track drifts on its own, from the middle of its lane.
+        let options = RegisterOptions { keeping_m: 0.0, ..RegisterOptions::default() };
+        let registration = register(&stage.street.lanes, &logged, Some(&ground), &options)?;
         let (mut ways, mut refused) = (Vec::new(), 0);
         for (track, outcome) in logged.iter().zip(&registration.tracks) {
             match &outcome.outcome {

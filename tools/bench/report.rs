@@ -155,8 +155,9 @@ fn chart(figures: &Value) -> String {
         figures["stages"].as_array().into_iter().flatten().map(|stage| (text(&stage["name"]), &stage["gpu_ms"])).collect();
     let longest_ms = stages.iter().map(|(_, times)| number(&times["median"])).fold(f64::MIN_POSITIVE, f64::max);
     let row = |name: &str, times: &Value, bar: &str| {
-        format!("  {name:<16} {:>9.3} {:>9.3}  {bar}", number(&times["median"]), number(&times["p99"])).trim_end().to_owned()
-            + "\n"
+        // The clock's steps may make a time of nothing a little negative.
+        let ms = |key: &str| number(&times[key]).max(0.0);
+        format!("  {name:<16} {:>9.3} {:>9.3}  {bar}", ms("median"), ms("p99")).trim_end().to_owned() + "\n"
     };
     let mut lines = format!("  {:<16} {:>9} {:>9}\n", "ms", "median", "p99");
     for (name, times) in &stages {
@@ -164,7 +165,8 @@ fn chart(figures: &Value) -> String {
         lines.push_str(&row(name, times, &bar));
     }
     lines.push_str(&row("frame, GPU", &figures["frame_gpu_ms"], ""));
-    lines.push_str(&row("frame, wall", &figures["frame_wall_ms"], ""));
+    // With several frames in flight this is how long one takes from submission to picture, and not the time between two.
+    lines.push_str(&row("frame, latency", &figures["frame_wall_ms"], ""));
     lines
 }
 
@@ -222,6 +224,6 @@ mod tests {
         let lines: Vec<Vec<&str>> = chart.lines().map(|line| line.split_whitespace().collect()).collect();
         assert_eq!(lines[1], ["cull", "0.500", "1.000", "#".repeat(10).as_str()]);
         assert_eq!(lines[2], ["blend", "1.500", "3.000", "#".repeat(30).as_str()]);
-        assert_eq!(lines[4], ["frame,", "wall", "2.250", "4.500"]);
+        assert_eq!(lines[4], ["frame,", "latency", "2.250", "4.500"]);
     }
 }

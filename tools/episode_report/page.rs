@@ -6,16 +6,18 @@ use std::path::Path;
 
 use anyhow::Result;
 use decouplegs::render::Picture;
-use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
+use decouplegs::scene::{Lane, VehicleState};
 
 use super::{Scored, birds_eye, rows, spread, summary, timing};
 use crate::drive::Sites;
-use crate::plot::escaped;
+use crate::plot::{Axis, Plot, Series, Shape, escaped};
 use crate::{data_uri, plot};
 
 /// Episodes that are shown; a page of hundreds would not be read.
 const SHOWN_MAX: usize = 24;
+/// Distances in plots are cut here, meters: beyond, nothing happens.
+const APART_MAX_M: f64 = 30.0;
 /// Key frames are shown so wide at most, pixels.
 const KEY_WIDTH_PX: u32 = 420;
 
@@ -108,17 +110,20 @@ fn lanes(scored: &Scored, sites: &Sites, out: &Path) -> Vec<Lane> {
 fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
     let score = &scored.score;
     let mut html = format!(
-        "<h3>{}: {}</h3><p>DS {:.3}, RC {:.3}, {}, {:.1} s, at most {:.1} m/s² of braking and {:.1} m/s² sideways</p><div class=\"row\"><figure \
+        "<h3>{}: {}</h3><p>{}</p><p>{}, {:.1} s, at most {:.1} m/s² of braking and {:.1} m/s² sideways; <a href=\"{}\">log</a>, \
+         <a href=\"{}\">scenario</a></p><div class=\"row\"><figure style=\"flex:1 1 24em\">{}</figure><figure \
          style=\"flex:1 1 24em\">{}</figure>",
         escaped(scored.name()),
         escaped(&scored.ending()),
-        score.driving_score,
-        score.route_completion,
+        escaped(&scored.explained()),
         score.min_ttc_s().map_or("never on a collision course".into(), |ttc_s| format!("minTTC {ttc_s:.2} s")),
         scored.episode.instants().last().map_or(0.0, |instant| instant.time_s),
         score.comfort.braking_max_mps2,
         score.comfort.lateral_acceleration_max_mps2,
-        birds_eye::svg(scored, lanes)
+        escaped(&format!("logs/{}.log", scored.name())),
+        escaped(&format!("scenarios/{}.toml", scored.name())),
+        birds_eye::svg(scored, lanes),
+        over_time(scored)
     );
     for path in key_frames(&scored.pictures) {
         let picture = data_uri::shrunk(&Picture::read(&path)?, KEY_WIDTH_PX);
@@ -132,6 +137,34 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
     }
     html.push_str("</div>");
     Ok(html)
+}
+
+/// Speeds of the ego and of the vehicle nearest to it, and the distance between their middles, over time; infractions are marked.
+fn over_time(scored: &Scored) -> String {
+    let (mut ego, mut nearest, mut apart) = (Vec::new(), Vec::new(), Vec::new());
+    for instant in scored.episode.instants() {
+        ego.push((instant.time_s, instant.ego.speed_mps));
+        let distance_m = |other: &VehicleState| other.position_m.distance(instant.ego.position_m);
+        let other = instant.agents.iter().min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+        nearest.extend(other.map(|other| (instant.time_s, other.speed_mps)));
+        apart.extend(other.map(|other| (instant.time_s, distance_m(other).min(APART_MAX_M))));
+    }
+    let top = ego.iter().chain(&nearest).chain(&apart).map(|point| point.1).fold(1.0, f64::max);
+    let series = |name: &str, colour, points, shape| Series { name: name.into(), colour, points, shape, end: None };
+    let mut series_of_plot = vec![
+        series("ego, m/s", 0, ego, Shape::Curve),
+        series("nearest vehicle, m/s", 7, nearest, Shape::Curve),
+        series("distance to it, m", 2, apart, Shape::Curve),
+    ];
+    let marks = scored.score.infractions.iter();
+    series_of_plot.extend(marks.map(|mark| series("infraction", 3, vec![(mark.time_s, 0.0), (mark.time_s, top)], Shape::Guide)));
+    let plot = Plot {
+        title: &format!("{} over time", scored.name()),
+        x: Axis { label: "seconds", ..Axis::default() },
+        y: Axis { label: "m/s, m", from_zero: true, ..Axis::default() },
+        series: series_of_plot,
+    };
+    plot.to_svg()
 }
 
 /// The key frames in `folder`, in time.

@@ -71,15 +71,7 @@ pub fn number(value: f64) -> String {
     if size != 0.0 && !(1e-3..1e6).contains(&size) {
         return format!("{value:.1e}");
     }
-    let decimals = if size >= 100.0 || size == 0.0 {
-        0
-    } else if size >= 10.0 {
-        1
-    } else if size >= 1.0 {
-        2
-    } else {
-        3
-    };
+    let decimals = if size == 0.0 { 0 } else { (2 - size.log10().floor() as i32).clamp(0, 5) as usize };
     let text = format!("{value:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
@@ -102,7 +94,7 @@ mod tests {
 
     #[test]
     fn numbers_are_short() {
-        let written = [0.0, 0.5, 1.0, 12.34, 123.4, 2e7, -0.25].map(number);
-        assert_eq!(written, ["0", "0.5", "1", "12.3", "123", "2.0e7", "-0.25"]);
+        let written = [0.0, 0.5, 1.0, 12.34, 123.4, 2e7, -0.25, 0.0015, 0.0025].map(number);
+        assert_eq!(written, ["0", "0.5", "1", "12.3", "123", "2.0e7", "-0.25", "0.0015", "0.0025"]);
     }
 }

@@ -3,7 +3,7 @@
 use decouplegs::drive::alignment::{TruthError, ade_to_lanes, against_truth, against_truth_along, clearances};
 use decouplegs::drive::register::fit::PlanarFit;
 use decouplegs::drive::register::route::may_use;
-use decouplegs::drive::{Foot, Ground, LaneIndex, LanePoint, Outcome, Registration};
+use decouplegs::drive::{Foot, Ground, LaneIndex, LanePoint, Outcome, Registration, Treatment};
 use decouplegs::scene::{LaneMap, Track};
 use glam::DVec2;
 
@@ -24,8 +24,8 @@ pub struct MeasuredTrack {
     pub class: String,
     /// Why it was left out.
     pub refused: Option<String>,
-    /// Its motion, and whether that is the one of all tracks.
-    pub fit: Option<(PlanarFit, bool)>,
+    /// Its motion, and how it was treated.
+    pub fit: Option<(PlanarFit, Treatment)>,
     /// Mean distance to the nearest centreline, metres.
     pub to_lane_m: BeforeAfter<Option<f64>>,
     pub to_truth: BeforeAfter<Option<TruthError>>,
@@ -119,7 +119,7 @@ impl Scene<'_> {
             ade_to_lanes(self.index, counted.map(|((_, at), _)| *at), usable)
         };
         // Who follows no lane, as a parked car, is not meant to be on its middle.
-        if !registered.by_shared {
+        if !registered.treatment.is_parked() {
             measured.to_lane_m = BeforeAfter { before: on_lane(&logged), after: on_lane(&placed) };
         }
         // Before and after, across and along mean those of the lane that the track was found to follow.
@@ -139,10 +139,10 @@ impl Scene<'_> {
         };
         measured.to_truth = BeforeAfter { before: truth_of(&logged), after: truth_of(&placed) };
         measured.offsets_m = BeforeAfter { before: offsets(&logged), after: offsets(&placed) };
-        measured.fit = Some((registered.fit, registered.by_shared));
+        measured.fit = Some((registered.fit, registered.treatment));
         measured.lane_changes = registered.lane_changes.len();
         let names: Vec<&str> = registered.poses.iter().flat_map(|pose| pose.flags.names()).collect();
-        for name in ["no-support", "no-height", "uneven", "lane-change", "outlier"] {
+        for name in ["no-support", "no-height", "uneven", "lane-change", "outlier", "parked", "lane-unsure"] {
             let count = names.iter().filter(|found| **found == name).count();
             measured.flags.extend((count > 0).then_some((name, count)));
         }

@@ -72,7 +72,8 @@ fn table(measured: &Measured) -> String {
          not show it and the place along the lane is as logged. ADE is the mean distance, as logged -&gt; registered: to the nearest \
          centreline (lane changes left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from \
          the ground that 95 % of corners keep within, are as in Clearance. Notes count poses: no-support had no ground below and stands at \
-         the height of the map, uneven stands on something.</p>",
+         the height of the map; no-height had neither ground nor map nor log to tell its height, and stands at 0; uneven stands on \
+         something; parked travels too little to follow lanes; lane-unsure fits several lanes about as well.</p>",
     );
     html
 }

@@ -1,6 +1,8 @@
 //! The figures as text, one line a track.
 
+use decouplegs::drive::Treatment;
 use decouplegs::drive::alignment::{penetration_rate, size_quantile};
+use glam::DVec2;
 
 use super::measure::{BeforeAfter, Measured, MeasuredTrack};
 
@@ -19,15 +21,13 @@ pub fn columns(measured: &Measured) -> Vec<&'static str> {
 
 /// One cell for each column.
 pub fn cells(measured: &Measured, track: &MeasuredTrack) -> Vec<String> {
-    let outcome = match (&track.refused, track.fit) {
-        (Some(_), _) => "refused",
-        (None, Some((_, true))) => "by the others",
-        _ => "registered",
-    };
+    let outcome = track.fit.map_or("refused", |(_, treatment)| treatment.name());
     let mut cells = vec![format!("{} ({})", track.id, track.class), outcome.to_owned()];
     match track.fit {
+        Some((_, treatment)) if treatment.is_kept() => cells.extend(["-".into(), "-".into(), "-".into()]),
         Some((fit, _)) => {
-            let shift = fit.motion.shift_m;
+            // Plus nothing, not minus.
+            let shift = fit.motion.shift_m + DVec2::ZERO;
             cells.push(format!("{:+.2} {:+.2}", shift.x, shift.y));
             cells.push(format!("{:+.2}", fit.motion.yaw_rad.to_degrees()));
             cells.push(format!("{:.2}, {:.2}", fit.across_m, fit.along_m));
@@ -66,9 +66,7 @@ fn change(values: &BeforeAfter<Option<f64>>) -> String {
 
 /// What holds for all tracks, in sentences.
 pub fn totals(measured: &Measured) -> Vec<String> {
-    let registered = measured.tracks.iter().filter(|track| track.refused.is_none()).count();
-    let changes: usize = measured.tracks.iter().map(|track| track.lane_changes).sum();
-    let mut lines = vec![format!("{registered} of {} tracks registered, {changes} lane changes", measured.tracks.len())];
+    let mut lines = vec![verdict(measured)];
     if let Some(mean) = measured.mean(|track| track.to_lane_m.clone()) {
         lines.push(format!(
             "Average displacement error (ADE) to the nearest centreline: {:.3} m as logged, {:.3} m registered",
@@ -102,6 +100,29 @@ pub fn totals(measured: &Measured) -> Vec<String> {
         ));
     }
     lines
+}
+
+/// Whether the log needed registration, and how many tracks were treated in which way.
+fn verdict(measured: &Measured) -> String {
+    let treatments: Vec<Treatment> =
+        measured.tracks.iter().filter_map(|track| track.fit.map(|(_, treatment)| treatment)).collect();
+    let count = |holds: fn(Treatment) -> bool| treatments.iter().filter(|treatment| holds(**treatment)).count();
+    let moved = count(|treatment| !treatment.is_kept());
+    let with_log = count(|treatment| matches!(treatment, Treatment::Log | Treatment::LogParked));
+    let need = match (moved, with_log) {
+        (0, _) => "The log needs no registration: lanes show no drift beyond the habits of drivers.",
+        (_, 0) => "Single tracks drifted; the log as a whole did not.",
+        _ => "The log drifted as a whole.",
+    };
+    let changes: usize = measured.tracks.iter().map(|track| track.lane_changes).sum();
+    format!(
+        "{need} {} of {} tracks registered: {moved} moved, {} kept as logged ({} parked, {} unsure of their lane); {changes} lane changes",
+        treatments.len(),
+        measured.tracks.len(),
+        treatments.len() - moved,
+        count(|treatment| treatment == Treatment::KeptParked),
+        count(|treatment| treatment == Treatment::KeptLaneUnsure),
+    )
 }
 
 /// The table, each column as wide as it needs, and the totals below.

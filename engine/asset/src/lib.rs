@@ -39,7 +39,7 @@ pub mod tracks;
 pub mod zip;
 
 pub use atomic::{TEMPORARY_PREFIX, write_atomically};
-pub use cameras::read_cameras;
+pub use cameras::{CameraOptions, read_cameras};
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
 pub use episode_log::{EpisodeLog, read_episode_log};
 pub use error::{AssetError, DecodeError, EncodeError, SceneError, read_bytes};

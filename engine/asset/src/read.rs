@@ -86,14 +86,18 @@ impl SplatFormat {
 
 /// Reads the splats of a file in any format, chosen by its content and, where that says nothing, its extension.
 ///
-/// A SOG may also be a folder, or the `meta.json` in it. Coordinates are the file's own; SPZ is turned to the axes of the PLY it was made from (see [`spz`]). Splats that
+/// A SOG may also be a folder, or the `meta.json` in it; a folder with `lod-meta.json` is a set of SOG folders, read at its finest level. Coordinates are the file's own; SPZ is turned to the axes of the PLY it was made from (see [`spz`]). Splats that
 /// cannot be drawn are kept: [`SplatCloud::defect_of`] tells them.
 ///
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::UnknownFormat`] or [`AssetError::Decode`].
 pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
+    let is_set = |folder: &Path| folder.join(sog::LOD_META).is_file();
     if path.is_dir() {
-        return sog::read_folder(path);
+        return if is_set(path) { sog::read_set(path) } else { sog::read_folder(path) };
+    }
+    if path.file_name().is_some_and(|name| name == sog::LOD_META) {
+        return sog::read_set(path.parent().unwrap_or(Path::new("")));
     }
     if path.file_name().is_some_and(|name| name == sog::META) {
         return sog::read_folder(path.parent().unwrap_or(Path::new("")));

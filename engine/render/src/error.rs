@@ -65,7 +65,8 @@ pub enum RenderError {
     /// A list that may not be cut and that software cannot blend in one run.
     #[error(
         "a macro tile's list holds {longest} splats, which must not be cut for an exclusive early stop or for contributions, and \
-         lavapipe blends at most {max} in one run: use the default rules, a larger picture or a GPU"
+         lavapipe blends at most {max} in one run: draw a larger picture or use a GPU; rules without that stop help where nothing is \
+         contributed"
     )]
     ListTooLong {
         /// Entries of the longest list.

@@ -1,4 +1,5 @@
-//! Structures shared with the shaders, written once here and checked field by field against the shaders' reflection.
+//! Structures shared with the shaders, which spell them out too. `tests/stages/layout.rs` compares names, offsets and sizes of all of them
+//! with the reflection of every kernel.
 //!
 //! Arrays of `f32` and `u32` only: glam's vectors may be padded for SIMD. The shaders use scalar block layout, whose
 //! offsets are those of `repr(C)`.

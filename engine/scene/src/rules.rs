@@ -1,7 +1,7 @@
 //! The rules of image formation: what a Gaussian adds to a pixel.
 //!
 //! Public renderers disagree here by far more than by rounding, so a picture is compared only with pictures made by
-//! the same rules. The constants live here once; the shaders receive them from here.
+//! the same rules. The shaders repeat the constants; `tests/stages/layout.rs` compares them.
 
 /// Added to both diagonal entries of a projected covariance, square pixels
 /// (Kerbl et al., 3D Gaussian Splatting, 2023: a splat never falls below about a pixel).
@@ -33,7 +33,8 @@ pub enum DepthOrder {
     /// Camera-space z: what scenes are trained with.
     #[default]
     Z,
-    /// Distance from the camera centre, for cameras wider than 180 degrees.
+    /// Distance from the camera center: the order does not change when the camera turns. Splats behind the near plane are dropped all
+    /// the same, so no camera sees more than a half-space.
     Radial,
 }
 

@@ -1,5 +1,6 @@
 """Sessions, scenes, worlds and viewers."""
 
+import os
 import threading
 
 import numpy as np
@@ -202,3 +203,41 @@ def test_what_is_wrong_is_said(session, scene, tmp_path):
         decouplegs.Camera(4, 4, [[-4, 0, 2], [0, 4, 2], [0, 0, 1]], np.eye(4))
     with pytest.raises(ValueError, match="finite"):
         world.set_time(float("nan"))
+
+
+def test_a_scene_is_drawn_by_its_own_rules(session, scene_file, tmp_path):
+    def drawn(session, text):
+        path = tmp_path / "scene.toml"
+        path.write_text(text)
+        own = session.open_scene(path)
+        return session.viewer().draw([(decouplegs.World(own), own.cameras(0.0))])[0]
+
+    for name in ["wall.splat", "cone.safetensors"]:
+        (tmp_path / name).write_bytes((scene_file.parent / name).read_bytes())
+    plain = scene_file.read_text()
+    antialiased = plain.replace("\n[[rig]]", "\n[rules]\nantialias = true\n\n[[rig]]", 1)
+    own = drawn(session, antialiased)
+    default = drawn(decouplegs.Session(session.device.uuid, exported=False), plain)
+    assert (own != default).any(), "antialiasing shows"
+    forced = decouplegs.Session(session.device.uuid, rules="default", exported=False)
+    np.testing.assert_array_equal(drawn(forced, antialiased), default)
+    with pytest.raises(ValueError, match="gsplat15"):
+        decouplegs.Session(rules="mine")
+
+
+def test_drawing_in_a_forked_child_is_an_error(session, scene):
+    viewer, world, cameras = session.viewer(), decouplegs.World(scene), scene.cameras(0.0)
+    viewer.draw([(world, cameras)])
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            viewer.draw([(world, cameras)])
+            said = "it drew"
+        except decouplegs.DeviceError as error:
+            said = str(error)
+        os.write(write, said.encode())
+        os._exit(0)
+    os.close(write)
+    assert b"fork" in os.read(read, 4096)
+    os.waitpid(child, 0)

@@ -3,6 +3,7 @@
 mod asking;
 mod contract;
 mod hostile;
+mod lasting;
 mod markers;
 mod python;
 mod rollout;

@@ -56,7 +56,7 @@ mod tests {
 
     #[test]
     fn position_is_the_centre_and_rows_are_world_from_camera() {
-        let cameras = decode(FILE.as_bytes()).unwrap();
+        let cameras = decode(FILE.as_bytes(), None).unwrap();
         let camera = &cameras[0];
         assert_eq!((camera.name.as_str(), camera.intrinsics.cx_px, camera.intrinsics.cy_px), ("seq_00001", 400.0, 300.0));
         let place = camera.world_from_camera;
@@ -76,7 +76,7 @@ mod tests {
             ("700.5", "-1", "-1"),
             ("700.5", "1e999", "line"),
         ] {
-            let error = decode(FILE.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
+            let error = decode(FILE.replacen(from, to, 1).as_bytes(), None).unwrap_err().to_string();
             assert!(error.contains(part), "{error}");
         }
     }

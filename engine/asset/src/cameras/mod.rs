@@ -1,8 +1,10 @@
-//! Cameras of a dataset: INRIA `cameras.json` and nerfstudio `transforms.json`.
+//! Cameras of a dataset: INRIA `cameras.json`, nerfstudio and NeRF-synthetic `transforms.json`, COLMAP models.
 //!
-//! Both become cameras in the coordinates of the file, with OpenCV axes (x right, y down, z forward). Names are
+//! All become cameras in the coordinates of the file, with OpenCV axes (x right, y down, z forward). Names are
 //! made fit for file names and unique, so that each camera can name its picture.
 
+mod colmap;
+mod dataparser;
 mod inria;
 mod names;
 mod nerfstudio;
@@ -13,35 +15,79 @@ use decouplegs_scene::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::error::read_bytes;
+use crate::xml::excerpt;
 use crate::{AssetError, DecodeError};
 
-/// Reads the cameras of `path`; an array is INRIA's form, an object nerfstudio's.
+/// Places farther from the origin are no cameras', metres.
+const POSITION_MAX_M: f64 = 1e9;
+
+/// Facts about cameras that stand beside their file.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CameraOptions<'a> {
+    /// Width and height of the images, pixels, where the file does not say (NeRF-synthetic). None: those of the first image beside it.
+    pub size_px: Option<[u32; 2]>,
+    /// nerfstudio's `dataparser_transforms.json`: cameras become those of the trained scene, as `ns-export` writes it.
+    pub dataparser: Option<&'a Path>,
+}
+
+/// Reads the cameras of `path`: a file, where an array is INRIA's form and an object nerfstudio's, or a folder with a COLMAP model.
 ///
 /// # Errors
 /// [`AssetError::Read`] or [`AssetError::Cameras`].
-pub fn read_cameras(path: &Path) -> Result<Vec<Camera>, AssetError> {
-    decode(&read_bytes(path)?).map_err(|source| AssetError::Cameras { path: path.to_owned(), source })
+pub fn read_cameras(path: &Path, options: &CameraOptions<'_>) -> Result<Vec<Camera>, AssetError> {
+    let cameras_error = |source| AssetError::Cameras { path: path.to_owned(), source };
+    if path.is_dir() {
+        return checked(colmap::read_folder(path)?).map_err(cameras_error);
+    }
+    let bytes = read_bytes(path)?;
+    let beside = || nerfstudio::size_of_first_image(&bytes, path.parent().unwrap_or(Path::new("")));
+    let mut cameras = decode(&bytes, options.size_px.or_else(beside)).map_err(cameras_error)?;
+    if let Some(path) = options.dataparser {
+        let applied = nerfstudio::applied(&bytes).map_err(cameras_error)?;
+        let dataparser = dataparser::Dataparser::decode(&read_bytes(path)?, &applied);
+        let dataparser = dataparser.map_err(|source| AssetError::Cameras { path: path.to_owned(), source })?;
+        cameras.iter_mut().for_each(|camera| dataparser.apply(camera));
+    }
+    Ok(cameras)
 }
 
-/// Reads cameras from the bytes of a file.
+/// Reads cameras from the bytes of a file. `size_px` is the size of images for which the file has none.
 ///
 /// # Errors
 /// A [`DecodeError`] that names the line or the camera at fault.
-pub fn decode(bytes: &[u8]) -> Result<Vec<Camera>, DecodeError> {
+pub fn decode(bytes: &[u8], size_px: Option<[u32; 2]>) -> Result<Vec<Camera>, DecodeError> {
     let cameras = match bytes.iter().find(|byte| !byte.is_ascii_whitespace()) {
         Some(b'[') => inria::decode(bytes)?,
-        Some(b'{') => nerfstudio::decode(bytes)?,
+        Some(b'{') => nerfstudio::decode(bytes, size_px)?,
         _ => {
             return Err(DecodeError::Malformed(
                 "expected JSON: an array (INRIA cameras.json) or an object (nerfstudio transforms.json)".into(),
             ));
         }
     };
+    checked(cameras)
+}
+
+/// Reads a COLMAP model from the bytes of its `cameras` and `images` files.
+///
+/// # Errors
+/// A [`DecodeError`] that names the line, image or camera at fault.
+pub fn decode_colmap(cameras: &[u8], images: &[u8], is_binary: bool) -> Result<Vec<Camera>, DecodeError> {
+    checked(colmap::decode(cameras, images, is_binary)?)
+}
+
+/// Cameras that make pictures, with names that files can have.
+fn checked(cameras: Vec<Camera>) -> Result<Vec<Camera>, DecodeError> {
     if cameras.is_empty() {
         return Err(DecodeError::Malformed("the file lists no camera".into()));
     }
     for camera in &cameras {
-        camera.intrinsics.check().map_err(|reason| DecodeError::Malformed(format!("camera '{}': {reason}", camera.name)))?;
+        let of_camera = |reason: String| DecodeError::Malformed(format!("camera '{}': {reason}", excerpt(&camera.name)));
+        camera.intrinsics.check().map_err(|reason| of_camera(reason.to_string()))?;
+        let position_m = camera.world_from_camera.translation;
+        if position_m.abs().max_element() > POSITION_MAX_M {
+            return Err(of_camera(format!("it stands at {position_m} m, which is no place on Earth")));
+        }
     }
     Ok(names::made_unique(cameras))
 }
@@ -74,10 +120,10 @@ mod tests {
         for (text, part) in
             [("", "expected JSON"), ("ply", "expected JSON"), ("[]", "no camera"), ("[1]", "line 1"), ("{}", "frames")]
         {
-            let error = decode(text.as_bytes()).unwrap_err().to_string();
+            let error = decode(text.as_bytes(), None).unwrap_err().to_string();
             assert!(error.contains(part), "{text}: {error}");
         }
         let deep = "[".repeat(100_000);
-        assert!(decode(deep.as_bytes()).is_err());
+        assert!(decode(deep.as_bytes(), None).is_err());
     }
 }

@@ -2,19 +2,25 @@
 //!
 //! `transform_matrix` is world from camera with OpenGL axes (x right, y up, z backward); y and z are turned here.
 //! Intrinsics stand at the top or in a frame, which wins. `applied_transform` and scale factors are not undone: cameras
-//! stay in the coordinates of the file, which are those that a scene trained from it has.
+//! stay in the coordinates of the file. A scene that nerfstudio trained has other ones, see [`super::dataparser`].
+//! NeRF-synthetic files have an angle of view and no size: it is given, or read from the first image.
+
+use std::path::Path;
 
 use decouplegs_scene::lens::{Fisheye, OpenCv};
 use decouplegs_scene::{Camera, Intrinsics, Lens as Distortion};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
+use super::dataparser::Applied;
 use super::{json_error, pose_of};
 use crate::DecodeError;
 
 #[derive(Deserialize)]
 struct File {
     frames: Vec<Frame>,
+    applied_transform: Option<Vec<[f64; 4]>>,
+    applied_scale: Option<f64>,
     #[serde(flatten)]
     shared: Lens,
 }
@@ -103,7 +109,7 @@ impl Lens {
         let size = |value: Option<f64>, key: &str| match value {
             Some(value) if value.fract() == 0.0 && (1.0..=65_536.0).contains(&value) => Ok(value as u32),
             Some(value) => Err(format!("{key} = {value}; an image has 1 to 65536 whole pixels a side")),
-            None => Err(format!("'{key}' is missing; add the size of the images as 'w' and 'h'")),
+            None => Err(format!("'{key}' is missing; add the size of the images as 'w' and 'h', or give it with --size")),
         };
         let (width_px, height_px) = (size(self.w, "w")?, size(self.h, "h")?);
         let focal_px = |length: Option<f64>, angle_rad: Option<f64>, side_px: u32| {
@@ -122,9 +128,36 @@ impl Lens {
     }
 }
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Vec<Camera>, DecodeError> {
-    let File { frames, shared } = serde_json::from_slice(bytes).map_err(|error| json_error(&error))?;
+/// Reads the cameras. `size_px` is the size of images where neither the top nor the frame has one.
+pub(super) fn decode(bytes: &[u8], size_px: Option<[u32; 2]>) -> Result<Vec<Camera>, DecodeError> {
+    let File { frames, mut shared, .. } = serde_json::from_slice(bytes).map_err(|error| json_error(&error))?;
+    if let (None, None, Some([width_px, height_px])) = (shared.w, shared.h, size_px) {
+        (shared.w, shared.h) = (Some(width_px.into()), Some(height_px.into()));
+    }
     frames.into_iter().enumerate().map(|(index, frame)| camera(index, frame, &shared)).collect()
+}
+
+/// Size of the first frame's image, a PNG beside the file in `folder`. None where there is none.
+pub(super) fn size_of_first_image(bytes: &[u8], folder: &Path) -> Option<[u32; 2]> {
+    let file: File = serde_json::from_slice(bytes).ok()?;
+    let named = folder.join(&file.frames.first()?.file_path);
+    // NeRF-synthetic leaves the ending out.
+    let path = [named.clone(), named.with_extension("png")].into_iter().find(|path| path.is_file())?;
+    image::image_dimensions(path).ok().map(<[u32; 2]>::from)
+}
+
+/// The motion that was applied to the dataset before its cameras were written.
+pub(super) fn applied(bytes: &[u8]) -> Result<Applied, DecodeError> {
+    let Ok(file) = serde_json::from_slice::<File>(bytes) else { return Ok(Applied::NONE) };
+    let scale = file.applied_scale.unwrap_or(1.0);
+    let Some(rows) = file.applied_transform else { return Ok(Applied { scale, ..Applied::NONE }) };
+    let [x, y, z, ..] = rows.as_slice() else {
+        return Err(DecodeError::Malformed(format!("applied_transform has {} rows, expected 3", rows.len())));
+    };
+    let column = |axis: usize| DVec3::new(x[axis], y[axis], z[axis]);
+    let axes = DMat3::from_cols(column(0), column(1), column(2));
+    pose_of(axes, column(3), "applied_transform")?;
+    Ok(Applied { axes, offset: column(3), scale })
 }
 
 fn camera(index: usize, frame: Frame, shared: &Lens) -> Result<Camera, DecodeError> {
@@ -161,7 +194,7 @@ mod tests {
 
     #[test]
     fn opengl_axes_become_opencv_axes() {
-        let cameras = decode(FILE.as_bytes()).unwrap();
+        let cameras = decode(FILE.as_bytes(), None).unwrap();
         let place = cameras[0].world_from_camera;
         assert!((place.transform(DVec3::ZERO) - DVec3::new(4.0, 5.0, 6.0)).length() < 1e-12);
         assert!((place.rotation * DVec3::X - DVec3::X).length() < 1e-12);
@@ -171,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_frames_own_intrinsics_win_and_names_are_unique() {
-        let cameras = decode(FILE.as_bytes()).unwrap();
+        let cameras = decode(FILE.as_bytes(), None).unwrap();
         let focal_px: Vec<_> = cameras.iter().map(|camera| (camera.intrinsics.fx_px, camera.intrinsics.fy_px)).collect();
         assert_eq!(focal_px, [(500.0, 510.0), (250.0, 510.0)]);
         assert_eq!([cameras[0].name.as_str(), cameras[1].name.as_str()], ["images_frame_00001", "images_frame_00001_2"]);
@@ -182,14 +215,30 @@ mod tests {
     fn the_angle_stands_in_for_the_focal_length() {
         let file =
             FILE.replace("\"fl_x\": 500, \"fl_y\": 510, \"cx\": 321, \"cy\": 239,", "\"camera_angle_x\": 1.5707963267948966,");
-        let camera = &decode(file.as_bytes()).unwrap()[0];
+        let camera = &decode(file.as_bytes(), None).unwrap()[0];
         assert!((camera.intrinsics.fx_px - 320.0).abs() < 1e-9 && (camera.intrinsics.fy_px - 320.0).abs() < 1e-9);
         assert_eq!((camera.intrinsics.cx_px, camera.intrinsics.cy_px), (320.0, 240.0));
     }
 
     #[test]
+    fn a_size_that_the_file_has_not_is_given_or_read_from_an_image() {
+        let file = FILE
+            .replace("\"w\": 640, \"h\": 480.0, ", "")
+            .replace("\"fl_x\": 500, \"fl_y\": 510, \"cx\": 321, \"cy\": 239,", "\"camera_angle_x\": 0.8,");
+        assert!(decode(file.as_bytes(), None).unwrap_err().to_string().contains("--size"));
+        let camera = &decode(file.as_bytes(), Some([160, 90])).unwrap()[0];
+        assert_eq!((camera.intrinsics.width_px, camera.intrinsics.cy_px), (160, 45.0));
+        assert_eq!(decode(FILE.as_bytes(), Some([160, 90])).unwrap()[0].intrinsics.width_px, 640, "the file's own size wins");
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("images")).unwrap();
+        image::RgbImage::new(12, 7).save(folder.path().join("images/frame_00001.png")).unwrap();
+        assert_eq!(super::size_of_first_image(file.as_bytes(), folder.path()), Some([12, 7]));
+        assert_eq!(super::size_of_first_image(file.as_bytes(), &folder.path().join("images")), None);
+    }
+
+    #[test]
     fn distortion_becomes_a_lens() {
-        let decoded = |from: &str, to: &str| decode(FILE.replacen(from, to, 1).as_bytes()).unwrap();
+        let decoded = |from: &str, to: &str| decode(FILE.replacen(from, to, 1).as_bytes(), None).unwrap();
         assert!(decoded("", "").iter().all(|camera| camera.intrinsics.lens == Lens::Pinhole), "zeros are none");
         let file = decoded("\"k1\": 0.0", "\"k1\": 0.01, \"p2\": -0.001");
         let expected = OpenCv { radial: [0.01, 0.0, 0.0, 0.0, 0.0, 0.0], tangential: [0.0, -0.001], ..OpenCv::default() };
@@ -212,7 +261,7 @@ mod tests {
             ("[[1,0,0,4],[0,1,0,5]", "[[2,0,0,4],[0,2,0,5]", "rigid"),
             (",[0,0,1,6],[0,0,0,1]]", "]", "2 rows"),
         ] {
-            let error = decode(FILE.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
+            let error = decode(FILE.replacen(from, to, 1).as_bytes(), None).unwrap_err().to_string();
             assert!(error.contains(part), "{to}: {error}");
         }
     }

@@ -74,6 +74,24 @@ impl LoadedScene {
         }
     }
 
+    /// Checks that [`LoadedScene::baked`] is a world that the memory holds: thousands of agents may show one small asset.
+    ///
+    /// # Errors
+    /// [`AssetError::Placement`] with the splats or bytes.
+    pub fn check_baked(&self) -> Result<(), AssetError> {
+        let finest = |agent: &LoadedAgent| self.assets[agent.asset].levels.first().copied().unwrap_or(0) as u64;
+        let splats = self.world.splats.len() as u64 + self.agents.iter().map(finest).sum::<u64>();
+        let sh_degree = self.assets.iter().map(|asset| asset.sh_degree).max().unwrap_or(0).max(self.world.splats.sh_degree);
+        if splats > SPLATS_MAX {
+            return Err(AssetError::Placement(format!(
+                "with all agents decoded there are {splats} splats; at most {SPLATS_MAX} are read"
+            )));
+        }
+        // Twice, as a list that grows is copied.
+        memory::require(&format!("a scene of {splats} decoded splats"), 2 * cloud_bytes(splats, sh_degree))
+            .map_err(AssetError::Placement)
+    }
+
     /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added where it is at `time_s`, in
     /// order, in the scene's light. What was in the world already stays as it stands.
     #[must_use]

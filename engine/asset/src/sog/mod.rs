@@ -9,6 +9,7 @@
 //! Coordinates are those of the PLY that the file was made from, and stay as they are.
 
 mod codebook;
+mod lod;
 mod meta;
 mod pixels;
 mod texture;
@@ -24,6 +25,7 @@ use crate::zip::Archive;
 use crate::{AssetError, DecodeError};
 use meta::Meta;
 
+pub(crate) use lod::{LOD_META, read_set};
 pub use write::{encode, write};
 
 /// What users call it.

@@ -96,8 +96,8 @@ fn the_cone_in_every_format_is_the_cone() {
 fn text_files_read_as_ever() {
     let [inria, nerfstudio] =
         ["inria.json", "nerfstudio.json"].map(|name| std::fs::read(seed(&format!("cameras/{name}"))).unwrap());
-    assert_eq!(cameras::decode(&inria).unwrap()[0].name, "seq_00001");
-    assert_eq!(cameras::decode(&nerfstudio).unwrap()[0].name, "images_frame_1");
+    assert_eq!(cameras::decode(&inria, None).unwrap()[0].name, "seq_00001");
+    assert_eq!(cameras::decode(&nerfstudio, None).unwrap()[0].name, "images_frame_1");
     let scene = SceneFile::read(&seed("scene_file/example.toml")).unwrap();
     assert_eq!((scene.rig.cameras.len(), scene.agents.len()), (2, 2));
 }

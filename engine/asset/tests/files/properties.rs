@@ -152,8 +152,8 @@ proptest! {
         let _ = spz::decode(&after(&[0x1f, 0x8b, 8, 0]));
         let _ = inria_ply::decode(&after(b"ply\nformat binary_little_endian 1.0\n"));
         let _ = compressed_ply::decode(&after(b"ply\nformat binary_little_endian 1.0\nelement chunk "));
-        let _ = cameras::decode(&noise);
-        let _ = cameras::decode(&after(b"{\"frames\":["));
+        let _ = cameras::decode(&noise, None);
+        let _ = cameras::decode(&after(b"{\"frames\":["), None);
         let _ = SceneFile::parse(&String::from_utf8_lossy(&after(b"version = 1\n")));
     }
 }

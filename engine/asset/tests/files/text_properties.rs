@@ -117,7 +117,7 @@ proptest! {
             "id": 7, "img_name": "a", "width": width, "height": height, "fx": intrinsics.fx_px, "fy": intrinsics.fy_px,
             "position": pose.translation.to_array(), "rotation": rows,
         }]);
-        let cameras = cameras::decode(file.to_string().as_bytes()).unwrap();
+        let cameras = cameras::decode(file.to_string().as_bytes(), None).unwrap();
         prop_assert!(cameras.len() == 1 && is_camera(&cameras[0], &intrinsics, &pose), "{cameras:?}");
     }
 
@@ -135,7 +135,7 @@ proptest! {
         owner.as_object_mut().unwrap().append(lens.as_object_mut().unwrap());
         let mut file = if in_frame { serde_json::json!({}) } else { owner.clone() };
         file["frames"] = serde_json::json!([frame]);
-        let cameras = cameras::decode(file.to_string().as_bytes()).unwrap();
+        let cameras = cameras::decode(file.to_string().as_bytes(), None).unwrap();
         prop_assert!(cameras.len() == 1 && is_camera(&cameras[0], &intrinsics, &pose), "{cameras:?}");
     }
 }

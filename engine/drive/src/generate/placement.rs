@@ -24,6 +24,8 @@ const WAITING_M: (f64, f64) = (1.0, 5.0);
 const WAITING_MPS: (f64, f64) = (0.0, 3.0);
 /// Between boxes beside each other, metres.
 const CLEARANCE_M: f64 = 0.5;
+/// Vehicles on lanes that merge with the ego's start at least so far from it, metres.
+const MERGE_APART_M: f64 = 25.0;
 /// Bumper to bumper, metres.
 const GAP_M_MIN: f64 = 3.0;
 /// Two that are as near as [`GAP_M_MIN`] are not farther apart along their lanes than two long vehicles are, metres from middle to middle.
@@ -120,6 +122,9 @@ impl<'a> Placement<'a> {
             return false;
         }
         let outline = self.roads.outline(spot, &size);
+        if self.merges_beside_ego(spot, &outline) {
+            return false;
+        }
         let fits = self.vehicles.iter().all(|other| {
             let apart_m = other.outline.distance_m(&outline);
             apart_m >= GAP_M_MIN || (apart_m >= CLEARANCE_M && !self.follow_each_other(spot, other.spot))
@@ -129,6 +134,15 @@ impl<'a> Placement<'a> {
             self.vehicles.push(Vehicle { role, spot, asset, size, outline, speed_mps });
         }
         fits
+    }
+
+    /// Whether a vehicle there would be beside the ego on a lane that goes on in the same one as the ego's: neither could let the other go
+    /// first any more.
+    fn merges_beside_ego(&self, spot: Spot, outline: &OrientedBox) -> bool {
+        let ego = &self.vehicles[0];
+        let onward = |lane: usize| self.roads.graph.lane(lane).map_or(&[][..], |lane| lane.successors.as_slice());
+        let merges = onward(spot.lane).iter().any(|next| onward(ego.spot.lane).contains(next));
+        spot.lane != ego.spot.lane && merges && ego.outline.distance_m(outline) < MERGE_APART_M
     }
 
     /// Whether one of two that are near each other is ahead of the other.

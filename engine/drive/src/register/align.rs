@@ -19,7 +19,7 @@ const STEP_M: f64 = 0.5;
 /// So many points count from one waypoint to the next, be there more.
 const POINTS_A_WAYPOINT: f64 = 4.0;
 /// Times that lanes are chosen, each after the first by the track as it was moved.
-const ROUTES: usize = 2;
+pub(super) const ROUTES: usize = 2;
 /// Times that points are matched and the motion found.
 const MATCHES: usize = 12;
 /// What deviates by less is no outlier at first, metres, and half of that each time further: a logged track is nearly a lane's shape at
@@ -29,18 +29,16 @@ const SCALE_FIRST_M: f64 = 1.0;
 const SETTLED: f64 = 1e-5;
 /// Drivers keep to the middle of their lane to about so much, as a deviation in metres, and for about so many waypoints to the same side.
 const LANE_KEEPING_M: f64 = 0.2;
-const KEEPING_WAYPOINTS: f64 = 5.0;
+pub(super) const KEEPING_WAYPOINTS: f64 = 5.0;
 /// Costs of a waypoint that is anywhere, of a lane change, and of a leg that does not follow the one before: logarithms of how rare they are.
-const OFF_COST_MAX: f64 = 9.0;
+pub(super) const OFF_COST_MAX: f64 = 9.0;
 const CHANGE_COST: f64 = 8.0;
 const JUMP_COST: f64 = 40.0;
 /// Waypoints that a motion needs outside lane changes.
-const PAIRS_MIN: usize = 4;
-
+pub(super) const PAIRS_MIN: usize = 4;
 /// A track with its motion and its lanes.
 pub struct Aligned {
     pub fit: PlanarFit,
-    pub by_shared: bool,
     pub legs: Vec<Leg>,
     pub lane_changes: Vec<LaneChange>,
     /// For each waypoint its leg and the place on that leg's line.
@@ -50,16 +48,9 @@ pub struct Aligned {
 }
 
 impl Aligned {
-    /// A track that follows no lane, moved as the others.
-    pub fn by_shared(shared: &PlanarFit) -> Self {
-        Self {
-            fit: *shared,
-            by_shared: true,
-            legs: Vec::new(),
-            lane_changes: Vec::new(),
-            feet: Vec::new(),
-            has_height: Vec::new(),
-        }
+    /// A track that follows no lane, moved by `fit`.
+    pub fn without_lanes(fit: &PlanarFit) -> Self {
+        Self { fit: *fit, legs: Vec::new(), lane_changes: Vec::new(), feet: Vec::new(), has_height: Vec::new() }
     }
 }
 
@@ -71,12 +62,12 @@ pub struct Register<'a> {
 }
 
 /// The least deviation that makes an outlier, each time that points are matched.
-fn scales() -> impl Iterator<Item = f64> {
+pub(super) fn scales() -> impl Iterator<Item = f64> {
     (0..MATCHES).map(|at| (SCALE_FIRST_M * 0.5f64.powi(at as i32)).max(RESIDUAL_MIN_M))
 }
 
 /// A track on lanes that were chosen.
-struct Routed<'a, 'b> {
+pub(super) struct Routed<'a, 'b> {
     prepared: &'b Prepared<'a>,
     legs: Vec<Leg>,
     /// Lane changes, their lengths guessed, and as they were measured last.
@@ -103,19 +94,28 @@ impl Register<'_> {
 
     /// Minus the logarithm of how probable `aligned` is, but for a constant: drift, distances from lanes, and changes from leg to leg.
     fn cost(&self, prepared: &Prepared, aligned: &Aligned) -> f64 {
-        let (motion, prior) = (&aligned.fit.motion, &self.options.prior);
-        let drift = 0.5 * ((motion.shift_m / prior.shift_m).length_squared() + (motion.yaw_rad / prior.yaw_rad).powi(2));
+        self.drift_cost(&aligned.fit.motion) + self.lane_cost(prepared, aligned, 0.0)
+    }
+
+    /// The part of a motion.
+    pub(super) fn drift_cost(&self, motion: &PlanarTransform) -> f64 {
+        let prior = &self.options.prior;
+        0.5 * ((motion.shift_m / prior.shift_m).length_squared() + (motion.yaw_rad / prior.yaw_rad).powi(2))
+    }
+
+    /// The part of distances from lanes, of which the driver keeps `habit_m` to the left, and of changes from leg to leg.
+    pub(super) fn lane_cost(&self, prepared: &Prepared, aligned: &Aligned, habit_m: f64) -> f64 {
         let usual_m = LANE_KEEPING_M.hypot(prepared.smoothed.noise_m);
         let times_s = prepared.times_s();
         let off = |(foot, time_s): (&Option<(usize, Foot)>, &f64)| {
             let changing = aligned.lane_changes.iter().any(|change| change.contains(*time_s));
-            let lateral_m = foot.map_or(f64::INFINITY, |(_, foot)| foot.lateral_m);
+            let lateral_m = foot.map_or(f64::INFINITY, |(_, foot)| foot.lateral_m - habit_m);
             if changing { 0.0 } else { 0.5 * (lateral_m / usual_m).powi(2).min(OFF_COST_MAX) }
         };
         let off: f64 = aligned.feet.iter().zip(&times_s).map(off).sum();
         let changes = aligned.lane_changes.len();
         let jumps = aligned.legs.len().saturating_sub(1 + changes);
-        drift + off / KEEPING_WAYPOINTS + CHANGE_COST * changes as f64 + JUMP_COST * jumps as f64
+        off / KEEPING_WAYPOINTS + CHANGE_COST * changes as f64 + JUMP_COST * jumps as f64
     }
 
     /// The most probable of what is found from several starts.
@@ -135,7 +135,7 @@ impl Register<'_> {
         best.map(|(_, found)| found).ok_or_else(|| reason.unwrap_or_else(|| "no place of it was matched to a lane".into()))
     }
 
-    fn align_from(&self, prepared: &Prepared, start: PlanarTransform, lane_changes: bool) -> Result<Aligned, String> {
+    pub(super) fn align_from(&self, prepared: &Prepared, start: PlanarTransform, lane_changes: bool) -> Result<Aligned, String> {
         let mut motion = start;
         for route in 0..ROUTES {
             let mut routed = self.route(prepared, &motion, lane_changes)?;
@@ -171,7 +171,7 @@ impl Register<'_> {
         Ok(std::iter::once(motion).chain(turned.into_iter().filter(|turned| self.believed(turned))).collect())
     }
 
-    fn route<'a, 'b>(
+    pub(super) fn route<'a, 'b>(
         &self,
         prepared: &'b Prepared<'a>,
         motion: &PlanarTransform,
@@ -211,37 +211,7 @@ impl Register<'_> {
         let feet = self.feet(&routed, &fit.motion);
         let has_height = |leg: &Leg| leg.lanes.iter().all(|&lane| self.map.lanes[lane].has_height);
         let has_height = routed.legs.iter().map(has_height).collect();
-        Aligned { fit, by_shared: false, has_height, feet, legs: routed.legs, lane_changes: routed.lane_changes }
-    }
-
-    /// The motion of all `guides` together, where any lanes are found.
-    pub fn shared<'a, 'b>(&self, guides: &[&'b Prepared<'a>]) -> Option<PlanarFit> {
-        let count = guides.len().max(1) as f64;
-        let first = guides.first()?.middle();
-        let pivot_m = first + guides.iter().map(|guide| guide.middle() - first).sum::<DVec2>() / count;
-        let mut motion = PlanarTransform::identity(pivot_m);
-        let mut found = None;
-        for _ in 0..ROUTES {
-            // A track that does not follow lanes shows nothing of the log's drift.
-            let follows = |guide: &&'b Prepared<'a>| {
-                let own = self.align(guide).is_ok();
-                own.then(|| self.route(guide, &motion, true).ok()).flatten()
-            };
-            let mut routed: Vec<Routed> = guides.iter().filter_map(follows).collect();
-            for scale_m in scales() {
-                let pairs: Vec<LinePair> = routed.iter().flat_map(|routed| self.pairs(routed, &motion)).collect();
-                if pairs.len() < PAIRS_MIN {
-                    return None;
-                }
-                let fitted = fit(&pairs, &motion, &self.options.prior, scale_m);
-                motion = fitted.motion;
-                for one in &mut routed {
-                    self.measure_changes(one, &fitted);
-                }
-                found = Some(fitted);
-            }
-        }
-        found.filter(|found| self.doubt(found).is_none())
+        Aligned { fit, has_height, feet, legs: routed.legs, lane_changes: routed.lane_changes }
     }
 
     /// The track on its lanes under a motion that is given.
@@ -251,12 +221,12 @@ impl Register<'_> {
         Ok(self.finish(routed, *shared))
     }
 
-    fn believed(&self, motion: &PlanarTransform) -> bool {
+    pub(super) fn believed(&self, motion: &PlanarTransform) -> bool {
         motion.shift_m.length() <= self.options.shift_max_m && wrapped(motion.yaw_rad).abs() <= self.options.yaw_max_rad
     }
 
     /// Why a motion is not believed.
-    fn doubt(&self, fit: &PlanarFit) -> Option<String> {
+    pub(super) fn doubt(&self, fit: &PlanarFit) -> Option<String> {
         let (shift_m, yaw_deg) = (fit.motion.shift_m.length(), fit.motion.yaw_rad.to_degrees());
         let options = self.options;
         if !self.believed(&fit.motion) {
@@ -302,7 +272,7 @@ impl Register<'_> {
     /// Points of the track as they were logged and the places that they belong to, those left out that are between lanes.
     ///
     /// The motion is told by what was logged, not by the smoothed track: smoothing cuts corners, always to the same side.
-    fn pairs(&self, routed: &Routed, motion: &PlanarTransform) -> Vec<LinePair> {
+    pub(super) fn pairs(&self, routed: &Routed, motion: &PlanarTransform) -> Vec<LinePair> {
         let feet = self.feet(routed, motion);
         let prepared = routed.prepared;
         let points = &prepared.track.points;
@@ -329,7 +299,7 @@ impl Register<'_> {
     }
 
     /// Sees how long the lane changes last under a motion that was found; always from the guess, which an earlier motion may not shorten.
-    fn measure_changes(&self, routed: &mut Routed, found: &PlanarFit) {
+    pub(super) fn measure_changes(&self, routed: &mut Routed, found: &PlanarFit) {
         let feet = self.feet(routed, &found.motion);
         let laterals = feet.iter().zip(&routed.times_s).filter_map(|(foot, time_s)| Some((*time_s, foot.as_ref()?.1.lateral_m)));
         // Waypoints are smoothed: the noise of the log is not what they deviate by.

@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use super::align::{Aligned, Register};
 use super::prepared::Prepared;
 use super::route::{Leg, may_use};
-use super::{PoseFlags, RegisterOptions, Registered, RegisteredPose};
+use super::{PoseFlags, RegisterOptions, Registered, RegisteredPose, Treatment};
 use crate::ground::Ground;
 use crate::polyline::{Foot, wrapped};
 
@@ -78,12 +78,18 @@ pub(super) struct Grounding<'a> {
 
 impl Grounding<'_> {
     /// `prepared` as `aligned`, on the ground.
-    pub fn place(&self, prepared: &Prepared, aligned: Aligned) -> Registered {
+    pub fn place(&self, prepared: &Prepared, aligned: Aligned, treatment: Treatment) -> Registered {
         let dims_m = prepared.track.dims_m.unwrap_or(self.options.dims_m);
-        let poses = (0..prepared.track.points.len()).map(|at| self.pose(prepared, &aligned, at, dims_m)).collect();
+        let pose = |at: usize| {
+            let mut pose = self.pose(prepared, &aligned, at, dims_m);
+            pose.flags.parked = treatment.is_parked();
+            pose.flags.lane_unsure = treatment == Treatment::KeptLaneUnsure;
+            pose
+        };
+        let poses = (0..prepared.track.points.len()).map(pose).collect();
         let lanes = aligned.legs.iter().flat_map(|leg| leg.lanes.iter().copied()).collect();
-        let Aligned { fit, by_shared, lane_changes, .. } = aligned;
-        Registered { fit, by_shared, lanes, lane_changes, poses, noise_m: prepared.smoothed.noise_m }
+        let Aligned { fit, lane_changes, .. } = aligned;
+        Registered { fit, treatment, lanes, lane_changes, poses, noise_m: prepared.smoothed.noise_m }
     }
 
     fn pose(&self, prepared: &Prepared, aligned: &Aligned, at: usize, dims_m: [f64; 3]) -> RegisteredPose {

@@ -1,5 +1,8 @@
 //! Registration: tracks brought onto the lanes of a map and onto the ground.
 //!
+//! A log is moved only where lanes show that it drifted: first all tracks together, then single tracks, each by more than the habits of
+//! drivers explain. What is parked, or shows no drift, stays where it was logged and is set on the ground.
+//!
 //! A track is smoothed ([`smooth`]), its lanes are chosen by the whole of it ([`route`]), its points are matched to their line in
 //! order ([`dtw`]) except where it changes lanes ([`lane_change`]), and one planar motion brings it there ([`procrustes`], then
 //! [`fit`]). Its poses are then set on the ground at the four bottom corners of its box ([`grounding`]).
@@ -7,6 +10,7 @@
 //! Registration is for background traffic, never for the ego vehicle.
 
 mod align;
+mod drift;
 pub mod dtw;
 pub mod fit;
 pub mod grounding;
@@ -23,6 +27,7 @@ use crate::ground::Ground;
 use crate::lane_index::LaneIndex;
 use crate::polyline::Foot;
 use align::Aligned;
+use drift::KeptBecause;
 use fit::{MotionPrior, PlanarFit};
 use lane_change::LaneChange;
 use prepared::Prepared;
@@ -36,9 +41,12 @@ pub struct RegisterOptions {
     pub band_m: f64,
     /// Lanes farther from a track are none of its, metres.
     pub radius_m: f64,
+    /// Deviation of drivers' habits: how far they keep from the middle of their lane, metres. A track is moved by itself only where its
+    /// lanes show more than that. 0: all tracks belong on the middles of their lanes.
+    pub keeping_m: f64,
     /// Deviation of the tracks' noise along one axis, metres. None: told by each track itself.
     pub noise_m: Option<f64>,
-    /// One motion for all tracks of the log together: for drift of the log as a whole.
+    /// No other motion than one of all tracks of the log together.
     pub shared: bool,
     /// How far logs drift.
     pub prior: MotionPrior,
@@ -62,6 +70,7 @@ impl Default for RegisterOptions {
             heading_weight: 2.5,
             band_m: 10.0,
             radius_m: 6.0,
+            keeping_m: 0.3,
             noise_m: None,
             shared: false,
             prior: MotionPrior { shift_m: 1.0, yaw_rad: 2f64.to_radians() },
@@ -102,7 +111,7 @@ pub enum RegisterError {
 pub struct Registration {
     /// In the order of the log.
     pub tracks: Vec<RegisteredTrack>,
-    /// The one motion of all tracks together, where it was asked for or needed and could be found.
+    /// The motion of all tracks together, where lanes show that the log drifted as a whole.
     pub shared: Option<PlanarFit>,
 }
 
@@ -136,8 +145,8 @@ pub enum Outcome {
 pub struct Registered {
     /// Registered from logged.
     pub fit: PlanarFit,
-    /// Whether the motion is that of all tracks: this one travels too little to have one of its own.
-    pub by_shared: bool,
+    /// How the track was treated.
+    pub treatment: Treatment,
     /// Places in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
     /// Where it changes lanes.
@@ -146,6 +155,50 @@ pub struct Registered {
     pub poses: Vec<RegisteredPose>,
     /// Deviation of the log's noise, metres.
     pub noise_m: f64,
+}
+
+/// Treatment of a track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Treatment {
+    /// Moved by a motion of its own, which its lanes show.
+    Own,
+    /// Moved with all others, as the log drifted as a whole.
+    Log,
+    /// Moved with all others; it travels too little to follow lanes.
+    LogParked,
+    /// Left where it was logged: lanes show no drift beyond the habits of drivers.
+    Kept,
+    /// Left where it was logged: it fits several lanes about as well.
+    KeptLaneUnsure,
+    /// Left where it was logged: it travels too little to follow lanes.
+    KeptParked,
+}
+
+impl Treatment {
+    /// Whether it travels too little to follow lanes.
+    #[must_use]
+    pub fn is_parked(self) -> bool {
+        matches!(self, Self::LogParked | Self::KeptParked)
+    }
+
+    /// Whether it was left where it was logged.
+    #[must_use]
+    pub fn is_kept(self) -> bool {
+        matches!(self, Self::Kept | Self::KeptLaneUnsure | Self::KeptParked)
+    }
+
+    /// Its name in tables.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Own => "moved",
+            Self::Log => "moved with the log",
+            Self::LogParked => "parked, moved with the log",
+            Self::Kept => "kept",
+            Self::KeptLaneUnsure => "kept, lane unsure",
+            Self::KeptParked => "parked, kept",
+        }
+    }
 }
 
 /// Where a road user is at a moment.
@@ -174,6 +227,10 @@ pub struct PoseFlags {
     pub lane_change: bool,
     /// The log has it far from its neighbours; it was put where they say.
     pub outlier: bool,
+    /// Its track travels too little to follow lanes.
+    pub parked: bool,
+    /// Its track fits several lanes about as well.
+    pub lane_unsure: bool,
 }
 
 impl PoseFlags {
@@ -186,6 +243,8 @@ impl PoseFlags {
             (self.uneven, "uneven"),
             (self.lane_change, "lane-change"),
             (self.outlier, "outlier"),
+            (self.parked, "parked"),
+            (self.lane_unsure, "lane-unsure"),
         ];
         all.into_iter().filter(|(set, _)| *set).map(|(_, name)| name).collect()
     }
@@ -206,20 +265,39 @@ pub fn register(
     let register = align::Register { map, index: &index, options };
     let prepared: Vec<Result<Prepared, String>> = tracks.par_iter().map(Prepared::new(options)).collect();
     let long = |prepared: &&Prepared| prepared.travelled_m >= options.travel_min_m;
-    let needs_shared = options.shared || prepared.iter().flatten().any(|prepared| !long(&prepared));
     let mut guides: Vec<&Prepared> = prepared.iter().flatten().filter(long).collect();
     // Sums do not depend on the order of the log.
     guides.sort_by(|a, b| a.track.id.cmp(&b.track.id));
-    let shared = if needs_shared { register.shared(&guides) } else { None };
+    let trusts_lanes = options.keeping_m == 0.0;
+    let needs_shared = options.shared || !trusts_lanes || prepared.iter().flatten().any(|prepared| !long(&prepared));
+    // Fewer tracks can never show that the log drifted, and not each by itself.
+    let can_share = trusts_lanes || options.shared || guides.len() >= drift::LOG_TRACKS_MIN;
+    let shared = if needs_shared && can_share { register.shared(&guides) } else { None };
+    let shared = shared.filter(|shared| trusts_lanes || register.is_log_drift(&guides, shared));
     let one = |prepared: &Result<Prepared, String>| -> Result<Box<Registered>, String> {
         let prepared = prepared.as_ref().map_err(Clone::clone)?;
-        let aligned = match (&shared, long(&prepared)) {
-            (Some(shared), true) if options.shared => register.with_motion(prepared, shared)?,
-            (Some(shared), false) => Aligned::by_shared(shared),
-            (None, false) => return Err(too_short(prepared, options)),
-            _ => register.align(prepared)?,
+        let base = shared.unwrap_or_else(|| drift::none_about(prepared.middle()));
+        let with_log = |log: Treatment, kept: Treatment| if shared.is_some() { log } else { kept };
+        let (aligned, treatment) = if !long(&prepared) {
+            (Aligned::without_lanes(&base), with_log(Treatment::LogParked, Treatment::KeptParked))
+        } else if options.shared {
+            (register.with_motion(prepared, &base)?, with_log(Treatment::Log, Treatment::Kept))
+        } else if trusts_lanes {
+            (register.align(prepared)?, Treatment::Own)
+        } else {
+            // Who drives against lanes, or where none are, is refused.
+            let stay = register.with_motion(prepared, &base)?;
+            let kept = |kept: Treatment| if shared.is_some() { Treatment::Log } else { kept };
+            match register.align(prepared) {
+                Err(_) => (stay, kept(Treatment::Kept)),
+                Ok(own) => match register.is_drift(prepared, &own, &stay) {
+                    Ok(()) => (own, Treatment::Own),
+                    Err(KeptBecause::NoEvidence) => (stay, kept(Treatment::Kept)),
+                    Err(KeptBecause::LaneUnsure) => (stay, kept(Treatment::KeptLaneUnsure)),
+                },
+            }
         };
-        Ok(Box::new(grounding::Grounding { register: &register, ground, options }.place(prepared, aligned)))
+        Ok(Box::new(grounding::Grounding { register: &register, ground, options }.place(prepared, aligned, treatment)))
     };
     let registered = tracks.par_iter().zip(&prepared).map(|(track, prepared)| RegisteredTrack {
         id: track.id.clone(),
@@ -228,13 +306,6 @@ pub fn register(
         outcome: one(prepared).map_or_else(|reason| Outcome::Refused { reason }, Outcome::Registered),
     });
     Ok(Registration { tracks: registered.collect(), shared })
-}
-
-fn too_short(prepared: &Prepared, options: &RegisterOptions) -> String {
-    let (points, travelled_m, least_m) = (prepared.track.points.len(), prepared.travelled_m, options.travel_min_m);
-    format!(
-        "{points} points over {travelled_m:.1} m show no motion onto lanes (at least {least_m} m), and no other track of the log does"
-    )
 }
 
 fn check(map: &LaneMap, tracks: &[Track], options: &RegisterOptions) -> Result<(), RegisterError> {
@@ -249,6 +320,7 @@ fn check(map: &LaneMap, tracks: &[Track], options: &RegisterOptions) -> Result<(
         ("heading_weight", options.heading_weight),
         ("band_m", options.band_m),
         ("radius_m", options.radius_m),
+        ("keeping_m", options.keeping_m + 1e-9),
         ("noise_m", options.noise_m.map_or(1.0, |noise_m| noise_m + 1e-9)),
         ("prior.shift_m", options.prior.shift_m),
         ("prior.yaw_rad", options.prior.yaw_rad),

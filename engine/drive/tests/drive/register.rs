@@ -2,7 +2,7 @@
 
 use decouplegs_drive::alignment::{TruthError, ade_to_lanes, against_truth};
 use decouplegs_drive::register::Registered;
-use decouplegs_drive::{LaneIndex, Outcome, Polyline, RegisterOptions, Registration, register};
+use decouplegs_drive::{LaneIndex, Outcome, Polyline, RegisterOptions, Registration, Treatment, register};
 use decouplegs_scene::{LaneMap, Track};
 use glam::DVec2;
 
@@ -29,8 +29,11 @@ fn error(registered: &Registered, truth: &Track) -> TruthError {
     against_truth(positions, truth).unwrap()
 }
 
+/// Options for tracks whose truth lies on the middles of their lanes.
+const ON_MIDDLES: fn() -> RegisterOptions = || RegisterOptions { keeping_m: 0.0, ..RegisterOptions::default() };
+
 fn alone(map: &LaneMap, track: &Track) -> Registration {
-    register(map, std::slice::from_ref(track), None, &RegisterOptions::default()).unwrap()
+    register(map, std::slice::from_ref(track), None, &ON_MIDDLES()).unwrap()
 }
 
 /// Straight, bend to the left, straight, bend to the right: what a whole motion shows in.
@@ -176,7 +179,7 @@ fn who_drives_against_lanes_or_beside_them_is_refused_with_the_reason() {
 }
 
 #[test]
-fn short_tracks_take_the_motion_of_the_log_and_have_none_without() {
+fn short_tracks_take_the_motion_of_the_log_and_are_kept_without() {
     let middle = winding();
     let map = road(&middle, 3, 4, false);
     let drift = |truth: &Track| logged(truth, 0.0, DVec2::new(0.6, -0.5), 0.02, 2);
@@ -185,14 +188,23 @@ fn short_tracks_take_the_motion_of_the_log_and_have_none_without() {
     let mut single = parked.clone();
     single.points.truncate(1);
     let logs = [drift(&long), drift(&parked), drift(&single)];
-    let all = register(&map, &logs, None, &RegisterOptions::default()).unwrap();
+    let all = register(&map, &logs, None, &ON_MIDDLES()).unwrap();
     for (at, truth) in [&long, &parked, &single].into_iter().enumerate() {
         let found = registered(&all, at);
-        assert_eq!(found.by_shared, at > 0);
+        assert_eq!(found.treatment, if at > 0 { Treatment::LogParked } else { Treatment::Own });
         assert!(error(found, truth).ade_m < ADE_MAX_M, "{at}: {:?}", error(found, truth));
     }
-    let without = register(&map, &logs[1..], None, &RegisterOptions::default()).unwrap();
-    assert!(reason(&without, 0).contains("show no motion") && reason(&without, 1).contains("1 points"));
+    // Nothing shows a motion: they are kept where they were logged.
+    for options in [ON_MIDDLES(), RegisterOptions::default()] {
+        let without = register(&map, &logs[1..], None, &options).unwrap();
+        for at in 0..2 {
+            let found = registered(&without, at);
+            assert_eq!(found.treatment, Treatment::KeptParked);
+            assert!(found.poses.iter().all(|pose| pose.flags.parked));
+            let off = found.poses[0].pose.translation.truncate().distance(logs[1 + at].points[0].position_m);
+            assert!(off < 0.03, "{off}");
+        }
+    }
 }
 
 #[test]
@@ -204,8 +216,8 @@ fn one_motion_for_the_whole_log_shows_what_single_straight_tracks_do_not() {
     map.lanes.extend(road(&north, 1, 1, false).lanes);
     let truths = [drive("east", 145.0, 10.0, |s| east.at(s)), drive("north", 145.0, 10.0, |s| north.at(s))];
     let logs = truths.clone().map(|truth| logged(&truth, 0.0, DVec2::new(0.7, 0.4), 0.05, 4));
-    let shared = register(&map, &logs, None, &RegisterOptions { shared: true, ..RegisterOptions::default() }).unwrap();
-    let own = register(&map, &logs, None, &RegisterOptions::default()).unwrap();
+    let shared = register(&map, &logs, None, &RegisterOptions { shared: true, ..ON_MIDDLES() }).unwrap();
+    let own = register(&map, &logs, None, &ON_MIDDLES()).unwrap();
     for (at, truth) in truths.iter().enumerate() {
         assert!(error(registered(&shared, at), truth).ade_m < ADE_MAX_M, "{:?}", error(registered(&shared, at), truth));
         assert!(error(registered(&own, at), truth).longitudinal_m > 0.3);

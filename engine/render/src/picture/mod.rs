@@ -179,6 +179,20 @@ impl Picture {
         }
     }
 
+    /// The depth as a NumPy file: float32 `[height, width]`, meters, 0 where nothing was blended. None where there is none.
+    #[must_use]
+    pub fn encode_depth(&self) -> Option<Vec<u8>> {
+        let values = self.depth.as_ref()?.iter().flat_map(|depth_m| depth_m.to_le_bytes());
+        Some(npy::encode_plane(self, "<f4", values))
+    }
+
+    /// The instances as a NumPy file: uint16 `[height, width]`. None where there are none.
+    #[must_use]
+    pub fn encode_instance(&self) -> Option<Vec<u8>> {
+        let values = self.instance.as_ref()?.iter().flat_map(|instance| instance.to_le_bytes());
+        Some(npy::encode_plane(self, "<u2", values))
+    }
+
     /// RGBA of every pixel, interleaved: `[height, width, 4]`.
     fn interleaved_rgba(&self) -> Vec<f32> {
         self.rgb.iter().zip(&self.alpha).flat_map(|(&[r, g, b], &a)| [r, g, b, a]).collect()

@@ -5,17 +5,27 @@ use super::{PIXELS_MAX, Picture, PictureError, PictureFormat};
 const MAGIC: &[u8] = b"\x93NUMPY";
 
 pub fn encode(picture: &Picture) -> Vec<u8> {
-    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}, 4), }}", picture.height, picture.width);
+    let shape = format!("({}, {}, 4)", picture.height, picture.width);
+    with_header("<f4", &shape, picture.interleaved_rgba().iter().flat_map(|value| value.to_le_bytes()))
+}
+
+/// A plane of `picture`, `[height, width]`, of NumPy's type `descr`.
+pub fn encode_plane(picture: &Picture, descr: &str, values: impl Iterator<Item = u8>) -> Vec<u8> {
+    with_header(descr, &format!("({}, {})", picture.height, picture.width), values)
+}
+
+fn with_header(descr: &str, shape: &str, values: impl Iterator<Item = u8>) -> Vec<u8> {
+    let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
     // Magic, version, length and header together fill a multiple of 64 bytes and end in a line feed.
     let filled = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64);
     header.push_str(&" ".repeat(filled - MAGIC.len() - 4 - header.len() - 1));
     header.push('\n');
-    let mut bytes = Vec::with_capacity(filled + picture.rgb.len() * 16);
+    let mut bytes = Vec::with_capacity(filled + values.size_hint().0);
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&[1, 0]);
     bytes.extend_from_slice(&(header.len() as u16).to_le_bytes());
     bytes.extend_from_slice(header.as_bytes());
-    bytes.extend(picture.interleaved_rgba().iter().flat_map(|value| value.to_le_bytes()));
+    bytes.extend(values);
     bytes
 }
 
@@ -109,7 +119,7 @@ fn first_words(text: &str) -> String {
 mod tests {
     use super::*;
 
-    fn with_header(header: &str, data: &[u8]) -> Vec<u8> {
+    fn file(header: &str, data: &[u8]) -> Vec<u8> {
         [MAGIC, &[1, 0], &(header.len() as u16).to_le_bytes(), header.as_bytes(), data].concat()
     }
 
@@ -128,16 +138,26 @@ mod tests {
     }
 
     #[test]
+    fn planes_have_two_dimensions_and_their_own_type() {
+        let picture = Picture { depth: Some(vec![1.5, 0.0]), instance: Some(vec![0, 259]), ..Picture::filled(2, 1, [0.0; 3]) };
+        let (depth, instance) = (picture.encode_depth().unwrap(), picture.encode_instance().unwrap());
+        assert!(depth[10..].starts_with(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }"));
+        assert_eq!(depth[128..], [1.5f32.to_le_bytes(), 0f32.to_le_bytes()].concat());
+        assert!(instance[10..].starts_with(b"{'descr': '<u2'") && instance[128..] == [0, 0, 3, 1]);
+        assert!(Picture::filled(2, 1, [0.0; 3]).encode_depth().is_none());
+    }
+
+    #[test]
     fn three_channels_and_another_order_of_keys_are_read() {
         let data: Vec<u8> = [0.1f32, 0.2, 0.3].iter().flat_map(|value| value.to_le_bytes()).collect();
-        let picture = decode(&with_header("{'shape':(1,1,3),\"fortran_order\": False, 'descr':\"<f4\"}\n", &data)).unwrap();
+        let picture = decode(&file("{'shape':(1,1,3),\"fortran_order\": False, 'descr':\"<f4\"}\n", &data)).unwrap();
         assert_eq!((picture.rgb[0], picture.alpha[0]), ([0.1, 0.2, 0.3], 1.0));
     }
 
     #[test]
     fn absurd_headers_are_refused_with_a_reason() {
         let header = |descr: &str, order: &str, shape: &str| {
-            with_header(&format!("{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}\n"), &[0; 16])
+            file(&format!("{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}\n"), &[0; 16])
         };
         assert!(decode(&header("'<f4'", "False", "(1, 1, 4)")).is_ok());
         for (bytes, word) in [
@@ -151,8 +171,8 @@ mod tests {
             (header("'<f4'", "True", "(1, 1, 4)"), "C order"),
             (header("'<f8'", "False", "(1, 1, 4)"), "float32"),
             (header("[('a', '<f4')]", "False", "(1, 1, 4)"), "float32"),
-            (with_header("{}", &[]), "descr"),
-            (with_header("\u{1f}\u{0}", &[]), "descr"),
+            (file("{}", &[]), "descr"),
+            (file("\u{1f}\u{0}", &[]), "descr"),
             (b"\x93NUMPY\x02\x00\xff\xff\xff\xff".to_vec(), "claims 4294967295"),
             (b"\x93NUMPY\x09\x00\xff\xff".to_vec(), "version"),
             (b"\x93NUMPY\x01".to_vec(), "ends inside"),

@@ -1,0 +1,128 @@
+//! Structures and constants that host and shaders both spell out: the same names at the same places, and the same numbers.
+
+use std::fs;
+use std::mem::{offset_of, size_of};
+use std::path::Path;
+
+use decouplegs::render::layout::{
+    AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, Composite, Item, LensRecord, MACRO_HEIGHT_PX, MACRO_WIDTH_PX, Needs,
+    RelightRecord, ShadowRecord, SortSegment, ViewLists, ViewOrder,
+};
+use decouplegs::scene::rules;
+
+use crate::device::Validated;
+
+/// A structure of the host.
+struct Record {
+    name: &'static str,
+    members: Vec<(String, u32)>,
+    bytes: u32,
+}
+
+macro_rules! record {
+    ($type:ident { $($member:ident),* }) => {
+        Record {
+            name: stringify!($type),
+            members: vec![$((stringify!($member).to_owned(), offset_of!($type, $member) as u32)),*],
+            bytes: size_of::<$type>() as u32,
+        }
+    };
+}
+
+fn records() -> Vec<Record> {
+    vec![
+        record!(CameraRecord {
+            row_x, row_y, row_z, row_z_low, centre_high_m, centre_low_m, focal_px, principal_px, slope_min, slope_max, size_px,
+            macro_tiles, key_offset, key_scale, first_bin, first_pixel
+        }),
+        record!(ChunkRecord { centre_m, half_extent_m, reach_m }),
+        record!(Needs { records, pairs, items, partials, composites, longest }),
+        record!(SortSegment { first, count, first_block }),
+        record!(ViewOrder { path, rank_set }),
+        record!(ViewLists { first_static, static_count, first_moving, moving_count, first_ordered, first_block }),
+        record!(AgentRecord {
+            row_x, row_y, row_z, box_min_m, box_step_m, dc_residual_step, log2_size_min, log2_size_step, first_chunk, first_bounds,
+            first_splat, splat_count, first_shape, first_colour, cameras, instance, colours_in_world, colours_relit, dc_residual_gain
+        }),
+        record!(Item { bin, first_pair, pairs, partial, segment }),
+        record!(Composite { bin, first_partial, partials }),
+        record!(LensRecord {
+            kind, tan_limit, chord_limit, slope_beyond, pixels_per_rad, chord_intervals, matrix, radial, tangential, thin_prism, table
+        }),
+        record!(ShadowRecord {
+            centre_high_m, centre_low_m, along, across, normal, strength, log2_decay, reach, slab_m, cameras
+        }),
+        record!(RelightRecord { gain, summand, first_colour, colours, first_relit, first_group }),
+    ]
+}
+
+/// What is wrong with a structure of a kernel, if anything: none of the host's has its members at its places and its size.
+fn fault(members: &[(String, u32)], stride: Option<u32>, records: &[Record]) -> Option<String> {
+    let names = |members: &[(String, u32)]| members.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+    let Some(record) = records.iter().find(|record| names(&record.members) == names(members)) else {
+        return Some(format!("no structure of the host has the members {:?}", names(members)));
+    };
+    let fits = record.members == members && stride.is_none_or(|stride| stride == record.bytes);
+    (!fits).then(|| format!("{} is {:?} of {} bytes, and {members:?} of {stride:?} there", record.name, record.members, record.bytes))
+}
+
+#[test]
+fn structures_are_the_same_on_host_and_device() {
+    let gpu = Validated::open();
+    let records = records();
+    let mut seen = 0;
+    for kernel in decouplegs_shaders::ALL {
+        let built = gpu.kernel(kernel.name, kernel.spirv, &[]).unwrap();
+        for binding in built.bindings() {
+            let members = built.member_offsets(&binding.name).unwrap();
+            // Numbers and vectors have no members.
+            if members.len() > 1 {
+                seen += 1;
+                let fault = fault(&members, built.element_stride(&binding.name), &records);
+                assert_eq!(fault, None, "{}.comp, {}", kernel.name, binding.name);
+            }
+        }
+    }
+    println!("{seen} bindings of structures in {} kernels", decouplegs_shaders::ALL.len());
+    assert!(seen >= 20, "{seen}");
+    // And it can fail: a member that moved, one that is called otherwise, another size.
+    let chunk = &records[1];
+    let mut moved = chunk.members.clone();
+    moved[1].1 += 4;
+    assert!(fault(&moved, Some(chunk.bytes), &records).unwrap().contains("ChunkRecord"));
+    moved[1].0 = "extent".into();
+    assert!(fault(&moved, Some(chunk.bytes), &records).unwrap().contains("no structure"));
+    assert!(fault(&chunk.members, Some(chunk.bytes + 4), &records).is_some());
+}
+
+/// The number that a shader's `const NAME = ...` stands for: a number, or a quotient of two.
+fn constant(text: &str, name: &str) -> Option<f64> {
+    let line = text.lines().find(|line| line.starts_with("const ") && line.split_whitespace().nth(2) == Some(name))?;
+    let value = line.split('=').nth(1)?.split(';').next()?.trim();
+    let number = |text: &str| text.trim().trim_end_matches('u').parse::<f64>().ok();
+    match value.split_once('/') {
+        Some((above, below)) => Some(number(above)? / number(below)?),
+        None => number(value),
+    }
+}
+
+#[test]
+fn constants_are_the_same_on_host_and_device() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders/include");
+    let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let texts: Vec<String> = paths.map(|path| fs::read_to_string(path).unwrap()).collect();
+    let of = |name: &str| -> Vec<f64> { texts.iter().filter_map(|text| constant(text, name)).collect() };
+    for (name, expected) in [
+        ("ALPHA_MIN", rules::ALPHA_MIN),
+        ("TRANSMITTANCE_MIN", rules::TRANSMITTANCE_MIN),
+        ("DILATION_PX2", rules::DILATION_PX2),
+        ("CHUNK_SPLATS", CHUNK_SPLATS as f64),
+    ] {
+        assert_eq!(of(name), [expected], "{name}");
+    }
+    let tile = |name: &str| of(name)[0];
+    assert_eq!(tile("RENDER_TILE_PX") * tile("MACRO_COLUMNS"), f64::from(MACRO_WIDTH_PX));
+    assert_eq!(tile("RENDER_TILE_PX") * tile("MACRO_ROWS"), f64::from(MACRO_HEIGHT_PX));
+    assert_eq!(constant("const float A = 1.0 / 4.0;", "A"), Some(0.25));
+    assert_eq!(constant("const float A = 1.0 / 4.0;", "B"), None);
+}
