@@ -10,7 +10,7 @@ use std::time::Instant;
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use decouplegs::LiveScene;
-use decouplegs::asset::write_atomically;
+use decouplegs::asset::{check_writable, write_atomically};
 use decouplegs::gpu::{DeviceInfo, Gpu, MemoryReport};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::picture::Picture;
@@ -129,6 +129,9 @@ struct Measured {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    for path in [&arguments.json, &arguments.trace, &arguments.trace_picture].into_iter().flatten() {
+        check_writable(path)?;
+    }
     let mut scene = Scene::open(&arguments.scene)?;
     let used = arguments.cameras_used.unwrap_or(scene.cameras.len());
     ensure!((1..=scene.cameras.len()).contains(&used), "--cameras-used {used}: the scene has {} cameras", scene.cameras.len());

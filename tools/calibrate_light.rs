@@ -11,7 +11,9 @@ use clap::ValueEnum;
 use decouplegs::asset::calibrate::{
     CalibrateOptions, Calibration, Comparison, Objective, Probe, Progress, Surroundings, calibrate, probe_paths,
 };
-use decouplegs::asset::{LightTransferFile, Provenance, read_bytes, read_splats, write_atomically, write_light_transfer};
+use decouplegs::asset::{
+    LightTransferFile, Provenance, check_writable, read_bytes, read_splats, write_atomically, write_light_transfer,
+};
 use decouplegs::scene::SplatCloud;
 
 use crate::arguments::{print, warn};
@@ -82,6 +84,7 @@ pub struct Subject {
 pub fn run(arguments: &Arguments) -> Result<()> {
     for out in [Some(&arguments.out), arguments.report.as_ref()].into_iter().flatten() {
         check_output(out)?;
+        check_writable(out)?;
     }
     let mut sources = BTreeMap::new();
     let subject = read(arguments, &mut sources)?;

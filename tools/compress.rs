@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::compress::{CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress};
-use decouplegs::asset::{CodedAsset, Provenance, read_bytes, read_splats, write_coded};
+use decouplegs::asset::{CodedAsset, Provenance, check_writable, read_bytes, read_splats, write_coded};
 use decouplegs::scene::codebook::{COLOURS_MAX, SHAPES_MAX};
 use decouplegs::scene::{ShFrame, SplatCloud};
 use indicatif::ProgressBar;
@@ -134,6 +134,7 @@ fn check_outputs(arguments: &Arguments) -> Result<()> {
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     ensure!(folder.is_dir(), "cannot write {}: there is no folder {}; make it first", out.display(), folder.display());
     ensure!(!out.is_dir(), "cannot write {}: it is a folder; --out is the file to write", out.display());
+    check_writable(out)?;
     if let Some(report) = &arguments.report {
         ensure!(report.is_dir() || !report.exists(), "--report {}: it is a file; expected a folder", report.display());
     }

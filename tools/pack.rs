@@ -47,12 +47,15 @@ pub struct Arguments {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Triple([f64; 3]);
 
+/// Vehicles and their rigs are smaller.
+const METERS_MAX: f64 = 1e6;
+
 impl FromStr for Triple {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         let numbers: Vec<f64> =
-            text.split(',').filter_map(|part| part.trim().parse().ok()).filter(|x: &f64| x.is_finite()).collect();
+            text.split(',').filter_map(|part| part.trim().parse().ok()).filter(|x: &f64| x.abs() <= METERS_MAX).collect();
         let all = <[f64; 3]>::try_from(numbers).ok().filter(|_| text.split(',').count() == 3);
         all.map(Self).ok_or_else(|| format!("expected three numbers of metres, like 4.5,1.8,1.5, found {text:?}"))
     }
@@ -128,7 +131,7 @@ mod tests {
     #[test]
     fn three_numbers_are_read_and_nonsense_is_refused() {
         assert_eq!("4.5, 1.8,-1".parse(), Ok(Triple([4.5, 1.8, -1.0])));
-        for nonsense in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf", "1,2,3,x"] {
+        for nonsense in ["", "1,2", "1e308,0,0", "1,2,3,4", "1,2,x", "1,2,inf", "1,2,3,x"] {
             assert!(nonsense.parse::<Triple>().unwrap_err().contains(&format!("{nonsense:?}")), "{nonsense}");
         }
     }

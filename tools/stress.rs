@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::{CameraOptions, read_cameras, write_atomically};
+use decouplegs::asset::{CameraOptions, check_writable, read_cameras, write_atomically};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::Picture;
 use serde_json::{Value, json};
@@ -167,6 +167,9 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
+    for path in [&arguments.json, &arguments.report].into_iter().flatten() {
+        check_writable(path)?;
+    }
     let mut counts = arguments.agents.clone();
     counts.sort_unstable();
     counts.dedup();

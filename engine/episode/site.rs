@@ -7,7 +7,7 @@ use decouplegs_asset::compress::{CompressError, CompressOptions, Prune, compress
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::roads::{self, RoadsOptions};
 use decouplegs_asset::street::{AssetLight, Capture, Street, StreetOptions};
-use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, open_movable_scene, open_scene, read_map};
+use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, measure_movable_scene, open_movable_scene, read_map};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
 use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
@@ -139,8 +139,15 @@ impl Site {
     }
 
     fn captured(scene: &Path, lanes: LaneMap, look: Option<&Look>) -> Result<Self, SiteError> {
-        // Cars of plain splats are compressed, if they are to be seen.
-        let mut loaded = if look.is_some() { open_movable_scene(scene)?.0 } else { open_scene(scene, 0.0)? };
+        let (mut loaded, dims_m) = match look {
+            Some(_) => {
+                let loaded = open_movable_scene(scene)?.0;
+                let dims_m = loaded.assets.iter().map(|asset| asset.dims_m).collect();
+                (loaded, dims_m)
+            }
+            // Cars of plain splats take time to compress: only where they are seen.
+            None => measure_movable_scene(scene)?,
+        };
         // Traffic takes the place of whoever drove when the scene was captured.
         loaded.agents.clear();
         loaded.agent_names.clear();
@@ -150,7 +157,7 @@ impl Site {
                 "{scene} has no agents, so there is no asset that traffic could show: add one"
             )));
         }
-        let sizes = loaded.assets.iter().map(|asset| size_of(asset.dims_m)).collect();
+        let sizes = dims_m.into_iter().map(size_of).collect();
         let options = GroundOptions { band_m: GROUND_BAND_M, ..GroundOptions::default() };
         let ground = Ground::new(&loaded.world.splats, loaded.world.origin, &options);
         Self::of(loaded, lanes, sizes, Some(ground))

@@ -71,8 +71,11 @@ fn cameras_of_colmap_and_of_nerf_synthetic_are_read() {
     assert_eq!(Picture::read(&out.join("first.png")).unwrap().width, 96);
     let synthetic = folder.path().join("transforms_train.json");
     let pose = "[[0,0,1,2],[1,0,0,0],[0,1,0,1],[0,0,0,1]]";
-    fs::write(&synthetic, format!("{{\"camera_angle_x\": 0.7, \"frames\": [{{\"file_path\": \"./train/r_0\", \"transform_matrix\": {pose}}}]}}"))
-        .unwrap();
+    fs::write(
+        &synthetic,
+        format!("{{\"camera_angle_x\": 0.7, \"frames\": [{{\"file_path\": \"./train/r_0\", \"transform_matrix\": {pose}}}]}}"),
+    )
+    .unwrap();
     let render = ["render", text(&world), "--cameras", text(&synthetic), "--out", text(&out)];
     assert!(fail(1, &render).contains("--size"));
     succeed(&[&render[..], &["--size", "40x40"]].concat());
@@ -87,8 +90,9 @@ fn a_street_that_was_made_can_be_driven_in() {
     let said = succeed(&[&["synth", "street", "--out", text(&street)][..], &sizes].concat());
     assert!(said.contains("scene.toml") && said.contains("decouplegs drive"), "{said}");
     let [scene, map] = ["scene.toml", "lanes.json"].map(|name| street.join(name));
+    let out = folder.path().join("run");
     let run = ["drive", "--level", "easy", "--episodes", "1", "--planner", "lane-follow", "--size", "48x27", "--render", "20"];
-    let place = ["--scene", text(&scene), "--map", text(&map), "--out", text(&folder.path().join("run"))];
+    let place = ["--scene", text(&scene), "--map", text(&map), "--out", text(&out)];
     assert!(succeed(&[&run[..], &place].concat()).contains("easy"));
 }
 

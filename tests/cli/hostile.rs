@@ -117,14 +117,13 @@ fn soon(seconds: u64, holds: impl Fn() -> bool) -> bool {
     false
 }
 
-/// A run whose planner hangs, and the number of the planner's process.
-fn hanging(folder: &Path) -> (Child, String) {
-    let (script, number) = (folder.join("hang.sh"), folder.join("number"));
-    fs::write(&script, format!("echo $$ > {0}.part; mv {0}.part {0}; sleep 1000 & wait\n", text(&number))).unwrap();
+/// A run whose planner `command` writes its process number to `number` in the folder and hangs, and that number.
+fn hanging(folder: &Path, command: &str) -> (Child, String) {
+    let number = folder.join("number");
     let run = ["drive", "--level", "easy", "--episodes", "1", "--render", "off", "--planner-timeout", "600"];
     let child = Command::new(env!("CARGO_BIN_EXE_decouplegs"))
         .args(run)
-        .args(["--planner", &format!("exec:sh {}", text(&script)), "--out", text(&folder.join("run"))])
+        .args(["--planner", &format!("exec:{command}"), "--out", text(&folder.join("run"))])
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
@@ -133,28 +132,45 @@ fn hanging(folder: &Path) -> (Child, String) {
     (child, number)
 }
 
+fn is_alive(process: &str) -> bool {
+    Path::new("/proc").join(process).exists()
+}
+
 #[test]
 fn a_planner_dies_with_the_run_however_that_ends() {
     for signal in ["KILL", "TERM", "INT", "HUP"] {
         let folder = tempfile::tempdir().unwrap();
-        let (mut run, planner) = hanging(folder.path());
-        let alive = || Path::new("/proc").join(&planner).exists();
-        assert!(alive());
+        let script = folder.path().join("hang.sh");
+        fs::write(&script, "echo $$ > $1.part; mv $1.part $1; sleep 1000 & wait\n").unwrap();
+        let number = folder.path().join("number");
+        let (mut run, planner) = hanging(folder.path(), &format!("sh {} {}", text(&script), text(&number)));
+        assert!(is_alive(&planner));
         assert!(Command::new("kill").args(["-s", signal, &run.id().to_string()]).status().unwrap().success());
         run.wait().unwrap();
-        assert!(soon(10, || !alive()), "the planner outlives SIG{signal}");
+        assert!(soon(10, || !is_alive(&planner)), "the planner outlives SIG{signal}");
     }
 }
 
 #[test]
 fn a_second_run_in_the_same_folder_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let (mut first, _) = hanging(folder.path());
+    // Its planner answers when it is asked for its name, and hangs when it is asked for a plan: the run has begun.
+    let script = folder.path().join("hang.py");
+    let (client, number) =
+        (concat!(env!("CARGO_MANIFEST_DIR"), "/planner_client"), text(&folder.path().join("number")).to_owned());
+    let planner = format!(
+        "import os, sys, time\nsys.path.insert(0, {client:?})\nimport decouplegs_planner\n\nclass Hangs(decouplegs_planner.Planner):\n    \
+         name = 'hangs'\n    def plan(self, observation):\n        open({number:?} + '.part', 'w').write(str(os.getpid()))\n        \
+         os.rename({number:?} + '.part', {number:?})\n        time.sleep(1000)\n\ndecouplegs_planner.run(Hangs)\n"
+    );
+    fs::write(&script, planner).unwrap();
+    let (mut first, planner) = hanging(folder.path(), &format!("python3 {}", text(&script)));
     let again = ["drive", "--level", "easy", "--episodes", "1", "--render", "off", "--planner", "constant-velocity"];
     let said = fail(1, &[&again[..], &["--out", text(&folder.path().join("run"))]].concat());
     assert!(said.contains("in use") && said.contains(&first.id().to_string()), "{said}");
     first.kill().unwrap();
     first.wait().unwrap();
+    assert!(soon(10, || !is_alive(&planner)));
 }
 
 #[test]

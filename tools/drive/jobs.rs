@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use decouplegs::asset::calibrate::probe_paths;
+use decouplegs::asset::maps::length_m;
 use decouplegs::asset::{read_scenario, write_scenario};
 use decouplegs::drive::generate::{Area, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
@@ -13,6 +14,7 @@ use serde_json::{Value, json};
 
 use super::Arguments;
 use super::folder::RunFolder;
+use crate::arguments::warn;
 use crate::progress;
 
 /// Where scenarios that are made up take place.
@@ -63,6 +65,9 @@ fn from_files(paths: &[PathBuf]) -> Result<Vec<Job>> {
 fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let options = arguments.place.options()?;
     let site = Site::open(&arguments.place.bare(), Path::new(""), None).context("no scenarios can be made up here")?;
+    if arguments.render.0 > 0 {
+        arguments.place.warn_of_fog(&site);
+    }
     let mut generator = Generator::new(&site.lanes, options, &site.asset_sizes)?;
     if let Some(area) = arguments.place.seen(&site) {
         generator = generator.within(area);
@@ -100,7 +105,25 @@ const SEEN_M: f64 = 150.0;
 /// The seed of the street's houses: the same for all runs, so that they differ by who drives.
 const STREET_SEED: u64 = 1;
 
+/// Splats per square meter of lanes below which roads look like fog.
+const SPLATS_PER_M2_MIN: f64 = 8.0;
+/// Width of a lane, meters, as far as this needs it.
+const LANE_M: f64 = 3.5;
+
 impl PlaceArguments {
+    /// Warns where a map's roads have too few splats.
+    fn warn_of_fog(&self, site: &Site) {
+        let area_m2 = LANE_M * site.lanes.lanes.iter().map(|lane| length_m(&lane.centreline)).sum::<f64>();
+        let needed = SPLATS_PER_M2_MIN * area_m2;
+        if self.map.is_some() && self.scene.is_none() && (self.background as f64) < needed {
+            warn(&format!(
+                "{} splats on {area_m2:.0} m² of lanes: pictures will look foggy. --background {:.0} is enough",
+                self.background,
+                (needed / 1e4).ceil() * 1e4
+            ));
+        }
+    }
+
     /// What generated scenarios name as their place. Files go by their whole path, as scenarios lie in the folder of the run.
     fn options(&self) -> Result<PlaceOptions> {
         let whole = |path: &Path| {

@@ -30,6 +30,25 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut File>
     write(path, fill).map_err(|source| AssetError::Write { path: path.to_owned(), source })
 }
 
+/// Checks that [`write_atomically`] could write `path` now: before work that takes long, not after it.
+///
+/// # Errors
+/// [`AssetError::Write`]: no such directory, no permission, a read-only file system.
+pub fn check_writable(path: &Path) -> Result<(), AssetError> {
+    let check = || {
+        let there = std::fs::metadata(path).ok();
+        if there.as_ref().is_some_and(Metadata::is_dir) {
+            return Err(io::Error::other("it is a folder; expected the name of a file"));
+        }
+        if there.is_some_and(|there| !there.is_file()) {
+            return OpenOptions::new().write(true).open(path).map(drop);
+        }
+        // Gone as soon as it is made.
+        temporary_name().tempfile_in(directory_of(&followed(path)?)).map(drop)
+    };
+    check().map_err(|source| AssetError::Write { path: path.to_owned(), source })
+}
+
 fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>) -> io::Result<()> {
     let there = std::fs::metadata(path).ok();
     if there.as_ref().is_some_and(|there| !there.is_file() && !there.is_dir()) {
@@ -176,6 +195,22 @@ mod tests {
         write_atomically(&fifo, |file| file.write_all(b"through")).unwrap();
         assert_eq!(reader.join().unwrap(), b"through");
         assert!(std::fs::metadata(&fifo).unwrap().file_type().is_fifo());
+    }
+
+    #[test]
+    fn a_place_that_cannot_be_written_is_told_beforehand() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.txt");
+        check_writable(&path).unwrap();
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "nothing is left behind");
+        for (wrong, part) in [(directory.path().to_owned(), "folder"), (path.join("b"), "a.txt/b"), ("/proc/a".into(), "/proc/a")]
+        {
+            let told = check_writable(&wrong).unwrap_err().to_string();
+            assert!(told.contains(part), "{told}");
+        }
+        std::fs::write(&path, "kept").unwrap();
+        check_writable(&path).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"kept");
     }
 
     #[test]

@@ -38,7 +38,7 @@ pub mod street;
 pub mod tracks;
 pub mod zip;
 
-pub use atomic::{TEMPORARY_PREFIX, write_atomically};
+pub use atomic::{TEMPORARY_PREFIX, check_writable, write_atomically};
 pub use cameras::{CameraOptions, read_cameras};
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
 pub use episode_log::{EpisodeLog, read_episode_log};
@@ -50,7 +50,8 @@ pub use packed_scene::open_packed_scene;
 pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{
-    EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, open_movable_scene, open_scene,
+    EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, measure_movable_scene,
+    open_movable_scene, open_scene,
 };
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
 pub use tracks::read_tracks;

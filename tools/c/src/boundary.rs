@@ -7,6 +7,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use decouplegs::explain::one_line;
+
 use crate::status::{DgsStatus, Failure};
 
 /// The version of functions and structs that this header describes.
@@ -53,6 +55,7 @@ fn said(panic: &(dyn Any + Send)) -> &str {
 
 fn remember(mut message: String) {
     message.retain(|character| character != '\0');
+    let message = one_line(&message);
     // A thread that is ending has no place for it any more, and nobody who would ask.
     let _ = LAST_ERROR.try_with(|last| last.replace(CString::new(message).unwrap_or_default()));
 }

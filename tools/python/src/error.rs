@@ -3,6 +3,7 @@
 use std::error::Error as StdError;
 
 use decouplegs::episode::{EpisodeError, SiteError};
+use decouplegs::explain::one_line;
 use decouplegs::gpu::GpuError;
 use decouplegs::render::RenderError;
 use decouplegs::session::SessionError;
@@ -37,7 +38,7 @@ pub fn sentence(error: &(dyn StdError + 'static)) -> String {
         }
         source = error.source();
     }
-    text
+    one_line(&text)
 }
 
 pub fn of_gpu(error: &GpuError) -> PyErr {

@@ -26,7 +26,7 @@ pub use editing::EditError;
 pub use layer::Layer;
 pub(crate) use load::SceneFiles;
 pub use load::{LoadedAgent, LoadedLight, LoadedScene, open_scene, places_along};
-pub use movable::open_movable_scene;
+pub use movable::{measure_movable_scene, open_movable_scene};
 pub use paths::path_from;
 
 /// The version that is written, and the only one there is.

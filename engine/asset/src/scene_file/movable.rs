@@ -1,6 +1,6 @@
 //! Scenes whose agents can all be moved from frame to frame.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use decouplegs_scene::CodedCloud;
@@ -22,16 +22,40 @@ const SPLATS_PER_ENTRY: usize = 16;
 /// # Errors
 /// [`AssetError`] of the file at fault.
 pub fn open_movable_scene(path: &Path) -> Result<(LoadedScene, usize), AssetError> {
-    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
-        return Ok((open_scene(path, 0.0)?, 0));
-    }
     let directory = path.parent().unwrap_or(Path::new(""));
+    let (mut loaded, plain) = without_plain_agents(path, directory)?;
+    let compressed = code_plain(&mut loaded, plain, directory)?;
+    Ok((loaded, compressed))
+}
+
+/// Opens a scene that is not drawn: without its agents of plain splat files, and with the length, width and height of the assets that
+/// [`open_movable_scene`] gives, in its order, meters. Nothing is compressed.
+///
+/// # Errors
+/// [`AssetError`] of the file at fault.
+pub fn measure_movable_scene(path: &Path) -> Result<(LoadedScene, Vec<[f32; 3]>), AssetError> {
+    let directory = path.parent().unwrap_or(Path::new(""));
+    let (loaded, plain) = without_plain_agents(path, directory)?;
+    let mut dims_m: Vec<_> = loaded.assets.iter().map(|asset| asset.dims_m).collect();
+    let mut measured = HashSet::new();
+    for path in plain.iter().map(|agent| directory.join(&agent.asset)) {
+        if measured.insert(path.clone()) {
+            let bounds = read_splats(&path)?.bounds();
+            dims_m.push(std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]));
+        }
+    }
+    Ok((loaded, dims_m))
+}
+
+/// The scene at `path` without its agents of plain splat files, and these. Only scene files have such agents.
+fn without_plain_agents(path: &Path, directory: &Path) -> Result<(LoadedScene, Vec<SceneAgent>), AssetError> {
+    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+        return Ok((open_scene(path, 0.0)?, Vec::new()));
+    }
     let mut file = SceneFile::read(path)?;
     let (coded, plain) = file.agents.drain(..).partition(|agent| coded_asset::has_extension(&agent.asset));
     file.agents = coded;
-    let mut loaded = file.load(directory, 0.0)?;
-    let compressed = code_plain(&mut loaded, plain, directory)?;
-    Ok((loaded, compressed))
+    Ok((file.load(directory, 0.0)?, plain))
 }
 
 /// Adds `agents`, whose assets are plain splat files, behind those of `loaded`. Returns the number of assets.
@@ -75,4 +99,35 @@ fn coded(path: &Path) -> Result<CodedCloud, AssetError> {
     let compressed = compress(&cloud, &vec![1.0; cloud.len()], &options, &|_| {});
     let unfit = |error| AssetError::Placement(format!("{}: {error}", path.display()));
     Ok(compressed.map_err(unfit)?.cloud)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inria_ply;
+    use crate::street::{Street, StreetOptions};
+
+    #[test]
+    fn a_scene_that_is_only_measured_has_the_assets_it_would_be_drawn_with() {
+        let folder = tempfile::tempdir().unwrap();
+        let street =
+            Street::generate(&StreetOptions { background: 50, agents: 2, agent_splats: 200, ..StreetOptions::default() });
+        inria_ply::write(&folder.path().join("ground.ply"), &street.background).unwrap();
+        let mut scene = "version = 1\nbackground = \"ground.ply\"\n".to_owned();
+        for (index, car) in [0, 1, 0].into_iter().enumerate() {
+            inria_ply::write(&folder.path().join(format!("car{car}.ply")), &street.assets[car]).unwrap();
+            scene += &format!(
+                "[[agent]]\nname = \"car {index}\"\nasset = \"car{car}.ply\"\n\
+                 [[agent.trajectory]]\ntime_s = 0.0\nposition_m = [{index}.0, 0.0, 1.0]\nrotation_wxyz = [1.0, 0.0, 0.0, 0.0]\n"
+            );
+        }
+        let path = folder.path().join("scene.toml");
+        std::fs::write(&path, scene).unwrap();
+        let (drawn, compressed) = open_movable_scene(&path).unwrap();
+        let (measured, dims_m) = measure_movable_scene(&path).unwrap();
+        assert_eq!((compressed, drawn.agents.len()), (2, 3));
+        assert_eq!(dims_m, drawn.assets.iter().map(|asset| asset.dims_m).collect::<Vec<_>>());
+        assert!(dims_m[0] != dims_m[1]);
+        assert_eq!(measured.world.splats.len(), drawn.world.splats.len());
+    }
 }

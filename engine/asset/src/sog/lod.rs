@@ -1,6 +1,7 @@
 //! PlayCanvas sets of levels of detail (`lod-meta.json`, written by splat-transform): a tree of boxes, each with the splats of every
 //! level as ranges of SOG folders. The finest level of every box is read.
 
+use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Component, Path};
 
@@ -53,15 +54,19 @@ pub(crate) fn read_set(folder: &Path) -> Result<SplatCloud, AssetError> {
     let mut files: HashMap<usize, SplatCloud> = HashMap::new();
     let (mut all, mut there) = (SplatCloud::default(), 0);
     for range in finest(&meta.tree) {
-        if !files.contains_key(&range.file) {
-            let name = meta.filenames.get(range.file).ok_or_else(|| decode_error(format!("there is no file {}", range.file)))?;
-            let file = read_part(folder, name).map_err(|told| told.unwrap_or_else(decode_error))?;
-            there += file.len();
-            files.insert(range.file, file);
-        }
-        let file = &files[&range.file];
+        let file = match files.entry(range.file) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(place) => {
+                let name =
+                    meta.filenames.get(range.file).ok_or_else(|| decode_error(format!("there is no file {}", range.file)))?;
+                let file = read_part(folder, name).map_err(|told| told.unwrap_or_else(decode_error))?;
+                there += file.len();
+                place.insert(file)
+            }
+        };
         let end = range.offset.checked_add(range.count).filter(|end| *end <= file.len());
-        let end = end.ok_or_else(|| decode_error(format!("file {} has {} splats, fewer than a box names", range.file, file.len())))?;
+        let end =
+            end.ok_or_else(|| decode_error(format!("file {} has {} splats, fewer than a box names", range.file, file.len())))?;
         let indices: Vec<u32> = (range.offset as u32..end as u32).collect();
         all.append(&file.select(&indices));
         if all.len() > there {

@@ -159,7 +159,7 @@ impl Interop for Cuda {
             // SAFETY: the descriptor is of memory of this device, of this size and dedicated to one buffer.
             unsafe { (functions.import_memory)(&raw mut memory, &raw const import) }
         });
-        taken_over(descriptor, imported)?;
+        taken_over(descriptor, memory, imported)?;
         let mut mapped = CudaMemory { context: self.0.clone(), handle: memory, address: 0 };
         let buffer = MappedBuffer { size: exported.buffer_bytes, ..MappedBuffer::default() };
         self.0.within("cuExternalMemoryGetMappedBuffer", |functions| {
@@ -182,7 +182,7 @@ impl Interop for Cuda {
             // SAFETY: the descriptor is of a timeline semaphore of this device.
             unsafe { (functions.import_semaphore)(&raw mut semaphore, &raw const import) }
         });
-        taken_over(descriptor, imported)?;
+        taken_over(descriptor, semaphore, imported)?;
         Ok(CudaTimeline { context: self.0.clone(), handle: semaphore })
     }
 
@@ -224,10 +224,11 @@ impl Interop for Cuda {
     }
 }
 
-/// The driver takes a descriptor over when it imports it, and not when it refuses.
-fn taken_over(descriptor: i32, imported: Result<(), InteropError>) -> Result<(), InteropError> {
+/// Closes a descriptor that the driver refused. It takes the descriptor over when it imports it, which `made` tells: a call may also fail
+/// after that, where the context cannot be put back.
+fn taken_over(descriptor: i32, made: Handle, imported: Result<(), InteropError>) -> Result<(), InteropError> {
     use std::os::fd::FromRawFd;
-    if imported.is_err() {
+    if imported.is_err() && made.is_null() {
         // SAFETY: the descriptor was ours, and nobody took it.
         drop(unsafe { OwnedFd::from_raw_fd(descriptor) });
     }

@@ -34,7 +34,7 @@ pub(super) fn join_smoothly(lanes: &mut [Lane]) {
         if let Some((place, back)) = before.filter(|_| is_narrow(lanes[at].left.first(), lanes[at].right.first())) {
             let lane = &mut lanes[at];
             let turn = |lane: &mut Lane| {
-                [&mut lane.centreline, &mut lane.left, &mut lane.right].into_iter().for_each(|line| line.reverse())
+                [&mut lane.centreline, &mut lane.left, &mut lane.right].into_iter().for_each(|line| line.reverse());
             };
             turn(lane);
             bend_end(lane, place, back.truncate());
