@@ -20,24 +20,27 @@ const BEND_SHARE_MAX: f64 = 0.8;
 /// Bends the centerlines of lanes that are narrow where they touch another.
 pub(super) fn join_smoothly(lanes: &mut [Lane]) {
     for at in 0..lanes.len() {
-        let next = lanes[at]
-            .successors
-            .first()
-            .and_then(|&next| lanes[next].centreline.get(..2).map(|line| (line[0], line[1] - line[0])));
-        if let Some((place, ahead)) = next.filter(|_| is_narrow(lanes[at].left.last(), lanes[at].right.last())) {
-            bend_end(&mut lanes[at], place, ahead.truncate());
-        }
+        // Heights that only one of the two lanes knows are none to go to.
+        let heights = |other: &Lane| if lanes[at].has_height && other.has_height { 1.0 } else { 0.0 };
+        let next = lanes[at].successors.first().and_then(|&next| {
+            let line = lanes[next].centreline.get(..2)?;
+            Some((line[0], line[1] - line[0], heights(&lanes[next])))
+        });
         let before = lanes[at].predecessors.first().and_then(|&before| {
             let line = &lanes[before].centreline;
-            line.len().checked_sub(2).map(|last| (line[last + 1], line[last] - line[last + 1]))
+            let last = line.len().checked_sub(2)?;
+            Some((line[last + 1], line[last] - line[last + 1], heights(&lanes[before])))
         });
-        if let Some((place, back)) = before.filter(|_| is_narrow(lanes[at].left.first(), lanes[at].right.first())) {
+        if let Some((place, ahead, height)) = next.filter(|_| is_narrow(lanes[at].left.last(), lanes[at].right.last())) {
+            bend_end(&mut lanes[at], place, ahead.truncate(), height);
+        }
+        if let Some((place, back, height)) = before.filter(|_| is_narrow(lanes[at].left.first(), lanes[at].right.first())) {
             let lane = &mut lanes[at];
             let turn = |lane: &mut Lane| {
                 [&mut lane.centreline, &mut lane.left, &mut lane.right].into_iter().for_each(|line| line.reverse());
             };
             turn(lane);
-            bend_end(lane, place, back.truncate());
+            bend_end(lane, place, back.truncate(), height);
             turn(lane);
         }
     }
@@ -47,13 +50,13 @@ fn is_narrow(left: Option<&DVec3>, right: Option<&DVec3>) -> bool {
     left.zip(right).is_some_and(|(left, right)| left.distance(*right) < NARROW_M)
 }
 
-/// Bends the end of a centerline to `place`, heading along `ahead`.
+/// Bends the end of a centerline to `place`, heading along `ahead`. `height` is 1 if its heights are bent too, otherwise 0.
 ///
 /// Points move by a cubic Hermite curve of their distance from the end: the whole gap and turn at the end, nothing where the bend begins.
-fn bend_end(lane: &mut Lane, place: DVec3, ahead: DVec2) {
+fn bend_end(lane: &mut Lane, place: DVec3, ahead: DVec2, height: f64) {
     let points = &lane.centreline;
     let [.., before, end] = points.as_slice() else { return };
-    let gap = place - *end;
+    let gap = (place - *end) * DVec3::new(1.0, 1.0, height);
     if !GAP_M.contains(&gap.truncate().length()) {
         return;
     }
@@ -137,6 +140,18 @@ mod tests {
         assert_smooth(&lanes, [0, 1]);
         assert_eq!(lanes[0].centreline[..10], merge()[0].centreline[..10], "what is not narrow stays");
         assert_eq!(lanes[1], merge()[1]);
+    }
+
+    #[test]
+    fn heights_that_one_lane_does_not_know_are_not_bent_to() {
+        for knows in [[false, true], [true, false], [true, true]] {
+            let mut lanes = merge();
+            [lanes[0].has_height, lanes[1].has_height] = knows;
+            lanes[1].centreline.iter_mut().for_each(|point| point.z = 2.0);
+            join_smoothly(&mut lanes);
+            assert_eq!(lanes[0].centreline.last().unwrap().z, if knows == [true, true] { 2.0 } else { 0.0 });
+            assert_eq!(lanes[0].centreline[0].z, 0.0);
+        }
     }
 
     #[test]
