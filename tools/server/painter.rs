@@ -372,6 +372,8 @@ impl Studio {
 
     fn answer(&self, answer: oneshot::Sender<Result<Pictures, Status>>, result: Result<Pictures, Status>) {
         self.metrics.queued(-1);
+        // Whoever has the answer may read the metrics at once.
+        self.metrics.cached(self.scenes.names(), self.scenes.bytes());
         // Whoever asked may have gone.
         let _ = answer.send(result);
     }
