@@ -54,8 +54,8 @@ mod tests {
     #[test]
     fn long_and_hostile_sentences_are_tamed() {
         let hostile = Told(format!("a\u{1b}[2Jb\nc.ply: {}; copy it again", "x".repeat(30_000)), None);
-        let told = explain(&hostile);
-        assert!(told.len() < 1200 && told.starts_with("error: a\u{fffd}[2Jb\u{fffd}c.ply"), "{told}");
-        assert!(told.ends_with("; copy it again\n"), "{told}");
+        let message = explain(&hostile);
+        assert!(message.len() < 1200 && message.starts_with("error: a\u{fffd}[2Jb\u{fffd}c.ply"), "{message}");
+        assert!(message.ends_with("; copy it again\n"), "{message}");
     }
 }

@@ -37,6 +37,12 @@ pub fn finite(text: &str) -> Result<f64, String> {
     parsed.ok_or_else(|| format!("expected a number, found {text:?}"))
 }
 
+/// Three numbers of at most `most` with commas between them. None for any other text.
+pub fn three_numbers(text: &str, most: f64) -> Option<[f64; 3]> {
+    let number = |part: &str| part.trim().parse().ok().filter(|number: &f64| number.abs() <= most);
+    text.split(',').map(number).collect::<Option<Vec<f64>>>()?.try_into().ok()
+}
+
 /// A number of pixels, 0 or more.
 pub fn pixels(text: &str) -> Result<f64, String> {
     finite(text).ok().filter(|pixels| *pixels >= 0.0).ok_or_else(|| format!("expected pixels, 0 or more, found {text:?}"))

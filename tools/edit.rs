@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::scene_file::path_from;
-use decouplegs::asset::{SceneAgent, SceneFile};
+use decouplegs::asset::{SceneAgent, SceneFile, is_scene_file};
 use decouplegs::scene::{Pose, Trajectory};
 
 use crate::arguments::print;
@@ -48,8 +48,7 @@ pub struct Arguments {
 
 fn scene_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    let is_toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
-    if is_toml { Ok(path) } else { Err(format!("expected a name that ends with .toml, found {text:?}")) }
+    if is_scene_file(&path) { Ok(path) } else { Err(format!("expected a name that ends with .toml, found {text:?}")) }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {

@@ -6,7 +6,7 @@ mod summary;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use decouplegs::asset::{CodedAsset, CodedSummary, SceneFile, SplatSummary, coded_asset, open_scene, read_coded};
+use decouplegs::asset::{CodedAsset, CodedSummary, SceneFile, SplatSummary, coded_asset, is_scene_file, open_scene, read_coded};
 use serde_json::Value;
 
 use crate::arguments::print;
@@ -39,7 +39,7 @@ fn describe(path: &Path) -> Result<(String, Value)> {
     }
     let loaded = open_scene(path, 0.0)?;
     loaded.check_baked()?;
-    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+    if !is_scene_file(path) {
         // Of a package the agents as well.
         let summary = if loaded.agents.is_empty() {
             SplatSummary::of(&loaded.world.splats)

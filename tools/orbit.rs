@@ -7,6 +7,8 @@ use std::str::FromStr;
 use decouplegs::scene::{Camera, Intrinsics, Pose, SplatCloud};
 use glam::{DQuat, DVec3};
 
+use crate::arguments::three_numbers;
+
 /// Views where nothing is said.
 const VIEWS: u32 = 8;
 /// Size of the pictures where nothing is said, pixels.
@@ -19,6 +21,8 @@ const ELEVATION_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 const CORE: f64 = 0.9;
 /// Splats with a smaller opacity do not count.
 const OPACITY_MIN: f32 = 0.1;
+/// Largest coordinate of a place that cameras look at.
+const PLACE_MAX: f64 = 1e9;
 /// The core fills this share of the picture's shorter side.
 const FILLED: f64 = 0.8;
 
@@ -48,11 +52,8 @@ impl FromStr for Place {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
-        let parsed = <[f64; 3]>::try_from(numbers).ok().filter(|place| place.iter().all(|number| number.abs() <= 1e9));
-        parsed
-            .map(|place| Self(DVec3::from_array(place)))
-            .ok_or_else(|| format!("expected three numbers like 1.5,0,-2, found {text:?}"))
+        let parsed = three_numbers(text, PLACE_MAX).map(|place| Self(DVec3::from_array(place)));
+        parsed.ok_or_else(|| format!("expected three numbers like 1.5,0,-2, found {text:?}"))
     }
 }
 
@@ -197,7 +198,7 @@ mod tests {
             let eye = camera.world_from_camera.translation;
             assert!((eye.distance(DVec3::new(1.0, 2.0, -3.0)) - 9.0).abs() < 1e-9 && eye.x < 1.0, "{eye}");
         }
-        for wrong in ["1,2", "a,b,c", "1,2,1e12"] {
+        for wrong in ["1,2", "a,b,c", "1,2,1e12", "1,x,2,3"] {
             assert!(wrong.parse::<Place>().is_err());
         }
         assert!("w".parse::<Axis>().is_err() && positive("0").is_err() && positive("inf").is_err());

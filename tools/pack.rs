@@ -12,7 +12,7 @@ use decouplegs::asset::{SceneFile, read_bytes, read_map};
 use decouplegs::scene::VehicleSize;
 use glam::DVec3;
 
-use crate::arguments::print;
+use crate::arguments::{print, three_numbers};
 
 /// Pack a scene into one USDZ that AlpaSim's runtime and CARLA's NuRec scripts read
 ///
@@ -54,10 +54,8 @@ impl FromStr for Triple {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Vec<f64> =
-            text.split(',').filter_map(|part| part.trim().parse().ok()).filter(|x: &f64| x.abs() <= METERS_MAX).collect();
-        let all = <[f64; 3]>::try_from(numbers).ok().filter(|_| text.split(',').count() == 3);
-        all.map(Self).ok_or_else(|| format!("expected three numbers of metres, like 4.5,1.8,1.5, found {text:?}"))
+        let parsed = three_numbers(text, METERS_MAX).map(Self);
+        parsed.ok_or_else(|| format!("expected three numbers of metres, like 4.5,1.8,1.5, found {text:?}"))
     }
 }
 

@@ -3,14 +3,13 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use decouplegs_asset::compress::{CompressError, CompressOptions, Prune, compress};
+use decouplegs_asset::compress::{CompressError, compress_quickly};
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::roads::{self, RoadsOptions};
 use decouplegs_asset::street::{AssetLight, Capture, Street, StreetOptions};
 use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, measure_movable_scene, open_movable_scene, read_map};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
-use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
@@ -57,10 +56,6 @@ pub struct Site {
     ground: Option<Ground>,
 }
 
-/// Mini-batches for the codebooks of cars that are made up: a place has to be ready in seconds.
-const CAR_ITERATIONS: usize = 16;
-/// Splats of a car that is made up for each entry of its codebooks, where the books could hold more.
-const SPLATS_AN_ENTRY: usize = 16;
 /// The ground is looked for within this of the lane's height, metres: less than there is between two decks.
 const GROUND_BAND_M: f64 = 1.0;
 
@@ -243,16 +238,7 @@ fn size_of(dims_m: [f32; 3]) -> VehicleSize {
 
 /// A car with every splat it has, in the renderer's form.
 fn coded(cloud: &SplatCloud, size: &VehicleSize) -> Result<CodedCloud, SiteError> {
-    // A book with an entry for every few splats takes as long to make as it takes to look at it.
-    let entries = |max: usize| (cloud.len() / SPLATS_AN_ENTRY).clamp(64, max);
-    let options = CompressOptions {
-        prune: Prune::KeepRatio(1.0),
-        colours: entries(COLOURS_MAX),
-        shapes: entries(SHAPES_MAX),
-        iterations_max: CAR_ITERATIONS,
-        ..CompressOptions::default()
-    };
-    let mut coded = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| {})?.cloud;
+    let mut coded = compress_quickly(cloud)?;
     coded.dims_m = size.to_array().map(|side_m| side_m as f32);
     Ok(coded)
 }

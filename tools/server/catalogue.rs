@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::{AssetError, SceneFile, open_scene};
+use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene};
 use decouplegs::scene::{Pose, Rig, RigCamera, TimedPose, Trajectory};
 use glam::DVec3;
 
@@ -108,11 +108,6 @@ impl Catalogue {
             ego: Trajectory::new(poses).unwrap_or_else(|_| ego.clone()),
         }
     }
-}
-
-/// Whether `path` is a scene file, and not a scene of another kind.
-pub fn is_scene_file(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
 }
 
 /// The folder's name for `scene.toml`, and otherwise the file's without its ending.

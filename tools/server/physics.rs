@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use decouplegs::asset::scene_file::editing::heading_rad;
-use decouplegs::asset::{AssetError, SceneFile, open_scene, read_splats};
+use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene, read_splats};
 use decouplegs::drive::register::grounding::{RoadPlane, corners, plane, pose_on};
 use decouplegs::drive::{Ground, GroundOptions};
 use decouplegs::scene::{Pose, SplatCloud};
@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3};
 use tonic::{Request, Response, Status};
 
 use crate::cache::Cache;
-use crate::catalogue::{Catalogue, is_scene_file};
+use crate::catalogue::Catalogue;
 use crate::names::{check_name, no_scene};
 use crate::options::Limits;
 use crate::poses::{message_of, pose_of};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::compress::{CompressOptions, Progress, Prune, compress};
 use decouplegs::asset::street::{Street, StreetOptions};
-use decouplegs::asset::{LoadedAgent, LoadedScene, SceneFile, coded_asset, read_coded, read_splats};
+use decouplegs::asset::{LoadedAgent, LoadedScene, SceneFile, coded_asset, is_scene_file, read_coded, read_splats};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::{CodedCloud, ShFrame, SplatCloud, TimedPose, Trajectory, World};
 use serde_json::{Value, json};
@@ -53,8 +53,7 @@ pub struct StreetWish {
 impl Subject {
     /// The scene file at `path`, whose agents may be plain splats or compressed.
     pub fn open(path: &Path) -> Result<Self> {
-        let is_scene = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
-        ensure!(is_scene, "{}: expected a scene file (.toml), which has agents", path.display());
+        ensure!(is_scene_file(path), "{}: expected a scene file (.toml), which has agents", path.display());
         let mut file = SceneFile::read(path)?;
         let directory = path.parent().unwrap_or(Path::new("")).to_owned();
         let listed = std::mem::take(&mut file.agents);

@@ -205,8 +205,8 @@ mod tests {
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "nothing is left behind");
         for (wrong, part) in [(directory.path().to_owned(), "folder"), (path.join("b"), "a.txt/b"), ("/proc/a".into(), "/proc/a")]
         {
-            let told = check_writable(&wrong).unwrap_err().to_string();
-            assert!(told.contains(part), "{told}");
+            let message = check_writable(&wrong).unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
         }
         std::fs::write(&path, "kept").unwrap();
         check_writable(&path).unwrap();

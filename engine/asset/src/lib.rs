@@ -50,8 +50,8 @@ pub use packed_scene::open_packed_scene;
 pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{
-    EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, measure_movable_scene,
-    open_movable_scene, open_scene,
+    EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, is_scene_file,
+    measure_movable_scene, open_movable_scene, open_scene,
 };
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
 pub use tracks::read_tracks;

@@ -82,8 +82,8 @@ mod tests {
     fn a_request_beyond_the_free_memory_is_a_sentence() {
         assert_eq!(require_of("a cloud", 900, Some(1000)), Ok(()));
         assert_eq!(require_of("a cloud", u64::MAX, None), Ok(()));
-        let told = require_of("a cloud", 2 << 30, Some(1 << 30)).unwrap_err();
-        assert!(told.starts_with("a cloud needs about 2048 MiB of memory, and 1024 MiB are free"), "{told}");
+        let message = require_of("a cloud", 2 << 30, Some(1 << 30)).unwrap_err();
+        assert!(message.starts_with("a cloud needs about 2048 MiB of memory, and 1024 MiB are free"), "{message}");
     }
 
     #[test]

@@ -45,7 +45,7 @@ impl Choices<'_> {
         }
     }
 
-    /// Whether something is so; rarely.
+    /// A choice that is rarely true.
     pub fn rarely(&mut self) -> bool {
         self.byte() > 224
     }

@@ -42,8 +42,9 @@ pub(super) fn read_folder(folder: &Path) -> Result<Vec<Camera>, AssetError> {
     let found = FOLDERS.iter().flat_map(|inner| ["bin", "txt"].map(|form| (folder.join(inner), form)));
     let model = found.into_iter().find(|(folder, form)| folder.join(format!("cameras.{form}")).is_file());
     let Some((folder, form)) = model else {
-        let told = "it has neither cameras.bin nor cameras.txt, nor has its sparse/0; expected a COLMAP model or a camera file";
-        return Err(AssetError::Cameras { path: folder.to_owned(), source: DecodeError::Malformed(told.into()) });
+        let message =
+            "it has neither cameras.bin nor cameras.txt, nor has its sparse/0; expected a COLMAP model or a camera file";
+        return Err(AssetError::Cameras { path: folder.to_owned(), source: DecodeError::Malformed(message.into()) });
     };
     let file = |name: &str| -> Result<(PathBuf, Vec<u8>), AssetError> {
         let path = folder.join(format!("{name}.{form}"));
@@ -298,8 +299,8 @@ mod tests {
     #[test]
     fn a_dataset_is_found_by_its_folder() {
         let folder = tempfile::tempdir().unwrap();
-        let told = read_folder(folder.path()).unwrap_err().to_string();
-        assert!(told.contains("cameras.bin") && told.contains("sparse/0"), "{told}");
+        let message = read_folder(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("cameras.bin") && message.contains("sparse/0"), "{message}");
         let model = folder.path().join("sparse/0");
         std::fs::create_dir_all(&model).unwrap();
         std::fs::write(model.join("cameras.txt"), CAMERAS).unwrap();
@@ -330,15 +331,15 @@ mod tests {
             ("640 480 500", "640 -1 500", "whole numbers"),
             ("640 480 500", "99999999999 480 500", "pixels a side"),
         ] {
-            let told = lenses_of_text(CAMERAS.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
-            assert!(told.contains(part) && told.contains("line 2"), "{to}: {told}");
+            let message = lenses_of_text(CAMERAS.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
+            assert!(message.contains(part) && message.contains("line 2"), "{to}: {message}");
         }
         let lenses = lenses_of_text(CAMERAS.as_bytes()).unwrap();
         for (from, to, part) in
             [("4 0 0 7 b", "4 0 0 9 b", "no camera 9"), ("2 0 0 1 0", "2 0 0 0 0", "rigid"), ("7 b dir/b.png", "", "IMAGE_ID")]
         {
-            let told = images_of_text(IMAGES.replacen(from, to, 1).as_bytes(), &lenses).unwrap_err().to_string();
-            assert!(told.contains(part), "{to}: {told}");
+            let message = images_of_text(IMAGES.replacen(from, to, 1).as_bytes(), &lenses).unwrap_err().to_string();
+            assert!(message.contains(part), "{to}: {message}");
         }
     }
 }

@@ -15,7 +15,7 @@ use super::{OURS, SCENE};
 /// Name of the format in messages.
 const NAME: &str = "USDZ package of decouplegs";
 
-/// Whether `path` is named like a package.
+/// True if `path` is named like a package.
 pub(crate) fn is_package(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"))
 }

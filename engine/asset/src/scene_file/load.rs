@@ -8,7 +8,7 @@ use decouplegs_scene::light::{AmbientField, AmbientOptions, Lighting, LitAgent, 
 use decouplegs_scene::{CodedCloud, ContactShadow, LightTransfer, Pose, Rig, ShFrame, SplatCloud, Trajectory, World};
 use glam::DVec3;
 
-use super::{SceneAgent, SceneFile};
+use super::{SceneAgent, SceneFile, is_scene_file};
 use crate::memory::{self, SPLATS_MAX, cloud_bytes};
 use crate::packed_scene::{is_package, open_packed_scene};
 use crate::read::splats_of;
@@ -274,7 +274,7 @@ impl AgentLoader<'_> {
 /// # Errors
 /// [`AssetError`] of the file at fault.
 pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
-    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+    if is_scene_file(path) {
         let directory = path.parent().unwrap_or(Path::new(""));
         return SceneFile::read(path)?.load(directory, time_s);
     }

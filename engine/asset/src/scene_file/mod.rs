@@ -32,6 +32,12 @@ pub use paths::path_from;
 /// The version that is written, and the only one there is.
 pub const VERSION: u32 = 1;
 
+/// True if `path` is named like a scene file, and not like a package or a splat file.
+#[must_use]
+pub fn is_scene_file(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
+}
+
 /// A scene as its file describes it, checked: names are unique, poses rigid, times rise, intrinsics make pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneFile {

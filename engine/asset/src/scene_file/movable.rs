@@ -3,21 +3,13 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use decouplegs_scene::CodedCloud;
-use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
-
 use super::load::{LoadedAgent, LoadedScene, open_scene};
-use super::{SceneAgent, SceneFile};
-use crate::compress::{CompressOptions, Prune, compress};
+use super::{SceneAgent, SceneFile, is_scene_file};
+use crate::compress::{compress_quickly, quick_dims_m};
 use crate::{AssetError, coded_asset, read_splats};
 
-/// Mini-batches for the codebooks of assets that are compressed while a person waits.
-const ITERATIONS_MAX: usize = 16;
-/// Splats for each entry of their codebooks, where the books could hold more.
-const SPLATS_PER_ENTRY: usize = 16;
-
 /// Opens a scene so that all its agents can be moved, and counts the assets that were compressed for it. [`open_scene`] leaves agents
-/// of plain splat files where they stand; here their assets are compressed first, with all their splats.
+/// of plain splat files where they stand; here their assets are compressed first, with all splats that can be seen.
 ///
 /// # Errors
 /// [`AssetError`] of the file at fault.
@@ -40,8 +32,8 @@ pub fn measure_movable_scene(path: &Path) -> Result<(LoadedScene, Vec<[f32; 3]>)
     let mut measured = HashSet::new();
     for path in plain.iter().map(|agent| directory.join(&agent.asset)) {
         if measured.insert(path.clone()) {
-            let bounds = read_splats(&path)?.bounds();
-            dims_m.push(std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]));
+            let no_splat = || AssetError::Placement(format!("{}: no splat can be seen", path.display()));
+            dims_m.push(quick_dims_m(&read_splats(&path)?).ok_or_else(no_splat)?);
         }
     }
     Ok((loaded, dims_m))
@@ -49,7 +41,7 @@ pub fn measure_movable_scene(path: &Path) -> Result<(LoadedScene, Vec<[f32; 3]>)
 
 /// The scene at `path` without its agents of plain splat files, and these. Only scene files have such agents.
 fn without_plain_agents(path: &Path, directory: &Path) -> Result<(LoadedScene, Vec<SceneAgent>), AssetError> {
-    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+    if !is_scene_file(path) {
         return Ok((open_scene(path, 0.0)?, Vec::new()));
     }
     let mut file = SceneFile::read(path)?;
@@ -66,7 +58,8 @@ fn code_plain(loaded: &mut LoadedScene, agents: Vec<SceneAgent>, directory: &Pat
         let asset = match places.get(&path) {
             Some(&asset) => asset,
             None => {
-                loaded.assets.push(coded(&path)?);
+                let unfit = |error| AssetError::Placement(format!("{}: {error}", path.display()));
+                loaded.assets.push(compress_quickly(&read_splats(&path)?).map_err(unfit)?);
                 places.insert(path, loaded.assets.len() - 1);
                 loaded.assets.len() - 1
             }
@@ -85,22 +78,6 @@ fn code_plain(loaded: &mut LoadedScene, agents: Vec<SceneAgent>, directory: &Pat
     Ok(places.len())
 }
 
-/// The asset at `path` with all of its splats, compressed.
-fn coded(path: &Path) -> Result<CodedCloud, AssetError> {
-    let cloud = read_splats(path)?;
-    let entries = |max: usize| (cloud.len() / SPLATS_PER_ENTRY).clamp(64, max);
-    let options = CompressOptions {
-        prune: Prune::KeepRatio(1.0),
-        colours: entries(COLOURS_MAX),
-        shapes: entries(SHAPES_MAX),
-        iterations_max: ITERATIONS_MAX,
-        ..CompressOptions::default()
-    };
-    let compressed = compress(&cloud, &vec![1.0; cloud.len()], &options, &|_| {});
-    let unfit = |error| AssetError::Placement(format!("{}: {error}", path.display()));
-    Ok(compressed.map_err(unfit)?.cloud)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -115,7 +92,11 @@ mod tests {
         inria_ply::write(&folder.path().join("ground.ply"), &street.background).unwrap();
         let mut scene = "version = 1\nbackground = \"ground.ply\"\n".to_owned();
         for (index, car) in [0, 1, 0].into_iter().enumerate() {
-            inria_ply::write(&folder.path().join(format!("car{car}.ply")), &street.assets[car]).unwrap();
+            // A splat that no picture shows adds nothing to the size.
+            let mut splats = street.assets[car].clone();
+            splats.opacities[0] = 1e-4;
+            splats.means[0] = [50.0; 3];
+            inria_ply::write(&folder.path().join(format!("car{car}.ply")), &splats).unwrap();
             scene += &format!(
                 "[[agent]]\nname = \"car {index}\"\nasset = \"car{car}.ply\"\n\
                  [[agent.trajectory]]\ntime_s = 0.0\nposition_m = [{index}.0, 0.0, 1.0]\nrotation_wxyz = [1.0, 0.0, 0.0, 0.0]\n"
@@ -127,7 +108,7 @@ mod tests {
         let (measured, dims_m) = measure_movable_scene(&path).unwrap();
         assert_eq!((compressed, drawn.agents.len()), (2, 3));
         assert_eq!(dims_m, drawn.assets.iter().map(|asset| asset.dims_m).collect::<Vec<_>>());
-        assert!(dims_m[0] != dims_m[1]);
+        assert!(dims_m[0] != dims_m[1] && dims_m.as_flattened().iter().all(|&side_m| side_m < 20.0));
         assert_eq!(measured.world.splats.len(), drawn.world.splats.len());
     }
 }

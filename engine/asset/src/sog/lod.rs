@@ -45,10 +45,10 @@ struct Range {
 /// [`AssetError::Read`] or [`AssetError::Decode`].
 pub(crate) fn read_set(folder: &Path) -> Result<SplatCloud, AssetError> {
     let path = folder.join(LOD_META);
-    let decode_error = |told: String| AssetError::Decode {
+    let decode_error = |message: String| AssetError::Decode {
         path: path.clone(),
         format: "PlayCanvas set of levels of detail",
-        source: DecodeError::Malformed(told),
+        source: DecodeError::Malformed(message),
     };
     let meta: Meta = serde_json::from_slice(&read_bytes(&path)?).map_err(|error| decode_error(error.to_string()))?;
     let mut files: HashMap<usize, SplatCloud> = HashMap::new();
@@ -59,7 +59,7 @@ pub(crate) fn read_set(folder: &Path) -> Result<SplatCloud, AssetError> {
             Entry::Vacant(place) => {
                 let name =
                     meta.filenames.get(range.file).ok_or_else(|| decode_error(format!("there is no file {}", range.file)))?;
-                let file = read_part(folder, name).map_err(|told| told.unwrap_or_else(decode_error))?;
+                let file = read_part(folder, name, &decode_error)?;
                 there += file.len();
                 place.insert(file)
             }
@@ -74,19 +74,19 @@ pub(crate) fn read_set(folder: &Path) -> Result<SplatCloud, AssetError> {
         }
     }
     if let Some(name) = &meta.environment {
-        all.append(&read_part(folder, name).map_err(|told| told.unwrap_or_else(decode_error))?);
+        all.append(&read_part(folder, name, &decode_error)?);
     }
     Ok(all)
 }
 
-/// The SOG folder whose `meta.json` is called `name` in `folder`. The error is a sentence where the name is at fault.
-fn read_part(folder: &Path, name: &str) -> Result<SplatCloud, Result<AssetError, String>> {
+/// The SOG folder whose `meta.json` is called `name` in `folder`.
+fn read_part(folder: &Path, name: &str, decode_error: &dyn Fn(String) -> AssetError) -> Result<SplatCloud, AssetError> {
     let is_inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     if !is_inside {
-        return Err(Err(format!("the file '{name:.60}' is not in its folder")));
+        return Err(decode_error(format!("the file '{name:.60}' is not in its folder")));
     }
     let part = folder.join(name);
-    read_folder(part.parent().unwrap_or(folder)).map_err(Ok)
+    read_folder(part.parent().unwrap_or(folder))
 }
 
 /// The finest level of each box that has any.
@@ -163,8 +163,8 @@ mod tests {
             ("\"offset\":20,\"count\":10", "\"offset\":0,\"count\":30", "more than once"),
         ] {
             std::fs::write(folder.path().join(LOD_META), good.replacen(from, to, 1)).unwrap();
-            let told = read_set(folder.path()).unwrap_err().to_string();
-            assert!(told.contains(part), "{to}: {told}");
+            let message = read_set(folder.path()).unwrap_err().to_string();
+            assert!(message.contains(part), "{to}: {message}");
         }
     }
 }

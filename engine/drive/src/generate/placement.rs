@@ -136,8 +136,7 @@ impl<'a> Placement<'a> {
         fits
     }
 
-    /// Whether a vehicle there would be beside the ego on a lane that goes on in the same one as the ego's: neither could let the other go
-    /// first any more.
+    /// True if a vehicle at `spot` starts beside the ego, on another lane that leads to the same next lane: too near to yield.
     fn merges_beside_ego(&self, spot: Spot, outline: &OrientedBox) -> bool {
         let ego = &self.vehicles[0];
         let onward = |lane: usize| self.roads.graph.lane(lane).map_or(&[][..], |lane| lane.successors.as_slice());

@@ -140,8 +140,11 @@ impl Register<'_> {
         aligned.feet.iter().zip(prepared.times_s()).filter_map(of).collect()
     }
 
-    /// Whether lanes show that `own`, the motion of the track alone, is drift and neither a habit of its driver nor a guess between lanes.
-    /// `stay` is the track as it is without it.
+    /// Test of `own`, the motion of one track: drift, or a habit of its driver or a guess between lanes. `stay` is the track without
+    /// that motion.
+    ///
+    /// # Errors
+    /// The reason to leave the track where it was logged.
     pub fn is_drift(&self, prepared: &Prepared, own: &Aligned, stay: &Aligned) -> Result<(), KeptBecause> {
         let habit_m = Self::habit_m(prepared, stay).unwrap_or(0.0);
         let stay_cost = 0.5 * (habit_m / self.options.keeping_m).powi(2) + self.lane_cost(prepared, stay, habit_m);
@@ -163,7 +166,7 @@ impl Register<'_> {
         PlanarTransform { pivot_m, yaw_rad: wrapped(motion.yaw_rad - from.yaw_rad), shift_m }
     }
 
-    /// Whether the track fits other lanes nearly as well as those of `own`.
+    /// True if the track fits other lanes nearly as well as those of `own`.
     fn has_rival(&self, prepared: &Prepared, own: &Aligned, own_cost: f64, base: &PlanarTransform) -> bool {
         let way = prepared.waypoints.last().zip(prepared.waypoints.first());
         let across = way.map_or(DVec2::Y, |(last, first)| (last.position - first.position).perp().normalize_or(DVec2::Y));
@@ -184,8 +187,8 @@ impl Register<'_> {
         })
     }
 
-    /// Whether `shared` moves the log by more than the habits of its drivers explain: an F test over the means of the tracks, with a
-    /// little of a prior spread so that few tracks need more of it.
+    /// True if `shared` moves the log by more than the habits of its drivers explain: an F test over the tracks' mean distances from
+    /// their lanes. A prior for their spread makes the test stricter for few tracks.
     pub fn is_log_drift(&self, guides: &[&Prepared], shared: &PlanarFit) -> bool {
         let none = none_about(shared.motion.pivot_m);
         let habits = |guide: &&Prepared| {

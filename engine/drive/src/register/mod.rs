@@ -145,7 +145,7 @@ pub enum Outcome {
 pub struct Registered {
     /// Registered from logged.
     pub fit: PlanarFit,
-    /// How the track was treated.
+    /// Treatment of the track.
     pub treatment: Treatment,
     /// Places in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
@@ -175,13 +175,13 @@ pub enum Treatment {
 }
 
 impl Treatment {
-    /// Whether it travels too little to follow lanes.
+    /// True if the track travels too little to follow lanes.
     #[must_use]
     pub fn is_parked(self) -> bool {
         matches!(self, Self::LogParked | Self::KeptParked)
     }
 
-    /// Whether it was left where it was logged.
+    /// True if the track was left where it was logged.
     #[must_use]
     pub fn is_kept(self) -> bool {
         matches!(self, Self::Kept | Self::KeptLaneUnsure | Self::KeptParked)
