@@ -308,6 +308,8 @@ mod tests {
         std::fs::write(model.join("images.txt"), IMAGES).unwrap();
         assert_eq!(read_folder(folder.path()).unwrap().len(), 2);
         assert_eq!(read_folder(&model).unwrap().len(), 2);
+        let options = super::super::CameraOptions { dataparser: Some(folder.path()), ..Default::default() };
+        assert!(super::super::read_cameras(&model, &options).unwrap_err().to_string().contains("this is a folder"));
     }
 
     #[test]

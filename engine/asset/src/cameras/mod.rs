@@ -37,6 +37,11 @@ pub struct CameraOptions<'a> {
 pub fn read_cameras(path: &Path, options: &CameraOptions<'_>) -> Result<Vec<Camera>, AssetError> {
     let cameras_error = |source| AssetError::Cameras { path: path.to_owned(), source };
     if path.is_dir() {
+        if options.dataparser.is_some() {
+            let reason =
+                "a dataparser_transforms.json belongs to the transforms.json that it was made from, and this is a folder";
+            return Err(cameras_error(DecodeError::Malformed(reason.into())));
+        }
         return checked(colmap::read_folder(path)?).map_err(cameras_error);
     }
     let bytes = read_bytes(path)?;
