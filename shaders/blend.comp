@@ -8,6 +8,11 @@
 //
 // A segment leaves out render tiles that the segments before it have covered, as far as these are done when it starts:
 // composite stops at the same transmittance, so that the picture does not depend on who was done first.
+//
+// By an exclusive stop, where a pixel ends depends on all that lies before it. The first segment of a list knows that and
+// stops. The others are blended to their end; composite finds the one segment in which a pixel ends, and leaves there what the
+// pixel was before it. A second run, with FINISH, blends that segment again from there. The weights of splats (CONTRIBUTIONS)
+// depend on what lies before them as well, and are counted in the same way.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -26,15 +31,16 @@ layout(constant_id = 5) const bool TEAM_HOLDS_SUBGROUPS = false; // subgroups ha
 layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
 layout(constant_id = 7) const bool ORDER_ERROR = false; // measure by how much lists are out of order, and draw nothing
+layout(constant_id = 8) const bool FINISH = false; // blend again what composite has left to be finished
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { Item items[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint records[]; };
 layout(set = 0, binding = 8, std430) readonly buffer footprints_block { vec4 footprints[]; };
 layout(set = 0, binding = 9, std430) readonly buffer colours_block { vec4 colours[]; };
-layout(set = 0, binding = 10, std430) writeonly buffer partial_colours_block { vec4 partial_colours[]; };
-layout(set = 0, binding = 11, std430) writeonly buffer partial_depths_block { float partial_depths[]; };
-layout(set = 0, binding = 12, std430) writeonly buffer partial_instances_block { uvec2 partial_instances[]; };
+layout(set = 0, binding = 10, std430) buffer partial_colours_block { vec4 partial_colours[]; };
+layout(set = 0, binding = 11, std430) buffer partial_depths_block { float partial_depths[]; };
+layout(set = 0, binding = 12, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
 
 // Of each partial result, by render tile: bits of the largest transmittance it left, or 0 while that is not known.
 layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint partial_transmittances[]; };
@@ -45,12 +51,25 @@ layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contribu
 // Bits of the largest order error of a pixel, and how many pixels have one above 1/255, over one item of measured_stride.
 layout(set = 0, binding = 15, scalar) buffer order_error_block { uint order_error[2]; };
 
+// Of each partial result, the render tiles with pixels that are to be finished, as bits. Only with EXCLUSIVE_STOP or CONTRIBUTIONS.
+layout(set = 0, binding = 16, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
+
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint measured_stride; uint measured_first; };
 
 const uint BATCH = BLEND_THREADS;
 const uint BATCH_WORDS = BATCH / 32u;
 // A product of largest transmittances up to here means that composite stops before, its own rounding included.
-const float COVERED = 0.999 * TRANSMITTANCE_FULL;
+float covered() {
+    return EXCLUSIVE_STOP ? 0.999 * TRANSMITTANCE_MIN : 0.999 * TRANSMITTANCE_FULL;
+}
+
+// A segment that lets no more than this through holds the end of its pixel, or lies behind it.
+float nothing_left() {
+    return EXCLUSIVE_STOP ? covered() : TRANSMITTANCE_FULL;
+}
+
+bool stops;  // EXCLUSIVE_STOP, where all that lies before is known
+bool counts; // CONTRIBUTIONS, likewise
 
 // The exponent of a record at (x, y), relative to the macro tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
 // - (y * fades.x + slants.w)^2, log2_opacity being fades.y.
@@ -175,13 +194,13 @@ void note_order(inout OrderState order, float weight, float alpha, vec4 colour) 
 void blend_pixel(inout Pixel pixel, inout bool full, inout OrderState order, float log2_alpha, vec4 colour, uint entry) {
     float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
     if (EXCLUSIVE_STOP) {
-        full = full || pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN;
+        full = full || (stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN);
         alpha = full ? 0.0 : alpha;
     }
     float weight = pixel.transmittance * alpha;
     pixel.colour += weight * colour.rgb;
     pixel.transmittance -= weight;
-    if (CONTRIBUTIONS && weight > 0.0) {
+    if (CONTRIBUTIONS && counts && weight > 0.0) {
         atomicAdd(contributions[batch_instances[entry]], uint(weight * contribution_scale + 0.5));
     }
     if (ORDER_ERROR) {
@@ -215,10 +234,15 @@ uint uncovered_tiles(Item item, uint thread) {
         for (uint other = 1u; other < TEAMS; ++other) {
             transmittance *= team_transmittances[other][tile];
         }
-        atomicOr(open_tiles, transmittance > COVERED ? 1u << tile : 0u);
+        atomicOr(open_tiles, transmittance > covered() ? 1u << tile : 0u);
     }
     barrier();
     return open_tiles;
+}
+
+// What a pixel lets through to what lies behind the segment.
+float left_through(Pixel pixel, bool full) {
+    return EXCLUSIVE_STOP && full ? 0.0 : pixel.transmittance;
 }
 
 // Blends what the batch holds for the team's render tile `step`; says whether a pixel of the thread is still open.
@@ -240,14 +264,12 @@ bool blend_tile(inout TilePixels pixels, uint thread, uint step) {
             blend_pixel(pixels.right, pixels.right_full, pixels.right_order, log2_alpha.y, colour, entry);
         }
     }
-    if (EXCLUSIVE_STOP) {
-        return !(pixels.left_full && pixels.right_full);
-    }
-    return max(pixels.left.transmittance, pixels.right.transmittance) > TRANSMITTANCE_FULL;
+    return max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full)) > nothing_left();
 }
 
-void write_partial(uint place, Pixel pixel) {
-    partial_colours[place] = vec4(pixel.colour, pixel.transmittance);
+void write_partial(uint place, Pixel pixel, bool full) {
+    // Negative: the pixel ends here.
+    partial_colours[place] = vec4(pixel.colour, EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance);
     if (DEPTH) {
         partial_depths[place] = pixel.weighted_depth;
     }
@@ -265,22 +287,62 @@ void write_order_error(float error) {
     }
 }
 
+// What lies before the pixel's segment, or a full pixel if there is nothing to finish in it.
+Pixel unfinished_pixel(uint place, out bool full) {
+    vec4 colour = partial_colours[place];
+    full = !(colour.a < 0.0);
+    Pixel pixel = Pixel(colour.rgb, full ? 0.0 : -colour.a, 0.0, 0.0, 0u);
+    if (DEPTH) {
+        pixel.weighted_depth = partial_depths[place];
+    }
+    if (INSTANCE) {
+        uvec2 best = partial_instances[place];
+        pixel.best_weight = uintBitsToFloat(best.x);
+        pixel.best_instance = best.y;
+    }
+    return pixel;
+}
+
+uint partial_place(Item item, uint thread, uint step) {
+    return item.partial * MACRO_PIXELS + 2u * step * BATCH + thread;
+}
+
+// The thread's pixels of render tile `step` before the segment is blended.
+TilePixels first_pixels(Item item, uvec2 at, uvec2 size_px, uint thread, uint step) {
+    TilePixels pixels = empty_pixels(at, size_px);
+    if (FINISH) {
+        uint place = partial_place(item, thread, step);
+        pixels.left = unfinished_pixel(place, pixels.left_full);
+        pixels.right = unfinished_pixel(place + BATCH, pixels.right_full);
+    }
+    return pixels;
+}
+
 void write_result(Item item, Camera camera, uvec2 origin, uint thread, uint step, TilePixels pixels) {
     if (ORDER_ERROR) {
         write_order_error(pixels.left_order.error);
         write_order_error(pixels.right_order.error);
         return;
     }
-    if (item.partial == NO_PARTIAL) {
-        uvec2 at = origin + left_offset(thread, step);
+    uvec2 at = origin + left_offset(thread, step);
+    if (FINISH) {
+        // Composite has written the pixel as it is without an end in this segment, and pixels that were full before keep that.
+        if (pixels.left_full && pixels.left.transmittance > 0.0) {
+            write_pixel(camera, at, pixels.left, sky);
+        }
+        if (pixels.right_full && pixels.right.transmittance > 0.0) {
+            write_pixel(camera, at + uvec2(4u, 0u), pixels.right, sky);
+        }
+    } else if (item.partial == NO_PARTIAL) {
         write_pixel(camera, at, pixels.left, sky);
         write_pixel(camera, at + uvec2(4u, 0u), pixels.right, sky);
     } else {
-        uint place = item.partial * MACRO_PIXELS + 2u * step * BATCH + thread;
-        write_partial(place, pixels.left);
-        write_partial(place + BATCH, pixels.right);
+        uint place = partial_place(item, thread, step);
+        write_partial(place, pixels.left, pixels.left_full);
+        write_partial(place + BATCH, pixels.right, pixels.right_full);
         // Positive floats order as their bits.
-        uint largest = floatBitsToUint(max(pixels.left.transmittance, pixels.right.transmittance));
+        float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
+        uint largest = floatBitsToUint(through);
         atomicMax(tile_largest[thread / TEAM + TEAMS * step], largest);
     }
 }
@@ -297,17 +359,30 @@ void main() {
     if (thread < 32u) {
         tile_largest[thread] = 1u; // 0 would mean that it is not known
     }
-    if (item.segment > 0u && !ORDER_ERROR) {
+    if (EXCLUSIVE_STOP || CONTRIBUTIONS) {
+        bool starts = FINISH || item.segment == 0u;
+        stops = EXCLUSIVE_STOP && (starts || ORDER_ERROR);
+        counts = CONTRIBUTIONS && starts;
+    }
+    if (FINISH) {
+        uint unfinished = item.partial == NO_PARTIAL ? 0u : partial_unfinished[item.partial];
+        if (unfinished == 0u) {
+            return;
+        }
+        if (thread == 0u) {
+            open_tiles = unfinished;
+        }
+    } else if (item.segment > 0u && !ORDER_ERROR) {
         if (uncovered_tiles(item, thread) == 0u) {
             return; // composite stops before it gets here
         }
     } else if (thread == 0u) {
         open_tiles = 0xffffffffu;
     }
-    TilePixels pixels0 = empty_pixels(origin + left_offset(thread, 0u), camera.size_px);
-    TilePixels pixels1 = empty_pixels(origin + left_offset(thread, 1u), camera.size_px);
-    TilePixels pixels2 = empty_pixels(origin + left_offset(thread, 2u), camera.size_px);
-    TilePixels pixels3 = empty_pixels(origin + left_offset(thread, 3u), camera.size_px);
+    TilePixels pixels0 = first_pixels(item, origin + left_offset(thread, 0u), camera.size_px, thread, 0u);
+    TilePixels pixels1 = first_pixels(item, origin + left_offset(thread, 1u), camera.size_px, thread, 1u);
+    TilePixels pixels2 = first_pixels(item, origin + left_offset(thread, 2u), camera.size_px, thread, 2u);
+    TilePixels pixels3 = first_pixels(item, origin + left_offset(thread, 3u), camera.size_px, thread, 3u);
     uint tile = thread / TEAM;
     for (uint done = 0u; done < item.pairs; done += BATCH) {
         barrier(); // the batch before is read to its end, and open_tiles is written
@@ -343,7 +418,7 @@ void main() {
     write_result(item, camera, origin, thread, 1u, pixels1);
     write_result(item, camera, origin, thread, 2u, pixels2);
     write_result(item, camera, origin, thread, 3u, pixels3);
-    if (item.partial != NO_PARTIAL && !ORDER_ERROR) {
+    if (item.partial != NO_PARTIAL && !ORDER_ERROR && !FINISH) {
         // Tells later segments of the tile how much this one lets through.
         barrier();
         if (thread < 32u) {

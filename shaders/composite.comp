@@ -1,5 +1,7 @@
 #version 460
 // Joins the segments of macro tiles that were cut, front to back, and writes their pixels.
+//
+// By an exclusive stop, the pixel is left to be finished in the segment in which it ends: see blend.comp.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -10,11 +12,16 @@ const uint WORKGROUP_THREADS = 256u;
 const uint COMPOSITE_GROUPS = MACRO_PIXELS / WORKGROUP_THREADS; // workgroups that share a macro tile
 layout(local_size_x = 256) in;
 
+layout(constant_id = 3) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
+layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is left to be finished, so that its weights can be counted
+
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
-layout(set = 0, binding = 7, std430) readonly buffer partial_colours_block { vec4 partial_colours[]; };
-layout(set = 0, binding = 8, std430) readonly buffer partial_depths_block { float partial_depths[]; };
-layout(set = 0, binding = 9, std430) readonly buffer partial_instances_block { uvec2 partial_instances[]; };
+layout(set = 0, binding = 7, std430) buffer partial_colours_block { vec4 partial_colours[]; };
+layout(set = 0, binding = 8, std430) buffer partial_depths_block { float partial_depths[]; };
+layout(set = 0, binding = 9, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
+
+layout(set = 0, binding = 10, scalar) buffer partial_unfinished_block { uint partial_unfinished[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; };
 
@@ -35,6 +42,19 @@ Pixel load_partial(uint place) {
     return pixel;
 }
 
+// Leaves `before`, what lies before segment `slot`, in the place of what the segment adds, to be blended again from there.
+void leave_unfinished(uint slot, uint place, uint tile, Pixel before) {
+    uint target = slot * MACRO_PIXELS + place;
+    partial_colours[target] = vec4(before.colour, -before.transmittance);
+    if (DEPTH) {
+        partial_depths[target] = before.weighted_depth;
+    }
+    if (INSTANCE) {
+        partial_instances[target] = uvec2(floatBitsToUint(before.best_weight), before.best_instance);
+    }
+    atomicOr(partial_unfinished[slot], 1u << tile);
+}
+
 void main() {
     uint composite_index = group_index() / COMPOSITE_GROUPS;
     if (composite_index >= needs.composites) {
@@ -46,19 +66,34 @@ void main() {
     uint index = place / BLEND_THREADS;
     Composite composite = composites[composite_index];
     Camera camera = cameras[camera_of_bin(composite.bin, camera_count)];
+    uvec2 at = macro_tile_origin(composite.bin, camera) + pixel_offset(thread, index);
+    if (any(greaterThanEqual(at, camera.size_px))) {
+        return;
+    }
     Pixel pixel = PIXEL_EMPTY;
+    bool open = true;
     uint first_place = composite.first_partial * MACRO_PIXELS + place;
     // Segments behind a full pixel may never have been blended. They may be read, not used.
-    for (uint base = 0u; base < composite.partials && pixel.transmittance > TRANSMITTANCE_FULL; base += AHEAD) {
+    for (uint base = 0u; base < composite.partials && open; base += AHEAD) {
         Pixel ahead[AHEAD];
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
             ahead[next] = load_partial(first_place + min(base + next, composite.partials - 1u) * MACRO_PIXELS);
         }
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
-            if (base + next < composite.partials && pixel.transmittance > TRANSMITTANCE_FULL) {
-                pixel = over(pixel, ahead[next]);
+            uint segment = base + next;
+            if (segment < composite.partials && open) {
+                Pixel before = pixel;
+                // The first segment stops by itself, and says so by the sign.
+                open = !(EXCLUSIVE_STOP && ahead[next].transmittance < 0.0);
+                ahead[next].transmittance = EXCLUSIVE_STOP ? abs(ahead[next].transmittance) : ahead[next].transmittance;
+                pixel = over(before, ahead[next]);
+                bool ends = EXCLUSIVE_STOP && segment > 0u && pixel.transmittance <= TRANSMITTANCE_MIN;
+                if (ends || (CONTRIBUTIONS && segment > 0u)) {
+                    leave_unfinished(composite.first_partial + segment, place, render_tile(thread, index), before);
+                }
+                open = EXCLUSIVE_STOP ? open && !ends : pixel.transmittance > TRANSMITTANCE_FULL;
             }
         }
     }
-    write_pixel(camera, macro_tile_origin(composite.bin, camera) + pixel_offset(thread, index), pixel, sky);
+    write_pixel(camera, at, pixel, sky);
 }

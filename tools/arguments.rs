@@ -55,6 +55,8 @@ pub enum RulesName {
     Default,
     /// gsplat 1.5: alpha at most 0.999, stops before the splat that would fill the pixel
     Gsplat15,
+    /// gsplat 1.6: alpha at most 0.99, the same stop
+    Gsplat16,
     /// The INRIA rasteriser: alpha at most 0.99, the same stop, near plane at 0.2 m
     Inria,
 }
@@ -64,6 +66,7 @@ impl RulesName {
         match self {
             Self::Default => Rules::DEFAULT,
             Self::Gsplat15 => Rules::GSPLAT15,
+            Self::Gsplat16 => Rules::GSPLAT16,
             Self::Inria => Rules::INRIA,
         }
     }

@@ -17,9 +17,14 @@ const uint TEAMS = BLEND_THREADS / TEAM;
 const uint TILES_A_TEAM = MACRO_COLUMNS * MACRO_ROWS / TEAMS;
 const uint PIXELS = 2u * TILES_A_TEAM; // of a thread
 
-// Position in the macro tile of pixel `index` (0 to PIXELS - 1) of a thread: two a render tile, four columns apart.
+// The render tile, row-major in its macro tile, of pixel `index` (0 to PIXELS - 1) of a thread.
+uint render_tile(uint thread, uint index) {
+    return thread / TEAM + TEAMS * (index / 2u);
+}
+
+// Position in the macro tile of pixel `index` of a thread: two a render tile, four columns apart.
 uvec2 pixel_offset(uint thread, uint index) {
-    uint tile = thread / TEAM + TEAMS * (index / 2u);
+    uint tile = render_tile(thread, index);
     uint lane = thread % TEAM;
     return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(lane % 4u + 4u * (index % 2u), lane / 4u);
 }

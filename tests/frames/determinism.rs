@@ -24,8 +24,14 @@ fn ties(count: usize) -> Vec<Splat> {
 #[test]
 fn a_hundred_runs_of_one_frame_give_one_picture() {
     let gpu = Validated::open();
-    let options = RenderOptions { rules: Rules::DEFAULT, outputs: all_outputs(), segment_pairs: 256, ..RenderOptions::default() };
-    let mut renderer = Renderer::new(&gpu, options);
+    for rules in [Rules::DEFAULT, Rules::GSPLAT16] {
+        runs_give_one_picture(&gpu, rules);
+    }
+}
+
+fn runs_give_one_picture(gpu: &Validated, rules: Rules) {
+    let options = RenderOptions { rules, outputs: all_outputs(), segment_pairs: 256, ..RenderOptions::default() };
+    let mut renderer = Renderer::new(gpu, options);
     let world = renderer.upload(&world_of(&ties(3000))).unwrap();
     let cameras = [camera_at(DVec3::ZERO, 96, 64), camera_at(DVec3::new(0.3, 0.0, -0.5), 70, 40)];
     renderer.render(&world, &cameras).unwrap();

@@ -96,17 +96,30 @@ fn contributions_add_up_to_what_pixels_cover() {
         .collect();
     let world = world_of(&splats);
     let cameras = [camera_at(DVec3::ZERO, 97, 61), camera_at(DVec3::new(0.5, 0.0, -1.0), 97, 61)];
-    let mut renderer = Renderer::new(&gpu, RenderOptions::default());
-    let resident = renderer.upload(&world).unwrap();
-    let weights = renderer.contribution_weights(&resident, &cameras).unwrap();
-    renderer.render(&resident, &cameras).unwrap();
-    let covered: f64 = renderer.read_pictures().unwrap().iter().flat_map(|p| p.alpha.clone()).map(f64::from).sum();
-    let sum: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
-    println!("{sum} of {covered} pixels");
-    assert!((sum / covered - 1.0).abs() < 1e-3, "weights sum to {sum}, pixels are covered by {covered}");
-    assert_eq!(weights[300], 0.0, "what is behind the cameras adds nothing");
-    // The first is in front of all others: its weight is its own alpha.
-    let alone = renderer.upload(&world_of(&splats[..1])).unwrap();
-    let own = renderer.contribution_weights(&alone, &cameras).unwrap()[0];
-    assert!((weights[0] - own).abs() < 1e-3 * own, "{} against {own}", weights[0]);
+    let mut whole = Vec::new();
+    let rule_sets = [Rules::DEFAULT, Rules::GSPLAT15];
+    for (rules, segment_pairs) in rule_sets.into_iter().flat_map(|rules| [1024, 64, 100].map(|pairs| (rules, pairs))) {
+        let mut renderer = Renderer::new(&gpu, RenderOptions { rules, segment_pairs, ..RenderOptions::default() });
+        let resident = renderer.upload(&world).unwrap();
+        let weights = renderer.contribution_weights(&resident, &cameras).unwrap();
+        let needs = renderer.render(&resident, &cameras).unwrap().needs;
+        assert_eq!(needs.partials > 0, segment_pairs < 1024);
+        let covered: f64 = renderer.read_pictures().unwrap().iter().flat_map(|p| p.alpha.clone()).map(f64::from).sum();
+        let sum: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
+        println!("{rules:?}, segments of {segment_pairs}: {sum} of {covered} pixels");
+        assert!((sum / covered - 1.0).abs() < 1e-3, "weights sum to {sum}, pixels are covered by {covered}");
+        assert_eq!(weights[300], 0.0, "what is behind the cameras adds nothing");
+        // The first is in front of all others: its weight is its own alpha.
+        let alone = renderer.upload(&world_of(&splats[..1])).unwrap();
+        let own = renderer.contribution_weights(&alone, &cameras).unwrap()[0];
+        assert!((weights[0] - own).abs() < 1e-3 * own, "{} against {own}", weights[0]);
+        // Where lists are cut, each splat's weight is that of the whole list.
+        if segment_pairs == 1024 {
+            whole = weights;
+            continue;
+        }
+        let apart = |(cut, whole): (&f32, &f32)| f64::from((cut - whole).abs() / (whole + 1.0));
+        let worst = weights.iter().zip(&whole).map(apart).fold(0.0, f64::max);
+        assert!(worst < 1e-3, "{rules:?}, segments of {segment_pairs}: {worst}");
+    }
 }

@@ -1,9 +1,10 @@
 //! `blend.comp`: segments of lists become pixels.
 
+mod finish;
 mod rounding;
 
 use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
-use decouplegs::render::stages::{Arguments, Blend, Measured, Partials, Plan, ProjectVariant, Projected};
+use decouplegs::render::stages::{Arguments, Blend, BlendPass, Measured, Partials, Plan, ProjectVariant, Projected};
 use decouplegs::render::twins::output::{Pictures, Pixel, macro_tile_origin, pixel_offset, write_pixel};
 use decouplegs::render::twins::{self, output::BLEND_THREADS};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
@@ -65,24 +66,31 @@ impl Case {
         self.items.iter().filter(|item| item.partial != NO_PARTIAL).count()
     }
 
-    fn twin(&self) -> Blended {
+    /// Pixels of each item; those of cut lists begun at `before`, by slot, if that is given.
+    fn twin(&self, before: Option<&Blended>) -> Blended {
         let Self { scene, projected, records, items, rules } = self;
         let exclusive = rules.stop == EarlyStop::Exclusive;
         let blend = |item: &Item| {
             let cameras = &scene.view.cameras;
-            twins::blend(cameras, item, records, &projected.footprints, &projected.colours, rules.alpha_max as f32, exclusive)
+            let before = before.map(|before| before.get(item.partial as usize).map_or(&[][..], Vec::as_slice));
+            if before.is_some_and(<[Pixel]>::is_empty) {
+                return Vec::new(); // lists that are not cut are not finished
+            }
+            let alpha_max = rules.alpha_max as f32;
+            twins::blend(cameras, item, records, &projected.footprints, &projected.colours, alpha_max, exclusive, before)
         };
         items.iter().map(blend).collect()
     }
 
-    fn bounds(&self, item: &Item) -> Vec<PixelBounds> {
+    fn bounds(&self, item: &Item, before: Option<&[Pixel]>) -> Vec<PixelBounds> {
         let camera = &self.scene.view.cameras[twins::output::camera_of_bin(&self.scene.view.cameras, item.bin)];
         let origin = macro_tile_origin(item.bin, camera);
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
         (0..MACRO_PIXELS)
             .map(|place| {
                 let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
-                PixelBounds::of(&self.projected, list, [origin[0] + x, origin[1] + y], &self.rules)
+                let before = before.map(|before| &before[place]);
+                PixelBounds::of(&self.projected, list, [origin[0] + x, origin[1] + y], &self.rules, before)
             })
             .collect()
     }
@@ -97,8 +105,8 @@ impl Case {
         (at[0] < camera.size_px[0] && at[1] < camera.size_px[1]).then_some((camera, at))
     }
 
-    /// The kernel's pictures and partial results.
-    fn kernel(&self, gpu: &Validated) -> (Pictures, Blended) {
+    /// The kernel's pictures and partial results; where there is `before`, the pictures of the pass that finishes it.
+    fn kernel(&self, gpu: &Validated, before: Option<&Blended>) -> (Pictures, Blended) {
         let Self { scene, projected, records, items, rules } = self;
         let (count, slots) = (projected.keys.len(), self.slots());
         let needs = Needs { items: items.len() as u32, ..Needs::default() };
@@ -108,11 +116,15 @@ impl Case {
         let on_device = Projected::new(gpu, count).unwrap();
         gpu.write(&on_device.footprints, 0, &projected.footprints).unwrap();
         gpu.write(&on_device.colours, 0, &projected.colours).unwrap();
-        let partials = Partials::new(gpu, slots, &OUTPUTS).unwrap();
+        let partials = Partials::new(gpu, slots, rules, &OUTPUTS).unwrap();
         let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
         gpu.write(&outputs.instance_ids, 0, &vec![UNTOUCHED; scene.view.pixels]).unwrap();
         let records = upload(gpu, records);
-        let blend = Blend::new(gpu, rules, &OUTPUTS, false).unwrap();
+        let pass = if before.is_some() { BlendPass::Finish } else { BlendPass::Segments };
+        if let Some(before) = before {
+            write_partials(gpu, &partials, before);
+        }
+        let blend = Blend::new(gpu, rules, &OUTPUTS, pass).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
             blend.record(
@@ -142,7 +154,7 @@ impl Case {
         let mut report = Report::default();
         for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial != NO_PARTIAL) {
             for (place, ((bounds, kernel), twin)) in
-                self.bounds(item).iter().zip(&kernel[item.partial as usize]).zip(twin).enumerate()
+                self.bounds(item, None).iter().zip(&kernel[item.partial as usize]).zip(twin).enumerate()
             {
                 // Beside the picture nobody reads them.
                 if self.place_in_pictures(item, place).is_none() {
@@ -167,29 +179,51 @@ impl Case {
     fn check_pictures(&self, kernel: &Pictures, twin: &Blended) -> Result<(), String> {
         let mut report = Report::default();
         for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial == NO_PARTIAL) {
-            for (place, (bounds, pixel)) in self.bounds(item).iter().zip(twin).enumerate() {
-                let Some((camera, at)) = self.place_in_pictures(item, place) else { continue };
-                let written = written_alone(pixel);
-                let target = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
-                let what = format!("column and row {at:?} of {item:?}");
-                report.add(bounds, |bounds| {
-                    let [r, g, b, a] = written.pictures_f32[0];
-                    let (depth, k) = (written.depths_m[0], kernel.pictures_f32[target]);
-                    let c = bounds.colour + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
-                    let t = bounds.transmittance + super::ROUNDOFF;
-                    let d = bounds.depth_m(depth, a);
-                    let share = within(
-                        &what,
-                        &[k[0], k[1], k[2], k[3], kernel.depths_m[target]],
-                        &[r, g, b, a, depth],
-                        &[c, c, c, t, d],
-                    )?;
-                    bounds.check_instance(&what, kernel.instance_ids[target], written.instance_ids[0])?;
-                    Ok(share)
-                })?;
-            }
+            self.check_written(&mut report, (item, twin), None, kernel)?;
         }
         report.finish("pictures")
+    }
+
+    /// Pixels that end in segments whose pixels were `before`; no others are written.
+    fn check_finished(&self, before: &Blended, kernel: &Pictures, twin: &Blended) -> Result<(), String> {
+        let mut report = Report::default();
+        for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial != NO_PARTIAL) {
+            self.check_written(&mut report, (item, twin), Some(&before[item.partial as usize]), kernel)?;
+        }
+        report.finish("finished pixels")
+    }
+
+    fn check_written(
+        &self,
+        report: &mut Report,
+        (item, twin): (&Item, &[Pixel]),
+        before: Option<&[Pixel]>,
+        kernel: &Pictures,
+    ) -> Result<(), String> {
+        for (place, (bounds, pixel)) in self.bounds(item, before).iter().zip(twin).enumerate() {
+            let Some((camera, at)) = self.place_in_pictures(item, place) else { continue };
+            let target = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
+            let what = format!("column and row {at:?} of {item:?}");
+            // Of a segment that is finished, the pixels that end in it.
+            let is_written = before.is_none() || pixel.transmittance < 0.0;
+            report.add(bounds, |bounds| {
+                if !is_written {
+                    let untouched = kernel.instance_ids[target] == UNTOUCHED;
+                    return if untouched { Ok(0.0) } else { Err(format!("{what}: written, though it does not end here")) };
+                }
+                let written = written_alone(&Pixel { transmittance: pixel.transmittance.abs(), ..*pixel });
+                let [r, g, b, a] = written.pictures_f32[0];
+                let (depth, k) = (written.depths_m[0], kernel.pictures_f32[target]);
+                let c = bounds.colour + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
+                let t = bounds.transmittance + super::ROUNDOFF;
+                let d = bounds.depth_m(depth, a);
+                let share =
+                    within(&what, &[k[0], k[1], k[2], k[3], kernel.depths_m[target]], &[r, g, b, a, depth], &[c, c, c, t, d])?;
+                bounds.check_instance(&what, kernel.instance_ids[target], written.instance_ids[0])?;
+                Ok(share)
+            })?;
+        }
+        Ok(())
     }
 }
 
@@ -232,6 +266,17 @@ impl Report {
     }
 }
 
+/// Lets a pass find `before` as what composite left in the slots, every render tile with something to be finished.
+fn write_partials(gpu: &Validated, partials: &Partials, before: &Blended) {
+    let all = || before.iter().flatten();
+    gpu.write(&partials.colours, 0, &all().map(|pixel| pixel.colour.extend(pixel.transmittance).to_array()).collect::<Vec<_>>())
+        .unwrap();
+    gpu.write(&partials.depths, 0, &all().map(|pixel| pixel.weighted_depth).collect::<Vec<_>>()).unwrap();
+    let instances: Vec<_> = all().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
+    gpu.write(&partials.instances, 0, &instances).unwrap();
+    gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()]).unwrap();
+}
+
 fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {
     let (colours, depths) = (gpu.read(&partials.colours).unwrap(), gpu.read(&partials.depths).unwrap());
     let instances = gpu.read(&partials.instances).unwrap();
@@ -248,8 +293,8 @@ fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {
 fn compare(splats: usize, faintness: f32, rules: Rules) {
     let gpu = open();
     let case = Case::new(&gpu, splats, faintness, rules);
-    let (pictures, partials) = case.kernel(&gpu);
-    let twin = case.twin();
+    let (pictures, partials) = case.kernel(&gpu, None);
+    let twin = case.twin(None);
     println!("{} records, {} items", case.records.len(), case.items.len());
     case.check_pictures(&pictures, &twin).unwrap();
     case.check_partials(&partials, &twin).unwrap();
@@ -276,7 +321,7 @@ fn every_pixel_is_written_once_and_no_other() {
     // Tiles that were cut leave their pixels to composite; edges of the pictures cut through macro tiles.
     let gpu = open();
     let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
-    let (pictures, _) = case.kernel(&gpu);
+    let (pictures, _) = case.kernel(&gpu, None);
     let mut expected = vec![true; case.scene.view.pixels];
     for item in case.items.iter().filter(|item| item.partial != NO_PARTIAL) {
         for (camera, at) in (0..MACRO_PIXELS).filter_map(|place| case.place_in_pictures(item, place)) {
@@ -291,12 +336,12 @@ fn every_pixel_is_written_once_and_no_other() {
 fn one_changed_pixel_is_seen() {
     let gpu = open();
     let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
-    let (pictures, partials) = case.kernel(&gpu);
-    case.check_pictures(&pictures, &case.twin()).unwrap();
-    case.check_partials(&partials, &case.twin()).unwrap();
-    let place = |item: &Item| case.bounds(item).iter().position(|bounds| !bounds.unsettled).unwrap();
+    let (pictures, partials) = case.kernel(&gpu, None);
+    case.check_pictures(&pictures, &case.twin(None)).unwrap();
+    case.check_partials(&partials, &case.twin(None)).unwrap();
+    let place = |item: &Item| case.bounds(item, None).iter().position(|bounds| !bounds.unsettled).unwrap();
     for (i, item) in case.items.iter().enumerate().take(2) {
-        let mut twin = case.twin();
+        let mut twin = case.twin(None);
         twin[i][place(item)].colour.y += 0.001;
         let seen = if item.partial == NO_PARTIAL {
             case.check_pictures(&pictures, &twin)

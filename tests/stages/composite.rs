@@ -6,6 +6,7 @@ use decouplegs::render::twins::output::{
     BLEND_THREADS, Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
 use decouplegs::render::{Capacity, ColourFormat, OutputBuffers, Outputs, twins};
+use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
 use super::scenes::rig;
@@ -42,13 +43,20 @@ impl Case {
 
     /// What the kernel writes, the colours in bytes if these are asked for.
     fn kernel(&self, gpu: &Validated, colour: ColourFormat) -> (Pictures, Vec<u32>) {
-        let Self { view, composites, partials } = self;
         let outputs = Outputs { colour, depth: true, instance: true, ..Outputs::default() };
+        let (pictures, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
+        (pictures, bytes)
+    }
+
+    /// What the kernel writes by `rules`, and the partial results it leaves.
+    fn kernel_by(&self, gpu: &Validated, rules: Rules, outputs: Outputs) -> (Pictures, Vec<u32>, Partials) {
+        let Self { view, composites, partials } = self;
         let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
         let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
         let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, view.bins).unwrap();
         gpu.write(&plan.composites, 0, composites).unwrap();
-        let on_device = Partials::new(gpu, partials.len() / MACRO_PIXELS, &outputs).unwrap();
+        let on_device = Partials::new(gpu, partials.len() / MACRO_PIXELS, &rules, &outputs).unwrap();
+        gpu.write(&on_device.unfinished, 0, &vec![0; on_device.unfinished.len()]).unwrap();
         let gather = |of: fn(&Pixel) -> [f32; 4]| partials.iter().map(of).collect::<Vec<_>>();
         gpu.write(&on_device.colours, 0, &gather(|pixel| pixel.colour.extend(pixel.transmittance).to_array())).unwrap();
         gpu.write(&on_device.depths, 0, &partials.iter().map(|pixel| pixel.weighted_depth).collect::<Vec<_>>()).unwrap();
@@ -57,18 +65,22 @@ impl Case {
         let pictures = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
         gpu.write(&pictures.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
         let cameras = upload(gpu, &view.cameras);
-        let composite = CompositeSegments::new(gpu, &outputs).unwrap();
+        let composite = CompositeSegments::new(gpu, &rules, &outputs).unwrap();
         run(gpu, |r| composite.record(r, &control, &cameras, view.cameras.len(), SKY, &plan, &on_device, &pictures));
         let floats = Pictures {
             pictures_f32: gpu.read(&pictures.pictures_f32).unwrap(),
             depths_m: gpu.read(&pictures.depths_m).unwrap(),
             instance_ids: gpu.read(&pictures.instance_ids).unwrap(),
         };
-        (floats, gpu.read(&pictures.pictures_u8).unwrap())
+        (floats, gpu.read(&pictures.pictures_u8).unwrap(), on_device)
     }
 
     /// The twin's pictures, and for each pixel how many segments it was joined from: 0 where it was not written.
     fn twin(&self) -> (Pictures, Vec<u32>) {
+        self.twin_by(false, false)
+    }
+
+    fn twin_by(&self, stops: bool, counts: bool) -> (Pictures, Vec<u32>) {
         let pixels = self.view.pixels;
         let (pictures_f32, depths_m) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
         let mut pictures = Pictures { pictures_f32, depths_m, instance_ids: vec![UNTOUCHED; pixels] };
@@ -76,7 +88,7 @@ impl Case {
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = macro_tile_origin(composite.bin, camera);
-            for (place, pixel) in twins::composite(composite, &self.partials).iter().enumerate() {
+            for (place, pixel) in twins::composite_unfinished(composite, &self.partials, stops, counts).0.iter().enumerate() {
                 let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
                 let at = [origin[0] + x, origin[1] + y];
                 write_pixel(&mut pictures, camera, at, pixel, Vec3::from_array(SKY));
@@ -86,6 +98,37 @@ impl Case {
             }
         }
         (pictures, segments)
+    }
+
+    /// The render tiles that are to be finished in each segment, and their pixels as they are before it.
+    fn check_unfinished(&self, gpu: &Validated, left: &Partials, stops: bool, counts: bool) -> Result<(), String> {
+        let mut tiles = vec![0u32; left.unfinished.len()];
+        let (colours, depths) = (gpu.read(&left.colours).unwrap(), gpu.read(&left.depths).unwrap());
+        let instances = gpu.read(&left.instances).unwrap();
+        let mut found = 0;
+        for composite in &self.composites {
+            let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
+            let origin = macro_tile_origin(composite.bin, camera);
+            for unfinished in twins::composite_unfinished(composite, &self.partials, stops, counts).1 {
+                let twins::Unfinished { slot, place, before } = unfinished;
+                let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+                if origin[0] + x >= camera.size_px[0] || origin[1] + y >= camera.size_px[1] {
+                    continue;
+                }
+                tiles[slot] |= 1 << (y / 8 * 8 + x / 8);
+                let at = slot * MACRO_PIXELS + place;
+                let [r, g, b, t] = colours[at];
+                let relative = 8.0 * ROUNDOFF * f64::from(slot as u32 - composite.first_partial + 2);
+                let Vec3 { x: red, y: green, z: blue } = before.colour;
+                let expected = [red, green, blue, before.transmittance, before.weighted_depth];
+                let bounds = expected.map(|value| relative * f64::from(value.abs()));
+                within(&format!("pixel {place} of slot {slot}"), &[r, g, b, t, depths[at]], &expected, &bounds)?;
+                identical("instances", &[instances[at][1]], &[before.best_instance])?;
+                found += 1;
+            }
+        }
+        println!("{found} pixels are to be finished");
+        identical("render tiles to be finished", &gpu.read(&left.unfinished).unwrap(), &tiles)
     }
 
     /// Every segment adds a product to a sum of positive terms: 4 roundings of the whole a segment at most, on both sides. A
@@ -165,4 +208,28 @@ fn segments_in_another_order_are_seen() {
     let mut kernel = kernel;
     kernel.instance_ids.clone_from(&twin.instance_ids);
     assert!(Case::check(&kernel, &twin, &segments).unwrap_err().starts_with("pixel"));
+}
+
+/// What lies before a segment is left there for pixels that end in it; where weights are counted, in every segment but the first.
+#[test]
+fn pixels_are_left_to_be_finished_where_they_end() {
+    let gpu = open();
+    for (rules, counts) in [(Rules::GSPLAT15, false), (Rules::INRIA, true), (Rules::DEFAULT, true)] {
+        let stops = rules != Rules::DEFAULT;
+        let mut case = Case::new(4);
+        let mut random = Random(6);
+        for composite in &case.composites {
+            // Some pixels end in the first segment, which tells by the sign.
+            let first = composite.first_partial as usize * MACRO_PIXELS;
+            for pixel in &mut case.partials[first..first + MACRO_PIXELS] {
+                pixel.transmittance *= if stops && random.below(8) == 0 { -1.0 } else { 1.0 };
+            }
+        }
+        let outputs = Outputs { depth: true, instance: true, contributions: counts, ..Outputs::default() };
+        let (pictures, _, left) = case.kernel_by(&gpu, rules, outputs);
+        let (twin, segments) = case.twin_by(stops, counts);
+        Case::check(&pictures, &twin, &segments).unwrap();
+        case.check_unfinished(&gpu, &left, stops, counts).unwrap();
+        assert!(case.check_unfinished(&gpu, &left, stops, !counts).is_err(), "other pixels would be seen");
+    }
 }

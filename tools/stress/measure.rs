@@ -205,9 +205,9 @@ fn refusal(error: &anyhow::Error) -> Option<Outcome> {
         RenderError::Gpu(GpuError::OutOfMemory { wanted_bytes, used_bytes, .. }) => {
             Some(out_of_memory(used_bytes + wanted_bytes, DEVICE))
         }
-        RenderError::Gpu(GpuError::BufferTooLarge { .. })
-        | RenderError::ListTooLong { .. }
-        | RenderError::TooManySplats { .. } => Some(Outcome::Refused(error.to_string())),
+        RenderError::Gpu(GpuError::BufferTooLarge { .. }) | RenderError::TooManySplats { .. } => {
+            Some(Outcome::Refused(error.to_string()))
+        }
         _ => None,
     }
 }

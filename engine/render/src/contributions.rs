@@ -24,8 +24,7 @@ impl Renderer {
     /// Cameras are drawn one after the other, with buffers of their own.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`]; on a software device also when more than 16,000 splats reach one macro tile: larger
-    /// pictures have fewer.
+    /// Those of [`Renderer::render`].
     pub fn contribution_weights(&self, world: &ResidentWorld, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
         let outputs = Outputs { contributions: true, ..Outputs::default() };
         let options = RenderOptions { outputs, order: OrderMode::Full, frames_in_flight: 1, ..*self.options() };

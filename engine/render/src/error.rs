@@ -62,18 +62,6 @@ pub enum RenderError {
         /// What the last one needed.
         needs: String,
     },
-    /// A list that may not be cut and that software cannot blend in one run.
-    #[error(
-        "a macro tile's list holds {longest} splats, which must not be cut for an exclusive early stop or for contributions, and \
-         lavapipe blends at most {max} in one run: draw a larger picture or use a GPU; rules without that stop help where nothing is \
-         contributed"
-    )]
-    ListTooLong {
-        /// Entries of the longest list.
-        longest: u32,
-        /// How many can be blended.
-        max: u32,
-    },
     /// A world of more splats than an index can name.
     #[error("the world has {splats} splats; a frame addresses at most {max}")]
     TooManySplats {

@@ -8,7 +8,7 @@ use crate::layout::CAMERAS_MAX;
 use crate::orders::{OrderDecision, OrderPath};
 use crate::resident::ResidentWorld;
 use crate::slot::FrameSlot;
-use crate::stages::{AgentCounts, Arguments, Measured, Pairs, Ranked, SortInput};
+use crate::stages::{AgentCounts, Arguments, Measured, Pairs, Partials, Ranked, SortInput};
 
 /// All of a depth key: see `depth_key.glsl`.
 const DEPTH_KEY_BITS: u32 = 32;
@@ -79,7 +79,7 @@ fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot,
         r.copy(&slot.staged_cameras, 0, &frame.cameras, 0, cameras);
         slot.copy_lenses(r, &frame.lenses);
         r.copy(&slot.staged_orders, 0, &plan.view_orders, 0, cameras);
-        let transmittances = &frame.partials.transmittances;
+        let Partials { transmittances, unfinished, .. } = &frame.partials;
         let emptied = [
             (control.needs.binding(), control.needs.byte_len()),
             (control.arguments.binding(), control.arguments.byte_len()),
@@ -88,6 +88,7 @@ fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot,
             (control.order_error.binding(), control.order_error.byte_len()),
             (slot.pictures.contributions.binding(), slot.pictures.contributions.byte_len()),
             (transmittances.binding(), transmittances.byte_len()),
+            (unfinished.binding(), unfinished.byte_len()),
         ];
         for (buffer, bytes) in emptied {
             r.fill(buffer, 0, bytes, 0);
@@ -276,6 +277,13 @@ fn record_pictures(
         r.copy(&frame.order_plan.inversions, 0, &slot.found_inversions, 0, CAMERAS_MAX);
         r.copy(&control.order_error, 0, &slot.found_order_error, 0, 1);
     });
+    if let Some(finish) = &stages.finish {
+        recorder.stage("finish", |r| {
+            let (records, projected) = (&frame.sort.values[binned], &frame.projected);
+            let all = Measured::ALL;
+            finish.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, pictures, all);
+        });
+    }
 }
 
 /// Bits that tell `count` values apart, at least one.

@@ -4,7 +4,7 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, Residence};
 
 use crate::capacity::{Capacity, SortShape};
 use crate::layout::{CameraRecord, LensRecord, SortSegment};
-use crate::output::Outputs;
+use crate::options::RenderOptions;
 use crate::stages::{Control, OrderPlan, PURPOSE, Partials, Plan, Projected, RankLists, SortScratch, StaticLists, Visible};
 
 /// What the size of a frame's buffers depends on.
@@ -85,7 +85,7 @@ pub(crate) struct FrameBuffers {
 }
 
 impl FrameBuffers {
-    pub fn new(gpu: &Gpu, shape: FrameShape, outputs: &Outputs, sort: SortShape) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, shape: FrameShape, options: &RenderOptions, sort: SortShape) -> Result<Self, GpuError> {
         let FrameShape { capacity, cameras, splats, chunks, bins, ranked } = shape;
         let device = Residence::Device;
         let keys = capacity.records.max(capacity.pairs).max(if ranked { splats } else { 0 });
@@ -105,7 +105,7 @@ impl FrameBuffers {
             pair_counts: gpu.buffer("pair_counts", PURPOSE, capacity.pair_blocks(), device)?,
             range_firsts: gpu.buffer("range_firsts", PURPOSE, bins as usize + 1, device)?,
             plan: Plan::new(gpu, &capacity, bins)?,
-            partials: Partials::new(gpu, capacity.partials, outputs)?,
+            partials: Partials::new(gpu, capacity.partials, &options.rules, &options.outputs)?,
         })
     }
 

@@ -1,19 +1,23 @@
 //! The kernels of a frame, built when the first frame needs them.
 
-use decouplegs_gpu::{Gpu, GpuError};
-use decouplegs_scene::{DepthOrder, EarlyStop, Rules};
+use decouplegs_gpu::{DeviceKind, Gpu, GpuError};
+use decouplegs_scene::{DepthOrder, Rules};
 
 use crate::capacity::SortShape;
 use crate::options::RenderOptions;
 use crate::orders::OrderMode;
 use crate::output::Outputs;
 use crate::stages::{
-    Blend, CompositeSegments, CountPairs, Cull, CullAgents, CullShadows, EmitPairs, FindRanges, MergeOrder, PlanOrder,
-    PlanSegments, Project, ProjectAgents, ProjectVariant, RadixSort, Ranks, Relight, RepairOrder, Scan,
+    Blend, BlendPass, CompositeSegments, CountPairs, Cull, CullAgents, CullShadows, EmitPairs, FindRanges, MergeOrder, PlanOrder,
+    PlanSegments, Project, ProjectAgents, ProjectVariant, RadixSort, Ranks, Relight, RepairOrder, Scan, finishes,
 };
 
 /// Longer segments are no segments.
 const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
+
+/// Longest segment that a software device blends: llvmpipe ends all loops of a thread after 65,535 rounds in total, silently,
+/// and a thread of blend makes up to four per entry of a segment, which may be half longer.
+const SEGMENT_PAIRS_MAX_IN_SOFTWARE: u32 = 10_000;
 
 /// What every frame runs, whatever it shows.
 pub(crate) struct CommonStages {
@@ -28,6 +32,8 @@ pub(crate) struct CommonStages {
     /// Measures what stale orders cost, where there may be any.
     pub order_probe: Option<Blend>,
     pub composite: CompositeSegments,
+    /// Blends again the segments in which pixels end, where that depends on what lies before them.
+    pub finish: Option<Blend>,
 }
 
 /// What frames of one kind of background run.
@@ -99,16 +105,18 @@ pub(crate) struct FrameVariant {
 
 impl Kernels {
     /// For pictures as `options` say; nothing is built yet.
-    pub fn new(options: &RenderOptions, shape: SortShape) -> Self {
+    pub fn new(options: &RenderOptions, shape: SortShape, device: DeviceKind) -> Self {
         let RenderOptions { rules, outputs, segment_pairs, order, .. } = *options;
-        // Whether a pixel stops before a splat depends on all splats before it, as does its weight: such lists are not cut.
-        let whole = rules.stop == EarlyStop::Exclusive || outputs.contributions || segment_pairs > SEGMENT_PAIRS_MAX;
         Self {
             rules,
             outputs,
             keeps_orders: order != OrderMode::Full && rules.order == DepthOrder::Z,
             order_error: matches!(order, OrderMode::Bounded { .. }),
-            segment_pairs: if whole { u32::MAX } else { segment_pairs.max(1) },
+            segment_pairs: match device {
+                DeviceKind::Cpu => segment_pairs.clamp(1, SEGMENT_PAIRS_MAX_IN_SOFTWARE),
+                _ if segment_pairs > SEGMENT_PAIRS_MAX => u32::MAX,
+                _ => segment_pairs.max(1),
+            },
             shape,
             common: None,
             background: Vec::new(),
@@ -122,6 +130,8 @@ impl Kernels {
     pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
         let Self { rules, outputs, segment_pairs, keeps_orders, order_error, shape, .. } = self;
         if self.common.is_none() {
+            let blend = |pass| Blend::new(gpu, rules, outputs, pass);
+            let finish = finishes(rules, outputs) && *segment_pairs < u32::MAX;
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,
                 plan_order: PlanOrder::new(gpu, shape.block())?,
@@ -130,9 +140,10 @@ impl Kernels {
                 emit_pairs: EmitPairs::new(gpu, shape.block())?,
                 find_ranges: FindRanges::new(gpu)?,
                 plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
-                blend: Blend::new(gpu, rules, outputs, false)?,
-                order_probe: if *order_error { Some(Blend::new(gpu, rules, outputs, true)?) } else { None },
-                composite: CompositeSegments::new(gpu, outputs)?,
+                blend: blend(BlendPass::Segments)?,
+                order_probe: if *order_error { Some(blend(BlendPass::OrderError)?) } else { None },
+                composite: CompositeSegments::new(gpu, rules, outputs)?,
+                finish: if finish { Some(blend(BlendPass::Finish)?) } else { None },
             });
         }
         // Both kinds at once where orders may be kept: building the other in the middle of a drive would stall it.

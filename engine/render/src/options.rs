@@ -21,7 +21,7 @@ pub struct RenderOptions {
     pub sh_degree_max: u8,
     /// Macro tiles whose list is longer are blended in segments of this length (the last up to half longer), side
     /// by side. Shorter segments balance better and take more memory: 32 KiB of partial result each. Above 2^24 lists are not
-    /// cut.
+    /// cut; a software device cuts them at 10,000.
     pub segment_pairs: u32,
     /// How splats come into front-to-back order.
     pub order: OrderMode,

@@ -25,8 +25,8 @@ pub struct Outputs {
     pub depth: bool,
     /// Instance of the splat with the largest weight; 0 is the background.
     pub instance: bool,
-    /// The sum of each background splat's weights over all pixels ([`crate::Renderer::read_contributions`]). Lists are not cut
-    /// for it, instances cannot be had beside it, and agents take part as what hides the background.
+    /// The sum of each background splat's weights over all pixels ([`crate::Renderer::read_contributions`]). Instances cannot be
+    /// had beside it, and agents take part as what hides the background.
     pub contributions: bool,
     /// Whether another API on the device may import the pictures ([`crate::Renderer::take_pictures`]).
     pub exported: bool,

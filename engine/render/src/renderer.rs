@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use decouplegs_gpu::{Buffer, DeviceKind, Gpu, QueueRole, Ticket};
-use decouplegs_scene::{Camera, DepthOrder, EarlyStop, World};
+use decouplegs_gpu::{Buffer, Gpu, QueueRole, Ticket};
+use decouplegs_scene::{Camera, DepthOrder, World};
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
@@ -12,7 +12,7 @@ use crate::capacity::{Capacity, SortShape};
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::kernels::{AgentVariant, FrameVariant, Kernels};
-use crate::layout::{Needs, View, near_m};
+use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
 use crate::orders::{OrderDecision, OrderPath, Orders};
 use crate::resident::ResidentWorld;
@@ -22,10 +22,6 @@ use crate::taken::SharedShelf;
 
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
-
-/// Entries of a list that may not be cut that a software device blends: llvmpipe ends all loops of a thread after 65,535
-/// rounds in total, silently, and a thread of blend makes up to four a list entry.
-const UNCUT_PAIRS_MAX_IN_SOFTWARE: u32 = 16_000;
 
 /// Frames that may outgrow their buffers in a row: each list can grow once, and once more for what it hid.
 const ATTEMPTS_MAX: u32 = 6;
@@ -57,7 +53,7 @@ impl Renderer {
             gpu: gpu.clone(),
             options,
             sort,
-            kernels: Kernels::new(&options, sort),
+            kernels: Kernels::new(&options, sort, gpu.info().kind),
             capacity: None,
             frame: None,
             slots: Vec::new(),
@@ -192,7 +188,6 @@ impl Renderer {
             pending.frame.wait()?;
             let needs = self.slots[slot].found_needs.read_host()[0];
             if pending.capacity.holds(&needs) {
-                self.check_uncut_lists(&needs)?;
                 self.shown = Some(slot);
                 self.slots[slot].done = Some(pending.frame.clone());
                 let statistics = self.slots[slot].statistics(&pending, needs, redrawn, awaited)?;
@@ -243,17 +238,6 @@ impl Renderer {
     /// Pictures that wait for a frame.
     pub(crate) fn shelf(&self) -> &SharedShelf {
         &self.shelf
-    }
-
-    /// Refuses what a software device would draw wrong without a word.
-    fn check_uncut_lists(&self, needs: &Needs) -> Result<(), RenderError> {
-        let uncut = self.options.rules.stop == EarlyStop::Exclusive
-            || self.options.outputs.contributions
-            || self.options.segment_pairs > UNCUT_PAIRS_MAX_IN_SOFTWARE;
-        if uncut && self.gpu.info().kind == DeviceKind::Cpu && needs.longest > UNCUT_PAIRS_MAX_IN_SOFTWARE {
-            return Err(RenderError::ListTooLong { longest: needs.longest, max: UNCUT_PAIRS_MAX_IN_SOFTWARE });
-        }
-        Ok(())
     }
 
     /// A slot that no frame in flight has, one with room for just `pixels` if there is one: frames of two sizes that take turns
@@ -358,7 +342,7 @@ impl Renderer {
             frame => {
                 // The old ones go first: both would not always fit.
                 let room = frame.take().map_or(shape, |old| old.room().with(&shape));
-                let mut made = FrameBuffers::new(&self.gpu, room, &self.options.outputs, self.sort)?;
+                let mut made = FrameBuffers::new(&self.gpu, room, &self.options, self.sort)?;
                 made.set(&self.gpu, shape, self.sort)?;
                 *frame = Some(made);
                 self.capacity = Some(shape.capacity);

@@ -60,6 +60,8 @@ impl Rules {
         Self { alpha_max: 0.99, stop: EarlyStop::None, near_m: 0.01, antialias: false, order: DepthOrder::Z };
     /// gsplat 1.5's: alpha at most 0.999, exclusive stop.
     pub const GSPLAT15: Self = Self { alpha_max: 0.999, stop: EarlyStop::Exclusive, ..Self::DEFAULT };
+    /// gsplat 1.6's: alpha at most 0.99, exclusive stop.
+    pub const GSPLAT16: Self = Self { stop: EarlyStop::Exclusive, ..Self::DEFAULT };
     /// The INRIA rasteriser's: exclusive stop, near plane at 0.2 m.
     pub const INRIA: Self = Self { stop: EarlyStop::Exclusive, near_m: 0.2, ..Self::DEFAULT };
 
@@ -69,13 +71,14 @@ impl Rules {
         match name {
             "default" => Some(Self::DEFAULT),
             "gsplat15" => Some(Self::GSPLAT15),
+            "gsplat16" => Some(Self::GSPLAT16),
             "inria" => Some(Self::INRIA),
             _ => None,
         }
     }
 
     /// What [`Rules::by_name`] knows.
-    pub const NAMES: [&'static str; 3] = ["default", "gsplat15", "inria"];
+    pub const NAMES: [&'static str; 4] = ["default", "gsplat15", "gsplat16", "inria"];
 }
 
 impl Default for Rules {

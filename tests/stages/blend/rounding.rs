@@ -3,6 +3,7 @@
 
 use decouplegs::render::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
 use decouplegs::render::twins::footprint::centre_of;
+use decouplegs::render::twins::output::Pixel;
 use decouplegs::render::twins::record::load_footprint;
 use decouplegs::scene::rules::TRANSMITTANCE_MIN;
 use decouplegs::scene::{EarlyStop, Rules};
@@ -27,12 +28,14 @@ pub struct PixelBounds {
 /// What blending a pixel in f64 has come to.
 struct Run {
     transmittance: f64,
+    /// Sum of weight times depth of what lies before the list: rounding is relative to it.
+    depth_before: f64,
     bounds: PixelBounds,
 }
 
 impl PixelBounds {
-    /// Of the pixel at column and row `at`, where `list` is blended front to back.
-    pub fn of(projected: &ProjectedTwin, list: &[u32], at: [u32; 2], rules: &Rules) -> Self {
+    /// Of the pixel at column and row `at`, where `list` is blended front to back, behind `before` if there is that.
+    pub fn of(projected: &ProjectedTwin, list: &[u32], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
         let bounds = Self {
             colour: 0.0,
             transmittance: 0.0,
@@ -42,7 +45,12 @@ impl PixelBounds {
             best_weights: [0.0; 3],
             weight_error: 0.0,
         };
-        let mut run = Run { transmittance: 1.0, bounds };
+        let mut run = Run { transmittance: 1.0, depth_before: 0.0, bounds };
+        if let Some(before) = before {
+            run.transmittance = f64::from(before.transmittance.abs());
+            run.depth_before = f64::from(before.weighted_depth);
+            run.bounds.best_weights[before.best_instance as usize] = f64::from(before.best_weight);
+        }
         // Where a pixel is full, an implementation that stops inclusively may leave out all that follows.
         let mut behind = [0.0f64; 2];
         for &record in list {
@@ -122,7 +130,7 @@ impl Run {
         let relative = std::f64::consts::LN_2 * log2_error + 4.0 * ROUNDOFF * (3.0 + 2.0 * log2_alpha.abs());
         let alpha = log2_alpha.exp2().min(rules.alpha_max);
         let alpha_error = alpha * relative;
-        let Self { transmittance, bounds } = self;
+        let Self { transmittance, depth_before, bounds } = self;
         let left = *transmittance * (1.0 - alpha);
         let left_error = bounds.transmittance * (1.0 - alpha) + *transmittance * (alpha_error + 2.0 * ROUNDOFF);
         if rules.stop == EarlyStop::Exclusive {
@@ -135,7 +143,7 @@ impl Run {
         let weight_error = bounds.transmittance * alpha + *transmittance * alpha_error + 2.0 * ROUNDOFF * weight;
         // Sums of weights are at most 1, so no partial sum is larger than the largest value.
         bounds.colour += weight_error * colour + 4.0 * ROUNDOFF * colour.max(1.0);
-        bounds.weighted_depth += weight_error * depth_m + 4.0 * ROUNDOFF * depth_m;
+        bounds.weighted_depth += weight_error * depth_m + 4.0 * ROUNDOFF * depth_m.max(*depth_before);
         bounds.transmittance = left_error;
         bounds.weight_error = bounds.weight_error.max(weight_error);
         bounds.best_weights[instance] = bounds.best_weights[instance].max(weight);

@@ -147,6 +147,5 @@ fn of_render(error: &RenderError) -> DgsStatus {
         }
         RenderError::NoSuchAsset | RenderError::NothingInFlight => DgsStatus::NotFound,
         RenderError::Unsettled { .. } => DgsStatus::OutOfMemory,
-        RenderError::ListTooLong { .. } => DgsStatus::Unsupported,
     }
 }

@@ -110,7 +110,7 @@ class Session:
         depth: bool = False,
         instance: bool = False,
         exported: bool | None = None,
-        rules: Literal["default", "gsplat15", "inria"] | None = None,
+        rules: Literal["default", "gsplat15", "gsplat16", "inria"] | None = None,
         taken_max: int = 16,
         frames_in_flight: int = 2,
     ) -> None:

@@ -24,7 +24,7 @@ use crate::viewer::Viewer;
 /// colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
 /// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
 /// exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
-/// rules: the rules of image formation for all scenes: ``default``, ``gsplat15`` or ``inria``. None: each scene's own, as its file says.
+/// rules: the rules of image formation for all scenes: ``default``, ``gsplat15``, ``gsplat16`` or ``inria``. None: each scene's own, as its file says.
 /// taken_max: frames that may be held on the device by tensors before TooManyHeldError.
 /// frames_in_flight: frames of one call that are submitted before the first is waited for.
 #[pyclass(frozen, module = "decouplegs")]

@@ -18,6 +18,8 @@ pub struct Partials {
     pub instances: Buffer<[u32; 2]>,
     /// Bits of the largest transmittance by render tile; zero before the frame.
     pub transmittances: Buffer<[u32; 32]>,
+    /// Render tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0 where nothing is finished.
+    pub unfinished: Buffer<u32>,
 }
 
 impl Partials {
@@ -25,15 +27,34 @@ impl Partials {
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, slots: usize, outputs: &Outputs) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, slots: usize, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
+        let unfinished = if finishes(rules, outputs) { slots } else { 0 };
         let pixels = |asked: bool| if asked { slots * MACRO_PIXELS } else { 0 };
         Ok(Self {
             colours: gpu.buffer("partial_colours", PURPOSE, pixels(true), Residence::Device)?,
             depths: gpu.buffer("partial_depths", PURPOSE, pixels(outputs.depth), Residence::Device)?,
             instances: gpu.buffer("partial_instances", PURPOSE, pixels(outputs.instance), Residence::Device)?,
             transmittances: gpu.buffer("partial_transmittances", PURPOSE, slots, Residence::Device)?,
+            unfinished: gpu.buffer("partial_unfinished", PURPOSE, unfinished, Residence::Device)?,
         })
     }
+}
+
+/// True if segments of a list are blended again from what lies before them: by an exclusive stop, and where weights are counted.
+#[must_use]
+pub fn finishes(rules: &Rules, outputs: &Outputs) -> bool {
+    rules.stop == EarlyStop::Exclusive || outputs.contributions
+}
+
+/// What a run of [`Blend`] is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BlendPass {
+    /// Blends every segment by itself.
+    Segments,
+    /// Blends again what composite has left to be finished, where [`finishes`] is true.
+    Finish,
+    /// Draws nothing, and measures what it costs that lists are out of order.
+    OrderError,
 }
 
 #[repr(C)]
@@ -67,19 +88,23 @@ pub struct Blend {
 }
 
 impl Blend {
-    /// The stage for pictures of the given rules; with `order_error` it draws nothing, and measures what it
-    /// costs that lists are out of order.
+    /// The stage for pictures of the given rules.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, order_error: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, pass: BlendPass) -> Result<Self, GpuError> {
         let [u8_colour, depth, instance] = outputs.constants();
-        let alpha_max = ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32));
-        let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
-        let uniform = ("TEAM_HOLDS_SUBGROUPS", Constant::Bool(gpu.limits().subgroup_size <= 32));
-        let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
-        let order = ("ORDER_ERROR", Constant::Bool(order_error));
-        let constants = [u8_colour, depth, instance, alpha_max, stop, uniform, contributions, order];
+        let constants = [
+            u8_colour,
+            depth,
+            instance,
+            ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
+            ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive)),
+            ("TEAM_HOLDS_SUBGROUPS", Constant::Bool(gpu.limits().subgroup_size <= 32)),
+            ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
+            ("ORDER_ERROR", Constant::Bool(pass == BlendPass::OrderError)),
+            ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
+        ];
         Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &constants)? })
     }
 
@@ -124,6 +149,7 @@ impl Blend {
             ("partial_depths", partials.depths.binding()),
             ("partial_instances", partials.instances.binding()),
             ("partial_transmittances", partials.transmittances.binding()),
+            ("partial_unfinished", partials.unfinished.binding()),
             ("contributions", pictures.contributions.binding()),
             ("order_error", control.order_error.binding()),
         ];

@@ -1,7 +1,8 @@
 //! Joins the segments of macro tiles that were cut.
 
 use bytemuck::{Pod, Zeroable, bytes_of};
-use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
+use decouplegs_scene::{EarlyStop, Rules};
 
 use super::{Arguments, Control, Partials, Plan, kernel};
 use crate::layout::CameraRecord;
@@ -24,8 +25,12 @@ impl CompositeSegments {
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::COMPOSITE, &outputs.constants())? })
+    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
+        let [u8_colour, depth, instance] = outputs.constants();
+        let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
+        let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
+        let constants = [u8_colour, depth, instance, stop, contributions];
+        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::COMPOSITE, &constants)? })
     }
 
     /// Writes the pixels of every macro tile that `plan` cut.
@@ -54,6 +59,7 @@ impl CompositeSegments {
             ("partial_colours", partials.colours.binding()),
             ("partial_depths", partials.depths.binding()),
             ("partial_instances", partials.instances.binding()),
+            ("partial_unfinished", partials.unfinished.binding()),
         ];
         let offset = Arguments::Composite.byte_offset();
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);

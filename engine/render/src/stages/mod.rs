@@ -23,7 +23,7 @@ mod scan;
 mod sort;
 
 pub use agents::{AgentBuffers, AgentCounts, CullAgents, ProjectAgents};
-pub use blend::{Blend, Measured, Partials};
+pub use blend::{Blend, BlendPass, Measured, Partials, finishes};
 pub use composite::CompositeSegments;
 pub use count_pairs::CountPairs;
 pub use cull::{Cull, Visible};

@@ -1,14 +1,15 @@
 //! Blends one segment of one macro tile's list, front to back: `blend.comp`.
 
 use super::footprint::{LOG2_255, centre_of, log2_alpha};
-use super::output::{BLEND_THREADS, PIXEL_EMPTY, PIXELS, Pixel, RENDER_TILE_PX, camera_of_bin, macro_tile_origin, pixel_offset};
+use super::output::{
+    BLEND_THREADS, PIXEL_EMPTY, PIXELS, Pixel, RENDER_TILE_PX, TRANSMITTANCE_MIN, camera_of_bin, macro_tile_origin, pixel_offset,
+};
 use super::projection::rgb_of;
 use super::record::load_footprint;
-use crate::layout::{CameraRecord, Item, MACRO_HEIGHT_PX, MACRO_PIXELS, MACRO_WIDTH_PX};
+use crate::layout::{CameraRecord, Item, MACRO_HEIGHT_PX, MACRO_PIXELS, MACRO_WIDTH_PX, NO_PARTIAL};
 
 /// Records that are taken at a time; whether a render tile is full is looked at between batches.
 const BATCH: usize = 256;
-const TRANSMITTANCE_MIN: f32 = 1e-4;
 const MACRO_TILES: usize = ((MACRO_WIDTH_PX / RENDER_TILE_PX) * (MACRO_HEIGHT_PX / RENDER_TILE_PX)) as usize;
 
 /// log2 of the alpha that record `record` has at pixel `(column, row)` of its picture.
@@ -17,7 +18,7 @@ pub fn log2_alpha_at(footprints: &[[f32; 4]], record: u32, column: u32, row: u32
     log2_alpha(&load_footprint(footprints, record as usize), centre_of(column, row))
 }
 
-/// Adds one splat to a pixel. `full` is for the exclusive stop only.
+/// Adds one splat to a pixel. `full`: the pixel takes no more; `stops`: a splat that would fill it makes it so.
 fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
@@ -25,13 +26,13 @@ fn blend_pixel(
     colour: [f32; 4],
     high: [f32; 4],
     alpha_max: f32,
-    exclusive_stop: bool,
+    stops: bool,
 ) {
-    if log2_alpha < -LOG2_255 || (exclusive_stop && *full) {
+    if log2_alpha < -LOG2_255 || *full {
         return;
     }
     let alpha = log2_alpha.exp2().min(alpha_max);
-    if exclusive_stop && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN {
+    if stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN {
         *full = true;
         return;
     }
@@ -48,6 +49,9 @@ fn blend_pixel(
 /// The pixels of the item's macro tile, in the order in which the kernel keeps them: pixel `index` of thread `thread` at
 /// `index * BLEND_THREADS + thread`, whose place in the tile is [`pixel_offset`]. Every record meets every pixel: the
 /// kernel's masks may leave out nothing that counts.
+///
+/// `before` is what composite left to be finished, for the pass that finishes it: only pixels whose transmittance is negative
+/// there take part. In results of cut lists, a negative transmittance says that the pixel ends in this segment.
 #[must_use]
 pub fn blend(
     cameras: &[CameraRecord],
@@ -57,11 +61,16 @@ pub fn blend(
     colours: &[[f32; 4]],
     alpha_max: f32,
     exclusive_stop: bool,
+    before: Option<&[Pixel]>,
 ) -> Vec<Pixel> {
     let camera = &cameras[camera_of_bin(cameras, item.bin)];
     let origin = macro_tile_origin(item.bin, camera);
-    let mut pixels = vec![PIXEL_EMPTY; MACRO_PIXELS];
-    let mut full = vec![false; MACRO_PIXELS];
+    let mut pixels = before.map_or_else(|| vec![PIXEL_EMPTY; MACRO_PIXELS], <[Pixel]>::to_vec);
+    let mut full: Vec<bool> = pixels.iter().map(|pixel| before.is_some() && pixel.transmittance >= 0.0).collect();
+    let takes_no_part = full.clone();
+    pixels.iter_mut().for_each(|pixel| pixel.transmittance = pixel.transmittance.abs());
+    // Later segments do not know what lies before them.
+    let stops = exclusive_stop && (before.is_some() || item.segment == 0);
     let mut open = [true; MACRO_TILES];
     let first = item.first_pair as usize;
     for batch in records[first..first + item.pairs as usize].chunks(BATCH) {
@@ -76,12 +85,17 @@ pub fn blend(
             for &record in batch {
                 let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
                 let (colour, high) = (colours[record as usize], footprints[2 * record as usize + 1]);
-                blend_pixel(pixel, full, log2_alpha, colour, high, alpha_max, exclusive_stop);
+                blend_pixel(pixel, full, log2_alpha, colour, high, alpha_max, stops);
             }
-            still_open[tile] |= if exclusive_stop { !*full } else { pixel.transmittance > TRANSMITTANCE_MIN };
+            still_open[tile] |= !*full && (stops || pixel.transmittance > TRANSMITTANCE_MIN);
         }
         open = still_open;
     }
     debug_assert_eq!(pixels.len(), PIXELS * BLEND_THREADS);
+    for (place, pixel) in pixels.iter_mut().enumerate() {
+        if item.partial != NO_PARTIAL && full[place] && !takes_no_part[place] {
+            pixel.transmittance = -pixel.transmittance;
+        }
+    }
     pixels
 }

@@ -1,22 +1,52 @@
 //! Joins the segments of a macro tile that was cut, front to back, until it is full: `composite.comp`.
 
-use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, over};
+use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN, over};
 use crate::layout::{Composite, MACRO_PIXELS};
+
+/// What composite leaves to be finished in a segment: its pixel there, and what lies before it, transmittance negated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unfinished {
+    /// Slot of the segment.
+    pub slot: usize,
+    /// Place of the pixel in the macro tile, as [`super::blend`] keeps them.
+    pub place: usize,
+    /// All that lies before the segment.
+    pub before: Pixel,
+}
+
+/// As [`composite`], by an exclusive stop where `stops`, and with every segment behind the first left to be finished where `counts`.
+#[must_use]
+pub fn composite_unfinished(
+    composite: &Composite,
+    partials: &[Pixel],
+    stops: bool,
+    counts: bool,
+) -> (Vec<Pixel>, Vec<Unfinished>) {
+    let mut left = Vec::new();
+    let mut joined = |place: usize| {
+        let mut pixel = PIXEL_EMPTY;
+        for segment in 0..composite.partials as usize {
+            let slot = composite.first_partial as usize + segment;
+            let mut farther = partials[slot * MACRO_PIXELS + place];
+            let ended = stops && farther.transmittance < 0.0;
+            farther.transmittance = farther.transmittance.abs();
+            let before = pixel;
+            pixel = over(before, &farther);
+            let ends = stops && segment > 0 && pixel.transmittance <= TRANSMITTANCE_MIN;
+            if segment > 0 && (ends || counts) {
+                left.push(Unfinished { slot, place, before: Pixel { transmittance: -before.transmittance, ..before } });
+            }
+            if ended || ends || (!stops && pixel.transmittance <= TRANSMITTANCE_FULL) {
+                break;
+            }
+        }
+        pixel
+    };
+    ((0..MACRO_PIXELS).map(&mut joined).collect(), left)
+}
 
 /// The pixels of the macro tile, in the order of `partials`: `MACRO_PIXELS` a slot, as [`super::blend`] keeps them.
 #[must_use]
 pub fn composite(composite: &Composite, partials: &[Pixel]) -> Vec<Pixel> {
-    let slots = composite.first_partial as usize..(composite.first_partial + composite.partials) as usize;
-    (0..MACRO_PIXELS)
-        .map(|place| {
-            let nearer_first = slots.clone().map(|slot| &partials[slot * MACRO_PIXELS + place]);
-            // Segments behind a full pixel may never have been blended.
-            nearer_first.fold(
-                PIXEL_EMPTY,
-                |pixel, farther| {
-                    if pixel.transmittance > TRANSMITTANCE_FULL { over(pixel, farther) } else { pixel }
-                },
-            )
-        })
-        .collect()
+    composite_unfinished(composite, partials, false, false).0
 }

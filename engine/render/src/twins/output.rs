@@ -43,6 +43,9 @@ pub struct Pixel {
 /// A pixel that lets no more than this through is full.
 pub const TRANSMITTANCE_FULL: f32 = 2e-5;
 
+/// An exclusive stop keeps a pixel from letting no more than this through.
+pub const TRANSMITTANCE_MIN: f32 = 1e-4;
+
 /// A pixel that nothing was added to.
 pub const PIXEL_EMPTY: Pixel =
     Pixel { colour: Vec3::ZERO, transmittance: 1.0, weighted_depth: 0.0, best_weight: 0.0, best_instance: 0 };

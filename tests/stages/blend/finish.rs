@@ -1,0 +1,44 @@
+//! The second pass of `blend.comp`, which ends pixels in segments from what lies before these.
+
+use decouplegs::render::layout::MACRO_PIXELS;
+use decouplegs::render::twins::output::Pixel;
+use decouplegs::scene::Rules;
+use glam::Vec3;
+
+use super::{Blended, Case, open};
+use crate::stages::Random;
+
+/// What may lie before the segments of `case`: two pixels in three are to be finished there, some of them almost full.
+fn before(case: &Case) -> Blended {
+    let mut random = Random(5);
+    let mut pixel = || {
+        let transmittance = random.across_scales(1.2e-4, 1.0);
+        let alpha = 1.0 - transmittance;
+        Pixel {
+            colour: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
+            transmittance: if random.below(3) == 0 { transmittance } else { -transmittance },
+            weighted_depth: alpha * random.between(0.5, 100.0),
+            best_weight: alpha * random.between(0.1, 1.0),
+            best_instance: random.below(3),
+        }
+    };
+    (0..case.slots()).map(|_| (0..MACRO_PIXELS).map(|_| pixel()).collect()).collect()
+}
+
+#[test]
+fn pixels_end_where_the_whole_list_would_end_them() {
+    let gpu = open();
+    for rules in [Rules::GSPLAT15, Rules::INRIA] {
+        let case = Case::new(&gpu, 1200, 1.0, rules);
+        let before = before(&case);
+        let (pictures, _) = case.kernel(&gpu, Some(&before));
+        let twin = case.twin(Some(&before));
+        let ended = twin.iter().flatten().filter(|pixel| pixel.transmittance < 0.0).count();
+        assert!(ended > 1000, "{ended} pixels end");
+        case.check_finished(&before, &pictures, &twin).unwrap();
+        // A pixel that began with something else is seen.
+        let mut other = before.clone();
+        other.iter_mut().flatten().for_each(|pixel| pixel.colour.y += 0.001);
+        assert!(case.check_finished(&before, &pictures, &case.twin(Some(&other))).is_err());
+    }
+}
