@@ -57,7 +57,7 @@ pub struct Arguments {
     /// Views all around the asset from which its splats' visibility is measured
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
-    /// Side of these views, pixels; doubled for a device that cannot draw so many splats on so few of them
+    /// Side of these views, pixels
     #[arg(long, value_name = "PX", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
     view_size: u32,
     /// Measure what is lost, with other settings too, and write report.html and report.json to this folder; takes minutes

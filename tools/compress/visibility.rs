@@ -10,13 +10,17 @@ use crate::progress;
 /// Cameras of one submission: the weights of all its pixels are counted in one 32-bit sum.
 const CAMERAS_AT_ONCE: usize = 4;
 
+/// Few lists of so small views are longer. Segments behind the first are blended twice where weights are counted.
+const SEGMENT_PAIRS: u32 = 8192;
+
 /// Largest side of a view, pixels.
 pub const VIEW_PX_MAX: u32 = 4096;
 
 /// For each splat the mean over `cameras` of its blending weights, summed over pixels.
 pub fn visibility(gpu: &Gpu, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<f32>> {
     let outputs = Outputs { contributions: true, ..Outputs::default() };
-    let mut renderer = Renderer::new(gpu, RenderOptions { outputs, sh_degree_max: 0, ..RenderOptions::default() });
+    let options = RenderOptions { outputs, sh_degree_max: 0, segment_pairs: SEGMENT_PAIRS, ..RenderOptions::default() };
+    let mut renderer = Renderer::new(gpu, options);
     let order = cloud.spatial_order();
     let resident = renderer.upload(&World::of(cloud.select(&order)))?;
     let ordered =
