@@ -1,10 +1,10 @@
 //! Culling and projection of agents.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Projected, RelitColours, SortScratch, Visible, kernel};
+use super::{PURPOSE, Projected, RelitColours, SortScratch, Visible, kernel, push_constants};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
 use crate::layout::{AgentRecord, CameraRecord, LensRecord, near_m};
@@ -50,22 +50,22 @@ pub struct AgentCounts {
     pub chunks: usize,
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct CullPush {
-    agent_count: u32,
-    camera_count: u32,
-    chunk_count: u32,
+push_constants! {
+    struct CullPush {
+        agent_count: u32,
+        camera_count: u32,
+        chunk_count: u32,
+    }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct ProjectPush {
-    agent_count: u32,
-    camera_count: u32,
-    chunk_count: u32,
-    records_max: u32,
-    static_lists: u32,
+push_constants! {
+    struct ProjectPush {
+        agent_count: u32,
+        camera_count: u32,
+        chunk_count: u32,
+        records_max: u32,
+        static_lists: u32,
+    }
 }
 
 /// `cull_agents.comp`.
@@ -84,7 +84,7 @@ impl CullAgents {
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("LENSES", Constant::Bool(lenses)),
         ];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)? })
+        Ok(Self { kernel: kernel::<CullPush>(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)? })
     }
 
     /// Marks what is visible of the agents.
@@ -128,7 +128,7 @@ impl ProjectAgents {
             ("RELIT", Constant::Bool(relit)),
             ("LENSES", Constant::Bool(lenses)),
         ];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)? })
+        Ok(Self { kernel: kernel::<ProjectPush>(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)? })
     }
 
     /// Writes a record for every visible splat of the agents behind those of the background, whose `static_lists` lists begin

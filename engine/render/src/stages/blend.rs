@@ -1,10 +1,10 @@
 //! Blends segments of macro tiles' lists.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{EarlyStop, Rules};
 
-use super::{Arguments, Control, PURPOSE, Plan, Projected, kernel};
+use super::{Arguments, Control, PURPOSE, Plan, Projected, kernel, push_constants};
 use crate::layout::{CameraRecord, MACRO_PIXELS};
 use crate::output::{OutputBuffers, Outputs};
 
@@ -57,15 +57,15 @@ pub enum BlendPass {
     OrderError,
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    sky: [f32; 3],
-    camera_count: u32,
-    items_max: u32,
-    contribution_scale: f32,
-    measured_stride: u32,
-    measured_first: u32,
+push_constants! {
+    struct Push {
+        sky: [f32; 3],
+        camera_count: u32,
+        items_max: u32,
+        contribution_scale: f32,
+        measured_stride: u32,
+        measured_first: u32,
+    }
 }
 
 /// Which of a frame's segments the order error is measured in.
@@ -105,7 +105,7 @@ impl Blend {
             ("ORDER_ERROR", Constant::Bool(pass == BlendPass::OrderError)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
         ];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::BLEND, &constants)? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)? })
     }
 
     /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results. Where it measures

@@ -1,18 +1,18 @@
 //! Joins the segments of macro tiles that were cut.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
 use decouplegs_scene::{EarlyStop, Rules};
 
-use super::{Arguments, Control, Partials, Plan, kernel};
+use super::{Arguments, Control, Partials, Plan, kernel, push_constants};
 use crate::layout::CameraRecord;
 use crate::output::{OutputBuffers, Outputs};
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    sky: [f32; 3],
-    camera_count: u32,
+push_constants! {
+    struct Push {
+        sky: [f32; 3],
+        camera_count: u32,
+    }
 }
 
 /// `composite.comp`.
@@ -30,7 +30,7 @@ impl CompositeSegments {
         let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
         let constants = [u8_colour, depth, instance, stop, contributions];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::COMPOSITE, &constants)? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)? })
     }
 
     /// Writes the pixels of every macro tile that `plan` cut.

@@ -3,7 +3,13 @@
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{Arguments, Control, Projected, kernel};
+use super::{Arguments, Control, Projected, kernel, push_constants};
+
+push_constants! {
+    struct Push {
+        records_max: u32,
+    }
+}
 
 /// `count_pairs.comp`.
 pub struct CountPairs {
@@ -16,7 +22,7 @@ impl CountPairs {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::COUNT_PAIRS, &[])? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::COUNT_PAIRS, &[])? })
     }
 
     /// Writes to `pair_counts` the pairs of each block of `order`.
@@ -28,7 +34,7 @@ impl CountPairs {
         projected: &Projected,
         pair_counts: &Buffer<u32>,
     ) {
-        let records_max = projected.colours.len() as u32;
+        let push = Push { records_max: projected.colours.len() as u32 };
         let buffers = [
             ("needs", control.needs.binding()),
             ("order", order.binding()),
@@ -36,6 +42,6 @@ impl CountPairs {
             ("pair_counts", pair_counts.binding()),
         ];
         let offset = Arguments::PairBlocks.byte_offset();
-        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&records_max), control.arguments.binding(), offset);
+        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);
     }
 }

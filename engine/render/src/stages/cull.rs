@@ -1,10 +1,10 @@
 //! Which splats can be seen by which camera.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::Rules;
 
-use super::{PURPOSE, Ranked, kernel};
+use super::{PURPOSE, Ranked, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, near_m};
 use crate::resident::ResidentWorld;
@@ -31,12 +31,12 @@ impl Visible {
     }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    splat_count: u32,
-    camera_count: u32,
-    chunk_count: u32,
+push_constants! {
+    struct Push {
+        splat_count: u32,
+        camera_count: u32,
+        chunk_count: u32,
+    }
 }
 
 /// `cull.comp`.
@@ -57,7 +57,7 @@ impl Cull {
             ("RANKED", Constant::Bool(ranked)),
             ("LENSES", Constant::Bool(lenses)),
         ];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL, &constants)? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)? })
     }
 
     /// Marks what `cameras` see of `world`, and its ranks in the orders that are kept.

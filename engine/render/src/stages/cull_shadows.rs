@@ -1,9 +1,9 @@
 //! Which contact shadows may lie on which chunk of the background.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Residence};
 
-use super::{PURPOSE, kernel};
+use super::{PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::{CHUNK_SPLATS, ShadowRecord};
 use crate::resident::ResidentWorld;
@@ -35,11 +35,11 @@ pub fn words_for(shadows: usize) -> usize {
     shadows.div_ceil(32)
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    chunk_count: u32,
-    shadow_count: u32,
+push_constants! {
+    struct Push {
+        chunk_count: u32,
+        shadow_count: u32,
+    }
 }
 
 /// `cull_shadows.comp`.
@@ -53,7 +53,7 @@ impl CullShadows {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])? })
     }
 
     /// Marks which of the first `shadow_count` shadows may lie on each chunk of `world`.

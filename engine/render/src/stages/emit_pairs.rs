@@ -1,9 +1,9 @@
 //! Writes a (macro tile, record) pair for every macro tile that a record reaches, records in depth order.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
 
-use super::{Arguments, Control, Projected, kernel};
+use super::{Arguments, Control, Projected, kernel, push_constants};
 use crate::layout::{CameraRecord, ViewLists};
 
 /// Where the pairs go.
@@ -14,12 +14,12 @@ pub struct Pairs<'a> {
     pub records: &'a Buffer<u32>,
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    camera_count: u32,
-    records_max: u32,
-    pairs_max: u32,
+push_constants! {
+    struct Push {
+        camera_count: u32,
+        records_max: u32,
+        pairs_max: u32,
+    }
 }
 
 /// `emit_pairs.comp`.
@@ -33,7 +33,7 @@ impl EmitPairs {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, sort_block: u32) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::EMIT_PAIRS, &[("SORT_BLOCK", Constant::U32(sort_block))])? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::EMIT_PAIRS, &[("SORT_BLOCK", Constant::U32(sort_block))])? })
     }
 
     /// Writes `pairs`; `lists` tells which camera a record belongs to.

@@ -1,15 +1,15 @@
 //! Where each macro tile's list begins in the sorted pairs.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{Arguments, Control, kernel};
+use super::{Arguments, Control, kernel, push_constants};
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    pairs_max: u32,
-    bin_count: u32,
+push_constants! {
+    struct Push {
+        pairs_max: u32,
+        bin_count: u32,
+    }
 }
 
 /// `find_ranges.comp`.
@@ -23,7 +23,7 @@ impl FindRanges {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::FIND_RANGES, &[])? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::FIND_RANGES, &[])? })
     }
 
     /// Writes to `range_firsts`, of one entry more than there are macro tiles, where each list of `bins` begins.

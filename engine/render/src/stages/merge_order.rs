@@ -3,7 +3,13 @@
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{Arguments, Control, OrderPlan, kernel};
+use super::{Arguments, Control, OrderPlan, kernel, push_constants};
+
+push_constants! {
+    struct Push {
+        camera_count: u32,
+    }
+}
 
 /// `merge_order.comp`.
 pub struct MergeOrder {
@@ -16,7 +22,7 @@ impl MergeOrder {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::MERGE_ORDER, &[])? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::MERGE_ORDER, &[])? })
     }
 
     /// Writes to `order` the records `values` of the lists of `plan`, whose `keys` are sorted, by key and camera.
@@ -33,7 +39,7 @@ impl MergeOrder {
     ) {
         let buffers =
             [("lists", plan.lists.binding()), ("keys", keys.binding()), ("values", values.binding()), ("order", order.binding())];
-        let push = camera_count as u32;
+        let push = Push { camera_count: camera_count as u32 };
         let offset = Arguments::Merge.byte_offset();
         recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);
     }

@@ -103,10 +103,83 @@ impl Arguments {
     }
 }
 
-fn kernel(
+/// Members of a kernel's push constants: names and byte offsets, in order.
+trait PushConstants: bytemuck::Pod {
+    const MEMBERS: &'static [(&'static str, usize)];
+}
+
+/// Declares the push constants of a kernel. [`kernel`] compares them with the shader's.
+macro_rules! push_constants {
+    (struct $name:ident { $($member:ident: $type:ty,)* }) => {
+        #[repr(C)]
+        #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+        struct $name {
+            $($member: $type,)*
+        }
+
+        impl super::PushConstants for $name {
+            const MEMBERS: &'static [(&'static str, usize)] = &[$((stringify!($member), std::mem::offset_of!($name, $member)),)*];
+        }
+    };
+}
+use push_constants;
+
+/// For kernels without push constants.
+type NoPush = ();
+
+impl PushConstants for NoPush {
+    const MEMBERS: &'static [(&'static str, usize)] = &[];
+}
+
+/// Builds `shader`, whose push constants are `P`.
+///
+/// # Errors
+/// When the driver refuses it, or the shader declares other push constants than the host.
+fn kernel<P: PushConstants>(
     gpu: &Gpu,
     shader: &'static decouplegs_shaders::Kernel,
     constants: &[(&str, decouplegs_gpu::Constant)],
 ) -> Result<Kernel, GpuError> {
-    gpu.kernel(shader.name, shader.spirv, constants)
+    let kernel = gpu.kernel(shader.name, shader.spirv, constants)?;
+    match push_fault::<P>(kernel.push_member_offsets(), kernel.push_bytes()) {
+        Some(reason) => Err(GpuError::Kernel { kernel: shader.name, reason }),
+        None => Ok(kernel),
+    }
+}
+
+/// Difference between the push constants of host and shader, if there is one.
+fn push_fault<P: PushConstants>(members: &[(String, u32)], bytes: u32) -> Option<String> {
+    let shader = members.iter().map(|(name, offset)| (name.as_str(), *offset as usize));
+    let same = shader.eq(P::MEMBERS.iter().copied()) && bytes as usize == size_of::<P>();
+    (!same).then(|| {
+        let (host, host_bytes) = (P::MEMBERS, size_of::<P>());
+        format!("push constants are {members:?} of {bytes} bytes in the shader, and {host:?} of {host_bytes} bytes on the host")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::push_fault;
+
+    push_constants! {
+        struct Push {
+            sky: [f32; 3],
+            count: u32,
+        }
+    }
+
+    #[test]
+    fn other_push_constants_are_refused() {
+        let members = |members: [(&str, u32); 2]| members.map(|(name, offset)| (name.to_owned(), offset));
+        assert_eq!(push_fault::<Push>(&members([("sky", 0), ("count", 12)]), 16), None);
+        for (wrong, bytes) in [
+            ([("sky", 0), ("count", 16)], 20),
+            ([("sky", 0), ("sum", 12)], 16),
+            ([("count", 12), ("sky", 0)], 16),
+            ([("sky", 0), ("count", 12)], 32),
+        ] {
+            assert!(push_fault::<Push>(&members(wrong), bytes).unwrap().contains("on the host"), "{wrong:?}");
+        }
+        assert!(push_fault::<()>(&members([("sky", 0), ("count", 12)]), 16).is_some());
+    }
 }

@@ -1,9 +1,9 @@
 //! Where every camera's lists of records lie, and which of them the radix sort has to order.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 
-use super::{Control, PURPOSE, kernel};
+use super::{Control, PURPOSE, kernel, push_constants};
 use crate::layout::{CAMERAS_MAX, SortSegment, ViewLists, ViewOrder};
 
 /// The lists of a frame.
@@ -33,13 +33,13 @@ impl OrderPlan {
     }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    camera_count: u32,
-    static_chunks: u32,
-    moving_chunks: u32,
-    records_max: u32,
+push_constants! {
+    struct Push {
+        camera_count: u32,
+        static_chunks: u32,
+        moving_chunks: u32,
+        records_max: u32,
+    }
 }
 
 /// `plan_order.comp`.
@@ -53,7 +53,7 @@ impl PlanOrder {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, sort_block: u32) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PLAN_ORDER, &[("SORT_BLOCK", Constant::U32(sort_block))])? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_ORDER, &[("SORT_BLOCK", Constant::U32(sort_block))])? })
     }
 
     /// Plans the lists that begin at `static_firsts` and `moving_firsts`, of so many chunks a camera, in room for

@@ -1,9 +1,9 @@
 //! Cuts each macro tile's list into segments that are blended side by side.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 
-use super::{Control, PURPOSE, kernel};
+use super::{Control, PURPOSE, kernel, push_constants};
 use crate::capacity::Capacity;
 use crate::layout::{Composite, Item};
 
@@ -28,13 +28,13 @@ impl Plan {
     }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    bin_count: u32,
-    pairs_max: u32,
-    items_max: u32,
-    partials_max: u32,
+push_constants! {
+    struct Push {
+        bin_count: u32,
+        pairs_max: u32,
+        items_max: u32,
+        partials_max: u32,
+    }
 }
 
 /// `plan_segments.comp`.
@@ -50,7 +50,7 @@ impl PlanSegments {
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, segment_pairs: u32) -> Result<Self, GpuError> {
         let constants = [("SEGMENT_PAIRS", Constant::U32(segment_pairs))];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &constants)?, segment_pairs })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &constants)?, segment_pairs })
     }
 
     /// Writes `plan` for the lists that begin at `range_firsts`.

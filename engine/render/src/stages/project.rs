@@ -1,10 +1,10 @@
 //! Footprint, depth key and colour of every visible (camera, splat).
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Ranked, ShadowBuffers, SortScratch, Visible, kernel, words_for};
+use super::{PURPOSE, Ranked, ShadowBuffers, SortScratch, Visible, kernel, push_constants, words_for};
 use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, LensRecord, near_m};
 use crate::resident::ResidentWorld;
@@ -52,14 +52,14 @@ pub struct ProjectVariant {
     pub lenses: bool,
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    splat_count: u32,
-    camera_count: u32,
-    chunk_count: u32,
-    records_max: u32,
-    shadow_word_count: u32,
+push_constants! {
+    struct Push {
+        splat_count: u32,
+        camera_count: u32,
+        chunk_count: u32,
+        records_max: u32,
+        shadow_word_count: u32,
+    }
 }
 
 /// `project.comp`.
@@ -85,7 +85,7 @@ impl Project {
             ("SHADOWS_BY_CAMERA", Constant::Bool(variant.shadows && variant.shadows_by_camera)),
             ("LENSES", Constant::Bool(variant.lenses)),
         ];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::PROJECT, &constants)? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }
 
     /// Writes a record for every bit of `visible`, the first of each list at `firsts`, and its depth key and place to the first

@@ -1,9 +1,9 @@
 //! Kept orders: the rank of every splat of the background along a direction, and the visible ones among them.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Residence};
 
-use super::{PURPOSE, Scan, SortScratch, kernel};
+use super::{PURPOSE, Scan, SortScratch, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::{CHUNK_SPLATS, CameraRecord, ViewOrder};
 use crate::resident::ResidentWorld;
@@ -44,11 +44,24 @@ pub struct Ranked<'a> {
     pub lists: &'a RankLists,
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    splat_count: u32,
-    index: u32,
+push_constants! {
+    struct KeyPush {
+        splat_count: u32,
+        camera: u32,
+    }
+}
+
+push_constants! {
+    struct RankPush {
+        splat_count: u32,
+        rank_set: u32,
+    }
+}
+
+push_constants! {
+    struct CountPush {
+        count: u32,
+    }
 }
 
 /// `key_splats.comp`, `rank_splats.comp` and `count_ranks.comp`.
@@ -65,9 +78,9 @@ impl Ranks {
     /// When the driver refuses a kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            key: kernel(gpu, &decouplegs_shaders::KEY_SPLATS, &[])?,
-            rank: kernel(gpu, &decouplegs_shaders::RANK_SPLATS, &[])?,
-            count: kernel(gpu, &decouplegs_shaders::COUNT_RANKS, &[])?,
+            key: kernel::<KeyPush>(gpu, &decouplegs_shaders::KEY_SPLATS, &[])?,
+            rank: kernel::<RankPush>(gpu, &decouplegs_shaders::RANK_SPLATS, &[])?,
+            count: kernel::<CountPush>(gpu, &decouplegs_shaders::COUNT_RANKS, &[])?,
         })
     }
 
@@ -81,7 +94,7 @@ impl Ranks {
         camera: usize,
         sort: &SortScratch,
     ) {
-        let push = Push { splat_count: world.splats as u32, index: camera as u32 };
+        let push = KeyPush { splat_count: world.splats as u32, camera: camera as u32 };
         let buffers = [
             ("cameras", cameras.binding()),
             ("means_m", world.means.binding()),
@@ -100,7 +113,7 @@ impl Ranks {
         ranks: &Buffer<u32>,
         rank_set: usize,
     ) {
-        let push = Push { splat_count: splats as u32, index: rank_set as u32 };
+        let push = RankPush { splat_count: splats as u32, rank_set: rank_set as u32 };
         let buffers = [("values", order.binding()), ("ranks", ranks.binding())];
         recorder.dispatch(&self.rank, &buffers, bytes_of(&push), groups_for(splats.div_ceil(256)));
     }
@@ -108,7 +121,8 @@ impl Ranks {
     /// Counts the visible splats before each of `chunk_lists` stretches of 256 ranks.
     pub fn record_counts(&self, recorder: &mut Recorder, scan: &Scan, lists: &RankLists, chunk_lists: usize) {
         let buffers = [("rank_words", lists.words.binding()), ("rank_counts", lists.counts.binding())];
-        recorder.dispatch(&self.count, &buffers, bytes_of(&(chunk_lists as u32)), groups_for(chunk_lists.div_ceil(256)));
+        let push = CountPush { count: chunk_lists as u32 };
+        recorder.dispatch(&self.count, &buffers, bytes_of(&push), groups_for(chunk_lists.div_ceil(256)));
         scan.record(recorder, &lists.counts, &lists.firsts, chunk_lists);
     }
 }

@@ -3,7 +3,7 @@
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 
-use super::{PURPOSE, kernel};
+use super::{PURPOSE, kernel, push_constants};
 use crate::asset_pool::{COLOUR_WORDS, PoolBuffers};
 use crate::capacity::groups_for;
 use crate::layout::RelightRecord;
@@ -32,6 +32,12 @@ impl RelitColours {
     }
 }
 
+push_constants! {
+    struct Push {
+        relight_count: u32,
+    }
+}
+
 /// `relight.comp`.
 pub struct Relight {
     kernel: Kernel,
@@ -44,7 +50,7 @@ impl Relight {
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, sh_degree: u8) -> Result<Self, GpuError> {
         let constants = [("SH_DEGREE", Constant::U32(u32::from(sh_degree)))];
-        Ok(Self { kernel: kernel(gpu, &decouplegs_shaders::RELIGHT, &constants)? })
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::RELIGHT, &constants)? })
     }
 
     /// Makes the colours of the first `count` of `relights`, which take `groups` workgroups in all.
@@ -57,6 +63,7 @@ impl Relight {
         groups: usize,
         relit: &RelitColours,
     ) {
+        let push = Push { relight_count: count as u32 };
         let bound = [
             ("relights", relights.binding()),
             ("coded_dc", pool.colour_dc.binding()),
@@ -64,6 +71,6 @@ impl Relight {
             ("relit_dc", relit.dc.binding()),
             ("relit_bands", relit.bands.binding()),
         ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&(count as u32)), groups_for(groups));
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(groups));
     }
 }

@@ -1,9 +1,9 @@
 //! Puts almost sorted lists right, proves it, and hands back those that it failed on.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{Arguments, Control, OrderPlan, SortScratch, kernel};
+use super::{Arguments, Control, OrderPlan, SortScratch, kernel, push_constants};
 use crate::capacity::groups_for;
 
 /// Places that one workgroup repairs or checks.
@@ -11,21 +11,27 @@ const BLOCK: usize = 1024;
 /// Entries that stand the wrong way round are found up to this many places apart.
 pub const REPAIR_REACH_MAX: u32 = 256;
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct RepairPush {
-    camera_count: u32,
-    chunk_count: u32,
-    records_max: u32,
-    reach: u32,
+push_constants! {
+    struct RepairPush {
+        camera_count: u32,
+        chunk_count: u32,
+        records_max: u32,
+        reach: u32,
+    }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct CheckPush {
-    camera_count: u32,
-    chunk_count: u32,
-    records_max: u32,
+push_constants! {
+    struct CheckPush {
+        camera_count: u32,
+        chunk_count: u32,
+        records_max: u32,
+    }
+}
+
+push_constants! {
+    struct RestorePush {
+        camera_count: u32,
+    }
 }
 
 /// `repair_order.comp`, `check_order.comp` and `restore_order.comp`.
@@ -55,9 +61,9 @@ impl RepairOrder {
     /// When the driver refuses a kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            repair: kernel(gpu, &decouplegs_shaders::REPAIR_ORDER, &[])?,
-            check: kernel(gpu, &decouplegs_shaders::CHECK_ORDER, &[])?,
-            restore: kernel(gpu, &decouplegs_shaders::RESTORE_ORDER, &[])?,
+            repair: kernel::<RepairPush>(gpu, &decouplegs_shaders::REPAIR_ORDER, &[])?,
+            check: kernel::<CheckPush>(gpu, &decouplegs_shaders::CHECK_ORDER, &[])?,
+            restore: kernel::<RestorePush>(gpu, &decouplegs_shaders::RESTORE_ORDER, &[])?,
         })
     }
 
@@ -131,7 +137,7 @@ impl RepairOrder {
             ("values", sort.values[0].binding()),
         ];
         let offset = Arguments::Restore.byte_offset();
-        let push = camera_count as u32;
+        let push = RestorePush { camera_count: camera_count as u32 };
         recorder.dispatch_indirect(&self.restore, &buffers, bytes_of(&push), control.arguments.binding(), offset);
     }
 }

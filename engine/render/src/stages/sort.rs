@@ -3,10 +3,10 @@
 //! Three kernels for each 8 bits: `sort_count`, `sort_scan`, `sort_scatter` (reduce, then scan: no workgroup waits for
 //! another). Right for subgroups of 4 to 64 lanes.
 
-use bytemuck::{Pod, Zeroable, bytes_of};
+use bytemuck::bytes_of;
 use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 
-use super::{PURPOSE, kernel};
+use super::{NoPush, PURPOSE, kernel, push_constants};
 use crate::capacity::SortShape;
 use crate::layout::{CAMERAS_MAX, SortSegment};
 
@@ -59,11 +59,11 @@ pub struct SortInput<'a> {
     pub first: usize,
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Push {
-    segment_count: u32,
-    shift: u32,
+push_constants! {
+    struct Push {
+        segment_count: u32,
+        shift: u32,
+    }
 }
 
 /// `sort_count.comp`, `sort_scan.comp` and `sort_scatter.comp`.
@@ -81,9 +81,9 @@ impl RadixSort {
     pub fn new(gpu: &Gpu, shape: SortShape) -> Result<Self, GpuError> {
         let size = [("WORKGROUP_THREADS", Constant::U32(shape.threads)), ("ITEMS", Constant::U32(shape.items))];
         Ok(Self {
-            count: kernel(gpu, &decouplegs_shaders::SORT_COUNT, &size)?,
-            scan: kernel(gpu, &decouplegs_shaders::SORT_SCAN, &size)?,
-            scatter: kernel(gpu, &decouplegs_shaders::SORT_SCATTER, &size)?,
+            count: kernel::<Push>(gpu, &decouplegs_shaders::SORT_COUNT, &size)?,
+            scan: kernel::<NoPush>(gpu, &decouplegs_shaders::SORT_SCAN, &size)?,
+            scatter: kernel::<Push>(gpu, &decouplegs_shaders::SORT_SCATTER, &size)?,
         })
     }
 
