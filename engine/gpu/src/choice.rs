@@ -2,7 +2,7 @@
 
 use std::{convert::Infallible, fmt, str::FromStr};
 
-use crate::{DeviceInfo, DeviceKind, GpuError};
+use crate::{DeviceInfo, DeviceKind, GpuError, KernelCache};
 
 /// How a device is opened.
 #[derive(Clone, Debug)]
@@ -13,13 +13,15 @@ pub struct DeviceOptions {
     pub validation: bool,
     /// Whether the compute-only queue is used where there is one.
     pub queues: QueueUse,
+    /// Where built kernels are kept for the next start.
+    pub kernels: KernelCache,
 }
 
 impl Default for DeviceOptions {
-    /// The best device, all queues, and validation where the environment says `DECOUPLEGS_VALIDATION=1`.
+    /// The best device, all queues, kernels kept in the user's folder, and validation where the environment says `DECOUPLEGS_VALIDATION=1`.
     fn default() -> Self {
         let validation = std::env::var("DECOUPLEGS_VALIDATION").is_ok_and(|value| value == "1");
-        Self { choice: DeviceChoice::Automatic, validation, queues: QueueUse::All }
+        Self { choice: DeviceChoice::Automatic, validation, queues: QueueUse::All, kernels: KernelCache::User }
     }
 }
 

@@ -13,10 +13,11 @@ use gpu_allocator::{
 };
 
 use crate::{
-    DeviceInfo, DeviceOptions, GpuError, Limits, MemoryReport, QueueUse, choice,
+    DeviceInfo, DeviceOptions, GpuError, KernelCache, Limits, MemoryReport, QueueUse, choice,
     device::{self, Abilities, Families, Opened, Physical},
     export::Exports,
     instance::Instance,
+    kernel_cache::PipelineStore,
     memory::Accounting,
 };
 
@@ -40,6 +41,7 @@ pub(crate) struct Context {
     /// Dropped by hand, before the device.
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
     pub(crate) accounting: Mutex<Accounting>,
+    pub(crate) pipelines: PipelineStore,
     physical: vk::PhysicalDevice,
     /// Dropped after the device, by field order and our `Drop`.
     instance: Instance,
@@ -54,7 +56,7 @@ impl Context {
         let mut refusal = GpuError::NoDevice;
         for index in choice::candidates(&options.choice, &infos)? {
             match open_physical(&instance, &devices[index], options.queues) {
-                Ok((opened, families)) => return Self::finish(instance, &devices[index], opened, families),
+                Ok((opened, families)) => return Self::finish(instance, &devices[index], opened, families, &options.kernels),
                 // The best device's reason is the one worth reading.
                 Err(error) if matches!(refusal, GpuError::NoDevice) => refusal = error,
                 Err(_) => {}
@@ -63,7 +65,13 @@ impl Context {
         Err(refusal)
     }
 
-    fn finish(instance: Instance, physical: &Physical, opened: Opened, families: Families) -> Result<Self, GpuError> {
+    fn finish(
+        instance: Instance,
+        physical: &Physical,
+        opened: Opened,
+        families: Families,
+        kernels: &KernelCache,
+    ) -> Result<Self, GpuError> {
         let Opened { device, abilities, limits } = opened;
         let mut debug_settings = AllocatorDebugSettings::default();
         debug_settings.log_leaks_on_shutdown = false;
@@ -83,6 +91,8 @@ impl Context {
                 return Err(GpuError::Driver { call: "preparing the allocator", code: error.to_string() });
             }
         };
+        // SAFETY: a query on a device of this instance.
+        let properties = unsafe { instance.raw.get_physical_device_properties(physical.raw) };
         Ok(Self {
             push_descriptor: khr::push_descriptor::Device::new(&instance.raw, &device),
             exports: abilities.exports.then(|| Exports::new(&instance, &device)),
@@ -93,6 +103,7 @@ impl Context {
             families,
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             accounting: Mutex::default(),
+            pipelines: PipelineStore::open(&device, &properties, kernels),
             physical: physical.raw,
             device,
             instance,
@@ -157,6 +168,7 @@ impl Drop for Context {
         // An error here is a device lost: destroying is allowed then too.
         // SAFETY: queues are externally synchronised; every other owner of this context is gone, so no other call can run.
         let _ = unsafe { self.device.device_wait_idle() };
+        self.pipelines.close(&self.device);
         // SAFETY: dropped once, here, and not used after.
         unsafe { ManuallyDrop::drop(&mut self.allocator) };
         // SAFETY: everything made from the device holds this context alive, and the allocator has returned its memory.

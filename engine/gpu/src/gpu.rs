@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use bytemuck::Pod;
 
 use crate::{
-    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, Limits, MemoryReport, QueueRole, Recorder, Residence, Ticket,
-    context::Context, device, instance::Instance, memory::BufferMemory, queue::Queue, transfer,
+    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, Limits, MemoryReport, QueueRole, Recorder,
+    Residence, Ticket, context::Context, device, instance::Instance, memory::BufferMemory, queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -79,6 +79,18 @@ impl Gpu {
     #[must_use]
     pub fn limits(&self) -> &Limits {
         &self.0.context.limits
+    }
+
+    /// Kernels that were built, and how many of them the driver found among those kept ([`DeviceOptions::kernels`]).
+    #[must_use]
+    pub fn kernel_counts(&self) -> KernelCounts {
+        self.0.context.pipelines.counts()
+    }
+
+    /// True if kernels that were kept from an earlier start were there, whole and this driver's.
+    #[must_use]
+    pub fn has_kept_kernels(&self) -> bool {
+        self.0.context.pipelines.was_read()
     }
 
     /// Whether `other` is this very device as it was opened: buffers of one are of no use to another.

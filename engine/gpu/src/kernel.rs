@@ -248,14 +248,19 @@ impl KernelCore {
         if self.subgroups_pinned {
             stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut subgroups);
         }
-        let create = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.layout);
+        let mut built = vk::PipelineCreationFeedback::default();
+        let mut feedback = vk::PipelineCreationFeedbackCreateInfo::default().pipeline_creation_feedback(&mut built);
+        let create = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.layout).push_next(&mut feedback);
         // SAFETY: module and layout are live and of this device, what `create` points to outlives the call, and the layout was
         // reflected from the module.
-        let pipelines = unsafe { context.device.create_compute_pipelines(vk::PipelineCache::null(), &[create], None) };
+        let pipelines = unsafe { context.device.create_compute_pipelines(context.pipelines.cache, &[create], None) };
         // SAFETY: a module may go as soon as its pipelines are made.
         unsafe { context.device.destroy_shader_module(module, None) };
         self.pipeline = match pipelines {
-            Ok(pipelines) => pipelines[0],
+            Ok(pipelines) => {
+                context.pipelines.count(built.flags);
+                pipelines[0]
+            }
             Err((_, vk::Result::ERROR_DEVICE_LOST)) => {
                 return Err(failed("vkCreateComputePipelines")(vk::Result::ERROR_DEVICE_LOST));
             }

@@ -5,7 +5,7 @@
 //! submitting gives a [`Ticket`] to wait for and to read times from.
 //!
 //! # Reading order
-//! `choice` and `device` (opening), `memory` and `buffer`, `kernel` and `kernel/reflection`, `recorder` and `recorder/hazards`
+//! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and `kernel_cache`, `recorder` and `recorder/hazards`
 //! (the one home of barriers), `queue` (submitting, waiting, recycling), `transfer` (staged uploads and reads).
 //!
 //! # What is not done here
@@ -28,6 +28,7 @@ mod gpu;
 mod info;
 mod instance;
 mod kernel;
+mod kernel_cache;
 mod memory;
 mod queue;
 mod recorder;
@@ -42,6 +43,7 @@ pub use export::ExportedMemory;
 pub use gpu::{DeviceClock, Gpu};
 pub use info::{DeviceInfo, DeviceKind, Limits, MemoryReport};
 pub use kernel::{Access, Constant, Kernel, KernelBinding};
+pub use kernel_cache::{KernelCache, KernelCounts};
 pub use queue::QueueRole;
 pub use recorder::Recorder;
 pub use ticket::{StageTime, Ticket};

@@ -1,6 +1,8 @@
 //! Kernels: constants and bindings by name, layouts, and what is refused.
 
-use decouplegs_gpu::{Access, Constant, GpuError, QueueRole, Residence};
+use std::fs;
+
+use decouplegs_gpu::{Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, QueueRole, Residence};
 
 use crate::{Watched, bytes, scale, scale_push, spirv};
 
@@ -125,4 +127,34 @@ fn an_unknown_constant_asserts() {
 fn a_constant_of_another_type_asserts() {
     let gpu = Watched::open();
     let _ = gpu.kernel("scale", &spirv("scale"), &[("FACTOR", Constant::F32(1.0))]);
+}
+
+/// Kernels are kept in a file that the next start reads; a damaged one is ignored and replaced.
+#[test]
+fn a_second_start_finds_kernels_that_were_kept() {
+    let folder = std::env::temp_dir().join(format!("decouplegs-kept-{}", std::process::id()));
+    let start = || {
+        let options = DeviceOptions { kernels: KernelCache::Folder(folder.clone()), ..DeviceOptions::default() };
+        let gpu = Gpu::open(&options).unwrap();
+        let kernel = scale(&gpu, 2);
+        let counts = gpu.kernel_counts();
+        drop(kernel);
+        assert_eq!(gpu.take_validation_messages(), Vec::<String>::new());
+        (gpu.has_kept_kernels(), counts)
+    };
+    let files = || fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).collect::<Vec<_>>();
+    let (read, counts) = start();
+    assert!(!read && (counts.built, counts.found) == (1, 0));
+    let [file] = &files()[..] else { panic!("one file, found {:?}", files()) };
+    let kept = fs::read(file).unwrap();
+    let (read, counts) = start();
+    assert!(read);
+    println!("{counts:?}; drivers that keep nothing find nothing");
+    for damaged in [&kept[..kept.len() - 1], b"", &[&kept[..30], &[!kept[30]], &kept[31..]].concat()] {
+        fs::write(file, damaged).unwrap();
+        assert!(!start().0, "what is damaged is ignored");
+        assert!(start().0, "and written anew");
+    }
+    assert_eq!(files().len(), 1, "no temporary file is left");
+    fs::remove_dir_all(&folder).unwrap();
 }
