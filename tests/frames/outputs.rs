@@ -4,7 +4,7 @@ use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, referen
 use decouplegs::scene::{Rules, World};
 use glam::DVec3;
 
-use super::{Splat, camera_at, draw, world_of};
+use super::{Splat, all_outputs, camera_at, draw, world_of};
 use crate::device::Validated;
 
 fn scene() -> World {
@@ -30,20 +30,28 @@ fn depth_and_instance_are_the_definitions() {
     let gpu = Validated::open();
     let camera = camera_at(DVec3::ZERO, 160, 90);
     let world = scene();
-    let picture = &draw(&gpu, &world, std::slice::from_ref(&camera), Rules::DEFAULT)[0];
-    let truth = reference::render(&world, &camera, &Rules::DEFAULT);
-    let depths = picture.depth.as_ref().unwrap();
-    for (i, (&depth, &expected)) in depths.iter().zip(&truth.depth).enumerate() {
-        // A pixel of one faint splat can gain or lose it at the 1/255 threshold; compare where something was hit.
-        if truth.alpha[i] > 0.05 {
-            assert!((f64::from(depth) - expected).abs() <= 0.01 * expected, "pixel {i}: {depth} m, not {expected} m");
+    // In one run, and in many segments, which composite joins and which end by an exclusive stop.
+    for (rules, segment_pairs) in [(Rules::DEFAULT, 1024), (Rules::DEFAULT, 64), (Rules::GSPLAT16, 1024), (Rules::GSPLAT16, 64)] {
+        let options = RenderOptions { rules, segment_pairs, outputs: all_outputs(), ..RenderOptions::default() };
+        let mut renderer = Renderer::new(&gpu, options);
+        let resident = renderer.upload(&world).unwrap();
+        let needs = renderer.render(&resident, std::slice::from_ref(&camera)).unwrap().needs;
+        assert_eq!(needs.partials > 0, segment_pairs < 1024, "{} in the longest list", needs.longest);
+        let picture = &renderer.read_pictures().unwrap()[0];
+        let truth = reference::render(&world, &camera, &rules);
+        let depths = picture.depth.as_ref().unwrap();
+        for (i, (&depth, &expected)) in depths.iter().zip(&truth.depth).enumerate() {
+            // A pixel of one faint splat can gain or lose it at the 1/255 threshold; compare where something was hit.
+            if truth.alpha[i] > 0.05 {
+                assert!((f64::from(depth) - expected).abs() <= 0.01 * expected, "pixel {i}: {depth} m, not {expected} m");
+            }
         }
+        let ids = picture.instance.as_ref().unwrap();
+        let wrong = ids.iter().zip(&truth.instance).filter(|(a, b)| a != b).count();
+        // Two weights can be equal to rounding.
+        assert!(wrong * 1000 <= ids.len(), "{wrong} of {} pixels name another instance", ids.len());
+        assert!((0..3).all(|id| truth.instance.contains(&id)), "the scene must show all three");
     }
-    let ids = picture.instance.as_ref().unwrap();
-    let wrong = ids.iter().zip(&truth.instance).filter(|(a, b)| a != b).count();
-    // Two weights can be equal to rounding.
-    assert!(wrong * 1000 <= ids.len(), "{wrong} of {} pixels name another instance", ids.len());
-    assert!((0..3).all(|id| truth.instance.contains(&id)), "the scene must show all three");
 }
 
 #[test]
