@@ -57,6 +57,7 @@ layout(set = 0, binding = 16, scalar) readonly buffer partial_unfinished_block {
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint measured_stride; uint measured_first; };
 
 #include "batch.glsl"
+#include "partial.glsl"
 
 // A product of largest transmittances up to here means that composite stops before, its own rounding included.
 float covered() {
@@ -201,13 +202,8 @@ bool blend_tile(inout TilePixels pixels, uint thread, uint step) {
 
 void write_partial(uint place, Pixel pixel, bool full) {
     // Negative: the pixel ends here.
-    partial_colours[place] = vec4(pixel.colour, EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance);
-    if (DEPTH) {
-        partial_depths[place] = pixel.weighted_depth;
-    }
-    if (INSTANCE) {
-        partial_instances[place] = uvec2(floatBitsToUint(pixel.best_weight), pixel.best_instance);
-    }
+    pixel.transmittance = EXCLUSIVE_STOP && full ? -pixel.transmittance : pixel.transmittance;
+    store_partial(place, pixel);
 }
 
 void write_order_error(float error) {
@@ -221,17 +217,9 @@ void write_order_error(float error) {
 
 // What lies before the pixel's segment, or a full pixel if there is nothing to finish in it.
 Pixel unfinished_pixel(uint place, out bool full) {
-    vec4 colour = partial_colours[place];
-    full = !(colour.a < 0.0);
-    Pixel pixel = Pixel(colour.rgb, full ? 0.0 : -colour.a, 0.0, 0.0, 0u);
-    if (DEPTH) {
-        pixel.weighted_depth = partial_depths[place];
-    }
-    if (INSTANCE) {
-        uvec2 best = partial_instances[place];
-        pixel.best_weight = uintBitsToFloat(best.x);
-        pixel.best_instance = best.y;
-    }
+    Pixel pixel = load_partial(place);
+    full = !(pixel.transmittance < 0.0);
+    pixel.transmittance = full ? 0.0 : -pixel.transmittance;
     return pixel;
 }
 

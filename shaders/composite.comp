@@ -28,30 +28,12 @@ layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; 
 // Segments that are read before the first is used, so that the reads overlap.
 const uint AHEAD = 4u;
 
-Pixel load_partial(uint place) {
-    vec4 colour = partial_colours[place];
-    Pixel pixel = Pixel(colour.rgb, colour.a, 0.0, 0.0, 0u);
-    if (DEPTH) {
-        pixel.weighted_depth = partial_depths[place];
-    }
-    if (INSTANCE) {
-        uvec2 best = partial_instances[place];
-        pixel.best_weight = uintBitsToFloat(best.x);
-        pixel.best_instance = best.y;
-    }
-    return pixel;
-}
+#include "partial.glsl"
 
 // Leaves `before`, what lies before segment `slot`, in the place of what the segment adds, to be blended again from there.
 void leave_unfinished(uint slot, uint place, uint tile, Pixel before) {
-    uint target = slot * MACRO_PIXELS + place;
-    partial_colours[target] = vec4(before.colour, -before.transmittance);
-    if (DEPTH) {
-        partial_depths[target] = before.weighted_depth;
-    }
-    if (INSTANCE) {
-        partial_instances[target] = uvec2(floatBitsToUint(before.best_weight), before.best_instance);
-    }
+    before.transmittance = -before.transmittance;
+    store_partial(slot * MACRO_PIXELS + place, before);
     atomicOr(partial_unfinished[slot], 1u << tile);
 }
 

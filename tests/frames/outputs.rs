@@ -121,7 +121,7 @@ fn contributions_add_up_to_what_pixels_cover() {
         let alone = renderer.upload(&world_of(&splats[..1])).unwrap();
         let own = renderer.contribution_weights(&alone, &cameras).unwrap()[0];
         assert!((weights[0] - own).abs() < 1e-3 * own, "{} against {own}", weights[0]);
-        // Where lists are cut, each splat's weight is that of the whole list.
+        // Where lists are cut, each splat's weight is that of the whole list, but for the steps of 2^-16 in which pixels are summed.
         if segment_pairs == 1024 {
             whole = weights;
             continue;

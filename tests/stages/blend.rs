@@ -13,7 +13,7 @@ use glam::Vec3;
 
 use super::project::PLAIN;
 use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
-use super::{UNTOUCHED, control, identical, open, run, upload, within};
+use super::{UNTOUCHED, control, identical, open, run, upload, within, write_partials};
 use crate::device::Validated;
 use rounding::PixelBounds;
 
@@ -122,7 +122,9 @@ impl Case {
         let records = upload(gpu, records);
         let pass = if before.is_some() { BlendPass::Finish } else { BlendPass::Segments };
         if let Some(before) = before {
-            write_partials(gpu, &partials, before);
+            write_partials(gpu, &partials, &before.concat());
+            // Every render tile has something to be finished.
+            gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()]).unwrap();
         }
         let blend = Blend::new(gpu, rules, &OUTPUTS, pass).unwrap();
         let cameras = scene.view.cameras.len();
@@ -264,17 +266,6 @@ impl Report {
             Ok(())
         }
     }
-}
-
-/// Lets a pass find `before` as what composite left in the slots, every render tile with something to be finished.
-fn write_partials(gpu: &Validated, partials: &Partials, before: &Blended) {
-    let all = || before.iter().flatten();
-    gpu.write(&partials.colours, 0, &all().map(|pixel| pixel.colour.extend(pixel.transmittance).to_array()).collect::<Vec<_>>())
-        .unwrap();
-    gpu.write(&partials.depths, 0, &all().map(|pixel| pixel.weighted_depth).collect::<Vec<_>>()).unwrap();
-    let instances: Vec<_> = all().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
-    gpu.write(&partials.instances, 0, &instances).unwrap();
-    gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()]).unwrap();
 }
 
 fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {

@@ -10,7 +10,7 @@ use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
 use super::scenes::rig;
-use super::{ROUNDOFF, Random, UNTOUCHED, control, identical, open, run, upload, within};
+use super::{ROUNDOFF, Random, UNTOUCHED, control, identical, open, run, upload, within, write_partials};
 use crate::device::Validated;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
@@ -57,11 +57,7 @@ impl Case {
         gpu.write(&plan.composites, 0, composites).unwrap();
         let on_device = Partials::new(gpu, partials.len() / MACRO_PIXELS, &rules, &outputs).unwrap();
         gpu.write(&on_device.unfinished, 0, &vec![0; on_device.unfinished.len()]).unwrap();
-        let gather = |of: fn(&Pixel) -> [f32; 4]| partials.iter().map(of).collect::<Vec<_>>();
-        gpu.write(&on_device.colours, 0, &gather(|pixel| pixel.colour.extend(pixel.transmittance).to_array())).unwrap();
-        gpu.write(&on_device.depths, 0, &partials.iter().map(|pixel| pixel.weighted_depth).collect::<Vec<_>>()).unwrap();
-        let instances: Vec<_> = partials.iter().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
-        gpu.write(&on_device.instances, 0, &instances).unwrap();
+        write_partials(gpu, &on_device, partials);
         let pictures = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
         gpu.write(&pictures.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
         let cameras = upload(gpu, &view.cameras);
@@ -88,7 +84,7 @@ impl Case {
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = macro_tile_origin(composite.bin, camera);
-            for (place, pixel) in twins::composite_unfinished(composite, &self.partials, stops, counts).0.iter().enumerate() {
+            for (place, pixel) in twins::composite(composite, &self.partials, stops, counts).0.iter().enumerate() {
                 let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
                 let at = [origin[0] + x, origin[1] + y];
                 write_pixel(&mut pictures, camera, at, pixel, Vec3::from_array(SKY));
@@ -109,7 +105,7 @@ impl Case {
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = macro_tile_origin(composite.bin, camera);
-            for unfinished in twins::composite_unfinished(composite, &self.partials, stops, counts).1 {
+            for unfinished in twins::composite(composite, &self.partials, stops, counts).1 {
                 let twins::Unfinished { slot, place, before } = unfinished;
                 let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
                 if origin[0] + x >= camera.size_px[0] || origin[1] + y >= camera.size_px[1] {

@@ -31,7 +31,8 @@ use std::fmt::Debug;
 use decouplegs::gpu::{Buffer, QueueRole, Recorder};
 use decouplegs::render::capacity::{SortShape, groups_for};
 use decouplegs::render::layout::{ARGUMENT_SETS, Needs, SortSegment};
-use decouplegs::render::stages::{Arguments, Control};
+use decouplegs::render::stages::{Arguments, Control, Partials};
+use decouplegs::render::twins::output::Pixel;
 
 use crate::device::Validated;
 
@@ -81,6 +82,16 @@ fn control(gpu: &Validated, needs: Needs, groups: &[(Arguments, usize)]) -> Cont
     }
     gpu.write(&control.arguments, 0, &arguments).unwrap();
     control
+}
+
+/// Results of segments as a kernel finds them, `MACRO_PIXELS` for each slot.
+fn write_partials(gpu: &Validated, partials: &Partials, pixels: &[Pixel]) {
+    let colours: Vec<_> = pixels.iter().map(|pixel| pixel.colour.extend(pixel.transmittance).to_array()).collect();
+    let depths: Vec<_> = pixels.iter().map(|pixel| pixel.weighted_depth).collect();
+    let instances: Vec<_> = pixels.iter().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
+    gpu.write(&partials.colours, 0, &colours).unwrap();
+    gpu.write(&partials.depths, 0, &depths).unwrap();
+    gpu.write(&partials.instances, 0, &instances).unwrap();
 }
 
 /// What the kernel found, and how it sized the dispatches behind it.

@@ -372,7 +372,7 @@ impl Studio {
 
     fn answer(&self, answer: oneshot::Sender<Result<Pictures, Status>>, result: Result<Pictures, Status>) {
         self.metrics.queued(-1);
-        // Whoever has the answer may read the metrics at once.
+        // A client may read the metrics as soon as it has the answer.
         self.metrics.cached(self.scenes.names(), self.scenes.bytes());
         // Whoever asked may have gone.
         let _ = answer.send(result);

@@ -13,12 +13,13 @@ pub struct DeviceOptions {
     pub validation: bool,
     /// Whether the compute-only queue is used where there is one.
     pub queues: QueueUse,
-    /// Where built kernels are kept for the next start.
+    /// Folder for built kernels, which the next start reads.
     pub kernels: KernelCache,
 }
 
 impl Default for DeviceOptions {
-    /// The best device, all queues, kernels kept in the user's folder, and validation where the environment says `DECOUPLEGS_VALIDATION=1`.
+    /// The best device, all queues, built kernels in the user's folder for caches, and validation where the environment says
+    /// `DECOUPLEGS_VALIDATION=1`.
     fn default() -> Self {
         let validation = std::env::var("DECOUPLEGS_VALIDATION").is_ok_and(|value| value == "1");
         Self { choice: DeviceChoice::Automatic, validation, queues: QueueUse::All, kernels: KernelCache::User }

@@ -20,7 +20,7 @@ const BYTES_MAX: usize = 64 << 20;
 /// Bytes of `VkPipelineCacheHeaderVersionOne`, which what a driver keeps begins with.
 const DRIVER_HEADER_BYTES: usize = 32;
 
-/// Where built kernels are kept.
+/// Folder in which built kernels are kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum KernelCache {
     /// In `decouplegs/kernels` of the user's folder for caches (`XDG_CACHE_HOME`, else `.cache` in `HOME`); nowhere without one.
@@ -46,7 +46,7 @@ impl KernelCache {
     }
 }
 
-/// How many kernels were built, and where they came from.
+/// Numbers of kernels: all that were built, and those of them that were not compiled again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct KernelCounts {
     /// All that were built.
@@ -55,7 +55,7 @@ pub struct KernelCounts {
     pub found: u32,
 }
 
-/// What a driver keeps of built kernels.
+/// Pipeline cache of an open device, and its file.
 pub(crate) struct PipelineStore {
     pub(crate) cache: vk::PipelineCache,
     path: Option<PathBuf>,
@@ -115,7 +115,7 @@ impl PipelineStore {
     }
 }
 
-/// Whose kernels they are.
+/// Device and driver that built kernels belong to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Identity {
     vendor: u32,
@@ -146,7 +146,7 @@ impl Identity {
     }
 }
 
-/// What the file at `path` holds, if it is whole.
+/// Content of the file at `path`, without its header. None if the file is absent, damaged or too large.
 fn read(path: &Path) -> Option<Vec<u8>> {
     let file = File::open(path).ok()?;
     let metadata = file.metadata().ok()?;

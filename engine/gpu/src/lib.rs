@@ -5,8 +5,8 @@
 //! submitting gives a [`Ticket`] to wait for and to read times from.
 //!
 //! # Reading order
-//! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and `kernel_cache`, `recorder` and `recorder/hazards`
-//! (the one home of barriers), `queue` (submitting, waiting, recycling), `transfer` (staged uploads and reads).
+//! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and `kernel_cache`, `recorder` and
+//! `recorder/hazards` (the one home of barriers), `queue` (submitting, waiting, recycling), `transfer` (staged uploads and reads).
 //!
 //! # What is not done here
 //! - No robust access: a kernel that reads or writes out of bounds is undefined, as robustness costs time in every access.

@@ -46,7 +46,7 @@ pub fn finishes(rules: &Rules, outputs: &Outputs) -> bool {
     rules.stop == EarlyStop::Exclusive || outputs.contributions
 }
 
-/// What a run of [`Blend`] is for.
+/// Purpose of a run of [`Blend`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BlendPass {
     /// Blends every segment by itself.

@@ -134,7 +134,7 @@ impl PushConstants for NoPush {
 /// Builds `shader`, whose push constants are `P`.
 ///
 /// # Errors
-/// When the driver refuses it, or the shader declares other push constants than the host.
+/// [`GpuError`]: the driver refuses it, or the shader declares other push constants than the host.
 fn kernel<P: PushConstants>(
     gpu: &Gpu,
     shader: &'static decouplegs_shaders::Kernel,

@@ -14,14 +14,10 @@ pub struct Unfinished {
     pub before: Pixel,
 }
 
-/// As [`composite`], by an exclusive stop where `stops`, and with every segment behind the first left to be finished where `counts`.
+/// The pixels of the macro tile, in the order of `partials`: `MACRO_PIXELS` a slot, as [`super::blend`] keeps them. By an exclusive
+/// stop where `stops`, and with every segment behind the first left to be finished where `counts`: with that, what is left.
 #[must_use]
-pub fn composite_unfinished(
-    composite: &Composite,
-    partials: &[Pixel],
-    stops: bool,
-    counts: bool,
-) -> (Vec<Pixel>, Vec<Unfinished>) {
+pub fn composite(composite: &Composite, partials: &[Pixel], stops: bool, counts: bool) -> (Vec<Pixel>, Vec<Unfinished>) {
     let mut left = Vec::new();
     let mut joined = |place: usize| {
         let mut pixel = PIXEL_EMPTY;
@@ -43,10 +39,4 @@ pub fn composite_unfinished(
         pixel
     };
     ((0..MACRO_PIXELS).map(&mut joined).collect(), left)
-}
-
-/// The pixels of the macro tile, in the order of `partials`: `MACRO_PIXELS` a slot, as [`super::blend`] keeps them.
-#[must_use]
-pub fn composite(composite: &Composite, partials: &[Pixel]) -> Vec<Pixel> {
-    composite_unfinished(composite, partials, false, false).0
 }

@@ -42,7 +42,7 @@ mod write_record;
 
 pub use agents::{cull_agents, project_agents};
 pub use blend::{blend, log2_alpha_at};
-pub use composite::{Unfinished, composite, composite_unfinished};
+pub use composite::{Unfinished, composite};
 pub use count_pairs::count_pairs;
 pub use cull::cull;
 pub use cull_shadows::cull_shadows;
