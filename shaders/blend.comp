@@ -1,10 +1,14 @@
 #version 460
 // Blends one segment of one macro tile's list, front to back, into its 64 x 32 pixels.
 //
-// The list is taken in batches of 256: each thread loads one record, finds which of the 32 render tiles (8 x 8 pixels) it
-// can reach, and the masks are turned into one bit list a render tile. A team of 32 threads then walks the bits of its
-// four render tiles, two pixels a thread, so that a splat costs only where it is. Sums are f32; the pixel decides
-// alpha >= 1/255 by itself, masks only leave out what that test would refuse.
+// The list is taken in batches. Each thread stages some records and finds which of the 32 render tiles (8 x 8 pixels) they can
+// reach; the masks are turned into one bit list per render tile. Then every subgroup works by itself: it finds which records of its
+// tile can reach which 4 x 4 block of it, and eight lanes blend the list of their block, two pixels a lane. So a splat costs only
+// where it is, and threads wait for each other only while a batch is staged. Sums are f32; the pixel decides alpha >= 1/255 by
+// itself, lists only leave out what that test would refuse.
+//
+// Where a segment is one batch, subgroups take their shares of the macro tile from a counter, and one that meets few records takes
+// more of them. Where it is several, each keeps four shares in registers from batch to batch.
 //
 // A segment leaves out render tiles that the segments before it have covered, as far as these are done when it starts:
 // composite stops at the same transmittance, so that the picture does not depend on who was done first.
@@ -18,20 +22,26 @@
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_memory_scope_semantics : require
 #extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+#extension GL_KHR_shader_subgroup_vote : require
 #include "frame.glsl"
 #include "footprint.glsl"
 #include "record.glsl"
 #include "output.glsl"
 
+const uint THREADS = 256u;
 layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const float ALPHA_MAX = 0.99;
-layout(constant_id = 5) const bool TEAM_HOLDS_SUBGROUPS = false; // subgroups have at most 32 lanes
 layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
+layout(constant_id = 5) const uint LANES = 32u; // of a subgroup: 4 to 64
 layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
 layout(constant_id = 7) const bool ORDER_ERROR = false; // measure by how much lists are out of order, and draw nothing
 layout(constant_id = 8) const bool FINISH = false; // blend again what composite has left to be finished
+layout(constant_id = 9) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
+layout(constant_id = 10) const bool ONE_BATCH = false; // no segment is longer than a batch
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { Item items[]; };
@@ -57,115 +67,33 @@ layout(set = 0, binding = 16, scalar) readonly buffer partial_unfinished_block {
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint measured_stride; uint measured_first; };
 
 #include "batch.glsl"
+#include "lane_pixels.glsl"
 #include "partial.glsl"
 
-// A product of largest transmittances up to here means that composite stops before, its own rounding included.
-float covered() {
-    return EXCLUSIVE_STOP ? 0.999 * TRANSMITTANCE_MIN : 0.999 * TRANSMITTANCE_FULL;
-}
-
-// A segment that lets no more than this through holds the end of its pixel, or lies behind it.
-float nothing_left() {
-    return EXCLUSIVE_STOP ? covered() : TRANSMITTANCE_FULL;
-}
-
-bool stops;  // EXCLUSIVE_STOP, where all that lies before is known
-bool counts; // CONTRIBUTIONS, likewise
-
-shared uint open_tiles; // render tiles with a pixel that is not full
-shared float team_transmittances[TEAMS][32];
+shared uint open_tiles; // render tiles that the segments before have not covered
+shared uint open_subgroups; // whether one of them has a pixel that is not full
+shared uint next_share;
 shared uint tile_largest[32];
 
-// What a pixel's last splat was, to be compared with the next, and what their wrong order has cost so far. Neighbours that
-// stand the wrong way round change a pixel by their weights: T a_i a_j |c_i - c_j| for transmittance T before both.
-struct OrderState {
-    float weight;
-    float depth_m;
-    vec3 colour;
-    float error;
-};
-
-const OrderState ORDER_STATE_EMPTY = OrderState(0.0, 0.0, vec3(0.0), 0.0);
-
-// A thread's share of a render tile. Named, not an array: what is indexed may end up outside of registers.
-struct TilePixels {
-    Pixel left;
-    Pixel right; // four columns to the right of the first
-    bool left_full;
-    bool right_full;
-    OrderState left_order;
-    OrderState right_order;
-};
-
-// Place in the macro tile of the thread's left pixel in its team's render tile `step`.
-uvec2 left_offset(uint thread, uint step) {
-    return pixel_offset(thread, 2u * step);
-}
-
-TilePixels empty_pixels(uvec2 at, uvec2 size_px) {
-    // Pixels beyond the image are full from the start, or they would keep their tile open.
-    bool left_full = at.x >= size_px.x || at.y >= size_px.y;
-    bool right_full = at.x + 4u >= size_px.x || at.y >= size_px.y;
-    TilePixels pixels =
-        TilePixels(PIXEL_EMPTY, PIXEL_EMPTY, left_full, right_full, ORDER_STATE_EMPTY, ORDER_STATE_EMPTY);
-    pixels.left.transmittance = left_full ? 0.0 : 1.0;
-    pixels.right.transmittance = right_full ? 0.0 : 1.0;
-    return pixels;
-}
-
-void note_order(inout OrderState order, float weight, float alpha, vec4 colour) {
-    if (alpha > 0.0) {
-        vec3 apart = abs(colour.rgb - order.colour);
-        float change = order.weight * alpha * max(apart.r, max(apart.g, apart.b));
-        order.error += colour.a < order.depth_m ? change : 0.0;
-        order.weight = weight;
-        order.depth_m = colour.a;
-        order.colour = colour.rgb;
-    }
-}
-
-void blend_pixel(inout Pixel pixel, inout bool full, inout OrderState order, float log2_alpha, vec4 colour, uint entry) {
-    float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
-    if (EXCLUSIVE_STOP) {
-        full = full || (stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN);
-        alpha = full ? 0.0 : alpha;
-    }
-    float weight = pixel.transmittance * alpha;
-    pixel.colour += weight * colour.rgb;
-    pixel.transmittance -= weight;
-    if (CONTRIBUTIONS && counts && weight > 0.0) {
-        atomicAdd(contributions[batch_instances[entry]], uint(weight * contribution_scale + 0.5));
-    }
-    if (ORDER_ERROR) {
-        note_order(order, weight, alpha, colour);
-    }
-    if (DEPTH) {
-        pixel.weighted_depth += weight * colour.a;
-    }
-    if (INSTANCE && weight > pixel.best_weight) {
-        pixel.best_weight = weight;
-        pixel.best_instance = batch_instances[entry];
-    }
-}
-
-// Render tiles that the segments before this one are not known to have covered.
+// Render tiles that the segments before this one are not known to have covered. Barriers before and after what it calls for.
 uint uncovered_tiles(Item item, uint thread) {
     uint tile = thread % 32u;
-    uint team = thread / 32u;
+    uint row = thread / 32u;
+    uint rows = THREADS / 32u;
     float transmittance = 1.0;
-    for (uint back = 1u + team; back <= item.segment; back += TEAMS) {
+    for (uint back = 1u + row; back <= item.segment; back += rows) {
         uint slot = item.partial - back;
         uint bits = atomicLoad(partial_transmittances[32u * slot + tile], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
         transmittance *= bits == 0u ? 1.0 : uintBitsToFloat(bits);
     }
-    team_transmittances[team][tile] = transmittance;
+    list_entries[thread] = floatBitsToUint(transmittance);
     if (thread == 0u) {
         open_tiles = 0u;
     }
     barrier();
     if (thread < 32u) {
-        for (uint other = 1u; other < TEAMS; ++other) {
-            transmittance *= team_transmittances[other][tile];
+        for (uint other = 1u; other < rows; ++other) {
+            transmittance *= uintBitsToFloat(list_entries[32u * other + tile]);
         }
         atomicOr(open_tiles, transmittance > covered() ? 1u << tile : 0u);
     }
@@ -173,31 +101,81 @@ uint uncovered_tiles(Item item, uint thread) {
     return open_tiles;
 }
 
-// What a pixel lets through to what lies behind the segment.
-float left_through(Pixel pixel, bool full) {
-    return EXCLUSIVE_STOP && full ? 0.0 : pixel.transmittance;
-}
-
-// Blends what the batch holds for the team's render tile `step`; says whether a pixel of the thread is still open.
-bool blend_tile(inout TilePixels pixels, uint thread, uint step) {
-    uint tile = thread / TEAM + TEAMS * step;
-    vec2 at = vec2(left_offset(thread, step)) + 0.5;
-    for (uint word = 0u; word < BATCH_WORDS; ++word) {
-        uint bits = tile_records[tile][word];
-        if (TEAM_HOLDS_SUBGROUPS) {
-            bits = subgroupBroadcastFirst(bits); // the same for all: tells the compiler so
-        }
-        while (bits != 0u) {
-            uint entry = word * 32u + findLSB(bits);
-            bits &= bits - 1u;
-            // No branch where a record adds nothing: that would cost more than the arithmetic it saves.
-            vec2 log2_alpha = log2_alphas(entry, at);
-            vec4 colour = batch_colours[entry];
-            blend_pixel(pixels.left, pixels.left_full, pixels.left_order, log2_alpha.x, colour, entry);
-            blend_pixel(pixels.right, pixels.right_full, pixels.right_order, log2_alpha.y, colour, entry);
+// Blends the list of the subgroup's only block: each lane reads one record of it and shows it to all.
+void blend_one_list(inout LanePixels pixels, vec2 at, uint list, uint count) {
+    for (uint first = 0u; first < count; first += LANES) {
+        uint place = first + gl_SubgroupInvocationID;
+        Staged own = staged_record(place < count ? list_entries[list + place] : NO_RECORD);
+        [[unroll]] for (uint next = 0u; next < LANES; ++next) {
+            blend_record(pixels, at, record_of_lane(own, next));
         }
     }
-    return max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full)) > nothing_left();
+}
+
+// Blends the lists of the subgroup's blocks: each lane that of its own, `count` records from `list` on. Every lane calls it.
+void blend_lists(inout LanePixels pixels, vec2 at, uint list, uint count) {
+    // All run as long as the longest, four records at a time: shorter lists are filled up.
+    uint end = (subgroupMax(count) + 3u) / 4u * 4u;
+    for (uint first = 0u; first < end; first += BLOCK_LANES) {
+        uint place = first + gl_SubgroupInvocationID % BLOCK_LANES;
+        if (place >= count && place < end) {
+            list_entries[list + place] = NO_RECORD;
+        }
+    }
+    subgroupBarrier(); // the lists are written
+    for (uint place = list; place < list + end; place += 4u) {
+        [[unroll]] for (uint next = 0u; next < 4u; ++next) {
+            blend_record(pixels, at, staged_record(list_entries[place + next]));
+        }
+    }
+}
+
+// Blends the batch into the subgroup's share that begins at `first_place`; false once all its pixels are full. Every lane calls it.
+bool blend_share(inout LanePixels pixels, uint first_place, uint batch_records) {
+    uint lane = gl_SubgroupInvocationID;
+    uint own_block = lane / BLOCK_LANES;
+    uint lists = gl_LocalInvocationIndex / LANES * BLOCKS * LIST_ROOM;
+    vec2 at = vec2(pixel_offset(first_place + lane)) + 0.5;
+    uint words = (batch_records + 31u) / 32u;
+    uint listed = 0u; // records in the list of the lane's own block
+    bool open = true;
+    for (uint first_word = 0u; first_word < words && open; first_word += LANES) {
+        uint bits = tile_word(render_tile(first_place), first_word + lane, words);
+        uint count = uint(bitCount(bits));
+        uint before = subgroupExclusiveAdd(count);
+        uint candidates = subgroupAdd(count);
+        uint done = 0u;
+        do {
+            uint rank = done + lane;
+            uint entry = 32u * first_word + record_of_rank(rank, bits, before);
+            entry = rank < candidates && lane < ROUND ? entry : NO_RECORD;
+            uint blocks = reached_blocks(entry, first_place);
+            [[unroll]] for (uint block = 0u; block < BLOCKS; ++block) {
+                uint list_end = subgroupShuffle(listed, block * BLOCK_LANES);
+                bool reached = (blocks >> block & 1u) != 0u;
+                uint reaching = subgroupBallot(reached).x; // a round has at most 32 records
+                if (reached) {
+                    list_entries[lists + block * LIST_ROOM + list_end + uint(bitCount(reaching & ((1u << lane) - 1u)))] = entry;
+                }
+                listed += own_block == block ? uint(bitCount(reaching)) : 0u;
+            }
+            done += ROUND;
+            bool last = done >= candidates && first_word + LANES >= words;
+            if (last || subgroupMax(listed) + ROUND > LIST_ROOM) {
+                subgroupBarrier(); // the lists are written
+                if (BLOCKS == 1u) {
+                    blend_one_list(pixels, at, lists, listed);
+                } else {
+                    blend_lists(pixels, at, lists + own_block * LIST_ROOM, listed);
+                }
+                subgroupBarrier(); // the lists are read, and may be written again
+                listed = 0u;
+                float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
+                open = subgroupAny(through > nothing_left());
+            }
+        } while (done < candidates && open);
+    }
+    return open;
 }
 
 void write_partial(uint place, Pixel pixel, bool full) {
@@ -223,47 +201,120 @@ Pixel unfinished_pixel(uint place, out bool full) {
     return pixel;
 }
 
-uint partial_place(Item item, uint thread, uint step) {
-    return item.partial * MACRO_PIXELS + 2u * step * BATCH + thread;
-}
-
-// The thread's pixels of render tile `step` before the segment is blended.
-TilePixels first_pixels(Item item, uvec2 at, uvec2 size_px, uint thread, uint step) {
-    TilePixels pixels = empty_pixels(at, size_px);
+// The pixels of a lane before the segment is blended, the left one at `place` of the macro tile at `origin`.
+LanePixels first_pixels(Item item, Camera camera, uvec2 origin, uint place) {
+    LanePixels pixels = empty_pixels(origin + pixel_offset(place), camera.size_px);
     if (FINISH) {
-        uint place = partial_place(item, thread, step);
-        pixels.left = unfinished_pixel(place, pixels.left_full);
-        pixels.right = unfinished_pixel(place + BATCH, pixels.right_full);
+        uint left = item.partial * MACRO_PIXELS + place;
+        pixels.left = unfinished_pixel(left, pixels.left_full);
+        pixels.right = unfinished_pixel(left + LEFT_PIXELS, pixels.right_full);
     }
     return pixels;
 }
 
-void write_result(Item item, Camera camera, uvec2 origin, uint thread, uint step, TilePixels pixels) {
+void write_result(Item item, Camera camera, uvec2 origin, uint place, LanePixels pixels) {
     if (ORDER_ERROR) {
         write_order_error(pixels.left_order.error);
         write_order_error(pixels.right_order.error);
         return;
     }
-    uvec2 at = origin + left_offset(thread, step);
+    uvec2 at = origin + pixel_offset(place);
     if (FINISH) {
         // Composite has written the pixel as it is without an end in this segment, and pixels that were full before keep that.
         if (pixels.left_full && pixels.left.transmittance > 0.0) {
             write_pixel(camera, at, pixels.left, sky);
         }
         if (pixels.right_full && pixels.right.transmittance > 0.0) {
-            write_pixel(camera, at + uvec2(4u, 0u), pixels.right, sky);
+            write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky);
         }
     } else if (item.partial == NO_PARTIAL) {
         write_pixel(camera, at, pixels.left, sky);
-        write_pixel(camera, at + uvec2(4u, 0u), pixels.right, sky);
+        write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky);
     } else {
-        uint place = partial_place(item, thread, step);
-        write_partial(place, pixels.left, pixels.left_full);
-        write_partial(place + BATCH, pixels.right, pixels.right_full);
+        uint left = item.partial * MACRO_PIXELS + place;
+        write_partial(left, pixels.left, pixels.left_full);
+        write_partial(left + LEFT_PIXELS, pixels.right, pixels.right_full);
         // Positive floats order as their bits.
         float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
-        uint largest = floatBitsToUint(through);
-        atomicMax(tile_largest[thread / TEAM + TEAMS * step], largest);
+        atomicMax(tile_largest[render_tile(place)], floatBitsToUint(through));
+    }
+}
+
+// Of the segment's render tiles that are to be drawn, whether the share that begins at `first_place` has one.
+bool is_drawn(uint tiles, uint first_place) {
+    return (tiles >> render_tile(first_place) & (LANES > 32u ? 3u : 1u)) != 0u;
+}
+
+// Blends a segment of one batch: subgroups take shares from a counter.
+void blend_one_batch(Item item, Camera camera, uvec2 origin, uint tiles) {
+    stage_records(item.first_pair, item.pairs, origin, camera.size_px);
+    barrier();
+    // As many rounds as there are shares, so that a loop ends where a counter would not be believed.
+    for (uint taken = 0u; taken < SHARES; ++taken) {
+        uint share = 0u;
+        if (gl_SubgroupInvocationID == 0u) {
+            share = atomicAdd(next_share, 1u);
+        }
+        share = subgroupBroadcastFirst(share);
+        if (share >= SHARES) {
+            break;
+        }
+        uint first_place = share * LANES;
+        if (is_drawn(tiles, first_place)) {
+            uint place = first_place + gl_SubgroupInvocationID;
+            LanePixels pixels = first_pixels(item, camera, origin, place);
+            blend_share(pixels, first_place, item.pairs);
+            write_result(item, camera, origin, place, pixels);
+        }
+    }
+}
+
+// Blends a segment of any length: each subgroup has its shares from the first batch to the last.
+void blend_batches(Item item, Camera camera, uvec2 origin, uint tiles) {
+    uint lane = gl_SubgroupInvocationID;
+    uint first0 = gl_LocalInvocationIndex / LANES * LANES;
+    uint first1 = first0 + THREADS;
+    uint first2 = first1 + THREADS;
+    uint first3 = first2 + THREADS;
+    LanePixels pixels0 = first_pixels(item, camera, origin, first0 + lane);
+    LanePixels pixels1 = first_pixels(item, camera, origin, first1 + lane);
+    LanePixels pixels2 = first_pixels(item, camera, origin, first2 + lane);
+    LanePixels pixels3 = first_pixels(item, camera, origin, first3 + lane);
+    bool open0 = is_drawn(tiles, first0);
+    bool open1 = is_drawn(tiles, first1);
+    bool open2 = is_drawn(tiles, first2);
+    bool open3 = is_drawn(tiles, first3);
+    for (uint done = 0u; done < item.pairs; done += BATCH) {
+        uint count = min(BATCH, item.pairs - done);
+        stage_records(item.first_pair + done, count, origin, camera.size_px);
+        if (gl_LocalInvocationIndex == 0u) {
+            open_subgroups = 0u;
+        }
+        barrier();
+        open0 = open0 && blend_share(pixels0, first0, count);
+        open1 = open1 && blend_share(pixels1, first1, count);
+        open2 = open2 && blend_share(pixels2, first2, count);
+        open3 = open3 && blend_share(pixels3, first3, count);
+        if (lane == 0u && (open0 || open1 || open2 || open3)) {
+            atomicOr(open_subgroups, 1u);
+        }
+        barrier(); // the batch is read to its end
+        if (open_subgroups == 0u) {
+            break;
+        }
+        barrier(); // and so is open_subgroups
+    }
+    if (is_drawn(tiles, first0)) {
+        write_result(item, camera, origin, first0 + lane, pixels0);
+    }
+    if (is_drawn(tiles, first1)) {
+        write_result(item, camera, origin, first1 + lane, pixels1);
+    }
+    if (is_drawn(tiles, first2)) {
+        write_result(item, camera, origin, first2 + lane, pixels2);
+    }
+    if (is_drawn(tiles, first3)) {
+        write_result(item, camera, origin, first3 + lane, pixels3);
     }
 }
 
@@ -279,65 +330,29 @@ void main() {
     if (thread < 32u) {
         tile_largest[thread] = 1u; // 0 would mean that it is not known
     }
+    if (thread == 0u) {
+        next_share = 0u;
+        stage_no_record();
+    }
     if (EXCLUSIVE_STOP || CONTRIBUTIONS) {
         bool starts = FINISH || item.segment == 0u;
         stops = EXCLUSIVE_STOP && (starts || ORDER_ERROR);
         counts = CONTRIBUTIONS && starts;
     }
+    uint tiles = 0xffffffffu; // that are to be drawn
     if (FINISH) {
-        uint unfinished = item.partial == NO_PARTIAL ? 0u : partial_unfinished[item.partial];
-        if (unfinished == 0u) {
-            return;
-        }
-        if (thread == 0u) {
-            open_tiles = unfinished;
-        }
+        tiles = item.partial == NO_PARTIAL ? 0u : partial_unfinished[item.partial];
     } else if (item.segment > 0u && !ORDER_ERROR) {
-        if (uncovered_tiles(item, thread) == 0u) {
-            return; // composite stops before it gets here
-        }
-    } else if (thread == 0u) {
-        open_tiles = 0xffffffffu;
+        tiles = uncovered_tiles(item, thread);
     }
-    TilePixels pixels0 = first_pixels(item, origin + left_offset(thread, 0u), camera.size_px, thread, 0u);
-    TilePixels pixels1 = first_pixels(item, origin + left_offset(thread, 1u), camera.size_px, thread, 1u);
-    TilePixels pixels2 = first_pixels(item, origin + left_offset(thread, 2u), camera.size_px, thread, 2u);
-    TilePixels pixels3 = first_pixels(item, origin + left_offset(thread, 3u), camera.size_px, thread, 3u);
-    uint tile = thread / TEAM;
-    for (uint done = 0u; done < item.pairs; done += BATCH) {
-        barrier(); // the batch before is read to its end, and open_tiles is written
-        uint open = open_tiles;
-        if (open == 0u) {
-            break;
-        }
-        load_batch(item.first_pair + done, min(BATCH, item.pairs - done), thread, origin, camera.size_px);
-        barrier();
-        turn_masks(thread);
-        if (thread == 0u) {
-            open_tiles = 0u;
-        }
-        barrier();
-        uint still_open = 0u;
-        if ((open >> tile & 1u) != 0u && blend_tile(pixels0, thread, 0u)) {
-            still_open |= 1u;
-        }
-        if ((open >> (tile + TEAMS) & 1u) != 0u && blend_tile(pixels1, thread, 1u)) {
-            still_open |= 1u << TEAMS;
-        }
-        if ((open >> (tile + 2u * TEAMS) & 1u) != 0u && blend_tile(pixels2, thread, 2u)) {
-            still_open |= 1u << (2u * TEAMS);
-        }
-        if ((open >> (tile + 3u * TEAMS) & 1u) != 0u && blend_tile(pixels3, thread, 3u)) {
-            still_open |= 1u << (3u * TEAMS);
-        }
-        // Not by way of subgroupOr and subgroupElect: lanes whose pixels are full take another path here, and NVIDIA's driver
-        // (580.159) then lost the bits of those that are open.
-        atomicOr(open_tiles, still_open << tile);
+    if (tiles == 0u) {
+        return; // composite stops before it gets here, or leaves nothing to be finished
     }
-    write_result(item, camera, origin, thread, 0u, pixels0);
-    write_result(item, camera, origin, thread, 1u, pixels1);
-    write_result(item, camera, origin, thread, 2u, pixels2);
-    write_result(item, camera, origin, thread, 3u, pixels3);
+    if (ONE_BATCH) {
+        blend_one_batch(item, camera, origin, tiles);
+    } else {
+        blend_batches(item, camera, origin, tiles);
+    }
     if (item.partial != NO_PARTIAL && !ORDER_ERROR && !FINISH) {
         // Tells later segments of the tile how much this one lets through.
         barrier();

@@ -42,13 +42,10 @@ void main() {
     if (composite_index >= needs.composites) {
         return;
     }
-    // The pixel's place in a partial result: thread of blend and index among its pixels.
-    uint place = group_index() % COMPOSITE_GROUPS * WORKGROUP_THREADS + gl_LocalInvocationIndex;
-    uint thread = place % BLEND_THREADS;
-    uint index = place / BLEND_THREADS;
+    uint place = group_index() % COMPOSITE_GROUPS * WORKGROUP_THREADS + gl_LocalInvocationIndex; // in a partial result
     Composite composite = composites[composite_index];
     Camera camera = cameras[camera_of_bin(composite.bin, camera_count)];
-    uvec2 at = macro_tile_origin(composite.bin, camera) + pixel_offset(thread, index);
+    uvec2 at = macro_tile_origin(composite.bin, camera) + pixel_offset(place);
     if (any(greaterThanEqual(at, camera.size_px))) {
         return;
     }
@@ -71,7 +68,7 @@ void main() {
                 pixel = over(before, ahead[next]);
                 bool ends = EXCLUSIVE_STOP && segment > 0u && pixel.transmittance <= TRANSMITTANCE_MIN;
                 if (ends || (CONTRIBUTIONS && segment > 0u)) {
-                    leave_unfinished(composite.first_partial + segment, place, render_tile(thread, index), before);
+                    leave_unfinished(composite.first_partial + segment, place, render_tile(place), before);
                 }
                 open = EXCLUSIVE_STOP ? open && !ends : pixel.transmittance > TRANSMITTANCE_FULL;
             }

@@ -43,9 +43,8 @@ uint pairs_of(uint bin, uint pairs) {
     return pairs == 0u ? 0u : range_firsts[bin + 1u] - range_firsts[bin];
 }
 
-// The last segment takes what is left, up to half a segment more: a short one is not worth the memory for its result.
 uint segments_of(uint length) {
-    return max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS > SEGMENT_PAIRS / 2u ? 1u : 0u));
+    return max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS > 0u ? 1u : 0u));
 }
 
 // First segment of a wave: 0, 1, 2, 4, 8 ...

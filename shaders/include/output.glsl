@@ -10,23 +10,23 @@ layout(set = 0, binding = 2, std430) writeonly buffer pictures_u8_block { uint p
 layout(set = 0, binding = 3, std430) writeonly buffer depths_block { float depths_m[]; };
 layout(set = 0, binding = 4, std430) writeonly buffer instance_ids_block { uint instance_ids[]; };
 
-// How blend shares a macro tile's pixels: a team of 32 threads has every eighth render tile, two pixels a thread in each.
-const uint BLEND_THREADS = 256u;
-const uint TEAM = 32u;
-const uint TEAMS = BLEND_THREADS / TEAM;
-const uint TILES_A_TEAM = MACRO_COLUMNS * MACRO_ROWS / TEAMS;
-const uint PIXELS = 2u * TILES_A_TEAM; // of a thread
+// How blend shares a macro tile's pixels: eight lanes have a block of 4 x 4, two pixels each, and four blocks are a render tile. A pixel's
+// place counts the left pixels of all lanes first, then the right ones, two columns beside them.
+const uint LEFT_PIXELS = MACRO_PIXELS / 2u;
+const uint TILE_LEFT_PIXELS = RENDER_TILE_PX * RENDER_TILE_PX / 2u;
 
-// The render tile, row-major in its macro tile, of pixel `index` (0 to PIXELS - 1) of a thread.
-uint render_tile(uint thread, uint index) {
-    return thread / TEAM + TEAMS * (index / 2u);
+// The render tile, row-major in its macro tile, of the pixel at `place`.
+uint render_tile(uint place) {
+    return place % LEFT_PIXELS / TILE_LEFT_PIXELS;
 }
 
-// Position in the macro tile of pixel `index` of a thread: two a render tile, four columns apart.
-uvec2 pixel_offset(uint thread, uint index) {
-    uint tile = render_tile(thread, index);
-    uint lane = thread % TEAM;
-    return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(lane % 4u + 4u * (index % 2u), lane / 4u);
+// Position in the macro tile of the pixel at `place`.
+uvec2 pixel_offset(uint place) {
+    uint tile = render_tile(place);
+    uint block = place / 8u % 4u;
+    uint lane = place % 8u;
+    uvec2 in_block = uvec2(lane % 2u + 2u * (place / LEFT_PIXELS), lane / 2u);
+    return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(block % 2u, block / 2u) * 4u + in_block;
 }
 
 // Where the rules ask for it, a pixel stops before the splat that would take its transmittance to this or below.

@@ -5,8 +5,8 @@ mod rounding;
 
 use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
 use decouplegs::render::stages::{Arguments, Blend, BlendPass, Measured, Partials, Plan, ProjectVariant, Projected};
+use decouplegs::render::twins;
 use decouplegs::render::twins::output::{Pictures, Pixel, macro_tile_origin, pixel_offset, write_pixel};
-use decouplegs::render::twins::{self, output::BLEND_THREADS};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
 use decouplegs::scene::{EarlyStop, Rules};
 use glam::Vec3;
@@ -48,11 +48,11 @@ impl Case {
         let mut records: Vec<u32> = (0..projected.keys.len() as u32).collect();
         records.sort_by_key(|&record| projected.keys[record as usize]);
         let all = records.len() as u32;
-        // Every macro tile once; lengths around a batch, and tiles that are cut.
+        // Every macro tile once; lengths around batches, and tiles that are cut.
         let mut partial = 0;
         let items = (0..scene.view.bins)
             .map(|bin| {
-                let length = [all, 255, 256, 257, 1, 0, 513][bin as usize % 7].min(all);
+                let length = [all, 511, 512, 513, 1, 0, 33][bin as usize % 7].min(all);
                 let first_pair = (bin * 97) % (all - length + 1);
                 let slot = if bin % 3 == 0 { partial } else { NO_PARTIAL };
                 partial += u32::from(bin % 3 == 0);
@@ -88,7 +88,7 @@ impl Case {
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
         (0..MACRO_PIXELS)
             .map(|place| {
-                let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+                let [x, y] = pixel_offset(place);
                 let before = before.map(|before| &before[place]);
                 PixelBounds::of(&self.projected, list, [origin[0] + x, origin[1] + y], &self.rules, before)
             })
@@ -100,7 +100,7 @@ impl Case {
         let cameras = &self.scene.view.cameras;
         let camera = &cameras[twins::output::camera_of_bin(cameras, item.bin)];
         let [left, top] = macro_tile_origin(item.bin, camera);
-        let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+        let [x, y] = pixel_offset(place);
         let at = [left + x, top + y];
         (at[0] < camera.size_px[0] && at[1] < camera.size_px[1]).then_some((camera, at))
     }
@@ -126,7 +126,8 @@ impl Case {
             // Every render tile has something to be finished.
             gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()]).unwrap();
         }
-        let blend = Blend::new(gpu, rules, &OUTPUTS, pass).unwrap();
+        let longest = items.iter().map(|item| item.pairs).max().unwrap();
+        let blend = Blend::new(gpu, rules, &OUTPUTS, pass, longest).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
             blend.record(
@@ -283,8 +284,11 @@ fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {
 
 fn compare(splats: usize, faintness: f32, rules: Rules) {
     let gpu = open();
-    let case = Case::new(&gpu, splats, faintness, rules);
-    let (pictures, partials) = case.kernel(&gpu, None);
+    compare_case(&gpu, &Case::new(&gpu, splats, faintness, rules));
+}
+
+fn compare_case(gpu: &Validated, case: &Case) {
+    let (pictures, partials) = case.kernel(gpu, None);
     let twin = case.twin(None);
     println!("{} records, {} items", case.records.len(), case.items.len());
     case.check_pictures(&pictures, &twin).unwrap();
@@ -294,6 +298,17 @@ fn compare(splats: usize, faintness: f32, rules: Rules) {
 #[test]
 fn opaque_splats_that_fill_pixels() {
     compare(1200, 1.0, Rules::DEFAULT);
+}
+
+#[test]
+fn segments_of_one_batch() {
+    // Subgroups take their shares from a counter there.
+    let gpu = open();
+    for (faintness, rules) in [(1.0, Rules::DEFAULT), (0.1, Rules::DEFAULT), (1.0, Rules::GSPLAT16)] {
+        let mut case = Case::new(&gpu, 1200, faintness, rules);
+        case.items.iter_mut().for_each(|item| item.pairs = item.pairs.min(128 - item.bin % 3));
+        compare_case(&gpu, &case);
+    }
 }
 
 #[test]

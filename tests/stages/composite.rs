@@ -3,7 +3,7 @@
 use decouplegs::render::layout::{Composite, MACRO_PIXELS, Needs, View};
 use decouplegs::render::stages::{Arguments, CompositeSegments, Partials, Plan};
 use decouplegs::render::twins::output::{
-    BLEND_THREADS, Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
+    Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
 use decouplegs::render::{Capacity, ColourFormat, OutputBuffers, Outputs, twins};
 use decouplegs::scene::Rules;
@@ -85,7 +85,7 @@ impl Case {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = macro_tile_origin(composite.bin, camera);
             for (place, pixel) in twins::composite(composite, &self.partials, stops, counts).0.iter().enumerate() {
-                let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+                let [x, y] = pixel_offset(place);
                 let at = [origin[0] + x, origin[1] + y];
                 write_pixel(&mut pictures, camera, at, pixel, Vec3::from_array(SKY));
                 if at[0] < camera.size_px[0] && at[1] < camera.size_px[1] {
@@ -107,7 +107,7 @@ impl Case {
             let origin = macro_tile_origin(composite.bin, camera);
             for unfinished in twins::composite(composite, &self.partials, stops, counts).1 {
                 let twins::Unfinished { slot, place, before } = unfinished;
-                let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
+                let [x, y] = pixel_offset(place);
                 if origin[0] + x >= camera.size_px[0] || origin[1] + y >= camera.size_px[1] {
                     continue;
                 }

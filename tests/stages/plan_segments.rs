@@ -94,7 +94,7 @@ fn edges_of_a_segment() {
     let lengths = [0, 1, 255, 256, 257, 511, 512, 513, 25_600, 25_601];
     let case = Case { lengths: &lengths, segment_pairs: 256, pairs_max: 1 << 20, partials_max: 1 << 10 };
     let needs = case.compare(&gpu, 256).unwrap();
-    assert_eq!((needs.items, needs.partials, needs.composites), (5 + 2 + 2 + 2 + 100 + 100, 2 + 2 + 2 + 100 + 100, 5));
+    assert_eq!((needs.items, needs.partials, needs.composites), (4 + 2 + 2 + 2 + 3 + 100 + 101, 2 + 2 + 2 + 3 + 100 + 101, 6));
 }
 
 #[test]

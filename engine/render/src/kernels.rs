@@ -16,7 +16,7 @@ use crate::stages::{
 const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
 
 /// Longest segment that a software device blends: llvmpipe ends all loops of a thread after 65,535 rounds in total, silently,
-/// and a thread of blend makes up to four per entry of a segment, which may be half longer.
+/// and a thread of blend makes up to two per entry of a segment.
 const SEGMENT_PAIRS_MAX_IN_SOFTWARE: u32 = 10_000;
 
 /// What every frame runs, whatever it shows.
@@ -130,7 +130,7 @@ impl Kernels {
     pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
         let Self { rules, outputs, segment_pairs, keeps_orders, order_error, shape, .. } = self;
         if self.common.is_none() {
-            let blend = |pass| Blend::new(gpu, rules, outputs, pass);
+            let blend = |pass| Blend::new(gpu, rules, outputs, pass, *segment_pairs);
             let finish = finishes(rules, outputs) && *segment_pairs < u32::MAX;
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,

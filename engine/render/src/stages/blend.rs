@@ -82,25 +82,45 @@ impl Measured {
     pub const ALL: Self = Self { stride: 1, first: 0 };
 }
 
+/// Records that blend may stage at a time, most first.
+const BATCHES: [u32; 5] = [1024, 768, 512, 256, 128];
+
+/// Shared memory of blend when it stages `batch` records with `extra_words` more of each than colour and footprint, bytes. See `batch.glsl`.
+fn shared_bytes(batch: u32, extra_words: u32) -> u32 {
+    let (records, tiles, scratch, counters) = ((9 + extra_words) * (batch + 1), batch + 32, batch.max(1536), 40);
+    4 * (records + tiles + scratch + counters)
+}
+
+/// Most records that blend can stage at a time with `shared_memory_bytes`.
+fn batch_records(shared_memory_bytes: u32, outputs: &Outputs, pass: BlendPass) -> u32 {
+    let depths = u32::from(outputs.depth || pass == BlendPass::OrderError);
+    let instances = u32::from(outputs.instance || outputs.contributions);
+    let fits = |batch: &u32| shared_bytes(*batch, depths + instances) <= shared_memory_bytes;
+    BATCHES.into_iter().find(fits).unwrap_or(BATCHES[4])
+}
+
 /// `blend.comp`.
 pub struct Blend {
     kernel: Kernel,
 }
 
 impl Blend {
-    /// The stage for pictures of the given rules.
+    /// The stage for pictures of the given rules, and for items of at most `item_pairs_max` pairs.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, pass: BlendPass) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, pass: BlendPass, item_pairs_max: u32) -> Result<Self, GpuError> {
         let [u8_colour, depth, instance] = outputs.constants();
+        let batch = batch_records(gpu.limits().shared_memory_bytes, outputs, pass);
         let constants = [
             u8_colour,
             depth,
             instance,
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
             ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive)),
-            ("TEAM_HOLDS_SUBGROUPS", Constant::Bool(gpu.limits().subgroup_size <= 32)),
+            ("LANES", Constant::U32(gpu.limits().subgroup_size)),
+            ("BATCH", Constant::U32(batch)),
+            ("ONE_BATCH", Constant::Bool(item_pairs_max <= batch)),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
             ("ORDER_ERROR", Constant::Bool(pass == BlendPass::OrderError)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
@@ -160,5 +180,18 @@ impl Blend {
             control.arguments.binding(),
             Arguments::Blend.byte_offset(),
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_batch_fits_shared_memory() {
+        let plain = Outputs { contributions: false, ..Outputs::default() };
+        let all = Outputs { depth: true, instance: true, ..plain };
+        let batches = |kilobytes: u32| [plain, all].map(|outputs| batch_records(kilobytes << 10, &outputs, BlendPass::Segments));
+        assert_eq!([16, 32, 48, 64].map(batches), [[128, 128], [512, 512], [1024, 768], [1024, 1024]]);
     }
 }

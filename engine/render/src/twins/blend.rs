@@ -1,16 +1,10 @@
 //! Blends one segment of one macro tile's list, front to back: `blend.comp`.
 
 use super::footprint::{LOG2_255, centre_of, log2_alpha};
-use super::output::{
-    BLEND_THREADS, PIXEL_EMPTY, PIXELS, Pixel, RENDER_TILE_PX, TRANSMITTANCE_MIN, camera_of_bin, macro_tile_origin, pixel_offset,
-};
+use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, macro_tile_origin, pixel_offset};
 use super::projection::rgb_of;
 use super::record::load_footprint;
-use crate::layout::{CameraRecord, Item, MACRO_HEIGHT_PX, MACRO_PIXELS, MACRO_WIDTH_PX, NO_PARTIAL};
-
-/// Records that are taken at a time; whether a render tile is full is looked at between batches.
-const BATCH: usize = 256;
-const MACRO_TILES: usize = ((MACRO_WIDTH_PX / RENDER_TILE_PX) * (MACRO_HEIGHT_PX / RENDER_TILE_PX)) as usize;
+use crate::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL};
 
 /// log2 of the alpha that record `record` has at pixel `(column, row)` of its picture.
 #[must_use]
@@ -46,9 +40,8 @@ fn blend_pixel(
     }
 }
 
-/// The pixels of the item's macro tile, in the order in which the kernel keeps them: pixel `index` of thread `thread` at
-/// `index * BLEND_THREADS + thread`, whose place in the tile is [`pixel_offset`]. Every record meets every pixel: the
-/// kernel's masks may leave out nothing that counts.
+/// The pixels of the item's macro tile, by their place in a partial result ([`pixel_offset`]). Every record meets every pixel: the
+/// kernel's lists may leave out nothing that counts.
 ///
 /// `before` is what composite left to be finished, for the pass that finishes it: only pixels whose transmittance is negative
 /// there take part. In results of cut lists, a negative transmittance says that the pixel ends in this segment.
@@ -71,27 +64,15 @@ pub fn blend(
     pixels.iter_mut().for_each(|pixel| pixel.transmittance = pixel.transmittance.abs());
     // Later segments do not know what lies before them.
     let stops = exclusive_stop && (before.is_some() || item.segment == 0);
-    let mut open = [true; MACRO_TILES];
     let first = item.first_pair as usize;
-    for batch in records[first..first + item.pairs as usize].chunks(BATCH) {
-        let mut still_open = [false; MACRO_TILES];
-        for (place, pixel) in pixels.iter_mut().enumerate() {
-            let [x, y] = pixel_offset(place % BLEND_THREADS, place / BLEND_THREADS);
-            let tile = (y / RENDER_TILE_PX * (MACRO_WIDTH_PX / RENDER_TILE_PX) + x / RENDER_TILE_PX) as usize;
-            if !open[tile] {
-                continue;
-            }
-            let full = &mut full[place];
-            for &record in batch {
-                let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
-                let (colour, high) = (colours[record as usize], footprints[2 * record as usize + 1]);
-                blend_pixel(pixel, full, log2_alpha, colour, high, alpha_max, stops);
-            }
-            still_open[tile] |= !*full && (stops || pixel.transmittance > TRANSMITTANCE_MIN);
+    for (place, (pixel, full)) in pixels.iter_mut().zip(&mut full).enumerate() {
+        let [x, y] = pixel_offset(place);
+        for &record in &records[first..first + item.pairs as usize] {
+            let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
+            let (colour, high) = (colours[record as usize], footprints[2 * record as usize + 1]);
+            blend_pixel(pixel, full, log2_alpha, colour, high, alpha_max, stops);
         }
-        open = still_open;
     }
-    debug_assert_eq!(pixels.len(), PIXELS * BLEND_THREADS);
     for (place, pixel) in pixels.iter_mut().enumerate() {
         if item.partial != NO_PARTIAL && full[place] && !takes_no_part[place] {
             pixel.transmittance = -pixel.transmittance;

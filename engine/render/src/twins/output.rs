@@ -2,26 +2,19 @@
 
 use glam::Vec3;
 
-use crate::layout::{CameraRecord, MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
+use crate::layout::{CameraRecord, MACRO_HEIGHT_PX, MACRO_PIXELS, MACRO_WIDTH_PX};
 
-/// Threads of a workgroup of `blend`.
-pub const BLEND_THREADS: usize = 256;
-/// Pixels a thread has.
-pub const PIXELS: usize = 8;
 /// Width and height of a render tile.
 pub const RENDER_TILE_PX: u32 = 8;
 /// Render tiles in a row of a macro tile.
 pub const MACRO_COLUMNS: u32 = MACRO_WIDTH_PX / RENDER_TILE_PX;
 
-const TEAM: usize = 32;
-const TEAMS: usize = BLEND_THREADS / TEAM;
-
-/// Position `[column, row]` in the macro tile of pixel `index` of a thread.
+/// Position `[column, row]` in the macro tile of the pixel at `place` of a partial result.
 #[must_use]
-pub fn pixel_offset(thread: usize, index: usize) -> [u32; 2] {
-    let tile = (thread / TEAM + TEAMS * (index / 2)) as u32;
-    let lane = (thread % TEAM) as u32;
-    let in_tile = [lane % 4 + 4 * (index as u32 % 2), lane / 4];
+pub fn pixel_offset(place: usize) -> [u32; 2] {
+    let (right, left_place) = ((place / (MACRO_PIXELS / 2)) as u32, (place % (MACRO_PIXELS / 2)) as u32);
+    let (tile, block, lane) = (left_place / 32, left_place / 8 % 4, left_place % 8);
+    let in_tile = [block % 2 * 4 + lane % 2 + 2 * right, block / 2 * 4 + lane / 2];
     [tile % MACRO_COLUMNS * RENDER_TILE_PX + in_tile[0], tile / MACRO_COLUMNS * RENDER_TILE_PX + in_tile[1]]
 }
 

@@ -25,10 +25,7 @@ pub fn plan_segments(
     let pairs = needs.pairs.min(pairs_max);
     let lists: Vec<[u32; 2]> =
         (0..bin_count as usize).map(|bin| if pairs == 0 { [0, 0] } else { [range_firsts[bin], range_firsts[bin + 1]] }).collect();
-    let segments_of = |[first, end]: [u32; 2]| {
-        let (whole, left) = ((end - first) / segment_pairs, (end - first) % segment_pairs);
-        (whole + u32::from(left > segment_pairs / 2)).max(1)
-    };
+    let segments_of = |[first, end]: [u32; 2]| (end - first).div_ceil(segment_pairs).max(1);
 
     let (mut partial, mut composite) = (0u32, 0u32);
     let mut first_partials = Vec::new();
