@@ -38,10 +38,9 @@ layout(constant_id = 3) const float ALPHA_MAX = 0.99;
 layout(constant_id = 4) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 5) const uint LANES = 32u; // of a subgroup: 4 to 64
 layout(constant_id = 6) const bool CONTRIBUTIONS = false; // add up the weights of each splat; records hold its index
-layout(constant_id = 7) const bool ORDER_ERROR = false; // measure by how much lists are out of order, and draw nothing
-layout(constant_id = 8) const bool FINISH = false; // blend again what composite has left to be finished
-layout(constant_id = 9) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
-layout(constant_id = 10) const bool ONE_BATCH = false; // no segment is longer than a batch
+layout(constant_id = 7) const bool FINISH = false; // blend again what composite has left to be finished
+layout(constant_id = 8) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
+layout(constant_id = 9) const bool ONE_BATCH = false; // no segment is longer than a batch
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { Item items[]; };
@@ -58,13 +57,10 @@ layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint
 // Of each splat, the sum of its weights in all pixels, in steps of 1 / contribution_scale.
 layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contributions[]; };
 
-// Bits of the largest order error of a pixel, and how many pixels have one above 1/255, over one item of measured_stride.
-layout(set = 0, binding = 15, scalar) buffer order_error_block { uint order_error[2]; };
-
 // Of each partial result, the render tiles with pixels that are to be finished, as bits. Only with EXCLUSIVE_STOP or CONTRIBUTIONS.
-layout(set = 0, binding = 16, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
+layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
 
-layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; uint measured_stride; uint measured_first; };
+layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; };
 
 #include "batch.glsl"
 #include "lane_pixels.glsl"
@@ -184,15 +180,6 @@ void write_partial(uint place, Pixel pixel, bool full) {
     store_partial(place, pixel);
 }
 
-void write_order_error(float error) {
-    if (error > 0.0) {
-        atomicMax(order_error[0], floatBitsToUint(error)); // positive floats order as their bits
-        if (error > 1.0 / 255.0) {
-            atomicAdd(order_error[1], 1u);
-        }
-    }
-}
-
 // What lies before the pixel's segment, or a full pixel if there is nothing to finish in it.
 Pixel unfinished_pixel(uint place, out bool full) {
     Pixel pixel = load_partial(place);
@@ -213,11 +200,6 @@ LanePixels first_pixels(Item item, Camera camera, uvec2 origin, uint place) {
 }
 
 void write_result(Item item, Camera camera, uvec2 origin, uint place, LanePixels pixels) {
-    if (ORDER_ERROR) {
-        write_order_error(pixels.left_order.error);
-        write_order_error(pixels.right_order.error);
-        return;
-    }
     uvec2 at = origin + pixel_offset(place);
     if (FINISH) {
         // Composite has written the pixel as it is without an end in this segment, and pixels that were full before keep that.
@@ -320,7 +302,7 @@ void blend_batches(Item item, Camera camera, uvec2 origin, uint tiles) {
 
 void main() {
     uint item_index = group_index();
-    if (item_index >= min(needs.items, items_max) || (ORDER_ERROR && item_index % measured_stride != measured_first)) {
+    if (item_index >= min(needs.items, items_max)) {
         return;
     }
     Item item = items[item_index];
@@ -336,13 +318,13 @@ void main() {
     }
     if (EXCLUSIVE_STOP || CONTRIBUTIONS) {
         bool starts = FINISH || item.segment == 0u;
-        stops = EXCLUSIVE_STOP && (starts || ORDER_ERROR);
+        stops = EXCLUSIVE_STOP && starts;
         counts = CONTRIBUTIONS && starts;
     }
     uint tiles = 0xffffffffu; // that are to be drawn
     if (FINISH) {
         tiles = item.partial == NO_PARTIAL ? 0u : partial_unfinished[item.partial];
-    } else if (item.segment > 0u && !ORDER_ERROR) {
+    } else if (item.segment > 0u) {
         tiles = uncovered_tiles(item, thread);
     }
     if (tiles == 0u) {
@@ -353,7 +335,7 @@ void main() {
     } else {
         blend_batches(item, camera, origin, tiles);
     }
-    if (item.partial != NO_PARTIAL && !ORDER_ERROR && !FINISH) {
+    if (item.partial != NO_PARTIAL && !FINISH) {
         // Tells later segments of the tile how much this one lets through.
         barrier();
         if (thread < 32u) {

@@ -2,8 +2,7 @@
 // Which splats of a chunk can be seen by which camera of the rig.
 //
 // One workgroup a chunk, one thread a splat; attributes are read once for all cameras. A chunk whose box cannot reach a
-// camera's image is skipped with one test. Writes one bit a splat and the count a (camera, chunk); where the order of a
-// direction is kept, also one bit at the splat's place in that order.
+// camera's image is skipped with one test. Writes one bit a splat and the count a (camera, chunk).
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"
@@ -21,12 +20,6 @@ layout(set = 0, binding = 3, scalar) readonly buffer shapes_block { vec4 shapes[
 layout(set = 0, binding = 4, scalar) readonly buffer rotations_block { vec4 rotations[]; }; // w, x, y, z
 layout(set = 0, binding = 5, scalar) writeonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
-
-layout(set = 0, binding = 7, scalar) readonly buffer view_orders_block { ViewOrder view_orders[]; };
-layout(set = 0, binding = 8, scalar) readonly buffer ranks_block { uint ranks[]; }; // [rank set][splat]
-layout(set = 0, binding = 9, scalar) buffer rank_words_block { uint rank_words[]; }; // [camera][chunk][word], by rank
-
-layout(constant_id = 2) const bool RANKED = false; // some camera's order is kept
 
 layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint chunk_count; };
 
@@ -70,10 +63,6 @@ void main() {
         Footprint splat;
         if (project_splat_seen(camera, camera_index, t, axes, opacity, splat) && splat_reaches(splat, camera)) {
             atomicOr(words[camera_index * CHUNK_WORDS + thread / 32u], 1u << (thread % 32u));
-            if (RANKED && view_orders[camera_index].path != ORDER_SORTED) {
-                uint rank = ranks[view_orders[camera_index].rank_set * splat_count + splat_index];
-                atomicOr(rank_words[camera_index * chunk_count * CHUNK_WORDS + rank / 32u], 1u << (rank % 32u));
-            }
         }
     }
     barrier();

@@ -22,7 +22,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SEGMENT_PAIRS = 1024u; // 0xffffffff: never cut, blend each list in one run
 
 layout(set = 0, binding = 0, scalar) buffer needs_block { Needs needs; };
-layout(set = 0, binding = 1, scalar) readonly buffer range_firsts_block { uint range_firsts[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
 layout(set = 0, binding = 2, scalar) writeonly buffer items_block { Item items[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer composites_block { Composite composites[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer arguments_block { uvec3 arguments[]; };
@@ -39,10 +39,6 @@ const uint COMPOSITE_GROUPS = MACRO_PIXELS / 256u;
 
 shared uint longest_list;
 
-uint pairs_of(uint bin, uint pairs) {
-    return pairs == 0u ? 0u : range_firsts[bin + 1u] - range_firsts[bin];
-}
-
 uint segments_of(uint length) {
     return max(1u, length / SEGMENT_PAIRS + (length % SEGMENT_PAIRS > 0u ? 1u : 0u));
 }
@@ -53,7 +49,6 @@ uint wave_first(uint wave) {
 }
 
 void main() {
-    uint pairs = min(needs.pairs, pairs_max);
     uint thread = block_thread();
     uint block_first = gl_WorkGroupID.x * WORKGROUP_THREADS;
     uint first_segment = wave_first(gl_WorkGroupID.y);
@@ -66,7 +61,7 @@ void main() {
     }
     barrier();
     for (uint bin = thread; bin < bin_count; bin += WORKGROUP_THREADS) {
-        uint length = pairs_of(bin, pairs);
+        uint length = tile_lists[bin].y;
         atomicMax(longest_list, length);
         uint segments = segments_of(length);
         bool earlier = bin < block_first;
@@ -80,7 +75,8 @@ void main() {
 
     uint bin = block_first + thread;
     bool real = bin < bin_count;
-    uint length = real ? pairs_of(bin, pairs) : 0u;
+    uvec2 list = real ? tile_lists[bin] : uvec2(0u);
+    uint length = list.y;
     uint segments = real ? segments_of(length) : 0u;
     bool cut = segments > 1u;
     uint wave_end = min(segments, end_segment);
@@ -89,13 +85,12 @@ void main() {
     uint partial = partials_before + block_exclusive_sum(cut ? segments : 0u, partial_total);
     uint composite = composites_before + block_exclusive_sum(cut ? 1u : 0u, composite_total);
 
-    uint first_pair = real && pairs > 0u ? range_firsts[bin] : 0u;
     for (uint segment = first_segment; segment < wave_end; ++segment, ++item) {
         uint taken = segment * SEGMENT_PAIRS;
         // Where there is no room for the partial result any slot will do: the picture is drawn again.
         uint slot = cut ? min(partial + segment, partials_max - 1u) : NO_PARTIAL;
         if (item < items_max) {
-            items[item] = Item(bin, first_pair + taken, segment + 1u < segments ? SEGMENT_PAIRS : length - taken, slot, segment);
+            items[item] = Item(bin, list.x + taken, segment + 1u < segments ? SEGMENT_PAIRS : length - taken, slot, segment);
         }
     }
     if (cut && first_segment == 0u) {
@@ -105,12 +100,14 @@ void main() {
         uint all_items = items_before + item_total;
         uint all_partials = partials_before + partial_total;
         uint all_composites = composites_before + composite_total;
+        uint pairs = wanted_pairs(needs);
+        needs.pairs = pairs;
         needs.items = all_items;
         needs.partials = all_partials;
         needs.composites = all_composites;
         needs.longest = longest_list; // block_sum has waited for all threads
-        bool fit = all_partials <= partials_max;
-        arguments[ARGUMENTS_BLEND] = groups_for(min(all_items, items_max));
-        arguments[ARGUMENTS_COMPOSITE] = groups_for(fit ? all_composites * COMPOSITE_GROUPS : 0u);
+        // What has no room is not drawn: the host grows the buffers and draws again.
+        arguments[ARGUMENTS_BLEND] = groups_for(pairs <= pairs_max ? min(all_items, items_max) : 0u);
+        arguments[ARGUMENTS_COMPOSITE] = groups_for(all_partials <= partials_max && pairs <= pairs_max ? all_composites * COMPOSITE_GROUPS : 0u);
     }
 }

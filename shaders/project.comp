@@ -1,10 +1,8 @@
 #version 460
 // Footprint, depth key and colour of every visible (camera, splat) of the background, at the place that the scan gave it.
 //
-// One workgroup a chunk, one thread a splat, all cameras: attributes are read once. Records of a camera are in splat order,
-// so that a stable sort by depth breaks ties by splat index. Where the order of a direction is kept, the key goes straight
-// to its place in that order: the bit of its rank counts the visible splats before it. Also counts the macro tiles of each
-// record.
+// One workgroup a chunk, one thread a splat, all cameras: attributes are read once. Records of a camera are in splat order: equal
+// depth keys are drawn in the order of records. Where the keys of a camera's direction are kept, they are read instead of computed.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -22,7 +20,7 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const bool RADIAL = false;    // order by distance instead of z
 layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instances, and these are asked for
-layout(constant_id = 5) const bool RANKED = false;    // some camera's order is kept
+layout(constant_id = 5) const bool KEPT_KEYS = false; // the keys of some camera's direction are kept
 layout(constant_id = 6) const bool SPLAT_IDS = false; // records hold the splat's index instead of an instance
 layout(constant_id = 7) const bool SHADOWS = false;   // agents throw contact shadows
 layout(constant_id = 8) const bool SHADOWS_BY_CAMERA = false; // not all cameras see all of them
@@ -38,13 +36,10 @@ layout(set = 0, binding = 7, scalar) readonly buffer sh_band1_block { uint sh_ba
 layout(set = 0, binding = 8, scalar) readonly buffer sh_band2_block { uint sh_band2[]; }; // 8 words
 layout(set = 0, binding = 9, scalar) readonly buffer sh_band3_block { uint sh_band3[]; }; // 11 words
 layout(set = 0, binding = 10, scalar) readonly buffer instances_block { uint instances[]; }; // two 16-bit ids a word
-layout(set = 0, binding = 16, scalar) readonly buffer view_orders_block { ViewOrder view_orders[]; };
-layout(set = 0, binding = 17, scalar) readonly buffer ranks_block { uint ranks[]; };
-layout(set = 0, binding = 18, scalar) readonly buffer rank_words_block { uint rank_words[]; };
-layout(set = 0, binding = 19, scalar) readonly buffer rank_firsts_block { uint rank_firsts[]; }; // [camera][chunk]
-layout(set = 0, binding = 20, scalar) writeonly buffer unranked_keys_block { uint unranked_keys[]; };
-layout(set = 0, binding = 21, scalar) readonly buffer shadows_block { Shadow shadows[]; };
-layout(set = 0, binding = 22, scalar) readonly buffer shadow_words_block { uint shadow_words[]; }; // [chunk][word]
+layout(set = 0, binding = 14, scalar) readonly buffer key_sets_block { uint key_sets[]; };    // of each camera, or NO_KEY_SET
+layout(set = 0, binding = 15, scalar) readonly buffer kept_keys_block { uint kept_keys[]; }; // [set][splat]
+layout(set = 0, binding = 16, scalar) readonly buffer shadows_block { Shadow shadows[]; };
+layout(set = 0, binding = 17, scalar) readonly buffer shadow_words_block { uint shadow_words[]; }; // [chunk][word]
 
 layout(push_constant, scalar) uniform push_block {
     uint splat_count;
@@ -63,21 +58,12 @@ int visible_rank(uint first_word, uint bit) {
     VISIBLE_RANK(visible_words, first_word, bit);
 }
 
-int rank_among_visible(uint first_word, uint bit) {
-    VISIBLE_RANK(rank_words, first_word, bit);
-}
-
-// Where the key of a record stands before the sort: by rank, where ranks are kept.
-uint place_of(uint camera_index, uint splat_index, uint slot) {
-    ViewOrder order = view_orders[camera_index];
-    if (order.path == ORDER_SORTED) {
-        return slot;
+uint key_of(uint camera_index, uint splat_index, vec3 mean_m, Camera camera) {
+    uint key_set = KEPT_KEYS ? key_sets[camera_index] : NO_KEY_SET;
+    if (key_set != NO_KEY_SET) {
+        return kept_keys[key_set * splat_count + splat_index];
     }
-    uint first_chunk = camera_index * chunk_count;
-    uint rank = ranks[order.rank_set * splat_count + splat_index];
-    uint chunk = first_chunk + rank / CHUNK_SPLATS;
-    uint before = rank_firsts[chunk] - rank_firsts[first_chunk];
-    return firsts[first_chunk] + before + uint(rank_among_visible(chunk * CHUNK_WORDS, rank % CHUNK_SPLATS));
+    return depth_key(RADIAL ? scaled_distance(mean_m, camera) : scaled_depth(mean_m, camera));
 }
 
 // What all shadows that may lie on the chunk leave of a splat's light; where cameras see different ones, those that this one sees.
@@ -142,15 +128,7 @@ void main() {
         record.depth_m = RADIAL ? length(offset) : t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
         vec3 colour = sh_colour(sh_dc[splat_index], splat_index, splat_count, normalize(offset));
-        write_record(slot, camera, record, SHADOWS ? light * colour : colour);
-        uint key = depth_key(RADIAL ? scaled_distance(mean_m, camera) : scaled_depth(mean_m, camera));
-        uint place = RANKED ? place_of(camera_index, splat_index, slot) : slot;
-        if (place < records_max) {
-            keys[place] = key;
-            values[place] = slot;
-        }
-        if (RANKED && view_orders[camera_index].path == ORDER_REPAIRED) {
-            unranked_keys[slot] = key;
-        }
+        write_record(slot, record, SHADOWS ? light * colour : colour);
+        keys[slot] = key_of(camera_index, splat_index, mean_m, camera);
     }
 }

@@ -101,8 +101,7 @@ void main() {
         vec3 d = normalize(offset);
         uint colour = agent.first_colour + coded.colour;
         vec3 dc = (RELIT && from_relit ? relit_dc[colour] : coded_dc[colour]) + agent.dc_residual_gain * coded.dc_residual;
-        write_record(slot, camera, record, sh_colour(dc, colour, COLOUR_WORDS, agent.colours_in_world != 0u ? turned(agent, d) : d));
+        write_record(slot, record, sh_colour(dc, colour, COLOUR_WORDS, agent.colours_in_world != 0u ? turned(agent, d) : d));
         keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));
-        values[slot] = slot;
     }
 }

@@ -8,7 +8,6 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs::asset::write_atomically;
 use decouplegs::explain::one_line;
-use decouplegs::render::OrderMode;
 use decouplegs::render::picture::{Picture, PictureFormat};
 use decouplegs::scene::Rules;
 
@@ -117,28 +116,6 @@ mod tests {
         for name in RulesName::value_variants() {
             let value = name.to_possible_value().unwrap();
             assert_eq!(Rules::by_name(value.get_name()), Some(name.rules()));
-        }
-    }
-}
-
-/// Segments of lists of which one is looked at in each frame for the error of a stale order.
-pub const MEASURED_ONE_OF: u32 = 16;
-
-/// How splats come into front-to-back order, as the command line says it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OrderName(pub OrderMode);
-
-impl FromStr for OrderName {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match (text, text.strip_prefix("bounded=").map(str::parse::<f64>)) {
-            ("full", _) => Ok(Self(OrderMode::Full)),
-            ("exact", _) => Ok(Self(OrderMode::Exact)),
-            (_, Some(Ok(angle_rad))) if angle_rad >= 0.0 && angle_rad.is_finite() => {
-                Ok(Self(OrderMode::Bounded { angle_rad, measured_one_of: MEASURED_ONE_OF }))
-            }
-            _ => Err(format!("'{text}' is no order: expected full, exact or bounded=RADIANS, such as bounded=0.01")),
         }
     }
 }

@@ -18,7 +18,7 @@ use decouplegs::render::reference::{self, Window};
 use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
 use decouplegs::scene::{Intrinsics, Rules};
 
-use crate::arguments::{OrderName, Size, finite, pixels, print};
+use crate::arguments::{Size, finite, pixels, print};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
@@ -46,10 +46,9 @@ pub struct Arguments {
     /// Draw the instance ids too
     #[arg(long)]
     instance: bool,
-    /// How splats come into front-to-back order: sorted in every frame, kept from frame to frame with the same pictures to the
-    /// last bit, or kept as it is up to an angle in radians (bounded=0.01)
-    #[arg(long, value_name = "full|exact|bounded=RAD", default_value = "exact")]
-    order: OrderName,
+    /// Compute the background's depth keys in every frame instead of keeping them while a camera does not turn
+    #[arg(long)]
+    compute_keys: bool,
     /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
     #[arg(long, value_name = "PX", value_parser = pixels)]
     level_pitch: Option<f64>,
@@ -91,7 +90,7 @@ impl Arguments {
         RenderOptions {
             rules,
             outputs: self.outputs(),
-            order: self.order.0,
+            keep_keys: !self.compute_keys,
             level_pitch_px: self.level_pitch,
             frames_in_flight: usize::from(self.in_flight),
             overlap: !self.serial,

@@ -77,14 +77,12 @@ pub struct Arguments {
     /// The moment of the first timed frame, seconds (default: when the ego's trajectory begins)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, bounded[=RAD], lod[=PX], sh0, sh1, sh2, keep=SHARE,
-    /// colors=N
+    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PX], sh0, sh1, sh2, keep=SHARE, colors=N
     ///
-    /// vanilla: uncompressed copies of the agents, everything sorted in every frame; the others are compared with it
+    /// vanilla: uncompressed copies of the agents, depth keys computed in every frame; the others are compared with it
     /// prune=SHARE: vanilla with a share of all splats kept (0.34)
-    /// decoupled: compressed agents that drive, the background's order kept from frame to frame with the same pictures
+    /// decoupled: compressed agents that drive, the background's depth keys kept while a camera does not turn
     /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2
-    /// bounded=RAD: decoupled, an order of the background serves until a camera has turned by so much (0.01)
     /// lod=PX: decoupled, agents at the coarsest level whose splats are at most so far apart (0.7)
     /// sh0, sh1, sh2: decoupled, colours evaluated to that degree
     /// keep=SHARE: decoupled, assets compressed with a share of their splats kept

@@ -26,7 +26,7 @@ const uint LISTS = THREADS / BLOCK_LANES;
 shared vec4 batch_slants[BATCH + 1u];
 shared vec4 batch_tones[BATCH + 1u];
 shared float batch_blues[BATCH + 1u];
-shared float batch_depths[DEPTH || ORDER_ERROR ? BATCH + 1u : 1u];
+shared float batch_depths[DEPTH ? BATCH + 1u : 1u];
 shared uint batch_instances[INSTANCE || CONTRIBUTIONS ? BATCH + 1u : 1u];
 
 // Records of each render tile, one bit each. A word more than needed keeps tiles out of each other's memory bank.
@@ -68,7 +68,7 @@ uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
     batch_slants[entry] = vec4(splat.rate_x, -splat.slope * splat.rate_x, -sheared_x * splat.rate_x, -mean.y * splat.rate_y);
     batch_tones[entry] = vec4(splat.rate_y, splat.log2_opacity, colour.rg);
     batch_blues[entry] = colour.b;
-    if (DEPTH || ORDER_ERROR) {
+    if (DEPTH) {
         batch_depths[entry] = high.z;
     }
     if (INSTANCE || CONTRIBUTIONS) {
@@ -110,7 +110,7 @@ void stage_no_record() {
     batch_slants[NO_RECORD] = vec4(0.0);
     batch_tones[NO_RECORD] = vec4(0.0, -1e3, 0.0, 0.0); // log2 of an alpha far below 1/255
     batch_blues[NO_RECORD] = 0.0;
-    if (DEPTH || ORDER_ERROR) {
+    if (DEPTH) {
         batch_depths[NO_RECORD] = 0.0;
     }
     if (INSTANCE || CONTRIBUTIONS) {
@@ -179,7 +179,7 @@ struct Staged {
 
 Staged staged_record(uint entry) {
     Staged staged = Staged(batch_slants[entry], batch_tones[entry], batch_blues[entry], 0.0, 0u);
-    if (DEPTH || ORDER_ERROR) {
+    if (DEPTH) {
         staged.depth_m = batch_depths[entry];
     }
     if (INSTANCE || CONTRIBUTIONS) {
@@ -193,7 +193,7 @@ Staged record_of_lane(Staged own, uint lane) {
     own.slants = subgroupShuffle(own.slants, lane);
     own.tones = subgroupShuffle(own.tones, lane);
     own.blue = subgroupShuffle(own.blue, lane);
-    if (DEPTH || ORDER_ERROR) {
+    if (DEPTH) {
         own.depth_m = subgroupShuffle(own.depth_m, lane);
     }
     if (INSTANCE || CONTRIBUTIONS) {

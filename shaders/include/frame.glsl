@@ -27,6 +27,7 @@ struct Camera {
     uvec2 macro_tiles;
     vec2 key_offset;  // what a depth relative to the world's origin has before it is scaled by key_scale, high and low part
     float key_scale;  // turns such a depth into one between -1 and 1, exactly: a power of two
+    float key_depth;  // the camera's own depth relative to the world's origin, scaled
     uint first_bin;   // bins of camera c are first_bin .. first_bin + macro_tiles.x * macro_tiles.y, row-major
     uint first_pixel; // where its picture begins in the output buffers
 };
@@ -40,12 +41,21 @@ struct Chunk {
 // How many were wanted, whatever the capacity: the host grows the buffers that were too small and draws again.
 struct Needs {
     uint records;    // visible (camera, splat)
-    uint pairs;      // (macro tile, record)
+    uint pairs;      // (macro tile, record); more than 2^32 wrap: see wanted_pairs
+    uint pairs_low;  // the same, the sum of the lower 16 bits of each macro tile's number
+    uint pairs_high; // and of the upper 16 bits
+    uint buckets;    // of pairs, sorted one by one
     uint items;      // (macro tile, segment of its list)
     uint partials;   // items of macro tiles with more than one segment
     uint composites; // macro tiles with more than one segment
     uint longest;    // pairs of one macro tile, at most
 };
+
+// Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 macro tiles' halves cannot wrap.
+uint wanted_pairs(Needs needs) {
+    uint high = needs.pairs_high + (needs.pairs_low >> 16u);
+    return high > 0xffffu ? 0xffffffffu : high << 16u | (needs.pairs_low & 0xffffu);
+}
 
 // A count that has no room makes nothing: the host grows the buffers and draws again.
 uint held(uint need, uint room) {
@@ -53,44 +63,31 @@ uint held(uint need, uint room) {
 }
 
 // Where the arguments of each indirect dispatch stand, in units of uvec3.
-const uint ARGUMENTS_SORT_RECORDS = 0u;
-const uint ARGUMENTS_PAIR_BLOCKS = 1u;
-const uint ARGUMENTS_SORT_PAIRS = 2u;
-const uint ARGUMENTS_RANGES = 3u;
-const uint ARGUMENTS_BLEND = 4u;
-const uint ARGUMENTS_COMPOSITE = 5u;
-const uint ARGUMENTS_MERGE = 6u;
-const uint ARGUMENTS_RESTORE = 7u;
+const uint ARGUMENTS_PAIR_BLOCKS = 0u;
+const uint ARGUMENTS_BLEND = 1u;
+const uint ARGUMENTS_COMPOSITE = 2u;
 
-// How a camera's background list comes into order.
-const uint ORDER_SORTED = 0u;   // by the radix sort
-const uint ORDER_KEPT = 1u;     // by the ranks that were found for this very direction, or for one that is near enough
-const uint ORDER_REPAIRED = 2u; // by the ranks of a direction nearby, put right and proved
-
-struct ViewOrder {
-    uint path;
-    uint rank_set; // whose ranks
-};
-
-// Where the records of a camera lie: background first, then agents, each in the order of their splats.
+// Where the records of a camera begin: background first, then agents, each in the order of their splats.
 struct ViewLists {
     uint first_static;
-    uint static_count;
     uint first_moving;
-    uint moving_count;
-    uint first_ordered; // where both together begin in the merged order
-    uint first_block;   // of merge, counted over all cameras
 };
 
-// One list that the radix sort orders by itself, in place: places first to first + count - 1.
-struct SortSegment {
-    uint first;
-    uint count;
-    uint first_block; // of the sort, counted over all segments
-};
-
-// Records handled by one workgroup of count_pairs and emit_pairs, and pairs by one of find_ranges.
+// Records handled by one workgroup of bin_pairs.
 const uint PAIR_BLOCK = 1024u;
+
+// Pairs after which a bucket ends with the next depth slab.
+const uint BUCKET_PAIRS = 1024u;
+
+// A run of one macro tile's pairs that is sorted by itself.
+struct Bucket {
+    uint first_pair;
+    uint pairs;
+    uint bin;
+};
+
+// A camera whose direction has no kept keys.
+const uint NO_KEY_SET = 0xffffffffu;
 
 // Devices promise only 65535 groups along an axis.
 const uint GROUPS_X_MAX = 65535u;

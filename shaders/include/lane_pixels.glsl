@@ -15,50 +15,25 @@ float nothing_left() {
 bool stops;  // EXCLUSIVE_STOP, where all that lies before is known
 bool counts; // CONTRIBUTIONS, likewise
 
-// What a pixel's last splat was, to be compared with the next, and what their wrong order has cost so far. Neighbours that
-// stand the wrong way round change a pixel by their weights: T a_i a_j |c_i - c_j| for transmittance T before both.
-struct OrderState {
-    float weight;
-    float depth_m;
-    vec3 colour;
-    float error;
-};
-
-const OrderState ORDER_STATE_EMPTY = OrderState(0.0, 0.0, vec3(0.0), 0.0);
-
 // A lane's pixels in a share. Named, not an array: what is indexed may end up outside of registers.
 struct LanePixels {
     Pixel left;
     Pixel right; // two columns to the right of the first
     bool left_full;
     bool right_full;
-    OrderState left_order;
-    OrderState right_order;
 };
 
 LanePixels empty_pixels(uvec2 at, uvec2 size_px) {
     // Pixels beyond the image are full from the start, or they would keep their share open.
     bool left_full = at.x >= size_px.x || at.y >= size_px.y;
     bool right_full = at.x + 2u >= size_px.x || at.y >= size_px.y;
-    LanePixels pixels =
-        LanePixels(PIXEL_EMPTY, PIXEL_EMPTY, left_full, right_full, ORDER_STATE_EMPTY, ORDER_STATE_EMPTY);
+    LanePixels pixels = LanePixels(PIXEL_EMPTY, PIXEL_EMPTY, left_full, right_full);
     pixels.left.transmittance = left_full ? 0.0 : 1.0;
     pixels.right.transmittance = right_full ? 0.0 : 1.0;
     return pixels;
 }
 
-void note_order(inout OrderState order, float weight, float alpha, vec3 colour, float depth_m) {
-    if (alpha > 0.0) {
-        vec3 apart = abs(colour - order.colour);
-        float change = order.weight * alpha * max(apart.r, max(apart.g, apart.b));
-        order.error += depth_m < order.depth_m ? change : 0.0;
-        order.weight = weight;
-        order.depth_m = depth_m;
-        order.colour = colour;
-    }
-}
-
-void blend_pixel(inout Pixel pixel, inout bool full, inout OrderState order, float log2_alpha, vec3 colour, Staged record) {
+void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 colour, Staged record) {
     float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
     if (EXCLUSIVE_STOP) {
         full = full || (stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN);
@@ -69,9 +44,6 @@ void blend_pixel(inout Pixel pixel, inout bool full, inout OrderState order, flo
     pixel.transmittance -= weight;
     if (CONTRIBUTIONS && counts && weight > 0.0) {
         atomicAdd(contributions[record.instance], uint(weight * contribution_scale + 0.5));
-    }
-    if (ORDER_ERROR) {
-        note_order(order, weight, alpha, colour, record.depth_m);
     }
     if (DEPTH) {
         pixel.weighted_depth += weight * record.depth_m;
@@ -91,6 +63,6 @@ void blend_record(inout LanePixels pixels, vec2 at, Staged record) {
     vec2 log2_alpha = log2_alphas(record.slants, record.tones, at);
     vec3 colour = vec3(record.tones.zw, record.blue);
     // No branch where a record adds nothing: that would cost more than the arithmetic it saves.
-    blend_pixel(pixels.left, pixels.left_full, pixels.left_order, log2_alpha.x, colour, record);
-    blend_pixel(pixels.right, pixels.right_full, pixels.right_order, log2_alpha.y, colour, record);
+    blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, colour, record);
+    blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, colour, record);
 }

@@ -5,6 +5,7 @@ layout(constant_id = 1) const bool DEPTH = false;           // expected depth, m
 layout(constant_id = 2) const bool INSTANCE = false;        // instance of the splat with the largest weight
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
+#include "camera_of_bin.glsl"
 layout(set = 0, binding = 1, std430) writeonly buffer pictures_f32_block { vec4 pictures_f32[]; };
 layout(set = 0, binding = 2, std430) writeonly buffer pictures_u8_block { uint pictures_u8[]; };
 layout(set = 0, binding = 3, std430) writeonly buffer depths_block { float depths_m[]; };
@@ -45,14 +46,6 @@ struct Pixel {
 };
 
 const Pixel PIXEL_EMPTY = Pixel(vec3(0.0), 1.0, 0.0, 0.0, 0u);
-
-uint camera_of_bin(uint bin, uint camera_count) {
-    uint camera = 0u;
-    for (uint next = 1u; next < camera_count; ++next) {
-        camera = cameras[next].first_bin <= bin ? next : camera;
-    }
-    return camera;
-}
 
 // Top left pixel of a macro tile.
 uvec2 macro_tile_origin(uint bin, Camera camera) {

@@ -36,16 +36,6 @@ bool splat_reaches(Footprint splat, Camera camera) {
     return false;
 }
 
-uint count_macro_tiles(Footprint splat, Camera camera) {
-    uint count = 0u;
-    ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
-    for (int row = rows.x; row <= rows.y; ++row) {
-        ivec2 tiles = reached_macro_tiles(splat, uint(row), camera.size_px);
-        count += uint(tiles.y - tiles.x + 1);
-    }
-    return count;
-}
-
 vec3 to_camera_axes(Camera camera, vec3 offset) {
     return vec3(dot(camera.row_x, offset), dot(camera.row_y, offset), dot(camera.row_z, offset));
 }

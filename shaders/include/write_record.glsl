@@ -2,9 +2,7 @@
 
 layout(set = 0, binding = 11, std430) writeonly buffer footprints_block { vec4 footprints[]; }; // two a record
 layout(set = 0, binding = 12, std430) writeonly buffer colours_block { vec4 colours[]; };
-layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[]; };
-layout(set = 0, binding = 14, scalar) writeonly buffer values_block { uint values[]; }; // the record of each key
-layout(set = 0, binding = 15, scalar) writeonly buffer tile_counts_block { uint tile_counts[]; };
+layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[]; }; // depth keys
 
 // The place of bit `bit` among the set bits of a chunk's words, or -1 when it is not set.
 #define VISIBLE_RANK(bits, first_word, bit)                          \
@@ -18,9 +16,8 @@ layout(set = 0, binding = 15, scalar) writeonly buffer tile_counts_block { uint 
     }                                                                \
     return rank
 
-void write_record(uint slot, Camera camera, Record record, vec3 colour) {
+void write_record(uint slot, Record record, vec3 colour) {
     footprints[2u * slot] = pack_record_low(record);
     footprints[2u * slot + 1u] = pack_record_high(record);
     colours[slot] = vec4(colour, 0.0);
-    tile_counts[slot] = count_macro_tiles(record.splat, camera);
 }

@@ -3,16 +3,15 @@
 pub mod hard_agents;
 mod hard_clouds;
 
-use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{CHUNK_SPLATS, near_m};
-use decouplegs::render::stages::{AgentCounts, CullAgents, ProjectAgents, Projected, SortScratch};
+use decouplegs::render::stages::{AgentCounts, CullAgents, ProjectAgents, Projected};
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
 use decouplegs::scene::{Camera, ColourTransfer, DepthOrder, Pose, Rules};
 use glam::{DQuat, DVec3};
 
-use super::project::rounding::{Projection, check_keys, check_record, check_tile_counts};
+use super::project::rounding::{Projection, check_keys, check_record};
 use super::scenes::{ProjectedTwin, lens_rig, rig};
-use super::{ROUNDOFF, UNTOUCHED, identical, open, run, sort_shape, untouched, upload};
+use super::{ROUNDOFF, UNTOUCHED, identical, open, run, untouched, upload};
 use crate::device::Validated;
 use hard_agents::{AgentScene, ListedAgents, Placed, hard_agents};
 use hard_clouds::hard_cloud;
@@ -140,22 +139,18 @@ impl Case {
         gpu.write(&buffers.visible.words, 0, &listed.words).unwrap();
         gpu.write(&buffers.firsts, 0, &listed.firsts).unwrap();
         let static_firsts = upload(gpu, &STATIC_FIRSTS);
-        let projected = Projected::new(gpu, *room).unwrap();
-        let sort = SortScratch::new(gpu, sort_shape(gpu), *room).unwrap();
-        let fill = |buffer: &Buffer<u32>| gpu.write(buffer, 0, &vec![UNTOUCHED; *room]).unwrap();
-        [&projected.tile_counts, &sort.keys[0], &sort.values[0]].into_iter().for_each(fill);
+        let projected = Projected::new(gpu, *room, 0).unwrap();
+        gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room]).unwrap();
         let (relit, is_relit) = (scene.relit(gpu), !scene.relit_dc.is_empty());
         let project = ProjectAgents::new(gpu, rules, *sh_degree, is_relit, !scene.lenses.is_empty()).unwrap();
         let lists = STATIC_FIRSTS.len() - 1;
         run(gpu, |r| {
-            project.record(r, &pool, &buffers, &relit, scene.counts, &static_firsts, lists, &projected, &sort);
+            project.record(r, &pool, &buffers, &relit, scene.counts, &static_firsts, lists, &projected);
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
             colours: gpu.read(&projected.colours).unwrap(),
-            keys: gpu.read(&sort.keys[0]).unwrap(),
-            values: gpu.read(&sort.values[0]).unwrap(),
-            tile_counts: gpu.read(&projected.tile_counts).unwrap(),
+            keys: gpu.read(&projected.keys).unwrap(),
         }
     }
 
@@ -188,12 +183,8 @@ impl Case {
             worst = [worst[0].max(used[0]), worst[1].max(used[1])];
         }
         println!("{records} records: {:.3} of the bound of footprints, {:.3} of that of colours", worst[0], worst[1]);
-        for values in [&kernel.keys, &kernel.values, &kernel.tile_counts] {
-            identical("of the background", &values[..STATIC_RECORDS], &[UNTOUCHED; STATIC_RECORDS])?;
-        }
-        check_keys(&kernel.keys, &twin.keys)?;
-        identical("values", &kernel.values, &twin.values)?;
-        check_tile_counts(kernel, (0..records).map(|record| (STATIC_RECORDS + record, self.projection(record).camera)))
+        identical("of the background", &kernel.keys[..STATIC_RECORDS], &[UNTOUCHED; STATIC_RECORDS])?;
+        check_keys(&kernel.keys, &twin.keys)
     }
 }
 
@@ -265,9 +256,8 @@ fn no_agents_are_nothing() {
     let gpu = open();
     let scene = hard_agents(&rig());
     let (pool, buffers) = (scene.pool(&gpu), scene.buffers(&gpu));
-    let projected = Projected::new(&gpu, 8).unwrap();
-    let sort = SortScratch::new(&gpu, sort_shape(&gpu), 8).unwrap();
-    gpu.write(&sort.keys[0], 0, &[UNTOUCHED; 8]).unwrap();
+    let projected = Projected::new(&gpu, 8, 0).unwrap();
+    gpu.write(&projected.keys, 0, &[UNTOUCHED; 8]).unwrap();
     let (cull, project) = (
         CullAgents::new(&gpu, &Rules::DEFAULT, false).unwrap(),
         ProjectAgents::new(&gpu, &Rules::DEFAULT, 3, false, false).unwrap(),
@@ -275,9 +265,9 @@ fn no_agents_are_nothing() {
     let (none, static_firsts) = (AgentCounts { cameras: 4, ..AgentCounts::default() }, untouched(&gpu, 1));
     run(&gpu, |r| {
         cull.record(r, &pool, &buffers, none);
-        project.record(r, &pool, &buffers, &scene.relit(&gpu), none, &static_firsts, 0, &projected, &sort);
+        project.record(r, &pool, &buffers, &scene.relit(&gpu), none, &static_firsts, 0, &projected);
     });
-    let left = [&buffers.visible.words, &buffers.visible.counts, &sort.keys[0]].map(|buffer| gpu.read(buffer).unwrap());
+    let left = [&buffers.visible.words, &buffers.visible.counts, &projected.keys].map(|buffer| gpu.read(buffer).unwrap());
     assert!(left.iter().flatten().all(|&word| word == UNTOUCHED));
 }
 
@@ -299,11 +289,7 @@ fn one_changed_value_is_seen() {
     assert!(failure(&|twin| twin.colours[record][1] += 0.001).contains("value 1"));
     assert!(failure(&|twin| twin.footprints[2 * record + 1][3] = f32::from_bits(99)).contains("instance"));
     assert!(failure(&|twin| twin.keys[record] += 2).contains("keys"));
-    assert!(failure(&|twin| twin.values[record] += 1).contains("values"));
     let mut wrong = case.kernel(&gpu);
     wrong.keys[0] = 1;
     assert!(case.check(&wrong, &case.twin()).unwrap_err().contains("of the background"));
-    wrong.keys[0] = UNTOUCHED;
-    wrong.tile_counts[record] += 1;
-    assert!(case.check(&wrong, &case.twin()).unwrap_err().contains("tile count"));
 }

@@ -4,7 +4,7 @@ mod finish;
 mod rounding;
 
 use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
-use decouplegs::render::stages::{Arguments, Blend, BlendPass, Measured, Partials, Plan, ProjectVariant, Projected};
+use decouplegs::render::stages::{Arguments, Blend, BlendPass, Partials, Plan, ProjectVariant, Projected};
 use decouplegs::render::twins;
 use decouplegs::render::twins::output::{Pictures, Pixel, macro_tile_origin, pixel_offset, write_pixel};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
@@ -113,7 +113,7 @@ impl Case {
         let control = control(gpu, needs, &[(Arguments::Blend, items.len())]);
         let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, items.len() as u32).unwrap();
         gpu.write(&plan.items, 0, items).unwrap();
-        let on_device = Projected::new(gpu, count).unwrap();
+        let on_device = Projected::new(gpu, count, 0).unwrap();
         gpu.write(&on_device.footprints, 0, &projected.footprints).unwrap();
         gpu.write(&on_device.colours, 0, &projected.colours).unwrap();
         let partials = Partials::new(gpu, slots, rules, &OUTPUTS).unwrap();
@@ -130,19 +130,7 @@ impl Case {
         let blend = Blend::new(gpu, rules, &OUTPUTS, pass, longest).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
-            blend.record(
-                r,
-                &control,
-                &scene.camera_buffer,
-                cameras,
-                SKY,
-                &plan,
-                &records,
-                &on_device,
-                &partials,
-                &outputs,
-                Measured::ALL,
-            );
+            blend.record(r, &control, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);
         });
         let pictures = Pictures {
             pictures_f32: gpu.read(&outputs.pictures_f32).unwrap(),

@@ -5,7 +5,7 @@ use decouplegs::render::stages::{Cull, Visible};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::scene::{Camera, Rules, World};
 
-use super::scenes::{Scene, Unranked, hard_world, lens_rig, rig};
+use super::scenes::{Scene, hard_world, lens_rig, rig};
 use super::{UNTOUCHED, identical, open, run};
 use crate::device::Validated;
 
@@ -15,9 +15,9 @@ fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<u32>
     let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();
     gpu.write(&visible.words, 0, &vec![UNTOUCHED; visible.words.len()]).unwrap();
     gpu.write(&visible.counts, 0, &vec![UNTOUCHED; visible.counts.len()]).unwrap();
-    let (cull, unranked) = (Cull::new(gpu, rules, false, !scene.view.lenses.is_empty()).unwrap(), Unranked::new(gpu));
+    let cull = Cull::new(gpu, rules, !scene.view.lenses.is_empty()).unwrap();
     let (of_cameras, lenses) = (&scene.camera_buffer, &scene.lens_buffer);
-    run(gpu, |r| cull.record(r, &scene.resident, of_cameras, lenses, cameras, &visible, &unranked.ranked()));
+    run(gpu, |r| cull.record(r, &scene.resident, of_cameras, lenses, cameras, &visible));
     (gpu.read(&visible.words).unwrap(), gpu.read(&visible.counts).unwrap())
 }
 

@@ -6,8 +6,8 @@ use std::path::Path;
 
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
-    AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, Composite, Item, LensRecord, MACRO_HEIGHT_PX, MACRO_WIDTH_PX, Needs,
-    RelightRecord, ShadowRecord, SortSegment, ViewLists, ViewOrder,
+    AgentRecord, BUCKET_PAIRS, Bucket, CHUNK_SPLATS, CameraRecord, ChunkRecord, Composite, Item, LensRecord, MACRO_HEIGHT_PX,
+    MACRO_WIDTH_PX, Needs, PAIR_BLOCK, RelightRecord, SLABS, ShadowRecord, ViewLists,
 };
 use decouplegs::scene::rules;
 
@@ -51,14 +51,14 @@ fn records_of_frames() -> Vec<Record> {
             macro_tiles,
             key_offset,
             key_scale,
+            key_depth,
             first_bin,
             first_pixel
         }),
         record!(ChunkRecord { centre_m, half_extent_m, reach_m }),
-        record!(Needs { records, pairs, items, partials, composites, longest }),
-        record!(SortSegment { first, count, first_block }),
-        record!(ViewOrder { path, rank_set }),
-        record!(ViewLists { first_static, static_count, first_moving, moving_count, first_ordered, first_block }),
+        record!(Needs { records, pairs, pairs_low, pairs_high, buckets, items, partials, composites, longest }),
+        record!(ViewLists { first_static, first_moving }),
+        record!(Bucket { first_pair, pairs, bin }),
         record!(AgentRecord {
             row_x,
             row_y,
@@ -180,6 +180,9 @@ fn constants_are_the_same_on_host_and_device() {
         ("TRANSMITTANCE_MIN", rules::TRANSMITTANCE_MIN),
         ("DILATION_PX2", rules::DILATION_PX2),
         ("CHUNK_SPLATS", CHUNK_SPLATS as f64),
+        ("PAIR_BLOCK", PAIR_BLOCK as f64),
+        ("BUCKET_PAIRS", BUCKET_PAIRS as f64),
+        ("SLABS", SLABS as f64),
     ] {
         assert_eq!(of(name), [expected], "{name}");
     }

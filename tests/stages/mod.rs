@@ -6,31 +6,25 @@
 pub mod agents;
 mod blend;
 mod composite;
-mod count_pairs;
 mod cull;
 mod cull_shadows;
-mod emit_pairs;
-mod find_ranges;
+mod key_splats;
 mod layout;
-mod merge_order;
-mod plan_order;
 mod plan_segments;
 mod project;
 mod properties;
-mod ranks;
 mod relight;
-mod repair_order;
 mod scan;
 pub mod scenes;
-mod sort;
 mod subgroups;
+mod tile_sort;
 
 use std::cmp::Ordering;
 use std::fmt::Debug;
 
 use decouplegs::gpu::{Buffer, QueueRole, Recorder};
-use decouplegs::render::capacity::{SortShape, groups_for};
-use decouplegs::render::layout::{ARGUMENT_SETS, Needs, SortSegment};
+use decouplegs::render::capacity::groups_for;
+use decouplegs::render::layout::{ARGUMENT_SETS, Needs};
 use decouplegs::render::stages::{Arguments, Control, Partials};
 use decouplegs::render::twins::output::Pixel;
 
@@ -49,10 +43,6 @@ fn open() -> Validated {
         assert_eq!(gpu.limits().subgroup_size.to_string(), lanes, "{} gives subgroups of another size", gpu.info());
     }
     gpu
-}
-
-fn sort_shape(gpu: &Validated) -> SortShape {
-    SortShape::for_device(gpu.limits().subgroup_size, gpu.limits().workgroup_threads_max)
 }
 
 /// Runs what `record` records, to its end.
@@ -75,7 +65,6 @@ fn untouched(gpu: &Validated, len: usize) -> Buffer<u32> {
 fn control(gpu: &Validated, needs: Needs, groups: &[(Arguments, usize)]) -> Control {
     let control = Control::new(gpu).unwrap();
     gpu.write(&control.needs, 0, &[needs]).unwrap();
-    gpu.write(&control.pair_segment, 0, &[SortSegment::default()]).unwrap();
     let mut arguments = [[UNTOUCHED; 3]; ARGUMENT_SETS];
     for &(set, count) in groups {
         arguments[set as usize] = groups_for(count);
@@ -131,7 +120,7 @@ fn within(what: &str, kernel: &[f32], twin: &[f32], bounds: &[f64]) -> Result<f6
 pub struct Random(pub u64);
 
 impl Random {
-    fn word(&mut self) -> u32 {
+    pub fn word(&mut self) -> u32 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut x = self.0;
         x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -152,14 +141,6 @@ impl Random {
     /// From `low` to `high`, each power of ten as often as the next.
     pub fn across_scales(&mut self, low: f32, high: f32) -> f32 {
         self.between(low.ln(), high.ln()).exp()
-    }
-
-    fn shuffled(&mut self, count: usize) -> Vec<u32> {
-        let mut order: Vec<u32> = (0..count as u32).collect();
-        for i in (1..count).rev() {
-            order.swap(i, self.below(i as u32 + 1) as usize);
-        }
-        order
     }
 }
 

@@ -18,20 +18,28 @@ struct Case<'a> {
 }
 
 impl Case<'_> {
-    fn range_firsts(&self) -> Vec<u32> {
-        let ends = self.lengths.iter().scan(0, |end, length| {
-            *end += length;
-            Some(*end)
-        });
-        std::iter::once(0).chain(ends).collect()
+    /// First place and length of each list, the last list first.
+    fn tile_lists(&self) -> Vec<[u32; 2]> {
+        let mut first = 0;
+        let mut lists: Vec<_> = self
+            .lengths
+            .iter()
+            .rev()
+            .map(|&length| {
+                first += length;
+                [first - length, length]
+            })
+            .collect();
+        lists.reverse();
+        lists
     }
 
     /// Plans on the device, and by a twin that cuts at `twin_segment_pairs`.
     fn compare(&self, gpu: &Validated, twin_segment_pairs: u32) -> Result<Needs, String> {
         let bin_count = self.lengths.len() as u32;
         let capacity = Capacity { records: 1, pairs: self.pairs_max, partials: self.partials_max };
-        let range_firsts = self.range_firsts();
-        let before = Needs { pairs: range_firsts[bin_count as usize], ..Needs::default() };
+        let (tile_lists, pairs) = (self.tile_lists(), self.lengths.iter().sum::<u32>());
+        let before = Needs { pairs, pairs_low: pairs & 0xffff, pairs_high: pairs >> 16, ..Needs::default() };
         let control = control(gpu, before, &[]);
         let plan = Plan::new(gpu, &capacity, bin_count).unwrap();
         let mut items = vec![Item { bin: UNTOUCHED, ..Item::zeroed() }; plan.items.len()];
@@ -39,13 +47,13 @@ impl Case<'_> {
         gpu.write(&plan.items, 0, &items).unwrap();
         gpu.write(&plan.composites, 0, &composites).unwrap();
         let plan_segments = PlanSegments::new(gpu, self.segment_pairs).unwrap();
-        run(gpu, |r| plan_segments.record(r, &control, &upload(gpu, &range_firsts), bin_count, &capacity, &plan));
+        run(gpu, |r| plan_segments.record(r, &control, &upload(gpu, &tile_lists), bin_count, &capacity, &plan));
         let (needs, arguments) = found(gpu, &control);
 
         let (mut twin_needs, mut twin_arguments) = (before, vec![[UNTOUCHED; 3]; arguments.len()]);
         twins::plan_segments(
             &mut twin_needs,
-            &range_firsts,
+            &tile_lists,
             &mut items,
             &mut composites,
             &mut twin_arguments,

@@ -2,7 +2,7 @@
 
 use decouplegs::render::layout::{CameraRecord, View};
 use decouplegs::render::reference;
-use decouplegs::render::stages::{Project, Projected, SortScratch, Visible};
+use decouplegs::render::stages::{Project, Projected, Visible};
 use decouplegs::render::twins::footprint::{Footprint, log2_alpha, reached_macro_rows, reached_macro_tiles};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use decouplegs::scene::rules::ALPHA_MIN;
@@ -12,8 +12,8 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 
 use super::project::PLAIN;
-use super::scenes::{Scene, Unranked, hard_splats, hard_world, rig};
-use super::{open, run, sort_shape, upload};
+use super::scenes::{NoKeys, Scene, hard_splats, hard_world, rig};
+use super::{open, run, upload};
 use crate::device::Validated;
 use crate::frames::{Splat, camera_at, draw, world_of};
 
@@ -146,29 +146,15 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     }
     gpu.write(&visible.words, 0, &words).unwrap();
     let firsts: Vec<u32> = (0..scene.chunks.len() as u32).map(|chunk| chunk * 256).collect();
-    let projected = Projected::new(gpu, splats).unwrap();
-    let (firsts, unranked) = (upload(gpu, &firsts), Unranked::new(gpu));
-    let sort = SortScratch::new(gpu, sort_shape(gpu), splats).unwrap();
+    let projected = Projected::new(gpu, splats, 0).unwrap();
+    let (firsts, no_keys) = (upload(gpu, &firsts), NoKeys::new(gpu));
     let shadows = scene.shadow_buffers(gpu);
     let project = Project::new(gpu, &Rules::DEFAULT, PLAIN).unwrap();
     run(gpu, |r| {
-        let (camera, ranked) = (&scene.camera_buffer, unranked.ranked());
-        project.record(
-            r,
-            &scene.resident,
-            camera,
-            &scene.lens_buffer,
-            1,
-            &visible,
-            &firsts,
-            &projected,
-            &sort,
-            &ranked,
-            &shadows,
-            0,
-        );
+        let (camera, kept) = (&scene.camera_buffer, no_keys.kept());
+        project.record(r, &scene.resident, camera, &scene.lens_buffer, 1, &visible, &firsts, &projected, kept, &shadows, 0);
     });
-    gpu.read(&sort.keys[0]).unwrap()
+    gpu.read(&projected.keys).unwrap()
 }
 
 #[test]

@@ -2,11 +2,12 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::ResidentWorld;
-use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, ShadowRecord, View, ViewOrder};
-use decouplegs::render::stages::{ProjectVariant, RankLists, Ranked, ShadowBuffers, words_for};
+use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, NO_KEY_SET, ShadowRecord, View};
+use decouplegs::render::stages::{KeptKeys, ProjectVariant, ShadowBuffers, words_for};
+use decouplegs::render::twins::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
 use decouplegs::render::twins::lens::{lens_of, project_splat_seen};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
-use decouplegs::render::twins::{self, footprint::Footprint, sh::Stored};
+use decouplegs::render::twins::{self, sh::Stored};
 use decouplegs::scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
 use glam::{DQuat, DVec3, Mat3, Vec3};
@@ -145,12 +146,6 @@ impl Scene {
         Stored { sh_dc: &self.sh_dc, sh_bands: std::array::from_fn(|band| self.sh_bands[band].as_slice()) }
     }
 
-    /// The twin's visible words and counts.
-    pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
-        let (words, counts, _) = self.culled_by_rank(rules, &Kept::none(self.view.cameras.len()));
-        (words, counts)
-    }
-
     /// The twin's bits of which shadow may lie on which chunk.
     pub fn shadow_words(&self) -> Vec<u32> {
         let mut words = vec![0; self.chunks.len() * words_for(self.shadows.len())];
@@ -166,11 +161,10 @@ impl Scene {
         buffers
     }
 
-    /// The twin's visible words and counts, and the words by rank that it adds to those of `kept`.
-    pub fn culled_by_rank(&self, rules: &Rules, kept: &Kept) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+    /// The twin's visible words and counts.
+    pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
         let lists = self.view.cameras.len() * self.chunks.len();
         let (mut words, mut counts) = (vec![0; lists * CHUNK_SPLATS / 32], vec![0; lists]);
-        let mut rank_words = kept.rank_words.clone();
         twins::cull(
             &self.view.cameras,
             &self.chunks,
@@ -179,14 +173,10 @@ impl Scene {
             &self.rotations,
             &mut words,
             &mut counts,
-            &kept.view_orders,
-            &kept.ranks,
-            &mut rank_words,
             &self.view.lenses,
             Variant::of(rules),
-            kept.is_any(),
         );
-        (words, counts, rank_words)
+        (words, counts)
     }
 
     /// Whether the splat can be seen, if that is the same however f32 rounds on the way: else `None`.
@@ -216,7 +206,7 @@ pub fn settled_visibility(
     let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
     let visible = |t: Vec3, size: f32, opacity: f32| {
         let (footprint, drawn) = project_splat_seen(camera, lens, t, axes * size, opacity, Variant::of(rules));
-        drawn && twins::count_macro_tiles(&footprint, camera) > 0
+        drawn && count_macro_tiles(&footprint, camera) > 0
     };
     let decision = visible(t, 1.0, opacity);
     let moves = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [t + moved_m * axis, t - moved_m * axis]);
@@ -227,13 +217,20 @@ pub fn settled_visibility(
     same.then_some(decision)
 }
 
+/// Macro tiles of `camera` that the splat can reach.
+fn count_macro_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
+    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
+    let tiles = (first..=last).map(|row| reached_macro_tiles(splat, row as u32, camera.size_px));
+    tiles.map(|[left, right]| (right - left + 1) as u32).sum()
+}
+
 /// How many macro tiles the splat reaches, if that is the same however f32 rounds its edges: else `None`.
 pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u32> {
     let count = |dx: f32, dy: f32| {
         let mut moved = *splat;
         moved.mean_px.x += dx;
         moved.mean_px.y += dy;
-        twins::count_macro_tiles(&moved, camera)
+        count_macro_tiles(&moved, camera)
     };
     let reach = (splat.log2_opacity + 8.01).max(0.0).sqrt();
     let half_height = reach / splat.rate_y;
@@ -250,49 +247,21 @@ pub struct ProjectedTwin {
     pub footprints: Vec<[f32; 4]>,
     pub colours: Vec<[f32; 4]>,
     pub keys: Vec<u32>,
-    pub values: Vec<u32>,
-    pub tile_counts: Vec<u32>,
 }
 
-/// How the cameras' backgrounds come into order.
-#[derive(Clone)]
-pub struct Kept {
-    pub view_orders: Vec<ViewOrder>,
-    /// `[rank set][splat]`.
-    pub ranks: Vec<u32>,
-    /// `[camera][chunk][8 words]`; of no length where no order is kept.
-    pub rank_words: Vec<u32>,
+/// No depth keys are kept: buffers for stages that are given none.
+pub struct NoKeys {
+    sets: Buffer<u32>,
+    keys: Buffer<u32>,
 }
 
-impl Kept {
-    /// No order is kept.
-    pub fn none(cameras: usize) -> Self {
-        Self { view_orders: vec![ViewOrder::default(); cameras], ranks: Vec::new(), rank_words: Vec::new() }
-    }
-
-    pub fn is_any(&self) -> bool {
-        !self.ranks.is_empty()
-    }
-}
-
-/// No order is kept: what the stages are given where there is none.
-pub struct Unranked {
-    view_orders: Buffer<ViewOrder>,
-    ranks: Buffer<u32>,
-    lists: RankLists,
-}
-
-impl Unranked {
+impl NoKeys {
     pub fn new(gpu: &Validated) -> Self {
-        Self {
-            view_orders: upload(gpu, &[ViewOrder::default(); 32]),
-            ranks: upload(gpu, &[]),
-            lists: RankLists::new(gpu, 0, 0).unwrap(),
-        }
+        Self { sets: upload(gpu, &[NO_KEY_SET; 32]), keys: upload(gpu, &[]) }
     }
 
-    pub fn ranked(&self) -> Ranked<'_> {
-        Ranked { view_orders: &self.view_orders, ranks: &self.ranks, lists: &self.lists }
+    pub fn kept(&self) -> KeptKeys<'_> {
+        KeptKeys { sets: &self.sets, keys: &self.keys }
     }
 }
 
@@ -330,28 +299,10 @@ impl Scene {
         listed
     }
 
-    /// The twin's records where there is room for `room` and no order is kept.
+    /// The twin's records where there is room for `room` and no keys are kept. What is not written is `UNTOUCHED`.
     pub fn projected(&self, listed: &Listed, rules: &Rules, variant: ProjectVariant, room: usize) -> ProjectedTwin {
-        self.projected_by_rank(listed, rules, variant, room, &Kept::none(self.view.cameras.len())).0
-    }
-
-    /// The twin's records, and their keys by slot for the orders that are to be repaired. What is not written is `UNTOUCHED`.
-    pub fn projected_by_rank(
-        &self,
-        listed: &Listed,
-        rules: &Rules,
-        variant: ProjectVariant,
-        room: usize,
-        kept: &Kept,
-    ) -> (ProjectedTwin, Vec<u32>) {
-        let mut out = ProjectedTwin {
-            footprints: vec![[0.0; 4]; 2 * room],
-            colours: vec![[0.0; 4]; room],
-            keys: vec![UNTOUCHED; room],
-            values: vec![UNTOUCHED; room],
-            tile_counts: vec![UNTOUCHED; room],
-        };
-        let mut unranked_keys = vec![UNTOUCHED; room];
+        let mut out =
+            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colours: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
         twins::project(
             &self.view.cameras,
             &self.means_m,
@@ -364,21 +315,17 @@ impl Scene {
             &mut out.footprints,
             &mut out.colours,
             &mut out.keys,
-            &mut out.values,
-            &mut out.tile_counts,
-            &kept.view_orders,
-            &kept.ranks,
-            &kept.rank_words,
-            &mut unranked_keys,
+            &[],
+            &[],
             &self.shadows,
             &self.shadow_words(),
             &self.view.lenses,
             Variant::of(rules),
             usize::from(variant.sh_degree),
             rules.order == decouplegs::scene::DepthOrder::Radial,
-            variant.ranked,
+            variant.kept_keys,
             variant.splat_ids,
         );
-        (out, unranked_keys)
+        out
     }
 }

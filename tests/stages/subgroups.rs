@@ -13,14 +13,8 @@ use crate::device::Validated;
 pub const EXPECTED_LANES: &str = "DECOUPLEGS_EXPECTED_SUBGROUP_SIZE";
 
 /// The tests that depend on the size, by the start of their names, with how many there are at least.
-const TESTS: [(&str, usize); 6] = [
-    ("stages::scan::", 3),
-    ("stages::sort::", 6),
-    ("stages::count_pairs::", 2),
-    ("stages::emit_pairs::", 3),
-    ("stages::plan_segments::", 5),
-    ("stages::blend::", 3),
-];
+const TESTS: [(&str, usize); 4] =
+    [("stages::scan::", 3), ("stages::tile_sort::", 6), ("stages::plan_segments::", 5), ("stages::blend::", 3)];
 
 /// What a child with `lanes` lanes printed, and whether it succeeded.
 fn child(vector_bits: u32, lanes: u32, filter: &str) -> (bool, String) {

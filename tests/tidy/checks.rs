@@ -3,18 +3,14 @@
 use super::Finding;
 use super::tree::{SourceFile, Tree};
 
-/// Kernels that belong to a stage of another name, as `(kernel, stage)`: a stage of several dispatches has one file.
+/// Kernels that belong to a stage of another name, as `(kernel, stage)`: a stage of several dispatches has one file or folder.
 const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
-    ("sort_count", "sort"),
-    ("sort_scan", "sort"),
-    ("sort_scatter", "sort"),
     ("cull_agents", "agents"),
     ("project_agents", "agents"),
-    ("key_splats", "ranks"),
-    ("rank_splats", "ranks"),
-    ("count_ranks", "ranks"),
-    ("check_order", "repair_order"),
-    ("restore_order", "repair_order"),
+    ("plan_lists", "tile_sort"),
+    ("bin_pairs", "tile_sort"),
+    ("plan_buckets", "tile_sort"),
+    ("sort_buckets", "tile_sort"),
 ];
 
 /// What of ours the crate of a `Cargo.toml` may use.
@@ -146,8 +142,10 @@ pub fn kernel_has_its_stem(tree: &Tree) -> Vec<Finding> {
     let alone = kernels.filter_map(|file| {
         let stem = KERNELS_OF_A_STAGE.iter().find(|(kernel, _)| *kernel == file.stem()).map_or(file.stem(), |(_, stage)| stage);
         let places = ["engine/render/src/stages", "engine/render/src/twins", "tests/stages"];
-        let missing: Vec<String> = (places.iter().map(|folder| format!("{folder}/{stem}.rs")))
-            .filter(|path| !tree.files.iter().any(|other| other.path == *path))
+        let exists = |path: String| tree.files.iter().any(|other| other.path == path);
+        let missing: Vec<String> = (places.iter().map(|folder| format!("{folder}/{stem}")))
+            .filter(|path| !exists(format!("{path}.rs")) && !exists(format!("{path}/mod.rs")))
+            .map(|path| path + ".rs")
             .collect();
         let finding = || Finding { path: file.path.clone(), line: 0, what: format!("missing: {}", missing.join(", ")) };
         (!missing.is_empty()).then(finding)

@@ -3,9 +3,8 @@
 use std::f64::consts::LOG2_E;
 
 use decouplegs::gpu::QueueRole;
-use decouplegs::render::capacity::SortShape;
 use decouplegs::render::sh_codec;
-use decouplegs::render::stages::{ProjectAgents, Projected, SortScratch};
+use decouplegs::render::stages::{ProjectAgents, Projected};
 use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::sh::{ShRotation, basis};
 use decouplegs::scene::{Bounds, Camera, CodedCloud, Pose, Rules, ShFrame, SplatCodes, sh};
@@ -104,12 +103,10 @@ fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((u
     gpu.write(&buffers.visible.words, 0, &listed.words).unwrap();
     gpu.write(&buffers.firsts, 0, &listed.firsts).unwrap();
     let static_firsts = gpu.upload("no background", "test", &[0u32]).unwrap();
-    let projected = Projected::new(gpu, room).unwrap();
-    let shape = SortShape::for_device(gpu.limits().subgroup_size, gpu.limits().workgroup_threads_max);
-    let sort = SortScratch::new(gpu, shape, room).unwrap();
+    let projected = Projected::new(gpu, room, 0).unwrap();
     let project = ProjectAgents::new(gpu, rules, 3, false, false).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    project.record(&mut recorder, &pool, &buffers, &scene.relit(gpu), scene.counts, &static_firsts, 0, &projected, &sort);
+    project.record(&mut recorder, &pool, &buffers, &scene.relit(gpu), scene.counts, &static_firsts, 0, &projected);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let (footprints, colours) = (gpu.read(&projected.footprints).unwrap(), gpu.read(&projected.colours).unwrap());
     let seen = |record: usize| {

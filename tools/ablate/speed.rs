@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{ColourFormat, OrderMode, Outputs, RenderOptions, Renderer, ResidentWorld};
+use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, ResidentWorld};
 use decouplegs::scene::World;
 use decouplegs::{LiveScene, asset::LoadedScene};
 
@@ -34,7 +34,7 @@ impl<'a> Speed<'a> {
 
     /// Compressed agents that drive as `driven` says, two frames in flight.
     pub fn of_coded(&self, driven: &LoadedScene) -> Result<Measured> {
-        let mut renderer = self.renderer(OrderMode::Exact, 2);
+        let mut renderer = self.renderer(true, 2);
         let live = LiveScene::new(&renderer, driven)?;
         self.drive(&mut renderer, |renderer, time_s| {
             let moment = live.at(time_s);
@@ -42,16 +42,16 @@ impl<'a> Speed<'a> {
         })
     }
 
-    /// Copies that stand, everything sorted in every frame, two frames in flight: as `stress` measures vanilla.
+    /// Copies that stand, depth keys computed in every frame, two frames in flight: as `stress` measures vanilla.
     pub fn of_copies(&self, copies: World) -> Result<Measured> {
-        let mut renderer = self.renderer(OrderMode::Full, 2);
+        let mut renderer = self.renderer(false, 2);
         let resident = renderer.upload(&World { instance_from_splat: Vec::new(), ..copies })?;
         self.drive(&mut renderer, |renderer, time_s| Ok(renderer.submit(&resident, &self.course.cameras(self.scene, time_s))?))
     }
 
     /// Copies that are made and uploaded anew in each frame, as they must be where agents drive or light changes.
     pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> World) -> Result<Measured> {
-        let mut renderer = self.renderer(OrderMode::Full, 1);
+        let mut renderer = self.renderer(false, 1);
         // Kept until the next frame: this one is drawn from it.
         let mut shown: Option<ResidentWorld> = None;
         self.drive(&mut renderer, |renderer, time_s| {
@@ -61,9 +61,9 @@ impl<'a> Speed<'a> {
         })
     }
 
-    fn renderer(&self, order: OrderMode, frames_in_flight: usize) -> Renderer {
+    fn renderer(&self, keep_keys: bool, frames_in_flight: usize) -> Renderer {
         let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
-        Renderer::new(self.gpu, RenderOptions { outputs, order, frames_in_flight, ..RenderOptions::default() })
+        Renderer::new(self.gpu, RenderOptions { outputs, keep_keys, frames_in_flight, ..RenderOptions::default() })
     }
 
     fn drive(&self, renderer: &mut Renderer, submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Measured> {

@@ -23,9 +23,9 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         .into_iter()
         .map(|name| json!({ "name": name, "gpu_ms": milliseconds(&|frame| stage_ms(frame, name)) }))
         .collect();
-    let mut orders = BTreeMap::<String, usize>::new();
-    for path in frames.iter().flat_map(|frame| &frame.orders) {
-        *orders.entry(format!("{path:?}").to_lowercase()).or_default() += 1;
+    let mut keys = BTreeMap::<String, usize>::new();
+    for source in frames.iter().flat_map(|frame| &frame.keys) {
+        *keys.entry(format!("{source:?}").to_lowercase()).or_default() += 1;
     }
     let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
     json!({
@@ -35,7 +35,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         "splats": scene.loaded.world.splats.len(),
         "sh_degree": scene.loaded.world.splats.sh_degree,
         "agents": { "in_scene": scene.loaded.agents.len(), "drawn": last.agents, "splats": last.agent_splats },
-        "order": options.order,
+        "keep_keys": options.keep_keys,
         "level_pitch_px": options.level_pitch_px,
         "frames_in_flight": options.frames_in_flight,
         "step_s": step_s,
@@ -51,7 +51,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         "frame_gpu_ms": milliseconds(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
         "frame_wall_ms": wall_ms,
         "step_wall_ms": step_wall_ms,
-        "orders": orders,
+        "keys": keys,
         "update_gpu_ms": milliseconds(&|frame| frame.update_time.map_or(0.0, |time| time.as_secs_f64() * 1e3)),
         "record_ms": milliseconds(&|frame| frame.record_time.as_secs_f64() * 1e3),
         "rig_steps_per_s": rig_steps_per_s,
@@ -129,7 +129,7 @@ fn text(value: &Value) -> &str {
 
 fn heading(figures: &Value) -> String {
     format!(
-        "{} ({})\n{} splats of degree {} and {} agents of {} splats, rules {}\norder {}; views by how their background came into order: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
+        "{} ({})\n{} splats of degree {} and {} agents of {} splats, rules {}\nviews by the source of their background's depth keys: {}\n{} cameras, the first of {}x{}, {}\n{} frames after {} to warm up, {} redrawn\n",
         text(&figures["device"]),
         text(&figures["driver"]),
         figures["splats"],
@@ -137,8 +137,7 @@ fn heading(figures: &Value) -> String {
         figures["agents"]["drawn"],
         figures["agents"]["splats"],
         text(&figures["rules"]),
-        figures["order"],
-        figures["orders"],
+        figures["keys"],
         figures["cameras"],
         figures["width_px"],
         figures["height_px"],

@@ -57,10 +57,8 @@ pub struct Measured {
     pub cameras: usize,
     /// Frames that were drawn again because a list outgrew its buffer.
     pub redrawn: usize,
-    /// Views by how their background came into order.
-    pub orders: BTreeMap<String, usize>,
-    /// An estimate of the largest change of a pixel that a stale order made.
-    pub order_error_max: Option<f64>,
+    /// Views by the source of their background's depth keys.
+    pub keys: BTreeMap<String, usize>,
     /// Against vanilla; `None` for vanilla itself, or where nothing was compared.
     pub fidelity: Option<Fidelity>,
 }
@@ -123,11 +121,10 @@ impl Measured {
         let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
         let median = |of: &dyn Fn(&FrameStatistics) -> f64| spread(of).median;
         let updates: Vec<f64> = frames.iter().filter_map(|frame| Some(frame.update_time?.as_secs_f64() * 1e3)).collect();
-        let mut orders = BTreeMap::<String, usize>::new();
-        for path in frames.iter().flat_map(|frame| &frame.orders) {
-            *orders.entry(format!("{path:?}").to_lowercase()).or_default() += 1;
+        let mut keys = BTreeMap::<String, usize>::new();
+        for source in frames.iter().flat_map(|frame| &frame.keys) {
+            *keys.entry(format!("{source:?}").to_lowercase()).or_default() += 1;
         }
-        let order_errors = frames.iter().filter_map(|frame| frame.order_error.map(|error| f64::from(error.max)));
         Self {
             warm_up_frames: 0,
             step_ms: Spread::of(steps_ms.iter().copied()),
@@ -142,10 +139,9 @@ impl Measured {
             agent_splats: median(&|frame| frame.agent_splats as f64),
             records: median(&|frame| f64::from(frame.needs.records)),
             pairs: median(&|frame| f64::from(frame.needs.pairs)),
-            cameras: frames[0].orders.len(),
+            cameras: frames[0].keys.len(),
             redrawn: frames.iter().filter(|frame| frame.redrawn > 0).count(),
-            orders,
-            order_error_max: order_errors.reduce(f64::max),
+            keys,
             fidelity: None,
         }
     }
@@ -159,11 +155,10 @@ impl Measured {
         self.rig_steps_per_s() * self.cameras as f64
     }
 
-    /// The share of views that took no pass of the radix sort over the background.
-    pub fn share_without_sorting(&self) -> f64 {
-        let all: usize = self.orders.values().sum();
-        let free: usize = ["kept", "repaired", "stale"].iter().filter_map(|path| self.orders.get(*path)).sum();
-        free as f64 / all.max(1) as f64
+    /// Share of the views whose depth keys of the background were read, not computed.
+    pub fn share_of_kept_keys(&self) -> f64 {
+        let all: usize = self.keys.values().sum();
+        *self.keys.get("kept").unwrap_or(&0) as f64 / all.max(1) as f64
     }
 
     fn to_json(&self) -> Value {
@@ -190,9 +185,8 @@ impl Measured {
             "records": self.records,
             "pairs": self.pairs,
             "frames_redrawn": self.redrawn,
-            "orders": self.orders,
-            "share_without_sorting": self.share_without_sorting(),
-            "order_error_max": self.order_error_max,
+            "keys": self.keys,
+            "share_of_kept_keys": self.share_of_kept_keys(),
             "fidelity": self.fidelity.map(Fidelity::to_json),
         })
     }

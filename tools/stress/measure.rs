@@ -62,8 +62,7 @@ impl<'a> Stand<'a> {
     /// The pictures that others are compared with, with instances; `None` where the device has not the memory for them.
     pub fn vanilla_pictures(&mut self, count: usize) -> Result<Option<Vec<Picture>>> {
         let outputs = Outputs { instance: true, ..Outputs::default() };
-        let options =
-            RenderOptions { outputs, frames_in_flight: 1, order: decouplegs::render::OrderMode::Full, ..self.defaults() };
+        let options = RenderOptions { outputs, frames_in_flight: 1, keep_keys: false, ..self.defaults() };
         match self.pictures_of_copies(options, count, None) {
             Ok(pictures) => Ok(Some(pictures)),
             Err(error) if refusal(&error).is_some() => Ok(None),
@@ -127,19 +126,12 @@ impl<'a> Stand<'a> {
         let Agents::Coded(coding) = mode.agents else { return self.pictures_of_copies(options, count, kept) };
         let mut renderer = Renderer::new(self.gpu, options);
         let resident = Resident::Live(Box::new(LiveScene::new(&renderer, self.subject.staged(count, coding))?));
-        let samples = self.course.sample_frames();
-        let last = samples.iter().copied().max().unwrap_or(0);
-        // What an order from earlier frames does to a picture is seen only after these.
-        let before = if mode.has_history() { self.course.warm_up_on(self.gpu.info().kind).turn } else { Vec::new() };
-        let course = (0..=last).filter(|frame| mode.has_history() || samples.contains(frame));
         let mut pictures = Vec::new();
-        for (frame, is_warm_up) in before.into_iter().map(|frame| (frame, true)).chain(course.map(|frame| (frame, false))) {
+        for frame in self.course.sample_frames() {
             let time_s = self.course.time_s(frame);
             resident.submit(&mut renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
             renderer.finish()?;
-            if !is_warm_up && samples.contains(&frame) {
-                pictures.extend(renderer.read_pictures()?);
-            }
+            pictures.extend(renderer.read_pictures()?);
         }
         Ok(pictures)
     }

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use decouplegs::render::{ColourFormat, OrderMode, Outputs, RenderOptions};
+use decouplegs::render::{ColourFormat, Outputs, RenderOptions};
 use decouplegs::scene::{Rules, sh};
 
 /// What is drawn where agents are.
@@ -34,7 +34,7 @@ pub struct Mode {
     /// For the reader of a report.
     pub what: String,
     pub agents: Agents,
-    order: OrderMode,
+    keep_keys: bool,
     level_pitch_px: Option<f64>,
     sh_degree_max: u8,
     overlap: bool,
@@ -44,12 +44,11 @@ pub struct Mode {
 /// Those drawn where none are asked for.
 pub const DEFAULT_MODES: &str = "vanilla,decoupled";
 
-const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, bounded[=RADIANS], lod[=PIXELS], sh0, sh1, sh2, \
+const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PIXELS], sh0, sh1, sh2, \
                      keep=SHARE or colors=N";
 
 /// Share that pruned baselines keep (Fan et al., LightGaussian, 2024: 66 % are pruned).
 const PRUNE_KEEP: f64 = 0.34;
-const BOUNDED_RAD: f64 = 0.01;
 const LEVEL_PITCH_PX: f64 = 0.7;
 /// Fewer make no codebook worth the name, and shapes have half as many.
 const COLOURS_MIN: f64 = 2.0;
@@ -61,11 +60,11 @@ impl Mode {
         Self {
             name: name.to_owned(),
             what:
-                "compressed agents that drive; the background's order is kept from frame to frame, with the same pictures to the \
-                   last bit; agents' updates overlap the frame before; 2 frames in flight"
+                "compressed agents that drive; the background's depth keys are kept while a camera does not turn, with the same \
+                   pictures to the last bit; agents' updates overlap the frame before; 2 frames in flight"
                     .into(),
             agents: Agents::Coded(Coding::default()),
-            order: OrderMode::Exact,
+            keep_keys: true,
             level_pitch_px: None,
             sh_degree_max: sh::DEGREE_MAX,
             overlap: true,
@@ -75,11 +74,12 @@ impl Mode {
 
     fn vanilla(name: &str) -> Self {
         Self {
-            what: "the baseline: every agent is an uncompressed copy in world space, all splats are sorted in every frame; \
+            what:
+                "the baseline: every agent is an uncompressed copy in world space, all depth keys are computed in every frame; \
                    2 frames in flight"
-                .into(),
+                    .into(),
             agents: Agents::Copies { keep: 1.0 },
-            order: OrderMode::Full,
+            keep_keys: false,
             ..Self::decoupled(name)
         }
     }
@@ -93,17 +93,12 @@ impl Mode {
         *self == Self::decoupled("decoupled")
     }
 
-    /// Whether a picture depends on the frames before it.
-    pub fn has_history(&self) -> bool {
-        matches!(self.order, OrderMode::Bounded { .. })
-    }
-
     pub fn options(&self, rules: Rules, colour: ColourFormat) -> RenderOptions {
         RenderOptions {
             rules,
             outputs: Outputs { colour, ..Outputs::default() },
             sh_degree_max: self.sh_degree_max,
-            order: self.order,
+            keep_keys: self.keep_keys,
             level_pitch_px: self.level_pitch_px,
             frames_in_flight: self.frames_in_flight,
             overlap: self.overlap,
@@ -140,15 +135,6 @@ impl FromStr for Mode {
                 let what = "decoupled, the agents' updates in line with the rest of the frame, 1 frame in flight".into();
                 Self { overlap: false, frames_in_flight: 1, what, ..decoupled }
             }
-            ("bounded", _) => {
-                let angle_rad = number(0.0, 1.0, Some(BOUNDED_RAD))?;
-                let what = format!("decoupled, an order of the background serves until a camera has turned by {angle_rad} rad");
-                Self {
-                    order: OrderMode::Bounded { angle_rad, measured_one_of: crate::arguments::MEASURED_ONE_OF },
-                    what,
-                    ..decoupled
-                }
-            }
             ("lod", _) => {
                 let pitch_px = number(0.01, 1000.0, Some(LEVEL_PITCH_PX))?;
                 let what = format!("decoupled, agents at the coarsest level whose splats are at most {pitch_px} px apart");
@@ -182,12 +168,11 @@ mod tests {
     fn every_mode_by_default_is_one() {
         let modes = |list: &str| -> Vec<Mode> { list.split(',').map(|name| name.parse().unwrap()).collect() };
         assert_eq!(modes(DEFAULT_MODES).iter().map(|mode| mode.name.as_str()).collect::<Vec<_>>(), ["vanilla", "decoupled"]);
-        let modes = modes("vanilla,prune,decoupled,decoupled-serial,bounded,lod,sh1,sh0");
+        let modes = modes("vanilla,prune,decoupled,decoupled-serial,lod,sh1,sh0");
         assert!(modes[0].is_vanilla() && modes.iter().filter(|mode| mode.is_vanilla()).count() == 1);
         assert_eq!(modes[1].agents, Agents::Copies { keep: 0.34 });
-        assert_eq!(modes.iter().filter(|mode| mode.has_history()).count(), 1);
         let serial = modes[3].options(Rules::DEFAULT, ColourFormat::U8);
-        assert_eq!((serial.overlap, serial.frames_in_flight, serial.order), (false, 1, OrderMode::Exact));
+        assert_eq!((serial.overlap, serial.frames_in_flight, serial.keep_keys), (false, 1, true));
     }
 
     #[test]
@@ -199,7 +184,7 @@ mod tests {
         for nonsense in ["", "vanila", "vanilla=1", "sh3", "sh", "decoupled=2"] {
             assert!(nonsense.parse::<Mode>().unwrap_err().contains("decoupled-serial"), "{nonsense}");
         }
-        for nonsense in ["prune=0", "prune=2", "lod=", "lod=-1", "bounded=NaN", "keep", "keep=x", "colors=5000"] {
+        for nonsense in ["prune=0", "prune=2", "lod=", "lod=-1", "lod=NaN", "keep", "keep=x", "colors=5000"] {
             assert!(nonsense.parse::<Mode>().unwrap_err().contains("from"), "{nonsense}");
         }
     }

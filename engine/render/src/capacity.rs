@@ -3,7 +3,7 @@
 //! No capacity truncates silently. The GPU counts what it wanted ([`Needs`]); when that is more than there was room for,
 //! the frame grows and is drawn again, and says so.
 
-use crate::layout::{Needs, PAIR_BLOCK};
+use crate::layout::Needs;
 
 /// Room for the lists of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -58,35 +58,6 @@ impl Capacity {
     pub fn composites(&self, bins: u32) -> usize {
         bins as usize
     }
-
-    /// Blocks of records that `count_pairs` makes.
-    #[must_use]
-    pub fn pair_blocks(&self) -> usize {
-        self.records.div_ceil(PAIR_BLOCK)
-    }
-}
-
-/// How the radix sort cuts its keys, from what the device can do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SortShape {
-    /// Threads a workgroup: 8 subgroups of them, so that a counter a (subgroup, digit) fits everywhere.
-    pub threads: u32,
-    /// Keys a thread.
-    pub items: u32,
-}
-
-impl SortShape {
-    /// For subgroups of `subgroup_size` lanes (4 to 64) and workgroups of at most `threads_max`.
-    #[must_use]
-    pub fn for_device(subgroup_size: u32, threads_max: u32) -> Self {
-        Self { threads: (8 * subgroup_size).min(256).min(threads_max), items: 16 }
-    }
-
-    /// Keys a workgroup.
-    #[must_use]
-    pub fn block(&self) -> u32 {
-        self.threads * self.items
-    }
 }
 
 /// The device's limit of groups along an axis, for counts known on the host; `groups_for` in `frame.glsl` is its twin.
@@ -109,14 +80,6 @@ mod tests {
         assert!(grown.holds(&needs));
         assert_eq!(grown.pairs, 1000);
         assert!(!start.holds(&Needs { pairs: 1001, ..Needs::default() }), "one too many must be seen");
-    }
-
-    #[test]
-    fn sort_workgroups_hold_at_most_eight_subgroups() {
-        for subgroup in [4, 8, 16, 32, 64] {
-            let shape = SortShape::for_device(subgroup, 256);
-            assert!(shape.threads.div_ceil(subgroup) <= 8 && shape.threads.is_multiple_of(subgroup));
-        }
     }
 
     #[test]

@@ -2,7 +2,6 @@
 
 use decouplegs_scene::Camera;
 
-use crate::orders::OrderMode;
 use crate::output::Outputs;
 use crate::{RenderError, RenderOptions, Renderer, ResidentWorld};
 
@@ -27,7 +26,7 @@ impl Renderer {
     /// Those of [`Renderer::render`].
     pub fn contribution_weights(&self, world: &ResidentWorld, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
         let outputs = Outputs { contributions: true, ..Outputs::default() };
-        let options = RenderOptions { outputs, order: OrderMode::Full, frames_in_flight: 1, ..*self.options() };
+        let options = RenderOptions { outputs, keep_keys: false, frames_in_flight: 1, ..*self.options() };
         let mut renderer = Self::new(self.gpu(), options);
         let mut sums = vec![0.0f64; world.splats];
         for camera in cameras {

@@ -1,15 +1,13 @@
 //! The kernels of a frame, built when the first frame needs them.
 
 use decouplegs_gpu::{DeviceKind, Gpu, GpuError};
-use decouplegs_scene::{DepthOrder, Rules};
+use decouplegs_scene::Rules;
 
-use crate::capacity::SortShape;
 use crate::options::RenderOptions;
-use crate::orders::OrderMode;
 use crate::output::Outputs;
 use crate::stages::{
-    Blend, BlendPass, CompositeSegments, CountPairs, Cull, CullAgents, CullShadows, EmitPairs, FindRanges, MergeOrder, PlanOrder,
-    PlanSegments, Project, ProjectAgents, ProjectVariant, RadixSort, Ranks, Relight, RepairOrder, Scan, finishes,
+    Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats, PlanSegments, Project, ProjectAgents,
+    ProjectVariant, Relight, Scan, TileSort, finishes,
 };
 
 /// Longer segments are no segments.
@@ -22,15 +20,10 @@ const SEGMENT_PAIRS_MAX_IN_SOFTWARE: u32 = 10_000;
 /// What every frame runs, whatever it shows.
 pub(crate) struct CommonStages {
     pub scan: Scan,
-    pub plan_order: PlanOrder,
-    pub sort: RadixSort,
-    pub count_pairs: CountPairs,
-    pub emit_pairs: EmitPairs,
-    pub find_ranges: FindRanges,
+    pub key_splats: KeySplats,
+    pub tile_sort: TileSort,
     pub plan_segments: PlanSegments,
     pub blend: Blend,
-    /// Measures what stale orders cost, where there may be any.
-    pub order_probe: Option<Blend>,
     pub composite: CompositeSegments,
     /// Blends again the segments in which pixels end, where that depends on what lies before them.
     pub finish: Option<Blend>,
@@ -46,15 +39,8 @@ pub(crate) struct BackgroundStages {
 pub(crate) struct AgentStages {
     pub cull: CullAgents,
     pub project: ProjectAgents,
-    pub merge: MergeOrder,
     /// Where agents are relit.
     pub relight: Option<Relight>,
-}
-
-/// What frames that keep orders run beside.
-pub(crate) struct OrderStages {
-    pub ranks: Ranks,
-    pub repair: RepairOrder,
 }
 
 /// All kernels of a renderer.
@@ -62,14 +48,11 @@ pub(crate) struct Kernels {
     rules: Rules,
     outputs: Outputs,
     segment_pairs: u32,
-    keeps_orders: bool,
-    order_error: bool,
-    shape: SortShape,
+    keep_keys: bool,
     common: Option<CommonStages>,
     background: Vec<(ProjectVariant, BackgroundStages)>,
     agents: Vec<(AgentVariant, AgentStages)>,
     shadows: Option<CullShadows>,
-    orders: Option<OrderStages>,
 }
 
 /// The kernels of one frame.
@@ -78,7 +61,6 @@ pub(crate) struct FrameStages<'a> {
     pub common: &'a CommonStages,
     pub background: &'a BackgroundStages,
     pub agents: Option<&'a AgentStages>,
-    pub orders: Option<&'a OrderStages>,
     pub shadows: Option<&'a CullShadows>,
 }
 
@@ -99,58 +81,49 @@ pub(crate) struct FrameVariant {
     pub background: ProjectVariant,
     /// `None` without agents.
     pub agents: Option<AgentVariant>,
-    /// Whether orders are found, kept or repaired.
-    pub orders: bool,
 }
 
 impl Kernels {
     /// For pictures as `options` say; nothing is built yet.
-    pub fn new(options: &RenderOptions, shape: SortShape, device: DeviceKind) -> Self {
-        let RenderOptions { rules, outputs, segment_pairs, order, .. } = *options;
+    pub fn new(options: &RenderOptions, device: DeviceKind) -> Self {
+        let RenderOptions { rules, outputs, segment_pairs, keep_keys, .. } = *options;
         Self {
             rules,
             outputs,
-            keeps_orders: order != OrderMode::Full && rules.order == DepthOrder::Z,
-            order_error: matches!(order, OrderMode::Bounded { .. }),
+            keep_keys,
             segment_pairs: match device {
                 DeviceKind::Cpu => segment_pairs.clamp(1, SEGMENT_PAIRS_MAX_IN_SOFTWARE),
                 _ if segment_pairs > SEGMENT_PAIRS_MAX => u32::MAX,
                 _ => segment_pairs.max(1),
             },
-            shape,
             common: None,
             background: Vec::new(),
             agents: Vec::new(),
             shadows: None,
-            orders: None,
         }
     }
 
     /// The kernels for `variant`, those that are new built now.
     pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
-        let Self { rules, outputs, segment_pairs, keeps_orders, order_error, shape, .. } = self;
+        let Self { rules, outputs, segment_pairs, keep_keys, .. } = self;
         if self.common.is_none() {
             let blend = |pass| Blend::new(gpu, rules, outputs, pass, *segment_pairs);
             let finish = finishes(rules, outputs) && *segment_pairs < u32::MAX;
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,
-                plan_order: PlanOrder::new(gpu, shape.block())?,
-                sort: RadixSort::new(gpu, *shape)?,
-                count_pairs: CountPairs::new(gpu)?,
-                emit_pairs: EmitPairs::new(gpu, shape.block())?,
-                find_ranges: FindRanges::new(gpu)?,
+                key_splats: KeySplats::new(gpu)?,
+                tile_sort: TileSort::new(gpu, rules)?,
                 plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
                 blend: blend(BlendPass::Segments)?,
-                order_probe: if *order_error { Some(blend(BlendPass::OrderError)?) } else { None },
                 composite: CompositeSegments::new(gpu, rules, outputs)?,
                 finish: if finish { Some(blend(BlendPass::Finish)?) } else { None },
             });
         }
-        // Both kinds at once where orders may be kept: building the other in the middle of a drive would stall it.
-        for ranked in [variant.background.ranked, *keeps_orders] {
-            let kind = ProjectVariant { ranked, ..variant.background };
+        // Both kinds at once where keys may be kept: building the other in the middle of a drive would stall it.
+        for kept_keys in [variant.background.kept_keys, *keep_keys] {
+            let kind = ProjectVariant { kept_keys, ..variant.background };
             if !self.background.iter().any(|(built, _)| *built == kind) {
-                let (cull, project) = (Cull::new(gpu, rules, ranked, kind.lenses)?, Project::new(gpu, rules, kind)?);
+                let (cull, project) = (Cull::new(gpu, rules, kind.lenses)?, Project::new(gpu, rules, kind)?);
                 self.background.push((kind, BackgroundStages { cull, project }));
             }
         }
@@ -160,16 +133,12 @@ impl Kernels {
             let stages = AgentStages {
                 cull: CullAgents::new(gpu, rules, kind.lenses)?,
                 project: ProjectAgents::new(gpu, rules, kind.sh_degree, kind.relit, kind.lenses)?,
-                merge: MergeOrder::new(gpu)?,
                 relight: if kind.relit { Some(Relight::new(gpu, kind.sh_degree)?) } else { None },
             };
             self.agents.push((kind, stages));
         }
         if variant.background.shadows && self.shadows.is_none() {
             self.shadows = Some(CullShadows::new(gpu)?);
-        }
-        if *keeps_orders && self.orders.is_none() {
-            self.orders = Some(OrderStages { ranks: Ranks::new(gpu)?, repair: RepairOrder::new(gpu)? });
         }
         let built = |what| GpuError::Driver { call: "building kernels", code: format!("{what} was not built") };
         Ok(FrameStages {
@@ -180,7 +149,6 @@ impl Kernels {
                 .find_map(|(built, stages)| (*built == variant.background).then_some(stages))
                 .ok_or_else(|| built("the background's projection"))?,
             agents: self.agents.iter().find_map(|(built, stages)| (Some(*built) == variant.agents).then_some(stages)),
-            orders: self.orders.as_ref().filter(|_| variant.orders),
             shadows: self.shadows.as_ref().filter(|_| variant.background.shadows),
         })
     }

@@ -22,12 +22,18 @@ pub const MACRO_WIDTH_PX: u32 = 64;
 pub const MACRO_HEIGHT_PX: u32 = 32;
 /// Pixels of a macro tile.
 pub const MACRO_PIXELS: usize = (MACRO_WIDTH_PX * MACRO_HEIGHT_PX) as usize;
-/// Records that one workgroup of `count_pairs` and `emit_pairs` takes, and pairs that one of `find_ranges` takes.
+/// Records that one workgroup of `bin_pairs` takes.
 pub const PAIR_BLOCK: usize = 1024;
+/// Pairs after which a bucket of the tile sort ends with the next depth slab.
+pub const BUCKET_PAIRS: usize = 1024;
+/// Depth slabs by which macro tiles' lists are cut; `depth_slab.glsl`.
+pub const SLABS: usize = 1024;
+/// A camera whose direction has no set in the persistent key buffer.
+pub const NO_KEY_SET: u32 = u32::MAX;
 /// Entries that one workgroup of `scan` takes.
 pub const SCAN_BLOCK: usize = 1024;
 /// Indirect dispatches of a frame.
-pub const ARGUMENT_SETS: usize = 8;
+pub const ARGUMENT_SETS: usize = 3;
 /// Cameras that one submission can draw.
 pub const CAMERAS_MAX: usize = 32;
 
@@ -63,6 +69,8 @@ pub struct CameraRecord {
     pub key_offset: [f32; 2],
     /// A power of two that takes such a depth between -1 and 1.
     pub key_scale: f32,
+    /// The camera's own depth relative to the world's origin, scaled.
+    pub key_depth: f32,
     /// Index of the camera's first macro tile among all cameras'.
     pub first_bin: u32,
     /// Index of the camera's first pixel in the output buffers.
@@ -103,6 +111,7 @@ impl CameraRecord {
             macro_tiles: [k.width_px.div_ceil(MACRO_WIDTH_PX), k.height_px.div_ceil(MACRO_HEIGHT_PX)],
             key_offset: [0.0; 2],
             key_scale,
+            key_depth: (forward.dot(centre) * f64::from(key_scale)) as f32,
             first_bin,
             first_pixel,
         }
@@ -178,8 +187,14 @@ pub struct ChunkRecord {
 pub struct Needs {
     /// Visible (camera, splat).
     pub records: u32,
-    /// (Macro tile, record).
+    /// (Macro tile, record); `u32::MAX` where there are more.
     pub pairs: u32,
+    /// The same: the sum of the lower 16 bits of each macro tile's number.
+    pub pairs_low: u32,
+    /// And of the upper 16 bits.
+    pub pairs_high: u32,
+    /// Buckets of pairs, sorted one by one.
+    pub buckets: u32,
     /// (Macro tile, segment of its list).
     pub items: u32,
     /// Items of macro tiles that were cut into more than one segment.
@@ -190,55 +205,26 @@ pub struct Needs {
     pub longest: u32,
 }
 
-/// `SortSegment` of `frame.glsl`: one list that the radix sort orders by itself, in place.
+/// `Bucket` of `frame.glsl`: a run of one macro tile's pairs that is sorted by itself.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct SortSegment {
-    /// Its first place.
-    pub first: u32,
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
+pub struct Bucket {
+    /// Its first pair.
+    pub first_pair: u32,
     /// Its length.
-    pub count: u32,
-    /// Its first block of the sort, counted over all segments.
-    pub first_block: u32,
+    pub pairs: u32,
+    /// Macro tile.
+    pub bin: u32,
 }
 
-/// How a camera's background list comes into order; `ORDER_*` of `frame.glsl`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OrderStep {
-    /// By the radix sort.
-    Sorted = 0,
-    /// As the ranks say.
-    Kept = 1,
-    /// As the ranks say, put right and proved.
-    Repaired = 2,
-}
-
-/// `ViewOrder` of `frame.glsl`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct ViewOrder {
-    /// An [`OrderStep`].
-    pub path: u32,
-    /// Whose ranks.
-    pub rank_set: u32,
-}
-
-/// `ViewLists` of `frame.glsl`: where the records of a camera lie.
+/// `ViewLists` of `frame.glsl`: where the records of a camera begin.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct ViewLists {
     /// Its first record of the background.
     pub first_static: u32,
-    /// How many there are.
-    pub static_count: u32,
     /// Its first record of agents.
     pub first_moving: u32,
-    /// How many there are.
-    pub moving_count: u32,
-    /// Where both together begin in the merged order.
-    pub first_ordered: u32,
-    /// Its first block of `merge_order`, counted over all cameras.
-    pub first_block: u32,
 }
 
 /// `Agent` of `agent.glsl`.

@@ -6,8 +6,8 @@ use decouplegs_gpu::{GpuError, StageTime, Ticket};
 use decouplegs_scene::Rules;
 
 use crate::capacity::Capacity;
+use crate::keys::KeySource;
 use crate::layout::Needs;
-use crate::orders::{OrderMode, OrderPath};
 use crate::output::Outputs;
 
 /// How pictures are made.
@@ -19,12 +19,11 @@ pub struct RenderOptions {
     pub outputs: Outputs,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
-    /// Macro tiles whose list is longer are blended in segments of this length (the last up to half longer), side
-    /// by side. Shorter segments balance better and take more memory: 32 KiB of partial result each. Above 2^24 lists are not
+    /// Macro tiles whose list is longer are blended in segments of this length, side by side. Shorter segments balance better and take more memory: 32 KiB of partial result each. Above 2^24 lists are not
     /// cut; a software device cuts them at 10,000.
     pub segment_pairs: u32,
-    /// How splats come into front-to-back order.
-    pub order: OrderMode,
+    /// Whether depth keys of the background are kept per direction, or computed in every frame. Pictures are the same.
+    pub keep_keys: bool,
     /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in the picture. `None`: always
     /// at the finest, which is exact.
     pub level_pitch_px: Option<f64>,
@@ -46,7 +45,7 @@ impl Default for RenderOptions {
             outputs: Outputs::default(),
             sh_degree_max: 3,
             segment_pairs: 1024,
-            order: OrderMode::default(),
+            keep_keys: true,
             level_pitch_px: None,
             frames_in_flight: 2,
             taken_max: 16,
@@ -76,15 +75,6 @@ impl QueueTrace {
     }
 }
 
-/// What a stale order costs, over the pixels in which it was measured ([`OrderMode::Bounded`]).
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct OrderError {
-    /// The largest change of a pixel's colour.
-    pub max: f32,
-    /// Pixels that change by more than 1/255.
-    pub pixels_above_255th: u32,
-}
-
 /// What a frame took.
 #[derive(Clone, Debug)]
 pub struct FrameStatistics {
@@ -94,14 +84,8 @@ pub struct FrameStatistics {
     pub capacity: Capacity,
     /// How often it was drawn again because a list outgrew its buffer.
     pub redrawn: u32,
-    /// How the background of each view came into order.
-    pub orders: Vec<OrderPath>,
-    /// Neighbours in each view's background that stand the wrong way round: only where an order was taken as it was, or its
-    /// repair was not enough.
-    pub inversions: Vec<u32>,
-    /// Where an order was taken as it was ([`OrderPath::Stale`]): by how much its neighbours that stand the wrong way round
-    /// change a pixel at most, to first order, T a_i a_j |c_i - c_j| summed over them.
-    pub order_error: Option<OrderError>,
+    /// Source of the depth keys of each view's background.
+    pub keys: Vec<KeySource>,
     /// Agents that some camera could see, and their splats at the levels of detail that were drawn.
     pub agents: usize,
     /// Splats of those agents.

@@ -8,13 +8,13 @@ use decouplegs_scene::{Camera, DepthOrder, World};
 
 use crate::RenderError;
 use crate::agents::{AgentList, Scene};
-use crate::capacity::{Capacity, SortShape};
+use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::kernels::{AgentVariant, FrameVariant, Kernels};
+use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
-use crate::orders::{OrderDecision, OrderPath, Orders};
 use crate::resident::ResidentWorld;
 use crate::slot::{FrameSlot, Pending};
 use crate::stages::{AgentCounts, ProjectVariant};
@@ -30,7 +30,6 @@ const ATTEMPTS_MAX: u32 = 6;
 pub struct Renderer {
     gpu: Gpu,
     options: RenderOptions,
-    sort: SortShape,
     kernels: Kernels,
     capacity: Option<Capacity>,
     frame: Option<FrameBuffers>,
@@ -39,7 +38,7 @@ pub struct Renderer {
     in_flight: VecDeque<usize>,
     /// The slot of the frame that was finished last.
     shown: Option<usize>,
-    orders: Option<Orders>,
+    keys: Option<PersistentKeys>,
     shelf: SharedShelf,
 }
 
@@ -47,19 +46,16 @@ impl Renderer {
     /// A renderer on `gpu`. Kernels are built when the first world of a kind is drawn.
     #[must_use]
     pub fn new(gpu: &Gpu, options: RenderOptions) -> Self {
-        let limits = gpu.limits();
-        let sort = SortShape::for_device(limits.subgroup_size, limits.workgroup_threads_max);
         Self {
             gpu: gpu.clone(),
             options,
-            sort,
-            kernels: Kernels::new(&options, sort, gpu.info().kind),
+            kernels: Kernels::new(&options, gpu.info().kind),
             capacity: None,
             frame: None,
             slots: Vec::new(),
             in_flight: VecDeque::new(),
             shown: None,
-            orders: None,
+            keys: None,
             shelf: SharedShelf::default(),
         }
     }
@@ -118,8 +114,8 @@ impl Renderer {
     pub fn submit<'a>(&mut self, scene: impl Into<Scene<'a>>, cameras: &[Camera]) -> Result<(), RenderError> {
         let submitted = self.try_submit(scene.into(), cameras);
         if submitted.is_err() {
-            // Ranks that this frame was to find may never be found.
-            self.orders = None;
+            // Keys that this frame was to find may never be found.
+            self.keys = None;
             self.slots.iter_mut().for_each(|slot| slot.relit.forget());
         }
         submitted
@@ -131,16 +127,20 @@ impl Renderer {
         let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?).map_err(RenderError::View)?;
         let slot = self.free_slot(view.pixels)?;
         let list = AgentList::new(&scene, cameras, &view, near_m(&options.rules), options.level_pitch_px)?;
-        let orders = match &mut self.orders {
-            Some(orders) => orders,
-            None => self.orders.insert(Orders::new(&self.gpu)?),
+        let keys = match &mut self.keys {
+            Some(keys) => keys,
+            None => self.keys.insert(PersistentKeys::new(&self.gpu)?),
         };
-        let decision = orders.decide(&self.gpu, scene.world, &view, options.order, &options.rules)?;
+        let decision = if options.keep_keys {
+            keys.decide(&self.gpu, scene.world, &view, &options.rules)?
+        } else {
+            KeyDecision::computed(view.cameras.len())
+        };
         let variant = FrameVariant {
             background: ProjectVariant {
                 sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
                 instances: scene.world.has_instances && options.outputs.instance,
-                ranked: decision.is_ranked(),
+                kept_keys: decision.is_kept(),
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),
@@ -152,9 +152,8 @@ impl Renderer {
                 relit: scene.relights(),
                 lenses: !view.lenses.is_empty(),
             }),
-            orders: decision.is_ranked(),
         };
-        let ranks = orders.ranks().clone();
+        let kept_keys = keys.keys().clone();
         let added = scene.agents.and_then(|(pool, _)| pool.last_upload().cloned());
         self.slots[slot].set(
             &self.gpu,
@@ -164,13 +163,14 @@ impl Renderer {
             list,
             (scene.shadows, scene.shadow_cameras),
         )?;
-        self.slots[slot].staged_orders.write_host(0, &decision.view_orders);
+        self.slots[slot].staged_key_sets.write_host(0, &decision.sets);
         let update = self.submit_agents(slot, scene.world, variant, added.as_ref())?;
         let record_start = Instant::now();
-        let (frame, capacity) = self.submit_frame(slot, scene.world, variant, &decision, &ranks, update.as_ref())?;
+        let (frame, capacity) = self.submit_frame(slot, scene.world, variant, (&decision, &kept_keys), update.as_ref())?;
         let (world, record_time) = (scene.world.clone(), record_start.elapsed());
         let submitted = Instant::now();
-        let pending = Pending { world, variant, orders: decision, ranks, frame, update, capacity, since, submitted, record_time };
+        let pending =
+            Pending { world, variant, keys: decision, kept_keys, frame, update, capacity, since, submitted, record_time };
         self.slots[slot].pending = Some(pending);
         self.in_flight.push_back(slot);
         Ok(())
@@ -191,24 +191,18 @@ impl Renderer {
                 self.shown = Some(slot);
                 self.slots[slot].done = Some(pending.frame.clone());
                 let statistics = self.slots[slot].statistics(&pending, needs, redrawn, awaited)?;
-                if statistics.orders.contains(&OrderPath::RepairFailed)
-                    && let Some(kept) = &mut self.orders
-                {
-                    kept.repair_failed();
-                }
                 return Ok(statistics);
             }
             // Another frame may have grown the buffers since.
             let capacity = self.capacity.unwrap_or(pending.capacity);
             self.capacity = Some(capacity.grown_to(&needs, self.options.spare));
             let record_start = Instant::now();
-            // Frames submitted since may have taken the place of the ranks that this one was to use.
-            pending.orders = OrderDecision::sorted(pending.orders.paths.len());
-            pending.variant.orders = false;
-            pending.variant.background.ranked = false;
-            self.slots[slot].staged_orders.write_host(0, &pending.orders.view_orders);
-            let Pending { world, variant, orders, ranks, update, .. } = &pending;
-            let (frame, capacity) = self.submit_frame(slot, world, *variant, orders, ranks, update.as_ref())?;
+            // Frames submitted since may have taken the place of the keys that this one was to use.
+            pending.keys = KeyDecision::computed(pending.keys.sources.len());
+            pending.variant.background.kept_keys = false;
+            self.slots[slot].staged_key_sets.write_host(0, &pending.keys.sets);
+            let Pending { world, variant, keys, kept_keys, update, .. } = &pending;
+            let (frame, capacity) = self.submit_frame(slot, world, *variant, (keys, kept_keys), update.as_ref())?;
             (pending.frame, pending.capacity, pending.record_time) = (frame, capacity, record_start.elapsed());
         }
         let needs = format!("{:?}", self.slots[slot].found_needs.read_host());
@@ -302,19 +296,18 @@ impl Renderer {
         slot: usize,
         world: &ResidentWorld,
         variant: FrameVariant,
-        orders: &OrderDecision,
-        ranks: &Buffer<u32>,
+        (keys, kept_keys): (&KeyDecision, &Buffer<u32>),
         update: Option<&Ticket>,
     ) -> Result<(Ticket, Capacity), RenderError> {
         let agents = self.agent_counts(slot);
-        let frame_capacity = self.fit_buffers(slot, world, variant)?;
+        let frame_capacity = self.fit_buffers(slot, world)?;
         let Some(frame) = &self.frame else { unreachable!("fit_buffers made them") };
         let stages = self.kernels.of(&self.gpu, variant)?;
         let mut recorder = self.gpu.record(QueueRole::Main);
         if update.is_none() {
             record_agents(&mut recorder, &stages, &self.slots[slot], world, agents);
         }
-        let input = FrameInput { world, orders, ranks, agents };
+        let input = FrameInput { world, keys, kept_keys, agents };
         record_frame(&mut recorder, &stages, frame, &self.slots[slot], input);
         let behind: Vec<&Ticket> = update.into_iter().collect();
         Ok((self.gpu.submit(recorder, &behind)?, frame_capacity))
@@ -325,25 +318,23 @@ impl Renderer {
     }
 
     /// Makes the buffers what the frame in `slot` needs, as far as that is known.
-    fn fit_buffers(&mut self, slot: usize, world: &ResidentWorld, variant: FrameVariant) -> Result<Capacity, RenderError> {
+    fn fit_buffers(&mut self, slot: usize, world: &ResidentWorld) -> Result<Capacity, RenderError> {
         let slot = &self.slots[slot];
         let Some(view) = &slot.view else { unreachable!("a slot is set before it is submitted") };
         let splats = world.splats + slot.list.as_ref().map_or(0, |list| list.splats);
         let shape = FrameShape {
             capacity: self.capacity.unwrap_or_else(|| Capacity::guess(splats, view.cameras.len())),
             cameras: view.cameras.len(),
-            splats: world.splats,
             chunks: world.chunk_count(),
             bins: view.bins,
-            ranked: variant.orders,
         };
         match &mut self.frame {
-            Some(frame) if frame.room().covers(&shape) => frame.set(&self.gpu, shape, self.sort)?,
+            Some(frame) if frame.room().covers(&shape) => frame.shape = shape,
             frame => {
                 // The old ones go first: both would not always fit.
                 let room = frame.take().map_or(shape, |old| old.room().with(&shape));
-                let mut made = FrameBuffers::new(&self.gpu, room, &self.options, self.sort)?;
-                made.set(&self.gpu, shape, self.sort)?;
+                let mut made = FrameBuffers::new(&self.gpu, room, &self.options)?;
+                made.shape = shape;
                 *frame = Some(made);
                 self.capacity = Some(shape.capacity);
             }

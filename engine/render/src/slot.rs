@@ -9,8 +9,8 @@ use crate::RenderError;
 use crate::agents::AgentList;
 use crate::capacity::Capacity;
 use crate::kernels::FrameVariant;
-use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, Needs, ShadowRecord, View, ViewOrder};
-use crate::orders::OrderDecision;
+use crate::keys::KeyDecision;
+use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, Needs, ShadowRecord, View};
 use crate::output::{OutputBuffers, Outputs};
 use crate::relit::RelitCodebooks;
 use crate::resident::ResidentWorld;
@@ -21,9 +21,9 @@ use crate::taken::SharedShelf;
 pub(crate) struct Pending {
     pub world: ResidentWorld,
     pub variant: FrameVariant,
-    pub orders: OrderDecision,
-    /// The buffer of ranks that it was submitted with.
-    pub ranks: Buffer<u32>,
+    pub keys: KeyDecision,
+    /// The persistent key buffer that it was submitted with.
+    pub kept_keys: Buffer<u32>,
     pub frame: Ticket,
     /// The agents' part, where there is one.
     pub update: Option<Ticket>,
@@ -38,7 +38,7 @@ pub(crate) struct Pending {
 pub(crate) struct FrameSlot {
     pub staged_cameras: Buffer<CameraRecord>,
     staged_lenses: Buffer<LensRecord>,
-    pub staged_orders: Buffer<ViewOrder>,
+    pub staged_key_sets: Buffer<u32>,
     staged_agents: Buffer<AgentRecord>,
     staged_agent_cameras: Buffer<CameraRecord>,
     pub agents: AgentBuffers,
@@ -55,8 +55,6 @@ pub(crate) struct FrameSlot {
     /// Pixels and splats that the pictures are made for.
     room: (usize, usize),
     pub found_needs: Buffer<Needs>,
-    pub found_inversions: Buffer<u32>,
-    pub found_order_error: Buffer<[u32; 2]>,
     pub view: Option<View>,
     pub list: Option<AgentList>,
     pub pending: Option<Pending>,
@@ -71,7 +69,7 @@ impl FrameSlot {
         Ok(Self {
             staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
             staged_lenses: gpu.buffer("staged_lenses", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
-            staged_orders: gpu.buffer("staged_orders", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
+            staged_key_sets: gpu.buffer("staged_key_sets", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
             staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, Residence::Upload)?,
             staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, Residence::Upload)?,
             agents: AgentBuffers::new(gpu, 0, 0, 0)?,
@@ -85,8 +83,6 @@ impl FrameSlot {
             no_pictures,
             room: (0, 0),
             found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
-            found_inversions: gpu.buffer("found_inversions", PURPOSE, CAMERAS_MAX, Residence::Readback)?,
-            found_order_error: gpu.buffer("found_order_error", PURPOSE, 1, Residence::Readback)?,
             view: None,
             list: None,
             pending: None,

@@ -4,8 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::RenderError;
 use crate::layout::Needs;
-use crate::options::{FrameStatistics, OrderError, QueueTrace};
-use crate::orders::OrderPath;
+use crate::options::{FrameStatistics, QueueTrace};
 use crate::slot::{FrameSlot, Pending};
 
 impl FrameSlot {
@@ -18,17 +17,6 @@ impl FrameSlot {
         redrawn: u32,
         awaited: Instant,
     ) -> Result<FrameStatistics, RenderError> {
-        let found = self.found_inversions.read_host();
-        let mut orders = pending.orders.paths.clone();
-        for (path, &inversions) in orders.iter_mut().zip(&found) {
-            if *path == OrderPath::Repaired && inversions > 0 {
-                *path = OrderPath::RepairFailed;
-            }
-        }
-        let order_error = orders.contains(&OrderPath::Stale).then(|| {
-            let [bits, pixels_above_255th] = self.found_order_error.read_host()[0];
-            OrderError { max: f32::from_bits(bits), pixels_above_255th }
-        });
         let list = self.list.as_ref();
         let mut queues = vec![QueueTrace::of("main", &pending.frame)?];
         if let Some(update) = &pending.update {
@@ -38,9 +26,7 @@ impl FrameSlot {
             needs,
             capacity: pending.capacity,
             redrawn,
-            inversions: found[..orders.len()].to_vec(),
-            orders,
-            order_error,
+            keys: pending.keys.sources.clone(),
             agents: list.map_or(0, |list| list.counts.agents),
             agent_splats: list.map_or(0, |list| list.splats),
             relit: list.map_or(0, |_| self.relit.to_make.0),

@@ -244,13 +244,8 @@ impl AgentScene {
         sh_degree: u8,
         room: usize,
     ) -> ProjectedTwin {
-        let mut out = ProjectedTwin {
-            footprints: vec![[0.0; 4]; 2 * room],
-            colours: vec![[0.0; 4]; room],
-            keys: vec![UNTOUCHED; room],
-            values: vec![UNTOUCHED; room],
-            tile_counts: vec![UNTOUCHED; room],
-        };
+        let mut out =
+            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colours: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
         twins::project_agents(
             &self.agents,
             &self.cameras,
@@ -266,8 +261,6 @@ impl AgentScene {
             &mut out.footprints,
             &mut out.colours,
             &mut out.keys,
-            &mut out.values,
-            &mut out.tile_counts,
             &self.lenses,
             self.counts.cameras,
             self.counts.chunks,

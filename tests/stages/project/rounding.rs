@@ -3,12 +3,11 @@
 use decouplegs::render::layout::{CameraRecord, LensRecord};
 use decouplegs::render::reference::unscented::unscented;
 use decouplegs::render::twins::projection::from_camera_m;
-use decouplegs::render::twins::record::load_footprint;
 use decouplegs::scene::rules::DILATION_PX2;
 use decouplegs::scene::{DepthOrder, RayMap, Rules};
 use glam::{DMat3, DVec2, DVec3, Vec3};
 
-use super::super::scenes::{ProjectedTwin, settled_tile_count};
+use super::super::scenes::ProjectedTwin;
 use super::super::{ROUNDOFF, identical, within};
 
 /// A splat that is projected.
@@ -172,26 +171,5 @@ pub fn check_keys(kernel: &[u32], twin: &[u32]) -> Result<(), String> {
     if kernel.iter().zip(twin).map(apart).any(|steps| steps > 1) || different * 1000 > kernel.len() {
         return identical("keys, which may be a step apart in one of a thousand", kernel, twin);
     }
-    Ok(())
-}
-
-/// Holds the tile counts of records, each seen by the camera beside it, to the twin's, from the kernel's own footprints, so that
-/// nothing else differs.
-pub fn check_tile_counts<'a>(
-    kernel: &ProjectedTwin,
-    records: impl ExactSizeIterator<Item = (usize, &'a CameraRecord)>,
-) -> Result<(), String> {
-    let record_count = records.len();
-    let mut unsettled = 0;
-    for (record, camera) in records {
-        match settled_tile_count(&load_footprint(&kernel.footprints, record), camera) {
-            Some(count) if count != kernel.tile_counts[record] => {
-                return Err(format!("tile count of record {record}: {}, the twin has {count}", kernel.tile_counts[record]));
-            }
-            Some(_) => {}
-            None => unsettled += 1,
-        }
-    }
-    assert!(unsettled * 50 <= record_count, "{unsettled} of {record_count} tile counts are left to rounding");
     Ok(())
 }

@@ -46,7 +46,7 @@ impl Statistics {
             wall_ms: ms(frame.wall_time),
             record_ms: ms(frame.record_time),
             stages_ms,
-            cameras: frame.orders.len(),
+            cameras: frame.keys.len(),
             agents: frame.agents,
             agent_splats: frame.agent_splats,
             redrawn: frame.redrawn,

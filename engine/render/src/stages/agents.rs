@@ -4,7 +4,7 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Projected, RelitColours, SortScratch, Visible, kernel, push_constants};
+use super::{PURPOSE, Projected, RelitColours, Visible, kernel, push_constants};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
 use crate::layout::{AgentRecord, CameraRecord, LensRecord, near_m};
@@ -132,7 +132,7 @@ impl ProjectAgents {
     }
 
     /// Writes a record for every visible splat of the agents behind those of the background, whose `static_lists` lists begin
-    /// at `static_firsts`, and its depth key and place to the first buffers of `sort`.
+    /// at `static_firsts`, and its depth key.
     #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
     pub fn record(
         &self,
@@ -144,7 +144,6 @@ impl ProjectAgents {
         static_firsts: &Buffer<u32>,
         static_lists: usize,
         projected: &Projected,
-        sort: &SortScratch,
     ) {
         let push = ProjectPush {
             agent_count: counts.agents as u32,
@@ -167,9 +166,7 @@ impl ProjectAgents {
             ("relit_bands", relit.bands.binding()),
             ("footprints", projected.footprints.binding()),
             ("colours", projected.colours.binding()),
-            ("keys", sort.keys[0].binding()),
-            ("values", sort.values[0].binding()),
-            ("tile_counts", projected.tile_counts.binding()),
+            ("keys", projected.keys.binding()),
             ("lenses", buffers.lenses.binding()),
         ];
         recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.chunks));

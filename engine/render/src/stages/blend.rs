@@ -53,8 +53,6 @@ pub enum BlendPass {
     Segments,
     /// Blends again what composite has left to be finished, where [`finishes`] is true.
     Finish,
-    /// Draws nothing, and measures what it costs that lists are out of order.
-    OrderError,
 }
 
 push_constants! {
@@ -63,23 +61,7 @@ push_constants! {
         camera_count: u32,
         items_max: u32,
         contribution_scale: f32,
-        measured_stride: u32,
-        measured_first: u32,
     }
-}
-
-/// Which of a frame's segments the order error is measured in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Measured {
-    /// One of so many, at least 1.
-    pub stride: u32,
-    /// The first of them, below the stride.
-    pub first: u32,
-}
-
-impl Measured {
-    /// All of them.
-    pub const ALL: Self = Self { stride: 1, first: 0 };
 }
 
 /// Records that blend may stage at a time, most first.
@@ -92,8 +74,8 @@ fn shared_bytes(batch: u32, extra_words: u32) -> u32 {
 }
 
 /// Most records that blend can stage at a time with `shared_memory_bytes`.
-fn batch_records(shared_memory_bytes: u32, outputs: &Outputs, pass: BlendPass) -> u32 {
-    let depths = u32::from(outputs.depth || pass == BlendPass::OrderError);
+fn batch_records(shared_memory_bytes: u32, outputs: &Outputs) -> u32 {
+    let depths = u32::from(outputs.depth);
     let instances = u32::from(outputs.instance || outputs.contributions);
     let fits = |batch: &u32| shared_bytes(*batch, depths + instances) <= shared_memory_bytes;
     BATCHES.into_iter().find(fits).unwrap_or(BATCHES[4])
@@ -111,7 +93,7 @@ impl Blend {
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, pass: BlendPass, item_pairs_max: u32) -> Result<Self, GpuError> {
         let [u8_colour, depth, instance] = outputs.constants();
-        let batch = batch_records(gpu.limits().shared_memory_bytes, outputs, pass);
+        let batch = batch_records(gpu.limits().shared_memory_bytes, outputs);
         let constants = [
             u8_colour,
             depth,
@@ -122,14 +104,12 @@ impl Blend {
             ("BATCH", Constant::U32(batch)),
             ("ONE_BATCH", Constant::Bool(item_pairs_max <= batch)),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
-            ("ORDER_ERROR", Constant::Bool(pass == BlendPass::OrderError)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
         ];
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)? })
     }
 
-    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results. Where it measures
-    /// the order error, it does so in the items that `measured` names.
+    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results.
     #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
     pub fn record(
         &self,
@@ -143,15 +123,12 @@ impl Blend {
         projected: &Projected,
         partials: &Partials,
         pictures: &OutputBuffers,
-        measured: Measured,
     ) {
         let push = Push {
             sky,
             camera_count: camera_count as u32,
             items_max: plan.items.len() as u32,
             contribution_scale: pictures.contribution_scale(),
-            measured_stride: measured.stride.max(1),
-            measured_first: measured.first,
         };
         let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
         let buffers = [
@@ -171,7 +148,6 @@ impl Blend {
             ("partial_transmittances", partials.transmittances.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
             ("contributions", pictures.contributions.binding()),
-            ("order_error", control.order_error.binding()),
         ];
         recorder.dispatch_indirect(
             &self.kernel,
@@ -191,7 +167,7 @@ mod tests {
     fn a_batch_fits_shared_memory() {
         let plain = Outputs { contributions: false, ..Outputs::default() };
         let all = Outputs { depth: true, instance: true, ..plain };
-        let batches = |kilobytes: u32| [plain, all].map(|outputs| batch_records(kilobytes << 10, &outputs, BlendPass::Segments));
+        let batches = |kilobytes: u32| [plain, all].map(|outputs| batch_records(kilobytes << 10, &outputs));
         assert_eq!([16, 32, 48, 64].map(batches), [[128, 128], [512, 512], [1024, 768], [1024, 1024]]);
     }
 }

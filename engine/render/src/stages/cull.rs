@@ -4,7 +4,7 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::Rules;
 
-use super::{PURPOSE, Ranked, kernel, push_constants};
+use super::{PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, near_m};
 use crate::resident::ResidentWorld;
@@ -45,23 +45,20 @@ pub struct Cull {
 }
 
 impl Cull {
-    /// The stage for pictures of the given rules; `ranked` where the order of some direction is kept,
-    /// `lenses` where some camera is no pinhole.
+    /// The stage for pictures of the given rules; `lenses` where some camera is no pinhole.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, ranked: bool, lenses: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, rules: &Rules, lenses: bool) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            ("RANKED", Constant::Bool(ranked)),
             ("LENSES", Constant::Bool(lenses)),
         ];
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)? })
     }
 
-    /// Marks what `cameras` see of `world`, and its ranks in the orders that are kept.
-    #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
+    /// Marks what `cameras` see of `world`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -70,7 +67,6 @@ impl Cull {
         lenses: &Buffer<LensRecord>,
         camera_count: usize,
         visible: &Visible,
-        ranked: &Ranked<'_>,
     ) {
         let push =
             Push { splat_count: world.splats as u32, camera_count: camera_count as u32, chunk_count: world.chunk_count() as u32 };
@@ -82,9 +78,6 @@ impl Cull {
             ("rotations", world.rotations.binding()),
             ("visible_words", visible.words.binding()),
             ("visible_counts", visible.counts.binding()),
-            ("view_orders", ranked.view_orders.binding()),
-            ("ranks", ranked.ranks.binding()),
-            ("rank_words", ranked.lists.words.binding()),
             ("lenses", lenses.binding()),
         ];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));

@@ -7,42 +7,30 @@
 mod agents;
 mod blend;
 mod composite;
-mod count_pairs;
 mod cull;
 mod cull_shadows;
-mod emit_pairs;
-mod find_ranges;
-mod merge_order;
-mod plan_order;
+mod key_splats;
 mod plan_segments;
 mod project;
-mod ranks;
 mod relight;
-mod repair_order;
 mod scan;
-mod sort;
+mod tile_sort;
 
 pub use agents::{AgentBuffers, AgentCounts, CullAgents, ProjectAgents};
-pub use blend::{Blend, BlendPass, Measured, Partials, finishes};
+pub use blend::{Blend, BlendPass, Partials, finishes};
 pub use composite::CompositeSegments;
-pub use count_pairs::CountPairs;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
-pub use emit_pairs::{EmitPairs, Pairs};
-pub use find_ranges::FindRanges;
-pub use merge_order::MergeOrder;
-pub use plan_order::{OrderPlan, PlanOrder};
+pub use key_splats::{KeptKeys, KeySplats};
 pub use plan_segments::{Plan, PlanSegments};
 pub use project::{Project, ProjectVariant, Projected};
-pub use ranks::{RankLists, Ranked, Ranks};
 pub use relight::{RELIGHT_BLOCK, Relight, RelitColours};
-pub use repair_order::{REPAIR_REACH_MAX, RepairOrder, StaticLists};
 pub use scan::Scan;
-pub use sort::{RadixSort, SEGMENTS_MAX, SortInput, SortScratch};
+pub use tile_sort::{BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers};
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Residence};
 
-use crate::layout::{ARGUMENT_SETS, Needs, SortSegment};
+use crate::layout::{ARGUMENT_SETS, Needs};
 
 /// Purpose under which the memory of a frame's lists is counted.
 pub const PURPOSE: &str = "frame";
@@ -53,10 +41,6 @@ pub struct Control {
     pub needs: Buffer<Needs>,
     /// Arguments of the indirect dispatches.
     pub arguments: Buffer<[u32; 3]>,
-    /// The list of all pairs, as the radix sort takes it.
-    pub pair_segment: Buffer<SortSegment>,
-    /// Where lists may be out of order: bits of the largest error of a pixel, and pixels with one above 1/255.
-    pub order_error: Buffer<[u32; 2]>,
 }
 
 impl Control {
@@ -68,8 +52,6 @@ impl Control {
         Ok(Self {
             needs: gpu.buffer("needs", PURPOSE, 1, Residence::Device)?,
             arguments: gpu.buffer("arguments", PURPOSE, ARGUMENT_SETS, Residence::Device)?,
-            pair_segment: gpu.buffer("pair_segment", PURPOSE, 1, Residence::Device)?,
-            order_error: gpu.buffer("order_error", PURPOSE, 1, Residence::Device)?,
         })
     }
 }
@@ -77,22 +59,12 @@ impl Control {
 /// Indirect dispatches, by their place in [`Control::arguments`]; the twins of `ARGUMENTS_*` in `frame.glsl`.
 #[derive(Clone, Copy, Debug)]
 pub enum Arguments {
-    /// Blocks of the sort by depth, of all lists that it orders.
-    SortRecords = 0,
     /// Blocks of records to be binned.
-    PairBlocks = 1,
-    /// Blocks of the sort by macro tile.
-    SortPairs = 2,
-    /// Blocks of pairs whose ranges are found.
-    Ranges = 3,
+    PairBlocks = 0,
     /// Segments to be blended.
-    Blend = 4,
+    Blend = 1,
     /// Cut macro tiles to be joined.
-    Composite = 5,
-    /// Blocks of the merged order.
-    Merge = 6,
-    /// Blocks of records in which a repaired order may have failed.
-    Restore = 7,
+    Composite = 2,
 }
 
 impl Arguments {
@@ -117,7 +89,7 @@ macro_rules! push_constants {
             $($member: $type,)*
         }
 
-        impl super::PushConstants for $name {
+        impl crate::stages::PushConstants for $name {
             const MEMBERS: &'static [(&'static str, usize)] = &[$((stringify!($member), std::mem::offset_of!($name, $member)),)*];
         }
     };

@@ -53,12 +53,12 @@ impl PlanSegments {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &constants)?, segment_pairs })
     }
 
-    /// Writes `plan` for the lists that begin at `range_firsts`.
+    /// Writes `plan` for the lists of `tile_lists`, by first place and length.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         control: &Control,
-        range_firsts: &Buffer<u32>,
+        tile_lists: &Buffer<[u32; 2]>,
         bin_count: u32,
         capacity: &Capacity,
         plan: &Plan,
@@ -71,7 +71,7 @@ impl PlanSegments {
         };
         let buffers = [
             ("needs", control.needs.binding()),
-            ("range_firsts", range_firsts.binding()),
+            ("tile_lists", tile_lists.binding()),
             ("items", plan.items.binding()),
             ("composites", plan.composites.binding()),
             ("arguments", control.arguments.binding()),

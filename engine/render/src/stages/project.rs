@@ -4,7 +4,7 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Ranked, ShadowBuffers, SortScratch, Visible, kernel, push_constants, words_for};
+use super::{KeptKeys, PURPOSE, ShadowBuffers, Visible, kernel, push_constants, words_for};
 use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, LensRecord, near_m};
 use crate::resident::ResidentWorld;
@@ -15,20 +15,20 @@ pub struct Projected {
     pub footprints: Buffer<[f32; 4]>,
     /// RGB and an unused fourth.
     pub colours: Buffer<[f32; 4]>,
-    /// Macro tiles it reaches.
-    pub tile_counts: Buffer<u32>,
+    /// Depth keys. The sort of tiles overwrites them.
+    pub keys: Buffer<u32>,
 }
 
 impl Projected {
-    /// Buffers for `records` entries.
+    /// Buffers for `records` entries, their keys with room for `pairs`.
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, records: usize) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, records: usize, pairs: usize) -> Result<Self, GpuError> {
         Ok(Self {
             footprints: gpu.buffer("footprints", PURPOSE, 2 * records, Residence::Device)?,
             colours: gpu.buffer("colours", PURPOSE, records, Residence::Device)?,
-            tile_counts: gpu.buffer("tile_counts", PURPOSE, records, Residence::Device)?,
+            keys: gpu.buffer("depth_keys", PURPOSE, records.max(pairs), Residence::Device)?,
         })
     }
 }
@@ -40,8 +40,8 @@ pub struct ProjectVariant {
     pub sh_degree: u8,
     /// Whether records carry their instance.
     pub instances: bool,
-    /// Whether the order of some direction is kept.
-    pub ranked: bool,
+    /// Whether the depth keys of some direction are kept.
+    pub kept_keys: bool,
     /// Whether records carry the index of their splat instead.
     pub splat_ids: bool,
     /// Whether agents throw contact shadows.
@@ -79,7 +79,7 @@ impl Project {
             ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
             ("INSTANCES", Constant::Bool(variant.instances)),
-            ("RANKED", Constant::Bool(variant.ranked)),
+            ("KEPT_KEYS", Constant::Bool(variant.kept_keys)),
             ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
             ("SHADOWS", Constant::Bool(variant.shadows)),
             ("SHADOWS_BY_CAMERA", Constant::Bool(variant.shadows && variant.shadows_by_camera)),
@@ -88,8 +88,8 @@ impl Project {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }
 
-    /// Writes a record for every bit of `visible`, the first of each list at `firsts`, and its depth key and place to the first
-    /// buffers of `sort`, darkened by the first `shadow_count` of `shadows`.
+    /// Writes a record and a depth key for every bit of `visible`, the first of each list at `firsts`, darkened by the first
+    /// `shadow_count` of `shadows`.
     #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
     pub fn record(
         &self,
@@ -101,8 +101,7 @@ impl Project {
         visible: &Visible,
         firsts: &Buffer<u32>,
         projected: &Projected,
-        sort: &SortScratch,
-        ranked: &Ranked<'_>,
+        kept: KeptKeys<'_>,
         shadows: &ShadowBuffers,
         shadow_count: usize,
     ) {
@@ -127,14 +126,9 @@ impl Project {
             ("instances", world.instances.binding()),
             ("footprints", projected.footprints.binding()),
             ("colours", projected.colours.binding()),
-            ("keys", sort.keys[0].binding()),
-            ("values", sort.values[0].binding()),
-            ("tile_counts", projected.tile_counts.binding()),
-            ("view_orders", ranked.view_orders.binding()),
-            ("ranks", ranked.ranks.binding()),
-            ("rank_words", ranked.lists.words.binding()),
-            ("rank_firsts", ranked.lists.firsts.binding()),
-            ("unranked_keys", sort.keys[1].binding()),
+            ("keys", projected.keys.binding()),
+            ("key_sets", kept.sets.binding()),
+            ("kept_keys", kept.keys.binding()),
             ("shadows", shadows.shadows.binding()),
             ("shadow_words", shadows.words.binding()),
             ("lenses", lenses.binding()),

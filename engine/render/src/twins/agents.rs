@@ -71,8 +71,7 @@ fn stored<'a>(dc: &'a [[f32; 3]; 1], bands: &'a [u32; COLOUR_WORDS]) -> Stored<'
     Stored { sh_dc: dc, sh_bands: [band1, band2, band3] }
 }
 
-/// Writes a record, its colour, depth key, place and number of macro tiles for every bit of `visible_words`, as far as there is
-/// room: behind the records of the background, of which there are `static_firsts[static_lists]`, the first of each
+/// Writes a record, its colour and depth key for every bit of `visible_words`, as far as there is room: behind the records of the background, of which there are `static_firsts[static_lists]`, the first of each
 /// `[camera][chunk]` at `firsts`.
 pub fn project_agents(
     agents: &[AgentRecord],
@@ -89,8 +88,6 @@ pub fn project_agents(
     footprints: &mut [[f32; 4]],
     colours: &mut [[f32; 4]],
     keys: &mut [u32],
-    values: &mut [u32],
-    tile_counts: &mut [u32],
     lenses: &[LensRecord],
     camera_count: usize,
     chunk_count: usize,
@@ -130,9 +127,8 @@ pub fn project_agents(
                 let residual = Vec3::from_array(agent.dc_residual_gain) * coded.dc_residual;
                 let dc = [(Vec3::from_array(dc_of[entry]) + residual).to_array()];
                 let colour = sh_colour(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
-                write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
+                write_record(slot, &record, colour, footprints, colours);
                 keys[slot] = depth_key(scaled_depth(coded.mean_m, camera, radial));
-                values[slot] = slot as u32;
             }
         }
     }

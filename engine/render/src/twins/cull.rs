@@ -3,12 +3,11 @@
 use super::lens::{chunk_reaches_seen, lens_of, project_splat_seen};
 use super::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
 use super::visibility::splat_reaches;
-use crate::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, OrderStep, ViewOrder};
+use crate::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord};
 
 const CHUNK_WORDS: usize = CHUNK_SPLATS / 32;
 
-/// Writes one bit a splat, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`. Where `ranked`, also sets a bit of
-/// `rank_words` at the splat's rank, `[camera][chunk][8 words]`, for the cameras whose order is kept.
+/// Writes one bit a splat, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`.
 pub fn cull(
     cameras: &[CameraRecord],
     chunks: &[ChunkRecord],
@@ -17,14 +16,9 @@ pub fn cull(
     rotations: &[[f32; 4]],
     visible_words: &mut [u32],
     visible_counts: &mut [u32],
-    view_orders: &[ViewOrder],
-    ranks: &[u32],
-    rank_words: &mut [u32],
     lenses: &[LensRecord],
     variant: Variant,
-    ranked: bool,
 ) {
-    let splat_count = means_m.len();
     visible_words.fill(0);
     visible_counts.fill(0);
     for (camera_index, camera) in cameras.iter().enumerate() {
@@ -41,10 +35,6 @@ pub fn cull(
                 let list = camera_index * chunks.len() + chunk_index;
                 visible_words[list * CHUNK_WORDS + splat_index % CHUNK_SPLATS / 32] |= 1 << (splat_index % 32);
                 visible_counts[list] += 1;
-                if ranked && view_orders[camera_index].path != OrderStep::Sorted as u32 {
-                    let rank = ranks[view_orders[camera_index].rank_set as usize * splat_count + splat_index];
-                    rank_words[camera_index * chunks.len() * CHUNK_WORDS + rank as usize / 32] |= 1 << (rank % 32);
-                }
             }
         }
     }

@@ -41,6 +41,17 @@ pub fn depth_key(depth: f64) -> u32 {
     if depth < 0.0 { 0x8000_0000 - code } else { 0x8000_0000 + code }
 }
 
+/// A depth whose key is `key`, or less by a step of the key.
+#[must_use]
+pub fn depth_of_key(key: u32) -> f32 {
+    let code = key.abs_diff(0x8000_0000);
+    let size = match code.checked_sub(1 << 27) {
+        None => code as f32 / LINEAR_STEPS as f32,
+        Some(floats) => f32::from_bits(FLOATS_FROM.to_bits() + (floats >> 4)),
+    };
+    if key < 0x8000_0000 { -size } else { size }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,6 +67,20 @@ mod tests {
             // What is a step of 2^-27 of its size apart, or of 2^-42, is told apart.
             let step = (low.abs().max(high.abs()) * 2f64.powi(-26)).max(2f64.powi(-41));
             prop_assert!(high - low < step || depth_key(low) < depth_key(high));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_depth_of_a_key_never_falls_with_it(key in 0x8000_0001u32 - 0x7fff_ffff..u32::MAX, step in 0u32..100) {
+            let higher = key.saturating_add(step);
+            prop_assert!(depth_of_key(key) <= depth_of_key(higher), "{key} {higher}");
+        }
+
+        #[test]
+        fn a_depth_is_found_again_from_its_key(depth in -0.999f64..0.999) {
+            let found = f64::from(depth_of_key(depth_key(depth)));
+            prop_assert!((found - depth).abs() <= depth.abs() * 2f64.powi(-22) + 2f64.powi(-40), "{depth} {found}");
         }
     }
 

@@ -9,11 +9,17 @@ use crate::stages::Arguments;
 /// Workgroups that share the joining of one macro tile.
 const COMPOSITE_GROUPS: u32 = MACRO_PIXELS as u32 / 256;
 
+/// Pairs that were wanted; `u32::MAX` where they are more than it can hold.
+fn wanted_pairs(needs: &Needs) -> u32 {
+    let pairs = (u64::from(needs.pairs_high) << 16) + u64::from(needs.pairs_low);
+    u32::try_from(pairs).unwrap_or(u32::MAX)
+}
+
 /// Writes the segments of all macro tiles as far as there is room, the macro tiles that were cut, how many of each there
 /// are, and the dispatches that depend on it.
 pub fn plan_segments(
     needs: &mut Needs,
-    range_firsts: &[u32],
+    tile_lists: &[[u32; 2]],
     items: &mut [Item],
     composites: &mut [Composite],
     arguments: &mut [[u32; 3]],
@@ -22,14 +28,12 @@ pub fn plan_segments(
     partials_max: u32,
     segment_pairs: u32,
 ) {
-    let pairs = needs.pairs.min(pairs_max);
-    let lists: Vec<[u32; 2]> =
-        (0..bin_count as usize).map(|bin| if pairs == 0 { [0, 0] } else { [range_firsts[bin], range_firsts[bin + 1]] }).collect();
-    let segments_of = |[first, end]: [u32; 2]| (end - first).div_ceil(segment_pairs).max(1);
+    let lists = &tile_lists[..bin_count as usize];
+    let segments_of = |[_, length]: [u32; 2]| length.div_ceil(segment_pairs).max(1);
 
     let (mut partial, mut composite) = (0u32, 0u32);
     let mut first_partials = Vec::new();
-    for (bin, &list) in (0u32..).zip(&lists) {
+    for (bin, &list) in (0u32..).zip(lists) {
         let segments = segments_of(list);
         first_partials.push(partial);
         if segments > 1 {
@@ -43,13 +47,13 @@ pub fn plan_segments(
     let longest = lists.iter().map(|&list| segments_of(list)).max().unwrap_or(0);
     let mut wave = 0..1;
     while wave.start < longest {
-        for (bin, &list) in (0u32..).zip(&lists) {
+        for (bin, &list) in (0u32..).zip(lists) {
             for segment in wave.start..wave.end.min(segments_of(list)) {
                 let taken = segment * segment_pairs;
                 // Where there is no room for the partial result, any slot will do: the picture is drawn again.
                 let slot = (first_partials[bin as usize] + segment).min(partials_max.wrapping_sub(1));
                 if let Some(place) = items.get_mut(item as usize) {
-                    let pairs = if segment + 1 < segments_of(list) { segment_pairs } else { list[1] - list[0] - taken };
+                    let pairs = if segment + 1 < segments_of(list) { segment_pairs } else { list[1] - taken };
                     let partial = if segments_of(list) > 1 { slot } else { NO_PARTIAL };
                     *place = Item { bin, first_pair: list[0] + taken, pairs, partial, segment };
                 }
@@ -61,9 +65,11 @@ pub fn plan_segments(
     if bin_count == 0 {
         return;
     }
-    needs.longest = lists.iter().map(|[first, end]| end - first).max().unwrap_or(0);
+    needs.longest = lists.iter().map(|list| list[1]).max().unwrap_or(0);
+    needs.pairs = wanted_pairs(needs);
     (needs.items, needs.partials, needs.composites) = (item, partial, composite);
-    let composite_groups = if partial <= partials_max { composite * COMPOSITE_GROUPS } else { 0 };
-    arguments[Arguments::Blend as usize] = groups_for(item.min(items.len() as u32) as usize);
+    let fits = needs.pairs <= pairs_max;
+    let composite_groups = if fits && partial <= partials_max { composite * COMPOSITE_GROUPS } else { 0 };
+    arguments[Arguments::Blend as usize] = groups_for(if fits { item.min(items.len() as u32) as usize } else { 0 });
     arguments[Arguments::Composite as usize] = groups_for(composite_groups as usize);
 }

@@ -7,30 +7,7 @@ use super::record::Record;
 use super::sh::{Stored, sh_colour};
 use super::shadow::shadow_factor;
 use super::write_record::write_record;
-use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, OrderStep, ShadowRecord, ViewOrder};
-
-/// Where the key of a record stands before the sort: in its slot, or where the camera's order is kept, behind the keys of
-/// all visible splats of lower rank. The kernel finds how many these are from sums over the words, `rank_firsts`.
-fn place_of(
-    camera_index: usize,
-    splat_index: usize,
-    slot: usize,
-    splat_count: usize,
-    firsts: &[u32],
-    view_orders: &[ViewOrder],
-    ranks: &[u32],
-    rank_words: &[u32],
-) -> usize {
-    let order = view_orders[camera_index];
-    if order.path == OrderStep::Sorted as u32 {
-        return slot;
-    }
-    let first_chunk = camera_index * splat_count.div_ceil(CHUNK_SPLATS);
-    let rank = ranks[order.rank_set as usize * splat_count + splat_index] as usize;
-    let first_bit = first_chunk * CHUNK_SPLATS;
-    let lower = (first_bit..first_bit + rank).filter(|bit| rank_words[bit / 32] >> (bit % 32) & 1 == 1).count();
-    firsts[first_chunk] as usize + lower
-}
+use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, NO_KEY_SET, ShadowRecord};
 
 /// What all shadows that may lie on the chunk and that the camera sees leave of a splat's light.
 fn light_left(chunk_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[ShadowRecord], shadow_words: &[u32]) -> f32 {
@@ -40,10 +17,9 @@ fn light_left(chunk_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[Sh
     near.map(|(_, shadow)| shadow_factor(shadow, mean_m)).product()
 }
 
-/// Writes a record, its colour, depth key, place and number of macro tiles for every bit of `visible_words`, the first of each
-/// `[camera][chunk]` at `firsts`, as far as there is room. `instances` holds two 16-bit ids a word, and is `None` where they are
-/// not asked for; with `splat_ids` the splat's index is written instead. Where `ranked`, keys of a camera whose order is kept
-/// stand by rank, and in `unranked_keys` by slot as well if that order is to be repaired.
+/// Writes a record, its colour and depth key for every bit of `visible_words`, the first of each `[camera][chunk]` at `firsts`, as far as
+/// there is room. `instances` holds two 16-bit ids a word, and is `None` where they are not asked for; with `splat_ids` the splat's
+/// index is written instead. With `kept`, cameras that have a key set read their keys from it.
 pub fn project(
     cameras: &[CameraRecord],
     means_m: &[[f32; 3]],
@@ -56,19 +32,15 @@ pub fn project(
     footprints: &mut [[f32; 4]],
     colours: &mut [[f32; 4]],
     keys: &mut [u32],
-    values: &mut [u32],
-    tile_counts: &mut [u32],
-    view_orders: &[ViewOrder],
-    ranks: &[u32],
-    rank_words: &[u32],
-    unranked_keys: &mut [u32],
+    key_sets: &[u32],
+    kept_keys: &[u32],
     shadows: &[ShadowRecord],
     shadow_words: &[u32],
     lenses: &[LensRecord],
     variant: Variant,
     sh_degree: usize,
     radial: bool,
-    ranked: bool,
+    kept: bool,
     splat_ids: bool,
 ) {
     let splat_count = means_m.len();
@@ -94,20 +66,12 @@ pub fn project(
                 };
                 let colour = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree);
                 let colour = light_left(chunk_index, camera_index, means_m[splat_index], shadows, shadow_words) * colour;
-                write_record(slot, camera, &record, colour, footprints, colours, tile_counts);
-                let key = depth_key(scaled_depth(means_m[splat_index], camera, radial));
-                let place = if ranked {
-                    place_of(camera_index, splat_index, slot, splat_count, firsts, view_orders, ranks, rank_words)
+                write_record(slot, &record, colour, footprints, colours);
+                keys[slot] = if kept && key_sets[camera_index] != NO_KEY_SET {
+                    kept_keys[key_sets[camera_index] as usize * splat_count + splat_index]
                 } else {
-                    slot
+                    depth_key(scaled_depth(means_m[splat_index], camera, radial))
                 };
-                if place < records_max {
-                    keys[place] = key;
-                    values[place] = slot as u32;
-                }
-                if ranked && view_orders[camera_index].path == OrderStep::Repaired as u32 {
-                    unranked_keys[slot] = key;
-                }
             }
         }
     }

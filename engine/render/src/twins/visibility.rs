@@ -44,15 +44,3 @@ pub fn splat_reaches(splat: &Footprint, camera: &CameraRecord) -> bool {
         left <= right
     })
 }
-
-/// Macro tiles of `camera` that the splat can reach.
-#[must_use]
-pub fn count_macro_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
-    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
-    (first..=last)
-        .map(|row| {
-            let [left, right] = reached_macro_tiles(splat, row as u32, camera.size_px);
-            (right - left + 1) as u32
-        })
-        .sum()
-}

@@ -3,21 +3,10 @@
 use glam::Vec3;
 
 use super::record::{Record, pack_record_high, pack_record_low};
-use super::visibility::count_macro_tiles;
-use crate::layout::CameraRecord;
 
-/// Writes the record, its colour and its number of macro tiles to `slot`.
-pub fn write_record(
-    slot: usize,
-    camera: &CameraRecord,
-    record: &Record,
-    colour: Vec3,
-    footprints: &mut [[f32; 4]],
-    colours: &mut [[f32; 4]],
-    tile_counts: &mut [u32],
-) {
+/// Writes the record and its colour to `slot`.
+pub fn write_record(slot: usize, record: &Record, colour: Vec3, footprints: &mut [[f32; 4]], colours: &mut [[f32; 4]]) {
     footprints[2 * slot] = pack_record_low(record);
     footprints[2 * slot + 1] = pack_record_high(record);
     colours[slot] = colour.extend(0.0).to_array();
-    tile_counts[slot] = count_macro_tiles(&record.splat, camera);
 }

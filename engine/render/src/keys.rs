@@ -1,0 +1,151 @@
+//! The persistent key buffer: depth keys of the background along the directions that cameras look.
+//!
+//! The depth of a splat is f.p - f.c: along one direction f the keys f.p are the same wherever the camera stands. They are computed
+//! once per direction, for all splats, and read by every frame that looks the same way. Driving straight on computes none.
+
+use decouplegs_gpu::{Buffer, Gpu, Residence};
+use decouplegs_scene::{DepthOrder, Rules};
+
+use crate::RenderError;
+use crate::layout::{CameraRecord, NO_KEY_SET, View};
+use crate::resident::ResidentWorld;
+use crate::stages::PURPOSE;
+
+/// Source of the depth keys of one view's background.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub enum KeySource {
+    /// Computed for the splats that are seen.
+    Computed,
+    /// Computed for all splats, and kept.
+    Found,
+    /// Read from the persistent key buffer.
+    Kept,
+}
+
+/// All that the keys of a static world depend on, to the last bit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Direction {
+    forward: [f32; 3],
+    forward_low: [f32; 3],
+    key_scale: f32,
+}
+
+impl Direction {
+    fn of(camera: &CameraRecord) -> Self {
+        Self { forward: camera.row_z, forward_low: camera.row_z_low, key_scale: camera.key_scale }
+    }
+}
+
+/// Keys along one direction.
+struct KeySet {
+    direction: Direction,
+    last_used: u64,
+}
+
+/// Sources of the depth keys of a frame's views.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyDecision {
+    /// The set of each camera, or [`NO_KEY_SET`].
+    pub sets: Vec<u32>,
+    pub sources: Vec<KeySource>,
+    /// Cameras whose keys are to be found, and the sets that they go to.
+    pub find: Vec<(usize, usize)>,
+}
+
+impl KeyDecision {
+    /// Everything computed.
+    pub fn computed(views: usize) -> Self {
+        Self { sets: vec![NO_KEY_SET; views], sources: vec![KeySource::Computed; views], find: Vec::new() }
+    }
+
+    /// True if some view reads kept keys.
+    pub fn is_kept(&self) -> bool {
+        self.sets.iter().any(|&set| set != NO_KEY_SET)
+    }
+}
+
+/// The persistent key buffer of one world.
+pub(crate) struct PersistentKeys {
+    world: u64,
+    keys: Buffer<u32>,
+    sets: Vec<KeySet>,
+    sets_max: usize,
+    previous: Vec<Direction>,
+    frame: u64,
+}
+
+impl PersistentKeys {
+    /// None kept yet, with no memory taken.
+    pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
+        let keys = gpu.buffer("kept_keys", PURPOSE, 0, Residence::Device)?;
+        Ok(Self { world: 0, keys, sets: Vec::new(), sets_max: 0, previous: Vec::new(), frame: 0 })
+    }
+
+    /// Depth keys, `[set][splat]`.
+    pub fn keys(&self) -> &Buffer<u32> {
+        &self.keys
+    }
+
+    /// Decides for the views of the next frame. Keys that it decides to find are taken as found.
+    pub fn decide(&mut self, gpu: &Gpu, world: &ResidentWorld, view: &View, rules: &Rules) -> Result<KeyDecision, RenderError> {
+        let views = view.cameras.len();
+        let bytes = (world.splats * views * 4) as u64;
+        let possible = bytes > 0 && bytes <= gpu.limits().storage_buffer_bytes_max;
+        if rules.order == DepthOrder::Radial || !possible {
+            return Ok(KeyDecision::computed(views));
+        }
+        self.frame += 1;
+        self.fit(gpu, world, views)?;
+        let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
+        let mut decision = KeyDecision { sets: Vec::new(), sources: Vec::new(), find: Vec::new() };
+        for (camera, direction) in directions.iter().enumerate() {
+            let known = self.sets.iter().position(|set| set.direction == *direction);
+            // A direction that did not change for a frame is worth it: what is found is paid for once and serves many frames.
+            let stands = self.previous.get(camera) == Some(direction);
+            let (set, source) = match known {
+                Some(set) => (Some(set), KeySource::Kept),
+                None if stands => (self.free_set(*direction, &directions), KeySource::Found),
+                None => (None, KeySource::Computed),
+            };
+            if let Some(set) = set {
+                self.sets[set].last_used = self.frame;
+            }
+            if let (Some(set), KeySource::Found) = (set, source) {
+                decision.find.push((camera, set));
+            }
+            decision.sets.push(set.map_or(NO_KEY_SET, |set| set as u32));
+            decision.sources.push(if set.is_some() { source } else { KeySource::Computed });
+        }
+        if !decision.find.is_empty() && self.keys.is_empty() {
+            // Those who draw a single picture have no use for it.
+            self.keys = gpu.buffer("kept_keys", PURPOSE, world.splats * self.sets_max, Residence::Device)?;
+        }
+        self.previous = directions;
+        Ok(decision)
+    }
+
+    /// Sets for as many views. What was kept of another world is forgotten.
+    fn fit(&mut self, gpu: &Gpu, world: &ResidentWorld, views: usize) -> Result<(), RenderError> {
+        if self.world != world.id || self.sets_max < views {
+            self.sets.clear();
+            self.previous.clear();
+            self.keys = gpu.buffer("kept_keys", PURPOSE, 0, Residence::Device)?;
+            (self.world, self.sets_max) = (world.id, views);
+        }
+        Ok(())
+    }
+
+    /// The set for the keys along `direction`: a new one, or the one whose last use is longest ago, of those that no view of this
+    /// frame looks along.
+    fn free_set(&mut self, direction: Direction, wanted: &[Direction]) -> Option<usize> {
+        let set = KeySet { direction, last_used: self.frame };
+        if self.sets.len() < self.sets_max {
+            self.sets.push(set);
+            return Some(self.sets.len() - 1);
+        }
+        let free = |&i: &usize| !wanted.contains(&self.sets[i].direction);
+        let oldest = (0..self.sets.len()).filter(free).min_by_key(|&i| self.sets[i].last_used)?;
+        self.sets[oldest] = set;
+        Some(oldest)
+    }
+}

@@ -1,0 +1,55 @@
+//! Depth keys of the whole background along one camera's direction, for the persistent key buffer.
+
+use bytemuck::bytes_of;
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
+
+use super::{kernel, push_constants};
+use crate::capacity::groups_for;
+use crate::layout::CameraRecord;
+use crate::resident::ResidentWorld;
+
+/// Depth keys that projection reads instead of computing them.
+#[derive(Clone, Copy)]
+pub struct KeptKeys<'a> {
+    /// The set of each camera, or [`crate::layout::NO_KEY_SET`].
+    pub sets: &'a Buffer<u32>,
+    /// `[set][splat]`.
+    pub keys: &'a Buffer<u32>,
+}
+
+push_constants! {
+    struct Push {
+        splat_count: u32,
+        camera: u32,
+        key_set: u32,
+    }
+}
+
+/// `key_splats.comp`.
+pub struct KeySplats {
+    kernel: Kernel,
+}
+
+impl KeySplats {
+    /// The stage.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::KEY_SPLATS, &[])? })
+    }
+
+    /// Writes the depth keys of all splats of `world` along the direction of camera `camera` as set `set` of `keys`.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        world: &ResidentWorld,
+        cameras: &Buffer<CameraRecord>,
+        (camera, set): (usize, usize),
+        keys: &Buffer<u32>,
+    ) {
+        let push = Push { splat_count: world.splats as u32, camera: camera as u32, key_set: set as u32 };
+        let bound = [("cameras", cameras.binding()), ("means_m", world.means.binding()), ("kept_keys", keys.binding())];
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(world.splats.div_ceil(256)));
+    }
+}

@@ -1,0 +1,115 @@
+//! Sorted lists of macro tiles: from records in any order to one front-to-back list per macro tile.
+//!
+//! A radix sort by the most significant digits, macro tile and depth slab, which counts ([`BinPairs`]), plans ([`PlanBuckets`]) and
+//! fills; then each bucket, a run of slabs, is sorted by the rest of its digits in shared memory ([`SortBuckets`]). All that lies
+//! between is in [`TileSortBuffers`]. Who replaces the sort needs to read this folder only.
+
+mod bin_pairs;
+mod plan_buckets;
+mod plan_lists;
+mod sort_buckets;
+
+pub use bin_pairs::{BinPairs, BinPass};
+pub use plan_buckets::PlanBuckets;
+pub use plan_lists::PlanLists;
+pub use sort_buckets::SortBuckets;
+
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Recorder, Residence};
+use decouplegs_scene::{DepthOrder, Rules};
+
+use super::{Control, PURPOSE, Projected};
+use crate::capacity::Capacity;
+use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
+
+/// Lists and scratch of the sort.
+pub struct TileSortBuffers {
+    /// Where the records of each camera begin.
+    pub lists: Buffer<ViewLists>,
+    /// Pairs of each `[macro tile][depth slab]`; zero before the frame. From the plan on, the next place in the pair buffer.
+    pub slab_counts: Buffer<u32>,
+    /// First place and length of each macro tile's list.
+    pub tile_lists: Buffer<[u32; 2]>,
+    /// Runs of pairs that are sorted one by one.
+    pub buckets: Buffer<Bucket>,
+    /// Depth key of each pair.
+    pub pair_keys: Buffer<u32>,
+    /// Record of each pair.
+    pub pair_records: Buffer<u32>,
+    /// The result: records, front to back in each macro tile's list.
+    pub sorted_records: Buffer<u32>,
+}
+
+impl TileSortBuffers {
+    /// Buffers for as many pairs as `capacity` says in `bins` macro tiles.
+    ///
+    /// # Errors
+    /// When the device is out of memory.
+    pub fn new(gpu: &Gpu, capacity: &Capacity, bins: u32) -> Result<Self, GpuError> {
+        let (device, bin_count) = (Residence::Device, bins as usize);
+        Ok(Self {
+            lists: gpu.buffer("view_lists", PURPOSE, crate::layout::CAMERAS_MAX, device)?,
+            slab_counts: gpu.buffer("slab_counts", PURPOSE, bin_count * SLABS, device)?,
+            tile_lists: gpu.buffer("tile_lists", PURPOSE, bin_count, device)?,
+            buckets: gpu.buffer("buckets", PURPOSE, capacity.pairs / BUCKET_PAIRS + bin_count, device)?,
+            pair_keys: gpu.buffer("pair_keys", PURPOSE, capacity.pairs, device)?,
+            pair_records: gpu.buffer("pair_records", PURPOSE, capacity.pairs, device)?,
+            sorted_records: gpu.buffer("sorted_records", PURPOSE, capacity.pairs, device)?,
+        })
+    }
+}
+
+/// Records to be sorted.
+#[derive(Clone, Copy)]
+pub struct Records<'a> {
+    /// The frame's cameras.
+    pub cameras: &'a Buffer<CameraRecord>,
+    /// How many there are.
+    pub camera_count: usize,
+    /// Their footprints and depth keys.
+    pub projected: &'a Projected,
+    /// Records of the background before each `[camera][chunk]`, and their total.
+    pub static_firsts: &'a Buffer<u32>,
+    /// Chunks of the background.
+    pub static_chunks: usize,
+    /// The same of agents.
+    pub moving_firsts: &'a Buffer<u32>,
+    /// Chunks of agents.
+    pub moving_chunks: usize,
+}
+
+/// The stages of the sort.
+pub struct TileSort {
+    plan_lists: PlanLists,
+    count: BinPairs,
+    plan_buckets: PlanBuckets,
+    fill: BinPairs,
+    sort: SortBuckets,
+}
+
+impl TileSort {
+    /// The stages for depth keys as `rules` define them.
+    ///
+    /// # Errors
+    /// When the driver refuses a kernel.
+    pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
+        let radial = rules.order == DepthOrder::Radial;
+        Ok(Self {
+            plan_lists: PlanLists::new(gpu)?,
+            count: BinPairs::new(gpu, BinPass::Count, radial)?,
+            plan_buckets: PlanBuckets::new(gpu)?,
+            fill: BinPairs::new(gpu, BinPass::Fill, radial)?,
+            sort: SortBuckets::new(gpu, radial)?,
+        })
+    }
+
+    /// Writes the sorted lists of `bins` macro tiles to `buffers`.
+    pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers, bins: u32) {
+        recorder.stage("bin", |r| {
+            self.plan_lists.record(r, control, records, buffers);
+            self.count.record(r, control, records, buffers);
+            self.plan_buckets.record(r, control, buffers, bins);
+            self.fill.record(r, control, records, buffers);
+        });
+        recorder.stage("sort", |r| self.sort.record(r, control, records, buffers));
+    }
+}

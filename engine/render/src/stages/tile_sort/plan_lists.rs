@@ -1,0 +1,49 @@
+//! Where the records of each camera begin.
+
+use bytemuck::bytes_of;
+use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
+
+use super::{Records, TileSortBuffers};
+use crate::stages::{Control, kernel, push_constants};
+
+push_constants! {
+    struct Push {
+        camera_count: u32,
+        static_chunks: u32,
+        moving_chunks: u32,
+        records_max: u32,
+    }
+}
+
+/// `plan_lists.comp`.
+pub struct PlanLists {
+    kernel: Kernel,
+}
+
+impl PlanLists {
+    /// The stage.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_LISTS, &[])? })
+    }
+
+    /// Writes the lists of `records`, how many records there are, and the dispatch that bins them.
+    pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers) {
+        let push = Push {
+            camera_count: records.camera_count as u32,
+            static_chunks: records.static_chunks as u32,
+            moving_chunks: records.moving_chunks as u32,
+            records_max: records.projected.colours.len() as u32,
+        };
+        let bound = [
+            ("static_firsts", records.static_firsts.binding()),
+            ("moving_firsts", records.moving_firsts.binding()),
+            ("lists", buffers.lists.binding()),
+            ("needs", control.needs.binding()),
+            ("arguments", control.arguments.binding()),
+        ];
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), [1, 1, 1]);
+    }
+}

@@ -1,0 +1,47 @@
+//! Buckets of pairs, each sorted by depth key and record.
+
+use bytemuck::bytes_of;
+use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
+
+use super::{Records, TileSortBuffers};
+use crate::capacity::groups_for;
+use crate::stages::{Control, kernel, push_constants};
+
+push_constants! {
+    struct Push {
+        pairs_max: u32,
+        camera_count: u32,
+    }
+}
+
+/// `sort_buckets.comp`.
+pub struct SortBuckets {
+    kernel: Kernel,
+}
+
+impl SortBuckets {
+    /// The stage; `radial` where keys are of distances.
+    ///
+    /// # Errors
+    /// When the driver refuses the kernel.
+    pub fn new(gpu: &Gpu, radial: bool) -> Result<Self, GpuError> {
+        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::SORT_BUCKETS, &[("RADIAL", Constant::Bool(radial))])? })
+    }
+
+    /// Writes the sorted records. Their own depth keys are overwritten: the pairs have copies.
+    pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers) {
+        let push = Push { pairs_max: buffers.sorted_records.len() as u32, camera_count: records.camera_count as u32 };
+        let bound = [
+            ("needs", control.needs.binding()),
+            ("buckets", buffers.buckets.binding()),
+            ("pair_keys", buffers.pair_keys.binding()),
+            ("pair_records", buffers.pair_records.binding()),
+            ("other_keys", records.projected.keys.binding()),
+            ("sorted_records", buffers.sorted_records.binding()),
+            ("cameras", records.cameras.binding()),
+            ("slab_ends", buffers.slab_counts.binding()),
+        ];
+        // As many workgroups as there may be buckets: one that finds none ends at once.
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(buffers.buckets.len()));
+    }
+}

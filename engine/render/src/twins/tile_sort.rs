@@ -1,0 +1,70 @@
+//! Tile binning and the plan of its buckets: `bin_pairs.comp`, `plan_buckets.comp` and `depth_slab.glsl`.
+
+use super::depth_key::depth_of_key;
+use super::footprint::{reached_macro_rows, reached_macro_tiles};
+use super::record::load_footprint;
+use crate::layout::{BUCKET_PAIRS, CameraRecord, SLABS, ViewLists};
+
+/// Nearest depth that has a slab of its own, metres.
+const SLAB_FIRST_M: f32 = 0.0625;
+const SLAB_SHIFT: u32 = 17;
+
+/// The depth slab of a key, where the camera has the depth `camera_depth`, scaled as keys are by `key_scale`.
+#[must_use]
+pub fn depth_slab(key: u32, camera_depth: f32, key_scale: f32) -> usize {
+    let (distance, first) = (depth_of_key(key) - camera_depth, SLAB_FIRST_M * key_scale);
+    let slab = (distance.max(first).to_bits() >> SLAB_SHIFT) - (first.to_bits() >> SLAB_SHIFT);
+    (slab as usize).min(SLABS - 1)
+}
+
+/// The camera of a record: records of the background lie by camera, and behind them those of the agents.
+fn camera_of(record: u32, lists: &[ViewLists], camera_count: usize) -> usize {
+    let moving = record >= lists[0].first_moving;
+    let first = |camera: usize| if moving { lists[camera].first_moving } else { lists[camera].first_static };
+    (1..camera_count).fold(0, |camera, next| if first(next) <= record { next } else { camera })
+}
+
+/// Depth keys and records of all pairs, by `[macro tile][depth slab]`, in the order of records.
+#[must_use]
+pub fn bin_pairs(
+    cameras: &[CameraRecord],
+    lists: &[ViewLists],
+    keys: &[u32],
+    footprints: &[[f32; 4]],
+    radial: bool,
+) -> Vec<Vec<[u32; 2]>> {
+    let bins: u32 = cameras.iter().map(CameraRecord::bins).sum();
+    let mut pairs = vec![Vec::new(); bins as usize * SLABS];
+    for (record, &key) in (0u32..).zip(keys) {
+        let camera = &cameras[camera_of(record, lists, cameras.len())];
+        let splat = load_footprint(footprints, record as usize);
+        let slab = depth_slab(key, if radial { 0.0 } else { camera.key_depth }, camera.key_scale);
+        let [first_row, last_row] = reached_macro_rows(&splat, camera.size_px[1]);
+        for row in first_row..=last_row {
+            let [left, right] = reached_macro_tiles(&splat, row as u32, camera.size_px);
+            for tile in left..=right {
+                let bin = camera.first_bin + row as u32 * camera.macro_tiles[0] + tile as u32;
+                pairs[bin as usize * SLABS + slab].push([key, record]);
+            }
+        }
+    }
+    pairs
+}
+
+/// Lengths of the buckets of one macro tile, whose slabs have `slab_counts` pairs.
+#[must_use]
+pub fn plan_buckets(slab_counts: &[u32]) -> Vec<u32> {
+    let (mut buckets, mut place, mut begin) = (Vec::new(), 0u32, 0u32);
+    for &count in slab_counts {
+        let end = place + count;
+        if place / BUCKET_PAIRS as u32 != end / BUCKET_PAIRS as u32 {
+            buckets.push(end - begin);
+            begin = end;
+        }
+        place = end;
+    }
+    if place > begin {
+        buckets.push(place - begin);
+    }
+    buckets
+}

@@ -1,0 +1,87 @@
+#version 460
+// Gives each macro tile a stretch of the pair buffer and cuts it into buckets, which are sorted one by one.
+//
+// One workgroup per macro tile. Where a tile's stretch lies depends on who came first; what stands in it does not. A bucket is a run
+// of neighbouring depth slabs, and ends with the slab in which a multiple of BUCKET_PAIRS is reached: it has fewer pairs than
+// BUCKET_PAIRS and its last slab together.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "frame.glsl"
+#include "double_float.glsl"
+#include "depth_key.glsl"
+#include "depth_slab.glsl"
+
+const uint WORKGROUP_THREADS = 256u;
+layout(local_size_x = 256) in;
+#include "block.glsl"
+
+layout(set = 0, binding = 0, scalar) buffer needs_block { Needs needs; };
+layout(set = 0, binding = 1, scalar) buffer slab_counts_block { uint slab_counts[]; }; // pairs, then the first place
+layout(set = 0, binding = 2, scalar) writeonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
+layout(set = 0, binding = 3, scalar) writeonly buffer buckets_block { Bucket buckets[]; };
+
+layout(push_constant, scalar) uniform push_block { uint bin_count; uint buckets_max; };
+
+const uint SLABS_PER_THREAD = SLABS / WORKGROUP_THREADS;
+
+shared uint ends[SLABS]; // of the buckets, relative to the tile's first place
+shared uint first_place;
+shared uint first_bucket;
+
+void main() {
+    uint bin = group_index();
+    if (bin >= bin_count) {
+        return;
+    }
+    uint thread = block_thread();
+    uint first_count = bin * SLABS + thread * SLABS_PER_THREAD;
+    uint counts[SLABS_PER_THREAD];
+    uint own = 0u;
+    for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
+        counts[slab] = slab_counts[first_count + slab];
+        own += counts[slab];
+    }
+    uint total;
+    uint before = block_exclusive_sum(own, total);
+    uint own_ends = 0u;
+    uint place = before;
+    for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
+        own_ends += place / BUCKET_PAIRS != (place + counts[slab]) / BUCKET_PAIRS ? 1u : 0u;
+        place += counts[slab];
+    }
+    uint end_total;
+    uint end_index = block_exclusive_sum(own_ends, end_total);
+    place = before;
+    for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
+        uint end = place + counts[slab];
+        if (place / BUCKET_PAIRS != end / BUCKET_PAIRS) {
+            ends[end_index++] = end;
+        }
+        place = end;
+    }
+    barrier();
+    bool rest = total > (end_total == 0u ? 0u : ends[end_total - 1u]);
+    uint bucket_count = end_total + (rest ? 1u : 0u);
+    if (thread == 0u) {
+        first_place = atomicAdd(needs.pairs, total);
+        atomicAdd(needs.pairs_low, total & 0xffffu);
+        atomicAdd(needs.pairs_high, total >> 16u);
+        first_bucket = atomicAdd(needs.buckets, bucket_count);
+        tile_lists[bin] = uvec2(first_place, total);
+    }
+    barrier();
+    for (uint bucket = thread; bucket < bucket_count; bucket += WORKGROUP_THREADS) {
+        uint begin = bucket == 0u ? 0u : ends[bucket - 1u];
+        uint end = bucket < end_total ? ends[bucket] : total;
+        if (first_bucket + bucket < buckets_max) {
+            buckets[first_bucket + bucket] = Bucket(first_place + begin, end - begin, bin);
+        }
+    }
+    place = first_place + before;
+    for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
+        slab_counts[first_count + slab] = place;
+        place += counts[slab];
+    }
+}

@@ -1,0 +1,299 @@
+#version 460
+// Sorts buckets of pairs front to back: by depth key, and by record where keys are equal.
+//
+// One workgroup per bucket. What fits shared memory is distributed there over as many bins as there are pairs, each depth slab over as
+// many as it has itself, and every pair counts those of its bin that stand before it: a handful. Where many share a bin, a bitonic
+// sort takes over (Batcher, Sorting Networks and Their Applications, 1968). Longer buckets hold many splats of almost one depth in
+// one macro tile: a radix sort by four bits per pass moves them between two pairs of buffers, and skips the digits in which all
+// are equal.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "frame.glsl"
+#include "double_float.glsl"
+#include "depth_key.glsl"
+#include "depth_slab.glsl"
+
+const uint WORKGROUP_THREADS = 256u;
+layout(local_size_x = 256) in;
+#include "block.glsl"
+
+layout(set = 0, binding = 0, scalar) readonly buffer needs_block { Needs needs; };
+layout(set = 0, binding = 1, scalar) readonly buffer buckets_block { Bucket buckets[]; };
+layout(set = 0, binding = 2, scalar) coherent buffer pair_keys_block { uint pair_keys[]; };
+layout(set = 0, binding = 3, scalar) coherent buffer pair_records_block { uint pair_records[]; };
+layout(set = 0, binding = 4, scalar) coherent buffer other_keys_block { uint other_keys[]; };    // for the radix sort
+layout(set = 0, binding = 5, scalar) coherent buffer sorted_records_block { uint sorted_records[]; }; // the result
+
+layout(set = 0, binding = 6, scalar) readonly buffer cameras_block { Camera cameras[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer slab_counts_block { uint slab_ends[]; }; // [macro tile][slab]
+
+#include "camera_of_bin.glsl"
+
+layout(constant_id = 0) const bool RADIAL = false; // keys are of distances instead of depths
+
+layout(push_constant, scalar) uniform push_block { uint pairs_max; uint camera_count; };
+
+const uint SHARED_PAIRS = 2048u; // a power of two
+shared uint shared_keys[SHARED_PAIRS];
+shared uint shared_records[SHARED_PAIRS];
+shared uint bins[SHARED_PAIRS]; // pairs of each bin, then where it ends
+shared uint longest_bin;
+shared uint differing_keys;
+shared uint differing_records;
+
+bool stands_before(uint key, uint record, uint other_key, uint other_record) {
+    return key < other_key || (key == other_key && record < other_record);
+}
+
+// Pairs of a bin above which comparing all with all takes longer than the bitonic sort.
+const uint BIN_PAIRS_MAX = 128u;
+
+// The bin of a key in its bucket: a slab's pairs are spread over as many bins, by their place in the slab.
+uint bin_of(uint key, Bucket bucket, float camera_depth, float key_scale) {
+    uvec2 slab = slab_and_place(key, camera_depth, key_scale);
+    uint at = bucket.bin * SLABS + slab.x;
+    uint begin = slab.x == 0u ? bucket.first_pair : slab_ends[at - 1u];
+    uint count = slab_ends[at] - begin; // at most SHARED_PAIRS: the product fits 32 bits
+    return begin - bucket.first_pair + (slab.y * count >> SLAB_SHIFT);
+}
+
+// Sums the bins' counts up, so that each bin holds where it begins, and finds the longest.
+void sum_bins(uint count, uint thread) {
+    uint run = (count + WORKGROUP_THREADS - 1u) / WORKGROUP_THREADS;
+    uint begin = min(thread * run, count);
+    uint end = min(begin + run, count);
+    uint own = 0u;
+    uint longest = 0u;
+    for (uint bin = begin; bin < end; ++bin) {
+        own += bins[bin];
+        longest = max(longest, bins[bin]);
+    }
+    atomicMax(longest_bin, longest);
+    uint total;
+    uint sum = block_exclusive_sum(own, total);
+    for (uint bin = begin; bin < end; ++bin) {
+        uint counted = bins[bin];
+        bins[bin] = sum;
+        sum += counted;
+    }
+    barrier();
+}
+
+// Sorts the pairs in shared memory, of which there are as many as the power of two `size`.
+void sort_bitonic(uint size, uint thread) {
+    for (uint run = 2u; run <= size; run *= 2u) {
+        for (uint apart = run / 2u; apart > 0u; apart /= 2u) {
+            barrier();
+            for (uint pair = thread; pair < size / 2u; pair += WORKGROUP_THREADS) {
+                uint low = pair / apart * 2u * apart + pair % apart;
+                uint high = low + apart;
+                bool rising = (low & run) == 0u;
+                uint low_key = shared_keys[low], high_key = shared_keys[high];
+                uint low_record = shared_records[low], high_record = shared_records[high];
+                if (stands_before(high_key, high_record, low_key, low_record) == rising) {
+                    shared_keys[low] = high_key;
+                    shared_keys[high] = low_key;
+                    shared_records[low] = high_record;
+                    shared_records[high] = low_record;
+                }
+            }
+        }
+    }
+    barrier();
+}
+
+void sort_in_shared_memory(Bucket bucket, uint thread) {
+    uint first = bucket.first_pair;
+    uint count = bucket.pairs;
+    Camera camera = cameras[camera_of_bin(bucket.bin, camera_count)];
+    float camera_depth = RADIAL ? 0.0 : camera.key_depth;
+    for (uint bin = thread; bin < count; bin += WORKGROUP_THREADS) {
+        bins[bin] = 0u;
+    }
+    if (thread == 0u) {
+        longest_bin = 0u;
+    }
+    barrier();
+    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+        atomicAdd(bins[bin_of(pair_keys[first + place], bucket, camera_depth, camera.key_scale)], 1u);
+    }
+    barrier();
+    sum_bins(count, thread);
+    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+        uint key = pair_keys[first + place];
+        uint target = atomicAdd(bins[bin_of(key, bucket, camera_depth, camera.key_scale)], 1u);
+        shared_keys[target] = key;
+        shared_records[target] = pair_records[first + place];
+    }
+    barrier();
+    if (longest_bin > BIN_PAIRS_MAX) {
+        uint size = 1u;
+        while (size < count) {
+            size *= 2u;
+        }
+        for (uint place = count + thread; place < size; place += WORKGROUP_THREADS) {
+            shared_keys[place] = 0xffffffffu;
+            shared_records[place] = 0xffffffffu;
+        }
+        sort_bitonic(size, thread);
+        for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+            sorted_records[first + place] = shared_records[place];
+        }
+        return;
+    }
+    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+        uint key = shared_keys[place];
+        uint record = shared_records[place];
+        uint bin = bin_of(key, bucket, camera_depth, camera.key_scale);
+        uint begin = bin == 0u ? 0u : bins[bin - 1u];
+        uint rank = begin;
+        for (uint other = begin; other < bins[bin]; ++other) {
+            uint other_key = shared_keys[other];
+            rank += other_key < key || (other_key == key && shared_records[other] < record) ? 1u : 0u;
+        }
+        sorted_records[first + rank] = record;
+    }
+}
+
+const uint DIGIT_BITS = 4u;
+const uint DIGITS = 1u << DIGIT_BITS;
+
+// Entries that a thread moves per round of its loops. Software drivers end all loops of a thread after 65,535 rounds in total.
+const uint MOVED = 8u;
+
+uint key_at(bool there, uint place) {
+    return there ? other_keys[place] : pair_keys[place];
+}
+
+uint record_at(bool there, uint place) {
+    return there ? sorted_records[place] : pair_records[place];
+}
+
+uint digit_of(uint key, uint record, uint shift, bool by_key) {
+    return (by_key ? key : record) >> shift & (DIGITS - 1u);
+}
+
+// One stable pass of the radix sort, from one pair of buffers to the other. Each thread has a run of the bucket.
+void pass_over_memory(uint first, uint count, uint thread, bool there, uint shift, bool by_key) {
+    uint run = (count + WORKGROUP_THREADS - 1u) / WORKGROUP_THREADS;
+    uint begin = min(thread * run, count);
+    uint end = min(begin + run, count);
+    // Counts by digit and thread lie in shared_keys and shared_records, which are 4,096 words together.
+    for (uint digit = 0u; digit < DIGITS; ++digit) {
+        uint at = digit * WORKGROUP_THREADS + thread;
+        if (at < SHARED_PAIRS) {
+            shared_keys[at] = 0u;
+        } else {
+            shared_records[at - SHARED_PAIRS] = 0u;
+        }
+    }
+    for (uint place = begin; place < end; place += MOVED) {
+        [[unroll]] for (uint next = place; next < place + MOVED; ++next) {
+            if (next < end) {
+                uint at = digit_of(key_at(there, first + next), record_at(there, first + next), shift, by_key) * WORKGROUP_THREADS + thread;
+                if (at < SHARED_PAIRS) {
+                    ++shared_keys[at];
+                } else {
+                    ++shared_records[at - SHARED_PAIRS];
+                }
+            }
+        }
+    }
+    barrier();
+    // Each thread sums a run of sixteen counts, which lie by digit and then by thread.
+    uint first_count = thread * DIGITS;
+    uint own = 0u;
+    for (uint next = first_count; next < first_count + DIGITS; ++next) {
+        own += next < SHARED_PAIRS ? shared_keys[next] : shared_records[next - SHARED_PAIRS];
+    }
+    uint total;
+    uint sum = block_exclusive_sum(own, total);
+    barrier();
+    for (uint next = first_count; next < first_count + DIGITS; ++next) {
+        uint counted;
+        if (next < SHARED_PAIRS) {
+            counted = shared_keys[next];
+            shared_keys[next] = sum;
+        } else {
+            counted = shared_records[next - SHARED_PAIRS];
+            shared_records[next - SHARED_PAIRS] = sum;
+        }
+        sum += counted;
+    }
+    barrier();
+    for (uint place = begin; place < end; place += MOVED) {
+        [[unroll]] for (uint next = place; next < place + MOVED; ++next) {
+            if (next < end) {
+                uint key = key_at(there, first + next);
+                uint record = record_at(there, first + next);
+                uint at = digit_of(key, record, shift, by_key) * WORKGROUP_THREADS + thread;
+                uint target = first + (at < SHARED_PAIRS ? shared_keys[at]++ : shared_records[at - SHARED_PAIRS]++);
+                if (there) {
+                    pair_keys[target] = key;
+                    pair_records[target] = record;
+                } else {
+                    other_keys[target] = key;
+                    sorted_records[target] = record;
+                }
+            }
+        }
+    }
+    memoryBarrierBuffer();
+    barrier();
+}
+
+void sort_in_memory(uint first, uint count, uint thread) {
+    if (thread == 0u) {
+        differing_keys = 0u;
+        differing_records = 0u;
+    }
+    barrier();
+    uint keys_differ = 0u;
+    uint records_differ = 0u;
+    for (uint place = thread; place < count; place += MOVED * WORKGROUP_THREADS) {
+        [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
+            uint at = first + min(place + next * WORKGROUP_THREADS, count - 1u);
+            keys_differ |= pair_keys[at] ^ pair_keys[first];
+            records_differ |= pair_records[at] ^ pair_records[first];
+        }
+    }
+    atomicOr(differing_keys, keys_differ);
+    atomicOr(differing_records, records_differ);
+    barrier();
+    bool there = false; // in the other buffers
+    for (uint pass = 0u; pass < 64u / DIGIT_BITS; ++pass) {
+        bool by_key = pass >= 32u / DIGIT_BITS;
+        uint shift = pass % (32u / DIGIT_BITS) * DIGIT_BITS;
+        if ((digit_of(differing_keys, differing_records, shift, by_key)) != 0u) {
+            pass_over_memory(first, count, thread, there, shift, by_key);
+            there = !there;
+        }
+    }
+    if (!there) {
+        for (uint place = thread; place < count; place += MOVED * WORKGROUP_THREADS) {
+            [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
+                uint at = place + next * WORKGROUP_THREADS;
+                if (at < count) {
+                    sorted_records[first + at] = pair_records[first + at];
+                }
+            }
+        }
+    }
+}
+
+void main() {
+    uint bucket_index = group_index();
+    if (bucket_index >= needs.buckets || wanted_pairs(needs) > pairs_max) {
+        return;
+    }
+    Bucket bucket = buckets[bucket_index];
+    uint thread = block_thread();
+    if (bucket.pairs <= SHARED_PAIRS) {
+        sort_in_shared_memory(bucket, thread);
+    } else {
+        sort_in_memory(bucket.first_pair, bucket.pairs, thread);
+    }
+}

@@ -1,0 +1,284 @@
+//! `plan_lists.comp`, `bin_pairs.comp`, `plan_buckets.comp` and `sort_buckets.comp`: from records to sorted lists of macro tiles.
+
+use decouplegs::gpu::Buffer;
+use decouplegs::render::Capacity;
+use decouplegs::render::layout::{BUCKET_PAIRS, Bucket, CameraRecord, Needs, PAIR_BLOCK, SLABS, View};
+use decouplegs::render::stages::{Arguments, Plan, PlanBuckets, PlanSegments, Projected, Records, TileSort, TileSortBuffers};
+use decouplegs::render::twins;
+use decouplegs::render::twins::depth_key::{depth_key, depth_of_key};
+use decouplegs::render::twins::record::load_footprint;
+use decouplegs::scene::{DepthOrder, Rules};
+use glam::DVec3;
+
+use super::project::PLAIN;
+use super::scenes::{Scene, hard_world, rig, settled_tile_count};
+use super::{Random, UNTOUCHED, control, found, identical, open, run, upload};
+use crate::device::Validated;
+use crate::frames::camera_at;
+
+/// Records of a rig: those of the background by camera, and those of agents by camera behind them.
+struct Case {
+    cameras: Vec<CameraRecord>,
+    camera_buffer: Buffer<CameraRecord>,
+    footprints: Vec<[f32; 4]>,
+    keys: Vec<u32>,
+    /// First record of each camera in its half, and the number of all in it.
+    static_firsts: Vec<u32>,
+    moving_firsts: Vec<u32>,
+    rules: Rules,
+}
+
+/// Lists as they were sorted, by macro tile, and the lengths of its buckets in their order.
+#[derive(Clone, Debug, PartialEq)]
+struct Sorted {
+    records: Vec<Vec<u32>>,
+    buckets: Vec<Vec<u32>>,
+}
+
+impl Case {
+    /// Hard splats whose macro tiles do not depend on rounding. Agents are the background once more, so that all keys are tied.
+    fn hard(gpu: &Validated, splats: usize, rules: Rules) -> Self {
+        let scene = Scene::new(gpu, &hard_world(splats, 41), &rig());
+        let listed = scene.listed(&rules);
+        let all = scene.projected(&listed, &rules, PLAIN, listed.records.len());
+        let mut case = Self {
+            cameras: scene.view.cameras.clone(),
+            camera_buffer: scene.camera_buffer.clone(),
+            footprints: Vec::new(),
+            keys: Vec::new(),
+            static_firsts: vec![0],
+            moving_firsts: vec![0],
+            rules,
+        };
+        for camera in 0..case.cameras.len() {
+            for record in (0..listed.records.len()).filter(|&record| listed.records[record].0 == camera) {
+                if settled_tile_count(&load_footprint(&all.footprints, record), &case.cameras[camera]).is_some() {
+                    case.footprints.extend([all.footprints[2 * record], all.footprints[2 * record + 1]]);
+                    case.keys.push(all.keys[record]);
+                }
+            }
+            case.static_firsts.push(case.keys.len() as u32);
+        }
+        assert!(case.keys.len() * 20 >= listed.records.len() * 19, "rounding decides too many of the records");
+        case.footprints.extend_from_within(..);
+        case.keys.extend_from_within(..);
+        case.moving_firsts = case.static_firsts.clone();
+        case
+    }
+
+    /// Records that all lie in the one macro tile of one camera.
+    fn pile(gpu: &Validated, keys: Vec<u32>) -> Self {
+        let view = View::new(&[camera_at(DVec3::ZERO, 64, 32)], DVec3::ZERO, 100.0).unwrap();
+        let footprint = [[32.0, 16.0, 0.0, 0.5], [0.5, -0.1, 1.0, 0.0]];
+        Self {
+            camera_buffer: upload(gpu, &view.cameras),
+            cameras: view.cameras,
+            footprints: footprint.repeat(keys.len()),
+            static_firsts: vec![0, keys.len() as u32],
+            moving_firsts: vec![0],
+            keys,
+            rules: Rules::DEFAULT,
+        }
+    }
+
+    fn bins(&self) -> u32 {
+        self.cameras.iter().map(CameraRecord::bins).sum()
+    }
+
+    fn twin(&self) -> Sorted {
+        let statics = *self.static_firsts.last().unwrap();
+        let lists: Vec<_> = (0..self.cameras.len())
+            .map(|camera| decouplegs::render::layout::ViewLists {
+                first_static: self.static_firsts[camera],
+                first_moving: statics + self.moving_firsts.get(camera).unwrap_or(&0),
+            })
+            .collect();
+        let radial = self.rules.order == DepthOrder::Radial;
+        let slabs = twins::bin_pairs(&self.cameras, &lists, &self.keys, &self.footprints, radial);
+        let sorted = |tile: &[Vec<[u32; 2]>]| {
+            let mut pairs = tile.concat();
+            pairs.sort_unstable();
+            pairs.into_iter().map(|[_, record]| record).collect()
+        };
+        let lengths =
+            |tile: &[Vec<[u32; 2]>]| twins::plan_buckets(&tile.iter().map(|slab| slab.len() as u32).collect::<Vec<_>>());
+        Sorted { records: slabs.chunks(SLABS).map(sorted).collect(), buckets: slabs.chunks(SLABS).map(lengths).collect() }
+    }
+
+    /// What the kernels make of it with room for `pairs_max`, and what they counted; `None` where it has no room.
+    fn kernel(&self, gpu: &Validated, pairs_max: usize) -> Result<(Option<Sorted>, Needs), String> {
+        let bins = self.bins();
+        let control = control(gpu, Needs::default(), &[]);
+        let projected = Projected::new(gpu, self.keys.len(), pairs_max).unwrap();
+        gpu.write(&projected.footprints, 0, &self.footprints).unwrap();
+        gpu.write(&projected.keys, 0, &self.keys).unwrap();
+        let capacity = Capacity { records: self.keys.len(), pairs: pairs_max, partials: 1 };
+        let buffers = TileSortBuffers::new(gpu, &capacity, bins).unwrap();
+        gpu.write(&buffers.slab_counts, 0, &vec![0; bins as usize * SLABS]).unwrap();
+        gpu.write(&buffers.sorted_records, 0, &vec![UNTOUCHED; pairs_max]).unwrap();
+        let (static_firsts, moving_firsts) = (upload(gpu, &self.static_firsts), upload(gpu, &self.moving_firsts));
+        let records = Records {
+            cameras: &self.camera_buffer,
+            camera_count: self.cameras.len(),
+            projected: &projected,
+            static_firsts: &static_firsts,
+            static_chunks: 1,
+            moving_firsts: &moving_firsts,
+            moving_chunks: usize::from(self.moving_firsts.len() > 1),
+        };
+        let sort = TileSort::new(gpu, &self.rules).unwrap();
+        run(gpu, |r| sort.record(r, &control, records, &buffers, bins));
+        let (needs, _) = found(gpu, &control);
+        if needs.records as usize != self.keys.len() {
+            return Err(format!("{} records instead of {}", needs.records, self.keys.len()));
+        }
+        let all = gpu.read(&buffers.sorted_records).unwrap();
+        if needs.pairs as usize > pairs_max {
+            identical("records without room", &all, &vec![UNTOUCHED; pairs_max])?;
+            return Ok((None, needs));
+        }
+        let tile_lists = gpu.read(&buffers.tile_lists).unwrap();
+        let records = tile_lists.iter().map(|&[first, length]| all[first as usize..(first + length) as usize].to_vec()).collect();
+        let mut buckets: Vec<Bucket> = gpu.read(&buffers.buckets).unwrap()[..needs.buckets as usize].to_vec();
+        buckets.sort_unstable();
+        let of_tile = |bin: usize| {
+            let own = buckets.iter().filter(|bucket| bucket.bin as usize == bin);
+            let mut end = tile_lists[bin][0];
+            own.map(|bucket| {
+                assert_eq!(bucket.first_pair, end, "buckets of a tile follow each other");
+                end += bucket.pairs;
+                bucket.pairs
+            })
+            .collect()
+        };
+        Ok((Some(Sorted { records, buckets: (0..bins as usize).map(of_tile).collect() }), needs))
+    }
+
+    fn compare(&self, gpu: &Validated) -> Result<Sorted, String> {
+        let twin = self.twin();
+        let pairs: usize = twin.records.iter().map(Vec::len).sum();
+        let (kernel, needs) = self.kernel(gpu, pairs)?;
+        let kernel = kernel.ok_or("as many pairs as the twin has do not fit")?;
+        for (bin, (kernel, twin)) in kernel.records.iter().zip(&twin.records).enumerate() {
+            identical(&format!("records of macro tile {bin}"), kernel, twin)?;
+        }
+        identical("buckets", &kernel.buckets, &twin.buckets)?;
+        let counts = [needs.pairs, (needs.pairs_high << 16) + needs.pairs_low, needs.buckets];
+        let buckets = twin.buckets.iter().map(Vec::len).sum::<usize>() as u32;
+        identical("counts", &counts, &[pairs as u32, pairs as u32, buckets])?;
+        Ok(kernel)
+    }
+}
+
+#[test]
+fn lists_of_hard_splats_are_those_of_the_definition() {
+    let gpu = open();
+    for rules in [Rules::DEFAULT, Rules { order: DepthOrder::Radial, ..Rules::DEFAULT }] {
+        let case = Case::hard(&gpu, 5000, rules);
+        let sorted = case.compare(&gpu).unwrap();
+        let pairs: usize = sorted.records.iter().map(Vec::len).sum();
+        let longest = sorted.records.iter().map(Vec::len).max().unwrap();
+        println!("{} records, {pairs} pairs in {} macro tiles, at most {longest}", case.keys.len(), case.bins());
+        assert!(case.keys.len() > 3 * PAIR_BLOCK && longest > BUCKET_PAIRS, "the case must fill blocks and cut lists");
+        assert!(sorted.buckets.iter().any(|buckets| buckets.len() > 1));
+    }
+}
+
+/// Keys of `count` splats that are hard to sort, by name.
+fn hard_keys(count: usize) -> Vec<(&'static str, Vec<u32>)> {
+    let mut random = Random(count as u64);
+    let near = depth_key(0.3);
+    let mut all: Vec<(&str, Vec<u32>)> = vec![
+        ("equal", vec![near; count]),
+        ("any", (0..count).map(|_| random.word()).collect()),
+        ("two", (0..count).map(|i| near + (i as u32 * 7 % 2)).collect()),
+        ("falling", (0..count).map(|i| near - i as u32).collect()),
+        ("in one slab", (0..count).map(|_| near + random.below(1 << 12)).collect()),
+        (
+            "a wall and others",
+            (0..count)
+                .map(|i| if i % 8 == 0 { depth_key(f64::from(random.between(0.0, 0.9))) } else { near + random.below(64) })
+                .collect(),
+        ),
+        ("behind the last slab", (0..count).map(|_| depth_key(0.99) + random.below(1 << 20)).collect()),
+    ];
+    all.push(("uniform depths", (0..count).map(|_| depth_key(f64::from(random.between(0.001, 0.99)))).collect()));
+    all
+}
+
+#[test]
+fn piles_of_all_sizes_are_sorted() {
+    let gpu = open();
+    for count in [1, 2, 255, 257, 1023, 1024, 1025, 2047, 2048, 2049, 5000] {
+        for (name, keys) in hard_keys(count) {
+            Case::pile(&gpu, keys).compare(&gpu).unwrap_or_else(|error| panic!("{count} keys, {name}: {error}"));
+        }
+    }
+}
+
+#[test]
+fn a_hundred_thousand_layers_of_one_depth_are_sorted() {
+    let gpu = open();
+    let near = depth_key(0.3);
+    Case::pile(&gpu, vec![near; 100_000]).compare(&gpu).unwrap();
+    let mut random = Random(3);
+    Case::pile(&gpu, (0..100_000).map(|_| near + random.below(1 << 14)).collect()).compare(&gpu).unwrap();
+}
+
+#[test]
+fn pairs_without_room_are_counted_and_not_written() {
+    let gpu = open();
+    let case = Case::hard(&gpu, 1000, Rules::DEFAULT);
+    let pairs: usize = case.twin().records.iter().map(Vec::len).sum();
+    for pairs_max in [1, pairs / 2, pairs - 1] {
+        let (sorted, needs) = case.kernel(&gpu, pairs_max).unwrap();
+        assert!(sorted.is_none() && needs.pairs as usize == pairs, "{needs:?}");
+    }
+    assert_eq!(case.kernel(&gpu, pairs + 1000).unwrap().0, Some(case.twin()));
+}
+
+#[test]
+fn more_pairs_than_32_bits_hold_do_not_look_like_few() {
+    let gpu = open();
+    let capacity = Capacity { records: 1, pairs: 5000, partials: 4 };
+    let bins = 9u32;
+    // Eight times 2^30 wrap to nothing.
+    let control = control(&gpu, Needs::default(), &[]);
+    let buffers = TileSortBuffers::new(&gpu, &capacity, bins).unwrap();
+    let counts: Vec<u32> =
+        (0..bins as usize * SLABS).map(|i| if i % SLABS == 7 && i < 8 * SLABS { 1 << 30 } else { 0 }).collect();
+    gpu.write(&buffers.slab_counts, 0, &counts).unwrap();
+    let plan = Plan::new(&gpu, &capacity, bins).unwrap();
+    let (buckets, segments) = (PlanBuckets::new(&gpu).unwrap(), PlanSegments::new(&gpu, 1024).unwrap());
+    run(&gpu, |r| {
+        buckets.record(r, &control, &buffers, bins);
+        segments.record(r, &control, &buffers.tile_lists, bins, &capacity, &plan);
+    });
+    let (needs, arguments) = found(&gpu, &control);
+    assert_eq!((needs.pairs, needs.longest), (u32::MAX, 1 << 30));
+    assert_eq!(arguments[Arguments::Blend as usize][0], 0, "nothing is blended");
+}
+
+#[test]
+fn the_slab_never_falls_with_the_key() {
+    let mut random = Random(9);
+    for _ in 0..10_000 {
+        let (a, b) = (random.word(), random.word());
+        let (low, high) = (a.min(b), a.max(b));
+        let (camera_depth, key_scale) = (random.between(-0.9, 0.9), 1.0 / 128.0);
+        assert!(twins::depth_slab(low, camera_depth, key_scale) <= twins::depth_slab(high, camera_depth, key_scale));
+        assert!(depth_of_key(low) <= depth_of_key(high));
+    }
+    assert_ne!(twins::depth_slab(depth_key(0.1), 0.0, 1.0 / 128.0), twins::depth_slab(depth_key(0.2), 0.0, 1.0 / 128.0));
+}
+
+#[test]
+fn records_in_another_order_are_seen() {
+    let gpu = open();
+    let case = Case::hard(&gpu, 500, Rules::DEFAULT);
+    let kernel = case.compare(&gpu).unwrap();
+    let mut twin = case.twin();
+    let tile = twin.records.iter().position(|records| records.len() > 1).unwrap();
+    twin.records[tile].swap(0, 1);
+    assert_ne!(kernel, twin);
+}
