@@ -29,7 +29,7 @@ pub use editing::LiveEditError;
 ///     let time_s = 0.033 * f64::from(step);
 ///     let cameras = loaded.rig.at(&loaded.ego.at(time_s));
 ///     let statistics = renderer.render(live.with(&live.at(time_s)), &cameras)?;
-///     println!("{:?} {:?}", statistics.gpu_time, statistics.orders);
+///     println!("{:?} {:?}", statistics.gpu_time, statistics.keys);
 ///     let pictures = renderer.read_pictures()?;
 /// }
 /// # Ok(())

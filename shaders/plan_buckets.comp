@@ -2,8 +2,8 @@
 // Gives each macro tile a stretch of the pair buffer and cuts it into buckets, which are sorted one by one.
 //
 // One workgroup per macro tile. Where a tile's stretch lies depends on who came first; what stands in it does not. A bucket is a run
-// of neighbouring depth slabs, and ends with the slab in which a multiple of BUCKET_PAIRS is reached: it has fewer pairs than
-// BUCKET_PAIRS and its last slab together.
+// of neighbouring depth slabs, and ends with the slab in which a multiple of BUCKET_PAIRS is reached. A slab of BUCKET_PAIRS or more is
+// a bucket by itself. So a bucket has fewer than twice BUCKET_PAIRS pairs, or is one slab; it may be empty.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -26,9 +26,15 @@ layout(push_constant, scalar) uniform push_block { uint bin_count; uint buckets_
 
 const uint SLABS_PER_THREAD = SLABS / WORKGROUP_THREADS;
 
-shared uint ends[SLABS]; // of the buckets, relative to the tile's first place
+shared uint ends[2u * SLABS]; // of the buckets, relative to the tile's first place
 shared uint first_place;
 shared uint first_bucket;
+
+// Buckets that end where a slab begins or ends.
+uint ends_at(uint place, uint count) {
+    uint by_itself = count >= BUCKET_PAIRS ? 1u : 0u;
+    return by_itself + (place / BUCKET_PAIRS != (place + count) / BUCKET_PAIRS ? 1u : 0u);
+}
 
 void main() {
     uint bin = group_index();
@@ -48,18 +54,21 @@ void main() {
     uint own_ends = 0u;
     uint place = before;
     for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
-        own_ends += place / BUCKET_PAIRS != (place + counts[slab]) / BUCKET_PAIRS ? 1u : 0u;
+        own_ends += ends_at(place, counts[slab]);
         place += counts[slab];
     }
     uint end_total;
     uint end_index = block_exclusive_sum(own_ends, end_total);
     place = before;
     for (uint slab = 0u; slab < SLABS_PER_THREAD; ++slab) {
-        uint end = place + counts[slab];
-        if (place / BUCKET_PAIRS != end / BUCKET_PAIRS) {
-            ends[end_index++] = end;
+        uint end_count = ends_at(place, counts[slab]);
+        if (end_count == 2u) {
+            ends[end_index++] = place;
         }
-        place = end;
+        place += counts[slab];
+        if (end_count > 0u) {
+            ends[end_index++] = place;
+        }
     }
     barrier();
     bool rest = total > (end_total == 0u ? 0u : ends[end_total - 1u]);

@@ -1,11 +1,11 @@
 #version 460
 // Sorts buckets of pairs front to back: by depth key, and by record where keys are equal.
 //
-// One workgroup per bucket. What fits shared memory is distributed there over as many bins as there are pairs, each depth slab over as
-// many as it has itself, and every pair counts those of its bin that stand before it: a handful. Where many share a bin, a bitonic
-// sort takes over (Batcher, Sorting Networks and Their Applications, 1968). Longer buckets hold many splats of almost one depth in
-// one macro tile: a radix sort by four bits per pass moves them between two pairs of buffers, and skips the digits in which all
-// are equal.
+// One workgroup per bucket. In short ones every pair counts those that stand before it. Others are distributed over bins, and every
+// pair counts within its bin, a handful. What fits shared memory has as many bins as pairs, each depth slab as many as it has pairs
+// itself. Longer buckets are one slab: they are distributed in memory over bins of the slab, and sorted in shared memory one chunk of
+// bins after the other. Where many share a bin, a bitonic sort takes over (Batcher, Sorting Networks and Their Applications, 1968), and
+// where they do not fit shared memory a radix sort over memory, by four bits per pass, which skips digits in which all are equal.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -60,6 +60,21 @@ uint bin_of(uint key, Bucket bucket, float camera_depth, float key_scale) {
     return begin - bucket.first_pair + (slab.y * count >> SLAB_SHIFT);
 }
 
+// The bin of a key where the bucket is one slab, which has as many bins as there is room for.
+uint bin_in_slab(uint key, float camera_depth, float key_scale) {
+    return slab_and_place(key, camera_depth, key_scale).y / ((1u << SLAB_SHIFT) / SHARED_PAIRS);
+}
+
+void empty_bins(uint count, uint thread) {
+    for (uint bin = thread; bin < count; bin += WORKGROUP_THREADS) {
+        bins[bin] = 0u;
+    }
+    if (thread == 0u) {
+        longest_bin = 0u;
+    }
+    barrier();
+}
+
 // Sums the bins' counts up, so that each bin holds where it begins, and finds the longest.
 void sum_bins(uint count, uint thread) {
     uint run = (count + WORKGROUP_THREADS - 1u) / WORKGROUP_THREADS;
@@ -105,30 +120,25 @@ void sort_bitonic(uint size, uint thread) {
     barrier();
 }
 
-void sort_in_shared_memory(Bucket bucket, uint thread) {
-    uint first = bucket.first_pair;
-    uint count = bucket.pairs;
-    Camera camera = cameras[camera_of_bin(bucket.bin, camera_count)];
-    float camera_depth = RADIAL ? 0.0 : camera.key_depth;
-    for (uint bin = thread; bin < count; bin += WORKGROUP_THREADS) {
-        bins[bin] = 0u;
+// Pairs that are sorted fastest by comparing all with all.
+const uint FEW_PAIRS = 64u;
+
+void sort_few(uint first, uint count, uint thread) {
+    if (thread < count) {
+        uint key = pair_keys[first + thread];
+        uint record = pair_records[first + thread];
+        uint rank = 0u;
+        for (uint other = 0u; other < count; ++other) {
+            rank += stands_before(pair_keys[first + other], pair_records[first + other], key, record) ? 1u : 0u;
+        }
+        sorted_records[first + rank] = record;
     }
-    if (thread == 0u) {
-        longest_bin = 0u;
-    }
-    barrier();
-    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        atomicAdd(bins[bin_of(pair_keys[first + place], bucket, camera_depth, camera.key_scale)], 1u);
-    }
-    barrier();
-    sum_bins(count, thread);
-    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        uint key = pair_keys[first + place];
-        uint target = atomicAdd(bins[bin_of(key, bucket, camera_depth, camera.key_scale)], 1u);
-        shared_keys[target] = key;
-        shared_records[target] = pair_records[first + place];
-    }
-    barrier();
+}
+
+// Sorts `count` pairs in shared memory, which are distributed over bins, and writes their records from `first` on. The bin of a place
+// is where `bins` says that the key of a pair lies: `slab_bins` tells which of the two ways of binning it was. Bins count from
+// `binned_first`.
+void finish_in_shared_memory(Bucket bucket, uint first, uint count, uint binned_first, bool slab_bins, float camera_depth, float key_scale, uint thread) {
     if (longest_bin > BIN_PAIRS_MAX) {
         uint size = 1u;
         while (size < count) {
@@ -147,15 +157,34 @@ void sort_in_shared_memory(Bucket bucket, uint thread) {
     for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
         uint key = shared_keys[place];
         uint record = shared_records[place];
-        uint bin = bin_of(key, bucket, camera_depth, camera.key_scale);
-        uint begin = bin == 0u ? 0u : bins[bin - 1u];
+        uint bin = slab_bins ? bin_in_slab(key, camera_depth, key_scale) : bin_of(key, bucket, camera_depth, key_scale);
+        uint begin = (bin == 0u ? 0u : bins[bin - 1u]) - binned_first;
+        uint end = bins[bin] - binned_first;
         uint rank = begin;
-        for (uint other = begin; other < bins[bin]; ++other) {
-            uint other_key = shared_keys[other];
-            rank += other_key < key || (other_key == key && shared_records[other] < record) ? 1u : 0u;
+        for (uint other = begin; other < end; ++other) {
+            rank += stands_before(shared_keys[other], shared_records[other], key, record) ? 1u : 0u;
         }
         sorted_records[first + rank] = record;
     }
+}
+
+void sort_in_shared_memory(Bucket bucket, float camera_depth, float key_scale, uint thread) {
+    uint first = bucket.first_pair;
+    uint count = bucket.pairs;
+    empty_bins(count, thread);
+    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+        atomicAdd(bins[bin_of(pair_keys[first + place], bucket, camera_depth, key_scale)], 1u);
+    }
+    barrier();
+    sum_bins(count, thread);
+    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+        uint key = pair_keys[first + place];
+        uint target = atomicAdd(bins[bin_of(key, bucket, camera_depth, key_scale)], 1u);
+        shared_keys[target] = key;
+        shared_records[target] = pair_records[first + place];
+    }
+    barrier();
+    finish_in_shared_memory(bucket, first, count, 0u, false, camera_depth, key_scale, thread);
 }
 
 const uint DIGIT_BITS = 4u;
@@ -245,7 +274,8 @@ void pass_over_memory(uint first, uint count, uint thread, bool there, uint shif
     barrier();
 }
 
-void sort_in_memory(uint first, uint count, uint thread) {
+// Sorts pairs of any number that lie in the first buffers, or where `there` in the others.
+void sort_in_memory(uint first, uint count, uint thread, bool there) {
     if (thread == 0u) {
         differing_keys = 0u;
         differing_records = 0u;
@@ -256,14 +286,13 @@ void sort_in_memory(uint first, uint count, uint thread) {
     for (uint place = thread; place < count; place += MOVED * WORKGROUP_THREADS) {
         [[unroll]] for (uint next = 0u; next < MOVED; ++next) {
             uint at = first + min(place + next * WORKGROUP_THREADS, count - 1u);
-            keys_differ |= pair_keys[at] ^ pair_keys[first];
-            records_differ |= pair_records[at] ^ pair_records[first];
+            keys_differ |= key_at(there, at) ^ key_at(there, first);
+            records_differ |= record_at(there, at) ^ record_at(there, first);
         }
     }
     atomicOr(differing_keys, keys_differ);
     atomicOr(differing_records, records_differ);
     barrier();
-    bool there = false; // in the other buffers
     for (uint pass = 0u; pass < 64u / DIGIT_BITS; ++pass) {
         bool by_key = pass >= 32u / DIGIT_BITS;
         uint shift = pass % (32u / DIGIT_BITS) * DIGIT_BITS;
@@ -284,6 +313,53 @@ void sort_in_memory(uint first, uint count, uint thread) {
     }
 }
 
+// Pairs after which a chunk of bins ends with the next bin.
+const uint CHUNK_PAIRS = SHARED_PAIRS / 2u;
+
+// Where the first bin ends that ends at `pairs` or later.
+uint bin_end_from(uint pairs) {
+    uint low = 0u;
+    [[unroll]] for (uint step = SHARED_PAIRS / 2u; step > 0u; step /= 2u) {
+        low += bins[low + step - 1u] < pairs ? step : 0u;
+    }
+    return pairs == 0u ? 0u : bins[low];
+}
+
+// Sorts a bucket that is one slab and too long for shared memory.
+void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) {
+    uint first = bucket.first_pair;
+    uint count = bucket.pairs;
+    empty_bins(SHARED_PAIRS, thread);
+    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+        atomicAdd(bins[bin_in_slab(pair_keys[first + place], camera_depth, key_scale)], 1u);
+    }
+    barrier();
+    sum_bins(SHARED_PAIRS, thread);
+    for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
+        uint key = pair_keys[first + place];
+        uint target = first + atomicAdd(bins[bin_in_slab(key, camera_depth, key_scale)], 1u);
+        other_keys[target] = key;
+        sorted_records[target] = pair_records[first + place];
+    }
+    memoryBarrierBuffer();
+    barrier();
+    for (uint start = 0u; start < count; start += CHUNK_PAIRS) {
+        uint begin = bin_end_from(start);
+        uint end = bin_end_from(min(start + CHUNK_PAIRS, count));
+        if (end - begin > SHARED_PAIRS) {
+            sort_in_memory(first + begin, end - begin, thread, true);
+            continue;
+        }
+        for (uint place = begin + thread; place < end; place += WORKGROUP_THREADS) {
+            shared_keys[place - begin] = other_keys[first + place];
+            shared_records[place - begin] = sorted_records[first + place];
+        }
+        barrier();
+        finish_in_shared_memory(bucket, first + begin, end - begin, begin, true, camera_depth, key_scale, thread);
+        barrier(); // shared memory is read to its end
+    }
+}
+
 void main() {
     uint bucket_index = group_index();
     if (bucket_index >= needs.buckets || wanted_pairs(needs) > pairs_max) {
@@ -291,9 +367,15 @@ void main() {
     }
     Bucket bucket = buckets[bucket_index];
     uint thread = block_thread();
+    if (bucket.pairs <= FEW_PAIRS) {
+        sort_few(bucket.first_pair, bucket.pairs, thread);
+        return;
+    }
+    Camera camera = cameras[camera_of_bin(bucket.bin, camera_count)];
+    float camera_depth = RADIAL ? 0.0 : camera.key_depth;
     if (bucket.pairs <= SHARED_PAIRS) {
-        sort_in_shared_memory(bucket, thread);
+        sort_in_shared_memory(bucket, camera_depth, camera.key_scale, thread);
     } else {
-        sort_in_memory(bucket.first_pair, bucket.pairs, thread);
+        sort_slab(bucket, camera_depth, camera.key_scale, thread);
     }
 }

@@ -16,7 +16,7 @@ use crate::sh_codec;
 /// Purpose under which the memory of worlds is counted.
 pub const PURPOSE: &str = "scene";
 
-/// Tells worlds apart whose orders are kept.
+/// Tells worlds apart whose depth keys are kept.
 static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 /// The splats of a world in device memory. Drawn by any number of frames; clones share the memory, and dropping the last

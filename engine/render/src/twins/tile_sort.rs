@@ -51,12 +51,16 @@ pub fn bin_pairs(
     pairs
 }
 
-/// Lengths of the buckets of one macro tile, whose slabs have `slab_counts` pairs.
+/// Lengths of the buckets of one macro tile, some of them 0, whose slabs have `slab_counts` pairs.
 #[must_use]
 pub fn plan_buckets(slab_counts: &[u32]) -> Vec<u32> {
     let (mut buckets, mut place, mut begin) = (Vec::new(), 0u32, 0u32);
     for &count in slab_counts {
         let end = place + count;
+        if count >= BUCKET_PAIRS as u32 {
+            buckets.push(place - begin);
+            begin = place;
+        }
         if place / BUCKET_PAIRS as u32 != end / BUCKET_PAIRS as u32 {
             buckets.push(end - begin);
             begin = end;

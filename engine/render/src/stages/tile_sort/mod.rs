@@ -50,7 +50,7 @@ impl TileSortBuffers {
             lists: gpu.buffer("view_lists", PURPOSE, crate::layout::CAMERAS_MAX, device)?,
             slab_counts: gpu.buffer("slab_counts", PURPOSE, bin_count * SLABS, device)?,
             tile_lists: gpu.buffer("tile_lists", PURPOSE, bin_count, device)?,
-            buckets: gpu.buffer("buckets", PURPOSE, capacity.pairs / BUCKET_PAIRS + bin_count, device)?,
+            buckets: gpu.buffer("buckets", PURPOSE, 2 * capacity.pairs / BUCKET_PAIRS + bin_count, device)?,
             pair_keys: gpu.buffer("pair_keys", PURPOSE, capacity.pairs, device)?,
             pair_records: gpu.buffer("pair_records", PURPOSE, capacity.pairs, device)?,
             sorted_records: gpu.buffer("sorted_records", PURPOSE, capacity.pairs, device)?,
