@@ -1,4 +1,5 @@
-//! Compiles every `.comp` beside this file to SPIR-V and writes `kernels.rs`, one `pub static` a kernel.
+//! Compiles every `.comp` beside this file to SPIR-V and writes `kernels.rs`, one `pub static` a kernel. Numbers that the shared GLSL names
+//! go to `constants.rs`, so that the host has them from there.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,7 +12,7 @@ fn main() {
 
     let compiler = shaderc::Compiler::new().expect("the shaderc compiler starts");
     let (mut source, mut names) = (String::new(), Vec::new());
-    for path in kernel_paths(&here) {
+    for path in paths_with(&here, "comp") {
         let stem = path.file_stem().and_then(|stem| stem.to_str()).expect("a shader's file name is UTF-8");
         let words = compile(&compiler, &here, &path);
         writeln!(
@@ -25,13 +26,42 @@ fn main() {
     writeln!(source, "/// All kernels.\npub static ALL: [&Kernel; {}] = [{}];", names.len(), names.join(", "))
         .expect("writing to a string cannot fail");
     fs::write(out.join("kernels.rs"), source).expect("OUT_DIR is writable");
+    fs::write(out.join("constants.rs"), constants(&here.join("include"))).expect("OUT_DIR is writable");
 }
 
-fn kernel_paths(folder: &Path) -> Vec<PathBuf> {
+/// A `pub const` for every line `const uint NAME = NUMBER;` or `const float NAME = NUMBER;` of the shared GLSL. Expressions are left out.
+fn constants(folder: &Path) -> String {
+    let mut source = String::new();
+    for path in paths_with(folder, "glsl") {
+        let file = path.file_name().and_then(|name| name.to_str()).expect("a shader's file name is UTF-8");
+        let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        for line in text.lines().filter_map(|line| line.strip_prefix("const ")) {
+            let words: Vec<&str> = line.split(';').next().unwrap_or_default().split_whitespace().collect();
+            let constant = match words[..] {
+                ["uint", name, "=", value] => number(value.trim_end_matches('u')).map(|value| (name, "u32", value.to_string())),
+                ["float", name, "=", value] => {
+                    value.parse::<f64>().ok().map(|value| (name, "f32", format!("{value:?}_f64 as f32")))
+                }
+                _ => None,
+            };
+            if let Some((name, kind, value)) = constant {
+                writeln!(source, "/// `{name}` of `{file}`.\npub const {name}: {kind} = {value};")
+                    .expect("writing to a string cannot fail");
+            }
+        }
+    }
+    source
+}
+
+fn number(text: &str) -> Option<u32> {
+    text.strip_prefix("0x").map_or_else(|| text.parse().ok(), |digits| u32::from_str_radix(digits, 16).ok())
+}
+
+fn paths_with(folder: &Path, ending: &str) -> Vec<PathBuf> {
     let mut paths: Vec<PathBuf> = fs::read_dir(folder)
         .expect("the shaders folder is readable")
         .map(|entry| entry.expect("the shaders folder is readable").path())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "comp"))
+        .filter(|path| path.extension().is_some_and(|extension| extension == ending))
         .collect();
     paths.sort();
     paths

@@ -14,3 +14,9 @@ pub struct Kernel {
 }
 
 include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
+
+/// Numbers that shaders and host share. Their one source is the shared GLSL.
+pub mod constants {
+    #![expect(clippy::approx_constant, reason = "written as the shaders write them")]
+    include!(concat!(env!("OUT_DIR"), "/constants.rs"));
+}

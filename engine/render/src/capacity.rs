@@ -63,7 +63,7 @@ impl Capacity {
 /// The device's limit of groups along an axis, for counts known on the host; `groups_for` in `frame.glsl` is its twin.
 #[must_use]
 pub fn groups_for(count: usize) -> [u32; 3] {
-    const GROUPS_X_MAX: usize = 65_535;
+    const GROUPS_X_MAX: usize = decouplegs_shaders::constants::GROUPS_X_MAX as usize;
     if count <= GROUPS_X_MAX { [count as u32, 1, 1] } else { [GROUPS_X_MAX as u32, count.div_ceil(GROUPS_X_MAX) as u32, 1] }
 }
 

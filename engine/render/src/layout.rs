@@ -12,24 +12,25 @@ pub use light::{RelightRecord, ShadowRecord};
 
 use bytemuck::{Pod, Zeroable};
 use decouplegs_scene::{Camera, Pose, Rules, rules};
+use decouplegs_shaders::constants;
 use glam::{DMat3, DVec3};
 
 /// Splats a chunk: culled as one, one workgroup of `cull` and `project`.
-pub const CHUNK_SPLATS: usize = 256;
+pub const CHUNK_SPLATS: usize = constants::CHUNK_SPLATS as usize;
 /// Width of a macro tile, 8 render tiles of 8 pixels.
-pub const MACRO_WIDTH_PX: u32 = 64;
+pub const MACRO_WIDTH_PX: u32 = constants::MACRO_COLUMNS * constants::RENDER_TILE_PX;
 /// Height of a macro tile, 4 render tiles of 8 pixels.
-pub const MACRO_HEIGHT_PX: u32 = 32;
+pub const MACRO_HEIGHT_PX: u32 = constants::MACRO_ROWS * constants::RENDER_TILE_PX;
 /// Pixels of a macro tile.
 pub const MACRO_PIXELS: usize = (MACRO_WIDTH_PX * MACRO_HEIGHT_PX) as usize;
 /// Records that one workgroup of `bin_pairs` takes.
-pub const PAIR_BLOCK: usize = 1024;
+pub const PAIR_BLOCK: usize = constants::PAIR_BLOCK as usize;
 /// Pairs after which a bucket of the tile sort ends with the next depth slab.
-pub const BUCKET_PAIRS: usize = 1024;
+pub const BUCKET_PAIRS: usize = constants::BUCKET_PAIRS as usize;
 /// Depth slabs by which macro tiles' lists are cut; `depth_slab.glsl`.
-pub const SLABS: usize = 1024;
+pub const SLABS: usize = constants::SLABS as usize;
 /// A camera whose direction has no set in the persistent key buffer.
-pub const NO_KEY_SET: u32 = u32::MAX;
+pub const NO_KEY_SET: u32 = constants::NO_KEY_SET;
 /// Entries that one workgroup of `scan` takes.
 pub const SCAN_BLOCK: usize = 1024;
 /// Indirect dispatches of a frame.
@@ -288,7 +289,7 @@ pub struct Item {
 }
 
 /// The segment is its tile's only one and writes pixels itself.
-pub const NO_PARTIAL: u32 = u32::MAX;
+pub const NO_PARTIAL: u32 = constants::NO_PARTIAL;
 
 /// `Composite` of `frame.glsl`: a macro tile whose partial results are joined.
 #[repr(C)]

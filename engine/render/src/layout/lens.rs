@@ -5,7 +5,7 @@ use decouplegs_scene::{Intrinsics, Lens, RayMap};
 use glam::{DVec2, DVec3};
 
 /// Intervals of the table of a lens that is the same all around.
-pub const LENS_INTERVALS: usize = 63;
+pub const LENS_INTERVALS: usize = decouplegs_shaders::constants::LENS_INTERVALS as usize;
 
 /// How a lens is computed; `LENS_*` of `lens.glsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -29,6 +29,7 @@ pub use scan::Scan;
 pub use tile_sort::{BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers};
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Residence};
+use decouplegs_shaders::constants;
 
 use crate::layout::{ARGUMENT_SETS, Needs};
 
@@ -60,11 +61,11 @@ impl Control {
 #[derive(Clone, Copy, Debug)]
 pub enum Arguments {
     /// Blocks of records to be binned.
-    PairBlocks = 0,
+    PairBlocks = constants::ARGUMENTS_PAIR_BLOCKS as isize,
     /// Segments to be blended.
-    Blend = 1,
+    Blend = constants::ARGUMENTS_BLEND as isize,
     /// Cut macro tiles to be joined.
-    Composite = 2,
+    Composite = constants::ARGUMENTS_COMPOSITE as isize,
 }
 
 impl Arguments {

@@ -1,15 +1,14 @@
 //! What the front-to-back order goes by: `depth_key.glsl`, in f64 instead of pairs of f32.
 
+use decouplegs_shaders::constants::{KEY_FLOATS_FROM as FLOATS_FROM, KEY_LINEAR_CODES, KEY_LINEAR_STEPS, KEY_STEPS};
 use glam::{DVec3, Vec3};
 
 use crate::layout::CameraRecord;
 
 /// Steps from one f32 to the next.
-const STEPS: f64 = 16.0;
-/// Below this, keys count steps of one size.
-const FLOATS_FROM: f32 = 1.0 / 32_768.0;
-/// Of these there are so many to 1.
-const LINEAR_STEPS: f64 = (1u64 << 42) as f64;
+const STEPS: f64 = KEY_STEPS as f64;
+/// Steps of one size to 1, below [`KEY_FLOATS_FROM`].
+const LINEAR_STEPS: f64 = KEY_LINEAR_STEPS as f64;
 
 /// Depth of a mean along the camera's direction, between -1 and 1, or its distance: from what the shader is given, f32 values
 /// and what rounding left.
@@ -36,7 +35,7 @@ pub fn depth_key(depth: f64) -> u32 {
         let places = rounded.to_bits() - FLOATS_FROM.to_bits();
         let place = f64::from(f32::from_bits(rounded.to_bits() & 0x7f80_0000)) * 2f64.powi(-23);
         let part = (((size - f64::from(rounded)) / place).clamp(-0.5, 0.5) * STEPS + 0.5).floor() as i64;
-        (i64::from(places.min(0x07ff_ffff)) * 16 + part + (1 << 27)).min(0x7fff_ffff) as u32
+        (i64::from(places.min(0x07ff_ffff)) * 16 + part + i64::from(KEY_LINEAR_CODES)).min(0x7fff_ffff) as u32
     };
     if depth < 0.0 { 0x8000_0000 - code } else { 0x8000_0000 + code }
 }
@@ -45,8 +44,8 @@ pub fn depth_key(depth: f64) -> u32 {
 #[must_use]
 pub fn depth_of_key(key: u32) -> f32 {
     let code = key.abs_diff(0x8000_0000);
-    let size = match code.checked_sub(1 << 27) {
-        None => code as f32 / LINEAR_STEPS as f32,
+    let size = match code.checked_sub(KEY_LINEAR_CODES) {
+        None => code as f32 / KEY_LINEAR_STEPS,
         Some(floats) => f32::from_bits(FLOATS_FROM.to_bits() + (floats >> 4)),
     };
     if key < 0x8000_0000 { -size } else { size }

@@ -1,5 +1,6 @@
 //! The pixels a projected splat can reach: `footprint.glsl`.
 
+pub use decouplegs_shaders::constants::{LOG2_255, REACH_SLACK};
 use glam::{Vec2, vec2};
 
 use crate::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
@@ -19,12 +20,6 @@ pub struct Footprint {
     /// log2 of the peak alpha.
     pub log2_opacity: f32,
 }
-
-/// log2(255): alpha is at least 1/255 where the sum of squares is at most log2_opacity + LOG2_255.
-pub const LOG2_255: f32 = 7.994_353_3;
-
-/// Added to the squared reach wherever pixels are only bounded.
-pub const REACH_SLACK: f32 = 0.01;
 
 /// Squared radius, in units of the exponent, beyond which the splat adds nothing.
 #[must_use]

@@ -1,15 +1,12 @@
 //! What a lens that is no pinhole makes of a Gaussian, in f32: `lens.glsl`.
 
+use decouplegs_shaders::constants::{SIGMA_REACH, SQRT_SIXTH, UNSCENTED_REACH};
 use glam::{Mat3, Vec2, Vec3, vec2};
 
 use super::footprint::{Footprint, LOG2_255};
 use super::projection::{ALPHA_MIN, DILATION_PX2, HALF_LOG2_E, Variant, from_camera_m, project_splat, to_camera_axes};
 use super::visibility::{DILATION_REACH_PX, chunk_reaches, farthest};
 use crate::layout::{CameraRecord, ChunkRecord, LENS_INTERVALS, LensKind, LensRecord};
-
-const SIGMA_REACH: f32 = 1.732_050_8;
-const SQRT_SIXTH: f32 = 0.408_248_3;
-const UNSCENTED_REACH: f32 = 3.45;
 
 fn shows(lens: &LensRecord, t: Vec3) -> bool {
     t.z > 0.0 && t.truncate().length() <= lens.tan_limit * t.z

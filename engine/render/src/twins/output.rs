@@ -1,13 +1,9 @@
 //! What a pixel gathers and where it goes: `output.glsl`.
 
+pub use decouplegs_shaders::constants::{MACRO_COLUMNS, RENDER_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN};
 use glam::Vec3;
 
 use crate::layout::{CameraRecord, MACRO_HEIGHT_PX, MACRO_PIXELS, MACRO_WIDTH_PX};
-
-/// Width and height of a render tile.
-pub const RENDER_TILE_PX: u32 = 8;
-/// Render tiles in a row of a macro tile.
-pub const MACRO_COLUMNS: u32 = MACRO_WIDTH_PX / RENDER_TILE_PX;
 
 /// Position `[column, row]` in the macro tile of the pixel at `place` of a partial result.
 #[must_use]
@@ -32,12 +28,6 @@ pub struct Pixel {
     /// The instance it belongs to.
     pub best_instance: u32,
 }
-
-/// A pixel that lets no more than this through is full.
-pub const TRANSMITTANCE_FULL: f32 = 2e-5;
-
-/// An exclusive stop keeps a pixel from letting no more than this through.
-pub const TRANSMITTANCE_MIN: f32 = 1e-4;
 
 /// A pixel that nothing was added to.
 pub const PIXEL_EMPTY: Pixel =

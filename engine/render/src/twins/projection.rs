@@ -1,13 +1,11 @@
 //! From a Gaussian in the world to its footprint in an image, in f32: `projection.glsl`.
 
 use decouplegs_scene::{Rules, rules};
+pub use decouplegs_shaders::constants::HALF_LOG2_E;
 use glam::{Mat3, Vec2, Vec3, Vec4, vec3};
 
 use super::footprint::{Footprint, LOG2_255};
 use crate::layout::{CameraRecord, near_m};
-
-/// 0.5 log2(e): exp(-q/2) = exp2(-HALF_LOG2_E q).
-pub const HALF_LOG2_E: f32 = 0.721_347_5;
 
 pub(super) const DILATION_PX2: f32 = rules::DILATION_PX2 as f32;
 pub(super) const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;

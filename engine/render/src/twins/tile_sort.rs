@@ -1,13 +1,11 @@
 //! Tile binning and the plan of its buckets: `bin_pairs.comp`, `plan_buckets.comp` and `depth_slab.glsl`.
 
+use decouplegs_shaders::constants::{SLAB_FIRST_M, SLAB_SHIFT};
+
 use super::depth_key::depth_of_key;
 use super::footprint::{reached_macro_rows, reached_macro_tiles};
 use super::record::load_footprint;
 use crate::layout::{BUCKET_PAIRS, CameraRecord, SLABS, ViewLists};
-
-/// Nearest depth that has a slab of its own, metres.
-const SLAB_FIRST_M: f32 = 0.0625;
-const SLAB_SHIFT: u32 = 17;
 
 /// The depth slab of a key, where the camera has the depth `camera_depth`, scaled as keys are by `key_scale`.
 #[must_use]

@@ -1,13 +1,11 @@
 //! Whether boxes and splats reach a camera's image: `visibility.glsl`.
 
+pub(super) use decouplegs_shaders::constants::DILATION_REACH_PX;
 use glam::{Vec2, Vec3, vec2};
 
 use super::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
 use super::projection::from_camera_m;
 use crate::layout::{CameraRecord, ChunkRecord};
-
-/// Pixels that dilation adds to a splat's half-width at most.
-pub(super) const DILATION_REACH_PX: f32 = 1.9;
 
 /// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
 pub(super) fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
