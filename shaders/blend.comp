@@ -71,7 +71,7 @@ shared uint open_subgroups; // whether one of them has a pixel that is not full
 shared uint next_share;
 shared uint tile_largest[32];
 
-// Render tiles that the segments before this one are not known to have covered. Barriers before and after what it calls for.
+// Render tiles that the segments before this one are not known to have covered. Every thread of the workgroup calls it.
 uint uncovered_tiles(Item item, uint thread) {
     uint tile = thread % 32u;
     uint row = thread / 32u;

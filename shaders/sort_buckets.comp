@@ -24,7 +24,7 @@ layout(set = 0, binding = 0, scalar) readonly buffer needs_block { Needs needs; 
 layout(set = 0, binding = 1, scalar) readonly buffer buckets_block { Bucket buckets[]; };
 layout(set = 0, binding = 2, scalar) coherent buffer pair_keys_block { uint pair_keys[]; };
 layout(set = 0, binding = 3, scalar) coherent buffer pair_records_block { uint pair_records[]; };
-layout(set = 0, binding = 4, scalar) coherent buffer other_keys_block { uint other_keys[]; };    // for the radix sort
+layout(set = 0, binding = 4, scalar) coherent buffer other_keys_block { uint other_keys[]; };       // scratch of long buckets
 layout(set = 0, binding = 5, scalar) coherent buffer sorted_records_block { uint sorted_records[]; }; // the result
 
 layout(set = 0, binding = 6, scalar) readonly buffer cameras_block { Camera cameras[]; };
@@ -57,7 +57,7 @@ uint bin_of(uint key, Bucket bucket, float camera_depth, float key_scale) {
     uint at = bucket.bin * SLABS + slab.x;
     uint begin = slab.x == 0u ? bucket.first_pair : slab_ends[at - 1u];
     uint count = slab_ends[at] - begin; // at most SHARED_PAIRS: the product fits 32 bits
-    return begin - bucket.first_pair + (slab.y * count >> SLAB_SHIFT);
+    return min(begin - bucket.first_pair + (slab.y * count >> SLAB_SHIFT), bucket.pairs - 1u);
 }
 
 // The bin of a key where the bucket is one slab, which has as many bins as there is room for.
@@ -123,6 +123,7 @@ void sort_bitonic(uint size, uint thread) {
 // Pairs that are sorted fastest by comparing all with all.
 const uint FEW_PAIRS = 64u;
 
+// Sorts up to as many pairs as there are threads, without shared memory.
 void sort_few(uint first, uint count, uint thread) {
     if (thread < count) {
         uint key = pair_keys[first + thread];
@@ -135,9 +136,8 @@ void sort_few(uint first, uint count, uint thread) {
     }
 }
 
-// Sorts `count` pairs in shared memory, which are distributed over bins, and writes their records from `first` on. The bin of a place
-// is where `bins` says that the key of a pair lies: `slab_bins` tells which of the two ways of binning it was. Bins count from
-// `binned_first`.
+// Sorts the `count` pairs in shared memory, and writes their records from `first` on. They lie there by bin: bins of the slab where
+// `slab_bins`, else bins of the bucket. The ends of bins count from `binned_first` places before the first pair.
 void finish_in_shared_memory(Bucket bucket, uint first, uint count, uint binned_first, bool slab_bins, float camera_depth, float key_scale, uint thread) {
     if (longest_bin > BIN_PAIRS_MAX) {
         uint size = 1u;
@@ -168,6 +168,7 @@ void finish_in_shared_memory(Bucket bucket, uint first, uint count, uint binned_
     }
 }
 
+// Sorts a bucket that fits shared memory.
 void sort_in_shared_memory(Bucket bucket, float camera_depth, float key_scale, uint thread) {
     uint first = bucket.first_pair;
     uint count = bucket.pairs;

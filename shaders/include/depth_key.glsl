@@ -10,6 +10,7 @@
 const float KEY_STEPS = 16.0;
 const float KEY_FLOATS_FROM = 3.0517578125e-5; // 2^-15
 const float KEY_LINEAR_STEPS = 4398046511104.0; // 2^42: as fine at 2^-15 as the floats there
+const float KEY_LINEAR_STEP = 2.2737367544323206e-13; // 2^-42
 const uint KEY_LINEAR_CODES = 134217728u; // 2^27
 
 // The key of a depth that lies between -1 and 1.

@@ -13,7 +13,7 @@ float depth_of_key(uint key) {
     bool negative = key < 0x80000000u;
     uint code = negative ? 0x80000000u - key : key - 0x80000000u;
     float size = code < KEY_LINEAR_CODES
-        ? float(code) / KEY_LINEAR_STEPS
+        ? float(code) * KEY_LINEAR_STEP // a product is rounded correctly everywhere, a quotient is not
         : uintBitsToFloat(floatBitsToUint(KEY_FLOATS_FROM) + (code - KEY_LINEAR_CODES >> 4u));
     return negative ? -size : size;
 }

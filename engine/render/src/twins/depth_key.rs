@@ -1,6 +1,8 @@
 //! What the front-to-back order goes by: `depth_key.glsl`, in f64 instead of pairs of f32.
 
-use decouplegs_shaders::constants::{KEY_FLOATS_FROM as FLOATS_FROM, KEY_LINEAR_CODES, KEY_LINEAR_STEPS, KEY_STEPS};
+use decouplegs_shaders::constants::{
+    KEY_FLOATS_FROM as FLOATS_FROM, KEY_LINEAR_CODES, KEY_LINEAR_STEP, KEY_LINEAR_STEPS, KEY_STEPS,
+};
 use glam::{DVec3, Vec3};
 
 use crate::layout::CameraRecord;
@@ -45,7 +47,7 @@ pub fn depth_key(depth: f64) -> u32 {
 pub fn depth_of_key(key: u32) -> f32 {
     let code = key.abs_diff(0x8000_0000);
     let size = match code.checked_sub(KEY_LINEAR_CODES) {
-        None => code as f32 / KEY_LINEAR_STEPS,
+        None => code as f32 * KEY_LINEAR_STEP,
         Some(floats) => f32::from_bits(FLOATS_FROM.to_bits() + (floats >> 4)),
     };
     if key < 0x8000_0000 { -size } else { size }
