@@ -1,9 +1,10 @@
 #version 460
 // Gives each macro tile a stretch of the pair buffer and cuts it into buckets, which are sorted one by one.
 //
-// One workgroup per macro tile. Where a tile's stretch lies depends on who came first; what stands in it does not. A bucket is a run
-// of neighbouring depth slabs, and ends with the slab in which a multiple of BUCKET_PAIRS is reached. A slab of BUCKET_PAIRS or more is
-// a bucket by itself. So a bucket has fewer than twice BUCKET_PAIRS pairs, or is one slab; it may be empty.
+// One workgroup per macro tile. The position of a tile's stretch depends on the order in which workgroups run; its content does not. A
+// bucket is a run of neighboring depth slabs. It ends with the slab in which the running count of pairs passes a multiple of
+// BUCKET_PAIRS. A slab of BUCKET_PAIRS or more is a bucket by itself. So a bucket has fewer than twice BUCKET_PAIRS pairs, or is one
+// slab. It may be empty.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require

@@ -1,5 +1,5 @@
 #version 460
-// Where the records of each camera begin, and how many workgroups bin them.
+// First records of each camera, and the number of workgroups that bin them.
 //
 // One workgroup. A frame without room for its records bins none: the need is known, and the host draws it again.
 #extension GL_GOOGLE_include_directive : require

@@ -20,7 +20,6 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const bool RADIAL = false;    // order by distance instead of z
 layout(constant_id = 4) const bool INSTANCES = false; // splats belong to instances, and these are asked for
-layout(constant_id = 5) const bool KEPT_KEYS = false; // the keys of some camera's direction are kept
 layout(constant_id = 6) const bool SPLAT_IDS = false; // records hold the splat's index instead of an instance
 layout(constant_id = 7) const bool SHADOWS = false;   // agents throw contact shadows
 layout(constant_id = 8) const bool SHADOWS_BY_CAMERA = false; // not all cameras see all of them
@@ -59,7 +58,7 @@ int visible_rank(uint first_word, uint bit) {
 }
 
 uint key_of(uint camera_index, uint splat_index, vec3 mean_m, Camera camera) {
-    uint key_set = KEPT_KEYS ? key_sets[camera_index] : NO_KEY_SET;
+    uint key_set = key_sets[camera_index];
     if (key_set != NO_KEY_SET) {
         return kept_keys[key_set * splat_count + splat_index];
     }

@@ -1,11 +1,14 @@
 #version 460
 // Sorts buckets of pairs front to back: by depth key, and by record where keys are equal.
 //
-// One workgroup per bucket. In short ones every pair counts those that stand before it. Others are distributed over bins, and every
-// pair counts within its bin, a handful. What fits shared memory has as many bins as pairs, each depth slab as many as it has pairs
-// itself. Longer buckets are one slab: they are distributed in memory over bins of the slab, and sorted in shared memory one chunk of
-// bins after the other. Where many share a bin, a bitonic sort takes over (Batcher, Sorting Networks and Their Applications, 1968), and
-// where they do not fit shared memory a radix sort over memory, by four bits per pass, which skips digits in which all are equal.
+// One workgroup per bucket. The algorithm depends on the number of pairs:
+// - Up to FEW_PAIRS: each thread counts the pairs that come before its own.
+// - Up to SHARED_PAIRS: the pairs are distributed over bins in shared memory, as many bins as pairs. A depth slab gets as many bins as it
+//   has pairs. Each thread then counts within the bin of its pair, which holds few.
+// - More, which is always a single slab: the pairs are distributed over bins of the slab in global memory, and each chunk of bins is
+//   sorted in shared memory.
+// Two fallbacks handle many pairs of almost one depth: a bitonic sort (Batcher, Sorting Networks and Their Applications, 1968) if a bin
+// holds more than BIN_PAIRS_MAX, and a radix sort in global memory, four bits per pass, if a bin does not fit shared memory.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -317,7 +320,7 @@ void sort_in_memory(uint first, uint count, uint thread, bool there) {
 // Pairs after which a chunk of bins ends with the next bin.
 const uint CHUNK_PAIRS = SHARED_PAIRS / 2u;
 
-// Where the first bin ends that ends at `pairs` or later.
+// End of the first bin that ends at `pairs` or later.
 uint bin_end_from(uint pairs) {
     uint low = 0u;
     [[unroll]] for (uint step = SHARED_PAIRS / 2u; step > 0u; step /= 2u) {

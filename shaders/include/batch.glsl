@@ -168,7 +168,7 @@ uint reached_blocks(uint entry, uint first_place) {
     return blocks;
 }
 
-// What blending needs of a staged record.
+// A staged record, as blending reads it.
 struct Staged {
     vec4 slants;
     vec4 tones;

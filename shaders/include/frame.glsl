@@ -67,7 +67,7 @@ const uint ARGUMENTS_PAIR_BLOCKS = 0u;
 const uint ARGUMENTS_BLEND = 1u;
 const uint ARGUMENTS_COMPOSITE = 2u;
 
-// Where the records of a camera begin: background first, then agents, each in the order of their splats.
+// First records of a camera: the background's lie before those of agents, each in the order of their splats.
 struct ViewLists {
     uint first_static;
     uint first_moving;

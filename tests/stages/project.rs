@@ -119,15 +119,8 @@ impl Case {
 }
 
 /// Colours of degree 0 and nothing else.
-pub const PLAIN: ProjectVariant = ProjectVariant {
-    sh_degree: 0,
-    instances: false,
-    kept_keys: false,
-    splat_ids: false,
-    shadows: false,
-    shadows_by_camera: false,
-    lenses: false,
-};
+pub const PLAIN: ProjectVariant =
+    ProjectVariant { sh_degree: 0, instances: false, splat_ids: false, shadows: false, shadows_by_camera: false, lenses: false };
 
 #[test]
 fn records_of_hard_splats() {

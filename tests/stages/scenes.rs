@@ -315,7 +315,7 @@ impl Scene {
             &mut out.footprints,
             &mut out.colours,
             &mut out.keys,
-            &[],
+            &vec![NO_KEY_SET; self.view.cameras.len()],
             &[],
             &self.shadows,
             &self.shadow_words(),
@@ -323,7 +323,6 @@ impl Scene {
             Variant::of(rules),
             usize::from(variant.sh_degree),
             rules.order == decouplegs::scene::DepthOrder::Radial,
-            variant.kept_keys,
             variant.splat_ids,
         );
         out

@@ -35,6 +35,14 @@ struct Sorted {
     buckets: Vec<Vec<u32>>,
 }
 
+/// Compares the lists and buckets of all macro tiles.
+fn check_lists(kernel: &Sorted, twin: &Sorted) -> Result<(), String> {
+    for (bin, (kernel, twin)) in kernel.records.iter().zip(&twin.records).enumerate() {
+        identical(&format!("records of macro tile {bin}"), kernel, twin)?;
+    }
+    identical("buckets", &kernel.buckets, &twin.buckets)
+}
+
 impl Case {
     /// Hard splats whose macro tiles do not depend on rounding. Agents are the background once more, so that all keys are tied.
     fn hard(gpu: &Validated, splats: usize, rules: Rules) -> Self {
@@ -105,7 +113,7 @@ impl Case {
         Sorted { records: slabs.chunks(SLABS).map(sorted).collect(), buckets: slabs.chunks(SLABS).map(lengths).collect() }
     }
 
-    /// What the kernels make of it with room for `pairs_max`, and what they counted; `None` where it has no room.
+    /// Lists of the kernels with room for `pairs_max` pairs, and their counts; `None` if the pairs do not fit.
     fn kernel(&self, gpu: &Validated, pairs_max: usize) -> Result<(Option<Sorted>, Needs), String> {
         let bins = self.bins();
         let control = control(gpu, Needs::default(), &[]);
@@ -159,10 +167,7 @@ impl Case {
         let pairs: usize = twin.records.iter().map(Vec::len).sum();
         let (kernel, needs) = self.kernel(gpu, pairs)?;
         let kernel = kernel.ok_or("as many pairs as the twin has do not fit")?;
-        for (bin, (kernel, twin)) in kernel.records.iter().zip(&twin.records).enumerate() {
-            identical(&format!("records of macro tile {bin}"), kernel, twin)?;
-        }
-        identical("buckets", &kernel.buckets, &twin.buckets)?;
+        check_lists(&kernel, &twin)?;
         let counts = [needs.pairs, (needs.pairs_high << 16) + needs.pairs_low, needs.buckets];
         let buckets = twin.buckets.iter().map(Vec::len).sum::<usize>() as u32;
         identical("counts", &counts, &[pairs as u32, pairs as u32, buckets])?;
@@ -280,5 +285,9 @@ fn records_in_another_order_are_seen() {
     let mut twin = case.twin();
     let tile = twin.records.iter().position(|records| records.len() > 1).unwrap();
     twin.records[tile].swap(0, 1);
-    assert_ne!(kernel, twin);
+    let tile_records = format!("records of macro tile {tile}");
+    assert!(check_lists(&kernel, &twin).unwrap_err().starts_with(&tile_records));
+    twin.records[tile].swap(0, 1);
+    twin.buckets[tile][0] += 1;
+    assert!(check_lists(&kernel, &twin).unwrap_err().starts_with("buckets"));
 }

@@ -7,7 +7,7 @@ use crate::kernels::FrameStages;
 use crate::keys::KeyDecision;
 use crate::resident::ResidentWorld;
 use crate::slot::FrameSlot;
-use crate::stages::{AgentCounts, KeptKeys, Partials, Records};
+use crate::stages::{AgentCounts, KeptKeys, Partials, Records, TileSortBuffers};
 
 /// What a frame draws, beside the agents, which are in its slot.
 #[derive(Clone, Copy)]
@@ -59,9 +59,11 @@ pub(crate) fn record_frame(
     input: FrameInput<'_>,
 ) {
     record_begin(recorder, frame, slot, input);
-    for &camera_and_set in &input.keys.find {
+    if let Some(key_splats) = stages.common.key_splats.as_ref().filter(|_| !input.keys.find.is_empty()) {
         recorder.stage("key splats", |r| {
-            stages.common.key_splats.record(r, input.world, &frame.cameras, camera_and_set, input.kept_keys);
+            for &camera_and_set in &input.keys.find {
+                key_splats.record(r, input.world, &frame.cameras, camera_and_set, input.kept_keys);
+            }
         });
     }
     record_projection(recorder, stages, frame, slot, input);
@@ -90,7 +92,7 @@ fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot,
         let emptied = [
             (control.needs.binding(), control.needs.byte_len()),
             (control.arguments.binding(), control.arguments.byte_len()),
-            (frame.tile_sort.slab_counts.binding(), frame.tile_sort.slab_counts.byte_len()),
+            (frame.tile_sort.slab_counts.binding(), TileSortBuffers::slab_bytes(frame.shape.bins)),
             (slot.pictures.contributions.binding(), slot.pictures.contributions.byte_len()),
             (transmittances.binding(), transmittances.byte_len()),
             (unfinished.binding(), unfinished.byte_len()),

@@ -20,7 +20,8 @@ const SEGMENT_PAIRS_MAX_IN_SOFTWARE: u32 = 10_000;
 /// What every frame runs, whatever it shows.
 pub(crate) struct CommonStages {
     pub scan: Scan,
-    pub key_splats: KeySplats,
+    /// `None` where no depth keys are kept.
+    pub key_splats: Option<KeySplats>,
     pub tile_sort: TileSort,
     pub plan_segments: PlanSegments,
     pub blend: Blend,
@@ -111,7 +112,7 @@ impl Kernels {
             let finish = finishes(rules, outputs) && *segment_pairs < u32::MAX;
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,
-                key_splats: KeySplats::new(gpu)?,
+                key_splats: if *keep_keys { Some(KeySplats::new(gpu)?) } else { None },
                 tile_sort: TileSort::new(gpu, rules)?,
                 plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
                 blend: blend(BlendPass::Segments)?,
@@ -119,13 +120,10 @@ impl Kernels {
                 finish: if finish { Some(blend(BlendPass::Finish)?) } else { None },
             });
         }
-        // Both kinds at once where keys may be kept: building the other in the middle of a drive would stall it.
-        for kept_keys in [variant.background.kept_keys, *keep_keys] {
-            let kind = ProjectVariant { kept_keys, ..variant.background };
-            if !self.background.iter().any(|(built, _)| *built == kind) {
-                let (cull, project) = (Cull::new(gpu, rules, kind.lenses)?, Project::new(gpu, rules, kind)?);
-                self.background.push((kind, BackgroundStages { cull, project }));
-            }
+        let kind = variant.background;
+        if !self.background.iter().any(|(built, _)| *built == kind) {
+            let (cull, project) = (Cull::new(gpu, rules, kind.lenses)?, Project::new(gpu, rules, kind)?);
+            self.background.push((kind, BackgroundStages { cull, project }));
         }
         if let Some(kind) = variant.agents
             && !self.agents.iter().any(|(built, _)| *built == kind)

@@ -57,11 +57,6 @@ impl KeyDecision {
     pub fn computed(views: usize) -> Self {
         Self { sets: vec![NO_KEY_SET; views], sources: vec![KeySource::Computed; views], find: Vec::new() }
     }
-
-    /// True if some view reads kept keys.
-    pub fn is_kept(&self) -> bool {
-        self.sets.iter().any(|&set| set != NO_KEY_SET)
-    }
 }
 
 /// The persistent key buffer of one world.
@@ -97,24 +92,22 @@ impl PersistentKeys {
         self.frame += 1;
         self.fit(gpu, world, views)?;
         let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
-        let mut decision = KeyDecision { sets: Vec::new(), sources: Vec::new(), find: Vec::new() };
+        let mut decision = KeyDecision::computed(views);
         for (camera, direction) in directions.iter().enumerate() {
-            let known = self.sets.iter().position(|set| set.direction == *direction);
-            // A direction that did not change for a frame is worth it: what is found is paid for once and serves many frames.
-            let stands = self.previous.get(camera) == Some(direction);
-            let (set, source) = match known {
-                Some(set) => (Some(set), KeySource::Kept),
-                None if stands => (self.free_set(*direction, &directions), KeySource::Found),
-                None => (None, KeySource::Computed),
+            let (set, source) = if let Some(known) = self.sets.iter().position(|set| set.direction == *direction) {
+                (known, KeySource::Kept)
+            } else if self.previous.get(camera) == Some(direction)
+                && let Some(free) = self.free_set(*direction, &directions)
+            {
+                // A direction that did not change for a frame is worth it: its keys are paid for once and serve many frames.
+                decision.find.push((camera, free));
+                (free, KeySource::Found)
+            } else {
+                continue;
             };
-            if let Some(set) = set {
-                self.sets[set].last_used = self.frame;
-            }
-            if let (Some(set), KeySource::Found) = (set, source) {
-                decision.find.push((camera, set));
-            }
-            decision.sets.push(set.map_or(NO_KEY_SET, |set| set as u32));
-            decision.sources.push(if set.is_some() { source } else { KeySource::Computed });
+            self.sets[set].last_used = self.frame;
+            decision.sets[camera] = set as u32;
+            decision.sources[camera] = source;
         }
         if !decision.find.is_empty() && self.keys.is_empty() {
             // Those who draw a single picture have no use for it.

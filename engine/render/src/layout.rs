@@ -218,7 +218,7 @@ pub struct Bucket {
     pub bin: u32,
 }
 
-/// `ViewLists` of `frame.glsl`: where the records of a camera begin.
+/// `ViewLists` of `frame.glsl`: first records of a camera.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct ViewLists {

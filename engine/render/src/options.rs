@@ -19,10 +19,10 @@ pub struct RenderOptions {
     pub outputs: Outputs,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
-    /// Macro tiles whose list is longer are blended in segments of this length, side by side. Shorter segments balance better and take more memory: 32 KiB of partial result each. Above 2^24 lists are not
-    /// cut; a software device cuts them at 10,000.
+    /// Length of the segments in which lists of macro tiles are blended, side by side, pairs. Shorter segments balance better and take
+    /// more memory: 32 KiB of partial result each. Above 2^24 lists are not cut; a software device cuts them at 10,000.
     pub segment_pairs: u32,
-    /// Whether depth keys of the background are kept per direction, or computed in every frame. Pictures are the same.
+    /// True keeps depth keys of the background per view direction, false computes them in every frame. Images are the same.
     pub keep_keys: bool,
     /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in the picture. `None`: always
     /// at the finest, which is exact.

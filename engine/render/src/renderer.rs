@@ -140,7 +140,6 @@ impl Renderer {
             background: ProjectVariant {
                 sh_degree: scene.world.sh_degree.min(options.sh_degree_max),
                 instances: scene.world.has_instances && options.outputs.instance,
-                kept_keys: decision.is_kept(),
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),
@@ -199,7 +198,6 @@ impl Renderer {
             let record_start = Instant::now();
             // Frames submitted since may have taken the place of the keys that this one was to use.
             pending.keys = KeyDecision::computed(pending.keys.sources.len());
-            pending.variant.background.kept_keys = false;
             self.slots[slot].staged_key_sets.write_host(0, &pending.keys.sets);
             let Pending { world, variant, keys, kept_keys, update, .. } = &pending;
             let (frame, capacity) = self.submit_frame(slot, world, *variant, (keys, kept_keys), update.as_ref())?;

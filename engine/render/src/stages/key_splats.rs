@@ -34,7 +34,7 @@ impl KeySplats {
     /// The stage.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::KEY_SPLATS, &[])? })
     }

@@ -40,8 +40,6 @@ pub struct ProjectVariant {
     pub sh_degree: u8,
     /// Whether records carry their instance.
     pub instances: bool,
-    /// Whether the depth keys of some direction are kept.
-    pub kept_keys: bool,
     /// Whether records carry the index of their splat instead.
     pub splat_ids: bool,
     /// Whether agents throw contact shadows.
@@ -79,7 +77,6 @@ impl Project {
             ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
             ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
             ("INSTANCES", Constant::Bool(variant.instances)),
-            ("KEPT_KEYS", Constant::Bool(variant.kept_keys)),
             ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
             ("SHADOWS", Constant::Bool(variant.shadows)),
             ("SHADOWS_BY_CAMERA", Constant::Bool(variant.shadows && variant.shadows_by_camera)),

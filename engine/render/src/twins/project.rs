@@ -19,7 +19,7 @@ fn light_left(chunk_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[Sh
 
 /// Writes a record, its colour and depth key for every bit of `visible_words`, the first of each `[camera][chunk]` at `firsts`, as far as
 /// there is room. `instances` holds two 16-bit ids a word, and is `None` where they are not asked for; with `splat_ids` the splat's
-/// index is written instead. With `kept`, cameras that have a key set read their keys from it.
+/// index is written instead. Cameras that have a key set read their keys from it.
 pub fn project(
     cameras: &[CameraRecord],
     means_m: &[[f32; 3]],
@@ -40,7 +40,6 @@ pub fn project(
     variant: Variant,
     sh_degree: usize,
     radial: bool,
-    kept: bool,
     splat_ids: bool,
 ) {
     let splat_count = means_m.len();
@@ -67,7 +66,7 @@ pub fn project(
                 let colour = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree);
                 let colour = light_left(chunk_index, camera_index, means_m[splat_index], shadows, shadow_words) * colour;
                 write_record(slot, &record, colour, footprints, colours);
-                keys[slot] = if kept && key_sets[camera_index] != NO_KEY_SET {
+                keys[slot] = if key_sets[camera_index] != NO_KEY_SET {
                     kept_keys[key_sets[camera_index] as usize * splat_count + splat_index]
                 } else {
                     depth_key(scaled_depth(means_m[splat_index], camera, radial))

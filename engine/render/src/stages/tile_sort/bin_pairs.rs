@@ -32,7 +32,7 @@ impl BinPairs {
     /// The stage; `radial` where keys are of distances.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, pass: BinPass, radial: bool) -> Result<Self, GpuError> {
         let constants = [("FILL", Constant::Bool(pass == BinPass::Fill)), ("RADIAL", Constant::Bool(radial))];
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::BIN_PAIRS, &constants)? })

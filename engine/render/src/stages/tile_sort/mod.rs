@@ -23,7 +23,7 @@ use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
 
 /// Lists and scratch of the sort.
 pub struct TileSortBuffers {
-    /// Where the records of each camera begin.
+    /// First records of each camera.
     pub lists: Buffer<ViewLists>,
     /// Pairs of each `[macro tile][depth slab]`; zero before the frame. From the plan on, the next place in the pair buffer.
     pub slab_counts: Buffer<u32>,
@@ -43,7 +43,7 @@ impl TileSortBuffers {
     /// Buffers for as many pairs as `capacity` says in `bins` macro tiles.
     ///
     /// # Errors
-    /// When the device is out of memory.
+    /// [`GpuError`]: the device is out of memory.
     pub fn new(gpu: &Gpu, capacity: &Capacity, bins: u32) -> Result<Self, GpuError> {
         let (device, bin_count) = (Residence::Device, bins as usize);
         Ok(Self {
@@ -56,6 +56,11 @@ impl TileSortBuffers {
             sorted_records: gpu.buffer("sorted_records", PURPOSE, capacity.pairs, device)?,
         })
     }
+
+    /// Size of the slab counts of `bins` macro tiles, bytes.
+    pub(crate) fn slab_bytes(bins: u32) -> u64 {
+        4 * u64::from(bins) * SLABS as u64
+    }
 }
 
 /// Records to be sorted.
@@ -63,7 +68,7 @@ impl TileSortBuffers {
 pub struct Records<'a> {
     /// The frame's cameras.
     pub cameras: &'a Buffer<CameraRecord>,
-    /// How many there are.
+    /// Number of cameras.
     pub camera_count: usize,
     /// Their footprints and depth keys.
     pub projected: &'a Projected,
@@ -90,7 +95,7 @@ impl TileSort {
     /// The stages for depth keys as `rules` define them.
     ///
     /// # Errors
-    /// When the driver refuses a kernel.
+    /// [`GpuError`]: the driver refuses a kernel.
     pub fn new(gpu: &Gpu, rules: &Rules) -> Result<Self, GpuError> {
         let radial = rules.order == DepthOrder::Radial;
         Ok(Self {

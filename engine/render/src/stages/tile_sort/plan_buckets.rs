@@ -23,7 +23,7 @@ impl PlanBuckets {
     /// The stage.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_BUCKETS, &[])? })
     }

@@ -1,4 +1,4 @@
-//! Where the records of each camera begin.
+//! First records of each camera, and the dispatch that bins them.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
@@ -24,7 +24,7 @@ impl PlanLists {
     /// The stage.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_LISTS, &[])? })
     }

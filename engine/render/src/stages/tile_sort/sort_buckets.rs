@@ -23,7 +23,7 @@ impl SortBuckets {
     /// The stage; `radial` where keys are of distances.
     ///
     /// # Errors
-    /// When the driver refuses the kernel.
+    /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, radial: bool) -> Result<Self, GpuError> {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::SORT_BUCKETS, &[("RADIAL", Constant::Bool(radial))])? })
     }
