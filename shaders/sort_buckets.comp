@@ -40,8 +40,7 @@ layout(constant_id = 0) const bool RADIAL = false; // keys are of distances inst
 layout(push_constant, scalar) uniform push_block { uint pairs_max; uint camera_count; };
 
 const uint SHARED_PAIRS = 2048u; // a power of two
-shared uint shared_keys[SHARED_PAIRS];
-shared uint shared_records[SHARED_PAIRS];
+shared uint shared_words[2u * SHARED_PAIRS]; // keys and then records of pairs, or the counts of a radix pass
 shared uint bins[SHARED_PAIRS]; // pairs of each bin, then where it ends
 shared uint longest_bin;
 shared uint differing_keys;
@@ -109,13 +108,13 @@ void sort_bitonic(uint size, uint thread) {
                 uint low = pair / apart * 2u * apart + pair % apart;
                 uint high = low + apart;
                 bool rising = (low & run) == 0u;
-                uint low_key = shared_keys[low], high_key = shared_keys[high];
-                uint low_record = shared_records[low], high_record = shared_records[high];
+                uint low_key = shared_words[low], high_key = shared_words[high];
+                uint low_record = shared_words[SHARED_PAIRS + low], high_record = shared_words[SHARED_PAIRS + high];
                 if (stands_before(high_key, high_record, low_key, low_record) == rising) {
-                    shared_keys[low] = high_key;
-                    shared_keys[high] = low_key;
-                    shared_records[low] = high_record;
-                    shared_records[high] = low_record;
+                    shared_words[low] = high_key;
+                    shared_words[high] = low_key;
+                    shared_words[SHARED_PAIRS + low] = high_record;
+                    shared_words[SHARED_PAIRS + high] = low_record;
                 }
             }
         }
@@ -148,24 +147,24 @@ void finish_in_shared_memory(Bucket bucket, uint first, uint count, uint binned_
             size *= 2u;
         }
         for (uint place = count + thread; place < size; place += WORKGROUP_THREADS) {
-            shared_keys[place] = 0xffffffffu;
-            shared_records[place] = 0xffffffffu;
+            shared_words[place] = 0xffffffffu;
+            shared_words[SHARED_PAIRS + place] = 0xffffffffu;
         }
         sort_bitonic(size, thread);
         for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-            sorted_records[first + place] = shared_records[place];
+            sorted_records[first + place] = shared_words[SHARED_PAIRS + place];
         }
         return;
     }
     for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
-        uint key = shared_keys[place];
-        uint record = shared_records[place];
+        uint key = shared_words[place];
+        uint record = shared_words[SHARED_PAIRS + place];
         uint bin = slab_bins ? bin_in_slab(key, camera_depth, key_scale) : bin_of(key, bucket, camera_depth, key_scale);
         uint begin = (bin == 0u ? 0u : bins[bin - 1u]) - binned_first;
         uint end = bins[bin] - binned_first;
         uint rank = begin;
         for (uint other = begin; other < end; ++other) {
-            rank += stands_before(shared_keys[other], shared_records[other], key, record) ? 1u : 0u;
+            rank += stands_before(shared_words[other], shared_words[SHARED_PAIRS + other], key, record) ? 1u : 0u;
         }
         sorted_records[first + rank] = record;
     }
@@ -184,8 +183,8 @@ void sort_in_shared_memory(Bucket bucket, float camera_depth, float key_scale, u
     for (uint place = thread; place < count; place += WORKGROUP_THREADS) {
         uint key = pair_keys[first + place];
         uint target = atomicAdd(bins[bin_of(key, bucket, camera_depth, key_scale)], 1u);
-        shared_keys[target] = key;
-        shared_records[target] = pair_records[first + place];
+        shared_words[target] = key;
+        shared_words[SHARED_PAIRS + target] = pair_records[first + place];
     }
     barrier();
     finish_in_shared_memory(bucket, first, count, 0u, false, camera_depth, key_scale, thread);
@@ -214,46 +213,31 @@ void pass_over_memory(uint first, uint count, uint thread, bool there, uint shif
     uint run = (count + WORKGROUP_THREADS - 1u) / WORKGROUP_THREADS;
     uint begin = min(thread * run, count);
     uint end = min(begin + run, count);
-    // Counts by digit and thread lie in shared_keys and shared_records, which are 4,096 words together.
+    // Counts lie by digit and then by thread: DIGITS * WORKGROUP_THREADS words.
     for (uint digit = 0u; digit < DIGITS; ++digit) {
-        uint at = digit * WORKGROUP_THREADS + thread;
-        if (at < SHARED_PAIRS) {
-            shared_keys[at] = 0u;
-        } else {
-            shared_records[at - SHARED_PAIRS] = 0u;
-        }
+        shared_words[digit * WORKGROUP_THREADS + thread] = 0u;
     }
     for (uint place = begin; place < end; place += MOVED) {
         [[unroll]] for (uint next = place; next < place + MOVED; ++next) {
             if (next < end) {
                 uint at = digit_of(key_at(there, first + next), record_at(there, first + next), shift, by_key) * WORKGROUP_THREADS + thread;
-                if (at < SHARED_PAIRS) {
-                    ++shared_keys[at];
-                } else {
-                    ++shared_records[at - SHARED_PAIRS];
-                }
+                ++shared_words[at];
             }
         }
     }
     barrier();
-    // Each thread sums a run of sixteen counts, which lie by digit and then by thread.
+    // Each thread sums a run of sixteen counts.
     uint first_count = thread * DIGITS;
     uint own = 0u;
     for (uint next = first_count; next < first_count + DIGITS; ++next) {
-        own += next < SHARED_PAIRS ? shared_keys[next] : shared_records[next - SHARED_PAIRS];
+        own += shared_words[next];
     }
     uint total;
     uint sum = block_exclusive_sum(own, total);
     barrier();
     for (uint next = first_count; next < first_count + DIGITS; ++next) {
-        uint counted;
-        if (next < SHARED_PAIRS) {
-            counted = shared_keys[next];
-            shared_keys[next] = sum;
-        } else {
-            counted = shared_records[next - SHARED_PAIRS];
-            shared_records[next - SHARED_PAIRS] = sum;
-        }
+        uint counted = shared_words[next];
+        shared_words[next] = sum;
         sum += counted;
     }
     barrier();
@@ -263,7 +247,7 @@ void pass_over_memory(uint first, uint count, uint thread, bool there, uint shif
                 uint key = key_at(there, first + next);
                 uint record = record_at(there, first + next);
                 uint at = digit_of(key, record, shift, by_key) * WORKGROUP_THREADS + thread;
-                uint target = first + (at < SHARED_PAIRS ? shared_keys[at]++ : shared_records[at - SHARED_PAIRS]++);
+                uint target = first + shared_words[at]++;
                 if (there) {
                     pair_keys[target] = key;
                     pair_records[target] = record;
@@ -355,8 +339,8 @@ void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) 
             continue;
         }
         for (uint place = begin + thread; place < end; place += WORKGROUP_THREADS) {
-            shared_keys[place - begin] = other_keys[first + place];
-            shared_records[place - begin] = sorted_records[first + place];
+            shared_words[place - begin] = other_keys[first + place];
+            shared_words[SHARED_PAIRS + place - begin] = sorted_records[first + place];
         }
         barrier();
         finish_in_shared_memory(bucket, first + begin, end - begin, begin, true, camera_depth, key_scale, thread);
