@@ -1,18 +1,25 @@
 # Two commands from a fresh Debian or Ubuntu machine that has cargo (from rustup, which reads rust-toolchain.toml), git and make:
 #
-#   make demo   renders a small synthetic street with a six-camera rig and writes the pictures to out/demo
-#   make test   runs every test, with the Vulkan validation layers on
+#   make demo     renders a small synthetic street with a six-camera rig and writes the images to out/demo
+#   make test     runs every test, with the Vulkan validation layers on
 #
-# Both install what is missing through apt, and only then; sudo is used only by a user who is not root.
+# And one for whoever changes a shader:
+#
+#   make shaders  compiles shaders/*.comp to shaders/spirv with shaderc. The first time it builds shaderc: about eight minutes.
+#
+# Each installs through apt what is missing; sudo is used only by a user who is not root.
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-.PHONY: demo test python-test wheel-test packages python
+.PHONY: demo test shaders shaders-check python-test wheel-test packages python
 
-# Building needs a C++ compiler, cmake, ninja, pkg-config and python3 (for shaderc, which compiles the shaders); running
-# needs the Vulkan loader, a driver (lavapipe, the software one, unless the machine has a better) and the validation layers.
-PROGRAMS := g++ cmake ninja pkg-config python3
-LIBRARIES := libvulkan1 mesa-vulkan-drivers vulkan-validationlayers python3-venv valgrind
+# What each target needs, as `program` (found in the path; its package has the same name) or `=package` (asked of dpkg).
+# A build needs a linker and a C compiler, a run the Vulkan loader and a driver (lavapipe, the software one, unless the machine has a better).
+# Tests also need the validation layers, C++, Python and valgrind. Only shaderc needs cmake, ninja and python3.
+NEEDS_RUN := gcc =libc6-dev =libvulkan1 =mesa-vulkan-drivers
+NEEDS_TEST := $(NEEDS_RUN) g++ python3 =python3-venv =vulkan-validationlayers valgrind
+NEEDS_SHADERC := gcc g++ cmake ninja python3
+NEEDS = $(NEEDS_TEST)
 
 # Tests use the project from Python as users do: they read compressed assets, build and install the wheel, speak to the server and
 # drive episodes on a cluster of this machine. A test whose package cannot be installed says that it is skipped.
@@ -23,13 +30,14 @@ PYTHON := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/decouplegs/python
 DEMO := out/demo
 DECOUPLEGS := cargo run --quiet --package decouplegs-tools --
 
-# The demo is built like the tests (optimised, see [profile.dev] in Cargo.toml), so that shaderc is compiled once for both.
+# The demo is built like the tests (optimized, see [profile.dev] in Cargo.toml), so that nothing is built twice.
 # Its sizes are what lavapipe draws on two cores in half a minute.
+demo: NEEDS := $(NEEDS_RUN)
 demo: packages
 	cargo build --package decouplegs-tools
 	$(DECOUPLEGS) synth street --background 400000 --agents 8 --agent-splats 8000 --degree 1 --seed 7 --size 800x450 --out $(DEMO)/street
 	$(DECOUPLEGS) render $(DEMO)/street/scene.toml --out $(DEMO) --contact-sheet $(DEMO)/contact-sheet.png
-	@echo "The six pictures are in $(DEMO), side by side in $(DEMO)/contact-sheet.png."
+	@echo "The six images are in $(DEMO), side by side in $(DEMO)/contact-sheet.png."
 
 # Documentation tests come first: what stands last in the output is the count of the tests proper.
 test: export DECOUPLEGS_VALIDATION := 1
@@ -42,6 +50,15 @@ test: packages python
 		cargo test --workspace --lib --bins --tests --no-fail-fast; \
 	fi
 	$(MAKE) --no-print-directory python-test
+
+shaders: NEEDS := $(NEEDS_SHADERC)
+shaders: packages
+	cargo run --quiet --package decouplegs-shaders --features compile
+
+# Fails if the SPIR-V in shaders/spirv is not what shaderc makes of the shaders.
+shaders-check: NEEDS := $(NEEDS_SHADERC)
+shaders-check: packages
+	cargo run --quiet --package decouplegs-shaders --features compile -- --check
 
 # The Python package over the library that the tests' own build makes: a wheel would compile everything once more.
 python-test: export DECOUPLEGS_VALIDATION := 1
@@ -69,15 +86,17 @@ python: packages
 
 packages:
 	@missing=(); \
-	for program in $(PROGRAMS); do \
-		command -v $$program >/dev/null || missing+=("$${program/#ninja/ninja-build}"); \
-	done; \
 	if ! command -v dpkg-query >/dev/null; then \
-		echo "This is no Debian or Ubuntu: make sure that a Vulkan 1.3 loader and driver, the validation layers, $(PROGRAMS) are installed."; \
+		echo "This is no Debian or Ubuntu: make sure that these are installed: $(subst =,,$(NEEDS))"; \
 		exit 0; \
 	fi; \
-	for package in $(LIBRARIES); do \
-		[[ "$$(dpkg-query --show --showformat='$${db:Status-Status}' $$package 2>/dev/null)" == installed ]] || missing+=("$$package"); \
+	for need in $(NEEDS); do \
+		package=$${need#=}; \
+		if [[ $$need == =* ]]; then \
+			[[ "$$(dpkg-query --show --showformat='$${db:Status-Status}' $$package 2>/dev/null)" == installed ]] || missing+=("$$package"); \
+		else \
+			command -v $$need >/dev/null || missing+=("$${package/#ninja/ninja-build}"); \
+		fi; \
 	done; \
 	if (( $${#missing[@]} == 0 )); then exit 0; fi; \
 	echo "Installing $${missing[*]}"; \

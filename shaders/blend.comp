@@ -51,13 +51,15 @@ layout(set = 0, binding = 10, std430) buffer partial_colours_block { vec4 partia
 layout(set = 0, binding = 11, std430) buffer partial_depths_block { float partial_depths[]; };
 layout(set = 0, binding = 12, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
 
-// Of each partial result, by render tile: bits of the largest transmittance it left, or 0 while that is not known.
+// Per partial result and render tile: bits of the largest transmittance that it left, or 0 while
+// that is not known.
 layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint partial_transmittances[]; };
 
-// Of each splat, the sum of its weights in all pixels, in steps of 1 / contribution_scale.
+// Per splat: the sum of its weights in all pixels, in steps of 1 / contribution_scale.
 layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contributions[]; };
 
-// Of each partial result, the render tiles with pixels that are to be finished, as bits. Only with EXCLUSIVE_STOP or CONTRIBUTIONS.
+// Per partial result: the render tiles with pixels that are to be finished, as bits. Only with
+// EXCLUSIVE_STOP or CONTRIBUTIONS.
 layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
 
 layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; uint items_max; float contribution_scale; };
@@ -180,7 +182,7 @@ void write_partial(uint place, Pixel pixel, bool full) {
     store_partial(place, pixel);
 }
 
-// What lies before the pixel's segment, or a full pixel if there is nothing to finish in it.
+// Pixel before its segment, or a full pixel if there is nothing to finish in it.
 Pixel unfinished_pixel(uint place, out bool full) {
     Pixel pixel = load_partial(place);
     full = !(pixel.transmittance < 0.0);
@@ -222,7 +224,8 @@ void write_result(Item item, Camera camera, uvec2 origin, uint place, LanePixels
     }
 }
 
-// Of the segment's render tiles that are to be drawn, whether the share that begins at `first_place` has one.
+// True if the share that begins at `first_place` has one of the segment's render tiles that are to
+// be rendered.
 bool is_drawn(uint tiles, uint first_place) {
     return (tiles >> render_tile(first_place) & (LANES > 32u ? 3u : 1u)) != 0u;
 }
@@ -231,7 +234,7 @@ bool is_drawn(uint tiles, uint first_place) {
 void blend_one_batch(Item item, Camera camera, uvec2 origin, uint tiles) {
     stage_records(item.first_pair, item.pairs, origin, camera.size_px);
     barrier();
-    // As many rounds as there are shares, so that a loop ends where a counter would not be believed.
+    // As many rounds as shares, so that the loop ends even if a counter is wrong.
     for (uint taken = 0u; taken < SHARES; ++taken) {
         uint share = 0u;
         if (gl_SubgroupInvocationID == 0u) {

@@ -1,5 +1,5 @@
 #version 460
-// Which splats of a chunk can be seen by which camera of the rig.
+// Frustum culling of clusters and splats: a bit per splat and camera of the rig.
 //
 // One workgroup a chunk, one thread a splat; attributes are read once for all cameras. A chunk whose box cannot reach a
 // camera's image is skipped with one test. Writes one bit a splat and the count a (camera, chunk).

@@ -1,5 +1,5 @@
 #version 460
-// Which splats of the agents can be seen by which camera of the rig: what cull is for the background.
+// Frustum culling of the agents' splats: a bit per splat and camera of the rig.
 //
 // One workgroup a chunk of an agent, one thread a splat. Which cameras may see the agent at all is known from its box.
 #extension GL_GOOGLE_include_directive : require

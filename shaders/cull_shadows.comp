@@ -1,5 +1,6 @@
 #version 460
-// Which shadows may lie on which chunk of the background: a bit each. Where no agent stands near, projection reads a zero.
+// Culling of contact shadows: a bit per shadow and cluster of the background. Where no agent stands
+// near, projection reads a zero.
 //
 // One thread a word: 32 shadows on one chunk.
 #extension GL_GOOGLE_include_directive : require
@@ -15,7 +16,7 @@ layout(set = 0, binding = 2, scalar) writeonly buffer shadow_words_block { uint 
 
 layout(push_constant, scalar) uniform push_block { uint chunk_count; uint shadow_count; };
 
-// Whether the box of the chunk's means reaches into the slab of ground that the shadow lies on.
+// True if the box of the cluster's means reaches into the slab of ground that the shadow lies on.
 bool shadow_reaches(Shadow shadow, Chunk chunk) {
     vec3 centre = from_shadow_m(chunk.centre_m, shadow);
     vec3 half_extent = chunk.half_extent_m;

@@ -87,7 +87,7 @@ void main() {
 
     for (uint segment = first_segment; segment < wave_end; ++segment, ++item) {
         uint taken = segment * SEGMENT_PAIRS;
-        // Where there is no room for the partial result any slot will do: the picture is drawn again.
+        // Without room for the partial result any slot is valid: the image is rendered again.
         uint slot = cut ? min(partial + segment, partials_max - 1u) : NO_PARTIAL;
         if (item < items_max) {
             items[item] = Item(bin, list.x + taken, segment + 1u < segments ? SEGMENT_PAIRS : length - taken, slot, segment);
@@ -106,7 +106,7 @@ void main() {
         needs.partials = all_partials;
         needs.composites = all_composites;
         needs.longest = longest_list; // block_sum has waited for all threads
-        // What has no room is not drawn: the host grows the buffers and draws again.
+        // Items without room are not rendered: the host grows the buffers and renders again.
         arguments[ARGUMENTS_BLEND] = groups_for(pairs <= pairs_max ? min(all_items, items_max) : 0u);
         arguments[ARGUMENTS_COMPOSITE] = groups_for(all_partials <= partials_max && pairs <= pairs_max ? all_composites * COMPOSITE_GROUPS : 0u);
     }

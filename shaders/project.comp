@@ -65,7 +65,8 @@ uint key_of(uint camera_index, uint splat_index, vec3 mean_m, Camera camera) {
     return depth_key(RADIAL ? scaled_distance(mean_m, camera) : scaled_depth(mean_m, camera));
 }
 
-// What all shadows that may lie on the chunk leave of a splat's light; where cameras see different ones, those that this one sees.
+// Share of a splat's light after all shadows that may lie on the cluster; if cameras see different
+// shadows, after those that this camera sees.
 float light_left(uint chunk_index, vec3 mean_m, uint camera_index) {
     float light = 1.0;
     for (uint word = 0u; word < shadow_word_count; ++word) {

@@ -43,7 +43,7 @@ const uint COLOUR_WORDS = 24u;
 const uint FIRST_WORD_1 = 0u;
 const uint FIRST_WORD_2 = 5u;
 const uint FIRST_WORD_3 = 13u;
-// Whose colours are read.
+// True if colors are read from the relit codebooks.
 bool from_relit = false;
 uint colour_word(uint at) {
     return RELIT && from_relit ? relit_bands[at] : coded_bands[at];

@@ -1,4 +1,4 @@
-// What both kernels over agents read.
+// Buffers that both kernels over agents read.
 
 layout(set = 0, binding = 0, scalar) readonly buffer agents_block { Agent agents[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer agent_cameras_block { Camera agent_cameras[]; }; // [agent][camera]

@@ -1,4 +1,5 @@
-// What the front-to-back order goes by, finer than an f32 can say: 27 binary digits of a depth computed with 48.
+// Depth key of the front-to-back order, finer than an f32: 27 binary digits of a depth computed
+// with 48.
 //
 // The depth is counted from the world's origin, along the camera's direction: f.p instead of f.(p - c), which differs by the
 // same for all splats. So a key does not change when the camera moves without turning, and neither does the order.

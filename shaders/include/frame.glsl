@@ -38,7 +38,8 @@ struct Chunk {
     float reach_m; // longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it
 };
 
-// How many were wanted, whatever the capacity: the host grows the buffers that were too small and draws again.
+// Required counts, whatever the capacity: the host grows the buffers that were too small and
+// renders again.
 struct Needs {
     uint records;    // visible (camera, splat)
     uint pairs;      // (macro tile, record); more than 2^32 wrap: see wanted_pairs
@@ -62,7 +63,7 @@ uint held(uint need, uint room) {
     return need > room ? 0u : need;
 }
 
-// Where the arguments of each indirect dispatch stand, in units of uvec3.
+// Offsets of the arguments of each indirect dispatch, in units of uvec3.
 const uint ARGUMENTS_PAIR_BLOCKS = 0u;
 const uint ARGUMENTS_BLEND = 1u;
 const uint ARGUMENTS_COMPOSITE = 2u;

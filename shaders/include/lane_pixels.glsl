@@ -54,7 +54,7 @@ void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 colo
     }
 }
 
-// What a pixel lets through to what lies behind the segment.
+// Transmittance of a pixel that remains behind the segment.
 float left_through(Pixel pixel, bool full) {
     return EXCLUSIVE_STOP && full ? 0.0 : pixel.transmittance;
 }

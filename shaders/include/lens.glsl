@@ -1,4 +1,5 @@
-// What a lens that is no pinhole makes of a Gaussian: the unscented transform (Wu et al., 3DGUT, 2025), in f32.
+// Projection of a Gaussian through a lens other than a pinhole: the unscented transform (Wu et al.,
+// 3DGUT, 2025), in f32.
 //
 // Seven points stand for the Gaussian, the lens takes each to the image, and the footprint has their mean and covariance. Up to
 // where it ends a lens is followed; beyond, it goes on linearly in the chord 2 sin(angle / 2), which is finite even for what
@@ -58,7 +59,7 @@ float radius_at(uint lens, float chord) {
     return low.x + s * (low.y + s * (3.0 * rise - 2.0 * low.y - high.y + s * (low.y + high.y - 2.0 * rise)));
 }
 
-// Where a point in camera axes falls, pixels from the principal point.
+// Projection of a point in camera axes, pixels from the principal point.
 vec2 through_lens(uint lens, vec3 t) {
     vec3 ray = normalize(t);
     float across = length(ray.xy);
@@ -124,7 +125,8 @@ bool project_splat_unscented(Camera camera, uint lens, vec3 t, mat3 axes, float 
         points[i] = SQRT_SIXTH * (points[i] - shift);
         unit_px = max(unit_px, max(abs(points[i].x), abs(points[i].y)));
     }
-    // As project_splat, with Lagrange's identity for the determinant: the sum of the squares of all minors.
+    // Covariance as in project_splat, with Lagrange's identity for the determinant: the sum of the
+    // squares of all minors.
     float xx = 0.0, xy = 0.0, yy = 0.0, undilated = 0.0;
     for (int i = 0; i < 7; ++i) {
         points[i] /= unit_px;
@@ -164,12 +166,14 @@ float arc_sine_bound(float s) {
     return s * inversesqrt(1.0 - s * s);
 }
 
-// How far a footprint reaches from where its splat's mean falls, over the pixels that its reach may fall from there: points at
-// sqrt(3) standard deviations move the mean of all by at most that, and their variance is at most twice its square, which
-// the cut-off takes times sqrt(3) farther: 1 + sqrt(6).
+// Ratio of a footprint's extent around its projected mean to the largest displacement of a sigma
+// point. Points at sqrt(3) standard deviations move the mean of all by at most that displacement.
+// Their variance is at most twice its square, and the cut-off multiplies it by sqrt(3): 1 +
+// sqrt(6).
 const float UNSCENTED_REACH = 3.45;
 
-// Whether a splat of the chunk may reach the image of a camera: chunk_reaches for a lens that is no pinhole.
+// True if a splat of the cluster may overlap the image of a camera: chunk_reaches for a lens other
+// than a pinhole.
 //
 // The means lie in a ball, within some angle of its centre, and no lens takes rays so far apart in the image as its steepest
 // place would. Balls near the camera or beside it are let pass: there are few.

@@ -1,4 +1,4 @@
-// Where finished pixels go. Outputs that were not asked for are neither computed nor written.
+// Output of finished pixels. Outputs that were not asked for are neither computed nor written.
 
 layout(constant_id = 0) const bool COLOUR_U8 = false;       // RGBA8, clamped and rounded, instead of 4 x f32
 layout(constant_id = 1) const bool DEPTH = false;           // expected depth, metres
@@ -11,8 +11,9 @@ layout(set = 0, binding = 2, std430) writeonly buffer pictures_u8_block { uint p
 layout(set = 0, binding = 3, std430) writeonly buffer depths_block { float depths_m[]; };
 layout(set = 0, binding = 4, std430) writeonly buffer instance_ids_block { uint instance_ids[]; };
 
-// How blend shares a macro tile's pixels: eight lanes have a block of 4 x 4, two pixels each, and four blocks are a render tile. A pixel's
-// place counts the left pixels of all lanes first, then the right ones, two columns beside them.
+// Assignment of a coarse tile's pixels to lanes in blend: eight lanes have a block of 4 x 4, two
+// pixels each, and four blocks are a render tile. A pixel's place counts the left pixels of all
+// lanes first, then the right ones, two columns beside them.
 const uint LEFT_PIXELS = MACRO_PIXELS / 2u;
 const uint TILE_LEFT_PIXELS = RENDER_TILE_PX * RENDER_TILE_PX / 2u;
 
@@ -30,13 +31,14 @@ uvec2 pixel_offset(uint place) {
     return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(block % 2u, block / 2u) * 4u + in_block;
 }
 
-// Where the rules ask for it, a pixel stops before the splat that would take its transmittance to this or below.
+// Transmittance limit of the exclusive stop: a pixel stops before the splat that would take its
+// transmittance to this or below.
 const float TRANSMITTANCE_MIN = 1e-4;
 
 // Elsewhere it stops once no more than this is left: the rules allow an error of 1e-4, and 95 dB do not.
 const float TRANSMITTANCE_FULL = 2e-5;
 
-// What a pixel has gathered, front to back.
+// Accumulated color and transmittance of a pixel, front to back.
 struct Pixel {
     vec3 colour;
     float transmittance;

@@ -17,7 +17,7 @@ vec3 from_shadow_m(vec3 position_m, Shadow shadow) {
     return (position_m - shadow.centre_high_m) - shadow.centre_low_m;
 }
 
-// What is left of the light of a splat with its mean at `mean_m`.
+// Share of the light that remains for a splat with its mean at `mean_m`.
 float shadow_factor(Shadow shadow, vec3 mean_m) {
     vec3 offset = from_shadow_m(mean_m, shadow);
     if (abs(dot(shadow.normal, offset)) > shadow.slab_m) {

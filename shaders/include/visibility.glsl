@@ -1,6 +1,6 @@
-// Whether boxes and splats reach a camera's image. The test of a box is conservative for the projection used: a splat's
-// half-width in pixels is at most reach * (focal / z) * sqrt(1 + slope_limit^2) plus the dilation, so 'reaches the image'
-// is a plane test.
+// Conservative frustum culling of boxes and splats. The test of a box is conservative for the
+// projection used: a splat's half-width in pixels is at most reach * (focal / z) * sqrt(1 +
+// slope_limit^2) plus the dilation, so 'reaches the image' is a plane test.
 
 // Pixels that dilation adds to a splat's half-width at most: sqrt(0.3 * 2 ln 255), rounded up.
 const float DILATION_REACH_PX = 1.9;

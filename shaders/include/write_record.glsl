@@ -1,4 +1,4 @@
-// What both projections write for a visible (camera, splat).
+// Record of a visible (camera, splat), written by both projections.
 
 layout(set = 0, binding = 11, std430) writeonly buffer footprints_block { vec4 footprints[]; }; // two a record
 layout(set = 0, binding = 12, std430) writeonly buffer colours_block { vec4 colours[]; };
