@@ -60,13 +60,13 @@ struct LiveAsset {
 /// An agent as somebody puts it into a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placed {
-    /// Which asset it shows, a place in [`LoadedScene::assets`].
+    /// Index of its asset in [`LoadedScene::assets`].
     pub asset: usize,
-    /// Where it stands, world coordinates.
+    /// Pose, world coordinates.
     pub pose: Pose,
-    /// How the asset's colours are meant; `None`: as the asset says.
+    /// Frame of the asset's colors; `None`: as the asset says.
     pub sh_frame: Option<ShFrame>,
-    /// Its instance id, above zero.
+    /// Instance id, above zero.
     pub instance: u16,
 }
 
@@ -127,7 +127,8 @@ impl LiveScene {
         }
     }
 
-    /// Whether the light about `places` is summed up, or cannot be: there is none, or more than `probes_max` probes are kept already.
+    /// True if the light around `places` is computed, or cannot be: the scene has none, or
+    /// `probes_max` probes are kept already.
     #[must_use]
     pub fn has_light_at(&self, places: &[DVec3], probes_max: usize) -> bool {
         let Some(lighting) = &self.lighting else { return true };

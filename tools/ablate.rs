@@ -39,7 +39,7 @@ use stage::Stage;
 /// over the pixels of vehicles. Then the system runs in full and without compression, registration and relighting.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// What light does to colours: a light transfer that `calibrate-light` wrote (.safetensors)
+    /// Light transfer: the effect of light on colors, written by `calibrate-light` (.safetensors)
     #[arg(long, value_name = "FILE")]
     light: PathBuf,
     /// The light over the streets, one street each: clear, overcast, dusk, night; the system is measured in the first
@@ -66,7 +66,7 @@ pub struct Arguments {
     /// Frames that are timed, a tenth of a second apart
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
-    /// Everything random follows from it: the street, the codebooks, the drift of tracks
+    /// Seed of all randomness: the street, the codebooks, the drift of tracks
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Each track is shifted by this, in a direction of its own, metres
@@ -179,7 +179,7 @@ fn check_output(out: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Of what, on what and how, for whoever reads the figures later.
+/// Conditions of the measurement, for later readers.
 fn conditions(arguments: &Arguments, gpu: &Gpu, cars: &Cars) -> Value {
     json!({
         "version": env!("CARGO_PKG_VERSION"),

@@ -37,7 +37,7 @@ pub struct Arguments {
     /// Draw the first so many cameras, in one submission (default: all)
     #[arg(long, value_name = "N")]
     cameras_used: Option<usize>,
-    /// How colour is stored
+    /// Storage format of color
     #[arg(long, value_enum, default_value_t = Colour::Rgba8)]
     colour: Colour,
     /// Draw the expected depth too
@@ -116,7 +116,7 @@ struct Timed {
     memory: MemoryReport,
 }
 
-/// What was measured, and of what.
+/// Results and their subject.
 struct Measured {
     device: DeviceInfo,
     options: RenderOptions,
@@ -197,7 +197,8 @@ fn middle(image: &Intrinsics, size: Size) -> Window {
     Window { left_px: (image.width_px - width_px) / 2, top_px: (image.height_px - height_px) / 2, width_px, height_px }
 }
 
-/// How far the first camera's picture, drawn once more in f32, is from the definition: 8 bits would hide it.
+/// Difference between the first camera's image, rendered once more in f32, and the reference: 8
+/// bits would hide it.
 fn error_in_window(gpu: &Gpu, scene: &Scene, arguments: &Arguments, window: Window) -> Result<Difference> {
     let working = progress::spinner("the middle of a picture by the f64 definition".into());
     let camera = &scene.cameras[0];

@@ -39,13 +39,14 @@ pub struct Arguments {
     /// Degree of the colours it is for (default: the highest among the assets)
     #[arg(long, value_name = "D", value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: Option<u8>,
-    /// How strongly weights are drawn to those of a brightness alone, above 0 (default: what serves probes left out best)
+    /// Ridge strength: pull of the weights to those of a pure brightness change, above 0 (default:
+    /// the least error on probes left out)
     #[arg(long, value_name = "X")]
     ridge: Option<f64>,
-    /// What the fit makes small
+    /// Quantity that the fit minimizes
     #[arg(long, value_name = "WHAT", value_enum, default_value_t = ObjectiveName::Seen)]
     objective: ObjectiveName,
-    /// How many ways each probe is turned about the vertical
+    /// Number of turns of each probe about the vertical
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=64))]
     rotations: u64,
     /// Splats looked at, shared by the assets
@@ -54,7 +55,7 @@ pub struct Arguments {
     /// Linear albedo of the ground whose colour tells of the light, above 0, at most 1
     #[arg(long, value_name = "A", default_value_t = Surroundings::default().albedo)]
     ground_albedo: f64,
-    /// Everything random follows from it: the same seed gives the same bytes
+    /// Seed of all randomness: the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Write a page with what was measured and pictures of the first asset
@@ -62,7 +63,7 @@ pub struct Arguments {
     report: Option<PathBuf>,
 }
 
-/// What the fit makes small, as the command line says it.
+/// Quantity that the fit minimizes, by its name on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum ObjectiveName {
     /// Each coefficient's error on its own, as in the paper
@@ -71,13 +72,13 @@ enum ObjectiveName {
     Seen,
 }
 
-/// What is calibrated with.
+/// Inputs of the calibration.
 pub struct Subject {
     /// Names and splats.
     pub assets: Vec<(String, SplatCloud)>,
-    /// As they were read.
+    /// Probes as they were read.
     pub probes: Vec<Probe>,
-    /// How.
+    /// Options.
     pub options: CalibrateOptions,
 }
 

@@ -21,7 +21,7 @@ pub struct Arguments {
     /// Write a picture of the difference: false colours, black where equal
     #[arg(long, value_name = "FILE")]
     difference: Option<PathBuf>,
-    /// How much the difference is amplified in that picture
+    /// Amplification of the difference in that image
     #[arg(long, default_value_t = 16.0, requires = "difference", value_parser = positive)]
     gain: f32,
 }

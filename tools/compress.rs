@@ -48,10 +48,10 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = SHAPES_MAX as u64,
         value_parser = clap::value_parser!(u64).range(1..=SHAPES_MAX as u64))]
     shapes: u64,
-    /// Everything random follows from it: the same seed gives the same bytes
+    /// Seed of all randomness: the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// What colours that change with the direction of view refer to
+    /// Frame of colors that change with the viewing direction
     #[arg(long, value_name = "FRAME", value_enum, default_value_t = Frame::Canonical)]
     sh_frame: Frame,
     /// Views all around the asset from which its splats' visibility is measured
@@ -63,7 +63,7 @@ pub struct Arguments {
     /// Measure what is lost, with other settings too, and write report.html and report.json to this folder; takes minutes
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// How far away the report's street cameras stand, metres: ten is for cars
+    /// Distance of the report's street cameras, meters: ten is for cars
     #[arg(long, value_name = "METRES", default_value_t = 10.0, value_parser = distance)]
     report_distance: f64,
     /// Cameras of each kind in the report (default: 4 on the street, 2 close by, 7 all around)
@@ -73,7 +73,7 @@ pub struct Arguments {
     device: DeviceArguments,
 }
 
-/// How an asset's colours are meant.
+/// Frame of an asset's colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Frame {
     /// They turn with the agent: object captures

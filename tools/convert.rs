@@ -23,7 +23,7 @@ use report::Report;
 /// compared, splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians becomes a folder with a scene file.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// What to convert
+    /// Input to convert
     input: PathBuf,
     /// The file to write, its format told by its extension, or the folder for a scene
     output: PathBuf,
@@ -39,7 +39,8 @@ pub struct Arguments {
     /// Frames a second of a checkpoint whose frames have no times
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
     frame_rate: f64,
-    /// Where actors were, for a checkpoint without tracks: a table of tracks whose ids are the models' names or numbers
+    /// Trajectories of actors, for a checkpoint without tracks: a table of tracks whose ids are the
+    /// models' names or numbers
     #[arg(long, value_name = "FILE")]
     tracks: Option<PathBuf>,
 }
@@ -159,7 +160,7 @@ fn write_into(unfinished: &Path, out: &Path, scene: &ImportedScene) -> Result<us
     Ok(agents)
 }
 
-/// What the splats of a scene lost in its files.
+/// Loss of a scene's splats in the written files.
 fn read_back(out: &Path, scene: &ImportedScene) -> Result<LossReport> {
     let mut before = scene.background.clone();
     let mut after = read_splats(&out.join("background.ply"))?;
@@ -177,7 +178,7 @@ fn finish(arguments: &Arguments, report: &Report<'_>) -> Result<()> {
     print(&report.to_text())
 }
 
-/// What the input means beside what is read of it.
+/// Notes on properties of the input that are not read.
 fn notes_of(path: &Path) -> Result<Vec<String>> {
     if !path.is_file() {
         return Ok(Vec::new());

@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Make up scenarios of these levels: easy, medium, hard, extreme or all
     #[arg(long, value_name = "LEVEL", value_delimiter = ',', value_parser = levels, conflicts_with = "scenarios")]
     level: Vec<LevelName>,
-    /// Who drives: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND or unix:SOCKET
+    /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND or unix:SOCKET
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerChoice,
     /// Episodes of each level
@@ -66,19 +66,19 @@ pub struct Arguments {
     /// Draw all cameras of the rig for a planner that looks at none, instead of the front one
     #[arg(long)]
     all_cameras: bool,
-    /// What light does to the cars of a place that is made up; `calibrate-light` makes it
+    /// Light transfer for the cars of a synthetic place, written by `calibrate-light`
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
     /// Episodes that are driven side by side: two hide what one waits for, and a device has only so much to give
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
-    /// Which pictures are kept
+    /// Images to keep
     #[arg(long, value_enum, default_value_t = Pictures::Key)]
     pictures: Pictures,
     /// Make a video of each camera of each episode, by ffmpeg; keeps all pictures
     #[arg(long)]
     video: bool,
-    /// How long a planner of others may take for an answer: later ones end its episode
+    /// Time limit for an answer of an external planner: a later answer ends its episode
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     planner_timeout: f64,
     #[command(flatten)]
@@ -124,7 +124,7 @@ impl Arguments {
         levels
     }
 
-    /// What has to be the same when a run is gone on with.
+    /// Settings that must be the same when a run is resumed.
     fn settings(&self) -> serde_json::Value {
         json!({
             "planner": self.planner.to_string(),
@@ -174,7 +174,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     gpu.as_ref().map_or(Ok(()), check_validation)
 }
 
-/// What workers share.
+/// State shared by workers.
 struct Run<'a> {
     arguments: &'a Arguments,
     folder: &'a RunFolder,

@@ -23,9 +23,9 @@ pub struct Scored {
     pub episode: Episode,
     pub score: EpisodeScore,
     pub log: PathBuf,
-    /// Where its pictures are, if there are any.
+    /// Folder of its images, if there are any.
     pub pictures: PathBuf,
-    /// What its steps took; none where it was driven before.
+    /// Times of its steps; none if it was driven before.
     pub times: Option<Vec<StepTime>>,
 }
 
@@ -38,7 +38,7 @@ impl Scored {
         &self.episode.head.scenario.name
     }
 
-    /// Whether the ego did something wrong.
+    /// True if the ego was at fault.
     pub fn at_fault(&self) -> bool {
         self.score.infractions.iter().any(Infraction::at_fault)
     }
@@ -47,7 +47,7 @@ impl Scored {
         self.episode.head.scenario.level
     }
 
-    /// Why it ended, as people say it.
+    /// Reason of its end, for people.
     pub fn ending(&self) -> String {
         match &self.episode.end {
             EpisodeEnd::RouteDone => "route done".into(),
@@ -92,7 +92,7 @@ impl Scored {
     }
 }
 
-/// Where `drive` keeps the pictures of the episode whose log is `log`.
+/// Folder in which `drive` keeps the images of the episode with the log `log`.
 pub fn pictures_beside(log: &Path) -> PathBuf {
     let root = log.parent().and_then(Path::parent).unwrap_or(Path::new(""));
     root.join("pictures").join(log.file_stem().unwrap_or_default())

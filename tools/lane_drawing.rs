@@ -16,7 +16,7 @@ const MARGIN_M: f64 = 8.0;
 /// A line through places, under a name.
 pub struct Way<'a> {
     pub name: &'a str,
-    /// Which of the page's colours.
+    /// Index of the page's color.
     pub colour: usize,
     pub dashed: bool,
     pub places: Vec<DVec2>,
@@ -24,7 +24,7 @@ pub struct Way<'a> {
 
 /// A vehicle from above.
 pub struct Body {
-    /// Which of the page's colours.
+    /// Index of the page's color.
     pub colour: usize,
     pub corners: [DVec2; 4],
 }

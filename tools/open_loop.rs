@@ -28,19 +28,19 @@ use crate::episode_report::spread;
 pub struct Arguments {
     /// The log that the ego drives by
     log: PathBuf,
-    /// Who is asked, as `drive` names planners; none that drives by a log
+    /// Planner, by its name in `drive`; not one that replays a log
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerChoice,
     /// The reference: a folder of CAMERA_STEP.png, as `drive --pictures all` writes them (front_0000.png), or `rendered`
     #[arg(long, value_name = "DIR|rendered", default_value = "rendered")]
     reference: PathBuf,
-    /// What is compared with it: a folder, or `rendered`
+    /// Images to compare with: a folder, or `rendered`
     #[arg(long, value_name = "DIR|rendered")]
     other: PathBuf,
     /// Folder that the scenario's files are relative to (default: the log's)
     #[arg(long, value_name = "DIR")]
     base: Option<PathBuf>,
-    /// What light does to the cars of rendered pictures
+    /// Light transfer for the cars of rendered images
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
     /// Write the figures, step by step, to this file
@@ -54,9 +54,9 @@ pub struct Arguments {
 struct Answers {
     name: String,
     plans: Vec<Option<Plan>>,
-    /// Of each plan, the mean displacement from what was driven, metres.
+    /// Mean displacement of each plan from the driven path, meters.
     ade_m: Vec<Option<f64>>,
-    /// Of each plan, the time to collision if it were driven, seconds.
+    /// Time to collision of each plan, if it were driven, seconds.
     ttc_s: Vec<Option<f64>>,
 }
 
@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print(&text(&[&reference, &other], &differences))
 }
 
-/// What the planner answers to the pictures of `source`.
+/// Plans of the planner for the images of `source`.
 fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<Answers> {
     let mut planner = arguments.planner.open(Patience { answer: Duration::from_secs(60), ..Patience::default() })?;
     let base = arguments.base.as_deref().or(arguments.log.parent()).unwrap_or(Path::new(""));

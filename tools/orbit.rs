@@ -26,7 +26,7 @@ const PLACE_MAX: f64 = 1e9;
 /// The core fills this share of the picture's shorter side.
 const FILLED: f64 = 0.8;
 
-/// How cameras are put around a scene that has none.
+/// Placement of cameras around a scene that has none.
 #[derive(clap::Args)]
 pub struct OrbitArguments {
     /// Put N cameras in a circle around the scene (default: 8, if the scene has no cameras and no file names some)
@@ -77,7 +77,7 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 impl OrbitArguments {
-    /// Whether cameras are asked for that the scene does not have.
+    /// True if cameras are requested that the scene does not have.
     pub fn is_asked(&self) -> bool {
         self.orbit.is_some()
     }

@@ -34,8 +34,8 @@ pub struct Arguments {
     /// Length, width and height of the ego vehicle, metres
     #[arg(long, value_name = "L,W,H", default_value = "4.5,1.8,1.5")]
     vehicle: Triple,
-    /// Where clients have their rig's origin, metres forward, left and up of the middle of the vehicle's box (default: 1.35 m behind
-    /// it, on the ground)
+    /// Origin of the clients' rig, meters forward, left and up from the center of the vehicle's box
+    /// (default: 1.35 m behind it, on the ground)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     rig_origin: Option<Triple>,
     /// Leave the ground out: finding it takes seconds

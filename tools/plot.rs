@@ -7,7 +7,7 @@ use std::fmt::Write;
 use scale::Scale;
 pub use scale::{Axis, number};
 
-/// What the drawings need of a page's style sheet: readable on a light and on a dark ground.
+/// Style sheet of the charts: readable on a light and on a dark background.
 const STYLE: &str = include_str!("plot/style.css");
 /// The rest of the page, in the same colours.
 const PAGE_STYLE: &str = include_str!("plot/page.css");
@@ -28,15 +28,15 @@ const MARKED_MAX: usize = 40;
 /// Points under one name.
 pub struct Series {
     pub name: String,
-    /// Which of the colours.
+    /// Index of the color.
     pub colour: usize,
     pub points: Vec<(f64, f64)>,
     pub shape: Shape,
-    /// Where the series ends for a reason: the place along x, and the reason.
+    /// End of the series: its x, and the reason.
     pub end: Option<(f64, String)>,
 }
 
-/// How the points of a series are drawn.
+/// Marks of a series.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// Joined, the series' name in the legend.
@@ -246,7 +246,7 @@ impl Bars<'_> {
     }
 }
 
-/// What takes a colour again is paler.
+/// Opacity of a series: repeated colors are paler.
 fn opacity(colour: usize) -> f64 {
     if colour < COLOURS { 1.0 } else { 0.55 }
 }

@@ -26,10 +26,10 @@ pub struct Arguments {
     /// Folder for the pictures; made if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// How pictures are written
+    /// Image file format
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
-    /// What of the scene is drawn
+    /// Part of the scene to render
     #[arg(long, value_enum, default_value_t = LayerName::All)]
     layer: LayerName,
     /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
@@ -55,7 +55,7 @@ fn png_path(text: &str) -> Result<PathBuf, String> {
     if is_png { Ok(path) } else { Err(format!("expected a name that ends with .png, found {text:?}")) }
 }
 
-/// How a picture is written.
+/// Image file format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// 8 bits a channel, clamped; no alpha, but for `--layer agents`: RGBA, colours divided by alpha
@@ -85,10 +85,10 @@ enum PlaneName {
     Instance,
 }
 
-/// What of a scene is drawn.
+/// Part of the scene to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum LayerName {
-    /// Everything
+    /// Background and agents
     All,
     /// The scene as if no agent had ever been there: without agents and their shadows
     Background,
@@ -138,13 +138,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Where pictures go, one after the other: hundreds of them need not be in memory together.
+/// Destination of images. Images are written one after the other: hundreds of them need not be in
+/// memory together.
 struct Album<'a> {
     out: &'a Path,
     format: PictureFormat,
     /// Planes that are written beside them.
     planes: &'a [PlaneName],
-    /// Whether there is nothing behind what the pictures show.
+    /// True if there is no background behind the rendered splats.
     transparent: bool,
     /// The pictures so far, where a contact sheet is asked for.
     kept: Option<Vec<Picture>>,

@@ -28,7 +28,7 @@ pub struct Arguments {
     /// Draw nothing: compare motion and score alone
     #[arg(long)]
     no_render: bool,
-    /// What light does to the cars, as the run was given it
+    /// Light transfer for the cars, as given to the run
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
     /// Write the pictures to this folder

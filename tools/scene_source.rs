@@ -1,4 +1,4 @@
-//! What is drawn: a scene and its cameras, as the command line names them.
+//! Scene and cameras, as named on the command line.
 
 use std::path::PathBuf;
 
@@ -40,13 +40,13 @@ pub struct SceneArguments {
 
 /// A scene and the cameras that look at it.
 pub struct Scene {
-    /// Its rules are those asked for.
+    /// Loaded scene, with the requested rules.
     pub loaded: LoadedScene,
     /// The moment that the cameras stand at, seconds.
     pub time_s: f64,
     /// At least one.
     pub cameras: Vec<Camera>,
-    /// Whether the cameras are the ego vehicle's, and drive with it.
+    /// True if the cameras are the ego vehicle's, and drive with it.
     drives: bool,
 }
 

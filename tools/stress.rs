@@ -124,7 +124,7 @@ struct StreetArguments {
     #[arg(long, value_name = "D", default_value_t = 3, conflicts_with = "scene",
         value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
-    /// Everything random follows from it, the codebooks of compressed assets too
+    /// Seed of all randomness, the codebooks of compressed assets too
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
 }
@@ -241,7 +241,7 @@ fn course(arguments: &Arguments, subject: &mut Subject) -> Result<Course> {
     })
 }
 
-/// Of what, on what and how, for whoever reads the figures later.
+/// Conditions of the measurement, for later readers.
 fn conditions(arguments: &Arguments, gpu: &Gpu, subject: &Subject, course: &Course) -> Value {
     let scene = subject.background();
     let cameras = course.cameras(scene, course.start_s);

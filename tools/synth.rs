@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use crate::arguments::{Size, print};
 use crate::progress;
 
-/// How often tracks tell where a car is.
+/// Sampling rate of the tracks.
 const TRACK_RATE_HZ: f64 = 10.0;
 
 /// Make up a scene and write it as files
@@ -73,7 +73,7 @@ struct StreetArguments {
     /// Degree of the spherical harmonics
     #[arg(long, value_name = "D", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: u8,
-    /// Everything random follows from it: the same seed gives the same bytes
+    /// Seed of all randomness: the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// The light over the street
@@ -189,7 +189,7 @@ fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
     })
 }
 
-/// Where each agent is from when it sets out to when it arrives.
+/// Poses of each agent from its departure to its arrival.
 fn poses(street: &Street) -> Result<Vec<PoseRow>> {
     let mut rows = Vec::new();
     for (agent, way) in street.agents.iter().zip(&street.agent_trajectories) {

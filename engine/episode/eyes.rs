@@ -1,4 +1,4 @@
-//! What the ego's cameras see.
+//! Images of the ego's cameras.
 
 use decouplegs_render::{ColourFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
 use decouplegs_scene::episode::{DrawnBy, ImageRecord};
@@ -17,21 +17,21 @@ pub struct Eyes<'a> {
     rig: Rig,
     every: u32,
     pictures: PictureBytes,
-    /// Whether a frame was drawn whose pictures are still on the device.
+    /// True if the images of a rendered frame are still on the device.
     unread: bool,
 }
 
 /// From step to step the ego drives metres, and other houses fill the pictures.
 const SPARE: f64 = 0.5;
 
-/// How a renderer for episodes draws: by `rules`, in bytes.
+/// Options of a renderer for episodes: `rules`, and 8-bit images.
 #[must_use]
 pub fn render_options(rules: Rules) -> RenderOptions {
     let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
     RenderOptions { rules, outputs, spare: SPARE, ..RenderOptions::default() }
 }
 
-/// Those of the cameras of `rig` that `cameras` asks for, at `size_px` where it is given.
+/// Cameras of `rig` that `cameras` selects, at `size_px` if given.
 ///
 /// # Errors
 /// When there is none to choose from.
@@ -72,7 +72,7 @@ impl<'a> Eyes<'a> {
         self.renderer
     }
 
-    /// What a log keeps of them.
+    /// Record of the renderer for a log.
     #[must_use]
     pub fn drawn_by(&self) -> Option<DrawnBy> {
         let first = self.rig.cameras.first()?;
@@ -108,7 +108,7 @@ impl<'a> Eyes<'a> {
         if std::mem::take(&mut self.unread) { self.renderer.read_bytes(&mut self.pictures) } else { Ok(()) }
     }
 
-    /// What was seen last.
+    /// Images of the last observation.
     #[must_use]
     pub fn frames(&self) -> Vec<Frame<'_>> {
         (0..self.pictures.len())

@@ -27,15 +27,15 @@ pub use rollout::{Crew, Rollout};
 pub use simulation::Simulation;
 pub use site::{Look, Site, SiteError, rig_of};
 
-/// Why an episode could not be driven: the run's fault, not the planner's.
+/// Reason why an episode could not be driven: a fault of the run, not of the planner.
 #[derive(Debug, thiserror::Error)]
 pub enum EpisodeError {
     /// The scenario does not fit its place.
     #[error("scenario {scenario}: {reason}")]
     Unfit {
-        /// Its name.
+        /// Name of the scenario.
         scenario: String,
-        /// What does not fit.
+        /// Reason.
         reason: String,
     },
     /// The pictures.
@@ -71,19 +71,19 @@ pub trait Witness {
     }
 }
 
-/// Nobody.
+/// An observer that ignores everything.
 impl Witness for () {
     fn step(&mut self, _step: &EpisodeStep, _frames: &[Frame]) -> Result<(), EpisodeError> {
         Ok(())
     }
 }
 
-/// What one step took by the clock on the wall.
+/// Wall-clock durations of one step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepTime {
     /// Poses, light and the frame on the device.
     pub draw: Duration,
-    /// Its pictures, back on the host.
+    /// Duration of the read-back of its images.
     pub read: Duration,
     /// The planner's.
     pub plan: Duration,
@@ -105,7 +105,7 @@ impl StepTime {
 
 /// An episode that was driven, and what its steps took.
 pub struct Driven {
-    /// What happened.
+    /// Record of the episode.
     pub episode: Episode,
     /// A step each.
     pub times: Vec<StepTime>,

@@ -8,15 +8,15 @@ use decouplegs_scene::{Plan, Scenario};
 use super::{EpisodeError, Eyes, Site, Witness, drive};
 use crate::planner::{Briefing, Observation, Planner, PlannerError, Sees};
 
-/// What came of driving an episode again.
+/// Result of driving an episode again.
 pub struct Replayed {
-    /// What happened this time, its head that of the log but for who drew it.
+    /// New episode. Its head is that of the log, except for the renderer.
     pub episode: Episode,
     /// The first difference in what moved, a sentence; `None` where all is the same to the last bit.
     pub moved_differently: Option<String>,
     /// Pictures that were drawn both times.
     pub pictures: usize,
-    /// Those whose bits differ.
+    /// Number of images whose bits differ.
     pub pictures_different: usize,
 }
 
@@ -73,7 +73,7 @@ pub fn replay(
     })
 }
 
-/// Where two episodes part, pictures apart.
+/// First difference between two episodes, images apart.
 fn first_difference(a: &Episode, b: &Episode) -> Option<String> {
     if a.head.route_m != b.head.route_m || a.head.agent_sizes != b.head.agent_sizes || a.start != b.start {
         return Some("the start is another: its map, its assets or the program has changed".into());

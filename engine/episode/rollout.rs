@@ -9,12 +9,12 @@ use decouplegs_scene::{Plan, Pose, Scenario};
 use super::{EpisodeError, Simulation, Site};
 use crate::session::{SessionError, World};
 
-/// Who drives and who draws, as a log keeps it.
+/// Planner and renderer of an episode, for its log.
 #[derive(Clone, Debug, Default)]
 pub struct Crew {
-    /// Who answers the plans.
+    /// Planner that drives.
     pub planner: PlannerRecord,
-    /// Who draws what it sees, where something is drawn.
+    /// Renderer of its observations, if any.
     pub drawn_by: Option<DrawnBy>,
 }
 
@@ -44,7 +44,7 @@ impl Rollout {
         Ok(Self { simulation, episode: Episode { head, start, steps: Vec::new(), end: EpisodeEnd::Time } })
     }
 
-    /// What moves.
+    /// State of the vehicles.
     #[must_use]
     pub fn simulation(&self) -> &Simulation {
         &self.simulation
@@ -55,13 +55,14 @@ impl Rollout {
         &mut self.simulation
     }
 
-    /// What happened so far. Its end is that of an episode whose time is over as long as [`Rollout::end`] is none.
+    /// Record so far. Its end is that of an episode whose time is over as long as [`Rollout::end`]
+    /// is none.
     #[must_use]
     pub fn episode(&self) -> &Episode {
         &self.episode
     }
 
-    /// What happened.
+    /// Converts into the record of the episode.
     #[must_use]
     pub fn into_episode(self) -> Episode {
         self.episode
@@ -73,7 +74,7 @@ impl Rollout {
         self.episode.steps.len() as u32
     }
 
-    /// Why it is over, if it is.
+    /// Reason of the end, if it has ended.
     #[must_use]
     pub fn end(&self) -> Option<&EpisodeEnd> {
         self.simulation.end()
@@ -106,7 +107,7 @@ impl Rollout {
         (self.simulation.progress_m(), self.simulation.route().length_m())
     }
 
-    /// How it went so far.
+    /// Score so far.
     #[must_use]
     pub fn score(&self) -> EpisodeScore {
         EpisodeScore::of(&self.episode)

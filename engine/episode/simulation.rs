@@ -82,19 +82,19 @@ impl Simulation {
         }
     }
 
-    /// What is driven.
+    /// Scenario that is driven.
     #[must_use]
     pub fn scenario(&self) -> &Scenario {
         &self.scenario
     }
 
-    /// Where it takes place.
+    /// Site of the scenario.
     #[must_use]
     pub fn site(&self) -> &Arc<Site> {
         &self.site
     }
 
-    /// Who drives the scenario's part.
+    /// Ego vehicle.
     #[must_use]
     pub fn ego(&self) -> &Ego {
         &self.ego
@@ -125,7 +125,7 @@ impl Simulation {
         f64::from(self.substep) * self.scenario.step_s / f64::from(per_step)
     }
 
-    /// Why it is over, if it is.
+    /// Reason of the end, if it has ended.
     #[must_use]
     pub fn end(&self) -> Option<&EpisodeEnd> {
         self.end.as_ref()
@@ -136,7 +136,7 @@ impl Simulation {
         self.end.get_or_insert(EpisodeEnd::Planner { reason });
     }
 
-    /// Where everybody is.
+    /// State of all vehicles now.
     #[must_use]
     pub fn instant(&self) -> Instant {
         let ego = self.ego.state();
@@ -149,7 +149,7 @@ impl Simulation {
         }
     }
 
-    /// What the ego knows of its own motion.
+    /// Ego motion as the vehicle knows it.
     #[must_use]
     pub fn motion(&self) -> EgoMotion {
         let state = self.ego.state();
@@ -161,7 +161,7 @@ impl Simulation {
         }
     }
 
-    /// What a navigation system says.
+    /// Navigation instructions.
     #[must_use]
     pub fn guidance(&self) -> Guidance {
         let (progress_m, cruise_mps) = (self.progress.progress_m(), self.scenario.ego.cruise_mps);
@@ -177,7 +177,7 @@ impl Simulation {
         }
     }
 
-    /// What no camera shows.
+    /// Privileged state, which no camera shows.
     #[must_use]
     pub fn privileged(&self) -> Privileged {
         Privileged {

@@ -18,7 +18,7 @@ use decouplegs_scene::{
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Why a place cannot be driven in.
+/// Reason why a site cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SiteError {
     /// A file of it.
@@ -27,24 +27,24 @@ pub enum SiteError {
     /// An asset that was made up.
     #[error("a car of the street cannot be coded")]
     Compress(#[from] CompressError),
-    /// Its lanes make no roads, or its scene has nothing to show.
+    /// The lanes form no roads, or the scene has no splats.
     #[error("{0}")]
     Unfit(String),
 }
 
-/// What is seen of a place.
+/// Appearance options of a site.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Look {
-    /// What light does to the colours of agents in a place that is made up; `None`: they keep those they were captured in. Scene
-    /// files have their own.
+    /// Effect of light on the colors of agents on a synthetic site; `None`: they keep their
+    /// captured colors. Scene files have their own.
     pub transfer: Option<LightTransfer>,
 }
 
 /// A place made ready.
 pub struct Site {
-    /// What there is to draw; no splats where nothing is to be seen.
+    /// Splats to render; none if nothing is visible.
     pub loaded: LoadedScene,
-    /// Its lanes.
+    /// Lanes.
     pub lanes: LaneMap,
     /// The same for traffic.
     pub graph: Arc<RoadGraph>,
@@ -164,7 +164,8 @@ impl Site {
         Ok(Self { loaded, lanes, graph, surface, asset_sizes, ground })
     }
 
-    /// How a vehicle stands on the ground: wheels at the height of the captured ground, otherwise of the lanes.
+    /// Pose of a vehicle on the ground: wheels at the height of the captured ground, otherwise of
+    /// the lanes.
     ///
     /// `near_z_m` is the height at which it was last, which tells decks apart.
     #[must_use]

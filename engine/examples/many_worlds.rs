@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use decouplegs::scene::Camera;
 use decouplegs::session::{HostPictures, Session, SessionOptions, SessionScene, World, WorldView};
 
-/// What to draw, and for how long.
+/// Workload of the benchmark: views and duration.
 struct Course {
     worlds: usize,
     size_px: [u32; 2],
@@ -21,7 +21,7 @@ struct Course {
 }
 
 impl Course {
-    /// When the ego of world `world` is where it is at step `step`: all over its way, again and again.
+    /// Time of the ego of world `world` at step `step`: over its whole path, repeatedly.
     fn time_s(&self, scene: &SessionScene, world: usize, step: u32) -> f64 {
         let span_s = scene.ego().poses().last().map_or(0.0, |last| last.time_s);
         let time_s = 0.1 * f64::from(step) + span_s * world as f64 / self.worlds as f64;

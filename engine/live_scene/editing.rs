@@ -8,10 +8,10 @@ use thiserror::Error;
 
 use super::{LiveAsset, LiveScene};
 
-/// Why a scene that is shown could not be edited. It is as it was.
+/// Reason why a scene on the device could not be edited. It is as it was.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum LiveEditError {
-    /// What a scene file would complain of too.
+    /// Error that a scene file would report too.
     #[error(transparent)]
     Edit(#[from] EditError),
     /// The agent is splats of the world, which stay on the device as they were loaded.

@@ -7,7 +7,7 @@ use super::PlannerError;
 
 /// From one point of a plan to the next, seconds: half a control step, so that each step passes two.
 pub(super) const SPACING_S: f64 = 0.25;
-/// How far a plan looks ahead, seconds: what a car at 50 km/h needs to stop with comfort.
+/// Horizon of a plan, seconds: the time that a car at 50 km/h needs to stop with comfort.
 pub(super) const HORIZON_S: f64 = 4.0;
 
 /// The plan whose places, in the ego's frame, `place_at` tells for a time in seconds.

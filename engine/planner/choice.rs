@@ -9,7 +9,8 @@ use decouplegs_asset::read_episode_log;
 use super::external::{Attachment, External, Patience};
 use super::{ConstantVelocity, LaneFollow, Planner, PlannerError, Replay, Vision};
 
-/// Which planner drives. It can be opened many times over: each thread that drives episodes has a planner of its own.
+/// Choice of a planner. It can be opened many times over: each thread that drives episodes has a
+/// planner of its own.
 ///
 /// | text | planner |
 /// |---|---|

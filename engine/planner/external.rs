@@ -17,7 +17,7 @@ use self::message::{Answer, Introduction};
 use self::session::Session;
 use super::{Briefing, Observation, Planner, PlannerError, Sees};
 
-/// Where an external planner is.
+/// Transport to an external planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Attachment {
     /// A program and its arguments, which is started and spoken to through its stdin and stdout.
@@ -26,7 +26,7 @@ pub enum Attachment {
     Socket(PathBuf),
 }
 
-/// How long an external planner is waited for.
+/// Timeouts of an external planner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Patience {
     /// From its start to its hello: it may have to load a network.
@@ -91,7 +91,8 @@ impl External {
         answer
     }
 
-    /// What came of an answer that is not the one asked for. Who says that he failed keeps to the protocol and may go on.
+    /// Handles an answer of the wrong kind. Who says that he failed keeps to the protocol and may
+    /// go on.
     fn refused(&mut self, answer: &Answer, asked: &str, expected: &str) -> PlannerError {
         if let Answer::Fail(reason) = answer {
             return PlannerError(format!("the external planner failed: {reason}"));

@@ -12,13 +12,13 @@ use super::{Briefing, Cameras, Observation, Planner, PlannerError, Privileged, S
 
 /// Sideways acceleration that is borne in bends.
 const LATERAL_MPS2: f64 = 2.0;
-/// How hard is braked for bends, and with comfort for others.
+/// Deceleration for curves and, with comfort, for others.
 const COMFORT_MPS2: f64 = 2.0;
-/// How hard the speed is gained: livelier than Treiber's 1 m/s^2, as the ego has a route to finish.
+/// Acceleration: livelier than Treiber's 1 m/s^2, as the ego has a route to finish.
 const ACCELERATION_MPS2: f64 = 1.5;
 /// Headway to whoever is ahead, seconds.
 const HEADWAY_S: f64 = 1.5;
-/// What is looked ahead in is this long, seconds.
+/// Time step of the prediction, seconds.
 const TICK_S: f64 = 0.2;
 /// Whoever will be on the strip within this is followed as if he were, seconds.
 const FORESIGHT_S: f64 = 2.0;
@@ -43,7 +43,7 @@ struct Expected {
     spans: Vec<Span>,
 }
 
-/// What is known when a way ahead is chosen.
+/// Knowledge for the choice of a trajectory.
 struct Outlook {
     ego_arc_m: f64,
     half_length_m: f64,
@@ -135,7 +135,7 @@ impl Outlook {
         best.expect("there are ways to slow down")
     }
 
-    /// Where the ego gets when it follows, and brakes at least by `brake_mps2`.
+    /// Simulates the ego's motion when it follows and brakes with at least `brake_mps2`.
     fn roll(&self, speed_mps: f64, brake_mps2: f64) -> Course {
         let (mut arc_m, mut speed_mps) = (self.ego_arc_m, speed_mps);
         let mut course = Course { arcs_m: vec![arc_m], met_s: None };
@@ -172,7 +172,7 @@ impl Outlook {
         rates.fold(self.idm.free_acceleration(speed_mps).min(bend_mps2), f64::min).max(-BRAKING_MPS2)
     }
 
-    /// Whether the ego at `arc_m` touches the agent, or nearly.
+    /// True if the ego at `arc_m` touches the agent, or nearly does.
     fn meets(&self, agent: &Expected, tick: usize, arc_m: f64) -> bool {
         let crossing = agent.way == Way::Across;
         let slack = if crossing { (CROSSING_S / TICK_S).round() as usize } else { 0 };

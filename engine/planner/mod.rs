@@ -1,4 +1,4 @@
-//! Who drives the ego: planners, which see pictures and answer trajectories.
+//! Planners of the ego: they receive images and return trajectories.
 //!
 //! A planner sees what it asks for in [`Planner::sees`], and the episode's log keeps what that was. All of them are told what any
 //! vehicle knows of itself (speed, steering) and what a navigation system says. States of others and the map are
@@ -23,16 +23,16 @@ use decouplegs_scene::plan::Plan;
 use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
 use glam::DVec2;
 
-/// What a planner wants to be shown.
+/// Inputs that a planner requests.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Sees {
-    /// Which pictures.
+    /// Requested images.
     pub cameras: Cameras,
-    /// Whether it wants [`Privileged`] state.
+    /// True if it requests [`Privileged`] state.
     pub privileged: bool,
 }
 
-/// Which cameras of a rig a planner wants pictures of.
+/// Cameras of a rig that a planner requests.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Cameras {
     /// None: nothing has to be drawn for it.
@@ -47,13 +47,14 @@ pub enum Cameras {
 /// A picture as a planner sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
-    /// Which camera, how it projects and where it sits on the ego (x forward, y left, z up from the middle of its box).
+    /// Camera: its projection and its pose on the ego (x forward, y left, z up from the middle of
+    /// its box).
     pub camera: &'a RigCamera,
     /// Row by row from the top, four bytes a pixel, display-referred; the fourth is alpha.
     pub rgba: &'a [u8],
 }
 
-/// What the next crossing asks of the ego.
+/// Direction at the next crossing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Turn {
     /// Straight on, or no crossing ahead.
@@ -77,7 +78,7 @@ impl Turn {
     }
 }
 
-/// What a navigation system says.
+/// Navigation instructions.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Guidance {
     /// The next turn of the route.
@@ -86,13 +87,13 @@ pub struct Guidance {
     pub distance_m: f64,
     /// By how much the heading changes in it, radians, to the left where above zero.
     pub angle_rad: f64,
-    /// How long it is, metres along the route.
+    /// Length, meters along the route.
     pub length_m: f64,
-    /// How fast the route is to be driven where nothing is in the way.
+    /// Cruise speed on a free road.
     pub cruise_mps: f64,
 }
 
-/// What a vehicle knows of its own motion.
+/// Ego motion as the vehicle knows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EgoMotion {
     /// Along its heading.
@@ -105,20 +106,20 @@ pub struct EgoMotion {
     pub yaw_rate_radps: f64,
 }
 
-/// What no camera shows.
+/// Privileged state, which no camera shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Privileged {
-    /// Where the ego is.
+    /// State of the ego.
     pub ego: VehicleState,
-    /// Its box.
+    /// Size of the ego.
     pub ego_size: VehicleSize,
-    /// Its route from start to end, world coordinates, metres.
+    /// Route from start to end, world coordinates, meters.
     pub route_m: Vec<DVec2>,
     /// All agents and their boxes.
     pub agents: Vec<(VehicleState, VehicleSize)>,
 }
 
-/// What a planner is told at a step.
+/// Inputs of a planner at a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
     /// From 0.
@@ -127,15 +128,15 @@ pub struct Observation<'a> {
     pub time_s: f64,
     /// The pictures it asked for; none at a step that is not drawn.
     pub frames: &'a [Frame<'a>],
-    /// How the ego moves.
+    /// Motion of the ego.
     pub ego: EgoMotion,
-    /// Where it is to go.
+    /// Navigation instructions.
     pub guidance: Guidance,
-    /// Where it asked for that.
+    /// Privileged state, if requested.
     pub privileged: Option<&'a Privileged>,
 }
 
-/// What a planner is told before an episode.
+/// Inputs of a planner before an episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Briefing {
     /// The scenario's name.
@@ -148,17 +149,17 @@ pub struct Briefing {
     pub cameras: Vec<RigCamera>,
 }
 
-/// Why a planner has no plan: a sentence. It ends the episode, not the run.
+/// Reason why a planner has no plan: a sentence. It ends the episode, not the run.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct PlannerError(pub String);
 
 /// Somebody who drives the ego.
 pub trait Planner: Send {
-    /// Its name in logs and reports.
+    /// Name in logs and reports.
     fn name(&self) -> String;
 
-    /// What it wants to be shown; the same for all episodes.
+    /// Requested inputs; the same for all episodes.
     fn sees(&self) -> Sees;
 
     /// Called before each episode: what it remembers of the one before is to be forgotten.
@@ -174,7 +175,7 @@ pub trait Planner: Send {
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError>;
 }
 
-/// What a privileged planner of the name `who` is told.
+/// Privileged state for the planner `who`, or an error if it is absent.
 fn state_needed<'a>(observation: &Observation<'a>, who: &str) -> Result<&'a Privileged, PlannerError> {
     observation.privileged.ok_or_else(|| PlannerError(format!("{who} was not told where the ego is; expected privileged state")))
 }

@@ -1,4 +1,4 @@
-//! Which cameras of which worlds are drawn together.
+//! Batching of cameras and worlds into frames.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ pub(super) struct Part {
     pub cameras: Range<usize>,
 }
 
-/// What one frame draws: cameras over one background.
+/// Contents of one frame: cameras over one background.
 pub(super) struct Batch {
     pub scene: Arc<SessionScene>,
     pub parts: Vec<Part>,
@@ -60,12 +60,12 @@ pub(super) struct Cast {
 }
 
 impl Batch {
-    /// Its cameras, in the order of its pictures.
+    /// Cameras, in the order of the frame's images.
     pub fn cameras(&self, views: &[WorldView<'_>]) -> Vec<Camera> {
         self.parts.iter().flat_map(|part| views[part.view].cameras[part.cameras.clone()].iter().cloned()).collect()
     }
 
-    /// Its agents, in the light of the scene.
+    /// Agents, in the light of the scene.
     pub fn cast(&self, live: &LiveScene, views: &[WorldView<'_>]) -> Cast {
         let mut cast = Cast { agents: Vec::new(), shadows: Vec::new(), shadow_cameras: None };
         let mut shadow_cameras = Vec::new();

@@ -52,7 +52,7 @@ pub use world::{World, WorldAgent};
 /// Light elsewhere is summed up anew in every frame.
 const PROBES_MAX: usize = 1 << 18;
 
-/// Why a session could not do what it was asked for.
+/// Reason why a session could not serve a request.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
     /// The device.
@@ -91,7 +91,7 @@ pub enum SessionError {
     /// More agents than instance ids.
     #[error("a world has at most {max} agents")]
     TooManyAgents {
-        /// How many there may be.
+        /// Limit.
         max: usize,
     },
     /// Bytes were asked of a viewer that draws floats.
@@ -100,20 +100,21 @@ pub enum SessionError {
     /// A world of another session, whose scenes are not on this device.
     #[error("view {view} shows a world of another session: draw it with a viewer of its own")]
     OtherSession {
-        /// Which of the views.
+        /// Index of the view.
         view: usize,
     },
-    /// Nothing to draw.
+    /// A view has no cameras.
     #[error("a view without cameras was asked for: give each at least one")]
     NoCameras,
 }
 
-/// How a session is opened.
+/// Options of a session.
 #[derive(Clone, Debug)]
 pub struct SessionOptions {
-    /// Which device, and how it is used.
+    /// Device, and its use.
     pub device: DeviceOptions,
-    /// How viewers draw. [`RenderOptions::rules`] is not used: see [`SessionOptions::rules`].
+    /// Options of the renderers. [`RenderOptions::rules`] is not used: see
+    /// [`SessionOptions::rules`].
     pub render: RenderOptions,
     /// The rules that all scenes are drawn by. None: each by its own, as its scene file says.
     pub rules: Option<Rules>,
@@ -132,7 +133,7 @@ impl Default for SessionOptions {
 pub struct Session {
     gpu: Gpu,
     options: SessionOptions,
-    /// Those that somebody still holds, by path.
+    /// Scenes in use, by path.
     scenes: Mutex<BTreeMap<PathBuf, Weak<SessionScene>>>,
 }
 
@@ -145,7 +146,7 @@ pub struct SessionScene {
     agents: Vec<LoadedAgent>,
     /// Places in `agents`.
     agent_by_name: HashMap<String, usize>,
-    /// Those of plain splats, which are part of the background.
+    /// Names of agents of plain splats, which are part of the background.
     plain_agents: Vec<String>,
     live: RwLock<LiveScene>,
 }
@@ -171,7 +172,7 @@ impl Session {
         &self.gpu
     }
 
-    /// How it was opened.
+    /// Options that it was opened with.
     #[must_use]
     pub fn options(&self) -> &SessionOptions {
         &self.options
@@ -251,7 +252,7 @@ impl SessionScene {
         &self.rig
     }
 
-    /// Where the ego vehicle is when, as the scene file says.
+    /// Trajectory of the ego vehicle from the scene file.
     #[must_use]
     pub fn ego(&self) -> &Trajectory {
         &self.ego
@@ -274,7 +275,7 @@ impl SessionScene {
         self.agent_by_name.get(name).map(|&index| &self.agents[index])
     }
 
-    /// Whether it is on the device that `gpu` is.
+    /// True if it is on the device `gpu`.
     pub(crate) fn is_on(&self, gpu: &Gpu) -> bool {
         self.gpu.is(gpu)
     }

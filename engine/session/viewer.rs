@@ -13,9 +13,9 @@ use super::{SessionError, SessionOptions, SessionScene, World};
 /// A world, and the cameras that look at it.
 #[derive(Clone, Copy)]
 pub struct WorldView<'a> {
-    /// What is seen.
+    /// World to render.
     pub world: &'a World,
-    /// Who sees it; at least one.
+    /// Cameras; at least one.
     pub cameras: &'a [Camera],
 }
 

@@ -18,7 +18,7 @@ const NAMES_LISTED: usize = 8;
 pub struct WorldAgent {
     /// Unique in the world.
     pub name: String,
-    /// What it shows and where it stands.
+    /// Asset and pose.
     pub placed: Placed,
 }
 
@@ -57,7 +57,7 @@ impl World {
         &self.scene
     }
 
-    /// Its agents, in the order in which equal depths are drawn.
+    /// Agents, in the order in which equal depths are rendered.
     #[must_use]
     pub fn agents(&self) -> &[WorldAgent] {
         &self.agents
@@ -99,7 +99,7 @@ impl World {
         Ok(instance)
     }
 
-    /// Its agents from now on: names and where they stand. Names have to differ.
+    /// Replaces the agents: names, assets and poses. Names have to differ.
     ///
     /// # Errors
     /// When there is no such asset, or there are more agents than ids; nothing is changed then.

@@ -17,7 +17,7 @@ fn small_compression<'a>(car: &'a Path, out: &'a Path, more: &[&'a str]) -> Vec<
     [["compress", text(car), "--out", text(out)].as_slice(), &sizes, more].concat()
 }
 
-/// What `folder` holds, hidden files too, sorted.
+/// Names in `folder`, hidden files too, sorted.
 fn names_in(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> =
         fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();

@@ -101,11 +101,12 @@ fn real_map(file: &str) -> Option<LaneMap> {
     Some(read_map(&path).unwrap())
 }
 
-/// How a car on a map was brought back.
+/// Result of the registration of a car on a map.
 struct Found {
     error: TruthError,
     fit: PlanarFit,
-    /// How far the track as a whole is off along its mean direction, metres: what [`PlanarFit::along_m`] is the deviation of.
+    /// Mean error of the whole track along its mean direction, meters: [`PlanarFit::along_m`] is
+    /// its deviation.
     shifted_m: f64,
 }
 
@@ -144,7 +145,8 @@ fn brought_back(map: &LaneMap, changing: bool) -> Vec<Found> {
     all
 }
 
-/// How far to the left of `line` a lane of the same direction lies from `from_m` on, where one does all along.
+/// Distance from `line` to the left lane of the same direction from `from_m` on, if there is one
+/// all along.
 fn left_lane_m(map: &LaneMap, line: &Polyline, from_m: f64) -> Option<f64> {
     let index = LaneIndex::new(map);
     let beside = |arc_m: f64| {

@@ -25,7 +25,7 @@ const SIZE: (u32, u32) = (160, 90);
 /// No splat of an agent is deeper in any camera, metres.
 const AGENTS_DEPTH_MAX_M: f64 = 12.0;
 
-/// Where the background is cleared away, nothing of it has its mean nearer to the ego vehicle, metres.
+/// Radius around the ego vehicle within which the background is removed, meters.
 const CLEARED_M: f64 = 22.0;
 
 /// A street with a car of plain splats and five coded ones around the ego vehicle, one of which drives, in a folder.
@@ -174,12 +174,12 @@ fn differing(a: &Picture, b: &Picture) -> Vec<bool> {
     (0..a.alpha.len()).map(|at| bits(a, at) != bits(b, at)).collect()
 }
 
-/// What the whole and the background show differently where no agent covers a pixel, in one camera.
+/// Differences between the whole scene and the background in pixels without agents, in one camera.
 #[derive(Debug)]
 struct Uncovered {
     pixels: usize,
     differing: usize,
-    /// Those of them where light from behind still gets through.
+    /// Number of them with transmittance left behind.
     differing_open: usize,
     error_max: f32,
 }

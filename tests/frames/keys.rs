@@ -13,8 +13,8 @@ use crate::device::Validated;
 /// Frames of the recorded drive.
 const FRAMES: usize = 200;
 
-/// Where the ego is and where it looks: straight on, a stop, slow and fast turns, teleports, camera cuts, turns on the spot,
-/// and the jitter of a hand.
+/// Pose of the ego per frame: straight on, a stop, slow and fast turns, teleports, camera cuts,
+/// turns on the spot, and the jitter of a hand.
 fn drive(frame: usize) -> (DVec3, f64) {
     let t = frame as f64;
     match frame {

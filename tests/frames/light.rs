@@ -35,7 +35,7 @@ pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
     }
 }
 
-/// What a frame shows.
+/// Contents of a frame.
 struct Case {
     world: World,
     cars: Vec<CodedCloud>,

@@ -22,7 +22,8 @@ use glam::{DQuat, DVec3};
 
 use crate::device::Validated;
 
-/// What exact mode promises at equal rules (one flipped 1/255 decision moves a pixel by up to 0.004).
+/// Least PSNR of exact mode at equal rules (one flipped 1/255 decision moves a pixel by up to
+/// 0.004).
 pub const PSNR_MIN_DB: f64 = 95.0;
 pub const ERROR_MAX: f64 = 0.01;
 
@@ -67,7 +68,7 @@ pub fn all_outputs() -> Outputs {
     Outputs { depth: true, instance: true, ..Outputs::default() }
 }
 
-/// What the GPU draws.
+/// Images from the GPU.
 pub fn draw(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Picture> {
     let mut renderer = Renderer::new(gpu, RenderOptions { rules, outputs: all_outputs(), ..RenderOptions::default() });
     let resident = renderer.upload(world).unwrap();

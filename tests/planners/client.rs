@@ -9,7 +9,7 @@ use glam::DVec2;
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, privileged};
 
-/// As `checksum_planner.py` has it.
+/// Checksum as in `checksum_planner.py`.
 fn checksum(rgba: &[u8]) -> u64 {
     rgba.iter().enumerate().map(|(at, &byte)| (at as u64 % 251 + 1) * u64::from(byte)).sum::<u64>() % 1_000_003
 }

@@ -6,7 +6,7 @@ use decouplegs::planner::{Attachment, Cameras, External, Frame, Patience, Planne
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, script};
 
-/// How long who never answers is waited for here.
+/// Timeout for planners that never answer.
 const SHORT: Patience = Patience { answer: Duration::from_millis(300), ..PATIENT };
 /// Time until an error is told, at most: half of what a planner sleeps who has to be ended, and far more than a busy machine takes.
 const TOLD_WITHIN: Duration = Duration::from_secs(30);
@@ -18,7 +18,8 @@ fn plan(planner: &mut External, step: u32) -> Result<(), PlannerError> {
     planner.plan(&observation(step, &[Frame { camera, rgba: &rgba }], None)).map(|_| ())
 }
 
-/// What is said of a planner that drives well at first and then in its `way`. It is begun anew after it.
+/// Error message about a planner that drives well at first and then misbehaves as `way` says. It is
+/// begun anew after it.
 fn said_of(way: &str, patience: Patience) -> String {
     let mut planner = opened("misbehaving.py", &[way], PATIENT);
     assert_eq!((planner.name().as_str(), planner.sees().cameras), (way, Cameras::Front));
@@ -135,7 +136,7 @@ fn who_cannot_be_started_or_introduces_himself_badly_is_refused_at_once() {
     assert!(shell("exit 7").contains("exit status: 7"));
 }
 
-/// Whether any process is left that has `word` in its command line.
+/// True if any process has `word` in its command line.
 fn is_running(word: &str) -> bool {
     let processes = std::fs::read_dir("/proc").unwrap().flatten();
     let mut lines = processes.filter_map(|process| std::fs::read(process.path().join("cmdline")).ok());

@@ -1,4 +1,4 @@
-//! Who drives the ego: our own planners on small roads, and those of others, however they behave.
+//! Planners of the ego: our own on small roads, and external ones, also misbehaving ones.
 
 mod client;
 mod driving;

@@ -9,7 +9,7 @@ use glam::DVec2;
 const STEP_S: f64 = 0.5;
 const SUBSTEPS: u32 = 5;
 
-/// What happens while somebody drives.
+/// Record of a drive.
 pub struct Course {
     pub route_m: Vec<DVec2>,
     pub start_mps: f64,
@@ -23,7 +23,7 @@ pub struct Moment {
     pub lateral_mps2: f64,
     /// To the nearest agent, 0 where they overlap, infinite where there is none.
     pub gap_m: f64,
-    /// How far off the route.
+    /// Distance from the route.
     pub off_m: f64,
     /// Along the route.
     pub arc_m: f64,

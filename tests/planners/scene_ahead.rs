@@ -1,4 +1,4 @@
-//! What planners are shown here: two cameras, an agent and a route.
+//! Inputs of the planners under test: two cameras, an agent and a route.
 
 use decouplegs::planner::{Attachment, Briefing, EgoMotion, External, Frame, Guidance, Observation, Patience, Privileged, Turn};
 use decouplegs::scene::{Intrinsics, Pose, RigCamera, VehicleSize, VehicleState};

@@ -17,12 +17,12 @@ const RAYS: u32 = 2;
 pub struct DrawnRoad {
     /// Middle of the lane beside the vehicle, to the left where above zero, metres.
     pub offset_m: f64,
-    /// Of the lane in the vehicle's frame.
+    /// Heading of the lane in the vehicle's frame.
     pub heading_rad: f64,
-    /// Of the lane, 1/m.
+    /// Curvature of the lane, 1/m.
     pub curvature: f64,
     pub width_m: f64,
-    /// Its left line is dashed, and these dashes begin here.
+    /// Start of the dashes of the left line.
     pub dashes_m: f64,
     /// From the vehicle's front to the rear of a car in the lane.
     pub gap_m: Option<f64>,
@@ -97,7 +97,7 @@ impl DrawnRoad {
         if to_ground.is_finite() { self.ground((eye + ray * to_ground).truncate()) } else { DVec3::new(0.6, 0.7, 0.85) }
     }
 
-    /// Where the lane's middle is `ahead_m` metres ahead.
+    /// Center of the lane `ahead_m` meters ahead.
     fn middle_m(&self, ahead_m: f64) -> f64 {
         self.offset_m + self.heading_rad.tan() * ahead_m + 0.5 * self.curvature * ahead_m * ahead_m
     }

@@ -132,7 +132,8 @@ fn it_turns_as_navigation_says_without_seeing_anything() {
     }
 }
 
-/// How far along a way that is straight, turns on an arc by a right angle and is straight again, metres.
+/// Progress along a path that is straight, turns on an arc by a right angle and is straight again,
+/// meters.
 fn progress_on_corner(at: DVec2, begin_m: f64, radius_m: f64, side: f64) -> f64 {
     let centre = DVec2::new(begin_m, side * radius_m);
     let from_centre = at - centre;

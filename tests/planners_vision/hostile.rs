@@ -6,7 +6,7 @@ use decouplegs::scene::{Intrinsics, Plan, RigCamera};
 use super::drawn_road::camera;
 use super::{beginner, cruising, shown};
 
-/// Whether a car that drives `speed_mps` could follow: never backwards, never far.
+/// Checks that a car at `speed_mps` could follow the plan: never backwards, never far.
 fn assert_drivable(plan: &Plan, speed_mps: f64, what: &str) {
     let mut before = (0.0, glam::DVec2::ZERO);
     for point in plan.points() {

@@ -19,7 +19,7 @@ fn beginner(camera: &RigCamera) -> Vision {
     vision
 }
 
-/// What it sees and plans at step `step`.
+/// Perception and plan at step `step`.
 fn shown(vision: &mut Vision, step: u32, frames: &[Frame], ego: EgoMotion, guidance: Guidance) -> (Sight, Plan) {
     let time_s = 0.5 * f64::from(step);
     let observation = Observation { step, time_s, frames, ego, guidance, privileged: None };
@@ -27,7 +27,7 @@ fn shown(vision: &mut Vision, step: u32, frames: &[Frame], ego: EgoMotion, guida
     (vision.sight().expect("it began"), plan)
 }
 
-/// What it sees in one picture at first sight.
+/// Perception of a first image.
 fn glance(camera: &RigCamera, rgba: &[u8]) -> Sight {
     let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
     shown(&mut beginner(camera), 0, &[Frame { camera, rgba }], ego, cruising(10.0)).0

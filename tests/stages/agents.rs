@@ -16,7 +16,7 @@ use crate::device::Validated;
 use hard_agents::{AgentScene, ListedAgents, Placed, hard_agents};
 use hard_clouds::hard_cloud;
 
-/// What the kernel sees: bits and counts.
+/// Visibility bits and counts of the kernel.
 fn visible(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
     let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
     let cull = CullAgents::new(gpu, rules, !scene.lenses.is_empty()).unwrap();
@@ -154,7 +154,7 @@ impl Case {
         }
     }
 
-    /// What is computed for record `record` of the agents.
+    /// Projection of record `record` of the agents.
     fn projection(&self, record: usize) -> Projection<'_> {
         let (camera, agent, splat) = self.listed.records[record];
         let (coded, axes) = self.scene.unpacked(agent, splat);

@@ -24,7 +24,7 @@ const OUTPUTS: Outputs =
 /// Records whose instance is to be found in the picture.
 const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ..PLAIN };
 
-/// What all items of a run share.
+/// Inputs that all items of a run share.
 struct Case {
     scene: Scene,
     projected: ProjectedTwin,
@@ -218,7 +218,7 @@ impl Case {
     }
 }
 
-/// What the twin writes for `pixel`, in a picture of its own.
+/// Images that the twin writes for `pixel` alone.
 fn written_alone(pixel: &Pixel) -> Pictures {
     let mut picture = Pictures { pictures_f32: vec![[0.0; 4]], depths_m: vec![0.0], instance_ids: vec![0] };
     let camera = CameraRecord { size_px: [1, 1], ..bytemuck::Zeroable::zeroed() };
@@ -226,7 +226,7 @@ fn written_alone(pixel: &Pixel) -> Pictures {
     picture
 }
 
-/// What a comparison of pixels has met.
+/// Statistics of a comparison of pixels.
 #[derive(Default)]
 struct Report {
     pixels: usize,

@@ -41,14 +41,14 @@ impl Case {
         Self { view, composites, partials }
     }
 
-    /// What the kernel writes, the colours in bytes if these are asked for.
+    /// Output of the kernel, with colors in bytes if requested.
     fn kernel(&self, gpu: &Validated, colour: ColourFormat) -> (Pictures, Vec<u32>) {
         let outputs = Outputs { colour, depth: true, instance: true, ..Outputs::default() };
         let (pictures, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
         (pictures, bytes)
     }
 
-    /// What the kernel writes by `rules`, and the partial results it leaves.
+    /// Output of the kernel under `rules`, and the partial results that it leaves.
     fn kernel_by(&self, gpu: &Validated, rules: Rules, outputs: Outputs) -> (Pictures, Vec<u32>, Partials) {
         let Self { view, composites, partials } = self;
         let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
@@ -206,7 +206,8 @@ fn segments_in_another_order_are_seen() {
     assert!(Case::check(&kernel, &twin, &segments).unwrap_err().starts_with("pixel"));
 }
 
-/// What lies before a segment is left there for pixels that end in it; where weights are counted, in every segment but the first.
+/// The state before a segment is stored for pixels that end in it. Where weights are counted, it is
+/// stored in every segment but the first.
 #[test]
 fn pixels_are_left_to_be_finished_where_they_end() {
     let gpu = open();

@@ -9,7 +9,7 @@ use super::scenes::{Scene, hard_world, lens_rig, rig};
 use super::{UNTOUCHED, identical, open, run};
 use crate::device::Validated;
 
-/// What the kernel sees: bits and counts.
+/// Visibility bits and counts of the kernel.
 fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
     let cameras = scene.view.cameras.len();
     let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();

@@ -48,7 +48,7 @@ fn with_shadows(gpu: &Validated, splats: usize, shadows: usize) -> Scene {
     scene
 }
 
-/// Whether the shadow reaches the chunk, if that is the same however f32 rounds: else `None`.
+/// True if the shadow reaches the cluster; `None` if that depends on the rounding of f32.
 fn settled(shadow: &ShadowRecord, chunk: &ChunkRecord) -> Option<bool> {
     let reaches = |share: f32| {
         let half_extent_m = chunk.half_extent_m.map(|half| half * (1.0 + share));

@@ -115,7 +115,8 @@ fn records_of_light_and_lenses() -> Vec<Record> {
     ]
 }
 
-/// What is wrong with a structure of a kernel, if anything: none of the host's has its members at its places and its size.
+/// Difference of a kernel's structure from the host's, if any: none of the host's has its members
+/// at its offsets and its size.
 fn fault(members: &[(String, u32)], stride: Option<u32>, records: &[Record]) -> Option<String> {
     let names = |members: &[(String, u32)]| members.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
     let Some(record) = records.iter().find(|record| names(&record.members) == names(members)) else {

@@ -33,7 +33,7 @@ use crate::device::Validated;
 /// Unit roundoff of f32: what one operation may be off by, relative to its result.
 const ROUNDOFF: f64 = 1.0 / 16_777_216.0;
 
-/// What output buffers hold before a kernel runs: what it leaves alone still holds it.
+/// Value of output buffers before a kernel runs: untouched elements still have it.
 const UNTOUCHED: u32 = 0xdead_beef;
 
 /// The device; in a child process of `subgroups`, one whose subgroups have the size that was asked for.
@@ -61,7 +61,8 @@ fn untouched(gpu: &Validated, len: usize) -> Buffer<u32> {
     upload(gpu, &vec![UNTOUCHED; len])
 }
 
-/// What earlier stages found, and the workgroups of the dispatches that they sized; the others hold [`UNTOUCHED`].
+/// Counters from earlier stages, and the workgroups of the dispatches that they sized; the others
+/// hold [`UNTOUCHED`].
 fn control(gpu: &Validated, needs: Needs, groups: &[(Arguments, usize)]) -> Control {
     let control = Control::new(gpu).unwrap();
     gpu.write(&control.needs, 0, &[needs]).unwrap();
@@ -83,7 +84,7 @@ fn write_partials(gpu: &Validated, partials: &Partials, pixels: &[Pixel]) {
     gpu.write(&partials.instances, 0, &instances).unwrap();
 }
 
-/// What the kernel found, and how it sized the dispatches behind it.
+/// Counts from the kernel, and the sizes of the dispatches after it.
 fn found(gpu: &Validated, control: &Control) -> (Needs, Vec<[u32; 3]>) {
     (gpu.read(&control.needs).unwrap()[0], gpu.read(&control.arguments).unwrap())
 }

@@ -63,7 +63,7 @@ impl Case {
         }
     }
 
-    /// What is computed for record `record`, as [`rounding`] bounds it.
+    /// Projection of record `record`, with the bounds of [`rounding`].
     fn projection(&self, record: usize) -> Projection<'_> {
         let (camera, splat) = self.listed.records[record];
         let scene = &self.scene;

@@ -1,4 +1,4 @@
-//! What must hold for any splat and any camera.
+//! Invariants of any splat and any camera.
 
 use decouplegs::render::layout::{CameraRecord, View};
 use decouplegs::render::reference;
@@ -44,7 +44,7 @@ fn footprint_of(splat: &Splat, camera: &CameraRecord, rules: &Rules) -> Option<F
     drawn.then_some(footprint)
 }
 
-/// Whether the list of the pixel's macro tile holds the splat.
+/// True if the list of the pixel's coarse tile contains the splat.
 fn is_listed(splat: &Footprint, column: u32, row: u32) -> bool {
     let [first, last] = reached_macro_rows(splat, SIZE.1);
     let tile_row = (row / 32) as i32;

@@ -19,7 +19,7 @@ struct Case {
     sh_degree: u8,
 }
 
-/// What is made: colours, and their bands.
+/// Result of relighting: colors, and their bands.
 type Relit = (Vec<[f32; 3]>, Vec<[u32; 24]>);
 
 fn transfer(random: &mut Random) -> ColourTransfer {

@@ -153,7 +153,7 @@ impl Scene {
         words
     }
 
-    /// Its shadows on the device.
+    /// Shadows on the device.
     pub fn shadow_buffers(&self, gpu: &Validated) -> ShadowBuffers {
         let buffers = ShadowBuffers::new(gpu, self.shadows.len(), self.chunks.len()).unwrap();
         gpu.write(&buffers.shadows, 0, &self.shadows).unwrap();
@@ -179,7 +179,7 @@ impl Scene {
         (words, counts)
     }
 
-    /// Whether the splat can be seen, if that is the same however f32 rounds on the way: else `None`.
+    /// Visibility of the splat if it is the same for every rounding of f32: else `None`.
     pub fn settled_visibility(&self, camera: usize, splat: usize, rules: &Rules) -> Option<bool> {
         let (shape, rotation) = (self.shapes[splat], self.rotations[splat]);
         let axes = axes_of(shape, rotation);
@@ -188,7 +188,7 @@ impl Scene {
     }
 }
 
-/// Whether a splat can be seen, if that is the same however f32 rounds on the way: else `None`.
+/// Visibility of a splat if it is the same for every rounding of f32: else `None`.
 ///
 /// Tried are the mean moved by the rounding of a camera transform along each axis, the size changed by `size_share` and the
 /// opacity by some roundings of its own.
@@ -224,7 +224,8 @@ fn count_macro_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
     tiles.map(|[left, right]| (right - left + 1) as u32).sum()
 }
 
-/// How many macro tiles the splat reaches, if that is the same however f32 rounds its edges: else `None`.
+/// Number of coarse tiles that the splat overlaps if it is the same for every rounding of f32: else
+/// `None`.
 pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u32> {
     let count = |dx: f32, dy: f32| {
         let mut moved = *splat;
@@ -242,7 +243,7 @@ pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u3
     [(dx, 0.0), (-dx, 0.0), (0.0, dy), (0.0, -dy)].iter().all(|&(dx, dy)| count(dx, dy) == here).then_some(here)
 }
 
-/// What the twin of project writes.
+/// Output of the twin of project.
 pub struct ProjectedTwin {
     pub footprints: Vec<[f32; 4]>,
     pub colours: Vec<[f32; 4]>,

@@ -16,7 +16,7 @@ pub const EXPECTED_LANES: &str = "DECOUPLEGS_EXPECTED_SUBGROUP_SIZE";
 const TESTS: [(&str, usize); 4] =
     [("stages::scan::", 3), ("stages::tile_sort::", 6), ("stages::plan_segments::", 5), ("stages::blend::", 3)];
 
-/// What a child with `lanes` lanes printed, and whether it succeeded.
+/// Output of a child process with `lanes` lanes, and true if it succeeded.
 fn child(vector_bits: u32, lanes: u32, filter: &str) -> (bool, String) {
     let output = Command::new(std::env::current_exe().unwrap())
         .args([filter, "--test-threads", "1"])

@@ -1,4 +1,5 @@
-//! How each rule is checked. Words that a rule forbids are put together from halves, so that this file keeps the rules too.
+//! Checks of the rules. Words that a rule forbids are put together from halves, so that this file
+//! keeps the rules too.
 
 use super::Finding;
 use super::tree::{SourceFile, Tree};
@@ -13,7 +14,7 @@ const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
     ("sort_buckets", "tile_sort"),
 ];
 
-/// What of ours the crate of a `Cargo.toml` may use.
+/// Crates of the workspace that the crate of a `Cargo.toml` may use.
 const MAY_USE: &[(&str, &[&str])] = &[
     ("engine/scene/Cargo.toml", &[]),
     ("engine/gpu/Cargo.toml", &[]),
@@ -28,7 +29,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("tools/c/Cargo.toml", &["decouplegs"]),
 ];
 
-/// What a crate's own tests may use besides: they need something to drive on.
+/// Further crates for a crate's own tests: they need something to drive on.
 const MAY_TEST_WITH: &[(&str, &str)] = &[("engine/drive/Cargo.toml", "decouplegs-asset")];
 
 /// Findings for the lines of `texts` in which `fault` sees one.
@@ -37,7 +38,7 @@ fn lines_with(file: &SourceFile, text: &str, fault: impl Fn(&str) -> Option<Stri
     lines.filter_map(|(i, line)| Some(Finding { path: file.path.clone(), line: i + 1, what: fault(line)? })).collect()
 }
 
-/// Whether `word` stands in `text` with nothing of a name on either side.
+/// True if `word` stands in `text` with nothing of a name on either side.
 fn has_word(text: &str, word: &str) -> bool {
     let part_of_a_name = |c: char| c.is_alphanumeric() || c == '_';
     text.match_indices(word)
@@ -69,7 +70,8 @@ fn is_gpu(file: &SourceFile) -> bool {
     file.path.starts_with("engine/gpu/")
 }
 
-/// Where C begins on the other side: the C library, and the Python package with what it shares with CUDA.
+/// True for files at the boundary to C: the C library, and the Python package with the code that
+/// shares memory with CUDA.
 fn is_boundary(file: &SourceFile) -> bool {
     file.path.starts_with("tools/c/") || file.path.starts_with("tools/python/")
 }
@@ -100,7 +102,8 @@ pub fn unsafe_is_explained(tree: &Tree) -> Vec<Finding> {
     findings
 }
 
-/// Whether a comment with the word stands on the last of `lines` or in front of the statement that ends there.
+/// True if a comment with the word stands on the last of `lines` or in front of the statement that
+/// ends there.
 fn explained(lines: &[(&str, &str)]) -> bool {
     let (last, above) = lines.split_last().expect("there is the line with the block");
     let mut in_statement = true;

@@ -47,10 +47,11 @@ impl Tree {
     }
 }
 
-/// What is built or downloaded, at the top or in a fuzzing crate.
+/// Built or downloaded folders, at the top or in a fuzzing crate.
 const NOT_OURS: [&str; 4] = ["target", "out", "corpus", "artifacts"];
 
-/// Whether people write what is in the folder of this name. Hidden folders are those of tools, but for that of the CI run.
+/// True if people write the files of the folder with this name. Hidden folders are those of tools,
+/// but for that of the CI run.
 fn is_ours(folder: &str) -> bool {
     !NOT_OURS.contains(&folder) && (folder == ".ci" || !folder.starts_with('.'))
 }

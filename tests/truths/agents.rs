@@ -15,7 +15,7 @@ use crate::device::Validated;
 use crate::stages::Random;
 use crate::stages::agents::hard_agents::{AgentScene, Placed};
 
-/// What turning may cost, relative to the covariance and to the colour.
+/// Tolerance of a rotation, relative to the covariance and to the color.
 const RELATIVE: f64 = 1e-5;
 
 /// A cloud of sixty-four shapes, of which the thinnest are 1 : 100, and as many colours that stay above zero from all sides.
@@ -95,7 +95,7 @@ fn stored_rest(coefficients: &[[f32; 3]]) -> Vec<[f32; 3]> {
     (1..=3).flat_map(band).collect()
 }
 
-/// What the kernel makes of each splat that `listed` names, from its factored form.
+/// Result of the kernel for each splat of `listed`, from its factored form.
 fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((usize, usize), Seen)> {
     let listed = scene.listed(rules);
     let room = listed.records.len();

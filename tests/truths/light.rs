@@ -1,4 +1,4 @@
-//! What a street tells of its light.
+//! Light of a synthetic street.
 
 use decouplegs::asset::street::{AssetLight, Street, StreetOptions, Weather};
 use decouplegs::scene::light::{AmbientField, AmbientOptions, ShadowOptions, ambient_by_definition};

@@ -1,4 +1,4 @@
-//! What must be true of any picture, worked out by hand: neither the f64 definition nor a twin is asked.
+//! Properties of any image that were derived by hand, without the f64 reference and without a twin.
 //!
 //! The definition's own truths stand in `engine/render/src/reference/truths.rs`; these hold the GPU to the same mathematics.
 

@@ -1,4 +1,4 @@
-//! What stands in front covers what stands behind, and full is full.
+//! Occlusion: splats in front cover those behind, and a full pixel stays as it is.
 
 use decouplegs::scene::{DepthOrder, Rules};
 

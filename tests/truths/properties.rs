@@ -7,7 +7,7 @@ use proptest::test_runner::{Config, TestCaseError, TestRunner};
 
 use super::{Easel, ROUNDING, Splat, square_camera, world_of, worst_difference};
 
-/// What an early stop may leave out (the transmittance at which a pixel is full), and rounding.
+/// Tolerance of early termination (the transmittance at which a pixel is full), and of rounding.
 const FULL: f32 = 1e-4 + ROUNDING;
 
 fn splat() -> impl Strategy<Value = Splat> {

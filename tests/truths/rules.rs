@@ -1,4 +1,4 @@
-//! Where the rules of public renderers differ, by closed forms.
+//! Differences between the rules of public renderers, by closed forms.
 
 use decouplegs::scene::Rules;
 

@@ -18,9 +18,9 @@ const VIEW_SIZE_PX: u32 = 256;
 pub struct Cars {
     /// In spatial order.
     pub originals: Vec<SplatCloud>,
-    /// What brings splats as the street makes them into that order.
+    /// Permutation from the street's order of splats into that order.
     pub orders: Vec<Vec<u32>>,
-    /// Of each splat of the originals: the mean blending weight in views all around, summed over pixels.
+    /// Mean blending weight of each original splat in views all around, summed over pixels.
     pub visibility: Vec<Vec<f32>>,
     /// The originals, compressed by the defaults.
     pub coded: Vec<CodedCloud>,

@@ -1,4 +1,4 @@
-//! What was measured, as JSON and as text.
+//! Results as JSON and as text.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use super::reinsert::{ArmFigures, Reinserted};
 use super::system::{System, SystemRow};
 use crate::plot::number;
 
-/// Everything that one run found.
+/// Results of one run.
 pub struct Report {
     pub conditions: Value,
     pub reinsertions: Vec<Reinserted>,

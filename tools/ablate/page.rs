@@ -31,7 +31,7 @@ pub fn page(report: &Report) -> Result<String> {
     Ok(html)
 }
 
-/// What relighting and registration come to, as a sentence each.
+/// Summaries of relighting and registration, one sentence each.
 fn summary(report: &Report) -> String {
     let mut html = String::new();
     for found in &report.reinsertions {

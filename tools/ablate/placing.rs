@@ -1,4 +1,5 @@
-//! Where cars are by tracks that drift, before and after registration, and how far that is from where they are.
+//! Placement of cars by drifting tracks, before and after registration, and its distance from the
+//! ground truth.
 
 use std::f64::consts::TAU;
 
@@ -16,7 +17,7 @@ const RATE_HZ: f64 = 10.0;
 /// Corners deeper than this below the ground have penetrated it, metres.
 pub const TOLERANCE_M: f64 = 0.02;
 
-/// How tracks depart from the truth.
+/// Drift of tracks from the ground truth.
 #[derive(Clone, Copy, Debug)]
 pub struct Drift {
     /// Each is shifted by this, in a direction of its own.
@@ -25,11 +26,11 @@ pub struct Drift {
     pub turn_rad: f64,
     /// Deviation of each of its places along each axis.
     pub noise_m: f64,
-    /// Everything random follows from it.
+    /// Seed of all randomness.
     pub seed: u64,
 }
 
-/// How well cars stand where they should, means over tracks.
+/// Placement errors of cars, means over tracks.
 #[derive(Clone, Copy, Debug)]
 pub struct Placing {
     /// Mean distance to the true place at the same moment.
@@ -42,7 +43,7 @@ pub struct Placing {
     pub ade_lane_m: f64,
     /// Share of bottom corners more than [`TOLERANCE_M`] below the true ground, which is level.
     pub penetration_rate: f64,
-    /// What 95 of 100 corners are not farther from the true ground, either way.
+    /// Distance that 95 of 100 corners keep from the true ground, either way.
     pub clearance_p95_m: f64,
     /// Tracks in all.
     pub tracks: usize,

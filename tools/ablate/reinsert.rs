@@ -59,7 +59,7 @@ impl Arm {
     }
 }
 
-/// What the pictures of one moment are compared with.
+/// Comparison data for the images of one moment.
 pub struct Sample {
     pub time_s: f64,
     pub cameras: Vec<Camera>,
@@ -77,7 +77,7 @@ pub struct ArmFigures {
     pub vehicles: MaskedDifference,
     /// About vehicles, where shadows lie; `None` where vehicles fill all pictures.
     pub ground: Option<MaskedDifference>,
-    /// How much darker the ground about vehicles is than without them.
+    /// Darkening of the ground around vehicles.
     pub darkness: Option<f64>,
 }
 
@@ -85,18 +85,18 @@ pub struct ArmFigures {
 pub struct Reinserted {
     pub weather: Weather,
     pub arms: Vec<ArmFigures>,
-    /// As [`ArmFigures::darkness`], of the truth.
+    /// Darkening in the ground truth, as in [`ArmFigures::darkness`].
     pub truth_darkness: Option<f64>,
     /// I_dom, the mean over agents and moments.
     pub starkness: f64,
-    /// How much the light comes from one side, the mean over agents and moments.
+    /// Directionality of the light, the mean over agents and moments.
     pub directionality: f64,
     /// Agents, counted at each moment, about whose place the street tells nothing.
     pub unlit: usize,
     pub showcase: Showcase,
 }
 
-/// What it takes to put cars back into one street.
+/// Setup of the reinsertion of cars into one street.
 pub struct Reinsertion<'a> {
     pub gpu: &'a Gpu,
     pub stage: &'a Stage,

@@ -3,7 +3,8 @@
 use decouplegs::render::Picture;
 use decouplegs::scene::light::LUMA;
 
-/// How far about a vehicle ground is looked at, as a share of the picture's width: 25 px of 800.
+/// Distance around a vehicle within which the ground is examined, as a share of the image's width:
+/// 25 px of 800.
 const REACH: f64 = 25.0 / 800.0;
 
 /// For each pixel of a picture `width_px` wide whether it lies near `vehicles`, and is not of them.
@@ -31,7 +32,7 @@ fn spread(mask: &[bool], (lines, length): (usize, usize), steps: (usize, usize),
     found
 }
 
-/// How much darker pixels are than in pictures without vehicles.
+/// Darkening of pixels relative to images without vehicles.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Darkness {
     with: f64,

@@ -8,7 +8,7 @@ use super::reinsert::Sample;
 /// White in pictures of angles, degrees.
 pub const ANGLE_MAX_DEG: f64 = 20.0;
 
-/// Of the car's box, how much more is shown on each side.
+/// Margin around the car's box, as a share of it.
 const MARGIN: f64 = 0.25;
 
 /// One window of one camera's picture, as several drew it; no picture where there is no car.
@@ -17,7 +17,7 @@ pub struct Showcase {
     pub time_s: f64,
     pub camera: String,
     pub car: u16,
-    /// What it shows, and the picture.
+    /// Caption and image of each panel.
     pub pictures: Vec<(&'static str, Picture)>,
 }
 

@@ -1,4 +1,4 @@
-//! How long frames of a drive take.
+//! Frame times of a drive.
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
@@ -14,7 +14,7 @@ const WARM_UP_FRAMES: u32 = 2;
 /// From one frame to the next, seconds.
 const STEP_S: f64 = 0.1;
 
-/// What is driven through, for its time.
+/// Scene of the drive that is timed.
 pub struct Speed<'a> {
     pub gpu: &'a Gpu,
     pub scene: &'a LoadedScene,

@@ -18,13 +18,13 @@ const STEPS: u32 = 20;
 /// A car whose middle is nearer is hardly in the picture, metres.
 const NEAR_M: f64 = 3.0;
 
-/// What the cars are put back into.
+/// Scene into which the cars are reinserted.
 pub struct Stage {
     pub options: StreetOptions,
     pub street: Street,
     /// The background as it was captured empty, compressed cars that drive as they truly do, and the light.
     pub loaded: LoadedScene,
-    /// What brings the background as the street makes it into the order it has here.
+    /// Permutation from the street's order of background splats to the order used here.
     order: Vec<u32>,
 }
 
@@ -75,7 +75,7 @@ impl Stage {
         self.options.weather
     }
 
-    /// Of each of `count` equal parts of the drive the moment that has most of the cars in sight, seconds.
+    /// Moments with most cars in sight, one for each of `count` equal parts of the drive, seconds.
     pub fn moments_s(&self, count: u32) -> Vec<f64> {
         let (start_s, end_s) = (self.loaded.ego.start_s(), self.loaded.ego.end_s());
         let part_s = (end_s - start_s) / f64::from(count);
@@ -86,7 +86,8 @@ impl Stage {
         (0..count).map(best).collect()
     }
 
-    /// How much of cars cameras see at `time_s`, if nothing hides them: the sum of their solid angles but for a factor.
+    /// Visibility of cars at `time_s` without occlusion: the sum of their solid angles up to a
+    /// factor.
     fn in_sight(&self, time_s: f64) -> f64 {
         let cameras = self.cameras(time_s);
         let places = self.loaded.agents.iter().map(|agent| agent.trajectory.at(time_s).translation);
@@ -108,7 +109,7 @@ impl Stage {
         self.loaded.rig.at(&self.loaded.ego.at(time_s))
     }
 
-    /// What there truly is at `time_s`.
+    /// Ground truth at `time_s`.
     pub fn truth(&self, cars: &Cars, time_s: f64) -> Truth {
         let agents = &self.loaded.agents;
         let placements: Vec<AgentPlacement> = (self.street.agents.iter().zip(agents))

@@ -12,7 +12,7 @@ use super::reinsert::{Arm, Reinserted, Reinsertion, Sample};
 use super::speed::Speed;
 use crate::stress::figures::Measured;
 
-/// What is left out.
+/// Part that is left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Without {
     Nothing,

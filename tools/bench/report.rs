@@ -1,4 +1,4 @@
-//! What a bench found, as JSON and as text.
+//! Results of a benchmark, as JSON and as text.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::{Measured, Timed};
 use crate::scene_source::Scene;
 
-/// Everything that was measured, with what it was measured on.
+/// Results, with the conditions of the measurement.
 pub fn figures(scene: &Scene, measured: &Measured) -> Value {
     let Measured { device, options, step_s, warm_up, timed, window, difference } = measured;
     let Timed { frames, steps_ms, memory } = timed;
@@ -96,7 +96,7 @@ fn spread(mut values: Vec<f64>) -> Value {
     json!({ "median": median, "p99": p99, "min": values[0], "max": values[count - 1] })
 }
 
-/// What `rules` are called, or all of them where they have no name.
+/// Name of `rules`, or all of their values if they have no name.
 fn rules_text(rules: &Rules) -> String {
     let named = Rules::NAMES
         .iter()
@@ -114,7 +114,7 @@ fn outputs_text(outputs: &Value) -> String {
 /// Widest bar of the chart, characters.
 const BAR_CHARS: f64 = 30.0;
 
-/// What a person reads: of what, then the stages as a chart, the frame, memory and error.
+/// Report for people: conditions, then the stages as a chart, the frame, memory and error.
 pub fn to_text(figures: &Value) -> String {
     format!("{}\n{}\n{}{}{}", heading(figures), chart(figures), rates(figures), memory(figures), error(figures))
 }

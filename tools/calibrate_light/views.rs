@@ -17,7 +17,7 @@ const OPACITY_MIN: f32 = 0.15;
 /// Share of the asset's size that the picture is farther than its middle.
 const DISTANCE: f64 = 2.0;
 
-/// What the reference ground shows in pictures, luminance.
+/// Luminance of the reference ground in images.
 const GROUND_DISPLAY: f64 = 0.4;
 
 /// By how much the probe is turned in pictures, radians: not one of the turns that were fitted.
@@ -25,7 +25,7 @@ const YAW_RAD: f64 = 0.4;
 
 /// One probe left out, drawn.
 pub struct Row {
-    /// What the pictures show.
+    /// Captions of the images.
     pub captions: [&'static str; 4],
     /// The probe itself, the truth, relit by a fit that was not shown the probe, and the asset as it is.
     pub pictures: [Picture; 4],

@@ -11,7 +11,7 @@ use super::yardstick::{Score, Yardstick};
 use crate::data_uri;
 use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
 
-/// What differences are multiplied by in pictures of them.
+/// Factor on differences in images of them.
 const DIFFERENCE_GAIN: f32 = 8.0;
 
 /// The page.

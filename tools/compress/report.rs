@@ -1,4 +1,4 @@
-//! What a compression keeps and loses, measured in pictures.
+//! Loss of a compression, measured in images.
 
 use std::fs;
 use std::io::Write;
@@ -37,7 +37,7 @@ const AROUND_PX: u32 = 200;
 /// Turns the cameras of the report away from those that visibility was measured with, radians.
 const HELD_OUT_TURN_RAD: f64 = 1.1;
 
-/// What is measured.
+/// Subject of the measurement.
 pub struct Subject<'a> {
     pub arguments: &'a Arguments,
     pub gpu: &'a Gpu,
@@ -65,7 +65,7 @@ pub struct LevelTrial {
     pub score: Score,
 }
 
-/// Everything that the page shows.
+/// Data of the page.
 pub struct Measured {
     pub asset: Trial,
     pub pruned_only: Vec<Trial>,

@@ -15,7 +15,7 @@ pub const STREET_FOCAL_PX: f64 = 1266.0;
 /// The window of a street camera that is looked at: it lies wholly on a car 10 m away, seen from the side.
 pub const WINDOW_PX: [u32; 2] = [320, 200];
 
-/// Of the distance in front of an asset, how high a street camera stands above the asset's middle.
+/// Height of a street camera above the asset's center, as a share of its distance.
 const STREET_SLOPE: f64 = 0.07;
 
 /// `views` square pictures from a Fibonacci sphere around the box, far enough that all of it is in each. Spheres of another

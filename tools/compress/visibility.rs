@@ -1,4 +1,4 @@
-//! How much of each splat is seen from all around.
+//! Visibility of each splat from all around.
 
 use anyhow::{Context, Result};
 use decouplegs::gpu::Gpu;

@@ -1,4 +1,4 @@
-//! What is lost in pictures: every version of an asset against the original, from the same cameras.
+//! Loss in images: every version of an asset against the original, from the same cameras.
 
 use std::thread;
 
@@ -12,10 +12,11 @@ use serde_json::{Value, json};
 /// Behind the asset: neither black nor white, so that what is missing shows on both dark and light parts.
 const SKY_RGB: [f32; 3] = [0.6, 0.7, 0.8];
 
-/// How near pictures are to the original's.
+/// Similarity of images to the original's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// Of the mean squared error over all pictures, decibels; infinite for equal pictures.
+    /// Signal-to-noise ratio from the mean squared error over all images, decibels; infinite for
+    /// equal images.
     pub psnr_db: f64,
     /// Mean over pictures; `None` where they are too small for a window.
     pub ssim: Option<f64>,
@@ -37,7 +38,7 @@ impl Score {
     }
 }
 
-/// How far each of `found` is from its like in `expected`; several are compared at once.
+/// Difference of each of `found` from its counterpart in `expected`; several are compared at once.
 pub fn differences(found: &[Picture], expected: &[Picture]) -> Result<Vec<Difference>> {
     let threads = thread::available_parallelism().map_or(1, usize::from);
     let pairs: Vec<(&Picture, &Picture)> = found.iter().zip(expected).collect();
@@ -84,7 +85,7 @@ impl Yardstick {
         Ok(self.renderer.read_pictures()?)
     }
 
-    /// How near `cloud` is to the original, one score for each of the views.
+    /// Similarity of `cloud` to the original, one score per view.
     pub fn score(&mut self, cloud: &SplatCloud) -> Result<Vec<Score>> {
         let mut scores = Vec::new();
         for at in 0..self.views.len() {
@@ -95,7 +96,7 @@ impl Yardstick {
         Ok(scores)
     }
 
-    /// How near `found` is to `expected`, both drawn for `cameras`.
+    /// Similarity of `found` to `expected`, both rendered for `cameras`.
     pub fn compare(&mut self, found: &SplatCloud, expected: &SplatCloud, cameras: &[Camera]) -> Result<Score> {
         let expected = self.draw(expected, cameras)?;
         Score::between(&self.draw(found, cameras)?, &expected)

@@ -46,7 +46,7 @@ impl Format {
         })
     }
 
-    /// What users call it.
+    /// Name of the format for users.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ply => "INRIA PLY",
@@ -58,17 +58,17 @@ impl Format {
         }
     }
 
-    /// Whether splats that cannot be drawn can be written.
+    /// True if splats that cannot be rendered can be written.
     pub fn holds_defects(self) -> bool {
         matches!(self, Self::Ply | Self::Splat)
     }
 
-    /// Whether a splat's axes keep their order.
+    /// True if a splat's axes keep their order.
     pub fn keeps_axes(self) -> bool {
         self != Self::Safetensors
     }
 
-    /// What of `cloud` the format cannot hold, a sentence each.
+    /// Properties of `cloud` that the format cannot hold, one sentence each.
     pub fn limits(self, cloud: &SplatCloud) -> Vec<String> {
         let mut limits = Vec::new();
         let mut say = |told: &str| limits.push(told.to_owned());

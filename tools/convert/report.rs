@@ -1,4 +1,4 @@
-//! What a conversion lost, as text and as JSON.
+//! Loss of a conversion, as text and as JSON.
 
 use std::io::Write;
 use std::path::Path;
@@ -18,7 +18,7 @@ pub struct Report<'a> {
     pub bytes_out: u64,
     /// None where splats cannot be told from one another.
     pub loss: Option<LossReport>,
-    /// What the format cannot hold, what was left out.
+    /// Limits of the format, and omissions.
     pub notes: Vec<String>,
 }
 

@@ -14,12 +14,12 @@ use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, Instant};
 
 use crate::arguments::write_picture;
 
-/// Which pictures are kept.
+/// Images to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Pictures {
     /// None
     None,
-    /// Of the first camera: the first, the last and some between, for the report
+    /// Images of the first camera: the first, the last and some between, for the report
     Key,
     /// Each of every camera, and the key frames
     All,
@@ -29,13 +29,14 @@ pub enum Pictures {
 pub struct Album {
     folder: PathBuf,
     keeps: Pictures,
-    /// What the first camera saw at the start and at each moment that would be the middle, were the next one the end.
+    /// Images of the first camera at the start and at each moment that would be the middle if the
+    /// next one were the end.
     keys: Vec<Key>,
-    /// What it saw last: any step may be the last, so this is written over in every step.
+    /// Last image: any step may be the last, so this is overwritten in every step.
     last: Option<Key>,
 }
 
-/// What one camera saw at a step, four bytes a pixel.
+/// Image of one camera at a step, four bytes per pixel.
 #[derive(Clone)]
 struct Key {
     step: u32,
@@ -109,7 +110,7 @@ pub struct Keeper {
     path: PathBuf,
     log: Option<EpisodeLog>,
     album: Album,
-    /// Why a picture could not be written: the log is what counts, so it is said when the episode is over.
+    /// Error of writing an image. The log has priority, so it is reported after the episode.
     pub album_error: Option<anyhow::Error>,
 }
 

@@ -1,4 +1,4 @@
-//! What a run drives: scenarios from files, or made up for levels.
+//! Scenarios of a run: from files, or generated for levels.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use super::folder::RunFolder;
 use crate::arguments::warn;
 use crate::progress;
 
-/// Where scenarios that are made up take place.
+/// Place of generated scenarios.
 #[derive(clap::Args)]
 pub struct PlaceArguments {
     /// Drive on the roads of this map, drawn as asphalt and markings, instead of the synthetic street
@@ -41,7 +41,7 @@ pub struct PlaceArguments {
 /// An episode to be driven.
 pub struct Job {
     pub scenario: Scenario,
-    /// What the scenario's files are relative to.
+    /// Base folder of the scenario's files.
     pub directory: PathBuf,
 }
 
@@ -88,7 +88,7 @@ fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     Ok(jobs)
 }
 
-/// What a probe shows, by its name.
+/// Weather of a probe, by its name.
 fn weather_of(probe: &Path) -> Weather {
     let name = probe.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
     let says = |words: &[&str]| words.iter().any(|word| name.contains(word));
@@ -124,7 +124,8 @@ impl PlaceArguments {
         }
     }
 
-    /// What generated scenarios name as their place. Files go by their whole path, as scenarios lie in the folder of the run.
+    /// Place of generated scenarios. Files go by their whole path, as scenarios lie in the folder
+    /// of the run.
     fn options(&self) -> Result<PlaceOptions> {
         let whole = |path: &Path| {
             std::fs::canonicalize(path).with_context(|| format!("{} cannot be read: expected a file", path.display()))
@@ -151,7 +152,7 @@ impl PlaceArguments {
         }
     }
 
-    /// Where a captured scene shows anything: about the way of the vehicle that captured it.
+    /// Visible area of a captured scene: around the path of the vehicle that captured it.
     fn seen(&self, site: &Site) -> Option<Area> {
         self.scene.as_ref()?;
         let way: Vec<_> = site.loaded.ego.poses().iter().map(|timed| timed.pose.translation.truncate()).collect();

@@ -30,7 +30,7 @@ pub struct Sites<'a> {
 }
 
 impl<'a> Sites<'a> {
-    /// Nothing is drawn where there is no device.
+    /// Creates the renderer of sites; without a device nothing is rendered.
     pub fn new(gpu: Option<&'a Gpu>, look: Look) -> Self {
         Self { gpu, look, kept: Mutex::default(), lanes: Mutex::default() }
     }

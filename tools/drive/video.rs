@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 
-/// Whether ffmpeg answers.
+/// Checks that ffmpeg can be started.
 pub fn check_ffmpeg() -> Result<()> {
     let asked = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
     match asked {

@@ -22,7 +22,7 @@ pub struct Swap {
     pub asset: PathBuf,
 }
 
-/// Where an agent begins from now on: `NAME=X,Y,Z,YAW_DEG`.
+/// New start of an agent: `NAME=X,Y,Z,YAW_DEG`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Move {
     pub name: String,
@@ -30,7 +30,7 @@ pub struct Move {
     pub yaw_rad: f64,
 }
 
-/// How an agent moves in its own frame: `NAME=FORWARD,LEFT[,YAW_DEG]`.
+/// Shift of an agent in its own frame: `NAME=FORWARD,LEFT[,YAW_DEG]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shift {
     pub name: String,

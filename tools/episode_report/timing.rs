@@ -1,4 +1,4 @@
-//! What steps took by the clock on the wall.
+//! Wall-clock times of steps.
 
 use decouplegs::episode::StepTime;
 use serde_json::{Value, json};

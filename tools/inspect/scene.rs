@@ -1,4 +1,4 @@
-//! What a scene file lists: cameras, the ego vehicle's way, agents.
+//! Contents of a scene file: cameras, the ego vehicle's trajectory, agents.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -24,16 +24,16 @@ struct Light {
     transfer: Option<PathBuf>,
     shadows: bool,
     probes: usize,
-    /// Where each agent that is lit starts.
+    /// Start of each lit agent.
     starts: Vec<Start>,
-    /// Of the mean light, where it is off most.
+    /// Largest error of the mean light.
     error: f64,
 }
 
 /// The light where an agent starts.
 struct Start {
     instance: u16,
-    /// Its mean colour, and how stark shadows are in it; `None` where the background tells nothing.
+    /// Mean color and directionality of the light; `None` if the background has none.
     light: Option<([f32; 3], f64)>,
 }
 

@@ -16,9 +16,9 @@ use super::style::{STYLE, lane_class, track_class};
 use super::summary::{KINDS, MapSummary};
 use crate::plot::escaped;
 
-/// What is drawn.
+/// Contents of the drawing.
 pub struct Drawing<'a> {
-    /// Of the file.
+    /// Name of the file.
     pub name: &'a str,
     pub map: &'a LaneMap,
     pub summary: &'a MapSummary,
@@ -122,12 +122,12 @@ impl Drawing<'_> {
     }
 }
 
-/// Whether lanes are wide enough on the page for arrows.
+/// True if lanes are wide enough on the page for arrows.
 fn shows_arrows(frame: &Frame) -> bool {
     WIDTH_M * frame.px_per_m >= ARROW_WIDTH_PX
 }
 
-/// What a lane covers: between its borders, or a band along its centreline.
+/// Draws the area of a lane: between its borders, or a band along its centerline.
 fn draw_surface(svg: &mut String, frame: &Frame, lane: &Lane) {
     let class = lane_class(lane.kind);
     let title = format!("<title>{} ({})</title>", escaped(&lane.id), lane.kind.name());

@@ -1,4 +1,4 @@
-//! How lanes and tracks look: names of style classes, and the style sheet that gives them their colours.
+//! Appearance of lanes and tracks: names of style classes, and the style sheet with their colors.
 
 use decouplegs::scene::LaneKind;
 

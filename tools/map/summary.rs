@@ -1,4 +1,4 @@
-//! What a map and tracks hold, in numbers.
+//! Statistics of a map and its tracks.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;

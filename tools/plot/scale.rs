@@ -9,7 +9,7 @@ pub struct Axis<'a> {
     pub label: &'a str,
     /// By the decimal logarithm.
     pub log: bool,
-    /// Whether it begins at zero, where it is not logarithmic.
+    /// True if a linear axis begins at zero.
     pub from_zero: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What registration did to each track, in figures.
+//! Effect of registration on each track, in figures.
 
 use decouplegs::drive::alignment::{TruthError, ade_to_lanes, against_truth, against_truth_along, clearances};
 use decouplegs::drive::register::fit::PlanarFit;
@@ -12,9 +12,9 @@ pub struct Measured {
     pub tracks: Vec<MeasuredTrack>,
     /// Corners that are deeper below the ground have penetrated it, metres.
     pub tolerance_m: f64,
-    /// Whether a truth was given.
+    /// True if a ground truth was given.
     pub has_truth: bool,
-    /// Whether there was a ground to measure clearances against.
+    /// True if there is a ground to measure clearances against.
     pub has_ground: bool,
 }
 
@@ -22,14 +22,14 @@ pub struct Measured {
 pub struct MeasuredTrack {
     pub id: String,
     pub class: String,
-    /// Why it was left out.
+    /// Reason why it was left out.
     pub refused: Option<String>,
-    /// Its motion, and how it was treated.
+    /// Motion and treatment of the track.
     pub fit: Option<(PlanarFit, Treatment)>,
     /// Mean distance to the nearest centreline, metres.
     pub to_lane_m: BeforeAfter<Option<f64>>,
     pub to_truth: BeforeAfter<Option<TruthError>>,
-    /// Of each bottom corner of each pose, metres.
+    /// Clearance of each bottom corner of each pose, meters.
     pub clearances_m: Vec<f64>,
     pub lane_changes: usize,
     /// Names of flags, and how many poses have them.
@@ -38,7 +38,7 @@ pub struct MeasuredTrack {
     pub offsets_m: BeforeAfter<Vec<(f64, f64)>>,
 }
 
-/// As logged, and as registered.
+/// Values as logged, and as registered.
 #[derive(Clone, Debug, Default)]
 pub struct BeforeAfter<T> {
     pub before: T,
@@ -80,7 +80,7 @@ impl Measured {
     }
 }
 
-/// What a track is measured against.
+/// References for the measurement of a track.
 struct Scene<'a> {
     index: &'a LaneIndex,
     truth: Option<&'a Track>,

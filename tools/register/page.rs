@@ -21,7 +21,7 @@ const BEFORE: usize = 1;
 const AFTER: usize = 0;
 const TRUTH: usize = 2;
 
-/// What the page is about.
+/// Subject of the page.
 pub struct Subject<'a> {
     pub arguments: &'a Arguments,
     pub map: &'a LaneMap,

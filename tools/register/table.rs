@@ -64,7 +64,7 @@ fn change(values: &BeforeAfter<Option<f64>>) -> String {
     }
 }
 
-/// What holds for all tracks, in sentences.
+/// Totals over all tracks, in sentences.
 pub fn totals(measured: &Measured) -> Vec<String> {
     let mut lines = vec![verdict(measured)];
     if let Some(mean) = measured.mean(|track| track.to_lane_m.clone()) {
@@ -102,7 +102,7 @@ pub fn totals(measured: &Measured) -> Vec<String> {
     lines
 }
 
-/// Whether the log needed registration, and how many tracks were treated in which way.
+/// Verdict on the need for registration, and the number of tracks by treatment.
 fn verdict(measured: &Measured) -> String {
     let treatments: Vec<Treatment> =
         measured.tracks.iter().filter_map(|track| track.fit.map(|(_, treatment)| treatment)).collect();

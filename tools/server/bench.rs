@@ -32,7 +32,7 @@ const WARM_UP: usize = 20;
 /// Bytes that the server may send ahead of what is read.
 const WINDOW_BYTES: u32 = 64 << 20;
 
-/// What is asked, and how long.
+/// Workload and duration.
 #[derive(Args, Clone, Debug)]
 pub struct BenchOptions {
     /// Scene file
@@ -44,7 +44,7 @@ pub struct BenchOptions {
     /// Size of the pictures; that of the rig without it
     #[arg(long, value_name = "WxH", value_parser = size, default_value = "512x320")]
     pub size: [u32; 2],
-    /// How pictures are stored
+    /// Image file format
     #[arg(long, value_enum, default_value = "jpeg")]
     pub format: FormatName,
     /// Quality of JPEG, 1 to 100
@@ -67,7 +67,7 @@ pub struct BenchOptions {
     pub json: Option<PathBuf>,
 }
 
-/// How pictures are stored.
+/// Image file format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FormatName {
     /// PNG

@@ -1,4 +1,4 @@
-//! What is kept as long as there is room: the longest unused goes first.
+//! Cache with a size limit: the least recently used entries go first.
 
 /// Values by name, bounded by how many they are and by the bytes that they say they take.
 pub struct Cache<T> {

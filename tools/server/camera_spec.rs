@@ -13,7 +13,7 @@ use crate::wire::sensorsim::{
 /// F-theta calibrations count pixels from the centre of the first one, pictures from its corner.
 const FTHETA_ORIGIN_PX: f64 = 0.5;
 
-/// What `spec` projects, sampled at `width_px` x `height_px`; at its own size where both are zero.
+/// Intrinsics of `spec` at `width_px` x `height_px`; at its own size if both are zero.
 ///
 /// # Errors
 /// INVALID_ARGUMENT with the name of the field that makes no sense, UNIMPLEMENTED for windshields.

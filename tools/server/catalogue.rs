@@ -1,4 +1,4 @@
-//! Which scenes there are, and what is told of them without drawing.
+//! Registry of scenes, and their metadata without rendering.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use decouplegs::asset::{AssetError, SceneFile, is_scene_file, open_scene};
 use decouplegs::scene::{Pose, Rig, RigCamera, TimedPose, Trajectory};
 use glam::DVec3;
 
-/// What there is to know of a scene before it is drawn, as clients see it: in the local frame, and from the clients' rig origin.
+/// Metadata of a scene as clients see it: in the local frame, and from the clients' rig origin.
 #[derive(Debug)]
 pub struct Outline {
     /// The rig's cameras.
@@ -65,7 +65,7 @@ impl Catalogue {
         self.paths.get(id).map(PathBuf::as_path)
     }
 
-    /// What there is to know of the scene `id`; `None` if there is no such scene. Reads files the first time.
+    /// Metadata of the scene `id`; `None` if there is no such scene. Reads files the first time.
     ///
     /// # Errors
     /// Of the scene file.

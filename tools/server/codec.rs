@@ -1,5 +1,5 @@
-//! How messages are read: a count of their entries first, because a message of 16 MB can be told to be eight million objects, which
-//! would take gigabytes once they are values.
+//! Decoder of messages. It counts entries first, because a message of 16 MB can declare eight
+//! million objects, which take gigabytes as values.
 
 use std::marker::PhantomData;
 

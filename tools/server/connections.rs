@@ -31,7 +31,7 @@ const HEALTH_IDLE: Duration = Duration::from_secs(5);
 /// The state of an open connection that its requests see.
 #[derive(Clone)]
 pub struct ConnectionInfo {
-    /// Whether there are so many connections that this one serves health checks alone.
+    /// True if there are so many connections that this one serves health checks alone.
     pub is_for_health: bool,
     activity: Arc<Activity>,
 }

@@ -11,7 +11,7 @@ use crate::wire::sensorsim::ImageFormat;
 /// Quality of JPEG where a request leaves it at zero.
 const QUALITY_DEFAULT: u8 = 95;
 
-/// How a picture is stored.
+/// Encoding of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// Lossless, compressed lightly.
@@ -26,7 +26,8 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// That of `format`, and of `quality` as simulators send it: 0 to 1, or above 1 to 100; 0 leaves it to us.
+    /// Encoding from `format`, and from `quality` as simulators send it: 0 to 1, or above 1 to 100;
+    /// 0 leaves it to us.
     ///
     /// # Errors
     /// UNIMPLEMENTED for formats that there are not, INVALID_ARGUMENT for numbers that are no format or no quality.

@@ -1,4 +1,5 @@
-//! What every request passes: the name of its service, its token, the number of requests there may be, and the time it may take.
+//! Checks of every request: the name of its service, its token, the number of concurrent requests,
+//! and its deadline.
 
 use std::pin::Pin;
 use std::sync::Arc;

@@ -69,10 +69,10 @@ fn joined(strips: &[Vec<u8>], height_px: u16, interval: u16) -> Option<Vec<u8>> 
 struct Parts<'a> {
     /// From the start to the scan's header.
     tables: &'a [u8],
-    /// Where in the tables the picture's height is.
+    /// Offset of the image's height in the tables.
     height_at: usize,
     scan_header: &'a [u8],
-    /// What is coded, without the marker at its end.
+    /// Coded data, without the marker at its end.
     scan: &'a [u8],
 }
 

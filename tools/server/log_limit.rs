@@ -16,7 +16,8 @@ pub struct LogLimit {
 }
 
 impl LogLimit {
-    /// Whether one more line may be written now. If so, also the number of lines suppressed since the last one written.
+    /// True if one more line may be written now. If so, also the number of lines suppressed since
+    /// the last one written.
     pub fn admit(&mut self) -> Option<u64> {
         self.admit_at(Instant::now())
     }

@@ -1,4 +1,4 @@
-//! What is counted, and its text for Prometheus.
+//! Metrics, and their text for Prometheus.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -11,7 +11,7 @@ use tonic::Code;
 /// Upper ends of the histogram's buckets, seconds.
 const BUCKETS_S: [f64; 16] = [0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
 
-/// Everything that is counted.
+/// Metrics of the server.
 #[derive(Default)]
 pub struct Metrics {
     methods: Mutex<BTreeMap<&'static str, Method>>,
@@ -45,7 +45,7 @@ impl Metrics {
         }
     }
 
-    /// So many more jobs wait to be drawn.
+    /// Adds `more` to the number of queued jobs.
     pub fn queued(&self, more: i64) {
         self.queue.fetch_add(more, Ordering::Relaxed);
     }
@@ -68,7 +68,7 @@ impl Metrics {
         lock(&self.scenes).clone()
     }
 
-    /// So many more connections are open.
+    /// Adds `more` to the number of open connections.
     pub fn connected(&self, more: i64) {
         self.connections.fetch_add(more, Ordering::Relaxed);
     }

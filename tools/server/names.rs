@@ -59,18 +59,18 @@ pub fn no_scene(id: &str) -> Status {
     Status::not_found(format!("scene_id: there is no scene {shown:?}; get_available_scenes lists them"))
 }
 
-/// Where a request goes.
+/// Destination of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Destination {
     /// The path of the service as this program calls it; `None`: the path is that already, or unknown.
     pub path: Option<String>,
     /// The name that it is counted under.
     pub counted_as: &'static str,
-    /// Whether it asks for health, which needs no token.
+    /// True if it is a health check, which needs no token.
     pub is_health: bool,
 }
 
-/// Where a request to `path`, `/package.Service/method`, goes.
+/// Destination of a request to `path`, `/package.Service/method`.
 #[must_use]
 pub fn destination_of(path: &str) -> Destination {
     let Some((asked, method)) = path.strip_prefix('/').and_then(|path| path.split_once('/')) else {

@@ -1,4 +1,4 @@
-//! What can be set: where the server listens, which scenes it has, and how much of everything it gives away.
+//! Options of the server: its address, its scenes, and its limits.
 
 use std::net::IpAddr;
 use std::path::PathBuf;
@@ -29,14 +29,14 @@ pub struct ServerOptions {
     /// Device to draw on: an index, a part of its name or its UUID, as `decouplegs devices` lists them
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
-    /// Where the clients' rig has its origin, in the scenes' vehicle frame (metres, x forward, y left, z up): simulators
-    /// put it on the ground below the rear axle, scene files in the middle of the box
+    /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
+    /// simulators put it on the ground below the rear axle, scene files in the center of the box
     #[arg(long, value_name = "X,Y,Z", value_parser = metres, default_value = "0,0,0", allow_hyphen_values = true)]
     pub rig_origin: [f64; 3],
     /// Read all scenes into the cache at the start instead of when they are first asked for
     #[arg(long)]
     pub preload: bool,
-    /// How much of everything is given away
+    /// Limits of the server
     #[command(flatten)]
     pub limits: Limits,
     /// Certificate chain (PEM) for TLS
@@ -79,7 +79,7 @@ pub enum LogForm {
     Json,
 }
 
-/// How much of everything is given away.
+/// Limits of the server.
 #[derive(Args, Clone, Debug)]
 pub struct Limits {
     /// Largest message that is sent, bytes

@@ -41,7 +41,7 @@ pub struct Painter {
     metrics: Arc<Metrics>,
     /// Turns true when nothing will be drawn again.
     lost: watch::Receiver<bool>,
-    /// Whether waiting requests are refused instead of drawn.
+    /// True if queued requests are refused instead of rendered.
     refusing: Arc<AtomicBool>,
 }
 
@@ -55,7 +55,7 @@ pub struct Pictures {
 /// Memory of pictures, handed out again and again.
 #[derive(Default)]
 struct PictureMemory {
-    /// That which nobody has, and how many have some.
+    /// Free buffers, and the number of borrowed ones.
     free: Mutex<(Vec<PictureBytes>, usize)>,
     given_back: Condvar,
 }
@@ -206,7 +206,7 @@ fn caught<T>(what: &str, work: impl FnOnce() -> T) -> Result<T, Status> {
     })
 }
 
-/// What the thread owns.
+/// State of the render thread.
 struct Studio {
     gpu: Gpu,
     catalogue: Arc<Catalogue>,
@@ -218,7 +218,7 @@ struct Studio {
     /// Hashes of scenes and objects.
     warned: HashSet<u64>,
     hashes: RandomState,
-    /// Of lines about scenes and frames that failed: a client can ask for them again and again.
+    /// Limit on lines about scenes and frames that failed: a client can repeat the request.
     failures: LogLimit,
     metrics: Arc<Metrics>,
     lost: watch::Sender<bool>,

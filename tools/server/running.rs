@@ -45,9 +45,9 @@ const TOKEN_BYTES_MIN: usize = 8;
 
 /// A server that answers.
 pub struct Running {
-    /// Where it listens.
+    /// Address of the server.
     pub address: SocketAddr,
-    /// Where its metrics are.
+    /// Address of its metrics.
     pub metrics_address: Option<SocketAddr>,
     stop: Option<oneshot::Sender<()>>,
     done: tokio::task::JoinHandle<Result<()>>,

@@ -34,19 +34,19 @@ use crate::wire::sensorsim::{
 /// The service.
 #[derive(Clone)]
 pub struct Sensorsim {
-    /// Which scenes there are.
+    /// Registry of scenes.
     pub catalogue: Arc<Catalogue>,
-    /// Who draws.
+    /// Queue of the render thread.
     pub painter: Painter,
-    /// Who encodes.
+    /// Encoders.
     pub encoders: Encoders,
-    /// How much is given away.
+    /// Limits.
     pub limits: Arc<Limits>,
-    /// What is counted.
+    /// Metrics.
     pub metrics: Arc<Metrics>,
 }
 
-/// Who answers, for both services.
+/// Version of the server, for both services.
 #[must_use]
 pub fn version() -> VersionId {
     let [major, minor, patch] = CONTRACT_VERSION;
@@ -57,7 +57,7 @@ pub fn version() -> VersionId {
     }
 }
 
-/// What there is to know of the scene `id`; files are read on a thread that may wait.
+/// Metadata of the scene `id`; files are read on a blocking thread.
 pub async fn outline_of(catalogue: &Arc<Catalogue>, id: String) -> Result<Arc<Outline>, Status> {
     check_name(&id, "scene_id")?;
     let (catalogue, asked) = (Arc::clone(catalogue), id.clone());
@@ -145,7 +145,7 @@ impl Sensorsim {
     }
 }
 
-/// Whether the client is told for one camera: what is wrong with the request as such is told for all of it.
+/// True if the error belongs to one camera; errors of the request belong to all of it.
 fn is_of_one_camera(sight: &Result<Sight, Status>) -> bool {
     !sight.as_ref().is_err_and(|status| matches!(status.code(), Code::InvalidArgument | Code::ResourceExhausted))
 }

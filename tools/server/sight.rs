@@ -17,22 +17,22 @@ use crate::wire::sensorsim::{DynamicObject, RgbRenderRequest};
 pub struct PlacedObject {
     /// The agent's name.
     pub track_id: String,
-    /// Where the centre of its box is at mid-shutter.
+    /// Pose of the center of its box at mid-shutter.
     pub pose: Pose,
 }
 
-/// What one camera is to see.
+/// Render request of one camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sight {
     /// Id of the scene.
     pub scene: String,
-    /// How the camera projects, at the size asked for.
+    /// Intrinsics of the camera, at the requested size.
     pub intrinsics: Intrinsics,
-    /// Where it stands at mid-shutter, in the local frame.
+    /// Pose at mid-shutter, in the local frame.
     pub local_from_camera: Pose,
     /// The agents that are seen.
     pub objects: Vec<PlacedObject>,
-    /// How the picture is stored.
+    /// Encoding of the image.
     pub encoding: Encoding,
 }
 

@@ -21,11 +21,11 @@ pub struct Stage {
     live: LiveScene,
     /// World coordinates of the local frame's origin.
     origin: DVec3,
-    /// What the agents of the scene show, by name; their poses come with each request.
+    /// Assets of the scene's agents, by name; their poses come with each request.
     agents: HashMap<String, Placed>,
 }
 
-/// What was found beside the pictures.
+/// Results beside the images.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Drawn {
     /// Objects that were asked for and that the scene has not.
@@ -86,7 +86,7 @@ impl Stage {
     }
 }
 
-/// What a client is told of `error`.
+/// gRPC status of `error` for a client.
 pub fn status_of(error: &RenderError) -> Status {
     match error {
         RenderError::View(reason) => Status::invalid_argument(reason),
@@ -98,7 +98,7 @@ pub fn status_of(error: &RenderError) -> Status {
     }
 }
 
-/// Whether nothing will be drawn on this device again.
+/// True if the device is lost for good.
 pub fn is_lost(error: &RenderError) -> bool {
     matches!(error, RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. }))
 }

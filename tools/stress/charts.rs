@@ -69,7 +69,7 @@ pub fn stages(report: &Report) -> String {
     figure(&bars.to_svg())
 }
 
-/// How far above the largest finite PSNR pictures without error are drawn, decibels.
+/// Distance above the largest finite PSNR at which images without error are plotted, decibels.
 const EQUAL_ABOVE_DB: f64 = 10.0;
 
 /// Speed against error of every mode with the most agents.
@@ -101,7 +101,7 @@ pub fn speed_against_error(report: &Report) -> String {
     figure(&plot.to_svg())
 }
 
-/// Those of `places` that no other is above and right of, by rising x.
+/// Pareto front of `places`: points without another one above and to the right, by rising x.
 fn front(places: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let beaten = |a: &(f64, f64)| places.iter().any(|b| b.0 >= a.0 && b.1 >= a.1 && b != a);
     let mut front: Vec<(f64, f64)> = places.iter().copied().filter(|place| !beaten(place)).collect();

@@ -1,4 +1,4 @@
-//! Which moments are drawn from where.
+//! Moments and cameras of the measurement.
 
 use std::collections::VecDeque;
 use std::iter;
@@ -28,13 +28,13 @@ pub struct Course {
     pub frames: u32,
     /// Moments among them at which pictures are compared.
     pub samples: u32,
-    /// How many of the rig's cameras are drawn.
+    /// Number of the rig's cameras that are rendered.
     pub cameras_used: usize,
     /// Cameras that stand, instead of the rig's.
     pub standing: Option<Vec<Camera>>,
 }
 
-/// What is drawn before the timed frames.
+/// Frames before the timed frames.
 pub struct WarmUp {
     /// One turn of it: frames of the course, drawn backwards so that the timed ones go on where it ends.
     pub turn: Vec<u32>,
@@ -42,7 +42,7 @@ pub struct WarmUp {
     pub least: Duration,
 }
 
-/// What a drive took.
+/// Times of a drive.
 pub struct Driven {
     /// The timed frames.
     pub frames: Vec<FrameStatistics>,

@@ -1,4 +1,4 @@
-//! How near pictures are to those of vanilla, over several moments and cameras.
+//! Similarity of images to those of vanilla, over several moments and cameras.
 
 use anyhow::Result;
 use decouplegs::render::Picture;
@@ -9,7 +9,8 @@ use crate::compress::yardstick::differences;
 /// Errors of all pictures together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fidelity {
-    /// Of the mean squared error over all pixels, decibels; infinite for equal pictures.
+    /// Signal-to-noise ratio from the mean squared error over all pixels, decibels; infinite for
+    /// equal images.
     pub psnr_all_db: f64,
     /// The same over pixels that show an agent; `None` where none does.
     pub psnr_vehicles_db: Option<f64>,
@@ -20,7 +21,8 @@ pub struct Fidelity {
 }
 
 impl Fidelity {
-    /// How near `found` are to `expected`, which tell which pixels show an agent. Both hold at least one picture.
+    /// Similarity of `found` to `expected`, which also mark the pixels of agents. Both hold at
+    /// least one picture.
     pub fn between(found: &[Picture], expected: &[Picture]) -> Result<Self> {
         let pairs = || found.iter().zip(expected);
         let differences = differences(found, expected)?;

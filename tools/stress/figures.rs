@@ -1,4 +1,4 @@
-//! What was measured, and its JSON.
+//! Results, and their JSON.
 
 use std::collections::BTreeMap;
 
@@ -22,30 +22,30 @@ pub enum Outcome {
     /// It needs more memory than it may have, or than there is.
     OutOfMemory {
         needed_bytes: u64,
-        /// How that is known.
+        /// Source of the value.
         known: &'static str,
     },
     /// The device cannot draw it at all.
     Refused(String),
 }
 
-/// What the timed frames took.
+/// Times of the timed frames.
 pub struct Measured {
     /// Frames that were drawn before them.
     pub warm_up_frames: usize,
     /// Wall clock from the end of a frame to the end of the next.
     pub step_ms: Spread,
-    /// Of the main queue.
+    /// GPU time on the main queue.
     pub gpu_ms: Spread,
-    /// Of the agents' part, where it runs by itself.
+    /// GPU time of the agents' part, if it has a queue of its own.
     pub update_ms: Option<Spread>,
-    /// Of the host, to record and submit.
+    /// Host time to record and submit.
     pub record_ms: Spread,
     /// In the order they run; of both queues.
     pub stages: Vec<(&'static str, Spread)>,
     /// While the last of the frames was shown.
     pub memory: MemoryReport,
-    /// What the scene alone was expected to take.
+    /// Predicted memory of the scene alone.
     pub predicted_scene_bytes: u64,
     /// Splats of the cloud that is no agent's own.
     pub world_splats: usize,

@@ -17,13 +17,13 @@ use super::subject::Subject;
 /// Moments of the ego's way from which the importance of splats is measured for pruning.
 const PRUNE_MOMENTS: u32 = 8;
 
-/// What modes are measured with.
+/// Setup for measuring modes.
 pub struct Stand<'a> {
     pub gpu: &'a Gpu,
     pub subject: Subject,
     pub course: &'a Course,
     pub memory_limit_bytes: Option<u64>,
-    /// Of the splats of the cloud with the first so many agents, what each matters.
+    /// Importance of each splat of the cloud with the given number of agents.
     importance: Option<(usize, Vec<f64>)>,
 }
 
@@ -47,8 +47,8 @@ impl<'a> Stand<'a> {
         Self { gpu, subject, course, memory_limit_bytes, importance: None }
     }
 
-    /// What the first `count` agents take in `mode`, and its pictures at the sampled moments, compared with `vanilla` where there
-    /// are such.
+    /// Measures the first `count` agents in `mode`. The images at the sampled moments are compared
+    /// with `vanilla` if given.
     pub fn measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Picture]>) -> Result<(Outcome, Vec<Picture>)> {
         match self.try_measure(mode, count, vanilla) {
             Ok(found) => Ok(found),
@@ -190,7 +190,7 @@ fn out_of_memory(needed_bytes: u64, known: &'static str) -> Outcome {
     Outcome::OutOfMemory { needed_bytes, known }
 }
 
-/// What a failure to draw says of a mode; `None` where the whole run has failed.
+/// Outcome of a mode that cannot be rendered; `None` if the whole run has failed.
 fn refusal(error: &anyhow::Error) -> Option<Outcome> {
     let error = error.downcast_ref::<RenderError>()?;
     match error {
@@ -204,7 +204,7 @@ fn refusal(error: &anyhow::Error) -> Option<Outcome> {
     }
 }
 
-/// What `world` takes on the device, without rounding by its allocator.
+/// Size of `world` on the device, without the allocator's rounding.
 fn world_bytes(world: &World) -> u64 {
     // Mean, scales and opacity, rotation, DC.
     const SPLAT_BYTES: usize = 12 + 16 + 16 + 12;
@@ -213,7 +213,7 @@ fn world_bytes(world: &World) -> u64 {
     (world.splats.len() * (SPLAT_BYTES + 4 * words) + chunks + 2 * world.instance_from_splat.len()) as u64
 }
 
-/// What an asset takes on the device, without rounding.
+/// Size of an asset on the device, without rounding.
 fn asset_bytes(asset: &CodedCloud) -> u64 {
     // A colour's DC term, and its bands.
     const COLOUR_BYTES: usize = 12 + 4 * 24;

@@ -5,7 +5,7 @@ use std::str::FromStr;
 use decouplegs::render::{ColourFormat, Outputs, RenderOptions};
 use decouplegs::scene::{Rules, sh};
 
-/// What is drawn where agents are.
+/// Representation of the agents.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Agents {
     /// Copies of the original assets in world space, part of one cloud of splats.
@@ -17,7 +17,7 @@ pub enum Agents {
     Coded(Coding),
 }
 
-/// How assets are compressed, where it is not by the defaults.
+/// Compression options other than the defaults.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Coding {
     /// Share of the splats that are kept, instead of a threshold.
@@ -29,7 +29,7 @@ pub struct Coding {
 /// One way to draw the drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mode {
-    /// As it was asked for.
+    /// Name as requested.
     pub name: String,
     /// For the reader of a report.
     pub what: String,
@@ -41,7 +41,7 @@ pub struct Mode {
     frames_in_flight: usize,
 }
 
-/// Those drawn where none are asked for.
+/// Default modes.
 pub const DEFAULT_MODES: &str = "vanilla,decoupled";
 
 const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PIXELS], sh0, sh1, sh2, \
@@ -88,7 +88,7 @@ impl Mode {
         self.agents == Agents::Copies { keep: 1.0 }
     }
 
-    /// Whether it is what this renderer is for, nothing changed.
+    /// True if the mode is the renderer's own, without changes.
     pub fn is_decoupled(&self) -> bool {
         *self == Self::decoupled("decoupled")
     }

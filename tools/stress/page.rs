@@ -12,7 +12,7 @@ use super::tables;
 use crate::data_uri;
 use crate::plot::{self, escaped};
 
-/// What differences are multiplied by in pictures of them.
+/// Factor on differences in images of them.
 const DIFFERENCE_GAIN: f32 = 8.0;
 const THUMBNAIL_WIDTH_PX: u32 = 480;
 
@@ -46,7 +46,7 @@ pub fn page(report: &Report) -> Result<String> {
     Ok(html)
 }
 
-/// What vanilla and decoupled come to with the most agents, as a sentence each.
+/// Results of vanilla and decoupled with the most agents, one sentence each.
 fn summary(report: &Report) -> String {
     let largest = report.largest_count();
     let mut html = String::new();

@@ -8,7 +8,8 @@ const VOLUME_POWER: f64 = 0.1;
 /// The share of splats whose volume is not above the one that counts as 1.
 const VOLUME_SHARE: f64 = 0.9;
 
-/// What each splat of `cloud` matters: `weights` are the sums of its blending weights over all views.
+/// Importance of each splat of `cloud`: `weights` are the sums of its blending weights over all
+/// views.
 pub fn importance(cloud: &SplatCloud, weights: &[f64]) -> Vec<f64> {
     let volumes: Vec<f64> = cloud.scales.iter().map(|scale| scale.iter().map(|&side_m| f64::from(side_m)).product()).collect();
     let mut sorted: Vec<f64> = volumes.iter().copied().filter(|volume| volume.is_finite()).collect();

@@ -7,9 +7,9 @@ use super::figures::{Measured, Outcome, Point};
 use super::fit::Line;
 use super::mode::{Agents, Mode};
 
-/// What a run found.
+/// Results of a run.
 pub struct Report {
-    /// Of what, on what and how: device, scene, cameras, frames.
+    /// Conditions: device, scene, cameras, frames.
     pub conditions: Value,
     pub modes: Vec<Mode>,
     /// Rising.

@@ -1,4 +1,4 @@
-//! What is driven through: a background, original and compressed assets, and agents that show them.
+//! Test scene: a background, original and compressed assets, and agents that use them.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ struct Asset {
     name: String,
     /// In spatial order.
     original: SplatCloud,
-    /// Where it came compressed: then the original is what that decodes to.
+    /// Compressed asset, if it came compressed: then the original is its decoded form.
     stored: Option<CodedCloud>,
 }
 
@@ -36,7 +36,7 @@ pub struct Subject {
     agents: Vec<LoadedAgent>,
     /// Compressed assets, by how.
     codings: Vec<(Coding, Vec<CodedCloud>)>,
-    /// Where it comes from, for the report.
+    /// Source of the scene, for the report.
     source: Value,
 }
 
@@ -159,7 +159,7 @@ impl Subject {
         self.assets.iter().enumerate().map(of).collect()
     }
 
-    /// Whether originals are known, and not only what compressed assets decode to.
+    /// True if originals are known beside the decoded assets.
     pub fn has_originals(&self) -> bool {
         self.assets.iter().all(|asset| asset.stored.is_none())
     }

@@ -18,7 +18,7 @@ const CHUNK_SPLATS: usize = 256;
 /// Rest coefficients lie in -4 to 4 over the range of a byte.
 const REST_RANGE: f32 = 8.0;
 
-/// Whether a parsed PLY is of this kind.
+/// True if a parsed PLY is of this kind.
 pub(crate) fn is_compressed(ply: &Ply<'_>) -> bool {
     ply.has_element("chunk") && ply.column_if_present("vertex", "packed_position").is_some()
 }

@@ -1,4 +1,4 @@
-//! What can be wrong with a file, as sentences.
+//! Errors of files, as sentences.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::memory;
 
-/// Why bytes are not what their format promises. Knows no path: decoders work on bytes.
+/// Reason why bytes do not match their format. Knows no path: decoders work on bytes.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum DecodeError {
     /// The bytes end before what they announce.
@@ -15,7 +15,7 @@ pub enum DecodeError {
         "{what} needs {expected_bytes} bytes, found {found_bytes}: the file is cut short or its counts are wrong; copy or export it again"
     )]
     Truncated {
-        /// What was being read.
+        /// Part that was being read.
         what: String,
         /// Bytes announced.
         expected_bytes: u64,
@@ -30,12 +30,12 @@ pub enum DecodeError {
     Unsupported(String),
 }
 
-/// Why a format cannot hold something, and what to do.
+/// Reason why a format cannot hold the data, and the remedy.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{0}")]
 pub struct EncodeError(pub String);
 
-/// Why a file could not be read or written.
+/// Reason why a file could not be read or written.
 #[derive(Debug, Error)]
 pub enum AssetError {
     /// The operating system refused to read.
@@ -61,7 +61,7 @@ pub enum AssetError {
         path: PathBuf,
         /// The format it was taken for.
         format: &'static str,
-        /// What is wrong.
+        /// Error of the decoder.
         source: DecodeError,
     },
     /// Neither content nor extension tell a format that is read here.
@@ -69,7 +69,7 @@ pub enum AssetError {
     UnknownFormat {
         /// The file.
         path: PathBuf,
-        /// What it looks like, and what to do.
+        /// Apparent content of the file, and the remedy.
         found: String,
     },
     /// A map or a table of tracks in no form that is read here.
@@ -77,9 +77,9 @@ pub enum AssetError {
     Unrecognised {
         /// The file.
         path: PathBuf,
-        /// What it looks like.
+        /// Apparent content of the file.
         found: String,
-        /// What is read.
+        /// Supported formats.
         expected: &'static str,
     },
     /// Something that a format cannot hold.
@@ -89,7 +89,7 @@ pub enum AssetError {
         path: PathBuf,
         /// The format.
         format: &'static str,
-        /// Why not, and what to do.
+        /// Reason and remedy.
         source: EncodeError,
     },
     /// Cameras that cannot be used.
@@ -97,7 +97,7 @@ pub enum AssetError {
     Cameras {
         /// The camera file.
         path: PathBuf,
-        /// What is wrong with which camera.
+        /// Error, with the camera's name.
         source: DecodeError,
     },
     /// A scene file or a scenario file that is not one.
@@ -113,7 +113,7 @@ pub enum AssetError {
     Placement(String),
 }
 
-/// What is wrong with a scene file or a scenario file, and where.
+/// Error in a scene file or a scenario file, with its location.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("line {line}, {key}: {reason}")]
 pub struct SceneError {
@@ -121,7 +121,7 @@ pub struct SceneError {
     pub line: usize,
     /// The key at fault, such as `rig[2].width_px`.
     pub key: String,
-    /// What was found and what was expected.
+    /// Value found and value expected.
     pub reason: String,
 }
 

@@ -67,7 +67,7 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
 /// The `f_dc` columns of an element, channel-major: one a channel, or the terms of its series over time.
 struct DcColumns {
     columns: Vec<Column>,
-    /// What each term is on average.
+    /// Mean of each term.
     weights: Vec<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! How a world is stored: splat files, compressed assets, cameras, scene files, maps and tracks.
+//! File formats: splats, compressed assets, cameras, scene files, maps and tracks.
 //!
 //! One module a format. Each reader takes bytes that anyone may have written: it returns a [`DecodeError`] and neither
 //! panics nor allocates by a count that the bytes do not cover. Each writer goes through [`write_atomically`].

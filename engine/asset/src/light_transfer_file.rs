@@ -16,12 +16,12 @@ use crate::coded_asset::container::{self, Container, Tensor};
 use crate::error::read_bytes;
 use crate::{AssetError, DecodeError, EncodeError, write_atomically};
 
-/// What the metadata's `format` says.
+/// Value of `format` in the metadata.
 pub const FORMAT: &str = "decouplegs-light-transfer";
 /// The version that is written, and the only one there is.
 pub const VERSION: &str = "1";
 
-/// What users call the format.
+/// Name of the format for users.
 const NAME: &str = "light transfer";
 
 /// Weights beyond this are refused: colours they make of any light would leave what f32 holds.
@@ -43,7 +43,7 @@ pub struct LightTransferFile {
     pub tool_version: String,
     /// SHA-256, 64 hexadecimal digits, of each asset and probe it was calibrated with, by file name.
     pub sources: BTreeMap<String, String>,
-    /// What it was calibrated with (ridge, seed, ...), open to any key.
+    /// Settings of the calibration (ridge, seed, ...), open to any key.
     pub settings: BTreeMap<String, String>,
 }
 

@@ -1,10 +1,10 @@
-//! What a cloud lost on its way through a file.
+//! Loss of a cloud by a conversion between file formats.
 
 use decouplegs_scene::SplatCloud;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// How far one attribute is from what it was.
+/// Error of one attribute.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct AttributeLoss {
     /// Mean over all numbers.
@@ -40,11 +40,11 @@ pub struct LossReport {
     pub scale_relative: AttributeLoss,
     /// Angle between the orientations, radians. None where axes have no order.
     pub rotation_rad: Option<AttributeLoss>,
-    /// Of opacities, which are 0 to 1.
+    /// Error of opacities, which are 0 to 1.
     pub opacity: AttributeLoss,
-    /// Of DC coefficients.
+    /// Error of DC coefficients.
     pub sh_dc: AttributeLoss,
-    /// Of the coefficients after DC; those that are gone count as zero. None where there were none.
+    /// Error of the coefficients after DC; absent ones count as zero. None where there were none.
     pub sh_rest: Option<AttributeLoss>,
     /// Degree of the spherical harmonics before.
     pub sh_degree_before: u8,

@@ -1,4 +1,4 @@
-//! Which format a splat file has.
+//! Detection of the format of a splat file.
 
 use std::path::Path;
 
@@ -24,14 +24,14 @@ pub enum SplatFormat {
     Sog,
     /// Binary glTF with the extension KHR_gaussian_splatting.
     KhrGlb,
-    /// What gsplat's trainer saves by PyTorch.
+    /// Checkpoint that gsplat's trainer saves with PyTorch.
     Checkpoint,
     /// Our own, of codebooks; its finest level is read.
     CodedAsset,
 }
 
 impl SplatFormat {
-    /// What users call it.
+    /// Name of the format for users.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -1,4 +1,4 @@
-//! What is in a cloud, for `inspect`.
+//! Summary of a cloud, for `inspect`.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 /// Counts of values in equal steps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
-    /// Where each bin begins, and where the last ends: one more than there are bins.
+    /// Bin edges: one more than there are bins.
     pub edges: Vec<f64>,
     /// Values in each bin; a value on an inner edge belongs to the bin above it, the last edge to the last bin.
     pub counts: Vec<u64>,
@@ -56,7 +56,7 @@ pub struct DefectCounts {
     pub by_kind: BTreeMap<&'static str, u64>,
 }
 
-/// What a cloud holds.
+/// Summary of a cloud.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SplatSummary {
     /// Splats, defective ones included.

@@ -36,7 +36,7 @@ impl Checker<'_> {
     }
 }
 
-/// What serde or the TOML grammar complain of, with its line.
+/// Error of serde or of the TOML grammar, with its line.
 pub(crate) fn syntax_error(text: &str, error: &toml::de::Error) -> SceneError {
     let start = error.span().map_or(0, |span| span.start);
     let line = 1 + text.bytes().take(start).filter(|&byte| byte == b'\n').count();

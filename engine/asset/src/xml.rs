@@ -89,7 +89,7 @@ impl<'a> Element<'a> {
         if root.name() == name { Ok(root) } else { Err(root.fault(format!("the root is no <{name}>"))) }
     }
 
-    /// Its name without a namespace.
+    /// Name without a namespace.
     pub(crate) fn name(self) -> &'a str {
         self.0.tag_name().name()
     }
@@ -109,17 +109,17 @@ impl<'a> Element<'a> {
         self.all(name).next()
     }
 
-    /// As [`Element::first`], where there must be one.
+    /// Like [`Element::first`]; an error if there is none.
     pub(crate) fn needed(self, name: &str) -> Result<Self, DecodeError> {
         self.first(name).ok_or_else(|| self.fault(format!("it has no <{name}>")))
     }
 
-    /// What an attribute says.
+    /// Value of an attribute.
     pub(crate) fn attribute(self, name: &str) -> Option<&'a str> {
         self.0.attribute(name).map(str::trim)
     }
 
-    /// As [`Element::attribute`], where there must be one.
+    /// Like [`Element::attribute`]; an error if there is none.
     pub(crate) fn needed_attribute(self, name: &str) -> Result<&'a str, DecodeError> {
         self.attribute(name).ok_or_else(|| self.fault(format!("it has no attribute '{name}'")))
     }
@@ -130,7 +130,7 @@ impl<'a> Element<'a> {
         finite(text).ok_or_else(|| self.fault(format!("{name}=\"{}\" is no finite number", excerpt(text))))
     }
 
-    /// As [`Element::number`], or `otherwise` where the attribute is absent.
+    /// Like [`Element::number`], or `otherwise` if the attribute is absent.
     pub(crate) fn number_or(self, name: &str, otherwise: f64) -> Result<f64, DecodeError> {
         if self.attribute(name).is_some() { self.number(name) } else { Ok(otherwise) }
     }
@@ -145,7 +145,7 @@ impl<'a> Element<'a> {
         finite(self.text()).ok_or_else(|| self.fault(format!("'{}' is no finite number", excerpt(self.text()))))
     }
 
-    /// What is wrong with it, with its line and name.
+    /// Error about this element, with its line and name.
     pub(crate) fn fault(self, reason: impl AsRef<str>) -> DecodeError {
         let line = self.0.document().text_pos_at(self.0.range().start).row;
         DecodeError::Malformed(format!("line {line}, <{}>: {}", excerpt(self.name()), reason.as_ref()))

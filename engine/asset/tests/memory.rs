@@ -1,4 +1,4 @@
-//! What broken and lying files take from the heap, measured.
+//! Heap use of readers on damaged and lying files, measured.
 //!
 //! Counted is what Rust code asks for. Zstandard's own working memory comes from C and is not: a stream is decoded in one
 //! piece into a buffer of ours, for which the library needs some hundred kilobytes whatever the stream says.
@@ -21,10 +21,10 @@ static MEASURING: Mutex<()> = Mutex::new(());
 
 const MIB: usize = 1 << 20;
 
-/// What decoding any gzip stream takes: its window of 32 KiB and tables.
+/// Heap use of any gzip decoder: its window of 32 KiB and tables.
 const GZIP_HEAP: usize = 64 << 10;
 
-/// What decoding a small file of a format takes beside what its splats take.
+/// Heap use of decoding a small file of a format, beside its splats.
 fn heap_of(format: SplatFormat) -> usize {
     match format {
         // Pictures of as many pixels as are believed however small the file is, one and a half at a time, and a palette.
@@ -44,7 +44,8 @@ fn peak_bytes<T>(read: impl Fn() -> T) -> usize {
     HEAP.peak_usage() - before
 }
 
-/// What every seed of the fuzz targets is, by the reader for its format. Errors are a result like any other here.
+/// Number of splats in a seed of the fuzz targets, read by its format's reader. Errors are a result
+/// like any other here.
 fn read(bytes: &[u8], format: SplatFormat) -> Option<usize> {
     let cloud = match format {
         SplatFormat::InriaPly => inria_ply::decode(bytes),

@@ -1,4 +1,5 @@
-//! How well road users stand where they should: distances to lanes and to a truth, and clearances above the ground.
+//! Alignment of road users: distances to lanes and to a ground truth, and clearances above the
+//! ground.
 
 use decouplegs_scene::{Pose, Track};
 use glam::{DVec2, DVec3};
@@ -92,7 +93,8 @@ pub fn size_quantile(values: &[f64], share: f64) -> Option<f64> {
     sizes.get(((share * sizes.len() as f64).ceil() as usize).saturating_sub(1).min(sizes.len().saturating_sub(1))).copied()
 }
 
-/// How many of `values` lie in each of `bins` equal parts of -`reach` to `reach`; what lies beyond is in the first and the last.
+/// Histogram of `values` in `bins` equal parts of -`reach` to `reach`; values beyond are in the
+/// first and the last bin.
 #[must_use]
 pub fn histogram(values: &[f64], reach: f64, bins: usize) -> Vec<usize> {
     let mut counts = vec![0; bins];

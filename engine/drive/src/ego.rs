@@ -24,16 +24,16 @@ const PART_S: f64 = 0.01;
 const STEP_S_MAX: f64 = 60.0;
 /// Speed errors are corrected within so long, seconds.
 const SPEED_TIME_S: f64 = 0.25;
-/// So much faster for each metre that the ego lies behind its plan, 1/s.
+/// Speed gain per meter that the ego is behind its plan, 1/s.
 const POSITION_GAIN_PER_S: f64 = 1.0;
-/// How hard it brakes where its plan is over, or was none: gently, as nothing is known to be ahead.
+/// Deceleration without a plan or after its end: gentle, as nothing is known to be ahead.
 const IDLE_BRAKING_MPS2: f64 = 2.0;
 /// The last of the speed is taken off at least so hard: an exponential approach would creep forever.
 const HALTING_MPS2: f64 = 1.0;
 /// The nearest place on the path is searched so far behind and ahead of the last one, metres.
 const SEARCH_M: f64 = 5.0;
 
-/// What the ego can do.
+/// Limits of the ego vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EgoOptions {
     /// From axle to axle, metres; `None`: 0.6 of its length.
@@ -76,7 +76,7 @@ pub struct Ego {
     steer_rad: f64,
     /// The way of the last plan that led anywhere.
     path: Option<PlannedPath>,
-    /// Where on it the ego is, metres.
+    /// Arc length of the ego on the path, meters.
     path_arc_m: f64,
     profile: Option<SpeedProfile>,
     /// Since the plan's observation, seconds.
@@ -104,7 +104,7 @@ impl Ego {
         }
     }
 
-    /// Where it is and how it moves; the acceleration is the mean of the last step.
+    /// State of the ego; the acceleration is the mean of the last step.
     #[must_use]
     pub fn state(&self) -> VehicleState {
         self.state
@@ -167,7 +167,7 @@ impl Ego {
         self.plan_age_s += dt_s;
     }
 
-    /// What the speed profile asks for, before limits.
+    /// Acceleration requested by the speed profile, before limits.
     fn wanted_acceleration(&self, dt_s: f64) -> f64 {
         let speed_mps = self.state.speed_mps;
         let halt = |mps2: f64| -mps2.min(speed_mps / dt_s);

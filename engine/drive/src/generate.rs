@@ -33,26 +33,27 @@ use random::Stream;
 use roads::Roads;
 use rules::Rules;
 
-/// How often another start of the ego is tried.
+/// Number of starts of the ego that are tried.
 const TRIES: u64 = 240;
-/// So many of them with all that the level would like to have, and so many at least before a crossing.
+/// Number of tries with all wishes of the level, and the least number before a crossing is given
+/// up.
 const TRIES_WITH_ALL: u64 = 100;
 const TRIES_BEFORE_CROSSING: u64 = 180;
 /// The synthetic street shows details within this of its origin, and little beyond, metres.
 const STREET_RADIUS_M: f64 = 105.0;
 
-/// What the numbers of a scenario are for.
+/// Random stream of a scenario's numbers, by use.
 const FOR_LIGHT: u64 = 0;
 const FOR_TRAFFIC: u64 = 1;
 const FOR_TRIES: u64 = 2;
 
-/// Why no scenario can be made.
+/// Reason why no scenario can be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GenerateError {
     /// The map, or the size of an asset.
     #[error("no scenarios can be made: {0}")]
     Roads(String),
-    /// Nothing to show.
+    /// No assets were given.
     #[error("no scenarios can be made without assets for agents to show; expected the size of at least one")]
     NoAssets,
     /// No way for the ego.
@@ -60,9 +61,9 @@ pub enum GenerateError {
         "scenario {name}: in {tries} tries no place was found where an ego can start and drive on for 60 m; expected longer driving lanes"
     )]
     NoRoute {
-        /// Of the scenario.
+        /// Name of the scenario.
         name: String,
-        /// How many places were looked at.
+        /// Number of starts that were tried.
         tries: u64,
     },
     /// Too few agents fit.
@@ -71,7 +72,7 @@ pub enum GenerateError {
          in {tries} tries; take a larger map or an easier level"
     )]
     NoRoom {
-        /// Of the scenario.
+        /// Name of the scenario.
         name: String,
         /// Agents that the level has at least.
         least: usize,
@@ -79,7 +80,7 @@ pub enum GenerateError {
         most: usize,
         /// The most that were put near an ego with room for all to stop.
         found: usize,
-        /// How many places were looked at.
+        /// Number of starts that were tried.
         tries: u64,
     },
 }
@@ -170,7 +171,8 @@ impl<'a> Generator<'a> {
         })
     }
 
-    /// Whether traffic takes the agents where they are and as fast as they are: it knows more of crossings than is looked at here.
+    /// True if traffic accepts the agents at their positions and speeds: it checks more of
+    /// crossings than the generator.
     fn begins_as_told(&self, agents: &[TrafficAgent], seed: u64) -> bool {
         let traffic = Traffic::new(self.roads.graph.clone(), agents, seed);
         let as_fast = |(state, agent): (&VehicleState, &TrafficAgent)| (state.speed_mps - agent.speed_mps).abs() < 1e-6;
@@ -178,7 +180,7 @@ impl<'a> Generator<'a> {
     }
 }
 
-/// Whether traffic takes an agent of this size.
+/// True if traffic takes an agent of this size.
 fn is_a_vehicle(size: &VehicleSize) -> bool {
     (0.5..=25.0).contains(&size.length_m) && (0.3..=4.0).contains(&size.width_m) && (0.1..=10.0).contains(&size.height_m)
 }

@@ -1,4 +1,4 @@
-//! Where the ground is: heights of the background under any point, from its splats.
+//! Ground heights under any point, from the background's splats.
 //!
 //! A height is the mean `sum(alpha z) / sum(alpha)` over the splats in a vertical column, made robust in four ways.
 //!
@@ -25,7 +25,7 @@ use layers::Layer;
 use surfel::SurfelGrid;
 use tiles::Tiles;
 
-/// How heights are found.
+/// Options of the height search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroundOptions {
     /// Standard deviation of a column's horizontal weight, metres. Wider columns average more noise away, and more of the road's
@@ -64,8 +64,8 @@ pub struct Ground {
     tiles: Tiles,
 }
 
-/// How much nearness to the expected height counts against cover: at a third of the band as much as half the cover, so that the
-/// underside of a deck is not taken for the deck.
+/// Weight of nearness to the expected height against cover: at a third of the band as much as half
+/// the cover, so that the underside of a deck is not taken for the deck.
 const NEARNESS: f64 = 3.0;
 /// A surface of so much cover is closed; of two that are, neither is better for having more.
 const CLOSED: f64 = 1.0;
@@ -86,7 +86,7 @@ impl Ground {
         Self { origin, options: *options, surfels, tiles }
     }
 
-    /// How heights are found.
+    /// Options of the height search.
     #[must_use]
     pub fn options(&self) -> &GroundOptions {
         &self.options
@@ -139,7 +139,7 @@ impl Ground {
         scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, layer)| layer)
     }
 
-    /// Whether `layer` covers its column well, and is not debris below another of `layers`.
+    /// True if `layer` covers its column well, and is not debris below another of `layers`.
     fn is_ground(&self, layer: &Layer, layers: &[Layer]) -> bool {
         let above = |other: &&Layer| other.z > layer.z && f64::from(other.z - layer.z) < DEBRIS_DEPTH_M;
         let strongest = layers.iter().filter(above).map(|other| f64::from(other.support)).fold(0.0, f64::max);

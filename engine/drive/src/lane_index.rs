@@ -1,4 +1,4 @@
-//! Which lanes are near a point: a tree of boxes over the pieces of all centrelines.
+//! Spatial index of lanes: a bounding box tree over the segments of all centerlines.
 
 use decouplegs_scene::LaneMap;
 use glam::DVec2;
@@ -10,7 +10,7 @@ use crate::polyline::{Foot, Polyline};
 pub struct LanePoint {
     /// Place in [`LaneMap::lanes`].
     pub lane: usize,
-    /// Where on its centreline.
+    /// Nearest point on its centerline.
     pub foot: Foot,
 }
 

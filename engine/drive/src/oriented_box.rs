@@ -6,9 +6,9 @@ use glam::DVec2;
 /// A rectangle on the plane, turned by its yaw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrientedBox {
-    /// Its middle, world coordinates, metres.
+    /// Center, world coordinates, meters.
     pub centre_m: DVec2,
-    /// Where its length points, counted from x towards y.
+    /// Heading of the long axis, from x towards y.
     pub yaw_rad: f64,
     /// From the middle to the front.
     pub half_length_m: f64,
@@ -16,11 +16,11 @@ pub struct OrientedBox {
     pub half_width_m: f64,
 }
 
-/// What two boxes are to each other along one direction: the only thing that the separating axes need.
+/// Projections of two boxes on one direction, for the separating axis test.
 struct Shadow {
     /// From the middle of the first to that of the second, along the direction, metres.
     offset_m: f64,
-    /// How far apart the middles are at most where the boxes' shadows touch.
+    /// Largest distance of the centers at which the projections touch.
     reach_m: f64,
     /// The direction.
     axis: DVec2,
@@ -38,13 +38,14 @@ impl OrientedBox {
         }
     }
 
-    /// Its corners: front left, rear left, rear right, front right; counter-clockwise, world coordinates, metres.
+    /// Corners: front left, rear left, rear right, front right; counter-clockwise, world
+    /// coordinates, meters.
     #[must_use]
     pub fn corners(&self) -> [DVec2; 4] {
         self.offsets().map(|offset| self.centre_m + offset)
     }
 
-    /// Its corners from its middle, in the world's axes.
+    /// Corners relative to the center, in the world's axes.
     fn offsets(&self) -> [DVec2; 4] {
         let ahead = DVec2::from_angle(self.yaw_rad);
         let (length, width) = (ahead * self.half_length_m, ahead.perp() * self.half_width_m);
@@ -57,7 +58,7 @@ impl OrientedBox {
         DVec2::from_angle(-self.yaw_rad).rotate(world_m - self.centre_m)
     }
 
-    /// Whether the two share a point; touching is sharing.
+    /// True if the two share a point; touching is sharing.
     #[must_use]
     pub fn overlaps(&self, other: &Self) -> bool {
         self.shadows(other).iter().all(|shadow| shadow.offset_m.abs() <= shadow.reach_m)
@@ -97,9 +98,10 @@ impl OrientedBox {
     }
 }
 
-/// When two boxes first touch, seconds from now, if both move on at their velocities (metres a second) without turning: 0 where they
-/// overlap already, `None` where they do not touch within `horizon_s`. Exact: the boxes overlap while their shadows overlap along the
-/// sides of both, and along each side that is one span of time.
+/// Time until two boxes touch, seconds, if both move on at their velocities (meters per second)
+/// without turning: 0 where they overlap already, `None` where they do not touch within
+/// `horizon_s`. Exact: the boxes overlap while their shadows overlap along the sides of both, and
+/// along each side that is one span of time.
 #[must_use]
 pub fn time_to_collision(
     a: &OrientedBox,

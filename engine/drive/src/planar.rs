@@ -10,7 +10,7 @@ pub struct PlanarTransform {
     pub pivot_m: DVec2,
     /// Turn, radians, from x towards y.
     pub yaw_rad: f64,
-    /// Where the pivot goes, metres.
+    /// Translation of the pivot, meters.
     pub shift_m: DVec2,
 }
 
@@ -21,7 +21,7 @@ impl PlanarTransform {
         Self { pivot_m, yaw_rad: 0.0, shift_m: DVec2::ZERO }
     }
 
-    /// Where `point` goes.
+    /// Applies the transform to `point`.
     #[must_use]
     pub fn apply(&self, point: DVec2) -> DVec2 {
         DVec2::from_angle(self.yaw_rad).rotate(point - self.pivot_m) + self.pivot_m + self.shift_m

@@ -144,7 +144,7 @@ impl Polyline {
         self.foot(at, best.map_or(from_m, |best| best.1))
     }
 
-    /// How far along segment `segment` the place nearest to `at` lies, 0 to 1.
+    /// Position of the nearest point to `at` along segment `segment`, 0 to 1.
     pub(crate) fn share_of(&self, segment: usize, at: DVec2) -> f64 {
         let (a, b) = (self.points[segment].truncate(), self.points[segment + 1].truncate());
         ((at - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0)

@@ -15,7 +15,7 @@ use crate::polyline::{Polyline, wrapped};
 pub(crate) use cells::{Cells, speed_before};
 pub(crate) use path::{length_of, place_on};
 
-/// Where nothing is said of a lane's speed: 50 km/h, as in a town.
+/// Default speed limit: 50 km/h, as in a town.
 const SPEED_LIMIT_MPS: f64 = 50.0 / 3.6;
 /// A lane whose successor begins farther than this from its end does not lead there, metres.
 const LINK_GAP_M: f64 = 2.0;
@@ -26,39 +26,41 @@ const LENGTH_M_MAX: f64 = 5e6;
 /// Ways on are told apart up to this length: longer ones are as good as endless, metres.
 const ONWARD_M_MAX: f64 = 2000.0;
 
-/// Where one lane is in the way of another: two vehicles on these stretches may touch.
+/// Conflict between two lanes: vehicles on these stretches may touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conflict {
     /// The other lane, its place in [`LaneMap::lanes`].
     pub other: usize,
-    /// Where the stretch begins on this lane, metres along.
+    /// Start of the stretch on this lane, meters along it.
     pub from_m: f64,
-    /// Where it ends.
+    /// End of the stretch on this lane.
     pub to_m: f64,
-    /// Where it begins on the other.
+    /// Start of the stretch on the other lane.
     pub other_from_m: f64,
-    /// Where it ends there.
+    /// End of the stretch on the other lane.
     pub other_to_m: f64,
-    /// Whether this lane goes first.
+    /// True if this lane has priority.
     pub goes_first: bool,
 }
 
-/// Where another lane leaves the same lane as this one does: vehicles on it follow those on this one as if on their own.
+/// Fork: another lane that leaves the same lane as this one. Vehicles on it follow those on this
+/// one as if on their own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fork {
     pub other: usize,
     /// Up to where this lane is in the way of the other, metres along.
     pub to_m: f64,
-    /// How much farther along this lane what is in the way may be than what it is in the way of on the other, metres.
+    /// Largest offset along this lane between a conflicting point and its counterpart on the other,
+    /// meters.
     pub lead_m: f64,
 }
 
 /// A lane that vehicles drive on.
 #[derive(Clone, Debug)]
 pub struct RoadLane {
-    /// As the map names it.
+    /// Id in the map.
     pub id: String,
-    /// Its middle.
+    /// Centerline.
     pub line: Polyline,
     /// Driving lanes that it goes on in, places in [`LaneMap::lanes`].
     pub successors: Vec<usize>,
@@ -72,12 +74,12 @@ pub struct RoadLane {
     pub speed_limit_mps: f64,
     /// By how much its heading changes from start to end, to the left where above zero.
     pub turn_rad: f64,
-    /// Where others are in its way: crossing or merging.
+    /// Conflicts with other lanes: crossing or merging.
     pub conflicts: Vec<Conflict>,
     /// The longest way on from its start, at most 2 km.
     pub onward_m: f64,
     pub(crate) forks: Vec<Fork>,
-    /// Its z is the road's height.
+    /// True if z is the road's height.
     has_height: bool,
 }
 
@@ -166,7 +168,7 @@ impl RoadGraph {
         self.vehicle
     }
 
-    /// How many lanes the map has, those that nobody drives on included.
+    /// Number of lanes of the map, including those without traffic.
     #[must_use]
     pub fn lanes_in_map(&self) -> usize {
         self.lanes.len()
@@ -178,7 +180,7 @@ impl RoadGraph {
         self.lanes.get(lane)?.as_ref()
     }
 
-    /// Where in [`LaneMap::lanes`] the driving lane `id` is.
+    /// Index of the driving lane `id` in [`LaneMap::lanes`].
     #[must_use]
     pub fn find(&self, id: &str) -> Option<usize> {
         let name = |&lane: &usize| self.lanes[lane].as_ref().map_or("", |lane| lane.id.as_str());

@@ -1,4 +1,4 @@
-//! Where vehicles may drive: the area of all driving lanes, and how high it is.
+//! Drivable area: the area of all driving lanes, and its height.
 
 use decouplegs_scene::{LaneKind, LaneMap};
 use glam::{DVec2, DVec3};
@@ -36,13 +36,13 @@ impl RoadSurface {
         Self { tree: TriangleTree::new(lanes.flat_map(strip::triangles).collect()) }
     }
 
-    /// Whether a place is on a driving lane.
+    /// True if a place is on a driving lane.
     #[must_use]
     pub fn contains(&self, at: DVec2) -> bool {
         self.reaches(at, 0.0)
     }
 
-    /// Whether a place is on a driving lane or no more than `slack_m` from one.
+    /// True if a place is on a driving lane or no more than `slack_m` from one.
     #[must_use]
     pub fn reaches(&self, at: DVec2, slack_m: f64) -> bool {
         let mut found = false;
@@ -54,8 +54,8 @@ impl RoadSurface {
         found
     }
 
-    /// Whether a box is on the road: its corners and places between them, at most a metre apart, are all on driving lanes or no more than
-    /// `slack_m` from one.
+    /// True if a box is on the road: its corners and points between them, at most a meter apart,
+    /// are on driving lanes or no more than `slack_m` from one.
     #[must_use]
     pub fn holds_box(&self, outline: &OrientedBox, slack_m: f64) -> bool {
         let corners = outline.corners();

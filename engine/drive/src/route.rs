@@ -11,9 +11,11 @@ mod turns;
 
 pub use turns::RouteTurn;
 
-/// How far behind the last progress a place is searched, metres: a vehicle does not drive backwards, but what is nearest may.
+/// Distance behind the last progress that is searched, meters: a vehicle does not drive backwards,
+/// but the nearest point may.
 const SEARCH_BEHIND_M: f64 = 5.0;
-/// How far ahead of it: more than a vehicle drives in a step, less than a way around a block.
+/// Distance ahead of it that is searched: more than a vehicle drives in a step, less than the
+/// length of a detour around a block.
 const SEARCH_AHEAD_M: f64 = 40.0;
 
 /// The line an ego is to follow, from its start to its end.
@@ -21,7 +23,7 @@ const SEARCH_AHEAD_M: f64 = 40.0;
 pub struct Route {
     line: Polyline,
     turns: Vec<RouteTurn>,
-    /// Where each lane of it begins along the line, metres, and its place in the map; rising.
+    /// Start of each lane along the line, meters, and its index in the map; rising.
     lanes: Vec<(f64, usize)>,
     has_height: bool,
 }
@@ -51,7 +53,7 @@ impl Route {
         self.line.length_m()
     }
 
-    /// Whether all of its lanes know their height.
+    /// True if all of its lanes have heights.
     #[must_use]
     pub fn has_height(&self) -> bool {
         self.has_height
@@ -77,7 +79,7 @@ impl Route {
         self.lanes[after.saturating_sub(1)].1
     }
 
-    /// Where each of its lanes (places in the map) begins along it, metres, rising.
+    /// Start of each of its lanes (indices in the map) along it, meters, rising.
     #[must_use]
     pub fn lanes(&self) -> &[(f64, usize)] {
         &self.lanes

@@ -28,7 +28,7 @@ pub const COLLISION_FACTOR: f64 = 0.60;
 /// Factor on the driving score for each time the ego leaves the road.
 pub const LAYOUT_FACTOR: f64 = 0.65;
 
-/// How an episode went.
+/// Score of an episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeScore {
     /// The scenario's name.
@@ -39,15 +39,15 @@ pub struct EpisodeScore {
     pub route_completion: f64,
     /// [`Self::route_completion`] times [`COLLISION_FACTOR`] and [`LAYOUT_FACTOR`] for each infraction.
     pub driving_score: f64,
-    /// Whether the route was done without an infraction of the ego's.
+    /// True if the route was completed without an infraction of the ego.
     pub success: bool,
-    /// What went wrong, in time.
+    /// Infractions, in the order of time.
     pub infractions: Vec<Infraction>,
     /// The smallest time to collision, `None` where the ego was never on course for one within [`TTC_HORIZON_S`].
     pub closest: Option<Closest>,
     /// Share of moments with a time to collision below [`TTC_SHORT_S`].
     pub ttc_short_share: f64,
-    /// How it felt.
+    /// Comfort of the drive.
     pub comfort: Comfort,
     /// Mean displacement between what was planned and what was driven at the same time, metres; `None` where no plan reached into what
     /// was driven.

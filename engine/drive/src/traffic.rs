@@ -36,7 +36,7 @@ use lane_order::LaneOrder;
 
 pub use start::TrafficError;
 
-/// Where an agent is on the lanes.
+/// Position of an agent on the lanes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LanePlace {
     /// Place in the map's list of lanes. Who changes lanes is on the new one from the beginning.
@@ -56,7 +56,7 @@ pub struct Traffic {
     states: Vec<VehicleState>,
     order: LaneOrder,
     claims: Claims,
-    /// Who asks for a crossing, and what everybody does: kept for their memory only.
+    /// Waiting times at crossings, and accelerations of all agents: scratch buffers.
     waiting: Vec<u32>,
     accelerations: Vec<f64>,
     ego: Option<EgoSeen>,
@@ -96,13 +96,13 @@ impl Traffic {
         self.steps += 1;
     }
 
-    /// Where everybody is, in the order of the scenario.
+    /// States of all agents, in the order of the scenario.
     #[must_use]
     pub fn states(&self) -> &[VehicleState] {
         &self.states
     }
 
-    /// Where on the lanes everybody is, in the order of the scenario.
+    /// Lane positions of all agents, in the order of the scenario.
     pub fn places(&self) -> impl Iterator<Item = LanePlace> {
         self.agents.iter().map(|agent| LanePlace { lane: agent.lane(), arc_m: agent.arc_m, lateral_m: agent.lateral_m() })
     }
@@ -113,7 +113,7 @@ impl Traffic {
         &self.graph
     }
 
-    /// Where an agent is on the lane that it is leaving.
+    /// Updates the position of an agent on the lane that it is leaving.
     fn follow_on_left_lane(&mut self, number: usize) {
         let position_m = self.states[number].position_m;
         if let Some(AsideKind::Change { from, from_arc_m, .. }) = self.agents[number].aside.as_mut().map(|aside| &mut aside.kind)

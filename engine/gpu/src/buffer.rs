@@ -6,7 +6,7 @@ use bytemuck::Pod;
 
 use crate::{ExportedMemory, GpuError, memory::BufferMemory};
 
-/// Where a buffer's memory is.
+/// Memory location of a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Residence {
     /// Device-local: fast for kernels, out of the host's reach but by copies.
@@ -15,8 +15,8 @@ pub enum Residence {
     Upload,
     /// Mapped and cached; kernels write, the host reads.
     Readback,
-    /// As [`Residence::Device`], in memory of its own that another API on the same device may import ([`Buffer::export`]). Only where
-    /// [`crate::Gpu::can_export`].
+    /// Device memory as [`Residence::Device`], in an allocation of its own that another API on the
+    /// same device may import ([`Buffer::export`]). Only where [`crate::Gpu::can_export`].
     Exported,
 }
 
@@ -55,7 +55,7 @@ impl<T> Buffer<T> {
         self.len
     }
 
-    /// Whether it holds no value.
+    /// True if it has no elements.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len == 0
@@ -73,8 +73,8 @@ impl<T> Buffer<T> {
         self.memory.name
     }
 
-    /// Its memory, for another API on the same device. Each call gives a descriptor of its own; the memory lives until the buffer and
-    /// all that was imported are gone.
+    /// Exports the memory for another API on the same device. Each call gives a descriptor of its
+    /// own; the memory lives until the buffer and all that was imported are gone.
     ///
     /// # Errors
     /// When the driver cannot.
@@ -91,7 +91,7 @@ impl<T> Buffer<T> {
         Arc::as_ptr(&self.memory).addr()
     }
 
-    /// How many hold the buffer, submitted work that uses it included.
+    /// Number of owners of the buffer, submitted work that uses it included.
     #[must_use]
     pub fn holders(&self) -> usize {
         Arc::strong_count(&self.memory)
@@ -115,7 +115,7 @@ impl<T: Pod> Buffer<T> {
         self.memory.with_host_bytes(|host| host[range].copy_from_slice(bytes));
     }
 
-    /// Its values as the host sees them. Submitted work that writes them must be done.
+    /// Elements as the host sees them. Submitted work that writes them must be done.
     ///
     /// # Panics
     /// When the buffer lives on the device.

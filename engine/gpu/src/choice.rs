@@ -1,17 +1,18 @@
-//! Which device to open, and how.
+//! Selection of the device and its options.
 
 use std::{convert::Infallible, fmt, str::FromStr};
 
 use crate::{DeviceInfo, DeviceKind, GpuError, KernelCache};
 
-/// How a device is opened.
+/// Options for opening a device.
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// Which of the devices.
+    /// Device to open.
     pub choice: DeviceChoice,
-    /// Whether the Khronos validation layer, with synchronization validation, watches every call. Slow; for tests.
+    /// Enables the Khronos validation layer with synchronization validation for every call. Slow;
+    /// for tests.
     pub validation: bool,
-    /// Whether the compute-only queue is used where there is one.
+    /// Use of the compute-only queue.
     pub queues: QueueUse,
     /// Folder for built kernels, which the next start reads.
     pub kernels: KernelCache,
@@ -26,7 +27,7 @@ impl Default for DeviceOptions {
     }
 }
 
-/// Which device to open.
+/// Selection of a device.
 ///
 /// From text: a decimal number is an index, `uuid:` and 32 hex digits or 32 hex digits alone (dashes allowed) are a UUID, an
 /// empty text or `auto` is automatic, and anything else is a part of a name.
@@ -43,7 +44,7 @@ pub enum DeviceChoice {
     Uuid([u8; 16]),
 }
 
-/// Which queues are used.
+/// Use of queues.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum QueueUse {
     /// The compute-only family too, where the device has one.

@@ -30,7 +30,7 @@ const HOST_BLOCK_BYTES: u64 = 8 << 20;
 pub(crate) struct Context {
     pub(crate) device: ash::Device,
     pub(crate) push_descriptor: khr::push_descriptor::Device,
-    /// Where the device can export.
+    /// Export functions, if the device can export.
     pub(crate) exports: Option<Exports>,
     /// Names and labels, where the instance has them.
     pub(crate) debug: Option<ext::debug_utils::Device>,
@@ -110,7 +110,7 @@ impl Context {
         })
     }
 
-    /// What the validation layer said since the last call.
+    /// Removes and returns the validation messages since the last call.
     pub(crate) fn take_messages(&self) -> Vec<String> {
         self.instance.take_messages()
     }

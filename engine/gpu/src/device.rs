@@ -66,7 +66,7 @@ fn largest_device_heap_bytes(instance: &Instance, device: vk::PhysicalDevice) ->
     heaps.filter(|heap| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL)).map(|heap| heap.size).max().unwrap_or(0)
 }
 
-/// Which queue families serve which role.
+/// Queue family of each role.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Families {
     pub(crate) main: u32,
@@ -98,7 +98,7 @@ fn choose_families(families: &[vk::QueueFamilyProperties]) -> Option<Families> {
     })
 }
 
-/// What the device can do beyond what is required.
+/// Optional abilities of the device.
 pub(crate) struct Abilities {
     /// Compute pipelines may ask for the subgroup size in [`Limits`], all lanes active.
     pub(crate) pinned_subgroups: bool,
@@ -185,7 +185,7 @@ fn limits(instance: &Instance, physical: &Physical) -> (Limits, bool, u32) {
     (limits, can_ask, push.max_push_descriptors)
 }
 
-/// What the device offers, of the Vulkan versions that we use.
+/// Features of the Vulkan versions that are used.
 struct Features {
     v10: vk::PhysicalDeviceFeatures,
     v11: vk::PhysicalDeviceVulkan11Features<'static>,
@@ -243,7 +243,7 @@ impl Features {
         optional.into_iter().filter(|(_, there, _)| *there == vk::FALSE).map(|(capability, _, name)| (capability, name)).collect()
     }
 
-    /// What is switched on: everything required, and of the optional only what shaders can use.
+    /// Features to enable: all required ones, and optional ones only if shaders can use them.
     fn wanted(&self) -> Self {
         let Self { v10, v11, v12, v13 } = self;
         Self {

@@ -1,4 +1,4 @@
-//! What the world can do to us, as sentences: what was expected, what was found, what to do about it.
+//! Errors of the environment, as sentences: expected, found, remedy.
 
 use ash::vk;
 use thiserror::Error;
@@ -14,7 +14,7 @@ pub enum GpuError {
         "no Vulkan loader found ({detail}): install libvulkan1 and a driver (on Debian or Ubuntu: apt-get install libvulkan1 mesa-vulkan-drivers)"
     )]
     LoaderMissing {
-        /// What the operating system said.
+        /// Message of the operating system.
         detail: String,
     },
     /// Validation was asked for and its layer is not installed.
@@ -42,7 +42,7 @@ pub enum GpuError {
         device: String,
         /// The feature or extension, by its Vulkan name.
         feature: String,
-        /// Who needs it.
+        /// Name of the part that needs it.
         needed_by: String,
     },
     /// A buffer longer than a shader may bind on this device.
@@ -52,7 +52,7 @@ pub enum GpuError {
     BufferTooLarge {
         /// The buffer's name.
         name: &'static str,
-        /// Its length.
+        /// Requested length.
         wanted_bytes: u64,
         /// The device's `maxStorageBufferRange`.
         limit_bytes: u64,
@@ -64,11 +64,11 @@ pub enum GpuError {
     OutOfMemory {
         /// The buffer's name.
         name: &'static str,
-        /// What the buffer is for.
+        /// Allocation tag of the buffer.
         purpose: &'static str,
-        /// How much was asked for.
+        /// Requested size.
         wanted_bytes: u64,
-        /// How much all buffers of this device together hold already.
+        /// Total size of all buffers of this device.
         used_bytes: u64,
         /// The same by purpose, as text.
         used_by_purpose: String,
@@ -80,7 +80,7 @@ pub enum GpuError {
     Kernel {
         /// The kernel's name.
         kernel: &'static str,
-        /// What is wrong with it.
+        /// Reason.
         reason: String,
     },
     /// The device was opened by another process, of which this one is a fork.
@@ -101,7 +101,7 @@ pub enum GpuError {
     /// Submitted work did not finish in a time that no frame takes.
     #[error("device work did not finish within {seconds} s; {progress}: the kernel after it hangs or the device is overloaded")]
     Hang {
-        /// How long was waited.
+        /// Time waited.
         seconds: u64,
         /// The last stage known to have finished, as a clause.
         progress: String,
@@ -111,7 +111,7 @@ pub enum GpuError {
     Driver {
         /// The Vulkan call.
         call: &'static str,
-        /// Its result code.
+        /// Result code.
         code: String,
     },
 }

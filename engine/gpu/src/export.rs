@@ -19,11 +19,11 @@ const SEMAPHORE_HANDLE: vk::ExternalSemaphoreHandleTypeFlags = vk::ExternalSemap
 pub struct ExportedMemory {
     /// An opaque descriptor of the memory.
     pub descriptor: OwnedFd,
-    /// What was allocated, at least the buffer's length: what the importer must be told.
+    /// Allocated size, at least the buffer's length: the importer needs it.
     pub allocation_bytes: u64,
 }
 
-/// What exporting takes, where the device has it.
+/// Functions for exporting, if the device has them.
 pub(crate) struct Exports {
     pub(crate) memory: khr::external_memory_fd::Device,
     pub(crate) semaphore: khr::external_semaphore_fd::Device,
@@ -38,7 +38,8 @@ impl Exports {
     }
 }
 
-/// Whether storage buffers and timeline semaphores of `physical` can be exported; it has the extensions.
+/// True if storage buffers and timeline semaphores of `physical` can be exported; it has the
+/// extensions.
 pub(crate) fn is_possible(instance: &Instance, physical: vk::PhysicalDevice) -> bool {
     let buffer =
         vk::PhysicalDeviceExternalBufferInfo::default().usage(vk::BufferUsageFlags::STORAGE_BUFFER).handle_type(MEMORY_HANDLE);
@@ -90,7 +91,7 @@ pub(crate) fn allocate(context: &Context, buffer: vk::Buffer) -> Result<(vk::Dev
 }
 
 impl Context {
-    /// Why nothing can be exported, as an error.
+    /// Export functions, or an error with the reason why there are none.
     pub(crate) fn exports(&self) -> Result<&Exports, GpuError> {
         self.exports.as_ref().ok_or_else(|| GpuError::MissingFeature {
             device: self.info.name.clone(),

@@ -18,7 +18,7 @@ pub struct DeviceClock {
     pub host: Instant,
     /// On the device's, nanoseconds.
     pub device_ns: u64,
-    /// How far the two may be apart.
+    /// Largest difference between the two.
     pub uncertainty: Duration,
 }
 
@@ -75,7 +75,7 @@ impl Gpu {
         &self.0.context.info
     }
 
-    /// What it can do at most.
+    /// Limits of the device.
     #[must_use]
     pub fn limits(&self) -> &Limits {
         &self.0.context.limits
@@ -93,19 +93,20 @@ impl Gpu {
         self.0.context.pipelines.was_read()
     }
 
-    /// Whether `other` is this very device as it was opened: buffers of one are of no use to another.
+    /// True if `other` is the same opened device: buffers of one are of no use to another.
     #[must_use]
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// Whether work for [`QueueRole::Update`] has a queue of its own.
+    /// True if work for [`QueueRole::Update`] has a queue of its own.
     #[must_use]
     pub fn has_update_queue(&self) -> bool {
         !Arc::ptr_eq(&self.0.main, &self.0.update)
     }
 
-    /// Whether buffers ([`Residence::Exported`]) and timelines can be handed to another API on this device.
+    /// True if buffers ([`Residence::Exported`]) and timelines can be exported to another API on
+    /// this device.
     #[must_use]
     pub fn can_export(&self) -> bool {
         self.0.context.exports.is_some()
@@ -217,7 +218,8 @@ impl Gpu {
         queue.submit(slot, stages, after)
     }
 
-    /// How the device's clock stands to the host's. Waits for everything submitted to the main queue before.
+    /// Relates the device's clock to the host's. Waits for everything submitted to the main queue
+    /// before.
     ///
     /// # Errors
     /// When the device is lost, or the queue has no timestamps.

@@ -1,8 +1,8 @@
-//! What a device is and what it can do, without any Vulkan type.
+//! Properties and abilities of a device, without Vulkan types.
 
 use std::{collections::BTreeMap, fmt};
 
-/// What kind of hardware a device is.
+/// Kind of hardware of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceKind {
     /// A card of its own, with its own memory.
@@ -28,7 +28,7 @@ pub struct DeviceInfo {
     pub driver: String,
     /// Highest Vulkan version that the device offers: major, minor, patch.
     pub api_version: [u32; 3],
-    /// What kind of hardware it is.
+    /// Kind of hardware.
     pub kind: DeviceKind,
     /// The same for this device in every process and after every reboot.
     pub uuid: [u8; 16],
@@ -55,7 +55,7 @@ pub struct Limits {
     pub workgroup_threads_max: u32,
     /// Subgroups in a workgroup.
     pub workgroup_subgroups_max: u32,
-    /// What a kernel can see of one buffer; no longer buffer is made.
+    /// Largest range of a buffer that a kernel can address; no longer buffer is created.
     pub storage_buffer_bytes_max: u64,
     /// Size of a kernel's push constants.
     pub push_constant_bytes_max: u32,
@@ -74,8 +74,10 @@ pub struct MemoryReport {
     pub bytes_by_purpose: BTreeMap<&'static str, u64>,
     /// Their sum.
     pub total_bytes: u64,
-    /// What the driver lets this process use of its device-local heaps, where it says so (`VK_EXT_memory_budget`).
+    /// Budget of this process in its device-local heaps, if the driver reports it
+    /// (`VK_EXT_memory_budget`).
     pub budget_bytes: Option<u64>,
-    /// What this process uses of them by the driver's own count, which includes pipelines and unused parts of memory blocks.
+    /// Use of them by this process as counted by the driver, which includes pipelines and unused
+    /// parts of memory blocks.
     pub driver_usage_bytes: Option<u64>,
 }

@@ -20,7 +20,7 @@ type Messages = Mutex<Vec<String>>;
 /// A Vulkan instance, with its messenger where validation is on.
 pub(crate) struct Instance {
     pub(crate) raw: ash::Instance,
-    /// Whether `VK_EXT_debug_utils` is there, for names and labels.
+    /// True if `VK_EXT_debug_utils` is available, for names and labels.
     pub(crate) labels: bool,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     messages: Arc<Messages>,

@@ -16,7 +16,7 @@ use crate::{
 use module::Kind;
 use reflection::{Block, Interface};
 
-/// What a kernel does with a buffer, from `readonly` and `writeonly` in the shader.
+/// Access of a kernel to a buffer, from `readonly` and `writeonly` in the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Declared `readonly`.
@@ -65,7 +65,7 @@ impl Constant {
 pub struct KernelBinding {
     /// The block's instance name; without one, the name of its only member, else of the block.
     pub name: String,
-    /// What the kernel does with it.
+    /// Access of the kernel.
     pub access: Access,
     pub(crate) binding: u32,
     block: Block,
@@ -150,7 +150,8 @@ impl Kernel {
         self.core.workgroup_size
     }
 
-    /// Whether its subgroups have exactly [`Limits::subgroup_size`] invocations, all of them active.
+    /// True if its subgroups have exactly [`Limits::subgroup_size`] invocations, all of them
+    /// active.
     #[must_use]
     pub fn subgroups_pinned(&self) -> bool {
         self.core.subgroups_pinned

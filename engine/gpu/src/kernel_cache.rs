@@ -51,7 +51,7 @@ impl KernelCache {
 pub struct KernelCounts {
     /// All that were built.
     pub built: u32,
-    /// Those of them that the driver found among what was kept, as far as it tells.
+    /// Number of kernels that the driver found in the cache, if it reports that.
     pub found: u32,
 }
 

@@ -1,4 +1,4 @@
-//! How DecoupleGS speaks Vulkan: compute only, and nothing of splats.
+//! Vulkan layer of DecoupleGS: compute only, without knowledge of splats.
 //!
 //! A [`Gpu`] is opened once. Buffers are typed and counted by purpose ([`Buffer`]), kernels bind them by the names that the
 //! shader gives them ([`Kernel`]), a [`Recorder`] turns dispatches into a command buffer and derives its barriers, and

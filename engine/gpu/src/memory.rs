@@ -23,11 +23,11 @@ const OWN_ALLOCATION_FROM_BYTES: u64 = 4 << 20;
 /// The least that is bound: a buffer of no elements still needs a descriptor.
 const BOUND_BYTES_MIN: u64 = 16;
 
-/// What is in use, by purpose.
+/// Memory in use, by allocation tag.
 #[derive(Debug, Default)]
 pub(crate) struct Accounting {
     bytes_by_purpose: BTreeMap<&'static str, u64>,
-    /// Of the total, what lies in device-local memory.
+    /// Device-local share of the total.
     device_local_bytes: u64,
 }
 
@@ -69,9 +69,9 @@ pub(crate) struct BufferMemory {
     pub(crate) id: u64,
     pub(crate) name: &'static str,
     pub(crate) residence: Residence,
-    /// What was asked for.
+    /// Requested size.
     pub(crate) byte_len: u64,
-    /// What a descriptor covers: `byte_len` in whole words, at least [`BOUND_BYTES_MIN`].
+    /// Size of the descriptor's range: `byte_len` in whole words, at least [`BOUND_BYTES_MIN`].
     pub(crate) bound_bytes: u64,
     purpose: &'static str,
     counted_bytes: u64,
@@ -80,7 +80,7 @@ pub(crate) struct BufferMemory {
     allocation: Mutex<Option<Held>>,
 }
 
-/// Where a buffer's bytes are.
+/// Storage of a buffer's bytes.
 enum Held {
     /// In a block of the allocator, or an allocation of its own that the allocator knows.
     Allocated(Allocation),

@@ -20,12 +20,13 @@ use crate::{
     ticket::{Submission, Ticket},
 };
 
-/// Which work a command buffer belongs to.
+/// Role of the queue of a command buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum QueueRole {
     /// The frame.
     Main,
-    /// What runs beside the frame, on the compute-only family where the device has one, else on the main queue.
+    /// Work beside the frame, on the compute-only family if the device has one, else on the main
+    /// queue.
     Update,
 }
 
@@ -184,8 +185,8 @@ impl Queue {
         counted.map_err(|code| self.explain(state, "vkGetSemaphoreCounterValue", code))
     }
 
-    /// How far the device is with the work that it has now. Not on CPU devices: lavapipe (Mesa 22.3) answers only when it is
-    /// idle, which would make waiting for a hung kernel endless.
+    /// Polls the progress of the device. Not on CPU devices: lavapipe (Mesa 22.3) answers only when
+    /// it is idle, which would make waiting for a hung kernel endless.
     fn look(&self, state: &State) {
         if self.context.info.kind == DeviceKind::Cpu {
             return;
@@ -229,7 +230,8 @@ fn semaphore_at(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo
 mod tests {
     use crate::{DeviceKind, DeviceOptions, Gpu, QueueRole};
 
-    /// What a lost device is reported with: the look while work runs, as there may be none after.
+    /// A lost device is reported with the last poll while work ran, as there may be none
+    /// afterwards.
     #[test]
     fn a_look_at_running_work_tells_the_stages_that_are_done() {
         let gpu = Gpu::open(&DeviceOptions::default()).unwrap();

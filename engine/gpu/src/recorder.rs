@@ -121,7 +121,7 @@ impl Recorder {
         self.copy_bytes(&from.memory, source.start as u64, &to.memory, target.start as u64, source.len() as u64);
     }
 
-    /// As [`Recorder::copy`]; the ranges must be inside their buffers.
+    /// Like [`Recorder::copy`]; the ranges must be inside their buffers.
     pub(crate) fn copy_bytes(
         &mut self,
         from: &Arc<BufferMemory>,
@@ -194,7 +194,7 @@ impl Recorder {
         Some(commands)
     }
 
-    /// Where to record a transfer that uses `buffers`; `None` when there is nothing to do.
+    /// Command buffer for a transfer that uses `buffers`; `None` if there is nothing to do.
     fn use_buffers(&mut self, any: bool, buffers: &[(&Arc<BufferMemory>, Access)]) -> Option<vk::CommandBuffer> {
         let slot = self.slot.as_mut().ok().filter(|_| any)?;
         note(&self.context, slot, self.barriers, buffers.iter().copied());

@@ -1,4 +1,4 @@
-//! What submitting gives: something to wait for, and the times of what was done.
+//! Ticket of submitted work: waits for it and reads its times.
 
 use std::sync::{
     Arc, OnceLock,
@@ -7,7 +7,7 @@ use std::sync::{
 
 use crate::{GpuError, queue::Queue, slot::CommandSlot};
 
-/// How long a stage took.
+/// Duration of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StageTime {
     /// The stage's name.
@@ -22,7 +22,7 @@ pub struct StageTime {
 #[derive(Clone)]
 pub struct Ticket {
     pub(crate) queue: Arc<Queue>,
-    /// What the queue's timeline counts to when the work is done.
+    /// Value of the queue's timeline when the work is done.
     pub(crate) value: u64,
     pub(crate) submission: Arc<Submission>,
 }
@@ -42,13 +42,13 @@ impl Ticket {
         self.queue.wait(self.value, &self.submission)
     }
 
-    /// What the queue's timeline ([`crate::Gpu::export_timeline`]) has counted to when the work is done.
+    /// Value of the queue's timeline ([`crate::Gpu::export_timeline`]) when the work is done.
     #[must_use]
     pub fn value(&self) -> u64 {
         self.value
     }
 
-    /// Whether the work is done, without waiting.
+    /// True if the work is done, without waiting.
     ///
     /// # Errors
     /// When the device is lost.
@@ -56,7 +56,7 @@ impl Ticket {
         self.queue.is_done(self.value)
     }
 
-    /// When each stage ran, in the order recorded; waits for the work.
+    /// Start and end of each stage, in the order recorded; waits for the work.
     ///
     /// # Errors
     /// Those of [`Ticket::wait`], and when the queue has no timestamps.
@@ -64,7 +64,7 @@ impl Ticket {
         self.times().map(|times| times.stages.clone())
     }
 
-    /// How long the whole command buffer ran, in nanoseconds; waits for the work.
+    /// Duration of the whole command buffer, nanoseconds; waits for the work.
     ///
     /// # Errors
     /// Those of [`Ticket::wait`], and when the queue has no timestamps.
@@ -72,7 +72,8 @@ impl Ticket {
         self.times().map(|times| times.total_ns)
     }
 
-    /// When the command buffer began, in nanoseconds of the device's clock, which all queues share; waits for the work.
+    /// Start of the command buffer, in nanoseconds of the device's clock, which all queues share;
+    /// waits for the work.
     ///
     /// # Errors
     /// Those of [`Ticket::wait`], and when the queue has no timestamps.
@@ -91,7 +92,7 @@ impl Ticket {
     }
 }
 
-/// What is remembered of submitted work when its command buffer is long reused.
+/// Submission record that outlives its command buffer.
 pub(crate) struct Submission {
     stages: Vec<&'static str>,
     /// Stages known to have finished.
@@ -126,7 +127,7 @@ impl Submission {
         self.finished.fetch_max(finished, Ordering::Relaxed);
     }
 
-    /// How far the work is known to have come, as a clause.
+    /// Known progress of the work, as a clause.
     pub(crate) fn progress(&self) -> String {
         let finished = self.finished.load(Ordering::Relaxed);
         let next = self.stages.get(finished).map_or_else(String::new, |next| format!(", the next is '{next}'"));

@@ -12,7 +12,7 @@ const WRITE_BYTES: usize = 64 * 1024;
 /// Read at a time, bytes.
 const READ_BYTES: usize = 8 * 1024;
 
-/// Why there is no line.
+/// Reason for a missing line.
 #[derive(Debug)]
 pub(super) enum Fault {
     /// The deadline passed.
@@ -23,7 +23,7 @@ pub(super) enum Fault {
     Endless(Vec<u8>),
     /// Bytes that nobody asked for; how they begin.
     Unasked(Vec<u8>),
-    /// What the system says.
+    /// Error of the operating system.
     System(std::io::Error),
 }
 
@@ -83,7 +83,7 @@ impl Connection {
         }
     }
 
-    /// Whether the other end is there and silent, as it should be while nothing is asked.
+    /// Checks that the other end is connected and silent, as it should be between requests.
     pub(super) fn is_silent(&mut self) -> Result<(), Fault> {
         let mut piece = [0; 256];
         self.from.set_nonblocking(true).map_err(Fault::System)?;

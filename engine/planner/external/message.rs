@@ -13,14 +13,14 @@ pub(super) const PROTOCOL: u64 = 1;
 const NAME_CHARS_MAX: usize = 64;
 const REASON_CHARS_MAX: usize = 400;
 
-/// What a planner says of itself.
+/// Self-description of a planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Introduction {
     pub(super) name: String,
     pub(super) sees: Sees,
 }
 
-/// What a planner says.
+/// Message of a planner.
 #[derive(Debug, PartialEq)]
 pub(super) enum Answer {
     Hello(Introduction),
@@ -106,7 +106,7 @@ fn printable(text: &str, chars_max: usize) -> String {
     text.chars().take(chars_max).map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-/// How a line begins, quoted.
+/// Start of a line, quoted.
 pub(super) fn beginning(line: &[u8]) -> String {
     let shown = &line[..line.len().min(80)];
     let more = if shown.len() < line.len() { "..." } else { "" };

@@ -13,7 +13,7 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, wa
 
 use super::connection::Connection;
 
-/// What is kept of stderr: the last so many bytes, of which the last so many lines are told.
+/// Number of bytes of stderr that are kept; the last lines of them are reported.
 const TAIL_BYTES: usize = 2048;
 const TAIL_LINES: usize = 6;
 /// Between two looks at whether it has ended.
@@ -111,7 +111,7 @@ fn guardian_of(child: &Child) -> std::io::Result<Child> {
         .spawn()
 }
 
-/// Whether `child` ends within `grace`; it is not reaped.
+/// True if `child` ends within `grace`; it is not reaped.
 fn has_ended(child: &Child, grace: Duration) -> rustix::io::Result<bool> {
     let deadline = Instant::now() + grace;
     let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;

@@ -13,7 +13,7 @@ use super::process::Process;
 use super::{Attachment, Patience};
 use crate::planner::PlannerError;
 
-/// Who closes his side is given this long to end, so that his exit status can be told.
+/// Time that a closing process has to end, so that its exit status can be reported.
 const EXIT_GRACE: Duration = Duration::from_secs(1);
 /// Our last word is not worth a longer wait.
 const FAREWELL: Duration = Duration::from_millis(200);
@@ -23,7 +23,8 @@ const FAREWELL: Duration = Duration::from_millis(200);
 pub(super) struct Session {
     connection: Connection,
     process: Option<Process>,
-    /// Whether nothing has gone wrong: who keeps to the protocol is told of the end, and given time for it.
+    /// True while there was no error: a planner that keeps to the protocol is told of the end and
+    /// given time for it.
     is_sound: bool,
 }
 
@@ -42,7 +43,7 @@ impl Session {
         }
     }
 
-    /// Whether it is there and has said nothing unasked.
+    /// True if it is connected and sent nothing unasked.
     pub(super) fn is_open(&mut self) -> bool {
         self.is_sound && !matches!(self.connection.is_silent(), Err(Fault::Closed | Fault::System(_)))
     }

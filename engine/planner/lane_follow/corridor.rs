@@ -11,7 +11,8 @@ const BEHIND_M: f64 = 60.0;
 const AHEAD_M: f64 = 160.0;
 /// To each side of the ego's box this much has to be free, metres: less than there is between cars in lanes of 3 m.
 const SIDE_M: f64 = 0.25;
-/// Whose heading differs less from the route's goes along it, radians.
+/// Largest difference from the route's heading at which a vehicle counts as driving along it,
+/// radians.
 const ALONG_RAD: f64 = std::f64::consts::FRAC_PI_6;
 /// Whoever goes along the route stays along it within this of its middle, metres: two lanes. Beyond, his road is another.
 const ROAD_HALF_WIDTH_M: f64 = 8.0;
@@ -23,24 +24,24 @@ const DRIFT_S: f64 = 3.0;
 pub(super) struct Corridor {
     line: Polyline,
     half_width_m: f64,
-    /// Where the ego is along the line, metres.
+    /// Position of the ego along the line, meters.
     pub(super) ego_arc_m: f64,
-    /// How far left of the line it is, metres.
+    /// Distance of the ego to the left of the line, meters.
     pub(super) ego_lateral_m: f64,
 }
 
-/// What an agent takes of the line at a moment, metres along and to the left of it.
+/// Interval of the line that an agent occupies at a moment, meters along and to the left of it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span {
     pub(super) rear_m: f64,
     pub(super) front_m: f64,
-    /// Its speed along the line, below zero where it comes towards us.
+    /// Speed along the line, below zero if oncoming.
     pub(super) speed_mps: f64,
-    /// Whether a part of it is on the strip.
+    /// True if a part of it is on the strip.
     pub(super) inside: bool,
 }
 
-/// How an agent goes on.
+/// Predicted path of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Way {
     /// With the route.
@@ -74,14 +75,15 @@ impl Corridor {
         self.line.at(arc_m).truncate() + across * lateral_m
     }
 
-    /// How much the line turns at `arc_m`, radians a metre.
+    /// Curvature of the line at `arc_m`, radians per meter.
     pub(super) fn curvature_at(&self, arc_m: f64) -> f64 {
         let turn_rad = self.line.heading_at(arc_m + 1.0) - self.line.heading_at(arc_m - 1.0);
         wrapped(turn_rad).abs() / 2.0
     }
 
-    /// How the agent goes, and what it takes of the line at each of `times_s` if it keeps its velocity: along the road where it is on
-    /// ours, else straight on. Who brakes goes on braking.
+    /// Predicted path of the agent, and the interval of the line that it occupies at each of
+    /// `times_s` at a constant velocity: along the road if it is on the ego's, else straight on.
+    /// Who brakes goes on braking.
     pub(super) fn spans(&self, agent: &VehicleState, size: &VehicleSize, times_s: &[f64]) -> (Way, Vec<Span>) {
         let foot = self.project(agent.position_m);
         let turned_rad = wrapped(agent.yaw_rad - foot.heading_rad);
@@ -122,7 +124,8 @@ impl Corridor {
     }
 }
 
-/// How far `agent` gets in `time_s` and how fast it is then: it keeps its speed, or goes on braking until it stands.
+/// Distance and speed of `agent` after `time_s`: it keeps its speed, or goes on braking until it
+/// stands.
 fn travel(agent: &VehicleState, time_s: f64) -> (f64, f64) {
     let braking_mps2 = (-agent.acceleration_mps2).max(0.0);
     let speed_mps = (agent.speed_mps - braking_mps2 * time_s).max(0.0);

@@ -1,4 +1,5 @@
-//! How fast, and so when where: the Intelligent Driver Model behind the vehicle ahead, slow in bends.
+//! Speed along a path over time: the Intelligent Driver Model behind the vehicle ahead, slow in
+//! curves.
 
 use decouplegs_drive::idm::{IdmParameters, Leader, advance};
 
@@ -8,11 +9,11 @@ use crate::planner::cadence::{HORIZON_S, SPACING_S};
 
 /// Sideways acceleration that is borne in bends, metres a second squared.
 const LATERAL_MPS2: f64 = 2.0;
-/// How hard is braked for bends, metres a second squared.
+/// Deceleration for curves, m/s^2.
 const BEND_BRAKING_MPS2: f64 = 1.8;
-/// How hard the speed is gained, metres a second squared.
+/// Acceleration, m/s^2.
 const ACCELERATION_MPS2: f64 = 1.5;
-/// How hard is braked with comfort, metres a second squared.
+/// Comfortable deceleration, m/s^2.
 const BRAKING_MPS2: f64 = 2.5;
 /// Time headway, seconds.
 const HEADWAY_S: f64 = 1.6;
@@ -21,11 +22,11 @@ const STANDSTILL_M: f64 = 3.8;
 /// From one speed limit on the way to the next, metres.
 const LIMIT_STEP_M: f64 = 1.0;
 
-/// Where on the way the ego shall be, and how fast the way is to be driven.
+/// Target positions of the ego on the path, and its speed profile.
 pub(super) struct Pace<'a> {
     pub way: &'a Way,
     pub lead: Option<Lead>,
-    /// Of the ego.
+    /// Length of the ego.
     pub length_m: f64,
     pub speed_mps: f64,
     pub cruise_mps: f64,

@@ -9,12 +9,12 @@ use super::way::{Way, seen_from};
 const WIDTH_M: f64 = 3.4;
 /// The rear axle, which does not slip, lies this share of the length behind the middle of the box.
 const REAR_AXLE_SHARE: f64 = 0.3;
-/// How much of a newly measured width is believed.
+/// Filter gain of a newly measured width.
 const WIDTH_GAIN: f64 = 0.3;
 /// A believed lane never lies farther from the ego than this, metres: it would be another one.
 const OFFSET_M_MAX: f64 = 2.0;
 
-/// How the ego moved from one picture to the next.
+/// Motion of the ego from one image to the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
     /// By its rear axle, metres.
@@ -25,12 +25,12 @@ pub(super) struct Step {
     pub progress_m: Option<f64>,
 }
 
-/// Where the ego's lane is, and how sure that is (standard deviations).
+/// Estimated lane of the ego, with standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LaneBelief {
-    /// Its middle beside the ego, to the left where above zero, metres.
+    /// Offset of its center from the ego, positive to the left, meters.
     pub offset_m: f64,
-    /// Its heading in the ego's frame.
+    /// Heading in the ego's frame.
     pub heading_rad: f64,
     /// 1/m, to the left where above zero.
     pub curvature: f64,
@@ -45,7 +45,7 @@ pub(super) struct LaneBelief {
 }
 
 impl LaneBelief {
-    /// What is taken for granted at a start: the ego stands in a lane, along it, near its middle.
+    /// Assumption at the start: the ego stands in a lane, along it, near its center.
     pub(super) fn at_start() -> Self {
         Self {
             offset_m: 0.0,

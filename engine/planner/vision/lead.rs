@@ -19,13 +19,13 @@ const UNDER_PICTURE_M: f64 = 6.0;
 const FORGET_NEAR_S: f64 = 4.0;
 /// No vehicle is faster, metres a second.
 const SPEED_MPS_MAX: f64 = 30.0;
-/// Of what is seen for the first time nothing is known but that it is on the road: it is taken to drive at this share of the ego's speed.
+/// Assumed speed of a newly seen obstacle, as a share of the ego's speed.
 const SPEED_SHARE: f64 = 0.6;
 
 /// The vehicle ahead.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lead {
-    /// Of its rear, metres along the way from beside the middle of the ego.
+    /// Position of its rear, meters along the path from beside the middle of the ego.
     pub arc_m: f64,
     pub speed_mps: f64,
     sightings: u32,
@@ -33,13 +33,13 @@ pub(super) struct Lead {
 }
 
 impl Lead {
-    /// Where it is after `dt_s` in which the ego drove `driven_m`.
+    /// Prediction after `dt_s` in which the ego drove `driven_m`.
     fn moved(self, driven_m: f64, dt_s: f64) -> Self {
         let arc_m = (self.arc_m + self.speed_mps * dt_s - driven_m).max(0.5);
         Self { arc_m, unseen_s: self.unseen_s + dt_s, ..self }
     }
 
-    /// What is known after it was seen at `arc_m`.
+    /// Update after a detection at `arc_m`.
     fn seen_at(self, arc_m: f64, dt_s: f64) -> Self {
         let (near, rate) = if self.sightings < 2 { (0.8, 0.6) } else { (0.55, 0.3) };
         let residual_m = arc_m - self.arc_m;
@@ -52,7 +52,7 @@ impl Lead {
     }
 }
 
-/// How the ego moved since the last picture.
+/// Motion of the ego since the last image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Elapsed {
     pub driven_m: f64,

@@ -1,5 +1,5 @@
-//! Where the lane's markings are: bright lines on both sides of the expected way, voted for by all that is brighter than the road on both
-//! sides of it.
+//! Detection of lane markings: bright lines on both sides of the expected path. Every pixel that is
+//! brighter than the road on both of its sides has a vote.
 //!
 //! A lane is tried in every heading, bend, offset and width near the believed one, and the one with the most evidence for it wins, less
 //! what it departs from belief (the maximum of the posterior; noise about lines is taken for Gaussian).
@@ -25,7 +25,7 @@ const SIGMAS_MAX: f64 = 2.5;
 const BORDER_SIGMAS: f64 = 3.0;
 /// More evidence than this for a border counts for no more.
 const BORDER_SIGMAS_MAX: f64 = 8.0;
-/// How much a standard deviation of evidence counts against one (squared, halved) of belief.
+/// Weight of a standard deviation of evidence against one (squared, halved) of the prior.
 const EVIDENCE: f64 = 0.9;
 /// A row whose road between the markings responds like this on average is paint across the lane: a crosswalk.
 const CROSSWALK: f32 = 0.03;
@@ -37,15 +37,15 @@ const NOISE_MIN: f32 = 0.002;
 /// A lane as its markings tell, relative to the expected way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LaneFix {
-    /// Of its middle at the reference place, to the left where above zero, metres.
+    /// Offset of its center at the reference place, positive to the left, meters.
     pub offset_m: f64,
-    /// Of its heading.
+    /// Heading.
     pub heading_rad: f64,
-    /// Of its bend, 1/m.
+    /// Curvature, 1/m.
     pub curvature: f64,
     /// From border to border, metres.
     pub width_m: f64,
-    /// How far the left and the right border stand out of the noise, standard deviations.
+    /// Signal-to-noise ratio of the left and the right border, standard deviations.
     pub borders: [f64; 2],
 }
 
@@ -127,7 +127,7 @@ fn groups(rows: &[Row], reference_m: f64) -> Vec<Group> {
     clear.chunks(GROUP).map(group).collect()
 }
 
-/// Whether a row has paint in the middle of the lane, where no line along the way lies.
+/// True if a row has paint in the middle of the lane, where no line along the path lies.
 fn is_crosswalk(row: &Row) -> bool {
     let half = (INTERIOR_M / COLUMN_M) as usize;
     let interior = &row.responses[HALF_COLUMNS - half..=HALF_COLUMNS + half];

@@ -40,7 +40,7 @@ const RETURN_M: f64 = 6.0;
 const RETURN_S: f64 = 0.9;
 /// Without markings for longer than this it drives slowly, metres.
 const LOST_M: f64 = 60.0;
-/// How slowly, metres a second.
+/// Speed while the lane is lost, m/s.
 const LOST_MPS: f64 = 5.0;
 /// No speed beyond this is believed, metres a second.
 const SPEED_MPS_MAX: f64 = 60.0;
@@ -49,7 +49,7 @@ const STEP_S_MAX: f64 = 5.0;
 /// Progress that navigation tells is believed when it differs from what was driven by less than this, metres.
 const PROGRESS_SLACK_M: f64 = 3.0;
 
-/// What the planner made of the last picture.
+/// Perception of the last image by the planner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sight {
     /// Middle of the ego's lane beside the ego, to the left where above zero, metres.
@@ -75,7 +75,7 @@ pub struct Vision {
     state: Option<State>,
 }
 
-/// What it remembers of an episode.
+/// State within an episode.
 #[derive(Clone, Debug)]
 struct State {
     ego_size: VehicleSize,
@@ -89,7 +89,7 @@ struct State {
 }
 
 impl Vision {
-    /// What it made of the last picture; `None` before an episode.
+    /// Perception of the last image; `None` before an episode.
     #[must_use]
     pub fn sight(&self) -> Option<Sight> {
         let state = self.state.as_ref()?;

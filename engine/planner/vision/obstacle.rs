@@ -36,7 +36,7 @@ const BESIDE_M: [f64; 3] = [0.0, 0.55, -0.55];
 /// Something that stands on the way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sighting {
-    /// Of its foot, metres along the way from beside the middle of the ego.
+    /// Position of its foot, meters along the path from beside the middle of the ego.
     pub arc_m: f64,
     /// Log odds that it is a vehicle.
     pub score: f64,
@@ -77,7 +77,8 @@ impl Sums {
     }
 }
 
-/// What the block at `arc_m`, `beside_m` to the left of the way, looks like; `None` where the picture does not show all of it.
+/// Features of the block at `arc_m`, `beside_m` to the left of the path; `None` if the image does
+/// not show all of it.
 pub(super) fn features(picture: &Picture, way: &Way, arc_m: f64, beside_m: f64) -> Option<[f32; FEATURES]> {
     let foot = way.at(arc_m);
     let apron = apron(picture, way, arc_m, beside_m)?;

@@ -11,7 +11,7 @@ use crate::planner::Frame;
 const WIDTH_PX_MAX: usize = 800;
 /// Added to brightness before it is compared, display-referred: so dark a pixel tells nothing.
 const BLACK: f32 = 0.02;
-/// What lies nearer to the plane of the lens is not looked at, metres.
+/// Distance to the plane of the lens below which pixels are ignored, meters.
 const NEAR_M: f64 = 0.3;
 
 /// Brightness and colour of one place in a picture.
@@ -41,9 +41,9 @@ pub(super) struct Picture {
     /// Camera from the ego's frame: rotation and translation.
     rotation: DMat3,
     translation: DVec3,
-    /// Of the picture as it is kept.
+    /// Intrinsics of the stored image.
     intrinsics: Intrinsics,
-    /// What its lens does, where that is more than a pinhole.
+    /// Lens model, if other than a pinhole.
     lens: Option<RayMap>,
     /// Height of the ground in the ego's frame, metres: wheels touch it half a height below the middle of the box.
     ground_z_m: f64,
@@ -79,7 +79,8 @@ impl Picture {
         (rotation.is_finite() && translation.is_finite() && ego_height_m.is_finite()).then_some(kept)
     }
 
-    /// Where in the picture a place is: `at_m` in the ego's frame, `height_m` over the ground. `None` behind the lens or outside.
+    /// Projection of a point into the image: `at_m` in the ego's frame, `height_m` over the ground.
+    /// `None` behind the lens or outside.
     pub(super) fn pixel_of(&self, at_m: DVec2, height_m: f64) -> Option<DVec2> {
         let seen = self.rotation * at_m.extend(self.ground_z_m + height_m) + self.translation;
         if seen.z.is_nan() || seen.z < NEAR_M {

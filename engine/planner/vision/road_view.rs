@@ -68,7 +68,7 @@ fn row_at(picture: &Picture, way: &Way, arc_m: f64) -> Option<Row> {
     Some(Row { arc_m, weight, responses })
 }
 
-/// What of a row is compared, in columns.
+/// Columns of a row that are compared.
 struct Window {
     core: usize,
     edge: usize,

@@ -10,7 +10,7 @@ use crate::planner::{Guidance, Turn};
 
 /// From one point to the next, metres.
 pub(super) const STEP_M: f64 = 0.25;
-/// How far the way reaches, metres.
+/// Length of the path, meters.
 pub(super) const REACH_M: f64 = 60.0;
 /// Navigation counts a turn from where the road begins to bend a little until it no longer does: its arc is shorter on each side, by
 /// 2 m where it is tight and by 1 m where its radius is 20 m (measured on arcs between straight lines). Metres, and metres a metre of radius.
@@ -123,7 +123,8 @@ impl Way {
     }
 }
 
-/// How the way lies as seen from a vehicle at `at_m` with heading `heading_rad` beside `point`: its offset to the left, metres, and its heading.
+/// Path as seen from a vehicle at `at_m` with heading `heading_rad` beside `point`: its offset to
+/// the left, meters, and its heading.
 pub(super) fn seen_from(at_m: DVec2, heading_rad: f64, point: &WayPoint) -> (f64, f64) {
     ((point.position_m - at_m).dot(point.left()), wrapped(point.heading_rad - heading_rad))
 }

@@ -17,15 +17,15 @@ use crate::twins;
 /// Something that stands in the world for one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agent {
-    /// What it shows.
+    /// Asset of the agent.
     pub asset: AssetId,
-    /// Where it stands, f64 world coordinates.
+    /// Pose, f64 world coordinates.
     pub world_from_agent: Pose,
-    /// How its colours are meant; `None`: as the asset says.
+    /// Frame of the asset's colors; `None`: as the asset says.
     pub sh_frame: Option<ShFrame>,
     /// The id it has in instance pictures; 0 is the background's.
     pub instance: u16,
-    /// What the light about it does to its colours, in the frame that these are meant in; `None`: nothing.
+    /// Effect of the surrounding light on its colors, in the frame of these; `None`: none.
     pub relight: Option<ColourTransfer>,
     /// Cameras of the frame that may see it, a bit each, the first lowest: worlds that share a background are cameras that see
     /// different agents.
@@ -40,7 +40,7 @@ impl Agent {
     }
 }
 
-/// What is drawn: a background, and agents that may be others in every frame.
+/// Scene of a frame: a background, and agents that may change with every frame.
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
     /// The background.
@@ -66,7 +66,7 @@ impl<'a> Scene<'a> {
         Self { world, agents: Some((pool, agents)), shadows: &[], shadow_cameras: None }
     }
 
-    /// Whether some agent, in view or not, is to be relit.
+    /// True if some agent, in view or not, is relit.
     pub(crate) fn relights(&self) -> bool {
         self.agents.is_some_and(|(_, agents)| agents.iter().any(|agent| agent.relight.is_some()))
     }
@@ -107,7 +107,7 @@ impl Scene<'_> {
 #[derive(Clone)]
 pub(crate) struct AgentList {
     pub pool: PoolBuffers,
-    /// Of those that some camera may see.
+    /// Records of the agents that some camera may see.
     pub records: Vec<AgentRecord>,
     /// `[agent][camera]`.
     pub cameras: Vec<CameraRecord>,

@@ -66,7 +66,7 @@ pub(crate) struct Asset {
     pub levels: Vec<Level>,
     pub sh_degree: u8,
     pub sh_frame: ShFrame,
-    /// What the kernels need of it; where it stands is the agent's.
+    /// Asset fields for the kernels; the pose belongs to the agent.
     record: AgentRecord,
     ranges: Ranges,
 }
@@ -149,7 +149,7 @@ impl AssetPool {
         self.assets.iter().flatten().count()
     }
 
-    /// Whether it holds none.
+    /// True if it holds no assets.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0

@@ -1,4 +1,4 @@
-//! How much room a frame has. Pure sizes: nothing here touches a device.
+//! Capacities of a frame's buffers. Pure sizes: nothing here touches a device.
 //!
 //! No capacity truncates silently. The GPU counts what it wanted ([`Needs`]); when that is more than there was room for,
 //! the frame grows and is drawn again, and says so.
@@ -24,7 +24,7 @@ impl Capacity {
         Self { records, pairs: records * 2 + 1024, partials: 64 }
     }
 
-    /// Whether everything that was needed fitted.
+    /// True if all required counts fit.
     #[must_use]
     pub fn holds(&self, needs: &Needs) -> bool {
         needs.records as usize <= self.records && needs.pairs as usize <= self.pairs && needs.partials as usize <= self.partials

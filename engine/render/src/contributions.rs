@@ -1,4 +1,4 @@
-//! How much each splat adds to pictures.
+//! Accumulated blending weights of splats.
 
 use decouplegs_scene::Camera;
 
@@ -18,7 +18,8 @@ impl Renderer {
         Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
     }
 
-    /// Of each splat of `world`, the sum of its blending weights T alpha over all pixels of all `cameras`, by this renderer's rules.
+    /// Sums the blending weights T alpha of each splat of `world` over all pixels of all `cameras`,
+    /// by this renderer's rules.
     ///
     /// Cameras are drawn one after the other, with buffers of their own.
     ///

@@ -1,8 +1,8 @@
-//! Why a frame could not be drawn.
+//! Errors of rendering.
 
 use decouplegs_gpu::GpuError;
 
-/// Why a world could not be uploaded or a frame not be drawn.
+/// Reason why a world could not be uploaded or a frame could not be rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
     /// The device refused, ran out of memory or was lost.
@@ -20,35 +20,35 @@ pub enum RenderError {
     /// An agent that stands nowhere.
     #[error("agent with instance {instance}: its pose {pose} is not finite")]
     AgentPose {
-        /// Its instance id.
+        /// Instance id.
         instance: u16,
-        /// Where it would stand.
+        /// Pose.
         pose: String,
     },
     /// An agent in a light that is no light.
     #[error("agent with instance {instance}: the light it is put in has numbers that are not finite")]
     AgentLight {
-        /// Its instance id.
+        /// Instance id.
         instance: u16,
     },
     /// A shadow that lies nowhere.
     #[error("shadow {index}: {reason}")]
     Shadow {
-        /// Its place among the scene's.
+        /// Index among the scene's agents.
         index: usize,
-        /// What is wrong with it.
+        /// Reason.
         reason: String,
     },
     /// A frame too many.
     #[error("{max} frames are in flight, as many as may be: finish one first")]
     TooManyInFlight {
-        /// How many may be.
+        /// Limit.
         max: usize,
     },
     /// Pictures too many that somebody holds.
     #[error("the pictures of {max} frames are held, as many as may be: drop some, or allow more (taken_max)")]
     TooManyTaken {
-        /// How many may be.
+        /// Limit.
         max: usize,
     },
     /// No frame to wait for.
@@ -57,17 +57,17 @@ pub enum RenderError {
     /// The lists kept outgrowing their buffers.
     #[error("the frame was drawn {attempts} times and still needed more room than it had: {needs}")]
     Unsettled {
-        /// How often.
+        /// Number of attempts.
         attempts: u32,
-        /// What the last one needed.
+        /// Counts that the last one required.
         needs: String,
     },
     /// A world of more splats than an index can name.
     #[error("the world has {splats} splats; a frame addresses at most {max}")]
     TooManySplats {
-        /// How many it has.
+        /// Number of splats.
         splats: usize,
-        /// How many can be addressed.
+        /// Number of splats that can be addressed.
         max: usize,
     },
 }

@@ -9,7 +9,7 @@ use crate::resident::ResidentWorld;
 use crate::slot::FrameSlot;
 use crate::stages::{AgentCounts, KeptKeys, Partials, Records, TileSortBuffers};
 
-/// What a frame draws, beside the agents, which are in its slot.
+/// Inputs of a frame beside the agents, which are in its slot.
 #[derive(Clone, Copy)]
 pub(crate) struct FrameInput<'a> {
     pub world: &'a ResidentWorld,

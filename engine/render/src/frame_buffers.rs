@@ -7,7 +7,7 @@ use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord};
 use crate::options::RenderOptions;
 use crate::stages::{Control, PURPOSE, Partials, Plan, Projected, TileSortBuffers, Visible};
 
-/// What the size of a frame's buffers depends on.
+/// Counts that determine the size of a frame's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameShape {
     pub capacity: Capacity,
@@ -18,7 +18,7 @@ pub(crate) struct FrameShape {
 }
 
 impl FrameShape {
-    /// Whether buffers of this shape serve a frame of shape `other`.
+    /// True if buffers of this shape can serve a frame of shape `other`.
     pub fn covers(&self, other: &Self) -> bool {
         self.capacity == other.capacity && self.with(other) == *self
     }
@@ -36,7 +36,8 @@ impl FrameShape {
 
 /// The buffers of a frame that only the device sees: frames in flight share them, as they run one after the other.
 pub(crate) struct FrameBuffers {
-    /// What they are made for: as many cameras, splats and so on at most, so that frames that take turns share them.
+    /// Shape that the buffers were allocated for: upper limits of cameras, splats and so on, so
+    /// that different frames can share them.
     room: FrameShape,
     /// The frame that is recorded.
     pub shape: FrameShape,
@@ -73,7 +74,7 @@ impl FrameBuffers {
         })
     }
 
-    /// What they are made for.
+    /// Shape that the buffers were allocated for.
     pub fn room(&self) -> &FrameShape {
         &self.room
     }

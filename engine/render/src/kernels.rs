@@ -17,7 +17,7 @@ const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
 /// and a thread of blend makes up to two per entry of a segment.
 const SEGMENT_PAIRS_MAX_IN_SOFTWARE: u32 = 10_000;
 
-/// What every frame runs, whatever it shows.
+/// Kernels that every frame runs.
 pub(crate) struct CommonStages {
     pub scan: Scan,
     /// `None` where no depth keys are kept.
@@ -30,17 +30,17 @@ pub(crate) struct CommonStages {
     pub finish: Option<Blend>,
 }
 
-/// What frames of one kind of background run.
+/// Kernels for one kind of background.
 pub(crate) struct BackgroundStages {
     pub cull: Cull,
     pub project: Project,
 }
 
-/// What frames with agents run beside.
+/// Additional kernels for frames with agents.
 pub(crate) struct AgentStages {
     pub cull: CullAgents,
     pub project: ProjectAgents,
-    /// Where agents are relit.
+    /// Kernel that relights agents.
     pub relight: Option<Relight>,
 }
 
@@ -65,18 +65,18 @@ pub(crate) struct FrameStages<'a> {
     pub shadows: Option<&'a CullShadows>,
 }
 
-/// What the agents' stages are specialised for.
+/// Specialization of the agents' kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct AgentVariant {
     /// Degree of their colours.
     pub sh_degree: u8,
-    /// Whether some are relit.
+    /// True if some agents are relit.
     pub relit: bool,
-    /// Whether some camera is no pinhole.
+    /// True if some camera is not a pinhole.
     pub lenses: bool,
 }
 
-/// What a frame is specialised for.
+/// Specialization of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameVariant {
     pub background: ProjectVariant,

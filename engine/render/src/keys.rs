@@ -53,7 +53,7 @@ pub(crate) struct KeyDecision {
 }
 
 impl KeyDecision {
-    /// Everything computed.
+    /// All keys computed.
     pub fn computed(views: usize) -> Self {
         Self { sets: vec![NO_KEY_SET; views], sources: vec![KeySource::Computed; views], find: Vec::new() }
     }

@@ -48,11 +48,11 @@ pub struct CameraRecord {
     pub row_y: [f32; 3],
     /// Third row.
     pub row_z: [f32; 3],
-    /// What rounding left of the third row.
+    /// Rounding error of the third row.
     pub row_z_low: [f32; 3],
     /// The centre relative to the world's origin, rounded to f32.
     pub centre_high_m: [f32; 3],
-    /// What rounding left.
+    /// Rounding error.
     pub centre_low_m: [f32; 3],
     /// Focal lengths.
     pub focal_px: [f32; 2],
@@ -66,7 +66,8 @@ pub struct CameraRecord {
     pub size_px: [u32; 2],
     /// Macro tiles along x and y.
     pub macro_tiles: [u32; 2],
-    /// What a depth relative to the world's origin has before it is scaled: the value as f32, and what rounding left.
+    /// Offset of a depth relative to the world's origin before scaling: the value as f32, and its
+    /// rounding error.
     pub key_offset: [f32; 2],
     /// A power of two that takes such a depth between -1 and 1.
     pub key_scale: f32,
@@ -210,9 +211,9 @@ pub struct Needs {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
 pub struct Bucket {
-    /// Its first pair.
+    /// First pair.
     pub first_pair: u32,
-    /// Its length.
+    /// Length.
     pub pairs: u32,
     /// Macro tile.
     pub bin: u32,
@@ -222,9 +223,9 @@ pub struct Bucket {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct ViewLists {
-    /// Its first record of the background.
+    /// First record of the background.
     pub first_static: u32,
-    /// Its first record of agents.
+    /// First record of the agents.
     pub first_moving: u32,
 }
 
@@ -242,7 +243,7 @@ pub struct AgentRecord {
     pub box_min_m: [f32; 3],
     /// From one place of it to the next.
     pub box_step_m: [f32; 3],
-    /// Of luma, orange and green.
+    /// Quantization steps of luma, orange and green.
     pub dc_residual_step: [f32; 3],
     /// Binary logarithm of the smallest size.
     pub log2_size_min: f32,
@@ -262,13 +263,13 @@ pub struct AgentRecord {
     pub first_colour: u32,
     /// A bit each camera that may see it.
     pub cameras: u32,
-    /// Its instance id.
+    /// Instance id.
     pub instance: u32,
     /// 1 where colours are not turned with it.
     pub colours_in_world: u32,
     /// 1 where its colours are those that were made for it, and `first_colour` counts among these.
     pub colours_relit: u32,
-    /// Of what is added to the DC term of its colours.
+    /// Factors on the part that is added to the DC term of its colors.
     pub dc_residual_gain: [f32; 3],
 }
 
@@ -284,7 +285,7 @@ pub struct Item {
     pub pairs: u32,
     /// Slot of its partial result, or [`NO_PARTIAL`].
     pub partial: u32,
-    /// Its place in its macro tile's list; the slots of those before it are the ones before its own.
+    /// Index in its coarse tile's list; the slots before it belong to the segments before it.
     pub segment: u32,
 }
 
@@ -297,9 +298,9 @@ pub const NO_PARTIAL: u32 = constants::NO_PARTIAL;
 pub struct Composite {
     /// Macro tile.
     pub bin: u32,
-    /// Its first partial result.
+    /// First partial result.
     pub first_partial: u32,
-    /// How many it has.
+    /// Number of partial results.
     pub partials: u32,
 }
 

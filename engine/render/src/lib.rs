@@ -1,4 +1,4 @@
-//! How a world becomes pixels.
+//! Renderer: from a world to pixels.
 //!
 //! [`Renderer`] draws on a GPU; [`reference`] is the f64 definition of the same picture, brute force on the CPU, and
 //! [`metrics`] measures one against the other. `frame.rs` lists the stages of a frame in the order they run.

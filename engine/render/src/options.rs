@@ -1,4 +1,4 @@
-//! How frames are drawn, and what they took.
+//! Options and statistics of frames.
 
 use std::time::{Duration, Instant};
 
@@ -10,12 +10,12 @@ use crate::keys::KeySource;
 use crate::layout::Needs;
 use crate::output::Outputs;
 
-/// How pictures are made.
+/// Options of a renderer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
     /// The definition of a picture.
     pub rules: Rules,
-    /// What is asked for.
+    /// Requested outputs.
     pub outputs: Outputs,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
@@ -34,7 +34,8 @@ pub struct RenderOptions {
     /// Buffers that were too small grow to what was needed and this share of it more. Cameras that leap outgrow a small one
     /// again and again, and each time a frame is drawn twice.
     pub spare: f64,
-    /// Whether the agents' part of a frame runs on the queue for updates, beside the frame before, or in line with the rest.
+    /// True if the agents' part of a frame runs on the queue for updates, beside the frame before;
+    /// otherwise it runs in line.
     pub overlap: bool,
 }
 
@@ -55,16 +56,17 @@ impl Default for RenderOptions {
     }
 }
 
-/// What one queue did for a frame.
+/// Timing of a frame on one queue.
 #[derive(Clone, Debug)]
 pub struct QueueTrace {
     /// `main` or `update`; the same queue on devices with one.
     pub queue: &'static str,
-    /// When it began, nanoseconds of the device's clock, which queues share ([`decouplegs_gpu::Gpu::clock`]).
+    /// Start, nanoseconds of the device's clock, which the queues share
+    /// ([`decouplegs_gpu::Gpu::clock`]).
     pub begin_ns: u64,
-    /// How long it took.
+    /// Duration.
     pub total_ns: u64,
-    /// Its stages, from its own beginning.
+    /// Stages, with times from the queue's start.
     pub stages: Vec<StageTime>,
 }
 
@@ -75,14 +77,14 @@ impl QueueTrace {
     }
 }
 
-/// What a frame took.
+/// Statistics of a finished frame.
 #[derive(Clone, Debug)]
 pub struct FrameStatistics {
-    /// How many of each it listed.
+    /// Required counts of each list.
     pub needs: Needs,
-    /// How many it had room for.
+    /// Capacity of each list.
     pub capacity: Capacity,
-    /// How often it was drawn again because a list outgrew its buffer.
+    /// Number of attempts after a list outgrew its buffer.
     pub redrawn: u32,
     /// Source of the depth keys of each view's background.
     pub keys: Vec<KeySource>,
@@ -98,11 +100,11 @@ pub struct FrameStatistics {
     pub stages: Vec<StageTime>,
     /// GPU time of the agents' part where it was submitted by itself.
     pub update_time: Option<Duration>,
-    /// What each queue did when.
+    /// Timing on each queue.
     pub queues: Vec<QueueTrace>,
-    /// When the frame was handed over, and when all of it was submitted.
+    /// Times at which the frame was handed over, and at which all of it was submitted.
     pub submitted: (Instant, Instant),
-    /// When the host began to wait for it, and when it was done.
+    /// Times at which the host began to wait for it, and at which it was done.
     pub awaited: (Instant, Instant),
     /// Wall clock from the submission to the finished picture, redrawing included.
     pub wall_time: Duration,

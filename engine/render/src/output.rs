@@ -1,4 +1,4 @@
-//! What a frame gives, and where it lies on the device.
+//! Outputs of a frame, and their buffers on the device.
 
 use bytemuck::Pod;
 use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, Residence};
@@ -6,7 +6,7 @@ use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, Residence};
 /// Purpose under which the memory of pictures is counted.
 pub const PURPOSE: &str = "pictures";
 
-/// How colour is stored.
+/// Storage format of color.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum ColourFormat {
     /// Four f32: RGB as blended, unclamped, and alpha.
@@ -16,10 +16,10 @@ pub enum ColourFormat {
     U8,
 }
 
-/// What is asked for beside colour and alpha. What is not asked for costs nothing.
+/// Requested outputs beside color and alpha. What is not asked for costs nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Outputs {
-    /// How colour is stored.
+    /// Storage format of color.
     pub colour: ColourFormat,
     /// Expected depth along z (or distance, where the order is radial), metres; 0 where nothing was hit.
     pub depth: bool,
@@ -28,7 +28,8 @@ pub struct Outputs {
     /// The sum of each background splat's weights over all pixels ([`crate::Renderer::read_contributions`]). Instances cannot be
     /// had beside it, and agents take part as what hides the background.
     pub contributions: bool,
-    /// Whether another API on the device may import the pictures ([`crate::Renderer::take_pictures`]).
+    /// True if another API on the device may import the images
+    /// ([`crate::Renderer::take_pictures`]).
     pub exported: bool,
 }
 
@@ -53,7 +54,8 @@ pub struct OutputBuffers {
     pub depths_m: Buffer<f32>,
     /// Instance of the splat with the largest weight.
     pub instance_ids: Buffer<u32>,
-    /// Of each splat of the background, the sum of its weights in all pixels, in steps of 1 / [`Self::contribution_scale`].
+    /// Sum of the weights of each background splat over all pixels, in steps of 1 /
+    /// [`Self::contribution_scale`].
     pub contributions: Buffer<u32>,
     pixels: usize,
 }

@@ -20,13 +20,13 @@ pub struct PictureBytes {
 }
 
 impl PictureBytes {
-    /// How many pictures there are.
+    /// Number of images.
     #[must_use]
     pub fn len(&self) -> usize {
         self.places.len()
     }
 
-    /// Whether there is none.
+    /// True if there is none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.places.is_empty()

@@ -1,4 +1,4 @@
-//! Which ranges of a buffer are taken: first fit.
+//! First-fit allocator of ranges of a buffer.
 
 /// Ranges of a list that can grow at its end.
 #[derive(Debug, Default)]
@@ -46,7 +46,7 @@ impl RangeAllocator {
         }
     }
 
-    /// How long the list has to be.
+    /// Required length of the list.
     pub fn end(&self) -> usize {
         self.end
     }

@@ -20,7 +20,7 @@ pub(crate) struct RelitCodebooks {
     places: RelitPlaces,
     staged: Buffer<RelightRecord>,
     pub records: Buffer<RelightRecord>,
-    /// Of those that are to be made now: how many, and their workgroups.
+    /// Codebooks to relight in this frame: their number, and their workgroups.
     pub to_make: (usize, usize),
 }
 
@@ -67,7 +67,7 @@ impl RelitCodebooks {
     }
 }
 
-/// Which codebook is where.
+/// Placement of relit codebooks.
 #[derive(Default)]
 struct RelitPlaces {
     allocator: RangeAllocator,

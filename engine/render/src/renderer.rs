@@ -66,7 +66,7 @@ impl Renderer {
         &self.gpu
     }
 
-    /// How it draws.
+    /// Options of the renderer.
     #[must_use]
     pub fn options(&self) -> &RenderOptions {
         &self.options
@@ -212,7 +212,7 @@ impl Renderer {
         self.shown.and_then(|shown| self.slots.get(shown))
     }
 
-    /// Whether some frame is in flight.
+    /// True if some frame is in flight.
     #[must_use]
     pub fn is_busy(&self) -> bool {
         !self.in_flight.is_empty()

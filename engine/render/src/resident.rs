@@ -30,7 +30,7 @@ pub struct ResidentWorld {
     pub defects: usize,
     /// Degree of the colours stored.
     pub sh_degree: u8,
-    /// Whether splats belong to instances.
+    /// True if splats belong to instances.
     pub has_instances: bool,
     /// No drawn mean is farther from the origin, metres.
     pub reach_m: f64,
@@ -138,7 +138,7 @@ impl Prepared {
     }
 }
 
-/// What a chunk's box has to know of a splat.
+/// Extent of a splat, for the bounding box of its cluster.
 pub(crate) struct Extent {
     pub mean_m: [f32; 3],
     /// Longest standard deviation.

@@ -1,4 +1,4 @@
-//! How the bands of spherical harmonics are stored on the device: `sh.glsl` is the decoder.
+//! Storage of the bands of spherical harmonics on the device: `sh.glsl` is the decoder.
 //!
 //! A band of `2l + 1` RGB coefficients becomes one f16 scale and `3 (2l + 1)` signed 16-bit fractions of it: 5, 8 and 11
 //! words. The scale is the largest coefficient rounded up to f16, so the error is at most half of scale / 32767: a thirtieth

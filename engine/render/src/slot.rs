@@ -1,4 +1,5 @@
-//! What each frame in flight has for itself: what the host writes before it, what the host reads after it, and its agents.
+//! Frame in flight: buffers that the host writes before it, buffers that the host reads after it,
+//! and its agents.
 
 use std::time::{Duration, Instant};
 
@@ -29,7 +30,7 @@ pub(crate) struct Pending {
     pub update: Option<Ticket>,
     pub capacity: Capacity,
     pub since: Instant,
-    /// When all of it was submitted.
+    /// Time at which all of it was submitted.
     pub submitted: Instant,
     pub record_time: Duration,
 }
@@ -90,7 +91,7 @@ impl FrameSlot {
         })
     }
 
-    /// Its pictures and what they are made for; it has none then.
+    /// Removes its images, with the size that they were made for; none remain.
     pub fn give_pictures(&mut self) -> ((usize, usize), OutputBuffers) {
         let room = std::mem::take(&mut self.room);
         (room, std::mem::replace(&mut self.pictures, self.no_pictures.clone()))

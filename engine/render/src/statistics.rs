@@ -1,4 +1,4 @@
-//! What a finished frame took, gathered from what its slot holds.
+//! Statistics of a finished frame, collected from its slot.
 
 use std::time::{Duration, Instant};
 
@@ -8,8 +8,8 @@ use crate::options::{FrameStatistics, QueueTrace};
 use crate::slot::{FrameSlot, Pending};
 
 impl FrameSlot {
-    /// What the frame `pending` of this slot took, which needed `needs`, was drawn again `redrawn` times, and that the host waited for
-    /// since `awaited`.
+    /// Statistics of the frame `pending` of this slot: `needs` are its required counts, `redrawn`
+    /// its repeated attempts, and `awaited` the time at which the host began to wait.
     pub fn statistics(
         &self,
         pending: &Pending,

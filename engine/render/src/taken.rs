@@ -7,7 +7,7 @@ use decouplegs_gpu::Ticket;
 use crate::output::OutputBuffers;
 use crate::{RenderError, Renderer};
 
-/// Where buffers wait that nobody shows, and how many are out.
+/// Pool of image buffers: those that are free, and the number of borrowed ones.
 #[derive(Default)]
 pub(crate) struct Shelf {
     waiting: Vec<((usize, usize), OutputBuffers)>,
@@ -48,7 +48,7 @@ pub struct TakenPictures {
 }
 
 impl TakenPictures {
-    /// Where they lie: of all cameras one after the other, rows from the top.
+    /// Buffers of all cameras one after the other, rows from the top.
     ///
     /// # Panics
     /// Never: the buffers are there until it is dropped.

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use crate::Pose;
 use crate::lens::{Lens, RayMap};
 
-/// How a camera projects. Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`.
+/// Intrinsics of a camera. Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Image width in pixels, at least 1.
@@ -20,7 +20,7 @@ pub struct Intrinsics {
     pub cx_px: f64,
     /// Principal point, pixels from the top edge of the image.
     pub cy_px: f64,
-    /// What departs from a pinhole.
+    /// Lens: the deviation from a pinhole.
     pub lens: Lens,
 }
 
@@ -68,7 +68,7 @@ impl Intrinsics {
         u64::from(self.width_px) * u64::from(self.height_px)
     }
 
-    /// Why these intrinsics cannot make a picture, if they cannot.
+    /// Checks that these intrinsics can form an image, and gives the reason if not.
     ///
     /// # Errors
     /// A sentence naming the value at fault.
@@ -86,8 +86,9 @@ impl Intrinsics {
         if self.lens == Lens::Pinhole { Ok(()) } else { RayMap::new(self).check(self) }
     }
 
-    /// Where `ray` (x right, y down, z forward, of any length) falls, pixels, in the image or beside it; `None` for a ray that the
-    /// lens does not show. For many rays, make a [`RayMap`] once.
+    /// Projection of `ray` (x right, y down, z forward, of any length), pixels, in the image or
+    /// beside it; `None` for a ray outside of the lens's field. For many rays, make a [`RayMap`]
+    /// once.
     #[must_use]
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
         if self.lens.is_pinhole() {
@@ -113,9 +114,9 @@ impl Intrinsics {
 pub struct Camera {
     /// Names the picture; unique in a rig.
     pub name: String,
-    /// How it projects.
+    /// Intrinsics.
     pub intrinsics: Intrinsics,
-    /// Where it stands, f64 world coordinates.
+    /// Pose, f64 world coordinates.
     pub world_from_camera: Pose,
 }
 
@@ -124,9 +125,9 @@ pub struct Camera {
 pub struct RigCamera {
     /// Names the picture; unique in the rig.
     pub name: String,
-    /// How it projects.
+    /// Intrinsics.
     pub intrinsics: Intrinsics,
-    /// Where it sits on the vehicle.
+    /// Pose on the vehicle.
     pub rig_from_camera: Pose,
 }
 

@@ -36,7 +36,7 @@ pub struct SplatCodes {
     pub shape: u16,
     /// Entry of the colour codebook, below [`COLOURS_MAX`].
     pub colour: u16,
-    /// What is added to the entry's DC term: luma (-16 to 15), orange and green (-8 to 7), in steps.
+    /// Residual of the entry's DC term: luma (-16 to 15), orange and green (-8 to 7), in steps.
     pub dc_residual: [i8; 3],
 }
 
@@ -81,7 +81,7 @@ pub struct CodedCloud {
     pub dc_residual_step: [f32; 3],
     /// All levels of detail one after the other, the finest first.
     pub splats: Vec<CodedSplat>,
-    /// How many splats each level has; their sum is the number of splats.
+    /// Number of splats of each level; their sum is the number of splats.
     pub levels: Vec<usize>,
     /// Lower triangles L by rows (xx, yx, yy, zx, zy, zz) of splats of size 1: the covariance is size^2 L L^T.
     pub shapes: Vec<[f32; 6]>,
@@ -89,7 +89,7 @@ pub struct CodedCloud {
     pub sh_degree: u8,
     /// Coefficients, DC included, `[entry][coefficient][rgb]` flattened over the first two.
     pub colours: Vec<[f32; 3]>,
-    /// How the colours are meant.
+    /// Frame of the colors.
     pub sh_frame: ShFrame,
     /// Length, width and height of what it shows, metres.
     pub dims_m: [f32; 3],
@@ -122,8 +122,8 @@ impl CodedCloud {
         std::array::from_fn(|axis| (self.bounds.max[axis] - self.bounds.min[axis]) / 65_535.0)
     }
 
-    /// What is wrong with it, if anything: indices beyond their codebooks, values that are not finite, counts that do not
-    /// add up. Every other method needs a cloud that passes.
+    /// Checks the cloud and describes the first fault: indices beyond their codebooks, values that
+    /// are not finite, counts that do not add up. Every other method needs a cloud that passes.
     ///
     /// # Errors
     /// A sentence naming the value at fault.
@@ -172,7 +172,8 @@ impl CodedCloud {
         }
     }
 
-    /// Where a splat is, metres: each axis is rounded after the product and after the sum, here as on the device.
+    /// Mean of a splat, meters: each axis is rounded after the product and after the sum, here as
+    /// on the device.
     #[must_use]
     pub fn mean_m(&self, codes: &SplatCodes) -> [f32; 3] {
         let step = self.position_step_m();
@@ -185,7 +186,7 @@ impl CodedCloud {
         (self.log2_size_min + f32::from(codes.size) * self.log2_size_step).exp2()
     }
 
-    /// What is added to the DC coefficients of its colour, RGB.
+    /// Residual of the DC coefficients of its color, RGB.
     #[must_use]
     pub fn dc_residual(&self, codes: &SplatCodes) -> [f32; 3] {
         let [luma, orange, green] = std::array::from_fn(|axis| f32::from(codes.dc_residual[axis]) * self.dc_residual_step[axis]);

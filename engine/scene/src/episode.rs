@@ -6,40 +6,40 @@ use crate::plan::Plan;
 use crate::scenario::Scenario;
 use crate::vehicle::{VehicleSize, VehicleState};
 
-/// What a planner was given.
+/// Planner of an episode, and its privileges.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PlannerRecord {
-    /// As the command line names it.
+    /// Name on the command line.
     pub name: String,
     /// Cameras whose pictures it got, by name.
     pub cameras: Vec<String>,
-    /// Whether it got states of others and the map, which no camera shows.
+    /// True if it received states of others and the map, which no camera shows.
     pub privileged: bool,
 }
 
-/// What drew the pictures of an episode. Pictures of another device or size have other hashes.
+/// Renderer of an episode's images. Pictures of another device or size have other hashes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DrawnBy {
     /// Device and driver.
     pub device: String,
-    /// Of every picture, pixels.
+    /// Width of every image, pixels.
     pub width_px: u32,
-    /// Of every picture, pixels.
+    /// Height of every image, pixels.
     pub height_px: u32,
     /// Every so manyth step is drawn, from the first on.
     pub every: u32,
 }
 
-/// What is known of an episode before it begins.
+/// Data of an episode that is known before it begins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeHead {
     /// Version of the program.
     pub version: String,
-    /// What is driven.
+    /// Scenario.
     pub scenario: Scenario,
-    /// Who drives.
+    /// Planner.
     pub planner: PlannerRecord,
-    /// What pictures are made with; `None` where none are.
+    /// Renderer of the images; `None` without images.
     pub drawn_by: Option<DrawnBy>,
     /// The ego's route from start to end, world coordinates, metres: at least two points.
     pub route_m: Vec<DVec2>,
@@ -56,7 +56,7 @@ pub struct ImageRecord {
     pub hash: u128,
 }
 
-/// Where everybody is at one moment.
+/// States of all vehicles at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Instant {
     /// Since the episode's start, seconds.
@@ -65,7 +65,7 @@ pub struct Instant {
     pub ego: VehicleState,
     /// Angle of its front wheels, to the left where above zero.
     pub steer_rad: f64,
-    /// Whether all of its box is on the road.
+    /// True if all of its box is on the road.
     pub on_road: bool,
     /// The agents, in the order of the scenario.
     pub agents: Vec<VehicleState>,
@@ -78,27 +78,27 @@ pub struct EpisodeStep {
     pub step: u32,
     /// The pictures that the planner got, empty where none were drawn.
     pub images: Vec<ImageRecord>,
-    /// What it answered.
+    /// Plan that it returned.
     pub plan: Plan,
     /// The moments after it, one for each sub-step.
     pub instants: Vec<Instant>,
 }
 
-/// Why an episode ended.
+/// Reason of an episode's end.
 #[derive(Clone, Debug, PartialEq)]
 pub enum EpisodeEnd {
     /// The ego is at the end of its route.
     RouteDone,
     /// The ego touches an agent.
     Collision {
-        /// Which, its place in the scenario.
+        /// Index of the agent in the scenario.
         agent: usize,
     },
     /// The time is over.
     Time,
     /// The planner failed.
     Planner {
-        /// How, a sentence.
+        /// Reason, a sentence.
         reason: String,
     },
 }
@@ -106,13 +106,13 @@ pub enum EpisodeEnd {
 /// A whole episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {
-    /// What was known before.
+    /// Data known before the start.
     pub head: EpisodeHead,
-    /// Where everybody stood at the start.
+    /// States at the start.
     pub start: Instant,
-    /// What happened.
+    /// Steps.
     pub steps: Vec<EpisodeStep>,
-    /// Why it ended.
+    /// Reason of the end.
     pub end: EpisodeEnd,
 }
 

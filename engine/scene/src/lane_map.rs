@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// What a lane is for.
+/// Purpose of a lane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LaneKind {
     /// Vehicles drive on it.
@@ -41,9 +41,9 @@ impl LaneKind {
 /// One lane, its lines in driving direction.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lane {
-    /// As the file names it; unique in its map.
+    /// Id in the file; unique in its map.
     pub id: String,
-    /// What it is for.
+    /// Purpose.
     pub kind: LaneKind,
     /// At least two points, no two neighbours the same, world coordinates in metres. z is 0 where [`Lane::has_height`] is false.
     pub centreline: Vec<DVec3>,
@@ -51,7 +51,7 @@ pub struct Lane {
     pub left: Vec<DVec3>,
     /// Right border.
     pub right: Vec<DVec3>,
-    /// Whether z is the road's height and not merely absent.
+    /// True if z is the road's height; false if heights are absent.
     pub has_height: bool,
     /// Lanes that it goes on in, places in [`LaneMap::lanes`].
     pub successors: Vec<usize>,
@@ -70,13 +70,14 @@ pub struct Lane {
 pub struct LaneMap {
     /// In the order of the file.
     pub lanes: Vec<Lane>,
-    /// What was added to coordinates to get from the file's to these: zero where they are the file's own. Latitude and longitude
-    /// have none, as they are projected.
+    /// Offset that was added to the file's coordinates: zero if these are the file's own. Latitude
+    /// and longitude have none, as they are projected.
     pub offset: DVec3,
 }
 
 impl LaneMap {
-    /// What is wrong with it, if anything: lines too short, numbers that are not finite, links beyond the list.
+    /// Checks the map and describes the first fault: lines too short, numbers that are not finite,
+    /// links beyond the list.
     ///
     /// # Errors
     /// A sentence naming the lane at fault.

@@ -1,4 +1,5 @@
-//! What a world is: splats, spherical harmonics, poses, cameras and the rules by which they become a picture.
+//! Scene data: splats, spherical harmonics, poses, cameras, and the rules by which they become an
+//! image.
 //!
 //! Plain data and mathematics; nothing here reads a file or knows a GPU. Units are metres, seconds and radians,
 //! frames are right-handed. World: z up. Vehicle and agent: x forward, y left, z up, origin at the centre of the

@@ -1,8 +1,8 @@
-//! What a planner answers: where the ego vehicle shall be in the seconds to come.
+//! Plan of a planner: the positions of the ego vehicle in the next seconds.
 
 use glam::DVec2;
 
-/// Where the ego shall be at a moment.
+/// Position of the ego at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanPoint {
     /// After the observation that was planned from, seconds, above zero.
@@ -63,13 +63,14 @@ impl Plan {
         Self { points: vec![PlanPoint { time_s: 1.0, position_m: DVec2::ZERO }] }
     }
 
-    /// Its points, at least one, their times rising.
+    /// Points, at least one, with increasing times.
     #[must_use]
     pub fn points(&self) -> &[PlanPoint] {
         &self.points
     }
 
-    /// Where it is `time_s` after the observation: linear between points and from the ego's place at zero, its last point beyond it.
+    /// Position `time_s` after the observation: linear between points and from the ego's place at
+    /// zero, and the last point beyond it.
     #[must_use]
     pub fn at(&self, time_s: f64) -> DVec2 {
         let next = self.points.partition_point(|point| point.time_s <= time_s);

@@ -13,11 +13,11 @@ pub const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// Transmittance at which a pixel counts as full.
 pub const TRANSMITTANCE_MIN: f64 = 1e-4;
 
-/// How far beyond the image edges, as a share of tan(fov/2), x/z and y/z may lie in the projection's Jacobian
-/// (gsplat's form, right for off-centre principal points).
+/// Margin beyond the image edges, as a share of tan(fov/2), to which x/z and y/z are clamped in the
+/// projection's Jacobian (gsplat's form, right for off-center principal points).
 pub const JACOBIAN_MARGIN: f64 = 0.3;
 
-/// When a pixel stops blending.
+/// Early termination of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EarlyStop {
     /// Never, by definition. An implementation may stop after the splat that takes the transmittance to
@@ -27,7 +27,7 @@ pub enum EarlyStop {
     Exclusive,
 }
 
-/// What 'nearer' means.
+/// Depth by which splats are ordered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DepthOrder {
     /// Camera-space z: what scenes are trained with.
@@ -43,7 +43,7 @@ pub enum DepthOrder {
 pub struct Rules {
     /// Upper bound of a splat's alpha.
     pub alpha_max: f64,
-    /// When a pixel stops.
+    /// Early termination of a pixel.
     pub stop: EarlyStop,
     /// A splat whose centre has z below this is dropped, metres.
     pub near_m: f64,
@@ -77,7 +77,7 @@ impl Rules {
         }
     }
 
-    /// What [`Rules::by_name`] knows.
+    /// Names that [`Rules::by_name`] accepts.
     pub const NAMES: [&'static str; 4] = ["default", "gsplat15", "gsplat16", "inria"];
 }
 

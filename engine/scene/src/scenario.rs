@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::vehicle::VehicleSize;
 
-/// How hard a scenario is, as the paper has it (supplement, "Definition of Evaluation Scenarios").
+/// Difficulty of a scenario, as in the paper (supplement, "Definition of Evaluation Scenarios").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Level {
     /// 1 to 3 agents within 50 m, a clear day, steady lane keeping.
@@ -75,7 +75,7 @@ impl Weather {
     }
 }
 
-/// Where an episode takes place.
+/// Place of an episode.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Place {
     /// The synthetic street with a crossing.
@@ -106,29 +106,29 @@ pub enum Place {
     Scene {
         /// The scene file, relative to the scenario's file.
         scene: PathBuf,
-        /// Its lanes.
+        /// Map file with the lanes.
         map: PathBuf,
     },
 }
 
-/// What the ego vehicle is to do.
+/// Task of the ego vehicle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EgoTask {
     /// Lanes of its route, by id, each a successor or a neighbour of the one before.
     pub route: Vec<String>,
-    /// Where it starts on the first of them, metres along.
+    /// Start on the first of them, meters along it.
     pub start_m: f64,
-    /// Where the route ends on the last, metres along.
+    /// End of the route on the last, meters along it.
     pub end_m: f64,
-    /// Its speed at the start.
+    /// Initial speed.
     pub speed_mps: f64,
-    /// How fast its route is to be driven where nothing is in the way.
+    /// Cruise speed on a free road.
     pub cruise_mps: f64,
-    /// Its box.
+    /// Size.
     pub size: VehicleSize,
 }
 
-/// How somebody drives.
+/// Driver type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DriverKind {
     /// Slower than allowed, long gaps, hardly changes lanes.
@@ -163,38 +163,38 @@ impl DriverKind {
     }
 }
 
-/// When an injected behaviour begins.
+/// Trigger of an injected behavior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
-    /// So long after the episode's start, seconds.
+    /// Time after the episode's start, seconds.
     Time {
         /// Seconds.
         time_s: f64,
     },
-    /// When the middle of the ego is first so near, metres.
+    /// Distance of the ego's center, first reached, meters.
     NearEgo {
         /// Metres.
         distance_m: f64,
     },
 }
 
-/// What an agent does that a model of good driving would not.
+/// Maneuver of an agent that a model of good driving excludes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Maneuver {
     /// Brakes hard.
     Brake {
-        /// How hard, above zero.
+        /// Deceleration, above zero.
         deceleration_mps2: f64,
-        /// How long.
+        /// Duration.
         duration_s: f64,
     },
     /// Changes into the ego's lane whatever gap there is, as long as no other agent is in the way.
     CutIn,
     /// Leaves the middle of its lane and comes back.
     Swerve {
-        /// How far at most, to the left where above zero.
+        /// Largest lateral offset, positive to the left.
         amplitude_m: f64,
-        /// How long it takes, out and back.
+        /// Duration, out and back.
         duration_s: f64,
     },
 }
@@ -202,9 +202,9 @@ pub enum Maneuver {
 /// A maneuver and when it begins; it happens once.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Behaviour {
-    /// When.
+    /// Trigger condition.
     pub trigger: Trigger,
-    /// What.
+    /// Maneuver.
     pub maneuver: Maneuver,
 }
 
@@ -213,21 +213,21 @@ pub struct Behaviour {
 pub struct TrafficAgent {
     /// Unique in the scenario.
     pub name: String,
-    /// Which of the place's assets it shows, those beyond the last starting over.
+    /// Index of its asset among the place's assets; indices beyond the last start over.
     pub asset: usize,
-    /// Its box.
+    /// Size.
     pub size: VehicleSize,
     /// The lane it starts on, by id.
     pub lane: String,
-    /// Where on it the middle of its box is, metres along.
+    /// Position of its center, meters along the lane.
     pub at_m: f64,
-    /// Its speed at the start.
+    /// Initial speed.
     pub speed_mps: f64,
-    /// How it drives.
+    /// Driver type.
     pub driver: DriverKind,
-    /// Whether it may change lanes of its own accord.
+    /// True if it may change lanes voluntarily.
     pub changes_lanes: bool,
-    /// What it does beside driving well.
+    /// Injected behaviors.
     pub behaviours: Vec<Behaviour>,
 }
 
@@ -236,19 +236,19 @@ pub struct TrafficAgent {
 pub struct Scenario {
     /// Names its files: letters, digits, `-` and `_`.
     pub name: String,
-    /// How hard it is; `None` where somebody wrote it by hand.
+    /// Difficulty; `None` for scenarios written by hand.
     pub level: Option<Level>,
-    /// What is random in its traffic (ways at crossings) follows from it.
+    /// Seed of the traffic's random choices (routes at crossings).
     pub seed: u64,
-    /// When it ends at the latest, seconds.
+    /// Time limit, seconds.
     pub duration_s: f64,
     /// From one plan to the next, seconds.
     pub step_s: f64,
-    /// Where.
+    /// Place.
     pub place: Place,
     /// The ego's part.
     pub ego: EgoTask,
-    /// Everybody else.
+    /// Other vehicles.
     pub agents: Vec<TrafficAgent>,
 }
 

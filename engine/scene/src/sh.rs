@@ -13,7 +13,8 @@ pub const DEGREE_MAX: u8 = 3;
 /// Y of the DC term, 1 / (2 sqrt(pi)).
 pub const Y0: f64 = 0.282_094_791_773_878_14;
 
-/// What the DC term of a splat's colour leaves out, as colours are 0.5 + Y0 dc + ...: a plain expansion has dc + 0.5 / Y0 there.
+/// Difference between a plain expansion and the DC term of a splat's color, as colors are 0.5 + Y0
+/// dc + ...: a plain expansion has dc + 0.5 / Y0.
 pub const DC_SHIFT: f64 = 0.5 / Y0;
 
 /// Coefficients up to and including `degree`, DC included.
@@ -105,7 +106,8 @@ impl ShRotation {
 /// Directions at which the basis is evaluated to find a rotation of its coefficients.
 const SAMPLES: usize = 24;
 
-/// What does not depend on the rotation: the directions, and for each band the pseudo-inverse of the basis there.
+/// Data that is independent of the rotation: the directions, and per band the pseudo-inverse of the
+/// basis there.
 struct RotationSamples {
     directions: [DVec3; SAMPLES],
     /// `[band - 1][sample][column]`.

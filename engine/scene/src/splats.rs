@@ -25,7 +25,7 @@ pub struct SplatCloud {
     pub sh_rest: Vec<[f32; 3]>,
 }
 
-/// Why a splat cannot be drawn.
+/// Reason why a splat cannot be rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum SplatDefect {
     /// A mean that is NaN or infinite.
@@ -53,7 +53,7 @@ impl SplatCloud {
         self.means.len()
     }
 
-    /// Whether there is none.
+    /// True if there is none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
@@ -78,7 +78,7 @@ impl SplatCloud {
         Bounds::of(&self.means)
     }
 
-    /// What is wrong with one splat, if anything. Unit length of the rotation is not asked for here.
+    /// First defect of a splat, if any. Unit length of the rotation is not asked for here.
     #[must_use]
     pub fn defect_of(&self, splat: usize) -> Option<SplatDefect> {
         let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-/// Where a road user was seen at a moment.
+/// Observed pose of a road user at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackPoint {
     /// The moment, seconds.
@@ -11,12 +11,12 @@ pub struct TrackPoint {
     pub position_m: DVec2,
     /// Height of its centre, where the file tells.
     pub z_m: Option<f64>,
-    /// Where its nose points, counted from x towards y.
+    /// Heading, from x towards y.
     pub yaw_rad: Option<f64>,
 }
 
 impl TrackPoint {
-    /// Its place with height 0 where none is known.
+    /// Position, with height 0 if the height is unknown.
     #[must_use]
     pub fn position(&self) -> DVec3 {
         self.position_m.extend(self.z_m.unwrap_or(0.0))
@@ -26,7 +26,7 @@ impl TrackPoint {
 /// One road user over time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Track {
-    /// As the file names it; unique in its file.
+    /// Id in the file; unique there.
     pub id: String,
     /// `car`, `truck`, `pedestrian`: the file's own word, in lower case.
     pub class: String,
@@ -37,7 +37,7 @@ pub struct Track {
 }
 
 impl Track {
-    /// What is wrong with it, if anything.
+    /// Checks the track and describes the first fault.
     ///
     /// # Errors
     /// A sentence naming the point at fault.

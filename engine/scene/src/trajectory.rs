@@ -2,7 +2,7 @@
 
 use crate::Pose;
 
-/// Where something stands at a moment.
+/// Pose at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedPose {
     /// The moment, seconds.

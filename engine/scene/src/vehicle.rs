@@ -30,12 +30,12 @@ impl VehicleSize {
     }
 }
 
-/// How a vehicle stands and moves on the plane.
+/// Pose and motion of a vehicle on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct VehicleState {
     /// Middle of its box from above, world coordinates, metres.
     pub position_m: DVec2,
-    /// Where its nose points, counted from x towards y.
+    /// Heading, from x towards y.
     pub yaw_rad: f64,
     /// Along its heading, never below zero: no vehicle here drives backwards.
     pub speed_mps: f64,

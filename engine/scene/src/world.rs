@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use crate::{Pose, Rules, SplatCloud};
 
-/// How an asset's spherical harmonics are meant.
+/// Frame of an asset's spherical harmonics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ShFrame {
     /// In the asset's own frame: colours turn with the object (object captures).
@@ -19,15 +19,15 @@ pub enum ShFrame {
 pub struct AgentPlacement {
     /// Names the agent in reports.
     pub name: String,
-    /// Which asset it shows, an index into the list the agent is placed with.
+    /// Index of its asset in the list that the agent is placed with.
     pub asset: usize,
-    /// Where it stands, f64 world coordinates.
+    /// Pose, f64 world coordinates.
     pub world_from_agent: Pose,
-    /// How the asset's colours are meant.
+    /// Frame of the asset's colors.
     pub sh_frame: ShFrame,
 }
 
-/// Everything that the picture of one moment depends on, besides the camera.
+/// World at one moment: everything that an image depends on besides the camera.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
     /// All splats, background first, then agents in order; means are relative to [`World::origin`].
@@ -38,7 +38,7 @@ pub struct World {
     pub origin: DVec3,
     /// Seen where transmittance is left, display-referred RGB.
     pub sky: [f32; 3],
-    /// How its splats become a picture.
+    /// Image formation rules.
     pub rules: Rules,
 }
 

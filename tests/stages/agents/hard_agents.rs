@@ -159,8 +159,9 @@ impl AgentScene {
         &self.cameras[agent * self.counts.cameras + camera]
     }
 
-    /// What the size of a splat may be off by: a power of two is good to 3 + 2 |x| units in the last place (Vulkan
-    /// specification, Precision of SPIR-V Instructions), and its exponent is a rounded product and sum.
+    /// Relative error bound of a splat's size: a power of two is accurate to 3 + 2 |x| units in the
+    /// last place (Vulkan specification, Precision of SPIR-V Instructions), and its exponent is a
+    /// rounded product and sum.
     pub fn size_share(&self, agent: usize, splat: usize) -> f64 {
         let record = &self.agents[agent];
         let log2_size = f64::from(self.unpacked(agent, splat).0.size).log2();
@@ -168,7 +169,7 @@ impl AgentScene {
         2.0 * ROUNDOFF * (3.0 + 2.0 * log2_size.abs()) + std::f64::consts::LN_2 * 2.0 * ROUNDOFF * steps
     }
 
-    /// Whether the splat can be seen, if that is the same however f32 rounds on the way: else `None`.
+    /// Visibility of the splat if it is the same for every rounding of f32: else `None`.
     pub fn settled_visibility(&self, camera: usize, agent: usize, splat: usize, rules: &Rules) -> Option<bool> {
         if self.agents[agent].cameras >> camera & 1 == 0 {
             return Some(false);
@@ -186,7 +187,8 @@ impl AgentScene {
         )
     }
 
-    /// Of a bit of the visible words: its camera, its agent and its splat, `None` beyond the agent's last.
+    /// Camera, agent and splat of a bit of the visibility words; the splat is `None` beyond the
+    /// agent's last.
     pub fn splat_of_bit(&self, bit: usize) -> (usize, usize, Option<usize>) {
         let (camera, place) = (bit / (self.counts.chunks * CHUNK_SPLATS), bit % (self.counts.chunks * CHUNK_SPLATS));
         let agent = twins::agent::agent_of_chunk((place / CHUNK_SPLATS) as u32, &self.agents);

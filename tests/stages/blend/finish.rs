@@ -8,7 +8,8 @@ use glam::Vec3;
 use super::{Blended, Case, open};
 use crate::stages::Random;
 
-/// What may lie before the segments of `case`: two pixels in three are to be finished there, some of them almost full.
+/// Pixels before the segments of `case`: two of three are to be finished there, some of them almost
+/// full.
 fn before(case: &Case) -> Blended {
     let mut random = Random(5);
     let mut pixel = || {

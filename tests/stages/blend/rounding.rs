@@ -1,5 +1,5 @@
-//! How far f32 arithmetic may take a blended pixel: a running error analysis (Higham, Accuracy and Stability of Numerical
-//! Algorithms, 2002, section 3.3) of the same sums in f64.
+//! Rounding error of a blended pixel: a running error analysis (Higham, Accuracy and Stability of
+//! Numerical Algorithms, 2002, section 3.3) of the same sums in f64.
 
 use decouplegs::render::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
 use decouplegs::render::twins::footprint::centre_of;
@@ -11,7 +11,7 @@ use decouplegs::scene::{EarlyStop, Rules};
 use crate::stages::ROUNDOFF;
 use crate::stages::scenes::ProjectedTwin;
 
-/// How far apart two correct implementations may be at one pixel.
+/// Largest difference between two correct implementations at one pixel.
 #[derive(Debug)]
 pub struct PixelBounds {
     pub colour: f64,
@@ -25,7 +25,7 @@ pub struct PixelBounds {
     weight_error: f64,
 }
 
-/// What blending a pixel in f64 has come to.
+/// State of blending a pixel in f64.
 struct Run {
     transmittance: f64,
     /// Sum of weight times depth of what lies before the list: rounding is relative to it.
@@ -34,7 +34,8 @@ struct Run {
 }
 
 impl PixelBounds {
-    /// Of the pixel at column and row `at`, where `list` is blended front to back, behind `before` if there is that.
+    /// Bounds of the pixel at column and row `at`, where `list` is blended front to back, behind
+    /// `before` if given.
     pub fn of(projected: &ProjectedTwin, list: &[u32], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
         let bounds = Self {
             colour: 0.0,
@@ -83,7 +84,8 @@ impl PixelBounds {
         bounds
     }
 
-    /// Of the depth that is written where the twin writes `depth_m` and `alpha`: a quotient of two sums with errors.
+    /// Bound of the written depth for the twin's `depth_m` and `alpha`: a quotient of two sums with
+    /// errors.
     pub fn depth_m(&self, depth_m: f32, alpha: f32) -> f64 {
         if alpha == 0.0 {
             return 0.0;

@@ -1,4 +1,4 @@
-//! How far rounding may take the values of a record, and comparisons that hold a kernel to it.
+//! Rounding errors of a record's values, and comparisons of a kernel with them.
 
 use decouplegs::render::layout::{CameraRecord, LensRecord};
 use decouplegs::render::reference::unscented::unscented;
@@ -13,19 +13,19 @@ use super::super::{ROUNDOFF, identical, within};
 /// A splat that is projected.
 pub struct Projection<'a> {
     pub camera: &'a CameraRecord,
-    /// Where it is no pinhole: what its lens does, and its record.
+    /// Lens other than a pinhole: its ray map, and its record.
     pub lens: Option<(RayMap, &'a LensRecord)>,
     pub mean_m: [f32; 3],
     /// Columns whose products with themselves sum to the covariance.
     pub axes: DMat3,
-    /// What a product of a row with a column may be off by, in lengths of the column.
+    /// Error bound of a product of a row with a column, in lengths of the column.
     pub axes_share: f64,
     pub opacity: f64,
-    /// What a channel of its colour may be off by.
+    /// Error bound of a color channel.
     pub colour: f64,
 }
 
-/// How far f32 arithmetic may take the values of one record from one another, in the order in which they are stored.
+/// Error bounds of the values of one record, in the order in which they are stored.
 ///
 /// A forward error analysis to first order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 3): both
 /// sides do the same operations, each rounded once, fused or not; a division may be off by 5 roundings and a logarithm by 2^-21
@@ -76,8 +76,8 @@ impl Projection<'_> {
         }
     }
 
-    /// Of the footprint that a lens makes of seven points, each off by what rounding turns it, as far as the lens's steepest
-    /// place takes that in the image, and by the roundings of its pixel.
+    /// Bounds of the footprint of a lens's seven points: the rounding error of each point times the
+    /// lens's steepest slope, and the rounding of its pixel.
     fn through(&self, map: &RayMap, lens: &LensRecord, t: DVec3, t_error: f64, axes: DMat3, rules: &Rules) -> [f64; 6] {
         let u = ROUNDOFF;
         let principal = DVec2::from_array(self.camera.principal_px.map(f64::from));
@@ -117,7 +117,7 @@ struct Shape {
 }
 
 impl Shape {
-    /// Of slope, both rates and log2 opacity.
+    /// Errors of slope, both rates and log2 opacity.
     fn errors(&self, opacity: f64, antialias: bool) -> [f64; 4] {
         let Self { m0, m1, area, xy, e0, e1 } = *self;
         let u = ROUNDOFF;

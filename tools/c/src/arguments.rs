@@ -24,7 +24,7 @@ impl<T> Out<'_, T> {
     }
 }
 
-/// Whether something of type `T` could be where `pointer` points.
+/// Checks that `pointer` may point to a value of type `T`.
 fn check<T>(what: &str, pointer: *const T) -> Result<(), Failure> {
     if pointer.is_null() {
         return Err(Failure::argument(format!("{what} is NULL")));
@@ -36,7 +36,7 @@ fn check<T>(what: &str, pointer: *const T) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Where to write what the caller calls `what`.
+/// Output location for the argument `what`.
 ///
 /// # Safety
 /// `place` is as the header asks.
@@ -45,7 +45,7 @@ pub unsafe fn out<'a, T>(what: &str, place: *mut T) -> Result<Out<'a, T>, Failur
     Ok(Out { place, caller: PhantomData })
 }
 
-/// Where to write a handle; it is NULL until then.
+/// Output location for a handle; it is set to NULL first.
 ///
 /// # Safety
 /// `place` is as the header asks.

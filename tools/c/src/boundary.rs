@@ -1,4 +1,4 @@
-//! Where every call from C enters and leaves.
+//! Entry and exit of every call from C.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -15,11 +15,11 @@ use crate::status::{DgsStatus, Failure};
 pub const DGS_ABI_VERSION: u32 = 1;
 
 thread_local! {
-    /// What the thread's last call had to say.
+    /// Message of the thread's last call.
     static LAST_ERROR: RefCell<CString> = RefCell::default();
 }
 
-/// What a call knows of itself: the handles that it works with.
+/// Context of a call: the handles that it uses.
 #[derive(Default)]
 pub struct Call {
     poison: Vec<Arc<AtomicBool>>,
@@ -47,7 +47,7 @@ pub fn guarded(work: impl FnOnce(&mut Call) -> Result<(), Failure>) -> DgsStatus
     status
 }
 
-/// What a panic said.
+/// Message of a panic.
 fn said(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("it did not say which")
@@ -60,8 +60,8 @@ fn remember(mut message: String) {
     let _ = LAST_ERROR.try_with(|last| last.replace(CString::new(message).unwrap_or_default()));
 }
 
-/// What the last call of this thread that returned a DgsStatus had to say: a sentence, or empty text where it succeeded. Never NULL.
-/// Valid until this thread's next such call.
+/// Message of the last call of this thread that returned a DgsStatus: a sentence, or empty text
+/// after success. Never NULL. Valid until this thread's next such call.
 #[unsafe(no_mangle)]
 pub extern "C" fn dgs_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())

@@ -10,7 +10,7 @@ use crate::status::{DgsStatus, Failure};
 /// The next handle of any kind. Odd, so that none is ever equal to a pointer to something aligned; none is given out twice.
 static NEXT: AtomicUsize = AtomicUsize::new(1);
 
-/// What handles of one kind stand for.
+/// Objects behind the handles of one kind.
 pub struct Registry<T> {
     /// The kind, as errors name it.
     kind: &'static str,
@@ -35,7 +35,7 @@ impl<T> Registry<T> {
         std::ptr::without_provenance_mut(handle)
     }
 
-    /// What `handle` stands for. It stays alive while it is used, whoever closes it.
+    /// Object behind `handle`. It stays alive while it is used, whoever closes it.
     pub fn find<Handle>(&self, call: &mut Call, handle: *const Handle) -> Result<Arc<T>, Failure> {
         let held = self.lock();
         let found = held.get(&handle.addr()).ok_or_else(|| self.unknown(handle.addr()))?;
@@ -70,19 +70,20 @@ impl<T> Registry<T> {
     }
 }
 
-/// Of what one thread uses at a time, whoever comes first. Nobody waits, for who comes second made a mistake.
+/// Locks an object that one thread may use at a time. A second caller gets an error instead of a
+/// wait: it made a mistake. Nobody waits, for who comes second made a mistake.
 ///
 /// Locks of the standard library are poisoned by panics too. That is passed over here: handles know which calls were stopped midway.
 pub fn alone<'a, T>(kind: &str, lock: &'a Mutex<T>) -> Result<MutexGuard<'a, T>, Failure> {
     free(kind, lock.try_lock())
 }
 
-/// Of what is looked at by many or changed by one, to look at it.
+/// Locks an object for reading; several threads may read it.
 pub fn to_read<'a, T>(kind: &str, lock: &'a RwLock<T>) -> Result<RwLockReadGuard<'a, T>, Failure> {
     free(kind, lock.try_read())
 }
 
-/// Of what is looked at by many or changed by one, to change it.
+/// Locks an object for changes.
 pub fn to_change<'a, T>(kind: &str, lock: &'a RwLock<T>) -> Result<RwLockWriteGuard<'a, T>, Failure> {
     free(kind, lock.try_write())
 }

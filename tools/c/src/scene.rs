@@ -18,7 +18,7 @@ use crate::types::{DgsAgent, DgsCamera, DgsPose};
 /// A background, assets, a rig of cameras and a way of the ego vehicle.
 pub struct DgsScene(());
 
-/// What a handle of a scene stands for. Several may stand for the same scene.
+/// Object behind a scene handle. Several may stand for the same scene.
 pub struct HeldScene {
     pub session: Arc<Session>,
     pub scene: Arc<SessionScene>,
@@ -66,14 +66,14 @@ unsafe fn read<T>(
     })
 }
 
-/// How many splats the background has.
+/// Number of splats of the background.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_splat_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "count", count, |scene| Ok(scene.background_splats())) }
 }
 
-/// How many cameras the rig has: 0 for a file of splats.
+/// Number of cameras of the rig: 0 for a file of splats.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_camera_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
@@ -137,7 +137,8 @@ fn camera_on(scene: &SessionScene, index: usize, ego: &Pose) -> Result<DgsCamera
     DgsCamera::of(&rig.at(ego)[0])
 }
 
-/// When the way of the ego vehicle begins and ends, seconds. `start_s` and `end_s` are the same where it stands.
+/// Start and end of the ego vehicle's trajectory, seconds. `start_s` and `end_s` are the same where
+/// it stands.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_ego_span(scene: *const DgsScene, start_s: *mut f64, end_s: *mut f64) -> DgsStatus {
     guarded(|call| {
@@ -150,7 +151,8 @@ pub unsafe extern "C" fn dgs_scene_ego_span(scene: *const DgsScene, start_s: *mu
     })
 }
 
-/// Where the scene file has the ego vehicle at `time_s`: world from ego. Before its way begins and after it ends, it stands.
+/// Pose of the ego vehicle at `time_s` from the scene file: world from ego. Before its way begins
+/// and after it ends, it stands.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_ego_at(scene: *const DgsScene, time_s: f64, pose: *mut DgsPose) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
@@ -162,7 +164,7 @@ pub fn moment(time_s: f64) -> Result<f64, Failure> {
     if time_s.is_finite() { Ok(time_s) } else { Err(Failure::argument(format!("the time is {time_s}: expected seconds"))) }
 }
 
-/// How many agents the scene file has that can be moved: those that a world begins with.
+/// Number of movable agents in the scene file: those that a new world has.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_agent_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
@@ -209,7 +211,7 @@ fn loaded_agent(scene: &SessionScene, index: usize) -> Result<&LoadedAgent, Fail
     agents.get(index).ok_or_else(missing)
 }
 
-/// How many assets agents may show.
+/// Number of assets that agents may use.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_asset_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.

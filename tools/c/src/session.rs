@@ -18,7 +18,7 @@ pub struct DgsSession(());
 /// Sessions, shared with what was made of them: what belongs to different ones must not meet.
 pub static SESSIONS: Registry<Arc<Session>> = Registry::new("session");
 
-/// How many devices Vulkan finds, able or not, into `count`. None is DGS_STATUS_DEVICE.
+/// Writes the number of Vulkan devices, usable or not, to `count`. None is DGS_STATUS_DEVICE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_device_count(count: *mut usize) -> DgsStatus {
     guarded(|_| {
@@ -29,7 +29,7 @@ pub unsafe extern "C" fn dgs_device_count(count: *mut usize) -> DgsStatus {
     })
 }
 
-/// What device number `index` is, from 0, into `device`, whose `struct_bytes` is set.
+/// Describes device number `index`, from 0, in `device`, whose `struct_bytes` is set.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_device(index: usize, device: *mut DgsDevice) -> DgsStatus {
     guarded(|_| {
@@ -56,7 +56,7 @@ pub unsafe extern "C" fn dgs_session_open(options: *const DgsSessionOptions, ses
     })
 }
 
-/// What the caller asks for.
+/// Options requested by the caller.
 ///
 /// # Safety
 /// `options` is NULL or as the header asks.
@@ -95,7 +95,7 @@ pub unsafe extern "C" fn dgs_session_close(session: *mut DgsSession) -> DgsStatu
     guarded(|_| SESSIONS.close(session))
 }
 
-/// Which device a session is on, into `device`, whose `struct_bytes` is set.
+/// Describes the device of a session in `device`, whose `struct_bytes` is set.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_session_device(session: *const DgsSession, device: *mut DgsDevice) -> DgsStatus {
     guarded(|call| {

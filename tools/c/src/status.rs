@@ -1,10 +1,10 @@
-//! What a call returns, and how the engine's errors become that.
+//! Status of a call, and its origin in the engine's errors.
 
 use decouplegs::gpu::GpuError;
 use decouplegs::render::RenderError;
 use decouplegs::session::SessionError;
 
-/// How a call ended. dgs_last_error() has the sentence.
+/// Status of a call. dgs_last_error() has the sentence.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsStatus {
@@ -77,7 +77,7 @@ impl DgsStatus {
     }
 }
 
-/// Why a call fails.
+/// Reason why a call fails.
 #[derive(Debug)]
 pub struct Failure {
     pub status: DgsStatus,

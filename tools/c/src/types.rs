@@ -12,7 +12,7 @@ use crate::world::DgsWorld;
 /// Rotations are of length 1 up to so much; beyond, something else was meant.
 const ROTATION_LENGTH_SPARE: f64 = 1e-3;
 
-/// Where something stands: parent = rotation * child + position.
+/// Pose: parent = rotation * child + position.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DgsPose {
@@ -60,7 +60,7 @@ pub struct DgsCamera {
     pub cx_px: f64,
     /// Principal point, from the upper edge of the picture.
     pub cy_px: f64,
-    /// Where the camera stands: world from camera.
+    /// Pose of the camera: world from camera.
     pub world_from_camera: DgsPose,
 }
 
@@ -92,11 +92,11 @@ impl DgsCamera {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct DgsView {
-    /// What is seen. The same world may be in many views.
+    /// World to render. The same world may be in many views.
     pub world: *const DgsWorld,
-    /// Who sees it.
+    /// Cameras of the view.
     pub cameras: *const DgsCamera,
-    /// How many; at least one.
+    /// Number of cameras; at least one.
     pub camera_count: usize,
 }
 
@@ -104,15 +104,15 @@ pub struct DgsView {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DgsAgent {
-    /// Where its origin stands: world from agent.
+    /// Pose of its origin: world from agent.
     pub pose: DgsPose,
     /// Number of the asset that it shows.
     pub asset: u32,
-    /// Its number in pictures of instances, above 0.
+    /// Id in instance images, above 0.
     pub instance: u32,
 }
 
-/// How colours are stored.
+/// Storage format of color.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsColour {
@@ -122,7 +122,7 @@ pub enum DgsColour {
     F32 = 1,
 }
 
-/// What is in a picture.
+/// Content of an image.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsPictureKind {
@@ -154,30 +154,32 @@ pub struct DgsPicture {
     pub kind: u32,
 }
 
-/// How a session is opened. All zero but the size is what most want: the best device and pictures in bytes.
+/// Options of a session. All zero but the size is what most want: the best device and pictures in
+/// bytes.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct DgsSessionOptions {
     /// sizeof(DgsSessionOptions).
     pub struct_bytes: u32,
-    /// How colours are stored: a DgsColour.
+    /// Storage format of color: a DgsColour.
     pub colour: u32,
     /// 1 to have pictures of depth too, else 0.
     pub depth: u32,
     /// 1 to have pictures of instances too, else 0.
     pub instance: u32,
-    /// Which device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or NULL or "auto" for the best.
+    /// Device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or
+    /// NULL or "auto" for the best.
     pub device: *const c_char,
 }
 
 impl DgsSessionOptions {
-    /// Its size when it was first published.
+    /// Size when it was first published.
     pub(crate) const FIRST_BYTES: usize = 24;
     pub const DEFAULT: Self =
         Self { struct_bytes: size_of::<Self>() as u32, colour: 0, depth: 0, instance: 0, device: std::ptr::null() };
 }
 
-/// What hardware a device is.
+/// Kind of a device.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsDeviceKind {
@@ -205,14 +207,14 @@ pub struct DgsDevice {
     pub memory_bytes: u64,
     /// The same for this device in every process and after every start; CUDA names it by the same 16 bytes.
     pub uuid: [u8; 16],
-    /// Its name; ends with a NUL.
+    /// Name; ends with a NUL.
     pub name: [c_char; 256],
     /// The driver's name and version; ends with a NUL.
     pub driver: [c_char; 256],
 }
 
 impl DgsDevice {
-    /// Its size when it was first published.
+    /// Size when it was first published.
     pub(crate) const FIRST_BYTES: usize = 544;
 
     pub fn of(info: &DeviceInfo) -> Self {
@@ -242,7 +244,7 @@ fn fixed_text<const LENGTH: usize>(text: &str) -> [c_char; LENGTH] {
     fixed
 }
 
-/// What a draw took.
+/// Statistics of a draw.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DgsStatistics {
@@ -252,7 +254,7 @@ pub struct DgsStatistics {
     pub frames: u32,
     /// Agents that some camera could see, summed over frames.
     pub agents: u32,
-    /// How often a frame was drawn again because a list outgrew its buffer, which has grown since.
+    /// Number of repeated draws because a list outgrew its buffer, which has grown since.
     pub redrawn: u32,
     /// Time on the device, milliseconds, summed over frames; without what ran beside another frame.
     pub gpu_ms: f64,
@@ -265,7 +267,7 @@ pub struct DgsStatistics {
 }
 
 impl DgsStatistics {
-    /// Its size when it was first published.
+    /// Size when it was first published.
     pub(crate) const FIRST_BYTES: usize = 48;
 }
 

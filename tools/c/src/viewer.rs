@@ -19,7 +19,7 @@ use crate::world::{HeldWorld, WORLDS};
 /// Draws worlds and keeps the pictures.
 pub struct DgsViewer(());
 
-/// What a handle of a viewer stands for.
+/// Object behind a viewer handle.
 struct HeldViewer {
     session: Arc<Session>,
     drawing: Mutex<Drawing>,
@@ -43,9 +43,9 @@ struct Drawing {
 }
 
 enum Drawn {
-    /// Nothing yet, or the last draw failed.
+    /// Empty: nothing was drawn yet, or the last draw failed.
     Nothing,
-    /// What is in [`Drawing::bytes`].
+    /// Images in [`Drawing::bytes`].
     Bytes,
     /// `[view][camera]`
     Planes(Vec<Vec<Planes>>),
@@ -127,7 +127,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// What view number `index`, `view`, shows to a viewer of `session`.
+    /// Converts view number `index`, `view`, for a viewer of `session`.
     ///
     /// # Safety
     /// The view's pointers are NULL or as the header asks.
@@ -252,7 +252,7 @@ pub unsafe extern "C" fn dgs_viewer_picture(
     })
 }
 
-/// What the last draw that succeeded took, into `statistics`, whose `struct_bytes` is set.
+/// Writes the statistics of the last successful draw to `statistics`, whose `struct_bytes` is set.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_viewer_statistics(viewer: *const DgsViewer, statistics: *mut DgsStatistics) -> DgsStatus {
     guarded(|call| {

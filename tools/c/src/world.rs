@@ -15,7 +15,7 @@ use crate::types::{DgsAgent, DgsPose};
 /// A set of agents over a scene.
 pub struct DgsWorld(());
 
-/// What a handle of a world stands for.
+/// Object behind a world handle.
 pub struct HeldWorld {
     pub session: Arc<Session>,
     world: RwLock<World>,
@@ -142,7 +142,7 @@ pub unsafe extern "C" fn dgs_world_remove(world: *mut DgsWorld, name: *const c_c
     })
 }
 
-/// How many agents a world has.
+/// Number of agents of a world.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_world_agent_count(world: *const DgsWorld, count: *mut usize) -> DgsStatus {
     guarded(|call| {

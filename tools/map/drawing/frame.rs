@@ -1,4 +1,4 @@
-//! Where on the page the map lies.
+//! Position of the map on the page.
 
 use glam::DVec2;
 
@@ -6,10 +6,10 @@ use glam::DVec2;
 pub struct Frame {
     pub width: f64,
     pub height: f64,
-    /// Of the map on the page, pixels.
+    /// Left edge of the map on the page, pixels.
     pub left: f64,
     pub top: f64,
-    /// Of the map, pixels.
+    /// Size of the map, pixels.
     pub area: DVec2,
     pub px_per_m: f64,
     /// World coordinates of the middle of the map.
@@ -44,7 +44,7 @@ impl Frame {
         }
     }
 
-    /// Where a point of the world is on the page; north is up.
+    /// Position of a world point on the page; north is up.
     pub fn place(&self, point_m: DVec2) -> DVec2 {
         let from_middle = (point_m - self.middle_m) * self.px_per_m * DVec2::new(1.0, -1.0);
         DVec2::new(self.left, self.top) + 0.5 * self.area + from_middle

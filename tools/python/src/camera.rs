@@ -77,7 +77,7 @@ impl Camera {
         k_of(py, &self.inner.intrinsics)
     }
 
-    /// Where it stands, float64 [4, 4], metres.
+    /// Pose, float64 [4, 4], meters.
     #[getter]
     fn world_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_matrix(py, &self.inner.world_from_camera)
@@ -124,7 +124,7 @@ impl RigCamera {
         k_of(py, &self.inner.intrinsics)
     }
 
-    /// Where it sits on the vehicle, float64 [4, 4], metres.
+    /// Pose on the vehicle, float64 [4, 4], meters.
     #[getter]
     fn rig_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_matrix(py, &self.inner.rig_from_camera)

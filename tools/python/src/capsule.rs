@@ -48,7 +48,7 @@ impl DataType {
         u64::from(self.bits) / 8
     }
 
-    /// As NumPy calls it.
+    /// Name of the type in NumPy.
     pub fn name(self) -> &'static str {
         match self {
             Self::U8 => "uint8",
@@ -93,7 +93,7 @@ struct ManagedVersioned {
 const _: () = assert!(size_of::<DlTensor>() == 48 && std::mem::offset_of!(Managed, held) == 64);
 const _: () = assert!(std::mem::offset_of!(ManagedVersioned, tensor) == 32 && std::mem::offset_of!(Managed, deleter) == 56);
 
-/// What a tensor needs as long as it is somewhere.
+/// Data that a tensor needs while it is in use.
 struct Held {
     shape: Box<[i64]>,
     strides: Box<[i64]>,
@@ -117,7 +117,7 @@ impl Description {
         Held { shape: self.shape.clone().into(), strides: strides.into(), _keeper: keeper }
     }
 
-    /// Its pointers go into `held`, whose boxes stay where they are.
+    /// Describes the tensor; its pointers go into `held`, whose boxes do not move.
     fn tensor(&self, held: &mut Held) -> DlTensor {
         DlTensor {
             data: std::ptr::with_exposed_provenance_mut(self.address as usize),
@@ -180,7 +180,7 @@ unsafe extern "C" fn destroy_versioned(capsule: *mut ffi::PyObject) {
     }
 }
 
-/// What `capsule` holds, if it still has its `name`.
+/// Pointer in `capsule` if it still has its `name`.
 ///
 /// # Safety
 /// It is a capsule, and the interpreter's lock is held.

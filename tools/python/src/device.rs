@@ -8,13 +8,13 @@ use crate::error::of_gpu;
 /// A Vulkan device.
 #[pyclass(frozen, get_all, module = "decouplegs")]
 pub struct Device {
-    /// Its place in devices(), which Session takes.
+    /// Index in devices(), for Session.
     index: usize,
-    /// Its own name.
+    /// Name.
     name: String,
     /// Name and version of its driver.
     driver: String,
-    /// What kind of hardware it is.
+    /// Kind of hardware.
     kind: &'static str,
     /// ``uuid:`` and 32 hexadecimal digits: the same in every process, and CUDA's of the same device.
     uuid: String,

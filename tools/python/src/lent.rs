@@ -36,7 +36,7 @@ pub fn lender(session: &Session, cuda: &Arc<Cuda>) -> Result<Arc<CudaLender>, In
     Lender::new(cuda.clone(), timeline)
 }
 
-/// Where a frame's pictures are in CUDA's eyes; 0 where they were not asked for.
+/// CUDA addresses of a frame's images; 0 for those that were not requested.
 #[derive(Clone, Copy, Default)]
 pub struct Addresses {
     pub colour: u64,

@@ -13,7 +13,7 @@ use crate::drawing::Layers;
 use crate::error::{of_interop, value_error};
 use crate::lent::{Addresses, CudaHanded, CudaLoan};
 
-/// Who holds the memory.
+/// Owner of the memory.
 #[derive(Clone)]
 enum Holder {
     Device(Arc<CudaLoan>, i32),
@@ -210,7 +210,7 @@ impl Tensor {
         }
     }
 
-    /// What keeps the memory while the consumer has it, and makes its stream wait.
+    /// Guard that keeps the memory while the consumer has it, and makes its stream wait.
     fn keeper(&self, stream: Option<i64>) -> PyResult<Box<dyn Any + Send>> {
         match &self.holder {
             Holder::Device(loan, _) => {
@@ -225,13 +225,13 @@ impl Tensor {
 
 #[pymethods]
 impl Tensor {
-    /// Its axes.
+    /// Sizes of its axes.
     #[getter]
     fn shape(&self) -> Vec<i64> {
         self.shape.clone()
     }
 
-    /// Its type, as NumPy calls it.
+    /// Type, by its name in NumPy.
     #[getter]
     fn dtype(&self) -> &'static str {
         self.dtype.name()

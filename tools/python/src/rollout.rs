@@ -56,7 +56,7 @@ impl Rollout {
     }
 }
 
-/// As logs call it.
+/// Name of the end in logs.
 fn name_of(end: &EpisodeEnd) -> &'static str {
     match end {
         EpisodeEnd::RouteDone => "route_done",
@@ -134,7 +134,8 @@ impl Rollout {
         shaped(py, vec![motion.speed_mps, motion.acceleration_mps2, motion.steer_rad, motion.yaw_rate_radps], &[4])
     }
 
-    /// What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps.
+    /// Navigation instructions: turn (``left``, ``right``, ``straight``), distance_m, angle_rad,
+    /// length_m, cruise_mps.
     #[getter]
     fn guidance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let guidance = self.lock().simulation().guidance();
@@ -169,7 +170,7 @@ impl Rollout {
         self.lock().progress_m()
     }
 
-    /// Why it is over, if it is.
+    /// Reason of the end, if it has ended.
     #[getter]
     fn end(&self) -> Option<&'static str> {
         self.lock().end().map(name_of)
@@ -193,7 +194,8 @@ impl Rollout {
         self.lock().simulation().scenario().name.clone()
     }
 
-    /// How it went so far: driving_score, route_completion, success, collisions, layout_infractions, min_ttc_s, ttc_short_share.
+    /// Score so far: driving_score, route_completion, success, collisions, layout_infractions,
+    /// min_ttc_s, ttc_short_share.
     fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let score = self.lock().score();
         to_dict(py, &score)

@@ -42,7 +42,7 @@ impl Scene {
         self.inner.rig().cameras.iter().map(|camera| RigCamera { inner: camera.clone() }).collect()
     }
 
-    /// Where the ego vehicle is by the scene file, world_from_rig, float64 [4, 4], metres.
+    /// Pose of the ego vehicle from the scene file, world_from_rig, float64 [4, 4], meters.
     fn ego_pose<'py>(&self, py: Python<'py>, time_s: f64) -> PyResult<Bound<'py, PyAny>> {
         to_matrix(py, &self.inner.ego().at(finite(time_s)?))
     }
@@ -77,7 +77,7 @@ impl Scene {
         self.inner.plain_agents().to_vec()
     }
 
-    /// Where an agent is by the scene file, world_from_agent, float64 [4, 4], metres.
+    /// Pose of an agent from the scene file, world_from_agent, float64 [4, 4], meters.
     fn agent_pose<'py>(&self, py: Python<'py>, name: &str, time_s: f64) -> PyResult<Bound<'py, PyAny>> {
         let agent = self.inner.agents().iter().find(|agent| agent.name == name);
         let agent = agent.ok_or_else(|| PyKeyError::new_err(format!("the scene has no agent {name:?} that can be moved")))?;

@@ -30,9 +30,9 @@ use crate::viewer::Viewer;
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Session {
     pub inner: Arc<EngineSession>,
-    /// Where pictures are shared with CUDA.
+    /// CUDA context, if images are shared with CUDA.
     cuda: Option<Arc<Cuda>>,
-    /// Why they are not.
+    /// Reason why they are not.
     not_shared: Option<String>,
 }
 
@@ -57,7 +57,7 @@ fn rules_of(name: &str) -> PyResult<Rules> {
     Rules::by_name(name).ok_or_else(told)
 }
 
-/// What of CUDA shares the device of `gpu`, or why nothing does.
+/// CUDA functions on the device of `gpu`, or the reason why there are none.
 fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
     if !gpu.can_export() {
         return Err(format!("{} cannot export memory and timelines (VK_KHR_external_memory_fd)", gpu.info()));
@@ -119,19 +119,19 @@ impl Session {
         Device::of(self.inner.gpu().info())
     }
 
-    /// Whether Viewer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy.
+    /// True if Viewer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy.
     #[getter]
     fn exported(&self) -> bool {
         self.cuda.is_some()
     }
 
-    /// Why not, where it does not.
+    /// Reason why not, if it does not.
     #[getter]
     fn not_exported_because(&self) -> Option<&str> {
         self.not_shared.as_deref()
     }
 
-    /// How colour is stored.
+    /// Storage format of color.
     #[getter]
     fn colour(&self) -> &'static str {
         match self.inner.options().render.outputs.colour {
@@ -163,7 +163,8 @@ impl Session {
         report.bytes_by_purpose.into_iter().map(|(purpose, bytes)| (purpose.to_owned(), bytes)).collect()
     }
 
-    /// What the Vulkan validation layer said since the last call; it is on with DECOUPLEGS_VALIDATION=1.
+    /// Vulkan validation messages since the last call; validation is on with
+    /// DECOUPLEGS_VALIDATION=1.
     fn take_validation_messages(&self) -> Vec<String> {
         self.inner.gpu().take_validation_messages()
     }

@@ -25,7 +25,7 @@ pub struct Site {
     pub site: Arc<EngineSite>,
     pub scene: Arc<SessionScene>,
     place: Place,
-    /// What a scenario file says, where one was named.
+    /// Scenario of a scenario file, if one was named.
     scenario: Option<Scenario>,
 }
 
@@ -83,7 +83,7 @@ impl Site {
         })
     }
 
-    /// What is drawn of it: worlds over it show rollouts.
+    /// Scene of the site: worlds over it can follow rollouts.
     #[getter]
     fn scene(&self) -> Scene {
         Scene { inner: self.scene.clone() }

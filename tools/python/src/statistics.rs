@@ -1,4 +1,4 @@
-//! What frames took.
+//! Statistics of frames.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use decouplegs::render::FrameStatistics;
 use pyo3::prelude::*;
 
-/// What one frame took.
+/// Statistics of one frame.
 #[pyclass(frozen, get_all, module = "decouplegs")]
 #[derive(Clone)]
 pub struct Statistics {
@@ -26,7 +26,7 @@ pub struct Statistics {
     agents: usize,
     /// Their splats.
     agent_splats: usize,
-    /// How often it was drawn again, because a list outgrew its buffer.
+    /// Number of repeated draws, because a list outgrew its buffer.
     redrawn: u32,
 }
 

@@ -21,9 +21,9 @@ use crate::world::World;
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Viewer {
     state: Mutex<State>,
-    /// What the last call took: beside the state, so that it can be read while something is drawn.
+    /// Statistics of the last call, outside of the state, so that they can be read during a draw.
     statistics: Mutex<Vec<Statistics>>,
-    /// Where pictures are shared with CUDA, and the number of the device there.
+    /// Lender for CUDA and the number of the device there, if images are shared.
     lender: Option<(Arc<CudaLender>, i32)>,
 }
 
@@ -127,8 +127,9 @@ impl Viewer {
         PyList::new(py, drawn.into_iter().map(array).collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// As draw: ``colour`` [C, H, W, 4], and where the session has them ``depth`` float32 [C, H, W], metres along the camera's z, 0
-    /// where nothing was hit, and ``instance`` int32 [C, H, W], 0 the background.
+    /// Draws like draw: ``colour`` [C, H, W, 4], and where the session has them ``depth`` float32
+    /// [C, H, W], metres along the camera's z, 0 where nothing was hit, and ``instance`` int32 [C,
+    /// H, W], 0 the background.
     fn draw_layers<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let drawn = self.by_view(py, &copied(&views)?)?;
         let dict = |(shape, layers): ([usize; 3], Layers)| {
@@ -146,7 +147,8 @@ impl Viewer {
         drawn.into_iter().map(dict).collect()
     }
 
-    /// As draw, and leaves the pictures where they were drawn: on the device where Session.exported, otherwise on the host.
+    /// Draws like draw, and leaves the images in place: on the device if Session.exported,
+    /// otherwise on the host.
     fn draw_dlpack(&self, py: Python<'_>, views: GivenViews<'_>) -> PyResult<Pictures> {
         let views = copied(&views)?;
         let of_views = views.0.iter().map(|(_, cameras)| cameras.len()).collect();
@@ -174,7 +176,7 @@ impl Viewer {
         self.lender.as_ref().map_or(0, |(lender, _)| lender.imports())
     }
 
-    /// What the last call took, a frame each.
+    /// Statistics of the last call, one per frame.
     #[getter]
     fn statistics(&self) -> Vec<Statistics> {
         lock(&self.statistics).clone()

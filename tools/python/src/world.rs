@@ -22,9 +22,9 @@ pub struct World {
 pub struct Agent {
     /// Unique in its world.
     name: String,
-    /// Which of the scene's assets it shows.
+    /// Index of its asset in the scene.
     asset: usize,
-    /// What the instance layer has where it is seen; 0 is the background.
+    /// Value in the instance layer; 0 is the background.
     instance: u16,
     /// world_from_agent, float64 [4, 4], metres.
     pose: Py<PyAny>,
@@ -82,7 +82,7 @@ impl World {
         self.lock().remove(name).map(drop).map_err(|error| of_session(&error))
     }
 
-    /// Its agents.
+    /// Agents of the world.
     #[getter]
     fn agents(&self, py: Python<'_>) -> PyResult<Vec<Agent>> {
         let agents = self.lock().agents().to_vec();

@@ -27,7 +27,8 @@ fn unmoved(pose: &common::Pose, p: DVec3) -> DVec3 {
     moved(&back, p - DVec3::new(t.x.into(), t.y.into(), t.z.into()))
 }
 
-/// Where a point of the local frame lands, pixels: OpenCV axes, the middle of the top left pixel at (0.5, 0.5).
+/// Projection of a point of the local frame, pixels: OpenCV axes, the middle of the top left pixel
+/// at (0.5, 0.5).
 fn projected(camera: &AvailableCamera, size: [u32; 2], sensor: &common::Pose, point: DVec3) -> [f64; 2] {
     let spec = camera.intrinsics.as_ref().unwrap();
     let Some(CameraParam::OpencvPinholeParam(pinhole)) = &spec.camera_param else { panic!("{spec:?}") };

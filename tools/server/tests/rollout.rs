@@ -77,7 +77,8 @@ async fn a_hundred_steps_with_two_and_with_six_cameras() {
     running.stop().await.unwrap();
 }
 
-/// What the runtime asks of the ground before each step: the ego's next pose and the others', and that nothing was lost.
+/// Ground queries of the runtime before each step: the ego's next pose and the others'. Checks that
+/// nothing was lost.
 async fn grounded(
     physics: &mut PhysicsServiceClient<tonic::transport::Channel>,
     file: &SceneFile,

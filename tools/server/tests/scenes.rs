@@ -72,9 +72,9 @@ pub fn balls(places: &[DVec3], rgb: [f32; 3]) -> SplatCloud {
 
 /// World coordinates of the origin of [`marked`].
 pub const MARKED_ORIGIN: DVec3 = DVec3::new(458_000.0, 5_428_000.0, 112.0);
-/// Where its red ball of light is, from the origin.
+/// Position of the red ball of light, from the origin.
 pub const RED: DVec3 = DVec3::new(12.0, 1.5, 2.0);
-/// Where the green ball of its agent `lamp` is, from the centre of the agent's box.
+/// Position of the green ball of the agent `lamp`, from the center of the agent's box.
 pub const GREEN: DVec3 = DVec3::new(1.2, 0.7, 0.4);
 
 /// Darkness with a red ball of light in it, far from the zero of its coordinates, and an agent `lamp` that is a green ball of light

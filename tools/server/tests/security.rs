@@ -1,4 +1,4 @@
-//! Who may come in, who watches, and how the server ends.
+//! Access control, metrics, and the server's shutdown.
 
 use std::fs;
 use std::io::{BufRead, BufReader};

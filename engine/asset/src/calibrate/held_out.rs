@@ -1,4 +1,4 @@
-//! How far seen colours are off, for light that a fit was not shown.
+//! Errors of the colors of visible surfaces, for light that a fit was not trained on.
 
 use decouplegs_scene::{ColourTransfer, LightTransfer};
 use rayon::prelude::*;
@@ -96,7 +96,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Nothing compared yet.
+    /// Creates an accumulator without comparisons.
     pub(super) fn new() -> Self {
         Self { none: ColourError::none(), relit: ColourError::none(), affine: ColourError::none() }
     }
@@ -107,7 +107,8 @@ impl Comparison {
         self.affine.merge(&other.affine);
     }
 
-    /// What `transfer` makes of `samples` in `lights`, whose moments by seen colours are in `moments`.
+    /// Compares the prediction of `transfer` with `samples` in `lights`. `moments` holds the
+    /// moments by visible colors.
     pub(super) fn of(
         transfer: &LightTransfer,
         samples: &[Sample],

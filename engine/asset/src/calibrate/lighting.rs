@@ -15,10 +15,10 @@ pub const GROUND_DISPLAY: [f64; 5] = [0.12, 0.25, 0.4, 0.55, 0.7];
 /// Coefficients of bands 0 to 2 that change their sign when y does: the basis functions y, xy and yz.
 const ODD_IN_Y: [usize; 3] = [1, 4, 5];
 
-/// What is computed once of a probe.
+/// Values that are computed once per probe.
 #[derive(Clone, Debug)]
 pub struct PreparedProbe {
-    /// Its name.
+    /// Name of the probe.
     pub name: String,
     irradiance: IrradianceMap,
     up: [f64; 3],
@@ -38,13 +38,13 @@ impl PreparedProbe {
 /// One light: a probe as it is turned, mirrored and exposed.
 #[derive(Clone, Copy, Debug)]
 pub struct Lighting<'a> {
-    /// Which probe of those given; `None` for the neutral light.
+    /// Index and probe, among those given; `None` for the neutral light.
     pub probe: Option<(usize, &'a PreparedProbe)>,
     /// By how much the world about the agent is turned, radians about z.
     pub yaw_rad: f64,
-    /// Whether left and right (y) change places before it is turned.
+    /// Mirrors left and right (y) before the turn.
     pub mirrored: bool,
-    /// What the probe's radiance is multiplied by.
+    /// Factor on the probe's radiance.
     pub exposure: f64,
     /// L: what the reference ground looks like in it.
     pub descriptor: AmbientDescriptor,

@@ -14,10 +14,10 @@ use super::lighting::Lighting;
 use super::sample::{Gram, Sample, gram_of_sphere};
 use super::surface::Colour;
 
-/// What one light adds.
+/// Contribution of one light.
 #[derive(Clone, Debug)]
 pub(super) struct LightMoments {
-    /// Which probe it comes from; `None` for the neutral light.
+    /// Index of the source probe; `None` for the neutral light.
     pub probe: Option<usize>,
     pub descriptor: [f64; AmbientDescriptor::LEN],
     /// r of each channel.

@@ -1,4 +1,4 @@
-//! What a calibration is asked for, and why it may refuse.
+//! Options and errors of a calibration.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use super::surroundings::Surroundings;
 /// Least lights that can tell the 27 weights and the constant of each row of Theta.
 pub const LIGHTS_MIN: usize = COLUMNS;
 
-/// What the fit makes small.
+/// Quantity that the fit minimizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Objective {
     /// The error of coefficients, each on its own: that of the paper. As much as the error of colours in all directions,
@@ -30,22 +30,23 @@ impl fmt::Display for Objective {
     }
 }
 
-/// How a light transfer is calibrated.
+/// Options of the calibration of a light transfer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrateOptions {
     /// Degree of the colours it is for; by default the highest among the assets.
     pub sh_degree: Option<u8>,
-    /// How strongly weights are drawn to the prior, above 0; by default what serves probes that are left out best.
+    /// Ridge strength towards the prior, above 0. Default: the strength with the least error on
+    /// probes that are left out.
     pub ridge: Option<f64>,
-    /// What is made small.
+    /// Quantity that the fit minimizes.
     pub objective: Objective,
-    /// How many ways about the vertical each probe is turned, 1 to 64.
+    /// Number of turns of each probe about the vertical, 1 to 64.
     pub rotations: usize,
     /// Splats looked at, shared evenly by the assets, at least one each.
     pub samples: usize,
     /// The ground whose colour tells of the light.
     pub ground: Surroundings,
-    /// Everything random follows from it.
+    /// Seed of all randomness.
     pub seed: u64,
 }
 
@@ -84,7 +85,7 @@ impl CalibrateOptions {
     }
 }
 
-/// Why there is no calibration.
+/// Reason why a calibration failed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CalibrateError {
     /// An option out of range.

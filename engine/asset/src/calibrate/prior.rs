@@ -1,4 +1,4 @@
-//! Where a fit is drawn to: light acts on red as on green and blue.
+//! Prior of the fit: light acts on red as on green and blue.
 //!
 //! A few probes have few hues, and 27 weights a row would learn them by heart. The prior has 9 and a constant, the same for all
 //! channels, each looking at its own channel of L: every probe tells it three times what light does, and hues mix in no way
@@ -47,7 +47,7 @@ fn direct(moments: &Moments, lights: &[&LightMoments]) -> Moments {
     Moments { coefficients: 1, gram: std::array::from_fn(corner), lights: lights.iter().map(of_light).collect() }
 }
 
-/// What one channel of a light is.
+/// Descriptor of one channel of a light.
 fn own_descriptor(light: &LightMoments, channel: usize) -> [f64; AmbientDescriptor::COEFFICIENTS] {
     std::array::from_fn(|k| light.descriptor[3 * k + channel])
 }

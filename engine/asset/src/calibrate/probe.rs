@@ -28,7 +28,7 @@ const RADIANCE_MAX: f32 = 1e9;
 /// pixel (u, v) in \[0, 1)² lies at azimuth pi (1 - 2 u) from +x towards +y and at pi v from the zenith.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Probe {
-    /// What it is called in reports.
+    /// Name in reports.
     pub name: String,
     width: usize,
     height: usize,

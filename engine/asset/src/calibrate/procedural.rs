@@ -23,14 +23,14 @@ struct Environment {
     /// Linear RGB radiance overhead and at the horizon.
     zenith: [f64; 3],
     horizon: [f64; 3],
-    /// How fast the sky's colour leaves the horizon's with height: large is fast.
+    /// Rate at which the sky's color departs from the horizon's with height; large is fast.
     falloff: f64,
     /// Linear RGB radiance from below.
     ground: [f64; 3],
     lobes: Vec<Lobe>,
 }
 
-/// As sharp as pixels of [`PROBE_WIDTH`] columns show: a standard deviation of 2.9 degrees.
+/// Sharpness that pixels of [`PROBE_WIDTH`] columns can show: a standard deviation of 2.9 degrees.
 const SUN_SHARPNESS: f64 = 400.0;
 
 /// Broad light: the glow about a low sun, a bright part of the clouds.

@@ -33,7 +33,7 @@ impl Theta {
         std::array::from_fn(|channel| (0..self.0[channel].nrows()).map(|row| value(&self.0[channel], row)).collect())
     }
 
-    /// As it is stored.
+    /// Converts to the stored form.
     pub(super) fn to_transfer(&self, sh_degree: u8, neutral: AmbientDescriptor) -> LightTransfer {
         let coefficients = self.0[0].nrows() / 2;
         let rows = |first: usize| {
@@ -85,7 +85,7 @@ fn standard_of(lights: &[&LightMoments]) -> Standard {
     Standard::of(lights.iter().map(|light| light.descriptor.as_slice()))
 }
 
-/// What each light counts for; 1 in all.
+/// Weight of each light; they sum to 1.
 pub(super) fn weights_of(lights: &[&LightMoments]) -> Vec<f64> {
     let probes = lights.iter().filter(|light| light.probe.is_some()).count();
     let neutrals = lights.len() - probes;
@@ -150,7 +150,7 @@ impl Ridge {
     }
 }
 
-/// How much of the space of descriptors `lights` span.
+/// Rank of the space of descriptors that `lights` span.
 pub(super) fn rank_of(lights: &[&LightMoments]) -> Rank {
     let standard = standard_of(lights);
     let mut design = Mat::zeros(lights.len().max(COLUMNS), COLUMNS);

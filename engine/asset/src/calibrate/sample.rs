@@ -19,7 +19,7 @@ const OPACITY_MIN: f32 = 1.0 / 255.0;
 /// Directions of view drawn for each sample, in which colours are compared.
 pub(super) const VIEWS: usize = 3;
 
-/// What a sum over directions of view weighs: `[i][j]` is the mean of Y_i Y_j.
+/// Gram matrix over viewing directions: `[i][j]` is the mean of Y_i Y_j.
 pub(super) type Gram = [[f64; COEFFICIENTS]; COEFFICIENTS];
 
 /// A splat and how it is seen.
@@ -83,7 +83,7 @@ impl Directions {
     }
 }
 
-/// What a splat adds to pictures of its asset, in square metres; 0 where it cannot be told which way it faces.
+/// Weight of a splat in images of its asset, square meters; 0 if its facing direction is unknown.
 fn weight(cloud: &SplatCloud, splat: usize, surface: &Surface, directions: &Directions) -> f64 {
     let mut scales = cloud.scales[splat].map(f64::from);
     scales.sort_by(f64::total_cmp);

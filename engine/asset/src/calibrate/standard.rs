@@ -1,6 +1,7 @@
 //! Columns of a regression brought to mean 0 and variance 1, and weights on them brought back.
 
-/// What the constant column holds where the others have a variance of 1: the ridge should hardly draw on constants.
+/// Value of the constant column. The other columns have a variance of 1, and the ridge should
+/// hardly pull on constants.
 const CONSTANT: f64 = 30.0;
 
 /// A number that varies less between rows is taken as constant.
@@ -14,7 +15,7 @@ pub(super) struct Standard {
 }
 
 impl Standard {
-    /// Of rows of equal length, of which there must be some.
+    /// Builds the standardization of rows of equal length; at least one row.
     pub(super) fn of<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone) -> Self {
         let count = rows.clone().count() as f64;
         let columns = rows.clone().next().map_or(0, <[f64]>::len);

@@ -19,7 +19,7 @@ pub(super) type Colour = [[f64; 3]; COEFFICIENTS];
 pub(super) struct Surface {
     /// Unit, outward.
     pub normal: DVec3,
-    /// As the asset has it; coefficients that it has not are 0.
+    /// Color as stored in the asset; absent coefficients are 0.
     pub colour: Colour,
 }
 
@@ -40,7 +40,8 @@ impl Surface {
         Self { normal, colour }
     }
 
-    /// Its colour where a white surface that faces the same way shows `white` (E / pi, linear RGB).
+    /// Color of this surface under a light that gives a white surface of the same orientation
+    /// `white` (E / pi, linear RGB).
     ///
     /// The display value v becomes `display(linear(v) white)`, and what depends on the direction of view is brightened or
     /// dimmed along with it. White 1 leaves the colour as it is.

@@ -1,4 +1,4 @@
-//! What a probe's light makes of the ground about an agent: the descriptor that the light has at run time.
+//! Light reflected by the ground around an agent: the descriptor that the light has at run time.
 //!
 //! At run time L(x) is the mean of the background's colours, so it tells what lit surroundings look like, not what shines on
 //! them. Here a reference ground stands in for the background: flat, grey, somewhat glossy.
@@ -49,8 +49,8 @@ impl Surroundings {
         self.descriptor([1.0; 3], &[[0.0; 3]; AmbientDescriptor::COEFFICIENTS])
     }
 
-    /// What light has to be multiplied by so that the ground's display value is `display` in luminance, where a white
-    /// surface that faces up shows `up` without. None in the dark.
+    /// Factor on the light that gives the ground the display value `display` in luminance. `up` is
+    /// the value of a white, upward surface without the factor. None in the dark.
     pub(super) fn exposure(&self, up: [f64; 3], display: f64) -> Option<f64> {
         let luminance: f64 = up.iter().zip(LUMA).map(|(value, weight)| value * weight).sum();
         let exposure = to_linear(display) / (self.albedo * luminance);

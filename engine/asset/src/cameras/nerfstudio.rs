@@ -34,7 +34,7 @@ struct Frame {
     own: Lens,
 }
 
-/// What may stand at the top and in each frame.
+/// Lens fields at the top of the file and in each frame.
 #[derive(Clone, Default, Deserialize)]
 struct Lens {
     w: Option<f64>,
@@ -80,7 +80,7 @@ impl Lens {
         }
     }
 
-    /// What departs from a pinhole. `Err` names a camera model that is none of those that are drawn.
+    /// Distortion of the lens. `Err` names a camera model that is none of those that are drawn.
     ///
     /// nerfstudio distorts by k1 to k4 as one polynomial of r2 and undistorts its cameras so; OpenCV's k4 is another number, the
     /// first of a denominator, which files of `FULL_OPENCV` mean.

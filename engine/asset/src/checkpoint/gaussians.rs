@@ -7,7 +7,7 @@ use super::{Checkpoint, Tensor};
 use crate::DecodeError;
 use crate::activation::{normalised, scale_of_log, sigmoid};
 
-/// What a trainer calls the tensors of a model.
+/// Names of a model's tensors in the files of one trainer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Names {
     /// `[N, 3]`, metres.

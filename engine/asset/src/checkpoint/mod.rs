@@ -28,7 +28,7 @@ pub(crate) use gaussians::{Names, cloud_of, plain_dc};
 pub(crate) use tensor::Tensor;
 pub(crate) use value::{Node, Tree};
 
-/// What users call it.
+/// Name of the format for users.
 pub(crate) const NAME: &str = "PyTorch checkpoint";
 /// The entry that has everything but the tensors' numbers.
 const PICKLE: &str = "data.pkl";
@@ -45,7 +45,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     gsplat::cloud(&checkpoint)
 }
 
-/// Whether a zip is a checkpoint.
+/// True if a zip is a checkpoint.
 pub(crate) fn is_checkpoint(archive: &Archive<'_>) -> bool {
     root_of(archive).is_some()
 }
@@ -61,7 +61,7 @@ pub(crate) struct Checkpoint<'a> {
     root: String,
     /// Size of the file, bytes.
     pub(crate) file_bytes: usize,
-    /// What the pickle built.
+    /// Result of the pickle.
     pub(crate) tree: Tree,
 }
 

@@ -18,7 +18,7 @@ impl<'a> Unpickler<'a> {
         Self { rest: pickle, machine: Machine::new() }
     }
 
-    /// What the pickle builds.
+    /// Runs the pickle and returns the tree that it builds.
     pub(super) fn run(mut self) -> Result<Tree, DecodeError> {
         let whole = self.rest.len();
         loop {

@@ -8,7 +8,7 @@ use crate::DecodeError;
 
 /// Modules whose classes stand in checkpoints of trainers. They are names here and nothing more.
 const MODULES: [&str; 8] = ["torch", "collections", "numpy", "_codecs", "omegaconf", "argparse", "pathlib", "easydict"];
-/// What of Python itself stands in checkpoints: types, none of which does anything but hold.
+/// Python types that occur in checkpoints. All of them only hold data.
 const TYPES: [&str; 12] =
     ["set", "frozenset", "dict", "list", "tuple", "int", "float", "bool", "str", "bytes", "complex", "slice"];
 
@@ -27,7 +27,7 @@ impl Machine {
         Self::default()
     }
 
-    /// What was built: the one thing on the stack.
+    /// Result: the only object on the stack.
     pub(super) fn finish(mut self) -> Result<Tree, DecodeError> {
         let root = self.pop()?;
         Ok(Tree::new(self.nodes, root))
@@ -56,7 +56,7 @@ impl Machine {
         self.marks.push(self.stack.len());
     }
 
-    /// Everything behind the last mark, which is gone then.
+    /// Pops everything above the last mark, and the mark.
     pub(super) fn pop_to_mark(&mut self) -> Result<Vec<Id>, DecodeError> {
         let mark = self.marks.pop().ok_or_else(|| malformed("an instruction wants a mark that nobody set"))?;
         Ok(self.stack.split_off(mark.min(self.stack.len())))
@@ -136,7 +136,8 @@ impl Machine {
         }
     }
 
-    /// What a call of the function below with the arguments on top would have made, of calls that are known.
+    /// Replaces the function and the arguments on top of the stack by the result of the call, for
+    /// known functions.
     pub(super) fn reduce(&mut self) -> Result<(), DecodeError> {
         let arguments = self.pop()?;
         let function = self.pop()?;
@@ -173,7 +174,8 @@ impl Machine {
         Ok(())
     }
 
-    /// What stands outside of the pickle: the numbers of tensors, by ('storage', class, key, device, count).
+    /// Resolves data outside of the pickle: the storage of a tensor, named by ('storage', class,
+    /// key, device, count).
     pub(super) fn persistent(&mut self) -> Result<(), DecodeError> {
         let id = self.pop()?;
         let Node::List(items) = self.node(id) else { return Err(malformed("a storage is named by no tuple")) };

@@ -162,7 +162,7 @@ impl<'a> Tensor<'a> {
         self.f64s().map(|value| value as f32)
     }
 
-    /// Whether the numbers stand one behind the other.
+    /// True if the numbers stand one behind the other.
     fn is_packed(&self) -> bool {
         let mut expected = 1;
         self.shape.iter().zip(&self.strides).rev().all(|(&size, &stride)| {
@@ -172,7 +172,7 @@ impl<'a> Tensor<'a> {
         })
     }
 
-    /// Where the number `index`, counted in order, stands in the storage.
+    /// Offset of the number `index`, counted in order, in the storage.
     fn place(&self, index: usize) -> usize {
         let mut rest = index;
         self.shape.iter().zip(&self.strides).rev().fold(0, |place, (&size, &stride)| {

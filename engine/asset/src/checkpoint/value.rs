@@ -1,4 +1,5 @@
-//! What a pickle builds: nodes that name each other by their places, as one may stand in several containers or in itself.
+//! Tree that a pickle builds: nodes refer to each other by index, because a node may be in several
+//! containers or in itself.
 
 use super::tensor::{Form, Scalar};
 
@@ -37,12 +38,12 @@ pub(crate) enum Node {
 pub(crate) struct Storage {
     /// Names the entry.
     pub(crate) key: String,
-    /// Of what type they are.
+    /// Scalar type of the elements.
     pub(crate) scalar: Scalar,
 }
 
 impl Node {
-    /// What it is, for messages.
+    /// Kind of the node, for messages.
     pub(crate) fn kind(&self) -> &'static str {
         match self {
             Self::None => "None",
@@ -77,7 +78,7 @@ impl Tree {
         self.nodes.get(id as usize).unwrap_or(&Node::None)
     }
 
-    /// What was pickled.
+    /// Root node.
     pub(crate) fn root(&self) -> &Node {
         self.node(self.root)
     }

@@ -23,12 +23,12 @@ use tensors::Arrays;
 
 pub use summary::CodedSummary;
 
-/// What the metadata's `format` says.
+/// Value of `format` in the metadata.
 pub const FORMAT: &str = "decouplegs-asset";
 /// The version that is written, and the only one there is.
 pub const VERSION: &str = "1";
 
-/// What users call the format.
+/// Name of the format for users.
 pub(crate) const NAME: &str = "coded asset";
 
 /// Coordinates and standard deviations beyond this many metres are refused, so that decoding stays within f32.
@@ -41,11 +41,11 @@ const DC_RESIDUAL_STEP_MAX: f32 = 1e4;
 pub struct CodedAsset {
     /// The splats. Passes [`CodedCloud::check`] if it was read from a file.
     pub cloud: CodedCloud,
-    /// Where they come from.
+    /// Origin of the splats.
     pub provenance: Provenance,
 }
 
-/// Where an asset comes from and how it was made.
+/// Origin of an asset and settings of its compression.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Provenance {
     /// Version of the program that wrote it.
@@ -54,7 +54,7 @@ pub struct Provenance {
     pub source: String,
     /// SHA-256 of that file's bytes, 64 hexadecimal digits; empty where there was no file.
     pub source_sha256: String,
-    /// What it was made with (kept ratio, seed, ...), open to any key.
+    /// Settings of the compression (kept ratio, seed, ...), open to any key.
     pub settings: BTreeMap<String, String>,
 }
 
@@ -76,7 +76,7 @@ pub fn round_to_stored(cloud: &mut CodedCloud) {
     cloud.colours.as_flattened_mut().iter_mut().for_each(|colour| *colour = tensors::stored(*colour));
 }
 
-/// Whether `path` is a coded asset's, by its extension.
+/// True if `path` is a coded asset's, by its extension.
 #[must_use]
 pub fn has_extension(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("safetensors"))
@@ -142,8 +142,8 @@ pub fn write_coded(path: &Path, asset: &CodedAsset) -> Result<(), AssetError> {
     write_atomically(path, |file| file.write_all(&bytes))
 }
 
-/// What keeps `cloud` from being decoded to splats that can be drawn: beside what [`CodedCloud::check`] finds, finite
-/// numbers whose sums and products are not.
+/// Checks that `cloud` decodes to splats that can be rendered. Beside the faults that
+/// [`CodedCloud::check`] finds: finite numbers whose sums and products are not finite.
 fn check(cloud: &CodedCloud) -> Result<(), String> {
     cloud.check()?;
     let (min, max) = (cloud.bounds.min, cloud.bounds.max);

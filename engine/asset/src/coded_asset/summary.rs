@@ -1,4 +1,4 @@
-//! What is in a coded asset, for `inspect`.
+//! Contents of a compressed asset, for `inspect`.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::CodedAsset;
 use crate::SplatSummary;
 
-/// What a coded asset holds.
+/// Contents of a compressed asset.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CodedSummary {
     /// Splats of each level of detail, the finest first.
@@ -19,7 +19,7 @@ pub struct CodedSummary {
     pub colours: u64,
     /// Length, width and height of what it shows, metres.
     pub dims_m: [f32; 3],
-    /// How its colours are meant: `canonical` or `world`.
+    /// Frame of the colors: `canonical` or `world`.
     pub sh_frame: &'static str,
     /// Metres from one place of the position grid to the next.
     pub position_step_m: [f32; 3],
@@ -33,7 +33,7 @@ pub struct CodedSummary {
     pub source: String,
     /// SHA-256 of that file's bytes.
     pub source_sha256: String,
-    /// What it was made with.
+    /// Settings of the compression.
     pub settings: BTreeMap<String, String>,
     /// The finest level, as it is drawn.
     #[serde(flatten)]

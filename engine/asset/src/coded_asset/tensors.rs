@@ -10,7 +10,7 @@ use crate::{DecodeError, EncodeError};
 /// The tensors of version 1, in the order in which they lie in the file: wider types first, so that all are aligned.
 pub(super) const NAMES: [&str; 7] = ["shapes", "codes", "levels", "colours", "positions", "opacities", "sizes"];
 
-/// What the tensors hold.
+/// Contents of the tensors.
 pub(super) struct Arrays {
     pub(super) splats: Vec<CodedSplat>,
     pub(super) levels: Vec<usize>,
@@ -19,7 +19,8 @@ pub(super) struct Arrays {
     pub(super) colours: Vec<[f32; 3]>,
 }
 
-/// What a colour coefficient is after it was written and read: the nearest half float, ties to even; infinite beyond 65519.
+/// Value of a color coefficient after a write and a read: the nearest half float, ties to even;
+/// infinite beyond 65519.
 pub(super) fn stored(coefficient: f32) -> f32 {
     f16::from_f32(coefficient).to_f32()
 }

@@ -35,7 +35,7 @@ pub(super) fn entries(values: &[f32], sh_degree: u8, dc_weight: f32) -> Vec<[f32
     entries
 }
 
-/// What the DC of `entry` lacks to be `dc`: luma, orange, green.
+/// Difference from the DC of `entry` to `dc`: luma, orange, green.
 pub(super) fn residual(dc: &[f32; 3], entry: &[f32; 3]) -> [f32; 3] {
     ycocg_from_rgb(std::array::from_fn(|channel| dc[channel].clamp(-COEFFICIENT_MAX, COEFFICIENT_MAX) - entry[channel]))
 }

@@ -1,4 +1,4 @@
-//! How much each splat matters: `s = 0.5 V + 0.3 D + 0.2 H`.
+//! Importance of each splat: `s = 0.5 V + 0.3 D + 0.2 H`.
 //!
 //! V is what the splat adds to pictures, D how its colour stands out from its neighbourhood, H how varied that neighbourhood is.
 //! Each is brought to 0 to 1 over the asset: V by its rank (the share of splats with a smaller value, ties by the middle of their

@@ -35,7 +35,7 @@ pub const LEVEL_SPLATS_MIN: usize = 32;
 /// Most that a merged splat is widened.
 const WIDENING_MAX: f64 = 2.0;
 
-/// What opacity times area counts beside visibility: it decides among splats that no view showed.
+/// Weight of opacity times area beside visibility. It orders splats that no view shows.
 const UNSEEN_SHARE: f64 = 1e-6;
 
 /// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest side.
@@ -57,7 +57,7 @@ pub fn coarser_levels(cloud: &SplatCloud, visibility: &[f32]) -> Vec<SplatCloud>
     levels
 }
 
-/// How much each splat counts in what replaces it, above 0: its visibility.
+/// Weight of each splat in its merged replacement, above 0: its visibility.
 #[must_use]
 pub fn weights(cloud: &SplatCloud, visibility: &[f32]) -> Vec<f64> {
     let covered: Vec<f64> = (0..cloud.len()).map(|splat| covered_m2(cloud, splat)).collect();

@@ -34,7 +34,7 @@ use encode::{Books, SHAPE_DIMENSION, SizeScale, shape_vectors};
 /// Iterations over all splats that finish a codebook: beyond, a picture gains less than 0.05 dB.
 const FINAL_ITERATIONS: usize = 8;
 
-/// How far a compression is.
+/// Progress report of a compression.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
     /// Splats are weighed and pruned, then merged into levels.
@@ -47,12 +47,12 @@ pub enum Progress {
     Coding,
 }
 
-/// What a compression makes.
+/// Result of a compression.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compressed {
     /// The asset.
     pub cloud: CodedCloud,
-    /// What was done.
+    /// Statistics of the compression.
     pub report: CompressionReport,
     /// Index in the input of each splat of the finest level, in the asset's order. Pruned splats are absent.
     pub kept: Vec<u32>,
@@ -103,7 +103,7 @@ pub fn compress(
 /// All levels, each in spatial order, which the renderer's culling by runs of splats needs.
 struct Levels {
     clouds: Vec<SplatCloud>,
-    /// Of the splats of the finest level.
+    /// Visibility of the splats of the finest level.
     visibility: Vec<f32>,
     /// Index in the input of each splat of the finest level.
     order: Vec<u32>,
@@ -120,7 +120,8 @@ impl Levels {
     }
 }
 
-/// How much splats count in the codebooks: the root of their visibility, and a little for those that no view showed.
+/// Weights of splats in codebook training: the root of their visibility, and a small share for
+/// splats that no view showed.
 fn book_weights(visibility: &[f32]) -> Vec<f32> {
     let mean = visibility.iter().map(|&value| f64::from(value)).sum::<f64>() / visibility.len() as f64;
     if mean <= 0.0 {

@@ -1,4 +1,4 @@
-//! What a compression is asked for, and why it may refuse.
+//! Options and errors of a compression.
 
 use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
 use decouplegs_scene::{ShFrame, SplatCloud};
@@ -8,24 +8,25 @@ use super::prune::{Prune, THRESHOLD};
 use super::shape_space::ShapeSpace;
 use super::vector_quantise::QuantiseOptions;
 
-/// How an asset is compressed.
+/// Options of the compression of an asset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CompressOptions {
-    /// Which splats are kept.
+    /// Pruning rule.
     pub prune: Prune,
     /// Entries of the colour codebook, 1 to [`COLOURS_MAX`].
     pub colours: usize,
     /// Entries of the shape codebook, 1 to [`SHAPES_MAX`].
     pub shapes: usize,
-    /// Everything random follows from it.
+    /// Seed of all randomness.
     pub seed: u64,
-    /// How the asset's colours are meant.
+    /// Frame of the asset's colors.
     pub sh_frame: ShFrame,
-    /// Where distances between shapes are taken.
+    /// Space in which distances between shapes are measured.
     pub shape_space: ShapeSpace,
-    /// What a DC coefficient counts against the others in the distance between colours, above 0. Less than 1, because splats
-    /// keep what their DC terms are off by. A tenth gave the best pictures of a car and of a captured object; from a fiftieth to a
-    /// quarter they differ by half a decibel.
+    /// Weight of a DC coefficient against the others in the distance between colors, above 0. Less
+    /// than 1, because splats keep what their DC terms are off by. A tenth gave the best pictures
+    /// of a car and of a captured object; from a fiftieth to a quarter they differ by half a
+    /// decibel.
     pub colour_dc_weight: f32,
     /// Most mini-batches for each codebook.
     pub iterations_max: usize,
@@ -67,7 +68,7 @@ impl CompressOptions {
         Err(CompressError::Option(fault))
     }
 
-    /// How the codebook called `stream` is made: books share no random numbers.
+    /// Training options of the codebook `stream`. Books share no random numbers.
     pub(super) fn book(&self, entries: usize, stream: u64) -> QuantiseOptions {
         QuantiseOptions {
             entries,
@@ -78,7 +79,7 @@ impl CompressOptions {
     }
 }
 
-/// Why a cloud cannot be compressed.
+/// Reason why a cloud cannot be compressed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CompressError {
     /// An option out of its range.
@@ -95,12 +96,12 @@ pub enum CompressError {
     /// A visibility that is none.
     #[error("the visibility of splat {splat} is {value}; expected a finite number, at least 0")]
     Visibility {
-        /// Which splat.
+        /// Index of the splat.
         splat: usize,
-        /// Its visibility as text, for NaN is not equal to itself.
+        /// Its visibility as text, because NaN is not equal to itself.
         value: String,
     },
-    /// Nothing is left to compress.
+    /// No splats remain after pruning.
     #[error(
         "none of {splats} splats is left: {transparent} have an opacity below 1/255, {defects} cannot be drawn, {unseen} are seen in \
          no view; keep more of them (a lower threshold or a larger ratio), or look at the asset with `inspect`"
@@ -108,14 +109,14 @@ pub enum CompressError {
     NothingLeft {
         /// Splats that came in.
         splats: usize,
-        /// Of which have a defect.
+        /// Number of splats with a defect.
         defects: usize,
-        /// Of which are too faint.
+        /// Number of splats with an opacity below 1/255.
         transparent: usize,
-        /// Of which have a visibility of zero.
+        /// Number of splats with a visibility of zero.
         unseen: usize,
     },
-    /// What comes out cannot be stored.
+    /// The result cannot be stored.
     #[error("the splats cannot be coded: {0}")]
     Unrepresentable(String),
 }

@@ -1,4 +1,4 @@
-//! Which splats an asset keeps.
+//! Pruning: the choice of the splats that an asset keeps.
 
 use decouplegs_scene::SplatCloud;
 use decouplegs_scene::rules::ALPHA_MIN;
@@ -6,7 +6,7 @@ use decouplegs_scene::rules::ALPHA_MIN;
 /// By what splats are kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Prune {
-    /// Those whose importance is at least this.
+    /// Keeps splats with at least this importance.
     Threshold(f32),
     /// This share of all splats, above 0 to 1, the most important ones; of equal ones the earlier.
     KeepRatio(f32),
@@ -15,7 +15,7 @@ pub enum Prune {
 /// The paper's threshold.
 pub const THRESHOLD: f32 = 0.005;
 
-/// What was kept and why the rest was not.
+/// Kept splats, and counts of the reasons for removal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Kept {
     /// Splats kept, in rising order.

@@ -1,11 +1,11 @@
-//! What a compression did.
+//! Statistics of a compression.
 
 use decouplegs_scene::{CodedCloud, CodedSplat};
 use serde::Serialize;
 
 use super::shape_space::ShapeSpace;
 
-/// What became of the splats, how well the codebooks stand for them, and what it all takes.
+/// Counts of splats, codebook errors and sizes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompressionReport {
     /// Splats that came in.
@@ -20,22 +20,22 @@ pub struct CompressionReport {
     pub least_importance: f32,
     /// The space of the shape codebook.
     pub shape_space: ShapeSpace,
-    /// How the shape codebook was made.
+    /// Training of the shape codebook.
     pub shapes: BookReport,
-    /// How the colour codebook was made.
+    /// Training of the color codebook.
     pub colours: BookReport,
     /// Bytes of the parts, without the container's header.
     pub bytes: PartBytes,
 }
 
-/// How one codebook was made.
+/// Training of one codebook.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BookReport {
     /// Entries.
     pub entries: usize,
     /// Weighted mean squared distance by iteration.
     pub distortion: Vec<f64>,
-    /// How many of these are of mini-batches; the others are over all splats.
+    /// Number of entries from mini-batches; the others are over all splats.
     pub batches: usize,
     /// Entries that began again because nothing used them.
     pub reseeded: usize,
@@ -70,13 +70,13 @@ impl PartBytes {
 }
 
 impl CompressionReport {
-    /// Everything that is stored, for each splat of the finest level.
+    /// Stored bytes per splat of the finest level.
     #[must_use]
     pub fn bytes_per_kept_splat(&self) -> f64 {
         self.bytes.total() as f64 / self.kept as f64
     }
 
-    /// Everything that is stored, for each splat that came in.
+    /// Stored bytes per input splat.
     #[must_use]
     pub fn bytes_per_splat(&self) -> f64 {
         self.bytes.total() as f64 / self.splats as f64

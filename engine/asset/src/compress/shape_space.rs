@@ -1,4 +1,4 @@
-//! Where distances between shapes mean something: the space that the shape codebook is made in.
+//! Space in which the shape codebook is trained, so that distances between shapes have a meaning.
 //!
 //! Measured with 512 shapes and 1024 colours on a synthetic car of 50,000 splats, from 10 m with a focal length of 1266 px, and on a
 //! captured object of 13,536 from as many of its lengths: PSNR in dB against the original.
@@ -23,7 +23,7 @@ const LOG_ASPECT_MIN: f64 = 1.0 / 256.0;
 /// Sizes are held to 2^-60 to 2^60 m, so that no product of them leaves f32: a splat of zero size is drawn as one of the smallest.
 pub(super) const LOG2_SIZE_MAX: f32 = 60.0;
 
-/// What a covariance is turned into before shapes are gathered around codebook entries. All distances are Frobenius distances.
+/// Transform of a covariance before clustering. All distances are Frobenius distances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ShapeSpace {
@@ -43,7 +43,7 @@ impl ShapeSpace {
     /// All of them, for comparisons.
     pub const ALL: [Self; 4] = [Self::Covariance, Self::LogCovariance, Self::UnitLogCovariance, Self::UnitRootCovariance];
 
-    /// Whether each splat keeps a size of its own.
+    /// True if each splat keeps a size of its own.
     #[must_use]
     pub fn keeps_size(self) -> bool {
         matches!(self, Self::UnitLogCovariance | Self::UnitRootCovariance)

@@ -10,7 +10,8 @@ pub(super) struct OwnAxes {
 }
 
 impl OwnAxes {
-    /// Of a matrix, by Jacobi's rotations: exact to the last digits of the largest value, for any input that is finite.
+    /// Computes the eigenvalues and eigenvectors of a matrix by Jacobi rotations: exact to the last
+    /// digits of the largest value, for any finite input.
     pub(super) fn of(matrix: &DMat3) -> Self {
         let (mut m, mut axes) = (*matrix, DMat3::IDENTITY);
         for _sweep in 0..30 {

@@ -17,7 +17,7 @@ use crate::{AssetError, DecodeError, EncodeError};
 
 pub use write::EpisodeLog;
 
-/// What the first line calls the format.
+/// Name of the format in the first line.
 pub const FORMAT: &str = "decouplegs-episode";
 
 /// The version that is written, and the only one there is.

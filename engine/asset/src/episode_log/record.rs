@@ -14,7 +14,7 @@ type StateForm = [f64; 5];
 /// Time, ego, its steering, whether it is on the road, agents.
 type InstantForm = (f64, StateForm, f64, bool, Vec<StateForm>);
 
-/// What of the first line is the same in all versions.
+/// Fields of the first line that are the same in all versions.
 #[derive(Deserialize)]
 pub(super) struct FormatForm {
     pub(super) format: String,

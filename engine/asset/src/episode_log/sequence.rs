@@ -1,9 +1,11 @@
-//! What may follow what: steps count up, time rises, every moment has all agents, numbers are finite.
+//! Order of records: steps count up, time increases, every moment has all agents, numbers are
+//! finite.
 
 use decouplegs_scene::episode::Instant;
 use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, VehicleState};
 
-/// Where a log stands. Writer and reader ask the same one, so that what is written can be read.
+/// Position in the sequence of records of a log. Writer and reader ask the same one, so that what
+/// is written can be read.
 #[derive(Clone, Debug)]
 pub(super) struct Sequence {
     agents: usize,

@@ -61,7 +61,7 @@ pub struct EpisodeLog {
     part: PathBuf,
     file: File,
     encoder: Encoder,
-    /// Whether a record is missing or broken: nothing can follow it.
+    /// True after a missing or broken record: nothing can follow it.
     broken: bool,
 }
 

@@ -94,7 +94,7 @@ pub(super) fn rows<const N: usize>(
     Ok((0..accessor.count as usize).map(row).collect())
 }
 
-/// Where the last row of an accessor ends in its view.
+/// Byte at which the last row of an accessor ends in its view.
 fn extent_of(accessor: &Accessor, stride: u64, width: usize) -> Option<u64> {
     if accessor.count == 0 {
         return Some(0);

@@ -166,7 +166,7 @@ impl Document {
         (0..self.nodes.len()).filter(|&node| !is_child[node]).collect()
     }
 
-    /// What of the splats means something else than what is drawn.
+    /// Properties of the splats whose meaning differs from the rendered one.
     pub(super) fn notes(&self) -> Vec<String> {
         let splats = || self.meshes.iter().flat_map(|mesh| &mesh.primitives).filter_map(Primitive::splats);
         let mut notes = Vec::new();

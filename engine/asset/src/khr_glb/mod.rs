@@ -29,7 +29,7 @@ use document::Document;
 
 pub use write::{encode, write};
 
-/// What users call it.
+/// Name of the format for users.
 pub(crate) const NAME: &str = "KHR_gaussian_splatting glTF";
 /// The extension, and what its attributes' names begin with.
 const EXTENSION: &str = "KHR_gaussian_splatting";
@@ -52,7 +52,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     splats::gather(&document, binary, decoded_bytes_max(bytes.len()))
 }
 
-/// What of the file means something else than what is drawn, a sentence each.
+/// Reads the properties whose meaning differs from the rendered one, one sentence each.
 ///
 /// # Errors
 /// As [`decode`].

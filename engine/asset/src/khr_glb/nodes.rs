@@ -1,4 +1,4 @@
-//! Where the nodes of a scene put their meshes.
+//! Placement of meshes by the nodes of a scene.
 
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 

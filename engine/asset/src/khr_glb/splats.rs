@@ -16,7 +16,7 @@ struct Stored {
     cloud: SplatCloud,
     /// Part of the file's limit that it takes, bytes.
     charged_bytes: u64,
-    /// Whether scales may turn out to be logarithms: those of an SPZ are known.
+    /// True if scales may turn out to be logarithms: those of an SPZ are known.
     undecided: bool,
 }
 

@@ -88,7 +88,7 @@ fn has_no_height(line: &[DVec3]) -> bool {
     line.iter().all(|point| point.z == 0.0)
 }
 
-/// Whether two lanes lead in the same direction, from end to end.
+/// True if two lanes lead in the same direction, from end to end.
 fn run_alike(a: &Lane, b: &Lane) -> bool {
     let way = |lane: &Lane| Some((*lane.centreline.last()? - *lane.centreline.first()?).truncate());
     way(a).zip(way(b)).is_some_and(|(a, b)| a.dot(b) > 0.0)

@@ -1,11 +1,12 @@
-//! How much a map may grow beyond its file: roads are sampled, and borders are shared.
+//! Limit on the size of a map in memory relative to its file: roads are sampled, and borders are
+//! shared.
 
 use crate::DecodeError;
 
 /// Points of all lines of a map: about 500 km of road with four lanes.
 const POINTS_MAX: usize = 4_000_000;
 
-/// How many points a map may still have.
+/// Number of points that a map may still have.
 pub(super) struct Budget {
     points: usize,
 }

@@ -39,7 +39,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     super::finished(lanes, DVec3::ZERO)
 }
 
-/// Where a node is, as far as the file says.
+/// Position of a node as given in the file.
 #[derive(Clone, Copy)]
 struct Node {
     degrees: Option<DVec2>,
@@ -54,7 +54,7 @@ struct File<'a> {
     lanelets: Vec<Lanelet<'a>>,
 }
 
-/// How nodes become points.
+/// Rule by which nodes become points.
 #[derive(Clone, Copy)]
 enum Plane {
     Local,
@@ -80,7 +80,7 @@ struct Side<'a> {
     has_height: bool,
 }
 
-/// What a tag of an element says.
+/// Value of a tag of an element.
 fn tag<'a>(element: Element<'a>, key: &str) -> Option<&'a str> {
     element.all("tag").find(|tag| tag.attribute("k") == Some(key)).and_then(|tag| tag.attribute("v"))
 }
@@ -195,7 +195,7 @@ impl<'a> Lanelet<'a> {
         Ok(Self { element, id, left: needed("left")?, right: needed("right")?, centreline: way("centerline")? })
     }
 
-    /// Its borders, turned so that each has the other on its proper side.
+    /// Borders of the lane, turned so that each has the other on its proper side.
     fn sides(&self, file: &File<'a>, plane: Plane, budget: &mut Budget) -> Result<[Side<'a>; 2], DecodeError> {
         let mut side = |way: &'a str| -> Result<Side<'a>, DecodeError> {
             let (points, has_height) = file.points(self, way, plane, budget)?;

@@ -7,7 +7,7 @@ use decouplegs_scene::Lane;
 use crate::DecodeError;
 use crate::xml::excerpt;
 
-/// Where each lane stands in its list, by id.
+/// Index of each lane by its id.
 pub(super) struct Places(HashMap<String, usize>);
 
 impl Places {

@@ -45,7 +45,7 @@ pub enum MapFormat {
 }
 
 impl MapFormat {
-    /// What users call it.
+    /// Name of the format for users.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -83,7 +83,7 @@ impl MapFormat {
 /// A root element starts within so many bytes of its file.
 const ROOT_WITHIN_BYTES: usize = 1 << 16;
 
-/// Whether `text` is a JSON object with `key`; what is no JSON is its reader's to explain.
+/// True if `text` is a JSON object with `key`. The reader of the format explains invalid JSON.
 fn has_key(text: &[u8], key: &str) -> bool {
     type Object = std::collections::HashMap<String, serde::de::IgnoredAny>;
     serde_json::from_slice::<Object>(text).is_ok_and(|object| object.contains_key(key))

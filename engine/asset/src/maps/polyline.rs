@@ -34,7 +34,7 @@ pub fn length_m(points: &[DVec3]) -> f64 {
     points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
 }
 
-/// Where each point stands on its line, as a share of the whole length.
+/// Position of each point on its line, as a share of the whole length.
 fn shares(points: &[DVec3]) -> Vec<f64> {
     let lengths_m = lengths_m(points);
     let whole_m = lengths_m.last().copied().unwrap_or(0.0);
@@ -90,7 +90,7 @@ pub(super) fn halfway(points: &[DVec3]) -> DVec3 {
     Walk::default().at(points, &shares(points), 0.5)
 }
 
-/// Whether `point` is to the left of a line, seen from above.
+/// True if `point` is to the left of a line, seen from above.
 ///
 /// Told by the nearest segment; where the nearest is the point between two of them, by both.
 pub(super) fn is_left_of(line: &[DVec3], point: DVec3) -> bool {

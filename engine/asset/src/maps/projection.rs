@@ -26,7 +26,8 @@ const FROM_MERIDIAN_MAX_DEG: f64 = 15.0;
 pub struct UtmZone {
     /// 1 to 60 from 180 degrees west.
     pub number: u8,
-    /// Whether northings count from the equator, as they do on the northern hemisphere; else from 10,000 km south of it.
+    /// True if northings count from the equator, as they do on the northern hemisphere; else from
+    /// 10,000 km south of it.
     pub is_north: bool,
 }
 

@@ -9,7 +9,7 @@ use super::rig::moments;
 use super::{PackOptions, SEQUENCE};
 use crate::{AssetError, SceneAgent, SceneFile, coded_asset, read_coded, read_splats};
 
-/// What every agent is said to be: scene files do not tell.
+/// Class of every agent: scene files have none.
 const CLASS: &str = "automobile";
 /// An agent that moves by less than this, metres, stands.
 const STANDS_M: f64 = 0.05;

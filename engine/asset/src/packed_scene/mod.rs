@@ -39,21 +39,22 @@ const OURS: &str = "decouplegs/";
 const SCENE: &str = "decouplegs/scene.toml";
 /// Poses a second of what is sampled.
 const SAMPLES_HZ: f64 = 10.0;
-/// How long a scene is in which nothing has times, seconds.
+/// Duration of a scene without times, seconds.
 const STANDING_S: f64 = 20.0;
 /// Longest scene, seconds: a day.
 const DURATION_MAX_S: f64 = 86_400.0;
 /// The name of the only sequence of tracks: CARLA's script asks for no other.
 const SEQUENCE: &str = "dummy_chunk_id";
 
-/// What a scene file does not say.
+/// Data of a packed scene that a scene file does not have.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackOptions {
     /// By which clients ask for the scene.
     pub scene_id: String,
     /// The ego vehicle.
     pub vehicle: VehicleSize,
-    /// Where the rig of others has its origin, in the vehicle frame (from the middle of its box), metres.
+    /// Origin of the other simulator's rig in the vehicle frame (from the middle of the box),
+    /// meters.
     pub rig_origin_m: DVec3,
     /// An OpenDRIVE map, as it is.
     pub map: Option<Vec<u8>>,

@@ -113,7 +113,7 @@ pub(super) fn geographic_origin(map: &[u8]) -> Option<(f64, f64)> {
     Some((value("+lat_0=")?, value("+lon_0=")?)).filter(|(latitude_deg, _)| latitude_deg.abs() <= 90.0)
 }
 
-/// Where east, north and up of a place on WGS 84 are in Earth-centred coordinates, metres.
+/// Directions of east, north and up at a position on WGS 84, in Earth-centered coordinates, meters.
 fn earth_from_east_north_up(latitude_deg: f64, longitude_deg: f64) -> Pose {
     const EQUATOR_M: f64 = 6_378_137.0;
     const FLATTENING: f64 = 1.0 / 298.257_223_563;

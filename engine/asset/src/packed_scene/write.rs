@@ -17,14 +17,15 @@ use crate::{AssetError, SceneFile, write_atomically};
 const STAGE: &str =
     "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n\ndef Xform \"World\"\n{\n}\n";
 
-/// What was packed.
+/// Summary of a packed scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackSummary {
     /// Names of the entries, in order.
     pub entries: Vec<String>,
     /// First and last moment, seconds.
     pub span_s: (f64, f64),
-    /// Whether the map says where on Earth it is; without that AlpaSim cannot lay it under the scene.
+    /// True if the map says where on Earth it is; without that AlpaSim cannot lay it under the
+    /// scene.
     pub is_georeferenced: bool,
 }
 
@@ -98,7 +99,7 @@ fn renamed(scene: &SceneFile) -> (SceneFile, Vec<(PathBuf, String)>) {
     (own, files)
 }
 
-/// Whether a character of a file name may stand in an entry's.
+/// True if a character of a file name may stand in an entry's.
 fn fits(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-')
 }

@@ -38,7 +38,7 @@ impl Scalar {
     }
 }
 
-/// Where one property lies in a row.
+/// Position of one property in a row.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Column {
     /// Bytes from the start of the row.

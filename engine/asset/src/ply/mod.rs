@@ -41,7 +41,7 @@ impl<'a> Ply<'a> {
         Ok(Self { elements, body: &bytes[body_at..] })
     }
 
-    /// Whether there is an element called `name`.
+    /// True if there is an element called `name`.
     pub(crate) fn has_element(&self, name: &str) -> bool {
         self.elements.iter().any(|element| element.name == name)
     }

@@ -19,7 +19,7 @@ pub(super) struct Disc {
     pub(super) look: Look,
 }
 
-/// How light makes a disc visible.
+/// Shading of a disc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Look {
     /// By what falls on it; the strength of what it mirrors, 0 to 1, counts where it faces up.

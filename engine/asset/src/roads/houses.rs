@@ -22,7 +22,7 @@ const CLEAR_M: f32 = 4.0;
 /// Width of a patch of wall over the spacing on roads.
 const PATCH_OVER_SPACING: f32 = 2.6;
 
-/// Of the walls aside and of those that no road sees, over that of the front.
+/// Spacing on side walls and on walls that no road sees, relative to the front.
 const ASIDE: f32 = 1.4;
 const UNSEEN: f32 = 4.0;
 
@@ -116,7 +116,7 @@ fn drawn(random: &mut Stream, (border, ahead, side): (Vec3, Vec2, f32), relief: 
     }
 }
 
-/// Whether no lane is near any part of it.
+/// True if no lane is near any part of it.
 fn is_free(index: &StripIndex, house: &House) -> bool {
     let steps = [-1.0, -0.5, 0.0, 0.5, 1.0];
     let at = |u: f32, v: f32| {

@@ -4,12 +4,12 @@ use glam::{DVec3, Vec3};
 
 use crate::calibrate::{IrradianceMap, PROBE_WIDTH, Probe, Surroundings, overcast_probe, to_display};
 
-/// What a probe does to a place.
+/// Illumination of a position by a probe.
 pub(super) struct Illumination {
     /// Small enough that a splat of the sky is about a pixel of it.
     probe: Probe,
     irradiance: IrradianceMap,
-    /// What a face that looks up and is all gloss mirrors of the sky: bands 1 and 2, by coefficient.
+    /// Sky reflection of an upward, fully glossy face: bands 1 and 2, by coefficient.
     sheen: [[f64; 3]; 9],
     exposure: f64,
 }
@@ -37,7 +37,7 @@ impl Illumination {
         self.sheen.get(k).map_or(Vec3::ZERO, |rgb| Vec3::from_array(rgb.map(|value| (value * self.exposure) as f32)))
     }
 
-    /// What is seen of the probe in a direction, the mean about it, display-referred RGB.
+    /// Mean radiance of the probe around a direction, display-referred RGB.
     pub(super) fn seen(&self, direction: Vec3) -> Vec3 {
         Vec3::from_array(
             self.probe.radiance(direction.as_dvec3()).map(|value| to_display(f64::from(value) * self.exposure) as f32),
@@ -55,7 +55,7 @@ impl Illumination {
         (sum / DIRECTIONS as f32).to_array()
     }
 
-    /// Whether windows and lamps are lit: a white wall shows less than a quarter of white.
+    /// True if windows and lamps are lit: a white wall shows less than a quarter of white.
     pub(super) fn is_dark(&self) -> bool {
         let up = self.irradiance.reflected_by_white(DVec3::Z);
         up.iter().sum::<f64>() / 3.0 * self.exposure < 0.05

@@ -29,7 +29,7 @@ use relief::Relief;
 use strip_index::StripIndex;
 use strips::{Strip, strips};
 
-/// How the roads of a map are drawn.
+/// Options of the synthesis of a map's roads.
 #[derive(Clone, Debug)]
 pub struct RoadsOptions {
     /// Splats, all in all. A kilometre of road with two lanes looks sharp from about 100,000 on.
@@ -82,7 +82,8 @@ const DOME_SHARE: f64 = 0.08;
 /// Largest spacing of splats on roads that is tried, metres. What does not fit at this spacing is left out.
 const SPACING_M_MAX: f32 = 12.0;
 
-/// How often spacings are tried, and the share of the count asked for that ends it. The sky takes what is left.
+/// Number of spacings that are tried, and the share of the requested count that is enough. The sky
+/// takes what is left.
 const TRIES: usize = 8;
 const FITTED: f32 = 0.93;
 
@@ -100,7 +101,7 @@ pub fn generate(map: &LaneMap, options: &RoadsOptions) -> RoadsScene {
     RoadsScene { background: canvas.into_cloud(sh_degree, &place.light), origin, sky: place.light.horizon() }
 }
 
-/// What is drawn, whatever the spacing.
+/// Elements that are the same for every spacing.
 struct Drawn {
     index: StripIndex,
     relief: Relief,
@@ -121,7 +122,8 @@ impl Drawn {
         Self { index, relief, light, way, houses, seed }
     }
 
-    /// Everything but the sky at the spacing at which it is close below `target` splats, and never above.
+    /// Everything except the sky, at the spacing whose count is closest below `target` splats, and
+    /// never above.
     fn fitted(&self, target: usize) -> Canvas {
         // Coarse first: the count there is soon known, and tells where to go.
         let mut spacing_m = 2.0;
@@ -145,7 +147,7 @@ impl Drawn {
         if best.len() == 0 { self.at_spacing(SPACING_M_MAX, target) } else { best }
     }
 
-    /// Everything but the sky, at most `splats_max`.
+    /// Everything except the sky, at most `splats_max`.
     fn at_spacing(&self, spacing_m: f32, splats_max: usize) -> Canvas {
         let mut canvas = Canvas::new(splats_max);
         pavement::pavement(&mut canvas, self, spacing_m);

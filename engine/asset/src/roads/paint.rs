@@ -1,4 +1,4 @@
-//! Which line is painted on the border of a lane.
+//! Choice of the line that is painted on the border of a lane.
 
 use decouplegs_scene::LaneKind;
 use glam::{Vec2, Vec3};
@@ -15,13 +15,13 @@ pub(super) const DASH_M: f32 = 3.0;
 /// A border so deep in another lane is no edge of the road, metres.
 const INSIDE_M: f32 = 0.35;
 
-/// Where one looks for who is on the other side, metres beyond the border.
+/// Distance beyond the border at which the neighbor lane is looked up, meters.
 const BEYOND_M: f32 = 0.4;
 
-/// What a border shows.
+/// Marking of a border.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Line {
-    /// Nothing: other lanes run across it, or nobody drives there.
+    /// No line: other lanes run across the border, or nobody drives there.
     None,
     /// The lane on the other side paints it.
     OfNeighbour,

@@ -17,7 +17,7 @@ const COLUMN_OVER_SPACING: f32 = 0.8;
 /// Longest row over the spacing, metres: bends are followed.
 const ROW_M_MAX: f32 = 6.0;
 
-/// How much wider each column is than the one between it and a line.
+/// Ratio of the widths of neighboring columns, away from a line.
 const WIDENING: f32 = 1.7;
 
 /// Standard deviations over length and width: at 0.55 a tenth of what is below shines through as a lattice. Beside lines narrower, so
@@ -99,7 +99,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// Where columns begin and end, metres from the right border: fine beside lines, equal where there are none.
+    /// Column boundaries, meters from the right border: fine beside lines, equal without lines.
     fn edges(&self, width_m: f32) -> Vec<f32> {
         let half_m = 0.5 * width_m;
         let from_border = |line: Line| {
@@ -155,7 +155,7 @@ fn gloss(kind: LaneKind) -> f32 {
     }
 }
 
-/// What time did to asphalt: a factor on its albedo.
+/// Aging of asphalt: a factor on its albedo.
 fn wear(seed: u64, at: Vec2, place: f32) -> f32 {
     let coarse = fractal_noise(seed, at.x * 0.16, at.y * 0.16, 4);
     // Of each splat its own: a smooth noise as fine as splats would show as a pattern of theirs.

@@ -15,7 +15,8 @@ const CELLS_MAX: f32 = 512.0;
 /// Smallest width of a cell, metres.
 const CELL_M_MIN: f32 = 4.0;
 
-/// How often heights off the roads are averaged with their neighbours: embankments become slopes.
+/// Number of times that heights off the roads are averaged with their neighbors: embankments become
+/// slopes.
 const SMOOTHINGS: usize = 24;
 
 /// Heights and distances, row by row from the corner of least x and y.

@@ -1,4 +1,4 @@
-//! Which lanes lie where.
+//! Spatial index of lanes.
 
 use decouplegs_scene::LaneKind;
 use glam::{Vec2, Vec3};
@@ -40,7 +40,7 @@ fn cell_of(point: Vec2) -> (i32, i32) {
     (cell.x as i32, cell.y as i32)
 }
 
-/// Who owns what lanes share: the lower.
+/// Rank by which lanes own the area that they share: the lowest owns it.
 fn rank(kind: LaneKind) -> u8 {
     match kind {
         LaneKind::Driving => 0,
@@ -98,7 +98,7 @@ impl StripIndex {
         (depth_m >= 0.0 && on_deck).then(|| Hit { strip: piece.strip as usize, depth_m, ahead: ahead.normalize_or(Vec2::X) })
     }
 
-    /// Whether lane `strip` paves a place that it lies on: of all lanes there one does.
+    /// True if lane `strip` paves a place that it lies on: of all lanes there one does.
     pub(super) fn owns(&self, strip: usize, point: Vec3) -> bool {
         /// Neighbours overlap by less, metres: both pave their seam.
         const SEAM_M: f32 = 0.25;

@@ -44,7 +44,7 @@ impl Section {
 pub(super) struct Strip {
     pub(super) kind: LaneKind,
     pub(super) sections: Vec<Section>,
-    /// Where along the middle each section is, metres.
+    /// Position of each section along the middle, meters.
     along_m: Vec<f32>,
 }
 

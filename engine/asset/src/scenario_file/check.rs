@@ -1,4 +1,4 @@
-//! What makes a scenario one that can be driven: names, and numbers in ranges that mean something.
+//! Checks of a scenario: names, and numbers in ranges that have a meaning.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -69,7 +69,7 @@ impl fmt::Display for Table {
     }
 }
 
-/// What is wrong, and where.
+/// Error and its location.
 #[derive(Debug)]
 pub(super) struct Fault {
     pub(super) table: Table,
@@ -83,7 +83,7 @@ impl Fault {
     }
 }
 
-/// Nothing, or the first fault of `scenario`.
+/// First fault of `scenario`, if any.
 pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
     let top = Table::Top;
     check_name(top, &scenario.name)?;

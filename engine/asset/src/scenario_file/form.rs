@@ -172,7 +172,7 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
     })
 }
 
-/// What `name` stands for.
+/// Value with the name `name`.
 fn named<T>(name: &str, by_name: fn(&str) -> Option<T>, names: &[&str], table: Table, field: &'static str) -> Result<T, Fault> {
     by_name(name).ok_or_else(|| Fault::new(table, field, format!("'{name}' is unknown; there are {}", names.join(", "))))
 }

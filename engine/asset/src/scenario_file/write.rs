@@ -12,7 +12,7 @@ use super::form::{AgentForm, BehaviourForm, EgoForm, PlaceForm, RoadsForm, Scena
 use super::seed::Seed;
 use crate::EncodeError;
 
-/// What stands above a scenario, for those who open the file in an editor.
+/// Comment at the top of a scenario file, for people who edit it.
 const HEADING: &str = "\
 # A scenario: where an episode takes place, what the ego is to do there and who else is on the road.
 # Metres, seconds; vehicles are length, width, height; places on lanes are metres along. Change what you like and drive it again:

@@ -11,7 +11,7 @@ use super::{SceneAgent, SceneFile};
 /// Names that a complaint lists; a scene may have thousands.
 const NAMES_TOLD: usize = 12;
 
-/// Why a scene could not be edited. It is as it was.
+/// Reason why a scene could not be edited. It is as it was.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum EditError {
     /// No agent has the name.
@@ -19,7 +19,7 @@ pub enum EditError {
     NoAgent {
         /// The name asked for.
         name: String,
-        /// Which agents there are, as a sentence.
+        /// Names of the agents, as a sentence.
         there: String,
     },
     /// Another agent has the name.
@@ -44,7 +44,7 @@ pub enum EditError {
     Motion {
         /// The agent that was to be moved.
         name: String,
-        /// What is wrong with its new poses.
+        /// Error of the new poses.
         reason: String,
     },
 }
@@ -87,7 +87,7 @@ pub fn shifted(trajectory: &Trajectory, shift: &Pose) -> Result<Trajectory, Stri
     each_pose(trajectory, |pose| pose.then(shift))
 }
 
-/// Where the nose of a vehicle at `pose` points, counted from x towards y.
+/// Heading of a vehicle at `pose`, from x towards y.
 #[must_use]
 pub fn heading_rad(pose: &Pose) -> f64 {
     let ahead = pose.rotation * DVec3::X;

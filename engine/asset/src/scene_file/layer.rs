@@ -6,10 +6,10 @@ use decouplegs_scene::World;
 
 use super::LoadedScene;
 
-/// What of a scene is drawn.
+/// Selection of the parts of a scene that are rendered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layer {
-    /// Everything: background, agents and their shadows.
+    /// Background, agents and their shadows.
     #[default]
     All,
     /// The scene as if no agent had ever been there: without them and without their shadows.
@@ -20,7 +20,8 @@ pub enum Layer {
 }
 
 impl LoadedScene {
-    /// What of [`LoadedScene::world`] belongs to `layer`: its background, its agents of plain splats, or both.
+    /// Part of [`LoadedScene::world`] that belongs to `layer`: its background, its agents of plain
+    /// splats, or both.
     #[must_use]
     pub fn standing(&self, layer: Layer) -> Cow<'_, World> {
         match layer {

@@ -26,18 +26,18 @@ pub struct LoadedScene {
     pub agents: Vec<LoadedAgent>,
     /// The ego vehicle's cameras; none for a splat file.
     pub rig: Rig,
-    /// Where the ego vehicle is when, world coordinates.
+    /// Trajectory of the ego vehicle, world coordinates.
     pub ego: Trajectory,
     /// Names of all agents of both kinds; the instance id of agent `i` is `i + 1`.
     pub agent_names: Vec<String>,
-    /// How the background lights the agents that are moved from frame to frame.
+    /// Light of the background on the moving agents.
     pub light: Option<LoadedLight>,
 }
 
 /// The light of a loaded scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadedLight {
-    /// What light does to colours.
+    /// Effect of light on colors.
     pub transfer: Option<LightTransfer>,
     /// From how far it is gathered.
     pub ambient: AmbientOptions,
@@ -50,13 +50,13 @@ pub struct LoadedLight {
 pub struct LoadedAgent {
     /// Names the agent; unique in the scene.
     pub name: String,
-    /// Which of [`LoadedScene::assets`] it shows.
+    /// Index of its asset in [`LoadedScene::assets`].
     pub asset: usize,
-    /// Its instance id, from 1: its place among all agents of the scene file.
+    /// Instance id, from 1: its position among all agents of the scene file.
     pub instance: u16,
-    /// How the asset's colours are meant.
+    /// Frame of the asset's colors.
     pub sh_frame: ShFrame,
-    /// Where it is when, world coordinates.
+    /// Trajectory, world coordinates.
     pub trajectory: Trajectory,
 }
 
@@ -150,7 +150,7 @@ impl SceneFile {
         self.load_from(&Folder(directory), time_s)
     }
 
-    /// As [`SceneFile::load`], from `files`.
+    /// Loads like [`SceneFile::load`], from `files`.
     pub(crate) fn load_from(&self, files: &dyn SceneFiles, time_s: f64) -> Result<LoadedScene, AssetError> {
         let background = in_spatial_order(&files.splats(&self.background)?);
         let mut scene =

@@ -47,22 +47,24 @@ pub struct SceneFile {
     pub background: PathBuf,
     /// Seen where no splat is, display-referred RGB.
     pub sky: [f32; 3],
-    /// How splats become a picture.
+    /// Image formation rules.
     pub rules: Rules,
     /// The ego vehicle's cameras.
     pub rig: Rig,
-    /// Where the ego vehicle is when, world coordinates. None: it stands at [`SceneFile::origin`].
+    /// Trajectory of the ego vehicle, world coordinates. None: it stands at [`SceneFile::origin`].
     pub ego: Option<Trajectory>,
-    /// What moves, or stands, in front of the background.
+    /// Agents in front of the background.
     pub agents: Vec<SceneAgent>,
-    /// How the background lights the agents. None: they keep the light that their assets were captured in.
+    /// Light of the background on the agents. None: they keep the light that their assets were
+    /// captured in.
     pub light: Option<SceneLight>,
 }
 
 /// The light of a scene file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneLight {
-    /// What light does to colours, a path relative to the scene file; `calibrate-light` makes it. None: colours stay.
+    /// Effect of light on colors: a path relative to the scene file, written by `calibrate-light`.
+    /// None: colours stay.
     pub transfer: Option<PathBuf>,
     /// From how far the light is gathered.
     pub ambient: AmbientOptions,
@@ -75,11 +77,11 @@ pub struct SceneLight {
 pub struct SceneAgent {
     /// Names the agent; unique in the scene.
     pub name: String,
-    /// Its splats, a path relative to the scene file. Agents may share one.
+    /// Splat file, a path relative to the scene file. Agents may share one.
     pub asset: PathBuf,
-    /// How the asset's colours are meant. None: as the asset says, canonical for a plain splat file.
+    /// Frame of the asset's colors. None: as the asset says, canonical for a plain splat file.
     pub sh_frame: Option<ShFrame>,
-    /// Where it is when, world coordinates.
+    /// Trajectory, world coordinates.
     pub trajectory: Trajectory,
 }
 

@@ -20,7 +20,7 @@ const NAMES: Names = Names {
 const BACKGROUND: &str = "Background";
 const RIGID: &str = "RigidNodes";
 
-/// What the other models of a checkpoint are.
+/// Descriptions of the other models of a checkpoint.
 const LEFT_OUT: [(&str, &str); 6] = [
     ("DeformableNodes", "what deforms (cyclists, say) needs its network"),
     ("SMPLNodes", "walking people need their body model"),
@@ -140,7 +140,7 @@ impl Poses {
         })
     }
 
-    /// Where an instance is in the frames that have it.
+    /// Trajectory of an instance over the frames that have it.
     fn trajectory(&self, instance: usize, frame_rate_hz: f64) -> Result<Option<Trajectory>, DecodeError> {
         let mut poses: Vec<TimedPose> = Vec::new();
         for frame in 0..self.frames {

@@ -26,12 +26,13 @@ use crate::{AssetError, DecodeError, SceneAgent, SceneFile, inria_ply};
 
 pub(crate) use street_gaussians::mean_weights;
 
-/// How what files do not say is understood.
+/// Interpretation of data that the files do not define.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportOptions {
     /// Frames a second of a checkpoint whose frames have no times.
     pub frame_rate_hz: f64,
-    /// Where actors were when, for sources without tracks: by the name of the model (`obj_007`) or its number (`7`).
+    /// Trajectories of actors, for sources without tracks: by the name of the model (`obj_007`) or
+    /// its number (`7`).
     pub tracks: Vec<decouplegs_scene::Track>,
 }
 
@@ -45,13 +46,13 @@ impl Default for ImportOptions {
 /// A background and what moves in front of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportedScene {
-    /// Which trainer it comes from.
+    /// Trainer that wrote the scene.
     pub source: &'static str,
-    /// What stands still, in the axes of the source.
+    /// Static splats, in the axes of the source.
     pub background: SplatCloud,
-    /// What moves.
+    /// Moving actors.
     pub actors: Vec<ImportedActor>,
-    /// What was left out or understood in a certain way, a sentence each.
+    /// Omissions and interpretations, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -60,9 +61,9 @@ pub struct ImportedScene {
 pub struct ImportedActor {
     /// Names it; unique in its scene, and fit for a file name.
     pub name: String,
-    /// Its splats in the frame of its box.
+    /// Splats in the frame of the actor's box.
     pub splats: SplatCloud,
-    /// Where it was when. None: nobody says.
+    /// Trajectory of the actor. None: nobody says.
     pub trajectory: Option<Trajectory>,
 }
 

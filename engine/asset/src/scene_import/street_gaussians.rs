@@ -23,7 +23,7 @@ const NAMES: Names = Names {
 const SOURCE: &str = "Street Gaussians";
 const BACKGROUND: &str = "background";
 const ACTOR: &str = "obj_";
-/// What elements of the PLY are called before the model's name.
+/// Prefix of the names of PLY elements, before the model's name.
 const ELEMENT: &str = "vertex_";
 /// Moments over which colours that change with time are averaged.
 const MOMENTS: usize = 64;
@@ -126,7 +126,7 @@ fn finished(
     Ok(ImportedScene { source: SOURCE, background, actors, notes })
 }
 
-/// Whether a track called `id` is that of the model called `name`.
+/// True if a track called `id` is that of the model called `name`.
 fn names(name: &str, id: &str) -> bool {
     let number = |text: &str| text.parse::<u64>().ok();
     name == id || (number(id).is_some() && name.strip_prefix(ACTOR).and_then(number) == number(id))
@@ -159,7 +159,7 @@ fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
     Ok((0..count).map(|_| colour()).collect())
 }
 
-/// What each term of the series is on average over time 0 to 1: cosines at even places, sines at odd ones.
+/// Mean of each term of the series over time 0 to 1: cosines at even indices, sines at odd ones.
 ///
 /// # Errors
 /// For more than 1024 terms.

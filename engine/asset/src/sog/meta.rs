@@ -55,7 +55,7 @@ pub(super) struct Meta {
 impl Meta {
     /// Reads and checks the text.
     pub(super) fn parse(text: &[u8]) -> Result<Self, DecodeError> {
-        /// What is looked at first: other versions have other fields.
+        /// Version field, read first: other versions have other fields.
         #[derive(Deserialize)]
         struct Version {
             version: Option<u64>,

@@ -28,7 +28,7 @@ use meta::Meta;
 pub(crate) use lod::{LOD_META, read_set};
 pub use write::{encode, write};
 
-/// What users call it.
+/// Name of the format for users.
 pub(crate) const NAME: &str = "SOG";
 /// The entry that describes the others.
 pub(crate) const META: &str = "meta.json";
@@ -77,7 +77,7 @@ pub fn read_folder(folder: &Path) -> Result<SplatCloud, AssetError> {
     decode_files(&meta, total, file).map_err(decode_error)
 }
 
-/// Whether a zip is a SOG bundle.
+/// True if a zip is a SOG bundle.
 pub(crate) fn is_bundle(archive: &Archive<'_>) -> bool {
     folder_of(archive).is_some()
 }

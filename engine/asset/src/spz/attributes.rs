@@ -16,7 +16,7 @@ const COLOUR_SCALE: f32 = 0.15;
 /// Bits after the point that the reference writes: a quarter of a millimetre.
 const FRACTIONAL_BITS: u8 = 12;
 
-/// What the streams' sizes and codes depend on.
+/// Parameters that determine the streams' sizes and codes.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
     /// 1 to 4.
@@ -134,7 +134,7 @@ fn byte(value: f32) -> u8 {
     value.round().clamp(0.0, 255.0) as u8
 }
 
-/// As many bits after the point as the reference writes, or as fit.
+/// Number of fractional bits: as many as the reference writes, or as fit.
 fn fractional_bits_for(cloud: &SplatCloud) -> Result<u8, EncodeError> {
     let largest = cloud.means.par_iter().flat_map_iter(|mean| mean.iter().map(|x| f64::from(x.abs()))).reduce(|| 0.0, f64::max);
     let code_max = f64::from((1 << 23) - 1);

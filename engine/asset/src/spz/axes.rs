@@ -1,4 +1,4 @@
-//! Which way the axes of a stored cloud point.
+//! Directions of the axes of a stored cloud.
 
 use decouplegs_scene::{Pose, SplatCloud, sh};
 use glam::{DQuat, DVec3};

@@ -32,7 +32,7 @@ const BYTES_PER_SPLAT_MIN: u64 = 4;
 /// Zstandard level: beyond it, files get slower to write but hardly smaller.
 const LEVEL: i32 = 9;
 
-/// What the fixed header says, checked.
+/// Fixed header, checked.
 struct Header {
     layout: Layout,
     has_extensions: bool,

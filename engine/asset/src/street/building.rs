@@ -13,7 +13,7 @@ const FRONT_DENSITY: f32 = 1.1;
 /// Share of it beyond the detailed extent.
 const FAR_DENSITY: f32 = 0.06;
 
-/// How much of it windows get on top: glass bars and curtains are finer than walls.
+/// Density factor of windows: glass bars and curtains are finer than walls.
 const WINDOW_DENSITY: f32 = 1.4;
 
 /// All surfaces of one house, in the world.
@@ -89,7 +89,7 @@ fn window_details(design: &Design, width_m: f32, height_m: f32) -> Vec<Element> 
     elements
 }
 
-/// What stands out from the wall.
+/// Elements that stand out from the wall.
 fn relief(design: &Design, width_m: f32, height_m: f32) -> Vec<Element> {
     let trim = design.trim;
     let stone = move |point: &SurfacePoint| {

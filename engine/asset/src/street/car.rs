@@ -28,11 +28,11 @@ const SHADOW_DENSITY: f32 = 0.25;
 pub(super) struct Build {
     /// Length, width, height of the box.
     pub size: Vec3,
-    /// Where the hood meets the windscreen.
+    /// Position at which the hood meets the windscreen.
     pub cowl_x: f32,
     /// Front and rear end of the roof.
     pub roof_x: [f32; 2],
-    /// Where the rear window meets the deck.
+    /// Position at which the rear window meets the deck.
     pub deck_x: f32,
     /// Height of the front edge, the cowl and the tail.
     pub nose_cowl_tail_z: [f32; 3],
@@ -115,7 +115,7 @@ impl Build {
         0.53 * self.wheel_radius_m + 0.12 * smoothstep(0.75, 1.0, end)
     }
 
-    /// Where the cabin's belt line lies, above the ground.
+    /// Height of the cabin's belt line above the ground.
     pub(super) fn belt_z(&self) -> f32 {
         self.nose_cowl_tail_z[1] - 0.05
     }

@@ -1,4 +1,4 @@
-//! How a car's surfaces look: paint, glass, lamps, grille, plates, door gaps, rims.
+//! Appearance of a car's surfaces: paint, glass, lamps, grille, plates, door gaps, rims.
 
 use glam::{Vec2, Vec3};
 

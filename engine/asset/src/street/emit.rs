@@ -19,7 +19,8 @@ const OPACITY_MIN: f32 = 0.003;
 /// Upper end of the faint mode.
 pub(super) const FAINT_OPACITY_MAX: f32 = 0.15;
 
-/// How far splats stray out of their surface: wheels must not sink into the road. Inward they may stray freely.
+/// Largest outward distance of splats from their surface: wheels must not sink into the road.
+/// Inward they may stray freely.
 const OUTWARD_MAX_M: f32 = 0.015;
 
 /// Splats sampled by one task; large enough that finding the element costs nothing.
@@ -43,7 +44,7 @@ fn allocate(elements: &[Element], total: usize) -> Vec<usize> {
     counts
 }
 
-/// What of a splat does not depend on its neighbours' arrays.
+/// Properties of a splat that do not depend on its neighbors' arrays.
 struct Splat {
     mean: Vec3,
     scales: Vec3,
@@ -106,8 +107,9 @@ pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64,
     cloud
 }
 
-/// Whether splat `index` of the cloud is of the faint mode. A golden-ratio sequence: faint splats never leave a gap of
-/// more than two along a row, and elements of one splat are faint as often as others.
+/// True if splat `index` of the cloud is of the faint mode. A golden-ratio sequence: faint splats
+/// never leave a gap of more than two along a row, and elements of one splat are faint as often as
+/// others.
 fn is_faint(index: usize) -> bool {
     ((index as f64 + 0.5) * 0.618_033_988_749_894_9).fract() < f64::from(FAINT_SHARE)
 }

@@ -1,4 +1,4 @@
-//! What a house front looks like: wall, windows, shops, doors.
+//! Appearance of a house front: wall, windows, shops, doors.
 
 use glam::Vec3;
 
@@ -9,7 +9,7 @@ use super::weather::lamplight;
 /// Top of the shop windows' storey, metres.
 pub(super) const SHOP_STOREY_M: f32 = 4.0;
 
-/// What covers a wall.
+/// Covering of a wall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cladding {
     Brick,

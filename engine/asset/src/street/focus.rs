@@ -1,4 +1,5 @@
-//! Where detail pays: training refines what its cameras saw large, so splats are densest and smallest along the way of the cameras.
+//! Level of detail by camera path: training refines surfaces that its cameras saw large, so splats
+//! are densest and smallest along the path.
 
 use glam::{DVec3, Vec3};
 
@@ -24,7 +25,7 @@ const CAMERA_HEIGHT_M: f32 = 1.6;
 /// Lanes that are driven are looked at from within this of the origin, metres: beyond, there is little to see.
 const DRIVEN_M: f32 = 110.0;
 
-/// Where the cameras of a street's capture were.
+/// Positions of the cameras of a street's capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Capture {
     /// On the way of the street's own ego.

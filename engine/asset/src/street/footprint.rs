@@ -1,4 +1,4 @@
-//! How far each splat spreads over its surface: wide where the look stays the same, narrow beside an edge.
+//! Extent of each splat on its surface: wide in uniform areas, narrow beside an edge.
 
 use glam::{Mat3, Quat, Vec3};
 
@@ -17,10 +17,12 @@ const LN_SCALE_OWN: f32 = 0.43;
 /// Change of albedo, as the difference of square roots (roughly of what is displayed), that counts as an edge.
 const EDGE_CONTRAST: f32 = 0.14;
 
-/// Where the surroundings are probed, as shares of the reach: dense enough not to step over a lane line.
+/// Positions at which the surroundings are sampled, as shares of the reach: dense enough not to
+/// step over a lane line.
 const PROBES: [f32; 6] = [1.0, -1.0, 0.55, -0.55, 0.25, -0.25];
 
-/// How narrow a splat beside an edge becomes at most, over the spacing: what lies between must still be covered.
+/// Smallest width of a splat beside an edge, relative to the spacing: the gap must still be
+/// covered.
 const NARROWEST: f32 = 0.25;
 
 /// Leaves are smaller than a closed surface would need: light shows through crowns.
@@ -100,7 +102,7 @@ impl Footprint {
     }
 }
 
-/// Whether the surface goes on in the same colour for `reach_m` both ways along `axis`.
+/// True if the surface goes on in the same colour for `reach_m` both ways along `axis`.
 fn clear(element: &Element, point: &SurfacePoint, texel: &Texel, axis: Vec3, reach_m: f32) -> bool {
     let border_m = if axis.dot(point.tangent).abs() > 0.5 { point.border_m[0] } else { point.border_m[1] };
     let root = |albedo: Vec3| albedo.max(Vec3::ZERO).map(f32::sqrt);

@@ -24,7 +24,7 @@ fn post(from: Vec3, to: Vec3, radius_m: f32) -> Element {
 /// The end of a lamp's arm, in the frame of its foot, metres.
 const LAMP_TIP: Vec3 = Vec3::new(2.1, 0.0, 7.2 + 0.35);
 
-/// Where the lamp on a spot shines, in the world.
+/// Position of the light of a lamp on a spot, world coordinates.
 pub(super) fn lamp_light(spot: &Spot) -> Vec3 {
     Quat::from_rotation_z(spot.yaw_rad) * (LAMP_TIP + Vec3::new(0.275, 0.0, -0.3)) + spot.position
 }

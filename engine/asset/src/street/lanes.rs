@@ -34,7 +34,7 @@ struct Heading {
     forward: bool,
 }
 
-/// Where a vehicle is and where it looks.
+/// Position and heading of a vehicle.
 #[derive(Clone, Copy)]
 struct Place {
     at: DVec2,
@@ -70,7 +70,7 @@ impl Heading {
         Place { at: at.as_dvec2(), yaw_rad: self.yaw_rad() }
     }
 
-    /// How far beyond the crossing's middle its lanes begin (negative) and end, metres.
+    /// Start (negative) and end of its lanes relative to the crossing's center, meters.
     fn reach_m(self) -> (f64, f64) {
         let crossing = f64::from(self.axis.crossing_s()) * if self.forward { 1.0 } else { -1.0 };
         (-END_M - crossing, END_M - crossing)

@@ -1,4 +1,4 @@
-//! Where things stand: a street along x that crosses another along y, right-hand traffic.
+//! Layout of the street: it runs along x and crosses another along y, with right-hand traffic.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -22,7 +22,7 @@ pub(super) const FRONT_M: f32 = 13.0;
 pub(super) const KERB_M: f32 = 0.14;
 /// Depth of a lot, metres.
 pub(super) const LOT_DEPTH_M: f32 = 14.0;
-/// Where the coarse continuation of the streets ends, metres from the crossing or the origin.
+/// End of the coarse continuation of the streets, meters from the crossing or the origin.
 pub(super) const FAR_M: f32 = 230.0;
 
 /// A house: local x along the front, which is at y = 0 and faces -y; local z up from the sidewalk.
@@ -31,7 +31,7 @@ pub(super) struct Lot {
     pub size: Vec3,
     pub corner: Vec2,
     pub yaw_rad: f32,
-    /// Whether each end (x = 0, x = width) stands free beside a street.
+    /// True if each end (x = 0, x = width) stands free beside a street.
     pub free_ends: [bool; 2],
     /// Beyond the detailed extent.
     pub far: bool,
@@ -56,7 +56,7 @@ pub(super) struct Spot {
     pub seed: u64,
 }
 
-/// Everything that stands along the streets.
+/// Everything along the streets.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Layout {
     pub lots: Vec<Lot>,

@@ -20,10 +20,10 @@ const PENUMBRA_RAD: f32 = 0.012;
 /// Half the size of what shines in a street lamp, metres: larger than life, for the same reason.
 const LAMP_HALF_M: f32 = 0.25;
 
-/// How far the light of a street lamp reaches, metres.
+/// Range of the light of a street lamp, meters.
 const LAMP_REACH_M: f32 = 32.0;
 
-/// How far from a car or a crown, towards a lamp's far side, its shadow can fall, metres.
+/// Longest shadow of a car or a tree crown away from a lamp, meters.
 const LAMP_SHADOW_M: f32 = 7.0;
 
 /// Share of a lamp's light that comes back from what it shines on, to faces turned away from it as well.
@@ -38,7 +38,7 @@ pub(super) struct Light {
     occluders: Vec<Occluder>,
     /// Occluders whose shadow can fall into each cell.
     shading: Vec<Vec<u32>>,
-    /// Where street lamps shine.
+    /// Positions of the street lamps' lights.
     lamps: Vec<Vec3>,
     /// World from what is lit.
     rotation: Quat,
@@ -48,11 +48,11 @@ pub(super) struct Light {
     drawn_by: Vec3,
 }
 
-/// What light makes of a texel.
+/// Texel after lighting.
 pub(super) struct Lit {
     /// Display-referred RGB in [0, 1].
     pub colour: Vec3,
-    /// What of the sun is mirrored, by channel.
+    /// Mirrored share of the sun, per channel.
     pub sheen: Vec3,
 }
 
@@ -131,7 +131,7 @@ impl Light {
         self.near(position).fold(1.0, |open, occluder| open * occluder.open_sky(position))
     }
 
-    /// What street lamps bring to a point, and what comes back from around it.
+    /// Light of street lamps at a point, and its reflection from the surroundings.
     fn lamplight(&self, texel: &Texel, (position, normal): (Vec3, Vec3), open: f32, aside: &mut Stream) -> Vec3 {
         let (mut direct, mut around) = (0.0, 0.0);
         for lamp in &self.lamps {
@@ -154,7 +154,7 @@ impl Light {
         self.air.lamp * (direct * (0.4 + 0.6 * open) + LAMP_BOUNCE * around * open)
     }
 
-    /// What a texel at `position` that faces `normal` looks like, both in the frame of what is lit.
+    /// Color of a texel at `position` that faces `normal`, both in the frame of the lit object.
     pub(super) fn shade(&self, texel: &Texel, position: Vec3, normal: Vec3, random: &mut Stream) -> Lit {
         let sheen = self.air.sheen * self.air.shaded_sheen;
         if let Some(emitted) = texel.emitted {

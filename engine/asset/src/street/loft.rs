@@ -16,7 +16,7 @@ pub(super) struct Loft {
     rows: Vec<f32>,
     /// The same within each row, `CELLS` times `CELLS + 1` entries.
     columns: Vec<f32>,
-    /// How far each cell goes on flat along u and v, metres.
+    /// Flat extent around each cell along u and v, meters.
     flat_m: Vec<[f32; 2]>,
     area_m2: f32,
     aspect: f32,
@@ -95,8 +95,9 @@ impl Loft {
     }
 }
 
-/// How far the surface goes on flat from each cell along u and v: the least radius of curvature, from the turn of the
-/// cells' edges, plus the way to where it is found. A disc wider than that sticks out.
+/// Flat extent of the surface around each cell along u and v: the least radius of curvature, from
+/// the turn of the cells' edges, plus the distance to that place. A disc wider than that sticks
+/// out.
 fn flatness(grid: &[Vec3]) -> Vec<[f32; 2]> {
     let mut flat_m = vec![[FAR_M; 2]; CELLS * CELLS];
     for line in 0..CELLS {
@@ -130,7 +131,8 @@ fn line_flatness(line: &[Vec3]) -> Vec<f32> {
     flat_m
 }
 
-/// Where the rising piecewise-linear table reaches `share`: the cell, and the parameter in [0, 1] over the whole table.
+/// Inverse of the rising piecewise-linear table at `share`: the cell, and the parameter in [0, 1]
+/// over the whole table.
 fn invert(table: &[f32], share: f32) -> (usize, f32) {
     let cells = table.len() - 1;
     let cell = table[1..].partition_point(|&end| end <= share).min(cells - 1);

@@ -48,7 +48,7 @@ use occluder::Occluder;
 use surface::Element;
 use weather::Air;
 
-/// What street to make.
+/// Options of a synthetic street.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreetOptions {
     /// Splats of the static background. Surfaces close from about 50,000 on, and look sharp from about a million.
@@ -59,13 +59,13 @@ pub struct StreetOptions {
     pub agent_splats: usize,
     /// Degree of the spherical harmonics; values above 3 count as 3.
     pub sh_degree: u8,
-    /// Everything random follows from it.
+    /// Seed of all randomness.
     pub seed: u64,
     /// The light over the street. The splats are the same in each but for their colours.
     pub weather: Weather,
     /// The light in the assets.
     pub asset_light: AssetLight,
-    /// Where the cameras were: splats are small about them.
+    /// Positions of the cameras: splats are small around them.
     pub capture: Capture,
 }
 
@@ -95,7 +95,7 @@ pub struct Street {
     pub assets: Vec<SplatCloud>,
     /// Length, width and height of each asset's box, metres; mirrors stand out beyond the width.
     pub asset_dims_m: Vec<[f32; 3]>,
-    /// Where each agent stands at time zero. No two overlap.
+    /// Pose of each agent at time zero. No two overlap.
     pub agents: Vec<AgentPlacement>,
     /// The knots (seconds, world from agent) of each agent's way, straight along its lane; at least two each.
     pub agent_trajectories: Vec<Vec<(f64, Pose)>>,
@@ -174,7 +174,7 @@ fn variant_of(spot: &Spot) -> usize {
     (spot.seed % car::VARIANTS as u64) as usize
 }
 
-/// What throws shadows: houses, crowns and parked cars.
+/// Casters of shadows: houses, tree crowns and parked cars.
 fn occluders(layout: &Layout, weather: Weather) -> Vec<Occluder> {
     let mut occluders = Vec::new();
     // Only a low sun throws the shadows of far houses into the street that is looked at.

@@ -1,4 +1,4 @@
-//! What stands in the way of light.
+//! Occluders of light.
 
 use glam::{Quat, Vec2, Vec3};
 
@@ -70,7 +70,7 @@ impl Occluder {
     }
 }
 
-/// Where the ray from the origin enters and leaves the box.
+/// Distances at which a ray from the origin enters and leaves the box.
 fn slab(min: Vec3, max: Vec3, direction: Vec3) -> (f32, f32) {
     let inverse = direction.recip();
     let (a, b) = (min * inverse, max * inverse);

@@ -11,7 +11,7 @@ use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 /// Asphalt is shown this much around a marking in the marking's own finer splats, metres.
 const MARGIN_M: f32 = 0.12;
 
-/// How much finer than the asphalt markings are sampled.
+/// Sampling density of markings relative to asphalt.
 const MARKING_DENSITY: f32 = 8.0;
 
 /// Asphalt on the carriageways, over what densities are relative to: cameras see most of it, and from near by.
@@ -55,7 +55,7 @@ impl Markings {
         Self { stripes, cells }
     }
 
-    /// Whether paint lies at a point.
+    /// True if paint lies at a point.
     fn at(&self, point: Vec2) -> bool {
         let (i, j) = cell_of(point);
         if !(0..CELLS).contains(&i) || !(0..CELLS).contains(&j) {
@@ -117,7 +117,7 @@ fn road_texel(markings: &Markings, point: Vec2) -> Texel {
     Texel { gloss, weathered: true, ..Texel::matt(albedo) }
 }
 
-/// What time did to the road: a factor on its albedo.
+/// Aging of the road: a factor on its albedo.
 fn road_weather(seed: u64, point: Vec2) -> f32 {
     let on_main = point.y.abs() < ROAD_HALF_M;
     let (s, t) = if on_main { (point.x, point.y) } else { (point.y, CROSSING_X_M - point.x) };

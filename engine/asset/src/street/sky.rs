@@ -1,4 +1,4 @@
-//! What is far away: ground between and behind the houses, towers, hills and a dome of sky.
+//! Distant elements: ground between and behind the houses, towers, hills and a sky dome.
 
 use glam::Vec3;
 
@@ -24,7 +24,7 @@ fn sky_colour(weather: Weather, direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
     }
 }
 
-/// How much clouds cover there: drawn on a plane, so that they shrink towards the horizon.
+/// Cloud cover in a direction: drawn on a plane, so that clouds shrink towards the horizon.
 fn cover(direction: Vec3, seed: u64, stretch: f32) -> f32 {
     let plane = direction.truncate() / (direction.z.max(0.0) + 0.16);
     fractal_noise(seed + 111, plane.x * 1.1 + 3.0, plane.y * stretch, 5)

@@ -23,7 +23,8 @@ pub(super) struct SurfacePoint {
     pub normal: Vec3,
     /// Unit, the direction in which `u` grows.
     pub tangent: Vec3,
-    /// How far the surface goes on flat along u and along v, metres: to its border, or as its curvature allows.
+    /// Flat extent of the surface along u and along v, meters: to its border, or as its curvature
+    /// allows.
     pub border_m: [f32; 2],
 }
 
@@ -34,7 +35,7 @@ impl SurfacePoint {
     }
 }
 
-/// What a point looks like before light falls on it.
+/// Surface color at a point before lighting.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texel {
     /// Linear RGB, 0 to 1.
@@ -43,11 +44,11 @@ pub(super) struct Texel {
     pub gloss: f32,
     /// Share of the ambient light that reaches the point.
     pub openness: f32,
-    /// How much light comes through from behind: leaves.
+    /// Share of light that passes through from behind, as in leaves.
     pub translucency: f32,
     /// Share of the colour taken by the haze of distance.
     pub haze: f32,
-    /// Whether the element's weathering applies.
+    /// True if the element's weathering applies.
     pub weathered: bool,
     /// Linear RGB that replaces lit albedo: lamps and the sky.
     pub emitted: Option<Vec3>,
@@ -185,10 +186,10 @@ fn stratified(index: usize, count: usize, aspect: f32, random: &mut Stream) -> (
     (u, v)
 }
 
-/// How a surface looks at a point.
+/// Appearance of a surface at a point.
 pub(super) type Texture = Arc<dyn Fn(&SurfacePoint) -> Texel + Send + Sync>;
 
-/// How time changed a surface at a point.
+/// Aging of a surface at a point.
 pub(super) type Weathering = Arc<dyn Fn(&SurfacePoint) -> f32 + Send + Sync>;
 
 /// One surface of the street.
@@ -201,7 +202,8 @@ pub(super) struct Element {
     pub weather: Option<Weathering>,
     /// Splats a square metre, relative to the asphalt's.
     pub density: f32,
-    /// Whether the surface goes on in the same look beyond its border, which splats may then overhang.
+    /// True if the surface goes on in the same look beyond its border, which splats may then
+    /// overhang.
     pub seamless: bool,
     /// Parent from element.
     pub rotation: Quat,

@@ -1,4 +1,4 @@
-//! What moves: agents in their lanes, the ego vehicle and its cameras.
+//! Moving objects: agents in their lanes, the ego vehicle and its cameras.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -11,7 +11,7 @@ use super::random::Stream;
 
 /// Height of the middle of the ego's box above the road, metres: half of a car 1.7 m high.
 const EGO_CENTRE_Z_M: f64 = 0.85;
-/// Where the ego starts, x in metres.
+/// Start of the ego, x in meters.
 const EGO_START_X_M: f64 = -62.0;
 /// Cruising speed of the ego, metres a second.
 const EGO_SPEED_MPS: f64 = 10.0;
@@ -23,7 +23,7 @@ const EGO_ACCELERATION_MPS2: f64 = 1.5;
 pub(super) const EGO_TURN_RADIUS_M: f64 = 9.0;
 /// Time between knots of the ego's trajectory, seconds.
 const EGO_STEP_S: f64 = 0.1;
-/// How long agents' trajectories are, seconds.
+/// Duration of agents' trajectories, seconds.
 pub(super) const DURATION_S: f64 = 20.0;
 
 /// Bumper to bumper in a lane, at least this plus the longest car, metres.
@@ -191,7 +191,7 @@ pub(super) fn rig() -> Rig {
     Rig { cameras: cameras.into() }
 }
 
-/// How many distinct assets `agents` agents share.
+/// Number of distinct assets that `agents` agents share.
 pub(super) fn asset_count(agents: usize) -> usize {
     agents.min(VARIANTS)
 }

@@ -28,7 +28,7 @@ fn lobes(spot: &Spot) -> Vec<(Vec3, Vec3)> {
     lobes
 }
 
-/// What of the tree casts a shadow.
+/// Occluders of a tree.
 pub(super) fn tree_occluders(spot: &Spot) -> impl Iterator<Item = Occluder> {
     lobes(spot).into_iter().map(|(centre, radii)| Occluder::Crown { centre, radii })
 }

@@ -1,4 +1,5 @@
-//! What insertion is measured against: cars under the light of the street, and the street with their shadows.
+//! Ground truth of insertion: cars under the light of the street, and the street with their
+//! shadows.
 
 use decouplegs_scene::{AgentPlacement, Pose, SplatCloud};
 use glam::{DQuat, DVec3, Quat, Vec3};

@@ -35,9 +35,9 @@ pub(super) struct Air {
     pub sun: Vec3,
     /// Factor on `sun`; at 0 there is none.
     pub sun_strength: f32,
-    /// What faces that look up receive from the sky.
+    /// Light of the sky on upward faces.
     pub sky: Vec3,
-    /// What faces that look down receive from the ground.
+    /// Light of the ground on downward faces.
     pub bounce: Vec3,
     /// The air between here and far away.
     pub haze: Vec3,
@@ -47,7 +47,7 @@ pub(super) struct Air {
     pub shaded_sheen: f32,
     /// Light of a street lamp: irradiance times square metres.
     pub lamp: Vec3,
-    /// How much windows and lamps show of their own light.
+    /// Strength of the own light of windows and lamps.
     pub glow: f32,
 }
 

@@ -28,7 +28,7 @@ pub enum TrackFormat {
 }
 
 impl TrackFormat {
-    /// What users call it.
+    /// Name of the format for users.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -9,12 +9,12 @@ use serde_json::{Map, Value};
 use super::TrackFormat;
 use crate::{AssetError, write_atomically};
 
-/// Where a road user stands at a moment, in all six degrees of freedom.
+/// Pose of a road user at a moment, in all six degrees of freedom.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseRow {
     /// Names the road user.
     pub id: String,
-    /// Its kind, in lower case.
+    /// Class, in lower case.
     pub class: String,
     /// The moment, seconds.
     pub time_s: f64,
@@ -33,7 +33,7 @@ const COLUMNS: [&str; 14] =
     ["time_s", "id", "class", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "length_m", "width_m", "height_m", "note"];
 
 impl PoseRow {
-    /// What is wrong with it, if anything.
+    /// Checks the row and describes the first fault.
     fn check(&self) -> Result<(), String> {
         let (id, time_s) = (&self.id, self.time_s);
         let dims_are_finite = self.dims_m.is_none_or(|dims| dims.iter().all(|dim| dim.is_finite()));
@@ -43,7 +43,8 @@ impl PoseRow {
         Ok(())
     }
 
-    /// Its values in the order of the columns; numbers as short as they come back to the last bit.
+    /// Values in the order of the columns; the shortest text of each number that reads back to the
+    /// same bits.
     fn values(&self) -> [Value; 14] {
         let number = Value::from;
         let dim = |axis: usize| self.dims_m.map_or(Value::Null, |dims| number(dims[axis]));

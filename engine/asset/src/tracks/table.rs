@@ -24,7 +24,7 @@ use super::{finished, nominal_height_m};
 use crate::DecodeError;
 use crate::xml::{excerpt, finite};
 
-/// What a column holds; the place of its names in [`NAMES`].
+/// Content of a column; the index of its names in [`NAMES`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Column {
     Time,

@@ -10,11 +10,11 @@ mod write;
 pub(crate) use read::Archive;
 pub use write::{ALIGNMENT, StoredZip};
 
-/// What every local entry begins with.
+/// Signature of local entries.
 const LOCAL: [u8; 4] = *b"PK\x03\x04";
-/// What every entry of the directory begins with.
+/// Signature of directory entries.
 const CENTRAL: [u8; 4] = *b"PK\x01\x02";
-/// What the end of the directory begins with.
+/// Signature of the end of the directory.
 const END: [u8; 4] = *b"PK\x05\x06";
 /// Bytes of a local entry before its name.
 const LOCAL_BYTES: usize = 30;
@@ -23,7 +23,7 @@ const CENTRAL_BYTES: usize = 46;
 /// Bytes of the end of the directory before its comment.
 const END_BYTES: usize = 22;
 
-/// Why `name` may not stand in an archive that is unpacked into a folder, if it may not.
+/// Reason why `name` may not be in an archive that is unpacked into a folder, if any.
 fn leads_astray(name: &str) -> bool {
     let is_absolute = name.starts_with('/') || name.contains(':');
     is_absolute || name.contains(['\\', '\0']) || name.split('/').any(|part| part == ".." || part == ".")

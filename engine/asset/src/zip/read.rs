@@ -12,16 +12,16 @@ use crate::DecodeError;
 
 /// Bytes of the record that says where the 64-bit end of the directory is.
 const LOCATOR_BYTES: usize = 20;
-/// What it begins with.
+/// Signature of the locator.
 const LOCATOR: [u8; 4] = *b"PK\x06\x07";
-/// What the 64-bit end of the directory begins with.
+/// Signature of the 64-bit end of the directory.
 const END_64: [u8; 4] = *b"PK\x06\x06";
 /// A comment behind the directory has at most so many bytes.
 const COMMENT_BYTES_MAX: usize = 65_535;
 /// The extra field with 64-bit sizes.
 const EXTRA_64: u16 = 1;
 
-/// How an entry is kept.
+/// Storage method of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Method {
     Stored,
@@ -73,7 +73,7 @@ impl<'a> Archive<'a> {
         self.entries.iter().map(|entry| entry.name)
     }
 
-    /// Whether there is an entry called `name`.
+    /// True if there is an entry called `name`.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.by_name.contains_key(name)
     }
@@ -144,7 +144,7 @@ fn inflated(packed: &[u8], entry: &Entry<'_>) -> Result<Vec<u8>, DecodeError> {
     Ok(content)
 }
 
-/// How many entries the directory has, and at which byte it begins.
+/// Number of entries of the directory, and its first byte.
 fn directory(bytes: &[u8]) -> Result<(u64, usize), DecodeError> {
     let earliest = bytes.len().saturating_sub(END_BYTES + COMMENT_BYTES_MAX);
     let last = bytes.len().checked_sub(END_BYTES);
@@ -168,7 +168,7 @@ fn directory(bytes: &[u8]) -> Result<(u64, usize), DecodeError> {
     Ok((count, start as usize))
 }
 
-/// Whether the end of a directory stands at `at`, with a comment that ends where the file does.
+/// True if the end of a directory stands at `at`, with a comment that ends where the file does.
 fn is_end(bytes: &[u8], at: usize) -> bool {
     bytes[at..].starts_with(&END) && at + END_BYTES + usize::from(u16_at(&bytes[at..], 20)) == bytes.len()
 }

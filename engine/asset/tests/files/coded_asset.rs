@@ -33,7 +33,7 @@ impl Parts {
     }
 }
 
-/// What is said of the cone's file after `change`.
+/// Error message for the cone's file after `change`.
 fn complaint(change: impl Fn(&mut Parts)) -> String {
     let mut parts = Parts::of(&coded_asset::encode(&coded_cone()).unwrap());
     change(&mut parts);

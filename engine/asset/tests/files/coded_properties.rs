@@ -56,7 +56,7 @@ fn assets() -> impl Strategy<Value = CodedAsset> {
     })
 }
 
-/// Whether every splat of every level can be drawn.
+/// True if every splat of every level can be drawn.
 fn can_be_drawn(cloud: &CodedCloud) -> bool {
     (0..cloud.levels.len()).all(|level| {
         let decoded = cloud.decoded(level);

@@ -29,7 +29,7 @@ fn example() -> String {
     page[from..from + length].to_owned()
 }
 
-/// Whether `rows`, an array of arrays, are `expected` to one part in a million of the largest.
+/// True if `rows`, an array of arrays, are `expected` to one part in a million of the largest.
 fn close<const N: usize>(rows: &Value, expected: &[[f32; N]]) -> bool {
     let most = expected.as_flattened().iter().fold(0.0f32, |most, value| most.max(value.abs()));
     let rows = rows.as_array().unwrap();

@@ -1,4 +1,4 @@
-//! How far a cloud is from the one it was made from.
+//! Differences of a cloud from its original.
 
 use decouplegs_scene::SplatCloud;
 
@@ -11,15 +11,15 @@ pub const SMALLEST_THREE_MAX_RAD: f64 = 4.0 * 1.732_050_8 * (0.5 * std::f64::con
 pub struct Errors {
     /// Metres along an axis.
     pub mean_m: f32,
-    /// Of the natural logarithm of a standard deviation.
+    /// Error of the natural logarithm of a standard deviation.
     pub scale_ln: f64,
     /// Angle of the rotation between the two.
     pub angle_rad: f64,
-    /// Of the opacity, 0 to 1.
+    /// Error of the opacity, 0 to 1.
     pub opacity: f32,
-    /// Of a DC coefficient.
+    /// Error of a DC coefficient.
     pub dc: f32,
-    /// Of a further coefficient.
+    /// Error of a further coefficient.
     pub rest: f32,
     /// Root mean square of the same.
     pub rest_rms: f64,

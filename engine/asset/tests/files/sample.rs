@@ -130,7 +130,7 @@ pub fn spz_gzip(version: u32, count: u32, degree: u8, fractional_bits: u8, strea
     spz_gzip_with_flags(version, count, degree, fractional_bits, 0, streams)
 }
 
-/// As [`spz_gzip`], with flags.
+/// Like [`spz_gzip`], with flags.
 pub fn spz_gzip_with_flags(version: u32, count: u32, degree: u8, fractional_bits: u8, flags: u8, streams: &[u8]) -> Vec<u8> {
     use std::io::Write;
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());

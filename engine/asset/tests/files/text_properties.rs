@@ -88,7 +88,7 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
         })
 }
 
-/// Whether `camera` is `intrinsics` at `pose`, up to rounding.
+/// True if `camera` is `intrinsics` at `pose`, up to rounding.
 fn is_camera(camera: &Camera, intrinsics: &Intrinsics, pose: &Pose) -> bool {
     let Pose { rotation, translation } = camera.world_from_camera;
     let axes = DMat3::from_quat(rotation);

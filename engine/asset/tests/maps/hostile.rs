@@ -23,7 +23,7 @@ const SEEDS: [&str; 7] = [
     "track_table/two.json",
 ];
 
-/// What is neither a number, nor short, nor expected.
+/// Values that are neither numbers, nor short, nor expected.
 const POISON: [&str; 14] = [
     "NaN",
     "-inf",

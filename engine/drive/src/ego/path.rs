@@ -60,7 +60,8 @@ impl PlannedPath {
         if past_m > 0.0 { self.end + self.beyond * past_m } else { self.line.at(arc_m).truncate() }
     }
 
-    /// How far along it the place nearest to `at` is, searched so far behind and ahead of `near_m`, metres.
+    /// Arc length of the nearest point to `at`, searched within the given distances behind and
+    /// ahead of `near_m`, meters.
     pub(super) fn project(&self, at: DVec2, near_m: f64, reach_m: f64) -> f64 {
         let length_m = self.line.length_m();
         let arc_m = self.line.project_within(at, near_m - reach_m, near_m + reach_m).arc_m;

@@ -1,4 +1,4 @@
-//! How fast a plan is driven: its way over time as a smooth curve.
+//! Speed profile of a plan: its arc length over time as a smooth curve.
 
 /// A plan whose rest of the way is shorter is at rest, metres.
 const REST_M: f64 = 0.02;
@@ -13,13 +13,13 @@ pub(super) struct SpeedProfile {
     knots: Vec<[f64; 3]>,
 }
 
-/// What a profile asks for at a moment.
+/// Target of a profile at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Wanted {
     pub arc_m: f64,
     pub speed_mps: f64,
     pub acceleration_mps2: f64,
-    /// Whether nothing is left of the way.
+    /// True if nothing is left of the way.
     pub rests: bool,
 }
 
@@ -51,12 +51,12 @@ impl SpeedProfile {
         Self { knots }
     }
 
-    /// When the plan is over, seconds.
+    /// End of the plan, seconds.
     pub(super) fn end_s(&self) -> f64 {
         self.knots[self.knots.len() - 1][0]
     }
 
-    /// What it asks for `time_s` after the observation.
+    /// Target at `time_s` after the observation.
     pub(super) fn at(&self, time_s: f64) -> Wanted {
         let last = self.knots[self.knots.len() - 1];
         let next = self.knots.partition_point(|knot| knot[0] <= time_s).clamp(1, self.knots.len() - 1);

@@ -1,4 +1,4 @@
-//! How agents drive, and what some of them do that good drivers would not.
+//! Driver types, and misbehavior of some agents.
 
 use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{LaneMap, Level};
@@ -12,11 +12,13 @@ use super::to_tenth;
 
 /// Somebody who stands cannot swerve, m/s.
 const SWERVE_MPS_MIN: f64 = 2.0;
-/// Who drives ahead of the ego its way swerves when it has come so near, metres: it can still brake.
+/// Distance to the ego at which a vehicle ahead on the same route swerves, meters: the ego can
+/// still brake.
 const SWERVE_NEAR_M: (f64, f64) = (12.0, 25.0);
-/// So far to the side: into the lane beside.
+/// Lateral distance: into the next lane.
 const SWERVE_M: (f64, f64) = (0.8, 1.6);
-/// Who meets the ego or is abreast of it swerves within its own lane: an ego that is hit from there could have done nothing.
+/// Lateral distance of a swerve of oncoming or adjacent vehicles, within their own lane: an ego
+/// that they hit could not avoid it.
 const SWERVE_IN_LANE_M: (f64, f64) = (0.4, 0.7);
 /// Cosine of the angle between the headings of two that drive the same way.
 const ALONG: f64 = 0.8;
@@ -89,8 +91,8 @@ fn swerve(reach_m: (f64, f64), random: &mut Stream) -> Behaviour {
     Behaviour { trigger: Trigger::NearEgo { distance_m: random.between(SWERVE_NEAR_M).round() }, maneuver }
 }
 
-/// Which vehicles swerve, and how far: of those near the ego, first who drives ahead of it its way, then who moves, then who is nearest to
-/// its route. All others keep to their lanes.
+/// Vehicles that swerve, and by how much. Among those near the ego: first vehicles ahead on its
+/// route, then moving ones, then the nearest to its route. All others keep to their lanes.
 fn swerving(start: &EgoStart, vehicles: &[Vehicle], count: usize) -> Vec<(usize, (f64, f64))> {
     let ego = &vehicles[0].outline;
     let mut near: Vec<(bool, bool, f64, usize)> = Vec::new();

@@ -1,4 +1,4 @@
-//! Where the ego starts and which way it is to go.
+//! Start and route of the ego.
 
 use decouplegs_scene::VehicleSize;
 use decouplegs_scene::scenario::EgoTask;
@@ -12,7 +12,7 @@ use crate::route::Route;
 
 /// The ego's box.
 pub(super) const EGO: VehicleSize = VehicleSize::CAR;
-/// How long a route is asked to be, metres.
+/// Range of requested route lengths, meters.
 const ROUTE_M: (f64, f64) = (100.0, 180.0);
 /// A route that has to be shorter than this is none, metres.
 const ROUTE_M_MIN: f64 = 60.0;
@@ -25,7 +25,7 @@ const LANES_MAX: usize = 300;
 const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
 /// Nor slower than a bicycle: lanes that allow less are none to test on.
 const CRUISE_MPS_MIN: f64 = 4.0;
-/// How many routes lead straight on where they may.
+/// Share of routes that lead straight on where they can.
 const STRAIGHT_SHARE: f64 = 0.65;
 /// A lane that turns by less leads straight on, radians.
 const STRAIGHT_RAD: f64 = 0.35;
@@ -37,12 +37,12 @@ const LATERAL_MPS2: f64 = 2.0;
 /// Curvature is looked at in steps of this, metres.
 const STRIDE_M: f64 = 1.0;
 
-/// Where routes may start and end: a circle.
+/// Area in which routes may start and end: a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
-    /// Its middle, world coordinates, metres.
+    /// Center, world coordinates, meters.
     pub centre_m: DVec2,
-    /// Its radius.
+    /// Radius, meters.
     pub radius_m: f64,
 }
 
@@ -54,7 +54,7 @@ impl Area {
 
 /// A task for the ego.
 pub(super) struct EgoStart {
-    /// Its speed is that at which it would like to start.
+    /// Task of the ego; its speed is the preferred speed at the start.
     pub task: EgoTask,
     pub spot: Spot,
     /// The lanes of the route.
@@ -78,7 +78,8 @@ impl EgoStart {
         None
     }
 
-    /// How far along the route `spot` is, where it is on one of its lanes; below zero behind the start.
+    /// Distance of `spot` along the route if it is on one of the route's lanes; below zero behind
+    /// the start.
     pub fn ahead_m(&self, roads: &Roads, spot: Spot) -> Option<f64> {
         let mut begin_m = -self.spot.at_m;
         for &lane in &self.lanes {
@@ -91,7 +92,7 @@ impl EgoStart {
     }
 }
 
-/// What a level would like a start to have. Maps that have none of it are driven on all the same.
+/// Preferences of a level for a start. Maps that have none of it are driven on all the same.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wishes {
     /// A crossing ahead.
@@ -194,7 +195,8 @@ fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoS
     Some(EgoStart { task, spot, lanes, route, crossing })
 }
 
-/// How long a comfortable drive along the route takes that begins at half of its cruise speed and meets nobody, seconds.
+/// Duration of a comfortable drive along the route, from half of the cruise speed and without other
+/// traffic, seconds.
 fn free_time_s(route: &Route, cruise_mps: f64) -> f64 {
     let count = (route.length_m() / STRIDE_M).ceil() as usize + 1;
     let heading = |at: usize| route.line().heading_at(at as f64 * STRIDE_M);

@@ -1,4 +1,4 @@
-//! Where a scenario takes place and what light it has: what the caller offers, and what a level takes of it.
+//! Place and light of a scenario: the caller's options, and the choice by level.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ pub struct Sky {
     pub weather: Weather,
 }
 
-/// Where scenarios take place. All that a level decides is the light.
+/// Place of the scenarios. All that a level decides is the light.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PlaceOptions {
     /// The synthetic street, in the weather of the level.
@@ -44,12 +44,13 @@ pub enum PlaceOptions {
     Scene {
         /// The scene file.
         scene: PathBuf,
-        /// Its lanes.
+        /// Map file with the lanes.
         map: PathBuf,
     },
 }
 
-/// How bright a place looks, stops against a clear day. Eyes and cameras adapt: measured light differs by far more.
+/// Brightness of a place, stops relative to a clear day. Eyes and cameras adapt: measured light
+/// differs by far more.
 const fn brightness_ev(weather: Weather) -> f64 {
     match weather {
         Weather::Clear => 0.0,

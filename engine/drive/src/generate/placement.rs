@@ -1,4 +1,5 @@
-//! Who stands where at the start: the ego, who drives ahead of it, who will cut in, who waits at the crossing, and all others.
+//! Initial placement: the ego, the vehicle ahead of it, the one that will cut in, the one that
+//! waits at the crossing, and all others.
 
 use decouplegs_scene::VehicleSize;
 use glam::DVec2;
@@ -14,11 +15,12 @@ use crate::oriented_box::OrientedBox;
 const FAR_M: f64 = 100.0;
 /// From the ego's front to the rear of the vehicle ahead, metres.
 const LEAD_GAP_M: (f64, f64) = (15.0, 40.0);
-/// Who will cut in is so far ahead of the ego, from middle to middle along the lane beside, metres.
+/// Initial distance of the vehicle that cuts in, ahead of the ego along the next lane, center to
+/// center, meters.
 const CUT_IN_AHEAD_M: (f64, f64) = (6.0, 14.0);
 /// A lane beside the ego's is not farther off than this, metres.
 const BESIDE_M: f64 = 6.0;
-/// Who waits at a crossing stands so far before the line, metres from bumper to line.
+/// Distance from bumper to stop line of a vehicle that waits at a crossing, meters.
 const WAITING_M: (f64, f64) = (1.0, 5.0);
 /// Speed of those who come to a full crossing.
 const WAITING_MPS: (f64, f64) = (0.0, 3.0);
@@ -32,16 +34,16 @@ const GAP_M_MIN: f64 = 3.0;
 const FOLLOWING_M: f64 = 45.0;
 /// Places are looked at in steps of this along lanes, metres.
 const STRIDE_M: f64 = 3.0;
-/// How far ahead others matter, metres.
+/// Distance ahead within which others matter, meters.
 const LOOK_AHEAD_M: f64 = 120.0;
 /// A lead vehicle slower than the ego is so by at least this share of the ego's speed.
 const SLOWER_SHARE: f64 = 0.8;
 /// An ego that others force below this share of its cruise speed has nothing to do.
 const EGO_SPEED_SHARE_MIN: f64 = 0.25;
-/// How often a place ahead of the ego is drawn.
+/// Number of draws of a position ahead of the ego.
 const LEAD_DRAWS: usize = 16;
 
-/// What a vehicle is there for.
+/// Role of a vehicle in the scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
     Ego,
@@ -61,7 +63,7 @@ pub(super) struct Vehicle {
     pub speed_mps: f64,
 }
 
-/// Why a start of the ego did not do: how many agents found room near it, none where they left nothing to drive for.
+/// Too few agents found room near the start; zero if they left the ego no room to drive.
 pub(super) struct TooFew(pub usize);
 
 /// The vehicles of a scenario as they are put on the road; the ego is the first.
@@ -83,7 +85,7 @@ impl<'a> Placement<'a> {
         Self { roads, rules, start, assets, vehicles: vec![ego], random }
     }
 
-    /// Everybody, the ego first, between `least` and `most` agents within [`NEAR_M`] of it.
+    /// Places all vehicles, the ego first, with `least` to `most` agents within [`NEAR_M`] of it.
     pub fn fill(mut self, (least, most): (usize, usize)) -> Result<Vec<Vehicle>, TooFew> {
         let wanted = self.random.whole((least, most));
         let has_lead = self.random.chance(self.rules.lead_share);
@@ -144,7 +146,7 @@ impl<'a> Placement<'a> {
         spot.lane != ego.spot.lane && merges && ego.outline.distance_m(outline) < MERGE_APART_M
     }
 
-    /// Whether one of two that are near each other is ahead of the other.
+    /// True if one of two that are near each other is ahead of the other.
     fn follow_each_other(&self, a: Spot, b: Spot) -> bool {
         let follows = |behind, front| self.roads.between_m(behind, front, FOLLOWING_M).is_some();
         follows(a, b) || follows(b, a)
@@ -297,10 +299,10 @@ impl<'a> Placement<'a> {
     }
 }
 
-/// What keeps a vehicle slow.
+/// Limits on the speed of a vehicle.
 struct Limits {
-    /// So that it can stop for others at the next crossing, or before its lane ends.
+    /// Speed at which it can stop before the next crossing or the end of its lane.
     stop_mps: f64,
-    /// Who is ahead, and the gap, metres.
+    /// Indices of the vehicles ahead, with the gap in meters.
     leaders: Vec<(usize, f64)>,
 }

@@ -1,4 +1,4 @@
-//! What a map offers those who are to be put on it: where there is room, where crossings are, and what lies ahead.
+//! Road layout for placement: free positions, crossings, and lanes ahead.
 
 use std::sync::Arc;
 
@@ -47,11 +47,11 @@ pub(super) struct Roads<'a> {
     borders: Vec<[Option<Polyline>; 2]>,
     /// Stretches of each lane, from and to, on which vehicles of other lanes may be in the way.
     shared: Vec<Vec<(f64, f64)>>,
-    /// Where on each lane stretches begin on which somebody else goes first.
+    /// Starts of stretches on each lane where another lane has priority.
     yields: Vec<Vec<f64>>,
-    /// Where a lane first meets others, lanes in order: the crossings.
+    /// First positions at which a lane meets others, in the order of the lanes: the crossings.
     pub crossings: Vec<Spot>,
-    /// Whether lanes lie beside each other anywhere.
+    /// True if lanes lie beside each other anywhere.
     pub has_lanes_beside: bool,
     /// Driving lanes, and how many metres of them there are up to the end of each.
     reach: Vec<(usize, f64)>,
@@ -115,8 +115,8 @@ impl<'a> Roads<'a> {
         OrientedBox::of(&VehicleState { position_m: place.position_m, yaw_rad: place.yaw_rad, ..VehicleState::default() }, size)
     }
 
-    /// Whether a vehicle of `size` may start at `spot` as far as the road is concerned: its lane is wide enough and goes on, and all of
-    /// it is off stretches where others may come.
+    /// True if a vehicle of `size` may start at `spot` as far as the road is concerned: its lane is
+    /// wide enough and continues, and no part of the vehicle is on a stretch that others may cross.
     pub fn has_room(&self, spot: Spot, size: &VehicleSize) -> bool {
         let Some(lane) = self.graph.lane(spot.lane) else { return false };
         let half_m = 0.5 * size.length_m;
@@ -124,8 +124,8 @@ impl<'a> Roads<'a> {
         on_lane && self.is_free(spot.lane, spot.at_m - half_m, spot.at_m + half_m) && self.is_wide(spot, size)
     }
 
-    /// Whether nobody of another lane may come where `lane` is between two places; what lies before its start or beyond its end is on the
-    /// lanes there, and has to be free on all of them. False where none are.
+    /// True if no other lane conflicts with `lane` between two positions. A stretch before its
+    /// start or beyond its end must be free on all lanes there. False where none are.
     fn is_free(&self, lane: usize, from_m: f64, to_m: f64) -> bool {
         let (mut open, mut looked_at) = (vec![(lane, from_m, to_m, 0_i32)], 0);
         while let Some((lane, from_m, to_m, way)) = open.pop() {
@@ -175,7 +175,7 @@ impl<'a> Roads<'a> {
         ahead.filter(|apart_m| (0.0..=reach_m).contains(apart_m)).min_by(f64::total_cmp)
     }
 
-    /// Whether both borders are beyond a vehicle's sides, at its middle, front and rear.
+    /// True if both borders are beyond a vehicle's sides, at its middle, front and rear.
     fn is_wide(&self, spot: Spot, size: &VehicleSize) -> bool {
         let least_m = 0.5 * size.width_m + BORDER_M;
         let beyond = |border: &Option<Polyline>, at_m: f64| {
@@ -221,7 +221,7 @@ impl<'a> Roads<'a> {
         self.ahead(spot, reach_m).into_iter().flat_map(stops).filter(|&at_m| at_m >= 0.0).fold(f64::INFINITY, f64::min)
     }
 
-    /// Where vehicles wait before the crossing that `lane` leads over: on each lane that leads to it, the place of the stop line.
+    /// Stop lines before the crossing that `lane` leads over, one per incoming lane.
     pub fn stop_lines(&self, lane: usize) -> Vec<Spot> {
         let others = |lane: usize| {
             let conflicts = self.graph.lane(lane).map_or(&[][..], |lane| &lane.conflicts);

@@ -1,4 +1,4 @@
-//! What each level asks of a scenario, in figures.
+//! Numeric requirements of each level.
 //!
 //! Counts, light and behaviours are those of the paper's supplement ("Definition of Evaluation Scenarios"). Speeds and distances it does
 //! not give: they are ours.
@@ -9,7 +9,7 @@ use decouplegs_scene::{Level, Weather};
 /// Agents nearer than this to the ego at the start are those that a level counts, metres from middle to middle.
 pub const NEAR_M: f64 = 50.0;
 
-/// How many agents a level has within [`NEAR_M`] of the ego at the start: least and most.
+/// Least and greatest number of agents within [`NEAR_M`] of the ego at the start.
 #[must_use]
 pub const fn agents_near(level: Level) -> (usize, usize) {
     match level {
@@ -32,12 +32,13 @@ pub const fn weathers(level: Level) -> &'static [Weather] {
     }
 }
 
-/// Everything else that differs from level to level. Pairs are least and most; shares of speed are of what a lane allows.
+/// Further differences between levels. Pairs are least and most; shares of speed are of what a lane
+/// allows.
 pub(super) struct Rules {
     /// Agents that come along from farther away.
     pub far: (usize, usize),
     pub drivers: &'static [DriverKind],
-    /// How many of the agents may change lanes of their own accord.
+    /// Share of the agents that may change lanes voluntarily.
     pub lane_change_share: f64,
     pub ego_speed_share: (f64, f64),
     /// Share of the ego's speed, not of what the lane allows.
@@ -45,14 +46,14 @@ pub(super) struct Rules {
     /// In how many scenarios somebody drives ahead of the ego.
     pub lead_share: f64,
     pub flow_speed_share: (f64, f64),
-    /// How far before a crossing the ego's front is at the start, metres.
+    /// Initial distance of the ego's front from a crossing, meters.
     pub before_crossing_m: (f64, f64),
     /// In how many scenarios the ego starts before a crossing.
     pub crossing_share: f64,
-    /// Whether the ways to the crossing are full.
+    /// True if the ways to the crossing are full.
     pub congested: bool,
     pub cut_ins: usize,
-    /// Whether the vehicle ahead brakes hard.
+    /// True if the vehicle ahead brakes hard.
     pub lead_brakes: bool,
     pub swerves: (usize, usize),
 }

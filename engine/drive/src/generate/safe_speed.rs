@@ -5,11 +5,11 @@
 
 /// A planner answers at steps of half a second; one step may be lost.
 const REACTION_S: f64 = 1.0;
-/// What a follower need not exceed, m/s^2: a full brake of the ego is 8.
+/// Deceleration of a follower on which safe gaps count, m/s^2: a full brake of the ego is 8.
 const BRAKING_MPS2: f64 = 6.0;
 /// The hardest that anybody brakes, m/s^2: a dry road gives no more.
 const LEADER_BRAKING_MPS2: f64 = 8.0;
-/// What is left between two that stand, metres.
+/// Gap between two standing vehicles, meters.
 const STANDING_GAP_M: f64 = 2.0;
 
 /// The highest speed behind a leader `gap_m` ahead, bumper to bumper: that of v T + v^2 / 2b = gap + (its own braking distance).

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 /// A splat spans so much height at one place and still counts half, metres. Road splats span millimetres, leaves decimetres.
 const FLAT_SPAN_M: f64 = 0.1;
-/// What counts less than this in the middle of its own column is left out: it cannot carry a surface.
+/// Least weight in the middle of a column: smaller surfels cannot carry a surface.
 const SHARE_MIN: f64 = 2e-3;
 /// A splat reaches so many standard deviations.
 const REACH_SIGMAS: f64 = 3.0;
@@ -18,8 +18,9 @@ const LEVELS: usize = 5;
 /// Farther from the origin f32 means have no centimetres left, metres.
 const EXTENT_M: f32 = 1e5;
 
-/// What a column sees of a splat. With S the horizontal covariance of the splat, c the column's sigma and d from mean to column:
-/// the share is `alpha sqrt(det S / det S') exp(-d S'^-1 d / 2)` with `S' = S + c^2`, the Gaussian integrated over the column.
+/// Part of a splat within a column. With S the horizontal covariance of the splat, c the column's
+/// sigma and d from mean to column: the share is `alpha sqrt(det S / det S') exp(-d S'^-1 d / 2)`
+/// with `S' = S + c^2`, the Gaussian integrated over the column.
 #[derive(Clone, Copy, Debug)]
 pub struct Surfel {
     pub mean: [f32; 3],
@@ -36,9 +37,9 @@ pub struct Surfel {
 pub struct Sample {
     /// Height of the part inside.
     pub height: f32,
-    /// Where that part lies about the column's axis, metres: `c^2 S'^-1 (mean - axis)`.
+    /// Offset of that part from the column's axis, meters: `c^2 S'^-1 (mean - axis)`.
     pub offset: [f32; 2],
-    /// How much it counts.
+    /// Weight.
     pub share: f32,
 }
 
@@ -91,7 +92,7 @@ struct Level {
     cell_m: f64,
     /// Cells that hold any, rising.
     cells: Vec<[i32; 2]>,
-    /// Where the surfels of each cell begin, and after the last where they end.
+    /// First surfel of each cell, and one past the last.
     starts: Vec<u32>,
     surfels: Vec<Surfel>,
 }
@@ -109,7 +110,7 @@ impl SurfelGrid {
         Self { levels: levels.collect(), column_sigma_m }
     }
 
-    /// What the column about `axis` sees, appended to `samples`.
+    /// Appends the samples of the column around `axis` to `samples`.
     pub fn samples_at(&self, axis: DVec2, samples: &mut Vec<Sample>) {
         for level in self.levels.iter().filter(|level| !level.surfels.is_empty()) {
             let [x, y] = cell_of(axis, level.cell_m);

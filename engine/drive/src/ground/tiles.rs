@@ -21,7 +21,7 @@ pub struct Tiles {
 
 /// Surfaces over the nodes of a square.
 struct Tile {
-    /// Where the surfaces of each node begin, and after the last where they end.
+    /// First surface of each node, and one past the last.
     starts: Vec<u32>,
     layers: Vec<Layer>,
 }

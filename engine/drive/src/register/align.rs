@@ -16,14 +16,15 @@ use crate::polyline::{Foot, wrapped};
 
 /// Steps of the warping along a lane, metres.
 const STEP_M: f64 = 0.5;
-/// So many points count from one waypoint to the next, be there more.
+/// Largest number of points that count between two waypoints.
 const POINTS_A_WAYPOINT: f64 = 4.0;
 /// Times that lanes are chosen, each after the first by the track as it was moved.
 pub(super) const ROUTES: usize = 2;
 /// Times that points are matched and the motion found.
 const MATCHES: usize = 12;
-/// What deviates by less is no outlier at first, metres, and half of that each time further: a logged track is nearly a lane's shape at
-/// the wrong place, and were its bends outliers from the start, its straight parts alone would decide.
+/// Scale of the outlier test in the first round, meters; half of that in each further round. A
+/// logged track has nearly a lane's shape at a wrong position. If its curves were outliers from the
+/// start, its straight parts alone would decide.
 const SCALE_FIRST_M: f64 = 1.0;
 /// Matching ends when the motion changes by less, metres and (times a hundred metres) radians.
 const SETTLED: f64 = 1e-5;
@@ -54,7 +55,7 @@ impl Aligned {
     }
 }
 
-/// What tracks are registered to, and how.
+/// Registration targets and options.
 pub struct Register<'a> {
     pub map: &'a LaneMap,
     pub index: &'a LaneIndex,
@@ -225,7 +226,7 @@ impl Register<'_> {
         motion.shift_m.length() <= self.options.shift_max_m && wrapped(motion.yaw_rad).abs() <= self.options.yaw_max_rad
     }
 
-    /// Why a motion is not believed.
+    /// Reason why a motion is implausible, if any.
     pub(super) fn doubt(&self, fit: &PlanarFit) -> Option<String> {
         let (shift_m, yaw_deg) = (fit.motion.shift_m.length(), fit.motion.yaw_rad.to_degrees());
         let options = self.options;

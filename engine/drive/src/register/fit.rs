@@ -13,22 +13,22 @@ use crate::planar::PlanarTransform;
 /// A point of a track and the line that it should lie on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinePair {
-    /// Where it was logged, world coordinates, metres.
+    /// Logged position, world coordinates, meters.
     pub from: DVec2,
     /// A place on the line.
     pub on_line: DVec2,
     /// Across the line there, to its left; of length 1.
     pub across: DVec2,
-    /// How much it counts, 1 as a rule.
+    /// Weight, usually 1.
     pub weight: f64,
 }
 
-/// What is known of motions before any track is seen: standard deviations about none.
+/// Prior of motions before any track is seen: standard deviations around zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionPrior {
-    /// Of the shift along either axis, metres.
+    /// Standard deviation of the shift along either axis, meters.
     pub shift_m: f64,
-    /// Of the turn about the middle of the track, radians.
+    /// Standard deviation of the turn around the middle of the track, radians.
     pub yaw_rad: f64,
 }
 
@@ -103,15 +103,16 @@ pub fn fit(pairs: &[LinePair], start: &PlanarTransform, prior: &MotionPrior, sca
 const SAMPLES_MAX: usize = 4096;
 const LAGS_MAX: usize = 4096;
 
-/// How much the distance of a pair grows with turn and shift.
+/// Gradient of a pair's distance by turn and shift.
 fn row(pair: &LinePair, motion: &PlanarTransform) -> DVec3 {
     let arm = DVec2::from_angle(motion.yaw_rad).rotate(pair.from - motion.pivot_m).perp();
     DVec3::new(pair.across.dot(arm), pair.across.x, pair.across.y)
 }
 
-/// How many neighbours in `off` say the same: noise of a sensor is new at each point, but a driver who keeps to the left does so for many.
-/// One and twice the sum of autocorrelations up to the first that is none; what is beyond `cut_m` is left out. Of long lists, products of
-/// evenly spread samples stand for all, so that time grows with the length alone.
+/// Number of neighbors in `off` with correlated deviations. Sensor noise is new at each point, but
+/// a driver who keeps left does so for many points. One and twice the sum of autocorrelations up to
+/// the first that is none; what is beyond `cut_m` is left out. Of long lists, products of evenly
+/// spread samples stand for all, so that time grows with the length alone.
 fn correlation_length(off: &[f64], cut_m: f64) -> f64 {
     let kept = |off: &f64| if off.abs() < cut_m { *off } else { 0.0 };
     let off: Vec<f64> = off.iter().map(kept).collect();

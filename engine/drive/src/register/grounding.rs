@@ -69,7 +69,7 @@ pub fn pose_on(plane: &RoadPlane, at: DVec2, yaw_rad: f64, height_m: f64) -> Pos
     Pose::new(rotation, at.extend(plane.height_m + 0.5 * height_m / up.z))
 }
 
-/// What poses are set on.
+/// Surfaces on which poses are placed.
 pub(super) struct Grounding<'a> {
     pub register: &'a Register<'a>,
     pub ground: Option<&'a Ground>,
@@ -172,7 +172,7 @@ fn under(
     plane(&corners, &heights)
 }
 
-/// Where on its leg the track's point `at` is, moved to `place`.
+/// Nearest point on the leg's lane to the track's point `at`, moved to `place`.
 fn foot_on_leg(prepared: &Prepared, aligned: &Aligned, at: usize, place: DVec2) -> Option<LaneBelow> {
     let next = prepared.waypoints.partition_point(|waypoint| waypoint.index < at);
     let known = |waypoint: usize| aligned.feet.get(waypoint).copied().flatten();

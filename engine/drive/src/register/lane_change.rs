@@ -1,4 +1,4 @@
-//! Which points of a track are between lanes: their distance from a centreline is no drift.
+//! Points of a track between lanes: their distance from a centerline is no drift.
 
 use super::route::Leg;
 
@@ -7,14 +7,15 @@ use super::route::Leg;
 const HALF_CHANGE_S: f64 = 3.0;
 /// The shortest half of a change, seconds.
 const HALF_CHANGE_MIN_S: f64 = 0.5;
-/// Who is nearer than this to his lane has arrived, metres; more where the track lies about its lane more.
+/// Distance to the lane at which a lane change is complete, meters; more where the track varies
+/// more around its lane.
 const ARRIVED_M: f64 = 0.15;
 const ARRIVED_DEVIATIONS: f64 = 3.0;
 
 /// A change from one leg to the next, and how long it takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LaneChange {
-    /// When the nearer lane is the new one, seconds.
+    /// Time at which the nearer lane becomes the new one, seconds.
     pub time_s: f64,
     /// It begins then, seconds.
     pub from_s: f64,
@@ -23,7 +24,7 @@ pub struct LaneChange {
 }
 
 impl LaneChange {
-    /// Whether `time_s` is within it.
+    /// True if `time_s` is within it.
     #[must_use]
     pub fn contains(&self, time_s: f64) -> bool {
         (self.from_s..=self.to_s).contains(&time_s)

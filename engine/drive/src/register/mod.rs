@@ -32,10 +32,11 @@ use fit::{MotionPrior, PlanarFit};
 use lane_change::LaneChange;
 use prepared::Prepared;
 
-/// How tracks are registered.
+/// Options of the registration of tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegisterOptions {
-    /// What a heading across the lane costs in metres, half of that against it (the paper's 2.5).
+    /// Cost of a heading across the lane, meters; half of it counts against the lane (the paper's
+    /// 2.5).
     pub heading_weight: f64,
     /// Half the width of the Sakoe-Chiba band, metres along the lane.
     pub band_m: f64,
@@ -48,7 +49,7 @@ pub struct RegisterOptions {
     pub noise_m: Option<f64>,
     /// No other motion than one of all tracks of the log together.
     pub shared: bool,
-    /// How far logs drift.
+    /// Prior of the drift of logs.
     pub prior: MotionPrior,
     /// A motion of more is not believed: shift in metres.
     pub shift_max_m: f64,
@@ -84,7 +85,7 @@ impl Default for RegisterOptions {
     }
 }
 
-/// Why nothing could be registered.
+/// Reason why nothing could be registered.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RegisterError {
     /// The map has no lanes.
@@ -99,9 +100,9 @@ pub enum RegisterError {
     /// An option is not a positive number.
     #[error("option {name} is {value}; expected a number above zero")]
     Option {
-        /// Its field in [`RegisterOptions`].
+        /// Field in [`RegisterOptions`].
         name: &'static str,
-        /// What it is.
+        /// Value of the field.
         value: f64,
     },
 }
@@ -115,14 +116,14 @@ pub struct Registration {
     pub shared: Option<PlanarFit>,
 }
 
-/// What became of a track.
+/// Result of the registration of a track.
 #[derive(Clone, Debug)]
 pub struct RegisteredTrack {
-    /// As in the log.
+    /// Id as in the log.
     pub id: String,
-    /// As in the log.
+    /// Class as in the log.
     pub class: String,
-    /// As in the log, or [`RegisterOptions::dims_m`].
+    /// Size as in the log, or [`RegisterOptions::dims_m`].
     pub dims_m: [f64; 3],
     /// Poses, or why there are none.
     pub outcome: Outcome,
@@ -135,7 +136,7 @@ pub enum Outcome {
     Registered(Box<Registered>),
     /// It does not, and is best left out.
     Refused {
-        /// Why, as a sentence without its end.
+        /// Reason, as a sentence without its end.
         reason: String,
     },
 }
@@ -149,7 +150,7 @@ pub struct Registered {
     pub treatment: Treatment,
     /// Places in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
-    /// Where it changes lanes.
+    /// Lane changes.
     pub lane_changes: Vec<LaneChange>,
     /// One for each point of the track.
     pub poses: Vec<RegisteredPose>,
@@ -187,7 +188,7 @@ impl Treatment {
         matches!(self, Self::Kept | Self::KeptLaneUnsure | Self::KeptParked)
     }
 
-    /// Its name in tables.
+    /// Name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -201,20 +202,20 @@ impl Treatment {
     }
 }
 
-/// Where a road user is at a moment.
+/// Pose of a road user at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegisteredPose {
     /// The moment, seconds.
     pub time_s: f64,
     /// World from box, its origin in the middle of the box.
     pub pose: Pose,
-    /// Where its lane is, none where it follows none.
+    /// Nearest point on its lane; none if it follows none.
     pub lane: Option<Foot>,
-    /// What is to be known of it.
+    /// Properties of the pose.
     pub flags: PoseFlags,
 }
 
-/// What is to be known of a pose.
+/// Properties of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PoseFlags {
     /// Fewer than three corners had ground below them: height and grade are those of the lane.
@@ -227,9 +228,9 @@ pub struct PoseFlags {
     pub lane_change: bool,
     /// The log has it far from its neighbours; it was put where they say.
     pub outlier: bool,
-    /// Its track travels too little to follow lanes.
+    /// Parked: the track travels too little to follow lanes.
     pub parked: bool,
-    /// Its track fits several lanes about as well.
+    /// Lane unsure: the track fits several lanes about as well.
     pub lane_unsure: bool,
 }
 

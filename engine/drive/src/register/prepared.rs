@@ -47,7 +47,7 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// Its waypoints as `motion` has them.
+    /// Waypoints after `motion`.
     pub fn moved(&self, motion: &PlanarTransform) -> Vec<Waypoint> {
         let moved = |waypoint: &Waypoint| Waypoint {
             position: motion.apply(waypoint.position),
@@ -64,7 +64,7 @@ impl<'a> Prepared<'a> {
         first + sum / self.waypoints.len().max(1) as f64
     }
 
-    /// When it is at each waypoint, seconds.
+    /// Time of each waypoint, seconds.
     pub fn times_s(&self) -> Vec<f64> {
         self.waypoints.iter().map(|waypoint| self.track.points[waypoint.index].time_s).collect()
     }

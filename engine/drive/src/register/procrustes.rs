@@ -7,9 +7,9 @@ use crate::planar::PlanarTransform;
 /// A point, where it should go, and how much that counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WeightedPair {
-    /// Where the point is.
+    /// Position of the point.
     pub from: DVec2,
-    /// Where its partner is.
+    /// Position of its partner.
     pub to: DVec2,
     /// At least zero.
     pub weight: f64,

@@ -16,7 +16,7 @@ use crate::polyline::{Polyline, wrapped};
 /// A point of a track, as lanes are chosen by it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
-    /// Which point of the track.
+    /// Index of the point in the track.
     pub index: usize,
     /// World coordinates, metres.
     pub position: DVec2,
@@ -35,9 +35,9 @@ pub struct Leg {
     pub line: Polyline,
     /// Waypoints on it, rising.
     pub waypoints: Vec<usize>,
-    /// Where on the line each of them is, metres from its start; about, as lanes do not meet exactly.
+    /// Arc length of each point along the line, meters; approximate, as lanes do not meet exactly.
     pub arcs_m: Vec<f64>,
-    /// Whether it was entered sideways: a lane change.
+    /// True if the lane was entered sideways: a lane change.
     pub by_lane_change: bool,
 }
 
@@ -52,7 +52,7 @@ const LANE_CHANGE_COST: f64 = 12.0;
 const UNLINKED_CHANGE_COST: f64 = 18.0;
 /// A lane that follows no lane before it: links are missing, or the track was interrupted.
 const JUMP_COST: f64 = 60.0;
-/// What must not be; finite, so that a way is found where there is no other.
+/// Cost of forbidden steps; finite, so that a path is found where there is no other.
 const FORBIDDEN_COST: f64 = 1e6;
 /// Directions that differ by more are not along each other, radians.
 const ALONG_RAD: f64 = 1.3;
@@ -63,7 +63,7 @@ const LANES_MAX: usize = 16;
 /// Neighbouring lanes are so far apart at most, metres.
 const NEIGHBOUR_MAX_M: f64 = 6.0;
 
-/// Whether tracks of `class` may be on lanes of `kind`.
+/// True if tracks of `class` may be on lanes of `kind`.
 #[must_use]
 pub fn may_use(class: &str, kind: LaneKind) -> bool {
     match class {
@@ -144,7 +144,7 @@ fn place_cost(at: &LanePoint, waypoint: &Waypoint) -> f64 {
     (at.foot.distance_m * at.foot.distance_m).min(OFF_COST_MAX) + HEADING_COST * (1.0 - turned.cos())
 }
 
-/// Where ways are looked for.
+/// Search space of routes.
 struct Search<'a> {
     map: &'a LaneMap,
     index: &'a LaneIndex,

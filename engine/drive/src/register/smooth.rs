@@ -36,7 +36,7 @@ const MOVING_MPS: f64 = 0.7;
 pub struct Smoothed {
     /// One for each point of the track.
     pub positions: Vec<DVec2>,
-    /// Where the nose points, radians, where that is known: as logged, or else the way it moves.
+    /// Heading at each point, radians, if known: as logged, or else the direction of motion.
     pub yaws: Vec<Option<f64>>,
     /// Points far from where their neighbours say.
     pub outliers: Vec<bool>,

@@ -15,7 +15,7 @@ const CELL_M: f64 = 2.0;
 const LATERAL_MPS2: f64 = 2.0;
 /// Braking for a curve, m/s^2.
 const APPROACH_MPS2: f64 = 1.5;
-/// Nobody is slower in a curve for comfort, m/s.
+/// Lower limit of comfortable speeds in curves, m/s.
 const CURVE_MPS_MIN: f64 = 2.5;
 
 /// A part of a lane, metres along it.
@@ -43,7 +43,7 @@ pub(crate) struct Cells {
     /// Cells of other lanes in each one's way: those of cell `c` are `conflicts[starts[c]..starts[c + 1]]`.
     pub(super) starts: Vec<u32>,
     pub(super) conflicts: Vec<u32>,
-    /// Where on each lane cells conflict with others, rows of them.
+    /// Conflicting cells on each lane, as rows.
     pub(super) stretches: Vec<Vec<Stretch>>,
     approach_mps: Vec<f64>,
 }
@@ -88,12 +88,12 @@ impl Cells {
         &self.conflicts[self.starts[cell] as usize..self.starts[cell + 1] as usize]
     }
 
-    /// Where on `lane` others are in the way.
+    /// Conflicting stretches of `lane`.
     pub(crate) fn stretches(&self, lane: usize) -> &[Stretch] {
         &self.stretches[lane]
     }
 
-    /// How fast a vehicle may be `at_m` along `lane` for the curves ahead on it.
+    /// Speed limit at `at_m` along `lane` for the curves ahead on it.
     pub(crate) fn approach_mps(&self, lane: usize, at_m: f64) -> f64 {
         self.approach_mps[self.range(lane, at_m, at_m).start]
     }
@@ -126,7 +126,7 @@ fn approach_speeds(lanes: &[Option<RoadLane>], number: usize, lane: &RoadLane, c
     speeds
 }
 
-/// How fast one may be `distance_m` before a place to be as fast there as it asks for.
+/// Speed limit `distance_m` before a place, so that the vehicle reaches the place at its limit.
 pub(crate) fn speed_before(there_mps: f64, distance_m: f64) -> f64 {
     (there_mps * there_mps + 2.0 * APPROACH_MPS2 * distance_m.max(0.0)).sqrt()
 }

@@ -1,4 +1,4 @@
-//! Which cells are in each other's way, and what follows for whole lanes: conflicts, forks, and who goes first.
+//! Conflicting cells, and the conflicts, forks and priorities of lanes that follow from them.
 
 use decouplegs_scene::VehicleSize;
 
@@ -67,7 +67,7 @@ fn touching_pairs(lanes: &[Option<RoadLane>], cells: &Cells, sequence_m: f64) ->
     Ok(pairs)
 }
 
-/// Whether a bridge is between two cells.
+/// True if one of two cells is on a bridge over the other.
 fn over_each_other(lanes: &[Option<RoadLane>], cells: &Cells, a: u32, b: u32) -> bool {
     let height = |cell: u32| {
         let (lane, stretch) = cells.stretch_of(cell as usize);
@@ -204,7 +204,7 @@ fn conflicts_of_lanes(lanes: &[Option<RoadLane>], cells: &Cells, both: &[(u32, u
     conflicts
 }
 
-/// Whether the first of two lanes goes before the second: exactly one of two does.
+/// True if the first of two lanes has priority over the second: exactly one of two has.
 fn goes_first((lane, road): (usize, &RoadLane), (other, other_road): (usize, &RoadLane)) -> bool {
     let straight = |road: &RoadLane| road.turn_rad.abs() < STRAIGHT_RAD;
     if straight(road) != straight(other_road) {

@@ -1,4 +1,5 @@
-//! What a vehicle sweeps of the plane: its box at places along every path, sliced, each slice given to the cell that it is over.
+//! Swept area of a vehicle: its box at positions along every path, sliced; each slice belongs to
+//! the cell below it.
 
 use decouplegs_scene::VehicleSize;
 use glam::DVec2;
@@ -87,7 +88,7 @@ fn sweep(lanes: &[Option<RoadLane>], cells: &Cells, frames: &mut [Frame], path: 
     }
 }
 
-/// Where each lane of `path` begins, metres from the start of `path[here]`.
+/// Start of each lane of `path`, meters from the start of `path[here]`.
 fn starts_of(lanes: &[Option<RoadLane>], path: &[usize], here: usize) -> Vec<f64> {
     let mut starts = Vec::with_capacity(path.len());
     let mut at_m = -path[..here].iter().map(|&lane| length_of(lanes, lane)).sum::<f64>();

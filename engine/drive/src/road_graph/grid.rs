@@ -1,4 +1,4 @@
-//! Which boxes are near a place: the squares of a grid that each of them meets, sorted.
+//! Spatial index of boxes: sorted entries of the grid squares that each box meets.
 
 use glam::DVec2;
 
@@ -37,7 +37,7 @@ impl Grid {
         self.squares.chunk_by(|a, b| a.0 == b.0)
     }
 
-    /// Those that may touch `outline`, sorted, into `found`.
+    /// Appends the boxes that may touch `outline` to `found`, sorted.
     pub(crate) fn near(&self, outline: &OrientedBox, found: &mut Vec<u32>) {
         found.clear();
         for square in squares_of(outline) {

@@ -9,7 +9,7 @@ use crate::polyline::wrapped;
 /// for all vehicles, so that the corridor of the longest holds all others.
 const HALF_AXLES_M: f64 = 1.35;
 
-/// Where a vehicle is that follows a path.
+/// Position of a vehicle on its path.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
     pub position_m: DVec2,

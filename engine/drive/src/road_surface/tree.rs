@@ -1,4 +1,4 @@
-//! Which triangles are near a place: a tree of boxes.
+//! Spatial index of triangles: a bounding box tree.
 
 use std::ops::Range;
 

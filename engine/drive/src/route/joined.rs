@@ -16,14 +16,14 @@ const CHANGE_M_MIN: f64 = 8.0;
 const STRIDE_M: f64 = 1.0;
 /// A line of more strides has longer ones: a map may claim any length.
 const STRIDES_MAX: f64 = 200_000.0;
-/// How often each point is drawn towards its neighbours. Each time rounds corners as a blur of 0.7 m does: joints of coarse lanes become
-/// drivable, while a bend of 9 m radius moves by less than 0.08 m.
+/// Number of smoothing passes. Each time rounds corners as a blur of 0.7 m does: joints of coarse
+/// lanes become drivable, while a bend of 9 m radius moves by less than 0.08 m.
 const SMOOTHINGS: usize = 2;
 
-/// What [`join`] makes of lanes.
+/// Result of [`join`].
 pub(super) struct Joined {
     pub line: Polyline,
-    /// Where each lane begins along the line, metres, and its place in the map.
+    /// Start of each lane along the line, meters, and its index in the map.
     pub lanes: Vec<(f64, usize)>,
     pub has_height: bool,
 }
@@ -32,7 +32,7 @@ pub(super) struct Joined {
 struct Entry {
     place: usize,
     line: Polyline,
-    /// Whether it lies beside the entry before it, and not behind it.
+    /// True if the lane lies beside the entry before it, and not behind it.
     beside: bool,
 }
 

@@ -5,9 +5,9 @@ use crate::polyline::Polyline;
 /// A part of a route in which the heading changes by as much as it does at a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RouteTurn {
-    /// Where it begins, metres along the route.
+    /// Start, meters along the route.
     pub begin_m: f64,
-    /// Where it ends.
+    /// End, meters along the route.
     pub end_m: f64,
     /// By how much the heading changes, radians, to the left where above zero.
     pub angle_rad: f64,
@@ -19,7 +19,8 @@ const TURN_CURVATURE: f64 = 1.0 / 40.0;
 const BEND_CURVATURE: f64 = 1.0 / 80.0;
 /// Parts of a turn may be so far apart, metres: a turn around a corner is often two bends with a straight piece between.
 const TURN_GAP_M: f64 = 6.0;
-/// What changes the heading by less is a bend of the road, radians: 30 degrees.
+/// Least change of heading that counts as a turn; smaller ones are curves of the road, radians: 30
+/// degrees.
 const TURN_ANGLE_RAD: f64 = std::f64::consts::FRAC_PI_6;
 /// From one look at the curvature to the next, metres.
 const STRIDE_M: f64 = 1.0;

@@ -1,4 +1,4 @@
-//! How hard an ego braked and turned.
+//! Comfort: braking and turning of an ego.
 
 use decouplegs_scene::Episode;
 
@@ -14,7 +14,7 @@ pub struct Comfort {
 }
 
 impl Comfort {
-    /// That of the ego in `episode`.
+    /// Comfort of the ego in `episode`.
     #[must_use]
     pub fn of(episode: &Episode) -> Self {
         let mut comfort = Self::default();

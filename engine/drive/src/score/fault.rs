@@ -1,4 +1,4 @@
-//! Whose fault a collision is.
+//! Attribution of the fault of a collision.
 //!
 //! The rules are nuPlan's (Caesar et al., "nuPlan: A closed-loop ML-based planning benchmark for autonomous vehicles", 2021), as far as a
 //! record without a map can tell them. It is not the ego's fault when
@@ -20,9 +20,10 @@ use glam::DVec2;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::{Foot, Polyline, wrapped};
 
-/// Who is slower stands, metres a second.
+/// Speed below which a vehicle counts as standing, m/s.
 const STANDING_MPS: f64 = 0.1;
-/// What came into the ego's way earlier before the contact could have been reacted to, seconds.
+/// Reaction time: an agent that enters the ego's path later than this before the contact is at
+/// fault, seconds.
 const REACTION_S: f64 = 1.0;
 /// Headings that differ by less are one direction, radians.
 const SAME_DIRECTION_RAD: f64 = std::f64::consts::FRAC_PI_4;
@@ -35,7 +36,7 @@ const STRIDE_M: f64 = 2.0;
 /// Points of a longer route lie farther apart.
 const STRIDES_MAX: f64 = 50_000.0;
 
-/// Whose fault a collision is, and why.
+/// Fault of a collision, and the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// The ego's: nothing excuses it.
@@ -49,13 +50,13 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Whether it is the ego's.
+    /// True if the ego is at fault.
     #[must_use]
     pub fn at_fault(self) -> bool {
         self == Self::Ego
     }
 
-    /// Why, a clause for reports.
+    /// Reason, a clause for reports.
     #[must_use]
     pub const fn why(self) -> &'static str {
         match self {
@@ -67,7 +68,7 @@ impl Fault {
     }
 }
 
-/// Whose fault it is that the ego touches `agent` at moment `contact` of `instants`.
+/// Fault of the contact between the ego and `agent` at moment `contact` of `instants`.
 pub(super) fn fault(episode: &Episode, instants: &[&Instant], contact: usize, agent: usize) -> Fault {
     let (now, before) = (instants[contact], instants[contact.saturating_sub(1)]);
     if now.ego.speed_mps < STANDING_MPS && before.ego.speed_mps < STANDING_MPS {

@@ -1,4 +1,4 @@
-//! What goes wrong in an episode: collisions and excursions from the road.
+//! Infractions of an episode: collisions and excursions from the road.
 
 use decouplegs_scene::episode::Instant;
 use decouplegs_scene::{Episode, EpisodeEnd};
@@ -15,20 +15,20 @@ const APART_S: f64 = 1.0;
 /// One thing that went wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Infraction {
-    /// When it began, seconds since the start.
+    /// Start, seconds since the start of the episode.
     pub time_s: f64,
-    /// What.
+    /// Kind of the infraction.
     pub kind: InfractionKind,
 }
 
-/// What can go wrong.
+/// Kind of an infraction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InfractionKind {
     /// The ego's box touches an agent's.
     Collision {
-        /// Its place in the scenario.
+        /// Index of the agent in the scenario.
         agent: usize,
-        /// Whose fault it is, and why.
+        /// Fault, and the reason.
         fault: Fault,
     },
     /// The ego leaves the road.
@@ -36,7 +36,7 @@ pub enum InfractionKind {
 }
 
 impl Infraction {
-    /// Whether it is the ego's.
+    /// True if the ego is at fault.
     #[must_use]
     pub fn at_fault(&self) -> bool {
         match self.kind {
@@ -45,7 +45,7 @@ impl Infraction {
         }
     }
 
-    /// What it makes of a driving score.
+    /// Factor on the driving score.
     #[must_use]
     pub fn factor(&self) -> f64 {
         match self.kind {

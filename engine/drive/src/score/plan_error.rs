@@ -1,4 +1,4 @@
-//! How far plans are from what is driven.
+//! Distance between plans and the driven path.
 
 use decouplegs_scene::{Episode, Plan, Pose, TimedPose, Trajectory};
 

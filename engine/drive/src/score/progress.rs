@@ -1,4 +1,4 @@
-//! How much of its route an ego has driven.
+//! Progress of an ego along its route.
 
 use decouplegs_scene::{Episode, EpisodeEnd};
 use glam::DVec2;
@@ -12,7 +12,7 @@ const SEARCH_FACTOR: f64 = 2.0;
 /// ... so much more, metres. A route that comes near itself does not make the ego jump along it.
 const SEARCH_M: f64 = 10.0;
 
-/// How far along a route a vehicle has come, moment by moment.
+/// Progress of a vehicle along a route, moment by moment.
 #[derive(Clone, Debug)]
 pub struct RouteProgress {
     route: Polyline,
@@ -47,7 +47,7 @@ impl RouteProgress {
         self.progress_m
     }
 
-    /// Whether that is the end.
+    /// True at the end of the route.
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.progress_m >= self.route.length_m()

@@ -21,7 +21,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Those of `values`; `None` of none.
+    /// Statistics of `values`; `None` of none.
     #[must_use]
     pub fn of(values: &[f64]) -> Option<Self> {
         if values.is_empty() {
@@ -51,14 +51,14 @@ pub struct SetSummary {
     pub ttc_short_share: Moments,
     /// Collisions in all episodes.
     pub collisions: usize,
-    /// Those that were the ego's fault.
+    /// Collisions that were the ego's fault.
     pub collisions_at_fault: usize,
     /// Excursions from the road in all episodes.
     pub layout_infractions: usize,
 }
 
 impl SetSummary {
-    /// Of `scores`; `None` of none.
+    /// Mean of `scores`; `None` of none.
     #[must_use]
     pub fn of(scores: &[&EpisodeScore]) -> Option<Self> {
         let moments = |figure: &dyn Fn(&EpisodeScore) -> Option<f64>| {
@@ -113,7 +113,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of `scores`.
+    /// Summary of `scores`.
     #[must_use]
     pub fn of(scores: &[EpisodeScore]) -> Self {
         let mut by_level: BTreeMap<Option<Level>, Vec<&EpisodeScore>> = BTreeMap::new();

@@ -10,12 +10,12 @@ pub const TTC_HORIZON_S: f64 = 10.0;
 /// "Time-to-collision and collision avoidance systems", 1993).
 pub const TTC_SHORT_S: f64 = 1.5;
 
-/// When the ego was nearest to a collision in time.
+/// Moment with the shortest time to collision.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
     /// Until the boxes would have touched at the velocities of that moment: 0 where they do.
     pub ttc_s: f64,
-    /// When that was, seconds since the start.
+    /// Time of that moment, seconds since the start.
     pub time_s: f64,
     /// With whom: the agent's place in the scenario.
     pub agent: usize,

@@ -21,7 +21,7 @@ const LANES_BEHIND: usize = 24;
 pub(super) struct Crossing {
     pub from_m: f64,
     pub to_m: f64,
-    /// Whether all of it is the agent's until it has left it.
+    /// True if the whole crossing is reserved for the agent until it has left it.
     pub granted: bool,
 }
 
@@ -38,9 +38,10 @@ pub(super) enum AsideKind {
     /// On its way from another lane, on which it still counts.
     Change {
         from: usize,
-        /// Where on the other lane it is.
+        /// Position on the other lane.
         from_arc_m: f64,
-        /// Where it was when it began, seen from its place on the new lane: along and to the left, metres.
+        /// Offset at its start from the agent's place on the new lane: along and to the left,
+        /// meters.
         offset_m: DVec2,
     },
     /// Out to a side and back.
@@ -51,7 +52,7 @@ pub(super) enum AsideKind {
     },
 }
 
-/// How far a behaviour is.
+/// Phase of a behavior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Phase {
     Waiting,
@@ -71,18 +72,18 @@ pub(super) struct Agent {
     pub changes_lanes: bool,
     /// Lanes from where its rear was on; each but the first is a successor of the one before.
     pub path: Vec<usize>,
-    /// Where in `path` the lane is that its middle is on.
+    /// Index in `path` of the lane below its center.
     pub here: usize,
     pub arc_m: f64,
     pub speed_mps: f64,
     pub acceleration_mps2: f64,
-    /// How fast it would be on a free road, for its lane and curves.
+    /// Speed on a free road, for its lane and curves.
     pub free_mps: f64,
     pub aside: Option<Aside>,
     pub crossing: Option<Crossing>,
     /// There are no conflicts on its path from its own crossing, or where it stops, up to there.
     pub clear_m: f64,
-    /// Whether it has to stop before its crossing.
+    /// True if it must stop before its crossing.
     pub held_up: bool,
     pub waited_s: f64,
     /// Until it may change lanes again.
@@ -131,12 +132,12 @@ impl Agent {
         self.arc_m - self.half_m
     }
 
-    /// Where its front is if it brakes as hard as it can.
+    /// Position of its front after full braking.
     pub(super) fn stop_m(&self) -> f64 {
         self.front_m() + stopping_m(self.speed_mps)
     }
 
-    /// Its driver at the speed that it would like here.
+    /// Driver model at the desired speed here.
     pub(super) fn idm(&self) -> IdmParameters {
         IdmParameters { speed_mps: self.free_mps, ..self.driver.idm }
     }
@@ -162,7 +163,7 @@ impl Agent {
         }
     }
 
-    /// Where the path ends for good, if it does: metres from the start of its lane.
+    /// End of the path, if it ends: meters from the start of its lane.
     pub(super) fn end_m(&self, graph: &RoadGraph) -> Option<f64> {
         let last = self.path[self.path.len() - 1];
         let ends = graph.road(last).successors.is_empty();
@@ -201,7 +202,7 @@ impl Agent {
         self.extend_path(graph, seed);
     }
 
-    /// Where its box is.
+    /// State of its box.
     pub(super) fn state(&self, graph: &RoadGraph) -> VehicleState {
         let (position_m, yaw_rad) = self.pose_at(graph, 0.0, self.aside.as_ref());
         VehicleState { position_m, yaw_rad, speed_mps: self.speed_mps, acceleration_mps2: self.acceleration_mps2 }

@@ -1,4 +1,5 @@
-//! What agents do that a model of good driving would not: hard braking, cutting in, swerving. None of it reaches another agent.
+//! Misbehavior of agents that a model of good driving excludes: hard braking, cutting in, swerving.
+//! None of it reaches another agent.
 
 use decouplegs_scene::scenario::{Maneuver, Trigger};
 
@@ -10,17 +11,17 @@ use crate::oriented_box::OrientedBox;
 
 /// A swerve takes at least so much of the road for each metre to the side, metres: nobody slides.
 const SWERVE_M_PER_M: f64 = 12.0;
-/// Nobody leaves the middle of his lane by more, metres.
+/// Largest offset from the centerline of the own lane, meters.
 const SWERVE_M_MAX: f64 = 3.5;
 /// From one place to the next at which a swerve is looked at, metres, and what its box is widened by.
 const SWERVE_STEP_M: f64 = 1.0;
 const SWERVE_MARGIN_M: f64 = 0.15;
-/// Those beside a swerve must have so much of their way free, seconds.
+/// Free time that vehicles beside a swerve need, seconds.
 const SWERVE_REACTION_S: f64 = 2.0;
 /// Shares of the amplitude that are tried until there is room.
 const SWERVE_SHARES: [f64; 4] = [1.0, 0.75, 0.5, 0.25];
 
-/// How long a maneuver that has no room is tried, seconds.
+/// Time for which a maneuver without room is tried, seconds.
 fn patience_s(maneuver: &Maneuver) -> f64 {
     match maneuver {
         Maneuver::Brake { .. } => 0.0,

@@ -1,4 +1,5 @@
-//! Which cells of the road belong to whom: where vehicles are, where they may come to a stand, and crossings that were granted to them.
+//! Reservation of road cells: cells occupied by vehicles, cells of their stopping distances, and
+//! crossings granted to them.
 //!
 //! Nobody moves to where he could not stop before a cell that conflicts with somebody else's; so vehicles on different lanes never meet.
 //! (Reservations of cells at crossings: K. Dresner, P. Stone, A multiagent approach to autonomous intersection management, 2008.)
@@ -19,11 +20,11 @@ pub(super) struct Block {
 /// Claims of cells, by cell.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Claims {
-    /// How many claim it, and one of them.
+    /// Number of reservations, and one of their agents.
     owners: Vec<(u16, u32)>,
-    /// Whether the ego is or will be there, as far as it can be seen.
+    /// True if the ego is or will be there, as far as known.
     ego: Vec<bool>,
-    /// Whether somebody who has waited long is to have it next.
+    /// True if a vehicle that has waited long has the next claim.
     wanted: Vec<bool>,
     /// Cells of which something is known.
     known: Vec<u32>,
@@ -91,18 +92,19 @@ impl Claims {
         }
     }
 
-    /// Whether anybody but `agent` claims a cell.
+    /// True if an agent other than `agent` has reserved a cell.
     pub(super) fn taken(&self, cell: usize, agent: usize) -> bool {
         let (count, owner) = self.owners[cell];
         count > 1 || (count == 1 && owner != agent as u32)
     }
 
-    /// Whether `agent` would meet anybody on a cell: somebody on a cell that conflicts with it.
+    /// True if a cell that conflicts with `cell` is reserved by an agent other than `agent`.
     pub(super) fn conflict(&self, graph: &RoadGraph, cell: usize, agent: usize) -> bool {
         graph.cells().conflicts_of(cell).iter().any(|&other| self.taken(other as usize, agent))
     }
 
-    /// Whether somebody who has waited longer is to have a cell that conflicts with this one.
+    /// True if a vehicle that has waited longer has the next claim on a cell that conflicts with
+    /// this one.
     pub(super) fn is_wanted(&self, graph: &RoadGraph, cell: usize) -> bool {
         graph.cells().conflicts_of(cell).iter().any(|&other| self.wanted[other as usize])
     }
@@ -112,7 +114,7 @@ impl Claims {
         self.known.push(cell as u32);
     }
 
-    /// Whether the ego is or will be on a cell.
+    /// True if the ego is or will be on a cell.
     pub(super) fn ego_on(&self, cell: usize) -> bool {
         self.ego[cell]
     }

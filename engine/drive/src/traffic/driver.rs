@@ -1,4 +1,4 @@
-//! How the kinds of drivers drive.
+//! Parameters of the kinds of drivers.
 
 use decouplegs_scene::scenario::DriverKind;
 
@@ -12,9 +12,10 @@ pub struct Driver {
     pub idm: IdmParameters,
     /// Changing lanes.
     pub mobil: MobilParameters,
-    /// Of what is allowed.
+    /// Share of the allowed speed.
     pub speed_share: f64,
-    /// Who has the right of way must be so much later at a conflict than the driver has left it, seconds.
+    /// Time gap that must remain between leaving a conflict and the arrival of a vehicle with
+    /// priority, seconds.
     pub gap_s: f64,
 }
 

@@ -12,7 +12,7 @@ use crate::road_graph::RoadGraph;
 const REACTION_S: f64 = 0.5;
 /// Braking that is expected of it, m/s^2.
 const BRAKING_MPS2: f64 = 3.0;
-/// Nobody drives as fast: more is a mistake.
+/// Upper limit of plausible speeds: larger values are mistakes.
 const SPEED_MPS_MAX: f64 = 100.0;
 
 #[derive(Clone, Debug)]
@@ -48,7 +48,7 @@ impl EgoSeen {
     }
 }
 
-/// Where on each lane of `cells` the box is.
+/// Position of the box on each lane of `cells`.
 fn entries(graph: &RoadGraph, outline: &OrientedBox, velocity_mps: DVec2, cells: &[u32]) -> Vec<Entry> {
     let mut entries = Vec::new();
     let stretch = |cell: &u32| graph.cells().stretch_of(*cell as usize);

@@ -1,4 +1,4 @@
-//! Who is ahead and behind, on one's own path, and how one drives for it.
+//! Leaders and followers on an agent's path, and its car-following response.
 
 use super::Traffic;
 use super::agent::{Agent, AsideKind};
@@ -8,7 +8,7 @@ use crate::road_graph::{RoadGraph, length_of, speed_before};
 
 /// Agents never come nearer to each other than this, metres: what the places of boxes along curves, and rounding, are off by at most.
 pub(super) const GAP_M: f64 = 0.5;
-/// Who is farther away is of no matter: metres, and seconds at one's own speed.
+/// Look-ahead distance beyond which leaders are ignored: meters, and seconds at the own speed.
 const HORIZON_M: f64 = 50.0;
 const HORIZON_S: f64 = 4.0;
 /// The end of a lane is seen from farther away: braking for it is to be gentle.
@@ -21,10 +21,10 @@ const LINE_M: f64 = 0.02;
 pub(super) struct Seen {
     pub agent: u32,
     pub rear_m: f64,
-    /// Where it may have come to a stand at the earliest.
+    /// Earliest rear position after full braking.
     pub stop_rear_m: f64,
     pub speed_mps: f64,
-    /// Whether it goes on as one does oneself, so that who is ahead of it need not be looked at.
+    /// True if it follows the same path, so that its own leader need not be considered.
     pub same_way: bool,
 }
 
@@ -76,7 +76,8 @@ pub(super) struct Behind {
     pub speed_mps: f64,
 }
 
-/// Everybody behind a place on a lane, back to the first agent who is wholly on it, over the lanes before it where there is none.
+/// Followers of a position on a lane, back to the first agent that is wholly on it, over the lanes
+/// before it where there is none.
 pub(super) fn behind(graph: &RoadGraph, order: &LaneOrder, agent: usize, lane: usize, arc_m: f64, horizon_m: f64) -> Vec<Behind> {
     let (mut found, mut open) = (Vec::new(), vec![(lane, 0.0_f64)]);
     while let Some((at, start_m)) = open.pop() {
@@ -99,11 +100,11 @@ pub(super) fn behind(graph: &RoadGraph, order: &LaneOrder, agent: usize, lane: u
     found
 }
 
-/// What an agent may do.
+/// Limits of an agent's motion.
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
     acceleration_mps2: f64,
-    /// How much farther than now the place may be where it could stop.
+    /// Distance by which the stopping place may advance.
     room_m: f64,
 }
 
@@ -119,7 +120,8 @@ impl Bounds {
 }
 
 impl Traffic {
-    /// How fast an agent would like to be: what its lane and the curves ahead ask for, and how its driver sees that.
+    /// Desired speed of an agent: the limit of its lane and of the curves ahead, scaled by its
+    /// driver.
     pub(super) fn free_speed(&self, agent: &Agent) -> f64 {
         let cells = self.graph.cells();
         let mut speed_mps = cells.approach_mps(agent.lane(), agent.arc_m);
@@ -160,7 +162,7 @@ impl Traffic {
         }
     }
 
-    /// What an agent does in a step: the model within what is safe.
+    /// Acceleration of an agent in a step: the car-following model within safe limits.
     pub(super) fn acceleration(&self, agent: &Agent, dt_s: f64) -> f64 {
         let idm = agent.idm();
         let mut bounds = Bounds { acceleration_mps2: idm.free_acceleration(agent.speed_mps), room_m: f64::INFINITY };
@@ -192,7 +194,7 @@ impl Traffic {
         bounds.acceleration_mps2.min(safe_mps2).max(-BRAKING_MPS2)
     }
 
-    /// Who leaves a lane still minds who is ahead on it.
+    /// Adds the leaders on the lane that an agent is leaving.
     fn follow_left_lane(&self, agent: &Agent, from: usize, from_arc_m: f64, bounds: &mut Bounds) {
         let idm = agent.idm();
         let (front_m, stop_m) = (from_arc_m + agent.half_m, from_arc_m + agent.stop_m() - agent.arc_m);
@@ -204,7 +206,8 @@ impl Traffic {
         });
     }
 
-    /// Where somebody's swerve takes up an agent's path, metres from the start of its lane.
+    /// Positions at which a swerve of another agent blocks the path, meters from the start of its
+    /// lane.
     fn blocks_ahead(&self, agent: &Agent) -> impl Iterator<Item = f64> {
         let others = self.claims.blocks.iter().filter(|block| block.agent != agent.number);
         others.filter_map(|block| {

@@ -17,7 +17,7 @@ pub struct IdmParameters {
     pub braking_mps2: f64,
     /// Gap to who stands ahead, s0: 2 m.
     pub standstill_gap_m: f64,
-    /// How soon acceleration fades towards the free speed, delta: 4.
+    /// Exponent of the free-road term, delta: 4.
     pub exponent: f64,
 }
 
@@ -35,12 +35,12 @@ impl Default for IdmParameters {
     }
 }
 
-/// Who is ahead.
+/// Leader of a vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leader {
     /// From one's front to its rear, metres: its own length is not in it.
     pub gap_m: f64,
-    /// How fast it is.
+    /// Speed.
     pub speed_mps: f64,
 }
 
@@ -82,7 +82,8 @@ impl IdmParameters {
     }
 }
 
-/// What a vehicle does in `dt_s` at an even acceleration: metres and its speed after it. Who comes to a stand stays there.
+/// Distance and final speed of a vehicle in `dt_s` at a constant acceleration. Who comes to a stand
+/// stays there.
 #[must_use]
 pub fn advance(speed_mps: f64, acceleration_mps2: f64, dt_s: f64) -> (f64, f64) {
     let after_mps = speed_mps + acceleration_mps2 * dt_s;

@@ -13,7 +13,7 @@ use super::idm::stopping_m;
 use super::lane_order::EGO;
 use crate::road_graph::{Conflict, length_of};
 
-/// Who has waited so long does not give way any longer, seconds.
+/// Waiting time after which a vehicle no longer gives way, seconds.
 const PATIENCE_S: f64 = 5.0;
 /// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one, metres.
 const BETWEEN_M: f64 = 1.5;
@@ -25,9 +25,9 @@ const RUN_M_MAX: f64 = 150.0;
 const AHEAD_M: f64 = 100.0;
 /// Braking before a crossing that is not granted, m/s^2: it is asked for when one would have to begin.
 const BRAKING_MPS2: f64 = 2.0;
-/// Who goes first is looked for up to so far from the conflict, metres.
+/// Distance from the conflict within which vehicles with priority are considered, meters.
 const GIVE_WAY_M: f64 = 80.0;
-/// Who stands is expected to start at this, m/s^2.
+/// Expected acceleration of a standing vehicle, m/s^2.
 const START_MPS2: f64 = 1.5;
 
 impl Traffic {
@@ -143,7 +143,7 @@ impl Traffic {
         }
     }
 
-    /// Whether nobody who is ahead can keep an agent from leaving a crossing.
+    /// True if no vehicle ahead can keep an agent from leaving a crossing.
     fn can_leave(&self, agent: &Agent, crossing: &Crossing) -> bool {
         // Where there has to be room for him, and for those before him who are not out yet.
         let mut out_m = crossing.to_m + self.clearance_m(agent);
@@ -168,13 +168,13 @@ impl Traffic {
         can_leave
     }
 
-    /// Whether nobody else claims what conflicts with a crossing.
+    /// True if no other agent has reserved a cell that conflicts with a crossing.
     fn is_free(&self, agent: &Agent, crossing: &Crossing) -> bool {
         let free = |cell| !self.claims.conflict(&self.graph, cell, agent.number) && !self.claims.is_wanted(&self.graph, cell);
         each_cell(&self.graph, agent, crossing.from_m, crossing.to_m - 0.01, free)
     }
 
-    /// Whether the ego is in a crossing or comes to it, other than behind the agent.
+    /// True if the ego is in a crossing or approaches it, other than behind the agent.
     fn ego_crosses(&self, agent: &Agent, crossing: &Crossing) -> bool {
         let Some(ego) = &self.ego else { return false };
         let follows = ego.entries.iter().any(|entry| {
@@ -184,7 +184,7 @@ impl Traffic {
         !follows && !each_cell(&self.graph, agent, crossing.from_m, crossing.to_m - 0.01, |cell| !self.claims.ego_on(cell))
     }
 
-    /// Whether somebody who goes first comes before the agent is out of his way.
+    /// True if a vehicle with priority arrives before the agent has cleared its path.
     fn gives_way(&self, agent: &Agent, crossing: &Crossing) -> bool {
         let mut start_m = 0.0;
         for &lane in &agent.path[agent.here..] {
@@ -205,7 +205,8 @@ impl Traffic {
         false
     }
 
-    /// Whether somebody on the other lane of a conflict, or on his way to it, is there within `within_s`.
+    /// True if a vehicle on the other lane of a conflict, or on its way to it, arrives within
+    /// `within_s`.
     fn somebody_comes(&self, agent: &Agent, conflict: &Conflict, within_s: f64) -> bool {
         let mut open = vec![(conflict.other, 0.0_f64)];
         while let Some((lane, start_m)) = open.pop() {
@@ -237,7 +238,7 @@ impl Traffic {
     }
 }
 
-/// How long a distance takes from a speed at an even acceleration, seconds.
+/// Duration of a distance from a speed at a constant acceleration, seconds.
 fn seconds_for(distance_m: f64, speed_mps: f64, acceleration_mps2: f64) -> f64 {
     ((speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m).sqrt() - speed_mps) / acceleration_mps2
 }

@@ -28,12 +28,12 @@ const ASIDE_M: std::ops::Range<f64> = 1.5..6.0;
 /// By how much two lanes may differ in heading, and each of them turn meanwhile, radians: else their lengths differ.
 const PARALLEL_RAD: f64 = 0.1;
 const TURN_RAD: f64 = 0.3;
-/// Who comes from behind is looked for so far, metres: from there the fastest can stop.
+/// Distance within which followers are considered, meters: the fastest can stop within it.
 const BEHIND_M: f64 = 120.0;
 /// Added for those who have a lane that goes on where one's own ends, m/s^2.
 const DEAD_END_MPS2: f64 = 1.0;
 
-/// Where an agent would be on another lane.
+/// Position of an agent on another lane.
 #[derive(Clone, Debug)]
 struct Target {
     lane: usize,
@@ -131,7 +131,7 @@ impl Traffic {
         clear.then_some(Target { lane, arc_m: foot.arc_m, length_m })
     }
 
-    /// What a change gains by MOBIL; `None` where its safety forbids it.
+    /// Gain of a change by MOBIL; `None` if it violates the safety criterion.
     fn incentive(&self, agent: &Agent, target: &Target, side: Side) -> Option<f64> {
         let old = self.neighbours(agent, agent.lane(), &agent.path[agent.here..], agent.arc_m);
         let new = self.neighbours(agent, target.lane, &[target.lane], target.arc_m);
@@ -158,7 +158,7 @@ impl Traffic {
         probe.path
     }
 
-    /// Who is ahead of an agent and behind it on a lane.
+    /// Leader and follower of an agent on a lane.
     fn neighbours(&self, agent: &Agent, lane: usize, path: &[usize], arc_m: f64) -> Neighbours {
         let mut found = Neighbours::default();
         each_ahead(&self.graph, &self.order, (agent.number, path, 0, arc_m), BEHIND_M, |seen| {
@@ -174,7 +174,8 @@ impl Traffic {
         found
     }
 
-    /// Whether everybody on the new lane can stop behind whom he has ahead after the change, and nobody is beside.
+    /// True if every vehicle on the new lane can stop behind its leader after the change, and none
+    /// is beside.
     fn is_safe(&self, agent: &Agent, target: &Target, mind_ego: bool) -> bool {
         let (front_m, rear_m) = (target.arc_m + agent.half_m, target.arc_m - agent.half_m);
         let own_stopping_m = stopping_m(agent.speed_mps);
@@ -209,17 +210,17 @@ impl Traffic {
     }
 }
 
-/// Who is next to a place on a lane.
+/// Leader and follower of a position on a lane.
 #[derive(Clone, Debug, Default)]
 struct Neighbours {
-    /// Its rear and its speed.
+    /// Rear position and speed.
     leader: Option<(f64, f64)>,
-    /// Its driver, its front and its speed.
+    /// Driver model, front position and speed.
     follower: Option<(IdmParameters, f64, f64)>,
 }
 
 impl Neighbours {
-    /// What becomes of the follower's acceleration where its leader's rear and speed become others.
+    /// Change of the follower's acceleration when its leader's rear and speed change.
     fn of_follower(&self, before: Option<(f64, f64)>, after: Option<(f64, f64)>) -> Change {
         let Some((idm, front_m, speed_mps)) = &self.follower else { return Change::default() };
         let behind = |leader: Option<(f64, f64)>| {

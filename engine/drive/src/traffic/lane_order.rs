@@ -1,4 +1,4 @@
-//! Who is where on each lane, sorted along it.
+//! Vehicles on each lane, sorted along it.
 
 use super::agent::{Agent, AsideKind};
 use super::ego::EgoSeen;
@@ -11,7 +11,8 @@ pub(super) const EGO: u32 = u32::MAX;
 pub(super) const NO_LANE: u32 = u32::MAX;
 /// In place of a lane: none goes on.
 pub(super) const DEAD_END: u32 = u32::MAX - 1;
-/// Of the stopping distance of one who leaves a lane, what is counted on that lane: it may be a little longer there.
+/// Share of the stopping distance that counts on the lane that a vehicle is leaving: it may be a
+/// little longer there.
 const LEAVING_SHARE: f64 = 0.9;
 
 /// A vehicle on a lane; one on several has an entry on each. Places are metres along the lane, before and beyond it too.
@@ -24,7 +25,7 @@ pub(super) struct Entry {
     pub middle_m: f64,
     pub rear_m: f64,
     pub front_m: f64,
-    /// Where its rear is if it brakes as hard as it can.
+    /// Rear position after full braking.
     pub stop_rear_m: f64,
     pub speed_mps: f64,
 }
@@ -100,8 +101,8 @@ impl LaneOrder {
     }
 }
 
-/// Where on a lane the rear of a vehicle counts that is on another lane of the same fork. It never falls while the vehicle moves on, so
-/// whoever could stop behind it still can.
+/// Rear position on a lane of a vehicle on another lane of the same fork. It never falls while the
+/// vehicle moves on, so whoever could stop behind it still can.
 pub(super) fn behind_fork(rear_m: f64, lead_m: f64) -> f64 {
     if rear_m < 0.0 { rear_m } else { (rear_m - lead_m).max(0.0) }
 }

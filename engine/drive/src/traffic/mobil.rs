@@ -4,9 +4,10 @@
 /// A driver's parameters in the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MobilParameters {
-    /// How much others' gain counts beside one's own, p: 0 is selfish, 1 is altruistic; 0 to 0.5 is usual.
+    /// Politeness p, the weight of the gain of others: 0 is selfish, 1 is altruistic; 0 to 0.5 is
+    /// usual.
     pub politeness: f64,
-    /// What a change has to gain, m/s^2: 0.2. It keeps drivers from changing for nothing.
+    /// Changing threshold, m/s^2: 0.2. It keeps drivers from changing for nothing.
     pub threshold_mps2: f64,
     /// The follower on the new lane must not have to brake harder, m/s^2: 4.
     pub safe_braking_mps2: f64,
@@ -24,7 +25,7 @@ impl Default for MobilParameters {
 /// Somebody's acceleration without the change and with it, m/s^2.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Change {
-    /// Where everybody stays on his lane.
+    /// Acceleration without a change of lanes.
     pub before_mps2: f64,
     /// Right after the change.
     pub after_mps2: f64,
@@ -36,14 +37,14 @@ impl Change {
     }
 }
 
-/// Whom a lane change concerns. Who is not there gains nothing.
+/// Vehicles affected by a lane change. Who is not there gains nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Concerned {
-    /// Who changes.
+    /// Vehicle that changes lanes.
     pub oneself: Change,
-    /// Who will be behind on the new lane.
+    /// Follower on the new lane.
     pub new_follower: Change,
-    /// Who is behind on the old lane.
+    /// Follower on the old lane.
     pub old_follower: Change,
 }
 
@@ -57,7 +58,7 @@ pub enum Side {
 }
 
 impl MobilParameters {
-    /// How much the change gains above what it has to, m/s^2; `None` where it is not safe.
+    /// Gain of the change beyond its threshold, m/s^2; `None` if it is not safe.
     #[must_use]
     pub fn incentive(&self, concerned: &Concerned, side: Side) -> Option<f64> {
         if concerned.new_follower.after_mps2 < -self.safe_braking_mps2 {
@@ -68,7 +69,7 @@ impl MobilParameters {
         Some(concerned.oneself.gain() + self.politeness * others + bias - self.threshold_mps2)
     }
 
-    /// Whether to change.
+    /// True if the lane change should be made.
     #[must_use]
     pub fn changes(&self, concerned: &Concerned, side: Side) -> bool {
         self.incentive(concerned, side).is_some_and(|incentive| incentive > 0.0)

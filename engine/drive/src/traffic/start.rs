@@ -1,4 +1,4 @@
-//! How traffic begins: agents are put on their lanes, and those who could not be there are refused.
+//! Start of the traffic: agents are placed on their lanes; impossible ones are refused.
 
 use std::sync::Arc;
 
@@ -19,13 +19,13 @@ use crate::road_graph::{RoadGraph, length_of};
 /// Speeds at the start are raised in so many rounds at most: a queue of so many vehicles.
 const ROUNDS_MAX: usize = 200;
 
-/// Why traffic cannot begin.
+/// Reason why traffic cannot start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TrafficError {
     /// The map has no such lane.
     #[error("agent {agent}: lane {lane} is not a driving lane of the map")]
     UnknownLane {
-        /// Who.
+        /// Name of the agent.
         agent: String,
         /// The lane's id.
         lane: String,
@@ -33,25 +33,25 @@ pub enum TrafficError {
     /// The lane is shorter.
     #[error("agent {agent}: {at_m} m along lane {lane}; expected 0 to {length_m:.2}")]
     BeyondLane {
-        /// Who.
+        /// Name of the agent.
         agent: String,
         /// The lane's id.
         lane: String,
-        /// Where it should start.
+        /// Start position.
         at_m: f64,
-        /// How long the lane is.
+        /// Length of the lane.
         length_m: f64,
     },
     /// A number is none, or no vehicle's.
     #[error("agent {agent}: {what} of {value}; expected {expected}")]
     NotAVehicle {
-        /// Who.
+        /// Name of the agent.
         agent: String,
-        /// Which number.
+        /// Name of the number.
         what: &'static str,
-        /// What it is.
+        /// Value.
         value: f64,
-        /// What it may be.
+        /// Allowed range.
         expected: &'static str,
     },
     /// Two are in each other's way from the start.
@@ -164,8 +164,8 @@ impl Traffic {
         others.map(|other| (own.distance_m(&outline(other)), other)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|found| found.1)
     }
 
-    /// Everybody as fast as he asks to be, or as he can be with those ahead as slow as they are: round after round nobody is slower than
-    /// before, so what was safe stays so.
+    /// Raises each agent's speed to its requested one, or to the fastest that is safe behind slow
+    /// leaders. In every round no agent is slower than before, so safe states stay safe.
     fn raise_speeds(&mut self, asked: &[TrafficAgent]) {
         for _ in 0..ROUNDS_MAX {
             let mut raised = false;

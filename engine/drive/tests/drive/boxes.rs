@@ -12,7 +12,7 @@ fn car(x: f64, y: f64, yaw_rad: f64) -> OrientedBox {
     OrientedBox::of(&state, &VehicleSize::CAR)
 }
 
-/// Whether two outlines cross, or one is within the other.
+/// True if two outlines cross, or one is within the other.
 fn touch(a: &[DVec2; 4], b: &[DVec2; 4]) -> bool {
     let side = |from: DVec2, to: DVec2, at: DVec2| (to - from).perp_dot(at - from);
     let within = |outline: &[DVec2; 4], at: DVec2| (0..4).all(|k| side(outline[k], outline[(k + 1) % 4], at) >= 0.0);

@@ -9,7 +9,7 @@ pub(crate) const SIZE: VehicleSize = VehicleSize::CAR;
 const STEP_S: f64 = 0.5;
 const SUBSTEPS: usize = 5;
 
-/// How somebody moves: the state at a moment, seconds.
+/// Motion of a vehicle: its state at a moment, seconds.
 pub(crate) type Motion<'a> = Box<dyn Fn(f64) -> VehicleState + 'a>;
 
 pub(crate) fn state(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> VehicleState {

@@ -1,4 +1,4 @@
-//! Whose fault collisions are.
+//! Faults of collisions.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

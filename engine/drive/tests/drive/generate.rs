@@ -84,7 +84,8 @@ fn starters(map: &LaneMap, scenario: &Scenario) -> Vec<Starter> {
     all
 }
 
-/// Whether the follower stops behind a leader that brakes with 8 m/s^2 at once, if it brakes with 6 m/s^2 after a second.
+/// True if the follower stops behind a leader that brakes with 8 m/s^2 at once, if it brakes with 6
+/// m/s^2 after a second.
 fn survives(gap_m: f64, follower_mps: f64, leader_mps: f64) -> bool {
     let stops_m = follower_mps + follower_mps * follower_mps / 12.0;
     stops_m < gap_m + leader_mps * leader_mps / 16.0

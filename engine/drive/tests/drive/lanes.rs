@@ -49,7 +49,7 @@ pub fn straight(length_m: f64) -> Polyline {
     Polyline::new((0..=200).map(|i| DVec3::X * (length_m * f64::from(i) / 200.0))).unwrap()
 }
 
-/// Where curvature is `curvature(s)`, in steps of half a metre.
+/// Line with curvature `curvature(s)`, in steps of half a meter.
 pub fn curved(length_m: f64, curvature: impl Fn(f64) -> f64) -> Polyline {
     let (mut at, mut heading) = (DVec2::ZERO, 0.0);
     let step = 0.5;

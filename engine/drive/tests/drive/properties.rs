@@ -1,4 +1,4 @@
-//! What holds for every log: the frame and the order of the tracks do not matter.
+//! Invariants of registration: the frame and the order of the tracks do not matter.
 
 use decouplegs_drive::{Outcome, PlanarTransform, RegisterError, RegisterOptions, Registration, register};
 use decouplegs_scene::{LaneMap, Track, TrackPoint};

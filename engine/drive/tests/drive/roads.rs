@@ -27,7 +27,7 @@ impl Random {
     }
 }
 
-/// What is made of a road.
+/// Options of a test road.
 pub struct RoadOptions {
     pub length_m: f64,
     pub width_m: f64,
@@ -35,7 +35,7 @@ pub struct RoadOptions {
     pub density: f64,
     /// Deviation of splats' heights.
     pub noise_m: f64,
-    /// Whether splats lie along the surface; otherwise they are round.
+    /// True if splats lie along the surface; otherwise they are round.
     pub flat: bool,
 }
 

@@ -111,8 +111,8 @@ fn derivatives(idm: &IdmParameters, speed_mps: f64) -> [f64; 3] {
         .map(|d| d / (2.0 * h))
 }
 
-/// What linear theory says of [`growth`]: the size of `(f_s + i w f_l) / (f_s - w^2 - i w f_v)` (M. Treiber, A. Kesting: Traffic Flow
-/// Dynamics, 2013, chapter 15).
+/// Growth rate by linear theory, for comparison with [`growth`]: the size of `(f_s + i w f_l) /
+/// (f_s - w^2 - i w f_v)` Treiber, A. Kesting: Traffic Flow Dynamics, 2013, chapter 15).
 fn growth_in_theory(idm: &IdmParameters, speed_mps: f64, rate_radps: f64) -> f64 {
     let [by_gap, by_own, by_leader] = derivatives(idm, speed_mps);
     by_gap.hypot(rate_radps * by_leader) / (by_gap - rate_radps * rate_radps).hypot(rate_radps * by_own)

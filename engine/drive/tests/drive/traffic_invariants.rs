@@ -1,4 +1,5 @@
-//! What holds for traffic on any map, with any seed: nobody meets another, nobody leaves the lanes.
+//! Invariants of traffic on any map and with any seed: no vehicle overlaps another, none leaves the
+//! lanes.
 
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use rayon::prelude::*;
 use crate::roads::Random;
 use crate::traffic_scenes::{check, random_traffic, roads, street};
 
-/// Who stands in for the ego.
+/// Stand-in for the ego.
 #[derive(Clone, Copy, Debug)]
 enum Stranger {
     Nobody,

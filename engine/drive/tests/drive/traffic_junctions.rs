@@ -39,7 +39,7 @@ fn crossing() -> Arc<RoadGraph> {
     Arc::new(RoadGraph::new(&map).unwrap())
 }
 
-/// Whether a lane's name begins so for an agent.
+/// True if a lane's name begins so for an agent.
 fn is_on(traffic: &Traffic, number: usize, name: &str) -> bool {
     let place = traffic.places().nth(number).unwrap();
     traffic.graph().lane(place.lane).unwrap().id.starts_with(name)
@@ -81,7 +81,7 @@ fn every_two_conflicting_lanes_agree_on_who_goes_first() {
     assert!(conflicts >= 40, "{conflicts}");
 }
 
-/// When the first agent is on its way out, seconds.
+/// Time at which the first agent leaves the crossing, seconds.
 fn time_to_leave(graph: &Arc<RoadGraph>, agents: &[TrafficAgent], seed: u64, way: &str) -> (f64, Vec<f64>) {
     let mut traffic = Traffic::new(graph.clone(), agents, seed).unwrap();
     for step in 0..900 {

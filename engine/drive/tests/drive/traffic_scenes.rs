@@ -114,7 +114,7 @@ pub fn random_traffic(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> (Traff
     }
 }
 
-/// What holds for agents at any moment.
+/// Checks the invariants of agents at any moment.
 pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> String) {
     for ((state, agent), place) in traffic.states().iter().zip(agents).zip(traffic.places()) {
         let name = &agent.name;

@@ -1,4 +1,5 @@
-//! What a SPIR-V module says about itself: bindings by name, push constants, specialization constants, workgroup size.
+//! Reflection of a SPIR-V module: bindings by name, push constants, specialization constants,
+//! workgroup size.
 
 use super::{
     Access,
@@ -180,8 +181,8 @@ impl Declarations {
         }
     }
 
-    /// Those with a name, as only they can be given; the name of one that only sizes the workgroup is dropped by compilers, so
-    /// it is named after what it does.
+    /// Specialization constants with a name, as only they can be set. Compilers drop the name of a
+    /// constant that only sizes the workgroup, so it is named after its purpose.
     fn specialization_constants(&self, workgroup: &[Size; 3]) -> Vec<ReflectedConstant> {
         let mut found: Vec<ReflectedConstant> = self
             .constants

@@ -49,7 +49,7 @@ impl Hazards {
     }
 }
 
-/// Everything before sees everything after: between two commands of one command buffer.
+/// Full barrier between two commands of one command buffer.
 pub(crate) fn barrier_between(context: &Context, commands: vk::CommandBuffer) {
     use vk::AccessFlags2 as Flags;
     let written = Flags::SHADER_STORAGE_WRITE | Flags::TRANSFER_WRITE;

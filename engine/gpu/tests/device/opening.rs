@@ -72,7 +72,8 @@ fn without_its_layer_validation_is_refused() {
     assert!(text.contains("install vulkan-validationlayers"), "{text}");
 }
 
-/// What test `name` prints in a process where the loader is sent to a place that is not there.
+/// Output of test `name` in a process whose Vulkan loader is redirected to a path that does not
+/// exist.
 fn in_a_child(name: &str, hidden: &[&str]) -> String {
     let mut child = Command::new(std::env::current_exe().unwrap());
     child.args(["--exact", &format!("opening::{name}"), "--nocapture"]).env(CHILD, "1");

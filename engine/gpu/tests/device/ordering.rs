@@ -103,7 +103,7 @@ fn loops_run_to_their_end_but_on_llvmpipe() {
     assert_eq!(gpu.read(&values).unwrap(), [spun(run); 64]);
 }
 
-/// What the spin kernel makes of 1.
+/// Result of the spin kernel for 1.
 fn spun(rounds: u32) -> u32 {
     (0..rounds).fold(1_u32, |value, _| value.wrapping_mul(1_664_525).wrapping_add(1_013_904_223))
 }

@@ -7,10 +7,10 @@ use glam::{DVec2, DVec3};
 /// Intervals of the table of a lens that is the same all around.
 pub const LENS_INTERVALS: usize = decouplegs_shaders::constants::LENS_INTERVALS as usize;
 
-/// How a lens is computed; `LENS_*` of `lens.glsl`.
+/// Kind of a lens's computation; `LENS_*` of `lens.glsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LensKind {
-    /// As the camera's record says.
+    /// Pinhole, as in the camera's record.
     Pinhole = 0,
     /// A function of x / z and y / z.
     Planar = 1,
@@ -28,7 +28,7 @@ pub struct LensRecord {
     pub tan_limit: f32,
     /// Chord, `2 sin(angle / 2)`, where it ends.
     pub chord_limit: f32,
-    /// What the radius in the lens's plane grows by a chord beyond.
+    /// Growth of the radius in the lens's plane per chord beyond the limit.
     pub slope_beyond: f32,
     /// No two rays within [`STEEPEST_WITHIN_RAD`] of the axis fall farther apart, by the angle between them.
     pub pixels_per_rad: f32,
@@ -49,7 +49,7 @@ pub struct LensRecord {
 /// Means lie before the camera and points of the transform a little farther round: 90 degrees and twice an arc of a quarter.
 pub const STEEPEST_WITHIN_RAD: f64 = 2.08;
 
-/// What is added to the steepest place found, which is looked for in steps.
+/// Safety factor on the steepest slope found, because the search is in steps.
 const STEEPEST_MARGIN: f64 = 1.1;
 
 impl LensRecord {

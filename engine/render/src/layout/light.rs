@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 pub struct ShadowRecord {
     /// The ground under the agent's middle relative to the world's origin, rounded to f32.
     pub centre_high_m: [f32; 3],
-    /// What rounding left.
+    /// Rounding error.
     pub centre_low_m: [f32; 3],
     /// Along the agent in the ground, over its half length.
     pub along: [f32; 3],
@@ -66,9 +66,9 @@ pub struct RelightRecord {
     pub summand: [f32; NUMBERS],
     /// First colour in the pool.
     pub first_colour: u32,
-    /// How many there are.
+    /// Number of colors.
     pub colours: u32,
-    /// Where the first goes.
+    /// Index of the first relit color.
     pub first_relit: u32,
     /// Workgroups of those before it.
     pub first_group: u32,

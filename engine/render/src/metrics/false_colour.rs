@@ -1,4 +1,4 @@
-//! Where two pictures differ, as a picture.
+//! False-color image of the differences between two images.
 
 use super::{DifferenceError, check_sizes};
 use crate::picture::Picture;

@@ -52,9 +52,9 @@ pub fn mean_flip(a: &Picture, b: &Picture) -> f64 {
 struct Seen {
     /// Hunt-adjusted L*a*b* of the blurred colours.
     lab: Vec<[f64; 3]>,
-    /// How much of an edge a pixel is.
+    /// Edge strength of each pixel.
     edge: Plane,
-    /// How much of a point or line a pixel is.
+    /// Point and line strength of each pixel.
     point: Plane,
 }
 

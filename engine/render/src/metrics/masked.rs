@@ -1,6 +1,7 @@
-//! How far pictures are apart inside a mask: brightness and hue of what was inserted (DecoupleGS, supplement 'Photometric
-//! Realism Metrics'), with what the paper leaves open: the signal-to-noise ratio is of the mean over channels, hue is not asked
-//! of the dark, and beside each peak, which is one pixel, stand its quantiles.
+//! Differences of images inside a mask: brightness and hue of inserted objects (DecoupleGS,
+//! supplement 'Photometric Realism Metrics'), with choices that the paper leaves open: the
+//! signal-to-noise ratio is of the mean over channels, hue ignores dark pixels, and each peak,
+//! which is one pixel, comes with its quantiles.
 
 use decouplegs_scene::light::LUMA;
 use serde::Serialize;
@@ -13,34 +14,35 @@ use crate::picture::Picture;
 pub struct MaskedErrors {
     floor: f64,
     square_sum: f64,
-    /// Of every pixel, of luminance.
+    /// Luminance error of every pixel.
     intensities: Vec<f64>,
-    /// Of every pixel that is bright enough, degrees.
+    /// Hue error of every pixel that is bright enough, degrees.
     angles_deg: Vec<f64>,
 }
 
 /// A peak, and what it hides.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Peak {
-    /// Of the worst pixel.
+    /// Error of the worst pixel.
     pub max: f64,
-    /// Of the pixel that 99 % are better than.
+    /// Error that 99 % of the pixels stay below.
     pub p99: f64,
-    /// Of the pixel that 95 % are better than.
+    /// Error that 95 % of the pixels stay below.
     pub p95: f64,
-    /// Of all, the mean.
+    /// Mean error.
     pub mean: f64,
 }
 
-/// What [`MaskedErrors`] come to.
+/// Summary of [`MaskedErrors`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MaskedDifference {
     /// Pixels in the masks.
     pub pixels: usize,
-    /// Of the mean squared error of the channels, decibels at peak 1; infinite for equal pictures, serialised as null then.
+    /// Signal-to-noise ratio from the mean squared error of the channels, decibels at peak 1;
+    /// infinite for equal images, serialized as null then.
     #[serde(serialize_with = "null_where_infinite")]
     pub psnr_db: f64,
-    /// Of luminance: PIE is its `max`.
+    /// Error of luminance: PIE is its `max`.
     pub intensity: Peak,
     /// Angle between the colours as vectors, degrees: PAE is its `max`. `None` where no pixel is bright enough.
     pub angle_deg: Option<Peak>,
@@ -73,7 +75,7 @@ impl MaskedErrors {
         Ok(())
     }
 
-    /// What they come to; `None` where no pixel was in a mask.
+    /// Summarizes the errors; `None` if no pixel was in a mask.
     #[must_use]
     pub fn finish(mut self) -> Option<MaskedDifference> {
         let pixels = self.intensities.len();

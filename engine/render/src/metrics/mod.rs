@@ -1,4 +1,4 @@
-//! How far one picture is from another.
+//! Differences between images.
 //!
 //! Max abs, RMSE, PSNR and the share of channels are of the values as blended, unclamped; SSIM and FLIP model what is seen on
 //! a display, so they clamp to 0 to 1. Peak is 1. A picture with a value that is not a number has no score: it is an error.
@@ -41,7 +41,7 @@ pub struct Difference {
     pub share_off: f64,
 }
 
-/// Why two pictures have no difference.
+/// Reason why two images have no difference.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DifferenceError {
     /// The pictures are not of one size.
@@ -57,7 +57,7 @@ pub enum DifferenceError {
     NotFinite {
         /// `first` or `second`.
         which: &'static str,
-        /// How many values of RGB, alpha and depth.
+        /// Number of values of RGB, alpha and depth.
         count: usize,
         /// Column of one of them, from the left.
         column: u32,
@@ -67,7 +67,7 @@ pub enum DifferenceError {
 }
 
 impl Difference {
-    /// How far `a` and `b` are apart. Only their colours are compared.
+    /// Difference between `a` and `b`. Only their colours are compared.
     ///
     /// # Errors
     /// When their sizes differ, or a value of either (alpha and depth too) is NaN or infinite.

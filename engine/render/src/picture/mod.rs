@@ -22,7 +22,7 @@ pub struct Picture {
     pub width: u32,
     /// Rows, at least 1.
     pub height: u32,
-    /// As blended: unclamped, sky included.
+    /// Color as blended: unclamped, background color included.
     pub rgb: Vec<[f32; 3]>,
     /// 1 - the transmittance left for the sky.
     pub alpha: Vec<f32>,
@@ -44,7 +44,7 @@ pub enum PictureFormat {
     Npy,
 }
 
-/// Why a picture could not be read or encoded.
+/// Reason why an image could not be read or encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The file could not be read at all.
@@ -52,7 +52,7 @@ pub enum PictureError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
     /// The name tells no format.
@@ -66,7 +66,7 @@ pub enum PictureError {
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong with its bytes.
+        /// Error in its bytes.
         source: Box<Self>,
     },
     /// The bytes are not a picture of the format.
@@ -74,7 +74,7 @@ pub enum PictureError {
     Malformed {
         /// The format expected.
         format: PictureFormat,
-        /// What was expected and what was found.
+        /// Value expected and value found.
         message: String,
     },
     /// The encoder refused the picture.
@@ -86,7 +86,7 @@ pub enum PictureError {
         width: u32,
         /// Rows.
         height: u32,
-        /// What the encoder said.
+        /// Message of the encoder.
         message: String,
     },
 }
@@ -99,7 +99,7 @@ impl PictureFormat {
         [Self::Png, Self::Exr, Self::Npy].into_iter().find(|format| format.extension() == extension)
     }
 
-    /// How files of this format end, without the dot.
+    /// File name extension of this format, without the dot.
     #[must_use]
     pub const fn extension(self) -> &'static str {
         match self {

@@ -100,7 +100,7 @@ fn array_shape(header: &str) -> Result<(u32, u32, usize), PictureError> {
     }
 }
 
-/// What follows `'key':` in the header.
+/// Value after `'key':` in the header.
 fn field<'a>(header: &'a str, key: &str) -> Result<&'a str, PictureError> {
     [format!("'{key}'"), format!("\"{key}\"")]
         .iter()

@@ -9,7 +9,7 @@ use super::project::Projected64;
 /// A splat ready to be blended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Splat64 {
-    /// Its footprint and depth.
+    /// Footprint and depth.
     pub projected: Projected64,
     /// Display-referred RGB, at least 0.
     pub colour: [f64; 3],
@@ -19,7 +19,7 @@ pub struct Splat64 {
     pub instance: u16,
 }
 
-/// What a pixel shows.
+/// Value of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pixel64 {
     /// Blended colour, sky included, unclamped.
@@ -32,7 +32,7 @@ pub struct Pixel64 {
     pub instance: u16,
 }
 
-/// What `splat` has at the pixel whose centre is `centre_px`: its alpha, or `None` below `ALPHA_MIN`.
+/// Alpha of `splat` at the pixel with center `centre_px`; `None` below `ALPHA_MIN`.
 #[must_use]
 pub fn alpha_at(splat: &Projected64, centre_px: DVec2, rules: &Rules) -> Option<f64> {
     let d = centre_px - splat.mean_px;

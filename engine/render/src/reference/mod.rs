@@ -31,7 +31,7 @@ pub struct Picture64 {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// As blended, sky included, unclamped.
+    /// Color as blended, background color included, unclamped.
     pub rgb: Vec<[f64; 3]>,
     /// 1 - transmittance.
     pub alpha: Vec<f64>,
@@ -60,9 +60,9 @@ impl Picture64 {
 /// A rectangle of pixels of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
-    /// Its first column.
+    /// First column.
     pub left_px: u32,
-    /// Its first row.
+    /// First row.
     pub top_px: u32,
     /// Columns, at least 1.
     pub width_px: u32,
@@ -77,7 +77,7 @@ impl Window {
         Self { left_px: 0, top_px: 0, width_px: intrinsics.width_px, height_px: intrinsics.height_px }
     }
 
-    /// Whether the box of `splat` reaches the centre of a pixel in here.
+    /// True if the bounding box of `splat` contains the center of a pixel of this window.
     fn is_reached_by(&self, splat: &Splat64) -> bool {
         let reaches = |mean_px: f64, half_extent_px: f64, first_px: u32, count_px: u32| {
             let first_centre_px = f64::from(first_px) + 0.5;
@@ -88,7 +88,7 @@ impl Window {
     }
 }
 
-/// What `camera` sees of `world` under `rules` (which replace the world's own).
+/// Renders `world` as seen by `camera` under `rules` (which replace the world's own).
 ///
 /// # Panics
 /// When the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.

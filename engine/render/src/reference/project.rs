@@ -18,16 +18,17 @@ pub struct View {
     rules: Rules,
 }
 
-/// What a splat is in the picture of one view.
+/// Projected splat in the image of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Projected64 {
-    /// Where the mean falls, pixels from the top left corner of the image.
+    /// Projected mean, pixels from the top left corner of the image.
     pub mean_px: DVec2,
-    /// How fast it fades from there.
+    /// Conic: the inverse of the 2D covariance.
     pub conic: Conic64,
     /// Peak alpha before the bound `alpha_max`, with the antialias factor where the rules ask for it.
     pub opacity: f64,
-    /// What the front-to-back order goes by, metres: camera-space z of the mean, or its distance where the order is radial.
+    /// Depth of the front-to-back order, meters: camera-space z of the mean, or its distance if the
+    /// order is radial.
     pub depth_m: f64,
     /// Half the size of a box around every pixel centre where alpha can reach `ALPHA_MIN`, pixels; never too small.
     pub half_extent_px: DVec2,
@@ -113,7 +114,7 @@ impl View {
         self.camera_from_world * world_from_splat * DMat3::from_diagonal(dvec3(scales))
     }
 
-    /// What a pinhole makes of a Gaussian with mean `t`, linear about it.
+    /// Linear approximation of a pinhole's projection of a Gaussian with mean `t`.
     fn linear(&self, t: DVec3, camera_from_splat: &DMat3) -> Spread {
         let k = &self.intrinsics;
         let tan_x = clamped_tangent(t.x / t.z, f64::from(k.width_px), k.fx_px, k.cx_px);

@@ -1,4 +1,5 @@
-//! What a lens makes of a Gaussian, in f64: the unscented transform (Wu et al., 3DGUT, 2025).
+//! Projection of a Gaussian through a lens, in f64: the unscented transform (Wu et al., 3DGUT,
+//! 2025).
 //!
 //! Seven points stand for the Gaussian: its mean, and its mean plus and minus each column of a factor of its covariance times
 //! `SIGMA_REACH`. The factor is the triangular one in the camera's axes: it follows from the covariance alone, whichever factor
@@ -8,13 +9,14 @@
 use decouplegs_scene::RayMap;
 use glam::{DMat3, DVec2, DVec3};
 
-/// How far the points stand from the mean, in standard deviations: the square root of three dimensions.
+/// Distance of the sigma points from the mean, in standard deviations: the square root of three
+/// dimensions.
 pub const SIGMA_REACH: f64 = 1.732_050_807_568_877_2;
 
 /// A Gaussian in the image, before it is dilated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// Its mean, pixels.
+    /// Mean, pixels.
     pub mean_px: DVec2,
     /// Variance along x, square pixels.
     pub xx: f64,

@@ -17,7 +17,7 @@ pub struct AgentBuffers {
     pub cameras: Buffer<CameraRecord>,
     /// The rig's lenses, read where some camera is no pinhole.
     pub lenses: Buffer<LensRecord>,
-    /// What is visible of them.
+    /// Visible agents' splats.
     pub visible: Visible,
     /// Visible splats before each `[camera][chunk]` of the agents, and their total.
     pub firsts: Buffer<u32>,
@@ -39,7 +39,7 @@ impl AgentBuffers {
     }
 }
 
-/// How many of each a frame has; the buffers may have room for more.
+/// Counts of a frame; the buffers may have more capacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AgentCounts {
     /// Agents that some camera may see.

@@ -8,7 +8,8 @@ use super::{Arguments, Control, PURPOSE, Plan, Projected, kernel, push_constants
 use crate::layout::{CameraRecord, MACRO_PIXELS};
 use crate::output::{OutputBuffers, Outputs};
 
-/// What segments leave for composite: a pixel each, in blend's own order. Of length 0 where the output was not asked for.
+/// Partial accumulations of segments for composite: one per pixel, in the order of blend. Of length
+/// 0 where the output was not asked for.
 pub struct Partials {
     /// RGB and transmittance.
     pub colours: Buffer<[f32; 4]>,

@@ -1,4 +1,4 @@
-//! Which splats can be seen by which camera.
+//! Frustum culling: visible splats per camera.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
@@ -9,7 +9,7 @@ use crate::capacity::groups_for;
 use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, near_m};
 use crate::resident::ResidentWorld;
 
-/// What culling finds.
+/// Per-(camera, cluster) visibility bit mask and count.
 pub struct Visible {
     /// One bit a splat, `[camera][chunk][8 words]`.
     pub words: Buffer<u32>,

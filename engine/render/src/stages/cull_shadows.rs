@@ -1,4 +1,4 @@
-//! Which contact shadows may lie on which chunk of the background.
+//! Culling of contact shadows per cluster of the background.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Residence};

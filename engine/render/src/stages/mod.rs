@@ -69,7 +69,7 @@ pub enum Arguments {
 }
 
 impl Arguments {
-    /// Where they stand.
+    /// Offset in bytes.
     #[must_use]
     pub fn byte_offset(self) -> u64 {
         self as u64 * 12

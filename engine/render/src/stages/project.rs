@@ -33,20 +33,20 @@ impl Projected {
     }
 }
 
-/// What the kernel is specialised for, beside the rules.
+/// Specialization of the kernel, beside the rules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProjectVariant {
     /// Degree of the colours evaluated; bands above it are neither stored nor read.
     pub sh_degree: u8,
-    /// Whether records carry their instance.
+    /// True if records have an instance id.
     pub instances: bool,
-    /// Whether records carry the index of their splat instead.
+    /// True if records have the index of their splat instead.
     pub splat_ids: bool,
-    /// Whether agents throw contact shadows.
+    /// True if agents cast contact shadows.
     pub shadows: bool,
-    /// Whether some of these are not seen by all cameras.
+    /// True if some shadows are not visible to all cameras.
     pub shadows_by_camera: bool,
-    /// Whether some camera is no pinhole.
+    /// True if some camera is not a pinhole.
     pub lenses: bool,
 }
 

@@ -8,17 +8,17 @@ use crate::layout::AgentRecord;
 /// A splat of an agent, in the agent's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnpackedSplat {
-    /// Where it is.
+    /// Mean position.
     pub mean_m: [f32; 3],
     /// Peak alpha.
     pub opacity: f32,
-    /// What its shape is multiplied by.
+    /// Factor on its shape.
     pub size: f32,
     /// Entry of its asset's shapes.
     pub shape: u32,
     /// Entry of its asset's colours.
     pub colour: u32,
-    /// What is added to that entry's DC term, RGB.
+    /// Residual that is added to that entry's DC term, RGB.
     pub dc_residual: Vec3,
 }
 

@@ -3,7 +3,8 @@
 use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN, over};
 use crate::layout::{Composite, MACRO_PIXELS};
 
-/// What composite leaves to be finished in a segment: its pixel there, and what lies before it, transmittance negated.
+/// Pixel that composite leaves to a segment: its index there, and the color and transmittance
+/// before it, transmittance negated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unfinished {
     /// Slot of the segment.

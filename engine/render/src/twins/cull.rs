@@ -1,4 +1,4 @@
-//! Which splats of a chunk can be seen by which camera: `cull.comp`.
+//! Frustum culling of the splats of a cluster by camera: `cull.comp`.
 
 use super::lens::{chunk_reaches_seen, lens_of, project_splat_seen};
 use super::projection::{Variant, axes_of, from_camera_m, to_camera_axes};

@@ -1,4 +1,4 @@
-//! What the front-to-back order goes by: `depth_key.glsl`, in f64 instead of pairs of f32.
+//! Depth key of the front-to-back order: `depth_key.glsl`, in f64 instead of pairs of f32.
 
 use decouplegs_shaders::constants::{
     KEY_FLOATS_FROM as FLOATS_FROM, KEY_LINEAR_CODES, KEY_LINEAR_STEP, KEY_LINEAR_STEPS, KEY_STEPS,

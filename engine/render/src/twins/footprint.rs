@@ -9,9 +9,9 @@ use crate::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
 /// log2(alpha) = log2_opacity - ((d.x - slope d.y) rate_x)^2 - (d.y rate_y)^2.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Footprint {
-    /// Where the mean falls, pixels from the top left corner of the image.
+    /// Projected mean, pixels from the top left corner of the image.
     pub mean_px: Vec2,
-    /// How far the ridge moves along x for a pixel along y.
+    /// Shift of the ridge along x per pixel along y.
     pub slope: f32,
     /// Square root of the exponent's fall along x, per pixel.
     pub rate_x: f32,

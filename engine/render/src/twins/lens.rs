@@ -1,4 +1,4 @@
-//! What a lens that is no pinhole makes of a Gaussian, in f32: `lens.glsl`.
+//! Projection of a Gaussian through a lens other than a pinhole, in f32: `lens.glsl`.
 
 use decouplegs_shaders::constants::{SIGMA_REACH, SQRT_SIXTH, UNSCENTED_REACH};
 use glam::{Mat3, Vec2, Vec3, vec2};
@@ -34,7 +34,7 @@ fn radius_at(lens: &LensRecord, chord: f32) -> f32 {
     low + s * (by_low + s * (3.0 * rise - 2.0 * by_low - by_high + s * (by_low + by_high - 2.0 * rise)))
 }
 
-/// Where a point in camera axes falls, pixels from the principal point.
+/// Projection of a point in camera axes, pixels from the principal point.
 #[must_use]
 pub fn through_lens(lens: &LensRecord, t: Vec3) -> Vec2 {
     let ray = t.normalize();

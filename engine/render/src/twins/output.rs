@@ -1,4 +1,4 @@
-//! What a pixel gathers and where it goes: `output.glsl`.
+//! Accumulation of a pixel and its output: `output.glsl`.
 
 pub use decouplegs_shaders::constants::{MACRO_COLUMNS, RENDER_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN};
 use glam::Vec3;
@@ -14,12 +14,12 @@ pub fn pixel_offset(place: usize) -> [u32; 2] {
     [tile % MACRO_COLUMNS * RENDER_TILE_PX + in_tile[0], tile / MACRO_COLUMNS * RENDER_TILE_PX + in_tile[1]]
 }
 
-/// What a pixel has gathered, front to back.
+/// Accumulated color and transmittance of a pixel, front to back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pixel {
     /// Sum of weight times colour.
     pub colour: Vec3,
-    /// What is left for what lies behind.
+    /// Transmittance that remains for splats behind.
     pub transmittance: f32,
     /// Sum of weight times depth.
     pub weighted_depth: f32,

@@ -9,7 +9,7 @@ use super::shadow::shadow_factor;
 use super::write_record::write_record;
 use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, NO_KEY_SET, ShadowRecord};
 
-/// What all shadows that may lie on the chunk and that the camera sees leave of a splat's light.
+/// Share of a splat's light after all shadows that may lie on the cluster and that the camera sees.
 fn light_left(chunk_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[ShadowRecord], shadow_words: &[u32]) -> f32 {
     let words = shadows.len().div_ceil(32);
     let may_lie = |index: usize| shadow_words[chunk_index * words + index / 32] >> (index % 32) & 1 == 1;

@@ -15,7 +15,7 @@ pub(super) const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;
 pub struct Variant {
     /// A splat nearer than this is dropped, metres.
     pub near_m: f32,
-    /// Whether opacity pays for dilation.
+    /// True if opacity compensates dilation.
     pub antialias: bool,
 }
 

@@ -8,7 +8,7 @@ fn from_shadow_m(position_m: [f32; 3], shadow: &ShadowRecord) -> Vec3 {
     (Vec3::from_array(position_m) - Vec3::from_array(shadow.centre_high_m)) - Vec3::from_array(shadow.centre_low_m)
 }
 
-/// What is left of the light of a splat with its mean at `mean_m`.
+/// Share of the light that remains for a splat with its mean at `mean_m`.
 #[must_use]
 pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
     let offset = from_shadow_m(mean_m, shadow);
@@ -23,7 +23,7 @@ pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
     (1.0 - shadow.strength * (-shadow.log2_decay * radius).exp2()).clamp(0.0, 1.0)
 }
 
-/// Whether the box of a chunk's means reaches into the slab of ground that the shadow lies on.
+/// True if the box of a cluster's means reaches into the slab of ground that the shadow lies on.
 #[must_use]
 pub fn shadow_reaches(shadow: &ShadowRecord, chunk: &ChunkRecord) -> bool {
     let centre = from_shadow_m(chunk.centre_m, shadow);

@@ -1,4 +1,4 @@
-//! Whether boxes and splats reach a camera's image: `visibility.glsl`.
+//! Conservative frustum culling of boxes and splats: `visibility.glsl`.
 
 pub(super) use decouplegs_shaders::constants::DILATION_REACH_PX;
 use glam::{Vec2, Vec3, vec2};
@@ -12,7 +12,7 @@ pub(super) fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
     normal.dot(centre) + normal.abs().dot(Vec3::from_array(chunk.half_extent_m))
 }
 
-/// Whether a splat of the chunk may reach the camera's image.
+/// True if a splat of the cluster may overlap the camera's image.
 #[must_use]
 pub fn chunk_reaches(chunk: &ChunkRecord, camera: &CameraRecord, near_m: f32) -> bool {
     let centre = from_camera_m(chunk.centre_m, camera);
@@ -33,7 +33,7 @@ pub fn chunk_reaches(chunk: &ChunkRecord, camera: &CameraRecord, near_m: f32) ->
         && farthest(chunk, centre, -row_y + high.y * row_z) + reach.y >= 0.0
 }
 
-/// Whether the splat may reach a macro tile of the camera.
+/// True if the splat may overlap a coarse tile of the camera.
 #[must_use]
 pub fn splat_reaches(splat: &Footprint, camera: &CameraRecord) -> bool {
     let [first, last] = reached_macro_rows(splat, camera.size_px[1]);

@@ -1,4 +1,4 @@
-//! What both projections write for a visible (camera, splat): `write_record.glsl`.
+//! Record of a visible (camera, splat), written by both projections: `write_record.glsl`.
 
 use glam::Vec3;
 

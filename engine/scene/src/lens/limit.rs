@@ -1,18 +1,18 @@
-//! How far a lens can be followed: to its maximum angle, or to where it stops being one to one.
+//! Limit of a lens: its maximum angle, or the angle at which it stops being one to one.
 
 use glam::DVec2;
 
 use super::radial::Radial;
 use super::{ANGLE_LIMIT_RAD, OpenCv};
 
-/// Where a lens ends.
+/// Limit of a lens.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limit {
     /// The last angle.
     pub angle_rad: f64,
     /// The image radius there, the smallest over all directions.
     pub radius: f64,
-    /// Whether it would fold the image beyond.
+    /// True if it would fold the image beyond.
     pub turns: bool,
 }
 
@@ -22,7 +22,8 @@ const STEPS: u32 = 400;
 /// Directions in which a lens that is not the same all around is looked at.
 const DIRECTIONS: u32 = 8;
 
-/// How much farther than the image's farthest corner a lens without a maximum angle is followed.
+/// Factor on the distance of the image's farthest corner up to which a lens without a maximum angle
+/// is evaluated.
 pub(super) const MARGIN: f64 = 1.3;
 
 /// Unit vectors all around.
@@ -30,7 +31,8 @@ pub(super) fn directions() -> impl Iterator<Item = DVec2> {
     (0..DIRECTIONS).map(|i| DVec2::from_angle((f64::from(i) + 0.25) * std::f64::consts::TAU / f64::from(DIRECTIONS)))
 }
 
-/// Of a distorted pinhole whose image's farthest corner is `corner` from the principal point, in focal lengths.
+/// Limit of a distorted pinhole whose image's farthest corner is `corner` from the principal point,
+/// in focal lengths.
 pub(super) fn of_open_cv(lens: &OpenCv, corner: f64) -> Limit {
     let mut limit = Limit { angle_rad: 0.0, radius: 0.0, turns: false };
     for step in 1..=STEPS {
@@ -55,7 +57,8 @@ pub(super) fn of_open_cv(lens: &OpenCv, corner: f64) -> Limit {
     limit
 }
 
-/// Of a lens by angles whose image's farthest corner is `corner` from the principal point, in its units.
+/// Limit of a lens by angles whose image's farthest corner is `corner` from the principal point, in
+/// its units.
 pub(super) fn of_radial(lens: &Radial, corner: f64) -> Limit {
     let backward = lens.is_backward();
     let max_angle_rad = lens.max_angle_rad();

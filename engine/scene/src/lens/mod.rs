@@ -15,7 +15,7 @@ pub use ray_map::RayMap;
 /// No lens shows a ray farther off its axis than this, whatever its maximum angle: depth is counted along the axis.
 pub const ANGLE_LIMIT_RAD: f64 = 1.57;
 
-/// How rays become pixels. Angles are those between a ray and the optical axis.
+/// Lens: the mapping from rays to pixels. Angles are those between a ray and the optical axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Lens {
     /// `pixel = focal * (x / z, y / z) + principal`.
@@ -61,7 +61,7 @@ impl Default for Fisheye {
     }
 }
 
-/// Which polynomial of an [`FTheta`] lens was calibrated; the other one is an approximate inverse of it.
+/// Calibrated polynomial of an [`FTheta`] lens; the other one is an approximate inverse of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FThetaReference {
     /// [`FTheta::pixel_distance_to_angle`].
@@ -122,7 +122,7 @@ impl FTheta {
 }
 
 impl Lens {
-    /// Whether it does nothing that a pinhole does not.
+    /// True if it is equal to a pinhole.
     #[must_use]
     pub fn is_pinhole(&self) -> bool {
         match self {
@@ -142,7 +142,8 @@ impl Lens {
         }
     }
 
-    /// Why the numbers are none of a lens, if they are not, wherever the image's edges are.
+    /// Checks the numbers of a lens, independent of the image's edges, and gives the reason if they
+    /// are invalid.
     ///
     /// # Errors
     /// A sentence naming the value at fault.

@@ -21,7 +21,7 @@ impl Radial {
         max_angle_rad.min(ANGLE_LIMIT_RAD)
     }
 
-    /// Whether the polynomial goes from radii to angles.
+    /// True if the polynomial maps radii to angles.
     pub fn is_backward(&self) -> bool {
         matches!(self, Self::FTheta(lens) if lens.reference == FThetaReference::PixelDistanceToAngle)
     }
@@ -43,7 +43,7 @@ impl Radial {
         }
     }
 
-    /// Where the polynomial, which rises from 0 to `end`, takes `value`, which it does before.
+    /// Argument at which the polynomial, which rises from 0 to `end`, has `value`.
     pub fn solved(&self, value: f64, end: f64) -> f64 {
         let (mut low, mut high) = (0.0, end);
         let mut at = (value / self.polynomial(end).0).clamp(0.0, 1.0) * end;

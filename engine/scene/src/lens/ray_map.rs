@@ -7,7 +7,7 @@ use super::radial::Radial;
 use super::{Lens, OpenCv};
 use crate::Intrinsics;
 
-/// What a camera's lens does to rays, made ready.
+/// Precomputed mapping of rays by a camera's lens.
 ///
 /// Rays are x right, y down, z forward, of any length. Up to [`RayMap::limit_rad`] the lens is followed. Beyond, where the image
 /// has no pixel that a ray of the lens falls on, [`RayMap::project_extended`] goes on in the same direction, linearly in the
@@ -37,7 +37,7 @@ fn chord(ray: DVec3) -> f64 {
 }
 
 impl RayMap {
-    /// Of the lens of `intrinsics`, which must have passed [`Intrinsics::check`].
+    /// Builds the map of the lens of `intrinsics`, which must have passed [`Intrinsics::check`].
     #[must_use]
     pub fn new(intrinsics: &Intrinsics) -> Self {
         let k = intrinsics;
@@ -87,7 +87,7 @@ impl RayMap {
         self.matrix
     }
 
-    /// What the image radius in the lens's plane grows by a chord, beyond the limit.
+    /// Growth of the image radius in the lens's plane per chord, beyond the limit.
     #[must_use]
     pub fn slope_beyond(&self) -> f64 {
         self.slope
@@ -106,7 +106,7 @@ impl RayMap {
         })
     }
 
-    /// Whether `ray`, of any length, lies within the limit.
+    /// True if `ray`, of any length, is within the limit.
     #[must_use]
     pub fn shows(&self, ray: DVec3) -> bool {
         ray.z > 0.0 && ray.truncate().length() <= self.tan_limit * ray.z
@@ -118,7 +118,7 @@ impl RayMap {
         self.shows(ray).then(|| self.project_extended(ray))
     }
 
-    /// Where `ray` falls; beyond the limit, where it would fall if the lens went on.
+    /// Projection of `ray`; beyond the limit, by the linear continuation of the lens.
     #[must_use]
     pub fn project_extended(&self, ray: DVec3) -> DVec2 {
         self.principal_px + self.matrix * self.in_plane(ray.normalize_or_zero())
@@ -168,7 +168,8 @@ impl RayMap {
         }
     }
 
-    /// Why this lens makes no picture of `intrinsics`, if it makes none: it folds the image where pixels are.
+    /// Checks that the lens does not fold the image of `intrinsics` at any pixel, and gives the
+    /// reason if it does.
     pub(crate) fn check(&self, intrinsics: &Intrinsics) -> Result<(), String> {
         let corner = farthest_corner(intrinsics, &self.matrix, self.principal_px);
         let Limit { angle_rad, radius, turns } = self.limit;
@@ -207,7 +208,7 @@ impl OpenCv {
         (factor, (numerator_slope - factor * denominator_slope) / denominator, denominator)
     }
 
-    /// What the distorted radius grows by the radius, tangential terms and thin prism left out.
+    /// Derivative of the distorted radius by the radius, without tangential terms and thin prism.
     fn radial_slope(&self, radius: f64) -> f64 {
         let r2 = radius * radius;
         let (factor, slope, _) = self.factor(r2);

@@ -47,8 +47,9 @@ impl AmbientDescriptor {
         self.coefficients[0].map(|channel| channel * sh::Y0 as f32)
     }
 
-    /// How much the light comes from one side: |L1| over its largest possible value beside L0, that of a point light, in
-    /// luminance. 0 where it is the same all round or there is none, 1 at most. It tells direction, not brightness.
+    /// Directionality of the light: |L1| over its largest possible value beside L0, that of a point
+    /// light, in luminance. 0 where it is the same all round or there is none, 1 at most. It tells
+    /// direction, not brightness.
     #[must_use]
     pub fn directionality(&self) -> f64 {
         let luminance = |coefficient: &[f32; 3]| coefficient.iter().zip(LUMA).map(|(c, w)| f64::from(*c) * w).sum::<f64>();

@@ -15,7 +15,7 @@ const CELLS_MAX: f64 = 1e9;
 /// Numbers of a sum: 27 of light, and the weight that they are divided by.
 const SUM: usize = AmbientDescriptor::LEN + 1;
 
-/// How far about a place the light is gathered from.
+/// Options for gathering the light around a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AmbientOptions {
     /// Standard deviation of the weight with distance, metres.
@@ -33,7 +33,7 @@ impl Default for AmbientOptions {
 }
 
 impl AmbientOptions {
-    /// What is wrong with them, if anything.
+    /// Checks the options and describes the first fault.
     ///
     /// # Errors
     /// A sentence naming the value at fault.
@@ -101,7 +101,7 @@ fn descriptor(sum: &[f64; SUM]) -> Option<AmbientDescriptor> {
 
 /// Splats of one cube, summed up.
 struct Voxel {
-    /// Where they are in the mean, by weight.
+    /// Weighted mean of their positions.
     centre: DVec3,
     sum: [f32; SUM],
 }
@@ -161,7 +161,7 @@ impl AmbientField {
         self.probes.len()
     }
 
-    /// Whether light at `place` is interpolated between probes that were baked.
+    /// True if light at `place` is interpolated between baked probes.
     #[must_use]
     pub fn is_baked(&self, place: DVec3) -> bool {
         let cell = self.cell(place);
@@ -222,7 +222,7 @@ impl AmbientField {
     }
 }
 
-/// Of corner 0 to 7 of a cube.
+/// Offset of corner 0 to 7 of a cube.
 fn corner_offset(corner: i32) -> IVec3 {
     ivec3(corner & 1, corner >> 1 & 1, corner >> 2)
 }

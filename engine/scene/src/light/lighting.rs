@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::light::{AmbientDescriptor, AmbientField, ColourTransfer, ContactShadow, LightTransfer};
 use crate::{Pose, ShFrame};
 
-/// How contact shadows look.
+/// Options of contact shadows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShadowOptions {
     /// lambda: share of the light that is gone under an agent in light that comes from one side, 0 to 1.
@@ -29,7 +29,7 @@ impl Default for ShadowOptions {
 }
 
 impl ShadowOptions {
-    /// What is wrong with them, if anything.
+    /// Checks the options and describes the first fault.
     ///
     /// # Errors
     /// A sentence naming the value at fault.
@@ -70,27 +70,28 @@ impl ShadowOptions {
 
 /// The light of a scene.
 pub struct Lighting {
-    /// What the background tells of it.
+    /// Ambient light of the background.
     pub field: AmbientField,
-    /// What it does to agents' colours; `None`: nothing.
+    /// Effect of the light on agents' colors; `None`: none.
     pub transfer: Option<LightTransfer>,
-    /// How it throws shadows; `None`: it throws none.
+    /// Options of contact shadows; `None`: no shadows.
     pub shadows: Option<ShadowOptions>,
 }
 
-/// What light does to one agent.
+/// Effect of light on one agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LitAgent {
     /// To its colours, in the frame that these are meant in.
     pub relight: Option<ColourTransfer>,
     /// The shadow that it throws.
     pub shadow: Option<ContactShadow>,
-    /// Whether the background told the light, or it is the one that assets are shown in as they are.
+    /// True if the light is from the background; false if it is the neutral light of the assets.
     pub known: bool,
 }
 
 impl Lighting {
-    /// What the light does to an agent of size `dims_m` at `world_from_agent`, whose colours are meant as `sh_frame` says.
+    /// Effect of the light on an agent of size `dims_m` at `world_from_agent` whose colors are in
+    /// the frame `sh_frame`.
     #[must_use]
     pub fn of_agent(&self, world_from_agent: &Pose, dims_m: [f32; 3], sh_frame: ShFrame) -> LitAgent {
         let (light, known) = self.at(world_from_agent.translation);
@@ -118,7 +119,8 @@ impl Lighting {
         }
     }
 
-    /// What `light` does to the colours of an agent at `world_from_agent`, which are meant as `sh_frame` says.
+    /// Effect of `light` on the colors of an agent at `world_from_agent`, which are in the frame
+    /// `sh_frame`.
     #[must_use]
     pub fn relight(&self, light: &AmbientDescriptor, world_from_agent: &Pose, sh_frame: ShFrame) -> Option<ColourTransfer> {
         let transfer = self.transfer.as_ref()?;

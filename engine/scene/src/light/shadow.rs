@@ -27,7 +27,7 @@ pub struct ContactShadow {
 }
 
 impl ContactShadow {
-    /// What is wrong with it, if anything.
+    /// Checks the shadow and describes the first fault.
     ///
     /// # Errors
     /// A sentence naming the value at fault.
@@ -45,7 +45,7 @@ impl ContactShadow {
         }
     }
 
-    /// How far out the mask counts, in half sizes.
+    /// Extent of the mask, in half sizes.
     #[must_use]
     pub fn reach(&self) -> f64 {
         -MASK_MIN.ln() / self.decay
@@ -63,7 +63,8 @@ impl ContactShadow {
         if mask >= MASK_MIN { mask } else { 0.0 }
     }
 
-    /// What is left of the colour of a splat whose mean is at `position`, world coordinates: 1 away from the shadow.
+    /// Factor on the color of a splat with its mean at `position`, world coordinates: 1 away from
+    /// the shadow.
     #[must_use]
     pub fn factor(&self, position: DVec3) -> f64 {
         let local = self.world_from_ground.inverse().transform(position);

@@ -1,4 +1,5 @@
-//! What light does to colours: c' = T(L) (.) c + b(L) with T = W_T L + w_0 and b = W_B L + b_0.
+//! Light transfer, the effect of light on colors: c' = T(L) (.) c + b(L) with T = W_T L + w_0 and b
+//! = W_B L + b_0.
 
 use crate::light::AmbientDescriptor;
 use crate::{SplatCloud, sh};
@@ -64,7 +65,7 @@ pub struct LightTransfer {
 }
 
 impl LightTransfer {
-    /// What is wrong with it, if anything.
+    /// Checks the transfer and describes the first fault.
     ///
     /// # Errors
     /// A sentence naming the value at fault.

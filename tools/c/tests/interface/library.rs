@@ -1,4 +1,4 @@
-//! Where the libraries are, and how programs are built with them.
+//! Paths of the libraries, and linking of programs with them.
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 /// The folder of the package.
 pub const FOLDER: &str = env!("CARGO_MANIFEST_DIR");
 
-/// How a program is linked.
+/// Kind of linking of a program.
 #[derive(Clone, Copy, Debug)]
 pub enum Linked {
     Shared,
@@ -23,7 +23,7 @@ fn library(name: &str) -> PathBuf {
     path
 }
 
-/// What `program` did.
+/// Output of `program`.
 pub fn run(program: &str, arguments: impl FnOnce(&mut Command) -> &mut Command) -> Output {
     let output = arguments(&mut Command::new(program)).output();
     output.unwrap_or_else(|error| panic!("{program} cannot be run ({error}): `make packages` installs what is missing"))

@@ -89,7 +89,7 @@ impl Cuda {
         Ok(Self(Arc::new(Context { functions, device, ordinal, primary })))
     }
 
-    /// Its place among the devices that CUDA shows to this process, as in PyTorch's `cuda:0`.
+    /// Index among the devices that CUDA lists for this process, as in PyTorch's `cuda:0`.
     #[must_use]
     pub fn ordinal(&self) -> i32 {
         self.0.ordinal

@@ -77,7 +77,7 @@ pub struct SemaphoreHandle {
 #[repr(C)]
 #[derive(Default)]
 pub struct SemaphoreWait {
-    /// What a timeline is to count to.
+    /// Target value of a timeline.
     pub value: u64,
     pub unused: [u64; 3],
     pub reserved: [c_uint; 10],

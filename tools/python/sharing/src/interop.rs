@@ -1,4 +1,4 @@
-//! What is needed of the API that pictures are lent to.
+//! Functions required of the API that borrows images.
 
 use std::os::fd::OwnedFd;
 
@@ -7,13 +7,13 @@ use std::os::fd::OwnedFd;
 pub struct Exported {
     /// An opaque descriptor of the memory.
     pub descriptor: OwnedFd,
-    /// What was allocated, bytes.
+    /// Allocated size, bytes.
     pub allocation_bytes: u64,
-    /// What of it is mapped, from its beginning, bytes.
+    /// Mapped size from the start, bytes.
     pub buffer_bytes: u64,
 }
 
-/// Why pictures could not be shared.
+/// Reason why images could not be shared.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InteropError {
     /// There is no such API on this machine.
@@ -24,7 +24,7 @@ pub enum InteropError {
     NoSuchDevice {
         /// The device's, in hexadecimal.
         uuid: String,
-        /// What there is.
+        /// Value found.
         found: String,
     },
     /// A call failed.
@@ -32,7 +32,7 @@ pub enum InteropError {
     Call {
         /// The function.
         call: &'static str,
-        /// What it returned.
+        /// Result code.
         code: String,
     },
     /// The memory could not be exported.
@@ -54,8 +54,9 @@ pub enum Stream {
 }
 
 impl Stream {
-    /// What the argument `stream` of `__dlpack__` means on CUDA devices (array API standard, 2024.12): none or 1 is the legacy default
-    /// stream, 2 that of the thread, -1 no order, and anything above the address of a stream.
+    /// Converts the argument `stream` of `__dlpack__` on CUDA devices (array API standard,
+    /// 2024.12): none or 1 is the legacy default stream, 2 that of the thread, -1 no order, and
+    /// anything above the address of a stream.
     ///
     /// # Errors
     /// A sentence: 0 is refused by the standard, as it could be none, 1 or 2.
@@ -71,8 +72,9 @@ impl Stream {
         }
     }
 
-    /// Where the event is recorded that ends what was handed out on this stream. The thread that lets go may be another than
-    /// the one that took: the legacy stream is behind the default streams of all threads.
+    /// Stream on which the event is recorded that ends the loan. The thread that lets go may be
+    /// another than the one that took: the legacy stream is behind the default streams of all
+    /// threads.
     #[must_use]
     pub fn of_return(self) -> Self {
         match self {
@@ -97,7 +99,7 @@ pub trait Interop: Send + Sync + 'static {
     /// When a call fails.
     fn import_memory(&self, exported: Exported) -> Result<Self::Memory, InteropError>;
 
-    /// Where it is mapped.
+    /// Mapped address.
     fn address(memory: &Self::Memory) -> u64;
 
     /// Imports a timeline.
@@ -118,7 +120,7 @@ pub trait Interop: Send + Sync + 'static {
     /// When a call fails.
     fn record(&self, stream: Stream) -> Result<Self::Event, InteropError>;
 
-    /// Whether the device has come to the mark, without waiting.
+    /// True if the device has passed the mark, without a wait.
     ///
     /// # Errors
     /// When a call fails.

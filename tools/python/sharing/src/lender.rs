@@ -1,4 +1,4 @@
-//! Who has which pictures, and when they come back.
+//! Borrowed images: their owners, and their return.
 
 use std::collections::HashMap;
 use std::os::fd::OwnedFd;
@@ -11,10 +11,10 @@ pub trait Shared: Send + Sync {
     /// No other buffer that is alive has the same.
     fn id(&self) -> usize;
 
-    /// How many hold it, this handle included.
+    /// Number of owners, this handle included.
     fn holders(&self) -> usize;
 
-    /// Its memory, in a descriptor of its own.
+    /// Exports its memory as a new descriptor.
     ///
     /// # Errors
     /// When the driver cannot.
@@ -41,14 +41,14 @@ pub struct Lender<I: Interop, P: Send> {
 struct Returned<I: Interop, P> {
     pictures: P,
     events: Vec<I::Event>,
-    /// Why nobody can tell when they are free.
+    /// Reason why their release cannot be observed.
     lost: Option<InteropError>,
 }
 
 /// The pictures of one frame, lent. They go back when this and all that was handed out of it are dropped, and the device is done.
 pub struct Loan<I: Interop, P: Send> {
     lender: Arc<Lender<I, P>>,
-    /// What the timeline has counted to when the pictures are drawn.
+    /// Value of the timeline when the images are complete.
     drawn: u64,
     /// `None` only while it is dropped.
     pictures: Option<P>,

@@ -16,7 +16,7 @@ struct Played {
     waits: Mutex<Vec<(u64, Stream)>>,
     /// Marks that were made and marks that the device has come to, by stream.
     streams: Mutex<HashMap<usize, (usize, usize)>>,
-    /// Whether marks can be made.
+    /// Set to make marks fail.
     broken: AtomicUsize,
 }
 

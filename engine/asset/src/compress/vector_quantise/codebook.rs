@@ -18,13 +18,13 @@ pub struct Vectors<'a> {
 }
 
 impl<'a> Vectors<'a> {
-    /// How many there are.
+    /// Number of entries.
     #[must_use]
     pub fn len(&self) -> usize {
         self.values.len() / self.dimension
     }
 
-    /// Whether there is none.
+    /// True if there is none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
@@ -40,7 +40,7 @@ impl<'a> Vectors<'a> {
 /// The nearest entry to a vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
-    /// Which entry; the first of equals.
+    /// Index of the entry; the first of equals.
     pub entry: usize,
     /// Squared distance to it.
     pub square: f32,

@@ -32,7 +32,7 @@ const IMPROVEMENT_MIN: f64 = 5e-3;
 /// Windows without improvement after which the batches end.
 const PATIENCE_WINDOWS: usize = 2;
 
-/// How a book is made.
+/// Training options of a codebook.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QuantiseOptions {
     /// Most entries, 1 to 65,536.
@@ -41,7 +41,7 @@ pub struct QuantiseOptions {
     pub iterations_max: usize,
     /// Most iterations over all vectors after them.
     pub final_iterations_max: usize,
-    /// Everything random follows from it.
+    /// Seed of all randomness.
     pub seed: u64,
 }
 
@@ -54,7 +54,7 @@ pub struct Quantised {
     pub assignment: Vec<u16>,
     /// Weighted mean squared distance of the vectors to their entries, by iteration: of the batches, then of all vectors.
     pub distortion: Vec<f64>,
-    /// How many of [`Quantised::distortion`] are of batches.
+    /// Number of values of [`Quantised::distortion`] that are of batches.
     pub batches: usize,
     /// Entries that began again because nothing used them.
     pub reseeded: usize,
@@ -203,7 +203,7 @@ fn mean_square(nearest: &[Nearest], weights: &[f32]) -> f64 {
     if weight_sum > 0.0 { sum / weight_sum } else { 0.0 }
 }
 
-/// Whether distortion still falls.
+/// Stopping criterion: distortion no longer falls.
 #[derive(Default)]
 struct Stillness {
     best: Option<f64>,

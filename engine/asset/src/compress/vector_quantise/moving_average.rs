@@ -34,12 +34,12 @@ pub(super) fn sums(vectors: Vectors<'_>, weights: &[f32], nearest: &[Nearest], e
 /// Counts N and sums m of every entry.
 pub(super) struct MovingAverage {
     sums: Vec<WeightedSum>,
-    /// Whether a batch has been followed: until then counts are of no unit.
+    /// True if a batch has been followed: until then counts are of no unit.
     begun: bool,
 }
 
 impl MovingAverage {
-    /// As if every entry had stood for the same weight of vectors equal to it.
+    /// Starts as if every entry stood for the same weight of vectors equal to it.
     pub(super) fn new(entries: &[f32], dimension: usize) -> Self {
         let sum = |entry: &[f32]| WeightedSum { values: entry.iter().map(|&value| f64::from(value)).collect(), weight: 1.0 };
         Self { sums: entries.chunks_exact(dimension).map(sum).collect(), begun: false }

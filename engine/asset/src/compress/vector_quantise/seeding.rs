@@ -1,4 +1,4 @@
-//! Where entries begin: k-means++ (Arthur and Vassilvitskii, 2007).
+//! Initialization of codebook entries by k-means++ (Arthur and Vassilvitskii, 2007).
 
 use rayon::prelude::*;
 

@@ -6,7 +6,7 @@ use crate::xml::Element;
 /// `a + b d + c d² + d d³` of the way `d` from where it starts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Cubic {
-    /// Where it starts along the road, metres.
+    /// Start along the road, meters.
     pub(super) start_m: f64,
     /// From the constant up.
     pub(super) factors: [f64; 4],
@@ -19,7 +19,7 @@ impl Cubic {
         Ok(Self { start_m, factors: [factor("a")?, factor("b")?, factor("c")?, factor("d")?] })
     }
 
-    /// Its value at `s_m` along the road.
+    /// Value at `s_m` along the road.
     pub(super) fn at(&self, s_m: f64) -> f64 {
         value(&self.factors, s_m - self.start_m)
     }
@@ -62,7 +62,7 @@ impl Profile {
         self.0.get(after.saturating_sub(1)).copied().unwrap_or_default()
     }
 
-    /// Where polynomials start between two places.
+    /// Starts of polynomials between two positions.
     pub(super) fn starts_within(&self, from_m: f64, to_m: f64) -> impl Iterator<Item = f64> {
         let first = self.0.partition_point(|cubic| cubic.start_m <= from_m);
         self.0[first..].iter().map(|cubic| cubic.start_m).take_while(move |start_m| *start_m < to_m)

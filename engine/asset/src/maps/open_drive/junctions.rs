@@ -1,4 +1,4 @@
-//! How lanes of sections, roads and junctions touch each other, and so follow each other.
+//! Contacts of lanes of sections, roads and junctions, from which successors follow.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use crate::DecodeError;
 use crate::maps::links::join;
 use crate::xml::Element;
 
-/// Where the lanes of a road stand in the list of all.
+/// Indices of a road's lanes in the list of all lanes.
 #[derive(Default)]
 pub(super) struct RoadPlaces {
     /// For each section, places by lane id, each with whether traffic runs along the road.
@@ -22,7 +22,7 @@ pub(super) struct RoadPlaces {
 struct LaneEnd {
     lane: usize,
     contact: Contact,
-    /// Whether traffic runs along the road.
+    /// True if traffic runs along the road.
     is_forward: bool,
 }
 
@@ -115,7 +115,8 @@ impl Network<'_> {
         Ok(())
     }
 
-    /// Which end of `incoming` lies at the junction; of two that do, the one nearer to the connecting road.
+    /// End of `incoming` that lies at the junction. If both do, the one nearer to the connecting
+    /// road.
     fn end_at_junction(&self, incoming: usize, junction: &str, connecting: usize, contact: Contact) -> Option<Contact> {
         let road = &self.roads[incoming];
         let lies_there = |end: &Contact| matches!(road.link(*end), Some(LinkTarget::Junction(id)) if id == junction);

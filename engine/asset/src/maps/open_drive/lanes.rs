@@ -24,14 +24,14 @@ pub(super) struct SectionLane {
     pub(super) kind: LaneKind,
     /// Width along the road, metres.
     pub(super) widths: Profile,
-    /// Where widths are absent: its outer border from the reference line, to the left, metres.
+    /// Outer border from the reference line, to the left, meters, for lanes without widths.
     pub(super) borders: Profile,
     /// The lane that touches its start along the road, on the section or road before.
     pub(super) predecessor: Option<i64>,
     /// The lane that touches its end.
     pub(super) successor: Option<i64>,
     pub(super) speed_limit_mps: Option<f64>,
-    /// Whether traffic goes against the rule of its side.
+    /// True if traffic goes against the rule of its side.
     pub(super) is_reversed: bool,
 }
 

@@ -44,7 +44,7 @@ impl Contact {
     }
 }
 
-/// What a road's end is linked to.
+/// Target of the link of a road's end.
 enum LinkTarget {
     /// The end of a road, by its id.
     Road(String, Contact),
@@ -125,7 +125,7 @@ impl Road {
         })
     }
 
-    /// Whether traffic on `lane` runs along the reference line.
+    /// True if traffic on `lane` runs along the reference line.
     fn is_forward(&self, lane: &SectionLane) -> bool {
         (lane.id < 0) ^ self.drives_on_the_left ^ lane.is_reversed
     }
@@ -137,7 +137,7 @@ impl Road {
         }
     }
 
-    /// Where its reference line starts or ends.
+    /// Position of the start or end of the reference line.
     fn end_position(&self, contact: Contact) -> DVec2 {
         let piece = match contact {
             Contact::Start => self.plan_view.first(),

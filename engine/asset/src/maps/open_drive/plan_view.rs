@@ -16,16 +16,16 @@ const INTEGRATED_MAX_M: f64 = 1e4;
 /// A piece of a reference line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Geometry {
-    /// Where it starts along the road, metres.
+    /// Start along the road, meters.
     pub(super) start_m: f64,
-    /// Its length, metres.
+    /// Length, meters.
     pub(super) length_m: f64,
     origin: DVec2,
     heading_rad: f64,
     shape: Shape,
 }
 
-/// How a piece bends, in the frame of its start: u forward, v to the left.
+/// Curve of a piece, in the frame of its start: u forward, v to the left.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
     Line,
@@ -159,7 +159,7 @@ fn along_spiral(curvature: f64, change: f64, way_m: f64) -> (DVec2, f64) {
     (place, heading(way_m))
 }
 
-/// Where on the axis a cubic is that is `way_m` long up to there.
+/// Abscissa up to which a cubic is `way_m` long.
 fn abscissa(factors: &[f64; 4], way_m: f64) -> f64 {
     /// Cubics of roads bend little: so few pieces follow them to a micrometre.
     const PANELS: usize = 16;

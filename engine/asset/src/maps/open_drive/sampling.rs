@@ -17,7 +17,7 @@ const STEP_MAX_M: f64 = 2.0;
 const CHORD_ERROR_MAX_M: f64 = 0.015;
 /// Steps are not halved below, whatever the chord's error, metres.
 const STEP_MIN_M: f64 = 0.05;
-/// What holds between two places where any polynomial or piece of the road begins.
+/// Profile of a lane between two positions at which a polynomial or piece of the road begins.
 struct Strip<'a> {
     geometry: &'a Geometry,
     elevation: Cubic,
@@ -28,9 +28,9 @@ struct Strip<'a> {
 
 /// The outer border of a lane.
 enum Edge {
-    /// So far from the inner one.
+    /// Distance from the inner border.
     Width(Cubic),
-    /// So far to the left of the reference line.
+    /// Distance to the left of the reference line.
     Border(Cubic),
 }
 
@@ -116,7 +116,7 @@ fn refine(
     refine(strip, &middle, to, stations, budget)
 }
 
-/// Where something begins within a section, and its ends.
+/// Positions within a section at which something begins, and its ends.
 fn breaks(road: &Road, section: &Section) -> Vec<f64> {
     let (start_m, end_m) = (section.start_m, section.end_m);
     let first = road.plan_view.partition_point(|geometry| geometry.start_m <= start_m);
@@ -131,7 +131,7 @@ fn breaks(road: &Road, section: &Section) -> Vec<f64> {
 }
 
 impl<'a> Strip<'a> {
-    /// What holds around `s_m`.
+    /// Profile around `s_m`.
     fn at(road: &'a Road, section: &Section, s_m: f64) -> Self {
         let after = road.plan_view.partition_point(|geometry| geometry.start_m <= s_m);
         let edge = |lane: &SectionLane| match lane.widths.is_empty() && !lane.borders.is_empty() {

@@ -1,4 +1,4 @@
-//! What the splats of a pixel make of it.
+//! Alpha compositing of the splats of a pixel.
 
 use decouplegs_scene::{DepthOrder, Rules, World};
 

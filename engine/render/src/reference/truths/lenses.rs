@@ -8,7 +8,7 @@ use super::super::project::Projected64;
 use super::super::render;
 use super::{Plain, WHITE, projected, world_of};
 
-/// What cars carry: 1600 x 900, 120 degrees across by angle and 70 by distortion.
+/// Lenses of cars: 1600 x 900, 120 degrees across by angle and 70 by distortion.
 fn lenses() -> [(&'static str, Lens, f64); 3] {
     let open_cv = OpenCv { radial: [-0.31, 0.11, -0.01, 0.03, -0.01, 0.001], ..OpenCv::default() };
     let f_theta = FTheta {

@@ -1,4 +1,4 @@
-//! What speeds the definition up changes nothing, and neither does what cannot be drawn.
+//! Optimizations of the reference change nothing, and neither do splats that cannot be rendered.
 
 use decouplegs_scene::{Rules, SplatCloud};
 use glam::DVec2;

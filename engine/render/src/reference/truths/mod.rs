@@ -1,4 +1,4 @@
-//! What must be true of the definition itself, against closed forms worked out by hand.
+//! Properties of the reference itself, against closed forms that were derived by hand.
 
 mod blending;
 mod lenses;

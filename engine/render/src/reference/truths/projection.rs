@@ -1,4 +1,4 @@
-//! Where a splat falls, how wide, and in what colour.
+//! Position, width and color of a splat.
 
 use decouplegs_scene::{Camera, Pose, Rules, World};
 use glam::{DQuat, DVec2, DVec3};
