@@ -15,8 +15,8 @@
 //! | [`gpu`] | how we speak Vulkan: device, queue, memory, kernel; the only `unsafe` code | - |
 //! | [`render`] | how it becomes pictures: the GPU frame, its f64 definition, and the error between two pictures | `scene`, `gpu` |
 //!
-//! Units are metres, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up. Camera: OpenCV (x right,
-//! y down, z forward). Coordinates of the world are f64, so that a world in UTM coordinates keeps its millimetres.
+//! Units are meters, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up. Camera: OpenCV (x right,
+//! y down, z forward). Coordinates of the world are f64, so that a world in UTM coordinates keeps its millimeters.
 #![forbid(unsafe_code)]
 
 pub mod episode;

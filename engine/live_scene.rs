@@ -45,7 +45,7 @@ pub struct LiveScene {
     /// Name and instance of agents that are splats of the world.
     plain_agents: Vec<(String, u16)>,
     lighting: Option<Lighting>,
-    /// Light is summed up along trajectories in steps of so much, metres.
+    /// Light is summed up along trajectories in steps of so much, meters.
     light_step_m: f64,
 }
 
@@ -141,7 +141,7 @@ impl LiveScene {
         self.assets.len()
     }
 
-    /// Length, width and height of an asset's box, metres; `None` where there is no such asset.
+    /// Length, width and height of an asset's box, meters; `None` where there is no such asset.
     #[must_use]
     pub fn asset_dims_m(&self, asset: usize) -> Option<[f32; 3]> {
         self.assets.get(asset).map(|asset| asset.dims_m)

@@ -46,8 +46,8 @@ layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; 
 layout(set = 0, binding = 6, scalar) readonly buffer items_block { Item items[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint records[]; };
 layout(set = 0, binding = 8, std430) readonly buffer footprints_block { vec4 footprints[]; };
-layout(set = 0, binding = 9, std430) readonly buffer colours_block { vec4 colours[]; };
-layout(set = 0, binding = 10, std430) buffer partial_colours_block { vec4 partial_colours[]; };
+layout(set = 0, binding = 9, std430) readonly buffer colors_block { vec4 colors[]; };
+layout(set = 0, binding = 10, std430) buffer partial_colors_block { vec4 partial_colors[]; };
 layout(set = 0, binding = 11, std430) buffer partial_depths_block { float partial_depths[]; };
 layout(set = 0, binding = 12, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
 

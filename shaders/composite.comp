@@ -17,7 +17,7 @@ layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is l
 
 layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
-layout(set = 0, binding = 7, std430) buffer partial_colours_block { vec4 partial_colours[]; };
+layout(set = 0, binding = 7, std430) buffer partial_colors_block { vec4 partial_colors[]; };
 layout(set = 0, binding = 8, std430) buffer partial_depths_block { float partial_depths[]; };
 layout(set = 0, binding = 9, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
 

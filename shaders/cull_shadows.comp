@@ -18,14 +18,14 @@ layout(push_constant, scalar) uniform push_block { uint chunk_count; uint shadow
 
 // True if the box of the cluster's means reaches into the slab of ground that the shadow lies on.
 bool shadow_reaches(Shadow shadow, Chunk chunk) {
-    vec3 centre = from_shadow_m(chunk.centre_m, shadow);
+    vec3 center = from_shadow_m(chunk.center_m, shadow);
     vec3 half_extent = chunk.half_extent_m;
     // Rounding of the box, relative to its distance.
-    float slack = 1e-5 * (dot(abs(centre), vec3(1.0)) + dot(half_extent, vec3(1.0)));
+    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(half_extent, vec3(1.0)));
     vec3 wide = half_extent + slack;
-    return abs(dot(shadow.normal, centre)) <= dot(abs(shadow.normal), wide) + shadow.slab_m
-        && abs(dot(shadow.along, centre)) <= dot(abs(shadow.along), wide) + shadow.reach
-        && abs(dot(shadow.across, centre)) <= dot(abs(shadow.across), wide) + shadow.reach;
+    return abs(dot(shadow.normal, center)) <= dot(abs(shadow.normal), wide) + shadow.slab_m
+        && abs(dot(shadow.along, center)) <= dot(abs(shadow.along), wide) + shadow.reach
+        && abs(dot(shadow.across, center)) <= dot(abs(shadow.across), wide) + shadow.reach;
 }
 
 void main() {

@@ -1,5 +1,5 @@
 #version 460
-// Footprint, depth key and colour of every visible (camera, splat) of the background, at the place that the scan gave it.
+// Footprint, depth key and color of every visible (camera, splat) of the background, at the place that the scan gave it.
 //
 // One workgroup a chunk, one thread a splat, all cameras: attributes are read once. Records of a camera are in splat order: equal
 // depth keys are drawn in the order of records. Where the keys of a camera's direction are kept, they are read instead of computed.
@@ -48,7 +48,7 @@ layout(push_constant, scalar) uniform push_block {
     uint shadow_word_count; // a chunk
 };
 
-// By plane: word w of splat i stands at w * splat_count + i, so that neighbouring threads read neighbouring words.
+// By plane: word w of splat i stands at w * splat_count + i, so that neighboring threads read neighboring words.
 #define SH_WORD(band, word, index, stride) sh_band##band[(word) * (stride) + (index)]
 #include "sh.glsl"
 #include "write_record.glsl"
@@ -127,8 +127,8 @@ void main() {
         project_splat_seen(camera, camera_index, t, axes, opacity, record.splat);
         record.depth_m = RADIAL ? length(offset) : t.z;
         record.instance = SPLAT_IDS ? splat_index : INSTANCES ? instances[splat_index / 2u] >> (16u * (splat_index % 2u)) & 0xffffu : 0u;
-        vec3 colour = sh_colour(sh_dc[splat_index], splat_index, splat_count, normalize(offset));
-        write_record(slot, record, SHADOWS ? light * colour : colour);
+        vec3 color = sh_color(sh_dc[splat_index], splat_index, splat_count, normalize(offset));
+        write_record(slot, record, SHADOWS ? light * color : color);
         keys[slot] = key_of(camera_index, splat_index, mean_m, camera);
     }
 }

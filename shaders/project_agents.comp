@@ -1,7 +1,7 @@
 #version 460
-// Footprint, depth key and colour of every visible (camera, splat) of the agents: what project is for the background.
+// Footprint, depth key and color of every visible (camera, splat) of the agents: what project is for the background.
 //
-// Their records come behind those of the background, by camera, agent and splat. Shapes and colours are entries of the
+// Their records come behind those of the background, by camera, agent and splat. Shapes and colors are entries of the
 // asset's codebooks, decoded here and nowhere else.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
@@ -20,12 +20,12 @@ layout(local_size_x = 256) in;
 #include "agent_buffers.glsl"
 
 layout(constant_id = 3) const bool RADIAL = false;
-layout(constant_id = 4) const bool RELIT = false; // some agents have colours of their own
+layout(constant_id = 4) const bool RELIT = false; // some agents have colors of their own
 
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer firsts_block { uint firsts[]; }; // of agents, [camera][chunk]
 layout(set = 0, binding = 6, scalar) readonly buffer coded_dc_block { vec3 coded_dc[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a colour
+layout(set = 0, binding = 7, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a color
 layout(set = 0, binding = 8, scalar) readonly buffer static_firsts_block { uint static_firsts[]; }; // of the background
 layout(set = 0, binding = 9, scalar) readonly buffer relit_dc_block { vec3 relit_dc[]; };
 layout(set = 0, binding = 10, scalar) readonly buffer relit_bands_block { uint relit_bands[]; };
@@ -38,17 +38,17 @@ layout(push_constant, scalar) uniform push_block {
     uint static_lists; // of the background: how many records it has stands behind them
 };
 
-// All bands of a colour in one piece: a codebook stays in cache, and its entries are read in any order.
-const uint COLOUR_WORDS = 24u;
+// All bands of a color in one piece: a codebook stays in cache, and its entries are read in any order.
+const uint COLOR_WORDS = 24u;
 const uint FIRST_WORD_1 = 0u;
 const uint FIRST_WORD_2 = 5u;
 const uint FIRST_WORD_3 = 13u;
 // True if colors are read from the relit codebooks.
 bool from_relit = false;
-uint colour_word(uint at) {
+uint color_word(uint at) {
     return RELIT && from_relit ? relit_bands[at] : coded_bands[at];
 }
-#define SH_WORD(band, word, index, stride) colour_word((index) * (stride) + FIRST_WORD_##band + (word))
+#define SH_WORD(band, word, index, stride) color_word((index) * (stride) + FIRST_WORD_##band + (word))
 #include "sh.glsl"
 #include "write_record.glsl"
 
@@ -72,7 +72,7 @@ void main() {
     if (own_splat >= agent.splat_count) {
         return;
     }
-    from_relit = agent.colours_relit != 0u;
+    from_relit = agent.colors_relit != 0u;
     bool loaded = false;
     CodedSplat coded;
     mat3 axes;
@@ -99,9 +99,9 @@ void main() {
         record.depth_m = RADIAL ? length(offset) : t.z;
         record.instance = agent.instance;
         vec3 d = normalize(offset);
-        uint colour = agent.first_colour + coded.colour;
-        vec3 dc = (RELIT && from_relit ? relit_dc[colour] : coded_dc[colour]) + agent.dc_residual_gain * coded.dc_residual;
-        write_record(slot, record, sh_colour(dc, colour, COLOUR_WORDS, agent.colours_in_world != 0u ? turned(agent, d) : d));
+        uint color = agent.first_color + coded.color;
+        vec3 dc = (RELIT && from_relit ? relit_dc[color] : coded_dc[color]) + agent.dc_residual_gain * coded.dc_residual;
+        write_record(slot, record, sh_color(dc, color, COLOR_WORDS, agent.colors_in_world != 0u ? turned(agent, d) : d));
         keys[slot] = depth_key(RADIAL ? scaled_distance(coded.mean_m, camera) : scaled_depth(coded.mean_m, camera));
     }
 }

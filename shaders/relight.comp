@@ -1,7 +1,7 @@
 #version 460
-// Codebooks in the light of their agents: c' = T c + b for every coefficient of every colour (DecoupleGS, section 3.4).
+// Codebooks in the light of their agents: c' = T c + b for every coefficient of every color (DecoupleGS, section 3.4).
 //
-// One thread an entry. T and b are meant for colours as plain expansions: DC without the 0.5 that splats' colours add.
+// One thread an entry. T and b are meant for colors as plain expansions: DC without the 0.5 that splats' colors add.
 // Entries are written as sh.glsl reads them.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
@@ -13,26 +13,26 @@ layout(local_size_x = 256) in;
 layout(constant_id = 2) const uint SH_DEGREE = 3u;
 
 const uint COEFFICIENTS = 16u;
-const uint COLOUR_WORDS = 24u;
+const uint COLOR_WORDS = 24u;
 
 struct Relight {
     float gain[3 * COEFFICIENTS]; // T, [coefficient][rgb]
     float summand[3 * COEFFICIENTS]; // b
-    uint first_colour; // in the pool
-    uint colours;
+    uint first_color; // in the pool
+    uint colors;
     uint first_relit; // where the first goes
     uint first_group; // workgroups of those before it
 };
 
 layout(set = 0, binding = 0, scalar) readonly buffer relights_block { Relight relights[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer coded_dc_block { vec3 coded_dc[]; };
-layout(set = 0, binding = 2, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a colour
+layout(set = 0, binding = 2, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a color
 layout(set = 0, binding = 3, scalar) writeonly buffer relit_dc_block { vec3 relit_dc[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer relit_bands_block { uint relit_bands[]; };
 
 layout(push_constant, scalar) uniform push_block { uint relight_count; };
 
-// 0.5 / Y0: what the DC term of a splat's colour leaves out.
+// 0.5 / Y0: what the DC term of a splat's color leaves out.
 const float DC_SHIFT = 1.7724538509055159;
 
 // The last whose workgroups begin at or before this one.
@@ -93,21 +93,21 @@ void main() {
     uint group = group_index();
     uint relight = relight_of_group(group);
     uint entry = (group - relights[relight].first_group) * gl_WorkGroupSize.x + gl_LocalInvocationIndex;
-    if (entry >= relights[relight].colours) {
+    if (entry >= relights[relight].colors) {
         return;
     }
-    uint from = relights[relight].first_colour + entry;
+    uint from = relights[relight].first_color + entry;
     uint to = relights[relight].first_relit + entry;
     vec3 gain = vec3(relights[relight].gain[0], relights[relight].gain[1], relights[relight].gain[2]);
     vec3 summand = vec3(relights[relight].summand[0], relights[relight].summand[1], relights[relight].summand[2]);
     relit_dc[to] = gain * (coded_dc[from] + DC_SHIFT) + summand - DC_SHIFT;
     if (SH_DEGREE >= 1u) {
-        relight_band(relight, 1u, 9u, COLOUR_WORDS * from, COLOUR_WORDS * to);
+        relight_band(relight, 1u, 9u, COLOR_WORDS * from, COLOR_WORDS * to);
     }
     if (SH_DEGREE >= 2u) {
-        relight_band(relight, 4u, 15u, COLOUR_WORDS * from + 5u, COLOUR_WORDS * to + 5u);
+        relight_band(relight, 4u, 15u, COLOR_WORDS * from + 5u, COLOR_WORDS * to + 5u);
     }
     if (SH_DEGREE >= 3u) {
-        relight_band(relight, 9u, 21u, COLOUR_WORDS * from + 13u, COLOUR_WORDS * to + 13u);
+        relight_band(relight, 9u, 21u, COLOR_WORDS * from + 13u, COLOR_WORDS * to + 13u);
     }
 }

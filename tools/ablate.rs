@@ -69,16 +69,16 @@ pub struct Arguments {
     /// Seed of all randomness: the street, the codebooks, the drift of tracks
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Each track is shifted by this, in a direction of its own, metres
+    /// Each track is shifted by this, in a direction of its own, meters
     #[arg(long, value_name = "METRES", default_value_t = 0.5, value_parser = not_negative)]
     drift_m: f64,
     /// And turned by this about its middle, to the left or to the right, degrees
     #[arg(long, value_name = "DEGREES", default_value_t = 0.4, value_parser = not_negative)]
     drift_deg: f64,
-    /// Deviation of each of its places along each axis, metres
+    /// Deviation of each of its places along each axis, meters
     #[arg(long, value_name = "METRES", default_value_t = 0.05, value_parser = not_negative)]
     noise_m: f64,
-    /// Pixels whose true colour is shorter as a vector (of at most 1.73) have no hue
+    /// Pixels whose true color is shorter as a vector (of at most 1.73) have no hue
     #[arg(long, value_name = "LENGTH", default_value_t = 0.05, value_parser = not_negative)]
     floor: f64,
     /// Views all around a car from which its splats' visibility is measured for compression

@@ -56,7 +56,7 @@ pub enum RulesName {
     Gsplat15,
     /// gsplat 1.6: alpha at most 0.99, the same stop
     Gsplat16,
-    /// The INRIA rasteriser: alpha at most 0.99, the same stop, near plane at 0.2 m
+    /// The INRIA rasterizer: alpha at most 0.99, the same stop, near plane at 0.2 m
     Inria,
 }
 

@@ -15,7 +15,7 @@ use decouplegs::gpu::{DeviceInfo, Gpu, MemoryReport};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::picture::Picture;
 use decouplegs::render::reference::{self, Window};
-use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
+use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
 use decouplegs::scene::{Intrinsics, Rules};
 
 use crate::arguments::{Size, finite, pixels, print};
@@ -38,8 +38,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N")]
     cameras_used: Option<usize>,
     /// Storage format of color
-    #[arg(long, value_enum, default_value_t = Colour::Rgba8)]
-    colour: Colour,
+    #[arg(long, value_enum, default_value_t = Color::Rgba8)]
+    color: Color,
     /// Draw the expected depth too
     #[arg(long)]
     depth: bool,
@@ -69,7 +69,7 @@ pub struct Arguments {
     trace_picture: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
-    /// Middle of the first camera's picture whose error is measured, in f32 whatever --colour says
+    /// Middle of the first camera's picture whose error is measured, in f32 whatever --color says
     #[arg(long, value_name = "WxH", default_value = "160x90")]
     error_window: Size,
     /// Write all figures to this file
@@ -78,7 +78,7 @@ pub struct Arguments {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Colour {
+enum Color {
     /// 8 bits a channel, what a camera delivers
     Rgba8,
     /// 32 bits a channel, unclamped
@@ -99,11 +99,11 @@ impl Arguments {
     }
 
     fn outputs(&self) -> Outputs {
-        let colour = match self.colour {
-            Colour::Rgba8 => ColourFormat::U8,
-            Colour::F32 => ColourFormat::F32,
+        let color = match self.color {
+            Color::Rgba8 => ColorFormat::U8,
+            Color::F32 => ColorFormat::F32,
         };
-        Outputs { colour, depth: self.depth, instance: self.instance, ..Outputs::default() }
+        Outputs { color, depth: self.depth, instance: self.instance, ..Outputs::default() }
     }
 }
 

@@ -1,4 +1,4 @@
-//! `decouplegs calibrate-light`: how light changes the colours of agents, from probes and assets.
+//! `decouplegs calibrate-light`: how light changes the colors of agents, from probes and assets.
 
 mod page;
 mod views;
@@ -19,15 +19,15 @@ use decouplegs::scene::SplatCloud;
 use crate::arguments::{print, warn};
 use crate::progress;
 
-/// Calibrate how light changes the colours of agents
+/// Calibrate how light changes the colors of agents
 ///
-/// Fits Theta, which turns the colours of a place into a factor and a summand for each colour coefficient of an agent that
+/// Fits Theta, which turns the colors of a place into a factor and a summand for each color coefficient of an agent that
 /// stands there, so that agents look as their surroundings are lit. Truth are the given assets in the light of the given
 /// environment probes, each turned, mirrored and exposed in several ways. Each probe is also left out in turn to see how far
-/// colours are off in light that the fit was not shown.
+/// colors are off in light that the fit was not shown.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Assets in their own frame: metres, x forward, y left, z up (.ply, .splat, .spz, coded .safetensors)
+    /// Assets in their own frame: meters, x forward, y left, z up (.ply, .splat, .spz, coded .safetensors)
     #[arg(required = true, value_name = "ASSET")]
     assets: Vec<PathBuf>,
     /// Folder of lat-long pictures of linear radiance (.exr, .hdr), top row up
@@ -36,7 +36,7 @@ pub struct Arguments {
     /// The light transfer to write (.safetensors)
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Degree of the colours it is for (default: the highest among the assets)
+    /// Degree of the colors it is for (default: the highest among the assets)
     #[arg(long, value_name = "D", value_parser = clap::value_parser!(u8).range(0..=3))]
     degree: Option<u8>,
     /// Ridge strength: pull of the weights to those of a pure brightness change, above 0 (default:
@@ -52,7 +52,7 @@ pub struct Arguments {
     /// Splats looked at, shared by the assets
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     samples: u64,
-    /// Linear albedo of the ground whose colour tells of the light, above 0, at most 1
+    /// Linear albedo of the ground whose color tells of the light, above 0, at most 1
     #[arg(long, value_name = "A", default_value_t = Surroundings::default().albedo)]
     ground_albedo: f64,
     /// Seed of all randomness: the same seed gives the same bytes
@@ -68,7 +68,7 @@ pub struct Arguments {
 enum ObjectiveName {
     /// Each coefficient's error on its own, as in the paper
     Coefficients,
-    /// The error of colours in the directions in which they are seen
+    /// The error of colors in the directions in which they are seen
     Seen,
 }
 
@@ -175,7 +175,7 @@ fn settings(options: &CalibrateOptions, calibration: &Calibration) -> BTreeMap<S
 fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
     let mut text = format!(
         "{}: degree {}, {} splats of {} asset(s) in {} lights from {} probes, objective {}, ridge {:.1e}\n\
-         smallest singular value {:.1e} of the largest; neutral light changes colours by {:.4} (RMSE)\n",
+         smallest singular value {:.1e} of the largest; neutral light changes colors by {:.4} (RMSE)\n",
         out.display(),
         calibration.transfer.sh_degree,
         calibration.samples,
@@ -203,7 +203,7 @@ fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
 
 fn row(name: &str, comparison: &Comparison) -> String {
     let Comparison { none, relit, affine } = comparison;
-    let angle = |error: &decouplegs::asset::calibrate::ColourError| {
+    let angle = |error: &decouplegs::asset::calibrate::ColorError| {
         format!("{:6.2} / {:5.2} deg", error.angle_mean_deg(), error.angle_p95_deg())
     };
     format!(

@@ -18,7 +18,7 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Write a picture of the difference: false colours, black where equal
+    /// Write a picture of the difference: false colors, black where equal
     #[arg(long, value_name = "FILE")]
     difference: Option<PathBuf>,
     /// Amplification of the difference in that image

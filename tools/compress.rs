@@ -13,7 +13,7 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::compress::{CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress};
 use decouplegs::asset::{CodedAsset, Provenance, check_writable, read_bytes, read_splats, write_coded};
-use decouplegs::scene::codebook::{COLOURS_MAX, SHAPES_MAX};
+use decouplegs::scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs::scene::{ShFrame, SplatCloud};
 use indicatif::ProgressBar;
 
@@ -22,14 +22,14 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use visibility::VIEW_PX_MAX;
 
-/// Compress the splats of an agent: prune what matters little, and keep shapes and colours as entries of codebooks
+/// Compress the splats of an agent: prune what matters little, and keep shapes and colors as entries of codebooks
 ///
 /// An agent is what moves through a scene, such as a car. Its splats are drawn from all around; those that hardly show are
-/// dropped, and the shapes and colours of the others become entries of two codebooks, so that a splat takes 12 bytes. The asset
+/// dropped, and the shapes and colors of the others become entries of two codebooks, so that a splat takes 12 bytes. The asset
 /// stands in a scene file where plain splats may, `inspect` describes it and `decompress` turns it back into plain splats.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats in the agent's own frame: metres, x forward, y left, z up (.ply, .splat, .spz, .sog, .glb, .pt)
+    /// Splats in the agent's own frame: meters, x forward, y left, z up (.ply, .splat, .spz, .sog, .glb, .pt)
     file: PathBuf,
     /// The asset to write (.safetensors)
     #[arg(long, value_name = "FILE", value_parser = asset_path)]
@@ -40,9 +40,9 @@ pub struct Arguments {
     /// Least importance that is kept, 0 to 1; anything above 0 drops what no view shows
     #[arg(long, value_name = "T", default_value_t = THRESHOLD, value_parser = importance)]
     tau: f32,
-    /// Entries of the colour codebook
-    #[arg(long, value_name = "N", default_value_t = COLOURS_MAX as u64,
-        value_parser = clap::value_parser!(u64).range(1..=COLOURS_MAX as u64))]
+    /// Entries of the color codebook
+    #[arg(long, value_name = "N", default_value_t = COLORS_MAX as u64,
+        value_parser = clap::value_parser!(u64).range(1..=COLORS_MAX as u64))]
     colors: u64,
     /// Entries of the shape codebook
     #[arg(long, value_name = "N", default_value_t = SHAPES_MAX as u64,
@@ -101,7 +101,7 @@ fn importance(text: &str) -> Result<f32, String> {
 }
 
 fn distance(text: &str) -> Result<f64, String> {
-    number_within(text, "metres above 0", |value| value > 0.0 && value <= 1e6)
+    number_within(text, "meters above 0", |value| value > 0.0 && value <= 1e6)
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -144,7 +144,7 @@ fn check_outputs(arguments: &Arguments) -> Result<()> {
 fn options(arguments: &Arguments) -> CompressOptions {
     CompressOptions {
         prune: arguments.keep.map_or(Prune::Threshold(arguments.tau), Prune::KeepRatio),
-        colours: arguments.colors as usize,
+        colors: arguments.colors as usize,
         shapes: arguments.shapes as usize,
         seed: arguments.seed,
         sh_frame: match arguments.sh_frame {
@@ -166,7 +166,7 @@ fn show(working: &ProgressBar, progress: Progress, iterations_max: usize) {
     working.set_message(match progress {
         Progress::Pruning => "pruning and merging".into(),
         Progress::Shapes(done) => format!("shapes: iteration {done} of at most {iterations_max}"),
-        Progress::Colours(done) => format!("colours: iteration {done} of at most {iterations_max}"),
+        Progress::Colors(done) => format!("colors: iteration {done} of at most {iterations_max}"),
         Progress::Coding => "coding".into(),
     });
 }
@@ -180,7 +180,7 @@ fn provenance(arguments: &Arguments, source: &[u8], options: &CompressOptions) -
     };
     let settings = [
         prune,
-        ("colors", options.colours.to_string()),
+        ("colors", options.colors.to_string()),
         ("shapes", options.shapes.to_string()),
         ("seed", options.seed.to_string()),
         ("views", arguments.views.to_string()),
@@ -194,14 +194,14 @@ fn summary(arguments: &Arguments, compressed: &Compressed, stored_bytes: u64) ->
     let Compressed { cloud, report, .. } = compressed;
     let levels: Vec<String> = cloud.levels.iter().map(ToString::to_string).collect();
     format!(
-        "{}: {} of {} splats kept, levels of {} splats, {} shapes, {} colours\n{stored_bytes} bytes, {:.2} for each splat that came \
+        "{}: {} of {} splats kept, levels of {} splats, {} shapes, {} colors\n{stored_bytes} bytes, {:.2} for each splat that came \
          in, {:.2} for each that was kept\n",
         arguments.out.display(),
         report.kept,
         report.splats,
         levels.join(", "),
         cloud.shapes.len(),
-        cloud.colour_count(),
+        cloud.color_count(),
         stored_bytes as f64 / report.splats as f64,
         stored_bytes as f64 / report.kept as f64
     )

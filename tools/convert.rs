@@ -132,7 +132,7 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
     }
     let agents = written?;
     let mut notes = scene.notes.clone();
-    let placed = format!("{} of {} actors stand in the scene, their colours in the world's frame", agents, scene.actors.len());
+    let placed = format!("{} of {} actors stand in the scene, their colors in the world's frame", agents, scene.actors.len());
     notes.insert(0, placed);
     let splats: usize = scene.background.len() + scene.actors.iter().map(|actor| actor.splats.len()).sum::<usize>();
     let report = Report {

@@ -17,7 +17,7 @@ use footing::{Footing, dims_of};
 /// Move, swap, remove and add agents of a scene, and write it as a new scene file
 ///
 /// Whatever the order on the command line: agents are removed first, then added, swapped, moved and shifted. Positions are world
-/// coordinates of the middle of an agent's box, metres; angles are degrees, counted from x towards y. Files that the scene names
+/// coordinates of the middle of an agent's box, meters; angles are degrees, counted from x towards y. Files that the scene names
 /// stay where they are: their paths are rewritten if the new file lies in another folder. Comments of the old file are lost.
 #[derive(clap::Args)]
 pub struct Arguments {

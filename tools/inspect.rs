@@ -64,13 +64,13 @@ fn asset_to_text(asset: &CodedAsset, summary: &CodedSummary) -> String {
     lines.line("levels", &format!("{} splats, the finest first", levels.join(", ")));
     lines.line(
         "codebooks",
-        &format!("{} shapes, {} colours of degree {}", summary.shapes, summary.colours, asset.cloud.sh_degree),
+        &format!("{} shapes, {} colors of degree {}", summary.shapes, summary.colors, asset.cloud.sh_degree),
     );
     let each = summary.bytes_per_splat.map_or_else(String::new, |bytes| format!(", {bytes:.2} for each splat of any level"));
     lines.line("bytes", &format!("{}{each}", summary.file_bytes));
     let [length, width, height] = summary.dims_m;
     lines.line("shows", &format!("{length:.3} x {width:.3} x {height:.3} m (length, width, height)"));
-    lines.line("colours are", if summary.sh_frame == "world" { "in the world's frame" } else { "in its own frame (canonical)" });
+    lines.line("colors are", if summary.sh_frame == "world" { "in the world's frame" } else { "in its own frame (canonical)" });
     let step_mm = summary.position_step_m.map(|step_m| format!("{:.3}", f64::from(step_m) * 1e3));
     lines.line("position steps", &format!("{} mm", step_mm.join(", ")));
     lines.line("made from", &summary.source);

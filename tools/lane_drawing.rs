@@ -10,14 +10,14 @@ use crate::plot::{escaped, number};
 const WIDTH_PX: f64 = 640.0;
 const HEIGHT_PX: f64 = 340.0;
 const MARGIN_PX: f64 = 30.0;
-/// Around the track, metres.
+/// Around the track, meters.
 const MARGIN_M: f64 = 8.0;
 
 /// A line through places, under a name.
 pub struct Way<'a> {
     pub name: &'a str,
     /// Index of the page's color.
-    pub colour: usize,
+    pub color: usize,
     pub dashed: bool,
     pub places: Vec<DVec2>,
 }
@@ -25,7 +25,7 @@ pub struct Way<'a> {
 /// A vehicle from above.
 pub struct Body {
     /// Index of the page's color.
-    pub colour: usize,
+    pub color: usize,
     pub corners: [DVec2; 4],
 }
 
@@ -68,7 +68,7 @@ pub fn drawing(title: &str, lanes: &[Lane], ways: &[Way<'_>], bodies: &[Body]) -
         "<svg viewBox=\"0 0 {WIDTH_PX} {HEIGHT_PX}\" width=\"{WIDTH_PX}\" role=\"img\" aria-label=\"{name}\">\
          <text x=\"{MARGIN_PX}\" y=\"20\" class=\"title\">{name}</text>"
     );
-    for lane in lanes.iter().filter(|lane| view.shows(&lane.centreline)) {
+    for lane in lanes.iter().filter(|lane| view.shows(&lane.centerline)) {
         for border in [&lane.left, &lane.right].into_iter().filter(|border| border.len() > 1) {
             let line = view.line(border.iter().map(|point| point.truncate()));
             let _ = write!(svg, "<polyline points=\"{line}\" fill=\"none\" style=\"stroke:var(--rule)\"/>");
@@ -78,18 +78,18 @@ pub fn drawing(title: &str, lanes: &[Lane], ways: &[Way<'_>], bodies: &[Body]) -
             let _ = write!(svg, "<polygon points=\"{}\" style=\"fill:var(--rule)\" opacity=\"0.35\"/>", view.line(outline));
         }
         if lane.kind == LaneKind::Driving || lane.left.is_empty() {
-            let line = view.line(lane.centreline.iter().map(|point| point.truncate()));
+            let line = view.line(lane.centerline.iter().map(|point| point.truncate()));
             let _ = write!(svg, "<polyline points=\"{line}\" class=\"guide\" opacity=\"0.6\"/>");
         }
     }
     for way in ways {
-        let (colour, line) = (way.colour, view.line(way.places.iter().copied()));
+        let (color, line) = (way.color, view.line(way.places.iter().copied()));
         let dashes = dashes(way);
-        let _ = write!(svg, "<polyline points=\"{line}\" class=\"curve\" style=\"stroke:var(--c{colour});{dashes}\"/>");
+        let _ = write!(svg, "<polyline points=\"{line}\" class=\"curve\" style=\"stroke:var(--c{color});{dashes}\"/>");
     }
     for body in bodies {
-        let (colour, outline) = (body.colour, view.line(body.corners.into_iter()));
-        let _ = write!(svg, "<polygon points=\"{outline}\" style=\"fill:var(--c{colour});stroke:var(--ink);stroke-width:0.7\"/>");
+        let (color, outline) = (body.color, view.line(body.corners.into_iter()));
+        let _ = write!(svg, "<polygon points=\"{outline}\" style=\"fill:var(--c{color});stroke:var(--ink);stroke-width:0.7\"/>");
     }
     draw_legend(&mut svg, ways);
     draw_scale(&mut svg, &view);
@@ -104,10 +104,10 @@ fn dashes(way: &Way<'_>) -> &'static str {
 fn draw_legend(svg: &mut String, ways: &[Way<'_>]) {
     for (at, way) in ways.iter().filter(|way| !way.name.is_empty()).enumerate() {
         let (x, y) = (MARGIN_PX + 130.0 * at as f64, HEIGHT_PX - 12.0);
-        let (colour, dashes) = (way.colour, dashes(way));
+        let (color, dashes) = (way.color, dashes(way));
         let _ = write!(
             svg,
-            "<line x1=\"{x}\" x2=\"{:.1}\" y1=\"{:.1}\" y2=\"{:.1}\" class=\"curve\" style=\"stroke:var(--c{colour});{dashes}\"/>\
+            "<line x1=\"{x}\" x2=\"{:.1}\" y1=\"{:.1}\" y2=\"{:.1}\" class=\"curve\" style=\"stroke:var(--c{color});{dashes}\"/>\
              <text x=\"{:.1}\" y=\"{y:.1}\" class=\"name\">{}</text>",
             x + 22.0,
             y - 4.0,
@@ -118,7 +118,7 @@ fn draw_legend(svg: &mut String, ways: &[Way<'_>]) {
     }
 }
 
-/// A bar of a round number of metres.
+/// A bar of a round number of meters.
 fn draw_scale(svg: &mut String, view: &View) {
     let about_m = 80.0 / view.px_per_m;
     let power = 10f64.powf(about_m.log10().floor());

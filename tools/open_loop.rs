@@ -170,7 +170,7 @@ fn plan_ttc_s(episode: &Episode, instant: &Instant, plan: &Plan) -> Option<f64> 
 /// Times at which two plans are compared, seconds: those of a nuScenes planner.
 const COMPARED_S: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
 
-/// Mean distance of two plans from each other, metres.
+/// Mean distance of two plans from each other, meters.
 fn difference_m(a: &Plan, b: &Plan) -> f64 {
     COMPARED_S.iter().map(|&time_s| a.at(time_s).distance(b.at(time_s))).sum::<f64>() / COMPARED_S.len() as f64
 }
@@ -238,7 +238,7 @@ mod tests {
             Plan::new((1..=4).map(point).collect()).unwrap()
         };
         assert_eq!(difference_m(&plan(0.0), &plan(0.0)), 0.0);
-        // From the ego's place to a metre aside at the first second, and a metre aside from there on.
+        // From the ego's place to a meter aside at the first second, and a meter aside from there on.
         assert!((difference_m(&plan(0.0), &plan(1.0)) - 5.5 / 6.0).abs() < 1e-12);
     }
 }

@@ -31,7 +31,7 @@ pub struct Arguments {
     /// An OpenDRIVE map of the scene's world
     #[arg(long, value_name = "FILE.xodr")]
     map: Option<PathBuf>,
-    /// Length, width and height of the ego vehicle, metres
+    /// Length, width and height of the ego vehicle, meters
     #[arg(long, value_name = "L,W,H", default_value = "4.5,1.8,1.5")]
     vehicle: Triple,
     /// Origin of the clients' rig, meters forward, left and up from the center of the vehicle's box
@@ -55,7 +55,7 @@ impl FromStr for Triple {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let parsed = three_numbers(text, METERS_MAX).map(Self);
-        parsed.ok_or_else(|| format!("expected three numbers of metres, like 4.5,1.8,1.5, found {text:?}"))
+        parsed.ok_or_else(|| format!("expected three numbers of meters, like 4.5,1.8,1.5, found {text:?}"))
     }
 }
 

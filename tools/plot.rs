@@ -9,11 +9,11 @@ pub use scale::{Axis, number};
 
 /// Style sheet of the charts: readable on a light and on a dark background.
 const STYLE: &str = include_str!("plot/style.css");
-/// The rest of the page, in the same colours.
+/// The rest of the page, in the same colors.
 const PAGE_STYLE: &str = include_str!("plot/page.css");
 
-/// Colours there are; series beyond take them again.
-const COLOURS: usize = 10;
+/// Colors there are; series beyond take them again.
+const COLORS: usize = 10;
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 340.0;
 /// The frame of a plot within the drawing.
@@ -29,7 +29,7 @@ const MARKED_MAX: usize = 40;
 pub struct Series {
     pub name: String,
     /// Index of the color.
-    pub colour: usize,
+    pub color: usize,
     pub points: Vec<(f64, f64)>,
     pub shape: Shape,
     /// End of the series: its x, and the reason.
@@ -80,15 +80,15 @@ fn svg_of(title: &str, height: f64) -> String {
     )
 }
 
-fn legend(svg: &mut String, at: usize, colour: usize, name: &str) {
+fn legend(svg: &mut String, at: usize, color: usize, name: &str) {
     let y = FRAME.top + 8.0 + LEGEND_STEP * at as f64;
     let _ = write!(
         svg,
         "<rect x=\"{LEGEND_X}\" y=\"{}\" width=\"12\" height=\"8\" style=\"fill:var(--c{});opacity:{}\"/>\
          <text x=\"{}\" y=\"{}\" class=\"name\">{}</text>",
         y - 8.0,
-        colour % COLOURS,
-        opacity(colour),
+        color % COLORS,
+        opacity(color),
         LEGEND_X + 18.0,
         y,
         escaped(name)
@@ -112,7 +112,7 @@ impl Plot<'_> {
             draw_series(&mut svg, series, &x, &y, &mut labels);
         }
         for (at, series) in self.series.iter().filter(|series| series.shape == Shape::Curve).enumerate() {
-            legend(&mut svg, at, series.colour, &series.name);
+            legend(&mut svg, at, series.color, &series.name);
         }
         svg.push_str("</svg>");
         svg
@@ -151,7 +151,7 @@ impl Plot<'_> {
 
 /// A curve or named points; `labels` are the places of names that are written already.
 fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, labels: &mut Vec<(f64, f64, f64)>) {
-    let colour = series.colour % COLOURS;
+    let color = series.color % COLORS;
     let place = |&(px, py): &(f64, f64)| Some((x.place(px, FRAME.left, FRAME.right)?, y.place(py, FRAME.bottom, FRAME.top)?));
     let places: Vec<(f64, f64)> = series.points.iter().filter_map(place).collect();
     let line = || places.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ");
@@ -160,11 +160,11 @@ fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, labels: 
         return;
     }
     if series.shape == Shape::Curve {
-        let _ = write!(svg, "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{colour})\"/>", line());
+        let _ = write!(svg, "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{color})\"/>", line());
     }
     let marked = if series.shape == Shape::Curve && places.len() > MARKED_MAX { &[] } else { places.as_slice() };
     for &(x, y) in marked {
-        let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" class=\"mark\" style=\"stroke:var(--c{colour})\"/>");
+        let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" class=\"mark\" style=\"stroke:var(--c{color})\"/>");
         if series.shape == Shape::Named {
             let width = LETTER * series.name.chars().count() as f64;
             let left = x + 9.0;
@@ -184,7 +184,7 @@ fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, labels: 
         labels.push((at, base, 0.0));
         let _ = write!(
             svg,
-            "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{}\" y2=\"{}\" style=\"stroke:var(--c{colour})\" stroke-dasharray=\"3 4\"/>\
+            "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{}\" y2=\"{}\" style=\"stroke:var(--c{color})\" stroke-dasharray=\"3 4\"/>\
              <text x=\"{:.1}\" y=\"{base:.1}\" class=\"end\">{}</text>",
             FRAME.top,
             FRAME.bottom,
@@ -222,7 +222,7 @@ impl Bars<'_> {
                         "<rect x=\"{a:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"18\" \
                          style=\"fill:var(--c{});opacity:{}\"><title>{} {} {}</title></rect>",
                         (b - a).max(0.0),
-                        part % COLOURS,
+                        part % COLORS,
                         opacity(part),
                         escaped(&self.parts[part]),
                         number(*value),
@@ -247,8 +247,8 @@ impl Bars<'_> {
 }
 
 /// Opacity of a series: repeated colors are paler.
-fn opacity(colour: usize) -> f64 {
-    if colour < COLOURS { 1.0 } else { 0.55 }
+fn opacity(color: usize) -> f64 {
+    if color < COLORS { 1.0 } else { 0.55 }
 }
 
 /// A page up to its heading. It needs nothing beside it, follows the reader's choice of light or dark, and ends with `</html>`.
@@ -270,7 +270,7 @@ mod tests {
     use super::*;
 
     fn series(points: &[(f64, f64)]) -> Series {
-        Series { name: "a < b".into(), colour: 0, points: points.to_vec(), shape: Shape::Curve, end: None }
+        Series { name: "a < b".into(), color: 0, points: points.to_vec(), shape: Shape::Curve, end: None }
     }
 
     #[test]

@@ -37,7 +37,7 @@ pub struct Arguments {
     /// heights of the map)
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// The poses to write (.csv or .json): time, id, position of the box's centre, rotation as w, x, y, z, what is to be known
+    /// The poses to write (.csv or .json): time, id, position of the box's center, rotation as w, x, y, z, what is to be known
     #[arg(long, value_name = "FILE", value_parser = pose_path)]
     out: PathBuf,
     /// Tracks as they should be, by the same ids: errors are measured against them
@@ -50,7 +50,7 @@ pub struct Arguments {
     /// Write a page with plots of each track, errors and clearances
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Deviation of the log's noise, metres; 0 smooths nothing (default: told by each track itself)
+    /// Deviation of the log's noise, meters; 0 smooths nothing (default: told by each track itself)
     #[arg(long, value_name = "METRES", value_parser = not_negative)]
     sigma: Option<f64>,
     /// Move all tracks together or not at all: for a log that drifts as a whole
@@ -59,7 +59,7 @@ pub struct Arguments {
     /// Deviation of drivers from the middle of their lane, meters; tracks are moved one by one only for more. 0: tracks belong on the middle
     #[arg(long, value_name = "METERS", default_value_t = 0.3, value_parser = not_negative)]
     habit: f64,
-    /// Corners that are deeper below the ground have penetrated it, metres
+    /// Corners that are deeper below the ground have penetrated it, meters
     #[arg(long, value_name = "METRES", default_value_t = 0.02, value_parser = not_negative)]
     tolerance: f64,
 }
@@ -72,7 +72,7 @@ fn pose_path(text: &str) -> Result<PathBuf, String> {
 
 fn not_negative(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|value: &f64| value.is_finite() && *value >= 0.0);
-    number.ok_or_else(|| format!("expected metres, 0 or more, found {text:?}"))
+    number.ok_or_else(|| format!("expected meters, 0 or more, found {text:?}"))
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {

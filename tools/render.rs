@@ -10,7 +10,7 @@ use clap::ValueEnum;
 use decouplegs::LiveScene;
 use decouplegs::asset::{Layer, memory, write_atomically};
 use decouplegs::render::picture::{Picture, PictureFormat, contact_sheet};
-use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, reference};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::Camera;
 
 use crate::arguments::{pixels, print, write_picture, write_picture_with_alpha};
@@ -58,7 +58,7 @@ fn png_path(text: &str) -> Result<PathBuf, String> {
 /// Image file format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// 8 bits a channel, clamped; no alpha, but for `--layer agents`: RGBA, colours divided by alpha
+    /// 8 bits a channel, clamped; no alpha, but for `--layer agents`: RGBA, colors divided by alpha
     Png,
     /// float32 RGBA as blended: premultiplied by alpha in `--layer agents`
     Exr,
@@ -187,13 +187,13 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Res
     let gpu = arguments.device.open()?;
     let bar = progress::bar("pictures", scene.cameras.len());
     // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps of 8 bits.
-    let (colour, pixel_bytes) = match album.format {
-        PictureFormat::Png if !album.transparent => (ColourFormat::U8, 4),
-        PictureFormat::Png | PictureFormat::Exr | PictureFormat::Npy => (ColourFormat::F32, 16),
+    let (color, pixel_bytes) = match album.format {
+        PictureFormat::Png if !album.transparent => (ColorFormat::U8, 4),
+        PictureFormat::Png | PictureFormat::Exr | PictureFormat::Npy => (ColorFormat::F32, 16),
     };
     let asked = |plane| arguments.planes.contains(&plane);
     let (depth, instance) = (asked(PlaneName::Depth), asked(PlaneName::Instance));
-    let outputs = Outputs { colour, depth, instance, ..Outputs::default() };
+    let outputs = Outputs { color, depth, instance, ..Outputs::default() };
     let mut renderer = Renderer::new(
         &gpu,
         RenderOptions { rules: scene.rules(), outputs, level_pitch_px: arguments.level_pitch, ..RenderOptions::default() },

@@ -84,9 +84,9 @@ pub struct Arguments {
     /// decoupled: compressed agents that drive, the background's depth keys kept while a camera does not turn
     /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2
     /// lod=PX: decoupled, agents at the coarsest level whose splats are at most so far apart (0.7)
-    /// sh0, sh1, sh2: decoupled, colours evaluated to that degree
+    /// sh0, sh1, sh2: decoupled, colors evaluated to that degree
     /// keep=SHARE: decoupled, assets compressed with a share of their splats kept
-    /// colors=N: decoupled, assets compressed with N colours and half as many shapes
+    /// colors=N: decoupled, assets compressed with N colors and half as many shapes
     #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
     /// Moments at which pictures are compared with vanilla's

@@ -38,7 +38,7 @@ enum SyntheticScene {
 enum WeatherName {
     /// A sunny afternoon
     Clear,
-    /// Grey light from all of the sky, no cast shadows
+    /// Gray light from all of the sky, no cast shadows
     Overcast,
     /// A low, orange sun and long shadows
     Dusk,

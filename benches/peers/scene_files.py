@@ -1,6 +1,6 @@
 """Reads the files that both renderers are given: an INRIA PLY of splats, and cameras.
 
-Needs numpy alone. Poses are returned as OpenCV cameras (x right, y down, z forward), metres.
+Needs numpy alone. Poses are returned as OpenCV cameras (x right, y down, z forward), meters.
 """
 
 import json
@@ -28,9 +28,9 @@ class SceneFileError(Exception):
 class Splats:
     """Activated attributes: what a renderer takes, not what the file stores."""
 
-    means: np.ndarray  # [N, 3] metres
+    means: np.ndarray  # [N, 3] meters
     quaternions: np.ndarray  # [N, 4] w, x, y, z
-    scales: np.ndarray  # [N, 3] metres
+    scales: np.ndarray  # [N, 3] meters
     opacities: np.ndarray  # [N] 0 to 1
     sh: np.ndarray  # [N, (degree + 1)^2, 3]
 

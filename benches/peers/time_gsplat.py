@@ -68,10 +68,10 @@ def frame_of(torch, gsplat, splats, cameras):
     }
 
     def frame():
-        colours, alphas, _ = gsplat.rasterization(
+        colors, alphas, _ = gsplat.rasterization(
             **tensors, width=width, height=height, sh_degree=splats.sh_degree, packed=True, near_plane=0.01, rasterize_mode="classic"
         )
-        return colours, alphas
+        return colors, alphas
 
     return frame
 
@@ -103,16 +103,16 @@ def difference(ours, theirs):
 
 
 def compare_pictures(frame, cameras, folder):
-    colours, alphas = (tensor.float().cpu().numpy() for tensor in frame())
+    colors, alphas = (tensor.float().cpu().numpy() for tensor in frame())
     compared = {}
-    for camera, colour, alpha in zip(cameras, colours, alphas):
+    for camera, color, alpha in zip(cameras, colors, alphas):
         path = folder / f"{camera.name}.npy"
         if not path.exists():
             sys.exit(f"{path} does not exist: render it with `decouplegs render --rules gsplat15 --format npy`.")
         ours = np.load(path, allow_pickle=False)
-        if ours.shape != (*colour.shape[:2], 4):
-            sys.exit(f"{path} has the shape {ours.shape}, expected {(*colour.shape[:2], 4)}.")
-        compared[camera.name] = {"rgb": difference(ours[..., :3], colour), "alpha": difference(ours[..., 3:], alpha)}
+        if ours.shape != (*color.shape[:2], 4):
+            sys.exit(f"{path} has the shape {ours.shape}, expected {(*color.shape[:2], 4)}.")
+        compared[camera.name] = {"rgb": difference(ours[..., :3], color), "alpha": difference(ours[..., 3:], alpha)}
     return compared
 
 

@@ -1,6 +1,6 @@
 //! Images of the ego's cameras.
 
-use decouplegs_render::{ColourFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
+use decouplegs_render::{ColorFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
 use decouplegs_scene::episode::{DrawnBy, ImageRecord};
 use decouplegs_scene::{Rig, RigCamera, Rules};
 use rayon::prelude::*;
@@ -21,13 +21,13 @@ pub struct Eyes<'a> {
     unread: bool,
 }
 
-/// From step to step the ego drives metres, and other houses fill the pictures.
+/// From step to step the ego drives meters, and other houses fill the pictures.
 const SPARE: f64 = 0.5;
 
 /// Options of a renderer for episodes: `rules`, and 8-bit images.
 #[must_use]
 pub fn render_options(rules: Rules) -> RenderOptions {
-    let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+    let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
     RenderOptions { rules, outputs, spare: SPARE, ..RenderOptions::default() }
 }
 

@@ -101,7 +101,7 @@ impl Rollout {
         }
     }
 
-    /// Metres along the route where the ego had come farthest, and how long the route is.
+    /// Meters along the route where the ego had come farthest, and how long the route is.
     #[must_use]
     pub fn progress_m(&self) -> (f64, f64) {
         (self.simulation.progress_m(), self.simulation.route().length_m())

@@ -13,7 +13,7 @@ use super::site::Site;
 use crate::Placed;
 use crate::planner::{EgoMotion, Guidance, Privileged, Turn};
 
-/// A wheel may be so far beyond the lanes' borders, metres: markings are as wide.
+/// A wheel may be so far beyond the lanes' borders, meters: markings are as wide.
 const ROAD_SLACK_M: f64 = 0.15;
 
 /// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the same bits.
@@ -78,7 +78,7 @@ impl Simulation {
         let lanes = &self.site.lanes.lanes;
         for (agent, z_m) in self.scenario.agents.iter().zip(&mut self.ground_z_m[1..]) {
             let lane = lanes.iter().find(|lane| lane.id == agent.lane);
-            *z_m = lane.and_then(|lane| lane.centreline.first()).map_or(*z_m, |point| point.z);
+            *z_m = lane.and_then(|lane| lane.centerline.first()).map_or(*z_m, |point| point.z);
         }
     }
 
@@ -100,7 +100,7 @@ impl Simulation {
         &self.ego
     }
 
-    /// Metres along the route where the ego had come farthest.
+    /// Meters along the route where the ego had come farthest.
     #[must_use]
     pub fn progress_m(&self) -> f64 {
         self.progress.progress_m()
@@ -244,7 +244,7 @@ impl Simulation {
         pose
     }
 
-    /// The route as a line on the plane, metres.
+    /// The route as a line on the plane, meters.
     #[must_use]
     pub fn route_m(&self) -> Vec<DVec2> {
         line_of(&self.route)

@@ -56,11 +56,11 @@ pub struct Site {
     ground: Option<Ground>,
 }
 
-/// The ground is looked for within this of the lane's height, metres: less than there is between two decks.
+/// The ground is looked for within this of the lane's height, meters: less than there is between two decks.
 const GROUND_BAND_M: f64 = 1.0;
 
 impl Site {
-    /// Light is summed up along lanes in steps of this, metres: what its field is spaced by.
+    /// Light is summed up along lanes in steps of this, meters: what its field is spaced by.
     pub const LIGHT_STEP_M: f64 = 1.0;
 
     /// `place` made ready, its files relative to `directory`. Without a `look` nothing is made that is only to be seen.
@@ -187,7 +187,7 @@ impl Site {
     /// Places all along its lanes, `step_m` apart: where light has to be known.
     pub fn places(&self, step_m: f64) -> impl Iterator<Item = DVec3> + '_ {
         self.lanes.lanes.iter().flat_map(move |lane| {
-            lane.centreline.windows(2).flat_map(move |pair| {
+            lane.centerline.windows(2).flat_map(move |pair| {
                 let steps = (pair[0].distance(pair[1]) / step_m).ceil().clamp(1.0, 4096.0) as u32;
                 (0..steps).map(move |step| pair[0].lerp(pair[1], f64::from(step) / f64::from(steps)))
             })
@@ -232,7 +232,7 @@ fn cars(splats: usize, asset_light: AssetLight) -> Cars {
     Cars { clouds: street.assets, sizes, rig: street.rig }
 }
 
-/// In millimetres, so that a person can read what a scenario says of it.
+/// In millimeters, so that a person can read what a scenario says of it.
 fn size_of(dims_m: [f32; 3]) -> VehicleSize {
     VehicleSize::from_array(dims_m.map(|side_m| (f64::from(side_m) * 1e3).round() / 1e3))
 }

@@ -53,7 +53,7 @@ impl LiveScene {
     }
 
     /// Adds an agent behind all others, and sums up the light along its way. Its instance id, which is returned, is one above
-    /// the highest in use, or the lowest free one where that is the highest there is. `sh_frame` says how the asset's colours are
+    /// the highest in use, or the lowest free one where that is the highest there is. `sh_frame` says how the asset's colors are
     /// meant; `None`: as the asset says.
     ///
     /// # Errors
@@ -99,7 +99,7 @@ impl LiveScene {
         Ok(())
     }
 
-    /// Lets the agent called `name` show another asset, whose colours are meant as it says itself. Its pose stays.
+    /// Lets the agent called `name` show another asset, whose colors are meant as it says itself. Its pose stays.
     ///
     /// # Errors
     /// When there is no such agent or asset, or the agent is of plain splats.

@@ -22,10 +22,10 @@ const HEADWAY_S: f64 = 1.5;
 const TICK_S: f64 = 0.2;
 /// Whoever will be on the strip within this is followed as if he were, seconds.
 const FORESIGHT_S: f64 = 2.0;
-/// Whoever crosses may be earlier or later by this, seconds, and is given so much room, metres.
+/// Whoever crosses may be earlier or later by this, seconds, and is given so much room, meters.
 const CROSSING_S: f64 = 0.6;
 const CROSSING_M: f64 = 1.0;
-/// Being off the route's middle decays along this much of it, metres.
+/// Being off the route's middle decays along this much of it, meters.
 const RETURN_M: f64 = 8.0;
 /// Ways to slow down that are tried, the most comfortable first.
 const BRAKES_MPS2: [f64; 6] = [0.0, 1.0, 2.0, 3.5, 5.0, BRAKING_MPS2];
@@ -33,7 +33,7 @@ const BRAKES_MPS2: [f64; 6] = [0.0, 1.0, 2.0, 3.5, 5.0, BRAKING_MPS2];
 /// Follows the lanes of its route. Privileged: it is told where everybody is.
 #[derive(Clone, Debug, Default)]
 pub struct LaneFollow {
-    /// Along its route when it last looked, metres.
+    /// Along its route when it last looked, meters.
     arc_m: Option<f64>,
 }
 
@@ -48,7 +48,7 @@ struct Outlook {
     ego_arc_m: f64,
     half_length_m: f64,
     idm: IdmParameters,
-    /// Highest speed at each metre ahead.
+    /// Highest speed at each meter ahead.
     bend_mps: Vec<f64>,
     agents: Vec<Expected>,
 }
@@ -157,8 +157,8 @@ impl Outlook {
 
     /// Acceleration of the ego at `arc_m` for the road and for everybody on it.
     fn rate(&self, tick: usize, arc_m: f64, speed_mps: f64) -> f64 {
-        let metre = ((arc_m - self.ego_arc_m + speed_mps * TICK_S).round() as usize).min(self.bend_mps.len() - 1);
-        let bend_mps2 = (self.bend_mps[metre] - speed_mps) / (2.0 * TICK_S);
+        let meter = ((arc_m - self.ego_arc_m + speed_mps * TICK_S).round() as usize).min(self.bend_mps.len() - 1);
+        let bend_mps2 = (self.bend_mps[meter] - speed_mps) / (2.0 * TICK_S);
         let foresight = (FORESIGHT_S / TICK_S).round() as usize;
         let followed = self.agents.iter().filter(|agent| {
             let until = if agent.way == Way::Across { tick } else { (tick + foresight).min(agent.spans.len() - 1) };
@@ -184,7 +184,7 @@ impl Outlook {
 }
 
 impl Course {
-    /// Along the route `time_s` from now, metres.
+    /// Along the route `time_s` from now, meters.
     fn at(&self, time_s: f64) -> f64 {
         let at = (time_s / TICK_S).clamp(0.0, (self.arcs_m.len() - 1) as f64);
         let before = at.floor() as usize;
@@ -193,14 +193,14 @@ impl Course {
     }
 }
 
-/// The highest speed at each metre ahead from which every bend is still reached slowly enough.
+/// The highest speed at each meter ahead from which every bend is still reached slowly enough.
 fn bend_speeds(corridor: &Corridor, speed_mps: f64) -> Vec<f64> {
     let count = (HORIZON_S * speed_mps + 0.5 * speed_mps * speed_mps / COMFORT_MPS2).clamp(1.0, 400.0) as usize + 1;
-    let bend = |metre: usize| (LATERAL_MPS2 / corridor.curvature_at(corridor.ego_arc_m + metre as f64).max(1e-6)).sqrt();
+    let bend = |meter: usize| (LATERAL_MPS2 / corridor.curvature_at(corridor.ego_arc_m + meter as f64).max(1e-6)).sqrt();
     let mut speeds: Vec<f64> = (0..=count).map(bend).collect();
-    for metre in (0..count).rev() {
-        let reached_mps = (speeds[metre + 1].powi(2) + 2.0 * COMFORT_MPS2).sqrt();
-        speeds[metre] = speeds[metre].min(reached_mps);
+    for meter in (0..count).rev() {
+        let reached_mps = (speeds[meter + 1].powi(2) + 2.0 * COMFORT_MPS2).sqrt();
+        speeds[meter] = speeds[meter].min(reached_mps);
     }
     speeds
 }

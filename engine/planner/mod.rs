@@ -83,7 +83,7 @@ impl Turn {
 pub struct Guidance {
     /// The next turn of the route.
     pub turn: Turn,
-    /// Until it begins, metres along the route; below zero within it, and the rest of the route where none is ahead.
+    /// Until it begins, meters along the route; below zero within it, and the rest of the route where none is ahead.
     pub distance_m: f64,
     /// By how much the heading changes in it, radians, to the left where above zero.
     pub angle_rad: f64,

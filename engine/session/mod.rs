@@ -38,7 +38,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGua
 
 use decouplegs_asset::{AssetError, LoadedAgent, LoadedScene, open_scene, read_coded};
 use decouplegs_gpu::{DeviceOptions, Gpu, GpuError};
-use decouplegs_render::{ColourFormat, Outputs, RenderError, RenderOptions, Renderer};
+use decouplegs_render::{ColorFormat, Outputs, RenderError, RenderOptions, Renderer};
 use decouplegs_scene::{Rig, Rules, Trajectory};
 use glam::DVec3;
 
@@ -95,7 +95,7 @@ pub enum SessionError {
         max: usize,
     },
     /// Bytes were asked of a viewer that draws floats.
-    #[error("the viewer stores floats: open the session with ColourFormat::U8 to read bytes")]
+    #[error("the viewer stores floats: open the session with ColorFormat::U8 to read bytes")]
     NotBytes,
     /// A world of another session, whose scenes are not on this device.
     #[error("view {view} shows a world of another session: draw it with a viewer of its own")]
@@ -123,7 +123,7 @@ pub struct SessionOptions {
 impl Default for SessionOptions {
     /// The best device, pictures in bytes, and room to spare for cameras that leap.
     fn default() -> Self {
-        let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+        let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
         let render = RenderOptions { outputs, spare: 0.5, ..RenderOptions::default() };
         Self { device: DeviceOptions::default(), render, rules: None }
     }
@@ -286,7 +286,7 @@ impl SessionScene {
         self.live().asset_count()
     }
 
-    /// Length, width and height of an asset's box, metres, whose centre is the asset's origin.
+    /// Length, width and height of an asset's box, meters, whose center is the asset's origin.
     ///
     /// # Errors
     /// When there is no such asset.

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
-use decouplegs_render::{ColourFormat, FrameStatistics, Picture, PictureBytes, RenderOptions, Renderer, TakenPictures};
+use decouplegs_render::{ColorFormat, FrameStatistics, Picture, PictureBytes, RenderOptions, Renderer, TakenPictures};
 use decouplegs_scene::{Camera, Rules};
 use glam::DVec3;
 
@@ -98,7 +98,7 @@ impl Viewer {
     /// # Errors
     /// When a camera or agent cannot make a picture, the device has not the memory or was lost, or pictures are floats.
     pub fn draw(&mut self, views: &[WorldView<'_>], pictures: &mut HostPictures) -> Result<Vec<FrameStatistics>, SessionError> {
-        if self.options.outputs.colour != ColourFormat::U8 {
+        if self.options.outputs.color != ColorFormat::U8 {
             return Err(SessionError::NotBytes);
         }
         pictures.places = vec![Vec::new(); views.len()];
@@ -190,9 +190,9 @@ impl Viewer {
 
     /// Pixels that one buffer of pictures can hold.
     fn pixels_max(&self) -> u64 {
-        let bytes = match self.options.outputs.colour {
-            ColourFormat::F32 => 16,
-            ColourFormat::U8 => 4,
+        let bytes = match self.options.outputs.color {
+            ColorFormat::F32 => 16,
+            ColorFormat::U8 => 4,
         };
         self.gpu.limits().storage_buffer_bytes_max / bytes
     }

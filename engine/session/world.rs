@@ -72,7 +72,7 @@ impl World {
         }
     }
 
-    /// Moves an agent; world coordinates of its origin, the centre of its box.
+    /// Moves an agent; world coordinates of its origin, the center of its box.
     ///
     /// # Errors
     /// When there is none of that name, or it is part of the background.
@@ -82,7 +82,7 @@ impl World {
         Ok(())
     }
 
-    /// Adds an agent that shows `asset`, or lets the one of that name show it. `sh_frame` says how the asset's colours are meant; `None`:
+    /// Adds an agent that shows `asset`, or lets the one of that name show it. `sh_frame` says how the asset's colors are meant; `None`:
     /// as the asset says. Returns its instance id.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 // agent's frame instead, so that neither a position nor a shape has to be turned.
 
 struct Agent {
-    vec3 row_x; // world from agent rotation, by rows: for colours that are meant in the world's frame
+    vec3 row_x; // world from agent rotation, by rows: for colors that are meant in the world's frame
     vec3 row_y;
     vec3 row_z;
     vec3 box_min_m; // of the position grid
@@ -15,12 +15,12 @@ struct Agent {
     uint first_splat;
     uint splat_count;
     uint first_shape;
-    uint first_colour;
+    uint first_color;
     uint cameras; // a bit each that may see it
     uint instance;
-    uint colours_in_world; // 1: not turned with the agent
-    uint colours_relit; // 1: its colours are those that were made for it, not the pool's
-    vec3 dc_residual_gain; // of what is added to the DC term of its colours
+    uint colors_in_world; // 1: not turned with the agent
+    uint colors_relit; // 1: its colors are those that were made for it, not the pool's
+    vec3 dc_residual_gain; // of what is added to the DC term of its colors
 };
 
 struct CodedSplat {
@@ -28,7 +28,7 @@ struct CodedSplat {
     float opacity;
     float size;
     uint shape;
-    uint colour;
+    uint color;
     vec3 dc_residual; // RGB
 };
 
@@ -40,7 +40,7 @@ CodedSplat unpack_splat(uvec3 words, Agent agent) {
     splat.opacity = float(words.y >> 16u & 0xffu) / 255.0;
     splat.size = exp2(agent.log2_size_min + float(words.y >> 24u) * agent.log2_size_step);
     splat.shape = words.z & 0x1ffu;
-    splat.colour = words.z >> 9u & 0x3ffu;
+    splat.color = words.z >> 9u & 0x3ffu;
     vec3 residual = vec3(ivec3(words.z >> 19u & 0x1fu, words.z >> 24u & 0xfu, words.z >> 28u) - ivec3(16, 8, 8)) * agent.dc_residual_step;
     float rest = residual.x - residual.z;
     splat.dc_residual = vec3(rest + residual.y, residual.x + residual.z, rest - residual.y);

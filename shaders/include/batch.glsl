@@ -62,12 +62,12 @@ uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
     vec4 low = footprints[2u * record];
     vec4 high = footprints[2u * record + 1u];
     Footprint splat = unpack_footprint(low, high);
-    vec4 colour = colours[record];
+    vec4 color = colors[record];
     vec2 mean = splat.mean_px - vec2(origin);
     float sheared_x = mean.x - splat.slope * mean.y;
     batch_slants[entry] = vec4(splat.rate_x, -splat.slope * splat.rate_x, -sheared_x * splat.rate_x, -mean.y * splat.rate_y);
-    batch_tones[entry] = vec4(splat.rate_y, splat.log2_opacity, colour.rg);
-    batch_blues[entry] = colour.b;
+    batch_tones[entry] = vec4(splat.rate_y, splat.log2_opacity, color.rg);
+    batch_blues[entry] = color.b;
     if (DEPTH) {
         batch_depths[entry] = high.z;
     }
@@ -202,7 +202,7 @@ Staged record_of_lane(Staged own, uint lane) {
     return own;
 }
 
-// log2(alpha) of a record at two pixels, the second two columns to the right of the first, whose centre is `at`.
+// log2(alpha) of a record at two pixels, the second two columns to the right of the first, whose center is `at`.
 vec2 log2_alphas(vec4 slants, vec4 tones, vec2 at) {
     float u = at.x * slants.x + (at.y * slants.y + slants.z);
     float u_right = u + 2.0 * slants.x;

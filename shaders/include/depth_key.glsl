@@ -50,8 +50,8 @@ vec2 scaled_depth(vec3 mean_m, Camera camera) {
 vec2 scaled_distance(vec3 mean_m, Camera camera) {
     vec2 squared = vec2(0.0);
     for (int axis = 0; axis < 3; ++axis) {
-        vec2 offset = two_sum(mean_m[axis] * camera.key_scale, -camera.centre_high_m[axis] * camera.key_scale);
-        offset = add_pairs(offset, vec2(-camera.centre_low_m[axis] * camera.key_scale, 0.0));
+        vec2 offset = two_sum(mean_m[axis] * camera.key_scale, -camera.center_high_m[axis] * camera.key_scale);
+        offset = add_pairs(offset, vec2(-camera.center_low_m[axis] * camera.key_scale, 0.0));
         squared = add_pairs(squared, multiply_pairs(offset, offset));
     }
     // One step of Newton's method on a rounded root: what the root left, over twice the root.

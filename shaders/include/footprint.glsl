@@ -2,7 +2,7 @@
 // dropped that blending would count. `precise`: the two runs of bin_pairs must find the same tiles, and a compiler might fuse them
 // differently.
 
-// A projected Gaussian in the factored form that blending evaluates: with d = pixel centre - mean,
+// A projected Gaussian in the factored form that blending evaluates: with d = pixel center - mean,
 //   log2(alpha) = log2_opacity - ((d.x - slope * d.y) * rate_x)^2 - (d.y * rate_y)^2,
 // a sum of squares: never positive by rounding, however thin the splat (Cholesky factors of the inverse covariance).
 struct Footprint {
@@ -28,7 +28,7 @@ float squared_reach(Footprint splat) {
     return splat.log2_opacity + LOG2_255;
 }
 
-// Pixel coordinates [first, last] along one axis whose centres lie in [low, high], clipped to the image.
+// Pixel coordinates [first, last] along one axis whose centers lie in [low, high], clipped to the image.
 ivec2 pixels_between(float low, float high, uint size_px) {
     // Both ends from both sides: what an int cannot hold has no defined conversion.
     float size = float(size_px);
@@ -41,7 +41,7 @@ ivec2 reached_rows(Footprint splat, uint height_px) {
     return pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px);
 }
 
-// Columns of pixels [first, last] the splat can reach in the rows whose centres lie in [low_y, high_y].
+// Columns of pixels [first, last] the splat can reach in the rows whose centers lie in [low_y, high_y].
 //
 // In v = d.y * rate_y the ellipse's left and right edges are x = A v -+ B sqrt(r2 - v^2), A = slope / rate_y,
 // B = 1 / rate_x. The right edge is concave in v with its top at v = r A / sqrt(A^2 + B^2), the left edge is its mirror

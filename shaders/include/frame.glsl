@@ -17,8 +17,8 @@ struct Camera {
     vec3 row_y;
     vec3 row_z;
     vec3 row_z_low; // what rounding left of row_z: depths are ordered by both
-    vec3 centre_high_m; // the camera's centre relative to the world's origin is centre_high_m + centre_low_m
-    vec3 centre_low_m;
+    vec3 center_high_m; // the camera's center relative to the world's origin is center_high_m + center_low_m
+    vec3 center_low_m;
     vec2 focal_px;
     vec2 principal_px;
     vec2 slope_min; // x/z and y/z are kept inside these in the projection's Jacobian
@@ -33,7 +33,7 @@ struct Camera {
 };
 
 struct Chunk {
-    vec3 centre_m; // of the box around the means
+    vec3 center_m; // of the box around the means
     vec3 half_extent_m;
     float reach_m; // longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it
 };

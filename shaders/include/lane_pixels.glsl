@@ -33,14 +33,14 @@ LanePixels empty_pixels(uvec2 at, uvec2 size_px) {
     return pixels;
 }
 
-void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 colour, Staged record) {
+void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 color, Staged record) {
     float alpha = log2_alpha >= -LOG2_255 ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
     if (EXCLUSIVE_STOP) {
         full = full || (stops && pixel.transmittance * (1.0 - alpha) <= TRANSMITTANCE_MIN);
         alpha = full ? 0.0 : alpha;
     }
     float weight = pixel.transmittance * alpha;
-    pixel.colour += weight * colour;
+    pixel.color += weight * color;
     pixel.transmittance -= weight;
     if (CONTRIBUTIONS && counts && weight > 0.0) {
         atomicAdd(contributions[record.instance], uint(weight * contribution_scale + 0.5));
@@ -61,8 +61,8 @@ float left_through(Pixel pixel, bool full) {
 
 void blend_record(inout LanePixels pixels, vec2 at, Staged record) {
     vec2 log2_alpha = log2_alphas(record.slants, record.tones, at);
-    vec3 colour = vec3(record.tones.zw, record.blue);
+    vec3 color = vec3(record.tones.zw, record.blue);
     // No branch where a record adds nothing: that would cost more than the arithmetic it saves.
-    blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, colour, record);
-    blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, colour, record);
+    blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, color, record);
+    blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, color, record);
 }

@@ -175,19 +175,19 @@ const float UNSCENTED_REACH = 3.45;
 // True if a splat of the cluster may overlap the image of a camera: chunk_reaches for a lens other
 // than a pinhole.
 //
-// The means lie in a ball, within some angle of its centre, and no lens takes rays so far apart in the image as its steepest
+// The means lie in a ball, within some angle of its center, and no lens takes rays so far apart in the image as its steepest
 // place would. Balls near the camera or beside it are let pass: there are few.
 bool chunk_reaches_unscented(Chunk chunk, Camera camera, uint lens) {
-    vec3 centre = from_camera_m(chunk.centre_m, camera);
-    float slack = 1e-5 * (dot(abs(centre), vec3(1.0)) + dot(chunk.half_extent_m, vec3(1.0)) + chunk.reach_m);
-    if (chunk.reach_m < 0.0 || !(farthest(chunk, centre, camera.row_z) + slack >= NEAR_M)) {
+    vec3 center = from_camera_m(chunk.center_m, camera);
+    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(chunk.half_extent_m, vec3(1.0)) + chunk.reach_m);
+    if (chunk.reach_m < 0.0 || !(farthest(chunk, center, camera.row_z) + slack >= NEAR_M)) {
         return false;
     }
-    float distance_m = length(centre);
+    float distance_m = length(center);
     float spread_m = length(chunk.half_extent_m) + slack;
     float spread = spread_m / distance_m;
     float reach = chunk.reach_m / (distance_m - spread_m);
-    vec3 t = to_camera_axes(camera, centre);
+    vec3 t = to_camera_axes(camera, center);
     if (!(spread < 0.25 && reach < 0.25 && t.z > 0.0)) {
         return true;
     }

@@ -1,7 +1,7 @@
 // Output of finished pixels. Outputs that were not asked for are neither computed nor written.
 
-layout(constant_id = 0) const bool COLOUR_U8 = false;       // RGBA8, clamped and rounded, instead of 4 x f32
-layout(constant_id = 1) const bool DEPTH = false;           // expected depth, metres
+layout(constant_id = 0) const bool COLOR_U8 = false;       // RGBA8, clamped and rounded, instead of 4 x f32
+layout(constant_id = 1) const bool DEPTH = false;           // expected depth, meters
 layout(constant_id = 2) const bool INSTANCE = false;        // instance of the splat with the largest weight
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
@@ -40,7 +40,7 @@ const float TRANSMITTANCE_FULL = 2e-5;
 
 // Accumulated color and transmittance of a pixel, front to back.
 struct Pixel {
-    vec3 colour;
+    vec3 color;
     float transmittance;
     float weighted_depth; // sum of weight * depth
     float best_weight;    // largest single weight so far
@@ -61,8 +61,8 @@ void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky) {
     }
     uint place = camera.first_pixel + at.y * camera.size_px.x + at.x;
     float alpha = 1.0 - pixel.transmittance;
-    vec4 value = vec4(pixel.colour + pixel.transmittance * sky, alpha);
-    if (COLOUR_U8) {
+    vec4 value = vec4(pixel.color + pixel.transmittance * sky, alpha);
+    if (COLOR_U8) {
         pictures_u8[place] = packUnorm4x8(value);
     } else {
         pictures_f32[place] = value;
@@ -78,7 +78,7 @@ void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky) {
 // The pixel after `nearer`, then `farther` behind it.
 Pixel over(Pixel nearer, Pixel farther) {
     float share = nearer.transmittance;
-    nearer.colour += share * farther.colour;
+    nearer.color += share * farther.color;
     nearer.transmittance *= farther.transmittance;
     if (DEPTH) {
         nearer.weighted_depth += share * farther.weighted_depth;

@@ -1,11 +1,11 @@
 // Results of segments, a pixel each: blend leaves them for composite, and composite for the pass of blend that finishes pixels.
 //
-// Included where partial_colours, partial_depths and partial_instances are bound. A negative transmittance is a mark, which the two
+// Included where partial_colors, partial_depths and partial_instances are bound. A negative transmittance is a mark, which the two
 // kernels explain.
 
 Pixel load_partial(uint place) {
-    vec4 colour = partial_colours[place];
-    Pixel pixel = Pixel(colour.rgb, colour.a, 0.0, 0.0, 0u);
+    vec4 color = partial_colors[place];
+    Pixel pixel = Pixel(color.rgb, color.a, 0.0, 0.0, 0u);
     if (DEPTH) {
         pixel.weighted_depth = partial_depths[place];
     }
@@ -18,7 +18,7 @@ Pixel load_partial(uint place) {
 }
 
 void store_partial(uint place, Pixel pixel) {
-    partial_colours[place] = vec4(pixel.colour, pixel.transmittance);
+    partial_colors[place] = vec4(pixel.color, pixel.transmittance);
     if (DEPTH) {
         partial_depths[place] = pixel.weighted_depth;
     }

@@ -9,9 +9,9 @@ layout(constant_id = 1) const bool ANTIALIAS = false;
 const float HALF_LOG2_E = 0.7213475204444817;
 const float DILATION_PX2 = 0.3;
 
-// The mean relative to the camera, world axes. The two-part centre keeps millimetres at UTM distances from the origin.
+// The mean relative to the camera, world axes. The two-part center keeps millimeters at UTM distances from the origin.
 vec3 from_camera_m(vec3 mean_m, Camera camera) {
-    return (mean_m - camera.centre_high_m) - camera.centre_low_m;
+    return (mean_m - camera.center_high_m) - camera.center_low_m;
 }
 
 mat3 matrix_from_quaternion(vec4 q) { // w, x, y, z, of unit length

@@ -1,4 +1,4 @@
-// A visible splat as one camera sees it, in 48 bytes: two vec4 of footprint and one of colour.
+// A visible splat as one camera sees it, in 48 bytes: two vec4 of footprint and one of color.
 
 struct Record {
     Footprint splat;

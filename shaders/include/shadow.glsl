@@ -1,8 +1,8 @@
 // The contact shadow of an agent: a soft super-ellipse about its footprint, laid on the ground that it stands on.
 
 struct Shadow {
-    vec3 centre_high_m; // the ground under the agent's middle, relative to the world's origin: high and low part
-    vec3 centre_low_m;
+    vec3 center_high_m; // the ground under the agent's middle, relative to the world's origin: high and low part
+    vec3 center_low_m;
     vec3 along;  // of the agent, in the ground; a half length of it is 1
     vec3 across; // likewise, a half width
     vec3 normal; // of the ground, unit
@@ -14,7 +14,7 @@ struct Shadow {
 };
 
 vec3 from_shadow_m(vec3 position_m, Shadow shadow) {
-    return (position_m - shadow.centre_high_m) - shadow.centre_low_m;
+    return (position_m - shadow.center_high_m) - shadow.center_low_m;
 }
 
 // Share of the light that remains for a splat with its mean at `mean_m`.

@@ -1,7 +1,7 @@
 // Record of a visible (camera, splat), written by both projections.
 
 layout(set = 0, binding = 11, std430) writeonly buffer footprints_block { vec4 footprints[]; }; // two a record
-layout(set = 0, binding = 12, std430) writeonly buffer colours_block { vec4 colours[]; };
+layout(set = 0, binding = 12, std430) writeonly buffer colors_block { vec4 colors[]; };
 layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[]; }; // depth keys
 
 // The place of bit `bit` among the set bits of a chunk's words, or -1 when it is not set.
@@ -16,8 +16,8 @@ layout(set = 0, binding = 13, scalar) writeonly buffer keys_block { uint keys[];
     }                                                                \
     return rank
 
-void write_record(uint slot, Record record, vec3 colour) {
+void write_record(uint slot, Record record, vec3 color) {
     footprints[2u * slot] = pack_record_low(record);
     footprints[2u * slot + 1u] = pack_record_high(record);
-    colours[slot] = vec4(colour, 0.0);
+    colors[slot] = vec4(color, 0.0);
 }

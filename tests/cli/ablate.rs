@@ -7,7 +7,7 @@ use decouplegs::scene::{AmbientDescriptor, LightTransfer, sh};
 
 use super::*;
 
-/// A light transfer that leaves colours as they are in grey light of a half, and makes them as bright as light is otherwise.
+/// A light transfer that leaves colors as they are in gray light of a half, and makes them as bright as light is otherwise.
 fn transfer(folder: &Path) -> PathBuf {
     let path = folder.join("theta.safetensors");
     let row = ([0.0; AmbientDescriptor::LEN], 0.0);
@@ -61,7 +61,7 @@ fn cars_are_put_back_and_the_system_is_measured_without_its_parts() {
             vehicles["psnr_db"].as_f64().unwrap()
         };
         let arms = ["no relighting", "ours", "ours, no shadows", "ours, uncompressed", "best affine on DC"];
-        let best = psnr_db("truth colours, compressed");
+        let best = psnr_db("truth colors, compressed");
         assert!(arms.iter().all(|arm| psnr_db(arm) < best), "nothing is nearer than the truth itself: {weather}");
         let is_dusk = weather["weather"] == "dusk";
         assert!(!is_dusk || psnr_db("best affine on DC") > psnr_db("no relighting"), "dusk is not white: {weather}");
@@ -83,7 +83,7 @@ fn cars_are_put_back_and_the_system_is_measured_without_its_parts() {
 
     let page = fs::read_to_string(page).unwrap();
     stress::assert_page_stands_alone(&page);
-    for part in ["truth colours, compressed", "no map-guided registration", "data:image/png;base64,", "<svg", "RTX 4090"] {
+    for part in ["truth colors, compressed", "no map-guided registration", "data:image/png;base64,", "<svg", "RTX 4090"] {
         assert!(page.contains(part), "{part}");
     }
     assert!(said.contains("dusk") && said.contains("no asset compression"), "{said}");

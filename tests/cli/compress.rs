@@ -32,7 +32,7 @@ fn a_car_is_compressed_described_and_decompressed() {
     let [asset, decoded] = ["car.safetensors", "decoded.ply"].map(|name| folder.path().join(name));
     let said = succeed(&small_compression(&car, &asset, &["--keep", "0.5"]));
     let file_bytes = fs::metadata(&asset).unwrap().len();
-    for part in [text(&asset), "200 of 400 splats kept", "12 shapes, 24 colours", &format!("{file_bytes} bytes")] {
+    for part in [text(&asset), "200 of 400 splats kept", "12 shapes, 24 colors", &format!("{file_bytes} bytes")] {
         assert!(said.contains(part), "{part}: {said}");
     }
     let described = json(&["inspect", text(&asset), "--json"]);
@@ -78,7 +78,7 @@ fn what_cannot_be_compressed_is_refused_and_nothing_is_left_behind() {
     let folder = tempfile::tempdir().unwrap();
     let car = small_car(folder.path(), "60");
     let [absent, out, clear] = ["absent.ply", "car.safetensors", "clear.splat"].map(|name| folder.path().join(name));
-    // A mean, scales, a colour without opacity and a rotation: twenty splats that show nothing.
+    // A mean, scales, a color without opacity and a rotation: twenty splats that show nothing.
     let splat = [bytes(&[0f32, 0.0, 0.0, 0.1, 0.1, 0.1], f32::to_le_bytes), vec![200, 100, 50, 0, 255, 128, 128, 128]].concat();
     fs::write(&clear, splat.repeat(20)).unwrap();
     let lone = folder.path().join("no such folder/car.safetensors");
@@ -117,7 +117,7 @@ fn a_report_shows_what_was_lost() {
     let page = fs::read_to_string(report.join("report.html")).unwrap();
     stress::assert_page_stands_alone(&page);
     for part in
-        ["car_00.ply", "around, only pruned", "Distortion of colours", "data:image/png;base64,", "prefers-color-scheme: dark"]
+        ["car_00.ply", "around, only pruned", "Distortion of colors", "data:image/png;base64,", "prefers-color-scheme: dark"]
     {
         assert!(page.contains(part), "{part}");
     }

@@ -260,5 +260,5 @@ fn two_sources_of_pictures_are_compared_by_what_a_planner_makes_of_them() {
     succeed(&[&common[..], &["--reference", text(&pictures), "--other", text(&dark)]].concat());
     let report: Value = serde_json::from_slice(&fs::read(&figures).unwrap()).unwrap();
     let differences = report["plan_difference_m"].as_array().unwrap();
-    assert!(differences.iter().any(|metres| metres.as_f64().is_some_and(|metres| metres > 0.05)), "{report}");
+    assert!(differences.iter().any(|meters| meters.as_f64().is_some_and(|meters| meters > 0.05)), "{report}");
 }

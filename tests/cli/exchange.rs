@@ -48,7 +48,7 @@ fn a_compressed_asset_is_compared_splat_by_splat_though_its_order_is_another() {
     let said = succeed(&["convert", text(&seed("inria_ply/cone.ply")), text(&out), "--report", text(&report)]);
     assert!(said.contains("another order"), "{said}");
     let value: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
-    // 12 splats have a shape and a colour each: what is lost is the grid of positions, over 0.75 m.
+    // 12 splats have a shape and a color each: what is lost is the grid of positions, over 0.75 m.
     assert!(value["loss"]["position_m"]["max"].as_f64().unwrap() < 1e-4, "{value:#}");
     assert!(value["loss"]["scale_relative"]["max"].as_f64().unwrap() < 0.2, "{value:#}");
     assert_eq!(value["loss"]["rotation_rad"], Value::Null);

@@ -235,9 +235,9 @@ fn a_bench_reports_time_memory_and_error() {
     assert!(frame_ms > 0.0 && stages.len() > 3, "{report}");
     assert!(report["memory_bytes"]["total"].as_u64().unwrap() > 0);
     assert!(report["error"]["difference"]["max_abs"].as_f64().unwrap() <= 0.01, "{report}");
-    assert!(report["outputs"]["colour"] == "U8" && report["rules"] == "default" && report["frames_redrawn"] == 0, "{report}");
+    assert!(report["outputs"]["color"] == "U8" && report["rules"] == "default" && report["frames_redrawn"] == 0, "{report}");
     let more =
-        ["--frames", "1", "--warm-up", "0", "--colour", "f32", "--depth", "--instance", "--size", "64x48", "--rules", "inria"];
+        ["--frames", "1", "--warm-up", "0", "--color", "f32", "--depth", "--instance", "--size", "64x48", "--rules", "inria"];
     let said = succeed(&[&["bench", text(&scene)][..], &more].concat());
     assert!(said.contains("f32, depth, instance") && said.contains("64x48") && said.contains("rules inria"), "{said}");
     assert!(fail(1, &["bench", text(&scene), "--cameras-used", "7"]).contains("6 cameras"));
@@ -262,7 +262,7 @@ fn bytes<const N: usize, T: Copy>(values: &[T], of: fn(T) -> [u8; N]) -> Vec<u8>
 }
 
 /// Writes a compressed asset of degree 0 by hand, after `engine/asset/coded-asset.md`: three splats and a second level of one,
-/// a ball of size 1 and one colour, on the diagonal of a box of 4 x 2 x 1.5 m.
+/// a ball of size 1 and one color, on the diagonal of a box of 4 x 2 x 1.5 m.
 fn small_asset(path: &Path) {
     let tensors = [
         ("shapes", "F32", serde_json::json!([1, 6]), bytes(&[1f32, 0.0, 1.0, 0.0, 0.0, 1.0], f32::to_le_bytes)),
@@ -300,7 +300,7 @@ fn a_compressed_asset_is_described_and_decompressed() {
     let asset = folder.path().join("ball.safetensors");
     small_asset(&asset);
     let report = succeed(&["inspect", text(&asset)]);
-    for part in ["3, 1 splats", "1 shapes, 1 colours of degree 0", "4.000 x 2.000 x 1.500 m", "world's frame", "seed = 7", "ab12"]
+    for part in ["3, 1 splats", "1 shapes, 1 colors of degree 0", "4.000 x 2.000 x 1.500 m", "world's frame", "seed = 7", "ab12"]
     {
         assert!(report.contains(part), "{part}: {report}");
     }
@@ -352,7 +352,7 @@ fn a_scene_is_listed_with_its_cameras_its_ego_and_its_agents() {
     });
     assert_eq!(agents[2], ball);
     let report = succeed(&["inspect", text(&scene)]);
-    let listed = "3 ball: ball.safetensors, 3 splats, colours world, 1.0 s to 3.5 s, 2 poses, 5.0 m from (0.00, 0.00, 0.00) m";
+    let listed = "3 ball: ball.safetensors, 3 splats, colors world, 1.0 s to 3.5 s, 2 poses, 5.0 m from (0.00, 0.00, 0.00) m";
     assert!(report.contains(listed) && report.contains("front: 48x27"), "{report}");
 }
 
@@ -364,7 +364,7 @@ fn a_scene_says_how_it_is_lit() {
     assert!(json(&["inspect", text(&scene), "--json"])["light"].is_null());
     let unlit = fs::read_to_string(&scene).unwrap();
     fs::write(&scene, format!("{unlit}\n[light]\n[light.shadows]\n")).unwrap();
-    assert!(succeed(&["inspect", text(&scene)]).contains("colours stay as captured, contact shadows"));
+    assert!(succeed(&["inspect", text(&scene)]).contains("colors stay as captured, contact shadows"));
     // Agents of plain files are part of the world and take no light; a compressed one does.
     let asset = folder.path().join("assets/car_00.ply");
     let coded = folder.path().join("car.safetensors");

@@ -2,12 +2,12 @@
 
 use super::*;
 
-/// Two lanes that follow each other, with heights, and a walkway of a centreline alone beside them.
+/// Two lanes that follow each other, with heights, and a walkway of a centerline alone beside them.
 const LANES: &str = r#"{"version": 1, "lanes": [
- {"id": "a", "centreline": [[0, 0, 1], [30, 0, 1]], "left": [[0, 2, 1], [30, 2, 1]], "right": [[0, -2, 1], [30, -2, 1]],
-  "successors": ["b<"], "right_neighbour": "walk", "speed_limit_mps": 8},
- {"id": "b<", "centreline": [[30, 0, 1], [60, 10, 2]], "left": [[30, 2, 1], [60, 12, 2]], "right": [[30, -2, 1], [60, 8, 2]]},
- {"id": "walk", "kind": "walking", "centreline": [[0, -4], [30, -4]], "left_neighbour": "a"}
+ {"id": "a", "centerline": [[0, 0, 1], [30, 0, 1]], "left": [[0, 2, 1], [30, 2, 1]], "right": [[0, -2, 1], [30, -2, 1]],
+  "successors": ["b<"], "right_neighbor": "walk", "speed_limit_mps": 8},
+ {"id": "b<", "centerline": [[30, 0, 1], [60, 10, 2]], "left": [[30, 2, 1], [60, 12, 2]], "right": [[30, -2, 1], [60, 8, 2]]},
+ {"id": "walk", "kind": "walking", "centerline": [[0, -4], [30, -4]], "left_neighbor": "a"}
 ]}"#;
 
 const TRACKS: &str =

@@ -18,7 +18,7 @@ use super::*;
 /// A lane of 100 m that rises by 4 %, a track 0.4 m beside it, another against it, its truth, and the ground 0.3 m above the map.
 fn small_road(folder: &Path) -> [PathBuf; 4] {
     let lane: Vec<[f64; 3]> = (0..=50).map(|i| [2.0 * f64::from(i), 0.0, 0.08 * f64::from(i)]).collect();
-    let map = serde_json::json!({"version": 1, "lanes": [{"id": "a", "centreline": lane}]});
+    let map = serde_json::json!({"version": 1, "lanes": [{"id": "a", "centerline": lane}]});
     let track = |y: f64| {
         let mut table = String::from("time_s,id,class,x,y\n");
         for i in 0..90 {
@@ -215,7 +215,7 @@ fn truth_of_log(map: &LaneMap, habit_m: f64, weave_m: f64) -> Vec<Track> {
     tracks
 }
 
-/// Mean distance of the registered poses of a track from the truth, across the truth's way, metres. None where it was refused.
+/// Mean distance of the registered poses of a track from the truth, across the truth's way, meters. None where it was refused.
 fn across_m(found: &Outcome, truth: &Track) -> Option<f64> {
     let Outcome::Registered(found) = found else { return None };
     Some(mean_across_m(found.poses.iter().map(|pose| pose.pose.translation.truncate()), truth))
@@ -289,12 +289,12 @@ fn a_track_that_fits_two_lanes_is_not_moved_into_either() {
     // Three lanes side by side: 2.2 m off one is 1.3 m off the next.
     let lane = |y: f64| (0..=60).map(|i| serde_json::json!([2.0 * f64::from(i), y, 0.0])).collect::<Vec<_>>();
     let lanes: Vec<Value> =
-        (0..3).map(|at| serde_json::json!({"id": at.to_string(), "centreline": lane(3.5 * f64::from(at))})).collect();
+        (0..3).map(|at| serde_json::json!({"id": at.to_string(), "centerline": lane(3.5 * f64::from(at))})).collect();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.json");
     fs::write(&path, serde_json::json!({"version": 1, "lanes": lanes}).to_string()).unwrap();
     let map = read_map(&path).unwrap();
-    let line = Polyline::new(map.lanes[1].centreline.iter().copied()).unwrap();
+    let line = Polyline::new(map.lanes[1].centerline.iter().copied()).unwrap();
     let truth = drive("car", &line, |_| 0.0);
     let log = logged(&truth, 0.0, DVec2::new(0.0, 2.2), 0.03, 1);
     let registration = register(&map, std::slice::from_ref(&log), None, &RegisterOptions::default()).unwrap();
@@ -325,7 +325,7 @@ fn assert_deviations_hold(along: &[(f64, f64)]) {
 fn routes(map: &LaneMap, least_m: f64, count: usize) -> Vec<Polyline> {
     let mut routes = Vec::new();
     for (start, lane) in map.lanes.iter().enumerate().filter(|(_, lane)| lane.kind == LaneKind::Driving) {
-        let (mut lanes, mut points) = (vec![start], lane.centreline.clone());
+        let (mut lanes, mut points) = (vec![start], lane.centerline.clone());
         loop {
             let line = Polyline::new(points.iter().copied()).unwrap();
             if line.length_m() > 150.0 {
@@ -337,7 +337,7 @@ fn routes(map: &LaneMap, least_m: f64, count: usize) -> Vec<Polyline> {
             };
             lanes.push(next);
             // The first point of a lane is the last of the one before, or nearly.
-            points.extend(&map.lanes[next].centreline[1..]);
+            points.extend(&map.lanes[next].centerline[1..]);
         }
         let line = Polyline::new(points).unwrap();
         if line.length_m() >= least_m {
@@ -348,7 +348,7 @@ fn routes(map: &LaneMap, least_m: f64, count: usize) -> Vec<Polyline> {
     routes.into_iter().step_by(step).collect()
 }
 
-/// A car along `line` from `from_m`, seen ten times a second, `left(metres)` to the left of it.
+/// A car along `line` from `from_m`, seen ten times a second, `left(meters)` to the left of it.
 fn drive(id: &str, line: &Polyline, left: impl Fn(f64) -> f64) -> Track {
     let count = ((line.length_m() - 2.0) / 0.8) as usize;
     let point = |at: usize| {

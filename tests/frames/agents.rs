@@ -19,7 +19,7 @@ pub fn coded_car(count: usize, seed: u64) -> CodedCloud {
             opacity: 20 + random.below(236) as u8,
             size: random.below(256) as u8,
             shape: random.below(64) as u16,
-            colour: random.below(100) as u16,
+            color: random.below(100) as u16,
             dc_residual: [random.below(32) as i8 - 16, random.below(16) as i8 - 8, random.below(16) as i8 - 8],
         }
         .into()
@@ -39,7 +39,7 @@ pub fn coded_car(count: usize, seed: u64) -> CodedCloud {
         levels: vec![count, coarse],
         shapes: (0..64).map(|_| shape(&mut random)).collect(),
         sh_degree: 3,
-        colours: (0..1600)
+        colors: (0..1600)
             .map(|i| std::array::from_fn(|_| if i % 16 == 0 { random.between(-1.0, 1.5) } else { random.between(-0.2, 0.2) }))
             .collect(),
         sh_frame: ShFrame::Canonical,
@@ -233,7 +233,7 @@ fn a_far_agent_is_drawn_at_a_coarser_level() {
         let agents = [Agent::new(asset, Pose::from_yaw(0.0, DVec3::X * x), 1)];
         renderer.render(Scene::with_agents(&resident, &pool, &agents), &camera).unwrap().agent_splats
     };
-    // Of 800 and 100 splats on about 30 m^2: 0.19 m and 0.55 m apart; 88 px a metre at 1 m.
+    // Of 800 and 100 splats on about 30 m^2: 0.19 m and 0.55 m apart; 88 px a meter at 1 m.
     assert_eq!([drawn(10.0, None), drawn(200.0, None)], [800, 800]);
     assert_eq!([drawn(10.0, Some(1.0)), drawn(200.0, Some(1.0))], [800, 100]);
     let worst = car.decoded(1);

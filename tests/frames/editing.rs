@@ -22,7 +22,7 @@ use crate::stages::Random;
 
 const SIZE: (u32, u32) = (160, 90);
 
-/// No splat of an agent is deeper in any camera, metres.
+/// No splat of an agent is deeper in any camera, meters.
 const AGENTS_DEPTH_MAX_M: f64 = 12.0;
 
 /// Radius around the ego vehicle within which the background is removed, meters.
@@ -118,7 +118,7 @@ fn loaded(file: &SceneFile, folder: &Path) -> LoadedScene {
     SceneFile::read(&path).unwrap().load(folder, 0.0).unwrap()
 }
 
-/// A calibration in which the colours follow every number of the light a little.
+/// A calibration in which the colors follow every number of the light a little.
 fn some_theta() -> LightTransfer {
     let mut random = Random(5);
     let mut row = |scale: f32, constant: f32| (std::array::from_fn(|_| random.between(-scale, scale)), constant);
@@ -165,7 +165,7 @@ fn the_background_is_a_scene_that_never_had_agents() {
     assert!(all.iter().zip(&expected).all(|(all, expected)| all != expected), "every camera sees an agent");
 }
 
-/// Pixels whose colour, alpha or depth is not the same to the last bit.
+/// Pixels whose color, alpha or depth is not the same to the last bit.
 fn differing(a: &Picture, b: &Picture) -> Vec<bool> {
     let bits = |picture: &Picture, at: usize| {
         let [r, g, b] = picture.rgb[at].map(f32::to_bits);

@@ -63,7 +63,7 @@ fn behind_the_camera() {
 #[test]
 fn far_off_axis() {
     // The Jacobian grows without bound towards 90 degrees; its clamp must be the definition's, at every image edge and with
-    // the principal point off centre.
+    // the principal point off center.
     let mut splats = vec![];
     for i in 0..40 {
         let angle = i as f32 * 0.157;
@@ -114,7 +114,7 @@ fn huge_splats_that_cover_the_image() {
             ..Splat::at(0.1 * i as f32, 0.0, 5.0 + i as f32)
         })
         .collect();
-    // A kilometre across, its centre a metre away.
+    // A kilometer across, its center a meter away.
     splats.push(Splat { scale_m: [1e3, 1e3, 1e3], opacity: 0.2, ..Splat::at(0.0, 0.0, 1.0) });
     splats.extend(crowd(100));
     assert_exact(&world_of(&splats), &[camera()], Rules::DEFAULT);
@@ -132,7 +132,7 @@ fn opacities_at_the_threshold() {
     let threshold = ALPHA_MIN as f32;
     let next = |steps: i32| f32::from_bits((threshold.to_bits() as i32 + steps) as u32);
     let opacities = [0.0, 1.0, threshold, next(1), next(-1), next(2), next(-2), f32::from_bits(1), 0.99, 0.999];
-    // Centred on pixel centres, where alpha is the opacity itself.
+    // Centerd on pixel centers, where alpha is the opacity itself.
     let k = camera().intrinsics;
     let splats: Vec<Splat> = opacities
         .iter()
@@ -175,14 +175,14 @@ fn a_stack_of_100_000_layers_on_a_pixel() {
     assert_exact(&world, std::slice::from_ref(&small), Rules::DEFAULT);
     let gpu = Validated::open();
     let picture = &draw(&gpu, &world, &[small], Rules::DEFAULT)[0];
-    let centre = 12 * 40 + 20;
-    assert!((picture.rgb[centre][0] - picture.alpha[centre]).abs() < 1e-4, "all layers are 1 in red");
-    assert!(picture.alpha[centre] > 0.999_9);
+    let center = 12 * 40 + 20;
+    assert!((picture.rgb[center][0] - picture.alpha[center]).abs() < 1e-4, "all layers are 1 in red");
+    assert!(picture.alpha[center] > 0.999_9);
 }
 
 #[test]
 fn equal_depths_are_ordered_by_index() {
-    // The same place a hundred times, every one another colour: only the order decides.
+    // The same place a hundred times, every one another color: only the order decides.
     let splats: Vec<Splat> = (0..100)
         .map(|i| Splat { opacity: 0.3, rgb: std::array::from_fn(|c| noise(i, c as u64)), ..Splat::at(0.0, 0.0, 3.0) })
         .collect();
@@ -257,7 +257,7 @@ fn one_splat() {
 
 #[test]
 fn sh_extremes() {
-    // Coefficients of +-10: colours far above 1 are kept, those below 0 are cut before blending.
+    // Coefficients of +-10: colors far above 1 are kept, those below 0 are cut before blending.
     let splats = crowd(300);
     let mut world = world_of(&splats);
     let cloud = &mut world.splats;
@@ -270,14 +270,14 @@ fn sh_extremes() {
     let truth = reference::render(&world, &camera(), &Rules::DEFAULT).to_picture();
     let brightest = truth.rgb.iter().flatten().fold(0.0f32, |m, &c| m.max(c));
     assert!(brightest > 5.0, "the case must be extreme: {brightest}");
-    // Colours reach some tens, so the bound is relative to the brightest: 16 bits of the largest coefficient.
+    // Colors reach some tens, so the bound is relative to the brightest: 16 bits of the largest coefficient.
     let worst = picture.rgb.iter().flatten().zip(truth.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
     assert!(worst <= 1e-3 * brightest, "{worst} of {brightest}");
     assert!(picture.rgb.iter().flatten().all(|&c| c >= 0.0));
 }
 
 #[test]
-fn utm_coordinates_with_millimetre_motion() {
+fn utm_coordinates_with_millimeter_motion() {
     // The same street corner at the origin and 4.5e6 m away: the origin is taken out in f64.
     let splats = crowd(400);
     let near = world_of(&splats);

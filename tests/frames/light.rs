@@ -1,10 +1,10 @@
-//! Relit agents and contact shadows against the definition: colours transferred, splats darkened, all baked and drawn in f64.
+//! Relit agents and contact shadows against the definition: colors transferred, splats darkened, all baked and drawn in f64.
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, Scene, reference};
 use decouplegs::scene::light::bake_shadows;
 use decouplegs::scene::{
-    AmbientDescriptor, Camera, CodedCloud, ColourTransfer, ContactShadow, LightTransfer, Pose, Rules, ShFrame, World, sh,
+    AmbientDescriptor, Camera, CodedCloud, ColorTransfer, ContactShadow, LightTransfer, Pose, Rules, ShFrame, World, sh,
 };
 use glam::{DQuat, DVec3};
 
@@ -14,9 +14,9 @@ use crate::device::Validated;
 use crate::stages::Random;
 
 /// A transfer that changes every coefficient, and not every channel alike.
-pub fn some_transfer(seed: u64) -> ColourTransfer {
+pub fn some_transfer(seed: u64) -> ColorTransfer {
     let mut random = Random(seed);
-    let mut transfer = ColourTransfer::IDENTITY;
+    let mut transfer = ColorTransfer::IDENTITY;
     for (gain, offset) in transfer.gain.iter_mut().zip(&mut transfer.offset) {
         *gain = std::array::from_fn(|_| random.between(0.4, 1.6));
         *offset = std::array::from_fn(|_| random.between(-0.2, 0.2));
@@ -39,8 +39,8 @@ pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
 struct Case {
     world: World,
     cars: Vec<CodedCloud>,
-    /// Car, pose, frame of its colours, and light.
-    placed: Vec<(usize, Pose, ShFrame, Option<ColourTransfer>)>,
+    /// Car, pose, frame of its colors, and light.
+    placed: Vec<(usize, Pose, ShFrame, Option<ColorTransfer>)>,
     shadows: Vec<ContactShadow>,
     cameras: Vec<Camera>,
 }
@@ -71,7 +71,7 @@ impl Case {
     }
 
     fn agents(&self, assets: &[decouplegs::render::AssetId]) -> Vec<Agent> {
-        let agent = |(i, &(car, pose, sh_frame, relight)): (usize, &(usize, Pose, ShFrame, Option<ColourTransfer>))| Agent {
+        let agent = |(i, &(car, pose, sh_frame, relight)): (usize, &(usize, Pose, ShFrame, Option<ColorTransfer>))| Agent {
             sh_frame: Some(sh_frame),
             relight,
             ..Agent::new(assets[car], pose, i as u16 + 1)
@@ -195,11 +195,11 @@ fn world_light_and_agent_turned_together_look_the_same() {
     let turn = DQuat::from_rotation_z(0.8) * DQuat::from_rotation_y(0.3);
     let seen = |turn: DQuat| {
         let mut turned = Case::new();
-        let (centre, about) = (case.world.origin, Pose::new(turn, DVec3::ZERO));
+        let (center, about) = (case.world.origin, Pose::new(turn, DVec3::ZERO));
         let moved = |pose: &Pose| {
-            let relative = Pose { translation: pose.translation - centre, ..*pose };
+            let relative = Pose { translation: pose.translation - center, ..*pose };
             let moved = about.then(&relative);
-            Pose { translation: moved.translation + centre, ..moved }
+            Pose { translation: moved.translation + center, ..moved }
         };
         turned.world.splats = case.world.splats.placed(&about, true);
         turned.shadows.iter_mut().for_each(|shadow| shadow.world_from_ground = moved(&shadow.world_from_ground));

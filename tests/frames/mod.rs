@@ -38,7 +38,7 @@ pub struct Splat {
 }
 
 impl Splat {
-    /// A grey ball of 10 cm.
+    /// A gray ball of 10 cm.
     pub fn at(x: f32, y: f32, z: f32) -> Self {
         Self { mean_m: [x, y, z], scale_m: [0.1; 3], rotation: [1.0, 0.0, 0.0, 0.0], opacity: 0.8, rgb: [0.6, 0.5, 0.4] }
     }
@@ -57,10 +57,10 @@ pub fn world_of(splats: &[Splat]) -> World {
     })
 }
 
-/// A camera at `centre` that looks along +z of the world, 60 degrees wide.
-pub fn camera_at(centre: DVec3, width_px: u32, height_px: u32) -> Camera {
+/// A camera at `center` that looks along +z of the world, 60 degrees wide.
+pub fn camera_at(center: DVec3, width_px: u32, height_px: u32) -> Camera {
     let intrinsics = Intrinsics::from_horizontal_fov(width_px, height_px, 60f64.to_radians());
-    Camera { name: "test".into(), intrinsics, world_from_camera: Pose::new(DQuat::IDENTITY, centre) }
+    Camera { name: "test".into(), intrinsics, world_from_camera: Pose::new(DQuat::IDENTITY, center) }
 }
 
 /// All outputs in f32.

@@ -1,6 +1,6 @@
-//! Depth, instances and 8-bit colour.
+//! Depth, instances and 8-bit color.
 
-use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, reference};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::{Rules, World};
 use glam::DVec3;
 
@@ -60,7 +60,7 @@ fn bytes_are_the_floats_clamped_and_rounded() {
     let camera = [camera_at(DVec3::ZERO, 100, 60)];
     let world = scene();
     let floats = &draw(&gpu, &world, &camera, Rules::DEFAULT)[0];
-    let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+    let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
     let mut renderer = Renderer::new(&gpu, RenderOptions { outputs, ..RenderOptions::default() });
     let resident = renderer.upload(&world).unwrap();
     renderer.render(&resident, &camera).unwrap();

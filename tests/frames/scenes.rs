@@ -21,7 +21,7 @@ fn around(cloud: &SplatCloud, up: DVec3) -> Vec<Camera> {
         (f64::from(values[values.len() / 20]), f64::from(values[values.len() - 1 - values.len() / 20]))
     };
     let [x, y, z] = [inner(0), inner(1), inner(2)];
-    let centre = 0.5 * DVec3::new(x.0 + x.1, y.0 + y.1, z.0 + z.1);
+    let center = 0.5 * DVec3::new(x.0 + x.1, y.0 + y.1, z.0 + z.1);
     let radius = 0.5 * DVec3::new(x.1 - x.0, y.1 - y.0, z.1 - z.0).length();
     let side = up.any_orthonormal_vector();
     [0.4f64, 2.3, 4.6]
@@ -32,7 +32,7 @@ fn around(cloud: &SplatCloud, up: DVec3) -> Vec<Camera> {
             Camera {
                 name: format!("view {i}"),
                 intrinsics: Intrinsics::from_horizontal_fov(SIZE.0, SIZE.1, 0.9),
-                world_from_camera: Pose::look_at(centre + out.normalize() * 1.8 * radius, centre, up).unwrap(),
+                world_from_camera: Pose::look_at(center + out.normalize() * 1.8 * radius, center, up).unwrap(),
             }
         })
         .collect()

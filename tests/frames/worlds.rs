@@ -6,7 +6,7 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColourFormat, Outputs, Picture, PictureBytes, RenderError, RenderOptions, Renderer, Scene,
+    Agent, AssetPool, ColorFormat, Outputs, Picture, PictureBytes, RenderError, RenderOptions, Renderer, Scene,
 };
 use decouplegs::scene::{Camera, Pose, Rig, Rules, ShFrame, Trajectory};
 use decouplegs::session::{HostPictures, Session, SessionError, SessionOptions, SessionScene, World, WorldView};
@@ -121,7 +121,7 @@ fn world(scene: &Arc<SessionScene>, index: usize) -> World {
 
 #[test]
 fn worlds_of_a_session_are_drawn_together_as_alone() {
-    let session = session(Outputs { colour: ColourFormat::U8, ..Outputs::default() });
+    let session = session(Outputs { color: ColorFormat::U8, ..Outputs::default() });
     let scenes = [1, 50].map(|seed| session.add_scene(&loaded(seed)).unwrap());
     // More cameras than a frame has, and a change of scene in the middle.
     let worlds: Vec<World> = (0..24).map(|index| world(&scenes[usize::from(index >= 19)], index)).collect();
@@ -176,7 +176,7 @@ fn what_a_world_cannot_do_is_said() {
 
 #[test]
 fn pictures_that_are_held_stay_and_their_memory_comes_back() {
-    let session = session(Outputs { colour: ColourFormat::U8, ..Outputs::default() });
+    let session = session(Outputs { color: ColorFormat::U8, ..Outputs::default() });
     let scene = session.add_scene(&loaded(9)).unwrap();
     let cameras = cameras(0.0);
     let (mut viewer, mut expected) = (session.viewer(), HostPictures::default());
@@ -209,7 +209,7 @@ fn pictures_that_are_held_stay_and_their_memory_comes_back() {
 
 #[test]
 fn a_session_draws_each_scene_by_its_own_rules() {
-    let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+    let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
     let (session, cameras) = (session(outputs), cameras(0.5));
     let own = [Rules::DEFAULT, Rules { antialias: true, ..Rules::DEFAULT }, Rules::GSPLAT15, Rules::INRIA];
     let loaded = own.map(|rules| {

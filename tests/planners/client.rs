@@ -125,9 +125,9 @@ fn the_example_slows_down_in_the_dark() {
     let mut planner = External::open(Attachment::Command(words.to_vec()), PATIENT).unwrap();
     assert_eq!(planner.sees(), Sees { cameras: Cameras::Front, privileged: false });
     let rig = cameras();
-    let mut reach_m = |grey: u8| {
+    let mut reach_m = |gray: u8| {
         planner.begin(&briefing()).unwrap();
-        let rgba = vec![grey; 4 * rig[0].intrinsics.pixels() as usize];
+        let rgba = vec![gray; 4 * rig[0].intrinsics.pixels() as usize];
         let plan = planner.plan(&observation(0, &[Frame { camera: &rig[0], rgba: &rgba }], None)).unwrap();
         plan.at(4.0).x
     };

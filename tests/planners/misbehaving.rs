@@ -77,7 +77,7 @@ fn what_is_no_plan_is_refused() {
 #[test]
 fn what_lacks_a_part_is_refused() {
     assert_says("empty", PATIENT, &["a plan of 0 points"]);
-    assert_says("flat", PATIENT, &["point 0 is not [seconds, metres ahead, metres to the left]"]);
+    assert_says("flat", PATIENT, &["point 0 is not [seconds, meters ahead, meters to the left]"]);
     assert_says("wordy", PATIENT, &["point 0 is not ["]);
     assert_says("pointless", PATIENT, &["a plan without `points`"]);
     assert_says("laden", PATIENT, &["announced bytes after its line"]);

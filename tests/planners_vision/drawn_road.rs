@@ -5,9 +5,9 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// The ego that looks.
 pub const EGO: VehicleSize = VehicleSize { length_m: 4.5, width_m: 1.8, height_m: 1.7 };
-/// The car that is looked at: width and height, metres.
+/// The car that is looked at: width and height, meters.
 const CAR_M: [f64; 2] = [1.8, 1.5];
-/// Width of a marking, metres.
+/// Width of a marking, meters.
 const MARKING_M: f64 = 0.14;
 /// Rays a pixel and axis.
 const RAYS: u32 = 2;
@@ -15,7 +15,7 @@ const RAYS: u32 = 2;
 /// A road as a vehicle on it sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnRoad {
-    /// Middle of the lane beside the vehicle, to the left where above zero, metres.
+    /// Middle of the lane beside the vehicle, to the left where above zero, meters.
     pub offset_m: f64,
     /// Heading of the lane in the vehicle's frame.
     pub heading_rad: f64,
@@ -72,7 +72,7 @@ impl DrawnRoad {
                     let part = |of: u32| (f64::from(of) + 0.5) / f64::from(RAYS);
                     let pixel = DVec2::new(f64::from(column) + part(ray % RAYS), f64::from(row) + part(ray / RAYS));
                     let seen = DVec3::new((pixel.x - at.cx_px) / at.fx_px, (pixel.y - at.cy_px) / at.fy_px, 1.0);
-                    sum += self.colour(camera.rig_from_camera.translation, camera.rig_from_camera.rotation * seen);
+                    sum += self.color(camera.rig_from_camera.translation, camera.rig_from_camera.rotation * seen);
                 }
                 let mean = sum / f64::from(RAYS * RAYS) * self.light;
                 rgba.extend((mean * 255.0).round().to_array().map(|channel| channel.clamp(0.0, 255.0) as u8));
@@ -82,7 +82,7 @@ impl DrawnRoad {
         rgba
     }
 
-    fn colour(&self, eye: DVec3, ray: DVec3) -> DVec3 {
+    fn color(&self, eye: DVec3, ray: DVec3) -> DVec3 {
         let ground_z_m = -0.5 * EGO.height_m;
         let to_ground = if ray.z < -1e-9 { (ground_z_m - eye.z) / ray.z } else { f64::INFINITY };
         if let Some(gap_m) = self.gap_m {
@@ -115,7 +115,7 @@ impl DrawnRoad {
     }
 }
 
-/// Asphalt in patches a quarter of a metre wide.
+/// Asphalt in patches a quarter of a meter wide.
 fn asphalt(at: DVec2) -> DVec3 {
     let cell = (at * 4.0).floor();
     let mixed = (cell.x as i64).wrapping_mul(0x9e37_79b9).wrapping_add((cell.y as i64).wrapping_mul(0x85eb_ca6b)) as u64;

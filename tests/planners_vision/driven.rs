@@ -26,14 +26,14 @@ fn seen_from(state: &VehicleState, curvature: f64) -> DrawnRoad {
     let (offset_m, lane_rad) = if curvature == 0.0 {
         (-state.position_m.y, 0.0)
     } else {
-        let from_centre = state.position_m - DVec2::new(0.0, 1.0 / curvature);
-        let outside_m = from_centre.length() - 1.0 / curvature.abs();
-        (outside_m * curvature.signum(), (from_centre * -curvature.signum()).to_angle() - FRAC_PI_2 * curvature.signum())
+        let from_center = state.position_m - DVec2::new(0.0, 1.0 / curvature);
+        let outside_m = from_center.length() - 1.0 / curvature.abs();
+        (outside_m * curvature.signum(), (from_center * -curvature.signum()).to_angle() - FRAC_PI_2 * curvature.signum())
     };
     DrawnRoad { offset_m, heading_rad: lane_rad - state.yaw_rad, curvature, dashes_m: -state.position_m.x, ..DrawnRoad::default() }
 }
 
-/// Drives a lane for `steps` steps; the offset from its middle after each, metres.
+/// Drives a lane for `steps` steps; the offset from its middle after each, meters.
 fn drive_lane(curvature: f64, start: DVec2, yaw_rad: f64, steps: u32) -> Vec<f64> {
     let (camera, mut ego) = (camera(), ego_at(start, yaw_rad, 8.0));
     let mut vision = beginner(&camera);
@@ -135,14 +135,14 @@ fn it_turns_as_navigation_says_without_seeing_anything() {
 /// Progress along a path that is straight, turns on an arc by a right angle and is straight again,
 /// meters.
 fn progress_on_corner(at: DVec2, begin_m: f64, radius_m: f64, side: f64) -> f64 {
-    let centre = DVec2::new(begin_m, side * radius_m);
-    let from_centre = at - centre;
-    let turned_rad = from_centre.x.atan2(-from_centre.y * side);
+    let center = DVec2::new(begin_m, side * radius_m);
+    let from_center = at - center;
+    let turned_rad = from_center.x.atan2(-from_center.y * side);
     if at.x < begin_m {
         at.x
     } else if turned_rad < FRAC_PI_2 {
         begin_m + radius_m * turned_rad.max(0.0)
     } else {
-        begin_m + radius_m * FRAC_PI_2 + from_centre.y * side
+        begin_m + radius_m * FRAC_PI_2 + from_center.y * side
     }
 }

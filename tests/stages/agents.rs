@@ -6,7 +6,7 @@ mod hard_clouds;
 use decouplegs::render::layout::{CHUNK_SPLATS, near_m};
 use decouplegs::render::stages::{AgentCounts, CullAgents, ProjectAgents, Projected};
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
-use decouplegs::scene::{Camera, ColourTransfer, DepthOrder, Pose, Rules};
+use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Pose, Rules};
 use glam::{DQuat, DVec3};
 
 use super::project::rounding::{Projection, check_keys, check_record};
@@ -149,7 +149,7 @@ impl Case {
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
-            colours: gpu.read(&projected.colours).unwrap(),
+            colors: gpu.read(&projected.colors).unwrap(),
             keys: gpu.read(&projected.keys).unwrap(),
         }
     }
@@ -158,8 +158,8 @@ impl Case {
     fn projection(&self, record: usize) -> Projection<'_> {
         let (camera, agent, splat) = self.listed.records[record];
         let (coded, axes) = self.scene.unpacked(agent, splat);
-        let entry = (self.scene.agents[agent].first_colour + coded.colour) as usize;
-        let dc_of = if self.scene.agents[agent].colours_relit != 0 { &self.scene.relit_dc } else { &self.scene.dc };
+        let entry = (self.scene.agents[agent].first_color + coded.color) as usize;
+        let dc_of = if self.scene.agents[agent].colors_relit != 0 { &self.scene.relit_dc } else { &self.scene.dc };
         let dc = dc_of[entry].iter().chain(coded.dc_residual.as_ref()).map(|value| f64::from(value.abs())).sum::<f64>();
         Projection {
             camera: self.scene.camera(agent, camera),
@@ -170,7 +170,7 @@ impl Case {
             axes_share: 8.0 * ROUNDOFF + self.scene.size_share(agent, splat),
             opacity: coded.opacity.into(),
             // A unit vector is off by some 12 roundings, turned by some 20, and no basis function is steeper than 10.
-            colour: 300.0 * ROUNDOFF * (1.0 + dc + 15.0 * 0.3),
+            color: 300.0 * ROUNDOFF * (1.0 + dc + 15.0 * 0.3),
         }
     }
 
@@ -182,7 +182,7 @@ impl Case {
             let used = check_record(&what, STATIC_RECORDS + record, kernel, twin, &self.projection(record).bounds(&self.rules))?;
             worst = [worst[0].max(used[0]), worst[1].max(used[1])];
         }
-        println!("{records} records: {:.3} of the bound of footprints, {:.3} of that of colours", worst[0], worst[1]);
+        println!("{records} records: {:.3} of the bound of footprints, {:.3} of that of colors", worst[0], worst[1]);
         identical("of the background", &kernel.keys[..STATIC_RECORDS], &[UNTOUCHED; STATIC_RECORDS])?;
         check_keys(&kernel.keys, &twin.keys)
     }
@@ -212,7 +212,7 @@ fn records_of_relit_agents() {
     let gpu = open();
     let plain = Case::new(hard_agents(&rig()), Rules::DEFAULT, 3);
     let mut scene = hard_agents(&rig());
-    let mut light = ColourTransfer::IDENTITY;
+    let mut light = ColorTransfer::IDENTITY;
     light.gain[0] = [0.5, 1.25, 0.75];
     light.offset[2] = [0.125, -0.25, 0.0];
     // Some are relit and some are not; the first and the sixth show the same asset in other lights.
@@ -226,19 +226,19 @@ fn records_of_relit_agents() {
     let (changed, lit) = (case.check(&kernel, &plain.twin()).unwrap_err(), plain.kernel(&gpu));
     assert!(changed.contains("value"), "other light is seen: {changed}");
     let of = |wanted: usize| case.listed.records.iter().position(|&(_, agent, _)| agent == wanted).unwrap() + STATIC_RECORDS;
-    assert!(kernel.colours[of(1)] == lit.colours[of(1)], "an agent that is not relit has the bits it has without light");
-    assert!(kernel.colours[of(0)] != lit.colours[of(0)]);
+    assert!(kernel.colors[of(1)] == lit.colors[of(1)], "an agent that is not relit has the bits it has without light");
+    assert!(kernel.colors[of(0)] != lit.colors[of(0)]);
 }
 
 #[test]
-fn every_shape_and_colour_is_read() {
+fn every_shape_and_color_is_read() {
     let case = Case::new(hard_agents(&rig()), Rules::DEFAULT, 3);
     let read = |of: fn(&UnpackedSplat) -> u32| {
         let entries = case.listed.records.iter().map(|&(_, agent, splat)| of(&case.scene.unpacked(agent, splat).0));
         entries.collect::<std::collections::BTreeSet<_>>().len()
     };
     // A thirty-second of the splats is never drawn, another one at the edge of it.
-    assert!(read(|splat| splat.shape) >= 460 && read(|splat| splat.colour) >= 900);
+    assert!(read(|splat| splat.shape) >= 460 && read(|splat| splat.color) >= 900);
 }
 
 #[test]
@@ -286,7 +286,7 @@ fn one_changed_value_is_seen() {
         case.check(&kernel, &twin).unwrap_err()
     };
     assert!(failure(&|twin| twin.footprints[2 * record][3] *= 1.0002).contains("value 3"));
-    assert!(failure(&|twin| twin.colours[record][1] += 0.001).contains("value 1"));
+    assert!(failure(&|twin| twin.colors[record][1] += 0.001).contains("value 1"));
     assert!(failure(&|twin| twin.footprints[2 * record + 1][3] = f32::from_bits(99)).contains("instance"));
     assert!(failure(&|twin| twin.keys[record] += 2).contains("keys"));
     let mut wrong = case.kernel(&gpu);

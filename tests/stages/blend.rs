@@ -19,7 +19,7 @@ use rounding::PixelBounds;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 const OUTPUTS: Outputs =
-    Outputs { colour: decouplegs::render::ColourFormat::F32, depth: true, instance: true, contributions: false, exported: false };
+    Outputs { color: decouplegs::render::ColorFormat::F32, depth: true, instance: true, contributions: false, exported: false };
 
 /// Records whose instance is to be found in the picture.
 const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ..PLAIN };
@@ -77,7 +77,7 @@ impl Case {
                 return Vec::new(); // lists that are not cut are not finished
             }
             let alpha_max = rules.alpha_max as f32;
-            twins::blend(cameras, item, records, &projected.footprints, &projected.colours, alpha_max, exclusive, before)
+            twins::blend(cameras, item, records, &projected.footprints, &projected.colors, alpha_max, exclusive, before)
         };
         items.iter().map(blend).collect()
     }
@@ -115,7 +115,7 @@ impl Case {
         gpu.write(&plan.items, 0, items).unwrap();
         let on_device = Projected::new(gpu, count, 0).unwrap();
         gpu.write(&on_device.footprints, 0, &projected.footprints).unwrap();
-        gpu.write(&on_device.colours, 0, &projected.colours).unwrap();
+        gpu.write(&on_device.colors, 0, &projected.colors).unwrap();
         let partials = Partials::new(gpu, slots, rules, &OUTPUTS).unwrap();
         let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
         gpu.write(&outputs.instance_ids, 0, &vec![UNTOUCHED; scene.view.pixels]).unwrap();
@@ -154,9 +154,9 @@ impl Case {
                 let what = format!("pixel {place} of {item:?}");
                 report.add(bounds, |bounds| {
                     let values = |pixel: &Pixel| {
-                        [pixel.colour.x, pixel.colour.y, pixel.colour.z, pixel.transmittance, pixel.weighted_depth]
+                        [pixel.color.x, pixel.color.y, pixel.color.z, pixel.transmittance, pixel.weighted_depth]
                     };
-                    let [c, t, d] = [bounds.colour, bounds.transmittance, bounds.weighted_depth];
+                    let [c, t, d] = [bounds.color, bounds.transmittance, bounds.weighted_depth];
                     let share = within(&what, &values(kernel), &values(twin), &[c, c, c, t, d])?;
                     bounds.check_instance(&what, kernel.best_instance, twin.best_instance)?;
                     Ok(share)
@@ -205,7 +205,7 @@ impl Case {
                 let written = written_alone(&Pixel { transmittance: pixel.transmittance.abs(), ..*pixel });
                 let [r, g, b, a] = written.pictures_f32[0];
                 let (depth, k) = (written.depths_m[0], kernel.pictures_f32[target]);
-                let c = bounds.colour + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
+                let c = bounds.color + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
                 let t = bounds.transmittance + super::ROUNDOFF;
                 let d = bounds.depth_m(depth, a);
                 let share =
@@ -258,16 +258,16 @@ impl Report {
 }
 
 fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {
-    let (colours, depths) = (gpu.read(&partials.colours).unwrap(), gpu.read(&partials.depths).unwrap());
+    let (colors, depths) = (gpu.read(&partials.colors).unwrap(), gpu.read(&partials.depths).unwrap());
     let instances = gpu.read(&partials.instances).unwrap();
     let pixel = |place: usize| Pixel {
-        colour: Vec3::from_slice(&colours[place]),
-        transmittance: colours[place][3],
+        color: Vec3::from_slice(&colors[place]),
+        transmittance: colors[place][3],
         weighted_depth: depths[place],
         best_weight: f32::from_bits(instances[place][0]),
         best_instance: instances[place][1],
     };
-    (0..colours.len() / MACRO_PIXELS).map(|slot| (slot * MACRO_PIXELS..(slot + 1) * MACRO_PIXELS).map(pixel).collect()).collect()
+    (0..colors.len() / MACRO_PIXELS).map(|slot| (slot * MACRO_PIXELS..(slot + 1) * MACRO_PIXELS).map(pixel).collect()).collect()
 }
 
 fn compare(splats: usize, faintness: f32, rules: Rules) {
@@ -336,14 +336,14 @@ fn one_changed_pixel_is_seen() {
     let place = |item: &Item| case.bounds(item, None).iter().position(|bounds| !bounds.unsettled).unwrap();
     for (i, item) in case.items.iter().enumerate().take(2) {
         let mut twin = case.twin(None);
-        twin[i][place(item)].colour.y += 0.001;
+        twin[i][place(item)].color.y += 0.001;
         let seen = if item.partial == NO_PARTIAL {
             case.check_pictures(&pictures, &twin)
         } else {
             case.check_partials(&partials, &twin)
         };
         assert!(seen.unwrap_err().contains("value 1"));
-        twin[i][place(item)].colour.y -= 0.001;
+        twin[i][place(item)].color.y -= 0.001;
         twin[i][place(item)].best_instance = 7;
         let seen = if item.partial == NO_PARTIAL {
             case.check_pictures(&pictures, &twin)

@@ -5,7 +5,7 @@ use decouplegs::render::stages::{Arguments, CompositeSegments, Partials, Plan};
 use decouplegs::render::twins::output::{
     Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
-use decouplegs::render::{Capacity, ColourFormat, OutputBuffers, Outputs, twins};
+use decouplegs::render::{Capacity, ColorFormat, OutputBuffers, Outputs, twins};
 use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
@@ -42,8 +42,8 @@ impl Case {
     }
 
     /// Output of the kernel, with colors in bytes if requested.
-    fn kernel(&self, gpu: &Validated, colour: ColourFormat) -> (Pictures, Vec<u32>) {
-        let outputs = Outputs { colour, depth: true, instance: true, ..Outputs::default() };
+    fn kernel(&self, gpu: &Validated, color: ColorFormat) -> (Pictures, Vec<u32>) {
+        let outputs = Outputs { color, depth: true, instance: true, ..Outputs::default() };
         let (pictures, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
         (pictures, bytes)
     }
@@ -99,7 +99,7 @@ impl Case {
     /// The render tiles that are to be finished in each segment, and their pixels as they are before it.
     fn check_unfinished(&self, gpu: &Validated, left: &Partials, stops: bool, counts: bool) -> Result<(), String> {
         let mut tiles = vec![0u32; left.unfinished.len()];
-        let (colours, depths) = (gpu.read(&left.colours).unwrap(), gpu.read(&left.depths).unwrap());
+        let (colors, depths) = (gpu.read(&left.colors).unwrap(), gpu.read(&left.depths).unwrap());
         let instances = gpu.read(&left.instances).unwrap();
         let mut found = 0;
         for composite in &self.composites {
@@ -113,9 +113,9 @@ impl Case {
                 }
                 tiles[slot] |= 1 << (y / 8 * 8 + x / 8);
                 let at = slot * MACRO_PIXELS + place;
-                let [r, g, b, t] = colours[at];
+                let [r, g, b, t] = colors[at];
                 let relative = 8.0 * ROUNDOFF * f64::from(slot as u32 - composite.first_partial + 2);
-                let Vec3 { x: red, y: green, z: blue } = before.colour;
+                let Vec3 { x: red, y: green, z: blue } = before.color;
                 let expected = [red, green, blue, before.transmittance, before.weighted_depth];
                 let bounds = expected.map(|value| relative * f64::from(value.abs()));
                 within(&format!("pixel {place} of slot {slot}"), &[r, g, b, t, depths[at]], &expected, &bounds)?;
@@ -135,9 +135,9 @@ impl Case {
         for (place, &count) in segments.iter().enumerate().filter(|(_, count)| **count > 0) {
             let relative = 8.0 * ROUNDOFF * f64::from(count + 2);
             let (k, t) = (kernel.pictures_f32[place], twin.pictures_f32[place]);
-            let colours = [0, 1, 2].map(|channel| relative * f64::from(t[channel]));
+            let colors = [0, 1, 2].map(|channel| relative * f64::from(t[channel]));
             let depth = if t[3] > 0.0 { 2.0 * relative * f64::from(twin.depths_m[place]) / f64::from(t[3]) } else { 0.0 };
-            let bounds = [colours[0], colours[1], colours[2], relative, depth];
+            let bounds = [colors[0], colors[1], colors[2], relative, depth];
             let what = format!("pixel {place}");
             let [k, t] =
                 [(k, kernel), (t, twin)].map(|(value, side)| [value[0], value[1], value[2], value[3], side.depths_m[place]]);
@@ -156,7 +156,7 @@ fn random_pixel(random: &mut Random) -> Pixel {
     let transmittance = if random.below(3) == 0 { random.across_scales(1e-5, 1.0) } else { random.between(0.5, 0.996) };
     let alpha = 1.0 - transmittance;
     Pixel {
-        colour: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
+        color: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
         transmittance,
         weighted_depth: alpha * random.between(0.5, 100.0),
         best_weight: alpha * random.between(0.1, 1.0),
@@ -169,7 +169,7 @@ fn segments_are_joined_front_to_back() {
     let gpu = open();
     let case = Case::new(1);
     let (twin, segments) = case.twin();
-    Case::check(&case.kernel(&gpu, ColourFormat::F32).0, &twin, &segments).unwrap();
+    Case::check(&case.kernel(&gpu, ColorFormat::F32).0, &twin, &segments).unwrap();
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn bytes_are_rounded() {
     let gpu = open();
     let case = Case::new(2);
     let (twin, segments) = case.twin();
-    let bytes = case.kernel(&gpu, ColourFormat::U8).1;
+    let bytes = case.kernel(&gpu, ColorFormat::U8).1;
     for (place, value) in twin.pictures_f32.iter().enumerate().filter(|(place, _)| segments[*place] > 0) {
         let packed = pack_unorm_4x8(*value).to_le_bytes();
         for (channel, (&a, &b)) in bytes[place].to_le_bytes().iter().zip(&packed).enumerate() {
@@ -192,7 +192,7 @@ fn bytes_are_rounded() {
 fn segments_in_another_order_are_seen() {
     let gpu = open();
     let mut case = Case::new(3);
-    let (kernel, _) = case.kernel(&gpu, ColourFormat::F32);
+    let (kernel, _) = case.kernel(&gpu, ColorFormat::F32);
     let (twin, segments) = case.twin();
     Case::check(&kernel, &twin, &segments).unwrap();
     let first = case.composites[0].first_partial as usize * MACRO_PIXELS;

@@ -12,16 +12,16 @@ use super::{Random, UNTOUCHED, open, run};
 use crate::device::Validated;
 use crate::frames::background;
 
-/// Shadows of all sizes and ways to lie, within `spread_m` of `centre_m`, and some far away.
-fn hard_shadows(count: usize, centre_m: DVec3, spread_m: DVec3) -> Vec<ShadowRecord> {
+/// Shadows of all sizes and ways to lie, within `spread_m` of `center_m`, and some far away.
+fn hard_shadows(count: usize, center_m: DVec3, spread_m: DVec3) -> Vec<ShadowRecord> {
     let mut random = Random(5);
     let shadow = |index: usize| {
         let mut unit = || f64::from(random.between(-1.0, 1.0));
         let rotation = DQuat::from_xyzw(unit(), unit(), unit(), unit() + 1.5).normalize();
         let far = if index % 8 == 7 { 1e5 } else { 0.0 };
-        let centre = centre_m + spread_m * DVec3::new(unit(), unit(), unit()) + DVec3::Z * far;
+        let center = center_m + spread_m * DVec3::new(unit(), unit(), unit()) + DVec3::Z * far;
         let shadow = ContactShadow {
-            world_from_ground: Pose::new(rotation, centre),
+            world_from_ground: Pose::new(rotation, center),
             half_size_m: [f64::from(random.across_scales(0.3, 9.0)), f64::from(random.across_scales(0.2, 5.0))],
             strength: f64::from(random.between(0.0, 1.0)),
             decay: f64::from(random.between(0.5, 6.0)),
@@ -118,8 +118,8 @@ fn records_in_shadow() {
     case.scene.shadows = hard_shadows(40, DVec3::Z * 8.0, DVec3::new(3.0, 3.0, 8.0));
     let (kernel, twin) = (case.kernel(&gpu), case.twin());
     case.check(&kernel, &twin).unwrap();
-    let darker = lit.colours.iter().zip(&twin.colours).filter(|(lit, dark)| dark[0] < 0.9 * lit[0]).count();
-    assert!(darker > 300 && darker < lit.colours.len(), "{darker} of {} records are darker", lit.colours.len());
+    let darker = lit.colors.iter().zip(&twin.colors).filter(|(lit, dark)| dark[0] < 0.9 * lit[0]).count();
+    assert!(darker > 300 && darker < lit.colors.len(), "{darker} of {} records are darker", lit.colors.len());
     assert!(case.check(&kernel, &lit).unwrap_err().contains("value"), "light instead of shadow is seen");
 }
 

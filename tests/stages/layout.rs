@@ -40,8 +40,8 @@ fn records_of_frames() -> Vec<Record> {
             row_y,
             row_z,
             row_z_low,
-            centre_high_m,
-            centre_low_m,
+            center_high_m,
+            center_low_m,
             focal_px,
             principal_px,
             slope_min,
@@ -54,7 +54,7 @@ fn records_of_frames() -> Vec<Record> {
             first_bin,
             first_pixel
         }),
-        record!(ChunkRecord { centre_m, half_extent_m, reach_m }),
+        record!(ChunkRecord { center_m, half_extent_m, reach_m }),
         record!(Needs { records, pairs, pairs_low, pairs_high, buckets, items, partials, composites, longest }),
         record!(ViewLists { first_static, first_moving }),
         record!(Bucket { first_pair, pairs, bin }),
@@ -72,11 +72,11 @@ fn records_of_frames() -> Vec<Record> {
             first_splat,
             splat_count,
             first_shape,
-            first_colour,
+            first_color,
             cameras,
             instance,
-            colours_in_world,
-            colours_relit,
+            colors_in_world,
+            colors_relit,
             dc_residual_gain
         }),
         record!(Item { bin, first_pair, pairs, partial, segment }),
@@ -100,8 +100,8 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             table
         }),
         record!(ShadowRecord {
-            centre_high_m,
-            centre_low_m,
+            center_high_m,
+            center_low_m,
             along,
             across,
             normal,
@@ -111,7 +111,7 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             slab_m,
             cameras
         }),
-        record!(RelightRecord { gain, summand, first_colour, colours, first_relit, first_group }),
+        record!(RelightRecord { gain, summand, first_color, colors, first_relit, first_group }),
     ]
 }
 

@@ -76,10 +76,10 @@ fn control(gpu: &Validated, needs: Needs, groups: &[(Arguments, usize)]) -> Cont
 
 /// Results of segments as a kernel finds them, `MACRO_PIXELS` for each slot.
 fn write_partials(gpu: &Validated, partials: &Partials, pixels: &[Pixel]) {
-    let colours: Vec<_> = pixels.iter().map(|pixel| pixel.colour.extend(pixel.transmittance).to_array()).collect();
+    let colors: Vec<_> = pixels.iter().map(|pixel| pixel.color.extend(pixel.transmittance).to_array()).collect();
     let depths: Vec<_> = pixels.iter().map(|pixel| pixel.weighted_depth).collect();
     let instances: Vec<_> = pixels.iter().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
-    gpu.write(&partials.colours, 0, &colours).unwrap();
+    gpu.write(&partials.colors, 0, &colors).unwrap();
     gpu.write(&partials.depths, 0, &depths).unwrap();
     gpu.write(&partials.instances, 0, &instances).unwrap();
 }

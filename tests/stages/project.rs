@@ -1,4 +1,4 @@
-//! `project.comp`: footprint, depth key and colour of every visible splat.
+//! `project.comp`: footprint, depth key and color of every visible splat.
 
 pub mod rounding;
 
@@ -58,7 +58,7 @@ impl Case {
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
-            colours: gpu.read(&projected.colours).unwrap(),
+            colors: gpu.read(&projected.colors).unwrap(),
             keys: gpu.read(&projected.keys).unwrap(),
         }
     }
@@ -77,7 +77,7 @@ impl Case {
             axes_share: 40.0 * ROUNDOFF,
             opacity: shape[3].into(),
             // A unit vector is off by some 12 roundings, and no basis function is steeper than 10.
-            colour: (200.0 * ROUNDOFF + self.shadow_share(splat)) * (1.0 + self.coefficient_sum(splat)),
+            color: (200.0 * ROUNDOFF + self.shadow_share(splat)) * (1.0 + self.coefficient_sum(splat)),
         }
     }
 
@@ -89,7 +89,7 @@ impl Case {
             let used = check_record(&what, record, kernel, twin, &self.projection(record).bounds(&self.rules))?;
             worst = [worst[0].max(used[0]), worst[1].max(used[1])];
         }
-        println!("{} records: {:.3} of the bound of footprints, {:.3} of that of colours", self.room, worst[0], worst[1]);
+        println!("{} records: {:.3} of the bound of footprints, {:.3} of that of colors", self.room, worst[0], worst[1]);
         check_keys(&kernel.keys, &twin.keys)
     }
 
@@ -118,7 +118,7 @@ impl Case {
     }
 }
 
-/// Colours of degree 0 and nothing else.
+/// Colors of degree 0 and nothing else.
 pub const PLAIN: ProjectVariant =
     ProjectVariant { sh_degree: 0, instances: false, splat_ids: false, shadows: false, shadows_by_camera: false, lenses: false };
 
@@ -192,7 +192,7 @@ fn one_changed_value_is_seen() {
         case.check(&kernel, &twin).unwrap_err()
     };
     assert!(failure(|twin, i| twin.footprints[2 * i][3] *= 1.0001).contains("value 3"));
-    assert!(failure(|twin, i| twin.colours[i][1] += 0.001).contains("value 1"));
+    assert!(failure(|twin, i| twin.colors[i][1] += 0.001).contains("value 1"));
     assert!(failure(|twin, i| twin.footprints[2 * i + 1][3] = f32::from_bits(9)).contains("instance"));
     assert!(failure(|twin, i| twin.keys[i] += 2).contains("keys"));
 }

@@ -22,7 +22,7 @@ const SIZE: (u32, u32) = (150, 90);
 /// Means for which footprint.glsl promises its slack to be enough.
 const MEAN_MAX_PX: f32 = 1e5;
 
-/// Needles, discs and balls from a tenth of a millimetre to a kilometre, from the near plane on, in and far beside the image.
+/// Needles, discs and balls from a tenth of a millimeter to a kilometer, from the near plane on, in and far beside the image.
 fn any_splat() -> impl Strategy<Value = Splat> {
     let length_m = || (-4.0f32..3.0).prop_map(|exponent| 10f32.powf(exponent));
     let depth_m = (-2.0f32..2.0).prop_map(|exponent| 10f32.powf(exponent));
@@ -53,8 +53,8 @@ fn is_listed(splat: &Footprint, column: u32, row: u32) -> bool {
 }
 
 /// log2 of the footprint's alpha in f64.
-fn log2_alpha_f64(splat: &Footprint, centre: DVec2) -> f64 {
-    let d = centre - splat.mean_px.as_dvec2();
+fn log2_alpha_f64(splat: &Footprint, center: DVec2) -> f64 {
+    let d = center - splat.mean_px.as_dvec2();
     let u = (d.x - f64::from(splat.slope) * d.y) * f64::from(splat.rate_x);
     let v = d.y * f64::from(splat.rate_y);
     f64::from(splat.log2_opacity) - u * u - v * v
@@ -69,17 +69,17 @@ fn pixel_left_out(splat: &Splat, rules: &Rules, is_listed: fn(&Footprint, u32, u
     let truth = reference::project::View::new(DVec3::ZERO, &camera, rules).project(&cloud, 0);
     for row in 0..SIZE.1 {
         for column in 0..SIZE.0 {
-            let centre = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+            let center = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
             let listed = footprint.is_some_and(|footprint| is_listed(&footprint, column, row));
             if let Some(footprint) = footprint.filter(|footprint| footprint.mean_px.abs().max_element() < MEAN_MAX_PX) {
-                let counts = log2_alpha_f64(&footprint, centre) >= ALPHA_MIN.log2()
-                    || log2_alpha(&footprint, Vec2::new(centre.x as f32, centre.y as f32)) >= ALPHA_MIN.log2() as f32;
+                let counts = log2_alpha_f64(&footprint, center) >= ALPHA_MIN.log2()
+                    || log2_alpha(&footprint, Vec2::new(center.x as f32, center.y as f32)) >= ALPHA_MIN.log2() as f32;
                 if counts && !listed {
                     return Some(format!("column {column}, row {row} of the footprint {footprint:?}"));
                 }
             }
             // By definition, with a hundredth of the threshold for the rounding of the projection itself.
-            let alpha = truth.as_ref().and_then(|truth| reference::blend::alpha_at(truth, centre, rules)).unwrap_or(0.0);
+            let alpha = truth.as_ref().and_then(|truth| reference::blend::alpha_at(truth, center, rules)).unwrap_or(0.0);
             if alpha >= 1.01 * ALPHA_MIN && !listed {
                 return Some(format!("column {column}, row {row}: alpha {alpha} by definition"));
             }
@@ -167,21 +167,21 @@ fn a_camera_that_does_not_turn_changes_no_key() {
         .collect();
     let world = world_of(&splats);
     let mut runner = TestRunner::new(Config::with_cases(12));
-    let property = |(centre_m, turn): ([f64; 3], f64)| {
-        let camera = |centre: DVec3, turn: f64| {
-            let pose = Pose::new(DQuat::from_rotation_z(turn) * DQuat::from_rotation_y(0.1 * turn), centre);
+    let property = |(center_m, turn): ([f64; 3], f64)| {
+        let camera = |center: DVec3, turn: f64| {
+            let pose = Pose::new(DQuat::from_rotation_z(turn) * DQuat::from_rotation_y(0.1 * turn), center);
             Camera { name: "moved".into(), intrinsics: Intrinsics::from_horizontal_fov(64, 64, 1.0), world_from_camera: pose }
         };
-        let centre = DVec3::from_array(centre_m.map(|x| (x * 1024.0).round() / 1024.0));
+        let center = DVec3::from_array(center_m.map(|x| (x * 1024.0).round() / 1024.0));
         let keys = depth_keys(&gpu, &world, &camera(DVec3::ZERO, turn));
         prop_assert!(keys.iter().any(|&key| key != keys[0]));
-        prop_assert!(depth_keys(&gpu, &world, &camera(centre, turn)) == keys, "a key has changed");
+        prop_assert!(depth_keys(&gpu, &world, &camera(center, turn)) == keys, "a key has changed");
         // A thousandth of a thousandth of a degree is seen.
-        prop_assert!(depth_keys(&gpu, &world, &camera(centre, turn + 2e-8)) != keys);
+        prop_assert!(depth_keys(&gpu, &world, &camera(center, turn + 2e-8)) != keys);
         // Moved by its origin, the world is the same to the last bit.
         let origin = DVec3::new(4.5e6, 0.7e6, 100.0);
-        let [here, there] = [(centre, DVec3::ZERO), (centre + origin, origin)]
-            .map(|(centre, origin)| View::new(&[camera(centre, turn)], origin, 100.0).unwrap());
+        let [here, there] = [(center, DVec3::ZERO), (center + origin, origin)]
+            .map(|(center, origin)| View::new(&[camera(center, turn)], origin, 100.0).unwrap());
         prop_assert_eq!(&here.cameras, &there.cameras);
         Ok(())
     };

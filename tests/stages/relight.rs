@@ -2,9 +2,9 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::RelightRecord;
-use decouplegs::render::stages::{Relight, RelitColours};
+use decouplegs::render::stages::{Relight, RelitColors};
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
-use decouplegs::scene::{AmbientDescriptor, ColourTransfer, sh};
+use decouplegs::scene::{AmbientDescriptor, ColorTransfer, sh};
 
 use super::{ROUNDOFF, Random, UNTOUCHED, open, run, upload};
 use crate::device::Validated;
@@ -22,21 +22,21 @@ struct Case {
 /// Result of relighting: colors, and their bands.
 type Relit = (Vec<[f32; 3]>, Vec<[u32; 24]>);
 
-fn transfer(random: &mut Random) -> ColourTransfer {
+fn transfer(random: &mut Random) -> ColorTransfer {
     let mut numbers = |low: f32, high: f32| std::array::from_fn(|_| std::array::from_fn(|_| random.between(low, high)));
-    ColourTransfer { gain: numbers(-0.5, 2.0), offset: numbers(-0.4, 0.4) }
+    ColorTransfer { gain: numbers(-0.5, 2.0), offset: numbers(-0.4, 0.4) }
 }
 
 impl Case {
-    /// Codebooks of `counts` colours in a light each; the first two share theirs.
+    /// Codebooks of `counts` colors in a light each; the first two share theirs.
     fn new(counts: &[usize], sh_degree: u8) -> Self {
         let mut random = Random(77);
-        let colours = 5 + counts.iter().sum::<usize>();
+        let colors = 5 + counts.iter().sum::<usize>();
         let mut dc = Vec::new();
         let mut bands = Vec::new();
-        for colour in 0..colours {
+        for color in 0..colors {
             // Bands of no size, of an ordinary one, and near the ends of f16.
-            let size = [0.0, 0.3, 1e-6, 300.0][colour % 4];
+            let size = [0.0, 0.3, 1e-6, 300.0][color % 4];
             let mut number = || std::array::from_fn(|_| size * random.between(-1.0, 1.0));
             let coefficients: Vec<[f32; 3]> = (0..15).map(|_| number()).collect();
             dc.push(std::array::from_fn(|_| random.between(-2.0, 3.0)));
@@ -67,10 +67,10 @@ impl Case {
             splats: upload(gpu, &[]),
             chunks: upload(gpu, &[]),
             shapes: upload(gpu, &[]),
-            colour_dc: upload(gpu, &self.dc),
-            colour_bands: upload(gpu, &self.bands),
+            color_dc: upload(gpu, &self.dc),
+            color_bands: upload(gpu, &self.bands),
         };
-        let relit = RelitColours::new(gpu, self.room).unwrap();
+        let relit = RelitColors::new(gpu, self.room).unwrap();
         gpu.write(&relit.dc, 0, &vec![[f32::from_bits(UNTOUCHED); 3]; self.room]).unwrap();
         gpu.write(&relit.bands, 0, &vec![[UNTOUCHED; 24]; self.room]).unwrap();
         let relights: Buffer<RelightRecord> = upload(gpu, &self.relights);
@@ -88,20 +88,20 @@ impl Case {
     /// Holds what was made to the twin: DC within rounding, bands within a step and a half of their scale, all else untouched.
     fn check(&self, (dc, bands): &Relit, (twin_dc, twin_bands): &Relit) -> Result<f64, String> {
         let mut worst = 0.0f64;
-        for colour in 0..self.room {
+        for color in 0..self.room {
             for channel in 0..3 {
-                let [a, b] = [dc[colour][channel], twin_dc[colour][channel]];
+                let [a, b] = [dc[color][channel], twin_dc[color][channel]];
                 let bound = 24.0 * ROUNDOFF * 16.0;
                 if a.to_bits() != b.to_bits() && (f64::from(a) - f64::from(b)).abs().partial_cmp(&bound).is_none_or(|o| o.is_gt())
                 {
-                    return Err(format!("dc of {colour}, channel {channel}: {a}, the twin has {b}"));
+                    return Err(format!("dc of {color}, channel {channel}: {a}, the twin has {b}"));
                 }
             }
             let mut first = 0;
             for band in 1..=3usize {
                 let words = first..first + sh_codec::words_of(band);
                 first = words.end;
-                let [kernel, twin] = [&bands[colour][words.clone()], &twin_bands[colour][words]];
+                let [kernel, twin] = [&bands[color][words.clone()], &twin_bands[color][words]];
                 if kernel == twin {
                     continue;
                 }
@@ -111,7 +111,7 @@ impl Case {
                 for (k, (a, b)) in a.as_flattened().iter().zip(b.as_flattened()).enumerate() {
                     let error = (f64::from(*a) - f64::from(*b)).abs();
                     if error.partial_cmp(&bound).is_none_or(|order| order.is_gt()) {
-                        return Err(format!("band {band} of {colour}, number {k}: {a}, the twin has {b}"));
+                        return Err(format!("band {band} of {color}, number {k}: {a}, the twin has {b}"));
                     }
                     worst = worst.max(error / bound);
                 }
@@ -158,22 +158,22 @@ fn relit_codebooks_are_the_transfer_of_the_definition() {
     assert!(light.directionality() == 0.0);
     let record = &case.relights[0];
     let numbers = |of: &[f32; 48]| std::array::from_fn(|k| std::array::from_fn(|channel| of[3 * k + channel]));
-    let transfer = ColourTransfer { gain: numbers(&record.gain), offset: numbers(&record.summand) };
+    let transfer = ColorTransfer { gain: numbers(&record.gain), offset: numbers(&record.summand) };
     for entry in 0..300usize {
-        let mut colour = vec![case.dc[5 + entry]];
+        let mut color = vec![case.dc[5 + entry]];
         let decoded = |words: &[u32; 24], band: usize, first: usize| sh_codec::decode_band(&words[first..], 2 * band + 1);
         for (band, first) in [(1, 0), (2, 5), (3, 13)] {
-            colour.extend(decoded(&case.bands[5 + entry], band, first));
+            color.extend(decoded(&case.bands[5 + entry], band, first));
         }
-        assert_eq!(colour.len(), sh::coefficient_count(3));
-        transfer.apply(&mut colour);
+        assert_eq!(color.len(), sh::coefficient_count(3));
+        transfer.apply(&mut color);
         for (band, first) in [(1usize, 0), (2, 5), (3, 13)] {
-            let expected = &colour[band * band..(band + 1) * (band + 1)];
+            let expected = &color[band * band..(band + 1) * (band + 1)];
             let largest = expected.as_flattened().iter().fold(6.2e-5f32, |largest, value| largest.max(value.abs()));
             for (a, b) in decoded(&bands[3 + entry], band, first).as_flattened().iter().zip(expected.as_flattened()) {
-                assert!((a - b).abs() <= largest * 2.0 / 32_767.0, "colour {entry}, band {band}: {a}, expected {b}");
+                assert!((a - b).abs() <= largest * 2.0 / 32_767.0, "color {entry}, band {band}: {a}, expected {b}");
             }
         }
-        assert!(dc[3 + entry].iter().zip(colour[0]).all(|(a, b)| (a - b).abs() < 1e-5));
+        assert!(dc[3 + entry].iter().zip(color[0]).all(|(a, b)| (a - b).abs() < 1e-5));
     }
 }

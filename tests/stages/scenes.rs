@@ -16,7 +16,7 @@ use super::{ROUNDOFF, Random, UNTOUCHED, upload};
 use crate::device::Validated;
 use crate::frames::{Splat, world_of};
 
-/// Ordinary splats, needles, discs, ones that cover the image or no pixel centre, far beside it, at the near plane, behind
+/// Ordinary splats, needles, discs, ones that cover the image or no pixel center, far beside it, at the near plane, behind
 /// it, too faint, and at the edge of too faint.
 pub fn hard_splats(count: usize, seed: u64) -> Vec<Splat> {
     let mut random = Random(seed);
@@ -59,7 +59,7 @@ pub fn hard_world(count: usize, seed: u64) -> World {
     world
 }
 
-/// Cameras that see the hard splats: straight on, turned with the principal point off centre, wide, and of one pixel.
+/// Cameras that see the hard splats: straight on, turned with the principal point off center, wide, and of one pixel.
 pub fn rig() -> Vec<Camera> {
     let camera = |name: &str, size: (u32, u32), fov_deg: f64, pose: Pose| Camera {
         name: name.into(),
@@ -246,7 +246,7 @@ pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u3
 /// Output of the twin of project.
 pub struct ProjectedTwin {
     pub footprints: Vec<[f32; 4]>,
-    pub colours: Vec<[f32; 4]>,
+    pub colors: Vec<[f32; 4]>,
     pub keys: Vec<u32>,
 }
 
@@ -303,7 +303,7 @@ impl Scene {
     /// The twin's records where there is room for `room` and no keys are kept. What is not written is `UNTOUCHED`.
     pub fn projected(&self, listed: &Listed, rules: &Rules, variant: ProjectVariant, room: usize) -> ProjectedTwin {
         let mut out =
-            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colours: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
+            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colors: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
         twins::project(
             &self.view.cameras,
             &self.means_m,
@@ -314,7 +314,7 @@ impl Scene {
             &self.sh(),
             variant.instances.then_some(self.instances.as_slice()),
             &mut out.footprints,
-            &mut out.colours,
+            &mut out.colors,
             &mut out.keys,
             &vec![NO_KEY_SET; self.view.cameras.len()],
             &[],

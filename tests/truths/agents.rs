@@ -1,4 +1,4 @@
-//! An agent's splats are turned by moving the camera into its frame. Here covariances and colours are turned themselves, in f64.
+//! An agent's splats are turned by moving the camera into its frame. Here covariances and colors are turned themselves, in f64.
 
 use std::f64::consts::LOG2_E;
 
@@ -18,7 +18,7 @@ use crate::stages::agents::hard_agents::{AgentScene, Placed};
 /// Tolerance of a rotation, relative to the covariance and to the color.
 const RELATIVE: f64 = 1e-5;
 
-/// A cloud of sixty-four shapes, of which the thinnest are 1 : 100, and as many colours that stay above zero from all sides.
+/// A cloud of sixty-four shapes, of which the thinnest are 1 : 100, and as many colors that stay above zero from all sides.
 fn cloud(random: &mut Random) -> CodedCloud {
     let shape = |random: &mut Random| {
         let mut off = || random.between(-0.5, 0.5);
@@ -30,7 +30,7 @@ fn cloud(random: &mut Random) -> CodedCloud {
         opacity: 200,
         size: random.below(256) as u8,
         shape: i,
-        colour: i,
+        color: i,
         dc_residual: [random.below(32) as i8 - 16, random.below(16) as i8 - 8, random.below(16) as i8 - 8],
     };
     CodedCloud {
@@ -42,7 +42,7 @@ fn cloud(random: &mut Random) -> CodedCloud {
         levels: vec![64],
         shapes: (0..64).map(|_| shape(random)).collect(),
         sh_degree: 3,
-        colours: (0..64 * 16)
+        colors: (0..64 * 16)
             .map(|i| std::array::from_fn(|_| if i % 16 == 0 { 1.5 } else { random.between(-0.1, 0.1) }))
             .collect(),
         sh_frame: ShFrame::Canonical,
@@ -50,14 +50,14 @@ fn cloud(random: &mut Random) -> CodedCloud {
     }
 }
 
-/// A covariance in pixels and a colour.
+/// A covariance in pixels and a color.
 struct Seen {
     covariance_px2: DMat2,
     rgb: DVec3,
 }
 
 /// The splat turned into the world and seen by `camera`, in f64. With `rotation` other than the agent's it is turned wrongly.
-fn turned(cloud: &CodedCloud, codes: &SplatCodes, pose: &Pose, rotation: DQuat, camera: &Camera, colours_turn: bool) -> Seen {
+fn turned(cloud: &CodedCloud, codes: &SplatCodes, pose: &Pose, rotation: DQuat, camera: &Camera, colors_turn: bool) -> Seen {
     let [xx, yx, yy, zx, zy, zz] = cloud.shapes[usize::from(codes.shape)].map(f64::from);
     let factor = DMat3::from_cols(DVec3::new(xx, yx, zx), DVec3::new(0.0, yy, zy), DVec3::new(0.0, 0.0, zz));
     let size = (f64::from(cloud.log2_size_min) + f64::from(codes.size) * f64::from(cloud.log2_size_step)).exp2();
@@ -75,11 +75,11 @@ fn turned(cloud: &CodedCloud, codes: &SplatCodes, pose: &Pose, rotation: DQuat, 
         DVec2::new(entry(1, 0), entry(1, 1) + DILATION_PX2),
     );
 
-    let mut rest = stored_rest(cloud.colour(codes.colour.into()));
-    if colours_turn {
+    let mut rest = stored_rest(cloud.color(codes.color.into()));
+    if colors_turn {
         ShRotation::new(rotation).rotate(&mut rest);
     }
-    let dc = DVec3::from_array(cloud.colour(codes.colour.into())[0].map(f64::from));
+    let dc = DVec3::from_array(cloud.color(codes.color.into())[0].map(f64::from));
     let dc = dc + DVec3::from_array(cloud.dc_residual(codes).map(f64::from));
     let y = basis((mean_m - camera.world_from_camera.translation).normalize());
     let higher = rest.iter().zip(&y[1..]).map(|(c, y)| DVec3::from_array(c.map(f64::from)) * *y).sum::<DVec3>();
@@ -108,7 +108,7 @@ fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((u
     let mut recorder = gpu.record(QueueRole::Main);
     project.record(&mut recorder, &pool, &buffers, &scene.relit(gpu), scene.counts, &static_firsts, 0, &projected);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
-    let (footprints, colours) = (gpu.read(&projected.footprints).unwrap(), gpu.read(&projected.colours).unwrap());
+    let (footprints, colors) = (gpu.read(&projected.footprints).unwrap(), gpu.read(&projected.colors).unwrap());
     let seen = |record: usize| {
         let [_, _, slope, rate_x] = footprints[2 * record].map(f64::from);
         let rate_y = f64::from(footprints[2 * record + 1][0]);
@@ -116,7 +116,7 @@ fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((u
         let half = 0.5 * LOG2_E;
         let yy = half / (rate_y * rate_y);
         let xx = half / (rate_x * rate_x) + slope * slope * yy;
-        let [r, g, b, _] = colours[record].map(f64::from);
+        let [r, g, b, _] = colors[record].map(f64::from);
         Seen {
             covariance_px2: DMat2::from_cols(DVec2::new(xx, slope * yy), DVec2::new(slope * yy, yy)),
             rgb: DVec3::new(r, g, b),
@@ -129,7 +129,7 @@ fn norm(m: DMat2) -> f64 {
     m.to_cols_array().iter().map(|entry| entry * entry).sum::<f64>().sqrt()
 }
 
-/// The largest relative differences of covariance and colour.
+/// The largest relative differences of covariance and color.
 fn worst(found: &[((usize, usize), Seen)], expected: impl Fn(usize, usize) -> Seen) -> [f64; 2] {
     found.iter().fold([0.0; 2], |worst: [f64; 2], ((agent, splat), seen)| {
         let truth = expected(*agent, *splat);
@@ -139,7 +139,7 @@ fn worst(found: &[((usize, usize), Seen)], expected: impl Fn(usize, usize) -> Se
 }
 
 #[test]
-fn covariances_and_colours_turn_with_the_agent() {
+fn covariances_and_colors_turn_with_the_agent() {
     let gpu = Validated::open();
     let mut random = Random(51);
     let cloud = cloud(&mut random);
@@ -155,19 +155,19 @@ fn covariances_and_colours_turn_with_the_agent() {
         let before =
             DVec3::new(random.between(-4.0, 4.0).into(), random.between(-4.0, 4.0).into(), random.between(5.0, 40.0).into());
         let pose = Pose::new(rotation, camera.world_from_camera.transform(before));
-        Placed { colours_in_world: agent % 4 == 3, ..Placed::new(0, pose) }
+        Placed { colors_in_world: agent % 4 == 3, ..Placed::new(0, pose) }
     };
     let placed: Vec<Placed> = (0..100).map(place).collect();
     let scene = AgentScene::new(std::slice::from_ref(&cloud), &placed, std::slice::from_ref(&camera));
     let found = seen_by_kernel(&gpu, &scene, &Rules::DEFAULT);
     assert!(found.len() > 5000, "{} splats are seen", found.len());
     let truth = |agent: usize, splat: usize, rotation: DQuat| {
-        let Placed { pose, colours_in_world, .. } = &placed[agent];
-        turned(&cloud, &cloud.splats[splat].into(), pose, rotation, &camera, !colours_in_world)
+        let Placed { pose, colors_in_world, .. } = &placed[agent];
+        turned(&cloud, &cloud.splats[splat].into(), pose, rotation, &camera, !colors_in_world)
     };
-    let [covariance, colour] = worst(&found, |agent, splat| truth(agent, splat, placed[agent].pose.rotation));
-    println!("{} splats: covariances within {covariance:.1e}, colours within {colour:.1e}", found.len());
-    assert!(covariance < RELATIVE && colour < RELATIVE, "{covariance:e}, {colour:e}");
+    let [covariance, color] = worst(&found, |agent, splat| truth(agent, splat, placed[agent].pose.rotation));
+    println!("{} splats: covariances within {covariance:.1e}, colors within {color:.1e}", found.len());
+    assert!(covariance < RELATIVE && color < RELATIVE, "{covariance:e}, {color:e}");
     // The other way round, or by a ten-thousandth of a radian more, it is seen to be wrong.
     let wrong = worst(&found, |agent, splat| truth(agent, splat, placed[agent].pose.rotation.inverse()));
     assert!(wrong[0] > 0.1 && wrong[1] > 0.01, "{wrong:?}");

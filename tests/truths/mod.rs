@@ -15,7 +15,7 @@ use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
 use crate::device::Validated;
 use crate::frames::{Splat, all_outputs, world_of};
 
-/// Rounding of f32 through projection, exponential and a few blends, on colours up to 1. A flipped decision at 1/255 is a
+/// Rounding of f32 through projection, exponential and a few blends, on colors up to 1. A flipped decision at 1/255 is a
 /// hundred times as much.
 const ROUNDING: f32 = 4e-5;
 
@@ -24,9 +24,9 @@ const RED: [f32; 3] = [1.0, 0.0, 0.0];
 const BLUE: [f32; 3] = [0.0, 0.0, 1.0];
 
 /// At the world's zero, looking along +z, `size_px` pixels square with a focal length of 100 pixels: an odd size puts a
-/// pixel's centre on the axis.
+/// pixel's center on the axis.
 fn square_camera(size_px: u32) -> Camera {
-    let centre_px = 0.5 * f64::from(size_px);
+    let center_px = 0.5 * f64::from(size_px);
     Camera {
         name: "square".into(),
         intrinsics: Intrinsics {
@@ -34,8 +34,8 @@ fn square_camera(size_px: u32) -> Camera {
             height_px: size_px,
             fx_px: 100.0,
             fy_px: 100.0,
-            cx_px: centre_px,
-            cy_px: centre_px,
+            cx_px: center_px,
+            cy_px: center_px,
             lens: Lens::Pinhole,
         },
         world_from_camera: Pose::IDENTITY,
@@ -74,7 +74,7 @@ fn middle_of(splats: &[Splat], rules: Rules) -> ([f32; 3], f32) {
     (picture.rgb[40], picture.alpha[40])
 }
 
-/// The largest difference of a colour channel or an alpha.
+/// The largest difference of a color channel or an alpha.
 fn worst_difference(a: &Picture, b: &Picture) -> f32 {
     assert_eq!((a.width, a.height), (b.width, b.height));
     let values = |picture: &Picture| picture.rgb.iter().flatten().chain(&picture.alpha).copied().collect::<Vec<_>>();

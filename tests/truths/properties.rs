@@ -11,7 +11,7 @@ use super::{Easel, ROUNDING, Splat, square_camera, world_of, worst_difference};
 const FULL: f32 = 1e-4 + ROUNDING;
 
 fn splat() -> impl Strategy<Value = Splat> {
-    // In steps of 1/1024 m, so that f32 still holds them exactly when a world is moved by whole metres.
+    // In steps of 1/1024 m, so that f32 still holds them exactly when a world is moved by whole meters.
     let steps = |first: i16, end: i16| (first * 1024..end * 1024).prop_map(|step| f32::from(step) / 1024.0);
     let mean = (steps(-2, 2), steps(-2, 2), (512i16..8 * 1024).prop_map(|step| f32::from(step) / 1024.0));
     let scale = prop::array::uniform3(-4.0f32..0.5);
@@ -37,7 +37,7 @@ fn for_random_worlds(truth: impl Fn(&mut Easel, &[Splat]) -> Result<(), TestCase
 }
 
 #[test]
-fn a_world_of_one_colour_under_a_sky_of_that_colour_is_that_colour() {
+fn a_world_of_one_color_under_a_sky_of_that_color_is_that_color() {
     // The weights of all splats and of the sky sum to one at every pixel.
     for_random_worlds(|easel, splats| {
         let rgb = splats[0].rgb;
@@ -80,7 +80,7 @@ fn one_more_splat_never_lets_more_of_the_sky_through() {
 }
 
 #[test]
-fn colours_and_depths_are_means_of_what_is_there() {
+fn colors_and_depths_are_means_of_what_is_there() {
     for_random_worlds(|easel, splats| {
         let picture = easel.draw(&world_of(splats), &square_camera(48));
         let depths = splats.iter().map(|splat| splat.mean_m[2]);
@@ -95,7 +95,7 @@ fn colours_and_depths_are_means_of_what_is_there() {
     });
 }
 
-/// The splats and the camera turned by a quarter about y and moved by whole metres; the means are exact in f32.
+/// The splats and the camera turned by a quarter about y and moved by whole meters; the means are exact in f32.
 fn turned_and_moved(splats: &[Splat]) -> (Vec<Splat>, Camera) {
     let half = std::f32::consts::FRAC_1_SQRT_2;
     let moved = |splat: &Splat| {

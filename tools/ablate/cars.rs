@@ -49,7 +49,7 @@ impl Cars {
         Ok(cars)
     }
 
-    /// Clouds with the splats of these cars in whatever colours, compressed as the cars themselves are; several at once.
+    /// Clouds with the splats of these cars in whatever colors, compressed as the cars themselves are; several at once.
     pub fn compressed(&self, clouds: &[(usize, &SplatCloud)]) -> Result<Vec<CodedCloud>> {
         let options = CompressOptions { seed: self.seed, ..CompressOptions::default() };
         let one = &|car: usize, cloud: &SplatCloud| -> Result<CodedCloud> {

@@ -16,7 +16,7 @@ pub fn angles(report: &Report) -> String {
         })
     });
     let bars = Bars {
-        title: "Angle between colours of vehicles and the truth, p95",
+        title: "Angle between colors of vehicles and the truth, p95",
         x_label: "degrees",
         rows: rows.collect(),
         parts: ["no relighting", "ours", "best affine on DC", "truth, compressed"].map(str::to_owned).into(),

@@ -40,7 +40,7 @@ fn summary(report: &Report) -> String {
         let angles = |figures: &super::reinsert::ArmFigures| figures.vehicles.angle_deg.map_or(f64::NAN, |angle| angle.p95);
         let _ = write!(
             html,
-            "<li><b>{}</b>: relighting takes the PSNR over vehicles from {} dB to {} dB, and the angle between colours (p95) from \
+            "<li><b>{}</b>: relighting takes the PSNR over vehicles from {} dB to {} dB, and the angle between colors (p95) from \
              {:.1}° to {:.1}°.</li>",
             found.weather.name(),
             decibels(plain.vehicles.psnr_db),
@@ -53,7 +53,7 @@ fn summary(report: &Report) -> String {
     if let (Some(full), Some(logged)) = (row(Without::Nothing), row(Without::Registration)) {
         let _ = write!(
             html,
-            "<li>Registration takes the mean distance to the nearest centreline from {:.3} m to {:.3} m, and to the true place from \
+            "<li>Registration takes the mean distance to the nearest centerline from {:.3} m to {:.3} m, and to the true place from \
              {:.3} m to {:.3} m.</li>",
             logged.placing.ade_lane_m, full.placing.ade_lane_m, logged.placing.ade_truth_m, full.placing.ade_truth_m
         );
@@ -168,7 +168,7 @@ fn system(system: &System) -> String {
 fn placing(system: &System) -> String {
     let mut html = String::from(
         "<h3>Where cars stand, and what they take</h3><div class=\"wide\"><table><tr><th>row<th>ADE to<br>truth, m<th>of it<br>across<th>and<br>along\
-         <th>ADE to nearest<br>centreline, m<th>corners in<br>the ground<th>clearance<br>p95, cm<th>tracks<br>refused<th>device memory,<br>MiB</tr>",
+         <th>ADE to nearest<br>centerline, m<th>corners in<br>the ground<th>clearance<br>p95, cm<th>tracks<br>refused<th>device memory,<br>MiB</tr>",
     );
     for row in &system.rows {
         let p = &row.placing;

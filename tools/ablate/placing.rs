@@ -14,7 +14,7 @@ use super::stage::{Stage, trajectory};
 
 /// Tracks tell where a car is so often.
 const RATE_HZ: f64 = 10.0;
-/// Corners deeper than this below the ground have penetrated it, metres.
+/// Corners deeper than this below the ground have penetrated it, meters.
 pub const TOLERANCE_M: f64 = 0.02;
 
 /// Drift of tracks from the ground truth.
@@ -39,7 +39,7 @@ pub struct Placing {
     pub across_m: f64,
     /// The part along it.
     pub along_m: f64,
-    /// Mean distance to the nearest centreline; true ways are on one.
+    /// Mean distance to the nearest centerline; true ways are on one.
     pub ade_lane_m: f64,
     /// Share of bottom corners more than [`TOLERANCE_M`] below the true ground, which is level.
     pub penetration_rate: f64,

@@ -37,7 +37,7 @@ impl Arm {
             Self::OursUnshadowed => "ours, no shadows",
             Self::OursUncompressed => "ours, uncompressed",
             Self::BestAffine => "best affine on DC",
-            Self::TruthCompressed => "truth colours, compressed",
+            Self::TruthCompressed => "truth colors, compressed",
         }
     }
 
@@ -45,7 +45,7 @@ impl Arm {
     pub fn what(self) -> &'static str {
         match self {
             Self::NoRelighting => "compressed cars as they were captured in neutral light, no shadows",
-            Self::Ours => "compressed cars, relit from the colours of the street about them, and contact shadows",
+            Self::Ours => "compressed cars, relit from the colors of the street about them, and contact shadows",
             Self::OursUnshadowed => "ours without the contact shadows",
             Self::OursUncompressed => "ours with every splat of the captured cars: what compression adds to the error",
             Self::BestAffine => {
@@ -53,7 +53,7 @@ impl Arm {
                  that come nearest to the true ones over all of the car; what bands above DC would change is left"
             }
             Self::TruthCompressed => {
-                "no method, but what compression alone costs: cars in their true colours, compressed, on a street without shadows"
+                "no method, but what compression alone costs: cars in their true colors, compressed, on a street without shadows"
             }
         }
     }
@@ -101,7 +101,7 @@ pub struct Reinsertion<'a> {
     pub gpu: &'a Gpu,
     pub stage: &'a Stage,
     pub cars: &'a Cars,
-    /// Colours shorter than this have no hue.
+    /// Colors shorter than this have no hue.
     pub floor: f64,
 }
 
@@ -199,7 +199,7 @@ impl Reinsertion<'_> {
                 }
             }
             Arm::OursUncompressed => {}
-            Arm::TruthCompressed => return self.pictures_in_true_colours(renderer, live, &moment, truth, sample),
+            Arm::TruthCompressed => return self.pictures_in_true_colors(renderer, live, &moment, truth, sample),
         }
         if matches!(arm, Arm::OursUncompressed | Arm::BestAffine) {
             let world = renderer.upload(&self.copies(&moment))?;
@@ -211,7 +211,7 @@ impl Reinsertion<'_> {
     }
 
     /// The true cars compressed, those that are seen: it takes long.
-    fn pictures_in_true_colours(
+    fn pictures_in_true_colors(
         &self,
         renderer: &mut Renderer,
         live: &LiveScene,

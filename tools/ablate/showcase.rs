@@ -87,24 +87,24 @@ fn cut(picture: &Picture, Window { columns, rows }: Window) -> Picture {
     Picture { rgb, ..Picture::filled((columns.1 - columns.0) as u32, (rows.1 - rows.0) as u32, [0.0; 3]) }
 }
 
-/// The angle between colours of vehicles in false colours, white from [`ANGLE_MAX_DEG`] on; the rest in faint grey.
+/// The angle between colors of vehicles in false colors, white from [`ANGLE_MAX_DEG`] on; the rest in faint gray.
 fn angle_picture(found: &Picture, truth: &Picture, vehicles: &[bool], floor: f64) -> Picture {
     let black = Picture::filled(truth.width, truth.height, [0.0; 3]);
     let mut angles = black.clone();
     for (at, _) in vehicles.iter().enumerate().filter(|(_, is_vehicle)| **is_vehicle) {
         angles.rgb[at] = [(angle_deg(found.rgb[at], truth.rgb[at], floor) / ANGLE_MAX_DEG) as f32; 3];
     }
-    let coloured = difference_picture(&angles, &black, 1.0).unwrap_or(black);
-    let grey = |rgb: &[f32; 3]| [0.25 * rgb.iter().sum::<f32>() / 3.0; 3];
-    let rgb = coloured.rgb.iter().zip(&truth.rgb).zip(vehicles).map(
-        |((coloured, truth), is_vehicle)| {
-            if *is_vehicle { *coloured } else { grey(truth) }
+    let colored = difference_picture(&angles, &black, 1.0).unwrap_or(black);
+    let gray = |rgb: &[f32; 3]| [0.25 * rgb.iter().sum::<f32>() / 3.0; 3];
+    let rgb = colored.rgb.iter().zip(&truth.rgb).zip(vehicles).map(
+        |((colored, truth), is_vehicle)| {
+            if *is_vehicle { *colored } else { gray(truth) }
         },
     );
-    Picture { rgb: rgb.collect(), ..coloured.clone() }
+    Picture { rgb: rgb.collect(), ..colored.clone() }
 }
 
-/// 0 where the true colour is too dark to have a hue.
+/// 0 where the true color is too dark to have a hue.
 fn angle_deg(found: [f32; 3], truth: [f32; 3], floor: f64) -> f64 {
     let [found, truth] = [found, truth].map(|rgb| glam::DVec3::from_array(rgb.map(f64::from)));
     if truth.length() < floor || found.length() == 0.0 { 0.0 } else { found.angle_between(truth).to_degrees() }

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{ColourFormat, Outputs, RenderOptions, Renderer, ResidentWorld};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, ResidentWorld};
 use decouplegs::scene::World;
 use decouplegs::{LiveScene, asset::LoadedScene};
 
@@ -62,7 +62,7 @@ impl<'a> Speed<'a> {
     }
 
     fn renderer(&self, keep_keys: bool, frames_in_flight: usize) -> Renderer {
-        let outputs = Outputs { colour: ColourFormat::U8, ..Outputs::default() };
+        let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
         Renderer::new(self.gpu, RenderOptions { outputs, keep_keys, frames_in_flight, ..RenderOptions::default() })
     }
 

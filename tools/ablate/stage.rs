@@ -15,7 +15,7 @@ use crate::arguments::Size;
 
 /// Moments that are looked at in each part of the drive.
 const STEPS: u32 = 20;
-/// A car whose middle is nearer is hardly in the picture, metres.
+/// A car whose middle is nearer is hardly in the picture, meters.
 const NEAR_M: f64 = 3.0;
 
 /// Scene into which the cars are reinserted.
@@ -36,7 +36,7 @@ pub struct Truth {
 }
 
 impl Stage {
-    /// The street of `options` with `cars` in its light, which `light` brings to colours, seen by the first `cameras_used` cameras.
+    /// The street of `options` with `cars` in its light, which `light` brings to colors, seen by the first `cameras_used` cameras.
     pub fn set(options: &StreetOptions, cars: &Cars, light: &LightTransfer, size: Size, cameras_used: usize) -> Result<Self> {
         let mut street = Street::generate(options);
         let background = std::mem::take(&mut street.background);

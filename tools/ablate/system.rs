@@ -52,7 +52,7 @@ impl Without {
         }
     }
 
-    /// FPS, ADE in metres and PAE in degrees of the paper's table 4.
+    /// FPS, ADE in meters and PAE in degrees of the paper's table 4.
     pub fn paper(self) -> Option<[f64; 3]> {
         match self {
             Self::Nothing => Some([35.4, 0.05, 6.8]),

@@ -106,9 +106,9 @@ fn rules_text(rules: &Rules) -> String {
 }
 
 fn outputs_text(outputs: &Value) -> String {
-    let colour = if outputs["colour"] == "U8" { "rgba8" } else { "f32" };
+    let color = if outputs["color"] == "U8" { "rgba8" } else { "f32" };
     let beside = ["depth", "instance"].into_iter().filter(|output| outputs[*output] == true);
-    std::iter::once(colour).chain(beside).collect::<Vec<_>>().join(", ")
+    std::iter::once(color).chain(beside).collect::<Vec<_>>().join(", ")
 }
 
 /// Widest bar of the chart, characters.

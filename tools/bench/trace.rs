@@ -12,8 +12,8 @@ const TRACKS: [(u32, &str); 4] = [(1, "host: submit"), (2, "host: wait"), (3, "m
 /// Frames that the picture of a trace shows.
 const FRAMES_SHOWN: usize = 3;
 
-/// Colours of stages in the picture, in turn: neighbours differ.
-const COLOURS: [&str; 6] = ["#4e79a7", "#f28e2b", "#59a14f", "#e15759", "#b07aa1", "#76b7b2"];
+/// Colors of stages in the picture, in turn: neighbors differ.
+const COLORS: [&str; 6] = ["#4e79a7", "#f28e2b", "#59a14f", "#e15759", "#b07aa1", "#76b7b2"];
 
 /// A trace from [`chrome_trace`] as a picture: [`FRAMES_SHOWN`] frames from its middle, a row for the host and each queue.
 pub fn picture(trace: &Value) -> String {
@@ -39,14 +39,14 @@ pub fn picture(trace: &Value) -> String {
         let (name, track) = (event["name"].as_str().unwrap_or_default(), event["tid"].as_f64().unwrap_or(0.0));
         // The frame as a whole is the thin line above its stages.
         let whole = name.starts_with("frame ");
-        let (y, height, colour) = if whole {
+        let (y, height, color) = if whole {
             (45.0 * track - 7.0, 4.0, "#444444")
         } else {
-            (45.0 * track, 24.0, COLOURS[if track < 3.0 { frame_of(event) % 2 } else { index % COLOURS.len() }])
+            (45.0 * track, 24.0, COLORS[if track < 3.0 { frame_of(event) % 2 } else { index % COLORS.len() }])
         };
         let width = x(start(event) + length(event)) - x(start(event));
         svg +=
-            &format!("<rect x=\"{:.1}\" y=\"{y}\" width=\"{width:.1}\" height=\"{height}\" fill=\"{colour}\">", x(start(event)));
+            &format!("<rect x=\"{:.1}\" y=\"{y}\" width=\"{width:.1}\" height=\"{height}\" fill=\"{color}\">", x(start(event)));
         svg += &format!("<title>{name}, {:.0} us</title></rect>\n", length(event));
         if !whole && width > 7.0 * name.len() as f64 {
             svg += &format!("<text x=\"{:.1}\" y=\"{}\" fill=\"white\">{name}</text>\n", x(start(event)) + 3.0, y + 16.0);

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use anyhow::Result;
-use decouplegs::asset::calibrate::{Calibration, ColourError, Comparison, HUE_FLOOR};
+use decouplegs::asset::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR};
 use decouplegs::render::picture::Picture;
 
 use super::{Subject, views};
@@ -12,7 +12,7 @@ use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
 
 /// The page.
 pub fn page(subject: &Subject, calibration: &Calibration) -> Result<String> {
-    let mut html = plot::page_start("Light transfer: colours in light that the fit was not shown");
+    let mut html = plot::page_start("Light transfer: colors in light that the fit was not shown");
     html.push_str(&summary(subject, calibration));
     html.push_str("<h2>Probes left out</h2>");
     html.push_str(&table(subject, calibration));
@@ -50,7 +50,7 @@ fn summary(subject: &Subject, calibration: &Calibration) -> String {
     let assets: Vec<String> = subject.assets.iter().map(|(name, _)| escaped(name)).collect();
     format!(
         "<p>Degree {}, {} splats of {}, {} lights from {} probes, objective {}, ridge {:.1e}. The smallest singular value of \
-         the lights is {:.1e} of the largest. The neutral light changes colours by {:.4} (RMSE).</p>",
+         the lights is {:.1e} of the largest. The neutral light changes colors by {:.4} (RMSE).</p>",
         calibration.transfer.sh_degree,
         calibration.samples,
         assets.join(", "),
@@ -77,7 +77,7 @@ fn table(subject: &Subject, calibration: &Calibration) -> String {
     table_row(&mut html, "all", &calibration.total());
     let _ = write!(
         html,
-        "</table><p class=\"dim\">Display-referred colours as seen, 0 to 1. Angles between RGB vectors in degrees, where the truth's \
+        "</table><p class=\"dim\">Display-referred colors as seen, 0 to 1. Angles between RGB vectors in degrees, where the truth's \
          largest channel is at least {HUE_FLOOR}.</p>"
     );
     html
@@ -85,7 +85,7 @@ fn table(subject: &Subject, calibration: &Calibration) -> String {
 
 fn table_row(html: &mut String, name: &str, comparison: &Comparison) {
     let _ = write!(html, "<tr><td>{name}");
-    let mut cells = |error: &ColourError| {
+    let mut cells = |error: &ColorError| {
         let _ = write!(
             html,
             "<td>{:.4}<td>{:.2}<td>{:.2}<td>{:.2}",
@@ -117,7 +117,7 @@ fn ridges(calibration: &Calibration) -> String {
         y: Axis { label: "RMSE by the objective, probes left out", ..Axis::default() },
         series: vec![Series {
             name: "probes left out".into(),
-            colour: 0,
+            color: 0,
             points: calibration.tried.clone(),
             shape: Shape::Curve,
             end: None,

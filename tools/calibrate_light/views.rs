@@ -39,7 +39,7 @@ pub fn row(subject: &Subject, held_out: &HeldOut) -> Option<Row> {
     let prepared = PreparedProbe::new(&small, ground);
     let light = Lighting::of_probe((held_out.probe, &prepared), ground, YAW_RAD, false, GROUND_DISPLAY)?;
     let asset = shown(&subject.assets[0].1);
-    let background = ground_colour(&light.descriptor);
+    let background = ground_color(&light.descriptor);
     let truth = lit_cloud(&asset, |normal| light.reflected_by_white(normal));
     let relit = held_out.transfer.at(&light.descriptor).relit(&asset);
     let pictures =
@@ -52,7 +52,7 @@ pub fn neutral(subject: &Subject, calibration: &Calibration) -> [Picture; 2] {
     let asset = shown(&subject.assets[0].1);
     let neutral = &calibration.transfer.neutral;
     let relit = calibration.transfer.at(neutral).relit(&asset);
-    [picture(asset, ground_colour(neutral)), picture(relit, ground_colour(neutral))]
+    [picture(asset, ground_color(neutral)), picture(relit, ground_color(neutral))]
 }
 
 fn shown(asset: &SplatCloud) -> SplatCloud {
@@ -60,7 +60,7 @@ fn shown(asset: &SplatCloud) -> SplatCloud {
     asset.select(&(0..asset.len() as u32).filter(shows).collect::<Vec<_>>())
 }
 
-fn ground_colour(light: &AmbientDescriptor) -> [f32; 3] {
+fn ground_color(light: &AmbientDescriptor) -> [f32; 3] {
     light.mean().map(|value| value.clamp(0.0, 1.0))
 }
 

@@ -64,7 +64,7 @@ fn summary(subject: &Subject<'_>, compressed: &Compressed) -> String {
         row(format!("level {level}: {} splats", compressed.cloud.levels[level]), bytes as u64);
     }
     row(format!("{} shapes", report.shapes.entries), report.bytes.shapes as u64);
-    row(format!("{} colours of degree {}", report.colours.entries, compressed.cloud.sh_degree), report.bytes.colours as u64);
+    row(format!("{} colors of degree {}", report.colors.entries, compressed.cloud.sh_degree), report.bytes.colors as u64);
     row("header".into(), subject.stored_bytes.saturating_sub(report.bytes.total() as u64));
     html.push_str("</table>");
     html
@@ -110,10 +110,10 @@ fn level_table(measured: &Measured) -> String {
 }
 
 fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> String {
-    let by_view = |trials: &[Trial], suffix: &str, first_colour: usize| -> Vec<Series> {
+    let by_view = |trials: &[Trial], suffix: &str, first_color: usize| -> Vec<Series> {
         let of = |(at, name): (usize, &&str)| {
             let points = trials.iter().map(|trial| (trial.at, trial.scores[at].psnr_db)).collect();
-            curve(format!("{name}{suffix}"), first_colour + at, points)
+            curve(format!("{name}{suffix}"), first_color + at, points)
         };
         names.iter().enumerate().map(of).collect()
     };
@@ -124,19 +124,19 @@ fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> Strin
         Plot { title: "Share of the splats kept", x: linear("share"), y: linear("PSNR, dB"), series: kept },
         Plot {
             title: "Sizes of the codebooks (half as many shapes)",
-            x: linear("colours"),
+            x: linear("colors"),
             y: linear("PSNR, dB"),
             series: by_view(&measured.books, "", 0),
         },
         distortion("Distortion of shapes", &compressed.report.shapes),
-        distortion("Distortion of colours", &compressed.report.colours),
+        distortion("Distortion of colors", &compressed.report.colors),
     ];
     let svgs: String = plots.iter().map(|plot| format!("<figure>{}</figure>", plot.to_svg())).collect();
     format!("<h2>Curves</h2><div class=\"row\">{svgs}</div>")
 }
 
-fn curve(name: String, colour: usize, points: Vec<(f64, f64)>) -> Series {
-    Series { name, colour, points, shape: Shape::Curve, end: None }
+fn curve(name: String, color: usize, points: Vec<(f64, f64)>) -> Series {
+    Series { name, color, points, shape: Shape::Curve, end: None }
 }
 
 fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {

@@ -20,7 +20,7 @@ use crate::progress;
 /// Shares of the splats that the curve is measured at.
 const KEEP_RATIOS: [f32; 6] = [1.0, 0.9, 0.75, 0.6, 0.45, 0.3];
 
-/// Codebooks that the curve is measured at: colours and shapes.
+/// Codebooks that the curve is measured at: colors and shapes.
 const BOOK_SIZES: [(usize, usize); 4] = [(64, 32), (256, 128), (512, 256), (1024, 512)];
 
 /// Distances at which a level of detail is compared with the finest: where this many pixels lie between its splats.
@@ -50,7 +50,7 @@ pub struct Subject<'a> {
 /// One compression and its scores, in the order of the yardstick's views.
 pub struct Trial {
     pub name: String,
-    /// The share kept, or the number of colours.
+    /// The share kept, or the number of colors.
     pub at: f64,
     pub bytes_per_splat: f64,
     pub scores: Vec<Score>,
@@ -158,9 +158,9 @@ fn kept(subject: &Subject<'_>, yardstick: &mut Yardstick, bar: &ProgressBar) -> 
 }
 
 fn books(subject: &Subject<'_>, yardstick: &mut Yardstick, bar: &ProgressBar) -> Result<Vec<Trial>> {
-    let trials = BOOK_SIZES.iter().map(|&(colours, shapes)| {
-        let options = CompressOptions { colours, shapes, ..subject.options };
-        other(subject, yardstick, bar, (format!("{colours} colours, {shapes} shapes"), colours as f64), options)
+    let trials = BOOK_SIZES.iter().map(|&(colors, shapes)| {
+        let options = CompressOptions { colors, shapes, ..subject.options };
+        other(subject, yardstick, bar, (format!("{colors} colors, {shapes} shapes"), colors as f64), options)
     });
     trials.collect()
 }

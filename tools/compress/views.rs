@@ -53,12 +53,12 @@ pub fn street(bounds: &Bounds, views: usize, distance_m: f64, focal_px: f64, [wi
     (0..views).map(camera).collect()
 }
 
-/// The camera at `from_centre` (metres from the box's middle) that looks at the middle.
-fn looking_at(bounds: &Bounds, from_centre: DVec3, intrinsics: Intrinsics, view: usize) -> Camera {
-    let centre = DVec3::from_array(bounds.centre().map(f64::from));
-    let upright = Pose::look_at(centre + from_centre, centre, DVec3::Z);
+/// The camera at `from_center` (meters from the box's middle) that looks at the middle.
+fn looking_at(bounds: &Bounds, from_center: DVec3, intrinsics: Intrinsics, view: usize) -> Camera {
+    let center = DVec3::from_array(bounds.center().map(f64::from));
+    let upright = Pose::look_at(center + from_center, center, DVec3::Z);
     // Straight above and below, any direction in the picture is as good as another.
-    let pose = upright.or_else(|| Pose::look_at(centre + from_centre, centre, DVec3::X));
+    let pose = upright.or_else(|| Pose::look_at(center + from_center, center, DVec3::X));
     Camera { name: format!("view {view}"), intrinsics, world_from_camera: pose.unwrap_or(Pose::IDENTITY) }
 }
 

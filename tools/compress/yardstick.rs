@@ -109,11 +109,11 @@ mod tests {
 
     #[test]
     fn errors_are_averaged_before_the_logarithm() {
-        let grey = |value: f32| Picture::filled(16, 16, [value; 3]);
-        let score = Score::between(&[grey(0.5), grey(0.5)], &[grey(0.5), grey(0.6)]).unwrap();
+        let gray = |value: f32| Picture::filled(16, 16, [value; 3]);
+        let score = Score::between(&[gray(0.5), gray(0.5)], &[gray(0.5), gray(0.6)]).unwrap();
         // Squared errors 0 and 0.01.
         assert!((score.psnr_db - 23.0103).abs() < 1e-3, "{score:?}");
-        let equal = Score::between(&[grey(0.5)], &[grey(0.5)]).unwrap();
+        let equal = Score::between(&[gray(0.5)], &[gray(0.5)]).unwrap();
         assert_eq!((equal.psnr_db, equal.to_json()["psnr_db"].is_null()), (f64::INFINITY, true));
         assert!((equal.ssim.unwrap() - 1.0).abs() < 1e-9);
     }

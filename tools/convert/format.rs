@@ -77,12 +77,12 @@ impl Format {
             Self::Glb => {}
             Self::Spz => {
                 say("positions on a grid of 0.24 mm (coarser beyond 2 km), scales in steps of 6.4 % from 4.5e-5 to 379 m");
-                say("rotations of 10 bits a component, opacities and colours of 8 bits, coefficients within -1 to 1 in 8 bits");
+                say("rotations of 10 bits a component, opacities and colors of 8 bits, coefficients within -1 to 1 in 8 bits");
             }
             Self::Splat => {
-                say("colours and opacities of 8 bits within 0 to 1, rotations of 8 bits a component");
+                say("colors and opacities of 8 bits within 0 to 1, rotations of 8 bits a component");
                 if cloud.sh_degree > 0 {
-                    say("no spherical harmonics: colours are the same from everywhere");
+                    say("no spherical harmonics: colors are the same from everywhere");
                 }
             }
             Self::Sog => {
@@ -90,7 +90,7 @@ impl Format {
                 say("rotations of 8 bits a component, opacities of 8 bits; scales and coefficients are one of 256 numbers each");
             }
             Self::Safetensors => {
-                say("positions of 16 bits an axis; shapes and colours are entries of codebooks; splats in another order");
+                say("positions of 16 bits an axis; shapes and colors are entries of codebooks; splats in another order");
                 say("axes are stored as a shape: which is the first is not kept, and rotations are not compared");
             }
         }

@@ -70,8 +70,8 @@ impl Report<'_> {
 fn rows(loss: &LossReport) -> Vec<(&'static str, AttributeLoss)> {
     let mut rows = vec![("position, m", loss.position_m), ("scale, relative", loss.scale_relative)];
     rows.extend(loss.rotation_rad.map(|loss| ("rotation, rad", loss)));
-    rows.extend([("opacity", loss.opacity), ("colour, DC", loss.sh_dc)]);
-    rows.extend(loss.sh_rest.map(|loss| ("colour, further", loss)));
+    rows.extend([("opacity", loss.opacity), ("color, DC", loss.sh_dc)]);
+    rows.extend(loss.sh_rest.map(|loss| ("color, further", loss)));
     rows
 }
 

@@ -100,7 +100,7 @@ fn weather_of(probe: &Path) -> Weather {
     }
 }
 
-/// A captured scene is driven in within this of the middle of its ego's way, metres, where it has none: what cameras see from there.
+/// A captured scene is driven in within this of the middle of its ego's way, meters, where it has none: what cameras see from there.
 const SEEN_M: f64 = 150.0;
 /// The seed of the street's houses: the same for all runs, so that they differ by who drives.
 const STREET_SEED: u64 = 1;
@@ -113,7 +113,7 @@ const LANE_M: f64 = 3.5;
 impl PlaceArguments {
     /// Warns where a map's roads have too few splats.
     fn warn_of_fog(&self, site: &Site) {
-        let area_m2 = LANE_M * site.lanes.lanes.iter().map(|lane| length_m(&lane.centreline)).sum::<f64>();
+        let area_m2 = LANE_M * site.lanes.lanes.iter().map(|lane| length_m(&lane.centerline)).sum::<f64>();
         let needed = SPLATS_PER_M2_MIN * area_m2;
         if self.map.is_some() && self.scene.is_none() && (self.background as f64) < needed {
             warn(&format!(
@@ -156,9 +156,9 @@ impl PlaceArguments {
     fn seen(&self, site: &Site) -> Option<Area> {
         self.scene.as_ref()?;
         let way: Vec<_> = site.loaded.ego.poses().iter().map(|timed| timed.pose.translation.truncate()).collect();
-        let centre_m = way.iter().sum::<glam::DVec2>() / way.len() as f64;
-        let reach_m = way.iter().map(|at| at.distance(centre_m)).fold(0.0, f64::max);
-        Some(Area { centre_m, radius_m: reach_m.max(SEEN_M) })
+        let center_m = way.iter().sum::<glam::DVec2>() / way.len() as f64;
+        let reach_m = way.iter().map(|at| at.distance(center_m)).fold(0.0, f64::max);
+        Some(Area { center_m, radius_m: reach_m.max(SEEN_M) })
     }
 
     pub fn to_json(&self) -> Value {

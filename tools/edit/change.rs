@@ -75,7 +75,7 @@ impl FromStr for Move {
             _ => None,
         });
         parsed.ok_or_else(|| {
-            format!("expected NAME=X,Y,Z,YAW_DEG in metres and degrees, like car_03=12.5,-3,0.75,90, found {text:?}")
+            format!("expected NAME=X,Y,Z,YAW_DEG in meters and degrees, like car_03=12.5,-3,0.75,90, found {text:?}")
         })
     }
 }
@@ -93,7 +93,7 @@ impl FromStr for Shift {
             _ => None,
         });
         parsed.ok_or_else(|| {
-            format!("expected NAME=FORWARD,LEFT[,YAW_DEG] in metres and degrees, like car_03=5,-3.5, found {text:?}")
+            format!("expected NAME=FORWARD,LEFT[,YAW_DEG] in meters and degrees, like car_03=5,-3.5, found {text:?}")
         })
     }
 }

@@ -22,11 +22,11 @@ pub struct Grounded {
     pub trajectory: Trajectory,
     /// Poses that have ground below them; the others are as they were.
     pub grounded: usize,
-    /// Farthest that a pose was raised or lowered, metres; lowered is below zero.
+    /// Farthest that a pose was raised or lowered, meters; lowered is below zero.
     pub raised_max_m: f64,
 }
 
-/// Length, width and height of the asset at `path`, metres: as a compressed one says, or of the box about the means of its splats.
+/// Length, width and height of the asset at `path`, meters: as a compressed one says, or of the box about the means of its splats.
 pub fn dims_of(path: &Path) -> Result<[f64; 3]> {
     if coded_asset::has_extension(path) {
         return Ok(read_coded(path)?.cloud.dims_m.map(f64::from));
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
     use decouplegs::scene::SplatCloud;
 
-    /// A slope that rises by 5 % towards x, 30 m long, of discs at every quarter of a metre.
+    /// A slope that rises by 5 % towards x, 30 m long, of discs at every quarter of a meter.
     fn slope() -> Footing {
         let places: Vec<(f32, f32)> =
             (-60..60).flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32))).collect();

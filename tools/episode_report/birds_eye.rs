@@ -12,7 +12,7 @@ const EGO: usize = 0;
 const AGENT: usize = 7;
 const HIT: usize = 3;
 const ROUTE: usize = 2;
-/// Agents farther than this from the ego's way are not drawn, metres: they would shrink what matters.
+/// Agents farther than this from the ego's way are not drawn, meters: they would shrink what matters.
 const NEAR_M: f64 = 45.0;
 
 /// Lanes, the route, what the ego drove, and where everybody stood when it ended.
@@ -26,7 +26,7 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
         _ => None,
     };
     let near = |state: &VehicleState| ego_way.iter().any(|at| at.distance(state.position_m) < NEAR_M);
-    let mut ways = vec![Way { name: "route", colour: ROUTE, dashed: true, places: episode.head.route_m.clone() }];
+    let mut ways = vec![Way { name: "route", color: ROUTE, dashed: true, places: episode.head.route_m.clone() }];
     for agent in (0..last.agents.len()).filter(|&agent| near(&last.agents[agent])) {
         let places = instants
             .iter()
@@ -34,14 +34,14 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
             .filter(|at| ego_way.iter().any(|ego| ego.distance(*at) < NEAR_M));
         ways.push(Way {
             name: "",
-            colour: if hit == Some(agent) { HIT } else { AGENT },
+            color: if hit == Some(agent) { HIT } else { AGENT },
             dashed: false,
             places: places.collect(),
         });
     }
-    ways.push(Way { name: "ego", colour: EGO, dashed: false, places: ego_way.clone() });
-    let body = |colour: usize, state: &VehicleState, size: &VehicleSize| Body {
-        colour,
+    ways.push(Way { name: "ego", color: EGO, dashed: false, places: ego_way.clone() });
+    let body = |color: usize, state: &VehicleState, size: &VehicleSize| Body {
+        color,
         corners: OrientedBox::of(state, size).corners(),
     };
     let agents = last.agents.iter().zip(&episode.head.agent_sizes).enumerate();

@@ -150,7 +150,7 @@ fn over_time(scored: &Scored) -> String {
         apart.extend(other.map(|other| (instant.time_s, distance_m(other).min(APART_MAX_M))));
     }
     let top = ego.iter().chain(&nearest).chain(&apart).map(|point| point.1).fold(1.0, f64::max);
-    let series = |name: &str, colour, points, shape| Series { name: name.into(), colour, points, shape, end: None };
+    let series = |name: &str, color, points, shape| Series { name: name.into(), color, points, shape, end: None };
     let mut series_of_plot = vec![
         series("ego, m/s", 0, ego, Shape::Curve),
         series("nearest vehicle, m/s", 7, nearest, Shape::Curve),

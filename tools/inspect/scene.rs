@@ -79,7 +79,7 @@ impl Listing {
             let forward = rig_from_camera.rotation * DVec3::Z;
             let yaw_deg = forward.y.atan2(forward.x).to_degrees();
             let fov_deg = (2.0 * (0.5 * f64::from(intrinsics.width_px) / intrinsics.fx_px).atan()).to_degrees();
-            let at = metres(rig_from_camera.translation);
+            let at = meters(rig_from_camera.translation);
             let (width_px, height_px) = (intrinsics.width_px, intrinsics.height_px);
             lines.line(
                 "",
@@ -90,7 +90,7 @@ impl Listing {
         lines.line("agents", &self.agents.len().to_string());
         for Agent { instance, name, asset, splats, sh_frame, trajectory } in &self.agents {
             let (asset, way) = (asset.display(), way_to_text(trajectory));
-            lines.line("", &format!("{instance} {name}: {asset}, {splats} splats, colours {sh_frame}, {way}"));
+            lines.line("", &format!("{instance} {name}: {asset}, {splats} splats, colors {sh_frame}, {way}"));
         }
         if let Some(light) = &self.light {
             light.add_to(&mut lines);
@@ -154,7 +154,7 @@ impl Light {
 
     fn add_to(&self, lines: &mut Lines) {
         let transfer =
-            self.transfer.as_ref().map_or("colours stay as captured".into(), |path| format!("relit by {}", path.display()));
+            self.transfer.as_ref().map_or("colors stay as captured".into(), |path| format!("relit by {}", path.display()));
         let shadows = if self.shadows { "contact shadows" } else { "no shadows" };
         let error = 100.0 * self.error;
         lines
@@ -188,15 +188,15 @@ impl Light {
 fn way_to_text(way: &Trajectory) -> String {
     let poses = way.poses();
     match poses {
-        [only] => format!("stands at {}", metres(only.pose.translation)),
+        [only] => format!("stands at {}", meters(only.pose.translation)),
         _ => format!(
             "{:.1} s to {:.1} s, {} poses, {:.1} m from {} to {}",
             way.start_s(),
             way.end_s(),
             poses.len(),
             length_m(way),
-            metres(poses[0].pose.translation),
-            metres(poses[poses.len() - 1].pose.translation)
+            meters(poses[0].pose.translation),
+            meters(poses[poses.len() - 1].pose.translation)
         ),
     }
 }
@@ -210,6 +210,6 @@ fn length_m(way: &Trajectory) -> f64 {
     way.poses().windows(2).map(|pair| pair[0].pose.translation.distance(pair[1].pose.translation)).sum()
 }
 
-fn metres(position: DVec3) -> String {
+fn meters(position: DVec3) -> String {
     format!("({:.2}, {:.2}, {:.2}) m", position.x, position.y, position.z)
 }

@@ -1,4 +1,4 @@
-//! Splats as text: labelled lines and histograms.
+//! Splats as text: labeled lines and histograms.
 
 use std::fmt::Write;
 
@@ -40,7 +40,7 @@ pub fn splats_to_text(summary: &SplatSummary) -> String {
     lines.line("cannot be drawn", &format!("{}{kinds}", summary.defects.total));
     let mut text = lines.into_text();
     for (title, histogram) in [
-        ("standard deviation, log10 of metres, three a splat", &summary.scale_log10_m),
+        ("standard deviation, log10 of meters, three a splat", &summary.scale_log10_m),
         ("longest over shortest axis, log10", &summary.anisotropy_log10),
         ("opacity", &summary.opacity),
     ] {

@@ -1,4 +1,4 @@
-//! A map from above as SVG: lanes in the colours of their kinds, borders, centrelines with arrows, tracks, scale and legend.
+//! A map from above as SVG: lanes in the colors of their kinds, borders, centerlines with arrows, tracks, scale and legend.
 
 mod frame;
 mod ids;
@@ -25,13 +25,13 @@ pub struct Drawing<'a> {
     pub tracks: &'a [Track],
 }
 
-/// Lanes without borders are drawn so wide, metres.
+/// Lanes without borders are drawn so wide, meters.
 const WIDTH_M: f64 = 3.0;
 /// Lanes drawn narrower have no arrows, pixels.
 const ARROW_WIDTH_PX: f64 = 2.5;
 /// Road users are not drawn smaller, pixels: they would not be seen.
 const BODY_MIN_PX: f64 = 5.0;
-/// The size of a road user that has none, metres.
+/// The size of a road user that has none, meters.
 const BODY_M: [f64; 2] = [4.5, 1.8];
 /// Kinds in the order in which they are painted: crossings lie over roads.
 const PAINTED: [LaneKind; 5] = [LaneKind::Other, LaneKind::Driving, LaneKind::Parking, LaneKind::Bicycle, LaneKind::Walking];
@@ -89,9 +89,9 @@ impl Drawing<'_> {
         }
         let size_px = (0.32 * WIDTH_M * frame.px_per_m).clamp(2.4, 7.0);
         for lane in self.map.lanes.iter().filter(|lane| matches!(lane.kind, LaneKind::Driving | LaneKind::Bicycle)) {
-            let points = shown(frame, lane.centreline.iter().map(|point| point.truncate()));
+            let points = shown(frame, lane.centerline.iter().map(|point| point.truncate()));
             if WIDTH_M * frame.px_per_m > 5.0 && points.len() > 1 {
-                let _ = writeln!(svg, "<path class=\"centre\" d=\"{}\"/>", path(&points));
+                let _ = writeln!(svg, "<path class=\"center\" d=\"{}\"/>", path(&points));
             }
             let arrows = arrows(&points, size_px);
             if !arrows.is_empty() {
@@ -103,7 +103,7 @@ impl Drawing<'_> {
     fn draw_title(&self, svg: &mut String, frame: &Frame) {
         let length_m = self.summary.length_m();
         let length = if length_m < 1e4 { format!("{length_m:.0} m") } else { format!("{:.1} km", length_m / 1e3) };
-        let mut line = format!("{} lanes, {length} of centreline", self.summary.lanes());
+        let mut line = format!("{} lanes, {length} of centerline", self.summary.lanes());
         if !self.tracks.is_empty() {
             line += &format!(", {} tracks", self.tracks.len());
         }
@@ -132,7 +132,7 @@ fn draw_surface(svg: &mut String, frame: &Frame, lane: &Lane) {
     let class = lane_class(lane.kind);
     let title = format!("<title>{} ({})</title>", escaped(&lane.id), lane.kind.name());
     if lane.left.is_empty() || lane.right.is_empty() {
-        let points = shown(frame, lane.centreline.iter().map(|point| point.truncate()));
+        let points = shown(frame, lane.centerline.iter().map(|point| point.truncate()));
         let width_px = (WIDTH_M * frame.px_per_m).max(1.5);
         let _ =
             writeln!(svg, "<path class=\"wide {class}\" stroke-width=\"{width_px:.1}\" d=\"{}\">{title}</path>", path(&points));

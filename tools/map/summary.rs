@@ -15,7 +15,7 @@ pub const KINDS: [LaneKind; 5] = [LaneKind::Driving, LaneKind::Bicycle, LaneKind
 #[derive(Clone, Copy, Default)]
 pub struct KindSummary {
     pub lanes: usize,
-    /// Metres of centreline.
+    /// Meters of centerline.
     pub length_m: f64,
 }
 
@@ -31,11 +31,11 @@ pub struct MapSummary {
     with_borders: usize,
     successors: usize,
     /// Pairs of lanes side by side.
-    neighbours: usize,
+    neighbors: usize,
     /// Lanes that no lane goes on in, and those that go on in none.
     first: usize,
     last: usize,
-    /// Least and largest, metres a second, and lanes that have one.
+    /// Least and largest, meters a second, and lanes that have one.
     speed_limits_mps: Option<(f64, f64)>,
     with_speed_limit: usize,
 }
@@ -45,7 +45,7 @@ impl MapSummary {
     pub fn of(map: &LaneMap) -> Self {
         let lanes = &map.lanes;
         let count = |holds: fn(&decouplegs::scene::Lane) -> bool| lanes.iter().filter(|lane| holds(lane)).count();
-        let points = lanes.iter().flat_map(|lane| lane.centreline.iter().chain(&lane.left).chain(&lane.right));
+        let points = lanes.iter().flat_map(|lane| lane.centerline.iter().chain(&lane.left).chain(&lane.right));
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let (min, max) = points.fold(none, |(min, max), point| (min.min(*point), max.max(*point)));
         let limits = || lanes.iter().filter_map(|lane| lane.speed_limit_mps);
@@ -53,7 +53,7 @@ impl MapSummary {
             let of_kind = lanes.iter().filter(|lane| lane.kind == kind);
             of_kind.fold(KindSummary::default(), |sum, lane| KindSummary {
                 lanes: sum.lanes + 1,
-                length_m: sum.length_m + length_m(&lane.centreline),
+                length_m: sum.length_m + length_m(&lane.centerline),
             })
         };
         Self {
@@ -63,7 +63,7 @@ impl MapSummary {
             with_height: count(|lane| lane.has_height),
             with_borders: count(|lane| !lane.left.is_empty() && !lane.right.is_empty()),
             successors: lanes.iter().map(|lane| lane.successors.len()).sum(),
-            neighbours: count(|lane| lane.right_neighbour.is_some()),
+            neighbors: count(|lane| lane.right_neighbor.is_some()),
             first: count(|lane| lane.predecessors.is_empty()),
             last: count(|lane| lane.successors.is_empty()),
             speed_limits_mps: limits().min_by(f64::total_cmp).zip(limits().max_by(f64::total_cmp)),
@@ -80,7 +80,7 @@ impl MapSummary {
     }
 
     pub fn to_text(&self) -> String {
-        let mut text = format!("\n  {:<10}{:>8}{:>14}\n", "kind", "lanes", "centreline");
+        let mut text = format!("\n  {:<10}{:>8}{:>14}\n", "kind", "lanes", "centerline");
         let row = |name: &str, kind: KindSummary| format!("  {name:<10}{:>8}{:>12.1} m\n", kind.lanes, kind.length_m);
         for (kind, found) in KINDS.iter().zip(self.kinds).filter(|(_, found)| found.lanes > 0) {
             text += &row(kind.name(), found);
@@ -98,7 +98,7 @@ impl MapSummary {
         let _ = writeln!(
             text,
             "  {:<14}{} from lane to lane, {} side by side; {} lanes start and {} end without one",
-            "links", self.successors, self.neighbours, self.first, self.last
+            "links", self.successors, self.neighbors, self.first, self.last
         );
         match self.speed_limits_mps {
             None => text += &format!("  {:<14}known to no lane\n", "speed limits"),
@@ -125,7 +125,7 @@ impl MapSummary {
             "with_height": self.with_height,
             "with_borders": self.with_borders,
             "successors": self.successors,
-            "neighbours": self.neighbours,
+            "neighbors": self.neighbors,
             "without_predecessor": self.first,
             "without_successor": self.last,
             "with_speed_limit": self.with_speed_limit,

@@ -10,13 +10,13 @@ use glam::{DVec2, DVec3};
 
 use crate::progress;
 
-/// The mesh reaches so far to all sides of the way, metres.
+/// The mesh reaches so far to all sides of the way, meters.
 const MARGIN_M: f64 = 40.0;
-/// From one vertex to the next, metres, where that gives not too many.
+/// From one vertex to the next, meters, where that gives not too many.
 const STEP_M: f64 = 0.5;
 /// Most places that are asked for their height.
 const PLACES_MAX: f64 = 1e6;
-/// A triangle that rises by more than this for each metre is a wall, and no ground.
+/// A triangle that rises by more than this for each meter is a wall, and no ground.
 const SLOPE_MAX: f64 = 1.0;
 
 /// Triangles in the local frame.

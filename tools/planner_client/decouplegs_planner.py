@@ -88,7 +88,7 @@ class Planner:
         """
 
     def plan(self, observation: Observation) -> Iterable[Tuple[float, float, float]]:
-        """The way on: (seconds from now, metres ahead, metres to the left), times rising, at most 256 points."""
+        """The way on: (seconds from now, meters ahead, meters to the left), times rising, at most 256 points."""
         raise NotImplementedError(f"{type(self).__name__} has no plan")
 
 

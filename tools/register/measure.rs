@@ -10,7 +10,7 @@ use glam::DVec2;
 /// Figures of all tracks.
 pub struct Measured {
     pub tracks: Vec<MeasuredTrack>,
-    /// Corners that are deeper below the ground have penetrated it, metres.
+    /// Corners that are deeper below the ground have penetrated it, meters.
     pub tolerance_m: f64,
     /// True if a ground truth was given.
     pub has_truth: bool,
@@ -26,7 +26,7 @@ pub struct MeasuredTrack {
     pub refused: Option<String>,
     /// Motion and treatment of the track.
     pub fit: Option<(PlanarFit, Treatment)>,
-    /// Mean distance to the nearest centreline, metres.
+    /// Mean distance to the nearest centerline, meters.
     pub to_lane_m: BeforeAfter<Option<f64>>,
     pub to_truth: BeforeAfter<Option<TruthError>>,
     /// Clearance of each bottom corner of each pose, meters.
@@ -34,7 +34,7 @@ pub struct MeasuredTrack {
     pub lane_changes: usize,
     /// Names of flags, and how many poses have them.
     pub flags: Vec<(&'static str, usize)>,
-    /// Time in seconds and signed distance from the centreline of its lane, metres; empty where it follows none.
+    /// Time in seconds and signed distance from the centerline of its lane, meters; empty where it follows none.
     pub offsets_m: BeforeAfter<Vec<(f64, f64)>>,
 }
 

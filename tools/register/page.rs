@@ -14,7 +14,7 @@ use crate::plot::{self, Axis, Plot, Series, Shape, escaped, number};
 
 /// Tracks that are drawn; a page of hundreds would not be read.
 const DRAWN_MAX: usize = 24;
-/// The histogram's reach to either side, metres, and its bars.
+/// The histogram's reach to either side, meters, and its bars.
 const REACH_M: f64 = 0.1;
 const BINS: usize = 41;
 const BEFORE: usize = 1;
@@ -70,7 +70,7 @@ fn table(measured: &Measured) -> String {
         "</table></div><p class=\"dim\">Shift (x y) and yaw (from x to y) are the one motion of the track, about its middle. 'known to' is one \
          standard deviation of that, across the lane and along it: near 1 m, which is what is assumed of drift before, the lanes do \
          not show it and the place along the lane is as logged. ADE is the mean distance, as logged -&gt; registered: to the nearest \
-         centreline (lane changes left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from \
+         centerline (lane changes left out) and to the truth, whose parts across and along the lane follow. GPR and p95, the distance from \
          the ground that 95 % of corners keep within, are as in Clearance. Notes count poses: no-support had no ground below and stands at \
          the height of the map; no-height had neither ground nor map nor log to tell its height, and stands at 0; uneven stands on \
          something; parked travels too little to follow lanes; lane-unsure fits several lanes about as well.</p>",
@@ -97,7 +97,7 @@ fn clearance_part(arguments: &Arguments, measured: &Measured) -> String {
     )
 }
 
-/// Bars by clearance, those below the tolerance in another colour.
+/// Bars by clearance, those below the tolerance in another color.
 fn clearance_svg(clearances_m: &[f64], tolerance_m: f64) -> String {
     const WIDTH: f64 = 640.0;
     const HEIGHT: f64 = 260.0;
@@ -116,10 +116,10 @@ fn clearance_svg(clearances_m: &[f64], tolerance_m: f64) -> String {
         let low_m = REACH_M * (2.0 * at as f64 / BINS as f64 - 1.0);
         let high_m = REACH_M * (2.0 * (at + 1) as f64 / BINS as f64 - 1.0);
         let height = (BOTTOM - TOP) * count as f64 / largest;
-        let colour = if high_m <= -tolerance_m { BEFORE } else { AFTER };
+        let color = if high_m <= -tolerance_m { BEFORE } else { AFTER };
         let _ = write!(
             svg,
-            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{height:.1}\" style=\"fill:var(--c{colour})\"><title>{count} from {:.1} \
+            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{height:.1}\" style=\"fill:var(--c{color})\"><title>{count} from {:.1} \
              to {:.1} cm</title></rect>",
             x(low_m),
             BOTTOM - height,
@@ -176,26 +176,26 @@ fn above(subject: &Subject<'_>, at: usize) -> String {
     let mut ways = Vec::new();
     let places = |track: &Track| track.points.iter().map(|point| point.position_m).collect();
     if let Some(truth) = subject.truth.and_then(|truth| truth.iter().find(|truth| truth.id == track.id)) {
-        ways.push(Way { name: "truth", colour: TRUTH, dashed: false, places: places(truth) });
+        ways.push(Way { name: "truth", color: TRUTH, dashed: false, places: places(truth) });
     }
-    ways.push(Way { name: "as logged", colour: BEFORE, dashed: false, places: places(track) });
+    ways.push(Way { name: "as logged", color: BEFORE, dashed: false, places: places(track) });
     if let Outcome::Registered(registered) = &subject.registration.tracks[at].outcome {
         let places = registered.poses.iter().map(|pose| pose.pose.translation.truncate()).collect();
-        ways.push(Way { name: "registered", colour: AFTER, dashed: true, places });
+        ways.push(Way { name: "registered", color: AFTER, dashed: true, places });
     }
     drawing(&format!("{} ({})", track.id, track.class), &subject.map.lanes, &ways, &[])
 }
 
 fn offsets(track: &MeasuredTrack) -> String {
-    let curve = |name: &str, colour: usize, points: &[(f64, f64)]| {
+    let curve = |name: &str, color: usize, points: &[(f64, f64)]| {
         let points = points.to_vec();
-        Series { name: name.into(), colour, points, shape: Shape::Curve, end: None }
+        Series { name: name.into(), color, points, shape: Shape::Curve, end: None }
     };
     let mut series = vec![curve("as logged", BEFORE, &track.offsets_m.before)];
     if !track.offsets_m.after.is_empty() {
         series.push(curve("registered", AFTER, &track.offsets_m.after));
     }
     let linear = |label| Axis { label, ..Axis::default() };
-    let title = format!("{}: offset from the centreline of its lane", track.id);
+    let title = format!("{}: offset from the centerline of its lane", track.id);
     Plot { title: &title, x: linear("time, s"), y: linear("to the left, m"), series }.to_svg()
 }

@@ -7,10 +7,10 @@ use decouplegs::asset::read_bytes;
 use decouplegs::scene::SplatCloud;
 use glam::DVec3;
 
-/// A point stands for the ground within so much of it, metres.
+/// A point stands for the ground within so much of it, meters.
 const POINT_SIGMA_M: f32 = 0.1;
 
-/// A table of x, y and z in metres, one point a line below a line of these names, as round splats about their first point.
+/// A table of x, y and z in meters, one point a line below a line of these names, as round splats about their first point.
 pub fn read(path: &Path) -> Result<(SplatCloud, DVec3)> {
     let text = String::from_utf8(read_bytes(path)?).with_context(|| format!("{} is not UTF-8", path.display()))?;
     parse(&text).with_context(|| format!("{} is no table of points", path.display()))

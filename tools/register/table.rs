@@ -69,7 +69,7 @@ pub fn totals(measured: &Measured) -> Vec<String> {
     let mut lines = vec![verdict(measured)];
     if let Some(mean) = measured.mean(|track| track.to_lane_m.clone()) {
         lines.push(format!(
-            "Average displacement error (ADE) to the nearest centreline: {:.3} m as logged, {:.3} m registered",
+            "Average displacement error (ADE) to the nearest centerline: {:.3} m as logged, {:.3} m registered",
             mean.before, mean.after
         ));
     }

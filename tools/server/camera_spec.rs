@@ -10,7 +10,7 @@ use crate::wire::sensorsim::{
     CameraSpec, FthetaCameraParam, LinearCde, OpenCvFisheyeCameraParam, OpenCvPinholeCameraParam, ShutterType,
 };
 
-/// F-theta calibrations count pixels from the centre of the first one, pictures from its corner.
+/// F-theta calibrations count pixels from the center of the first one, pictures from its corner.
 const FTHETA_ORIGIN_PX: f64 = 0.5;
 
 /// Intrinsics of `spec` at `width_px` x `height_px`; at its own size if both are zero.
@@ -88,9 +88,9 @@ fn of_ftheta(ftheta: &FthetaCameraParam, [width_px, height_px]: [u32; 2], field:
         linear_cde: ftheta.linear_cde.as_ref().map_or([1.0, 0.0, 0.0], |cde| [cde.linear_c, cde.linear_d, cde.linear_e]),
     };
     let lens_checked = Lens::FTheta(lens);
-    // Focal lengths at the centre come from the polynomials, which must be sound for that.
+    // Focal lengths at the center come from the polynomials, which must be sound for that.
     lens_checked.check().map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
-    let [fx_px, fy_px] = lens.centre_focal_px();
+    let [fx_px, fy_px] = lens.center_focal_px();
     Ok(Intrinsics {
         width_px,
         height_px,
@@ -181,7 +181,7 @@ mod tests {
         for lens in lenses() {
             let mut own = Intrinsics { cx_px: 300.5, lens, ..Intrinsics::from_horizontal_fov(640, 360, 1.1) };
             if let Lens::FTheta(ftheta) = lens {
-                [own.fx_px, own.fy_px] = ftheta.centre_focal_px();
+                [own.fx_px, own.fy_px] = ftheta.center_focal_px();
             }
             let spec = spec_of(&own, "front");
             assert_eq!(intrinsics_of(&spec, [0, 0], "k").unwrap(), own);

@@ -170,7 +170,7 @@ impl Count {
 impl Drop for Count {
     fn drop(&mut self) {
         if !self.is_counted {
-            self.metrics.answered(self.method, Code::Cancelled, self.since.elapsed());
+            self.metrics.answered(self.method, Code::Canceled, self.since.elapsed());
         }
     }
 }

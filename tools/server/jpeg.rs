@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 /// Rows of a strip, a multiple of the rows of a block of blocks.
 const STRIP_ROWS: usize = 64;
-/// From this quality on, colours keep the resolution of brightness.
-const FULL_COLOUR_FROM: u8 = 90;
+/// From this quality on, colors keep the resolution of brightness.
+const FULL_COLOR_FROM: u8 = 90;
 
 const START_OF_SCAN: u8 = 0xda;
 const FRAME: u8 = 0xc0;
@@ -23,7 +23,7 @@ pub fn encode(rgba: &[u8], [width_px, height_px]: [u32; 2], quality: u8) -> Resu
     let side = |side_px: u32| u16::try_from(side_px).map_err(|_| format!("JPEG holds sides of 65535 pixels, not {side_px}"));
     let (width_px, height_px) = (side(width_px)?, side(height_px)?);
     let row_bytes = 4 * usize::from(width_px);
-    let block_px = if quality >= FULL_COLOUR_FROM { 8 } else { 16 };
+    let block_px = if quality >= FULL_COLOR_FROM { 8 } else { 16 };
     let interval = (STRIP_ROWS / block_px) * usize::from(width_px).div_ceil(block_px);
     let whole = || strip(rgba, width_px, quality);
     let Some(interval) = u16::try_from(interval).ok().filter(|_| usize::from(height_px) > STRIP_ROWS) else { return whole() };
@@ -37,7 +37,7 @@ fn strip(rgba: &[u8], width_px: u16, quality: u8) -> Result<Vec<u8>, String> {
     let rows = rgba.len() / (4 * usize::from(width_px));
     let mut bytes = Vec::with_capacity(rgba.len() / 8);
     let mut encoder = Encoder::new(&mut bytes, quality);
-    let full = quality >= FULL_COLOUR_FROM;
+    let full = quality >= FULL_COLOR_FROM;
     encoder.set_sampling_factor(if full { SamplingFactor::F_1_1 } else { SamplingFactor::F_2_2 });
     encoder.encode(rgba, width_px, rows as u16, ColorType::Rgba).map_err(|error| error.to_string())?;
     Ok(bytes)
@@ -123,7 +123,7 @@ mod tests {
                 let rgba = picture(size);
                 let (strips, whole) = (encode(&rgba, size, quality).unwrap(), strip(&rgba, size[0] as u16, quality).unwrap());
                 assert_eq!(decoded(&strips).1.map(u32::from), size);
-                // Colours of half the resolution are smoothed over rows of the other strip by the decoder alike.
+                // Colors of half the resolution are smoothed over rows of the other strip by the decoder alike.
                 assert!(decoded(&strips) == decoded(&whole), "{size:?} at {quality}");
                 let markers =
                     strips.windows(2).filter(|pair| pair[0] == 0xff && (RESTART..RESTART + 8).contains(&pair[1])).count();

@@ -7,19 +7,19 @@
 //! | `gate`, `connections` | who comes in: tokens, limits, deadlines, what is counted |
 //! | `sensorsim`, `physics` | the services: messages in, messages out |
 //! | `sight`, `poses`, `camera_spec` | a request, checked: cameras and agents where they stand at mid-shutter |
-//! | `catalogue` | which scenes there are, and what is told of them without drawing |
+//! | `catalog` | which scenes there are, and what is told of them without drawing |
 //! | `painter`, `stage` | the one thread that draws, and a scene on the device |
 //! | [`encoding`] | pictures as PNG, JPEG or planes, on threads of their own |
 //! | [`running`] | all of it together, until it is told to stop |
 //!
 //! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32, and a world may lie in UTM
-//! coordinates. Objects are placed by the centres of their boxes, as agents are in a scene file.
+//! coordinates. Objects are placed by the centers of their boxes, as agents are in a scene file.
 #![forbid(unsafe_code)]
 
 pub mod bench;
 mod cache;
 mod camera_spec;
-mod catalogue;
+mod catalog;
 mod codec;
 mod connections;
 pub mod encoding;

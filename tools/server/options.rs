@@ -31,7 +31,7 @@ pub struct ServerOptions {
     pub device: DeviceChoice,
     /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
     /// simulators put it on the ground below the rear axle, scene files in the center of the box
-    #[arg(long, value_name = "X,Y,Z", value_parser = metres, default_value = "0,0,0", allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = meters, default_value = "0,0,0", allow_hyphen_values = true)]
     pub rig_origin: [f64; 3],
     /// Read all scenes into the cache at the start instead of when they are first asked for
     #[arg(long)]
@@ -170,8 +170,8 @@ fn message_bytes(text: &str) -> Result<usize, String> {
     parsed.ok_or_else(|| format!("expected bytes, 1024 to 2147483648, found {text:?}"))
 }
 
-fn metres(text: &str) -> Result<[f64; 3], String> {
+fn meters(text: &str) -> Result<[f64; 3], String> {
     let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
-    let parsed = numbers.try_into().ok().filter(|place: &[f64; 3]| place.iter().all(|metres| metres.is_finite()));
-    parsed.ok_or_else(|| format!("expected three numbers in metres, like -1.4,0,-0.75, found {text:?}"))
+    let parsed = numbers.try_into().ok().filter(|place: &[f64; 3]| place.iter().all(|meters| meters.is_finite()));
+    parsed.ok_or_else(|| format!("expected three numbers in meters, like -1.4,0,-0.75, found {text:?}"))
 }

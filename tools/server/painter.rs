@@ -19,7 +19,7 @@ use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
 use crate::cache::Cache;
-use crate::catalogue::Catalogue;
+use crate::catalog::Catalog;
 use crate::log_limit::LogLimit;
 use crate::metrics::Metrics;
 use crate::names::no_scene;
@@ -93,13 +93,13 @@ struct Job {
 }
 
 impl Painter {
-    /// Starts the threads, which draw scenes of `catalogue` on `gpu`.
+    /// Starts the threads, which draw scenes of `catalog` on `gpu`.
     ///
     /// # Errors
     /// When the operating system gives no threads.
     pub fn start(
         gpu: Gpu,
-        catalogue: Arc<Catalogue>,
+        catalog: Arc<Catalog>,
         limits: &Limits,
         metrics: Arc<Metrics>,
     ) -> Result<(Self, JoinHandle<Result<()>>)> {
@@ -114,7 +114,7 @@ impl Painter {
         let refusing = Arc::new(AtomicBool::new(false));
         let mut studio = Studio {
             gpu,
-            catalogue,
+            catalog,
             scenes: Cache::new(limits.cache_size as usize, limits.cache_bytes),
             waiting: HashMap::new(),
             loads,
@@ -209,7 +209,7 @@ fn caught<T>(what: &str, work: impl FnOnce() -> T) -> Result<T, Status> {
 /// State of the render thread.
 struct Studio {
     gpu: Gpu,
-    catalogue: Arc<Catalogue>,
+    catalog: Arc<Catalog>,
     scenes: Cache<Stage>,
     /// Jobs for scenes that are being read.
     waiting: HashMap<String, Vec<Job>>,
@@ -255,7 +255,7 @@ impl Studio {
         if self.refusing.load(Ordering::Relaxed) {
             return self.answer(job.answer, Err(Status::unavailable("the server is ending: ask another")));
         }
-        if self.catalogue.path(&id).is_none() {
+        if self.catalog.path(&id).is_none() {
             return self.answer(job.answer, Err(no_scene(&id)));
         }
         if self.scenes.get(&id).is_some() {
@@ -268,7 +268,7 @@ impl Studio {
 
     /// Has `id` read, unless it is there or on its way.
     fn load(&mut self, id: &str) {
-        let Some(path) = self.catalogue.path(id) else { return };
+        let Some(path) = self.catalog.path(id) else { return };
         if self.scenes.get(id).is_none() && !self.waiting.contains_key(id) {
             self.waiting.insert(id.to_owned(), Vec::new());
             // The reader lives as long as this sender.

@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3};
 use tonic::{Request, Response, Status};
 
 use crate::cache::Cache;
-use crate::catalogue::Catalogue;
+use crate::catalog::Catalog;
 use crate::names::{check_name, no_scene};
 use crate::options::Limits;
 use crate::poses::{message_of, pose_of};
@@ -22,11 +22,11 @@ use crate::wire::physics::physics_ground_intersection_return::{ReturnPose, Statu
 use crate::wire::physics::physics_service_server::PhysicsService;
 use crate::wire::physics::{PhysicsGroundIntersectionRequest, PhysicsGroundIntersectionReturn};
 
-/// A box that would be raised or lowered by more is left where it is, metres: as simulators' own ground service does.
+/// A box that would be raised or lowered by more is left where it is, meters: as simulators' own ground service does.
 const TRANSLATION_MAX_M: f64 = 1.5;
 /// A box that would be tilted by more is left as it is, radians: 10 degrees, as there.
 const ROTATION_MAX_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// No vehicle is longer, metres.
+/// No vehicle is longer, meters.
 const SIDE_MAX_M: f32 = 100.0;
 /// About what a splat takes in a ground, bytes.
 const BYTES_A_SPLAT: u64 = 64;
@@ -34,7 +34,7 @@ const BYTES_A_SPLAT: u64 = 64;
 /// The service.
 #[derive(Clone)]
 pub struct Physics {
-    catalogue: Arc<Catalogue>,
+    catalog: Arc<Catalog>,
     limits: Arc<Limits>,
     grounds: Arc<Mutex<Cache<Arc<LocalGround>>>>,
     /// Whoever has it makes a ground ready: one at a time, and none twice.
@@ -48,15 +48,15 @@ struct LocalGround {
 }
 
 impl Physics {
-    /// Grounds of the scenes of `catalogue`, as many as scenes in the cache.
-    pub fn new(catalogue: Arc<Catalogue>, limits: Arc<Limits>) -> Self {
+    /// Grounds of the scenes of `catalog`, as many as scenes in the cache.
+    pub fn new(catalog: Arc<Catalog>, limits: Arc<Limits>) -> Self {
         let grounds = Arc::new(Mutex::new(Cache::new(limits.cache_size as usize, limits.cache_bytes)));
-        Self { catalogue, limits, grounds, making: Arc::default() }
+        Self { catalog, limits, grounds, making: Arc::default() }
     }
 
     async fn ground_of(&self, id: &str) -> Result<Arc<LocalGround>, Status> {
         check_name(id, "scene_id")?;
-        let path = self.catalogue.path(id).ok_or_else(|| no_scene(id))?;
+        let path = self.catalog.path(id).ok_or_else(|| no_scene(id))?;
         let known = || self.grounds.lock().unwrap_or_else(PoisonError::into_inner);
         let found = known().get(id).cloned();
         if let Some(found) = found {
@@ -95,7 +95,7 @@ fn background_of(path: &std::path::Path) -> Result<(SplatCloud, DVec3), AssetErr
 }
 
 impl LocalGround {
-    /// `pose`, that of the centre of a box of `dims_m`, set on the ground: place from above and heading stay.
+    /// `pose`, that of the center of a box of `dims_m`, set on the ground: place from above and heading stay.
     fn set(&self, pose: &Pose, dims_m: [f64; 3]) -> (Pose, Outcome) {
         let world = Pose { translation: pose.translation + self.origin, ..*pose };
         let found = self.plane_below(&world, dims_m, true).or_else(|| self.plane_below(&world, dims_m, false));
@@ -193,7 +193,7 @@ impl PhysicsService for Physics {
     }
 
     async fn get_available_scenes(&self, _: Request<Empty>) -> Result<Response<AvailableScenesReturn>, Status> {
-        Ok(Response::new(AvailableScenesReturn { scene_ids: self.catalogue.ids() }))
+        Ok(Response::new(AvailableScenesReturn { scene_ids: self.catalog.ids() }))
     }
 }
 
@@ -202,7 +202,7 @@ mod tests {
     use super::*;
     use glam::DQuat;
 
-    /// A slope that rises by 5 % towards x, of discs at every quarter of a metre.
+    /// A slope that rises by 5 % towards x, of discs at every quarter of a meter.
     fn slope() -> LocalGround {
         let places: Vec<(f32, f32)> =
             (-60..60).flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32))).collect();

@@ -16,7 +16,7 @@ use tonic::transport::{Identity, Server, ServerTlsConfig};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
 
-use crate::catalogue::Catalogue;
+use crate::catalog::Catalog;
 use crate::connections;
 use crate::encoding::Encoders;
 use crate::gate::GateLayer;
@@ -91,7 +91,7 @@ impl Running {
 /// When there are no scenes, no device, a file cannot be read, or the address is taken.
 pub async fn start(options: &ServerOptions) -> Result<Running> {
     let rig_origin = DVec3::from_array(options.rig_origin);
-    let catalogue = Arc::new(Catalogue::new(&options.scenes, &options.artifact_glob, rig_origin)?);
+    let catalog = Arc::new(Catalog::new(&options.scenes, &options.artifact_glob, rig_origin)?);
     let token = options.token_file.as_deref().map(token_of).transpose()?;
     let tls = tls_of(options)?;
     warn_of_openness(options);
@@ -101,11 +101,11 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         None => None,
     };
     let gpu = Gpu::open(&DeviceOptions { choice: options.device.clone(), ..DeviceOptions::default() })?;
-    tracing::info!(device = %gpu.info(), scenes = catalogue.ids().len(), "ready");
+    tracing::info!(device = %gpu.info(), scenes = catalog.ids().len(), "ready");
     let (limits, metrics) = (Arc::new(options.limits.clone()), Arc::new(Metrics::default()));
-    let (painter, painting) = Painter::start(gpu, Arc::clone(&catalogue), &limits, Arc::clone(&metrics))?;
+    let (painter, painting) = Painter::start(gpu, Arc::clone(&catalog), &limits, Arc::clone(&metrics))?;
     if options.preload {
-        painter.preload(catalogue.ids().into_iter().take(limits.cache_size as usize).collect());
+        painter.preload(catalog.ids().into_iter().take(limits.cache_size as usize).collect());
     }
     let address = listener.local_addr()?;
     let metrics_address = page.as_ref().map(TcpListener::local_addr).transpose()?;
@@ -113,13 +113,13 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
     let (stop, stopped) = oneshot::channel();
     let services = Services {
         sensorsim: Sensorsim {
-            catalogue: Arc::clone(&catalogue),
+            catalog: Arc::clone(&catalog),
             painter: painter.clone(),
             encoders: Encoders::new(limits.max_workers)?,
             limits: Arc::clone(&limits),
             metrics: Arc::clone(&metrics),
         },
-        physics: Physics::new(catalogue, limits),
+        physics: Physics::new(catalog, limits),
         gate: GateLayer::new(&options.limits, token, Arc::clone(&metrics)),
         tls,
     };

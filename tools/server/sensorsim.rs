@@ -11,7 +11,7 @@ use tokio::sync::oneshot;
 use tonic::{Code, Request, Response, Status};
 
 use crate::camera_spec::spec_of;
-use crate::catalogue::{Catalogue, Outline};
+use crate::catalog::{Catalog, Outline};
 use crate::encoding::{Encoders, encode};
 use crate::metrics::Metrics;
 use crate::names::{CONTRACT_VERSION, check_name, no_scene};
@@ -35,7 +35,7 @@ use crate::wire::sensorsim::{
 #[derive(Clone)]
 pub struct Sensorsim {
     /// Registry of scenes.
-    pub catalogue: Arc<Catalogue>,
+    pub catalog: Arc<Catalog>,
     /// Queue of the render thread.
     pub painter: Painter,
     /// Encoders.
@@ -58,10 +58,10 @@ pub fn version() -> VersionId {
 }
 
 /// Metadata of the scene `id`; files are read on a blocking thread.
-pub async fn outline_of(catalogue: &Arc<Catalogue>, id: String) -> Result<Arc<Outline>, Status> {
+pub async fn outline_of(catalog: &Arc<Catalog>, id: String) -> Result<Arc<Outline>, Status> {
     check_name(&id, "scene_id")?;
-    let (catalogue, asked) = (Arc::clone(catalogue), id.clone());
-    let read = tokio::task::spawn_blocking(move || catalogue.outline(&asked)).await;
+    let (catalog, asked) = (Arc::clone(catalog), id.clone());
+    let read = tokio::task::spawn_blocking(move || catalog.outline(&asked)).await;
     let outline = read.map_err(|error| Status::internal(error.to_string()))?;
     let outline = outline.map_err(|error| Status::failed_precondition(error.to_string()))?;
     outline.ok_or_else(|| no_scene(&id))
@@ -222,7 +222,7 @@ impl SensorsimService for Sensorsim {
     }
 
     async fn get_available_scenes(&self, _: Request<Empty>) -> Result<Response<AvailableScenesReturn>, Status> {
-        Ok(Response::new(AvailableScenesReturn { scene_ids: self.catalogue.ids() }))
+        Ok(Response::new(AvailableScenesReturn { scene_ids: self.catalog.ids() }))
     }
 
     async fn get_loaded_scenes(&self, _: Request<Empty>) -> Result<Response<LoadedScenesReturn>, Status> {
@@ -237,7 +237,7 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<AvailableCamerasRequest>,
     ) -> Result<Response<AvailableCamerasReturn>, Status> {
-        let outline = outline_of(&self.catalogue, request.into_inner().scene_id).await?;
+        let outline = outline_of(&self.catalog, request.into_inner().scene_id).await?;
         let cameras = outline.rig.cameras.iter().map(|camera| AvailableCamera {
             intrinsics: Some(spec_of(&camera.intrinsics, &camera.name)),
             rig_to_camera: Some(message_of(&camera.rig_from_camera)),
@@ -250,7 +250,7 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<AvailableTrajectoriesRequest>,
     ) -> Result<Response<AvailableTrajectoriesReturn>, Status> {
-        let outline = outline_of(&self.catalogue, request.into_inner().scene_id).await?;
+        let outline = outline_of(&self.catalog, request.into_inner().scene_id).await?;
         let timed = |timed: &TimedPose| PoseAtTime {
             pose: Some(message_of(&timed.pose)),
             timestamp_us: Duration::try_from_secs_f64(timed.time_s).map_or(0, |time| time.as_micros() as u64),

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::{Gpu, GpuError};
-use decouplegs::render::{ColourFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
+use decouplegs::render::{ColorFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, Pose};
 use decouplegs::{LiveScene, Placed};
 use glam::DVec3;
@@ -12,7 +12,7 @@ use tonic::Status;
 
 use crate::sight::{PlacedObject, Sight};
 
-/// Probes of light that are kept for one scene, wherever clients put objects: a square kilometre of them.
+/// Probes of light that are kept for one scene, wherever clients put objects: a square kilometer of them.
 const PROBES_MAX: usize = 1 << 20;
 
 /// A scene that can be drawn.
@@ -40,7 +40,7 @@ impl Stage {
     pub fn new(gpu: &Gpu, loaded: &LoadedScene) -> Result<Self, RenderError> {
         let options = RenderOptions {
             rules: loaded.world.rules,
-            outputs: Outputs { colour: ColourFormat::U8, ..Outputs::default() },
+            outputs: Outputs { color: ColorFormat::U8, ..Outputs::default() },
             ..RenderOptions::default()
         };
         let renderer = Renderer::new(gpu, options);

@@ -20,7 +20,7 @@ fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -
         };
         Series {
             name: mode.name.clone(),
-            colour: at,
+            color: at,
             points: report.measured_of(mode).map(|(point, measured)| (point.agents as f64, of(measured))).collect(),
             shape: Shape::Curve,
             end: lost.map(|point| (point.agents as f64, reason(&point.outcome))),
@@ -87,10 +87,10 @@ pub fn speed_against_error(report: &Report) -> String {
     let equal = if highest.is_finite() { highest + EQUAL_ABOVE_DB } else { 100.0 };
     let places: Vec<(f64, f64)> =
         measured.iter().map(|(_, _, images_per_s, psnr_db)| (*images_per_s, psnr_db.min(equal))).collect();
-    let guide = Series { name: String::new(), colour: 0, points: front(&places), shape: Shape::Guide, end: None };
+    let guide = Series { name: String::new(), color: 0, points: front(&places), shape: Shape::Guide, end: None };
     let named = measured.iter().zip(&places).map(|((at, mode, _, psnr_db), place)| {
         let name = if psnr_db.is_finite() { mode.name.clone() } else { format!("{} (no error)", mode.name) };
-        Series { name, colour: *at, points: vec![*place], shape: Shape::Named, end: None }
+        Series { name, color: *at, points: vec![*place], shape: Shape::Named, end: None }
     });
     let plot = Plot {
         title: "Speed against error: up and right is better",

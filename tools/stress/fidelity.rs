@@ -74,19 +74,19 @@ mod tests {
 
     #[test]
     fn vehicles_are_the_pixels_that_the_expected_picture_says() {
-        let grey = |value: f32| Picture::filled(16, 16, [value; 3]);
+        let gray = |value: f32| Picture::filled(16, 16, [value; 3]);
         let mut instances = vec![0; 256];
         instances[..64].fill(3);
-        let expected = Picture { instance: Some(instances), ..grey(0.5) };
-        let mut found = grey(0.5);
+        let expected = Picture { instance: Some(instances), ..gray(0.5) };
+        let mut found = gray(0.5);
         found.rgb[..64].fill([0.6; 3]);
         let fidelity = Fidelity::between(&[found], std::slice::from_ref(&expected)).unwrap();
         // 0.01 on vehicles, a quarter of the picture.
         assert!((fidelity.psnr_vehicles_db.unwrap() - 20.0).abs() < 1e-4, "{fidelity:?}");
         assert!((fidelity.psnr_all_db - 26.0206).abs() < 1e-3 && (fidelity.max_abs - 0.1).abs() < 1e-6);
-        let equal = Fidelity::between(&[grey(0.5), grey(0.2)], &[grey(0.5), grey(0.2)]).unwrap();
+        let equal = Fidelity::between(&[gray(0.5), gray(0.2)], &[gray(0.5), gray(0.2)]).unwrap();
         assert_eq!((equal.psnr_all_db, equal.psnr_vehicles_db, equal.pictures), (f64::INFINITY, None, 2));
         assert_eq!(equal.to_json()["equal"], true);
-        assert!(Fidelity::between(&[grey(0.5)], &[Picture::filled(8, 8, [0.5; 3])]).is_err());
+        assert!(Fidelity::between(&[gray(0.5)], &[Picture::filled(8, 8, [0.5; 3])]).is_err());
     }
 }

@@ -4,7 +4,7 @@ use anyhow::Result;
 use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CHUNK_SPLATS, ChunkRecord};
-use decouplegs::render::{ColourFormat, Outputs, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec};
+use decouplegs::render::{ColorFormat, Outputs, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec};
 use decouplegs::scene::{Camera, CodedCloud, World};
 
 use super::course::{Course, Driven};
@@ -81,7 +81,7 @@ impl<'a> Stand<'a> {
         let predicted_scene_bytes;
         let world_splats;
         let measured = {
-            let mut renderer = Renderer::new(self.gpu, mode.options(rules, ColourFormat::U8));
+            let mut renderer = Renderer::new(self.gpu, mode.options(rules, ColorFormat::U8));
             let resident = match mode.agents {
                 Agents::Copies { .. } => {
                     let world =
@@ -122,7 +122,7 @@ impl<'a> Stand<'a> {
 
     /// The pictures of `mode` at the sampled moments, all cameras of one after those of the other.
     fn pictures(&mut self, mode: &Mode, count: usize, kept: Option<&[u32]>) -> Result<Vec<Picture>> {
-        let options = RenderOptions { frames_in_flight: 1, ..mode.options(self.defaults().rules, ColourFormat::F32) };
+        let options = RenderOptions { frames_in_flight: 1, ..mode.options(self.defaults().rules, ColorFormat::F32) };
         let Agents::Coded(coding) = mode.agents else { return self.pictures_of_copies(options, count, kept) };
         let mut renderer = Renderer::new(self.gpu, options);
         let resident = Resident::Live(Box::new(LiveScene::new(&renderer, self.subject.staged(count, coding))?));
@@ -215,9 +215,9 @@ fn world_bytes(world: &World) -> u64 {
 
 /// Size of an asset on the device, without rounding.
 fn asset_bytes(asset: &CodedCloud) -> u64 {
-    // A colour's DC term, and its bands.
-    const COLOUR_BYTES: usize = 12 + 4 * 24;
+    // A color's DC term, and its bands.
+    const COLOR_BYTES: usize = 12 + 4 * 24;
     let chunks: usize = asset.levels.iter().map(|level| level.div_ceil(CHUNK_SPLATS)).sum();
-    let books = size_of_val(asset.shapes.as_slice()) + asset.colour_count() * COLOUR_BYTES;
+    let books = size_of_val(asset.shapes.as_slice()) + asset.color_count() * COLOR_BYTES;
     (size_of_val(asset.splats.as_slice()) + books + chunks * size_of::<ChunkRecord>()) as u64
 }

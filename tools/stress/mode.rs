@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use decouplegs::render::{ColourFormat, Outputs, RenderOptions};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions};
 use decouplegs::scene::{Rules, sh};
 
 /// Representation of the agents.
@@ -22,8 +22,8 @@ pub enum Agents {
 pub struct Coding {
     /// Share of the splats that are kept, instead of a threshold.
     pub keep: Option<f32>,
-    /// Entries of the colour codebook, and twice as many as of the shape codebook.
-    pub colours: Option<usize>,
+    /// Entries of the color codebook, and twice as many as of the shape codebook.
+    pub colors: Option<usize>,
 }
 
 /// One way to draw the drive.
@@ -51,8 +51,8 @@ const KNOWN: &str = "vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=P
 const PRUNE_KEEP: f64 = 0.34;
 const LEVEL_PITCH_PX: f64 = 0.7;
 /// Fewer make no codebook worth the name, and shapes have half as many.
-const COLOURS_MIN: f64 = 2.0;
-const COLOURS_MAX: f64 = decouplegs::scene::codebook::COLOURS_MAX as f64;
+const COLORS_MIN: f64 = 2.0;
+const COLORS_MAX: f64 = decouplegs::scene::codebook::COLORS_MAX as f64;
 
 impl Mode {
     /// Compressed agents that drive, drawn as exactly as can be; the other modes are this one with something changed.
@@ -93,10 +93,10 @@ impl Mode {
         *self == Self::decoupled("decoupled")
     }
 
-    pub fn options(&self, rules: Rules, colour: ColourFormat) -> RenderOptions {
+    pub fn options(&self, rules: Rules, color: ColorFormat) -> RenderOptions {
         RenderOptions {
             rules,
-            outputs: Outputs { colour, ..Outputs::default() },
+            outputs: Outputs { color, ..Outputs::default() },
             sh_degree_max: self.sh_degree_max,
             keep_keys: self.keep_keys,
             level_pitch_px: self.level_pitch_px,
@@ -142,18 +142,18 @@ impl FromStr for Mode {
             }
             ("sh0" | "sh1" | "sh2", None) => {
                 let sh_degree_max = base.as_bytes()[2] - b'0';
-                let what = format!("decoupled, colours evaluated to degree {sh_degree_max}");
+                let what = format!("decoupled, colors evaluated to degree {sh_degree_max}");
                 Self { sh_degree_max, what, ..decoupled }
             }
             ("keep", _) => {
                 let keep = number(1e-6, 1.0, None)? as f32;
                 let what = format!("decoupled, assets compressed with {keep} of their splats kept");
-                Self { agents: Agents::Coded(Coding { keep: Some(keep), colours: None }), what, ..decoupled }
+                Self { agents: Agents::Coded(Coding { keep: Some(keep), colors: None }), what, ..decoupled }
             }
             ("colors", _) => {
-                let colours = number(COLOURS_MIN, COLOURS_MAX, None)? as usize;
-                let what = format!("decoupled, assets compressed with {colours} colours and {} shapes", colours / 2);
-                Self { agents: Agents::Coded(Coding { keep: None, colours: Some(colours) }), what, ..decoupled }
+                let colors = number(COLORS_MIN, COLORS_MAX, None)? as usize;
+                let what = format!("decoupled, assets compressed with {colors} colors and {} shapes", colors / 2);
+                Self { agents: Agents::Coded(Coding { keep: None, colors: Some(colors) }), what, ..decoupled }
             }
             _ => return Err(format!("'{text}' is no mode: there are {KNOWN}")),
         })
@@ -171,16 +171,16 @@ mod tests {
         let modes = modes("vanilla,prune,decoupled,decoupled-serial,lod,sh1,sh0");
         assert!(modes[0].is_vanilla() && modes.iter().filter(|mode| mode.is_vanilla()).count() == 1);
         assert_eq!(modes[1].agents, Agents::Copies { keep: 0.34 });
-        let serial = modes[3].options(Rules::DEFAULT, ColourFormat::U8);
+        let serial = modes[3].options(Rules::DEFAULT, ColorFormat::U8);
         assert_eq!((serial.overlap, serial.frames_in_flight, serial.keep_keys), (false, 1, true));
     }
 
     #[test]
     fn values_are_read_and_nonsense_is_refused_with_what_there_is() {
         let lod: Mode = "lod=1.5".parse().unwrap();
-        assert_eq!(lod.options(Rules::DEFAULT, ColourFormat::F32).level_pitch_px, Some(1.5));
+        assert_eq!(lod.options(Rules::DEFAULT, ColorFormat::F32).level_pitch_px, Some(1.5));
         let few: Mode = "colors=64".parse().unwrap();
-        assert_eq!(few.agents, Agents::Coded(Coding { keep: None, colours: Some(64) }));
+        assert_eq!(few.agents, Agents::Coded(Coding { keep: None, colors: Some(64) }));
         for nonsense in ["", "vanila", "vanilla=1", "sh3", "sh", "decoupled=2"] {
             assert!(nonsense.parse::<Mode>().unwrap_err().contains("decoupled-serial"), "{nonsense}");
         }

@@ -121,7 +121,7 @@ fn thumbnails(report: &Report) -> Result<String> {
         shown.time_s, shown.agents
     );
     let pictures =
-        [("vanilla", &shown.vanilla), ("decoupled", &shown.decoupled), ("difference, times 8, false colours", &difference)];
+        [("vanilla", &shown.vanilla), ("decoupled", &shown.decoupled), ("difference, times 8, false colors", &difference)];
     for (what, picture) in pictures {
         let address = data_uri::png(&small(picture))?;
         let _ = write!(html, "<figure><img src=\"{address}\" alt=\"{what}\"><figcaption>{what}</figcaption></figure>");

@@ -251,8 +251,8 @@ impl Asset {
         let defaults = CompressOptions::default();
         let options = CompressOptions {
             prune: coding.keep.map_or(defaults.prune, Prune::KeepRatio),
-            colours: coding.colours.unwrap_or(defaults.colours),
-            shapes: coding.colours.map_or(defaults.shapes, |colours| colours / 2),
+            colors: coding.colors.unwrap_or(defaults.colors),
+            shapes: coding.colors.map_or(defaults.shapes, |colors| colors / 2),
             seed,
             ..defaults
         };
@@ -260,7 +260,7 @@ impl Asset {
         let compressed = compress(&self.original, &visibility, &options, &|progress| match progress {
             Progress::Pruning | Progress::Coding => spinner.set_message(working.clone()),
             Progress::Shapes(done) => spinner.set_message(format!("{working}, shapes: iteration {done}")),
-            Progress::Colours(done) => spinner.set_message(format!("{working}, colours: iteration {done}")),
+            Progress::Colors(done) => spinner.set_message(format!("{working}, colors: iteration {done}")),
         });
         spinner.finish_and_clear();
         Ok(compressed?.cloud)

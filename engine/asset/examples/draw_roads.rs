@@ -28,13 +28,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let driving: Vec<_> = map.lanes.iter().filter(|lane| lane.kind == LaneKind::Driving).collect();
     let lane = driving[lane.parse::<usize>()? % driving.len()];
     let (mut left_m, mut at) = (at_m.parse::<f64>()?, 0);
-    while at + 2 < lane.centreline.len() && left_m > lane.centreline[at].distance(lane.centreline[at + 1]) {
-        left_m -= lane.centreline[at].distance(lane.centreline[at + 1]);
+    while at + 2 < lane.centerline.len() && left_m > lane.centerline[at].distance(lane.centerline[at + 1]) {
+        left_m -= lane.centerline[at].distance(lane.centerline[at + 1]);
         at += 1;
     }
-    let ahead = lane.centreline[at + 1] - lane.centreline[at];
-    let stands = lane.centreline[at] + ahead.normalize() * left_m + DVec3::Z * 0.75;
-    println!("{} driving lanes; on lane {} of {} points", driving.len(), lane.id, lane.centreline.len());
+    let ahead = lane.centerline[at + 1] - lane.centerline[at];
+    let stands = lane.centerline[at] + ahead.normalize() * left_m + DVec3::Z * 0.75;
+    println!("{} driving lanes; on lane {} of {} points", driving.len(), lane.id, lane.centerline.len());
     let camera = |name: &str, eye: DVec3, look: DVec3| RigCamera {
         name: name.into(),
         intrinsics: Intrinsics {

@@ -1,6 +1,6 @@
 //! Between trained parameters, as files store them, and the values that are drawn.
 
-/// A standard deviation, metres, from its stored natural logarithm.
+/// A standard deviation, meters, from its stored natural logarithm.
 ///
 /// Through f64, here and below: libraries differ in the last bit of an f32 `exp`, while the f64 one is right far beyond
 /// the bits that are kept. So a file gives the same cloud on every machine.
@@ -25,7 +25,7 @@ pub(crate) fn logit(opacity: f32) -> f32 {
 }
 
 /// `rotation` (w, x, y, z) at unit length; one that has no direction stays as it is, for `SplatCloud::defect_of` to see.
-pub(crate) fn normalised(rotation: [f32; 4]) -> [f32; 4] {
+pub(crate) fn normalized(rotation: [f32; 4]) -> [f32; 4] {
     let wide = rotation.map(f64::from);
     let length_squared: f64 = wide.iter().map(|q| q * q).sum();
     if length_squared.is_finite() && length_squared > 1e-30 {
@@ -59,12 +59,12 @@ mod tests {
     }
 
     #[test]
-    fn only_what_has_a_direction_is_normalised() {
-        assert_eq!(normalised([0.0, 3.0, 0.0, 4.0]), [0.0, 0.6, 0.0, 0.8]);
-        assert_eq!(normalised([0.0; 4]), [0.0; 4]);
-        assert_eq!(normalised([f32::INFINITY, 0.0, 0.0, 0.0])[0], f32::INFINITY);
+    fn only_what_has_a_direction_is_normalized() {
+        assert_eq!(normalized([0.0, 3.0, 0.0, 4.0]), [0.0, 0.6, 0.0, 0.8]);
+        assert_eq!(normalized([0.0; 4]), [0.0; 4]);
+        assert_eq!(normalized([f32::INFINITY, 0.0, 0.0, 0.0])[0], f32::INFINITY);
         // Squares that overflow f32 still have a direction.
         let huge = 100f32.exp2();
-        assert_eq!(normalised([3.0 * huge, 0.0, 4.0 * huge, 0.0]), [0.6, 0.0, 0.8, 0.0]);
+        assert_eq!(normalized([3.0 * huge, 0.0, 4.0 * huge, 0.0]), [0.6, 0.0, 0.8, 0.0]);
     }
 }

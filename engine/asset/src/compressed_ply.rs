@@ -1,14 +1,14 @@
-//! PlayCanvas' compressed PLY: splats quantised within chunks of 256.
+//! PlayCanvas' compressed PLY: splats quantized within chunks of 256.
 //!
-//! Element `chunk` holds the extent of each chunk (means, log-scales and, from SuperSplat 2 on, DC colours), element
+//! Element `chunk` holds the extent of each chunk (means, log-scales and, from SuperSplat 2 on, DC colors), element
 //! `vertex` four words a splat: position and scale as 11-10-11 bits, rotation as an index of 2 bits and three times
-//! 10 bits, colour and opacity as 8-8-8-8 bits. An optional element `sh` holds `f_rest_*` as bytes, channel-major.
+//! 10 bits, color and opacity as 8-8-8-8 bits. An optional element `sh` holds `f_rest_*` as bytes, channel-major.
 
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
 use crate::DecodeError;
-use crate::activation::{normalised, scale_of_log};
+use crate::activation::{normalized, scale_of_log};
 use crate::inria_ply::{RestColumns, row_slices};
 use crate::ply::{Column, Ply, Rows, Scalar};
 
@@ -37,7 +37,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
             other => Err(DecodeError::Malformed(format!("vertex property '{name}' is {other:?}, expected a 32-bit integer"))),
         }
     };
-    let [position, rotation, scale, colour] =
+    let [position, rotation, scale, color] =
         [word("packed_position")?, word("packed_rotation")?, word("packed_scale")?, word("packed_color")?];
     let rows = ply.rows("vertex")?;
     if chunks.len() < rows.count.div_ceil(CHUNK_SPLATS) {
@@ -55,11 +55,11 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
         means: words(position).map(|(chunk, word)| chunks[chunk].means.at(unpack_11_10_11(word))).collect(),
         scales: words(scale).map(|(chunk, word)| chunks[chunk].log_scales.at(unpack_11_10_11(word)).map(scale_of_log)).collect(),
         rotations: words(rotation).map(|(_, word)| unpack_rotation(word)).collect(),
-        opacities: words(colour).map(|(_, word)| unorm(word, 8)).collect(),
+        opacities: words(color).map(|(_, word)| unorm(word, 8)).collect(),
         sh_degree,
-        sh_dc: words(colour)
+        sh_dc: words(color)
             .map(|(chunk, word)| {
-                let rgb = chunks[chunk].colours.at([unorm(word >> 24, 8), unorm(word >> 16, 8), unorm(word >> 8, 8)]);
+                let rgb = chunks[chunk].colors.at([unorm(word >> 24, 8), unorm(word >> 16, 8), unorm(word >> 8, 8)]);
                 rgb.map(|channel| (channel - 0.5) / sh::Y0 as f32)
             })
             .collect(),
@@ -67,7 +67,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     })
 }
 
-/// The range that quantised values of three channels span.
+/// The range that quantized values of three channels span.
 struct Extent {
     min: [f32; 3],
     max: [f32; 3],
@@ -82,7 +82,7 @@ impl Extent {
 struct Chunk {
     means: Extent,
     log_scales: Extent,
-    colours: Extent,
+    colors: Extent,
 }
 
 fn chunk_extents(ply: &Ply<'_>) -> Result<Vec<Chunk>, DecodeError> {
@@ -92,9 +92,9 @@ fn chunk_extents(ply: &Ply<'_>) -> Result<Vec<Chunk>, DecodeError> {
     };
     let xyz = ["x", "y", "z"];
     let (means, scales) = ((triple("min", xyz)?, triple("max", xyz)?), (triple("min_scale", xyz)?, triple("max_scale", xyz)?));
-    // SuperSplat 1 stored colours over 0 to 1 without an extent.
+    // SuperSplat 1 stored colors over 0 to 1 without an extent.
     let rgb = ["r", "g", "b"];
-    let colours =
+    let colors =
         if ply.column_if_present("chunk", "min_r").is_some() { Some((triple("min", rgb)?, triple("max", rgb)?)) } else { None };
     let rows: Rows<'_> = ply.rows("chunk")?;
     let extent = |row: &[u8], (min, max): ([Column; 3], [Column; 3])| Extent {
@@ -105,7 +105,7 @@ fn chunk_extents(ply: &Ply<'_>) -> Result<Vec<Chunk>, DecodeError> {
         .map(|row| Chunk {
             means: extent(row, means),
             log_scales: extent(row, scales),
-            colours: colours.map_or(Extent { min: [0.0; 3], max: [1.0; 3] }, |columns| extent(row, columns)),
+            colors: colors.map_or(Extent { min: [0.0; 3], max: [1.0; 3] }, |columns| extent(row, columns)),
         })
         .collect())
 }
@@ -147,14 +147,14 @@ fn unpack_rotation(word: u32) -> [f32; 4] {
     let small = [20, 10, 0].map(|shift| (unorm(word >> shift, 10) - 0.5) * std::f32::consts::SQRT_2);
     let largest = (1.0 - small.iter().map(|q| q * q).sum::<f32>()).max(0.0).sqrt();
     let mut small = small.into_iter();
-    normalised(std::array::from_fn(|i| if i == (word >> 30) as usize { largest } else { small.next().unwrap_or(0.0) }))
+    normalized(std::array::from_fn(|i| if i == (word >> 30) as usize { largest } else { small.next().unwrap_or(0.0) }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn file(colour_extent: bool, sh: &str, sh_bytes: &[u8]) -> Vec<u8> {
+    fn file(color_extent: bool, sh: &str, sh_bytes: &[u8]) -> Vec<u8> {
         let mut header = "ply\nformat binary_little_endian 1.0\nelement chunk 1\n".to_owned();
         let mut extents: Vec<(&str, f32)> = Vec::new();
         for (name, value) in [("min_x", -1.0), ("min_y", 0.0), ("min_z", 10.0), ("max_x", 1.0), ("max_y", 4.0), ("max_z", 10.0)] {
@@ -166,7 +166,7 @@ mod tests {
         for name in ["max_scale_x", "max_scale_y", "max_scale_z"] {
             extents.push((name, 0.0));
         }
-        if colour_extent {
+        if color_extent {
             for (name, value) in [("min_r", 0.5), ("min_g", 0.5), ("min_b", 0.5), ("max_r", 1.5), ("max_g", 1.5), ("max_b", 1.5)]
             {
                 extents.push((name, value));
@@ -184,8 +184,8 @@ mod tests {
         let position = 2047 << 21;
         // The largest is y (index 2); w, x and z follow in order.
         let rotation = (2 << 30) | (1023 << 20) | (512 << 10) | 511;
-        let (scale, colour) = ((2047 << 21) | (1023 << 11) | 2047, 0xff00_0080u32);
-        for word in [position, rotation, scale, colour] {
+        let (scale, color) = ((2047 << 21) | (1023 << 11) | 2047, 0xff00_0080u32);
+        for word in [position, rotation, scale, color] {
             bytes.extend_from_slice(&u32::to_le_bytes(word));
         }
         bytes.extend_from_slice(sh_bytes);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_without_an_extent_span_zero_to_one() {
+    fn colors_without_an_extent_span_zero_to_one() {
         let cloud = decode(&file(false, "", &[])).unwrap();
         assert!((cloud.sh_dc[0][0] - 0.5 / sh::Y0 as f32).abs() < 1e-5 && (cloud.sh_dc[0][1] + 0.5 / sh::Y0 as f32).abs() < 1e-5);
     }

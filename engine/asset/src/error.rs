@@ -74,7 +74,7 @@ pub enum AssetError {
     },
     /// A map or a table of tracks in no form that is read here.
     #[error("{}: {found}; expected {expected}", path.display())]
-    Unrecognised {
+    Unrecognized {
         /// The file.
         path: PathBuf,
         /// Apparent content of the file.

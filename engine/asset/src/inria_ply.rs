@@ -12,7 +12,7 @@ use std::path::Path;
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
-use crate::activation::{log_of_scale, logit, normalised, scale_of_log, sigmoid};
+use crate::activation::{log_of_scale, logit, normalized, scale_of_log, sigmoid};
 use crate::ply::{Column, Ply, Rows};
 use crate::scene_import::mean_weights;
 use crate::{AssetError, DecodeError, write_atomically};
@@ -56,7 +56,7 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
     Ok(SplatCloud {
         means: triples(&rows, &mean),
         scales: triples(&rows, &scale).into_par_iter().map(|logarithms| logarithms.map(scale_of_log)).collect(),
-        rotations: row_slices(&rows).map(|row| normalised(std::array::from_fn(|i| rotation[i].f32_of(row)))).collect(),
+        rotations: row_slices(&rows).map(|row| normalized(std::array::from_fn(|i| rotation[i].f32_of(row)))).collect(),
         opacities: row_slices(&rows).map(|row| sigmoid(opacity.f32_of(row))).collect(),
         sh_degree: rest.degree,
         sh_dc: row_slices(&rows).map(|row| std::array::from_fn(|channel| dc.value(channel, row))).collect(),
@@ -281,7 +281,7 @@ mod tests {
             ("scale_2", f32::INFINITY, SplatDefect::Scale),
             ("rot_0", 0.0, SplatDefect::Rotation),
             ("opacity", f32::NAN, SplatDefect::Opacity),
-            ("f_dc_1", f32::NEG_INFINITY, SplatDefect::Colour),
+            ("f_dc_1", f32::NEG_INFINITY, SplatDefect::Color),
         ] {
             let changed = ONE.map(|property| if property.0 == name { (name, value) } else { property });
             assert_eq!(decode(&file(&changed)).unwrap().defect_of(0), Some(defect), "{name}");

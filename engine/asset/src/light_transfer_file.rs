@@ -2,7 +2,7 @@
 //!
 //! Tensors, K coefficients of three channels: `gain_weights` and `offset_weights` f32 \[3K, 27\], `gain_constants` and
 //! `offset_constants` f32 \[3K\], rows in the order `[coefficient][rgb]`; `neutral` f32 \[9, 3\], the descriptor of the light
-//! that shows colours as they are. Metadata: `format`, `version`, `sh_degree` (K is its coefficients), `tool_version`,
+//! that shows colors as they are. Metadata: `format`, `version`, `sh_degree` (K is its coefficients), `tool_version`,
 //! `sources.NAME` (SHA-256 of each asset and probe) and `settings.KEY`.
 
 use std::collections::BTreeMap;
@@ -24,7 +24,7 @@ pub const VERSION: &str = "1";
 /// Name of the format for users.
 const NAME: &str = "light transfer";
 
-/// Weights beyond this are refused: colours they make of any light would leave what f32 holds.
+/// Weights beyond this are refused: colors they make of any light would leave what f32 holds.
 const WEIGHT_MAX: f32 = 1e6;
 
 const SOURCES: &str = "sources.";

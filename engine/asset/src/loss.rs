@@ -34,7 +34,7 @@ impl AttributeLoss {
 /// The loss of every attribute, splat by splat.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LossReport {
-    /// Distance between means, metres.
+    /// Distance between means, meters.
     pub position_m: AttributeLoss,
     /// |after / before - 1| of standard deviations; the largest with the largest where axes have no order.
     pub scale_relative: AttributeLoss,

@@ -14,7 +14,7 @@ use crate::{AssetError, DecodeError, checkpoint, coded_asset, compressed_ply, in
 pub enum SplatFormat {
     /// PLY with one property a parameter.
     InriaPly,
-    /// PlayCanvas' quantised PLY.
+    /// PlayCanvas' quantized PLY.
     CompressedPly,
     /// antimatter15's 32 bytes a splat.
     Splat,

@@ -1,6 +1,6 @@
 //! The `.splat` of antimatter15's viewer: 32 bytes a splat and nothing else.
 //!
-//! Mean and linear scale as three floats each, colour and opacity as four bytes, rotation w, x, y, z as four bytes
+//! Mean and linear scale as three floats each, color and opacity as four bytes, rotation w, x, y, z as four bytes
 //! around 128. No header, no spherical harmonics beyond DC.
 
 use std::io::Write;
@@ -9,7 +9,7 @@ use std::path::Path;
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
-use crate::activation::normalised;
+use crate::activation::normalized;
 use crate::{AssetError, DecodeError, write_atomically};
 
 const SPLAT_BYTES: usize = 32;
@@ -33,7 +33,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     Ok(SplatCloud {
         means: rows().map(|row| floats(row, 0)).collect(),
         scales: rows().map(|row| floats(row, 12)).collect(),
-        rotations: rows().map(|row| normalised(std::array::from_fn(|i| (f32::from(row[28 + i]) - 128.0) / 128.0))).collect(),
+        rotations: rows().map(|row| normalized(std::array::from_fn(|i| (f32::from(row[28 + i]) - 128.0) / 128.0))).collect(),
         opacities: rows().map(|row| f32::from(row[27]) / 255.0).collect(),
         sh_degree: 0,
         sh_dc: rows().map(|row| std::array::from_fn(|i| (f32::from(row[24 + i]) / 255.0 - 0.5) / sh::Y0 as f32)).collect(),
@@ -41,7 +41,7 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     })
 }
 
-/// `cloud` as the bytes of a file, in its order. Colours outside 0 to 1 are clamped, coefficients beyond DC are left out.
+/// `cloud` as the bytes of a file, in its order. Colors outside 0 to 1 are clamped, coefficients beyond DC are left out.
 #[must_use]
 pub fn encode(cloud: &SplatCloud) -> Vec<u8> {
     let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
@@ -51,7 +51,7 @@ pub fn encode(cloud: &SplatCloud) -> Vec<u8> {
         file.extend(cloud.sh_dc[splat].map(|dc| byte((dc * sh::Y0 as f32 + 0.5) * 255.0)));
         file.push(byte(cloud.opacities[splat] * 255.0));
         // -q is the same rotation: plus one has no code, minus one has.
-        let q = normalised(cloud.rotations[splat]);
+        let q = normalized(cloud.rotations[splat]);
         let largest = q.into_iter().fold(0.0f32, |most, x| if x.abs() > most.abs() { x } else { most });
         let sign = if largest > 0.0 { -1.0 } else { 1.0 };
         file.extend(q.map(|x| byte(sign * x * 128.0 + 128.0)));

@@ -38,7 +38,7 @@ impl Histogram {
     }
 }
 
-/// A box with finite corners, metres.
+/// A box with finite corners, meters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SummaryBounds {
     /// Lower corner.
@@ -52,7 +52,7 @@ pub struct SummaryBounds {
 pub struct DefectCounts {
     /// All of them.
     pub total: u64,
-    /// By kind: `mean`, `scale`, `rotation`, `opacity`, `colour`. Kinds that do not occur are left out.
+    /// By kind: `mean`, `scale`, `rotation`, `opacity`, `color`. Kinds that do not occur are left out.
     pub by_kind: BTreeMap<&'static str, u64>,
 }
 
@@ -65,7 +65,7 @@ pub struct SplatSummary {
     pub sh_degree: u8,
     /// The box around the finite means; none without any.
     pub bounds: Option<SummaryBounds>,
-    /// log10 of the standard deviations in metres, three a splat, in steps of a quarter decade. Zero counts as below.
+    /// log10 of the standard deviations in meters, three a splat, in steps of a quarter decade. Zero counts as below.
     pub scale_log10_m: Histogram,
     /// log10 of each splat's largest over its smallest standard deviation.
     pub anisotropy_log10: Histogram,
@@ -120,7 +120,7 @@ fn defect_name(defect: SplatDefect) -> &'static str {
         SplatDefect::Scale => "scale",
         SplatDefect::Rotation => "rotation",
         SplatDefect::Opacity => "opacity",
-        SplatDefect::Colour => "colour",
+        SplatDefect::Color => "color",
     }
 }
 

@@ -10,7 +10,7 @@ use decouplegs_scene::scenario::{DriverKind, TrafficAgent};
 use decouplegs_scene::{Lane, LaneMap, VehicleSize};
 use glam::{DVec2, DVec3};
 
-/// Blocks of this length, metres, and so many crossings along each side.
+/// Blocks of this length, meters, and so many crossings along each side.
 const BLOCK_M: f64 = 160.0;
 const CROSSINGS: usize = 6;
 
@@ -40,9 +40,9 @@ fn town() -> LaneMap {
                     arc(half_m + 1.75, 1.0),
                     arc(half_m - 1.75, -1.0),
                 ];
-                for (part, centreline) in lines.into_iter().enumerate() {
+                for (part, centerline) in lines.into_iter().enumerate() {
                     let id = format!("{x}.{y}.{side}.{part}");
-                    map.lanes.push(Lane { id, centreline, ..Lane::default() });
+                    map.lanes.push(Lane { id, centerline, ..Lane::default() });
                 }
                 map.lanes[number(x, y, side, 0)].successors = (1..4).map(|part| number(x, y, side, part)).collect();
                 for (part, towards) in [(1, side), (2, (side + 1) % 4), (3, (side + 3) % 4)] {
@@ -74,7 +74,7 @@ fn agents(graph: &RoadGraph, count: usize) -> Vec<TrafficAgent> {
             speed_mps: 8.0,
             driver: DriverKind::ALL[number % 4],
             changes_lanes: true,
-            behaviours: vec![],
+            behaviors: vec![],
         }
     };
     (0..count).map(agent).collect()

@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 use crate::lane_index::{LaneIndex, LanePoint};
 use crate::register::grounding::corners;
 
-/// Average displacement error to centrelines, metres: the mean distance of `positions` from the nearest place on any lane that
+/// Average displacement error to centerlines, meters: the mean distance of `positions` from the nearest place on any lane that
 /// `accept` takes. `None` where there are no positions or no lanes.
 ///
 /// It is a measure across lanes only: who stands a car's length too far ahead on his lane has none.
@@ -20,7 +20,7 @@ pub fn ade_to_lanes(
     mean(positions.into_iter().map(|position| Some(index.nearest(position, &accept)?.foot.distance_m)))
 }
 
-/// Average displacement errors to a truth, metres.
+/// Average displacement errors to a truth, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthError {
     /// Mean distance.
@@ -53,7 +53,7 @@ pub fn against_truth_along(positions: impl IntoIterator<Item = (f64, DVec2, Opti
         let (Some(a), Some(b)) = (points.get(before), points.get(after)) else { continue };
         let share = if exact { 0.0 } else { (time_s - a.time_s) / (b.time_s - a.time_s) };
         let place = a.position_m.lerp(b.position_m, share);
-        // The way over a neighbour to each side.
+        // The way over a neighbor to each side.
         let (first, last) = (&points[before.saturating_sub(1)], &points[(after + 1).min(points.len() - 1)]);
         let way = (last.position_m - first.position_m).try_normalize();
         let way = way.or(a.yaw_rad.map(DVec2::from_angle)).unwrap_or(DVec2::X);
@@ -66,7 +66,7 @@ pub fn against_truth_along(positions: impl IntoIterator<Item = (f64, DVec2, Opti
     (moments > 0).then_some(TruthError { ade_m: mean.x, lateral_m: mean.y, longitudinal_m: mean.z, moments })
 }
 
-/// Height of each bottom corner of boxes of `dims_m` at `poses` above a ground, metres; negative below it. `ground` tells the
+/// Height of each bottom corner of boxes of `dims_m` at `poses` above a ground, meters; negative below it. `ground` tells the
 /// height at a place, near the height given; corners without ground are passed over.
 #[must_use]
 pub fn clearances(
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn distances_to_lanes_are_across_only() {
-        let lane = Lane { centreline: vec![DVec3::ZERO, DVec3::X * 100.0], ..Lane::default() };
+        let lane = Lane { centerline: vec![DVec3::ZERO, DVec3::X * 100.0], ..Lane::default() };
         let index = LaneIndex::new(&LaneMap { lanes: vec![lane], ..LaneMap::default() });
         let at = |off: f64, ahead: f64| (0..20).map(move |i| DVec2::new(f64::from(i) + ahead, off));
         assert!((ade_to_lanes(&index, at(0.48, 0.0), |_| true).unwrap() - 0.48).abs() < 1e-12);

@@ -30,13 +30,13 @@ const POSITION_GAIN_PER_S: f64 = 1.0;
 const IDLE_BRAKING_MPS2: f64 = 2.0;
 /// The last of the speed is taken off at least so hard: an exponential approach would creep forever.
 const HALTING_MPS2: f64 = 1.0;
-/// The nearest place on the path is searched so far behind and ahead of the last one, metres.
+/// The nearest place on the path is searched so far behind and ahead of the last one, meters.
 const SEARCH_M: f64 = 5.0;
 
 /// Limits of the ego vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EgoOptions {
-    /// From axle to axle, metres; `None`: 0.6 of its length.
+    /// From axle to axle, meters; `None`: 0.6 of its length.
     pub wheelbase_m: Option<f64>,
     /// Largest angle of the front wheels, radians.
     pub steer_max_rad: f64,
@@ -48,7 +48,7 @@ pub struct EgoOptions {
     pub braking_max_mps2: f64,
     /// Pure pursuit aims at where the path is in so long, seconds.
     pub look_ahead_s: f64,
-    /// It aims at least so far, metres.
+    /// It aims at least so far, meters.
     pub look_ahead_m_min: f64,
 }
 
@@ -81,7 +81,7 @@ pub struct Ego {
     profile: Option<SpeedProfile>,
     /// Since the plan's observation, seconds.
     plan_age_s: f64,
-    /// Driven since then, metres along the path.
+    /// Driven since then, meters along the path.
     driven_m: f64,
 }
 

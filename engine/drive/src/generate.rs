@@ -1,6 +1,6 @@
 //! Scenarios made up for a level: where the ego starts and goes, who else is on the road, what the light is and what goes wrong.
 //!
-//! Everything follows from a seed and an index. Numbers are round (centimetres, tenths of a metre a second), so that a person can read and
+//! Everything follows from a seed and an index. Numbers are round (centimeters, tenths of a meter a second), so that a person can read and
 //! change what comes out. At the start
 //! - nobody overlaps, and everybody is all on one lane and off all places where other lanes cross or merge;
 //! - everybody can stop: behind the vehicle ahead if that brakes as hard as it can, with a second to react; before a crossing where others
@@ -8,7 +8,7 @@
 //! - the ego's route is some 100 to 180 m, shorter where lanes end or allow less, and takes 13 s at most where nobody is in the way;
 //! - from Medium on somebody slower drives 15 to 40 m ahead of the ego, so that keeping one's speed is not enough.
 
-mod behaviours;
+mod behaviors;
 mod ego_start;
 mod light;
 mod placement;
@@ -39,7 +39,7 @@ const TRIES: u64 = 240;
 /// up.
 const TRIES_WITH_ALL: u64 = 100;
 const TRIES_BEFORE_CROSSING: u64 = 180;
-/// The synthetic street shows details within this of its origin, and little beyond, metres.
+/// The synthetic street shows details within this of its origin, and little beyond, meters.
 const STREET_RADIUS_M: f64 = 105.0;
 
 /// Random stream of a scenario's numbers, by use.
@@ -115,7 +115,7 @@ impl<'a> Generator<'a> {
         });
         let roads = Roads::new(map, largest).map_err(GenerateError::Roads)?;
         let street = matches!(place, PlaceOptions::Street { .. });
-        let area = street.then_some(Area { centre_m: DVec2::ZERO, radius_m: STREET_RADIUS_M });
+        let area = street.then_some(Area { center_m: DVec2::ZERO, radius_m: STREET_RADIUS_M });
         Ok(Self { roads, place, area, assets: assets.to_vec() })
     }
 
@@ -148,7 +148,7 @@ impl<'a> Generator<'a> {
                     continue;
                 }
             };
-            let agents = behaviours::agents(self.roads.map, level, &start, &vehicles, &random.of(2));
+            let agents = behaviors::agents(self.roads.map, level, &start, &vehicles, &random.of(2));
             // Short enough to be read, and a whole number in any format.
             let traffic_seed = stream.of(FOR_TRAFFIC).bits() >> 32;
             if !self.begins_as_told(&agents, traffic_seed) {
@@ -185,7 +185,7 @@ fn is_a_vehicle(size: &VehicleSize) -> bool {
     (0.5..=25.0).contains(&size.length_m) && (0.3..=4.0).contains(&size.width_m) && (0.1..=10.0).contains(&size.height_m)
 }
 
-fn to_centimetre(value: f64) -> f64 {
+fn to_centimeter(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
 }
 

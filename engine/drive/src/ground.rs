@@ -3,7 +3,7 @@
 //! A height is the mean `sum(alpha z) / sum(alpha)` over the splats in a vertical column, made robust in four ways.
 //!
 //! - A splat is not its mean. Its share of a column is its Gaussian integrated over the column, and its height there is that of
-//!   the part inside: the mean of z given the place ([`surfel`](self)). A large flat splat counts where its centre is not.
+//!   the part inside: the mean of z given the place ([`surfel`](self)). A large flat splat counts where its center is not.
 //! - A surface is thin, leaves and walls are thick: the share falls with the height that a splat spans at one place.
 //! - Heights in a column gather around surfaces (a deck, the road below it, a canopy). Each is found as a mode of its own, so
 //!   that nothing above or below is ever mixed into a mean.
@@ -28,10 +28,10 @@ use tiles::Tiles;
 /// Options of the height search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroundOptions {
-    /// Standard deviation of a column's horizontal weight, metres. Wider columns average more noise away, and more of the road's
+    /// Standard deviation of a column's horizontal weight, meters. Wider columns average more noise away, and more of the road's
     /// shape: the crown of a road of 2 % is lost by 0.8 times 2 % of it.
     pub column_sigma_m: f64,
-    /// A surface lies within so much of the height that was expected, metres: less than half of what is between two decks.
+    /// A surface lies within so much of the height that was expected, meters: less than half of what is between two decks.
     pub band_m: f64,
     /// A surface that covers less of its column, as a mean of alpha, is not one.
     pub support_min: f64,
@@ -48,11 +48,11 @@ impl Default for GroundOptions {
 /// A height of the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroundHeight {
-    /// World coordinates, metres.
+    /// World coordinates, meters.
     pub z_m: f64,
     /// Mean over the column of the alpha that covers it, layers of splats added up: about 1 and more where the surface is closed.
     pub support: f64,
-    /// Standard deviation of the splats' heights about the surface, metres.
+    /// Standard deviation of the splats' heights about the surface, meters.
     pub spread_m: f64,
 }
 
@@ -71,9 +71,9 @@ const NEARNESS: f64 = 3.0;
 const CLOSED: f64 = 1.0;
 /// Debris below a surface covers less than this share of it.
 const DEBRIS_SHARE: f64 = 0.4;
-/// Debris lies within so much below its surface, metres: less than there is between decks.
+/// Debris lies within so much below its surface, meters: less than there is between decks.
 const DEBRIS_DEPTH_M: f64 = 1.5;
-/// Neighbouring nodes hold the same surface where their planes meet within this, metres: a kerb more than that is another one.
+/// Neighboring nodes hold the same surface where their planes meet within this, meters: a kerb more than that is another one.
 const SAME_SURFACE_M: f64 = 0.25;
 
 impl Ground {

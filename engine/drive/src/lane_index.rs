@@ -5,7 +5,7 @@ use glam::DVec2;
 
 use crate::polyline::{Foot, Polyline};
 
-/// The place on a lane's centreline nearest to a point.
+/// The place on a lane's centerline nearest to a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LanePoint {
     /// Place in [`LaneMap::lanes`].
@@ -14,7 +14,7 @@ pub struct LanePoint {
     pub foot: Foot,
 }
 
-/// Centrelines of a map, to be searched.
+/// Centerlines of a map, to be searched.
 pub struct LaneIndex {
     lines: Vec<Option<Polyline>>,
     pieces: Vec<Piece>,
@@ -39,10 +39,10 @@ struct Node {
 const LEAF_PIECES: usize = 4;
 
 impl LaneIndex {
-    /// The index of `map`. Lanes whose centreline is no line are in none of its answers.
+    /// The index of `map`. Lanes whose centerline is no line are in none of its answers.
     #[must_use]
     pub fn new(map: &LaneMap) -> Self {
-        let lines: Vec<Option<Polyline>> = map.lanes.iter().map(|lane| Polyline::new(lane.centreline.iter().copied())).collect();
+        let lines: Vec<Option<Polyline>> = map.lanes.iter().map(|lane| Polyline::new(lane.centerline.iter().copied())).collect();
         let mut pieces = Vec::new();
         for (lane, line) in lines.iter().enumerate() {
             let segments = line.as_ref().map_or(0, |line| line.points().len() - 1);
@@ -55,7 +55,7 @@ impl LaneIndex {
         index
     }
 
-    /// The centreline of a lane, where it is a line.
+    /// The centerline of a lane, where it is a line.
     #[must_use]
     pub fn line(&self, lane: usize) -> Option<&Polyline> {
         self.lines.get(lane)?.as_ref()
@@ -169,7 +169,7 @@ mod tests {
         let lane = |at: usize| {
             let offset = 3.0 * at as f64;
             let point = |x: f64| DVec3::new(x, offset + 5.0 * (0.05 * x + at as f64).sin(), 0.0);
-            Lane { id: at.to_string(), centreline: (0..60).map(|x| point(2.0 * f64::from(x))).collect(), ..Lane::default() }
+            Lane { id: at.to_string(), centerline: (0..60).map(|x| point(2.0 * f64::from(x))).collect(), ..Lane::default() }
         };
         LaneMap { lanes: (0..12).map(lane).collect(), ..LaneMap::default() }
     }

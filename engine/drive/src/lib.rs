@@ -1,6 +1,6 @@
 //! Motion in a world: lanes and ground, registration of tracks, traffic, the ego vehicle, generated scenarios, scores.
 //!
-//! Plain mathematics over [`decouplegs_scene`]; nothing here reads a file or knows a GPU. Units are metres, seconds and radians.
+//! Plain mathematics over [`decouplegs_scene`]; nothing here reads a file or knows a GPU. Units are meters, seconds and radians.
 #![forbid(unsafe_code)]
 
 pub mod alignment;

@@ -7,7 +7,7 @@ use glam::DVec2;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrientedBox {
     /// Center, world coordinates, meters.
-    pub centre_m: DVec2,
+    pub center_m: DVec2,
     /// Heading of the long axis, from x towards y.
     pub yaw_rad: f64,
     /// From the middle to the front.
@@ -18,7 +18,7 @@ pub struct OrientedBox {
 
 /// Projections of two boxes on one direction, for the separating axis test.
 struct Shadow {
-    /// From the middle of the first to that of the second, along the direction, metres.
+    /// From the middle of the first to that of the second, along the direction, meters.
     offset_m: f64,
     /// Largest distance of the centers at which the projections touch.
     reach_m: f64,
@@ -31,7 +31,7 @@ impl OrientedBox {
     #[must_use]
     pub fn of(state: &VehicleState, size: &VehicleSize) -> Self {
         Self {
-            centre_m: state.position_m,
+            center_m: state.position_m,
             yaw_rad: state.yaw_rad,
             half_length_m: 0.5 * size.length_m,
             half_width_m: 0.5 * size.width_m,
@@ -42,7 +42,7 @@ impl OrientedBox {
     /// coordinates, meters.
     #[must_use]
     pub fn corners(&self) -> [DVec2; 4] {
-        self.offsets().map(|offset| self.centre_m + offset)
+        self.offsets().map(|offset| self.center_m + offset)
     }
 
     /// Corners relative to the center, in the world's axes.
@@ -52,10 +52,10 @@ impl OrientedBox {
         [length + width, width - length, -length - width, length - width]
     }
 
-    /// A place in the world, seen from the box: x towards its front, y to its left, metres.
+    /// A place in the world, seen from the box: x towards its front, y to its left, meters.
     #[must_use]
     pub fn to_local(&self, world_m: DVec2) -> DVec2 {
-        DVec2::from_angle(-self.yaw_rad).rotate(world_m - self.centre_m)
+        DVec2::from_angle(-self.yaw_rad).rotate(world_m - self.center_m)
     }
 
     /// True if the two share a point; touching is sharing.
@@ -64,7 +64,7 @@ impl OrientedBox {
         self.shadows(other).iter().all(|shadow| shadow.offset_m.abs() <= shadow.reach_m)
     }
 
-    /// The gap between the two, metres: 0 where they overlap.
+    /// The gap between the two, meters: 0 where they overlap.
     #[must_use]
     pub fn distance_m(&self, other: &Self) -> f64 {
         if self.overlaps(other) {
@@ -74,18 +74,18 @@ impl OrientedBox {
         self.nearest_corner_m(other).min(other.nearest_corner_m(self))
     }
 
-    /// From this box to the nearest corner of `other`, metres.
+    /// From this box to the nearest corner of `other`, meters.
     fn nearest_corner_m(&self, other: &Self) -> f64 {
         let (half, turn) = (DVec2::new(self.half_length_m, self.half_width_m), DVec2::from_angle(-self.yaw_rad));
         // Middles are subtracted before corners are made of them: what is left is exact far from the world's origin.
-        let between = other.centre_m - self.centre_m;
+        let between = other.center_m - self.center_m;
         let outside = |offset: DVec2| (turn.rotate(between + offset).abs() - half).max(DVec2::ZERO).length();
         other.offsets().into_iter().map(outside).fold(f64::INFINITY, f64::min)
     }
 
     /// The two along the sides of both: they overlap where their shadows do on all four (separating axis theorem).
     fn shadows(&self, other: &Self) -> [Shadow; 4] {
-        let between = other.centre_m - self.centre_m;
+        let between = other.center_m - self.center_m;
         let (a, b) = (DVec2::from_angle(self.yaw_rad), DVec2::from_angle(other.yaw_rad));
         let radius = |ahead: DVec2, half: &Self, axis: DVec2| {
             half.half_length_m * ahead.dot(axis).abs() + half.half_width_m * ahead.perp().dot(axis).abs()
@@ -125,6 +125,6 @@ pub fn time_to_collision(
         last_s = last_s.min(ends[0].max(ends[1]));
     }
     // What is no number makes no collision.
-    let finite = a.centre_m.is_finite() && b.centre_m.is_finite() && relative_mps.is_finite();
+    let finite = a.center_m.is_finite() && b.center_m.is_finite() && relative_mps.is_finite();
     (finite && first_s <= last_s && first_s <= horizon_s).then_some(first_s)
 }

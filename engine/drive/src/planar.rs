@@ -3,10 +3,10 @@
 use glam::DVec2;
 
 /// A turn about a pivot, then a shift. The pivot lies in the middle of what is moved, so that the shift is what a reader expects:
-/// about the origin of UTM coordinates a turn of a degree would shift by kilometres.
+/// about the origin of UTM coordinates a turn of a degree would shift by kilometers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanarTransform {
-    /// The point that is shifted only, world coordinates, metres.
+    /// The point that is shifted only, world coordinates, meters.
     pub pivot_m: DVec2,
     /// Turn, radians, from x towards y.
     pub yaw_rad: f64,

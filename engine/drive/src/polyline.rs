@@ -6,30 +6,30 @@ use glam::{DVec2, DVec3};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polyline {
     points: Vec<DVec3>,
-    /// Length up to each point, metres, from above: heights do not count.
+    /// Length up to each point, meters, from above: heights do not count.
     arcs: Vec<f64>,
-    /// Heading of each segment; unwrapped, so that neighbours differ by less than pi.
+    /// Heading of each segment; unwrapped, so that neighbors differ by less than pi.
     headings: Vec<f64>,
 }
 
 /// The place on a line nearest to a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Foot {
-    /// Length along the line up to it, metres.
+    /// Length along the line up to it, meters.
     pub arc_m: f64,
     /// The place itself.
     pub point: DVec3,
     /// Heading of the line there, radians, as [`Polyline::heading_at`].
     pub heading_rad: f64,
-    /// From the line to the point, across, metres: to the left is positive.
+    /// From the line to the point, across, meters: to the left is positive.
     pub lateral_m: f64,
-    /// From the line to the point, metres; more than the lateral offset beyond the line's ends.
+    /// From the line to the point, meters; more than the lateral offset beyond the line's ends.
     pub distance_m: f64,
 }
 
-/// Points nearer to each other than this are one, metres.
+/// Points nearer to each other than this are one, meters.
 const SAME_POINT_M: f64 = 1e-6;
-/// A heading is that of the chord from so far before a place to so far behind it, metres: about the length of a car, so that a corner of
+/// A heading is that of the chord from so far before a place to so far behind it, meters: about the length of a car, so that a corner of
 /// the line turns as a car does, while the middle of a long segment points where the segment does.
 const HALF_CHORD_M: f64 = 2.0;
 
@@ -62,13 +62,13 @@ impl Polyline {
         &self.points
     }
 
-    /// Metres from end to end.
+    /// Meters from end to end.
     #[must_use]
     pub fn length_m(&self) -> f64 {
         self.arcs[self.arcs.len() - 1]
     }
 
-    /// Length up to each of [`Polyline::points`], metres.
+    /// Length up to each of [`Polyline::points`], meters.
     #[must_use]
     pub fn arcs_m(&self) -> &[f64] {
         &self.arcs
@@ -105,7 +105,7 @@ impl Polyline {
         away.map_or(normal, |away| if away.dot(normal) < 0.0 { -away } else { away })
     }
 
-    /// Height a metre along it at `arc_m`.
+    /// Height a meter along it at `arc_m`.
     #[must_use]
     pub fn grade_at(&self, arc_m: f64) -> f64 {
         let (segment, _) = self.locate(arc_m);
@@ -162,7 +162,7 @@ impl Polyline {
     }
 }
 
-/// Angles between neighbours by the shorter way around.
+/// Angles between neighbors by the shorter way around.
 fn segment_headings(points: &[DVec3]) -> Vec<f64> {
     let mut segments: Vec<f64> = Vec::with_capacity(points.len() - 1);
     for pair in points.windows(2) {

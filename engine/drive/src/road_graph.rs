@@ -17,13 +17,13 @@ pub(crate) use path::{length_of, place_on};
 
 /// Default speed limit: 50 km/h, as in a town.
 const SPEED_LIMIT_MPS: f64 = 50.0 / 3.6;
-/// A lane whose successor begins farther than this from its end does not lead there, metres.
+/// A lane whose successor begins farther than this from its end does not lead there, meters.
 const LINK_GAP_M: f64 = 2.0;
 /// A lane that turns by less is straight.
 const STRAIGHT_RAD: f64 = 0.35;
-/// Most metres of lanes: those of a large city. More is taken for a mistake before anything is made of its size.
+/// Most meters of lanes: those of a large city. More is taken for a mistake before anything is made of its size.
 const LENGTH_M_MAX: f64 = 5e6;
-/// Ways on are told apart up to this length: longer ones are as good as endless, metres.
+/// Ways on are told apart up to this length: longer ones are as good as endless, meters.
 const ONWARD_M_MAX: f64 = 2000.0;
 
 /// Conflict between two lanes: vehicles on these stretches may touch.
@@ -48,7 +48,7 @@ pub struct Conflict {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fork {
     pub other: usize,
-    /// Up to where this lane is in the way of the other, metres along.
+    /// Up to where this lane is in the way of the other, meters along.
     pub to_m: f64,
     /// Largest offset along this lane between a conflicting point and its counterpart on the other,
     /// meters.
@@ -107,20 +107,20 @@ impl RoadGraph {
     /// Links to lanes that begin more than 2 m from the lane's end, or that nobody drives on, are left out.
     ///
     /// # Errors
-    /// A sentence: what [`LaneMap::check`] says, a centreline that is no line, more than 5,000 km of lanes, or more of them in one
+    /// A sentence: what [`LaneMap::check`] says, a centerline that is no line, more than 5,000 km of lanes, or more of them in one
     /// place than a city has.
     pub fn new(map: &LaneMap) -> Result<Self, String> {
         map.check()?;
         let mut lanes = Vec::with_capacity(map.lanes.len());
         for lane in &map.lanes {
-            let line = Polyline::new(lane.centreline.iter().copied());
-            let line = line.ok_or_else(|| format!("lane {}: its centreline is one point; expected a line", lane.id))?;
+            let line = Polyline::new(lane.centerline.iter().copied());
+            let line = line.ok_or_else(|| format!("lane {}: its centerline is one point; expected a line", lane.id))?;
             lanes.push((lane.kind == LaneKind::Driving).then(|| RoadLane {
                 id: lane.id.clone(),
                 successors: Vec::new(),
                 predecessors: Vec::new(),
-                left: lane.left_neighbour.filter(|&other| map.lanes[other].kind == LaneKind::Driving),
-                right: lane.right_neighbour.filter(|&other| map.lanes[other].kind == LaneKind::Driving),
+                left: lane.left_neighbor.filter(|&other| map.lanes[other].kind == LaneKind::Driving),
+                right: lane.right_neighbor.filter(|&other| map.lanes[other].kind == LaneKind::Driving),
                 speed_limit_mps: lane.speed_limit_mps.filter(|limit| *limit > 0.0).unwrap_or(SPEED_LIMIT_MPS),
                 turn_rad: wrapped(line.heading_at(line.length_m()) - line.heading_at(0.0)),
                 conflicts: Vec::new(),

@@ -10,15 +10,15 @@ mod tree;
 
 use tree::TriangleTree;
 
-/// Half the width of a lane whose borders the map does not know, metres.
+/// Half the width of a lane whose borders the map does not know, meters.
 pub const HALF_WIDTH_M: f64 = 1.75;
-/// Places so near to the road are on it, metres: no seam between two triangles has a width.
+/// Places so near to the road are on it, meters: no seam between two triangles has a width.
 const SEAM_M: f64 = 1e-3;
-/// Between two places on a box's outline that are looked at, metres at most.
+/// Between two places on a box's outline that are looked at, meters at most.
 const OUTLINE_STRIDE_M: f64 = 1.0;
 /// Places on one side of a box at most; a vehicle of any real length has fewer.
 const OUTLINE_PLACES_MAX: f64 = 64.0;
-/// A place so far from all lanes, metres, has no height.
+/// A place so far from all lanes, meters, has no height.
 const HEIGHT_REACH_M: f64 = 3.0;
 
 /// The union of a map's driving lanes, from border to border, as triangles in a tree. It is seen from above: what is under a bridge
@@ -29,7 +29,7 @@ pub struct RoadSurface {
 }
 
 impl RoadSurface {
-    /// The surface of `map`. Where a border is missing, the lane reaches 1.75 m from its centreline; lanes without a line have no area.
+    /// The surface of `map`. Where a border is missing, the lane reaches 1.75 m from its centerline; lanes without a line have no area.
     #[must_use]
     pub fn new(map: &LaneMap) -> Self {
         let lanes = map.lanes.iter().filter(|lane| lane.kind == LaneKind::Driving);
@@ -68,7 +68,7 @@ impl RoadSurface {
         })
     }
 
-    /// Height of the road at a place, metres: of the lanes over and under each other, the one nearest to `expected_z_m`. `None` where no lane
+    /// Height of the road at a place, meters: of the lanes over and under each other, the one nearest to `expected_z_m`. `None` where no lane
     /// that knows its height is within 3 m.
     #[must_use]
     pub fn height_at(&self, at: DVec2, expected_z_m: f64) -> Option<f64> {
@@ -113,12 +113,12 @@ impl Triangle {
         nearer(nearer(edge(0), edge(1)), edge(2))
     }
 
-    /// From a place to the triangle, seen from above, metres: 0 within it.
+    /// From a place to the triangle, seen from above, meters: 0 within it.
     fn distance_m(&self, at: DVec2) -> f64 {
         self.nearest_offset(at).length()
     }
 
-    /// Height of the triangle at the place of it nearest to `at`, metres.
+    /// Height of the triangle at the place of it nearest to `at`, meters.
     fn height_near(&self, at: DVec2) -> f64 {
         let place = at + self.nearest_offset(at);
         let [a, b, c] = self.corners.map(|corner| corner.truncate() - place);

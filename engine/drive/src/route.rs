@@ -29,11 +29,11 @@ pub struct Route {
 }
 
 impl Route {
-    /// The route of `task` through `map`: from `start_m` along its first lane to `end_m` along its last. Where a lane is a neighbour of the
+    /// The route of `task` through `map`: from `start_m` along its first lane to `end_m` along its last. Where a lane is a neighbor of the
     /// one before it, the line goes over to it within 30 m, or less where the lanes are shorter.
     ///
     /// # Errors
-    /// A sentence naming the lane: one that is not in the map, or twice; one that does not follow or neighbour the one before; a
+    /// A sentence naming the lane: one that is not in the map, or twice; one that does not follow or neighbor the one before; a
     /// start or end beyond it; no room to change to it.
     pub fn new(map: &LaneMap, task: &EgoTask) -> Result<Self, String> {
         let joined = joined::join(map, task)?;
@@ -41,13 +41,13 @@ impl Route {
         Ok(Self { turns, line: joined.line, lanes: joined.lanes, has_height: joined.has_height })
     }
 
-    /// The line, a point every metre or so; z is the lanes' height, 0 where the map knows none.
+    /// The line, a point every meter or so; z is the lanes' height, 0 where the map knows none.
     #[must_use]
     pub fn line(&self) -> &Polyline {
         &self.line
     }
 
-    /// Metres from start to end.
+    /// Meters from start to end.
     #[must_use]
     pub fn length_m(&self) -> f64 {
         self.line.length_m()

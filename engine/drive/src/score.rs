@@ -1,7 +1,7 @@
 //! Scores of episodes, from their records alone: no map and no picture is needed, so that a log scores the same wherever it is read.
 //!
 //! As CARLA's leaderboard has it (leaderboard.carla.org, "Evaluation criteria"), a driving score is the share of the route that was
-//! completed, times a factor for each infraction. Only collisions that are the ego's fault are penalised so; one that is not ends the episode
+//! completed, times a factor for each infraction. Only collisions that are the ego's fault are penalized so; one that is not ends the episode
 //! and costs the rest of the route. Success is a completed route without any such infraction, so no set of episodes has more success than
 //! completion, nor a driving score above its completion: [`Summary::check`].
 
@@ -49,7 +49,7 @@ pub struct EpisodeScore {
     pub ttc_short_share: f64,
     /// Comfort of the drive.
     pub comfort: Comfort,
-    /// Mean displacement between what was planned and what was driven at the same time, metres; `None` where no plan reached into what
+    /// Mean displacement between what was planned and what was driven at the same time, meters; `None` where no plan reached into what
     /// was driven.
     pub plan_ade_m: Option<f64>,
 }

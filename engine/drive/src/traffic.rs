@@ -1,6 +1,6 @@
 //! Traffic: agents that follow, change lanes, give way and now and then misbehave, on the driving lanes of a map.
 //!
-//! What keeps agents apart is built in, not repaired. Each knows where its front would be if it braked as hard as tyres allow
+//! What keeps agents apart is built in, not repaired. Each knows where its front would be if it braked as hard as tires allow
 //! ([`idm::BRAKING_MPS2`]). Behind another on its path it never lets that place pass where the other's rear could come to a stand; before
 //! a place that conflicts with another lane it never lets it pass unless the place is its own (`claims`, `junction`). Whoever brakes as
 //! hard as that keeps all of it true, so there is always a way to go on. The models (IDM, MOBIL) drive within these bounds.
@@ -10,7 +10,7 @@
 //! Everything follows from the agents, the seed and the ego's motion, bit by bit.
 
 mod agent;
-mod behaviour;
+mod behavior;
 mod claims;
 pub mod driver;
 mod ego;
@@ -25,7 +25,7 @@ mod start;
 
 use std::sync::Arc;
 
-use decouplegs_scene::scenario::{Behaviour, Scenario};
+use decouplegs_scene::scenario::{Behavior, Scenario};
 use decouplegs_scene::{VehicleSize, VehicleState};
 
 use crate::road_graph::RoadGraph;
@@ -41,9 +41,9 @@ pub use start::TrafficError;
 pub struct LanePlace {
     /// Place in the map's list of lanes. Who changes lanes is on the new one from the beginning.
     pub lane: usize,
-    /// Along it, metres.
+    /// Along it, meters.
     pub arc_m: f64,
-    /// From its middle to the left, metres.
+    /// From its middle to the left, meters.
     pub lateral_m: f64,
 }
 
@@ -52,7 +52,7 @@ pub struct LanePlace {
 pub struct Traffic {
     graph: Arc<RoadGraph>,
     agents: Vec<Agent>,
-    behaviours: Vec<Vec<Behaviour>>,
+    behaviors: Vec<Vec<Behavior>>,
     states: Vec<VehicleState>,
     order: LaneOrder,
     claims: Claims,

@@ -30,7 +30,7 @@ pub(crate) struct Instance {
 
 impl Instance {
     pub(crate) fn new(validation: bool) -> Result<Self, GpuError> {
-        // SAFETY: the system's Vulkan loader has no initialisation duties, and `Instance` keeps the library open while it is
+        // SAFETY: the system's Vulkan loader has no initialization duties, and `Instance` keeps the library open while it is
         // used.
         let entry = unsafe { ash::Entry::load() }.map_err(|error| GpuError::LoaderMissing { detail: error.to_string() })?;
         if validation && !has_validation_layer(&entry)? {

@@ -1,4 +1,4 @@
-//! Recording a command buffer: dispatches by name, copies and fills, in stages that are labelled and timed.
+//! Recording a command buffer: dispatches by name, copies and fills, in stages that are labeled and timed.
 
 pub(crate) mod hazards;
 
@@ -37,7 +37,7 @@ impl Recorder {
         Self { context: context.clone(), queue: queue.clone(), slot, stages: Vec::new(), in_stage: false, barriers: true }
     }
 
-    /// Records `body` as a stage: labelled in debuggers, timed, and named when the device is lost.
+    /// Records `body` as a stage: labeled in debuggers, timed, and named when the device is lost.
     ///
     /// # Panics
     /// For a stage inside a stage, and for more than 127 stages.

@@ -94,7 +94,7 @@ fn plan(message: &Value) -> Result<Answer, String> {
     let mut read = Vec::with_capacity(points.len());
     for (index, value) in points.iter().enumerate() {
         let (_, point) = point((index, value))
-            .ok_or_else(|| format!("sent a plan whose point {index} is not [seconds, metres ahead, metres to the left]"))?;
+            .ok_or_else(|| format!("sent a plan whose point {index} is not [seconds, meters ahead, meters to the left]"))?;
         read.push(point);
     }
     let plan = Plan::new(read).map_err(|fault| format!("sent what is no plan: {fault}"))?;

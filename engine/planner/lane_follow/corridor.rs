@@ -4,17 +4,17 @@ use decouplegs_drive::polyline::{Polyline, wrapped};
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
-/// The line goes on so far before and behind the route, metres, so that whoever is beyond an end is not taken to be at it.
+/// The line goes on so far before and behind the route, meters, so that whoever is beyond an end is not taken to be at it.
 const BEYOND_M: f64 = 120.0;
-/// Agents are looked for along so much of the route behind the ego, metres, and so much ahead of it.
+/// Agents are looked for along so much of the route behind the ego, meters, and so much ahead of it.
 const BEHIND_M: f64 = 60.0;
 const AHEAD_M: f64 = 160.0;
-/// To each side of the ego's box this much has to be free, metres: less than there is between cars in lanes of 3 m.
+/// To each side of the ego's box this much has to be free, meters: less than there is between cars in lanes of 3 m.
 const SIDE_M: f64 = 0.25;
 /// Largest difference from the route's heading at which a vehicle counts as driving along it,
 /// radians.
 const ALONG_RAD: f64 = std::f64::consts::FRAC_PI_6;
-/// Whoever goes along the route stays along it within this of its middle, metres: two lanes. Beyond, his road is another.
+/// Whoever goes along the route stays along it within this of its middle, meters: two lanes. Beyond, his road is another.
 const ROAD_HALF_WIDTH_M: f64 = 8.0;
 /// A lane change is over by then, seconds: nobody drifts sideways for longer.
 const DRIFT_S: f64 = 3.0;

@@ -7,7 +7,7 @@ use super::lead::Lead;
 use super::way::{REACH_M, Way};
 use crate::planner::cadence::{HORIZON_S, SPACING_S};
 
-/// Sideways acceleration that is borne in bends, metres a second squared.
+/// Sideways acceleration that is borne in bends, meters a second squared.
 const LATERAL_MPS2: f64 = 2.0;
 /// Deceleration for curves, m/s^2.
 const BEND_BRAKING_MPS2: f64 = 1.8;
@@ -17,9 +17,9 @@ const ACCELERATION_MPS2: f64 = 1.5;
 const BRAKING_MPS2: f64 = 2.5;
 /// Time headway, seconds.
 const HEADWAY_S: f64 = 1.6;
-/// Gap to a standing vehicle, metres: so far, because nearer ones hide their foot below the picture.
+/// Gap to a standing vehicle, meters: so far, because nearer ones hide their foot below the picture.
 const STANDSTILL_M: f64 = 3.8;
-/// From one speed limit on the way to the next, metres.
+/// From one speed limit on the way to the next, meters.
 const LIMIT_STEP_M: f64 = 1.0;
 
 /// Target positions of the ego on the path, and its speed profile.
@@ -33,7 +33,7 @@ pub(super) struct Pace<'a> {
 }
 
 impl Pace<'_> {
-    /// Metres along the way at each moment of a plan, the first at zero seconds.
+    /// Meters along the way at each moment of a plan, the first at zero seconds.
     pub(super) fn arcs_m(&self) -> Vec<f64> {
         let limits_mps = self.limits_mps();
         let driver = IdmParameters {
@@ -63,7 +63,7 @@ impl Pace<'_> {
         arcs_m
     }
 
-    /// The highest speed at each metre of the way from which every bend is still reached slowly enough.
+    /// The highest speed at each meter of the way from which every bend is still reached slowly enough.
     fn limits_mps(&self) -> Vec<f64> {
         let count = (REACH_M / LIMIT_STEP_M) as usize;
         let bend = |at: usize| (LATERAL_MPS2 / self.way.at(at as f64 * LIMIT_STEP_M).curvature.abs().max(1e-6)).sqrt();

@@ -5,23 +5,23 @@ use glam::DVec2;
 use super::markings::LaneFix;
 use super::way::{Way, seen_from};
 
-/// Lanes are so wide until measured, metres.
+/// Lanes are so wide until measured, meters.
 const WIDTH_M: f64 = 3.4;
 /// The rear axle, which does not slip, lies this share of the length behind the middle of the box.
 const REAR_AXLE_SHARE: f64 = 0.3;
 /// Filter gain of a newly measured width.
 const WIDTH_GAIN: f64 = 0.3;
-/// A believed lane never lies farther from the ego than this, metres: it would be another one.
+/// A believed lane never lies farther from the ego than this, meters: it would be another one.
 const OFFSET_M_MAX: f64 = 2.0;
 
 /// Motion of the ego from one image to the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
-    /// By its rear axle, metres.
+    /// By its rear axle, meters.
     pub driven_m: f64,
     /// By how much its heading changed, to the left where above zero.
     pub turned_rad: f64,
-    /// Along the way, as navigation tells, metres.
+    /// Along the way, as navigation tells, meters.
     pub progress_m: Option<f64>,
 }
 
@@ -34,13 +34,13 @@ pub(super) struct LaneBelief {
     pub heading_rad: f64,
     /// 1/m, to the left where above zero.
     pub curvature: f64,
-    /// From border to border, metres.
+    /// From border to border, meters.
     pub width_m: f64,
     pub offset_sigma_m: f64,
     pub heading_sigma_rad: f64,
     pub curvature_sigma: f64,
     pub width_sigma_m: f64,
-    /// Since its markings were last seen, metres driven.
+    /// Since its markings were last seen, meters driven.
     pub unseen_m: f64,
 }
 

@@ -7,17 +7,17 @@ use super::obstacle::Sighting;
 const NEW_SCORE: f64 = 1.0;
 /// Log odds above which it is the vehicle that was seen before.
 const KNOWN_SCORE: f64 = -1.0;
-/// A sighting is that of the known vehicle when it is so near to where that was expected, as a share of the distance, and metres.
+/// A sighting is that of the known vehicle when it is so near to where that was expected, as a share of the distance, and meters.
 const GATE: (f64, f64) = (0.2, 2.0);
 /// Sightings this far beyond the first above the threshold may still be the same vehicle's better one, as a share of the distance.
 const SAME_SHARE: f64 = 0.15;
 /// A vehicle of which nothing was seen for so long is forgotten, seconds.
 const FORGET_S: f64 = 1.6;
-/// A vehicle nearer than this hides its own foot below the picture and is remembered for longer, metres along the way.
+/// A vehicle nearer than this hides its own foot below the picture and is remembered for longer, meters along the way.
 const UNDER_PICTURE_M: f64 = 6.0;
 /// For how long, seconds.
 const FORGET_NEAR_S: f64 = 4.0;
-/// No vehicle is faster, metres a second.
+/// No vehicle is faster, meters a second.
 const SPEED_MPS_MAX: f64 = 30.0;
 /// Assumed speed of a newly seen obstacle, as a share of the ego's speed.
 const SPEED_SHARE: f64 = 0.6;

@@ -15,7 +15,7 @@ const HEADING_STEP_RAD: f64 = 0.006;
 const CURVATURE_STEP: f64 = 0.0012;
 /// Bends to each side.
 const CURVATURES: i32 = 2;
-/// Widths of lanes, metres.
+/// Widths of lanes, meters.
 const WIDTHS_M: std::ops::RangeInclusive<f64> = 2.7..=4.0;
 /// From one width to the next that is tried.
 const WIDTH_STEP_M: f64 = 0.1;
@@ -29,7 +29,7 @@ const BORDER_SIGMAS_MAX: f64 = 8.0;
 const EVIDENCE: f64 = 0.9;
 /// A row whose road between the markings responds like this on average is paint across the lane: a crosswalk.
 const CROSSWALK: f32 = 0.03;
-/// Half the width of the road between the markings, metres.
+/// Half the width of the road between the markings, meters.
 const INTERIOR_M: f64 = 1.1;
 /// The least noise of a response.
 const NOISE_MIN: f32 = 0.002;
@@ -43,7 +43,7 @@ pub(super) struct LaneFix {
     pub heading_rad: f64,
     /// Curvature, 1/m.
     pub curvature: f64,
-    /// From border to border, metres.
+    /// From border to border, meters.
     pub width_m: f64,
     /// Signal-to-noise ratio of the left and the right border, standard deviations.
     pub borders: [f64; 2],
@@ -51,7 +51,7 @@ pub(super) struct LaneFix {
 
 /// A group of rows, their responses averaged.
 struct Group {
-    /// Metres beyond the reference place.
+    /// Meters beyond the reference place.
     ahead_m: f64,
     weight: f32,
     responses: Vec<f32>,

@@ -28,41 +28,41 @@ use self::way::{Arc, Way};
 use super::cadence::{SPACING_S, plan_through};
 use super::{Briefing, Cameras, EgoMotion, Guidance, Observation, Planner, PlannerError, Sees, Turn};
 
-/// The lane before a turn is looked at while there is at least so much of it ahead, metres.
+/// The lane before a turn is looked at while there is at least so much of it ahead, meters.
 const LANE_BEFORE_M: f64 = 10.0;
-/// The lane after a turn is looked for when it begins at most so far ahead, metres.
+/// The lane after a turn is looked for when it begins at most so far ahead, meters.
 const LANE_AFTER_M: f64 = 20.0;
-/// Markings are looked for up to so far before the vehicle ahead, metres.
+/// Markings are looked for up to so far before the vehicle ahead, meters.
 const BEFORE_LEAD_M: f64 = 0.5;
-/// Being off the lane's middle decays along this, or along what is driven in [`RETURN_S`] where that is more, metres.
+/// Being off the lane's middle decays along this, or along what is driven in [`RETURN_S`] where that is more, meters.
 const RETURN_M: f64 = 6.0;
 /// See [`RETURN_M`], seconds.
 const RETURN_S: f64 = 0.9;
-/// Without markings for longer than this it drives slowly, metres.
+/// Without markings for longer than this it drives slowly, meters.
 const LOST_M: f64 = 60.0;
 /// Speed while the lane is lost, m/s.
 const LOST_MPS: f64 = 5.0;
-/// No speed beyond this is believed, metres a second.
+/// No speed beyond this is believed, meters a second.
 const SPEED_MPS_MAX: f64 = 60.0;
 /// No step takes longer than this, seconds.
 const STEP_S_MAX: f64 = 5.0;
-/// Progress that navigation tells is believed when it differs from what was driven by less than this, metres.
+/// Progress that navigation tells is believed when it differs from what was driven by less than this, meters.
 const PROGRESS_SLACK_M: f64 = 3.0;
 
 /// Perception of the last image by the planner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sight {
-    /// Middle of the ego's lane beside the ego, to the left where above zero, metres.
+    /// Middle of the ego's lane beside the ego, to the left where above zero, meters.
     pub lane_offset_m: f64,
     /// Heading of the lane in the ego's frame.
     pub lane_heading_rad: f64,
     /// Bend of the lane, to the left where above zero, 1/m.
     pub lane_curvature: f64,
-    /// From border to border, metres.
+    /// From border to border, meters.
     pub lane_width_m: f64,
-    /// Driven since markings were last seen, metres.
+    /// Driven since markings were last seen, meters.
     pub unseen_m: f64,
-    /// From the ego's front to the vehicle ahead, metres; `None` where none is seen.
+    /// From the ego's front to the vehicle ahead, meters; `None` where none is seen.
     pub gap_m: Option<f64>,
 }
 
@@ -215,7 +215,7 @@ impl State {
     }
 }
 
-/// Progress along the way between two announcements of the same turn, metres.
+/// Progress along the way between two announcements of the same turn, meters.
 fn progress_m(before: &Guidance, now: &Guidance) -> Option<f64> {
     let same = before.turn == now.turn && before.angle_rad == now.angle_rad && before.length_m == now.length_m;
     (same && now.turn != Turn::Straight).then_some(before.distance_m - now.distance_m)

@@ -1,36 +1,36 @@
 //! The vehicle ahead: where on the expected way the road ends at the foot of something upright.
 //!
-//! An upright block, about as large as the rear of a car, is put at each of many distances along the way. Its brightness and colour, in
+//! An upright block, about as large as the rear of a car, is put at each of many distances along the way. Its brightness and color, in
 //! bands of height, are compared with those of the road just before its foot, and a linear classifier (`weights`) says how likely
 //! a vehicle stands there. Shadows and markings lie flat: their bands seldom change as those of a car do, from the dark below it to its
 //! paint, its windows and what is behind its roof.
 
-use super::picture::{Colour, Picture};
+use super::picture::{Color, Picture};
 use super::way::{Way, WayPoint};
 use super::weights::{BIAS, WEIGHTS};
 
-/// Heights of the bands' borders, metres.
+/// Heights of the bands' borders, meters.
 const BANDS_M: [f64; BANDS + 1] = [0.0, 0.2, 0.45, 0.75, 1.05, 1.4];
 const BANDS: usize = 5;
 /// Lines of places in each band.
 const LINES: usize = 3;
 /// Places across the block.
 const ACROSS: usize = 7;
-/// Half its width, metres.
+/// Half its width, meters.
 const HALF_WIDTH_M: f64 = 0.6;
-/// The road before the foot that it is compared with, metres.
+/// The road before the foot that it is compared with, meters.
 const APRON_M: [f64; 4] = [0.35, 0.7, 1.2, 1.9];
-/// Features for each band: how bright, how differently bright, how differently coloured, how uneven, how unlike the strips beside it.
+/// Features for each band: how bright, how differently bright, how differently colored, how uneven, how unlike the strips beside it.
 const PER_BAND: usize = 5;
 /// Length of a list of features: those of bands, the least departures from the road, and three of the whole block.
 pub(super) const FEATURES: usize = PER_BAND * BANDS + 5;
 /// Features are kept within this.
 const FEATURE_MAX: f32 = 1.5;
-/// First and last distance that is tried, metres along the way.
+/// First and last distance that is tried, meters along the way.
 const RANGE_M: std::ops::Range<f64> = 3.5..42.0;
 /// Each distance is so many times the one before.
 const RANGE_RATIO: f64 = 1.03;
-/// Blocks stand in the middle of the way and beside it, metres.
+/// Blocks stand in the middle of the way and beside it, meters.
 const BESIDE_M: [f64; 3] = [0.0, 0.55, -0.55];
 
 /// Something that stands on the way.
@@ -53,13 +53,13 @@ struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, colour: Colour) {
-        let log_luma = colour.luma.ln();
+    fn add(&mut self, color: Color) {
+        let log_luma = color.luma.ln();
         self.count += 1.0;
         self.log_luma += log_luma;
         self.square += log_luma * log_luma;
-        self.red += colour.red;
-        self.blue += colour.blue;
+        self.red += color.red;
+        self.blue += color.blue;
     }
 
     fn mean(&self) -> f32 {
@@ -70,7 +70,7 @@ impl Sums {
         (self.square / self.count - self.mean() * self.mean()).max(0.0).sqrt()
     }
 
-    fn colour_distance(&self, other: &Self) -> f32 {
+    fn color_distance(&self, other: &Self) -> f32 {
         let red = self.red / self.count - other.red / other.count;
         let blue = self.blue / self.count - other.blue / other.count;
         10.0 * red.hypot(blue)
@@ -89,10 +89,10 @@ pub(super) fn features(picture: &Picture, way: &Way, arc_m: f64, beside_m: f64) 
         let (inside, outside) = band_of(picture, &foot, beside_m, band)?;
         let brighter = inside.mean() - apron.mean();
         let unlike =
-            if outside.count > 0.0 { (inside.mean() - outside.mean()).abs() + inside.colour_distance(&outside) } else { 0.3 };
-        let of_band = [brighter, brighter.abs(), inside.colour_distance(&apron), inside.spread(), unlike];
+            if outside.count > 0.0 { (inside.mean() - outside.mean()).abs() + inside.color_distance(&outside) } else { 0.3 };
+        let of_band = [brighter, brighter.abs(), inside.color_distance(&apron), inside.spread(), unlike];
         features[band * PER_BAND..(band + 1) * PER_BAND].copy_from_slice(&of_band);
-        departures[band] = brighter.abs() + inside.colour_distance(&apron) + 0.5 * inside.spread();
+        departures[band] = brighter.abs() + inside.color_distance(&apron) + 0.5 * inside.spread();
         changes += (brighter - before).abs();
         before = brighter;
     }
@@ -111,8 +111,8 @@ fn apron(picture: &Picture, way: &Way, arc_m: f64, beside_m: f64) -> Option<Sums
     for before_m in APRON_M {
         let point = way.at(arc_m - before_m * (1.0 + 0.03 * arc_m));
         for place in 0..ACROSS {
-            if let Some(colour) = picture.colour_of(point.beside(beside_m + across_m(place)), 0.0) {
-                sums.add(colour);
+            if let Some(color) = picture.color_of(point.beside(beside_m + across_m(place)), 0.0) {
+                sums.add(color);
             }
         }
     }
@@ -129,11 +129,11 @@ fn band_of(picture: &Picture, foot: &WayPoint, beside_m: f64, band: usize) -> Op
     for line in 0..LINES {
         let height_m = BANDS_M[band] + (BANDS_M[band + 1] - BANDS_M[band]) * (line as f64 + 0.5) / LINES as f64;
         for place in 0..ACROSS {
-            inside.add(picture.colour_of(foot.beside(beside_m + across_m(place)), height_m)?);
+            inside.add(picture.color_of(foot.beside(beside_m + across_m(place)), height_m)?);
         }
         for side_m in [-1.5, -1.25, 1.25, 1.5] {
-            if let Some(colour) = picture.colour_of(foot.beside(beside_m + side_m), height_m) {
-                outside.add(colour);
+            if let Some(color) = picture.color_of(foot.beside(beside_m + side_m), height_m) {
+                outside.add(color);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The front picture as brightness and colour, and where a place on the road is in it.
+//! The front picture as brightness and color, and where a place on the road is in it.
 
 use decouplegs_scene::Pose;
 use decouplegs_scene::camera::Intrinsics;
@@ -14,9 +14,9 @@ const BLACK: f32 = 0.02;
 /// Distance to the plane of the lens below which pixels are ignored, meters.
 const NEAR_M: f64 = 0.3;
 
-/// Brightness and colour of one place in a picture.
+/// Brightness and color of one place in a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Colour {
+pub(super) struct Color {
     /// Mean of the three channels, display-referred, 0 to 1, and a little above zero.
     pub luma: f32,
     /// Share of red in the sum of channels.
@@ -25,8 +25,8 @@ pub(super) struct Colour {
     pub blue: f32,
 }
 
-impl Colour {
-    /// The colour between two, `share` of the way to `other`.
+impl Color {
+    /// The color between two, `share` of the way to `other`.
     fn lerp(self, other: Self, share: f32) -> Self {
         let mix = |a: f32, b: f32| a + (b - a) * share;
         Self { luma: mix(self.luma, other.luma), red: mix(self.red, other.red), blue: mix(self.blue, other.blue) }
@@ -37,7 +37,7 @@ impl Colour {
 pub(super) struct Picture {
     width: usize,
     height: usize,
-    colours: Vec<Colour>,
+    colors: Vec<Color>,
     /// Camera from the ego's frame: rotation and translation.
     rotation: DMat3,
     translation: DVec3,
@@ -45,7 +45,7 @@ pub(super) struct Picture {
     intrinsics: Intrinsics,
     /// Lens model, if other than a pinhole.
     lens: Option<RayMap>,
-    /// Height of the ground in the ego's frame, metres: wheels touch it half a height below the middle of the box.
+    /// Height of the ground in the ego's frame, meters: wheels touch it half a height below the middle of the box.
     ground_z_m: f64,
 }
 
@@ -69,7 +69,7 @@ impl Picture {
         let kept = Self {
             width: kept_width,
             height: kept_height,
-            colours: halved(frame.rgba, width, (kept_width, kept_height), 1 << halvings),
+            colors: halved(frame.rgba, width, (kept_width, kept_height), 1 << halvings),
             rotation: DMat3::from_quat(rotation),
             translation,
             lens: (!intrinsics.lens.is_pinhole()).then(|| RayMap::new(&intrinsics)),
@@ -95,18 +95,18 @@ impl Picture {
         inside.then_some(pixel)
     }
 
-    /// Colour of a place, between pixels.
-    pub(super) fn colour_of(&self, at_m: DVec2, height_m: f64) -> Option<Colour> {
-        self.pixel_of(at_m, height_m).map(|pixel| self.colour_at(pixel))
+    /// Color of a place, between pixels.
+    pub(super) fn color_of(&self, at_m: DVec2, height_m: f64) -> Option<Color> {
+        self.pixel_of(at_m, height_m).map(|pixel| self.color_at(pixel))
     }
 
-    /// Metres across the road that one pixel shows at a distance ahead.
+    /// Meters across the road that one pixel shows at a distance ahead.
     pub(super) fn pixel_m(&self, distance_m: f64) -> f64 {
         let from_camera_m = (self.rotation * DVec3::new(distance_m, 0.0, self.ground_z_m) + self.translation).z;
         from_camera_m.max(NEAR_M) / self.intrinsics.fx_px
     }
 
-    /// Pixels of the picture that a metre along the road fills at a distance ahead.
+    /// Pixels of the picture that a meter along the road fills at a distance ahead.
     pub(super) fn pixels_along(&self, distance_m: f64) -> f64 {
         let row = |distance_m: f64| {
             let seen = self.rotation * DVec3::new(distance_m, 0.0, self.ground_z_m) + self.translation;
@@ -115,13 +115,13 @@ impl Picture {
         (row(distance_m - 0.5) - row(distance_m + 0.5)).abs()
     }
 
-    fn colour_at(&self, pixel: DVec2) -> Colour {
+    fn color_at(&self, pixel: DVec2) -> Color {
         let clamped = |at: f64, count: usize| (at - 0.5).clamp(0.0, (count - 1) as f64);
         let (x, y) = (clamped(pixel.x, self.width), clamped(pixel.y, self.height));
         let (left, top) = (x as usize, y as usize);
         let (right, below) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
         let (share_x, share_y) = ((x - left as f64) as f32, (y - top as f64) as f32);
-        let of = |x: usize, y: usize| self.colours[y * self.width + x];
+        let of = |x: usize, y: usize| self.colors[y * self.width + x];
         let upper = of(left, top).lerp(of(right, top), share_x);
         upper.lerp(of(left, below).lerp(of(right, below), share_x), share_y)
     }
@@ -139,9 +139,9 @@ fn scaled(intrinsics: &Intrinsics, scale: f64) -> Intrinsics {
     }
 }
 
-/// Colours of a picture of `size` (width, height), each the mean of `block` by `block` pixels of `rgba`.
-fn halved(rgba: &[u8], width: usize, size: (usize, usize), block: usize) -> Vec<Colour> {
-    let mut colours = Vec::with_capacity(size.0 * size.1);
+/// Colors of a picture of `size` (width, height), each the mean of `block` by `block` pixels of `rgba`.
+fn halved(rgba: &[u8], width: usize, size: (usize, usize), block: usize) -> Vec<Color> {
+    let mut colors = Vec::with_capacity(size.0 * size.1);
     for y in 0..size.1 {
         for x in 0..size.0 {
             let mut sum = [0_u32; 3];
@@ -156,8 +156,8 @@ fn halved(rgba: &[u8], width: usize, size: (usize, usize), block: usize) -> Vec<
             let scale = 1.0 / (255.0 * (block * block) as f32);
             let [red, green, blue] = sum.map(|sum| sum as f32 * scale + BLACK);
             let all = red + green + blue;
-            colours.push(Colour { luma: all / 3.0, red: red / all, blue: blue / all });
+            colors.push(Color { luma: all / 3.0, red: red / all, blue: blue / all });
         }
     }
-    colours
+    colors
 }

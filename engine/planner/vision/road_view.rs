@@ -6,25 +6,25 @@
 use super::picture::Picture;
 use super::way::Way;
 
-/// From one row to the next along the way, metres.
+/// From one row to the next along the way, meters.
 pub(super) const ROW_M: f64 = 0.25;
-/// The first row, metres ahead of the middle of the ego.
+/// The first row, meters ahead of the middle of the ego.
 const FIRST_M: f64 = 3.0;
-/// The last row is nearer than this, metres: beyond, a marking is narrower than a pixel of a picture 320 wide.
+/// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of a picture 320 wide.
 const REACH_M: f64 = 34.0;
-/// From one column to the next across the way, metres.
+/// From one column to the next across the way, meters.
 pub(super) const COLUMN_M: f64 = 0.06;
-/// Columns reach so far to either side, metres.
+/// Columns reach so far to either side, meters.
 const HALF_WIDTH_M: f64 = 5.4;
 /// Columns, the middle one on the way.
 pub(super) const COLUMNS: usize = 2 * HALF_COLUMNS + 1;
 /// Columns on each side of the middle.
 pub(super) const HALF_COLUMNS: usize = (HALF_WIDTH_M / COLUMN_M) as usize;
-/// Half the width of the brightest part of a marking, metres.
+/// Half the width of the brightest part of a marking, meters.
 const CORE_M: f64 = 0.09;
-/// From there to what it is compared with, metres: the soft edge of a marking.
+/// From there to what it is compared with, meters: the soft edge of a marking.
 const EDGE_M: f64 = 0.10;
-/// Width of what it is compared with on either side, metres.
+/// Width of what it is compared with on either side, meters.
 const FLANK_M: f64 = 0.30;
 /// Responses are kept within this, so that no single bright spot outweighs a line.
 const RESPONSE: std::ops::Range<f32> = -0.04..0.20;
@@ -32,7 +32,7 @@ const RESPONSE: std::ops::Range<f32> = -0.04..0.20;
 /// A row of the view: how much brighter each column is than the road on both sides of it, as a share of that road's brightness.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
-    /// Metres along the way.
+    /// Meters along the way.
     pub arc_m: f64,
     /// Pixels of the picture that stand behind the row, at most one.
     pub weight: f32,
@@ -40,7 +40,7 @@ pub(super) struct Row {
     pub responses: Vec<f32>,
 }
 
-/// The rows of the road along `way` between two places on it, metres.
+/// The rows of the road along `way` between two places on it, meters.
 pub(super) fn rows(picture: &Picture, way: &Way, from_m: f64, to_m: f64) -> Vec<Row> {
     let from_m = from_m.max(FIRST_M);
     let count = ((to_m.min(REACH_M) - from_m) / ROW_M).max(0.0) as usize;
@@ -53,8 +53,8 @@ fn row_at(picture: &Picture, way: &Way, arc_m: f64) -> Option<Row> {
     for column in 0..COLUMNS {
         let left_m = (column as f64 - HALF_COLUMNS as f64) * COLUMN_M;
         let (sum, known) = sums[column];
-        sums[column + 1] = match picture.colour_of(point.beside(left_m), 0.0) {
-            Some(colour) => (sum + colour.luma, known + 1),
+        sums[column + 1] = match picture.color_of(point.beside(left_m), 0.0) {
+            Some(color) => (sum + color.luma, known + 1),
             None => (sum, known),
         };
     }
@@ -76,9 +76,9 @@ struct Window {
 }
 
 impl Window {
-    /// Wide enough for pixels of `pixel_m` metres.
+    /// Wide enough for pixels of `pixel_m` meters.
     fn of(pixel_m: f64) -> Self {
-        let columns = |metres: f64| (metres / COLUMN_M).round().max(1.0) as usize;
+        let columns = |meters: f64| (meters / COLUMN_M).round().max(1.0) as usize;
         Self {
             core: columns(CORE_M.max(0.5 * pixel_m)),
             edge: columns(EDGE_M.max(pixel_m)),

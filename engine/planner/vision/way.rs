@@ -8,25 +8,25 @@ use glam::DVec2;
 use super::lane::LaneBelief;
 use crate::planner::{Guidance, Turn};
 
-/// From one point to the next, metres.
+/// From one point to the next, meters.
 pub(super) const STEP_M: f64 = 0.25;
 /// Length of the path, meters.
 pub(super) const REACH_M: f64 = 60.0;
 /// Navigation counts a turn from where the road begins to bend a little until it no longer does: its arc is shorter on each side, by
-/// 2 m where it is tight and by 1 m where its radius is 20 m (measured on arcs between straight lines). Metres, and metres a metre of radius.
+/// 2 m where it is tight and by 1 m where its radius is 20 m (measured on arcs between straight lines). Meters, and meters a meter of radius.
 const EASING: (f64, f64) = (2.6, 0.07);
-/// The least and the most easing, metres.
+/// The least and the most easing, meters.
 const EASING_M: (f64, f64) = (0.5, 2.0);
 /// The most of a turn's length that is easing, on each side.
 const EASING_SHARE: f64 = 0.2;
-/// Turns that are farther or longer than this are no news, metres.
+/// Turns that are farther or longer than this are no news, meters.
 const TURN_M_MAX: f64 = 10_000.0;
 /// No turn changes the heading by more, radians: a full circle.
 const TURN_RAD_MAX: f64 = 2.0 * PI;
 /// No turn is tighter than this, 1/m: no car follows a radius below 5 m.
 const CURVATURE_MAX: f64 = 0.2;
 
-/// The arc of a turn on the way, metres ahead of the ego.
+/// The arc of a turn on the way, meters ahead of the ego.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Arc {
     pub begin_m: f64,
@@ -54,7 +54,7 @@ impl Arc {
 /// A place on the way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct WayPoint {
-    /// In the ego's frame, metres.
+    /// In the ego's frame, meters.
     pub position_m: DVec2,
     pub heading_rad: f64,
     /// To the left where above zero, 1/m.
@@ -62,7 +62,7 @@ pub(super) struct WayPoint {
 }
 
 impl WayPoint {
-    /// The place so far to the left of this one, metres.
+    /// The place so far to the left of this one, meters.
     pub(super) fn beside(&self, left_m: f64) -> DVec2 {
         self.position_m + self.left() * left_m
     }

@@ -1,10 +1,10 @@
 //! Agents of a frame: which of them some camera may see, at which level of detail, and the rig as each of them sees it.
 //!
 //! Nothing of an agent is turned: each camera is moved into the agent's frame instead, in f64, which is one record an agent
-//! and camera where turning a codebook would be 512 entries. Shapes, colours and depth keys come out the same.
+//! and camera where turning a codebook would be 512 entries. Shapes, colors and depth keys come out the same.
 
 use bytemuck::Zeroable;
-use decouplegs_scene::{Camera, ColourTransfer, ContactShadow, Pose, ShFrame};
+use decouplegs_scene::{Camera, ColorTransfer, ContactShadow, Pose, ShFrame};
 use glam::{DMat3, DVec3, Vec3};
 
 use crate::RenderError;
@@ -26,7 +26,7 @@ pub struct Agent {
     /// The id it has in instance pictures; 0 is the background's.
     pub instance: u16,
     /// Effect of the surrounding light on its colors, in the frame of these; `None`: none.
-    pub relight: Option<ColourTransfer>,
+    pub relight: Option<ColorTransfer>,
     /// Cameras of the frame that may see it, a bit each, the first lowest: worlds that share a background are cameras that see
     /// different agents.
     pub cameras: u32,
@@ -73,7 +73,7 @@ impl<'a> Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// No mean that is drawn is farther from the world's origin, metres.
+    /// No mean that is drawn is farther from the world's origin, meters.
     pub(crate) fn reach_m(&self) -> Result<f64, RenderError> {
         let mut reach_m = self.world.reach_m;
         if let Some(cameras) = self.shadow_cameras {
@@ -120,7 +120,7 @@ pub(crate) struct AgentList {
 
 impl AgentList {
     /// The agents of `scene` for `cameras`, which `view` is made of; levels of detail are as coarse as
-    /// `level_pitch_px` lets neighbouring splats be apart, the finest where it is `None`.
+    /// `level_pitch_px` lets neighboring splats be apart, the finest where it is `None`.
     ///
     /// `None` where no camera can see an agent.
     pub fn new(
@@ -173,14 +173,14 @@ impl AgentList {
             first_chunk: self.counts.chunks as u32,
             cameras: mask,
             instance: agent.instance.into(),
-            colours_in_world: u32::from(agent.sh_frame.unwrap_or(asset.sh_frame) == ShFrame::World),
-            colours_relit: u32::from(agent.relight.is_some()),
+            colors_in_world: u32::from(agent.sh_frame.unwrap_or(asset.sh_frame) == ShFrame::World),
+            colors_relit: u32::from(agent.relight.is_some()),
             dc_residual_gain: agent.relight.map_or([1.0; 3], |light| light.gain[0]),
             ..asset.record(level)
         });
         if let Some(light) = &agent.relight {
-            let (first, colours) = asset.colours();
-            let relight = RelightRecord::new(light, asset.sh_degree, first, colours);
+            let (first, colors) = asset.colors();
+            let relight = RelightRecord::new(light, asset.sh_degree, first, colors);
             self.relights.push((self.records.len() - 1, agent.asset, relight));
         }
         self.cameras.extend(seen_by);
@@ -194,8 +194,8 @@ impl AgentList {
 fn level_for(asset: &Asset, seen_by: &[CameraRecord], mask: u32, near_m: f32, pitch_px: f64) -> usize {
     let half_diagonal_m = Vec3::from_array(asset.whole.half_extent_m).length();
     let px_per_m = seen_by.iter().enumerate().filter(|(i, _)| mask >> i & 1 == 1).map(|(_, camera)| {
-        let centre = twins::projection::from_camera_m(asset.whole.centre_m, camera);
-        let nearest_m = (Vec3::from_array(camera.row_z).dot(centre) - half_diagonal_m).max(near_m);
+        let center = twins::projection::from_camera_m(asset.whole.center_m, camera);
+        let nearest_m = (Vec3::from_array(camera.row_z).dot(center) - half_diagonal_m).max(near_m);
         f64::from(camera.focal_px[0].max(camera.focal_px[1]) / nearest_m)
     });
     let px_per_m = px_per_m.fold(0.0, f64::max);

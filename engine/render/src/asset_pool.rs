@@ -17,8 +17,8 @@ use crate::sh_codec;
 /// Purpose under which the memory of assets is counted.
 pub const PURPOSE: &str = "assets";
 
-/// Words that bands 1 to 3 of a colour take.
-pub const COLOUR_WORDS: usize = 24;
+/// Words that bands 1 to 3 of a color take.
+pub const COLOR_WORDS: usize = 24;
 
 /// Names an asset of a pool. Stale after the asset was removed, which is noticed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -36,10 +36,10 @@ pub struct PoolBuffers {
     pub chunks: Buffer<ChunkRecord>,
     /// Triangular factors.
     pub shapes: Buffer<[f32; 6]>,
-    /// DC coefficients of colours.
-    pub colour_dc: Buffer<[f32; 3]>,
-    /// Bands 1 to 3 of colours, 24 words each.
-    pub colour_bands: Buffer<[u32; COLOUR_WORDS]>,
+    /// DC coefficients of colors.
+    pub color_dc: Buffer<[f32; 3]>,
+    /// Bands 1 to 3 of colors, 24 words each.
+    pub color_bands: Buffer<[u32; COLOR_WORDS]>,
 }
 
 /// One level of detail in the pool.
@@ -48,7 +48,7 @@ pub(crate) struct Level {
     first_splat: usize,
     splats: usize,
     first_bounds: usize,
-    /// Metres from a splat to the next, about.
+    /// Meters from a splat to the next, about.
     pub pitch_m: f64,
 }
 
@@ -83,14 +83,14 @@ impl Asset {
         }
     }
 
-    /// First and number of its colours in the pool.
-    pub fn colours(&self) -> (usize, usize) {
-        self.ranges.colours
+    /// First and number of its colors in the pool.
+    pub fn colors(&self) -> (usize, usize) {
+        self.ranges.colors
     }
 
-    /// The farthest that a drawn mean is from its origin, metres.
+    /// The farthest that a drawn mean is from its origin, meters.
     pub fn reach_m(&self) -> f64 {
-        let farthest = |axis: usize| f64::from(self.whole.centre_m[axis].abs() + self.whole.half_extent_m[axis]);
+        let farthest = |axis: usize| f64::from(self.whole.center_m[axis].abs() + self.whole.half_extent_m[axis]);
         DVec3::new(farthest(0), farthest(1), farthest(2)).length()
     }
 }
@@ -101,7 +101,7 @@ struct Ranges {
     splats: (usize, usize),
     chunks: (usize, usize),
     shapes: (usize, usize),
-    colours: (usize, usize),
+    colors: (usize, usize),
 }
 
 /// Assets on a device, shared by any number of agents. Adding one copies it behind the frames in flight and waits for nothing.
@@ -111,7 +111,7 @@ pub struct AssetPool {
     splats: RangeAllocator,
     chunks: RangeAllocator,
     shapes: RangeAllocator,
-    colours: RangeAllocator,
+    colors: RangeAllocator,
     assets: Vec<Option<Asset>>,
     generation: u32,
     last_upload: Option<Ticket>,
@@ -127,8 +127,8 @@ impl AssetPool {
             splats: gpu.buffer("coded_splats", PURPOSE, 0, Residence::Device)?,
             chunks: gpu.buffer("asset_chunks", PURPOSE, 0, Residence::Device)?,
             shapes: gpu.buffer("coded_shapes", PURPOSE, 0, Residence::Device)?,
-            colour_dc: gpu.buffer("coded_dc", PURPOSE, 0, Residence::Device)?,
-            colour_bands: gpu.buffer("coded_bands", PURPOSE, 0, Residence::Device)?,
+            color_dc: gpu.buffer("coded_dc", PURPOSE, 0, Residence::Device)?,
+            color_bands: gpu.buffer("coded_bands", PURPOSE, 0, Residence::Device)?,
         };
         Ok(Self {
             gpu: gpu.clone(),
@@ -136,7 +136,7 @@ impl AssetPool {
             splats: RangeAllocator::default(),
             chunks: RangeAllocator::default(),
             shapes: RangeAllocator::default(),
-            colours: RangeAllocator::default(),
+            colors: RangeAllocator::default(),
             assets: Vec::new(),
             generation: 0,
             last_upload: None,
@@ -181,7 +181,7 @@ impl AssetPool {
                 log2_size_min: cloud.log2_size_min,
                 log2_size_step: cloud.log2_size_step,
                 first_shape: ranges.shapes.0 as u32,
-                first_colour: ranges.colours.0 as u32,
+                first_color: ranges.colors.0 as u32,
                 dc_residual_gain: [1.0; 3],
                 ..AgentRecord::default()
             },
@@ -211,7 +211,7 @@ impl AssetPool {
         asset.filter(|asset| asset.generation == id.generation).ok_or(RenderError::NoSuchAsset)
     }
 
-    /// Highest degree of the colours of its assets; `None` when there are none.
+    /// Highest degree of the colors of its assets; `None` when there are none.
     pub(crate) fn sh_degree(&self) -> Option<u8> {
         self.assets.iter().flatten().map(|asset| asset.sh_degree).max()
     }
@@ -226,13 +226,13 @@ impl AssetPool {
     }
 
     fn allocate(&mut self, encoded: &Encoded) -> Result<Ranges, RenderError> {
-        let [splats, chunks, shapes, colours] =
-            [encoded.splats.len(), encoded.chunks.len(), encoded.shapes.len(), encoded.colour_dc.len()];
+        let [splats, chunks, shapes, colors] =
+            [encoded.splats.len(), encoded.chunks.len(), encoded.shapes.len(), encoded.color_dc.len()];
         let ranges = Ranges {
             splats: (self.splats.take(splats), splats),
             chunks: (self.chunks.take(chunks), chunks),
             shapes: (self.shapes.take(shapes), shapes),
-            colours: (self.colours.take(colours), colours),
+            colors: (self.colors.take(colors), colors),
         };
         if let Err(error) = self.fit_buffers() {
             self.release(&ranges);
@@ -245,17 +245,17 @@ impl AssetPool {
         self.splats.give_back(ranges.splats.0, ranges.splats.1);
         self.chunks.give_back(ranges.chunks.0, ranges.chunks.1);
         self.shapes.give_back(ranges.shapes.0, ranges.shapes.1);
-        self.colours.give_back(ranges.colours.0, ranges.colours.1);
+        self.colors.give_back(ranges.colors.0, ranges.colors.1);
     }
 
     /// Buffers as long as what was allocated, the assets in them copied over on the device.
     fn fit_buffers(&mut self) -> Result<(), RenderError> {
-        let lengths = [self.splats.end(), self.chunks.end(), self.shapes.end(), self.colours.end()];
+        let lengths = [self.splats.end(), self.chunks.end(), self.shapes.end(), self.colors.end()];
         let old = self.buffers.clone();
         if lengths[0] <= old.splats.len()
             && lengths[1] <= old.chunks.len()
             && lengths[2] <= old.shapes.len()
-            && lengths[3] <= old.colour_dc.len()
+            && lengths[3] <= old.color_dc.len()
         {
             return Ok(());
         }
@@ -263,16 +263,16 @@ impl AssetPool {
             splats: grown(&self.gpu, "coded_splats", &old.splats, lengths[0])?,
             chunks: grown(&self.gpu, "asset_chunks", &old.chunks, lengths[1])?,
             shapes: grown(&self.gpu, "coded_shapes", &old.shapes, lengths[2])?,
-            colour_dc: grown(&self.gpu, "coded_dc", &old.colour_dc, lengths[3])?,
-            colour_bands: grown(&self.gpu, "coded_bands", &old.colour_bands, lengths[3])?,
+            color_dc: grown(&self.gpu, "coded_dc", &old.color_dc, lengths[3])?,
+            color_bands: grown(&self.gpu, "coded_bands", &old.color_bands, lengths[3])?,
         };
         let mut recorder = self.gpu.record(QueueRole::Main);
         recorder.stage("grow assets", |r| {
             r.copy(&old.splats, 0, &buffers.splats, 0, old.splats.len());
             r.copy(&old.chunks, 0, &buffers.chunks, 0, old.chunks.len());
             r.copy(&old.shapes, 0, &buffers.shapes, 0, old.shapes.len());
-            r.copy(&old.colour_dc, 0, &buffers.colour_dc, 0, old.colour_dc.len());
-            r.copy(&old.colour_bands, 0, &buffers.colour_bands, 0, old.colour_bands.len());
+            r.copy(&old.color_dc, 0, &buffers.color_dc, 0, old.color_dc.len());
+            r.copy(&old.color_bands, 0, &buffers.color_bands, 0, old.color_bands.len());
         });
         self.last_upload = Some(self.gpu.submit(recorder, &[])?);
         self.buffers = buffers;
@@ -285,8 +285,8 @@ impl AssetPool {
             splats: staged(gpu, &encoded.splats)?,
             chunks: staged(gpu, &encoded.chunks)?,
             shapes: staged(gpu, &encoded.shapes)?,
-            colour_dc: staged(gpu, &encoded.colour_dc)?,
-            colour_bands: staged(gpu, &encoded.colour_bands)?,
+            color_dc: staged(gpu, &encoded.color_dc)?,
+            color_bands: staged(gpu, &encoded.color_bands)?,
         };
         let to = &self.buffers;
         let mut recorder = gpu.record(QueueRole::Main);
@@ -294,8 +294,8 @@ impl AssetPool {
             r.copy(&staged.splats, 0, &to.splats, ranges.splats.0, ranges.splats.1);
             r.copy(&staged.chunks, 0, &to.chunks, ranges.chunks.0, ranges.chunks.1);
             r.copy(&staged.shapes, 0, &to.shapes, ranges.shapes.0, ranges.shapes.1);
-            r.copy(&staged.colour_dc, 0, &to.colour_dc, ranges.colours.0, ranges.colours.1);
-            r.copy(&staged.colour_bands, 0, &to.colour_bands, ranges.colours.0, ranges.colours.1);
+            r.copy(&staged.color_dc, 0, &to.color_dc, ranges.colors.0, ranges.colors.1);
+            r.copy(&staged.color_bands, 0, &to.color_bands, ranges.colors.0, ranges.colors.1);
         });
         self.last_upload = Some(gpu.submit(recorder, &[])?);
         Ok(())
@@ -333,8 +333,8 @@ struct Encoded {
     splats: Vec<[u32; 3]>,
     chunks: Vec<ChunkRecord>,
     shapes: Vec<[f32; 6]>,
-    colour_dc: Vec<[f32; 3]>,
-    colour_bands: Vec<[u32; COLOUR_WORDS]>,
+    color_dc: Vec<[f32; 3]>,
+    color_bands: Vec<[u32; COLOR_WORDS]>,
     whole: ChunkRecord,
 }
 
@@ -355,17 +355,17 @@ impl Encoded {
         Self {
             splats: cloud.splats.iter().map(|splat| splat.0).collect(),
             shapes: cloud.shapes.clone(),
-            colour_dc: (0..cloud.colour_count()).map(|entry| cloud.colour(entry)[0]).collect(),
-            colour_bands: (0..cloud.colour_count()).map(|entry| encode_bands(cloud.colour(entry), cloud.sh_degree)).collect(),
+            color_dc: (0..cloud.color_count()).map(|entry| cloud.color(entry)[0]).collect(),
+            color_bands: (0..cloud.color_count()).map(|entry| encode_bands(cloud.color(entry), cloud.sh_degree)).collect(),
             whole: whole_of(&chunks),
             chunks,
         }
     }
 }
 
-/// Bands 1 to 3 one behind the other; those that the colour has not are zero.
-fn encode_bands(coefficients: &[[f32; 3]], sh_degree: u8) -> [u32; COLOUR_WORDS] {
-    let mut words = [0; COLOUR_WORDS];
+/// Bands 1 to 3 one behind the other; those that the color has not are zero.
+fn encode_bands(coefficients: &[[f32; 3]], sh_degree: u8) -> [u32; COLOR_WORDS] {
+    let mut words = [0; COLOR_WORDS];
     let mut first_word = 0;
     for band in 1..=3usize {
         let count = sh_codec::words_of(band);
@@ -384,7 +384,7 @@ fn whole_of(chunks: &[ChunkRecord]) -> ChunkRecord {
     let mut reach_m = -1e30f32;
     for chunk in chunks.iter().filter(|chunk| chunk.reach_m >= 0.0) {
         for side in [-1.0f32, 1.0] {
-            bounds.include(&std::array::from_fn(|axis| chunk.centre_m[axis] + side * chunk.half_extent_m[axis]));
+            bounds.include(&std::array::from_fn(|axis| chunk.center_m[axis] + side * chunk.half_extent_m[axis]));
         }
         reach_m = reach_m.max(chunk.reach_m);
     }
@@ -392,5 +392,5 @@ fn whole_of(chunks: &[ChunkRecord]) -> ChunkRecord {
         return ChunkRecord { reach_m, ..ChunkRecord::zeroed() };
     }
     let half_extent_m = bounds.half_extent().map(|half| half * 1.000_01);
-    ChunkRecord { centre_m: bounds.centre(), half_extent_m, reach_m }
+    ChunkRecord { center_m: bounds.center(), half_extent_m, reach_m }
 }

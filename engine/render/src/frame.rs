@@ -19,7 +19,7 @@ pub(crate) struct FrameInput<'a> {
     pub agents: Option<AgentCounts>,
 }
 
-/// Records the agents' part of a frame, which needs nothing of the frame before it: their shadows on `world`, their colours in
+/// Records the agents' part of a frame, which needs nothing of the frame before it: their shadows on `world`, their colors in
 /// their light, and what of them is visible.
 pub(crate) fn record_agents(
     recorder: &mut Recorder,
@@ -39,7 +39,7 @@ pub(crate) fn record_agents(
         recorder.stage("relight", |r| {
             let (count, groups) = slot.relit.to_make;
             slot.relit.copy(r);
-            relight.record(r, pool, &slot.relit.records, count, groups, &slot.relit.colours);
+            relight.record(r, pool, &slot.relit.records, count, groups, &slot.relit.colors);
         });
     }
     recorder.stage("agents", |r| {
@@ -130,7 +130,7 @@ fn record_projection(
     if let (Some(counts), Some(agents), Some(pool)) = (input.agents, stages.agents, slot.pool()) {
         recorder.stage("project agents", |r| {
             let lists = camera_count * chunks;
-            agents.project.record(r, pool, &slot.agents, &slot.relit.colours, counts, &frame.firsts, lists, &frame.projected);
+            agents.project.record(r, pool, &slot.agents, &slot.relit.colors, counts, &frame.firsts, lists, &frame.projected);
         });
     }
 }

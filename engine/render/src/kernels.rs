@@ -68,7 +68,7 @@ pub(crate) struct FrameStages<'a> {
 /// Specialization of the agents' kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct AgentVariant {
-    /// Degree of their colours.
+    /// Degree of their colors.
     pub sh_degree: u8,
     /// True if some agents are relit.
     pub relit: bool,

@@ -50,10 +50,10 @@ pub struct CameraRecord {
     pub row_z: [f32; 3],
     /// Rounding error of the third row.
     pub row_z_low: [f32; 3],
-    /// The centre relative to the world's origin, rounded to f32.
-    pub centre_high_m: [f32; 3],
+    /// The center relative to the world's origin, rounded to f32.
+    pub center_high_m: [f32; 3],
     /// Rounding error.
-    pub centre_low_m: [f32; 3],
+    pub center_low_m: [f32; 3],
     /// Focal lengths.
     pub focal_px: [f32; 2],
     /// Principal point.
@@ -89,16 +89,16 @@ impl CameraRecord {
         let margin = |size: f64, focal: f64| rules::JACOBIAN_MARGIN * 0.5 * size / focal;
         let axes = DMat3::from_quat(camera.world_from_camera.rotation.normalize());
         let forward = steady(axes.z_axis);
-        let centre = camera.world_from_camera.translation - origin;
-        let high = centre.as_vec3();
-        let low = (centre - high.as_dvec3()).as_vec3();
+        let center = camera.world_from_camera.translation - origin;
+        let high = center.as_vec3();
+        let low = (center - high.as_dvec3()).as_vec3();
         Self {
             row_x: axes.x_axis.as_vec3().to_array(),
             row_y: axes.y_axis.as_vec3().to_array(),
             row_z: forward.as_vec3().to_array(),
             row_z_low: (forward - forward.as_vec3().as_dvec3()).as_vec3().to_array(),
-            centre_high_m: high.to_array(),
-            centre_low_m: low.to_array(),
+            center_high_m: high.to_array(),
+            center_low_m: low.to_array(),
             focal_px: [k.fx_px as f32, k.fy_px as f32],
             principal_px: [k.cx_px as f32, k.cy_px as f32],
             slope_min: [
@@ -113,7 +113,7 @@ impl CameraRecord {
             macro_tiles: [k.width_px.div_ceil(MACRO_WIDTH_PX), k.height_px.div_ceil(MACRO_HEIGHT_PX)],
             key_offset: [0.0; 2],
             key_scale,
-            key_depth: (forward.dot(centre) * f64::from(key_scale)) as f32,
+            key_depth: (forward.dot(center) * f64::from(key_scale)) as f32,
             first_bin,
             first_pixel,
         }
@@ -149,7 +149,7 @@ impl CameraRecord {
 }
 
 /// A direction without its last digits, which rounding changes from one frame to the next although nothing turned: what is
-/// left out moves a splat a kilometre away by a nanometre.
+/// left out moves a splat a kilometer away by a nanometer.
 fn steady(direction: DVec3) -> DVec3 {
     const STEPS: f64 = (1u64 << 40) as f64;
     (direction * STEPS).round() / STEPS
@@ -175,8 +175,8 @@ pub fn near_m(rules: &Rules) -> f32 {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct ChunkRecord {
-    /// Centre of the box around the means.
-    pub centre_m: [f32; 3],
+    /// Center of the box around the means.
+    pub center_m: [f32; 3],
     /// Half its size.
     pub half_extent_m: [f32; 3],
     /// Longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it.
@@ -259,16 +259,16 @@ pub struct AgentRecord {
     pub splat_count: u32,
     /// First shape in the pool.
     pub first_shape: u32,
-    /// First colour in the pool.
-    pub first_colour: u32,
+    /// First color in the pool.
+    pub first_color: u32,
     /// A bit each camera that may see it.
     pub cameras: u32,
     /// Instance id.
     pub instance: u32,
-    /// 1 where colours are not turned with it.
-    pub colours_in_world: u32,
-    /// 1 where its colours are those that were made for it, and `first_colour` counts among these.
-    pub colours_relit: u32,
+    /// 1 where colors are not turned with it.
+    pub colors_in_world: u32,
+    /// 1 where its colors are those that were made for it, and `first_color` counts among these.
+    pub colors_relit: u32,
     /// Factors on the part that is added to the DC term of its colors.
     pub dc_residual_gain: [f32; 3],
 }
@@ -367,11 +367,11 @@ mod tests {
     }
 
     #[test]
-    fn a_centre_at_utm_distance_keeps_its_micrometres() {
+    fn a_center_at_utm_distance_keeps_its_micrometers() {
         let mut far = camera(4, 4);
         far.world_from_camera.translation = DVec3::new(4.5e6 + 0.001, 1.0, 0.0);
         let record = CameraRecord::new(&far, DVec3::ZERO, 1.0, 0, 0);
-        let kept = f64::from(record.centre_high_m[0]) + f64::from(record.centre_low_m[0]);
+        let kept = f64::from(record.center_high_m[0]) + f64::from(record.center_low_m[0]);
         assert!((kept - (4.5e6 + 0.001)).abs() < 1e-7);
     }
 

@@ -39,7 +39,7 @@ pub use capacity::Capacity;
 pub use error::RenderError;
 pub use keys::KeySource;
 pub use options::{FrameStatistics, QueueTrace, RenderOptions};
-pub use output::{ColourFormat, OutputBuffers, Outputs};
+pub use output::{ColorFormat, OutputBuffers, Outputs};
 pub use picture::Picture;
 pub use picture_bytes::PictureBytes;
 pub use renderer::Renderer;

@@ -8,7 +8,7 @@ pub const PURPOSE: &str = "pictures";
 
 /// Storage format of color.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub enum ColourFormat {
+pub enum ColorFormat {
     /// Four f32: RGB as blended, unclamped, and alpha.
     #[default]
     F32,
@@ -20,8 +20,8 @@ pub enum ColourFormat {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Outputs {
     /// Storage format of color.
-    pub colour: ColourFormat,
-    /// Expected depth along z (or distance, where the order is radial), metres; 0 where nothing was hit.
+    pub color: ColorFormat,
+    /// Expected depth along z (or distance, where the order is radial), meters; 0 where nothing was hit.
     pub depth: bool,
     /// Instance of the splat with the largest weight; 0 is the background.
     pub instance: bool,
@@ -36,7 +36,7 @@ pub struct Outputs {
 impl Outputs {
     pub(crate) fn constants(&self) -> [(&'static str, Constant); 3] {
         [
-            ("COLOUR_U8", Constant::Bool(self.colour == ColourFormat::U8)),
+            ("COLOR_U8", Constant::Bool(self.color == ColorFormat::U8)),
             ("DEPTH", Constant::Bool(self.depth)),
             ("INSTANCE", Constant::Bool(self.instance)),
         ]
@@ -50,7 +50,7 @@ pub struct OutputBuffers {
     pub pictures_f32: Buffer<[f32; 4]>,
     /// The same in four bytes, red lowest.
     pub pictures_u8: Buffer<u32>,
-    /// Expected depth, metres.
+    /// Expected depth, meters.
     pub depths_m: Buffer<f32>,
     /// Instance of the splat with the largest weight.
     pub instance_ids: Buffer<u32>,
@@ -66,7 +66,7 @@ impl OutputBuffers {
     /// # Errors
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu, pixels: usize, splats: usize, outputs: &Outputs) -> Result<Self, GpuError> {
-        let (f32, u8) = (outputs.colour == ColourFormat::F32, outputs.colour == ColourFormat::U8);
+        let (f32, u8) = (outputs.color == ColorFormat::F32, outputs.color == ColorFormat::U8);
         Ok(Self {
             pictures_f32: picture(gpu, "pictures_f32", f32, pixels, outputs)?,
             pictures_u8: picture(gpu, "pictures_u8", u8, pixels, outputs)?,

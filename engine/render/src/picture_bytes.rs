@@ -3,7 +3,7 @@
 use decouplegs_gpu::{Buffer, QueueRole, Residence};
 use rayon::prelude::*;
 
-use crate::output::{ColourFormat, PURPOSE};
+use crate::output::{ColorFormat, PURPOSE};
 use crate::{RenderError, Renderer};
 
 /// Pixels that a thread copies at once: a megabyte.
@@ -58,9 +58,9 @@ impl Renderer {
     /// When the device was lost or has not the memory.
     ///
     /// # Panics
-    /// When the renderer does not store [`ColourFormat::U8`].
+    /// When the renderer does not store [`ColorFormat::U8`].
     pub fn read_bytes(&self, bytes: &mut PictureBytes) -> Result<(), RenderError> {
-        assert!(self.options().outputs.colour == ColourFormat::U8, "the pictures are stored as floats");
+        assert!(self.options().outputs.color == ColorFormat::U8, "the pictures are stored as floats");
         bytes.places.clear();
         let Some(slot) = self.shown_slot() else { return Ok(()) };
         let Some(view) = &slot.view else { return Ok(()) };

@@ -6,7 +6,7 @@ use crate::{RenderError, Renderer};
 impl Renderer {
     /// The pictures of the frame that was finished last, one a camera, in the order the cameras were given.
     ///
-    /// Colours of [`crate::ColourFormat::U8`] come back as multiples of 1/255. Empty before the first frame, and once its place is taken by
+    /// Colors of [`crate::ColorFormat::U8`] come back as multiples of 1/255. Empty before the first frame, and once its place is taken by
     /// a frame submitted later ([`RenderOptions::frames_in_flight`]).
     ///
     /// # Errors
@@ -15,9 +15,9 @@ impl Renderer {
         let Some(slot) = self.shown_slot() else { return Ok(Vec::new()) };
         let Some(view) = &slot.view else { return Ok(Vec::new()) };
         let buffers = &slot.pictures;
-        let pixels: Vec<[f32; 4]> = match self.options().outputs.colour {
-            crate::ColourFormat::F32 => self.gpu().read(&buffers.pictures_f32)?,
-            crate::ColourFormat::U8 => {
+        let pixels: Vec<[f32; 4]> = match self.options().outputs.color {
+            crate::ColorFormat::F32 => self.gpu().read(&buffers.pictures_f32)?,
+            crate::ColorFormat::U8 => {
                 let words = self.gpu().read(&buffers.pictures_u8)?;
                 words.iter().map(|word| word.to_le_bytes().map(|byte| f32::from(byte) / 255.0)).collect()
             }

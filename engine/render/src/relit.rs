@@ -1,4 +1,4 @@
-//! Colours made for agents in their light, which a frame in flight keeps until it shows another light.
+//! Colors made for agents in their light, which a frame in flight keeps until it shows another light.
 
 use std::collections::{HashMap, HashSet};
 
@@ -8,7 +8,7 @@ use crate::RenderError;
 use crate::asset_pool::AssetId;
 use crate::layout::RelightRecord;
 use crate::range_allocator::RangeAllocator;
-use crate::stages::{PURPOSE, RELIGHT_BLOCK, RelitColours};
+use crate::stages::{PURPOSE, RELIGHT_BLOCK, RelitColors};
 
 /// An asset in a light: the bits of T and b.
 type InLight = (AssetId, [u32; 96]);
@@ -16,7 +16,7 @@ type InLight = (AssetId, [u32; 96]);
 /// The relit codebooks of one frame in flight. What the frame before in its place made is used again where asset and light
 /// are the same: an agent that stands still costs nothing, and alike ones share.
 pub(crate) struct RelitCodebooks {
-    pub colours: RelitColours,
+    pub colors: RelitColors,
     places: RelitPlaces,
     staged: Buffer<RelightRecord>,
     pub records: Buffer<RelightRecord>,
@@ -28,7 +28,7 @@ impl RelitCodebooks {
     /// None yet.
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         Ok(Self {
-            colours: RelitColours::new(gpu, 0)?,
+            colors: RelitColors::new(gpu, 0)?,
             places: RelitPlaces::default(),
             staged: gpu.buffer("staged_relights", PURPOSE, 0, Residence::Upload)?,
             records: gpu.buffer("relights", PURPOSE, 0, Residence::Device)?,
@@ -36,12 +36,12 @@ impl RelitCodebooks {
         })
     }
 
-    /// Finds a place for each of `wanted`, and lists those that have to be made. Returns the first colour of each.
+    /// Finds a place for each of `wanted`, and lists those that have to be made. Returns the first color of each.
     pub fn set(&mut self, gpu: &Gpu, wanted: &[(AssetId, RelightRecord)]) -> Result<Vec<u32>, RenderError> {
         let (mut firsts, mut to_make) = self.places.find(wanted);
         let room = self.places.allocator.end();
-        if room > self.colours.dc.len() {
-            self.colours = RelitColours::new(gpu, room + room / 4)?;
+        if room > self.colors.dc.len() {
+            self.colors = RelitColors::new(gpu, room + room / 4)?;
             // The old ones are gone: all are made again.
             self.forget();
             (firsts, to_make) = self.places.find(wanted);
@@ -75,7 +75,7 @@ struct RelitPlaces {
 }
 
 impl RelitPlaces {
-    /// The first colour of each of `wanted`, and those that are not there yet, with their place and workgroups.
+    /// The first color of each of `wanted`, and those that are not there yet, with their place and workgroups.
     fn find(&mut self, wanted: &[(AssetId, RelightRecord)]) -> (Vec<u32>, Vec<RelightRecord>) {
         let keys: Vec<InLight> = wanted.iter().map(|(asset, record)| (*asset, light_of(record))).collect();
         self.drop_others(&keys);
@@ -84,11 +84,11 @@ impl RelitPlaces {
         let mut firsts = Vec::with_capacity(wanted.len());
         for (key, (_, record)) in keys.into_iter().zip(wanted) {
             let (first, _) = *self.made.entry(key).or_insert_with(|| {
-                let colours = record.colours as usize;
-                let first = self.allocator.take(colours);
+                let colors = record.colors as usize;
+                let first = self.allocator.take(colors);
                 to_make.push(RelightRecord { first_relit: first as u32, first_group: groups, ..*record });
                 groups += groups_of(record) as u32;
-                (first, colours)
+                (first, colors)
             });
             firsts.push(first as u32);
         }
@@ -103,12 +103,12 @@ impl RelitPlaces {
             self.made.iter().filter(|(key, _)| !wanted.contains(key)).map(|(_, place)| *place).collect();
         dropped.sort_unstable();
         self.made.retain(|key, _| wanted.contains(key));
-        dropped.into_iter().for_each(|(first, colours)| self.allocator.give_back(first, colours));
+        dropped.into_iter().for_each(|(first, colors)| self.allocator.give_back(first, colors));
     }
 }
 
 fn groups_of(record: &RelightRecord) -> usize {
-    (record.colours as usize).div_ceil(RELIGHT_BLOCK)
+    (record.colors as usize).div_ceil(RELIGHT_BLOCK)
 }
 
 fn light_of(record: &RelightRecord) -> [u32; 96] {
@@ -124,8 +124,8 @@ mod tests {
     use super::*;
     use bytemuck::Zeroable;
 
-    fn wanted(index: u32, gain: f32, colours: u32) -> (AssetId, RelightRecord) {
-        (AssetId { index, generation: 1 }, RelightRecord { gain: [gain; 48], colours, ..RelightRecord::zeroed() })
+    fn wanted(index: u32, gain: f32, colors: u32) -> (AssetId, RelightRecord) {
+        (AssetId { index, generation: 1 }, RelightRecord { gain: [gain; 48], colors, ..RelightRecord::zeroed() })
     }
 
     #[test]

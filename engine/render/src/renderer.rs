@@ -257,7 +257,7 @@ impl Renderer {
         }
     }
 
-    /// No depth of the scene is larger, metres.
+    /// No depth of the scene is larger, meters.
     fn reach_m(&self, scene: &Scene<'_>, cameras: &[Camera]) -> Result<f64, RenderError> {
         let reach_m = scene.reach_m()?;
         // Distances count from the camera, depths from the origin.

@@ -28,19 +28,19 @@ pub struct ResidentWorld {
     pub splats: usize,
     /// Splats that cannot be drawn.
     pub defects: usize,
-    /// Degree of the colours stored.
+    /// Degree of the colors stored.
     pub sh_degree: u8,
     /// True if splats belong to instances.
     pub has_instances: bool,
-    /// No drawn mean is farther from the origin, metres.
+    /// No drawn mean is farther from the origin, meters.
     pub reach_m: f64,
     /// World coordinates of the point that means are relative to.
     pub origin: DVec3,
-    /// Colour where transmittance is left.
+    /// Color where transmittance is left.
     pub sky: [f32; 3],
     /// One a [`CHUNK_SPLATS`] splats.
     pub chunks: Buffer<ChunkRecord>,
-    /// Relative to the origin, metres.
+    /// Relative to the origin, meters.
     pub means: Buffer<[f32; 3]>,
     /// Scales (m) and opacity.
     pub shapes: Buffer<[f32; 4]>,
@@ -57,7 +57,7 @@ pub struct ResidentWorld {
 impl ResidentWorld {
     /// Copies `world` to the device.
     ///
-    /// Splats are drawn in the order given; culling is quickest when neighbours in it are neighbours in space
+    /// Splats are drawn in the order given; culling is quickest when neighbors in it are neighbors in space
     /// ([`SplatCloud::spatial_order`]). Splats with a defect are kept as ones of opacity 0.
     ///
     /// # Errors
@@ -147,7 +147,7 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// Standard deviation times cut-off radius along the longest axis, metres, rounded up; no less than how far the points stand
+    /// Standard deviation times cut-off radius along the longest axis, meters, rounded up; no less than how far the points stand
     /// that the unscented transform takes.
     fn reach_m(&self) -> f32 {
         let radius = (2.0 * (f64::from(self.opacity) / rules::ALPHA_MIN).ln().max(0.0)).sqrt().max(SIGMA_REACH);
@@ -165,7 +165,7 @@ pub(crate) fn chunk_of(splats: &[Extent]) -> ChunkRecord {
     }
     let bounds = Bounds::of(drawn().map(|splat| &splat.mean_m));
     ChunkRecord {
-        centre_m: bounds.centre(),
+        center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
         reach_m: drawn().map(Extent::reach_m).fold(0.0, f32::max),
     }

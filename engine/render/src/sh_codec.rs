@@ -36,7 +36,7 @@ pub fn decode_band(words: &[u32], coefficients: usize) -> Vec<[f32; 3]> {
 }
 
 /// The smallest normal f16 that is at least `value`, as bits and value. At least 2^-14: devices may flush smaller ones to
-/// zero. Coefficients above 65504 saturate; a colour that far from 0 to 1 says nothing.
+/// zero. Coefficients above 65504 saturate; a color that far from 0 to 1 says nothing.
 fn f16_at_least(value: f32) -> (u16, f32) {
     let clamped = value.clamp(f16_value(0x0400), f16_value(0x7bff));
     let bits = clamped.to_bits();

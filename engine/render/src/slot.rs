@@ -138,7 +138,7 @@ impl FrameSlot {
             self.fit_agents(gpu, list.counts)?;
             let wanted: Vec<_> = list.relights.iter().map(|&(_, asset, relight)| (asset, relight)).collect();
             for (&(agent, ..), first) in list.relights.iter().zip(self.relit.set(gpu, &wanted)?) {
-                list.records[agent].first_colour = first;
+                list.records[agent].first_color = first;
             }
             self.staged_agents.write_host(0, &list.records);
             self.staged_agent_cameras.write_host(0, &list.cameras);

@@ -39,7 +39,7 @@ impl Bounds {
 
     /// The box's middle.
     #[must_use]
-    pub fn centre(&self) -> [f32; 3] {
+    pub fn center(&self) -> [f32; 3] {
         std::array::from_fn(|axis| 0.5 * self.max[axis] + 0.5 * self.min[axis])
     }
 }

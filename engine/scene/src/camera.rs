@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use crate::Pose;
 use crate::lens::{Lens, RayMap};
 
-/// Intrinsics of a camera. Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`.
+/// Intrinsics of a camera. Pixel `(i, j)` has its center at `(i + 0.5, j + 0.5)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Image width in pixels, at least 1.
@@ -25,7 +25,7 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// A pinhole with square pixels, a centred principal point and the given horizontal field of view.
+    /// A pinhole with square pixels, a centerd principal point and the given horizontal field of view.
     #[must_use]
     pub fn from_horizontal_fov(width_px: u32, height_px: u32, fov_rad: f64) -> Self {
         let focal_px = 0.5 * f64::from(width_px) / (0.5 * fov_rad).tan();

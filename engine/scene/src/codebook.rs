@@ -1,9 +1,9 @@
-//! Splats whose shapes and colours are entries of codebooks: what an agent's asset is made of.
+//! Splats whose shapes and colors are entries of codebooks: what an agent's asset is made of.
 //!
 //! A splat is 12 bytes: a position on a 16-bit grid over the asset's box, 8 bits of opacity, 8 bits of size, a shape (9 bits),
-//! a colour (10 bits) and what the colour's DC term is off by (13 bits). The same words are in memory, in the file and
+//! a color (10 bits) and what the color's DC term is off by (13 bits). The same words are in memory, in the file and
 //! on the device. Work that is linear per agent, such as turning covariances, is done on the entries, not on the splats
-//! (vector quantisation of Gaussians: Navaneet et al., CompGS, 2023; Niedermayr et al., Compressed 3D Gaussian Splatting, 2024).
+//! (vector quantization of Gaussians: Navaneet et al., CompGS, 2023; Niedermayr et al., Compressed 3D Gaussian Splatting, 2024).
 
 use rayon::prelude::*;
 
@@ -11,15 +11,15 @@ use crate::{Bounds, ShFrame, SplatCloud, sh, shape};
 
 /// Shapes that an index can name.
 pub const SHAPES_MAX: usize = 1 << 9;
-/// Colours that an index can name.
-pub const COLOURS_MAX: usize = 1 << 10;
+/// Colors that an index can name.
+pub const COLORS_MAX: usize = 1 << 10;
 /// Levels of detail that an asset can have.
 pub const LEVELS_MAX: usize = 8;
 
 /// One splat, packed.
 ///
 /// Word 0: position x (low half) and y. Word 1: position z (low half), opacity (8 bits), size (high 8 bits). Word 2: shape
-/// (low 9 bits), colour (10), DC residual: luma (5), orange (4), green (high 4), each offset by half its range.
+/// (low 9 bits), color (10), DC residual: luma (5), orange (4), green (high 4), each offset by half its range.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct CodedSplat(pub [u32; 3]);
 
@@ -34,8 +34,8 @@ pub struct SplatCodes {
     pub size: u8,
     /// Entry of the shape codebook, below [`SHAPES_MAX`].
     pub shape: u16,
-    /// Entry of the colour codebook, below [`COLOURS_MAX`].
-    pub colour: u16,
+    /// Entry of the color codebook, below [`COLORS_MAX`].
+    pub color: u16,
     /// Residual of the entry's DC term: luma (-16 to 15), orange and green (-8 to 7), in steps.
     pub dc_residual: [i8; 3],
 }
@@ -45,11 +45,11 @@ impl From<SplatCodes> for CodedSplat {
         let [x, y, z] = codes.position.map(u32::from);
         let [luma, orange, green] = codes.dc_residual;
         let offset = |value: i8, half: i32| (i32::from(value).clamp(-half, half - 1) + half) as u32;
-        let colour = offset(luma, 16) | offset(orange, 8) << 5 | offset(green, 8) << 9;
+        let color = offset(luma, 16) | offset(orange, 8) << 5 | offset(green, 8) << 9;
         Self([
             x | y << 16,
             z | u32::from(codes.opacity) << 16 | u32::from(codes.size) << 24,
-            u32::from(codes.shape) & 0x1ff | (u32::from(codes.colour) & 0x3ff) << 9 | colour << 19,
+            u32::from(codes.shape) & 0x1ff | (u32::from(codes.color) & 0x3ff) << 9 | color << 19,
         ])
     }
 }
@@ -62,7 +62,7 @@ impl From<CodedSplat> for SplatCodes {
             opacity: (z_opacity_size >> 16) as u8,
             size: (z_opacity_size >> 24) as u8,
             shape: field(0, 9) as u16,
-            colour: field(9, 10) as u16,
+            color: field(9, 10) as u16,
             dc_residual: [field(19, 5) as i8 - 16, field(24, 4) as i8 - 8, field(28, 4) as i8 - 8],
         }
     }
@@ -71,7 +71,7 @@ impl From<CodedSplat> for SplatCodes {
 /// A cloud of coded splats with its codebooks, in an asset's own frame, at one or more levels of detail.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CodedCloud {
-    /// Box of the position grid, metres.
+    /// Box of the position grid, meters.
     pub bounds: Bounds,
     /// Binary logarithm of the size that code 0 stands for.
     pub log2_size_min: f32,
@@ -85,28 +85,28 @@ pub struct CodedCloud {
     pub levels: Vec<usize>,
     /// Lower triangles L by rows (xx, yx, yy, zx, zy, zz) of splats of size 1: the covariance is size^2 L L^T.
     pub shapes: Vec<[f32; 6]>,
-    /// Degree of the colours, 0 to 3.
+    /// Degree of the colors, 0 to 3.
     pub sh_degree: u8,
     /// Coefficients, DC included, `[entry][coefficient][rgb]` flattened over the first two.
-    pub colours: Vec<[f32; 3]>,
+    pub colors: Vec<[f32; 3]>,
     /// Frame of the colors.
     pub sh_frame: ShFrame,
-    /// Length, width and height of what it shows, metres.
+    /// Length, width and height of what it shows, meters.
     pub dims_m: [f32; 3],
 }
 
 impl CodedCloud {
-    /// Entries of the colour codebook.
+    /// Entries of the color codebook.
     #[must_use]
-    pub fn colour_count(&self) -> usize {
-        self.colours.len() / sh::coefficient_count(self.sh_degree)
+    pub fn color_count(&self) -> usize {
+        self.colors.len() / sh::coefficient_count(self.sh_degree)
     }
 
-    /// The coefficients of one colour, DC first.
+    /// The coefficients of one color, DC first.
     #[must_use]
-    pub fn colour(&self, entry: usize) -> &[[f32; 3]] {
+    pub fn color(&self, entry: usize) -> &[[f32; 3]] {
         let stride = sh::coefficient_count(self.sh_degree);
-        &self.colours[entry * stride..(entry + 1) * stride]
+        &self.colors[entry * stride..(entry + 1) * stride]
     }
 
     /// The splats of one level of detail, 0 the finest.
@@ -116,7 +116,7 @@ impl CodedCloud {
         &self.splats[first..first + self.levels[level]]
     }
 
-    /// Metres from one place of the position grid to the next.
+    /// Meters from one place of the position grid to the next.
     #[must_use]
     pub fn position_step_m(&self) -> [f32; 3] {
         std::array::from_fn(|axis| (self.bounds.max[axis] - self.bounds.min[axis]) / 65_535.0)
@@ -130,7 +130,7 @@ impl CodedCloud {
     pub fn check(&self) -> Result<(), String> {
         let coefficients = sh::coefficient_count(self.sh_degree);
         if self.sh_degree > sh::DEGREE_MAX {
-            return Err(format!("colours have degree {}; 0 to {} can be drawn", self.sh_degree, sh::DEGREE_MAX));
+            return Err(format!("colors have degree {}; 0 to {} can be drawn", self.sh_degree, sh::DEGREE_MAX));
         }
         let listed = self.levels.iter().try_fold(0usize, |sum, &level| sum.checked_add(level));
         if self.levels.is_empty() || self.levels.len() > LEVELS_MAX || listed != Some(self.splats.len()) {
@@ -143,11 +143,11 @@ impl CodedCloud {
         if self.shapes.is_empty() || self.shapes.len() > SHAPES_MAX {
             return Err(format!("{} shapes; expected 1 to {SHAPES_MAX}", self.shapes.len()));
         }
-        if !self.colours.len().is_multiple_of(coefficients) || self.colours.is_empty() || self.colour_count() > COLOURS_MAX {
-            let found = self.colours.len();
-            return Err(format!("{found} colour coefficients; expected 1 to {COLOURS_MAX} colours of {coefficients}"));
+        if !self.colors.len().is_multiple_of(coefficients) || self.colors.is_empty() || self.color_count() > COLORS_MAX {
+            let found = self.colors.len();
+            return Err(format!("{found} color coefficients; expected 1 to {COLORS_MAX} colors of {coefficients}"));
         }
-        let numbers = self.shapes.as_flattened().iter().chain(self.colours.as_flattened()).chain(&self.bounds.min);
+        let numbers = self.shapes.as_flattened().iter().chain(self.colors.as_flattened()).chain(&self.bounds.min);
         let numbers = numbers.chain(&self.bounds.max).chain(&self.dc_residual_step).chain(&self.dims_m);
         if let Some(value) = numbers.chain([&self.log2_size_min, &self.log2_size_step]).find(|value| !value.is_finite()) {
             return Err(format!("a codebook or a bound holds {value}; expected finite numbers"));
@@ -158,15 +158,15 @@ impl CodedCloud {
         }
         let bad = |splat: &CodedSplat| {
             let codes = SplatCodes::from(*splat);
-            usize::from(codes.shape) >= self.shapes.len() || usize::from(codes.colour) >= self.colour_count()
+            usize::from(codes.shape) >= self.shapes.len() || usize::from(codes.color) >= self.color_count()
         };
         match self.splats.par_iter().position_any(bad) {
             Some(splat) => Err(format!(
-                "splat {splat} names shape {} of {} and colour {} of {}",
+                "splat {splat} names shape {} of {} and color {} of {}",
                 SplatCodes::from(self.splats[splat]).shape,
                 self.shapes.len(),
-                SplatCodes::from(self.splats[splat]).colour,
-                self.colour_count()
+                SplatCodes::from(self.splats[splat]).color,
+                self.color_count()
             )),
             None => Ok(()),
         }
@@ -202,7 +202,7 @@ impl CodedCloud {
         let shapes: Vec<shape::PrincipalAxes> = self.shapes.iter().map(shape::principal_axes).collect();
         let codes: Vec<SplatCodes> = self.level(level).iter().map(|&splat| splat.into()).collect();
         let dc = |codes: &SplatCodes| {
-            let (entry, residual) = (self.colour(codes.colour.into())[0], self.dc_residual(codes));
+            let (entry, residual) = (self.color(codes.color.into())[0], self.dc_residual(codes));
             std::array::from_fn(|channel| entry[channel] + residual[channel])
         };
         let scales = |codes: &SplatCodes| {
@@ -216,7 +216,7 @@ impl CodedCloud {
             opacities: codes.iter().map(|codes| f32::from(codes.opacity) / 255.0).collect(),
             sh_degree: self.sh_degree,
             sh_dc: codes.iter().map(dc).collect(),
-            sh_rest: codes.iter().flat_map(|codes| &self.colour(codes.colour.into())[1..]).copied().collect(),
+            sh_rest: codes.iter().flat_map(|codes| &self.color(codes.color.into())[1..]).copied().collect(),
         }
     }
 }
@@ -241,7 +241,7 @@ mod tests {
 
     fn cloud() -> CodedCloud {
         let codes =
-            SplatCodes { position: [0, 65_535, 32_768], opacity: 255, size: 128, shape: 1, colour: 2, dc_residual: [3, -1, 2] };
+            SplatCodes { position: [0, 65_535, 32_768], opacity: 255, size: 128, shape: 1, color: 2, dc_residual: [3, -1, 2] };
         CodedCloud {
             bounds: Bounds { min: [-2.0, -1.0, 0.0], max: [2.0, 1.0, 1.5] },
             log2_size_min: -10.0,
@@ -251,7 +251,7 @@ mod tests {
             levels: vec![1, 1],
             shapes: vec![[1.0, 0.0, 1.0, 0.0, 0.0, 1.0], [2.0, 0.0, 1.0, 0.0, 0.0, 0.5]],
             sh_degree: 1,
-            colours: (0..12).map(|i| [i as f32 * 0.1, 0.0, -0.2]).collect(),
+            colors: (0..12).map(|i| [i as f32 * 0.1, 0.0, -0.2]).collect(),
             sh_frame: ShFrame::Canonical,
             dims_m: [4.0, 2.0, 1.5],
         }
@@ -260,15 +260,15 @@ mod tests {
     proptest! {
         #[test]
         fn packing_keeps_every_field(
-            position in prop::array::uniform3(any::<u16>()), opacity: u8, size: u8, shape in 0u16..512, colour in 0u16..1024,
+            position in prop::array::uniform3(any::<u16>()), opacity: u8, size: u8, shape in 0u16..512, color in 0u16..1024,
             luma in -16i8..16, orange in -8i8..8, green in -8i8..8,
         ) {
-            let codes = SplatCodes { position, opacity, size, shape, colour, dc_residual: [luma, orange, green] };
+            let codes = SplatCodes { position, opacity, size, shape, color, dc_residual: [luma, orange, green] };
             prop_assert_eq!(SplatCodes::from(CodedSplat::from(codes)), codes);
         }
 
         #[test]
-        fn luma_and_chroma_give_the_colour_back(rgb in prop::array::uniform3(-2.0f32..2.0)) {
+        fn luma_and_chroma_give_the_color_back(rgb in prop::array::uniform3(-2.0f32..2.0)) {
             for (a, b) in rgb_from_ycocg(ycocg_from_rgb(rgb)).iter().zip(rgb) {
                 prop_assert!((a - b).abs() < 1e-5);
             }
@@ -290,7 +290,7 @@ mod tests {
         }
         // Luma 3 steps, orange -1, green 2: red 0.06 - 0.02 - 0.01.
         assert!((decoded.sh_dc[0][0] - (0.8 + 0.03)).abs() < 1e-6);
-        assert_eq!(decoded.rest_of(0)[0], cloud.colours[9]);
+        assert_eq!(decoded.rest_of(0)[0], cloud.colors[9]);
     }
 
     #[test]
@@ -303,8 +303,8 @@ mod tests {
         assert!(broken(|c| c.levels = vec![1]).contains("add up"));
         assert!(broken(|c| c.levels = vec![usize::MAX, 3]).contains("add up"));
         assert!(broken(|c| c.shapes.truncate(1)).contains("shape 1 of 1"));
-        assert!(broken(|c| c.colours.truncate(8)).contains("colour 2 of 2"));
-        assert!(broken(|c| c.colours[0][0] = f32::NAN).contains("NaN"));
+        assert!(broken(|c| c.colors.truncate(8)).contains("color 2 of 2"));
+        assert!(broken(|c| c.colors[0][0] = f32::NAN).contains("NaN"));
         assert!(broken(|c| c.log2_size_step = 1e9).contains("120"));
         assert!(broken(|c| c.sh_degree = 9).contains("degree"));
     }

@@ -41,7 +41,7 @@ pub struct EpisodeHead {
     pub planner: PlannerRecord,
     /// Renderer of the images; `None` without images.
     pub drawn_by: Option<DrawnBy>,
-    /// The ego's route from start to end, world coordinates, metres: at least two points.
+    /// The ego's route from start to end, world coordinates, meters: at least two points.
     pub route_m: Vec<DVec2>,
     /// Boxes of the agents, in the order of their states.
     pub agent_sizes: Vec<VehicleSize>,

@@ -45,8 +45,8 @@ pub struct Lane {
     pub id: String,
     /// Purpose.
     pub kind: LaneKind,
-    /// At least two points, no two neighbours the same, world coordinates in metres. z is 0 where [`Lane::has_height`] is false.
-    pub centreline: Vec<DVec3>,
+    /// At least two points, no two neighbors the same, world coordinates in meters. z is 0 where [`Lane::has_height`] is false.
+    pub centerline: Vec<DVec3>,
     /// Left border, none where the file tells nothing of it.
     pub left: Vec<DVec3>,
     /// Right border.
@@ -58,10 +58,10 @@ pub struct Lane {
     /// Lanes that go on in it.
     pub predecessors: Vec<usize>,
     /// The lane to the left with the same direction.
-    pub left_neighbour: Option<usize>,
+    pub left_neighbor: Option<usize>,
     /// The lane to the right with the same direction.
-    pub right_neighbour: Option<usize>,
-    /// Metres a second.
+    pub right_neighbor: Option<usize>,
+    /// Meters a second.
     pub speed_limit_mps: Option<f64>,
 }
 
@@ -84,14 +84,14 @@ impl LaneMap {
     pub fn check(&self) -> Result<(), String> {
         for lane in &self.lanes {
             let id = &lane.id;
-            if lane.centreline.len() < 2 {
-                return Err(format!("lane {id}: a centreline of {} points; expected at least 2", lane.centreline.len()));
+            if lane.centerline.len() < 2 {
+                return Err(format!("lane {id}: a centerline of {} points; expected at least 2", lane.centerline.len()));
             }
-            let mut points = lane.centreline.iter().chain(&lane.left).chain(&lane.right);
+            let mut points = lane.centerline.iter().chain(&lane.left).chain(&lane.right);
             if let Some(point) = points.find(|point| !point.is_finite()) {
                 return Err(format!("lane {id}: a point at {point}; expected finite numbers"));
             }
-            let links = lane.successors.iter().chain(&lane.predecessors).chain(&lane.left_neighbour).chain(&lane.right_neighbour);
+            let links = lane.successors.iter().chain(&lane.predecessors).chain(&lane.left_neighbor).chain(&lane.right_neighbor);
             if let Some(link) = links.copied().find(|&link| link >= self.lanes.len()) {
                 return Err(format!("lane {id}: names lane number {link} of {}", self.lanes.len()));
             }

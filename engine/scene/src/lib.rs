@@ -1,8 +1,8 @@
 //! Scene data: splats, spherical harmonics, poses, cameras, and the rules by which they become an
 //! image.
 //!
-//! Plain data and mathematics; nothing here reads a file or knows a GPU. Units are metres, seconds and radians,
-//! frames are right-handed. World: z up. Vehicle and agent: x forward, y left, z up, origin at the centre of the
+//! Plain data and mathematics; nothing here reads a file or knows a GPU. Units are meters, seconds and radians,
+//! frames are right-handed. World: z up. Vehicle and agent: x forward, y left, z up, origin at the center of the
 //! bounding box. Camera: OpenCV (x right, y down, z forward). A [`Pose`] is active: `p_parent = R p_child + t`.
 #![forbid(unsafe_code)]
 
@@ -31,7 +31,7 @@ pub use codebook::{CodedCloud, CodedSplat, SplatCodes};
 pub use episode::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};
 pub use lane_map::{Lane, LaneKind, LaneMap};
 pub use lens::{Lens, RayMap};
-pub use light::{AmbientDescriptor, ColourTransfer, ContactShadow, LightTransfer};
+pub use light::{AmbientDescriptor, ColorTransfer, ContactShadow, LightTransfer};
 pub use plan::{Plan, PlanPoint};
 pub use pose::Pose;
 pub use rules::{DepthOrder, EarlyStop, Rules};

@@ -7,7 +7,7 @@ use glam::DVec2;
 pub struct PlanPoint {
     /// After the observation that was planned from, seconds, above zero.
     pub time_s: f64,
-    /// Middle of the ego's box, in the ego's frame at that observation: x forward, y left, metres.
+    /// Middle of the ego's box, in the ego's frame at that observation: x forward, y left, meters.
     pub position_m: DVec2,
 }
 
@@ -22,7 +22,7 @@ impl Plan {
     pub const POINTS_MAX: usize = 256;
     /// Latest time of a plan, seconds.
     pub const HORIZON_S_MAX: f64 = 30.0;
-    /// Farthest point of a plan, metres.
+    /// Farthest point of a plan, meters.
     pub const REACH_M_MAX: f64 = 2000.0;
 
     /// A plan through `points`.

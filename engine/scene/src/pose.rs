@@ -7,7 +7,7 @@ use glam::{DMat3, DQuat, DVec3};
 pub struct Pose {
     /// Unit quaternion.
     pub rotation: DQuat,
-    /// Position of the child's origin in the parent, metres.
+    /// Position of the child's origin in the parent, meters.
     pub translation: DVec3,
 }
 
@@ -15,7 +15,7 @@ impl Pose {
     /// The transform that changes nothing.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// A pose from a rotation, which is normalised, and a translation in metres.
+    /// A pose from a rotation, which is normalized, and a translation in meters.
     #[must_use]
     pub fn new(rotation: DQuat, translation: DVec3) -> Self {
         Self { rotation: rotation.normalize(), translation }

@@ -45,7 +45,7 @@ pub struct Rules {
     pub alpha_max: f64,
     /// Early termination of a pixel.
     pub stop: EarlyStop,
-    /// A splat whose centre has z below this is dropped, metres.
+    /// A splat whose center has z below this is dropped, meters.
     pub near_m: f64,
     /// Multiply opacity by sqrt(det S / det S') so that dilation does not brighten thin splats
     /// (Yu et al., Mip-Splatting, 2024).
@@ -62,7 +62,7 @@ impl Rules {
     pub const GSPLAT15: Self = Self { alpha_max: 0.999, stop: EarlyStop::Exclusive, ..Self::DEFAULT };
     /// gsplat 1.6's: alpha at most 0.99, exclusive stop.
     pub const GSPLAT16: Self = Self { stop: EarlyStop::Exclusive, ..Self::DEFAULT };
-    /// The INRIA rasteriser's: exclusive stop, near plane at 0.2 m.
+    /// The INRIA rasterizer's: exclusive stop, near plane at 0.2 m.
     pub const INRIA: Self = Self { stop: EarlyStop::Exclusive, near_m: 0.2, ..Self::DEFAULT };
 
     /// The rules called `name`, of [`Rules::NAMES`].

@@ -45,7 +45,7 @@ pub enum Weather {
     /// A sunny afternoon.
     #[default]
     Clear,
-    /// Grey light from all of the sky.
+    /// Gray light from all of the sky.
     Overcast,
     /// A low, orange sun and long shadows.
     Dusk,
@@ -114,7 +114,7 @@ pub enum Place {
 /// Task of the ego vehicle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EgoTask {
-    /// Lanes of its route, by id, each a successor or a neighbour of the one before.
+    /// Lanes of its route, by id, each a successor or a neighbor of the one before.
     pub route: Vec<String>,
     /// Start on the first of them, meters along it.
     pub start_m: f64,
@@ -173,7 +173,7 @@ pub enum Trigger {
     },
     /// Distance of the ego's center, first reached, meters.
     NearEgo {
-        /// Metres.
+        /// Meters.
         distance_m: f64,
     },
 }
@@ -201,7 +201,7 @@ pub enum Maneuver {
 
 /// A maneuver and when it begins; it happens once.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Behaviour {
+pub struct Behavior {
     /// Trigger condition.
     pub trigger: Trigger,
     /// Maneuver.
@@ -228,7 +228,7 @@ pub struct TrafficAgent {
     /// True if it may change lanes voluntarily.
     pub changes_lanes: bool,
     /// Injected behaviors.
-    pub behaviours: Vec<Behaviour>,
+    pub behaviors: Vec<Behavior>,
 }
 
 /// An episode before it is driven. With a planner it tells all that happens.

@@ -1,7 +1,7 @@
 //! Real spherical harmonics to degree 3, with the basis signs of the original 3DGS (Kerbl et al., 2023).
 //!
-//! Coefficient 0 is the direct (DC) term. Band `l` holds `2l + 1` coefficients. A splat's colour is
-//! `max(0, 0.5 + sum_k c_k Y_k(d))` with `d` the unit vector from the camera centre to the splat's mean.
+//! Coefficient 0 is the direct (DC) term. Band `l` holds `2l + 1` coefficients. A splat's color is
+//! `max(0, 0.5 + sum_k c_k Y_k(d))` with `d` the unit vector from the camera center to the splat's mean.
 
 use std::sync::LazyLock;
 
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn rotated_coefficients_give_the_same_colour_in_the_rotated_direction() {
+    fn rotated_coefficients_give_the_same_color_in_the_rotated_direction() {
         let rotation = DQuat::from_euler(glam::EulerRot::ZYX, 0.7, -1.1, 2.3);
         let rest: Vec<[f32; 3]> = (0..15).map(|k| [0.1 * k as f32 - 0.6, (k as f32).sin(), 0.3]).collect();
         let mut turned = rest.clone();

@@ -6,12 +6,12 @@ use crate::{Bounds, Pose, sh};
 
 /// Gaussians as arrays of equal length. The index of a splat is its place in them; equal depths are ordered by it.
 ///
-/// Scales are linear (standard deviations, metres), rotations unit quaternions w, x, y, z, opacities in 0 to 1.
+/// Scales are linear (standard deviations, meters), rotations unit quaternions w, x, y, z, opacities in 0 to 1.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatCloud {
-    /// Means, metres, relative to the origin of the world the cloud belongs to.
+    /// Means, meters, relative to the origin of the world the cloud belongs to.
     pub means: Vec<[f32; 3]>,
-    /// Standard deviations along the splat's own axes, metres.
+    /// Standard deviations along the splat's own axes, meters.
     pub scales: Vec<[f32; 3]>,
     /// World from splat axes, unit quaternions w, x, y, z.
     pub rotations: Vec<[f32; 4]>,
@@ -36,8 +36,8 @@ pub enum SplatDefect {
     Rotation,
     /// An opacity that is NaN or outside 0 to 1.
     Opacity,
-    /// A colour coefficient that is NaN or infinite.
-    Colour,
+    /// A color coefficient that is NaN or infinite.
+    Color,
 }
 
 impl SplatCloud {
@@ -91,7 +91,7 @@ impl SplatCloud {
         } else if !(0.0..=1.0).contains(&self.opacities[splat]) {
             Some(SplatDefect::Opacity)
         } else if !finite(&self.sh_dc[splat]) || !self.rest_of(splat).iter().all(|c| finite(c)) {
-            Some(SplatDefect::Colour)
+            Some(SplatDefect::Color)
         } else {
             None
         }
@@ -152,7 +152,7 @@ impl SplatCloud {
         self.sh_degree = degree;
     }
 
-    /// The cloud moved rigidly by `pose`. Its colours turn with it if `turn_sh`; scenes trained in place must not be turned.
+    /// The cloud moved rigidly by `pose`. Its colors turn with it if `turn_sh`; scenes trained in place must not be turned.
     #[must_use]
     pub fn placed(&self, pose: &Pose, turn_sh: bool) -> Self {
         let mut placed = self.clone();
@@ -174,7 +174,7 @@ impl SplatCloud {
 
     /// The order of a space-filling (Morton) curve over the means, ties by index.
     ///
-    /// Neighbours in it are neighbours in space, so runs of it make tight boxes for culling. Means that are not finite
+    /// Neighbors in it are neighbors in space, so runs of it make tight boxes for culling. Means that are not finite
     /// come last.
     #[must_use]
     pub fn spatial_order(&self) -> Vec<u32> {
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn spatial_order_is_a_permutation_that_brings_neighbours_together() {
+    fn spatial_order_is_a_permutation_that_brings_neighbors_together() {
         let cloud = cloud(1000, 1);
         let order = cloud.spatial_order();
         let mut seen = order.clone();
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn appending_raises_the_degree_and_keeps_the_colours() {
+    fn appending_raises_the_degree_and_keeps_the_colors() {
         let mut a = cloud(3, 0);
         let b = cloud(2, 2);
         a.append(&b);
@@ -287,6 +287,6 @@ mod tests {
         assert_eq!(broken(|c| c.scales[0][2] = -1.0), Some(SplatDefect::Scale));
         assert_eq!(broken(|c| c.rotations[0] = [0.0; 4]), Some(SplatDefect::Rotation));
         assert_eq!(broken(|c| c.opacities[0] = 1.5), Some(SplatDefect::Opacity));
-        assert_eq!(broken(|c| c.sh_rest[2][0] = f32::INFINITY), Some(SplatDefect::Colour));
+        assert_eq!(broken(|c| c.sh_rest[2][0] = f32::INFINITY), Some(SplatDefect::Color));
     }
 }

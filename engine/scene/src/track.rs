@@ -7,9 +7,9 @@ use glam::{DVec2, DVec3};
 pub struct TrackPoint {
     /// The moment, seconds.
     pub time_s: f64,
-    /// Centre of its box from above, world coordinates in metres.
+    /// Center of its box from above, world coordinates in meters.
     pub position_m: DVec2,
-    /// Height of its centre, where the file tells.
+    /// Height of its center, where the file tells.
     pub z_m: Option<f64>,
     /// Heading, from x towards y.
     pub yaw_rad: Option<f64>,
@@ -30,7 +30,7 @@ pub struct Track {
     pub id: String,
     /// `car`, `truck`, `pedestrian`: the file's own word, in lower case.
     pub class: String,
-    /// Length, width and height, metres, where the file tells.
+    /// Length, width and height, meters, where the file tells.
     pub dims_m: Option<[f64; 3]>,
     /// At least one, times finite and strictly rising.
     pub points: Vec<TrackPoint>,

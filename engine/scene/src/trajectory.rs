@@ -65,7 +65,7 @@ impl Trajectory {
         self.poses[self.poses.len() - 1].time_s
     }
 
-    /// The pose at `time_s`: position linear and rotation along the great arc between neighbours, the end poses before
+    /// The pose at `time_s`: position linear and rotation along the great arc between neighbors, the end poses before
     /// and after the ends. A time that is not a number counts as the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Pose {

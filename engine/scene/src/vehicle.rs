@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-/// Outer dimensions of a vehicle, metres.
+/// Outer dimensions of a vehicle, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VehicleSize {
     /// Along x of its frame.
@@ -14,16 +14,16 @@ pub struct VehicleSize {
 }
 
 impl VehicleSize {
-    /// A family car: 4.5 by 1.8 by 1.5 metres.
+    /// A family car: 4.5 by 1.8 by 1.5 meters.
     pub const CAR: Self = Self { length_m: 4.5, width_m: 1.8, height_m: 1.5 };
 
-    /// From length, width and height, metres.
+    /// From length, width and height, meters.
     #[must_use]
     pub fn from_array([length_m, width_m, height_m]: [f64; 3]) -> Self {
         Self { length_m, width_m, height_m }
     }
 
-    /// Length, width and height, metres.
+    /// Length, width and height, meters.
     #[must_use]
     pub fn to_array(self) -> [f64; 3] {
         [self.length_m, self.width_m, self.height_m]
@@ -33,7 +33,7 @@ impl VehicleSize {
 /// Pose and motion of a vehicle on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct VehicleState {
-    /// Middle of its box from above, world coordinates, metres.
+    /// Middle of its box from above, world coordinates, meters.
     pub position_m: DVec2,
     /// Heading, from x towards y.
     pub yaw_rad: f64,
@@ -50,7 +50,7 @@ impl VehicleState {
         DVec2::from_angle(self.yaw_rad)
     }
 
-    /// Velocity, metres a second.
+    /// Velocity, meters a second.
     #[must_use]
     pub fn velocity(&self) -> DVec2 {
         self.ahead() * self.speed_mps

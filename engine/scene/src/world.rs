@@ -7,7 +7,7 @@ use crate::{Pose, Rules, SplatCloud};
 /// Frame of an asset's spherical harmonics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ShFrame {
-    /// In the asset's own frame: colours turn with the object (object captures).
+    /// In the asset's own frame: colors turn with the object (object captures).
     #[default]
     Canonical,
     /// In the world's frame: trained in place, as HUGSIM and drivestudio export. Must not be turned.
@@ -34,7 +34,7 @@ pub struct World {
     pub splats: SplatCloud,
     /// The instance each splat belongs to: 0 the background, `k` the `k`-th agent. Empty where there is only background.
     pub instance_from_splat: Vec<u16>,
-    /// World coordinates of the point that means are relative to, f64 metres: UTM-sized worlds keep their millimetres.
+    /// World coordinates of the point that means are relative to, f64 meters: UTM-sized worlds keep their millimeters.
     pub origin: DVec3,
     /// Seen where transmittance is left, display-referred RGB.
     pub sky: [f32; 3],

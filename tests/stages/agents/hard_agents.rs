@@ -2,13 +2,13 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, RelightRecord, View};
-use decouplegs::render::stages::{AgentBuffers, AgentCounts, RelitColours};
+use decouplegs::render::stages::{AgentBuffers, AgentCounts, RelitColors};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::Variant;
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
 use decouplegs::scene::shape::principal_axes;
-use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, ColourTransfer, Pose, RayMap, Rules, SplatCodes, sh};
+use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, ColorTransfer, Pose, RayMap, Rules, SplatCodes, sh};
 use glam::{DMat3, DQuat, DVec3, Mat3};
 
 use super::super::scenes::{ProjectedTwin, settled_visibility};
@@ -23,13 +23,13 @@ pub struct Placed {
     pub level: usize,
     pub pose: Pose,
     pub cameras: u32,
-    pub colours_in_world: bool,
+    pub colors_in_world: bool,
 }
 
 impl Placed {
     /// The finest level of a cloud, seen by all cameras.
     pub fn new(cloud: usize, pose: Pose) -> Self {
-        Self { cloud, level: 0, pose, cameras: u32::MAX, colours_in_world: false }
+        Self { cloud, level: 0, pose, cameras: u32::MAX, colors_in_world: false }
     }
 }
 
@@ -46,7 +46,7 @@ pub struct AgentScene {
     pub dc: Vec<[f32; 3]>,
     pub bands: Vec<[u32; 24]>,
     pub chunks: Vec<ChunkRecord>,
-    /// Colours of the agents that are relit.
+    /// Colors of the agents that are relit.
     pub relit_dc: Vec<[f32; 3]>,
     pub relit_bands: Vec<[u32; 24]>,
     pub counts: AgentCounts,
@@ -83,7 +83,7 @@ impl AgentScene {
                 splat_count: cloud.levels[placed.level] as u32,
                 cameras: placed.cameras,
                 instance,
-                colours_in_world: placed.colours_in_world.into(),
+                colors_in_world: placed.colors_in_world.into(),
                 ..first
             });
             scene.counts.chunks += cloud.levels[placed.level].div_ceil(CHUNK_SPLATS);
@@ -103,7 +103,7 @@ impl AgentScene {
         self.shapes.push([1e9; 6]);
         self.dc.push([1e9; 3]);
         self.bands.push([u32::MAX; 24]);
-        self.chunks.push(ChunkRecord { centre_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 });
+        self.chunks.push(ChunkRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 });
         let record = AgentRecord {
             box_min_m: cloud.bounds.min,
             box_step_m: cloud.position_step_m(),
@@ -113,15 +113,15 @@ impl AgentScene {
             first_bounds: self.chunks.len() as u32,
             first_splat: self.splats.len() as u32,
             first_shape: self.shapes.len() as u32,
-            first_colour: self.dc.len() as u32,
+            first_color: self.dc.len() as u32,
             dc_residual_gain: [1.0; 3],
             ..AgentRecord::default()
         };
         self.splats.extend(cloud.splats.iter().map(|splat| splat.0));
         self.shapes.extend(&cloud.shapes);
-        for colour in 0..cloud.colour_count() {
-            self.dc.push(cloud.colour(colour)[0]);
-            self.bands.push(encoded_bands(cloud.colour(colour)));
+        for color in 0..cloud.color_count() {
+            self.dc.push(cloud.color(color)[0]);
+            self.bands.push(encoded_bands(cloud.color(color)));
         }
         for level in 0..cloud.levels.len() {
             self.chunks.extend(cloud.level(level).chunks(CHUNK_SPLATS).map(|splats| chunk_of(cloud, splats)));
@@ -129,21 +129,21 @@ impl AgentScene {
         record
     }
 
-    /// Puts `agent`, which shows a codebook of `colours`, in a light of its own.
-    pub fn relight(&mut self, agent: usize, colours: usize, light: &ColourTransfer) {
+    /// Puts `agent`, which shows a codebook of `colors`, in a light of its own.
+    pub fn relight(&mut self, agent: usize, colors: usize, light: &ColorTransfer) {
         let (record, first) = (&mut self.agents[agent], self.relit_dc.len());
         let relight =
-            RelightRecord { first_relit: first as u32, ..RelightRecord::new(light, 3, record.first_colour as usize, colours) };
-        self.relit_dc.resize(first + colours, [0.0; 3]);
-        self.relit_bands.resize(first + colours, [0; 24]);
+            RelightRecord { first_relit: first as u32, ..RelightRecord::new(light, 3, record.first_color as usize, colors) };
+        self.relit_dc.resize(first + colors, [0.0; 3]);
+        self.relit_bands.resize(first + colors, [0; 24]);
         twins::relight(&[relight], &self.dc, &self.bands, &mut self.relit_dc, &mut self.relit_bands, 3);
-        record.first_colour = first as u32;
-        record.colours_relit = 1;
+        record.first_color = first as u32;
+        record.colors_relit = 1;
         record.dc_residual_gain = light.gain[0];
     }
 
-    pub fn relit(&self, gpu: &Validated) -> RelitColours {
-        let relit = RelitColours::new(gpu, self.relit_dc.len()).unwrap();
+    pub fn relit(&self, gpu: &Validated) -> RelitColors {
+        let relit = RelitColors::new(gpu, self.relit_dc.len()).unwrap();
         gpu.write(&relit.dc, 0, &self.relit_dc).unwrap();
         gpu.write(&relit.bands, 0, &self.relit_bands).unwrap();
         relit
@@ -247,7 +247,7 @@ impl AgentScene {
         room: usize,
     ) -> ProjectedTwin {
         let mut out =
-            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colours: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
+            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colors: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
         twins::project_agents(
             &self.agents,
             &self.cameras,
@@ -261,7 +261,7 @@ impl AgentScene {
             &self.relit_dc,
             &self.relit_bands,
             &mut out.footprints,
-            &mut out.colours,
+            &mut out.colors,
             &mut out.keys,
             &self.lenses,
             self.counts.cameras,
@@ -279,8 +279,8 @@ impl AgentScene {
             splats: upload(gpu, &self.splats),
             chunks: upload(gpu, &self.chunks),
             shapes: upload(gpu, &self.shapes),
-            colour_dc: upload(gpu, &self.dc),
-            colour_bands: upload(gpu, &self.bands),
+            color_dc: upload(gpu, &self.dc),
+            color_bands: upload(gpu, &self.bands),
         }
     }
 
@@ -313,7 +313,7 @@ fn chunk_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ChunkRecord {
         splats.iter().map(|&splat| splat.into()).filter(|codes: &SplatCodes| codes.opacity > 0).collect();
     let means: Vec<[f32; 3]> = codes.iter().map(|codes| cloud.mean_m(codes)).collect();
     if means.is_empty() {
-        return ChunkRecord { centre_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 };
+        return ChunkRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 };
     }
     let bounds = Bounds::of(&means);
     let reach_m = |codes: &SplatCodes| {
@@ -321,14 +321,14 @@ fn chunk_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ChunkRecord {
         longest * (2.0 * f32::from(codes.opacity).ln()).sqrt().max(1.7321) * 1.001
     };
     ChunkRecord {
-        centre_m: bounds.centre(),
+        center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
         reach_m: codes.iter().map(reach_m).fold(0.0, f32::max),
     }
 }
 
 /// Agents in front of the rig, turned, around the near plane, behind, so far that they are a pixel, and beside it; some for some
-/// cameras only, some of a coarser level, of a level of no splats or with colours that are not turned.
+/// cameras only, some of a coarser level, of a level of no splats or with colors that are not turned.
 pub fn hard_agents(cameras: &[Camera]) -> AgentScene {
     let clouds = [hard_cloud(vec![900, 256, 0, 1], 31), hard_cloud(vec![1100], 32)];
     let turned = DQuat::from_rotation_z(2.1) * DQuat::from_rotation_x(0.4) * DQuat::from_rotation_y(-0.7);
@@ -340,8 +340,8 @@ pub fn hard_agents(cameras: &[Camera]) -> AgentScene {
         at(1, 0.1, 0.0, 0.3, turned.inverse()),
         at(0, 0.0, 0.0, -30.0, turned),
         Placed { level: 1, ..at(0, 20.0, -9.0, 3000.0, turned) },
-        Placed { colours_in_world: true, cameras: 0b0101, ..at(1, 1.0, -1.0, 12.0, turned) },
-        Placed { level: 3, colours_in_world: true, ..at(0, 0.2, 0.1, 4.0, turned.inverse()) },
+        Placed { colors_in_world: true, cameras: 0b0101, ..at(1, 1.0, -1.0, 12.0, turned) },
+        Placed { level: 3, colors_in_world: true, ..at(0, 0.2, 0.1, 4.0, turned.inverse()) },
         Placed { cameras: 0, ..at(0, 0.0, 0.0, 7.0, turned) },
         at(1, 40.0, 0.0, 6.0, turned * turned),
         Placed { level: 2, ..at(0, 0.0, 0.0, 9.0, turned) },

@@ -5,7 +5,7 @@ use decouplegs::scene::{Bounds, CodedCloud, CodedSplat, ShFrame, SplatCodes};
 
 use super::super::Random;
 
-/// Binary logarithm of the smallest size of the hard clouds, and of the ratio between two: sizes from a quarter of a millimetre
+/// Binary logarithm of the smallest size of the hard clouds, and of the ratio between two: sizes from a quarter of a millimeter
 /// to 16 m.
 const LOG2_SIZE: [f32; 2] = [-12.0, 16.0 / 255.0];
 
@@ -25,7 +25,7 @@ fn hard_shapes(random: &mut Random) -> Vec<[f32; 6]> {
     (0..512).map(shape).collect()
 }
 
-/// A cloud of all 512 shapes and 1024 colours, splats at the corners of its box and anywhere in it, invisible, at the edge of
+/// A cloud of all 512 shapes and 1024 colors, splats at the corners of its box and anywhere in it, invisible, at the edge of
 /// being so, and opaque.
 pub fn hard_cloud(levels: Vec<usize>, seed: u64) -> CodedCloud {
     let mut random = Random(seed);
@@ -41,7 +41,7 @@ pub fn hard_cloud(levels: Vec<usize>, seed: u64) -> CodedCloud {
             },
             size: if i % 16 == 6 { 255 } else { random.below(240) as u8 },
             shape: (i % 512) as u16,
-            colour: (i % 1024) as u16,
+            color: (i % 1024) as u16,
             dc_residual: [random.below(32) as i8 - 16, random.below(16) as i8 - 8, random.below(16) as i8 - 8],
         };
         codes.into()
@@ -57,7 +57,7 @@ pub fn hard_cloud(levels: Vec<usize>, seed: u64) -> CodedCloud {
         levels,
         shapes: hard_shapes(&mut random),
         sh_degree: 3,
-        colours: (0..1024 * 16).map(|_| std::array::from_fn(|_| random.between(-0.3, 0.3))).collect(),
+        colors: (0..1024 * 16).map(|_| std::array::from_fn(|_| random.between(-0.3, 0.3))).collect(),
         sh_frame: ShFrame::Canonical,
         dims_m: [4.4, 1.8, 1.5],
     }

@@ -16,7 +16,7 @@ fn before(case: &Case) -> Blended {
         let transmittance = random.across_scales(1.2e-4, 1.0);
         let alpha = 1.0 - transmittance;
         Pixel {
-            colour: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
+            color: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
             transmittance: if random.below(3) == 0 { transmittance } else { -transmittance },
             weighted_depth: alpha * random.between(0.5, 100.0),
             best_weight: alpha * random.between(0.1, 1.0),
@@ -39,7 +39,7 @@ fn pixels_end_where_the_whole_list_would_end_them() {
         case.check_finished(&before, &pictures, &twin).unwrap();
         // A pixel that began with something else is seen.
         let mut other = before.clone();
-        other.iter_mut().flatten().for_each(|pixel| pixel.colour.y += 0.001);
+        other.iter_mut().flatten().for_each(|pixel| pixel.color.y += 0.001);
         assert!(case.check_finished(&before, &pictures, &case.twin(Some(&other))).is_err());
     }
 }

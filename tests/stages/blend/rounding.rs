@@ -2,7 +2,7 @@
 //! Numerical Algorithms, 2002, section 3.3) of the same sums in f64.
 
 use decouplegs::render::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
-use decouplegs::render::twins::footprint::centre_of;
+use decouplegs::render::twins::footprint::center_of;
 use decouplegs::render::twins::output::Pixel;
 use decouplegs::render::twins::record::load_footprint;
 use decouplegs::scene::rules::TRANSMITTANCE_MIN;
@@ -14,7 +14,7 @@ use crate::stages::scenes::ProjectedTwin;
 /// Largest difference between two correct implementations at one pixel.
 #[derive(Debug)]
 pub struct PixelBounds {
-    pub colour: f64,
+    pub color: f64,
     pub transmittance: f64,
     pub weighted_depth: f64,
     /// Rounding decides whether a splat counts here, or where an exclusive stop falls.
@@ -38,7 +38,7 @@ impl PixelBounds {
     /// `before` if given.
     pub fn of(projected: &ProjectedTwin, list: &[u32], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
         let bounds = Self {
-            colour: 0.0,
+            color: 0.0,
             transmittance: 0.0,
             weighted_depth: 0.0,
             unsettled: false,
@@ -60,16 +60,16 @@ impl PixelBounds {
             if log2_alpha < -LOG2_255 - error {
                 continue;
             }
-            let colour = projected.colours[record][..3].iter().fold(0.0, |largest, &c| f64::from(c).max(largest));
+            let color = projected.colors[record][..3].iter().fold(0.0, |largest, &c| f64::from(c).max(largest));
             let depth_m = f64::from(projected.footprints[2 * record + 1][2]);
             let full = run.transmittance <= TRANSMITTANCE_MIN * (1.0 + 1e-3);
             if rules.stop == EarlyStop::None && full {
-                behind = [behind[0].max(colour), behind[1].max(depth_m)];
+                behind = [behind[0].max(color), behind[1].max(depth_m)];
                 continue;
             }
             run.bounds.unsettled |= (log2_alpha + LOG2_255).abs() <= error;
             let instance = projected.footprints[2 * record + 1][3].to_bits() as usize;
-            if run.add(log2_alpha, error, [colour, depth_m], instance, rules) {
+            if run.add(log2_alpha, error, [color, depth_m], instance, rules) {
                 break;
             }
         }
@@ -77,7 +77,7 @@ impl PixelBounds {
         if behind != [0.0; 2] {
             let left = TRANSMITTANCE_MIN * (1.0 + 2e-3);
             bounds.transmittance += left;
-            bounds.colour += left * behind[0];
+            bounds.color += left * behind[0];
             bounds.weighted_depth += left * behind[1];
         }
         bounds.alpha = 1.0 - run.transmittance;
@@ -110,7 +110,7 @@ const LOG2_255: f64 = 7.994_353_436_858_858;
 /// log2 of a record's alpha at a pixel, and how far it may be off.
 fn log2_alpha(projected: &ProjectedTwin, record: usize, at: [u32; 2]) -> (f64, f64) {
     let splat = load_footprint(&projected.footprints, record);
-    let d = (centre_of(at[0], at[1]) - splat.mean_px).as_dvec2();
+    let d = (center_of(at[0], at[1]) - splat.mean_px).as_dvec2();
     let [slope, rate_x, rate_y] = [splat.slope, splat.rate_x, splat.rate_y].map(f64::from);
     let (shear, peak) = (slope * d.y, f64::from(splat.log2_opacity));
     let (u, v) = ((d.x - shear) * rate_x, d.y * rate_y);
@@ -127,7 +127,7 @@ fn log2_alpha(projected: &ProjectedTwin, record: usize, at: [u32; 2]) -> (f64, f
 
 impl Run {
     /// Adds one splat; whether the pixel stops before it.
-    fn add(&mut self, log2_alpha: f64, log2_error: f64, [colour, depth_m]: [f64; 2], instance: usize, rules: &Rules) -> bool {
+    fn add(&mut self, log2_alpha: f64, log2_error: f64, [color, depth_m]: [f64; 2], instance: usize, rules: &Rules) -> bool {
         // exp2 may be off by 3 + 2 |x| roundings in the last place (Vulkan specification), on both sides.
         let relative = std::f64::consts::LN_2 * log2_error + 4.0 * ROUNDOFF * (3.0 + 2.0 * log2_alpha.abs());
         let alpha = log2_alpha.exp2().min(rules.alpha_max);
@@ -144,7 +144,7 @@ impl Run {
         let weight = *transmittance * alpha;
         let weight_error = bounds.transmittance * alpha + *transmittance * alpha_error + 2.0 * ROUNDOFF * weight;
         // Sums of weights are at most 1, so no partial sum is larger than the largest value.
-        bounds.colour += weight_error * colour + 4.0 * ROUNDOFF * colour.max(1.0);
+        bounds.color += weight_error * color + 4.0 * ROUNDOFF * color.max(1.0);
         bounds.weighted_depth += weight_error * depth_m + 4.0 * ROUNDOFF * depth_m.max(*depth_before);
         bounds.transmittance = left_error;
         bounds.weight_error = bounds.weight_error.max(weight_error);

@@ -22,7 +22,7 @@ pub struct Projection<'a> {
     pub axes_share: f64,
     pub opacity: f64,
     /// Error bound of a color channel.
-    pub colour: f64,
+    pub color: f64,
 }
 
 /// Error bounds of the values of one record, in the order in which they are stored.
@@ -33,7 +33,7 @@ pub struct Projection<'a> {
 pub struct RecordBounds {
     footprint: [f64; 6],
     depth_m: f64,
-    colour: f64,
+    color: f64,
 }
 
 impl Projection<'_> {
@@ -48,7 +48,7 @@ impl Projection<'_> {
         let depth_m = if radial { 8.0 * u * offset.length() } else { t_error };
         if let Some((map, record)) = &self.lens {
             let axes = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose() * self.axes;
-            return RecordBounds { footprint: self.through(map, record, t, t_error, axes, rules), depth_m, colour: self.colour };
+            return RecordBounds { footprint: self.through(map, record, t, t_error, axes, rules), depth_m, color: self.color };
         }
         let focal = DVec2::from_array(k.focal_px.map(f64::from));
         let xy = t.truncate() / t.z;
@@ -72,7 +72,7 @@ impl Projection<'_> {
         RecordBounds {
             footprint: [mean_error.x, mean_error.y, slope, rate_x, rate_y, log2_opacity],
             depth_m,
-            colour: self.colour,
+            color: self.color,
         }
     }
 
@@ -144,7 +144,7 @@ impl Shape {
     }
 }
 
-/// Holds record `record` of the kernel to the twin's; returns the largest shares used of the bounds of footprint and colour.
+/// Holds record `record` of the kernel to the twin's; returns the largest shares used of the bounds of footprint and color.
 pub fn check_record(
     what: &str,
     record: usize,
@@ -160,8 +160,8 @@ pub fn check_record(
     let footprint = [mean_x, mean_y, slope, rate_x, rate_y, log2_opacity, bounds.depth_m];
     let footprint = within(what, &a.0, &b.0, &footprint)?;
     identical("instance", &[a.1], &[b.1])?;
-    let colours = [&kernel.colours[record][..3], &twin.colours[record][..3]];
-    Ok([footprint, within(what, colours[0], colours[1], &[bounds.colour; 3])?])
+    let colors = [&kernel.colors[record][..3], &twin.colors[record][..3]];
+    Ok([footprint, within(what, colors[0], colors[1], &[bounds.color; 3])?])
 }
 
 /// The shader computes a depth with 48 digits and the twin with 53: a step's edge may fall between the two.

@@ -66,7 +66,7 @@ static void write_pictures(const DgsScene *scene, const DgsViewer *viewer, size_
     }
 }
 
-/* Puts the first agent of `world` ten metres before the ego, across its way, and one more beside it. */
+/* Puts the first agent of `world` ten meters before the ego, across its way, and one more beside it. */
 static void block_the_way(DgsWorld *world, const DgsScene *scene, double time_s) {
     const DgsPose turn = {{0.70710678118654752, 0.0, 0.0, 0.70710678118654752}, {0.0, 0.0, 0.0}};
     DgsPose pose;

@@ -27,7 +27,7 @@
  * Versions. dgs_abi_version() must be DGS_ABI_VERSION: with another number, structs or functions are others. Structs that may get
  * more fields without that begin with `struct_bytes`, into which the caller writes its sizeof; all other structs stay as they are.
  *
- * Units are metres, seconds and pixels. World: z up. Vehicle and agent: x forward, y left, z up. Camera: x right, y down,
+ * Units are meters, seconds and pixels. World: z up. Vehicle and agent: x forward, y left, z up. Camera: x right, y down,
  * z forward. Poses are active: parent = rotation * child + position.
  *
  * This file is made from the sources of the library; edits are lost.
@@ -107,33 +107,33 @@ typedef enum {
 } DgsStatus;
 
 /**
- * How colours are stored.
+ * How colors are stored.
  */
 typedef enum {
     /**
      * Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera delivers.
      */
-    DGS_COLOUR_U8 = 0,
+    DGS_COLOR_U8 = 0,
     /**
      * Four floats: red, green, blue as blended, unclamped, and alpha.
      */
-    DGS_COLOUR_F32 = 1,
-} DgsColour;
+    DGS_COLOR_F32 = 1,
+} DgsColor;
 
 /**
  * What is in a picture.
  */
 typedef enum {
     /**
-     * uint8_t red, green, blue, alpha; sessions of DGS_COLOUR_U8.
+     * uint8_t red, green, blue, alpha; sessions of DGS_COLOR_U8.
      */
     DGS_PICTURE_KIND_RGBA_U8 = 0,
     /**
-     * float red, green, blue, alpha; sessions of DGS_COLOUR_F32.
+     * float red, green, blue, alpha; sessions of DGS_COLOR_F32.
      */
     DGS_PICTURE_KIND_RGBA_F32 = 1,
     /**
-     * float: expected depth along the camera's z, metres; 0 where nothing was hit. Sessions with `depth`.
+     * float: expected depth along the camera's z, meters; 0 where nothing was hit. Sessions with `depth`.
      */
     DGS_PICTURE_KIND_DEPTH_F32 = 2,
     /**
@@ -227,9 +227,9 @@ typedef struct {
      */
     uint32_t struct_bytes;
     /**
-     * How colours are stored: a DgsColour.
+     * How colors are stored: a DgsColor.
      */
-    uint32_t colour;
+    uint32_t color;
     /**
      * 1 to have pictures of depth too, else 0.
      */
@@ -253,13 +253,13 @@ typedef struct {
      */
     double rotation_wxyz[4];
     /**
-     * Metres.
+     * Meters.
      */
     double position_m[3];
 } DgsPose;
 
 /**
- * A pinhole camera in the world. The centre of pixel (i, j) is at (i + 0.5, j + 0.5).
+ * A pinhole camera in the world. The center of pixel (i, j) is at (i + 0.5, j + 0.5).
  */
 typedef struct {
     /**
@@ -534,7 +534,7 @@ DgsStatus dgs_scene_agent_at(const DgsScene *scene, size_t index, double time_s,
 DgsStatus dgs_scene_asset_count(const DgsScene *scene, size_t *count);
 
 /**
- * Length, width and height of the box of asset number `asset`, from 0, metres, into three floats.
+ * Length, width and height of the box of asset number `asset`, from 0, meters, into three floats.
  */
 DgsStatus dgs_scene_asset_size(const DgsScene *scene, uint32_t asset, float *size_m);
 

@@ -218,7 +218,7 @@ pub unsafe extern "C" fn dgs_scene_asset_count(scene: *const DgsScene, count: *m
     unsafe { read(scene, "count", count, |scene| Ok(scene.asset_count())) }
 }
 
-/// Length, width and height of the box of asset number `asset`, from 0, metres, into three floats.
+/// Length, width and height of the box of asset number `asset`, from 0, meters, into three floats.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_asset_size(scene: *const DgsScene, asset: u32, size_m: *mut f32) -> DgsStatus {
     // SAFETY: as the header asks of all pointers; three floats are aligned as one is.

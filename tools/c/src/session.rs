@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, Gpu};
-use decouplegs::render::ColourFormat;
+use decouplegs::render::ColorFormat;
 use decouplegs::session::{Session, SessionOptions};
 
 use crate::arguments::{give_growing, growing, out, out_handle, text};
 use crate::boundary::guarded;
 use crate::handles::Registry;
 use crate::status::{DgsStatus, Failure};
-use crate::types::{DgsColour, DgsDevice, DgsSessionOptions};
+use crate::types::{DgsColor, DgsDevice, DgsSessionOptions};
 
 /// A device and the scenes on it.
 pub struct DgsSession(());
@@ -67,10 +67,10 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
     }
     // SAFETY: as the header asks of all pointers; the struct is of numbers and a pointer.
     let options = unsafe { growing("options", options, DgsSessionOptions::FIRST_BYTES, DgsSessionOptions::DEFAULT) }?;
-    session.render.outputs.colour = match options.colour {
-        colour if colour == DgsColour::U8 as u32 => ColourFormat::U8,
-        colour if colour == DgsColour::F32 as u32 => ColourFormat::F32,
-        other => return Err(Failure::argument(format!("colour is {other}: expected a DgsColour, 0 or 1"))),
+    session.render.outputs.color = match options.color {
+        color if color == DgsColor::U8 as u32 => ColorFormat::U8,
+        color if color == DgsColor::F32 as u32 => ColorFormat::F32,
+        other => return Err(Failure::argument(format!("color is {other}: expected a DgsColor, 0 or 1"))),
     };
     session.render.outputs.depth = flag("depth", options.depth)?;
     session.render.outputs.instance = flag("instance", options.instance)?;

@@ -18,7 +18,7 @@ const ROTATION_LENGTH_SPARE: f64 = 1e-3;
 pub struct DgsPose {
     /// Unit quaternion: w, x, y, z.
     pub rotation_wxyz: [f64; 4],
-    /// Metres.
+    /// Meters.
     pub position_m: [f64; 3],
 }
 
@@ -44,7 +44,7 @@ impl DgsPose {
     }
 }
 
-/// A pinhole camera in the world. The centre of pixel (i, j) is at (i + 0.5, j + 0.5).
+/// A pinhole camera in the world. The center of pixel (i, j) is at (i + 0.5, j + 0.5).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DgsCamera {
@@ -115,7 +115,7 @@ pub struct DgsAgent {
 /// Storage format of color.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DgsColour {
+pub enum DgsColor {
     /// Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera delivers.
     U8 = 0,
     /// Four floats: red, green, blue as blended, unclamped, and alpha.
@@ -126,11 +126,11 @@ pub enum DgsColour {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsPictureKind {
-    /// uint8_t red, green, blue, alpha; sessions of DGS_COLOUR_U8.
+    /// uint8_t red, green, blue, alpha; sessions of DGS_COLOR_U8.
     RgbaU8 = 0,
-    /// float red, green, blue, alpha; sessions of DGS_COLOUR_F32.
+    /// float red, green, blue, alpha; sessions of DGS_COLOR_F32.
     RgbaF32 = 1,
-    /// float: expected depth along the camera's z, metres; 0 where nothing was hit. Sessions with `depth`.
+    /// float: expected depth along the camera's z, meters; 0 where nothing was hit. Sessions with `depth`.
     DepthF32 = 2,
     /// uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with `instance`.
     InstanceU16 = 3,
@@ -161,8 +161,8 @@ pub struct DgsPicture {
 pub struct DgsSessionOptions {
     /// sizeof(DgsSessionOptions).
     pub struct_bytes: u32,
-    /// Storage format of color: a DgsColour.
-    pub colour: u32,
+    /// Storage format of color: a DgsColor.
+    pub color: u32,
     /// 1 to have pictures of depth too, else 0.
     pub depth: u32,
     /// 1 to have pictures of instances too, else 0.
@@ -176,7 +176,7 @@ impl DgsSessionOptions {
     /// Size when it was first published.
     pub(crate) const FIRST_BYTES: usize = 24;
     pub const DEFAULT: Self =
-        Self { struct_bytes: size_of::<Self>() as u32, colour: 0, depth: 0, instance: 0, device: std::ptr::null() };
+        Self { struct_bytes: size_of::<Self>() as u32, color: 0, depth: 0, instance: 0, device: std::ptr::null() };
 }
 
 /// Kind of a device.

@@ -4,7 +4,7 @@ use std::ffi::c_void;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
-use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, Picture};
+use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Picture};
 use decouplegs::scene::Camera;
 use decouplegs::session::{HostPictures, Session, SessionError, Viewer, WorldView};
 
@@ -61,13 +61,13 @@ struct Planes {
 }
 
 impl Planes {
-    fn new(picture: Picture, colour: ColourFormat) -> Self {
+    fn new(picture: Picture, color: ColorFormat) -> Self {
         let pixels = || picture.rgb.iter().zip(&picture.alpha).map(|(&[r, g, b], &a)| [r, g, b, a]);
         // They were bytes on the device, so nothing is lost.
         let bytes = |pixel: [f32; 4]| pixel.map(|value| (255.0 * value).round() as u8);
-        let (rgba_u8, rgba_f32) = match colour {
-            ColourFormat::U8 => (pixels().map(bytes).collect(), Vec::new()),
-            ColourFormat::F32 => (Vec::new(), pixels().collect()),
+        let (rgba_u8, rgba_f32) = match color {
+            ColorFormat::U8 => (pixels().map(bytes).collect(), Vec::new()),
+            ColorFormat::F32 => (Vec::new(), pixels().collect()),
         };
         let size_px = [picture.width, picture.height];
         Self { size_px, rgba_u8, rgba_f32, depth: picture.depth, instance: picture.instance }
@@ -151,14 +151,14 @@ impl Seen {
 impl Drawing {
     fn draw(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
         let begun = Instant::now();
-        let Outputs { colour, depth, instance, .. } = self.viewer.options().outputs;
-        let frames = if colour == ColourFormat::U8 && !depth && !instance {
+        let Outputs { color, depth, instance, .. } = self.viewer.options().outputs;
+        let frames = if color == ColorFormat::U8 && !depth && !instance {
             let frames = self.viewer.draw(views, &mut self.bytes)?;
             self.drawn = Drawn::Bytes;
             frames
         } else {
             let (pictures, frames) = self.viewer.draw_pictures(views)?;
-            let planes = |cameras: Vec<Picture>| cameras.into_iter().map(|picture| Planes::new(picture, colour)).collect();
+            let planes = |cameras: Vec<Picture>| cameras.into_iter().map(|picture| Planes::new(picture, color)).collect();
             self.drawn = Drawn::Planes(pictures.into_iter().map(planes).collect());
             frames
         };
@@ -209,7 +209,7 @@ fn picture<T>(kind: u32, [width_px, height_px]: [u32; 2], values: Option<&[T]>) 
         return Err(Failure::argument(format!("kind is {kind}: expected a DgsPictureKind, 0 to 3")));
     }
     let values = values.ok_or_else(|| {
-        let text = "the session has no pictures of this kind: ask for it in DgsSessionOptions (colour, depth, instance)";
+        let text = "the session has no pictures of this kind: ask for it in DgsSessionOptions (color, depth, instance)";
         Failure::new(DgsStatus::Unsupported, text)
     })?;
     let pixel_bytes = size_of_val(values) / (width_px as usize * height_px as usize);

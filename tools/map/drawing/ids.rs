@@ -42,7 +42,7 @@ pub fn draw(svg: &mut String, frame: &Frame, lanes: &[Lane]) {
 
 /// Length of a lane on the page, and its middle.
 fn place<'a>(frame: &Frame, lane: &'a Lane) -> Option<(f64, DVec2, &'a Lane)> {
-    let line = &lane.centreline;
+    let line = &lane.centerline;
     let length_px = frame.px_per_m * decouplegs::asset::maps::length_m(line);
     let middle = line.get(line.len() / 2)?;
     matches!(lane.kind, LaneKind::Driving | LaneKind::Bicycle).then(|| (length_px, frame.place(middle.truncate()), lane))
@@ -58,7 +58,7 @@ mod tests {
         let frame = Frame::around(DVec2::ZERO, DVec2::new(200.0, 100.0));
         let lane = |id: &str, y: f64, to: f64| Lane {
             id: id.into(),
-            centreline: [0.0, 0.5, 1.0].map(|share| DVec3::new(to * share, y, 0.0)).to_vec(),
+            centerline: [0.0, 0.5, 1.0].map(|share| DVec3::new(to * share, y, 0.0)).to_vec(),
             ..Lane::default()
         };
         let lanes =

@@ -1,4 +1,4 @@
-//! The column beside the map: which colour is what; and the scale below it.
+//! The column beside the map: which color is what; and the scale below it.
 
 use std::fmt::Write;
 
@@ -38,7 +38,7 @@ pub fn draw(svg: &mut String, frame: &Frame, kinds: &[(&str, KindSummary)], trac
             left + 16.0,
             y - 12.0
         );
-        entry(svg, left, y, class, &format!("{}, {}", kind.lanes, metres(kind.length_m)));
+        entry(svg, left, y, class, &format!("{}, {}", kind.lanes, meters(kind.length_m)));
     }
     if shows_arrows(frame) {
         y += LINE;
@@ -92,7 +92,7 @@ fn entry(svg: &mut String, left: f64, y: f64, name: &str, value: &str) {
 }
 
 /// A length in the unit that suits it.
-fn metres(length_m: f64) -> String {
+fn meters(length_m: f64) -> String {
     if length_m < 1e4 { format!("{length_m:.0} m") } else { format!("{:.1} km", length_m / 1e3) }
 }
 

@@ -7,7 +7,7 @@
 >>> world.set_time(1.0)
 >>> pictures = viewer.draw([(world, scene.cameras(1.0))])[0]  # uint8 [C, H, W, 4]
 
-Units are metres, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up. Camera: OpenCV (x right, y down,
+Units are meters, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up. Camera: OpenCV (x right, y down,
 z forward). Poses are float64 [4, 4] matrices that take points of the second frame of their name into the first
 (``world_from_camera``); a rotation that is not orthonormal within 1e-6 is a ValueError.
 

@@ -55,8 +55,8 @@ class Camera:
     def __init__(self, width: int, height: int, K: ArrayLike, world_from_camera: ArrayLike, name: str = "camera") -> None:
         """A camera of ``width`` by ``height`` pixels.
 
-        K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its centre at (i + 0.5, j + 0.5).
-        world_from_camera: float64 [4, 4], metres, OpenCV axes.
+        K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its center at (i + 0.5, j + 0.5).
+        world_from_camera: float64 [4, 4], meters, OpenCV axes.
         """
     @property
     def name(self) -> str:
@@ -72,13 +72,13 @@ class Camera:
         """Intrinsics, float64 [3, 3], pixels."""
     @property
     def world_from_camera(self) -> NDArray[np.float64]:
-        """Where it stands, float64 [4, 4], metres."""
+        """Where it stands, float64 [4, 4], meters."""
 
 class RigCamera:
     """A camera fixed to a vehicle."""
 
     def __init__(self, name: str, width: int, height: int, K: ArrayLike, rig_from_camera: ArrayLike) -> None:
-        """As Camera; rig_from_camera, float64 [4, 4], metres, is where it sits on the vehicle."""
+        """As Camera; rig_from_camera, float64 [4, 4], meters, is where it sits on the vehicle."""
     @property
     def name(self) -> str:
         """Names its picture."""
@@ -93,11 +93,11 @@ class RigCamera:
         """Intrinsics, float64 [3, 3], pixels."""
     @property
     def rig_from_camera(self) -> NDArray[np.float64]:
-        """Where it sits on the vehicle, float64 [4, 4], metres."""
+        """Where it sits on the vehicle, float64 [4, 4], meters."""
     def resized(self, width: int, height: int) -> RigCamera:
         """The same view in another number of pixels."""
     def at(self, world_from_rig: ArrayLike) -> Camera:
-        """The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], metres."""
+        """The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], meters."""
 
 class Session:
     """A device, and the scenes that were opened on it: each background and each asset is there once, however many show it."""
@@ -106,7 +106,7 @@ class Session:
         self,
         device: int | str | None = None,
         *,
-        colour: Literal["u8", "f32"] = "u8",
+        color: Literal["u8", "f32"] = "u8",
         depth: bool = False,
         instance: bool = False,
         exported: bool | None = None,
@@ -116,7 +116,7 @@ class Session:
     ) -> None:
         """Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 
-        colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
+        color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
         depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
         exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
         rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
@@ -133,8 +133,8 @@ class Session:
     def not_exported_because(self) -> str | None:
         """Why not, where it does not."""
     @property
-    def colour(self) -> Literal["u8", "f32"]:
-        """How colour is stored."""
+    def color(self) -> Literal["u8", "f32"]:
+        """How color is stored."""
     @property
     def taken_max(self) -> int:
         """Frames that tensors may hold at a time."""
@@ -156,14 +156,14 @@ class Scene:
     def rig(self) -> list[RigCamera]:
         """The ego vehicle's cameras; none for a splat file."""
     def ego_pose(self, time_s: float) -> NDArray[np.float64]:
-        """Where the ego vehicle is by the scene file, world_from_rig, float64 [4, 4], metres."""
+        """Where the ego vehicle is by the scene file, world_from_rig, float64 [4, 4], meters."""
     @property
     def ego_span_s(self) -> tuple[float, float]:
         """First and last time of the ego's trajectory, seconds."""
     def cameras(self, time_s: float = 0.0, size: tuple[int, int] | None = None) -> list[Camera]:
         """The rig where the ego is at time_s, in pictures of ``size`` = (width, height) pixels where it is given."""
     def cameras_at(self, world_from_rig: ArrayLike, size: tuple[int, int] | None = None) -> list[Camera]:
-        """The rig on a vehicle that stands at world_from_rig, float64 [4, 4], metres."""
+        """The rig on a vehicle that stands at world_from_rig, float64 [4, 4], meters."""
     @property
     def agents(self) -> list[str]:
         """Agents of the scene file that can be moved, with which a World begins."""
@@ -171,12 +171,12 @@ class Scene:
     def plain_agents(self) -> list[str]:
         """Agents of plain splats, which are part of the background."""
     def agent_pose(self, name: str, time_s: float) -> NDArray[np.float64]:
-        """Where an agent is by the scene file, world_from_agent, float64 [4, 4], metres."""
+        """Where an agent is by the scene file, world_from_agent, float64 [4, 4], meters."""
     @property
     def asset_count(self) -> int:
         """Assets that agents may show, counted from 0."""
     def asset_size(self, asset: int) -> tuple[float, float, float]:
-        """Length, width and height of an asset, metres. Its origin is the centre of its box."""
+        """Length, width and height of an asset, meters. Its origin is the center of its box."""
     def add_asset(self, path: str | os.PathLike[str]) -> int:
         """Copies another compressed asset (.safetensors) to the device, for all worlds over this scene; its number."""
     @property
@@ -197,7 +197,7 @@ class Agent:
         """What the instance layer has where it is seen; 0 is the background."""
     @property
     def pose(self) -> NDArray[np.float64]:
-        """world_from_agent, float64 [4, 4], metres."""
+        """world_from_agent, float64 [4, 4], meters."""
 
 class World:
     """A set of agents over a scene, which other worlds may be over as well. It costs a few hundred bytes."""
@@ -207,7 +207,7 @@ class World:
     def set_time(self, time_s: float) -> None:
         """Puts the agents of the scene file that are still here where their trajectories have them."""
     def move_to(self, name: str, pose: ArrayLike) -> None:
-        """Moves an agent; pose is world_from_agent, float64 [4, 4], metres."""
+        """Moves an agent; pose is world_from_agent, float64 [4, 4], meters."""
     def place(self, name: str, asset: int, pose: ArrayLike) -> int:
         """Adds an agent that shows an asset, or lets the one of that name show it; its instance id."""
     def remove(self, name: str) -> None:
@@ -257,7 +257,7 @@ class Statistics:
 class Layers(TypedDict, total=False):
     """Pictures of one view."""
 
-    colour: NDArray[Any]
+    color: NDArray[Any]
     depth: NDArray[np.float32]
     instance: NDArray[np.int32]
 
@@ -273,7 +273,7 @@ class Viewer:
         cameras of a view must be of one size.
         """
     def draw_layers(self, views: Views) -> list[Layers]:
-        """As draw: ``colour`` [C, H, W, 4], and where the session has them ``depth`` float32 [C, H, W], metres along the camera's z, 0
+        """As draw: ``color`` [C, H, W, 4], and where the session has them ``depth`` float32 [C, H, W], meters along the camera's z, 0
         where nothing was hit, and ``instance`` int32 [C, H, W], 0 the background."""
     def draw_dlpack(self, views: Views) -> Pictures:
         """As draw, and leaves the pictures where they were drawn: on the device where Session.exported, otherwise on the host."""
@@ -295,12 +295,12 @@ class Pictures:
     @property
     def views(self) -> int:
         """Views that were drawn."""
-    def frame(self, index: int, layer: Literal["colour", "depth", "instance"] = "colour") -> Tensor:
-        """All cameras of a frame: [C, H, W, 4] of colour, [C, H, W] of the others. Cameras must be of one size."""
-    def view(self, index: int, layer: Literal["colour", "depth", "instance"] = "colour") -> Tensor:
+    def frame(self, index: int, layer: Literal["color", "depth", "instance"] = "color") -> Tensor:
+        """All cameras of a frame: [C, H, W, 4] of color, [C, H, W] of the others. Cameras must be of one size."""
+    def view(self, index: int, layer: Literal["color", "depth", "instance"] = "color") -> Tensor:
         """All cameras of a view, likewise."""
-    def camera(self, view: int, camera: int, layer: Literal["colour", "depth", "instance"] = "colour") -> Tensor:
-        """One camera: [H, W, 4] of colour, [H, W] of the others."""
+    def camera(self, view: int, camera: int, layer: Literal["color", "depth", "instance"] = "color") -> Tensor:
+        """One camera: [H, W, 4] of color, [H, W] of the others."""
     def tensor(self) -> Tensor:
         """All cameras of the call, of one frame and one size: [C, H, W, 4]."""
     def __dlpack__(
@@ -395,9 +395,9 @@ class Rollout:
         """
     def step_plan(self, points: ArrayLike) -> StepResult:
         """Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x (forward) and y (left) in the ego's
-        frame, metres."""
+        frame, meters."""
     def show(self, world: World) -> NDArray[np.float64]:
-        """Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], metres."""
+        """Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], meters."""
     @property
     def ego_state(self) -> NDArray[np.float64]:
         """Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4]."""
@@ -405,10 +405,10 @@ class Rollout:
     def guidance(self) -> dict[str, Any]:
         """What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps."""
     def route_ahead(self, points: int = 10, spacing_m: float = 5.0) -> NDArray[np.float64]:
-        """Places on the route ahead, in the ego's frame: float64 [points, 2], metres."""
+        """Places on the route ahead, in the ego's frame: float64 [points, 2], meters."""
     @property
     def progress_m(self) -> tuple[float, float]:
-        """Metres of the route that are behind the ego, and all of them."""
+        """Meters of the route that are behind the ego, and all of them."""
     @property
     def end(self) -> Literal["route_done", "collision", "time", "planner"] | None:
         """Why it is over, if it is."""

@@ -13,16 +13,16 @@ Observation, a dict:
 
 - ``cameras``: the rig's pictures by name, uint8 [H, W, 3];
 - ``ego``: speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s, float32 [4];
-- ``guidance``: turn (1 left, -1 right, 0 straight on), metres until it, radians it turns by, its length in metres, speed the route is to be
+- ``guidance``: turn (1 left, -1 right, 0 straight on), meters until it, radians it turns by, its length in meters, speed the route is to be
   driven at in m/s, float32 [5];
-- ``route``: places on the route ahead, 5 m apart, x forward and y left of the ego, metres, float32 [10, 2].
+- ``route``: places on the route ahead, 5 m apart, x forward and y left of the ego, meters, float32 [10, 2].
 
 Action, by ``action``:
 
 - ``controls``: angle of the wheels in rad (left above zero) and acceleration in m/s2, float32 [2];
-- ``plan``: places in the ego's frame for the times ``plan_step_s``, 2 ``plan_step_s``, ..., metres, float32 [``plan_points``, 2].
+- ``plan``: places in the ego's frame for the times ``plan_step_s``, 2 ``plan_step_s``, ..., meters, float32 [``plan_points``, 2].
 
-Reward of a step, its parts in ``info["reward"]``: ``progress``, metres driven along the route over what the route's speed makes of a step;
+Reward of a step, its parts in ``info["reward"]``: ``progress``, meters driven along the route over what the route's speed makes of a step;
 ``off_road``, -0.5 times the share of the step with a wheel off the road; ``collision``, -10 where the ego touches somebody.
 An episode terminates with the route done or a collision, and is truncated when its time is over. ``info["score"]`` has what a log of the
 episode so far scores.
@@ -93,8 +93,8 @@ class _Course:
         if site is not None and session is None:
             raise ValueError("site: give the session that it was opened in, too")
         self.session = session or _native.Session(device, exported=False)
-        if self.session.colour != "u8":
-            raise ValueError('session: the environment shows bytes; open the session with colour="u8"')
+        if self.session.color != "u8":
+            raise ValueError('session: the environment shows bytes; open the session with color="u8"')
         self.site = site or _native.Site(
             self.session,
             weather=weather,

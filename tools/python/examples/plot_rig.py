@@ -48,7 +48,7 @@ def shown(options: argparse.Namespace, session: decouplegs.Session) -> tuple[dec
     return world, site.scene.cameras_at(ego, options.size)
 
 
-# What is farther from the ego is not in the drawing, metres.
+# What is farther from the ego is not in the drawing, meters.
 NEAR_M = 40.0
 
 
@@ -78,10 +78,10 @@ def main() -> None:
     grid = figure.add_gridspec(3, columns)
     depth_max_m = float(np.percentile(layers["depth"], 95)) or 1.0
     for column, camera in enumerate(cameras):
-        for row, (layer, options_) in enumerate([("colour", {}), ("depth", {"vmin": 0, "vmax": depth_max_m, "cmap": "magma_r"})]):
+        for row, (layer, options_) in enumerate([("color", {}), ("depth", {"vmin": 0, "vmax": depth_max_m, "cmap": "magma_r"})]):
             axes = figure.add_subplot(grid[row, column])
             picture = layers[layer][column]
-            image = axes.imshow(picture[..., :3] if layer == "colour" else picture, **options_)
+            image = axes.imshow(picture[..., :3] if layer == "color" else picture, **options_)
             axes.set(xticks=[], yticks=[], title=camera.name if row == 0 else None)
     figure.colorbar(image, ax=axes, label="depth, m")
     plot_from_above(figure.add_subplot(grid[2, :]), world, cameras)

@@ -11,8 +11,8 @@ use crate::pose::{pose_of, to_matrix};
 ///
 /// A camera of ``width`` by ``height`` pixels.
 ///
-/// K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its centre at (i + 0.5, j + 0.5).
-/// world_from_camera: float64 [4, 4], metres, OpenCV axes.
+/// K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its center at (i + 0.5, j + 0.5).
+/// world_from_camera: float64 [4, 4], meters, OpenCV axes.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Camera {
     pub inner: EngineCamera,
@@ -20,7 +20,7 @@ pub struct Camera {
 
 /// A camera fixed to a vehicle.
 ///
-/// As Camera; rig_from_camera, float64 [4, 4], metres, is where it sits on the vehicle.
+/// As Camera; rig_from_camera, float64 [4, 4], meters, is where it sits on the vehicle.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct RigCamera {
     pub inner: EngineRigCamera,
@@ -138,7 +138,7 @@ impl RigCamera {
         Ok(Self { inner })
     }
 
-    /// The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], metres.
+    /// The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], meters.
     fn at(&self, world_from_rig: &Bound<'_, PyAny>) -> PyResult<Camera> {
         let world_from_camera = pose_of("world_from_rig", world_from_rig)?.then(&self.inner.rig_from_camera);
         let EngineRigCamera { name, intrinsics, .. } = self.inner.clone();

@@ -1,6 +1,6 @@
 //! Drawing to the host: pictures of a call, gathered as arrays want them.
 
-use decouplegs::render::{ColourFormat, FrameStatistics, Outputs, Picture};
+use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Picture};
 use decouplegs::scene::Camera;
 use decouplegs::session::{HostPictures, SessionError, Viewer, World, WorldView};
 
@@ -30,8 +30,8 @@ impl Views {
 /// Pictures one after the other, rows from the top.
 pub struct Layers {
     /// Four values a pixel.
-    pub colour: Values,
-    /// Metres.
+    pub color: Values,
+    /// Meters.
     pub depth: Option<Vec<f32>>,
     /// Instance ids.
     pub instance: Option<Vec<i32>>,
@@ -45,11 +45,11 @@ pub fn draw(
     bytes: &mut HostPictures,
 ) -> Result<(Vec<Layers>, Vec<FrameStatistics>), SessionError> {
     let outputs = viewer.options().outputs;
-    if outputs.colour == ColourFormat::U8 && !outputs.depth && !outputs.instance {
+    if outputs.color == ColorFormat::U8 && !outputs.depth && !outputs.instance {
         let statistics = viewer.draw(&views.borrowed(), bytes)?;
         let gather = |group: &Vec<(usize, usize)>| {
             let pictures: Vec<&[u8]> = group.iter().map(|&(view, camera)| bytes.rgba(view, camera)).collect();
-            Layers { colour: Values::U8(pictures.concat()), depth: None, instance: None }
+            Layers { color: Values::U8(pictures.concat()), depth: None, instance: None }
         };
         return Ok((groups.iter().map(gather).collect(), statistics));
     }
@@ -62,16 +62,16 @@ pub fn draw(
 }
 
 fn gathered(pictures: &[&Picture], outputs: &Outputs) -> Layers {
-    let colours = pictures.iter().flat_map(|picture| picture.rgb.iter().zip(&picture.alpha));
-    let colour = match outputs.colour {
-        ColourFormat::F32 => Values::F32(colours.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha]).collect()),
-        ColourFormat::U8 => {
+    let colors = pictures.iter().flat_map(|picture| picture.rgb.iter().zip(&picture.alpha));
+    let color = match outputs.color {
+        ColorFormat::F32 => Values::F32(colors.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha]).collect()),
+        ColorFormat::U8 => {
             // They were bytes on the device: rounding brings these back.
             let byte = |value: f32| (255.0 * value).round() as u8;
-            Values::U8(colours.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha].map(byte)).collect())
+            Values::U8(colors.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha].map(byte)).collect())
         }
     };
     let depths = || pictures.iter().flat_map(|picture| picture.depth.iter().flatten().copied()).collect();
     let instances = || pictures.iter().flat_map(|picture| picture.instance.iter().flatten().map(|&id| i32::from(id))).collect();
-    Layers { colour, depth: outputs.depth.then(depths), instance: outputs.instance.then(instances) }
+    Layers { color, depth: outputs.depth.then(depths), instance: outputs.instance.then(instances) }
 }

@@ -39,7 +39,7 @@ pub fn lender(session: &Session, cuda: &Arc<Cuda>) -> Result<Arc<CudaLender>, In
 /// CUDA addresses of a frame's images; 0 for those that were not requested.
 #[derive(Clone, Copy, Default)]
 pub struct Addresses {
-    pub colour: u64,
+    pub color: u64,
     pub depth: u64,
     pub instance: u64,
 }
@@ -47,12 +47,12 @@ pub struct Addresses {
 /// Imports what of `loan` was asked for.
 pub fn addresses(lender: &CudaLender, loan: &CudaLoan) -> Result<Addresses, InteropError> {
     let buffers = loan.pictures().buffers();
-    let colour = if buffers.pictures_u8.is_empty() {
+    let color = if buffers.pictures_u8.is_empty() {
         address(lender, &buffers.pictures_f32)?
     } else {
         address(lender, &buffers.pictures_u8)?
     };
-    Ok(Addresses { colour, depth: address(lender, &buffers.depths_m)?, instance: address(lender, &buffers.instance_ids)? })
+    Ok(Addresses { color, depth: address(lender, &buffers.depths_m)?, instance: address(lender, &buffers.instance_ids)? })
 }
 
 /// The import stays as long as somebody but the lender holds the buffer, which the loan does.

@@ -25,15 +25,15 @@ enum Holder {
 pub struct Frame {
     holder: Holder,
     addresses: Addresses,
-    colour: DataType,
+    color: DataType,
     /// First pixel, width and height of each.
     places: Arc<[(usize, [u32; 2])]>,
 }
 
 impl Frame {
     pub fn on_device(loan: Arc<CudaLoan>, ordinal: i32, addresses: Addresses, places: Vec<(usize, [u32; 2])>) -> Self {
-        let colour = if loan.pictures().buffers().pictures_u8.is_empty() { DataType::F32 } else { DataType::U8 };
-        Self { holder: Holder::Device(loan, ordinal), addresses, colour, places: places.into() }
+        let color = if loan.pictures().buffers().pictures_u8.is_empty() { DataType::F32 } else { DataType::U8 };
+        Self { holder: Holder::Device(loan, ordinal), addresses, color, places: places.into() }
     }
 
     /// Pictures of `sizes_px`, one after the other.
@@ -45,17 +45,17 @@ impl Frame {
             place
         };
         let places = sizes_px.iter().map(place).collect();
-        let (colour, address) = match &layers.colour {
+        let (color, address) = match &layers.color {
             Values::U8(values) => (DataType::U8, values.as_ptr().expose_provenance()),
             Values::F32(values) => (DataType::F32, values.as_ptr().expose_provenance()),
             Values::I32(values) => (DataType::I32, values.as_ptr().expose_provenance()),
         };
         let addresses = Addresses {
-            colour: address as u64,
+            color: address as u64,
             depth: layers.depth.as_ref().map_or(0, |depth| depth.as_ptr().expose_provenance() as u64),
             instance: layers.instance.as_ref().map_or(0, |ids| ids.as_ptr().expose_provenance() as u64),
         };
-        Self { holder: Holder::Host(Arc::new(layers)), addresses, colour, places }
+        Self { holder: Holder::Host(Arc::new(layers)), addresses, color, places }
     }
 
     /// Cameras `first` to `first + count`, as one tensor.
@@ -71,10 +71,10 @@ impl Frame {
             ));
         }
         let (address, dtype, channels) = match layer {
-            "colour" => (self.addresses.colour, self.colour, Some(4)),
+            "color" => (self.addresses.color, self.color, Some(4)),
             "depth" => (self.addresses.depth, DataType::F32, None),
             "instance" => (self.addresses.instance, DataType::I32, None),
-            _ => return Err(value_error(format!("layer: expected \"colour\", \"depth\" or \"instance\", found {layer:?}"))),
+            _ => return Err(value_error(format!("layer: expected \"color\", \"depth\" or \"instance\", found {layer:?}"))),
         };
         if address == 0 {
             return Err(value_error(format!("the session draws no {layer}: open it with Session({layer}=True)")));
@@ -125,8 +125,8 @@ impl Pictures {
         self.views.len()
     }
 
-    /// All cameras of a frame: [C, H, W, 4] of colour, [C, H, W] of the others. Cameras must be of one size.
-    #[pyo3(signature = (index, layer = "colour"))]
+    /// All cameras of a frame: [C, H, W, 4] of color, [C, H, W] of the others. Cameras must be of one size.
+    #[pyo3(signature = (index, layer = "color"))]
     fn frame(&self, index: usize, layer: &str) -> PyResult<Tensor> {
         let there = self.frames.len();
         let frame =
@@ -135,7 +135,7 @@ impl Pictures {
     }
 
     /// All cameras of a view, likewise.
-    #[pyo3(signature = (index, layer = "colour"))]
+    #[pyo3(signature = (index, layer = "color"))]
     fn view(&self, index: usize, layer: &str) -> PyResult<Tensor> {
         let places = self.of_view(index)?;
         let (frame, first) = places[0];
@@ -147,8 +147,8 @@ impl Pictures {
         self.frames[frame].tensor((first, places.len()), layer)
     }
 
-    /// One camera: [H, W, 4] of colour, [H, W] of the others.
-    #[pyo3(signature = (view, camera, layer = "colour"))]
+    /// One camera: [H, W, 4] of color, [H, W] of the others.
+    #[pyo3(signature = (view, camera, layer = "color"))]
     fn camera(&self, view: usize, camera: usize, layer: &str) -> PyResult<Tensor> {
         let places = self.of_view(view)?;
         let there = places.len();
@@ -167,7 +167,7 @@ impl Pictures {
                 self.frames.len()
             )));
         }
-        self.frame(0, "colour").map_err(|error| PyBufferError::new_err(error.to_string()))
+        self.frame(0, "color").map_err(|error| PyBufferError::new_err(error.to_string()))
     }
 
     /// tensor().__dlpack__(...)

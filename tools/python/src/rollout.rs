@@ -113,7 +113,7 @@ impl Rollout {
     }
 
     /// Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x (forward) and y (left) in the ego's
-    /// frame, metres.
+    /// frame, meters.
     fn step_plan<'py>(&self, py: Python<'py>, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let points = rows::<3>("points", points)?;
         let points = points.into_iter().map(|[time_s, x, y]| PlanPoint { time_s, position_m: DVec2::new(x, y) });
@@ -121,7 +121,7 @@ impl Rollout {
         self.driven(py, plan)
     }
 
-    /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], metres.
+    /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], meters.
     fn show<'py>(&self, py: Python<'py>, world: &World) -> PyResult<Bound<'py, PyAny>> {
         let ego = self.lock().show(&mut world.lock()).map_err(|error| of_session(&error))?;
         to_matrix(py, &ego)
@@ -148,7 +148,7 @@ impl Rollout {
         Ok(dict)
     }
 
-    /// Places on the route ahead, in the ego's frame: float64 [points, 2], metres.
+    /// Places on the route ahead, in the ego's frame: float64 [points, 2], meters.
     #[pyo3(signature = (points = 10, spacing_m = 5.0))]
     fn route_ahead<'py>(&self, py: Python<'py>, points: usize, spacing_m: f64) -> PyResult<Bound<'py, PyAny>> {
         if !((1..=4096).contains(&points) && spacing_m > 0.0 && spacing_m.is_finite()) {
@@ -164,7 +164,7 @@ impl Rollout {
         shaped(py, (1..=points).flat_map(place).collect(), &[points, 2])
     }
 
-    /// Metres of the route that are behind the ego, and all of them.
+    /// Meters of the route that are behind the ego, and all of them.
     #[getter]
     fn progress_m(&self) -> (f64, f64) {
         self.lock().progress_m()

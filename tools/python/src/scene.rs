@@ -59,7 +59,7 @@ impl Scene {
         rig_at(self.inner.rig(), &self.inner.ego().at(finite(time_s)?), size)
     }
 
-    /// The rig on a vehicle that stands at world_from_rig, float64 [4, 4], metres.
+    /// The rig on a vehicle that stands at world_from_rig, float64 [4, 4], meters.
     #[pyo3(signature = (world_from_rig, size = None))]
     fn cameras_at(&self, world_from_rig: &Bound<'_, PyAny>, size: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
         rig_at(self.inner.rig(), &pose_of("world_from_rig", world_from_rig)?, size)
@@ -90,7 +90,7 @@ impl Scene {
         self.inner.asset_count()
     }
 
-    /// Length, width and height of an asset, metres. Its origin is the centre of its box.
+    /// Length, width and height of an asset, meters. Its origin is the center of its box.
     fn asset_size(&self, asset: usize) -> PyResult<(f32, f32, f32)> {
         self.inner.asset_dims_m(asset).map(Into::into).map_err(|error| of_session(&error))
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use decouplegs::gpu::{DeviceChoice, DeviceOptions, Gpu};
-use decouplegs::render::{ColourFormat, Outputs, RenderOptions};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions};
 use decouplegs::scene::Rules;
 use decouplegs::session::{Session as EngineSession, SessionOptions};
 use decouplegs_sharing::Cuda;
@@ -21,7 +21,7 @@ use crate::viewer::Viewer;
 ///
 /// Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 ///
-/// colour: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
+/// color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
 /// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
 /// exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
 /// rules: the rules of image formation for all scenes: ``default``, ``gsplat15``, ``gsplat16`` or ``inria``. None: each scene's own, as its file says.
@@ -68,12 +68,12 @@ fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
 #[pymethods]
 impl Session {
     #[new]
-    #[pyo3(signature = (device = None, *, colour = "u8", depth = false, instance = false, exported = None, rules = None, taken_max = 16, frames_in_flight = 2))]
+    #[pyo3(signature = (device = None, *, color = "u8", depth = false, instance = false, exported = None, rules = None, taken_max = 16, frames_in_flight = 2))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
         device: Option<&Bound<'_, PyAny>>,
-        colour: &str,
+        color: &str,
         depth: bool,
         instance: bool,
         exported: Option<bool>,
@@ -81,10 +81,10 @@ impl Session {
         taken_max: usize,
         frames_in_flight: usize,
     ) -> PyResult<Self> {
-        let colour = match colour {
-            "u8" => ColourFormat::U8,
-            "f32" => ColourFormat::F32,
-            _ => return Err(value_error(format!("colour: expected \"u8\" or \"f32\", found {colour:?}"))),
+        let color = match color {
+            "u8" => ColorFormat::U8,
+            "f32" => ColorFormat::F32,
+            _ => return Err(value_error(format!("color: expected \"u8\" or \"f32\", found {color:?}"))),
         };
         if !(1..=TAKEN_MAX).contains(&taken_max) || !(1..=64).contains(&frames_in_flight) {
             return Err(value_error(format!(
@@ -93,7 +93,7 @@ impl Session {
         }
         let device = DeviceOptions { choice: choice_of(device)?, ..DeviceOptions::default() };
         let mut options = SessionOptions { device, ..SessionOptions::default() };
-        let outputs = Outputs { colour, depth, instance, ..Outputs::default() };
+        let outputs = Outputs { color, depth, instance, ..Outputs::default() };
         options.rules = rules.map(rules_of).transpose()?;
         options.render = RenderOptions { outputs, taken_max, frames_in_flight, ..options.render };
         let opened = py.detach(|| {
@@ -133,10 +133,10 @@ impl Session {
 
     /// Storage format of color.
     #[getter]
-    fn colour(&self) -> &'static str {
-        match self.inner.options().render.outputs.colour {
-            ColourFormat::U8 => "u8",
-            ColourFormat::F32 => "f32",
+    fn color(&self) -> &'static str {
+        match self.inner.options().render.outputs.color {
+            ColorFormat::U8 => "u8",
+            ColorFormat::F32 => "f32",
         }
     }
 

@@ -72,7 +72,7 @@ impl Viewer {
         Ok(layers)
     }
 
-    /// Draws to the host, a group for each view. Shape of its colours: cameras, rows, columns.
+    /// Draws to the host, a group for each view. Shape of its colors: cameras, rows, columns.
     fn by_view(&self, py: Python<'_>, views: &Views) -> PyResult<Vec<([usize; 3], Layers)>> {
         let mut groups = vec![Vec::new(); views.0.len()];
         views.places().into_iter().for_each(|place| groups[place.0].push(place));
@@ -123,19 +123,19 @@ impl Viewer {
     fn draw<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Bound<'py, PyList>> {
         let drawn = self.by_view(py, &copied(&views)?)?;
         let array =
-            |([cameras, rows, columns], layers): ([usize; 3], Layers)| to_numpy(py, layers.colour, &[cameras, rows, columns, 4]);
+            |([cameras, rows, columns], layers): ([usize; 3], Layers)| to_numpy(py, layers.color, &[cameras, rows, columns, 4]);
         PyList::new(py, drawn.into_iter().map(array).collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// Draws like draw: ``colour`` [C, H, W, 4], and where the session has them ``depth`` float32
-    /// [C, H, W], metres along the camera's z, 0 where nothing was hit, and ``instance`` int32 [C,
+    /// Draws like draw: ``color`` [C, H, W, 4], and where the session has them ``depth`` float32
+    /// [C, H, W], meters along the camera's z, 0 where nothing was hit, and ``instance`` int32 [C,
     /// H, W], 0 the background.
     fn draw_layers<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let drawn = self.by_view(py, &copied(&views)?)?;
         let dict = |(shape, layers): ([usize; 3], Layers)| {
             let dict = PyDict::new(py);
             let [cameras, rows, columns] = shape;
-            dict.set_item("colour", to_numpy(py, layers.colour, &[cameras, rows, columns, 4])?)?;
+            dict.set_item("color", to_numpy(py, layers.color, &[cameras, rows, columns, 4])?)?;
             if let Some(depth) = layers.depth {
                 dict.set_item("depth", to_numpy(py, Values::F32(depth), &shape)?)?;
             }

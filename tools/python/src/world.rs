@@ -26,7 +26,7 @@ pub struct Agent {
     asset: usize,
     /// Value in the instance layer; 0 is the background.
     instance: u16,
-    /// world_from_agent, float64 [4, 4], metres.
+    /// world_from_agent, float64 [4, 4], meters.
     pose: Py<PyAny>,
 }
 
@@ -65,7 +65,7 @@ impl World {
         Ok(())
     }
 
-    /// Moves an agent; pose is world_from_agent, float64 [4, 4], metres.
+    /// Moves an agent; pose is world_from_agent, float64 [4, 4], meters.
     fn move_to(&self, name: &str, pose: &Bound<'_, PyAny>) -> PyResult<()> {
         let pose = pose_of("pose", pose)?;
         self.lock().move_to(name, pose).map_err(|error| of_session(&error))

@@ -1,4 +1,4 @@
-"""A session on the machine's device, and a small scene: a wall of coloured splats, a rig of two cameras and three agents."""
+"""A session on the machine's device, and a small scene: a wall of colored splats, a rig of two cameras and three agents."""
 
 import shutil
 from pathlib import Path

@@ -56,9 +56,9 @@ class Bench:
         return torch.from_dlpack(self.viewer.draw_dlpack(views))
 
 
-def forward(pose: np.ndarray, metres: float) -> np.ndarray:
+def forward(pose: np.ndarray, meters: float) -> np.ndarray:
     moved = pose.copy()
-    moved[:3, 3] += metres * moved[:3, 0]
+    moved[:3, 3] += meters * moved[:3, 0]
     return moved
 
 
@@ -81,7 +81,7 @@ def sharing(options) -> dict:
 def same_bytes(options) -> dict:
     """Torch reads what draw returns, in every layer and format."""
     different = {}
-    for session in ({}, {"colour": "f32"}, {"depth": True, "instance": True}, {"colour": "f32", "depth": True, "instance": True}):
+    for session in ({}, {"color": "f32"}, {"depth": True, "instance": True}, {"color": "f32", "depth": True, "instance": True}):
         bench = Bench(options, **session)
         views = bench.views(0.5)
         layers = bench.viewer.draw_layers(views)[0]
@@ -91,7 +91,7 @@ def same_bytes(options) -> dict:
             name = f"{session} {layer}"
             different[name] = int((seen.view(np.uint8) != np.ascontiguousarray(expected).view(np.uint8)).sum())
         one = torch.from_dlpack(pictures.camera(0, 1)).cpu().numpy()
-        different[f"{session} camera"] = int((one != layers["colour"][1]).sum())
+        different[f"{session} camera"] = int((one != layers["color"][1]).sum())
     return {"ok": not any(different.values()), "different": different}
 
 
@@ -104,8 +104,8 @@ def read_png(path: Path) -> np.ndarray:
         header = body if kind == b"IHDR" else header
         packed += body if kind == b"IDAT" else b""
         at += 12 + length
-    width, height, depth, colour = struct.unpack(">IIBB", header[:10])
-    channels = {2: 3, 6: 4}[colour]
+    width, height, depth, color = struct.unpack(">IIBB", header[:10])
+    channels = {2: 3, 6: 4}[color]
     assert depth == 8, depth
     rows = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(height, 1 + width * channels)
     picture, above = np.zeros((height, width * channels), np.uint8), np.zeros(width * channels, np.uint8)

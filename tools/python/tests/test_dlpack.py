@@ -89,11 +89,11 @@ def test_cameras_of_several_sizes_are_tensors_of_their_own(session, scene):
 
 
 def test_layers_come_as_tensors(session, scene_file):
-    other = decouplegs.Session(session.device.uuid, colour="f32", depth=True, instance=True, exported=False)
+    other = decouplegs.Session(session.device.uuid, color="f32", depth=True, instance=True, exported=False)
     scene = other.open_scene(scene_file)
     viewer, views = other.viewer(), [(decouplegs.World(scene), scene.cameras(0.0))]
     pictures, layers = viewer.draw_dlpack(views), viewer.draw_layers(views)[0]
-    for name in ("colour", "depth", "instance"):
+    for name in ("color", "depth", "instance"):
         tensor = np.from_dlpack(pictures.view(0, name))
         assert tensor.dtype == layers[name].dtype
         np.testing.assert_array_equal(tensor, layers[name])

@@ -51,12 +51,12 @@ def test_pictures_show_what_there_is(session, scene):
 
 
 def test_floats_are_the_same_picture_and_layers_come_along(session, scene_file, scene):
-    floats = decouplegs.Session(session.device.uuid, colour="f32", depth=True, instance=True, exported=False)
+    floats = decouplegs.Session(session.device.uuid, color="f32", depth=True, instance=True, exported=False)
     own = floats.open_scene(scene_file)
     world = decouplegs.World(own)
     cameras = own.cameras(0.0)
     layers = floats.viewer().draw_layers([(world, cameras)])[0]
-    assert layers["colour"].dtype == np.float32 and layers["colour"].shape == (2, 48, 64, 4)
+    assert layers["color"].dtype == np.float32 and layers["color"].shape == (2, 48, 64, 4)
     assert layers["depth"].dtype == np.float32 and layers["depth"].shape == (2, 48, 64)
     assert layers["instance"].dtype == np.int32 and layers["instance"].shape == (2, 48, 64)
     seen = {agent.instance for agent in world.agents}
@@ -64,11 +64,11 @@ def test_floats_are_the_same_picture_and_layers_come_along(session, scene_file, 
     wall = layers["depth"][0][layers["instance"][0] == 0]
     assert abs(np.median(wall[wall > 0]) - 12.0) < 0.5
     bytes_ = session.viewer().draw([(decouplegs.World(scene), cameras)])[0]
-    rounded = np.round(np.clip(layers["colour"], 0, 1) * 255)
+    rounded = np.round(np.clip(layers["color"], 0, 1) * 255)
     assert np.abs(rounded - bytes_).max() <= 1
     both = decouplegs.Session(session.device.uuid, depth=True, exported=False)
     again = both.viewer().draw_layers([(decouplegs.World(both.open_scene(scene_file)), cameras)])[0]
-    np.testing.assert_array_equal(again["colour"], bytes_)
+    np.testing.assert_array_equal(again["color"], bytes_)
     assert "instance" not in again
 
 
@@ -195,8 +195,8 @@ def test_what_is_wrong_is_said(session, scene, tmp_path):
         session.open_scene(tmp_path / "wrong.toml")
     with pytest.raises(decouplegs.DeviceError, match="no device matches .* found 0 ="):
         decouplegs.Session("a device that nobody has")
-    with pytest.raises(ValueError, match="colour"):
-        decouplegs.Session(colour="u16")
+    with pytest.raises(ValueError, match="color"):
+        decouplegs.Session(color="u16")
     with pytest.raises(ValueError, match="skew"):
         decouplegs.Camera(4, 4, [[4, 1, 2], [0, 4, 2], [0, 0, 1]], np.eye(4))
     with pytest.raises(ValueError, match="focal"):

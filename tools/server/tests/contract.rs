@@ -81,7 +81,7 @@ async fn every_call_is_answered_under_every_name() {
 
 async fn ground_under_every_name(channel: &Channel) {
     let aabb = Aabb { size_x: 4.5, size_y: 1.8, size_z: 1.5 };
-    // On the street, half a metre in the air.
+    // On the street, half a meter in the air.
     let floating = message(&Pose::from_yaw(0.0, DVec3::new(5.0, 0.0, 1.25)));
     let pose_pair = Some(PosePair { now_pose: Some(floating), future_pose: Some(floating) });
     let other_objects = vec![OtherObject { aabb: Some(aabb), pose_pair }];

@@ -47,7 +47,7 @@ fn coded(cloud: &SplatCloud) -> CodedAsset {
     let options = CompressOptions {
         prune: Prune::KeepRatio(1.0),
         iterations_max: 4,
-        colours: 64,
+        colors: 64,
         shapes: 64,
         ..CompressOptions::default()
     };
@@ -55,7 +55,7 @@ fn coded(cloud: &SplatCloud) -> CodedAsset {
     CodedAsset { cloud, provenance: Provenance::default() }
 }
 
-/// Balls of light of one colour at `places`, which are relative to an origin.
+/// Balls of light of one color at `places`, which are relative to an origin.
 pub fn balls(places: &[DVec3], rgb: [f32; 3]) -> SplatCloud {
     // The DC coefficient is multiplied by 1 / (2 sqrt(pi)), and 0.5 is added.
     let dc = rgb.map(|channel| (channel - 0.5) / 0.282_094_8);
@@ -78,7 +78,7 @@ pub const RED: DVec3 = DVec3::new(12.0, 1.5, 2.0);
 pub const GREEN: DVec3 = DVec3::new(1.2, 0.7, 0.4);
 
 /// Darkness with a red ball of light in it, far from the zero of its coordinates, and an agent `lamp` that is a green ball of light
-/// off its centre; two cameras that are turned and shifted.
+/// off its center; two cameras that are turned and shifted.
 pub fn marked(folder: &Path) -> PathBuf {
     let place = folder.join("marked");
     fs::create_dir_all(&place).unwrap();

@@ -10,7 +10,7 @@ const SHOULDER: f64 = 0.8;
 /// amount of light. 0.99 stands for 3.4 times the light of 0.8.
 pub const DISPLAY_MAX: f64 = 0.99;
 
-/// A linear value, 1 being a white surface in light that shows colours as they are, as it is displayed, 0 to 1.
+/// A linear value, 1 being a white surface in light that shows colors as they are, as it is displayed, 0 to 1.
 #[must_use]
 pub fn to_display(linear: f64) -> f64 {
     let encoded = linear.max(0.0).powf(1.0 / GAMMA);

@@ -1,13 +1,13 @@
 //! Errors of the colors of visible surfaces, for light that a fit was not trained on.
 
-use decouplegs_scene::{ColourTransfer, LightTransfer};
+use decouplegs_scene::{ColorTransfer, LightTransfer};
 use rayon::prelude::*;
 
 use super::lighting::Lighting;
 use super::moments::{LightMoments, Moments};
 use super::ridge::{Ridge, zero};
 use super::sample::Sample;
-use super::surface::{COEFFICIENTS, Colour};
+use super::surface::{COEFFICIENTS, Color};
 
 /// Darker truths have no hue worth an angle: the largest channel's display value.
 pub const HUE_FLOOR: f64 = 0.05;
@@ -18,9 +18,9 @@ const BINS_PER_DEGREE: f64 = 50.0;
 /// Enough to solve for what a single light asks for, whatever its conditioning in f64.
 const TRACE_RIDGE: f64 = 1e-9;
 
-/// The distance of display-referred colours, 0 to 1 a channel, from the truth.
+/// The distance of display-referred colors, 0 to 1 a channel, from the truth.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ColourError {
+pub struct ColorError {
     squares: f64,
     channels: u64,
     angle_sum_deg: f64,
@@ -28,7 +28,7 @@ pub struct ColourError {
     angles: Vec<u64>,
 }
 
-impl ColourError {
+impl ColorError {
     fn none() -> Self {
         Self { squares: 0.0, channels: 0, angle_sum_deg: 0.0, angles: vec![0; (180.0 * BINS_PER_DEGREE) as usize + 1] }
     }
@@ -40,7 +40,7 @@ impl ColourError {
             return;
         }
         let (found, truth) = (glam::DVec3::from_array(found), glam::DVec3::from_array(truth));
-        // Black has no hue: as far off as colours can be.
+        // Black has no hue: as far off as colors can be.
         let angle_deg = if found == glam::DVec3::ZERO { 90.0 } else { found.angle_between(truth).to_degrees() };
         self.angle_sum_deg += angle_deg;
         self.angles[(angle_deg * BINS_PER_DEGREE) as usize] += 1;
@@ -53,7 +53,7 @@ impl ColourError {
         self.angles.iter_mut().zip(&other.angles).for_each(|(count, more)| *count += more);
     }
 
-    /// Root of the mean squared error over colours and channels.
+    /// Root of the mean squared error over colors and channels.
     #[must_use]
     pub fn rmse(&self) -> f64 {
         (self.squares / self.channels.max(1) as f64).sqrt()
@@ -84,21 +84,21 @@ impl ColourError {
     }
 }
 
-/// Seen colours in some lights, by three ways to relight, against the truth.
+/// Seen colors in some lights, by three ways to relight, against the truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// Colours as they are.
-    pub none: ColourError,
+    /// Colors as they are.
+    pub none: ColorError,
     /// By a light transfer.
-    pub relit: ColourError,
+    pub relit: ColorError,
     /// By the T and b that fit each light best, which no transfer can beat but by clamping.
-    pub affine: ColourError,
+    pub affine: ColorError,
 }
 
 impl Comparison {
     /// Creates an accumulator without comparisons.
     pub(super) fn new() -> Self {
-        Self { none: ColourError::none(), relit: ColourError::none(), affine: ColourError::none() }
+        Self { none: ColorError::none(), relit: ColorError::none(), affine: ColorError::none() }
     }
 
     pub(super) fn merge(&mut self, other: &Self) {
@@ -133,12 +133,12 @@ impl Comparison {
         let affine = best_affine(moments, of_light);
         let mut comparison = Self::new();
         for sample in samples {
-            let colour = &sample.surface.colour;
+            let color = &sample.surface.color;
             let truth = sample.surface.lit(light.reflected_by_white(sample.surface.normal));
-            let (relit, affine) = (relit_colour(&relit, colour), relit_colour(&affine, colour));
+            let (relit, affine) = (relit_color(&relit, color), relit_color(&affine, color));
             for basis in &sample.views {
                 let truth = shown(&truth, basis);
-                comparison.none.add(shown(colour, basis), truth);
+                comparison.none.add(shown(color, basis), truth);
                 comparison.relit.add(shown(&relit, basis), truth);
                 comparison.affine.add(shown(&affine, basis), truth);
             }
@@ -147,23 +147,23 @@ impl Comparison {
     }
 }
 
-fn relit_colour(transfer: &ColourTransfer, colour: &Colour) -> Colour {
+fn relit_color(transfer: &ColorTransfer, color: &Color) -> Color {
     std::array::from_fn(|k| {
         let affine =
-            |channel: usize| f64::from(transfer.gain[k][channel]) * colour[k][channel] + f64::from(transfer.offset[k][channel]);
+            |channel: usize| f64::from(transfer.gain[k][channel]) * color[k][channel] + f64::from(transfer.offset[k][channel]);
         std::array::from_fn(affine)
     })
 }
 
-fn shown(colour: &Colour, basis: &[f64; COEFFICIENTS]) -> [f64; 3] {
-    let value = |channel: usize| basis.iter().zip(colour).map(|(y, coefficient)| y * coefficient[channel]).sum::<f64>();
+fn shown(color: &Color, basis: &[f64; COEFFICIENTS]) -> [f64; 3] {
+    let value = |channel: usize| basis.iter().zip(color).map(|(y, coefficient)| y * coefficient[channel]).sum::<f64>();
     std::array::from_fn(|channel| value(channel).clamp(0.0, 1.0))
 }
 
-fn best_affine(moments: &Moments, light: &LightMoments) -> ColourTransfer {
+fn best_affine(moments: &Moments, light: &LightMoments) -> ColorTransfer {
     let count = moments.coefficients;
     let fitted = Ridge::new(moments, &[light]).solve(TRACE_RIDGE, &zero(count)).at(&light.descriptor);
-    let mut transfer = ColourTransfer::IDENTITY;
+    let mut transfer = ColorTransfer::IDENTITY;
     for k in 0..count {
         transfer.gain[k] = std::array::from_fn(|channel| fitted[channel][k] as f32);
         transfer.offset[k] = std::array::from_fn(|channel| fitted[channel][count + k] as f32);

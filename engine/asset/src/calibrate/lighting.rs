@@ -51,7 +51,7 @@ pub struct Lighting<'a> {
 }
 
 impl<'a> Lighting<'a> {
-    /// The light that shows colours as they are.
+    /// The light that shows colors as they are.
     #[must_use]
     pub fn neutral(ground: &Surroundings) -> Self {
         Self { probe: None, yaw_rad: 0.0, mirrored: false, exposure: 1.0, descriptor: ground.neutral() }

@@ -2,7 +2,7 @@
 //!
 //! DecoupleGS section 3.4 and supplement: `T = W_T L + w_0` and `b = W_B L + b_0` are fitted by ridge-regularised least squares
 //! over assets and probes. The truth is what light makes of matt surfaces (`surface`): each splat faces along its shortest axis,
-//! its colour is its albedo, and the probe's irradiance falls on it. L is what a reference ground looks like in that light
+//! its color is its albedo, and the probe's irradiance falls on it. L is what a reference ground looks like in that light
 //! (`surroundings`), because at run time L is what the background looks like. Probes are turned, mirrored and exposed
 //! (`lighting`) so that lights span all of R^27; a fit that they leave undetermined is refused.
 
@@ -27,7 +27,7 @@ use decouplegs_scene::{LightTransfer, SplatCloud, sh};
 use rayon::prelude::*;
 
 pub use display::{DISPLAY_MAX, to_display, to_linear};
-pub use held_out::{ColourError, Comparison, HUE_FLOOR};
+pub use held_out::{ColorError, Comparison, HUE_FLOOR};
 pub use irradiance::{IrradianceMap, reflected_by_white, reflected_by_white_of_nine};
 pub use lighting::{GROUND_DISPLAY, Lighting, PreparedProbe, lightings};
 pub use options::{CalibrateError, CalibrateOptions, LIGHTS_MIN, Objective};
@@ -69,7 +69,7 @@ pub enum Progress {
     HeldOut(usize),
 }
 
-/// A probe that was left out of a fit, and the colours in its light.
+/// A probe that was left out of a fit, and the colors in its light.
 #[derive(Clone, Debug)]
 pub struct HeldOut {
     /// Index of the probe.
@@ -78,7 +78,7 @@ pub struct HeldOut {
     pub transfer: LightTransfer,
     /// Ridge strength.
     pub ridge: f64,
-    /// Seen colours over all turns and exposures of the probe.
+    /// Seen colors over all turns and exposures of the probe.
     pub comparison: Comparison,
 }
 
@@ -97,7 +97,7 @@ pub struct Calibration {
     pub samples: usize,
     /// Smallest singular value of the standardised descriptors over the largest.
     pub smallest_over_largest: f64,
-    /// Colours in the neutral light, which should be as they are.
+    /// Colors in the neutral light, which should be as they are.
     pub neutral: Comparison,
     /// Each probe left out in turn; without those that the others cannot do without.
     pub held_out: Vec<HeldOut>,

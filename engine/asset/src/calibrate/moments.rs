@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::Objective;
 use super::lighting::Lighting;
 use super::sample::{Gram, Sample, gram_of_sphere};
-use super::surface::Colour;
+use super::surface::Color;
 
 /// Contribution of one light.
 #[derive(Clone, Debug)]
@@ -37,13 +37,13 @@ pub(super) struct Moments {
 }
 
 impl Moments {
-    /// The moments of `samples` in `lights`, where `truth` tells a sample's colour in a light.
+    /// The moments of `samples` in `lights`, where `truth` tells a sample's color in a light.
     pub(super) fn of(
         samples: &[Sample],
         lights: &[Lighting<'_>],
         coefficients: usize,
         objective: Objective,
-        truth: impl Fn(&Sample, &Lighting<'_>) -> Colour + Sync,
+        truth: impl Fn(&Sample, &Lighting<'_>) -> Color + Sync,
     ) -> Self {
         let sphere = gram_of_sphere();
         let gram_of = |sample: &Sample| match objective {
@@ -66,7 +66,7 @@ impl Moments {
             for sample in samples {
                 let mut truth = truth(sample, light);
                 truth[coefficients..].fill([0.0; 3]);
-                moments.add(&gram_of(sample), &sample.surface.colour, &truth);
+                moments.add(&gram_of(sample), &sample.surface.color, &truth);
             }
             let share = 1.0 / samples.len() as f64;
             moments.cross.iter_mut().flatten().chain(&mut moments.power).for_each(|value| *value *= share);
@@ -89,13 +89,13 @@ impl Moments {
 }
 
 impl LightMoments {
-    fn add(&mut self, gram: &Gram, colour: &Colour, truth: &Colour) {
+    fn add(&mut self, gram: &Gram, color: &Color, truth: &Color) {
         let coefficients = self.cross[0].len() / 2;
         for channel in 0..3 {
             let cross = &mut self.cross[channel];
             for k in 0..coefficients {
                 let seen: f64 = (0..coefficients).map(|j| gram[k][j] * truth[j][channel]).sum();
-                cross[k] += colour[k][channel] * seen;
+                cross[k] += color[k][channel] * seen;
                 cross[coefficients + k] += seen;
                 self.power[channel] += truth[k][channel] * seen;
             }
@@ -106,13 +106,13 @@ impl LightMoments {
 /// Adds D G D' of one sample.
 fn add_outer(sum: &mut Mat<f64>, gram: &Gram, sample: &Sample, channel: usize) {
     let coefficients = sum.nrows() / 2;
-    let colour = |k: usize| sample.surface.colour[k][channel];
+    let color = |k: usize| sample.surface.color[k][channel];
     for i in 0..coefficients {
         for j in 0..coefficients {
             let value = gram[i][j];
-            sum[(i, j)] += colour(i) * colour(j) * value;
-            sum[(i, coefficients + j)] += colour(i) * value;
-            sum[(coefficients + i, j)] += colour(j) * value;
+            sum[(i, j)] += color(i) * color(j) * value;
+            sum[(i, coefficients + j)] += color(i) * value;
+            sum[(coefficients + i, j)] += color(j) * value;
             sum[(coefficients + i, coefficients + j)] += value;
         }
     }

@@ -13,10 +13,10 @@ pub const LIGHTS_MIN: usize = COLUMNS;
 /// Quantity that the fit minimizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Objective {
-    /// The error of coefficients, each on its own: that of the paper. As much as the error of colours in all directions,
+    /// The error of coefficients, each on its own: that of the paper. As much as the error of colors in all directions,
     /// those from which the splat's outer side is not seen included.
     Coefficients,
-    /// The error of colours in the directions in which a splat's outer side is seen, by projected area.
+    /// The error of colors in the directions in which a splat's outer side is seen, by projected area.
     #[default]
     Seen,
 }
@@ -33,7 +33,7 @@ impl fmt::Display for Objective {
 /// Options of the calibration of a light transfer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrateOptions {
-    /// Degree of the colours it is for; by default the highest among the assets.
+    /// Degree of the colors it is for; by default the highest among the assets.
     pub sh_degree: Option<u8>,
     /// Ridge strength towards the prior, above 0. Default: the strength with the least error on
     /// probes that are left out.
@@ -44,7 +44,7 @@ pub struct CalibrateOptions {
     pub rotations: usize,
     /// Splats looked at, shared evenly by the assets, at least one each.
     pub samples: usize,
-    /// The ground whose colour tells of the light.
+    /// The ground whose color tells of the light.
     pub ground: Surroundings,
     /// Seed of all randomness.
     pub seed: u64,

@@ -3,7 +3,7 @@
 use decouplegs_scene::{SplatCloud, sh};
 use glam::DVec3;
 
-use super::surface::{COEFFICIENTS, Surface, centre_of};
+use super::surface::{COEFFICIENTS, Surface, center_of};
 use crate::compress::random::Random;
 
 /// Directions over the sphere of which those count in which a splat is seen.
@@ -16,7 +16,7 @@ const RISE_MAX: f64 = 0.35;
 /// Opacity below which no pixel shows a splat.
 const OPACITY_MIN: f32 = 1.0 / 255.0;
 
-/// Directions of view drawn for each sample, in which colours are compared.
+/// Directions of view drawn for each sample, in which colors are compared.
 pub(super) const VIEWS: usize = 3;
 
 /// Gram matrix over viewing directions: `[i][j]` is the mean of Y_i Y_j.
@@ -96,13 +96,13 @@ fn weight(cloud: &SplatCloud, splat: usize, surface: &Surface, directions: &Dire
 /// Empty if nothing of it is seen.
 pub(super) fn samples(cloud: &SplatCloud, count: usize, seed: u64) -> Vec<Sample> {
     let directions = Directions::new();
-    let centre = centre_of(cloud);
+    let center = center_of(cloud);
     let mut random = Random::new(seed);
     let shown = |&splat: &usize| cloud.opacities[splat] >= OPACITY_MIN && cloud.defect_of(splat).is_none();
     let weighed: Vec<(Surface, f64)> = (0..cloud.len())
         .filter(shown)
         .map(|splat| {
-            let surface = Surface::of(cloud, splat, centre);
+            let surface = Surface::of(cloud, splat, center);
             (surface, weight(cloud, splat, &surface, &directions))
         })
         .filter(|(_, weight)| weight.is_finite() && *weight > 0.0)

@@ -1,4 +1,4 @@
-//! Splats as bits of surface: which way they face, and what light makes of their colour.
+//! Splats as bits of surface: which way they face, and what light makes of their color.
 
 use decouplegs_scene::{SplatCloud, sh};
 use glam::{DQuat, DVec3};
@@ -8,47 +8,47 @@ use super::display::{DISPLAY_MAX, to_display, to_linear};
 /// Coefficients of the highest degree.
 pub(super) const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);
 
-/// Below this display value light multiplies a colour as it does here: the curve is a power there.
+/// Below this display value light multiplies a color as it does here: the curve is a power there.
 const DISPLAY_MIN: f64 = 0.02;
 
-/// A colour as a plain expansion, DC without the 0.5 that splats' colours add: `[coefficient][rgb]`.
-pub(super) type Colour = [[f64; 3]; COEFFICIENTS];
+/// A color as a plain expansion, DC without the 0.5 that splats' colors add: `[coefficient][rgb]`.
+pub(super) type Color = [[f64; 3]; COEFFICIENTS];
 
-/// A splat, as far as its colour in any light goes.
+/// A splat, as far as its color in any light goes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surface {
     /// Unit, outward.
     pub normal: DVec3,
     /// Color as stored in the asset; absent coefficients are 0.
-    pub colour: Colour,
+    pub color: Color,
 }
 
 impl Surface {
-    /// Splat `splat` of a cloud whose middle is `centre`. The normal is the shortest axis, away from the middle.
-    pub(super) fn of(cloud: &SplatCloud, splat: usize, centre: DVec3) -> Self {
+    /// Splat `splat` of a cloud whose middle is `center`. The normal is the shortest axis, away from the middle.
+    pub(super) fn of(cloud: &SplatCloud, splat: usize, center: DVec3) -> Self {
         let scales = cloud.scales[splat];
         let shortest = (0..3).min_by(|&a, &b| scales[a].total_cmp(&scales[b])).unwrap_or(2);
         let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
         let axis = (DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[shortest]).normalize_or(DVec3::Z);
-        let outward = DVec3::from_array(cloud.means[splat].map(f64::from)) - centre;
+        let outward = DVec3::from_array(cloud.means[splat].map(f64::from)) - center;
         let normal = if axis.dot(outward) < 0.0 { -axis } else { axis };
-        let mut colour = [[0.0; 3]; COEFFICIENTS];
-        colour[0] = cloud.sh_dc[splat].map(|dc| f64::from(dc) + sh::DC_SHIFT);
-        for (coefficient, rest) in colour[1..].iter_mut().zip(cloud.rest_of(splat)) {
+        let mut color = [[0.0; 3]; COEFFICIENTS];
+        color[0] = cloud.sh_dc[splat].map(|dc| f64::from(dc) + sh::DC_SHIFT);
+        for (coefficient, rest) in color[1..].iter_mut().zip(cloud.rest_of(splat)) {
             *coefficient = rest.map(f64::from);
         }
-        Self { normal, colour }
+        Self { normal, color }
     }
 
     /// Color of this surface under a light that gives a white surface of the same orientation
     /// `white` (E / pi, linear RGB).
     ///
     /// The display value v becomes `display(linear(v) white)`, and what depends on the direction of view is brightened or
-    /// dimmed along with it. White 1 leaves the colour as it is.
-    pub(super) fn lit(&self, white: [f64; 3]) -> Colour {
-        let mut lit = self.colour;
+    /// dimmed along with it. White 1 leaves the color as it is.
+    pub(super) fn lit(&self, white: [f64; 3]) -> Color {
+        let mut lit = self.color;
         for channel in 0..3 {
-            let shown = (sh::Y0 * self.colour[0][channel]).clamp(DISPLAY_MIN, DISPLAY_MAX);
+            let shown = (sh::Y0 * self.color[0][channel]).clamp(DISPLAY_MIN, DISPLAY_MAX);
             let ratio = to_display(to_linear(shown) * white[channel]) / shown;
             lit.iter_mut().for_each(|coefficient| coefficient[channel] *= ratio);
         }
@@ -57,7 +57,7 @@ impl Surface {
 }
 
 /// The middle of what can be drawn of a cloud.
-pub(super) fn centre_of(cloud: &SplatCloud) -> DVec3 {
+pub(super) fn center_of(cloud: &SplatCloud) -> DVec3 {
     let drawn = (0..cloud.len()).filter(|&splat| cloud.defect_of(splat).is_none());
     let bounds = decouplegs_scene::Bounds::of(drawn.map(|splat| &cloud.means[splat]));
     let corner = |corner: [f32; 3]| DVec3::from_array(corner.map(f64::from));
@@ -68,11 +68,11 @@ pub(super) fn centre_of(cloud: &SplatCloud) -> DVec3 {
 /// for each unit normal. Splats that cannot be drawn stay as they are.
 #[must_use]
 pub fn lit_cloud(cloud: &SplatCloud, reflected_by_white: impl Fn(DVec3) -> [f64; 3]) -> SplatCloud {
-    let centre = centre_of(cloud);
+    let center = center_of(cloud);
     let stride = cloud.rest_stride();
     let mut lit_cloud = cloud.clone();
     for splat in (0..cloud.len()).filter(|&splat| cloud.defect_of(splat).is_none()) {
-        let surface = Surface::of(cloud, splat, centre);
+        let surface = Surface::of(cloud, splat, center);
         let lit = surface.lit(reflected_by_white(surface.normal));
         lit_cloud.sh_dc[splat] = lit[0].map(|value| (value - sh::DC_SHIFT) as f32);
         for (rest, value) in lit_cloud.sh_rest[splat * stride..(splat + 1) * stride].iter_mut().zip(&lit[1..]) {

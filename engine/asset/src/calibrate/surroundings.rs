@@ -1,7 +1,7 @@
 //! Light reflected by the ground around an agent: the descriptor that the light has at run time.
 //!
-//! At run time L(x) is the mean of the background's colours, so it tells what lit surroundings look like, not what shines on
-//! them. Here a reference ground stands in for the background: flat, grey, somewhat glossy.
+//! At run time L(x) is the mean of the background's colors, so it tells what lit surroundings look like, not what shines on
+//! them. Here a reference ground stands in for the background: flat, gray, somewhat glossy.
 
 use std::f64::consts::PI;
 
@@ -12,7 +12,7 @@ use glam::DVec3;
 use super::display::{to_display, to_linear};
 use super::probe::Probe;
 
-/// Sheen of a fully glossy surface, in coefficients of its colour for each unit of gloss, under a sun that a white surface
+/// Sheen of a fully glossy surface, in coefficients of its color for each unit of gloss, under a sun that a white surface
 /// facing it shows with [`SHEEN_SUN`]: bands 1 and 2. Those of the synthetic street (`street/emit.rs`).
 const SHEEN_BY_BAND: [f64; 3] = [0.0, 0.10, 0.07];
 
@@ -43,7 +43,7 @@ impl Surroundings {
         AmbientDescriptor { coefficients }
     }
 
-    /// The descriptor of the light that shows colours as they are: white, from everywhere.
+    /// The descriptor of the light that shows colors as they are: white, from everywhere.
     #[must_use]
     pub fn neutral(&self) -> AmbientDescriptor {
         self.descriptor([1.0; 3], &[[0.0; 3]; AmbientDescriptor::COEFFICIENTS])
@@ -57,12 +57,12 @@ impl Surroundings {
         exposure.is_finite().then_some(exposure)
     }
 
-    /// Bands 1 and 2 of the ground's colour, linear in the light; DC is left at 0.
+    /// Bands 1 and 2 of the ground's color, linear in the light; DC is left at 0.
     ///
     /// A sun of radiant strength E / pi in direction s gives `gloss (E / pi / 1.35) max(0, s_z) w_l Y_lm(s mirrored in z)`,
     /// as in the synthetic street, in whose convention Y is taken in the direction of view. The sky is a sun in every
     /// direction, of which only what stands out from the sky's median counts: an even sky has no highlights. Unlike the
-    /// street's, the sheen keeps the colour of what is mirrored: with grey bands 1 and 2, 16 of the 28 columns of a
+    /// street's, the sheen keeps the color of what is mirrored: with gray bands 1 and 2, 16 of the 28 columns of a
     /// calibration would say what the others do.
     #[must_use]
     pub fn sheen(&self, probe: &Probe) -> [[f64; 3]; AmbientDescriptor::COEFFICIENTS] {

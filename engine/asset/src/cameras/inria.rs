@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::{json_error, pose_of};
 use crate::DecodeError;
 
-/// One entry. `position` is the camera's centre, `rotation` the rows of world from camera; there is no principal point.
+/// One entry. `position` is the camera's center, `rotation` the rows of world from camera; there is no principal point.
 #[derive(Deserialize)]
 struct Entry {
     #[serde(default)]
@@ -55,7 +55,7 @@ mod tests {
         {"id": 1, "width": 4, "height": 2, "position": [0, 0, 0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 1, "fy": 1}]"#;
 
     #[test]
-    fn position_is_the_centre_and_rows_are_world_from_camera() {
+    fn position_is_the_center_and_rows_are_world_from_camera() {
         let cameras = decode(FILE.as_bytes(), None).unwrap();
         let camera = &cameras[0];
         assert_eq!((camera.name.as_str(), camera.intrinsics.cx_px, camera.intrinsics.cy_px), ("seq_00001", 400.0, 300.0));

@@ -18,7 +18,7 @@ use crate::error::read_bytes;
 use crate::xml::excerpt;
 use crate::{AssetError, DecodeError};
 
-/// Places farther from the origin are no cameras', metres.
+/// Places farther from the origin are no cameras', meters.
 const POSITION_MAX_M: f64 = 1e9;
 
 /// Facts about cameras that stand beside their file.
@@ -105,15 +105,15 @@ fn json_error(error: &serde_json::Error) -> DecodeError {
 /// Largest departure of a rotation matrix from orthonormality that is taken for rounding.
 const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
 
-/// A camera's place from its axes, the columns of world from camera, and its centre.
-fn pose_of(axes: DMat3, centre: DVec3, name: &str) -> Result<Pose, DecodeError> {
+/// A camera's place from its axes, the columns of world from camera, and its center.
+fn pose_of(axes: DMat3, center: DVec3, name: &str) -> Result<Pose, DecodeError> {
     let gram = axes.transpose() * axes;
-    if !centre.is_finite() || !gram.abs_diff_eq(DMat3::IDENTITY, ORTHONORMAL_TOLERANCE) || axes.determinant() < 0.0 {
+    if !center.is_finite() || !gram.abs_diff_eq(DMat3::IDENTITY, ORTHONORMAL_TOLERANCE) || axes.determinant() < 0.0 {
         return Err(DecodeError::Malformed(format!(
             "camera '{name}': its pose is no rigid motion (rotation rows must be orthonormal and right-handed, without scale)"
         )));
     }
-    Ok(Pose::new(DQuat::from_mat3(&axes), centre))
+    Ok(Pose::new(DQuat::from_mat3(&axes), center))
 }
 
 #[cfg(test)]

@@ -5,12 +5,12 @@ use decouplegs_scene::{SplatCloud, sh};
 use super::value::Node;
 use super::{Checkpoint, Tensor};
 use crate::DecodeError;
-use crate::activation::{normalised, scale_of_log, sigmoid};
+use crate::activation::{normalized, scale_of_log, sigmoid};
 
 /// Names of a model's tensors in the files of one trainer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Names {
-    /// `[N, 3]`, metres.
+    /// `[N, 3]`, meters.
     pub(crate) means: &'static str,
     /// `[N, 3]`, natural logarithms.
     pub(crate) scales: &'static str,
@@ -20,7 +20,7 @@ pub(crate) struct Names {
     pub(crate) opacities: &'static str,
     /// `[N, 3]` or `[N, 1, 3]`.
     pub(crate) dc: &'static str,
-    /// `[N, coefficients, 3]`: unlike in a PLY, the colour is the inner index.
+    /// `[N, coefficients, 3]`: unlike in a PLY, the color is the inner index.
     pub(crate) rest: &'static str,
 }
 
@@ -56,7 +56,7 @@ pub(crate) fn cloud_of(
     Ok(SplatCloud {
         means,
         scales: scales.into_iter().map(|logarithms| logarithms.map(scale_of_log)).collect(),
-        rotations: rotations.into_iter().map(normalised).collect(),
+        rotations: rotations.into_iter().map(normalized).collect(),
         opacities: opacities.f32s().map(sigmoid).collect(),
         sh_degree,
         sh_dc,
@@ -66,7 +66,7 @@ pub(crate) fn cloud_of(
 
 /// DC as `[N, 3]` or `[N, 1, 3]` holds it.
 pub(crate) fn plain_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
-    rows::<3>(tensor, "the DC colours")
+    rows::<3>(tensor, "the DC colors")
 }
 
 /// The rows of a tensor whose last dimension is `N` and whose others, but for the first, are 1.

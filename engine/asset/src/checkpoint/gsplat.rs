@@ -25,7 +25,7 @@ pub(super) fn cloud(checkpoint: &Checkpoint<'_>) -> Result<SplatCloud, DecodeErr
     let (tree, root) = (&checkpoint.tree, checkpoint.tree.root());
     if let Some(splats) = tree.get(root, "splats") {
         if tree.get(splats, NAMES.dc).is_none() && tree.get(splats, "features").is_some() {
-            let told = "its colours come from a network (trained with app_opt), not from spherical harmonics; train without it";
+            let told = "its colors come from a network (trained with app_opt), not from spherical harmonics; train without it";
             return Err(DecodeError::Unsupported(told.into()));
         }
         return cloud_of(checkpoint, splats, &NAMES, plain_dc);

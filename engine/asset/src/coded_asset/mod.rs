@@ -31,9 +31,9 @@ pub const VERSION: &str = "1";
 /// Name of the format for users.
 pub(crate) const NAME: &str = "coded asset";
 
-/// Coordinates and standard deviations beyond this many metres are refused, so that decoding stays within f32.
+/// Coordinates and standard deviations beyond this many meters are refused, so that decoding stays within f32.
 const LENGTH_MAX_M: f32 = 1e9;
-/// Steps of the DC residual beyond this, which is far beyond any colour, are refused for the same reason.
+/// Steps of the DC residual beyond this, which is far beyond any color, are refused for the same reason.
 const DC_RESIDUAL_STEP_MAX: f32 = 1e4;
 
 /// An asset as its file holds it.
@@ -70,10 +70,10 @@ impl Provenance {
     }
 }
 
-/// Rounds `cloud` to what its file holds, so that what is measured is what is stored: colours become half floats. Doing it
+/// Rounds `cloud` to what its file holds, so that what is measured is what is stored: colors become half floats. Doing it
 /// twice changes nothing, and neither do [`encode`] and [`decode`] after it.
 pub fn round_to_stored(cloud: &mut CodedCloud) {
-    cloud.colours.as_flattened_mut().iter_mut().for_each(|colour| *colour = tensors::stored(*colour));
+    cloud.colors.as_flattened_mut().iter_mut().for_each(|color| *color = tensors::stored(*color));
 }
 
 /// True if `path` is a coded asset's, by its extension.
@@ -91,7 +91,7 @@ pub fn decode(bytes: &[u8]) -> Result<CodedAsset, DecodeError> {
     metadata::check_format(&container)?;
     let scalars = metadata::read_scalars(&container)?;
     let provenance = metadata::read_provenance(&container)?;
-    let Arrays { splats, levels, shapes, colours } = tensors::read(&container, scalars.sh_degree)?;
+    let Arrays { splats, levels, shapes, colors } = tensors::read(&container, scalars.sh_degree)?;
     let cloud = CodedCloud {
         bounds: scalars.bounds,
         log2_size_min: scalars.log2_size_min,
@@ -101,7 +101,7 @@ pub fn decode(bytes: &[u8]) -> Result<CodedAsset, DecodeError> {
         levels,
         shapes,
         sh_degree: scalars.sh_degree,
-        colours,
+        colors,
         sh_frame: scalars.sh_frame,
         dims_m: scalars.dims_m,
     };
@@ -112,7 +112,7 @@ pub fn decode(bytes: &[u8]) -> Result<CodedAsset, DecodeError> {
 /// The bytes of a file that holds `asset`: the same for the same asset.
 ///
 /// # Errors
-/// A sentence, when the cloud does not pass [`CodedCloud::check`], is absurdly large, has a colour beyond half floats, or
+/// A sentence, when the cloud does not pass [`CodedCloud::check`], is absurdly large, has a color beyond half floats, or
 /// comes with more settings than a header holds.
 pub fn encode(asset: &CodedAsset) -> Result<Vec<u8>, EncodeError> {
     let cloud = &asset.cloud;

@@ -15,13 +15,13 @@ pub struct CodedSummary {
     pub levels: Vec<u64>,
     /// Entries of the shape codebook.
     pub shapes: u64,
-    /// Entries of the colour codebook.
-    pub colours: u64,
-    /// Length, width and height of what it shows, metres.
+    /// Entries of the color codebook.
+    pub colors: u64,
+    /// Length, width and height of what it shows, meters.
     pub dims_m: [f32; 3],
     /// Frame of the colors: `canonical` or `world`.
     pub sh_frame: &'static str,
-    /// Metres from one place of the position grid to the next.
+    /// Meters from one place of the position grid to the next.
     pub position_step_m: [f32; 3],
     /// Bytes of its file.
     pub file_bytes: u64,
@@ -52,7 +52,7 @@ impl CodedSummary {
         Self {
             levels: cloud.levels.iter().map(|&level| level as u64).collect(),
             shapes: cloud.shapes.len() as u64,
-            colours: cloud.colour_count() as u64,
+            colors: cloud.color_count() as u64,
             dims_m: cloud.dims_m,
             sh_frame: match cloud.sh_frame {
                 ShFrame::Canonical => "canonical",

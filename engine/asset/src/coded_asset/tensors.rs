@@ -16,7 +16,7 @@ pub(super) struct Arrays {
     pub(super) levels: Vec<usize>,
     pub(super) shapes: Vec<[f32; 6]>,
     /// `[entry][coefficient][rgb]` flattened over the first two.
-    pub(super) colours: Vec<[f32; 3]>,
+    pub(super) colors: Vec<[f32; 3]>,
 }
 
 /// Value of a color coefficient after a write and a read: the nearest half float, ties to even;
@@ -30,12 +30,12 @@ pub(super) fn read(container: &Container, sh_degree: u8) -> Result<Arrays, Decod
     container.check_names(&NAMES)?;
     let (shapes, _) = container.rows("shapes", Dtype::F32, &[6])?;
     let (levels, _) = container.rows("levels", Dtype::U32, &[])?;
-    let (colours, _) = container.rows("colours", Dtype::F16, &[sh::coefficient_count(sh_degree), 3])?;
+    let (colors, _) = container.rows("colours", Dtype::F16, &[sh::coefficient_count(sh_degree), 3])?;
     Ok(Arrays {
         splats: read_splats(container)?,
         levels: words(levels).map(|word| u32::from_le_bytes(word) as usize).collect(),
         shapes: shapes.as_chunks::<24>().0.iter().map(|row| rows_of(row, f32::from_le_bytes)).collect(),
-        colours: colours.as_chunks::<6>().0.iter().map(|row| rows_of(row, |half| f16::from_le_bytes(half).to_f32())).collect(),
+        colors: colors.as_chunks::<6>().0.iter().map(|row| rows_of(row, |half| f16::from_le_bytes(half).to_f32())).collect(),
     })
 }
 
@@ -71,11 +71,11 @@ fn rows_of<const COUNT: usize, const SIZE: usize>(row: &[u8], value: fn([u8; SIZ
 /// The tensors of a cloud that passes its check.
 ///
 /// # Errors
-/// When a colour coefficient or a level has no code of its type.
+/// When a color coefficient or a level has no code of its type.
 pub(super) fn write(cloud: &CodedCloud) -> Result<Vec<Tensor>, EncodeError> {
-    let colours = cloud.colours.as_flattened();
-    if let Some(colour) = colours.iter().find(|&&colour| !stored(colour).is_finite()) {
-        return Err(EncodeError(format!("a colour coefficient of {colour}; half floats end at {}", f16::MAX)));
+    let colors = cloud.colors.as_flattened();
+    if let Some(color) = colors.iter().find(|&&color| !stored(color).is_finite()) {
+        return Err(EncodeError(format!("a color coefficient of {color}; half floats end at {}", f16::MAX)));
     }
     let level_word = |&level: &usize| match u32::try_from(level) {
         Ok(level) => Ok(level.to_le_bytes()),
@@ -86,13 +86,13 @@ pub(super) fn write(cloud: &CodedCloud) -> Result<Vec<Tensor>, EncodeError> {
     let bytes = || cloud.splats.iter().map(|splat| splat.0.map(u32::to_le_bytes));
     let positions = bytes().flat_map(|[[a, b, c, d], [e, f, ..], _]| [a, b, c, d, e, f]).collect();
     let shapes = cloud.shapes.as_flattened().iter().flat_map(|entry| entry.to_le_bytes()).collect();
-    let halves = colours.iter().flat_map(|&colour| f16::from_f32(colour).to_le_bytes()).collect();
+    let halves = colors.iter().flat_map(|&color| f16::from_f32(color).to_le_bytes()).collect();
     let tensor = |name, dtype, shape, bytes| Tensor { name, dtype, shape, bytes };
     Ok(vec![
         tensor("shapes", Dtype::F32, vec![cloud.shapes.len(), 6], shapes),
         tensor("codes", Dtype::U32, vec![splats], bytes().flat_map(|[_, _, codes]| codes).collect()),
         tensor("levels", Dtype::U32, vec![levels.len()], levels.into_flattened()),
-        tensor("colours", Dtype::F16, vec![cloud.colour_count(), coefficients, 3], halves),
+        tensor("colours", Dtype::F16, vec![cloud.color_count(), coefficients, 3], halves),
         tensor("positions", Dtype::U16, vec![splats, 3], positions),
         tensor("opacities", Dtype::U8, vec![splats], bytes().map(|[_, word, _]| word[2]).collect()),
         tensor("sizes", Dtype::U8, vec![splats], bytes().map(|[_, word, _]| word[3]).collect()),

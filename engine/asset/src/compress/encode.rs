@@ -5,8 +5,8 @@ use decouplegs_scene::{Bounds, CodedSplat, SplatCloud, SplatCodes, sh};
 use rayon::prelude::*;
 
 use super::shape_space::{LOG2_SIZE_MAX, ShapeSpace, size_of};
-use super::vector_quantise::{SearchBook, Vectors};
-use super::{CompressOptions, colour_space};
+use super::vector_quantize::{SearchBook, Vectors};
+use super::{CompressOptions, color_space};
 
 /// Numbers of a shape vector.
 pub(super) const SHAPE_DIMENSION: usize = 6;
@@ -52,10 +52,10 @@ pub(super) struct Books<'a> {
     pub sizes: SizeScale,
     /// Shape entries as vectors, for the search.
     pub shape_vectors: &'a [f32],
-    /// Colour entries as vectors, for the search.
-    pub colour_vectors: &'a [f32],
-    /// Colour entries as they are stored.
-    pub colours: &'a [[f32; 3]],
+    /// Color entries as vectors, for the search.
+    pub color_vectors: &'a [f32],
+    /// Color entries as they are stored.
+    pub colors: &'a [[f32; 3]],
     pub dc_residual_step: [f32; 3],
 }
 
@@ -64,19 +64,19 @@ impl Books<'_> {
     pub(super) fn encode(&self, cloud: &SplatCloud) -> Vec<CodedSplat> {
         let coefficients = sh::coefficient_count(cloud.sh_degree);
         let shapes = nearest(&shape_vectors(cloud, self.options.shape_space, self.unit_m), self.shape_vectors, SHAPE_DIMENSION);
-        let vectors = colour_space::vectors(cloud, self.options.colour_dc_weight);
-        let colours = nearest(&vectors, self.colour_vectors, 3 * coefficients);
+        let vectors = color_space::vectors(cloud, self.options.color_dc_weight);
+        let colors = nearest(&vectors, self.color_vectors, 3 * coefficients);
         let splat = |splat: usize| {
-            let entry = &self.colours[usize::from(colours[splat]) * coefficients];
-            let residual = colour_space::residual(&cloud.sh_dc[splat], entry);
+            let entry = &self.colors[usize::from(colors[splat]) * coefficients];
+            let residual = color_space::residual(&cloud.sh_dc[splat], entry);
             let codes = SplatCodes {
                 position: self.position(&cloud.means[splat]),
                 // Never a visible splat below what a pixel shows.
                 opacity: (cloud.opacities[splat] * 255.0).round().clamp(1.0, 255.0) as u8,
                 size: self.sizes.code(size_of(&cloud.scales[splat])),
                 shape: shapes[splat],
-                colour: colours[splat],
-                dc_residual: colour_space::residual_codes(&residual, &self.dc_residual_step),
+                color: colors[splat],
+                dc_residual: color_space::residual_codes(&residual, &self.dc_residual_step),
             };
             CodedSplat::from(codes)
         };

@@ -1,14 +1,14 @@
 //! Importance of each splat: `s = 0.5 V + 0.3 D + 0.2 H`.
 //!
-//! V is what the splat adds to pictures, D how its colour stands out from its neighbourhood, H how varied that neighbourhood is.
+//! V is what the splat adds to pictures, D how its color stands out from its neighborhood, H how varied that neighborhood is.
 //! Each is brought to 0 to 1 over the asset: V by its rank (the share of splats with a smaller value, ties by the middle of their
 //! places), because it spans many orders of magnitude; D and H by their largest value, because they do not. A splat that no
-//! view shows (V = 0) has importance 0: nobody sees how its colour stands out.
+//! view shows (V = 0) has importance 0: nobody sees how its color stands out.
 //!
 //! Measured on a synthetic car of 50,000 splats and a captured object of 13,536: PSNR in dB of the pruned cloud from a car's
 //! distance of 10 m, when a share of 0.8, 0.6 and 0.4 of the splats is kept.
 //!
-//! | V, D and H normalised by | car | captured object |
+//! | V, D and H normalized by | car | captured object |
 //! |---|---|---|
 //! | rank, largest, largest (this) | 74.5, 49.4, 36.9 | 63.7, 54.4, 44.5 |
 //! | rank, rank, rank | 72.4, 45.4, 32.3 | 57.6, 45.5, 23.4 |
@@ -23,13 +23,13 @@ use rayon::prelude::*;
 /// Weights of V, D and H (the paper's).
 const WEIGHTS: [f32; 3] = [0.5, 0.3, 0.2];
 
-/// Splats that a cell of the neighbourhood grid should hold, on surfaces: a neighbourhood is 3 cells wide.
+/// Splats that a cell of the neighborhood grid should hold, on surfaces: a neighborhood is 3 cells wide.
 const CELL_SPLATS: f64 = 4.0;
 
 /// Most cells along an axis: keys stay small.
 const CELLS_MAX: f64 = 4096.0;
 
-/// Levels a channel in histograms of colour.
+/// Levels a channel in histograms of color.
 const HISTOGRAM_LEVELS: usize = 4;
 const HISTOGRAM_BINS: usize = HISTOGRAM_LEVELS * HISTOGRAM_LEVELS * HISTOGRAM_LEVELS;
 
@@ -75,14 +75,14 @@ fn by_largest(values: Vec<f32>) -> Vec<f32> {
     values.into_iter().map(|value| value / largest).collect()
 }
 
-/// Sum and histogram of the colours in a cell.
+/// Sum and histogram of the colors in a cell.
 #[derive(Clone)]
-struct Colours {
+struct Colors {
     sum: [f64; 3],
     histogram: [u32; HISTOGRAM_BINS],
 }
 
-impl Colours {
+impl Colors {
     const NONE: Self = Self { sum: [0.0; 3], histogram: [0; HISTOGRAM_BINS] };
 
     fn add(&mut self, other: &Self) {
@@ -102,21 +102,21 @@ impl Colours {
     }
 }
 
-/// For each of `splats`: how far its DC colour is from the mean of its neighbourhood (3 by 3 by 3 cells), and the entropy of the
-/// neighbourhood's colours. Cells are summed up before they are joined, so that a heap of splats in one place costs nothing more.
+/// For each of `splats`: how far its DC color is from the mean of its neighborhood (3 by 3 by 3 cells), and the entropy of the
+/// neighborhood's colors. Cells are summed up before they are joined, so that a heap of splats in one place costs nothing more.
 fn contrast_and_entropy(cloud: &SplatCloud, splats: &[u32]) -> (Vec<f32>, Vec<f32>) {
     let grid = Grid::of(cloud, splats);
-    let mut cells: HashMap<[i32; 3], Colours> = HashMap::new();
+    let mut cells: HashMap<[i32; 3], Colors> = HashMap::new();
     for &splat in splats {
         let rgb = shown_rgb(&cloud.sh_dc[splat as usize]);
-        let cell = cells.entry(grid.cell(&cloud.means[splat as usize])).or_insert(Colours::NONE);
+        let cell = cells.entry(grid.cell(&cloud.means[splat as usize])).or_insert(Colors::NONE);
         cell.sum.iter_mut().zip(rgb).for_each(|(sum, value)| *sum += value);
         let level = |value: f64| ((value * HISTOGRAM_LEVELS as f64) as usize).min(HISTOGRAM_LEVELS - 1);
         let bin = rgb.iter().fold(0, |bin, &value| bin * HISTOGRAM_LEVELS + level(value));
         cell.histogram[bin] += 1;
     }
     let keys: Vec<[i32; 3]> = cells.keys().copied().collect();
-    let around: HashMap<[i32; 3], ([f64; 3], f64)> = keys.par_iter().map(|&key| (key, neighbourhood(&cells, key))).collect();
+    let around: HashMap<[i32; 3], ([f64; 3], f64)> = keys.par_iter().map(|&key| (key, neighborhood(&cells, key))).collect();
     let of = |&splat: &u32| {
         let (mean, entropy) = around[&grid.cell(&cloud.means[splat as usize])];
         let rgb = shown_rgb(&cloud.sh_dc[splat as usize]);
@@ -126,9 +126,9 @@ fn contrast_and_entropy(cloud: &SplatCloud, splats: &[u32]) -> (Vec<f32>, Vec<f3
     splats.par_iter().map(of).unzip()
 }
 
-/// Mean colour and entropy of a cell and those around it, in a fixed order of cells.
-fn neighbourhood(cells: &HashMap<[i32; 3], Colours>, [x, y, z]: [i32; 3]) -> ([f64; 3], f64) {
-    let mut all = Colours::NONE;
+/// Mean color and entropy of a cell and those around it, in a fixed order of cells.
+fn neighborhood(cells: &HashMap<[i32; 3], Colors>, [x, y, z]: [i32; 3]) -> ([f64; 3], f64) {
+    let mut all = Colors::NONE;
     for place in 0..27 {
         let key = [x + place % 3 - 1, y + place / 3 % 3 - 1, z + place / 9 - 1];
         if let Some(cell) = cells.get(&key) {
@@ -139,7 +139,7 @@ fn neighbourhood(cells: &HashMap<[i32; 3], Colours>, [x, y, z]: [i32; 3]) -> ([f
     (all.sum.map(|sum| sum / count), all.entropy())
 }
 
-/// The colour that the DC term alone shows, 0 to 1.
+/// The color that the DC term alone shows, 0 to 1.
 fn shown_rgb(dc: &[f32; 3]) -> [f64; 3] {
     dc.map(|value| (0.5 + sh::Y0 * f64::from(value)).clamp(0.0, 1.0))
 }
@@ -192,12 +192,12 @@ mod tests {
     }
 
     #[test]
-    fn entropy_counts_colours() {
-        let mut colours = Colours::NONE;
-        colours.histogram[3] = 4;
-        assert_eq!(colours.entropy(), 0.0);
-        colours.histogram[9] = 4;
-        assert!((colours.entropy() - 1.0).abs() < 1e-12);
+    fn entropy_counts_colors() {
+        let mut colors = Colors::NONE;
+        colors.histogram[3] = 4;
+        assert_eq!(colors.entropy(), 0.0);
+        colors.histogram[9] = 4;
+        assert!((colors.entropy() - 1.0).abs() < 1e-12);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Levels of detail: the same object by ever fewer splats, for agents that are far away.
 //!
-//! A level is made by cutting the finest splats into clusters that are small in place and colour, and putting one splat of the
+//! A level is made by cutting the finest splats into clusters that are small in place and color, and putting one splat of the
 //! same moments in the place of each cluster. Splats count by their visibility, so that what is hidden inside has no say, and
 //! a cluster that covers more than one opaque splat of its size would makes a wider one.
 //!
@@ -39,7 +39,7 @@ const WIDENING_MAX: f64 = 2.0;
 const UNSEEN_SHARE: f64 = 1e-6;
 
 /// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest side.
-const COLOUR_WEIGHT: f64 = 0.1;
+const COLOR_WEIGHT: f64 = 0.1;
 
 /// Exponent of Thomsen's approximation to the surface of an ellipsoid (error below 1.1 %).
 const THOMSEN: f64 = 1.6075;
@@ -79,7 +79,7 @@ pub fn merged(cloud: &SplatCloud, weights: &[f64], clusters: &[Vec<u32>]) -> Spl
 }
 
 /// The area that a splat covers in a picture, over all directions, but for a constant factor: a quarter of its ellipsoid's
-/// surface (Cauchy), after Thomsen. Square metres. Of splats without any size it is tiny, not zero, so that they keep a say.
+/// surface (Cauchy), after Thomsen. Square meters. Of splats without any size it is tiny, not zero, so that they keep a say.
 #[must_use]
 pub fn mean_projected_area_m2(scales: &[f32; 3]) -> f64 {
     let [a, b, c] = scales.map(f64::from);
@@ -87,7 +87,7 @@ pub fn mean_projected_area_m2(scales: &[f32; 3]) -> f64 {
     mean.powf(1.0 / THOMSEN).max(1e-60)
 }
 
-/// One splat for `members` (at least one): the mean, covariance and colour of them all, each by its weight; its opacity is such
+/// One splat for `members` (at least one): the mean, covariance and color of them all, each by its weight; its opacity is such
 /// that opacity times area is the sum of theirs. Where that asks for more than 1, the splat is opaque and wider, up to
 /// [`WIDENING_MAX`]; what is beyond was overlap.
 fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCloud {
@@ -108,7 +108,7 @@ fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCl
     let covered: f64 = members.iter().map(|&splat| covered_m2(cloud, splat as usize)).sum();
     let wanted = covered / mean_projected_area_m2(&scales.as_vec3().to_array());
     let widening = wanted.sqrt().clamp(1.0, WIDENING_MAX);
-    let colour = |of: &dyn Fn(usize) -> [f32; 3]| -> [f32; 3] {
+    let color = |of: &dyn Fn(usize) -> [f32; 3]| -> [f32; 3] {
         std::array::from_fn(|channel| mean_of(&|splat| f64::from(of(splat)[channel])) as f32)
     };
     SplatCloud {
@@ -117,8 +117,8 @@ fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCl
         rotations: vec![own.rotation_wxyz()],
         opacities: vec![wanted.min(1.0) as f32],
         sh_degree: cloud.sh_degree,
-        sh_dc: vec![colour(&|splat| cloud.sh_dc[splat])],
-        sh_rest: (0..cloud.rest_stride()).map(|k| colour(&|splat| cloud.rest_of(splat)[k])).collect(),
+        sh_dc: vec![color(&|splat| cloud.sh_dc[splat])],
+        sh_rest: (0..cloud.rest_stride()).map(|k| color(&|splat| cloud.rest_of(splat)[k])).collect(),
     }
 }
 
@@ -135,16 +135,16 @@ fn covariance_of(cloud: &SplatCloud, splat: usize) -> DMat3 {
 }
 
 /// The splats of `cloud` in `count` clusters (fewer where it has fewer different ones): again and again the cluster that spreads
-/// most, in place and colour, is cut in two at its mean across the axis of its largest spread (Wan et al., Variance-Based
+/// most, in place and color, is cut in two at its mean across the axis of its largest spread (Wan et al., Variance-Based
 /// Color Image Quantization, 1988).
 #[must_use]
 pub fn clusters(cloud: &SplatCloud, weights: &[f64], count: usize) -> Vec<Vec<u32>> {
     let bounds = cloud.bounds();
     let longest_m = bounds.half_extent().iter().fold(0.0f64, |longest, &half| longest.max(2.0 * f64::from(half)));
     let feature = |splat: usize| -> Feature {
-        let colour = cloud.sh_dc[splat].map(|dc| f64::from(dc) * sh::Y0 * COLOUR_WEIGHT * longest_m);
+        let color = cloud.sh_dc[splat].map(|dc| f64::from(dc) * sh::Y0 * COLOR_WEIGHT * longest_m);
         let mean = cloud.means[splat].map(f64::from);
-        Feature { at: [mean[0], mean[1], mean[2], colour[0], colour[1], colour[2]], weight: weights[splat] }
+        Feature { at: [mean[0], mean[1], mean[2], color[0], color[1], color[2]], weight: weights[splat] }
     };
     let features: Vec<Feature> = (0..cloud.len()).into_par_iter().map(feature).collect();
     let mut heap = BinaryHeap::new();
@@ -164,7 +164,7 @@ pub fn clusters(cloud: &SplatCloud, weights: &[f64], count: usize) -> Vec<Vec<u3
     clusters
 }
 
-/// A splat as clusters see it: place and colour in one space.
+/// A splat as clusters see it: place and color in one space.
 struct Feature {
     at: [f64; 6],
     weight: f64,
@@ -233,7 +233,7 @@ mod tests {
     use crate::compress::tests::plane;
 
     #[test]
-    fn two_equal_splats_keep_mean_covariance_colour_and_covered_area() {
+    fn two_equal_splats_keep_mean_covariance_color_and_covered_area() {
         let mut cloud = plane(2, 1);
         cloud.means = vec![[-3.0, 1.0, 2.0], [3.0, 1.0, 2.0]];
         cloud.scales = vec![[4.0, 2.0, 1.0]; 2];
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn clusters_are_near_in_place_and_colour_and_hold_every_splat_once() {
+    fn clusters_are_near_in_place_and_color_and_hold_every_splat_once() {
         let cloud = plane(1000, 0);
         let clusters = clusters(&cloud, &[1.0; 1000], 125);
         assert_eq!(clusters.len(), 125);

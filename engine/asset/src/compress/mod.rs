@@ -1,10 +1,10 @@
 //! Compression of agents: from splats to a [`CodedCloud`], offline.
 //!
-//! Splats that matter little are pruned by [`importance`], the shapes and the colours of the others become entries of two codebooks
-//! ([`vector_quantise`]), and coarser levels of detail are made of the same entries ([`levels`]). Everything random follows from
+//! Splats that matter little are pruned by [`importance`], the shapes and the colors of the others become entries of two codebooks
+//! ([`vector_quantize`]), and coarser levels of detail are made of the same entries ([`levels`]). Everything random follows from
 //! one seed; the result is the same on any number of threads.
 
-mod colour_space;
+mod color_space;
 mod encode;
 mod importance;
 pub mod levels;
@@ -17,7 +17,7 @@ mod shape_space;
 mod symmetric;
 #[cfg(test)]
 mod tests;
-mod vector_quantise;
+mod vector_quantize;
 
 pub use importance::importance;
 pub use options::{CompressError, CompressOptions};
@@ -25,7 +25,7 @@ pub use prune::{Kept, Prune, THRESHOLD, prune};
 pub use quick::{compress_quickly, quick_dims_m};
 pub use report::{BookReport, CompressionReport, PartBytes};
 pub use shape_space::ShapeSpace;
-pub use vector_quantise::{Nearest, QuantiseOptions, Quantised, SearchBook, Vectors, vector_quantise};
+pub use vector_quantize::{Nearest, QuantizeOptions, Quantized, SearchBook, Vectors, vector_quantize};
 
 use decouplegs_scene::{CodedCloud, SplatCloud, sh};
 
@@ -41,8 +41,8 @@ pub enum Progress {
     Pruning,
     /// The codebook of shapes is made; iterations done.
     Shapes(usize),
-    /// The codebook of colours is made; iterations done.
-    Colours(usize),
+    /// The codebook of colors is made; iterations done.
+    Colors(usize),
     /// Splats are coded.
     Coding,
 }
@@ -85,7 +85,7 @@ pub fn compress(
     };
     let levels = Levels::of(cloud, visibility, &kept.splats);
     let weights = book_weights(&levels.visibility);
-    let (coded, [shapes, colours]) = code(&levels.clouds, &weights, options, progress)?;
+    let (coded, [shapes, colors]) = code(&levels.clouds, &weights, options, progress)?;
     let report = CompressionReport {
         splats: cloud.len(),
         kept: kept.splats.len(),
@@ -94,7 +94,7 @@ pub fn compress(
         least_importance,
         shape_space: options.shape_space,
         shapes,
-        colours,
+        colors,
         bytes: PartBytes::of(&coded),
     };
     Ok(Compressed { cloud: coded, report, kept: levels.order })
@@ -141,21 +141,21 @@ fn code(
     let bounds = finest.bounds();
     let unit_m = finest.scales.iter().map(shape_space::size_of).fold(0.0, f64::max);
     let shape_values = shape_vectors(finest, options.shape_space, unit_m);
-    let shape_book = vector_quantise(
+    let shape_book = vector_quantize(
         Vectors { values: &shape_values, dimension: SHAPE_DIMENSION },
         weights,
         &options.book(options.shapes, 0),
         &|done| progress(Progress::Shapes(done)),
     );
-    let colour_values = colour_space::vectors(finest, options.colour_dc_weight);
-    let colour_book = vector_quantise(
-        Vectors { values: &colour_values, dimension: 3 * sh::coefficient_count(finest.sh_degree) },
+    let color_values = color_space::vectors(finest, options.color_dc_weight);
+    let color_book = vector_quantize(
+        Vectors { values: &color_values, dimension: 3 * sh::coefficient_count(finest.sh_degree) },
         weights,
-        &options.book(options.colours, 1),
-        &|done| progress(Progress::Colours(done)),
+        &options.book(options.colors, 1),
+        &|done| progress(Progress::Colors(done)),
     );
     progress(Progress::Coding);
-    let colours = colour_space::entries(&colour_book.entries, finest.sh_degree, options.colour_dc_weight);
+    let colors = color_space::entries(&color_book.entries, finest.sh_degree, options.color_dc_weight);
     let sizes = SizeScale::of(levels, options.shape_space, unit_m);
     let books = Books {
         options,
@@ -163,9 +163,9 @@ fn code(
         unit_m,
         sizes,
         shape_vectors: &shape_book.entries,
-        colour_vectors: &colour_book.entries,
-        colours: &colours,
-        dc_residual_step: residual_steps(finest, &colour_book, &colours, weights),
+        color_vectors: &color_book.entries,
+        colors: &colors,
+        dc_residual_step: residual_steps(finest, &color_book, &colors, weights),
     };
     let coded = CodedCloud {
         bounds,
@@ -178,21 +178,21 @@ fn code(
         sh_degree: finest.sh_degree,
         sh_frame: options.sh_frame,
         dims_m: std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]),
-        colours,
+        colors,
     };
     coded.check().map_err(CompressError::Unrepresentable)?;
-    Ok((coded, [book_report(shape_book, SHAPE_DIMENSION), book_report(colour_book, colour_values.len() / finest.len())]))
+    Ok((coded, [book_report(shape_book, SHAPE_DIMENSION), book_report(color_book, color_values.len() / finest.len())]))
 }
 
-fn residual_steps(finest: &SplatCloud, book: &Quantised, colours: &[[f32; 3]], weights: &[f32]) -> [f32; 3] {
+fn residual_steps(finest: &SplatCloud, book: &Quantized, colors: &[[f32; 3]], weights: &[f32]) -> [f32; 3] {
     let coefficients = sh::coefficient_count(finest.sh_degree);
-    let entries = book.assignment.iter().map(|&entry| &colours[usize::from(entry) * coefficients]);
+    let entries = book.assignment.iter().map(|&entry| &colors[usize::from(entry) * coefficients]);
     let residuals: Vec<[f32; 3]> =
-        finest.sh_dc.iter().zip(entries).map(|(dc, entry)| colour_space::residual(dc, entry)).collect();
-    colour_space::residual_steps(&residuals, weights)
+        finest.sh_dc.iter().zip(entries).map(|(dc, entry)| color_space::residual(dc, entry)).collect();
+    color_space::residual_steps(&residuals, weights)
 }
 
-fn book_report(book: Quantised, dimension: usize) -> BookReport {
-    let Quantised { entries, distortion, batches, reseeded, .. } = book;
+fn book_report(book: Quantized, dimension: usize) -> BookReport {
+    let Quantized { entries, distortion, batches, reseeded, .. } = book;
     BookReport { entries: entries.len() / dimension, distortion, batches, reseeded }
 }

@@ -1,20 +1,20 @@
 //! Options and errors of a compression.
 
-use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
+use decouplegs_scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs_scene::{ShFrame, SplatCloud};
 
 use super::FINAL_ITERATIONS;
 use super::prune::{Prune, THRESHOLD};
 use super::shape_space::ShapeSpace;
-use super::vector_quantise::QuantiseOptions;
+use super::vector_quantize::QuantizeOptions;
 
 /// Options of the compression of an asset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CompressOptions {
     /// Pruning rule.
     pub prune: Prune,
-    /// Entries of the colour codebook, 1 to [`COLOURS_MAX`].
-    pub colours: usize,
+    /// Entries of the color codebook, 1 to [`COLORS_MAX`].
+    pub colors: usize,
     /// Entries of the shape codebook, 1 to [`SHAPES_MAX`].
     pub shapes: usize,
     /// Seed of all randomness.
@@ -27,7 +27,7 @@ pub struct CompressOptions {
     /// than 1, because splats keep what their DC terms are off by. A tenth gave the best pictures
     /// of a car and of a captured object; from a fiftieth to a quarter they differ by half a
     /// decibel.
-    pub colour_dc_weight: f32,
+    pub color_dc_weight: f32,
     /// Most mini-batches for each codebook.
     pub iterations_max: usize,
 }
@@ -36,12 +36,12 @@ impl Default for CompressOptions {
     fn default() -> Self {
         Self {
             prune: Prune::Threshold(THRESHOLD),
-            colours: COLOURS_MAX,
+            colors: COLORS_MAX,
             shapes: SHAPES_MAX,
             seed: 1,
             sh_frame: ShFrame::Canonical,
             shape_space: ShapeSpace::default(),
-            colour_dc_weight: 0.1,
+            color_dc_weight: 0.1,
             iterations_max: 5000,
         }
     }
@@ -53,15 +53,15 @@ impl CompressOptions {
             let fault = || Err(CompressError::Option(format!("{what} is {value}; expected 1 to {max}")));
             if (1..=max).contains(&value) { Ok(()) } else { fault() }
         };
-        within("the number of colours", self.colours, COLOURS_MAX)?;
+        within("the number of colors", self.colors, COLORS_MAX)?;
         within("the number of shapes", self.shapes, SHAPES_MAX)?;
         let fault = match self.prune {
             Prune::Threshold(least) if !(0.0..=1.0).contains(&least) => format!("the threshold is {least}; expected 0 to 1"),
             Prune::KeepRatio(ratio) if !(ratio > 0.0 && ratio <= 1.0) => {
                 format!("the keep ratio is {ratio}; expected a share above 0, at most 1")
             }
-            _ if !(self.colour_dc_weight.is_finite() && self.colour_dc_weight >= 1e-3) => {
-                format!("the weight of DC is {}; expected at least 0.001", self.colour_dc_weight)
+            _ if !(self.color_dc_weight.is_finite() && self.color_dc_weight >= 1e-3) => {
+                format!("the weight of DC is {}; expected at least 0.001", self.color_dc_weight)
             }
             _ => return Ok(()),
         };
@@ -69,8 +69,8 @@ impl CompressOptions {
     }
 
     /// Training options of the codebook `stream`. Books share no random numbers.
-    pub(super) fn book(&self, entries: usize, stream: u64) -> QuantiseOptions {
-        QuantiseOptions {
+    pub(super) fn book(&self, entries: usize, stream: u64) -> QuantizeOptions {
+        QuantizeOptions {
             entries,
             iterations_max: self.iterations_max,
             final_iterations_max: FINAL_ITERATIONS,

@@ -1,6 +1,6 @@
 //! Compression while a person waits: every splat that pictures show, with small codebooks.
 
-use decouplegs_scene::codebook::{COLOURS_MAX, SHAPES_MAX};
+use decouplegs_scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs_scene::{CodedCloud, SplatCloud};
 
 use super::{CompressError, CompressOptions, Prune, compress, prune};
@@ -19,7 +19,7 @@ pub fn compress_quickly(cloud: &SplatCloud) -> Result<CodedCloud, CompressError>
     let entries = |max: usize| (cloud.len() / SPLATS_PER_ENTRY).clamp(64, max);
     let options = CompressOptions {
         prune: ALL,
-        colours: entries(COLOURS_MAX),
+        colors: entries(COLORS_MAX),
         shapes: entries(SHAPES_MAX),
         iterations_max: ITERATIONS_MAX,
         ..CompressOptions::default()

@@ -23,7 +23,7 @@ pub struct CompressionReport {
     /// Training of the shape codebook.
     pub shapes: BookReport,
     /// Training of the color codebook.
-    pub colours: BookReport,
+    pub colors: BookReport,
     /// Bytes of the parts, without the container's header.
     pub bytes: PartBytes,
 }
@@ -41,15 +41,15 @@ pub struct BookReport {
     pub reseeded: usize,
 }
 
-/// Bytes of each part of an asset as it is stored: colours as f16, shapes as f32.
+/// Bytes of each part of an asset as it is stored: colors as f16, shapes as f32.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PartBytes {
     /// Splats of each level of detail.
     pub levels: Vec<usize>,
     /// The shape codebook.
     pub shapes: usize,
-    /// The colour codebook.
-    pub colours: usize,
+    /// The color codebook.
+    pub colors: usize,
 }
 
 impl PartBytes {
@@ -58,14 +58,14 @@ impl PartBytes {
             levels: cloud.levels.iter().map(|level| level * size_of::<CodedSplat>()).collect(),
             shapes: size_of_val(cloud.shapes.as_slice()),
             // Two bytes a number instead of four.
-            colours: size_of_val(cloud.colours.as_slice()) / 2,
+            colors: size_of_val(cloud.colors.as_slice()) / 2,
         }
     }
 
     /// All of them.
     #[must_use]
     pub fn total(&self) -> usize {
-        self.levels.iter().sum::<usize>() + self.shapes + self.colours
+        self.levels.iter().sum::<usize>() + self.shapes + self.colors
     }
 }
 

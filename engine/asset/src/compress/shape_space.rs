@@ -1,6 +1,6 @@
 //! Space in which the shape codebook is trained, so that distances between shapes have a meaning.
 //!
-//! Measured with 512 shapes and 1024 colours on a synthetic car of 50,000 splats, from 10 m with a focal length of 1266 px, and on a
+//! Measured with 512 shapes and 1024 colors on a synthetic car of 50,000 splats, from 10 m with a focal length of 1266 px, and on a
 //! captured object of 13,536 from as many of its lengths: PSNR in dB against the original.
 //!
 //! | space | car | captured object |
@@ -27,7 +27,7 @@ pub(super) const LOG2_SIZE_MAX: f32 = 60.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ShapeSpace {
-    /// The covariance as it is, size included: what the paper quantises.
+    /// The covariance as it is, size included: what the paper quantizes.
     Covariance,
     /// The logarithm of the covariance, size included (Arsigny et al., Log-Euclidean Metrics, 2006).
     LogCovariance,
@@ -49,7 +49,7 @@ impl ShapeSpace {
         matches!(self, Self::UnitLogCovariance | Self::UnitRootCovariance)
     }
 
-    /// A shape whose `size` (metres) counts as 1, as a vector of this space.
+    /// A shape whose `size` (meters) counts as 1, as a vector of this space.
     pub(super) fn vector(self, axes: &PrincipalAxes, size: f64) -> [f32; 6] {
         let scales = held(&axes.scales) / size;
         let floor = (LOG_ASPECT_MIN * scales.max_element()).max(1e-12);
@@ -80,7 +80,7 @@ impl ShapeSpace {
     }
 }
 
-/// The size of a splat: the root of the sum of its squared scales, metres. Not zero unless all scales are, and smooth where the
+/// The size of a splat: the root of the sum of its squared scales, meters. Not zero unless all scales are, and smooth where the
 /// longest axis changes places.
 pub(super) fn size_of(scales: &[f32; 3]) -> f64 {
     held(scales).length().max(f64::from(-LOG2_SIZE_MAX).exp2())

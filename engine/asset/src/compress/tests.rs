@@ -4,7 +4,7 @@ use decouplegs_scene::{SplatCloud, sh};
 
 use super::*;
 
-/// `count` discs on a plane of 10 by 10 m, of different sizes, directions and smoothly varying colours.
+/// `count` discs on a plane of 10 by 10 m, of different sizes, directions and smoothly varying colors.
 pub(super) fn plane(count: usize, sh_degree: u8) -> SplatCloud {
     let stride = sh::coefficient_count(sh_degree) - 1;
     let wave = |i: usize, k: f32| (i as f32 * k + 0.3).sin();
@@ -23,7 +23,7 @@ pub(super) fn plane(count: usize, sh_degree: u8) -> SplatCloud {
 }
 
 fn quick() -> CompressOptions {
-    CompressOptions { colours: 64, shapes: 32, iterations_max: 50, ..CompressOptions::default() }
+    CompressOptions { colors: 64, shapes: 32, iterations_max: 50, ..CompressOptions::default() }
 }
 
 fn compressed(cloud: &SplatCloud, options: &CompressOptions) -> Compressed {
@@ -61,7 +61,7 @@ fn sizes_are_counted_as_they_are_stored() {
     let cloud = plane(2000, 3);
     let Compressed { cloud: coded, report, .. } = compressed(&cloud, &quick());
     assert_eq!(report.bytes.levels, [2000 * 12, 250 * 12]);
-    assert_eq!((report.bytes.shapes, report.bytes.colours), (coded.shapes.len() * 24, coded.colour_count() * 96));
+    assert_eq!((report.bytes.shapes, report.bytes.colors), (coded.shapes.len() * 24, coded.color_count() * 96));
     assert!((report.bytes_per_splat() - report.bytes.total() as f64 / 2000.0).abs() < 1e-12);
 }
 
@@ -73,7 +73,7 @@ fn the_seed_decides_and_the_threads_do_not() {
         pool.install(|| compressed(&cloud, &CompressOptions { seed, ..quick() }))
     };
     assert_eq!(with_threads(1, 3), with_threads(2, 3));
-    assert_ne!(with_threads(1, 3).cloud.colours, with_threads(1, 4).cloud.colours);
+    assert_ne!(with_threads(1, 3).cloud.colors, with_threads(1, 4).cloud.colors);
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn one_splat_and_equal_splats_come_back() {
     assert!((decoded.sh_rest[4][0] - one.sh_rest[4][0]).abs() < 1e-3);
     let many = one.select(&[0; 500]);
     let Compressed { cloud: coded, report, .. } = compressed(&many, &CompressOptions::default());
-    assert_eq!((coded.levels.len(), coded.shapes.len(), coded.colour_count(), report.kept), (2, 1, 1, 500));
+    assert_eq!((coded.levels.len(), coded.shapes.len(), coded.color_count(), report.kept), (2, 1, 1, 500));
     let decoded = coded.decoded(0);
     assert!(decoded.scales.iter().all(|scales| *scales == decoded.scales[0]));
     let ((long, _), (long_before, _)) = (extremes(&decoded, 0), extremes(&one, 0));
@@ -118,11 +118,11 @@ fn one_splat_and_equal_splats_come_back() {
 }
 
 #[test]
-fn fewer_splats_than_codes_lose_no_shape_and_no_colour() {
+fn fewer_splats_than_codes_lose_no_shape_and_no_color() {
     let cloud = plane(40, 1);
     let Compressed { cloud: coded, report, .. } = compressed(&cloud, &CompressOptions::default());
-    assert_eq!((coded.shapes.len(), coded.colour_count()), (40, 40));
-    assert!(report.shapes.distortion.last().unwrap() < &1e-12 && report.colours.distortion.last().unwrap() < &1e-12);
+    assert_eq!((coded.shapes.len(), coded.color_count()), (40, 40));
+    assert!(report.shapes.distortion.last().unwrap() < &1e-12 && report.colors.distortion.last().unwrap() < &1e-12);
 }
 
 #[test]
@@ -143,11 +143,11 @@ fn what_leaves_nothing_is_refused_with_the_reason() {
         change(&mut options);
         refuse(&plane(2, 0), &[1.0; 2], &options)
     };
-    assert!(with(|options| options.colours = 1025).contains("1025; expected 1 to 1024"));
+    assert!(with(|options| options.colors = 1025).contains("1025; expected 1 to 1024"));
     assert!(with(|options| options.shapes = 0).contains("0; expected 1 to 512"));
     assert!(with(|options| options.prune = Prune::KeepRatio(f32::NAN)).contains("NaN"));
     assert!(with(|options| options.prune = Prune::Threshold(1.5)).contains("1.5"));
-    assert!(with(|options| options.colour_dc_weight = 0.0).contains("at least 0.001"));
+    assert!(with(|options| options.color_dc_weight = 0.0).contains("at least 0.001"));
 }
 
 #[test]
@@ -192,12 +192,12 @@ mod properties {
                 cloud.sh_dc.push([n[11], n[12], n[13]]);
             }
             let options = CompressOptions {
-                prune: Prune::KeepRatio(ratio), shape_space: ShapeSpace::ALL[space], shapes: 5, colours: 7, iterations_max: 30,
+                prune: Prune::KeepRatio(ratio), shape_space: ShapeSpace::ALL[space], shapes: 5, colors: 7, iterations_max: 30,
                 ..Default::default()
             };
             if let Ok(Compressed { cloud: coded, report, .. }) = compress(&cloud, &vec![1.0; cloud.len()], &options, &|_| ()) {
                 prop_assert_eq!(coded.check(), Ok(()));
-                prop_assert!(report.shapes.distortion.iter().chain(&report.colours.distortion).all(|value| value.is_finite()));
+                prop_assert!(report.shapes.distortion.iter().chain(&report.colors.distortion).all(|value| value.is_finite()));
                 let decoded = coded.decoded(0);
                 prop_assert_eq!(decoded.len(), report.kept);
                 for splat in 0..decoded.len() {

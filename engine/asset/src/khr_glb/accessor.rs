@@ -125,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn integers_are_normalised_as_gltf_says() {
+    fn integers_are_normalized_as_gltf_says() {
         assert_eq!([127, 0, -127, -128].map(|x: i8| Component::I8.read(&[x as u8], true)), [1.0, 0.0, -1.0, -1.0]);
         assert_eq!(Component::I8.read(&[0xfe], false), -2.0);
         assert_eq!(Component::I16.read(&i16::MIN.to_le_bytes(), true), -1.0);

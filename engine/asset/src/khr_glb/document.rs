@@ -172,7 +172,7 @@ impl Document {
         let mut notes = Vec::new();
         if splats().any(|splats| splats.color_space == "lin_rec709_display") {
             notes.push(
-                "colours are linear light (lin_rec709_display): they are kept as stored, and are drawn too dark".to_owned(),
+                "colors are linear light (lin_rec709_display): they are kept as stored, and are drawn too dark".to_owned(),
             );
         }
         if splats().any(|splats| !matches!(splats.kernel.as_str(), "" | "ellipse")) {

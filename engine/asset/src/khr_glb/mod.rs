@@ -1,17 +1,17 @@
 //! Splats in binary glTF (`.glb`) by the extension KHR_gaussian_splatting.
 //!
 //! Every primitive of points that has the extension is read, where the nodes of the scene put it: their transforms apply to means,
-//! scales, rotations and spherical harmonics, mirrors and unequal scales included. Attributes are floats or integers, normalised or
+//! scales, rotations and spherical harmonics, mirrors and unequal scales included. Attributes are floats or integers, normalized or
 //! not; rotations x, y, z, w; opacities 0 to 1; spherical harmonics `[coefficient][rgb]` with the signs of INRIA's. The child
 //! extension with an SPZ inside (`KHR_gaussian_splatting_compression_spz_2`) is read too.
 //!
 //! **Scales.** The ratified extension stores them as they are, never negative. Its drafts until the release candidate of January
 //! 2026 stored natural logarithms, under the same name. A file with a scale below zero, which logarithms of all splats smaller than
-//! a metre are, is taken for such a draft as a whole.
+//! a meter are, is taken for such a draft as a whole.
 //!
 //! **Axes** are the file's own: glTF says y is up. What is written has the coordinates of the cloud.
 //!
-//! **Colours** are as stored. A file that says `lin_rec709_display` means light, which should be blended as such and turned to
+//! **Colors** are as stored. A file that says `lin_rec709_display` means light, which should be blended as such and turned to
 //! display values afterwards; it is drawn too dark here, and [`read_notes`] says so.
 
 mod accessor;

@@ -13,7 +13,7 @@ const ROUNDS: usize = 40;
 const EQUAL: f64 = 1e-6;
 
 /// Moves `cloud` by `world` from its own frame. Means go where it sends them, and shapes are those of the transformed Gaussians.
-/// Colours turn by the rotation that is nearest to the transform, mirrored where it mirrors.
+/// Colors turn by the rotation that is nearest to the transform, mirrored where it mirrors.
 pub(super) fn place(cloud: &mut SplatCloud, world: &DAffine3) {
     if *world == DAffine3::IDENTITY {
         return;
@@ -94,7 +94,7 @@ mod tests {
         rotation * DMat3::from_diagonal(scale * scale) * rotation.transpose()
     }
 
-    fn colour(cloud: &SplatCloud, d: DVec3) -> f64 {
+    fn color(cloud: &SplatCloud, d: DVec3) -> f64 {
         cloud.rest_of(0).iter().zip(&sh::basis(d)[1..]).map(|(c, y)| f64::from(c[0]) * y).sum()
     }
 
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_turn_and_mirror_with_what_they_are_on() {
+    fn colors_turn_and_mirror_with_what_they_are_on() {
         let turn = DQuat::from_euler(glam::EulerRot::ZYX, 0.7, -0.4, 1.9);
         for scale in [DVec3::splat(2.0), DVec3::new(-1.0, 1.0, 1.0), DVec3::new(1.0, -3.0, 1.0) / 3.0] {
             let world = DAffine3::from_scale_rotation_translation(scale.signum() * scale.length(), turn, DVec3::ZERO);
@@ -122,7 +122,7 @@ mod tests {
             place(&mut placed, &world);
             for d in [DVec3::X, DVec3::Y, DVec3::new(0.6, 0.0, 0.8)] {
                 let seen = (world.matrix3 * d).normalize();
-                assert!((colour(&original, d) - colour(&placed, seen)).abs() < 1e-5, "{scale} {d}");
+                assert!((color(&original, d) - color(&placed, seen)).abs() < 1e-5, "{scale} {d}");
             }
         }
     }

@@ -7,7 +7,7 @@ use super::accessor::{rows, view_bytes};
 use super::document::{Document, Primitive};
 use super::nodes::shown_meshes;
 use super::place::place;
-use crate::activation::{normalised, scale_of_log};
+use crate::activation::{normalized, scale_of_log};
 use crate::memory::{DECODED_BYTES_PER_FILE_BYTE, cloud_bytes};
 use crate::{DecodeError, spz};
 
@@ -91,7 +91,7 @@ fn read(document: &Document, binary: &[u8], primitive: &Primitive, bytes_max: u6
     let cloud = SplatCloud {
         means,
         scales: triples(&named("SCALE"))?,
-        rotations: rotations.into_iter().map(|[x, y, z, w]| normalised([w, x, y, z])).collect(),
+        rotations: rotations.into_iter().map(|[x, y, z, w]| normalized([w, x, y, z])).collect(),
         opacities: opacities.into_iter().map(|[opacity]| opacity).collect(),
         sh_degree,
         sh_dc: triples(&named("SH_DEGREE_0_COEF_0"))?,

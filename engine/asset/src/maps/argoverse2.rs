@@ -1,6 +1,6 @@
 //! Argoverse 2 maps (`log_map_archive_*.json`): lane segments between two boundaries, in city coordinates with heights.
 //!
-//! A segment's centreline is the file's or, where it has none, the middle of its boundaries. Neighbours are kept where they
+//! A segment's centerline is the file's or, where it has none, the middle of its boundaries. Neighbors are kept where they
 //! run the same way, told by their ends. Pedestrian crossings and drivable areas are not read,
 //! and speed limits are not in the format.
 
@@ -61,7 +61,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         }
         let beside = |id: Option<i64>| id.and_then(place).filter(|&other| run_alike(&lanes[at], &lanes[other]));
         let (left, right) = (beside(segment.left_neighbor_id), beside(segment.right_neighbor_id));
-        (lanes[at].left_neighbour, lanes[at].right_neighbour) = (left, right);
+        (lanes[at].left_neighbor, lanes[at].right_neighbor) = (left, right);
     }
     super::finished(lanes, DVec3::ZERO)
 }
@@ -70,7 +70,7 @@ fn lane(segment: &Segment) -> Lane {
     let line = |points: &[Point]| cleaned(points.iter().map(|point| DVec3::new(point.x, point.y, point.z)));
     let (left, right) = (line(&segment.left_lane_boundary), line(&segment.right_lane_boundary));
     let middle = between(&left, &right);
-    let centreline = match segment.centerline.as_deref().map(line) {
+    let centerline = match segment.centerline.as_deref().map(line) {
         // Motion forecasting maps have centerlines at z = 0 between borders at their true heights.
         Some(flat) if !middle.is_empty() && has_no_height(&flat) && !has_no_height(&middle) => at_heights_of(&flat, &middle),
         Some(given) => given,
@@ -81,7 +81,7 @@ fn lane(segment: &Segment) -> Lane {
         "BIKE" => LaneKind::Bicycle,
         _ => LaneKind::Other,
     };
-    Lane { id: segment.id.to_string(), kind, centreline, left, right, has_height: true, ..Lane::default() }
+    Lane { id: segment.id.to_string(), kind, centerline, left, right, has_height: true, ..Lane::default() }
 }
 
 fn has_no_height(line: &[DVec3]) -> bool {
@@ -90,6 +90,6 @@ fn has_no_height(line: &[DVec3]) -> bool {
 
 /// True if two lanes lead in the same direction, from end to end.
 fn run_alike(a: &Lane, b: &Lane) -> bool {
-    let way = |lane: &Lane| Some((*lane.centreline.last()? - *lane.centreline.first()?).truncate());
+    let way = |lane: &Lane| Some((*lane.centerline.last()? - *lane.centerline.first()?).truncate());
     way(a).zip(way(b)).is_some_and(|(a, b)| a.dot(b) > 0.0)
 }

@@ -1,7 +1,7 @@
 //! CommonRoad scenarios (`.xml`, versions 2018b and 2020a): lanelets between two bounds.
 //!
 //! A lanelet's kind is its `laneletType` (2020a; 2018b knows only roads). Its speed limit is its `speedLimit` (2018b) or that of
-//! the signs that it refers to (2020a), metres a second. Neighbours are kept where they run the same way. The road users of a
+//! the signs that it refers to (2020a), meters a second. Neighbors are kept where they run the same way. The road users of a
 //! scenario are [`crate::tracks::commonroad`]'s.
 
 use std::collections::HashMap;
@@ -50,10 +50,10 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         linked("successor").into_iter().for_each(|next| join(&mut lanes, at, next));
         linked("predecessor").into_iter().for_each(|before| join(&mut lanes, before, at));
         let beside = |name: &str| {
-            let neighbour = element.first(name).filter(|link| link.attribute("drivingDir") == Some("same"));
-            neighbour.and_then(|link| places.get(link.attribute("ref")?))
+            let neighbor = element.first(name).filter(|link| link.attribute("drivingDir") == Some("same"));
+            neighbor.and_then(|link| places.get(link.attribute("ref")?))
         };
-        (lanes[at].left_neighbour, lanes[at].right_neighbour) = (beside("adjacentLeft"), beside("adjacentRight"));
+        (lanes[at].left_neighbor, lanes[at].right_neighbor) = (beside("adjacentLeft"), beside("adjacentRight"));
     }
     super::finished(lanes, DVec3::ZERO)
 }
@@ -69,7 +69,7 @@ fn lane(element: Element, sign_limits: &HashMap<&str, f64>) -> Result<Lane, Deco
     Ok(Lane {
         id: element.needed_attribute("id")?.to_owned(),
         kind: kind(element),
-        centreline: between(&left, &right),
+        centerline: between(&left, &right),
         left,
         right,
         has_height,

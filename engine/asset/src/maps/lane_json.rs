@@ -2,17 +2,17 @@
 //!
 //! ```json
 //! {"version": 1, "lanes": [
-//!   {"id": "a", "centreline": [[0, 0], [50, 0]]},
-//!   {"id": "b", "kind": "driving", "centreline": [[50, 0, 1.5], [90, 8, 1.5]], "left": [[50, 2, 1.5], [90, 10, 1.5]],
-//!    "right": [[50, -2, 1.5], [90, 6, 1.5]], "successors": ["a"], "left_neighbour": null, "speed_limit_mps": 13.9}
+//!   {"id": "a", "centerline": [[0, 0], [50, 0]]},
+//!   {"id": "b", "kind": "driving", "centerline": [[50, 0, 1.5], [90, 8, 1.5]], "left": [[50, 2, 1.5], [90, 10, 1.5]],
+//!    "right": [[50, -2, 1.5], [90, 6, 1.5]], "successors": ["a"], "left_neighbor": null, "speed_limit_mps": 13.9}
 //! ]}
 //! ```
 //!
-//! A lane needs its id, a text or a whole number, and its centreline, world coordinates in metres in driving direction. Points
+//! A lane needs its id, a text or a whole number, and its centerline, world coordinates in meters in driving direction. Points
 //! of two numbers have no height: where a lane has one, or says `"has_height": false`, its z is 0. `kind` is one of
 //! [`LaneKind::by_name`]'s, driving where absent. Links name lanes of the same file; predecessors follow from successors.
 //! `offset` (see [`LaneMap::offset`]) is zero where absent. Keys that are not known are refused, so that no typing error
-//! passes for an absent key.
+//! passes for an absent key. `centreline`, `left_neighbour` and `right_neighbour`, as older files have them, are read too.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -43,8 +43,8 @@ struct LaneForm {
     id: Id,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     kind: Option<String>,
-    #[serde(alias = "centerline")]
-    centreline: Vec<Point>,
+    #[serde(alias = "centreline")]
+    centerline: Vec<Point>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     left: Vec<Point>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -53,10 +53,10 @@ struct LaneForm {
     has_height: Option<bool>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     successors: Vec<Id>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    left_neighbour: Option<Id>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    right_neighbour: Option<Id>,
+    #[serde(default, alias = "left_neighbour", skip_serializing_if = "Option::is_none")]
+    left_neighbor: Option<Id>,
+    #[serde(default, alias = "right_neighbour", skip_serializing_if = "Option::is_none")]
+    right_neighbor: Option<Id>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     speed_limit_mps: Option<f64>,
 }
@@ -96,7 +96,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let mut lanes = Vec::with_capacity(file.lanes.len());
     let mut links = Vec::with_capacity(file.lanes.len());
     for mut form in file.lanes {
-        links.push((std::mem::take(&mut form.successors), form.left_neighbour.take(), form.right_neighbour.take()));
+        links.push((std::mem::take(&mut form.successors), form.left_neighbor.take(), form.right_neighbor.take()));
         lanes.push(form.into_lane()?);
     }
     let places = Places::of(&lanes)?;
@@ -109,7 +109,7 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         };
         let next = successors.into_iter().map(place).collect::<Result<Vec<_>, _>>()?;
         let (left, right) = (left.map(place).transpose()?, right.map(place).transpose()?);
-        (lanes[at].left_neighbour, lanes[at].right_neighbour) = (left, right);
+        (lanes[at].left_neighbor, lanes[at].right_neighbor) = (left, right);
         next.into_iter().for_each(|next| join(&mut lanes, at, next));
     }
     super::finished(lanes, DVec3::from_array(file.offset.unwrap_or_default()))
@@ -128,7 +128,7 @@ impl LaneForm {
         if let Some(limit) = self.speed_limit_mps.filter(|limit| *limit <= 0.0) {
             return Err(DecodeError::Malformed(format!("lane {}: a speed limit of {limit} m/s; expected more", excerpt(&id))));
         }
-        let mut points = self.centreline.iter().chain(&self.left).chain(&self.right);
+        let mut points = self.centerline.iter().chain(&self.left).chain(&self.right);
         let is_solid = points.all(|point| matches!(point, Point::Solid(_)));
         if self.has_height == Some(true) && !is_solid {
             return Err(DecodeError::Malformed(format!("lane {}: has_height, but a point of two numbers", excerpt(&id))));
@@ -140,8 +140,8 @@ impl LaneForm {
                 Point::Flat([x, y]) => DVec3::new(x, y, 0.0),
             }))
         };
-        let [centreline, left, right] = [self.centreline, self.left, self.right].map(line);
-        Ok(Lane { id, kind, centreline, left, right, has_height, speed_limit_mps: self.speed_limit_mps, ..Lane::default() })
+        let [centerline, left, right] = [self.centerline, self.left, self.right].map(line);
+        Ok(Lane { id, kind, centerline, left, right, has_height, speed_limit_mps: self.speed_limit_mps, ..Lane::default() })
     }
 
     fn of(lane: &Lane, all: &[Lane]) -> Self {
@@ -156,13 +156,13 @@ impl LaneForm {
         Self {
             id: Id::Text(lane.id.clone()),
             kind: Some(lane.kind.name().to_owned()),
-            centreline: line(&lane.centreline),
+            centerline: line(&lane.centerline),
             left: line(&lane.left),
             right: line(&lane.right),
             has_height: Some(lane.has_height),
             successors: lane.successors.iter().copied().map(id).collect(),
-            left_neighbour: lane.left_neighbour.map(id),
-            right_neighbour: lane.right_neighbour.map(id),
+            left_neighbor: lane.left_neighbor.map(id),
+            right_neighbor: lane.right_neighbor.map(id),
             speed_limit_mps: lane.speed_limit_mps,
         }
     }

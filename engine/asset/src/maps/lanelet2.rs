@@ -3,7 +3,7 @@
 //! Ways are turned so that left is to the left. Coordinates are the tags `local_x` and `local_y` where all nodes of lanelets
 //! have them, else latitude and longitude in UTM on WGS 84, full eastings and northings ([`LaneMap::offset`] is zero), in the
 //! zone and on the hemisphere of the first node of the first lanelet, see [`UtmZone::of`]. Height is the tag `ele`, known to a
-//! lanelet if all its nodes have it. A lanelet goes on in those that start at the two nodes where it ends; neighbours share a
+//! lanelet if all its nodes have it. A lanelet goes on in those that start at the two nodes where it ends; neighbors share a
 //! way and its direction. A lanelet for both directions (`one_way` = no) is read in that of its file alone.
 //!
 //! Not read: areas, regulatory elements, speed limits other than the tag `speed_limit`.
@@ -67,7 +67,7 @@ struct Lanelet<'a> {
     id: &'a str,
     left: &'a str,
     right: &'a str,
-    centreline: Option<&'a str>,
+    centerline: Option<&'a str>,
 }
 
 /// A way in the direction of a lanelet.
@@ -192,7 +192,7 @@ impl<'a> Lanelet<'a> {
         };
         let needed = |role: &str| way(role)?.ok_or_else(|| element.fault(format!("no way is its {role}")));
         let id = element.needed_attribute("id")?;
-        Ok(Self { element, id, left: needed("left")?, right: needed("right")?, centreline: way("centerline")? })
+        Ok(Self { element, id, left: needed("left")?, right: needed("right")?, centerline: way("centerline")? })
     }
 
     /// Borders of the lane, turned so that each has the other on its proper side.
@@ -213,12 +213,12 @@ impl<'a> Lanelet<'a> {
     }
 
     fn lane(&self, file: &File<'a>, plane: Plane, sides: &[Side; 2], budget: &mut Budget) -> Result<Lane, DecodeError> {
-        let middle = self.centreline.map(|way| file.points(self, way, plane, budget)).transpose()?;
+        let middle = self.centerline.map(|way| file.points(self, way, plane, budget)).transpose()?;
         let has_height = sides.iter().all(|side| side.has_height) && middle.as_ref().is_none_or(|(_, has_height)| *has_height);
         let line = |points: &[DVec3]| cleaned(points.iter().map(|point| if has_height { *point } else { point.with_z(0.0) }));
         let [left, right] = sides.each_ref().map(|side| line(&side.points));
         budget.spend(2 * (left.len() + right.len()))?;
-        let centreline = middle.map_or_else(
+        let centerline = middle.map_or_else(
             || between(&left, &right),
             |(points, _)| {
                 let mut points = line(&points);
@@ -232,7 +232,7 @@ impl<'a> Lanelet<'a> {
         Ok(Lane {
             id: self.id.to_owned(),
             kind: self.kind(),
-            centreline,
+            centerline,
             left,
             right,
             has_height,
@@ -260,7 +260,7 @@ impl<'a> Lanelet<'a> {
         }
     }
 
-    /// A speed with its unit, kilometres an hour where it has none.
+    /// A speed with its unit, kilometers an hour where it has none.
     fn speed_mps(&self, text: &str) -> Result<f64, DecodeError> {
         let digits = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
         let factor = match text[digits..].trim() {
@@ -289,16 +289,16 @@ fn connect(sides: &[[Side; 2]], lanes: &mut [Lane]) {
     let mut by_left = HashMap::new();
     for (at, [left, right]) in sides.iter().enumerate() {
         by_start.entry([left.first, right.first]).or_default().push(at);
-        // Of several lanelets over one way, which only happens where lanes split, the first is the neighbour.
+        // Of several lanelets over one way, which only happens where lanes split, the first is the neighbor.
         by_left.entry((left.way, left.is_turned)).or_insert(at);
     }
     for (at, [left, right]) in sides.iter().enumerate() {
         for &next in by_start.get(&[left.last, right.last]).into_iter().flatten() {
             join(lanes, at, next);
         }
-        if let Some(&neighbour) = by_left.get(&(right.way, right.is_turned)).filter(|neighbour| **neighbour != at) {
-            lanes[at].right_neighbour = Some(neighbour);
-            lanes[neighbour].left_neighbour.get_or_insert(at);
+        if let Some(&neighbor) = by_left.get(&(right.way, right.is_turned)).filter(|neighbor| **neighbor != at) {
+            lanes[at].right_neighbor = Some(neighbor);
+            lanes[neighbor].left_neighbor.get_or_insert(at);
         }
     }
 }

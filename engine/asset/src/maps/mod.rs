@@ -1,6 +1,6 @@
 //! Maps of lanes: OpenDRIVE, Lanelet2, Argoverse 2, CommonRoad and our own JSON.
 //!
-//! Every reader gives a [`LaneMap`]: borders and a centreline in driving direction, metres, x east and y north where the file
+//! Every reader gives a [`LaneMap`]: borders and a centerline in driving direction, meters, x east and y north where the file
 //! knows of such, and how lanes join. Coordinates are the file's own ([`LaneMap::offset`] is zero); latitudes and longitudes
 //! are projected, see [`projection`]. A link to a lane that the file does not hold is dropped, as maps are often cut out of
 //! larger ones (our own JSON, which is written whole, is refused instead); an id that two lanes have is refused, and so is a
@@ -26,7 +26,7 @@ use crate::{AssetError, DecodeError};
 
 pub use polyline::length_m;
 
-/// Larger coordinates are no place on Earth, metres.
+/// Larger coordinates are no place on Earth, meters.
 const COORDINATE_MAX_M: f64 = 1e8;
 
 /// The formats of maps that are read.
@@ -92,10 +92,10 @@ fn has_key(text: &[u8], key: &str) -> bool {
 /// Reads the lanes of a map in any format, told by its content.
 ///
 /// # Errors
-/// [`AssetError::Read`], [`AssetError::Unrecognised`] or [`AssetError::Decode`].
+/// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_map(path: &Path) -> Result<LaneMap, AssetError> {
     let bytes = read_bytes(path)?;
-    let format = MapFormat::detect(&bytes).map_err(|found| AssetError::Unrecognised {
+    let format = MapFormat::detect(&bytes).map_err(|found| AssetError::Unrecognized {
         path: path.to_owned(),
         found,
         expected: "a map: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad XML",
@@ -133,7 +133,7 @@ fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError>
     let map = LaneMap { lanes, offset };
     map.check().map_err(DecodeError::Malformed)?;
     for lane in &map.lanes {
-        let mut points = lane.centreline.iter().chain(&lane.left).chain(&lane.right);
+        let mut points = lane.centerline.iter().chain(&lane.left).chain(&lane.right);
         if let Some(point) = points.find(|point| point.abs().max_element() > COORDINATE_MAX_M) {
             let id = &lane.id;
             return Err(DecodeError::Malformed(format!("lane {id}: a point at {point} m, which is no place on Earth")));
@@ -186,7 +186,7 @@ mod limits {
     fn a_speed_limit_of_nothing_is_none() {
         let lane = |id: &str, speed_limit_mps: Option<f64>| Lane {
             id: id.into(),
-            centreline: vec![DVec3::ZERO, DVec3::X],
+            centerline: vec![DVec3::ZERO, DVec3::X],
             speed_limit_mps,
             ..Lane::default()
         };

@@ -1,11 +1,11 @@
-//! Lines of points: what the readers of maps do with borders and centrelines.
+//! Lines of points: what the readers of maps do with borders and centerlines.
 
 use glam::DVec3;
 
-/// Points nearer than this to their neighbour are the same point, metres.
+/// Points nearer than this to their neighbor are the same point, meters.
 const SAME_POINT_M: f64 = 1e-6;
 
-/// `points` without those that repeat their neighbour.
+/// `points` without those that repeat their neighbor.
 pub(super) fn cleaned(points: impl IntoIterator<Item = DVec3>) -> Vec<DVec3> {
     let mut kept: Vec<DVec3> = Vec::new();
     for point in points {
@@ -17,7 +17,7 @@ pub(super) fn cleaned(points: impl IntoIterator<Item = DVec3>) -> Vec<DVec3> {
     kept
 }
 
-/// Length from the first point to each, metres.
+/// Length from the first point to each, meters.
 fn lengths_m(points: &[DVec3]) -> Vec<f64> {
     let mut length_m = 0.0;
     let mut lengths_m = Vec::with_capacity(points.len());
@@ -28,7 +28,7 @@ fn lengths_m(points: &[DVec3]) -> Vec<f64> {
     lengths_m
 }
 
-/// Length of a line, metres.
+/// Length of a line, meters.
 #[must_use]
 pub fn length_m(points: &[DVec3]) -> f64 {
     points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()

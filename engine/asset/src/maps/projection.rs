@@ -1,20 +1,20 @@
-//! Latitude and longitude as metres: UTM on WGS 84.
+//! Latitude and longitude as meters: UTM on WGS 84.
 //!
 //! The transverse Mercator projection by Krüger's series to the fourth order of the third flattening (L. Krüger, "Konforme
 //! Abbildung des Erdellipsoids in der Ebene", 1912; the form of C. F. F. Karney, "Transverse Mercator with an accuracy of a few
-//! nanometers", J. Geodesy 85, 2011, equations 7 to 12 and 35), below a micrometre within 15 degrees of the central meridian.
+//! nanometers", J. Geodesy 85, 2011, equations 7 to 12 and 35), below a micrometer within 15 degrees of the central meridian.
 
 use glam::DVec2;
 
-/// Equatorial radius of WGS 84, metres.
+/// Equatorial radius of WGS 84, meters.
 const EQUATOR_M: f64 = 6_378_137.0;
 /// Flattening of WGS 84.
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
 /// Scale on the central meridian.
 const SCALE: f64 = 0.9996;
-/// East of the central meridian, so that coordinates are positive, metres.
+/// East of the central meridian, so that coordinates are positive, meters.
 const FALSE_EASTING_M: f64 = 500_000.0;
-/// North of the equator on the southern hemisphere, metres.
+/// North of the equator on the southern hemisphere, meters.
 const FALSE_NORTHING_M: f64 = 10_000_000.0;
 /// UTM is not defined nearer to the poles, degrees.
 const LATITUDE_MAX_DEG: f64 = 84.5;
@@ -44,7 +44,7 @@ impl UtmZone {
         6.0 * f64::from(self.number) - 183.0
     }
 
-    /// Easting and northing of a place, metres.
+    /// Easting and northing of a place, meters.
     ///
     /// # Errors
     /// A sentence where UTM is not defined there or the place is far from the zone.
@@ -64,7 +64,7 @@ impl UtmZone {
     }
 }
 
-/// East of the central meridian and north of the equator, metres.
+/// East of the central meridian and north of the equator, meters.
 fn transverse_mercator(latitude_rad: f64, east_rad: f64) -> DVec2 {
     let n = FLATTENING / (2.0 - FLATTENING);
     let (n2, n3, n4) = (n * n, n.powi(3), n.powi(4));
@@ -92,7 +92,7 @@ fn transverse_mercator(latitude_rad: f64, east_rad: f64) -> DVec2 {
 mod tests {
     use super::*;
 
-    /// Meridian arc from the equator by numerical integration, metres: what the projection must give on the central meridian.
+    /// Meridian arc from the equator by numerical integration, meters: what the projection must give on the central meridian.
     fn meridian_arc_m(latitude_rad: f64) -> f64 {
         const STEPS: i32 = 20_000;
         let square = FLATTENING * (2.0 - FLATTENING);

@@ -11,7 +11,7 @@ use crate::{AssetError, SceneAgent, SceneFile, coded_asset, read_coded, read_spl
 
 /// Class of every agent: scene files have none.
 const CLASS: &str = "automobile";
-/// An agent that moves by less than this, metres, stands.
+/// An agent that moves by less than this, meters, stands.
 const STANDS_M: f64 = 0.05;
 
 /// `sequence_tracks.json`, of the scene in `directory`.
@@ -66,7 +66,7 @@ fn stands(agent: &SceneAgent) -> bool {
     poses.iter().all(|timed| timed.pose.translation.distance(poses[0].pose.translation) < STANDS_M)
 }
 
-/// Length, width and height of an asset, metres: as a compressed one says, or of the box about the means of its splats.
+/// Length, width and height of an asset, meters: as a compressed one says, or of the box about the means of its splats.
 fn dims_of(path: &Path) -> Result<[f64; 3], AssetError> {
     if coded_asset::has_extension(path) {
         return Ok(read_coded(path)?.cloud.dims_m.map(f64::from));

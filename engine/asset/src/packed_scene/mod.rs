@@ -5,7 +5,7 @@
 //!
 //! | entry | what is in it | for |
 //! |---|---|---|
-//! | `default.usda` | an empty stage, z up, metres: the layer that makes the package one | USD |
+//! | `default.usda` | an empty stage, z up, meters: the layer that makes the package one | USD |
 //! | `metadata.yaml` | scene id, sensors, time range | AlpaSim |
 //! | `rig_trajectories.json` | rig poses, camera calibrations (`ftheta`, `opencv-pinhole`, `opencv-fisheye`), frames of the cameras | both |
 //! | `sequence_tracks.json` | boxes and poses of the agents; the sequence is called as CARLA's script wants it | both |
@@ -72,7 +72,7 @@ impl PackOptions {
     }
 }
 
-/// A mesh as a binary PLY: vertices in metres, three of them a triangle.
+/// A mesh as a binary PLY: vertices in meters, three of them a triangle.
 #[must_use]
 pub fn ground_mesh_ply(vertices: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<u8> {
     let mut file = format!(

@@ -94,7 +94,7 @@ pub(super) fn rig_trajectories(scene: &SceneFile, options: &PackOptions, span_s:
     })
 }
 
-/// Earth-centred from local coordinates where the map says where on Earth it is; else the place of the origin in the world.
+/// Earth-centerd from local coordinates where the map says where on Earth it is; else the place of the origin in the world.
 fn earth_from_local(scene: &SceneFile, options: &PackOptions) -> Pose {
     let in_world = Pose { translation: scene.origin, ..Pose::IDENTITY };
     let place = options.map.as_deref().and_then(geographic_origin);

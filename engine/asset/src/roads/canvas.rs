@@ -8,9 +8,9 @@ use super::illumination::Illumination;
 /// A disc that covers a piece of a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Disc {
-    /// Relative to the origin, metres.
+    /// Relative to the origin, meters.
     pub(super) middle: Vec3,
-    /// Along the surface; its length is the standard deviation, metres.
+    /// Along the surface; its length is the standard deviation, meters.
     pub(super) along: Vec3,
     /// The same at right angles to it.
     pub(super) across: Vec3,
@@ -85,11 +85,11 @@ impl Canvas {
             cloud.scales.push([along_m, across_m, (along_m.min(across_m) * FLATNESS).max(1e-3)]);
             cloud.rotations.push([rotation.w, rotation.x, rotation.y, rotation.z]);
             cloud.opacities.push(OPACITY);
-            let colour = match disc.look {
+            let color = match disc.look {
                 Look::Lit { .. } => light.shown(disc.albedo, normal),
                 Look::Shown => disc.albedo,
             };
-            cloud.sh_dc.push(((colour - 0.5) / sh::Y0 as f32).to_array());
+            cloud.sh_dc.push(((color - 0.5) / sh::Y0 as f32).to_array());
             let mirrors = match disc.look {
                 Look::Lit { gloss } if normal.z > 0.9 => gloss,
                 _ => 0.0,

@@ -10,13 +10,13 @@ use crate::street::random::{Stream, cell, fractal_noise};
 use crate::street::surface::display;
 use decouplegs_scene::LaneKind;
 
-/// From one try for a house to the next along a lane, metres.
+/// From one try for a house to the next along a lane, meters.
 const TRY_EVERY_M: f32 = 16.0;
 
 /// Most houses of a place.
 const HOUSES_MAX: usize = 600;
 
-/// Free between a house and any lane, metres.
+/// Free between a house and any lane, meters.
 const CLEAR_M: f32 = 4.0;
 
 /// Width of a patch of wall over the spacing on roads.
@@ -29,7 +29,7 @@ const UNSEEN: f32 = 4.0;
 /// Standard deviation of a disc over the width of its patch.
 const SCALE_OVER_PATCH: f32 = 0.62;
 
-/// Storeys and bays of windows, metres.
+/// Storeys and bays of windows, meters.
 const STOREY_M: f32 = 3.2;
 const BAY_M: f32 = 3.0;
 
@@ -42,7 +42,7 @@ pub(super) struct House {
     pub(super) middle: Vec3,
     /// Unit, along its front.
     ahead: Vec2,
-    /// Half its length and depth, and its height, metres.
+    /// Half its length and depth, and its height, meters.
     half_length_m: f32,
     half_depth_m: f32,
     height_m: f32,
@@ -54,7 +54,7 @@ pub(super) struct House {
 }
 
 impl House {
-    /// Radius of the circle about it on the plane, metres.
+    /// Radius of the circle about it on the plane, meters.
     pub(super) fn radius_m(&self) -> f32 {
         self.half_length_m.hypot(self.half_depth_m)
     }
@@ -142,25 +142,25 @@ pub(super) fn walls(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
             (corner(-1.0, 1.0), -side * depth_m, ASIDE),
         ];
         for (number, (start, along, share)) in walls.into_iter().enumerate() {
-            let colour = |along_m: f32, up_m: f32| wall(house, number as u64, (along_m, up_m), is_dark);
-            tiles(canvas, (start, along, up), patch_m(share), colour);
+            let color = |along_m: f32, up_m: f32| wall(house, number as u64, (along_m, up_m), is_dark);
+            tiles(canvas, (start, along, up), patch_m(share), color);
         }
-        let colour = |along_m: f32, up_m: f32| {
+        let color = |along_m: f32, up_m: f32| {
             let tone = fractal_noise(house.number, along_m * 0.5, up_m * 0.5, 2);
             (house.roof * (0.75 + 0.5 * tone), Look::Lit { gloss: 0.0 })
         };
-        tiles(canvas, (corner(-1.0, -1.0) + up, ahead * length_m, side * depth_m), patch_m(UNSEEN), colour);
+        tiles(canvas, (corner(-1.0, -1.0) + up, ahead * length_m, side * depth_m), patch_m(UNSEEN), color);
     }
 }
 
-/// A rectangle of discs, coloured by where they are along and up, metres.
-fn tiles(canvas: &mut Canvas, (start, along, up): (Vec3, Vec3, Vec3), patch_m: f32, colour: impl Fn(f32, f32) -> (Vec3, Look)) {
+/// A rectangle of discs, colored by where they are along and up, meters.
+fn tiles(canvas: &mut Canvas, (start, along, up): (Vec3, Vec3, Vec3), patch_m: f32, color: impl Fn(f32, f32) -> (Vec3, Look)) {
     let (length_m, height_m) = (along.length(), up.length());
     let (columns, rows) = ((length_m / patch_m).ceil().max(1.0), (height_m / patch_m).ceil().max(1.0));
     for row in 0..rows as u32 {
         for column in 0..columns as u32 {
             let (u, v) = ((column as f32 + 0.5) / columns, (row as f32 + 0.5) / rows);
-            let (albedo, look) = colour(u * length_m, v * height_m);
+            let (albedo, look) = color(u * length_m, v * height_m);
             let (spread_along, spread_up) = (along * (SCALE_OVER_PATCH / columns), up * (SCALE_OVER_PATCH / rows));
             canvas.push(Disc { middle: start + along * u + up * v, along: spread_along, across: spread_up, albedo, look });
         }

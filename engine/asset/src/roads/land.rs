@@ -8,10 +8,10 @@ use super::strip_index::StripIndex;
 use crate::street::random::{fractal_noise, smoothstep};
 use crate::street::surface::display;
 
-/// Below the roads, so that it never covers them, metres.
+/// Below the roads, so that it never covers them, meters.
 const BELOW_ROADS_M: f32 = 0.04;
 
-/// Paved beside the roads, metres.
+/// Paved beside the roads, meters.
 const PAVED_M: f32 = 2.2;
 
 /// Width of a cell over its distance from the nearest road.

@@ -32,7 +32,7 @@ use strips::{Strip, strips};
 /// Options of the synthesis of a map's roads.
 #[derive(Clone, Debug)]
 pub struct RoadsOptions {
-    /// Splats, all in all. A kilometre of road with two lanes looks sharp from about 100,000 on.
+    /// Splats, all in all. A kilometer of road with two lanes looks sharp from about 100,000 on.
     pub splats: usize,
     /// The light, lat-long. None: an overcast sky.
     pub probe: Option<Probe>,
@@ -42,7 +42,7 @@ pub struct RoadsOptions {
     pub sh_degree: u8,
     /// Houses and the wear of surfaces follow from it.
     pub seed: u64,
-    /// Points of the way that cameras take, world coordinates in metres: splats are the smaller the nearer to it. Empty: roads
+    /// Points of the way that cameras take, world coordinates in meters: splats are the smaller the nearer to it. Empty: roads
     /// are alike everywhere.
     pub way_m: Vec<DVec3>,
 }
@@ -79,7 +79,7 @@ pub struct RoadsScene {
 /// Least share of the splats that the sky has.
 const DOME_SHARE: f64 = 0.08;
 
-/// Largest spacing of splats on roads that is tried, metres. What does not fit at this spacing is left out.
+/// Largest spacing of splats on roads that is tried, meters. What does not fit at this spacing is left out.
 const SPACING_M_MAX: f32 = 12.0;
 
 /// Number of spacings that are tried, and the share of the requested count that is enough. The sky
@@ -158,7 +158,7 @@ impl Drawn {
 
     /// Factor on spacings at a place: 1 where cameras pass, and everywhere without a way.
     fn coarseness(&self, position: Vec3) -> f32 {
-        /// Distance from the way at which spacings have doubled, metres.
+        /// Distance from the way at which spacings have doubled, meters.
         const DOUBLED_AT_M: f32 = 14.0;
         let to_leg_m = |leg: &[Vec3]| {
             let (along, offset) = ((leg[1] - leg[0]).truncate(), (position - leg[0]).truncate());

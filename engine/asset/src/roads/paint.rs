@@ -6,13 +6,13 @@ use glam::{Vec2, Vec3};
 use super::strip_index::{Hit, StripIndex};
 use super::strips::Section;
 
-/// Width of a line, metres.
+/// Width of a line, meters.
 pub(super) const LINE_M: f32 = 0.14;
 
 /// Length of a dash; the gap behind it is twice as long.
 pub(super) const DASH_M: f32 = 3.0;
 
-/// A border so deep in another lane is no edge of the road, metres.
+/// A border so deep in another lane is no edge of the road, meters.
 const INSIDE_M: f32 = 0.35;
 
 /// Distance beyond the border at which the neighbor lane is looked up, meters.
@@ -24,7 +24,7 @@ pub(super) enum Line {
     /// No line: other lanes run across the border, or nobody drives there.
     None,
     /// The lane on the other side paints it.
-    OfNeighbour,
+    OfNeighbor,
     /// Lanes in the same direction on both sides.
     Dashed,
     /// The edge of the road, or traffic against it on the other side.
@@ -41,13 +41,13 @@ pub(super) fn line(index: &StripIndex, strip: usize, section: &Section, ahead: V
     let outward = (border - other).normalize_or(Vec3::Y);
     let beyond: Vec<Hit> = index.at(border + outward * BEYOND_M).filter(drives).collect();
     let is_driven = index.strips[strip].kind == LaneKind::Driving;
-    let Some(neighbour) = beyond.iter().map(|hit| hit.strip).min() else {
+    let Some(neighbor) = beyond.iter().map(|hit| hit.strip).min() else {
         return if is_driven { Line::Solid } else { Line::None };
     };
     // Of two lanes that share a border the first paints it; sidewalks leave it free.
-    if neighbour < strip || !is_driven {
-        return Line::OfNeighbour;
+    if neighbor < strip || !is_driven {
+        return Line::OfNeighbor;
     }
-    let same_way = beyond.iter().any(|hit| hit.strip == neighbour && hit.ahead.dot(ahead) > 0.0);
+    let same_way = beyond.iter().any(|hit| hit.strip == neighbor && hit.ahead.dot(ahead) > 0.0);
     if same_way { Line::Dashed } else { Line::Solid }
 }

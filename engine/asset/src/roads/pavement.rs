@@ -14,7 +14,7 @@ use crate::street::surface::display;
 const ROW_OVER_SPACING: f32 = 1.6;
 const COLUMN_OVER_SPACING: f32 = 0.8;
 
-/// Longest row over the spacing, metres: bends are followed.
+/// Longest row over the spacing, meters: bends are followed.
 const ROW_M_MAX: f32 = 6.0;
 
 /// Ratio of the widths of neighboring columns, away from a line.
@@ -26,7 +26,7 @@ pub(super) const SCALE_OVER_ROW: f32 = 0.7;
 const SCALE_OVER_COLUMN: f32 = 0.68;
 const SCALE_BESIDE_LINE: f32 = 0.46;
 
-/// Sidewalks lie above the road, metres.
+/// Sidewalks lie above the road, meters.
 const KERB_M: f32 = 0.09;
 
 pub(super) fn pavement(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
@@ -86,7 +86,7 @@ impl<'a> Row<'a> {
         for (line, border) in self.lines.into_iter().zip([self.section.right, self.section.left]) {
             let dash = ((self.at_m + 0.5 * self.length_m) / DASH_M).floor() as i64 % 3 == 0;
             match line {
-                Line::None | Line::OfNeighbour => {}
+                Line::None | Line::OfNeighbor => {}
                 Line::Dashed if !dash => {
                     let albedo = self.albedo(place.seed, border, 0.0);
                     canvas.push(self.disc(border, SCALE_OVER_COLUMN * LINE_M, albedo, gloss(self.strip.kind)));

@@ -6,13 +6,13 @@ use glam::{Vec2, Vec3};
 
 use super::strip_index::StripIndex;
 
-/// Land beyond the outermost lanes, metres.
+/// Land beyond the outermost lanes, meters.
 const MARGIN_M: f32 = 350.0;
 
 /// Cells a side at most.
 const CELLS_MAX: f32 = 512.0;
 
-/// Smallest width of a cell, metres.
+/// Smallest width of a cell, meters.
 const CELL_M_MIN: f32 = 4.0;
 
 /// Number of times that heights off the roads are averaged with their neighbors: embankments become
@@ -59,8 +59,8 @@ impl Relief {
         (cell.y as usize).min(self.rows - 1) * self.columns + (cell.x as usize).min(self.columns - 1)
     }
 
-    /// Up to four neighbours of a cell.
-    fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
+    /// Up to four neighbors of a cell.
+    fn neighbors(&self, cell: usize) -> impl Iterator<Item = usize> {
         let (column, row) = (cell % self.columns, cell / self.columns);
         let (columns, rows) = (self.columns, self.rows);
         let sides = [
@@ -85,7 +85,7 @@ impl Relief {
             self.distance_m[cell] = 0.0;
         }
         while let Some(cell) = queue.pop_front() {
-            for next in self.neighbours(cell).collect::<Vec<_>>() {
+            for next in self.neighbors(cell).collect::<Vec<_>>() {
                 if self.distance_m[next] == f32::MAX {
                     self.distance_m[next] = self.distance_m[cell] + self.cell_m;
                     self.height_m[next] = self.height_m[cell];
@@ -96,14 +96,14 @@ impl Relief {
         for _ in 0..SMOOTHINGS {
             let smoothed = |cell: usize| {
                 let (sum, count) =
-                    self.neighbours(cell).fold((0.0, 0.0), |(sum, count), next| (sum + self.height_m[next], count + 1.0));
+                    self.neighbors(cell).fold((0.0, 0.0), |(sum, count), next| (sum + self.height_m[next], count + 1.0));
                 if self.distance_m[cell] == 0.0 || count == 0.0 { self.height_m[cell] } else { sum / count }
             };
             self.height_m = (0..self.height_m.len()).map(smoothed).collect();
         }
     }
 
-    /// Height of the land, bilinear between the middles of cells, metres.
+    /// Height of the land, bilinear between the middles of cells, meters.
     pub(super) fn height_m(&self, point: Vec2) -> f32 {
         let half = 0.5 * self.cell_m;
         let place = (point - self.corner) / self.cell_m - 0.5;
@@ -117,19 +117,19 @@ impl Relief {
         low + (high - low) * place.y
     }
 
-    /// About how far the nearest lane is, metres; beyond the grid as at its border.
+    /// About how far the nearest lane is, meters; beyond the grid as at its border.
     pub(super) fn distance_m(&self, point: Vec2) -> f32 {
         let distance_m = self.distance_m[self.cell(point)];
         if distance_m == f32::MAX { MARGIN_M } else { distance_m }
     }
 
-    /// From the origin to the corners of the grid, metres.
+    /// From the origin to the corners of the grid, meters.
     pub(super) fn reach_m(&self) -> f32 {
         let far = self.corner + Vec2::new(self.columns as f32, self.rows as f32) * self.cell_m;
         self.corner.abs().max(far.abs()).length()
     }
 
-    /// Mean height of all lanes, metres.
+    /// Mean height of all lanes, meters.
     pub(super) fn mean_z_m(&self) -> f32 {
         self.mean_z_m
     }

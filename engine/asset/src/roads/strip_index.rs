@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 
 use super::strips::{Section, Strip};
 
-/// Width of the cells in which pieces of lanes are looked up, metres.
+/// Width of the cells in which pieces of lanes are looked up, meters.
 const CELL_M: f32 = 6.0;
 
-/// Decks farther apart are not the same road, metres.
+/// Decks farther apart are not the same road, meters.
 const STOREY_M: f32 = 2.5;
 
 /// A piece of a lane between two sections.
@@ -23,7 +23,7 @@ struct Piece {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     pub(super) strip: usize,
-    /// To the nearer border, metres.
+    /// To the nearer border, meters.
     pub(super) depth_m: f32,
     /// Unit, where traffic goes.
     pub(super) ahead: Vec2,
@@ -100,13 +100,13 @@ impl StripIndex {
 
     /// True if lane `strip` paves a place that it lies on: of all lanes there one does.
     pub(super) fn owns(&self, strip: usize, point: Vec3) -> bool {
-        /// Neighbours overlap by less, metres: both pave their seam.
+        /// Neighbors overlap by less, meters: both pave their seam.
         const SEAM_M: f32 = 0.25;
         let key = |strip: usize| (rank(self.strips[strip].kind), strip);
         self.at(point).all(|hit| hit.strip == strip || hit.depth_m < SEAM_M || key(strip) < key(hit.strip))
     }
 
-    /// Distance on the plane to the nearest lane, metres, 0 on one; at most [`StripIndex::NEAR_M`].
+    /// Distance on the plane to the nearest lane, meters, 0 on one; at most [`StripIndex::NEAR_M`].
     pub(super) fn distance_m(&self, point: Vec2) -> f32 {
         let (i, j) = cell_of(point);
         let cells = (i - 1..=i + 1).flat_map(|i| (j - 1..=j + 1).map(move |j| (i, j)));
@@ -114,7 +114,7 @@ impl StripIndex {
         pieces.map(|piece| self.distance_to_piece_m(*piece, point)).fold(Self::NEAR_M, f32::min)
     }
 
-    /// Beyond, distances are not told apart, metres.
+    /// Beyond, distances are not told apart, meters.
     pub(super) const NEAR_M: f32 = CELL_M;
 
     fn distance_to_piece_m(&self, piece: Piece, point: Vec2) -> f32 {

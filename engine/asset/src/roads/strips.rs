@@ -3,22 +3,22 @@
 use decouplegs_scene::{Lane, LaneKind, LaneMap};
 use glam::{DVec2, DVec3, Vec3};
 
-/// From one section to the next, metres: a chord of it departs 2 cm from an arc of 6 m radius.
+/// From one section to the next, meters: a chord of it departs 2 cm from an arc of 6 m radius.
 const STEP_M: f64 = 1.0;
 
 /// Most sections of a map; beyond, steps grow.
 const SECTIONS_MAX: f64 = 400_000.0;
 
-/// Lanes farther from the first are another place, metres.
+/// Lanes farther from the first are another place, meters.
 const REACH_M: f64 = 50_000.0;
 
-/// Half the width of a lane whose file tells none, metres.
+/// Half the width of a lane whose file tells none, meters.
 const HALF_WIDTH_M: f64 = 1.75;
 
-/// Wider lanes are mistakes of their file, metres.
+/// Wider lanes are mistakes of their file, meters.
 const WIDTH_M_MAX: f32 = 60.0;
 
-/// A cut across a lane, relative to the origin, metres.
+/// A cut across a lane, relative to the origin, meters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Section {
     pub(super) left: Vec3,
@@ -57,7 +57,7 @@ impl Strip {
         Self { kind, sections, along_m }
     }
 
-    /// Metres.
+    /// Meters.
     pub(super) fn length_m(&self) -> f32 {
         self.along_m[self.along_m.len() - 1]
     }
@@ -74,10 +74,10 @@ impl Strip {
 /// The lanes of `map` as strips relative to the middle of them all, and that middle.
 pub(super) fn strips(map: &LaneMap) -> (Vec<Strip>, DVec3) {
     let good = |points: &[DVec3]| points.len() >= 2 && points.iter().all(|point| point.is_finite());
-    let first = map.lanes.iter().find(|lane| good(&lane.centreline)).map(|lane| lane.centreline[0]);
+    let first = map.lanes.iter().find(|lane| good(&lane.centerline)).map(|lane| lane.centerline[0]);
     let Some(first) = first else { return (Vec::new(), DVec3::ZERO) };
     let near = |points: &[DVec3]| points.iter().all(|point| point.distance(first) < REACH_M);
-    let lines = map.lanes.iter().filter(|lane| good(&lane.centreline)).map(|lane| (lane.kind, borders(lane)));
+    let lines = map.lanes.iter().filter(|lane| good(&lane.centerline)).map(|lane| (lane.kind, borders(lane)));
     let lines: Vec<(LaneKind, [Vec<DVec3>; 2])> =
         lines.filter(|(_, [left, right])| good(left) && good(right) && near(left) && near(right)).collect();
     let points = || lines.iter().flat_map(|(_, borders)| borders.iter().flatten());
@@ -99,19 +99,19 @@ pub(super) fn strips(map: &LaneMap) -> (Vec<Strip>, DVec3) {
     (lines.iter().map(strip).filter(drawable).collect(), origin)
 }
 
-/// Left and right of a lane. Where the file tells one or none, they are laid about the centreline.
+/// Left and right of a lane. Where the file tells one or none, they are laid about the centerline.
 fn borders(lane: &Lane) -> [Vec<DVec3>; 2] {
     let known = |border: &[DVec3]| border.len() >= 2;
     let mirrored = |border: &[DVec3]| {
-        let steps = (lane.centreline.len() + border.len()).min(100_000);
-        let pairs = spread(&lane.centreline, steps).into_iter().zip(spread(border, steps));
+        let steps = (lane.centerline.len() + border.len()).min(100_000);
+        let pairs = spread(&lane.centerline, steps).into_iter().zip(spread(border, steps));
         pairs.map(|(middle, border)| 2.0 * middle - border).collect()
     };
     match (known(&lane.left), known(&lane.right)) {
         (true, true) => [lane.left.clone(), lane.right.clone()],
         (true, false) => [lane.left.clone(), mirrored(&lane.left)],
         (false, true) => [mirrored(&lane.right), lane.right.clone()],
-        (false, false) => [offset(&lane.centreline, HALF_WIDTH_M), offset(&lane.centreline, -HALF_WIDTH_M)],
+        (false, false) => [offset(&lane.centerline, HALF_WIDTH_M), offset(&lane.centerline, -HALF_WIDTH_M)],
     }
 }
 

@@ -13,13 +13,13 @@ const CORNER: DVec3 = DVec3::new(458_000.0, 5_428_000.0, 112.0);
 /// The middle of [`map`].
 const MIDDLE: DVec3 = DVec3::new(458_100.0, 5_428_000.0, 112.0);
 
-/// A lane of 3.5 m along `ahead` (x or y) whose middle passes `at`, metres from the corner.
+/// A lane of 3.5 m along `ahead` (x or y) whose middle passes `at`, meters from the corner.
 fn lane(id: &str, at: DVec3, ahead: DVec3, length_m: f64) -> Lane {
     let left = DVec3::Z.cross(ahead) * 1.75;
     let line = |offset: DVec3| vec![CORNER + at + offset, CORNER + at + offset + ahead * length_m];
     Lane {
         id: id.into(),
-        centreline: line(DVec3::ZERO),
+        centerline: line(DVec3::ZERO),
         left: line(left),
         right: line(-left),
         has_height: true,
@@ -51,12 +51,12 @@ fn lines_are_dashed_between_lanes_of_one_direction_solid_at_edges_and_absent_on_
         line(&index, strip, &section, ahead, on_left)
     };
     assert_eq!((at(0, 40.0, false), at(0, 40.0, true)), (Line::Solid, Line::Dashed), "the edge, and between equals");
-    assert_eq!((at(1, 40.0, false), at(1, 40.0, true)), (Line::OfNeighbour, Line::Solid), "painted once; against traffic");
-    assert_eq!((at(2, 40.0, false), at(2, 40.0, true)), (Line::Solid, Line::OfNeighbour));
+    assert_eq!((at(1, 40.0, false), at(1, 40.0, true)), (Line::OfNeighbor, Line::Solid), "painted once; against traffic");
+    assert_eq!((at(2, 40.0, false), at(2, 40.0, true)), (Line::Solid, Line::OfNeighbor));
     for (strip, middle_m) in [(0, 100.0), (1, 100.0), (2, 100.0), (3, 60.0)] {
         assert_eq!([false, true].map(|on_left| at(strip, middle_m, on_left)), [Line::None; 2], "strip {strip} on the crossing");
     }
-    assert_eq!((at(4, 40.0, false), at(4, 40.0, true)), (Line::None, Line::OfNeighbour), "a sidewalk has none, and covers none");
+    assert_eq!((at(4, 40.0, false), at(4, 40.0, true)), (Line::None, Line::OfNeighbor), "a sidewalk has none, and covers none");
 }
 
 /// Discs that show paint, by how bright they are.
@@ -128,12 +128,12 @@ fn counts_are_exact_bits_are_the_same_and_splats_are_whole() {
 /// Mean display value of splats that lie on the road.
 fn brightness_of_road(scene: &RoadsScene) -> f32 {
     let on_road = |mean: &[f32; 3]| mean[0].abs() < 90.0 && mean[1].abs() < 1.0 && mean[2].abs() < 0.3;
-    let colours: Vec<f32> = (scene.background.means.iter().zip(&scene.background.sh_dc))
+    let colors: Vec<f32> = (scene.background.means.iter().zip(&scene.background.sh_dc))
         .filter(|(mean, _)| on_road(mean))
         .map(|(_, dc)| 0.5 + sh::Y0 as f32 * dc[1])
         .collect();
-    assert!(colours.len() > 40, "{}", colours.len());
-    colours.iter().sum::<f32>() / colours.len() as f32
+    assert!(colors.len() > 40, "{}", colors.len());
+    colors.iter().sum::<f32>() / colors.len() as f32
 }
 
 #[test]
@@ -168,10 +168,10 @@ fn splats_are_finer_along_the_way_of_the_cameras() {
 fn maps_that_are_no_maps_are_land_under_a_sky() {
     let options = RoadsOptions { splats: 3_000, ..RoadsOptions::default() };
     assert_eq!(generate(&LaneMap::default(), &options).background.len(), 3_000);
-    let point = Lane { centreline: vec![CORNER; 2], ..Lane::default() };
-    let nowhere = Lane { centreline: vec![DVec3::NAN, CORNER], ..Lane::default() };
-    let endless = Lane { centreline: vec![CORNER, DVec3::splat(1e300)], ..Lane::default() };
-    let long = Lane { centreline: vec![CORNER, CORNER + DVec3::X * 40_000.0], ..Lane::default() };
+    let point = Lane { centerline: vec![CORNER; 2], ..Lane::default() };
+    let nowhere = Lane { centerline: vec![DVec3::NAN, CORNER], ..Lane::default() };
+    let endless = Lane { centerline: vec![CORNER, DVec3::splat(1e300)], ..Lane::default() };
+    let long = Lane { centerline: vec![CORNER, CORNER + DVec3::X * 40_000.0], ..Lane::default() };
     let wide = Lane { left: vec![CORNER, CORNER + DVec3::Y * 1e4], ..lane("wide", DVec3::ZERO, DVec3::X, 1e3) };
     let scene = generate(&LaneMap { lanes: vec![point, nowhere, endless, long, wide], offset: DVec3::ZERO }, &options);
     assert_eq!(scene.background.len(), 3_000);

@@ -5,7 +5,7 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use decouplegs_scene::scenario::{Behaviour, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
 use decouplegs_scene::{Scenario, VehicleSize};
 
 /// Most agents of a scenario.
@@ -27,8 +27,8 @@ const LANE_BYTES_MAX: usize = 1000;
 /// Lanes of a route.
 const ROUTE_LANES_MAX: usize = 10_000;
 
-/// Behaviours of an agent.
-const BEHAVIOURS_MAX: usize = 100;
+/// Behaviors of an agent.
+const BEHAVIORS_MAX: usize = 100;
 
 /// Splats of a background and of an agent: beyond what devices hold.
 const BACKGROUND_SPLATS_MAX: usize = 200_000_000;
@@ -54,7 +54,7 @@ pub(super) enum Table {
     Place,
     Ego,
     Agent(usize),
-    Behaviour(usize, usize),
+    Behavior(usize, usize),
 }
 
 impl fmt::Display for Table {
@@ -64,7 +64,7 @@ impl fmt::Display for Table {
             Self::Place => formatter.write_str("place"),
             Self::Ego => formatter.write_str("ego"),
             Self::Agent(agent) => write!(formatter, "agent[{agent}]"),
-            Self::Behaviour(agent, behaviour) => write!(formatter, "agent[{agent}].behaviour[{behaviour}]"),
+            Self::Behavior(agent, behavior) => write!(formatter, "agent[{agent}].behavior[{behavior}]"),
         }
     }
 }
@@ -102,12 +102,12 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
             let reason = format!("'{}' is taken; names must differ", agent.name);
             return Err(Fault::new(Table::Agent(index), "name", reason));
         }
-        if agent.behaviours.len() > BEHAVIOURS_MAX {
-            let reason = format!("{} behaviours; expected at most {BEHAVIOURS_MAX}", agent.behaviours.len());
-            return Err(Fault::new(Table::Behaviour(index, BEHAVIOURS_MAX), "maneuver", reason));
+        if agent.behaviors.len() > BEHAVIORS_MAX {
+            let reason = format!("{} behaviors; expected at most {BEHAVIORS_MAX}", agent.behaviors.len());
+            return Err(Fault::new(Table::Behavior(index, BEHAVIORS_MAX), "maneuver", reason));
         }
-        for (at, behaviour) in agent.behaviours.iter().enumerate() {
-            check_behaviour(Table::Behaviour(index, at), behaviour)?;
+        for (at, behavior) in agent.behaviors.iter().enumerate() {
+            check_behavior(Table::Behavior(index, at), behavior)?;
         }
     }
     Ok(())
@@ -203,12 +203,12 @@ fn check_agent(table: Table, agent: &TrafficAgent) -> Result<(), Fault> {
     within(table, "speed_mps", agent.speed_mps, &SPEED_MPS)
 }
 
-fn check_behaviour(table: Table, behaviour: &Behaviour) -> Result<(), Fault> {
-    match behaviour.trigger {
+fn check_behavior(table: Table, behavior: &Behavior) -> Result<(), Fault> {
+    match behavior.trigger {
         Trigger::Time { time_s } => within(table, "at_time_s", time_s, &(0.0..=DURATION_S_MAX))?,
         Trigger::NearEgo { distance_m } => within(table, "near_ego_m", distance_m, &NEAR_EGO_M)?,
     }
-    match behaviour.maneuver {
+    match behavior.maneuver {
         Maneuver::Brake { deceleration_mps2, duration_s } => {
             within(table, "deceleration_mps2", deceleration_mps2, &DECELERATION_MPS2)?;
             within(table, "duration_s", duration_s, &MANEUVER_S)

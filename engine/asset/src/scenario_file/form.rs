@@ -1,6 +1,6 @@
 //! The TOML form of a scenario: what serde sees, and how a [`Scenario`] is made of it.
 
-use decouplegs_scene::scenario::{Behaviour, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
@@ -104,8 +104,9 @@ pub(super) struct AgentForm {
     pub(super) driver: String,
     #[serde(default = "default_changes_lanes")]
     pub(super) changes_lanes: bool,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub(super) behaviour: Vec<Spanned<BehaviourForm>>,
+    // Older files have `behaviour`.
+    #[serde(default, alias = "behaviour", skip_serializing_if = "Vec::is_empty")]
+    pub(super) behavior: Vec<Spanned<BehaviorForm>>,
 }
 
 fn default_driver() -> String {
@@ -118,7 +119,7 @@ fn default_changes_lanes() -> bool {
 
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct BehaviourForm {
+pub(super) struct BehaviorForm {
     pub(super) maneuver: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) at_time_s: Option<f64>,
@@ -145,7 +146,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
             },
             Table::Ego => form.ego.span(),
             Table::Agent(agent) => form.agent[agent].span(),
-            Table::Behaviour(agent, behaviour) => form.agent[agent].get_ref().behaviour[behaviour].span(),
+            Table::Behavior(agent, behavior) => form.agent[agent].get_ref().behavior[behavior].span(),
         };
         Checker { text }.error(&start, &fault.table.to_string(), fault.field, fault.reason)
     };
@@ -215,7 +216,7 @@ fn ego(form: &EgoForm) -> EgoTask {
 
 fn agent(at: usize, form: &AgentForm) -> Result<TrafficAgent, Fault> {
     let drivers = DriverKind::ALL.map(DriverKind::name);
-    let behaviours = form.behaviour.iter().enumerate();
+    let behaviors = form.behavior.iter().enumerate();
     Ok(TrafficAgent {
         name: form.name.clone(),
         asset: form.asset,
@@ -225,13 +226,13 @@ fn agent(at: usize, form: &AgentForm) -> Result<TrafficAgent, Fault> {
         speed_mps: form.speed_mps,
         driver: named(&form.driver, DriverKind::by_name, &drivers, Table::Agent(at), "driver")?,
         changes_lanes: form.changes_lanes,
-        behaviours: behaviours
-            .map(|(index, form)| behaviour(form.get_ref(), Table::Behaviour(at, index)))
+        behaviors: behaviors
+            .map(|(index, form)| behavior(form.get_ref(), Table::Behavior(at, index)))
             .collect::<Result<_, _>>()?,
     })
 }
 
-fn behaviour(form: &BehaviourForm, table: Table) -> Result<Behaviour, Fault> {
+fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
     let trigger = match (form.at_time_s, form.near_ego_m) {
         (Some(time_s), None) => Trigger::Time { time_s },
         (None, Some(distance_m)) => Trigger::NearEgo { distance_m },
@@ -264,5 +265,5 @@ fn behaviour(form: &BehaviourForm, table: Table) -> Result<Behaviour, Fault> {
         }
         _ => return Err(Fault::new(table, "maneuver", format!("'{name}' is unknown; there are brake, cut_in, swerve"))),
     };
-    Ok(Behaviour { trigger, maneuver })
+    Ok(Behavior { trigger, maneuver })
 }

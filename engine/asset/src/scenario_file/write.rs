@@ -2,20 +2,20 @@
 
 use std::path::Path;
 
-use decouplegs_scene::scenario::{Behaviour, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{Behavior, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
 use decouplegs_scene::{Level, Scenario};
 use toml::Spanned;
 
 use super::VERSION;
 use super::check::check;
-use super::form::{AgentForm, BehaviourForm, EgoForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm, StreetForm};
+use super::form::{AgentForm, BehaviorForm, EgoForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm, StreetForm};
 use super::seed::Seed;
 use crate::EncodeError;
 
 /// Comment at the top of a scenario file, for people who edit it.
 const HEADING: &str = "\
 # A scenario: where an episode takes place, what the ego is to do there and who else is on the road.
-# Metres, seconds; vehicles are length, width, height; places on lanes are metres along. Change what you like and drive it again:
+# Meters, seconds; vehicles are length, width, height; places on lanes are meters along. Change what you like and drive it again:
 # the same file gives the same episode. What each key means, and its limits: engine/asset/scenario-file.md.
 ";
 
@@ -88,26 +88,26 @@ fn agent_form(agent: &TrafficAgent) -> AgentForm {
         speed_mps: agent.speed_mps,
         driver: agent.driver.name().to_owned(),
         changes_lanes: agent.changes_lanes,
-        behaviour: agent.behaviours.iter().map(|behaviour| spanless(behaviour_form(behaviour))).collect(),
+        behavior: agent.behaviors.iter().map(|behavior| spanless(behavior_form(behavior))).collect(),
     }
 }
 
-fn behaviour_form(behaviour: &Behaviour) -> BehaviourForm {
-    let (at_time_s, near_ego_m) = match behaviour.trigger {
+fn behavior_form(behavior: &Behavior) -> BehaviorForm {
+    let (at_time_s, near_ego_m) = match behavior.trigger {
         Trigger::Time { time_s } => (Some(time_s), None),
         Trigger::NearEgo { distance_m } => (None, Some(distance_m)),
     };
-    let form = BehaviourForm { at_time_s, near_ego_m, ..BehaviourForm::default() };
-    match behaviour.maneuver {
-        Maneuver::Brake { deceleration_mps2, duration_s } => BehaviourForm {
+    let form = BehaviorForm { at_time_s, near_ego_m, ..BehaviorForm::default() };
+    match behavior.maneuver {
+        Maneuver::Brake { deceleration_mps2, duration_s } => BehaviorForm {
             maneuver: "brake".into(),
             deceleration_mps2: Some(deceleration_mps2),
             duration_s: Some(duration_s),
             ..form
         },
-        Maneuver::CutIn => BehaviourForm { maneuver: "cut_in".into(), ..form },
+        Maneuver::CutIn => BehaviorForm { maneuver: "cut_in".into(), ..form },
         Maneuver::Swerve { amplitude_m, duration_s } => {
-            BehaviourForm { maneuver: "swerve".into(), amplitude_m: Some(amplitude_m), duration_s: Some(duration_s), ..form }
+            BehaviorForm { maneuver: "swerve".into(), amplitude_m: Some(amplitude_m), duration_s: Some(duration_s), ..form }
         }
     }
 }

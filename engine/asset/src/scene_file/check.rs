@@ -99,7 +99,7 @@ impl Checker<'_> {
             let lens = lens.map_err(|reason| self.error(&span, &table, "lens", reason))?;
             let focal_px = |given: Option<f64>, axis: usize, field: &str| match (given, &lens) {
                 (Some(focal_px), _) => Ok(focal_px),
-                (None, Lens::FTheta(lens)) => Ok(lens.centre_focal_px()[axis]),
+                (None, Lens::FTheta(lens)) => Ok(lens.center_focal_px()[axis]),
                 (None, _) => Err(self.error(&span, &table, field, format!("missing field '{field}'"))),
             };
             let intrinsics = Intrinsics {

@@ -40,7 +40,7 @@ pub enum EditError {
         max: usize,
     },
     /// The motion leads nowhere.
-    #[error("agent {name:?} cannot be moved: {reason}; expected finite numbers of metres and radians")]
+    #[error("agent {name:?} cannot be moved: {reason}; expected finite numbers of meters and radians")]
     Motion {
         /// The agent that was to be moved.
         name: String,
@@ -72,7 +72,7 @@ impl EditError {
 pub fn begun_at(trajectory: &Trajectory, position_m: DVec3, yaw_rad: f64) -> Result<Trajectory, String> {
     let first = trajectory.poses()[0].pose;
     let turn = DQuat::from_rotation_z(yaw_rad - heading_rad(&first));
-    // Relative to the first pose: in UTM coordinates a turn about the origin would cost a nanometre and look odd in the file.
+    // Relative to the first pose: in UTM coordinates a turn about the origin would cost a nanometer and look odd in the file.
     each_pose(trajectory, |pose| Pose {
         rotation: (turn * pose.rotation).normalize(),
         translation: position_m + turn * (pose.translation - first.translation),
@@ -137,7 +137,7 @@ impl SceneFile {
         Ok(())
     }
 
-    /// Lets the agent called `name` show `asset`, a path relative to the scene file. Its colours are meant as that asset says,
+    /// Lets the agent called `name` show `asset`, a path relative to the scene file. Its colors are meant as that asset says,
     /// whatever the file said of the asset before.
     ///
     /// Its pose stays: an asset of another height stands with its middle where the other's was.

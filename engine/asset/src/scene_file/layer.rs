@@ -15,7 +15,7 @@ pub enum Layer {
     /// The scene as if no agent had ever been there: without them and without their shadows.
     Background,
     /// The agents over nothing, in the light that the whole background throws on them. The sky is black and lets through, so
-    /// that colour is premultiplied by alpha.
+    /// that color is premultiplied by alpha.
     Agents,
 }
 

@@ -284,7 +284,7 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     Ok(LoadedScene::of_world(World::of(in_spatial_order(&read_splats(path)?))))
 }
 
-/// Neighbours in memory are neighbours in space, so that runs of splats can be culled together.
+/// Neighbors in memory are neighbors in space, so that runs of splats can be culled together.
 fn in_spatial_order(cloud: &SplatCloud) -> SplatCloud {
     cloud.select(&cloud.spatial_order())
 }

@@ -41,7 +41,7 @@ pub fn is_scene_file(path: &Path) -> bool {
 /// A scene as its file describes it, checked: names are unique, poses rigid, times rise, intrinsics make pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneFile {
-    /// World coordinates of the point that the background's means are relative to, metres.
+    /// World coordinates of the point that the background's means are relative to, meters.
     pub origin: DVec3,
     /// Splats of the background, a path relative to the scene file.
     pub background: PathBuf,
@@ -64,7 +64,7 @@ pub struct SceneFile {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneLight {
     /// Effect of light on colors: a path relative to the scene file, written by `calibrate-light`.
-    /// None: colours stay.
+    /// None: colors stay.
     pub transfer: Option<PathBuf>,
     /// From how far the light is gathered.
     pub ambient: AmbientOptions,

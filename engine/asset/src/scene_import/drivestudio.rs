@@ -24,8 +24,8 @@ const RIGID: &str = "RigidNodes";
 const LEFT_OUT: [(&str, &str); 6] = [
     ("DeformableNodes", "what deforms (cyclists, say) needs its network"),
     ("SMPLNodes", "walking people need their body model"),
-    ("Sky", "the sky is a picture around the scene: set 'sky' in the scene file to a colour like it"),
-    ("Affine", "corrections of each camera's colours belong to its pictures"),
+    ("Sky", "the sky is a picture around the scene: set 'sky' in the scene file to a color like it"),
+    ("Affine", "corrections of each camera's colors belong to its pictures"),
     ("CamPose", "corrections of camera poses belong to its cameras"),
     ("CamPosePerturb", "perturbations of camera poses belong to training"),
 ];
@@ -54,12 +54,12 @@ pub(super) fn scene(checkpoint: &Checkpoint<'_>, models: &Node, options: &Import
     Ok(ImportedScene { source: "drivestudio", background, actors, notes })
 }
 
-/// The splats of a model. Without view-dependence drivestudio keeps colours as logits, not as harmonics.
+/// The splats of a model. Without view-dependence drivestudio keeps colors as logits, not as harmonics.
 fn cloud(checkpoint: &Checkpoint<'_>, model: &Node) -> Result<SplatCloud, DecodeError> {
     let mut cloud = cloud_of(checkpoint, model, &NAMES, plain_dc)?;
     if cloud.sh_degree == 0 {
-        for colour in &mut cloud.sh_dc {
-            *colour = colour.map(|logit| ((f64::from(sigmoid(logit)) - 0.5) / sh::Y0) as f32);
+        for color in &mut cloud.sh_dc {
+            *color = color.map(|logit| ((f64::from(sigmoid(logit)) - 0.5) / sh::Y0) as f32);
         }
     }
     Ok(cloud)

@@ -9,7 +9,7 @@
 //! harmonics in the directions of the world and do not turn them, so every actor's `sh_frame` is `world`.
 //!
 //! Left out, with a line in [`ImportedScene::notes`] each: what deforms or walks (`DeformableNodes`, `SMPLNodes`), skies, corrections
-//! of colours and of camera poses. A scene file cannot say that an actor is absent: before its first frame and after its last it
+//! of colors and of camera poses. A scene file cannot say that an actor is absent: before its first frame and after its last it
 //! stands there.
 
 mod drivestudio;

@@ -25,7 +25,7 @@ const BACKGROUND: &str = "background";
 const ACTOR: &str = "obj_";
 /// Prefix of the names of PLY elements, before the model's name.
 const ELEMENT: &str = "vertex_";
-/// Moments over which colours that change with time are averaged.
+/// Moments over which colors that change with time are averaged.
 const MOMENTS: usize = 64;
 /// Most terms of a Fourier series that are read; the trainer's default is 5.
 const TERMS_MAX: usize = 1024;
@@ -89,9 +89,9 @@ fn is_actor(name: &str) -> bool {
 fn left_out(name: &str) -> String {
     let shown: String = name.chars().take(40).collect();
     let why = match name {
-        "sky" | "sky_cubemap" => "the sky lies around the scene: set 'sky' in the scene file to a colour like it",
+        "sky" | "sky_cubemap" => "the sky lies around the scene: set 'sky' in the scene file to a color like it",
         "actor_pose" => "it holds corrections of tracks that are in the data set, not the tracks",
-        "color_correction" => "corrections of each camera's colours belong to its pictures",
+        "color_correction" => "corrections of each camera's colors belong to its pictures",
         "pose_correction" => "corrections of camera poses belong to its cameras",
         _ => "it is no model of splats that is known",
     };
@@ -100,7 +100,7 @@ fn left_out(name: &str) -> String {
 
 fn notes_on_time(over_time: usize, notes: &mut Vec<String>) {
     if over_time > 0 {
-        notes.push(format!("{over_time} models have colours that change with time (Fourier): their mean over time is kept"));
+        notes.push(format!("{over_time} models have colors that change with time (Fourier): their mean over time is kept"));
     }
 }
 
@@ -149,14 +149,14 @@ fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
     };
     let weights = mean_weights(terms)?;
     let mut values = tensor.f64s();
-    let mut colour = || {
+    let mut color = || {
         let mut sum = [0.0; 3];
         for weight in &weights {
             sum = sum.map(|channel: f64| channel + weight * values.next().unwrap_or_default());
         }
         sum.map(|channel| channel as f32)
     };
-    Ok((0..count).map(|_| colour()).collect())
+    Ok((0..count).map(|_| color()).collect())
 }
 
 /// Mean of each term of the series over time 0 to 1: cosines at even indices, sines at odd ones.
@@ -165,7 +165,7 @@ fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
 /// For more than 1024 terms.
 pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
     if terms > TERMS_MAX {
-        let told = format!("colours are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
+        let told = format!("colors are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
         return Err(DecodeError::Malformed(told));
     }
     let term = |term: usize, time: f64| {

@@ -2,7 +2,7 @@
 //!
 //! `meta.json` says how the pixels are meant, one pixel a splat, row by row: 16 bits an axis for means, of which the logarithm is
 //! stored (`sign(x) ln(1 + |x|)` within an extent); rotations as the three smallest components in 8 bits each, alpha telling
-//! which was left out; scales (natural logarithms) and DC colours as indices into codebooks of 256 numbers; opacity in 8 bits;
+//! which was left out; scales (natural logarithms) and DC colors as indices into codebooks of 256 numbers; opacity in 8 bits;
 //! further coefficients as a 16-bit index into a palette, itself a picture of indices into a codebook
 //! (developer.playcanvas.com, user manual, 'The SOG Format').
 //!

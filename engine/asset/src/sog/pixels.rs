@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::meta::{Meta, Rest};
 use super::texture::Texture;
 use crate::DecodeError;
-use crate::activation::{normalised, scale_of_log};
+use crate::activation::{normalized, scale_of_log};
 
 /// Palette entries side by side in the picture of the palette.
 pub(super) const PALETTE_COLUMNS: usize = 64;
@@ -31,10 +31,10 @@ pub(super) fn unpack<'b>(
     drop(quats);
     let scales = texture(&meta.scales.files[0])?;
     let scales = coded(&meta.scales.codebook, "scales", count, |splat| scales.at(splat), scale_of_log)?;
-    let colours = texture(&meta.sh0.files[0])?;
-    let opacities = (0..count).into_par_iter().map(|splat| f32::from(colours.at(splat)[3]) / 255.0).collect();
-    let sh_dc = coded(&meta.sh0.codebook, "sh0", count, |splat| colours.at(splat), |value| value)?;
-    drop(colours);
+    let colors = texture(&meta.sh0.files[0])?;
+    let opacities = (0..count).into_par_iter().map(|splat| f32::from(colors.at(splat)[3]) / 255.0).collect();
+    let sh_dc = coded(&meta.sh0.codebook, "sh0", count, |splat| colors.at(splat), |value| value)?;
+    drop(colors);
     let (sh_degree, sh_rest) = match &meta.rest {
         Some(rest) if rest.bands > 0 => (rest.bands, coefficients(rest, count, file)?),
         _ => (0, Vec::new()),
@@ -58,7 +58,7 @@ fn rotation([a, b, c, tag]: [u8; 4]) -> [f32; 4] {
     let small = [a, b, c].map(|code| (f32::from(code) / 255.0 * 2.0 - 1.0) * std::f32::consts::FRAC_1_SQRT_2);
     let left = (1.0 - small.iter().map(|q| q * q).sum::<f32>()).max(0.0).sqrt();
     let mut small = small.into_iter();
-    normalised(std::array::from_fn(|i| if i == usize::from(largest) { left } else { small.next().unwrap_or(0.0) }))
+    normalized(std::array::from_fn(|i| if i == usize::from(largest) { left } else { small.next().unwrap_or(0.0) }))
 }
 
 /// Three values a splat, each an index into `codebook`.

@@ -10,7 +10,7 @@ use super::codebook::{fit, nearest};
 use super::meta::{Coded, Means, Meta, PALETTE_MAX, Plain, Rest};
 use super::pixels::{FIRST_TAG, PALETTE_COLUMNS};
 use super::{META, NAME, texture};
-use crate::activation::{log_of_scale, normalised};
+use crate::activation::{log_of_scale, normalized};
 use crate::zip::StoredZip;
 use crate::{AssetError, EncodeError, write_atomically};
 
@@ -20,7 +20,7 @@ const LOG_SCALE_MIN: f32 = -30.0;
 /// `cloud` as the bytes of a bundle. The order of the splats stays.
 ///
 /// # Errors
-/// When a splat is defective ([`SplatCloud::defect_of`]), when there is none, or when splats with view-dependent colour are more
+/// When a splat is defective ([`SplatCloud::defect_of`]), when there is none, or when splats with view-dependent color are more
 /// than the 65,536 that the palette has entries for.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     if cloud.is_empty() {
@@ -42,9 +42,9 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     let scales = fit(logarithms.as_flattened().iter().copied());
     files.push(("scales.webp", indices(&scales, &logarithms), width));
     let sh0 = fit(cloud.sh_dc.as_flattened().iter().copied());
-    let mut colours = indices(&sh0, &cloud.sh_dc);
-    colours.iter_mut().zip(&cloud.opacities).for_each(|(pixel, opacity)| pixel[3] = (opacity * 255.0).round() as u8);
-    files.push(("sh0.webp", colours, width));
+    let mut colors = indices(&sh0, &cloud.sh_dc);
+    colors.iter_mut().zip(&cloud.opacities).for_each(|(pixel, opacity)| pixel[3] = (opacity * 255.0).round() as u8);
+    files.push(("sh0.webp", colors, width));
     let rest = (cloud.sh_degree > 0).then(|| palette(cloud, width, &mut files)).transpose()?;
     let one = |name: &str| [name.to_owned()];
     let meta = Meta {
@@ -103,7 +103,7 @@ fn means(cloud: &SplatCloud) -> (Means, Vec<[u8; 4]>, Vec<[u8; 4]>) {
 }
 
 fn packed_rotation(rotation: [f32; 4]) -> [u8; 4] {
-    let q = normalised(rotation);
+    let q = normalized(rotation);
     let largest = (0..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
     // -q is the same rotation: the largest component is made positive.
     let sign = if q[largest] < 0.0 { -1.0 } else { 1.0 };
@@ -126,7 +126,7 @@ fn palette(cloud: &SplatCloud, width: usize, files: &mut Vec<(&str, Vec<[u8; 4]>
     let count = cloud.len();
     if count as u64 > PALETTE_MAX {
         return Err(EncodeError(format!(
-            "{count} splats have view-dependent colour; a SOG's palette has {PALETTE_MAX} entries: write --degree 0, or another format"
+            "{count} splats have view-dependent color; a SOG's palette has {PALETTE_MAX} entries: write --degree 0, or another format"
         )));
     }
     let codebook = fit(cloud.sh_rest.as_flattened().iter().copied());

@@ -1,19 +1,19 @@
-//! The six attribute streams and their quantisation, in the axes of the file.
+//! The six attribute streams and their quantization, in the axes of the file.
 
 use decouplegs_scene::{SplatCloud, sh};
 use rayon::prelude::*;
 
 use super::axes::StoredAxes;
 use crate::EncodeError;
-use crate::activation::{log_of_scale, normalised, scale_of_log};
+use crate::activation::{log_of_scale, normalized, scale_of_log};
 
 /// The streams in the order of the file.
 pub(super) const STREAMS: [&str; 6] = ["positions", "alphas", "colors", "scales", "rotations", "sh"];
 
-/// A DC coefficient of 1 moves a colour byte by this share of its range: colours a little outside 0 to 1 are kept.
-const COLOUR_SCALE: f32 = 0.15;
+/// A DC coefficient of 1 moves a color byte by this share of its range: colors a little outside 0 to 1 are kept.
+const COLOR_SCALE: f32 = 0.15;
 
-/// Bits after the point that the reference writes: a quarter of a millimetre.
+/// Bits after the point that the reference writes: a quarter of a millimeter.
 const FRACTIONAL_BITS: u8 = 12;
 
 /// Parameters that determine the streams' sizes and codes.
@@ -59,7 +59,7 @@ pub(super) struct Packed {
 
 /// The cloud that the codes stand for, in the axes of the file.
 pub(super) fn unpack(packed: &Packed) -> SplatCloud {
-    let [positions, alphas, colours, scales, rotations, rest] = &packed.streams;
+    let [positions, alphas, colors, scales, rotations, rest] = &packed.streams;
     let layout = &packed.layout;
     let step = (-f64::from(layout.fractional_bits)).exp2() as f32;
     let means = positions.par_chunks_exact(layout.position_bytes());
@@ -82,7 +82,7 @@ pub(super) fn unpack(packed: &Packed) -> SplatCloud {
         },
         opacities: alphas.par_iter().map(|&code| f32::from(code) / 255.0).collect(),
         sh_degree,
-        sh_dc: triples(colours, |code| (f32::from(code) / 255.0 - 0.5) / COLOUR_SCALE),
+        sh_dc: triples(colors, |code| (f32::from(code) / 255.0 - 0.5) / COLOR_SCALE),
         sh_rest: unpack_rest(rest, layout.stored_stride(), sh::coefficient_count(sh_degree) - 1),
     }
 }
@@ -117,7 +117,7 @@ pub(super) fn pack(cloud: &SplatCloud) -> Result<Packed, EncodeError> {
     let streams = [
         positions.collect(),
         cloud.opacities.par_iter().map(|opacity| byte(opacity * 255.0)).collect(),
-        flattened(&cloud.sh_dc, |dc| byte(dc * (COLOUR_SCALE * 255.0) + 0.5 * 255.0)),
+        flattened(&cloud.sh_dc, |dc| byte(dc * (COLOR_SCALE * 255.0) + 0.5 * 255.0)),
         flattened(&cloud.scales, |scale| byte((log_of_scale(scale) + 10.0) * 16.0)),
         cloud.rotations.par_iter().flat_map_iter(|&rotation| pack_smallest_three(rotation).to_le_bytes()).collect(),
         flattened(&cloud.sh_rest, |coefficient| byte(coefficient * 128.0 + 128.0)),
@@ -163,7 +163,7 @@ fn half(bits: u16) -> f32 {
 /// Versions 1 and 2: x, y, z around 127.5; w is positive and follows.
 fn unpack_first_three(codes: [u8; 3]) -> [f32; 4] {
     let [x, y, z] = codes.map(|code| f32::from(code) / 127.5 - 1.0);
-    normalised([(1.0 - x * x - y * y - z * z).max(0.0).sqrt(), x, y, z])
+    normalized([(1.0 - x * x - y * y - z * z).max(0.0).sqrt(), x, y, z])
 }
 
 /// Largest value of a component that is not the largest of four.
@@ -183,11 +183,11 @@ fn unpack_smallest_three(mut codes: u32) -> [f32; 4] {
     }
     xyzw[largest] = (1.0 - squares).max(0.0).sqrt();
     let [x, y, z, w] = xyzw;
-    normalised([w, x, y, z])
+    normalized([w, x, y, z])
 }
 
 fn pack_smallest_three(rotation: [f32; 4]) -> u32 {
-    let [w, x, y, z] = normalised(rotation);
+    let [w, x, y, z] = normalized(rotation);
     let xyzw = [x, y, z, w];
     let largest = (1..4).fold(0, |best, i| if xyzw[i].abs() > xyzw[best].abs() { i } else { best });
     let mut codes = largest as u32;

@@ -135,16 +135,16 @@ mod tests {
     }
 
     #[test]
-    fn a_mirror_keeps_covariance_and_colour_in_step() {
+    fn a_mirror_keeps_covariance_and_color_in_step() {
         let original = cloud();
         let mut mirrored = original.clone();
         flip(&mut mirrored, [-1.0, 1.0, 1.0]);
         let mirror = glam::DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
         assert!(covariance(&mirrored).abs_diff_eq(mirror * covariance(&original) * mirror, 1e-6));
         let d = DVec3::new(0.6, 0.0, 0.8);
-        let colour = |cloud: &SplatCloud, d| -> f64 {
+        let color = |cloud: &SplatCloud, d| -> f64 {
             cloud.rest_of(0).iter().zip(&sh::basis(d)[1..]).map(|(c, y)| f64::from(c[0]) * y).sum()
         };
-        assert!((colour(&original, d) - colour(&mirrored, mirror * d)).abs() < 1e-6);
+        assert!((color(&original, d) - color(&mirrored, mirror * d)).abs() < 1e-6);
     }
 }

@@ -7,7 +7,7 @@ use super::layout::{FAR_M, KERB_M, Lot};
 use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
 
-/// Splats a square metre of front, relative to asphalt.
+/// Splats a square meter of front, relative to asphalt.
 const FRONT_DENSITY: f32 = 1.1;
 
 /// Share of it beyond the detailed extent.
@@ -161,7 +161,7 @@ fn awnings(design: &Design, width_m: f32, random: &mut Stream) -> Vec<Element> {
     elements
 }
 
-/// A flat roof with gravel and a parapet's colour.
+/// A flat roof with gravel and a parapet's color.
 fn roof(width_m: f32, depth_m: f32, height_m: f32, seed: u64) -> Element {
     let shape = Shape::Rectangle { corner: Vec3::Z * height_m, along: Vec3::X * width_m, up: Vec3::Y * depth_m };
     let tint = cell(seed, 1, 2);

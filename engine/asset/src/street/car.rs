@@ -14,16 +14,16 @@ use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 /// Distinct cars that the generator knows.
 pub(super) const VARIANTS: usize = 12;
 
-/// Splats a square metre, relative to asphalt, on a parked car.
+/// Splats a square meter, relative to asphalt, on a parked car.
 pub(super) const CAR_DENSITY: f32 = 9.0;
 
-/// Height of the shadow over the road that is not in the asset, metres: above the road's own splats, which stray.
+/// Height of the shadow over the road that is not in the asset, meters: above the road's own splats, which stray.
 const SHADOW_Z_M: f32 = 0.06;
 
-/// Splats a square metre of shadow, relative to the body's: it is soft.
+/// Splats a square meter of shadow, relative to the body's: it is soft.
 const SHADOW_DENSITY: f32 = 0.25;
 
-/// The build of a car. Heights are above the ground, x is from the middle, metres.
+/// The build of a car. Heights are above the ground, x is from the middle, meters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Build {
     /// Length, width, height of the box.
@@ -83,7 +83,7 @@ const VAN: Build = Build {
 impl Build {
     /// Build and paint of a variant; numbers from [`VARIANTS`] on repeat.
     pub(super) fn of(variant: usize) -> (Self, Paint) {
-        let colours = [
+        let colors = [
             display(205, 208, 210),
             display(28, 30, 34),
             display(150, 22, 26),
@@ -99,7 +99,7 @@ impl Build {
         ];
         let builds = [SEDAN, SUV, HATCHBACK, VAN, SEDAN, SUV, HATCHBACK, SEDAN, SUV, HATCHBACK, SEDAN, SUV];
         let variant = variant % VARIANTS;
-        (builds[variant], Paint { colour: colours[variant], taxi: variant == 7, cargo: variant == 3 })
+        (builds[variant], Paint { color: colors[variant], taxi: variant == 7, cargo: variant == 3 })
     }
 
     /// Top of the body (hood, belt line, deck) at `x`, above the ground.
@@ -177,38 +177,38 @@ impl Build {
             }
         }
         for side in [1.0f32, -1.0] {
-            elements.push(self.mirror(side, paint.colour));
+            elements.push(self.mirror(side, paint.color));
         }
         elements
     }
 
-    /// A tyre and a rim on one side.
+    /// A tire and a rim on one side.
     fn wheel(&self, x: f32, side: f32) -> [Element; 3] {
         let radius_m = self.wheel_radius_m;
         let outer_y = side * (0.5 * self.size.y - 0.01);
-        let centre = Vec3::new(x, outer_y, radius_m - 0.5 * self.size.z);
+        let center = Vec3::new(x, outer_y, radius_m - 0.5 * self.size.z);
         let inward = Vec3::NEG_Y * side * 0.22;
         let rubber = |point: &SurfacePoint| {
             let groove = if (point.v * 6.0).fract() < 0.25 { 0.6 } else { 1.0 };
             Texel { openness: 0.6, ..Texel::matt(display(40, 40, 42) * groove) }
         };
-        let tread = Loft::new(centre + inward * 0.5, move |u, v| {
+        let tread = Loft::new(center + inward * 0.5, move |u, v| {
             let (sin, cos) = (u * TAU).sin_cos();
-            centre + inward * v + Vec3::new(cos, 0.0, sin) * radius_m
+            center + inward * v + Vec3::new(cos, 0.0, sin) * radius_m
         });
         let disc = move |u: f32, v: f32| {
             let (sin, cos) = (u * TAU).sin_cos();
-            // The rim lies deeper than the tyre's wall.
+            // The rim lies deeper than the tire's wall.
             let dish = 0.045 * smoothstep(0.72, 0.62, v);
-            centre + Vec3::new(cos, 0.0, sin) * (radius_m * v) + inward * (dish / 0.22)
+            center + Vec3::new(cos, 0.0, sin) * (radius_m * v) + inward * (dish / 0.22)
         };
         // Behind the disc, so that its normals face out of the car.
-        let face = Loft::new(centre + inward * 8.0, disc);
+        let face = Loft::new(center + inward * 8.0, disc);
         let rim = Element::new(Shape::Loft(face.bordered()), 2.2, move |point| {
-            let offset = point.position - centre;
+            let offset = point.position - center;
             rim_texel(Vec2::new(offset.x, offset.z) / radius_m)
         });
-        let well = bar(centre + inward, centre + inward * 1.05, radius_m * 0.98, 0.05);
+        let well = bar(center + inward, center + inward * 1.05, radius_m * 0.98, 0.05);
         [
             Element::new(Shape::Loft(tread.bordered()), 1.2, rubber),
             rim,
@@ -229,12 +229,12 @@ impl Build {
         .seamless()
     }
 
-    fn mirror(&self, side: f32, colour: Vec3) -> Element {
-        let centre = Vec3::new(self.cowl_x - 0.38, side * (0.5 * self.size.y + 0.02), self.belt_z() + 0.09 - 0.5 * self.size.z);
-        let shell = ellipsoid(centre, Vec3::new(0.07, 0.13, 0.085));
+    fn mirror(&self, side: f32, color: Vec3) -> Element {
+        let center = Vec3::new(self.cowl_x - 0.38, side * (0.5 * self.size.y + 0.02), self.belt_z() + 0.09 - 0.5 * self.size.z);
+        let shell = ellipsoid(center, Vec3::new(0.07, 0.13, 0.085));
         Element::new(Shape::Loft(shell), 1.5, move |point| {
             let glass = point.normal.x < -0.6;
-            Texel { gloss: 0.5, ..Texel::matt(if glass { display(120, 140, 156) } else { colour * 0.9 }) }
+            Texel { gloss: 0.5, ..Texel::matt(if glass { display(120, 140, 156) } else { color * 0.9 }) }
         })
     }
 }

@@ -10,7 +10,7 @@ use super::surface::{FAR_M, SurfacePoint, Texel, display};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Paint {
     /// Linear RGB.
-    pub colour: Vec3,
+    pub color: Vec3,
     /// A chequered band along the sides.
     pub taxi: bool,
     /// No windows behind the front doors.
@@ -25,10 +25,10 @@ fn painted(paint: &Paint, normal: Vec3) -> Texel {
     // Clear coat mirrors sky on faces that look up, and the street on those that look down.
     let mirrored = display(170, 196, 224).lerp(display(60, 58, 56), smoothstep(0.1, -0.5, normal.z));
     let share = 0.05 + 0.13 * (1.0 - normal.z.abs()).powi(2) + 0.06 * normal.z.max(0.0);
-    Texel { gloss: 1.0, ..Texel::matt(paint.colour.lerp(mirrored, share)) }
+    Texel { gloss: 1.0, ..Texel::matt(paint.color.lerp(mirrored, share)) }
 }
 
-/// The body at `p`, metres from the ground point under the middle of the car.
+/// The body at `p`, meters from the ground point under the middle of the car.
 pub(super) fn body_texel(build: &Build, paint: &Paint, point: &SurfacePoint, p: Vec3) -> Texel {
     let low = p.z - build.bottom_z(p.x);
     if point.normal.z < -0.75 {
@@ -101,7 +101,7 @@ fn rear_texel(build: &Build, paint: &Paint, normal: Vec3, p: Vec3) -> Texel {
     painted(paint, normal)
 }
 
-/// A licence plate 0.52 m by 0.12 m: a pale ground with marks that read as writing.
+/// A license plate 0.52 m by 0.12 m: a pale ground with marks that read as writing.
 fn plate(y: f32, z: f32) -> Texel {
     let (column, row) = (((y + 0.22) / 0.032).floor() as i32, ((z - 0.025) / 0.024).floor() as i32);
     let written = y.abs() < 0.21 && (0.025..0.095).contains(&z) && column % 3 != 0 && cell(77, column, row) > 0.42;
@@ -198,7 +198,7 @@ fn glass(rise: f32) -> Texel {
     Texel { gloss: 1.0, ..Texel::matt(albedo) }
 }
 
-/// A wheel seen from its side, `at` in radii from the hub: tyre, rim and five double spokes.
+/// A wheel seen from its side, `at` in radii from the hub: tire, rim and five double spokes.
 pub(super) fn rim_texel(at: Vec2) -> Texel {
     let radius = at.length();
     if radius > 0.68 {

@@ -140,14 +140,14 @@ fn splat(
         texel.albedo *= weather(&point);
     }
     let lit = light.shade(&texel, position, normal, random);
-    let colour = (lit.colour * (1.0 + 0.035 * random.normal()) + 0.012 * random.signed3()).clamp(Vec3::ZERO, Vec3::ONE);
-    view_dependence(rest, colour, normal, (light.towards_sun(), texel.gloss * lit.sheen), random);
+    let color = (lit.color * (1.0 + 0.035 * random.normal()) + 0.012 * random.signed3()).clamp(Vec3::ZERO, Vec3::ONE);
+    view_dependence(rest, color, normal, (light.towards_sun(), texel.gloss * lit.sheen), random);
     Splat {
         mean: position + normal * off_surface_m,
         scales,
         rotation: (element.rotation * rotation).normalize(),
         opacity: (opacity_of(faint, random) * (1.0 - texel.sheer)).max(OPACITY_MIN),
-        dc: (colour - 0.5) / sh::Y0 as f32,
+        dc: (color - 0.5) / sh::Y0 as f32,
     }
 }
 
@@ -164,7 +164,7 @@ fn opacity_of(faint: bool, random: &mut Stream) -> f32 {
 }
 
 /// Coefficients after DC: a sheen where the sun is mirrored, and noise that falls by band.
-fn view_dependence(rest: &mut [[f32; 3]], colour: Vec3, normal: Vec3, (towards_sun, sheen): (Vec3, Vec3), random: &mut Stream) {
+fn view_dependence(rest: &mut [[f32; 3]], color: Vec3, normal: Vec3, (towards_sun, sheen): (Vec3, Vec3), random: &mut Stream) {
     if rest.is_empty() {
         return;
     }
@@ -179,9 +179,9 @@ fn view_dependence(rest: &mut [[f32; 3]], colour: Vec3, normal: Vec3, (towards_s
             3..=7 => (0.018, 0.07),
             _ => (0.010, 0.045),
         };
-        let grey = noise * random.normal() * (0.3 + 0.7 * colour.max_element());
+        let gray = noise * random.normal() * (0.3 + 0.7 * color.max_element());
         let sheen = strength * lobe_weight * lobe[index + 1] as f32;
-        *coefficient = (Vec3::splat(grey) + sheen + 0.35 * noise * random.signed3()).to_array();
+        *coefficient = (Vec3::splat(gray) + sheen + 0.35 * noise * random.signed3()).to_array();
     }
 }
 

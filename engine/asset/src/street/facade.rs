@@ -6,7 +6,7 @@ use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Texel, display};
 use super::weather::lamplight;
 
-/// Top of the shop windows' storey, metres.
+/// Top of the shop windows' storey, meters.
 pub(super) const SHOP_STOREY_M: f32 = 4.0;
 
 /// Covering of a wall.
@@ -95,16 +95,16 @@ impl Design {
         ((height_m - SHOP_STOREY_M - 0.5) / self.storey_m).floor().max(0.0) as u32
     }
 
-    /// Lower left and upper right corner, metres along and up the front, of the window of a bay and storey.
+    /// Lower left and upper right corner, meters along and up the front, of the window of a bay and storey.
     pub(super) fn window(&self, bay: u32, storey: u32, width_m: f32) -> [f32; 4] {
         let (_, pitch_m) = self.bays(width_m);
-        let centre_m = (bay as f32 + 0.5) * pitch_m;
+        let center_m = (bay as f32 + 0.5) * pitch_m;
         let half_m = 0.5 * self.window_m[0].min(pitch_m - 0.5);
         let sill_m = self.floor_m(storey) + 0.85;
-        [centre_m - half_m, sill_m, centre_m + half_m, sill_m + self.window_m[1]]
+        [center_m - half_m, sill_m, center_m + half_m, sill_m + self.window_m[1]]
     }
 
-    /// The front at `x` metres along and `z` metres up, on a house of the given width and height.
+    /// The front at `x` meters along and `z` meters up, on a house of the given width and height.
     pub(super) fn front(&self, x: f32, z: f32, width_m: f32, height_m: f32) -> Texel {
         let texel = if z < SHOP_STOREY_M { self.ground_floor(x, z, width_m) } else { self.upper_floor(x, z, width_m, height_m) };
         Texel { openness: texel.openness * (0.5 + 0.5 * smoothstep(-0.3, 2.0, z)), ..texel }

@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use super::surface::Element;
 use super::{lanes, traffic};
 
-/// Distance from the ego's way at which density has halved, metres.
+/// Distance from the ego's way at which density has halved, meters.
 const HALVED_AT_M: f32 = 11.0;
 
 /// The least share of its density that an element keeps however far it is.
@@ -19,10 +19,10 @@ const KNOT_STRIDE: usize = 5;
 /// the whole picture, since perspective is no longer linear across it; training would have split it.
 const LARGEST_OVER_DISTANCE: f32 = 0.25;
 
-/// Height of the cameras over the road, metres.
+/// Height of the cameras over the road, meters.
 const CAMERA_HEIGHT_M: f32 = 1.6;
 
-/// Lanes that are driven are looked at from within this of the origin, metres: beyond, there is little to see.
+/// Lanes that are driven are looked at from within this of the origin, meters: beyond, there is little to see.
 const DRIVEN_M: f32 = 110.0;
 
 /// Positions of the cameras of a street's capture.
@@ -52,7 +52,7 @@ impl Focus {
             }
             Capture::Lanes => {
                 let lanes = lanes::lanes().lanes;
-                let legs = lanes.iter().flat_map(|lane| lane.centreline.windows(2));
+                let legs = lanes.iter().flat_map(|lane| lane.centerline.windows(2));
                 let legs = legs.map(|leg| [leg[0], leg[1]].map(at_camera_height));
                 Self { legs: legs.filter(|leg| leg[0].length().min(leg[1].length()) < DRIVEN_M).collect() }
             }
@@ -70,7 +70,7 @@ impl Focus {
         element.denser(share)
     }
 
-    /// The largest standard deviation of a splat at `position`, metres.
+    /// The largest standard deviation of a splat at `position`, meters.
     pub(super) fn largest_m(&self, position: Vec3) -> f32 {
         LARGEST_OVER_DISTANCE * self.nearest_m(position)
     }

@@ -6,7 +6,7 @@ use super::random::Stream;
 use super::surface::{Element, SurfacePoint, Texel};
 
 /// Median tangential standard deviation over the spacing of the opaque splats. Below about 0.5, holes open between
-/// jittered neighbours; above 0.8, lane markings smear.
+/// jittered neighbors; above 0.8, lane markings smear.
 const SCALE_OVER_SPACING: f32 = 0.7;
 
 /// Spread of ln scale that a splat's two tangential axes share, and that each has of its own; together 0.6.
@@ -31,7 +31,7 @@ const LEAF_SHRINK: f32 = 0.6;
 /// A splat's spread within the plane that touches its surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Footprint {
-    /// Standard deviations, metres.
+    /// Standard deviations, meters.
     along_m: f32,
     across_m: f32,
     /// Unit, what `along_m` and `across_m` are measured along before the turn.
@@ -43,7 +43,7 @@ pub(super) struct Footprint {
 }
 
 impl Footprint {
-    /// Drawn about the splats' spacing, at most `largest_m`, and narrowed where a change of colour is near.
+    /// Drawn about the splats' spacing, at most `largest_m`, and narrowed where a change of color is near.
     pub(super) fn new(
         element: &Element,
         point: &SurfacePoint,
@@ -102,7 +102,7 @@ impl Footprint {
     }
 }
 
-/// True if the surface goes on in the same colour for `reach_m` both ways along `axis`.
+/// True if the surface goes on in the same color for `reach_m` both ways along `axis`.
 fn clear(element: &Element, point: &SurfacePoint, texel: &Texel, axis: Vec3, reach_m: f32) -> bool {
     let border_m = if axis.dot(point.tangent).abs() > 0.5 { point.border_m[0] } else { point.border_m[1] };
     let root = |albedo: Vec3| albedo.max(Vec3::ZERO).map(f32::sqrt);
@@ -160,9 +160,9 @@ mod tests {
     fn stripes_finer_than_splats_are_seen_mixed() {
         let element = wall(|x| (x / 0.01).fract() < 0.5);
         let all = footprints(&element, 0.3, 9.0);
-        let spread = |colour: &dyn Fn(&(SurfacePoint, Texel, Footprint)) -> f32| {
-            let mean = all.iter().map(colour).sum::<f32>() / all.len() as f32;
-            (all.iter().map(|item| (colour(item) - mean).powi(2)).sum::<f32>() / all.len() as f32).sqrt()
+        let spread = |color: &dyn Fn(&(SurfacePoint, Texel, Footprint)) -> f32| {
+            let mean = all.iter().map(color).sum::<f32>() / all.len() as f32;
+            (all.iter().map(|item| (color(item) - mean).powi(2)).sum::<f32>() / all.len() as f32).sqrt()
         };
         let sampled = spread(&|(_, texel, _)| texel.albedo.x);
         let mixed = spread(&|(point, texel, footprint)| footprint.mean_albedo(&element, point, texel).x);

@@ -7,7 +7,7 @@ use super::loft::{Loft, bar};
 use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
 use super::weather::lamplight;
 
-/// Splats a square metre of posts, relative to asphalt: thin things need many.
+/// Splats a square meter of posts, relative to asphalt: thin things need many.
 const POST_DENSITY: f32 = 4.0;
 
 /// The same of signs, which are small and drawn sharply.
@@ -21,7 +21,7 @@ fn post(from: Vec3, to: Vec3, radius_m: f32) -> Element {
     Element::new(Shape::Loft(bar(from, to, radius_m, 0.65 * radius_m)), POST_DENSITY, painted_metal)
 }
 
-/// The end of a lamp's arm, in the frame of its foot, metres.
+/// The end of a lamp's arm, in the frame of its foot, meters.
 const LAMP_TIP: Vec3 = Vec3::new(2.1, 0.0, 7.2 + 0.35);
 
 /// Position of the light of a lamp on a spot, world coordinates.
@@ -64,16 +64,16 @@ pub(super) fn beside_lamp(spot: &Spot) -> Vec<Element> {
 }
 
 /// A round blue sign with a red ring and bar that looks along local y, `side` 1 or -1.
-fn no_parking(centre: Vec3, side: f32) -> Element {
+fn no_parking(center: Vec3, side: f32) -> Element {
     let radius_m = 0.3;
-    let centre = centre + Vec3::Y * (0.05 * side);
+    let center = center + Vec3::Y * (0.05 * side);
     // Seen from behind, so that it faces forward.
-    let disc = Loft::new(centre - Vec3::Y * (8.0 * side), move |u, v| {
+    let disc = Loft::new(center - Vec3::Y * (8.0 * side), move |u, v| {
         let (sin, cos) = (u * std::f32::consts::TAU).sin_cos();
-        centre + Vec3::new(cos, 0.0, sin) * (radius_m * v)
+        center + Vec3::new(cos, 0.0, sin) * (radius_m * v)
     });
     Element::new(Shape::Loft(disc.bordered()), SIGN_DENSITY, move |point| {
-        let offset = (point.position - centre) / radius_m;
+        let offset = (point.position - center) / radius_m;
         let red = offset.length() > 0.76 || (offset.x * side + offset.z).abs() < 0.2;
         Texel { gloss: 0.2, ..Texel::matt(if red { display(196, 26, 32) } else { display(24, 72, 168) }) }
     })
@@ -98,21 +98,21 @@ fn signal(green: bool) -> Vec<Element> {
     let top = Vec3::Z * 5.9;
     let reach = Vec3::new(0.0, ROAD_HALF_M - LANES_HALF_M + 2.2, 6.0);
     let mut elements = vec![post(Vec3::ZERO, top, 0.1), post(top, reach, 0.07)];
-    for centre in [Vec3::new(0.0, 0.0, 3.0), reach - Vec3::Z * 0.55] {
+    for center in [Vec3::new(0.0, 0.0, 3.0), reach - Vec3::Z * 0.55] {
         let half = Vec3::new(0.13, 0.19, 0.5);
-        elements.extend(boxed(centre - half, centre + half, 9.0, move |point| {
-            let offset = point.position - centre;
+        elements.extend(boxed(center - half, center + half, 9.0, move |point| {
+            let offset = point.position - center;
             let lens = (-(offset.z / 0.31).round()).clamp(-1.0, 1.0);
             let radius_m = (offset.y * offset.y + (offset.z + lens * 0.31).powi(2)).sqrt();
             if point.normal.x > -0.5 || radius_m > 0.125 {
                 return Texel::matt(display(34, 36, 36));
             }
-            let (lit, colour) = match lens as i32 {
+            let (lit, color) = match lens as i32 {
                 -1 => (!green, display(255, 60, 44)),
                 0 => (false, display(220, 160, 40)),
                 _ => (green, display(70, 255, 150)),
             };
-            if lit { Texel { emitted: Some(colour), ..Texel::matt(colour) } } else { Texel::matt(colour * 0.12) }
+            if lit { Texel { emitted: Some(color), ..Texel::matt(color) } } else { Texel::matt(color * 0.12) }
         }));
     }
     elements

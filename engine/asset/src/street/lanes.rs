@@ -1,7 +1,7 @@
 //! The lanes of both streets as a map: up to the crossing, over it (straight on, right from the outer lane, left from the inner),
 //! and away from it.
 //!
-//! Names say street, direction, number counted from the centreline, and part: `main/forward/0/before`, `/straight`, `/left`,
+//! Names say street, direction, number counted from the centerline, and part: `main/forward/0/before`, `/straight`, `/left`,
 //! `/right`, `/after`. Forward is along growing x on the main street and growing y on the other.
 
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -12,16 +12,16 @@ use glam::{DVec2, DVec3};
 use super::layout::{Axis, LANE_M};
 use super::traffic::EGO_TURN_RADIUS_M;
 
-/// Lanes end this far from the origin: as far as traffic of the detailed streets drives in its time, metres.
+/// Lanes end this far from the origin: as far as traffic of the detailed streets drives in its time, meters.
 const END_M: f64 = 340.0;
 
-/// Points of straight lines lie this far apart at most, metres.
+/// Points of straight lines lie this far apart at most, meters.
 const STEP_M: f64 = 5.0;
 
-/// The same in turns: half a metre of the narrowest turn's border departs 5 mm from its chord.
+/// The same in turns: half a meter of the narrowest turn's border departs 5 mm from its chord.
 const TURN_STEP_M: f64 = 0.5;
 
-/// 50 km/h, metres a second.
+/// 50 km/h, meters a second.
 const SPEED_LIMIT_MPS: f64 = 50.0 / 3.6;
 
 /// Lanes in each direction.
@@ -84,12 +84,12 @@ impl Heading {
     }
 }
 
-/// Centreline of the street to the middle of lane `number`, metres.
+/// Centerline of the street to the middle of lane `number`, meters.
 fn offset_m(number: usize) -> f64 {
     (number as f64 + 0.5) * f64::from(LANE_M)
 }
 
-/// Half the width of the crossing, metres: where the narrowest turn, from outer lane to outer lane, begins.
+/// Half the width of the crossing, meters: where the narrowest turn, from outer lane to outer lane, begins.
 fn crossing_half_m() -> f64 {
     offset_m(1) + EGO_TURN_RADIUS_M
 }
@@ -103,21 +103,21 @@ fn lane(id: String, from: Place, length_m: f64, turn_rad: f64) -> Lane {
         let point = |step: u32| {
             let share = f64::from(step) / steps;
             let yaw_rad = from.yaw_rad + turn_rad * share;
-            let travelled = if turn_rad == 0.0 {
+            let traveled = if turn_rad == 0.0 {
                 DVec2::new(length_m * share, 0.0)
             } else {
                 let (sin, cos) = (turn_rad * share).sin_cos();
                 DVec2::new(sin, 1.0 - cos) * (length_m / turn_rad)
             };
             let left = DVec2::from_angle(yaw_rad + FRAC_PI_2);
-            (from.at + DVec2::from_angle(from.yaw_rad).rotate(travelled) + left * left_m).extend(0.0)
+            (from.at + DVec2::from_angle(from.yaw_rad).rotate(traveled) + left * left_m).extend(0.0)
         };
         (0..=steps as u32).map(point).collect()
     };
     Lane {
         id,
         kind: LaneKind::Driving,
-        centreline: line(0.0),
+        centerline: line(0.0),
         left: line(side_m),
         right: line(-side_m),
         has_height: true,
@@ -138,8 +138,8 @@ pub(super) fn lanes() -> LaneMap {
                 let id = format!("{}/{number}/{part}", heading.name());
                 map.lanes.push(lane(id, heading.place(number, from_m), to_m - from_m, 0.0));
             }
-            map.lanes[first].right_neighbour = Some(first + 1);
-            map.lanes[first + 1].left_neighbour = Some(first);
+            map.lanes[first].right_neighbor = Some(first + 1);
+            map.lanes[first + 1].left_neighbor = Some(first);
         }
         for (part, number, turn_rad) in [("left", 0, FRAC_PI_2), ("right", NUMBERS - 1, -FRAC_PI_2)] {
             let id = format!("{}/{number}/{part}", heading.name());
@@ -191,7 +191,7 @@ mod tests {
     }
 
     fn nearest_m(map: &LaneMap, point: DVec2) -> f64 {
-        map.lanes.iter().map(|lane| distance_m(&lane.centreline, point)).fold(f64::MAX, f64::min)
+        map.lanes.iter().map(|lane| distance_m(&lane.centerline, point)).fold(f64::MAX, f64::min)
     }
 
     #[test]
@@ -202,20 +202,20 @@ mod tests {
         let mut links = 0;
         for (number, lane) in map.lanes.iter().enumerate() {
             let heading = |line: &[DVec3]| (line[1] - line[0]).normalize();
-            let backwards: Vec<DVec3> = lane.centreline.iter().rev().copied().collect();
+            let backwards: Vec<DVec3> = lane.centerline.iter().rev().copied().collect();
             for &next in &lane.successors {
                 let next = &map.lanes[next];
                 assert!(next.predecessors.contains(&number));
-                assert!(backwards[0].distance(next.centreline[0]) < 1e-4, "{} to {}", lane.id, next.id);
+                assert!(backwards[0].distance(next.centerline[0]) < 1e-4, "{} to {}", lane.id, next.id);
                 assert!(lane.left[lane.left.len() - 1].distance(next.left[0]) < 1e-4, "{} to {}", lane.id, next.id);
                 // The turns' chords stand half a step askew at their ends.
-                assert!(-heading(&backwards).dot(heading(&next.centreline)) > 0.999, "{} to {}", lane.id, next.id);
+                assert!(-heading(&backwards).dot(heading(&next.centerline)) > 0.999, "{} to {}", lane.id, next.id);
                 links += 1;
             }
             assert!(lane.successors.is_empty() == lane.id.ends_with("after"), "{}", lane.id);
             assert!(lane.predecessors.is_empty() == lane.id.ends_with("before"), "{}", lane.id);
-            if let Some(right) = lane.right_neighbour {
-                assert_eq!(map.lanes[right].left_neighbour, Some(number));
+            if let Some(right) = lane.right_neighbor {
+                assert_eq!(map.lanes[right].left_neighbor, Some(number));
                 assert!(map.lanes[right].left[0].distance(lane.right[0]) < 1e-4);
             }
         }
@@ -225,8 +225,8 @@ mod tests {
     #[test]
     fn left_borders_lie_to_the_left() {
         for lane in lanes().lanes {
-            assert_eq!((lane.left.len(), lane.right.len()), (lane.centreline.len(), lane.centreline.len()));
-            for (step, pair) in lane.centreline.windows(2).enumerate() {
+            assert_eq!((lane.left.len(), lane.right.len()), (lane.centerline.len(), lane.centerline.len()));
+            for (step, pair) in lane.centerline.windows(2).enumerate() {
                 let across = lane.left[step] - lane.right[step];
                 assert!((across.length() - f64::from(LANE_M)).abs() < 1e-6);
                 assert!((pair[1] - pair[0]).cross(across).z > 0.0, "{}", lane.id);
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn agents_and_the_ego_drive_on_centrelines() {
+    fn agents_and_the_ego_drive_on_centerlines() {
         let options = StreetOptions { background: 0, agents: 60, agent_splats: 0, sh_degree: 0, seed: 3, ..Default::default() };
         let street = Street::generate(&options);
         for (agent, way) in street.agents.iter().zip(&street.agent_trajectories) {
@@ -249,6 +249,6 @@ mod tests {
             let off_m = nearest_m(&street.lanes, pose.translation.truncate());
             assert!(off_m < 0.01, "the ego is {off_m} m off after {time_s} s");
         }
-        assert!(nearest_m(&street.lanes, DVec2::new(0.0, 0.0)) > 1.6, "nobody drives on the centreline of the street");
+        assert!(nearest_m(&street.lanes, DVec2::new(0.0, 0.0)) > 1.6, "nobody drives on the centerline of the street");
     }
 }

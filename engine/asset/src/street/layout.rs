@@ -6,21 +6,21 @@ use glam::{Quat, Vec2, Vec3};
 
 use super::random::Stream;
 
-/// The detailed part of both streets ends this far from the origin, metres.
+/// The detailed part of both streets ends this far from the origin, meters.
 pub(super) const EXTENT_M: f32 = 100.0;
-/// x of the crossing street's centreline, metres.
+/// x of the crossing street's centerline, meters.
 pub(super) const CROSSING_X_M: f32 = 40.0;
-/// Width of a driving lane; two each way, metres.
+/// Width of a driving lane; two each way, meters.
 pub(super) const LANE_M: f32 = 3.3;
-/// Centreline to the outer edge of the driving lanes, metres.
+/// Centerline to the outer edge of the driving lanes, meters.
 pub(super) const LANES_HALF_M: f32 = 2.0 * LANE_M;
-/// Centreline to kerb: two lanes and a parking lane, metres.
+/// Centerline to kerb: two lanes and a parking lane, meters.
 pub(super) const ROAD_HALF_M: f32 = 9.0;
-/// Centreline to house fronts, metres.
+/// Centerline to house fronts, meters.
 pub(super) const FRONT_M: f32 = 13.0;
-/// Height of the sidewalk over the asphalt, metres.
+/// Height of the sidewalk over the asphalt, meters.
 pub(super) const KERB_M: f32 = 0.14;
-/// Depth of a lot, metres.
+/// Depth of a lot, meters.
 pub(super) const LOT_DEPTH_M: f32 = 14.0;
 /// End of the coarse continuation of the streets, meters from the crossing or the origin.
 pub(super) const FAR_M: f32 = 230.0;
@@ -85,7 +85,7 @@ impl Axis {
         }
     }
 
-    /// s of the other street's centreline.
+    /// s of the other street's centerline.
     pub(super) fn crossing_s(self) -> f32 {
         match self {
             Self::Main => CROSSING_X_M,
@@ -138,7 +138,7 @@ impl Layout {
             if to - s - width_m < 9.0 {
                 width_m = to - s;
             }
-            // Neighbours differ by a storey or three, rarely by a tower.
+            // Neighbors differ by a storey or three, rarely by a tower.
             height_m = (height_m + random.range(-5.0, 5.0)).clamp(9.5, 21.0) + if random.chance(0.06) { 6.0 } else { 0.0 };
             let first_m = if side > 0.0 { s } else { s + width_m };
             let at_crossing = |end: f32| axis == Axis::Main && (end - crossing).abs() < FRONT_M + 1.0;

@@ -7,17 +7,17 @@ use super::random::{Stream, smoothstep};
 use super::surface::Texel;
 use super::weather::{Air, TOWARDS_SUN, TOWARDS_SUN_ASSET};
 
-/// Width of the cells in which occluders are looked up, metres.
+/// Width of the cells in which occluders are looked up, meters.
 const CELL_M: f32 = 8.0;
 
-/// Cells a side; the grid is centred on the origin, and nothing outside of it casts a shadow.
+/// Cells a side; the grid is centerd on the origin, and nothing outside of it casts a shadow.
 const CELLS: i32 = 64;
 
 /// Half the spread of the directions in which shadow rays leave, radians: wider than the sun, for penumbras that
-/// splats of some centimetres can show.
+/// splats of some centimeters can show.
 const PENUMBRA_RAD: f32 = 0.012;
 
-/// Half the size of what shines in a street lamp, metres: larger than life, for the same reason.
+/// Half the size of what shines in a street lamp, meters: larger than life, for the same reason.
 const LAMP_HALF_M: f32 = 0.25;
 
 /// Range of the light of a street lamp, meters.
@@ -51,7 +51,7 @@ pub(super) struct Light {
 /// Texel after lighting.
 pub(super) struct Lit {
     /// Display-referred RGB in [0, 1].
-    pub colour: Vec3,
+    pub color: Vec3,
     /// Mirrored share of the sun, per channel.
     pub sheen: Vec3,
 }
@@ -158,7 +158,7 @@ impl Light {
     pub(super) fn shade(&self, texel: &Texel, position: Vec3, normal: Vec3, random: &mut Stream) -> Lit {
         let sheen = self.air.sheen * self.air.shaded_sheen;
         if let Some(emitted) = texel.emitted {
-            return Lit { colour: to_display(emitted.lerp(self.air.haze, texel.haze)), sheen };
+            return Lit { color: to_display(emitted.lerp(self.air.haze, texel.haze)), sheen };
         }
         let mut aside = random.aside();
         let drawn = wrapped(texel, normal.dot(self.drawn_by)) > 0.0;
@@ -176,7 +176,7 @@ impl Light {
             linear += texel.albedo * self.lamplight(texel, (position, normal), open, &mut aside);
         }
         linear += texel.glow * air.glow;
-        Lit { colour: to_display(linear.lerp(air.haze, texel.haze)), sheen: air.sheen * sunlit.max(air.shaded_sheen) }
+        Lit { color: to_display(linear.lerp(air.haze, texel.haze)), sheen: air.sheen * sunlit.max(air.shaded_sheen) }
     }
 }
 
@@ -205,7 +205,7 @@ mod tests {
 
     fn light(air: Air) -> Light {
         let house = Occluder::Box { min: Vec3::new(-5.0, 2.0, 0.0), max: Vec3::new(5.0, 8.0, 10.0) };
-        let crown = Occluder::Crown { centre: Vec3::new(40.0, 5.0, 5.0), radii: Vec3::splat(2.0) };
+        let crown = Occluder::Crown { center: Vec3::new(40.0, 5.0, 5.0), radii: Vec3::splat(2.0) };
         let car = Occluder::Car { min: Vec3::new(-42.0, -1.0, 0.0), max: Vec3::new(-38.0, 1.0, 1.5) };
         Light::new(air, vec![house, crown, car])
     }
@@ -215,14 +215,14 @@ mod tests {
     }
 
     fn white_ground(light: &Light, x: f32, y: f32) -> Vec3 {
-        light.shade(&Texel::matt(Vec3::splat(0.3)), Vec3::new(x, y, 0.0), Vec3::Z, &mut Stream::new(1, 1, 1)).colour
+        light.shade(&Texel::matt(Vec3::splat(0.3)), Vec3::new(x, y, 0.0), Vec3::Z, &mut Stream::new(1, 1, 1)).color
     }
 
     #[test]
     fn shadows_fall_away_from_the_sun() {
         let light = sunny();
         let sunlit = |x: f32, y: f32| light.sunlit(Vec3::new(x, y, 0.0), Stream::new(1, 1, 1).signed3());
-        assert_eq!(sunlit(0.0, -3.0), 0.0, "ten metres of house shade as much ground at 45 degrees");
+        assert_eq!(sunlit(0.0, -3.0), 0.0, "ten meters of house shade as much ground at 45 degrees");
         assert_eq!(sunlit(0.0, -9.5), 1.0);
         assert_eq!(sunlit(0.0, 9.0), 1.0, "the sunny side");
         let dappled = sunlit(40.0, 0.0);
@@ -239,13 +239,13 @@ mod tests {
 
     #[test]
     fn clouds_leave_no_cast_shadow_but_the_dark_under_a_car() {
-        let (sunny, grey) = (sunny(), light(Air::of(Weather::Overcast)));
+        let (sunny, gray) = (sunny(), light(Air::of(Weather::Overcast)));
         assert!(white_ground(&sunny, 0.0, -3.0).x < 0.7 * white_ground(&sunny, 0.0, -20.0).x);
-        assert_eq!(white_ground(&grey, 0.0, -3.0), white_ground(&grey, 0.0, -20.0));
-        assert!(white_ground(&grey, -40.0, 0.0).x < 0.6 * white_ground(&grey, -30.0, 0.0).x);
+        assert_eq!(white_ground(&gray, 0.0, -3.0), white_ground(&gray, 0.0, -20.0));
+        assert!(white_ground(&gray, -40.0, 0.0).x < 0.6 * white_ground(&gray, -30.0, 0.0).x);
         // Relative to open ground, what a car hides from the sun is darker than what it hides from clouds.
         let below = |light: &Light| white_ground(light, -40.0, 0.0).x / white_ground(light, -30.0, 0.0).x;
-        assert!(below(&sunny) < below(&grey) - 0.05, "{} and {}", below(&sunny), below(&grey));
+        assert!(below(&sunny) < below(&gray) - 0.05, "{} and {}", below(&sunny), below(&gray));
     }
 
     #[test]
@@ -267,7 +267,7 @@ mod tests {
         for normal in [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::new(0.6, 0.0, -0.8)] {
             let texel = Texel { openness: 0.5, gloss: 1.0, ..Texel::matt(Vec3::new(0.4, 0.2, 0.1)) };
             let lit = light.shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1));
-            assert!((lit.colour - to_display(texel.albedo * 0.5)).abs().max_element() < 1e-6 && lit.sheen == Vec3::ZERO);
+            assert!((lit.color - to_display(texel.albedo * 0.5)).abs().max_element() < 1e-6 && lit.sheen == Vec3::ZERO);
         }
     }
 
@@ -276,7 +276,7 @@ mod tests {
         let light = || Light::new(Air::of(Weather::Dusk), vec![]);
         let turn = Quat::from_rotation_z(2.1);
         let texel = Texel::matt(Vec3::splat(0.3));
-        let shade = |light: &Light, normal: Vec3| light.shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1)).colour;
+        let shade = |light: &Light, normal: Vec3| light.shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1)).color;
         let turned = light().on_asset(turn, Vec3::new(5.0, 0.0, 0.7));
         for normal in [Vec3::X, Vec3::Y, Vec3::NEG_X] {
             assert!((shade(&turned, normal) - shade(&light(), turn * normal)).abs().max_element() < 1e-5);

@@ -160,11 +160,11 @@ pub(super) fn bar(from: Vec3, to: Vec3, radius_from_m: f32, radius_to_m: f32) ->
 }
 
 /// An ellipsoid with axes along the frame's.
-pub(super) fn ellipsoid(centre: Vec3, radii: Vec3) -> Loft {
-    Loft::new(centre, move |u, v| {
+pub(super) fn ellipsoid(center: Vec3, radii: Vec3) -> Loft {
+    Loft::new(center, move |u, v| {
         let (sin, cos) = (u * std::f32::consts::TAU).sin_cos();
         let (ring, z) = (v * std::f32::consts::PI).sin_cos();
-        centre + radii * Vec3::new(ring * cos, ring * sin, z)
+        center + radii * Vec3::new(ring * cos, ring * sin, z)
     })
 }
 
@@ -174,14 +174,14 @@ mod tests {
 
     #[test]
     fn a_sphere_is_covered_evenly_and_faces_outward() {
-        let centre = Vec3::new(1.0, 2.0, 3.0);
-        let sphere = ellipsoid(centre, Vec3::splat(2.0));
+        let center = Vec3::new(1.0, 2.0, 3.0);
+        let sphere = ellipsoid(center, Vec3::splat(2.0));
         assert!((sphere.area_m2() / (16.0 * std::f32::consts::PI) - 1.0).abs() < 0.01);
         let (mut upper, count) = (0, 4000);
         for index in 0..count {
             let (u, v) = ((index as f32 * 0.618_034).fract(), (index as f32 + 0.5) / count as f32);
             let point = sphere.at(u, v);
-            let outward = (point.position - centre) / 2.0;
+            let outward = (point.position - center) / 2.0;
             assert!((outward.length() - 1.0).abs() < 1e-3 && outward.dot(point.normal) > 0.99, "{point:?}");
             assert!(point.tangent.dot(point.normal).abs() < 1e-3);
             upper += usize::from(outward.z > 0.5);

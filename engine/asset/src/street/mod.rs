@@ -61,7 +61,7 @@ pub struct StreetOptions {
     pub sh_degree: u8,
     /// Seed of all randomness.
     pub seed: u64,
-    /// The light over the street. The splats are the same in each but for their colours.
+    /// The light over the street. The splats are the same in each but for their colors.
     pub weather: Weather,
     /// The light in the assets.
     pub asset_light: AssetLight,
@@ -93,7 +93,7 @@ pub struct Street {
     /// At most twelve distinct cars, canonical frame: x forward, y left, z up, origin at the middle of the box, wheels
     /// touching z = -H/2.
     pub assets: Vec<SplatCloud>,
-    /// Length, width and height of each asset's box, metres; mirrors stand out beyond the width.
+    /// Length, width and height of each asset's box, meters; mirrors stand out beyond the width.
     pub asset_dims_m: Vec<[f32; 3]>,
     /// Pose of each agent at time zero. No two overlap.
     pub agents: Vec<AgentPlacement>,

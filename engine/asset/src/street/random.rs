@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbouring_keys_share_nothing() {
+    fn neighboring_keys_share_nothing() {
         let draw = |seed, element, index| Stream::new(seed, element, index).bits();
         let base = draw(1, 1, 1);
         for other in [draw(2, 1, 1), draw(1, 2, 1), draw(1, 1, 2), draw(1, 0, 2)] {

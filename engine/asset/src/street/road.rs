@@ -8,7 +8,7 @@ use super::layout::{Axis, CROSSING_X_M, EXTENT_M, FAR_M, FRONT_M, KERB_M, LANE_M
 use super::random::{cell, fractal_noise, noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 
-/// Asphalt is shown this much around a marking in the marking's own finer splats, metres.
+/// Asphalt is shown this much around a marking in the marking's own finer splats, meters.
 const MARGIN_M: f32 = 0.12;
 
 /// Sampling density of markings relative to asphalt.
@@ -17,7 +17,7 @@ const MARKING_DENSITY: f32 = 8.0;
 /// Asphalt on the carriageways, over what densities are relative to: cameras see most of it, and from near by.
 const ASPHALT_DENSITY: f32 = 2.8;
 
-/// About the length of a piece of road whose density is of its own, metres.
+/// About the length of a piece of road whose density is of its own, meters.
 const SLAB_M: f32 = 12.0;
 
 /// A painted rectangle on the road.
@@ -78,7 +78,7 @@ fn stripe(axis: Axis, s: (f32, f32), t: (f32, f32)) -> Stripe {
     Stripe { min: a.min(b), max: a.max(b) }
 }
 
-/// Dashed centre and lane lines, solid edge lines.
+/// Dashed center and lane lines, solid edge lines.
 fn lane_lines(axis: Axis, stripes: &mut Vec<Stripe>) {
     for (from, to) in axis.stretches(ROAD_HALF_M + 6.5) {
         for (t, dash_m, gap_m, width_m) in [
@@ -124,7 +124,7 @@ fn road_weather(seed: u64, point: Vec2) -> f32 {
     let coarse = fractal_noise(seed, point.x * 0.16, point.y * 0.16, 4);
     let grain = noise(seed + 5, point.x * 9.0, point.y * 9.0);
     let mut shade = 0.88 + 0.3 * (coarse - 0.5) + 0.1 * (grain - 0.5);
-    // Tyres polish two bands of each lane; oil drips between them.
+    // Tires polish two bands of each lane; oil drips between them.
     let in_lane = (t.abs() / LANE_M).fract() - 0.5;
     if t.abs() < LANES_HALF_M {
         shade *= 1.0 - 0.12 * (-((in_lane.abs() - 0.24) * 14.0).powi(2)).exp() - 0.07 * (-(in_lane * 12.0).powi(2)).exp();
@@ -146,8 +146,8 @@ fn road_weather(seed: u64, point: Vec2) -> f32 {
 /// Darkening by round covers, one in some cells of the lanes.
 fn manhole(seed: u64, s: f32, t: f32) -> f32 {
     let i = (s / 17.0).floor() as i32;
-    let centre = Vec2::new((i as f32 + 0.5) * 17.0, (cell(seed + 31, i, 0) - 0.5) * 9.0);
-    let radius_m = (Vec2::new(s, t) - centre).length();
+    let center = Vec2::new((i as f32 + 0.5) * 17.0, (cell(seed + 31, i, 0) - 0.5) * 9.0);
+    let radius_m = (Vec2::new(s, t) - center).length();
     1.0 - 0.45 * smoothstep(0.36, 0.33, radius_m) + 0.3 * smoothstep(0.28, 0.24, radius_m)
 }
 
@@ -239,7 +239,7 @@ fn kerb(axis: Axis, (from, to): (f32, f32), side: f32, density: f32, seed: u64) 
     let top = flat_of(axis, (from, to), (side * ROAD_HALF_M, side * (ROAD_HALF_M + 0.2)), KERB_M + 0.004);
     let (a, b) = (axis.at(from, side * ROAD_HALF_M), axis.at(to, side * ROAD_HALF_M));
     let along = (b - a).extend(0.0);
-    // The face looks back at the centreline.
+    // The face looks back at the centerline.
     let inward = (axis.at(from, 0.0) - a).extend(0.0);
     let (corner, along) = if along.cross(Vec3::Z).dot(inward) > 0.0 { (a, along) } else { (b, -along) };
     let face = Shape::Rectangle { corner: corner.extend(0.0), along, up: Vec3::Z * KERB_M };
@@ -254,7 +254,7 @@ mod tests {
     fn paint_lies_where_lane_lines_and_crosswalks_are() {
         let markings = Markings::new();
         let painted = |x: f32, y: f32| markings.at(Vec2::new(x, y));
-        assert!(painted(-99.0, 0.0) && !painted(-96.0, 0.0) && painted(-93.0, 0.0), "a dashed centre");
+        assert!(painted(-99.0, 0.0) && !painted(-96.0, 0.0) && painted(-93.0, 0.0), "a dashed center");
         assert!((0..100).all(|i| painted(-99.6 + i as f32, LANES_HALF_M)), "a solid edge");
         assert!(painted(CROSSING_X_M - ROAD_HALF_M - 2.0, -ROAD_HALF_M + 0.8), "a crosswalk");
         assert!(

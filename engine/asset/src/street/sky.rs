@@ -8,14 +8,14 @@ use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, boxed, display};
 use super::weather::{Air, Weather, lamplight};
 
-/// Radius of the dome, metres.
+/// Radius of the dome, meters.
 pub(super) const DOME_RADIUS_M: f32 = 480.0;
 
-/// Radius of the hills' ring, metres.
+/// Radius of the hills' ring, meters.
 const HILLS_RADIUS_M: f32 = 400.0;
 
 /// Linear RGB of the sky in the direction of `direction`, the sun towards `sun`.
-fn sky_colour(weather: Weather, direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
+fn sky_color(weather: Weather, direction: Vec3, sun: Vec3, seed: u64) -> Vec3 {
     match weather {
         Weather::Clear => clear_sky(direction, sun, seed),
         Weather::Overcast => overcast_sky(direction, seed),
@@ -33,9 +33,9 @@ fn cover(direction: Vec3, seed: u64, stretch: f32) -> f32 {
 /// A closed cover, brighter overhead, with darker billows.
 fn overcast_sky(direction: Vec3, seed: u64) -> Vec3 {
     let height = direction.z.max(0.0);
-    let grey = display(196, 200, 204).lerp(display(222, 225, 229), 1.0 - (-2.5 * height).exp());
+    let gray = display(196, 200, 204).lerp(display(222, 225, 229), 1.0 - (-2.5 * height).exp());
     let billow = smoothstep(0.35, 0.7, cover(direction, seed, 1.7)) * smoothstep(0.0, 0.15, height);
-    grey * (1.0 - 0.30 * billow)
+    gray * (1.0 - 0.30 * billow)
 }
 
 /// Gold about the sun, rose opposite to it, violet above, and thin clouds lit from below.
@@ -85,7 +85,7 @@ pub(super) fn far_shell(seed: u64, weather: Weather) -> Vec<Element> {
     let towards_sun = Air::of(weather).towards_sun.normalize_or(Vec3::Z);
     let dome = Element::new(Shape::Dome { radius_m: DOME_RADIUS_M, low: -0.05 }, 0.0012, move |point: &SurfacePoint| {
         let direction = point.position.normalize_or(Vec3::Z);
-        Texel { emitted: Some(sky_colour(weather, direction, towards_sun, seed)), ..Texel::matt(Vec3::ONE) }
+        Texel { emitted: Some(sky_color(weather, direction, towards_sun, seed)), ..Texel::matt(Vec3::ONE) }
     });
     let mut elements = vec![dome];
     elements.push(hills(seed, HILLS_RADIUS_M, 34.0, 0.62));
@@ -144,7 +144,7 @@ fn towers(seed: u64) -> Vec<Element> {
         let mut random = Stream::new(seed, 7 << 40, index);
         let azimuth = std::f32::consts::TAU * (index as f32 + random.unit()) / 46.0;
         let distance_m = random.range(FAR_M + 20.0, HILLS_RADIUS_M - 70.0);
-        let centre = Vec3::new(azimuth.cos(), azimuth.sin(), 0.0) * distance_m;
+        let center = Vec3::new(azimuth.cos(), azimuth.sin(), 0.0) * distance_m;
         let half = Vec3::new(random.range(8.0, 17.0), random.range(8.0, 17.0), 0.0);
         let height_m = if random.chance(0.3) { random.range(45.0, 85.0) } else { random.range(18.0, 40.0) };
         let hues = [display(150, 158, 170), display(176, 164, 150), display(128, 140, 156), display(190, 188, 184)];
@@ -161,7 +161,7 @@ fn towers(seed: u64) -> Vec<Element> {
             let glow = if lit { lamplight() * (0.2 + 0.4 * cell(tower + 2, bay, storey)) } else { Vec3::ZERO };
             Texel { haze, glow, ..Texel::matt(albedo) }
         };
-        elements.extend(boxed(centre - half, centre + half + Vec3::Z * height_m, 0.011, texture));
+        elements.extend(boxed(center - half, center + half + Vec3::Z * height_m, 0.011, texture));
     }
     elements
 }
@@ -179,8 +179,8 @@ mod tests {
                 .map(|i| {
                     let azimuth = i as f32 / 64.0 * std::f32::consts::TAU;
                     let ring = (1.0 - height * height).sqrt();
-                    let colour = clear_sky(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), height), sun, 1);
-                    colour.z - colour.x
+                    let color = clear_sky(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), height), sun, 1);
+                    color.z - color.x
                 })
                 .sum()
         };

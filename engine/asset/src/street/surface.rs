@@ -7,7 +7,7 @@ use glam::{Quat, Vec3};
 use super::loft::Loft;
 use super::random::{Stream, noise};
 
-/// Distance reported where no edge is near, metres.
+/// Distance reported where no edge is near, meters.
 pub(super) const FAR_M: f32 = 1e6;
 
 /// A sampled point, in the element's own frame. Textures that have edges should draw them by `position`, which is
@@ -29,7 +29,7 @@ pub(super) struct SurfacePoint {
 }
 
 impl SurfacePoint {
-    /// The point `offset` away in the tangent plane, metres.
+    /// The point `offset` away in the tangent plane, meters.
     pub(super) fn moved(&self, offset: Vec3) -> Self {
         Self { position: self.position + offset, ..*self }
     }
@@ -46,7 +46,7 @@ pub(super) struct Texel {
     pub openness: f32,
     /// Share of light that passes through from behind, as in leaves.
     pub translucency: f32,
-    /// Share of the colour taken by the haze of distance.
+    /// Share of the color taken by the haze of distance.
     pub haze: f32,
     /// True if the element's weathering applies.
     pub weathered: bool,
@@ -75,7 +75,7 @@ impl Texel {
     }
 }
 
-/// Linear RGB of a colour given as it is displayed, each channel 0 to 255.
+/// Linear RGB of a color given as it is displayed, each channel 0 to 255.
 pub(crate) fn display(red: u8, green: u8, blue: u8) -> Vec3 {
     Vec3::new(f32::from(red), f32::from(green), f32::from(blue)).map(|value| (value / 255.0).powf(2.2))
 }
@@ -87,7 +87,7 @@ pub(super) enum Shape {
     /// A curved surface.
     Loft(Loft),
     /// Leaves in a thick shell about an ellipsoid.
-    Crown { centre: Vec3, radii: Vec3 },
+    Crown { center: Vec3, radii: Vec3 },
     /// The part of a sphere about the world origin above `low` times its radius, seen from inside.
     Dome { radius_m: f32, low: f32 },
 }
@@ -96,7 +96,7 @@ pub(super) enum Shape {
 const LEAF_LAYERS: f32 = 1.7;
 
 impl Shape {
-    /// Area in square metres.
+    /// Area in square meters.
     pub(super) fn area_m2(&self) -> f32 {
         match self {
             Self::Rectangle { along, up, .. } => along.cross(*up).length(),
@@ -116,7 +116,7 @@ impl Shape {
         match self {
             Self::Rectangle { corner, along, up } => *corner + (*along + *up) * 0.5,
             Self::Loft(loft) => loft.at(0.5, 0.5).position,
-            Self::Crown { centre, .. } => *centre,
+            Self::Crown { center, .. } => *center,
             Self::Dome { .. } => Vec3::ZERO,
         }
     }
@@ -147,12 +147,12 @@ impl Shape {
                 }
             }
             Self::Loft(loft) => loft.at(u, v),
-            Self::Crown { centre, radii } => {
+            Self::Crown { center, radii } => {
                 let outward = on_sphere(u, 2.0 * v - 1.0);
                 let depth = random.unit();
                 // Twigs of unequal length, so that no crown ends in a smooth line.
-                let twigs = noise(17, 4.0 * outward.x + 2.3 * outward.z + centre.x, 4.0 * outward.y - 2.9 * outward.z + centre.y);
-                let position = *centre + *radii * outward * ((0.84 + 0.4 * twigs) * (1.08 - 0.5 * depth * depth));
+                let twigs = noise(17, 4.0 * outward.x + 2.3 * outward.z + center.x, 4.0 * outward.y - 2.9 * outward.z + center.y);
+                let position = *center + *radii * outward * ((0.84 + 0.4 * twigs) * (1.08 - 0.5 * depth * depth));
                 // Leaves face all ways, but more often out and up than in.
                 let normal = (outward + 1.1 * random.signed3() + Vec3::new(0.0, 0.0, 0.4)).normalize_or(outward);
                 SurfacePoint { u, v, position, normal, tangent: normal.any_orthonormal_vector(), border_m: [FAR_M; 2] }
@@ -200,14 +200,14 @@ pub(super) struct Element {
     /// Factor on the albedo of weathered texels: slow variation, kept apart because the texture is also asked for
     /// edges, many times a splat.
     pub weather: Option<Weathering>,
-    /// Splats a square metre, relative to the asphalt's.
+    /// Splats a square meter, relative to the asphalt's.
     pub density: f32,
     /// True if the surface goes on in the same look beyond its border, which splats may then
     /// overhang.
     pub seamless: bool,
     /// Parent from element.
     pub rotation: Quat,
-    /// See `rotation`, metres.
+    /// See `rotation`, meters.
     pub translation: Vec3,
 }
 

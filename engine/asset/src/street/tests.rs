@@ -93,7 +93,7 @@ fn counts_are_exact_at_every_size_and_degree() {
 }
 
 #[test]
-fn no_splat_is_defective_and_colours_are_displayable() {
+fn no_splat_is_defective_and_colors_are_displayable() {
     let street = Street::generate(&SMALL);
     for cloud in std::iter::once(&street.background).chain(&street.assets) {
         for splat in 0..cloud.len() {
@@ -159,7 +159,7 @@ fn detail_is_near_the_road_and_the_shell_is_far() {
     assert!(far > cloud.len() / 100, "{far} in the far shell");
 }
 
-/// At night asphalt is bright and warm below the lamps and darker between them; under clouds it is grey all over.
+/// At night asphalt is bright and warm below the lamps and darker between them; under clouds it is gray all over.
 #[test]
 fn lamps_lay_warm_pools_on_the_road_at_night() {
     let layout = Layout::new(SMALL.seed);
@@ -179,16 +179,16 @@ fn lamps_lay_warm_pools_on_the_road_at_night() {
         sum / count
     };
     let (below, away) = (road(Weather::Night, 0.0, 4.0), road(Weather::Night, 13.0, 30.0));
-    let (grey_below, grey_away) = (road(Weather::Overcast, 0.0, 4.0), road(Weather::Overcast, 13.0, 30.0));
-    for grey in [grey_below, grey_away] {
-        assert!((grey.x - grey.z).abs() < 0.02, "{grey}");
+    let (gray_below, gray_away) = (road(Weather::Overcast, 0.0, 4.0), road(Weather::Overcast, 13.0, 30.0));
+    for gray in [gray_below, gray_away] {
+        assert!((gray.x - gray.z).abs() < 0.02, "{gray}");
     }
     // Over what clouds show of the same road: paint is not spread evenly.
-    assert!(below.x / grey_below.x > 1.4 * away.x / grey_away.x, "{below} below lamps, {away} between them");
+    assert!(below.x / gray_below.x > 1.4 * away.x / gray_away.x, "{below} below lamps, {away} between them");
     assert!(below.x > 1.4 * below.z, "{below}");
 }
 
-/// Metres from the nearest place that a camera passes, whose height over the road is 1.6 m.
+/// Meters from the nearest place that a camera passes, whose height over the road is 1.6 m.
 fn to_the_way_m(street: &Street, mean: [f32; 3]) -> f64 {
     let mean = Vec3::from_array(mean).as_dvec3();
     street.ego.iter().map(|(_, pose)| pose.translation.with_z(1.6).distance(mean)).fold(f64::MAX, f64::min)
@@ -222,7 +222,7 @@ fn no_splat_beside_the_way_is_large_for_its_distance() {
     for (mean, scale) in cloud.means.iter().zip(&cloud.scales) {
         let largest_m = f64::from(scale.iter().copied().fold(0.0, f32::max));
         let distance_m = to_the_way_m(&street, *mean);
-        // Knots are a metre apart, and splats stray a little off their surfaces.
+        // Knots are a meter apart, and splats stray a little off their surfaces.
         assert!(largest_m < 0.26 * distance_m + 0.05, "{largest_m} m at {distance_m} m: {mean:?}");
     }
 }
@@ -286,9 +286,9 @@ fn trajectories_start_where_agents_stand_and_follow_their_heading() {
     for (agent, knots) in street.agents.iter().zip(&street.agent_trajectories) {
         assert_eq!(knots[0], (0.0, agent.world_from_agent));
         assert!(knots.len() >= 2 && knots.windows(2).all(|pair| pair[0].0 < pair[1].0));
-        let travelled = knots[knots.len() - 1].1.translation - knots[0].1.translation;
-        let ahead_m = travelled.dot(agent.world_from_agent.rotation * DVec3::X);
-        assert!((ahead_m - travelled.length()).abs() < 1e-3);
+        let traveled = knots[knots.len() - 1].1.translation - knots[0].1.translation;
+        let ahead_m = traveled.dot(agent.world_from_agent.rotation * DVec3::X);
+        assert!((ahead_m - traveled.length()).abs() < 1e-3);
         moving += usize::from(ahead_m > 10.0);
     }
     assert!(moving * 2 > street.agents.len());

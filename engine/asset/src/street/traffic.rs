@@ -9,24 +9,24 @@ use super::car::{Build, VARIANTS};
 use super::layout::{Axis, LANE_M, ROAD_HALF_M};
 use super::random::Stream;
 
-/// Height of the middle of the ego's box above the road, metres: half of a car 1.7 m high.
+/// Height of the middle of the ego's box above the road, meters: half of a car 1.7 m high.
 const EGO_CENTRE_Z_M: f64 = 0.85;
 /// Start of the ego, x in meters.
 const EGO_START_X_M: f64 = -62.0;
-/// Cruising speed of the ego, metres a second.
+/// Cruising speed of the ego, meters a second.
 const EGO_SPEED_MPS: f64 = 10.0;
-/// Speed in the turn, metres a second.
+/// Speed in the turn, meters a second.
 const EGO_TURN_SPEED_MPS: f64 = 5.0;
-/// Braking before the turn and accelerating after it, metres a second squared.
+/// Braking before the turn and accelerating after it, meters a second squared.
 const EGO_ACCELERATION_MPS2: f64 = 1.5;
-/// Radius of the ego's right turn into the crossing street: as wide as the kerb allows, metres.
+/// Radius of the ego's right turn into the crossing street: as wide as the kerb allows, meters.
 pub(super) const EGO_TURN_RADIUS_M: f64 = 9.0;
 /// Time between knots of the ego's trajectory, seconds.
 const EGO_STEP_S: f64 = 0.1;
 /// Duration of agents' trajectories, seconds.
 pub(super) const DURATION_S: f64 = 20.0;
 
-/// Bumper to bumper in a lane, at least this plus the longest car, metres.
+/// Bumper to bumper in a lane, at least this plus the longest car, meters.
 const SLOT_M: f64 = 7.6;
 
 /// A lane to put agents in: s grows with the traffic's heading when `forward`.
@@ -34,9 +34,9 @@ const SLOT_M: f64 = 7.6;
 struct Lane {
     axis: Axis,
     forward: bool,
-    /// 0 next to the centreline, 1 next to the parked cars.
+    /// 0 next to the centerline, 1 next to the parked cars.
     number: u8,
-    /// Stretch of s, metres.
+    /// Stretch of s, meters.
     range_m: (f64, f64),
     speed_mps: f64,
 }
@@ -89,14 +89,14 @@ pub(super) fn traffic(count: usize, assets: usize, seed: u64) -> Traffic {
         let (build, _) = Build::of(asset);
         let z = 0.5 * f64::from(build.size.z);
         let start = lane.pose(s, z);
-        let travelled_m = lane.speed_mps * DURATION_S * if lane.forward { 1.0 } else { -1.0 };
+        let traveled_m = lane.speed_mps * DURATION_S * if lane.forward { 1.0 } else { -1.0 };
         traffic.agents.push(AgentPlacement {
             name: format!("car_{number:03}"),
             asset,
             world_from_agent: start,
             sh_frame: ShFrame::Canonical,
         });
-        traffic.trajectories.push(vec![(0.0, start), (DURATION_S, lane.pose(s + travelled_m, z))]);
+        traffic.trajectories.push(vec![(0.0, start), (DURATION_S, lane.pose(s + traveled_m, z))]);
     }
     traffic
 }
@@ -148,7 +148,7 @@ pub(super) fn ego() -> Vec<(f64, Pose)> {
     knots
 }
 
-/// The ego after `s` metres of its way.
+/// The ego after `s` meters of its way.
 fn ego_pose(s: f64, straight_m: f64, turn_x: f64, lane_m: f64) -> Pose {
     let radius = EGO_TURN_RADIUS_M;
     let turned_rad = ((s - straight_m) / radius).clamp(0.0, FRAC_PI_2);

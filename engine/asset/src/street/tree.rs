@@ -8,10 +8,10 @@ use super::occluder::Occluder;
 use super::random::{Stream, cell, fractal_noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 
-/// Splats a square metre of leaves, relative to asphalt.
+/// Splats a square meter of leaves, relative to asphalt.
 const LEAF_DENSITY: f32 = 1.2;
 
-/// The lobes of the tree on a spot, in the world: centre and radii.
+/// The lobes of the tree on a spot, in the world: center and radii.
 fn lobes(spot: &Spot) -> Vec<(Vec3, Vec3)> {
     let mut random = Stream::new(spot.seed, 5 << 40, 0);
     let trunk_m = random.range(2.4, 3.2);
@@ -30,7 +30,7 @@ fn lobes(spot: &Spot) -> Vec<(Vec3, Vec3)> {
 
 /// Occluders of a tree.
 pub(super) fn tree_occluders(spot: &Spot) -> impl Iterator<Item = Occluder> {
-    lobes(spot).into_iter().map(|(centre, radii)| Occluder::Crown { centre, radii })
+    lobes(spot).into_iter().map(|(center, radii)| Occluder::Crown { center, radii })
 }
 
 /// All surfaces of a tree.
@@ -46,12 +46,12 @@ pub(super) fn tree(spot: &Spot) -> Vec<Element> {
         Texel::matt(display(98, 82, 66) * (0.6 + 0.7 * grain))
     };
     let mut elements = vec![Element::new(Shape::Loft(bar(spot.position, fork, 0.17, 0.12)), 3.0, bark)];
-    for (centre, _) in lobes.iter().take(5) {
-        elements.push(Element::new(Shape::Loft(bar(fork, *centre, 0.085, 0.03)), 2.0, bark));
+    for (center, _) in lobes.iter().take(5) {
+        elements.push(Element::new(Shape::Loft(bar(fork, *center, 0.085, 0.03)), 2.0, bark));
     }
     let (low, high) = lobes.iter().fold((f32::MAX, f32::MIN), |(low, high), (c, r)| (low.min(c.z - r.z), high.max(c.z + r.z)));
-    for (centre, radii) in lobes {
-        elements.push(Element::new(Shape::Crown { centre, radii }, LEAF_DENSITY, move |point| {
+    for (center, radii) in lobes {
+        elements.push(Element::new(Shape::Crown { center, radii }, LEAF_DENSITY, move |point| {
             let clumps = fractal_noise(
                 seed + 9,
                 1.3 * (point.position.x + point.position.z),

@@ -10,15 +10,15 @@ use super::layout::Layout;
 use super::occluder::Occluder;
 use super::{Street, StreetOptions, asset_in, background, street_light};
 
-/// Height of a car's underside over the road, metres.
+/// Height of a car's underside over the road, meters.
 const CLEARANCE_M: f32 = 0.15;
 
 /// A street and cars in it as its light shows them.
 #[derive(Clone, Debug)]
 pub struct Truth {
-    /// [`Street::background`], darker where the cars take its light; all but colours is the same.
+    /// [`Street::background`], darker where the cars take its light; all but colors is the same.
     pub background: SplatCloud,
-    /// For each placement the splats of its asset, the same but for their colours: those that it has where it stands. In the
+    /// For each placement the splats of its asset, the same but for their colors: those that it has where it stands. In the
     /// asset's frame, spherical harmonics included: to be placed as the asset is.
     pub cars: Vec<SplatCloud>,
 }
@@ -59,7 +59,7 @@ fn occluders(build: &Build, world_from_car: &Pose) -> [Occluder; 2] {
     let turn = Quat::from_rotation_z(yaw_rad);
     let foot = world_from_car.translation.as_vec3() - Vec3::Z * (0.5 * build.size.z);
     let between = |x: [f32; 2], half_width_m: f32, z: [f32; 2], grounded: bool| Occluder::Turned {
-        centre: foot + turn * Vec3::new(0.5 * (x[0] + x[1]), 0.0, 0.5 * (z[0] + z[1])),
+        center: foot + turn * Vec3::new(0.5 * (x[0] + x[1]), 0.0, 0.5 * (z[0] + z[1])),
         half: Vec3::new(0.5 * (x[0] - x[1]).abs(), half_width_m, 0.5 * (z[1] - z[0])),
         yaw_rad,
         grounded,
@@ -106,12 +106,12 @@ mod tests {
         values.as_flattened().iter().map(|value| value.to_bits()).collect()
     }
 
-    fn same_but_colours(a: &SplatCloud, b: &SplatCloud) {
+    fn same_but_colors(a: &SplatCloud, b: &SplatCloud) {
         assert_eq!((bits(&a.means), bits(&a.scales)), (bits(&b.means), bits(&b.scales)));
         assert!(a.rotations == b.rotations && a.opacities == b.opacities);
     }
 
-    fn grey(cloud: &SplatCloud, splat: usize) -> f64 {
+    fn gray(cloud: &SplatCloud, splat: usize) -> f64 {
         cloud.sh_dc[splat].iter().map(|dc| 0.5 + 0.282_094_8 * f64::from(*dc)).sum::<f64>() / 3.0
     }
 
@@ -123,8 +123,8 @@ mod tests {
         for (splat, mean) in street.background.means.iter().enumerate().filter(|(_, mean)| mean[2].abs() < 0.03) {
             let at = car_from_world.transform(DVec3::from_array(mean.map(f64::from)));
             if at.truncate().abs().cmple(half).all() {
-                with += grey(&truth.background, splat);
-                without += grey(&street.background, splat);
+                with += gray(&truth.background, splat);
+                without += gray(&street.background, splat);
             }
         }
         assert!(without > 5.0, "hardly any ground below the car");
@@ -139,10 +139,10 @@ mod tests {
             for asset_light in [AssetLight::Sun, AssetLight::Neutral] {
                 let options = StreetOptions { weather, asset_light, ..small };
                 let (street, truth) = (Street::generate(&options), Street::lit(&options, &placements()));
-                same_but_colours(&street.background, &clear.background);
-                same_but_colours(&truth.background, &street.background);
+                same_but_colors(&street.background, &clear.background);
+                same_but_colors(&truth.background, &street.background);
                 for (car, asset) in truth.cars.iter().zip(&street.assets) {
-                    same_but_colours(car, asset);
+                    same_but_colors(car, asset);
                     assert_ne!(car.sh_dc, asset.sh_dc, "the light matters");
                 }
             }
@@ -163,7 +163,7 @@ mod tests {
                     continue;
                 }
                 darkened += 1;
-                assert!(grey(&truth.background, splat) < grey(&street.background, splat) + 1e-6);
+                assert!(gray(&truth.background, splat) < gray(&street.background, splat) + 1e-6);
                 let mean = DVec3::from_array(street.background.means[splat].map(f64::from));
                 let to_car_m =
                     placements().iter().map(|p| p.world_from_agent.translation.distance(mean)).fold(f64::MAX, f64::min);
@@ -196,7 +196,7 @@ mod tests {
         let (ahead, back) = (lit(0.0), lit(std::f64::consts::PI));
         let rear = |cloud: &SplatCloud| {
             let rear: Vec<usize> = (0..cloud.len()).filter(|&splat| cloud.means[splat][0] < -2.1).collect();
-            rear.iter().map(|&splat| grey(cloud, splat)).sum::<f64>() / rear.len() as f64
+            rear.iter().map(|&splat| gray(cloud, splat)).sum::<f64>() / rear.len() as f64
         };
         // The sun of dusk stands behind who looks along x.
         assert!(rear(&ahead) > 1.2 * rear(&back), "{} and {}", rear(&ahead), rear(&back));

@@ -26,7 +26,7 @@ pub(super) const TOWARDS_SUN_ASSET: Vec3 = Vec3::new(-0.22, 0.18, 0.95);
 /// Towards the sun at dusk, 14 degrees high: it looks down the street from behind the ego and lights the fronts on the left.
 const TOWARDS_LOW_SUN: Vec3 = Vec3::new(-0.933, -0.267, 0.242);
 
-/// The light of a place that nothing stands in the way of. Colours are linear RGB, in units in which white turned to a light of 1
+/// The light of a place that nothing stands in the way of. Colors are linear RGB, in units in which white turned to a light of 1
 /// is displayed as white: exposure is in them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Air {
@@ -45,7 +45,7 @@ pub(super) struct Air {
     pub sheen: Vec3,
     /// Share of the sheen that faces in the shadow keep.
     pub shaded_sheen: f32,
-    /// Light of a street lamp: irradiance times square metres.
+    /// Light of a street lamp: irradiance times square meters.
     pub lamp: Vec3,
     /// Strength of the own light of windows and lamps.
     pub glow: f32,
@@ -118,7 +118,7 @@ impl Air {
     }
 }
 
-/// Seen where the dome of sky lets light through: the colour of the air above the horizon, display-referred.
+/// Seen where the dome of sky lets light through: the color of the air above the horizon, display-referred.
 pub(super) fn sky_rgb(weather: Weather) -> [f32; 3] {
     match weather {
         Weather::Clear => [0.70, 0.79, 0.89],

@@ -1,7 +1,7 @@
 //! Road users of a CommonRoad scenario (`.xml`, versions 2018b and 2020a).
 //!
 //! Read are dynamic obstacles: the initial state and, where it has one, the trajectory. Values that are intervals count with
-//! their middle, positions that are areas with the area's centre; moments are steps times the scenario's `timeStepSize`. Static
+//! their middle, positions that are areas with the area's center; moments are steps times the scenario's `timeStepSize`. Static
 //! and environment obstacles, predicted occupancies and positions that only name a lanelet are not read. The format has no
 //! height, see [`super::nominal_height_m`].
 
@@ -72,7 +72,7 @@ fn scalar(element: Element) -> Result<f64, DecodeError> {
     Ok(0.5 * start? + 0.5 * end?)
 }
 
-/// The place that a position is, or the centre of the area.
+/// The place that a position is, or the center of the area.
 fn position(element: Element) -> Result<DVec2, DecodeError> {
     let Some(place) = element.elements().next() else { return Err(element.fault("it is empty")) };
     match place.name() {

@@ -1,6 +1,6 @@
 //! Tracks of road users: tables as CSV or JSON, and CommonRoad scenarios; and poses, which are written as such tables.
 //!
-//! Positions are centres of boxes, world coordinates in metres. Where a file tells length and width but no height, the height
+//! Positions are centers of boxes, world coordinates in meters. Where a file tells length and width but no height, the height
 //! is [`nominal_height_m`]'s: no measurement, but a box needs one.
 
 pub mod commonroad;
@@ -57,10 +57,10 @@ impl TrackFormat {
 /// Reads the tracks of a file, its form told by its content.
 ///
 /// # Errors
-/// [`AssetError::Read`], [`AssetError::Unrecognised`] or [`AssetError::Decode`].
+/// [`AssetError::Read`], [`AssetError::Unrecognized`] or [`AssetError::Decode`].
 pub fn read_tracks(path: &Path) -> Result<Vec<Track>, AssetError> {
     let bytes = read_bytes(path)?;
-    let format = TrackFormat::detect(&bytes).map_err(|found| AssetError::Unrecognised {
+    let format = TrackFormat::detect(&bytes).map_err(|found| AssetError::Unrecognized {
         path: path.to_owned(),
         found,
         expected: "tracks: a CSV table with a line of names, a JSON array of rows, or a CommonRoad scenario",
@@ -80,7 +80,7 @@ pub fn decode(bytes: &[u8], format: TrackFormat) -> Result<Vec<Track>, DecodeErr
     }
 }
 
-/// The height taken for a road user of `class` of which none is known, metres: that of a usual one of its kind.
+/// The height taken for a road user of `class` of which none is known, meters: that of a usual one of its kind.
 #[must_use]
 pub fn nominal_height_m(class: &str) -> f64 {
     match class {

@@ -18,11 +18,11 @@ pub struct PoseRow {
     pub class: String,
     /// The moment, seconds.
     pub time_s: f64,
-    /// Centre of its box, world coordinates in metres.
+    /// Center of its box, world coordinates in meters.
     pub position: DVec3,
     /// World from road user (x forward, y left, z up); the file has w first.
     pub rotation: DQuat,
-    /// Length, width and height, metres, where known.
+    /// Length, width and height, meters, where known.
     pub dims_m: Option<[f64; 3]>,
     /// Whatever a reader should know of it; tables of tracks ignore it.
     pub note: String,
@@ -111,7 +111,7 @@ fn json_of(rows: &[PoseRow]) -> io::Result<Vec<u8>> {
 /// Writes a table of `rows` to `path`, as CSV or JSON by its extension, whole or not at all.
 ///
 /// # Errors
-/// [`AssetError::Unrecognised`] for another extension, [`AssetError::Write`] where a number is not finite or the disk fails.
+/// [`AssetError::Unrecognized`] for another extension, [`AssetError::Write`] where a number is not finite or the disk fails.
 pub fn write_poses(path: &Path, rows: &[PoseRow]) -> Result<(), AssetError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let format = match extension.as_str() {
@@ -119,7 +119,7 @@ pub fn write_poses(path: &Path, rows: &[PoseRow]) -> Result<(), AssetError> {
         "json" => TrackFormat::Json,
         _ => {
             let found = format!("the extension '{extension}' tells no form of table");
-            return Err(AssetError::Unrecognised { path: path.to_owned(), found, expected: ".csv or .json" });
+            return Err(AssetError::Unrecognized { path: path.to_owned(), found, expected: ".csv or .json" });
         }
     };
     let bytes = encode_poses(rows, format).map_err(|source| AssetError::Write { path: path.to_owned(), source })?;

@@ -5,8 +5,8 @@
 //! | `t` | `time_s`, `time` | the moment, seconds |
 //! | `id` | `track_id` | names the road user |
 //! | `class` | `type` | its kind; `unknown` where absent |
-//! | `x`, `y` | `x_m`, `y_m` | its centre, world coordinates in metres |
-//! | `z` | `z_m` | height of its centre, where known |
+//! | `x`, `y` | `x_m`, `y_m` | its center, world coordinates in meters |
+//! | `z` | `z_m` | height of its center, where known |
 //! | `yaw` | `yaw_rad` | heading from x towards y, where known |
 //! | `qw`, `qx`, `qy`, `qz` | | or its rotation as a quaternion, of which the heading is kept |
 //! | `l`, `w`, `h` | `length_m`, `width_m`, `height_m` | its size, where known |
@@ -269,7 +269,7 @@ mod tests {
     #[test]
     fn columns_come_in_any_order_and_rows_in_any_time() {
         let text =
-            "\u{feff}Y, X ,id,colour,Time_s,class,l,w,yaw\n2,1,a,red,1.5,Car,4,2,0.5\n4,3,a,red,0.5,Car,,,\n0,0,b,,0,truck,,,\n";
+            "\u{feff}Y, X ,id,color,Time_s,class,l,w,yaw\n2,1,a,red,1.5,Car,4,2,0.5\n4,3,a,red,0.5,Car,,,\n0,0,b,,0,truck,,,\n";
         let tracks = decode_csv(text.as_bytes()).unwrap();
         let [a, b] = tracks.as_slice() else { panic!("{tracks:?}") };
         assert_eq!((a.id.as_str(), a.class.as_str(), a.dims_m), ("a", "car", Some([4.0, 2.0, 1.5])));

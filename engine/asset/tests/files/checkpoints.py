@@ -100,7 +100,7 @@ def cone():
             {
                 "means": [2.5 + x * (3 - ring) / 16, y * (3 - ring) / 16 - 1.25, (5 * ring + 1) / 16],
                 "scales": [math.log(s) for s in ((1 + ring) / 64, (4 - ring) / 32, (1 + i) / 512)],
-                # Of any length: readers normalise.
+                # Of any length: readers normalize.
                 "quats": [3, 1 - i % 4, i // 4, 0.5 * i - 2],
                 "opacities": [math.log(opacity / (1 - opacity))],
                 "dc": [1.25, 1.25, 1.1875] if ring == 1 else [1.25, -0.25, -1.375],

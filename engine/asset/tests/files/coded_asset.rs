@@ -58,7 +58,7 @@ fn covariance(cloud: &SplatCloud, splat: usize) -> DMat3 {
 #[test]
 fn the_cone_is_the_cone_but_for_places_and_opacities() {
     let (cone, decoded) = (cone(), coded_cone().cloud.decoded(0));
-    assert_eq!((&decoded.sh_dc, &decoded.sh_rest), (&cone.sh_dc, &cone.sh_rest), "its colours are half floats");
+    assert_eq!((&decoded.sh_dc, &decoded.sh_rest), (&cone.sh_dc, &cone.sh_rest), "its colors are half floats");
     for splat in 0..cone.len() {
         let step = coded_cone().cloud.position_step_m();
         for (axis, step_m) in step.into_iter().enumerate() {
@@ -116,7 +116,7 @@ fn a_file_is_written_and_read_with_its_provenance() {
 #[test]
 fn a_summary_counts_levels_and_bytes() {
     let summary = CodedSummary::of(&coded_cone(), 1600);
-    assert_eq!((summary.levels.as_slice(), summary.shapes, summary.colours), ([12, 4].as_slice(), 12, 12));
+    assert_eq!((summary.levels.as_slice(), summary.shapes, summary.colors), ([12, 4].as_slice(), 12, 12));
     assert_eq!((summary.bytes_per_splat, summary.sh_frame, summary.finest.splats), (Some(100.0), "world", 12));
     let json = serde_json::to_value(&summary).unwrap();
     assert_eq!((&json["splats"], &json["settings"]["keep_ratio"]), (&json!(12), &json!("1")));
@@ -133,7 +133,7 @@ fn what_a_file_cannot_hold_is_refused_before_it_is_written() {
         assert!(matches!(error, AssetError::Encode { .. }) && !path.exists());
         error.to_string()
     };
-    assert!(refused(|asset| asset.cloud.colours[5][1] = 65_520.0).contains("65520"));
+    assert!(refused(|asset| asset.cloud.colors[5][1] = 65_520.0).contains("65520"));
     assert!(refused(|asset| asset.cloud.shapes[0][0] = f32::NAN).contains("NaN"));
     assert!(refused(|asset| asset.cloud.splats[0] = CodedSplat([0, 0, 0x1ff])).contains("shape 511 of 12"));
     assert!(refused(|asset| asset.cloud.dims_m[0] = -1.0).contains("dims_m"));
@@ -221,8 +221,8 @@ fn numbers_that_cannot_be_drawn_are_refused() {
     let huge = 3e38f32.to_le_bytes();
     assert!(complaint(|parts| parts.tensor("shapes")[..4].copy_from_slice(&huge)).contains("3e38"));
     assert!(complaint(|parts| parts.tensor("codes")[..4].copy_from_slice(&12u32.to_le_bytes())).contains("shape 12 of 12"));
-    let colour = (12u32 << 9).to_le_bytes();
-    assert!(complaint(|parts| parts.tensor("codes")[60..].copy_from_slice(&colour)).contains("colour 12 of 12"));
+    let color = (12u32 << 9).to_le_bytes();
+    assert!(complaint(|parts| parts.tensor("codes")[60..].copy_from_slice(&color)).contains("color 12 of 12"));
     assert!(complaint(|parts| parts.tensor("levels")[0] = 11).contains("add up to 16"));
     assert!(complaint(|parts| parts.tensor("levels").copy_from_slice(&[0xff; 8])).contains("add up to 16"));
 }
@@ -267,7 +267,7 @@ fn metadata_that_are_not_as_they_should_be_are_named() {
 #[test]
 fn what_others_add_to_the_metadata_is_no_fault() {
     let mut parts = Parts::of(&coded_asset::encode(&coded_cone()).unwrap());
-    parts.header["__metadata__"]["licence"] = "CC0".into();
+    parts.header["__metadata__"]["license"] = "CC0".into();
     parts.header["__metadata__"]["sh_frame"] = "canonical".into();
     let read = coded_asset::decode(&parts.to_bytes()).unwrap();
     assert_eq!((read.cloud.sh_frame, read.provenance), (ShFrame::Canonical, coded_cone().provenance));

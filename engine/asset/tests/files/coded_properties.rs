@@ -1,7 +1,7 @@
 //! Properties over generated coded assets, and over damaged ones.
 
 use decouplegs_asset::{CodedAsset, Provenance, coded_asset};
-use decouplegs_scene::codebook::{COLOURS_MAX, LEVELS_MAX, SHAPES_MAX};
+use decouplegs_scene::codebook::{COLORS_MAX, LEVELS_MAX, SHAPES_MAX};
 use decouplegs_scene::{Bounds, CodedCloud, ShFrame, SplatCodes, sh};
 use proptest::collection::{btree_map, vec};
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ use crate::sample;
 
 /// Entries of the codebooks, degree and splats of each level.
 fn sizes() -> impl Strategy<Value = (usize, usize, u8, Vec<usize>)> {
-    (1usize..=SHAPES_MAX, 1usize..=COLOURS_MAX, 0u8..=3, vec(0usize..20, 1..=LEVELS_MAX))
+    (1usize..=SHAPES_MAX, 1usize..=COLORS_MAX, 0u8..=3, vec(0usize..20, 1..=LEVELS_MAX))
 }
 
 fn provenances() -> impl Strategy<Value = Provenance> {
@@ -20,14 +20,14 @@ fn provenances() -> impl Strategy<Value = Provenance> {
 
 /// Assets with every number anywhere in its range. Books repeat a few values, of which there are enough.
 fn assets() -> impl Strategy<Value = CodedAsset> {
-    (sizes(), provenances()).prop_flat_map(|((shapes, colours, sh_degree, levels), provenance)| {
-        let codes = (any::<([u16; 3], u8, u8)>(), 0..shapes as u16, 0..colours as u16, -16i8..16, -8i8..8, -8i8..8);
-        let codes = codes.prop_map(|((position, opacity, size), shape, colour, luma, orange, green)| SplatCodes {
+    (sizes(), provenances()).prop_flat_map(|((shapes, colors, sh_degree, levels), provenance)| {
+        let codes = (any::<([u16; 3], u8, u8)>(), 0..shapes as u16, 0..colors as u16, -16i8..16, -8i8..8, -8i8..8);
+        let codes = codes.prop_map(|((position, opacity, size), shape, color, luma, orange, green)| SplatCodes {
             position,
             opacity,
             size,
             shape,
-            colour,
+            color,
             dc_residual: [luma, orange, green],
         });
         let boxes = (prop::array::uniform3(-1e9f32..1e9), prop::array::uniform3(0f32..1.0));
@@ -36,7 +36,7 @@ fn assets() -> impl Strategy<Value = CodedAsset> {
         let splats = vec(codes, levels.iter().sum::<usize>());
         (splats, boxes, steps, values, prop::array::uniform3(0f32..100.0), any::<bool>()).prop_map(
             move |(splats, (min, share), (log2_size_min, log2_size_step, dc_residual_step), values, dims_m, canonical)| {
-                let coefficients = colours * sh::coefficient_count(sh_degree);
+                let coefficients = colors * sh::coefficient_count(sh_degree);
                 let cloud = CodedCloud {
                     bounds: Bounds { min, max: std::array::from_fn(|axis| min[axis] + share[axis] * (1e9 - min[axis])) },
                     log2_size_min,
@@ -46,7 +46,7 @@ fn assets() -> impl Strategy<Value = CodedAsset> {
                     levels: levels.clone(),
                     shapes: values.0.iter().copied().cycle().take(shapes).collect(),
                     sh_degree,
-                    colours: values.1.iter().copied().cycle().take(coefficients).collect(),
+                    colors: values.1.iter().copied().cycle().take(coefficients).collect(),
                     sh_frame: if canonical { ShFrame::Canonical } else { ShFrame::World },
                     dims_m,
                 };

@@ -46,7 +46,7 @@ fn python_reads_what_is_drawn() {
     let path = directory.path().join("car.safetensors");
     let asset = coded_cone();
     write_coded(&path, &asset).unwrap();
-    let results = "print(json.dumps([x.tolist() for x in (means, scales, opacities[:, None], colours.reshape(len(means), -1))]))";
+    let results = "print(json.dumps([x.tolist() for x in (means, scales, opacities[:, None], colors.reshape(len(means), -1))]))";
     let run = Command::new(python).current_dir(&directory).arg("-c").arg(example() + results).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let found: Value = serde_json::from_slice(&run.stdout).unwrap();
@@ -57,13 +57,13 @@ fn python_reads_what_is_drawn() {
     assert!(close(&found[1], &scales), "scales");
     let opacities: Vec<[f32; 1]> = drawn.opacities.iter().map(|&opacity| [opacity]).collect();
     assert!(close(&found[2], &opacities), "opacities");
-    let colours: Vec<[f32; 48]> = (0..drawn.len())
+    let colors: Vec<[f32; 48]> = (0..drawn.len())
         .map(|splat| {
             let coefficients = [&[drawn.sh_dc[splat]], drawn.rest_of(splat)].concat();
             coefficients.into_flattened().try_into().unwrap()
         })
         .collect();
-    assert!(close(&found[3], &colours), "colours");
+    assert!(close(&found[3], &colors), "colours");
     // The comparison can fail.
     let moved: Vec<[f32; 3]> = drawn.means.iter().map(|&[x, y, z]| [x, y, z + 1e-4]).collect();
     assert!(!close(&found[0], &moved));

@@ -9,7 +9,7 @@ pub const SMALLEST_THREE_MAX_RAD: f64 = 4.0 * 1.732_050_8 * (0.5 * std::f64::con
 /// Largest errors of one cloud against another, per attribute.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
-    /// Metres along an axis.
+    /// Meters along an axis.
     pub mean_m: f32,
     /// Error of the natural logarithm of a standard deviation.
     pub scale_ln: f64,

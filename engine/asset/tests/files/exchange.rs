@@ -9,7 +9,7 @@ use crate::errors::Errors;
 use crate::sample::{cloud, cone};
 
 #[test]
-fn a_sog_reads_back_within_its_quantisation() {
+fn a_sog_reads_back_within_its_quantization() {
     for degree in 0..=3 {
         let original = cloud(300, degree);
         let back = sog::decode(&sog::encode(&original).unwrap()).unwrap();
@@ -144,7 +144,7 @@ fn nodes_place_what_they_show_as_often_as_they_show_it() {
         assert!((0..3).all(|axis| (turned[axis] - expected[axis]).abs() < 1e-4), "{turned:?} {expected:?}");
         assert!((placed.scales[splat + 5][1] / original.scales[splat][1] - 2.0).abs() < 1e-5);
     }
-    assert_ne!(placed.rest_of(0), placed.rest_of(5), "colours turn too");
+    assert_ne!(placed.rest_of(0), placed.rest_of(5), "colors turn too");
     for (nodes, part) in [
         ("[{\"children\":[0]}]", "below itself"),
         ("[{\"children\":[1,1]},{\"mesh\":0}]", "below two"),
@@ -197,7 +197,7 @@ fn real_files_of_others_are_read() {
         let cloud = khr_glb::decode(&bytes).unwrap();
         assert_eq!((cloud.len(), cloud.sh_degree), (15, 3));
         assert!(cloud.means.iter().all(|mean| *mean == [1.0, 2.0, 3.0]));
-        // A draft: scales are logarithms, whole or normalised integers.
+        // A draft: scales are logarithms, whole or normalized integers.
         let scale = |splat: usize| cloud.scales[splat].map(|scale| f64::from(scale).ln());
         let close = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-3);
         assert!(close(scale(4), [1.0, -2.0, 3.0]) && close(scale(5), [1.0, 0.0, -1.0]), "{:?}", scale(4));

@@ -107,7 +107,7 @@ fn text_files_read_as_ever() {
 fn an_episode_log_of_version_1_reads_as_it_was_written() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds/episode_log/small.log");
     let Episode { head, start, steps, end } = read_episode_log(&path).unwrap();
-    assert_eq!((head.scenario.seed, head.scenario.agents[0].behaviours.len()), (0xfedc_ba98_7654_3210, 1));
+    assert_eq!((head.scenario.seed, head.scenario.agents[0].behaviors.len()), (0xfedc_ba98_7654_3210, 1));
     assert_eq!((head.planner.name.as_str(), head.planner.privileged), ("lane-follow", true));
     assert_eq!((head.route_m[1].y, head.agent_sizes.as_slice()), (1.0 / 3.0, &[VehicleSize::CAR][..]));
     assert_eq!((start.ego.speed_mps, steps.len(), end), (8.0, 3, EpisodeEnd::Collision { agent: 0 }));

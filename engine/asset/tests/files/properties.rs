@@ -58,7 +58,7 @@ proptest! {
     }
 
     #[test]
-    fn an_spz_reads_back_within_its_quantisation(cloud in clouds()) {
+    fn an_spz_reads_back_within_its_quantization(cloud in clouds()) {
         let back = spz::decode(&spz::encode(&cloud).unwrap()).unwrap();
         prop_assert_eq!((back.len(), back.sh_degree), (cloud.len(), cloud.sh_degree));
         // Half a step of 2^-12 m, and the f32 that holds it: 2^-14 m at 2 km.
@@ -106,7 +106,7 @@ proptest! {
         low in prop::array::uniform9(-9.0f32..3.0),
         size in prop::array::uniform9(0.0f32..4.0),
     ) {
-        // Means, scales and colours of the chunk's extent lie behind the header: minima of three, then maxima of three.
+        // Means, scales and colors of the chunk's extent lie behind the header: minima of three, then maxima of three.
         let (_, mut file, read) = sample::files().swap_remove(1);
         let body = file.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
         for (attribute, axis) in (0..3).flat_map(|attribute| (0..3).map(move |axis| (attribute, axis))) {
@@ -120,8 +120,8 @@ proptest! {
             prop_assert_eq!(cloud.defect_of(splat), None);
             let length_squared: f32 = cloud.rotations[splat].iter().map(|q| q * q).sum();
             prop_assert!((length_squared - 1.0).abs() < 1e-6);
-            let colour = cloud.sh_dc[splat].map(|dc| dc * sh::Y0 as f32 + 0.5);
-            for (attribute, value) in [cloud.means[splat], cloud.scales[splat].map(f32::ln), colour].into_iter().enumerate() {
+            let color = cloud.sh_dc[splat].map(|dc| dc * sh::Y0 as f32 + 0.5);
+            for (attribute, value) in [cloud.means[splat], cloud.scales[splat].map(f32::ln), color].into_iter().enumerate() {
                 for axis in 0..3 {
                     let (min, size) = (low[3 * attribute + axis], size[3 * attribute + axis]);
                     prop_assert!((min - 1e-5..=min + size + 1e-5).contains(&value[axis]), "{value:?}");

@@ -16,7 +16,7 @@ fn largest(differences: impl Iterator<Item = f32>) -> f32 {
 }
 
 #[test]
-fn one_object_as_ply_and_as_splat_agrees_to_quantisation() {
+fn one_object_as_ply_and_as_splat_agrees_to_quantization() {
     let Some((ply, splat)) = object() else { return };
     assert_eq!((ply.len(), splat.len(), ply.sh_degree, splat.sh_degree), (13_536, 13_536, 3, 0));
     assert_eq!(ply.means, splat.means, "both hold 32-bit floats");
@@ -27,8 +27,8 @@ fn one_object_as_ply_and_as_splat_agrees_to_quantisation() {
     );
     let opacity = largest(ply.opacities.iter().zip(&splat.opacities).map(|(a, b)| (a - b).abs()));
     let y0 = decouplegs_scene::sh::Y0 as f32;
-    let colour = largest(ply.sh_dc.as_flattened().iter().zip(splat.sh_dc.as_flattened()).map(|(a, b)| {
-        // A byte holds 0 to 1; colours outside were clamped by the writer.
+    let color = largest(ply.sh_dc.as_flattened().iter().zip(splat.sh_dc.as_flattened()).map(|(a, b)| {
+        // A byte holds 0 to 1; colors outside were clamped by the writer.
         ((a * y0 + 0.5).clamp(0.0, 1.0) - (b * y0 + 0.5)).abs()
     }));
     let angle_rad = largest(ply.rotations.iter().zip(&splat.rotations).map(|(a, b)| {
@@ -36,11 +36,11 @@ fn one_object_as_ply_and_as_splat_agrees_to_quantisation() {
         2.0 * dot.abs().min(1.0).acos()
     }));
     println!(
-        "hfk_keys .ply against .splat: scale {scale:.2e} relative, opacity {opacity:.4}, colour {colour:.4}, angle {angle_rad:.4} rad"
+        "hfk_keys .ply against .splat: scale {scale:.2e} relative, opacity {opacity:.4}, color {color:.4}, angle {angle_rad:.4} rad"
     );
     assert!(scale < 2e-7, "{scale}");
-    // This writer truncates: colours, opacities and the four components of a rotation are off by up to a whole step.
-    assert!(opacity <= 1.001 / 255.0 && colour <= 1.001 / 255.0, "{opacity} {colour}");
+    // This writer truncates: colors, opacities and the four components of a rotation are off by up to a whole step.
+    assert!(opacity <= 1.001 / 255.0 && color <= 1.001 / 255.0, "{opacity} {color}");
     assert!(angle_rad <= 4.0 / 128.0, "{angle_rad}");
 }
 

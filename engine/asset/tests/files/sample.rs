@@ -58,7 +58,7 @@ pub fn cone() -> SplatCloud {
     }
 }
 
-/// The cone as a coded asset of two levels: a shape and a colour for each of its splats, and a second level of every third.
+/// The cone as a coded asset of two levels: a shape and a color for each of its splats, and a second level of every third.
 ///
 /// Sizes are powers of two and DC residuals fractions of two, so that decoding it gives the same bits on every machine.
 pub fn coded_cone() -> CodedAsset {
@@ -70,7 +70,7 @@ pub fn coded_cone() -> CodedAsset {
         });
         let opacity = (cone.opacities[i] * 255.0).round() as u8;
         let residual = [(i % 5) as i8 - 2, (i % 3) as i8 - 1, (i % 4) as i8 - 2];
-        SplatCodes { position, opacity, size: 16 * (i % 4) as u8, shape: i as u16, colour: i as u16, dc_residual: residual }
+        SplatCodes { position, opacity, size: 16 * (i % 4) as u8, shape: i as u16, color: i as u16, dc_residual: residual }
     };
     let codes: Vec<SplatCodes> = (0..12).chain((0..12).step_by(3)).map(code).collect();
     let shape = |codes: &SplatCodes| {
@@ -87,14 +87,14 @@ pub fn coded_cone() -> CodedAsset {
         levels: vec![12, 4],
         shapes: codes[..12].iter().map(shape).collect(),
         sh_degree: 3,
-        colours: Vec::new(),
+        colors: Vec::new(),
         sh_frame: ShFrame::World,
         dims_m: [0.375, 0.375, 0.75],
     };
     for (i, codes) in codes[..12].iter().enumerate() {
         let residual = cloud.dc_residual(codes);
-        cloud.colours.push(std::array::from_fn(|channel| cone.sh_dc[i][channel] - residual[channel]));
-        cloud.colours.extend_from_slice(cone.rest_of(i));
+        cloud.colors.push(std::array::from_fn(|channel| cone.sh_dc[i][channel] - residual[channel]));
+        cloud.colors.extend_from_slice(cone.rest_of(i));
     }
     let mut provenance = Provenance::of_source("cone.ply", b"the bytes of a cone");
     provenance.tool_version = "0.1.0".into();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use decouplegs_asset::scenario_file::{self, AGENTS_MAX};
 use decouplegs_asset::{read_scenario, write_scenario};
-use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, Place, Trigger};
+use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, Place, Trigger};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use proptest::prelude::*;
 
@@ -41,15 +41,15 @@ fn the_documented_example_means_what_it_says() {
     let [taxi] = scenario.agents.as_slice() else { panic!("one agent") };
     assert_eq!((taxi.name.as_str(), taxi.asset, taxi.lane.as_str(), taxi.at_m), ("taxi", 3, "12/0/-2", 25.0));
     assert_eq!((taxi.driver, taxi.changes_lanes, taxi.size.to_array()), (DriverKind::Hurried, true, [4.8, 1.85, 1.5]));
-    let behaviours = [
-        Behaviour { trigger: Trigger::NearEgo { distance_m: 14.0 }, maneuver: Maneuver::CutIn },
-        Behaviour {
+    let behaviors = [
+        Behavior { trigger: Trigger::NearEgo { distance_m: 14.0 }, maneuver: Maneuver::CutIn },
+        Behavior {
             trigger: Trigger::Time { time_s: 9.5 },
             maneuver: Maneuver::Brake { deceleration_mps2: 7.0, duration_s: 1.5 },
         },
-        Behaviour { trigger: Trigger::Time { time_s: 12.0 }, maneuver: Maneuver::Swerve { amplitude_m: 0.8, duration_s: 3.0 } },
+        Behavior { trigger: Trigger::Time { time_s: 12.0 }, maneuver: Maneuver::Swerve { amplitude_m: 0.8, duration_s: 3.0 } },
     ];
-    assert_eq!(taxi.behaviours, behaviours);
+    assert_eq!(taxi.behaviors, behaviors);
 }
 
 #[test]
@@ -95,15 +95,15 @@ fn complaints_name_line_key_and_reason() {
         ("\"taxi\"", "\"a taxi\"", "agent[0].name: 'a taxi' names files"),
         ("asset = 3", "asset = 65536", "agent[0].asset: 65536 is out of range"),
         ("\"hurried\"", "\"drunk\"", "agent[0].driver: 'drunk' is unknown"),
-        ("\"cut_in\"", "\"vanish\"", "agent[0].behaviour[0].maneuver: 'vanish' is unknown"),
+        ("\"cut_in\"", "\"vanish\"", "agent[0].behavior[0].maneuver: 'vanish' is unknown"),
         (
             "near_ego_m = 14.0",
             "deceleration_mps2 = 1.0\nnear_ego_m = 14.0",
-            "behaviour[0].deceleration_mps2: a maneuver 'cut_in'",
+            "behavior[0].deceleration_mps2: a maneuver 'cut_in'",
         ),
-        ("at_time_s = 9.5", "near_ego_m = 1.0\nat_time_s = 9.5", "agent[0].behaviour[1].at_time_s: give either"),
-        ("deceleration_mps2 = 7.0", "deceleration_mps2 = -7.0", "behaviour[1].deceleration_mps2: -7 is out of range"),
-        ("amplitude_m = 0.8", "amplitude_m = 80.0", "agent[0].behaviour[2].amplitude_m: 80 is out of range"),
+        ("at_time_s = 9.5", "near_ego_m = 1.0\nat_time_s = 9.5", "agent[0].behavior[1].at_time_s: give either"),
+        ("deceleration_mps2 = 7.0", "deceleration_mps2 = -7.0", "behavior[1].deceleration_mps2: -7 is out of range"),
+        ("amplitude_m = 0.8", "amplitude_m = 80.0", "agent[0].behavior[2].amplitude_m: 80 is out of range"),
     ];
     for (from, to, complaint) in cases {
         let text = example();
@@ -124,7 +124,7 @@ fn complaints_name_line_key_and_reason() {
 #[test]
 fn more_agents_than_allowed_are_refused() {
     let mut scenario = scenario_file::parse(&example()).unwrap();
-    scenario.agents[0].behaviours.clear();
+    scenario.agents[0].behaviors.clear();
     let agent = scenario.agents[0].clone();
     scenario.agents = (0..AGENTS_MAX)
         .map(|index| decouplegs_scene::scenario::TrafficAgent { name: format!("a{index}"), ..agent.clone() })

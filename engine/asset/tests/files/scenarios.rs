@@ -1,6 +1,6 @@
 //! Generated scenarios, of which no number is rounder than it has to be.
 
-use decouplegs_scene::scenario::{Behaviour, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use proptest::prelude::*;
 use proptest::sample::select;
@@ -36,7 +36,7 @@ fn egos() -> impl Strategy<Value = EgoTask> {
     )
 }
 
-fn behaviours() -> impl Strategy<Value = Behaviour> {
+fn behaviors() -> impl Strategy<Value = Behavior> {
     let trigger = prop_oneof![
         (0.0f64..=3600.0).prop_map(|time_s| Trigger::Time { time_s }),
         (0.0f64..=10_000.0).prop_map(|distance_m| Trigger::NearEgo { distance_m }),
@@ -48,15 +48,15 @@ fn behaviours() -> impl Strategy<Value = Behaviour> {
         Just(Maneuver::CutIn),
         (-20.0f64..=20.0, duration_s()).prop_map(|(amplitude_m, duration_s)| Maneuver::Swerve { amplitude_m, duration_s }),
     ];
-    (trigger, maneuver).prop_map(|(trigger, maneuver)| Behaviour { trigger, maneuver })
+    (trigger, maneuver).prop_map(|(trigger, maneuver)| Behavior { trigger, maneuver })
 }
 
 fn agents() -> impl Strategy<Value = Vec<TrafficAgent>> {
     let agent = (
         (0usize..65_536, sizes(), ODD_TEXT, 0.0f64..=1e6, 0.0f64..=100.0),
-        (select(DriverKind::ALL.to_vec()), any::<bool>(), prop::collection::vec(behaviours(), 0..3)),
+        (select(DriverKind::ALL.to_vec()), any::<bool>(), prop::collection::vec(behaviors(), 0..3)),
     )
-        .prop_map(|((asset, size, lane, at_m, speed_mps), (driver, changes_lanes, behaviours))| TrafficAgent {
+        .prop_map(|((asset, size, lane, at_m, speed_mps), (driver, changes_lanes, behaviors))| TrafficAgent {
             name: String::new(),
             asset,
             size,
@@ -65,7 +65,7 @@ fn agents() -> impl Strategy<Value = Vec<TrafficAgent>> {
             speed_mps,
             driver,
             changes_lanes,
-            behaviours,
+            behaviors,
         });
     prop::collection::vec(agent, 0..4).prop_map(|mut agents| {
         agents.iter_mut().enumerate().for_each(|(index, agent)| agent.name = format!("car-{index}"));

@@ -249,7 +249,7 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
 }
 
 #[test]
-fn an_asset_is_read_once_and_its_frame_of_colours_holds_unless_the_scene_says_otherwise() {
+fn an_asset_is_read_once_and_its_frame_of_colors_holds_unless_the_scene_says_otherwise() {
     let directory = tempfile::tempdir().unwrap();
     inria_ply::write(&directory.path().join("street.ply"), &cloud(40, 1)).unwrap();
     write_coded(&directory.path().join("cone.safetensors"), &coded_cone()).unwrap();

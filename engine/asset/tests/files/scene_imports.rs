@@ -61,14 +61,14 @@ fn street_gaussians_places_actors_where_tracks_say() {
     let scene = scene("street_gaussians.pth", &ImportOptions { tracks: vec![track], ..ImportOptions::default() });
     assert_same(&scene.background, &cone());
     assert_eq!(scene.actors.iter().map(|actor| actor.name.as_str()).collect::<Vec<_>>(), ["obj_007", "obj_012"]);
-    // Colours that change with time: the mean is the constant term.
+    // Colors that change with time: the mean is the constant term.
     let first = cone().select(&[0, 1, 2, 3]);
     let errors = Errors::between(&first, &scene.actors[0].splats);
     assert!(errors.dc < 1e-6 && errors.mean_m == 0.0, "{errors:?}");
     let way = scene.actors[0].trajectory.as_ref().unwrap();
     assert_eq!(way.poses()[1].pose.translation, DVec3::new(3.0, 2.0, 0.8));
     assert_eq!(scene.actors[1].trajectory, None);
-    for part in ["1 of 2 actors", "actor_pose", "2 models have colours"] {
+    for part in ["1 of 2 actors", "actor_pose", "2 models have colors"] {
         assert!(scene.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", scene.notes);
     }
     let folder = tempfile::tempdir().unwrap();

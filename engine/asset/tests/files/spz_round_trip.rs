@@ -7,7 +7,7 @@ use crate::data::data;
 use crate::errors::{Errors, SMALLEST_THREE_MAX_RAD};
 use crate::sample::{self, cloud};
 
-/// `cloud` with every value moved to the nearest that SPZ reaches: what is measured is the quantisation within.
+/// `cloud` with every value moved to the nearest that SPZ reaches: what is measured is the quantization within.
 fn within_range(mut cloud: SplatCloud) -> SplatCloud {
     let scale_range = [(-10.0f32).exp(), (255.0f32 / 16.0 - 10.0).exp()];
     cloud.scales.as_flattened_mut().iter_mut().for_each(|scale| *scale = scale.clamp(scale_range[0], scale_range[1]));
@@ -23,7 +23,7 @@ fn check_round_trip(name: &str, ply: &[u8]) {
     let back = inria_ply::decode(&inria_ply::encode(&spz::decode(&packed).unwrap())).unwrap();
     let errors = Errors::between(&within_range(original), &back);
     println!("{name}: PLY {} bytes, SPZ {} bytes, {errors:?}", ply.len(), packed.len());
-    // Half a step of each quantisation, and what f32 arithmetic on the way adds: a thousandth of that, or less.
+    // Half a step of each quantization, and what f32 arithmetic on the way adds: a thousandth of that, or less.
     assert!(errors.mean_m <= 0.5005 / 4096.0, "{errors:?}");
     assert!(errors.scale_ln <= 0.5005 / 16.0, "{errors:?}");
     assert!(errors.opacity <= 0.5005 / 255.0, "{errors:?}");
@@ -35,7 +35,7 @@ fn check_round_trip(name: &str, ply: &[u8]) {
 }
 
 #[test]
-fn ply_to_spz_to_ply_is_the_identity_up_to_quantisation() {
+fn ply_to_spz_to_ply_is_the_identity_up_to_quantization() {
     for degree in 0..=3 {
         check_round_trip(&format!("sample of degree {degree}"), &inria_ply::encode(&cloud(500, degree)));
     }
@@ -65,10 +65,10 @@ fn a_file_on_disk_is_turned_to_the_axes_of_its_ply() {
 #[test]
 fn version_3_is_read_code_by_code() {
     let position = [0x00, 0x10, 0x00, 0x00, 0xf0, 0xff, 0x00, 0x08, 0x00]; // 1, -1, 0.5 m right, up, back
-    let (alpha, colour, scale) = ([51], [255, 0, 51], [160, 144, 176]);
+    let (alpha, color, scale) = ([51], [255, 0, 51], [160, 144, 176]);
     let rotation = u32::to_le_bytes(3 << 30 | 511 << 20); // w largest, x at its end
     let rest = [128, 0, 255, 64, 128, 192, 128, 128, 129];
-    let streams = [&position[..], &alpha, &colour, &scale, &rotation, &rest].concat();
+    let streams = [&position[..], &alpha, &color, &scale, &rotation, &rest].concat();
     let cloud = spz::decode(&sample::spz_gzip(3, 1, 1, 12, &streams)).unwrap();
     assert_eq!(cloud.means, [[1.0, 1.0, -0.5]]);
     assert_eq!(cloud.opacities, [0.2]);

@@ -13,11 +13,11 @@ fn lanelets_are_turned_joined_and_projected() {
     assert_eq!(map.lanes.iter().map(|lane| lane.id.as_str()).collect::<Vec<_>>(), ["21", "22", "23"]);
     let (first, second, bicycle) = (lane(&map, "21"), lane(&map, "22"), lane(&map, "23"));
     // Its right way is drawn the other way round.
-    assert!(first.centreline[0].x < first.centreline[1].x && first.right[0].x < first.right[1].x);
+    assert!(first.centerline[0].x < first.centerline[1].x && first.right[0].x < first.right[1].x);
     assert_eq!(ids(&map, &first.successors), ["22"]);
-    assert_eq!((first.right_neighbour, bicycle.left_neighbour), (Some(2), Some(0)));
+    assert_eq!((first.right_neighbor, bicycle.left_neighbor), (Some(2), Some(0)));
     assert!(first.has_height && second.has_height && !bicycle.has_height);
-    assert_eq!((first.centreline[0].z, first.centreline[1].z, bicycle.left[0].z), (110.0, 111.0, 0.0));
+    assert_eq!((first.centerline[0].z, first.centerline[1].z, bicycle.left[0].z), (110.0, 111.0, 0.0));
     assert_eq!((first.kind, bicycle.kind), (LaneKind::Driving, LaneKind::Bicycle));
     assert_eq!((first.speed_limit_mps, second.speed_limit_mps), (Some(50.0 / 3.6), None));
     // 0.0004 degrees of longitude at 49 degrees north are 29.2 m, 0.00003 of latitude 3.3 m.
@@ -35,7 +35,7 @@ fn lanelets_are_turned_joined_and_projected() {
         with_local.insert_str(end, &(local("local_x", x) + &local("local_y", y)));
     }
     let map = lanelet2::decode(with_local.as_bytes()).unwrap();
-    assert_eq!(lane(&map, "21").centreline[0], DVec3::new(0.0, 4.5, 110.0));
+    assert_eq!(lane(&map, "21").centerline[0], DVec3::new(0.0, 4.5, 110.0));
     for (from, to, part) in [
         ("<nd ref=\"4\"/>", "<nd ref=\"44\"/>", "node 44 is not in the file"),
         ("ref=\"14\" role", "ref=\"41\" role", "way 41 is not in the file"),
@@ -56,12 +56,12 @@ fn argoverse_segments_are_lanes() {
     let (first, second, oncoming) = (lane(&map, "7"), lane(&map, "8"), lane(&map, "9"));
     // Shares of length are taken in space, where the right boundary, which bends, is a little longer.
     let expected = [DVec3::new(0.0, 0.0, 10.0), DVec3::new(10.0, 0.0, 10.225), DVec3::new(20.0, 0.0, 10.5)];
-    assert!(first.centreline.len() == 3 && first.centreline.iter().zip(expected).all(|(a, b)| a.distance(b) < 1e-3));
-    assert_eq!(second.centreline[1], DVec3::new(40.5, 3.0, 11.0));
+    assert!(first.centerline.len() == 3 && first.centerline.iter().zip(expected).all(|(a, b)| a.distance(b) < 1e-3));
+    assert_eq!(second.centerline[1], DVec3::new(40.5, 3.0, 11.0));
     assert_eq!((second.kind, oncoming.kind), (LaneKind::Bicycle, LaneKind::Driving));
     // The lane 999 is not in the file, and 9 comes towards 7.
     assert_eq!((ids(&map, &first.successors), ids(&map, &second.predecessors)), (vec!["8".to_owned()], vec!["7".to_owned()]));
-    assert!(first.left_neighbour.is_none() && oncoming.left_neighbour.is_none() && first.has_height);
+    assert!(first.left_neighbor.is_none() && oncoming.left_neighbor.is_none() && first.has_height);
     let text = String::from_utf8(seed("argoverse2/log_map_archive_two.json")).unwrap();
     for (from, to, part) in [
         ("\"id\": 9", "\"id\": 7", "two lanes have the id 7"),
@@ -81,9 +81,9 @@ fn a_scenario_of_2020_has_types_signs_and_areas() {
     let (first, bicycle, left) = (lane(&map, "1"), lane(&map, "2"), lane(&map, "3"));
     assert_eq!((first.speed_limit_mps, left.speed_limit_mps), (Some(13.89), None));
     assert_eq!((first.kind, bicycle.kind, left.kind), (LaneKind::Driving, LaneKind::Bicycle, LaneKind::Driving));
-    assert_eq!((first.has_height, first.centreline[1].z, bicycle.has_height), (true, 1.5, false));
+    assert_eq!((first.has_height, first.centerline[1].z, bicycle.has_height), (true, 1.5, false));
     assert_eq!(
-        (ids(&map, &first.successors), first.left_neighbour, left.right_neighbour),
+        (ids(&map, &first.successors), first.left_neighbor, left.right_neighbor),
         (vec!["2".to_owned()], Some(2), Some(0))
     );
 
@@ -118,7 +118,7 @@ fn lane_json_is_read_and_written() {
     let (a, two, c) = (lane(&map, "a"), lane(&map, "2"), lane(&map, "c"));
     assert_eq!((a.has_height, two.has_height, a.kind, c.kind), (false, true, LaneKind::Driving, LaneKind::Bicycle));
     assert_eq!((ids(&map, &two.successors), &a.predecessors[..]), (vec!["a".to_owned()], &[1][..]));
-    assert_eq!((two.left_neighbour, c.right_neighbour, two.speed_limit_mps), (Some(2), Some(1), Some(13.9)));
+    assert_eq!((two.left_neighbor, c.right_neighbor, two.speed_limit_mps), (Some(2), Some(1), Some(13.9)));
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("lanes.json");
     lane_json::write(&path, &map).unwrap();
@@ -126,23 +126,23 @@ fn lane_json_is_read_and_written() {
     for (text, part) in [
         (r#"{"lanes": []}"#, "no lane"),
         (r#"{"version": 2, "lanes": []}"#, "version 2; version 1 is read"),
-        (r#"{"lanes": [{"id": 1, "centreline": [[0, 0]]}]}"#, "lane 1: a centreline of 1 points"),
-        (r#"{"lanes": [{"id": 1, "centreline": [[0, 0, 0, 0], [1, 1]]}]}"#, "a point of 2 or 3 numbers"),
-        (r#"{"lanes": [{"id": 1, "centreline": [[0, 0], [1, 1]], "successors": ["x"]}]}"#, "lane 1 names lane x"),
-        (r#"{"lanes": [{"id": 1, "centreline": [[0, 0], [1, 1]], "succesors": []}]}"#, "succesors"),
-        (r#"{"lanes": [{"id": 1, "kind": "rail", "centreline": [[0, 0], [1, 1]]}]}"#, "the kind 'rail'"),
-        (r#"{"lanes": [{"id": 1, "has_height": true, "centreline": [[0, 0], [1, 1]]}]}"#, "has_height"),
-        (r#"{"lanes": [{"id": 1, "speed_limit_mps": -1, "centreline": [[0, 0], [1, 1]]}]}"#, "a speed limit of -1"),
-        (r#"{"lanes": [{"id": true, "centreline": [[0, 0], [1, 1]]}]}"#, "expected an id"),
+        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0]]}]}"#, "lane 1: a centerline of 1 points"),
+        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0, 0, 0], [1, 1]]}]}"#, "a point of 2 or 3 numbers"),
+        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]], "successors": ["x"]}]}"#, "lane 1 names lane x"),
+        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]], "succesors": []}]}"#, "succesors"),
+        (r#"{"lanes": [{"id": 1, "kind": "rail", "centerline": [[0, 0], [1, 1]]}]}"#, "the kind 'rail'"),
+        (r#"{"lanes": [{"id": 1, "has_height": true, "centerline": [[0, 0], [1, 1]]}]}"#, "has_height"),
+        (r#"{"lanes": [{"id": 1, "speed_limit_mps": -1, "centerline": [[0, 0], [1, 1]]}]}"#, "a speed limit of -1"),
+        (r#"{"lanes": [{"id": true, "centerline": [[0, 0], [1, 1]]}]}"#, "expected an id"),
         (
-            r#"{"lanes": [{"id": 1, "centreline": [[0, 0], [1, 1]]}, {"id": "1", "centreline": [[0, 0], [1, 1]]}]}"#,
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}, {"id": "1", "centerline": [[0, 0], [1, 1]]}]}"#,
             "two lanes have the id 1",
         ),
     ] {
         let error = lane_json::decode(text.as_bytes()).unwrap_err().to_string();
         assert!(error.contains(part), "{text}: {error}");
     }
-    let endless = Lane { id: "e".into(), centreline: vec![DVec3::ZERO, DVec3::INFINITY], ..Lane::default() };
+    let endless = Lane { id: "e".into(), centerline: vec![DVec3::ZERO, DVec3::INFINITY], ..Lane::default() };
     let error = lane_json::write(&path, &LaneMap { lanes: vec![endless], offset: DVec3::ZERO }).unwrap_err().to_string();
     assert!(error.contains("lane e") && error.contains("lanes.json"), "{error}");
     assert_eq!(read_map(&path).unwrap(), map, "what stood there stays");

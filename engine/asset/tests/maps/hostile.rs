@@ -51,7 +51,7 @@ fn read_all(bytes: &[u8]) -> usize {
         assert!(!map.lanes.is_empty() && map.check().is_ok());
         for (at, lane) in map.lanes.iter().enumerate() {
             assert!(lane.successors.iter().all(|&next| map.lanes[next].predecessors.contains(&at)));
-            assert!(lane.has_height || lane.centreline.iter().chain(&lane.left).all(|point| point.z == 0.0));
+            assert!(lane.has_height || lane.centerline.iter().chain(&lane.left).all(|point| point.z == 0.0));
         }
         let written = lane_json::encode(&map).expect("a map that was read can be written");
         assert_eq!(lane_json::decode(&written).expect("what was written can be read"), map);
@@ -96,7 +96,7 @@ fn size_without_sense_costs_neither_stack_nor_time() {
     );
     let linked = |count: u32| {
         let all: Vec<String> = (0..count).map(|id| id.to_string()).collect();
-        let lane = |id: &String| format!("{{\"id\":{id},\"centreline\":[[0,0],[1,1]],\"successors\":[{}]}}", all.join(","));
+        let lane = |id: &String| format!("{{\"id\":{id},\"centerline\":[[0,0],[1,1]],\"successors\":[{}]}}", all.join(","));
         format!("{{\"lanes\":[{}]}}", all.iter().map(lane).collect::<Vec<_>>().join(","))
     };
     let ways = "<nd ref='1'/>".repeat(20_000);

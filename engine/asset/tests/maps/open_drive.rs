@@ -34,29 +34,29 @@ fn right_lanes_run_along_the_road_and_left_lanes_against_it() {
     let map = read(&[road(1, "", &line(0.0, 50.0), "", &both_sides(WIDE))]);
     let (right, left) = (lane(&map, "1/0/-1"), lane(&map, "1/0/1"));
     assert_eq!(
-        (right.centreline[0], *right.centreline.last().unwrap()),
+        (right.centerline[0], *right.centerline.last().unwrap()),
         (DVec3::new(0.0, -1.75, 0.0), DVec3::new(50.0, -1.75, 0.0))
     );
     assert_eq!((right.left[0].y, right.right[0].y), (0.0, -3.5));
-    assert_eq!((left.centreline[0], *left.centreline.last().unwrap()), (DVec3::new(50.0, 1.75, 0.0), DVec3::new(0.0, 1.75, 0.0)));
+    assert_eq!((left.centerline[0], *left.centerline.last().unwrap()), (DVec3::new(50.0, 1.75, 0.0), DVec3::new(0.0, 1.75, 0.0)));
     assert_eq!((left.left[0].y, left.right[0].y), (0.0, 3.5));
-    assert!(!right.has_height && right.kind == LaneKind::Driving && right.left_neighbour.is_none());
+    assert!(!right.has_height && right.kind == LaneKind::Driving && right.left_neighbor.is_none());
     let british = read(&[road(1, "rule='LHT'", &line(0.0, 50.0), "", &both_sides(WIDE))]);
     let (right, left) = (lane(&british, "1/0/-1"), lane(&british, "1/0/1"));
-    assert_eq!((right.centreline[0].x, right.left[0].y, right.right[0].y), (50.0, -3.5, 0.0));
-    assert_eq!((left.centreline[0].x, left.left[0].y, left.right[0].y), (0.0, 3.5, 0.0));
+    assert_eq!((right.centerline[0].x, right.left[0].y, right.right[0].y), (50.0, -3.5, 0.0));
+    assert_eq!((left.centerline[0].x, left.left[0].y, left.right[0].y), (0.0, 3.5, 0.0));
 }
 
 #[test]
 fn an_arc_is_sampled_within_its_chord_error() {
     let arc = "<geometry s='0' x='0' y='0' hdg='0' length='60'><arc curvature='0.05'/></geometry>";
     let map = read(&[road(1, "", arc, "", &both_sides(WIDE))]);
-    let centre = DVec3::new(0.0, 20.0, 0.0);
+    let center = DVec3::new(0.0, 20.0, 0.0);
     for (id, radius_m) in [("1/0/-1", 21.75), ("1/0/1", 18.25)] {
-        let line = &lane(&map, id).centreline;
+        let line = &lane(&map, id).centerline;
         for pair in line.windows(2) {
-            assert!((pair[0].distance(centre) - radius_m).abs() < 1e-9);
-            assert!(radius_m - (0.5 * (pair[0] + pair[1])).distance(centre) < 0.02);
+            assert!((pair[0].distance(center) - radius_m).abs() < 1e-9);
+            assert!(radius_m - (0.5 * (pair[0] + pair[1])).distance(center) < 0.02);
         }
         assert!((length_m(line) - 60.0 * radius_m / 20.0).abs() < 0.05, "{id}: {}", length_m(line));
     }
@@ -133,8 +133,8 @@ fn lanes_join_over_sections_roads_and_junctions() {
         assert_eq!(ids(&map, &lane(&map, id).successors), expected, "{id}");
     }
     let (inner, outer) = (lane(&map, "1/1/-1"), lane(&map, "1/1/-2"));
-    assert_eq!(ids(&map, &[inner.right_neighbour.unwrap(), outer.left_neighbour.unwrap()]), ["1/1/-2", "1/1/-1"]);
-    assert!(inner.left_neighbour.is_none() && inner.successors.is_empty());
+    assert_eq!(ids(&map, &[inner.right_neighbor.unwrap(), outer.left_neighbor.unwrap()]), ["1/1/-2", "1/1/-1"]);
+    assert!(inner.left_neighbor.is_none() && inner.successors.is_empty());
 }
 
 #[test]
@@ -170,7 +170,7 @@ fn roads_that_are_none_are_refused_with_line_and_reason() {
         let error = open_drive::decode(text.as_bytes()).unwrap_err().to_string();
         assert!(error.contains(part), "{text}: {error}");
     }
-    // So many kilometres of so many lanes are told before they are made.
+    // So many kilometers of so many lanes are told before they are made.
     let lanes: String = (1..60).map(|id| format!("<lane id='-{id}' type='driving'>{WIDE}</lane>")).collect();
     let wide = road(1, "", &line(0.0, 999_999.0), "", &format!("<laneSection s='0'><right>{lanes}</right></laneSection>"));
     let error = open_drive::decode(format!("<OpenDRIVE>{wide}</OpenDRIVE>").as_bytes()).unwrap_err().to_string();

@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 
 use super::data::data;
 
-/// Distance from a point to a line, seen from above, metres.
+/// Distance from a point to a line, seen from above, meters.
 fn distance_m(point: DVec2, line: &[DVec3]) -> f64 {
     let to_segment = |pair: &[DVec3]| {
         let (from, along) = (pair[0].truncate(), (pair[1] - pair[0]).truncate());
@@ -17,16 +17,16 @@ fn distance_m(point: DVec2, line: &[DVec3]) -> f64 {
     line.windows(2).map(to_segment).fold(f64::INFINITY, f64::min)
 }
 
-/// Width of a lane where its centreline is half over, metres.
+/// Width of a lane where its centerline is half over, meters.
 fn width_m(lane: &Lane) -> f64 {
-    let middle = lane.centreline[lane.centreline.len() / 2].truncate();
+    let middle = lane.centerline[lane.centerline.len() / 2].truncate();
     distance_m(middle, &lane.left) + distance_m(middle, &lane.right)
 }
 
-/// Gaps between the ends of lanes and the starts of their successors, metres.
+/// Gaps between the ends of lanes and the starts of their successors, meters.
 fn gaps_m(map: &LaneMap) -> Vec<f64> {
     let gaps = map.lanes.iter().flat_map(|lane| {
-        lane.successors.iter().map(|&next| lane.centreline.last().unwrap().distance(map.lanes[next].centreline[0]))
+        lane.successors.iter().map(|&next| lane.centerline.last().unwrap().distance(map.lanes[next].centerline[0]))
     });
     gaps.collect()
 }
@@ -34,8 +34,8 @@ fn gaps_m(map: &LaneMap) -> Vec<f64> {
 /// Checks what holds in every map: borders on their sides, links both ways.
 fn check_sides_and_links(map: &LaneMap) {
     for (at, lane) in map.lanes.iter().enumerate() {
-        let along = (lane.centreline[1] - lane.centreline[0]).truncate();
-        let to = |border: &[DVec3]| (border[0] - lane.centreline[0]).truncate();
+        let along = (lane.centerline[1] - lane.centerline[0]).truncate();
+        let to = |border: &[DVec3]| (border[0] - lane.centerline[0]).truncate();
         assert!(along.perp_dot(to(&lane.left)) > -1e-6 && along.perp_dot(to(&lane.right)) < 1e-6, "lane {}", lane.id);
         assert!(lane.successors.iter().all(|&next| map.lanes[next].predecessors.contains(&at)), "lane {}", lane.id);
     }
@@ -60,9 +60,9 @@ fn lanelet2_lanes_are_as_wide_as_lanes() {
     let gaps_m = gaps_m(&map);
     println!("{} links, the widest gap {:.2e} m", gaps_m.len(), gaps_m.iter().fold(0.0, |a: f64, b| a.max(*b)));
     assert!(gaps_m.len() > 200 && gaps_m.iter().all(|gap_m| *gap_m < 1e-6));
-    assert!(map.lanes.iter().filter(|lane| lane.right_neighbour.is_some()).count() > 40);
+    assert!(map.lanes.iter().filter(|lane| lane.right_neighbor.is_some()).count() > 40);
     // Karlsruhe in zone 32.
-    let at = map.lanes[0].centreline[0];
+    let at = map.lanes[0].centerline[0];
     assert!((457_000.0..459_000.0).contains(&at.x) && (5_427_000.0..5_429_500.0).contains(&at.y), "{at}");
 }
 
@@ -75,18 +75,18 @@ fn opendrive_lanes_go_on_where_they_end() {
         check_sides_and_links(&map);
         let gaps_m = gaps_m(&map);
         let close = gaps_m.iter().filter(|gap_m| **gap_m < 0.05).count();
-        let metres: f64 = map.lanes.iter().map(|lane| length_m(&lane.centreline)).sum();
+        let meters: f64 = map.lanes.iter().map(|lane| length_m(&lane.centerline)).sum();
         let widest_m = gaps_m.iter().fold(0.0, |a: f64, b| a.max(*b));
-        println!("{name}: {close} of {} links within 5 cm, the widest gap {widest_m:.2} m; {metres:.0} m in all", gaps_m.len());
+        println!("{name}: {close} of {} links within 5 cm, the widest gap {widest_m:.2} m; {meters:.0} m in all", gaps_m.len());
         assert!(gaps_m.len() >= links && close * 10 >= gaps_m.len() * 9, "{name}: {gaps_m:?}");
         for lane in map.lanes.iter().filter(|lane| lane.kind == LaneKind::Driving) {
-            let longest_m = lane.centreline.windows(2).map(|pair| pair[0].distance(pair[1])).fold(0.0, f64::max);
+            let longest_m = lane.centerline.windows(2).map(|pair| pair[0].distance(pair[1])).fold(0.0, f64::max);
             assert!(longest_m < 2.5, "{name}, lane {}: a step of {longest_m} m", lane.id);
             assert!((2.5..=5.0).contains(&width_m(lane)), "{name}, lane {}: {} m wide", lane.id, width_m(lane));
-            let neighbour = lane.right_neighbour.map(|at| &map.lanes[at]);
-            if let Some(neighbour) = neighbour.filter(|other| other.kind == LaneKind::Driving) {
-                let apart_m = distance_m(lane.centreline[lane.centreline.len() / 2].truncate(), &neighbour.centreline);
-                assert!((2.5..=5.0).contains(&apart_m), "{name}, lanes {} and {}: {apart_m} m", lane.id, neighbour.id);
+            let neighbor = lane.right_neighbor.map(|at| &map.lanes[at]);
+            if let Some(neighbor) = neighbor.filter(|other| other.kind == LaneKind::Driving) {
+                let apart_m = distance_m(lane.centerline[lane.centerline.len() / 2].truncate(), &neighbor.centerline);
+                assert!((2.5..=5.0).contains(&apart_m), "{name}, lanes {} and {}: {apart_m} m", lane.id, neighbor.id);
             }
         }
     }
@@ -109,11 +109,11 @@ fn commonroad_vehicles_drive_on_its_lanes() {
         }
         for point in &track.points {
             let nearest_m =
-                map.lanes.iter().map(|lane| distance_m(point.position_m, &lane.centreline)).fold(f64::INFINITY, f64::min);
+                map.lanes.iter().map(|lane| distance_m(point.position_m, &lane.centerline)).fold(f64::INFINITY, f64::min);
             inside += usize::from(nearest_m < 2.5);
             count += 1;
         }
     }
-    println!("{inside} of {count} points within 2.5 m of a centreline");
+    println!("{inside} of {count} points within 2.5 m of a centerline");
     assert!(count == 938 && inside * 100 >= count * 95, "{inside} of {count}");
 }

@@ -5,7 +5,7 @@ use glam::DVec2;
 
 use crate::polyline::Polyline;
 
-/// Points of a plan nearer than this to the one before show no direction, metres: planners that want to stand jitter.
+/// Points of a plan nearer than this to the one before show no direction, meters: planners that want to stand jitter.
 const DIRECTION_M: f64 = 0.2;
 /// Points of the line for each piece between two points of the plan.
 const PIECES: usize = 6;
@@ -19,7 +19,7 @@ pub(super) struct PlannedPath {
 }
 
 impl PlannedPath {
-    /// The way of `plan` from `ego` on, where it leads anywhere, and how far along it each point of the plan is, metres, never falling.
+    /// The way of `plan` from `ego` on, where it leads anywhere, and how far along it each point of the plan is, meters, never falling.
     pub(super) fn of(plan: &Plan, ego: &VehicleState) -> (Option<Self>, Vec<f64>) {
         let (knots, reached) = knots(plan);
         let nowhere = || vec![0.0; plan.points().len()];
@@ -70,7 +70,7 @@ impl PlannedPath {
 }
 
 /// Points of the plan in the ego's frame that show where it goes, the ego's own place first; and for each point of the plan the knot
-/// that it has reached and how far past it it is, metres. They end where the plan turns back.
+/// that it has reached and how far past it it is, meters. They end where the plan turns back.
 fn knots(plan: &Plan) -> (Vec<DVec2>, Vec<(usize, f64)>) {
     let (mut knots, mut heading, mut ended) = (vec![DVec2::ZERO], DVec2::X, false);
     let mut reached = Vec::with_capacity(plan.points().len());
@@ -90,7 +90,7 @@ fn knots(plan: &Plan) -> (Vec<DVec2>, Vec<(usize, f64)>) {
     (knots, reached)
 }
 
-/// Unit directions at the knots: the ego's own at the first, then those of the parabola through neighbours.
+/// Unit directions at the knots: the ego's own at the first, then those of the parabola through neighbors.
 fn tangents(knots: &[DVec2]) -> Vec<DVec2> {
     let mut tangents = vec![DVec2::X];
     for at in 1..knots.len() {

@@ -1,15 +1,15 @@
 //! Speed profile of a plan: its arc length over time as a smooth curve.
 
-/// A plan whose rest of the way is shorter is at rest, metres.
+/// A plan whose rest of the way is shorter is at rest, meters.
 const REST_M: f64 = 0.02;
-/// A plan that ends slower than this ends at rest, metres a second.
+/// A plan that ends slower than this ends at rest, meters a second.
 const REST_MPS: f64 = 0.1;
 
 /// The way driven over time, through the times and places of a plan: a piecewise cubic that never falls (Fritsch and Carlson, "Monotone
 /// Piecewise Cubic Interpolation", 1980) and is exact where the acceleration is constant.
 #[derive(Clone, Debug)]
 pub(super) struct SpeedProfile {
-    /// Time in seconds, way in metres, speed in metres a second; at time 0 the ego's own.
+    /// Time in seconds, way in meters, speed in meters a second; at time 0 the ego's own.
     knots: Vec<[f64; 3]>,
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Wanted {
 }
 
 impl SpeedProfile {
-    /// The profile through `points` (time in seconds, rising from above 0; way in metres, never falling) from `speed_mps` on.
+    /// The profile through `points` (time in seconds, rising from above 0; way in meters, never falling) from `speed_mps` on.
     pub(super) fn new(points: impl Iterator<Item = (f64, f64)>, speed_mps: f64) -> Self {
         let mut knots = vec![[0.0, 0.0, speed_mps]];
         knots.extend(points.map(|(time_s, arc_m)| [time_s, arc_m, 0.0]));

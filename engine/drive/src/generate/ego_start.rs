@@ -7,19 +7,19 @@ use glam::DVec2;
 use super::random::Stream;
 use super::roads::{Roads, Spot};
 use super::rules::Rules;
-use super::{down_to_tenth, to_centimetre};
+use super::{down_to_tenth, to_centimeter};
 use crate::route::Route;
 
 /// The ego's box.
 pub(super) const EGO: VehicleSize = VehicleSize::CAR;
 /// Range of requested route lengths, meters.
 const ROUTE_M: (f64, f64) = (100.0, 180.0);
-/// A route that has to be shorter than this is none, metres.
+/// A route that has to be shorter than this is none, meters.
 const ROUTE_M_MIN: f64 = 60.0;
 /// A route is so short that it can be driven in this time where nothing is in the way: it leaves a third of an episode to wait for others,
 /// seconds.
 const FREE_TIME_S: f64 = 13.0;
-/// A route is over no more lanes than this: lanes of a metre are short, shorter ones a mistake.
+/// A route is over no more lanes than this: lanes of a meter are short, shorter ones a mistake.
 const LANES_MAX: usize = 300;
 /// The ego is never asked to be faster than is allowed in towns.
 const CRUISE_MPS_MAX: f64 = 50.0 / 3.6;
@@ -29,26 +29,26 @@ const CRUISE_MPS_MIN: f64 = 4.0;
 const STRAIGHT_SHARE: f64 = 0.65;
 /// A lane that turns by less leads straight on, radians.
 const STRAIGHT_RAD: f64 = 0.35;
-/// A route ends at least so far from the end of a lane that leads nowhere, metres: the ego needs somewhere to go.
+/// A route ends at least so far from the end of a lane that leads nowhere, meters: the ego needs somewhere to go.
 const DEAD_END_M: f64 = 5.0;
 /// Acceleration, braking and acceleration across of somebody who drives the route freely, m/s^2: comfortable ones.
 const COMFORT_MPS2: f64 = 1.5;
 const LATERAL_MPS2: f64 = 2.0;
-/// Curvature is looked at in steps of this, metres.
+/// Curvature is looked at in steps of this, meters.
 const STRIDE_M: f64 = 1.0;
 
 /// Area in which routes may start and end: a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
     /// Center, world coordinates, meters.
-    pub centre_m: DVec2,
+    pub center_m: DVec2,
     /// Radius, meters.
     pub radius_m: f64,
 }
 
 impl Area {
     pub(super) fn holds(&self, position_m: DVec2) -> bool {
-        self.centre_m.distance(position_m) <= self.radius_m
+        self.center_m.distance(position_m) <= self.radius_m
     }
 }
 
@@ -106,7 +106,7 @@ pub(super) fn choose(roads: &Roads, area: Option<Area>, rules: &Rules, random: &
     let mut draw = random.of(0);
     let before_crossing = draw.chance(rules.crossing_share) && wishes.crossing;
     let lanes = if before_crossing { before_a_crossing(roads, rules, &mut draw)? } else { vec![roads.anywhere(&mut draw)?] };
-    let spot = Spot { at_m: to_centimetre(lanes[0].at_m), ..lanes[0] };
+    let spot = Spot { at_m: to_centimeter(lanes[0].at_m), ..lanes[0] };
     let inside = |spot: Spot| area.is_none_or(|area| area.holds(roads.position_m(spot)));
     let road = roads.graph.lane(spot.lane)?;
     let lacks_lane = wishes.beside && rules.cut_ins > 0 && road.left.or(road.right).is_none();
@@ -173,7 +173,7 @@ fn onward(roads: &Roads, spot: Spot, led: &[usize], length_m: f64, mut random: S
         end_m -= own_m;
         lanes.push(next);
     }
-    let end_m = to_centimetre(end_m.min(roads.length_m(*lanes.last()?) - 0.01));
+    let end_m = to_centimeter(end_m.min(roads.length_m(*lanes.last()?) - 0.01));
     let driven_m: f64 = lanes.iter().map(|&lane| roads.length_m(lane)).sum::<f64>() - spot.at_m;
     let rest_m = roads.length_m(*lanes.last()?) - end_m;
     (end_m > 0.0 && driven_m - rest_m >= ROUTE_M_MIN).then_some((lanes, end_m))

@@ -116,12 +116,12 @@ mod tests {
 
     #[test]
     fn the_level_has_its_light() {
-        let skies = [sky("noon", Weather::Clear), sky("grey", Weather::Overcast), sky("late", Weather::Dusk)];
+        let skies = [sky("noon", Weather::Clear), sky("gray", Weather::Overcast), sky("late", Weather::Dusk)];
         let chosen = |level, skies: &[Sky], seed| sky_for(level, skies, &mut Stream::new(seed));
         for seed in 0..50 {
             assert_eq!(chosen(Level::Easy, &skies, seed), (Some("noon".into()), 0.0));
             let (probe, exposure_ev) = chosen(Level::Hard, &skies, seed);
-            assert!([Some("late".into()), Some("grey".into())].contains(&probe) && exposure_ev == -0.5);
+            assert!([Some("late".into()), Some("gray".into())].contains(&probe) && exposure_ev == -0.5);
             // No night is offered: the low sun blinds.
             assert_eq!(chosen(Level::Extreme, &skies, seed), (Some("late".into()), 2.0));
             let (probe, exposure_ev) = chosen(Level::Extreme, &skies[..1], seed);

@@ -8,31 +8,31 @@ use super::ego_start::{EGO, EgoStart};
 use super::random::Stream;
 use super::roads::{Roads, Spot};
 use super::rules::{NEAR_M, Rules};
-use super::{down_to_tenth, safe_speed, to_centimetre};
+use super::{down_to_tenth, safe_speed, to_centimeter};
 use crate::oriented_box::OrientedBox;
 
-/// Agents that come along from farther away are not farther than this, metres from the ego.
+/// Agents that come along from farther away are not farther than this, meters from the ego.
 const FAR_M: f64 = 100.0;
-/// From the ego's front to the rear of the vehicle ahead, metres.
+/// From the ego's front to the rear of the vehicle ahead, meters.
 const LEAD_GAP_M: (f64, f64) = (15.0, 40.0);
 /// Initial distance of the vehicle that cuts in, ahead of the ego along the next lane, center to
 /// center, meters.
 const CUT_IN_AHEAD_M: (f64, f64) = (6.0, 14.0);
-/// A lane beside the ego's is not farther off than this, metres.
+/// A lane beside the ego's is not farther off than this, meters.
 const BESIDE_M: f64 = 6.0;
 /// Distance from bumper to stop line of a vehicle that waits at a crossing, meters.
 const WAITING_M: (f64, f64) = (1.0, 5.0);
 /// Speed of those who come to a full crossing.
 const WAITING_MPS: (f64, f64) = (0.0, 3.0);
-/// Between boxes beside each other, metres.
+/// Between boxes beside each other, meters.
 const CLEARANCE_M: f64 = 0.5;
-/// Vehicles on lanes that merge with the ego's start at least so far from it, metres.
+/// Vehicles on lanes that merge with the ego's start at least so far from it, meters.
 const MERGE_APART_M: f64 = 25.0;
-/// Bumper to bumper, metres.
+/// Bumper to bumper, meters.
 const GAP_M_MIN: f64 = 3.0;
-/// Two that are as near as [`GAP_M_MIN`] are not farther apart along their lanes than two long vehicles are, metres from middle to middle.
+/// Two that are as near as [`GAP_M_MIN`] are not farther apart along their lanes than two long vehicles are, meters from middle to middle.
 const FOLLOWING_M: f64 = 45.0;
-/// Places are looked at in steps of this along lanes, metres.
+/// Places are looked at in steps of this along lanes, meters.
 const STRIDE_M: f64 = 3.0;
 /// Distance ahead within which others matter, meters.
 const LOOK_AHEAD_M: f64 = 120.0;
@@ -80,7 +80,7 @@ impl<'a> Placement<'a> {
     /// The ego alone.
     pub fn new(roads: &'a Roads<'a>, rules: &'a Rules, start: &'a EgoStart, assets: &'a [VehicleSize], random: Stream) -> Self {
         let (position, yaw_rad) = start.route.pose_at(0.0);
-        let outline = OrientedBox { centre_m: position.truncate(), yaw_rad, ..roads.outline(start.spot, &EGO) };
+        let outline = OrientedBox { center_m: position.truncate(), yaw_rad, ..roads.outline(start.spot, &EGO) };
         let ego = Vehicle { role: Role::Ego, spot: start.spot, asset: 0, size: EGO, outline, speed_mps: start.task.speed_mps };
         Self { roads, rules, start, assets, vehicles: vec![ego], random }
     }
@@ -108,18 +108,18 @@ impl<'a> Placement<'a> {
     }
 
     fn is_near(&self, position_m: DVec2) -> bool {
-        self.vehicles[0].outline.centre_m.distance(position_m) <= NEAR_M
+        self.vehicles[0].outline.center_m.distance(position_m) <= NEAR_M
     }
 
     /// Agents that the level counts.
     fn near(&self) -> usize {
-        self.vehicles[1..].iter().filter(|agent| self.is_near(agent.outline.centre_m)).count()
+        self.vehicles[1..].iter().filter(|agent| self.is_near(agent.outline.center_m)).count()
     }
 
     /// Puts a vehicle there if it has room.
     fn put(&mut self, spot: Spot, asset: usize, role: Role, wish_mps: f64) -> bool {
         let Some(spot) = self.roads.on_its_lane(spot) else { return false };
-        let (size, spot) = (self.assets[asset], Spot { at_m: to_centimetre(spot.at_m), ..spot });
+        let (size, spot) = (self.assets[asset], Spot { at_m: to_centimeter(spot.at_m), ..spot });
         if !self.roads.has_room(spot, &size) {
             return false;
         }
@@ -159,7 +159,7 @@ impl<'a> Placement<'a> {
     fn put_lead(&mut self) -> bool {
         for _ in 0..LEAD_DRAWS {
             let asset = self.draw_asset();
-            // Rounding to centimetres stays within.
+            // Rounding to centimeters stays within.
             let gap_m = self.random.between((LEAD_GAP_M.0 + 0.1, LEAD_GAP_M.1 - 0.1));
             let ahead_m = gap_m + 0.5 * (EGO.length_m + self.assets[asset].length_m);
             let wish_mps = self.random.between(self.rules.lead_speed_share) * self.start.task.speed_mps;
@@ -175,7 +175,7 @@ impl<'a> Placement<'a> {
         let Some(road) = self.roads.graph.lane(self.start.spot.lane) else { return };
         let mut beside: Vec<usize> = road.left.into_iter().chain(road.right).collect();
         self.random.shuffle(&mut beside);
-        let ego_m = self.vehicles[0].outline.centre_m;
+        let ego_m = self.vehicles[0].outline.center_m;
         for lane in beside {
             let Some(line) = self.roads.index.line(lane) else { continue };
             let foot = line.project(ego_m);
@@ -207,13 +207,13 @@ impl<'a> Placement<'a> {
 
     /// Puts others on all lanes around: those near crossings first where the level has them full.
     fn fill_lanes(&mut self, wanted: usize, far: usize) {
-        let ego_m = self.vehicles[0].outline.centre_m;
+        let ego_m = self.vehicles[0].outline.center_m;
         let crossing = self.start.crossing.filter(|_| self.rules.congested);
         let crossing_m = crossing.map(|lane| self.roads.position_m(Spot { lane, at_m: 0.5 * self.roads.length_m(lane) }));
         let mut spots: Vec<(f64, Spot)> = Vec::new();
         for point in self.roads.index.lanes_near(ego_m, FAR_M) {
             let length_m = self.roads.length_m(point.lane);
-            // Lanes may be kilometres long; what is near lies around the foot.
+            // Lanes may be kilometers long; what is near lies around the foot.
             let (from_m, to_m) = ((point.foot.arc_m - 2.0 * FAR_M).max(0.0), (point.foot.arc_m + 2.0 * FAR_M).min(length_m));
             let mut at_m = from_m + STRIDE_M * self.random.unit();
             while at_m < to_m {
@@ -236,11 +236,11 @@ impl<'a> Placement<'a> {
     fn put_where_wanted(&mut self, spot: Spot, asset: usize, wish_mps: f64, (wanted, far): (usize, usize)) {
         // Near or far is told by the place that it will have.
         let Some(spot) = self.roads.on_its_lane(spot) else { return };
-        let spot = Spot { at_m: to_centimetre(spot.at_m), ..spot };
+        let spot = Spot { at_m: to_centimeter(spot.at_m), ..spot };
         let position_m = self.roads.position_m(spot);
         let near = self.near();
         let enough = if self.is_near(position_m) { near >= wanted } else { self.vehicles.len() - 1 - near >= far };
-        let beyond = position_m.distance(self.vehicles[0].outline.centre_m) > FAR_M;
+        let beyond = position_m.distance(self.vehicles[0].outline.center_m) > FAR_M;
         let lead = self.vehicles.iter().find(|vehicle| vehicle.role == Role::Lead);
         let lead_m = lead.and_then(|lead| self.start.ahead_m(self.roads, lead.spot)).unwrap_or(0.0);
         let between = self.start.ahead_m(self.roads, spot).is_some_and(|ahead_m| (0.0..lead_m).contains(&ahead_m));

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ranges_are_filled_and_neighbouring_addresses_share_nothing() {
+    fn ranges_are_filled_and_neighboring_addresses_share_nothing() {
         let mut stream = Stream::new(5);
         let mut counts = [0_u32; 4];
         (0..40_000).for_each(|_| counts[stream.whole((0, 3))] += 1);

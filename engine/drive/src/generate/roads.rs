@@ -11,11 +11,11 @@ use crate::oriented_box::OrientedBox;
 use crate::polyline::Polyline;
 use crate::road_graph::{RoadGraph, place_on};
 
-/// Left free between a vehicle and the border of its lane, metres.
+/// Left free between a vehicle and the border of its lane, meters.
 const BORDER_M: f64 = 0.1;
-/// Left free between a vehicle and a stretch on which others may be in the way, metres.
+/// Left free between a vehicle and a stretch on which others may be in the way, meters.
 const STRETCH_MARGIN_M: f64 = 0.5;
-/// A lane that goes on for less than this is no place to start, metres.
+/// A lane that goes on for less than this is no place to start, meters.
 const ONWARD_M_MIN: f64 = 25.0;
 /// Lanes that are followed when looking ahead: more are near one place only where a map is broken.
 const LANES_AHEAD_MAX: usize = 400;
@@ -27,7 +27,7 @@ const LANES_UNDER_MAX: usize = 64;
 pub(super) struct Spot {
     /// Place in [`LaneMap::lanes`].
     pub lane: usize,
-    /// Metres along it.
+    /// Meters along it.
     pub at_m: f64,
 }
 
@@ -53,7 +53,7 @@ pub(super) struct Roads<'a> {
     pub crossings: Vec<Spot>,
     /// True if lanes lie beside each other anywhere.
     pub has_lanes_beside: bool,
-    /// Driving lanes, and how many metres of them there are up to the end of each.
+    /// Driving lanes, and how many meters of them there are up to the end of each.
     reach: Vec<(usize, f64)>,
 }
 
@@ -88,7 +88,7 @@ impl<'a> Roads<'a> {
         Ok(Self { index: LaneIndex::new(map), map, graph, borders, shared, yields, crossings, has_lanes_beside, reach })
     }
 
-    /// A place on any driving lane, all metres alike.
+    /// A place on any driving lane, all meters alike.
     pub fn anywhere(&self, random: &mut Stream) -> Option<Spot> {
         let total_m = self.reach.last()?.1;
         let drawn_m = random.between((0.0, total_m));
@@ -168,7 +168,7 @@ impl<'a> Roads<'a> {
         None
     }
 
-    /// From the middle of one vehicle to that of another ahead of it, metres along the lanes; none within `reach_m`.
+    /// From the middle of one vehicle to that of another ahead of it, meters along the lanes; none within `reach_m`.
     pub fn between_m(&self, behind: Spot, front: Spot, reach_m: f64) -> Option<f64> {
         let apart = |ahead: LaneAhead| (ahead.lane == front.lane).then_some(ahead.begin_m + front.at_m);
         let ahead = self.ahead(behind, reach_m).into_iter().filter_map(apart);
@@ -211,7 +211,7 @@ impl<'a> Roads<'a> {
         found
     }
 
-    /// From `spot` to where a vehicle may have to stop for others, or where its lane ends, metres; infinite beyond `reach_m`.
+    /// From `spot` to where a vehicle may have to stop for others, or where its lane ends, meters; infinite beyond `reach_m`.
     pub fn until_stop_m(&self, spot: Spot, reach_m: f64) -> f64 {
         let stops = |ahead: LaneAhead| {
             let dead_end = self.graph.lane(ahead.lane).is_some_and(|lane| lane.successors.is_empty());

@@ -1,12 +1,12 @@
 //! Numeric requirements of each level.
 //!
-//! Counts, light and behaviours are those of the paper's supplement ("Definition of Evaluation Scenarios"). Speeds and distances it does
+//! Counts, light and behaviors are those of the paper's supplement ("Definition of Evaluation Scenarios"). Speeds and distances it does
 //! not give: they are ours.
 
 use decouplegs_scene::scenario::DriverKind;
 use decouplegs_scene::{Level, Weather};
 
-/// Agents nearer than this to the ego at the start are those that a level counts, metres from middle to middle.
+/// Agents nearer than this to the ego at the start are those that a level counts, meters from middle to middle.
 pub const NEAR_M: f64 = 50.0;
 
 /// Least and greatest number of agents within [`NEAR_M`] of the ego at the start.

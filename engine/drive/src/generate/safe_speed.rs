@@ -1,6 +1,6 @@
 //! Speeds at the start from which everybody can stop in time.
 //!
-//! The rule is that of Gipps ("A behavioural car-following model for computer simulation", 1981) and Krauss ("Microscopic modeling of
+//! The rule is that of Gipps ("A behavioral car-following model for computer simulation", 1981) and Krauss ("Microscopic modeling of
 //! traffic flow", 1998): whoever follows can stop behind a leader that brakes at once and as hard as it can, after a time to react.
 
 /// A planner answers at steps of half a second; one step may be lost.

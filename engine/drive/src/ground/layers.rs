@@ -6,16 +6,16 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::surfel::{Sample, SurfelGrid};
 
-/// Heights within so much of one another belong to one surface, metres: several times the noise of reconstructed roads, and less
+/// Heights within so much of one another belong to one surface, meters: several times the noise of reconstructed roads, and less
 /// than a kerb is high twice.
 const WINDOW_M: f32 = 0.12;
-/// Surfaces that one column may have. A canopy takes one for each half metre.
+/// Surfaces that one column may have. A canopy takes one for each half meter.
 const LAYERS_MAX: usize = 12;
 /// Times that a plane is fitted and its outliers found again.
 const ROUNDS: usize = 4;
 /// Heights farther from the plane than this times their spread count nothing (Tukey's biweight).
 const OUTLIER_SPREADS: f64 = 4.0;
-/// The least spread that outliers are told by, metres.
+/// The least spread that outliers are told by, meters.
 const SPREAD_MIN_M: f64 = 0.02;
 /// Holds slopes where samples lie on a line or on a point: this share of the column's own extent.
 const SLOPE_HOLD: f64 = 0.05;
@@ -23,18 +23,18 @@ const SLOPE_HOLD: f64 = 0.05;
 /// A surface near a node: a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layer {
-    /// Height at the node, metres, relative to the cloud's origin.
+    /// Height at the node, meters, relative to the cloud's origin.
     pub z: f32,
-    /// Height a metre along x and y.
+    /// Height a meter along x and y.
     pub slope: [f32; 2],
     /// Shares that it is made of, added up.
     pub support: f32,
-    /// Standard deviation about the plane, metres.
+    /// Standard deviation about the plane, meters.
     pub spread: f32,
 }
 
 impl Layer {
-    /// Height at `offset` from the node, metres.
+    /// Height at `offset` from the node, meters.
     pub fn height_at(&self, offset: DVec2) -> f64 {
         f64::from(self.z) + f64::from(self.slope[0]) * offset.x + f64::from(self.slope[1]) * offset.y
     }

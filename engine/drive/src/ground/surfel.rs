@@ -5,17 +5,17 @@ use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
 use glam::DVec2;
 use rayon::prelude::*;
 
-/// A splat spans so much height at one place and still counts half, metres. Road splats span millimetres, leaves decimetres.
+/// A splat spans so much height at one place and still counts half, meters. Road splats span millimeters, leaves decimeters.
 const FLAT_SPAN_M: f64 = 0.1;
 /// Least weight in the middle of a column: smaller surfels cannot carry a surface.
 const SHARE_MIN: f64 = 2e-3;
 /// A splat reaches so many standard deviations.
 const REACH_SIGMAS: f64 = 3.0;
-/// Cells of the finest grid, metres; each further one has twice the size.
+/// Cells of the finest grid, meters; each further one has twice the size.
 const CELL_M: f64 = 0.5;
 /// Grids; a splat lies in the finest whose cells are as large as its reach. Wider ones count within the largest cell only.
 const LEVELS: usize = 5;
-/// Farther from the origin f32 means have no centimetres left, metres.
+/// Farther from the origin f32 means have no centimeters left, meters.
 const EXTENT_M: f32 = 1e5;
 
 /// Part of a splat within a column. With S the horizontal covariance of the splat, c the column's
@@ -44,7 +44,7 @@ pub struct Sample {
 }
 
 impl Surfel {
-    /// `None` for a splat that shows no surface, and its reach in metres otherwise.
+    /// `None` for a splat that shows no surface, and its reach in meters otherwise.
     fn of(cloud: &SplatCloud, splat: usize, column_sigma_m: f64) -> Option<(Self, f64)> {
         let mean = cloud.means[splat];
         if cloud.defect_of(splat).is_some() || mean.iter().any(|x| x.abs() > EXTENT_M) {
@@ -124,7 +124,7 @@ impl SurfelGrid {
         }
     }
 
-    /// Squares that any surfel may reach: lower corner and size in metres.
+    /// Squares that any surfel may reach: lower corner and size in meters.
     pub fn reached(&self) -> impl Iterator<Item = (DVec2, f64)> + '_ {
         self.levels.iter().flat_map(|level| {
             let size = level.cell_m;

@@ -8,7 +8,7 @@ use glam::DVec2;
 use super::layers::Layer;
 use super::surfel::SurfelGrid;
 
-/// Between nodes, metres. A surface is a plane between four of them, so less than what bends on a road.
+/// Between nodes, meters. A surface is a plane between four of them, so less than what bends on a road.
 const NODE_M: f64 = 0.25;
 /// Squares of nodes along a side of a tile; one more node than that, so that a query needs one tile only.
 const TILE_NODES: i32 = 16;
@@ -30,7 +30,7 @@ struct Tile {
 pub struct Corner<'a> {
     /// Surfaces over it, rising.
     pub layers: &'a [Layer],
-    /// From the node to the query, metres.
+    /// From the node to the query, meters.
     pub offset: DVec2,
     /// Bilinear; the four add up to one.
     pub weight: f64,

@@ -14,7 +14,7 @@ use crate::lane_index::LaneIndex;
 use crate::planar::PlanarTransform;
 use crate::polyline::{Foot, wrapped};
 
-/// Steps of the warping along a lane, metres.
+/// Steps of the warping along a lane, meters.
 const STEP_M: f64 = 0.5;
 /// Largest number of points that count between two waypoints.
 const POINTS_A_WAYPOINT: f64 = 4.0;
@@ -26,9 +26,9 @@ const MATCHES: usize = 12;
 /// logged track has nearly a lane's shape at a wrong position. If its curves were outliers from the
 /// start, its straight parts alone would decide.
 const SCALE_FIRST_M: f64 = 1.0;
-/// Matching ends when the motion changes by less, metres and (times a hundred metres) radians.
+/// Matching ends when the motion changes by less, meters and (times a hundred meters) radians.
 const SETTLED: f64 = 1e-5;
-/// Drivers keep to the middle of their lane to about so much, as a deviation in metres, and for about so many waypoints to the same side.
+/// Drivers keep to the middle of their lane to about so much, as a deviation in meters, and for about so many waypoints to the same side.
 const LANE_KEEPING_M: f64 = 0.2;
 pub(super) const KEEPING_WAYPOINTS: f64 = 5.0;
 /// Costs of a waypoint that is anywhere, of a lane change, and of a leg that does not follow the one before: logarithms of how rare they are.

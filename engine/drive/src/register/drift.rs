@@ -15,16 +15,16 @@ use crate::polyline::{Foot, wrapped};
 const EVIDENCE_COST: f64 = 5.0;
 /// Lanes are unsure where others are less probable by not more than this.
 const RIVAL_COST: f64 = 3.0;
-/// Motions that differ by more lead to other lanes, metres; the usual width of a lane.
+/// Motions that differ by more lead to other lanes, meters; the usual width of a lane.
 const OTHER_LANE_M: f64 = 1.0;
 const LANE_WIDTH_M: f64 = 3.5;
-/// Distances from which motions of the whole log are looked for, metres.
+/// Distances from which motions of the whole log are looked for, meters.
 const STARTS_M: [f64; 2] = [1.2, 2.4];
 /// Turn, and shift along two axes.
 const MOTION_PARAMETERS: usize = 3;
 /// Tracks that can show drift of the log.
 pub const LOG_TRACKS_MIN: usize = MOTION_PARAMETERS + 1;
-/// Spread of the tracks' means that is assumed before any is seen, metres, and the number of tracks that this counts as.
+/// Spread of the tracks' means that is assumed before any is seen, meters, and the number of tracks that this counts as.
 const PRIOR_HABIT_M: f64 = 0.1;
 const PRIOR_TRACKS: f64 = 2.0;
 
@@ -127,7 +127,7 @@ impl Register<'_> {
         rival.is_none().then_some(best)
     }
 
-    /// Mean signed distance of a track from its lanes where it keeps to them, metres, to the left positive. None where it never does.
+    /// Mean signed distance of a track from its lanes where it keeps to them, meters, to the left positive. None where it never does.
     pub fn habit_m(prepared: &Prepared, aligned: &Aligned) -> Option<f64> {
         let laterals = Self::laterals_m(prepared, aligned);
         (!laterals.is_empty()).then(|| laterals.iter().sum::<f64>() / laterals.len() as f64)

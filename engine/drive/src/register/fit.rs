@@ -48,7 +48,7 @@ pub struct PlanarFit {
     pub yaw_deviation_rad: f64,
 }
 
-/// The least deviation that is believed, metres.
+/// The least deviation that is believed, meters.
 pub const RESIDUAL_MIN_M: f64 = 0.02;
 /// Tukey's biweight at 95 % of the efficiency of least squares.
 const BIWEIGHT: f64 = 4.685;
@@ -126,7 +126,7 @@ fn correlation_length(off: &[f64], cut_m: f64) -> f64 {
     1.0 + 2.0 * correlations.take_while(|correlation| *correlation > 0.0).sum::<f64>()
 }
 
-/// From the line to the moved point, metres, to the left positive.
+/// From the line to the moved point, meters, to the left positive.
 fn distance(pair: &LinePair, motion: &PlanarTransform) -> f64 {
     pair.across.dot(motion.apply(pair.from) - pair.on_line)
 }
@@ -183,7 +183,7 @@ mod tests {
 
     #[test]
     fn a_short_bend_is_an_outlier_for_a_narrow_scale_and_none_for_one_that_narrows() {
-        // 90 m straight and 10 m across: from half a metre too far, the last part looks half a metre off.
+        // 90 m straight and 10 m across: from half a meter too far, the last part looks half a meter off.
         let at =
             |s: f64| if s < 90.0 { (DVec2::new(s, 0.0), 0.0) } else { (DVec2::new(90.0, s - 90.0), std::f64::consts::FRAC_PI_2) };
         let drift = PlanarTransform { pivot_m: DVec2::new(40.0, 0.0), yaw_rad: 0.0, shift_m: DVec2::new(0.5, 0.0) };
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_that_say_the_same_count_once() {
+    fn neighbors_that_say_the_same_count_once() {
         let new_each = |at: u64| (at.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 / f64::from(1 << 24) - 0.5;
         let alone: Vec<f64> = (0..400).map(new_each).collect();
         let tens: Vec<f64> = (0..400).map(|at| new_each(at / 10)).collect();

@@ -10,21 +10,21 @@ use super::{PoseFlags, RegisterOptions, Registered, RegisteredPose, Treatment};
 use crate::ground::Ground;
 use crate::polyline::{Foot, wrapped};
 
-/// Corners farther than this from their plane lie on something, metres.
+/// Corners farther than this from their plane lie on something, meters.
 const UNEVEN_M: f64 = 0.08;
 /// A road is not steeper; what is, is no road.
 const GRADE_MAX: f64 = 0.4;
-/// Lanes are looked for within this of who follows none, metres.
+/// Lanes are looked for within this of who follows none, meters.
 const NEAR_M: f64 = 15.0;
 
 /// A plane in the frame of a vehicle: z = height + forward x + left y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoadPlane {
-    /// Under the middle of the vehicle, metres.
+    /// Under the middle of the vehicle, meters.
     pub height_m: f64,
-    /// Rise a metre to its front.
+    /// Rise a meter to its front.
     pub forward: f64,
-    /// Rise a metre to its left.
+    /// Rise a meter to its left.
     pub left: f64,
 }
 

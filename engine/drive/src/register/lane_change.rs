@@ -88,7 +88,7 @@ mod tests {
         let found = measured(&[guess], &laterals, 0.03)[0];
         assert!((found.from_s - 8.5).abs() < 0.15 && (found.to_s - 11.5).abs() < 0.15, "{found:?}");
         assert!(found.contains(9.0) && !found.contains(12.0));
-        // A track that lies about its lane by metres is not changing it.
+        // A track that lies about its lane by meters is not changing it.
         let wide = measured(&[guess], &laterals, 1.5)[0];
         assert_eq!((wide.from_s, wide.to_s), (9.5, 10.5));
     }

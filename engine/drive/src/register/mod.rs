@@ -38,30 +38,30 @@ pub struct RegisterOptions {
     /// Cost of a heading across the lane, meters; half of it counts against the lane (the paper's
     /// 2.5).
     pub heading_weight: f64,
-    /// Half the width of the Sakoe-Chiba band, metres along the lane.
+    /// Half the width of the Sakoe-Chiba band, meters along the lane.
     pub band_m: f64,
-    /// Lanes farther from a track are none of its, metres.
+    /// Lanes farther from a track are none of its, meters.
     pub radius_m: f64,
-    /// Deviation of drivers' habits: how far they keep from the middle of their lane, metres. A track is moved by itself only where its
+    /// Deviation of drivers' habits: how far they keep from the middle of their lane, meters. A track is moved by itself only where its
     /// lanes show more than that. 0: all tracks belong on the middles of their lanes.
     pub keeping_m: f64,
-    /// Deviation of the tracks' noise along one axis, metres. None: told by each track itself.
+    /// Deviation of the tracks' noise along one axis, meters. None: told by each track itself.
     pub noise_m: Option<f64>,
     /// No other motion than one of all tracks of the log together.
     pub shared: bool,
     /// Prior of the drift of logs.
     pub prior: MotionPrior,
-    /// A motion of more is not believed: shift in metres.
+    /// A motion of more is not believed: shift in meters.
     pub shift_max_m: f64,
     /// And turn in radians.
     pub yaw_max_rad: f64,
-    /// A track that lies about its lane by more, as a deviation in metres, does not follow it.
+    /// A track that lies about its lane by more, as a deviation in meters, does not follow it.
     pub residual_max_m: f64,
-    /// Tracks that travel less have no motion of their own, metres.
+    /// Tracks that travel less have no motion of their own, meters.
     pub travel_min_m: f64,
-    /// A lane on another level is one whose height differs by more, metres.
+    /// A lane on another level is one whose height differs by more, meters.
     pub deck_m: f64,
-    /// Length, width and height of tracks that tell none, metres.
+    /// Length, width and height of tracks that tell none, meters.
     pub dims_m: [f64; 3],
 }
 
@@ -154,7 +154,7 @@ pub struct Registered {
     pub lane_changes: Vec<LaneChange>,
     /// One for each point of the track.
     pub poses: Vec<RegisteredPose>,
-    /// Deviation of the log's noise, metres.
+    /// Deviation of the log's noise, meters.
     pub noise_m: f64,
 }
 
@@ -226,7 +226,7 @@ pub struct PoseFlags {
     pub uneven: bool,
     /// It is between two lanes.
     pub lane_change: bool,
-    /// The log has it far from its neighbours; it was put where they say.
+    /// The log has it far from its neighbors; it was put where they say.
     pub outlier: bool,
     /// Parked: the track travels too little to follow lanes.
     pub parked: bool,
@@ -265,7 +265,7 @@ pub fn register(
     let index = LaneIndex::new(map);
     let register = align::Register { map, index: &index, options };
     let prepared: Vec<Result<Prepared, String>> = tracks.par_iter().map(Prepared::new(options)).collect();
-    let long = |prepared: &&Prepared| prepared.travelled_m >= options.travel_min_m;
+    let long = |prepared: &&Prepared| prepared.traveled_m >= options.travel_min_m;
     let mut guides: Vec<&Prepared> = prepared.iter().flatten().filter(long).collect();
     // Sums do not depend on the order of the log.
     guides.sort_by(|a, b| a.track.id.cmp(&b.track.id));

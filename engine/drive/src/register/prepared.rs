@@ -8,7 +8,7 @@ use super::route::Waypoint;
 use super::smooth::{Smoothed, smooth};
 use crate::planar::PlanarTransform;
 
-/// Between waypoints, metres: closer ones tell nothing more of a lane.
+/// Between waypoints, meters: closer ones tell nothing more of a lane.
 const WAYPOINT_M: f64 = 1.0;
 
 /// A track, smoothed, and the points of it that lanes are chosen by.
@@ -16,8 +16,8 @@ pub struct Prepared<'a> {
     pub track: &'a Track,
     pub smoothed: Smoothed,
     pub waypoints: Vec<Waypoint>,
-    /// Metres between its waypoints, added up.
-    pub travelled_m: f64,
+    /// Meters between its waypoints, added up.
+    pub traveled_m: f64,
 }
 
 impl<'a> Prepared<'a> {
@@ -38,12 +38,12 @@ impl<'a> Prepared<'a> {
             let positions: Vec<DVec2> = waypoints.iter().map(|waypoint| waypoint.position).collect();
             let last = positions.len().saturating_sub(1);
             for (at, waypoint) in waypoints.iter_mut().enumerate() {
-                // Over four steps where there are so many: two neighbours a metre apart point anywhere.
+                // Over four steps where there are so many: two neighbors a meter apart point anywhere.
                 let way = positions[(at + 2).min(last)] - positions[at.saturating_sub(2)];
                 waypoint.heading_rad = way.to_angle();
             }
-            let travelled_m = positions.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
-            Ok(Self { track, smoothed, waypoints, travelled_m })
+            let traveled_m = positions.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+            Ok(Self { track, smoothed, waypoints, traveled_m })
         }
     }
 

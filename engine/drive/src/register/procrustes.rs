@@ -15,7 +15,7 @@ pub struct WeightedPair {
     pub weight: f64,
 }
 
-/// Points that lie within so much of each other show no direction, metres.
+/// Points that lie within so much of each other show no direction, meters.
 const EXTENT_MIN_M: f64 = 1e-6;
 
 /// The turn and shift with the least sum of `weight |R from + t - to|^2`: no scale, and a turn of determinant +1 (in the plane, the

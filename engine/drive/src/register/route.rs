@@ -18,7 +18,7 @@ use crate::polyline::{Polyline, wrapped};
 pub struct Waypoint {
     /// Index of the point in the track.
     pub index: usize,
-    /// World coordinates, metres.
+    /// World coordinates, meters.
     pub position: DVec2,
     /// The way it moves, radians.
     pub heading_rad: f64,
@@ -31,7 +31,7 @@ pub struct Waypoint {
 pub struct Leg {
     /// Places in [`LaneMap::lanes`], in driving order.
     pub lanes: Vec<usize>,
-    /// Their centrelines as one line.
+    /// Their centerlines as one line.
     pub line: Polyline,
     /// Waypoints on it, rising.
     pub waypoints: Vec<usize>,
@@ -41,13 +41,13 @@ pub struct Leg {
     pub by_lane_change: bool,
 }
 
-/// Costs are squares of deviations: a metre off costs 1.
+/// Costs are squares of deviations: a meter off costs 1.
 const OFF_COST_MAX: f64 = 9.0;
 /// A heading across the lane.
 const HEADING_COST: f64 = 10.0;
-/// A metre by which way along lanes and way of the track differ.
+/// A meter by which way along lanes and way of the track differ.
 const WAY_COST: f64 = 0.3;
-/// A lane change, between lanes that the map calls neighbours, and between others side by side.
+/// A lane change, between lanes that the map calls neighbors, and between others side by side.
 const LANE_CHANGE_COST: f64 = 12.0;
 const UNLINKED_CHANGE_COST: f64 = 18.0;
 /// A lane that follows no lane before it: links are missing, or the track was interrupted.
@@ -60,8 +60,8 @@ const ALONG_RAD: f64 = 1.3;
 const HOPS_MAX: usize = 6;
 /// Lanes that are looked at for one waypoint.
 const LANES_MAX: usize = 16;
-/// Neighbouring lanes are so far apart at most, metres.
-const NEIGHBOUR_MAX_M: f64 = 6.0;
+/// Neighboring lanes are so far apart at most, meters.
+const NEIGHBOR_MAX_M: f64 = 6.0;
 
 /// True if tracks of `class` may be on lanes of `kind`.
 #[must_use]
@@ -151,7 +151,7 @@ struct Search<'a> {
     lane_changes: bool,
 }
 
-/// Lanes ahead of a lane: the metres from its start to theirs, and the lanes passed on the way, themselves the last.
+/// Lanes ahead of a lane: the meters from its start to theirs, and the lanes passed on the way, themselves the last.
 type Ahead = HashMap<usize, (f64, Vec<usize>)>;
 
 impl Search<'_> {
@@ -166,11 +166,11 @@ impl Search<'_> {
                 columns.push(lanes.into_iter().map(first).collect());
                 continue;
             };
-            let travelled_m = waypoint.position.distance(waypoints[kept[place - 1]].position);
-            let ahead: Vec<Ahead> = before.iter().map(|state| self.ways_ahead(state.at.lane, travelled_m)).collect();
+            let traveled_m = waypoint.position.distance(waypoints[kept[place - 1]].position);
+            let ahead: Vec<Ahead> = before.iter().map(|state| self.ways_ahead(state.at.lane, traveled_m)).collect();
             let reach = |lane: LanePoint| {
                 let steps = before.iter().zip(&ahead).enumerate().map(|(from, (state, ahead))| {
-                    let (cost, step) = self.step_between(&state.at, &lane, ahead, travelled_m);
+                    let (cost, step) = self.step_between(&state.at, &lane, ahead, traveled_m);
                     (state.cost + cost, from, step)
                 });
                 let (cost, from, step) = steps.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0, Step::Jump));
@@ -182,7 +182,7 @@ impl Search<'_> {
         columns
     }
 
-    fn ways_ahead(&self, lane: usize, travelled_m: f64) -> Ahead {
+    fn ways_ahead(&self, lane: usize, traveled_m: f64) -> Ahead {
         let mut ahead = Ahead::new();
         let own_m = self.index.line(lane).map_or(0.0, Polyline::length_m);
         let mut open = vec![(lane, own_m, Vec::new())];
@@ -196,7 +196,7 @@ impl Search<'_> {
                     }
                     let passed: Vec<usize> = passed.iter().copied().chain([next]).collect();
                     ahead.insert(next, (way_m, passed.clone()));
-                    if way_m - own_m + line.length_m() < 2.0 * travelled_m + 10.0 {
+                    if way_m - own_m + line.length_m() < 2.0 * traveled_m + 10.0 {
                         further.push((next, way_m + line.length_m(), passed));
                     }
                 }
@@ -207,8 +207,8 @@ impl Search<'_> {
     }
 
     /// The cheapest step from a place on a lane to one at the next waypoint.
-    fn step_between(&self, from: &LanePoint, to: &LanePoint, ahead: &Ahead, travelled_m: f64) -> (f64, Step) {
-        let way_cost = |way_m: f64| WAY_COST * (way_m - travelled_m).abs();
+    fn step_between(&self, from: &LanePoint, to: &LanePoint, ahead: &Ahead, traveled_m: f64) -> (f64, Step) {
+        let way_cost = |way_m: f64| WAY_COST * (way_m - traveled_m).abs();
         let mut steps = vec![];
         if from.lane == to.lane {
             steps.push((way_cost(to.foot.arc_m - from.foot.arc_m), Step::On(Vec::new())));
@@ -219,19 +219,19 @@ impl Search<'_> {
         if from.lane != to.lane {
             let beside = |lane: usize| {
                 let lane = &self.map.lanes[lane];
-                [lane.left_neighbour, lane.right_neighbour].contains(&Some(to.lane))
+                [lane.left_neighbor, lane.right_neighbor].contains(&Some(to.lane))
             };
             let linked = beside(from.lane) || self.map.lanes[from.lane].successors.iter().copied().any(beside);
             let apart_m = (to.foot.point - from.foot.point).truncate().length();
             let same_way = wrapped(to.foot.heading_rad - from.foot.heading_rad).abs() < 0.5;
-            let sideways = linked || (same_way && apart_m < travelled_m + NEIGHBOUR_MAX_M);
+            let sideways = linked || (same_way && apart_m < traveled_m + NEIGHBOR_MAX_M);
             let sideways_cost = if linked { LANE_CHANGE_COST } else { UNLINKED_CHANGE_COST };
             match (sideways, self.lane_changes) {
                 (true, true) => steps.push((sideways_cost, Step::LaneChange)),
                 (true, false) => {}
                 (false, _) => steps.push((JUMP_COST, Step::Jump)),
             }
-        } else if travelled_m > 0.0 {
+        } else if traveled_m > 0.0 {
             steps.push((JUMP_COST, Step::Jump));
         }
         steps.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((FORBIDDEN_COST, Step::Jump))
@@ -269,7 +269,7 @@ fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec
         }
     }
     let leg = |Part { lanes, waypoints, arcs_m, by_lane_change, .. }: Part| {
-        let line = joined(index, &lanes).ok_or("the lanes' centrelines make no line")?;
+        let line = joined(index, &lanes).ok_or("the lanes' centerlines make no line")?;
         Ok(Leg { lanes, line, waypoints, arcs_m, by_lane_change })
     };
     parts.into_iter().map(leg).collect()
@@ -285,7 +285,7 @@ struct Part {
     by_lane_change: bool,
 }
 
-/// The centrelines of `lanes` as one line. Where a lane begins a little before the end of the one before, the line would turn back:
+/// The centerlines of `lanes` as one line. Where a lane begins a little before the end of the one before, the line would turn back:
 /// points that near to the one before are left out.
 fn joined(index: &LaneIndex, lanes: &[usize]) -> Option<Polyline> {
     const SEAM_M: f64 = 0.3;

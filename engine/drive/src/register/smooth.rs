@@ -1,7 +1,7 @@
 //! Tracks freed of the noise of their observation.
 //!
-//! Cars do not jump by decimetres between frames, detections do. Each point is replaced by a parabola in time fitted to its
-//! neighbours (local regression after Cleveland, Robust Locally Weighted Regression, 1979): what cars do within a second or
+//! Cars do not jump by decimeters between frames, detections do. Each point is replaced by a parabola in time fitted to its
+//! neighbors (local regression after Cleveland, Robust Locally Weighted Regression, 1979): what cars do within a second or
 //! two is kept, outliers are passed over. Wide windows average more and cut corners more; each point has the widest one that
 //! does not contradict narrower ones by more than noise does (the intersection of confidence intervals, after Goldenshluger and
 //! Nemirovski, On Spatial Adaptive Estimation of Nonparametric Regression, 1997).
@@ -11,7 +11,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use crate::polyline::wrapped;
 
-/// Half the widest window in seconds for each metre of noise: noise of a decimetre is averaged over three seconds.
+/// Half the widest window in seconds for each meter of noise: noise of a decimeter is averaged over three seconds.
 const WINDOW_S_PER_M: f64 = 15.0;
 /// Half the widest window of all, seconds: within it a lane change is still nearly a parabola.
 const WINDOW_MAX_S: f64 = 1.5;
@@ -20,15 +20,15 @@ const WINDOW_STEP: f64 = 0.7;
 const WINDOW_MIN_S: f64 = 0.25;
 /// A wider window is believed while what it says is within so many deviations of what narrower ones said.
 const AGREED: f64 = 1.5;
-/// Less noise than this is left, metres.
+/// Less noise than this is left, meters.
 const NOISE_MIN_M: f64 = 0.01;
-/// Neighbours to each side, whatever the rate of the log.
-const NEIGHBOURS_MAX: usize = 60;
+/// Neighbors to each side, whatever the rate of the log.
+const NEIGHBORS_MAX: usize = 60;
 /// Fits for a point, each after the first without the outliers of the one before.
 const ROUNDS: usize = 3;
 /// Outliers are farther from the fit than this times its spread.
 const OUTLIER_SPREADS: f64 = 5.0;
-/// Slower than this nothing is told of where a car points, metres a second.
+/// Slower than this nothing is told of where a car points, meters a second.
 const MOVING_MPS: f64 = 0.7;
 
 /// A track without noise, in the frame of its log.
@@ -38,9 +38,9 @@ pub struct Smoothed {
     pub positions: Vec<DVec2>,
     /// Heading at each point, radians, if known: as logged, or else the direction of motion.
     pub yaws: Vec<Option<f64>>,
-    /// Points far from where their neighbours say.
+    /// Points far from where their neighbors say.
     pub outliers: Vec<bool>,
-    /// Standard deviation of the noise along one axis, metres, as told by differences of four points in a row.
+    /// Standard deviation of the noise along one axis, meters, as told by differences of four points in a row.
     pub noise_m: f64,
 }
 
@@ -71,7 +71,7 @@ pub fn smooth(track: &Track, noise_m: Option<f64>) -> Smoothed {
     smoothed
 }
 
-/// From third differences of neighbours at an even pace, which motion hardly shows in; the median withstands outliers. 0 for tracks
+/// From third differences of neighbors at an even pace, which motion hardly shows in; the median withstands outliers. 0 for tracks
 /// too short or too uneven to tell.
 fn estimated_noise_m(track: &Track) -> f64 {
     // The variance of x0 - 3 x1 + 3 x2 - x3 is 20 times that of one. Lengths in the plane, whose median is 1.1774 deviations: axes
@@ -114,13 +114,13 @@ fn widest_fit(track: &Track, at: usize, half_s: f64, noise_m: f64, outliers: &[b
     believed.pop()
 }
 
-/// A parabola about point `at` over the neighbours within `half_s`, or over two to each side where these are fewer; over those that are no
+/// A parabola about point `at` over the neighbors within `half_s`, or over two to each side where these are fewer; over those that are no
 /// `outliers`, where these are known.
 fn local_fit(track: &Track, at: usize, half_s: f64, outliers: Option<&[bool]>) -> Option<Fit> {
     let points = &track.points;
     let time_s = points[at].time_s;
-    let from = (at.saturating_sub(NEIGHBOURS_MAX)..at).find(|&i| time_s - points[i].time_s <= half_s).unwrap_or(at);
-    let to = (at..points.len().min(at + NEIGHBOURS_MAX)).rfind(|&i| points[i].time_s - time_s <= half_s).unwrap_or(at);
+    let from = (at.saturating_sub(NEIGHBORS_MAX)..at).find(|&i| time_s - points[i].time_s <= half_s).unwrap_or(at);
+    let to = (at..points.len().min(at + NEIGHBORS_MAX)).rfind(|&i| points[i].time_s - time_s <= half_s).unwrap_or(at);
     let (from, to) = (from.min(at.saturating_sub(2)), to.max(at + 2).min(points.len() - 1));
     let usable = |point: &usize| outliers.is_none_or(|outliers| !outliers[*point]);
     let near: Vec<&TrackPoint> = (from..=to).filter(usable).map(|point| &points[point]).collect();
@@ -203,7 +203,7 @@ fn yaws(track: &Track, fits: &[Option<Fit>], positions: &[DVec2]) -> Vec<Option<
 mod tests {
     use super::*;
 
-    /// Ten metres a second through a corner of 45 degrees, ten times a second, with noise of `noise_m`.
+    /// Ten meters a second through a corner of 45 degrees, ten times a second, with noise of `noise_m`.
     fn corner(noise_m: f64) -> (Track, Vec<DVec2>) {
         let mut seed = 7_u64;
         let mut uniform = || {

@@ -1,4 +1,4 @@
-//! Lanes cut into cells of two metres: what of the plane a vehicle on each may touch, and how fast it may be there.
+//! Lanes cut into cells of two meters: what of the plane a vehicle on each may touch, and how fast it may be there.
 
 use std::ops::Range;
 
@@ -8,7 +8,7 @@ use super::path::place_on;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 
-/// Length of a cell, metres, a little less where the lane asks for it. Longer ones keep more room free than is needed, shorter ones cost
+/// Length of a cell, meters, a little less where the lane asks for it. Longer ones keep more room free than is needed, shorter ones cost
 /// time.
 const CELL_M: f64 = 2.0;
 /// Acceleration across that is comfortable in a curve, m/s^2.
@@ -18,7 +18,7 @@ const APPROACH_MPS2: f64 = 1.5;
 /// Lower limit of comfortable speeds in curves, m/s.
 const CURVE_MPS_MIN: f64 = 2.5;
 
-/// A part of a lane, metres along it.
+/// A part of a lane, meters along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stretch {
     pub from_m: f64,

@@ -9,7 +9,7 @@ use super::cells::Cells;
 use super::path::{length_of, place_on};
 use crate::oriented_box::OrientedBox;
 
-/// From one place of the box to the next, and the length of a slice, metres: on a circle of 6 m the box departs 5 mm between two places.
+/// From one place of the box to the next, and the length of a slice, meters: on a circle of 6 m the box departs 5 mm between two places.
 const STEP_M: f64 = 0.5;
 /// Added to each side of the box: for what it departs between places, and for the nose of one that changes lanes.
 const MARGIN_M: f64 = 0.1;
@@ -127,7 +127,7 @@ impl Frame {
     fn outline(&self) -> OrientedBox {
         let (middle, half_m) = (0.5 * (self.low + self.high), 0.5 * (self.high - self.low));
         OrientedBox {
-            centre_m: self.origin + self.along.rotate(middle),
+            center_m: self.origin + self.along.rotate(middle),
             yaw_rad: self.along.to_angle(),
             half_length_m: half_m.x,
             half_width_m: half_m.y,

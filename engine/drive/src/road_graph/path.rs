@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::RoadLane;
 use crate::polyline::wrapped;
 
-/// A vehicle's heading is that of a chord of its path between the axles of a family car, metres to each side of its middle. One length
+/// A vehicle's heading is that of a chord of its path between the axles of a family car, meters to each side of its middle. One length
 /// for all vehicles, so that the corridor of the longest holds all others.
 const HALF_AXLES_M: f64 = 1.35;
 
@@ -16,7 +16,7 @@ pub(crate) struct Place {
     pub yaw_rad: f64,
 }
 
-/// Metres of a driving lane; 0 of any other.
+/// Meters of a driving lane; 0 of any other.
 pub(crate) fn length_of(lanes: &[Option<RoadLane>], lane: usize) -> f64 {
     lanes[lane].as_ref().map_or(0.0, |lane| lane.line.length_m())
 }

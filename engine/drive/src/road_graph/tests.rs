@@ -3,8 +3,8 @@ use decouplegs_scene::Lane;
 use glam::DVec3;
 
 fn lane(id: &str, points: &[[f64; 2]]) -> Lane {
-    let centreline = points.iter().map(|&[x, y]| DVec3::new(x, y, 0.0)).collect();
-    Lane { id: id.into(), centreline, ..Lane::default() }
+    let centerline = points.iter().map(|&[x, y]| DVec3::new(x, y, 0.0)).collect();
+    Lane { id: id.into(), centerline, ..Lane::default() }
 }
 
 fn map(lanes: Vec<Lane>) -> LaneMap {
@@ -30,10 +30,10 @@ fn lanes_under_a_bridge_do_not_cross() {
     let mut east = lane("east", &[[-50.0, 0.0], [50.0, 0.0]]);
     let mut north = lane("north", &[[0.0, -50.0], [0.0, 50.0]]);
     (east.has_height, north.has_height) = (true, true);
-    north.centreline.iter_mut().for_each(|point| point.z = 5.0);
+    north.centerline.iter_mut().for_each(|point| point.z = 5.0);
     let graph = RoadGraph::new(&map(vec![east.clone(), north.clone()])).unwrap();
     assert!(graph.lane(0).unwrap().conflicts.is_empty());
-    north.centreline.iter_mut().for_each(|point| point.z = 1.0);
+    north.centerline.iter_mut().for_each(|point| point.z = 1.0);
     let graph = RoadGraph::new(&map(vec![east, north])).unwrap();
     assert_eq!(graph.lane(0).unwrap().conflicts.len(), 1);
 }

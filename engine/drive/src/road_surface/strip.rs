@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 
 use super::{HALF_WIDTH_M, Triangle};
 
-/// Longest piece of a border on one triangle, metres: boxes around longer ones, aslant, would be mostly empty.
+/// Longest piece of a border on one triangle, meters: boxes around longer ones, aslant, would be mostly empty.
 const PIECE_M: f64 = 10.0;
 /// Pieces of a border at most; a longer one has longer pieces.
 const PIECES_MAX: f64 = 20_000.0;
@@ -13,7 +13,7 @@ const PIECES_MAX: f64 = 20_000.0;
 /// The area of `lane`, its borders walked abreast: of the two triangles that go on along one of them, the slimmer is taken.
 pub(super) fn triangles(lane: &Lane) -> Vec<Triangle> {
     let border = |points: &[DVec3], side: f64| {
-        if points.len() < 2 { beside(&lane.centreline, side * HALF_WIDTH_M) } else { in_pieces(points) }
+        if points.len() < 2 { beside(&lane.centerline, side * HALF_WIDTH_M) } else { in_pieces(points) }
     };
     let (left, right) = (border(&lane.left, 1.0), border(&lane.right, -1.0));
     if left.len() < 2 || right.len() < 2 || left.iter().chain(&right).any(|point| !point.is_finite()) {
@@ -48,9 +48,9 @@ fn in_pieces(points: &[DVec3]) -> Vec<DVec3> {
     border
 }
 
-/// The line so far to the left of `centreline`, metres.
-fn beside(centreline: &[DVec3], to_left_m: f64) -> Vec<DVec3> {
-    let points = in_pieces(centreline);
+/// The line so far to the left of `centerline`, meters.
+fn beside(centerline: &[DVec3], to_left_m: f64) -> Vec<DVec3> {
+    let points = in_pieces(centerline);
     let along = |from: DVec3, to: DVec3| (to - from).truncate().normalize_or_zero();
     let shifted = |at: usize| {
         let before = if at > 0 { along(points[at - 1], points[at]) } else { DVec2::ZERO };

@@ -8,11 +8,11 @@ use glam::DVec3;
 
 use crate::polyline::Polyline;
 
-/// A change of lanes takes so much of the way where there is room, metres: at 12 m/s two and a half seconds.
+/// A change of lanes takes so much of the way where there is room, meters: at 12 m/s two and a half seconds.
 const CHANGE_M: f64 = 30.0;
 /// With less, no car could follow.
 const CHANGE_M_MIN: f64 = 8.0;
-/// From one point of the line to the next, metres.
+/// From one point of the line to the next, meters.
 const STRIDE_M: f64 = 1.0;
 /// A line of more strides has longer ones: a map may claim any length.
 const STRIDES_MAX: f64 = 200_000.0;
@@ -83,14 +83,14 @@ fn entries(map: &LaneMap, task: &EgoTask) -> Result<Vec<Entry>, String> {
             return Err(format!("the route names lane {id}, which is not among the map's {} lanes", map.lanes.len()));
         };
         let lane = &map.lanes[place];
-        let Some(line) = Polyline::new(lane.centreline.iter().copied()) else {
-            return Err(format!("lane {id} has no centreline that could be driven: fewer than two places, or one not finite"));
+        let Some(line) = Polyline::new(lane.centerline.iter().copied()) else {
+            return Err(format!("lane {id} has no centerline that could be driven: fewer than two places, or one not finite"));
         };
         let mut beside = false;
         if let Some(before) = entries.last().map(|entry| entry.place) {
             let from = &map.lanes[before];
             beside = !from.successors.contains(&place);
-            let named = |lane: &decouplegs_scene::Lane, other| [lane.left_neighbour, lane.right_neighbour].contains(&Some(other));
+            let named = |lane: &decouplegs_scene::Lane, other| [lane.left_neighbor, lane.right_neighbor].contains(&Some(other));
             if beside && !named(from, place) && !named(lane, before) {
                 return Err(format!("lane {id} neither follows lane {} of the route nor lies beside it", from.id));
             }

@@ -17,14 +17,14 @@ pub struct RouteTurn {
 const TURN_CURVATURE: f64 = 1.0 / 40.0;
 /// A turn reaches out to where the way bends less than this, 1/m.
 const BEND_CURVATURE: f64 = 1.0 / 80.0;
-/// Parts of a turn may be so far apart, metres: a turn around a corner is often two bends with a straight piece between.
+/// Parts of a turn may be so far apart, meters: a turn around a corner is often two bends with a straight piece between.
 const TURN_GAP_M: f64 = 6.0;
 /// Least change of heading that counts as a turn; smaller ones are curves of the road, radians: 30
 /// degrees.
 const TURN_ANGLE_RAD: f64 = std::f64::consts::FRAC_PI_6;
-/// From one look at the curvature to the next, metres.
+/// From one look at the curvature to the next, meters.
 const STRIDE_M: f64 = 1.0;
-/// Curvature is measured over this far before and behind, metres.
+/// Curvature is measured over this far before and behind, meters.
 const HALF_SPAN_M: f64 = 2.0;
 /// A line longer than so many strides is looked at in longer ones.
 const STRIDES_MAX: f64 = 200_000.0;

@@ -27,11 +27,11 @@ const STANDING_MPS: f64 = 0.1;
 const REACTION_S: f64 = 1.0;
 /// Headings that differ by less are one direction, radians.
 const SAME_DIRECTION_RAD: f64 = std::f64::consts::FRAC_PI_4;
-/// The route is averaged over so much to both sides at most, metres: more than a lane change is long, ...
+/// The route is averaged over so much to both sides at most, meters: more than a lane change is long, ...
 const AVERAGED_M: f64 = 40.0;
 /// ... and over so little that it bends by no more than this, radians.
 const AVERAGED_BEND_RAD: f64 = std::f64::consts::FRAC_PI_4;
-/// From one point of the averaged route to the next, metres.
+/// From one point of the averaged route to the next, meters.
 const STRIDE_M: f64 = 2.0;
 /// Points of a longer route lie farther apart.
 const STRIDES_MAX: f64 = 50_000.0;
@@ -97,7 +97,7 @@ pub(super) fn fault(episode: &Episode, instants: &[&Instant], contact: usize, ag
 
 /// The ego and the other across the road at one moment.
 struct Abreast {
-    /// Their middles, to the left of the road's line, metres.
+    /// Their middles, to the left of the road's line, meters.
     laterals_m: [f64; 2],
     /// Between their outlines across the road; zero and below where one is in the other's way.
     gap_m: f64,

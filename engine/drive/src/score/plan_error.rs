@@ -2,7 +2,7 @@
 
 use decouplegs_scene::{Episode, Plan, Pose, TimedPose, Trajectory};
 
-/// Mean distance, metres, from above, between where `plan` wants the ego and where `reference` has it at the same time. The plan was made
+/// Mean distance, meters, from above, between where `plan` wants the ego and where `reference` has it at the same time. The plan was made
 /// at `time_s` of the reference, at `pose`. Points of the plan beyond the reference's end do not count; `None` where none does. (The
 /// average displacement error of trajectory forecasting: Pellegrini, Ess, Schindler and van Gool, "You'll Never Walk Alone", 2009.)
 #[must_use]

@@ -5,11 +5,11 @@ use glam::DVec2;
 
 use crate::polyline::Polyline;
 
-/// Farther from the route than this, progress along it does not count, metres: about two lanes.
+/// Farther from the route than this, progress along it does not count, meters: about two lanes.
 const OFF_ROUTE_M: f64 = 8.0;
 /// Progress is searched ahead as far as was driven, times this (corners may be cut), and ...
 const SEARCH_FACTOR: f64 = 2.0;
-/// ... so much more, metres. A route that comes near itself does not make the ego jump along it.
+/// ... so much more, meters. A route that comes near itself does not make the ego jump along it.
 const SEARCH_M: f64 = 10.0;
 
 /// Progress of a vehicle along a route, moment by moment.
@@ -41,7 +41,7 @@ impl RouteProgress {
         }
     }
 
-    /// Metres along the route where it had come farthest.
+    /// Meters along the route where it had come farthest.
     #[must_use]
     pub fn progress_m(&self) -> f64 {
         self.progress_m

@@ -45,7 +45,7 @@ pub struct SetSummary {
     pub route_completion: Moments,
     /// minTTC in seconds, over the episodes that have one.
     pub min_ttc_s: Option<Moments>,
-    /// mADE in metres, over the episodes that have one.
+    /// mADE in meters, over the episodes that have one.
     pub plan_ade_m: Option<Moments>,
     /// Share of moments with a short time to collision.
     pub ttc_short_share: Moments,

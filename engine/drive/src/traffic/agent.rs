@@ -9,14 +9,14 @@ use super::random;
 use crate::polyline::wrapped;
 use crate::road_graph::{RoadGraph, length_of, place_on};
 
-/// A path is known so far ahead, metres: beyond what anybody looks for.
+/// A path is known so far ahead, meters: beyond what anybody looks for.
 const PATH_AHEAD_M: f64 = 250.0;
-/// Lanes that lead on so far, metres, or half as far as any, are chosen from.
+/// Lanes that lead on so far, meters, or half as far as any, are chosen from.
 const ONWARD_M: f64 = 500.0;
 /// Lanes that were left behind so many lanes ago are forgotten.
 const LANES_BEHIND: usize = 24;
 
-/// A run of conflicts on a path. Places are metres from the start of the agent's lane.
+/// A run of conflicts on a path. Places are meters from the start of the agent's lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Crossing {
     pub from_m: f64,
@@ -28,7 +28,7 @@ pub(super) struct Crossing {
 /// A vehicle that is not in the middle of its lane.
 #[derive(Clone, Debug)]
 pub(super) struct Aside {
-    pub travelled_m: f64,
+    pub traveled_m: f64,
     pub length_m: f64,
     pub kind: AsideKind,
 }
@@ -178,8 +178,8 @@ impl Agent {
         self.arc_m += moved_m;
         self.cool_down_s = (self.cool_down_s - dt_s).max(0.0);
         if let Some(aside) = &mut self.aside {
-            aside.travelled_m += moved_m;
-            if aside.travelled_m >= aside.length_m {
+            aside.traveled_m += moved_m;
+            if aside.traveled_m >= aside.length_m {
                 self.aside = None;
             }
         }
@@ -217,16 +217,16 @@ impl Agent {
         (position_m, wrapped(place.yaw_rad + slope.atan()))
     }
 
-    /// To the left of the middle of its lane, metres.
+    /// To the left of the middle of its lane, meters.
     pub(super) fn lateral_m(&self) -> f64 {
         self.aside.as_ref().map_or(0.0, |aside| aside.offset_after(0.0).0.y)
     }
 }
 
 impl Aside {
-    /// Offset along and to the left of the path after `ahead_m` more, metres, and how much to the left a metre ahead.
+    /// Offset along and to the left of the path after `ahead_m` more, meters, and how much to the left a meter ahead.
     pub(super) fn offset_after(&self, ahead_m: f64) -> (DVec2, f64) {
-        let t = ((self.travelled_m + ahead_m) / self.length_m).clamp(0.0, 1.0);
+        let t = ((self.traveled_m + ahead_m) / self.length_m).clamp(0.0, 1.0);
         match self.kind {
             AsideKind::Change { offset_m, .. } => {
                 (offset_m * (1.0 - t * t * (3.0 - 2.0 * t)), -offset_m.y * 6.0 * t * (1.0 - t) / self.length_m)

@@ -120,7 +120,7 @@ impl Claims {
     }
 }
 
-/// Shows the cells of an agent's path between two places, metres from the start of its lane, until `see` has seen enough; whether it saw
+/// Shows the cells of an agent's path between two places, meters from the start of its lane, until `see` has seen enough; whether it saw
 /// all.
 pub(super) fn each_cell(graph: &RoadGraph, agent: &Agent, from_m: f64, to_m: f64, mut see: impl FnMut(usize) -> bool) -> bool {
     let (mut at, mut start_m) = (agent.here, 0.0);

@@ -39,7 +39,7 @@ impl EgoSeen {
         let entries = entries(graph, &outline, state.ahead() * speed_mps, &cells);
         let reach_m = speed_mps * REACTION_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2);
         let sweep = OrientedBox {
-            centre_m: outline.centre_m + state.ahead() * (0.5 * reach_m),
+            center_m: outline.center_m + state.ahead() * (0.5 * reach_m),
             half_length_m: outline.half_length_m + 0.5 * reach_m,
             ..outline
         };
@@ -61,7 +61,7 @@ fn entries(graph: &RoadGraph, outline: &OrientedBox, velocity_mps: DVec2, cells:
         let rear_m = arcs.iter().copied().fold(f64::INFINITY, f64::min).max(first.from_m);
         let front_m = arcs.iter().copied().fold(f64::NEG_INFINITY, f64::max).min(last.to_m).max(rear_m + 0.1);
         // Who comes towards one counts as standing.
-        let speed_mps = velocity_mps.dot(DVec2::from_angle(foot(outline.centre_m).heading_rad)).max(0.0);
+        let speed_mps = velocity_mps.dot(DVec2::from_angle(foot(outline.center_m).heading_rad)).max(0.0);
         entries.push(Entry {
             lane: lane as u32,
             agent: EGO,

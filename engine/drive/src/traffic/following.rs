@@ -6,17 +6,17 @@ use super::idm::{BRAKING_MPS2, IdmParameters, Leader, safe_acceleration};
 use super::lane_order::{DEAD_END, EGO, LaneOrder, NO_LANE, behind_fork};
 use crate::road_graph::{RoadGraph, length_of, speed_before};
 
-/// Agents never come nearer to each other than this, metres: what the places of boxes along curves, and rounding, are off by at most.
+/// Agents never come nearer to each other than this, meters: what the places of boxes along curves, and rounding, are off by at most.
 pub(super) const GAP_M: f64 = 0.5;
 /// Look-ahead distance beyond which leaders are ignored: meters, and seconds at the own speed.
 const HORIZON_M: f64 = 50.0;
 const HORIZON_S: f64 = 4.0;
 /// The end of a lane is seen from farther away: braking for it is to be gentle.
 const END_M: f64 = 50.0;
-/// Short of a line that one must not cross, metres.
+/// Short of a line that one must not cross, meters.
 const LINE_M: f64 = 0.02;
 
-/// Somebody ahead; places are metres from the start of one's own lane.
+/// Somebody ahead; places are meters from the start of one's own lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     pub agent: u32,
@@ -68,7 +68,7 @@ pub(super) fn each_ahead(
     }
 }
 
-/// Somebody behind a place on a lane; metres from the start of that lane.
+/// Somebody behind a place on a lane; meters from the start of that lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Behind {
     pub agent: u32,

@@ -1,7 +1,7 @@
 //! The intelligent driver model (M. Treiber, A. Hennecke, D. Helbing: Congested traffic states in empirical observations and microscopic
 //! simulations, Physical Review E 62, 2000).
 
-/// No vehicle brakes harder, m/s^2: what tyres hold on a dry road. All that is safe here rests on it.
+/// No vehicle brakes harder, m/s^2: what tires hold on a dry road. All that is safe here rests on it.
 pub const BRAKING_MPS2: f64 = 8.0;
 
 /// A driver's parameters in the model.
@@ -38,7 +38,7 @@ impl Default for IdmParameters {
 /// Leader of a vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leader {
-    /// From one's front to its rear, metres: its own length is not in it.
+    /// From one's front to its rear, meters: its own length is not in it.
     pub gap_m: f64,
     /// Speed.
     pub speed_mps: f64,
@@ -55,7 +55,7 @@ impl IdmParameters {
         (self.acceleration_mps2 * (1.0 - fades)).max(-self.braking_mps2)
     }
 
-    /// The gap that the driver wants, metres: `s0 + max(0, v T + v dv / (2 sqrt(a b)))`. It never falls below `s0`: a leader that leaves
+    /// The gap that the driver wants, meters: `s0 + max(0, v T + v dv / (2 sqrt(a b)))`. It never falls below `s0`: a leader that leaves
     /// fast is no reason to brake.
     #[must_use]
     pub fn wanted_gap_m(&self, speed_mps: f64, leader_mps: f64) -> f64 {
@@ -73,7 +73,7 @@ impl IdmParameters {
         (free - self.acceleration_mps2 * ratio * ratio).max(-BRAKING_MPS2)
     }
 
-    /// The gap at which nobody accelerates or brakes behind a leader of the same speed below the free one, metres:
+    /// The gap at which nobody accelerates or brakes behind a leader of the same speed below the free one, meters:
     /// `(s0 + v T) / sqrt(1 - (v/v0)^delta)`.
     #[must_use]
     pub fn equilibrium_gap_m(&self, speed_mps: f64) -> f64 {
@@ -93,7 +93,7 @@ pub fn advance(speed_mps: f64, acceleration_mps2: f64, dt_s: f64) -> (f64, f64) 
     (0.5 * (speed_mps + after_mps) * dt_s, after_mps)
 }
 
-/// Metres in which a vehicle can stop.
+/// Meters in which a vehicle can stop.
 #[must_use]
 pub fn stopping_m(speed_mps: f64) -> f64 {
     speed_mps * speed_mps / (2.0 * BRAKING_MPS2)

@@ -15,13 +15,13 @@ use crate::road_graph::{Conflict, length_of};
 
 /// Waiting time after which a vehicle no longer gives way, seconds.
 const PATIENCE_S: f64 = 5.0;
-/// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one, metres.
+/// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one, meters.
 const BETWEEN_M: f64 = 1.5;
-/// Short vehicles leave as much room behind a crossing as this long one, metres: more than anybody drives in a step.
+/// Short vehicles leave as much room behind a crossing as this long one, meters: more than anybody drives in a step.
 const LENGTH_M_MIN: f64 = 4.5;
-/// The row of conflicts that is granted as a whole is at most so long, metres. A map may have lanes that lie on each other all along.
+/// The row of conflicts that is granted as a whole is at most so long, meters. A map may have lanes that lie on each other all along.
 const RUN_M_MAX: f64 = 150.0;
-/// Conflicts are looked for up to so far ahead of where a vehicle could stop, metres.
+/// Conflicts are looked for up to so far ahead of where a vehicle could stop, meters.
 const AHEAD_M: f64 = 100.0;
 /// Braking before a crossing that is not granted, m/s^2: it is asked for when one would have to begin.
 const BRAKING_MPS2: f64 = 2.0;

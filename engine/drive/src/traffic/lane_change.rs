@@ -12,7 +12,7 @@ use super::mobil::{Change, Concerned, Side};
 use crate::polyline::wrapped;
 use crate::road_graph::length_of;
 
-/// A change takes so long, seconds, and at least so much of the road: metres, and lengths of the vehicle. Shorter ones would turn its nose
+/// A change takes so long, seconds, and at least so much of the road: meters, and lengths of the vehicle. Shorter ones would turn its nose
 /// out of the two lanes.
 const DURATION_S: f64 = 4.0;
 const HASTY_DURATION_S: f64 = 2.0;
@@ -23,7 +23,7 @@ const PERIOD_S: f64 = 1.0;
 const COOL_DOWN_S: f64 = 2.0;
 /// Slower than this nobody changes lanes of his own accord, m/s.
 const SPEED_MPS_MIN: f64 = 1.5;
-/// Between the middles of two lanes, metres.
+/// Between the middles of two lanes, meters.
 const ASIDE_M: std::ops::Range<f64> = 1.5..6.0;
 /// By how much two lanes may differ in heading, and each of them turn meanwhile, radians: else their lengths differ.
 const PARALLEL_RAD: f64 = 0.1;
@@ -133,8 +133,8 @@ impl Traffic {
 
     /// Gain of a change by MOBIL; `None` if it violates the safety criterion.
     fn incentive(&self, agent: &Agent, target: &Target, side: Side) -> Option<f64> {
-        let old = self.neighbours(agent, agent.lane(), &agent.path[agent.here..], agent.arc_m);
-        let new = self.neighbours(agent, target.lane, &[target.lane], target.arc_m);
+        let old = self.neighbors(agent, agent.lane(), &agent.path[agent.here..], agent.arc_m);
+        let new = self.neighbors(agent, target.lane, &[target.lane], target.arc_m);
         let oneself = Change {
             before_mps2: self.following(agent, &agent.path, agent.here, agent.arc_m),
             after_mps2: self.following(agent, &self.path_on(agent, target.lane), 0, target.arc_m),
@@ -159,8 +159,8 @@ impl Traffic {
     }
 
     /// Leader and follower of an agent on a lane.
-    fn neighbours(&self, agent: &Agent, lane: usize, path: &[usize], arc_m: f64) -> Neighbours {
-        let mut found = Neighbours::default();
+    fn neighbors(&self, agent: &Agent, lane: usize, path: &[usize], arc_m: f64) -> Neighbors {
+        let mut found = Neighbors::default();
         each_ahead(&self.graph, &self.order, (agent.number, path, 0, arc_m), BEHIND_M, |seen| {
             found.leader = Some((seen.rear_m, seen.speed_mps));
             false
@@ -202,7 +202,7 @@ impl Traffic {
         let (on_lane_m, yaw_rad) = agent.pose_at(graph, 0.0, None);
         let offset_m = DVec2::from_angle(-yaw_rad).rotate(position_m - on_lane_m);
         let kind = AsideKind::Change { from, from_arc_m, offset_m };
-        agent.aside = Some(Aside { travelled_m: 0.0, length_m: target.length_m, kind });
+        agent.aside = Some(Aside { traveled_m: 0.0, length_m: target.length_m, kind });
         (agent.crossing, agent.clear_m, agent.held_up, agent.waited_s) = (None, f64::NEG_INFINITY, false, 0.0);
         agent.cool_down_s = target.length_m / agent.speed_mps.max(1.0) + COOL_DOWN_S;
         self.order.build(graph, &self.agents, self.ego.as_ref());
@@ -212,14 +212,14 @@ impl Traffic {
 
 /// Leader and follower of a position on a lane.
 #[derive(Clone, Debug, Default)]
-struct Neighbours {
+struct Neighbors {
     /// Rear position and speed.
     leader: Option<(f64, f64)>,
     /// Driver model, front position and speed.
     follower: Option<(IdmParameters, f64, f64)>,
 }
 
-impl Neighbours {
+impl Neighbors {
     /// Change of the follower's acceleration when its leader's rear and speed change.
     fn of_follower(&self, before: Option<(f64, f64)>, after: Option<(f64, f64)>) -> Change {
         let Some((idm, front_m, speed_mps)) = &self.follower else { return Change::default() };

@@ -86,7 +86,7 @@ impl Traffic {
         let claims = Claims::new(graph.cells().count());
         let mut traffic = Self {
             states: placed.iter().map(|agent| agent.state(&graph)).collect(),
-            behaviours: agents.iter().map(|agent| agent.behaviours.clone()).collect(),
+            behaviors: agents.iter().map(|agent| agent.behaviors.clone()).collect(),
             graph,
             agents: placed,
             order: LaneOrder::default(),
@@ -242,7 +242,7 @@ fn place(graph: &RoadGraph, number: usize, agent: &TrafficAgent, seed: u64) -> R
     }
     let mut placed = Agent::new(number, agent.size, Driver::from(agent.driver), lane, agent.at_m);
     placed.changes_lanes = agent.changes_lanes;
-    placed.phases = vec![Phase::Waiting; agent.behaviours.len()];
+    placed.phases = vec![Phase::Waiting; agent.behaviors.len()];
     // Its rear may be on the lane before: the one that bends least.
     let mut behind_m = agent.at_m;
     while behind_m < placed.half_m + 2.0 {

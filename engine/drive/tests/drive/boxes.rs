@@ -61,7 +61,7 @@ fn what_is_no_number_collides_with_nothing() {
 fn any_box() -> impl Strategy<Value = OrientedBox> {
     (-15.0f64..15.0, -15.0f64..15.0, -3.2f64..3.2, 0.2f64..4.0, 0.2f64..2.0).prop_map(
         |(x, y, yaw_rad, half_length_m, half_width_m)| OrientedBox {
-            centre_m: DVec2::new(x, y),
+            center_m: DVec2::new(x, y),
             yaw_rad,
             half_length_m,
             half_width_m,
@@ -74,7 +74,7 @@ fn any_velocity() -> impl Strategy<Value = DVec2> {
 }
 
 fn moved(outline: &OrientedBox, by_m: DVec2) -> OrientedBox {
-    OrientedBox { centre_m: outline.centre_m + by_m, ..*outline }
+    OrientedBox { center_m: outline.center_m + by_m, ..*outline }
 }
 
 proptest! {
@@ -119,7 +119,7 @@ proptest! {
         yaw_rad in -3.1f64..3.1, x in -6e5f64..6e5, y in -6e6f64..6e6,
     ) {
         let motion = PlanarTransform { pivot_m: DVec2::ZERO, yaw_rad, shift_m: DVec2::new(x, y) };
-        let there = |of: &OrientedBox| OrientedBox { centre_m: motion.apply(of.centre_m), yaw_rad: of.yaw_rad + yaw_rad, ..*of };
+        let there = |of: &OrientedBox| OrientedBox { center_m: motion.apply(of.center_m), yaw_rad: of.yaw_rad + yaw_rad, ..*of };
         let turned = |velocity: DVec2| DVec2::from_angle(yaw_rad).rotate(velocity);
         let here_s = time_to_collision(&a, va, &b, vb, HORIZON_S);
         let others = [

@@ -47,7 +47,7 @@ fn line(points: impl IntoIterator<Item = DVec2>) -> Polyline {
     Polyline::new(points.into_iter().map(|point| point.extend(0.0))).unwrap()
 }
 
-/// Farthest from a line, metres.
+/// Farthest from a line, meters.
 fn farthest(line: &Polyline, driven: &[VehicleState]) -> f64 {
     driven.iter().map(|state| line.project(state.position_m).distance_m).fold(0.0, f64::max)
 }
@@ -64,11 +64,11 @@ fn wheels_that_do_not_turn_drive_a_circle() {
     let (before, speed_mps) = (ego.state(), ego.state().speed_mps);
     let rear_radius_m = WHEELBASE_M / 0.3_f64.tan();
     let rear_m = before.to_world(DVec2::new(-0.5 * WHEELBASE_M, 0.0));
-    let centre_m = rear_m + before.ahead().perp() * rear_radius_m;
+    let center_m = rear_m + before.ahead().perp() * rear_radius_m;
     for _ in 0..50 {
         ego.step(0.1);
         assert_eq!(ego.steer_rad(), 0.3);
-        let radius_m = ego.state().position_m.distance(centre_m);
+        let radius_m = ego.state().position_m.distance(center_m);
         assert!((radius_m - rear_radius_m.hypot(0.5 * WHEELBASE_M)).abs() < 1e-9, "{radius_m}");
     }
     let rate_radps = ego.state().speed_mps / rear_radius_m;
@@ -236,7 +236,7 @@ fn long_and_short_steps_drive_the_same_way() {
     let (long, short, finest) = (drive(30, 0.1), drive(300, 0.01), drive(3000, 0.001));
     println!("0.1 s {:?}\n0.001 s {:?}", long.0, finest.0);
     assert!(long.0.position_m.distance(short.0.position_m) < 1e-6 && (long.1 - short.1).abs() < 1e-6);
-    // The parts of a step are short enough: ten times shorter ones make a difference of a millimetre.
+    // The parts of a step are short enough: ten times shorter ones make a difference of a millimeter.
     assert!(long.0.position_m.distance(finest.0.position_m) < 0.003, "{}", long.0.position_m.distance(finest.0.position_m));
 }
 

@@ -43,7 +43,7 @@ fn scenario(agents: usize) -> Scenario {
         speed_mps: 0.0,
         driver: DriverKind::Normal,
         changes_lanes: false,
-        behaviours: vec![],
+        behaviors: vec![],
     };
     let ego = EgoTask { route: vec!["lane".into()], start_m: 0.0, end_m: 100.0, speed_mps: 10.0, cruise_mps: 10.0, size: SIZE };
     Scenario {

@@ -54,7 +54,7 @@ fn lane_of<'a>(map: &'a LaneMap, id: &str) -> (usize, &'a Lane) {
 }
 
 fn line_of(lane: &Lane) -> Polyline {
-    Polyline::new(lane.centreline.iter().copied()).unwrap()
+    Polyline::new(lane.centerline.iter().copied()).unwrap()
 }
 
 /// A vehicle as it stands at the start.
@@ -114,10 +114,10 @@ fn is_round(value: f64, parts: f64) -> bool {
 }
 
 fn has(agents: &[TrafficAgent], is: impl Fn(&Maneuver) -> bool) -> bool {
-    agents.iter().flat_map(|agent| &agent.behaviours).any(|behaviour| is(&behaviour.maneuver))
+    agents.iter().flat_map(|agent| &agent.behaviors).any(|behavior| is(&behavior.maneuver))
 }
 
-fn check_behaviours(scenario: &Scenario, level: Level, what: &str) {
+fn check_behaviors(scenario: &Scenario, level: Level, what: &str) {
     let agents = &scenario.agents;
     let brakes = has(agents, |maneuver| matches!(maneuver, Maneuver::Brake { .. }));
     let cuts_in = has(agents, |maneuver| *maneuver == Maneuver::CutIn);
@@ -125,11 +125,11 @@ fn check_behaviours(scenario: &Scenario, level: Level, what: &str) {
     let drivers = |kinds: &[DriverKind]| agents.iter().all(|agent| kinds.contains(&agent.driver));
     match level {
         Level::Easy => {
-            assert!(agents.iter().all(|agent| agent.behaviours.is_empty() && !agent.changes_lanes), "{what}");
+            assert!(agents.iter().all(|agent| agent.behaviors.is_empty() && !agent.changes_lanes), "{what}");
             assert!(drivers(&[DriverKind::Calm, DriverKind::Normal]), "{what}");
         }
         Level::Medium => {
-            assert!(agents.iter().all(|agent| agent.behaviours.is_empty()), "{what}");
+            assert!(agents.iter().all(|agent| agent.behaviors.is_empty()), "{what}");
             assert!(drivers(&[DriverKind::Calm, DriverKind::Normal]), "{what}");
         }
         Level::Hard => assert!(cuts_in || brakes, "{what}"),
@@ -155,7 +155,7 @@ fn check_lead(scenario: &Scenario, all: &[Starter], gaps: &[(usize, f64)], level
 /// All that a scenario promises at its start.
 fn check(grounds: &Grounds, scenario: &Scenario, level: Level, what: &str) {
     let (map, all) = (&grounds.map, starters(&grounds.map, scenario));
-    let near = |starter: &&Starter| starter.outline.centre_m.distance(all[0].outline.centre_m) <= 50.0;
+    let near = |starter: &&Starter| starter.outline.center_m.distance(all[0].outline.center_m) <= 50.0;
     let (least, most) = agents_near(level);
     let count = all[1..].iter().filter(near).count();
     assert!((least..=most).contains(&count), "{what}: {count} agents within 50 m");
@@ -180,7 +180,7 @@ fn check(grounds: &Grounds, scenario: &Scenario, level: Level, what: &str) {
     if let Place::Street { weather, .. } = scenario.place {
         assert!(weathers(level).contains(&weather), "{what}: {weather:?}");
     }
-    check_behaviours(scenario, level, what);
+    check_behaviors(scenario, level, what);
 }
 
 /// The ego as it brakes after a second: where it is on its route, and how fast.
@@ -217,7 +217,7 @@ fn check_start(graph: &Arc<RoadGraph>, map: &LaneMap, scenario: &Scenario, what:
         let outline = OrientedBox::of(&ego.state(), &ego.size);
         for (state, agent) in traffic.states().iter().zip(&scenario.agents) {
             let touches = outline.overlaps(&OrientedBox::of(state, &agent.size));
-            let cuts_in = agent.behaviours.iter().any(|behaviour| behaviour.maneuver == Maneuver::CutIn);
+            let cuts_in = agent.behaviors.iter().any(|behavior| behavior.maneuver == Maneuver::CutIn);
             assert!(!touches || cuts_in, "{what}: {} touches the ego at {:.1} s", agent.name, 0.1 * f64::from(step + 1));
         }
     }
@@ -281,13 +281,13 @@ fn the_same_numbers_give_the_same_scenario_and_others_give_others() {
 #[test]
 fn routes_stay_in_the_area() {
     let grounds = street();
-    let area = Area { centre_m: DVec2::new(40.0, 0.0), radius_m: 90.0 };
+    let area = Area { center_m: DVec2::new(40.0, 0.0), radius_m: 90.0 };
     let generator = grounds.generator().within(area);
     for index in 0..40 {
         let scenario = generator.scenario(Level::Medium, 5, index).unwrap();
         let route = Route::new(&grounds.map, &scenario.ego).unwrap();
         for progress_m in [0.0, route.length_m()] {
-            let off_m = route.pose_at(progress_m).0.truncate().distance(area.centre_m);
+            let off_m = route.pose_at(progress_m).0.truncate().distance(area.center_m);
             assert!(off_m <= area.radius_m + 0.5, "{off_m} m from the middle");
         }
     }
@@ -295,7 +295,7 @@ fn routes_stay_in_the_area() {
 
 fn straight(length_m: f64) -> LaneMap {
     let line = |y: f64| vec![DVec3::new(0.0, y, 0.0), DVec3::new(length_m, y, 0.0)];
-    let lane = Lane { id: "only".into(), centreline: line(0.0), left: line(1.6), right: line(-1.6), ..Lane::default() };
+    let lane = Lane { id: "only".into(), centerline: line(0.0), left: line(1.6), right: line(-1.6), ..Lane::default() };
     LaneMap { lanes: vec![lane], ..LaneMap::default() }
 }
 

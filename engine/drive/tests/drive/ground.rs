@@ -43,7 +43,7 @@ fn tilted_crowned_and_wavy_roads_are_found_under_canopy_and_floaters() {
             let options = RoadOptions { flat, noise_m, ..ROAD };
             let ground = Ground::new(&cluttered(&options, truth, 7), DVec3::ZERO, &GroundOptions::default());
             let at = places(&options, 4000, 1);
-            // The map is a third of a metre off.
+            // The map is a third of a meter off.
             let expected = errors(&ground, truth, &at, &|at| Some(truth(at) + 0.35));
             let unasked = errors(&ground, truth, &at, &|_| None);
             let said = |errors: &[f64]| format!("p95 {:.4} max {:.4}", p95(errors), errors[errors.len() - 1]);
@@ -89,7 +89,7 @@ fn each_deck_is_found_by_the_lane_on_it_and_none_is_ever_mistaken() {
 #[test]
 fn a_splat_counts_where_it_reaches_not_where_its_mean_is() {
     let mut cloud = SplatCloud::default();
-    // One slanted disc, two metres wide: z rises by 0.1 along x.
+    // One slanted disc, two meters wide: z rises by 0.1 along x.
     let slant = glam::DQuat::from_rotation_y(-(0.1f64).atan());
     crate::roads::add_splat(&mut cloud, DVec3::new(5.0, 5.0, 1.0), [1.0, 1.0, 0.005], slant, 1.0);
     let ground = Ground::new(&cloud, DVec3::ZERO, &GroundOptions::default());
@@ -102,7 +102,7 @@ fn a_splat_counts_where_it_reaches_not_where_its_mean_is() {
 }
 
 #[test]
-fn utm_sized_origins_keep_millimetres_and_nonsense_has_no_height() {
+fn utm_sized_origins_keep_millimeters_and_nonsense_has_no_height() {
     let origin = DVec3::new(456_000.25, 5_427_000.5, 113.0);
     let options = RoadOptions { length_m: 10.0, ..ROAD };
     let near = Ground::new(&cluttered(&options, &tilted, 1), DVec3::ZERO, &GroundOptions::default());

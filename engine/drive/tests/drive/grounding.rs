@@ -24,7 +24,7 @@ fn car_clearances(map: &LaneMap, log: &Track, cloud: &SplatCloud, truth: &dyn Fn
 /// A road of one lane along x at heights of `height`, `off_m` too high.
 fn map_of(height: &dyn Fn(DVec2) -> f64, off_m: f64) -> LaneMap {
     let mut map = road(&straight(40.0), 1, 2, false);
-    for point in map.lanes.iter_mut().flat_map(|lane| &mut lane.centreline) {
+    for point in map.lanes.iter_mut().flat_map(|lane| &mut lane.centerline) {
         point.z = height(point.truncate()) + off_m;
     }
     map

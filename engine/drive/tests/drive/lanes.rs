@@ -15,24 +15,24 @@ pub fn road(middle: &Polyline, lanes: usize, parts: usize, opposite: bool) -> La
         for part in 0..parts {
             let (from, to) = (part as f64 / parts as f64, (part + 1) as f64 / parts as f64);
             let place = |share: f64| beside(middle, share * middle.length_m(), 3.0 * lane as f64);
-            let mut centreline: Vec<DVec3> = (0..=100).map(|i| place(from + (to - from) * f64::from(i) / 100.0)).collect();
+            let mut centerline: Vec<DVec3> = (0..=100).map(|i| place(from + (to - from) * f64::from(i) / 100.0)).collect();
             let own = lane * parts + part;
-            let neighbour = |lane: usize| (lane < lanes - usize::from(opposite)).then_some(lane * parts + part);
+            let neighbor = |lane: usize| (lane < lanes - usize::from(opposite)).then_some(lane * parts + part);
             let next = (part + 1 < parts).then_some(own + 1);
             let last = part.checked_sub(1).map(|_| own - 1);
             let (mut successors, mut predecessors) = (next.into_iter().collect(), last.into_iter().collect());
             if against {
-                centreline.reverse();
+                centerline.reverse();
                 std::mem::swap(&mut successors, &mut predecessors);
             }
             map.lanes.push(Lane {
                 id: format!("{lane}/{part}"),
-                centreline,
+                centerline,
                 has_height: true,
                 successors,
                 predecessors,
-                left_neighbour: if against { None } else { neighbour(lane + 1) },
-                right_neighbour: if against { None } else { lane.checked_sub(1).and_then(neighbour) },
+                left_neighbor: if against { None } else { neighbor(lane + 1) },
+                right_neighbor: if against { None } else { lane.checked_sub(1).and_then(neighbor) },
                 ..Lane::default()
             });
         }
@@ -61,7 +61,7 @@ pub fn curved(length_m: f64, curvature: impl Fn(f64) -> f64) -> Polyline {
     Polyline::new(points.collect::<Vec<_>>()).unwrap()
 }
 
-/// A car that drives `place(metres)` at `speed_mps`, seen ten times a second.
+/// A car that drives `place(meters)` at `speed_mps`, seen ten times a second.
 pub fn drive(id: &str, length_m: f64, speed_mps: f64, place: impl Fn(f64) -> DVec3) -> Track {
     let count = (10.0 * length_m / speed_mps) as usize;
     let point = |i: usize| {

@@ -32,7 +32,7 @@ proptest! {
         let (map, tracks) = place();
         let motion = PlanarTransform { pivot_m: DVec2::ZERO, yaw_rad, shift_m: DVec2::new(x, y) };
         let (mut moved_map, mut moved_tracks) = (map.clone(), tracks.clone());
-        for point in moved_map.lanes.iter_mut().flat_map(|lane| &mut lane.centreline) {
+        for point in moved_map.lanes.iter_mut().flat_map(|lane| &mut lane.centerline) {
             *point = motion.apply(point.truncate()).extend(point.z);
         }
         for point in moved_tracks.iter_mut().flat_map(|track| &mut track.points) {
@@ -87,7 +87,7 @@ fn nothing_to_register_is_refused() {
     assert_eq!(register(&LaneMap::default(), &tracks, None, &options).unwrap_err(), RegisterError::NoLanes);
     assert_eq!(register(&map, &[], None, &options).unwrap_err(), RegisterError::NoTracks);
     let mut broken = map.clone();
-    broken.lanes[0].centreline[1].x = f64::NAN;
+    broken.lanes[0].centerline[1].x = f64::NAN;
     assert!(register(&broken, &tracks, None, &options).unwrap_err().to_string().contains("0/0"));
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let wrong = RegisterOptions { band_m: bad, ..options };

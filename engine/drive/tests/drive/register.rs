@@ -99,9 +99,9 @@ fn a_lane_change_is_no_drift() {
     let [before, across, along] = worst(&map, &truth, 1);
     println!("lane change: {before:.3} m before; {across:.3} across and {along:.3} along after");
     assert!(across < ADE_MAX_M && along < ADE_MAX_M, "{across} {along}");
-    // Where links between neighbours are missing, the change is found all the same.
+    // Where links between neighbors are missing, the change is found all the same.
     let mut unlinked = map.clone();
-    unlinked.lanes.iter_mut().for_each(|lane| (lane.left_neighbour, lane.right_neighbour) = (None, None));
+    unlinked.lanes.iter_mut().for_each(|lane| (lane.left_neighbor, lane.right_neighbor) = (None, None));
     let found = alone(&unlinked, &truth);
     assert_eq!(registered(&found, 0).lane_changes.len(), 1);
     // And it lasts about as long as it takes: 35 m at 9 m/s, but for what is near either lane.
@@ -164,7 +164,7 @@ fn who_drives_against_lanes_or_beside_them_is_refused_with_the_reason() {
     truth.points.reverse();
     truth.points.iter_mut().zip(times).for_each(|(point, time_s)| point.time_s = time_s);
     assert!(reason(&alone(&map, &truth), 0).contains("against its lanes"));
-    // With a lane for that direction three metres away, it is three metres of drift: on a lane, but farther than is believed.
+    // With a lane for that direction three meters away, it is three meters of drift: on a lane, but farther than is believed.
     let mut far = truth.clone();
     far.points.iter_mut().for_each(|point| point.position_m += DVec2::new(500.0, 0.0));
     assert!(reason(&alone(&map, &far), 0).contains("no lane"));

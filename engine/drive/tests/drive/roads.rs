@@ -31,7 +31,7 @@ impl Random {
 pub struct RoadOptions {
     pub length_m: f64,
     pub width_m: f64,
-    /// Splats a square metre.
+    /// Splats a square meter.
     pub density: f64,
     /// Deviation of splats' heights.
     pub noise_m: f64,

@@ -24,7 +24,7 @@ fn lane(id: &str, middle: &[DVec2]) -> Lane {
     };
     Lane {
         id: id.into(),
-        centreline: middle.iter().copied().map(high).collect(),
+        centerline: middle.iter().copied().map(high).collect(),
         left: border(0.5 * WIDTH_M),
         right: border(-0.5 * WIDTH_M),
         has_height: true,
@@ -32,8 +32,8 @@ fn lane(id: &str, middle: &[DVec2]) -> Lane {
     }
 }
 
-fn arc(centre: DVec2, radius_m: f64, from_rad: f64, to_rad: f64) -> Vec<DVec2> {
-    (0..=16).map(|at| centre + DVec2::from_angle(from_rad + (to_rad - from_rad) * f64::from(at) / 16.0) * radius_m).collect()
+fn arc(center: DVec2, radius_m: f64, from_rad: f64, to_rad: f64) -> Vec<DVec2> {
+    (0..=16).map(|at| center + DVec2::from_angle(from_rad + (to_rad - from_rad) * f64::from(at) / 16.0) * radius_m).collect()
 }
 
 /// East for 100 m in two lanes (`slow`, `fast` to its left), then from `slow` right around a corner of 9 m and south for 60 m.
@@ -42,7 +42,7 @@ fn corner() -> LaneMap {
     let turn = arc(DVec2::new(100.0, -9.0), 9.0, FRAC_PI_2, 0.0);
     let south = [DVec2::new(109.0, -9.0), DVec2::new(109.0, -69.0)];
     let mut lanes = vec![lane("slow", &east(0.0)), lane("fast", &east(WIDTH_M)), lane("turn", &turn), lane("south", &south)];
-    (lanes[0].left_neighbour, lanes[1].right_neighbour) = (Some(1), Some(0));
+    (lanes[0].left_neighbor, lanes[1].right_neighbor) = (Some(1), Some(0));
     (lanes[0].successors, lanes[2].predecessors) = (vec![2], vec![0]);
     (lanes[2].successors, lanes[3].predecessors) = (vec![3], vec![2]);
     LaneMap { lanes, ..LaneMap::default() }
@@ -93,7 +93,7 @@ fn a_route_follows_its_lanes_around_a_corner_and_names_the_turn() {
 }
 
 #[test]
-fn neighbours_are_changed_to_within_thirty_metres_and_that_is_no_turn() {
+fn neighbors_are_changed_to_within_thirty_metres_and_that_is_no_turn() {
     let map = corner();
     let route = Route::new(&map, &task(&["fast", "slow", "turn", "south"], 5.0, 60.0)).unwrap();
     // The change lies in the middle of the 95 m that there are.
@@ -160,7 +160,7 @@ fn the_surface_ends_at_the_borders_and_small_gaps_are_forgiven() {
         assert_eq!(surface.contains(DVec2::new(x, y)), on, "({x}, {y})");
     }
     let car = |x: f64, y: f64, yaw_rad: f64| OrientedBox {
-        centre_m: DVec2::new(x, y),
+        center_m: DVec2::new(x, y),
         yaw_rad,
         half_length_m: 2.25,
         half_width_m: 0.9,
@@ -171,7 +171,7 @@ fn the_surface_ends_at_the_borders_and_small_gaps_are_forgiven() {
     // Its corners are on the road on both sides of a gap, and its side is not.
     let mut apart = map.clone();
     for lane in &mut apart.lanes[1..2] {
-        let points = lane.centreline.iter_mut().chain(&mut lane.left).chain(&mut lane.right);
+        let points = lane.centerline.iter_mut().chain(&mut lane.left).chain(&mut lane.right);
         points.for_each(|point| point.y += 1.6);
     }
     let apart = RoadSurface::new(&apart);
@@ -191,7 +191,7 @@ fn the_surface_ends_at_the_borders_and_small_gaps_are_forgiven() {
 fn heights_are_those_of_the_deck_that_is_asked_for() {
     let mut map = corner();
     let mut bridge = lane("bridge", &[DVec2::new(50.0, -40.0), DVec2::new(50.0, 40.0)]);
-    bridge.centreline.iter_mut().chain(&mut bridge.left).chain(&mut bridge.right).for_each(|point| point.z = 8.0);
+    bridge.centerline.iter_mut().chain(&mut bridge.left).chain(&mut bridge.right).for_each(|point| point.z = 8.0);
     map.lanes.push(bridge);
     let surface = RoadSurface::new(&map);
     let at = DVec2::new(50.3, 0.4);
@@ -213,7 +213,7 @@ fn lines_that_are_no_lanes_make_no_surface_and_no_panic() {
         vec![DVec3::splat(-1e300), DVec3::splat(1e300)],
         vec![DVec3::splat(-1e9), DVec3::splat(1e9), DVec3::X],
     ] {
-        let lane = Lane { id: "bad".into(), centreline: points.clone(), left: points.clone(), ..Lane::default() };
+        let lane = Lane { id: "bad".into(), centerline: points.clone(), left: points.clone(), ..Lane::default() };
         let map = LaneMap { lanes: vec![lane], ..LaneMap::default() };
         let surface = RoadSurface::new(&map);
         assert!(!surface.contains(DVec2::new(3.0, 1e4)) && !surface.contains(DVec2::NAN));

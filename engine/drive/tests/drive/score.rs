@@ -68,7 +68,7 @@ fn the_closest_call_has_its_moment_and_its_agent() {
     let closest = score.closest.unwrap();
     assert!((closest.ttc_s - 1.55).abs() < 1e-9 && (closest.time_s - 3.0).abs() < 1e-9 && closest.agent == 1);
     assert_eq!(score.ttc_short_share, 0.0);
-    // One metre more of the way: two of the 51 moments are below 1.5 s.
+    // One meter more of the way: two of the 51 moments are below 1.5 s.
     let farther: Motion =
         Box::new(|time_s: f64| state(10.0 * time_s.min(3.2), 0.0, 0.0, if time_s <= 3.2 + 1e-9 { 10.0 } else { 0.0 }));
     let score = EpisodeScore::of(&episode(10, &farther, &agents(), EpisodeEnd::Time));

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use decouplegs_drive::idm::{IdmParameters, Leader, advance, stopping_m};
 use decouplegs_drive::{RoadGraph, Traffic, TrafficError};
-use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -147,7 +147,7 @@ fn a_platoon_survives_a_leader_that_brakes_as_hard_as_tyres_hold() {
             .map(|number| TrafficAgent { driver, ..agent(&number.to_string(), "0", 900.0 - 9.0 * f64::from(number), 12.0) })
             .collect();
         let brake = Maneuver::Brake { deceleration_mps2: 99.0, duration_s: 5.0 };
-        agents[0].behaviours.push(Behaviour { trigger: Trigger::Time { time_s: 2.0 }, maneuver: brake });
+        agents[0].behaviors.push(Behavior { trigger: Trigger::Time { time_s: 2.0 }, maneuver: brake });
         let mut traffic = traffic(&graph, &agents);
         for step in 0..45 {
             drive(&mut traffic, &agents, 1, None);
@@ -202,14 +202,14 @@ fn lane_changes_are_smooth_and_count_on_both_lanes() {
     assert!((10..80).contains(&on_both) && (before.position_m.y - 3.5).abs() < 1e-6, "{on_both} steps, {before:?}");
 }
 
-fn does(maneuver: Maneuver) -> Vec<Behaviour> {
-    vec![Behaviour { trigger: Trigger::Time { time_s: 1.0 }, maneuver }]
+fn does(maneuver: Maneuver) -> Vec<Behavior> {
+    vec![Behavior { trigger: Trigger::Time { time_s: 1.0 }, maneuver }]
 }
 
 #[test]
 fn who_cuts_in_minds_agents_but_not_the_ego() {
     let graph = straight(2000.0, 3, 15.0);
-    let cutter = TrafficAgent { behaviours: does(Maneuver::CutIn), ..agent("cutter", "1", 106.0, 10.0) };
+    let cutter = TrafficAgent { behaviors: does(Maneuver::CutIn), ..agent("cutter", "1", 106.0, 10.0) };
     let run = |ego_y: f64, others: Vec<TrafficAgent>| {
         let agents: Vec<TrafficAgent> = [cutter.clone()].into_iter().chain(others).collect();
         let mut traffic = traffic(&graph, &agents);
@@ -228,7 +228,7 @@ fn who_cuts_in_minds_agents_but_not_the_ego() {
 fn a_swerve_is_as_wide_as_there_is_room() {
     let graph = straight(2000.0, 2, 15.0);
     let swerver = |amplitude_m: f64| TrafficAgent {
-        behaviours: does(Maneuver::Swerve { amplitude_m, duration_s: 3.0 }),
+        behaviors: does(Maneuver::Swerve { amplitude_m, duration_s: 3.0 }),
         ..agent("swerver", "0", 100.0, 12.0)
     };
     let widest = |agents: &[TrafficAgent]| {

@@ -31,7 +31,7 @@ fn somewhere(graph: &RoadGraph, random: &mut Random) -> VehicleState {
     }
 }
 
-/// Drives `steps` steps and checks each; how many metres all agents drove.
+/// Drives `steps` steps and checks each; how many meters all agents drove.
 fn drive(graph: &Arc<RoadGraph>, count: usize, steps: u32, seed: u64, stranger: Stranger) -> f64 {
     let mut random = Random(seed ^ 0xe90);
     let mut ego = somewhere(graph, &mut random);

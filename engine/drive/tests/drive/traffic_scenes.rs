@@ -7,7 +7,7 @@ use decouplegs_asset::read_map;
 use decouplegs_asset::street::{Street, StreetOptions};
 use decouplegs_drive::idm::BRAKING_MPS2;
 use decouplegs_drive::{OrientedBox, RoadGraph, Traffic, TrafficError};
-use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{Lane, LaneMap, VehicleSize};
 use glam::DVec3;
 
@@ -36,19 +36,19 @@ pub fn roads(name: &str) -> Option<Arc<RoadGraph>> {
 
 /// A lane along points.
 pub fn lane(id: &str, points: &[[f64; 2]]) -> Lane {
-    let centreline = points.iter().map(|&[x, y]| DVec3::new(x, y, 0.0)).collect();
-    Lane { id: id.into(), centreline, ..Lane::default() }
+    let centerline = points.iter().map(|&[x, y]| DVec3::new(x, y, 0.0)).collect();
+    Lane { id: id.into(), centerline, ..Lane::default() }
 }
 
-/// One straight lane of so many metres, and as many more beside it, each to the left of the one before.
+/// One straight lane of so many meters, and as many more beside it, each to the left of the one before.
 pub fn straight(length_m: f64, lanes: usize, speed_limit_mps: f64) -> Arc<RoadGraph> {
     let mut map = LaneMap::default();
     for number in 0..lanes {
         let y = 3.5 * number as f64;
         map.lanes.push(Lane {
             speed_limit_mps: Some(speed_limit_mps),
-            right_neighbour: number.checked_sub(1),
-            left_neighbour: Some(number + 1).filter(|&left| left < lanes),
+            right_neighbor: number.checked_sub(1),
+            left_neighbor: Some(number + 1).filter(|&left| left < lanes),
             ..lane(&number.to_string(), &[[0.0, y], [length_m, y]])
         });
     }
@@ -66,11 +66,11 @@ pub fn agent(name: &str, lane: &str, at_m: f64, speed_mps: f64) -> TrafficAgent 
         speed_mps,
         driver: DriverKind::Normal,
         changes_lanes: false,
-        behaviours: vec![],
+        behaviors: vec![],
     }
 }
 
-fn random_behaviour(random: &mut Random) -> Behaviour {
+fn random_behavior(random: &mut Random) -> Behavior {
     let maneuver = match (3.0 * random.unit()) as u32 {
         0 => Maneuver::Brake { deceleration_mps2: random.between(2.0, 12.0), duration_s: random.between(0.5, 4.0) },
         1 => Maneuver::CutIn,
@@ -81,7 +81,7 @@ fn random_behaviour(random: &mut Random) -> Behaviour {
     } else {
         Trigger::NearEgo { distance_m: random.between(5.0, 60.0) }
     };
-    Behaviour { trigger, maneuver }
+    Behavior { trigger, maneuver }
 }
 
 /// Up to `count` agents of all kinds at random; those who would overlap others are left out.
@@ -96,12 +96,12 @@ pub fn random_traffic(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> (Traff
             width_m: random.between(1.6, 2.0),
             height_m: random.between(1.4, 2.0),
         };
-        let behaviours = (0..2).filter(|_| random.unit() < 0.3).map(|_| ()).collect::<Vec<_>>();
+        let behaviors = (0..2).filter(|_| random.unit() < 0.3).map(|_| ()).collect::<Vec<_>>();
         agents.push(TrafficAgent {
             size,
             driver: DriverKind::ALL[(4.0 * random.unit()) as usize],
             changes_lanes: random.unit() < 0.7,
-            behaviours: behaviours.into_iter().map(|()| random_behaviour(&mut random)).collect(),
+            behaviors: behaviors.into_iter().map(|()| random_behavior(&mut random)).collect(),
             ..agent(&format!("{number}"), &lane.id, random.unit() * lane.line.length_m(), random.between(0.0, 16.0))
         });
     }
@@ -130,7 +130,7 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
     let boxes: Vec<_> = traffic.states().iter().zip(agents).map(|(state, agent)| OrientedBox::of(state, &agent.size)).collect();
     for (number, a) in boxes.iter().enumerate() {
         for (other, b) in boxes.iter().enumerate().skip(number + 1) {
-            let near = a.centre_m.distance_squared(b.centre_m) < 36.0;
+            let near = a.center_m.distance_squared(b.center_m) < 36.0;
             let place = |number: usize| {
                 let place = traffic.places().nth(number).unwrap();
                 (

@@ -235,7 +235,7 @@ mod tests {
     #[test]
     fn a_constant_without_a_name_goes_by_what_it_sizes() {
         let mut words = words(include_bytes!("../../tests/kernels/scale.spv"));
-        // Take the name GROUP_SIZE out of the module, as an optimiser does when nothing else uses the constant.
+        // Take the name GROUP_SIZE out of the module, as an optimizer does when nothing else uses the constant.
         let start = [u32::from_le_bytes(*b"GROU"), u32::from_le_bytes(*b"P_SI")];
         const OP_NAME: u32 = 5;
         let is_name = |at: &usize| words[*at..].starts_with(&start) && words[*at - 2] & 0xffff == OP_NAME;

@@ -1,7 +1,7 @@
-//! Records of light: contact shadows, and colours to be relit.
+//! Records of light: contact shadows, and colors to be relit.
 
 use bytemuck::{Pod, Zeroable};
-use decouplegs_scene::{ColourTransfer, ContactShadow, sh};
+use decouplegs_scene::{ColorTransfer, ContactShadow, sh};
 use glam::{DMat3, DVec3};
 
 /// `Shadow` of `shadow.glsl`.
@@ -9,9 +9,9 @@ use glam::{DMat3, DVec3};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct ShadowRecord {
     /// The ground under the agent's middle relative to the world's origin, rounded to f32.
-    pub centre_high_m: [f32; 3],
+    pub center_high_m: [f32; 3],
     /// Rounding error.
-    pub centre_low_m: [f32; 3],
+    pub center_low_m: [f32; 3],
     /// Along the agent in the ground, over its half length.
     pub along: [f32; 3],
     /// Across it, over its half width.
@@ -34,13 +34,13 @@ impl ShadowRecord {
     /// `shadow` in a world whose means are relative to `origin`, seen by all cameras. Made in f64: only the result is rounded.
     #[must_use]
     pub fn new(shadow: &ContactShadow, origin: DVec3) -> Self {
-        let centre = shadow.world_from_ground.translation - origin;
-        let high = centre.as_vec3();
+        let center = shadow.world_from_ground.translation - origin;
+        let high = center.as_vec3();
         let axes = DMat3::from_quat(shadow.world_from_ground.rotation.normalize());
         let [half_length_m, half_width_m] = shadow.half_size_m;
         Self {
-            centre_high_m: high.to_array(),
-            centre_low_m: (centre - high.as_dvec3()).as_vec3().to_array(),
+            center_high_m: high.to_array(),
+            center_low_m: (center - high.as_dvec3()).as_vec3().to_array(),
             along: (axes.x_axis / half_length_m).as_vec3().to_array(),
             across: (axes.y_axis / half_width_m).as_vec3().to_array(),
             normal: axes.z_axis.as_vec3().to_array(),
@@ -56,7 +56,7 @@ impl ShadowRecord {
 /// Numbers of T, and of b.
 const NUMBERS: usize = 48;
 
-/// `Relight` of `relight.comp`: a codebook's colours, and the light that they are put in.
+/// `Relight` of `relight.comp`: a codebook's colors, and the light that they are put in.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct RelightRecord {
@@ -64,10 +64,10 @@ pub struct RelightRecord {
     pub gain: [f32; NUMBERS],
     /// b.
     pub summand: [f32; NUMBERS],
-    /// First colour in the pool.
-    pub first_colour: u32,
+    /// First color in the pool.
+    pub first_color: u32,
     /// Number of colors.
-    pub colours: u32,
+    pub colors: u32,
     /// Index of the first relit color.
     pub first_relit: u32,
     /// Workgroups of those before it.
@@ -75,17 +75,17 @@ pub struct RelightRecord {
 }
 
 impl RelightRecord {
-    /// `colours` colours of degree `sh_degree` from `first_colour` on, in the light of `transfer`; where they go is said later.
+    /// `colors` colors of degree `sh_degree` from `first_color` on, in the light of `transfer`; where they go is said later.
     #[must_use]
-    pub fn new(transfer: &ColourTransfer, sh_degree: u8, first_colour: usize, colours: usize) -> Self {
-        // What the colours have no coefficient for stays nothing.
+    pub fn new(transfer: &ColorTransfer, sh_degree: u8, first_color: usize, colors: usize) -> Self {
+        // What the colors have no coefficient for stays nothing.
         let has = |number: usize| f32::from(u8::from(number / 3 < sh::coefficient_count(sh_degree)));
         let numbers = |of: &[[f32; 3]; 16]| std::array::from_fn(|number| has(number) * of[number / 3][number % 3]);
         Self {
             gain: numbers(&transfer.gain),
             summand: numbers(&transfer.offset),
-            first_colour: first_colour as u32,
-            colours: colours as u32,
+            first_color: first_color as u32,
+            colors: colors as u32,
             first_relit: 0,
             first_group: 0,
         }

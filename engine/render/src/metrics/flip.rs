@@ -1,7 +1,7 @@
 //! FLIP for low dynamic range pictures (Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, FLIP: A
 //! Difference Evaluator for Alternating Images, 2020): the error that is seen when the two pictures take turns on a display.
 //!
-//! Pictures are taken as sRGB. Colours are blurred as the eye blurs them and compared in Hunt-adjusted CIELAB; edges and
+//! Pictures are taken as sRGB. Colors are blurred as the eye blurs them and compared in Hunt-adjusted CIELAB; edges and
 //! points of the unblurred luminance raise the error where structure differs. Written from the paper; every filter of it
 //! is a sum of products of one-dimensional ones.
 
@@ -15,9 +15,9 @@ use crate::picture::Picture;
 /// Pixels per degree of the observer's view: a display 0.7 m wide with 3840 pixels seen from 0.7 m, the paper's default.
 pub const PIXELS_PER_DEGREE: f64 = 3840.0 * PI / 180.0;
 
-/// Exponent of the colour difference.
-const COLOUR_EXPONENT: f64 = 0.7;
-/// Share of the largest colour difference up to which errors are spread over 0 to [`ERROR_AT_KNEE`].
+/// Exponent of the color difference.
+const COLOR_EXPONENT: f64 = 0.7;
+/// Share of the largest color difference up to which errors are spread over 0 to [`ERROR_AT_KNEE`].
 const KNEE: f64 = 0.4;
 const ERROR_AT_KNEE: f64 = 0.95;
 /// Exponent of the feature difference.
@@ -36,13 +36,13 @@ type Plane = Vec<f64>;
 /// Mean of the FLIP map of two pictures of one size, 0 to 1.
 pub fn mean_flip(a: &Picture, b: &Picture) -> f64 {
     let (first, second) = (Seen::of(a), Seen::of(b));
-    let colour_max = hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(COLOUR_EXPONENT);
+    let color_max = hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(COLOR_EXPONENT);
     let error_of = |at: usize| {
-        let colour = colour_error(hyab(first.lab[at], second.lab[at]).powf(COLOUR_EXPONENT), colour_max);
+        let color = color_error(hyab(first.lab[at], second.lab[at]).powf(COLOR_EXPONENT), color_max);
         let edge = (first.edge[at] - second.edge[at]).abs();
         let point = (first.point[at] - second.point[at]).abs();
         let feature = (edge.max(point) / std::f64::consts::SQRT_2).powf(FEATURE_EXPONENT);
-        colour.powf(1.0 - feature)
+        color.powf(1.0 - feature)
     };
     let errors: Vec<f64> = (0..first.lab.len()).into_par_iter().map(error_of).collect();
     errors.iter().sum::<f64>() / errors.len() as f64
@@ -50,7 +50,7 @@ pub fn mean_flip(a: &Picture, b: &Picture) -> f64 {
 
 /// A picture as an observer has it.
 struct Seen {
-    /// Hunt-adjusted L*a*b* of the blurred colours.
+    /// Hunt-adjusted L*a*b* of the blurred colors.
     lab: Vec<[f64; 3]>,
     /// Edge strength of each pixel.
     edge: Plane,
@@ -65,21 +65,21 @@ impl Seen {
         let opponent: Vec<[f64; 3]> =
             (0..picture.rgb.len()).map(|at| ycxcz_of(std::array::from_fn(|channel| linear(srgb[channel][at])))).collect();
         let blurred: [Plane; 3] = std::array::from_fn(|channel| {
-            let plane: Plane = opponent.iter().map(|colour| colour[channel]).collect();
+            let plane: Plane = opponent.iter().map(|color| color[channel]).collect();
             blur(&plane, width, SENSITIVITY[channel])
         });
         let lab = (0..picture.rgb.len())
             .into_par_iter()
             .map(|at| hunt_lab(linear_of_ycxcz(std::array::from_fn(|channel| blurred[channel][at]))))
             .collect();
-        let luminance: Plane = opponent.iter().map(|colour| (colour[0] + 16.0) / 116.0).collect();
+        let luminance: Plane = opponent.iter().map(|color| (color[0] + 16.0) / 116.0).collect();
         let [smooth, slope, curvature] = feature_filters();
         Self { lab, edge: gradient(&luminance, width, &slope, &smooth), point: gradient(&luminance, width, &curvature, &smooth) }
     }
 }
 
-/// The colour difference mapped to 0 to 1: large differences are compressed, since all of them look 'wrong'.
-fn colour_error(difference: f64, difference_max: f64) -> f64 {
+/// The color difference mapped to 0 to 1: large differences are compressed, since all of them look 'wrong'.
+fn color_error(difference: f64, difference_max: f64) -> f64 {
     let knee = KNEE * difference_max;
     if difference < knee {
         ERROR_AT_KNEE / knee * difference
@@ -129,7 +129,7 @@ fn gradient(plane: &[f64], width: usize, filter: &[f64], smooth: &[f64]) -> Plan
 /// Correlates rows with `across` and columns with `down`, both of odd length; pixels beyond an edge repeat it.
 fn separable(plane: &[f64], width: usize, across: &[f64], down: &[f64]) -> Plane {
     let height = plane.len() / width;
-    let at = |centre: usize, tap: usize, taps: usize, size: usize| (centre + tap).saturating_sub(taps / 2).min(size - 1);
+    let at = |center: usize, tap: usize, taps: usize, size: usize| (center + tap).saturating_sub(taps / 2).min(size - 1);
     let mut rows = vec![0.0; plane.len()];
     rows.par_chunks_exact_mut(width).zip(plane.par_chunks_exact(width)).for_each(|(to, from)| {
         for (x, value) in to.iter_mut().enumerate() {
@@ -168,7 +168,7 @@ fn relative_xyz(linear: [f64; 3]) -> [f64; 3] {
     })
 }
 
-/// The opponent space that the contrast sensitivities are of: a linearised CIELAB.
+/// The opponent space that the contrast sensitivities are of: a linearized CIELAB.
 fn ycxcz_of(linear: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = relative_xyz(linear);
     [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
@@ -184,7 +184,7 @@ fn linear_of_ycxcz([luma, cx, cz]: [f64; 3]) -> [f64; 3] {
     (relative_from_linear.inverse() * relative).to_array().map(|value| value.clamp(0.0, 1.0))
 }
 
-/// CIELAB with a* and b* scaled by lightness: colours differ less where it is dark (Hunt effect).
+/// CIELAB with a* and b* scaled by lightness: colors differ less where it is dark (Hunt effect).
 fn hunt_lab(linear: [f64; 3]) -> [f64; 3] {
     const DELTA: f64 = 6.0 / 29.0;
     let [x, y, z] =
@@ -194,7 +194,7 @@ fn hunt_lab(linear: [f64; 3]) -> [f64; 3] {
     [lightness, hunt * 500.0 * (x - y), hunt * 200.0 * (y - z)]
 }
 
-/// Distance for large colour differences: city-block between lightness and chroma, Euclidean within chroma.
+/// Distance for large color differences: city-block between lightness and chroma, Euclidean within chroma.
 fn hyab(a: [f64; 3], b: [f64; 3]) -> f64 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }

@@ -44,14 +44,14 @@ pub struct MaskedDifference {
     pub psnr_db: f64,
     /// Error of luminance: PIE is its `max`.
     pub intensity: Peak,
-    /// Angle between the colours as vectors, degrees: PAE is its `max`. `None` where no pixel is bright enough.
+    /// Angle between the colors as vectors, degrees: PAE is its `max`. `None` where no pixel is bright enough.
     pub angle_deg: Option<Peak>,
     /// Pixels that were bright enough to have a hue.
     pub bright: usize,
 }
 
 impl MaskedErrors {
-    /// None yet. Pixels whose true colour is shorter than `floor` as a vector, of at most sqrt(3), have no hue.
+    /// None yet. Pixels whose true color is shorter than `floor` as a vector, of at most sqrt(3), have no hue.
     #[must_use]
     pub fn new(floor: f64) -> Self {
         Self { floor: floor.max(1e-9), square_sum: 0.0, intensities: Vec::new(), angles_deg: Vec::new() }
@@ -90,8 +90,8 @@ impl MaskedErrors {
     }
 }
 
-/// The angle between two colours; `None` where the true one is dark. Black where there is colour is off by a right angle, as
-/// far as two colours can be.
+/// The angle between two colors; `None` where the true one is dark. Black where there is color is off by a right angle, as
+/// far as two colors can be.
 fn angle_deg(found: [f64; 3], truth: [f64; 3], floor: f64) -> Option<f64> {
     let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let length = dot(truth, truth).sqrt();
@@ -119,7 +119,7 @@ fn peak(values: &mut [f64]) -> Option<Peak> {
 mod tests {
     use super::*;
 
-    /// A hundred pixels of one colour, and the first of another.
+    /// A hundred pixels of one color, and the first of another.
     fn pictures(first: [f32; 3], rest: [f32; 3]) -> Picture {
         let mut picture = Picture::filled(10, 10, rest);
         picture.rgb[0] = first;
@@ -138,7 +138,7 @@ mod tests {
         let found = pictures([0.5, 0.0, 0.0], [0.6; 3]);
         let masked = difference(&found, &truth, |_| true).unwrap();
         let angle = masked.angle_deg.unwrap();
-        // Red against grey: cos = 1 / sqrt(3). A grey that is brighter has the same hue.
+        // Red against gray: cos = 1 / sqrt(3). A gray that is brighter has the same hue.
         assert!((angle.max - 54.735_61).abs() < 1e-4 && angle.p99 < 1e-4 && (angle.mean - 0.547_356).abs() < 1e-4);
         assert!((masked.intensity.max - 0.5 * (1.0 - 0.2126)).abs() < 1e-6 && (masked.intensity.p95 - 0.1).abs() < 1e-6);
         let mean_square = (0.5f64.powi(2) * 2.0 + 99.0 * 3.0 * 0.01) / 300.0;

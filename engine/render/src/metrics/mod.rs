@@ -3,12 +3,12 @@
 //! Max abs, RMSE, PSNR and the share of channels are of the values as blended, unclamped; SSIM and FLIP model what is seen on
 //! a display, so they clamp to 0 to 1. Peak is 1. A picture with a value that is not a number has no score: it is an error.
 
-mod false_colour;
+mod false_color;
 mod flip;
 mod masked;
 mod ssim;
 
-pub use false_colour::difference_picture;
+pub use false_color::difference_picture;
 pub use flip::PIXELS_PER_DEGREE;
 pub use masked::{MaskedDifference, MaskedErrors, Peak};
 
@@ -19,7 +19,7 @@ use crate::picture::Picture;
 /// One level of an 8-bit picture. A channel is 'off' where it differs by more.
 const LEVEL: f64 = 1.0 / 255.0;
 
-/// Added to [`LEVEL`]: two neighbouring levels read from 8-bit files differ by one level and the rounding of both to f32.
+/// Added to [`LEVEL`]: two neighboring levels read from 8-bit files differ by one level and the rounding of both to f32.
 const LEVEL_ROUNDING: f64 = 1e-6;
 
 /// The error of a picture against another, over all pixels and the channels R, G and B. Symmetric in the two.
@@ -29,7 +29,7 @@ pub struct Difference {
     pub max_abs: f64,
     /// Root of the mean squared difference of the channels.
     pub rmse: f64,
-    /// Peak signal-to-noise ratio in decibels at peak 1, `-20 log10(rmse)`. Infinite for equal pictures; serialised as null then.
+    /// Peak signal-to-noise ratio in decibels at peak 1, `-20 log10(rmse)`. Infinite for equal pictures; serialized as null then.
     #[serde(serialize_with = "null_where_infinite")]
     pub psnr_db: f64,
     /// Structural similarity, mean over channels and over all windows inside the picture (Wang et al., 2004); 1 for equal
@@ -67,7 +67,7 @@ pub enum DifferenceError {
 }
 
 impl Difference {
-    /// Difference between `a` and `b`. Only their colours are compared.
+    /// Difference between `a` and `b`. Only their colors are compared.
     ///
     /// # Errors
     /// When their sizes differ, or a value of either (alpha and depth too) is NaN or infinite.

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Two pictures of 53 by 37 pixels: waves, and the same with a ripple and a patch of another colour.
+/// Two pictures of 53 by 37 pixels: waves, and the same with a ripple and a patch of another color.
 fn waves_and_ripple() -> (Picture, Picture) {
     let (width, height) = (53, 37);
     let mut waves = Picture::filled(width, height, [0.0; 3]);
@@ -23,12 +23,12 @@ fn waves_and_ripple() -> (Picture, Picture) {
     (waves, ripple)
 }
 
-/// A grey picture of 20 by 20, and the same with one red value of one pixel raised.
+/// A gray picture of 20 by 20, and the same with one red value of one pixel raised.
 fn one_pixel_changed(by: f32) -> (Picture, Picture) {
-    let grey = Picture::filled(20, 20, [0.5; 3]);
-    let mut changed = grey.clone();
+    let gray = Picture::filled(20, 20, [0.5; 3]);
+    let mut changed = gray.clone();
     changed.rgb[9 * 20 + 11][0] += by;
-    (grey, changed)
+    (gray, changed)
 }
 
 #[test]
@@ -41,8 +41,8 @@ fn equal_pictures_are_perfect_by_every_measure() {
 
 #[test]
 fn one_changed_pixel_is_seen_by_every_measure() {
-    let (grey, changed) = one_pixel_changed(0.1);
-    let found = Difference::between(&grey, &changed).unwrap();
+    let (gray, changed) = one_pixel_changed(0.1);
+    let found = Difference::between(&gray, &changed).unwrap();
     let by = f64::from(0.6f32) - 0.5;
     let rmse = by / 1200.0f64.sqrt();
     assert!((found.max_abs - by).abs() < 1e-7 && (found.rmse - rmse).abs() < 1e-8);
@@ -58,10 +58,10 @@ fn one_changed_pixel_is_seen_by_every_measure() {
 #[test]
 fn a_change_in_any_corner_lowers_the_structural_similarity() {
     for corner in [0, 19, 380, 399] {
-        let grey = Picture::filled(20, 20, [0.5; 3]);
-        let mut changed = grey.clone();
+        let gray = Picture::filled(20, 20, [0.5; 3]);
+        let mut changed = gray.clone();
         changed.rgb[corner][1] = 0.9;
-        let found = Difference::between(&grey, &changed).unwrap();
+        let found = Difference::between(&gray, &changed).unwrap();
         assert!(found.ssim.unwrap() < 1.0 - 1e-7 && found.flip > 1e-4, "corner {corner}: {found:?}");
     }
 }
@@ -78,7 +78,7 @@ fn similarity_and_flip_agree_with_their_authors_tools() {
 }
 
 #[test]
-fn flip_of_flat_pictures_is_the_colour_error_alone() {
+fn flip_of_flat_pictures_is_the_color_error_alone() {
     let flip = |a: [f32; 3], b: [f32; 3]| Difference::between(&Picture::filled(8, 8, a), &Picture::filled(8, 8, b)).unwrap().flip;
     // Green against blue is the largest error by definition; black against white as flip-evaluator 1.7 has it.
     assert!((flip([0.0, 1.0, 0.0], [0.0, 0.0, 1.0]) - 1.0).abs() < 1e-9);
@@ -137,24 +137,24 @@ fn pictures_of_two_sizes_are_refused_with_both() {
 
 #[test]
 fn infinity_is_null_in_json_and_figures_are_numbers() {
-    let (grey, changed) = one_pixel_changed(0.1);
+    let (gray, changed) = one_pixel_changed(0.1);
     let json = |a, b| serde_json::to_value(Difference::between(a, b).unwrap()).unwrap();
-    assert!(json(&grey, &grey)["psnr_db"].is_null());
-    assert!(json(&grey, &changed)["psnr_db"].as_f64().unwrap() > 50.0);
-    assert_eq!(json(&grey, &grey)["max_abs"], 0.0);
+    assert!(json(&gray, &gray)["psnr_db"].is_null());
+    assert!(json(&gray, &changed)["psnr_db"].as_f64().unwrap() > 50.0);
+    assert_eq!(json(&gray, &gray)["max_abs"], 0.0);
 }
 
 #[test]
 fn the_difference_picture_shows_the_one_pixel_and_its_size() {
-    let (grey, changed) = one_pixel_changed(0.05);
-    let faint = difference_picture(&grey, &changed, 1.0).unwrap();
-    let strong = difference_picture(&grey, &changed, 100.0).unwrap();
+    let (gray, changed) = one_pixel_changed(0.05);
+    let faint = difference_picture(&gray, &changed, 1.0).unwrap();
+    let strong = difference_picture(&gray, &changed, 100.0).unwrap();
     let lit = |picture: &Picture| (0..400).filter(|&at| picture.rgb[at] != [0.0; 3]).collect::<Vec<_>>();
     assert_eq!((lit(&faint), lit(&strong)), (vec![191], vec![191]));
     assert_eq!(strong.rgb[191], [1.0; 3]);
     assert!(faint.rgb[191][2] > 0.1 && faint.rgb[191][2] < 0.2, "0.05 is a fifth of the way to blue");
-    let mut broken = grey.clone();
+    let mut broken = gray.clone();
     broken.rgb[7][1] = f32::NAN;
-    assert_eq!(difference_picture(&grey, &broken, 1.0).unwrap().rgb[7], [0.0, 1.0, 0.0]);
-    assert!(difference_picture(&grey, &Picture::filled(2, 2, [0.0; 3]), 1.0).is_err());
+    assert_eq!(difference_picture(&gray, &broken, 1.0).unwrap().rgb[7], [0.0, 1.0, 0.0]);
+    assert!(difference_picture(&gray, &Picture::filled(2, 2, [0.0; 3]), 1.0).is_err());
 }

@@ -85,7 +85,7 @@ pub fn encode_png(picture: &Picture) -> Result<Vec<u8>, PictureError> {
     encode(picture, PictureFormat::Png, ImageFormat::Png, &levels, ColorType::Rgb8)
 }
 
-/// RGBA as the PNG specification has it, colours not premultiplied.
+/// RGBA as the PNG specification has it, colors not premultiplied.
 pub fn encode_png_with_alpha(picture: &Picture) -> Result<Vec<u8>, PictureError> {
     let straight = |(rgb, alpha): (&[f32; 3], &f32)| {
         let [r, g, b] = rgb.map(|premultiplied| if *alpha > 0.0 { level(premultiplied / alpha) } else { 0 });
@@ -110,10 +110,10 @@ fn encode(
     format: PictureFormat,
     kind: ImageFormat,
     samples: &[u8],
-    colour: ColorType,
+    color: ColorType,
 ) -> Result<Vec<u8>, PictureError> {
     let mut file = Cursor::new(Vec::new());
-    image::write_buffer_with_format(&mut file, samples, picture.width, picture.height, colour, kind).map_err(|error| {
+    image::write_buffer_with_format(&mut file, samples, picture.width, picture.height, color, kind).map_err(|error| {
         PictureError::Encoding { format, width: picture.width, height: picture.height, message: error.to_string() }
     })?;
     Ok(file.into_inner())

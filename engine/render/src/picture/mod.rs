@@ -26,7 +26,7 @@ pub struct Picture {
     pub rgb: Vec<[f32; 3]>,
     /// 1 - the transmittance left for the sky.
     pub alpha: Vec<f32>,
-    /// Expected depth, metres: camera-space z, or distance where the order is radial; 0 where nothing was blended.
+    /// Expected depth, meters: camera-space z, or distance where the order is radial; 0 where nothing was blended.
     /// `None` where it was not asked for.
     pub depth: Option<Vec<f32>>,
     /// Instance with the largest weight, 0 the background; `None` where it was not asked for.
@@ -121,7 +121,7 @@ impl std::fmt::Display for PictureFormat {
 }
 
 impl Picture {
-    /// A picture of one opaque colour, without depth and instances.
+    /// A picture of one opaque color, without depth and instances.
     #[must_use]
     pub fn filled(width: u32, height: u32, rgb: [f32; 3]) -> Self {
         let count = width as usize * height as usize;
@@ -167,8 +167,8 @@ impl Picture {
         }
     }
 
-    /// [`Picture::encode`], for a picture over a black sky that is to be laid over another: PNG holds alpha too, its colours
-    /// divided by it; the other formats hold colours premultiplied by alpha, as blended, as they always do.
+    /// [`Picture::encode`], for a picture over a black sky that is to be laid over another: PNG holds alpha too, its colors
+    /// divided by it; the other formats hold colors premultiplied by alpha, as blended, as they always do.
     ///
     /// # Errors
     /// When the encoder refuses the picture's size.
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_transparent_png_holds_colours_that_are_not_premultiplied() {
+    fn a_transparent_png_holds_colors_that_are_not_premultiplied() {
         let mut picture = Picture::filled(2, 2, [0.1, 0.2, 0.25]);
         picture.alpha = vec![0.25, 0.0, 1.0, 0.5];
         picture.rgb[1] = [0.0; 3];

@@ -5,7 +5,7 @@ use super::Picture;
 /// Space around each picture of a sheet, pixels.
 const GUTTER_PX: u32 = 8;
 
-/// Between the pictures: a grey that is neither a night nor a sky.
+/// Between the pictures: a gray that is neither a night nor a sky.
 const GUTTER_RGB: [f32; 3] = [0.12; 3];
 
 /// `pictures` side by side, `columns` a row (at least one), in cells of the largest width and height, each at the top left

@@ -12,7 +12,7 @@ pub struct Splat64 {
     /// Footprint and depth.
     pub projected: Projected64,
     /// Display-referred RGB, at least 0.
-    pub colour: [f64; 3],
+    pub color: [f64; 3],
     /// Place in the world's cloud; orders equal depths.
     pub index: u32,
     /// 0 the background, `k` the `k`-th agent.
@@ -22,20 +22,20 @@ pub struct Splat64 {
 /// Value of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pixel64 {
-    /// Blended colour, sky included, unclamped.
+    /// Blended color, sky included, unclamped.
     pub rgb: [f64; 3],
     /// 1 - T, with T the transmittance that is left for the sky.
     pub alpha: f64,
-    /// The mean depth of the blended splats by their weights, metres; 0 where nothing was blended.
+    /// The mean depth of the blended splats by their weights, meters; 0 where nothing was blended.
     pub depth_m: f64,
     /// Instance of the splat with the largest weight, the nearer one of equals; 0 where nothing was blended.
     pub instance: u16,
 }
 
-/// Alpha of `splat` at the pixel with center `centre_px`; `None` below `ALPHA_MIN`.
+/// Alpha of `splat` at the pixel with center `center_px`; `None` below `ALPHA_MIN`.
 #[must_use]
-pub fn alpha_at(splat: &Projected64, centre_px: DVec2, rules: &Rules) -> Option<f64> {
-    let d = centre_px - splat.mean_px;
+pub fn alpha_at(splat: &Projected64, center_px: DVec2, rules: &Rules) -> Option<f64> {
+    let d = center_px - splat.mean_px;
     // Outside this box alpha is below `ALPHA_MIN`: saves the exponential, changes nothing.
     if d.x.abs() > splat.half_extent_px.x || d.y.abs() > splat.half_extent_px.y {
         return None;
@@ -44,21 +44,21 @@ pub fn alpha_at(splat: &Projected64, centre_px: DVec2, rules: &Rules) -> Option<
     (alpha >= ALPHA_MIN).then_some(alpha)
 }
 
-/// Blends `splats`, which come front to back, at the pixel whose centre is `centre_px`, over `sky`.
-pub fn blend<'a>(splats: impl Iterator<Item = &'a Splat64>, centre_px: DVec2, rules: &Rules, sky: [f32; 3]) -> Pixel64 {
+/// Blends `splats`, which come front to back, at the pixel whose center is `center_px`, over `sky`.
+pub fn blend<'a>(splats: impl Iterator<Item = &'a Splat64>, center_px: DVec2, rules: &Rules, sky: [f32; 3]) -> Pixel64 {
     let mut transmittance = 1.0;
     let mut rgb = [0.0; 3];
     let (mut weighted_depth_m, mut weight_sum) = (0.0, 0.0);
     let (mut weight_max, mut instance) = (0.0, 0);
     for splat in splats {
-        let Some(alpha) = alpha_at(&splat.projected, centre_px, rules) else { continue };
+        let Some(alpha) = alpha_at(&splat.projected, center_px, rules) else { continue };
         let behind = transmittance * (1.0 - alpha);
         if rules.stop == EarlyStop::Exclusive && behind <= TRANSMITTANCE_MIN {
             break;
         }
         let weight = transmittance * alpha;
-        for (sum, colour) in rgb.iter_mut().zip(splat.colour) {
-            *sum += weight * colour;
+        for (sum, color) in rgb.iter_mut().zip(splat.color) {
+            *sum += weight * color;
         }
         weighted_depth_m += weight * splat.projected.depth_m;
         weight_sum += weight;
@@ -71,8 +71,8 @@ pub fn blend<'a>(splats: impl Iterator<Item = &'a Splat64>, centre_px: DVec2, ru
             break;
         }
     }
-    for (sum, colour) in rgb.iter_mut().zip(sky) {
-        *sum += transmittance * f64::from(colour);
+    for (sum, color) in rgb.iter_mut().zip(sky) {
+        *sum += transmittance * f64::from(color);
     }
     let depth_m = if weight_sum > 0.0 { weighted_depth_m / weight_sum } else { 0.0 };
     Pixel64 { rgb, alpha: 1.0 - transmittance, depth_m, instance }

@@ -6,7 +6,7 @@
 //! the clamp of the Jacobian is gsplat's. Through a lens that is no pinhole, by the unscented transform.
 
 pub mod blend;
-pub mod colour;
+pub mod color;
 pub mod project;
 pub mod unscented;
 
@@ -35,7 +35,7 @@ pub struct Picture64 {
     pub rgb: Vec<[f64; 3]>,
     /// 1 - transmittance.
     pub alpha: Vec<f64>,
-    /// Expected depth: z (distance, where the order is radial) of the blended splats averaged by weight, metres; 0 where
+    /// Expected depth: z (distance, where the order is radial) of the blended splats averaged by weight, meters; 0 where
     /// nothing was blended.
     pub depth: Vec<f64>,
     /// Instance of the splat with the largest weight; 0 where nothing was blended.
@@ -80,8 +80,8 @@ impl Window {
     /// True if the bounding box of `splat` contains the center of a pixel of this window.
     fn is_reached_by(&self, splat: &Splat64) -> bool {
         let reaches = |mean_px: f64, half_extent_px: f64, first_px: u32, count_px: u32| {
-            let first_centre_px = f64::from(first_px) + 0.5;
-            mean_px + half_extent_px >= first_centre_px && mean_px - half_extent_px <= first_centre_px + f64::from(count_px) - 1.0
+            let first_center_px = f64::from(first_px) + 0.5;
+            mean_px + half_extent_px >= first_center_px && mean_px - half_extent_px <= first_center_px + f64::from(count_px) - 1.0
         };
         let (mean, half) = (splat.projected.mean_px, splat.projected.half_extent_px);
         reaches(mean.x, half.x, self.left_px, self.width_px) && reaches(mean.y, half.y, self.top_px, self.height_px)
@@ -148,14 +148,14 @@ fn front_to_back(world: &World, camera: &Camera, rules: &Rules, window: &Window)
         .filter_map(|index| {
             let mut splat = Splat64 {
                 projected: view.project(&world.splats, index)?,
-                colour: [0.0; 3],
+                color: [0.0; 3],
                 index: index as u32,
                 instance: world.instance_from_splat.get(index).copied().unwrap_or(0),
             };
             if !window.is_reached_by(&splat) {
                 return None;
             }
-            splat.colour = colour::colour(&world.splats, index, view.centre);
+            splat.color = color::color(&world.splats, index, view.center);
             Some(splat)
         })
         .collect();
@@ -174,9 +174,9 @@ fn render_band(splats: &[Splat64], band: &Window, rules: &Rules, sky: [f32; 3]) 
         let in_block: Vec<&Splat64> = in_band.iter().copied().filter(|splat| block.is_reached_by(splat)).collect();
         for row in 0..band.height_px {
             for column in first_column..first_column + width_px {
-                let centre_px = DVec2::new(f64::from(band.left_px + column) + 0.5, f64::from(band.top_px + row) + 0.5);
+                let center_px = DVec2::new(f64::from(band.left_px + column) + 0.5, f64::from(band.top_px + row) + 0.5);
                 pixels[row as usize * band.width_px as usize + column as usize] =
-                    blend::blend(in_block.iter().copied(), centre_px, rules, sky);
+                    blend::blend(in_block.iter().copied(), center_px, rules, sky);
             }
         }
     }

@@ -10,8 +10,8 @@ use super::unscented::{Spread, unscented};
 pub struct View {
     /// Camera from world axes.
     camera_from_world: DMat3,
-    /// The camera's centre relative to the world's origin, metres.
-    pub centre: DVec3,
+    /// The camera's center relative to the world's origin, meters.
+    pub center: DVec3,
     intrinsics: Intrinsics,
     /// `None`: a pinhole.
     lens: Option<RayMap>,
@@ -30,7 +30,7 @@ pub struct Projected64 {
     /// Depth of the front-to-back order, meters: camera-space z of the mean, or its distance if the
     /// order is radial.
     pub depth_m: f64,
-    /// Half the size of a box around every pixel centre where alpha can reach `ALPHA_MIN`, pixels; never too small.
+    /// Half the size of a box around every pixel center where alpha can reach `ALPHA_MIN`, pixels; never too small.
     pub half_extent_px: DVec2,
 }
 
@@ -56,12 +56,12 @@ impl Conic64 {
 }
 
 impl View {
-    /// The view of `camera` on a world with this `origin` (f64 world coordinates, metres).
+    /// The view of `camera` on a world with this `origin` (f64 world coordinates, meters).
     #[must_use]
     pub fn new(origin: DVec3, camera: &Camera, rules: &Rules) -> Self {
         Self {
             camera_from_world: DMat3::from_quat(camera.world_from_camera.rotation.conjugate()),
-            centre: camera.world_from_camera.translation - origin,
+            center: camera.world_from_camera.translation - origin,
             intrinsics: camera.intrinsics,
             lens: (!camera.intrinsics.lens.is_pinhole()).then(|| RayMap::new(&camera.intrinsics)),
             rules: *rules,
@@ -75,7 +75,7 @@ impl View {
         if splats.defect_of(splat).is_some() {
             return None;
         }
-        let t = self.camera_from_world * (dvec3(splats.means[splat]) - self.centre);
+        let t = self.camera_from_world * (dvec3(splats.means[splat]) - self.center);
         if !(t.z >= self.rules.near_m && t.z > 0.0) {
             return None;
         }

@@ -4,7 +4,7 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{PURPOSE, Projected, RelitColours, Visible, kernel, push_constants};
+use super::{PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
 use crate::layout::{AgentRecord, CameraRecord, LensRecord, near_m};
@@ -114,7 +114,7 @@ pub struct ProjectAgents {
 }
 
 impl ProjectAgents {
-    /// The stage for pictures of the given rules and colours of the given degree; `relit` where some agents have colours of
+    /// The stage for pictures of the given rules and colors of the given degree; `relit` where some agents have colors of
     /// their own, `lenses` where some camera is no pinhole.
     ///
     /// # Errors
@@ -139,7 +139,7 @@ impl ProjectAgents {
         recorder: &mut Recorder,
         pool: &PoolBuffers,
         buffers: &AgentBuffers,
-        relit: &RelitColours,
+        relit: &RelitColors,
         counts: AgentCounts,
         static_firsts: &Buffer<u32>,
         static_lists: usize,
@@ -149,7 +149,7 @@ impl ProjectAgents {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
             chunk_count: counts.chunks as u32,
-            records_max: projected.colours.len() as u32,
+            records_max: projected.colors.len() as u32,
             static_lists: static_lists as u32,
         };
         let bound = [
@@ -159,13 +159,13 @@ impl ProjectAgents {
             ("coded_shapes", pool.shapes.binding()),
             ("visible_words", buffers.visible.words.binding()),
             ("firsts", buffers.firsts.binding()),
-            ("coded_dc", pool.colour_dc.binding()),
-            ("coded_bands", pool.colour_bands.binding()),
+            ("coded_dc", pool.color_dc.binding()),
+            ("coded_bands", pool.color_bands.binding()),
             ("static_firsts", static_firsts.binding()),
             ("relit_dc", relit.dc.binding()),
             ("relit_bands", relit.bands.binding()),
             ("footprints", projected.footprints.binding()),
-            ("colours", projected.colours.binding()),
+            ("colors", projected.colors.binding()),
             ("keys", projected.keys.binding()),
             ("lenses", buffers.lenses.binding()),
         ];

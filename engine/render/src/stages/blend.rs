@@ -12,7 +12,7 @@ use crate::output::{OutputBuffers, Outputs};
 /// 0 where the output was not asked for.
 pub struct Partials {
     /// RGB and transmittance.
-    pub colours: Buffer<[f32; 4]>,
+    pub colors: Buffer<[f32; 4]>,
     /// Sum of weight times depth.
     pub depths: Buffer<f32>,
     /// Largest weight (bits of an f32) and its instance.
@@ -32,7 +32,7 @@ impl Partials {
         let unfinished = if finishes(rules, outputs) { slots } else { 0 };
         let pixels = |asked: bool| if asked { slots * MACRO_PIXELS } else { 0 };
         Ok(Self {
-            colours: gpu.buffer("partial_colours", PURPOSE, pixels(true), Residence::Device)?,
+            colors: gpu.buffer("partial_colors", PURPOSE, pixels(true), Residence::Device)?,
             depths: gpu.buffer("partial_depths", PURPOSE, pixels(outputs.depth), Residence::Device)?,
             instances: gpu.buffer("partial_instances", PURPOSE, pixels(outputs.instance), Residence::Device)?,
             transmittances: gpu.buffer("partial_transmittances", PURPOSE, slots, Residence::Device)?,
@@ -68,7 +68,7 @@ push_constants! {
 /// Records that blend may stage at a time, most first.
 const BATCHES: [u32; 5] = [1024, 768, 512, 256, 128];
 
-/// Shared memory of blend when it stages `batch` records with `extra_words` more of each than colour and footprint, bytes. See `batch.glsl`.
+/// Shared memory of blend when it stages `batch` records with `extra_words` more of each than color and footprint, bytes. See `batch.glsl`.
 fn shared_bytes(batch: u32, extra_words: u32) -> u32 {
     let (records, tiles, scratch, counters) = ((9 + extra_words) * (batch + 1), batch + 32, batch.max(1536), 40);
     4 * (records + tiles + scratch + counters)
@@ -93,10 +93,10 @@ impl Blend {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, pass: BlendPass, item_pairs_max: u32) -> Result<Self, GpuError> {
-        let [u8_colour, depth, instance] = outputs.constants();
+        let [u8_color, depth, instance] = outputs.constants();
         let batch = batch_records(gpu.limits().shared_memory_bytes, outputs);
         let constants = [
-            u8_colour,
+            u8_color,
             depth,
             instance,
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
@@ -142,8 +142,8 @@ impl Blend {
             ("items", plan.items.binding()),
             ("records", records.binding()),
             ("footprints", projected.footprints.binding()),
-            ("colours", projected.colours.binding()),
-            ("partial_colours", partials.colours.binding()),
+            ("colors", projected.colors.binding()),
+            ("partial_colors", partials.colors.binding()),
             ("partial_depths", partials.depths.binding()),
             ("partial_instances", partials.instances.binding()),
             ("partial_transmittances", partials.transmittances.binding()),

@@ -26,10 +26,10 @@ impl CompositeSegments {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
-        let [u8_colour, depth, instance] = outputs.constants();
+        let [u8_color, depth, instance] = outputs.constants();
         let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
-        let constants = [u8_colour, depth, instance, stop, contributions];
+        let constants = [u8_color, depth, instance, stop, contributions];
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)? })
     }
 
@@ -56,7 +56,7 @@ impl CompositeSegments {
             instances,
             ("needs", control.needs.binding()),
             ("composites", plan.composites.binding()),
-            ("partial_colours", partials.colours.binding()),
+            ("partial_colors", partials.colors.binding()),
             ("partial_depths", partials.depths.binding()),
             ("partial_instances", partials.instances.binding()),
             ("partial_unfinished", partials.unfinished.binding()),

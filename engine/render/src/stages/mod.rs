@@ -24,7 +24,7 @@ pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
 pub use key_splats::{KeptKeys, KeySplats};
 pub use plan_segments::{Plan, PlanSegments};
 pub use project::{Project, ProjectVariant, Projected};
-pub use relight::{RELIGHT_BLOCK, Relight, RelitColours};
+pub use relight::{RELIGHT_BLOCK, Relight, RelitColors};
 pub use scan::Scan;
 pub use tile_sort::{BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers};
 

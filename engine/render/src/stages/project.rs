@@ -1,4 +1,4 @@
-//! Footprint, depth key and colour of every visible (camera, splat).
+//! Footprint, depth key and color of every visible (camera, splat).
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
@@ -14,7 +14,7 @@ pub struct Projected {
     /// Two vectors a record: mean (px), slope, rate_x; rate_y, log2 opacity, depth (m), instance bits. See `footprint.glsl`.
     pub footprints: Buffer<[f32; 4]>,
     /// RGB and an unused fourth.
-    pub colours: Buffer<[f32; 4]>,
+    pub colors: Buffer<[f32; 4]>,
     /// Depth keys. The sort of tiles overwrites them.
     pub keys: Buffer<u32>,
 }
@@ -27,7 +27,7 @@ impl Projected {
     pub fn new(gpu: &Gpu, records: usize, pairs: usize) -> Result<Self, GpuError> {
         Ok(Self {
             footprints: gpu.buffer("footprints", PURPOSE, 2 * records, Residence::Device)?,
-            colours: gpu.buffer("colours", PURPOSE, records, Residence::Device)?,
+            colors: gpu.buffer("colors", PURPOSE, records, Residence::Device)?,
             keys: gpu.buffer("depth_keys", PURPOSE, records.max(pairs), Residence::Device)?,
         })
     }
@@ -36,7 +36,7 @@ impl Projected {
 /// Specialization of the kernel, beside the rules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProjectVariant {
-    /// Degree of the colours evaluated; bands above it are neither stored nor read.
+    /// Degree of the colors evaluated; bands above it are neither stored nor read.
     pub sh_degree: u8,
     /// True if records have an instance id.
     pub instances: bool,
@@ -106,7 +106,7 @@ impl Project {
             splat_count: world.splats as u32,
             camera_count: camera_count as u32,
             chunk_count: world.chunk_count() as u32,
-            records_max: projected.colours.len() as u32,
+            records_max: projected.colors.len() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
         };
         let buffers = [
@@ -122,7 +122,7 @@ impl Project {
             ("sh_band3", world.sh_bands[2].binding()),
             ("instances", world.instances.binding()),
             ("footprints", projected.footprints.binding()),
-            ("colours", projected.colours.binding()),
+            ("colors", projected.colors.binding()),
             ("keys", projected.keys.binding()),
             ("key_sets", kept.sets.binding()),
             ("kept_keys", kept.keys.binding()),

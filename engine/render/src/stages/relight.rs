@@ -4,30 +4,30 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
 
 use super::{PURPOSE, kernel, push_constants};
-use crate::asset_pool::{COLOUR_WORDS, PoolBuffers};
+use crate::asset_pool::{COLOR_WORDS, PoolBuffers};
 use crate::capacity::groups_for;
 use crate::layout::RelightRecord;
 
-/// Colours that one workgroup relights.
+/// Colors that one workgroup relights.
 pub const RELIGHT_BLOCK: usize = 256;
 
-/// Colours that were made for agents, as the pool holds those of assets.
-pub struct RelitColours {
+/// Colors that were made for agents, as the pool holds those of assets.
+pub struct RelitColors {
     /// DC coefficients.
     pub dc: Buffer<[f32; 3]>,
     /// Bands 1 to 3.
-    pub bands: Buffer<[u32; COLOUR_WORDS]>,
+    pub bands: Buffer<[u32; COLOR_WORDS]>,
 }
 
-impl RelitColours {
-    /// Room for `colours`.
+impl RelitColors {
+    /// Room for `colors`.
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, colours: usize) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, colors: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            dc: gpu.buffer("relit_dc", PURPOSE, colours, Residence::Device)?,
-            bands: gpu.buffer("relit_bands", PURPOSE, colours, Residence::Device)?,
+            dc: gpu.buffer("relit_dc", PURPOSE, colors, Residence::Device)?,
+            bands: gpu.buffer("relit_bands", PURPOSE, colors, Residence::Device)?,
         })
     }
 }
@@ -44,7 +44,7 @@ pub struct Relight {
 }
 
 impl Relight {
-    /// The stage for colours of the given degree.
+    /// The stage for colors of the given degree.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
@@ -53,7 +53,7 @@ impl Relight {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::RELIGHT, &constants)? })
     }
 
-    /// Makes the colours of the first `count` of `relights`, which take `groups` workgroups in all.
+    /// Makes the colors of the first `count` of `relights`, which take `groups` workgroups in all.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -61,13 +61,13 @@ impl Relight {
         relights: &Buffer<RelightRecord>,
         count: usize,
         groups: usize,
-        relit: &RelitColours,
+        relit: &RelitColors,
     ) {
         let push = Push { relight_count: count as u32 };
         let bound = [
             ("relights", relights.binding()),
-            ("coded_dc", pool.colour_dc.binding()),
-            ("coded_bands", pool.colour_bands.binding()),
+            ("coded_dc", pool.color_dc.binding()),
+            ("coded_bands", pool.color_bands.binding()),
             ("relit_dc", relit.dc.binding()),
             ("relit_bands", relit.bands.binding()),
         ];

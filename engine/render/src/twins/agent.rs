@@ -16,8 +16,8 @@ pub struct UnpackedSplat {
     pub size: f32,
     /// Entry of its asset's shapes.
     pub shape: u32,
-    /// Entry of its asset's colours.
-    pub colour: u32,
+    /// Entry of its asset's colors.
+    pub color: u32,
     /// Residual that is added to that entry's DC term, RGB.
     pub dc_residual: Vec3,
 }
@@ -33,7 +33,7 @@ pub fn unpack_splat([xy, z_opacity_size, codes]: [u32; 3], agent: &AgentRecord) 
         opacity: (z_opacity_size >> 16 & 0xff) as f32 / 255.0,
         size: (agent.log2_size_min + size_code * agent.log2_size_step).exp2(),
         shape: codes & 0x1ff,
-        colour: codes >> 9 & 0x3ff,
+        color: codes >> 9 & 0x3ff,
         dc_residual: rgb_from_ycocg(std::array::from_fn(|axis| residual[axis] as f32 * agent.dc_residual_step[axis])).into(),
     }
 }

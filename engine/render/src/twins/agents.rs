@@ -7,7 +7,7 @@ use super::depth_key::{depth_key, scaled_depth};
 use super::lens::{chunk_reaches_seen, lens_of, project_splat_seen};
 use super::projection::{Variant, from_camera_m, to_camera_axes};
 use super::record::Record;
-use super::sh::{Stored, sh_colour};
+use super::sh::{Stored, sh_color};
 use super::visibility::splat_reaches;
 use super::write_record::write_record;
 use crate::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord};
@@ -15,8 +15,8 @@ use crate::sh_codec::words_of;
 
 const CHUNK_WORDS: usize = CHUNK_SPLATS / 32;
 
-/// Words that bands 1 to 3 of a colour take, one behind the other.
-const COLOUR_WORDS: usize = 24;
+/// Words that bands 1 to 3 of a color take, one behind the other.
+const COLOR_WORDS: usize = 24;
 
 /// Writes one bit a splat of the agents, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`; chunks are counted over
 /// all agents. Cameras are `[agent][camera]`.
@@ -64,14 +64,14 @@ fn turned(agent: &AgentRecord, d: Vec3) -> Vec3 {
     [agent.row_x, agent.row_y, agent.row_z].map(|row| Vec3::from_array(row).dot(d)).into()
 }
 
-/// The DC and the bands of a colour, as [`sh_colour`] takes those of a single splat.
-fn stored<'a>(dc: &'a [[f32; 3]; 1], bands: &'a [u32; COLOUR_WORDS]) -> Stored<'a> {
+/// The DC and the bands of a color, as [`sh_color`] takes those of a single splat.
+fn stored<'a>(dc: &'a [[f32; 3]; 1], bands: &'a [u32; COLOR_WORDS]) -> Stored<'a> {
     let (band1, rest) = bands.split_at(words_of(1));
     let (band2, band3) = rest.split_at(words_of(2));
     Stored { sh_dc: dc, sh_bands: [band1, band2, band3] }
 }
 
-/// Writes a record, its colour and depth key for every bit of `visible_words`, as far as there is room: behind the records of the background, of which there are `static_firsts[static_lists]`, the first of each
+/// Writes a record, its color and depth key for every bit of `visible_words`, as far as there is room: behind the records of the background, of which there are `static_firsts[static_lists]`, the first of each
 /// `[camera][chunk]` at `firsts`.
 pub fn project_agents(
     agents: &[AgentRecord],
@@ -81,12 +81,12 @@ pub fn project_agents(
     visible_words: &[u32],
     firsts: &[u32],
     coded_dc: &[[f32; 3]],
-    coded_bands: &[[u32; COLOUR_WORDS]],
+    coded_bands: &[[u32; COLOR_WORDS]],
     static_firsts: &[u32],
     relit_dc: &[[f32; 3]],
-    relit_bands: &[[u32; COLOUR_WORDS]],
+    relit_bands: &[[u32; COLOR_WORDS]],
     footprints: &mut [[f32; 4]],
-    colours: &mut [[f32; 4]],
+    colors: &mut [[f32; 4]],
     keys: &mut [u32],
     lenses: &[LensRecord],
     camera_count: usize,
@@ -96,7 +96,7 @@ pub fn project_agents(
     sh_degree: usize,
     radial: bool,
 ) {
-    let records_max = colours.len();
+    let records_max = colors.len();
     let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
     for camera_index in 0..camera_count {
         for chunk_index in 0..chunk_count {
@@ -121,13 +121,13 @@ pub fn project_agents(
                 );
                 let record = Record { splat, depth_m: if radial { offset.length() } else { t.z }, instance: agent.instance };
                 let d = offset.normalize();
-                let d = if agent.colours_in_world != 0 { turned(agent, d) } else { d };
-                let entry = (agent.first_colour + coded.colour) as usize;
-                let (dc_of, bands_of) = if agent.colours_relit != 0 { (relit_dc, relit_bands) } else { (coded_dc, coded_bands) };
+                let d = if agent.colors_in_world != 0 { turned(agent, d) } else { d };
+                let entry = (agent.first_color + coded.color) as usize;
+                let (dc_of, bands_of) = if agent.colors_relit != 0 { (relit_dc, relit_bands) } else { (coded_dc, coded_bands) };
                 let residual = Vec3::from_array(agent.dc_residual_gain) * coded.dc_residual;
                 let dc = [(Vec3::from_array(dc_of[entry]) + residual).to_array()];
-                let colour = sh_colour(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
-                write_record(slot, &record, colour, footprints, colours);
+                let color = sh_color(&stored(&dc, &bands_of[entry]), 0, 1, d, sh_degree);
+                write_record(slot, &record, color, footprints, colors);
                 keys[slot] = depth_key(scaled_depth(coded.mean_m, camera, radial));
             }
         }

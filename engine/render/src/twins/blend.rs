@@ -1,6 +1,6 @@
 //! Blends one segment of one macro tile's list, front to back: `blend.comp`.
 
-use super::footprint::{LOG2_255, centre_of, log2_alpha};
+use super::footprint::{LOG2_255, center_of, log2_alpha};
 use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, macro_tile_origin, pixel_offset};
 use super::projection::rgb_of;
 use super::record::load_footprint;
@@ -9,7 +9,7 @@ use crate::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL};
 /// log2 of the alpha that record `record` has at pixel `(column, row)` of its picture.
 #[must_use]
 pub fn log2_alpha_at(footprints: &[[f32; 4]], record: u32, column: u32, row: u32) -> f32 {
-    log2_alpha(&load_footprint(footprints, record as usize), centre_of(column, row))
+    log2_alpha(&load_footprint(footprints, record as usize), center_of(column, row))
 }
 
 /// Adds one splat to a pixel. `full`: the pixel takes no more; `stops`: a splat that would fill it makes it so.
@@ -17,7 +17,7 @@ fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
     log2_alpha: f32,
-    colour: [f32; 4],
+    color: [f32; 4],
     high: [f32; 4],
     alpha_max: f32,
     stops: bool,
@@ -31,7 +31,7 @@ fn blend_pixel(
         return;
     }
     let weight = pixel.transmittance * alpha;
-    pixel.colour += weight * rgb_of(colour);
+    pixel.color += weight * rgb_of(color);
     pixel.transmittance -= weight;
     pixel.weighted_depth += weight * high[2];
     if weight > pixel.best_weight {
@@ -51,7 +51,7 @@ pub fn blend(
     item: &Item,
     records: &[u32],
     footprints: &[[f32; 4]],
-    colours: &[[f32; 4]],
+    colors: &[[f32; 4]],
     alpha_max: f32,
     exclusive_stop: bool,
     before: Option<&[Pixel]>,
@@ -69,8 +69,8 @@ pub fn blend(
         let [x, y] = pixel_offset(place);
         for &record in &records[first..first + item.pairs as usize] {
             let log2_alpha = log2_alpha_at(footprints, record, origin[0] + x, origin[1] + y);
-            let (colour, high) = (colours[record as usize], footprints[2 * record as usize + 1]);
-            blend_pixel(pixel, full, log2_alpha, colour, high, alpha_max, stops);
+            let (color, high) = (colors[record as usize], footprints[2 * record as usize + 1]);
+            blend_pixel(pixel, full, log2_alpha, color, high, alpha_max, stops);
         }
     }
     for (place, pixel) in pixels.iter_mut().enumerate() {

@@ -20,7 +20,7 @@ pub fn scaled_depth(mean_m: [f32; 3], camera: &CameraRecord, radial: bool) -> f6
     let mean: DVec3 = Vec3::from_array(mean_m).as_dvec3();
     let scale = f64::from(camera.key_scale);
     if radial {
-        return (mean - both(camera.centre_high_m, camera.centre_low_m)).length() * scale;
+        return (mean - both(camera.center_high_m, camera.center_low_m)).length() * scale;
     }
     let [high, low] = camera.key_offset.map(f64::from);
     both(camera.row_z, camera.row_z_low).dot(mean) * scale + high + low

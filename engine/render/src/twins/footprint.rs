@@ -5,7 +5,7 @@ use glam::{Vec2, vec2};
 
 use crate::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
 
-/// A projected Gaussian in the factored form that blending evaluates: with d = pixel centre - mean,
+/// A projected Gaussian in the factored form that blending evaluates: with d = pixel center - mean,
 /// log2(alpha) = log2_opacity - ((d.x - slope d.y) rate_x)^2 - (d.y rate_y)^2.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Footprint {
@@ -27,7 +27,7 @@ pub fn squared_reach(splat: &Footprint) -> f32 {
     splat.log2_opacity + LOG2_255
 }
 
-/// Pixel coordinates `[first, last]` along one axis whose centres lie in `[low, high]`, clipped to the image. Empty when
+/// Pixel coordinates `[first, last]` along one axis whose centers lie in `[low, high]`, clipped to the image. Empty when
 /// first > last.
 #[must_use]
 pub fn pixels_between(low: f32, high: f32, size_px: u32) -> [i32; 2] {
@@ -42,7 +42,7 @@ pub fn reached_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
     pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px)
 }
 
-/// Columns of pixels `[first, last]` that the splat can reach in the rows whose centres lie in `[low_y, high_y]`.
+/// Columns of pixels `[first, last]` that the splat can reach in the rows whose centers lie in `[low_y, high_y]`.
 #[must_use]
 pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32) -> [i32; 2] {
     let r2 = squared_reach(splat) + REACH_SLACK;
@@ -80,10 +80,10 @@ pub fn reached_macro_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
     if first > last { [0, -1] } else { [first / MACRO_HEIGHT_PX as i32, last / MACRO_HEIGHT_PX as i32] }
 }
 
-/// The exponent at a pixel centre, log2 of alpha before its upper bound.
+/// The exponent at a pixel center, log2 of alpha before its upper bound.
 #[must_use]
-pub fn log2_alpha(splat: &Footprint, centre_px: Vec2) -> f32 {
-    let d = centre_px - splat.mean_px;
+pub fn log2_alpha(splat: &Footprint, center_px: Vec2) -> f32 {
+    let d = center_px - splat.mean_px;
     let shear = splat.slope * d.y;
     let v = d.y * splat.rate_y;
     let exponent = splat.log2_opacity - v * v;
@@ -91,8 +91,8 @@ pub fn log2_alpha(splat: &Footprint, centre_px: Vec2) -> f32 {
     exponent - u * u
 }
 
-/// Centre of pixel `(column, row)`.
+/// Center of pixel `(column, row)`.
 #[must_use]
-pub fn centre_of(column: u32, row: u32) -> Vec2 {
+pub fn center_of(column: u32, row: u32) -> Vec2 {
     vec2(column as f32 + 0.5, row as f32 + 0.5)
 }

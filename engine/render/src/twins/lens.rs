@@ -147,17 +147,17 @@ fn arc_sine_bound(s: f32) -> f32 {
 #[must_use]
 pub fn chunk_reaches_seen(chunk: &ChunkRecord, camera: &CameraRecord, lens: Option<&LensRecord>, near_m: f32) -> bool {
     let Some(lens) = lens else { return chunk_reaches(chunk, camera, near_m) };
-    let centre = from_camera_m(chunk.centre_m, camera);
+    let center = from_camera_m(chunk.center_m, camera);
     let half_extent = Vec3::from_array(chunk.half_extent_m);
-    let slack = 1e-5 * (centre.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
-    let nearest = farthest(chunk, centre, Vec3::from_array(camera.row_z)) + slack;
+    let slack = 1e-5 * (center.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
+    let nearest = farthest(chunk, center, Vec3::from_array(camera.row_z)) + slack;
     if chunk.reach_m < 0.0 || nearest.is_nan() || nearest < near_m {
         return false;
     }
-    let distance_m = centre.length();
+    let distance_m = center.length();
     let spread_m = half_extent.length() + slack;
     let (spread, reach) = (spread_m / distance_m, chunk.reach_m / (distance_m - spread_m));
-    let t = to_camera_axes(camera, centre);
+    let t = to_camera_axes(camera, center);
     if !(spread < 0.25 && reach < 0.25 && t.z > 0.0) {
         return true;
     }

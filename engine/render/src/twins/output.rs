@@ -17,8 +17,8 @@ pub fn pixel_offset(place: usize) -> [u32; 2] {
 /// Accumulated color and transmittance of a pixel, front to back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pixel {
-    /// Sum of weight times colour.
-    pub colour: Vec3,
+    /// Sum of weight times color.
+    pub color: Vec3,
     /// Transmittance that remains for splats behind.
     pub transmittance: f32,
     /// Sum of weight times depth.
@@ -31,7 +31,7 @@ pub struct Pixel {
 
 /// A pixel that nothing was added to.
 pub const PIXEL_EMPTY: Pixel =
-    Pixel { colour: Vec3::ZERO, transmittance: 1.0, weighted_depth: 0.0, best_weight: 0.0, best_instance: 0 };
+    Pixel { color: Vec3::ZERO, transmittance: 1.0, weighted_depth: 0.0, best_weight: 0.0, best_instance: 0 };
 
 /// The camera whose picture macro tile `bin` belongs to.
 #[must_use]
@@ -51,7 +51,7 @@ pub fn macro_tile_origin(bin: u32, camera: &CameraRecord) -> [u32; 2] {
 pub struct Pictures {
     /// RGB over the sky, and alpha.
     pub pictures_f32: Vec<[f32; 4]>,
-    /// Expected depth, metres.
+    /// Expected depth, meters.
     pub depths_m: Vec<f32>,
     /// Instance of the splat with the largest weight.
     pub instance_ids: Vec<u32>,
@@ -64,7 +64,7 @@ pub fn write_pixel(pictures: &mut Pictures, camera: &CameraRecord, at: [u32; 2],
     }
     let place = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
     let alpha = 1.0 - pixel.transmittance;
-    pictures.pictures_f32[place] = (pixel.colour + pixel.transmittance * sky).extend(alpha).to_array();
+    pictures.pictures_f32[place] = (pixel.color + pixel.transmittance * sky).extend(alpha).to_array();
     pictures.depths_m[place] = if alpha > 0.0 { pixel.weighted_depth / alpha } else { 0.0 };
     pictures.instance_ids[place] = pixel.best_instance;
 }
@@ -79,7 +79,7 @@ pub fn pack_unorm_4x8(value: [f32; 4]) -> u32 {
 #[must_use]
 pub fn over(mut nearer: Pixel, farther: &Pixel) -> Pixel {
     let share = nearer.transmittance;
-    nearer.colour += share * farther.colour;
+    nearer.color += share * farther.color;
     nearer.transmittance *= farther.transmittance;
     nearer.weighted_depth += share * farther.weighted_depth;
     if share * farther.best_weight > nearer.best_weight {

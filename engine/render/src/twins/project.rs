@@ -1,10 +1,10 @@
-//! Footprint, depth key and colour of every visible (camera, splat): `project.comp`.
+//! Footprint, depth key and color of every visible (camera, splat): `project.comp`.
 
 use super::depth_key::{depth_key, scaled_depth};
 use super::lens::{lens_of, project_splat_seen};
 use super::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
 use super::record::Record;
-use super::sh::{Stored, sh_colour};
+use super::sh::{Stored, sh_color};
 use super::shadow::shadow_factor;
 use super::write_record::write_record;
 use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, NO_KEY_SET, ShadowRecord};
@@ -17,7 +17,7 @@ fn light_left(chunk_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[Sh
     near.map(|(_, shadow)| shadow_factor(shadow, mean_m)).product()
 }
 
-/// Writes a record, its colour and depth key for every bit of `visible_words`, the first of each `[camera][chunk]` at `firsts`, as far as
+/// Writes a record, its color and depth key for every bit of `visible_words`, the first of each `[camera][chunk]` at `firsts`, as far as
 /// there is room. `instances` holds two 16-bit ids a word, and is `None` where they are not asked for; with `splat_ids` the splat's
 /// index is written instead. Cameras that have a key set read their keys from it.
 pub fn project(
@@ -30,7 +30,7 @@ pub fn project(
     sh: &Stored<'_>,
     instances: Option<&[u32]>,
     footprints: &mut [[f32; 4]],
-    colours: &mut [[f32; 4]],
+    colors: &mut [[f32; 4]],
     keys: &mut [u32],
     key_sets: &[u32],
     kept_keys: &[u32],
@@ -44,7 +44,7 @@ pub fn project(
 ) {
     let splat_count = means_m.len();
     let chunk_count = splat_count.div_ceil(CHUNK_SPLATS);
-    let records_max = colours.len();
+    let records_max = colors.len();
     let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
     for (camera_index, camera) in cameras.iter().enumerate() {
         let lens = lens_of(lenses, camera_index);
@@ -63,9 +63,9 @@ pub fn project(
                     depth_m: if radial { offset.length() } else { t.z },
                     instance: if splat_ids { splat_index as u32 } else { id },
                 };
-                let colour = sh_colour(sh, splat_index, splat_count, offset.normalize(), sh_degree);
-                let colour = light_left(chunk_index, camera_index, means_m[splat_index], shadows, shadow_words) * colour;
-                write_record(slot, &record, colour, footprints, colours);
+                let color = sh_color(sh, splat_index, splat_count, offset.normalize(), sh_degree);
+                let color = light_left(chunk_index, camera_index, means_m[splat_index], shadows, shadow_words) * color;
+                write_record(slot, &record, color, footprints, colors);
                 keys[slot] = if key_sets[camera_index] != NO_KEY_SET {
                     kept_keys[key_sets[camera_index] as usize * splat_count + splat_index]
                 } else {

@@ -13,7 +13,7 @@ pub(super) const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;
 /// Variants of a picture's rules that the projection is built for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Variant {
-    /// A splat nearer than this is dropped, metres.
+    /// A splat nearer than this is dropped, meters.
     pub near_m: f32,
     /// True if opacity compensates dilation.
     pub antialias: bool,
@@ -27,10 +27,10 @@ impl Variant {
     }
 }
 
-/// The mean relative to the camera, world axes, metres.
+/// The mean relative to the camera, world axes, meters.
 #[must_use]
 pub fn from_camera_m(mean_m: [f32; 3], camera: &CameraRecord) -> Vec3 {
-    (Vec3::from_array(mean_m) - Vec3::from_array(camera.centre_high_m)) - Vec3::from_array(camera.centre_low_m)
+    (Vec3::from_array(mean_m) - Vec3::from_array(camera.center_high_m)) - Vec3::from_array(camera.center_low_m)
 }
 
 /// An offset from the camera in camera axes.
@@ -101,7 +101,7 @@ pub fn project_splat(camera: &CameraRecord, t: Vec3, axes: Mat3, opacity: f32, v
     (splat, drawn)
 }
 
-/// A point or colour from the first three values of a vector.
+/// A point or color from the first three values of a vector.
 #[must_use]
 pub fn rgb_of(value: [f32; 4]) -> Vec3 {
     Vec4::from_array(value).truncate()

@@ -9,7 +9,7 @@ use super::footprint::Footprint;
 pub struct Record {
     /// The pixels it reaches and how much it adds there.
     pub splat: Footprint,
-    /// Camera-space z, or distance where the order is radial, metres.
+    /// Camera-space z, or distance where the order is radial, meters.
     pub depth_m: f32,
     /// The instance it belongs to.
     pub instance: u32,

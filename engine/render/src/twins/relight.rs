@@ -3,24 +3,24 @@
 use crate::layout::RelightRecord;
 use crate::sh_codec::{decode_band, encode_band, words_of};
 
-/// 0.5 / Y0: what the DC term of a splat's colour leaves out.
+/// 0.5 / Y0: what the DC term of a splat's color leaves out.
 const DC_SHIFT: f32 = 1.772_453_9;
 
-/// Words that bands 1 to 3 of a colour take, one behind the other.
-const COLOUR_WORDS: usize = 24;
+/// Words that bands 1 to 3 of a color take, one behind the other.
+const COLOR_WORDS: usize = 24;
 
-/// Writes `c' = T c + b` for every coefficient of every colour of `relights`, bands above `sh_degree` left alone.
+/// Writes `c' = T c + b` for every coefficient of every color of `relights`, bands above `sh_degree` left alone.
 pub fn relight(
     relights: &[RelightRecord],
     coded_dc: &[[f32; 3]],
-    coded_bands: &[[u32; COLOUR_WORDS]],
+    coded_bands: &[[u32; COLOR_WORDS]],
     relit_dc: &mut [[f32; 3]],
-    relit_bands: &mut [[u32; COLOUR_WORDS]],
+    relit_bands: &mut [[u32; COLOR_WORDS]],
     sh_degree: usize,
 ) {
     for relight in relights {
-        for entry in 0..relight.colours as usize {
-            let (from, to) = (relight.first_colour as usize + entry, relight.first_relit as usize + entry);
+        for entry in 0..relight.colors as usize {
+            let (from, to) = (relight.first_color as usize + entry, relight.first_relit as usize + entry);
             let lit = |number: usize, value: f32| relight.gain[number] * value + relight.summand[number];
             relit_dc[to] = std::array::from_fn(|channel| lit(channel, coded_dc[from][channel] + DC_SHIFT) - DC_SHIFT);
             let mut first_word = 0;

@@ -1,4 +1,4 @@
-//! Colour of a splat from its spherical harmonics as they are stored: `sh.glsl`.
+//! Color of a splat from its spherical harmonics as they are stored: `sh.glsl`.
 
 use glam::{Vec3, vec3};
 
@@ -14,19 +14,19 @@ pub struct Stored<'a> {
     pub sh_bands: [&'a [u32]; 3],
 }
 
-/// The splat's colour seen along the unit vector `d`, from the camera to the splat.
+/// The splat's color seen along the unit vector `d`, from the camera to the splat.
 #[must_use]
-pub fn sh_colour(stored: &Stored<'_>, splat: usize, splat_count: usize, d: Vec3, sh_degree: usize) -> Vec3 {
-    let mut colour = 0.282_094_8 * Vec3::from_array(stored.sh_dc[splat]) + 0.5;
+pub fn sh_color(stored: &Stored<'_>, splat: usize, splat_count: usize, d: Vec3, sh_degree: usize) -> Vec3 {
+    let mut color = 0.282_094_8 * Vec3::from_array(stored.sh_dc[splat]) + 0.5;
     for band in 1..=sh_degree {
         let planes = stored.sh_bands[band - 1];
         let words: Vec<u32> = (0..sh_codec::words_of(band)).map(|word| planes[word * splat_count + splat]).collect();
         let coefficients = sh_codec::decode_band(&words, 2 * band + 1);
         for (coefficient, basis) in coefficients.iter().zip(band_basis(band, d)) {
-            colour += basis * Vec3::from_array(*coefficient);
+            color += basis * Vec3::from_array(*coefficient);
         }
     }
-    colour.max(Vec3::ZERO)
+    color.max(Vec3::ZERO)
 }
 
 /// The basis functions of a band, in the order of its coefficients.

@@ -8,29 +8,29 @@ use super::projection::from_camera_m;
 use crate::layout::{CameraRecord, ChunkRecord};
 
 /// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
-pub(super) fn farthest(chunk: &ChunkRecord, centre: Vec3, normal: Vec3) -> f32 {
-    normal.dot(centre) + normal.abs().dot(Vec3::from_array(chunk.half_extent_m))
+pub(super) fn farthest(chunk: &ChunkRecord, center: Vec3, normal: Vec3) -> f32 {
+    normal.dot(center) + normal.abs().dot(Vec3::from_array(chunk.half_extent_m))
 }
 
 /// True if a splat of the cluster may overlap the camera's image.
 #[must_use]
 pub fn chunk_reaches(chunk: &ChunkRecord, camera: &CameraRecord, near_m: f32) -> bool {
-    let centre = from_camera_m(chunk.centre_m, camera);
+    let center = from_camera_m(chunk.center_m, camera);
     let limit = Vec2::from_array(camera.slope_min).abs().max(Vec2::from_array(camera.slope_max).abs());
     let spread = vec2((1.0 + limit.x * limit.x).sqrt(), (1.0 + limit.y * limit.y).sqrt());
     let half_extent = Vec3::from_array(chunk.half_extent_m);
-    let slack = 1e-5 * (centre.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
+    let slack = 1e-5 * (center.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
     let reach = chunk.reach_m * spread + slack;
     let [focal, principal] = [camera.focal_px, camera.principal_px].map(Vec2::from_array);
     let size = vec2(camera.size_px[0] as f32, camera.size_px[1] as f32);
     let low = (principal + DILATION_REACH_PX) / focal;
     let high = (size - principal + DILATION_REACH_PX) / focal;
     let [row_x, row_y, row_z] = [camera.row_x, camera.row_y, camera.row_z].map(Vec3::from_array);
-    farthest(chunk, centre, row_z) + slack >= near_m
-        && farthest(chunk, centre, row_x + low.x * row_z) + reach.x >= 0.0
-        && farthest(chunk, centre, -row_x + high.x * row_z) + reach.x >= 0.0
-        && farthest(chunk, centre, row_y + low.y * row_z) + reach.y >= 0.0
-        && farthest(chunk, centre, -row_y + high.y * row_z) + reach.y >= 0.0
+    farthest(chunk, center, row_z) + slack >= near_m
+        && farthest(chunk, center, row_x + low.x * row_z) + reach.x >= 0.0
+        && farthest(chunk, center, -row_x + high.x * row_z) + reach.x >= 0.0
+        && farthest(chunk, center, row_y + low.y * row_z) + reach.y >= 0.0
+        && farthest(chunk, center, -row_y + high.y * row_z) + reach.y >= 0.0
 }
 
 /// True if the splat may overlap a coarse tile of the camera.

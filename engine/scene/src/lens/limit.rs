@@ -16,7 +16,7 @@ pub(super) struct Limit {
     pub turns: bool,
 }
 
-/// Steps along the way from the centre to the end.
+/// Steps along the way from the center to the end.
 const STEPS: u32 = 400;
 
 /// Directions in which a lens that is not the same all around is looked at.
@@ -67,7 +67,7 @@ pub(super) fn of_radial(lens: &Radial, corner: f64) -> Limit {
     for step in 1..=STEPS {
         let next = end * f64::from(step) / f64::from(STEPS);
         let (value, slope) = lens.polynomial(next);
-        // The least slope for which neighbouring rays are still told apart.
+        // The least slope for which neighboring rays are still told apart.
         if !(value.is_finite() && slope > 1e-4 * lens.polynomial(0.0).1 && value > lens.polynomial(at).0) {
             turns = true;
             break;

@@ -73,8 +73,8 @@ pub enum FThetaReference {
 /// NVIDIA's f-theta lens: at the angle a, a ray falls `v = f(a) (x, y) / |(x, y)|` pixels from the principal point, at
 /// `(c v.x + d v.y, e v.x + v.y)`.
 ///
-/// Focal lengths are not used: give those at the centre of the image ([`FTheta::centre_focal_px`]). NVIDIA counts pixels from the
-/// centre of the first one, this engine from its corner: its principal point is theirs and half a pixel.
+/// Focal lengths are not used: give those at the center of the image ([`FTheta::center_focal_px`]). NVIDIA counts pixels from the
+/// center of the first one, this engine from its corner: its principal point is theirs and half a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FTheta {
     /// The polynomial that is followed. Only its coefficients matter.
@@ -90,9 +90,9 @@ pub struct FTheta {
 }
 
 impl FTheta {
-    /// Pixels a radian at the centre, along x and y.
+    /// Pixels a radian at the center, along x and y.
     #[must_use]
-    pub fn centre_focal_px(&self) -> [f64; 2] {
+    pub fn center_focal_px(&self) -> [f64; 2] {
         let focal_px = match self.reference {
             FThetaReference::PixelDistanceToAngle => self.pixel_distance_to_angle[1].recip(),
             FThetaReference::AngleToPixelDistance => self.angle_to_pixel_distance[1],
@@ -179,13 +179,13 @@ impl FTheta {
             return Err(format!("lens: linear c {c}, d {d}, e {e} fold the image: c - d e must be positive"));
         }
         let [constant, first, ..] = *self.followed();
-        // A hundredth of a pixel at the centre is what calibrations leave there.
+        // A hundredth of a pixel at the center is what calibrations leave there.
         let constant_px = match self.reference {
             FThetaReference::PixelDistanceToAngle => constant / first,
             FThetaReference::AngleToPixelDistance => constant,
         };
         if !(first > 0.0 && first < 1e12 && constant_px.abs() <= 0.01) {
-            return Err(format!("lens: a polynomial that begins {constant}, {first} is not 0 and rising at the centre"));
+            return Err(format!("lens: a polynomial that begins {constant}, {first} is not 0 and rising at the center"));
         }
         Ok(())
     }

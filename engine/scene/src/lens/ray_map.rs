@@ -244,7 +244,7 @@ impl OpenCv {
         (point, jacobian.determinant(), denominator)
     }
 
-    /// The point that is distorted to `v`, if one at most `end` from the centre is.
+    /// The point that is distorted to `v`, if one at most `end` from the center is.
     fn undistorted(&self, v: DVec2, end: f64) -> Option<DVec2> {
         // Along the radius first, which brings Newton's method near enough.
         let (mut low, mut high) = (0.0, end);

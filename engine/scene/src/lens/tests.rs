@@ -140,15 +140,15 @@ fn a_resized_or_cropped_camera_sees_the_same_rays() {
 fn beyond_its_end_a_lens_goes_on_without_a_jump_and_never_back() {
     for (name, intrinsics) in lenses() {
         let map = RayMap::new(&intrinsics);
-        let centre = DVec2::new(intrinsics.cx_px, intrinsics.cy_px);
+        let center = DVec2::new(intrinsics.cx_px, intrinsics.cy_px);
         for around in 0..12 {
             let (s, c) = (f64::from(around) * 0.55).sin_cos();
-            let mut before = (0.0, centre);
+            let mut before = (0.0, center);
             for step in 1..=3000 {
                 let angle = std::f64::consts::PI * f64::from(step) / 3000.0;
                 let ray = DVec3::new(angle.sin() * c, angle.sin() * s, angle.cos());
                 let pixel = map.project_extended(ray);
-                let distance = (pixel - centre).length();
+                let distance = (pixel - center).length();
                 assert!(distance > before.0 - 1e-9, "{name}: comes back at {angle}");
                 assert!(pixel.distance(before.1) < 30.0, "{name}: jumps by {} at {angle}", pixel.distance(before.1));
                 before = (distance, pixel);

@@ -5,8 +5,8 @@ use glam::{DQuat, DVec3};
 use crate::light::LUMA;
 use crate::sh::{self, ShRotation};
 
-/// The light about a place: bands 0 to 2 of spherical harmonics of display-referred colour, as a plain expansion
-/// `colour(d) = sum_k coefficients[k] Y_k(d)`, without the 0.5 that splats' colours add. L(x) of the paper, in R^27.
+/// The light about a place: bands 0 to 2 of spherical harmonics of display-referred color, as a plain expansion
+/// `color(d) = sum_k coefficients[k] Y_k(d)`, without the 0.5 that splats' colors add. L(x) of the paper, in R^27.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AmbientDescriptor {
     /// `[coefficient][rgb]`.
@@ -19,7 +19,7 @@ impl AmbientDescriptor {
     /// Numbers in all.
     pub const LEN: usize = 3 * Self::COEFFICIENTS;
 
-    /// The same colour from everywhere.
+    /// The same color from everywhere.
     #[must_use]
     pub fn uniform(rgb: [f32; 3]) -> Self {
         let mut coefficients = [[0.0; 3]; Self::COEFFICIENTS];
@@ -41,7 +41,7 @@ impl AmbientDescriptor {
         turned
     }
 
-    /// The mean colour, RGB.
+    /// The mean color, RGB.
     #[must_use]
     pub fn mean(&self) -> [f32; 3] {
         self.coefficients[0].map(|channel| channel * sh::Y0 as f32)
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_light_is_all_from_one_side_and_a_grey_sky_from_none() {
+    fn a_point_light_is_all_from_one_side_and_a_gray_sky_from_none() {
         assert!((point_light(DVec3::new(0.6, 0.0, 0.8)).directionality() - 1.0).abs() < 1e-6);
         assert_eq!(AmbientDescriptor::uniform([0.7; 3]).directionality(), 0.0);
         assert_eq!(AmbientDescriptor::uniform([0.0; 3]).directionality(), 0.0);

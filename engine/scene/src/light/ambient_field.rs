@@ -18,11 +18,11 @@ const SUM: usize = AmbientDescriptor::LEN + 1;
 /// Options for gathering the light around a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AmbientOptions {
-    /// Standard deviation of the weight with distance, metres.
+    /// Standard deviation of the weight with distance, meters.
     pub sigma_m: f64,
-    /// Splats farther away count nothing, metres.
+    /// Splats farther away count nothing, meters.
     pub radius_m: f64,
-    /// From one probe of a baked field to the next, metres.
+    /// From one probe of a baked field to the next, meters.
     pub spacing_m: f64,
 }
 
@@ -40,7 +40,7 @@ impl AmbientOptions {
     pub fn check(&self) -> Result<(), String> {
         let values = [("sigma_m", self.sigma_m), ("radius_m", self.radius_m), ("spacing_m", self.spacing_m)];
         match values.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
-            Some((name, value)) => Err(format!("{name} is {value}; expected a number of metres above zero")),
+            Some((name, value)) => Err(format!("{name} is {value}; expected a number of meters above zero")),
             None if self.radius_m > 100.0 * self.sigma_m || self.radius_m > 50.0 * self.spacing_m => Err(format!(
                 "radius_m is {}, out of proportion to sigma_m, {}, or spacing_m, {}",
                 self.radius_m, self.sigma_m, self.spacing_m
@@ -102,7 +102,7 @@ fn descriptor(sum: &[f64; SUM]) -> Option<AmbientDescriptor> {
 /// Splats of one cube, summed up.
 struct Voxel {
     /// Weighted mean of their positions.
-    centre: DVec3,
+    center: DVec3,
     sum: [f32; SUM],
 }
 
@@ -126,7 +126,7 @@ pub struct AmbientField {
 impl AmbientField {
     /// The field of the first `splats` of `cloud`, whose means are relative to `origin`. Nothing is baked yet.
     ///
-    /// Splats without a finite mean, opacity or colour are left out.
+    /// Splats without a finite mean, opacity or color are left out.
     #[must_use]
     pub fn new(cloud: &SplatCloud, splats: usize, origin: DVec3, options: &AmbientOptions) -> Self {
         let voxel_m = 0.2 * options.sigma_m;
@@ -183,7 +183,7 @@ impl AmbientField {
 
     /// The grid point below `place`.
     fn cell(&self, place: DVec3) -> IVec3 {
-        // No farther than a neighbour can still be counted: an agent may claim to stand anywhere.
+        // No farther than a neighbor can still be counted: an agent may claim to stand anywhere.
         let cell = ((place - self.origin) / self.options.spacing_m).floor();
         cell.clamp(DVec3::splat(-CELLS_MAX), DVec3::splat(CELLS_MAX)).as_ivec3()
     }
@@ -211,7 +211,7 @@ impl AmbientField {
             for y in low.y..=high.y {
                 let Some(column) = self.columns.get(&(x, y)) else { continue };
                 for voxel in &self.voxels[column.clone()] {
-                    let weight = self.options.weight(voxel.centre.distance_squared(place));
+                    let weight = self.options.weight(voxel.center.distance_squared(place));
                     if weight > 0.0 {
                         sum.iter_mut().zip(&voxel.sum).for_each(|(sum, value)| *sum += weight * f64::from(*value));
                     }
@@ -229,14 +229,14 @@ fn corner_offset(corner: i32) -> IVec3 {
 
 fn voxel(cloud: &SplatCloud, run: &[(i32, i32, i32, u32)]) -> Voxel {
     let mut sum = [0.0; SUM];
-    let mut centre = DVec3::ZERO;
+    let mut center = DVec3::ZERO;
     for &(.., splat) in run {
         let splat = splat as usize;
         let weight = f64::from(cloud.opacities[splat]);
         add(&mut sum, weight, &light_of(cloud, splat));
-        centre += weight * DVec3::from_array(cloud.means[splat].map(f64::from));
+        center += weight * DVec3::from_array(cloud.means[splat].map(f64::from));
     }
-    Voxel { centre: centre / sum[SUM - 1], sum: sum.map(|value| value as f32) }
+    Voxel { center: center / sum[SUM - 1], sum: sum.map(|value| value as f32) }
 }
 
 #[cfg(test)]

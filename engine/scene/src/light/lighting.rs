@@ -1,9 +1,9 @@
-//! The light of a scene: from where an agent stands to its colours and its shadow.
+//! The light of a scene: from where an agent stands to its colors and its shadow.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::light::{AmbientDescriptor, AmbientField, ColourTransfer, ContactShadow, LightTransfer};
+use crate::light::{AmbientDescriptor, AmbientField, ColorTransfer, ContactShadow, LightTransfer};
 use crate::{Pose, ShFrame};
 
 /// Options of contact shadows.
@@ -13,7 +13,7 @@ pub struct ShadowOptions {
     pub strength: f64,
     /// tau_decay: how fast a shadow fades outward.
     pub decay: f64,
-    /// Splats whose mean is farther from the ground's plane are not darkened, metres.
+    /// Splats whose mean is farther from the ground's plane are not darkened, meters.
     pub slab_m: f64,
     /// [`AmbientDescriptor::directionality`] at which light counts as coming from one side. Splats show little of it: what
     /// glitters in the sun, seen from all round.
@@ -81,8 +81,8 @@ pub struct Lighting {
 /// Effect of light on one agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LitAgent {
-    /// To its colours, in the frame that these are meant in.
-    pub relight: Option<ColourTransfer>,
+    /// To its colors, in the frame that these are meant in.
+    pub relight: Option<ColorTransfer>,
     /// The shadow that it throws.
     pub shadow: Option<ContactShadow>,
     /// True if the light is from the background; false if it is the neutral light of the assets.
@@ -102,7 +102,7 @@ impl Lighting {
         }
     }
 
-    /// [`Lighting::of_agent`] for many: pose, size and frame of the colours of each. On as many threads as there are.
+    /// [`Lighting::of_agent`] for many: pose, size and frame of the colors of each. On as many threads as there are.
     #[must_use]
     pub fn of_agents(&self, agents: &[(Pose, [f32; 3], ShFrame)]) -> Vec<LitAgent> {
         let lit = |(pose, dims_m, sh_frame): &(Pose, [f32; 3], ShFrame)| self.of_agent(pose, *dims_m, *sh_frame);
@@ -122,7 +122,7 @@ impl Lighting {
     /// Effect of `light` on the colors of an agent at `world_from_agent`, which are in the frame
     /// `sh_frame`.
     #[must_use]
-    pub fn relight(&self, light: &AmbientDescriptor, world_from_agent: &Pose, sh_frame: ShFrame) -> Option<ColourTransfer> {
+    pub fn relight(&self, light: &AmbientDescriptor, world_from_agent: &Pose, sh_frame: ShFrame) -> Option<ColorTransfer> {
         let transfer = self.transfer.as_ref()?;
         Some(match sh_frame {
             ShFrame::Canonical => transfer.at(&light.turned(world_from_agent.rotation.normalize().inverse())),
@@ -136,10 +136,10 @@ mod tests {
     use super::*;
     use crate::sh;
 
-    /// A grey light of which `share` comes from one side.
-    fn light(grey: f32, share: f32) -> AmbientDescriptor {
-        let mut light = AmbientDescriptor::uniform([grey; 3]);
-        light.coefficients[3] = [share * 3f32.sqrt() * grey / sh::Y0 as f32; 3];
+    /// A gray light of which `share` comes from one side.
+    fn light(gray: f32, share: f32) -> AmbientDescriptor {
+        let mut light = AmbientDescriptor::uniform([gray; 3]);
+        light.coefficients[3] = [share * 3f32.sqrt() * gray / sh::Y0 as f32; 3];
         light
     }
 

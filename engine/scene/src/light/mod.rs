@@ -1,4 +1,4 @@
-//! Light about agents: what the background tells of it, what it does to their colours, and the shadow they stand in.
+//! Light about agents: what the background tells of it, what it does to their colors, and the shadow they stand in.
 //!
 //! DecoupleGS section 3.4 and supplement: an ambient descriptor L(x) from the background's spherical harmonics, an affine
 //! transfer c' = T(L) (.) c + b(L), and a contact shadow on the ground.
@@ -16,4 +16,4 @@ pub use ambient::AmbientDescriptor;
 pub use ambient_field::{AmbientField, AmbientOptions, ambient_by_definition};
 pub use lighting::{Lighting, LitAgent, ShadowOptions};
 pub use shadow::{ContactShadow, bake_shadows};
-pub use transfer::{ColourTransfer, LightTransfer};
+pub use transfer::{ColorTransfer, LightTransfer};

@@ -16,13 +16,13 @@ pub const MASK_MIN: f64 = 1.0 / 512.0;
 pub struct ContactShadow {
     /// The ground under the agent: origin below its middle, x along it, z out of the ground. f64 world coordinates.
     pub world_from_ground: Pose,
-    /// Half of its length and width, metres.
+    /// Half of its length and width, meters.
     pub half_size_m: [f64; 2],
     /// lambda I_dom: share of the light that is gone in the middle, 0 to 1.
     pub strength: f64,
     /// tau_decay: how fast it fades outward.
     pub decay: f64,
-    /// Splats whose mean is farther from the plane are not ground, metres.
+    /// Splats whose mean is farther from the plane are not ground, meters.
     pub slab_m: f64,
 }
 
@@ -51,7 +51,7 @@ impl ContactShadow {
         -MASK_MIN.ln() / self.decay
     }
 
-    /// M at `u`, metres along and across the agent.
+    /// M at `u`, meters along and across the agent.
     #[must_use]
     pub fn mask(&self, u: DVec2) -> f64 {
         let radius = (u / DVec2::from_array(self.half_size_m))

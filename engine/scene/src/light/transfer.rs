@@ -4,29 +4,29 @@
 use crate::light::AmbientDescriptor;
 use crate::{SplatCloud, sh};
 
-/// [`sh::DC_SHIFT`] as colours are stored.
+/// [`sh::DC_SHIFT`] as colors are stored.
 const DC_SHIFT: f32 = sh::DC_SHIFT as f32;
 
 /// Coefficients of the highest degree.
 const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);
 
 /// T and b of one agent in one light: a factor and a summand for each coefficient and channel. Both are meant for the plain
-/// expansion: DC without the 0.5 that splats' colours add.
+/// expansion: DC without the 0.5 that splats' colors add.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ColourTransfer {
+pub struct ColorTransfer {
     /// `[coefficient][rgb]`.
     pub gain: [[f32; 3]; COEFFICIENTS],
     /// `[coefficient][rgb]`.
     pub offset: [[f32; 3]; COEFFICIENTS],
 }
 
-impl ColourTransfer {
-    /// Leaves colours as they are.
+impl ColorTransfer {
+    /// Leaves colors as they are.
     pub const IDENTITY: Self = Self { gain: [[1.0; 3]; COEFFICIENTS], offset: [[0.0; 3]; COEFFICIENTS] };
 
-    /// `colour`, the coefficients of one colour with DC first, in this light.
-    pub fn apply(&self, colour: &mut [[f32; 3]]) {
-        for (index, coefficient) in colour.iter_mut().enumerate() {
+    /// `color`, the coefficients of one color with DC first, in this light.
+    pub fn apply(&self, color: &mut [[f32; 3]]) {
+        for (index, coefficient) in color.iter_mut().enumerate() {
             let shift = if index == 0 { DC_SHIFT } else { 0.0 };
             for (channel, value) in coefficient.iter_mut().enumerate() {
                 *value = self.gain[index][channel] * (*value + shift) + self.offset[index][channel] - shift;
@@ -39,22 +39,22 @@ impl ColourTransfer {
     pub fn relit(&self, cloud: &SplatCloud) -> SplatCloud {
         let mut relit = cloud.clone();
         let stride = sh::coefficient_count(cloud.sh_degree);
-        let mut colour = vec![[0.0; 3]; stride];
+        let mut color = vec![[0.0; 3]; stride];
         for splat in 0..cloud.len() {
-            colour[0] = cloud.sh_dc[splat];
-            colour[1..].copy_from_slice(cloud.rest_of(splat));
-            self.apply(&mut colour);
-            relit.sh_dc[splat] = colour[0];
-            relit.sh_rest[splat * (stride - 1)..(splat + 1) * (stride - 1)].copy_from_slice(&colour[1..]);
+            color[0] = cloud.sh_dc[splat];
+            color[1..].copy_from_slice(cloud.rest_of(splat));
+            self.apply(&mut color);
+            relit.sh_dc[splat] = color[0];
+            relit.sh_rest[splat * (stride - 1)..(splat + 1) * (stride - 1)].copy_from_slice(&color[1..]);
         }
         relit
     }
 }
 
-/// Theta of the paper: how light becomes a [`ColourTransfer`], the same for all agents.
+/// Theta of the paper: how light becomes a [`ColorTransfer`], the same for all agents.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LightTransfer {
-    /// Degree of the colours that it was calibrated for; coefficients above it stay as they are.
+    /// Degree of the colors that it was calibrated for; coefficients above it stay as they are.
     pub sh_degree: u8,
     /// W_T and w_0: a row of 27 weights and a constant for each `[coefficient][rgb]`.
     pub gain: Vec<([f32; AmbientDescriptor::LEN], f32)>,
@@ -84,15 +84,15 @@ impl LightTransfer {
         }
     }
 
-    /// T(L) and b(L), `light` in the frame of the colours that they are for.
+    /// T(L) and b(L), `light` in the frame of the colors that they are for.
     #[must_use]
-    pub fn at(&self, light: &AmbientDescriptor) -> ColourTransfer {
+    pub fn at(&self, light: &AmbientDescriptor) -> ColorTransfer {
         let light = light.to_vector();
         let value = |(weights, constant): &([f32; AmbientDescriptor::LEN], f32)| {
             let sum: f64 = weights.iter().zip(light).map(|(weight, l)| f64::from(*weight) * l).sum();
             (sum + f64::from(*constant)) as f32
         };
-        let mut transfer = ColourTransfer::IDENTITY;
+        let mut transfer = ColorTransfer::IDENTITY;
         for (row, (gain, offset)) in self.gain.iter().zip(&self.offset).enumerate() {
             transfer.gain[row / 3][row % 3] = value(gain);
             transfer.offset[row / 3][row % 3] = value(offset);
@@ -130,20 +130,20 @@ mod tests {
 
     #[test]
     fn gains_and_offsets_go_to_their_coefficients_and_channels() {
-        let mut colour = [[0.0; 3]; 4];
-        transfer().at(&AmbientDescriptor::uniform([1.0, 0.5, 0.0])).apply(&mut colour);
-        // A colour of 0.5 in light twice, once and no times as bright as the one that changes nothing.
-        let shown = colour[0].map(|dc| 0.5 + sh::Y0 as f32 * dc);
+        let mut color = [[0.0; 3]; 4];
+        transfer().at(&AmbientDescriptor::uniform([1.0, 0.5, 0.0])).apply(&mut color);
+        // A color of 0.5 in light twice, once and no times as bright as the one that changes nothing.
+        let shown = color[0].map(|dc| 0.5 + sh::Y0 as f32 * dc);
         assert!((shown[0] - 1.0).abs() < 1e-6 && (shown[1] - 0.5).abs() < 1e-6 && shown[2].abs() < 1e-6);
-        assert_eq!(colour[2], [0.0, 0.25, 0.0]);
+        assert_eq!(color[2], [0.0, 0.25, 0.0]);
     }
 
     #[test]
     fn the_identity_changes_nothing_and_broken_ones_are_named() {
-        let mut colour = [[0.3, -0.2, 0.9]; 16];
-        ColourTransfer::IDENTITY.apply(&mut colour);
+        let mut color = [[0.3, -0.2, 0.9]; 16];
+        ColorTransfer::IDENTITY.apply(&mut color);
         assert!(
-            colour.as_flattened().iter().zip([0.3, -0.2, 0.9].iter().cycle()).all(|(a, b): (&f32, &f32)| (a - b).abs() < 1e-6)
+            color.as_flattened().iter().zip([0.3, -0.2, 0.9].iter().cycle()).all(|(a, b): (&f32, &f32)| (a - b).abs() < 1e-6)
         );
         let mut broken = transfer();
         broken.gain.pop();

@@ -62,9 +62,9 @@ static void misuse_options(void) {
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "struct_bytes of options is 0", dgs_session_open(&options, &session));
     require(session == NULL, "a handle is NULL where opening failed");
     options.struct_bytes = sizeof options;
-    options.colour = 2;
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "colour is 2", dgs_session_open(&options, &session));
-    options.colour = DGS_COLOUR_U8;
+    options.color = 2;
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "color is 2", dgs_session_open(&options, &session));
+    options.color = DGS_COLOR_U8;
     options.depth = 7;
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "depth is 7", dgs_session_open(&options, &session));
     options.depth = 0;

@@ -36,7 +36,7 @@ struct drawn {
 };
 
 /* The first camera's picture of the scene, in a session of its own. */
-static struct drawn draw(const char *path, uint32_t colour, uint32_t planes) {
+static struct drawn draw(const char *path, uint32_t color, uint32_t planes) {
     struct drawn drawn = {0};
     DgsSessionOptions options = {0};
     DgsScene *scene = NULL;
@@ -45,7 +45,7 @@ static struct drawn draw(const char *path, uint32_t colour, uint32_t planes) {
     DgsAgent agent;
     DgsView view;
     options.struct_bytes = sizeof options;
-    options.colour = colour;
+    options.color = color;
     options.depth = planes;
     options.instance = planes;
     options.device = "auto";
@@ -82,26 +82,26 @@ static void end(struct drawn *drawn) {
 int main(int count, char **arguments) {
     struct drawn plain, full, floats;
     const uint8_t *bytes;
-    const float *colours, *depths;
+    const float *colors, *depths;
     const uint16_t *instances;
     size_t lit = 0, on_agent = 0;
     if (count != 2) {
         fprintf(stderr, "usage: pictures SCENE.toml\n");
         return 2;
     }
-    plain = draw(arguments[1], DGS_COLOUR_U8, 0);
-    full = draw(arguments[1], DGS_COLOUR_U8, 1);
-    floats = draw(arguments[1], DGS_COLOUR_F32, 1);
+    plain = draw(arguments[1], DGS_COLOR_U8, 0);
+    full = draw(arguments[1], DGS_COLOR_U8, 1);
+    floats = draw(arguments[1], DGS_COLOR_F32, 1);
 
     bytes = pixels(&plain, DGS_PICTURE_KIND_RGBA_U8, 4);
     require(memcmp(bytes, pixels(&full, DGS_PICTURE_KIND_RGBA_U8, 4), 4 * plain.pixels) == 0, "bytes are the same beside depth");
-    colours = pixels(&floats, DGS_PICTURE_KIND_RGBA_F32, 16);
+    colors = pixels(&floats, DGS_PICTURE_KIND_RGBA_F32, 16);
     depths = pixels(&floats, DGS_PICTURE_KIND_DEPTH_F32, 4);
     require(memcmp(depths, pixels(&full, DGS_PICTURE_KIND_DEPTH_F32, 4), 4 * plain.pixels) == 0, "depth is the same beside bytes");
     instances = pixels(&full, DGS_PICTURE_KIND_INSTANCE_U16, 2);
     for (size_t pixel = 0; pixel < plain.pixels; pixel++) {
         for (size_t channel = 0; channel < 4; channel++) {
-            const float value = fminf(fmaxf(colours[4 * pixel + channel], 0.0F), 1.0F);
+            const float value = fminf(fmaxf(colors[4 * pixel + channel], 0.0F), 1.0F);
             require(fabsf(255.0F * value - bytes[4 * pixel + channel]) <= 0.51F, "bytes are the floats rounded");
         }
         lit += bytes[4 * pixel] > 0;

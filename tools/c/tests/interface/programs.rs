@@ -20,7 +20,7 @@ fn assert_two_worlds(out: &Path, said: &str) {
     names.sort();
     assert_eq!(names.len(), 4, "{said}");
     let pictures: Vec<Vec<u8>> = names.iter().map(|path| ppm_pixels(path)).collect();
-    assert!(pictures.iter().all(|picture| picture.iter().any(|&byte| byte != picture[0])), "no picture is of one colour");
+    assert!(pictures.iter().all(|picture| picture.iter().any(|&byte| byte != picture[0])), "no picture is of one color");
     assert!(pictures[0] != pictures[2], "the car stands elsewhere in the second world");
     for part in ["2 cameras, 1 agents", "0.1 s: ", " ms on the device"] {
         assert!(said.contains(part), "{part}: {said}");

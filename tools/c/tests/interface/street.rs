@@ -14,7 +14,7 @@ pub fn small_street(folder: &Path, size_px: [u32; 2]) -> PathBuf {
     let mut street = Street::generate(&options);
     inria_ply::write(&folder.join("background.ply"), &street.background).unwrap();
     let car = &street.assets[0];
-    let books = CompressOptions { colours: 16, shapes: 16, iterations_max: 20, ..CompressOptions::default() };
+    let books = CompressOptions { colors: 16, shapes: 16, iterations_max: 20, ..CompressOptions::default() };
     let cloud = compress(car, &vec![1.0; car.len()], &books, &|_| ()).unwrap().cloud;
     write_coded(&folder.join("car.safetensors"), &CodedAsset { cloud, provenance: Provenance::default() }).unwrap();
 

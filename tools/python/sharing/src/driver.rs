@@ -140,7 +140,7 @@ functions! {
 }
 
 impl Functions {
-    /// The driver, initialised once for the process.
+    /// The driver, initialized once for the process.
     pub fn of_process() -> Result<&'static Self, InteropError> {
         static FUNCTIONS: OnceLock<Result<Functions, InteropError>> = OnceLock::new();
         let loaded = FUNCTIONS.get_or_init(|| {

@@ -51,13 +51,13 @@ fn a_planted_transfer_is_found_and_a_broken_one_is_told_from_it() {
     for objective in [Objective::Seen, Objective::Coefficients] {
         let relit = |sample: &Sample, light: &Lighting<'_>| {
             let transfer = planted.at(&light.descriptor);
-            let mut colour = sample.surface.colour;
-            for (k, coefficient) in colour.iter_mut().enumerate() {
+            let mut color = sample.surface.color;
+            for (k, coefficient) in color.iter_mut().enumerate() {
                 for (channel, value) in coefficient.iter_mut().enumerate() {
                     *value = f64::from(transfer.gain[k][channel]) * *value + f64::from(transfer.offset[k][channel]);
                 }
             }
-            colour
+            color
         };
         let moments = Moments::of(&samples, &lights, 9, objective, relit);
         let all: Vec<_> = moments.lights.iter().collect();
@@ -84,13 +84,13 @@ fn lights_that_determine_nothing_are_refused_with_what_to_do() {
     // Turned, mirrored and exposed it makes 60 lights, but all of one hue and one height.
     let turned = refused(&skies(1), CalibrateOptions { rotations: 6, ..options() });
     assert!(matches!(turned, CalibrateError::RankDeficient { lights: 61, probes: 1, rank: 1..28, .. }), "{turned}");
-    // Eight probes, none of them turned or coloured.
-    let grey: Vec<Probe> = skies(8)
+    // Eight probes, none of them turned or colored.
+    let gray: Vec<Probe> = skies(8)
         .iter()
-        .map(|sky| Probe::new("grey", sky.width(), sky.height(), sky.pixels().iter().map(|rgb| [rgb[0]; 3]).collect()))
+        .map(|sky| Probe::new("gray", sky.width(), sky.height(), sky.pixels().iter().map(|rgb| [rgb[0]; 3]).collect()))
         .collect();
-    let grey = refused(&grey, options());
-    assert!(matches!(grey, CalibrateError::RankDeficient { rank: ..=12, .. }), "{grey}");
+    let gray = refused(&gray, options());
+    assert!(matches!(gray, CalibrateError::RankDeficient { rank: ..=12, .. }), "{gray}");
     let dark = refused(&[Probe::from_fn("night", 32, |_| [0.0; 3])], options());
     assert_eq!(dark, CalibrateError::TooFewLights { found: 0, probes: 1 });
 }
@@ -128,7 +128,7 @@ fn the_same_bits_on_any_number_of_threads() {
 }
 
 #[test]
-fn relit_colours_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
+fn relit_colors_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
     let cloud = ball(600, 1);
     let calibration = calibrated(&[("ball".to_owned(), &cloud)], &skies(8), &options());
     assert_eq!(calibration.held_out.len(), 8);
@@ -140,11 +140,11 @@ fn relit_colours_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
         relit.rmse(),
         affine.rmse()
     );
-    let angles = [&none, &relit, &affine].map(ColourError::angle_mean_deg);
+    let angles = [&none, &relit, &affine].map(ColorError::angle_mean_deg);
     assert!(angles[1] < angles[0] && relit.angle_p95_deg() >= relit.angle_mean_deg(), "{angles:?} {}", relit.angle_p95_deg());
     // The neutral light is one of 401, so it is pinned, not met: nearer to right than other lights are without relighting.
     let neutral = calibration.neutral.relit.rmse();
-    assert!(neutral < 0.5 * none.rmse(), "neutral light changes colours by {neutral}, others by {}", none.rmse());
+    assert!(neutral < 0.5 * none.rmse(), "neutral light changes colors by {neutral}, others by {}", none.rmse());
     assert!(calibration.neutral.none.rmse() < 1e-6);
     assert!(calibration.tried.iter().any(|(ridge, _)| *ridge == calibration.ridge));
 }
@@ -174,7 +174,7 @@ fn environments_that_are_made_up_calibrate_as_probes_from_files_do() {
 }
 
 #[test]
-fn turning_light_and_asset_together_turns_the_colours() {
+fn turning_light_and_asset_together_turns_the_colors() {
     let cloud = ball(400, 2);
     let transfer = calibrated(&[("ball".to_owned(), &cloud)], &skies(8), &options()).transfer;
     let ground = Surroundings::default();
@@ -192,6 +192,6 @@ fn turning_light_and_asset_together_turns_the_colours() {
         pairs.flat_map(|(a, b)| (0..3).map(move |channel| (a[channel] - b[channel]).abs())).fold(0.0, f32::max)
     };
     assert!(worst(&a, &b) < 1e-4, "{}", worst(&a, &b));
-    // Light that is not turned into the agent's frame gives other colours.
+    // Light that is not turned into the agent's frame gives other colors.
     assert!(worst(&a, &relit(&turned).placed(&pose, true)) > 1e-2);
 }

@@ -127,7 +127,7 @@ fn turning_and_mirroring_a_light_is_turning_and_mirroring_its_probe() {
 }
 
 #[test]
-fn white_light_shows_colours_as_they_are_and_the_sunny_side_is_brighter() {
+fn white_light_shows_colors_as_they_are_and_the_sunny_side_is_brighter() {
     let cloud = ball(300, 2);
     let same = lit_cloud(&cloud, |_| [1.0; 3]);
     for (a, b) in cloud.sh_dc.iter().chain(&cloud.sh_rest).zip(same.sh_dc.iter().chain(&same.sh_rest)) {

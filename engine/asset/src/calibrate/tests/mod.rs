@@ -9,7 +9,7 @@ use glam::DVec3;
 use super::Probe;
 use crate::compress::random::Random;
 
-/// A sky of coloured lobes over a grey ground: light that differs by direction, hue and contrast, the same for the same seed.
+/// A sky of colored lobes over a gray ground: light that differs by direction, hue and contrast, the same for the same seed.
 fn sky(seed: u64, width: usize) -> Probe {
     let mut random = Random::new(seed);
     let mut unit = || random.unit();
@@ -23,8 +23,8 @@ fn sky(seed: u64, width: usize) -> Probe {
     Probe::from_fn(format!("sky {seed}"), width, |direction| {
         let above = if direction.z > 0.0 { 1.0 } else { 0.4 };
         std::array::from_fn(|channel| {
-            let of_lobe = |(towards, sharpness, colour): &(DVec3, f64, [f64; 3])| {
-                colour[channel] * (sharpness * (direction.dot(*towards) - 1.0)).exp()
+            let of_lobe = |(towards, sharpness, color): &(DVec3, f64, [f64; 3])| {
+                color[channel] * (sharpness * (direction.dot(*towards) - 1.0)).exp()
             };
             (above * (even[channel] + lobes.iter().map(of_lobe).sum::<f64>())) as f32
         })
@@ -35,7 +35,7 @@ fn skies(count: u64) -> Vec<Probe> {
     (1..=count).map(|seed| sky(seed, 48)).collect()
 }
 
-/// Discs all over an ellipsoid, in colours of every brightness, with some sheen.
+/// Discs all over an ellipsoid, in colors of every brightness, with some sheen.
 fn ball(splats: usize, sh_degree: u8) -> SplatCloud {
     let mut random = Random::new(99);
     let mut cloud = SplatCloud::with_degree(sh_degree);

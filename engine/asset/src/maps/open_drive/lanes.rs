@@ -8,7 +8,7 @@ use crate::xml::{Element, excerpt};
 
 /// A stretch of a road with the same lanes.
 pub(super) struct Section {
-    /// Along the road, metres.
+    /// Along the road, meters.
     pub(super) start_m: f64,
     pub(super) end_m: f64,
     /// From the reference line outwards.
@@ -22,7 +22,7 @@ pub(super) struct SectionLane {
     /// Above zero to the left, below to the right.
     pub(super) id: i64,
     pub(super) kind: LaneKind,
-    /// Width along the road, metres.
+    /// Width along the road, meters.
     pub(super) widths: Profile,
     /// Outer border from the reference line, to the left, meters, for lanes without widths.
     pub(super) borders: Profile,
@@ -35,7 +35,7 @@ pub(super) struct SectionLane {
     pub(super) is_reversed: bool,
 }
 
-/// The sections of a road of so many metres, in order; those beyond its end are left out.
+/// The sections of a road of so many meters, in order; those beyond its end are left out.
 pub(super) fn read(road: Element, length_m: f64) -> Result<Vec<Section>, DecodeError> {
     let lanes = road.needed("lanes")?;
     let mut starts = Vec::new();

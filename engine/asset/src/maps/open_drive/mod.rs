@@ -153,7 +153,7 @@ impl Road {
         self.speed_limits[..started].last().and_then(|(_, limit)| *limit)
     }
 
-    /// Adds its lanes to `all`, with their neighbours.
+    /// Adds its lanes to `all`, with their neighbors.
     fn add_lanes(&self, all: &mut Vec<Lane>, budget: &mut Budget) -> Result<RoadPlaces, DecodeError> {
         let mut places = RoadPlaces::default();
         for (section_at, section) in self.sections.iter().enumerate() {
@@ -163,14 +163,14 @@ impl Road {
             let mut by_id = HashMap::new();
             for (lane, listed) in sampled.into_iter().zip(listed) {
                 // A section of no length has no lanes to speak of.
-                if lane.centreline.len() >= 2 {
+                if lane.centerline.len() >= 2 {
                     by_id.insert(listed.id, (all.len(), self.is_forward(listed)));
                     all.push(lane);
                 }
             }
             for side in [&section.left, &section.right] {
                 for pair in side.windows(2) {
-                    make_neighbours(&pair[0], &pair[1], &by_id, all);
+                    make_neighbors(&pair[0], &pair[1], &by_id, all);
                 }
             }
             places.sections.push(by_id);
@@ -179,16 +179,16 @@ impl Road {
     }
 }
 
-/// Makes a lane and the next one outwards neighbours where their traffic runs the same way.
-fn make_neighbours(inner: &SectionLane, outer: &SectionLane, places: &HashMap<i64, (usize, bool)>, lanes: &mut [Lane]) {
+/// Makes a lane and the next one outwards neighbors where their traffic runs the same way.
+fn make_neighbors(inner: &SectionLane, outer: &SectionLane, places: &HashMap<i64, (usize, bool)>, lanes: &mut [Lane]) {
     let (Some(inner_place), Some(outer_place)) = (places.get(&inner.id), places.get(&outer.id)) else { return };
     let ((inner_at, is_forward), (outer_at, outer_is_forward)) = (*inner_place, *outer_place);
     if is_forward != outer_is_forward {
         return;
     }
     let (left, right) = if (outer.id > 0) == is_forward { (outer_at, inner_at) } else { (inner_at, outer_at) };
-    lanes[left].right_neighbour = Some(right);
-    lanes[right].left_neighbour = Some(left);
+    lanes[left].right_neighbor = Some(right);
+    lanes[right].left_neighbor = Some(left);
 }
 
 fn link_target(element: Element) -> Option<LinkTarget> {

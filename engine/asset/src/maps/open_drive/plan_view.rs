@@ -6,11 +6,11 @@ use super::cubic::{slope, value};
 use crate::DecodeError;
 use crate::xml::Element;
 
-/// A road of more is no road, metres.
+/// A road of more is no road, meters.
 const LENGTH_MAX_M: f64 = 1e6;
 /// A curve that turns by more winds up, radians; it would also cost as much to follow.
 const TURN_MAX_RAD: f64 = 30.0;
-/// A longer spiral or cubic is no road's; the places on them are integrals, which would cost as much as they are long, metres.
+/// A longer spiral or cubic is no road's; the places on them are integrals, which would cost as much as they are long, meters.
 const INTEGRATED_MAX_M: f64 = 1e4;
 
 /// A piece of a reference line.
@@ -42,7 +42,7 @@ enum Shape {
 /// A place on a reference line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OnLine {
-    /// Metres.
+    /// Meters.
     pub(super) position: DVec2,
     /// Direction of travel along the line.
     pub(super) heading_rad: f64,
@@ -93,7 +93,7 @@ fn read_shape(element: Element, length_m: f64) -> Result<Option<Shape>, DecodeEr
         "spiral" => Shape::Spiral(element.number("curvStart")?, element.number("curvEnd")?),
         "poly3" => Shape::Poly3(factors(["a", "b", "c", "d"])?),
         "paramPoly3" => {
-            // Without the attribute the parameter is normalised: so says version 1.4, which brought it.
+            // Without the attribute the parameter is normalized: so says version 1.4, which brought it.
             let range = if element.attribute("pRange") == Some("arcLength") { length_m } else { 1.0 };
             Shape::ParamPoly3(factors(["aU", "bU", "cU", "dU"])?, factors(["aV", "bV", "cV", "dV"])?, range)
         }
@@ -149,8 +149,8 @@ fn along_arc(curvature: f64, way_m: f64) -> (DVec2, f64) {
     (DVec2::from_angle(half_turn) * way_m * sinc, 2.0 * half_turn)
 }
 
-/// Along a curve whose curvature starts as given and changes by `change` with every metre: the Fresnel integrals, by
-/// quadrature in pieces that turn by a radian at most, which leaves an error far below a micrometre.
+/// Along a curve whose curvature starts as given and changes by `change` with every meter: the Fresnel integrals, by
+/// quadrature in pieces that turn by a radian at most, which leaves an error far below a micrometer.
 fn along_spiral(curvature: f64, change: f64, way_m: f64) -> (DVec2, f64) {
     let heading = |at_m: f64| at_m * (curvature + 0.5 * change * at_m);
     let turn_rad = way_m.abs() * curvature.abs().max((curvature + change * way_m).abs());
@@ -161,7 +161,7 @@ fn along_spiral(curvature: f64, change: f64, way_m: f64) -> (DVec2, f64) {
 
 /// Abscissa up to which a cubic is `way_m` long.
 fn abscissa(factors: &[f64; 4], way_m: f64) -> f64 {
-    /// Cubics of roads bend little: so few pieces follow them to a micrometre.
+    /// Cubics of roads bend little: so few pieces follow them to a micrometer.
     const PANELS: usize = 16;
     /// Four or five do for a road.
     const NEWTON_STEPS_MAX: usize = 40;
@@ -218,13 +218,13 @@ mod tests {
 
     #[test]
     fn a_spiral_ends_where_fresnel_says() {
-        // Curvature 0 to pi over the length 1: x + iy = C(1) + i S(1) of the normalised integrals (Abramowitz and Stegun,
+        // Curvature 0 to pi over the length 1: x + iy = C(1) + i S(1) of the normalized integrals (Abramowitz and Stegun,
         // table 7.7).
         let end = of(Shape::Spiral(0.0, std::f64::consts::PI), 1.0).at(1.0);
         let expected = DVec2::new(0.779_893_400_376_823, 0.438_259_147_390_355);
         assert!((end.position - expected).length() < 1e-9, "{end:?}");
         assert!((end.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
-        // C(2) and S(2): two radians of curvature a metre more.
+        // C(2) and S(2): two radians of curvature a meter more.
         let end = of(Shape::Spiral(0.0, 2.0 * std::f64::consts::PI), 2.0).at(2.0).position;
         assert!((end - DVec2::new(0.488_253_406_075_341, 0.343_415_678_363_698)).length() < 1e-9, "{end}");
         // From curved to straight is the same spiral from its other end.
@@ -252,11 +252,11 @@ mod tests {
     #[test]
     fn a_parametric_cubic_has_two_ranges() {
         let (u, v) = ([0.0, 20.0, 0.0, 0.0], [0.0, 0.0, 4.0, 0.0]);
-        let normalised = of(Shape::ParamPoly3(u, v, 1.0), 20.0).at(10.0);
-        assert!((normalised.position - DVec2::new(10.0, 1.0)).length() < 1e-12);
+        let normalized = of(Shape::ParamPoly3(u, v, 1.0), 20.0).at(10.0);
+        assert!((normalized.position - DVec2::new(10.0, 1.0)).length() < 1e-12);
         let by_length = of(Shape::ParamPoly3([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.01, 0.0], 20.0), 20.0).at(10.0);
         assert!((by_length.position - DVec2::new(10.0, 1.0)).length() < 1e-12);
-        for found in [normalised, by_length] {
+        for found in [normalized, by_length] {
             assert!((found.heading_rad - 0.2_f64.atan()).abs() < 1e-12, "{found:?}");
         }
     }

@@ -11,11 +11,11 @@ use crate::DecodeError;
 use crate::maps::budget::Budget;
 use crate::maps::polyline::cleaned;
 
-/// Points stand no farther apart along the road, metres.
+/// Points stand no farther apart along the road, meters.
 const STEP_MAX_M: f64 = 2.0;
-/// No border leaves the line through its points by more, metres; a bend is looked at in its middle, where it is farthest.
+/// No border leaves the line through its points by more, meters; a bend is looked at in its middle, where it is farthest.
 const CHORD_ERROR_MAX_M: f64 = 0.015;
-/// Steps are not halved below, whatever the chord's error, metres.
+/// Steps are not halved below, whatever the chord's error, meters.
 const STEP_MIN_M: f64 = 0.05;
 /// Profile of a lane between two positions at which a polynomial or piece of the road begins.
 struct Strip<'a> {
@@ -54,13 +54,13 @@ pub(super) fn lanes(road: &Road, section: &Section, prefix: &str, budget: &mut B
         if !is_forward {
             lines.iter_mut().for_each(|line| line.reverse());
         }
-        let [centreline, inner, outer] = lines;
+        let [centerline, inner, outer] = lines;
         // Along the road, what is outside of a lane on the left is its left border.
         let (left, right) = if (lane.id > 0) == is_forward { (outer, inner) } else { (inner, outer) };
         Lane {
             id: format!("{prefix}/{}", lane.id),
             kind: lane.kind,
-            centreline,
+            centerline,
             left,
             right,
             has_height: road.has_height,

@@ -6,11 +6,11 @@
 use decouplegs_scene::Lane;
 use glam::{DVec2, DVec3};
 
-/// A lane is narrow at an end where it is no wider, metres.
+/// A lane is narrow at an end where it is no wider, meters.
 const NARROW_M: f64 = 1.2;
-/// Gaps up to this are what rounding leaves, and larger ones than half of a wide lane are no merge, metres.
+/// Gaps up to this are what rounding leaves, and larger ones than half of a wide lane are no merge, meters.
 const GAP_M: std::ops::Range<f64> = 0.1..4.0;
-/// Length over which a centerline is bent, metres: at least this where the lane is long enough ...
+/// Length over which a centerline is bent, meters: at least this where the lane is long enough ...
 const BEND_MIN_M: f64 = 40.0;
 /// ... and as long as the lane is narrower than this share of its largest width.
 const FULL_WIDTH: f64 = 0.95;
@@ -23,11 +23,11 @@ pub(super) fn join_smoothly(lanes: &mut [Lane]) {
         // Heights that only one of the two lanes knows are none to go to.
         let heights = |other: &Lane| if lanes[at].has_height && other.has_height { 1.0 } else { 0.0 };
         let next = lanes[at].successors.first().and_then(|&next| {
-            let line = lanes[next].centreline.get(..2)?;
+            let line = lanes[next].centerline.get(..2)?;
             Some((line[0], line[1] - line[0], heights(&lanes[next])))
         });
         let before = lanes[at].predecessors.first().and_then(|&before| {
-            let line = &lanes[before].centreline;
+            let line = &lanes[before].centerline;
             let last = line.len().checked_sub(2)?;
             Some((line[last + 1], line[last] - line[last + 1], heights(&lanes[before])))
         });
@@ -37,7 +37,7 @@ pub(super) fn join_smoothly(lanes: &mut [Lane]) {
         if let Some((place, back, height)) = before.filter(|_| is_narrow(lanes[at].left.first(), lanes[at].right.first())) {
             let lane = &mut lanes[at];
             let turn = |lane: &mut Lane| {
-                [&mut lane.centreline, &mut lane.left, &mut lane.right].into_iter().for_each(|line| line.reverse());
+                [&mut lane.centerline, &mut lane.left, &mut lane.right].into_iter().for_each(|line| line.reverse());
             };
             turn(lane);
             bend_end(lane, place, back.truncate(), height);
@@ -54,7 +54,7 @@ fn is_narrow(left: Option<&DVec3>, right: Option<&DVec3>) -> bool {
 ///
 /// Points move by a cubic Hermite curve of their distance from the end: the whole gap and turn at the end, nothing where the bend begins.
 fn bend_end(lane: &mut Lane, place: DVec3, ahead: DVec2, height: f64) {
-    let points = &lane.centreline;
+    let points = &lane.centerline;
     let [.., before, end] = points.as_slice() else { return };
     let gap = (place - *end) * DVec3::new(1.0, 1.0, height);
     if !GAP_M.contains(&gap.truncate().length()) {
@@ -64,7 +64,7 @@ fn bend_end(lane: &mut Lane, place: DVec3, ahead: DVec2, height: f64) {
     let from_end = distances_from_end(points);
     let length_m = from_end[0];
     let bend_m = taper_m(lane).max(BEND_MIN_M).min(BEND_SHARE_MAX * length_m);
-    for (point, from_end_m) in lane.centreline.iter_mut().zip(from_end) {
+    for (point, from_end_m) in lane.centerline.iter_mut().zip(from_end) {
         let t = 1.0 - from_end_m / bend_m;
         if t > 0.0 {
             let (placed, turned) = (t * t * (3.0 - 2.0 * t), t * t * (t - 1.0) * bend_m);
@@ -73,7 +73,7 @@ fn bend_end(lane: &mut Lane, place: DVec3, ahead: DVec2, height: f64) {
     }
 }
 
-/// Distances along a line to its end, metres, for each point.
+/// Distances along a line to its end, meters, for each point.
 fn distances_from_end(points: &[DVec3]) -> Vec<f64> {
     let mut from_end = vec![0.0; points.len()];
     for at in (0..points.len().saturating_sub(1)).rev() {
@@ -82,7 +82,7 @@ fn distances_from_end(points: &[DVec3]) -> Vec<f64> {
     from_end
 }
 
-/// Length of the part before a lane's end in which it is not as wide as it was, metres.
+/// Length of the part before a lane's end in which it is not as wide as it was, meters.
 fn taper_m(lane: &Lane) -> f64 {
     // Both borders were sampled at the same places, but for a few points without length that were left out of either.
     let (count, others) = (lane.left.len(), lane.right.len());
@@ -105,14 +105,14 @@ mod tests {
             (from..=to).step_by(2).map(|x| DVec3::new(f64::from(x), y(f64::from(x)), 0.0)).collect()
         };
         let ramp = Lane {
-            centreline: line(&|x| -0.5 * width_m(x), 0, 100),
+            centerline: line(&|x| -0.5 * width_m(x), 0, 100),
             left: line(&|_| 0.0, 0, 100),
             right: line(&|x| -width_m(x), 0, 100),
             successors: vec![1],
             ..Lane::default()
         };
         let on = Lane {
-            centreline: line(&|_| 1.75, 100, 200),
+            centerline: line(&|_| 1.75, 100, 200),
             left: line(&|_| 3.5, 100, 200),
             right: line(&|_| 0.0, 100, 200),
             predecessors: vec![0],
@@ -122,8 +122,8 @@ mod tests {
     }
 
     fn assert_smooth(lanes: &[Lane], order: [usize; 2]) {
-        let mut way: Vec<DVec3> = lanes[order[0]].centreline.clone();
-        way.extend(&lanes[order[1]].centreline[1..]);
+        let mut way: Vec<DVec3> = lanes[order[0]].centerline.clone();
+        way.extend(&lanes[order[1]].centerline[1..]);
         for three in way.windows(3) {
             let (a, b) = ((three[1] - three[0]).truncate(), (three[2] - three[1]).truncate());
             assert!(a.length() < 2.2 && b.length() < 2.2, "no jump: {three:?}");
@@ -136,9 +136,9 @@ mod tests {
     fn a_merge_is_continuous_in_place_and_heading() {
         let mut lanes = merge();
         join_smoothly(&mut lanes);
-        assert!(lanes[0].centreline.last().unwrap().distance(lanes[1].centreline[0]) < 1e-9);
+        assert!(lanes[0].centerline.last().unwrap().distance(lanes[1].centerline[0]) < 1e-9);
         assert_smooth(&lanes, [0, 1]);
-        assert_eq!(lanes[0].centreline[..10], merge()[0].centreline[..10], "what is not narrow stays");
+        assert_eq!(lanes[0].centerline[..10], merge()[0].centerline[..10], "what is not narrow stays");
         assert_eq!(lanes[1], merge()[1]);
     }
 
@@ -147,10 +147,10 @@ mod tests {
         for knows in [[false, true], [true, false], [true, true]] {
             let mut lanes = merge();
             [lanes[0].has_height, lanes[1].has_height] = knows;
-            lanes[1].centreline.iter_mut().for_each(|point| point.z = 2.0);
+            lanes[1].centerline.iter_mut().for_each(|point| point.z = 2.0);
             join_smoothly(&mut lanes);
-            assert_eq!(lanes[0].centreline.last().unwrap().z, if knows == [true, true] { 2.0 } else { 0.0 });
-            assert_eq!(lanes[0].centreline[0].z, 0.0);
+            assert_eq!(lanes[0].centerline.last().unwrap().z, if knows == [true, true] { 2.0 } else { 0.0 });
+            assert_eq!(lanes[0].centerline[0].z, 0.0);
         }
     }
 
@@ -158,7 +158,7 @@ mod tests {
     fn an_exit_is_a_merge_backwards() {
         let mut lanes = merge();
         for lane in &mut lanes {
-            [&mut lane.centreline, &mut lane.left, &mut lane.right].into_iter().for_each(|line| line.reverse());
+            [&mut lane.centerline, &mut lane.left, &mut lane.right].into_iter().for_each(|line| line.reverse());
             std::mem::swap(&mut lane.successors, &mut lane.predecessors);
         }
         join_smoothly(&mut lanes);
@@ -173,7 +173,7 @@ mod tests {
         join_smoothly(&mut lanes);
         assert_eq!(lanes, wide);
         let mut lanes = merge();
-        lanes[1].centreline.iter_mut().for_each(|point| point.y += 20.0);
+        lanes[1].centerline.iter_mut().for_each(|point| point.y += 20.0);
         let distant = lanes.clone();
         join_smoothly(&mut lanes);
         assert_eq!(lanes, distant);

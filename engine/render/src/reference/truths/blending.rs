@@ -105,7 +105,7 @@ fn a_stack_of_a_hundred_thousand_layers_has_its_closed_form() {
     let left = (1.0 - f64::from(opacity)).powi(LAYERS);
     assert!(left < 1e-170 && left > 0.0);
     assert!((picture.alpha[0] - (1.0 - left)).abs() < 1e-11);
-    assert!((picture.rgb[0][0] - (0.75 * (1.0 - left) + left)).abs() < 1e-6, "colour is stored as f32");
+    assert!((picture.rgb[0][0] - (0.75 * (1.0 - left) + left)).abs() < 1e-6, "color is stored as f32");
     // Sum over i of (2 + i h) a (1 - a)^i is 2 + h (1 - a) / a.
     let depth_m = 2.0 + 1e-4 * (1.0 - f64::from(opacity)) / f64::from(opacity);
     assert!((picture.depth[0] - depth_m).abs() < 1e-6, "{} against {depth_m}: means are stored as f32", picture.depth[0]);

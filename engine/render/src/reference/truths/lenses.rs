@@ -58,8 +58,8 @@ fn seen(map: &RayMap, mean: DVec3, axes: &DMat3, footprint: &Projected64) -> Opt
             second += here * offset.length_squared();
         }
     }
-    let centre = first / weight;
-    (weight > 1e-3).then(|| (footprint.mean_px + centre, (0.5 * (second / weight - centre.length_squared())).max(0.0).sqrt()))
+    let center = first / weight;
+    (weight > 1e-3).then(|| (footprint.mean_px + center, (0.5 * (second / weight - center.length_squared())).max(0.0).sqrt()))
 }
 
 /// Numbers from 0 to 1.
@@ -98,9 +98,9 @@ fn footprints_of_small_splats_are_where_rays_see_them() {
         for index in 0..500 {
             let Some((mean, axes)) = street_splat(index, &map, size) else { continue };
             let Some((splat, mean, axes)) = footprint(&camera, mean, &axes) else { continue };
-            let Some((centre, spread_px)) = seen(&map, mean, &axes, &splat) else { continue };
+            let Some((center, spread_px)) = seen(&map, mean, &axes, &splat) else { continue };
             let off_axis = mean.truncate().length().atan2(mean.z);
-            errors.push((spread_px, (centre - splat.mean_px).length(), off_axis));
+            errors.push((spread_px, (center - splat.mean_px).length(), off_axis));
         }
         assert!(errors.len() > 350, "{name}: only {} splats were measured", errors.len());
         for (low, high) in [(0.0, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 1e9)] {

@@ -28,10 +28,10 @@ fn what_the_boxes_pass_over_adds_nothing() {
     let mut splats: Vec<Projected64> = (0..world.splats.len()).filter_map(|index| lens.project(&world.splats, index)).collect();
     splats.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
     for (at, &alpha) in picture.alpha.iter().enumerate() {
-        let centre_px = DVec2::new((at % 37) as f64 + 0.5, (at / 37) as f64 + 0.5);
+        let center_px = DVec2::new((at % 37) as f64 + 0.5, (at / 37) as f64 + 0.5);
         let mut left = 1.0;
         for splat in &splats {
-            let a = (splat.opacity * (-0.5 * splat.conic.q(centre_px - splat.mean_px)).exp()).min(0.99);
+            let a = (splat.opacity * (-0.5 * splat.conic.q(center_px - splat.mean_px)).exp()).min(0.99);
             if a >= 1.0 / 255.0 {
                 left *= 1.0 - a;
             }

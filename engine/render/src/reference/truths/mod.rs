@@ -10,7 +10,7 @@ use decouplegs_scene::{Camera, Intrinsics, Lens, Pose, Rules, SplatCloud, World,
 use super::Picture64;
 use super::project::{Projected64, View};
 
-/// A splat of one colour; `rgb` is what it shows.
+/// A splat of one color; `rgb` is what it shows.
 struct Plain {
     mean: [f32; 3],
     scales: [f32; 3],
@@ -36,10 +36,10 @@ fn world_of(plain: &[Plain]) -> World {
     })
 }
 
-/// At the world's zero, looking along +z with x right and y down; an odd size puts a pixel's centre on the axis.
+/// At the world's zero, looking along +z with x right and y down; an odd size puts a pixel's center on the axis.
 fn camera(size_px: u32) -> Camera {
     let focal_px = 100.0;
-    let centre_px = 0.5 * f64::from(size_px);
+    let center_px = 0.5 * f64::from(size_px);
     Camera {
         name: "front".into(),
         intrinsics: Intrinsics {
@@ -47,8 +47,8 @@ fn camera(size_px: u32) -> Camera {
             height_px: size_px,
             fx_px: focal_px,
             fy_px: focal_px,
-            cx_px: centre_px,
-            cy_px: centre_px,
+            cx_px: center_px,
+            cy_px: center_px,
             lens: Lens::Pinhole,
         },
         world_from_camera: Pose::IDENTITY,

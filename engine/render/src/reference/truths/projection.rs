@@ -98,7 +98,7 @@ fn the_jacobian_is_clamped_a_margin_beyond_the_true_image_edges() {
 }
 
 #[test]
-fn colour_depends_on_the_direction_from_the_eye_to_the_splat() {
+fn color_depends_on_the_direction_from_the_eye_to_the_splat() {
     let mut world = world_of(&[Plain::ball([0.0, 0.0, 0.0], 0.3, 0.9, [0.5; 3])]);
     world.splats.set_degree(1);
     // Coefficient 3 goes with -x.
@@ -130,13 +130,13 @@ fn a_world_at_utm_coordinates_gives_the_same_picture() {
     let offset = DVec3::new(4.5e6, -6.1e5, 120.0);
     let there = World { origin: offset, ..here.clone() };
     for step in 0..5 {
-        // A millimetre a step, chosen as a power of two so that f64 holds it exactly at both places.
+        // A millimeter a step, chosen as a power of two so that f64 holds it exactly at both places.
         let eye = DVec3::new(f64::from(step) / 1024.0, 0.0, 0.0);
         let at = |translation| Camera { world_from_camera: Pose { translation, ..Pose::IDENTITY }, ..camera(48) };
         let (a, b) = (render(&here, &at(eye), &Rules::DEFAULT), render(&there, &at(eye + offset), &Rules::DEFAULT));
         assert_eq!(a, b);
         let moved = render(&here, &at(eye + DVec3::X / 1024.0), &Rules::DEFAULT);
-        assert!(largest_difference(&a, &moved) > 1e-4, "a millimetre is seen");
+        assert!(largest_difference(&a, &moved) > 1e-4, "a millimeter is seen");
     }
 }
 

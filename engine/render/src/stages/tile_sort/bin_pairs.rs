@@ -42,7 +42,7 @@ impl BinPairs {
     pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers) {
         let push = Push {
             camera_count: records.camera_count as u32,
-            records_max: records.projected.colours.len() as u32,
+            records_max: records.projected.colors.len() as u32,
             pairs_max: buffers.sorted_records.len() as u32,
         };
         let bound = [

@@ -35,7 +35,7 @@ impl PlanLists {
             camera_count: records.camera_count as u32,
             static_chunks: records.static_chunks as u32,
             moving_chunks: records.moving_chunks as u32,
-            records_max: records.projected.colours.len() as u32,
+            records_max: records.projected.colors.len() as u32,
         };
         let bound = [
             ("static_firsts", records.static_firsts.binding()),

@@ -3,27 +3,27 @@
 use super::{DifferenceError, check_sizes};
 use crate::picture::Picture;
 
-/// Colours from no error to an error of 1 and more after amplification, at equal steps: black, blue, magenta, orange, white.
+/// Colors from no error to an error of 1 and more after amplification, at equal steps: black, blue, magenta, orange, white.
 const RAMP: [[f32; 3]; 5] = [[0.0, 0.0, 0.0], [0.1, 0.15, 0.75], [0.8, 0.1, 0.55], [1.0, 0.65, 0.1], [1.0, 1.0, 1.0]];
 
 /// A value that is not a number: on no ramp.
 const NOT_FINITE_RGB: [f32; 3] = [0.0, 1.0, 0.0];
 
-/// The largest absolute difference of a pixel's channels times `gain`, in false colours: black where equal, white from 1 on,
+/// The largest absolute difference of a pixel's channels times `gain`, in false colors: black where equal, white from 1 on,
 /// bright green where either picture has a value that is NaN or infinite.
 ///
 /// # Errors
 /// When the sizes differ.
 pub fn difference_picture(a: &Picture, b: &Picture, gain: f32) -> Result<Picture, DifferenceError> {
     check_sizes(a, b)?;
-    let colour = |(a, b): (&[f32; 3], &[f32; 3])| {
+    let color = |(a, b): (&[f32; 3], &[f32; 3])| {
         if a.iter().chain(b).any(|value| !value.is_finite()) {
             return NOT_FINITE_RGB;
         }
         ramp(gain * (0..3).map(|channel| (a[channel] - b[channel]).abs()).fold(0.0, f32::max))
     };
     let mut picture = Picture::filled(a.width, a.height, [0.0; 3]);
-    picture.rgb = a.rgb.iter().zip(&b.rgb).map(colour).collect();
+    picture.rgb = a.rgb.iter().zip(&b.rgb).map(color).collect();
     Ok(picture)
 }
 

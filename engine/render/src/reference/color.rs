@@ -1,14 +1,14 @@
-//! The colour of a splat seen from a point, in f64.
+//! The color of a splat seen from a point, in f64.
 
 use decouplegs_scene::{SplatCloud, sh};
 use glam::DVec3;
 
-/// `max(0, 0.5 + SH(d))` per channel, display-referred RGB, with `d` the unit vector from `centre` (the camera's, relative
+/// `max(0, 0.5 + SH(d))` per channel, display-referred RGB, with `d` the unit vector from `center` (the camera's, relative
 /// to the world's origin) to the splat's mean.
 #[must_use]
-pub fn colour(splats: &SplatCloud, splat: usize, centre: DVec3) -> [f64; 3] {
+pub fn color(splats: &SplatCloud, splat: usize, center: DVec3) -> [f64; 3] {
     let mean = DVec3::from_array(splats.means[splat].map(f64::from));
-    let basis = sh::basis((mean - centre).normalize_or_zero());
+    let basis = sh::basis((mean - center).normalize_or_zero());
     let coefficients = std::iter::once(&splats.sh_dc[splat]).chain(splats.rest_of(splat));
     let mut rgb = [0.5; 3];
     for (coefficient, y) in coefficients.zip(basis) {
@@ -34,8 +34,8 @@ mod tests {
     }
 
     #[test]
-    fn dc_is_offset_by_a_half_and_negative_colours_are_black() {
-        let [r, g, b] = colour(&cloud(vec![]), 0, DVec3::new(0.0, 0.0, -4.0));
+    fn dc_is_offset_by_a_half_and_negative_colors_are_black() {
+        let [r, g, b] = color(&cloud(vec![]), 0, DVec3::new(0.0, 0.0, -4.0));
         assert!((r - 0.5).abs() < 1e-15 && (g - (0.5 + sh::Y0)).abs() < 1e-15);
         assert_eq!(b, 0.0);
     }
@@ -45,8 +45,8 @@ mod tests {
         // The first band of the original 3DGS is -y, z, -x; the direction runs from the camera to the splat.
         let cloud = cloud(vec![[0.5, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0; 3]]);
         let band_1 = 0.488_602_511_902_919_9;
-        assert!((colour(&cloud, 0, DVec3::new(0.0, -3.0, 0.0))[0] - (0.5 - 0.5 * band_1)).abs() < 1e-15);
-        assert!((colour(&cloud, 0, DVec3::new(0.0, 3.0, 0.0))[0] - (0.5 + 0.5 * band_1)).abs() < 1e-15);
-        assert!((colour(&cloud, 0, DVec3::new(0.0, 0.0, -3.0))[1] - (0.5 + sh::Y0 + 0.25 * band_1)).abs() < 1e-15);
+        assert!((color(&cloud, 0, DVec3::new(0.0, -3.0, 0.0))[0] - (0.5 - 0.5 * band_1)).abs() < 1e-15);
+        assert!((color(&cloud, 0, DVec3::new(0.0, 3.0, 0.0))[0] - (0.5 + 0.5 * band_1)).abs() < 1e-15);
+        assert!((color(&cloud, 0, DVec3::new(0.0, 0.0, -3.0))[1] - (0.5 + sh::Y0 + 0.25 * band_1)).abs() < 1e-15);
     }
 }

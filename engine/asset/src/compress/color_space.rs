@@ -1,9 +1,9 @@
-//! Colours as vectors of one codebook, and what their DC terms are off by.
+//! Colors as vectors of one codebook, and what their DC terms are off by.
 
 use decouplegs_scene::codebook::ycocg_from_rgb;
 use decouplegs_scene::{SplatCloud, sh};
 
-/// Coefficients are held to this: far beyond any colour, and within what f16 holds.
+/// Coefficients are held to this: far beyond any color, and within what f16 holds.
 const COEFFICIENT_MAX: f32 = 1000.0;
 
 /// Codes on either side of zero that DC residuals have: luma, orange, green.

@@ -34,7 +34,7 @@ const PATIENCE_WINDOWS: usize = 2;
 
 /// Training options of a codebook.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct QuantiseOptions {
+pub struct QuantizeOptions {
     /// Most entries, 1 to 65,536.
     pub entries: usize,
     /// Most mini-batches.
@@ -47,14 +47,14 @@ pub struct QuantiseOptions {
 
 /// Vectors by the entries of a book.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Quantised {
+pub struct Quantized {
     /// `[entry][component]`.
     pub entries: Vec<f32>,
     /// The entry nearest to each vector.
     pub assignment: Vec<u16>,
     /// Weighted mean squared distance of the vectors to their entries, by iteration: of the batches, then of all vectors.
     pub distortion: Vec<f64>,
-    /// Number of values of [`Quantised::distortion`] that are of batches.
+    /// Number of values of [`Quantized::distortion`] that are of batches.
     pub batches: usize,
     /// Entries that began again because nothing used them.
     pub reseeded: usize,
@@ -66,12 +66,12 @@ pub struct Quantised {
 ///
 /// # Panics
 /// When there is no vector, or as many weights as vectors are not given.
-pub fn vector_quantise(
+pub fn vector_quantize(
     vectors: Vectors<'_>,
     weights: &[f32],
-    options: &QuantiseOptions,
+    options: &QuantizeOptions,
     progress: &(dyn Fn(usize) + Sync),
-) -> Quantised {
+) -> Quantized {
     assert!(!vectors.is_empty() && vectors.len() == weights.len(), "{} weights for {} vectors", weights.len(), vectors.len());
     let mut random = Random::new(options.seed);
     let candidates = random.subset(vectors.len(), SEEDING_VECTORS);
@@ -94,7 +94,7 @@ pub fn vector_quantise(
     let batches = state.distortion.len();
     let assignment = state.finish(options.final_iterations_max, progress);
     let Training { entries, distortion, reseeded, .. } = state;
-    Quantised { entries, assignment, distortion, batches, reseeded }
+    Quantized { entries, assignment, distortion, batches, reseeded }
 }
 
 /// A book being made.

@@ -1,6 +1,6 @@
 //! Driver types, and misbehavior of some agents.
 
-use decouplegs_scene::scenario::{Behaviour, DriverKind, Maneuver, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{LaneMap, Level};
 use glam::DVec2;
 
@@ -43,33 +43,33 @@ pub(super) fn agents(map: &LaneMap, level: Level, start: &EgoStart, vehicles: &[
             speed_mps: vehicle.speed_mps,
             driver,
             changes_lanes: draw.chance(rules.lane_change_share),
-            behaviours: Vec::new(),
+            behaviors: Vec::new(),
         });
     }
     let mut inject = random.of(1);
     let cuts_in = vehicles.iter().any(|vehicle| vehicle.role == Role::CutIn);
     for (agent, vehicle) in agents.iter_mut().zip(&vehicles[1..]) {
-        let distance_m = vehicle.outline.centre_m.distance(vehicles[0].outline.centre_m);
+        let distance_m = vehicle.outline.center_m.distance(vehicles[0].outline.center_m);
         match vehicle.role {
-            Role::CutIn => agent.behaviours.push(cut_in(&mut inject)),
-            Role::Lead if rules.lead_brakes => agent.behaviours.push(brake((6.0, 8.0), distance_m, &mut inject)),
+            Role::CutIn => agent.behaviors.push(cut_in(&mut inject)),
+            Role::Lead if rules.lead_brakes => agent.behaviors.push(brake((6.0, 8.0), distance_m, &mut inject)),
             // Where no lane lies beside the ego's, who drives ahead takes the gap away by other means.
-            Role::Lead if rules.cut_ins > 0 && !cuts_in => agent.behaviours.push(brake((3.0, 5.0), distance_m, &mut inject)),
+            Role::Lead if rules.cut_ins > 0 && !cuts_in => agent.behaviors.push(brake((3.0, 5.0), distance_m, &mut inject)),
             _ => {}
         }
     }
     for (at, reach_m) in swerving(start, vehicles, inject.whole(rules.swerves)) {
-        agents[at - 1].behaviours.push(swerve(reach_m, &mut inject));
+        agents[at - 1].behaviors.push(swerve(reach_m, &mut inject));
     }
     agents
 }
 
-fn cut_in(random: &mut Stream) -> Behaviour {
-    Behaviour { trigger: Trigger::Time { time_s: to_tenth(random.between((0.5, 3.0))) }, maneuver: Maneuver::CutIn }
+fn cut_in(random: &mut Stream) -> Behavior {
+    Behavior { trigger: Trigger::Time { time_s: to_tenth(random.between((0.5, 3.0))) }, maneuver: Maneuver::CutIn }
 }
 
 /// A brake after some seconds, or when the ego has come nearer than the `distance_m` of the start.
-fn brake(deceleration_mps2: (f64, f64), distance_m: f64, random: &mut Stream) -> Behaviour {
+fn brake(deceleration_mps2: (f64, f64), distance_m: f64, random: &mut Stream) -> Behavior {
     let trigger = if random.chance(0.5) {
         Trigger::Time { time_s: to_tenth(random.between((2.0, 6.0))) }
     } else {
@@ -79,16 +79,16 @@ fn brake(deceleration_mps2: (f64, f64), distance_m: f64, random: &mut Stream) ->
         deceleration_mps2: to_tenth(random.between(deceleration_mps2)),
         duration_s: to_tenth(random.between((1.5, 3.0))),
     };
-    Behaviour { trigger, maneuver }
+    Behavior { trigger, maneuver }
 }
 
-fn swerve(reach_m: (f64, f64), random: &mut Stream) -> Behaviour {
+fn swerve(reach_m: (f64, f64), random: &mut Stream) -> Behavior {
     let side = if random.chance(0.5) { 1.0 } else { -1.0 };
     let maneuver = Maneuver::Swerve {
         amplitude_m: to_tenth(side * random.between(reach_m)),
         duration_s: to_tenth(random.between((2.0, 4.0))),
     };
-    Behaviour { trigger: Trigger::NearEgo { distance_m: random.between(SWERVE_NEAR_M).round() }, maneuver }
+    Behavior { trigger: Trigger::NearEgo { distance_m: random.between(SWERVE_NEAR_M).round() }, maneuver }
 }
 
 /// Vehicles that swerve, and by how much. Among those near the ego: first vehicles ahead on its
@@ -97,11 +97,11 @@ fn swerving(start: &EgoStart, vehicles: &[Vehicle], count: usize) -> Vec<(usize,
     let ego = &vehicles[0].outline;
     let mut near: Vec<(bool, bool, f64, usize)> = Vec::new();
     for (at, vehicle) in vehicles.iter().enumerate().filter(|(_, vehicle)| vehicle.role == Role::Other) {
-        let local_m = ego.to_local(vehicle.outline.centre_m);
+        let local_m = ego.to_local(vehicle.outline.center_m);
         let along = DVec2::from_angle(vehicle.outline.yaw_rad - ego.yaw_rad).x;
         if local_m.length() <= NEAR_M {
             let ahead = along > ALONG && local_m.x > SWERVE_NEAR_M.0;
-            let off_m = start.route.line().project(vehicle.outline.centre_m).distance_m;
+            let off_m = start.route.line().project(vehicle.outline.center_m).distance_m;
             near.push((!ahead, vehicle.speed_mps < SWERVE_MPS_MIN, off_m, at));
         }
     }

@@ -19,16 +19,16 @@ pub struct Outline {
 }
 
 /// The scenes of a server, by id.
-pub struct Catalogue {
+pub struct Catalog {
     paths: BTreeMap<String, PathBuf>,
-    /// The clients' rig origin in the vehicle frame, metres.
+    /// The clients' rig origin in the vehicle frame, meters.
     rig_origin: DVec3,
     outlines: Mutex<HashMap<String, Arc<Outline>>>,
     /// Held while an outline is read: one at a time, because a splat file may take gigabytes.
     reading: Mutex<()>,
 }
 
-impl Catalogue {
+impl Catalog {
     /// The scenes at `paths` and those that `patterns` find.
     ///
     /// # Errors
@@ -137,14 +137,14 @@ mod tests {
             std::fs::write(path, "").unwrap();
         }
         let refused = |paths: &[PathBuf], patterns: &[String]| {
-            Catalogue::new(paths, patterns, DVec3::ZERO).map(|_| ()).unwrap_err().to_string()
+            Catalog::new(paths, patterns, DVec3::ZERO).map(|_| ()).unwrap_err().to_string()
         };
         assert!(refused(&[one.clone(), two], &[]).contains("both be called \"town\""));
         assert!(refused(&[], &[]).contains("no scenes"));
         assert!(refused(&[folder.path().join("absent.toml")], &[]).contains("absent.toml"));
         assert!(refused(&[], &["a***".to_owned()]).contains("no pattern"));
         let pattern = format!("{}/*.toml", folder.path().display());
-        assert_eq!(Catalogue::new(&[one], &[pattern], DVec3::ZERO).unwrap().ids(), ["town"]);
+        assert_eq!(Catalog::new(&[one], &[pattern], DVec3::ZERO).unwrap().ids(), ["town"]);
     }
 
     #[test]
@@ -156,13 +156,13 @@ mod tests {
                     0.2, 0.0]\n[[ego]]\ntime_s = 0.5\nposition_m = [1010.0, 2005.0, 50.8]\nyaw_rad = 1.0\n";
         std::fs::write(&path, text).unwrap();
         let camera = |rig_origin| {
-            let catalogue = Catalogue::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
-            let outline = catalogue.outline("town").unwrap().unwrap();
-            assert!(catalogue.outline("village").unwrap().is_none());
+            let catalog = Catalog::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
+            let outline = catalog.outline("town").unwrap().unwrap();
+            assert!(catalog.outline("village").unwrap().is_none());
             outline.rig.at(&outline.ego.at(0.5)).remove(0).world_from_camera
         };
-        let (centre, axle) = (camera(DVec3::ZERO), camera(DVec3::new(-1.4, 0.0, -0.8)));
-        assert!((centre.translation - axle.translation).length() < 1e-9);
-        assert!((centre.translation - DVec3::new(10.0, 5.0, 0.8)).length() < 2.0, "local: the scene's origin is taken off");
+        let (center, axle) = (camera(DVec3::ZERO), camera(DVec3::new(-1.4, 0.0, -0.8)));
+        assert!((center.translation - axle.translation).length() < 1e-9);
+        assert!((center.translation - DVec3::new(10.0, 5.0, 0.8)).length() < 2.0, "local: the scene's origin is taken off");
     }
 }

@@ -9,11 +9,11 @@ use super::idm::BRAKING_MPS2;
 use super::lane_order::Entry;
 use crate::oriented_box::OrientedBox;
 
-/// A swerve takes at least so much of the road for each metre to the side, metres: nobody slides.
+/// A swerve takes at least so much of the road for each meter to the side, meters: nobody slides.
 const SWERVE_M_PER_M: f64 = 12.0;
 /// Largest offset from the centerline of the own lane, meters.
 const SWERVE_M_MAX: f64 = 3.5;
-/// From one place to the next at which a swerve is looked at, metres, and what its box is widened by.
+/// From one place to the next at which a swerve is looked at, meters, and what its box is widened by.
 const SWERVE_STEP_M: f64 = 1.0;
 const SWERVE_MARGIN_M: f64 = 0.15;
 /// Free time that vehicles beside a swerve need, seconds.
@@ -36,14 +36,14 @@ impl Traffic {
         for number in 0..self.agents.len() {
             let agent = &mut self.agents[number];
             agent.brake = agent.brake.filter(|(_, until_s)| *until_s > self.time_s);
-            for which in 0..self.behaviours[number].len() {
-                let behaviour = self.behaviours[number][which];
-                if self.agents[number].phases[which] == Phase::Waiting && self.is_due(number, behaviour.trigger) {
-                    let until_s = self.time_s + patience_s(&behaviour.maneuver);
+            for which in 0..self.behaviors[number].len() {
+                let behavior = self.behaviors[number][which];
+                if self.agents[number].phases[which] == Phase::Waiting && self.is_due(number, behavior.trigger) {
+                    let until_s = self.time_s + patience_s(&behavior.maneuver);
                     self.agents[number].phases[which] = Phase::Trying { until_s };
                 }
                 if let Phase::Trying { until_s } = self.agents[number].phases[which] {
-                    let over = self.attempt(number, behaviour.maneuver) || self.time_s >= until_s;
+                    let over = self.attempt(number, behavior.maneuver) || self.time_s >= until_s;
                     if over {
                         self.agents[number].phases[which] = Phase::Done;
                     }
@@ -85,7 +85,7 @@ impl Traffic {
             let amplitude_m = share * amplitude_m.clamp(-SWERVE_M_MAX, SWERVE_M_MAX);
             let length_m = (agent.speed_mps * duration_s).clamp(SWERVE_M_PER_M * amplitude_m.abs() + 5.0, 150.0);
             let kind = AsideKind::Swerve { amplitude_m, cells: Vec::new() };
-            let aside = Aside { travelled_m: 0.0, length_m, kind };
+            let aside = Aside { traveled_m: 0.0, length_m, kind };
             if let Some(cells) = self.swerve_cells(number, &aside) {
                 let kind = AsideKind::Swerve { amplitude_m, cells };
                 self.agents[number].aside = Some(Aside { kind, ..aside });
@@ -102,10 +102,10 @@ impl Traffic {
         let (mut cells, mut touched) = (Vec::new(), Vec::new());
         let steps = (aside.length_m / SWERVE_STEP_M).ceil() as u32;
         for step in 0..=steps {
-            let (centre_m, yaw_rad) = agent.pose_at(&self.graph, f64::from(step) * SWERVE_STEP_M, Some(aside));
+            let (center_m, yaw_rad) = agent.pose_at(&self.graph, f64::from(step) * SWERVE_STEP_M, Some(aside));
             let half_length_m = agent.half_m + 0.5 * SWERVE_STEP_M + SWERVE_MARGIN_M;
             let half_width_m = 0.5 * agent.size.width_m + SWERVE_MARGIN_M;
-            self.graph.cells().touched(&OrientedBox { centre_m, yaw_rad, half_length_m, half_width_m }, &mut touched);
+            self.graph.cells().touched(&OrientedBox { center_m, yaw_rad, half_length_m, half_width_m }, &mut touched);
             cells.extend_from_slice(&touched);
         }
         cells.sort_unstable();
