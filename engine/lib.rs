@@ -13,7 +13,7 @@
 //! | [`asset`] | how it is stored: splat files, maps, tracks, scene files, calibrated light, the synthetic street | `scene` |
 //! | [`drive`] | how it moves: lanes, ground, registration of tracks, traffic, scores | `scene` |
 //! | [`gpu`] | how we speak Vulkan: device, queue, memory, kernel; the only `unsafe` code | - |
-//! | [`render`] | how it becomes pictures: the GPU frame, its f64 definition, and the error between two pictures | `scene`, `gpu` |
+//! | [`render`] | how it becomes images: the GPU frame, its f64 definition, and the error between two images | `scene`, `gpu` |
 //!
 //! Units are meters, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up. Camera: OpenCV (x right,
 //! y down, z forward). Coordinates of the world are f64, so that a world in UTM coordinates keeps its millimeters.

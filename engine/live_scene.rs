@@ -30,7 +30,7 @@ pub use editing::LiveEditError;
 ///     let cameras = loaded.rig.at(&loaded.ego.at(time_s));
 ///     let statistics = renderer.render(live.with(&live.at(time_s)), &cameras)?;
 ///     println!("{:?} {:?}", statistics.gpu_time, statistics.keys);
-///     let pictures = renderer.read_pictures()?;
+///     let images = renderer.read_images()?;
 /// }
 /// # Ok(())
 /// # }
@@ -93,7 +93,7 @@ impl LiveScene {
     /// [`LiveScene::new`], of what belongs to `layer`: all, the background without agents and their shadows, or the agents over
     /// nothing, in the light of the background.
     ///
-    /// Agents alone still have shadows in their [`Moment`]: these lie on agents of plain splats, as in the full picture.
+    /// Agents alone still have shadows in their [`Moment`]: these lie on agents of plain splats, as in the full image.
     ///
     /// # Errors
     /// When the device has not the memory, or an asset cannot be drawn.

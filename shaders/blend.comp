@@ -11,7 +11,7 @@
 // more of them. Where it is several, each keeps four shares in registers from batch to batch.
 //
 // A segment leaves out render tiles that the segments before it have covered, as far as these are done when it starts:
-// composite stops at the same transmittance, so that the picture does not depend on who was done first.
+// composite stops at the same transmittance, so that the image does not depend on who was done first.
 //
 // By an exclusive stop, where a pixel ends depends on all that lies before it. The first segment of a list knows that and
 // stops. The others are blended to their end; composite finds the one segment in which a pixel ends, and leaves there what the

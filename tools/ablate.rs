@@ -57,10 +57,10 @@ pub struct Arguments {
     /// Draw the first so many cameras of six
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=6))]
     cameras_used: u32,
-    /// Size of every picture
+    /// Size of every image
     #[arg(long, value_name = "WxH", default_value = "800x450")]
     size: Size,
-    /// Moments at which pictures are compared with the truth: of so many parts of the drive those with most of the cars in sight
+    /// Moments at which images are compared with the truth: of so many parts of the drive those with most of the cars in sight
     #[arg(long, value_name = "M", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     moments: u32,
     /// Frames that are timed, a tenth of a second apart
@@ -89,7 +89,7 @@ pub struct Arguments {
     /// Write all figures to this file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// The page to write, with tables and pictures
+    /// The page to write, with tables and images
     #[arg(long, value_name = "FILE.html")]
     out: PathBuf,
 }

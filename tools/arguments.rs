@@ -8,10 +8,10 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs::asset::write_atomically;
 use decouplegs::explain::one_line;
-use decouplegs::render::picture::{Picture, PictureFormat};
+use decouplegs::render::rendered_image::{Image, ImageFileFormat};
 use decouplegs::scene::Rules;
 
-/// The size of a picture, written `1600x900`.
+/// The size of an image, written `1600x900`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
     pub width_px: u32,
@@ -47,7 +47,7 @@ pub fn pixels(text: &str) -> Result<f64, String> {
     finite(text).ok().filter(|pixels| *pixels >= 0.0).ok_or_else(|| format!("expected pixels, 0 or more, found {text:?}"))
 }
 
-/// By whose definition splats become a picture.
+/// By whose definition splats become an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum RulesName {
     /// Alpha at most 0.99, no early stop, near plane at 0.01 m
@@ -84,15 +84,15 @@ pub fn warn(sentence: &str) {
     let _ = writeln!(std::io::stderr(), "warning: {}", one_line(sentence));
 }
 
-/// Writes a picture; the file is there whole or not at all.
-pub fn write_picture(path: &Path, picture: &Picture, format: PictureFormat) -> Result<()> {
-    let bytes = picture.encode(format).with_context(|| format!("{} was not written", path.display()))?;
+/// Writes an image; the file is there whole or not at all.
+pub fn write_image(path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
+    let bytes = image.encode(format).with_context(|| format!("{} was not written", path.display()))?;
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
-/// [`write_picture`], for one to be laid over another: PNG holds its alpha too.
-pub fn write_picture_with_alpha(path: &Path, picture: &Picture, format: PictureFormat) -> Result<()> {
-    let bytes = picture.encode_with_alpha(format).with_context(|| format!("{} was not written", path.display()))?;
+/// [`write_image`], for one to be laid over another: PNG holds its alpha too.
+pub fn write_image_with_alpha(path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
+    let bytes = image.encode_with_alpha(format).with_context(|| format!("{} was not written", path.display()))?;
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 

@@ -13,7 +13,7 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{check_writable, write_atomically};
 use decouplegs::gpu::{DeviceInfo, Gpu, MemoryReport};
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::picture::Picture;
+use decouplegs::render::rendered_image::Image;
 use decouplegs::render::reference::{self, Window};
 use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
 use decouplegs::scene::{Intrinsics, Rules};
@@ -64,12 +64,12 @@ pub struct Arguments {
     /// Write what both queues and the host did when, as a trace for chrome://tracing or ui.perfetto.dev
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
-    /// Write three frames of that trace as a picture
+    /// Write three frames of that trace as an image
     #[arg(long, value_name = "FILE.svg")]
-    trace_picture: Option<PathBuf>,
+    trace_image: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
-    /// Middle of the first camera's picture whose error is measured, in f32 whatever --color says
+    /// Middle of the first camera's image whose error is measured, in f32 whatever --color says
     #[arg(long, value_name = "WxH", default_value = "160x90")]
     error_window: Size,
     /// Write all figures to this file
@@ -128,7 +128,7 @@ struct Measured {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for path in [&arguments.json, &arguments.trace, &arguments.trace_picture].into_iter().flatten() {
+    for path in [&arguments.json, &arguments.trace, &arguments.trace_image].into_iter().flatten() {
         check_writable(path)?;
     }
     let mut scene = Scene::open(&arguments.scene)?;
@@ -138,13 +138,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
     let gpu = arguments.device.open()?;
     let timed = time_frames(&gpu, &scene, arguments)?;
-    if arguments.trace.is_some() || arguments.trace_picture.is_some() {
+    if arguments.trace.is_some() || arguments.trace_image.is_some() {
         let trace = trace::chrome_trace(&timed.frames, gpu.clock()?);
         if let Some(path) = &arguments.trace {
             write_atomically(path, |file| writeln!(file, "{trace}"))?;
         }
-        if let Some(path) = &arguments.trace_picture {
-            write_atomically(path, |file| file.write_all(trace::picture(&trace).as_bytes()))?;
+        if let Some(path) = &arguments.trace_image {
+            write_atomically(path, |file| file.write_all(trace::image(&trace).as_bytes()))?;
         }
     }
     let window = middle(&scene.cameras[0].intrinsics, arguments.error_window);
@@ -200,29 +200,29 @@ fn middle(image: &Intrinsics, size: Size) -> Window {
 /// Difference between the first camera's image, rendered once more in f32, and the reference: 8
 /// bits would hide it.
 fn error_in_window(gpu: &Gpu, scene: &Scene, arguments: &Arguments, window: Window) -> Result<Difference> {
-    let working = progress::spinner("the middle of a picture by the f64 definition".into());
+    let working = progress::spinner("the middle of an image by the f64 definition".into());
     let camera = &scene.cameras[0];
     let outputs = Outputs::default();
     let mut renderer = Renderer::new(gpu, RenderOptions { outputs, ..arguments.options(scene.rules()) });
     let live = LiveScene::new(&renderer, &scene.loaded)?;
     renderer.render(live.with(&live.at(scene.time_s)), std::slice::from_ref(camera))?;
-    let found = cut(&renderer.read_pictures()?[0], window);
+    let found = cut(&renderer.read_images()?[0], window);
     let world = scene.world();
-    let expected = reference::render_window(&world, camera, &world.rules, window).to_picture();
+    let expected = reference::render_window(&world, camera, &world.rules, window).to_image();
     working.finish_and_clear();
     Ok(Difference::between(&found, &expected)?)
 }
 
-/// The pixels of `picture` in `window`, which lies inside it.
-fn cut(picture: &Picture, window: Window) -> Picture {
+/// The pixels of `image` in `window`, which lies inside it.
+fn cut(image: &Image, window: Window) -> Image {
     let rows = window.top_px..window.top_px + window.height_px;
     let pixels = rows.flat_map(|row| (window.left_px..window.left_px + window.width_px).map(move |column| (row, column)));
-    let places: Vec<usize> = pixels.map(|(row, column)| row as usize * picture.width as usize + column as usize).collect();
-    Picture {
+    let places: Vec<usize> = pixels.map(|(row, column)| row as usize * image.width as usize + column as usize).collect();
+    Image {
         width: window.width_px,
         height: window.height_px,
-        rgb: places.iter().map(|&at| picture.rgb[at]).collect(),
-        alpha: places.iter().map(|&at| picture.alpha[at]).collect(),
+        rgb: places.iter().map(|&at| image.rgb[at]).collect(),
+        alpha: places.iter().map(|&at| image.alpha[at]).collect(),
         depth: None,
         instance: None,
     }
@@ -237,9 +237,9 @@ mod tests {
         let image = Intrinsics::from_horizontal_fov(7, 5, 1.0);
         let window = middle(&image, Size { width_px: 3, height_px: 100 });
         assert_eq!(window, Window { left_px: 2, top_px: 0, width_px: 3, height_px: 5 });
-        let mut picture = Picture::filled(7, 5, [0.0; 3]);
-        picture.rgb.iter_mut().enumerate().for_each(|(at, rgb)| rgb[0] = at as f32);
-        let firsts: Vec<f32> = cut(&picture, window).rgb.iter().map(|rgb| rgb[0]).collect();
+        let mut image = Image::filled(7, 5, [0.0; 3]);
+        image.rgb.iter_mut().enumerate().for_each(|(at, rgb)| rgb[0] = at as f32);
+        let firsts: Vec<f32> = cut(&image, window).rgb.iter().map(|rgb| rgb[0]).collect();
         assert_eq!(firsts[..4], [2.0, 3.0, 4.0, 9.0]);
     }
 }

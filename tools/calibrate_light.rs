@@ -30,7 +30,7 @@ pub struct Arguments {
     /// Assets in their own frame: meters, x forward, y left, z up (.ply, .splat, .spz, coded .safetensors)
     #[arg(required = true, value_name = "ASSET")]
     assets: Vec<PathBuf>,
-    /// Folder of lat-long pictures of linear radiance (.exr, .hdr), top row up
+    /// Folder of lat-long images of linear radiance (.exr, .hdr), top row up
     #[arg(long, value_name = "DIR")]
     probes: PathBuf,
     /// The light transfer to write (.safetensors)
@@ -58,7 +58,7 @@ pub struct Arguments {
     /// Seed of all randomness: the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Write a page with what was measured and pictures of the first asset
+    /// Write a page with what was measured and images of the first asset
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }

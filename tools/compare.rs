@@ -1,24 +1,24 @@
-//! `decouplegs compare`: how far two pictures are apart.
+//! `decouplegs compare`: how far two images are apart.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use decouplegs::render::metrics::{Difference, difference_picture};
-use decouplegs::render::picture::{Picture, PictureFormat};
+use decouplegs::render::metrics::{Difference, difference_image};
+use decouplegs::render::rendered_image::{Image, ImageFileFormat};
 
-use crate::arguments::{print, write_picture};
+use crate::arguments::{print, write_image};
 
-/// Measure the difference between two pictures (.png, .exr, .npy) of one size
+/// Measure the difference between two images (.png, .exr, .npy) of one size
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The first picture
+    /// The first image
     a: PathBuf,
-    /// The second picture
+    /// The second image
     b: PathBuf,
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Write a picture of the difference: false colors, black where equal
+    /// Write an image of the difference: false colors, black where equal
     #[arg(long, value_name = "FILE")]
     difference: Option<PathBuf>,
     /// Amplification of the difference in that image
@@ -32,13 +32,13 @@ fn positive(text: &str) -> Result<f32, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let (a, b) = (Picture::read(&arguments.a)?, Picture::read(&arguments.b)?);
+    let (a, b) = (Image::read(&arguments.a)?, Image::read(&arguments.b)?);
     let names = || format!("{} and {} cannot be compared", arguments.a.display(), arguments.b.display());
     let difference = Difference::between(&a, &b).with_context(names)?;
     if let Some(path) = &arguments.difference {
-        let picture = difference_picture(&a, &b, arguments.gain).with_context(names)?;
-        let unknown = || format!("{}: the picture's name must end with .png, .exr or .npy", path.display());
-        write_picture(path, &picture, PictureFormat::of_path(path).with_context(unknown)?)?;
+        let image = difference_image(&a, &b, arguments.gain).with_context(names)?;
+        let unknown = || format!("{}: the image's name must end with .png, .exr or .npy", path.display());
+        write_image(path, &image, ImageFileFormat::of_path(path).with_context(unknown)?)?;
     }
     if arguments.json {
         return print(&format!("{:#}\n", serde_json::to_value(difference)?));

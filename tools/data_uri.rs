@@ -1,26 +1,26 @@
-//! Pictures inside a page.
+//! Images inside a page.
 
 use anyhow::Result;
-use decouplegs::render::picture::{Picture, PictureFormat};
+use decouplegs::render::rendered_image::{Image, ImageFileFormat};
 
-/// `picture` as a PNG in a `data:` address.
-pub fn png(picture: &Picture) -> Result<String> {
-    Ok(format!("data:image/png;base64,{}", base64(&picture.encode(PictureFormat::Png)?)))
+/// `image` as a PNG in a `data:` address.
+pub fn png(image: &Image) -> Result<String> {
+    Ok(format!("data:image/png;base64,{}", base64(&image.encode(ImageFileFormat::Png)?)))
 }
 
-/// `picture` at `1 / n` of its size, each pixel the mean of `n` by `n`, for the least n that makes it at most `width_px` wide.
-pub fn shrunk(picture: &Picture, width_px: u32) -> Picture {
-    let n = picture.width.div_ceil(width_px).clamp(1, picture.width.min(picture.height));
-    let (width, height) = (picture.width / n, picture.height / n);
+/// `image` at `1 / n` of its size, each pixel the mean of `n` by `n`, for the least n that makes it at most `width_px` wide.
+pub fn shrunk(image: &Image, width_px: u32) -> Image {
+    let n = image.width.div_ceil(width_px).clamp(1, image.width.min(image.height));
+    let (width, height) = (image.width / n, image.height / n);
     let pixel = |column: u32, row: u32| -> [f32; 3] {
-        let block = (0..n * n).map(|at| ((row * n + at / n) * picture.width + column * n + at % n) as usize);
+        let block = (0..n * n).map(|at| ((row * n + at / n) * image.width + column * n + at % n) as usize);
         let sum =
-            block.fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|channel| sum[channel] + picture.rgb[at][channel]));
+            block.fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|channel| sum[channel] + image.rgb[at][channel]));
         sum.map(|value| value / (n * n) as f32)
     };
     let rgb =
         (0..height).flat_map(|row| (0..width).map(move |column| (column, row))).map(|(column, row)| pixel(column, row)).collect();
-    Picture { rgb, ..Picture::filled(width, height, [0.0; 3]) }
+    Image { rgb, ..Image::filled(width, height, [0.0; 3]) }
 }
 
 /// RFC 4648, section 4.
@@ -51,12 +51,12 @@ mod tests {
     }
 
     #[test]
-    fn a_small_picture_is_the_means_of_blocks() {
-        let mut picture = Picture::filled(5, 4, [0.0; 3]);
-        picture.rgb.iter_mut().enumerate().for_each(|(at, rgb)| rgb[1] = at as f32);
-        let small = shrunk(&picture, 3);
+    fn a_small_image_is_the_means_of_blocks() {
+        let mut image = Image::filled(5, 4, [0.0; 3]);
+        image.rgb.iter_mut().enumerate().for_each(|(at, rgb)| rgb[1] = at as f32);
+        let small = shrunk(&image, 3);
         assert_eq!((small.width, small.height, small.rgb[0][1], small.rgb[3][1]), (2, 2, 3.0, 15.0));
-        assert_eq!(shrunk(&picture, 5), picture);
-        assert_eq!(shrunk(&Picture::filled(9, 1, [1.0; 3]), 2).height, 1);
+        assert_eq!(shrunk(&image, 5), image);
+        assert_eq!(shrunk(&Image::filled(9, 1, [1.0; 3]), 2).height, 1);
     }
 }

@@ -14,7 +14,7 @@ pub struct DeviceArguments {
 }
 
 impl DeviceArguments {
-    /// The device, said on standard error: which one made a picture matters to whoever looks at it later.
+    /// The device, said on standard error: which one made an image matters to whoever looks at it later.
     pub fn open(&self) -> Result<Gpu> {
         let gpu = Gpu::open(&DeviceOptions { choice: self.device.clone(), ..DeviceOptions::default() })?;
         // Only for information.

@@ -24,7 +24,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 
 use self::album::Keeper;
-pub use self::album::{Album, Pictures};
+pub use self::album::{Album, Images};
 use self::folder::RunFolder;
 use self::jobs::Job;
 pub use self::sites::{Ready, Sites};
@@ -60,7 +60,7 @@ pub struct Arguments {
     /// Draw every N-th step, or `off` to draw nothing
     #[arg(long, value_name = "N|off", default_value = "1")]
     render: Every,
-    /// Size of the pictures
+    /// Size of the images
     #[arg(long, value_name = "WxH", default_value = "320x180")]
     size: Size,
     /// Draw all cameras of the rig for a planner that looks at none, instead of the front one
@@ -73,9 +73,9 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
     /// Images to keep
-    #[arg(long, value_enum, default_value_t = Pictures::Key)]
-    pictures: Pictures,
-    /// Make a video of each camera of each episode, by ffmpeg; keeps all pictures
+    #[arg(long, value_enum, default_value_t = Images::Key)]
+    images: Images,
+    /// Make a video of each camera of each episode, by ffmpeg; keeps all images
     #[arg(long)]
     video: bool,
     /// Time limit for an answer of an external planner: a later answer ends its episode
@@ -142,14 +142,14 @@ impl Arguments {
         self.planner.open(patience).with_context(|| format!("the planner {} is not to be had", self.planner))
     }
 
-    fn keeps(&self) -> Pictures {
-        if self.video { Pictures::All } else { self.pictures }
+    fn keeps(&self) -> Images {
+        if self.video { Images::All } else { self.images }
     }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.video {
-        ensure!(arguments.render.0 > 0, "--video needs pictures, and --render off draws none");
+        ensure!(arguments.render.0 > 0, "--video needs images, and --render off draws none");
         video::check_ffmpeg()?;
     }
     // Before the first episode: a planner that cannot be had is no episode's failure.
@@ -231,7 +231,7 @@ impl Worker<'_> {
                         "{} is of another scenario of the same name: remove it, or name another folder with --out",
                         path.display()
                     );
-                    return Scored::new(episode, path, self.run.folder.pictures(name), None);
+                    return Scored::new(episode, path, self.run.folder.images(name), None);
                 }
                 // Kept under another name, and driven again.
                 Err(error @ AssetError::Decode { .. }) => {
@@ -246,7 +246,7 @@ impl Worker<'_> {
         if self.run.arguments.video {
             self.videos(&driven.episode)?;
         }
-        Scored::new(driven.episode, path, self.run.folder.pictures(name), Some(driven.times))
+        Scored::new(driven.episode, path, self.run.folder.images(name), Some(driven.times))
     }
 
     fn drive(&mut self, job: &Job) -> Result<Driven> {
@@ -257,7 +257,7 @@ impl Worker<'_> {
             none => none.insert(run.arguments.planner()?),
         };
         let name = &job.scenario.name;
-        let album = Album::new(run.folder.pictures(name), run.arguments.keeps());
+        let album = Album::new(run.folder.images(name), run.arguments.keeps());
         let mut keeper = Keeper::new(run.folder.log(name), album);
         let driven = match (run.gpu, &ready.live) {
             (Some(gpu), Some(live)) => {
@@ -284,10 +284,10 @@ impl Worker<'_> {
 
     fn videos(&self, episode: &Episode) -> Result<()> {
         let name = &episode.head.scenario.name;
-        let folder = self.run.folder.pictures(name);
+        let folder = self.run.folder.images(name);
         let every = f64::from(self.run.arguments.render.0);
         for camera in &episode.head.planner.cameras {
-            let video = self.run.folder.pictures(name).join(format!("{camera}.mp4"));
+            let video = self.run.folder.images(name).join(format!("{camera}.mp4"));
             video::encode(&folder, camera, 1.0 / (every * episode.head.scenario.step_s), &video)?;
         }
         Ok(())

@@ -24,14 +24,14 @@ pub struct Scored {
     pub score: EpisodeScore,
     pub log: PathBuf,
     /// Folder of its images, if there are any.
-    pub pictures: PathBuf,
+    pub images: PathBuf,
     /// Times of its steps; none if it was driven before.
     pub times: Option<Vec<StepTime>>,
 }
 
 impl Scored {
-    pub fn new(episode: Episode, log: PathBuf, pictures: PathBuf, times: Option<Vec<StepTime>>) -> Result<Self> {
-        Ok(Self { score: EpisodeScore::of(&episode), episode, log, pictures, times })
+    pub fn new(episode: Episode, log: PathBuf, images: PathBuf, times: Option<Vec<StepTime>>) -> Result<Self> {
+        Ok(Self { score: EpisodeScore::of(&episode), episode, log, images, times })
     }
 
     pub fn name(&self) -> &str {
@@ -93,9 +93,9 @@ impl Scored {
 }
 
 /// Folder in which `drive` keeps the images of the episode with the log `log`.
-pub fn pictures_beside(log: &Path) -> PathBuf {
+pub fn images_beside(log: &Path) -> PathBuf {
     let root = log.parent().and_then(Path::parent).unwrap_or(Path::new(""));
-    root.join("pictures").join(log.file_stem().unwrap_or_default())
+    root.join("images").join(log.file_stem().unwrap_or_default())
 }
 
 /// Sums up, and refuses sums that cannot be: they would be a fault of the scoring.

@@ -29,7 +29,7 @@ pub struct Body {
     pub corners: [DVec2; 4],
 }
 
-/// World to picture.
+/// World to image.
 struct View {
     low: DVec2,
     high: DVec2,
@@ -42,7 +42,7 @@ impl View {
         let (low, high) = (low - MARGIN_M, high + MARGIN_M);
         let room = DVec2::new(WIDTH_PX, HEIGHT_PX) - 2.0 * MARGIN_PX;
         let px_per_m = (room / (high - low)).min_element();
-        // The middle of the track in the middle of the picture.
+        // The middle of the track in the middle of the image.
         let (middle, half) = (0.5 * (low + high), 0.5 * DVec2::new(WIDTH_PX, HEIGHT_PX) / px_per_m);
         (px_per_m.is_finite() && px_per_m > 0.0).then_some(Self { low: middle - half, high: middle + half, px_per_m })
     }

@@ -1,4 +1,4 @@
-//! `decouplegs map`: the lanes of a map, as a table and as a picture, and where tracks run over them.
+//! `decouplegs map`: the lanes of a map, as a table and as an image, and where tracks run over them.
 
 mod drawing;
 mod style;

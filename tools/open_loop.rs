@@ -1,4 +1,4 @@
-//! `decouplegs open-loop`: a planner shown two sources of pictures along the same log.
+//! `decouplegs open-loop`: a planner shown two sources of images along the same log.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use decouplegs::asset::{read_episode_log, read_light_transfer, write_atomically}
 use decouplegs::drive::OrientedBox;
 use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
-use decouplegs::episode::open_loop::{Pictures, plans};
+use decouplegs::episode::open_loop::{Images, plans};
 use decouplegs::episode::{EpisodeError, Eyes, Look, Simulation, chosen, render_options};
 use decouplegs::planner::{Patience, PlannerChoice};
-use decouplegs::render::{Picture, Renderer};
+use decouplegs::render::{Image, Renderer};
 use decouplegs::scene::episode::{Episode, Instant};
 use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
 use serde_json::{Value, json};
@@ -22,7 +22,7 @@ use crate::device::DeviceArguments;
 use crate::drive::Sites;
 use crate::episode_report::spread;
 
-/// Show a planner two sources of pictures along the same log, such as real images and rendered ones, and compare what it answers. The ego
+/// Show a planner two sources of images along the same log, such as real images and rendered ones, and compare what it answers. The ego
 /// drives as in the log whatever the answers are
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Planner, by its name in `drive`; not one that replays a log
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerChoice,
-    /// The reference: a folder of CAMERA_STEP.png, as `drive --pictures all` writes them (front_0000.png), or `rendered`
+    /// The reference: a folder of CAMERA_STEP.png, as `drive --images all` writes them (front_0000.png), or `rendered`
     #[arg(long, value_name = "DIR|rendered", default_value = "rendered")]
     reference: PathBuf,
     /// Images to compare with: a folder, or `rendered`
@@ -91,31 +91,31 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             let renderer = Renderer::new(gpu, render_options(ready.site.loaded.world.rules));
             let mut eyes = Eyes::new(live, renderer, rig.clone(), 1);
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
-            let drawn = |step: u32| -> Result<Pictures> {
+            let drawn = |step: u32| -> Result<Images> {
                 eyes.look(&mut shadow, step).map_err(EpisodeError::from)?;
                 eyes.read().map_err(EpisodeError::from)?;
-                let pictures = eyes.frames().iter().map(|frame| frame.rgba.to_vec()).collect();
+                let images = eyes.frames().iter().map(|frame| frame.rgba.to_vec()).collect();
                 shadow.advance(&episode.steps[step as usize].plan);
-                Ok(pictures)
+                Ok(images)
             };
             plans(episode, &ready.site, &rig, planner.as_mut(), drawn)?
         }
         _ => {
             let rig = rig_of_folder(arguments, episode, source, wanted)?;
-            plans(episode, &ready.site, &rig, planner.as_mut(), |step| read_pictures(source, &rig, step))?
+            plans(episode, &ready.site, &rig, planner.as_mut(), |step| read_images(source, &rig, step))?
         }
     };
     Ok(judged(source, episode, plans))
 }
 
-/// Cameras as the place has them, at the size of the pictures in the folder.
+/// Cameras as the place has them, at the size of the images in the folder.
 fn rig_of_folder(arguments: &Arguments, episode: &Episode, source: &Path, wanted: decouplegs::planner::Cameras) -> Result<Rig> {
     let base = arguments.base.as_deref().or(arguments.log.parent()).unwrap_or(Path::new(""));
     let rig = decouplegs::episode::rig_of(&episode.head.scenario.place, base)?;
     let mut rig = chosen(&rig, wanted, None).map_err(anyhow::Error::msg)?;
     for camera in &mut rig.cameras {
-        let picture = Picture::read(&path_of(source, &camera.name, 0))?;
-        camera.intrinsics = camera.intrinsics.resized(picture.width, picture.height);
+        let image = Image::read(&path_of(source, &camera.name, 0))?;
+        camera.intrinsics = camera.intrinsics.resized(image.width, image.height);
     }
     Ok(rig)
 }
@@ -124,13 +124,13 @@ fn path_of(folder: &Path, camera: &str, step: u32) -> PathBuf {
     folder.join(format!("{camera}_{step:04}.png"))
 }
 
-fn read_pictures(folder: &Path, rig: &Rig, step: u32) -> Result<Pictures> {
+fn read_images(folder: &Path, rig: &Rig, step: u32) -> Result<Images> {
     let read = |camera: &decouplegs::scene::RigCamera| -> Result<Vec<u8>> {
         let path = path_of(folder, &camera.name, step);
-        let picture = Picture::read(&path)?;
-        let (wanted, found) = ([camera.intrinsics.width_px, camera.intrinsics.height_px], [picture.width, picture.height]);
+        let image = Image::read(&path)?;
+        let (wanted, found) = ([camera.intrinsics.width_px, camera.intrinsics.height_px], [image.width, image.height]);
         ensure!(wanted == found, "{} is {found:?} pixels large; expected {wanted:?}, as the first", path.display());
-        let bytes = picture.rgb.iter().flat_map(|rgb| {
+        let bytes = image.rgb.iter().flat_map(|rgb| {
             let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
             [byte(rgb[0]), byte(rgb[1]), byte(rgb[2]), 255]
         });
@@ -184,7 +184,7 @@ fn min_ttc_s(answers: &Answers) -> Option<f64> {
 }
 
 fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
-    let mut text = format!("{:<32} {:>6}  {:>13}  {:>9}\n", "pictures", "plans", "mADE, m", "minTTC, s");
+    let mut text = format!("{:<32} {:>6}  {:>13}  {:>9}\n", "images", "plans", "mADE, m", "minTTC, s");
     for answers in answers {
         let ade_m = known(&answers.ade_m);
         let ttc_s = min_ttc_s(answers).map_or("-".into(), |ttc_s| format!("{ttc_s:.2}"));
@@ -209,7 +209,7 @@ fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
 fn to_json(episode: &Episode, answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> Value {
     let source = |answers: &Answers| {
         json!({
-            "pictures": answers.name,
+            "images": answers.name,
             "mean_ade_m": Moments::of(&known(&answers.ade_m)).map(|moments| moments.mean),
             "min_ttc_s": min_ttc_s(answers),
             "ade_m": answers.ade_m,

@@ -11,9 +11,9 @@ use crate::arguments::three_numbers;
 
 /// Views where nothing is said.
 const VIEWS: u32 = 8;
-/// Size of the pictures where nothing is said, pixels.
+/// Size of the images where nothing is said, pixels.
 const SIZE_PX: [u32; 2] = [1280, 720];
-/// Field of view across the longer side of a picture, radians.
+/// Field of view across the longer side of an image, radians.
 const VIEW_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 /// Cameras stand above the middle by this angle, radians.
 const ELEVATION_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
@@ -23,7 +23,7 @@ const CORE: f64 = 0.9;
 const OPACITY_MIN: f32 = 0.1;
 /// Largest coordinate of a place that cameras look at.
 const PLACE_MAX: f64 = 1e9;
-/// The core fills this share of the picture's shorter side.
+/// The core fills this share of the image's shorter side.
 const FILLED: f64 = 0.8;
 
 /// Placement of cameras around a scene that has none.
@@ -35,10 +35,10 @@ pub struct OrbitArguments {
     /// The place that the circle's cameras look at, in the scene's coordinates (default: the middle of the splats)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     look_at: Option<Place>,
-    /// Distance of the circle's cameras from that place (default: so that the splats fill the picture)
+    /// Distance of the circle's cameras from that place (default: so that the splats fill the image)
     #[arg(long, value_name = "METERS", value_parser = positive)]
     distance: Option<f64>,
-    /// The direction that is up in the pictures of the circle: x, y, z, -x, -y or -z (default: z for scenes, y for .glb, -y for other
+    /// The direction that is up in the images of the circle: x, y, z, -x, -y or -z (default: z for scenes, y for .glb, -y for other
     /// splat files, which are mostly trained from COLMAP's coordinates)
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Axis>,

@@ -1,4 +1,4 @@
-//! `decouplegs render`: one picture for each camera.
+//! `decouplegs render`: one image for each camera.
 
 use std::collections::HashSet;
 use std::fs;
@@ -9,21 +9,21 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use decouplegs::LiveScene;
 use decouplegs::asset::{Layer, memory, write_atomically};
-use decouplegs::render::picture::{Picture, PictureFormat, contact_sheet};
+use decouplegs::render::rendered_image::{Image, ImageFileFormat, contact_sheet};
 use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::Camera;
 
-use crate::arguments::{pixels, print, write_picture, write_picture_with_alpha};
+use crate::arguments::{pixels, print, write_image, write_image_with_alpha};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
 
-/// Render a scene for every camera, one picture each, named by the camera; the files are listed as they are written
+/// Render a scene for every camera, one image each, named by the camera; the files are listed as they are written
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Folder for the pictures; made if it does not exist
+    /// Folder for the images; made if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Image file format
@@ -35,7 +35,7 @@ pub struct Arguments {
     /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
     #[arg(long, value_name = "PX", conflicts_with = "reference", value_parser = pixels)]
     level_pitch: Option<f64>,
-    /// Write these planes beside each picture too: depth (expected depth along the camera's z, meters, 0 where nothing is) as float32
+    /// Write these planes beside each image too: depth (expected depth along the camera's z, meters, 0 where nothing is) as float32
     /// [height, width] in NAME.depth.npy, instance (0 the background, k the k-th agent) as uint16 in NAME.instance.npy
     #[arg(long, value_enum, value_name = "PLANES", value_delimiter = ',')]
     planes: Vec<PlaneName>,
@@ -44,14 +44,14 @@ pub struct Arguments {
     /// Render with the f64 definition on the processor: exact and slow
     #[arg(long, conflicts_with = "device")]
     reference: bool,
-    /// Write all pictures side by side to this file too, which ends with .png
+    /// Write all images side by side to this file too, which ends with .png
     #[arg(long, value_name = "FILE", value_parser = png_path)]
     contact_sheet: Option<PathBuf>,
 }
 
 fn png_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    let is_png = PictureFormat::of_path(&path) == Some(PictureFormat::Png);
+    let is_png = ImageFileFormat::of_path(&path) == Some(ImageFileFormat::Png);
     if is_png { Ok(path) } else { Err(format!("expected a name that ends with .png, found {text:?}")) }
 }
 
@@ -66,7 +66,7 @@ enum Format {
     Npy,
 }
 
-impl From<Format> for PictureFormat {
+impl From<Format> for ImageFileFormat {
     fn from(format: Format) -> Self {
         match format {
             Format::Png => Self::Png,
@@ -76,7 +76,7 @@ impl From<Format> for PictureFormat {
     }
 }
 
-/// A plane of a picture beside its colors.
+/// A plane of an image beside its colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum PlaneName {
     /// Expected depth, meters
@@ -106,13 +106,13 @@ impl From<LayerName> for Layer {
     }
 }
 
-/// Pictures in a row of a contact sheet: a rig's front row stands above its back row.
+/// Images in a row of a contact sheet: a rig's front row stands above its back row.
 const SHEET_COLUMNS: u32 = 3;
 
 /// About the memory that the reference takes for each pixel.
 const REFERENCE_PIXEL_BYTES: u64 = 96;
 
-/// Most cameras of one submission. A rig has fewer; a file of training cameras has hundreds, whose pictures no device holds.
+/// Most cameras of one submission. A rig has fewer; a file of training cameras has hundreds, whose images no device holds.
 const CAMERAS_AT_ONCE: usize = 8;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -130,9 +130,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     } else {
         render_on_gpu(&scene, arguments, &mut album)?;
     }
-    if let (Some(path), Some(pictures)) = (&arguments.contact_sheet, &album.kept) {
-        let sheet = contact_sheet(pictures, SHEET_COLUMNS).context("there is no camera, so there is no picture")?;
-        album.write(path, &sheet, PictureFormat::Png)?;
+    if let (Some(path), Some(images)) = (&arguments.contact_sheet, &album.kept) {
+        let sheet = contact_sheet(images, SHEET_COLUMNS).context("there is no camera, so there is no image")?;
+        album.write(path, &sheet, ImageFileFormat::Png)?;
         print(&format!("{}\n", path.display()))?;
     }
     Ok(())
@@ -142,54 +142,54 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// memory together.
 struct Album<'a> {
     out: &'a Path,
-    format: PictureFormat,
+    format: ImageFileFormat,
     /// Planes that are written beside them.
     planes: &'a [PlaneName],
     /// True if there is no background behind the rendered splats.
     transparent: bool,
-    /// The pictures so far, where a contact sheet is asked for.
-    kept: Option<Vec<Picture>>,
+    /// The images so far, where a contact sheet is asked for.
+    kept: Option<Vec<Image>>,
 }
 
 impl Album<'_> {
-    fn add(&mut self, camera: &Camera, picture: Picture) -> Result<()> {
+    fn add(&mut self, camera: &Camera, image: Image) -> Result<()> {
         fs::create_dir_all(self.out).with_context(|| format!("{} cannot be made", self.out.display()))?;
         let path = self.out.join(format!("{}.{}", camera.name, self.format.extension()));
-        self.write(&path, &picture, self.format)?;
+        self.write(&path, &image, self.format)?;
         print(&format!("{}\n", path.display()))?;
         for plane in self.planes {
-            self.add_plane(camera, &picture, *plane)?;
+            self.add_plane(camera, &image, *plane)?;
         }
         if let Some(kept) = &mut self.kept {
-            kept.push(picture);
+            kept.push(image);
         }
         Ok(())
     }
 
-    fn add_plane(&self, camera: &Camera, picture: &Picture, plane: PlaneName) -> Result<()> {
+    fn add_plane(&self, camera: &Camera, image: &Image, plane: PlaneName) -> Result<()> {
         let (name, bytes) = match plane {
-            PlaneName::Depth => ("depth", picture.encode_depth()),
-            PlaneName::Instance => ("instance", picture.encode_instance()),
+            PlaneName::Depth => ("depth", image.encode_depth()),
+            PlaneName::Instance => ("instance", image.encode_instance()),
         };
-        let bytes = bytes.with_context(|| format!("the picture of {} has no {name}", camera.name))?;
+        let bytes = bytes.with_context(|| format!("the image of {} has no {name}", camera.name))?;
         let path = self.out.join(format!("{}.{name}.npy", camera.name));
         write_atomically(&path, |file| file.write_all(&bytes))?;
         print(&format!("{}\n", path.display()))
     }
 
-    fn write(&self, path: &Path, picture: &Picture, format: PictureFormat) -> Result<()> {
-        let write = if self.transparent { write_picture_with_alpha } else { write_picture };
-        write(path, picture, format)
+    fn write(&self, path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
+        let write = if self.transparent { write_image_with_alpha } else { write_image };
+        write(path, image, format)
     }
 }
 
 fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Result<()> {
     let gpu = arguments.device.open()?;
-    let bar = progress::bar("pictures", scene.cameras.len());
+    let bar = progress::bar("images", scene.cameras.len());
     // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps of 8 bits.
     let (color, pixel_bytes) = match album.format {
-        PictureFormat::Png if !album.transparent => (ColorFormat::U8, 4),
-        PictureFormat::Png | PictureFormat::Exr | PictureFormat::Npy => (ColorFormat::F32, 16),
+        ImageFileFormat::Png if !album.transparent => (ColorFormat::U8, 4),
+        ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => (ColorFormat::F32, 16),
     };
     let asked = |plane| arguments.planes.contains(&plane);
     let (depth, instance) = (asked(PlaneName::Depth), asked(PlaneName::Instance));
@@ -202,8 +202,8 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Res
     let moment = live.at(scene.time_s);
     for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {
         renderer.render(live.with(&moment), cameras)?;
-        for (camera, picture) in cameras.iter().zip(renderer.read_pictures()?) {
-            album.add(camera, picture)?;
+        for (camera, image) in cameras.iter().zip(renderer.read_images()?) {
+            album.add(camera, image)?;
             bar.inc(1);
         }
     }
@@ -232,23 +232,23 @@ fn render_by_definition(scene: &Scene, layer: Layer, album: &mut Album) -> Resul
     let bar = progress::bar("reference", scene.cameras.len());
     scene.loaded.check_baked()?;
     let most = scene.cameras.iter().map(|camera| camera.intrinsics.pixels()).max().unwrap_or(0);
-    memory::require("a reference picture of this size", REFERENCE_PIXEL_BYTES * most).map_err(anyhow::Error::msg)?;
+    memory::require("a reference image of this size", REFERENCE_PIXEL_BYTES * most).map_err(anyhow::Error::msg)?;
     let world = scene.loaded.baked_layer(scene.time_s, layer);
     for camera in &scene.cameras {
-        album.add(camera, reference::render(&world, camera, &world.rules).to_picture())?;
+        album.add(camera, reference::render(&world, camera, &world.rules).to_image())?;
         bar.inc(1);
     }
     bar.finish_and_clear();
     Ok(())
 }
 
-/// Refuses names that would write outside the folder, or over another camera's picture.
+/// Refuses names that would write outside the folder, or over another camera's image.
 fn check_names(cameras: &[Camera]) -> Result<()> {
     let mut taken = HashSet::new();
     for Camera { name, .. } in cameras {
         let plain = !name.is_empty() && !name.contains(['/', '\\', '\0']) && !name.starts_with('.');
-        ensure!(plain, "the camera {name:?} cannot name a picture: use letters, digits, '-' and '_'");
-        ensure!(taken.insert(name.to_lowercase()), "two cameras are called {name:?}: the second picture would replace the first");
+        ensure!(plain, "the camera {name:?} cannot name an image: use letters, digits, '-' and '_'");
+        ensure!(taken.insert(name.to_lowercase()), "two cameras are called {name:?}: the second image would replace the first");
     }
     Ok(())
 }
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_stay_in_their_folder_and_apart() {
+    fn images_stay_in_their_folder_and_apart() {
         assert!(check_names(&cameras(&["front", "front left", "0001.v2"])).is_ok());
         for bad in ["", "..", "../front", "a/b", "a\\b", ".hidden"] {
             let error = check_names(&cameras(&["front", bad])).unwrap_err().to_string();
@@ -281,7 +281,7 @@ mod tests {
         assert_eq!(lengths(u64::MAX), [8, 3]);
         assert_eq!(lengths(16), [4, 4, 3]);
         assert_eq!(lengths(15), [3, 3, 3, 2]);
-        assert_eq!(lengths(1), [1; 11], "a picture that is too large is refused by the engine, with its bytes");
+        assert_eq!(lengths(1), [1; 11], "an image that is too large is refused by the engine, with its bytes");
         assert!(submissions(&[], 16).is_empty());
     }
 

@@ -13,10 +13,10 @@ use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
-use crate::drive::{Album, Pictures, Ready, Sites};
+use crate::drive::{Album, Images, Ready, Sites};
 use crate::progress;
 
-/// Drive a log's plans again and compare: everybody's motion and the score to the last bit, pictures by their hashes. Exits with 1
+/// Drive a log's plans again and compare: everybody's motion and the score to the last bit, images by their hashes. Exits with 1
 /// where something differs
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -31,9 +31,9 @@ pub struct Arguments {
     /// Light transfer for the cars, as given to the run
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
-    /// Write the pictures to this folder
+    /// Write the images to this folder
     #[arg(long, value_name = "DIR", conflicts_with = "no_render")]
-    pictures: Option<PathBuf>,
+    images: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -68,15 +68,15 @@ fn drawn(arguments: &Arguments, episode: &Episode, drawn_by: &DrawnBy, base: &Pa
     }
     let renderer = Renderer::new(&gpu, render_options(site.loaded.world.rules));
     let mut eyes = Eyes::new(live, renderer, rig, drawn_by.every);
-    let keeps = if arguments.pictures.is_some() { Pictures::All } else { Pictures::None };
-    let mut viewer = Viewer { album: Album::new(arguments.pictures.clone().unwrap_or_default(), keeps), error: None };
+    let keeps = if arguments.images.is_some() { Images::All } else { Images::None };
+    let mut viewer = Viewer { album: Album::new(arguments.images.clone().unwrap_or_default(), keeps), error: None };
     let replayed = replay(episode, site, Some(&mut eyes), &mut viewer)?;
     check_validation(&gpu)?;
     viewer.error.map_or(Ok(()), Err)?;
     Ok((replayed, eyes.drawn_by().map(|by| by.device)))
 }
 
-/// Keeps pictures and nothing else.
+/// Keeps images and nothing else.
 struct Viewer {
     album: Album,
     error: Option<anyhow::Error>,
@@ -113,15 +113,15 @@ fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Resul
     print(&format!("{steps} steps: everybody moves as in the log, to the last bit; the score is the same\n"))?;
     let Some(device) = device else { return Ok(()) };
     let logged_on = episode.head.drawn_by.as_ref().map_or("", |by| by.device.as_str());
-    let Replayed { pictures, pictures_different, .. } = replayed;
-    if *pictures_different == 0 {
-        return print(&format!("{pictures} pictures: the same, to the last bit\n"));
+    let Replayed { images, images_different, .. } = replayed;
+    if *images_different == 0 {
+        return print(&format!("{images} images: the same, to the last bit\n"));
     }
     if logged_on == device {
-        bail!("{pictures_different} of {pictures} pictures are not those of the log, on the same device: {device}");
+        bail!("{images_different} of {images} images are not those of the log, on the same device: {device}");
     }
     print(&format!(
-        "{pictures_different} of {pictures} pictures have other bits: they were drawn on {logged_on}, now on {device}, and devices round \
+        "{images_different} of {images} images have other bits: they were drawn on {logged_on}, now on {device}, and devices round \
          differently\n"
     ))
 }

@@ -27,10 +27,10 @@ pub struct SceneArguments {
     /// The moment at which the scene is drawn, seconds (default: when the ego's trajectory begins)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Render every picture at this size, with its horizontal and its vertical field of view (default: the camera's own)
+    /// Render every image at this size, with its horizontal and its vertical field of view (default: the camera's own)
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// By whose definition splats become a picture (default: the scene's own rules)
+    /// By whose definition splats become an image (default: the scene's own rules)
     #[arg(long, value_enum)]
     rules: Option<RulesName>,
     /// Keep thin splats from growing brighter when they are widened to a pixel (Mip-Splatting)
@@ -53,7 +53,7 @@ pub struct Scene {
 /// Shapes that differ by less count as one: 1600x900 and 320x180 as well as 854x480.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
-/// `intrinsics` at the size asked for. A picture of another shape is squeezed, and a warning says so.
+/// `intrinsics` at the size asked for. An image of another shape is squeezed, and a warning says so.
 fn resized(name: &str, intrinsics: &Intrinsics, size_px: Option<[u32; 2]>) -> Intrinsics {
     let Some([width_px, height_px]) = size_px else { return *intrinsics };
     let shape = |width_px: u32, height_px: u32| f64::from(width_px) / f64::from(height_px);
@@ -61,7 +61,7 @@ fn resized(name: &str, intrinsics: &Intrinsics, size_px: Option<[u32; 2]>) -> In
     if (wanted / own - 1.0).abs() > SHAPE_TOLERANCE {
         let (own_px, height) = ([intrinsics.width_px, intrinsics.height_px], (f64::from(width_px) / own).round());
         warn(&format!(
-            "camera {name} is {}x{}, and --size {width_px}x{height_px} has another shape: its picture is squeezed. {width_px}x{height} keeps it",
+            "camera {name} is {}x{}, and --size {width_px}x{height_px} has another shape: its image is squeezed. {width_px}x{height} keeps it",
             own_px[0], own_px[1]
         ));
     }
@@ -106,7 +106,7 @@ impl Scene {
         Ok(Self { loaded, time_s, cameras, drives })
     }
 
-    /// By whose definition splats become a picture.
+    /// By whose definition splats become an image.
     pub fn rules(&self) -> Rules {
         self.loaded.world.rules
     }

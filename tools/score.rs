@@ -26,8 +26,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let bar = progress::bar("logs", arguments.logs.len());
     let mut scored = Vec::with_capacity(arguments.logs.len());
     for path in &arguments.logs {
-        let pictures = episode_report::pictures_beside(path);
-        scored.push(Scored::new(read_episode_log(path)?, path.clone(), pictures, None)?);
+        let images = episode_report::images_beside(path);
+        scored.push(Scored::new(read_episode_log(path)?, path.clone(), images, None)?);
         bar.inc(1);
     }
     bar.finish_and_clear();

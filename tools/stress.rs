@@ -20,7 +20,7 @@ use std::str::FromStr;
 use anyhow::{Result, ensure};
 use decouplegs::asset::{CameraOptions, check_writable, read_cameras, write_atomically};
 use decouplegs::gpu::Gpu;
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use serde_json::{Value, json};
 
 use crate::arguments::{Size, finite, print};
@@ -36,7 +36,7 @@ use subject::{StreetWish, Subject};
 /// Measure frames, memory and error against the number of agents that drive, for several ways to draw them
 ///
 /// The ego drives through a scene file or a street made up, with more and more agents around it, once for each mode. Every
-/// mode's frames are timed, its memory is counted, and its pictures are compared with those of vanilla. A table is printed;
+/// mode's frames are timed, its memory is counted, and its images are compared with those of vanilla. A table is printed;
 /// --report writes a page with plots, and says there how to read them.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true))]
@@ -58,7 +58,7 @@ pub struct Arguments {
     /// Draw the first so many cameras, in one submission (default: all)
     #[arg(long, value_name = "N")]
     cameras_used: Option<usize>,
-    /// Render every picture at this size, with its field of view (default: the camera's own)
+    /// Render every image at this size, with its field of view (default: the camera's own)
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Frames that are timed
@@ -89,7 +89,7 @@ pub struct Arguments {
     /// colors=N: decoupled, assets compressed with N colors and half as many shapes
     #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
-    /// Moments at which pictures are compared with vanilla's
+    /// Moments at which images are compared with vanilla's
     #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
     samples: u32,
     /// Report a mode that takes more device memory than this, such as 2GiB or 500MiB, as out of memory
@@ -103,7 +103,7 @@ pub struct Arguments {
     /// Write all figures to this file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Write a page with plots, tables and pictures to this file
+    /// Write a page with plots, tables and images to this file
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
 }
@@ -282,14 +282,14 @@ fn measure_all(stand: &mut Stand<'_>, modes: &[Mode], counts: &[usize]) -> Resul
     let bar = progress::bar("stress", counts.len() * (modes.len() + 1));
     let (mut points, mut thumbnails) = (Vec::new(), None);
     for &agents in counts {
-        bar.set_message(format!("{agents} agents: the pictures to compare with"));
-        let vanilla = stand.vanilla_pictures(agents)?;
+        bar.set_message(format!("{agents} agents: the images to compare with"));
+        let vanilla = stand.vanilla_images(agents)?;
         bar.inc(1);
         for mode in modes {
             bar.set_message(format!("{agents} agents: {}", mode.name));
-            let (outcome, pictures) = stand.measure(mode, agents, vanilla.as_deref())?;
+            let (outcome, images) = stand.measure(mode, agents, vanilla.as_deref())?;
             if mode.is_decoupled() {
-                thumbnails = view_of(stand.course, agents, vanilla.as_deref(), &pictures).or(thumbnails);
+                thumbnails = view_of(stand.course, agents, vanilla.as_deref(), &images).or(thumbnails);
             }
             points.push(Point { mode: mode.clone(), agents, unique_assets: stand.subject.unique_assets(agents), outcome });
             bar.inc(1);
@@ -300,7 +300,7 @@ fn measure_all(stand: &mut Stand<'_>, modes: &[Mode], counts: &[usize]) -> Resul
 }
 
 /// The first camera at the middle one of the sampled moments.
-fn view_of(course: &Course, agents: usize, vanilla: Option<&[Picture]>, decoupled: &[Picture]) -> Option<Thumbnails> {
+fn view_of(course: &Course, agents: usize, vanilla: Option<&[Image]>, decoupled: &[Image]) -> Option<Thumbnails> {
     let samples = course.sample_frames();
     let middle = samples.len() / 2;
     let place = middle * course.cameras_used;

@@ -85,7 +85,7 @@ struct StreetArguments {
     /// Capture the street from all of its lanes instead of the ego's way: for those who drive where they like
     #[arg(long)]
     all_lanes: bool,
-    /// Size of the cameras' pictures
+    /// Size of the cameras' images
     #[arg(long, value_name = "WxH", default_value = "1600x900")]
     size: Size,
     /// Write world.ply too: street and cars as one cloud of splats, for programs that know no agents
@@ -128,7 +128,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         "  beside it: background.ply, assets/*.ply, transforms.json, lanes.json, tracks.csv{}\n",
         if arguments.baked { ", world.ply" } else { "" }
     );
-    text += &format!("  draw it:   decouplegs render {out}/scene.toml --out pictures\n");
+    text += &format!("  draw it:   decouplegs render {out}/scene.toml --out images\n");
     text += &format!(
         "  drive it:  decouplegs drive --level easy --planner lane-follow --scene {out}/scene.toml --map {out}/lanes.json --out run\n"
     );

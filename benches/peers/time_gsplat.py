@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Times gsplat on a scene of ours, on the GPU of this machine, and compares its pictures with ours.
+"""Times gsplat on a scene of ours, on the GPU of this machine, and compares its images with ours.
 
-    time_gsplat.py world.ply transforms.json --pictures DIR --ours bench.json --json gsplat.json
+    time_gsplat.py world.ply transforms.json --images DIR --ours bench.json --json gsplat.json
 
 DIR holds what `decouplegs render world.ply --cameras transforms.json --rules gsplat15 --format npy --out DIR` wrote: the
 same splats and cameras under gsplat's rules, so that what differs is arithmetic. Time is that of CUDA events around
-`gsplat.rasterization(packed=True)`: from arrays on the GPU to a picture on the GPU, as our frame time is.
+`gsplat.rasterization(packed=True)`: from arrays on the GPU to an image on the GPU, as our frame time is.
 """
 
 import argparse
@@ -27,7 +27,7 @@ def arguments(argv=None):
     parser.add_argument("cameras", type=Path, help="transforms.json (nerfstudio) or cameras.json (INRIA), all of one size")
     parser.add_argument("--cameras-used", type=int, action="append", help="first so many cameras in one call (default: 1, then all)")
     parser.add_argument("--frames", type=int, default=40, help="timed frames after %d of warm-up (default: 40)" % WARM_UP_FRAMES)
-    parser.add_argument("--pictures", type=Path, help="folder of our NAME.npy files to compare with")
+    parser.add_argument("--images", type=Path, help="folder of our NAME.npy files to compare with")
     parser.add_argument("--ours", type=Path, action="append", default=[], help="what `decouplegs bench --json` wrote, to print beside")
     parser.add_argument("--json", type=Path, help="write all figures here")
     parsed = parser.parse_args(argv)
@@ -102,7 +102,7 @@ def difference(ours, theirs):
     }
 
 
-def compare_pictures(frame, cameras, folder):
+def compare_images(frame, cameras, folder):
     colors, alphas = (tensor.float().cpu().numpy() for tensor in frame())
     compared = {}
     for camera, color, alpha in zip(cameras, colors, alphas):
@@ -141,8 +141,8 @@ def main():
         with torch.inference_mode():
             frame = frame_of(torch, gsplat, splats, cameras[:used])
             times_ms = time_frames(torch, frame, options.frames)
-            if options.pictures:
-                compared.update(compare_pictures(frame, cameras[:used], options.pictures))
+            if options.images:
+                compared.update(compare_images(frame, cameras[:used], options.images))
         runs.append({
             "cameras": used,
             "median_ms": statistics.median(times_ms),
@@ -152,8 +152,8 @@ def main():
         })
 
     print_rows(runs, ours_by_cameras)
-    for name, pictures in compared.items():
-        rgb = pictures["rgb"]
+    for name, images in compared.items():
+        rgb = images["rgb"]
         print(f"{name}: PSNR {rgb['psnr_db']:.2f} dB, max {rgb['max_abs']:.5f}, above 1/255 {100.0 * rgb['share_above_1_255']:.5f} %")
     report = {
         "device": torch.cuda.get_device_name(),
@@ -165,7 +165,7 @@ def main():
         "height_px": cameras[0].height_px,
         "frames": options.frames,
         "runs": runs,
-        "pictures": compared,
+        "images": compared,
     }
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n")

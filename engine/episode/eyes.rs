@@ -1,6 +1,6 @@
 //! Images of the ego's cameras.
 
-use decouplegs_render::{ColorFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
+use decouplegs_render::{ColorFormat, Outputs, ImageBytes, RenderError, RenderOptions, Renderer};
 use decouplegs_scene::episode::{DrawnBy, ImageRecord};
 use decouplegs_scene::{Rig, RigCamera, Rules};
 use rayon::prelude::*;
@@ -16,12 +16,12 @@ pub struct Eyes<'a> {
     renderer: Renderer,
     rig: Rig,
     every: u32,
-    pictures: PictureBytes,
+    images: ImageBytes,
     /// True if the images of a rendered frame are still on the device.
     unread: bool,
 }
 
-/// From step to step the ego drives meters, and other houses fill the pictures.
+/// From step to step the ego drives meters, and other houses fill the images.
 const SPARE: f64 = 0.5;
 
 /// Options of a renderer for episodes: `rules`, and 8-bit images.
@@ -43,7 +43,7 @@ pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<
         Cameras::All => rig.cameras.clone(),
     };
     if cameras != Cameras::None && chosen.is_empty() {
-        return Err("the planner wants pictures, and the scene has no cameras: add a [[rig]] to the scene file".into());
+        return Err("the planner wants images, and the scene has no cameras: add a [[rig]] to the scene file".into());
     }
     if let Some([width_px, height_px]) = size_px {
         for camera in &mut chosen {
@@ -57,7 +57,7 @@ impl<'a> Eyes<'a> {
     /// The cameras of `rig` in `live`, drawn by `renderer` at every `every`th step.
     #[must_use]
     pub fn new(live: &'a LiveScene, renderer: Renderer, rig: Rig, every: u32) -> Self {
-        Self { live, renderer, rig, every: every.max(1), pictures: PictureBytes::default(), unread: false }
+        Self { live, renderer, rig, every: every.max(1), images: ImageBytes::default(), unread: false }
     }
 
     /// The cameras.
@@ -90,7 +90,7 @@ impl<'a> Eyes<'a> {
     /// When the device was lost or has not the memory.
     pub fn look(&mut self, simulation: &mut Simulation, step: u32) -> Result<bool, RenderError> {
         if self.rig.cameras.is_empty() || !step.is_multiple_of(self.every) {
-            self.pictures.clear();
+            self.images.clear();
             return Ok(false);
         }
         let (ego, placed) = simulation.placed();
@@ -105,14 +105,14 @@ impl<'a> Eyes<'a> {
     /// # Errors
     /// When the device was lost or has not the memory.
     pub fn read(&mut self) -> Result<(), RenderError> {
-        if std::mem::take(&mut self.unread) { self.renderer.read_bytes(&mut self.pictures) } else { Ok(()) }
+        if std::mem::take(&mut self.unread) { self.renderer.read_bytes(&mut self.images) } else { Ok(()) }
     }
 
     /// Images of the last observation.
     #[must_use]
     pub fn frames(&self) -> Vec<Frame<'_>> {
-        (0..self.pictures.len())
-            .map(|index| Frame { camera: &self.rig.cameras[index], rgba: self.pictures.rgba(index) })
+        (0..self.images.len())
+            .map(|index| Frame { camera: &self.rig.cameras[index], rgba: self.images.rgba(index) })
             .collect()
     }
 
@@ -120,8 +120,8 @@ impl<'a> Eyes<'a> {
     #[must_use]
     pub fn hashes(&self) -> Vec<ImageRecord> {
         let hash =
-            |index: usize| ImageRecord { camera: self.rig.cameras[index].name.clone(), hash: hash_of(self.pictures.rgba(index)) };
-        (0..self.pictures.len()).into_par_iter().map(hash).collect()
+            |index: usize| ImageRecord { camera: self.rig.cameras[index].name.clone(), hash: hash_of(self.images.rgba(index)) };
+        (0..self.images.len()).into_par_iter().map(hash).collect()
     }
 }
 

@@ -38,7 +38,7 @@ pub enum EpisodeError {
         /// Reason.
         reason: String,
     },
-    /// The pictures.
+    /// The images.
     #[error("the cameras cannot be drawn")]
     Render(#[from] RenderError),
     /// The log.
@@ -46,7 +46,7 @@ pub enum EpisodeError {
     Log(#[from] AssetError),
 }
 
-/// Somebody who is told what happens while it happens: a log, an album of pictures.
+/// Somebody who is told what happens while it happens: a log, an album of images.
 pub trait Witness {
     /// Before the first step.
     ///
@@ -56,7 +56,7 @@ pub trait Witness {
         Ok(())
     }
 
-    /// After each step, with the pictures that its plan was made from.
+    /// After each step, with the images that its plan was made from.
     ///
     /// # Errors
     /// Ends the episode and the run.
@@ -87,7 +87,7 @@ pub struct StepTime {
     pub read: Duration,
     /// The planner's.
     pub plan: Duration,
-    /// Waiting for the hashes of the pictures, which are made while the planner plans.
+    /// Waiting for the hashes of the images, which are made while the planner plans.
     pub hash: Duration,
     /// Ego and traffic.
     pub advance: Duration,
@@ -209,7 +209,7 @@ fn briefing(scenario: &Scenario, eyes: Option<&Eyes>) -> Briefing {
     }
 }
 
-/// The cameras that have to be drawn for `planner` in an episode where pictures are made.
+/// The cameras that have to be drawn for `planner` in an episode where images are made.
 #[must_use]
 pub fn cameras_of(planner: &dyn Planner, at_least: Cameras) -> Cameras {
     match planner.sees().cameras {

@@ -1,4 +1,4 @@
-//! Open loop: what a planner would have answered along a log, given other pictures. Nothing it answers is driven.
+//! Open loop: what a planner would have answered along a log, given other images. Nothing it answers is driven.
 
 use std::sync::Arc;
 
@@ -9,20 +9,20 @@ use super::site::Site;
 use super::{EpisodeError, Simulation};
 use crate::planner::{Briefing, Frame, Observation, Planner};
 
-/// Pictures of a step, four bytes a pixel, one a camera of the rig.
-pub type Pictures = Vec<Vec<u8>>;
+/// Images of a step, four bytes a pixel, one a camera of the rig.
+pub type Images = Vec<Vec<u8>>;
 
-/// Shows `planner` the pictures that `pictures_of` has of each step, the ego moving as in `episode`. Its answers, `None` where it
+/// Shows `planner` the images that `images_of` has of each step, the ego moving as in `episode`. Its answers, `None` where it
 /// had none.
 ///
 /// # Errors
-/// When the scenario does not fit the site, or `pictures_of` fails.
+/// When the scenario does not fit the site, or `images_of` fails.
 pub fn plans<E: From<EpisodeError>>(
     episode: &Episode,
     site: &Arc<Site>,
     rig: &Rig,
     planner: &mut dyn Planner,
-    mut pictures_of: impl FnMut(u32) -> Result<Pictures, E>,
+    mut images_of: impl FnMut(u32) -> Result<Images, E>,
 ) -> Result<Vec<Option<Plan>>, E> {
     let scenario = &episode.head.scenario;
     let mut simulation = Simulation::new(scenario, site)?;
@@ -35,8 +35,8 @@ pub fn plans<E: From<EpisodeError>>(
     let begun = planner.begin(&briefing).is_ok();
     let mut answers = Vec::with_capacity(episode.steps.len());
     for step in &episode.steps {
-        let pictures = pictures_of(step.step)?;
-        let frames: Vec<Frame> = rig.cameras.iter().zip(&pictures).map(|(camera, rgba)| Frame { camera, rgba }).collect();
+        let images = images_of(step.step)?;
+        let frames: Vec<Frame> = rig.cameras.iter().zip(&images).map(|(camera, rgba)| Frame { camera, rgba }).collect();
         let privileged = planner.sees().privileged.then(|| simulation.privileged());
         let observation = Observation {
             step: step.step,

@@ -14,10 +14,10 @@ pub struct Replayed {
     pub episode: Episode,
     /// The first difference in what moved, a sentence; `None` where all is the same to the last bit.
     pub moved_differently: Option<String>,
-    /// Pictures that were drawn both times.
-    pub pictures: usize,
+    /// Images that were drawn both times.
+    pub images: usize,
     /// Number of images whose bits differ.
-    pub pictures_different: usize,
+    pub images_different: usize,
 }
 
 /// Answers what the log says.
@@ -67,8 +67,8 @@ pub fn replay(
     let same_frames = before.len() == after.len();
     Ok(Replayed {
         moved_differently: first_difference(episode, &again),
-        pictures: if same_frames { after.len() } else { 0 },
-        pictures_different: if same_frames { before.iter().zip(&after).filter(|(a, b)| a != b).count() } else { 0 },
+        images: if same_frames { after.len() } else { 0 },
+        images_different: if same_frames { before.iter().zip(&after).filter(|(a, b)| a != b).count() } else { 0 },
         episode: again,
     })
 }

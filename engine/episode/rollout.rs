@@ -80,7 +80,7 @@ impl Rollout {
         self.simulation.end()
     }
 
-    /// Drives `plan` for a step, made from pictures whose hashes are `images`. Nothing moves any more when it is over.
+    /// Drives `plan` for a step, made from images whose hashes are `images`. Nothing moves any more when it is over.
     pub fn step(&mut self, plan: Plan, images: Vec<ImageRecord>) -> &EpisodeStep {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);

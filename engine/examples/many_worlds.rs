@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use decouplegs::scene::Camera;
-use decouplegs::session::{HostPictures, Session, SessionOptions, SessionScene, World, WorldView};
+use decouplegs::session::{HostImages, Session, SessionOptions, SessionScene, World, WorldView};
 
 /// Workload of the benchmark: views and duration.
 struct Course {
@@ -44,7 +44,7 @@ impl Course {
                 world.remove(&agent.name)?;
             }
         }
-        let (mut viewer, mut pictures) = (session.viewer(), HostPictures::default());
+        let (mut viewer, mut images) = (session.viewer(), HostImages::default());
         let (mut times_ms, mut gpu_ms, mut seen) = (Vec::new(), Vec::new(), 0);
         let start = Instant::now();
         for step in 0.. {
@@ -54,7 +54,7 @@ impl Course {
             let views: Vec<WorldView<'_>> =
                 worlds.iter().zip(&cameras).map(|(world, cameras)| WorldView { world, cameras }).collect();
             let since = Instant::now();
-            let frames = if to_host { viewer.draw(&views, &mut pictures)? } else { viewer.draw_on_device(&views)?.1 };
+            let frames = if to_host { viewer.draw(&views, &mut images)? } else { viewer.draw_on_device(&views)?.1 };
             times_ms.push(1e3 * since.elapsed().as_secs_f64());
             gpu_ms.push(frames.iter().map(|frame| 1e3 * frame.gpu_time.as_secs_f64()).sum::<f64>());
             seen += frames.iter().map(|frame| frame.agents).sum::<usize>();
@@ -70,7 +70,7 @@ impl Course {
         gpu.sort_by(f64::total_cmp);
         let at = |sorted: &[f64], share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];
         println!(
-            "{} worlds of {} agents ({:.1} in view a world), {}x{}, pictures on the {}: median {:.2} ms, p99 {:.2} ms ({:.2} ms of it the \
+            "{} worlds of {} agents ({:.1} in view a world), {}x{}, images on the {}: median {:.2} ms, p99 {:.2} ms ({:.2} ms of it the \
              device's), {:.0} images/s over {} calls",
             self.worlds,
             self.agents.min(scene.agents().len()),

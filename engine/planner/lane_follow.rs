@@ -1,5 +1,5 @@
 //! A prudent driver who knows everything: the Intelligent Driver Model along the route, slow in bends, yielding to whoever will be in
-//! the way. What planners that look at pictures are measured against.
+//! the way. What planners that look at images are measured against.
 
 mod corridor;
 

@@ -44,7 +44,7 @@ pub enum Cameras {
     All,
 }
 
-/// A picture as a planner sees it.
+/// An image as a planner sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
     /// Camera: its projection and its pose on the ego (x forward, y left, z up from the middle of
@@ -126,7 +126,7 @@ pub struct Observation<'a> {
     pub step: u32,
     /// Since the episode's start, seconds.
     pub time_s: f64,
-    /// The pictures it asked for; none at a step that is not drawn.
+    /// The images it asked for; none at a step that is not drawn.
     pub frames: &'a [Frame<'a>],
     /// Motion of the ego.
     pub ego: EgoMotion,

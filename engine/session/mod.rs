@@ -6,14 +6,14 @@
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use decouplegs::session::{HostPictures, Session, SessionOptions, World, WorldView};
+//! use decouplegs::session::{HostImages, Session, SessionOptions, World, WorldView};
 //! use decouplegs::scene::Pose;
 //!
 //! let session = Session::open(&SessionOptions::default())?;
 //! let scene = session.open_scene("street/scene.toml".as_ref())?;
 //! let mut viewer = session.viewer();
 //! let mut worlds = [World::new(&scene), World::new(&scene)];
-//! let mut pictures = HostPictures::default();
+//! let mut images = HostImages::default();
 //! for step in 0..100 {
 //!     let time_s = 0.1 * f64::from(step);
 //!     worlds[0].set_time(time_s);
@@ -21,8 +21,8 @@
 //!     worlds[1].move_to("car_001", pose)?;
 //!     let cameras = scene.rig().at(&scene.ego().at(time_s));
 //!     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
-//!     let drawn = viewer.draw(&views, &mut pictures)?;
-//!     println!("{:?}, first pixel {:?}", drawn[0].gpu_time, &pictures.rgba(0, 0)[..4]);
+//!     let drawn = viewer.draw(&views, &mut images)?;
+//!     println!("{:?}, first pixel {:?}", drawn[0].gpu_time, &images.rgba(0, 0)[..4]);
 //! }
 //! # Ok(())
 //! # }
@@ -45,7 +45,7 @@ use glam::DVec3;
 use crate::LiveScene;
 use crate::episode::Site;
 
-pub use viewer::{HostPictures, Viewer, WorldView};
+pub use viewer::{HostImages, Viewer, WorldView};
 pub use world::{World, WorldAgent};
 
 /// Probes of light that a scene keeps at most, about 110 bytes each: agents that are sent anywhere at all must not fill the memory.
@@ -121,7 +121,7 @@ pub struct SessionOptions {
 }
 
 impl Default for SessionOptions {
-    /// The best device, pictures in bytes, and room to spare for cameras that leap.
+    /// The best device, images in bytes, and room to spare for cameras that leap.
     fn default() -> Self {
         let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
         let render = RenderOptions { outputs, spare: 0.5, ..RenderOptions::default() };

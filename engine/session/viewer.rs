@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
-use decouplegs_render::{ColorFormat, FrameStatistics, Picture, PictureBytes, RenderOptions, Renderer, TakenPictures};
+use decouplegs_render::{ColorFormat, FrameStatistics, Image, ImageBytes, RenderOptions, Renderer, TakenImages};
 use decouplegs_scene::{Camera, Rules};
 use glam::DVec3;
 
@@ -29,16 +29,16 @@ pub struct Viewer {
     renderers: Vec<Renderer>,
 }
 
-/// Pictures on the host, four bytes a pixel: red, green, blue, alpha. Kept from frame to frame, their memory is used again.
+/// Images on the host, four bytes a pixel: red, green, blue, alpha. Kept from frame to frame, their memory is used again.
 #[derive(Default)]
-pub struct HostPictures {
-    frames: Vec<PictureBytes>,
+pub struct HostImages {
+    frames: Vec<ImageBytes>,
     /// Frame and place in it of each camera, by view.
     places: Vec<Vec<(usize, usize)>>,
 }
 
-impl HostPictures {
-    /// Pictures of view `view`.
+impl HostImages {
+    /// Images of view `view`.
     #[must_use]
     pub fn cameras(&self, view: usize) -> usize {
         self.places[view].len()
@@ -50,14 +50,14 @@ impl HostPictures {
         self.places.len()
     }
 
-    /// Width and height of a camera's picture, pixels.
+    /// Width and height of a camera's image, pixels.
     #[must_use]
     pub fn size_px(&self, view: usize, camera: usize) -> [u32; 2] {
         let (frame, place) = self.places[view][camera];
         self.frames[frame].size_px(place)
     }
 
-    /// The picture of camera `camera` of view `view`, row by row from the top.
+    /// The image of camera `camera` of view `view`, row by row from the top.
     #[must_use]
     pub fn rgba(&self, view: usize, camera: usize) -> &[u8] {
         let (frame, place) = self.places[view][camera];
@@ -91,21 +91,21 @@ impl Viewer {
         })
     }
 
-    /// Draws `views` and brings the pictures to the host. What each frame took is returned: one frame draws up to 32 cameras of
+    /// Draws `views` and brings the images to the host. What each frame took is returned: one frame draws up to 32 cameras of
     /// worlds over the same scene that follow one another, and all frames are submitted before the first is waited for, as far as
     /// [`decouplegs_render::RenderOptions::frames_in_flight`] lets them.
     ///
     /// # Errors
-    /// When a camera or agent cannot make a picture, the device has not the memory or was lost, or pictures are floats.
-    pub fn draw(&mut self, views: &[WorldView<'_>], pictures: &mut HostPictures) -> Result<Vec<FrameStatistics>, SessionError> {
+    /// When a camera or agent cannot make an image, the device has not the memory or was lost, or images are floats.
+    pub fn draw(&mut self, views: &[WorldView<'_>], images: &mut HostImages) -> Result<Vec<FrameStatistics>, SessionError> {
         if self.options.outputs.color != ColorFormat::U8 {
             return Err(SessionError::NotBytes);
         }
-        pictures.places = vec![Vec::new(); views.len()];
-        let HostPictures { frames, places } = pictures;
+        images.places = vec![Vec::new(); views.len()];
+        let HostImages { frames, places } = images;
         self.each_frame(views, |renderer, number, batch| {
             if frames.len() <= number {
-                frames.push(PictureBytes::default());
+                frames.push(ImageBytes::default());
             }
             renderer.read_bytes(&mut frames[number])?;
             let own = batch.parts.iter().flat_map(|part| part.cameras.clone().map(|_| part.view));
@@ -118,17 +118,17 @@ impl Viewer {
     ///
     /// # Errors
     /// Those of [`Viewer::draw`].
-    pub fn draw_pictures(&mut self, views: &[WorldView<'_>]) -> Result<(Vec<Vec<Picture>>, Vec<FrameStatistics>), SessionError> {
-        let mut pictures: Vec<Vec<Picture>> = vec![Vec::new(); views.len()];
+    pub fn draw_images(&mut self, views: &[WorldView<'_>]) -> Result<(Vec<Vec<Image>>, Vec<FrameStatistics>), SessionError> {
+        let mut images: Vec<Vec<Image>> = vec![Vec::new(); views.len()];
         let statistics = self.each_frame(views, |renderer, _, batch| {
             let own = batch.parts.iter().flat_map(|part| part.cameras.clone().map(|_| part.view));
-            own.zip(renderer.read_pictures()?).for_each(|(view, picture)| pictures[view].push(picture));
+            own.zip(renderer.read_images()?).for_each(|(view, image)| images[view].push(image));
             Ok(())
         })?;
-        Ok((pictures, statistics))
+        Ok((images, statistics))
     }
 
-    /// Draws `views` and leaves the pictures on the device, a frame each: cameras in the order of the views. They stay as they are
+    /// Draws `views` and leaves the images on the device, a frame each: cameras in the order of the views. They stay as they are
     /// until they are dropped, and with [`decouplegs_render::Outputs::exported`] another API may read them there.
     ///
     /// # Errors
@@ -136,10 +136,10 @@ impl Viewer {
     pub fn draw_on_device(
         &mut self,
         views: &[WorldView<'_>],
-    ) -> Result<(Vec<TakenPictures>, Vec<FrameStatistics>), SessionError> {
+    ) -> Result<(Vec<TakenImages>, Vec<FrameStatistics>), SessionError> {
         let mut taken = Vec::new();
         let statistics = self.each_frame(views, |renderer, _, _| {
-            taken.extend(renderer.take_pictures()?);
+            taken.extend(renderer.take_images()?);
             Ok(())
         })?;
         Ok((taken, statistics))
@@ -188,7 +188,7 @@ impl Viewer {
         }
     }
 
-    /// Pixels that one buffer of pictures can hold.
+    /// Pixels that one buffer of images can hold.
     fn pixels_max(&self) -> u64 {
         let bytes = match self.options.outputs.color {
             ColorFormat::F32 => 16,

@@ -29,7 +29,7 @@ struct Camera {
     float key_scale;  // turns such a depth into one between -1 and 1, exactly: a power of two
     float key_depth;  // the camera's own depth relative to the world's origin, scaled
     uint first_bin;   // bins of camera c are first_bin .. first_bin + macro_tiles.x * macro_tiles.y, row-major
-    uint first_pixel; // where its picture begins in the output buffers
+    uint first_pixel; // where its image begins in the output buffers
 };
 
 struct Chunk {

@@ -6,8 +6,8 @@ layout(constant_id = 2) const bool INSTANCE = false;        // instance of the s
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
 #include "camera_of_bin.glsl"
-layout(set = 0, binding = 1, std430) writeonly buffer pictures_f32_block { vec4 pictures_f32[]; };
-layout(set = 0, binding = 2, std430) writeonly buffer pictures_u8_block { uint pictures_u8[]; };
+layout(set = 0, binding = 1, std430) writeonly buffer images_f32_block { vec4 images_f32[]; };
+layout(set = 0, binding = 2, std430) writeonly buffer images_u8_block { uint images_u8[]; };
 layout(set = 0, binding = 3, std430) writeonly buffer depths_block { float depths_m[]; };
 layout(set = 0, binding = 4, std430) writeonly buffer instance_ids_block { uint instance_ids[]; };
 
@@ -63,9 +63,9 @@ void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky) {
     float alpha = 1.0 - pixel.transmittance;
     vec4 value = vec4(pixel.color + pixel.transmittance * sky, alpha);
     if (COLOR_U8) {
-        pictures_u8[place] = packUnorm4x8(value);
+        images_u8[place] = packUnorm4x8(value);
     } else {
-        pictures_f32[place] = value;
+        images_f32[place] = value;
     }
     if (DEPTH) {
         depths_m[place] = alpha > 0.0 ? pixel.weighted_depth / alpha : 0.0;

@@ -1,7 +1,7 @@
 // From a Gaussian in the world to its footprint in an image: elliptical weighted average splatting (Zwicker et al., EWA
 // Splatting, 2002; Kerbl et al., 3D Gaussian Splatting, 2023), in f32.
 
-// Variants of a picture's rules, fixed when the kernel is built.
+// Variants of an image's rules, fixed when the kernel is built.
 layout(constant_id = 0) const float NEAR_M = 0.01;
 layout(constant_id = 1) const bool ANTIALIAS = false;
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::*;
 
-/// A lat-long picture of 32 x 16 px with a bright spot in a colored sky, as Radiance HDR without run lengths.
+/// A lat-long image of 32 x 16 px with a bright spot in a colored sky, as Radiance HDR without run lengths.
 fn probe(folder: &Path, name: &str, spot: (i32, i32), sky: [u8; 3], sun: [u8; 3]) -> PathBuf {
     let mut bytes = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16 +X 32\n".to_vec();
     for (y, x) in (0..16).flat_map(|y| (0..32).map(move |x| (y, x))) {
@@ -61,7 +61,7 @@ fn a_transfer_is_calibrated_measured_and_the_same_every_time() {
     let [none, relit, affine]: [f64; 3] = std::array::from_fn(|at| all[at + 1].parse().unwrap());
     assert!(affine <= relit && relit < none, "{said}");
     let html = fs::read_to_string(&report).unwrap();
-    assert!(html.matches("data:image/png").count() == 7 * 4 + 2 && html.contains("d.hdr"), "pictures of seven probes");
+    assert!(html.matches("data:image/png").count() == 7 * 4 + 2 && html.contains("d.hdr"), "images of seven probes");
 
     calibrated(&second, &[]);
     let bytes = fs::read(&first).unwrap();

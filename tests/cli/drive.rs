@@ -11,7 +11,7 @@ fn blind(out: &Path, more: &[&str]) -> String {
     succeed(&[&run[..], &["--out", text(out)], more].concat())
 }
 
-/// Drawn episodes, their pictures small and their street coarse.
+/// Drawn episodes, their images small and their street coarse.
 fn drawn(out: &Path, planner: &str, more: &[&str]) -> String {
     let run = ["drive", "--level", "easy", "--planner", planner, "--size", "64x36"];
     let street = ["--background", "6000", "--agent-splats", "300"];
@@ -73,21 +73,21 @@ fn the_same_seed_gives_the_same_bytes_whoever_works() {
     let [one, two] = ["drawn one", "drawn two"].map(|name| folder.path().join(name));
     drawn(&one, "vision", &["--episodes", "2"]);
     drawn(&two, "vision", &["--episodes", "2", "--workers", "2"]);
-    assert_eq!(logs(&one), logs(&two), "hashes of pictures are in the logs");
+    assert_eq!(logs(&one), logs(&two), "hashes of images are in the logs");
 }
 
 #[test]
 fn a_log_replays_to_the_last_bit_and_a_changed_one_does_not() {
     let folder = tempfile::tempdir().unwrap();
-    drawn(folder.path(), "lane-follow", &["--episodes", "1", "--pictures", "all"]);
+    drawn(folder.path(), "lane-follow", &["--episodes", "1", "--images", "all"]);
     let log = only_log(folder.path());
     let said = succeed(&["replay", text(&log)]);
-    assert!(said.contains("to the last bit") && said.contains("pictures: the same"), "{said}");
-    let pictures = folder.path().join("again");
-    succeed(&["replay", text(&log), "--pictures", text(&pictures)]);
+    assert!(said.contains("to the last bit") && said.contains("images: the same"), "{said}");
+    let images = folder.path().join("again");
+    succeed(&["replay", text(&log), "--images", text(&images)]);
     let name = log.file_stem().unwrap().to_string_lossy().into_owned();
-    let kept = folder.path().join("pictures").join(name).join("front_0003.png");
-    assert!(fs::read(kept).unwrap() == fs::read(pictures.join("front_0003.png")).unwrap());
+    let kept = folder.path().join("images").join(name).join("front_0003.png");
+    assert!(fs::read(kept).unwrap() == fs::read(images.join("front_0003.png")).unwrap());
     // One digit of a plan.
     let bytes = fs::read(&log).unwrap();
     let at = bytes.len() / 2 + bytes[bytes.len() / 2..].iter().position(u8::is_ascii_digit).unwrap();
@@ -240,24 +240,24 @@ fn a_planner_of_others_that_fails_ends_its_episode_and_not_the_run() {
 }
 
 #[test]
-fn two_sources_of_pictures_are_compared_by_what_a_planner_makes_of_them() {
+fn two_sources_of_images_are_compared_by_what_a_planner_makes_of_them() {
     let folder = tempfile::tempdir().unwrap();
-    drawn(folder.path(), "vision", &["--episodes", "1", "--pictures", "all"]);
+    drawn(folder.path(), "vision", &["--episodes", "1", "--images", "all"]);
     let log = only_log(folder.path());
-    let pictures = folder.path().join("pictures").join(log.file_stem().unwrap());
+    let images = folder.path().join("images").join(log.file_stem().unwrap());
     let figures = folder.path().join("open.json");
     let common = ["open-loop", text(&log), "--planner", "vision", "--json", text(&figures)];
-    let same = succeed(&[&common[..], &["--reference", "rendered", "--other", text(&pictures)]].concat());
-    assert!(same.contains("mADE 0.000 m"), "the pictures on disk are those that were drawn: {same}");
+    let same = succeed(&[&common[..], &["--reference", "rendered", "--other", text(&images)]].concat());
+    assert!(same.contains("mADE 0.000 m"), "the images on disk are those that were drawn: {same}");
     let dark = folder.path().join("dark");
     fs::create_dir(&dark).unwrap();
-    for entry in fs::read_dir(&pictures).unwrap().map(|entry| entry.unwrap()) {
-        let mut picture = Picture::read(&entry.path()).unwrap();
-        picture.rgb.iter_mut().for_each(|rgb| *rgb = [0.0; 3]);
-        fs::write(dark.join(entry.file_name()), picture.encode(decouplegs::render::picture::PictureFormat::Png).unwrap())
+    for entry in fs::read_dir(&images).unwrap().map(|entry| entry.unwrap()) {
+        let mut image = Image::read(&entry.path()).unwrap();
+        image.rgb.iter_mut().for_each(|rgb| *rgb = [0.0; 3]);
+        fs::write(dark.join(entry.file_name()), image.encode(decouplegs::render::rendered_image::ImageFileFormat::Png).unwrap())
             .unwrap();
     }
-    succeed(&[&common[..], &["--reference", text(&pictures), "--other", text(&dark)]].concat());
+    succeed(&[&common[..], &["--reference", text(&images), "--other", text(&dark)]].concat());
     let report: Value = serde_json::from_slice(&fs::read(&figures).unwrap()).unwrap();
     let differences = report["plan_difference_m"].as_array().unwrap();
     assert!(differences.iter().any(|meters| meters.as_f64().is_some_and(|meters| meters > 0.05)), "{report}");

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use decouplegs::asset::SceneFile;
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use glam::DVec3;
 
 use super::*;
@@ -117,7 +117,7 @@ fn layers_are_drawn_by_name_and_agents_let_through_what_is_behind() {
         // changes rounding by less than 4e-5; whole lists are equal to the last bit (`frames::editing`).
         let always = ["render", text(&new), "--layer", layer, "--rules", "gsplat15", "--format", format, "--out", text(&out)];
         succeed(&[&always, more].concat());
-        Picture::read(&out.join(format!("front.{format}"))).unwrap()
+        Image::read(&out.join(format!("front.{format}"))).unwrap()
     };
     let [all, background, agents] = ["all", "background", "agents"].map(|layer| front(layer, "npy", &[]));
     assert!(all != background && agents != background);

@@ -10,20 +10,20 @@ fn splats_without_cameras_are_drawn_from_all_sides() {
     let said =
         succeed(&["render", text(&world), "--size", "64x36", "--up", "z", "--planes", "depth,instance", "--out", text(&out)]);
     assert_eq!(said.lines().count(), 24, "eight views, each with its two planes: {said}");
-    let mut pictures = Vec::new();
+    let mut images = Vec::new();
     for view in 0..8 {
-        let [picture, depth, instance] =
+        let [image, depth, instance] =
             ["png", "depth.npy", "instance.npy"].map(|end| out.join(format!("orbit_{view:03}.{end}")));
-        let picture = Picture::read(&picture).unwrap();
-        assert!(picture.rgb.iter().any(|rgb| rgb.iter().any(|&value| value > 0.1)), "view {view} shows something");
+        let image = Image::read(&image).unwrap();
+        assert!(image.rgb.iter().any(|rgb| rgb.iter().any(|&value| value > 0.1)), "view {view} shows something");
         let depth = fs::read(depth).unwrap();
         assert_eq!(depth.len(), 128 + 64 * 36 * 4);
         let deepest = depth[128..].chunks_exact(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).fold(0.0, f32::max);
         assert!(deepest > 1.0, "{deepest}");
         assert_eq!(fs::read(instance).unwrap().len(), 128 + 64 * 36 * 2);
-        pictures.push(picture);
+        images.push(image);
     }
-    assert!(pictures[0] != pictures[4], "the two sides differ");
+    assert!(images[0] != images[4], "the two sides differ");
     let said = succeed(&["render", text(&world), "--orbit", "2", "--look-at", "0,0,1", "--distance", "20", "--out", text(&out)]);
     assert_eq!(said.lines().count(), 2, "{said}");
 }
@@ -68,7 +68,7 @@ fn cameras_of_colmap_and_of_nerf_synthetic_are_read() {
     fs::write(model.join("images.txt"), "1 0.5 -0.5 0.5 -0.5 0 1 2 1 first.jpg\n\n").unwrap();
     let said = succeed(&["render", text(&world), "--cameras", text(folder.path()), "--out", text(&out)]);
     assert!(said.contains("first.png"), "{said}");
-    assert_eq!(Picture::read(&out.join("first.png")).unwrap().width, 96);
+    assert_eq!(Image::read(&out.join("first.png")).unwrap().width, 96);
     let synthetic = folder.path().join("transforms_train.json");
     let pose = "[[0,0,1,2],[1,0,0,0],[0,1,0,1],[0,0,0,1]]";
     fs::write(
@@ -79,7 +79,7 @@ fn cameras_of_colmap_and_of_nerf_synthetic_are_read() {
     let render = ["render", text(&world), "--cameras", text(&synthetic), "--out", text(&out)];
     assert!(fail(1, &render).contains("--size"));
     succeed(&[&render[..], &["--size", "40x40"]].concat());
-    assert_eq!(Picture::read(&out.join("train_r_0.png")).unwrap().width, 40);
+    assert_eq!(Image::read(&out.join("train_r_0.png")).unwrap().width, 40);
 }
 
 #[test]

@@ -18,7 +18,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use serde_json::Value;
 
 fn decouplegs(arguments: &[&str]) -> Output {
@@ -144,7 +144,7 @@ fn the_reference_draws_each_camera_into_a_file_of_its_name() {
     let [own, given] = ["own", "given"].map(|name| folder.path().join(name));
     let sheet = folder.path().join("sheet.png");
     succeed(&["render", text(&scene), "--reference", "--format", "npy", "--out", text(&own), "--contact-sheet", text(&sheet)]);
-    // The rig where the ego starts is what transforms.json holds: the same pictures, to the bit.
+    // The rig where the ego starts is what transforms.json holds: the same images, to the bit.
     let cameras = street.join("transforms.json");
     succeed(&["render", text(&scene), "--reference", "--format", "npy", "--out", text(&given), "--cameras", text(&cameras)]);
     let mut names: Vec<_> = fs::read_dir(&own).unwrap().map(|entry| entry.unwrap().file_name()).collect();
@@ -159,10 +159,10 @@ fn the_reference_draws_each_camera_into_a_file_of_its_name() {
 
     // The comparison can fail: two cameras see different things.
     let [a, b] = [own.join(&names[0]), own.join(&names[1])];
-    let picture = folder.path().join("difference.png");
-    let difference = json(&["compare", text(&a), text(&b), "--json", "--difference", text(&picture)]);
+    let image = folder.path().join("difference.png");
+    let difference = json(&["compare", text(&a), text(&b), "--json", "--difference", text(&image)]);
     assert!(difference["psnr_db"].as_f64().unwrap() < 40.0, "{difference}");
-    assert!(picture.exists());
+    assert!(image.exists());
     let said = fail(1, &["compare", text(&a), text(&sheet)]);
     assert!(said.contains("48x27"), "sizes that differ are named: {said}");
 }
@@ -194,7 +194,7 @@ fn the_gpu_draws_what_the_reference_draws() {
 }
 
 #[test]
-fn png_and_exr_hold_the_same_picture_and_nothing_is_drawn_on_what_is_no_terminal() {
+fn png_and_exr_hold_the_same_image_and_nothing_is_drawn_on_what_is_no_terminal() {
     let folder = tempfile::tempdir().unwrap();
     small_street(folder.path());
     let scene = folder.path().join("scene.toml");
@@ -204,10 +204,10 @@ fn png_and_exr_hold_the_same_picture_and_nothing_is_drawn_on_what_is_no_terminal
         let said = String::from_utf8(output.stderr).unwrap();
         assert!(output.status.success(), "{said}");
         // The device; and on a slow machine, what is done every other second. No bar, which needs a terminal.
-        let is_plain = !said.contains(['\r', '\u{1b}']) && said.lines().skip(1).all(|line| line.starts_with("pictures: "));
+        let is_plain = !said.contains(['\r', '\u{1b}']) && said.lines().skip(1).all(|line| line.starts_with("images: "));
         assert!(said.starts_with("on ") && is_plain, "{said:?}");
     }
-    assert_eq!(fs::read_dir(&out).unwrap().count(), 12, "six pictures twice, and no temporary file");
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 12, "six images twice, and no temporary file");
     let difference = json(&["compare", text(&out.join("front.png")), text(&out.join("front.exr")), "--json"]);
     // Half a level of 8 bits, which no channel of this street exceeds by clamping.
     let max_abs = difference["max_abs"].as_f64().unwrap();

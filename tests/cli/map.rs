@@ -1,4 +1,4 @@
-//! `decouplegs map`: tables, JSON and pictures of small maps.
+//! `decouplegs map`: tables, JSON and images of small maps.
 
 use super::*;
 
@@ -37,14 +37,14 @@ fn a_map_is_described_in_words_and_in_json() {
 }
 
 #[test]
-fn a_picture_shows_lanes_and_tracks() {
+fn an_image_shows_lanes_and_tracks() {
     let folder = tempfile::tempdir().unwrap();
     let map = written(folder.path(), "lanes & more.json", LANES);
     let tracks = written(folder.path(), "tracks.csv", TRACKS);
-    let picture = folder.path().join("map.svg");
+    let image = folder.path().join("map.svg");
     let draw = |more: &[&str]| {
-        let said = succeed(&[&["map", text(&map), "--svg", text(&picture)], more].concat());
-        (said, fs::read_to_string(&picture).unwrap())
+        let said = succeed(&[&["map", text(&map), "--svg", text(&image)], more].concat());
+        (said, fs::read_to_string(&image).unwrap())
     };
     let (_, svg) = draw(&[]);
     assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n") && svg.contains("lanes &amp; more.json"), "{svg}");
@@ -62,17 +62,17 @@ fn a_picture_shows_lanes_and_tracks() {
 #[test]
 fn what_is_no_map_is_refused_and_nothing_is_written() {
     let folder = tempfile::tempdir().unwrap();
-    let picture = folder.path().join("map.svg");
+    let image = folder.path().join("map.svg");
     let refused = |name: &str, content: &str| {
         let path = written(folder.path(), name, content);
-        fail(1, &["map", text(&path), "--svg", text(&picture)])
+        fail(1, &["map", text(&path), "--svg", text(&image)])
     };
     assert!(refused("page.osm", "<html/>").contains("page.osm: XML of another kind; expected a map"));
     assert!(refused("empty.json", "{\"lanes\": []}").contains("empty.json: not a readable lane JSON file"));
     assert!(refused("cut.xodr", "<OpenDRIVE><road").contains("cut.xodr"));
     let map = written(folder.path(), "lanes.json", LANES);
     let tracks = written(folder.path(), "tracks.csv", "t,id,x,y\n0,a,1,\n");
-    let said = fail(1, &["map", text(&map), "--svg", text(&picture), "--tracks", text(&tracks)]);
+    let said = fail(1, &["map", text(&map), "--svg", text(&image), "--tracks", text(&tracks)]);
     assert!(said.contains("tracks.csv") && said.contains("line 2, 'y'"), "{said}");
-    assert!(!picture.exists());
+    assert!(!image.exists());
 }

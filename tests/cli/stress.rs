@@ -43,7 +43,7 @@ fn modes_are_measured_against_agents_and_compared_with_vanilla() {
     assert_eq!(point(&figures, "decoupled", 0)["fidelity"]["equal"], true, "without agents both draw the same splats");
     let psnr_db = decibels("decoupled", 3, "psnr_all_db").expect("compression loses something");
     assert!(psnr_db > 30.0, "{psnr_db} dB");
-    assert_eq!(Some(psnr_db), decibels("decoupled-serial", 3, "psnr_all_db"), "overlap changes no picture");
+    assert_eq!(Some(psnr_db), decibels("decoupled-serial", 3, "psnr_all_db"), "overlap changes no image");
     assert!(decibels("keep=0.3", 3, "psnr_vehicles_db") < decibels("decoupled", 3, "psnr_vehicles_db"), "{figures}");
     assert!(decibels("sh0", 3, "psnr_all_db").unwrap() < psnr_db, "{figures}");
     assert!(point(&figures, "vanilla", 3)["fidelity"].is_null() && figures["memory_lines"]["total_by_agent"].is_object());

@@ -1,7 +1,7 @@
 //! Agents: what is drawn through codebooks against the same splats decoded, placed and drawn by definition.
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, Picture, RenderOptions, Renderer, Scene, reference};
+use decouplegs::render::{Agent, AssetPool, Image, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::{AgentPlacement, Bounds, Camera, CodedCloud, Intrinsics, Pose, Rules, ShFrame, SplatCodes, World};
 use glam::{DQuat, DVec3};
 
@@ -123,23 +123,23 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
     let statistics = renderer.render(Scene::with_agents(&resident, &pool, &agents), &cameras).unwrap();
     assert_eq!(statistics.agents, 3, "the one behind all cameras is not sent to the device");
     let truth = baked(&world, &cars, &moved);
-    for (picture, camera) in renderer.read_pictures().unwrap().iter().zip(&cameras) {
-        let expected = reference::render(&truth, camera, &Rules::DEFAULT).to_picture();
-        let difference = Difference::between(picture, &expected).unwrap();
+    for (image, camera) in renderer.read_images().unwrap().iter().zip(&cameras) {
+        let expected = reference::render(&truth, camera, &Rules::DEFAULT).to_image();
+        let difference = Difference::between(image, &expected).unwrap();
         println!("{}: {:.1} dB, max {:.5}", camera.name, difference.psnr_db, difference.max_abs);
         assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{}: {difference:?}", camera.name);
-        let ids = |picture: &Picture| picture.instance.clone().unwrap();
-        let other = ids(picture).iter().zip(ids(&expected)).filter(|(a, b)| **a != *b).count();
-        assert!(other * 500 <= ids(picture).len(), "{other} pixels belong to another instance");
+        let ids = |image: &Image| image.instance.clone().unwrap();
+        let other = ids(image).iter().zip(ids(&expected)).filter(|(a, b)| **a != *b).count();
+        assert!(other * 500 <= ids(image).len(), "{other} pixels belong to another instance");
     }
 }
 
 /// Draws `agents` before `world` by a renderer of its own.
-fn draw_agents(gpu: &Validated, world: &World, pool: &AssetPool, agents: &[Agent], cameras: &[Camera]) -> Vec<Picture> {
+fn draw_agents(gpu: &Validated, world: &World, pool: &AssetPool, agents: &[Agent], cameras: &[Camera]) -> Vec<Image> {
     let mut renderer = Renderer::new(gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
     let resident = renderer.upload(world).unwrap();
     renderer.render(Scene::with_agents(&resident, pool, agents), cameras).unwrap();
-    renderer.read_pictures().unwrap()
+    renderer.read_images().unwrap()
 }
 
 #[test]
@@ -162,9 +162,9 @@ fn agents_come_go_change_and_move_between_frames() {
     let resident = renderer.upload(&world).unwrap();
     for (index, agents) in frames.iter().enumerate() {
         renderer.render(Scene::with_agents(&resident, &pool, agents), &cameras).unwrap();
-        let pictures = renderer.read_pictures().unwrap();
-        assert!(pictures == draw_agents(&gpu, &world, &pool, agents, &cameras), "frame {index} remembers another");
-        let seen = |id: u16| pictures[0].instance.as_ref().unwrap().contains(&id);
+        let images = renderer.read_images().unwrap();
+        assert!(images == draw_agents(&gpu, &world, &pool, agents, &cameras), "frame {index} remembers another");
+        let seen = |id: u16| images[0].instance.as_ref().unwrap().contains(&id);
         assert_eq!([seen(1), seen(2)], [1, 2].map(|id| agents.iter().any(|agent| agent.instance == id)), "frame {index}");
     }
 }
@@ -188,9 +188,9 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
         (0..3).map(|i| Agent { asset: pool.add(&coded_car(400, 40 + i)).unwrap(), instance: 2, ..agents[0] }).collect();
     renderer.submit(Scene::with_agents(&resident, &pool, &others), &cameras).unwrap();
     renderer.finish().unwrap();
-    assert!(renderer.read_pictures().unwrap() == expected, "the frame in flight lost its asset");
+    assert!(renderer.read_images().unwrap() == expected, "the frame in flight lost its asset");
     renderer.finish().unwrap();
-    assert!(renderer.read_pictures().unwrap() == draw_agents(&gpu, &world, &pool, &others, &cameras));
+    assert!(renderer.read_images().unwrap() == draw_agents(&gpu, &world, &pool, &others, &cameras));
     let stale = renderer.submit(Scene::with_agents(&resident, &pool, &agents), &cameras).unwrap_err();
     assert!(stale.to_string().contains("removed"), "{stale}");
     let nowhere = [Agent { world_from_agent: Pose { translation: DVec3::NAN, ..pose }, ..others[0] }];
@@ -212,8 +212,8 @@ fn turning_world_agents_and_camera_together_changes_nothing() {
         let turned = Pose::new(turn, DVec3::new(100.0, -40.0, 7.0));
         let moved = World { splats: world.splats.placed(&turned, true), ..world.clone() };
         let there = Camera { world_from_camera: turned.then(&camera.world_from_camera), ..camera.clone() };
-        let pictures = draw_agents(&gpu, &moved, &pool, &agent(turned.then(&pose)), &[there]);
-        let difference = Difference::between(&pictures[0], &here[0]).unwrap();
+        let images = draw_agents(&gpu, &moved, &pool, &agent(turned.then(&pose)), &[there]);
+        let difference = Difference::between(&images[0], &here[0]).unwrap();
         println!("{:.1} dB, max {:.5}", difference.psnr_db, difference.max_abs);
         assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{difference:?}");
     }

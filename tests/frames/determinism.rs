@@ -22,28 +22,28 @@ fn ties(count: usize) -> Vec<Splat> {
 }
 
 #[test]
-fn a_hundred_runs_of_one_frame_give_one_picture() {
+fn a_hundred_runs_of_one_frame_give_one_image() {
     let gpu = Validated::open();
     for rules in [Rules::DEFAULT, Rules::GSPLAT16] {
-        runs_give_one_picture(&gpu, rules);
+        runs_give_one_image(&gpu, rules);
     }
 }
 
-fn runs_give_one_picture(gpu: &Validated, rules: Rules) {
+fn runs_give_one_image(gpu: &Validated, rules: Rules) {
     let options = RenderOptions { rules, outputs: all_outputs(), segment_pairs: 256, ..RenderOptions::default() };
     let mut renderer = Renderer::new(gpu, options);
     let world = renderer.upload(&world_of(&ties(3000))).unwrap();
     let cameras = [camera_at(DVec3::ZERO, 96, 64), camera_at(DVec3::new(0.3, 0.0, -0.5), 70, 40)];
     renderer.render(&world, &cameras).unwrap();
-    let first = renderer.read_pictures().unwrap();
+    let first = renderer.read_images().unwrap();
     for run in 1..100 {
         renderer.render(&world, &cameras).unwrap();
-        assert!(renderer.read_pictures().unwrap() == first, "run {run} differs");
+        assert!(renderer.read_images().unwrap() == first, "run {run} differs");
     }
     // What is compared does change with the world.
     let other = renderer.upload(&world_of(&ties(3000)[1..])).unwrap();
     renderer.render(&other, &cameras).unwrap();
-    assert!(renderer.read_pictures().unwrap() != first);
+    assert!(renderer.read_images().unwrap() != first);
 }
 
 #[test]
@@ -53,9 +53,9 @@ fn a_camera_sees_the_same_alone_and_in_a_rig() {
     let world = renderer.upload(&world_of(&ties(3000))).unwrap();
     let cameras: Vec<_> = (0..6).map(|i| camera_at(DVec3::new(0.2 * f64::from(i), 0.0, -0.3), 90 + i, 50)).collect();
     renderer.render(&world, &cameras).unwrap();
-    let rig = renderer.read_pictures().unwrap();
-    for (camera, picture) in cameras.iter().zip(&rig) {
+    let rig = renderer.read_images().unwrap();
+    for (camera, image) in cameras.iter().zip(&rig) {
         renderer.render(&world, std::slice::from_ref(camera)).unwrap();
-        assert!(renderer.read_pictures().unwrap()[0] == *picture);
+        assert!(renderer.read_images().unwrap()[0] == *image);
     }
 }

@@ -10,7 +10,7 @@ use decouplegs::asset::{
     read_splats, write_coded, write_light_transfer,
 };
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Picture, RenderOptions, Renderer, reference};
+use decouplegs::render::{Image, RenderOptions, Renderer, reference};
 use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs::scene::{AmbientDescriptor, Camera, LightTransfer, Pose, Rules, ShFrame, TimedPose, Trajectory};
 use glam::DVec3;
@@ -135,18 +135,18 @@ fn cameras(loaded: &LoadedScene) -> Vec<Camera> {
     loaded.rig.at(&loaded.ego.at(0.0))
 }
 
-fn draw_by(gpu: &Validated, loaded: &LoadedScene, layer: Layer, options: RenderOptions) -> Vec<Picture> {
+fn draw_by(gpu: &Validated, loaded: &LoadedScene, layer: Layer, options: RenderOptions) -> Vec<Image> {
     let mut renderer = Renderer::new(gpu, options);
     let live = LiveScene::layer(&renderer, loaded, layer).unwrap();
     renderer.render(live.with(&live.at(0.0)), &cameras(loaded)).unwrap();
-    renderer.read_pictures().unwrap()
+    renderer.read_images().unwrap()
 }
 
 fn options() -> RenderOptions {
     RenderOptions { outputs: all_outputs(), ..RenderOptions::default() }
 }
 
-fn draw(gpu: &Validated, loaded: &LoadedScene, layer: Layer) -> Vec<Picture> {
+fn draw(gpu: &Validated, loaded: &LoadedScene, layer: Layer) -> Vec<Image> {
     draw_by(gpu, loaded, layer, options())
 }
 
@@ -166,10 +166,10 @@ fn the_background_is_a_scene_that_never_had_agents() {
 }
 
 /// Pixels whose color, alpha or depth is not the same to the last bit.
-fn differing(a: &Picture, b: &Picture) -> Vec<bool> {
-    let bits = |picture: &Picture, at: usize| {
-        let [r, g, b] = picture.rgb[at].map(f32::to_bits);
-        [r, g, b, picture.alpha[at].to_bits(), picture.depth.as_ref().unwrap()[at].to_bits()]
+fn differing(a: &Image, b: &Image) -> Vec<bool> {
+    let bits = |image: &Image, at: usize| {
+        let [r, g, b] = image.rgb[at].map(f32::to_bits);
+        [r, g, b, image.alpha[at].to_bits(), image.depth.as_ref().unwrap()[at].to_bits()]
     };
     (0..a.alpha.len()).map(|at| bits(a, at) != bits(b, at)).collect()
 }
@@ -270,25 +270,25 @@ fn every_layer_is_its_definition() {
     let loaded = Site::new().loaded();
     let truths = [Layer::All, Layer::Background, Layer::Agents].map(|layer| {
         let world = loaded.baked_layer(0.0, layer);
-        let truth = |camera: &Camera| reference::render(&world, camera, &world.rules).to_picture();
-        let truths: Vec<Picture> = cameras(&loaded).iter().map(truth).collect();
-        for (picture, truth) in draw(&gpu, &loaded, layer).iter().zip(&truths) {
-            let difference = Difference::between(picture, truth).unwrap();
-            let alpha_error = picture.alpha.iter().zip(&truth.alpha).fold(0f32, |worst, (a, b)| worst.max((a - b).abs()));
+        let truth = |camera: &Camera| reference::render(&world, camera, &world.rules).to_image();
+        let truths: Vec<Image> = cameras(&loaded).iter().map(truth).collect();
+        for (image, truth) in draw(&gpu, &loaded, layer).iter().zip(&truths) {
+            let difference = Difference::between(image, truth).unwrap();
+            let alpha_error = image.alpha.iter().zip(&truth.alpha).fold(0f32, |worst, (a, b)| worst.max((a - b).abs()));
             println!("{layer:?}: {:.1} dB, max {:.5}, alpha {alpha_error:.5}", difference.psnr_db, difference.max_abs);
             assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{layer:?}: {difference:?}");
             assert!(f64::from(alpha_error) <= ERROR_MAX, "{layer:?}: {alpha_error}");
         }
         truths
     });
-    // The comparison can fail: layers are different pictures.
+    // The comparison can fail: layers are different images.
     for (all, background) in truths[0].iter().zip(&truths[1]) {
         assert!(Difference::between(all, background).unwrap().psnr_db < 60.0);
     }
 }
 
-/// The same pictures, and in each pixel agents of the same name.
-fn assert_same(live: (&[Picture], &LiveScene), fresh: (&[Picture], &LoadedScene), step: &str) {
+/// The same images, and in each pixel agents of the same name.
+fn assert_same(live: (&[Image], &LiveScene), fresh: (&[Image], &LoadedScene), step: &str) {
     let plain = |instance: u16| fresh.1.agent_names.get(usize::from(instance).wrapping_sub(1)).cloned();
     let named = |instance: u16| live.1.agents().iter().find(|agent| agent.instance == instance).map(|agent| agent.name.clone());
     for (camera, (live, fresh)) in live.0.iter().zip(fresh.0).enumerate() {
@@ -314,11 +314,11 @@ fn a_scene_edited_while_it_is_shown_is_the_edited_file_loaded() {
     let mut shown = Vec::new();
     let mut check = |live: &LiveScene, file: &SceneFile, step: &str| {
         renderer.render(live.with(&live.at(0.0)), &views).unwrap();
-        let pictures = renderer.read_pictures().unwrap();
+        let images = renderer.read_images().unwrap();
         let fresh = loaded(file, folder);
-        assert_same((&pictures, live), (&draw(&gpu, &fresh, Layer::All), &fresh), step);
-        assert!(!shown.contains(&pictures), "{step} is seen");
-        shown.push(pictures);
+        assert_same((&images, live), (&draw(&gpu, &fresh, Layer::All), &fresh), step);
+        assert!(!shown.contains(&images), "{step} is seen");
+        shown.push(images);
     };
     check(&live, &file, "as loaded");
 

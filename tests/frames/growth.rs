@@ -9,7 +9,7 @@ use super::{PSNR_MIN_DB, Splat, camera_at, world_of};
 use crate::device::Validated;
 
 #[test]
-fn every_list_grows_and_the_picture_is_whole() {
+fn every_list_grows_and_the_image_is_whole() {
     let gpu = Validated::open();
     let splats: Vec<Splat> =
         (0..2000).map(|i| Splat { opacity: 0.05, scale_m: [2.0; 3], ..Splat::at(0.0, 0.0, 5.0 + i as f32 * 0.0005) }).collect();
@@ -29,7 +29,7 @@ fn every_list_grows_and_the_picture_is_whole() {
         (12 * 8, 12),
         "2000 entries are 7 segments of 256 and one of 208"
     );
-    let whole = roomy.read_pictures().unwrap();
+    let whole = roomy.read_images().unwrap();
 
     for capacity in [
         Capacity { records: 1, pairs: 1, partials: 1 },
@@ -40,7 +40,7 @@ fn every_list_grows_and_the_picture_is_whole() {
         let statistics = tight.render(&resident, &cameras).unwrap();
         assert!(statistics.redrawn > 0, "{capacity:?} cannot have been enough");
         assert!(statistics.capacity.holds(&statistics.needs));
-        assert!(tight.read_pictures().unwrap() == whole, "{capacity:?}");
+        assert!(tight.read_images().unwrap() == whole, "{capacity:?}");
     }
 }
 
@@ -57,14 +57,14 @@ fn cutting_lists_into_segments_changes_rounding_only() {
         .collect();
     let world = world_of(&splats);
     let cameras = [camera_at(DVec3::ZERO, 128, 64)];
-    let mut pictures = [64, 256, 1024, u32::MAX].map(|segment_pairs| {
+    let mut images = [64, 256, 1024, u32::MAX].map(|segment_pairs| {
         let mut renderer = Renderer::new(&gpu, RenderOptions { segment_pairs, ..RenderOptions::default() });
         let resident = renderer.upload(&world).unwrap();
         let statistics = renderer.render(&resident, &cameras).unwrap();
         assert_eq!(statistics.needs.partials > 0, segment_pairs != u32::MAX);
-        renderer.read_pictures().unwrap().remove(0)
+        renderer.read_images().unwrap().remove(0)
     });
-    let [first, rest @ ..] = &mut pictures;
+    let [first, rest @ ..] = &mut images;
     for other in rest {
         let worst = first.rgb.iter().flatten().zip(other.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
         // Stopping when a pixel is full may come a segment later: at most the transmittance left, 1e-4.
@@ -92,8 +92,8 @@ fn tiles_that_fill_late_are_drawn_to_the_end() {
         let mut renderer = Renderer::new(&gpu, RenderOptions { rules, segment_pairs, ..RenderOptions::default() });
         let resident = renderer.upload(&world).unwrap();
         renderer.render(&resident, std::slice::from_ref(&camera)).unwrap();
-        let picture = renderer.read_pictures().unwrap().remove(0);
-        let difference = Difference::between(&picture, &reference::render(&world, &camera, &rules).to_picture()).unwrap();
+        let image = renderer.read_images().unwrap().remove(0);
+        let difference = Difference::between(&image, &reference::render(&world, &camera, &rules).to_image()).unwrap();
         println!("{rules:?}, segments of {segment_pairs}: {:.1} dB, max {}", difference.psnr_db, difference.max_abs);
         assert!(difference.psnr_db >= PSNR_MIN_DB, "{rules:?}, segments of {segment_pairs}: {:.1} dB", difference.psnr_db);
     }
@@ -112,8 +112,8 @@ fn a_list_too_long_for_one_run_in_software_is_drawn_right() {
         let resident = renderer.upload(&world).unwrap();
         let statistics = renderer.render(&resident, std::slice::from_ref(&camera)).unwrap();
         assert_eq!(statistics.needs.longest, 17_000);
-        let picture = renderer.read_pictures().unwrap().remove(0);
-        let difference = Difference::between(&picture, &reference::render(&world, &camera, &rules).to_picture()).unwrap();
+        let image = renderer.read_images().unwrap().remove(0);
+        let difference = Difference::between(&image, &reference::render(&world, &camera, &rules).to_image()).unwrap();
         assert!(difference.psnr_db >= PSNR_MIN_DB, "{rules:?}: {:.1} dB", difference.psnr_db);
     }
 }

@@ -1,6 +1,6 @@
 //! The hard cases of a static scene, each by name.
 
-use decouplegs::render::{Picture, RenderOptions, Renderer, reference};
+use decouplegs::render::{Image, RenderOptions, Renderer, reference};
 use decouplegs::scene::rules::ALPHA_MIN;
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World, sh};
 use glam::{DQuat, DVec3};
@@ -146,8 +146,8 @@ fn opacities_at_the_threshold() {
     assert_exact(&world_of(&splats), &[camera()], Rules::DEFAULT);
     // Decided by the opacity itself, to its last digit.
     let gpu = Validated::open();
-    let picture = &draw(&gpu, &world_of(&splats), &[camera()], Rules::DEFAULT)[0];
-    let alpha = |i: usize| picture.alpha[60 * SIZE.0 as usize + 10 + 18 * i];
+    let image = &draw(&gpu, &world_of(&splats), &[camera()], Rules::DEFAULT)[0];
+    let alpha = |i: usize| image.alpha[60 * SIZE.0 as usize + 10 + 18 * i];
     assert_eq!(alpha(0), 0.0);
     assert!((alpha(1) - 0.99).abs() < 1e-6);
     for drawn in [2, 3, 5] {
@@ -174,10 +174,10 @@ fn a_stack_of_100_000_layers_on_a_pixel() {
     let world = world_of(&splats);
     assert_exact(&world, std::slice::from_ref(&small), Rules::DEFAULT);
     let gpu = Validated::open();
-    let picture = &draw(&gpu, &world, &[small], Rules::DEFAULT)[0];
+    let image = &draw(&gpu, &world, &[small], Rules::DEFAULT)[0];
     let center = 12 * 40 + 20;
-    assert!((picture.rgb[center][0] - picture.alpha[center]).abs() < 1e-4, "all layers are 1 in red");
-    assert!(picture.alpha[center] > 0.999_9);
+    assert!((image.rgb[center][0] - image.alpha[center]).abs() < 1e-4, "all layers are 1 in red");
+    assert!(image.alpha[center] > 0.999_9);
 }
 
 #[test]
@@ -193,7 +193,7 @@ fn equal_depths_are_ordered_by_index() {
         draw(&gpu, &world_of(&splats), &[camera()], Rules::DEFAULT),
         draw(&gpu, &world_of(&reversed), &[camera()], Rules::DEFAULT),
     );
-    assert_ne!(a, b, "the order must be seen in the picture, or this proves nothing");
+    assert_ne!(a, b, "the order must be seen in the image, or this proves nothing");
 }
 
 #[test]
@@ -238,9 +238,9 @@ fn everything_culled_leaves_the_sky() {
     let sky = [0.1, 0.2, 0.3];
     let world = World { sky, ..world_of(&[Splat::at(0.0, 0.0, -5.0), Splat { opacity: 0.001, ..Splat::at(0.0, 0.0, 5.0) }]) };
     let gpu = Validated::open();
-    let picture = &draw(&gpu, &world, &[camera()], Rules::DEFAULT)[0];
-    assert!(picture.rgb.iter().all(|rgb| *rgb == sky) && picture.alpha.iter().all(|&alpha| alpha == 0.0));
-    assert!(picture.depth.as_ref().unwrap().iter().all(|&depth| depth == 0.0));
+    let image = &draw(&gpu, &world, &[camera()], Rules::DEFAULT)[0];
+    assert!(image.rgb.iter().all(|rgb| *rgb == sky) && image.alpha.iter().all(|&alpha| alpha == 0.0));
+    assert!(image.depth.as_ref().unwrap().iter().all(|&depth| depth == 0.0));
 }
 
 #[test]
@@ -266,14 +266,14 @@ fn sh_extremes() {
         .map(|i| std::array::from_fn(|c| 20.0 * noise(i, 30 + c as u64) - 10.0))
         .collect();
     let gpu = Validated::open();
-    let picture = &draw(&gpu, &world, &[camera()], Rules::DEFAULT)[0];
-    let truth = reference::render(&world, &camera(), &Rules::DEFAULT).to_picture();
+    let image = &draw(&gpu, &world, &[camera()], Rules::DEFAULT)[0];
+    let truth = reference::render(&world, &camera(), &Rules::DEFAULT).to_image();
     let brightest = truth.rgb.iter().flatten().fold(0.0f32, |m, &c| m.max(c));
     assert!(brightest > 5.0, "the case must be extreme: {brightest}");
     // Colors reach some tens, so the bound is relative to the brightest: 16 bits of the largest coefficient.
-    let worst = picture.rgb.iter().flatten().zip(truth.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+    let worst = image.rgb.iter().flatten().zip(truth.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
     assert!(worst <= 1e-3 * brightest, "{worst} of {brightest}");
-    assert!(picture.rgb.iter().flatten().all(|&c| c >= 0.0));
+    assert!(image.rgb.iter().flatten().all(|&c| c >= 0.0));
 }
 
 #[test]
@@ -295,7 +295,7 @@ fn utm_coordinates_with_millimeter_motion() {
     assert_exact(&far, &[camera_at(origin + DVec3::X * 0.001, SIZE.0, SIZE.1)], Rules::DEFAULT);
 }
 
-fn worst_difference(a: &Picture, b: &Picture) -> f32 {
+fn worst_difference(a: &Image, b: &Image) -> f32 {
     a.rgb.iter().flatten().zip(b.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()))
 }
 
@@ -306,7 +306,7 @@ fn image_sizes_that_are_no_multiple_of_the_tile() {
         .into_iter()
         .map(|(width, height)| Camera { name: format!("{width}x{height}"), ..camera_at(DVec3::ZERO, width, height) })
         .collect();
-    // All in one submission: pictures must not reach into each other.
+    // All in one submission: images must not reach into each other.
     assert_exact(&world, &cameras, Rules::DEFAULT);
 }
 
@@ -345,7 +345,7 @@ fn a_scene_larger_than_the_device_is_refused_with_its_bytes() {
     let gpu = Validated::open();
     let mut renderer = Renderer::new(&gpu, RenderOptions::default());
     let resident = renderer.upload(&world_of(&crowd(10))).unwrap();
-    // Three pictures of 32768 x 32768 pixels: 48 GiB in one buffer, where devices bind 4 GiB at most.
+    // Three images of 32768 x 32768 pixels: 48 GiB in one buffer, where devices bind 4 GiB at most.
     let cameras: Vec<Camera> = (0..3).map(|_| camera_at(DVec3::ZERO, 32_768, 32_768)).collect();
     let error = renderer.render(&resident, &cameras).expect_err("no device has it").to_string();
     assert!(error.contains("51539607552") || error.contains("bytes"), "{error}");

@@ -27,7 +27,7 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
     let expected: Vec<_> = (0..8)
         .map(|frame| {
             one_by_one.render(Scene::with_agents(&resident, &pool, &agents(frame)), &camera(frame)).unwrap();
-            one_by_one.read_pictures().unwrap()
+            one_by_one.read_images().unwrap()
         })
         .collect();
     for frames_in_flight in [1, 2, 3] {
@@ -45,7 +45,7 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
                 redrawn += statistics.redrawn;
                 assert_eq!(statistics.queues.len(), 2, "frame and agents are submitted apart");
                 let frame = step + 1 - frames_in_flight;
-                assert!(renderer.read_pictures().unwrap() == expected[frame], "frame {frame} of {frames_in_flight} in flight");
+                assert!(renderer.read_images().unwrap() == expected[frame], "frame {frame} of {frames_in_flight} in flight");
             }
         }
         assert!(redrawn > 0, "the room cannot have been enough");
@@ -64,9 +64,9 @@ fn one_frame_too_many_is_refused_and_the_others_are_kept() {
     let error = renderer.submit(&resident, &camera(2)).unwrap_err();
     assert!(error.to_string().contains("2 frames are in flight"), "{error}");
     renderer.finish().unwrap();
-    let first = renderer.read_pictures().unwrap();
+    let first = renderer.read_images().unwrap();
     renderer.finish().unwrap();
-    assert!(renderer.read_pictures().unwrap() != first);
+    assert!(renderer.read_images().unwrap() != first);
     renderer.render(&resident, &camera(0)).unwrap();
-    assert!(renderer.read_pictures().unwrap() == first);
+    assert!(renderer.read_images().unwrap() == first);
 }

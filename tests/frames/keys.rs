@@ -54,7 +54,7 @@ fn a_drive_gives_the_same_bytes_with_and_without_kept_keys() {
             agent(Pose::from_yaw(0.1, DVec3::new(6.0 + 0.1 * t, 0.5, 0.0)), 1),
             agent(Pose::from_yaw(3.0 - 0.01 * t, DVec3::new(15.0 - 0.05 * t, -2.0, 0.0)), 2),
         ];
-        let pictures = renderers.each_mut().map(|renderer| {
+        let images = renderers.each_mut().map(|renderer| {
             let statistics = renderer.render(Scene::with_agents(&resident, &pool, &agents), &rig(frame)).unwrap();
             if renderer.options().keep_keys {
                 for source in &statistics.keys {
@@ -64,9 +64,9 @@ fn a_drive_gives_the_same_bytes_with_and_without_kept_keys() {
             } else {
                 assert!(statistics.keys.iter().all(|&source| source == KeySource::Computed));
             }
-            renderer.read_pictures().unwrap()
+            renderer.read_images().unwrap()
         });
-        assert!(pictures[0] == pictures[1], "frame {frame} differs");
+        assert!(images[0] == images[1], "frame {frame} differs");
     }
     println!("{sources:?}");
     // The keys of both views are found in the second frame; from then on none is computed as long as it drives straight on, or stands.
@@ -83,7 +83,7 @@ fn a_frame_that_is_refused_leaves_no_keys_behind_that_were_never_found() {
     let mut keeping = Renderer::new(&gpu, RenderOptions::default());
     let resident = keeping.upload(&world).unwrap();
     keeping.render(&resident, &rig(0)).unwrap();
-    // The second frame would find keys; it has no room for its pictures.
+    // The second frame would find keys; it has no room for its images.
     let mut huge = rig(1);
     for camera in &mut huge {
         camera.intrinsics = camera.intrinsics.resized(65_536, 65_536);
@@ -93,6 +93,6 @@ fn a_frame_that_is_refused_leaves_no_keys_behind_that_were_never_found() {
     computing.render(&resident, &rig(1)).unwrap();
     for _ in 0..4 {
         keeping.render(&resident, &rig(1)).unwrap();
-        assert!(keeping.read_pictures().unwrap() == computing.read_pictures().unwrap());
+        assert!(keeping.read_images().unwrap() == computing.read_images().unwrap());
     }
 }

@@ -1,4 +1,4 @@
-//! Pictures through lenses that are no pinhole.
+//! Images through lenses that are no pinhole.
 
 use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::render::metrics::Difference;
@@ -91,9 +91,9 @@ fn agents_through_lenses_are_the_decoded_splats_placed_in_the_world() {
         let placement = AgentPlacement { name: format!("{i}"), asset: 0, world_from_agent, sh_frame: ShFrame::Canonical };
         truth.bake_agent(&car.decoded(0), &placement).unwrap();
     }
-    for (picture, camera) in renderer.read_pictures().unwrap().iter().zip(&cameras) {
-        let expected = reference::render(&truth, camera, &Rules::DEFAULT).to_picture();
-        let difference = Difference::between(picture, &expected).unwrap();
+    for (image, camera) in renderer.read_images().unwrap().iter().zip(&cameras) {
+        let expected = reference::render(&truth, camera, &Rules::DEFAULT).to_image();
+        let difference = Difference::between(image, &expected).unwrap();
         println!("{}: {:.1} dB, max {:.5}", camera.name, difference.psnr_db, difference.max_abs);
         assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{}: {difference:?}", camera.name);
     }
@@ -136,7 +136,7 @@ fn a_pinhole_beside_a_lens_is_drawn_as_it_is_alone() {
     let resident = renderer.upload(&world).unwrap();
     for (cameras, expected) in [(&all[..1], &alone), (&all[..], &together), (&all[..1], &alone), (&all[..], &together)] {
         renderer.render(&resident, cameras).unwrap();
-        assert!(renderer.read_pictures().unwrap() == *expected, "a frame remembers the lenses of another");
+        assert!(renderer.read_images().unwrap() == *expected, "a frame remembers the lenses of another");
     }
 }
 
@@ -148,10 +148,10 @@ fn a_marker_lands_on_its_pixel() {
             let ray = camera.intrinsics.unproject(pixel).unwrap();
             let mean_m = (camera.world_from_camera.transform(ray * 9.0)).as_vec3().to_array();
             let world = world_of(&[Splat { mean_m, scale_m: [0.02; 3], ..Splat::at(0.0, 0.0, 0.0) }]);
-            let picture = draw(&gpu, &world, std::slice::from_ref(&camera), Rules::DEFAULT).remove(0);
+            let image = draw(&gpu, &world, std::slice::from_ref(&camera), Rules::DEFAULT).remove(0);
             let (mut weight, mut place) = (0.0, DVec2::ZERO);
-            for (index, &alpha) in picture.alpha.iter().enumerate() {
-                let (column, row) = (index as u32 % picture.width, index as u32 / picture.width);
+            for (index, &alpha) in image.alpha.iter().enumerate() {
+                let (column, row) = (index as u32 % image.width, index as u32 / image.width);
                 weight += f64::from(alpha);
                 place += f64::from(alpha) * DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
             }
@@ -161,7 +161,7 @@ fn a_marker_lands_on_its_pixel() {
 }
 
 #[test]
-fn lenses_that_make_no_picture_are_refused_by_name() {
+fn lenses_that_make_no_image_are_refused_by_name() {
     let gpu = Validated::open();
     let mut renderer = Renderer::new(&gpu, RenderOptions::default());
     let resident = renderer.upload(&world_of(&crowd(10))).unwrap();

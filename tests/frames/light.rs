@@ -1,7 +1,7 @@
 //! Relit agents and contact shadows against the definition: colors transferred, splats darkened, all baked and drawn in f64.
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, Scene, reference};
+use decouplegs::render::{Agent, AssetPool, Image, RenderError, RenderOptions, Renderer, ResidentWorld, Scene, reference};
 use decouplegs::scene::light::bake_shadows;
 use decouplegs::scene::{
     AmbientDescriptor, Camera, CodedCloud, ColorTransfer, ContactShadow, LightTransfer, Pose, Rules, ShFrame, World, sh,
@@ -79,14 +79,14 @@ impl Case {
         self.placed.iter().enumerate().map(agent).collect()
     }
 
-    fn drawn(&self, gpu: &Validated) -> Vec<Picture> {
+    fn drawn(&self, gpu: &Validated) -> Vec<Image> {
         let mut stage = Stage::of(gpu, self);
         let agents = self.agents(&stage.assets);
         stage.draw(&agents, &self.shadows, &self.cameras)
     }
 
     /// By definition.
-    fn truth(&self) -> Vec<Picture> {
+    fn truth(&self) -> Vec<Image> {
         let mut world = self.world.clone();
         bake_shadows(&mut world, &self.shadows);
         for (i, (car, pose, sh_frame, relight)) in self.placed.iter().enumerate() {
@@ -94,7 +94,7 @@ impl Case {
             let lit = relight.map_or(decoded.clone(), |relight| relight.relit(&decoded));
             world.bake_instance(&lit, pose, *sh_frame, i as u16 + 1);
         }
-        self.cameras.iter().map(|camera| reference::render(&world, camera, &Rules::DEFAULT).to_picture()).collect()
+        self.cameras.iter().map(|camera| reference::render(&world, camera, &Rules::DEFAULT).to_image()).collect()
     }
 }
 
@@ -115,9 +115,9 @@ impl Stage {
         Self { renderer, world, pool, assets }
     }
 
-    fn draw(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> Vec<Picture> {
+    fn draw(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> Vec<Image> {
         self.relit(agents, shadows, cameras);
-        self.renderer.read_pictures().unwrap()
+        self.renderer.read_images().unwrap()
     }
 
     /// Draws; returns how many codebooks were relit for it.
@@ -131,20 +131,20 @@ impl Stage {
 fn lit_agents_and_their_shadows_are_the_definition() {
     let gpu = Validated::open();
     let case = Case::new();
-    let (pictures, truth) = (case.drawn(&gpu), case.truth());
-    for ((picture, truth), camera) in pictures.iter().zip(&truth).zip(&case.cameras) {
-        let difference = Difference::between(picture, truth).unwrap();
+    let (images, truth) = (case.drawn(&gpu), case.truth());
+    for ((image, truth), camera) in images.iter().zip(&truth).zip(&case.cameras) {
+        let difference = Difference::between(image, truth).unwrap();
         println!("{}: {:.1} dB, max {:.5}", camera.name, difference.psnr_db, difference.max_abs);
         assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{}: {difference:?}", camera.name);
     }
-    // And they are seen: without light, or without shadows, the picture is another.
+    // And they are seen: without light, or without shadows, the image is another.
     for change in
         [|case: &mut Case| case.shadows.clear(), |case: &mut Case| case.placed.iter_mut().for_each(|agent| agent.3 = None)]
     {
         let mut plain = Case::new();
         change(&mut plain);
-        for (picture, truth) in plain.drawn(&gpu).iter().zip(&truth) {
-            assert!(Difference::between(picture, truth).unwrap().psnr_db < 60.0);
+        for (image, truth) in plain.drawn(&gpu).iter().zip(&truth) {
+            assert!(Difference::between(image, truth).unwrap().psnr_db < 60.0);
         }
     }
 }
@@ -166,9 +166,9 @@ fn codebooks_are_relit_once_for_each_light() {
     assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 4);
     agents[1].relight = Some(some_transfer(8));
     assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 1);
-    let pictures = stage.renderer.read_pictures().unwrap();
+    let images = stage.renderer.read_images().unwrap();
     let fresh = Stage::of(&gpu, &case).draw(&agents, &case.shadows, &case.cameras);
-    assert!(pictures == fresh, "a frame that makes one of four is the one that makes all");
+    assert!(images == fresh, "a frame that makes one of four is the one that makes all");
     agents.iter_mut().for_each(|agent| agent.relight = None);
     let unlit = stage.draw(&agents, &[], &case.cameras);
     let mut without = Stage::of(&gpu, &case);
@@ -242,8 +242,8 @@ fn shadows_lie_on_the_background_where_no_agent_is() {
     let gpu = Validated::open();
     let mut case = Case::new();
     case.placed.clear();
-    for (picture, truth) in case.drawn(&gpu).iter().zip(&case.truth()) {
-        let difference = Difference::between(picture, truth).unwrap();
+    for (image, truth) in case.drawn(&gpu).iter().zip(&case.truth()) {
+        let difference = Difference::between(image, truth).unwrap();
         assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{difference:?}");
     }
 }

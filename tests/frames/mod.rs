@@ -16,7 +16,7 @@ mod worlds;
 pub use agents::background;
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Outputs, Picture, RenderOptions, Renderer, reference};
+use decouplegs::render::{Outputs, Image, RenderOptions, Renderer, reference};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World};
 use glam::{DQuat, DVec3};
 
@@ -69,19 +69,19 @@ pub fn all_outputs() -> Outputs {
 }
 
 /// Images from the GPU.
-pub fn draw(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Picture> {
+pub fn draw(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Image> {
     let mut renderer = Renderer::new(gpu, RenderOptions { rules, outputs: all_outputs(), ..RenderOptions::default() });
     let resident = renderer.upload(world).unwrap();
     renderer.render(&resident, cameras).unwrap();
-    renderer.read_pictures().unwrap()
+    renderer.read_images().unwrap()
 }
 
-/// The difference of the GPU's picture from the definition, per camera.
+/// The difference of the GPU's image from the definition, per camera.
 pub fn differences(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Difference> {
     draw(gpu, world, cameras, rules)
         .iter()
         .zip(cameras)
-        .map(|(picture, camera)| Difference::between(picture, &reference::render(world, camera, &rules).to_picture()).unwrap())
+        .map(|(image, camera)| Difference::between(image, &reference::render(world, camera, &rules).to_image()).unwrap())
         .collect()
 }
 

@@ -37,16 +37,16 @@ fn depth_and_instance_are_the_definitions() {
         let resident = renderer.upload(&world).unwrap();
         let needs = renderer.render(&resident, std::slice::from_ref(&camera)).unwrap().needs;
         assert_eq!(needs.partials > 0, segment_pairs < 1024, "{} in the longest list", needs.longest);
-        let picture = &renderer.read_pictures().unwrap()[0];
+        let image = &renderer.read_images().unwrap()[0];
         let truth = reference::render(&world, &camera, &rules);
-        let depths = picture.depth.as_ref().unwrap();
+        let depths = image.depth.as_ref().unwrap();
         for (i, (&depth, &expected)) in depths.iter().zip(&truth.depth).enumerate() {
             // A pixel of one faint splat can gain or lose it at the 1/255 threshold; compare where something was hit.
             if truth.alpha[i] > 0.05 {
                 assert!((f64::from(depth) - expected).abs() <= 0.01 * expected, "pixel {i}: {depth} m, not {expected} m");
             }
         }
-        let ids = picture.instance.as_ref().unwrap();
+        let ids = image.instance.as_ref().unwrap();
         let wrong = ids.iter().zip(&truth.instance).filter(|(a, b)| a != b).count();
         // Two weights can be equal to rounding.
         assert!(wrong * 1000 <= ids.len(), "{wrong} of {} pixels name another instance", ids.len());
@@ -64,7 +64,7 @@ fn bytes_are_the_floats_clamped_and_rounded() {
     let mut renderer = Renderer::new(&gpu, RenderOptions { outputs, ..RenderOptions::default() });
     let resident = renderer.upload(&world).unwrap();
     renderer.render(&resident, &camera).unwrap();
-    let bytes = &renderer.read_pictures().unwrap()[0];
+    let bytes = &renderer.read_images().unwrap()[0];
     assert!(bytes.depth.is_none() && bytes.instance.is_none());
     for (a, b) in floats.rgb.iter().flatten().zip(bytes.rgb.iter().flatten()) {
         assert!((a.clamp(0.0, 1.0) - b).abs() <= 0.5001 / 255.0, "{a} became {b}");
@@ -73,7 +73,7 @@ fn bytes_are_the_floats_clamped_and_rounded() {
 }
 
 #[test]
-fn a_lower_degree_is_the_picture_without_its_bands() {
+fn a_lower_degree_is_the_image_without_its_bands() {
     let gpu = Validated::open();
     let camera = camera_at(DVec3::ZERO, 80, 50);
     let mut world = scene();
@@ -83,11 +83,11 @@ fn a_lower_degree_is_the_picture_without_its_bands() {
         let mut renderer = Renderer::new(&gpu, RenderOptions { sh_degree_max: degree, ..RenderOptions::default() });
         let resident = renderer.upload(&world).unwrap();
         renderer.render(&resident, std::slice::from_ref(&camera)).unwrap();
-        let picture = renderer.read_pictures().unwrap().remove(0);
+        let image = renderer.read_images().unwrap().remove(0);
         let mut lower = world.clone();
         lower.splats.set_degree(degree);
-        let truth = reference::render(&lower, &camera, &Rules::DEFAULT).to_picture();
-        let worst = picture.rgb.iter().flatten().zip(truth.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+        let truth = reference::render(&lower, &camera, &Rules::DEFAULT).to_image();
+        let worst = image.rgb.iter().flatten().zip(truth.rgb.iter().flatten()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
         assert!(worst <= 0.005, "degree {degree}: {worst}");
     }
 }
@@ -112,7 +112,7 @@ fn contributions_add_up_to_what_pixels_cover() {
         let weights = renderer.contribution_weights(&resident, &cameras).unwrap();
         let needs = renderer.render(&resident, &cameras).unwrap().needs;
         assert_eq!(needs.partials > 0, segment_pairs < 1024);
-        let covered: f64 = renderer.read_pictures().unwrap().iter().flat_map(|p| p.alpha.clone()).map(f64::from).sum();
+        let covered: f64 = renderer.read_images().unwrap().iter().flat_map(|p| p.alpha.clone()).map(f64::from).sum();
         let sum: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
         println!("{rules:?}, segments of {segment_pairs}: {sum} of {covered} pixels");
         assert!((sum / covered - 1.0).abs() < 1e-3, "weights sum to {sum}, pixels are covered by {covered}");

@@ -6,10 +6,10 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColorFormat, Outputs, Picture, PictureBytes, RenderError, RenderOptions, Renderer, Scene,
+    Agent, AssetPool, ColorFormat, Outputs, Image, ImageBytes, RenderError, RenderOptions, Renderer, Scene,
 };
 use decouplegs::scene::{Camera, Pose, Rig, Rules, ShFrame, Trajectory};
-use decouplegs::session::{HostPictures, Session, SessionError, SessionOptions, SessionScene, World, WorldView};
+use decouplegs::session::{HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView};
 use glam::DVec3;
 
 use super::agents::{background, camera_towards, coded_car};
@@ -24,9 +24,9 @@ fn cameras(shift: f64) -> Vec<Camera> {
     ]
 }
 
-fn drawn(renderer: &mut Renderer, scene: Scene<'_>, cameras: &[Camera]) -> Vec<Picture> {
+fn drawn(renderer: &mut Renderer, scene: Scene<'_>, cameras: &[Camera]) -> Vec<Image> {
     renderer.render(scene, cameras).unwrap();
-    renderer.read_pictures().unwrap()
+    renderer.read_images().unwrap()
 }
 
 #[test]
@@ -127,19 +127,19 @@ fn worlds_of_a_session_are_drawn_together_as_alone() {
     let worlds: Vec<World> = (0..24).map(|index| world(&scenes[usize::from(index >= 19)], index)).collect();
     let cameras: Vec<Vec<Camera>> = (0..24).map(|index| cameras(0.05 * index as f64)).collect();
     let views: Vec<WorldView<'_>> = worlds.iter().zip(&cameras).map(|(world, cameras)| WorldView { world, cameras }).collect();
-    let (mut viewer, mut pictures, mut alone) = (session.viewer(), HostPictures::default(), HostPictures::default());
-    let frames = viewer.draw(&views, &mut pictures).unwrap();
+    let (mut viewer, mut images, mut alone) = (session.viewer(), HostImages::default(), HostImages::default());
+    let frames = viewer.draw(&views, &mut images).unwrap();
     assert_eq!(frames.len(), 3, "38 cameras over one scene are two frames, those over the other one");
-    assert_eq!((pictures.views(), pictures.cameras(23)), (24, 2));
+    assert_eq!((images.views(), images.cameras(23)), (24, 2));
     let mut one = session.viewer();
     for (index, view) in views.iter().enumerate() {
         one.draw(&[*view], &mut alone).unwrap();
         for camera in 0..2 {
-            assert_eq!(pictures.size_px(index, camera), alone.size_px(0, camera));
-            assert!(pictures.rgba(index, camera) == alone.rgba(0, camera), "world {index}, camera {camera}");
+            assert_eq!(images.size_px(index, camera), alone.size_px(0, camera));
+            assert!(images.rgba(index, camera) == alone.rgba(0, camera), "world {index}, camera {camera}");
         }
     }
-    assert!((1..24).all(|index| pictures.rgba(index, 0) != pictures.rgba(0, 0)), "all worlds look different");
+    assert!((1..24).all(|index| images.rgba(index, 0) != images.rgba(0, 0)), "all worlds look different");
     assert_silent(&session);
 }
 
@@ -156,30 +156,30 @@ fn what_a_world_cannot_do_is_said() {
     assert_eq!(world.place("c", 0, Pose::IDENTITY, None).unwrap(), 3, "who is placed again keeps his id");
     let (mut viewer, cameras) = (session.viewer(), cameras(0.0));
     let view = [WorldView { world: &world, cameras: &cameras }];
-    assert!(matches!(viewer.draw(&view, &mut HostPictures::default()), Err(SessionError::NotBytes)));
-    assert!(matches!(viewer.draw_pictures(&[WorldView { cameras: &[], ..view[0] }]), Err(SessionError::NoCameras)));
-    let (good, _) = viewer.draw_pictures(&view).unwrap();
+    assert!(matches!(viewer.draw(&view, &mut HostImages::default()), Err(SessionError::NotBytes)));
+    assert!(matches!(viewer.draw_images(&[WorldView { cameras: &[], ..view[0] }]), Err(SessionError::NoCameras)));
+    let (good, _) = viewer.draw_images(&view).unwrap();
     assert!(good[0][0].depth.is_some());
     let elsewhere = self::session(Outputs { depth: true, ..Outputs::default() });
     let other = World::new(&elsewhere.add_scene(&loaded(3)).unwrap());
     let foreign = [view[0], WorldView { world: &other, cameras: &cameras }];
-    assert!(matches!(viewer.draw_pictures(&foreign), Err(SessionError::OtherSession { view: 1 })));
+    assert!(matches!(viewer.draw_images(&foreign), Err(SessionError::OtherSession { view: 1 })));
     // A frame that cannot be drawn leaves the viewer as good as before.
     let mut lost = World::new(&scene);
     lost.move_to("a", Pose { translation: DVec3::NAN, ..Pose::IDENTITY }).unwrap();
     let nowhere = [view[0], WorldView { world: &lost, cameras: &cameras }];
-    assert!(matches!(viewer.draw_pictures(&nowhere), Err(SessionError::Render(RenderError::AgentPose { .. }))));
-    assert!(viewer.draw_pictures(&view).unwrap().0 == good);
+    assert!(matches!(viewer.draw_images(&nowhere), Err(SessionError::Render(RenderError::AgentPose { .. }))));
+    assert!(viewer.draw_images(&view).unwrap().0 == good);
     assert!(text(session.open_scene("nowhere/scene.toml".as_ref()).map(|_| ()).unwrap_err()).contains("nowhere/scene.toml"));
     assert_silent(&session);
 }
 
 #[test]
-fn pictures_that_are_held_stay_and_their_memory_comes_back() {
+fn images_that_are_held_stay_and_their_memory_comes_back() {
     let session = session(Outputs { color: ColorFormat::U8, ..Outputs::default() });
     let scene = session.add_scene(&loaded(9)).unwrap();
     let cameras = cameras(0.0);
-    let (mut viewer, mut expected) = (session.viewer(), HostPictures::default());
+    let (mut viewer, mut expected) = (session.viewer(), HostImages::default());
     let worlds: Vec<World> = (0..4).map(|index| world(&scene, index)).collect();
     let mut take = |index: usize| {
         let view = [WorldView { world: &worlds[index], cameras: &cameras }];
@@ -190,7 +190,7 @@ fn pictures_that_are_held_stay_and_their_memory_comes_back() {
     let mut again = session.viewer();
     for (index, taken) in held.iter().enumerate() {
         again.draw(&[WorldView { world: &worlds[index], cameras: &cameras }], &mut expected).unwrap();
-        let words = session.gpu().read(&taken.buffers().pictures_u8).unwrap();
+        let words = session.gpu().read(&taken.buffers().images_u8).unwrap();
         let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
         assert_eq!(taken.places(), [(0, [150, 90]), (150 * 90, [97, 64])]);
         assert!(bytes[..4 * 150 * 90] == *expected.rgba(0, 0) && bytes[4 * 150 * 90..] == *expected.rgba(0, 1), "{index}");
@@ -200,10 +200,10 @@ fn pictures_that_are_held_stay_and_their_memory_comes_back() {
     let bytes = session.gpu().memory().total_bytes;
     (0..40).for_each(|step| drop(take(step % 4).unwrap()));
     assert_eq!(session.gpu().memory().total_bytes, bytes, "memory is used again");
-    // Pictures outlive their viewer.
+    // Images outlive their viewer.
     let last = take(0).unwrap();
     drop(viewer);
-    assert!(!session.gpu().read(&last.buffers().pictures_u8).unwrap().is_empty());
+    assert!(!session.gpu().read(&last.buffers().images_u8).unwrap().is_empty());
     assert_silent(&session);
 }
 
@@ -220,20 +220,20 @@ fn a_session_draws_each_scene_by_its_own_rules() {
     let scenes = loaded.each_ref().map(|loaded| session.add_scene(loaded).unwrap());
     let worlds = scenes.each_ref().map(World::new);
     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
-    let mut pictures = HostPictures::default();
-    session.viewer().draw(&views, &mut pictures).unwrap();
+    let mut images = HostImages::default();
+    session.viewer().draw(&views, &mut images).unwrap();
     for (view, loaded) in loaded.iter().enumerate() {
         // As `render`, episodes and the server draw.
         let mut renderer =
             Renderer::new(session.gpu(), RenderOptions { rules: loaded.world.rules, outputs, ..RenderOptions::default() });
         let live = LiveScene::new(&renderer, loaded).unwrap();
         renderer.render(live.with(&live.at(0.0)), &cameras).unwrap();
-        let mut bytes = PictureBytes::default();
+        let mut bytes = ImageBytes::default();
         renderer.read_bytes(&mut bytes).unwrap();
         for camera in 0..cameras.len() {
-            assert!(pictures.rgba(view, camera) == bytes.rgba(camera), "scene {view}, camera {camera}: the same bytes");
+            assert!(images.rgba(view, camera) == bytes.rgba(camera), "scene {view}, camera {camera}: the same bytes");
         }
-        assert!(view == 0 || pictures.rgba(view, 0) != pictures.rgba(0, 0), "rules {view} show in the picture");
+        assert!(view == 0 || images.rgba(view, 0) != images.rgba(0, 0), "rules {view} show in the image");
     }
     // Unless the session has rules for all.
     let options = SessionOptions { rules: Some(Rules::DEFAULT), ..session.options().clone() };
@@ -241,8 +241,8 @@ fn a_session_draws_each_scene_by_its_own_rules() {
     let scenes = loaded.each_ref().map(|loaded| other.add_scene(loaded).unwrap());
     let worlds = scenes.each_ref().map(World::new);
     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
-    let mut same = HostPictures::default();
+    let mut same = HostImages::default();
     other.viewer().draw(&views, &mut same).unwrap();
-    assert!((0..4).all(|view| same.rgba(view, 0) == pictures.rgba(0, 0)));
+    assert!((0..4).all(|view| same.rgba(view, 0) == images.rgba(0, 0)));
     assert_silent(&session);
 }

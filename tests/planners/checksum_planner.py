@@ -1,4 +1,4 @@
-"""Tells what it got: a checksum of each picture, and numbers of the header, as places of a plan."""
+"""Tells what it got: a checksum of each image, and numbers of the header, as places of a plan."""
 
 import os
 import sys

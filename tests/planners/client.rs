@@ -15,21 +15,21 @@ fn checksum(rgba: &[u8]) -> u64 {
 }
 
 /// Bytes that look like the end of a line, of a string and of everything, among others.
-fn picture(pixels: u64, seed: u64) -> Vec<u8> {
+fn image(pixels: u64, seed: u64) -> Vec<u8> {
     (0..4 * pixels).map(|at| (at.wrapping_mul(at + 7).wrapping_add(seed * 10) >> 2) as u8).collect()
 }
 
-/// Two steps of an episode, each number and each picture as it was sent.
+/// Two steps of an episode, each number and each image as it was sent.
 fn drive(planner: &mut dyn Planner) {
     assert_eq!(planner.name(), "checksums");
     assert_eq!(planner.sees(), Sees { cameras: Cameras::All, privileged: true });
     let (briefing, known, rig) = (briefing(), privileged(), cameras());
     planner.begin(&briefing).unwrap();
     for step in 0..2 {
-        let pictures: Vec<Vec<u8>> = rig.iter().map(|camera| picture(camera.intrinsics.pixels(), u64::from(step))).collect();
-        let frames: Vec<Frame> = rig.iter().zip(&pictures).map(|(camera, rgba)| Frame { camera, rgba }).collect();
+        let images: Vec<Vec<u8>> = rig.iter().map(|camera| image(camera.intrinsics.pixels(), u64::from(step))).collect();
+        let frames: Vec<Frame> = rig.iter().zip(&images).map(|(camera, rgba)| Frame { camera, rgba }).collect();
         let plan = planner.plan(&observation(step, &frames, Some(&known))).unwrap();
-        let expected: Vec<DVec2> = pictures.iter().map(|rgba| DVec2::new(checksum(rgba) as f64 / 1000.0, 0.0)).collect();
+        let expected: Vec<DVec2> = images.iter().map(|rgba| DVec2::new(checksum(rgba) as f64 / 1000.0, 0.0)).collect();
         let told = [
             0.5 * f64::from(step),
             7.3,

@@ -11,7 +11,7 @@ const SHORT: Patience = Patience { answer: Duration::from_millis(300), ..PATIENT
 /// Time until an error is told, at most: half of what a planner sleeps who has to be ended, and far more than a busy machine takes.
 const TOLD_WITHIN: Duration = Duration::from_secs(30);
 
-/// Step `step` with a picture of `pixels` pixels.
+/// Step `step` with an image of `pixels` pixels.
 fn plan(planner: &mut External, step: u32) -> Result<(), PlannerError> {
     let camera = &cameras()[0];
     let rgba = vec![100; 4 * camera.intrinsics.pixels() as usize];

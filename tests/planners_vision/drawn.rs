@@ -1,4 +1,4 @@
-//! Single pictures of a drawn road.
+//! Single images of a drawn road.
 
 use super::drawn_road::{DrawnRoad, camera};
 use super::glance;
@@ -9,7 +9,7 @@ fn the_lane_is_found_where_it_was_drawn() {
     for light in [1.0, 0.25] {
         for (offset_m, heading_rad, width_m) in [(0.0, 0.0, 3.3), (0.4, 0.02, 3.3), (-0.4, 0.03, 3.5), (0.25, -0.03, 3.0)] {
             let road = DrawnRoad { offset_m, heading_rad, width_m, dashes_m: 5.0, light, ..DrawnRoad::default() };
-            let sight = glance(&camera, &road.picture(&camera));
+            let sight = glance(&camera, &road.image(&camera));
             let (off_m, off_rad) = (sight.lane_offset_m - offset_m, sight.lane_heading_rad - heading_rad);
             assert!(off_m.abs() < 0.12 && off_rad.abs() < 0.012, "{road:?} was seen as {sight:?}");
             assert_eq!((sight.unseen_m, sight.gap_m), (0.0, None), "{road:?}");
@@ -23,7 +23,7 @@ fn the_car_ahead_is_found_by_its_foot() {
     for light in [1.0, 0.3] {
         for gap_m in [4.0, 6.0, 9.0, 13.0, 18.0, 25.0] {
             let road = DrawnRoad { gap_m: Some(gap_m), light, ..DrawnRoad::default() };
-            let seen_m = glance(&camera, &road.picture(&camera)).gap_m.unwrap_or_else(|| panic!("{road:?}: no car was seen"));
+            let seen_m = glance(&camera, &road.image(&camera)).gap_m.unwrap_or_else(|| panic!("{road:?}: no car was seen"));
             assert!((seen_m - gap_m).abs() < 0.1 * gap_m + 0.5, "{road:?}: seen at {seen_m} m");
         }
     }
@@ -42,7 +42,7 @@ fn what_lies_flat_is_no_car() {
         DrawnRoad { light: 0.0, ..DrawnRoad::default() },
     ];
     for road in flat {
-        assert_eq!(glance(&camera, &road.picture(&camera)).gap_m, None, "{road:?}");
+        assert_eq!(glance(&camera, &road.image(&camera)).gap_m, None, "{road:?}");
     }
 }
 
@@ -50,6 +50,6 @@ fn what_lies_flat_is_no_car() {
 fn bars_of_a_crosswalk_are_no_lane() {
     let camera = camera();
     let road = DrawnRoad { offset_m: 0.3, bars_m: Some([8.0, 11.0]), ..DrawnRoad::default() };
-    let sight = glance(&camera, &road.picture(&camera));
+    let sight = glance(&camera, &road.image(&camera));
     assert!((sight.lane_offset_m - 0.3).abs() < 0.12, "{sight:?}");
 }

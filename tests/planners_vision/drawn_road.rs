@@ -50,7 +50,7 @@ impl Default for DrawnRoad {
     }
 }
 
-/// A camera on the roof, as the street's rig has it, its picture 320 by 180 pixels.
+/// A camera on the roof, as the street's rig has it, its image 320 by 180 pixels.
 pub fn camera() -> RigCamera {
     let rotation = DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X));
     RigCamera {
@@ -62,7 +62,7 @@ pub fn camera() -> RigCamera {
 
 impl DrawnRoad {
     /// The road as `camera` sees it, four bytes a pixel.
-    pub fn picture(&self, camera: &RigCamera) -> Vec<u8> {
+    pub fn image(&self, camera: &RigCamera) -> Vec<u8> {
         let at = &camera.intrinsics;
         let mut rgba = Vec::with_capacity(at.pixels() as usize * 4);
         for row in 0..at.height_px {

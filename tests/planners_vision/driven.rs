@@ -39,7 +39,7 @@ fn drive_lane(curvature: f64, start: DVec2, yaw_rad: f64, steps: u32) -> Vec<f64
     let mut vision = beginner(&camera);
     let mut offsets_m = Vec::new();
     for step in 0..steps {
-        let rgba = seen_from(&ego.state(), curvature).picture(&camera);
+        let rgba = seen_from(&ego.state(), curvature).image(&camera);
         let (_, plan) = shown(&mut vision, step, &[Frame { camera: &camera, rgba: &rgba }], motion(&ego), cruising(9.0));
         ego.follow(&plan);
         ego.step(STEP_S);
@@ -74,7 +74,7 @@ fn drive_behind(gap_m: f64, lead_mps: f64, steps: u32) -> Vec<(f64, f64)> {
     let mut driven = Vec::new();
     for step in 0..steps {
         let gap_m = gap_at(step, &ego.state());
-        let rgba = DrawnRoad { gap_m: Some(gap_m), ..seen_from(&ego.state(), 0.0) }.picture(&camera);
+        let rgba = DrawnRoad { gap_m: Some(gap_m), ..seen_from(&ego.state(), 0.0) }.image(&camera);
         let (_, plan) = shown(&mut vision, step, &[Frame { camera: &camera, rgba: &rgba }], motion(&ego), cruising(10.0));
         ego.follow(&plan);
         ego.step(STEP_S);

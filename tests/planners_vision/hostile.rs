@@ -1,4 +1,4 @@
-//! Pictures and numbers that make no sense.
+//! Images and numbers that make no sense.
 
 use decouplegs::planner::{EgoMotion, Frame, Guidance, Planner, Turn, Vision};
 use decouplegs::scene::{Intrinsics, Plan, RigCamera};
@@ -23,7 +23,7 @@ fn of_size(width_px: u32, height_px: u32) -> RigCamera {
 }
 
 #[test]
-fn pictures_of_nothing_leave_a_plan_to_drive() {
+fn images_of_nothing_leave_a_plan_to_drive() {
     let mut state = 7_u64;
     for (width_px, height_px) in [(1, 1), (2, 1), (1, 90), (320, 180), (1601, 901)] {
         let camera = of_size(width_px, height_px);
@@ -45,12 +45,12 @@ fn pictures_of_nothing_leave_a_plan_to_drive() {
 }
 
 #[test]
-fn no_picture_at_all_is_driven_through_too() {
+fn no_image_at_all_is_driven_through_too() {
     let mut vision = beginner(&camera());
     for step in 0..40 {
         let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
         let (sight, plan) = shown(&mut vision, step, &[], ego, cruising(10.0));
-        assert_drivable(&plan, 8.0, "no picture");
+        assert_drivable(&plan, 8.0, "no image");
         assert!((sight.unseen_m - 4.0 * f64::from(step)).abs() < 1e-9, "{sight:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! The planner that looks, shown pictures of which the truth is known.
+//! The planner that looks, shown images of which the truth is known.
 
 mod drawn;
 mod drawn_road;

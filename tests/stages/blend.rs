@@ -6,7 +6,7 @@ mod rounding;
 use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
 use decouplegs::render::stages::{Arguments, Blend, BlendPass, Partials, Plan, ProjectVariant, Projected};
 use decouplegs::render::twins;
-use decouplegs::render::twins::output::{Pictures, Pixel, macro_tile_origin, pixel_offset, write_pixel};
+use decouplegs::render::twins::output::{Images, Pixel, macro_tile_origin, pixel_offset, write_pixel};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
 use decouplegs::scene::{EarlyStop, Rules};
 use glam::Vec3;
@@ -21,7 +21,7 @@ const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 const OUTPUTS: Outputs =
     Outputs { color: decouplegs::render::ColorFormat::F32, depth: true, instance: true, contributions: false, exported: false };
 
-/// Records whose instance is to be found in the picture.
+/// Records whose instance is to be found in the image.
 const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ..PLAIN };
 
 /// Inputs that all items of a run share.
@@ -95,8 +95,8 @@ impl Case {
             .collect()
     }
 
-    /// The camera and position of a pixel of an item, if it lies in the picture.
-    fn place_in_pictures(&self, item: &Item, place: usize) -> Option<(&CameraRecord, [u32; 2])> {
+    /// The camera and position of a pixel of an item, if it lies in the image.
+    fn place_in_images(&self, item: &Item, place: usize) -> Option<(&CameraRecord, [u32; 2])> {
         let cameras = &self.scene.view.cameras;
         let camera = &cameras[twins::output::camera_of_bin(cameras, item.bin)];
         let [left, top] = macro_tile_origin(item.bin, camera);
@@ -105,8 +105,8 @@ impl Case {
         (at[0] < camera.size_px[0] && at[1] < camera.size_px[1]).then_some((camera, at))
     }
 
-    /// The kernel's pictures and partial results; where there is `before`, the pictures of the pass that finishes it.
-    fn kernel(&self, gpu: &Validated, before: Option<&Blended>) -> (Pictures, Blended) {
+    /// The kernel's images and partial results; where there is `before`, the images of the pass that finishes it.
+    fn kernel(&self, gpu: &Validated, before: Option<&Blended>) -> (Images, Blended) {
         let Self { scene, projected, records, items, rules } = self;
         let (count, slots) = (projected.keys.len(), self.slots());
         let needs = Needs { items: items.len() as u32, ..Needs::default() };
@@ -132,12 +132,12 @@ impl Case {
         run(gpu, |r| {
             blend.record(r, &control, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);
         });
-        let pictures = Pictures {
-            pictures_f32: gpu.read(&outputs.pictures_f32).unwrap(),
+        let images = Images {
+            images_f32: gpu.read(&outputs.images_f32).unwrap(),
             depths_m: gpu.read(&outputs.depths_m).unwrap(),
             instance_ids: gpu.read(&outputs.instance_ids).unwrap(),
         };
-        (pictures, read_partials(gpu, &partials))
+        (images, read_partials(gpu, &partials))
     }
 
     /// Partial results of cut tiles, one after the other.
@@ -147,8 +147,8 @@ impl Case {
             for (place, ((bounds, kernel), twin)) in
                 self.bounds(item, None).iter().zip(&kernel[item.partial as usize]).zip(twin).enumerate()
             {
-                // Beside the picture nobody reads them.
-                if self.place_in_pictures(item, place).is_none() {
+                // Beside the image nobody reads them.
+                if self.place_in_images(item, place).is_none() {
                     continue;
                 }
                 let what = format!("pixel {place} of {item:?}");
@@ -167,16 +167,16 @@ impl Case {
     }
 
     /// Pixels of tiles of one segment.
-    fn check_pictures(&self, kernel: &Pictures, twin: &Blended) -> Result<(), String> {
+    fn check_images(&self, kernel: &Images, twin: &Blended) -> Result<(), String> {
         let mut report = Report::default();
         for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial == NO_PARTIAL) {
             self.check_written(&mut report, (item, twin), None, kernel)?;
         }
-        report.finish("pictures")
+        report.finish("images")
     }
 
     /// Pixels that end in segments whose pixels were `before`; no others are written.
-    fn check_finished(&self, before: &Blended, kernel: &Pictures, twin: &Blended) -> Result<(), String> {
+    fn check_finished(&self, before: &Blended, kernel: &Images, twin: &Blended) -> Result<(), String> {
         let mut report = Report::default();
         for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial != NO_PARTIAL) {
             self.check_written(&mut report, (item, twin), Some(&before[item.partial as usize]), kernel)?;
@@ -189,10 +189,10 @@ impl Case {
         report: &mut Report,
         (item, twin): (&Item, &[Pixel]),
         before: Option<&[Pixel]>,
-        kernel: &Pictures,
+        kernel: &Images,
     ) -> Result<(), String> {
         for (place, (bounds, pixel)) in self.bounds(item, before).iter().zip(twin).enumerate() {
-            let Some((camera, at)) = self.place_in_pictures(item, place) else { continue };
+            let Some((camera, at)) = self.place_in_images(item, place) else { continue };
             let target = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
             let what = format!("column and row {at:?} of {item:?}");
             // Of a segment that is finished, the pixels that end in it.
@@ -203,8 +203,8 @@ impl Case {
                     return if untouched { Ok(0.0) } else { Err(format!("{what}: written, though it does not end here")) };
                 }
                 let written = written_alone(&Pixel { transmittance: pixel.transmittance.abs(), ..*pixel });
-                let [r, g, b, a] = written.pictures_f32[0];
-                let (depth, k) = (written.depths_m[0], kernel.pictures_f32[target]);
+                let [r, g, b, a] = written.images_f32[0];
+                let (depth, k) = (written.depths_m[0], kernel.images_f32[target]);
                 let c = bounds.color + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
                 let t = bounds.transmittance + super::ROUNDOFF;
                 let d = bounds.depth_m(depth, a);
@@ -219,11 +219,11 @@ impl Case {
 }
 
 /// Images that the twin writes for `pixel` alone.
-fn written_alone(pixel: &Pixel) -> Pictures {
-    let mut picture = Pictures { pictures_f32: vec![[0.0; 4]], depths_m: vec![0.0], instance_ids: vec![0] };
+fn written_alone(pixel: &Pixel) -> Images {
+    let mut image = Images { images_f32: vec![[0.0; 4]], depths_m: vec![0.0], instance_ids: vec![0] };
     let camera = CameraRecord { size_px: [1, 1], ..bytemuck::Zeroable::zeroed() };
-    write_pixel(&mut picture, &camera, [0, 0], pixel, Vec3::from_array(SKY));
-    picture
+    write_pixel(&mut image, &camera, [0, 0], pixel, Vec3::from_array(SKY));
+    image
 }
 
 /// Statistics of a comparison of pixels.
@@ -276,10 +276,10 @@ fn compare(splats: usize, faintness: f32, rules: Rules) {
 }
 
 fn compare_case(gpu: &Validated, case: &Case) {
-    let (pictures, partials) = case.kernel(gpu, None);
+    let (images, partials) = case.kernel(gpu, None);
     let twin = case.twin(None);
     println!("{} records, {} items", case.records.len(), case.items.len());
-    case.check_pictures(&pictures, &twin).unwrap();
+    case.check_images(&images, &twin).unwrap();
     case.check_partials(&partials, &twin).unwrap();
 }
 
@@ -312,17 +312,17 @@ fn stopping_before_the_splat_that_would_fill_a_pixel() {
 
 #[test]
 fn every_pixel_is_written_once_and_no_other() {
-    // Tiles that were cut leave their pixels to composite; edges of the pictures cut through macro tiles.
+    // Tiles that were cut leave their pixels to composite; edges of the images cut through macro tiles.
     let gpu = open();
     let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
-    let (pictures, _) = case.kernel(&gpu, None);
+    let (images, _) = case.kernel(&gpu, None);
     let mut expected = vec![true; case.scene.view.pixels];
     for item in case.items.iter().filter(|item| item.partial != NO_PARTIAL) {
-        for (camera, at) in (0..MACRO_PIXELS).filter_map(|place| case.place_in_pictures(item, place)) {
+        for (camera, at) in (0..MACRO_PIXELS).filter_map(|place| case.place_in_images(item, place)) {
             expected[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = false;
         }
     }
-    let written: Vec<bool> = pictures.instance_ids.iter().map(|&id| id != UNTOUCHED).collect();
+    let written: Vec<bool> = images.instance_ids.iter().map(|&id| id != UNTOUCHED).collect();
     identical("pixels written", &written, &expected).unwrap();
 }
 
@@ -330,15 +330,15 @@ fn every_pixel_is_written_once_and_no_other() {
 fn one_changed_pixel_is_seen() {
     let gpu = open();
     let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
-    let (pictures, partials) = case.kernel(&gpu, None);
-    case.check_pictures(&pictures, &case.twin(None)).unwrap();
+    let (images, partials) = case.kernel(&gpu, None);
+    case.check_images(&images, &case.twin(None)).unwrap();
     case.check_partials(&partials, &case.twin(None)).unwrap();
     let place = |item: &Item| case.bounds(item, None).iter().position(|bounds| !bounds.unsettled).unwrap();
     for (i, item) in case.items.iter().enumerate().take(2) {
         let mut twin = case.twin(None);
         twin[i][place(item)].color.y += 0.001;
         let seen = if item.partial == NO_PARTIAL {
-            case.check_pictures(&pictures, &twin)
+            case.check_images(&images, &twin)
         } else {
             case.check_partials(&partials, &twin)
         };
@@ -346,7 +346,7 @@ fn one_changed_pixel_is_seen() {
         twin[i][place(item)].color.y -= 0.001;
         twin[i][place(item)].best_instance = 7;
         let seen = if item.partial == NO_PARTIAL {
-            case.check_pictures(&pictures, &twin)
+            case.check_images(&images, &twin)
         } else {
             case.check_partials(&partials, &twin)
         };

@@ -3,7 +3,7 @@
 use decouplegs::render::layout::{Composite, MACRO_PIXELS, Needs, View};
 use decouplegs::render::stages::{Arguments, CompositeSegments, Partials, Plan};
 use decouplegs::render::twins::output::{
-    Pictures, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
+    Images, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
 use decouplegs::render::{Capacity, ColorFormat, OutputBuffers, Outputs, twins};
 use decouplegs::scene::Rules;
@@ -42,14 +42,14 @@ impl Case {
     }
 
     /// Output of the kernel, with colors in bytes if requested.
-    fn kernel(&self, gpu: &Validated, color: ColorFormat) -> (Pictures, Vec<u32>) {
+    fn kernel(&self, gpu: &Validated, color: ColorFormat) -> (Images, Vec<u32>) {
         let outputs = Outputs { color, depth: true, instance: true, ..Outputs::default() };
-        let (pictures, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
-        (pictures, bytes)
+        let (images, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
+        (images, bytes)
     }
 
     /// Output of the kernel under `rules`, and the partial results that it leaves.
-    fn kernel_by(&self, gpu: &Validated, rules: Rules, outputs: Outputs) -> (Pictures, Vec<u32>, Partials) {
+    fn kernel_by(&self, gpu: &Validated, rules: Rules, outputs: Outputs) -> (Images, Vec<u32>, Partials) {
         let Self { view, composites, partials } = self;
         let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
         let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
@@ -58,28 +58,28 @@ impl Case {
         let on_device = Partials::new(gpu, partials.len() / MACRO_PIXELS, &rules, &outputs).unwrap();
         gpu.write(&on_device.unfinished, 0, &vec![0; on_device.unfinished.len()]).unwrap();
         write_partials(gpu, &on_device, partials);
-        let pictures = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
-        gpu.write(&pictures.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
+        let images = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
+        gpu.write(&images.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
         let cameras = upload(gpu, &view.cameras);
         let composite = CompositeSegments::new(gpu, &rules, &outputs).unwrap();
-        run(gpu, |r| composite.record(r, &control, &cameras, view.cameras.len(), SKY, &plan, &on_device, &pictures));
-        let floats = Pictures {
-            pictures_f32: gpu.read(&pictures.pictures_f32).unwrap(),
-            depths_m: gpu.read(&pictures.depths_m).unwrap(),
-            instance_ids: gpu.read(&pictures.instance_ids).unwrap(),
+        run(gpu, |r| composite.record(r, &control, &cameras, view.cameras.len(), SKY, &plan, &on_device, &images));
+        let floats = Images {
+            images_f32: gpu.read(&images.images_f32).unwrap(),
+            depths_m: gpu.read(&images.depths_m).unwrap(),
+            instance_ids: gpu.read(&images.instance_ids).unwrap(),
         };
-        (floats, gpu.read(&pictures.pictures_u8).unwrap(), on_device)
+        (floats, gpu.read(&images.images_u8).unwrap(), on_device)
     }
 
-    /// The twin's pictures, and for each pixel how many segments it was joined from: 0 where it was not written.
-    fn twin(&self) -> (Pictures, Vec<u32>) {
+    /// The twin's images, and for each pixel how many segments it was joined from: 0 where it was not written.
+    fn twin(&self) -> (Images, Vec<u32>) {
         self.twin_by(false, false)
     }
 
-    fn twin_by(&self, stops: bool, counts: bool) -> (Pictures, Vec<u32>) {
+    fn twin_by(&self, stops: bool, counts: bool) -> (Images, Vec<u32>) {
         let pixels = self.view.pixels;
-        let (pictures_f32, depths_m) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
-        let mut pictures = Pictures { pictures_f32, depths_m, instance_ids: vec![UNTOUCHED; pixels] };
+        let (images_f32, depths_m) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
+        let mut images = Images { images_f32, depths_m, instance_ids: vec![UNTOUCHED; pixels] };
         let mut segments = vec![0; pixels];
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
@@ -87,13 +87,13 @@ impl Case {
             for (place, pixel) in twins::composite(composite, &self.partials, stops, counts).0.iter().enumerate() {
                 let [x, y] = pixel_offset(place);
                 let at = [origin[0] + x, origin[1] + y];
-                write_pixel(&mut pictures, camera, at, pixel, Vec3::from_array(SKY));
+                write_pixel(&mut images, camera, at, pixel, Vec3::from_array(SKY));
                 if at[0] < camera.size_px[0] && at[1] < camera.size_px[1] {
                     segments[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = composite.partials;
                 }
             }
         }
-        (pictures, segments)
+        (images, segments)
     }
 
     /// The render tiles that are to be finished in each segment, and their pixels as they are before it.
@@ -129,12 +129,12 @@ impl Case {
 
     /// Every segment adds a product to a sum of positive terms: 4 roundings of the whole a segment at most, on both sides. A
     /// depth is a quotient by alpha, whose error is relative to 1.
-    fn check(kernel: &Pictures, twin: &Pictures, segments: &[u32]) -> Result<(), String> {
+    fn check(kernel: &Images, twin: &Images, segments: &[u32]) -> Result<(), String> {
         let mut worst = 0.0f64;
         identical("instance_ids", &kernel.instance_ids, &twin.instance_ids)?;
         for (place, &count) in segments.iter().enumerate().filter(|(_, count)| **count > 0) {
             let relative = 8.0 * ROUNDOFF * f64::from(count + 2);
-            let (k, t) = (kernel.pictures_f32[place], twin.pictures_f32[place]);
+            let (k, t) = (kernel.images_f32[place], twin.images_f32[place]);
             let colors = [0, 1, 2].map(|channel| relative * f64::from(t[channel]));
             let depth = if t[3] > 0.0 { 2.0 * relative * f64::from(twin.depths_m[place]) / f64::from(t[3]) } else { 0.0 };
             let bounds = [colors[0], colors[1], colors[2], relative, depth];
@@ -178,7 +178,7 @@ fn bytes_are_rounded() {
     let case = Case::new(2);
     let (twin, segments) = case.twin();
     let bytes = case.kernel(&gpu, ColorFormat::U8).1;
-    for (place, value) in twin.pictures_f32.iter().enumerate().filter(|(place, _)| segments[*place] > 0) {
+    for (place, value) in twin.images_f32.iter().enumerate().filter(|(place, _)| segments[*place] > 0) {
         let packed = pack_unorm_4x8(*value).to_le_bytes();
         for (channel, (&a, &b)) in bytes[place].to_le_bytes().iter().zip(&packed).enumerate() {
             // Half-way values may be rounded either way.
@@ -223,9 +223,9 @@ fn pixels_are_left_to_be_finished_where_they_end() {
             }
         }
         let outputs = Outputs { depth: true, instance: true, contributions: counts, ..Outputs::default() };
-        let (pictures, _, left) = case.kernel_by(&gpu, rules, outputs);
+        let (images, _, left) = case.kernel_by(&gpu, rules, outputs);
         let (twin, segments) = case.twin_by(stops, counts);
-        Case::check(&pictures, &twin, &segments).unwrap();
+        Case::check(&images, &twin, &segments).unwrap();
         case.check_unfinished(&gpu, &left, stops, counts).unwrap();
         assert!(case.check_unfinished(&gpu, &left, stops, !counts).is_err(), "other pixels would be seen");
     }

@@ -65,7 +65,7 @@ fn collect(root: &Path, folder: &Path, files: &mut Vec<SourceFile>) {
                 collect(root, &path, files);
             }
         } else if let Ok(text) = fs::read_to_string(&path) {
-            // Pictures and other files that are not UTF-8 are passed over.
+            // Images and other files that are not UTF-8 are passed over.
             let relative = path.strip_prefix(root).expect("the walk stays inside the repository");
             files.push(SourceFile::new(&relative.to_string_lossy().replace('\\', "/"), &text));
         }

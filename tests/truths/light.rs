@@ -57,7 +57,7 @@ fn the_field_of_a_street_is_the_sum_over_its_splats() {
     field.bake(places.iter().copied());
     let baked = errors(&field);
     println!("of the mean light, and of directionality: {summed:?} from cubes, {baked:?} from probes");
-    // Under half a level of an eight-bit picture in brightness, and a twentieth of what tells dusk from an overcast sky.
+    // Under half a level of an eight-bit image in brightness, and a twentieth of what tells dusk from an overcast sky.
     for (light, directionality) in [summed, baked] {
         assert!(light < 5e-3 && directionality < 5e-5, "{summed:?} {baked:?}");
     }

@@ -9,7 +9,7 @@ mod order;
 mod properties;
 mod rules;
 
-use decouplegs::render::{Picture, RenderOptions, Renderer};
+use decouplegs::render::{Image, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
 
 use crate::device::Validated;
@@ -61,22 +61,22 @@ impl Easel {
         Self { renderer, gpu }
     }
 
-    fn draw(&mut self, world: &World, camera: &Camera) -> Picture {
+    fn draw(&mut self, world: &World, camera: &Camera) -> Image {
         let resident = self.renderer.upload(world).unwrap_or_else(|error| panic!("{}: {error}", self.gpu.info()));
         self.renderer.render(&resident, std::slice::from_ref(camera)).unwrap();
-        self.renderer.read_pictures().unwrap().remove(0)
+        self.renderer.read_images().unwrap().remove(0)
     }
 }
 
 /// The middle pixel of what `splats` look like under `rules`: RGB and alpha.
 fn middle_of(splats: &[Splat], rules: Rules) -> ([f32; 3], f32) {
-    let picture = Easel::new(rules).draw(&world_of(splats), &square_camera(9));
-    (picture.rgb[40], picture.alpha[40])
+    let image = Easel::new(rules).draw(&world_of(splats), &square_camera(9));
+    (image.rgb[40], image.alpha[40])
 }
 
 /// The largest difference of a color channel or an alpha.
-fn worst_difference(a: &Picture, b: &Picture) -> f32 {
+fn worst_difference(a: &Image, b: &Image) -> f32 {
     assert_eq!((a.width, a.height), (b.width, b.height));
-    let values = |picture: &Picture| picture.rgb.iter().flatten().chain(&picture.alpha).copied().collect::<Vec<_>>();
+    let values = |image: &Image| image.rgb.iter().flatten().chain(&image.alpha).copied().collect::<Vec<_>>();
     values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }

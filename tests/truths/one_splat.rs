@@ -23,25 +23,25 @@ fn worst(found: &[f32], expected: &[f64]) -> f64 {
 fn a_ball_on_the_axis_is_a_gaussian_as_wide_as_it_projects() {
     let sky = [0.0, 0.0, 0.25];
     let ball = Splat { scale_m: [0.08; 3], opacity: 0.8, rgb: WHITE, ..Splat::at(0.0, 0.0, 4.0) };
-    let picture = Easel::new(Rules::DEFAULT).draw(&World { sky, ..world_of(&[ball]) }, &square_camera(33));
+    let image = Easel::new(Rules::DEFAULT).draw(&World { sky, ..world_of(&[ball]) }, &square_camera(33));
     // On the axis the Jacobian is f/z: the variance is (f s / z)^2 and the dilation of 0.3.
     let variance_px2 = (100.0f64 * 0.08 / 4.0).powi(2) + 0.3;
     let expected = expected_alpha(33, 0.8, variance_px2);
-    assert!(worst(&picture.alpha, &expected) < f64::from(ROUNDING), "{}", worst(&picture.alpha, &expected));
+    assert!(worst(&image.alpha, &expected) < f64::from(ROUNDING), "{}", worst(&image.alpha, &expected));
     for (at, &alpha) in expected.iter().enumerate() {
-        let [red, _, blue] = picture.rgb[at].map(f64::from);
+        let [red, _, blue] = image.rgb[at].map(f64::from);
         assert!((red - alpha).abs() < f64::from(ROUNDING) && (blue - (alpha + 0.25 * (1.0 - alpha))).abs() < f64::from(ROUNDING));
-        let depth_m = picture.depth.as_ref().unwrap()[at];
+        let depth_m = image.depth.as_ref().unwrap()[at];
         assert!(if alpha > 0.0 { (depth_m - 4.0).abs() < 1e-4 } else { depth_m == 0.0 }, "{depth_m} m at {at}");
     }
-    // The comparison can fail: without the dilation, or with a threshold of 1/510, it is another picture.
-    assert!(worst(&picture.alpha, &expected_alpha(33, 0.8, variance_px2 - 0.3)) > 0.01);
+    // The comparison can fail: without the dilation, or with a threshold of 1/510, it is another image.
+    assert!(worst(&image.alpha, &expected_alpha(33, 0.8, variance_px2 - 0.3)) > 0.01);
     let faint = expected.iter().filter(|&&alpha| alpha == 0.0).count();
     assert!((100..1000).contains(&faint), "{faint} pixels beyond the threshold");
 }
 
 #[test]
-fn a_splat_turned_by_a_right_angle_is_its_picture_transposed() {
+fn a_splat_turned_by_a_right_angle_is_its_image_transposed() {
     let long = |rotation| {
         let splat = Splat { scale_m: [0.4, 0.05, 0.1], rotation, opacity: 0.9, rgb: BLUE, ..Splat::at(0.0, 0.0, 4.0) };
         Easel::new(Rules::DEFAULT).draw(&world_of(&[splat]), &square_camera(65))
@@ -63,8 +63,8 @@ fn antialiasing_keeps_the_light_of_a_splat_far_below_a_pixel() {
     // The integral of alpha is o 2 pi sqrt(det S'); times sqrt(det S / det S') it is that of the splat without dilation.
     let light = |scale: f32, antialias: bool| {
         let ball = Splat { scale_m: [scale; 3], opacity: 0.9, ..Splat::at(0.003, -0.002, 4.0) };
-        let picture = Easel::new(Rules { antialias, ..Rules::DEFAULT }).draw(&world_of(&[ball]), &square_camera(33));
-        picture.alpha.iter().map(|&alpha| f64::from(alpha)).sum::<f64>()
+        let image = Easel::new(Rules { antialias, ..Rules::DEFAULT }).draw(&world_of(&[ball]), &square_camera(33));
+        image.alpha.iter().map(|&alpha| f64::from(alpha)).sum::<f64>()
     };
     let area = |scale: f64| 0.9 * std::f64::consts::TAU * (100.0 * scale / 4.0).powi(2);
     // What lies below 1/255 is cut away: 2.7 % of the small splat, less of the large one.

@@ -38,11 +38,11 @@ fn splats_of_many_depths_may_stand_in_the_file_in_any_order() {
     shuffled.rotate_left(211);
     shuffled.reverse();
     let mut easel = Easel::new(Rules::DEFAULT);
-    let pictures = [&splats, &shuffled].map(|splats| easel.draw(&world_of(splats), &square_camera(64)));
-    assert!(pictures[0] == pictures[1], "the same sums in the same order are the same bits");
+    let images = [&splats, &shuffled].map(|splats| easel.draw(&world_of(splats), &square_camera(64)));
+    assert!(images[0] == images[1], "the same sums in the same order are the same bits");
     let mut farther = splats;
     farther[0].mean_m[2] += 6.0;
-    assert!(worst_difference(&pictures[0], &easel.draw(&world_of(&farther), &square_camera(64))) > 0.01, "depth matters");
+    assert!(worst_difference(&images[0], &easel.draw(&world_of(&farther), &square_camera(64))) > 0.01, "depth matters");
 }
 
 #[test]

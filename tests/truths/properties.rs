@@ -42,8 +42,8 @@ fn a_world_of_one_color_under_a_sky_of_that_color_is_that_color() {
     for_random_worlds(|easel, splats| {
         let rgb = splats[0].rgb;
         let splats: Vec<Splat> = splats.iter().map(|splat| Splat { rgb, ..*splat }).collect();
-        let picture = easel.draw(&World { sky: rgb, ..world_of(&splats) }, &square_camera(48));
-        for found in &picture.rgb {
+        let image = easel.draw(&World { sky: rgb, ..world_of(&splats) }, &square_camera(48));
+        for found in &image.rgb {
             let worst = (0..3).map(|channel| (found[channel] - rgb[channel]).abs()).fold(0.0, f32::max);
             prop_assert!(worst < ROUNDING, "{found:?}, not {rgb:?}");
         }
@@ -82,10 +82,10 @@ fn one_more_splat_never_lets_more_of_the_sky_through() {
 #[test]
 fn colors_and_depths_are_means_of_what_is_there() {
     for_random_worlds(|easel, splats| {
-        let picture = easel.draw(&world_of(splats), &square_camera(48));
+        let image = easel.draw(&world_of(splats), &square_camera(48));
         let depths = splats.iter().map(|splat| splat.mean_m[2]);
         let (nearest_m, farthest_m) = depths.fold((f32::MAX, f32::MIN), |(near, far), z| (near.min(z), far.max(z)));
-        for ((rgb, &alpha), &depth_m) in picture.rgb.iter().zip(&picture.alpha).zip(picture.depth.iter().flatten()) {
+        for ((rgb, &alpha), &depth_m) in image.rgb.iter().zip(&image.alpha).zip(image.depth.iter().flatten()) {
             prop_assert!((0.0..=1.0).contains(&alpha));
             prop_assert!(rgb.iter().all(|&value| value >= 0.0 && value <= alpha + ROUNDING), "{rgb:?} of {alpha}");
             let seen = (nearest_m * 0.999..=farthest_m * 1.001).contains(&depth_m);
@@ -140,7 +140,7 @@ fn splats_of_one_depth_keep_their_order_when_the_world_and_the_camera_turn() {
 }
 
 #[test]
-fn moving_the_principal_point_by_whole_pixels_moves_the_picture() {
+fn moving_the_principal_point_by_whole_pixels_moves_the_image() {
     for_random_worlds(|easel, splats| {
         // Balls near the axis: where the Jacobian is clamped depends on the image's edges, and there the truth ends.
         let near_axis = |splat: &Splat| Splat {
@@ -172,8 +172,8 @@ fn moving_the_principal_point_by_whole_pixels_moves_the_picture() {
 #[should_panic(expected = "Test failed")]
 fn a_truth_that_is_false_is_found_out() {
     for_random_worlds(|easel, splats| {
-        let picture = easel.draw(&world_of(splats), &square_camera(48));
-        prop_assert!(picture.alpha.iter().all(|&alpha| alpha < 0.05));
+        let image = easel.draw(&world_of(splats), &square_camera(48));
+        prop_assert!(image.alpha.iter().all(|&alpha| alpha < 0.05));
         Ok(())
     });
 }

@@ -66,7 +66,7 @@ fn conditions(report: &Report) -> String {
     let text = |value: &serde_json::Value| escaped(value.as_str().unwrap_or_default());
     format!(
         "<p class=\"dim\">{} ({}), DecoupleGS {}. Streets of {} splats made up from seed {}; {} cars that drive, {} distinct ones of \
-         {} splats each; {} camera(s) of {}x{} px; pictures compared at {} moment(s), {} frames timed; light transfer {}.</p>",
+         {} splats each; {} camera(s) of {}x{} px; images compared at {} moment(s), {} frames timed; light transfer {}.</p>",
         text(&c["device"]),
         text(&c["driver"]),
         text(&c["version"]),
@@ -114,15 +114,15 @@ fn weather(found: &Reinserted) -> Result<String> {
         let _ = write!(html, "<tr{ours}><td>{}<td>{}</tr>", arm.arm.name(), arm_cells(arm).join("<td>"));
     }
     html.push_str("</table></div>");
-    html.push_str(&pictures(&found.showcase)?);
+    html.push_str(&images(&found.showcase)?);
     Ok(html)
 }
 
-fn pictures(showcase: &Showcase) -> Result<String> {
+fn images(showcase: &Showcase) -> Result<String> {
     let mut html = String::from("<div class=\"row\">");
-    for (what, picture) in &showcase.pictures {
-        // Shown at some 300 pixels: all of a large picture would make the page megabytes.
-        let address = data_uri::png(&data_uri::shrunk(picture, 640))?;
+    for (what, image) in &showcase.images {
+        // Shown at some 300 pixels: all of a large image would make the page megabytes.
+        let address = data_uri::png(&data_uri::shrunk(image, 640))?;
         let _ = write!(
             html,
             "<figure><img class=\"pixels\" width=\"300\" src=\"{address}\" alt=\"{what}\"><figcaption>{what}</figcaption></figure>"

@@ -4,7 +4,7 @@ use anyhow::{Result, ensure};
 use decouplegs::asset::street::Weather;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
-use decouplegs::render::{Agent, AssetPool, Outputs, Picture, RenderOptions, Renderer, Scene};
+use decouplegs::render::{Agent, AssetPool, Outputs, Image, RenderOptions, Renderer, Scene};
 use decouplegs::scene::light::{ShadowOptions, bake_shadows};
 use decouplegs::scene::{Camera, ContactShadow, ShFrame, World};
 use decouplegs::{LiveScene, Moment};
@@ -64,8 +64,8 @@ pub struct Sample {
     pub time_s: f64,
     pub cameras: Vec<Camera>,
     /// With instances, one a camera.
-    pub truth: Vec<Picture>,
-    /// For each picture the pixels that show vehicles.
+    pub truth: Vec<Image>,
+    /// For each image the pixels that show vehicles.
     pub vehicles: Vec<Vec<bool>>,
     /// And those about them.
     pub ground: Vec<Vec<bool>>,
@@ -75,7 +75,7 @@ pub struct Sample {
 pub struct ArmFigures {
     pub arm: Arm,
     pub vehicles: MaskedDifference,
-    /// About vehicles, where shadows lie; `None` where vehicles fill all pictures.
+    /// About vehicles, where shadows lie; `None` where vehicles fill all images.
     pub ground: Option<MaskedDifference>,
     /// Darkening of the ground around vehicles.
     pub darkness: Option<f64>,
@@ -127,19 +127,19 @@ impl Reinsertion<'_> {
             let truth = self.stage.truth(self.cars, time_s);
             let sample = self.sample(&mut renderer, &truth, time_s)?;
             renderer.render(&live.world, &sample.cameras)?;
-            let empty = renderer.read_pictures()?;
+            let empty = renderer.read_images()?;
             let mut drawn = Vec::new();
             for (&arm, errors) in Arm::ALL.iter().zip(&mut errors) {
-                let pictures = self.pictures(&mut renderer, &live, arm, &truth, &sample)?;
-                for (at, found) in pictures.iter().enumerate() {
+                let images = self.images(&mut renderer, &live, arm, &truth, &sample)?;
+                for (at, found) in images.iter().enumerate() {
                     errors.vehicles.add(found, &sample.truth[at], |pixel| sample.vehicles[at][pixel])?;
                     errors.ground.add(found, &sample.truth[at], |pixel| sample.ground[at][pixel])?;
                     errors.darkness.add(found, &empty[at], &sample.ground[at]);
                 }
-                drawn.push(pictures);
+                drawn.push(images);
             }
-            for (at, picture) in sample.truth.iter().enumerate() {
-                truth_darkness.add(picture, &empty[at], &sample.ground[at]);
+            for (at, image) in sample.truth.iter().enumerate() {
+                truth_darkness.add(image, &empty[at], &sample.ground[at]);
             }
             let [plain, ours] = [&drawn[0], &drawn[1]];
             shown = showcase::better(shown, &sample, ours, plain, self.floor);
@@ -169,21 +169,21 @@ impl Reinsertion<'_> {
         let cameras = self.stage.cameras(time_s);
         let world = renderer.upload(&truth.world)?;
         renderer.render(&world, &cameras)?;
-        let truth = renderer.read_pictures()?;
+        let truth = renderer.read_images()?;
         let vehicles: Vec<Vec<bool>> =
-            truth.iter().map(|picture| picture.instance.iter().flatten().map(|&id| id != 0).collect()).collect();
-        let ground = vehicles.iter().zip(&truth).map(|(mask, picture)| ring::around(mask, picture.width as usize)).collect();
+            truth.iter().map(|image| image.instance.iter().flatten().map(|&id| id != 0).collect()).collect();
+        let ground = vehicles.iter().zip(&truth).map(|(mask, image)| ring::around(mask, image.width as usize)).collect();
         Ok(Sample { time_s, cameras, truth, vehicles, ground })
     }
 
-    fn pictures(
+    fn images(
         &self,
         renderer: &mut Renderer,
         live: &LiveScene,
         arm: Arm,
         truth: &Truth,
         sample: &Sample,
-    ) -> Result<Vec<Picture>> {
+    ) -> Result<Vec<Image>> {
         let mut moment = live.at(sample.time_s);
         match arm {
             Arm::Ours => {}
@@ -199,7 +199,7 @@ impl Reinsertion<'_> {
                 }
             }
             Arm::OursUncompressed => {}
-            Arm::TruthCompressed => return self.pictures_in_true_colors(renderer, live, &moment, truth, sample),
+            Arm::TruthCompressed => return self.images_in_true_colors(renderer, live, &moment, truth, sample),
         }
         if matches!(arm, Arm::OursUncompressed | Arm::BestAffine) {
             let world = renderer.upload(&self.copies(&moment))?;
@@ -207,20 +207,20 @@ impl Reinsertion<'_> {
         } else {
             renderer.render(live.with(&moment), &sample.cameras)?;
         }
-        Ok(renderer.read_pictures()?)
+        Ok(renderer.read_images()?)
     }
 
     /// The true cars compressed, those that are seen: it takes long.
-    fn pictures_in_true_colors(
+    fn images_in_true_colors(
         &self,
         renderer: &mut Renderer,
         live: &LiveScene,
         moment: &Moment,
         truth: &Truth,
         sample: &Sample,
-    ) -> Result<Vec<Picture>> {
+    ) -> Result<Vec<Image>> {
         let is_seen =
-            |instance: u16| sample.truth.iter().flat_map(|picture| picture.instance.iter().flatten()).any(|&id| id == instance);
+            |instance: u16| sample.truth.iter().flat_map(|image| image.instance.iter().flatten()).any(|&id| id == instance);
         let placed = &self.stage.loaded.agents;
         let seen: Vec<usize> = (0..placed.len()).filter(|&at| is_seen(placed[at].instance)).collect();
         let clouds: Vec<_> = seen.iter().map(|&at| (placed[at].asset, &truth.cars[at])).collect();
@@ -230,7 +230,7 @@ impl Reinsertion<'_> {
             agents.push(Agent { asset: pool.add(coded)?, relight: None, ..moment.agents[at] });
         }
         renderer.render(Scene::with_agents(&live.world, &pool, &agents), &sample.cameras)?;
-        Ok(renderer.read_pictures()?)
+        Ok(renderer.read_images()?)
     }
 
     /// The background under the shadows of `moment`, and world-space copies of the whole cars in its light.

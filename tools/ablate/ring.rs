@@ -1,13 +1,13 @@
-//! The ground about vehicles in a picture, where their shadows lie.
+//! The ground about vehicles in an image, where their shadows lie.
 
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use decouplegs::scene::light::LUMA;
 
 /// Distance around a vehicle within which the ground is examined, as a share of the image's width:
 /// 25 px of 800.
 const REACH: f64 = 25.0 / 800.0;
 
-/// For each pixel of a picture `width_px` wide whether it lies near `vehicles`, and is not of them.
+/// For each pixel of an image `width_px` wide whether it lies near `vehicles`, and is not of them.
 pub fn around(vehicles: &[bool], width_px: usize) -> Vec<bool> {
     let reach_px = ((REACH * width_px as f64).round() as usize).max(1);
     let height_px = vehicles.len() / width_px.max(1);
@@ -41,7 +41,7 @@ pub struct Darkness {
 
 impl Darkness {
     /// Adds the pixels of `mask`.
-    pub fn add(&mut self, with: &Picture, without: &Picture, mask: &[bool]) {
+    pub fn add(&mut self, with: &Image, without: &Image, mask: &[bool]) {
         let luminance =
             |rgb: &[f32; 3]| f64::from(rgb.iter().zip(LUMA).map(|(value, weight)| value * weight as f32).sum::<f32>());
         for ((with, without), _) in with.rgb.iter().zip(&without.rgb).zip(mask).filter(|(_, is_in)| **is_in) {
@@ -78,9 +78,9 @@ mod tests {
     fn darkness_is_the_share_that_is_gone() {
         let mut darkness = Darkness::default();
         assert_eq!(darkness.share(), None);
-        let mut with = Picture::filled(2, 1, [0.8; 3]);
+        let mut with = Image::filled(2, 1, [0.8; 3]);
         with.rgb[0] = [0.4; 3];
-        darkness.add(&with, &Picture::filled(2, 1, [0.8; 3]), &[true, false]);
+        darkness.add(&with, &Image::filled(2, 1, [0.8; 3]), &[true, false]);
         assert!((darkness.share().unwrap() - 0.5).abs() < 1e-6);
     }
 }

@@ -1,27 +1,27 @@
-//! The largest car of a weather, cut out of its pictures.
+//! The largest car of a weather, cut out of its images.
 
-use decouplegs::render::Picture;
-use decouplegs::render::metrics::difference_picture;
+use decouplegs::render::Image;
+use decouplegs::render::metrics::difference_image;
 
 use super::reinsert::Sample;
 
-/// White in pictures of angles, degrees.
+/// White in images of angles, degrees.
 pub const ANGLE_MAX_DEG: f64 = 20.0;
 
 /// Margin around the car's box, as a share of it.
 const MARGIN: f64 = 0.25;
 
-/// One window of one camera's picture, as several drew it; no picture where there is no car.
+/// One window of one camera's image, as several drew it; no image where there is no car.
 #[derive(Default)]
 pub struct Showcase {
     pub time_s: f64,
     pub camera: String,
     pub car: u16,
     /// Caption and image of each panel.
-    pub pictures: Vec<(&'static str, Picture)>,
+    pub images: Vec<(&'static str, Image)>,
 }
 
-/// A part of a picture: columns and rows, ends excluded.
+/// A part of an image: columns and rows, ends excluded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Window {
     columns: (usize, usize),
@@ -32,8 +32,8 @@ struct Window {
 pub fn better(
     known: Option<(usize, Showcase)>,
     sample: &Sample,
-    ours: &[Picture],
-    plain: &[Picture],
+    ours: &[Image],
+    plain: &[Image],
     floor: f64,
 ) -> Option<(usize, Showcase)> {
     let (pixels, view, car) = largest(&sample.truth)?;
@@ -42,23 +42,23 @@ pub fn better(
     }
     let truth = &sample.truth[view];
     let window = window_about(truth, car)?;
-    let angles = angle_picture(&ours[view], truth, &sample.vehicles[view], floor);
+    let angles = angle_image(&ours[view], truth, &sample.vehicles[view], floor);
     let all =
         [("truth", truth), ("ours", &ours[view]), ("no relighting", &plain[view]), ("angle between ours and truth", &angles)];
-    let pictures = all.map(|(what, picture)| (what, cut(picture, window))).into();
-    Some((pixels, Showcase { time_s: sample.time_s, camera: sample.cameras[view].name.clone(), car, pictures }))
+    let images = all.map(|(what, image)| (what, cut(image, window))).into();
+    Some((pixels, Showcase { time_s: sample.time_s, camera: sample.cameras[view].name.clone(), car, images }))
 }
 
-/// The car with the most pixels in one picture: how many, which picture, which car. One that is cut off by the picture's side counts
+/// The car with the most pixels in one image: how many, which image, which car. One that is cut off by the image's side counts
 /// for less.
-fn largest(truth: &[Picture]) -> Option<(usize, usize, u16)> {
+fn largest(truth: &[Image]) -> Option<(usize, usize, u16)> {
     let mut found: Option<(usize, usize, u16)> = None;
-    for (view, picture) in truth.iter().enumerate() {
-        let instances = picture.instance.as_deref().unwrap_or(&[]);
+    for (view, image) in truth.iter().enumerate() {
+        let instances = image.instance.as_deref().unwrap_or(&[]);
         let mut counts = std::collections::BTreeMap::<u16, usize>::new();
         instances.iter().filter(|&&id| id != 0).for_each(|&id| *counts.entry(id).or_default() += 1);
         for (car, count) in counts {
-            let width = picture.width as usize;
+            let width = image.width as usize;
             let cut_off = instances.iter().enumerate().any(|(at, &id)| id == car && (at % width == 0 || at % width == width - 1));
             let worth = if cut_off { count.div_ceil(4) } else { count };
             if found.is_none_or(|(most, ..)| worth > most) {
@@ -69,9 +69,9 @@ fn largest(truth: &[Picture]) -> Option<(usize, usize, u16)> {
     found
 }
 
-fn window_about(picture: &Picture, car: u16) -> Option<Window> {
-    let (width, height) = (picture.width as usize, picture.height as usize);
-    let instances = picture.instance.as_deref()?;
+fn window_about(image: &Image, car: u16) -> Option<Window> {
+    let (width, height) = (image.width as usize, image.height as usize);
+    let instances = image.instance.as_deref()?;
     let places = || instances.iter().enumerate().filter(|(_, id)| **id == car).map(|(at, _)| (at % width, at / width));
     let columns = (places().map(|place| place.0).min()?, places().map(|place| place.0).max()? + 1);
     let rows = (places().map(|place| place.1).min()?, places().map(|place| place.1).max()? + 1);
@@ -80,28 +80,28 @@ fn window_about(picture: &Picture, car: u16) -> Option<Window> {
     Some(Window { columns: wider(columns, margin, width), rows: wider(rows, margin, height) })
 }
 
-fn cut(picture: &Picture, Window { columns, rows }: Window) -> Picture {
-    let width = picture.width as usize;
+fn cut(image: &Image, Window { columns, rows }: Window) -> Image {
+    let width = image.width as usize;
     let pixels = (rows.0..rows.1).flat_map(|row| (columns.0..columns.1).map(move |column| row * width + column));
-    let rgb = pixels.map(|at| picture.rgb[at]).collect();
-    Picture { rgb, ..Picture::filled((columns.1 - columns.0) as u32, (rows.1 - rows.0) as u32, [0.0; 3]) }
+    let rgb = pixels.map(|at| image.rgb[at]).collect();
+    Image { rgb, ..Image::filled((columns.1 - columns.0) as u32, (rows.1 - rows.0) as u32, [0.0; 3]) }
 }
 
 /// The angle between colors of vehicles in false colors, white from [`ANGLE_MAX_DEG`] on; the rest in faint gray.
-fn angle_picture(found: &Picture, truth: &Picture, vehicles: &[bool], floor: f64) -> Picture {
-    let black = Picture::filled(truth.width, truth.height, [0.0; 3]);
+fn angle_image(found: &Image, truth: &Image, vehicles: &[bool], floor: f64) -> Image {
+    let black = Image::filled(truth.width, truth.height, [0.0; 3]);
     let mut angles = black.clone();
     for (at, _) in vehicles.iter().enumerate().filter(|(_, is_vehicle)| **is_vehicle) {
         angles.rgb[at] = [(angle_deg(found.rgb[at], truth.rgb[at], floor) / ANGLE_MAX_DEG) as f32; 3];
     }
-    let colored = difference_picture(&angles, &black, 1.0).unwrap_or(black);
+    let colored = difference_image(&angles, &black, 1.0).unwrap_or(black);
     let gray = |rgb: &[f32; 3]| [0.25 * rgb.iter().sum::<f32>() / 3.0; 3];
     let rgb = colored.rgb.iter().zip(&truth.rgb).zip(vehicles).map(
         |((colored, truth), is_vehicle)| {
             if *is_vehicle { *colored } else { gray(truth) }
         },
     );
-    Picture { rgb: rgb.collect(), ..colored.clone() }
+    Image { rgb: rgb.collect(), ..colored.clone() }
 }
 
 /// 0 where the true color is too dark to have a hue.
@@ -114,8 +114,8 @@ fn angle_deg(found: [f32; 3], truth: [f32; 3], floor: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn picture(instance: Vec<u16>) -> Picture {
-        Picture { instance: Some(instance), ..Picture::filled(8, 4, [0.5; 3]) }
+    fn image(instance: Vec<u16>) -> Image {
+        Image { instance: Some(instance), ..Image::filled(8, 4, [0.5; 3]) }
     }
 
     #[test]
@@ -126,19 +126,19 @@ mod tests {
         // Larger, but at the left side.
         let mut second = vec![0; 32];
         (0..4).for_each(|row| second[row * 8] = 9);
-        let pictures = [picture(second), picture(first)];
-        assert_eq!(largest(&pictures), Some((2, 1, 7)));
-        let window = window_about(&pictures[1], 7).unwrap();
+        let images = [image(second), image(first)];
+        assert_eq!(largest(&images), Some((2, 1, 7)));
+        let window = window_about(&images[1], 7).unwrap();
         assert_eq!(window, Window { columns: (1, 7), rows: (0, 4) });
-        assert_eq!(cut(&pictures[1], window).rgb.len(), 24);
-        assert_eq!((largest(&[picture(vec![0; 32])]), window_about(&pictures[1], 3)), (None, None));
+        assert_eq!(cut(&images[1], window).rgb.len(), 24);
+        assert_eq!((largest(&[image(vec![0; 32])]), window_about(&images[1], 3)), (None, None));
     }
 
     #[test]
     fn angles_are_shown_of_vehicles_that_are_bright() {
-        let truth = Picture::filled(2, 1, [0.5; 3]);
-        let found = Picture::filled(2, 1, [0.5, 0.0, 0.0]);
-        let shown = angle_picture(&found, &truth, &[true, false], 0.05);
+        let truth = Image::filled(2, 1, [0.5; 3]);
+        let found = Image::filled(2, 1, [0.5, 0.0, 0.0]);
+        let shown = angle_image(&found, &truth, &[true, false], 0.05);
         assert_eq!((shown.rgb[0], shown.rgb[1]), ([1.0; 3], [0.125; 3]));
         assert_eq!(angle_deg([1.0, 0.0, 0.0], [0.01; 3], 0.05), 0.0);
         assert!((angle_deg([1.0, 0.0, 0.0], [1.0, 1.0, 0.0], 0.05) - 45.0).abs() < 1e-4);

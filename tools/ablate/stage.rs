@@ -15,7 +15,7 @@ use crate::arguments::Size;
 
 /// Moments that are looked at in each part of the drive.
 const STEPS: u32 = 20;
-/// A car whose middle is nearer is hardly in the picture, meters.
+/// A car whose middle is nearer is hardly in the image, meters.
 const NEAR_M: f64 = 3.0;
 
 /// Scene into which the cars are reinserted.

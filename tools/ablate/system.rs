@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use decouplegs::asset::street::Weather;
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::scene::Trajectory;
 use decouplegs::{LiveScene, Moment};
@@ -93,7 +93,7 @@ pub struct System {
 }
 
 impl Reinsertion<'_> {
-    /// Every row, in the street of this stage; `samples` are of true pictures, `measured` of cars at true poses.
+    /// Every row, in the street of this stage; `samples` are of true images, `measured` of cars at true poses.
     pub fn system(&self, drift: &Drift, samples: &[Sample], measured: &Reinserted, frames: u32) -> Result<System> {
         let tracks = Tracks::of(self.stage, drift)?;
         let speed = Speed::over(self.gpu, &self.stage.loaded, frames);
@@ -148,8 +148,8 @@ impl Reinsertion<'_> {
             } else {
                 renderer.render(live.with(&moment), &sample.cameras)?;
             }
-            let pictures: Vec<Picture> = renderer.read_pictures()?;
-            for (at, found) in pictures.iter().enumerate() {
+            let images: Vec<Image> = renderer.read_images()?;
+            for (at, found) in images.iter().enumerate() {
                 errors.add(found, &sample.truth[at], |pixel| sample.vehicles[at][pixel])?;
             }
         }

@@ -164,7 +164,7 @@ fn chart(figures: &Value) -> String {
         lines.push_str(&row(name, times, &bar));
     }
     lines.push_str(&row("frame, GPU", &figures["frame_gpu_ms"], ""));
-    // With several frames in flight this is how long one takes from submission to picture, and not the time between two.
+    // With several frames in flight this is how long one takes from submission to image, and not the time between two.
     lines.push_str(&row("frame, latency", &figures["frame_wall_ms"], ""));
     lines
 }

@@ -9,14 +9,14 @@ use serde_json::{Value, json};
 /// Rows of the trace, by number.
 const TRACKS: [(u32, &str); 4] = [(1, "host: submit"), (2, "host: wait"), (3, "main queue"), (4, "update queue")];
 
-/// Frames that the picture of a trace shows.
+/// Frames that the image of a trace shows.
 const FRAMES_SHOWN: usize = 3;
 
-/// Colors of stages in the picture, in turn: neighbors differ.
+/// Colors of stages in the image, in turn: neighbors differ.
 const COLORS: [&str; 6] = ["#4e79a7", "#f28e2b", "#59a14f", "#e15759", "#b07aa1", "#76b7b2"];
 
-/// A trace from [`chrome_trace`] as a picture: [`FRAMES_SHOWN`] frames from its middle, a row for the host and each queue.
-pub fn picture(trace: &Value) -> String {
+/// A trace from [`chrome_trace`] as an image: [`FRAMES_SHOWN`] frames from its middle, a row for the host and each queue.
+pub fn image(trace: &Value) -> String {
     let events: Vec<&Value> = trace["traceEvents"].as_array().into_iter().flatten().filter(|event| event["ph"] == "X").collect();
     let frame_of = |event: &Value| event["args"]["frame"].as_u64().unwrap_or(0) as usize;
     let frames = events.iter().map(|event| frame_of(event) + 1).max().unwrap_or(0);
@@ -98,18 +98,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_picture_shows_the_frames_in_the_middle() {
+    fn an_image_shows_the_frames_in_the_middle() {
         let event = |frame: usize, tid: u32, name: &str| {
             let args = json!({ "frame": frame });
             json!({ "ph": "X", "name": name, "pid": 1, "tid": tid, "ts": 100.0 * frame as f64, "dur": 90.0, "args": args })
         };
         let events: Vec<Value> =
             (0..7).flat_map(|frame| [event(frame, 3, &format!("blend {frame}")), event(frame, 4, "agents")]).collect();
-        let svg = picture(&json!({ "traceEvents": events }));
+        let svg = image(&json!({ "traceEvents": events }));
         for (frame, shown) in [(1, false), (2, true), (4, true), (5, false)] {
             assert_eq!(svg.contains(&format!("blend {frame},")), shown, "frame {frame}");
         }
         assert!(svg.contains("update queue") && svg.ends_with("</svg>\n"));
-        assert!(picture(&json!({})).ends_with("</svg>\n"), "a trace of nothing is an empty picture");
+        assert!(image(&json!({})).ends_with("</svg>\n"), "a trace of nothing is an empty image");
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use anyhow::Result;
 use decouplegs::asset::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR};
-use decouplegs::render::picture::Picture;
+use decouplegs::render::rendered_image::Image;
 
 use super::{Subject, views};
 use crate::data_uri;
@@ -20,15 +20,15 @@ pub fn page(subject: &Subject, calibration: &Calibration) -> Result<String> {
         let name = escaped(&subject.probes[held_out.probe].name);
         let _ = write!(html, "<h3>{name}</h3><div class=\"row\">");
         if let Some(row) = views::row(subject, held_out) {
-            for (caption, picture) in row.captions.iter().zip(&row.pictures) {
-                figure(&mut html, caption, picture)?;
+            for (caption, image) in row.captions.iter().zip(&row.images) {
+                figure(&mut html, caption, image)?;
             }
         }
         html.push_str("</div>");
     }
     html.push_str("<h2>The neutral light</h2><div class=\"row\">");
-    for (caption, picture) in ["as it is", "relit"].iter().zip(&views::neutral(subject, calibration)) {
-        figure(&mut html, caption, picture)?;
+    for (caption, image) in ["as it is", "relit"].iter().zip(&views::neutral(subject, calibration)) {
+        figure(&mut html, caption, image)?;
     }
     html.push_str("</div>");
     html.push_str(&ridges(calibration));
@@ -98,11 +98,11 @@ fn table_row(html: &mut String, name: &str, comparison: &Comparison) {
     [&comparison.none, &comparison.relit, &comparison.affine].into_iter().for_each(&mut cells);
 }
 
-fn figure(html: &mut String, caption: &str, picture: &Picture) -> Result<()> {
+fn figure(html: &mut String, caption: &str, image: &Image) -> Result<()> {
     let _ = write!(
         html,
         "<figure><img class=\"pixels\" src=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>",
-        data_uri::png(picture)?
+        data_uri::png(image)?
     );
     Ok(())
 }

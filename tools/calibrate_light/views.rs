@@ -1,7 +1,7 @@
-//! Pictures of an asset in the light of a probe: the truth, relit, and as it is.
+//! Images of an asset in the light of a probe: the truth, relit, and as it is.
 
 use decouplegs::asset::calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, Probe, Surroundings, lit_cloud, to_display};
-use decouplegs::render::picture::Picture;
+use decouplegs::render::rendered_image::Image;
 use decouplegs::render::reference;
 use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, World};
 
@@ -14,13 +14,13 @@ const HEIGHT_PX: u32 = 132;
 /// Faint splats take most of the reference's time and hardly show.
 const OPACITY_MIN: f32 = 0.15;
 
-/// Share of the asset's size that the picture is farther than its middle.
+/// Share of the asset's size that the image is farther than its middle.
 const DISTANCE: f64 = 2.0;
 
 /// Luminance of the reference ground in images.
 const GROUND_DISPLAY: f64 = 0.4;
 
-/// By how much the probe is turned in pictures, radians: not one of the turns that were fitted.
+/// By how much the probe is turned in images, radians: not one of the turns that were fitted.
 const YAW_RAD: f64 = 0.4;
 
 /// One probe left out, drawn.
@@ -28,7 +28,7 @@ pub struct Row {
     /// Captions of the images.
     pub captions: [&'static str; 4],
     /// The probe itself, the truth, relit by a fit that was not shown the probe, and the asset as it is.
-    pub pictures: [Picture; 4],
+    pub images: [Image; 4],
 }
 
 /// The first asset in the light of the probe that was left out; `None` where the probe leaves the ground dark.
@@ -42,17 +42,17 @@ pub fn row(subject: &Subject, held_out: &HeldOut) -> Option<Row> {
     let background = ground_color(&light.descriptor);
     let truth = lit_cloud(&asset, |normal| light.reflected_by_white(normal));
     let relit = held_out.transfer.at(&light.descriptor).relit(&asset);
-    let pictures =
-        [thumbnail(&small, light.exposure), picture(truth, background), picture(relit, background), picture(asset, background)];
-    Some(Row { captions: ["the probe", "truth", "relit, probe left out", "not relit"], pictures })
+    let images =
+        [thumbnail(&small, light.exposure), image(truth, background), image(relit, background), image(asset, background)];
+    Some(Row { captions: ["the probe", "truth", "relit, probe left out", "not relit"], images })
 }
 
 /// The first asset in the neutral light: as it is, and relit.
-pub fn neutral(subject: &Subject, calibration: &Calibration) -> [Picture; 2] {
+pub fn neutral(subject: &Subject, calibration: &Calibration) -> [Image; 2] {
     let asset = shown(&subject.assets[0].1);
     let neutral = &calibration.transfer.neutral;
     let relit = calibration.transfer.at(neutral).relit(&asset);
-    [picture(asset, ground_color(neutral)), picture(relit, ground_color(neutral))]
+    [image(asset, ground_color(neutral)), image(relit, ground_color(neutral))]
 }
 
 fn shown(asset: &SplatCloud) -> SplatCloud {
@@ -64,19 +64,19 @@ fn ground_color(light: &AmbientDescriptor) -> [f32; 3] {
     light.mean().map(|value| value.clamp(0.0, 1.0))
 }
 
-fn picture(cloud: SplatCloud, background: [f32; 3]) -> Picture {
+fn image(cloud: SplatCloud, background: [f32; 3]) -> Image {
     let bounds = cloud.bounds();
     let size_m = bounds.half_extent().iter().map(|half| f64::from(2.0 * half)).fold(0.0, f64::max).max(1e-3);
     let focal_px = 0.8 * DISTANCE * f64::from(WIDTH_PX);
     let cameras = street(&bounds, 8, DISTANCE * size_m, focal_px, [WIDTH_PX, HEIGHT_PX]);
     let world = World { sky: background, ..World::of(cloud) };
-    reference::render(&world, &cameras[1], &Rules::DEFAULT).to_picture()
+    reference::render(&world, &cameras[1], &Rules::DEFAULT).to_image()
 }
 
-fn thumbnail(probe: &Probe, exposure: f64) -> Picture {
-    let mut picture = Picture::filled(probe.width() as u32, probe.height() as u32, [0.0; 3]);
-    for (shown, radiance) in picture.rgb.iter_mut().zip(probe.pixels()) {
+fn thumbnail(probe: &Probe, exposure: f64) -> Image {
+    let mut image = Image::filled(probe.width() as u32, probe.height() as u32, [0.0; 3]);
+    for (shown, radiance) in image.rgb.iter_mut().zip(probe.pixels()) {
         *shown = radiance.map(|value| to_display(f64::from(value) * exposure) as f32);
     }
-    picture
+    image
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use anyhow::Result;
 use decouplegs::asset::compress::{BookReport, Compressed};
-use decouplegs::render::metrics::difference_picture;
+use decouplegs::render::metrics::difference_image;
 
 use super::report::{Measured, Subject, Trial};
 use super::yardstick::{Score, Yardstick};
@@ -26,7 +26,7 @@ pub fn page(subject: &Subject<'_>, compressed: &Compressed, yardstick: &mut Yard
     }
     html.push_str("</ul>");
     html.push_str(&trial_table(&names, std::slice::from_ref(&measured.asset)));
-    html.push_str(&pictures(yardstick, compressed)?);
+    html.push_str(&images(yardstick, compressed)?);
     html.push_str(&curves(&names, compressed, measured));
     html.push_str("<h2>Shares kept, not compressed otherwise</h2>");
     html.push_str(&trial_table(&names, &measured.pruned_only));
@@ -150,22 +150,22 @@ fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
     }
 }
 
-/// The first picture of each kind of view: before, after, and the difference.
-fn pictures(yardstick: &mut Yardstick, compressed: &Compressed) -> Result<String> {
+/// The first image of each kind of view: before, after, and the difference.
+fn images(yardstick: &mut Yardstick, compressed: &Compressed) -> Result<String> {
     let decoded = compressed.cloud.decoded(0);
     let mut html = String::new();
     for at in 0..yardstick.views.len() {
         let camera = yardstick.views[at].cameras[..1].to_vec();
         let after = yardstick.draw(&decoded, &camera)?;
         let before = &yardstick.views[at].original[0];
-        let difference = difference_picture(before, &after[0], DIFFERENCE_GAIN)?;
+        let difference = difference_image(before, &after[0], DIFFERENCE_GAIN)?;
         html.push_str("<div class=\"row\">");
-        for (what, picture) in [("before", before), ("after", &after[0]), ("difference, times 8", &difference)] {
+        for (what, image) in [("before", before), ("after", &after[0]), ("difference, times 8", &difference)] {
             let name = yardstick.views[at].name;
             let _ = write!(
                 html,
                 "<figure><img class=\"pixels\" src=\"{}\" alt=\"{name} {what}\"><figcaption>{name}, {what}</figcaption></figure>",
-                data_uri::png(picture)?
+                data_uri::png(image)?
             );
         }
         html.push_str("</div>");

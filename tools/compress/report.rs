@@ -31,7 +31,7 @@ const STREET_VIEWS: usize = 4;
 const CLOSE_VIEWS: usize = 2;
 const AROUND_VIEWS: usize = 7;
 
-/// Side of the pictures from all around, pixels.
+/// Side of the images from all around, pixels.
 const AROUND_PX: u32 = 200;
 
 /// Turns the cameras of the report away from those that visibility was measured with, radians.

@@ -18,7 +18,7 @@ pub const WINDOW_PX: [u32; 2] = [320, 200];
 /// Height of a street camera above the asset's center, as a share of its distance.
 const STREET_SLOPE: f64 = 0.07;
 
-/// `views` square pictures from a Fibonacci sphere around the box, far enough that all of it is in each. Spheres of another
+/// `views` square images from a Fibonacci sphere around the box, far enough that all of it is in each. Spheres of another
 /// `turn_rad` have cameras in other directions.
 pub fn sphere(bounds: &Bounds, views: usize, size_px: u32, turn_rad: f64) -> Vec<Camera> {
     let radius_m = DVec3::from_array(bounds.half_extent().map(f64::from)).length().max(1e-6);
@@ -57,7 +57,7 @@ pub fn street(bounds: &Bounds, views: usize, distance_m: f64, focal_px: f64, [wi
 fn looking_at(bounds: &Bounds, from_center: DVec3, intrinsics: Intrinsics, view: usize) -> Camera {
     let center = DVec3::from_array(bounds.center().map(f64::from));
     let upright = Pose::look_at(center + from_center, center, DVec3::Z);
-    // Straight above and below, any direction in the picture is as good as another.
+    // Straight above and below, any direction in the image is as good as another.
     let pose = upright.or_else(|| Pose::look_at(center + from_center, center, DVec3::X));
     Camera { name: format!("view {view}"), intrinsics, world_from_camera: pose.unwrap_or(Pose::IDENTITY) }
 }
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_of_the_box_is_in_every_picture_of_the_sphere() {
+    fn all_of_the_box_is_in_every_image_of_the_sphere() {
         let bounds = Bounds { min: [-2.0, -1.0, 3.0], max: [2.5, 1.0, 4.5] };
         for camera in sphere(&bounds, 33, 100, 0.4) {
             for corner in 0..8u32 {

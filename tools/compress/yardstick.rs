@@ -5,7 +5,7 @@ use std::thread;
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Picture, RenderOptions, Renderer};
+use decouplegs::render::{Image, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, SplatCloud, World};
 use serde_json::{Value, json};
 
@@ -18,7 +18,7 @@ pub struct Score {
     /// Signal-to-noise ratio from the mean squared error over all images, decibels; infinite for
     /// equal images.
     pub psnr_db: f64,
-    /// Mean over pictures; `None` where they are too small for a window.
+    /// Mean over images; `None` where they are too small for a window.
     pub ssim: Option<f64>,
 }
 
@@ -27,7 +27,7 @@ impl Score {
         json!({ "psnr_db": self.psnr_db.is_finite().then_some(self.psnr_db), "ssim": self.ssim })
     }
 
-    fn between(found: &[Picture], expected: &[Picture]) -> Result<Self> {
+    fn between(found: &[Image], expected: &[Image]) -> Result<Self> {
         let (mut square_sum, mut ssims) = (0.0, Vec::new());
         for difference in differences(found, expected)? {
             square_sum += difference.rmse * difference.rmse;
@@ -39,9 +39,9 @@ impl Score {
 }
 
 /// Difference of each of `found` from its counterpart in `expected`; several are compared at once.
-pub fn differences(found: &[Picture], expected: &[Picture]) -> Result<Vec<Difference>> {
+pub fn differences(found: &[Image], expected: &[Image]) -> Result<Vec<Difference>> {
     let threads = thread::available_parallelism().map_or(1, usize::from);
-    let pairs: Vec<(&Picture, &Picture)> = found.iter().zip(expected).collect();
+    let pairs: Vec<(&Image, &Image)> = found.iter().zip(expected).collect();
     let mut differences = Vec::new();
     for pairs in pairs.chunks(threads) {
         thread::scope(|scope| {
@@ -58,7 +58,7 @@ pub struct Views {
     pub name: &'static str,
     pub what: String,
     pub cameras: Vec<Camera>,
-    pub original: Vec<Picture>,
+    pub original: Vec<Image>,
 }
 
 /// Draws versions of an asset and scores them.
@@ -78,11 +78,11 @@ impl Yardstick {
         Ok(yardstick)
     }
 
-    pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Picture>> {
+    pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {
         let world = World { sky: SKY_RGB, ..World::of(cloud.select(&cloud.spatial_order())) };
         let resident = self.renderer.upload(&world)?;
         self.renderer.render(&resident, cameras)?;
-        Ok(self.renderer.read_pictures()?)
+        Ok(self.renderer.read_images()?)
     }
 
     /// Similarity of `cloud` to the original, one score per view.
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn errors_are_averaged_before_the_logarithm() {
-        let gray = |value: f32| Picture::filled(16, 16, [value; 3]);
+        let gray = |value: f32| Image::filled(16, 16, [value; 3]);
         let score = Score::between(&[gray(0.5), gray(0.5)], &[gray(0.5), gray(0.6)]).unwrap();
         // Squared errors 0 and 0.01.
         assert!((score.psnr_db - 23.0103).abs() < 1e-3, "{score:?}");

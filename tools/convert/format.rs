@@ -17,7 +17,7 @@ pub enum Format {
     Spz,
     /// antimatter15's 32 bytes a splat
     Splat,
-    /// PlayCanvas' bundle of lossless pictures, version 2
+    /// PlayCanvas' bundle of lossless images, version 2
     Sog,
     /// Binary glTF with KHR_gaussian_splatting: all in 32-bit floats
     Glb,

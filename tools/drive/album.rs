@@ -1,4 +1,4 @@
-//! Pictures of an episode that are kept: all of them, or the few that a report shows.
+//! Images of an episode that are kept: all of them, or the few that a report shows.
 
 use std::fs;
 use std::path::PathBuf;
@@ -8,15 +8,15 @@ use clap::ValueEnum;
 use decouplegs::asset::EpisodeLog;
 use decouplegs::episode::{EpisodeError, Witness};
 use decouplegs::planner::Frame;
-use decouplegs::render::Picture;
-use decouplegs::render::picture::PictureFormat;
+use decouplegs::render::Image;
+use decouplegs::render::rendered_image::ImageFileFormat;
 use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, Instant};
 
-use crate::arguments::write_picture;
+use crate::arguments::write_image;
 
 /// Images to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Pictures {
+pub enum Images {
     /// None
     None,
     /// Images of the first camera: the first, the last and some between, for the report
@@ -25,10 +25,10 @@ pub enum Pictures {
     All,
 }
 
-/// The pictures of one episode.
+/// The images of one episode.
 pub struct Album {
     folder: PathBuf,
-    keeps: Pictures,
+    keeps: Images,
     /// Images of the first camera at the start and at each moment that would be the middle if the
     /// next one were the end.
     keys: Vec<Key>,
@@ -49,17 +49,17 @@ const KEY_EVERY: u32 = 10;
 const KEYS_MAX: usize = 3;
 
 impl Album {
-    pub fn new(folder: PathBuf, keeps: Pictures) -> Self {
+    pub fn new(folder: PathBuf, keeps: Images) -> Self {
         Self { folder, keeps, keys: Vec::new(), last: None }
     }
 
     pub fn add(&mut self, step: u32, frames: &[Frame]) -> Result<()> {
-        if self.keeps == Pictures::All {
+        if self.keeps == Images::All {
             for frame in frames {
-                self.write(&format!("{}_{step:04}.png", frame.camera.name), &picture(frame))?;
+                self.write(&format!("{}_{step:04}.png", frame.camera.name), &image(frame))?;
             }
         }
-        if let (Some(frame), true) = (frames.first(), self.keeps != Pictures::None) {
+        if let (Some(frame), true) = (frames.first(), self.keeps != Images::None) {
             let mut rgba = self.last.take().map(|last| last.rgba).unwrap_or_default();
             rgba.clear();
             rgba.extend_from_slice(frame.rgba);
@@ -78,30 +78,30 @@ impl Album {
         let mut keys = std::mem::take(&mut self.keys);
         keys.extend(self.last.take().filter(|last| keys.last().is_none_or(|key| key.step != last.step)));
         for Key { step, size_px, rgba } in keys {
-            self.write(&format!("key_{step:04}.png"), &picture_of(size_px, &rgba))?;
+            self.write(&format!("key_{step:04}.png"), &image_of(size_px, &rgba))?;
         }
         Ok(())
     }
 
-    fn write(&self, name: &str, picture: &Picture) -> Result<()> {
+    fn write(&self, name: &str, image: &Image) -> Result<()> {
         fs::create_dir_all(&self.folder).with_context(|| format!("{} cannot be made", self.folder.display()))?;
-        write_picture(&self.folder.join(name), picture, PictureFormat::Png)
+        write_image(&self.folder.join(name), image, ImageFileFormat::Png)
     }
 }
 
-/// A frame as a picture that can be written.
-pub fn picture(frame: &Frame) -> Picture {
+/// A frame as an image that can be written.
+pub fn image(frame: &Frame) -> Image {
     let lens = &frame.camera.intrinsics;
-    picture_of([lens.width_px, lens.height_px], frame.rgba)
+    image_of([lens.width_px, lens.height_px], frame.rgba)
 }
 
-fn picture_of([width_px, height_px]: [u32; 2], rgba: &[u8]) -> Picture {
+fn image_of([width_px, height_px]: [u32; 2], rgba: &[u8]) -> Image {
     let pixels = rgba.chunks_exact(4);
     let share = |byte: u8| f32::from(byte) / 255.0;
-    Picture {
+    Image {
         rgb: pixels.clone().map(|pixel| [share(pixel[0]), share(pixel[1]), share(pixel[2])]).collect(),
         alpha: pixels.map(|pixel| share(pixel[3])).collect(),
-        ..Picture::filled(width_px, height_px, [0.0; 3])
+        ..Image::filled(width_px, height_px, [0.0; 3])
     }
 }
 
@@ -142,7 +142,7 @@ impl Witness for Keeper {
     }
 
     fn end(&mut self, end: &EpisodeEnd) -> Result<(), EpisodeError> {
-        // Pictures first: a log under its own name says that all of the episode is there.
+        // Images first: a log under its own name says that all of the episode is there.
         let closed = self.album.close();
         self.keep(closed);
         if let Some(log) = self.log.take() {
@@ -162,7 +162,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let intrinsics = Intrinsics::from_horizontal_fov(2, 1, 1.0);
         let camera = RigCamera { name: "front".into(), intrinsics, rig_from_camera: Pose::IDENTITY };
-        let mut album = Album::new(folder.path().join("a"), Pictures::Key);
+        let mut album = Album::new(folder.path().join("a"), Images::Key);
         for step in 0..14_u8 {
             let rgba = [step, 0, 0, 255, 0, step, 0, 255];
             album.add(u32::from(step), &[Frame { camera: &camera, rgba: &rgba }]).unwrap();
@@ -171,7 +171,7 @@ mod tests {
         let mut names: Vec<_> = fs::read_dir(folder.path().join("a")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
         names.sort();
         assert_eq!(names, ["key_0000.png", "key_0010.png", "key_0013.png"]);
-        let last = Picture::read(&folder.path().join("a/key_0013.png")).unwrap();
+        let last = Image::read(&folder.path().join("a/key_0013.png")).unwrap();
         assert_eq!((last.rgb[0], last.rgb[1]), ([13.0 / 255.0, 0.0, 0.0], [0.0, 13.0 / 255.0, 0.0]));
     }
 }

@@ -54,9 +54,9 @@ impl RunFolder {
         self.root.join("logs").join(format!("{name}.log"))
     }
 
-    /// The folder of an episode's pictures.
-    pub fn pictures(&self, name: &str) -> PathBuf {
-        self.root.join("pictures").join(name)
+    /// The folder of an episode's images.
+    pub fn images(&self, name: &str) -> PathBuf {
+        self.root.join("images").join(name)
     }
 }
 

@@ -117,7 +117,7 @@ impl PlaceArguments {
         let needed = SPLATS_PER_M2_MIN * area_m2;
         if self.map.is_some() && self.scene.is_none() && (self.background as f64) < needed {
             warn(&format!(
-                "{} splats on {area_m2:.0} m² of lanes: pictures will look foggy. --background {:.0} is enough",
+                "{} splats on {area_m2:.0} m² of lanes: images will look foggy. --background {:.0} is enough",
                 self.background,
                 (needed / 1e4).ceil() * 1e4
             ));

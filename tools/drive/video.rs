@@ -1,4 +1,4 @@
-//! Pictures to a video, by ffmpeg where it is installed.
+//! Images to a video, by ffmpeg where it is installed.
 
 use std::fs;
 use std::path::Path;
@@ -11,11 +11,11 @@ pub fn check_ffmpeg() -> Result<()> {
     let asked = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
     match asked {
         Ok(status) if status.success() => Ok(()),
-        _ => bail!("--video needs ffmpeg, which is not installed: install it, or keep the pictures with --pictures all"),
+        _ => bail!("--video needs ffmpeg, which is not installed: install it, or keep the images with --images all"),
     }
 }
 
-/// The pictures `CAMERA_0000.png` and on in `folder` as `video`, whole or not at all.
+/// The images `CAMERA_0000.png` and on in `folder` as `video`, whole or not at all.
 pub fn encode(folder: &Path, camera: &str, frames_per_second: f64, video: &Path) -> Result<()> {
     let part = video.with_extension("part.mp4");
     let output = Command::new("ffmpeg")

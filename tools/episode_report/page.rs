@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::Result;
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Lane, VehicleState};
 
@@ -36,7 +36,7 @@ fn facts(scored: &[Scored]) -> String {
     let Some(first) = scored.first() else { return "<p>No episodes.</p>".into() };
     let planner = &first.episode.head.planner;
     let sees = match (planner.cameras.is_empty(), planner.privileged) {
-        (true, true) => "It was told where everybody is, which no camera shows, and needed no pictures.".to_owned(),
+        (true, true) => "It was told where everybody is, which no camera shows, and needed no images.".to_owned(),
         (_, true) => "It was told where everybody is, which no camera shows.".to_owned(),
         (true, false) => "It saw nothing.".to_owned(),
         (false, false) => "It was told nothing but its own motion and its navigation.".to_owned(),
@@ -125,13 +125,13 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
         birds_eye::svg(scored, lanes),
         over_time(scored)
     );
-    for path in key_frames(&scored.pictures) {
-        let picture = data_uri::shrunk(&Picture::read(&path)?, KEY_WIDTH_PX);
+    for path in key_frames(&scored.images) {
+        let image = data_uri::shrunk(&Image::read(&path)?, KEY_WIDTH_PX);
         let step = path.file_stem().unwrap_or_default().to_string_lossy().replace("key_", "step ");
         let _ = write!(
             html,
             "<figure><img src=\"{}\" alt=\"{step}\"><figcaption>{}</figcaption></figure>",
-            data_uri::png(&picture)?,
+            data_uri::png(&image)?,
             escaped(&step)
         );
     }

@@ -67,7 +67,7 @@ pub fn table(scored: &[Scored]) -> String {
     let rows: String = parts.iter().map(row).collect();
     format!(
         "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light and \
-         the frame (draw); its pictures, back on the host (read); what is left of hashing them when the planner is done (hash); ego and traffic \
-         (advance); logs and pictures that are kept (keep).</p><table><tr><th>part<th>median, ms<th>p99, ms{rows}</table>"
+         the frame (draw); its images, back on the host (read); what is left of hashing them when the planner is done (hash); ego and traffic \
+         (advance); logs and images that are kept (keep).</p><table><tr><th>part<th>median, ms<th>p99, ms{rows}</table>"
     )
 }

@@ -157,7 +157,7 @@ fn draw_track(svg: &mut String, frame: &Frame, track: &Track) {
         let before = track.points.iter().rev().find(|point| point.position_m.distance(last.position_m) > 0.1)?;
         (last.position_m - before.position_m).try_normalize()
     });
-    // The picture's y runs down.
+    // The image's y runs down.
     let forward = towards.unwrap_or(DVec2::X) * DVec2::new(1.0, -1.0);
     let corner = |along: f64, across: f64| {
         frame.place(last.position_m) + forward * along * half_px.x + forward.perp() * across * half_px.y

@@ -37,13 +37,13 @@ class ProtocolError(Exception):
 
 
 class Frame:
-    """A picture: `rgba` holds `height_px` rows from the top, each of `width_px` pixels of four bytes."""
+    """An image: `rgba` holds `height_px` rows from the top, each of `width_px` pixels of four bytes."""
 
     def __init__(self, camera: str, width_px: int, height_px: int, rgba: bytes):
         self.camera, self.width_px, self.height_px, self.rgba = camera, width_px, height_px, rgba
 
     def array(self):
-        """The picture as a numpy array of shape (height_px, width_px, 4), uint8, read-only. Needs numpy."""
+        """The image as a numpy array of shape (height_px, width_px, 4), uint8, read-only. Needs numpy."""
         import numpy
 
         return numpy.frombuffer(self.rgba, numpy.uint8).reshape(self.height_px, self.width_px, 4)
@@ -54,7 +54,7 @@ class Observation:
 
     `step` counts from 0, `time_s` is since the episode's start. `ego` has speed_mps, acceleration_mps2, steer_rad and
     yaw_rate_radps; `guidance` has turn (straight, left, right), distance_m, angle_rad, length_m and cruise_mps. `frames` are the
-    pictures by camera. `privileged` is None or has ego, route_m and agents.
+    images by camera. `privileged` is None or has ego, route_m and agents.
     """
 
     def __init__(self, header: dict, frames: Dict[str, Frame]):
@@ -75,7 +75,7 @@ class Planner:
     """What a planner is made of. Set the three wishes and override `plan`."""
 
     name = "unnamed"
-    #: Pictures it wants: "none", "front" or "all".
+    #: Images it wants: "none", "front" or "all".
     cameras = "none"
     #: Whether it wants to be told the states of others and its route, which no camera shows.
     privileged = False
@@ -105,7 +105,7 @@ def read_exactly(stream: BinaryIO, count: int) -> bytes:
 
 
 def read_frames(stream: BinaryIO, header: dict) -> Dict[str, Frame]:
-    """The pictures that follow the header of an observation."""
+    """The images that follow the header of an observation."""
     sizes = header["frames"]
     if sum(size["bytes"] for size in sizes) != header["bytes"]:
         raise ProtocolError(f"{header['bytes']} bytes follow; expected as many as the frames have together")

@@ -13,7 +13,7 @@ DARK_SHARE = 0.4
 
 
 def brightness(frame: decouplegs_planner.Frame) -> float:
-    """Mean luma (Rec. 709) of a picture, 0 to 1."""
+    """Mean luma (Rec. 709) of an image, 0 to 1."""
     pixels = frame.width_px * frame.height_px
     red, green, blue = (sum(frame.rgba[channel::4]) for channel in range(3))
     return (0.2126 * red + 0.7152 * green + 0.0722 * blue) / (255.0 * pixels)
@@ -29,7 +29,7 @@ class SlowInTheDark(decouplegs_planner.Planner):
         self.is_dark = False
 
     def plan(self, observation):
-        # A step without pictures looks as the one before did.
+        # A step without images looks as the one before did.
         for frame in observation.frames.values():
             self.is_dark = brightness(frame) < DARK
         speed_mps, x_m, points = observation.ego.speed_mps, 0.0, []

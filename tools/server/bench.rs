@@ -41,7 +41,7 @@ pub struct BenchOptions {
     /// Cameras of each request, the first of the rig
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub cameras: usize,
-    /// Size of the pictures; that of the rig without it
+    /// Size of the images; that of the rig without it
     #[arg(long, value_name = "WxH", value_parser = size, default_value = "512x320")]
     pub size: [u32; 2],
     /// Image file format
@@ -94,7 +94,7 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
     let running = running::start(&server).await?;
     let listening = started.elapsed();
     let endpoint = Endpoint::from_shared(format!("http://{}", running.address))?.tcp_nodelay(true);
-    // Pictures come in one piece; a window smaller than one would be asked for again and again.
+    // Images come in one piece; a window smaller than one would be asked for again and again.
     let endpoint = endpoint.initial_stream_window_size(WINDOW_BYTES).initial_connection_window_size(WINDOW_BYTES);
     let mut rollout = Rollout::begin(endpoint.connect().await?, options).await?;
     rollout.ask(0).await?;
@@ -137,7 +137,7 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
         "p50_ms": at(0.5),
         "p99_ms": at(0.99),
         "max_ms": at(1.0),
-        "pictures_per_s": (requests * options.cameras) as f64 / asked_for.as_secs_f64(),
+        "images_per_s": (requests * options.cameras) as f64 / asked_for.as_secs_f64(),
         "listening_after_s": listening.as_secs_f64(),
         "first_image_after_s": first_image.as_secs_f64(),
         "memory_start_bytes": memory_start,
@@ -184,7 +184,7 @@ impl Rollout {
         Ok(Self { client, scene, cameras, ego, agents, origin: file.origin, options: options.clone() })
     }
 
-    /// Asks for the pictures of one step; how long it took from the request to all bytes.
+    /// Asks for the images of one step; how long it took from the request to all bytes.
     async fn ask(&mut self, step: usize) -> Result<Duration> {
         let end_us = self.ego.last().map_or(0, |(time_us, _)| *time_us).max(1);
         let time_us = (step as f64 * self.options.step * 1e6) as u64 % end_us;
@@ -195,7 +195,7 @@ impl Rollout {
         let took = since.elapsed();
         let failed = reply.items.iter().find(|item| !item.success);
         failed.map_or(Ok(()), |item| Err(anyhow!("{}: {}", item.camera_name, item.error_message)))?;
-        ensure!(reply.items.len() == self.cameras.len(), "{} pictures came back", reply.items.len());
+        ensure!(reply.items.len() == self.cameras.len(), "{} images came back", reply.items.len());
         Ok(took)
     }
 

@@ -10,7 +10,7 @@ use crate::wire::sensorsim::{
     CameraSpec, FthetaCameraParam, LinearCde, OpenCvFisheyeCameraParam, OpenCvPinholeCameraParam, ShutterType,
 };
 
-/// F-theta calibrations count pixels from the center of the first one, pictures from its corner.
+/// F-theta calibrations count pixels from the center of the first one, images from its corner.
 const FTHETA_ORIGIN_PX: f64 = 0.5;
 
 /// Intrinsics of `spec` at `width_px` x `height_px`; at its own size if both are zero.

@@ -136,7 +136,7 @@ pub fn accept(
             metrics.refused();
             return None;
         };
-        // Pictures are written whole: waiting for more to send only delays them. Refused where the client has gone already.
+        // Images are written whole: waiting for more to send only delays them. Refused where the client has gone already.
         let _ = stream.set_nodelay(true);
         metrics.connected(1);
         let idle = if is_for_health { HEALTH_IDLE } else { limits.idle() };

@@ -1,4 +1,4 @@
-//! Pictures as bytes of a file, on threads of their own: while one frame is encoded, the next is drawn.
+//! Images as bytes of a file, on threads of their own: while one frame is encoded, the next is drawn.
 
 use std::sync::Arc;
 
@@ -53,7 +53,7 @@ fn quality_of(quality: f32) -> Result<u8, Status> {
     }
 }
 
-/// The bytes of a picture, `rgba` row by row from the top, four bytes a pixel; alpha is not stored.
+/// The bytes of an image, `rgba` row by row from the top, four bytes a pixel; alpha is not stored.
 ///
 /// # Errors
 /// A sentence, when the format cannot hold the size.
@@ -109,7 +109,7 @@ impl Encoders {
 mod tests {
     use super::*;
 
-    fn picture(size: [u32; 2]) -> Vec<u8> {
+    fn image(size: [u32; 2]) -> Vec<u8> {
         let pixel = |i: u32| [(i % size[0] * 3) as u8, (i / size[0] * 5) as u8, (i % 7 * 20) as u8, 255];
         (0..size[0] * size[1]).flat_map(pixel).collect()
     }
@@ -117,7 +117,7 @@ mod tests {
     #[test]
     fn png_and_planes_lose_nothing_and_jpeg_little() {
         let size = [37, 23];
-        let rgba = picture(size);
+        let rgba = image(size);
         let rgb: Vec<u8> = rgba.chunks(4).flat_map(|pixel| pixel[..3].to_vec()).collect();
         let png = encode(&rgba, size, Encoding::Png).unwrap();
         let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();

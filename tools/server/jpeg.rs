@@ -1,7 +1,7 @@
-//! JPEG in strips, side by side: each is a restart interval of the whole, so that a decoder sees one picture.
+//! JPEG in strips, side by side: each is a restart interval of the whole, so that a decoder sees one image.
 //!
 //! ITU-T T.81: a scan may be cut into intervals of so many blocks (DRI), between which stand markers RST0 to RST7, and at which the
-//! prediction of mean values begins anew, as it does in a picture of its own. All strips have the same tables.
+//! prediction of mean values begins anew, as it does in an image of its own. All strips have the same tables.
 
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ pub fn encode(rgba: &[u8], [width_px, height_px]: [u32; 2], quality: u8) -> Resu
     joined(&strips, height_px, interval).map_or_else(whole, Ok)
 }
 
-/// Some rows as a picture of their own.
+/// Some rows as an image of their own.
 fn strip(rgba: &[u8], width_px: u16, quality: u8) -> Result<Vec<u8>, String> {
     let rows = rgba.len() / (4 * usize::from(width_px));
     let mut bytes = Vec::with_capacity(rgba.len() / 8);
@@ -43,7 +43,7 @@ fn strip(rgba: &[u8], width_px: u16, quality: u8) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// One picture of `strips`, each an interval of `interval` blocks but the last, which may be shorter. `None` where the encoder writes
+/// One image of `strips`, each an interval of `interval` blocks but the last, which may be shorter. `None` where the encoder writes
 /// something else than one scan behind its tables.
 fn joined(strips: &[Vec<u8>], height_px: u16, interval: u16) -> Option<Vec<u8>> {
     let parts = strips.iter().map(|strip| Parts::of(strip)).collect::<Option<Vec<_>>>()?;
@@ -104,7 +104,7 @@ impl<'a> Parts<'a> {
 mod tests {
     use super::*;
 
-    fn picture([width, height]: [u32; 2]) -> Vec<u8> {
+    fn image([width, height]: [u32; 2]) -> Vec<u8> {
         let pixel = |i: u32| [(i % width * 3) as u8, (i / width * 5) as u8, (i % 7 * 20) as u8, 255];
         (0..width * height).flat_map(pixel).collect()
     }
@@ -120,7 +120,7 @@ mod tests {
     fn strips_decode_to_what_the_whole_decodes_to() {
         for size in [[512, 320], [37, 1000], [129, 65], [1600, 900], [16, 64], [5, 63]] {
             for quality in [95, 90, 75, 10] {
-                let rgba = picture(size);
+                let rgba = image(size);
                 let (strips, whole) = (encode(&rgba, size, quality).unwrap(), strip(&rgba, size[0] as u16, quality).unwrap());
                 assert_eq!(decoded(&strips).1.map(u32::from), size);
                 // Colors of half the resolution are smoothed over rows of the other strip by the decoder alike.
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn what_is_no_jpeg_of_one_scan_is_not_taken_apart() {
-        let bytes = strip(&picture([32, 16]), 32, 95).unwrap();
+        let bytes = strip(&image([32, 16]), 32, 95).unwrap();
         assert!(Parts::of(&bytes).is_some());
         for length in 0..bytes.len() {
             assert!(Parts::of(&bytes[..length]).is_none(), "{length}");

@@ -1,4 +1,4 @@
-//! A render server for closed-loop simulators: pictures of scenes, and ground below vehicles, over gRPC.
+//! A render server for closed-loop simulators: images of scenes, and ground below vehicles, over gRPC.
 //!
 //! | file | what it is |
 //! |---|---|
@@ -9,7 +9,7 @@
 //! | `sight`, `poses`, `camera_spec` | a request, checked: cameras and agents where they stand at mid-shutter |
 //! | `catalog` | which scenes there are, and what is told of them without drawing |
 //! | `painter`, `stage` | the one thread that draws, and a scene on the device |
-//! | [`encoding`] | pictures as PNG, JPEG or planes, on threads of their own |
+//! | [`encoding`] | images as PNG, JPEG or planes, on threads of their own |
 //! | [`running`] | all of it together, until it is told to stop |
 //!
 //! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32, and a world may lie in UTM

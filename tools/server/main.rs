@@ -20,7 +20,7 @@ use tracing_subscriber::EnvFilter;
 /// Time for threads that read files to end after the server has ended.
 const THREADS_PATIENCE: Duration = Duration::from_secs(1);
 
-/// Serves pictures of scenes to closed-loop simulators, over gRPC.
+/// Serves images of scenes to closed-loop simulators, over gRPC.
 #[derive(Parser)]
 #[command(name = "decouplegs-server", version, propagate_version = true)]
 struct Program {
@@ -33,7 +33,7 @@ enum Command {
     /// Serve until SIGTERM or SIGINT
     #[command(name = "serve-grpc", visible_alias = "serve")]
     Serve(Box<ServerOptions>),
-    /// Start a server in this process, ask it for pictures over the loopback, and tell how long that took
+    /// Start a server in this process, ask it for images over the loopback, and tell how long that took
     Bench(Box<BenchOptions>),
 }
 

@@ -18,7 +18,7 @@ pub struct Metrics {
     scenes: Mutex<Vec<String>>,
     cache_bytes: AtomicU64,
     queue: AtomicI64,
-    pictures: AtomicU64,
+    images: AtomicU64,
     submissions: AtomicU64,
     unknown_objects: AtomicU64,
     connections: AtomicI64,
@@ -50,10 +50,10 @@ impl Metrics {
         self.queue.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// One submission drew so many pictures, and objects were asked for that the scene has not.
-    pub fn drew(&self, pictures: usize, unknown_objects: usize) {
+    /// One submission drew so many images, and objects were asked for that the scene has not.
+    pub fn drew(&self, images: usize, unknown_objects: usize) {
         self.submissions.fetch_add(1, Ordering::Relaxed);
-        self.pictures.fetch_add(pictures as u64, Ordering::Relaxed);
+        self.images.fetch_add(images as u64, Ordering::Relaxed);
         self.unknown_objects.fetch_add(unknown_objects as u64, Ordering::Relaxed);
     }
 
@@ -91,7 +91,7 @@ impl Metrics {
             (|value: &AtomicI64| value.load(Ordering::Relaxed).max(0) as u64, |value: &AtomicU64| value.load(Ordering::Relaxed));
         let scenes = lock(&self.scenes).len() as u64;
         for (name, kind, meaning, value) in [
-            ("pictures_total", "counter", "Pictures drawn.", unsigned(&self.pictures)),
+            ("images_total", "counter", "Images drawn.", unsigned(&self.images)),
             ("submissions_total", "counter", "Frames submitted to the device.", unsigned(&self.submissions)),
             (
                 "unknown_objects_total",
@@ -159,7 +159,7 @@ mod tests {
             "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"0.005\"} 4",
             "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"60\"} 4",
             "decouplegs_request_seconds_bucket{method=\"render_rgb\",le=\"+Inf\"} 5",
-            "decouplegs_pictures_total 6",
+            "decouplegs_images_total 6",
             "decouplegs_unknown_objects_total 2",
         ] {
             assert!(text.lines().any(|written| written == line), "{line} is not in\n{text}");

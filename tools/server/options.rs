@@ -85,7 +85,7 @@ pub struct Limits {
     /// Largest message that is sent, bytes
     #[arg(long, value_name = "BYTES", default_value_t = 64 << 20, value_parser = message_bytes)]
     pub message_bytes: usize,
-    /// Largest message that is received, bytes; requests are far smaller than pictures
+    /// Largest message that is received, bytes; requests are far smaller than images
     #[arg(long, value_name = "BYTES", default_value_t = 16 << 20, value_parser = message_bytes)]
     pub request_bytes: usize,
     /// Requests at a time; further ones are refused with RESOURCE_EXHAUSTED
@@ -100,10 +100,10 @@ pub struct Limits {
     /// A connection without a request for so long is closed, seconds. Clients connect again by themselves
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = seconds)]
     pub idle: f64,
-    /// Pixels of one picture
+    /// Pixels of one image
     #[arg(long, value_name = "N", default_value_t = 3840 * 2160)]
     pub image_pixels: u64,
-    /// Pixels of all pictures of one request
+    /// Pixels of all images of one request
     #[arg(long, value_name = "N", default_value_t = 8 * 3840 * 2160)]
     pub pixels: u64,
     /// Cameras of one request
@@ -128,7 +128,7 @@ pub struct Limits {
     /// Device memory that scenes in the cache may take, bytes
     #[arg(long, value_name = "BYTES", default_value_t = 32 << 30)]
     pub cache_bytes: u64,
-    /// Threads that encode pictures; 0: as many as there are processors
+    /// Threads that encode images; 0: as many as there are processors
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub max_workers: usize,
 }

@@ -1,4 +1,4 @@
-//! The thread that draws: it owns the device and the scenes on it. Requests come by a queue, pictures go back one by one, and files
+//! The thread that draws: it owns the device and the scenes on it. Requests come by a queue, images go back one by one, and files
 //! are read on a thread beside it.
 
 use std::collections::{HashMap, HashSet};
@@ -14,7 +14,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{LoadedScene, open_movable_scene};
 use decouplegs::gpu::Gpu;
-use decouplegs::render::PictureBytes;
+use decouplegs::render::ImageBytes;
 use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
@@ -27,14 +27,14 @@ use crate::options::Limits;
 use crate::sight::Sight;
 use crate::stage::{Stage, is_lost, status_of};
 
-/// Frames whose pictures there may be at a time. When encoding falls so far behind, drawing waits: memory stays bounded.
+/// Frames whose images there may be at a time. When encoding falls so far behind, drawing waits: memory stays bounded.
 const FRAMES_MAX: usize = 4;
 /// Unknown objects that are warned of, once each. Only hashes of their names are kept.
 const WARNED_MAX: usize = 1000;
 /// Threads that read files. One may wait for a slow disk while another reads.
 const READERS: usize = 2;
 
-/// Asks for pictures.
+/// Asks for images.
 #[derive(Clone)]
 pub struct Painter {
     messages: Sender<Message>,
@@ -45,32 +45,32 @@ pub struct Painter {
     refusing: Arc<AtomicBool>,
 }
 
-/// Pictures of one submission, in the order of its cameras. Their memory serves another frame afterwards.
-pub struct Pictures {
-    /// The pictures.
-    pub bytes: PictureBytes,
-    memory: Arc<PictureMemory>,
+/// Images of one submission, in the order of its cameras. Their memory serves another frame afterwards.
+pub struct Images {
+    /// The images.
+    pub bytes: ImageBytes,
+    memory: Arc<ImageMemory>,
 }
 
-/// Memory of pictures, handed out again and again.
+/// Memory of images, handed out again and again.
 #[derive(Default)]
-struct PictureMemory {
+struct ImageMemory {
     /// Free buffers, and the number of borrowed ones.
-    free: Mutex<(Vec<PictureBytes>, usize)>,
+    free: Mutex<(Vec<ImageBytes>, usize)>,
     given_back: Condvar,
 }
 
-impl PictureMemory {
+impl ImageMemory {
     /// Memory for one frame, once there is some.
-    fn take(self: &Arc<Self>) -> Pictures {
+    fn take(self: &Arc<Self>) -> Images {
         let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let mut free = self.given_back.wait_while(free, |(_, out)| *out >= FRAMES_MAX).unwrap_or_else(PoisonError::into_inner);
         free.1 += 1;
-        Pictures { bytes: free.0.pop().unwrap_or_default(), memory: Arc::clone(self) }
+        Images { bytes: free.0.pop().unwrap_or_default(), memory: Arc::clone(self) }
     }
 }
 
-impl Drop for Pictures {
+impl Drop for Images {
     fn drop(&mut self) {
         let mut free = self.memory.free.lock().unwrap_or_else(PoisonError::into_inner);
         free.0.push(std::mem::take(&mut self.bytes));
@@ -89,7 +89,7 @@ enum Message {
 /// Sights of one scene with the same objects.
 struct Job {
     sights: Vec<Sight>,
-    answer: oneshot::Sender<Result<Pictures, Status>>,
+    answer: oneshot::Sender<Result<Images, Status>>,
 }
 
 impl Painter {
@@ -138,11 +138,11 @@ impl Painter {
         Ok((Self { messages, metrics, lost, refusing }, thread))
     }
 
-    /// Pictures of `sights`, which are of one scene and see the same objects, drawn in one submission.
+    /// Images of `sights`, which are of one scene and see the same objects, drawn in one submission.
     ///
     /// # Errors
     /// NOT_FOUND for unknown scenes, and what reading or drawing meets.
-    pub async fn draw(&self, sights: Vec<Sight>) -> Result<Pictures, Status> {
+    pub async fn draw(&self, sights: Vec<Sight>) -> Result<Images, Status> {
         let (answer, answered) = oneshot::channel();
         self.metrics.queued(1);
         let sent = self.messages.send(Message::Draw(Job { sights, answer }));
@@ -214,7 +214,7 @@ struct Studio {
     /// Jobs for scenes that are being read.
     waiting: HashMap<String, Vec<Job>>,
     loads: Sender<(String, PathBuf)>,
-    memory: Arc<PictureMemory>,
+    memory: Arc<ImageMemory>,
     /// Hashes of scenes and objects.
     warned: HashSet<u64>,
     hashes: RandomState,
@@ -317,20 +317,20 @@ impl Studio {
         if answer.is_closed() {
             return self.metrics.queued(-1);
         }
-        let mut pictures = self.memory.take();
+        let mut images = self.memory.take();
         let (before, held) = (self.gpu.memory().total_bytes, self.scenes.bytes_of(id));
         let Some(stage) = self.scenes.get(id) else {
             return self.answer(answer, Err(Status::unavailable(format!("scene {id:?} left the cache: ask again"))));
         };
         let since = Instant::now();
-        let result = match caught("drawing", || stage.draw(&sights, &mut pictures.bytes)) {
+        let result = match caught("drawing", || stage.draw(&sights, &mut images.bytes)) {
             Ok(Ok(drawn)) => {
                 tracing::debug!(scene = id, cameras = sights.len(), seconds = since.elapsed().as_secs_f64(), "a frame was drawn");
                 self.metrics.drew(sights.len(), drawn.unknown.len());
                 self.warn_of(id, drawn.unknown);
                 let grown = i128::from(self.gpu.memory().total_bytes) - i128::from(before);
                 self.resize(id, u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX));
-                Ok(pictures)
+                Ok(images)
             }
             // What the panic left of the scene is not drawn again.
             Err(status) => {
@@ -370,7 +370,7 @@ impl Studio {
         }
     }
 
-    fn answer(&self, answer: oneshot::Sender<Result<Pictures, Status>>, result: Result<Pictures, Status>) {
+    fn answer(&self, answer: oneshot::Sender<Result<Images, Status>>, result: Result<Images, Status>) {
         self.metrics.queued(-1);
         // A client may read the metrics as soon as it has the answer.
         self.metrics.cached(self.scenes.names(), self.scenes.bytes());

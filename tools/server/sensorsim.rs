@@ -1,4 +1,4 @@
-//! The camera service: messages in, pictures out.
+//! The camera service: messages in, images out.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::encoding::{Encoders, encode};
 use crate::metrics::Metrics;
 use crate::names::{CONTRACT_VERSION, check_name, no_scene};
 use crate::options::Limits;
-use crate::painter::{Painter, Pictures};
+use crate::painter::{Painter, Images};
 use crate::poses::message_of;
 use crate::sight::Sight;
 use crate::wire::common::version_id::ApiVersion;
@@ -68,8 +68,8 @@ pub async fn outline_of(catalog: &Arc<Catalog>, id: String) -> Result<Arc<Outlin
 }
 
 impl Sensorsim {
-    /// Pictures of `sights`, in their order: those that see the same objects in the same scene are drawn in one submission.
-    async fn pictures(&self, sights: Vec<Result<Sight, Status>>) -> Vec<Result<Bytes, Status>> {
+    /// Images of `sights`, in their order: those that see the same objects in the same scene are drawn in one submission.
+    async fn images(&self, sights: Vec<Result<Sight, Status>>) -> Vec<Result<Bytes, Status>> {
         let mut results: Vec<Result<Bytes, Status>> = Vec::with_capacity(sights.len());
         let mut shots: Vec<(Vec<usize>, Vec<Sight>)> = Vec::new();
         for (place, sight) in sights.into_iter().enumerate() {
@@ -91,25 +91,25 @@ impl Sensorsim {
             }
         }
         let drawn = shots.into_iter().map(|(places, sights)| async move { (places, self.shot(sights).await) });
-        for (places, pictures) in join_all(drawn).await {
-            for (place, picture) in places.into_iter().zip(pictures) {
-                results[place] = picture;
+        for (places, images) in join_all(drawn).await {
+            for (place, image) in places.into_iter().zip(images) {
+                results[place] = image;
             }
         }
         results
     }
 
-    /// Pictures of one submission.
+    /// Images of one submission.
     async fn shot(&self, sights: Vec<Sight>) -> Vec<Result<Bytes, Status>> {
         let encodings: Vec<_> = sights.iter().map(|sight| sight.encoding).collect();
-        let pictures = match self.painter.draw(sights).await {
-            Ok(pictures) => Arc::new(pictures),
+        let images = match self.painter.draw(sights).await {
+            Ok(images) => Arc::new(images),
             Err(status) => return vec![Err(status); encodings.len()],
         };
         let encode_one = |(index, encoding)| {
-            let (pictures, (done, waited)) = (Arc::clone(&pictures), oneshot::channel());
+            let (images, (done, waited)) = (Arc::clone(&images), oneshot::channel());
             self.encoders.spawn(move || {
-                let Pictures { bytes, .. } = &*pictures;
+                let Images { bytes, .. } = &*images;
                 // Whoever asked may have gone.
                 let _ = done.send(encode(bytes.rgba(index), bytes.size_px(index), encoding));
             });
@@ -117,7 +117,7 @@ impl Sensorsim {
         };
         let encoded: Vec<_> = encodings.into_iter().enumerate().map(encode_one).collect();
         // Only the encoders keep it: its memory is free for another frame when they are done.
-        drop(pictures);
+        drop(images);
         let encoded = join_all(encoded).await;
         let told = |result: Result<Result<Vec<u8>, String>, _>| match result {
             Ok(Ok(bytes)) => Ok(Bytes::from(bytes)),
@@ -127,7 +127,7 @@ impl Sensorsim {
         encoded.into_iter().map(told).collect()
     }
 
-    /// Refuses pictures that are too large together.
+    /// Refuses images that are too large together.
     fn check_pixels(&self, sights: &[Result<Sight, Status>], field: &str) -> Result<(), Status> {
         let (pixels, most) = (sights.iter().flatten().map(|sight| sight.intrinsics.pixels()).sum::<u64>(), self.limits.pixels);
         if pixels > most {
@@ -175,8 +175,8 @@ impl SensorsimService for Sensorsim {
         let sights: Vec<Sight> = request.rgb_requests.into_iter().enumerate().map(of).collect::<Result<_, _>>()?;
         let sights: Vec<_> = sights.into_iter().map(Ok).collect();
         self.check_pixels(&sights, "rgb_requests")?;
-        let pictures = self.pictures(sights).await;
-        let returned = pictures.into_iter().map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
+        let images = self.images(sights).await;
+        let returned = images.into_iter().map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
         let rgb_returns = returned.collect::<Result<_, _>>()?;
         Ok(Response::new(AggregatedRenderReturn { rgb_returns, ..AggregatedRenderReturn::default() }))
     }
@@ -201,8 +201,8 @@ impl SensorsimService for Sensorsim {
             sights.push(sight);
         }
         self.check_pixels(&sights, "items")?;
-        let pictures = self.pictures(sights).await;
-        let returned = names.into_iter().zip(pictures).map(|(camera_name, picture)| match picture {
+        let images = self.images(sights).await;
+        let returned = names.into_iter().zip(images).map(|(camera_name, image)| match image {
             Ok(image_bytes) => BatchRgbRenderReturnItem {
                 camera_name,
                 result: Some(RgbRenderReturn { image_bytes }),

@@ -1,4 +1,4 @@
-//! A request for a picture, checked: what is seen, from where, and how it is to be stored.
+//! A request for an image, checked: what is seen, from where, and how it is to be stored.
 
 use std::collections::HashSet;
 

@@ -1,10 +1,10 @@
-//! A scene on the device, and pictures of it. All use of the renderer is in this file.
+//! A scene on the device, and images of it. All use of the renderer is in this file.
 
 use std::collections::HashMap;
 
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::{Gpu, GpuError};
-use decouplegs::render::{ColorFormat, Outputs, PictureBytes, RenderError, RenderOptions, Renderer};
+use decouplegs::render::{ColorFormat, Outputs, ImageBytes, RenderError, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, Pose};
 use decouplegs::{LiveScene, Placed};
 use glam::DVec3;
@@ -51,11 +51,11 @@ impl Stage {
         Ok(Self { renderer, live, origin: loaded.world.origin, agents })
     }
 
-    /// Draws what `sights` see, all of them in one submission, into `pictures`. They see the same objects at the same places.
+    /// Draws what `sights` see, all of them in one submission, into `images`. They see the same objects at the same places.
     ///
     /// # Errors
-    /// When a camera cannot make a picture, the device has not the memory or was lost.
-    pub fn draw(&mut self, sights: &[Sight], pictures: &mut PictureBytes) -> Result<Drawn, RenderError> {
+    /// When a camera cannot make an image, the device has not the memory or was lost.
+    pub fn draw(&mut self, sights: &[Sight], images: &mut ImageBytes) -> Result<Drawn, RenderError> {
         let objects = sights.first().map_or(&[][..], |sight| &sight.objects);
         let mut drawn = Drawn::default();
         let mut placed = Vec::with_capacity(objects.len());
@@ -72,7 +72,7 @@ impl Stage {
         let moment = self.live.placed(&placed);
         let cameras: Vec<Camera> = sights.iter().enumerate().map(|(index, sight)| self.camera(index, sight)).collect();
         self.renderer.render(self.live.with(&moment), &cameras)?;
-        self.renderer.read_bytes(pictures)?;
+        self.renderer.read_bytes(images)?;
         Ok(drawn)
     }
 

@@ -26,7 +26,7 @@ pub struct Course {
     pub warm_up: u32,
     /// Frames that are timed.
     pub frames: u32,
-    /// Moments among them at which pictures are compared.
+    /// Moments among them at which images are compared.
     pub samples: u32,
     /// Number of the rig's cameras that are rendered.
     pub cameras_used: usize,
@@ -123,7 +123,7 @@ impl Course {
         cameras
     }
 
-    /// The frames whose pictures are compared: timed ones, evenly spread.
+    /// The frames whose images are compared: timed ones, evenly spread.
     pub fn sample_frames(&self) -> Vec<u32> {
         let count = self.samples.min(self.frames);
         let place = |at: u32| ((2 * u64::from(at) + 1) * u64::from(self.frames) / (2 * u64::from(count))) as u32;

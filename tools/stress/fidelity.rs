@@ -1,12 +1,12 @@
 //! Similarity of images to those of vanilla, over several moments and cameras.
 
 use anyhow::Result;
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use serde_json::{Value, json};
 
 use crate::compress::yardstick::differences;
 
-/// Errors of all pictures together.
+/// Errors of all images together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fidelity {
     /// Signal-to-noise ratio from the mean squared error over all pixels, decibels; infinite for
@@ -14,16 +14,16 @@ pub struct Fidelity {
     pub psnr_all_db: f64,
     /// The same over pixels that show an agent; `None` where none does.
     pub psnr_vehicles_db: Option<f64>,
-    /// Mean over pictures; `None` where they are too small.
+    /// Mean over images; `None` where they are too small.
     pub ssim: Option<f64>,
     pub max_abs: f64,
-    pub pictures: usize,
+    pub images: usize,
 }
 
 impl Fidelity {
     /// Similarity of `found` to `expected`, which also mark the pixels of agents. Both hold at
-    /// least one picture.
-    pub fn between(found: &[Picture], expected: &[Picture]) -> Result<Self> {
+    /// least one image.
+    pub fn between(found: &[Image], expected: &[Image]) -> Result<Self> {
         let pairs = || found.iter().zip(expected);
         let differences = differences(found, expected)?;
         let ssims: Vec<f64> = differences.iter().filter_map(|difference| difference.ssim).collect();
@@ -32,7 +32,7 @@ impl Fidelity {
             psnr_vehicles_db: psnr_db(pairs().map(|(found, expected)| errors(found, expected, |id| id != 0))),
             ssim: (!ssims.is_empty()).then(|| ssims.iter().sum::<f64>() / ssims.len() as f64),
             max_abs: differences.iter().map(|difference| difference.max_abs).fold(0.0, f64::max),
-            pictures: differences.len(),
+            images: differences.len(),
         })
     }
 
@@ -45,13 +45,13 @@ impl Fidelity {
             "psnr_vehicles_db": self.psnr_vehicles_db.and_then(decibels),
             "ssim": self.ssim,
             "max_abs": self.max_abs,
-            "pictures": self.pictures,
+            "images": self.images,
         })
     }
 }
 
 /// Sum of the squared errors of the channels of those pixels whose instance `counts`, and how many channels they are.
-fn errors(found: &Picture, expected: &Picture, counts: impl Fn(u16) -> bool) -> (f64, usize) {
+fn errors(found: &Image, expected: &Image, counts: impl Fn(u16) -> bool) -> (f64, usize) {
     let instances = expected.instance.as_deref().unwrap_or(&[]);
     let mut sum = (0.0, 0);
     for (at, (found, expected)) in found.rgb.iter().zip(&expected.rgb).enumerate() {
@@ -73,20 +73,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn vehicles_are_the_pixels_that_the_expected_picture_says() {
-        let gray = |value: f32| Picture::filled(16, 16, [value; 3]);
+    fn vehicles_are_the_pixels_that_the_expected_image_says() {
+        let gray = |value: f32| Image::filled(16, 16, [value; 3]);
         let mut instances = vec![0; 256];
         instances[..64].fill(3);
-        let expected = Picture { instance: Some(instances), ..gray(0.5) };
+        let expected = Image { instance: Some(instances), ..gray(0.5) };
         let mut found = gray(0.5);
         found.rgb[..64].fill([0.6; 3]);
         let fidelity = Fidelity::between(&[found], std::slice::from_ref(&expected)).unwrap();
-        // 0.01 on vehicles, a quarter of the picture.
+        // 0.01 on vehicles, a quarter of the image.
         assert!((fidelity.psnr_vehicles_db.unwrap() - 20.0).abs() < 1e-4, "{fidelity:?}");
         assert!((fidelity.psnr_all_db - 26.0206).abs() < 1e-3 && (fidelity.max_abs - 0.1).abs() < 1e-6);
         let equal = Fidelity::between(&[gray(0.5), gray(0.2)], &[gray(0.5), gray(0.2)]).unwrap();
-        assert_eq!((equal.psnr_all_db, equal.psnr_vehicles_db, equal.pictures), (f64::INFINITY, None, 2));
+        assert_eq!((equal.psnr_all_db, equal.psnr_vehicles_db, equal.images), (f64::INFINITY, None, 2));
         assert_eq!(equal.to_json()["equal"], true);
-        assert!(Fidelity::between(&[gray(0.5)], &[Picture::filled(8, 8, [0.5; 3])]).is_err());
+        assert!(Fidelity::between(&[gray(0.5)], &[Image::filled(8, 8, [0.5; 3])]).is_err());
     }
 }

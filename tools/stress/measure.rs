@@ -1,10 +1,10 @@
-//! Drives a mode through the scene: how long its frames take, what memory they hold, and its pictures at the sampled moments.
+//! Drives a mode through the scene: how long its frames take, what memory they hold, and its images at the sampled moments.
 
 use anyhow::Result;
 use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CHUNK_SPLATS, ChunkRecord};
-use decouplegs::render::{ColorFormat, Outputs, Picture, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec};
+use decouplegs::render::{ColorFormat, Outputs, Image, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec};
 use decouplegs::scene::{Camera, CodedCloud, World};
 
 use super::course::{Course, Driven};
@@ -49,7 +49,7 @@ impl<'a> Stand<'a> {
 
     /// Measures the first `count` agents in `mode`. The images at the sampled moments are compared
     /// with `vanilla` if given.
-    pub fn measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Picture]>) -> Result<(Outcome, Vec<Picture>)> {
+    pub fn measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Image]>) -> Result<(Outcome, Vec<Image>)> {
         match self.try_measure(mode, count, vanilla) {
             Ok(found) => Ok(found),
             Err(error) => match refusal(&error) {
@@ -59,12 +59,12 @@ impl<'a> Stand<'a> {
         }
     }
 
-    /// The pictures that others are compared with, with instances; `None` where the device has not the memory for them.
-    pub fn vanilla_pictures(&mut self, count: usize) -> Result<Option<Vec<Picture>>> {
+    /// The images that others are compared with, with instances; `None` where the device has not the memory for them.
+    pub fn vanilla_images(&mut self, count: usize) -> Result<Option<Vec<Image>>> {
         let outputs = Outputs { instance: true, ..Outputs::default() };
         let options = RenderOptions { outputs, frames_in_flight: 1, keep_keys: false, ..self.defaults() };
-        match self.pictures_of_copies(options, count, None) {
-            Ok(pictures) => Ok(Some(pictures)),
+        match self.images_of_copies(options, count, None) {
+            Ok(images) => Ok(Some(images)),
             Err(error) if refusal(&error).is_some() => Ok(None),
             Err(error) => Err(error),
         }
@@ -74,7 +74,7 @@ impl<'a> Stand<'a> {
         RenderOptions { rules: self.subject.background().world.rules, ..RenderOptions::default() }
     }
 
-    fn try_measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Picture]>) -> Result<(Outcome, Vec<Picture>)> {
+    fn try_measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Image]>) -> Result<(Outcome, Vec<Image>)> {
         let kept = self.kept(mode, count)?;
         let rules = self.subject.background().world.rules;
         let (course, limit_bytes) = (self.course, self.memory_limit_bytes.unwrap_or(u64::MAX));
@@ -112,40 +112,40 @@ impl<'a> Stand<'a> {
             return Ok((out_of_memory(measured.memory.total_bytes, COUNTED), Vec::new()));
         }
         let mut measured = Measured { predicted_scene_bytes, world_splats, ..measured };
-        let mut pictures = Vec::new();
+        let mut images = Vec::new();
         if let Some(vanilla) = vanilla.filter(|vanilla| !vanilla.is_empty() && !mode.is_vanilla()) {
-            pictures = self.pictures(mode, count, kept.as_deref())?;
-            measured.fidelity = Some(Fidelity::between(&pictures, vanilla)?);
+            images = self.images(mode, count, kept.as_deref())?;
+            measured.fidelity = Some(Fidelity::between(&images, vanilla)?);
         }
-        Ok((Outcome::Measured(Box::new(measured)), pictures))
+        Ok((Outcome::Measured(Box::new(measured)), images))
     }
 
-    /// The pictures of `mode` at the sampled moments, all cameras of one after those of the other.
-    fn pictures(&mut self, mode: &Mode, count: usize, kept: Option<&[u32]>) -> Result<Vec<Picture>> {
+    /// The images of `mode` at the sampled moments, all cameras of one after those of the other.
+    fn images(&mut self, mode: &Mode, count: usize, kept: Option<&[u32]>) -> Result<Vec<Image>> {
         let options = RenderOptions { frames_in_flight: 1, ..mode.options(self.defaults().rules, ColorFormat::F32) };
-        let Agents::Coded(coding) = mode.agents else { return self.pictures_of_copies(options, count, kept) };
+        let Agents::Coded(coding) = mode.agents else { return self.images_of_copies(options, count, kept) };
         let mut renderer = Renderer::new(self.gpu, options);
         let resident = Resident::Live(Box::new(LiveScene::new(&renderer, self.subject.staged(count, coding))?));
-        let mut pictures = Vec::new();
+        let mut images = Vec::new();
         for frame in self.course.sample_frames() {
             let time_s = self.course.time_s(frame);
             resident.submit(&mut renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
             renderer.finish()?;
-            pictures.extend(renderer.read_pictures()?);
+            images.extend(renderer.read_images()?);
         }
-        Ok(pictures)
+        Ok(images)
     }
 
-    fn pictures_of_copies(&self, options: RenderOptions, count: usize, kept: Option<&[u32]>) -> Result<Vec<Picture>> {
+    fn images_of_copies(&self, options: RenderOptions, count: usize, kept: Option<&[u32]>) -> Result<Vec<Image>> {
         let mut renderer = Renderer::new(self.gpu, options);
-        let mut pictures = Vec::new();
+        let mut images = Vec::new();
         for frame in self.course.sample_frames() {
             let time_s = self.course.time_s(frame);
             let world = renderer.upload(&self.copies(count, time_s, kept))?;
             renderer.render(&world, &self.course.cameras(self.subject.background(), time_s))?;
-            pictures.extend(renderer.read_pictures()?);
+            images.extend(renderer.read_images()?);
         }
-        Ok(pictures)
+        Ok(images)
     }
 
     /// Background and copies of the agents where they are at `time_s`; of all their splats those at `kept`, if given.

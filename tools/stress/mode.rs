@@ -61,7 +61,7 @@ impl Mode {
             name: name.to_owned(),
             what:
                 "compressed agents that drive; the background's depth keys are kept while a camera does not turn, with the same \
-                   pictures to the last bit; agents' updates overlap the frame before; 2 frames in flight"
+                   images to the last bit; agents' updates overlap the frame before; 2 frames in flight"
                     .into(),
             agents: Agents::Coded(Coding::default()),
             keep_keys: true,

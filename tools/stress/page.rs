@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use anyhow::Result;
-use decouplegs::render::metrics::difference_picture;
+use decouplegs::render::metrics::difference_image;
 
 use super::charts;
 use super::fit::Line;
@@ -114,16 +114,16 @@ fn source_text(source: &serde_json::Value) -> String {
 
 fn thumbnails(report: &Report) -> Result<String> {
     let Some(shown) = &report.thumbnails else { return Ok(String::new()) };
-    let small = |picture| data_uri::shrunk(picture, THUMBNAIL_WIDTH_PX);
-    let difference = difference_picture(&shown.vanilla, &shown.decoupled, DIFFERENCE_GAIN)?;
+    let small = |image| data_uri::shrunk(image, THUMBNAIL_WIDTH_PX);
+    let difference = difference_image(&shown.vanilla, &shown.decoupled, DIFFERENCE_GAIN)?;
     let mut html = format!(
         "<h2>What was drawn</h2><p class=\"dim\">The first camera at {:.2} s, with {} agents.</p><div class=\"row\">",
         shown.time_s, shown.agents
     );
-    let pictures =
+    let images =
         [("vanilla", &shown.vanilla), ("decoupled", &shown.decoupled), ("difference, times 8, false colors", &difference)];
-    for (what, picture) in pictures {
-        let address = data_uri::png(&small(picture))?;
+    for (what, image) in images {
+        let address = data_uri::png(&small(image))?;
         let _ = write!(html, "<figure><img src=\"{address}\" alt=\"{what}\"><figcaption>{what}</figcaption></figure>");
     }
     html.push_str("</div>");

@@ -1,6 +1,6 @@
 //! All that a run found: as JSON and as text.
 
-use decouplegs::render::Picture;
+use decouplegs::render::Image;
 use serde_json::{Value, json};
 
 use super::figures::{Measured, Outcome, Point};
@@ -23,8 +23,8 @@ pub struct Report {
 pub struct Thumbnails {
     pub agents: usize,
     pub time_s: f64,
-    pub vanilla: Picture,
-    pub decoupled: Picture,
+    pub vanilla: Image,
+    pub decoupled: Image,
 }
 
 /// Lines through what memory was counted with `decoupled`, bytes.

@@ -48,7 +48,7 @@ fn density_cells(mode: &Mode, points: &[&Point]) -> String {
     let fidelity = |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| {
         mean(measured.iter().filter_map(|measured| of(measured.fidelity.as_ref()?)).collect())
     };
-    // Errors are averaged before the logarithm: pictures without error have no finite PSNR.
+    // Errors are averaged before the logarithm: images without error have no finite PSNR.
     let psnr =
         |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| match fidelity(&|found| Some(10f64.powf(of(found)? / -10.0))) {
             _ if mode.is_vanilla() => "reference".to_owned(),

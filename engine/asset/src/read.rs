@@ -20,7 +20,7 @@ pub enum SplatFormat {
     Splat,
     /// Niantic's, versions 1 to 4.
     Spz,
-    /// PlayCanvas' bundle of lossless pictures, version 2.
+    /// PlayCanvas' bundle of lossless images, version 2.
     Sog,
     /// Binary glTF with the extension KHR_gaussian_splatting.
     KhrGlb,

@@ -27,7 +27,7 @@ const GZIP_HEAP: usize = 64 << 10;
 /// Heap use of decoding a small file of a format, beside its splats.
 fn heap_of(format: SplatFormat) -> usize {
     match format {
-        // Pictures of as many pixels as are believed however small the file is, one and a half at a time, and a palette.
+        // Images of as many pixels as are believed however small the file is, one and a half at a time, and a palette.
         SplatFormat::Sog => 4 * MIB,
         // The nodes of a document and of a pickle take some ten times their text.
         SplatFormat::KhrGlb | SplatFormat::Checkpoint => 4 * GZIP_HEAP,

@@ -1,4 +1,4 @@
-//! Scores of episodes, from their records alone: no map and no picture is needed, so that a log scores the same wherever it is read.
+//! Scores of episodes, from their records alone: no map and no image is needed, so that a log scores the same wherever it is read.
 //!
 //! As CARLA's leaderboard has it (leaderboard.carla.org, "Evaluation criteria"), a driving score is the share of the route that was
 //! completed, times a factor for each infraction. Only collisions that are the ego's fault are penalized so; one that is not ends the episode

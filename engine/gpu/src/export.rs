@@ -96,7 +96,7 @@ impl Context {
         self.exports.as_ref().ok_or_else(|| GpuError::MissingFeature {
             device: self.info.name.clone(),
             feature: "VK_KHR_external_memory_fd and VK_KHR_external_semaphore_fd for buffers and timelines".into(),
-            needed_by: "sharing pictures with another API".into(),
+            needed_by: "sharing images with another API".into(),
         })
     }
 

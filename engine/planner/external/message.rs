@@ -135,7 +135,7 @@ pub(super) fn begin(briefing: &Briefing) -> Value {
     })
 }
 
-/// At a step. The pictures follow the line in the order of `frames`.
+/// At a step. The images follow the line in the order of `frames`.
 pub(super) fn observe(observation: &Observation) -> Value {
     let (ego, guidance) = (observation.ego, observation.guidance);
     let frame = |frame: &Frame| {

@@ -17,7 +17,7 @@ const ACCELERATION_MPS2: f64 = 1.5;
 const BRAKING_MPS2: f64 = 2.5;
 /// Time headway, seconds.
 const HEADWAY_S: f64 = 1.6;
-/// Gap to a standing vehicle, meters: so far, because nearer ones hide their foot below the picture.
+/// Gap to a standing vehicle, meters: so far, because nearer ones hide their foot below the image.
 const STANDSTILL_M: f64 = 3.8;
 /// From one speed limit on the way to the next, meters.
 const LIMIT_STEP_M: f64 = 1.0;

@@ -13,8 +13,8 @@ const GATE: (f64, f64) = (0.2, 2.0);
 const SAME_SHARE: f64 = 0.15;
 /// A vehicle of which nothing was seen for so long is forgotten, seconds.
 const FORGET_S: f64 = 1.6;
-/// A vehicle nearer than this hides its own foot below the picture and is remembered for longer, meters along the way.
-const UNDER_PICTURE_M: f64 = 6.0;
+/// A vehicle nearer than this hides its own foot below the image and is remembered for longer, meters along the way.
+const UNDER_IMAGE_M: f64 = 6.0;
 /// For how long, seconds.
 const FORGET_NEAR_S: f64 = 4.0;
 /// No vehicle is faster, meters a second.
@@ -48,7 +48,7 @@ impl Lead {
     }
 
     fn is_forgotten(&self) -> bool {
-        self.unseen_s > if self.arc_m < UNDER_PICTURE_M { FORGET_NEAR_S } else { FORGET_S }
+        self.unseen_s > if self.arc_m < UNDER_IMAGE_M { FORGET_NEAR_S } else { FORGET_S }
     }
 }
 
@@ -60,7 +60,7 @@ pub(super) struct Elapsed {
     pub speed_mps: f64,
 }
 
-/// The vehicle ahead, from the one that was known and what the picture shows now.
+/// The vehicle ahead, from the one that was known and what the image shows now.
 pub(super) fn track(known: Option<Lead>, elapsed: &Elapsed, sightings: &[Sighting]) -> Option<Lead> {
     let known = known.map(|lead| lead.moved(elapsed.driven_m, elapsed.dt_s));
     let fresh = nearest(sightings, NEW_SCORE, |_| true);

@@ -1,8 +1,8 @@
-//! A small driver that looks: it finds its lane's markings and the vehicle ahead in one front picture, and nothing else is told to it but
+//! A small driver that looks: it finds its lane's markings and the vehicle ahead in one front image, and nothing else is told to it but
 //! what any vehicle knows of itself and what a navigation system says.
 //!
 //! Each step goes the same way. The lane believed in (`lane`) is moved by the ego's own motion, and continued ahead by the turn that
-//! navigation announces: that is the expected way (`way`). Along it the picture is unrolled (`road_view`), the lane's markings are voted
+//! navigation announces: that is the expected way (`way`). Along it the image is unrolled (`road_view`), the lane's markings are voted
 //! for (`markings`), and the belief is corrected. The way is searched for the foot of a vehicle (`obstacle`), which is tracked (`lead`)
 //! and followed (`follow`) by the Intelligent Driver Model. Where no markings are seen, at crossings or behind others, the belief is
 //! kept and carried on by the ego's motion alone.
@@ -12,7 +12,7 @@ mod lane;
 mod lead;
 mod markings;
 mod obstacle;
-mod picture;
+mod camera_image;
 mod road_view;
 mod way;
 mod weights;
@@ -23,7 +23,7 @@ use decouplegs_scene::vehicle::VehicleSize;
 use self::follow::Pace;
 use self::lane::{LaneBelief, Step};
 use self::lead::{Elapsed, Lead};
-use self::picture::Picture;
+use self::camera_image::Image;
 use self::way::{Arc, Way};
 use super::cadence::{SPACING_S, plan_through};
 use super::{Briefing, Cameras, EgoMotion, Guidance, Observation, Planner, PlannerError, Sees, Turn};
@@ -66,7 +66,7 @@ pub struct Sight {
     pub gap_m: Option<f64>,
 }
 
-/// Drives by the front picture alone: by lane markings and the vehicle ahead, and what navigation announces.
+/// Drives by the front image alone: by lane markings and the vehicle ahead, and what navigation announces.
 ///
 /// It sees no traffic lights, no signs and nobody who comes from the side; it changes no lanes and knows no hills. It takes the ground
 /// for flat, and starts in the belief that it stands in a lane, along it.
@@ -140,14 +140,14 @@ impl State {
     fn look(&mut self, observation: &Observation) {
         let elapsed = self.move_on(observation);
         self.turn_on(Arc::announced(&observation.guidance));
-        let picture = observation.frames.first().and_then(|frame| Picture::of(frame, self.ego_size.height_m));
-        let Some(picture) = picture else {
+        let image = observation.frames.first().and_then(|frame| Image::of(frame, self.ego_size.height_m));
+        let Some(image) = image else {
             self.lead = lead::track(self.lead, &elapsed, &[]);
             return;
         };
         let way = self.way();
-        self.lead = lead::track(self.lead, &elapsed, &obstacle::scan(&picture, &way));
-        self.find_lane(&picture, &way);
+        self.lead = lead::track(self.lead, &elapsed, &obstacle::scan(&image, &way));
+        self.find_lane(&image, &way);
     }
 
     /// Moves what is believed by the ego's motion since the last step.
@@ -181,7 +181,7 @@ impl State {
     }
 
     /// Corrects the lane by its markings: those before a turn, or those after it once they are near.
-    fn find_lane(&mut self, picture: &Picture, way: &Way) {
+    fn find_lane(&mut self, image: &Image, way: &Way) {
         let lead_m = self.lead.map_or(f64::INFINITY, |lead| lead.arc_m - BEFORE_LEAD_M);
         let (from_m, to_m) = match self.arc {
             Some(arc) if arc.begin_m >= LANE_BEFORE_M => (0.0, arc.begin_m),
@@ -189,7 +189,7 @@ impl State {
             Some(_) => return,
             None => (0.0, f64::INFINITY),
         };
-        let rows = road_view::rows(picture, way, from_m, to_m.min(lead_m));
+        let rows = road_view::rows(image, way, from_m, to_m.min(lead_m));
         if let Some(fix) = markings::find_lane(&rows, &self.lane, from_m) {
             self.lane = self.lane.corrected(&fix, way, from_m);
         }

@@ -5,7 +5,7 @@
 //! a vehicle stands there. Shadows and markings lie flat: their bands seldom change as those of a car do, from the dark below it to its
 //! paint, its windows and what is behind its roof.
 
-use super::picture::{Color, Picture};
+use super::camera_image::{Color, Image};
 use super::way::{Way, WayPoint};
 use super::weights::{BIAS, WEIGHTS};
 
@@ -79,14 +79,14 @@ impl Sums {
 
 /// Features of the block at `arc_m`, `beside_m` to the left of the path; `None` if the image does
 /// not show all of it.
-pub(super) fn features(picture: &Picture, way: &Way, arc_m: f64, beside_m: f64) -> Option<[f32; FEATURES]> {
+pub(super) fn features(image: &Image, way: &Way, arc_m: f64, beside_m: f64) -> Option<[f32; FEATURES]> {
     let foot = way.at(arc_m);
-    let apron = apron(picture, way, arc_m, beside_m)?;
+    let apron = apron(image, way, arc_m, beside_m)?;
     let mut features = [0.0; FEATURES];
     let (mut before, mut changes) = (0.0_f32, 0.0_f32);
     let mut departures = [0.0_f32; BANDS];
     for band in 0..BANDS {
-        let (inside, outside) = band_of(picture, &foot, beside_m, band)?;
+        let (inside, outside) = band_of(image, &foot, beside_m, band)?;
         let brighter = inside.mean() - apron.mean();
         let unlike =
             if outside.count > 0.0 { (inside.mean() - outside.mean()).abs() + inside.color_distance(&outside) } else { 0.3 };
@@ -106,12 +106,12 @@ pub(super) fn features(picture: &Picture, way: &Way, arc_m: f64, beside_m: f64) 
 }
 
 /// The road before the foot of a block.
-fn apron(picture: &Picture, way: &Way, arc_m: f64, beside_m: f64) -> Option<Sums> {
+fn apron(image: &Image, way: &Way, arc_m: f64, beside_m: f64) -> Option<Sums> {
     let mut sums = Sums::default();
     for before_m in APRON_M {
         let point = way.at(arc_m - before_m * (1.0 + 0.03 * arc_m));
         for place in 0..ACROSS {
-            if let Some(color) = picture.color_of(point.beside(beside_m + across_m(place)), 0.0) {
+            if let Some(color) = image.color_of(point.beside(beside_m + across_m(place)), 0.0) {
                 sums.add(color);
             }
         }
@@ -124,15 +124,15 @@ fn across_m(place: usize) -> f64 {
 }
 
 /// A band of the block, and the strips to its left and right.
-fn band_of(picture: &Picture, foot: &WayPoint, beside_m: f64, band: usize) -> Option<(Sums, Sums)> {
+fn band_of(image: &Image, foot: &WayPoint, beside_m: f64, band: usize) -> Option<(Sums, Sums)> {
     let (mut inside, mut outside) = (Sums::default(), Sums::default());
     for line in 0..LINES {
         let height_m = BANDS_M[band] + (BANDS_M[band + 1] - BANDS_M[band]) * (line as f64 + 0.5) / LINES as f64;
         for place in 0..ACROSS {
-            inside.add(picture.color_of(foot.beside(beside_m + across_m(place)), height_m)?);
+            inside.add(image.color_of(foot.beside(beside_m + across_m(place)), height_m)?);
         }
         for side_m in [-1.5, -1.25, 1.25, 1.5] {
-            if let Some(color) = picture.color_of(foot.beside(beside_m + side_m), height_m) {
+            if let Some(color) = image.color_of(foot.beside(beside_m + side_m), height_m) {
                 outside.add(color);
             }
         }
@@ -146,12 +146,12 @@ fn score(features: &[f32; FEATURES]) -> f64 {
 }
 
 /// Scores along the way: each distance with the best of the blocks beside each other there.
-pub(super) fn scan(picture: &Picture, way: &Way) -> Vec<Sighting> {
+pub(super) fn scan(image: &Image, way: &Way) -> Vec<Sighting> {
     let mut sightings = Vec::new();
     let mut arc_m = RANGE_M.start;
     while arc_m < RANGE_M.end {
         let scores =
-            BESIDE_M.iter().filter_map(|&beside_m| features(picture, way, arc_m, beside_m)).map(|features| score(&features));
+            BESIDE_M.iter().filter_map(|&beside_m| features(image, way, arc_m, beside_m)).map(|features| score(&features));
         if let Some(score) = scores.max_by(f64::total_cmp) {
             sightings.push(Sighting { arc_m, score });
         }

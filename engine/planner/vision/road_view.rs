@@ -3,14 +3,14 @@
 //! The ground is taken for flat, at the height of the ego's wheels; on a hill's edge or under a car that pitches, what is seen
 //! far ahead lies nearer or farther than it does in truth.
 
-use super::picture::Picture;
+use super::camera_image::Image;
 use super::way::Way;
 
 /// From one row to the next along the way, meters.
 pub(super) const ROW_M: f64 = 0.25;
 /// The first row, meters ahead of the middle of the ego.
 const FIRST_M: f64 = 3.0;
-/// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of a picture 320 wide.
+/// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of an image 320 wide.
 const REACH_M: f64 = 34.0;
 /// From one column to the next across the way, meters.
 pub(super) const COLUMN_M: f64 = 0.06;
@@ -34,26 +34,26 @@ const RESPONSE: std::ops::Range<f32> = -0.04..0.20;
 pub(super) struct Row {
     /// Meters along the way.
     pub arc_m: f64,
-    /// Pixels of the picture that stand behind the row, at most one.
+    /// Pixels of the image that stand behind the row, at most one.
     pub weight: f32,
-    /// One for each column from right to left; zero where the picture does not show it.
+    /// One for each column from right to left; zero where the image does not show it.
     pub responses: Vec<f32>,
 }
 
 /// The rows of the road along `way` between two places on it, meters.
-pub(super) fn rows(picture: &Picture, way: &Way, from_m: f64, to_m: f64) -> Vec<Row> {
+pub(super) fn rows(image: &Image, way: &Way, from_m: f64, to_m: f64) -> Vec<Row> {
     let from_m = from_m.max(FIRST_M);
     let count = ((to_m.min(REACH_M) - from_m) / ROW_M).max(0.0) as usize;
-    (0..count).filter_map(|row| row_at(picture, way, from_m + row as f64 * ROW_M)).collect()
+    (0..count).filter_map(|row| row_at(image, way, from_m + row as f64 * ROW_M)).collect()
 }
 
-fn row_at(picture: &Picture, way: &Way, arc_m: f64) -> Option<Row> {
+fn row_at(image: &Image, way: &Way, arc_m: f64) -> Option<Row> {
     let point = way.at(arc_m);
     let mut sums = [(0.0_f32, 0_u32); COLUMNS + 1];
     for column in 0..COLUMNS {
         let left_m = (column as f64 - HALF_COLUMNS as f64) * COLUMN_M;
         let (sum, known) = sums[column];
-        sums[column + 1] = match picture.color_of(point.beside(left_m), 0.0) {
+        sums[column + 1] = match image.color_of(point.beside(left_m), 0.0) {
             Some(color) => (sum + color.luma, known + 1),
             None => (sum, known),
         };
@@ -61,10 +61,10 @@ fn row_at(picture: &Picture, way: &Way, arc_m: f64) -> Option<Row> {
     if sums[COLUMNS].1 == 0 {
         return None;
     }
-    let pixel_m = picture.pixel_m(point.position_m.x);
+    let pixel_m = image.pixel_m(point.position_m.x);
     let window = Window::of(pixel_m);
     let responses = (0..COLUMNS).map(|column| window.response(&sums, column)).collect();
-    let weight = (picture.pixels_along(point.position_m.x) * ROW_M).clamp(0.05, 1.0) as f32;
+    let weight = (image.pixels_along(point.position_m.x) * ROW_M).clamp(0.05, 1.0) as f32;
     Some(Row { arc_m, weight, responses })
 }
 

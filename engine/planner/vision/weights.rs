@@ -1,6 +1,6 @@
 //! Weights of the classifier that tells the rear of a vehicle from the road.
 //!
-//! Logistic regression with an L2 penalty, fitted by Newton's method to blocks of pictures of the synthetic street (seed 1; clear,
+//! Logistic regression with an L2 penalty, fitted by Newton's method to blocks of images of the synthetic street (seed 1; clear,
 //! overcast, dusk and night; 100,000 and 200,000 splats; 320 by 180 pixels) with six cars and none ahead, crosswalks and shadows. Blocks that stand
 //! at a car's rear are the one class; all others, those before, behind and without a car, the other.
 

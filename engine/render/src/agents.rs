@@ -23,7 +23,7 @@ pub struct Agent {
     pub world_from_agent: Pose,
     /// Frame of the asset's colors; `None`: as the asset says.
     pub sh_frame: Option<ShFrame>,
-    /// The id it has in instance pictures; 0 is the background's.
+    /// The id it has in instance images; 0 is the background's.
     pub instance: u16,
     /// Effect of the surrounding light on its colors, in the frame of these; `None`: none.
     pub relight: Option<ColorTransfer>,
@@ -190,7 +190,7 @@ impl AgentList {
     }
 }
 
-/// The coarsest level of detail whose splats are at most `pitch_px` apart in every picture that shows them.
+/// The coarsest level of detail whose splats are at most `pitch_px` apart in every image that shows them.
 fn level_for(asset: &Asset, seen_by: &[CameraRecord], mask: u32, near_m: f32, pitch_px: f64) -> usize {
     let half_diagonal_m = Vec3::from_array(asset.whole.half_extent_m).length();
     let px_per_m = seen_by.iter().enumerate().filter(|(i, _)| mask >> i & 1 == 1).map(|(_, camera)| {

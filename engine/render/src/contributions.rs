@@ -13,8 +13,8 @@ impl Renderer {
     /// When the device was lost.
     pub fn read_contributions(&self) -> Result<Vec<f32>, RenderError> {
         let Some(slot) = self.shown_slot() else { return Ok(Vec::new()) };
-        let scale = slot.pictures.contribution_scale();
-        let steps = self.gpu().read(&slot.pictures.contributions)?;
+        let scale = slot.images.contribution_scale();
+        let steps = self.gpu().read(&slot.images.contributions)?;
         Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
     }
 

@@ -8,7 +8,7 @@ pub enum RenderError {
     /// The device refused, ran out of memory or was lost.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A camera that cannot make a picture, or too many of them.
+    /// A camera that cannot make an image, or too many of them.
     #[error("{0}")]
     View(String),
     /// An asset that cannot be drawn.
@@ -45,8 +45,8 @@ pub enum RenderError {
         /// Limit.
         max: usize,
     },
-    /// Pictures too many that somebody holds.
-    #[error("the pictures of {max} frames are held, as many as may be: drop some, or allow more (taken_max)")]
+    /// Images too many that somebody holds.
+    #[error("the images of {max} frames are held, as many as may be: drop some, or allow more (taken_max)")]
     TooManyTaken {
         /// Limit.
         max: usize,

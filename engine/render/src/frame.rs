@@ -77,7 +77,7 @@ pub(crate) fn record_frame(
         moving_chunks: input.agents.map_or(0, |counts| counts.chunks),
     };
     stages.common.tile_sort.record(recorder, &frame.control, records, &frame.tile_sort, frame.shape.bins);
-    record_pictures(recorder, stages, frame, slot, input);
+    record_images(recorder, stages, frame, slot, input);
 }
 
 /// Hands over what the host wrote, and empties what is counted.
@@ -93,7 +93,7 @@ fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot,
             (control.needs.binding(), control.needs.byte_len()),
             (control.arguments.binding(), control.arguments.byte_len()),
             (frame.tile_sort.slab_counts.binding(), TileSortBuffers::slab_bytes(frame.shape.bins)),
-            (slot.pictures.contributions.binding(), slot.pictures.contributions.byte_len()),
+            (slot.images.contributions.binding(), slot.images.contributions.byte_len()),
             (transmittances.binding(), transmittances.byte_len()),
             (unfinished.binding(), unfinished.byte_len()),
         ];
@@ -135,8 +135,8 @@ fn record_projection(
     }
 }
 
-/// From sorted lists to pictures.
-fn record_pictures(
+/// From sorted lists to images.
+fn record_images(
     recorder: &mut Recorder,
     stages: &FrameStages<'_>,
     frame: &FrameBuffers,
@@ -145,19 +145,19 @@ fn record_pictures(
 ) {
     let FrameShape { capacity, cameras: camera_count, bins, .. } = frame.shape;
     let (control, cameras, stages) = (&frame.control, &frame.cameras, stages.common);
-    let (plan, partials, pictures, sky) = (&frame.plan, &frame.partials, &slot.pictures, input.world.sky);
+    let (plan, partials, images, sky) = (&frame.plan, &frame.partials, &slot.images, input.world.sky);
     let (records, projected) = (&frame.tile_sort.sorted_records, &frame.projected);
     recorder.stage("plan", |r| stages.plan_segments.record(r, control, &frame.tile_sort.tile_lists, bins, &capacity, plan));
     recorder.stage("blend", |r| {
-        stages.blend.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, pictures);
+        stages.blend.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, images);
     });
     recorder.stage("composite", |r| {
-        stages.composite.record(r, control, cameras, camera_count, sky, plan, partials, pictures);
+        stages.composite.record(r, control, cameras, camera_count, sky, plan, partials, images);
         r.copy(&control.needs, 0, &slot.found_needs, 0, 1);
     });
     if let Some(finish) = &stages.finish {
         recorder.stage("finish", |r| {
-            finish.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, pictures);
+            finish.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, images);
         });
     }
 }

@@ -85,7 +85,7 @@ pub(crate) struct FrameVariant {
 }
 
 impl Kernels {
-    /// For pictures as `options` say; nothing is built yet.
+    /// For images as `options` say; nothing is built yet.
     pub fn new(options: &RenderOptions, device: DeviceKind) -> Self {
         let RenderOptions { rules, outputs, segment_pairs, keep_keys, .. } = *options;
         Self {

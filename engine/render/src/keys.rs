@@ -110,7 +110,7 @@ impl PersistentKeys {
             decision.sources[camera] = source;
         }
         if !decision.find.is_empty() && self.keys.is_empty() {
-            // Those who draw a single picture have no use for it.
+            // Those who draw a single image have no use for it.
             self.keys = gpu.buffer("kept_keys", PURPOSE, world.splats * self.sets_max, Residence::Device)?;
         }
         self.previous = directions;

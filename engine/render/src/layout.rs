@@ -119,7 +119,7 @@ impl CameraRecord {
         }
     }
 
-    /// This camera as the splats of an agent see it, which stands at `world_from_agent`: the picture and the depth keys of a
+    /// This camera as the splats of an agent see it, which stands at `world_from_agent`: the image and the depth keys of a
     /// splat are the same whether it is moved into the world or the camera into the agent's frame. `camera` and `origin` are
     /// those that the record was made of.
     #[must_use]
@@ -318,10 +318,10 @@ pub struct View {
 }
 
 impl View {
-    /// Lays out the pictures of `cameras` one after the other; depths up to `reach_m` from the world's `origin` are told apart.
+    /// Lays out the images of `cameras` one after the other; depths up to `reach_m` from the world's `origin` are told apart.
     ///
     /// # Errors
-    /// A sentence when there is no camera, too many, or one that cannot make a picture.
+    /// A sentence when there is no camera, too many, or one that cannot make an image.
     pub fn new(cameras: &[Camera], origin: DVec3, reach_m: f64) -> Result<Self, String> {
         if cameras.is_empty() || cameras.len() > CAMERAS_MAX {
             return Err(format!("{} cameras were given; a frame draws 1 to {CAMERAS_MAX}", cameras.len()));
@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_lie_one_after_the_other() {
+    fn images_lie_one_after_the_other() {
         let view = View::new(&[camera(65, 33), camera(1, 1)], DVec3::ZERO, 1.0).unwrap();
         assert_eq!(view.cameras[0].macro_tiles, [2, 2]);
         assert_eq!((view.cameras[1].first_bin, view.cameras[1].first_pixel), (4, 65 * 33));

@@ -1,6 +1,6 @@
 //! Renderer: from a world to pixels.
 //!
-//! [`Renderer`] draws on a GPU; [`reference`] is the f64 definition of the same picture, brute force on the CPU, and
+//! [`Renderer`] draws on a GPU; [`reference`] is the f64 definition of the same image, brute force on the CPU, and
 //! [`metrics`] measures one against the other. `frame.rs` lists the stages of a frame in the order they run.
 #![forbid(unsafe_code)]
 
@@ -26,8 +26,8 @@ mod taken;
 pub mod capacity;
 pub mod layout;
 pub mod metrics;
-pub mod picture;
-mod picture_bytes;
+pub mod rendered_image;
+mod image_bytes;
 pub mod reference;
 pub mod sh_codec;
 pub mod stages;
@@ -40,8 +40,8 @@ pub use error::RenderError;
 pub use keys::KeySource;
 pub use options::{FrameStatistics, QueueTrace, RenderOptions};
 pub use output::{ColorFormat, OutputBuffers, Outputs};
-pub use picture::Picture;
-pub use picture_bytes::PictureBytes;
+pub use rendered_image::Image;
+pub use image_bytes::ImageBytes;
 pub use renderer::Renderer;
 pub use resident::ResidentWorld;
-pub use taken::TakenPictures;
+pub use taken::TakenImages;

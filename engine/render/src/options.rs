@@ -13,7 +13,7 @@ use crate::output::Outputs;
 /// Options of a renderer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
-    /// The definition of a picture.
+    /// The definition of an image.
     pub rules: Rules,
     /// Requested outputs.
     pub outputs: Outputs,
@@ -24,12 +24,12 @@ pub struct RenderOptions {
     pub segment_pairs: u32,
     /// True keeps depth keys of the background per view direction, false computes them in every frame. Images are the same.
     pub keep_keys: bool,
-    /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in the picture. `None`: always
+    /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in the image. `None`: always
     /// at the finest, which is exact.
     pub level_pitch_px: Option<f64>,
-    /// Frames that may be submitted before the first of them is finished, at least 1. Each has pictures of its own.
+    /// Frames that may be submitted before the first of them is finished, at least 1. Each has images of its own.
     pub frames_in_flight: usize,
-    /// Frames whose pictures may be taken ([`crate::Renderer::take_pictures`]) and not yet dropped.
+    /// Frames whose images may be taken ([`crate::Renderer::take_images`]) and not yet dropped.
     pub taken_max: usize,
     /// Buffers that were too small grow to what was needed and this share of it more. Cameras that leap outgrow a small one
     /// again and again, and each time a frame is drawn twice.
@@ -106,7 +106,7 @@ pub struct FrameStatistics {
     pub submitted: (Instant, Instant),
     /// Times at which the host began to wait for it, and at which it was done.
     pub awaited: (Instant, Instant),
-    /// Wall clock from the submission to the finished picture, redrawing included.
+    /// Wall clock from the submission to the finished image, redrawing included.
     pub wall_time: Duration,
     /// Host time to record and submit the last drawing.
     pub record_time: Duration,

@@ -3,8 +3,8 @@
 use bytemuck::Pod;
 use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, Residence};
 
-/// Purpose under which the memory of pictures is counted.
-pub const PURPOSE: &str = "pictures";
+/// Purpose under which the memory of images is counted.
+pub const PURPOSE: &str = "images";
 
 /// Storage format of color.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -29,7 +29,7 @@ pub struct Outputs {
     /// had beside it, and agents take part as what hides the background.
     pub contributions: bool,
     /// True if another API on the device may import the images
-    /// ([`crate::Renderer::take_pictures`]).
+    /// ([`crate::Renderer::take_images`]).
     pub exported: bool,
 }
 
@@ -43,13 +43,13 @@ impl Outputs {
     }
 }
 
-/// Pictures on the device, of all cameras one after the other, rows from the top. Of length 0 where not asked for.
+/// Images on the device, of all cameras one after the other, rows from the top. Of length 0 where not asked for.
 #[derive(Clone)]
 pub struct OutputBuffers {
     /// RGB over the sky, unclamped, and alpha.
-    pub pictures_f32: Buffer<[f32; 4]>,
+    pub images_f32: Buffer<[f32; 4]>,
     /// The same in four bytes, red lowest.
-    pub pictures_u8: Buffer<u32>,
+    pub images_u8: Buffer<u32>,
     /// Expected depth, meters.
     pub depths_m: Buffer<f32>,
     /// Instance of the splat with the largest weight.
@@ -68,10 +68,10 @@ impl OutputBuffers {
     pub fn new(gpu: &Gpu, pixels: usize, splats: usize, outputs: &Outputs) -> Result<Self, GpuError> {
         let (f32, u8) = (outputs.color == ColorFormat::F32, outputs.color == ColorFormat::U8);
         Ok(Self {
-            pictures_f32: picture(gpu, "pictures_f32", f32, pixels, outputs)?,
-            pictures_u8: picture(gpu, "pictures_u8", u8, pixels, outputs)?,
-            depths_m: picture(gpu, "depths_m", outputs.depth, pixels, outputs)?,
-            instance_ids: picture(gpu, "instance_ids", outputs.instance, pixels, outputs)?,
+            images_f32: image(gpu, "images_f32", f32, pixels, outputs)?,
+            images_u8: image(gpu, "images_u8", u8, pixels, outputs)?,
+            depths_m: image(gpu, "depths_m", outputs.depth, pixels, outputs)?,
+            instance_ids: image(gpu, "instance_ids", outputs.instance, pixels, outputs)?,
             contributions: gpu.buffer(
                 "contributions",
                 PURPOSE,
@@ -90,8 +90,8 @@ impl OutputBuffers {
 
     pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 4] {
         [
-            ("pictures_f32", self.pictures_f32.binding()),
-            ("pictures_u8", self.pictures_u8.binding()),
+            ("images_f32", self.images_f32.binding()),
+            ("images_u8", self.images_u8.binding()),
             ("depths_m", self.depths_m.binding()),
             ("instance_ids", self.instance_ids.binding()),
         ]
@@ -99,7 +99,7 @@ impl OutputBuffers {
 }
 
 /// A buffer for a value of each pixel, of length 0 where it is not asked for.
-fn picture<T: Pod>(gpu: &Gpu, name: &'static str, asked: bool, pixels: usize, outputs: &Outputs) -> Result<Buffer<T>, GpuError> {
+fn image<T: Pod>(gpu: &Gpu, name: &'static str, asked: bool, pixels: usize, outputs: &Outputs) -> Result<Buffer<T>, GpuError> {
     let len = if asked { pixels } else { 0 };
     gpu.buffer(name, PURPOSE, len, if outputs.exported && len > 0 { Residence::Exported } else { Residence::Device })
 }

@@ -91,13 +91,13 @@ impl Renderer {
         ResidentWorld::upload(&self.gpu, world)
     }
 
-    /// Draws `scene` for all `cameras` in one submission and waits for the pictures.
+    /// Draws `scene` for all `cameras` in one submission and waits for the images.
     ///
-    /// They stay on the device until the next call; [`Renderer::read_pictures`] fetches them. Frames submitted before are
+    /// They stay on the device until the next call; [`Renderer::read_images`] fetches them. Frames submitted before are
     /// finished first, and what they took is dropped.
     ///
     /// # Errors
-    /// When a camera or an agent cannot make a picture, the device has not the memory or was lost.
+    /// When a camera or an agent cannot make an image, the device has not the memory or was lost.
     pub fn render<'a>(&mut self, scene: impl Into<Scene<'a>>, cameras: &[Camera]) -> Result<FrameStatistics, RenderError> {
         while !self.in_flight.is_empty() {
             self.finish()?;
@@ -175,7 +175,7 @@ impl Renderer {
         Ok(())
     }
 
-    /// Waits for the oldest frame in flight, whose pictures can be read then.
+    /// Waits for the oldest frame in flight, whose images can be read then.
     ///
     /// # Errors
     /// When there is none, the device has not the memory for what the frame needed, or was lost.
@@ -222,12 +222,12 @@ impl Renderer {
         self.shown.and_then(|shown| self.slots.get_mut(shown))
     }
 
-    /// The frame that was finished last has no pictures any more.
+    /// The frame that was finished last has no images any more.
     pub(crate) fn show_nothing(&mut self) {
         self.shown = None;
     }
 
-    /// Pictures that wait for a frame.
+    /// Images that wait for a frame.
     pub(crate) fn shelf(&self) -> &SharedShelf {
         &self.shelf
     }
@@ -239,7 +239,7 @@ impl Renderer {
         if self.in_flight.len() >= max {
             return Err(RenderError::TooManyInFlight { max });
         }
-        // Not the one whose pictures may be read, as long as there is another.
+        // Not the one whose images may be read, as long as there is another.
         let free = |slot: &usize| !self.in_flight.contains(slot);
         let slot = (0..self.slots.len())
             .filter(free)

@@ -51,22 +51,22 @@ pub(crate) struct FrameSlot {
     shadow_room: (usize, usize),
     /// Shadows of the frame.
     pub shadow_count: usize,
-    pub pictures: OutputBuffers,
-    no_pictures: OutputBuffers,
-    /// Pixels and splats that the pictures are made for.
+    pub images: OutputBuffers,
+    no_images: OutputBuffers,
+    /// Pixels and splats that the images are made for.
     room: (usize, usize),
     pub found_needs: Buffer<Needs>,
     pub view: Option<View>,
     pub list: Option<AgentList>,
     pub pending: Option<Pending>,
-    /// The frame that was finished last, whose pictures are those above.
+    /// The frame that was finished last, whose images are those above.
     pub done: Option<Ticket>,
 }
 
 impl FrameSlot {
     /// Buffers for no agents and no pixels yet.
     pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, RenderError> {
-        let no_pictures = OutputBuffers::new(gpu, 0, 0, outputs)?;
+        let no_images = OutputBuffers::new(gpu, 0, 0, outputs)?;
         Ok(Self {
             staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
             staged_lenses: gpu.buffer("staged_lenses", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
@@ -80,8 +80,8 @@ impl FrameSlot {
             shadows: ShadowBuffers::new(gpu, 0, 0)?,
             shadow_room: (0, 0),
             shadow_count: 0,
-            pictures: no_pictures.clone(),
-            no_pictures,
+            images: no_images.clone(),
+            no_images,
             room: (0, 0),
             found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
             view: None,
@@ -92,12 +92,12 @@ impl FrameSlot {
     }
 
     /// Removes its images, with the size that they were made for; none remain.
-    pub fn give_pictures(&mut self) -> ((usize, usize), OutputBuffers) {
+    pub fn give_images(&mut self) -> ((usize, usize), OutputBuffers) {
         let room = std::mem::take(&mut self.room);
-        (room, std::mem::replace(&mut self.pictures, self.no_pictures.clone()))
+        (room, std::mem::replace(&mut self.images, self.no_images.clone()))
     }
 
-    /// Pixels that its pictures are made for.
+    /// Pixels that its images are made for.
     pub fn pixels(&self) -> usize {
         self.room.0
     }
@@ -123,8 +123,8 @@ impl FrameSlot {
         let room = (view.pixels, splats * usize::from(outputs.contributions));
         if self.room != room {
             // The old ones go first: both would not always fit.
-            self.give_pictures();
-            self.pictures = match shelf.find(room) {
+            self.give_images();
+            self.images = match shelf.find(room) {
                 Some(waiting) => waiting,
                 None => OutputBuffers::new(gpu, view.pixels, splats, outputs)?,
             };

@@ -1,4 +1,4 @@
-//! Pictures that outlive their frame: somebody else reads them on the device, and the renderer draws on into others.
+//! Images that outlive their frame: somebody else reads them on the device, and the renderer draws on into others.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
@@ -35,10 +35,10 @@ fn lock(shelf: &Mutex<Shelf>) -> MutexGuard<'_, Shelf> {
     shelf.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The pictures of one frame, finished. They stay as they are until this is dropped; then their memory is drawn into again.
+/// The images of one frame, finished. They stay as they are until this is dropped; then their memory is drawn into again.
 ///
 /// Whoever reads them on the device has to be done before the drop: the renderer cannot know.
-pub struct TakenPictures {
+pub struct TakenImages {
     /// `None` only while it is dropped.
     buffers: Option<OutputBuffers>,
     room: (usize, usize),
@@ -47,7 +47,7 @@ pub struct TakenPictures {
     home: Weak<Mutex<Shelf>>,
 }
 
-impl TakenPictures {
+impl TakenImages {
     /// Buffers of all cameras one after the other, rows from the top.
     ///
     /// # Panics
@@ -57,7 +57,7 @@ impl TakenPictures {
         self.buffers.as_ref().expect("the buffers are there until it is dropped")
     }
 
-    /// First pixel, and width and height, of each camera's picture.
+    /// First pixel, and width and height, of each camera's image.
     #[must_use]
     pub fn places(&self) -> &[(usize, [u32; 2])] {
         &self.places
@@ -70,7 +70,7 @@ impl TakenPictures {
     }
 }
 
-impl Drop for TakenPictures {
+impl Drop for TakenImages {
     fn drop(&mut self) {
         if let (Some(home), Some(buffers)) = (self.home.upgrade(), self.buffers.take()) {
             let mut shelf = lock(&home);
@@ -81,7 +81,7 @@ impl Drop for TakenPictures {
 }
 
 impl Renderer {
-    /// Takes the pictures of the frame that was finished last, which [`Renderer::read_pictures`] does not find any more. Later frames
+    /// Takes the images of the frame that was finished last, which [`Renderer::read_images`] does not find any more. Later frames
     /// are drawn into other buffers, so that rendering goes on while somebody looks at these; with
     /// [`crate::Outputs::exported`] another API may.
     ///
@@ -89,7 +89,7 @@ impl Renderer {
     ///
     /// # Errors
     /// When as many are out as [`crate::RenderOptions::taken_max`] allows: memory stays bounded where somebody forgets to drop.
-    pub fn take_pictures(&mut self) -> Result<Option<TakenPictures>, RenderError> {
+    pub fn take_images(&mut self) -> Result<Option<TakenImages>, RenderError> {
         let (shelf, max) = (self.shelf().clone(), self.options().taken_max);
         let Some(slot) = self.shown_slot_mut() else { return Ok(None) };
         let (Some(view), Some(frame)) = (&slot.view, &slot.done) else { return Ok(None) };
@@ -99,9 +99,9 @@ impl Renderer {
         }
         let places = view.cameras.iter().map(|camera| (camera.first_pixel as usize, camera.size_px)).collect();
         let frame = frame.clone();
-        let (room, buffers) = slot.give_pictures();
+        let (room, buffers) = slot.give_images();
         shelf.lock().out += 1;
         self.show_nothing();
-        Ok(Some(TakenPictures { buffers: Some(buffers), room, places, frame, home: Arc::downgrade(&shelf.0) }))
+        Ok(Some(TakenImages { buffers: Some(buffers), room, places, frame, home: Arc::downgrade(&shelf.0) }))
     }
 }

@@ -112,7 +112,7 @@ impl Intrinsics {
 /// A camera placed in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Names the picture; unique in a rig.
+    /// Names the image; unique in a rig.
     pub name: String,
     /// Intrinsics.
     pub intrinsics: Intrinsics,
@@ -123,7 +123,7 @@ pub struct Camera {
 /// A camera fixed to a vehicle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigCamera {
-    /// Names the picture; unique in the rig.
+    /// Names the image; unique in the rig.
     pub name: String,
     /// Intrinsics.
     pub intrinsics: Intrinsics,
@@ -134,7 +134,7 @@ pub struct RigCamera {
 /// The cameras of one vehicle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rig {
-    /// In the order in which pictures are returned.
+    /// In the order in which images are returned.
     pub cameras: Vec<RigCamera>,
 }
 

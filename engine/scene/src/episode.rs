@@ -11,13 +11,13 @@ use crate::vehicle::{VehicleSize, VehicleState};
 pub struct PlannerRecord {
     /// Name on the command line.
     pub name: String,
-    /// Cameras whose pictures it got, by name.
+    /// Cameras whose images it got, by name.
     pub cameras: Vec<String>,
     /// True if it received states of others and the map, which no camera shows.
     pub privileged: bool,
 }
 
-/// Renderer of an episode's images. Pictures of another device or size have other hashes.
+/// Renderer of an episode's images. Images of another device or size have other hashes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DrawnBy {
     /// Device and driver.
@@ -47,7 +47,7 @@ pub struct EpisodeHead {
     pub agent_sizes: Vec<VehicleSize>,
 }
 
-/// The bits of a picture.
+/// The bits of an image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ImageRecord {
     /// The camera's name.
@@ -76,7 +76,7 @@ pub struct Instant {
 pub struct EpisodeStep {
     /// From 0.
     pub step: u32,
-    /// The pictures that the planner got, empty where none were drawn.
+    /// The images that the planner got, empty where none were drawn.
     pub images: Vec<ImageRecord>,
     /// Plan that it returned.
     pub plan: Plan,

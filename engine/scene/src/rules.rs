@@ -1,6 +1,6 @@
 //! The rules of image formation: what a Gaussian adds to a pixel.
 //!
-//! Public renderers disagree here by far more than by rounding, so a picture is compared only with pictures made by
+//! Public renderers disagree here by far more than by rounding, so an image is compared only with images made by
 //! the same rules. The shaders repeat the constants; `tests/stages/layout.rs` compares them.
 
 /// Added to both diagonal entries of a projected covariance, square pixels
@@ -38,7 +38,7 @@ pub enum DepthOrder {
     Radial,
 }
 
-/// One definition of a picture.
+/// One definition of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rules {
     /// Upper bound of a splat's alpha.

@@ -32,14 +32,14 @@ fn pixels_end_where_the_whole_list_would_end_them() {
     for rules in [Rules::GSPLAT15, Rules::INRIA] {
         let case = Case::new(&gpu, 1200, 1.0, rules);
         let before = before(&case);
-        let (pictures, _) = case.kernel(&gpu, Some(&before));
+        let (images, _) = case.kernel(&gpu, Some(&before));
         let twin = case.twin(Some(&before));
         let ended = twin.iter().flatten().filter(|pixel| pixel.transmittance < 0.0).count();
         assert!(ended > 1000, "{ended} pixels end");
-        case.check_finished(&before, &pictures, &twin).unwrap();
+        case.check_finished(&before, &images, &twin).unwrap();
         // A pixel that began with something else is seen.
         let mut other = before.clone();
         other.iter_mut().flatten().for_each(|pixel| pixel.color.y += 0.001);
-        assert!(case.check_finished(&before, &pictures, &case.twin(Some(&other))).is_err());
+        assert!(case.check_finished(&before, &images, &case.twin(Some(&other))).is_err());
     }
 }

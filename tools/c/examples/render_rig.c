@@ -33,17 +33,17 @@ static void *room_for(size_t count, size_t bytes) {
     return room;
 }
 
-/* Returns 0 when the picture is on the disk. */
-static int write_ppm(const char *path, const DgsPicture *picture) {
+/* Returns 0 when the image is on the disk. */
+static int write_ppm(const char *path, const DgsImage *image) {
     FILE *file = fopen(path, "wb");
     int failed;
     if (file == NULL) {
         return 1;
     }
-    failed = fprintf(file, "P6\n%u %u\n255\n", (unsigned)picture->width_px, (unsigned)picture->height_px) < 0;
-    for (uint32_t y = 0; y < picture->height_px; y++) {
-        const uint8_t *pixel = (const uint8_t *)picture->data + y * picture->row_bytes;
-        for (uint32_t x = 0; x < picture->width_px; x++, pixel += picture->pixel_bytes) {
+    failed = fprintf(file, "P6\n%u %u\n255\n", (unsigned)image->width_px, (unsigned)image->height_px) < 0;
+    for (uint32_t y = 0; y < image->height_px; y++) {
+        const uint8_t *pixel = (const uint8_t *)image->data + y * image->row_bytes;
+        for (uint32_t x = 0; x < image->width_px; x++, pixel += image->pixel_bytes) {
             failed |= fwrite(pixel, 1, 3, file) != 3;
         }
     }
@@ -52,13 +52,13 @@ static int write_ppm(const char *path, const DgsPicture *picture) {
 }
 
 /* Worlds are called 0 and 1, cameras as in the scene file. */
-static void write_pictures(const DgsScene *scene, const DgsViewer *viewer, size_t view, size_t camera_count, const char *out) {
+static void write_images(const DgsScene *scene, const DgsViewer *viewer, size_t view, size_t camera_count, const char *out) {
     for (size_t camera = 0; camera < camera_count; camera++) {
-        DgsPicture picture;
+        DgsImage image;
         char name[64], path[1024];
         CHECK(dgs_scene_camera_name(scene, camera, name, sizeof name, NULL));
-        CHECK(dgs_viewer_picture(viewer, view, camera, DGS_PICTURE_KIND_RGBA_U8, &picture));
-        if (snprintf(path, sizeof path, "%s/%zu_%s.ppm", out, view, name) >= (int)sizeof path || write_ppm(path, &picture)) {
+        CHECK(dgs_viewer_image(viewer, view, camera, DGS_IMAGE_KIND_RGBA_U8, &image));
+        if (snprintf(path, sizeof path, "%s/%zu_%s.ppm", out, view, name) >= (int)sizeof path || write_ppm(path, &image)) {
             fprintf(stderr, "%s cannot be written\n", path);
             exit(1);
         }
@@ -149,8 +149,8 @@ int main(int count, char **arguments) {
                statistics.gpu_ms, statistics.wall_ms, (unsigned long long)statistics.splats_listed, (unsigned)statistics.agents,
                (unsigned)statistics.redrawn, (unsigned long long)statistics.memory_bytes);
     }
-    write_pictures(scene, viewer, 0, camera_count, arguments[2]);
-    write_pictures(scene, viewer, 1, camera_count, arguments[2]);
+    write_images(scene, viewer, 0, camera_count, arguments[2]);
+    write_images(scene, viewer, 1, camera_count, arguments[2]);
 
     free(cameras);
     CHECK(dgs_viewer_close(viewer));

@@ -3,7 +3,7 @@
  *
  * A session owns a device and the scenes that were opened on it. A scene is a background and the assets that agents show; it is on
  * the device once, however many use it. A world is a set of agents over a scene, and costs a few hundred bytes. A viewer draws any
- * number of worlds for any cameras in one call, and keeps the pictures until its next.
+ * number of worlds for any cameras in one call, and keeps the images until its next.
  *
  * Statuses. What can fail returns a DgsStatus. dgs_last_error() says in a sentence what was expected, what was found and what to
  * do. Numbers and structs of a call that failed are not written; handles are set to NULL.
@@ -18,7 +18,7 @@
  * but gets DGS_STATUS_BUSY.
  *
  * Memory. Pointers are NULL only where it says so, and aligned; arrays are as long as the count says. Nothing is kept that a
- * caller's pointer points at. Only the pictures of dgs_viewer_picture() belong to the library. When the host's memory is used up
+ * caller's pointer points at. Only the images of dgs_viewer_image() belong to the library. When the host's memory is used up
  * the process ends.
  *
  * Text is UTF-8 and ends with a NUL. Text that is returned goes into the caller's buffer, and its length without the NUL into
@@ -61,7 +61,7 @@ typedef enum {
      */
     DGS_STATUS_INVALID_HANDLE = 2,
     /**
-     * No device, agent, asset, camera or picture of that name or number.
+     * No device, agent, asset, camera or image of that name or number.
      */
     DGS_STATUS_NOT_FOUND = 3,
     /**
@@ -121,26 +121,26 @@ typedef enum {
 } DgsColor;
 
 /**
- * What is in a picture.
+ * What is in an image.
  */
 typedef enum {
     /**
      * uint8_t red, green, blue, alpha; sessions of DGS_COLOR_U8.
      */
-    DGS_PICTURE_KIND_RGBA_U8 = 0,
+    DGS_IMAGE_KIND_RGBA_U8 = 0,
     /**
      * float red, green, blue, alpha; sessions of DGS_COLOR_F32.
      */
-    DGS_PICTURE_KIND_RGBA_F32 = 1,
+    DGS_IMAGE_KIND_RGBA_F32 = 1,
     /**
      * float: expected depth along the camera's z, meters; 0 where nothing was hit. Sessions with `depth`.
      */
-    DGS_PICTURE_KIND_DEPTH_F32 = 2,
+    DGS_IMAGE_KIND_DEPTH_F32 = 2,
     /**
      * uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with `instance`.
      */
-    DGS_PICTURE_KIND_INSTANCE_U16 = 3,
-} DgsPictureKind;
+    DGS_IMAGE_KIND_INSTANCE_U16 = 3,
+} DgsImageKind;
 
 /**
  * What hardware a device is.
@@ -179,7 +179,7 @@ typedef struct DgsScene DgsScene;
 typedef struct DgsSession DgsSession;
 
 /**
- * Draws worlds and keeps the pictures.
+ * Draws worlds and keeps the images.
  */
 typedef struct DgsViewer DgsViewer;
 
@@ -219,7 +219,7 @@ typedef struct {
 } DgsDevice;
 
 /**
- * How a session is opened. All zero but the size is what most want: the best device and pictures in bytes.
+ * How a session is opened. All zero but the size is what most want: the best device and images in bytes.
  */
 typedef struct {
     /**
@@ -231,11 +231,11 @@ typedef struct {
      */
     uint32_t color;
     /**
-     * 1 to have pictures of depth too, else 0.
+     * 1 to have images of depth too, else 0.
      */
     uint32_t depth;
     /**
-     * 1 to have pictures of instances too, else 0.
+     * 1 to have images of instances too, else 0.
      */
     uint32_t instance;
     /**
@@ -263,11 +263,11 @@ typedef struct {
  */
 typedef struct {
     /**
-     * Width of the picture, at least 1.
+     * Width of the image, at least 1.
      */
     uint32_t width_px;
     /**
-     * Height of the picture, at least 1.
+     * Height of the image, at least 1.
      */
     uint32_t height_px;
     /**
@@ -279,11 +279,11 @@ typedef struct {
      */
     double fy_px;
     /**
-     * Principal point, from the left edge of the picture.
+     * Principal point, from the left edge of the image.
      */
     double cx_px;
     /**
-     * Principal point, from the upper edge of the picture.
+     * Principal point, from the upper edge of the image.
      */
     double cy_px;
     /**
@@ -305,7 +305,7 @@ typedef struct {
      */
     uint32_t asset;
     /**
-     * Its number in pictures of instances, above 0.
+     * Its number in images of instances, above 0.
      */
     uint32_t instance;
 } DgsAgent;
@@ -329,7 +329,7 @@ typedef struct {
 } DgsView;
 
 /**
- * A picture in the library's memory: rows from the top, pixels from the left.
+ * An image in the library's memory: rows from the top, pixels from the left.
  */
 typedef struct {
     /**
@@ -353,10 +353,10 @@ typedef struct {
      */
     uint32_t height_px;
     /**
-     * A DgsPictureKind.
+     * A DgsImageKind.
      */
     uint32_t kind;
-} DgsPicture;
+} DgsImage;
 
 /**
  * What a draw took.
@@ -432,7 +432,7 @@ DgsStatus dgs_device_count(size_t *count);
 DgsStatus dgs_device(size_t index, DgsDevice *device);
 
 /**
- * Opens a device. `options` may be NULL for the best device and pictures in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
+ * Opens a device. `options` may be NULL for the best device and images in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
  * Khronos validation layer watches, which is slow.
  */
 DgsStatus dgs_session_open(const DgsSessionOptions *options,
@@ -579,7 +579,7 @@ DgsStatus dgs_world_move(DgsWorld *world,
                          const DgsPose *pose);
 
 /**
- * Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show it. Its number in pictures of
+ * Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show it. Its number in images of
  * instances goes into `instance`, which may be NULL.
  */
 DgsStatus dgs_world_place(DgsWorld *world,
@@ -620,27 +620,27 @@ DgsStatus dgs_viewer_new(const DgsSession *session,
                          DgsViewer **viewer);
 
 /**
- * Closes a viewer. Its pictures go with it.
+ * Closes a viewer. Its images go with it.
  */
 DgsStatus dgs_viewer_close(DgsViewer *viewer);
 
 /**
- * Draws `count` views, at least one, and waits for the pictures. Worlds over one scene that follow one another are drawn together, 32
- * cameras at a time. Where it fails, the viewer has no pictures and is as good as before.
+ * Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow one another are drawn together, 32
+ * cameras at a time. Where it fails, the viewer has no images and is as good as before.
  */
 DgsStatus dgs_viewer_draw(DgsViewer *viewer,
                           const DgsView *views,
                           size_t count);
 
 /**
- * The picture that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsPictureKind. The pixels stay
+ * The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsImageKind. The pixels stay
  * until the viewer draws or is closed.
  */
-DgsStatus dgs_viewer_picture(const DgsViewer *viewer,
+DgsStatus dgs_viewer_image(const DgsViewer *viewer,
                              size_t view,
                              size_t camera,
                              uint32_t kind,
-                             DgsPicture *picture);
+                             DgsImage *image);
 
 /**
  * What the last draw that succeeded took, into `statistics`, whose `struct_bytes` is set.

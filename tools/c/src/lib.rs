@@ -11,7 +11,7 @@
 //!   to something else or an array shorter than its count, is left to the caller.
 //!
 //! Why both an ABI version and sizes: arrays of structs cannot have sizes in their elements without costing those who draw thousands
-//! of cameras, so poses, cameras, views and pictures are frozen under the version; options, devices and statistics are what grows.
+//! of cameras, so poses, cameras, views and images are frozen under the version; options, devices and statistics are what grows.
 
 mod arguments;
 mod boundary;

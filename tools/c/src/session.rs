@@ -42,7 +42,7 @@ pub unsafe extern "C" fn dgs_device(index: usize, device: *mut DgsDevice) -> Dgs
     })
 }
 
-/// Opens a device. `options` may be NULL for the best device and pictures in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
+/// Opens a device. `options` may be NULL for the best device and images in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
 /// Khronos validation layer watches, which is slow.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_session_open(options: *const DgsSessionOptions, session: *mut *mut DgsSession) -> DgsStatus {

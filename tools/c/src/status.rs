@@ -14,7 +14,7 @@ pub enum DgsStatus {
     InvalidArgument = 1,
     /// A handle that was closed, was never given out, is of another kind, or belongs to another session.
     InvalidHandle = 2,
-    /// No device, agent, asset, camera or picture of that name or number.
+    /// No device, agent, asset, camera or image of that name or number.
     NotFound = 3,
     /// The buffer is too short for the text: `length` says how long it must be, without the NUL.
     TooSmall = 4,

@@ -48,17 +48,17 @@ impl DgsPose {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DgsCamera {
-    /// Width of the picture, at least 1.
+    /// Width of the image, at least 1.
     pub width_px: u32,
-    /// Height of the picture, at least 1.
+    /// Height of the image, at least 1.
     pub height_px: u32,
     /// Focal length along x.
     pub fx_px: f64,
     /// Focal length along y.
     pub fy_px: f64,
-    /// Principal point, from the left edge of the picture.
+    /// Principal point, from the left edge of the image.
     pub cx_px: f64,
-    /// Principal point, from the upper edge of the picture.
+    /// Principal point, from the upper edge of the image.
     pub cy_px: f64,
     /// Pose of the camera: world from camera.
     pub world_from_camera: DgsPose,
@@ -125,7 +125,7 @@ pub enum DgsColor {
 /// Content of an image.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DgsPictureKind {
+pub enum DgsImageKind {
     /// uint8_t red, green, blue, alpha; sessions of DGS_COLOR_U8.
     RgbaU8 = 0,
     /// float red, green, blue, alpha; sessions of DGS_COLOR_F32.
@@ -136,10 +136,10 @@ pub enum DgsPictureKind {
     InstanceU16 = 3,
 }
 
-/// A picture in the library's memory: rows from the top, pixels from the left.
+/// An image in the library's memory: rows from the top, pixels from the left.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct DgsPicture {
+pub struct DgsImage {
     /// The upper left pixel. Valid until the viewer draws or is closed.
     pub data: *const c_void,
     /// From one row to the next.
@@ -150,11 +150,11 @@ pub struct DgsPicture {
     pub width_px: u32,
     /// Rows.
     pub height_px: u32,
-    /// A DgsPictureKind.
+    /// A DgsImageKind.
     pub kind: u32,
 }
 
-/// Options of a session. All zero but the size is what most want: the best device and pictures in
+/// Options of a session. All zero but the size is what most want: the best device and images in
 /// bytes.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -163,9 +163,9 @@ pub struct DgsSessionOptions {
     pub struct_bytes: u32,
     /// Storage format of color: a DgsColor.
     pub color: u32,
-    /// 1 to have pictures of depth too, else 0.
+    /// 1 to have images of depth too, else 0.
     pub depth: u32,
-    /// 1 to have pictures of instances too, else 0.
+    /// 1 to have images of instances too, else 0.
     pub instance: u32,
     /// Device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or
     /// NULL or "auto" for the best.
@@ -282,7 +282,7 @@ mod tests {
         assert!(size_of::<DgsStatistics>() >= DgsStatistics::FIRST_BYTES);
         // Those without a size stay as they are under the ABI version.
         let frozen =
-            [size_of::<DgsPose>(), size_of::<DgsCamera>(), size_of::<DgsView>(), size_of::<DgsAgent>(), size_of::<DgsPicture>()];
+            [size_of::<DgsPose>(), size_of::<DgsCamera>(), size_of::<DgsView>(), size_of::<DgsAgent>(), size_of::<DgsImage>()];
         assert_eq!(frozen, [56, 96, 24, 64, 32]);
     }
 

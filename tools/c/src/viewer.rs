@@ -1,22 +1,22 @@
-//! Viewers: worlds become pictures.
+//! Viewers: worlds become images.
 
 use std::ffi::c_void;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Picture};
+use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Image};
 use decouplegs::scene::Camera;
-use decouplegs::session::{HostPictures, Session, SessionError, Viewer, WorldView};
+use decouplegs::session::{HostImages, Session, SessionError, Viewer, WorldView};
 
 use crate::arguments::{array, give_growing, out, out_handle};
 use crate::boundary::{Call, guarded};
 use crate::handles::{Registry, alone};
 use crate::session::{DgsSession, SESSIONS};
 use crate::status::{DgsStatus, Failure};
-use crate::types::{DgsCamera, DgsPicture, DgsPictureKind, DgsStatistics, DgsView};
+use crate::types::{DgsCamera, DgsImage, DgsImageKind, DgsStatistics, DgsView};
 use crate::world::{HeldWorld, WORLDS};
 
-/// Draws worlds and keeps the pictures.
+/// Draws worlds and keeps the images.
 pub struct DgsViewer(());
 
 /// Object behind a viewer handle.
@@ -37,7 +37,7 @@ impl HeldViewer {
 struct Drawing {
     viewer: Viewer,
     /// Kept from draw to draw, their memory is used again.
-    bytes: HostPictures,
+    bytes: HostImages,
     drawn: Drawn,
     statistics: DgsStatistics,
 }
@@ -51,7 +51,7 @@ enum Drawn {
     Planes(Vec<Vec<Planes>>),
 }
 
-/// One camera's pictures, those that the session has.
+/// One camera's images, those that the session has.
 struct Planes {
     size_px: [u32; 2],
     rgba_u8: Vec<[u8; 4]>,
@@ -61,16 +61,16 @@ struct Planes {
 }
 
 impl Planes {
-    fn new(picture: Picture, color: ColorFormat) -> Self {
-        let pixels = || picture.rgb.iter().zip(&picture.alpha).map(|(&[r, g, b], &a)| [r, g, b, a]);
+    fn new(image: Image, color: ColorFormat) -> Self {
+        let pixels = || image.rgb.iter().zip(&image.alpha).map(|(&[r, g, b], &a)| [r, g, b, a]);
         // They were bytes on the device, so nothing is lost.
         let bytes = |pixel: [f32; 4]| pixel.map(|value| (255.0 * value).round() as u8);
         let (rgba_u8, rgba_f32) = match color {
             ColorFormat::U8 => (pixels().map(bytes).collect(), Vec::new()),
             ColorFormat::F32 => (Vec::new(), pixels().collect()),
         };
-        let size_px = [picture.width, picture.height];
-        Self { size_px, rgba_u8, rgba_f32, depth: picture.depth, instance: picture.instance }
+        let size_px = [image.width, image.height];
+        Self { size_px, rgba_u8, rgba_f32, depth: image.depth, instance: image.instance }
     }
 }
 
@@ -83,21 +83,21 @@ pub unsafe extern "C" fn dgs_viewer_new(session: *const DgsSession, viewer: *mut
         let made = unsafe { out_handle("viewer", viewer) }?;
         let session = Arc::clone(&*SESSIONS.find(call, session)?);
         let viewer = session.viewer();
-        let (bytes, drawn, statistics) = (HostPictures::default(), Drawn::Nothing, DgsStatistics::default());
+        let (bytes, drawn, statistics) = (HostImages::default(), Drawn::Nothing, DgsStatistics::default());
         let drawing = Mutex::new(Drawing { viewer, bytes, drawn, statistics });
         made.write(VIEWERS.add(HeldViewer { session, drawing }));
         Ok(())
     })
 }
 
-/// Closes a viewer. Its pictures go with it.
+/// Closes a viewer. Its images go with it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_viewer_close(viewer: *mut DgsViewer) -> DgsStatus {
     guarded(|_| VIEWERS.close(viewer))
 }
 
-/// Draws `count` views, at least one, and waits for the pictures. Worlds over one scene that follow one another are drawn together, 32
-/// cameras at a time. Where it fails, the viewer has no pictures and is as good as before.
+/// Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow one another are drawn together, 32
+/// cameras at a time. Where it fails, the viewer has no images and is as good as before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_viewer_draw(viewer: *mut DgsViewer, views: *const DgsView, count: usize) -> DgsStatus {
     guarded(|call| {
@@ -157,9 +157,9 @@ impl Drawing {
             self.drawn = Drawn::Bytes;
             frames
         } else {
-            let (pictures, frames) = self.viewer.draw_pictures(views)?;
-            let planes = |cameras: Vec<Picture>| cameras.into_iter().map(|picture| Planes::new(picture, color)).collect();
-            self.drawn = Drawn::Planes(pictures.into_iter().map(planes).collect());
+            let (images, frames) = self.viewer.draw_images(views)?;
+            let planes = |cameras: Vec<Image>| cameras.into_iter().map(|image| Planes::new(image, color)).collect();
+            self.drawn = Drawn::Planes(images.into_iter().map(planes).collect());
             frames
         };
         self.statistics = summed(&frames);
@@ -168,26 +168,26 @@ impl Drawing {
         Ok(())
     }
 
-    /// The picture of a camera, where there is one.
-    fn picture(&self, view: usize, camera: usize, kind: u32) -> Result<DgsPicture, Failure> {
+    /// The image of a camera, where there is one.
+    fn image(&self, view: usize, camera: usize, kind: u32) -> Result<DgsImage, Failure> {
         match &self.drawn {
-            Drawn::Nothing => Err(Failure::not_found("there are no pictures: nothing was drawn, or the last draw failed")),
+            Drawn::Nothing => Err(Failure::not_found("there are no images: nothing was drawn, or the last draw failed")),
             Drawn::Bytes => {
                 let there = view < self.bytes.views() && camera < self.bytes.cameras(view);
                 if !there {
                     return Err(no_camera(view, camera));
                 }
-                let bytes = (kind == DgsPictureKind::RgbaU8 as u32).then(|| self.bytes.rgba(view, camera));
-                picture(kind, self.bytes.size_px(view, camera), bytes)
+                let bytes = (kind == DgsImageKind::RgbaU8 as u32).then(|| self.bytes.rgba(view, camera));
+                image(kind, self.bytes.size_px(view, camera), bytes)
             }
             Drawn::Planes(views) => {
                 let planes = views.get(view).and_then(|cameras| cameras.get(camera)).ok_or_else(|| no_camera(view, camera))?;
                 let size_px = planes.size_px;
                 match kind {
-                    kind if kind == DgsPictureKind::RgbaU8 as u32 => picture(kind, size_px, of_some(&planes.rgba_u8)),
-                    kind if kind == DgsPictureKind::RgbaF32 as u32 => picture(kind, size_px, of_some(&planes.rgba_f32)),
-                    kind if kind == DgsPictureKind::DepthF32 as u32 => picture(kind, size_px, planes.depth.as_deref()),
-                    kind => picture(kind, size_px, planes.instance.as_deref()),
+                    kind if kind == DgsImageKind::RgbaU8 as u32 => image(kind, size_px, of_some(&planes.rgba_u8)),
+                    kind if kind == DgsImageKind::RgbaF32 as u32 => image(kind, size_px, of_some(&planes.rgba_f32)),
+                    kind if kind == DgsImageKind::DepthF32 as u32 => image(kind, size_px, planes.depth.as_deref()),
+                    kind => image(kind, size_px, planes.instance.as_deref()),
                 }
             }
         }
@@ -198,22 +198,22 @@ fn no_camera(view: usize, camera: usize) -> Failure {
     Failure::not_found(format!("the last draw had no camera {camera} in a view {view}; both are counted from 0"))
 }
 
-/// `None` for an empty plane: pictures have at least one pixel.
+/// `None` for an empty plane: images have at least one pixel.
 fn of_some<T>(plane: &[T]) -> Option<&[T]> {
     (!plane.is_empty()).then_some(plane)
 }
 
-/// The picture whose values are `values`, rows from the top.
-fn picture<T>(kind: u32, [width_px, height_px]: [u32; 2], values: Option<&[T]>) -> Result<DgsPicture, Failure> {
-    if kind > DgsPictureKind::InstanceU16 as u32 {
-        return Err(Failure::argument(format!("kind is {kind}: expected a DgsPictureKind, 0 to 3")));
+/// The image whose values are `values`, rows from the top.
+fn image<T>(kind: u32, [width_px, height_px]: [u32; 2], values: Option<&[T]>) -> Result<DgsImage, Failure> {
+    if kind > DgsImageKind::InstanceU16 as u32 {
+        return Err(Failure::argument(format!("kind is {kind}: expected a DgsImageKind, 0 to 3")));
     }
     let values = values.ok_or_else(|| {
-        let text = "the session has no pictures of this kind: ask for it in DgsSessionOptions (color, depth, instance)";
+        let text = "the session has no images of this kind: ask for it in DgsSessionOptions (color, depth, instance)";
         Failure::new(DgsStatus::Unsupported, text)
     })?;
     let pixel_bytes = size_of_val(values) / (width_px as usize * height_px as usize);
-    Ok(DgsPicture {
+    Ok(DgsImage {
         data: values.as_ptr().cast::<c_void>(),
         row_bytes: pixel_bytes * width_px as usize,
         pixel_bytes: pixel_bytes as u32,
@@ -234,20 +234,20 @@ fn summed(frames: &[FrameStatistics]) -> DgsStatistics {
     }
 }
 
-/// The picture that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsPictureKind. The pixels stay
+/// The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsImageKind. The pixels stay
 /// until the viewer draws or is closed.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_viewer_picture(
+pub unsafe extern "C" fn dgs_viewer_image(
     viewer: *const DgsViewer,
     view: usize,
     camera: usize,
     kind: u32,
-    picture: *mut DgsPicture,
+    image: *mut DgsImage,
 ) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
-        let place = unsafe { out("picture", picture) }?;
-        place.write(VIEWERS.find(call, viewer)?.lock()?.picture(view, camera, kind)?);
+        let place = unsafe { out("image", image) }?;
+        place.write(VIEWERS.find(call, viewer)?.lock()?.image(view, camera, kind)?);
         Ok(())
     })
 }

@@ -107,7 +107,7 @@ pub unsafe extern "C" fn dgs_world_move(world: *mut DgsWorld, name: *const c_cha
     })
 }
 
-/// Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show it. Its number in pictures of
+/// Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show it. Its number in images of
 /// instances goes into `instance`, which may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_world_place(

@@ -5,7 +5,7 @@
 >>> scene = session.open_scene("street/scene.toml")
 >>> world, viewer = decouplegs.World(scene), session.viewer()
 >>> world.set_time(1.0)
->>> pictures = viewer.draw([(world, scene.cameras(1.0))])[0]  # uint8 [C, H, W, 4]
+>>> images = viewer.draw([(world, scene.cameras(1.0))])[0]  # uint8 [C, H, W, 4]
 
 Units are meters, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up. Camera: OpenCV (x right, y down,
 z forward). Poses are float64 [4, 4] matrices that take points of the second frame of their name into the first
@@ -22,7 +22,7 @@ from ._native import (
     DeviceError,
     Error,
     FileError,
-    Pictures,
+    Images,
     RigCamera,
     Rollout,
     Scene,
@@ -44,7 +44,7 @@ __all__ = [
     "DeviceError",
     "Error",
     "FileError",
-    "Pictures",
+    "Images",
     "RigCamera",
     "Rollout",
     "Scene",

@@ -1,4 +1,4 @@
-"""The native part of the package: sessions, scenes, worlds, viewers, pictures and rollouts."""
+"""The native part of the package: sessions, scenes, worlds, viewers, images and rollouts."""
 
 import os
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class Camera:
         """
     @property
     def name(self) -> str:
-        """Names its picture."""
+        """Names its image."""
     @property
     def width(self) -> int:
         """Pixels a row."""
@@ -81,7 +81,7 @@ class RigCamera:
         """As Camera; rig_from_camera, float64 [4, 4], meters, is where it sits on the vehicle."""
     @property
     def name(self) -> str:
-        """Names its picture."""
+        """Names its image."""
     @property
     def width(self) -> int:
         """Pixels a row."""
@@ -117,8 +117,8 @@ class Session:
         """Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 
         color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
-        depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
-        exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
+        depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Images).
+        exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
         rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
         frames_in_flight: frames of one call that are submitted before the first is waited for.
@@ -161,7 +161,7 @@ class Scene:
     def ego_span_s(self) -> tuple[float, float]:
         """First and last time of the ego's trajectory, seconds."""
     def cameras(self, time_s: float = 0.0, size: tuple[int, int] | None = None) -> list[Camera]:
-        """The rig where the ego is at time_s, in pictures of ``size`` = (width, height) pixels where it is given."""
+        """The rig where the ego is at time_s, in images of ``size`` = (width, height) pixels where it is given."""
     def cameras_at(self, world_from_rig: ArrayLike, size: tuple[int, int] | None = None) -> list[Camera]:
         """The rig on a vehicle that stands at world_from_rig, float64 [4, 4], meters."""
     @property
@@ -234,7 +234,7 @@ class Statistics:
         """Time of the agents' part, where it was submitted by itself."""
     @property
     def wall_ms(self) -> float:
-        """From the submission to the finished pictures."""
+        """From the submission to the finished images."""
     @property
     def record_ms(self) -> float:
         """The host's part of it."""
@@ -255,7 +255,7 @@ class Statistics:
         """How often it was drawn again, because a list outgrew its buffer."""
 
 class Layers(TypedDict, total=False):
-    """Pictures of one view."""
+    """Images of one view."""
 
     color: NDArray[Any]
     depth: NDArray[np.float32]
@@ -275,10 +275,10 @@ class Viewer:
     def draw_layers(self, views: Views) -> list[Layers]:
         """As draw: ``color`` [C, H, W, 4], and where the session has them ``depth`` float32 [C, H, W], meters along the camera's z, 0
         where nothing was hit, and ``instance`` int32 [C, H, W], 0 the background."""
-    def draw_dlpack(self, views: Views) -> Pictures:
-        """As draw, and leaves the pictures where they were drawn: on the device where Session.exported, otherwise on the host."""
+    def draw_dlpack(self, views: Views) -> Images:
+        """As draw, and leaves the images where they were drawn: on the device where Session.exported, otherwise on the host."""
     def collect(self) -> int:
-        """Takes back pictures that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads."""
+        """Takes back images that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads."""
     @property
     def imports(self) -> int:
         """Buffers of the renderer that are imported into CUDA."""
@@ -286,8 +286,8 @@ class Viewer:
     def statistics(self) -> list[Statistics]:
         """What the last call took, a frame each."""
 
-class Pictures:
-    """Pictures of one call, where they were drawn. Of one frame and one size, they are themselves a tensor [C, H, W, 4]."""
+class Images:
+    """Images of one call, where they were drawn. Of one frame and one size, they are themselves a tensor [C, H, W, 4]."""
 
     @property
     def frames(self) -> int:
@@ -316,7 +316,7 @@ class Pictures:
         """tensor().__dlpack_device__()"""
 
 class Tensor:
-    """Pictures for torch.from_dlpack, numpy.from_dlpack, cupy.from_dlpack and others: in C order, to be read, not written.
+    """Images for torch.from_dlpack, numpy.from_dlpack, cupy.from_dlpack and others: in C order, to be read, not written.
 
     On CUDA the consumer's stream waits for the frame. The memory is drawn into again when all tensors over the frame are gone and the streams
     that they were taken on have come so far. Whoever reads them on yet another stream has to keep the tensor until that is done.

@@ -11,7 +11,7 @@
 
 Observation, a dict:
 
-- ``cameras``: the rig's pictures by name, uint8 [H, W, 3];
+- ``cameras``: the rig's images by name, uint8 [H, W, 3];
 - ``ego``: speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s, float32 [4];
 - ``guidance``: turn (1 left, -1 right, 0 straight on), meters until it, radians it turns by, its length in meters, speed the route is to be
   driven at in m/s, float32 [5];
@@ -124,12 +124,12 @@ class _Course:
 
     def _observation_space(self) -> spaces.Dict:
         width, height = self.size
-        picture = spaces.Box(0, 255, (height, width, 3), np.uint8)
+        image = spaces.Box(0, 255, (height, width, 3), np.uint8)
         ego = np.array([100.0, 50.0, 1.0, 10.0], np.float32)
         far = np.array([1.0, FAR_M, 2 * np.pi, FAR_M, 100.0], np.float32)
         return spaces.Dict(
             {
-                "cameras": spaces.Dict({name: picture for name in self.rig}),
+                "cameras": spaces.Dict({name: image for name in self.rig}),
                 "ego": spaces.Box(-ego, ego, dtype=np.float32),
                 "guidance": spaces.Box(-far, far, dtype=np.float32),
                 "route": spaces.Box(-FAR_M, FAR_M, (ROUTE_POINTS, 2), np.float32),
@@ -182,15 +182,15 @@ class _Drive:
         world_from_rig = self.rollout.show(self.world)
         return self.world, [camera.at(world_from_rig) for camera in self.course.rig.values()]
 
-    def observe(self, pictures: np.ndarray) -> dict[str, Any]:
-        """The observation, with pictures uint8 [C, H, W, 4]."""
+    def observe(self, images: np.ndarray) -> dict[str, Any]:
+        """The observation, with images uint8 [C, H, W, 4]."""
         assert self.rollout is not None
         guidance = self.rollout.guidance
         names = ("distance_m", "angle_rad", "length_m", "cruise_mps")
         told = [_TURNS[guidance["turn"]], *(guidance[name] for name in names)]
         space = self.course.observation_space
         return {
-            "cameras": {name: np.ascontiguousarray(picture[..., :3]) for name, picture in zip(self.course.rig, pictures)},
+            "cameras": {name: np.ascontiguousarray(image[..., :3]) for name, image in zip(self.course.rig, images)},
             "ego": _within(space["ego"], self.rollout.ego_state),
             "guidance": _within(space["guidance"], np.array(told)),
             "route": _within(space["route"], self.rollout.route_ahead(ROUTE_POINTS, ROUTE_SPACING_M)),
@@ -234,7 +234,7 @@ class DriveEnv(gymnasium.Env):
         """An environment on the synthetic street (``weather``, ``background`` and ``agent_splats`` splats, houses by ``place_seed``), or of
         one ``scenario`` file.
 
-        ``size`` is (width, height) of the pictures, ``cameras`` names some of the rig's. Give ``session`` and ``site`` to share a
+        ``size`` is (width, height) of the images, ``cameras`` names some of the rig's. Give ``session`` and ``site`` to share a
         place that is on the device already.
         """
         self.render_mode = render_mode
@@ -261,9 +261,9 @@ class DriveEnv(gymnasium.Env):
         self._last: np.ndarray | None = None
 
     def _observation(self) -> dict[str, Any]:
-        pictures = self.course.viewer.draw([self.drive.view()])[0]
-        self._last = pictures[0, ..., :3]
-        return self.drive.observe(pictures)
+        images = self.course.viewer.draw([self.drive.view()])[0]
+        self._last = images[0, ..., :3]
+        return self.drive.observe(images)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Another episode, of ``options["level"]`` where it is given."""
@@ -315,7 +315,7 @@ class DriveVectorEnv(VectorEnv):
         if num_envs < 1:
             raise ValueError(f"num_envs: expected at least 1, found {num_envs}")
         if render_mode is not None:
-            raise ValueError("render_mode: a vector environment renders nothing; its observations are the pictures")
+            raise ValueError("render_mode: a vector environment renders nothing; its observations are the images")
         self.num_envs, self.render_mode = num_envs, render_mode
         self.course = _Course(
             session=session,
@@ -344,7 +344,7 @@ class DriveVectorEnv(VectorEnv):
 
     def _observation(self) -> dict[str, Any]:
         drawn = self.course.viewer.draw([drive.view() for drive in self.drives])
-        each = [drive.observe(pictures) for drive, pictures in zip(self.drives, drawn)]
+        each = [drive.observe(images) for drive, images in zip(self.drives, drawn)]
         observation: dict[str, Any] = {key: np.stack([one[key] for one in each]) for key in ("ego", "guidance", "route")}
         observation["cameras"] = {name: np.stack([one["cameras"][name] for one in each]) for name in self.course.rig}
         return observation

@@ -30,13 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the results, one JSON file an episode")
     parser.add_argument("--episodes", type=int, default=4, help="how many there are in all, with seeds from 0 on (default 4)")
     parser.add_argument("--level", default="easy", choices=["easy", "medium", "hard", "extreme"])
-    parser.add_argument("--size", default="160x90", help="pictures, WIDTHxHEIGHT (default 160x90)")
+    parser.add_argument("--size", default="160x90", help="images, WIDTHxHEIGHT (default 160x90)")
     parser.add_argument("--background", type=int, default=100_000, help="splats of the street (default 100000)")
     parser.add_argument("--duration", type=float, default=20.0, help="seconds that an episode lasts at most (default 20)")
 
 
 def follow(observation: dict[str, Any]) -> np.ndarray:
-    """A driver to have one: steers for the route ahead, keeps the route's speed, and does not look at the pictures."""
+    """A driver to have one: steers for the route ahead, keeps the route's speed, and does not look at the images."""
     speed_mps = float(observation["ego"][0])
     ahead = observation["route"][min(1 + int(speed_mps / 5.0), 9)]
     distance_m = max(float(np.hypot(*ahead)), 1.0)
@@ -61,12 +61,12 @@ class Driver:
         self.session = self.env.course.session
 
     def drive(self, seed: int, on_step=lambda step: None) -> dict[str, Any]:
-        """What came of the episode: its score, and a hash of all its pictures, which tells whether two runs saw the same."""
+        """What came of the episode: its score, and a hash of all its images, which tells whether two runs saw the same."""
         since = time.perf_counter()
         observation, info = self.env.reset(seed=seed)
-        pictures, steps, reward, over = hashlib.sha256(), 0, 0.0, False
+        images, steps, reward, over = hashlib.sha256(), 0, 0.0, False
         while not over:
-            pictures.update(observation["cameras"]["front"].tobytes())
+            images.update(observation["cameras"]["front"].tobytes())
             on_step(steps)
             action = np.clip(follow(observation), self.env.action_space.low, self.env.action_space.high)
             observation, step_reward, terminated, truncated, info = self.env.step(action)
@@ -78,7 +78,7 @@ class Driver:
             "end": info["end"],
             "reward": reward,
             "score": info["score"],
-            "pictures_sha256": pictures.hexdigest(),
+            "images_sha256": images.hexdigest(),
             "device": self.session.device.uuid,
             "seconds": time.perf_counter() - since,
             "version": decouplegs.__version__,

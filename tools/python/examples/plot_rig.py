@@ -26,7 +26,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", help="a scene file (.toml); a street is made up without one")
     parser.add_argument("--time", type=float, default=0.0, help="seconds")
-    parser.add_argument("--size", type=size, default=(480, 270), metavar="WxH", help="pixels of each picture")
+    parser.add_argument("--size", type=size, default=(480, 270), metavar="WxH", help="pixels of each image")
     parser.add_argument("--device", help="a number, a part of a name, or uuid:...")
     parser.add_argument("--out", default="rig.png")
     return parser.parse_args()
@@ -80,8 +80,8 @@ def main() -> None:
     for column, camera in enumerate(cameras):
         for row, (layer, options_) in enumerate([("color", {}), ("depth", {"vmin": 0, "vmax": depth_max_m, "cmap": "magma_r"})]):
             axes = figure.add_subplot(grid[row, column])
-            picture = layers[layer][column]
-            image = axes.imshow(picture[..., :3] if layer == "color" else picture, **options_)
+            image = layers[layer][column]
+            image = axes.imshow(image[..., :3] if layer == "color" else image, **options_)
             axes.set(xticks=[], yticks=[], title=camera.name if row == 0 else None)
     figure.colorbar(image, ax=axes, label="depth, m")
     plot_from_above(figure.add_subplot(grid[2, :]), world, cameras)

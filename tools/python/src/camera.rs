@@ -52,7 +52,7 @@ impl Camera {
         Ok(Self { inner: EngineCamera { name, intrinsics: intrinsics_of(width, height, K)?, world_from_camera } })
     }
 
-    /// Names its picture.
+    /// Names its image.
     #[getter]
     fn name(&self) -> &str {
         &self.inner.name
@@ -99,7 +99,7 @@ impl RigCamera {
         Ok(Self { inner: EngineRigCamera { name, intrinsics: intrinsics_of(width, height, K)?, rig_from_camera } })
     }
 
-    /// Names its picture.
+    /// Names its image.
     #[getter]
     fn name(&self) -> &str {
         &self.inner.name

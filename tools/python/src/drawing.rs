@@ -1,8 +1,8 @@
-//! Drawing to the host: pictures of a call, gathered as arrays want them.
+//! Drawing to the host: images of a call, gathered as arrays want them.
 
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Picture};
+use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Image};
 use decouplegs::scene::Camera;
-use decouplegs::session::{HostPictures, SessionError, Viewer, World, WorldView};
+use decouplegs::session::{HostImages, SessionError, Viewer, World, WorldView};
 
 use crate::array::Values;
 
@@ -14,20 +14,20 @@ impl Views {
         self.0.iter().map(|(world, cameras)| WorldView { world, cameras }).collect()
     }
 
-    /// View and camera of every picture, in order.
+    /// View and camera of every image, in order.
     pub fn places(&self) -> Vec<(usize, usize)> {
         let of_view = |(view, (_, cameras)): (usize, &(World, Vec<Camera>))| (0..cameras.len()).map(move |camera| (view, camera));
         self.0.iter().enumerate().flat_map(of_view).collect()
     }
 
-    /// Width and height of a picture.
+    /// Width and height of an image.
     pub fn size_px(&self, (view, camera): (usize, usize)) -> [u32; 2] {
         let lens = &self.0[view].1[camera].intrinsics;
         [lens.width_px, lens.height_px]
     }
 }
 
-/// Pictures one after the other, rows from the top.
+/// Images one after the other, rows from the top.
 pub struct Layers {
     /// Four values a pixel.
     pub color: Values,
@@ -37,32 +37,32 @@ pub struct Layers {
     pub instance: Option<Vec<i32>>,
 }
 
-/// Draws `views` and returns, for each of `groups`, its pictures.
+/// Draws `views` and returns, for each of `groups`, its images.
 pub fn draw(
     viewer: &mut Viewer,
     views: &Views,
     groups: &[Vec<(usize, usize)>],
-    bytes: &mut HostPictures,
+    bytes: &mut HostImages,
 ) -> Result<(Vec<Layers>, Vec<FrameStatistics>), SessionError> {
     let outputs = viewer.options().outputs;
     if outputs.color == ColorFormat::U8 && !outputs.depth && !outputs.instance {
         let statistics = viewer.draw(&views.borrowed(), bytes)?;
         let gather = |group: &Vec<(usize, usize)>| {
-            let pictures: Vec<&[u8]> = group.iter().map(|&(view, camera)| bytes.rgba(view, camera)).collect();
-            Layers { color: Values::U8(pictures.concat()), depth: None, instance: None }
+            let images: Vec<&[u8]> = group.iter().map(|&(view, camera)| bytes.rgba(view, camera)).collect();
+            Layers { color: Values::U8(images.concat()), depth: None, instance: None }
         };
         return Ok((groups.iter().map(gather).collect(), statistics));
     }
-    let (pictures, statistics) = viewer.draw_pictures(&views.borrowed())?;
+    let (images, statistics) = viewer.draw_images(&views.borrowed())?;
     let gather = |group: &Vec<(usize, usize)>| {
-        let pictures: Vec<&Picture> = group.iter().map(|&(view, camera)| &pictures[view][camera]).collect();
-        gathered(&pictures, &outputs)
+        let images: Vec<&Image> = group.iter().map(|&(view, camera)| &images[view][camera]).collect();
+        gathered(&images, &outputs)
     };
     Ok((groups.iter().map(gather).collect(), statistics))
 }
 
-fn gathered(pictures: &[&Picture], outputs: &Outputs) -> Layers {
-    let colors = pictures.iter().flat_map(|picture| picture.rgb.iter().zip(&picture.alpha));
+fn gathered(images: &[&Image], outputs: &Outputs) -> Layers {
+    let colors = images.iter().flat_map(|image| image.rgb.iter().zip(&image.alpha));
     let color = match outputs.color {
         ColorFormat::F32 => Values::F32(colors.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha]).collect()),
         ColorFormat::U8 => {
@@ -71,7 +71,7 @@ fn gathered(pictures: &[&Picture], outputs: &Outputs) -> Layers {
             Values::U8(colors.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha].map(byte)).collect())
         }
     };
-    let depths = || pictures.iter().flat_map(|picture| picture.depth.iter().flatten().copied()).collect();
-    let instances = || pictures.iter().flat_map(|picture| picture.instance.iter().flatten().map(|&id| i32::from(id))).collect();
+    let depths = || images.iter().flat_map(|image| image.depth.iter().flatten().copied()).collect();
+    let instances = || images.iter().flat_map(|image| image.instance.iter().flatten().map(|&id| i32::from(id))).collect();
     Layers { color, depth: outputs.depth.then(depths), instance: outputs.instance.then(instances) }
 }

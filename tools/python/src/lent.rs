@@ -1,20 +1,20 @@
-//! The renderer's pictures, as they are lent to CUDA.
+//! The renderer's images, as they are lent to CUDA.
 
 use std::sync::Arc;
 
 use decouplegs::gpu::{Buffer, QueueRole};
-use decouplegs::render::TakenPictures;
+use decouplegs::render::TakenImages;
 use decouplegs::session::Session;
 use decouplegs_sharing::{Cuda, Exported, Handed, Interop, InteropError, Lender, Loan, Shared};
 
-pub type CudaLender = Lender<Cuda, TakenPictures>;
-pub type CudaLoan = Loan<Cuda, TakenPictures>;
-pub type CudaHanded = Handed<Cuda, TakenPictures>;
+pub type CudaLender = Lender<Cuda, TakenImages>;
+pub type CudaLoan = Loan<Cuda, TakenImages>;
+pub type CudaHanded = Handed<Cuda, TakenImages>;
 
-/// A buffer of pictures.
-struct PictureBuffer<T>(Buffer<T>);
+/// A buffer of images.
+struct ImageBuffer<T>(Buffer<T>);
 
-impl<T> Shared for PictureBuffer<T> {
+impl<T> Shared for ImageBuffer<T> {
     fn id(&self) -> usize {
         self.0.id()
     }
@@ -30,7 +30,7 @@ impl<T> Shared for PictureBuffer<T> {
     }
 }
 
-/// A lender of the pictures that are drawn in `session`.
+/// A lender of the images that are drawn in `session`.
 pub fn lender(session: &Session, cuda: &Arc<Cuda>) -> Result<Arc<CudaLender>, InteropError> {
     let timeline = session.gpu().export_timeline(QueueRole::Main).map_err(|error| InteropError::Export(error.to_string()))?;
     Lender::new(cuda.clone(), timeline)
@@ -46,11 +46,11 @@ pub struct Addresses {
 
 /// Imports what of `loan` was asked for.
 pub fn addresses(lender: &CudaLender, loan: &CudaLoan) -> Result<Addresses, InteropError> {
-    let buffers = loan.pictures().buffers();
-    let color = if buffers.pictures_u8.is_empty() {
-        address(lender, &buffers.pictures_f32)?
+    let buffers = loan.images().buffers();
+    let color = if buffers.images_u8.is_empty() {
+        address(lender, &buffers.images_f32)?
     } else {
-        address(lender, &buffers.pictures_u8)?
+        address(lender, &buffers.images_u8)?
     };
     Ok(Addresses { color, depth: address(lender, &buffers.depths_m)?, instance: address(lender, &buffers.instance_ids)? })
 }
@@ -60,5 +60,5 @@ fn address<T: 'static>(lender: &CudaLender, buffer: &Buffer<T>) -> Result<u64, I
     if buffer.is_empty() {
         return Ok(0);
     }
-    Ok(Cuda::address(&*lender.memory(PictureBuffer(buffer.clone()))?))
+    Ok(Cuda::address(&*lender.memory(ImageBuffer(buffer.clone()))?))
 }

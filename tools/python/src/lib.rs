@@ -10,7 +10,7 @@ mod device;
 mod drawing;
 mod error;
 mod lent;
-mod pictures;
+mod images;
 mod pose;
 mod rollout;
 mod scene;
@@ -33,7 +33,7 @@ mod native {
     #[pymodule_export]
     use crate::error::{DeviceError, Error, FileError, TooManyHeldError};
     #[pymodule_export]
-    use crate::pictures::{Pictures, Tensor};
+    use crate::images::{Images, Tensor};
     #[pymodule_export]
     use crate::rollout::Rollout;
     #[pymodule_export]

@@ -53,7 +53,7 @@ impl Scene {
         (self.inner.ego().start_s(), self.inner.ego().end_s())
     }
 
-    /// The rig where the ego is at time_s, in pictures of ``size`` = (width, height) pixels where it is given.
+    /// The rig where the ego is at time_s, in images of ``size`` = (width, height) pixels where it is given.
     #[pyo3(signature = (time_s = 0.0, size = None))]
     fn cameras(&self, time_s: f64, size: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
         rig_at(self.inner.rig(), &self.inner.ego().at(finite(time_s)?), size)

@@ -22,8 +22,8 @@ use crate::viewer::Viewer;
 /// Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 ///
 /// color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
-/// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Pictures).
-/// exported: whether pictures are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
+/// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Images).
+/// exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
 /// rules: the rules of image formation for all scenes: ``default``, ``gsplat15``, ``gsplat16`` or ``inria``. None: each scene's own, as its file says.
 /// taken_max: frames that may be held on the device by tensors before TooManyHeldError.
 /// frames_in_flight: frames of one call that are submitted before the first is waited for.
@@ -36,7 +36,7 @@ pub struct Session {
     not_shared: Option<String>,
 }
 
-/// Frames whose pictures are held on the device at most.
+/// Frames whose images are held on the device at most.
 const TAKEN_MAX: usize = 65_536;
 
 fn choice_of(device: Option<&Bound<'_, PyAny>>) -> PyResult<DeviceChoice> {
@@ -105,7 +105,7 @@ impl Session {
         let (cuda, not_shared) = match cuda {
             Ok(cuda) => (Some(Arc::new(cuda)), None),
             Err(reason) if exported == Some(true) => {
-                return Err(DeviceError::new_err(format!("pictures cannot be shared with CUDA: {reason}")));
+                return Err(DeviceError::new_err(format!("images cannot be shared with CUDA: {reason}")));
             }
             Err(reason) => (None, Some(reason)),
         };

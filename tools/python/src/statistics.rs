@@ -14,7 +14,7 @@ pub struct Statistics {
     gpu_ms: f64,
     /// Time of the agents' part, where it was submitted by itself.
     update_ms: Option<f64>,
-    /// From the submission to the finished pictures.
+    /// From the submission to the finished images.
     wall_ms: f64,
     /// The host's part of it.
     record_ms: f64,

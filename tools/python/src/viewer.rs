@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use decouplegs::render::FrameStatistics;
-use decouplegs::session::{HostPictures, Session, Viewer as EngineViewer};
+use decouplegs::session::{HostImages, Session, Viewer as EngineViewer};
 use decouplegs_sharing::{Cuda, InteropError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -13,7 +13,7 @@ use crate::camera::Camera;
 use crate::drawing::{Layers, Views, draw};
 use crate::error::{of_interop, of_session, value_error};
 use crate::lent::{CudaLender, addresses, lender};
-use crate::pictures::{Frame, Pictures};
+use crate::images::{Frame, Images};
 use crate::statistics::Statistics;
 use crate::world::World;
 
@@ -29,7 +29,7 @@ pub struct Viewer {
 
 struct State {
     viewer: EngineViewer,
-    bytes: HostPictures,
+    bytes: HostImages,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -51,7 +51,7 @@ fn copied(views: &GivenViews<'_>) -> PyResult<Views> {
 
 impl Viewer {
     pub fn new(session: &Session, cuda: Option<&Arc<Cuda>>) -> Result<Self, InteropError> {
-        let state = State { viewer: session.viewer(), bytes: HostPictures::default() };
+        let state = State { viewer: session.viewer(), bytes: HostImages::default() };
         let lender = cuda.map(|cuda| Ok::<_, InteropError>((lender(session, cuda)?, cuda.ordinal()))).transpose()?;
         Ok(Self { state: Mutex::new(state), statistics: Mutex::default(), lender })
     }
@@ -85,7 +85,7 @@ impl Viewer {
             if let Some(&other) = group.iter().find(|place| views.size_px(**place) != [width, height]) {
                 let [other_width, other_height] = views.size_px(other);
                 return Err(value_error(format!(
-                    "views[{view}]: its pictures are one array, and its cameras are of {width}x{height} and \
+                    "views[{view}]: its images are one array, and its cameras are of {width}x{height} and \
                      {other_width}x{other_height}: give those of another size as a view of their own, of the same world"
                 )));
             }
@@ -149,7 +149,7 @@ impl Viewer {
 
     /// Draws like draw, and leaves the images in place: on the device if Session.exported,
     /// otherwise on the host.
-    fn draw_dlpack(&self, py: Python<'_>, views: GivenViews<'_>) -> PyResult<Pictures> {
+    fn draw_dlpack(&self, py: Python<'_>, views: GivenViews<'_>) -> PyResult<Images> {
         let views = copied(&views)?;
         let of_views = views.0.iter().map(|(_, cameras)| cameras.len()).collect();
         let frames = match &self.lender {
@@ -161,10 +161,10 @@ impl Viewer {
                 layers.into_iter().map(|layers| Frame::on_host(layers, &sizes)).collect()
             }
         };
-        Ok(Pictures::new(frames, of_views))
+        Ok(Images::new(frames, of_views))
     }
 
-    /// Takes back pictures that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads.
+    /// Takes back images that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads.
     fn collect(&self, py: Python<'_>) -> PyResult<usize> {
         let Some((lender, _)) = &self.lender else { return Ok(0) };
         py.detach(|| lender.collect()).map_err(|error| of_interop(&error))

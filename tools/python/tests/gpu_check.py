@@ -32,7 +32,7 @@ def check(function):
 
 
 class Bench:
-    """A session that shares its pictures, and a place with agents in it."""
+    """A session that shares its images, and a place with agents in it."""
 
     def __init__(self, options: argparse.Namespace, **session) -> None:
         self.options = options
@@ -85,18 +85,18 @@ def same_bytes(options) -> dict:
         bench = Bench(options, **session)
         views = bench.views(0.5)
         layers = bench.viewer.draw_layers(views)[0]
-        pictures = bench.viewer.draw_dlpack(views)
+        images = bench.viewer.draw_dlpack(views)
         for layer, expected in layers.items():
-            seen = torch.from_dlpack(pictures.view(0, layer)).cpu().numpy()
+            seen = torch.from_dlpack(images.view(0, layer)).cpu().numpy()
             name = f"{session} {layer}"
             different[name] = int((seen.view(np.uint8) != np.ascontiguousarray(expected).view(np.uint8)).sum())
-        one = torch.from_dlpack(pictures.camera(0, 1)).cpu().numpy()
+        one = torch.from_dlpack(images.camera(0, 1)).cpu().numpy()
         different[f"{session} camera"] = int((one != layers["color"][1]).sum())
     return {"ok": not any(different.values()), "different": different}
 
 
 def read_png(path: Path) -> np.ndarray:
-    """An RGB picture of 8 bits, [H, W, 3]."""
+    """An RGB image of 8 bits, [H, W, 3]."""
     data, at, packed, header = path.read_bytes(), 8, b"", b""
     while at < len(data):
         length, kind = struct.unpack(">I4s", data[at : at + 8])
@@ -108,10 +108,10 @@ def read_png(path: Path) -> np.ndarray:
     channels = {2: 3, 6: 4}[color]
     assert depth == 8, depth
     rows = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(height, 1 + width * channels)
-    picture, above = np.zeros((height, width * channels), np.uint8), np.zeros(width * channels, np.uint8)
+    image, above = np.zeros((height, width * channels), np.uint8), np.zeros(width * channels, np.uint8)
     for index, row in enumerate(rows):
-        above = picture[index] = unfiltered(int(row[0]), row[1:], above, channels)
-    return picture.reshape(height, width, channels)[..., :3]
+        above = image[index] = unfiltered(int(row[0]), row[1:], above, channels)
+    return image.reshape(height, width, channels)[..., :3]
 
 
 def unfiltered(kind: int, row: np.ndarray, above: np.ndarray, channels: int) -> np.ndarray:
@@ -146,17 +146,17 @@ def png_bytes(options) -> dict:
 
 @check
 def hand_off(options) -> dict:
-    """What taking the pictures costs beyond the frame."""
+    """What taking the images costs beyond the frame."""
     bench = Bench(options)
     taking, beyond, frames = [], [], []
     for step in range(300):
         views = bench.views(0.01 * step)
         begin = time.perf_counter()
-        pictures = bench.viewer.draw_dlpack(views)
+        images = bench.viewer.draw_dlpack(views)
         drawn = time.perf_counter()
-        tensor = torch.from_dlpack(pictures)
+        tensor = torch.from_dlpack(images)
         end = time.perf_counter()
-        del pictures, tensor
+        del images, tensor
         if step >= 50:
             wall_ms = sum(frame.wall_ms for frame in bench.viewer.statistics)
             taking.append(1e6 * (end - drawn))
@@ -223,7 +223,7 @@ def no_copies(options) -> dict:
 
 @check
 def no_early_recycling(options) -> dict:
-    """A slow reader on a stream of its own, which drops its tensor at once, still reads the right picture."""
+    """A slow reader on a stream of its own, which drops its tensor at once, still reads the right image."""
     bench = Bench(options)
     expected = bench.viewer.draw(bench.views(0.0, (640, 360)))[0]
     wrong, stream, waiting = 0, torch.cuda.Stream(), 0
@@ -296,11 +296,11 @@ def many_worlds(options) -> dict:
     views, seconds = [(world, camera) for world in worlds], []
     for _ in range(60):
         begin = time.perf_counter()
-        pictures = bench.viewer.draw_dlpack(views)
-        tensors = [torch.from_dlpack(pictures.frame(index)) for index in range(pictures.frames)]
+        images = bench.viewer.draw_dlpack(views)
+        tensors = [torch.from_dlpack(images.frame(index)) for index in range(images.frames)]
         seconds.append(time.perf_counter() - begin)
         count = sum(len(tensor) for tensor in tensors)
-        del pictures, tensors
+        del images, tensors
     rate = count / statistics.median(seconds[10:])
     return {"ok": count == 64, "images_per_s": round(rate), "frames": len(bench.viewer.statistics)}
 

@@ -1,4 +1,4 @@
-"""Pictures as tensors, on the host. With CUDA: gpu_check.py."""
+"""Images as tensors, on the host. With CUDA: gpu_check.py."""
 
 import ctypes
 import gc
@@ -25,22 +25,22 @@ def capsule_name(capsule) -> str:
 
 
 def test_the_bytes_are_those_of_draw(drawn):
-    expected, pictures = drawn
-    assert pictures.__dlpack_device__() == CPU
-    tensor = np.from_dlpack(pictures)
+    expected, images = drawn
+    assert images.__dlpack_device__() == CPU
+    tensor = np.from_dlpack(images)
     assert tensor.dtype == np.uint8 and tensor.shape == expected.shape
     np.testing.assert_array_equal(tensor, expected)
-    np.testing.assert_array_equal(np.from_dlpack(pictures.view(0)), expected)
-    np.testing.assert_array_equal(np.from_dlpack(pictures.camera(0, 1)), expected[1])
-    assert (pictures.frames, pictures.views) == (1, 1)
+    np.testing.assert_array_equal(np.from_dlpack(images.view(0)), expected)
+    np.testing.assert_array_equal(np.from_dlpack(images.camera(0, 1)), expected[1])
+    assert (images.frames, images.views) == (1, 1)
 
 
 def test_nothing_is_copied_and_memory_lives_as_long_as_somebody_reads(session, scene):
-    pictures = session.viewer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0))])
-    one, other = np.from_dlpack(pictures), np.from_dlpack(pictures.camera(0, 0))
+    images = session.viewer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0))])
+    one, other = np.from_dlpack(images), np.from_dlpack(images.camera(0, 0))
     assert one.ctypes.data == other.ctypes.data
     before = other.copy()
-    del pictures, one
+    del images, one
     gc.collect()
     np.testing.assert_array_equal(other, before)
 
@@ -55,10 +55,10 @@ def test_capsules_are_of_the_version_that_is_asked_for(drawn):
 
 
 def test_capsules_that_nobody_takes_are_freed(session, scene):
-    pictures = session.viewer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0, size=(512, 384)))])
+    images = session.viewer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0, size=(512, 384)))])
     for _ in range(10_000):
-        pictures.__dlpack__(max_version=(1, 0))
-        pictures.__dlpack__()
+        images.__dlpack__(max_version=(1, 0))
+        images.__dlpack__()
 
 
 def test_what_cannot_be_had_is_a_buffer_error(drawn):
@@ -80,21 +80,21 @@ def test_cameras_of_several_sizes_are_tensors_of_their_own(session, scene):
     world = decouplegs.World(scene)
     small, large = scene.cameras(0.0), scene.cameras(0.0, size=(96, 72))
     viewer = session.viewer()
-    pictures = viewer.draw_dlpack([(world, small), (world, large)])
+    images = viewer.draw_dlpack([(world, small), (world, large)])
     expected = viewer.draw([(world, small), (world, large)])
     with pytest.raises(BufferError, match="several sizes"):
-        pictures.__dlpack__()
+        images.__dlpack__()
     for view in range(2):
-        np.testing.assert_array_equal(np.from_dlpack(pictures.view(view)), expected[view])
+        np.testing.assert_array_equal(np.from_dlpack(images.view(view)), expected[view])
 
 
 def test_layers_come_as_tensors(session, scene_file):
     other = decouplegs.Session(session.device.uuid, color="f32", depth=True, instance=True, exported=False)
     scene = other.open_scene(scene_file)
     viewer, views = other.viewer(), [(decouplegs.World(scene), scene.cameras(0.0))]
-    pictures, layers = viewer.draw_dlpack(views), viewer.draw_layers(views)[0]
+    images, layers = viewer.draw_dlpack(views), viewer.draw_layers(views)[0]
     for name in ("color", "depth", "instance"):
-        tensor = np.from_dlpack(pictures.view(0, name))
+        tensor = np.from_dlpack(images.view(0, name))
         assert tensor.dtype == layers[name].dtype
         np.testing.assert_array_equal(tensor, layers[name])
 

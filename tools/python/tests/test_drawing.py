@@ -36,21 +36,21 @@ def test_the_rig_is_that_of_the_file(scene):
     np.testing.assert_allclose(scene.agent_pose("moving", 1.0), pose(6.0, 2.0, 1.0), atol=1e-12)
 
 
-def test_pictures_show_what_there_is(session, scene):
+def test_images_show_what_there_is(session, scene):
     viewer = session.viewer()
     world = decouplegs.World(scene, empty=True)
-    pictures = viewer.draw([(world, scene.cameras(0.0))])
-    assert len(pictures) == 1
-    picture = pictures[0]
-    assert picture.shape == (2, 48, 64, 4) and picture.dtype == np.uint8 and picture.flags.c_contiguous
-    left, right = picture[0, 20, 10].astype(int), picture[0, 20, 54].astype(int)
+    images = viewer.draw([(world, scene.cameras(0.0))])
+    assert len(images) == 1
+    image = images[0]
+    assert image.shape == (2, 48, 64, 4) and image.dtype == np.uint8 and image.flags.c_contiguous
+    left, right = image[0, 20, 10].astype(int), image[0, 20, 54].astype(int)
     assert left[1] > left[0] + 80, "the wall is green on the left"
     assert right[0] > right[1] + 80, "and red on the right"
     statistics = viewer.statistics
     assert len(statistics) == 1 and statistics[0].gpu_ms > 0 and statistics[0].stages_ms and statistics[0].cameras == 2
 
 
-def test_floats_are_the_same_picture_and_layers_come_along(session, scene_file, scene):
+def test_floats_are_the_same_image_and_layers_come_along(session, scene_file, scene):
     floats = decouplegs.Session(session.device.uuid, color="f32", depth=True, instance=True, exported=False)
     own = floats.open_scene(scene_file)
     world = decouplegs.World(own)

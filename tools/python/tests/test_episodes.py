@@ -40,7 +40,7 @@ def test_an_actor_that_dies_costs_one_episode(tmp_path):
     run("ray_episodes.py", *TINY, "--out", str(cluster), "--actors", "2", "--drill", "2")
     campaign = json.loads((cluster / "campaign.json").read_text())
     assert campaign == {"episodes": 4, "there_before": 0, "lost": [2], "given_up": {}}
-    # The same pictures and scores as in one process: who drives an episode, and after what, changes nothing.
+    # The same images and scores as in one process: who drives an episode, and after what, changes nothing.
     assert results(cluster) == results(plain) and sorted(results(plain)) == [0, 1, 2, 3]
     assert not list(cluster.glob(".easy*")), "nothing half written is left"
     # Once more: everything is there.

@@ -1,4 +1,4 @@
-"""The example draws a picture."""
+"""The example draws an image."""
 
 import runpy
 import sys

@@ -107,8 +107,8 @@ def test_many_worlds_are_drawn_in_one_call_and_are_those_of_single_ones(place):
         first, _ = single.reset(seed=5 + index)
         second, reward, *_ = single.step(action[index])
         for expected, batch in ((first, observations), (second, stepped)):
-            for name, picture in expected["cameras"].items():
-                np.testing.assert_array_equal(picture, batch["cameras"][name][index])
+            for name, image in expected["cameras"].items():
+                np.testing.assert_array_equal(image, batch["cameras"][name][index])
             np.testing.assert_array_equal(expected["ego"], batch["ego"][index])
         assert reward == rewards[index]
 

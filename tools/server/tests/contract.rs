@@ -55,13 +55,13 @@ async fn every_call_is_answered_under_every_name() {
         assert!(way.poses.len() > 1 && way.poses.is_sorted_by_key(|timed| timed.timestamp_us));
         let masks: AvailableEgoMasksReturn = call(&channel, service, "get_available_ego_masks", Empty {}).await.unwrap();
         assert!(masks.ego_mask_metadata.is_empty());
-        let picture = request("street", &rig[0], &level, ImageFormat::Png);
-        let drawn: RgbRenderReturn = call(&channel, service, "render_rgb", picture.clone()).await.unwrap();
+        let image = request("street", &rig[0], &level, ImageFormat::Png);
+        let drawn: RgbRenderReturn = call(&channel, service, "render_rgb", image.clone()).await.unwrap();
         assert_eq!(png(&drawn.image_bytes).0, [160, 100]);
-        let asked = AggregatedRenderRequest { rgb_requests: vec![picture.clone(), picture.clone()], ..Default::default() };
+        let asked = AggregatedRenderRequest { rgb_requests: vec![image.clone(), image.clone()], ..Default::default() };
         let both: AggregatedRenderReturn = call(&channel, service, "render_aggregated", asked).await.unwrap();
-        assert_eq!(both.rgb_returns, [drawn.clone(), drawn.clone()], "the same sight is the same picture");
-        let asked = batch([("a".to_owned(), picture.clone()), ("b".to_owned(), picture)]);
+        assert_eq!(both.rgb_returns, [drawn.clone(), drawn.clone()], "the same sight is the same image");
+        let asked = batch([("a".to_owned(), image.clone()), ("b".to_owned(), image)]);
         let named: BatchRgbRenderReturn = call(&channel, service, "batch_render_rgb", asked).await.unwrap();
         for (item, name) in named.items.iter().zip(["a", "b"]) {
             assert!(item.success && item.camera_name == name && item.result.as_ref() == Some(&drawn), "{}", item.error_message);
@@ -141,16 +141,16 @@ async fn agents_that_are_listed_are_seen_and_unknown_ones_change_nothing() {
     let rig = cameras(&mut client, "street").await;
     let level = Pose::from_yaw(0.0, DVec3::new(0.0, 0.0, 0.8));
     let ahead = Pose::from_yaw(0.3, DVec3::new(9.0, 0.0, 0.8));
-    let mut picture_with = async |names: &[&str]| {
+    let mut image_with = async |names: &[&str]| {
         let mut asked = request("street", &rig[0], &level, ImageFormat::Png);
         asked.dynamic_objects = names.iter().map(|name| object(name, &ahead, &ahead)).collect();
         client.render_rgb(asked).await.unwrap().into_inner().image_bytes
     };
     let names = decouplegs::asset::SceneFile::read(&folder.path().join("street/scene.toml")).unwrap().agents;
     let (coded, plain) = (names[0].name.as_str(), names[1].name.as_str());
-    let empty = picture_with(&[]).await;
-    assert_ne!(empty, picture_with(&[coded]).await);
-    assert_ne!(empty, picture_with(&[plain]).await, "agents of plain splat files move too");
-    assert_eq!(empty, picture_with(&["nobody"]).await);
+    let empty = image_with(&[]).await;
+    assert_ne!(empty, image_with(&[coded]).await);
+    assert_ne!(empty, image_with(&[plain]).await, "agents of plain splat files move too");
+    assert_eq!(empty, image_with(&["nobody"]).await);
     running.stop().await.unwrap();
 }

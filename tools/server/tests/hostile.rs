@@ -74,7 +74,7 @@ fn memory_bytes() -> u64 {
     line.trim().strip_suffix(" kB").unwrap().trim().parse::<u64>().unwrap() << 10
 }
 
-/// A good picture, to be spoilt.
+/// A good image, to be spoilt.
 async fn good(client: &mut SensorsimServiceClient<Channel>) -> RgbRenderRequest {
     let rig = cameras(client, "street").await;
     request("street", &rig[0], &Pose::from_yaw(0.0, glam::DVec3::Z), ImageFormat::Png)

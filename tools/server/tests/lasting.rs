@@ -19,7 +19,7 @@ use tonic_health::pb::health_client::HealthClient;
 use crate::asking::{cameras, channel, client, object, options, png, request, serve};
 use crate::scenes::street;
 
-/// A good request for a picture of the street.
+/// A good request for an image of the street.
 async fn good(client: &mut SensorsimServiceClient<Channel>) -> RgbRenderRequest {
     let rig = cameras(client, "street").await;
     request("street", &rig[0], &Pose::from_yaw(0.0, DVec3::Z), ImageFormat::Png)
@@ -174,7 +174,7 @@ async fn the_end_comes_when_grace_is_over() {
     for asked in asking {
         cut += usize::from(asked.await.unwrap().is_err());
     }
-    assert!(cut > 0, "forty pictures take longer than the server had");
+    assert!(cut > 0, "forty images take longer than the server had");
 }
 
 /// Runs the program for `DECOUPLEGS_SOAK_S` seconds (5 unless set) under good and bad requests: its memory stays, its log stays small, and

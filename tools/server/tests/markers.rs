@@ -1,4 +1,4 @@
-//! Poses, by where balls of light at known places land in pictures: against a projection in f64 that is written here.
+//! Poses, by where balls of light at known places land in images: against a projection in f64 that is written here.
 
 use decouplegs::scene::Pose;
 use decouplegs_server::wire::common;

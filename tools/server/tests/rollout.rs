@@ -72,7 +72,7 @@ async fn a_hundred_steps_with_two_and_with_six_cameras() {
                 different.insert(item.result.unwrap().image_bytes);
             }
         }
-        assert!(different.len() > STEPS as usize, "{} of {} pictures differ", different.len(), STEPS as usize * count);
+        assert!(different.len() > STEPS as usize, "{} of {} images differ", different.len(), STEPS as usize * count);
     }
     running.stop().await.unwrap();
 }

@@ -101,7 +101,7 @@ async fn metrics_tell_what_was_asked() {
         "decouplegs_requests_total{method=\"batch_render_rgb\",status=\"Ok\"} 1",
         "decouplegs_requests_total{method=\"render_rgb\",status=\"InvalidArgument\"} 1",
         "decouplegs_request_seconds_count{method=\"batch_render_rgb\"} 1",
-        "decouplegs_pictures_total 2",
+        "decouplegs_images_total 2",
         "decouplegs_submissions_total 1",
         "decouplegs_queue_depth 0",
         "decouplegs_scenes_cached 1",
@@ -133,7 +133,7 @@ async fn what_has_begun_is_finished_when_the_server_is_told_to_stop() {
     let channel = Endpoint::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap();
     let mut client = SensorsimServiceClient::new(channel);
     let rig = cameras(&mut client, "street").await;
-    // The first picture takes a while: the scene is read and kernels are built.
+    // The first image takes a while: the scene is read and kernels are built.
     let asked = request("street", &rig[0], &Pose::from_yaw(0.0, glam::DVec3::Z), ImageFormat::Png);
     let mut asking = client.clone();
     let begun = tokio::spawn(async move { asking.render_rgb(asked).await });

@@ -1,4 +1,4 @@
-//! Environment probes: the light that arrives at a place from all around, as lat-long pictures.
+//! Environment probes: the light that arrives at a place from all around, as lat-long images.
 
 use std::f64::consts::{PI, TAU};
 use std::io::Cursor;
@@ -16,7 +16,7 @@ use crate::{AssetError, DecodeError};
 const WIDTH_MAX_PX: u32 = 8192;
 const HEIGHT_MAX_PX: u32 = 4096;
 
-/// No compression of these formats makes pictures of light so small; a file that claims it is broken.
+/// No compression of these formats makes images of light so small; a file that claims it is broken.
 const PIXELS_PER_BYTE_MAX: u64 = 1024;
 
 /// Brighter radiance is clamped: beyond a half float's range by far, and sums over pixels stay finite.
@@ -64,7 +64,7 @@ impl Probe {
         Self::new(blank.name, width, height, pixels)
     }
 
-    /// Reads an OpenEXR or Radiance HDR picture from the bytes of its file.
+    /// Reads an OpenEXR or Radiance HDR image from the bytes of its file.
     ///
     /// # Errors
     /// When they are neither, broken, or larger than 8192 x 4096 px.
@@ -173,7 +173,7 @@ impl Probe {
     }
 }
 
-/// Refuses pictures whose size their bytes cannot mean.
+/// Refuses images whose size their bytes cannot mean.
 fn check_size((width, height): (u32, u32), file_bytes: usize) -> Result<(), DecodeError> {
     let pixels = u64::from(width) * u64::from(height);
     if pixels == 0 || width > WIDTH_MAX_PX || height > HEIGHT_MAX_PX {
@@ -187,7 +187,7 @@ fn check_size((width, height): (u32, u32), file_bytes: usize) -> Result<(), Deco
     Ok(())
 }
 
-/// Data windows may differ from the picture's size, and lines of them are unpacked whole.
+/// Data windows may differ from the image's size, and lines of them are unpacked whole.
 fn check_exr_windows(bytes: &[u8]) -> Result<(), DecodeError> {
     let read = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false);
     let meta = read.map_err(|error| DecodeError::Malformed(error.to_string()))?;

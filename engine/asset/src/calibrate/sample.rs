@@ -92,7 +92,7 @@ fn weight(cloud: &SplatCloud, splat: usize, surface: &Surface, directions: &Dire
     f64::from(cloud.opacities[splat]) * broad * long * flat * directions.visible(surface.normal)
 }
 
-/// `count` splats of `cloud`, drawn by what they add to pictures (systematic sampling; a splat may come more than once).
+/// `count` splats of `cloud`, drawn by what they add to images (systematic sampling; a splat may come more than once).
 /// Empty if nothing of it is seen.
 pub(super) fn samples(cloud: &SplatCloud, count: usize, seed: u64) -> Vec<Sample> {
     let directions = Directions::new();

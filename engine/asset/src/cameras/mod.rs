@@ -1,7 +1,7 @@
 //! Cameras of a dataset: INRIA `cameras.json`, nerfstudio and NeRF-synthetic `transforms.json`, COLMAP models.
 //!
 //! All become cameras in the coordinates of the file, with OpenCV axes (x right, y down, z forward). Names are
-//! made fit for file names and unique, so that each camera can name its picture.
+//! made fit for file names and unique, so that each camera can name its image.
 
 mod colmap;
 mod dataparser;
@@ -81,7 +81,7 @@ pub fn decode_colmap(cameras: &[u8], images: &[u8], is_binary: bool) -> Result<V
     checked(colmap::decode(cameras, images, is_binary)?)
 }
 
-/// Cameras that make pictures, with names that files can have.
+/// Cameras that make images, with names that files can have.
 fn checked(cameras: Vec<Camera>) -> Result<Vec<Camera>, DecodeError> {
     if cameras.is_empty() {
         return Err(DecodeError::Malformed("the file lists no camera".into()));

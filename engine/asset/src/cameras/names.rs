@@ -1,4 +1,4 @@
-//! Names under which pictures can be stored.
+//! Names under which images can be stored.
 
 use std::collections::{HashMap, HashSet};
 

@@ -1,6 +1,6 @@
 //! Importance of each splat: `s = 0.5 V + 0.3 D + 0.2 H`.
 //!
-//! V is what the splat adds to pictures, D how its color stands out from its neighborhood, H how varied that neighborhood is.
+//! V is what the splat adds to images, D how its color stands out from its neighborhood, H how varied that neighborhood is.
 //! Each is brought to 0 to 1 over the asset: V by its rank (the share of splats with a smaller value, ties by the middle of their
 //! places), because it spans many orders of magnitude; D and H by their largest value, because they do not. A splat that no
 //! view shows (V = 0) has importance 0: nobody sees how its color stands out.

@@ -78,7 +78,7 @@ pub fn merged(cloud: &SplatCloud, weights: &[f64], clusters: &[Vec<u32>]) -> Spl
     merged
 }
 
-/// The area that a splat covers in a picture, over all directions, but for a constant factor: a quarter of its ellipsoid's
+/// The area that a splat covers in an image, over all directions, but for a constant factor: a quarter of its ellipsoid's
 /// surface (Cauchy), after Thomsen. Square meters. Of splats without any size it is tiny, not zero, so that they keep a say.
 #[must_use]
 pub fn mean_projected_area_m2(scales: &[f32; 3]) -> f64 {

@@ -31,7 +31,7 @@ use decouplegs_scene::{CodedCloud, SplatCloud, sh};
 
 use encode::{Books, SHAPE_DIMENSION, SizeScale, shape_vectors};
 
-/// Iterations over all splats that finish a codebook: beyond, a picture gains less than 0.05 dB.
+/// Iterations over all splats that finish a codebook: beyond, an image gains less than 0.05 dB.
 const FINAL_ITERATIONS: usize = 8;
 
 /// Progress report of a compression.

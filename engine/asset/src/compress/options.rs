@@ -24,7 +24,7 @@ pub struct CompressOptions {
     /// Space in which distances between shapes are measured.
     pub shape_space: ShapeSpace,
     /// Weight of a DC coefficient against the others in the distance between colors, above 0. Less
-    /// than 1, because splats keep what their DC terms are off by. A tenth gave the best pictures
+    /// than 1, because splats keep what their DC terms are off by. A tenth gave the best images
     /// of a car and of a captured object; from a fiftieth to a quarter they differ by half a
     /// decibel.
     pub color_dc_weight: f32,

@@ -28,7 +28,7 @@ pub struct Kept {
     pub least_importance: Option<f32>,
 }
 
-/// The splats of `cloud` that stay. Those with a defect or an opacity below 1/255 never do: no picture shows them.
+/// The splats of `cloud` that stay. Those with a defect or an opacity below 1/255 never do: no image shows them.
 ///
 /// # Panics
 /// When there are not as many importances as splats.
@@ -65,7 +65,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn what_no_picture_shows_is_never_kept() {
+    fn what_no_image_shows_is_never_kept() {
         let mut cloud = plane(6, 1);
         cloud.opacities[1] = 0.003;
         cloud.scales[4] = [f32::NAN; 3];

@@ -1,4 +1,4 @@
-//! Compression while a person waits: every splat that pictures show, with small codebooks.
+//! Compression while a person waits: every splat that images show, with small codebooks.
 
 use decouplegs_scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs_scene::{CodedCloud, SplatCloud};
@@ -11,7 +11,7 @@ const ITERATIONS_MAX: usize = 16;
 const SPLATS_PER_ENTRY: usize = 16;
 const ALL: Prune = Prune::KeepRatio(1.0);
 
-/// Compresses `cloud`, an asset in its own frame, with all splats that pictures show, in seconds.
+/// Compresses `cloud`, an asset in its own frame, with all splats that images show, in seconds.
 ///
 /// # Errors
 /// As [`compress`].

@@ -34,7 +34,7 @@ pub enum ShapeSpace {
     /// The logarithm of the covariance of the splat brought to size 1; the size is kept per splat.
     UnitLogCovariance,
     /// The square root of the covariance of the splat brought to size 1; the size is kept per splat. Its distances are standard
-    /// deviations, what a picture shows, and axes of length zero are nothing special.
+    /// deviations, what an image shows, and axes of length zero are nothing special.
     #[default]
     UnitRootCovariance,
 }

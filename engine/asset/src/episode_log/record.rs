@@ -178,7 +178,7 @@ impl StepForm {
     pub(super) fn into_step(self) -> Result<EpisodeStep, String> {
         let image = |(camera, hash): (String, String)| match u128::from_str_radix(&hash, 16) {
             Ok(bits) => Ok(ImageRecord { camera, hash: bits }),
-            Err(_) => Err(format!("the picture of camera {camera:?} has the hash {hash:?}; expected 32 hex digits")),
+            Err(_) => Err(format!("the image of camera {camera:?} has the hash {hash:?}; expected 32 hex digits")),
         };
         let point = |[time_s, x, y]: [f64; 3]| PlanPoint { time_s, position_m: DVec2::new(x, y) };
         Ok(EpisodeStep {

@@ -92,7 +92,7 @@ impl Checker<'_> {
             let (span, form, table) = (form.span(), form.get_ref(), format!("rig[{index}]"));
             self.check_name(&mut names, &form.name, &span, &table)?;
             if form.name.contains(['/', '\\', '\0']) || form.name.starts_with('.') {
-                let reason = format!("'{}' names a picture file: no slash, no leading dot", form.name);
+                let reason = format!("'{}' names an image file: no slash, no leading dot", form.name);
                 return Err(self.error(&span, &table, "name", reason));
             }
             let lens = form.lens.as_ref().map_or(Ok(Lens::Pinhole), LensForm::lens);

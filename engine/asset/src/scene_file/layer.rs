@@ -30,7 +30,7 @@ impl LoadedScene {
         }
     }
 
-    /// [`LoadedScene::baked`], and of that what belongs to `layer`: the definition of the layer's picture.
+    /// [`LoadedScene::baked`], and of that what belongs to `layer`: the definition of the layer's image.
     #[must_use]
     pub fn baked_layer(&self, time_s: f64, layer: Layer) -> World {
         match layer {

@@ -38,7 +38,7 @@ pub fn is_scene_file(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
 }
 
-/// A scene as its file describes it, checked: names are unique, poses rigid, times rise, intrinsics make pictures.
+/// A scene as its file describes it, checked: names are unique, poses rigid, times rise, intrinsics make images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneFile {
     /// World coordinates of the point that the background's means are relative to, meters.

@@ -92,7 +92,7 @@ mod tests {
         inria_ply::write(&folder.path().join("ground.ply"), &street.background).unwrap();
         let mut scene = "version = 1\nbackground = \"ground.ply\"\n".to_owned();
         for (index, car) in [0, 1, 0].into_iter().enumerate() {
-            // A splat that no picture shows adds nothing to the size.
+            // A splat that no image shows adds nothing to the size.
             let mut splats = street.assets[car].clone();
             splats.opacities[0] = 1e-4;
             splats.means[0] = [50.0; 3];

@@ -24,8 +24,8 @@ const RIGID: &str = "RigidNodes";
 const LEFT_OUT: [(&str, &str); 6] = [
     ("DeformableNodes", "what deforms (cyclists, say) needs its network"),
     ("SMPLNodes", "walking people need their body model"),
-    ("Sky", "the sky is a picture around the scene: set 'sky' in the scene file to a color like it"),
-    ("Affine", "corrections of each camera's colors belong to its pictures"),
+    ("Sky", "the sky is an image around the scene: set 'sky' in the scene file to a color like it"),
+    ("Affine", "corrections of each camera's colors belong to its images"),
     ("CamPose", "corrections of camera poses belong to its cameras"),
     ("CamPosePerturb", "perturbations of camera poses belong to training"),
 ];

@@ -91,7 +91,7 @@ fn left_out(name: &str) -> String {
     let why = match name {
         "sky" | "sky_cubemap" => "the sky lies around the scene: set 'sky' in the scene file to a color like it",
         "actor_pose" => "it holds corrections of tracks that are in the data set, not the tracks",
-        "color_correction" => "corrections of each camera's colors belong to its pictures",
+        "color_correction" => "corrections of each camera's colors belong to its images",
         "pose_correction" => "corrections of camera poses belong to its cameras",
         _ => "it is no model of splats that is known",
     };

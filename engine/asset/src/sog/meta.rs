@@ -1,4 +1,4 @@
-//! `meta.json`: what the pictures mean.
+//! `meta.json`: what the images mean.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ pub(super) const CODES: usize = 256;
 /// Entries of the palette of coefficients: as many as 16 bits tell.
 pub(super) const PALETTE_MAX: u64 = 1 << 16;
 
-/// Means: the extent of their logarithms, and pictures of the low and the high bytes.
+/// Means: the extent of their logarithms, and images of the low and the high bytes.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(super) struct Means {
     pub(super) mins: [f32; 3],
@@ -17,20 +17,20 @@ pub(super) struct Means {
     pub(super) files: [String; 2],
 }
 
-/// Pictures of indices into a codebook.
+/// Images of indices into a codebook.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(super) struct Coded {
     pub(super) codebook: Vec<f32>,
     pub(super) files: [String; 1],
 }
 
-/// A picture without a codebook.
+/// An image without a codebook.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(super) struct Plain {
     pub(super) files: [String; 1],
 }
 
-/// Coefficients after DC: pictures of the palette and of which entry each splat has.
+/// Coefficients after DC: images of the palette and of which entry each splat has.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(super) struct Rest {
     pub(super) count: u64,
@@ -74,7 +74,7 @@ impl Meta {
         Ok(meta)
     }
 
-    /// The pictures that are named.
+    /// The images that are named.
     pub(super) fn files(&self) -> impl Iterator<Item = &str> {
         let rest = self.rest.iter().flat_map(|rest| &rest.files);
         let files = self.means.files.iter().chain(&self.scales.files).chain(&self.quats.files).chain(&self.sh0.files);

@@ -1,9 +1,9 @@
-//! SOG version 2, PlayCanvas' splats in lossless WebP pictures: a zip (`.sog`) or the folder that was zipped.
+//! SOG version 2, PlayCanvas' splats in lossless WebP images: a zip (`.sog`) or the folder that was zipped.
 //!
 //! `meta.json` says how the pixels are meant, one pixel a splat, row by row: 16 bits an axis for means, of which the logarithm is
 //! stored (`sign(x) ln(1 + |x|)` within an extent); rotations as the three smallest components in 8 bits each, alpha telling
 //! which was left out; scales (natural logarithms) and DC colors as indices into codebooks of 256 numbers; opacity in 8 bits;
-//! further coefficients as a 16-bit index into a palette, itself a picture of indices into a codebook
+//! further coefficients as a 16-bit index into a palette, itself an image of indices into a codebook
 //! (developer.playcanvas.com, user manual, 'The SOG Format').
 //!
 //! Coordinates are those of the PLY that the file was made from, and stay as they are.
@@ -46,7 +46,7 @@ const SPLATS_PER_BYTE_MAX: u64 = 1;
 pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     let archive = Archive::parse(bytes)?;
     let folder = folder_of(&archive)
-        .ok_or_else(|| DecodeError::Malformed(format!("the zip has no '{META}'; a SOG bundle has one beside its pictures")))?;
+        .ok_or_else(|| DecodeError::Malformed(format!("the zip has no '{META}'; a SOG bundle has one beside its images")))?;
     let at = |name: &str| archive.checked(&format!("{folder}{name}"), bytes.len() as u64 + META_BYTES_MAX);
     decode_files(&archive.checked(&format!("{folder}{META}"), META_BYTES_MAX)?, bytes.len() as u64, at)
 }
@@ -64,7 +64,7 @@ pub fn read_folder(folder: &Path) -> Result<SplatCloud, AssetError> {
     for name in parsed.files() {
         // A name with a slash could lead anywhere.
         if name.contains(['/', '\\']) || name.starts_with('.') {
-            let told = format!("names the picture '{name}'; pictures lie beside {META}");
+            let told = format!("names the image '{name}'; images lie beside {META}");
             return Err(decode_error(DecodeError::Malformed(told)));
         }
         files.push((name.to_owned(), read_bytes(&folder.join(name))?));
@@ -88,7 +88,7 @@ fn folder_of<'n>(archive: &'n Archive<'_>) -> Option<&'n str> {
     archive.names().filter_map(folder).min_by_key(|folder| folder.len())
 }
 
-/// The splats that `meta` and the pictures beside it hold, together `total_bytes`.
+/// The splats that `meta` and the images beside it hold, together `total_bytes`.
 fn decode_files<'b>(
     meta: &[u8],
     total_bytes: u64,

@@ -10,18 +10,18 @@ use super::texture::Texture;
 use crate::DecodeError;
 use crate::activation::{normalized, scale_of_log};
 
-/// Palette entries side by side in the picture of the palette.
+/// Palette entries side by side in the image of the palette.
 pub(super) const PALETTE_COLUMNS: usize = 64;
 /// Alpha of a rotation whose component w was left out; x, y and z follow.
 pub(super) const FIRST_TAG: u8 = 252;
 
-/// The splats that `meta` describes, whose pictures `file` gives.
+/// The splats that `meta` describes, whose images `file` gives.
 pub(super) fn unpack<'b>(
     meta: &Meta,
     file: impl Fn(&str) -> Result<Cow<'b, [u8]>, DecodeError>,
 ) -> Result<SplatCloud, DecodeError> {
     let count = meta.count as usize;
-    // A row may be filled up, and whole rows: some writers make pictures square.
+    // A row may be filled up, and whole rows: some writers make images square.
     let texture = |name: &str| Texture::decode(name, &file(name)?, meta.count, 2 * meta.count + (1 << 14));
     let (low, high) = (texture(&meta.means.files[0])?, texture(&meta.means.files[1])?);
     let means = (0..count).into_par_iter().map(|splat| mean(meta, low.at(splat), high.at(splat))).collect();

@@ -1,4 +1,4 @@
-//! A lossless WebP picture as bytes.
+//! A lossless WebP image as bytes.
 
 use std::io::Cursor;
 
@@ -15,9 +15,9 @@ pub(super) struct Texture {
 }
 
 impl Texture {
-    /// Decodes the picture `name`, of `pixels_min` to `pixels_max` pixels. Nothing is decoded before its size is looked at.
+    /// Decodes the image `name`, of `pixels_min` to `pixels_max` pixels. Nothing is decoded before its size is looked at.
     pub(super) fn decode(name: &str, file: &[u8], pixels_min: u64, pixels_max: u64) -> Result<Self, DecodeError> {
-        let malformed = |told: String| DecodeError::Malformed(format!("picture '{name}' {told}"));
+        let malformed = |told: String| DecodeError::Malformed(format!("image '{name}' {told}"));
         let broken = |error: image_webp::DecodingError| malformed(format!("is no readable WebP: {error}"));
         let mut decoder = WebPDecoder::new(Cursor::new(file)).map_err(broken)?;
         if decoder.is_lossy() || decoder.is_animated() {
@@ -50,6 +50,6 @@ pub(super) fn encode(mut pixels: Vec<[u8; 4]>, width: usize) -> Result<Vec<u8>, 
     let mut file = Vec::new();
     WebPEncoder::new(&mut file)
         .encode(pixels.as_flattened(), width as u32, height as u32, ColorType::Rgba8)
-        .map_err(|error| EncodeError(format!("a picture of {width} x {height} pixels: {error}; write fewer splats")))?;
+        .map_err(|error| EncodeError(format!("an image of {width} x {height} pixels: {error}; write fewer splats")))?;
     Ok(file)
 }

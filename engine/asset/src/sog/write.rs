@@ -30,7 +30,7 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
         return Err(EncodeError(format!("splat {first} is not finite or has no rotation; drop such splats before writing")));
     }
     let count = cloud.len();
-    // Rows of a multiple of four pixels in a picture that is about square.
+    // Rows of a multiple of four pixels in an image that is about square.
     let width = ((count as f64).sqrt() / 4.0).ceil() as usize * 4;
     let mut files: Vec<(&str, Vec<[u8; 4]>, usize)> = Vec::new();
     let (means, low, high) = means(cloud);
@@ -121,7 +121,7 @@ fn indices(codebook: &[f32], values: &[[f32; 3]]) -> Vec<[u8; 4]> {
     values.par_iter().map(pixel).collect()
 }
 
-/// Adds the pictures of the coefficients after DC: a palette with an entry for each splat.
+/// Adds the images of the coefficients after DC: a palette with an entry for each splat.
 fn palette(cloud: &SplatCloud, width: usize, files: &mut Vec<(&str, Vec<[u8; 4]>, usize)>) -> Result<Rest, EncodeError> {
     let count = cloud.len();
     if count as u64 > PALETTE_MAX {

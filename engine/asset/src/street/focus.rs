@@ -16,7 +16,7 @@ const SHARE_MIN: f32 = 0.1;
 const KNOT_STRIDE: usize = 5;
 
 /// Standard deviation over distance from a camera, at most. A larger splat beside a camera's image plane spreads over
-/// the whole picture, since perspective is no longer linear across it; training would have split it.
+/// the whole image, since perspective is no longer linear across it; training would have split it.
 const LARGEST_OVER_DISTANCE: f32 = 0.25;
 
 /// Height of the cameras over the road, meters.

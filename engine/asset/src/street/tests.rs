@@ -214,7 +214,7 @@ fn asphalt_is_finest_where_the_ego_drives() {
     assert!(near_m < 0.7 * far_m, "{near_m} near the way, {far_m} far from it");
 }
 
-/// A splat beside a camera's image plane that is large for its distance lies as fog over the whole picture.
+/// A splat beside a camera's image plane that is large for its distance lies as fog over the whole image.
 #[test]
 fn no_splat_beside_the_way_is_large_for_its_distance() {
     let street = Street::generate(&SMALL);

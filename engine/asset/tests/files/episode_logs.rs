@@ -235,7 +235,7 @@ fn records_that_do_not_hold_together_are_refused_though_their_checksums_are_good
         (1, "\"step\":0", "\"step\": 0", "line 2: is not written as this program writes it, from byte 8"),
         (1, "[[0.5,4.0", "[[0.50,4.0", "line 2: is not written as this program writes it"),
         (1, "front\",\"0", "front\",\"+", "line 2: is not written as this program writes it"),
-        (1, "front\",\"0", "front\",\"x", "line 2: the picture of camera \"front\" has the hash"),
+        (1, "front\",\"0", "front\",\"x", "line 2: the image of camera \"front\" has the hash"),
         (4, "\"agent\":0", "\"agent\":1", "line 5: a collision with agent 1 of 1"),
         (4, "\"collision\",\"agent\":0", "\"magic\"", "line 5: is no record of a step or an end"),
     ] {

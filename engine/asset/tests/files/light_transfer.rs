@@ -90,8 +90,8 @@ fn cut_and_flipped_transfers_never_panic() {
     }
 }
 
-/// A picture of light in the bytes of a file.
-fn picture(format: ImageFormat) -> (Rgb32FImage, Vec<u8>) {
+/// An image of light in the bytes of a file.
+fn image(format: ImageFormat) -> (Rgb32FImage, Vec<u8>) {
     let rgb = Rgb32FImage::from_fn(16, 8, |x, y| image::Rgb([0.5 * x as f32, 4.0 * y as f32, 0.25]));
     let mut bytes = std::io::Cursor::new(Vec::new());
     DynamicImage::from(rgb.clone()).write_to(&mut bytes, format).unwrap();
@@ -101,7 +101,7 @@ fn picture(format: ImageFormat) -> (Rgb32FImage, Vec<u8>) {
 #[test]
 fn probes_are_read_from_both_formats() {
     for format in [ImageFormat::OpenExr, ImageFormat::Hdr] {
-        let (rgb, bytes) = picture(format);
+        let (rgb, bytes) = image(format);
         let probe = Probe::decode("sky", &bytes).unwrap();
         assert_eq!((probe.width(), probe.height(), probe.clamped), (16, 8, 0));
         for (found, pixel) in probe.pixels().iter().zip(rgb.pixels()) {
@@ -126,9 +126,9 @@ fn probes_that_claim_too_much_are_refused() {
 #[test]
 fn cut_and_flipped_probes_never_panic() {
     for format in [ImageFormat::OpenExr, ImageFormat::Hdr] {
-        let (_, bytes) = picture(format);
+        let (_, bytes) = image(format);
         for length in 0..bytes.len() {
-            // A picture may be whole before its file is.
+            // An image may be whole before its file is.
             let _ = Probe::decode("cut", &bytes[..length]);
         }
         for at in 0..bytes.len() {

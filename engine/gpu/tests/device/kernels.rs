@@ -70,7 +70,7 @@ fn what_is_no_storage_buffer_and_what_is_no_spirv_is_refused() {
         Err(error @ GpuError::Kernel { .. }) => error.to_string(),
         other => panic!("expected a refusal, got {other:?}"),
     };
-    assert!(refusal(&spirv("texture")).contains("picture is not a storage buffer"));
+    assert!(refusal(&spirv("texture")).contains("image is not a storage buffer"));
     assert!(refusal(&[1, 2, 3]).contains("not a SPIR-V module"));
     let large = Constant::U32(gpu.limits().workgroup_threads_max + 1);
     let error = gpu.kernel("scale", &spirv("scale"), &[("GROUP_SIZE", large)]).unwrap_err().to_string();

@@ -152,7 +152,7 @@ fn memory_that_the_heap_does_not_have_is_refused_with_the_bytes() {
 fn memory_for_others_is_a_buffer_like_any_or_is_refused_with_the_reason() {
     let gpu = Watched::open();
     if !gpu.can_export() {
-        let refused = gpu.buffer::<u32>("pictures", "test", 4, Residence::Exported).map(|_| ()).unwrap_err().to_string();
+        let refused = gpu.buffer::<u32>("images", "test", 4, Residence::Exported).map(|_| ()).unwrap_err().to_string();
         assert!(refused.contains("VK_KHR_external_memory_fd"), "{refused}");
         assert!(gpu.export_timeline(QueueRole::Main).is_err());
         println!("{} exports nothing: what it would give was not tested", gpu.info());
@@ -160,7 +160,7 @@ fn memory_for_others_is_a_buffer_like_any_or_is_refused_with_the_reason() {
     }
     let words: Vec<u32> = (0..70_001).collect();
     let before = gpu.memory().total_bytes;
-    let buffer: Buffer<u32> = gpu.buffer("pictures", "test", words.len(), Residence::Exported).unwrap();
+    let buffer: Buffer<u32> = gpu.buffer("images", "test", words.len(), Residence::Exported).unwrap();
     gpu.write(&buffer, 0, &words).unwrap();
     let (first, second) = (buffer.export().unwrap(), buffer.export().unwrap());
     assert!(first.allocation_bytes >= buffer.byte_len() && second.allocation_bytes == first.allocation_bytes);

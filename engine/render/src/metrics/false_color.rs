@@ -1,7 +1,7 @@
 //! False-color image of the differences between two images.
 
 use super::{DifferenceError, check_sizes};
-use crate::picture::Picture;
+use crate::rendered_image::Image;
 
 /// Colors from no error to an error of 1 and more after amplification, at equal steps: black, blue, magenta, orange, white.
 const RAMP: [[f32; 3]; 5] = [[0.0, 0.0, 0.0], [0.1, 0.15, 0.75], [0.8, 0.1, 0.55], [1.0, 0.65, 0.1], [1.0, 1.0, 1.0]];
@@ -10,11 +10,11 @@ const RAMP: [[f32; 3]; 5] = [[0.0, 0.0, 0.0], [0.1, 0.15, 0.75], [0.8, 0.1, 0.55
 const NOT_FINITE_RGB: [f32; 3] = [0.0, 1.0, 0.0];
 
 /// The largest absolute difference of a pixel's channels times `gain`, in false colors: black where equal, white from 1 on,
-/// bright green where either picture has a value that is NaN or infinite.
+/// bright green where either image has a value that is NaN or infinite.
 ///
 /// # Errors
 /// When the sizes differ.
-pub fn difference_picture(a: &Picture, b: &Picture, gain: f32) -> Result<Picture, DifferenceError> {
+pub fn difference_image(a: &Image, b: &Image, gain: f32) -> Result<Image, DifferenceError> {
     check_sizes(a, b)?;
     let color = |(a, b): (&[f32; 3], &[f32; 3])| {
         if a.iter().chain(b).any(|value| !value.is_finite()) {
@@ -22,9 +22,9 @@ pub fn difference_picture(a: &Picture, b: &Picture, gain: f32) -> Result<Picture
         }
         ramp(gain * (0..3).map(|channel| (a[channel] - b[channel]).abs()).fold(0.0, f32::max))
     };
-    let mut picture = Picture::filled(a.width, a.height, [0.0; 3]);
-    picture.rgb = a.rgb.iter().zip(&b.rgb).map(color).collect();
-    Ok(picture)
+    let mut image = Image::filled(a.width, a.height, [0.0; 3]);
+    image.rgb = a.rgb.iter().zip(&b.rgb).map(color).collect();
+    Ok(image)
 }
 
 fn ramp(error: f32) -> [f32; 3] {

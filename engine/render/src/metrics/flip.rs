@@ -1,7 +1,7 @@
-//! FLIP for low dynamic range pictures (Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, FLIP: A
-//! Difference Evaluator for Alternating Images, 2020): the error that is seen when the two pictures take turns on a display.
+//! FLIP for low dynamic range images (Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, FLIP: A
+//! Difference Evaluator for Alternating Images, 2020): the error that is seen when the two images take turns on a display.
 //!
-//! Pictures are taken as sRGB. Colors are blurred as the eye blurs them and compared in Hunt-adjusted CIELAB; edges and
+//! Images are taken as sRGB. Colors are blurred as the eye blurs them and compared in Hunt-adjusted CIELAB; edges and
 //! points of the unblurred luminance raise the error where structure differs. Written from the paper; every filter of it
 //! is a sum of products of one-dimensional ones.
 
@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 use rayon::prelude::*;
 
 use super::clamped_channel;
-use crate::picture::Picture;
+use crate::rendered_image::Image;
 
 /// Pixels per degree of the observer's view: a display 0.7 m wide with 3840 pixels seen from 0.7 m, the paper's default.
 pub const PIXELS_PER_DEGREE: f64 = 3840.0 * PI / 180.0;
@@ -33,8 +33,8 @@ const SENSITIVITY_B_MAX: f64 = 0.04;
 
 type Plane = Vec<f64>;
 
-/// Mean of the FLIP map of two pictures of one size, 0 to 1.
-pub fn mean_flip(a: &Picture, b: &Picture) -> f64 {
+/// Mean of the FLIP map of two images of one size, 0 to 1.
+pub fn mean_flip(a: &Image, b: &Image) -> f64 {
     let (first, second) = (Seen::of(a), Seen::of(b));
     let color_max = hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(COLOR_EXPONENT);
     let error_of = |at: usize| {
@@ -48,7 +48,7 @@ pub fn mean_flip(a: &Picture, b: &Picture) -> f64 {
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
-/// A picture as an observer has it.
+/// An image as an observer has it.
 struct Seen {
     /// Hunt-adjusted L*a*b* of the blurred colors.
     lab: Vec<[f64; 3]>,
@@ -59,16 +59,16 @@ struct Seen {
 }
 
 impl Seen {
-    fn of(picture: &Picture) -> Self {
-        let width = picture.width as usize;
-        let srgb: [Plane; 3] = std::array::from_fn(|channel| clamped_channel(picture, channel));
+    fn of(image: &Image) -> Self {
+        let width = image.width as usize;
+        let srgb: [Plane; 3] = std::array::from_fn(|channel| clamped_channel(image, channel));
         let opponent: Vec<[f64; 3]> =
-            (0..picture.rgb.len()).map(|at| ycxcz_of(std::array::from_fn(|channel| linear(srgb[channel][at])))).collect();
+            (0..image.rgb.len()).map(|at| ycxcz_of(std::array::from_fn(|channel| linear(srgb[channel][at])))).collect();
         let blurred: [Plane; 3] = std::array::from_fn(|channel| {
             let plane: Plane = opponent.iter().map(|color| color[channel]).collect();
             blur(&plane, width, SENSITIVITY[channel])
         });
-        let lab = (0..picture.rgb.len())
+        let lab = (0..image.rgb.len())
             .into_par_iter()
             .map(|at| hunt_lab(linear_of_ycxcz(std::array::from_fn(|channel| blurred[channel][at]))))
             .collect();

@@ -7,9 +7,9 @@ use decouplegs_scene::light::LUMA;
 use serde::Serialize;
 
 use super::{DifferenceError, check_finite, check_sizes, null_where_infinite};
-use crate::picture::Picture;
+use crate::rendered_image::Image;
 
-/// Errors over the pixels of masks, of one picture or of many.
+/// Errors over the pixels of masks, of one image or of many.
 #[derive(Clone, Debug)]
 pub struct MaskedErrors {
     floor: f64,
@@ -61,7 +61,7 @@ impl MaskedErrors {
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
-    pub fn add(&mut self, found: &Picture, truth: &Picture, in_mask: impl Fn(usize) -> bool) -> Result<(), DifferenceError> {
+    pub fn add(&mut self, found: &Image, truth: &Image, in_mask: impl Fn(usize) -> bool) -> Result<(), DifferenceError> {
         check_sizes(found, truth)?;
         check_finite("first", found)?;
         check_finite("second", truth)?;
@@ -120,13 +120,13 @@ mod tests {
     use super::*;
 
     /// A hundred pixels of one color, and the first of another.
-    fn pictures(first: [f32; 3], rest: [f32; 3]) -> Picture {
-        let mut picture = Picture::filled(10, 10, rest);
-        picture.rgb[0] = first;
-        picture
+    fn images(first: [f32; 3], rest: [f32; 3]) -> Image {
+        let mut image = Image::filled(10, 10, rest);
+        image.rgb[0] = first;
+        image
     }
 
-    fn difference(found: &Picture, truth: &Picture, in_mask: impl Fn(usize) -> bool) -> Option<MaskedDifference> {
+    fn difference(found: &Image, truth: &Image, in_mask: impl Fn(usize) -> bool) -> Option<MaskedDifference> {
         let mut errors = MaskedErrors::new(0.05);
         errors.add(found, truth, in_mask).unwrap();
         errors.finish()
@@ -134,8 +134,8 @@ mod tests {
 
     #[test]
     fn peaks_are_of_one_pixel_and_quantiles_are_not() {
-        let truth = pictures([0.5; 3], [0.5; 3]);
-        let found = pictures([0.5, 0.0, 0.0], [0.6; 3]);
+        let truth = images([0.5; 3], [0.5; 3]);
+        let found = images([0.5, 0.0, 0.0], [0.6; 3]);
         let masked = difference(&found, &truth, |_| true).unwrap();
         let angle = masked.angle_deg.unwrap();
         // Red against gray: cos = 1 / sqrt(3). A gray that is brighter has the same hue.
@@ -147,25 +147,25 @@ mod tests {
 
     #[test]
     fn only_the_mask_counts_and_only_light_has_a_hue() {
-        let truth = pictures([0.0, 0.0, 0.02], [0.5; 3]);
-        let found = pictures([0.02, 0.0, 0.0], [0.1, 0.9, 0.1]);
+        let truth = images([0.0, 0.0, 0.02], [0.5; 3]);
+        let found = images([0.02, 0.0, 0.0], [0.1, 0.9, 0.1]);
         let masked = difference(&found, &truth, |pixel| pixel == 0).unwrap();
         assert_eq!((masked.pixels, masked.bright, masked.angle_deg), (1, 0, None));
         assert!(masked.intensity.max < 0.01);
         assert!(difference(&found, &truth, |_| false).is_none());
-        let black = pictures([0.0; 3], [0.0; 3]);
+        let black = images([0.0; 3], [0.0; 3]);
         assert_eq!(difference(&black, &truth, |pixel| pixel > 0).unwrap().angle_deg.unwrap().max, 90.0);
         let equal = difference(&truth, &truth, |_| true).unwrap();
         assert_eq!((equal.psnr_db, equal.intensity.max, equal.angle_deg.unwrap().max), (f64::INFINITY, 0.0, 0.0));
     }
 
     #[test]
-    fn pictures_that_cannot_be_compared_are_refused() {
+    fn images_that_cannot_be_compared_are_refused() {
         let mut errors = MaskedErrors::new(0.05);
-        assert!(errors.add(&Picture::filled(2, 2, [0.5; 3]), &Picture::filled(3, 2, [0.5; 3]), |_| true).is_err());
-        let mut broken = Picture::filled(2, 2, [0.5; 3]);
+        assert!(errors.add(&Image::filled(2, 2, [0.5; 3]), &Image::filled(3, 2, [0.5; 3]), |_| true).is_err());
+        let mut broken = Image::filled(2, 2, [0.5; 3]);
         broken.rgb[1][1] = f32::NAN;
-        assert!(errors.add(&broken, &Picture::filled(2, 2, [0.5; 3]), |_| true).unwrap_err().to_string().contains("not finite"));
+        assert!(errors.add(&broken, &Image::filled(2, 2, [0.5; 3]), |_| true).unwrap_err().to_string().contains("not finite"));
         assert!(errors.finish().is_none());
     }
 }

@@ -1,41 +1,41 @@
 //! Differences between images.
 //!
 //! Max abs, RMSE, PSNR and the share of channels are of the values as blended, unclamped; SSIM and FLIP model what is seen on
-//! a display, so they clamp to 0 to 1. Peak is 1. A picture with a value that is not a number has no score: it is an error.
+//! a display, so they clamp to 0 to 1. Peak is 1. An image with a value that is not a number has no score: it is an error.
 
 mod false_color;
 mod flip;
 mod masked;
 mod ssim;
 
-pub use false_color::difference_picture;
+pub use false_color::difference_image;
 pub use flip::PIXELS_PER_DEGREE;
 pub use masked::{MaskedDifference, MaskedErrors, Peak};
 
 use serde::{Serialize, Serializer};
 
-use crate::picture::Picture;
+use crate::rendered_image::Image;
 
-/// One level of an 8-bit picture. A channel is 'off' where it differs by more.
+/// One level of an 8-bit image. A channel is 'off' where it differs by more.
 const LEVEL: f64 = 1.0 / 255.0;
 
 /// Added to [`LEVEL`]: two neighboring levels read from 8-bit files differ by one level and the rounding of both to f32.
 const LEVEL_ROUNDING: f64 = 1e-6;
 
-/// The error of a picture against another, over all pixels and the channels R, G and B. Symmetric in the two.
+/// The error of an image against another, over all pixels and the channels R, G and B. Symmetric in the two.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Largest absolute difference of a channel.
     pub max_abs: f64,
     /// Root of the mean squared difference of the channels.
     pub rmse: f64,
-    /// Peak signal-to-noise ratio in decibels at peak 1, `-20 log10(rmse)`. Infinite for equal pictures; serialized as null then.
+    /// Peak signal-to-noise ratio in decibels at peak 1, `-20 log10(rmse)`. Infinite for equal images; serialized as null then.
     #[serde(serialize_with = "null_where_infinite")]
     pub psnr_db: f64,
-    /// Structural similarity, mean over channels and over all windows inside the picture (Wang et al., 2004); 1 for equal
-    /// pictures. `None` where no window of 11 by 11 pixels fits.
+    /// Structural similarity, mean over channels and over all windows inside the image (Wang et al., 2004); 1 for equal
+    /// images. `None` where no window of 11 by 11 pixels fits.
     pub ssim: Option<f64>,
-    /// Mean of the FLIP map at [`PIXELS_PER_DEGREE`] (Andersson et al., 2020); 0 for equal pictures, at most 1.
+    /// Mean of the FLIP map at [`PIXELS_PER_DEGREE`] (Andersson et al., 2020); 0 for equal images, at most 1.
     pub flip: f64,
     /// Share of channels, 0 to 1, that differ by more than 1/255.
     pub share_off: f64,
@@ -44,16 +44,16 @@ pub struct Difference {
 /// Reason why two images have no difference.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DifferenceError {
-    /// The pictures are not of one size.
-    #[error("the first picture has {}x{} pixels and the second {}x{}: render both at one size", first[0], first[1], second[0], second[1])]
+    /// The images are not of one size.
+    #[error("the first image has {}x{} pixels and the second {}x{}: render both at one size", first[0], first[1], second[0], second[1])]
     Sizes {
         /// Width and height of the first.
         first: [u32; 2],
         /// Width and height of the second.
         second: [u32; 2],
     },
-    /// A picture holds a value that is NaN or infinite, so nothing can be said for it.
-    #[error("the {which} picture has {count} values that are not finite numbers, the first at column {column}, row {row}")]
+    /// An image holds a value that is NaN or infinite, so nothing can be said for it.
+    #[error("the {which} image has {count} values that are not finite numbers, the first at column {column}, row {row}")]
     NotFinite {
         /// `first` or `second`.
         which: &'static str,
@@ -71,7 +71,7 @@ impl Difference {
     ///
     /// # Errors
     /// When their sizes differ, or a value of either (alpha and depth too) is NaN or infinite.
-    pub fn between(a: &Picture, b: &Picture) -> Result<Self, DifferenceError> {
+    pub fn between(a: &Image, b: &Image) -> Result<Self, DifferenceError> {
         check_sizes(a, b)?;
         check_finite("first", a)?;
         check_finite("second", b)?;
@@ -99,15 +99,15 @@ fn null_where_infinite<S: Serializer>(value: &f64, serializer: S) -> Result<S::O
     if value.is_finite() { serializer.serialize_some(value) } else { serializer.serialize_none() }
 }
 
-fn check_sizes(a: &Picture, b: &Picture) -> Result<(), DifferenceError> {
+fn check_sizes(a: &Image, b: &Image) -> Result<(), DifferenceError> {
     let (first, second) = ([a.width, a.height], [b.width, b.height]);
     if first == second { Ok(()) } else { Err(DifferenceError::Sizes { first, second }) }
 }
 
-fn check_finite(which: &'static str, picture: &Picture) -> Result<(), DifferenceError> {
-    let depth = picture.depth.iter().flatten().enumerate();
-    let mut faults = (picture.rgb.iter().flatten().enumerate().map(|(at, value)| (at / 3, value)))
-        .chain(picture.alpha.iter().enumerate())
+fn check_finite(which: &'static str, image: &Image) -> Result<(), DifferenceError> {
+    let depth = image.depth.iter().flatten().enumerate();
+    let mut faults = (image.rgb.iter().flatten().enumerate().map(|(at, value)| (at / 3, value)))
+        .chain(image.alpha.iter().enumerate())
         .chain(depth)
         .filter(|(_, value)| !value.is_finite())
         .map(|(pixel, _)| pixel as u32);
@@ -116,15 +116,15 @@ fn check_finite(which: &'static str, picture: &Picture) -> Result<(), Difference
         Some(pixel) => Err(DifferenceError::NotFinite {
             which,
             count: 1 + faults.count(),
-            column: pixel % picture.width,
-            row: pixel / picture.width,
+            column: pixel % image.width,
+            row: pixel / image.width,
         }),
     }
 }
 
-/// One channel of a picture clamped to 0 to 1, row-major.
-fn clamped_channel(picture: &Picture, channel: usize) -> Vec<f64> {
-    picture.rgb.iter().map(|rgb| f64::from(rgb[channel]).clamp(0.0, 1.0)).collect()
+/// One channel of an image clamped to 0 to 1, row-major.
+fn clamped_channel(image: &Image, channel: usize) -> Vec<f64> {
+    image.rgb.iter().map(|rgb| f64::from(rgb[channel]).clamp(0.0, 1.0)).collect()
 }
 
 #[cfg(test)]

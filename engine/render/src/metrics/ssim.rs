@@ -4,15 +4,15 @@
 use rayon::prelude::*;
 
 use super::clamped_channel;
-use crate::picture::Picture;
+use crate::rendered_image::Image;
 
 const RADIUS_PX: usize = 5;
 const SIGMA_PX: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// Mean over R, G and B and over all windows that lie inside the picture; `None` where none does.
-pub fn mean_ssim(a: &Picture, b: &Picture) -> Option<f64> {
+/// Mean over R, G and B and over all windows that lie inside the image; `None` where none does.
+pub fn mean_ssim(a: &Image, b: &Image) -> Option<f64> {
     let (width, height) = (a.width as usize, a.height as usize);
     if width <= 2 * RADIUS_PX || height <= 2 * RADIUS_PX {
         return None;

@@ -1,9 +1,9 @@
 use super::*;
 
-/// Two pictures of 53 by 37 pixels: waves, and the same with a ripple and a patch of another color.
-fn waves_and_ripple() -> (Picture, Picture) {
+/// Two images of 53 by 37 pixels: waves, and the same with a ripple and a patch of another color.
+fn waves_and_ripple() -> (Image, Image) {
     let (width, height) = (53, 37);
-    let mut waves = Picture::filled(width, height, [0.0; 3]);
+    let mut waves = Image::filled(width, height, [0.0; 3]);
     let mut ripple = waves.clone();
     for row in 0..height {
         for column in 0..width {
@@ -23,16 +23,16 @@ fn waves_and_ripple() -> (Picture, Picture) {
     (waves, ripple)
 }
 
-/// A gray picture of 20 by 20, and the same with one red value of one pixel raised.
-fn one_pixel_changed(by: f32) -> (Picture, Picture) {
-    let gray = Picture::filled(20, 20, [0.5; 3]);
+/// A gray image of 20 by 20, and the same with one red value of one pixel raised.
+fn one_pixel_changed(by: f32) -> (Image, Image) {
+    let gray = Image::filled(20, 20, [0.5; 3]);
     let mut changed = gray.clone();
     changed.rgb[9 * 20 + 11][0] += by;
     (gray, changed)
 }
 
 #[test]
-fn equal_pictures_are_perfect_by_every_measure() {
+fn equal_images_are_perfect_by_every_measure() {
     let (waves, _) = waves_and_ripple();
     let found = Difference::between(&waves, &waves).unwrap();
     assert_eq!((found.max_abs, found.rmse, found.psnr_db, found.flip, found.share_off), (0.0, 0.0, f64::INFINITY, 0.0, 0.0));
@@ -48,7 +48,7 @@ fn one_changed_pixel_is_seen_by_every_measure() {
     assert!((found.max_abs - by).abs() < 1e-7 && (found.rmse - rmse).abs() < 1e-8);
     assert!((found.psnr_db + 20.0 * rmse.log10()).abs() < 1e-5);
     assert_eq!(found.share_off, 1.0 / 1200.0);
-    // scikit-image 0.26 and flip-evaluator 1.7 on the same two pictures, as below.
+    // scikit-image 0.26 and flip-evaluator 1.7 on the same two images, as below.
     assert!((found.ssim.unwrap() - 0.973_629_900_727_642_8).abs() < 1e-9, "{:?}", found.ssim);
     // In f32, as the authors' tool computes, a lightness of 50 has steps of 4e-6, which the exponent 0.7 makes 2e-6 of error
     // in the faint surroundings of the pixel.
@@ -58,7 +58,7 @@ fn one_changed_pixel_is_seen_by_every_measure() {
 #[test]
 fn a_change_in_any_corner_lowers_the_structural_similarity() {
     for corner in [0, 19, 380, 399] {
-        let gray = Picture::filled(20, 20, [0.5; 3]);
+        let gray = Image::filled(20, 20, [0.5; 3]);
         let mut changed = gray.clone();
         changed.rgb[corner][1] = 0.9;
         let found = Difference::between(&gray, &changed).unwrap();
@@ -71,22 +71,22 @@ fn similarity_and_flip_agree_with_their_authors_tools() {
     let (waves, ripple) = waves_and_ripple();
     let found = Difference::between(&waves, &ripple).unwrap();
     // scikit-image 0.26: structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1,
-    // channel_axis=2) of the clamped pictures.
+    // channel_axis=2) of the clamped images.
     assert!((found.ssim.unwrap() - 0.854_136_655_425_985).abs() < 1e-6, "{:?}", found.ssim);
     // flip-evaluator 1.7 (the authors'): evaluate(..., "LDR"), in f32, hence the tolerance.
     assert!((found.flip - 0.094_705_05).abs() < 1e-5, "{}", found.flip);
 }
 
 #[test]
-fn flip_of_flat_pictures_is_the_color_error_alone() {
-    let flip = |a: [f32; 3], b: [f32; 3]| Difference::between(&Picture::filled(8, 8, a), &Picture::filled(8, 8, b)).unwrap().flip;
+fn flip_of_flat_images_is_the_color_error_alone() {
+    let flip = |a: [f32; 3], b: [f32; 3]| Difference::between(&Image::filled(8, 8, a), &Image::filled(8, 8, b)).unwrap().flip;
     // Green against blue is the largest error by definition; black against white as flip-evaluator 1.7 has it.
     assert!((flip([0.0, 1.0, 0.0], [0.0, 0.0, 1.0]) - 1.0).abs() < 1e-9);
     assert!((flip([0.0; 3], [1.0; 3]) - 0.967_388_3).abs() < 1e-5);
 }
 
 #[test]
-fn the_order_of_the_pictures_does_not_matter() {
+fn the_order_of_the_images_does_not_matter() {
     let (waves, ripple) = waves_and_ripple();
     let (there, back) = (Difference::between(&waves, &ripple).unwrap(), Difference::between(&ripple, &waves).unwrap());
     assert_eq!((there.max_abs, there.rmse, there.share_off, there.flip), (back.max_abs, back.rmse, back.share_off, back.flip));
@@ -95,8 +95,8 @@ fn the_order_of_the_pictures_does_not_matter() {
 }
 
 #[test]
-fn one_level_of_an_8_bit_picture_is_not_off_and_two_are() {
-    let level = |n: u8| Picture::filled(2, 1, [f32::from(n) / 255.0; 3]);
+fn one_level_of_an_8_bit_image_is_not_off_and_two_are() {
+    let level = |n: u8| Image::filled(2, 1, [f32::from(n) / 255.0; 3]);
     for n in 0..=253u8 {
         let share = |m: u8| Difference::between(&level(n), &level(m)).unwrap().share_off;
         assert_eq!((share(n + 1), share(n + 2)), (0.0, 1.0), "level {n}");
@@ -105,14 +105,14 @@ fn one_level_of_an_8_bit_picture_is_not_off_and_two_are() {
 
 #[test]
 fn values_above_one_count_unclamped() {
-    let found = Difference::between(&Picture::filled(1, 1, [1.0; 3]), &Picture::filled(1, 1, [3.0, 1.0, 1.0])).unwrap();
+    let found = Difference::between(&Image::filled(1, 1, [1.0; 3]), &Image::filled(1, 1, [3.0, 1.0, 1.0])).unwrap();
     assert_eq!((found.max_abs, found.ssim, found.flip), (2.0, None, 0.0));
 }
 
 #[test]
 fn a_value_that_is_not_a_number_has_no_score() {
     let (good, _) = waves_and_ripple();
-    let hostile: [fn(&mut Picture); 4] = [
+    let hostile: [fn(&mut Image); 4] = [
         |p| p.rgb[54][2] = f32::NAN,
         |p| p.rgb[54][0] = f32::INFINITY,
         |p| p.alpha[54] = f32::NAN,
@@ -129,9 +129,9 @@ fn a_value_that_is_not_a_number_has_no_score() {
 }
 
 #[test]
-fn pictures_of_two_sizes_are_refused_with_both() {
+fn images_of_two_sizes_are_refused_with_both() {
     let message =
-        Difference::between(&Picture::filled(3, 2, [0.0; 3]), &Picture::filled(2, 3, [0.0; 3])).unwrap_err().to_string();
+        Difference::between(&Image::filled(3, 2, [0.0; 3]), &Image::filled(2, 3, [0.0; 3])).unwrap_err().to_string();
     assert!(message.contains("3x2") && message.contains("2x3"), "{message}");
 }
 
@@ -145,16 +145,16 @@ fn infinity_is_null_in_json_and_figures_are_numbers() {
 }
 
 #[test]
-fn the_difference_picture_shows_the_one_pixel_and_its_size() {
+fn the_difference_image_shows_the_one_pixel_and_its_size() {
     let (gray, changed) = one_pixel_changed(0.05);
-    let faint = difference_picture(&gray, &changed, 1.0).unwrap();
-    let strong = difference_picture(&gray, &changed, 100.0).unwrap();
-    let lit = |picture: &Picture| (0..400).filter(|&at| picture.rgb[at] != [0.0; 3]).collect::<Vec<_>>();
+    let faint = difference_image(&gray, &changed, 1.0).unwrap();
+    let strong = difference_image(&gray, &changed, 100.0).unwrap();
+    let lit = |image: &Image| (0..400).filter(|&at| image.rgb[at] != [0.0; 3]).collect::<Vec<_>>();
     assert_eq!((lit(&faint), lit(&strong)), (vec![191], vec![191]));
     assert_eq!(strong.rgb[191], [1.0; 3]);
     assert!(faint.rgb[191][2] > 0.1 && faint.rgb[191][2] < 0.2, "0.05 is a fifth of the way to blue");
     let mut broken = gray.clone();
     broken.rgb[7][1] = f32::NAN;
-    assert_eq!(difference_picture(&gray, &broken, 1.0).unwrap().rgb[7], [0.0, 1.0, 0.0]);
-    assert!(difference_picture(&gray, &Picture::filled(2, 2, [0.0; 3]), 1.0).is_err());
+    assert_eq!(difference_image(&gray, &broken, 1.0).unwrap().rgb[7], [0.0, 1.0, 0.0]);
+    assert!(difference_image(&gray, &Image::filled(2, 2, [0.0; 3]), 1.0).is_err());
 }

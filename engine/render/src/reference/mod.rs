@@ -1,4 +1,4 @@
-//! The definition of a picture: every pixel by brute force in f64, from the stored f32 parameters.
+//! The definition of an image: every pixel by brute force in f64, from the stored f32 parameters.
 //!
 //! What 'error' means anywhere in the engine is the distance to this. There are no tiles, no approximations and no
 //! capacities. Splats are passed over only where they add exactly nothing: outside the box of [`project::Projected64`]
@@ -17,16 +17,16 @@ use decouplegs_scene::{Camera, Intrinsics, Rules, World};
 use glam::DVec2;
 use rayon::prelude::*;
 
-use crate::picture::Picture;
+use crate::rendered_image::Image;
 use blend::{Pixel64, Splat64};
 use project::View;
 
 /// Pixels along each side of the blocks for which candidates are gathered once. Only speed depends on it.
 const BLOCK_PX: u32 = 8;
 
-/// A picture in f64, row-major from the top left.
+/// An image in f64, row-major from the top left.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Picture64 {
+pub struct Image64 {
     /// Pixels a row.
     pub width: u32,
     /// Rows.
@@ -42,11 +42,11 @@ pub struct Picture64 {
     pub instance: Vec<u16>,
 }
 
-impl Picture64 {
-    /// The same picture rounded to f32, with depth and instance.
+impl Image64 {
+    /// The same image rounded to f32, with depth and instance.
     #[must_use]
-    pub fn to_picture(&self) -> Picture {
-        Picture {
+    pub fn to_image(&self) -> Image {
+        Image {
             width: self.width,
             height: self.height,
             rgb: self.rgb.iter().map(|rgb| rgb.map(|value| value as f32)).collect(),
@@ -93,7 +93,7 @@ impl Window {
 /// # Panics
 /// When the camera's intrinsics fail [`Intrinsics::check`]: readers refuse such cameras.
 #[must_use]
-pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Picture64 {
+pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Image64 {
     render_window(world, camera, rules, Window::whole(&camera.intrinsics))
 }
 
@@ -105,7 +105,7 @@ pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Picture64 {
 /// # Panics
 /// When the camera's intrinsics fail [`Intrinsics::check`] or the window does not lie in its image.
 #[must_use]
-pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Window) -> Picture64 {
+pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Window) -> Image64 {
     let intrinsics = &camera.intrinsics;
     if let Err(fault) = intrinsics.check() {
         panic!("camera {}: {fault}", camera.name);
@@ -130,7 +130,7 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
         })
         .collect();
     let pixels = || bands.iter().flatten();
-    Picture64 {
+    Image64 {
         width: window.width_px,
         height: window.height_px,
         rgb: pixels().map(|pixel| pixel.rgb).collect(),

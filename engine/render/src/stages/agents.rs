@@ -74,7 +74,7 @@ pub struct CullAgents {
 }
 
 impl CullAgents {
-    /// The stage for pictures of the given rules; `lenses` where some camera is no pinhole.
+    /// The stage for images of the given rules; `lenses` where some camera is no pinhole.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
@@ -114,7 +114,7 @@ pub struct ProjectAgents {
 }
 
 impl ProjectAgents {
-    /// The stage for pictures of the given rules and colors of the given degree; `relit` where some agents have colors of
+    /// The stage for images of the given rules and colors of the given degree; `relit` where some agents have colors of
     /// their own, `lenses` where some camera is no pinhole.
     ///
     /// # Errors

@@ -88,7 +88,7 @@ pub struct Blend {
 }
 
 impl Blend {
-    /// The stage for pictures of the given rules, and for items of at most `item_pairs_max` pairs.
+    /// The stage for images of the given rules, and for items of at most `item_pairs_max` pairs.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
@@ -110,7 +110,7 @@ impl Blend {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)? })
     }
 
-    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes pictures or partial results.
+    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes images or partial results.
     #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
     pub fn record(
         &self,
@@ -123,19 +123,19 @@ impl Blend {
         records: &Buffer<u32>,
         projected: &Projected,
         partials: &Partials,
-        pictures: &OutputBuffers,
+        images: &OutputBuffers,
     ) {
         let push = Push {
             sky,
             camera_count: camera_count as u32,
             items_max: plan.items.len() as u32,
-            contribution_scale: pictures.contribution_scale(),
+            contribution_scale: images.contribution_scale(),
         };
-        let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
+        let [images_f32, images_u8, depths, instances] = images.bindings();
         let buffers = [
             ("cameras", cameras.binding()),
-            pictures_f32,
-            pictures_u8,
+            images_f32,
+            images_u8,
             depths,
             instances,
             ("needs", control.needs.binding()),
@@ -148,7 +148,7 @@ impl Blend {
             ("partial_instances", partials.instances.binding()),
             ("partial_transmittances", partials.transmittances.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
-            ("contributions", pictures.contributions.binding()),
+            ("contributions", images.contributions.binding()),
         ];
         recorder.dispatch_indirect(
             &self.kernel,

@@ -44,14 +44,14 @@ impl CompositeSegments {
         sky: [f32; 3],
         plan: &Plan,
         partials: &Partials,
-        pictures: &OutputBuffers,
+        images: &OutputBuffers,
     ) {
         let push = Push { sky, camera_count: camera_count as u32 };
-        let [pictures_f32, pictures_u8, depths, instances] = pictures.bindings();
+        let [images_f32, images_u8, depths, instances] = images.bindings();
         let buffers = [
             ("cameras", cameras.binding()),
-            pictures_f32,
-            pictures_u8,
+            images_f32,
+            images_u8,
             depths,
             instances,
             ("needs", control.needs.binding()),

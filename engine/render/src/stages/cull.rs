@@ -45,7 +45,7 @@ pub struct Cull {
 }
 
 impl Cull {
-    /// The stage for pictures of the given rules; `lenses` where some camera is no pinhole.
+    /// The stage for images of the given rules; `lenses` where some camera is no pinhole.
     ///
     /// # Errors
     /// When the driver refuses the kernel.

@@ -16,7 +16,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Buffers for pictures of `bins` macro tiles.
+    /// Buffers for images of `bins` macro tiles.
     ///
     /// # Errors
     /// When the device is out of memory.

@@ -66,7 +66,7 @@ pub struct Project {
 }
 
 impl Project {
-    /// The stage for pictures of the given rules and worlds of the given kind.
+    /// The stage for images of the given rules and worlds of the given kind.
     ///
     /// # Errors
     /// When the driver refuses the kernel.

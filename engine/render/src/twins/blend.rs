@@ -6,7 +6,7 @@ use super::projection::rgb_of;
 use super::record::load_footprint;
 use crate::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL};
 
-/// log2 of the alpha that record `record` has at pixel `(column, row)` of its picture.
+/// log2 of the alpha that record `record` has at pixel `(column, row)` of its image.
 #[must_use]
 pub fn log2_alpha_at(footprints: &[[f32; 4]], record: u32, column: u32, row: u32) -> f32 {
     log2_alpha(&load_footprint(footprints, record as usize), center_of(column, row))

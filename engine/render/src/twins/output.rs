@@ -33,7 +33,7 @@ pub struct Pixel {
 pub const PIXEL_EMPTY: Pixel =
     Pixel { color: Vec3::ZERO, transmittance: 1.0, weighted_depth: 0.0, best_weight: 0.0, best_instance: 0 };
 
-/// The camera whose picture macro tile `bin` belongs to.
+/// The camera whose image macro tile `bin` belongs to.
 #[must_use]
 pub fn camera_of_bin(cameras: &[CameraRecord], bin: u32) -> usize {
     (1..cameras.len()).fold(0, |camera, next| if cameras[next].first_bin <= bin { next } else { camera })
@@ -46,27 +46,27 @@ pub fn macro_tile_origin(bin: u32, camera: &CameraRecord) -> [u32; 2] {
     [tile % camera.macro_tiles[0] * MACRO_WIDTH_PX, tile / camera.macro_tiles[0] * MACRO_HEIGHT_PX]
 }
 
-/// Pictures in f32, of all cameras one after the other.
+/// Images in f32, of all cameras one after the other.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pictures {
+pub struct Images {
     /// RGB over the sky, and alpha.
-    pub pictures_f32: Vec<[f32; 4]>,
+    pub images_f32: Vec<[f32; 4]>,
     /// Expected depth, meters.
     pub depths_m: Vec<f32>,
     /// Instance of the splat with the largest weight.
     pub instance_ids: Vec<u32>,
 }
 
-/// Writes a pixel of `camera`'s picture, if it lies in it.
-pub fn write_pixel(pictures: &mut Pictures, camera: &CameraRecord, at: [u32; 2], pixel: &Pixel, sky: Vec3) {
+/// Writes a pixel of `camera`'s image, if it lies in it.
+pub fn write_pixel(images: &mut Images, camera: &CameraRecord, at: [u32; 2], pixel: &Pixel, sky: Vec3) {
     if at[0] >= camera.size_px[0] || at[1] >= camera.size_px[1] {
         return;
     }
     let place = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
     let alpha = 1.0 - pixel.transmittance;
-    pictures.pictures_f32[place] = (pixel.color + pixel.transmittance * sky).extend(alpha).to_array();
-    pictures.depths_m[place] = if alpha > 0.0 { pixel.weighted_depth / alpha } else { 0.0 };
-    pictures.instance_ids[place] = pixel.best_instance;
+    images.images_f32[place] = (pixel.color + pixel.transmittance * sky).extend(alpha).to_array();
+    images.depths_m[place] = if alpha > 0.0 { pixel.weighted_depth / alpha } else { 0.0 };
+    images.instance_ids[place] = pixel.best_instance;
 }
 
 /// RGBA as four bytes, clamped and rounded, red lowest.

@@ -50,7 +50,7 @@ pub fn plan_segments(
         for (bin, &list) in (0u32..).zip(lists) {
             for segment in wave.start..wave.end.min(segments_of(list)) {
                 let taken = segment * segment_pairs;
-                // Where there is no room for the partial result, any slot will do: the picture is drawn again.
+                // Where there is no room for the partial result, any slot will do: the image is drawn again.
                 let slot = (first_partials[bin as usize] + segment).min(partials_max.wrapping_sub(1));
                 if let Some(place) = items.get_mut(item as usize) {
                     let pairs = if segment + 1 < segments_of(list) { segment_pairs } else { list[1] - taken };

@@ -10,7 +10,7 @@ use crate::layout::{CameraRecord, near_m};
 pub(super) const DILATION_PX2: f32 = rules::DILATION_PX2 as f32;
 pub(super) const ALPHA_MIN: f32 = rules::ALPHA_MIN as f32;
 
-/// Variants of a picture's rules that the projection is built for.
+/// Variants of an image's rules that the projection is built for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Variant {
     /// A splat nearer than this is dropped, meters.

@@ -7,7 +7,7 @@ use crate::{Pose, SplatCloud, World, sh};
 /// Exponent of the super-ellipse: a rounded rectangle.
 pub const EXPONENT: i32 = 4;
 
-/// The mask counts as zero below this: half of what an eight-bit picture shows at full strength.
+/// The mask counts as zero below this: half of what an eight-bit image shows at full strength.
 pub const MASK_MIN: f64 = 1.0 / 512.0;
 
 /// The shadow of one agent: ground at u, in its plane, is darkened by `1 - strength M(u)`,

@@ -149,7 +149,7 @@ static void misuse_viewers(const DgsSession *session, const DgsScene *scene) {
     DgsViewer *viewer = NULL, *stranger = NULL;
     DgsWorld *world = NULL;
     DgsCamera camera, bad;
-    DgsPicture picture;
+    DgsImage image;
     DgsStatistics statistics = {0};
     DgsView view;
     OK(dgs_viewer_new(session, &viewer));
@@ -158,7 +158,7 @@ static void misuse_viewers(const DgsSession *session, const DgsScene *scene) {
     view.world = world;
     view.cameras = &camera;
     view.camera_count = 1;
-    EXPECT(DGS_STATUS_NOT_FOUND, "no pictures", dgs_viewer_picture(viewer, 0, 0, DGS_PICTURE_KIND_RGBA_U8, &picture));
+    EXPECT(DGS_STATUS_NOT_FOUND, "no images", dgs_viewer_image(viewer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "no views", dgs_viewer_draw(viewer, &view, 0));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "views is NULL", dgs_viewer_draw(viewer, NULL, 1));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "more than memory", dgs_viewer_draw(viewer, &view, SIZE_MAX));
@@ -183,12 +183,12 @@ static void misuse_viewers(const DgsSession *session, const DgsScene *scene) {
     OK(dgs_viewer_close(stranger));
     OK(dgs_session_close(other));
     OK(dgs_viewer_draw(viewer, &view, 1));
-    OK(dgs_viewer_picture(viewer, 0, 0, DGS_PICTURE_KIND_RGBA_U8, &picture));
-    require(picture.row_bytes == 4 * (size_t)camera.width_px && picture.height_px == camera.height_px, "a picture has its size");
-    EXPECT(DGS_STATUS_UNSUPPORTED, "no pictures of this kind", dgs_viewer_picture(viewer, 0, 0, DGS_PICTURE_KIND_DEPTH_F32, &picture));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "kind is 4", dgs_viewer_picture(viewer, 0, 0, 4, &picture));
-    EXPECT(DGS_STATUS_NOT_FOUND, "no camera 1", dgs_viewer_picture(viewer, 0, 1, 0, &picture));
-    EXPECT(DGS_STATUS_NOT_FOUND, "in a view 1", dgs_viewer_picture(viewer, 1, 0, 0, &picture));
+    OK(dgs_viewer_image(viewer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image));
+    require(image.row_bytes == 4 * (size_t)camera.width_px && image.height_px == camera.height_px, "an image has its size");
+    EXPECT(DGS_STATUS_UNSUPPORTED, "no images of this kind", dgs_viewer_image(viewer, 0, 0, DGS_IMAGE_KIND_DEPTH_F32, &image));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "kind is 4", dgs_viewer_image(viewer, 0, 0, 4, &image));
+    EXPECT(DGS_STATUS_NOT_FOUND, "no camera 1", dgs_viewer_image(viewer, 0, 1, 0, &image));
+    EXPECT(DGS_STATUS_NOT_FOUND, "in a view 1", dgs_viewer_image(viewer, 1, 0, 0, &image));
     EXPECT(DGS_STATUS_INVALID_ARGUMENT, "statistics", dgs_viewer_statistics(viewer, &statistics));
     OK(dgs_viewer_close(viewer));
     EXPECT(DGS_STATUS_INVALID_HANDLE, "closed", dgs_viewer_draw(viewer, &view, 1));
@@ -206,16 +206,16 @@ struct task {
 
 static void *draw_some(void *given) {
     struct task *task = given;
-    DgsPicture picture;
+    DgsImage image;
     for (int turn = 0; turn < 3; turn++) {
         task->failed |= dgs_viewer_draw(task->viewer, &task->view, 1) != DGS_STATUS_OK;
-        task->failed |= dgs_viewer_picture(task->viewer, 0, 0, DGS_PICTURE_KIND_RGBA_U8, &picture) != DGS_STATUS_OK;
-        if (task->failed || picture.row_bytes * picture.height_px != task->bytes) {
+        task->failed |= dgs_viewer_image(task->viewer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image) != DGS_STATUS_OK;
+        if (task->failed || image.row_bytes * image.height_px != task->bytes) {
             fprintf(stderr, "a thread could not draw: %s\n", dgs_last_error());
             task->failed = 1;
             return NULL;
         }
-        memcpy(task->pixels, picture.data, task->bytes);
+        memcpy(task->pixels, image.data, task->bytes);
     }
     /* Faults of one thread are not those of the other. */
     task->failed |= dgs_world_move(NULL, NULL, NULL) == DGS_STATUS_OK || strstr(dgs_last_error(), "NULL") == NULL;

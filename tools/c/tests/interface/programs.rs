@@ -19,9 +19,9 @@ fn assert_two_worlds(out: &Path, said: &str) {
     let mut names: Vec<_> = fs::read_dir(out).unwrap().map(|entry| entry.unwrap().path()).collect();
     names.sort();
     assert_eq!(names.len(), 4, "{said}");
-    let pictures: Vec<Vec<u8>> = names.iter().map(|path| ppm_pixels(path)).collect();
-    assert!(pictures.iter().all(|picture| picture.iter().any(|&byte| byte != picture[0])), "no picture is of one color");
-    assert!(pictures[0] != pictures[2], "the car stands elsewhere in the second world");
+    let images: Vec<Vec<u8>> = names.iter().map(|path| ppm_pixels(path)).collect();
+    assert!(images.iter().all(|image| image.iter().any(|&byte| byte != image[0])), "no image is of one color");
+    assert!(images[0] != images[2], "the car stands elsewhere in the second world");
     for part in ["2 cameras, 1 agents", "0.1 s: ", " ms on the device"] {
         assert!(said.contains(part), "{part}: {said}");
     }
@@ -35,10 +35,10 @@ fn the_example_draws_two_worlds() {
         let out = folder.path().join(format!("{linked:?}"));
         fs::create_dir(&out).unwrap();
         let program = compiled("examples/render_rig.c", linked, &out);
-        let pictures = out.join("pictures");
-        fs::create_dir(&pictures).unwrap();
-        let said = succeed(run(program.to_str().unwrap(), |command| command.args([&scene, &pictures]).arg("2")));
-        assert_two_worlds(&pictures, &said);
+        let images = out.join("images");
+        fs::create_dir(&images).unwrap();
+        let said = succeed(run(program.to_str().unwrap(), |command| command.args([&scene, &images]).arg("2")));
+        assert_two_worlds(&images, &said);
     }
 }
 
@@ -52,10 +52,10 @@ fn misuse_is_told_and_nothing_breaks() {
 }
 
 #[test]
-fn pictures_of_every_kind_agree() {
+fn images_of_every_kind_agree() {
     let folder = tempfile::tempdir().unwrap();
     let scene = small_street(folder.path(), [64, 48]);
-    let program = compiled("tests/interface/pictures.c", Linked::Shared, folder.path());
+    let program = compiled("tests/interface/images.c", Linked::Shared, folder.path());
     let said = succeed(run(program.to_str().unwrap(), |command| command.arg(&scene)));
     assert!(said.contains("pixels are the agent's"), "{said}");
 }
@@ -65,7 +65,7 @@ fn the_example_touches_only_its_own_memory_and_leaks_none() {
     let folder = tempfile::tempdir().unwrap();
     let scene = small_street(folder.path(), [64, 48]);
     let program = compiled("examples/render_rig.c", Linked::Shared, folder.path());
-    let out = folder.path().join("pictures");
+    let out = folder.path().join("images");
     fs::create_dir(&out).unwrap();
     let suppressions = Path::new(FOLDER).join("tests/interface/valgrind.supp");
     let watched = run("valgrind", |command| {

@@ -1,4 +1,4 @@
-//! CUDA as the API that pictures are lent to, in the primary context of the device, which is PyTorch's too.
+//! CUDA as the API that images are lent to, in the primary context of the device, which is PyTorch's too.
 
 use std::fmt::Write;
 use std::os::fd::{IntoRawFd, OwnedFd};

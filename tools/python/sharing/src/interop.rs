@@ -36,7 +36,7 @@ pub enum InteropError {
         code: String,
     },
     /// The memory could not be exported.
-    #[error("the renderer could not export its pictures: {0}")]
+    #[error("the renderer could not export its images: {0}")]
     Export(String),
 }
 

@@ -27,7 +27,7 @@ struct Import<M> {
     buffer: Box<dyn Shared>,
 }
 
-/// Lends the pictures `P` of one renderer.
+/// Lends the images `P` of one renderer.
 pub struct Lender<I: Interop, P: Send> {
     interop: Arc<I>,
     timeline: I::Timeline,
@@ -37,25 +37,25 @@ pub struct Lender<I: Interop, P: Send> {
     returned: Mutex<Vec<Returned<I, P>>>,
 }
 
-/// Pictures that nobody holds any more, and what still reads them on the device.
+/// Images that nobody holds any more, and what still reads them on the device.
 struct Returned<I: Interop, P> {
-    pictures: P,
+    images: P,
     events: Vec<I::Event>,
     /// Reason why their release cannot be observed.
     lost: Option<InteropError>,
 }
 
-/// The pictures of one frame, lent. They go back when this and all that was handed out of it are dropped, and the device is done.
+/// The images of one frame, lent. They go back when this and all that was handed out of it are dropped, and the device is done.
 pub struct Loan<I: Interop, P: Send> {
     lender: Arc<Lender<I, P>>,
     /// Value of the timeline when the images are complete.
     drawn: u64,
     /// `None` only while it is dropped.
-    pictures: Option<P>,
+    images: Option<P>,
     ends: Mutex<(Vec<I::Event>, Option<InteropError>)>,
 }
 
-/// Pictures in the hands of a consumer, who reads them on one stream. Dropped when he has submitted all that reads them.
+/// Images in the hands of a consumer, who reads them on one stream. Dropped when he has submitted all that reads them.
 pub struct Handed<I: Interop, P: Send> {
     loan: Arc<Loan<I, P>>,
     stream: Stream,
@@ -66,7 +66,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<I: Interop, P: Send> Lender<I, P> {
-    /// A lender of pictures that are drawn when `timeline` says so.
+    /// A lender of images that are drawn when `timeline` says so.
     ///
     /// # Errors
     /// When the timeline cannot be imported.
@@ -89,16 +89,16 @@ impl<I: Interop, P: Send> Lender<I, P> {
         Ok(memory)
     }
 
-    /// Takes `pictures`, which are drawn when the timeline has counted to `drawn`.
-    pub fn lend(self: &Arc<Self>, pictures: P, drawn: u64) -> Arc<Loan<I, P>> {
-        Arc::new(Loan { lender: self.clone(), drawn, pictures: Some(pictures), ends: Mutex::default() })
+    /// Takes `images`, which are drawn when the timeline has counted to `drawn`.
+    pub fn lend(self: &Arc<Self>, images: P, drawn: u64) -> Arc<Loan<I, P>> {
+        Arc::new(Loan { lender: self.clone(), drawn, images: Some(images), ends: Mutex::default() })
     }
 
-    /// Gives pictures back to the renderer that nobody reads any more, and forgets imports of buffers that it has let go of. How
+    /// Gives images back to the renderer that nobody reads any more, and forgets imports of buffers that it has let go of. How
     /// many frames are still read. Waits for nothing.
     ///
     /// # Errors
-    /// When the other API failed: pictures of which nobody can tell when they are free are never given back.
+    /// When the other API failed: images of which nobody can tell when they are free are never given back.
     pub fn collect(&self) -> Result<usize, InteropError> {
         let mut free = Vec::new();
         let mut failed = None;
@@ -111,7 +111,7 @@ impl<I: Interop, P: Send> Lender<I, P> {
                     Err(error) => {
                         failed = Some(error);
                         // Drawing over what may be read is worse than memory that is never used again.
-                        std::mem::forget(entry.pictures);
+                        std::mem::forget(entry.images);
                     }
                 }
             }
@@ -147,19 +147,19 @@ impl<I: Interop, P: Send> Drop for Lender<I, P> {
         for entry in std::mem::take(&mut *lock(&self.returned)) {
             let done = entry.lost.is_none() && entry.events.iter().all(|event| self.interop.finish(event).is_ok());
             if !done {
-                std::mem::forget(entry.pictures);
+                std::mem::forget(entry.images);
             }
         }
     }
 }
 
 impl<I: Interop, P: Send> Loan<I, P> {
-    /// The pictures.
+    /// The images.
     ///
     /// # Panics
     /// Never: they are there until it is dropped.
-    pub fn pictures(&self) -> &P {
-        self.pictures.as_ref().expect("the pictures are there until the loan is dropped")
+    pub fn images(&self) -> &P {
+        self.images.as_ref().expect("the images are there until the loan is dropped")
     }
 
     /// Lets `stream` read them: what comes next on it waits until they are drawn.
@@ -188,8 +188,8 @@ impl<I: Interop, P: Send> Drop for Handed<I, P> {
 impl<I: Interop, P: Send> Drop for Loan<I, P> {
     fn drop(&mut self) {
         let (events, lost) = std::mem::take(&mut *lock(&self.ends));
-        if let Some(pictures) = self.pictures.take() {
-            lock(&self.lender.returned).push(Returned { pictures, events, lost });
+        if let Some(images) = self.images.take() {
+            lock(&self.lender.returned).push(Returned { images, events, lost });
         }
     }
 }

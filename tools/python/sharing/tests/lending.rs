@@ -122,20 +122,20 @@ fn descriptor() -> OwnedFd {
     File::open("/dev/null").unwrap().into()
 }
 
-/// Pictures that count how many of them are out.
-struct Pictures {
+/// Images that count how many of them are out.
+struct Images {
     memory: Memory,
     out: Arc<AtomicUsize>,
 }
 
-impl Pictures {
+impl Images {
     fn new(memory: &Memory, out: &Arc<AtomicUsize>) -> Self {
         out.fetch_add(1, Ordering::SeqCst);
         Self { memory: memory.clone(), out: out.clone() }
     }
 }
 
-impl Drop for Pictures {
+impl Drop for Images {
     fn drop(&mut self) {
         self.out.fetch_sub(1, Ordering::SeqCst);
     }
@@ -143,7 +143,7 @@ impl Drop for Pictures {
 
 struct Case {
     played: Arc<Played>,
-    lender: Arc<Lender<Played, Pictures>>,
+    lender: Arc<Lender<Played, Images>>,
     memory: Memory,
     out: Arc<AtomicUsize>,
 }
@@ -155,8 +155,8 @@ impl Case {
         Self { played, lender, memory: Memory::default(), out: Arc::default() }
     }
 
-    fn pictures(&self) -> Pictures {
-        Pictures::new(&self.memory, &self.out)
+    fn images(&self) -> Images {
+        Images::new(&self.memory, &self.out)
     }
 
     fn out(&self) -> usize {
@@ -165,10 +165,10 @@ impl Case {
 }
 
 #[test]
-fn pictures_come_back_when_the_stream_is_done_and_not_before() {
+fn images_come_back_when_the_stream_is_done_and_not_before() {
     let case = Case::new();
     let stream = Stream::Own(77);
-    let loan = case.lender.lend(case.pictures(), 5);
+    let loan = case.lender.lend(case.images(), 5);
     let handed = loan.hand_out(stream).unwrap();
     assert_eq!(*case.played.waits.lock().unwrap(), [(5, stream)], "the stream waits for the frame");
     drop(loan);
@@ -184,7 +184,7 @@ fn pictures_come_back_when_the_stream_is_done_and_not_before() {
 #[test]
 fn all_streams_that_read_have_to_be_done() {
     let case = Case::new();
-    let loan = case.lender.lend(case.pictures(), 1);
+    let loan = case.lender.lend(case.images(), 1);
     let streams = [Stream::Own(70), Stream::PerThread, Stream::Own(71)];
     let handed: Vec<_> = streams.iter().map(|stream| loan.hand_out(*stream).unwrap()).collect();
     drop((loan, handed));
@@ -199,12 +199,12 @@ fn all_streams_that_read_have_to_be_done() {
 #[test]
 fn without_order_nothing_waits_and_what_was_never_handed_out_is_free_at_once() {
     let case = Case::new();
-    let loan = case.lender.lend(case.pictures(), 1);
+    let loan = case.lender.lend(case.images(), 1);
     drop(loan.hand_out(Stream::Unordered).unwrap());
     assert!(case.played.waits.lock().unwrap().is_empty());
     case.played.finish_stream(Stream::Legacy);
     drop(loan);
-    drop(case.lender.lend(case.pictures(), 2));
+    drop(case.lender.lend(case.images(), 2));
     assert_eq!((case.lender.collect().unwrap(), case.out()), (0, 0));
 }
 
@@ -215,8 +215,8 @@ fn a_buffer_is_imported_once_and_forgotten_when_the_renderer_lets_go_of_it() {
     assert_eq!(Played::address(&first), 1048);
     drop(first);
     for frame in 0..100 {
-        let loan = case.lender.lend(case.pictures(), frame);
-        assert_eq!(Played::address(&case.lender.memory(loan.pictures().memory.clone()).unwrap()), 1048);
+        let loan = case.lender.lend(case.images(), frame);
+        assert_eq!(Played::address(&case.lender.memory(loan.images().memory.clone()).unwrap()), 1048);
         drop(loan);
         case.lender.collect().unwrap();
     }
@@ -230,9 +230,9 @@ fn a_buffer_is_imported_once_and_forgotten_when_the_renderer_lets_go_of_it() {
 }
 
 #[test]
-fn pictures_of_which_nobody_knows_who_reads_them_are_never_given_back() {
+fn images_of_which_nobody_knows_who_reads_them_are_never_given_back() {
     let case = Case::new();
-    let loan = case.lender.lend(case.pictures(), 1);
+    let loan = case.lender.lend(case.images(), 1);
     let handed = loan.hand_out(Stream::Own(70)).unwrap();
     case.played.broken.store(1, Ordering::SeqCst);
     drop((handed, loan));
@@ -243,7 +243,7 @@ fn pictures_of_which_nobody_knows_who_reads_them_are_never_given_back() {
 #[test]
 fn a_consumer_that_outlives_the_renderer_is_waited_for() {
     let case = Case::new();
-    let loan = case.lender.lend(case.pictures(), 1);
+    let loan = case.lender.lend(case.images(), 1);
     let handed = loan.hand_out(Stream::Own(70)).unwrap();
     drop((loan, case.lender));
     assert_eq!(case.out.load(Ordering::SeqCst), 1);

@@ -21,9 +21,9 @@ fn the_nearer_of_two_covers_the_farther_whatever_their_order_in_the_file() {
 #[test]
 fn a_world_with_nothing_in_it_is_sky() {
     let world = World { sky: [0.1, 0.2, 1.5], ..World::default() };
-    let picture = render(&world, &camera(3), &Rules::DEFAULT);
-    assert!(picture.rgb.iter().all(|rgb| *rgb == [0.1f32, 0.2, 1.5].map(f64::from)));
-    assert!(picture.alpha.iter().chain(&picture.depth).all(|&value| value == 0.0));
+    let image = render(&world, &camera(3), &Rules::DEFAULT);
+    assert!(image.rgb.iter().all(|rgb| *rgb == [0.1f32, 0.2, 1.5].map(f64::from)));
+    assert!(image.alpha.iter().chain(&image.depth).all(|&value| value == 0.0));
 }
 
 #[test]
@@ -32,8 +32,8 @@ fn a_splat_counts_from_one_255th_on() {
     let nearest = 1.0f32 / 255.0;
     assert!(f64::from(nearest) > 1.0 / 255.0);
     let alpha = |opacity: f32| {
-        let picture = render(&world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, opacity, WHITE)]), &camera(9), &Rules::DEFAULT);
-        picture.alpha[middle(&picture)]
+        let image = render(&world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, opacity, WHITE)]), &camera(9), &Rules::DEFAULT);
+        image.alpha[middle(&image)]
     };
     assert!((alpha(nearest.next_up()) - f64::from(nearest.next_up())).abs() < 1e-15);
     assert!((alpha(nearest) - f64::from(nearest)).abs() < 1e-15);
@@ -44,8 +44,8 @@ fn a_splat_counts_from_one_255th_on() {
 #[test]
 fn alpha_has_the_bound_that_the_rules_say() {
     let alpha = |rules: &Rules| {
-        let picture = render(&world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, 1.0, WHITE)]), &camera(9), rules);
-        picture.alpha[middle(&picture)]
+        let image = render(&world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, 1.0, WHITE)]), &camera(9), rules);
+        image.alpha[middle(&image)]
     };
     assert!((alpha(&Rules::DEFAULT) - 0.99).abs() < 1e-15);
     assert!((alpha(&Rules::GSPLAT15) - 0.999).abs() < 1e-15);
@@ -57,8 +57,8 @@ fn the_exclusive_stop_leaves_out_the_splat_that_would_fill_the_pixel() {
     // Three splats of alpha 0.98: T would go 2e-2, 4e-4, 8e-6; the last is below 1e-4.
     let layers: Vec<Plain> = (0..3).map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, 0.98, WHITE)).collect();
     let left = |rules: &Rules| {
-        let picture = render(&world_of(&layers), &camera(9), rules);
-        1.0 - picture.alpha[middle(&picture)]
+        let image = render(&world_of(&layers), &camera(9), rules);
+        1.0 - image.alpha[middle(&image)]
     };
     let through = 1.0 - f64::from(0.98f32);
     assert!((left(&Rules::DEFAULT) - through.powi(3)).abs() < 1e-15);
@@ -101,14 +101,14 @@ fn a_stack_of_a_hundred_thousand_layers_has_its_closed_form() {
     let layers: Vec<Plain> =
         (0..LAYERS).map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32 * 1e-4], 1e-7, opacity, [0.75; 3])).collect();
     let world = World { sky: [1.0; 3], ..world_of(&layers) };
-    let picture = render(&world, &camera(1), &Rules::DEFAULT);
+    let image = render(&world, &camera(1), &Rules::DEFAULT);
     let left = (1.0 - f64::from(opacity)).powi(LAYERS);
     assert!(left < 1e-170 && left > 0.0);
-    assert!((picture.alpha[0] - (1.0 - left)).abs() < 1e-11);
-    assert!((picture.rgb[0][0] - (0.75 * (1.0 - left) + left)).abs() < 1e-6, "color is stored as f32");
+    assert!((image.alpha[0] - (1.0 - left)).abs() < 1e-11);
+    assert!((image.rgb[0][0] - (0.75 * (1.0 - left) + left)).abs() < 1e-6, "color is stored as f32");
     // Sum over i of (2 + i h) a (1 - a)^i is 2 + h (1 - a) / a.
     let depth_m = 2.0 + 1e-4 * (1.0 - f64::from(opacity)) / f64::from(opacity);
-    assert!((picture.depth[0] - depth_m).abs() < 1e-6, "{} against {depth_m}: means are stored as f32", picture.depth[0]);
+    assert!((image.depth[0] - depth_m).abs() < 1e-6, "{} against {depth_m}: means are stored as f32", image.depth[0]);
 }
 
 #[test]
@@ -116,8 +116,8 @@ fn the_instance_is_the_one_of_the_largest_weight_and_the_nearer_of_equals() {
     let instance = |opacities: [f32; 3]| {
         let plain: Vec<Plain> = (0..3).map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, opacities[i], WHITE)).collect();
         let world = World { instance_from_splat: vec![3, 0, 7], ..world_of(&plain) };
-        let picture = render(&world, &camera(3), &Rules::DEFAULT);
-        picture.instance[middle(&picture)]
+        let image = render(&world, &camera(3), &Rules::DEFAULT);
+        image.instance[middle(&image)]
     };
     assert_eq!(instance([0.9, 0.9, 0.9]), 3);
     assert_eq!(instance([0.1, 0.9, 0.9]), 0);
@@ -132,7 +132,7 @@ fn equal_weights_belong_to_the_nearer() {
     let plain = [Plain::ball([0.0, 0.0, 2.0], 0.5, 0.5, WHITE), Plain::ball([0.0, 0.0, 3.0], 0.5, 1.0, WHITE)];
     let world = World { instance_from_splat: vec![1, 2], ..world_of(&plain) };
     let rules = Rules { alpha_max: 1.0, ..Rules::DEFAULT };
-    let picture = render(&world, &camera(3), &rules);
-    assert_eq!(picture.instance[middle(&picture)], 1);
-    assert_eq!(picture.alpha[middle(&picture)], 1.0);
+    let image = render(&world, &camera(3), &rules);
+    assert_eq!(image.instance[middle(&image)], 1);
+    assert_eq!(image.alpha[middle(&image)], 1.0);
 }

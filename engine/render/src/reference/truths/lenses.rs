@@ -130,7 +130,7 @@ fn footprints_of_small_splats_are_where_rays_see_them() {
 fn a_marker_is_drawn_where_its_ray_falls() {
     let size = (160, 90);
     for (name, lens, focal_px) in lenses() {
-        // The same lens in a picture of a tenth.
+        // The same lens in an image of a tenth.
         let mut camera = camera(lens, focal_px, (1600, 900));
         camera.intrinsics = camera.intrinsics.resized(size.0, size.1);
         (camera.intrinsics.fx_px, camera.intrinsics.fy_px) = (focal_px / 10.0, focal_px / 10.0);
@@ -138,9 +138,9 @@ fn a_marker_is_drawn_where_its_ray_falls() {
             let pixel = DVec2::new(column, row);
             let ray = camera.intrinsics.unproject(pixel).unwrap_or_else(|| panic!("{name}: {pixel} has no ray"));
             let marker = Plain::ball((ray * 12.0).as_vec3().to_array(), 0.01, 0.9, WHITE);
-            let picture = render(&world_of(&[marker]), &camera, &Rules::DEFAULT);
+            let image = render(&world_of(&[marker]), &camera, &Rules::DEFAULT);
             let (mut weight, mut place) = (0.0, DVec2::ZERO);
-            for (index, alpha) in picture.alpha.iter().enumerate() {
+            for (index, alpha) in image.alpha.iter().enumerate() {
                 let at = DVec2::new(f64::from(index as u32 % size.0) + 0.5, f64::from(index as u32 / size.0) + 0.5);
                 weight += alpha;
                 place += *alpha * at;

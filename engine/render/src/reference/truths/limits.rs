@@ -23,11 +23,11 @@ fn what_the_boxes_pass_over_adds_nothing() {
         .collect();
     let world = world_of(&plain);
     let view = camera(37);
-    let picture = render(&world, &view, &Rules::DEFAULT);
+    let image = render(&world, &view, &Rules::DEFAULT);
     let lens = View::new(world.origin, &view, &Rules::DEFAULT);
     let mut splats: Vec<Projected64> = (0..world.splats.len()).filter_map(|index| lens.project(&world.splats, index)).collect();
     splats.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
-    for (at, &alpha) in picture.alpha.iter().enumerate() {
+    for (at, &alpha) in image.alpha.iter().enumerate() {
         let center_px = DVec2::new((at % 37) as f64 + 0.5, (at / 37) as f64 + 0.5);
         let mut left = 1.0;
         for splat in &splats {
@@ -38,9 +38,9 @@ fn what_the_boxes_pass_over_adds_nothing() {
         }
         assert_eq!(alpha, 1.0 - left, "at pixel {at}");
     }
-    let pixels_with = |test: fn(f64) -> bool| picture.alpha.iter().filter(|&&alpha| test(alpha)).count();
+    let pixels_with = |test: fn(f64) -> bool| image.alpha.iter().filter(|&&alpha| test(alpha)).count();
     let (empty, dense) = (pixels_with(|alpha| alpha == 0.0), pixels_with(|alpha| alpha > 0.7));
-    assert!(empty > 50 && dense > 50, "the scene must have both: {empty} empty, {dense} dense of {}", picture.alpha.len());
+    assert!(empty > 50 && dense > 50, "the scene must have both: {empty} empty, {dense} dense of {}", image.alpha.len());
 }
 
 #[test]
@@ -92,8 +92,8 @@ fn extreme_parameters_leave_finite_pixels() {
         Plain { mean: [1e6, 0.0, 0.011], scales: [1e-3, 1e5, 1e-3], opacity: 1.0, rgb: RED },
     ];
     for antialias in [false, true] {
-        let picture = render(&world_of(&plain), &camera(17), &Rules { antialias, ..Rules::DEFAULT });
-        assert!(picture.rgb.iter().flatten().chain(&picture.alpha).chain(&picture.depth).all(|value| value.is_finite()));
-        assert!(picture.alpha[middle(&picture)] > 0.9, "the one that covers the image is seen");
+        let image = render(&world_of(&plain), &camera(17), &Rules { antialias, ..Rules::DEFAULT });
+        assert!(image.rgb.iter().flatten().chain(&image.alpha).chain(&image.depth).all(|value| value.is_finite()));
+        assert!(image.alpha[middle(&image)] > 0.9, "the one that covers the image is seen");
     }
 }

@@ -7,7 +7,7 @@ mod projection;
 
 use decouplegs_scene::{Camera, Intrinsics, Lens, Pose, Rules, SplatCloud, World, sh};
 
-use super::Picture64;
+use super::Image64;
 use super::project::{Projected64, View};
 
 /// A splat of one color; `rgb` is what it shows.
@@ -55,16 +55,16 @@ fn camera(size_px: u32) -> Camera {
     }
 }
 
-fn middle(picture: &Picture64) -> usize {
-    (picture.width * picture.height / 2) as usize
+fn middle(image: &Image64) -> usize {
+    (image.width * image.height / 2) as usize
 }
 
 fn projected(world: &World, camera: &Camera, rules: &Rules) -> Option<Projected64> {
     View::new(world.origin, camera, rules).project(&world.splats, 0)
 }
 
-fn largest_difference(a: &Picture64, b: &Picture64) -> f64 {
-    let channels = |picture: &Picture64| picture.rgb.iter().flatten().copied().collect::<Vec<_>>();
+fn largest_difference(a: &Image64, b: &Image64) -> f64 {
+    let channels = |image: &Image64| image.rgb.iter().flatten().copied().collect::<Vec<_>>();
     channels(a).iter().zip(channels(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 

@@ -9,7 +9,7 @@ use crate::reference::render;
 #[test]
 fn one_ball_on_the_axis_is_a_gaussian_of_the_projected_width() {
     let world = World { sky: [0.0, 0.0, 0.25], ..world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, 0.8, WHITE)]) };
-    let picture = render(&world, &camera(33), &Rules::DEFAULT);
+    let image = render(&world, &camera(33), &Rules::DEFAULT);
     // On the axis J is (f / z) I, so the variance is (f s / z)^2 + 0.3.
     let variance_px2 = (100.0 * f64::from(0.08f32) / 4.0).powi(2) + 0.3;
     for y in 0..33u32 {
@@ -18,10 +18,10 @@ fn one_ball_on_the_axis_is_a_gaussian_of_the_projected_width() {
             let alpha = f64::from(0.8f32) * (-0.5 * (dx * dx + dy * dy) / variance_px2).exp();
             let alpha = if alpha < 1.0 / 255.0 { 0.0 } else { alpha };
             let at = (y * 33 + x) as usize;
-            assert!((picture.alpha[at] - alpha).abs() < 1e-12, "alpha at ({x}, {y})");
-            assert!((picture.rgb[at][0] - alpha).abs() < 1e-6, "white at ({x}, {y})");
-            assert!((picture.rgb[at][2] - (alpha + 0.25 * (1.0 - alpha))).abs() < 1e-6, "sky through ({x}, {y})");
-            assert_eq!(picture.depth[at], if alpha > 0.0 { 4.0 } else { 0.0 });
+            assert!((image.alpha[at] - alpha).abs() < 1e-12, "alpha at ({x}, {y})");
+            assert!((image.rgb[at][0] - alpha).abs() < 1e-6, "white at ({x}, {y})");
+            assert!((image.rgb[at][2] - (alpha + 0.25 * (1.0 - alpha))).abs() < 1e-6, "sky through ({x}, {y})");
+            assert_eq!(image.depth[at], if alpha > 0.0 { 4.0 } else { 0.0 });
         }
     }
 }
@@ -105,8 +105,8 @@ fn color_depends_on_the_direction_from_the_eye_to_the_splat() {
     world.splats.sh_rest[2] = [0.5; 3];
     let seen_from = |eye: DVec3| {
         let view = Camera { world_from_camera: Pose::look_at(eye, DVec3::ZERO, DVec3::Z).unwrap(), ..camera(9) };
-        let picture = render(&world, &view, &Rules::DEFAULT);
-        picture.rgb[middle(&picture)][0] / picture.alpha[middle(&picture)]
+        let image = render(&world, &view, &Rules::DEFAULT);
+        image.rgb[middle(&image)][0] / image.alpha[middle(&image)]
     };
     let band_1 = 0.488_602_511_902_919_9;
     assert!((seen_from(DVec3::new(-4.0, 0.0, 0.0)) - (0.5 - 0.5 * band_1)).abs() < 1e-6, "looking along +x");
@@ -114,7 +114,7 @@ fn color_depends_on_the_direction_from_the_eye_to_the_splat() {
 }
 
 #[test]
-fn a_world_at_utm_coordinates_gives_the_same_picture() {
+fn a_world_at_utm_coordinates_gives_the_same_image() {
     let plain: Vec<Plain> = (0..60u8)
         .map(|i| {
             let a = f32::from(i);

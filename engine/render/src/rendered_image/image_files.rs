@@ -5,25 +5,25 @@ use std::io::Cursor;
 use exr::meta::{BlockDescription, MetaData};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-use super::{DECODER_BYTES_MAX, PIXELS_MAX, Picture, PictureError, PictureFormat};
+use super::{DECODER_BYTES_MAX, PIXELS_MAX, Image, ImageError, ImageFileFormat};
 
 /// Most bytes that one byte of a deflated stream can stand for.
 const DEFLATE_RATIO_MAX: u64 = 1032;
 
-/// Bytes that a block of an OpenEXR file may always unpack to, however small the file: a tile is larger than a small picture.
+/// Bytes that a block of an OpenEXR file may always unpack to, however small the file: a tile is larger than a small image.
 const BLOCK_BYTES_FREE: usize = 1 << 22;
 
 /// Most pixels that one byte of a file can stand for: one bit each in PNG, three 16-bit channels in OpenEXR.
-fn pixels_per_byte_max(format: PictureFormat) -> u64 {
-    if format == PictureFormat::Png { DEFLATE_RATIO_MAX * 8 } else { DEFLATE_RATIO_MAX / 6 }
+fn pixels_per_byte_max(format: ImageFileFormat) -> u64 {
+    if format == ImageFileFormat::Png { DEFLATE_RATIO_MAX * 8 } else { DEFLATE_RATIO_MAX / 6 }
 }
 
-pub fn decode(format: PictureFormat, bytes: &[u8]) -> Result<Picture, PictureError> {
-    if format == PictureFormat::Exr {
+pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Image, ImageError> {
+    if format == ImageFileFormat::Exr {
         check_exr_sizes(bytes)?;
     }
     let refused = |error: image::ImageError| format.malformed(error.to_string());
-    let kind = if format == PictureFormat::Png { ImageFormat::Png } else { ImageFormat::OpenExr };
+    let kind = if format == ImageFileFormat::Png { ImageFormat::Png } else { ImageFormat::OpenExr };
     let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
     let mut limits = Limits::default();
     limits.max_alloc = Some(DECODER_BYTES_MAX);
@@ -39,7 +39,7 @@ pub fn decode(format: PictureFormat, bytes: &[u8]) -> Result<Picture, PictureErr
         )));
     }
     let image = DynamicImage::from_decoder(decoder).map_err(refused)?.into_rgba32f();
-    Ok(Picture {
+    Ok(Image {
         width,
         height,
         rgb: image.pixels().map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect(),
@@ -49,13 +49,13 @@ pub fn decode(format: PictureFormat, bytes: &[u8]) -> Result<Picture, PictureErr
     })
 }
 
-fn pixels_believed(format: PictureFormat, bytes: &[u8]) -> u64 {
+fn pixels_believed(format: ImageFileFormat, bytes: &[u8]) -> u64 {
     PIXELS_MAX.min(pixels_per_byte_max(format) * bytes.len() as u64)
 }
 
 /// Refuses claims about layers and blocks, which the decoder would take memory for before it looks at the pixels.
-fn check_exr_sizes(bytes: &[u8]) -> Result<(), PictureError> {
-    let format = PictureFormat::Exr;
+fn check_exr_sizes(bytes: &[u8]) -> Result<(), ImageError> {
+    let format = ImageFileFormat::Exr;
     let meta = MetaData::read_from_buffered(bytes, false).map_err(|error| format.malformed(error.to_string()))?;
     let believed = pixels_believed(format, bytes) as usize;
     for header in &meta.headers {
@@ -80,19 +80,19 @@ fn check_exr_sizes(bytes: &[u8]) -> Result<(), PictureError> {
     Ok(())
 }
 
-pub fn encode_png(picture: &Picture) -> Result<Vec<u8>, PictureError> {
-    let levels: Vec<u8> = picture.rgb.iter().flatten().copied().map(level).collect();
-    encode(picture, PictureFormat::Png, ImageFormat::Png, &levels, ColorType::Rgb8)
+pub fn encode_png(image: &Image) -> Result<Vec<u8>, ImageError> {
+    let levels: Vec<u8> = image.rgb.iter().flatten().copied().map(level).collect();
+    encode(image, ImageFileFormat::Png, ImageFormat::Png, &levels, ColorType::Rgb8)
 }
 
 /// RGBA as the PNG specification has it, colors not premultiplied.
-pub fn encode_png_with_alpha(picture: &Picture) -> Result<Vec<u8>, PictureError> {
+pub fn encode_png_with_alpha(image: &Image) -> Result<Vec<u8>, ImageError> {
     let straight = |(rgb, alpha): (&[f32; 3], &f32)| {
         let [r, g, b] = rgb.map(|premultiplied| if *alpha > 0.0 { level(premultiplied / alpha) } else { 0 });
         [r, g, b, level(*alpha)]
     };
-    let levels: Vec<u8> = picture.rgb.iter().zip(&picture.alpha).flat_map(straight).collect();
-    encode(picture, PictureFormat::Png, ImageFormat::Png, &levels, ColorType::Rgba8)
+    let levels: Vec<u8> = image.rgb.iter().zip(&image.alpha).flat_map(straight).collect();
+    encode(image, ImageFileFormat::Png, ImageFormat::Png, &levels, ColorType::Rgba8)
 }
 
 /// `value` of 0 to 1 as 8 bits.
@@ -100,21 +100,21 @@ fn level(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }
 
-pub fn encode_exr(picture: &Picture) -> Result<Vec<u8>, PictureError> {
-    let bytes: Vec<u8> = picture.interleaved_rgba().iter().flat_map(|value| value.to_ne_bytes()).collect();
-    encode(picture, PictureFormat::Exr, ImageFormat::OpenExr, &bytes, ColorType::Rgba32F)
+pub fn encode_exr(image: &Image) -> Result<Vec<u8>, ImageError> {
+    let bytes: Vec<u8> = image.interleaved_rgba().iter().flat_map(|value| value.to_ne_bytes()).collect();
+    encode(image, ImageFileFormat::Exr, ImageFormat::OpenExr, &bytes, ColorType::Rgba32F)
 }
 
 fn encode(
-    picture: &Picture,
-    format: PictureFormat,
+    image: &Image,
+    format: ImageFileFormat,
     kind: ImageFormat,
     samples: &[u8],
     color: ColorType,
-) -> Result<Vec<u8>, PictureError> {
+) -> Result<Vec<u8>, ImageError> {
     let mut file = Cursor::new(Vec::new());
-    image::write_buffer_with_format(&mut file, samples, picture.width, picture.height, color, kind).map_err(|error| {
-        PictureError::Encoding { format, width: picture.width, height: picture.height, message: error.to_string() }
+    image::write_buffer_with_format(&mut file, samples, image.width, image.height, color, kind).map_err(|error| {
+        ImageError::Encoding { format, width: image.width, height: image.height, message: error.to_string() }
     })?;
     Ok(file.into_inner())
 }
@@ -125,7 +125,7 @@ mod tests {
 
     /// The header of a PNG that claims to be very large, and no pixels.
     fn boastful_png() -> Vec<u8> {
-        let mut bytes = Picture::filled(1, 1, [0.0; 3]).encode(PictureFormat::Png).unwrap();
+        let mut bytes = Image::filled(1, 1, [0.0; 3]).encode(ImageFileFormat::Png).unwrap();
         bytes[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
         // The checksum of the chunk that was changed (ISO 3309), or the claim would not be looked at.
         let mut crc = !0u32;
@@ -141,27 +141,27 @@ mod tests {
 
     #[test]
     fn a_claim_that_the_file_cannot_hold_is_refused_before_memory_is_taken() {
-        let error = decode(PictureFormat::Png, &boastful_png()).unwrap_err().to_string();
+        let error = decode(ImageFileFormat::Png, &boastful_png()).unwrap_err().to_string();
         assert!(error.contains("65535x65535"), "{error}");
     }
 
     #[test]
     fn a_layer_or_tile_that_the_file_cannot_hold_is_refused_before_memory_is_taken() {
-        let bytes = Picture::filled(5, 3, [0.3; 3]).encode(PictureFormat::Exr).unwrap();
+        let bytes = Image::filled(5, 3, [0.3; 3]).encode(ImageFileFormat::Exr).unwrap();
         let place_of = |name: &[u8]| bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len();
         for (attribute, offset) in [(&b"dataWindow\0box2i\0"[..], 4 + 8), (b"tiles\0tiledesc\0", 4)] {
             let mut boastful = bytes.clone();
             let at = place_of(attribute) + offset;
             boastful[at..at + 4].copy_from_slice(&0x0fff_0000u32.to_le_bytes());
-            let error = decode(PictureFormat::Exr, &boastful).unwrap_err().to_string();
+            let error = decode(ImageFileFormat::Exr, &boastful).unwrap_err().to_string();
             assert!(error.contains("more than") && error.contains("26836992"), "{error}");
         }
     }
 
     #[test]
     fn the_strongest_compression_is_still_believed() {
-        let flat = Picture::filled(4000, 2000, [0.25; 3]);
-        for format in [PictureFormat::Png, PictureFormat::Exr] {
+        let flat = Image::filled(4000, 2000, [0.25; 3]);
+        for format in [ImageFileFormat::Png, ImageFileFormat::Exr] {
             assert_eq!(decode(format, &flat.encode(format).unwrap()).unwrap().rgb.len(), 8_000_000, "{format}");
         }
     }

@@ -1,8 +1,8 @@
 /*
- * Pictures of every kind, of sessions of every kind: bytes are the same whether depth is drawn beside them or not, and are the floats
+ * Images of every kind, of sessions of every kind: bytes are the same whether depth is drawn beside them or not, and are the floats
  * rounded; depth and instances are where the agent is.
  *
- * pictures SCENE.toml: a scene with a rig whose first camera sees an agent.
+ * images SCENE.toml: a scene with a rig whose first camera sees an agent.
  */
 #include "decouplegs.h"
 
@@ -35,7 +35,7 @@ struct drawn {
     uint32_t first_instance;
 };
 
-/* The first camera's picture of the scene, in a session of its own. */
+/* The first camera's image of the scene, in a session of its own. */
 static struct drawn draw(const char *path, uint32_t color, uint32_t planes) {
     struct drawn drawn = {0};
     DgsSessionOptions options = {0};
@@ -67,11 +67,11 @@ static struct drawn draw(const char *path, uint32_t color, uint32_t planes) {
 }
 
 static const void *pixels(const struct drawn *drawn, uint32_t kind, size_t pixel_bytes) {
-    DgsPicture picture;
-    CHECK(dgs_viewer_picture(drawn->viewer, 0, 0, kind, &picture));
-    require(picture.kind == kind && picture.pixel_bytes == pixel_bytes, "a pixel has its size");
-    require(picture.row_bytes == pixel_bytes * picture.width_px, "rows follow one another");
-    return picture.data;
+    DgsImage image;
+    CHECK(dgs_viewer_image(drawn->viewer, 0, 0, kind, &image));
+    require(image.kind == kind && image.pixel_bytes == pixel_bytes, "a pixel has its size");
+    require(image.row_bytes == pixel_bytes * image.width_px, "rows follow one another");
+    return image.data;
 }
 
 static void end(struct drawn *drawn) {
@@ -86,19 +86,19 @@ int main(int count, char **arguments) {
     const uint16_t *instances;
     size_t lit = 0, on_agent = 0;
     if (count != 2) {
-        fprintf(stderr, "usage: pictures SCENE.toml\n");
+        fprintf(stderr, "usage: images SCENE.toml\n");
         return 2;
     }
     plain = draw(arguments[1], DGS_COLOR_U8, 0);
     full = draw(arguments[1], DGS_COLOR_U8, 1);
     floats = draw(arguments[1], DGS_COLOR_F32, 1);
 
-    bytes = pixels(&plain, DGS_PICTURE_KIND_RGBA_U8, 4);
-    require(memcmp(bytes, pixels(&full, DGS_PICTURE_KIND_RGBA_U8, 4), 4 * plain.pixels) == 0, "bytes are the same beside depth");
-    colors = pixels(&floats, DGS_PICTURE_KIND_RGBA_F32, 16);
-    depths = pixels(&floats, DGS_PICTURE_KIND_DEPTH_F32, 4);
-    require(memcmp(depths, pixels(&full, DGS_PICTURE_KIND_DEPTH_F32, 4), 4 * plain.pixels) == 0, "depth is the same beside bytes");
-    instances = pixels(&full, DGS_PICTURE_KIND_INSTANCE_U16, 2);
+    bytes = pixels(&plain, DGS_IMAGE_KIND_RGBA_U8, 4);
+    require(memcmp(bytes, pixels(&full, DGS_IMAGE_KIND_RGBA_U8, 4), 4 * plain.pixels) == 0, "bytes are the same beside depth");
+    colors = pixels(&floats, DGS_IMAGE_KIND_RGBA_F32, 16);
+    depths = pixels(&floats, DGS_IMAGE_KIND_DEPTH_F32, 4);
+    require(memcmp(depths, pixels(&full, DGS_IMAGE_KIND_DEPTH_F32, 4), 4 * plain.pixels) == 0, "depth is the same beside bytes");
+    instances = pixels(&full, DGS_IMAGE_KIND_INSTANCE_U16, 2);
     for (size_t pixel = 0; pixel < plain.pixels; pixel++) {
         for (size_t channel = 0; channel < 4; channel++) {
             const float value = fminf(fmaxf(colors[4 * pixel + channel], 0.0F), 1.0F);
@@ -110,8 +110,8 @@ int main(int count, char **arguments) {
             require(depths[pixel] > 0.5F && depths[pixel] < 200.0F, "an agent has a depth");
         }
     }
-    require(lit > plain.pixels / 2, "the picture shows something");
-    require(on_agent > 4, "the agent is in the picture");
+    require(lit > plain.pixels / 2, "the image shows something");
+    require(on_agent > 4, "the agent is in the image");
     printf("%lu of %lu pixels are the agent's\n", (unsigned long)on_agent, (unsigned long)plain.pixels);
     end(&plain);
     end(&full);

@@ -1,4 +1,4 @@
-//! Pictures of a call, where they were drawn, as tensors that other libraries take.
+//! Images of a call, where they were drawn, as tensors that other libraries take.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ enum Holder {
     Host(Arc<Layers>),
 }
 
-/// The pictures of one frame.
+/// The images of one frame.
 #[derive(Clone)]
 pub struct Frame {
     holder: Holder,
@@ -32,11 +32,11 @@ pub struct Frame {
 
 impl Frame {
     pub fn on_device(loan: Arc<CudaLoan>, ordinal: i32, addresses: Addresses, places: Vec<(usize, [u32; 2])>) -> Self {
-        let color = if loan.pictures().buffers().pictures_u8.is_empty() { DataType::F32 } else { DataType::U8 };
+        let color = if loan.images().buffers().images_u8.is_empty() { DataType::F32 } else { DataType::U8 };
         Self { holder: Holder::Device(loan, ordinal), addresses, color, places: places.into() }
     }
 
-    /// Pictures of `sizes_px`, one after the other.
+    /// Images of `sizes_px`, one after the other.
     pub fn on_host(layers: Layers, sizes_px: &[[u32; 2]]) -> Self {
         let mut first = 0;
         let place = |&[width, height]: &[u32; 2]| {
@@ -85,15 +85,15 @@ impl Frame {
     }
 }
 
-/// Pictures of one call.
+/// Images of one call.
 #[pyclass(frozen, module = "decouplegs")]
-pub struct Pictures {
+pub struct Images {
     frames: Vec<Frame>,
     /// Frame and place in it of each camera, by view.
     views: Vec<Vec<(usize, usize)>>,
 }
 
-impl Pictures {
+impl Images {
     /// `frames` hold the cameras of all views in order; `of_views` says how many each view has.
     pub fn new(frames: Vec<Frame>, of_views: Vec<usize>) -> Self {
         let places = |(number, frame): (usize, &Frame)| (0..frame.places.len()).map(move |place| (number, place));
@@ -112,7 +112,7 @@ impl Pictures {
 }
 
 #[pymethods]
-impl Pictures {
+impl Images {
     /// Frames that the call took.
     #[getter]
     fn frames(&self) -> usize {
@@ -163,7 +163,7 @@ impl Pictures {
     fn tensor(&self) -> PyResult<Tensor> {
         if self.frames.len() != 1 {
             return Err(PyBufferError::new_err(format!(
-                "these are the pictures of {} frames, no one tensor: take frame(index) or view(index)",
+                "these are the images of {} frames, no one tensor: take frame(index) or view(index)",
                 self.frames.len()
             )));
         }
@@ -189,11 +189,11 @@ impl Pictures {
     }
 
     fn __repr__(&self) -> String {
-        format!("Pictures({} views in {} frames)", self.views.len(), self.frames.len())
+        format!("Images({} views in {} frames)", self.views.len(), self.frames.len())
     }
 }
 
-/// Pictures as a tensor.
+/// Images as a tensor.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Tensor {
     holder: Holder,
@@ -250,11 +250,11 @@ impl Tensor {
         let device = self.device();
         if dl_device.is_some_and(|wanted| wanted != (device.kind, device.number)) {
             return Err(PyBufferError::new_err(
-                "the pictures are not on that device: take them where they are, or use Viewer.draw for arrays on the host",
+                "the images are not on that device: take them where they are, or use Viewer.draw for arrays on the host",
             ));
         }
         if copy == Some(true) {
-            return Err(PyBufferError::new_err("pictures are handed out where they lie: copy them after taking them"));
+            return Err(PyBufferError::new_err("images are handed out where they lie: copy them after taking them"));
         }
         let description = Description { address: self.address, device, dtype: self.dtype, shape: self.shape.clone() };
         description.capsule(py, self.keeper(stream)?, max_version.is_some_and(|(major, _)| major >= 1))

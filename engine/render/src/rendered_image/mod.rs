@@ -1,4 +1,4 @@
-//! Pictures: what a render returns, and the files they are kept in.
+//! Images: what a render returns, and the files they are kept in.
 //!
 //! Values are display-referred RGB as blended: the sky is in them, nothing is clamped. Only PNG clamps and rounds.
 
@@ -15,9 +15,9 @@ const PIXELS_MAX: u64 = 1 << 26;
 /// Most bytes that a decoder may take: 64 bits for each pixel, and as much for what it works with.
 const DECODER_BYTES_MAX: u64 = 1 << 30;
 
-/// A picture in f32, row-major from the top left; every array holds `width * height` entries.
+/// An image in f32, row-major from the top left; every array holds `width * height` entries.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Picture {
+pub struct Image {
     /// Pixels a row, at least 1.
     pub width: u32,
     /// Rows, at least 1.
@@ -33,9 +33,9 @@ pub struct Picture {
     pub instance: Option<Vec<u16>>,
 }
 
-/// The files a picture can be kept in. None of them holds depth or instances.
+/// The files an image can be kept in. None of them holds depth or instances.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PictureFormat {
+pub enum ImageFileFormat {
     /// RGB, 8 bits: clamped to 0 to 1 and rounded to nearest. No alpha.
     Png,
     /// OpenEXR, RGBA as f32.
@@ -46,9 +46,9 @@ pub enum PictureFormat {
 
 /// Reason why an image could not be read or encoded.
 #[derive(Debug, thiserror::Error)]
-pub enum PictureError {
+pub enum ImageError {
     /// The file could not be read at all.
-    #[error("{}: cannot read the picture: {source}", path.display())]
+    #[error("{}: cannot read the image: {source}", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -56,12 +56,12 @@ pub enum PictureError {
         source: std::io::Error,
     },
     /// The name tells no format.
-    #[error("{}: expected a picture named *.png, *.exr or *.npy", path.display())]
+    #[error("{}: expected an image named *.png, *.exr or *.npy", path.display())]
     Extension {
         /// The file.
         path: PathBuf,
     },
-    /// The bytes are not such a picture.
+    /// The bytes are not such an image.
     #[error("{}: {source}", path.display())]
     File {
         /// The file.
@@ -69,19 +69,19 @@ pub enum PictureError {
         /// Error in its bytes.
         source: Box<Self>,
     },
-    /// The bytes are not a picture of the format.
-    #[error("not a usable {format} picture: {message}")]
+    /// The bytes are not an image of the format.
+    #[error("not a usable {format} image: {message}")]
     Malformed {
         /// The format expected.
-        format: PictureFormat,
+        format: ImageFileFormat,
         /// Value expected and value found.
         message: String,
     },
-    /// The encoder refused the picture.
+    /// The encoder refused the image.
     #[error("cannot encode {width}x{height} pixels as {format}: {message}")]
     Encoding {
         /// The format asked for.
-        format: PictureFormat,
+        format: ImageFileFormat,
         /// Pixels a row.
         width: u32,
         /// Rows.
@@ -91,7 +91,7 @@ pub enum PictureError {
     },
 }
 
-impl PictureFormat {
+impl ImageFileFormat {
     /// The format that a file's name tells by its extension, in any case of letters.
     #[must_use]
     pub fn of_path(path: &Path) -> Option<Self> {
@@ -109,73 +109,73 @@ impl PictureFormat {
         }
     }
 
-    fn malformed(self, message: impl Into<String>) -> PictureError {
-        PictureError::Malformed { format: self, message: message.into() }
+    fn malformed(self, message: impl Into<String>) -> ImageError {
+        ImageError::Malformed { format: self, message: message.into() }
     }
 }
 
-impl std::fmt::Display for PictureFormat {
+impl std::fmt::Display for ImageFileFormat {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.extension())
     }
 }
 
-impl Picture {
-    /// A picture of one opaque color, without depth and instances.
+impl Image {
+    /// An image of one opaque color, without depth and instances.
     #[must_use]
     pub fn filled(width: u32, height: u32, rgb: [f32; 3]) -> Self {
         let count = width as usize * height as usize;
         Self { width, height, rgb: vec![rgb; count], alpha: vec![1.0; count], depth: None, instance: None }
     }
 
-    /// Reads a picture; its name's extension tells the format. Alpha is 1 where the file has none.
+    /// Reads an image; its name's extension tells the format. Alpha is 1 where the file has none.
     ///
     /// # Errors
-    /// When the file cannot be read, its name tells no format, or its bytes are not such a picture.
-    pub fn read(path: &Path) -> Result<Self, PictureError> {
-        let format = PictureFormat::of_path(path).ok_or_else(|| PictureError::Extension { path: path.into() })?;
-        let unreadable = |source| PictureError::Unreadable { path: path.into(), source };
+    /// When the file cannot be read, its name tells no format, or its bytes are not such an image.
+    pub fn read(path: &Path) -> Result<Self, ImageError> {
+        let format = ImageFileFormat::of_path(path).ok_or_else(|| ImageError::Extension { path: path.into() })?;
+        let unreadable = |source| ImageError::Unreadable { path: path.into(), source };
         // A device may have no end, and a FIFO may block forever.
         if std::fs::metadata(path).map_err(unreadable)?.is_file() {
             let bytes = std::fs::read(path).map_err(unreadable)?;
             return Self::decode(format, &bytes)
-                .map_err(|source| PictureError::File { path: path.into(), source: Box::new(source) });
+                .map_err(|source| ImageError::File { path: path.into(), source: Box::new(source) });
         }
         Err(unreadable(std::io::Error::other("expected a regular file")))
     }
 
-    /// The picture in the bytes of a file. Never allocates more than the length of `bytes` can account for.
+    /// The image in the bytes of a file. Never allocates more than the length of `bytes` can account for.
     ///
     /// # Errors
-    /// When the bytes are not a picture of that format.
-    pub fn decode(format: PictureFormat, bytes: &[u8]) -> Result<Self, PictureError> {
+    /// When the bytes are not an image of that format.
+    pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Self, ImageError> {
         match format {
-            PictureFormat::Png | PictureFormat::Exr => image_files::decode(format, bytes),
-            PictureFormat::Npy => npy::decode(bytes),
+            ImageFileFormat::Png | ImageFileFormat::Exr => image_files::decode(format, bytes),
+            ImageFileFormat::Npy => npy::decode(bytes),
         }
     }
 
     /// The bytes of a file of that format.
     ///
     /// # Errors
-    /// When the encoder refuses the picture's size.
-    pub fn encode(&self, format: PictureFormat) -> Result<Vec<u8>, PictureError> {
+    /// When the encoder refuses the image's size.
+    pub fn encode(&self, format: ImageFileFormat) -> Result<Vec<u8>, ImageError> {
         match format {
-            PictureFormat::Png => image_files::encode_png(self),
-            PictureFormat::Exr => image_files::encode_exr(self),
-            PictureFormat::Npy => Ok(npy::encode(self)),
+            ImageFileFormat::Png => image_files::encode_png(self),
+            ImageFileFormat::Exr => image_files::encode_exr(self),
+            ImageFileFormat::Npy => Ok(npy::encode(self)),
         }
     }
 
-    /// [`Picture::encode`], for a picture over a black sky that is to be laid over another: PNG holds alpha too, its colors
+    /// [`Image::encode`], for an image over a black sky that is to be laid over another: PNG holds alpha too, its colors
     /// divided by it; the other formats hold colors premultiplied by alpha, as blended, as they always do.
     ///
     /// # Errors
-    /// When the encoder refuses the picture's size.
-    pub fn encode_with_alpha(&self, format: PictureFormat) -> Result<Vec<u8>, PictureError> {
+    /// When the encoder refuses the image's size.
+    pub fn encode_with_alpha(&self, format: ImageFileFormat) -> Result<Vec<u8>, ImageError> {
         match format {
-            PictureFormat::Png => image_files::encode_png_with_alpha(self),
-            PictureFormat::Exr | PictureFormat::Npy => self.encode(format),
+            ImageFileFormat::Png => image_files::encode_png_with_alpha(self),
+            ImageFileFormat::Exr | ImageFileFormat::Npy => self.encode(format),
         }
     }
 
@@ -204,22 +204,22 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    pub(super) fn sample(width: u32, height: u32) -> Picture {
+    pub(super) fn sample(width: u32, height: u32) -> Image {
         let count = (width * height) as usize;
         let ramp = |k: usize| (k as f32 * 0.37).sin() * 1.3;
-        Picture {
+        Image {
             rgb: (0..count).map(|i| [ramp(3 * i), ramp(3 * i + 1), ramp(3 * i + 2)]).collect(),
             alpha: (0..count).map(|i| i as f32 / count as f32).collect(),
-            ..Picture::filled(width, height, [0.0; 3])
+            ..Image::filled(width, height, [0.0; 3])
         }
     }
 
     #[test]
     fn float_formats_bring_back_the_same_bits() {
         for (width, height) in [(1, 1), (7, 5), (33, 2)] {
-            let picture = sample(width, height);
-            for format in [PictureFormat::Exr, PictureFormat::Npy] {
-                assert_eq!(Picture::decode(format, &picture.encode(format).unwrap()).unwrap(), picture, "{format}");
+            let image = sample(width, height);
+            for format in [ImageFileFormat::Exr, ImageFileFormat::Npy] {
+                assert_eq!(Image::decode(format, &image.encode(format).unwrap()).unwrap(), image, "{format}");
             }
         }
     }
@@ -227,10 +227,10 @@ mod tests {
     #[test]
     fn png_clamps_and_rounds_to_the_nearest_level() {
         let half_level = 0.5 / 255.0;
-        let mut picture = Picture::filled(3, 1, [-0.5, 0.0, half_level - 1e-4]);
-        picture.rgb[1] = [half_level + 1e-4, 100.0 / 255.0, 254.6 / 255.0];
-        picture.rgb[2] = [1.0, 7.5, f32::NAN];
-        let back = Picture::decode(PictureFormat::Png, &picture.encode(PictureFormat::Png).unwrap()).unwrap();
+        let mut image = Image::filled(3, 1, [-0.5, 0.0, half_level - 1e-4]);
+        image.rgb[1] = [half_level + 1e-4, 100.0 / 255.0, 254.6 / 255.0];
+        image.rgb[2] = [1.0, 7.5, f32::NAN];
+        let back = Image::decode(ImageFileFormat::Png, &image.encode(ImageFileFormat::Png).unwrap()).unwrap();
         let levels: Vec<f32> = back.rgb.iter().flatten().map(|value| value * 255.0).collect();
         assert_eq!(
             levels.iter().map(|level| level.round()).collect::<Vec<_>>(),
@@ -241,29 +241,29 @@ mod tests {
 
     #[test]
     fn a_transparent_png_holds_colors_that_are_not_premultiplied() {
-        let mut picture = Picture::filled(2, 2, [0.1, 0.2, 0.25]);
-        picture.alpha = vec![0.25, 0.0, 1.0, 0.5];
-        picture.rgb[1] = [0.0; 3];
-        let back = Picture::decode(PictureFormat::Png, &picture.encode_with_alpha(PictureFormat::Png).unwrap()).unwrap();
+        let mut image = Image::filled(2, 2, [0.1, 0.2, 0.25]);
+        image.alpha = vec![0.25, 0.0, 1.0, 0.5];
+        image.rgb[1] = [0.0; 3];
+        let back = Image::decode(ImageFileFormat::Png, &image.encode_with_alpha(ImageFileFormat::Png).unwrap()).unwrap();
         let levels = |values: &[f32]| values.iter().map(|value| (value * 255.0).round()).collect::<Vec<_>>();
         assert_eq!(levels(&back.alpha), [64.0, 0.0, 255.0, 128.0]);
         let expected = [102.0, 204.0, 255.0, 0.0, 0.0, 0.0, 26.0, 51.0, 64.0, 51.0, 102.0, 128.0];
         assert_eq!(levels(back.rgb.as_flattened()), expected);
-        for format in [PictureFormat::Exr, PictureFormat::Npy] {
-            assert_eq!(picture.encode_with_alpha(format).unwrap(), picture.encode(format).unwrap(), "{format}");
+        for format in [ImageFileFormat::Exr, ImageFileFormat::Npy] {
+            assert_eq!(image.encode_with_alpha(format).unwrap(), image.encode(format).unwrap(), "{format}");
         }
     }
 
     #[test]
     fn cut_and_flipped_files_are_errors_and_never_a_panic() {
-        let picture = sample(5, 3);
-        for format in [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Npy] {
-            let bytes = picture.encode(format).unwrap();
+        let image = sample(5, 3);
+        for format in [ImageFileFormat::Png, ImageFileFormat::Exr, ImageFileFormat::Npy] {
+            let bytes = image.encode(format).unwrap();
             for length in 0..bytes.len() {
                 // A PNG is complete before its last chunk, which holds nothing.
-                if let Ok(read) = Picture::decode(format, &bytes[..length]) {
+                if let Ok(read) = Image::decode(format, &bytes[..length]) {
                     assert!(
-                        format == PictureFormat::Png && length >= bytes.len() - 12,
+                        format == ImageFileFormat::Png && length >= bytes.len() - 12,
                         "{format} cut to {length} bytes was read"
                     );
                     assert_eq!((read.width, read.height), (5, 3));
@@ -272,8 +272,8 @@ mod tests {
             for bit in 0..bytes.len() * 8 {
                 let mut flipped = bytes.clone();
                 flipped[bit / 8] ^= 1 << (bit % 8);
-                // Many flips leave a picture, of other values; what matters is that all of them return.
-                if let Ok(read) = Picture::decode(format, &flipped) {
+                // Many flips leave an image, of other values; what matters is that all of them return.
+                if let Ok(read) = Image::decode(format, &flipped) {
                     assert_eq!(read.rgb.len(), (read.width * read.height) as usize);
                 }
             }
@@ -284,12 +284,12 @@ mod tests {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
         #[test]
-        fn damage_anywhere_is_an_error_or_a_picture(
+        fn damage_anywhere_is_an_error_or_an_image(
             places in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
             cut in any::<prop::sample::Index>(),
             tail in prop::collection::vec(any::<u8>(), 0..40),
         ) {
-            for format in [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Npy] {
+            for format in [ImageFileFormat::Png, ImageFileFormat::Exr, ImageFileFormat::Npy] {
                 let mut bytes = sample(7, 4).encode(format).unwrap();
                 for (place, byte) in &places {
                     let at = place.index(bytes.len());
@@ -297,7 +297,7 @@ mod tests {
                 }
                 bytes.truncate(cut.index(bytes.len() * 2));
                 bytes.extend(&tail);
-                if let Ok(read) = Picture::decode(format, &bytes) {
+                if let Ok(read) = Image::decode(format, &bytes) {
                     prop_assert!(read.rgb.len() == read.width as usize * read.height as usize && read.alpha.len() == read.rgb.len());
                 }
             }
@@ -305,24 +305,24 @@ mod tests {
 
         #[test]
         fn noise_behind_a_format_s_first_bytes_is_refused(noise in prop::collection::vec(any::<u8>(), 0..400)) {
-            for format in [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Npy] {
+            for format in [ImageFileFormat::Png, ImageFileFormat::Exr, ImageFileFormat::Npy] {
                 let magic = &sample(1, 1).encode(format).unwrap()[..8];
-                prop_assert!(Picture::decode(format, &[magic, &noise].concat()).is_err());
-                prop_assert!(Picture::decode(format, &noise).is_err());
+                prop_assert!(Image::decode(format, &[magic, &noise].concat()).is_err());
+                prop_assert!(Image::decode(format, &noise).is_err());
             }
         }
     }
 
     #[test]
     fn errors_name_the_file_and_what_was_expected() {
-        let folder = std::env::temp_dir().join(format!("decouplegs-picture-{}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("decouplegs-image-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("broken.npy");
-        std::fs::write(&path, b"no picture").unwrap();
-        let message = Picture::read(&path).unwrap_err().to_string();
+        std::fs::write(&path, b"no image").unwrap();
+        let message = Image::read(&path).unwrap_err().to_string();
         assert!(message.contains("broken.npy") && message.contains("NUMPY"), "{message}");
-        assert!(Picture::read(&folder.join("a.jpeg")).unwrap_err().to_string().contains("*.png"));
-        assert!(Picture::read(&folder.join("absent.png")).unwrap_err().to_string().contains("absent.png"));
+        assert!(Image::read(&folder.join("a.jpeg")).unwrap_err().to_string().contains("*.png"));
+        assert!(Image::read(&folder.join("absent.png")).unwrap_err().to_string().contains("absent.png"));
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

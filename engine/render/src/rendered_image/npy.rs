@@ -1,17 +1,17 @@
 //! NumPy arrays (format versions 1 to 3, NumPy enhancement proposal 1): float32, `[height, width, 3 or 4]`.
 
-use super::{PIXELS_MAX, Picture, PictureError, PictureFormat};
+use super::{PIXELS_MAX, Image, ImageError, ImageFileFormat};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-pub fn encode(picture: &Picture) -> Vec<u8> {
-    let shape = format!("({}, {}, 4)", picture.height, picture.width);
-    with_header("<f4", &shape, picture.interleaved_rgba().iter().flat_map(|value| value.to_le_bytes()))
+pub fn encode(image: &Image) -> Vec<u8> {
+    let shape = format!("({}, {}, 4)", image.height, image.width);
+    with_header("<f4", &shape, image.interleaved_rgba().iter().flat_map(|value| value.to_le_bytes()))
 }
 
-/// A plane of `picture`, `[height, width]`, of NumPy's type `descr`.
-pub fn encode_plane(picture: &Picture, descr: &str, values: impl Iterator<Item = u8>) -> Vec<u8> {
-    with_header(descr, &format!("({}, {})", picture.height, picture.width), values)
+/// A plane of `image`, `[height, width]`, of NumPy's type `descr`.
+pub fn encode_plane(image: &Image, descr: &str, values: impl Iterator<Item = u8>) -> Vec<u8> {
+    with_header(descr, &format!("({}, {})", image.height, image.width), values)
 }
 
 fn with_header(descr: &str, shape: &str, values: impl Iterator<Item = u8>) -> Vec<u8> {
@@ -29,7 +29,7 @@ fn with_header(descr: &str, shape: &str, values: impl Iterator<Item = u8>) -> Ve
     bytes
 }
 
-pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
+pub fn decode(bytes: &[u8]) -> Result<Image, ImageError> {
     let (header, data) = split_header(bytes)?;
     let (width, height, channels) = array_shape(header)?;
     let expected = u64::from(width) * u64::from(height) * channels as u64 * 4;
@@ -44,7 +44,7 @@ pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
         let at = channel * 4;
         f32::from_le_bytes([pixel[at], pixel[at + 1], pixel[at + 2], pixel[at + 3]])
     };
-    Ok(Picture {
+    Ok(Image {
         width,
         height,
         rgb: pixels().map(|pixel| std::array::from_fn(|channel| value(pixel, channel))).collect(),
@@ -54,12 +54,12 @@ pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
     })
 }
 
-fn malformed(message: impl Into<String>) -> PictureError {
-    PictureFormat::Npy.malformed(message)
+fn malformed(message: impl Into<String>) -> ImageError {
+    ImageFileFormat::Npy.malformed(message)
 }
 
 /// The header's text and what follows it.
-fn split_header(bytes: &[u8]) -> Result<(&str, &[u8]), PictureError> {
+fn split_header(bytes: &[u8]) -> Result<(&str, &[u8]), ImageError> {
     let after_magic = bytes.strip_prefix(MAGIC).ok_or_else(|| malformed("its first bytes are not \\x93NUMPY"))?;
     let (length, rest) = match after_magic {
         [1, _, a, b, rest @ ..] => (usize::from(u16::from_le_bytes([*a, *b])), rest),
@@ -75,7 +75,7 @@ fn split_header(bytes: &[u8]) -> Result<(&str, &[u8]), PictureError> {
 }
 
 /// Width, height and channels from the header's Python dictionary.
-fn array_shape(header: &str) -> Result<(u32, u32, usize), PictureError> {
+fn array_shape(header: &str) -> Result<(u32, u32, usize), ImageError> {
     let descr = field(header, "descr")?;
     if !descr.starts_with("'<f4'") && !descr.starts_with("\"<f4\"") {
         return Err(malformed(format!("expected little-endian float32 ('<f4'); found {}", first_words(descr))));
@@ -101,7 +101,7 @@ fn array_shape(header: &str) -> Result<(u32, u32, usize), PictureError> {
 }
 
 /// Value after `'key':` in the header.
-fn field<'a>(header: &'a str, key: &str) -> Result<&'a str, PictureError> {
+fn field<'a>(header: &'a str, key: &str) -> Result<&'a str, ImageError> {
     [format!("'{key}'"), format!("\"{key}\"")]
         .iter()
         .find_map(|quoted| header.split_once(quoted.as_str()))
@@ -126,9 +126,9 @@ mod tests {
     #[test]
     fn the_bytes_are_what_numpy_writes() {
         // numpy.save of a (1, 2, 4) float32 array: 128 bytes of header, then row-major values.
-        let mut picture = Picture::filled(2, 1, [0.5, -1.0, 2.0]);
-        picture.alpha[1] = 0.25;
-        let bytes = encode(&picture);
+        let mut image = Image::filled(2, 1, [0.5, -1.0, 2.0]);
+        image.alpha[1] = 0.25;
+        let bytes = encode(&image);
         assert_eq!(&bytes[..10], b"\x93NUMPY\x01\x00\x76\x00");
         assert!(bytes[10..].starts_with(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 4), }"));
         assert_eq!(bytes[127], b'\n');
@@ -139,19 +139,19 @@ mod tests {
 
     #[test]
     fn planes_have_two_dimensions_and_their_own_type() {
-        let picture = Picture { depth: Some(vec![1.5, 0.0]), instance: Some(vec![0, 259]), ..Picture::filled(2, 1, [0.0; 3]) };
-        let (depth, instance) = (picture.encode_depth().unwrap(), picture.encode_instance().unwrap());
+        let image = Image { depth: Some(vec![1.5, 0.0]), instance: Some(vec![0, 259]), ..Image::filled(2, 1, [0.0; 3]) };
+        let (depth, instance) = (image.encode_depth().unwrap(), image.encode_instance().unwrap());
         assert!(depth[10..].starts_with(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }"));
         assert_eq!(depth[128..], [1.5f32.to_le_bytes(), 0f32.to_le_bytes()].concat());
         assert!(instance[10..].starts_with(b"{'descr': '<u2'") && instance[128..] == [0, 0, 3, 1]);
-        assert!(Picture::filled(2, 1, [0.0; 3]).encode_depth().is_none());
+        assert!(Image::filled(2, 1, [0.0; 3]).encode_depth().is_none());
     }
 
     #[test]
     fn three_channels_and_another_order_of_keys_are_read() {
         let data: Vec<u8> = [0.1f32, 0.2, 0.3].iter().flat_map(|value| value.to_le_bytes()).collect();
-        let picture = decode(&file("{'shape':(1,1,3),\"fortran_order\": False, 'descr':\"<f4\"}\n", &data)).unwrap();
-        assert_eq!((picture.rgb[0], picture.alpha[0]), ([0.1, 0.2, 0.3], 1.0));
+        let image = decode(&file("{'shape':(1,1,3),\"fortran_order\": False, 'descr':\"<f4\"}\n", &data)).unwrap();
+        assert_eq!((image.rgb[0], image.alpha[0]), ([0.1, 0.2, 0.3], 1.0));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Pictures as bytes on the host: what a planner or an encoder takes, without a detour over floats.
+//! Images as bytes on the host: what a planner or an encoder takes, without a detour over floats.
 
 use decouplegs_gpu::{Buffer, QueueRole, Residence};
 use rayon::prelude::*;
@@ -9,9 +9,9 @@ use crate::{RenderError, Renderer};
 /// Pixels that a thread copies at once: a megabyte.
 const COPY_PIXELS: usize = 1 << 18;
 
-/// The pictures of a frame, four bytes a pixel: red, green, blue, alpha.
+/// The images of a frame, four bytes a pixel: red, green, blue, alpha.
 #[derive(Default)]
-pub struct PictureBytes {
+pub struct ImageBytes {
     words: Vec<u32>,
     /// First pixel, width and height of each.
     places: Vec<(usize, [u32; 2])>,
@@ -19,7 +19,7 @@ pub struct PictureBytes {
     staging: Option<Buffer<u32>>,
 }
 
-impl PictureBytes {
+impl ImageBytes {
     /// Number of images.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -32,18 +32,18 @@ impl PictureBytes {
         self.places.is_empty()
     }
 
-    /// Forgets the pictures and keeps their memory.
+    /// Forgets the images and keeps their memory.
     pub fn clear(&mut self) {
         self.places.clear();
     }
 
-    /// Width and height of picture `index`, pixels.
+    /// Width and height of image `index`, pixels.
     #[must_use]
     pub fn size_px(&self, index: usize) -> [u32; 2] {
         self.places[index].1
     }
 
-    /// Picture `index`, row by row from the top.
+    /// Image `index`, row by row from the top.
     #[must_use]
     pub fn rgba(&self, index: usize) -> &[u8] {
         let (first, [width, height]) = self.places[index];
@@ -52,25 +52,25 @@ impl PictureBytes {
 }
 
 impl Renderer {
-    /// Reads the pictures of the frame that was finished last into `bytes`, in the order of its cameras. None before the first frame.
+    /// Reads the images of the frame that was finished last into `bytes`, in the order of its cameras. None before the first frame.
     ///
     /// # Errors
     /// When the device was lost or has not the memory.
     ///
     /// # Panics
     /// When the renderer does not store [`ColorFormat::U8`].
-    pub fn read_bytes(&self, bytes: &mut PictureBytes) -> Result<(), RenderError> {
-        assert!(self.options().outputs.color == ColorFormat::U8, "the pictures are stored as floats");
+    pub fn read_bytes(&self, bytes: &mut ImageBytes) -> Result<(), RenderError> {
+        assert!(self.options().outputs.color == ColorFormat::U8, "the images are stored as floats");
         bytes.places.clear();
         let Some(slot) = self.shown_slot() else { return Ok(()) };
         let Some(view) = &slot.view else { return Ok(()) };
-        let pictures = &slot.pictures.pictures_u8;
+        let images = &slot.images.images_u8;
         if bytes.staging.as_ref().is_none_or(|staging| staging.len() < view.pixels) {
-            bytes.staging = Some(self.gpu().buffer("staged_pictures", PURPOSE, view.pixels, Residence::Readback)?);
+            bytes.staging = Some(self.gpu().buffer("staged_images", PURPOSE, view.pixels, Residence::Readback)?);
         }
         if let Some(staging) = &bytes.staging {
             let mut recorder = self.gpu().record(QueueRole::Main);
-            recorder.copy(pictures, 0, staging, 0, view.pixels);
+            recorder.copy(images, 0, staging, 0, view.pixels);
             self.gpu().submit(recorder, &[])?.wait()?;
             bytes.words.resize(view.pixels, 0);
             // One thread alone copies tens of megabytes in milliseconds.

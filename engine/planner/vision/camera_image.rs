@@ -1,4 +1,4 @@
-//! The front picture as brightness and color, and where a place on the road is in it.
+//! The front image as brightness and color, and where a place on the road is in it.
 
 use decouplegs_scene::Pose;
 use decouplegs_scene::camera::Intrinsics;
@@ -7,14 +7,14 @@ use glam::{DMat3, DVec2, DVec3};
 
 use crate::planner::Frame;
 
-/// A picture wider than this is halved until it is not, pixels: finer detail than that shows no more of markings.
+/// An image wider than this is halved until it is not, pixels: finer detail than that shows no more of markings.
 const WIDTH_PX_MAX: usize = 800;
 /// Added to brightness before it is compared, display-referred: so dark a pixel tells nothing.
 const BLACK: f32 = 0.02;
 /// Distance to the plane of the lens below which pixels are ignored, meters.
 const NEAR_M: f64 = 0.3;
 
-/// Brightness and color of one place in a picture.
+/// Brightness and color of one place in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Color {
     /// Mean of the three channels, display-referred, 0 to 1, and a little above zero.
@@ -33,8 +33,8 @@ impl Color {
     }
 }
 
-/// A picture of the road, and the camera that made it over flat ground.
-pub(super) struct Picture {
+/// An image of the road, and the camera that made it over flat ground.
+pub(super) struct Image {
     width: usize,
     height: usize,
     colors: Vec<Color>,
@@ -49,8 +49,8 @@ pub(super) struct Picture {
     ground_z_m: f64,
 }
 
-impl Picture {
-    /// The picture of `frame` for an ego so high; `None` where its bytes are not those of its camera.
+impl Image {
+    /// The image of `frame` for an ego so high; `None` where its bytes are not those of its camera.
     pub(super) fn of(frame: &Frame, ego_height_m: f64) -> Option<Self> {
         let camera = frame.camera;
         camera.intrinsics.check().ok()?;
@@ -106,7 +106,7 @@ impl Picture {
         from_camera_m.max(NEAR_M) / self.intrinsics.fx_px
     }
 
-    /// Pixels of the picture that a meter along the road fills at a distance ahead.
+    /// Pixels of the image that a meter along the road fills at a distance ahead.
     pub(super) fn pixels_along(&self, distance_m: f64) -> f64 {
         let row = |distance_m: f64| {
             let seen = self.rotation * DVec3::new(distance_m, 0.0, self.ground_z_m) + self.translation;
@@ -127,7 +127,7 @@ impl Picture {
     }
 }
 
-/// A camera whose picture is `scale` times as large.
+/// A camera whose image is `scale` times as large.
 fn scaled(intrinsics: &Intrinsics, scale: f64) -> Intrinsics {
     Intrinsics {
         fx_px: intrinsics.fx_px * scale,
@@ -139,7 +139,7 @@ fn scaled(intrinsics: &Intrinsics, scale: f64) -> Intrinsics {
     }
 }
 
-/// Colors of a picture of `size` (width, height), each the mean of `block` by `block` pixels of `rgba`.
+/// Colors of an image of `size` (width, height), each the mean of `block` by `block` pixels of `rgba`.
 fn halved(rgba: &[u8], width: usize, size: (usize, usize), block: usize) -> Vec<Color> {
     let mut colors = Vec::with_capacity(size.0 * size.1);
     for y in 0..size.1 {
