@@ -30,4 +30,4 @@ pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
-pub use live_scene::{LiveEditError, LiveScene, Moment, Placed};
+pub use live_scene::{AgentInstance, LiveEditError, LiveScene, SceneSnapshot};

@@ -3,7 +3,7 @@
 mod editing;
 
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
-use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentWorld, Scene};
+use decouplegs_render::{Agent, AssetId, AssetPool, GpuScene, RenderError, Renderer, Scene};
 use decouplegs_scene::light::Lighting;
 use decouplegs_scene::{ContactShadow, Pose, ShFrame};
 use glam::DVec3;
@@ -37,7 +37,7 @@ pub use editing::LiveEditError;
 /// ```
 pub struct LiveScene {
     /// The background.
-    pub world: ResidentWorld,
+    pub world: GpuScene,
     /// The agents' assets.
     pub pool: AssetPool,
     assets: Vec<LiveAsset>,
@@ -59,7 +59,7 @@ struct LiveAsset {
 
 /// An agent as somebody puts it into a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placed {
+pub struct AgentInstance {
     /// Index of its asset in [`LoadedScene::assets`].
     pub asset: usize,
     /// Pose, world coordinates.
@@ -72,7 +72,7 @@ pub struct Placed {
 
 /// All that moves in a scene, at one instant.
 #[derive(Clone, Debug, Default)]
-pub struct Moment {
+pub struct SceneSnapshot {
     /// The agents, in the light of where they stand.
     pub agents: Vec<Agent>,
     /// The contact shadows that they throw.
@@ -93,7 +93,7 @@ impl LiveScene {
     /// [`LiveScene::new`], of what belongs to `layer`: all, the background without agents and their shadows, or the agents over
     /// nothing, in the light of the background.
     ///
-    /// Agents alone still have shadows in their [`Moment`]: these lie on agents of plain splats, as in the full image.
+    /// Agents alone still have shadows in their [`SceneSnapshot`]: these lie on agents of plain splats, as in the full image.
     ///
     /// # Errors
     /// When the device has not the memory, or an asset cannot be drawn.
@@ -149,14 +149,14 @@ impl LiveScene {
 
     /// All agents where they are at `time_s`, in the light of the scene.
     #[must_use]
-    pub fn at(&self, time_s: f64) -> Moment {
+    pub fn at(&self, time_s: f64) -> SceneSnapshot {
         self.posed(|agent| agent.trajectory.at(time_s))
     }
 
     /// All agents where `pose_of` puts them, world coordinates, in the light of the scene.
     #[must_use]
-    pub fn posed(&self, pose_of: impl Fn(&LoadedAgent) -> Pose) -> Moment {
-        let placed = |agent: &LoadedAgent| Placed {
+    pub fn posed(&self, pose_of: impl Fn(&LoadedAgent) -> Pose) -> SceneSnapshot {
+        let placed = |agent: &LoadedAgent| AgentInstance {
             asset: agent.asset,
             pose: pose_of(agent),
             sh_frame: Some(agent.sh_frame),
@@ -170,16 +170,16 @@ impl LiveScene {
     /// # Panics
     /// When an asset is not one of the scene's.
     #[must_use]
-    pub fn placed(&self, placed: &[Placed]) -> Moment {
-        let sh_frame = |placed: &Placed| placed.sh_frame.unwrap_or(self.assets[placed.asset].sh_frame);
-        let to_light = |placed: &Placed| (placed.pose, self.assets[placed.asset].dims_m, sh_frame(placed));
+    pub fn placed(&self, placed: &[AgentInstance]) -> SceneSnapshot {
+        let sh_frame = |placed: &AgentInstance| placed.sh_frame.unwrap_or(self.assets[placed.asset].sh_frame);
+        let to_light = |placed: &AgentInstance| (placed.pose, self.assets[placed.asset].dims_m, sh_frame(placed));
         let lit = self.lighting.as_ref().map(|lighting| lighting.of_agents(&placed.iter().map(to_light).collect::<Vec<_>>()));
-        let agent = |(index, placed): (usize, &Placed)| Agent {
+        let agent = |(index, placed): (usize, &AgentInstance)| Agent {
             sh_frame: Some(sh_frame(placed)),
             relight: lit.as_ref().and_then(|lit| lit[index].relight),
             ..Agent::new(self.assets[placed.asset].id, placed.pose, placed.instance)
         };
-        Moment {
+        SceneSnapshot {
             agents: placed.iter().enumerate().map(agent).collect(),
             shadows: lit.iter().flatten().filter_map(|lit| lit.shadow).collect(),
             unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
@@ -188,7 +188,7 @@ impl LiveScene {
 
     /// The background with what moves, as [`Renderer::render`] takes it.
     #[must_use]
-    pub fn with<'a>(&'a self, moment: &'a Moment) -> Scene<'a> {
+    pub fn with<'a>(&'a self, moment: &'a SceneSnapshot) -> Scene<'a> {
         Scene { shadows: &moment.shadows, ..Scene::with_agents(&self.world, &self.pool, &moment.agents) }
     }
 }

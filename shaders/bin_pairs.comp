@@ -1,9 +1,9 @@
 #version 460
-// Tile binning: a (macro tile, record) pair for every macro tile that a record reaches, by depth slab.
+// Tile binning: a (coarse tile, record) pair for every coarse tile that a record reaches, by depth slab.
 //
-// Run twice. The first run counts the pairs of each macro tile and depth slab. plan_buckets then gives each of them a stretch of
+// Run twice. The first run counts the pairs of each coarse tile and depth slab. plan_buckets then gives each of them a stretch of
 // the pair buffer, and the second run fills it. The order within a stretch is that of the atomics: sort_buckets makes it one order.
-// Rows of macro tiles of records that have many are shared out over the workgroup.
+// Rows of coarse tiles of records that have many are shared out over the workgroup.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -23,11 +23,11 @@ layout(constant_id = 0) const bool FILL = false;   // the second run
 layout(constant_id = 1) const bool RADIAL = false; // keys are of distances instead of depths
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer needs_block { Needs needs; };
+layout(set = 0, binding = 1, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 2, scalar) readonly buffer lists_block { ViewLists lists[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer keys_block { uint keys[]; };
 layout(set = 0, binding = 4, std430) readonly buffer footprints_block { vec4 footprints[]; };
-layout(set = 0, binding = 5, scalar) buffer slab_counts_block { uint slab_counts[]; }; // [macro tile][slab]; for FILL, the next place
+layout(set = 0, binding = 5, scalar) buffer slab_counts_block { uint slab_counts[]; }; // [coarse tile][slab]; for FILL, the next place
 layout(set = 0, binding = 6, scalar) writeonly buffer pair_keys_block { uint pair_keys[]; };
 layout(set = 0, binding = 7, scalar) writeonly buffer pair_records_block { uint pair_records[]; };
 
@@ -37,7 +37,7 @@ layout(push_constant, scalar) uniform push_block {
     uint pairs_max;
 };
 
-// Records with more rows of macro tiles than this are binned by the whole workgroup, one thread per row.
+// Records with more rows of coarse tiles than this are binned by the whole workgroup, one thread per row.
 const uint ALONE_ROWS_MAX = 2u;
 
 // By thread: the record it gave away, and how many rows were given away before it.
@@ -61,9 +61,9 @@ Footprint load_footprint(uint record) {
 
 void bin_row(Camera camera, Footprint splat, uint record, uint key, uint row) {
     uint slab = slab_and_place(key, RADIAL ? 0.0 : camera.key_depth, camera.key_scale).x;
-    ivec2 tiles = reached_macro_tiles(splat, row, camera.size_px);
+    ivec2 tiles = reached_coarse_tiles(splat, row, camera.size_px);
     for (int tile = tiles.x; tile <= tiles.y; ++tile) {
-        uint bin = camera.first_bin + row * camera.macro_tiles.x + uint(tile);
+        uint bin = camera.first_bin + row * camera.coarse_tiles.x + uint(tile);
         uint place = atomicAdd(slab_counts[bin * SLABS + slab], 1u);
         if (FILL && place < pairs_max) {
             pair_keys[place] = key;
@@ -82,8 +82,8 @@ uint giver_of(uint row) {
 }
 
 void main() {
-    uint record_count = held(needs.records, records_max);
-    if (FILL && wanted_pairs(needs) > pairs_max) {
+    uint record_count = held(required.records, records_max);
+    if (FILL && wanted_pairs(required) > pairs_max) {
         return; // the need is known: the host grows the buffer and draws again
     }
     uint first_record = group_index() * PAIR_BLOCK;
@@ -94,7 +94,7 @@ void main() {
         uint record = real ? base + thread : first_record;
         Camera camera = cameras[camera_of(record)];
         Footprint splat = load_footprint(record);
-        ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
+        ivec2 rows = reached_coarse_rows(splat, camera.size_px.y);
         uint row_count = real ? uint(rows.y - rows.x + 1) : 0u;
         bool alone = row_count <= ALONE_ROWS_MAX;
         uint row_total;
@@ -111,7 +111,7 @@ void main() {
             uint giver_record = shared_records[giver];
             Camera giver_camera = cameras[camera_of(giver_record)];
             Footprint giver_splat = load_footprint(giver_record);
-            uint row = uint(reached_macro_rows(giver_splat, giver_camera.size_px.y).x) + given - shared_rows_before[giver];
+            uint row = uint(reached_coarse_rows(giver_splat, giver_camera.size_px.y).x) + given - shared_rows_before[giver];
             bin_row(giver_camera, giver_splat, giver_record, keys[giver_record], row);
         }
         barrier(); // the shared lists are read to their end

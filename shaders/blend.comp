@@ -1,16 +1,16 @@
 #version 460
-// Blends one segment of one macro tile's list, front to back, into its 64 x 32 pixels.
+// Blends one segment of one coarse tile's list, front to back, into its 64 x 32 pixels.
 //
-// The list is taken in batches. Each thread stages some records and finds which of the 32 render tiles (8 x 8 pixels) they can
-// reach; the masks are turned into one bit list per render tile. Then every subgroup works by itself: it finds which records of its
+// The list is taken in batches. Each thread stages some records and finds which of the 32 fine tiles (8 x 8 pixels) they can
+// reach; the masks are turned into one bit list per fine tile. Then every subgroup works by itself: it finds which records of its
 // tile can reach which 4 x 4 block of it, and eight lanes blend the list of their block, two pixels a lane. So a splat costs only
 // where it is, and threads wait for each other only while a batch is staged. Sums are f32; the pixel decides alpha >= 1/255 by
 // itself, lists only leave out what that test would refuse.
 //
-// Where a segment is one batch, subgroups take their shares of the macro tile from a counter, and one that meets few records takes
+// Where a segment is one batch, subgroups take their shares of the coarse tile from a counter, and one that meets few records takes
 // more of them. Where it is several, each keeps four shares in registers from batch to batch.
 //
-// A segment leaves out render tiles that the segments before it have covered, as far as these are done when it starts:
+// A segment leaves out fine tiles that the segments before it have covered, as far as these are done when it starts:
 // composite stops at the same transmittance, so that the image does not depend on who was done first.
 //
 // By an exclusive stop, where a pixel ends depends on all that lies before it. The first segment of a list knows that and
@@ -42,8 +42,8 @@ layout(constant_id = 7) const bool FINISH = false; // blend again what composite
 layout(constant_id = 8) const uint BATCH = 512u; // records that are staged at a time, a multiple of 32
 layout(constant_id = 9) const bool ONE_BATCH = false; // no segment is longer than a batch
 
-layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
-layout(set = 0, binding = 6, scalar) readonly buffer items_block { Item items[]; };
+layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
+layout(set = 0, binding = 6, scalar) readonly buffer items_block { BlendItem items[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer records_block { uint records[]; };
 layout(set = 0, binding = 8, std430) readonly buffer footprints_block { vec4 footprints[]; };
 layout(set = 0, binding = 9, std430) readonly buffer colors_block { vec4 colors[]; };
@@ -51,14 +51,14 @@ layout(set = 0, binding = 10, std430) buffer partial_colors_block { vec4 partial
 layout(set = 0, binding = 11, std430) buffer partial_depths_block { float partial_depths[]; };
 layout(set = 0, binding = 12, std430) buffer partial_instances_block { uvec2 partial_instances[]; };
 
-// Per partial result and render tile: bits of the largest transmittance that it left, or 0 while
+// Per partial result and fine tile: bits of the largest transmittance that it left, or 0 while
 // that is not known.
 layout(set = 0, binding = 13, scalar) buffer partial_transmittances_block { uint partial_transmittances[]; };
 
 // Per splat: the sum of its weights in all pixels, in steps of 1 / contribution_scale.
 layout(set = 0, binding = 14, scalar) buffer contributions_block { uint contributions[]; };
 
-// Per partial result: the render tiles with pixels that are to be finished, as bits. Only with
+// Per partial result: the fine tiles with pixels that are to be finished, as bits. Only with
 // EXCLUSIVE_STOP or CONTRIBUTIONS.
 layout(set = 0, binding = 15, scalar) readonly buffer partial_unfinished_block { uint partial_unfinished[]; };
 
@@ -68,13 +68,13 @@ layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; 
 #include "lane_pixels.glsl"
 #include "partial.glsl"
 
-shared uint open_tiles; // render tiles that the segments before have not covered
+shared uint open_tiles; // fine tiles that the segments before have not covered
 shared uint open_subgroups; // whether one of them has a pixel that is not full
 shared uint next_share;
 shared uint tile_largest[32];
 
-// Render tiles that the segments before this one are not known to have covered. Every thread of the workgroup calls it.
-uint uncovered_tiles(Item item, uint thread) {
+// Fine tiles that the segments before this one are not known to have covered. Every thread of the workgroup calls it.
+uint uncovered_tiles(BlendItem item, uint thread) {
     uint tile = thread % 32u;
     uint row = thread / 32u;
     uint rows = THREADS / 32u;
@@ -138,7 +138,7 @@ bool blend_share(inout LanePixels pixels, uint first_place, uint batch_records) 
     uint listed = 0u; // records in the list of the lane's own block
     bool open = true;
     for (uint first_word = 0u; first_word < words && open; first_word += LANES) {
-        uint bits = tile_word(render_tile(first_place), first_word + lane, words);
+        uint bits = tile_word(fine_tile(first_place), first_word + lane, words);
         uint count = uint(bitCount(bits));
         uint before = subgroupExclusiveAdd(count);
         uint candidates = subgroupAdd(count);
@@ -190,18 +190,18 @@ Pixel unfinished_pixel(uint place, out bool full) {
     return pixel;
 }
 
-// The pixels of a lane before the segment is blended, the left one at `place` of the macro tile at `origin`.
-LanePixels first_pixels(Item item, Camera camera, uvec2 origin, uint place) {
+// The pixels of a lane before the segment is blended, the left one at `place` of the coarse tile at `origin`.
+LanePixels first_pixels(BlendItem item, Camera camera, uvec2 origin, uint place) {
     LanePixels pixels = empty_pixels(origin + pixel_offset(place), camera.size_px);
     if (FINISH) {
-        uint left = item.partial * MACRO_PIXELS + place;
+        uint left = item.partial * COARSE_PIXELS + place;
         pixels.left = unfinished_pixel(left, pixels.left_full);
         pixels.right = unfinished_pixel(left + LEFT_PIXELS, pixels.right_full);
     }
     return pixels;
 }
 
-void write_result(Item item, Camera camera, uvec2 origin, uint place, LanePixels pixels) {
+void write_result(BlendItem item, Camera camera, uvec2 origin, uint place, LanePixels pixels) {
     uvec2 at = origin + pixel_offset(place);
     if (FINISH) {
         // Composite has written the pixel as it is without an end in this segment, and pixels that were full before keep that.
@@ -215,23 +215,23 @@ void write_result(Item item, Camera camera, uvec2 origin, uint place, LanePixels
         write_pixel(camera, at, pixels.left, sky);
         write_pixel(camera, at + uvec2(2u, 0u), pixels.right, sky);
     } else {
-        uint left = item.partial * MACRO_PIXELS + place;
+        uint left = item.partial * COARSE_PIXELS + place;
         write_partial(left, pixels.left, pixels.left_full);
         write_partial(left + LEFT_PIXELS, pixels.right, pixels.right_full);
         // Positive floats order as their bits.
         float through = max(left_through(pixels.left, pixels.left_full), left_through(pixels.right, pixels.right_full));
-        atomicMax(tile_largest[render_tile(place)], floatBitsToUint(through));
+        atomicMax(tile_largest[fine_tile(place)], floatBitsToUint(through));
     }
 }
 
-// True if the share that begins at `first_place` has one of the segment's render tiles that are to
+// True if the share that begins at `first_place` has one of the segment's fine tiles that are to
 // be rendered.
 bool is_drawn(uint tiles, uint first_place) {
-    return (tiles >> render_tile(first_place) & (LANES > 32u ? 3u : 1u)) != 0u;
+    return (tiles >> fine_tile(first_place) & (LANES > 32u ? 3u : 1u)) != 0u;
 }
 
 // Blends a segment of one batch: subgroups take shares from a counter.
-void blend_one_batch(Item item, Camera camera, uvec2 origin, uint tiles) {
+void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     stage_records(item.first_pair, item.pairs, origin, camera.size_px);
     barrier();
     // As many rounds as shares, so that the loop ends even if a counter is wrong.
@@ -255,7 +255,7 @@ void blend_one_batch(Item item, Camera camera, uvec2 origin, uint tiles) {
 }
 
 // Blends a segment of any length: each subgroup has its shares from the first batch to the last.
-void blend_batches(Item item, Camera camera, uvec2 origin, uint tiles) {
+void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     uint lane = gl_SubgroupInvocationID;
     uint first0 = gl_LocalInvocationIndex / LANES * LANES;
     uint first1 = first0 + THREADS;
@@ -305,12 +305,12 @@ void blend_batches(Item item, Camera camera, uvec2 origin, uint tiles) {
 
 void main() {
     uint item_index = group_index();
-    if (item_index >= min(needs.items, items_max)) {
+    if (item_index >= min(required.items, items_max)) {
         return;
     }
-    Item item = items[item_index];
+    BlendItem item = items[item_index];
     Camera camera = cameras[camera_of_bin(item.bin, camera_count)];
-    uvec2 origin = macro_tile_origin(item.bin, camera);
+    uvec2 origin = coarse_tile_origin(item.bin, camera);
     uint thread = gl_LocalInvocationIndex;
     if (thread < 32u) {
         tile_largest[thread] = 1u; // 0 would mean that it is not known

@@ -1,5 +1,5 @@
 #version 460
-// Joins the segments of macro tiles that were cut, front to back, and writes their pixels.
+// Joins the segments of coarse tiles that were cut, front to back, and writes their pixels.
 //
 // By an exclusive stop, the pixel is left to be finished in the segment in which it ends: see blend.comp.
 #extension GL_GOOGLE_include_directive : require
@@ -9,13 +9,13 @@
 #include "output.glsl"
 
 const uint WORKGROUP_THREADS = 256u;
-const uint COMPOSITE_GROUPS = MACRO_PIXELS / WORKGROUP_THREADS; // workgroups that share a macro tile
+const uint COMPOSITE_GROUPS = COARSE_PIXELS / WORKGROUP_THREADS; // workgroups that share a coarse tile
 layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const bool EXCLUSIVE_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 4) const bool CONTRIBUTIONS = false;  // every segment is left to be finished, so that its weights can be counted
 
-layout(set = 0, binding = 5, scalar) readonly buffer needs_block { Needs needs; };
+layout(set = 0, binding = 5, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 6, scalar) readonly buffer composites_block { Composite composites[]; };
 layout(set = 0, binding = 7, std430) buffer partial_colors_block { vec4 partial_colors[]; };
 layout(set = 0, binding = 8, std430) buffer partial_depths_block { float partial_depths[]; };
@@ -33,30 +33,30 @@ const uint AHEAD = 4u;
 // Leaves `before`, what lies before segment `slot`, in the place of what the segment adds, to be blended again from there.
 void leave_unfinished(uint slot, uint place, uint tile, Pixel before) {
     before.transmittance = -before.transmittance;
-    store_partial(slot * MACRO_PIXELS + place, before);
+    store_partial(slot * COARSE_PIXELS + place, before);
     atomicOr(partial_unfinished[slot], 1u << tile);
 }
 
 void main() {
     uint composite_index = group_index() / COMPOSITE_GROUPS;
-    if (composite_index >= needs.composites) {
+    if (composite_index >= required.composites) {
         return;
     }
     uint place = group_index() % COMPOSITE_GROUPS * WORKGROUP_THREADS + gl_LocalInvocationIndex; // in a partial result
     Composite composite = composites[composite_index];
     Camera camera = cameras[camera_of_bin(composite.bin, camera_count)];
-    uvec2 at = macro_tile_origin(composite.bin, camera) + pixel_offset(place);
+    uvec2 at = coarse_tile_origin(composite.bin, camera) + pixel_offset(place);
     if (any(greaterThanEqual(at, camera.size_px))) {
         return;
     }
     Pixel pixel = PIXEL_EMPTY;
     bool open = true;
-    uint first_place = composite.first_partial * MACRO_PIXELS + place;
+    uint first_place = composite.first_partial * COARSE_PIXELS + place;
     // Segments behind a full pixel may never have been blended. They may be read, not used.
     for (uint base = 0u; base < composite.partials && open; base += AHEAD) {
         Pixel ahead[AHEAD];
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
-            ahead[next] = load_partial(first_place + min(base + next, composite.partials - 1u) * MACRO_PIXELS);
+            ahead[next] = load_partial(first_place + min(base + next, composite.partials - 1u) * COARSE_PIXELS);
         }
         [[unroll]] for (uint next = 0u; next < AHEAD; ++next) {
             uint segment = base + next;
@@ -68,7 +68,7 @@ void main() {
                 pixel = over(before, ahead[next]);
                 bool ends = EXCLUSIVE_STOP && segment > 0u && pixel.transmittance <= TRANSMITTANCE_MIN;
                 if (ends || (CONTRIBUTIONS && segment > 0u)) {
-                    leave_unfinished(composite.first_partial + segment, place, render_tile(place), before);
+                    leave_unfinished(composite.first_partial + segment, place, fine_tile(place), before);
                 }
                 open = EXCLUSIVE_STOP ? open && !ends : pixel.transmittance > TRANSMITTANCE_FULL;
             }

@@ -1,8 +1,8 @@
 #version 460
 // Frustum culling of clusters and splats: a bit per splat and camera of the rig.
 //
-// One workgroup a chunk, one thread a splat; attributes are read once for all cameras. A chunk whose box cannot reach a
-// camera's image is skipped with one test. Writes one bit a splat and the count a (camera, chunk).
+// One workgroup a cluster, one thread a splat; attributes are read once for all cameras. A cluster whose box cannot reach a
+// camera's image is skipped with one test. Writes one bit a splat and the count a (camera, cluster).
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"
@@ -14,38 +14,38 @@
 layout(local_size_x = 256) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer cameras_block { Camera cameras[]; };
-layout(set = 0, binding = 1, scalar) readonly buffer chunks_block { Chunk chunks[]; };
+layout(set = 0, binding = 1, scalar) readonly buffer clusters_block { Cluster clusters[]; };
 layout(set = 0, binding = 2, scalar) readonly buffer means_block { vec3 means_m[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer shapes_block { vec4 shapes[]; };       // scales (m), opacity
 layout(set = 0, binding = 4, scalar) readonly buffer rotations_block { vec4 rotations[]; }; // w, x, y, z
 layout(set = 0, binding = 5, scalar) writeonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
 
-layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint chunk_count; };
+layout(push_constant, scalar) uniform push_block { uint splat_count; uint camera_count; uint cluster_count; };
 
 const uint CAMERAS_MAX = 32u;
-shared uint words[CAMERAS_MAX * CHUNK_WORDS];
+shared uint words[CAMERAS_MAX * CLUSTER_WORDS];
 
 void main() {
-    uint chunk_index = group_index();
-    if (chunk_index >= chunk_count) {
+    uint cluster_index = group_index();
+    if (cluster_index >= cluster_count) {
         return;
     }
     uint thread = gl_LocalInvocationIndex;
-    for (uint word = thread; word < camera_count * CHUNK_WORDS; word += CHUNK_SPLATS) {
+    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
         words[word] = 0u;
     }
     barrier();
 
-    Chunk chunk = chunks[chunk_index];
-    uint splat_index = chunk_index * CHUNK_SPLATS + thread;
+    Cluster cluster = clusters[cluster_index];
+    uint splat_index = cluster_index * CLUSTER_SPLATS + thread;
     bool loaded = false;
     vec3 mean_m;
     float opacity;
     mat3 axes;
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
         Camera camera = cameras[camera_index];
-        if (splat_index >= splat_count || !chunk_reaches_seen(chunk, camera, camera_index)) {
+        if (splat_index >= splat_count || !cluster_overlaps_any_lens(cluster, camera, camera_index)) {
             continue;
         }
         if (!loaded) {
@@ -61,21 +61,21 @@ void main() {
         vec3 offset = from_camera_m(mean_m, camera);
         vec3 t = to_camera_axes(camera, offset);
         Footprint splat;
-        if (project_splat_seen(camera, camera_index, t, axes, opacity, splat) && splat_reaches(splat, camera)) {
-            atomicOr(words[camera_index * CHUNK_WORDS + thread / 32u], 1u << (thread % 32u));
+        if (project_splat_seen(camera, camera_index, t, axes, opacity, splat) && splat_overlaps(splat, camera)) {
+            atomicOr(words[camera_index * CLUSTER_WORDS + thread / 32u], 1u << (thread % 32u));
         }
     }
     barrier();
 
-    for (uint word = thread; word < camera_count * CHUNK_WORDS; word += CHUNK_SPLATS) {
-        uint camera_index = word / CHUNK_WORDS;
-        visible_words[(camera_index * chunk_count + chunk_index) * CHUNK_WORDS + word % CHUNK_WORDS] = words[word];
+    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
+        uint camera_index = word / CLUSTER_WORDS;
+        visible_words[(camera_index * cluster_count + cluster_index) * CLUSTER_WORDS + word % CLUSTER_WORDS] = words[word];
     }
     if (thread < camera_count) {
         uint count = 0u;
-        for (uint word = 0u; word < CHUNK_WORDS; ++word) {
-            count += bitCount(words[thread * CHUNK_WORDS + word]);
+        for (uint word = 0u; word < CLUSTER_WORDS; ++word) {
+            count += bitCount(words[thread * CLUSTER_WORDS + word]);
         }
-        visible_counts[thread * chunk_count + chunk_index] = count;
+        visible_counts[thread * cluster_count + cluster_index] = count;
     }
 }

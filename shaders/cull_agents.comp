@@ -1,7 +1,7 @@
 #version 460
 // Frustum culling of the agents' splats: a bit per splat and camera of the rig.
 //
-// One workgroup a chunk of an agent, one thread a splat. Which cameras may see the agent at all is known from its box.
+// One workgroup a cluster of an agent, one thread a splat. Which cameras may see the agent at all is known from its box.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"
@@ -14,31 +14,31 @@
 layout(local_size_x = 256) in;
 #include "agent_buffers.glsl"
 
-layout(set = 0, binding = 4, scalar) readonly buffer asset_chunks_block { Chunk asset_chunks[]; };
+layout(set = 0, binding = 4, scalar) readonly buffer asset_clusters_block { Cluster asset_clusters[]; };
 layout(set = 0, binding = 5, scalar) writeonly buffer visible_words_block { uint visible_words[]; };
 layout(set = 0, binding = 6, scalar) writeonly buffer visible_counts_block { uint visible_counts[]; };
 
-layout(push_constant, scalar) uniform push_block { uint agent_count; uint camera_count; uint chunk_count; };
+layout(push_constant, scalar) uniform push_block { uint agent_count; uint camera_count; uint cluster_count; };
 
 const uint CAMERAS_MAX = 32u;
-shared uint words[CAMERAS_MAX * CHUNK_WORDS];
+shared uint words[CAMERAS_MAX * CLUSTER_WORDS];
 
 void main() {
-    uint chunk_index = group_index();
-    if (chunk_index >= chunk_count) {
+    uint cluster_index = group_index();
+    if (cluster_index >= cluster_count) {
         return;
     }
     uint thread = gl_LocalInvocationIndex;
-    for (uint word = thread; word < camera_count * CHUNK_WORDS; word += CHUNK_SPLATS) {
+    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
         words[word] = 0u;
     }
     barrier();
 
-    uint agent_index = agent_of_chunk(chunk_index, agent_count);
+    uint agent_index = agent_of_cluster(cluster_index, agent_count);
     Agent agent = agents[agent_index];
-    uint own_chunk = chunk_index - agent.first_chunk;
-    Chunk chunk = asset_chunks[agent.first_bounds + own_chunk];
-    uint own_splat = own_chunk * CHUNK_SPLATS + thread;
+    uint own_cluster = cluster_index - agent.first_cluster;
+    Cluster cluster = asset_clusters[agent.first_bounds + own_cluster];
+    uint own_splat = own_cluster * CLUSTER_SPLATS + thread;
     bool loaded = false;
     CodedSplat coded;
     mat3 axes;
@@ -47,7 +47,7 @@ void main() {
             continue;
         }
         Camera camera = agent_cameras[agent_index * camera_count + camera_index];
-        if (!chunk_reaches_seen(chunk, camera, camera_index)) {
+        if (!cluster_overlaps_any_lens(cluster, camera, camera_index)) {
             continue;
         }
         if (!loaded) {
@@ -57,21 +57,21 @@ void main() {
         }
         vec3 t = to_camera_axes(camera, from_camera_m(coded.mean_m, camera));
         Footprint splat;
-        if (project_splat_seen(camera, camera_index, t, axes, coded.opacity, splat) && splat_reaches(splat, camera)) {
-            atomicOr(words[camera_index * CHUNK_WORDS + thread / 32u], 1u << (thread % 32u));
+        if (project_splat_seen(camera, camera_index, t, axes, coded.opacity, splat) && splat_overlaps(splat, camera)) {
+            atomicOr(words[camera_index * CLUSTER_WORDS + thread / 32u], 1u << (thread % 32u));
         }
     }
     barrier();
 
-    for (uint word = thread; word < camera_count * CHUNK_WORDS; word += CHUNK_SPLATS) {
-        uint camera_index = word / CHUNK_WORDS;
-        visible_words[(camera_index * chunk_count + chunk_index) * CHUNK_WORDS + word % CHUNK_WORDS] = words[word];
+    for (uint word = thread; word < camera_count * CLUSTER_WORDS; word += CLUSTER_SPLATS) {
+        uint camera_index = word / CLUSTER_WORDS;
+        visible_words[(camera_index * cluster_count + cluster_index) * CLUSTER_WORDS + word % CLUSTER_WORDS] = words[word];
     }
     if (thread < camera_count) {
         uint count = 0u;
-        for (uint word = 0u; word < CHUNK_WORDS; ++word) {
-            count += bitCount(words[thread * CHUNK_WORDS + word]);
+        for (uint word = 0u; word < CLUSTER_WORDS; ++word) {
+            count += bitCount(words[thread * CLUSTER_WORDS + word]);
         }
-        visible_counts[thread * chunk_count + chunk_index] = count;
+        visible_counts[thread * cluster_count + cluster_index] = count;
     }
 }

@@ -2,7 +2,7 @@
 // Culling of contact shadows: a bit per shadow and cluster of the background. Where no agent stands
 // near, projection reads a zero.
 //
-// One thread a word: 32 shadows on one chunk.
+// One thread a word: 32 shadows on one cluster.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"
@@ -10,16 +10,16 @@
 
 layout(local_size_x = 256) in;
 
-layout(set = 0, binding = 0, scalar) readonly buffer chunks_block { Chunk chunks[]; };
+layout(set = 0, binding = 0, scalar) readonly buffer clusters_block { Cluster clusters[]; };
 layout(set = 0, binding = 1, scalar) readonly buffer shadows_block { Shadow shadows[]; };
-layout(set = 0, binding = 2, scalar) writeonly buffer shadow_words_block { uint shadow_words[]; }; // [chunk][word]
+layout(set = 0, binding = 2, scalar) writeonly buffer shadow_words_block { uint shadow_words[]; }; // [cluster][word]
 
-layout(push_constant, scalar) uniform push_block { uint chunk_count; uint shadow_count; };
+layout(push_constant, scalar) uniform push_block { uint cluster_count; uint shadow_count; };
 
 // True if the box of the cluster's means reaches into the slab of ground that the shadow lies on.
-bool shadow_reaches(Shadow shadow, Chunk chunk) {
-    vec3 center = from_shadow_m(chunk.center_m, shadow);
-    vec3 half_extent = chunk.half_extent_m;
+bool shadow_reaches(Shadow shadow, Cluster cluster) {
+    vec3 center = from_shadow_m(cluster.center_m, shadow);
+    vec3 half_extent = cluster.half_extent_m;
     // Rounding of the box, relative to its distance.
     float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(half_extent, vec3(1.0)));
     vec3 wide = half_extent + slack;
@@ -31,16 +31,16 @@ bool shadow_reaches(Shadow shadow, Chunk chunk) {
 void main() {
     uint words = (shadow_count + 31u) / 32u;
     uint index = group_index() * gl_WorkGroupSize.x + gl_LocalInvocationIndex;
-    if (words == 0u || index >= chunk_count * words) {
+    if (words == 0u || index >= cluster_count * words) {
         return;
     }
-    Chunk chunk = chunks[index / words];
+    Cluster cluster = clusters[index / words];
     uint first = index % words * 32u;
     uint bits = 0u;
-    // A negative reach: nothing of the chunk is drawn.
-    if (chunk.reach_m >= 0.0) {
+    // A negative reach: nothing of the cluster is drawn.
+    if (cluster.reach_m >= 0.0) {
         for (uint bit = 0u; bit < min(32u, shadow_count - first); ++bit) {
-            bits |= uint(shadow_reaches(shadows[first + bit], chunk)) << bit;
+            bits |= uint(shadow_reaches(shadows[first + bit], cluster)) << bit;
         }
     }
     shadow_words[index] = bits;

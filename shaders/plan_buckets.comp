@@ -1,7 +1,7 @@
 #version 460
-// Gives each macro tile a stretch of the pair buffer and cuts it into buckets, which are sorted one by one.
+// Gives each coarse tile a stretch of the pair buffer and cuts it into buckets, which are sorted one by one.
 //
-// One workgroup per macro tile. The position of a tile's stretch depends on the order in which workgroups run; its content does not. A
+// One workgroup per coarse tile. The position of a tile's stretch depends on the order in which workgroups run; its content does not. A
 // bucket is a run of neighboring depth slabs. It ends with the slab in which the running count of pairs passes a multiple of
 // BUCKET_PAIRS. A slab of BUCKET_PAIRS or more is a bucket by itself. So a bucket has fewer than twice BUCKET_PAIRS pairs, or is one
 // slab. It may be empty.
@@ -18,7 +18,7 @@ const uint WORKGROUP_THREADS = 256u;
 layout(local_size_x = 256) in;
 #include "block.glsl"
 
-layout(set = 0, binding = 0, scalar) buffer needs_block { Needs needs; };
+layout(set = 0, binding = 0, scalar) buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 1, scalar) buffer slab_counts_block { uint slab_counts[]; }; // pairs, then the first place
 layout(set = 0, binding = 2, scalar) writeonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
 layout(set = 0, binding = 3, scalar) writeonly buffer buckets_block { Bucket buckets[]; };
@@ -75,10 +75,10 @@ void main() {
     bool rest = total > (end_total == 0u ? 0u : ends[end_total - 1u]);
     uint bucket_count = end_total + (rest ? 1u : 0u);
     if (thread == 0u) {
-        first_place = atomicAdd(needs.pairs, total);
-        atomicAdd(needs.pairs_low, total & 0xffffu);
-        atomicAdd(needs.pairs_high, total >> 16u);
-        first_bucket = atomicAdd(needs.buckets, bucket_count);
+        first_place = atomicAdd(required.pairs, total);
+        atomicAdd(required.pairs_low, total & 0xffffu);
+        atomicAdd(required.pairs_high, total >> 16u);
+        first_bucket = atomicAdd(required.buckets, bucket_count);
         tile_lists[bin] = uvec2(first_place, total);
     }
     barrier();

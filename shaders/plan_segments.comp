@@ -1,5 +1,5 @@
 #version 460
-// Cuts each macro tile's list into segments that are blended side by side, and plans how their results are joined.
+// Cuts each coarse tile's list into segments that are blended side by side, and plans how their results are joined.
 //
 // One tile may hold a hundred times the average list; blended by one workgroup it would set the frame's time. Over is
 // associative, (C, T) o (C', T') = (C + T C', T T'), so segments need not wait for each other. A tile's segments depend on
@@ -21,9 +21,9 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 0) const uint SEGMENT_PAIRS = 1024u; // 0xffffffff: never cut, blend each list in one run
 
-layout(set = 0, binding = 0, scalar) buffer needs_block { Needs needs; };
+layout(set = 0, binding = 0, scalar) buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 1, scalar) readonly buffer tile_lists_block { uvec2 tile_lists[]; }; // first place and length
-layout(set = 0, binding = 2, scalar) writeonly buffer items_block { Item items[]; };
+layout(set = 0, binding = 2, scalar) writeonly buffer items_block { BlendItem items[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer composites_block { Composite composites[]; };
 layout(set = 0, binding = 4, scalar) writeonly buffer arguments_block { uvec3 arguments[]; };
 
@@ -34,8 +34,8 @@ layout(push_constant, scalar) uniform push_block {
     uint partials_max;
 };
 
-// Workgroups that share the joining of one macro tile.
-const uint COMPOSITE_GROUPS = MACRO_PIXELS / 256u;
+// Workgroups that share the joining of one coarse tile.
+const uint COMPOSITE_GROUPS = COARSE_PIXELS / 256u;
 
 shared uint longest_list;
 
@@ -90,7 +90,7 @@ void main() {
         // Without room for the partial result any slot is valid: the image is rendered again.
         uint slot = cut ? min(partial + segment, partials_max - 1u) : NO_PARTIAL;
         if (item < items_max) {
-            items[item] = Item(bin, list.x + taken, segment + 1u < segments ? SEGMENT_PAIRS : length - taken, slot, segment);
+            items[item] = BlendItem(bin, list.x + taken, segment + 1u < segments ? SEGMENT_PAIRS : length - taken, slot, segment);
         }
     }
     if (cut && first_segment == 0u) {
@@ -100,12 +100,12 @@ void main() {
         uint all_items = items_before + item_total;
         uint all_partials = partials_before + partial_total;
         uint all_composites = composites_before + composite_total;
-        uint pairs = wanted_pairs(needs);
-        needs.pairs = pairs;
-        needs.items = all_items;
-        needs.partials = all_partials;
-        needs.composites = all_composites;
-        needs.longest = longest_list; // block_sum has waited for all threads
+        uint pairs = wanted_pairs(required);
+        required.pairs = pairs;
+        required.items = all_items;
+        required.partials = all_partials;
+        required.composites = all_composites;
+        required.longest = longest_list; // block_sum has waited for all threads
         // Items without room are not rendered: the host grows the buffers and renders again.
         arguments[ARGUMENTS_BLEND] = groups_for(pairs <= pairs_max ? min(all_items, items_max) : 0u);
         arguments[ARGUMENTS_COMPOSITE] = groups_for(all_partials <= partials_max && pairs <= pairs_max ? all_composites * COMPOSITE_GROUPS : 0u);

@@ -1,7 +1,7 @@
 #version 460
 // Footprint, depth key and color of every visible (camera, splat) of the background, at the place that the scan gave it.
 //
-// One workgroup a chunk, one thread a splat, all cameras: attributes are read once. Records of a camera are in splat order: equal
+// One workgroup a cluster, one thread a splat, all cameras: attributes are read once. Records of a camera are in splat order: equal
 // depth keys are drawn in the order of records. Where the keys of a camera's direction are kept, they are read instead of computed.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
@@ -29,7 +29,7 @@ layout(set = 0, binding = 1, scalar) readonly buffer means_block { vec3 means_m[
 layout(set = 0, binding = 2, scalar) readonly buffer shapes_block { vec4 shapes[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer rotations_block { vec4 rotations[]; };
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
-layout(set = 0, binding = 5, scalar) readonly buffer firsts_block { uint firsts[]; };
+layout(set = 0, binding = 5, scalar) readonly buffer offsets_block { uint offsets[]; };
 layout(set = 0, binding = 6, scalar) readonly buffer sh_dc_block { vec3 sh_dc[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer sh_band1_block { uint sh_band1[]; }; // 5 words
 layout(set = 0, binding = 8, scalar) readonly buffer sh_band2_block { uint sh_band2[]; }; // 8 words
@@ -38,14 +38,14 @@ layout(set = 0, binding = 10, scalar) readonly buffer instances_block { uint ins
 layout(set = 0, binding = 14, scalar) readonly buffer key_sets_block { uint key_sets[]; };    // of each camera, or NO_KEY_SET
 layout(set = 0, binding = 15, scalar) readonly buffer kept_keys_block { uint kept_keys[]; }; // [set][splat]
 layout(set = 0, binding = 16, scalar) readonly buffer shadows_block { Shadow shadows[]; };
-layout(set = 0, binding = 17, scalar) readonly buffer shadow_words_block { uint shadow_words[]; }; // [chunk][word]
+layout(set = 0, binding = 17, scalar) readonly buffer shadow_words_block { uint shadow_words[]; }; // [cluster][word]
 
 layout(push_constant, scalar) uniform push_block {
     uint splat_count;
     uint camera_count;
-    uint chunk_count;
+    uint cluster_count;
     uint records_max;
-    uint shadow_word_count; // a chunk
+    uint shadow_word_count; // a cluster
 };
 
 // By plane: word w of splat i stands at w * splat_count + i, so that neighboring threads read neighboring words.
@@ -67,10 +67,10 @@ uint key_of(uint camera_index, uint splat_index, vec3 mean_m, Camera camera) {
 
 // Share of a splat's light after all shadows that may lie on the cluster; if cameras see different
 // shadows, after those that this camera sees.
-float light_left(uint chunk_index, vec3 mean_m, uint camera_index) {
+float light_left(uint cluster_index, vec3 mean_m, uint camera_index) {
     float light = 1.0;
     for (uint word = 0u; word < shadow_word_count; ++word) {
-        uint bits = shadow_words[chunk_index * shadow_word_count + word];
+        uint bits = shadow_words[cluster_index * shadow_word_count + word];
         while (bits != 0u) {
             uint index = 32u * word + uint(findLSB(bits));
             bits &= bits - 1u;
@@ -83,9 +83,9 @@ float light_left(uint chunk_index, vec3 mean_m, uint camera_index) {
 }
 
 void main() {
-    uint chunk_index = group_index();
+    uint cluster_index = group_index();
     uint thread = gl_LocalInvocationIndex;
-    uint splat_index = chunk_index * CHUNK_SPLATS + thread;
+    uint splat_index = cluster_index * CLUSTER_SPLATS + thread;
     if (splat_index >= splat_count) {
         return;
     }
@@ -95,12 +95,12 @@ void main() {
     mat3 axes;
     float light = 1.0;
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
-        uint list = camera_index * chunk_count + chunk_index;
-        int rank = visible_rank(list * CHUNK_WORDS, thread);
+        uint list = camera_index * cluster_count + cluster_index;
+        int rank = visible_rank(list * CLUSTER_WORDS, thread);
         if (rank < 0) {
             continue;
         }
-        uint slot = firsts[list] + uint(rank);
+        uint slot = offsets[list] + uint(rank);
         if (slot >= records_max) {
             continue; // the need is known: the host grows the buffer and draws again
         }
@@ -113,12 +113,12 @@ void main() {
             axes[1] *= shape.y;
             axes[2] *= shape.z;
             if (SHADOWS && !SHADOWS_BY_CAMERA) {
-                light = light_left(chunk_index, mean_m, camera_index);
+                light = light_left(cluster_index, mean_m, camera_index);
             }
             loaded = true;
         }
         if (SHADOWS_BY_CAMERA) {
-            light = light_left(chunk_index, mean_m, camera_index);
+            light = light_left(cluster_index, mean_m, camera_index);
         }
         Camera camera = cameras[camera_index];
         vec3 offset = from_camera_m(mean_m, camera);

@@ -23,17 +23,17 @@ layout(constant_id = 3) const bool RADIAL = false;
 layout(constant_id = 4) const bool RELIT = false; // some agents have colors of their own
 
 layout(set = 0, binding = 4, scalar) readonly buffer visible_words_block { uint visible_words[]; };
-layout(set = 0, binding = 5, scalar) readonly buffer firsts_block { uint firsts[]; }; // of agents, [camera][chunk]
+layout(set = 0, binding = 5, scalar) readonly buffer offsets_block { uint offsets[]; }; // of agents, [camera][cluster]
 layout(set = 0, binding = 6, scalar) readonly buffer coded_dc_block { vec3 coded_dc[]; };
 layout(set = 0, binding = 7, scalar) readonly buffer coded_bands_block { uint coded_bands[]; }; // 24 words a color
-layout(set = 0, binding = 8, scalar) readonly buffer static_firsts_block { uint static_firsts[]; }; // of the background
+layout(set = 0, binding = 8, scalar) readonly buffer static_offsets_block { uint static_offsets[]; }; // of the background
 layout(set = 0, binding = 9, scalar) readonly buffer relit_dc_block { vec3 relit_dc[]; };
 layout(set = 0, binding = 10, scalar) readonly buffer relit_bands_block { uint relit_bands[]; };
 
 layout(push_constant, scalar) uniform push_block {
     uint agent_count;
     uint camera_count;
-    uint chunk_count;
+    uint cluster_count;
     uint records_max;
     uint static_lists; // of the background: how many records it has stands behind them
 };
@@ -61,14 +61,14 @@ vec3 turned(Agent agent, vec3 d) {
 }
 
 void main() {
-    uint chunk_index = group_index();
-    if (chunk_index >= chunk_count) {
+    uint cluster_index = group_index();
+    if (cluster_index >= cluster_count) {
         return;
     }
     uint thread = gl_LocalInvocationIndex;
-    uint agent_index = agent_of_chunk(chunk_index, agent_count);
+    uint agent_index = agent_of_cluster(cluster_index, agent_count);
     Agent agent = agents[agent_index];
-    uint own_splat = (chunk_index - agent.first_chunk) * CHUNK_SPLATS + thread;
+    uint own_splat = (cluster_index - agent.first_cluster) * CLUSTER_SPLATS + thread;
     if (own_splat >= agent.splat_count) {
         return;
     }
@@ -77,12 +77,12 @@ void main() {
     CodedSplat coded;
     mat3 axes;
     for (uint camera_index = 0u; camera_index < camera_count; ++camera_index) {
-        uint list = camera_index * chunk_count + chunk_index;
-        int rank = visible_rank(list * CHUNK_WORDS, thread);
+        uint list = camera_index * cluster_count + cluster_index;
+        int rank = visible_rank(list * CLUSTER_WORDS, thread);
         if (rank < 0) {
             continue;
         }
-        uint slot = static_firsts[static_lists] + firsts[list] + uint(rank);
+        uint slot = static_offsets[static_lists] + offsets[list] + uint(rank);
         if (slot >= records_max) {
             continue; // the need is known: the host grows the buffer and draws again
         }

@@ -15,7 +15,7 @@ layout(local_size_x = 256) in;
 #include "block.glsl"
 
 layout(set = 0, binding = 0, scalar) readonly buffer counts_block { uint counts[]; };
-layout(set = 0, binding = 1, scalar) writeonly buffer firsts_block { uint firsts[]; };
+layout(set = 0, binding = 1, scalar) writeonly buffer offsets_block { uint offsets[]; };
 
 layout(push_constant, scalar) uniform push_block { uint count; };
 
@@ -40,11 +40,11 @@ void main() {
         uint total;
         uint offset = block_exclusive_sum(index < end ? counts[index] : 0u, total);
         if (index < end) {
-            firsts[index] = before + offset;
+            offsets[index] = before + offset;
         }
         before += total;
     }
     if (end == count && thread == 0u) {
-        firsts[count] = before;
+        offsets[count] = before;
     }
 }

@@ -5,7 +5,7 @@
 // - Up to FEW_PAIRS: each thread counts the pairs that come before its own.
 // - Up to SHARED_PAIRS: the pairs are distributed over bins in shared memory, as many bins as pairs. A depth slab gets as many bins as it
 //   has pairs. Each thread then counts within the bin of its pair, which holds few.
-// - More, which is always a single slab: the pairs are distributed over bins of the slab in global memory, and each chunk of bins is
+// - More, which is always a single slab: the pairs are distributed over bins of the slab in global memory, and each cluster of bins is
 //   sorted in shared memory.
 // Two fallbacks handle many pairs of almost one depth: a bitonic sort (Batcher, Sorting Networks and Their Applications, 1968) if a bin
 // holds more than BIN_PAIRS_MAX, and a radix sort in global memory, four bits per pass, if a bin does not fit shared memory.
@@ -23,7 +23,7 @@ const uint WORKGROUP_THREADS = 256u;
 layout(local_size_x = 256) in;
 #include "block.glsl"
 
-layout(set = 0, binding = 0, scalar) readonly buffer needs_block { Needs needs; };
+layout(set = 0, binding = 0, scalar) readonly buffer required_block { RequiredCounts required; };
 layout(set = 0, binding = 1, scalar) readonly buffer buckets_block { Bucket buckets[]; };
 layout(set = 0, binding = 2, scalar) coherent buffer pair_keys_block { uint pair_keys[]; };
 layout(set = 0, binding = 3, scalar) coherent buffer pair_records_block { uint pair_records[]; };
@@ -31,7 +31,7 @@ layout(set = 0, binding = 4, scalar) coherent buffer other_keys_block { uint oth
 layout(set = 0, binding = 5, scalar) coherent buffer sorted_records_block { uint sorted_records[]; }; // the result
 
 layout(set = 0, binding = 6, scalar) readonly buffer cameras_block { Camera cameras[]; };
-layout(set = 0, binding = 7, scalar) readonly buffer slab_counts_block { uint slab_ends[]; }; // [macro tile][slab]
+layout(set = 0, binding = 7, scalar) readonly buffer slab_counts_block { uint slab_ends[]; }; // [coarse tile][slab]
 
 #include "camera_of_bin.glsl"
 
@@ -301,8 +301,8 @@ void sort_in_memory(uint first, uint count, uint thread, bool there) {
     }
 }
 
-// Pairs after which a chunk of bins ends with the next bin.
-const uint CHUNK_PAIRS = SHARED_PAIRS / 2u;
+// Pairs after which a cluster of bins ends with the next bin.
+const uint CLUSTER_PAIRS = SHARED_PAIRS / 2u;
 
 // End of the first bin that ends at `pairs` or later.
 uint bin_end_from(uint pairs) {
@@ -331,9 +331,9 @@ void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) 
     }
     memoryBarrierBuffer();
     barrier();
-    for (uint start = 0u; start < count; start += CHUNK_PAIRS) {
+    for (uint start = 0u; start < count; start += CLUSTER_PAIRS) {
         uint begin = bin_end_from(start);
-        uint end = bin_end_from(min(start + CHUNK_PAIRS, count));
+        uint end = bin_end_from(min(start + CLUSTER_PAIRS, count));
         if (end - begin > SHARED_PAIRS) {
             sort_in_memory(first + begin, end - begin, thread, true);
             continue;
@@ -350,7 +350,7 @@ void sort_slab(Bucket bucket, float camera_depth, float key_scale, uint thread) 
 
 void main() {
     uint bucket_index = group_index();
-    if (bucket_index >= needs.buckets || wanted_pairs(needs) > pairs_max) {
+    if (bucket_index >= required.buckets || wanted_pairs(required) > pairs_max) {
         return;
     }
     Bucket bucket = buckets[bucket_index];

@@ -3,14 +3,14 @@
 mod affine;
 mod cars;
 mod charts;
+mod example_crops;
 mod figures;
 mod page;
 mod placing;
 mod reinsert;
+mod reinsertion_scene;
 mod ring;
-mod showcase;
 mod speed;
-mod stage;
 mod system;
 
 use std::fs;
@@ -30,7 +30,7 @@ use cars::Cars;
 use figures::Report;
 use placing::Drift;
 use reinsert::Reinsertion;
-use stage::Stage;
+use reinsertion_scene::ReinsertionScene;
 
 /// Put cars back into streets they were taken out of, and leave out parts of the system one by one
 ///
@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut system = None;
     for &weather in &weathers {
         let options = street_options(arguments, weather);
-        let stage = Stage::set(&options, &cars, &light, arguments.size, arguments.cameras_used as usize)?;
+        let stage = ReinsertionScene::set(&options, &cars, &light, arguments.size, arguments.cameras_used as usize)?;
         let moments_s = stage.moments_s(arguments.moments);
         let reinsertion = Reinsertion { gpu: &gpu, stage: &stage, cars: &cars, floor: arguments.floor };
         let (measured, truths) = reinsertion.measure(&moments_s, &|| bar.inc(1))?;

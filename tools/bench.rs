@@ -13,8 +13,8 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{check_writable, write_atomically};
 use decouplegs::gpu::{DeviceInfo, Gpu, MemoryReport};
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::rendered_image::Image;
 use decouplegs::render::reference::{self, Window};
+use decouplegs::render::rendered_image::Image;
 use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, RenderOptions, Renderer};
 use decouplegs::scene::{Intrinsics, Rules};
 

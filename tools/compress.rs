@@ -1,10 +1,10 @@
 //! `decouplegs compress`: splats of an agent as a small asset.
 
+pub mod image_quality;
 mod page;
 mod report;
 pub mod views;
 pub mod visibility;
-pub mod yardstick;
 
 use std::fs;
 use std::path::{Path, PathBuf};

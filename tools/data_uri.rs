@@ -14,8 +14,7 @@ pub fn shrunk(image: &Image, width_px: u32) -> Image {
     let (width, height) = (image.width / n, image.height / n);
     let pixel = |column: u32, row: u32| -> [f32; 3] {
         let block = (0..n * n).map(|at| ((row * n + at / n) * image.width + column * n + at % n) as usize);
-        let sum =
-            block.fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|channel| sum[channel] + image.rgb[at][channel]));
+        let sum = block.fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|channel| sum[channel] + image.rgb[at][channel]));
         sum.map(|value| value / (n * n) as f32)
     };
     let rgb =

@@ -1,7 +1,7 @@
 //! `decouplegs drive`: episodes in closed loop.
 
-mod album;
 mod folder;
+mod image_writer;
 mod jobs;
 mod sites;
 mod video;
@@ -14,18 +14,18 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{AssetError, read_episode_log, read_light_transfer};
-use decouplegs::episode::{self, Driven, Eyes, Look, chosen, drive, render_options};
+use decouplegs::episode::{self, Driven, Look, ObservationRenderer, chosen, drive, render_options};
 use decouplegs::gpu::Gpu;
-use decouplegs::planner::{Cameras, Patience, Planner, PlannerChoice};
+use decouplegs::planner::{Cameras, Planner, PlannerChoice, Timeouts};
 use decouplegs::render::Renderer;
 use decouplegs::scene::Level;
 use decouplegs::scene::episode::Episode;
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use self::album::Keeper;
-pub use self::album::{Album, Images};
 use self::folder::RunFolder;
+use self::image_writer::EpisodeImages;
+pub use self::image_writer::{ImageWriter, Images};
 use self::jobs::Job;
 pub use self::sites::{Ready, Sites};
 use crate::arguments::{Size, print, warn};
@@ -138,7 +138,7 @@ impl Arguments {
     }
 
     fn planner(&self) -> Result<Box<dyn Planner>> {
-        let patience = Patience { answer: Duration::from_secs_f64(self.planner_timeout), ..Patience::default() };
+        let patience = Timeouts { answer: Duration::from_secs_f64(self.planner_timeout), ..Timeouts::default() };
         self.planner.open(patience).with_context(|| format!("the planner {} is not to be had", self.planner))
     }
 
@@ -257,8 +257,8 @@ impl Worker<'_> {
             none => none.insert(run.arguments.planner()?),
         };
         let name = &job.scenario.name;
-        let album = Album::new(run.folder.images(name), run.arguments.keeps());
-        let mut keeper = Keeper::new(run.folder.log(name), album);
+        let image_writer = ImageWriter::new(run.folder.images(name), run.arguments.keeps());
+        let mut images = EpisodeImages::new(run.folder.log(name), image_writer);
         let driven = match (run.gpu, &ready.live) {
             (Some(gpu), Some(live)) => {
                 let options = render_options(ready.site.loaded.world.rules);
@@ -272,14 +272,14 @@ impl Worker<'_> {
                     Some([size.width_px, size.height_px]),
                 )
                 .map_err(anyhow::Error::msg)?;
-                let mut eyes = Eyes::new(live, renderer, rig, run.arguments.render.0);
-                let driven = drive(&job.scenario, &ready.site, Some(&mut eyes), planner.as_mut(), &mut keeper)?;
+                let mut eyes = ObservationRenderer::new(live, renderer, rig, run.arguments.render.0);
+                let driven = drive(&job.scenario, &ready.site, Some(&mut eyes), planner.as_mut(), &mut images)?;
                 self.renderer = Some(eyes.into_renderer());
                 driven
             }
-            _ => drive(&job.scenario, &ready.site, None, planner.as_mut(), &mut keeper)?,
+            _ => drive(&job.scenario, &ready.site, None, planner.as_mut(), &mut images)?,
         };
-        keeper.album_error.map_or(Ok(driven), Err)
+        images.image_error.map_or(Ok(driven), Err)
     }
 
     fn videos(&self, episode: &Episode) -> Result<()> {

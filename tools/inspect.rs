@@ -62,10 +62,7 @@ fn asset_to_text(asset: &CodedAsset, summary: &CodedSummary) -> String {
     let mut lines = Lines::default();
     let levels: Vec<String> = summary.levels.iter().map(u64::to_string).collect();
     lines.line("levels", &format!("{} splats, the finest first", levels.join(", ")));
-    lines.line(
-        "codebooks",
-        &format!("{} shapes, {} colors of degree {}", summary.shapes, summary.colors, asset.cloud.sh_degree),
-    );
+    lines.line("codebooks", &format!("{} shapes, {} colors of degree {}", summary.shapes, summary.colors, asset.cloud.sh_degree));
     let each = summary.bytes_per_splat.map_or_else(String::new, |bytes| format!(", {bytes:.2} for each splat of any level"));
     lines.line("bytes", &format!("{}{each}", summary.file_bytes));
     let [length, width, height] = summary.dims_m;

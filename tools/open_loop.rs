@@ -10,10 +10,10 @@ use decouplegs::drive::OrientedBox;
 use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
-use decouplegs::episode::{EpisodeError, Eyes, Look, Simulation, chosen, render_options};
-use decouplegs::planner::{Patience, PlannerChoice};
+use decouplegs::episode::{EpisodeError, Look, ObservationRenderer, Simulation, chosen, render_options};
+use decouplegs::planner::{PlannerChoice, Timeouts};
 use decouplegs::render::{Image, Renderer};
-use decouplegs::scene::episode::{Episode, Instant};
+use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Plan, Pose, Rig, TimedPose, Trajectory};
 use serde_json::{Value, json};
 
@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Plans of the planner for the images of `source`.
 fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<Answers> {
-    let mut planner = arguments.planner.open(Patience { answer: Duration::from_secs(60), ..Patience::default() })?;
+    let mut planner = arguments.planner.open(Timeouts { answer: Duration::from_secs(60), ..Timeouts::default() })?;
     let base = arguments.base.as_deref().or(arguments.log.parent()).unwrap_or(Path::new(""));
     let is_rendered = source == Path::new("rendered");
     let gpu = is_rendered.then(|| arguments.device.open()).transpose()?;
@@ -89,7 +89,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         (Some(gpu), Some(live)) => {
             let rig = chosen(&ready.site.loaded.rig, wanted, size_px).map_err(anyhow::Error::msg)?;
             let renderer = Renderer::new(gpu, render_options(ready.site.loaded.world.rules));
-            let mut eyes = Eyes::new(live, renderer, rig.clone(), 1);
+            let mut eyes = ObservationRenderer::new(live, renderer, rig.clone(), 1);
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
             let drawn = |step: u32| -> Result<Images> {
                 eyes.look(&mut shadow, step).map_err(EpisodeError::from)?;
@@ -140,8 +140,8 @@ fn read_images(folder: &Path, rig: &Rig, step: u32) -> Result<Images> {
 }
 
 fn judged(source: &Path, episode: &Episode, plans: Vec<Option<Plan>>) -> Answers {
-    let instants: Vec<&Instant> = episode.instants().collect();
-    let pose = |instant: &Instant| Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0));
+    let instants: Vec<&EpisodeTick> = episode.instants().collect();
+    let pose = |instant: &EpisodeTick| Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0));
     let driven =
         Trajectory::new(instants.iter().map(|instant| TimedPose { time_s: instant.time_s, pose: pose(instant) }).collect());
     let mut before = 0;
@@ -157,7 +157,7 @@ fn judged(source: &Path, episode: &Episode, plans: Vec<Option<Plan>>) -> Answers
 }
 
 /// The time to collision at `instant` if the ego took the plan's mean velocity over its first second.
-fn plan_ttc_s(episode: &Episode, instant: &Instant, plan: &Plan) -> Option<f64> {
+fn plan_ttc_s(episode: &Episode, instant: &EpisodeTick, plan: &Plan) -> Option<f64> {
     let velocity = instant.ego.to_world(plan.at(1.0)) - instant.ego.position_m;
     let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
     let agents = instant.agents.iter().zip(&episode.head.agent_sizes);

@@ -118,7 +118,7 @@ const CAMERAS_AT_ONCE: usize = 8;
 pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = Scene::open(&arguments.scene)?;
     check_names(&scene.cameras)?;
-    let mut album = Album {
+    let mut writer = ImageWriter {
         out: &arguments.out,
         format: arguments.format.into(),
         planes: &arguments.planes,
@@ -126,13 +126,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         kept: arguments.contact_sheet.as_ref().map(|_| vec![]),
     };
     if arguments.reference {
-        render_by_definition(&scene, arguments.layer.into(), &mut album)?;
+        render_by_definition(&scene, arguments.layer.into(), &mut writer)?;
     } else {
-        render_on_gpu(&scene, arguments, &mut album)?;
+        render_on_gpu(&scene, arguments, &mut writer)?;
     }
-    if let (Some(path), Some(images)) = (&arguments.contact_sheet, &album.kept) {
+    if let (Some(path), Some(images)) = (&arguments.contact_sheet, &writer.kept) {
         let sheet = contact_sheet(images, SHEET_COLUMNS).context("there is no camera, so there is no image")?;
-        album.write(path, &sheet, ImageFileFormat::Png)?;
+        writer.write(path, &sheet, ImageFileFormat::Png)?;
         print(&format!("{}\n", path.display()))?;
     }
     Ok(())
@@ -140,7 +140,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Destination of images. Images are written one after the other: hundreds of them need not be in
 /// memory together.
-struct Album<'a> {
+struct ImageWriter<'a> {
     out: &'a Path,
     format: ImageFileFormat,
     /// Planes that are written beside them.
@@ -151,7 +151,7 @@ struct Album<'a> {
     kept: Option<Vec<Image>>,
 }
 
-impl Album<'_> {
+impl ImageWriter<'_> {
     fn add(&mut self, camera: &Camera, image: Image) -> Result<()> {
         fs::create_dir_all(self.out).with_context(|| format!("{} cannot be made", self.out.display()))?;
         let path = self.out.join(format!("{}.{}", camera.name, self.format.extension()));
@@ -183,12 +183,12 @@ impl Album<'_> {
     }
 }
 
-fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Result<()> {
+fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter) -> Result<()> {
     let gpu = arguments.device.open()?;
     let bar = progress::bar("images", scene.cameras.len());
     // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps of 8 bits.
-    let (color, pixel_bytes) = match album.format {
-        ImageFileFormat::Png if !album.transparent => (ColorFormat::U8, 4),
+    let (color, pixel_bytes) = match writer.format {
+        ImageFileFormat::Png if !writer.transparent => (ColorFormat::U8, 4),
         ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => (ColorFormat::F32, 16),
     };
     let asked = |plane| arguments.planes.contains(&plane);
@@ -203,7 +203,7 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, album: &mut Album) -> Res
     for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {
         renderer.render(live.with(&moment), cameras)?;
         for (camera, image) in cameras.iter().zip(renderer.read_images()?) {
-            album.add(camera, image)?;
+            writer.add(camera, image)?;
             bar.inc(1);
         }
     }
@@ -228,14 +228,14 @@ fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
     runs
 }
 
-fn render_by_definition(scene: &Scene, layer: Layer, album: &mut Album) -> Result<()> {
+fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -> Result<()> {
     let bar = progress::bar("reference", scene.cameras.len());
     scene.loaded.check_baked()?;
     let most = scene.cameras.iter().map(|camera| camera.intrinsics.pixels()).max().unwrap_or(0);
     memory::require("a reference image of this size", REFERENCE_PIXEL_BYTES * most).map_err(anyhow::Error::msg)?;
     let world = scene.loaded.baked_layer(scene.time_s, layer);
     for camera in &scene.cameras {
-        album.add(camera, reference::render(&world, camera, &world.rules).to_image())?;
+        writer.add(camera, reference::render(&world, camera, &world.rules).to_image())?;
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -6,14 +6,14 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{read_episode_log, read_light_transfer};
 use decouplegs::drive::score::EpisodeScore;
-use decouplegs::episode::{Eyes, Look, Replayed, Site, Witness, render_options, replay};
+use decouplegs::episode::{EpisodeObserver, Look, ObservationRenderer, Replayed, Site, render_options, replay};
 use decouplegs::render::Renderer;
 use decouplegs::scene::Rig;
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
 
 use crate::arguments::print;
 use crate::device::{DeviceArguments, check_validation};
-use crate::drive::{Album, Images, Ready, Sites};
+use crate::drive::{ImageWriter, Images, Ready, Sites};
 use crate::progress;
 
 /// Drive a log's plans again and compare: everybody's motion and the score to the last bit, images by their hashes. Exits with 1
@@ -67,26 +67,27 @@ fn drawn(arguments: &Arguments, episode: &Episode, drawn_by: &DrawnBy, base: &Pa
         rig.cameras.push(camera);
     }
     let renderer = Renderer::new(&gpu, render_options(site.loaded.world.rules));
-    let mut eyes = Eyes::new(live, renderer, rig, drawn_by.every);
+    let mut eyes = ObservationRenderer::new(live, renderer, rig, drawn_by.every);
     let keeps = if arguments.images.is_some() { Images::All } else { Images::None };
-    let mut viewer = Viewer { album: Album::new(arguments.images.clone().unwrap_or_default(), keeps), error: None };
-    let replayed = replay(episode, site, Some(&mut eyes), &mut viewer)?;
+    let mut renderer =
+        ReplayRenderer { image_writer: ImageWriter::new(arguments.images.clone().unwrap_or_default(), keeps), error: None };
+    let replayed = replay(episode, site, Some(&mut eyes), &mut renderer)?;
     check_validation(&gpu)?;
-    viewer.error.map_or(Ok(()), Err)?;
+    renderer.error.map_or(Ok(()), Err)?;
     Ok((replayed, eyes.drawn_by().map(|by| by.device)))
 }
 
 /// Keeps images and nothing else.
-struct Viewer {
-    album: Album,
+struct ReplayRenderer {
+    image_writer: ImageWriter,
     error: Option<anyhow::Error>,
 }
 
-impl Witness for Viewer {
+impl EpisodeObserver for ReplayRenderer {
     fn begin(
         &mut self,
         _: &EpisodeHead,
-        _: &decouplegs::scene::episode::Instant,
+        _: &decouplegs::scene::episode::EpisodeTick,
     ) -> Result<(), decouplegs::episode::EpisodeError> {
         Ok(())
     }
@@ -96,7 +97,7 @@ impl Witness for Viewer {
         step: &EpisodeStep,
         frames: &[decouplegs::planner::Frame],
     ) -> Result<(), decouplegs::episode::EpisodeError> {
-        if let Err(error) = self.album.add(step.step, frames) {
+        if let Err(error) = self.image_writer.add(step.step, frames) {
             self.error.get_or_insert(error);
         }
         Ok(())

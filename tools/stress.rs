@@ -1,7 +1,7 @@
 //! `decouplegs stress`: how frames, memory and error go with the number of agents, for several ways to draw them.
 
 mod charts;
-pub mod course;
+pub mod drive_schedule;
 mod fidelity;
 pub mod figures;
 mod fit;
@@ -10,8 +10,8 @@ mod mode;
 mod page;
 mod prune;
 mod report;
-mod subject;
 mod tables;
+mod workload;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -26,12 +26,12 @@ use serde_json::{Value, json};
 use crate::arguments::{Size, finite, print};
 use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
-use course::Course;
+use drive_schedule::DriveSchedule;
 use figures::Point;
-use measure::Stand;
+use measure::TestRig;
 use mode::{Agents, Mode};
 use report::{Report, Thumbnails};
-use subject::{StreetWish, Subject};
+use workload::{StreetWish, Workload};
 
 /// Measure frames, memory and error against the number of agents that drive, for several ways to draw them
 ///
@@ -172,19 +172,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     counts.sort_unstable();
     counts.dedup();
     let modes = without_repetition(&arguments.modes);
-    let mut subject = open(arguments, counts.last().copied().unwrap_or(0))?;
+    let mut workload = open(arguments, counts.last().copied().unwrap_or(0))?;
     let most = counts.last().copied().unwrap_or(0);
-    ensure!(most <= subject.agents(), "--agents {most}: the scene has {} agents", subject.agents());
-    let course = course(arguments, &mut subject)?;
+    ensure!(most <= workload.agents(), "--agents {most}: the scene has {} agents", workload.agents());
+    let schedule = schedule(arguments, &mut workload)?;
 
     let gpu = arguments.device.open()?;
     for mode in &modes {
         if let Agents::Coded(coding) = mode.agents {
-            subject.code(&gpu, coding, arguments.views, arguments.street.seed)?;
+            workload.code(&gpu, coding, arguments.views, arguments.street.seed)?;
         }
     }
-    let conditions = conditions(arguments, &gpu, &subject, &course);
-    let mut stand = Stand::new(&gpu, subject, &course, arguments.memory_limit.map(|limit| limit.0));
+    let conditions = conditions(arguments, &gpu, &workload, &schedule);
+    let mut stand = TestRig::new(&gpu, workload, &schedule, arguments.memory_limit.map(|limit| limit.0));
     let (points, thumbnails) = measure_all(&mut stand, &modes, &counts)?;
     check_validation(&gpu)?;
 
@@ -209,17 +209,17 @@ fn without_repetition(asked: &[Mode]) -> Vec<Mode> {
     modes
 }
 
-fn open(arguments: &Arguments, agents: usize) -> Result<Subject> {
+fn open(arguments: &Arguments, agents: usize) -> Result<Workload> {
     let StreetArguments { background, agent_splats, assets, degree, seed } = arguments.street;
     match &arguments.scene {
-        Some(path) => Subject::open(path),
-        None => Subject::street(&StreetWish { background, agents, agent_splats, assets, sh_degree: degree, seed }),
+        Some(path) => Workload::open(path),
+        None => Workload::street(&StreetWish { background, agents, agent_splats, assets, sh_degree: degree, seed }),
     }
 }
 
 /// The drive, for which the scene's cameras get the size that was asked for.
-fn course(arguments: &Arguments, subject: &mut Subject) -> Result<Course> {
-    let scene = subject.background_mut();
+fn schedule(arguments: &Arguments, workload: &mut Workload) -> Result<DriveSchedule> {
+    let scene = workload.background_mut();
     let mut standing = arguments.cameras.as_deref().map(|path| read_cameras(path, &CameraOptions::default())).transpose()?;
     if let Some(Size { width_px, height_px }) = arguments.size {
         let rig = scene.rig.cameras.iter_mut().map(|camera| &mut camera.intrinsics);
@@ -230,7 +230,7 @@ fn course(arguments: &Arguments, subject: &mut Subject) -> Result<Course> {
     ensure!(there > 0, "the scene has no cameras of its own: name some with --cameras FILE (INRIA or nerfstudio)");
     let cameras_used = arguments.cameras_used.unwrap_or(there);
     ensure!((1..=there).contains(&cameras_used), "--cameras-used {cameras_used}: there are {there} cameras");
-    Ok(Course {
+    Ok(DriveSchedule {
         start_s: arguments.time.unwrap_or(scene.ego.start_s()),
         step_s: arguments.step,
         warm_up: arguments.warm_up,
@@ -242,12 +242,12 @@ fn course(arguments: &Arguments, subject: &mut Subject) -> Result<Course> {
 }
 
 /// Conditions of the measurement, for later readers.
-fn conditions(arguments: &Arguments, gpu: &Gpu, subject: &Subject, course: &Course) -> Value {
-    let scene = subject.background();
-    let cameras = course.cameras(scene, course.start_s);
+fn conditions(arguments: &Arguments, gpu: &Gpu, workload: &Workload, schedule: &DriveSchedule) -> Value {
+    let scene = workload.background();
+    let cameras = schedule.cameras(scene, schedule.start_s);
     let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
-    let warm_up = course.warm_up_on(gpu.info().kind);
-    let assets = subject.asset_splats().into_iter();
+    let warm_up = schedule.warm_up_on(gpu.info().kind);
+    let assets = workload.asset_splats().into_iter();
     let assets: Vec<Value> =
         assets.map(|(name, splats, coded)| json!({ "name": name, "splats": splats, "coded_splats": coded })).collect();
     json!({
@@ -256,29 +256,29 @@ fn conditions(arguments: &Arguments, gpu: &Gpu, subject: &Subject, course: &Cour
         "driver": gpu.info().driver,
         "device_memory_bytes": gpu.info().device_memory_bytes,
         "two_queues": gpu.has_update_queue(),
-        "source": subject.source(),
+        "source": workload.source(),
         "background_splats": scene.world.splats.len(),
         "sh_degree": scene.world.splats.sh_degree,
         "rules": format!("{:?}", scene.world.rules),
         "assets": assets,
-        "originals_known": subject.has_originals(),
+        "originals_known": workload.has_originals(),
         "compression": { "views": arguments.views, "seed": arguments.street.seed },
         "cameras": cameras.len(),
         "camera_names": names,
         "width_px": cameras[0].intrinsics.width_px,
         "height_px": cameras[0].intrinsics.height_px,
-        "start_s": course.start_s,
-        "step_s": course.step_s,
+        "start_s": schedule.start_s,
+        "step_s": schedule.step_s,
         "warm_up": warm_up.turn.len(),
         "warm_up_least_s": warm_up.least.as_secs_f64(),
-        "frames": course.frames,
-        "samples_s": course.sample_frames().into_iter().map(|frame| course.time_s(frame)).collect::<Vec<_>>(),
+        "frames": schedule.frames,
+        "samples_s": schedule.sample_frames().into_iter().map(|frame| schedule.time_s(frame)).collect::<Vec<_>>(),
         "memory_limit_bytes": arguments.memory_limit.map(|limit| limit.0),
     })
 }
 
 /// Every mode with every number of agents, and one view of the last that vanilla and decoupled were both drawn with.
-fn measure_all(stand: &mut Stand<'_>, modes: &[Mode], counts: &[usize]) -> Result<(Vec<Point>, Option<Thumbnails>)> {
+fn measure_all(stand: &mut TestRig<'_>, modes: &[Mode], counts: &[usize]) -> Result<(Vec<Point>, Option<Thumbnails>)> {
     let bar = progress::bar("stress", counts.len() * (modes.len() + 1));
     let (mut points, mut thumbnails) = (Vec::new(), None);
     for &agents in counts {
@@ -289,9 +289,9 @@ fn measure_all(stand: &mut Stand<'_>, modes: &[Mode], counts: &[usize]) -> Resul
             bar.set_message(format!("{agents} agents: {}", mode.name));
             let (outcome, images) = stand.measure(mode, agents, vanilla.as_deref())?;
             if mode.is_decoupled() {
-                thumbnails = view_of(stand.course, agents, vanilla.as_deref(), &images).or(thumbnails);
+                thumbnails = view_of(stand.schedule, agents, vanilla.as_deref(), &images).or(thumbnails);
             }
-            points.push(Point { mode: mode.clone(), agents, unique_assets: stand.subject.unique_assets(agents), outcome });
+            points.push(Point { mode: mode.clone(), agents, unique_assets: stand.workload.unique_assets(agents), outcome });
             bar.inc(1);
         }
     }
@@ -300,13 +300,13 @@ fn measure_all(stand: &mut Stand<'_>, modes: &[Mode], counts: &[usize]) -> Resul
 }
 
 /// The first camera at the middle one of the sampled moments.
-fn view_of(course: &Course, agents: usize, vanilla: Option<&[Image]>, decoupled: &[Image]) -> Option<Thumbnails> {
-    let samples = course.sample_frames();
+fn view_of(schedule: &DriveSchedule, agents: usize, vanilla: Option<&[Image]>, decoupled: &[Image]) -> Option<Thumbnails> {
+    let samples = schedule.sample_frames();
     let middle = samples.len() / 2;
-    let place = middle * course.cameras_used;
+    let place = middle * schedule.cameras_used;
     Some(Thumbnails {
         agents,
-        time_s: course.time_s(*samples.get(middle)?),
+        time_s: schedule.time_s(*samples.get(middle)?),
         vanilla: vanilla?.get(place)?.clone(),
         decoupled: decoupled.get(place)?.clone(),
     })

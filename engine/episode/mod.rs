@@ -1,10 +1,10 @@
 //! The closed loop: the ego's cameras are drawn, a planner answers with a trajectory, the ego follows it, traffic answers, and again.
 //!
-//! This is the only place that joins what moves with what draws. [`Site`] is where it happens, [`Simulation`] what moves, [`Eyes`]
+//! This is the only place that joins what moves with what draws. [`Site`] is where it happens, [`Simulation`] what moves, [`ObservationRenderer`]
 //! what is seen, and [`drive`] goes round the loop; [`Rollout`] is for those who go round it themselves. Everything that happens is in an [`Episode`], from which [`replay`] makes
 //! it again, bit by bit.
 
-mod eyes;
+mod observation_renderer;
 pub mod open_loop;
 mod replay;
 mod rollout;
@@ -12,18 +12,18 @@ mod simulation;
 mod site;
 
 use std::sync::Arc;
-use std::time::{Duration, Instant as Clock};
+use std::time::{Duration, Instant};
 
 use decouplegs_asset::AssetError;
 use decouplegs_render::RenderError;
 use decouplegs_scene::Scenario;
-use decouplegs_scene::episode::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Instant, PlannerRecord};
+use decouplegs_scene::episode::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick, PlannerRecord};
 
-use crate::planner::{Briefing, Cameras, Frame, Observation, Planner};
+use crate::planner::{Cameras, EpisodeInfo, Frame, Observation, Planner};
 
-pub use eyes::{Eyes, chosen, render_options};
+pub use observation_renderer::{ObservationRenderer, chosen, render_options};
 pub use replay::{Replayed, replay};
-pub use rollout::{Crew, Rollout};
+pub use rollout::{EpisodeMetadata, Rollout};
 pub use simulation::Simulation;
 pub use site::{Look, Site, SiteError, rig_of};
 
@@ -47,12 +47,12 @@ pub enum EpisodeError {
 }
 
 /// Somebody who is told what happens while it happens: a log, an album of images.
-pub trait Witness {
+pub trait EpisodeObserver {
     /// Before the first step.
     ///
     /// # Errors
     /// Ends the episode and the run.
-    fn begin(&mut self, _head: &EpisodeHead, _start: &Instant) -> Result<(), EpisodeError> {
+    fn begin(&mut self, _head: &EpisodeHead, _start: &EpisodeTick) -> Result<(), EpisodeError> {
         Ok(())
     }
 
@@ -72,7 +72,7 @@ pub trait Witness {
 }
 
 /// An observer that ignores everything.
-impl Witness for () {
+impl EpisodeObserver for () {
     fn step(&mut self, _step: &EpisodeStep, _frames: &[Frame]) -> Result<(), EpisodeError> {
         Ok(())
     }
@@ -119,9 +119,9 @@ pub struct Driven {
 pub fn drive(
     scenario: &Scenario,
     site: &Arc<Site>,
-    mut eyes: Option<&mut Eyes>,
+    mut eyes: Option<&mut ObservationRenderer>,
     planner: &mut dyn Planner,
-    witness: &mut dyn Witness,
+    witness: &mut dyn EpisodeObserver,
 ) -> Result<Driven, EpisodeError> {
     let mut rollout = Rollout::new(scenario, site, crew(eyes.as_deref(), planner))?;
     witness.begin(&rollout.episode().head, &rollout.episode().start)?;
@@ -140,15 +140,15 @@ pub fn drive(
 /// Once round the loop. No step where the planner failed.
 fn one_step(
     rollout: &mut Rollout,
-    mut eyes: Option<&mut Eyes>,
+    mut eyes: Option<&mut ObservationRenderer>,
     planner: &mut dyn Planner,
-    witness: &mut dyn Witness,
+    witness: &mut dyn EpisodeObserver,
 ) -> Result<StepTime, EpisodeError> {
     let number = rollout.next_step();
     let mut time = StepTime::default();
-    let mut since = Clock::now();
+    let mut since = Instant::now();
     let mut lap = || {
-        let now = Clock::now();
+        let now = Instant::now();
         let taken = now - since;
         since = now;
         taken
@@ -162,7 +162,7 @@ fn one_step(
     }
     time.read = lap();
     let eyes = eyes.as_deref();
-    let frames = eyes.map(Eyes::frames).unwrap_or_default();
+    let frames = eyes.map(ObservationRenderer::frames).unwrap_or_default();
     let simulation = rollout.simulation();
     let privileged = planner.sees().privileged.then(|| simulation.privileged());
     let observation = Observation {
@@ -174,7 +174,7 @@ fn one_step(
         privileged: privileged.as_ref(),
     };
     let (answer, images) = std::thread::scope(|scope| {
-        let hashes = scope.spawn(|| eyes.map(Eyes::hashes).unwrap_or_default());
+        let hashes = scope.spawn(|| eyes.map(ObservationRenderer::hashes).unwrap_or_default());
         let answer = planner.plan(&observation);
         time.plan = lap();
         (answer, hashes.join().expect("hashing does not panic"))
@@ -194,14 +194,14 @@ fn one_step(
     Ok(time)
 }
 
-fn crew(eyes: Option<&Eyes>, planner: &dyn Planner) -> Crew {
+fn crew(eyes: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMetadata {
     let cameras = eyes.map(|eyes| eyes.rig().cameras.iter().map(|camera| camera.name.clone()).collect()).unwrap_or_default();
     let planner = PlannerRecord { name: planner.name(), cameras, privileged: planner.sees().privileged };
-    Crew { planner, drawn_by: eyes.and_then(Eyes::drawn_by) }
+    EpisodeMetadata { planner, drawn_by: eyes.and_then(ObservationRenderer::drawn_by) }
 }
 
-fn briefing(scenario: &Scenario, eyes: Option<&Eyes>) -> Briefing {
-    Briefing {
+fn briefing(scenario: &Scenario, eyes: Option<&ObservationRenderer>) -> EpisodeInfo {
+    EpisodeInfo {
         scenario: scenario.name.clone(),
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,

@@ -7,7 +7,7 @@ use decouplegs_scene::{Plan, Rig};
 
 use super::site::Site;
 use super::{EpisodeError, Simulation};
-use crate::planner::{Briefing, Frame, Observation, Planner};
+use crate::planner::{EpisodeInfo, Frame, Observation, Planner};
 
 /// Images of a step, four bytes a pixel, one a camera of the rig.
 pub type Images = Vec<Vec<u8>>;
@@ -26,7 +26,7 @@ pub fn plans<E: From<EpisodeError>>(
 ) -> Result<Vec<Option<Plan>>, E> {
     let scenario = &episode.head.scenario;
     let mut simulation = Simulation::new(scenario, site)?;
-    let briefing = Briefing {
+    let briefing = EpisodeInfo {
         scenario: scenario.name.clone(),
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,

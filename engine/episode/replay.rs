@@ -5,8 +5,8 @@ use std::sync::Arc;
 use decouplegs_scene::episode::{Episode, EpisodeEnd};
 use decouplegs_scene::{Plan, Scenario};
 
-use super::{EpisodeError, Eyes, Site, Witness, drive};
-use crate::planner::{Briefing, Observation, Planner, PlannerError, Sees};
+use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Site, drive};
+use crate::planner::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
 
 /// Result of driving an episode again.
 pub struct Replayed {
@@ -30,11 +30,11 @@ impl Planner for Logged<'_> {
         self.episode.head.planner.name.clone()
     }
 
-    fn sees(&self) -> Sees {
-        Sees { privileged: self.episode.head.planner.privileged, ..Sees::default() }
+    fn sees(&self) -> ObservationRequest {
+        ObservationRequest { privileged: self.episode.head.planner.privileged, ..ObservationRequest::default() }
     }
 
-    fn begin(&mut self, _briefing: &Briefing) -> Result<(), PlannerError> {
+    fn begin(&mut self, _briefing: &EpisodeInfo) -> Result<(), PlannerError> {
         match (&self.episode.end, self.episode.steps.is_empty()) {
             (EpisodeEnd::Planner { reason }, true) => Err(PlannerError(reason.clone())),
             _ => Ok(()),
@@ -57,8 +57,8 @@ impl Planner for Logged<'_> {
 pub fn replay(
     episode: &Episode,
     site: &Arc<Site>,
-    eyes: Option<&mut Eyes>,
-    witness: &mut dyn Witness,
+    eyes: Option<&mut ObservationRenderer>,
+    witness: &mut dyn EpisodeObserver,
 ) -> Result<Replayed, EpisodeError> {
     let scenario: &Scenario = &episode.head.scenario;
     let again = drive(scenario, site, eyes, &mut Logged { episode }, witness)?.episode;

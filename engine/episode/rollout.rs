@@ -11,7 +11,7 @@ use crate::session::{SessionError, World};
 
 /// Planner and renderer of an episode, for its log.
 #[derive(Clone, Debug, Default)]
-pub struct Crew {
+pub struct EpisodeMetadata {
     /// Planner that drives.
     pub planner: PlannerRecord,
     /// Renderer of its observations, if any.
@@ -30,7 +30,7 @@ impl Rollout {
     ///
     /// # Errors
     /// When it does not fit `site`.
-    pub fn new(scenario: &Scenario, site: &Arc<Site>, crew: Crew) -> Result<Self, EpisodeError> {
+    pub fn new(scenario: &Scenario, site: &Arc<Site>, crew: EpisodeMetadata) -> Result<Self, EpisodeError> {
         let simulation = Simulation::new(scenario, site)?;
         let head = EpisodeHead {
             version: env!("CARGO_PKG_VERSION").into(),

@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::{Ego, EgoOptions, OrientedBox, Route, Traffic};
-use decouplegs_scene::episode::{EpisodeEnd, Instant};
+use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick};
 use decouplegs_scene::{Plan, Pose, Scenario, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use super::EpisodeError;
 use super::site::Site;
-use crate::Placed;
-use crate::planner::{EgoMotion, Guidance, Privileged, Turn};
+use crate::AgentInstance;
+use crate::planner::{EgoMotion, Navigation, Privileged, Turn};
 
 /// A wheel may be so far beyond the lanes' borders, meters: markings are as wide.
 const ROAD_SLACK_M: f64 = 0.15;
@@ -138,9 +138,9 @@ impl Simulation {
 
     /// State of all vehicles now.
     #[must_use]
-    pub fn instant(&self) -> Instant {
+    pub fn instant(&self) -> EpisodeTick {
         let ego = self.ego.state();
-        Instant {
+        EpisodeTick {
             time_s: self.time_s(),
             on_road: self.site.surface.holds_box(&OrientedBox::of(&ego, &self.scenario.ego.size), ROAD_SLACK_M),
             ego,
@@ -163,17 +163,17 @@ impl Simulation {
 
     /// Navigation instructions.
     #[must_use]
-    pub fn guidance(&self) -> Guidance {
+    pub fn guidance(&self) -> Navigation {
         let (progress_m, cruise_mps) = (self.progress.progress_m(), self.scenario.ego.cruise_mps);
         match self.route.next_turn(progress_m) {
-            Some(turn) => Guidance {
+            Some(turn) => Navigation {
                 turn: if turn.angle_rad > 0.0 { Turn::Left } else { Turn::Right },
                 distance_m: turn.begin_m - progress_m,
                 angle_rad: turn.angle_rad,
                 length_m: turn.end_m - turn.begin_m,
                 cruise_mps,
             },
-            None => Guidance { distance_m: self.route.length_m() - progress_m, cruise_mps, ..Guidance::default() },
+            None => Navigation { distance_m: self.route.length_m() - progress_m, cruise_mps, ..Navigation::default() },
         }
     }
 
@@ -189,7 +189,7 @@ impl Simulation {
     }
 
     /// Drives `plan` for a step. The moments after each sub-step, the last of them that at which the episode ended, if it did.
-    pub fn advance(&mut self, plan: &Plan) -> Vec<Instant> {
+    pub fn advance(&mut self, plan: &Plan) -> Vec<EpisodeTick> {
         let (substeps, substep_s) = self.scenario.substeps();
         self.ego.follow(plan);
         let mut instants = Vec::with_capacity(substeps as usize);
@@ -210,7 +210,7 @@ impl Simulation {
         instants
     }
 
-    fn end_at(&self, instant: &Instant) -> Option<EpisodeEnd> {
+    fn end_at(&self, instant: &EpisodeTick) -> Option<EpisodeEnd> {
         let ego = OrientedBox::of(&instant.ego, &self.scenario.ego.size);
         let mut boxes = instant.agents.iter().zip(&self.agent_sizes).map(|(state, size)| OrientedBox::of(state, size));
         if let Some(agent) = boxes.position(|other| other.overlaps(&ego)) {
@@ -224,11 +224,11 @@ impl Simulation {
     }
 
     /// The ego's pose and the agents, as they are drawn.
-    pub fn placed(&mut self) -> (Pose, Vec<Placed>) {
+    pub fn placed(&mut self) -> (Pose, Vec<AgentInstance>) {
         let assets = self.site.asset_sizes.len().max(1);
         let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
         let states = self.traffic.states().to_vec();
-        let placed = states.iter().enumerate().map(|(index, state)| Placed {
+        let placed = states.iter().enumerate().map(|(index, state)| AgentInstance {
             asset: self.scenario.agents[index].asset % assets,
             pose: self.stand(index + 1, *state, self.agent_sizes[index]),
             sh_frame: None,

@@ -44,7 +44,7 @@ impl Course {
                 world.remove(&agent.name)?;
             }
         }
-        let (mut viewer, mut images) = (session.viewer(), HostImages::default());
+        let (mut renderer, mut images) = (session.batch_renderer(), HostImages::default());
         let (mut times_ms, mut gpu_ms, mut seen) = (Vec::new(), Vec::new(), 0);
         let start = Instant::now();
         for step in 0.. {
@@ -54,7 +54,7 @@ impl Course {
             let views: Vec<WorldView<'_>> =
                 worlds.iter().zip(&cameras).map(|(world, cameras)| WorldView { world, cameras }).collect();
             let since = Instant::now();
-            let frames = if to_host { viewer.draw(&views, &mut images)? } else { viewer.draw_on_device(&views)?.1 };
+            let frames = if to_host { renderer.draw(&views, &mut images)? } else { renderer.draw_on_device(&views)?.1 };
             times_ms.push(1e3 * since.elapsed().as_secs_f64());
             gpu_ms.push(frames.iter().map(|frame| 1e3 * frame.gpu_time.as_secs_f64()).sum::<f64>());
             seen += frames.iter().map(|frame| frame.agents).sum::<usize>();

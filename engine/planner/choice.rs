@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use decouplegs_asset::read_episode_log;
 
-use super::external::{Attachment, External, Patience};
+use super::external::{External, Timeouts, Transport};
 use super::{ConstantVelocity, LaneFollow, Planner, PlannerError, Replay, Vision};
 
 /// Choice of a planner. It can be opened many times over: each thread that drives episodes has a
@@ -31,7 +31,7 @@ pub enum PlannerChoice {
     /// The way of the ego in the episode of this log.
     Replay(PathBuf),
     /// Somebody else's.
-    External(Attachment),
+    External(Transport),
 }
 
 impl PlannerChoice {
@@ -39,7 +39,7 @@ impl PlannerChoice {
     ///
     /// # Errors
     /// Where an external planner cannot be reached or started, or a log cannot be read or replayed.
-    pub fn open(&self, patience: Patience) -> Result<Box<dyn Planner>, PlannerError> {
+    pub fn open(&self, patience: Timeouts) -> Result<Box<dyn Planner>, PlannerError> {
         Ok(match self {
             Self::ConstantVelocity => Box::new(ConstantVelocity),
             Self::LaneFollow => Box::new(LaneFollow::default()),
@@ -63,10 +63,10 @@ impl FromStr for PlannerChoice {
             ("lane-follow", None) => Ok(Self::LaneFollow),
             ("vision", None) => Ok(Self::Vision),
             ("replay", Some(log)) if !log.is_empty() => Ok(Self::Replay(log.into())),
-            ("unix", Some(path)) if !path.is_empty() => Ok(Self::External(Attachment::Socket(path.into()))),
+            ("unix", Some(path)) if !path.is_empty() => Ok(Self::External(Transport::Socket(path.into()))),
             ("exec", Some(command)) => match words_of(command)? {
                 words if words.is_empty() => Err("exec: names no program; expected exec:COMMAND ARGUMENTS".into()),
-                words => Ok(Self::External(Attachment::Command(words))),
+                words => Ok(Self::External(Transport::Command(words))),
             },
             _ => Err(format!(
                 "unknown planner {text:?}; expected constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND ARGUMENTS or unix:PATH"
@@ -82,8 +82,8 @@ impl fmt::Display for PlannerChoice {
             Self::LaneFollow => f.write_str("lane-follow"),
             Self::Vision => f.write_str("vision"),
             Self::Replay(log) => write!(f, "replay:{}", log.display()),
-            Self::External(Attachment::Socket(path)) => write!(f, "unix:{}", path.display()),
-            Self::External(Attachment::Command(words)) => {
+            Self::External(Transport::Socket(path)) => write!(f, "unix:{}", path.display()),
+            Self::External(Transport::Command(words)) => {
                 write!(f, "exec:{}", words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" "))
             }
         }
@@ -133,7 +133,7 @@ mod tests {
             assert_eq!(text.parse::<PlannerChoice>().unwrap().to_string(), text);
         }
         let words = ["a b", "it's", "\"", "", "x'\"y", "plain"].map(String::from).to_vec();
-        let choice = PlannerChoice::External(Attachment::Command(words));
+        let choice = PlannerChoice::External(Transport::Command(words));
         assert_eq!(choice.to_string().parse::<PlannerChoice>().unwrap(), choice, "{choice}");
     }
 

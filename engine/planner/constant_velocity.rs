@@ -4,9 +4,9 @@ use decouplegs_scene::plan::Plan;
 use glam::DVec2;
 
 use super::cadence::plan_through;
-use super::{Briefing, Observation, Planner, PlannerError, Sees};
+use super::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
 
-/// Sees nothing and keeps its speed and heading.
+/// ObservationRequest nothing and keeps its speed and heading.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ConstantVelocity;
 
@@ -15,11 +15,11 @@ impl Planner for ConstantVelocity {
         "constant-velocity".into()
     }
 
-    fn sees(&self) -> Sees {
-        Sees::default()
+    fn sees(&self) -> ObservationRequest {
+        ObservationRequest::default()
     }
 
-    fn begin(&mut self, _: &Briefing) -> Result<(), PlannerError> {
+    fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
         Ok(())
     }
 

@@ -15,11 +15,11 @@ use decouplegs_scene::plan::Plan;
 
 use self::message::{Answer, Introduction};
 use self::session::Session;
-use super::{Briefing, Observation, Planner, PlannerError, Sees};
+use super::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
 
 /// Transport to an external planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Attachment {
+pub enum Transport {
     /// A program and its arguments, which is started and spoken to through its stdin and stdout.
     Command(Vec<String>),
     /// A Unix socket on which a planner listens.
@@ -28,14 +28,14 @@ pub enum Attachment {
 
 /// Timeouts of an external planner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
+pub struct Timeouts {
     /// From its start to its hello: it may have to load a network.
     pub hello: Duration,
     /// From the first byte of a question to the last of the answer.
     pub answer: Duration,
 }
 
-impl Default for Patience {
+impl Default for Timeouts {
     fn default() -> Self {
         Self { hello: Duration::from_secs(30), answer: Duration::from_secs(10) }
     }
@@ -44,8 +44,8 @@ impl Default for Patience {
 /// A planner outside this program.
 #[derive(Debug)]
 pub struct External {
-    attachment: Attachment,
-    patience: Patience,
+    attachment: Transport,
+    patience: Timeouts,
     introduction: Introduction,
     /// None after a failure, until the next episode begins.
     session: Option<Session>,
@@ -56,18 +56,18 @@ impl External {
     ///
     /// # Errors
     /// Where it cannot be started or reached, or does not introduce itself in time and form.
-    pub fn open(attachment: Attachment, patience: Patience) -> Result<Self, PlannerError> {
+    pub fn open(attachment: Transport, patience: Timeouts) -> Result<Self, PlannerError> {
         let (session, introduction) = Session::open(&attachment, &patience)?;
         Ok(Self { attachment, patience, introduction, session: Some(session) })
     }
 
     /// The same planner, waited for so long from here on.
     #[must_use]
-    pub fn with_patience(self, patience: Patience) -> Self {
+    pub fn with_patience(self, patience: Timeouts) -> Self {
         Self { patience, ..self }
     }
 
-    /// Sees to it that there is a session, a new one where the last was lost.
+    /// ObservationRequest to it that there is a session, a new one where the last was lost.
     fn reopen(&mut self) -> Result<(), PlannerError> {
         if self.session.as_mut().is_some_and(Session::is_open) {
             return Ok(());
@@ -107,11 +107,11 @@ impl Planner for External {
         self.introduction.name.clone()
     }
 
-    fn sees(&self) -> Sees {
+    fn sees(&self) -> ObservationRequest {
         self.introduction.sees.clone()
     }
 
-    fn begin(&mut self, briefing: &Briefing) -> Result<(), PlannerError> {
+    fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError> {
         self.reopen()?;
         match self.ask(&message::begin(briefing), &[])? {
             Answer::Ready => Ok(()),

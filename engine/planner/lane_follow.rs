@@ -6,9 +6,9 @@ mod corridor;
 use decouplegs_drive::traffic::idm::{BRAKING_MPS2, IdmParameters, Leader};
 use decouplegs_scene::plan::Plan;
 
-use self::corridor::{Corridor, Span, Way};
+use self::corridor::{Corridor, PredictedPath, Span};
 use super::cadence::{HORIZON_S, plan_through};
-use super::{Briefing, Cameras, Observation, Planner, PlannerError, Privileged, Sees, state_needed};
+use super::{Cameras, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError, Privileged, state_needed};
 
 /// Sideways acceleration that is borne in bends.
 const LATERAL_MPS2: f64 = 2.0;
@@ -39,7 +39,7 @@ pub struct LaneFollow {
 
 /// An agent as it is expected to go on: a span for each tick.
 struct Expected {
-    way: Way,
+    way: PredictedPath,
     spans: Vec<Span>,
 }
 
@@ -54,7 +54,7 @@ struct Outlook {
 }
 
 /// Places along the route, one a tick, and when on them somebody is met.
-struct Course {
+struct Candidate {
     arcs_m: Vec<f64>,
     met_s: Option<f64>,
 }
@@ -64,11 +64,11 @@ impl Planner for LaneFollow {
         "lane-follow".into()
     }
 
-    fn sees(&self) -> Sees {
-        Sees { cameras: Cameras::None, privileged: true }
+    fn sees(&self) -> ObservationRequest {
+        ObservationRequest { cameras: Cameras::None, privileged: true }
     }
 
-    fn begin(&mut self, _: &Briefing) -> Result<(), PlannerError> {
+    fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
         self.arc_m = None;
         Ok(())
     }
@@ -115,13 +115,15 @@ impl Outlook {
             },
             bend_mps: bend_speeds(corridor, known.ego.speed_mps.max(cruise_mps)),
             // Who is behind on our own road minds us, not we him.
-            agents: agents.filter(|agent| !(agent.way == Way::Along && agent.spans[0].front_m < corridor.ego_arc_m)).collect(),
+            agents: agents
+                .filter(|agent| !(agent.way == PredictedPath::Along && agent.spans[0].front_m < corridor.ego_arc_m))
+                .collect(),
         }
     }
 
     /// The most comfortable course on which nobody is met, else the one on which somebody is met last.
-    fn choose(&self, speed_mps: f64) -> Course {
-        let mut best: Option<Course> = None;
+    fn choose(&self, speed_mps: f64) -> Candidate {
+        let mut best: Option<Candidate> = None;
         for brake_mps2 in BRAKES_MPS2 {
             let course = self.roll(speed_mps, brake_mps2);
             let met_s = course.met_s.unwrap_or(f64::INFINITY);
@@ -136,9 +138,9 @@ impl Outlook {
     }
 
     /// Simulates the ego's motion when it follows and brakes with at least `brake_mps2`.
-    fn roll(&self, speed_mps: f64, brake_mps2: f64) -> Course {
+    fn roll(&self, speed_mps: f64, brake_mps2: f64) -> Candidate {
         let (mut arc_m, mut speed_mps) = (self.ego_arc_m, speed_mps);
-        let mut course = Course { arcs_m: vec![arc_m], met_s: None };
+        let mut course = Candidate { arcs_m: vec![arc_m], met_s: None };
         for tick in 0..ticks() - 1 {
             let mut rate_mps2 = self.rate(tick, arc_m, speed_mps);
             if brake_mps2 > 0.0 {
@@ -161,7 +163,7 @@ impl Outlook {
         let bend_mps2 = (self.bend_mps[meter] - speed_mps) / (2.0 * TICK_S);
         let foresight = (FORESIGHT_S / TICK_S).round() as usize;
         let followed = self.agents.iter().filter(|agent| {
-            let until = if agent.way == Way::Across { tick } else { (tick + foresight).min(agent.spans.len() - 1) };
+            let until = if agent.way == PredictedPath::Across { tick } else { (tick + foresight).min(agent.spans.len() - 1) };
             let ahead = 0.5 * (agent.spans[tick].rear_m + agent.spans[tick].front_m) > arc_m;
             ahead && agent.spans[tick..=until].iter().any(|span| span.inside)
         });
@@ -174,7 +176,7 @@ impl Outlook {
 
     /// True if the ego at `arc_m` touches the agent, or nearly does.
     fn meets(&self, agent: &Expected, tick: usize, arc_m: f64) -> bool {
-        let crossing = agent.way == Way::Across;
+        let crossing = agent.way == PredictedPath::Across;
         let slack = if crossing { (CROSSING_S / TICK_S).round() as usize } else { 0 };
         let room_m = self.half_length_m + if crossing { CROSSING_M } else { 0.0 };
         let until = (tick + slack).min(agent.spans.len() - 1);
@@ -183,7 +185,7 @@ impl Outlook {
     }
 }
 
-impl Course {
+impl Candidate {
     /// Along the route `time_s` from now, meters.
     fn at(&self, time_s: f64) -> f64 {
         let at = (time_s / TICK_S).clamp(0.0, (self.arcs_m.len() - 1) as f64);

@@ -14,10 +14,10 @@ mod vision;
 
 pub use choice::PlannerChoice;
 pub use constant_velocity::ConstantVelocity;
-pub use external::{Attachment, External, Patience};
+pub use external::{External, Timeouts, Transport};
 pub use lane_follow::LaneFollow;
 pub use replay::Replay;
-pub use vision::{Sight, Vision};
+pub use vision::{Perception, Vision};
 
 use decouplegs_scene::plan::Plan;
 use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
@@ -25,7 +25,7 @@ use glam::DVec2;
 
 /// Inputs that a planner requests.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Sees {
+pub struct ObservationRequest {
     /// Requested images.
     pub cameras: Cameras,
     /// True if it requests [`Privileged`] state.
@@ -80,7 +80,7 @@ impl Turn {
 
 /// Navigation instructions.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Guidance {
+pub struct Navigation {
     /// The next turn of the route.
     pub turn: Turn,
     /// Until it begins, meters along the route; below zero within it, and the rest of the route where none is ahead.
@@ -131,14 +131,14 @@ pub struct Observation<'a> {
     /// Motion of the ego.
     pub ego: EgoMotion,
     /// Navigation instructions.
-    pub guidance: Guidance,
+    pub guidance: Navigation,
     /// Privileged state, if requested.
     pub privileged: Option<&'a Privileged>,
 }
 
 /// Inputs of a planner before an episode.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Briefing {
+pub struct EpisodeInfo {
     /// The scenario's name.
     pub scenario: String,
     /// From one plan to the next, seconds.
@@ -160,13 +160,13 @@ pub trait Planner: Send {
     fn name(&self) -> String;
 
     /// Requested inputs; the same for all episodes.
-    fn sees(&self) -> Sees;
+    fn sees(&self) -> ObservationRequest;
 
     /// Called before each episode: what it remembers of the one before is to be forgotten.
     ///
     /// # Errors
     /// Where it cannot drive.
-    fn begin(&mut self, briefing: &Briefing) -> Result<(), PlannerError>;
+    fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError>;
 
     /// The way on from here.
     ///

@@ -5,7 +5,7 @@ use decouplegs_scene::plan::Plan;
 use decouplegs_scene::{Pose, TimedPose, Trajectory};
 
 use super::cadence::plan_through;
-use super::{Briefing, Cameras, Observation, Planner, PlannerError, Sees, state_needed};
+use super::{Cameras, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError, state_needed};
 
 /// Follows a recorded motion in place and time, whoever is in the way; beyond its end it stands where the record ends.
 ///
@@ -28,7 +28,7 @@ impl Replay {
     /// # Errors
     /// Where the times of the episode's moments do not rise or a place is not finite.
     pub fn of_episode(episode: &Episode) -> Result<Self, PlannerError> {
-        let stand = |instant: &decouplegs_scene::episode::Instant| TimedPose {
+        let stand = |instant: &decouplegs_scene::episode::EpisodeTick| TimedPose {
             time_s: instant.time_s,
             pose: Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0)),
         };
@@ -43,11 +43,11 @@ impl Planner for Replay {
         "replay".into()
     }
 
-    fn sees(&self) -> Sees {
-        Sees { cameras: Cameras::None, privileged: true }
+    fn sees(&self) -> ObservationRequest {
+        ObservationRequest { cameras: Cameras::None, privileged: true }
     }
 
-    fn begin(&mut self, _: &Briefing) -> Result<(), PlannerError> {
+    fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
         Ok(())
     }
 

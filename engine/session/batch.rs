@@ -7,9 +7,9 @@ use decouplegs_render::layout::CAMERAS_MAX;
 use decouplegs_render::{Agent, Scene};
 use decouplegs_scene::{Camera, ContactShadow};
 
-use super::viewer::WorldView;
+use super::batch_renderer::WorldView;
 use super::{SessionError, SessionScene};
-use crate::{LiveScene, Placed};
+use crate::{AgentInstance, LiveScene};
 
 /// Some cameras of one view.
 pub(super) struct Part {
@@ -53,7 +53,7 @@ pub(super) fn batches(views: &[WorldView<'_>], pixels_max: u64) -> Result<Vec<Ba
 }
 
 /// The agents of a batch, each seen by the cameras of its world.
-pub(super) struct Cast {
+pub(super) struct AgentBatch {
     agents: Vec<Agent>,
     shadows: Vec<ContactShadow>,
     shadow_cameras: Option<Vec<u32>>,
@@ -66,14 +66,14 @@ impl Batch {
     }
 
     /// Agents, in the light of the scene.
-    pub fn cast(&self, live: &LiveScene, views: &[WorldView<'_>]) -> Cast {
-        let mut cast = Cast { agents: Vec::new(), shadows: Vec::new(), shadow_cameras: None };
+    pub fn cast(&self, live: &LiveScene, views: &[WorldView<'_>]) -> AgentBatch {
+        let mut cast = AgentBatch { agents: Vec::new(), shadows: Vec::new(), shadow_cameras: None };
         let mut shadow_cameras = Vec::new();
         let mut first = 0;
         for part in &self.parts {
             let own = ((1u64 << part.cameras.len()) - 1) << first;
             first += part.cameras.len();
-            let placed: Vec<Placed> = views[part.view].world.agents().iter().map(|agent| agent.placed).collect();
+            let placed: Vec<AgentInstance> = views[part.view].world.agents().iter().map(|agent| agent.placed).collect();
             let moment = live.placed(&placed);
             cast.agents.extend(moment.agents.into_iter().map(|agent| Agent { cameras: own as u32, ..agent }));
             shadow_cameras.extend(std::iter::repeat_n(own as u32, moment.shadows.len()));
@@ -85,7 +85,7 @@ impl Batch {
     }
 }
 
-impl Cast {
+impl AgentBatch {
     /// The background of `live` with these agents.
     pub fn over<'a>(&'a self, live: &'a LiveScene) -> Scene<'a> {
         Scene {

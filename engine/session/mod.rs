@@ -1,8 +1,8 @@
 //! Many scenes, many worlds and many views on one device: how other programs use the engine.
 //!
 //! A [`Session`] owns the device and the scenes that were opened on it: each background and each asset is there once, however many
-//! show it. A [`World`] is a set of agents over one of these scenes, and costs a few hundred bytes. A [`Viewer`] draws any number of
-//! worlds for any cameras in as few submissions as there are 32 cameras; several viewers may work on several threads.
+//! show it. A [`World`] is a set of agents over one of these scenes, and costs a few hundred bytes. A [`BatchRenderer`] draws any number of
+//! worlds for any cameras in as few submissions as there are 32 cameras; several batch renderers may work on several threads.
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -11,7 +11,7 @@
 //!
 //! let session = Session::open(&SessionOptions::default())?;
 //! let scene = session.open_scene("street/scene.toml".as_ref())?;
-//! let mut viewer = session.viewer();
+//! let mut renderer = session.batch_renderer();
 //! let mut worlds = [World::new(&scene), World::new(&scene)];
 //! let mut images = HostImages::default();
 //! for step in 0..100 {
@@ -21,7 +21,7 @@
 //!     worlds[1].move_to("car_001", pose)?;
 //!     let cameras = scene.rig().at(&scene.ego().at(time_s));
 //!     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
-//!     let drawn = viewer.draw(&views, &mut images)?;
+//!     let drawn = renderer.draw(&views, &mut images)?;
 //!     println!("{:?}, first pixel {:?}", drawn[0].gpu_time, &images.rgba(0, 0)[..4]);
 //! }
 //! # Ok(())
@@ -29,7 +29,7 @@
 //! ```
 
 mod batch;
-mod viewer;
+mod batch_renderer;
 mod world;
 
 use std::collections::{BTreeMap, HashMap};
@@ -45,7 +45,7 @@ use glam::DVec3;
 use crate::LiveScene;
 use crate::episode::Site;
 
-pub use viewer::{HostImages, Viewer, WorldView};
+pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
 pub use world::{World, WorldAgent};
 
 /// Probes of light that a scene keeps at most, about 110 bytes each: agents that are sent anywhere at all must not fill the memory.
@@ -94,11 +94,11 @@ pub enum SessionError {
         /// Limit.
         max: usize,
     },
-    /// Bytes were asked of a viewer that draws floats.
-    #[error("the viewer stores floats: open the session with ColorFormat::U8 to read bytes")]
+    /// Bytes were asked of a batch renderer that draws floats.
+    #[error("the batch renderer stores floats: open the session with ColorFormat::U8 to read bytes")]
     NotBytes,
     /// A world of another session, whose scenes are not on this device.
-    #[error("view {view} shows a world of another session: draw it with a viewer of its own")]
+    #[error("view {view} shows a world of another session: draw it with a batch renderer of its own")]
     OtherSession {
         /// Index of the view.
         view: usize,
@@ -234,8 +234,8 @@ impl Session {
 
     /// Something that draws worlds of this session, as [`SessionOptions::render`] says.
     #[must_use]
-    pub fn viewer(&self) -> Viewer {
-        Viewer::new(&self.gpu, &self.options)
+    pub fn batch_renderer(&self) -> BatchRenderer {
+        BatchRenderer::new(&self.gpu, &self.options)
     }
 }
 

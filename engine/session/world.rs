@@ -5,7 +5,7 @@ use std::sync::Arc;
 use decouplegs_scene::{Pose, ShFrame};
 
 use super::{SessionError, SessionScene};
-use crate::Placed;
+use crate::AgentInstance;
 
 /// Agents have ids from 1 to this.
 const AGENTS_MAX: usize = u16::MAX as usize;
@@ -19,7 +19,7 @@ pub struct WorldAgent {
     /// Unique in the world.
     pub name: String,
     /// Asset and pose.
-    pub placed: Placed,
+    pub placed: AgentInstance,
 }
 
 /// A set of agents over a scene, which other worlds may be over as well: the background is shared, the agents are not.
@@ -35,7 +35,7 @@ impl World {
     pub fn new(scene: &Arc<SessionScene>) -> Self {
         let agent = |agent: &decouplegs_asset::LoadedAgent| WorldAgent {
             name: agent.name.clone(),
-            placed: Placed {
+            placed: AgentInstance {
                 asset: agent.asset,
                 pose: agent.trajectory.at(0.0),
                 sh_frame: Some(agent.sh_frame),
@@ -91,11 +91,11 @@ impl World {
         self.scene.asset_dims_m(asset)?;
         if let Ok(index) = self.index_of(name) {
             let placed = &mut self.agents[index].placed;
-            *placed = Placed { asset, pose, sh_frame, instance: placed.instance };
+            *placed = AgentInstance { asset, pose, sh_frame, instance: placed.instance };
             return Ok(placed.instance);
         }
         let instance = self.free_instance()?;
-        self.agents.push(WorldAgent { name: name.to_owned(), placed: Placed { asset, pose, sh_frame, instance } });
+        self.agents.push(WorldAgent { name: name.to_owned(), placed: AgentInstance { asset, pose, sh_frame, instance } });
         Ok(instance)
     }
 
@@ -103,7 +103,7 @@ impl World {
     ///
     /// # Errors
     /// When there is no such asset, or there are more agents than ids; nothing is changed then.
-    pub fn set_agents(&mut self, agents: impl IntoIterator<Item = (String, Placed)>) -> Result<(), SessionError> {
+    pub fn set_agents(&mut self, agents: impl IntoIterator<Item = (String, AgentInstance)>) -> Result<(), SessionError> {
         let agents: Vec<WorldAgent> = agents.into_iter().map(|(name, placed)| WorldAgent { name, placed }).collect();
         if agents.len() > AGENTS_MAX {
             return Err(SessionError::TooManyAgents { max: AGENTS_MAX });

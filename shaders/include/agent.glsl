@@ -10,7 +10,7 @@ struct Agent {
     vec3 dc_residual_step; // luma, orange, green
     float log2_size_min;
     float log2_size_step;
-    uint first_chunk; // of this agent, among the chunks of all agents of the frame
+    uint first_cluster; // of this agent, among the clusters of all agents of the frame
     uint first_bounds; // of its level of detail, in the pool
     uint first_splat;
     uint splat_count;

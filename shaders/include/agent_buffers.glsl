@@ -5,13 +5,13 @@ layout(set = 0, binding = 1, scalar) readonly buffer agent_cameras_block { Camer
 layout(set = 0, binding = 2, scalar) readonly buffer coded_splats_block { uvec3 coded_splats[]; };
 layout(set = 0, binding = 3, scalar) readonly buffer coded_shapes_block { float coded_shapes[]; }; // 6 a shape
 
-// The last agent whose chunks begin at or before this one.
-uint agent_of_chunk(uint chunk, uint agent_count) {
+// The last agent whose clusters begin at or before this one.
+uint agent_of_cluster(uint cluster, uint agent_count) {
     uint low = 0u;
     uint high = agent_count;
     while (high - low > 1u) {
         uint middle = (low + high) / 2u;
-        if (agents[middle].first_chunk <= chunk) {
+        if (agents[middle].first_cluster <= cluster) {
             low = middle;
         } else {
             high = middle;

@@ -3,7 +3,7 @@
 // Included by blend.comp, whose buffers it reads.
 
 const uint SUBGROUPS = THREADS / LANES;
-const uint SHARES = LEFT_PIXELS / LANES; // of a macro tile, for a subgroup each: two pixels a lane
+const uint SHARES = LEFT_PIXELS / LANES; // of a coarse tile, for a subgroup each: two pixels a lane
 
 const uint BATCH_WORDS = BATCH / 32u;
 
@@ -21,7 +21,7 @@ const uint WORDS_STAGED = LANES > 32u ? LANES / 32u : 1u; // by a subgroup at a 
 const uint LIST_ROOM = 6u * BLOCK_LANES;
 const uint LISTS = THREADS / BLOCK_LANES;
 
-// The exponent of a record at (x, y), relative to the macro tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
+// The exponent of a record at (x, y), relative to the coarse tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
 // - (y * rate_y + slants.w)^2. `tones` is rate_y, log2_opacity, red and green.
 shared vec4 batch_slants[BATCH + 1u];
 shared vec4 batch_tones[BATCH + 1u];
@@ -29,31 +29,31 @@ shared float batch_blues[BATCH + 1u];
 shared float batch_depths[DEPTH ? BATCH + 1u : 1u];
 shared uint batch_instances[INSTANCE || CONTRIBUTIONS ? BATCH + 1u : 1u];
 
-// Records of each render tile, one bit each. A word more than needed keeps tiles out of each other's memory bank.
+// Records of each fine tile, one bit each. A word more than needed keeps tiles out of each other's memory bank.
 shared uint tile_records[32][BATCH_WORDS + 1u];
 
 // The lists of blocks.
 shared uint list_entries[LISTS * LIST_ROOM];
 
-// Render tiles of the macro tile at `origin` that the splat can reach, as bits row * 8 + column.
-uint reached_render_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
+// Fine tiles of the coarse tile at `origin` that the splat can reach, as bits row * 8 + column.
+uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
     uint mask = 0u;
     ivec2 rows = max(reached_rows(splat, size_px.y) - int(origin.y), ivec2(0, -1));
-    rows = min(rows, int(MACRO_HEIGHT_PX) - 1) / int(RENDER_TILE_PX);
+    rows = min(rows, int(COARSE_HEIGHT_PX) - 1) / int(FINE_TILE_PX);
     for (int row = rows.x; row <= rows.y; ++row) {
-        float top = float(origin.y + uint(row) * RENDER_TILE_PX);
-        ivec2 columns = reached_columns(splat, top + 0.5, top + float(RENDER_TILE_PX) - 0.5, size_px.x) - int(origin.x);
-        if (columns.x > columns.y || columns.y < 0 || columns.x >= int(MACRO_WIDTH_PX)) {
+        float top = float(origin.y + uint(row) * FINE_TILE_PX);
+        ivec2 columns = reached_columns(splat, top + 0.5, top + float(FINE_TILE_PX) - 0.5, size_px.x) - int(origin.x);
+        if (columns.x > columns.y || columns.y < 0 || columns.x >= int(COARSE_WIDTH_PX)) {
             continue;
         }
-        uint first = uint(max(columns.x, 0)) / RENDER_TILE_PX;
-        uint last = min(uint(columns.y) / RENDER_TILE_PX, MACRO_COLUMNS - 1u);
-        mask |= ((2u << last) - (1u << first)) << (uint(row) * MACRO_COLUMNS);
+        uint first = uint(max(columns.x, 0)) / FINE_TILE_PX;
+        uint last = min(uint(columns.y) / FINE_TILE_PX, COARSE_COLUMNS - 1u);
+        mask |= ((2u << last) - (1u << first)) << (uint(row) * COARSE_COLUMNS);
     }
     return mask;
 }
 
-// Stages record `entry` of `count`, which begin at entry `first` of the lists; returns the render tiles that it can reach.
+// Stages record `entry` of `count`, which begin at entry `first` of the lists; returns the fine tiles that it can reach.
 uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px) {
     if (entry >= count) {
         return 0u;
@@ -74,10 +74,10 @@ uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
     if (INSTANCE || CONTRIBUTIONS) {
         batch_instances[entry] = floatBitsToUint(high.w);
     }
-    return reached_render_tiles(splat, origin, size_px);
+    return reached_fine_tiles(splat, origin, size_px);
 }
 
-// Stages `count` records, which begin at entry `first` of the lists, and lists them by render tile. A barrier must follow.
+// Stages `count` records, which begin at entry `first` of the lists, and lists them by fine tile. A barrier must follow.
 //
 // A subgroup takes 32 records at a time, or as many as it has lanes: their masks are turned into one word per tile by ballots.
 void stage_records(uint first, uint count, uvec2 origin, uvec2 size_px) {
@@ -118,7 +118,7 @@ void stage_no_record() {
     }
 }
 
-// The records of a render tile, or of the two that a subgroup of 64 lanes has: word `word`.
+// The records of a fine tile, or of the two that a subgroup of 64 lanes has: word `word`.
 uint tile_word(uint tile, uint word, uint words) {
     uint bits = word < words ? tile_records[tile][word] : 0u;
     if (LANES > 32u) {

@@ -1,4 +1,4 @@
-// The camera whose image a macro tile belongs to.
+// The camera whose image a coarse tile belongs to.
 //
 // Included where cameras are bound.
 

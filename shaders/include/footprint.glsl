@@ -66,16 +66,16 @@ ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px)
     return pixels_between(splat.mean_px.x + left - rounding, splat.mean_px.x + right + rounding, width_px);
 }
 
-// Macro tiles [x, y] of row `row` of the camera's tiles that the splat can reach; empty when x > y.
-ivec2 reached_macro_tiles(Footprint splat, uint row, uvec2 size_px) {
-    float top = float(row * MACRO_HEIGHT_PX);
-    float bottom = min(top + float(MACRO_HEIGHT_PX), float(size_px.y));
+// Coarse tiles [x, y] of row `row` of the camera's tiles that the splat can reach; empty when x > y.
+ivec2 reached_coarse_tiles(Footprint splat, uint row, uvec2 size_px) {
+    float top = float(row * COARSE_HEIGHT_PX);
+    float bottom = min(top + float(COARSE_HEIGHT_PX), float(size_px.y));
     ivec2 columns = reached_columns(splat, top + 0.5, bottom - 0.5, size_px.x);
-    return columns.x > columns.y ? ivec2(0, -1) : columns / int(MACRO_WIDTH_PX);
+    return columns.x > columns.y ? ivec2(0, -1) : columns / int(COARSE_WIDTH_PX);
 }
 
-// Rows [x, y] of macro tiles that the splat can reach; empty when x > y.
-ivec2 reached_macro_rows(Footprint splat, uint height_px) {
+// Rows [x, y] of coarse tiles that the splat can reach; empty when x > y.
+ivec2 reached_coarse_rows(Footprint splat, uint height_px) {
     ivec2 rows = reached_rows(splat, height_px);
-    return rows.x > rows.y ? ivec2(0, -1) : rows / int(MACRO_HEIGHT_PX);
+    return rows.x > rows.y ? ivec2(0, -1) : rows / int(COARSE_HEIGHT_PX);
 }

@@ -1,16 +1,16 @@
 // Structures shared by the stages of a frame. The host has them in engine/render/src/layout.rs; tests/stages/layout.rs compares the two.
 
-// Splats a chunk; a chunk is culled as one and is one workgroup of cull and project.
-const uint CHUNK_SPLATS = 256u;
-const uint CHUNK_WORDS = CHUNK_SPLATS / 32u;
+// Splats a cluster; a cluster is culled as one and is one workgroup of cull and project.
+const uint CLUSTER_SPLATS = 256u;
+const uint CLUSTER_WORDS = CLUSTER_SPLATS / 32u;
 
-// A macro tile is what lists are made for: 8 x 4 render tiles of 8 x 8 pixels, one bit of a 32-bit mask each.
-const uint RENDER_TILE_PX = 8u;
-const uint MACRO_COLUMNS = 8u;
-const uint MACRO_ROWS = 4u;
-const uint MACRO_WIDTH_PX = RENDER_TILE_PX * MACRO_COLUMNS;
-const uint MACRO_HEIGHT_PX = RENDER_TILE_PX * MACRO_ROWS;
-const uint MACRO_PIXELS = MACRO_WIDTH_PX * MACRO_HEIGHT_PX;
+// A coarse tile is what lists are made for: 8 x 4 fine tiles of 8 x 8 pixels, one bit of a 32-bit mask each.
+const uint FINE_TILE_PX = 8u;
+const uint COARSE_COLUMNS = 8u;
+const uint COARSE_ROWS = 4u;
+const uint COARSE_WIDTH_PX = FINE_TILE_PX * COARSE_COLUMNS;
+const uint COARSE_HEIGHT_PX = FINE_TILE_PX * COARSE_ROWS;
+const uint COARSE_PIXELS = COARSE_WIDTH_PX * COARSE_HEIGHT_PX;
 
 struct Camera {
     vec3 row_x; // camera from world rotation, by rows
@@ -24,15 +24,15 @@ struct Camera {
     vec2 slope_min; // x/z and y/z are kept inside these in the projection's Jacobian
     vec2 slope_max;
     uvec2 size_px;
-    uvec2 macro_tiles;
+    uvec2 coarse_tiles;
     vec2 key_offset;  // what a depth relative to the world's origin has before it is scaled by key_scale, high and low part
     float key_scale;  // turns such a depth into one between -1 and 1, exactly: a power of two
     float key_depth;  // the camera's own depth relative to the world's origin, scaled
-    uint first_bin;   // bins of camera c are first_bin .. first_bin + macro_tiles.x * macro_tiles.y, row-major
+    uint first_bin;   // bins of camera c are first_bin .. first_bin + coarse_tiles.x * coarse_tiles.y, row-major
     uint first_pixel; // where its image begins in the output buffers
 };
 
-struct Chunk {
+struct Cluster {
     vec3 center_m; // of the box around the means
     vec3 half_extent_m;
     float reach_m; // longest standard deviation times cut-off radius (at least sqrt(3)) of any splat in it
@@ -40,22 +40,22 @@ struct Chunk {
 
 // Required counts, whatever the capacity: the host grows the buffers that were too small and
 // renders again.
-struct Needs {
+struct RequiredCounts {
     uint records;    // visible (camera, splat)
-    uint pairs;      // (macro tile, record); more than 2^32 wrap: see wanted_pairs
-    uint pairs_low;  // the same, the sum of the lower 16 bits of each macro tile's number
+    uint pairs;      // (coarse tile, record); more than 2^32 wrap: see wanted_pairs
+    uint pairs_low;  // the same, the sum of the lower 16 bits of each coarse tile's number
     uint pairs_high; // and of the upper 16 bits
     uint buckets;    // of pairs, sorted one by one
-    uint items;      // (macro tile, segment of its list)
-    uint partials;   // items of macro tiles with more than one segment
-    uint composites; // macro tiles with more than one segment
-    uint longest;    // pairs of one macro tile, at most
+    uint items;      // (coarse tile, segment of its list)
+    uint partials;   // items of coarse tiles with more than one segment
+    uint composites; // coarse tiles with more than one segment
+    uint longest;    // pairs of one coarse tile, at most
 };
 
-// Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 macro tiles' halves cannot wrap.
-uint wanted_pairs(Needs needs) {
-    uint high = needs.pairs_high + (needs.pairs_low >> 16u);
-    return high > 0xffffu ? 0xffffffffu : high << 16u | (needs.pairs_low & 0xffffu);
+// Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 coarse tiles' halves cannot wrap.
+uint wanted_pairs(RequiredCounts required) {
+    uint high = required.pairs_high + (required.pairs_low >> 16u);
+    return high > 0xffffu ? 0xffffffffu : high << 16u | (required.pairs_low & 0xffffu);
 }
 
 // A count that has no room makes nothing: the host grows the buffers and draws again.
@@ -80,7 +80,7 @@ const uint PAIR_BLOCK = 1024u;
 // Pairs after which a bucket ends with the next depth slab.
 const uint BUCKET_PAIRS = 1024u;
 
-// A run of one macro tile's pairs that is sorted by itself.
+// A run of one coarse tile's pairs that is sorted by itself.
 struct Bucket {
     uint first_pair;
     uint pairs;
@@ -101,8 +101,8 @@ uint group_index() {
     return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;
 }
 
-// One (macro tile, segment) of work for blend.
-struct Item {
+// One (coarse tile, segment) of work for blend.
+struct BlendItem {
     uint bin;
     uint first_pair;
     uint pairs;
@@ -111,7 +111,7 @@ struct Item {
 };
 const uint NO_PARTIAL = 0xffffffffu;
 
-// A macro tile whose partial results are to be joined.
+// A coarse tile whose partial results are to be joined.
 struct Composite {
     uint bin;
     uint first_partial;

@@ -172,21 +172,21 @@ float arc_sine_bound(float s) {
 // sqrt(6).
 const float UNSCENTED_REACH = 3.45;
 
-// True if a splat of the cluster may overlap the image of a camera: chunk_reaches for a lens other
+// True if a splat of the cluster may overlap the image of a camera: cluster_overlaps for a lens other
 // than a pinhole.
 //
 // The means lie in a ball, within some angle of its center, and no lens takes rays so far apart in the image as its steepest
 // place would. Balls near the camera or beside it are let pass: there are few.
-bool chunk_reaches_unscented(Chunk chunk, Camera camera, uint lens) {
-    vec3 center = from_camera_m(chunk.center_m, camera);
-    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(chunk.half_extent_m, vec3(1.0)) + chunk.reach_m);
-    if (chunk.reach_m < 0.0 || !(farthest(chunk, center, camera.row_z) + slack >= NEAR_M)) {
+bool cluster_overlaps_lens(Cluster cluster, Camera camera, uint lens) {
+    vec3 center = from_camera_m(cluster.center_m, camera);
+    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(cluster.half_extent_m, vec3(1.0)) + cluster.reach_m);
+    if (cluster.reach_m < 0.0 || !(farthest(cluster, center, camera.row_z) + slack >= NEAR_M)) {
         return false;
     }
     float distance_m = length(center);
-    float spread_m = length(chunk.half_extent_m) + slack;
+    float spread_m = length(cluster.half_extent_m) + slack;
     float spread = spread_m / distance_m;
-    float reach = chunk.reach_m / (distance_m - spread_m);
+    float reach = cluster.reach_m / (distance_m - spread_m);
     vec3 t = to_camera_axes(camera, center);
     if (!(spread < 0.25 && reach < 0.25 && t.z > 0.0)) {
         return true;
@@ -198,10 +198,10 @@ bool chunk_reaches_unscented(Chunk chunk, Camera camera, uint lens) {
     return all(greaterThanEqual(pixel, -margin)) && all(lessThanEqual(pixel, vec2(camera.size_px) + margin));
 }
 
-// chunk_reaches, whatever the camera's lens.
-bool chunk_reaches_seen(Chunk chunk, Camera camera, uint lens) {
+// cluster_overlaps, whatever the camera's lens.
+bool cluster_overlaps_any_lens(Cluster cluster, Camera camera, uint lens) {
     if (LENSES && lenses[lens].kind != LENS_PINHOLE) {
-        return chunk_reaches_unscented(chunk, camera, lens);
+        return cluster_overlaps_lens(cluster, camera, lens);
     }
-    return chunk_reaches(chunk, camera);
+    return cluster_overlaps(cluster, camera);
 }

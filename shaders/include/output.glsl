@@ -12,23 +12,23 @@ layout(set = 0, binding = 3, std430) writeonly buffer depths_block { float depth
 layout(set = 0, binding = 4, std430) writeonly buffer instance_ids_block { uint instance_ids[]; };
 
 // Assignment of a coarse tile's pixels to lanes in blend: eight lanes have a block of 4 x 4, two
-// pixels each, and four blocks are a render tile. A pixel's place counts the left pixels of all
+// pixels each, and four blocks are a fine tile. A pixel's place counts the left pixels of all
 // lanes first, then the right ones, two columns beside them.
-const uint LEFT_PIXELS = MACRO_PIXELS / 2u;
-const uint TILE_LEFT_PIXELS = RENDER_TILE_PX * RENDER_TILE_PX / 2u;
+const uint LEFT_PIXELS = COARSE_PIXELS / 2u;
+const uint TILE_LEFT_PIXELS = FINE_TILE_PX * FINE_TILE_PX / 2u;
 
-// The render tile, row-major in its macro tile, of the pixel at `place`.
-uint render_tile(uint place) {
+// The fine tile, row-major in its coarse tile, of the pixel at `place`.
+uint fine_tile(uint place) {
     return place % LEFT_PIXELS / TILE_LEFT_PIXELS;
 }
 
-// Position in the macro tile of the pixel at `place`.
+// Position in the coarse tile of the pixel at `place`.
 uvec2 pixel_offset(uint place) {
-    uint tile = render_tile(place);
+    uint tile = fine_tile(place);
     uint block = place / 8u % 4u;
     uint lane = place % 8u;
     uvec2 in_block = uvec2(lane % 2u + 2u * (place / LEFT_PIXELS), lane / 2u);
-    return uvec2(tile % MACRO_COLUMNS, tile / MACRO_COLUMNS) * RENDER_TILE_PX + uvec2(block % 2u, block / 2u) * 4u + in_block;
+    return uvec2(tile % COARSE_COLUMNS, tile / COARSE_COLUMNS) * FINE_TILE_PX + uvec2(block % 2u, block / 2u) * 4u + in_block;
 }
 
 // Transmittance limit of the exclusive stop: a pixel stops before the splat that would take its
@@ -49,10 +49,10 @@ struct Pixel {
 
 const Pixel PIXEL_EMPTY = Pixel(vec3(0.0), 1.0, 0.0, 0.0, 0u);
 
-// Top left pixel of a macro tile.
-uvec2 macro_tile_origin(uint bin, Camera camera) {
+// Top left pixel of a coarse tile.
+uvec2 coarse_tile_origin(uint bin, Camera camera) {
     uint tile = bin - camera.first_bin;
-    return uvec2(tile % camera.macro_tiles.x * MACRO_WIDTH_PX, tile / camera.macro_tiles.x * MACRO_HEIGHT_PX);
+    return uvec2(tile % camera.coarse_tiles.x * COARSE_WIDTH_PX, tile / camera.coarse_tiles.x * COARSE_HEIGHT_PX);
 }
 
 void write_pixel(Camera camera, uvec2 at, Pixel pixel, vec3 sky) {

@@ -5,30 +5,30 @@
 // Pixels that dilation adds to a splat's half-width at most: sqrt(0.3 * 2 ln 255), rounded up.
 const float DILATION_REACH_PX = 1.9;
 
-// The largest value of dot(normal, p) over the chunk's box, p relative to the camera.
-float farthest(Chunk chunk, vec3 center, vec3 normal) {
-    return dot(normal, center) + dot(abs(normal), chunk.half_extent_m);
+// The largest value of dot(normal, p) over the cluster's box, p relative to the camera.
+float farthest(Cluster cluster, vec3 center, vec3 normal) {
+    return dot(normal, center) + dot(abs(normal), cluster.half_extent_m);
 }
 
-bool chunk_reaches(Chunk chunk, Camera camera) {
-    vec3 center = from_camera_m(chunk.center_m, camera);
+bool cluster_overlaps(Cluster cluster, Camera camera) {
+    vec3 center = from_camera_m(cluster.center_m, camera);
     vec2 spread = sqrt(1.0 + pow(max(abs(camera.slope_min), abs(camera.slope_max)), vec2(2.0)));
     // Rounding of the box, relative to its distance.
-    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(chunk.half_extent_m, vec3(1.0)) + chunk.reach_m);
-    vec2 reach = chunk.reach_m * spread + slack;
+    float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(cluster.half_extent_m, vec3(1.0)) + cluster.reach_m);
+    vec2 reach = cluster.reach_m * spread + slack;
     vec2 low = (camera.principal_px + DILATION_REACH_PX) / camera.focal_px;
     vec2 high = (vec2(camera.size_px) - camera.principal_px + DILATION_REACH_PX) / camera.focal_px;
-    return farthest(chunk, center, camera.row_z) + slack >= NEAR_M
-        && farthest(chunk, center, camera.row_x + low.x * camera.row_z) + reach.x >= 0.0
-        && farthest(chunk, center, -camera.row_x + high.x * camera.row_z) + reach.x >= 0.0
-        && farthest(chunk, center, camera.row_y + low.y * camera.row_z) + reach.y >= 0.0
-        && farthest(chunk, center, -camera.row_y + high.y * camera.row_z) + reach.y >= 0.0;
+    return farthest(cluster, center, camera.row_z) + slack >= NEAR_M
+        && farthest(cluster, center, camera.row_x + low.x * camera.row_z) + reach.x >= 0.0
+        && farthest(cluster, center, -camera.row_x + high.x * camera.row_z) + reach.x >= 0.0
+        && farthest(cluster, center, camera.row_y + low.y * camera.row_z) + reach.y >= 0.0
+        && farthest(cluster, center, -camera.row_y + high.y * camera.row_z) + reach.y >= 0.0;
 }
 
-bool splat_reaches(Footprint splat, Camera camera) {
-    ivec2 rows = reached_macro_rows(splat, camera.size_px.y);
+bool splat_overlaps(Footprint splat, Camera camera) {
+    ivec2 rows = reached_coarse_rows(splat, camera.size_px.y);
     for (int row = rows.x; row <= rows.y; ++row) {
-        ivec2 tiles = reached_macro_tiles(splat, uint(row), camera.size_px);
+        ivec2 tiles = reached_coarse_tiles(splat, uint(row), camera.size_px);
         if (tiles.x <= tiles.y) {
             return true;
         }

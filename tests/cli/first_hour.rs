@@ -12,8 +12,7 @@ fn splats_without_cameras_are_drawn_from_all_sides() {
     assert_eq!(said.lines().count(), 24, "eight views, each with its two planes: {said}");
     let mut images = Vec::new();
     for view in 0..8 {
-        let [image, depth, instance] =
-            ["png", "depth.npy", "instance.npy"].map(|end| out.join(format!("orbit_{view:03}.{end}")));
+        let [image, depth, instance] = ["png", "depth.npy", "instance.npy"].map(|end| out.join(format!("orbit_{view:03}.{end}")));
         let image = Image::read(&image).unwrap();
         assert!(image.rgb.iter().any(|rgb| rgb.iter().any(|&value| value > 0.1)), "view {view} shows something");
         let depth = fs::read(depth).unwrap();

@@ -22,10 +22,10 @@ fn every_list_grows_and_the_image_is_whole() {
     roomy.render(&resident, &cameras).unwrap();
     let statistics = roomy.render(&resident, &cameras).unwrap();
     assert_eq!(statistics.redrawn, 0, "a frame like the one before needs no growth");
-    assert_eq!(statistics.needs.records, 2000);
-    assert_eq!(statistics.needs.pairs, 2000 * 12, "every splat reaches all 3 x 4 macro tiles");
+    assert_eq!(statistics.required.records, 2000);
+    assert_eq!(statistics.required.pairs, 2000 * 12, "every splat reaches all 3 x 4 coarse tiles");
     assert_eq!(
-        (statistics.needs.partials, statistics.needs.composites),
+        (statistics.required.partials, statistics.required.composites),
         (12 * 8, 12),
         "2000 entries are 7 segments of 256 and one of 208"
     );
@@ -39,7 +39,7 @@ fn every_list_grows_and_the_image_is_whole() {
         let mut tight = Renderer::new(&gpu, options).with_capacity(capacity);
         let statistics = tight.render(&resident, &cameras).unwrap();
         assert!(statistics.redrawn > 0, "{capacity:?} cannot have been enough");
-        assert!(statistics.capacity.holds(&statistics.needs));
+        assert!(statistics.capacity.holds(&statistics.required));
         assert!(tight.read_images().unwrap() == whole, "{capacity:?}");
     }
 }
@@ -61,7 +61,7 @@ fn cutting_lists_into_segments_changes_rounding_only() {
         let mut renderer = Renderer::new(&gpu, RenderOptions { segment_pairs, ..RenderOptions::default() });
         let resident = renderer.upload(&world).unwrap();
         let statistics = renderer.render(&resident, &cameras).unwrap();
-        assert_eq!(statistics.needs.partials > 0, segment_pairs != u32::MAX);
+        assert_eq!(statistics.required.partials > 0, segment_pairs != u32::MAX);
         renderer.read_images().unwrap().remove(0)
     });
     let [first, rest @ ..] = &mut images;
@@ -72,7 +72,7 @@ fn cutting_lists_into_segments_changes_rounding_only() {
     }
 }
 
-/// Render tiles of one macro tile fill at different times: near splats fill its left edge, far ones the rest, batches later.
+/// Fine tiles of one coarse tile fill at different times: near splats fill its left edge, far ones the rest, batches later.
 #[test]
 fn tiles_that_fill_late_are_drawn_to_the_end() {
     let gpu = Validated::open();
@@ -99,7 +99,7 @@ fn tiles_that_fill_late_are_drawn_to_the_end() {
     }
 }
 
-/// More splats on one macro tile than a software device blends in one run: they are cut by every rule.
+/// More splats on one coarse tile than a software device blends in one run: they are cut by every rule.
 #[test]
 fn a_list_too_long_for_one_run_in_software_is_drawn_right() {
     let gpu = Validated::open();
@@ -111,7 +111,7 @@ fn a_list_too_long_for_one_run_in_software_is_drawn_right() {
         let mut renderer = Renderer::new(&gpu, RenderOptions { rules, segment_pairs, ..RenderOptions::default() });
         let resident = renderer.upload(&world).unwrap();
         let statistics = renderer.render(&resident, std::slice::from_ref(&camera)).unwrap();
-        assert_eq!(statistics.needs.longest, 17_000);
+        assert_eq!(statistics.required.longest, 17_000);
         let image = renderer.read_images().unwrap().remove(0);
         let difference = Difference::between(&image, &reference::render(&world, &camera, &rules).to_image()).unwrap();
         assert!(difference.psnr_db >= PSNR_MIN_DB, "{rules:?}: {:.1} dB", difference.psnr_db);

@@ -1,7 +1,7 @@
 //! Relit agents and contact shadows against the definition: colors transferred, splats darkened, all baked and drawn in f64.
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, Image, RenderError, RenderOptions, Renderer, ResidentWorld, Scene, reference};
+use decouplegs::render::{Agent, AssetPool, GpuScene, Image, RenderError, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::light::bake_shadows;
 use decouplegs::scene::{
     AmbientDescriptor, Camera, CodedCloud, ColorTransfer, ContactShadow, LightTransfer, Pose, Rules, ShFrame, World, sh,
@@ -101,7 +101,7 @@ impl Case {
 /// A world and its assets on the device.
 struct Stage {
     renderer: Renderer,
-    world: ResidentWorld,
+    world: GpuScene,
     pool: AssetPool,
     assets: Vec<decouplegs::render::AssetId>,
 }

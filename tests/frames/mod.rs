@@ -16,7 +16,7 @@ mod worlds;
 pub use agents::background;
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Outputs, Image, RenderOptions, Renderer, reference};
+use decouplegs::render::{Image, Outputs, RenderOptions, Renderer, reference};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World};
 use glam::{DQuat, DVec3};
 

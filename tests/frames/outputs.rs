@@ -35,8 +35,8 @@ fn depth_and_instance_are_the_definitions() {
         let options = RenderOptions { rules, segment_pairs, outputs: all_outputs(), ..RenderOptions::default() };
         let mut renderer = Renderer::new(&gpu, options);
         let resident = renderer.upload(&world).unwrap();
-        let needs = renderer.render(&resident, std::slice::from_ref(&camera)).unwrap().needs;
-        assert_eq!(needs.partials > 0, segment_pairs < 1024, "{} in the longest list", needs.longest);
+        let required = renderer.render(&resident, std::slice::from_ref(&camera)).unwrap().required;
+        assert_eq!(required.partials > 0, segment_pairs < 1024, "{} in the longest list", required.longest);
         let image = &renderer.read_images().unwrap()[0];
         let truth = reference::render(&world, &camera, &rules);
         let depths = image.depth.as_ref().unwrap();
@@ -110,8 +110,8 @@ fn contributions_add_up_to_what_pixels_cover() {
         let mut renderer = Renderer::new(&gpu, RenderOptions { rules, segment_pairs, ..RenderOptions::default() });
         let resident = renderer.upload(&world).unwrap();
         let weights = renderer.contribution_weights(&resident, &cameras).unwrap();
-        let needs = renderer.render(&resident, &cameras).unwrap().needs;
-        assert_eq!(needs.partials > 0, segment_pairs < 1024);
+        let required = renderer.render(&resident, &cameras).unwrap().required;
+        assert_eq!(required.partials > 0, segment_pairs < 1024);
         let covered: f64 = renderer.read_images().unwrap().iter().flat_map(|p| p.alpha.clone()).map(f64::from).sum();
         let sum: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
         println!("{rules:?}, segments of {segment_pairs}: {sum} of {covered} pixels");

@@ -6,7 +6,7 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColorFormat, Outputs, Image, ImageBytes, RenderError, RenderOptions, Renderer, Scene,
+    Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, RenderError, RenderOptions, Renderer, Scene,
 };
 use decouplegs::scene::{Camera, Pose, Rig, Rules, ShFrame, Trajectory};
 use decouplegs::session::{HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView};
@@ -127,11 +127,11 @@ fn worlds_of_a_session_are_drawn_together_as_alone() {
     let worlds: Vec<World> = (0..24).map(|index| world(&scenes[usize::from(index >= 19)], index)).collect();
     let cameras: Vec<Vec<Camera>> = (0..24).map(|index| cameras(0.05 * index as f64)).collect();
     let views: Vec<WorldView<'_>> = worlds.iter().zip(&cameras).map(|(world, cameras)| WorldView { world, cameras }).collect();
-    let (mut viewer, mut images, mut alone) = (session.viewer(), HostImages::default(), HostImages::default());
-    let frames = viewer.draw(&views, &mut images).unwrap();
+    let (mut renderer, mut images, mut alone) = (session.batch_renderer(), HostImages::default(), HostImages::default());
+    let frames = renderer.draw(&views, &mut images).unwrap();
     assert_eq!(frames.len(), 3, "38 cameras over one scene are two frames, those over the other one");
     assert_eq!((images.views(), images.cameras(23)), (24, 2));
-    let mut one = session.viewer();
+    let mut one = session.batch_renderer();
     for (index, view) in views.iter().enumerate() {
         one.draw(&[*view], &mut alone).unwrap();
         for camera in 0..2 {
@@ -154,22 +154,22 @@ fn what_a_world_cannot_do_is_said() {
     assert!(text(world.place("c", 2, Pose::IDENTITY, None).unwrap_err()).contains("no asset 2: it has 2"));
     assert_eq!(world.place("c", 1, Pose::IDENTITY, None).unwrap(), 3);
     assert_eq!(world.place("c", 0, Pose::IDENTITY, None).unwrap(), 3, "who is placed again keeps his id");
-    let (mut viewer, cameras) = (session.viewer(), cameras(0.0));
+    let (mut renderer, cameras) = (session.batch_renderer(), cameras(0.0));
     let view = [WorldView { world: &world, cameras: &cameras }];
-    assert!(matches!(viewer.draw(&view, &mut HostImages::default()), Err(SessionError::NotBytes)));
-    assert!(matches!(viewer.draw_images(&[WorldView { cameras: &[], ..view[0] }]), Err(SessionError::NoCameras)));
-    let (good, _) = viewer.draw_images(&view).unwrap();
+    assert!(matches!(renderer.draw(&view, &mut HostImages::default()), Err(SessionError::NotBytes)));
+    assert!(matches!(renderer.draw_images(&[WorldView { cameras: &[], ..view[0] }]), Err(SessionError::NoCameras)));
+    let (good, _) = renderer.draw_images(&view).unwrap();
     assert!(good[0][0].depth.is_some());
     let elsewhere = self::session(Outputs { depth: true, ..Outputs::default() });
     let other = World::new(&elsewhere.add_scene(&loaded(3)).unwrap());
     let foreign = [view[0], WorldView { world: &other, cameras: &cameras }];
-    assert!(matches!(viewer.draw_images(&foreign), Err(SessionError::OtherSession { view: 1 })));
-    // A frame that cannot be drawn leaves the viewer as good as before.
+    assert!(matches!(renderer.draw_images(&foreign), Err(SessionError::OtherSession { view: 1 })));
+    // A frame that cannot be drawn leaves the batch renderer as good as before.
     let mut lost = World::new(&scene);
     lost.move_to("a", Pose { translation: DVec3::NAN, ..Pose::IDENTITY }).unwrap();
     let nowhere = [view[0], WorldView { world: &lost, cameras: &cameras }];
-    assert!(matches!(viewer.draw_images(&nowhere), Err(SessionError::Render(RenderError::AgentPose { .. }))));
-    assert!(viewer.draw_images(&view).unwrap().0 == good);
+    assert!(matches!(renderer.draw_images(&nowhere), Err(SessionError::Render(RenderError::AgentPose { .. }))));
+    assert!(renderer.draw_images(&view).unwrap().0 == good);
     assert!(text(session.open_scene("nowhere/scene.toml".as_ref()).map(|_| ()).unwrap_err()).contains("nowhere/scene.toml"));
     assert_silent(&session);
 }
@@ -179,15 +179,15 @@ fn images_that_are_held_stay_and_their_memory_comes_back() {
     let session = session(Outputs { color: ColorFormat::U8, ..Outputs::default() });
     let scene = session.add_scene(&loaded(9)).unwrap();
     let cameras = cameras(0.0);
-    let (mut viewer, mut expected) = (session.viewer(), HostImages::default());
+    let (mut renderer, mut expected) = (session.batch_renderer(), HostImages::default());
     let worlds: Vec<World> = (0..4).map(|index| world(&scene, index)).collect();
     let mut take = |index: usize| {
         let view = [WorldView { world: &worlds[index], cameras: &cameras }];
-        viewer.draw_on_device(&view).map(|(mut taken, _)| taken.remove(0))
+        renderer.draw_on_device(&view).map(|(mut taken, _)| taken.remove(0))
     };
     let held: Vec<_> = (0..3).map(|index| take(index).unwrap()).collect();
     assert!(matches!(take(3), Err(SessionError::Render(RenderError::TooManyTaken { max: 3 }))));
-    let mut again = session.viewer();
+    let mut again = session.batch_renderer();
     for (index, taken) in held.iter().enumerate() {
         again.draw(&[WorldView { world: &worlds[index], cameras: &cameras }], &mut expected).unwrap();
         let words = session.gpu().read(&taken.buffers().images_u8).unwrap();
@@ -200,9 +200,9 @@ fn images_that_are_held_stay_and_their_memory_comes_back() {
     let bytes = session.gpu().memory().total_bytes;
     (0..40).for_each(|step| drop(take(step % 4).unwrap()));
     assert_eq!(session.gpu().memory().total_bytes, bytes, "memory is used again");
-    // Images outlive their viewer.
+    // Images outlive their batch renderer.
     let last = take(0).unwrap();
-    drop(viewer);
+    drop(renderer);
     assert!(!session.gpu().read(&last.buffers().images_u8).unwrap().is_empty());
     assert_silent(&session);
 }
@@ -221,7 +221,7 @@ fn a_session_draws_each_scene_by_its_own_rules() {
     let worlds = scenes.each_ref().map(World::new);
     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
     let mut images = HostImages::default();
-    session.viewer().draw(&views, &mut images).unwrap();
+    session.batch_renderer().draw(&views, &mut images).unwrap();
     for (view, loaded) in loaded.iter().enumerate() {
         // As `render`, episodes and the server draw.
         let mut renderer =
@@ -242,7 +242,7 @@ fn a_session_draws_each_scene_by_its_own_rules() {
     let worlds = scenes.each_ref().map(World::new);
     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
     let mut same = HostImages::default();
-    other.viewer().draw(&views, &mut same).unwrap();
+    other.batch_renderer().draw(&views, &mut same).unwrap();
     assert!((0..4).all(|view| same.rgba(view, 0) == images.rgba(0, 0)));
     assert_silent(&session);
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use decouplegs::planner::{Attachment, Cameras, External, Frame, Planner, Sees};
+use decouplegs::planner::{Cameras, External, Frame, ObservationRequest, Planner, Transport};
 use glam::DVec2;
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, privileged};
@@ -22,7 +22,7 @@ fn image(pixels: u64, seed: u64) -> Vec<u8> {
 /// Two steps of an episode, each number and each image as it was sent.
 fn drive(planner: &mut dyn Planner) {
     assert_eq!(planner.name(), "checksums");
-    assert_eq!(planner.sees(), Sees { cameras: Cameras::All, privileged: true });
+    assert_eq!(planner.sees(), ObservationRequest { cameras: Cameras::All, privileged: true });
     let (briefing, known, rig) = (briefing(), privileged(), cameras());
     planner.begin(&briefing).unwrap();
     for step in 0..2 {
@@ -87,7 +87,7 @@ fn serve(path: &Path) -> Server {
 fn connect(path: &Path) -> External {
     let deadline = Instant::now() + PATIENT.hello;
     loop {
-        match External::open(Attachment::Socket(path.to_owned()), PATIENT) {
+        match External::open(Transport::Socket(path.to_owned()), PATIENT) {
             Ok(planner) => return planner,
             Err(error) => assert!(Instant::now() < deadline, "{error}"),
         }
@@ -98,7 +98,7 @@ fn connect(path: &Path) -> External {
 fn a_server_on_a_unix_socket_drives_for_many() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("planner.sock");
-    let refused = External::open(Attachment::Socket(path.clone()), PATIENT).unwrap_err().to_string();
+    let refused = External::open(Transport::Socket(path.clone()), PATIENT).unwrap_err().to_string();
     assert!(refused.contains("cannot connect to") && refused.contains("planner.sock"), "{refused}");
     let mut server = serve(&path);
     let (mut one, mut other) = (connect(&path), connect(&path));
@@ -122,8 +122,8 @@ fn a_server_on_a_unix_socket_drives_for_many() {
 fn the_example_slows_down_in_the_dark() {
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/planner_client/example_planner.py");
     let words = ["python3".into(), "-B".into(), example.to_string_lossy().into_owned()];
-    let mut planner = External::open(Attachment::Command(words.to_vec()), PATIENT).unwrap();
-    assert_eq!(planner.sees(), Sees { cameras: Cameras::Front, privileged: false });
+    let mut planner = External::open(Transport::Command(words.to_vec()), PATIENT).unwrap();
+    assert_eq!(planner.sees(), ObservationRequest { cameras: Cameras::Front, privileged: false });
     let rig = cameras();
     let mut reach_m = |gray: u8| {
         planner.begin(&briefing()).unwrap();

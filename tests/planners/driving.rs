@@ -1,7 +1,7 @@
 //! Our own planners, with the ego that follows their plans.
 
-use decouplegs::planner::{ConstantVelocity, LaneFollow, Planner, PlannerChoice, Replay, Sees};
-use decouplegs::scene::episode::{EpisodeHead, Instant, PlannerRecord};
+use decouplegs::planner::{ConstantVelocity, LaneFollow, ObservationRequest, Planner, PlannerChoice, Replay};
+use decouplegs::scene::episode::{EpisodeHead, EpisodeTick, PlannerRecord};
 use decouplegs::scene::scenario::{EgoTask, Place};
 use decouplegs::scene::{Episode, EpisodeEnd, EpisodeStep, Plan, Scenario, Weather};
 use decouplegs::scene::{Pose, TimedPose, Trajectory, VehicleSize, VehicleState};
@@ -26,7 +26,7 @@ fn follow(course: &Course, agents: impl Fn(f64) -> Agents) -> Vec<Moment> {
 
 #[test]
 fn constant_velocity_keeps_on_and_asks_for_nothing() {
-    assert_eq!(ConstantVelocity.sees(), Sees::default());
+    assert_eq!(ConstantVelocity.sees(), ObservationRequest::default());
     let plan = ConstantVelocity.plan(&observation(3, &[], None)).unwrap();
     assert_eq!((plan.points().len(), plan.points()[15].time_s), (16, 4.0));
     assert!([0.1, 1.0, 3.3].iter().all(|&time_s| plan.at(time_s).distance(DVec2::new(7.3 * time_s, 0.0)) < 1e-12));
@@ -71,7 +71,7 @@ fn a_replay_drives_where_and_when_the_record_did() {
 
 /// A record of one step: there along x with 5 m/s, seen every half second.
 fn recorded() -> Episode {
-    let instant = |half: u32| Instant {
+    let instant = |half: u32| EpisodeTick {
         time_s: 0.5 * f64::from(half),
         ego: state(DVec2::new(2.5 * f64::from(half), 1.0), 0.0, 5.0),
         steer_rad: 0.0,

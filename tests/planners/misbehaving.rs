@@ -2,12 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use decouplegs::planner::{Attachment, Cameras, External, Frame, Patience, Planner, PlannerError};
+use decouplegs::planner::{Cameras, External, Frame, Planner, PlannerError, Timeouts, Transport};
 
 use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, script};
 
 /// Timeout for planners that never answer.
-const SHORT: Patience = Patience { answer: Duration::from_millis(300), ..PATIENT };
+const SHORT: Timeouts = Timeouts { answer: Duration::from_millis(300), ..PATIENT };
 /// Time until an error is told, at most: half of what a planner sleeps who has to be ended, and far more than a busy machine takes.
 const TOLD_WITHIN: Duration = Duration::from_secs(30);
 
@@ -20,7 +20,7 @@ fn plan(planner: &mut External, step: u32) -> Result<(), PlannerError> {
 
 /// Error message about a planner that drives well at first and then misbehaves as `way` says. It is
 /// begun anew after it.
-fn said_of(way: &str, patience: Patience) -> String {
+fn said_of(way: &str, patience: Timeouts) -> String {
     let mut planner = opened("misbehaving.py", &[way], PATIENT);
     assert_eq!((planner.name().as_str(), planner.sees().cameras), (way, Cameras::Front));
     planner.begin(&briefing()).unwrap();
@@ -36,7 +36,7 @@ fn said_of(way: &str, patience: Patience) -> String {
     said
 }
 
-fn assert_says(way: &str, patience: Patience, parts: &[&str]) {
+fn assert_says(way: &str, patience: Timeouts, parts: &[&str]) {
     let said = said_of(way, patience);
     for part in parts {
         assert!(said.contains(part), "{way}: {said:?} does not say {part:?}");
@@ -122,15 +122,15 @@ fn who_does_not_read_does_not_hold_us_up() {
 #[test]
 fn who_cannot_be_started_or_introduces_himself_badly_is_refused_at_once() {
     let refused = |attachment, patience| External::open(attachment, patience).unwrap_err().to_string();
-    let missing = refused(Attachment::Command(vec!["no-such-planner".into()]), PATIENT);
+    let missing = refused(Transport::Command(vec!["no-such-planner".into()]), PATIENT);
     assert!(missing.contains("cannot start \"no-such-planner\""), "{missing}");
-    assert!(refused(Attachment::Command(vec![]), PATIENT).contains("no program is named"));
+    assert!(refused(Transport::Command(vec![]), PATIENT).contains("no program is named"));
     let modern = refused(script("misbehaving.py", &["modern"]), PATIENT);
     assert!(modern.contains("speaks protocol 2; expected 1"), "{modern}");
-    let short = Patience { hello: Duration::from_millis(300), ..PATIENT };
+    let short = Timeouts { hello: Duration::from_millis(300), ..PATIENT };
     let mute = refused(script("misbehaving.py", &["mute"]), short);
     assert!(mute.contains("did not answer `hello` within 0.3 s"), "{mute}");
-    let shell = |words: &str| refused(Attachment::Command(vec!["sh".into(), "-c".into(), words.into()]), PATIENT);
+    let shell = |words: &str| refused(Transport::Command(vec!["sh".into(), "-c".into(), words.into()]), PATIENT);
     assert!(shell("read line; echo '{\"type\":\"hello\",\"protocol\":1}'").contains("without a `name`"));
     assert!(shell("read line; echo '{\"type\":\"ready\"}'").contains("answered hello with ready; expected hello"));
     assert!(shell("exit 7").contains("exit status: 7"));
@@ -149,7 +149,7 @@ fn nobody_is_left_when_a_planner_is_dropped() {
     let word = format!("{}.{}", 86_000 + std::process::id() % 1000, std::process::id());
     let hello = r#"{"type":"hello","protocol":1,"name":"sh","cameras":"none","privileged":false}"#;
     let words = format!("read line; echo '{hello}'; sleep {word} & wait");
-    let planner = External::open(Attachment::Command(vec!["sh".into(), "-c".into(), words]), PATIENT).unwrap();
+    let planner = External::open(Transport::Command(vec!["sh".into(), "-c".into(), words]), PATIENT).unwrap();
     assert!(is_running(&word), "the grandchild runs");
     let begin = Instant::now();
     drop(planner);

@@ -1,7 +1,7 @@
 //! Small roads on which planners drive the real ego among agents that go their way whatever it does.
 
 use decouplegs::drive::{Ego, EgoOptions, OrientedBox, Polyline};
-use decouplegs::planner::{Briefing, EgoMotion, Guidance, Observation, Planner, Privileged};
+use decouplegs::planner::{EgoMotion, EpisodeInfo, Navigation, Observation, Planner, Privileged};
 use decouplegs::scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -57,7 +57,7 @@ impl Course {
         let line = Polyline::new(self.route_m.iter().map(|place| place.extend(0.0))).unwrap();
         let begin = state(self.route_m[0], line.heading_at(0.0), self.start_mps);
         let mut ego = Ego::new(begin, VehicleSize::CAR, EgoOptions::default());
-        let briefing = Briefing { scenario: "course".into(), step_s: STEP_S, ego_size: VehicleSize::CAR, cameras: vec![] };
+        let briefing = EpisodeInfo { scenario: "course".into(), step_s: STEP_S, ego_size: VehicleSize::CAR, cameras: vec![] };
         planner.begin(&briefing).unwrap();
         let mut moments = Vec::new();
         for step in 0..self.steps {
@@ -79,7 +79,7 @@ impl Course {
 
     fn observation<'a>(&self, step: u32, ego: &Ego, known: &'a Privileged) -> Observation<'a> {
         let motion = EgoMotion { speed_mps: ego.state().speed_mps, ..EgoMotion::default() };
-        let guidance = Guidance { cruise_mps: self.cruise_mps, ..Guidance::default() };
+        let guidance = Navigation { cruise_mps: self.cruise_mps, ..Navigation::default() };
         let time_s = STEP_S * f64::from(step);
         Observation { step, time_s, frames: &[], ego: motion, guidance, privileged: Some(known) }
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use decouplegs::drive::generate::{Generator, PlaceOptions};
-use decouplegs::episode::{Crew, Rollout, Site, drive};
+use decouplegs::episode::{EpisodeMetadata, Rollout, Site, drive};
 use decouplegs::planner::ConstantVelocity;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, Scenario, Weather};
@@ -25,7 +25,7 @@ fn stepping_through_a_drive_gives_the_same_episode() {
     for (level, seed) in [(Level::Easy, 3), (Level::Hard, 4)] {
         let scenario = scenario(&site, level, seed);
         let driven = drive(&scenario, &site, None, &mut ConstantVelocity, &mut ()).unwrap().episode;
-        let crew = Crew { planner: driven.head.planner.clone(), drawn_by: None };
+        let crew = EpisodeMetadata { planner: driven.head.planner.clone(), drawn_by: None };
         let mut rollout = Rollout::new(&scenario, &site, crew).unwrap();
         for step in &driven.steps {
             assert_eq!(rollout.end(), None);
@@ -43,7 +43,7 @@ fn stepping_through_a_drive_gives_the_same_episode() {
 fn an_episode_steered_by_hand_is_one_of_plans() {
     let site = street();
     let scenario = scenario(&site, Level::Easy, 3);
-    let mut rollout = Rollout::new(&scenario, &site, Crew::default()).unwrap();
+    let mut rollout = Rollout::new(&scenario, &site, EpisodeMetadata::default()).unwrap();
     let mut standing = 0;
     while rollout.end().is_none() {
         let plan = rollout.simulation().ego().plan_under(0.0, -3.0, 2.0).unwrap();

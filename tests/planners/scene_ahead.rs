@@ -1,25 +1,27 @@
 //! Inputs of the planners under test: two cameras, an agent and a route.
 
-use decouplegs::planner::{Attachment, Briefing, EgoMotion, External, Frame, Guidance, Observation, Patience, Privileged, Turn};
+use decouplegs::planner::{
+    EgoMotion, EpisodeInfo, External, Frame, Navigation, Observation, Privileged, Timeouts, Transport, Turn,
+};
 use decouplegs::scene::{Intrinsics, Pose, RigCamera, VehicleSize, VehicleState};
 use glam::{DQuat, DVec2, DVec3};
 use std::path::Path;
 use std::time::Duration;
 
 /// Long enough for a Python on a machine that does other things; no test waits for it to pass.
-pub const PATIENT: Patience = Patience { hello: Duration::from_secs(120), answer: Duration::from_secs(120) };
+pub const PATIENT: Timeouts = Timeouts { hello: Duration::from_secs(120), answer: Duration::from_secs(120) };
 
 /// A script of this folder as a command.
-pub fn script(name: &str, arguments: &[&str]) -> Attachment {
+pub fn script(name: &str, arguments: &[&str]) -> Transport {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/planners");
     let path = folder.join(name).to_string_lossy().into_owned();
     // Without -B Python leaves compiled files beside the sources.
     let words = ["python3".to_owned(), "-B".to_owned(), path].into_iter();
-    Attachment::Command(words.chain(arguments.iter().map(|&word| word.to_owned())).collect())
+    Transport::Command(words.chain(arguments.iter().map(|&word| word.to_owned())).collect())
 }
 
 /// The planner of a script that says hello as it should.
-pub fn opened(name: &str, arguments: &[&str], patience: Patience) -> External {
+pub fn opened(name: &str, arguments: &[&str], patience: Timeouts) -> External {
     External::open(script(name, arguments), patience).expect("python3 runs the script")
 }
 
@@ -32,8 +34,8 @@ pub fn cameras() -> Vec<RigCamera> {
     vec![camera("front", 37, 11, 1.2), camera("rear", 8, 5, 1.7)]
 }
 
-pub fn briefing() -> Briefing {
-    Briefing { scenario: "test".into(), step_s: 0.5, ego_size: VehicleSize::CAR, cameras: cameras() }
+pub fn briefing() -> EpisodeInfo {
+    EpisodeInfo { scenario: "test".into(), step_s: 0.5, ego_size: VehicleSize::CAR, cameras: cameras() }
 }
 
 pub fn privileged() -> Privileged {
@@ -54,7 +56,7 @@ pub fn observation<'a>(step: u32, frames: &'a [Frame<'a>], privileged: Option<&'
         time_s: 0.5 * f64::from(step),
         frames,
         ego: EgoMotion { speed_mps: 7.3, ..EgoMotion::default() },
-        guidance: Guidance { turn: Turn::Left, angle_rad: 1.25, cruise_mps: 10.0, ..Guidance::default() },
+        guidance: Navigation { turn: Turn::Left, angle_rad: 1.25, cruise_mps: 10.0, ..Navigation::default() },
         privileged,
     }
 }

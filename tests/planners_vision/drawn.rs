@@ -9,10 +9,10 @@ fn the_lane_is_found_where_it_was_drawn() {
     for light in [1.0, 0.25] {
         for (offset_m, heading_rad, width_m) in [(0.0, 0.0, 3.3), (0.4, 0.02, 3.3), (-0.4, 0.03, 3.5), (0.25, -0.03, 3.0)] {
             let road = DrawnRoad { offset_m, heading_rad, width_m, dashes_m: 5.0, light, ..DrawnRoad::default() };
-            let sight = glance(&camera, &road.image(&camera));
-            let (off_m, off_rad) = (sight.lane_offset_m - offset_m, sight.lane_heading_rad - heading_rad);
-            assert!(off_m.abs() < 0.12 && off_rad.abs() < 0.012, "{road:?} was seen as {sight:?}");
-            assert_eq!((sight.unseen_m, sight.gap_m), (0.0, None), "{road:?}");
+            let perception = glance(&camera, &road.image(&camera));
+            let (off_m, off_rad) = (perception.lane_offset_m - offset_m, perception.lane_heading_rad - heading_rad);
+            assert!(off_m.abs() < 0.12 && off_rad.abs() < 0.012, "{road:?} was seen as {perception:?}");
+            assert_eq!((perception.unseen_m, perception.gap_m), (0.0, None), "{road:?}");
         }
     }
 }
@@ -50,6 +50,6 @@ fn what_lies_flat_is_no_car() {
 fn bars_of_a_crosswalk_are_no_lane() {
     let camera = camera();
     let road = DrawnRoad { offset_m: 0.3, bars_m: Some([8.0, 11.0]), ..DrawnRoad::default() };
-    let sight = glance(&camera, &road.image(&camera));
-    assert!((sight.lane_offset_m - 0.3).abs() < 0.12, "{sight:?}");
+    let perception = glance(&camera, &road.image(&camera));
+    assert!((perception.lane_offset_m - 0.3).abs() < 0.12, "{perception:?}");
 }

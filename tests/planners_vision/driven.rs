@@ -1,9 +1,9 @@
-//! Driving by sight on a drawn road: what is planned is driven by the ego's bicycle, and what is seen then follows from it.
+//! Driving by perception on a drawn road: what is planned is driven by the ego's bicycle, and what is seen then follows from it.
 
 use std::f64::consts::FRAC_PI_2;
 
 use decouplegs::drive::{Ego, EgoOptions};
-use decouplegs::planner::{EgoMotion, Frame, Guidance, Turn};
+use decouplegs::planner::{EgoMotion, Frame, Navigation, Turn};
 use decouplegs::scene::{Plan, VehicleState};
 use glam::DVec2;
 
@@ -112,7 +112,7 @@ fn it_turns_as_navigation_says_without_seeing_anything() {
             let state = ego.state();
             let progress_m = progress_on_corner(state.position_m, begin_m, radius_m, side);
             let turning = progress_m < begin_m + arc_m + 2.0;
-            let guidance = Guidance {
+            let guidance = Navigation {
                 turn: if side > 0.0 { Turn::Left } else { Turn::Right },
                 distance_m: begin_m - 2.0 - progress_m,
                 angle_rad: side * FRAC_PI_2,

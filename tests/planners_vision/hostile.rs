@@ -1,6 +1,6 @@
 //! Images and numbers that make no sense.
 
-use decouplegs::planner::{EgoMotion, Frame, Guidance, Planner, Turn, Vision};
+use decouplegs::planner::{EgoMotion, Frame, Navigation, Planner, Turn, Vision};
 use decouplegs::scene::{Intrinsics, Plan, RigCamera};
 
 use super::drawn_road::camera;
@@ -49,9 +49,9 @@ fn no_image_at_all_is_driven_through_too() {
     let mut vision = beginner(&camera());
     for step in 0..40 {
         let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
-        let (sight, plan) = shown(&mut vision, step, &[], ego, cruising(10.0));
+        let (perception, plan) = shown(&mut vision, step, &[], ego, cruising(10.0));
         assert_drivable(&plan, 8.0, "no image");
-        assert!((sight.unseen_m - 4.0 * f64::from(step)).abs() < 1e-9, "{sight:?}");
+        assert!((perception.unseen_m - 4.0 * f64::from(step)).abs() < 1e-9, "{perception:?}");
     }
 }
 
@@ -62,7 +62,7 @@ fn numbers_that_are_none_are_survived() {
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300] {
         let ego = EgoMotion { speed_mps: value, acceleration_mps2: value, steer_rad: value, yaw_rate_radps: value };
         for turn in [Turn::Straight, Turn::Left] {
-            let guidance = Guidance { turn, distance_m: value, angle_rad: value, length_m: value, cruise_mps: value };
+            let guidance = Navigation { turn, distance_m: value, angle_rad: value, length_m: value, cruise_mps: value };
             let mut vision = beginner(&camera);
             for step in 0..4 {
                 let (_, plan) = shown(&mut vision, step, &[Frame { camera: &camera, rgba: &rgba }], ego, guidance);
@@ -89,5 +89,5 @@ fn a_plan_before_an_episode_is_refused() {
     };
     let refusal = Vision::default().plan(&observation).unwrap_err().to_string();
     assert!(refusal.contains("before an episode began"), "{refusal}");
-    assert_eq!(Vision::default().sight(), None);
+    assert_eq!(Vision::default().perception(), None);
 }

@@ -3,7 +3,7 @@
 pub mod hard_agents;
 mod hard_clouds;
 
-use decouplegs::render::layout::{CHUNK_SPLATS, near_m};
+use decouplegs::render::layout::{CLUSTER_SPLATS, near_m};
 use decouplegs::render::stages::{AgentCounts, CullAgents, ProjectAgents, Projected};
 use decouplegs::render::twins::{self, agent::UnpackedSplat, lens::lens_of};
 use decouplegs::scene::{Camera, ColorTransfer, DepthOrder, Pose, Rules};
@@ -13,7 +13,7 @@ use super::project::rounding::{Projection, check_keys, check_record};
 use super::scenes::{ProjectedTwin, lens_rig, rig};
 use super::{ROUNDOFF, UNTOUCHED, identical, open, run, untouched, upload};
 use crate::device::Validated;
-use hard_agents::{AgentScene, ListedAgents, Placed, hard_agents};
+use hard_agents::{AgentInstance, AgentScene, ListedAgents, hard_agents};
 use hard_clouds::hard_cloud;
 
 /// Visibility bits and counts of the kernel.
@@ -46,7 +46,8 @@ fn compare_bits(gpu: &Validated, scene: &AgentScene, rules: Rules) {
     println!("{seen} of {decisions} are seen, {unsettled} only as f32 rounds");
     // One in thirty-two is made to be at the threshold of opacity.
     assert!(unsettled * 20 <= decisions, "{unsettled} of {decisions} decisions are left to rounding: the test proves too little");
-    let bits: Vec<u32> = words.chunks(CHUNK_SPLATS / 32).map(|chunk| chunk.iter().map(|word| word.count_ones()).sum()).collect();
+    let bits: Vec<u32> =
+        words.chunks(CLUSTER_SPLATS / 32).map(|cluster| cluster.iter().map(|word| word.count_ones()).sum()).collect();
     identical("counts", &counts, &bits).unwrap();
 }
 
@@ -64,8 +65,10 @@ fn hard_agents_are_seen_by_the_same_cameras() {
 fn as_many_cameras_as_there_may_be() {
     let gpu = open();
     let cameras: Vec<Camera> = (0..32).map(|i| rig()[i % 4].clone()).collect();
-    let placed = [0xffff_ffff, 0x8000_0001]
-        .map(|cameras| Placed { cameras, ..Placed::new(0, Pose::from_yaw(f64::from(cameras % 7), DVec3::new(0.0, 0.0, 7.0))) });
+    let placed = [0xffff_ffff, 0x8000_0001].map(|cameras| AgentInstance {
+        cameras,
+        ..AgentInstance::new(0, Pose::from_yaw(f64::from(cameras % 7), DVec3::new(0.0, 0.0, 7.0)))
+    });
     let scene = AgentScene::new(&[hard_cloud(vec![300], 33)], &placed, &cameras);
     compare_bits(&gpu, &scene, Rules::DEFAULT);
     let (_, counts) = visible(&gpu, &scene, &Rules::DEFAULT);
@@ -82,16 +85,16 @@ fn agents_behind_every_camera_are_dropped_by_their_boxes() {
     let scene = hard_agents(&cameras);
     let reached = |agent: usize, camera: usize| {
         let first = scene.agents[agent].first_bounds as usize;
-        let chunks = &scene.chunks[first..first + (scene.agents[agent].splat_count as usize).div_ceil(CHUNK_SPLATS)];
-        chunks.iter().any(|chunk| twins::chunk_reaches(chunk, scene.camera(agent, camera), near_m))
+        let clusters = &scene.clusters[first..first + (scene.agents[agent].splat_count as usize).div_ceil(CLUSTER_SPLATS)];
+        clusters.iter().any(|cluster| twins::cluster_overlaps(cluster, scene.camera(agent, camera), near_m))
     };
     // Shapes of up to 16 m reach far, but not over 3 km.
     assert!(reached(0, 0) && reached(1, 1));
-    let placed = Placed::new(0, Pose::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, -3000.0)));
+    let placed = AgentInstance::new(0, Pose::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, -3000.0)));
     let behind = AgentScene::new(&[hard_cloud(vec![900], 31)], &[placed], &cameras);
-    assert!(
-        (0..4).all(|camera| { behind.chunks.iter().all(|chunk| !twins::chunk_reaches(chunk, behind.camera(0, camera), near_m)) })
-    );
+    assert!((0..4).all(|camera| {
+        behind.clusters.iter().all(|cluster| !twins::cluster_overlaps(cluster, behind.camera(0, camera), near_m))
+    }));
     compare_bits(&open(), &behind, Rules::DEFAULT);
 }
 
@@ -137,15 +140,15 @@ impl Case {
         let Self { scene, listed, rules, sh_degree, room } = self;
         let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
         gpu.write(&buffers.visible.words, 0, &listed.words).unwrap();
-        gpu.write(&buffers.firsts, 0, &listed.firsts).unwrap();
-        let static_firsts = upload(gpu, &STATIC_FIRSTS);
+        gpu.write(&buffers.offsets, 0, &listed.offsets).unwrap();
+        let static_offsets = upload(gpu, &STATIC_FIRSTS);
         let projected = Projected::new(gpu, *room, 0).unwrap();
         gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room]).unwrap();
         let (relit, is_relit) = (scene.relit(gpu), !scene.relit_dc.is_empty());
         let project = ProjectAgents::new(gpu, rules, *sh_degree, is_relit, !scene.lenses.is_empty()).unwrap();
         let lists = STATIC_FIRSTS.len() - 1;
         run(gpu, |r| {
-            project.record(r, &pool, &buffers, &relit, scene.counts, &static_firsts, lists, &projected);
+            project.record(r, &pool, &buffers, &relit, scene.counts, &static_offsets, lists, &projected);
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
@@ -262,10 +265,10 @@ fn no_agents_are_nothing() {
         CullAgents::new(&gpu, &Rules::DEFAULT, false).unwrap(),
         ProjectAgents::new(&gpu, &Rules::DEFAULT, 3, false, false).unwrap(),
     );
-    let (none, static_firsts) = (AgentCounts { cameras: 4, ..AgentCounts::default() }, untouched(&gpu, 1));
+    let (none, static_offsets) = (AgentCounts { cameras: 4, ..AgentCounts::default() }, untouched(&gpu, 1));
     run(&gpu, |r| {
         cull.record(r, &pool, &buffers, none);
-        project.record(r, &pool, &buffers, &scene.relit(&gpu), none, &static_firsts, 0, &projected);
+        project.record(r, &pool, &buffers, &scene.relit(&gpu), none, &static_offsets, 0, &projected);
     });
     let left = [&buffers.visible.words, &buffers.visible.counts, &projected.keys].map(|buffer| gpu.read(buffer).unwrap());
     assert!(left.iter().flatten().all(|&word| word == UNTOUCHED));

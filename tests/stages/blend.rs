@@ -3,17 +3,17 @@
 mod finish;
 mod rounding;
 
-use decouplegs::render::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
-use decouplegs::render::stages::{Arguments, Blend, BlendPass, Partials, Plan, ProjectVariant, Projected};
+use decouplegs::render::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, RequiredCounts};
+use decouplegs::render::stages::{Blend, BlendPass, IndirectArguments, PartialResults, Plan, ProjectVariant, Projected};
 use decouplegs::render::twins;
-use decouplegs::render::twins::output::{Images, Pixel, macro_tile_origin, pixel_offset, write_pixel};
+use decouplegs::render::twins::output::{Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
 use decouplegs::scene::{EarlyStop, Rules};
 use glam::Vec3;
 
 use super::project::PLAIN;
 use super::scenes::{ProjectedTwin, Scene, hard_world, rig};
-use super::{UNTOUCHED, control, identical, open, run, upload, within, write_partials};
+use super::{UNTOUCHED, counters, identical, open, run, upload, within, write_partials};
 use crate::device::Validated;
 use rounding::PixelBounds;
 
@@ -30,7 +30,7 @@ struct Case {
     projected: ProjectedTwin,
     /// Records front to back, which every item takes a piece of. Most do not reach a given tile: masks must leave those out.
     records: Vec<u32>,
-    items: Vec<Item>,
+    items: Vec<BlendItem>,
     rules: Rules,
 }
 
@@ -38,7 +38,7 @@ struct Case {
 type Blended = Vec<Vec<Pixel>>;
 
 impl Case {
-    /// The records of two cameras of the rig, their opacities scaled by `faintness`, for the first `tiles` macro tiles of each.
+    /// The records of two cameras of the rig, their opacities scaled by `faintness`, for the first `tiles` coarse tiles of each.
     fn new(gpu: &Validated, splats: usize, faintness: f32, rules: Rules) -> Self {
         let mut world = hard_world(splats, 21);
         world.splats.opacities.iter_mut().for_each(|opacity| *opacity *= faintness);
@@ -48,7 +48,7 @@ impl Case {
         let mut records: Vec<u32> = (0..projected.keys.len() as u32).collect();
         records.sort_by_key(|&record| projected.keys[record as usize]);
         let all = records.len() as u32;
-        // Every macro tile once; lengths around batches, and tiles that are cut.
+        // Every coarse tile once; lengths around batches, and tiles that are cut.
         let mut partial = 0;
         let items = (0..scene.view.bins)
             .map(|bin| {
@@ -56,7 +56,7 @@ impl Case {
                 let first_pair = (bin * 97) % (all - length + 1);
                 let slot = if bin % 3 == 0 { partial } else { NO_PARTIAL };
                 partial += u32::from(bin % 3 == 0);
-                Item { bin, first_pair, pairs: length, partial: slot, segment: 0 }
+                BlendItem { bin, first_pair, pairs: length, partial: slot, segment: 0 }
             })
             .collect();
         Self { scene, projected, records, items, rules }
@@ -70,7 +70,7 @@ impl Case {
     fn twin(&self, before: Option<&Blended>) -> Blended {
         let Self { scene, projected, records, items, rules } = self;
         let exclusive = rules.stop == EarlyStop::Exclusive;
-        let blend = |item: &Item| {
+        let blend = |item: &BlendItem| {
             let cameras = &scene.view.cameras;
             let before = before.map(|before| before.get(item.partial as usize).map_or(&[][..], Vec::as_slice));
             if before.is_some_and(<[Pixel]>::is_empty) {
@@ -82,11 +82,11 @@ impl Case {
         items.iter().map(blend).collect()
     }
 
-    fn bounds(&self, item: &Item, before: Option<&[Pixel]>) -> Vec<PixelBounds> {
+    fn bounds(&self, item: &BlendItem, before: Option<&[Pixel]>) -> Vec<PixelBounds> {
         let camera = &self.scene.view.cameras[twins::output::camera_of_bin(&self.scene.view.cameras, item.bin)];
-        let origin = macro_tile_origin(item.bin, camera);
+        let origin = coarse_tile_origin(item.bin, camera);
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
-        (0..MACRO_PIXELS)
+        (0..COARSE_PIXELS)
             .map(|place| {
                 let [x, y] = pixel_offset(place);
                 let before = before.map(|before| &before[place]);
@@ -96,10 +96,10 @@ impl Case {
     }
 
     /// The camera and position of a pixel of an item, if it lies in the image.
-    fn place_in_images(&self, item: &Item, place: usize) -> Option<(&CameraRecord, [u32; 2])> {
+    fn place_in_images(&self, item: &BlendItem, place: usize) -> Option<(&CameraRecord, [u32; 2])> {
         let cameras = &self.scene.view.cameras;
         let camera = &cameras[twins::output::camera_of_bin(cameras, item.bin)];
-        let [left, top] = macro_tile_origin(item.bin, camera);
+        let [left, top] = coarse_tile_origin(item.bin, camera);
         let [x, y] = pixel_offset(place);
         let at = [left + x, top + y];
         (at[0] < camera.size_px[0] && at[1] < camera.size_px[1]).then_some((camera, at))
@@ -109,28 +109,28 @@ impl Case {
     fn kernel(&self, gpu: &Validated, before: Option<&Blended>) -> (Images, Blended) {
         let Self { scene, projected, records, items, rules } = self;
         let (count, slots) = (projected.keys.len(), self.slots());
-        let needs = Needs { items: items.len() as u32, ..Needs::default() };
-        let control = control(gpu, needs, &[(Arguments::Blend, items.len())]);
+        let required = RequiredCounts { items: items.len() as u32, ..RequiredCounts::default() };
+        let counters = counters(gpu, required, &[(IndirectArguments::Blend, items.len())]);
         let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, items.len() as u32).unwrap();
         gpu.write(&plan.items, 0, items).unwrap();
         let on_device = Projected::new(gpu, count, 0).unwrap();
         gpu.write(&on_device.footprints, 0, &projected.footprints).unwrap();
         gpu.write(&on_device.colors, 0, &projected.colors).unwrap();
-        let partials = Partials::new(gpu, slots, rules, &OUTPUTS).unwrap();
+        let partials = PartialResults::new(gpu, slots, rules, &OUTPUTS).unwrap();
         let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
         gpu.write(&outputs.instance_ids, 0, &vec![UNTOUCHED; scene.view.pixels]).unwrap();
         let records = upload(gpu, records);
         let pass = if before.is_some() { BlendPass::Finish } else { BlendPass::Segments };
         if let Some(before) = before {
             write_partials(gpu, &partials, &before.concat());
-            // Every render tile has something to be finished.
+            // Every fine tile has something to be finished.
             gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()]).unwrap();
         }
         let longest = items.iter().map(|item| item.pairs).max().unwrap();
         let blend = Blend::new(gpu, rules, &OUTPUTS, pass, longest).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
-            blend.record(r, &control, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);
+            blend.record(r, &counters, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);
         });
         let images = Images {
             images_f32: gpu.read(&outputs.images_f32).unwrap(),
@@ -153,9 +153,8 @@ impl Case {
                 }
                 let what = format!("pixel {place} of {item:?}");
                 report.add(bounds, |bounds| {
-                    let values = |pixel: &Pixel| {
-                        [pixel.color.x, pixel.color.y, pixel.color.z, pixel.transmittance, pixel.weighted_depth]
-                    };
+                    let values =
+                        |pixel: &Pixel| [pixel.color.x, pixel.color.y, pixel.color.z, pixel.transmittance, pixel.weighted_depth];
                     let [c, t, d] = [bounds.color, bounds.transmittance, bounds.weighted_depth];
                     let share = within(&what, &values(kernel), &values(twin), &[c, c, c, t, d])?;
                     bounds.check_instance(&what, kernel.best_instance, twin.best_instance)?;
@@ -187,7 +186,7 @@ impl Case {
     fn check_written(
         &self,
         report: &mut Report,
-        (item, twin): (&Item, &[Pixel]),
+        (item, twin): (&BlendItem, &[Pixel]),
         before: Option<&[Pixel]>,
         kernel: &Images,
     ) -> Result<(), String> {
@@ -257,7 +256,7 @@ impl Report {
     }
 }
 
-fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {
+fn read_partials(gpu: &Validated, partials: &PartialResults) -> Blended {
     let (colors, depths) = (gpu.read(&partials.colors).unwrap(), gpu.read(&partials.depths).unwrap());
     let instances = gpu.read(&partials.instances).unwrap();
     let pixel = |place: usize| Pixel {
@@ -267,7 +266,9 @@ fn read_partials(gpu: &Validated, partials: &Partials) -> Blended {
         best_weight: f32::from_bits(instances[place][0]),
         best_instance: instances[place][1],
     };
-    (0..colors.len() / MACRO_PIXELS).map(|slot| (slot * MACRO_PIXELS..(slot + 1) * MACRO_PIXELS).map(pixel).collect()).collect()
+    (0..colors.len() / COARSE_PIXELS)
+        .map(|slot| (slot * COARSE_PIXELS..(slot + 1) * COARSE_PIXELS).map(pixel).collect())
+        .collect()
 }
 
 fn compare(splats: usize, faintness: f32, rules: Rules) {
@@ -312,13 +313,13 @@ fn stopping_before_the_splat_that_would_fill_a_pixel() {
 
 #[test]
 fn every_pixel_is_written_once_and_no_other() {
-    // Tiles that were cut leave their pixels to composite; edges of the images cut through macro tiles.
+    // Tiles that were cut leave their pixels to composite; edges of the images cut through coarse tiles.
     let gpu = open();
     let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
     let (images, _) = case.kernel(&gpu, None);
     let mut expected = vec![true; case.scene.view.pixels];
     for item in case.items.iter().filter(|item| item.partial != NO_PARTIAL) {
-        for (camera, at) in (0..MACRO_PIXELS).filter_map(|place| case.place_in_images(item, place)) {
+        for (camera, at) in (0..COARSE_PIXELS).filter_map(|place| case.place_in_images(item, place)) {
             expected[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = false;
         }
     }
@@ -333,23 +334,17 @@ fn one_changed_pixel_is_seen() {
     let (images, partials) = case.kernel(&gpu, None);
     case.check_images(&images, &case.twin(None)).unwrap();
     case.check_partials(&partials, &case.twin(None)).unwrap();
-    let place = |item: &Item| case.bounds(item, None).iter().position(|bounds| !bounds.unsettled).unwrap();
+    let place = |item: &BlendItem| case.bounds(item, None).iter().position(|bounds| !bounds.unsettled).unwrap();
     for (i, item) in case.items.iter().enumerate().take(2) {
         let mut twin = case.twin(None);
         twin[i][place(item)].color.y += 0.001;
-        let seen = if item.partial == NO_PARTIAL {
-            case.check_images(&images, &twin)
-        } else {
-            case.check_partials(&partials, &twin)
-        };
+        let seen =
+            if item.partial == NO_PARTIAL { case.check_images(&images, &twin) } else { case.check_partials(&partials, &twin) };
         assert!(seen.unwrap_err().contains("value 1"));
         twin[i][place(item)].color.y -= 0.001;
         twin[i][place(item)].best_instance = 7;
-        let seen = if item.partial == NO_PARTIAL {
-            case.check_images(&images, &twin)
-        } else {
-            case.check_partials(&partials, &twin)
-        };
+        let seen =
+            if item.partial == NO_PARTIAL { case.check_images(&images, &twin) } else { case.check_partials(&partials, &twin) };
         assert!(seen.unwrap_err().contains("instance"));
     }
 }

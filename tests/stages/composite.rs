@@ -1,24 +1,24 @@
 //! `composite.comp`: segments are joined and pixels written.
 
-use decouplegs::render::layout::{Composite, MACRO_PIXELS, Needs, View};
-use decouplegs::render::stages::{Arguments, CompositeSegments, Partials, Plan};
+use decouplegs::render::layout::{COARSE_PIXELS, Composite, RequiredCounts, View};
+use decouplegs::render::stages::{CompositeSegments, IndirectArguments, PartialResults, Plan};
 use decouplegs::render::twins::output::{
-    Images, Pixel, camera_of_bin, macro_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
+    Images, Pixel, camera_of_bin, coarse_tile_origin, pack_unorm_4x8, pixel_offset, write_pixel,
 };
 use decouplegs::render::{Capacity, ColorFormat, OutputBuffers, Outputs, twins};
 use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
 use super::scenes::rig;
-use super::{ROUNDOFF, Random, UNTOUCHED, control, identical, open, run, upload, within, write_partials};
+use super::{ROUNDOFF, Random, UNTOUCHED, counters, identical, open, run, upload, within, write_partials};
 use crate::device::Validated;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
 
-/// Workgroups that share the pixels of a macro tile.
-const COMPOSITE_GROUPS: usize = MACRO_PIXELS / 256;
+/// Workgroups that share the pixels of a coarse tile.
+const COMPOSITE_GROUPS: usize = COARSE_PIXELS / 256;
 
-/// Partial results of cut macro tiles.
+/// Partial results of cut coarse tiles.
 struct Case {
     view: View,
     composites: Vec<Composite>,
@@ -26,7 +26,7 @@ struct Case {
 }
 
 impl Case {
-    /// Every second macro tile of two cameras, cut into 2 to 40 segments of random pixels.
+    /// Every second coarse tile of two cameras, cut into 2 to 40 segments of random pixels.
     fn new(seed: u64) -> Self {
         let view = View::new(&rig()[..2], DVec3::ZERO, 1.0).unwrap();
         let mut random = Random(seed);
@@ -37,7 +37,7 @@ impl Case {
             composites.push(Composite { bin, first_partial, partials });
             first_partial += partials;
         }
-        let partials = (0..first_partial as usize * MACRO_PIXELS).map(|_| random_pixel(&mut random)).collect();
+        let partials = (0..first_partial as usize * COARSE_PIXELS).map(|_| random_pixel(&mut random)).collect();
         Self { view, composites, partials }
     }
 
@@ -49,20 +49,20 @@ impl Case {
     }
 
     /// Output of the kernel under `rules`, and the partial results that it leaves.
-    fn kernel_by(&self, gpu: &Validated, rules: Rules, outputs: Outputs) -> (Images, Vec<u32>, Partials) {
+    fn kernel_by(&self, gpu: &Validated, rules: Rules, outputs: Outputs) -> (Images, Vec<u32>, PartialResults) {
         let Self { view, composites, partials } = self;
-        let needs = Needs { composites: composites.len() as u32, ..Needs::default() };
-        let control = control(gpu, needs, &[(Arguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
+        let required = RequiredCounts { composites: composites.len() as u32, ..RequiredCounts::default() };
+        let counters = counters(gpu, required, &[(IndirectArguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
         let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, view.bins).unwrap();
         gpu.write(&plan.composites, 0, composites).unwrap();
-        let on_device = Partials::new(gpu, partials.len() / MACRO_PIXELS, &rules, &outputs).unwrap();
+        let on_device = PartialResults::new(gpu, partials.len() / COARSE_PIXELS, &rules, &outputs).unwrap();
         gpu.write(&on_device.unfinished, 0, &vec![0; on_device.unfinished.len()]).unwrap();
         write_partials(gpu, &on_device, partials);
         let images = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
         gpu.write(&images.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
         let cameras = upload(gpu, &view.cameras);
         let composite = CompositeSegments::new(gpu, &rules, &outputs).unwrap();
-        run(gpu, |r| composite.record(r, &control, &cameras, view.cameras.len(), SKY, &plan, &on_device, &images));
+        run(gpu, |r| composite.record(r, &counters, &cameras, view.cameras.len(), SKY, &plan, &on_device, &images));
         let floats = Images {
             images_f32: gpu.read(&images.images_f32).unwrap(),
             depths_m: gpu.read(&images.depths_m).unwrap(),
@@ -83,7 +83,7 @@ impl Case {
         let mut segments = vec![0; pixels];
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
-            let origin = macro_tile_origin(composite.bin, camera);
+            let origin = coarse_tile_origin(composite.bin, camera);
             for (place, pixel) in twins::composite(composite, &self.partials, stops, counts).0.iter().enumerate() {
                 let [x, y] = pixel_offset(place);
                 let at = [origin[0] + x, origin[1] + y];
@@ -96,15 +96,15 @@ impl Case {
         (images, segments)
     }
 
-    /// The render tiles that are to be finished in each segment, and their pixels as they are before it.
-    fn check_unfinished(&self, gpu: &Validated, left: &Partials, stops: bool, counts: bool) -> Result<(), String> {
+    /// The fine tiles that are to be finished in each segment, and their pixels as they are before it.
+    fn check_unfinished(&self, gpu: &Validated, left: &PartialResults, stops: bool, counts: bool) -> Result<(), String> {
         let mut tiles = vec![0u32; left.unfinished.len()];
         let (colors, depths) = (gpu.read(&left.colors).unwrap(), gpu.read(&left.depths).unwrap());
         let instances = gpu.read(&left.instances).unwrap();
         let mut found = 0;
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
-            let origin = macro_tile_origin(composite.bin, camera);
+            let origin = coarse_tile_origin(composite.bin, camera);
             for unfinished in twins::composite(composite, &self.partials, stops, counts).1 {
                 let twins::Unfinished { slot, place, before } = unfinished;
                 let [x, y] = pixel_offset(place);
@@ -112,7 +112,7 @@ impl Case {
                     continue;
                 }
                 tiles[slot] |= 1 << (y / 8 * 8 + x / 8);
-                let at = slot * MACRO_PIXELS + place;
+                let at = slot * COARSE_PIXELS + place;
                 let [r, g, b, t] = colors[at];
                 let relative = 8.0 * ROUNDOFF * f64::from(slot as u32 - composite.first_partial + 2);
                 let Vec3 { x: red, y: green, z: blue } = before.color;
@@ -124,7 +124,7 @@ impl Case {
             }
         }
         println!("{found} pixels are to be finished");
-        identical("render tiles to be finished", &gpu.read(&left.unfinished).unwrap(), &tiles)
+        identical("fine tiles to be finished", &gpu.read(&left.unfinished).unwrap(), &tiles)
     }
 
     /// Every segment adds a product to a sum of positive terms: 4 roundings of the whole a segment at most, on both sides. A
@@ -195,9 +195,9 @@ fn segments_in_another_order_are_seen() {
     let (kernel, _) = case.kernel(&gpu, ColorFormat::F32);
     let (twin, segments) = case.twin();
     Case::check(&kernel, &twin, &segments).unwrap();
-    let first = case.composites[0].first_partial as usize * MACRO_PIXELS;
-    for place in 0..MACRO_PIXELS {
-        case.partials.swap(first + place, first + MACRO_PIXELS + place);
+    let first = case.composites[0].first_partial as usize * COARSE_PIXELS;
+    for place in 0..COARSE_PIXELS {
+        case.partials.swap(first + place, first + COARSE_PIXELS + place);
     }
     let (twin, segments) = case.twin();
     assert!(Case::check(&kernel, &twin, &segments).is_err());
@@ -217,8 +217,8 @@ fn pixels_are_left_to_be_finished_where_they_end() {
         let mut random = Random(6);
         for composite in &case.composites {
             // Some pixels end in the first segment, which tells by the sign.
-            let first = composite.first_partial as usize * MACRO_PIXELS;
-            for pixel in &mut case.partials[first..first + MACRO_PIXELS] {
+            let first = composite.first_partial as usize * COARSE_PIXELS;
+            for pixel in &mut case.partials[first..first + COARSE_PIXELS] {
                 pixel.transmittance *= if stops && random.below(8) == 0 { -1.0 } else { 1.0 };
             }
         }

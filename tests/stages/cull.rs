@@ -1,6 +1,6 @@
 //! `cull.comp`: which splats can be seen by which camera.
 
-use decouplegs::render::layout::CHUNK_SPLATS;
+use decouplegs::render::layout::CLUSTER_SPLATS;
 use decouplegs::render::stages::{Cull, Visible};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::scene::{Camera, Rules, World};
@@ -12,7 +12,7 @@ use crate::device::Validated;
 /// Visibility bits and counts of the kernel.
 fn visible(gpu: &Validated, scene: &Scene, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
     let cameras = scene.view.cameras.len();
-    let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();
+    let visible = Visible::new(gpu, cameras, scene.clusters.len()).unwrap();
     gpu.write(&visible.words, 0, &vec![UNTOUCHED; visible.words.len()]).unwrap();
     gpu.write(&visible.counts, 0, &vec![UNTOUCHED; visible.counts.len()]).unwrap();
     let cull = Cull::new(gpu, rules, !scene.view.lenses.is_empty()).unwrap();
@@ -26,8 +26,8 @@ fn check(scene: &Scene, rules: &Rules, words: &[u32], twin_words: &[u32]) -> Res
     let splats = scene.means_m.len();
     let mut unsettled = 0;
     for camera in 0..scene.view.cameras.len() {
-        for splat in 0..scene.chunks.len() * CHUNK_SPLATS {
-            let bit = camera * scene.chunks.len() * CHUNK_SPLATS + splat;
+        for splat in 0..scene.clusters.len() * CLUSTER_SPLATS {
+            let bit = camera * scene.clusters.len() * CLUSTER_SPLATS + splat;
             let [kernel, twin] = [words, twin_words].map(|words| words[bit / 32] >> (bit % 32) & 1 == 1);
             let settled = if splat < splats { scene.settled_visibility(camera, splat, rules) } else { Some(false) };
             unsettled += usize::from(settled.is_none());
@@ -49,7 +49,8 @@ fn compare(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) {
     println!("{seen} of {decisions} are seen, {unsettled} only as f32 rounds");
     // Three in a hundred of the hard splats are made to be at the threshold of opacity.
     assert!(unsettled * 20 <= decisions, "{unsettled} of {decisions} decisions are left to rounding: the test proves too little");
-    let bits: Vec<u32> = words.chunks(CHUNK_SPLATS / 32).map(|chunk| chunk.iter().map(|word| word.count_ones()).sum()).collect();
+    let bits: Vec<u32> =
+        words.chunks(CLUSTER_SPLATS / 32).map(|cluster| cluster.iter().map(|word| word.count_ones()).sum()).collect();
     identical("counts", &counts, &bits).unwrap();
 }
 
@@ -63,7 +64,7 @@ fn hard_splats_are_seen_by_the_same_cameras() {
 }
 
 #[test]
-fn chunks_of_every_fill() {
+fn clusters_of_every_fill() {
     let gpu = open();
     for count in [1, 31, 32, 33, 255, 256, 257, 512, 1000] {
         compare(&gpu, &hard_world(count.max(160), count as u64), &rig()[..2], Rules::DEFAULT);
@@ -80,29 +81,29 @@ fn as_many_cameras_as_there_may_be() {
 }
 
 #[test]
-fn spatial_chunks_are_dropped_without_loss() {
-    drop_chunks_of(&rig());
-    drop_chunks_of(&lens_rig());
+fn spatial_clusters_are_dropped_without_loss() {
+    drop_clusters_of(&rig());
+    drop_clusters_of(&lens_rig());
 }
 
-fn drop_chunks_of(rig: &[Camera]) {
-    // Small splats in spatial order: many chunks lie outside of a camera's view, so that the test of boxes decides.
+fn drop_clusters_of(rig: &[Camera]) {
+    // Small splats in spatial order: many clusters lie outside of a camera's view, so that the test of boxes decides.
     let gpu = open();
     let small: Vec<u32> = (0..16_000).filter(|i| i % 16 >= 6).collect();
     let small = hard_world(16_000, 7).splats.select(&small);
     let ordered = World::of(small.select(&small.spatial_order()));
     let scene = Scene::new(&gpu, &ordered, rig);
     let near_m = decouplegs::render::layout::near_m(&Rules::DEFAULT);
-    let reach = |camera: usize, chunk: usize| {
+    let reach = |camera: usize, cluster: usize| {
         let lens = lens_of(&scene.view.lenses, camera);
-        decouplegs::render::twins::chunk_reaches_seen(&scene.chunks[chunk], &scene.view.cameras[camera], lens, near_m)
+        decouplegs::render::twins::cluster_overlaps_any_lens(&scene.clusters[cluster], &scene.view.cameras[camera], lens, near_m)
     };
-    let dropped = (0..scene.chunks.len()).filter(|&chunk| !reach(0, chunk)).count();
-    assert!(dropped > 0, "no chunk is dropped: the test shows nothing");
+    let dropped = (0..scene.clusters.len()).filter(|&cluster| !reach(0, cluster)).count();
+    assert!(dropped > 0, "no cluster is dropped: the test shows nothing");
     for camera in 0..scene.view.cameras.len() {
         for splat in 0..scene.means_m.len() {
             if scene.settled_visibility(camera, splat, &Rules::DEFAULT) == Some(true) {
-                assert!(reach(camera, splat / CHUNK_SPLATS), "camera {camera}: the chunk of splat {splat} was dropped");
+                assert!(reach(camera, splat / CLUSTER_SPLATS), "camera {camera}: the cluster of splat {splat} was dropped");
             }
         }
     }

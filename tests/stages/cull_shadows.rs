@@ -1,6 +1,6 @@
-//! `cull_shadows.comp`: which shadows may lie on which chunk, and what projection makes of them.
+//! `cull_shadows.comp`: which shadows may lie on which cluster, and what projection makes of them.
 
-use decouplegs::render::layout::{ChunkRecord, ShadowRecord};
+use decouplegs::render::layout::{ClusterRecord, ShadowRecord};
 use decouplegs::render::stages::{CullShadows, ProjectVariant, ShadowBuffers, words_for};
 use decouplegs::render::twins::{self, shadow::shadow_factor, shadow::shadow_reaches};
 use decouplegs::scene::{ContactShadow, Pose, Rules};
@@ -34,7 +34,7 @@ fn hard_shadows(count: usize, center_m: DVec3, spread_m: DVec3) -> Vec<ShadowRec
 }
 
 fn kernel_words(gpu: &Validated, scene: &Scene) -> Vec<u32> {
-    let buffers = ShadowBuffers::new(gpu, scene.shadows.len(), scene.chunks.len()).unwrap();
+    let buffers = ShadowBuffers::new(gpu, scene.shadows.len(), scene.clusters.len()).unwrap();
     gpu.write(&buffers.shadows, 0, &scene.shadows).unwrap();
     gpu.write(&buffers.words, 0, &vec![UNTOUCHED; buffers.words.len()]).unwrap();
     let cull = CullShadows::new(gpu).unwrap();
@@ -49,10 +49,13 @@ fn with_shadows(gpu: &Validated, splats: usize, shadows: usize) -> Scene {
 }
 
 /// True if the shadow reaches the cluster; `None` if that depends on the rounding of f32.
-fn settled(shadow: &ShadowRecord, chunk: &ChunkRecord) -> Option<bool> {
+fn settled(shadow: &ShadowRecord, cluster: &ClusterRecord) -> Option<bool> {
     let reaches = |share: f32| {
-        let half_extent_m = chunk.half_extent_m.map(|half| half * (1.0 + share));
-        shadow_reaches(&ShadowRecord { reach: shadow.reach * (1.0 + share), ..*shadow }, &ChunkRecord { half_extent_m, ..*chunk })
+        let half_extent_m = cluster.half_extent_m.map(|half| half * (1.0 + share));
+        shadow_reaches(
+            &ShadowRecord { reach: shadow.reach * (1.0 + share), ..*shadow },
+            &ClusterRecord { half_extent_m, ..*cluster },
+        )
     };
     (reaches(4e-6) == reaches(-4e-6)).then(|| reaches(0.0))
 }
@@ -60,11 +63,15 @@ fn settled(shadow: &ShadowRecord, chunk: &ChunkRecord) -> Option<bool> {
 /// Holds the bits to the twin's wherever these survive rounding.
 fn check(scene: &Scene, words: &[u32], twin: &[u32]) -> Result<(), String> {
     let count = words_for(scene.shadows.len());
-    for (chunk, record) in scene.chunks.iter().enumerate() {
+    for (cluster, record) in scene.clusters.iter().enumerate() {
         for (index, shadow) in scene.shadows.iter().enumerate() {
-            let bit = |words: &[u32]| words[chunk * count + index / 32] >> (index % 32) & 1 == 1;
+            let bit = |words: &[u32]| words[cluster * count + index / 32] >> (index % 32) & 1 == 1;
             if settled(shadow, record).is_some() && bit(words) != bit(twin) {
-                return Err(format!("shadow {index} on chunk {chunk}: the kernel says {}, the twin {}", bit(words), bit(twin)));
+                return Err(format!(
+                    "shadow {index} on cluster {cluster}: the kernel says {}, the twin {}",
+                    bit(words),
+                    bit(twin)
+                ));
             }
         }
     }
@@ -72,20 +79,20 @@ fn check(scene: &Scene, words: &[u32], twin: &[u32]) -> Result<(), String> {
 }
 
 #[test]
-fn shadows_reach_the_chunks_that_the_twin_names() {
+fn shadows_reach_the_clusters_that_the_twin_names() {
     let gpu = open();
     for shadows in [1, 31, 32, 33, 100] {
         let scene = with_shadows(&gpu, 3000, shadows);
         let (words, twin) = (kernel_words(&gpu, &scene), scene.shadow_words());
         check(&scene, &words, &twin).unwrap();
         let bits: u32 = twin.iter().map(|word| word.count_ones()).sum();
-        let all = (scene.chunks.len() * shadows) as u32;
+        let all = (scene.clusters.len() * shadows) as u32;
         assert!(shadows == 1 || (bits > 0 && bits < all), "{bits} of {all}: too few or too many to tell");
     }
 }
 
 #[test]
-fn no_splat_in_a_shadow_is_in_a_chunk_without_it() {
+fn no_splat_in_a_shadow_is_in_a_cluster_without_it() {
     let gpu = open();
     let scene = with_shadows(&gpu, 3000, 100);
     let (words, mut darkened) = (kernel_words(&gpu, &scene), 0);
@@ -104,9 +111,9 @@ fn one_flipped_bit_is_seen() {
     let scene = with_shadows(&gpu, 700, 3);
     let (words, mut twin) = (kernel_words(&gpu, &scene), scene.shadow_words());
     check(&scene, &words, &twin).unwrap();
-    let index = (0..3).find(|&index| settled(&scene.shadows[index], &scene.chunks[1]).is_some()).unwrap();
+    let index = (0..3).find(|&index| settled(&scene.shadows[index], &scene.clusters[1]).is_some()).unwrap();
     twin[1] ^= 1 << index;
-    assert!(check(&scene, &words, &twin).unwrap_err().contains(&format!("shadow {index} on chunk 1")));
+    assert!(check(&scene, &words, &twin).unwrap_err().contains(&format!("shadow {index} on cluster 1")));
 }
 
 #[test]
@@ -132,6 +139,6 @@ fn without_shadows_nothing_is_read() {
 
 fn twin_is_empty(scene: &Scene) -> bool {
     let mut words: Vec<u32> = Vec::new();
-    twins::cull_shadows(&scene.chunks, &[], &mut words);
+    twins::cull_shadows(&scene.clusters, &[], &mut words);
     words.is_empty()
 }

@@ -6,7 +6,8 @@ use std::path::Path;
 
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
-    AgentRecord, Bucket, CameraRecord, ChunkRecord, Composite, Item, LensRecord, Needs, RelightRecord, ShadowRecord, ViewLists,
+    AgentRecord, BlendItem, Bucket, CameraRecord, ClusterRecord, Composite, LensRecord, RelightRecord, RequiredCounts,
+    ShadowRecord, ViewLists,
 };
 use decouplegs::scene::rules;
 
@@ -47,15 +48,15 @@ fn records_of_frames() -> Vec<Record> {
             slope_min,
             slope_max,
             size_px,
-            macro_tiles,
+            coarse_tiles,
             key_offset,
             key_scale,
             key_depth,
             first_bin,
             first_pixel
         }),
-        record!(ChunkRecord { center_m, half_extent_m, reach_m }),
-        record!(Needs { records, pairs, pairs_low, pairs_high, buckets, items, partials, composites, longest }),
+        record!(ClusterRecord { center_m, half_extent_m, reach_m }),
+        record!(RequiredCounts { records, pairs, pairs_low, pairs_high, buckets, items, partials, composites, longest }),
         record!(ViewLists { first_static, first_moving }),
         record!(Bucket { first_pair, pairs, bin }),
         record!(AgentRecord {
@@ -67,7 +68,7 @@ fn records_of_frames() -> Vec<Record> {
             dc_residual_step,
             log2_size_min,
             log2_size_step,
-            first_chunk,
+            first_cluster,
             first_bounds,
             first_splat,
             splat_count,
@@ -79,7 +80,7 @@ fn records_of_frames() -> Vec<Record> {
             colors_relit,
             dc_residual_gain
         }),
-        record!(Item { bin, first_pair, pairs, partial, segment }),
+        record!(BlendItem { bin, first_pair, pairs, partial, segment }),
         record!(Composite { bin, first_partial, partials }),
     ]
 }
@@ -149,13 +150,13 @@ fn structures_are_the_same_on_host_and_device() {
     println!("{seen} bindings of structures in {} kernels", decouplegs_shaders::ALL.len());
     assert!(seen >= 20, "{seen}");
     // And it can fail: a member that moved, one that is called otherwise, another size.
-    let chunk = &records[1];
-    let mut moved = chunk.members.clone();
+    let cluster = &records[1];
+    let mut moved = cluster.members.clone();
     moved[1].1 += 4;
-    assert!(fault(&moved, Some(chunk.bytes), &records).unwrap().contains("ChunkRecord"));
+    assert!(fault(&moved, Some(cluster.bytes), &records).unwrap().contains("ClusterRecord"));
     moved[1].0 = "extent".into();
-    assert!(fault(&moved, Some(chunk.bytes), &records).unwrap().contains("no structure"));
-    assert!(fault(&chunk.members, Some(chunk.bytes + 4), &records).is_some());
+    assert!(fault(&moved, Some(cluster.bytes), &records).unwrap().contains("no structure"));
+    assert!(fault(&cluster.members, Some(cluster.bytes + 4), &records).is_some());
 }
 
 /// The number that a shader's `const NAME = ...` stands for: a number, or a quotient of two.

@@ -24,8 +24,8 @@ use std::fmt::Debug;
 
 use decouplegs::gpu::{Buffer, QueueRole, Recorder};
 use decouplegs::render::capacity::groups_for;
-use decouplegs::render::layout::{ARGUMENT_SETS, Needs};
-use decouplegs::render::stages::{Arguments, Control, Partials};
+use decouplegs::render::layout::{ARGUMENT_SETS, RequiredCounts};
+use decouplegs::render::stages::{FrameCounters, IndirectArguments, PartialResults};
 use decouplegs::render::twins::output::Pixel;
 
 use crate::device::Validated;
@@ -63,19 +63,19 @@ fn untouched(gpu: &Validated, len: usize) -> Buffer<u32> {
 
 /// Counters from earlier stages, and the workgroups of the dispatches that they sized; the others
 /// hold [`UNTOUCHED`].
-fn control(gpu: &Validated, needs: Needs, groups: &[(Arguments, usize)]) -> Control {
-    let control = Control::new(gpu).unwrap();
-    gpu.write(&control.needs, 0, &[needs]).unwrap();
+fn counters(gpu: &Validated, required: RequiredCounts, groups: &[(IndirectArguments, usize)]) -> FrameCounters {
+    let counters = FrameCounters::new(gpu).unwrap();
+    gpu.write(&counters.required, 0, &[required]).unwrap();
     let mut arguments = [[UNTOUCHED; 3]; ARGUMENT_SETS];
     for &(set, count) in groups {
         arguments[set as usize] = groups_for(count);
     }
-    gpu.write(&control.arguments, 0, &arguments).unwrap();
-    control
+    gpu.write(&counters.arguments, 0, &arguments).unwrap();
+    counters
 }
 
-/// Results of segments as a kernel finds them, `MACRO_PIXELS` for each slot.
-fn write_partials(gpu: &Validated, partials: &Partials, pixels: &[Pixel]) {
+/// Results of segments as a kernel finds them, `COARSE_PIXELS` for each slot.
+fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) {
     let colors: Vec<_> = pixels.iter().map(|pixel| pixel.color.extend(pixel.transmittance).to_array()).collect();
     let depths: Vec<_> = pixels.iter().map(|pixel| pixel.weighted_depth).collect();
     let instances: Vec<_> = pixels.iter().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
@@ -85,8 +85,8 @@ fn write_partials(gpu: &Validated, partials: &Partials, pixels: &[Pixel]) {
 }
 
 /// Counts from the kernel, and the sizes of the dispatches after it.
-fn found(gpu: &Validated, control: &Control) -> (Needs, Vec<[u32; 3]>) {
-    (gpu.read(&control.needs).unwrap()[0], gpu.read(&control.arguments).unwrap())
+fn found(gpu: &Validated, counters: &FrameCounters) -> (RequiredCounts, Vec<[u32; 3]>) {
+    (gpu.read(&counters.required).unwrap()[0], gpu.read(&counters.arguments).unwrap())
 }
 
 /// Says where `kernel` and `twin` differ first.

@@ -2,11 +2,11 @@
 
 use bytemuck::Zeroable;
 use decouplegs::render::Capacity;
-use decouplegs::render::layout::{Composite, Item, Needs};
+use decouplegs::render::layout::{BlendItem, Composite, RequiredCounts};
 use decouplegs::render::stages::{Plan, PlanSegments};
 use decouplegs::render::twins;
 
-use super::{Random, UNTOUCHED, control, found, identical, open, run, upload};
+use super::{Random, UNTOUCHED, counters, found, identical, open, run, upload};
 use crate::device::Validated;
 
 /// Lists of these lengths, cut at `segment_pairs`.
@@ -35,24 +35,24 @@ impl Case<'_> {
     }
 
     /// Plans on the device, and by a twin that cuts at `twin_segment_pairs`.
-    fn compare(&self, gpu: &Validated, twin_segment_pairs: u32) -> Result<Needs, String> {
+    fn compare(&self, gpu: &Validated, twin_segment_pairs: u32) -> Result<RequiredCounts, String> {
         let bin_count = self.lengths.len() as u32;
         let capacity = Capacity { records: 1, pairs: self.pairs_max, partials: self.partials_max };
         let (tile_lists, pairs) = (self.tile_lists(), self.lengths.iter().sum::<u32>());
-        let before = Needs { pairs, pairs_low: pairs & 0xffff, pairs_high: pairs >> 16, ..Needs::default() };
-        let control = control(gpu, before, &[]);
+        let before = RequiredCounts { pairs, pairs_low: pairs & 0xffff, pairs_high: pairs >> 16, ..RequiredCounts::default() };
+        let counters = counters(gpu, before, &[]);
         let plan = Plan::new(gpu, &capacity, bin_count).unwrap();
-        let mut items = vec![Item { bin: UNTOUCHED, ..Item::zeroed() }; plan.items.len()];
+        let mut items = vec![BlendItem { bin: UNTOUCHED, ..BlendItem::zeroed() }; plan.items.len()];
         let mut composites = vec![Composite { bin: UNTOUCHED, ..Composite::zeroed() }; plan.composites.len()];
         gpu.write(&plan.items, 0, &items).unwrap();
         gpu.write(&plan.composites, 0, &composites).unwrap();
         let plan_segments = PlanSegments::new(gpu, self.segment_pairs).unwrap();
-        run(gpu, |r| plan_segments.record(r, &control, &upload(gpu, &tile_lists), bin_count, &capacity, &plan));
-        let (needs, arguments) = found(gpu, &control);
+        run(gpu, |r| plan_segments.record(r, &counters, &upload(gpu, &tile_lists), bin_count, &capacity, &plan));
+        let (required, arguments) = found(gpu, &counters);
 
-        let (mut twin_needs, mut twin_arguments) = (before, vec![[UNTOUCHED; 3]; arguments.len()]);
+        let (mut twin_required, mut twin_arguments) = (before, vec![[UNTOUCHED; 3]; arguments.len()]);
         twins::plan_segments(
-            &mut twin_needs,
+            &mut twin_required,
             &tile_lists,
             &mut items,
             &mut composites,
@@ -64,9 +64,9 @@ impl Case<'_> {
         );
         identical("items", &gpu.read(&plan.items).unwrap(), &items)?;
         identical("composites", &gpu.read(&plan.composites).unwrap(), &composites)?;
-        identical("needs", &[needs], &[twin_needs])?;
+        identical("required", &[required], &[twin_required])?;
         identical("arguments", &arguments, &twin_arguments)?;
-        Ok(needs)
+        Ok(required)
     }
 }
 
@@ -89,9 +89,9 @@ fn lists_of_all_lengths_are_cut() {
         let lengths = lengths(bins);
         for segment_pairs in [64, 256, 1024, u32::MAX] {
             let case = Case { lengths: &lengths, segment_pairs, pairs_max: 1 << 24, partials_max: 1 << 18 };
-            let needs =
+            let required =
                 case.compare(&gpu, segment_pairs).unwrap_or_else(|error| panic!("{bins} lists, {segment_pairs}: {error}"));
-            assert_eq!(needs.partials == 0, segment_pairs == u32::MAX || needs.composites == 0);
+            assert_eq!(required.partials == 0, segment_pairs == u32::MAX || required.composites == 0);
         }
     }
 }
@@ -101,8 +101,11 @@ fn edges_of_a_segment() {
     let gpu = open();
     let lengths = [0, 1, 255, 256, 257, 511, 512, 513, 25_600, 25_601];
     let case = Case { lengths: &lengths, segment_pairs: 256, pairs_max: 1 << 20, partials_max: 1 << 10 };
-    let needs = case.compare(&gpu, 256).unwrap();
-    assert_eq!((needs.items, needs.partials, needs.composites), (4 + 2 + 2 + 2 + 3 + 100 + 101, 2 + 2 + 2 + 3 + 100 + 101, 6));
+    let required = case.compare(&gpu, 256).unwrap();
+    assert_eq!(
+        (required.items, required.partials, required.composites),
+        (4 + 2 + 2 + 2 + 3 + 100 + 101, 2 + 2 + 2 + 3 + 100 + 101, 6)
+    );
 }
 
 #[test]
@@ -119,8 +122,8 @@ fn what_has_no_room_is_counted_and_not_written() {
     let lengths = lengths(600);
     for partials_max in [1, 2, 100, 1000] {
         let case = Case { lengths: &lengths, segment_pairs: 64, pairs_max: 1 << 24, partials_max };
-        let needs = case.compare(&gpu, 64).unwrap_or_else(|error| panic!("room for {partials_max}: {error}"));
-        assert!(needs.partials as usize > partials_max, "the case must not fit");
+        let required = case.compare(&gpu, 64).unwrap_or_else(|error| panic!("room for {partials_max}: {error}"));
+        assert!(required.partials as usize > partials_max, "the case must not fit");
     }
 }
 

@@ -44,17 +44,17 @@ impl Case {
     pub fn kernel(&self, gpu: &Validated) -> ProjectedTwin {
         let Self { scene, listed, rules, variant, room, .. } = self;
         let cameras = scene.view.cameras.len();
-        let visible = Visible::new(gpu, cameras, scene.chunks.len()).unwrap();
+        let visible = Visible::new(gpu, cameras, scene.clusters.len()).unwrap();
         gpu.write(&visible.words, 0, &listed.words).unwrap();
         let projected = Projected::new(gpu, *room, 0).unwrap();
         gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room]).unwrap();
         let (no_keys, shadows) = (NoKeys::new(gpu), scene.shadow_buffers(gpu));
-        let firsts = upload(gpu, &listed.firsts);
+        let offsets = upload(gpu, &listed.offsets);
         let project = Project::new(gpu, rules, *variant).unwrap();
         run(gpu, |r| {
             let (cameras_of, lenses, kept) = (&scene.camera_buffer, &scene.lens_buffer, no_keys.kept());
             let (shadows, count) = (&shadows, scene.shadows.len());
-            project.record(r, &scene.resident, cameras_of, lenses, cameras, &visible, &firsts, &projected, kept, shadows, count);
+            project.record(r, &scene.resident, cameras_of, lenses, cameras, &visible, &offsets, &projected, kept, shadows, count);
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),

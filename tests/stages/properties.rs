@@ -3,7 +3,7 @@
 use decouplegs::render::layout::{CameraRecord, View};
 use decouplegs::render::reference;
 use decouplegs::render::stages::{Project, Projected, Visible};
-use decouplegs::render::twins::footprint::{Footprint, log2_alpha, reached_macro_rows, reached_macro_tiles};
+use decouplegs::render::twins::footprint::{Footprint, log2_alpha, reached_coarse_rows, reached_coarse_tiles};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
 use decouplegs::scene::rules::ALPHA_MIN;
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
@@ -46,9 +46,9 @@ fn footprint_of(splat: &Splat, camera: &CameraRecord, rules: &Rules) -> Option<F
 
 /// True if the list of the pixel's coarse tile contains the splat.
 fn is_listed(splat: &Footprint, column: u32, row: u32) -> bool {
-    let [first, last] = reached_macro_rows(splat, SIZE.1);
+    let [first, last] = reached_coarse_rows(splat, SIZE.1);
     let tile_row = (row / 32) as i32;
-    let [left, right] = reached_macro_tiles(splat, row / 32, [SIZE.0, SIZE.1]);
+    let [left, right] = reached_coarse_tiles(splat, row / 32, [SIZE.0, SIZE.1]);
     (first..=last).contains(&tile_row) && (left..=right).contains(&((column / 64) as i32))
 }
 
@@ -100,7 +100,7 @@ proptest! {
 
 #[test]
 fn a_list_that_ends_a_pixel_early_is_seen() {
-    // The ball's edge falls into the first column of the second macro tile.
+    // The ball's edge falls into the first column of the second coarse tile.
     let splat = Splat { scale_m: [1.0; 3], opacity: 1.0, ..Splat::at(-0.5, 0.0, 4.0) };
     assert_eq!(pixel_left_out(&splat, &Rules::DEFAULT, is_listed), None);
     let without_last_tile = |splat: &Footprint, column, row| is_listed(splat, column, row) && column < 128;
@@ -139,20 +139,20 @@ fn culled_splats_change_nothing() {
 fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     let scene = Scene::new(gpu, world, std::slice::from_ref(camera));
     let splats = world.splats.len();
-    let visible = Visible::new(gpu, 1, scene.chunks.len()).unwrap();
+    let visible = Visible::new(gpu, 1, scene.clusters.len()).unwrap();
     let mut words = vec![u32::MAX; visible.words.len()];
     for bit in splats..words.len() * 32 {
         words[bit / 32] &= !(1 << (bit % 32));
     }
     gpu.write(&visible.words, 0, &words).unwrap();
-    let firsts: Vec<u32> = (0..scene.chunks.len() as u32).map(|chunk| chunk * 256).collect();
+    let offsets: Vec<u32> = (0..scene.clusters.len() as u32).map(|cluster| cluster * 256).collect();
     let projected = Projected::new(gpu, splats, 0).unwrap();
-    let (firsts, no_keys) = (upload(gpu, &firsts), NoKeys::new(gpu));
+    let (offsets, no_keys) = (upload(gpu, &offsets), NoKeys::new(gpu));
     let shadows = scene.shadow_buffers(gpu);
     let project = Project::new(gpu, &Rules::DEFAULT, PLAIN).unwrap();
     run(gpu, |r| {
         let (camera, kept) = (&scene.camera_buffer, no_keys.kept());
-        project.record(r, &scene.resident, camera, &scene.lens_buffer, 1, &visible, &firsts, &projected, kept, &shadows, 0);
+        project.record(r, &scene.resident, camera, &scene.lens_buffer, 1, &visible, &offsets, &projected, kept, &shadows, 0);
     });
     gpu.read(&projected.keys).unwrap()
 }

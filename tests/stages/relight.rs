@@ -65,7 +65,7 @@ impl Case {
     fn kernel(&self, gpu: &Validated) -> Relit {
         let pool = PoolBuffers {
             splats: upload(gpu, &[]),
-            chunks: upload(gpu, &[]),
+            clusters: upload(gpu, &[]),
             shapes: upload(gpu, &[]),
             color_dc: upload(gpu, &self.dc),
             color_bands: upload(gpu, &self.bands),

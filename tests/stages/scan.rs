@@ -9,12 +9,12 @@ use crate::device::Validated;
 
 /// Scans `counts` on the device and by the twin, which is given `twin_counts`.
 fn compare(gpu: &Validated, counts: &[u32], twin_counts: &[u32]) -> Result<(), String> {
-    let firsts = untouched(gpu, counts.len() + 3);
+    let offsets = untouched(gpu, counts.len() + 3);
     let scan = Scan::new(gpu).unwrap();
-    run(gpu, |r| scan.record(r, &upload(gpu, counts), &firsts, counts.len()));
-    let mut twin_firsts = vec![UNTOUCHED; counts.len() + 3];
-    twins::scan(twin_counts, &mut twin_firsts);
-    identical("firsts", &gpu.read(&firsts).unwrap(), &twin_firsts)
+    run(gpu, |r| scan.record(r, &upload(gpu, counts), &offsets, counts.len()));
+    let mut twin_offsets = vec![UNTOUCHED; counts.len() + 3];
+    twins::scan(twin_counts, &mut twin_offsets);
+    identical("offsets", &gpu.read(&offsets).unwrap(), &twin_offsets)
 }
 
 fn counts(len: usize, seed: u64) -> Vec<u32> {

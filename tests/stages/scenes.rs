@@ -1,10 +1,10 @@
 //! Splats of every kind that is hard for a stage, as the stages hold them.
 
 use decouplegs::gpu::Buffer;
-use decouplegs::render::ResidentWorld;
-use decouplegs::render::layout::{CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, NO_KEY_SET, ShadowRecord, View};
+use decouplegs::render::GpuScene;
+use decouplegs::render::layout::{CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord, View};
 use decouplegs::render::stages::{KeptKeys, ProjectVariant, ShadowBuffers, words_for};
-use decouplegs::render::twins::footprint::{Footprint, reached_macro_rows, reached_macro_tiles};
+use decouplegs::render::twins::footprint::{Footprint, reached_coarse_rows, reached_coarse_tiles};
 use decouplegs::render::twins::lens::{lens_of, project_splat_seen};
 use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, to_camera_axes};
 use decouplegs::render::twins::{self, sh::Stored};
@@ -107,11 +107,11 @@ pub fn lens_rig() -> Vec<Camera> {
 
 /// A world on the device, its bytes as the kernels read them, and the cameras.
 pub struct Scene {
-    pub resident: ResidentWorld,
+    pub resident: GpuScene,
     pub view: View,
     pub camera_buffer: Buffer<CameraRecord>,
     pub lens_buffer: Buffer<LensRecord>,
-    pub chunks: Vec<ChunkRecord>,
+    pub clusters: Vec<ClusterRecord>,
     pub means_m: Vec<[f32; 3]>,
     pub shapes: Vec<[f32; 4]>,
     pub rotations: Vec<[f32; 4]>,
@@ -124,12 +124,12 @@ pub struct Scene {
 
 impl Scene {
     pub fn new(gpu: &Validated, world: &World, cameras: &[Camera]) -> Self {
-        let resident = ResidentWorld::upload(gpu, world).unwrap();
+        let resident = GpuScene::upload(gpu, world).unwrap();
         let view = View::new(cameras, world.origin, resident.reach_m).unwrap();
         Self {
             camera_buffer: upload(gpu, &view.cameras),
             lens_buffer: upload(gpu, &view.lenses),
-            chunks: gpu.read(&resident.chunks).unwrap(),
+            clusters: gpu.read(&resident.clusters).unwrap(),
             means_m: gpu.read(&resident.means).unwrap(),
             shapes: gpu.read(&resident.shapes).unwrap(),
             rotations: gpu.read(&resident.rotations).unwrap(),
@@ -146,16 +146,16 @@ impl Scene {
         Stored { sh_dc: &self.sh_dc, sh_bands: std::array::from_fn(|band| self.sh_bands[band].as_slice()) }
     }
 
-    /// The twin's bits of which shadow may lie on which chunk.
+    /// The twin's bits of which shadow may lie on which cluster.
     pub fn shadow_words(&self) -> Vec<u32> {
-        let mut words = vec![0; self.chunks.len() * words_for(self.shadows.len())];
-        twins::cull_shadows(&self.chunks, &self.shadows, &mut words);
+        let mut words = vec![0; self.clusters.len() * words_for(self.shadows.len())];
+        twins::cull_shadows(&self.clusters, &self.shadows, &mut words);
         words
     }
 
     /// Shadows on the device.
     pub fn shadow_buffers(&self, gpu: &Validated) -> ShadowBuffers {
-        let buffers = ShadowBuffers::new(gpu, self.shadows.len(), self.chunks.len()).unwrap();
+        let buffers = ShadowBuffers::new(gpu, self.shadows.len(), self.clusters.len()).unwrap();
         gpu.write(&buffers.shadows, 0, &self.shadows).unwrap();
         gpu.write(&buffers.words, 0, &self.shadow_words()).unwrap();
         buffers
@@ -163,11 +163,11 @@ impl Scene {
 
     /// The twin's visible words and counts.
     pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
-        let lists = self.view.cameras.len() * self.chunks.len();
-        let (mut words, mut counts) = (vec![0; lists * CHUNK_SPLATS / 32], vec![0; lists]);
+        let lists = self.view.cameras.len() * self.clusters.len();
+        let (mut words, mut counts) = (vec![0; lists * CLUSTER_SPLATS / 32], vec![0; lists]);
         twins::cull(
             &self.view.cameras,
-            &self.chunks,
+            &self.clusters,
             &self.means_m,
             &self.shapes,
             &self.rotations,
@@ -206,7 +206,7 @@ pub fn settled_visibility(
     let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
     let visible = |t: Vec3, size: f32, opacity: f32| {
         let (footprint, drawn) = project_splat_seen(camera, lens, t, axes * size, opacity, Variant::of(rules));
-        drawn && count_macro_tiles(&footprint, camera) > 0
+        drawn && count_coarse_tiles(&footprint, camera) > 0
     };
     let decision = visible(t, 1.0, opacity);
     let moves = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [t + moved_m * axis, t - moved_m * axis]);
@@ -217,10 +217,10 @@ pub fn settled_visibility(
     same.then_some(decision)
 }
 
-/// Macro tiles of `camera` that the splat can reach.
-fn count_macro_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
-    let [first, last] = reached_macro_rows(splat, camera.size_px[1]);
-    let tiles = (first..=last).map(|row| reached_macro_tiles(splat, row as u32, camera.size_px));
+/// Coarse tiles of `camera` that the splat can reach.
+fn count_coarse_tiles(splat: &Footprint, camera: &CameraRecord) -> u32 {
+    let [first, last] = reached_coarse_rows(splat, camera.size_px[1]);
+    let tiles = (first..=last).map(|row| reached_coarse_tiles(splat, row as u32, camera.size_px));
     tiles.map(|[left, right]| (right - left + 1) as u32).sum()
 }
 
@@ -231,7 +231,7 @@ pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u3
         let mut moved = *splat;
         moved.mean_px.x += dx;
         moved.mean_px.y += dy;
-        count_macro_tiles(&moved, camera)
+        count_coarse_tiles(&moved, camera)
     };
     let reach = (splat.log2_opacity + 8.01).max(0.0).sqrt();
     let half_height = reach / splat.rate_y;
@@ -269,7 +269,7 @@ impl NoKeys {
 /// The splats to be projected: a bit each, and where each list of them begins.
 pub struct Listed {
     pub words: Vec<u32>,
-    pub firsts: Vec<u32>,
+    pub offsets: Vec<u32>,
     /// (camera, splat) of each record.
     pub records: Vec<(usize, usize)>,
 }
@@ -278,16 +278,16 @@ impl Scene {
     /// The visible splats, without those whose visibility is a matter of rounding.
     pub fn listed(&self, rules: &Rules) -> Listed {
         let (mut words, _) = self.culled(rules);
-        let mut listed = Listed { words: Vec::new(), firsts: Vec::new(), records: Vec::new() };
+        let mut listed = Listed { words: Vec::new(), offsets: Vec::new(), records: Vec::new() };
         for camera in 0..self.view.cameras.len() {
-            for chunk in 0..self.chunks.len() {
-                listed.firsts.push(listed.records.len() as u32);
-                for place in 0..CHUNK_SPLATS {
-                    let bit = (camera * self.chunks.len() + chunk) * CHUNK_SPLATS + place;
+            for cluster in 0..self.clusters.len() {
+                listed.offsets.push(listed.records.len() as u32);
+                for place in 0..CLUSTER_SPLATS {
+                    let bit = (camera * self.clusters.len() + cluster) * CLUSTER_SPLATS + place;
                     if words[bit / 32] >> (bit % 32) & 1 == 0 {
                         continue;
                     }
-                    let splat = chunk * CHUNK_SPLATS + place;
+                    let splat = cluster * CLUSTER_SPLATS + place;
                     if self.settled_visibility(camera, splat, rules) == Some(true) {
                         listed.records.push((camera, splat));
                     } else {
@@ -310,7 +310,7 @@ impl Scene {
             &self.shapes,
             &self.rotations,
             &listed.words,
-            &listed.firsts,
+            &listed.offsets,
             &self.sh(),
             variant.instances.then_some(self.instances.as_slice()),
             &mut out.footprints,

@@ -1,9 +1,11 @@
-//! `plan_lists.comp`, `bin_pairs.comp`, `plan_buckets.comp` and `sort_buckets.comp`: from records to sorted lists of macro tiles.
+//! `plan_lists.comp`, `bin_pairs.comp`, `plan_buckets.comp` and `sort_buckets.comp`: from records to sorted lists of coarse tiles.
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::Capacity;
-use decouplegs::render::layout::{BUCKET_PAIRS, Bucket, CameraRecord, Needs, PAIR_BLOCK, SLABS, View};
-use decouplegs::render::stages::{Arguments, Plan, PlanBuckets, PlanSegments, Projected, Records, TileSort, TileSortBuffers};
+use decouplegs::render::layout::{BUCKET_PAIRS, Bucket, CameraRecord, PAIR_BLOCK, RequiredCounts, SLABS, View};
+use decouplegs::render::stages::{
+    IndirectArguments, Plan, PlanBuckets, PlanSegments, Projected, Records, TileSort, TileSortBuffers,
+};
 use decouplegs::render::twins;
 use decouplegs::render::twins::depth_key::{depth_key, depth_of_key};
 use decouplegs::render::twins::record::load_footprint;
@@ -12,7 +14,7 @@ use glam::DVec3;
 
 use super::project::PLAIN;
 use super::scenes::{Scene, hard_world, rig, settled_tile_count};
-use super::{Random, UNTOUCHED, control, found, identical, open, run, upload};
+use super::{Random, UNTOUCHED, counters, found, identical, open, run, upload};
 use crate::device::Validated;
 use crate::frames::camera_at;
 
@@ -23,28 +25,28 @@ struct Case {
     footprints: Vec<[f32; 4]>,
     keys: Vec<u32>,
     /// First record of each camera in its half, and the number of all in it.
-    static_firsts: Vec<u32>,
-    moving_firsts: Vec<u32>,
+    static_offsets: Vec<u32>,
+    moving_offsets: Vec<u32>,
     rules: Rules,
 }
 
-/// Lists as they were sorted, by macro tile, and the lengths of its buckets in their order.
+/// Lists as they were sorted, by coarse tile, and the lengths of its buckets in their order.
 #[derive(Clone, Debug, PartialEq)]
 struct Sorted {
     records: Vec<Vec<u32>>,
     buckets: Vec<Vec<u32>>,
 }
 
-/// Compares the lists and buckets of all macro tiles.
+/// Compares the lists and buckets of all coarse tiles.
 fn check_lists(kernel: &Sorted, twin: &Sorted) -> Result<(), String> {
     for (bin, (kernel, twin)) in kernel.records.iter().zip(&twin.records).enumerate() {
-        identical(&format!("records of macro tile {bin}"), kernel, twin)?;
+        identical(&format!("records of coarse tile {bin}"), kernel, twin)?;
     }
     identical("buckets", &kernel.buckets, &twin.buckets)
 }
 
 impl Case {
-    /// Hard splats whose macro tiles do not depend on rounding. Agents are the background once more, so that all keys are tied.
+    /// Hard splats whose coarse tiles do not depend on rounding. Agents are the background once more, so that all keys are tied.
     fn hard(gpu: &Validated, splats: usize, rules: Rules) -> Self {
         let scene = Scene::new(gpu, &hard_world(splats, 41), &rig());
         let listed = scene.listed(&rules);
@@ -54,8 +56,8 @@ impl Case {
             camera_buffer: scene.camera_buffer.clone(),
             footprints: Vec::new(),
             keys: Vec::new(),
-            static_firsts: vec![0],
-            moving_firsts: vec![0],
+            static_offsets: vec![0],
+            moving_offsets: vec![0],
             rules,
         };
         for camera in 0..case.cameras.len() {
@@ -65,16 +67,16 @@ impl Case {
                     case.keys.push(all.keys[record]);
                 }
             }
-            case.static_firsts.push(case.keys.len() as u32);
+            case.static_offsets.push(case.keys.len() as u32);
         }
         assert!(case.keys.len() * 20 >= listed.records.len() * 19, "rounding decides too many of the records");
         case.footprints.extend_from_within(..);
         case.keys.extend_from_within(..);
-        case.moving_firsts = case.static_firsts.clone();
+        case.moving_offsets = case.static_offsets.clone();
         case
     }
 
-    /// Records that all lie in the one macro tile of one camera.
+    /// Records that all lie in the one coarse tile of one camera.
     fn pile(gpu: &Validated, keys: Vec<u32>) -> Self {
         let view = View::new(&[camera_at(DVec3::ZERO, 64, 32)], DVec3::ZERO, 100.0).unwrap();
         let footprint = [[32.0, 16.0, 0.0, 0.5], [0.5, -0.1, 1.0, 0.0]];
@@ -82,8 +84,8 @@ impl Case {
             camera_buffer: upload(gpu, &view.cameras),
             cameras: view.cameras,
             footprints: footprint.repeat(keys.len()),
-            static_firsts: vec![0, keys.len() as u32],
-            moving_firsts: vec![0],
+            static_offsets: vec![0, keys.len() as u32],
+            moving_offsets: vec![0],
             keys,
             rules: Rules::DEFAULT,
         }
@@ -94,11 +96,11 @@ impl Case {
     }
 
     fn twin(&self) -> Sorted {
-        let statics = *self.static_firsts.last().unwrap();
+        let statics = *self.static_offsets.last().unwrap();
         let lists: Vec<_> = (0..self.cameras.len())
             .map(|camera| decouplegs::render::layout::ViewLists {
-                first_static: self.static_firsts[camera],
-                first_moving: statics + self.moving_firsts.get(camera).unwrap_or(&0),
+                first_static: self.static_offsets[camera],
+                first_moving: statics + self.moving_offsets.get(camera).unwrap_or(&0),
             })
             .collect();
         let radial = self.rules.order == DepthOrder::Radial;
@@ -114,9 +116,9 @@ impl Case {
     }
 
     /// Lists of the kernels with room for `pairs_max` pairs, and their counts; `None` if the pairs do not fit.
-    fn kernel(&self, gpu: &Validated, pairs_max: usize) -> Result<(Option<Sorted>, Needs), String> {
+    fn kernel(&self, gpu: &Validated, pairs_max: usize) -> Result<(Option<Sorted>, RequiredCounts), String> {
         let bins = self.bins();
-        let control = control(gpu, Needs::default(), &[]);
+        let counters = counters(gpu, RequiredCounts::default(), &[]);
         let projected = Projected::new(gpu, self.keys.len(), pairs_max).unwrap();
         gpu.write(&projected.footprints, 0, &self.footprints).unwrap();
         gpu.write(&projected.keys, 0, &self.keys).unwrap();
@@ -124,30 +126,30 @@ impl Case {
         let buffers = TileSortBuffers::new(gpu, &capacity, bins).unwrap();
         gpu.write(&buffers.slab_counts, 0, &vec![0; bins as usize * SLABS]).unwrap();
         gpu.write(&buffers.sorted_records, 0, &vec![UNTOUCHED; pairs_max]).unwrap();
-        let (static_firsts, moving_firsts) = (upload(gpu, &self.static_firsts), upload(gpu, &self.moving_firsts));
+        let (static_offsets, moving_offsets) = (upload(gpu, &self.static_offsets), upload(gpu, &self.moving_offsets));
         let records = Records {
             cameras: &self.camera_buffer,
             camera_count: self.cameras.len(),
             projected: &projected,
-            static_firsts: &static_firsts,
-            static_chunks: 1,
-            moving_firsts: &moving_firsts,
-            moving_chunks: usize::from(self.moving_firsts.len() > 1),
+            static_offsets: &static_offsets,
+            static_clusters: 1,
+            moving_offsets: &moving_offsets,
+            moving_clusters: usize::from(self.moving_offsets.len() > 1),
         };
         let sort = TileSort::new(gpu, &self.rules).unwrap();
-        run(gpu, |r| sort.record(r, &control, records, &buffers, bins));
-        let (needs, _) = found(gpu, &control);
-        if needs.records as usize != self.keys.len() {
-            return Err(format!("{} records instead of {}", needs.records, self.keys.len()));
+        run(gpu, |r| sort.record(r, &counters, records, &buffers, bins));
+        let (required, _) = found(gpu, &counters);
+        if required.records as usize != self.keys.len() {
+            return Err(format!("{} records instead of {}", required.records, self.keys.len()));
         }
         let all = gpu.read(&buffers.sorted_records).unwrap();
-        if needs.pairs as usize > pairs_max {
+        if required.pairs as usize > pairs_max {
             identical("records without room", &all, &vec![UNTOUCHED; pairs_max])?;
-            return Ok((None, needs));
+            return Ok((None, required));
         }
         let tile_lists = gpu.read(&buffers.tile_lists).unwrap();
         let records = tile_lists.iter().map(|&[first, length]| all[first as usize..(first + length) as usize].to_vec()).collect();
-        let mut buckets: Vec<Bucket> = gpu.read(&buffers.buckets).unwrap()[..needs.buckets as usize].to_vec();
+        let mut buckets: Vec<Bucket> = gpu.read(&buffers.buckets).unwrap()[..required.buckets as usize].to_vec();
         buckets.sort_unstable();
         let of_tile = |bin: usize| {
             let own = buckets.iter().filter(|bucket| bucket.bin as usize == bin);
@@ -159,16 +161,16 @@ impl Case {
             })
             .collect()
         };
-        Ok((Some(Sorted { records, buckets: (0..bins as usize).map(of_tile).collect() }), needs))
+        Ok((Some(Sorted { records, buckets: (0..bins as usize).map(of_tile).collect() }), required))
     }
 
     fn compare(&self, gpu: &Validated) -> Result<Sorted, String> {
         let twin = self.twin();
         let pairs: usize = twin.records.iter().map(Vec::len).sum();
-        let (kernel, needs) = self.kernel(gpu, pairs)?;
+        let (kernel, required) = self.kernel(gpu, pairs)?;
         let kernel = kernel.ok_or("as many pairs as the twin has do not fit")?;
         check_lists(&kernel, &twin)?;
-        let counts = [needs.pairs, (needs.pairs_high << 16) + needs.pairs_low, needs.buckets];
+        let counts = [required.pairs, (required.pairs_high << 16) + required.pairs_low, required.buckets];
         let buckets = twin.buckets.iter().map(Vec::len).sum::<usize>() as u32;
         identical("counts", &counts, &[pairs as u32, pairs as u32, buckets])?;
         Ok(kernel)
@@ -183,7 +185,7 @@ fn lists_of_hard_splats_are_those_of_the_definition() {
         let sorted = case.compare(&gpu).unwrap();
         let pairs: usize = sorted.records.iter().map(Vec::len).sum();
         let longest = sorted.records.iter().map(Vec::len).max().unwrap();
-        println!("{} records, {pairs} pairs in {} macro tiles, at most {longest}", case.keys.len(), case.bins());
+        println!("{} records, {pairs} pairs in {} coarse tiles, at most {longest}", case.keys.len(), case.bins());
         assert!(case.keys.len() > 3 * PAIR_BLOCK && longest > BUCKET_PAIRS, "the case must fill blocks and cut lists");
         assert!(sorted.buckets.iter().any(|buckets| buckets.len() > 1));
     }
@@ -236,8 +238,8 @@ fn pairs_without_room_are_counted_and_not_written() {
     let case = Case::hard(&gpu, 1000, Rules::DEFAULT);
     let pairs: usize = case.twin().records.iter().map(Vec::len).sum();
     for pairs_max in [1, pairs / 2, pairs - 1] {
-        let (sorted, needs) = case.kernel(&gpu, pairs_max).unwrap();
-        assert!(sorted.is_none() && needs.pairs as usize == pairs, "{needs:?}");
+        let (sorted, required) = case.kernel(&gpu, pairs_max).unwrap();
+        assert!(sorted.is_none() && required.pairs as usize == pairs, "{required:?}");
     }
     assert_eq!(case.kernel(&gpu, pairs + 1000).unwrap().0, Some(case.twin()));
 }
@@ -248,7 +250,7 @@ fn more_pairs_than_32_bits_hold_do_not_look_like_few() {
     let capacity = Capacity { records: 1, pairs: 5000, partials: 4 };
     let bins = 9u32;
     // Eight times 2^30 wrap to nothing.
-    let control = control(&gpu, Needs::default(), &[]);
+    let counters = counters(&gpu, RequiredCounts::default(), &[]);
     let buffers = TileSortBuffers::new(&gpu, &capacity, bins).unwrap();
     let counts: Vec<u32> =
         (0..bins as usize * SLABS).map(|i| if i % SLABS == 7 && i < 8 * SLABS { 1 << 30 } else { 0 }).collect();
@@ -256,12 +258,12 @@ fn more_pairs_than_32_bits_hold_do_not_look_like_few() {
     let plan = Plan::new(&gpu, &capacity, bins).unwrap();
     let (buckets, segments) = (PlanBuckets::new(&gpu).unwrap(), PlanSegments::new(&gpu, 1024).unwrap());
     run(&gpu, |r| {
-        buckets.record(r, &control, &buffers, bins);
-        segments.record(r, &control, &buffers.tile_lists, bins, &capacity, &plan);
+        buckets.record(r, &counters, &buffers, bins);
+        segments.record(r, &counters, &buffers.tile_lists, bins, &capacity, &plan);
     });
-    let (needs, arguments) = found(&gpu, &control);
-    assert_eq!((needs.pairs, needs.longest), (u32::MAX, 1 << 30));
-    assert_eq!(arguments[Arguments::Blend as usize][0], 0, "nothing is blended");
+    let (required, arguments) = found(&gpu, &counters);
+    assert_eq!((required.pairs, required.longest), (u32::MAX, 1 << 30));
+    assert_eq!(arguments[IndirectArguments::Blend as usize][0], 0, "nothing is blended");
 }
 
 #[test]
@@ -285,7 +287,7 @@ fn records_in_another_order_are_seen() {
     let mut twin = case.twin();
     let tile = twin.records.iter().position(|records| records.len() > 1).unwrap();
     twin.records[tile].swap(0, 1);
-    let tile_records = format!("records of macro tile {tile}");
+    let tile_records = format!("records of coarse tile {tile}");
     assert!(check_lists(&kernel, &twin).unwrap_err().starts_with(&tile_records));
     twin.records[tile].swap(0, 1);
     twin.buckets[tile][0] += 1;

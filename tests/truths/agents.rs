@@ -13,7 +13,7 @@ use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use super::square_camera;
 use crate::device::Validated;
 use crate::stages::Random;
-use crate::stages::agents::hard_agents::{AgentScene, Placed};
+use crate::stages::agents::hard_agents::{AgentInstance, AgentScene};
 
 /// Tolerance of a rotation, relative to the covariance and to the color.
 const RELATIVE: f64 = 1e-5;
@@ -101,12 +101,12 @@ fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((u
     let room = listed.records.len();
     let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
     gpu.write(&buffers.visible.words, 0, &listed.words).unwrap();
-    gpu.write(&buffers.firsts, 0, &listed.firsts).unwrap();
-    let static_firsts = gpu.upload("no background", "test", &[0u32]).unwrap();
+    gpu.write(&buffers.offsets, 0, &listed.offsets).unwrap();
+    let static_offsets = gpu.upload("no background", "test", &[0u32]).unwrap();
     let projected = Projected::new(gpu, room, 0).unwrap();
     let project = ProjectAgents::new(gpu, rules, 3, false, false).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    project.record(&mut recorder, &pool, &buffers, &scene.relit(gpu), scene.counts, &static_firsts, 0, &projected);
+    project.record(&mut recorder, &pool, &buffers, &scene.relit(gpu), scene.counts, &static_offsets, 0, &projected);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let (footprints, colors) = (gpu.read(&projected.footprints).unwrap(), gpu.read(&projected.colors).unwrap());
     let seen = |record: usize| {
@@ -155,14 +155,14 @@ fn covariances_and_colors_turn_with_the_agent() {
         let before =
             DVec3::new(random.between(-4.0, 4.0).into(), random.between(-4.0, 4.0).into(), random.between(5.0, 40.0).into());
         let pose = Pose::new(rotation, camera.world_from_camera.transform(before));
-        Placed { colors_in_world: agent % 4 == 3, ..Placed::new(0, pose) }
+        AgentInstance { colors_in_world: agent % 4 == 3, ..AgentInstance::new(0, pose) }
     };
-    let placed: Vec<Placed> = (0..100).map(place).collect();
+    let placed: Vec<AgentInstance> = (0..100).map(place).collect();
     let scene = AgentScene::new(std::slice::from_ref(&cloud), &placed, std::slice::from_ref(&camera));
     let found = seen_by_kernel(&gpu, &scene, &Rules::DEFAULT);
     assert!(found.len() > 5000, "{} splats are seen", found.len());
     let truth = |agent: usize, splat: usize, rotation: DQuat| {
-        let Placed { pose, colors_in_world, .. } = &placed[agent];
+        let AgentInstance { pose, colors_in_world, .. } = &placed[agent];
         turned(&cloud, &cloud.splats[splat].into(), pose, rotation, &camera, !colors_in_world)
     };
     let [covariance, color] = worst(&found, |agent, splat| truth(agent, splat, placed[agent].pose.rotation));

@@ -5,9 +5,9 @@ use std::fmt::Write;
 use anyhow::Result;
 
 use super::charts;
+use super::example_crops::{ANGLE_MAX_DEG, ExampleCrops};
 use super::figures::{Report, arm_cells, decibels, percent, row_cells};
 use super::reinsert::{Arm, Reinserted};
-use super::showcase::{ANGLE_MAX_DEG, Showcase};
 use super::system::{System, Without};
 use crate::data_uri;
 use crate::plot::{self, escaped};
@@ -114,13 +114,13 @@ fn weather(found: &Reinserted) -> Result<String> {
         let _ = write!(html, "<tr{ours}><td>{}<td>{}</tr>", arm.arm.name(), arm_cells(arm).join("<td>"));
     }
     html.push_str("</table></div>");
-    html.push_str(&images(&found.showcase)?);
+    html.push_str(&images(&found.example_crops)?);
     Ok(html)
 }
 
-fn images(showcase: &Showcase) -> Result<String> {
+fn images(example_crops: &ExampleCrops) -> Result<String> {
     let mut html = String::from("<div class=\"row\">");
-    for (what, image) in &showcase.images {
+    for (what, image) in &example_crops.images {
         // Shown at some 300 pixels: all of a large image would make the page megabytes.
         let address = data_uri::png(&data_uri::shrunk(image, 640))?;
         let _ = write!(
@@ -131,9 +131,9 @@ fn images(showcase: &Showcase) -> Result<String> {
     let _ = write!(
         html,
         "</div><p class=\"dim\">Car {} in camera {} at {:.2} s. Angles from black (0°) to white ({ANGLE_MAX_DEG}° and more).</p>",
-        showcase.car,
-        escaped(&showcase.camera),
-        showcase.time_s
+        example_crops.car,
+        escaped(&example_crops.camera),
+        example_crops.time_s
     );
     Ok(html)
 }

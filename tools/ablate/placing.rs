@@ -10,7 +10,7 @@ use decouplegs::scene::{LaneMap, Pose, Track, TrackPoint, Trajectory};
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use super::stage::{Stage, trajectory};
+use super::reinsertion_scene::{ReinsertionScene, trajectory};
 
 /// Tracks tell where a car is so often.
 const RATE_HZ: f64 = 10.0;
@@ -81,7 +81,7 @@ pub struct Tracks {
 
 impl Tracks {
     /// The ways of `stage`'s agents as a log that drifts tells them, and as they come out of registration.
-    pub fn of(stage: &Stage, drift: &Drift) -> Result<Self> {
+    pub fn of(stage: &ReinsertionScene, drift: &Drift) -> Result<Self> {
         let truth: Vec<Track> = (0..stage.loaded.agents.len()).map(|agent| true_track(stage, agent)).collect();
         let mut random = Random(drift.seed);
         let logged: Vec<Track> = truth.iter().map(|track| drifted(track, drift, &mut random)).collect();
@@ -110,7 +110,7 @@ impl Tracks {
     }
 }
 
-fn true_track(stage: &Stage, agent: usize) -> Track {
+fn true_track(stage: &ReinsertionScene, agent: usize) -> Track {
     let placed = &stage.loaded.agents[agent];
     let (start_s, end_s) = (placed.trajectory.start_s(), placed.trajectory.end_s());
     let count = ((end_s - start_s) * RATE_HZ).round() as u32;

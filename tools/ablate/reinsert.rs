@@ -4,16 +4,16 @@ use anyhow::{Result, ensure};
 use decouplegs::asset::street::Weather;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
-use decouplegs::render::{Agent, AssetPool, Outputs, Image, RenderOptions, Renderer, Scene};
+use decouplegs::render::{Agent, AssetPool, Image, Outputs, RenderOptions, Renderer, Scene};
 use decouplegs::scene::light::{ShadowOptions, bake_shadows};
 use decouplegs::scene::{Camera, ContactShadow, ShFrame, World};
-use decouplegs::{LiveScene, Moment};
+use decouplegs::{LiveScene, SceneSnapshot};
 
 use super::affine;
 use super::cars::Cars;
+use super::example_crops::{self, ExampleCrops};
+use super::reinsertion_scene::{ReinsertionScene, Truth};
 use super::ring::{self, Darkness};
-use super::showcase::{self, Showcase};
-use super::stage::{Stage, Truth};
 
 /// A way to put cars back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,13 +93,13 @@ pub struct Reinserted {
     pub directionality: f64,
     /// Agents, counted at each moment, about whose place the street tells nothing.
     pub unlit: usize,
-    pub showcase: Showcase,
+    pub example_crops: ExampleCrops,
 }
 
 /// Setup of the reinsertion of cars into one street.
 pub struct Reinsertion<'a> {
     pub gpu: &'a Gpu,
-    pub stage: &'a Stage,
+    pub stage: &'a ReinsertionScene,
     pub cars: &'a Cars,
     /// Colors shorter than this have no hue.
     pub floor: f64,
@@ -142,7 +142,7 @@ impl Reinsertion<'_> {
                 truth_darkness.add(image, &empty[at], &sample.ground[at]);
             }
             let [plain, ours] = [&drawn[0], &drawn[1]];
-            shown = showcase::better(shown, &sample, ours, plain, self.floor);
+            shown = example_crops::better(shown, &sample, ours, plain, self.floor);
             samples.push(sample);
             done();
         }
@@ -154,7 +154,7 @@ impl Reinsertion<'_> {
             starkness,
             directionality,
             unlit,
-            showcase: shown.map(|(_, showcase)| showcase).unwrap_or_default(),
+            example_crops: shown.map(|(_, example_crops)| example_crops).unwrap_or_default(),
         };
         Ok((reinserted, samples))
     }
@@ -176,14 +176,7 @@ impl Reinsertion<'_> {
         Ok(Sample { time_s, cameras, truth, vehicles, ground })
     }
 
-    fn images(
-        &self,
-        renderer: &mut Renderer,
-        live: &LiveScene,
-        arm: Arm,
-        truth: &Truth,
-        sample: &Sample,
-    ) -> Result<Vec<Image>> {
+    fn images(&self, renderer: &mut Renderer, live: &LiveScene, arm: Arm, truth: &Truth, sample: &Sample) -> Result<Vec<Image>> {
         let mut moment = live.at(sample.time_s);
         match arm {
             Arm::Ours => {}
@@ -215,7 +208,7 @@ impl Reinsertion<'_> {
         &self,
         renderer: &mut Renderer,
         live: &LiveScene,
-        moment: &Moment,
+        moment: &SceneSnapshot,
         truth: &Truth,
         sample: &Sample,
     ) -> Result<Vec<Image>> {
@@ -234,7 +227,7 @@ impl Reinsertion<'_> {
     }
 
     /// The background under the shadows of `moment`, and world-space copies of the whole cars in its light.
-    pub fn copies(&self, moment: &Moment) -> World {
+    pub fn copies(&self, moment: &SceneSnapshot) -> World {
         let mut world = self.stage.loaded.world.clone();
         bake_shadows(&mut world, &moment.shadows);
         for (agent, placed) in moment.agents.iter().zip(&self.stage.loaded.agents) {
@@ -248,7 +241,7 @@ impl Reinsertion<'_> {
 
     /// Means of I_dom and of directionality, and how many agents stand where nothing tells of the light.
     fn light(&self, live: &LiveScene, moments_s: &[f64]) -> (f64, f64, usize) {
-        let moments: Vec<Moment> = moments_s.iter().map(|&time_s| live.at(time_s)).collect();
+        let moments: Vec<SceneSnapshot> = moments_s.iter().map(|&time_s| live.at(time_s)).collect();
         let strength = ShadowOptions::default().strength;
         let starkness = |shadow: &ContactShadow| shadow.strength / strength;
         let lighting = self.stage.loaded.lighting();

@@ -2,11 +2,11 @@
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, ResidentWorld};
+use decouplegs::render::{ColorFormat, GpuScene, Outputs, RenderOptions, Renderer};
 use decouplegs::scene::World;
 use decouplegs::{LiveScene, asset::LoadedScene};
 
-use crate::stress::course::{Course, Driven};
+use crate::stress::drive_schedule::{DriveSchedule, Driven};
 use crate::stress::figures::Measured;
 
 /// Least number of frames before the timed ones.
@@ -18,7 +18,7 @@ const STEP_S: f64 = 0.1;
 pub struct Speed<'a> {
     pub gpu: &'a Gpu,
     pub scene: &'a LoadedScene,
-    pub course: Course,
+    pub schedule: DriveSchedule,
 }
 
 impl<'a> Speed<'a> {
@@ -27,9 +27,9 @@ impl<'a> Speed<'a> {
         let cameras_used = scene.rig.cameras.len();
         let middle_s = 0.5 * (scene.ego.start_s() + scene.ego.end_s());
         let start_s = (middle_s - 0.5 * STEP_S * f64::from(frames)).max(scene.ego.start_s());
-        let course =
-            Course { start_s, step_s: STEP_S, warm_up: WARM_UP_FRAMES, frames, samples: 0, cameras_used, standing: None };
-        Self { gpu, scene, course }
+        let schedule =
+            DriveSchedule { start_s, step_s: STEP_S, warm_up: WARM_UP_FRAMES, frames, samples: 0, cameras_used, standing: None };
+        Self { gpu, scene, schedule }
     }
 
     /// Compressed agents that drive as `driven` says, two frames in flight.
@@ -38,7 +38,7 @@ impl<'a> Speed<'a> {
         let live = LiveScene::new(&renderer, driven)?;
         self.drive(&mut renderer, |renderer, time_s| {
             let moment = live.at(time_s);
-            Ok(renderer.submit(live.with(&moment), &self.course.cameras(self.scene, time_s))?)
+            Ok(renderer.submit(live.with(&moment), &self.schedule.cameras(self.scene, time_s))?)
         })
     }
 
@@ -46,18 +46,18 @@ impl<'a> Speed<'a> {
     pub fn of_copies(&self, copies: World) -> Result<Measured> {
         let mut renderer = self.renderer(false, 2);
         let resident = renderer.upload(&World { instance_from_splat: Vec::new(), ..copies })?;
-        self.drive(&mut renderer, |renderer, time_s| Ok(renderer.submit(&resident, &self.course.cameras(self.scene, time_s))?))
+        self.drive(&mut renderer, |renderer, time_s| Ok(renderer.submit(&resident, &self.schedule.cameras(self.scene, time_s))?))
     }
 
     /// Copies that are made and uploaded anew in each frame, as they must be where agents drive or light changes.
     pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> World) -> Result<Measured> {
         let mut renderer = self.renderer(false, 1);
         // Kept until the next frame: this one is drawn from it.
-        let mut shown: Option<ResidentWorld> = None;
+        let mut shown: Option<GpuScene> = None;
         self.drive(&mut renderer, |renderer, time_s| {
             let world = World { instance_from_splat: Vec::new(), ..copies_at(time_s) };
             let resident = shown.insert(renderer.upload(&world)?);
-            Ok(renderer.submit(&*resident, &self.course.cameras(self.scene, time_s))?)
+            Ok(renderer.submit(&*resident, &self.schedule.cameras(self.scene, time_s))?)
         })
     }
 
@@ -67,7 +67,7 @@ impl<'a> Speed<'a> {
     }
 
     fn drive(&self, renderer: &mut Renderer, submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Measured> {
-        let Driven { frames, steps_ms, .. } = self.course.drive(renderer, submit)?;
+        let Driven { frames, steps_ms, .. } = self.schedule.drive(renderer, submit)?;
         Ok(Measured::of(&frames, &steps_ms, self.gpu.memory()))
     }
 }

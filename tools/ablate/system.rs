@@ -5,7 +5,7 @@ use decouplegs::asset::street::Weather;
 use decouplegs::render::Image;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::scene::Trajectory;
-use decouplegs::{LiveScene, Moment};
+use decouplegs::{LiveScene, SceneSnapshot};
 
 use super::placing::{Drift, Placing, Tracks};
 use super::reinsert::{Arm, Reinserted, Reinsertion, Sample};
@@ -97,7 +97,7 @@ impl Reinsertion<'_> {
     pub fn system(&self, drift: &Drift, samples: &[Sample], measured: &Reinserted, frames: u32) -> Result<System> {
         let tracks = Tracks::of(self.stage, drift)?;
         let speed = Speed::over(self.gpu, &self.stage.loaded, frames);
-        let middle_s = speed.course.middle_s();
+        let middle_s = speed.schedule.middle_s();
         let mut rows = Vec::new();
         for without in Without::ALL {
             let placed = if without == Without::Registration { &tracks.logged } else { &tracks.registered };
@@ -128,7 +128,7 @@ impl Reinsertion<'_> {
         let background = self.stage.loaded.world.splats.len();
         let whole = self.stage.loaded.agents.iter().map(|agent| self.cars.originals[agent.asset].len()).sum::<usize>();
         let splats = [background, background + whole];
-        Ok(System { weather: self.stage.weather(), rows, splats, start_s: speed.course.start_s })
+        Ok(System { weather: self.stage.weather(), rows, splats, start_s: speed.schedule.start_s })
     }
 
     /// Errors over the pixels that show vehicles in the truth, of cars that drive on `ways`.
@@ -137,7 +137,7 @@ impl Reinsertion<'_> {
         let live = LiveScene::new(&renderer, &self.stage.driven(ways))?;
         let mut errors = MaskedErrors::new(self.floor);
         for sample in samples {
-            let mut moment: Moment = live.at(sample.time_s);
+            let mut moment: SceneSnapshot = live.at(sample.time_s);
             if without.arm() == Arm::NoRelighting {
                 moment.shadows.clear();
                 moment.agents.iter_mut().for_each(|agent| agent.relight = None);

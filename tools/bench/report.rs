@@ -57,7 +57,7 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         "rig_steps_per_s": rig_steps_per_s,
         "images_per_s": rig_steps_per_s * scene.cameras.len() as f64,
         "stages": stages,
-        "needs": last.needs,
+        "required": last.required,
         "capacity": last.capacity,
         "memory_bytes": {
             "total": memory.total_bytes,
@@ -171,10 +171,10 @@ fn chart(figures: &Value) -> String {
 
 fn rates(figures: &Value) -> String {
     let (images, steps) = (number(&figures["images_per_s"]), number(&figures["rig_steps_per_s"]));
-    let needs = &figures["needs"];
+    let required = &figures["required"];
     format!(
         "  {images:.1} images/s, {steps:.1} rig steps/s by the wall clock; {} visible splats in {} tile entries\n",
-        needs["records"], needs["pairs"]
+        required["records"], required["pairs"]
     )
 }
 

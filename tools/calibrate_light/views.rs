@@ -1,8 +1,8 @@
 //! Images of an asset in the light of a probe: the truth, relit, and as it is.
 
 use decouplegs::asset::calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, Probe, Surroundings, lit_cloud, to_display};
-use decouplegs::render::rendered_image::Image;
 use decouplegs::render::reference;
+use decouplegs::render::rendered_image::Image;
 use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, World};
 
 use super::Subject;

@@ -6,8 +6,8 @@ use anyhow::Result;
 use decouplegs::asset::compress::{BookReport, Compressed};
 use decouplegs::render::metrics::difference_image;
 
+use super::image_quality::{QualityMeter, Score};
 use super::report::{Measured, Subject, Trial};
-use super::yardstick::{Score, Yardstick};
 use crate::data_uri;
 use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
 
@@ -15,18 +15,23 @@ use crate::plot::{self, Axis, Plot, Series, Shape, escaped};
 const DIFFERENCE_GAIN: f32 = 8.0;
 
 /// The page.
-pub fn page(subject: &Subject<'_>, compressed: &Compressed, yardstick: &mut Yardstick, measured: &Measured) -> Result<String> {
+pub fn page(
+    subject: &Subject<'_>,
+    compressed: &Compressed,
+    quality_meter: &mut QualityMeter,
+    measured: &Measured,
+) -> Result<String> {
     let file = escaped(&subject.arguments.file.display().to_string());
     let mut html = plot::page_start(&format!("{file} compressed"));
     html.push_str(&summary(subject, compressed));
-    let names: Vec<&str> = yardstick.views.iter().map(|views| views.name).collect();
+    let names: Vec<&str> = quality_meter.views.iter().map(|views| views.name).collect();
     html.push_str("<h2>Against the original</h2><ul>");
-    for views in &yardstick.views {
+    for views in &quality_meter.views {
         let _ = write!(html, "<li><b>{}</b>: {}, {} views</li>", views.name, escaped(&views.what), views.cameras.len());
     }
     html.push_str("</ul>");
     html.push_str(&trial_table(&names, std::slice::from_ref(&measured.asset)));
-    html.push_str(&images(yardstick, compressed)?);
+    html.push_str(&images(quality_meter, compressed)?);
     html.push_str(&curves(&names, compressed, measured));
     html.push_str("<h2>Shares kept, not compressed otherwise</h2>");
     html.push_str(&trial_table(&names, &measured.pruned_only));
@@ -151,17 +156,17 @@ fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
 }
 
 /// The first image of each kind of view: before, after, and the difference.
-fn images(yardstick: &mut Yardstick, compressed: &Compressed) -> Result<String> {
+fn images(quality_meter: &mut QualityMeter, compressed: &Compressed) -> Result<String> {
     let decoded = compressed.cloud.decoded(0);
     let mut html = String::new();
-    for at in 0..yardstick.views.len() {
-        let camera = yardstick.views[at].cameras[..1].to_vec();
-        let after = yardstick.draw(&decoded, &camera)?;
-        let before = &yardstick.views[at].original[0];
+    for at in 0..quality_meter.views.len() {
+        let camera = quality_meter.views[at].cameras[..1].to_vec();
+        let after = quality_meter.draw(&decoded, &camera)?;
+        let before = &quality_meter.views[at].original[0];
         let difference = difference_image(before, &after[0], DIFFERENCE_GAIN)?;
         html.push_str("<div class=\"row\">");
         for (what, image) in [("before", before), ("after", &after[0]), ("difference, times 8", &difference)] {
-            let name = yardstick.views[at].name;
+            let name = quality_meter.views[at].name;
             let _ = write!(
                 html,
                 "<figure><img class=\"pixels\" src=\"{}\" alt=\"{name} {what}\"><figcaption>{name}, {what}</figcaption></figure>",

@@ -12,8 +12,8 @@ use decouplegs::scene::{CodedCloud, SplatCloud};
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
+use super::image_quality::{QualityMeter, Score};
 use super::views::{STREET_FOCAL_PX, WINDOW_PX};
-use super::yardstick::{Score, Yardstick};
 use super::{Arguments, page, views};
 use crate::progress;
 
@@ -47,7 +47,7 @@ pub struct Subject<'a> {
     pub stored_bytes: u64,
 }
 
-/// One compression and its scores, in the order of the yardstick's views.
+/// One compression and its scores, in the order of the quality_meter's views.
 pub struct Trial {
     pub name: String,
     /// The share kept, or the number of colors.
@@ -78,26 +78,26 @@ pub struct Measured {
 /// Measures, and writes `report.html` and `report.json` to `folder`.
 pub fn write(subject: &Subject<'_>, compressed: &Compressed, folder: &Path) -> Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
-    let mut yardstick = yardstick(subject)?;
+    let mut quality_meter = quality_meter(subject)?;
     let trials = KEEP_RATIOS.len() + BOOK_SIZES.len() + ShapeSpace::ALL.len();
     let bar = progress::bar("compressions", trials);
     let measured = Measured {
-        asset: trial(&mut yardstick, "the asset".into(), 0.0, compressed)?,
-        pruned_only: pruned_only(subject, &mut yardstick)?,
-        kept: kept(subject, &mut yardstick, &bar)?,
-        books: books(subject, &mut yardstick, &bar)?,
-        spaces: spaces(subject, &mut yardstick, &bar)?,
-        levels: levels(subject, &mut yardstick, &compressed.cloud)?,
+        asset: trial(&mut quality_meter, "the asset".into(), 0.0, compressed)?,
+        pruned_only: pruned_only(subject, &mut quality_meter)?,
+        kept: kept(subject, &mut quality_meter, &bar)?,
+        books: books(subject, &mut quality_meter, &bar)?,
+        spaces: spaces(subject, &mut quality_meter, &bar)?,
+        levels: levels(subject, &mut quality_meter, &compressed.cloud)?,
     };
     bar.finish_and_clear();
-    let figures = figures(subject, compressed, &yardstick, &measured);
+    let figures = figures(subject, compressed, &quality_meter, &measured);
     write_atomically(&folder.join("report.json"), |file| writeln!(file, "{figures:#}"))?;
-    let page = page::page(subject, compressed, &mut yardstick, &measured)?;
+    let page = page::page(subject, compressed, &mut quality_meter, &measured)?;
     write_atomically(&folder.join("report.html"), |file| file.write_all(page.as_bytes()))?;
     Ok(())
 }
 
-fn yardstick(subject: &Subject<'_>) -> Result<Yardstick> {
+fn quality_meter(subject: &Subject<'_>) -> Result<QualityMeter> {
     let drawn: Vec<u32> = (0..subject.cloud.len() as u32).filter(|&at| subject.cloud.defect_of(at as usize).is_none()).collect();
     let bounds = subject.cloud.select(&drawn).bounds();
     let distance_m = subject.arguments.report_distance;
@@ -117,65 +117,65 @@ fn yardstick(subject: &Subject<'_>) -> Result<Yardstick> {
             views::sphere(&bounds, around, AROUND_PX, HELD_OUT_TURN_RAD),
         ),
     ];
-    Yardstick::new(subject.gpu, subject.cloud, cameras)
+    QualityMeter::new(subject.gpu, subject.cloud, cameras)
 }
 
-fn trial(yardstick: &mut Yardstick, name: String, at: f64, compressed: &Compressed) -> Result<Trial> {
-    let scores = yardstick.score(&compressed.cloud.decoded(0))?;
+fn trial(quality_meter: &mut QualityMeter, name: String, at: f64, compressed: &Compressed) -> Result<Trial> {
+    let scores = quality_meter.score(&compressed.cloud.decoded(0))?;
     Ok(Trial { name, at, bytes_per_splat: compressed.report.bytes_per_splat(), scores })
 }
 
 /// Compresses otherwise, and scores what comes of it.
 fn other(
     subject: &Subject<'_>,
-    yardstick: &mut Yardstick,
+    quality_meter: &mut QualityMeter,
     bar: &ProgressBar,
     named: (String, f64),
     options: CompressOptions,
 ) -> Result<Trial> {
     let compressed = compress(subject.cloud, subject.visibility, &options, &|_| ())?;
     bar.inc(1);
-    trial(yardstick, named.0, named.1, &compressed)
+    trial(quality_meter, named.0, named.1, &compressed)
 }
 
 /// Splats dropped, and nothing else done to them.
-fn pruned_only(subject: &Subject<'_>, yardstick: &mut Yardstick) -> Result<Vec<Trial>> {
+fn pruned_only(subject: &Subject<'_>, quality_meter: &mut QualityMeter) -> Result<Vec<Trial>> {
     let importance = importance(subject.cloud, subject.visibility);
     let pruned = KEEP_RATIOS.iter().map(|&ratio| {
         let kept = prune(subject.cloud, &importance, Prune::KeepRatio(ratio)).splats;
-        let scores = yardstick.score(&subject.cloud.select(&kept))?;
+        let scores = quality_meter.score(&subject.cloud.select(&kept))?;
         Ok(Trial { name: format!("keep {ratio}"), at: ratio.into(), bytes_per_splat: f64::NAN, scores })
     });
     pruned.collect()
 }
 
-fn kept(subject: &Subject<'_>, yardstick: &mut Yardstick, bar: &ProgressBar) -> Result<Vec<Trial>> {
+fn kept(subject: &Subject<'_>, quality_meter: &mut QualityMeter, bar: &ProgressBar) -> Result<Vec<Trial>> {
     let trials = KEEP_RATIOS.iter().map(|&ratio| {
         let options = CompressOptions { prune: Prune::KeepRatio(ratio), ..subject.options };
-        other(subject, yardstick, bar, (format!("keep {ratio}"), ratio.into()), options)
+        other(subject, quality_meter, bar, (format!("keep {ratio}"), ratio.into()), options)
     });
     trials.collect()
 }
 
-fn books(subject: &Subject<'_>, yardstick: &mut Yardstick, bar: &ProgressBar) -> Result<Vec<Trial>> {
+fn books(subject: &Subject<'_>, quality_meter: &mut QualityMeter, bar: &ProgressBar) -> Result<Vec<Trial>> {
     let trials = BOOK_SIZES.iter().map(|&(colors, shapes)| {
         let options = CompressOptions { colors, shapes, ..subject.options };
-        other(subject, yardstick, bar, (format!("{colors} colors, {shapes} shapes"), colors as f64), options)
+        other(subject, quality_meter, bar, (format!("{colors} colors, {shapes} shapes"), colors as f64), options)
     });
     trials.collect()
 }
 
-fn spaces(subject: &Subject<'_>, yardstick: &mut Yardstick, bar: &ProgressBar) -> Result<Vec<Trial>> {
+fn spaces(subject: &Subject<'_>, quality_meter: &mut QualityMeter, bar: &ProgressBar) -> Result<Vec<Trial>> {
     let trials = ShapeSpace::ALL.iter().map(|&shape_space| {
         let options = CompressOptions { shape_space, ..subject.options };
-        other(subject, yardstick, bar, (format!("{shape_space:?}"), 0.0), options)
+        other(subject, quality_meter, bar, (format!("{shape_space:?}"), 0.0), options)
     });
     trials.collect()
 }
 
 /// Each coarser level against the finest, where [`PITCHES_PX`] lie between its splats: the root of the share of its box's
 /// surface that each has.
-fn levels(subject: &Subject<'_>, yardstick: &mut Yardstick, cloud: &CodedCloud) -> Result<Vec<LevelTrial>> {
+fn levels(subject: &Subject<'_>, quality_meter: &mut QualityMeter, cloud: &CodedCloud) -> Result<Vec<LevelTrial>> {
     let finest = cloud.decoded(0);
     let [length, width, height] = cloud.dims_m.map(f64::from);
     let surface_m2 = 2.0 * (length * width + length * height + width * height);
@@ -190,7 +190,7 @@ fn levels(subject: &Subject<'_>, yardstick: &mut Yardstick, cloud: &CodedCloud) 
             let size_px = |size_m: f64| ((size_m / distance_m * STREET_FOCAL_PX).ceil() as u32).clamp(16, 400);
             let window = [size_px(length.max(width)), size_px(height)];
             let cameras = views::street(&finest.bounds(), views, distance_m, STREET_FOCAL_PX, window);
-            let score = yardstick.compare(&decoded, &finest, &cameras)?;
+            let score = quality_meter.compare(&decoded, &finest, &cameras)?;
             trials.push(LevelTrial { level, splats: decoded.len(), pitch_px, distance_m, score });
         }
     }
@@ -198,9 +198,9 @@ fn levels(subject: &Subject<'_>, yardstick: &mut Yardstick, cloud: &CodedCloud) 
 }
 
 /// The same figures for programs.
-fn figures(subject: &Subject<'_>, compressed: &Compressed, yardstick: &Yardstick, measured: &Measured) -> Value {
+fn figures(subject: &Subject<'_>, compressed: &Compressed, quality_meter: &QualityMeter, measured: &Measured) -> Value {
     let trial_json = |trial: &Trial| {
-        let scores = yardstick.views.iter().zip(&trial.scores).map(|(views, score)| (views.name.to_owned(), score.to_json()));
+        let scores = quality_meter.views.iter().zip(&trial.scores).map(|(views, score)| (views.name.to_owned(), score.to_json()));
         json!({
             "name": trial.name,
             "at": trial.at,
@@ -222,7 +222,7 @@ fn figures(subject: &Subject<'_>, compressed: &Compressed, yardstick: &Yardstick
         "version": env!("CARGO_PKG_VERSION"),
         "device": subject.gpu.info().name,
         "file": subject.arguments.file.display().to_string(),
-        "views": yardstick.views.iter().map(|views| json!({ "name": views.name, "what": views.what })).collect::<Vec<_>>(),
+        "views": quality_meter.views.iter().map(|views| json!({ "name": views.name, "what": views.what })).collect::<Vec<_>>(),
         "stored_bytes": subject.stored_bytes,
         "stored_bytes_per_splat": subject.stored_bytes as f64 / compressed.report.splats as f64,
         "stored_bytes_per_kept_splat": subject.stored_bytes as f64 / compressed.report.kept as f64,

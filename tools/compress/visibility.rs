@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{Outputs, RenderError, RenderOptions, Renderer, ResidentWorld};
+use decouplegs::render::{GpuScene, Outputs, RenderError, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, SplatCloud, World};
 
 use crate::progress;
@@ -31,7 +31,7 @@ pub fn visibility(gpu: &Gpu, cloud: &SplatCloud, cameras: &[Camera]) -> Result<V
 }
 
 /// For each splat of `world` the mean over `cameras` of its contributions.
-fn mean_contributions(renderer: &mut Renderer, world: &ResidentWorld, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
+fn mean_contributions(renderer: &mut Renderer, world: &GpuScene, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
     let bar = progress::bar("visibility", cameras.len());
     let mut sums = vec![0.0f64; world.splats];
     for run in cameras.chunks(CAMERAS_AT_ONCE) {

@@ -1,7 +1,7 @@
 //! An episode from above.
 
 use decouplegs::drive::OrientedBox;
-use decouplegs::scene::episode::{Episode, EpisodeEnd, Instant};
+use decouplegs::scene::episode::{Episode, EpisodeEnd, EpisodeTick};
 use decouplegs::scene::{Lane, VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -18,7 +18,7 @@ const NEAR_M: f64 = 45.0;
 /// Lanes, the route, what the ego drove, and where everybody stood when it ended.
 pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
     let episode = &scored.episode;
-    let instants: Vec<&Instant> = episode.instants().collect();
+    let instants: Vec<&EpisodeTick> = episode.instants().collect();
     let ego_way: Vec<DVec2> = instants.iter().map(|instant| instant.ego.position_m).collect();
     let last = instants[instants.len() - 1];
     let hit = match episode.end {
@@ -32,18 +32,11 @@ pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
             .iter()
             .map(|instant| instant.agents[agent].position_m)
             .filter(|at| ego_way.iter().any(|ego| ego.distance(*at) < NEAR_M));
-        ways.push(Way {
-            name: "",
-            color: if hit == Some(agent) { HIT } else { AGENT },
-            dashed: false,
-            places: places.collect(),
-        });
+        ways.push(Way { name: "", color: if hit == Some(agent) { HIT } else { AGENT }, dashed: false, places: places.collect() });
     }
     ways.push(Way { name: "ego", color: EGO, dashed: false, places: ego_way.clone() });
-    let body = |color: usize, state: &VehicleState, size: &VehicleSize| Body {
-        color,
-        corners: OrientedBox::of(state, size).corners(),
-    };
+    let body =
+        |color: usize, state: &VehicleState, size: &VehicleSize| Body { color, corners: OrientedBox::of(state, size).corners() };
     let agents = last.agents.iter().zip(&episode.head.agent_sizes).enumerate();
     let mut bodies: Vec<Body> = agents
         .filter(|(_, (state, _))| near(state))

@@ -4,11 +4,11 @@
 //! |---|---|
 //! | `proto/`, [`wire`], `codec` | the messages of the public contract, and how they are read without trusting their counts |
 //! | [`options`], [`names`] | what can be set, and the names under which services are found |
-//! | `gate`, `connections` | who comes in: tokens, limits, deadlines, what is counted |
+//! | `guard`, `connections` | who comes in: tokens, limits, deadlines, what is counted |
 //! | `sensorsim`, `physics` | the services: messages in, messages out |
-//! | `sight`, `poses`, `camera_spec` | a request, checked: cameras and agents where they stand at mid-shutter |
-//! | `catalog` | which scenes there are, and what is told of them without drawing |
-//! | `painter`, `stage` | the one thread that draws, and a scene on the device |
+//! | `request`, `poses`, `camera_spec` | a request, checked: cameras and agents where they stand at mid-shutter |
+//! | `registry` | which scenes there are, and what is told of them without drawing |
+//! | `render_queue`, `scene_renderer` | the one thread that draws, and a scene on the device |
 //! | [`encoding`] | images as PNG, JPEG or planes, on threads of their own |
 //! | [`running`] | all of it together, until it is told to stop |
 //!
@@ -19,22 +19,22 @@
 pub mod bench;
 mod cache;
 mod camera_spec;
-mod catalog;
 mod codec;
 mod connections;
 pub mod encoding;
-mod gate;
 mod jpeg;
 mod log_limit;
 mod metrics;
 mod metrics_page;
 pub mod names;
 pub mod options;
-mod painter;
 mod physics;
 mod poses;
+mod render_queue;
+mod render_request;
+mod request_guard;
 pub mod running;
+mod scene_registry;
+mod scene_renderer;
 mod sensorsim;
-mod sight;
-mod stage;
 pub mod wire;

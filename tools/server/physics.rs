@@ -11,10 +11,10 @@ use glam::{DVec2, DVec3};
 use tonic::{Request, Response, Status};
 
 use crate::cache::Cache;
-use crate::catalog::Catalog;
 use crate::names::{check_name, no_scene};
 use crate::options::Limits;
 use crate::poses::{message_of, pose_of};
+use crate::scene_registry::SceneRegistry;
 use crate::sensorsim::version;
 use crate::wire::common::{Aabb, AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId};
 use crate::wire::physics::physics_ground_intersection_request::{EgoData, OtherObject};
@@ -34,7 +34,7 @@ const BYTES_A_SPLAT: u64 = 64;
 /// The service.
 #[derive(Clone)]
 pub struct Physics {
-    catalog: Arc<Catalog>,
+    registry: Arc<SceneRegistry>,
     limits: Arc<Limits>,
     grounds: Arc<Mutex<Cache<Arc<LocalGround>>>>,
     /// Whoever has it makes a ground ready: one at a time, and none twice.
@@ -48,15 +48,15 @@ struct LocalGround {
 }
 
 impl Physics {
-    /// Grounds of the scenes of `catalog`, as many as scenes in the cache.
-    pub fn new(catalog: Arc<Catalog>, limits: Arc<Limits>) -> Self {
+    /// Grounds of the scenes of `registry`, as many as scenes in the cache.
+    pub fn new(registry: Arc<SceneRegistry>, limits: Arc<Limits>) -> Self {
         let grounds = Arc::new(Mutex::new(Cache::new(limits.cache_size as usize, limits.cache_bytes)));
-        Self { catalog, limits, grounds, making: Arc::default() }
+        Self { registry, limits, grounds, making: Arc::default() }
     }
 
     async fn ground_of(&self, id: &str) -> Result<Arc<LocalGround>, Status> {
         check_name(id, "scene_id")?;
-        let path = self.catalog.path(id).ok_or_else(|| no_scene(id))?;
+        let path = self.registry.path(id).ok_or_else(|| no_scene(id))?;
         let known = || self.grounds.lock().unwrap_or_else(PoisonError::into_inner);
         let found = known().get(id).cloned();
         if let Some(found) = found {
@@ -193,7 +193,7 @@ impl PhysicsService for Physics {
     }
 
     async fn get_available_scenes(&self, _: Request<Empty>) -> Result<Response<AvailableScenesReturn>, Status> {
-        Ok(Response::new(AvailableScenesReturn { scene_ids: self.catalog.ids() }))
+        Ok(Response::new(AvailableScenesReturn { scene_ids: self.registry.ids() }))
     }
 }
 

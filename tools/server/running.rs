@@ -16,16 +16,16 @@ use tonic::transport::{Identity, Server, ServerTlsConfig};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
 
-use crate::catalog::Catalog;
 use crate::connections;
 use crate::encoding::Encoders;
-use crate::gate::GateLayer;
 use crate::metrics::Metrics;
 use crate::metrics_page;
 use crate::names::{PHYSICS, PHYSICS_ALSO, SENSORSIM, SENSORSIM_ALSO};
 use crate::options::ServerOptions;
-use crate::painter::Painter;
 use crate::physics::Physics;
+use crate::render_queue::RenderQueue;
+use crate::request_guard::GateLayer;
+use crate::scene_registry::SceneRegistry;
 use crate::sensorsim::Sensorsim;
 use crate::wire::physics::physics_service_server::PhysicsServiceServer;
 use crate::wire::sensorsim::sensorsim_service_server::SensorsimServiceServer;
@@ -91,7 +91,7 @@ impl Running {
 /// When there are no scenes, no device, a file cannot be read, or the address is taken.
 pub async fn start(options: &ServerOptions) -> Result<Running> {
     let rig_origin = DVec3::from_array(options.rig_origin);
-    let catalog = Arc::new(Catalog::new(&options.scenes, &options.artifact_glob, rig_origin)?);
+    let registry = Arc::new(SceneRegistry::new(&options.scenes, &options.artifact_glob, rig_origin)?);
     let token = options.token_file.as_deref().map(token_of).transpose()?;
     let tls = tls_of(options)?;
     warn_of_openness(options);
@@ -101,11 +101,11 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         None => None,
     };
     let gpu = Gpu::open(&DeviceOptions { choice: options.device.clone(), ..DeviceOptions::default() })?;
-    tracing::info!(device = %gpu.info(), scenes = catalog.ids().len(), "ready");
+    tracing::info!(device = %gpu.info(), scenes = registry.ids().len(), "ready");
     let (limits, metrics) = (Arc::new(options.limits.clone()), Arc::new(Metrics::default()));
-    let (painter, painting) = Painter::start(gpu, Arc::clone(&catalog), &limits, Arc::clone(&metrics))?;
+    let (render_queue, painting) = RenderQueue::start(gpu, Arc::clone(&registry), &limits, Arc::clone(&metrics))?;
     if options.preload {
-        painter.preload(catalog.ids().into_iter().take(limits.cache_size as usize).collect());
+        render_queue.preload(registry.ids().into_iter().take(limits.cache_size as usize).collect());
     }
     let address = listener.local_addr()?;
     let metrics_address = page.as_ref().map(TcpListener::local_addr).transpose()?;
@@ -113,26 +113,26 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
     let (stop, stopped) = oneshot::channel();
     let services = Services {
         sensorsim: Sensorsim {
-            catalog: Arc::clone(&catalog),
-            painter: painter.clone(),
+            registry: Arc::clone(&registry),
+            render_queue: render_queue.clone(),
             encoders: Encoders::new(limits.max_workers)?,
             limits: Arc::clone(&limits),
             metrics: Arc::clone(&metrics),
         },
-        physics: Physics::new(catalog, limits),
-        gate: GateLayer::new(&options.limits, token, Arc::clone(&metrics)),
+        physics: Physics::new(registry, limits),
+        guard: GateLayer::new(&options.limits, token, Arc::clone(&metrics)),
         tls,
     };
     let counted = Arc::clone(&metrics);
     let done = tokio::spawn(async move {
         let served = services.serve(listener, counted, stopped).await;
-        painter.stop();
+        render_queue.stop();
         if let Some(page) = page {
             page.abort();
         }
         let painted = tokio::task::spawn_blocking(move || painting.join());
         let painted = timeout(FRAME_PATIENCE, painted).await.context("the last frame does not end: it is given up")??;
-        painted.map_err(|_| anyhow::anyhow!("the painter panicked"))?.and(served)
+        painted.map_err(|_| anyhow::anyhow!("the render_queue panicked"))?.and(served)
     });
     Ok(Running { address, metrics_address, stop: Some(stop), done, metrics })
 }
@@ -140,19 +140,19 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
 struct Services {
     sensorsim: Sensorsim,
     physics: Physics,
-    gate: GateLayer,
+    guard: GateLayer,
     tls: Option<ServerTlsConfig>,
 }
 
 impl Services {
     async fn serve(self, listener: TcpListener, metrics: Arc<Metrics>, stopped: oneshot::Receiver<()>) -> Result<()> {
         let limits = Arc::clone(&self.sensorsim.limits);
-        let painter = self.sensorsim.painter.clone();
-        let mut lost = painter.lost();
+        let render_queue = self.sensorsim.render_queue.clone();
+        let mut lost = render_queue.lost();
         let (reporter, health) = health_reporter();
         report(&reporter, ServingStatus::Serving).await;
         let mut server = Server::builder()
-            .layer(self.gate)
+            .layer(self.guard)
             .max_concurrent_streams(STREAMS_MAX)
             .initial_stream_window_size(WINDOW_BYTES)
             .initial_connection_window_size(WINDOW_BYTES)
@@ -187,7 +187,7 @@ impl Services {
         match timeout(limits.grace(), &mut serving).await {
             Ok(served) => served.context("the server panicked")??,
             Err(_) => {
-                painter.refuse_waiting();
+                render_queue.refuse_waiting();
                 serving.abort();
                 close.send_replace(true);
                 tracing::warn!(seconds = limits.grace, "requests that had begun are cut off");

@@ -11,14 +11,14 @@ use tokio::sync::oneshot;
 use tonic::{Code, Request, Response, Status};
 
 use crate::camera_spec::spec_of;
-use crate::catalog::{Catalog, Outline};
 use crate::encoding::{Encoders, encode};
 use crate::metrics::Metrics;
 use crate::names::{CONTRACT_VERSION, check_name, no_scene};
 use crate::options::Limits;
-use crate::painter::{Painter, Images};
 use crate::poses::message_of;
-use crate::sight::Sight;
+use crate::render_queue::{Images, RenderQueue};
+use crate::render_request::RenderRequest;
+use crate::scene_registry::{SceneMetadata, SceneRegistry};
 use crate::wire::common::version_id::ApiVersion;
 use crate::wire::common::{AvailableScenesReturn, Empty, PoseAtTime, Trajectory, VersionId};
 use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
@@ -35,9 +35,9 @@ use crate::wire::sensorsim::{
 #[derive(Clone)]
 pub struct Sensorsim {
     /// Registry of scenes.
-    pub catalog: Arc<Catalog>,
+    pub registry: Arc<SceneRegistry>,
     /// Queue of the render thread.
-    pub painter: Painter,
+    pub render_queue: RenderQueue,
     /// Encoders.
     pub encoders: Encoders,
     /// Limits.
@@ -58,39 +58,39 @@ pub fn version() -> VersionId {
 }
 
 /// Metadata of the scene `id`; files are read on a blocking thread.
-pub async fn outline_of(catalog: &Arc<Catalog>, id: String) -> Result<Arc<Outline>, Status> {
+pub async fn metadata_of(registry: &Arc<SceneRegistry>, id: String) -> Result<Arc<SceneMetadata>, Status> {
     check_name(&id, "scene_id")?;
-    let (catalog, asked) = (Arc::clone(catalog), id.clone());
-    let read = tokio::task::spawn_blocking(move || catalog.outline(&asked)).await;
-    let outline = read.map_err(|error| Status::internal(error.to_string()))?;
-    let outline = outline.map_err(|error| Status::failed_precondition(error.to_string()))?;
-    outline.ok_or_else(|| no_scene(&id))
+    let (registry, asked) = (Arc::clone(registry), id.clone());
+    let read = tokio::task::spawn_blocking(move || registry.metadata(&asked)).await;
+    let metadata = read.map_err(|error| Status::internal(error.to_string()))?;
+    let metadata = metadata.map_err(|error| Status::failed_precondition(error.to_string()))?;
+    metadata.ok_or_else(|| no_scene(&id))
 }
 
 impl Sensorsim {
-    /// Images of `sights`, in their order: those that see the same objects in the same scene are drawn in one submission.
-    async fn images(&self, sights: Vec<Result<Sight, Status>>) -> Vec<Result<Bytes, Status>> {
-        let mut results: Vec<Result<Bytes, Status>> = Vec::with_capacity(sights.len());
-        let mut shots: Vec<(Vec<usize>, Vec<Sight>)> = Vec::new();
-        for (place, sight) in sights.into_iter().enumerate() {
-            match sight {
-                Ok(sight) => {
+    /// Images of `requests`, in their order: those that see the same objects in the same scene are drawn in one submission.
+    async fn images(&self, requests: Vec<Result<RenderRequest, Status>>) -> Vec<Result<Bytes, Status>> {
+        let mut results: Vec<Result<Bytes, Status>> = Vec::with_capacity(requests.len());
+        let mut shots: Vec<(Vec<usize>, Vec<RenderRequest>)> = Vec::new();
+        for (place, request) in requests.into_iter().enumerate() {
+            match request {
+                Ok(request) => {
                     results.push(Err(Status::internal("it was not drawn")));
-                    let same = |(_, others): &&mut (Vec<usize>, Vec<Sight>)| {
-                        others.first().is_some_and(|other| other.scene == sight.scene && other.objects == sight.objects)
+                    let same = |(_, others): &&mut (Vec<usize>, Vec<RenderRequest>)| {
+                        others.first().is_some_and(|other| other.scene == request.scene && other.objects == request.objects)
                     };
                     match shots.iter_mut().find(same) {
                         Some((places, others)) => {
                             places.push(place);
-                            others.push(sight);
+                            others.push(request);
                         }
-                        None => shots.push((vec![place], vec![sight])),
+                        None => shots.push((vec![place], vec![request])),
                     }
                 }
                 Err(status) => results.push(Err(status)),
             }
         }
-        let drawn = shots.into_iter().map(|(places, sights)| async move { (places, self.shot(sights).await) });
+        let drawn = shots.into_iter().map(|(places, requests)| async move { (places, self.shot(requests).await) });
         for (places, images) in join_all(drawn).await {
             for (place, image) in places.into_iter().zip(images) {
                 results[place] = image;
@@ -100,9 +100,9 @@ impl Sensorsim {
     }
 
     /// Images of one submission.
-    async fn shot(&self, sights: Vec<Sight>) -> Vec<Result<Bytes, Status>> {
-        let encodings: Vec<_> = sights.iter().map(|sight| sight.encoding).collect();
-        let images = match self.painter.draw(sights).await {
+    async fn shot(&self, requests: Vec<RenderRequest>) -> Vec<Result<Bytes, Status>> {
+        let encodings: Vec<_> = requests.iter().map(|request| request.encoding).collect();
+        let images = match self.render_queue.draw(requests).await {
             Ok(images) => Arc::new(images),
             Err(status) => return vec![Err(status); encodings.len()],
         };
@@ -128,8 +128,9 @@ impl Sensorsim {
     }
 
     /// Refuses images that are too large together.
-    fn check_pixels(&self, sights: &[Result<Sight, Status>], field: &str) -> Result<(), Status> {
-        let (pixels, most) = (sights.iter().flatten().map(|sight| sight.intrinsics.pixels()).sum::<u64>(), self.limits.pixels);
+    fn check_pixels(&self, requests: &[Result<RenderRequest, Status>], field: &str) -> Result<(), Status> {
+        let (pixels, most) =
+            (requests.iter().flatten().map(|request| request.intrinsics.pixels()).sum::<u64>(), self.limits.pixels);
         if pixels > most {
             return Err(Status::resource_exhausted(format!("{field}: {pixels} pixels in all, at most {most}")));
         }
@@ -146,15 +147,15 @@ impl Sensorsim {
 }
 
 /// True if the error belongs to one camera; errors of the request belong to all of it.
-fn is_of_one_camera(sight: &Result<Sight, Status>) -> bool {
-    !sight.as_ref().is_err_and(|status| matches!(status.code(), Code::InvalidArgument | Code::ResourceExhausted))
+fn is_of_one_camera(request: &Result<RenderRequest, Status>) -> bool {
+    !request.as_ref().is_err_and(|status| matches!(status.code(), Code::InvalidArgument | Code::ResourceExhausted))
 }
 
 #[tonic::async_trait]
 impl SensorsimService for Sensorsim {
     async fn render_rgb(&self, request: Request<RgbRenderRequest>) -> Result<Response<RgbRenderReturn>, Status> {
-        let sight = Sight::of(request.into_inner(), "", &self.limits)?;
-        let image_bytes = self.shot(vec![sight]).await.remove(0)?;
+        let request = RenderRequest::of(request.into_inner(), "", &self.limits)?;
+        let image_bytes = self.shot(vec![request]).await.remove(0)?;
         Ok(Response::new(RgbRenderReturn { image_bytes }))
     }
 
@@ -171,11 +172,11 @@ impl SensorsimService for Sensorsim {
             return Err(Status::unimplemented("lidar_requests: this server renders no lidar"));
         }
         self.check_cameras(request.rgb_requests.len(), "rgb_requests")?;
-        let of = |(index, request)| Sight::of(request, &format!("rgb_requests[{index}]"), &self.limits);
-        let sights: Vec<Sight> = request.rgb_requests.into_iter().enumerate().map(of).collect::<Result<_, _>>()?;
-        let sights: Vec<_> = sights.into_iter().map(Ok).collect();
-        self.check_pixels(&sights, "rgb_requests")?;
-        let images = self.images(sights).await;
+        let of = |(index, request)| RenderRequest::of(request, &format!("rgb_requests[{index}]"), &self.limits);
+        let requests: Vec<RenderRequest> = request.rgb_requests.into_iter().enumerate().map(of).collect::<Result<_, _>>()?;
+        let requests: Vec<_> = requests.into_iter().map(Ok).collect();
+        self.check_pixels(&requests, "rgb_requests")?;
+        let images = self.images(requests).await;
         let returned = images.into_iter().map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
         let rgb_returns = returned.collect::<Result<_, _>>()?;
         Ok(Response::new(AggregatedRenderReturn { rgb_returns, ..AggregatedRenderReturn::default() }))
@@ -184,7 +185,7 @@ impl SensorsimService for Sensorsim {
     async fn batch_render_rgb(&self, request: Request<BatchRgbRenderRequest>) -> Result<Response<BatchRgbRenderReturn>, Status> {
         let items = request.into_inner().items;
         self.check_cameras(items.len(), "items")?;
-        let (mut names, mut sights) = (Vec::with_capacity(items.len()), Vec::with_capacity(items.len()));
+        let (mut names, mut requests) = (Vec::with_capacity(items.len()), Vec::with_capacity(items.len()));
         let mut seen = HashSet::new();
         for (index, item) in items.into_iter().enumerate() {
             let field = format!("items[{index}]");
@@ -193,15 +194,15 @@ impl SensorsimService for Sensorsim {
                 return Err(Status::invalid_argument(format!("{field}.camera_name is that of an item before it")));
             }
             let missing = || Status::invalid_argument(format!("{field}.request is missing"));
-            let sight = Sight::of(item.request.ok_or_else(missing)?, &format!("{field}.request"), &self.limits);
-            if !is_of_one_camera(&sight) {
-                sight.as_ref().map_err(Status::clone)?;
+            let request = RenderRequest::of(item.request.ok_or_else(missing)?, &format!("{field}.request"), &self.limits);
+            if !is_of_one_camera(&request) {
+                request.as_ref().map_err(Status::clone)?;
             }
             names.push(item.camera_name);
-            sights.push(sight);
+            requests.push(request);
         }
-        self.check_pixels(&sights, "items")?;
-        let images = self.images(sights).await;
+        self.check_pixels(&requests, "items")?;
+        let images = self.images(requests).await;
         let returned = names.into_iter().zip(images).map(|(camera_name, image)| match image {
             Ok(image_bytes) => BatchRgbRenderReturnItem {
                 camera_name,
@@ -222,7 +223,7 @@ impl SensorsimService for Sensorsim {
     }
 
     async fn get_available_scenes(&self, _: Request<Empty>) -> Result<Response<AvailableScenesReturn>, Status> {
-        Ok(Response::new(AvailableScenesReturn { scene_ids: self.catalog.ids() }))
+        Ok(Response::new(AvailableScenesReturn { scene_ids: self.registry.ids() }))
     }
 
     async fn get_loaded_scenes(&self, _: Request<Empty>) -> Result<Response<LoadedScenesReturn>, Status> {
@@ -237,8 +238,8 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<AvailableCamerasRequest>,
     ) -> Result<Response<AvailableCamerasReturn>, Status> {
-        let outline = outline_of(&self.catalog, request.into_inner().scene_id).await?;
-        let cameras = outline.rig.cameras.iter().map(|camera| AvailableCamera {
+        let metadata = metadata_of(&self.registry, request.into_inner().scene_id).await?;
+        let cameras = metadata.rig.cameras.iter().map(|camera| AvailableCamera {
             intrinsics: Some(spec_of(&camera.intrinsics, &camera.name)),
             rig_to_camera: Some(message_of(&camera.rig_from_camera)),
             logical_id: camera.name.clone(),
@@ -250,12 +251,12 @@ impl SensorsimService for Sensorsim {
         &self,
         request: Request<AvailableTrajectoriesRequest>,
     ) -> Result<Response<AvailableTrajectoriesReturn>, Status> {
-        let outline = outline_of(&self.catalog, request.into_inner().scene_id).await?;
+        let metadata = metadata_of(&self.registry, request.into_inner().scene_id).await?;
         let timed = |timed: &TimedPose| PoseAtTime {
             pose: Some(message_of(&timed.pose)),
             timestamp_us: Duration::try_from_secs_f64(timed.time_s).map_or(0, |time| time.as_micros() as u64),
         };
-        let trajectory = Some(Trajectory { poses: outline.ego.poses().iter().map(timed).collect() });
+        let trajectory = Some(Trajectory { poses: metadata.ego.poses().iter().map(timed).collect() });
         Ok(Response::new(AvailableTrajectoriesReturn { available_trajectories: vec![AvailableTrajectory { trajectory }] }))
     }
 

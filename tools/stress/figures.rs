@@ -49,7 +49,7 @@ pub struct Measured {
     pub predicted_scene_bytes: u64,
     /// Splats of the cloud that is no agent's own.
     pub world_splats: usize,
-    /// Medians: agents in sight, their splats, visible splats, entries of macro tiles.
+    /// Medians: agents in sight, their splats, visible splats, entries of coarse tiles.
     pub agents_drawn: f64,
     pub agent_splats: f64,
     pub records: f64,
@@ -137,8 +137,8 @@ impl Measured {
             world_splats: 0,
             agents_drawn: median(&|frame| frame.agents as f64),
             agent_splats: median(&|frame| frame.agent_splats as f64),
-            records: median(&|frame| f64::from(frame.needs.records)),
-            pairs: median(&|frame| f64::from(frame.needs.pairs)),
+            records: median(&|frame| f64::from(frame.required.records)),
+            pairs: median(&|frame| f64::from(frame.required.pairs)),
             cameras: frames[0].keys.len(),
             redrawn: frames.iter().filter(|frame| frame.redrawn > 0).count(),
             keys,

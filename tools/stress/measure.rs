@@ -3,25 +3,25 @@
 use anyhow::Result;
 use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
-use decouplegs::render::layout::{CHUNK_SPLATS, ChunkRecord};
-use decouplegs::render::{ColorFormat, Outputs, Image, RenderError, RenderOptions, Renderer, ResidentWorld, sh_codec};
+use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord};
+use decouplegs::render::{ColorFormat, GpuScene, Image, Outputs, RenderError, RenderOptions, Renderer, sh_codec};
 use decouplegs::scene::{Camera, CodedCloud, World};
 
-use super::course::{Course, Driven};
+use super::drive_schedule::{DriveSchedule, Driven};
 use super::fidelity::Fidelity;
 use super::figures::{Measured, Outcome};
 use super::mode::{Agents, Mode};
 use super::prune;
-use super::subject::Subject;
+use super::workload::Workload;
 
 /// Moments of the ego's way from which the importance of splats is measured for pruning.
 const PRUNE_MOMENTS: u32 = 8;
 
 /// Setup for measuring modes.
-pub struct Stand<'a> {
+pub struct TestRig<'a> {
     pub gpu: &'a Gpu,
-    pub subject: Subject,
-    pub course: &'a Course,
+    pub workload: Workload,
+    pub schedule: &'a DriveSchedule,
     pub memory_limit_bytes: Option<u64>,
     /// Importance of each splat of the cloud with the given number of agents.
     importance: Option<(usize, Vec<f64>)>,
@@ -29,7 +29,7 @@ pub struct Stand<'a> {
 
 /// A scene on the device.
 enum Resident {
-    Copies(Box<ResidentWorld>),
+    Copies(Box<GpuScene>),
     Live(Box<LiveScene>),
 }
 
@@ -42,9 +42,9 @@ impl Resident {
     }
 }
 
-impl<'a> Stand<'a> {
-    pub fn new(gpu: &'a Gpu, subject: Subject, course: &'a Course, memory_limit_bytes: Option<u64>) -> Self {
-        Self { gpu, subject, course, memory_limit_bytes, importance: None }
+impl<'a> TestRig<'a> {
+    pub fn new(gpu: &'a Gpu, workload: Workload, schedule: &'a DriveSchedule, memory_limit_bytes: Option<u64>) -> Self {
+        Self { gpu, workload, schedule, memory_limit_bytes, importance: None }
     }
 
     /// Measures the first `count` agents in `mode`. The images at the sampled moments are compared
@@ -71,13 +71,13 @@ impl<'a> Stand<'a> {
     }
 
     fn defaults(&self) -> RenderOptions {
-        RenderOptions { rules: self.subject.background().world.rules, ..RenderOptions::default() }
+        RenderOptions { rules: self.workload.background().world.rules, ..RenderOptions::default() }
     }
 
     fn try_measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Image]>) -> Result<(Outcome, Vec<Image>)> {
         let kept = self.kept(mode, count)?;
-        let rules = self.subject.background().world.rules;
-        let (course, limit_bytes) = (self.course, self.memory_limit_bytes.unwrap_or(u64::MAX));
+        let rules = self.workload.background().world.rules;
+        let (schedule, limit_bytes) = (self.schedule, self.memory_limit_bytes.unwrap_or(u64::MAX));
         let predicted_scene_bytes;
         let world_splats;
         let measured = {
@@ -85,7 +85,7 @@ impl<'a> Stand<'a> {
             let resident = match mode.agents {
                 Agents::Copies { .. } => {
                     let world =
-                        World { instance_from_splat: Vec::new(), ..self.copies(count, course.middle_s(), kept.as_deref()) };
+                        World { instance_from_splat: Vec::new(), ..self.copies(count, schedule.middle_s(), kept.as_deref()) };
                     predicted_scene_bytes = world_bytes(&world);
                     world_splats = world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
@@ -94,7 +94,7 @@ impl<'a> Stand<'a> {
                     Resident::Copies(Box::new(renderer.upload(&world)?))
                 }
                 Agents::Coded(coding) => {
-                    let scene = self.subject.staged(count, coding);
+                    let scene = self.workload.staged(count, coding);
                     predicted_scene_bytes = world_bytes(&scene.world) + scene.assets.iter().map(asset_bytes).sum::<u64>();
                     world_splats = scene.world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
@@ -103,8 +103,8 @@ impl<'a> Stand<'a> {
                     Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
                 }
             };
-            let Driven { frames, steps_ms, warm_up_frames } = self.course.drive(&mut renderer, |renderer, time_s| {
-                Ok(resident.submit(renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?)
+            let Driven { frames, steps_ms, warm_up_frames } = self.schedule.drive(&mut renderer, |renderer, time_s| {
+                Ok(resident.submit(renderer, time_s, &self.schedule.cameras(self.workload.background(), time_s))?)
             })?;
             Measured { warm_up_frames, ..Measured::of(&frames, &steps_ms, self.gpu.memory()) }
         };
@@ -125,11 +125,11 @@ impl<'a> Stand<'a> {
         let options = RenderOptions { frames_in_flight: 1, ..mode.options(self.defaults().rules, ColorFormat::F32) };
         let Agents::Coded(coding) = mode.agents else { return self.images_of_copies(options, count, kept) };
         let mut renderer = Renderer::new(self.gpu, options);
-        let resident = Resident::Live(Box::new(LiveScene::new(&renderer, self.subject.staged(count, coding))?));
+        let resident = Resident::Live(Box::new(LiveScene::new(&renderer, self.workload.staged(count, coding))?));
         let mut images = Vec::new();
-        for frame in self.course.sample_frames() {
-            let time_s = self.course.time_s(frame);
-            resident.submit(&mut renderer, time_s, &self.course.cameras(self.subject.background(), time_s))?;
+        for frame in self.schedule.sample_frames() {
+            let time_s = self.schedule.time_s(frame);
+            resident.submit(&mut renderer, time_s, &self.schedule.cameras(self.workload.background(), time_s))?;
             renderer.finish()?;
             images.extend(renderer.read_images()?);
         }
@@ -139,10 +139,10 @@ impl<'a> Stand<'a> {
     fn images_of_copies(&self, options: RenderOptions, count: usize, kept: Option<&[u32]>) -> Result<Vec<Image>> {
         let mut renderer = Renderer::new(self.gpu, options);
         let mut images = Vec::new();
-        for frame in self.course.sample_frames() {
-            let time_s = self.course.time_s(frame);
+        for frame in self.schedule.sample_frames() {
+            let time_s = self.schedule.time_s(frame);
             let world = renderer.upload(&self.copies(count, time_s, kept))?;
-            renderer.render(&world, &self.course.cameras(self.subject.background(), time_s))?;
+            renderer.render(&world, &self.schedule.cameras(self.workload.background(), time_s))?;
             images.extend(renderer.read_images()?);
         }
         Ok(images)
@@ -150,7 +150,7 @@ impl<'a> Stand<'a> {
 
     /// Background and copies of the agents where they are at `time_s`; of all their splats those at `kept`, if given.
     fn copies(&self, count: usize, time_s: f64, kept: Option<&[u32]>) -> World {
-        let world = self.subject.copies(count, time_s);
+        let world = self.workload.copies(count, time_s);
         let Some(kept) = kept else { return world };
         let of = |&splat: &u32| world.instance_from_splat[splat as usize];
         let instance_from_splat = if world.instance_from_splat.is_empty() { Vec::new() } else { kept.iter().map(of).collect() };
@@ -172,13 +172,13 @@ impl<'a> Stand<'a> {
     fn measured_importance(&self, count: usize) -> Result<Vec<f64>> {
         let renderer = Renderer::new(self.gpu, self.defaults());
         let mut weights = Vec::new();
-        for time_s in self.course.way_moments_s(self.subject.background(), PRUNE_MOMENTS) {
+        for time_s in self.schedule.way_moments_s(self.workload.background(), PRUNE_MOMENTS) {
             let world = renderer.upload(&self.copies(count, time_s, None))?;
-            let found = renderer.contribution_weights(&world, &self.course.all_cameras(self.subject.background(), time_s))?;
+            let found = renderer.contribution_weights(&world, &self.schedule.all_cameras(self.workload.background(), time_s))?;
             weights.resize(found.len(), 0.0);
             weights.iter_mut().zip(found).for_each(|(sum, weight)| *sum += f64::from(weight));
         }
-        Ok(prune::importance(&self.copies(count, self.course.start_s, None).splats, &weights))
+        Ok(prune::importance(&self.copies(count, self.schedule.start_s, None).splats, &weights))
     }
 }
 
@@ -209,15 +209,15 @@ fn world_bytes(world: &World) -> u64 {
     // Mean, scales and opacity, rotation, DC.
     const SPLAT_BYTES: usize = 12 + 16 + 16 + 12;
     let words: usize = (1..=usize::from(world.splats.sh_degree)).map(sh_codec::words_of).sum();
-    let chunks = world.splats.len().div_ceil(CHUNK_SPLATS) * size_of::<ChunkRecord>();
-    (world.splats.len() * (SPLAT_BYTES + 4 * words) + chunks + 2 * world.instance_from_splat.len()) as u64
+    let clusters = world.splats.len().div_ceil(CLUSTER_SPLATS) * size_of::<ClusterRecord>();
+    (world.splats.len() * (SPLAT_BYTES + 4 * words) + clusters + 2 * world.instance_from_splat.len()) as u64
 }
 
 /// Size of an asset on the device, without rounding.
 fn asset_bytes(asset: &CodedCloud) -> u64 {
     // A color's DC term, and its bands.
     const COLOR_BYTES: usize = 12 + 4 * 24;
-    let chunks: usize = asset.levels.iter().map(|level| level.div_ceil(CHUNK_SPLATS)).sum();
+    let clusters: usize = asset.levels.iter().map(|level| level.div_ceil(CLUSTER_SPLATS)).sum();
     let books = size_of_val(asset.shapes.as_slice()) + asset.color_count() * COLOR_BYTES;
-    (size_of_val(asset.splats.as_slice()) + books + chunks * size_of::<ChunkRecord>()) as u64
+    (size_of_val(asset.splats.as_slice()) + books + clusters * size_of::<ClusterRecord>()) as u64
 }

@@ -31,7 +31,7 @@ use ego_start::Wishes;
 use placement::Placement;
 use random::Stream;
 use roads::Roads;
-use rules::Rules;
+use rules::LevelRequirements;
 
 /// Number of starts of the ego that are tried.
 const TRIES: u64 = 240;
@@ -132,7 +132,7 @@ impl<'a> Generator<'a> {
     pub fn scenario(&self, level: Level, seed: u64, index: u32) -> Result<Scenario, GenerateError> {
         let name = format!("{}_{index:04}", level.name());
         let stream = Stream::new(seed).of(level as u64).of(u64::from(index));
-        let (rules, (least, most)) = (Rules::of(level), agents_near(level));
+        let (rules, (least, most)) = (LevelRequirements::of(level), agents_near(level));
         let (mut found, mut routes) = (0, 0_u32);
         for number in 0..TRIES {
             let random = stream.of(FOR_TRIES).of(number);

@@ -8,14 +8,14 @@ use crate::{ExportedMemory, GpuError, memory::BufferMemory};
 
 /// Memory location of a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Residence {
+pub enum MemoryKind {
     /// Device-local: fast for kernels, out of the host's reach but by copies.
     Device,
     /// Mapped; the host writes, kernels read. Slow for the host to read.
     Upload,
     /// Mapped and cached; kernels write, the host reads.
     Readback,
-    /// Device memory as [`Residence::Device`], in an allocation of its own that another API on the
+    /// Device memory as [`MemoryKind::Device`], in an allocation of its own that another API on the
     /// same device may import ([`Buffer::export`]). Only where [`crate::Gpu::can_export`].
     Exported,
 }
@@ -39,7 +39,7 @@ impl<T> Clone for Buffer<T> {
 
 impl<T> fmt::Debug for Buffer<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {} x {} ({:?})", self.name(), self.len, std::any::type_name::<T>(), self.memory.residence)
+        write!(f, "{}: {} x {} ({:?})", self.name(), self.len, std::any::type_name::<T>(), self.memory.memory_kind)
     }
 }
 
@@ -80,7 +80,7 @@ impl<T> Buffer<T> {
     /// When the driver cannot.
     ///
     /// # Panics
-    /// When the buffer was not made with [`Residence::Exported`].
+    /// When the buffer was not made with [`MemoryKind::Exported`].
     pub fn export(&self) -> Result<ExportedMemory, GpuError> {
         self.memory.export()
     }

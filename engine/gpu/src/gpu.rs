@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use bytemuck::Pod;
 
 use crate::{
-    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, Limits, MemoryReport, QueueRole, Recorder,
-    Residence, Ticket, context::Context, device, instance::Instance, memory::BufferMemory, queue::Queue, transfer,
+    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, Limits, MemoryKind, MemoryReport, QueueRole,
+    Recorder, Ticket, context::Context, device, instance::Instance, memory::BufferMemory, queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -105,7 +105,7 @@ impl Gpu {
         !Arc::ptr_eq(&self.0.main, &self.0.update)
     }
 
-    /// True if buffers ([`Residence::Exported`]) and timelines can be exported to another API on
+    /// True if buffers ([`MemoryKind::Exported`]) and timelines can be exported to another API on
     /// this device.
     #[must_use]
     pub fn can_export(&self) -> bool {
@@ -144,11 +144,11 @@ impl Gpu {
         name: &'static str,
         purpose: &'static str,
         len: usize,
-        residence: Residence,
+        memory_kind: MemoryKind,
     ) -> Result<Buffer<T>, GpuError> {
         let byte_len = (len as u64).saturating_mul(size_of::<T>() as u64);
         self.0.reap();
-        let memory = BufferMemory::new(&self.0.context, name, purpose, byte_len, residence)?;
+        let memory = BufferMemory::new(&self.0.context, name, purpose, byte_len, memory_kind)?;
         Ok(Buffer::new(Arc::new(memory), len))
     }
 
@@ -157,7 +157,7 @@ impl Gpu {
     /// # Errors
     /// Those of [`Gpu::buffer`], and when the device is lost.
     pub fn upload<T: Pod>(&self, name: &'static str, purpose: &'static str, data: &[T]) -> Result<Buffer<T>, GpuError> {
-        let buffer = self.buffer(name, purpose, data.len(), Residence::Device)?;
+        let buffer = self.buffer(name, purpose, data.len(), MemoryKind::Device)?;
         self.write(&buffer, 0, data)?;
         Ok(buffer)
     }

@@ -36,7 +36,7 @@ mod slot;
 mod ticket;
 mod transfer;
 
-pub use buffer::{Bound, Buffer, Residence};
+pub use buffer::{Bound, Buffer, MemoryKind};
 pub use choice::{DeviceChoice, DeviceOptions, QueueUse};
 pub use error::GpuError;
 pub use export::ExportedMemory;

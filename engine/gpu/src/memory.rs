@@ -14,7 +14,7 @@ use gpu_allocator::{
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
 
-use crate::{ExportedMemory, GpuError, MemoryReport, Residence, context::Context, error::failed, export};
+use crate::{ExportedMemory, GpuError, MemoryKind, MemoryReport, context::Context, error::failed, export};
 
 /// From this size a buffer has its own allocation: freed, it goes back to the driver at once, and capacities that grow leave no
 /// holes.
@@ -68,7 +68,7 @@ pub(crate) struct BufferMemory {
     /// Different for each buffer of this process: what barriers are derived by.
     pub(crate) id: u64,
     pub(crate) name: &'static str,
-    pub(crate) residence: Residence,
+    pub(crate) memory_kind: MemoryKind,
     /// Requested size.
     pub(crate) byte_len: u64,
     /// Size of the descriptor's range: `byte_len` in whole words, at least [`BOUND_BYTES_MIN`].
@@ -94,7 +94,7 @@ impl BufferMemory {
         name: &'static str,
         purpose: &'static str,
         byte_len: u64,
-        residence: Residence,
+        memory_kind: MemoryKind,
     ) -> Result<Self, GpuError> {
         static NEXT_ID: AtomicU64 = AtomicU64::new(0);
         let limit_bytes = context.limits.storage_buffer_bytes_max;
@@ -102,8 +102,8 @@ impl BufferMemory {
             return Err(GpuError::BufferTooLarge { name, wanted_bytes: byte_len, limit_bytes });
         }
         let bound_bytes = byte_len.next_multiple_of(4).max(BOUND_BYTES_MIN);
-        refuse_above_heap(context, name, purpose, bound_bytes, residence)?;
-        let exported = residence == Residence::Exported;
+        refuse_above_heap(context, name, purpose, bound_bytes, memory_kind)?;
+        let exported = memory_kind == MemoryKind::Exported;
         if exported {
             context.exports()?;
         }
@@ -113,7 +113,7 @@ impl BufferMemory {
             made.map(|(memory, bytes)| (Held::Exported(memory, bytes), bytes, true))
                 .map_err(|code| translate(context, name, purpose, bound_bytes, code))
         } else {
-            allocate_and_bind(context, raw, name, purpose, residence)
+            allocate_and_bind(context, raw, name, purpose, memory_kind)
         };
         let (held, counted_bytes, device_local) = match held {
             Ok(held) => held,
@@ -130,7 +130,7 @@ impl BufferMemory {
             raw,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             name,
-            residence,
+            memory_kind,
             byte_len,
             bound_bytes,
             purpose,
@@ -143,10 +143,10 @@ impl BufferMemory {
     /// Runs `body` on the buffer's bytes as the host sees them.
     ///
     /// # Panics
-    /// For a buffer with [`Residence::Device`] or [`Residence::Exported`].
+    /// For a buffer with [`MemoryKind::Device`] or [`MemoryKind::Exported`].
     pub(crate) fn with_host_bytes<R>(&self, body: impl FnOnce(&mut [u8]) -> R) -> R {
         assert!(
-            !matches!(self.residence, Residence::Device | Residence::Exported),
+            !matches!(self.memory_kind, MemoryKind::Device | MemoryKind::Exported),
             "buffer {}: lives on the device; the host reaches it through the Gpu only",
             self.name
         );
@@ -157,7 +157,7 @@ impl BufferMemory {
     }
 
     /// # Panics
-    /// For a buffer without [`Residence::Exported`].
+    /// For a buffer without [`MemoryKind::Exported`].
     pub(crate) fn export(&self) -> Result<ExportedMemory, GpuError> {
         let held = self.allocation.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(Held::Exported(memory, allocation_bytes)) = *held else {
@@ -191,10 +191,10 @@ fn refuse_above_heap(
     name: &'static str,
     purpose: &'static str,
     bytes: u64,
-    residence: Residence,
+    memory_kind: MemoryKind,
 ) -> Result<(), GpuError> {
     let used = context.accounting.lock().unwrap_or_else(PoisonError::into_inner).device_local_bytes;
-    if matches!(residence, Residence::Device | Residence::Exported)
+    if matches!(memory_kind, MemoryKind::Device | MemoryKind::Exported)
         && used.saturating_add(bytes) > context.limits.device_memory_bytes
     {
         return Err(out_of_memory(context, name, purpose, bytes));
@@ -226,7 +226,7 @@ fn allocate_and_bind(
     buffer: vk::Buffer,
     name: &'static str,
     purpose: &'static str,
-    residence: Residence,
+    memory_kind: MemoryKind,
 ) -> Result<(Held, u64, bool), GpuError> {
     // SAFETY: a query on a live buffer of this device.
     let requirements = unsafe { context.device.get_buffer_memory_requirements(buffer) };
@@ -234,10 +234,10 @@ fn allocate_and_bind(
     let description = AllocationCreateDesc {
         name,
         requirements,
-        location: match residence {
-            Residence::Device | Residence::Exported => MemoryLocation::GpuOnly,
-            Residence::Upload => MemoryLocation::CpuToGpu,
-            Residence::Readback => MemoryLocation::GpuToCpu,
+        location: match memory_kind {
+            MemoryKind::Device | MemoryKind::Exported => MemoryLocation::GpuOnly,
+            MemoryKind::Upload => MemoryLocation::CpuToGpu,
+            MemoryKind::Readback => MemoryLocation::GpuToCpu,
         },
         linear: true,
         allocation_scheme: if own { AllocationScheme::DedicatedBuffer(buffer) } else { AllocationScheme::GpuAllocatorManaged },

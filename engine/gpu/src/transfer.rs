@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 
-use crate::{Buffer, Gpu, GpuError, QueueRole, Residence, Ticket, memory::BufferMemory};
+use crate::{Buffer, Gpu, GpuError, MemoryKind, QueueRole, Ticket, memory::BufferMemory};
 
 /// Staging memory is pinned, so it is kept small; two pieces of this size already fill the bus.
 pub(crate) const PIECE_BYTES: usize = 64 << 20;
@@ -21,7 +21,7 @@ pub(crate) fn write<T: Pod>(gpu: &Gpu, buffer: &Buffer<T>, first: usize, data: &
                 ticket.wait()?;
                 staging
             }
-            None => gpu.buffer(STAGING, STAGING, piece.len(), Residence::Upload)?,
+            None => gpu.buffer(STAGING, STAGING, piece.len(), MemoryKind::Upload)?,
         };
         staging.write_host(0, piece);
         let mut recorder = gpu.record(QueueRole::Main);
@@ -39,7 +39,7 @@ pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &Buffer<T>, piece_bytes: usize) ->
     if bytes.is_empty() {
         return Ok(data);
     }
-    let staging: Buffer<u8> = gpu.buffer(STAGING, STAGING, piece_bytes.min(bytes.len()), Residence::Readback)?;
+    let staging: Buffer<u8> = gpu.buffer(STAGING, STAGING, piece_bytes.min(bytes.len()), MemoryKind::Readback)?;
     for (i, piece) in bytes.chunks_mut(piece_bytes).enumerate() {
         read_piece(gpu, &buffer.memory, i * piece_bytes, &staging, piece)?;
     }
@@ -71,7 +71,7 @@ mod tests {
         let words: Vec<u32> = (0..1000_u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
         // One piece, an exact split, a short last piece, many pieces, pieces that split values.
         for piece_bytes in [4000, 2000, 1024, 64, 333] {
-            let buffer: Buffer<u32> = gpu.buffer("words", "test", words.len() + 7, Residence::Device).unwrap();
+            let buffer: Buffer<u32> = gpu.buffer("words", "test", words.len() + 7, MemoryKind::Device).unwrap();
             write(&gpu, &buffer, 0, &vec![u32::MAX; words.len() + 7], PIECE_BYTES).unwrap();
             write(&gpu, &buffer, 5, &words, piece_bytes).unwrap();
             let read = read(&gpu, &buffer, piece_bytes).unwrap();

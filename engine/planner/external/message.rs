@@ -5,7 +5,7 @@ use decouplegs_scene::{RigCamera, VehicleSize, VehicleState};
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::planner::{Briefing, Cameras, Frame, Observation, Privileged, Sees};
+use crate::planner::{Cameras, EpisodeInfo, Frame, Observation, ObservationRequest, Privileged};
 
 /// The version of the protocol. Another one is refused.
 pub(super) const PROTOCOL: u64 = 1;
@@ -17,7 +17,7 @@ const REASON_CHARS_MAX: usize = 400;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Introduction {
     pub(super) name: String,
-    pub(super) sees: Sees,
+    pub(super) sees: ObservationRequest,
 }
 
 /// Message of a planner.
@@ -80,7 +80,7 @@ fn introduction(message: &Value) -> Result<Introduction, String> {
         _ => return Err("said hello without `cameras`; expected none, front or all".into()),
     };
     let privileged = message["privileged"].as_bool().ok_or("said hello without `privileged`; expected true or false")?;
-    Ok(Introduction { name: printable(name, NAME_CHARS_MAX), sees: Sees { cameras, privileged } })
+    Ok(Introduction { name: printable(name, NAME_CHARS_MAX), sees: ObservationRequest { cameras, privileged } })
 }
 
 fn plan(message: &Value) -> Result<Answer, String> {
@@ -119,7 +119,7 @@ pub(super) fn hello() -> Value {
 }
 
 /// Before an episode.
-pub(super) fn begin(briefing: &Briefing) -> Value {
+pub(super) fn begin(briefing: &EpisodeInfo) -> Value {
     let camera = |camera: &RigCamera| {
         let (k, pose) = (camera.intrinsics, camera.rig_from_camera);
         let rotation = [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z];

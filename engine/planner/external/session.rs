@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::connection::{Connection, Fault, LINE_BYTES_MAX};
 use super::message::{self, Answer, Introduction, beginning};
 use super::process::Process;
-use super::{Attachment, Patience};
+use super::{Timeouts, Transport};
 use crate::planner::PlannerError;
 
 /// Time that a closing process has to end, so that its exit status can be reported.
@@ -30,10 +30,10 @@ pub(super) struct Session {
 
 impl Session {
     /// Starts or connects to the planner and has it introduce itself.
-    pub(super) fn open(attachment: &Attachment, patience: &Patience) -> Result<(Self, Introduction), PlannerError> {
+    pub(super) fn open(attachment: &Transport, patience: &Timeouts) -> Result<(Self, Introduction), PlannerError> {
         let (process, connection) = match attachment {
-            Attachment::Command(words) => Process::start(words).map(|(process, connection)| (Some(process), connection)),
-            Attachment::Socket(path) => connect(path, patience.hello).map(|connection| (None, connection)),
+            Transport::Command(words) => Process::start(words).map(|(process, connection)| (Some(process), connection)),
+            Transport::Socket(path) => connect(path, patience.hello).map(|connection| (None, connection)),
         }
         .map_err(|fault| PlannerError(format!("the external planner: {fault}")))?;
         let mut session = Self { connection, process, is_sound: true };

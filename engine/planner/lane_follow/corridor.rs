@@ -43,7 +43,7 @@ pub(super) struct Span {
 
 /// Predicted path of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Way {
+pub(super) enum PredictedPath {
     /// With the route.
     Along,
     /// Against it.
@@ -84,17 +84,17 @@ impl Corridor {
     /// Predicted path of the agent, and the interval of the line that it occupies at each of
     /// `times_s` at a constant velocity: along the road if it is on the ego's, else straight on.
     /// Who brakes goes on braking.
-    pub(super) fn spans(&self, agent: &VehicleState, size: &VehicleSize, times_s: &[f64]) -> (Way, Vec<Span>) {
+    pub(super) fn spans(&self, agent: &VehicleState, size: &VehicleSize, times_s: &[f64]) -> (PredictedPath, Vec<Span>) {
         let foot = self.project(agent.position_m);
         let turned_rad = wrapped(agent.yaw_rad - foot.heading_rad);
         let on_our_road = foot.lateral_m.abs() < ROAD_HALF_WIDTH_M && foot.distance_m < foot.lateral_m.abs() + 1.0;
         let way = match turned_rad.abs() {
-            turned if turned < ALONG_RAD && on_our_road => Way::Along,
-            turned if turned > std::f64::consts::PI - ALONG_RAD && on_our_road => Way::Against,
-            _ => Way::Across,
+            turned if turned < ALONG_RAD && on_our_road => PredictedPath::Along,
+            turned if turned > std::f64::consts::PI - ALONG_RAD && on_our_road => PredictedPath::Against,
+            _ => PredictedPath::Across,
         };
         let spans = times_s.iter().map(|&time_s| {
-            if way == Way::Across {
+            if way == PredictedPath::Across {
                 let place = agent.position_m + agent.velocity() * time_s;
                 let foot = self.project(place);
                 return self.span(foot.arc_m, foot.lateral_m, wrapped(agent.yaw_rad - foot.heading_rad), agent.speed_mps, size);
@@ -153,17 +153,17 @@ mod tests {
         assert!((corridor.ego_arc_m - 130.0).abs() < 1e-9 && (corridor.ego_lateral_m - 0.5).abs() < 1e-9);
         let spans_of = |state| corridor.spans(&state, &VehicleSize::CAR, &TIMES_S);
         let (way, ahead) = spans_of(agent(40.0, 0.0, 0.0, 5.0));
-        assert_eq!((way, ahead.iter().filter(|span| span.inside).count()), (Way::Along, 3));
+        assert_eq!((way, ahead.iter().filter(|span| span.inside).count()), (PredictedPath::Along, 3));
         assert!((ahead[2].rear_m - (160.0 + 20.0 - 2.25)).abs() < 1e-9);
         let (_, beside) = spans_of(agent(40.0, 3.5, 0.0, 5.0));
         assert!(beside.iter().all(|span| !span.inside), "the next lane is free");
         let (_, drifting) = spans_of(agent(40.0, 3.5, -0.12, 10.0));
         assert_eq!(drifting.iter().map(|span| span.inside).collect::<Vec<_>>(), [false, true, true], "a cut-in is foreseen");
         let (way, crossing) = spans_of(agent(60.0, -10.0, std::f64::consts::FRAC_PI_2, 5.0));
-        assert_eq!(way, Way::Across);
+        assert_eq!(way, PredictedPath::Across);
         assert_eq!(crossing.iter().map(|span| span.inside).collect::<Vec<_>>(), [false, true, false]);
         let (way, coming) = spans_of(agent(80.0, 0.0, std::f64::consts::PI, 5.0));
-        assert!(way == Way::Against && coming[1].front_m < coming[0].front_m && coming[0].speed_mps < -4.9);
+        assert!(way == PredictedPath::Against && coming[1].front_m < coming[0].front_m && coming[0].speed_mps < -4.9);
     }
 
     #[test]

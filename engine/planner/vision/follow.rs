@@ -4,7 +4,7 @@
 use decouplegs_drive::idm::{IdmParameters, Leader, advance};
 
 use super::lead::Lead;
-use super::way::{REACH_M, Way};
+use super::way::{REACH_M, RoadPath};
 use crate::planner::cadence::{HORIZON_S, SPACING_S};
 
 /// Sideways acceleration that is borne in bends, meters a second squared.
@@ -24,7 +24,7 @@ const LIMIT_STEP_M: f64 = 1.0;
 
 /// Target positions of the ego on the path, and its speed profile.
 pub(super) struct Pace<'a> {
-    pub way: &'a Way,
+    pub way: &'a RoadPath,
     pub lead: Option<Lead>,
     /// Length of the ego.
     pub length_m: f64,

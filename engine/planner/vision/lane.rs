@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::markings::LaneFix;
-use super::way::{Way, seen_from};
+use super::way::{RoadPath, seen_from};
 
 /// Lanes are so wide until measured, meters.
 const WIDTH_M: f64 = 3.4;
@@ -62,7 +62,7 @@ impl LaneBelief {
 
     /// The belief after the ego moved by `step` while the way was `way`. Where navigation tells the progress on the way, it is that; a place
     /// in a bend can only so be told from another heading.
-    pub(super) fn moved(&self, way: &Way, step: &Step, length_m: f64) -> Self {
+    pub(super) fn moved(&self, way: &RoadPath, step: &Step, length_m: f64) -> Self {
         let Step { driven_m, turned_rad, progress_m } = *step;
         let to_rear = REAR_AXLE_SHARE * length_m;
         let half_rad = 0.5 * turned_rad;
@@ -85,7 +85,7 @@ impl LaneBelief {
     /// The belief after the markings showed the lane as `fix` says, relative to `way` at `reference_m` along it.
     ///
     /// The whole way is turned and moved as one piece, so that a lane beyond a turn also tells how the ego stands in the turn.
-    pub(super) fn corrected(&self, fix: &LaneFix, way: &Way, reference_m: f64) -> Self {
+    pub(super) fn corrected(&self, fix: &LaneFix, way: &RoadPath, reference_m: f64) -> Self {
         let (beside, there) = (way.at(0.0), way.at(reference_m));
         let moved_m = there.left() * fix.offset_m + (beside.position_m - there.position_m).perp() * fix.heading_rad;
         let here = reference_m == 0.0;

@@ -7,12 +7,12 @@
 //! and followed (`follow`) by the Intelligent Driver Model. Where no markings are seen, at crossings or behind others, the belief is
 //! kept and carried on by the ego's motion alone.
 
+mod camera_image;
 mod follow;
 mod lane;
 mod lead;
 mod markings;
 mod obstacle;
-mod camera_image;
 mod road_view;
 mod way;
 mod weights;
@@ -20,13 +20,13 @@ mod weights;
 use decouplegs_scene::plan::Plan;
 use decouplegs_scene::vehicle::VehicleSize;
 
+use self::camera_image::Image;
 use self::follow::Pace;
 use self::lane::{LaneBelief, Step};
 use self::lead::{Elapsed, Lead};
-use self::camera_image::Image;
-use self::way::{Arc, Way};
+use self::way::{Arc, RoadPath};
 use super::cadence::{SPACING_S, plan_through};
-use super::{Briefing, Cameras, EgoMotion, Guidance, Observation, Planner, PlannerError, Sees, Turn};
+use super::{Cameras, EgoMotion, EpisodeInfo, Navigation, Observation, ObservationRequest, Planner, PlannerError, Turn};
 
 /// The lane before a turn is looked at while there is at least so much of it ahead, meters.
 const LANE_BEFORE_M: f64 = 10.0;
@@ -51,7 +51,7 @@ const PROGRESS_SLACK_M: f64 = 3.0;
 
 /// Perception of the last image by the planner.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sight {
+pub struct Perception {
     /// Middle of the ego's lane beside the ego, to the left where above zero, meters.
     pub lane_offset_m: f64,
     /// Heading of the lane in the ego's frame.
@@ -82,7 +82,7 @@ struct State {
     step_s: f64,
     time_s: Option<f64>,
     motion: EgoMotion,
-    guidance: Guidance,
+    guidance: Navigation,
     lane: LaneBelief,
     arc: Option<Arc>,
     lead: Option<Lead>,
@@ -91,9 +91,9 @@ struct State {
 impl Vision {
     /// Perception of the last image; `None` before an episode.
     #[must_use]
-    pub fn sight(&self) -> Option<Sight> {
+    pub fn perception(&self) -> Option<Perception> {
         let state = self.state.as_ref()?;
-        Some(Sight {
+        Some(Perception {
             lane_offset_m: state.lane.offset_m,
             lane_heading_rad: state.lane.heading_rad,
             lane_curvature: state.lane.curvature,
@@ -109,17 +109,17 @@ impl Planner for Vision {
         "vision".into()
     }
 
-    fn sees(&self) -> Sees {
-        Sees { cameras: Cameras::Front, privileged: false }
+    fn sees(&self) -> ObservationRequest {
+        ObservationRequest { cameras: Cameras::Front, privileged: false }
     }
 
-    fn begin(&mut self, briefing: &Briefing) -> Result<(), PlannerError> {
+    fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError> {
         self.state = Some(State {
             ego_size: briefing.ego_size,
             step_s: if briefing.step_s.is_finite() { briefing.step_s.clamp(0.0, STEP_S_MAX) } else { 0.0 },
             time_s: None,
             motion: EgoMotion::default(),
-            guidance: Guidance::default(),
+            guidance: Navigation::default(),
             lane: LaneBelief::at_start(),
             arc: None,
             lead: None,
@@ -176,12 +176,12 @@ impl State {
         self.arc = arc;
     }
 
-    fn way(&self) -> Way {
-        Way::expected(&self.lane, self.arc.as_ref())
+    fn way(&self) -> RoadPath {
+        RoadPath::expected(&self.lane, self.arc.as_ref())
     }
 
     /// Corrects the lane by its markings: those before a turn, or those after it once they are near.
-    fn find_lane(&mut self, image: &Image, way: &Way) {
+    fn find_lane(&mut self, image: &Image, way: &RoadPath) {
         let lead_m = self.lead.map_or(f64::INFINITY, |lead| lead.arc_m - BEFORE_LEAD_M);
         let (from_m, to_m) = match self.arc {
             Some(arc) if arc.begin_m >= LANE_BEFORE_M => (0.0, arc.begin_m),
@@ -196,7 +196,7 @@ impl State {
     }
 
     /// The plan along the way, at the pace that lead and bends allow.
-    fn drive(&self, guidance: &Guidance) -> Result<Plan, PlannerError> {
+    fn drive(&self, guidance: &Navigation) -> Result<Plan, PlannerError> {
         let way = self.way();
         let cruise_mps = if guidance.cruise_mps.is_finite() { guidance.cruise_mps.clamp(0.1, SPEED_MPS_MAX) } else { LOST_MPS };
         let pace = Pace {
@@ -216,7 +216,7 @@ impl State {
 }
 
 /// Progress along the way between two announcements of the same turn, meters.
-fn progress_m(before: &Guidance, now: &Guidance) -> Option<f64> {
+fn progress_m(before: &Navigation, now: &Navigation) -> Option<f64> {
     let same = before.turn == now.turn && before.angle_rad == now.angle_rad && before.length_m == now.length_m;
     (same && now.turn != Turn::Straight).then_some(before.distance_m - now.distance_m)
 }

@@ -6,7 +6,7 @@
 //! paint, its windows and what is behind its roof.
 
 use super::camera_image::{Color, Image};
-use super::way::{Way, WayPoint};
+use super::way::{RoadPath, WayPoint};
 use super::weights::{BIAS, WEIGHTS};
 
 /// Heights of the bands' borders, meters.
@@ -79,7 +79,7 @@ impl Sums {
 
 /// Features of the block at `arc_m`, `beside_m` to the left of the path; `None` if the image does
 /// not show all of it.
-pub(super) fn features(image: &Image, way: &Way, arc_m: f64, beside_m: f64) -> Option<[f32; FEATURES]> {
+pub(super) fn features(image: &Image, way: &RoadPath, arc_m: f64, beside_m: f64) -> Option<[f32; FEATURES]> {
     let foot = way.at(arc_m);
     let apron = apron(image, way, arc_m, beside_m)?;
     let mut features = [0.0; FEATURES];
@@ -106,7 +106,7 @@ pub(super) fn features(image: &Image, way: &Way, arc_m: f64, beside_m: f64) -> O
 }
 
 /// The road before the foot of a block.
-fn apron(image: &Image, way: &Way, arc_m: f64, beside_m: f64) -> Option<Sums> {
+fn apron(image: &Image, way: &RoadPath, arc_m: f64, beside_m: f64) -> Option<Sums> {
     let mut sums = Sums::default();
     for before_m in APRON_M {
         let point = way.at(arc_m - before_m * (1.0 + 0.03 * arc_m));
@@ -146,7 +146,7 @@ fn score(features: &[f32; FEATURES]) -> f64 {
 }
 
 /// Scores along the way: each distance with the best of the blocks beside each other there.
-pub(super) fn scan(image: &Image, way: &Way) -> Vec<Sighting> {
+pub(super) fn scan(image: &Image, way: &RoadPath) -> Vec<Sighting> {
     let mut sightings = Vec::new();
     let mut arc_m = RANGE_M.start;
     while arc_m < RANGE_M.end {

@@ -4,7 +4,7 @@
 //! far ahead lies nearer or farther than it does in truth.
 
 use super::camera_image::Image;
-use super::way::Way;
+use super::way::RoadPath;
 
 /// From one row to the next along the way, meters.
 pub(super) const ROW_M: f64 = 0.25;
@@ -41,13 +41,13 @@ pub(super) struct Row {
 }
 
 /// The rows of the road along `way` between two places on it, meters.
-pub(super) fn rows(image: &Image, way: &Way, from_m: f64, to_m: f64) -> Vec<Row> {
+pub(super) fn rows(image: &Image, way: &RoadPath, from_m: f64, to_m: f64) -> Vec<Row> {
     let from_m = from_m.max(FIRST_M);
     let count = ((to_m.min(REACH_M) - from_m) / ROW_M).max(0.0) as usize;
     (0..count).filter_map(|row| row_at(image, way, from_m + row as f64 * ROW_M)).collect()
 }
 
-fn row_at(image: &Image, way: &Way, arc_m: f64) -> Option<Row> {
+fn row_at(image: &Image, way: &RoadPath, arc_m: f64) -> Option<Row> {
     let point = way.at(arc_m);
     let mut sums = [(0.0_f32, 0_u32); COLUMNS + 1];
     for column in 0..COLUMNS {

@@ -6,7 +6,7 @@ use decouplegs_drive::polyline::wrapped;
 use glam::DVec2;
 
 use super::lane::LaneBelief;
-use crate::planner::{Guidance, Turn};
+use crate::planner::{Navigation, Turn};
 
 /// From one point to the next, meters.
 pub(super) const STEP_M: f64 = 0.25;
@@ -37,8 +37,8 @@ pub(super) struct Arc {
 
 impl Arc {
     /// The arc that `guidance` describes; `None` where it announces no turn.
-    pub(super) fn announced(guidance: &Guidance) -> Option<Self> {
-        let &Guidance { turn, distance_m, angle_rad, length_m, .. } = guidance;
+    pub(super) fn announced(guidance: &Navigation) -> Option<Self> {
+        let &Navigation { turn, distance_m, angle_rad, length_m, .. } = guidance;
         let told = distance_m.abs() <= TURN_M_MAX && angle_rad.abs() <= TURN_RAD_MAX && (0.1..=TURN_M_MAX).contains(&length_m);
         if turn == Turn::Straight || !told {
             return None;
@@ -74,11 +74,11 @@ impl WayPoint {
 }
 
 /// The way as a line in the ego's frame, from the place beside the ego onwards.
-pub(super) struct Way {
+pub(super) struct RoadPath {
     points: Vec<WayPoint>,
 }
 
-impl Way {
+impl RoadPath {
     /// The middle of the lane `lane`, and the turn `arc` where there is one.
     pub(super) fn expected(lane: &LaneBelief, arc: Option<&Arc>) -> Self {
         let mut heading_rad = lane.heading_rad;

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3, Vec3};
 use crate::RenderError;
 use crate::asset_pool::{Asset, AssetId, AssetPool, PoolBuffers};
 use crate::layout::{AgentRecord, CameraRecord, RelightRecord, View};
-use crate::resident::ResidentWorld;
+use crate::resident::GpuScene;
 use crate::stages::AgentCounts;
 use crate::twins;
 
@@ -44,7 +44,7 @@ impl Agent {
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
     /// The background.
-    pub world: &'a ResidentWorld,
+    pub world: &'a GpuScene,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
     /// Contact shadows on the background. They multiply, and need not be those of agents that are drawn.
@@ -53,8 +53,8 @@ pub struct Scene<'a> {
     pub shadow_cameras: Option<&'a [u32]>,
 }
 
-impl<'a> From<&'a ResidentWorld> for Scene<'a> {
-    fn from(world: &'a ResidentWorld) -> Self {
+impl<'a> From<&'a GpuScene> for Scene<'a> {
+    fn from(world: &'a GpuScene) -> Self {
         Self { world, agents: None, shadows: &[], shadow_cameras: None }
     }
 }
@@ -62,7 +62,7 @@ impl<'a> From<&'a ResidentWorld> for Scene<'a> {
 impl<'a> Scene<'a> {
     /// A background with agents, without shadows.
     #[must_use]
-    pub fn with_agents(world: &'a ResidentWorld, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
+    pub fn with_agents(world: &'a GpuScene, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
         Self { world, agents: Some((pool, agents)), shadows: &[], shadow_cameras: None }
     }
 
@@ -151,7 +151,7 @@ impl AgentList {
             let seen_by: Vec<CameraRecord> = records.enumerate().map(moved).collect();
             let reached = |index: usize| {
                 let lens = twins::lens::lens_of(&view.lenses, index);
-                may_see(index) && twins::chunk_reaches_seen(&asset.whole, &seen_by[index], lens, near_m)
+                may_see(index) && twins::cluster_overlaps_any_lens(&asset.whole, &seen_by[index], lens, near_m)
             };
             let mask = (0..seen_by.len()).fold(0u32, |mask, index| mask | u32::from(reached(index)) << index);
             if mask == 0 {
@@ -160,7 +160,7 @@ impl AgentList {
             let level = level_pitch_px.map_or(0, |pitch_px| level_for(asset, &seen_by, mask, near_m, pitch_px));
             list.push(agent, asset, level, mask, seen_by);
         }
-        Ok((list.counts.chunks > 0).then_some(list))
+        Ok((list.counts.clusters > 0).then_some(list))
     }
 
     fn push(&mut self, agent: &Agent, asset: &Asset, level: usize, mask: u32, seen_by: Vec<CameraRecord>) {
@@ -170,7 +170,7 @@ impl AgentList {
             row_x: row(rotation.x_axis),
             row_y: row(rotation.y_axis),
             row_z: row(rotation.z_axis),
-            first_chunk: self.counts.chunks as u32,
+            first_cluster: self.counts.clusters as u32,
             cameras: mask,
             instance: agent.instance.into(),
             colors_in_world: u32::from(agent.sh_frame.unwrap_or(asset.sh_frame) == ShFrame::World),
@@ -185,7 +185,7 @@ impl AgentList {
         }
         self.cameras.extend(seen_by);
         self.counts.agents += 1;
-        self.counts.chunks += asset.levels[level].chunks();
+        self.counts.clusters += asset.levels[level].chunks();
         self.splats += self.records[self.records.len() - 1].splat_count as usize;
     }
 }

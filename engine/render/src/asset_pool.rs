@@ -3,15 +3,15 @@
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use decouplegs_gpu::{Buffer, Gpu, QueueRole, Residence, Ticket};
+use decouplegs_gpu::{Buffer, Gpu, MemoryKind, QueueRole, Ticket};
 use decouplegs_scene::{Bounds, CodedCloud, ShFrame, SplatCodes, sh, shape};
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::RenderError;
-use crate::layout::{AgentRecord, CHUNK_SPLATS, ChunkRecord};
+use crate::layout::{AgentRecord, CLUSTER_SPLATS, ClusterRecord};
 use crate::range_allocator::RangeAllocator;
-use crate::resident::{Extent, chunk_of};
+use crate::resident::{Extent, cluster_of};
 use crate::sh_codec;
 
 /// Purpose under which the memory of assets is counted.
@@ -32,8 +32,8 @@ pub struct AssetId {
 pub struct PoolBuffers {
     /// Coded splats, three words each.
     pub splats: Buffer<[u32; 3]>,
-    /// Boxes of chunks of 256 splats, each level of detail beginning one.
-    pub chunks: Buffer<ChunkRecord>,
+    /// Boxes of clusters of 256 splats, each level of detail beginning one.
+    pub clusters: Buffer<ClusterRecord>,
     /// Triangular factors.
     pub shapes: Buffer<[f32; 6]>,
     /// DC coefficients of colors.
@@ -54,7 +54,7 @@ pub(crate) struct Level {
 
 impl Level {
     pub fn chunks(&self) -> usize {
-        self.splats.div_ceil(CHUNK_SPLATS)
+        self.splats.div_ceil(CLUSTER_SPLATS)
     }
 }
 
@@ -62,7 +62,7 @@ impl Level {
 pub(crate) struct Asset {
     generation: u32,
     /// Box of the means of all it draws, in its own frame, and how far these reach out of it.
-    pub whole: ChunkRecord,
+    pub whole: ClusterRecord,
     pub levels: Vec<Level>,
     pub sh_degree: u8,
     pub sh_frame: ShFrame,
@@ -99,7 +99,7 @@ impl Asset {
 #[derive(Clone, Copy)]
 struct Ranges {
     splats: (usize, usize),
-    chunks: (usize, usize),
+    clusters: (usize, usize),
     shapes: (usize, usize),
     colors: (usize, usize),
 }
@@ -109,7 +109,7 @@ pub struct AssetPool {
     gpu: Gpu,
     buffers: PoolBuffers,
     splats: RangeAllocator,
-    chunks: RangeAllocator,
+    clusters: RangeAllocator,
     shapes: RangeAllocator,
     colors: RangeAllocator,
     assets: Vec<Option<Asset>>,
@@ -124,17 +124,17 @@ impl AssetPool {
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         let buffers = PoolBuffers {
-            splats: gpu.buffer("coded_splats", PURPOSE, 0, Residence::Device)?,
-            chunks: gpu.buffer("asset_chunks", PURPOSE, 0, Residence::Device)?,
-            shapes: gpu.buffer("coded_shapes", PURPOSE, 0, Residence::Device)?,
-            color_dc: gpu.buffer("coded_dc", PURPOSE, 0, Residence::Device)?,
-            color_bands: gpu.buffer("coded_bands", PURPOSE, 0, Residence::Device)?,
+            splats: gpu.buffer("coded_splats", PURPOSE, 0, MemoryKind::Device)?,
+            clusters: gpu.buffer("asset_clusters", PURPOSE, 0, MemoryKind::Device)?,
+            shapes: gpu.buffer("coded_shapes", PURPOSE, 0, MemoryKind::Device)?,
+            color_dc: gpu.buffer("coded_dc", PURPOSE, 0, MemoryKind::Device)?,
+            color_bands: gpu.buffer("coded_bands", PURPOSE, 0, MemoryKind::Device)?,
         };
         Ok(Self {
             gpu: gpu.clone(),
             buffers,
             splats: RangeAllocator::default(),
-            chunks: RangeAllocator::default(),
+            clusters: RangeAllocator::default(),
             shapes: RangeAllocator::default(),
             colors: RangeAllocator::default(),
             assets: Vec::new(),
@@ -226,11 +226,11 @@ impl AssetPool {
     }
 
     fn allocate(&mut self, encoded: &Encoded) -> Result<Ranges, RenderError> {
-        let [splats, chunks, shapes, colors] =
-            [encoded.splats.len(), encoded.chunks.len(), encoded.shapes.len(), encoded.color_dc.len()];
+        let [splats, clusters, shapes, colors] =
+            [encoded.splats.len(), encoded.clusters.len(), encoded.shapes.len(), encoded.color_dc.len()];
         let ranges = Ranges {
             splats: (self.splats.take(splats), splats),
-            chunks: (self.chunks.take(chunks), chunks),
+            clusters: (self.clusters.take(clusters), clusters),
             shapes: (self.shapes.take(shapes), shapes),
             colors: (self.colors.take(colors), colors),
         };
@@ -243,17 +243,17 @@ impl AssetPool {
 
     fn release(&mut self, ranges: &Ranges) {
         self.splats.give_back(ranges.splats.0, ranges.splats.1);
-        self.chunks.give_back(ranges.chunks.0, ranges.chunks.1);
+        self.clusters.give_back(ranges.clusters.0, ranges.clusters.1);
         self.shapes.give_back(ranges.shapes.0, ranges.shapes.1);
         self.colors.give_back(ranges.colors.0, ranges.colors.1);
     }
 
     /// Buffers as long as what was allocated, the assets in them copied over on the device.
     fn fit_buffers(&mut self) -> Result<(), RenderError> {
-        let lengths = [self.splats.end(), self.chunks.end(), self.shapes.end(), self.colors.end()];
+        let lengths = [self.splats.end(), self.clusters.end(), self.shapes.end(), self.colors.end()];
         let old = self.buffers.clone();
         if lengths[0] <= old.splats.len()
-            && lengths[1] <= old.chunks.len()
+            && lengths[1] <= old.clusters.len()
             && lengths[2] <= old.shapes.len()
             && lengths[3] <= old.color_dc.len()
         {
@@ -261,7 +261,7 @@ impl AssetPool {
         }
         let buffers = PoolBuffers {
             splats: grown(&self.gpu, "coded_splats", &old.splats, lengths[0])?,
-            chunks: grown(&self.gpu, "asset_chunks", &old.chunks, lengths[1])?,
+            clusters: grown(&self.gpu, "asset_clusters", &old.clusters, lengths[1])?,
             shapes: grown(&self.gpu, "coded_shapes", &old.shapes, lengths[2])?,
             color_dc: grown(&self.gpu, "coded_dc", &old.color_dc, lengths[3])?,
             color_bands: grown(&self.gpu, "coded_bands", &old.color_bands, lengths[3])?,
@@ -269,7 +269,7 @@ impl AssetPool {
         let mut recorder = self.gpu.record(QueueRole::Main);
         recorder.stage("grow assets", |r| {
             r.copy(&old.splats, 0, &buffers.splats, 0, old.splats.len());
-            r.copy(&old.chunks, 0, &buffers.chunks, 0, old.chunks.len());
+            r.copy(&old.clusters, 0, &buffers.clusters, 0, old.clusters.len());
             r.copy(&old.shapes, 0, &buffers.shapes, 0, old.shapes.len());
             r.copy(&old.color_dc, 0, &buffers.color_dc, 0, old.color_dc.len());
             r.copy(&old.color_bands, 0, &buffers.color_bands, 0, old.color_bands.len());
@@ -283,7 +283,7 @@ impl AssetPool {
         let gpu = &self.gpu;
         let staged = PoolBuffers {
             splats: staged(gpu, &encoded.splats)?,
-            chunks: staged(gpu, &encoded.chunks)?,
+            clusters: staged(gpu, &encoded.clusters)?,
             shapes: staged(gpu, &encoded.shapes)?,
             color_dc: staged(gpu, &encoded.color_dc)?,
             color_bands: staged(gpu, &encoded.color_bands)?,
@@ -292,7 +292,7 @@ impl AssetPool {
         let mut recorder = gpu.record(QueueRole::Main);
         recorder.stage("add asset", |r| {
             r.copy(&staged.splats, 0, &to.splats, ranges.splats.0, ranges.splats.1);
-            r.copy(&staged.chunks, 0, &to.chunks, ranges.chunks.0, ranges.chunks.1);
+            r.copy(&staged.clusters, 0, &to.clusters, ranges.clusters.0, ranges.clusters.1);
             r.copy(&staged.shapes, 0, &to.shapes, ranges.shapes.0, ranges.shapes.1);
             r.copy(&staged.color_dc, 0, &to.color_dc, ranges.colors.0, ranges.colors.1);
             r.copy(&staged.color_bands, 0, &to.color_bands, ranges.colors.0, ranges.colors.1);
@@ -305,11 +305,11 @@ impl AssetPool {
 /// A buffer of at least `len`; `old` itself where that is long enough. The next asset shall not make it grow again at once.
 fn grown<T: bytemuck::Pod>(gpu: &Gpu, name: &'static str, old: &Buffer<T>, len: usize) -> Result<Buffer<T>, RenderError> {
     let room = if len <= old.len() { old.len() } else { len + len / 4 };
-    Ok(gpu.buffer(name, PURPOSE, room, Residence::Device)?)
+    Ok(gpu.buffer(name, PURPOSE, room, MemoryKind::Device)?)
 }
 
 fn staged<T: bytemuck::Pod>(gpu: &Gpu, data: &[T]) -> Result<Buffer<T>, RenderError> {
-    let buffer = gpu.buffer("staged asset", "staging", data.len(), Residence::Upload)?;
+    let buffer = gpu.buffer("staged asset", "staging", data.len(), MemoryKind::Upload)?;
     buffer.write_host(0, data);
     Ok(buffer)
 }
@@ -318,7 +318,7 @@ fn levels_of(cloud: &CodedCloud, ranges: &Ranges) -> Vec<Level> {
     let size = DVec3::from_array(cloud.bounds.half_extent().map(f64::from)) * 2.0;
     // What it shows lies on surfaces: about those of its box.
     let area_m2 = 2.0 * (size.x * size.y + size.y * size.z + size.z * size.x);
-    let (mut first_splat, mut first_bounds) = (ranges.splats.0, ranges.chunks.0);
+    let (mut first_splat, mut first_bounds) = (ranges.splats.0, ranges.clusters.0);
     let levels = cloud.levels.iter().map(|&splats| {
         let level = Level { first_splat, splats, first_bounds, pitch_m: (area_m2 / splats.max(1) as f64).sqrt() };
         first_splat += splats;
@@ -331,11 +331,11 @@ fn levels_of(cloud: &CodedCloud, ranges: &Ranges) -> Vec<Level> {
 /// An asset as the device holds it.
 struct Encoded {
     splats: Vec<[u32; 3]>,
-    chunks: Vec<ChunkRecord>,
+    clusters: Vec<ClusterRecord>,
     shapes: Vec<[f32; 6]>,
     color_dc: Vec<[f32; 3]>,
     color_bands: Vec<[u32; COLOR_WORDS]>,
-    whole: ChunkRecord,
+    whole: ClusterRecord,
 }
 
 impl Encoded {
@@ -346,19 +346,19 @@ impl Encoded {
             longest_m: longest[usize::from(codes.shape)] * cloud.size(&codes),
             opacity: f32::from(codes.opacity) / 255.0,
         };
-        let mut chunks = Vec::new();
+        let mut clusters = Vec::new();
         for level in 0..cloud.levels.len() {
-            let of_level = cloud.level(level).par_chunks(CHUNK_SPLATS);
-            let boxes = of_level.map(|splats| chunk_of(&splats.iter().map(|&splat| extent(splat.into())).collect::<Vec<_>>()));
-            chunks.extend(boxes.collect::<Vec<_>>());
+            let of_level = cloud.level(level).par_chunks(CLUSTER_SPLATS);
+            let boxes = of_level.map(|splats| cluster_of(&splats.iter().map(|&splat| extent(splat.into())).collect::<Vec<_>>()));
+            clusters.extend(boxes.collect::<Vec<_>>());
         }
         Self {
             splats: cloud.splats.iter().map(|splat| splat.0).collect(),
             shapes: cloud.shapes.clone(),
             color_dc: (0..cloud.color_count()).map(|entry| cloud.color(entry)[0]).collect(),
             color_bands: (0..cloud.color_count()).map(|entry| encode_bands(cloud.color(entry), cloud.sh_degree)).collect(),
-            whole: whole_of(&chunks),
-            chunks,
+            whole: whole_of(&clusters),
+            clusters,
         }
     }
 }
@@ -378,19 +378,19 @@ fn encode_bands(coefficients: &[[f32; 3]], sh_degree: u8) -> [u32; COLOR_WORDS] 
     words
 }
 
-/// The box around the chunks' boxes; one that no camera reaches when nothing is drawn.
-fn whole_of(chunks: &[ChunkRecord]) -> ChunkRecord {
+/// The box around the clusters' boxes; one that no camera reaches when nothing is drawn.
+fn whole_of(clusters: &[ClusterRecord]) -> ClusterRecord {
     let mut bounds = Bounds::EMPTY;
     let mut reach_m = -1e30f32;
-    for chunk in chunks.iter().filter(|chunk| chunk.reach_m >= 0.0) {
+    for cluster in clusters.iter().filter(|cluster| cluster.reach_m >= 0.0) {
         for side in [-1.0f32, 1.0] {
-            bounds.include(&std::array::from_fn(|axis| chunk.center_m[axis] + side * chunk.half_extent_m[axis]));
+            bounds.include(&std::array::from_fn(|axis| cluster.center_m[axis] + side * cluster.half_extent_m[axis]));
         }
-        reach_m = reach_m.max(chunk.reach_m);
+        reach_m = reach_m.max(cluster.reach_m);
     }
     if reach_m < 0.0 {
-        return ChunkRecord { reach_m, ..ChunkRecord::zeroed() };
+        return ClusterRecord { reach_m, ..ClusterRecord::zeroed() };
     }
     let half_extent_m = bounds.half_extent().map(|half| half * 1.000_01);
-    ChunkRecord { center_m: bounds.center(), half_extent_m, reach_m }
+    ClusterRecord { center_m: bounds.center(), half_extent_m, reach_m }
 }

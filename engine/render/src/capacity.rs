@@ -1,18 +1,18 @@
 //! Capacities of a frame's buffers. Pure sizes: nothing here touches a device.
 //!
-//! No capacity truncates silently. The GPU counts what it wanted ([`Needs`]); when that is more than there was room for,
+//! No capacity truncates silently. The GPU counts what it wanted ([`RequiredCounts`]); when that is more than there was room for,
 //! the frame grows and is drawn again, and says so.
 
-use crate::layout::Needs;
+use crate::layout::RequiredCounts;
 
 /// Room for the lists of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Capacity {
     /// Visible (camera, splat).
     pub records: usize,
-    /// (Macro tile, record).
+    /// (Coarse tile, record).
     pub pairs: usize,
-    /// Results of segments that are not their macro tile's only one.
+    /// Results of segments that are not their coarse tile's only one.
     pub partials: usize,
 }
 
@@ -26,33 +26,35 @@ impl Capacity {
 
     /// True if all required counts fit.
     #[must_use]
-    pub fn holds(&self, needs: &Needs) -> bool {
-        needs.records as usize <= self.records && needs.pairs as usize <= self.pairs && needs.partials as usize <= self.partials
+    pub fn holds(&self, required: &RequiredCounts) -> bool {
+        required.records as usize <= self.records
+            && required.pairs as usize <= self.pairs
+            && required.partials as usize <= self.partials
     }
 
-    /// Room for `needs` with a share of them to `spare`, so that a moving camera does not outgrow it at every step. Never smaller.
+    /// Room for `required` with a share of them to `spare`, so that a moving camera does not outgrow it at every step. Never smaller.
     ///
-    /// Needs found while an earlier list overflowed are too low: it may take another turn.
+    /// RequiredCounts found while an earlier list overflowed are too low: it may take another turn.
     #[must_use]
-    pub fn grown_to(&self, needs: &Needs, spare: f64) -> Self {
+    pub fn grown_to(&self, required: &RequiredCounts, spare: f64) -> Self {
         let grown = |have: usize, need: u32| {
             let need = need as usize;
             if need > have { need + (need as f64 * spare.max(0.0)) as usize + 64 } else { have }
         };
         Self {
-            records: grown(self.records, needs.records),
-            pairs: grown(self.pairs, needs.pairs),
-            partials: grown(self.partials, needs.partials),
+            records: grown(self.records, required.records),
+            pairs: grown(self.pairs, required.pairs),
+            partials: grown(self.partials, required.partials),
         }
     }
 
-    /// Segments of macro tiles: one for each of `bins` and one for each partial result.
+    /// Segments of coarse tiles: one for each of `bins` and one for each partial result.
     #[must_use]
     pub fn items(&self, bins: u32) -> usize {
         bins as usize + self.partials
     }
 
-    /// Macro tiles that can be cut: each takes two partial results at least. Cut tiles are listed even when their results
+    /// Coarse tiles that can be cut: each takes two partial results at least. Cut tiles are listed even when their results
     /// find no room, so that their number is known.
     #[must_use]
     pub fn composites(&self, bins: u32) -> usize {
@@ -74,12 +76,12 @@ mod tests {
     #[test]
     fn growth_holds_what_was_needed_and_never_shrinks() {
         let start = Capacity { records: 100, pairs: 1000, partials: 64 };
-        let needs = Needs { records: 5000, pairs: 10, partials: 65, ..Needs::default() };
-        assert!(!start.holds(&needs));
-        let grown = start.grown_to(&needs, 1.0 / 16.0);
-        assert!(grown.holds(&needs));
+        let required = RequiredCounts { records: 5000, pairs: 10, partials: 65, ..RequiredCounts::default() };
+        assert!(!start.holds(&required));
+        let grown = start.grown_to(&required, 1.0 / 16.0);
+        assert!(grown.holds(&required));
         assert_eq!(grown.pairs, 1000);
-        assert!(!start.holds(&Needs { pairs: 1001, ..Needs::default() }), "one too many must be seen");
+        assert!(!start.holds(&RequiredCounts { pairs: 1001, ..RequiredCounts::default() }), "one too many must be seen");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use decouplegs_scene::Camera;
 
 use crate::output::Outputs;
-use crate::{RenderError, RenderOptions, Renderer, ResidentWorld};
+use crate::{GpuScene, RenderError, RenderOptions, Renderer};
 
 impl Renderer {
     /// The sum of each background splat's weights over all pixels of the frame that was finished last, in the order of splats.
@@ -25,7 +25,7 @@ impl Renderer {
     ///
     /// # Errors
     /// Those of [`Renderer::render`].
-    pub fn contribution_weights(&self, world: &ResidentWorld, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
+    pub fn contribution_weights(&self, world: &GpuScene, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
         let outputs = Outputs { contributions: true, ..Outputs::default() };
         let options = RenderOptions { outputs, keep_keys: false, frames_in_flight: 1, ..*self.options() };
         let mut renderer = Self::new(self.gpu(), options);

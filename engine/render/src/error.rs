@@ -55,12 +55,12 @@ pub enum RenderError {
     #[error("no frame is in flight: submit one first")]
     NothingInFlight,
     /// The lists kept outgrowing their buffers.
-    #[error("the frame was drawn {attempts} times and still needed more room than it had: {needs}")]
+    #[error("the frame was drawn {attempts} times and still needed more room than it had: {required}")]
     Unsettled {
         /// Number of attempts.
         attempts: u32,
         /// Counts that the last one required.
-        needs: String,
+        required: String,
     },
     /// A world of more splats than an index can name.
     #[error("the world has {splats} splats; a frame addresses at most {max}")]

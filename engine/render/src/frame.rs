@@ -5,14 +5,14 @@ use decouplegs_gpu::{Buffer, Recorder};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::kernels::FrameStages;
 use crate::keys::KeyDecision;
-use crate::resident::ResidentWorld;
-use crate::slot::FrameSlot;
-use crate::stages::{AgentCounts, KeptKeys, Partials, Records, TileSortBuffers};
+use crate::resident::GpuScene;
+use crate::slot::FrameInFlight;
+use crate::stages::{AgentCounts, KeptKeys, PartialResults, Records, TileSortBuffers};
 
 /// Inputs of a frame beside the agents, which are in its slot.
 #[derive(Clone, Copy)]
 pub(crate) struct FrameInput<'a> {
-    pub world: &'a ResidentWorld,
+    pub world: &'a GpuScene,
     pub keys: &'a KeyDecision,
     /// The persistent key buffer.
     pub kept_keys: &'a Buffer<u32>,
@@ -24,8 +24,8 @@ pub(crate) struct FrameInput<'a> {
 pub(crate) fn record_agents(
     recorder: &mut Recorder,
     stages: &FrameStages<'_>,
-    slot: &FrameSlot,
-    world: &ResidentWorld,
+    slot: &FrameInFlight,
+    world: &GpuScene,
     counts: Option<AgentCounts>,
 ) {
     if let Some(shadows) = stages.shadows.filter(|_| slot.shadow_count > 0) {
@@ -45,8 +45,8 @@ pub(crate) fn record_agents(
     recorder.stage("agents", |r| {
         slot.copy_agents(r, counts);
         agents.cull.record(r, pool, &slot.agents, counts);
-        let AgentCounts { cameras, chunks, .. } = counts;
-        stages.common.scan.record(r, &slot.agents.visible.counts, &slot.agents.firsts, cameras * chunks);
+        let AgentCounts { cameras, clusters, .. } = counts;
+        stages.common.scan.record(r, &slot.agents.visible.counts, &slot.agents.offsets, cameras * clusters);
     });
 }
 
@@ -55,7 +55,7 @@ pub(crate) fn record_frame(
     recorder: &mut Recorder,
     stages: &FrameStages<'_>,
     frame: &FrameBuffers,
-    slot: &FrameSlot,
+    slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
     record_begin(recorder, frame, slot, input);
@@ -71,27 +71,27 @@ pub(crate) fn record_frame(
         cameras: &frame.cameras,
         camera_count: frame.shape.cameras,
         projected: &frame.projected,
-        static_firsts: &frame.firsts,
-        static_chunks: frame.shape.chunks,
-        moving_firsts: &slot.agents.firsts,
-        moving_chunks: input.agents.map_or(0, |counts| counts.chunks),
+        static_offsets: &frame.offsets,
+        static_clusters: frame.shape.clusters,
+        moving_offsets: &slot.agents.offsets,
+        moving_clusters: input.agents.map_or(0, |counts| counts.clusters),
     };
-    stages.common.tile_sort.record(recorder, &frame.control, records, &frame.tile_sort, frame.shape.bins);
+    stages.common.tile_sort.record(recorder, &frame.counters, records, &frame.tile_sort, frame.shape.bins);
     record_images(recorder, stages, frame, slot, input);
 }
 
 /// Hands over what the host wrote, and empties what is counted.
-fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot, input: FrameInput<'_>) {
-    let control = &frame.control;
+fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameInFlight, input: FrameInput<'_>) {
+    let counters = &frame.counters;
     recorder.stage("begin", |r| {
         let cameras = frame.shape.cameras;
         r.copy(&slot.staged_cameras, 0, &frame.cameras, 0, cameras);
         slot.copy_lenses(r, &frame.lenses);
         r.copy(&slot.staged_key_sets, 0, &frame.key_sets, 0, cameras);
-        let Partials { transmittances, unfinished, .. } = &frame.partials;
+        let PartialResults { transmittances, unfinished, .. } = &frame.partials;
         let emptied = [
-            (control.needs.binding(), control.needs.byte_len()),
-            (control.arguments.binding(), control.arguments.byte_len()),
+            (counters.required.binding(), counters.required.byte_len()),
+            (counters.arguments.binding(), counters.arguments.byte_len()),
             (frame.tile_sort.slab_counts.binding(), TileSortBuffers::slab_bytes(frame.shape.bins)),
             (slot.images.contributions.binding(), slot.images.contributions.byte_len()),
             (transmittances.binding(), transmittances.byte_len()),
@@ -101,7 +101,7 @@ fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameSlot,
             r.fill(buffer, 0, bytes, 0);
         }
         if input.agents.is_none() {
-            r.fill(slot.agents.firsts.binding(), 0, 4, 0);
+            r.fill(slot.agents.offsets.binding(), 0, 4, 0);
         }
     });
 }
@@ -111,26 +111,26 @@ fn record_projection(
     recorder: &mut Recorder,
     stages: &FrameStages<'_>,
     frame: &FrameBuffers,
-    slot: &FrameSlot,
+    slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
-    let FrameShape { cameras: camera_count, chunks, .. } = frame.shape;
+    let FrameShape { cameras: camera_count, clusters, .. } = frame.shape;
     let (world, cameras, lenses) = (input.world, &frame.cameras, &frame.lenses);
     let background = stages.background;
     recorder.stage("cull", |r| background.cull.record(r, world, cameras, lenses, camera_count, &frame.visible));
     recorder.stage("scan", |r| {
-        stages.common.scan.record(r, &frame.visible.counts, &frame.firsts, camera_count * chunks);
+        stages.common.scan.record(r, &frame.visible.counts, &frame.offsets, camera_count * clusters);
     });
     recorder.stage("project", |r| {
-        let (visible, firsts, projected, shadows) = (&frame.visible, &frame.firsts, &frame.projected, &slot.shadows);
+        let (visible, offsets, projected, shadows) = (&frame.visible, &frame.offsets, &frame.projected, &slot.shadows);
         let kept = KeptKeys { sets: &frame.key_sets, keys: input.kept_keys };
         let project = &background.project;
-        project.record(r, world, cameras, lenses, camera_count, visible, firsts, projected, kept, shadows, slot.shadow_count);
+        project.record(r, world, cameras, lenses, camera_count, visible, offsets, projected, kept, shadows, slot.shadow_count);
     });
     if let (Some(counts), Some(agents), Some(pool)) = (input.agents, stages.agents, slot.pool()) {
         recorder.stage("project agents", |r| {
-            let lists = camera_count * chunks;
-            agents.project.record(r, pool, &slot.agents, &slot.relit.colors, counts, &frame.firsts, lists, &frame.projected);
+            let lists = camera_count * clusters;
+            agents.project.record(r, pool, &slot.agents, &slot.relit.colors, counts, &frame.offsets, lists, &frame.projected);
         });
     }
 }
@@ -140,24 +140,24 @@ fn record_images(
     recorder: &mut Recorder,
     stages: &FrameStages<'_>,
     frame: &FrameBuffers,
-    slot: &FrameSlot,
+    slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
     let FrameShape { capacity, cameras: camera_count, bins, .. } = frame.shape;
-    let (control, cameras, stages) = (&frame.control, &frame.cameras, stages.common);
+    let (counters, cameras, stages) = (&frame.counters, &frame.cameras, stages.common);
     let (plan, partials, images, sky) = (&frame.plan, &frame.partials, &slot.images, input.world.sky);
     let (records, projected) = (&frame.tile_sort.sorted_records, &frame.projected);
-    recorder.stage("plan", |r| stages.plan_segments.record(r, control, &frame.tile_sort.tile_lists, bins, &capacity, plan));
+    recorder.stage("plan", |r| stages.plan_segments.record(r, counters, &frame.tile_sort.tile_lists, bins, &capacity, plan));
     recorder.stage("blend", |r| {
-        stages.blend.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, images);
+        stages.blend.record(r, counters, cameras, camera_count, sky, plan, records, projected, partials, images);
     });
     recorder.stage("composite", |r| {
-        stages.composite.record(r, control, cameras, camera_count, sky, plan, partials, images);
-        r.copy(&control.needs, 0, &slot.found_needs, 0, 1);
+        stages.composite.record(r, counters, cameras, camera_count, sky, plan, partials, images);
+        r.copy(&counters.required, 0, &slot.found_required, 0, 1);
     });
     if let Some(finish) = &stages.finish {
         recorder.stage("finish", |r| {
-            finish.record(r, control, cameras, camera_count, sky, plan, records, projected, partials, images);
+            finish.record(r, counters, cameras, camera_count, sky, plan, records, projected, partials, images);
         });
     }
 }

@@ -1,19 +1,19 @@
 //! The buffers of a frame that only the device sees, and what their size depends on.
 
-use decouplegs_gpu::{Buffer, Gpu, GpuError, Residence};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind};
 
 use crate::capacity::Capacity;
 use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord};
 use crate::options::RenderOptions;
-use crate::stages::{Control, PURPOSE, Partials, Plan, Projected, TileSortBuffers, Visible};
+use crate::stages::{FrameCounters, PURPOSE, PartialResults, Plan, Projected, TileSortBuffers, Visible};
 
 /// Counts that determine the size of a frame's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameShape {
     pub capacity: Capacity,
     pub cameras: usize,
-    /// Chunks of the background.
-    pub chunks: usize,
+    /// Clusters of the background.
+    pub clusters: usize,
     pub bins: u32,
 }
 
@@ -28,7 +28,7 @@ impl FrameShape {
         Self {
             capacity: other.capacity,
             cameras: self.cameras.max(other.cameras),
-            chunks: self.chunks.max(other.chunks),
+            clusters: self.clusters.max(other.clusters),
             bins: self.bins.max(other.bins),
         }
     }
@@ -41,36 +41,36 @@ pub(crate) struct FrameBuffers {
     room: FrameShape,
     /// The frame that is recorded.
     pub shape: FrameShape,
-    pub control: Control,
+    pub counters: FrameCounters,
     pub cameras: Buffer<CameraRecord>,
     pub lenses: Buffer<LensRecord>,
     pub visible: Visible,
-    pub firsts: Buffer<u32>,
+    pub offsets: Buffer<u32>,
     /// The set of each camera in the persistent key buffer.
     pub key_sets: Buffer<u32>,
     pub projected: Projected,
     pub tile_sort: TileSortBuffers,
     pub plan: Plan,
-    pub partials: Partials,
+    pub partials: PartialResults,
 }
 
 impl FrameBuffers {
     pub fn new(gpu: &Gpu, shape: FrameShape, options: &RenderOptions) -> Result<Self, GpuError> {
-        let FrameShape { capacity, cameras, chunks, bins } = shape;
-        let device = Residence::Device;
+        let FrameShape { capacity, cameras, clusters, bins } = shape;
+        let device = MemoryKind::Device;
         Ok(Self {
             room: shape,
             shape,
-            control: Control::new(gpu)?,
+            counters: FrameCounters::new(gpu)?,
             cameras: gpu.buffer("cameras", PURPOSE, cameras, device)?,
             lenses: gpu.buffer("lenses", PURPOSE, cameras, device)?,
-            visible: Visible::new(gpu, cameras, chunks)?,
-            firsts: gpu.buffer("firsts", PURPOSE, cameras * chunks + 1, device)?,
+            visible: Visible::new(gpu, cameras, clusters)?,
+            offsets: gpu.buffer("offsets", PURPOSE, cameras * clusters + 1, device)?,
             key_sets: gpu.buffer("key_sets", PURPOSE, CAMERAS_MAX, device)?,
             projected: Projected::new(gpu, capacity.records, capacity.pairs)?,
             tile_sort: TileSortBuffers::new(gpu, &capacity, bins)?,
             plan: Plan::new(gpu, &capacity, bins)?,
-            partials: Partials::new(gpu, capacity.partials, &options.rules, &options.outputs)?,
+            partials: PartialResults::new(gpu, capacity.partials, &options.rules, &options.outputs)?,
         })
     }
 

@@ -1,6 +1,6 @@
 //! Images as bytes on the host: what a planner or an encoder takes, without a detour over floats.
 
-use decouplegs_gpu::{Buffer, QueueRole, Residence};
+use decouplegs_gpu::{Buffer, MemoryKind, QueueRole};
 use rayon::prelude::*;
 
 use crate::output::{ColorFormat, PURPOSE};
@@ -66,7 +66,7 @@ impl Renderer {
         let Some(view) = &slot.view else { return Ok(()) };
         let images = &slot.images.images_u8;
         if bytes.staging.as_ref().is_none_or(|staging| staging.len() < view.pixels) {
-            bytes.staging = Some(self.gpu().buffer("staged_images", PURPOSE, view.pixels, Residence::Readback)?);
+            bytes.staging = Some(self.gpu().buffer("staged_images", PURPOSE, view.pixels, MemoryKind::Readback)?);
         }
         if let Some(staging) = &bytes.staging {
             let mut recorder = self.gpu().record(QueueRole::Main);

@@ -3,12 +3,12 @@
 //! The depth of a splat is f.p - f.c: along one direction f the keys f.p are the same wherever the camera stands. They are computed
 //! once per direction, for all splats, and read by every frame that looks the same way. Driving straight on computes none.
 
-use decouplegs_gpu::{Buffer, Gpu, Residence};
+use decouplegs_gpu::{Buffer, Gpu, MemoryKind};
 use decouplegs_scene::{DepthOrder, Rules};
 
 use crate::RenderError;
 use crate::layout::{CameraRecord, NO_KEY_SET, View};
-use crate::resident::ResidentWorld;
+use crate::resident::GpuScene;
 use crate::stages::PURPOSE;
 
 /// Source of the depth keys of one view's background.
@@ -72,7 +72,7 @@ pub(crate) struct PersistentKeys {
 impl PersistentKeys {
     /// None kept yet, with no memory taken.
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
-        let keys = gpu.buffer("kept_keys", PURPOSE, 0, Residence::Device)?;
+        let keys = gpu.buffer("kept_keys", PURPOSE, 0, MemoryKind::Device)?;
         Ok(Self { world: 0, keys, sets: Vec::new(), sets_max: 0, previous: Vec::new(), frame: 0 })
     }
 
@@ -82,7 +82,7 @@ impl PersistentKeys {
     }
 
     /// Decides for the views of the next frame. Keys that it decides to find are taken as found.
-    pub fn decide(&mut self, gpu: &Gpu, world: &ResidentWorld, view: &View, rules: &Rules) -> Result<KeyDecision, RenderError> {
+    pub fn decide(&mut self, gpu: &Gpu, world: &GpuScene, view: &View, rules: &Rules) -> Result<KeyDecision, RenderError> {
         let views = view.cameras.len();
         let bytes = (world.splats * views * 4) as u64;
         let possible = bytes > 0 && bytes <= gpu.limits().storage_buffer_bytes_max;
@@ -111,18 +111,18 @@ impl PersistentKeys {
         }
         if !decision.find.is_empty() && self.keys.is_empty() {
             // Those who draw a single image have no use for it.
-            self.keys = gpu.buffer("kept_keys", PURPOSE, world.splats * self.sets_max, Residence::Device)?;
+            self.keys = gpu.buffer("kept_keys", PURPOSE, world.splats * self.sets_max, MemoryKind::Device)?;
         }
         self.previous = directions;
         Ok(decision)
     }
 
     /// Sets for as many views. What was kept of another world is forgotten.
-    fn fit(&mut self, gpu: &Gpu, world: &ResidentWorld, views: usize) -> Result<(), RenderError> {
+    fn fit(&mut self, gpu: &Gpu, world: &GpuScene, views: usize) -> Result<(), RenderError> {
         if self.world != world.id || self.sets_max < views {
             self.sets.clear();
             self.previous.clear();
-            self.keys = gpu.buffer("kept_keys", PURPOSE, 0, Residence::Device)?;
+            self.keys = gpu.buffer("kept_keys", PURPOSE, 0, MemoryKind::Device)?;
             (self.world, self.sets_max) = (world.id, views);
         }
         Ok(())

@@ -15,19 +15,19 @@ use decouplegs_scene::{Camera, Pose, Rules, rules};
 use decouplegs_shaders::constants;
 use glam::{DMat3, DVec3};
 
-/// Splats a chunk: culled as one, one workgroup of `cull` and `project`.
-pub const CHUNK_SPLATS: usize = constants::CHUNK_SPLATS as usize;
-/// Width of a macro tile, 8 render tiles of 8 pixels.
-pub const MACRO_WIDTH_PX: u32 = constants::MACRO_COLUMNS * constants::RENDER_TILE_PX;
-/// Height of a macro tile, 4 render tiles of 8 pixels.
-pub const MACRO_HEIGHT_PX: u32 = constants::MACRO_ROWS * constants::RENDER_TILE_PX;
-/// Pixels of a macro tile.
-pub const MACRO_PIXELS: usize = (MACRO_WIDTH_PX * MACRO_HEIGHT_PX) as usize;
+/// Splats a cluster: culled as one, one workgroup of `cull` and `project`.
+pub const CLUSTER_SPLATS: usize = constants::CLUSTER_SPLATS as usize;
+/// Width of a coarse tile, 8 fine tiles of 8 pixels.
+pub const COARSE_WIDTH_PX: u32 = constants::COARSE_COLUMNS * constants::FINE_TILE_PX;
+/// Height of a coarse tile, 4 fine tiles of 8 pixels.
+pub const COARSE_HEIGHT_PX: u32 = constants::COARSE_ROWS * constants::FINE_TILE_PX;
+/// Pixels of a coarse tile.
+pub const COARSE_PIXELS: usize = (COARSE_WIDTH_PX * COARSE_HEIGHT_PX) as usize;
 /// Records that one workgroup of `bin_pairs` takes.
 pub const PAIR_BLOCK: usize = constants::PAIR_BLOCK as usize;
 /// Pairs after which a bucket of the tile sort ends with the next depth slab.
 pub const BUCKET_PAIRS: usize = constants::BUCKET_PAIRS as usize;
-/// Depth slabs by which macro tiles' lists are cut; `depth_slab.glsl`.
+/// Depth slabs by which coarse tiles' lists are cut; `depth_slab.glsl`.
 pub const SLABS: usize = constants::SLABS as usize;
 /// A camera whose direction has no set in the persistent key buffer.
 pub const NO_KEY_SET: u32 = constants::NO_KEY_SET;
@@ -64,8 +64,8 @@ pub struct CameraRecord {
     pub slope_max: [f32; 2],
     /// Image size.
     pub size_px: [u32; 2],
-    /// Macro tiles along x and y.
-    pub macro_tiles: [u32; 2],
+    /// Coarse tiles along x and y.
+    pub coarse_tiles: [u32; 2],
     /// Offset of a depth relative to the world's origin before scaling: the value as f32, and its
     /// rounding error.
     pub key_offset: [f32; 2],
@@ -73,7 +73,7 @@ pub struct CameraRecord {
     pub key_scale: f32,
     /// The camera's own depth relative to the world's origin, scaled.
     pub key_depth: f32,
-    /// Index of the camera's first macro tile among all cameras'.
+    /// Index of the camera's first coarse tile among all cameras'.
     pub first_bin: u32,
     /// Index of the camera's first pixel in the output buffers.
     pub first_pixel: u32,
@@ -110,7 +110,7 @@ impl CameraRecord {
                 ((size.y - k.cy_px) / k.fy_px + margin(size.y, k.fy_px)) as f32,
             ],
             size_px: [k.width_px, k.height_px],
-            macro_tiles: [k.width_px.div_ceil(MACRO_WIDTH_PX), k.height_px.div_ceil(MACRO_HEIGHT_PX)],
+            coarse_tiles: [k.width_px.div_ceil(COARSE_WIDTH_PX), k.height_px.div_ceil(COARSE_HEIGHT_PX)],
             key_offset: [0.0; 2],
             key_scale,
             key_depth: (forward.dot(center) * f64::from(key_scale)) as f32,
@@ -135,10 +135,10 @@ impl CameraRecord {
         }
     }
 
-    /// Macro tiles of the camera's image.
+    /// Coarse tiles of the camera's image.
     #[must_use]
     pub fn bins(&self) -> u32 {
-        self.macro_tiles[0] * self.macro_tiles[1]
+        self.coarse_tiles[0] * self.coarse_tiles[1]
     }
 
     /// Pixels of the camera's image.
@@ -171,10 +171,10 @@ pub fn near_m(rules: &Rules) -> f32 {
     if f64::from(rounded) < rules.near_m { rounded.next_up() } else { rounded }
 }
 
-/// `Chunk` of `frame.glsl`.
+/// `Cluster` of `frame.glsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct ChunkRecord {
+pub struct ClusterRecord {
     /// Center of the box around the means.
     pub center_m: [f32; 3],
     /// Half its size.
@@ -183,31 +183,31 @@ pub struct ChunkRecord {
     pub reach_m: f32,
 }
 
-/// `Needs` of `frame.glsl`: how many of each were wanted, whatever the capacity.
+/// `RequiredCounts` of `frame.glsl`: how many of each were wanted, whatever the capacity.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, serde::Serialize)]
-pub struct Needs {
+pub struct RequiredCounts {
     /// Visible (camera, splat).
     pub records: u32,
-    /// (Macro tile, record); `u32::MAX` where there are more.
+    /// (Coarse tile, record); `u32::MAX` where there are more.
     pub pairs: u32,
-    /// The same: the sum of the lower 16 bits of each macro tile's number.
+    /// The same: the sum of the lower 16 bits of each coarse tile's number.
     pub pairs_low: u32,
     /// And of the upper 16 bits.
     pub pairs_high: u32,
     /// Buckets of pairs, sorted one by one.
     pub buckets: u32,
-    /// (Macro tile, segment of its list).
+    /// (Coarse tile, segment of its list).
     pub items: u32,
-    /// Items of macro tiles that were cut into more than one segment.
+    /// Items of coarse tiles that were cut into more than one segment.
     pub partials: u32,
-    /// Macro tiles that were cut.
+    /// Coarse tiles that were cut.
     pub composites: u32,
-    /// Pairs of the macro tile that has most.
+    /// Pairs of the coarse tile that has most.
     pub longest: u32,
 }
 
-/// `Bucket` of `frame.glsl`: a run of one macro tile's pairs that is sorted by itself.
+/// `Bucket` of `frame.glsl`: a run of one coarse tile's pairs that is sorted by itself.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
 pub struct Bucket {
@@ -215,7 +215,7 @@ pub struct Bucket {
     pub first_pair: u32,
     /// Length.
     pub pairs: u32,
-    /// Macro tile.
+    /// Coarse tile.
     pub bin: u32,
 }
 
@@ -249,8 +249,8 @@ pub struct AgentRecord {
     pub log2_size_min: f32,
     /// And of the ratio between two.
     pub log2_size_step: f32,
-    /// First chunk among those of all agents of the frame.
-    pub first_chunk: u32,
+    /// First cluster among those of all agents of the frame.
+    pub first_cluster: u32,
     /// First box of its level of detail in the pool.
     pub first_bounds: u32,
     /// First splat in the pool.
@@ -273,11 +273,11 @@ pub struct AgentRecord {
     pub dc_residual_gain: [f32; 3],
 }
 
-/// `Item` of `frame.glsl`: one segment of one macro tile's list.
+/// `BlendItem` of `frame.glsl`: one segment of one coarse tile's list.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct Item {
-    /// Macro tile.
+pub struct BlendItem {
+    /// Coarse tile.
     pub bin: u32,
     /// First entry of the segment in the sorted pairs.
     pub first_pair: u32,
@@ -292,11 +292,11 @@ pub struct Item {
 /// The segment is its tile's only one and writes pixels itself.
 pub const NO_PARTIAL: u32 = constants::NO_PARTIAL;
 
-/// `Composite` of `frame.glsl`: a macro tile whose partial results are joined.
+/// `Composite` of `frame.glsl`: a coarse tile whose partial results are joined.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct Composite {
-    /// Macro tile.
+    /// Coarse tile.
     pub bin: u32,
     /// First partial result.
     pub first_partial: u32,
@@ -311,7 +311,7 @@ pub struct View {
     pub cameras: Vec<CameraRecord>,
     /// One record a camera; none at all where all are pinholes.
     pub lenses: Vec<LensRecord>,
-    /// Macro tiles of all cameras.
+    /// Coarse tiles of all cameras.
     pub bins: u32,
     /// Pixels of all cameras.
     pub pixels: usize,
@@ -361,7 +361,7 @@ mod tests {
     #[test]
     fn images_lie_one_after_the_other() {
         let view = View::new(&[camera(65, 33), camera(1, 1)], DVec3::ZERO, 1.0).unwrap();
-        assert_eq!(view.cameras[0].macro_tiles, [2, 2]);
+        assert_eq!(view.cameras[0].coarse_tiles, [2, 2]);
         assert_eq!((view.cameras[1].first_bin, view.cameras[1].first_pixel), (4, 65 * 33));
         assert_eq!((view.bins, view.pixels), (5, 65 * 33 + 1));
     }

@@ -7,7 +7,7 @@ use decouplegs_scene::Rules;
 
 use crate::capacity::Capacity;
 use crate::keys::KeySource;
-use crate::layout::Needs;
+use crate::layout::RequiredCounts;
 use crate::output::Outputs;
 
 /// Options of a renderer.
@@ -19,7 +19,7 @@ pub struct RenderOptions {
     pub outputs: Outputs,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
-    /// Length of the segments in which lists of macro tiles are blended, side by side, pairs. Shorter segments balance better and take
+    /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs. Shorter segments balance better and take
     /// more memory: 32 KiB of partial result each. Above 2^24 lists are not cut; a software device cuts them at 10,000.
     pub segment_pairs: u32,
     /// True keeps depth keys of the background per view direction, false computes them in every frame. Images are the same.
@@ -81,7 +81,7 @@ impl QueueTrace {
 #[derive(Clone, Debug)]
 pub struct FrameStatistics {
     /// Required counts of each list.
-    pub needs: Needs,
+    pub required: RequiredCounts,
     /// Capacity of each list.
     pub capacity: Capacity,
     /// Number of attempts after a list outgrew its buffer.

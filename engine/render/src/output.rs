@@ -1,7 +1,7 @@
 //! Outputs of a frame, and their buffers on the device.
 
 use bytemuck::Pod;
-use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, Residence};
+use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, MemoryKind};
 
 /// Purpose under which the memory of images is counted.
 pub const PURPOSE: &str = "images";
@@ -76,7 +76,7 @@ impl OutputBuffers {
                 "contributions",
                 PURPOSE,
                 if outputs.contributions { splats } else { 0 },
-                Residence::Device,
+                MemoryKind::Device,
             )?,
             pixels,
         })
@@ -101,5 +101,5 @@ impl OutputBuffers {
 /// A buffer for a value of each pixel, of length 0 where it is not asked for.
 fn image<T: Pod>(gpu: &Gpu, name: &'static str, asked: bool, pixels: usize, outputs: &Outputs) -> Result<Buffer<T>, GpuError> {
     let len = if asked { pixels } else { 0 };
-    gpu.buffer(name, PURPOSE, len, if outputs.exported && len > 0 { Residence::Exported } else { Residence::Device })
+    gpu.buffer(name, PURPOSE, len, if outputs.exported && len > 0 { MemoryKind::Exported } else { MemoryKind::Device })
 }

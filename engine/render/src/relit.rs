@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use decouplegs_gpu::{Buffer, Gpu, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Gpu, MemoryKind, Recorder};
 
 use crate::RenderError;
 use crate::asset_pool::AssetId;
@@ -30,30 +30,30 @@ impl RelitCodebooks {
         Ok(Self {
             colors: RelitColors::new(gpu, 0)?,
             places: RelitPlaces::default(),
-            staged: gpu.buffer("staged_relights", PURPOSE, 0, Residence::Upload)?,
-            records: gpu.buffer("relights", PURPOSE, 0, Residence::Device)?,
+            staged: gpu.buffer("staged_relights", PURPOSE, 0, MemoryKind::Upload)?,
+            records: gpu.buffer("relights", PURPOSE, 0, MemoryKind::Device)?,
             to_make: (0, 0),
         })
     }
 
     /// Finds a place for each of `wanted`, and lists those that have to be made. Returns the first color of each.
     pub fn set(&mut self, gpu: &Gpu, wanted: &[(AssetId, RelightRecord)]) -> Result<Vec<u32>, RenderError> {
-        let (mut firsts, mut to_make) = self.places.find(wanted);
+        let (mut offsets, mut to_make) = self.places.find(wanted);
         let room = self.places.allocator.end();
         if room > self.colors.dc.len() {
             self.colors = RelitColors::new(gpu, room + room / 4)?;
             // The old ones are gone: all are made again.
             self.forget();
-            (firsts, to_make) = self.places.find(wanted);
+            (offsets, to_make) = self.places.find(wanted);
         }
         if to_make.len() > self.staged.len() {
             let room = to_make.len() + to_make.len() / 4;
-            self.staged = gpu.buffer("staged_relights", PURPOSE, room, Residence::Upload)?;
-            self.records = gpu.buffer("relights", PURPOSE, room, Residence::Device)?;
+            self.staged = gpu.buffer("staged_relights", PURPOSE, room, MemoryKind::Upload)?;
+            self.records = gpu.buffer("relights", PURPOSE, room, MemoryKind::Device)?;
         }
         self.staged.write_host(0, &to_make);
         self.to_make = (to_make.len(), to_make.last().map_or(0, |last| last.first_group as usize + groups_of(last)));
-        Ok(firsts)
+        Ok(offsets)
     }
 
     /// Makes all again next time: what was to be made may never have been.
@@ -81,7 +81,7 @@ impl RelitPlaces {
         self.drop_others(&keys);
         let mut to_make: Vec<RelightRecord> = Vec::new();
         let mut groups = 0;
-        let mut firsts = Vec::with_capacity(wanted.len());
+        let mut offsets = Vec::with_capacity(wanted.len());
         for (key, (_, record)) in keys.into_iter().zip(wanted) {
             let (first, _) = *self.made.entry(key).or_insert_with(|| {
                 let colors = record.colors as usize;
@@ -90,9 +90,9 @@ impl RelitPlaces {
                 groups += groups_of(record) as u32;
                 (first, colors)
             });
-            firsts.push(first as u32);
+            offsets.push(first as u32);
         }
-        (firsts, to_make)
+        (offsets, to_make)
     }
 
     /// Frees the places of what nobody wants any more.

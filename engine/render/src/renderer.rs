@@ -15,8 +15,8 @@ use crate::kernels::{AgentVariant, FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
 use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
-use crate::resident::ResidentWorld;
-use crate::slot::{FrameSlot, Pending};
+use crate::resident::GpuScene;
+use crate::slot::{FrameInFlight, Pending};
 use crate::stages::{AgentCounts, ProjectVariant};
 use crate::taken::SharedShelf;
 
@@ -33,7 +33,7 @@ pub struct Renderer {
     kernels: Kernels,
     capacity: Option<Capacity>,
     frame: Option<FrameBuffers>,
-    slots: Vec<FrameSlot>,
+    slots: Vec<FrameInFlight>,
     /// Slots of the frames in flight, the oldest first.
     in_flight: VecDeque<usize>,
     /// The slot of the frame that was finished last.
@@ -83,12 +83,12 @@ impl Renderer {
     ///
     /// # Errors
     /// When it has too many splats, or the device not the memory.
-    pub fn upload(&self, world: &World) -> Result<ResidentWorld, RenderError> {
+    pub fn upload(&self, world: &World) -> Result<GpuScene, RenderError> {
         let splats = world.splats.len();
         if splats > SPLATS_MAX {
             return Err(RenderError::TooManySplats { splats, max: SPLATS_MAX });
         }
-        ResidentWorld::upload(&self.gpu, world)
+        GpuScene::upload(&self.gpu, world)
     }
 
     /// Draws `scene` for all `cameras` in one submission and waits for the images.
@@ -185,16 +185,16 @@ impl Renderer {
         let awaited = Instant::now();
         for redrawn in 0..ATTEMPTS_MAX {
             pending.frame.wait()?;
-            let needs = self.slots[slot].found_needs.read_host()[0];
-            if pending.capacity.holds(&needs) {
+            let required = self.slots[slot].found_required.read_host()[0];
+            if pending.capacity.holds(&required) {
                 self.shown = Some(slot);
                 self.slots[slot].done = Some(pending.frame.clone());
-                let statistics = self.slots[slot].statistics(&pending, needs, redrawn, awaited)?;
+                let statistics = self.slots[slot].statistics(&pending, required, redrawn, awaited)?;
                 return Ok(statistics);
             }
             // Another frame may have grown the buffers since.
             let capacity = self.capacity.unwrap_or(pending.capacity);
-            self.capacity = Some(capacity.grown_to(&needs, self.options.spare));
+            self.capacity = Some(capacity.grown_to(&required, self.options.spare));
             let record_start = Instant::now();
             // Frames submitted since may have taken the place of the keys that this one was to use.
             pending.keys = KeyDecision::computed(pending.keys.sources.len());
@@ -203,12 +203,12 @@ impl Renderer {
             let (frame, capacity) = self.submit_frame(slot, world, *variant, (keys, kept_keys), update.as_ref())?;
             (pending.frame, pending.capacity, pending.record_time) = (frame, capacity, record_start.elapsed());
         }
-        let needs = format!("{:?}", self.slots[slot].found_needs.read_host());
-        Err(RenderError::Unsettled { attempts: ATTEMPTS_MAX, needs })
+        let required = format!("{:?}", self.slots[slot].found_required.read_host());
+        Err(RenderError::Unsettled { attempts: ATTEMPTS_MAX, required })
     }
 
     /// The place of the frame that was finished last.
-    pub(crate) fn shown_slot(&self) -> Option<&FrameSlot> {
+    pub(crate) fn shown_slot(&self) -> Option<&FrameInFlight> {
         self.shown.and_then(|shown| self.slots.get(shown))
     }
 
@@ -218,7 +218,7 @@ impl Renderer {
         !self.in_flight.is_empty()
     }
 
-    pub(crate) fn shown_slot_mut(&mut self) -> Option<&mut FrameSlot> {
+    pub(crate) fn shown_slot_mut(&mut self) -> Option<&mut FrameInFlight> {
         self.shown.and_then(|shown| self.slots.get_mut(shown))
     }
 
@@ -251,7 +251,7 @@ impl Renderer {
                 Ok(slot)
             }
             _ => {
-                self.slots.push(FrameSlot::new(&self.gpu, &self.options.outputs)?);
+                self.slots.push(FrameInFlight::new(&self.gpu, &self.options.outputs)?);
                 Ok(self.slots.len() - 1)
             }
         }
@@ -273,7 +273,7 @@ impl Renderer {
     fn submit_agents(
         &mut self,
         slot: usize,
-        world: &ResidentWorld,
+        world: &GpuScene,
         variant: FrameVariant,
         added: Option<&Ticket>,
     ) -> Result<Option<Ticket>, RenderError> {
@@ -292,7 +292,7 @@ impl Renderer {
     fn submit_frame(
         &mut self,
         slot: usize,
-        world: &ResidentWorld,
+        world: &GpuScene,
         variant: FrameVariant,
         (keys, kept_keys): (&KeyDecision, &Buffer<u32>),
         update: Option<&Ticket>,
@@ -316,14 +316,14 @@ impl Renderer {
     }
 
     /// Makes the buffers what the frame in `slot` needs, as far as that is known.
-    fn fit_buffers(&mut self, slot: usize, world: &ResidentWorld) -> Result<Capacity, RenderError> {
+    fn fit_buffers(&mut self, slot: usize, world: &GpuScene) -> Result<Capacity, RenderError> {
         let slot = &self.slots[slot];
         let Some(view) = &slot.view else { unreachable!("a slot is set before it is submitted") };
         let splats = world.splats + slot.list.as_ref().map_or(0, |list| list.splats);
         let shape = FrameShape {
             capacity: self.capacity.unwrap_or_else(|| Capacity::guess(splats, view.cameras.len())),
             cameras: view.cameras.len(),
-            chunks: world.chunk_count(),
+            clusters: world.cluster_count(),
             bins: view.bins,
         };
         match &mut self.frame {

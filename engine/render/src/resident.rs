@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::RenderError;
-use crate::layout::{CHUNK_SPLATS, ChunkRecord};
+use crate::layout::{CLUSTER_SPLATS, ClusterRecord};
 use crate::reference::unscented::SIGMA_REACH;
 use crate::sh_codec;
 
@@ -22,7 +22,7 @@ static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 /// The splats of a world in device memory. Drawn by any number of frames; clones share the memory, and dropping the last
 /// frees it.
 #[derive(Clone)]
-pub struct ResidentWorld {
+pub struct GpuScene {
     pub(crate) id: u64,
     /// Splats, defective ones included: these are never drawn, but keep their index.
     pub splats: usize,
@@ -38,8 +38,8 @@ pub struct ResidentWorld {
     pub origin: DVec3,
     /// Color where transmittance is left.
     pub sky: [f32; 3],
-    /// One a [`CHUNK_SPLATS`] splats.
-    pub chunks: Buffer<ChunkRecord>,
+    /// One a [`CLUSTER_SPLATS`] splats.
+    pub clusters: Buffer<ClusterRecord>,
     /// Relative to the origin, meters.
     pub means: Buffer<[f32; 3]>,
     /// Scales (m) and opacity.
@@ -54,7 +54,7 @@ pub struct ResidentWorld {
     pub instances: Buffer<u32>,
 }
 
-impl ResidentWorld {
+impl GpuScene {
     /// Copies `world` to the device.
     ///
     /// Splats are drawn in the order given; culling is quickest when neighbors in it are neighbors in space
@@ -72,9 +72,9 @@ impl ResidentWorld {
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
         let dc: Vec<[f32; 3]> =
             prepared.iter().zip(&cloud.sh_dc).map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] }).collect();
-        let chunks: Vec<ChunkRecord> = prepared
-            .par_chunks(CHUNK_SPLATS)
-            .map(|splats| chunk_of(&splats.iter().filter_map(Prepared::extent).collect::<Vec<_>>()))
+        let clusters: Vec<ClusterRecord> = prepared
+            .par_chunks(CLUSTER_SPLATS)
+            .map(|splats| cluster_of(&splats.iter().filter_map(Prepared::extent).collect::<Vec<_>>()))
             .collect();
         let distance_m = |splat: &Prepared| Vec3::from_array(splat.mean_m).as_dvec3().length();
         Ok(Self {
@@ -86,7 +86,7 @@ impl ResidentWorld {
             has_instances: !world.instance_from_splat.is_empty(),
             origin: world.origin,
             sky: world.sky,
-            chunks: gpu.upload("chunks", PURPOSE, &chunks)?,
+            clusters: gpu.upload("clusters", PURPOSE, &clusters)?,
             means: gpu.upload("means", PURPOSE, &means)?,
             shapes: gather("shapes", |splat| splat.shape)?,
             rotations: gather("rotations", |splat| splat.rotation)?,
@@ -100,10 +100,10 @@ impl ResidentWorld {
         })
     }
 
-    /// Chunks of the world.
+    /// Clusters of the world.
     #[must_use]
-    pub fn chunk_count(&self) -> usize {
-        self.splats.div_ceil(CHUNK_SPLATS)
+    pub fn cluster_count(&self) -> usize {
+        self.splats.div_ceil(CLUSTER_SPLATS)
     }
 }
 
@@ -155,16 +155,16 @@ impl Extent {
     }
 }
 
-/// The box of a chunk's drawn splats; one that no camera reaches when it has none.
-pub(crate) fn chunk_of(splats: &[Extent]) -> ChunkRecord {
+/// The box of a cluster's drawn splats; one that no camera reaches when it has none.
+pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
     // An opacity below 1/255 is never seen, wherever it is.
     let drawn = || splats.iter().filter(|splat| f64::from(splat.opacity) >= rules::ALPHA_MIN * 0.999);
     if drawn().next().is_none() {
         // Infinitely small at infinity would be NaN in the test; far behind nothing is simplest said by a negative reach.
-        return ChunkRecord { reach_m: -1e30, ..ChunkRecord::zeroed() };
+        return ClusterRecord { reach_m: -1e30, ..ClusterRecord::zeroed() };
     }
     let bounds = Bounds::of(drawn().map(|splat| &splat.mean_m));
-    ChunkRecord {
+    ClusterRecord {
         center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
         reach_m: drawn().map(Extent::reach_m).fold(0.0, f32::max),

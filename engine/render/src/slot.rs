@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use decouplegs_gpu::{Buffer, Gpu, Recorder, Residence, Ticket};
+use decouplegs_gpu::{Buffer, Gpu, MemoryKind, Recorder, Ticket};
 use decouplegs_scene::ContactShadow;
 
 use crate::RenderError;
@@ -11,16 +11,16 @@ use crate::agents::AgentList;
 use crate::capacity::Capacity;
 use crate::kernels::FrameVariant;
 use crate::keys::KeyDecision;
-use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, Needs, ShadowRecord, View};
+use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, RequiredCounts, ShadowRecord, View};
 use crate::output::{OutputBuffers, Outputs};
 use crate::relit::RelitCodebooks;
-use crate::resident::ResidentWorld;
+use crate::resident::GpuScene;
 use crate::stages::{AgentBuffers, AgentCounts, PURPOSE, ShadowBuffers};
 use crate::taken::SharedShelf;
 
 /// A frame that was submitted and not yet finished.
 pub(crate) struct Pending {
-    pub world: ResidentWorld,
+    pub world: GpuScene,
     pub variant: FrameVariant,
     pub keys: KeyDecision,
     /// The persistent key buffer that it was submitted with.
@@ -36,7 +36,7 @@ pub(crate) struct Pending {
 }
 
 /// The buffers of one frame in flight.
-pub(crate) struct FrameSlot {
+pub(crate) struct FrameInFlight {
     pub staged_cameras: Buffer<CameraRecord>,
     staged_lenses: Buffer<LensRecord>,
     pub staged_key_sets: Buffer<u32>,
@@ -47,7 +47,7 @@ pub(crate) struct FrameSlot {
     pub relit: RelitCodebooks,
     staged_shadows: Buffer<ShadowRecord>,
     pub shadows: ShadowBuffers,
-    /// Shadows and chunks that there is room for.
+    /// Shadows and clusters that there is room for.
     shadow_room: (usize, usize),
     /// Shadows of the frame.
     pub shadow_count: usize,
@@ -55,7 +55,7 @@ pub(crate) struct FrameSlot {
     no_images: OutputBuffers,
     /// Pixels and splats that the images are made for.
     room: (usize, usize),
-    pub found_needs: Buffer<Needs>,
+    pub found_required: Buffer<RequiredCounts>,
     pub view: Option<View>,
     pub list: Option<AgentList>,
     pub pending: Option<Pending>,
@@ -63,27 +63,27 @@ pub(crate) struct FrameSlot {
     pub done: Option<Ticket>,
 }
 
-impl FrameSlot {
+impl FrameInFlight {
     /// Buffers for no agents and no pixels yet.
     pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, RenderError> {
         let no_images = OutputBuffers::new(gpu, 0, 0, outputs)?;
         Ok(Self {
-            staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
-            staged_lenses: gpu.buffer("staged_lenses", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
-            staged_key_sets: gpu.buffer("staged_key_sets", PURPOSE, CAMERAS_MAX, Residence::Upload)?,
-            staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, Residence::Upload)?,
-            staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, Residence::Upload)?,
+            staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, MemoryKind::Upload)?,
+            staged_lenses: gpu.buffer("staged_lenses", PURPOSE, CAMERAS_MAX, MemoryKind::Upload)?,
+            staged_key_sets: gpu.buffer("staged_key_sets", PURPOSE, CAMERAS_MAX, MemoryKind::Upload)?,
+            staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, MemoryKind::Upload)?,
+            staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, MemoryKind::Upload)?,
             agents: AgentBuffers::new(gpu, 0, 0, 0)?,
             agent_room: AgentCounts::default(),
             relit: RelitCodebooks::new(gpu)?,
-            staged_shadows: gpu.buffer("staged_shadows", PURPOSE, 0, Residence::Upload)?,
+            staged_shadows: gpu.buffer("staged_shadows", PURPOSE, 0, MemoryKind::Upload)?,
             shadows: ShadowBuffers::new(gpu, 0, 0)?,
             shadow_room: (0, 0),
             shadow_count: 0,
             images: no_images.clone(),
             no_images,
             room: (0, 0),
-            found_needs: gpu.buffer("found_needs", PURPOSE, 1, Residence::Readback)?,
+            found_required: gpu.buffer("found_required", PURPOSE, 1, MemoryKind::Readback)?,
             view: None,
             list: None,
             pending: None,
@@ -114,7 +114,7 @@ impl FrameSlot {
         gpu: &Gpu,
         (outputs, shelf): (&Outputs, &SharedShelf),
         view: View,
-        world: &ResidentWorld,
+        world: &GpuScene,
         list: Option<AgentList>,
         shadows: (&[ContactShadow], Option<&[u32]>),
     ) -> Result<(), RenderError> {
@@ -151,15 +151,15 @@ impl FrameSlot {
     fn set_shadows(
         &mut self,
         gpu: &Gpu,
-        world: &ResidentWorld,
+        world: &GpuScene,
         (shadows, cameras): (&[ContactShadow], Option<&[u32]>),
     ) -> Result<(), RenderError> {
-        let (room, chunks) = (self.shadow_room, world.chunk_count());
-        if shadows.len() > room.0 || chunks > room.1 {
+        let (room, clusters) = (self.shadow_room, world.cluster_count());
+        if shadows.len() > room.0 || clusters > room.1 {
             let wanted = if shadows.len() > room.0 { shadows.len() + shadows.len() / 4 } else { room.0 };
-            self.staged_shadows = gpu.buffer("staged_shadows", PURPOSE, wanted, Residence::Upload)?;
-            self.shadows = ShadowBuffers::new(gpu, wanted, chunks)?;
-            self.shadow_room = (wanted, chunks);
+            self.staged_shadows = gpu.buffer("staged_shadows", PURPOSE, wanted, MemoryKind::Upload)?;
+            self.shadows = ShadowBuffers::new(gpu, wanted, clusters)?;
+            self.shadow_room = (wanted, clusters);
         }
         let record = |(index, shadow): (usize, &ContactShadow)| ShadowRecord {
             cameras: cameras.map_or(u32::MAX, |cameras| cameras[index]),
@@ -174,19 +174,19 @@ impl FrameSlot {
     /// Room for `counts`, with some to spare: agents come into view and leave it all the time.
     fn fit_agents(&mut self, gpu: &Gpu, counts: AgentCounts) -> Result<(), RenderError> {
         let room = self.agent_room;
-        if counts.agents <= room.agents && counts.chunks <= room.chunks && counts.cameras == room.cameras {
+        if counts.agents <= room.agents && counts.clusters <= room.clusters && counts.cameras == room.cameras {
             return Ok(());
         }
         let spare = |wanted: usize, had: usize| if wanted <= had { had } else { wanted + wanted / 4 };
         let room = AgentCounts {
             agents: spare(counts.agents, room.agents),
-            chunks: spare(counts.chunks, room.chunks),
+            clusters: spare(counts.clusters, room.clusters),
             cameras: counts.cameras,
         };
         let cameras = room.agents * room.cameras;
-        self.staged_agents = gpu.buffer("staged_agents", PURPOSE, room.agents, Residence::Upload)?;
-        self.staged_agent_cameras = gpu.buffer("staged_agent_cameras", PURPOSE, cameras, Residence::Upload)?;
-        self.agents = AgentBuffers::new(gpu, room.agents, room.chunks, room.cameras)?;
+        self.staged_agents = gpu.buffer("staged_agents", PURPOSE, room.agents, MemoryKind::Upload)?;
+        self.staged_agent_cameras = gpu.buffer("staged_agent_cameras", PURPOSE, cameras, MemoryKind::Upload)?;
+        self.agents = AgentBuffers::new(gpu, room.agents, room.clusters, room.cameras)?;
         self.agent_room = room;
         Ok(())
     }

@@ -3,17 +3,17 @@
 use std::time::{Duration, Instant};
 
 use crate::RenderError;
-use crate::layout::Needs;
+use crate::layout::RequiredCounts;
 use crate::options::{FrameStatistics, QueueTrace};
-use crate::slot::{FrameSlot, Pending};
+use crate::slot::{FrameInFlight, Pending};
 
-impl FrameSlot {
-    /// Statistics of the frame `pending` of this slot: `needs` are its required counts, `redrawn`
+impl FrameInFlight {
+    /// Statistics of the frame `pending` of this slot: `required` are its required counts, `redrawn`
     /// its repeated attempts, and `awaited` the time at which the host began to wait.
     pub fn statistics(
         &self,
         pending: &Pending,
-        needs: Needs,
+        required: RequiredCounts,
         redrawn: u32,
         awaited: Instant,
     ) -> Result<FrameStatistics, RenderError> {
@@ -23,7 +23,7 @@ impl FrameSlot {
             queues.push(QueueTrace::of("update", update)?);
         }
         Ok(FrameStatistics {
-            needs,
+            required,
             capacity: pending.capacity,
             redrawn,
             keys: pending.keys.sources.clone(),

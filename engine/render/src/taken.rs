@@ -9,17 +9,17 @@ use crate::{RenderError, Renderer};
 
 /// Pool of image buffers: those that are free, and the number of borrowed ones.
 #[derive(Default)]
-pub(crate) struct Shelf {
+pub(crate) struct ImagePool {
     waiting: Vec<((usize, usize), OutputBuffers)>,
     out: usize,
 }
 
 /// The shelf of one renderer.
 #[derive(Clone, Default)]
-pub(crate) struct SharedShelf(Arc<Mutex<Shelf>>);
+pub(crate) struct SharedShelf(Arc<Mutex<ImagePool>>);
 
 impl SharedShelf {
-    fn lock(&self) -> MutexGuard<'_, Shelf> {
+    fn lock(&self) -> MutexGuard<'_, ImagePool> {
         lock(&self.0)
     }
 
@@ -31,7 +31,7 @@ impl SharedShelf {
     }
 }
 
-fn lock(shelf: &Mutex<Shelf>) -> MutexGuard<'_, Shelf> {
+fn lock(shelf: &Mutex<ImagePool>) -> MutexGuard<'_, ImagePool> {
     shelf.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -44,7 +44,7 @@ pub struct TakenImages {
     room: (usize, usize),
     places: Vec<(usize, [u32; 2])>,
     frame: Ticket,
-    home: Weak<Mutex<Shelf>>,
+    home: Weak<Mutex<ImagePool>>,
 }
 
 impl TakenImages {

@@ -58,7 +58,7 @@ pub struct ImageRecord {
 
 /// States of all vehicles at one moment.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Instant {
+pub struct EpisodeTick {
     /// Since the episode's start, seconds.
     pub time_s: f64,
     /// The ego.
@@ -81,7 +81,7 @@ pub struct EpisodeStep {
     /// Plan that it returned.
     pub plan: Plan,
     /// The moments after it, one for each sub-step.
-    pub instants: Vec<Instant>,
+    pub instants: Vec<EpisodeTick>,
 }
 
 /// Reason of an episode's end.
@@ -109,7 +109,7 @@ pub struct Episode {
     /// Data known before the start.
     pub head: EpisodeHead,
     /// States at the start.
-    pub start: Instant,
+    pub start: EpisodeTick,
     /// Steps.
     pub steps: Vec<EpisodeStep>,
     /// Reason of the end.
@@ -118,7 +118,7 @@ pub struct Episode {
 
 impl Episode {
     /// All moments in time, the start included.
-    pub fn instants(&self) -> impl Iterator<Item = &Instant> {
+    pub fn instants(&self) -> impl Iterator<Item = &EpisodeTick> {
         std::iter::once(&self.start).chain(self.steps.iter().flat_map(|step| &step.instants))
     }
 }

@@ -1,7 +1,7 @@
 //! Agents of every kind that is hard for a stage, as the stages hold them.
 
 use decouplegs::gpu::Buffer;
-use decouplegs::render::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord, RelightRecord, View};
+use decouplegs::render::layout::{AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord, View};
 use decouplegs::render::stages::{AgentBuffers, AgentCounts, RelitColors};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
 use decouplegs::render::twins::lens::lens_of;
@@ -18,7 +18,7 @@ use crate::device::Validated;
 
 /// One agent: what it shows, where, to whom.
 #[derive(Clone, Copy)]
-pub struct Placed {
+pub struct AgentInstance {
     pub cloud: usize,
     pub level: usize,
     pub pose: Pose,
@@ -26,7 +26,7 @@ pub struct Placed {
     pub colors_in_world: bool,
 }
 
-impl Placed {
+impl AgentInstance {
     /// The finest level of a cloud, seen by all cameras.
     pub fn new(cloud: usize, pose: Pose) -> Self {
         Self { cloud, level: 0, pose, cameras: u32::MAX, colors_in_world: false }
@@ -45,7 +45,7 @@ pub struct AgentScene {
     pub shapes: Vec<[f32; 6]>,
     pub dc: Vec<[f32; 3]>,
     pub bands: Vec<[u32; 24]>,
-    pub chunks: Vec<ChunkRecord>,
+    pub clusters: Vec<ClusterRecord>,
     /// Colors of the agents that are relit.
     pub relit_dc: Vec<[f32; 3]>,
     pub relit_bands: Vec<[u32; 24]>,
@@ -55,30 +55,30 @@ pub struct AgentScene {
 /// The splats to be projected: a bit each, and where each list of them begins, with their total behind.
 pub struct ListedAgents {
     pub words: Vec<u32>,
-    pub firsts: Vec<u32>,
+    pub offsets: Vec<u32>,
     /// (camera, agent, splat of its level) of each record.
     pub records: Vec<(usize, usize, usize)>,
 }
 
 impl AgentScene {
     /// `placed` agents of `clouds`, seen by `cameras`.
-    pub fn new(clouds: &[CodedCloud], placed: &[Placed], cameras: &[Camera]) -> Self {
+    pub fn new(clouds: &[CodedCloud], placed: &[AgentInstance], cameras: &[Camera]) -> Self {
         let mut scene = Self::default();
         // An entry of another asset stands before each.
-        let firsts: Vec<AgentRecord> = clouds.iter().map(|cloud| scene.add(cloud)).collect();
+        let offsets: Vec<AgentRecord> = clouds.iter().map(|cloud| scene.add(cloud)).collect();
         let view = View::new(cameras, DVec3::ZERO, 1e4).unwrap();
         scene.counts.cameras = cameras.len();
         for (instance, placed) in (1..).zip(placed) {
-            let (cloud, first) = (&clouds[placed.cloud], firsts[placed.cloud]);
+            let (cloud, first) = (&clouds[placed.cloud], offsets[placed.cloud]);
             let before = &cloud.levels[..placed.level];
             let rows = DMat3::from_quat(placed.pose.rotation).transpose();
             scene.agents.push(AgentRecord {
                 row_x: rows.x_axis.as_vec3().to_array(),
                 row_y: rows.y_axis.as_vec3().to_array(),
                 row_z: rows.z_axis.as_vec3().to_array(),
-                first_chunk: scene.counts.chunks as u32,
+                first_cluster: scene.counts.clusters as u32,
                 first_bounds: first.first_bounds
-                    + before.iter().map(|splats| splats.div_ceil(CHUNK_SPLATS)).sum::<usize>() as u32,
+                    + before.iter().map(|splats| splats.div_ceil(CLUSTER_SPLATS)).sum::<usize>() as u32,
                 first_splat: first.first_splat + before.iter().sum::<usize>() as u32,
                 splat_count: cloud.levels[placed.level] as u32,
                 cameras: placed.cameras,
@@ -86,7 +86,7 @@ impl AgentScene {
                 colors_in_world: placed.colors_in_world.into(),
                 ..first
             });
-            scene.counts.chunks += cloud.levels[placed.level].div_ceil(CHUNK_SPLATS);
+            scene.counts.clusters += cloud.levels[placed.level].div_ceil(CLUSTER_SPLATS);
             let moved = view.cameras.iter().zip(cameras);
             scene.cameras.extend(moved.map(|(record, camera)| record.moved_into(camera, DVec3::ZERO, &placed.pose)));
         }
@@ -103,14 +103,14 @@ impl AgentScene {
         self.shapes.push([1e9; 6]);
         self.dc.push([1e9; 3]);
         self.bands.push([u32::MAX; 24]);
-        self.chunks.push(ChunkRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 });
+        self.clusters.push(ClusterRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 });
         let record = AgentRecord {
             box_min_m: cloud.bounds.min,
             box_step_m: cloud.position_step_m(),
             dc_residual_step: cloud.dc_residual_step,
             log2_size_min: cloud.log2_size_min,
             log2_size_step: cloud.log2_size_step,
-            first_bounds: self.chunks.len() as u32,
+            first_bounds: self.clusters.len() as u32,
             first_splat: self.splats.len() as u32,
             first_shape: self.shapes.len() as u32,
             first_color: self.dc.len() as u32,
@@ -124,7 +124,7 @@ impl AgentScene {
             self.bands.push(encoded_bands(cloud.color(color)));
         }
         for level in 0..cloud.levels.len() {
-            self.chunks.extend(cloud.level(level).chunks(CHUNK_SPLATS).map(|splats| chunk_of(cloud, splats)));
+            self.clusters.extend(cloud.level(level).chunks(CLUSTER_SPLATS).map(|splats| cluster_of(cloud, splats)));
         }
         record
     }
@@ -190,27 +190,27 @@ impl AgentScene {
     /// Camera, agent and splat of a bit of the visibility words; the splat is `None` beyond the
     /// agent's last.
     pub fn splat_of_bit(&self, bit: usize) -> (usize, usize, Option<usize>) {
-        let (camera, place) = (bit / (self.counts.chunks * CHUNK_SPLATS), bit % (self.counts.chunks * CHUNK_SPLATS));
-        let agent = twins::agent::agent_of_chunk((place / CHUNK_SPLATS) as u32, &self.agents);
-        let splat = place - self.agents[agent].first_chunk as usize * CHUNK_SPLATS;
+        let (camera, place) = (bit / (self.counts.clusters * CLUSTER_SPLATS), bit % (self.counts.clusters * CLUSTER_SPLATS));
+        let agent = twins::agent::agent_of_cluster((place / CLUSTER_SPLATS) as u32, &self.agents);
+        let splat = place - self.agents[agent].first_cluster as usize * CLUSTER_SPLATS;
         (camera, agent, Some(splat).filter(|&splat| splat < self.agents[agent].splat_count as usize))
     }
 
     /// The twin's visible words and counts.
     pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
-        let AgentCounts { cameras, chunks, .. } = self.counts;
-        let (mut words, mut counts) = (vec![0; cameras * chunks * CHUNK_SPLATS / 32], vec![0; cameras * chunks]);
+        let AgentCounts { cameras, clusters, .. } = self.counts;
+        let (mut words, mut counts) = (vec![0; cameras * clusters * CLUSTER_SPLATS / 32], vec![0; cameras * clusters]);
         twins::cull_agents(
             &self.agents,
             &self.cameras,
             &self.splats,
             &self.shapes,
-            &self.chunks,
+            &self.clusters,
             &mut words,
             &mut counts,
             &self.lenses,
             cameras,
-            chunks,
+            clusters,
             Variant::of(rules),
         );
         (words, counts)
@@ -219,10 +219,10 @@ impl AgentScene {
     /// The visible splats, without those whose visibility is a matter of rounding.
     pub fn listed(&self, rules: &Rules) -> ListedAgents {
         let (mut words, _) = self.culled(rules);
-        let mut listed = ListedAgents { words: Vec::new(), firsts: Vec::new(), records: Vec::new() };
+        let mut listed = ListedAgents { words: Vec::new(), offsets: Vec::new(), records: Vec::new() };
         for bit in 0..words.len() * 32 {
-            if bit % CHUNK_SPLATS == 0 {
-                listed.firsts.push(listed.records.len() as u32);
+            if bit % CLUSTER_SPLATS == 0 {
+                listed.offsets.push(listed.records.len() as u32);
             }
             let (camera, agent, splat) = self.splat_of_bit(bit);
             match splat.filter(|_| words[bit / 32] >> (bit % 32) & 1 == 1) {
@@ -232,16 +232,16 @@ impl AgentScene {
                 _ => words[bit / 32] &= !(1 << (bit % 32)),
             }
         }
-        listed.firsts.push(listed.records.len() as u32);
+        listed.offsets.push(listed.records.len() as u32);
         listed.words = words;
         listed
     }
 
-    /// The twin's records behind `static_firsts[static_lists]` of the background, where there is room for `room` in all.
+    /// The twin's records behind `static_offsets[static_lists]` of the background, where there is room for `room` in all.
     pub fn projected(
         &self,
         listed: &ListedAgents,
-        static_firsts: &[u32],
+        static_offsets: &[u32],
         rules: &Rules,
         sh_degree: u8,
         room: usize,
@@ -254,10 +254,10 @@ impl AgentScene {
             &self.splats,
             &self.shapes,
             &listed.words,
-            &listed.firsts,
+            &listed.offsets,
             &self.dc,
             &self.bands,
-            static_firsts,
+            static_offsets,
             &self.relit_dc,
             &self.relit_bands,
             &mut out.footprints,
@@ -265,8 +265,8 @@ impl AgentScene {
             &mut out.keys,
             &self.lenses,
             self.counts.cameras,
-            self.counts.chunks,
-            static_firsts.len() - 1,
+            self.counts.clusters,
+            static_offsets.len() - 1,
             Variant::of(rules),
             sh_degree.into(),
             rules.order == decouplegs::scene::DepthOrder::Radial,
@@ -277,7 +277,7 @@ impl AgentScene {
     pub fn pool(&self, gpu: &Validated) -> PoolBuffers {
         PoolBuffers {
             splats: upload(gpu, &self.splats),
-            chunks: upload(gpu, &self.chunks),
+            clusters: upload(gpu, &self.clusters),
             shapes: upload(gpu, &self.shapes),
             color_dc: upload(gpu, &self.dc),
             color_bands: upload(gpu, &self.bands),
@@ -286,13 +286,13 @@ impl AgentScene {
 
     /// The agents on the device; what the kernels write holds [`UNTOUCHED`].
     pub fn buffers(&self, gpu: &Validated) -> AgentBuffers {
-        let AgentCounts { agents, cameras, chunks } = self.counts;
-        let buffers = AgentBuffers::new(gpu, agents, chunks, cameras).unwrap();
+        let AgentCounts { agents, cameras, clusters } = self.counts;
+        let buffers = AgentBuffers::new(gpu, agents, clusters, cameras).unwrap();
         gpu.write(&buffers.agents, 0, &self.agents).unwrap();
         gpu.write(&buffers.cameras, 0, &self.cameras).unwrap();
         gpu.write(&buffers.lenses, 0, &self.lenses).unwrap();
         let fill = |buffer: &Buffer<u32>| gpu.write(buffer, 0, &vec![UNTOUCHED; buffer.len()]).unwrap();
-        [&buffers.visible.words, &buffers.visible.counts, &buffers.firsts].into_iter().for_each(fill);
+        [&buffers.visible.words, &buffers.visible.counts, &buffers.offsets].into_iter().for_each(fill);
         buffers
     }
 }
@@ -308,19 +308,19 @@ fn encoded_bands(coefficients: &[[f32; 3]]) -> [u32; 24] {
 }
 
 /// A box that holds what is drawn of `splats`.
-fn chunk_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ChunkRecord {
+fn cluster_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ClusterRecord {
     let codes: Vec<SplatCodes> =
         splats.iter().map(|&splat| splat.into()).filter(|codes: &SplatCodes| codes.opacity > 0).collect();
     let means: Vec<[f32; 3]> = codes.iter().map(|codes| cloud.mean_m(codes)).collect();
     if means.is_empty() {
-        return ChunkRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 };
+        return ClusterRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 };
     }
     let bounds = Bounds::of(&means);
     let reach_m = |codes: &SplatCodes| {
         let longest = principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);
         longest * (2.0 * f32::from(codes.opacity).ln()).sqrt().max(1.7321) * 1.001
     };
-    ChunkRecord {
+    ClusterRecord {
         center_m: bounds.center(),
         half_extent_m: bounds.half_extent().map(|half| half * 1.000_01),
         reach_m: codes.iter().map(reach_m).fold(0.0, f32::max),
@@ -332,19 +332,21 @@ fn chunk_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ChunkRecord {
 pub fn hard_agents(cameras: &[Camera]) -> AgentScene {
     let clouds = [hard_cloud(vec![900, 256, 0, 1], 31), hard_cloud(vec![1100], 32)];
     let turned = DQuat::from_rotation_z(2.1) * DQuat::from_rotation_x(0.4) * DQuat::from_rotation_y(-0.7);
-    let at = |cloud: usize, x: f64, y: f64, z: f64, rotation: DQuat| Placed::new(cloud, Pose::new(rotation, DVec3::new(x, y, z)));
+    let at = |cloud: usize, x: f64, y: f64, z: f64, rotation: DQuat| {
+        AgentInstance::new(cloud, Pose::new(rotation, DVec3::new(x, y, z)))
+    };
     let placed = [
         at(0, 0.5, 0.2, 8.0, DQuat::IDENTITY),
         at(1, -1.0, 0.5, 5.0, turned),
-        Placed { level: 2, ..at(0, 0.0, 0.0, 6.0, turned) },
+        AgentInstance { level: 2, ..at(0, 0.0, 0.0, 6.0, turned) },
         at(1, 0.1, 0.0, 0.3, turned.inverse()),
         at(0, 0.0, 0.0, -30.0, turned),
-        Placed { level: 1, ..at(0, 20.0, -9.0, 3000.0, turned) },
-        Placed { colors_in_world: true, cameras: 0b0101, ..at(1, 1.0, -1.0, 12.0, turned) },
-        Placed { level: 3, colors_in_world: true, ..at(0, 0.2, 0.1, 4.0, turned.inverse()) },
-        Placed { cameras: 0, ..at(0, 0.0, 0.0, 7.0, turned) },
+        AgentInstance { level: 1, ..at(0, 20.0, -9.0, 3000.0, turned) },
+        AgentInstance { colors_in_world: true, cameras: 0b0101, ..at(1, 1.0, -1.0, 12.0, turned) },
+        AgentInstance { level: 3, colors_in_world: true, ..at(0, 0.2, 0.1, 4.0, turned.inverse()) },
+        AgentInstance { cameras: 0, ..at(0, 0.0, 0.0, 7.0, turned) },
         at(1, 40.0, 0.0, 6.0, turned * turned),
-        Placed { level: 2, ..at(0, 0.0, 0.0, 9.0, turned) },
+        AgentInstance { level: 2, ..at(0, 0.0, 0.0, 9.0, turned) },
     ];
     AgentScene::new(&clouds, &placed, cameras)
 }

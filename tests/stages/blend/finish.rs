@@ -1,6 +1,6 @@
 //! The second pass of `blend.comp`, which ends pixels in segments from what lies before these.
 
-use decouplegs::render::layout::MACRO_PIXELS;
+use decouplegs::render::layout::COARSE_PIXELS;
 use decouplegs::render::twins::output::Pixel;
 use decouplegs::scene::Rules;
 use glam::Vec3;
@@ -23,7 +23,7 @@ fn before(case: &Case) -> Blended {
             best_instance: random.below(3),
         }
     };
-    (0..case.slots()).map(|_| (0..MACRO_PIXELS).map(|_| pixel()).collect()).collect()
+    (0..case.slots()).map(|_| (0..COARSE_PIXELS).map(|_| pixel()).collect()).collect()
 }
 
 #[test]

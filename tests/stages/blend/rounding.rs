@@ -1,7 +1,7 @@
 //! Rounding error of a blended pixel: a running error analysis (Higham, Accuracy and Stability of
 //! Numerical Algorithms, 2002, section 3.3) of the same sums in f64.
 
-use decouplegs::render::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
+use decouplegs::render::layout::{COARSE_HEIGHT_PX, COARSE_WIDTH_PX};
 use decouplegs::render::twins::footprint::center_of;
 use decouplegs::render::twins::output::Pixel;
 use decouplegs::render::twins::record::load_footprint;
@@ -115,9 +115,9 @@ fn log2_alpha(projected: &ProjectedTwin, record: usize, at: [u32; 2]) -> (f64, f
     let (shear, peak) = (slope * d.y, f64::from(splat.log2_opacity));
     let (u, v) = ((d.x - shear) * rate_x, d.y * rate_y);
     let value = peak - v * v - u * u;
-    // A kernel may sum pixel and mean relative to the macro tile, each times its rate, instead of subtracting them first: terms
+    // A kernel may sum pixel and mean relative to the coarse tile, each times its rate, instead of subtracting them first: terms
     // of the tile's size cancel.
-    let (width, height) = (f64::from(MACRO_WIDTH_PX), f64::from(MACRO_HEIGHT_PX));
+    let (width, height) = (f64::from(COARSE_WIDTH_PX), f64::from(COARSE_HEIGHT_PX));
     let u_terms = d.x.abs() + shear.abs() + 2.0 * (width + slope.abs() * height);
     let u_error = 4.0 * ROUNDOFF * rate_x * u_terms + 2.0 * ROUNDOFF * u.abs();
     let v_error = 4.0 * ROUNDOFF * rate_y * (d.y.abs() + 2.0 * height);

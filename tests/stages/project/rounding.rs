@@ -69,11 +69,7 @@ impl Projection<'_> {
         let (m1, e1) = axis(row_y, slope.y, xy_error.y, focal.y);
         let shape = Shape { m0: m0.length(), m1: m1.length(), area: m0.cross(m1).length(), xy: m0.dot(m1), e0, e1 };
         let [slope, rate_x, rate_y, log2_opacity] = shape.errors(self.opacity, rules.antialias);
-        RecordBounds {
-            footprint: [mean_error.x, mean_error.y, slope, rate_x, rate_y, log2_opacity],
-            depth_m,
-            color: self.color,
-        }
+        RecordBounds { footprint: [mean_error.x, mean_error.y, slope, rate_x, rate_y, log2_opacity], depth_m, color: self.color }
     }
 
     /// Bounds of the footprint of a lens's seven points: the rounding error of each point times the

@@ -52,12 +52,12 @@ static int write_ppm(const char *path, const DgsImage *image) {
 }
 
 /* Worlds are called 0 and 1, cameras as in the scene file. */
-static void write_images(const DgsScene *scene, const DgsViewer *viewer, size_t view, size_t camera_count, const char *out) {
+static void write_images(const DgsScene *scene, const DgsBatchRenderer *renderer, size_t view, size_t camera_count, const char *out) {
     for (size_t camera = 0; camera < camera_count; camera++) {
         DgsImage image;
         char name[64], path[1024];
         CHECK(dgs_scene_camera_name(scene, camera, name, sizeof name, NULL));
-        CHECK(dgs_viewer_image(viewer, view, camera, DGS_IMAGE_KIND_RGBA_U8, &image));
+        CHECK(dgs_batch_renderer_image(renderer, view, camera, DGS_IMAGE_KIND_RGBA_U8, &image));
         if (snprintf(path, sizeof path, "%s/%zu_%s.ppm", out, view, name) >= (int)sizeof path || write_ppm(path, &image)) {
             fprintf(stderr, "%s cannot be written\n", path);
             exit(1);
@@ -91,7 +91,7 @@ int main(int count, char **arguments) {
     DgsSession *session = NULL;
     DgsScene *scene = NULL;
     DgsWorld *worlds[2] = {NULL, NULL};
-    DgsViewer *viewer = NULL;
+    DgsBatchRenderer *renderer = NULL;
     DgsDevice device = {0};
     DgsStatistics statistics = {0};
     DgsView views[2];
@@ -128,7 +128,7 @@ int main(int count, char **arguments) {
     cameras = room_for(camera_count, sizeof *cameras);
     CHECK(dgs_world_new(scene, &worlds[0]));
     CHECK(dgs_world_clone(worlds[0], &worlds[1]));
-    CHECK(dgs_viewer_new(session, &viewer));
+    CHECK(dgs_batch_renderer_new(session, &renderer));
     for (size_t world = 0; world < 2; world++) {
         views[world].world = worlds[world];
         views[world].cameras = cameras;
@@ -143,17 +143,17 @@ int main(int count, char **arguments) {
         CHECK(dgs_world_set_time(worlds[0], time_s));
         CHECK(dgs_world_set_time(worlds[1], time_s));
         block_the_way(worlds[1], scene, time_s);
-        CHECK(dgs_viewer_draw(viewer, views, 2));
-        CHECK(dgs_viewer_statistics(viewer, &statistics));
+        CHECK(dgs_batch_renderer_draw(renderer, views, 2));
+        CHECK(dgs_batch_renderer_statistics(renderer, &statistics));
         printf("%.1f s: %.2f ms on the device, %.2f ms in all, %llu splats, %u agents, drawn again %u times, %llu bytes\n", time_s,
                statistics.gpu_ms, statistics.wall_ms, (unsigned long long)statistics.splats_listed, (unsigned)statistics.agents,
                (unsigned)statistics.redrawn, (unsigned long long)statistics.memory_bytes);
     }
-    write_images(scene, viewer, 0, camera_count, arguments[2]);
-    write_images(scene, viewer, 1, camera_count, arguments[2]);
+    write_images(scene, renderer, 0, camera_count, arguments[2]);
+    write_images(scene, renderer, 1, camera_count, arguments[2]);
 
     free(cameras);
-    CHECK(dgs_viewer_close(viewer));
+    CHECK(dgs_batch_renderer_close(renderer));
     CHECK(dgs_world_close(worlds[1]));
     CHECK(dgs_world_close(worlds[0]));
     CHECK(dgs_scene_close(scene));

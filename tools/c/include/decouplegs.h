@@ -2,7 +2,7 @@
  * DecoupleGS: 3D Gaussian Splatting for driving simulation, rendered by Vulkan compute.
  *
  * A session owns a device and the scenes that were opened on it. A scene is a background and the assets that agents show; it is on
- * the device once, however many use it. A world is a set of agents over a scene, and costs a few hundred bytes. A viewer draws any
+ * the device once, however many use it. A world is a set of agents over a scene, and costs a few hundred bytes. A batch renderer draws any
  * number of worlds for any cameras in one call, and keeps the images until its next.
  *
  * Statuses. What can fail returns a DgsStatus. dgs_last_error() says in a sentence what was expected, what was found and what to
@@ -14,11 +14,11 @@
  * handles of that call can only be closed (DGS_STATUS_POISONED).
  *
  * Threads. Every function may be called from any thread. Sessions and scenes are used by many threads at once. A world may be read
- * and drawn by many at once; a viewer is used by one at a time, as is a world that is changed: whoever comes second does not wait
+ * and drawn by many at once; a batch renderer is used by one at a time, as is a world that is changed: whoever comes second does not wait
  * but gets DGS_STATUS_BUSY.
  *
  * Memory. Pointers are NULL only where it says so, and aligned; arrays are as long as the count says. Nothing is kept that a
- * caller's pointer points at. Only the images of dgs_viewer_image() belong to the library. When the host's memory is used up
+ * caller's pointer points at. Only the images of dgs_batch_renderer_image() belong to the library. When the host's memory is used up
  * the process ends.
  *
  * Text is UTF-8 and ends with a NUL. Text that is returned goes into the caller's buffer, and its length without the NUL into
@@ -45,7 +45,7 @@
 #define DGS_ABI_VERSION 1
 
 /**
- * How a call ended. dgs_last_error() has the sentence.
+ * Status of a call. dgs_last_error() has the sentence.
  */
 typedef enum {
     /**
@@ -73,7 +73,7 @@ typedef enum {
      */
     DGS_STATUS_LIMIT = 5,
     /**
-     * Another thread is using the viewer or changing the world.
+     * Another thread is using the batch renderer or changing the world.
      */
     DGS_STATUS_BUSY = 6,
     /**
@@ -107,7 +107,7 @@ typedef enum {
 } DgsStatus;
 
 /**
- * How colors are stored.
+ * Storage format of color.
  */
 typedef enum {
     /**
@@ -121,7 +121,7 @@ typedef enum {
 } DgsColor;
 
 /**
- * What is in an image.
+ * Content of an image.
  */
 typedef enum {
     /**
@@ -143,7 +143,7 @@ typedef enum {
 } DgsImageKind;
 
 /**
- * What hardware a device is.
+ * Kind of a device.
  */
 typedef enum {
     /**
@@ -169,6 +169,11 @@ typedef enum {
 } DgsDeviceKind;
 
 /**
+ * Draws worlds and keeps the images.
+ */
+typedef struct DgsBatchRenderer DgsBatchRenderer;
+
+/**
  * A background, assets, a rig of cameras and a way of the ego vehicle.
  */
 typedef struct DgsScene DgsScene;
@@ -177,11 +182,6 @@ typedef struct DgsScene DgsScene;
  * A device and the scenes on it.
  */
 typedef struct DgsSession DgsSession;
-
-/**
- * Draws worlds and keeps the images.
- */
-typedef struct DgsViewer DgsViewer;
 
 /**
  * A set of agents over a scene.
@@ -209,7 +209,7 @@ typedef struct {
      */
     uint8_t uuid[16];
     /**
-     * Its name; ends with a NUL.
+     * Name; ends with a NUL.
      */
     char name[256];
     /**
@@ -219,7 +219,8 @@ typedef struct {
 } DgsDevice;
 
 /**
- * How a session is opened. All zero but the size is what most want: the best device and images in bytes.
+ * Options of a session. All zero but the size is what most want: the best device and images in
+ * bytes.
  */
 typedef struct {
     /**
@@ -227,7 +228,7 @@ typedef struct {
      */
     uint32_t struct_bytes;
     /**
-     * How colors are stored: a DgsColor.
+     * Storage format of color: a DgsColor.
      */
     uint32_t color;
     /**
@@ -239,13 +240,14 @@ typedef struct {
      */
     uint32_t instance;
     /**
-     * Which device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or NULL or "auto" for the best.
+     * Device: a number as in dgs_device(), a part of a name, a UUID as 32 hexadecimal digits, or
+     * NULL or "auto" for the best.
      */
     const char *device;
 } DgsSessionOptions;
 
 /**
- * Where something stands: parent = rotation * child + position.
+ * Pose: parent = rotation * child + position.
  */
 typedef struct {
     /**
@@ -287,7 +289,7 @@ typedef struct {
      */
     double cy_px;
     /**
-     * Where the camera stands: world from camera.
+     * Pose of the camera: world from camera.
      */
     DgsPose world_from_camera;
 } DgsCamera;
@@ -297,7 +299,7 @@ typedef struct {
  */
 typedef struct {
     /**
-     * Where its origin stands: world from agent.
+     * Pose of its origin: world from agent.
      */
     DgsPose pose;
     /**
@@ -305,7 +307,7 @@ typedef struct {
      */
     uint32_t asset;
     /**
-     * Its number in images of instances, above 0.
+     * Id in instance images, above 0.
      */
     uint32_t instance;
 } DgsAgent;
@@ -315,15 +317,15 @@ typedef struct {
  */
 typedef struct {
     /**
-     * What is seen. The same world may be in many views.
+     * World to render. The same world may be in many views.
      */
     const DgsWorld *world;
     /**
-     * Who sees it.
+     * Cameras of the view.
      */
     const DgsCamera *cameras;
     /**
-     * How many; at least one.
+     * Number of cameras; at least one.
      */
     size_t camera_count;
 } DgsView;
@@ -333,7 +335,7 @@ typedef struct {
  */
 typedef struct {
     /**
-     * The upper left pixel. Valid until the viewer draws or is closed.
+     * The upper left pixel. Valid until the batch renderer draws or is closed.
      */
     const void *data;
     /**
@@ -359,7 +361,7 @@ typedef struct {
 } DgsImage;
 
 /**
- * What a draw took.
+ * Statistics of a draw.
  */
 typedef struct {
     /**
@@ -375,7 +377,7 @@ typedef struct {
      */
     uint32_t agents;
     /**
-     * How often a frame was drawn again because a list outgrew its buffer, which has grown since.
+     * Number of repeated draws because a list outgrew its buffer, which has grown since.
      */
     uint32_t redrawn;
     /**
@@ -401,8 +403,8 @@ extern "C" {
 #endif // __cplusplus
 
 /**
- * What the last call of this thread that returned a DgsStatus had to say: a sentence, or empty text where it succeeded. Never NULL.
- * Valid until this thread's next such call.
+ * Message of the last call of this thread that returned a DgsStatus: a sentence, or empty text
+ * after success. Never NULL. Valid until this thread's next such call.
  */
 const char *dgs_last_error(void);
 
@@ -422,12 +424,12 @@ const char *dgs_version(void);
 const char *dgs_status_name(int32_t status);
 
 /**
- * How many devices Vulkan finds, able or not, into `count`. None is DGS_STATUS_DEVICE.
+ * Writes the number of Vulkan devices, usable or not, to `count`. None is DGS_STATUS_DEVICE.
  */
 DgsStatus dgs_device_count(size_t *count);
 
 /**
- * What device number `index` is, from 0, into `device`, whose `struct_bytes` is set.
+ * Describes device number `index`, from 0, in `device`, whose `struct_bytes` is set.
  */
 DgsStatus dgs_device(size_t index, DgsDevice *device);
 
@@ -439,17 +441,17 @@ DgsStatus dgs_session_open(const DgsSessionOptions *options,
                            DgsSession **session);
 
 /**
- * Closes a session. Scenes, worlds and viewers that were made of it go on; the device is let go with the last of them.
+ * Closes a session. Scenes, worlds and batch renderers that were made of it go on; the device is let go with the last of them.
  */
 DgsStatus dgs_session_close(DgsSession *session);
 
 /**
- * Which device a session is on, into `device`, whose `struct_bytes` is set.
+ * Describes the device of a session in `device`, whose `struct_bytes` is set.
  */
 DgsStatus dgs_session_device(const DgsSession *session, DgsDevice *device);
 
 /**
- * Bytes that a session's scenes and viewers hold on the device.
+ * Bytes that a session's scenes and batch renderers hold on the device.
  */
 DgsStatus dgs_session_memory(const DgsSession *session, uint64_t *bytes);
 
@@ -467,12 +469,12 @@ DgsStatus dgs_scene_open(const DgsSession *session,
 DgsStatus dgs_scene_close(DgsScene *scene);
 
 /**
- * How many splats the background has.
+ * Number of splats of the background.
  */
 DgsStatus dgs_scene_splat_count(const DgsScene *scene, size_t *count);
 
 /**
- * How many cameras the rig has: 0 for a file of splats.
+ * Number of cameras of the rig: 0 for a file of splats.
  */
 DgsStatus dgs_scene_camera_count(const DgsScene *scene, size_t *count);
 
@@ -496,21 +498,19 @@ DgsStatus dgs_scene_camera_at(const DgsScene *scene, size_t index, double time_s
 DgsStatus dgs_scene_camera_on(const DgsScene *scene, size_t index, const DgsPose *ego, DgsCamera *camera);
 
 /**
- * When the way of the ego vehicle begins and ends, seconds. `start_s` and `end_s` are the same where it stands.
+ * Start and end of the ego vehicle's trajectory, seconds. `start_s` and `end_s` are the same where
+ * it stands.
  */
-DgsStatus dgs_scene_ego_span(const DgsScene *scene,
-                             double *start_s,
-                             double *end_s);
+DgsStatus dgs_scene_ego_span(const DgsScene *scene, double *start_s, double *end_s);
 
 /**
- * Where the scene file has the ego vehicle at `time_s`: world from ego. Before its way begins and after it ends, it stands.
+ * Pose of the ego vehicle at `time_s` from the scene file: world from ego. Before its way begins
+ * and after it ends, it stands.
  */
-DgsStatus dgs_scene_ego_at(const DgsScene *scene,
-                           double time_s,
-                           DgsPose *pose);
+DgsStatus dgs_scene_ego_at(const DgsScene *scene, double time_s, DgsPose *pose);
 
 /**
- * How many agents the scene file has that can be moved: those that a world begins with.
+ * Number of movable agents in the scene file: those that a new world has.
  */
 DgsStatus dgs_scene_agent_count(const DgsScene *scene, size_t *count);
 
@@ -529,7 +529,7 @@ DgsStatus dgs_scene_agent_name(const DgsScene *scene,
 DgsStatus dgs_scene_agent_at(const DgsScene *scene, size_t index, double time_s, DgsAgent *agent);
 
 /**
- * How many assets agents may show.
+ * Number of assets that agents may use.
  */
 DgsStatus dgs_scene_asset_count(const DgsScene *scene, size_t *count);
 
@@ -594,7 +594,7 @@ DgsStatus dgs_world_place(DgsWorld *world,
 DgsStatus dgs_world_remove(DgsWorld *world, const char *name);
 
 /**
- * How many agents a world has.
+ * Number of agents of a world.
  */
 DgsStatus dgs_world_agent_count(const DgsWorld *world, size_t *count);
 
@@ -613,39 +613,39 @@ DgsStatus dgs_world_agent_name(const DgsWorld *world,
 DgsStatus dgs_world_agent(const DgsWorld *world, size_t index, DgsAgent *agent);
 
 /**
- * A viewer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
+ * A batch renderer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
  * memory from draw to draw.
  */
-DgsStatus dgs_viewer_new(const DgsSession *session,
-                         DgsViewer **viewer);
+DgsStatus dgs_batch_renderer_new(const DgsSession *session,
+                                 DgsBatchRenderer **renderer);
 
 /**
- * Closes a viewer. Its images go with it.
+ * Closes a batch renderer. Its images go with it.
  */
-DgsStatus dgs_viewer_close(DgsViewer *viewer);
+DgsStatus dgs_batch_renderer_close(DgsBatchRenderer *renderer);
 
 /**
  * Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow one another are drawn together, 32
- * cameras at a time. Where it fails, the viewer has no images and is as good as before.
+ * cameras at a time. Where it fails, the batch renderer has no images and is as good as before.
  */
-DgsStatus dgs_viewer_draw(DgsViewer *viewer,
-                          const DgsView *views,
-                          size_t count);
+DgsStatus dgs_batch_renderer_draw(DgsBatchRenderer *renderer,
+                                  const DgsView *views,
+                                  size_t count);
 
 /**
  * The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsImageKind. The pixels stay
- * until the viewer draws or is closed.
+ * until the batch renderer draws or is closed.
  */
-DgsStatus dgs_viewer_image(const DgsViewer *viewer,
-                             size_t view,
-                             size_t camera,
-                             uint32_t kind,
-                             DgsImage *image);
+DgsStatus dgs_batch_renderer_image(const DgsBatchRenderer *renderer,
+                                   size_t view,
+                                   size_t camera,
+                                   uint32_t kind,
+                                   DgsImage *image);
 
 /**
- * What the last draw that succeeded took, into `statistics`, whose `struct_bytes` is set.
+ * Writes the statistics of the last successful draw to `statistics`, whose `struct_bytes` is set.
  */
-DgsStatus dgs_viewer_statistics(const DgsViewer *viewer, DgsStatistics *statistics);
+DgsStatus dgs_batch_renderer_statistics(const DgsBatchRenderer *renderer, DgsStatistics *statistics);
 
 #ifdef __cplusplus
 }  // extern "C"

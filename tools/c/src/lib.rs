@@ -14,11 +14,11 @@
 //! of cameras, so poses, cameras, views and images are frozen under the version; options, devices and statistics are what grows.
 
 mod arguments;
+mod batch_renderer;
 mod boundary;
 mod handles;
 mod scene;
 mod session;
 mod status;
 mod types;
-mod viewer;
 mod world;

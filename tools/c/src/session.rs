@@ -89,7 +89,7 @@ fn flag(what: &str, number: u32) -> Result<bool, Failure> {
     }
 }
 
-/// Closes a session. Scenes, worlds and viewers that were made of it go on; the device is let go with the last of them.
+/// Closes a session. Scenes, worlds and batch renderers that were made of it go on; the device is let go with the last of them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_session_close(session: *mut DgsSession) -> DgsStatus {
     guarded(|_| SESSIONS.close(session))
@@ -105,7 +105,7 @@ pub unsafe extern "C" fn dgs_session_device(session: *const DgsSession, device: 
     })
 }
 
-/// Bytes that a session's scenes and viewers hold on the device.
+/// Bytes that a session's scenes and batch renderers hold on the device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_session_memory(session: *const DgsSession, bytes: *mut u64) -> DgsStatus {
     guarded(|call| {

@@ -20,7 +20,7 @@ pub enum DgsStatus {
     TooSmall = 4,
     /// There are as many as there may be.
     Limit = 5,
-    /// Another thread is using the viewer or changing the world.
+    /// Another thread is using the batch renderer or changing the world.
     Busy = 6,
     /// A file is missing, cannot be read, or is not what its format promises.
     File = 7,

@@ -140,7 +140,7 @@ pub enum DgsImageKind {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct DgsImage {
-    /// The upper left pixel. Valid until the viewer draws or is closed.
+    /// The upper left pixel. Valid until the batch renderer draws or is closed.
     pub data: *const c_void,
     /// From one row to the next.
     pub row_bytes: usize,

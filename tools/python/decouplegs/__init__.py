@@ -3,15 +3,15 @@
 >>> import decouplegs
 >>> session = decouplegs.Session()
 >>> scene = session.open_scene("street/scene.toml")
->>> world, viewer = decouplegs.World(scene), session.viewer()
+>>> world, renderer = decouplegs.World(scene), session.batch_renderer()
 >>> world.set_time(1.0)
->>> images = viewer.draw([(world, scene.cameras(1.0))])[0]  # uint8 [C, H, W, 4]
+>>> images = renderer.draw([(world, scene.cameras(1.0))])[0]  # uint8 [C, H, W, 4]
 
 Units are meters, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up. Camera: OpenCV (x right, y down,
 z forward). Poses are float64 [4, 4] matrices that take points of the second frame of their name into the first
 (``world_from_camera``); a rotation that is not orthonormal within 1e-6 is a ValueError.
 
-Sessions, scenes, worlds and viewers may be used from several threads; the interpreter's lock is released while something is drawn or
+Sessions, scenes, worlds and renderers may be used from several threads; the interpreter's lock is released while something is drawn or
 loaded. ``decouplegs.gym`` has Gymnasium environments over the closed loop.
 """
 
@@ -31,7 +31,7 @@ from ._native import (
     Statistics,
     Tensor,
     TooManyHeldError,
-    Viewer,
+    BatchRenderer,
     World,
     __version__,
     devices,
@@ -53,7 +53,7 @@ __all__ = [
     "Statistics",
     "Tensor",
     "TooManyHeldError",
-    "Viewer",
+    "BatchRenderer",
     "World",
     "__version__",
     "devices",

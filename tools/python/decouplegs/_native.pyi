@@ -1,4 +1,4 @@
-"""The native part of the package: sessions, scenes, worlds, viewers, images and rollouts."""
+"""The native part of the package: sessions, scenes, worlds, renderers, images and rollouts."""
 
 import os
 from collections.abc import Sequence
@@ -117,7 +117,7 @@ class Session:
         """Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 
         color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
-        depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Images).
+        depth, instance: whether renderers draw these layers too (BatchRenderer.draw_layers, Images).
         exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
         rules: the rules of image formation for all scenes. None: each scene's own, as its file says.
         taken_max: frames that may be held on the device by tensors before TooManyHeldError.
@@ -128,7 +128,7 @@ class Session:
         """The device."""
     @property
     def exported(self) -> bool:
-        """Whether Viewer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy."""
+        """Whether BatchRenderer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy."""
     @property
     def not_exported_because(self) -> str | None:
         """Why not, where it does not."""
@@ -140,7 +140,7 @@ class Session:
         """Frames that tensors may hold at a time."""
     def open_scene(self, path: str | os.PathLike[str]) -> Scene:
         """The scene of a scene file (.toml) or splat file, loaded unless somebody holds it already."""
-    def viewer(self) -> Viewer:
+    def batch_renderer(self) -> BatchRenderer:
         """Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws."""
     def memory(self) -> dict[str, int]:
         """Bytes on the device by purpose."""
@@ -263,7 +263,7 @@ class Layers(TypedDict, total=False):
 
 Views = Sequence[tuple[World, Sequence[Camera]]]
 
-class Viewer:
+class BatchRenderer:
     """Draws worlds of one session. One call at a time; calls of other threads wait."""
 
     def draw(self, views: Views) -> list[NDArray[Any]]:

@@ -110,7 +110,7 @@ class _Course:
         if unknown or not names:
             raise ValueError(f"cameras: expected some of {', '.join(rig)}, found {', '.join(unknown) or 'none'}")
         self.rig = {name: rig[name] for name in names}
-        self.viewer = self.session.viewer()
+        self.renderer = self.session.batch_renderer()
         self.plan_times = None
         if action == "controls":
             low, high = [-STEER_MAX_RAD, -BRAKING_MAX_MPS2], [STEER_MAX_RAD, ACCELERATION_MAX_MPS2]
@@ -261,7 +261,7 @@ class DriveEnv(gymnasium.Env):
         self._last: np.ndarray | None = None
 
     def _observation(self) -> dict[str, Any]:
-        images = self.course.viewer.draw([self.drive.view()])[0]
+        images = self.course.renderer.draw([self.drive.view()])[0]
         self._last = images[0, ..., :3]
         return self.drive.observe(images)
 
@@ -343,7 +343,7 @@ class DriveVectorEnv(VectorEnv):
         self._over = np.zeros(num_envs, bool)
 
     def _observation(self) -> dict[str, Any]:
-        drawn = self.course.viewer.draw([drive.view() for drive in self.drives])
+        drawn = self.course.renderer.draw([drive.view() for drive in self.drives])
         each = [drive.observe(images) for drive, images in zip(self.drives, drawn)]
         observation: dict[str, Any] = {key: np.stack([one[key] for one in each]) for key in ("ego", "guidance", "route")}
         observation["cameras"] = {name: np.stack([one["cameras"][name] for one in each]) for name in self.course.rig}

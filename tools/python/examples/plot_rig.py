@@ -71,8 +71,8 @@ def main() -> None:
     options = arguments()
     session = decouplegs.Session(options.device, depth=True, exported=False)
     world, cameras = shown(options, session)
-    viewer = session.viewer()
-    layers = viewer.draw_layers([(world, cameras)])[0]
+    renderer = session.batch_renderer()
+    layers = renderer.draw_layers([(world, cameras)])[0]
     columns = len(cameras)
     figure = plt.figure(figsize=(3.4 * columns, 8), layout="constrained")
     grid = figure.add_gridspec(3, columns)
@@ -85,7 +85,7 @@ def main() -> None:
             axes.set(xticks=[], yticks=[], title=camera.name if row == 0 else None)
     figure.colorbar(image, ax=axes, label="depth, m")
     plot_from_above(figure.add_subplot(grid[2, :]), world, cameras)
-    took = viewer.statistics[0]
+    took = renderer.statistics[0]
     figure.suptitle(f"{session.device.name}: {took.gpu_ms:.2f} ms for {took.cameras} cameras, {took.agents} agents in view")
     figure.savefig(options.out, dpi=110)
     print(f"{options.out}: {columns} cameras")

@@ -43,7 +43,7 @@ class Actor:
         view = [env.drive.view()]
         since = time.perf_counter()
         while time.perf_counter() - since < seconds:
-            env.course.viewer.draw(view)
+            env.course.renderer.draw(view)
             images += 1
         return images, time.perf_counter() - since
 

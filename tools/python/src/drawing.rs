@@ -1,8 +1,8 @@
 //! Drawing to the host: images of a call, gathered as arrays want them.
 
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Image};
+use decouplegs::render::{ColorFormat, FrameStatistics, Image, Outputs};
 use decouplegs::scene::Camera;
-use decouplegs::session::{HostImages, SessionError, Viewer, World, WorldView};
+use decouplegs::session::{BatchRenderer, HostImages, SessionError, World, WorldView};
 
 use crate::array::Values;
 
@@ -39,21 +39,21 @@ pub struct Layers {
 
 /// Draws `views` and returns, for each of `groups`, its images.
 pub fn draw(
-    viewer: &mut Viewer,
+    renderer: &mut BatchRenderer,
     views: &Views,
     groups: &[Vec<(usize, usize)>],
     bytes: &mut HostImages,
 ) -> Result<(Vec<Layers>, Vec<FrameStatistics>), SessionError> {
-    let outputs = viewer.options().outputs;
+    let outputs = renderer.options().outputs;
     if outputs.color == ColorFormat::U8 && !outputs.depth && !outputs.instance {
-        let statistics = viewer.draw(&views.borrowed(), bytes)?;
+        let statistics = renderer.draw(&views.borrowed(), bytes)?;
         let gather = |group: &Vec<(usize, usize)>| {
             let images: Vec<&[u8]> = group.iter().map(|&(view, camera)| bytes.rgba(view, camera)).collect();
             Layers { color: Values::U8(images.concat()), depth: None, instance: None }
         };
         return Ok((groups.iter().map(gather).collect(), statistics));
     }
-    let (images, statistics) = viewer.draw_images(&views.borrowed())?;
+    let (images, statistics) = renderer.draw_images(&views.borrowed())?;
     let gather = |group: &Vec<(usize, usize)>| {
         let images: Vec<&Image> = group.iter().map(|&(view, camera)| &images[view][camera]).collect();
         gathered(&images, &outputs)

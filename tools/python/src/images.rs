@@ -250,7 +250,7 @@ impl Tensor {
         let device = self.device();
         if dl_device.is_some_and(|wanted| wanted != (device.kind, device.number)) {
             return Err(PyBufferError::new_err(
-                "the images are not on that device: take them where they are, or use Viewer.draw for arrays on the host",
+                "the images are not on that device: take them where they are, or use BatchRenderer.draw for arrays on the host",
             ));
         }
         if copy == Some(true) {

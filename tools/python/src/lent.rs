@@ -47,11 +47,8 @@ pub struct Addresses {
 /// Imports what of `loan` was asked for.
 pub fn addresses(lender: &CudaLender, loan: &CudaLoan) -> Result<Addresses, InteropError> {
     let buffers = loan.images().buffers();
-    let color = if buffers.images_u8.is_empty() {
-        address(lender, &buffers.images_f32)?
-    } else {
-        address(lender, &buffers.images_u8)?
-    };
+    let color =
+        if buffers.images_u8.is_empty() { address(lender, &buffers.images_f32)? } else { address(lender, &buffers.images_u8)? };
     Ok(Addresses { color, depth: address(lender, &buffers.depths_m)?, instance: address(lender, &buffers.instance_ids)? })
 }
 

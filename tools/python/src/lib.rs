@@ -1,23 +1,23 @@
-//! The Python package `decouplegs`: sessions, scenes, worlds and viewers of the engine, in NumPy and DLPack.
+//! The Python package `decouplegs`: sessions, scenes, worlds and batch renderers of the engine, in NumPy and DLPack.
 //!
 //! What Python sees is documented in `decouplegs/_native.pyi`. Each class holds the engine's own object of that name; work on the device
 //! is done without the interpreter's lock. `unsafe` is only in `capsule`, where DLPack's structs are handed to C.
 
 mod array;
+mod batch_renderer;
 mod camera;
 mod capsule;
 mod device;
 mod drawing;
 mod error;
-mod lent;
 mod images;
+mod lent;
 mod pose;
 mod rollout;
 mod scene;
 mod session;
 mod site;
 mod statistics;
-mod viewer;
 mod world;
 
 use pyo3::prelude::*;
@@ -26,6 +26,8 @@ use pyo3::prelude::*;
 #[pymodule]
 #[pyo3(name = "_native")]
 mod native {
+    #[pymodule_export]
+    use crate::batch_renderer::BatchRenderer;
     #[pymodule_export]
     use crate::camera::{Camera, RigCamera};
     #[pymodule_export]
@@ -44,8 +46,6 @@ mod native {
     use crate::site::Site;
     #[pymodule_export]
     use crate::statistics::Statistics;
-    #[pymodule_export]
-    use crate::viewer::Viewer;
     #[pymodule_export]
     use crate::world::{Agent, World};
 

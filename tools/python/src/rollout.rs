@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use decouplegs::asset::EpisodeLog;
 use decouplegs::drive::score::EpisodeScore;
-use decouplegs::episode::{Crew, Rollout as EngineRollout, Site as EngineSite};
+use decouplegs::episode::{EpisodeMetadata, Rollout as EngineRollout, Site as EngineSite};
 use decouplegs::scene::episode::{EpisodeEnd, PlannerRecord};
 use decouplegs::scene::{Plan, PlanPoint};
 use glam::DVec2;
@@ -95,7 +95,7 @@ impl Rollout {
         }
         let cameras = site.scene.rig().cameras.iter().map(|camera| camera.name.clone()).collect();
         let planner = PlannerRecord { name: name.to_owned(), cameras, privileged: false };
-        let rollout = EngineRollout::new(&scenario, &site.site, Crew { planner, drawn_by: None });
+        let rollout = EngineRollout::new(&scenario, &site.site, EpisodeMetadata { planner, drawn_by: None });
         let inner = Mutex::new(rollout.map_err(|error| of_episode(&error))?);
         Ok(Self { site: site.site.clone(), inner })
     }

@@ -12,17 +12,17 @@ use decouplegs_sharing::Cuda;
 use pyo3::prelude::*;
 use pyo3::types::PyAny;
 
+use crate::batch_renderer::BatchRenderer;
 use crate::device::Device;
 use crate::error::{DeviceError, of_gpu, of_interop, of_session, value_error};
 use crate::scene::Scene;
-use crate::viewer::Viewer;
 
 /// A device, and the scenes that were opened on it.
 ///
 /// Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 ///
 /// color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
-/// depth, instance: whether viewers draw these layers too (Viewer.draw_layers, Images).
+/// depth, instance: whether batch renderers draw these layers too (BatchRenderer.draw_layers, Images).
 /// exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
 /// rules: the rules of image formation for all scenes: ``default``, ``gsplat15``, ``gsplat16`` or ``inria``. None: each scene's own, as its file says.
 /// taken_max: frames that may be held on the device by tensors before TooManyHeldError.
@@ -119,7 +119,7 @@ impl Session {
         Device::of(self.inner.gpu().info())
     }
 
-    /// True if Viewer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy.
+    /// True if BatchRenderer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy.
     #[getter]
     fn exported(&self) -> bool {
         self.cuda.is_some()
@@ -153,8 +153,8 @@ impl Session {
     }
 
     /// Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws.
-    fn viewer(&self) -> PyResult<Viewer> {
-        Viewer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
+    fn batch_renderer(&self) -> PyResult<BatchRenderer> {
+        BatchRenderer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
     }
 
     /// Bytes on the device by purpose.

@@ -47,13 +47,13 @@ class Bench:
             self.world = decouplegs.World(self.scene, empty=True)
             ego = self.rollout.show(self.world)
             self.cameras = lambda time_s=0.0, size=None: self.scene.cameras_at(forward(ego, 3.0 * time_s), size)
-        self.viewer = self.session.viewer()
+        self.renderer = self.session.batch_renderer()
 
     def views(self, time_s: float = 0.0, size=(1600, 900), count: int | None = None):
         return [(self.world, self.cameras(time_s, size)[:count])]
 
     def tensor(self, views) -> torch.Tensor:
-        return torch.from_dlpack(self.viewer.draw_dlpack(views))
+        return torch.from_dlpack(self.renderer.draw_dlpack(views))
 
 
 def forward(pose: np.ndarray, meters: float) -> np.ndarray:
@@ -84,8 +84,8 @@ def same_bytes(options) -> dict:
     for session in ({}, {"color": "f32"}, {"depth": True, "instance": True}, {"color": "f32", "depth": True, "instance": True}):
         bench = Bench(options, **session)
         views = bench.views(0.5)
-        layers = bench.viewer.draw_layers(views)[0]
-        images = bench.viewer.draw_dlpack(views)
+        layers = bench.renderer.draw_layers(views)[0]
+        images = bench.renderer.draw_dlpack(views)
         for layer, expected in layers.items():
             seen = torch.from_dlpack(images.view(0, layer)).cpu().numpy()
             name = f"{session} {layer}"
@@ -136,7 +136,7 @@ def png_bytes(options) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([options.decouplegs, "render", options.scene, "--out", folder], check=True, capture_output=True)
         cameras = bench.scene.cameras(0.0)
-        tensor = torch.from_dlpack(bench.viewer.draw_dlpack([(bench.world, cameras)])).cpu().numpy()
+        tensor = torch.from_dlpack(bench.renderer.draw_dlpack([(bench.world, cameras)])).cpu().numpy()
         worst = 0
         for camera, seen in zip(cameras, tensor):
             written = read_png(Path(folder) / f"{camera.name}.png")
@@ -152,13 +152,13 @@ def hand_off(options) -> dict:
     for step in range(300):
         views = bench.views(0.01 * step)
         begin = time.perf_counter()
-        images = bench.viewer.draw_dlpack(views)
+        images = bench.renderer.draw_dlpack(views)
         drawn = time.perf_counter()
         tensor = torch.from_dlpack(images)
         end = time.perf_counter()
         del images, tensor
         if step >= 50:
-            wall_ms = sum(frame.wall_ms for frame in bench.viewer.statistics)
+            wall_ms = sum(frame.wall_ms for frame in bench.renderer.statistics)
             taking.append(1e6 * (end - drawn))
             beyond.append(1e6 * (end - begin) - 1e3 * wall_ms)
             frames.append(wall_ms)
@@ -169,14 +169,14 @@ def hand_off(options) -> dict:
         "from_dlpack_p99_us": round(float(np.percentile(taking, 99)), 1),
         "call_beyond_frame_us": round(median(beyond), 1),
         "frame_ms": round(median(frames), 3),
-        "imports": bench.viewer.imports,
+        "imports": bench.renderer.imports,
     }
 
 
 def device_memory(bench: Bench) -> dict:
     gc.collect()
     torch.cuda.synchronize()
-    bench.viewer.collect()
+    bench.renderer.collect()
     free, _ = torch.cuda.mem_get_info()
     rss = int(Path("/proc/self/statm").read_text().split()[1]) * 4096
     descriptors = len(list(Path("/proc/self/fd").iterdir()))
@@ -199,7 +199,7 @@ def no_leak(options) -> dict:
     grown["cuda_free"] = -grown["cuda_free"]
     smi = subprocess.run(["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader"], capture_output=True, text=True)
     ok = grown["cuda_free"] <= LEAK_BYTES and grown["session"] == 0 and grown["rss"] <= 4 * LEAK_BYTES and grown["descriptors"] <= 0
-    return {"ok": ok, "frames": options.frames, "grown": grown, "imports": bench.viewer.imports, "nvidia_smi": smi.stdout.split("\n")[0]}
+    return {"ok": ok, "frames": options.frames, "grown": grown, "imports": bench.batch renderer.imports, "nvidia_smi": smi.stdout.split("\n")[0]}
 
 
 @check
@@ -225,7 +225,7 @@ def no_copies(options) -> dict:
 def no_early_recycling(options) -> dict:
     """A slow reader on a stream of its own, which drops its tensor at once, still reads the right image."""
     bench = Bench(options)
-    expected = bench.viewer.draw(bench.views(0.0, (640, 360)))[0]
+    expected = bench.renderer.draw(bench.views(0.0, (640, 360)))[0]
     wrong, stream, waiting = 0, torch.cuda.Stream(), 0
     for _ in range(20):
         with torch.cuda.stream(stream):
@@ -234,8 +234,8 @@ def no_early_recycling(options) -> dict:
             read = tensor.clone()
             del tensor
         for other in range(1, 6):
-            bench.viewer.draw_dlpack(bench.views(float(other), (640, 360)))
-        waiting = max(waiting, bench.viewer.collect())
+            bench.renderer.draw_dlpack(bench.views(float(other), (640, 360)))
+        waiting = max(waiting, bench.renderer.collect())
         stream.synchronize()
         wrong += int((read.cpu().numpy() != expected).any())
     return {"ok": wrong == 0 and waiting > 0, "wrong": wrong, "frames_still_read_at_most": waiting}
@@ -267,20 +267,20 @@ def sizes_that_change(options) -> dict:
         size = (160 + 32 * (step % 5), 90)
         views = bench.views(0.0, size)
         tensor = bench.tensor(views)
-        same = bool((tensor.cpu().numpy() == bench.viewer.draw(views)[0]).all())
+        same = bool((tensor.cpu().numpy() == bench.renderer.draw(views)[0]).all())
         del tensor
         if not same:
             return {"ok": False, "size": size}
     torch.cuda.synchronize()
-    bench.viewer.collect()
-    return {"ok": bench.viewer.imports <= 6, "imports": bench.viewer.imports}
+    bench.renderer.collect()
+    return {"ok": bench.batch renderer.imports <= 6, "imports": bench.renderer.imports}
 
 
 @check
-def viewer_gone(options) -> dict:
-    """Tensors outlive viewer and session."""
+def renderer_gone(options) -> dict:
+    """Tensors outlive batch renderer and session."""
     bench = Bench(options)
-    expected = bench.viewer.draw(bench.views(0.0, (320, 180)))[0]
+    expected = bench.renderer.draw(bench.views(0.0, (320, 180)))[0]
     tensor = bench.tensor(bench.views(0.0, (320, 180)))
     del bench
     gc.collect()
@@ -296,13 +296,13 @@ def many_worlds(options) -> dict:
     views, seconds = [(world, camera) for world in worlds], []
     for _ in range(60):
         begin = time.perf_counter()
-        images = bench.viewer.draw_dlpack(views)
+        images = bench.renderer.draw_dlpack(views)
         tensors = [torch.from_dlpack(images.frame(index)) for index in range(images.frames)]
         seconds.append(time.perf_counter() - begin)
         count = sum(len(tensor) for tensor in tensors)
         del images, tensors
     rate = count / statistics.median(seconds[10:])
-    return {"ok": count == 64, "images_per_s": round(rate), "frames": len(bench.viewer.statistics)}
+    return {"ok": count == 64, "images_per_s": round(rate), "frames": len(bench.renderer.statistics)}
 
 
 def main() -> int:

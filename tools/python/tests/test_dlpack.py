@@ -13,9 +13,9 @@ CPU = (1, 0)
 
 @pytest.fixture(scope="module")
 def drawn(session, scene):
-    viewer, world = session.viewer(), decouplegs.World(scene)
+    renderer, world = session.batch_renderer(), decouplegs.World(scene)
     cameras = scene.cameras(0.0)
-    return viewer.draw([(world, cameras)])[0], viewer.draw_dlpack([(world, cameras)])
+    return renderer.draw([(world, cameras)])[0], renderer.draw_dlpack([(world, cameras)])
 
 
 def capsule_name(capsule) -> str:
@@ -36,7 +36,7 @@ def test_the_bytes_are_those_of_draw(drawn):
 
 
 def test_nothing_is_copied_and_memory_lives_as_long_as_somebody_reads(session, scene):
-    images = session.viewer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0))])
+    images = session.batch_renderer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0))])
     one, other = np.from_dlpack(images), np.from_dlpack(images.camera(0, 0))
     assert one.ctypes.data == other.ctypes.data
     before = other.copy()
@@ -55,7 +55,7 @@ def test_capsules_are_of_the_version_that_is_asked_for(drawn):
 
 
 def test_capsules_that_nobody_takes_are_freed(session, scene):
-    images = session.viewer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0, size=(512, 384)))])
+    images = session.batch_renderer().draw_dlpack([(decouplegs.World(scene), scene.cameras(0.0, size=(512, 384)))])
     for _ in range(10_000):
         images.__dlpack__(max_version=(1, 0))
         images.__dlpack__()
@@ -79,9 +79,9 @@ def test_what_cannot_be_had_is_a_buffer_error(drawn):
 def test_cameras_of_several_sizes_are_tensors_of_their_own(session, scene):
     world = decouplegs.World(scene)
     small, large = scene.cameras(0.0), scene.cameras(0.0, size=(96, 72))
-    viewer = session.viewer()
-    images = viewer.draw_dlpack([(world, small), (world, large)])
-    expected = viewer.draw([(world, small), (world, large)])
+    renderer = session.batch_renderer()
+    images = renderer.draw_dlpack([(world, small), (world, large)])
+    expected = renderer.draw([(world, small), (world, large)])
     with pytest.raises(BufferError, match="several sizes"):
         images.__dlpack__()
     for view in range(2):
@@ -91,8 +91,8 @@ def test_cameras_of_several_sizes_are_tensors_of_their_own(session, scene):
 def test_layers_come_as_tensors(session, scene_file):
     other = decouplegs.Session(session.device.uuid, color="f32", depth=True, instance=True, exported=False)
     scene = other.open_scene(scene_file)
-    viewer, views = other.viewer(), [(decouplegs.World(scene), scene.cameras(0.0))]
-    images, layers = viewer.draw_dlpack(views), viewer.draw_layers(views)[0]
+    renderer, views = other.batch_renderer(), [(decouplegs.World(scene), scene.cameras(0.0))]
+    images, layers = renderer.draw_dlpack(views), renderer.draw_layers(views)[0]
     for name in ("color", "depth", "instance"):
         tensor = np.from_dlpack(images.view(0, name))
         assert tensor.dtype == layers[name].dtype

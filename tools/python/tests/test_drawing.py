@@ -1,4 +1,4 @@
-"""Sessions, scenes, worlds and viewers."""
+"""Sessions, scenes, worlds and renderers."""
 
 import os
 import threading
@@ -37,16 +37,16 @@ def test_the_rig_is_that_of_the_file(scene):
 
 
 def test_images_show_what_there_is(session, scene):
-    viewer = session.viewer()
+    renderer = session.batch_renderer()
     world = decouplegs.World(scene, empty=True)
-    images = viewer.draw([(world, scene.cameras(0.0))])
+    images = renderer.draw([(world, scene.cameras(0.0))])
     assert len(images) == 1
     image = images[0]
     assert image.shape == (2, 48, 64, 4) and image.dtype == np.uint8 and image.flags.c_contiguous
     left, right = image[0, 20, 10].astype(int), image[0, 20, 54].astype(int)
     assert left[1] > left[0] + 80, "the wall is green on the left"
     assert right[0] > right[1] + 80, "and red on the right"
-    statistics = viewer.statistics
+    statistics = renderer.statistics
     assert len(statistics) == 1 and statistics[0].gpu_ms > 0 and statistics[0].stages_ms and statistics[0].cameras == 2
 
 
@@ -55,7 +55,7 @@ def test_floats_are_the_same_image_and_layers_come_along(session, scene_file, sc
     own = floats.open_scene(scene_file)
     world = decouplegs.World(own)
     cameras = own.cameras(0.0)
-    layers = floats.viewer().draw_layers([(world, cameras)])[0]
+    layers = floats.batch_renderer().draw_layers([(world, cameras)])[0]
     assert layers["color"].dtype == np.float32 and layers["color"].shape == (2, 48, 64, 4)
     assert layers["depth"].dtype == np.float32 and layers["depth"].shape == (2, 48, 64)
     assert layers["instance"].dtype == np.int32 and layers["instance"].shape == (2, 48, 64)
@@ -63,34 +63,34 @@ def test_floats_are_the_same_image_and_layers_come_along(session, scene_file, sc
     assert set(np.unique(layers["instance"])) <= seen | {0, 3} and 0 in layers["instance"]
     wall = layers["depth"][0][layers["instance"][0] == 0]
     assert abs(np.median(wall[wall > 0]) - 12.0) < 0.5
-    bytes_ = session.viewer().draw([(decouplegs.World(scene), cameras)])[0]
+    bytes_ = session.batch_renderer().draw([(decouplegs.World(scene), cameras)])[0]
     rounded = np.round(np.clip(layers["color"], 0, 1) * 255)
     assert np.abs(rounded - bytes_).max() <= 1
     both = decouplegs.Session(session.device.uuid, depth=True, exported=False)
-    again = both.viewer().draw_layers([(decouplegs.World(both.open_scene(scene_file)), cameras)])[0]
+    again = both.batch_renderer().draw_layers([(decouplegs.World(both.open_scene(scene_file)), cameras)])[0]
     np.testing.assert_array_equal(again["color"], bytes_)
     assert "instance" not in again
 
 
 def test_agents_move_and_worlds_share_a_scene(session, scene):
-    viewer = session.viewer()
+    renderer = session.batch_renderer()
     one, other = decouplegs.World(scene), decouplegs.World(scene)
     camera = scene.cameras(0.0)[:1]
     one.move_to("standing", pose(5.0, 0.0, 1.0, yaw=0.3))
     instance = other.place("another", 0, pose(5.0, 0.0, 1.2))
     assert len(other) == 3 and instance not in [agent.instance for agent in other.agents[:2]]
     empty = decouplegs.World(scene, empty=True)
-    together = viewer.draw([(one, camera), (other, camera), (empty, camera)])
-    assert len(viewer.statistics) == 1, "one submission"
-    alone = [viewer.draw([(world, camera)])[0] for world in (one, other, empty)]
+    together = renderer.draw([(one, camera), (other, camera), (empty, camera)])
+    assert len(renderer.statistics) == 1, "one submission"
+    alone = [renderer.draw([(world, camera)])[0] for world in (one, other, empty)]
     for a, b in zip(together, alone):
         np.testing.assert_array_equal(a, b)
     assert (together[0] != together[1]).any() and (together[0] != together[2]).any()
     copy = one.copy()
     one.remove("standing")
     assert (len(one), len(copy)) == (1, 2)
-    assert (viewer.draw([(one, camera)])[0] != together[0]).any()
-    np.testing.assert_array_equal(viewer.draw([(copy, camera)])[0], together[0])
+    assert (renderer.draw([(one, camera)])[0] != together[0]).any()
+    np.testing.assert_array_equal(renderer.draw([(copy, camera)])[0], together[0])
     copy.set_time(1.0)
     np.testing.assert_allclose({agent.name: agent.pose for agent in copy.agents}["moving"], pose(6.0, 2.0, 1.0), atol=1e-12)
 
@@ -105,24 +105,24 @@ def test_a_scene_is_loaded_once_and_goes_with_the_last_who_holds_it(session, sce
 
 def test_threads_draw_side_by_side(session, scene):
     world = decouplegs.World(scene)
-    expected = session.viewer().draw([(world, scene.cameras(0.5))])[0]
-    wrong, shared = [], session.viewer()
+    expected = session.batch_renderer().draw([(world, scene.cameras(0.5))])[0]
+    wrong, shared = [], session.batch_renderer()
 
-    def work(viewer):
+    def work(renderer):
         for _ in range(4):
-            if (viewer.draw([(world, scene.cameras(0.5))])[0] != expected).any():
+            if (renderer.draw([(world, scene.cameras(0.5))])[0] != expected).any():
                 wrong.append(threading.get_ident())
 
-    threads = [threading.Thread(target=work, args=(viewer,)) for viewer in (shared, shared, session.viewer())]
+    threads = [threading.Thread(target=work, args=(renderer,)) for renderer in (shared, shared, session.batch_renderer())]
     [thread.start() for thread in threads]
     [thread.join() for thread in threads]
     assert not wrong
 
 
 def test_the_lock_of_the_interpreter_is_released_while_something_is_drawn(session, scene):
-    world, viewer = decouplegs.World(scene), session.viewer()
+    world, renderer = decouplegs.World(scene), session.batch_renderer()
     large = scene.cameras(0.0, size=(1600, 1200))
-    viewer.draw([(world, large)])
+    renderer.draw([(world, large)])
     counted, done = [0], threading.Event()
 
     def count():
@@ -132,7 +132,7 @@ def test_the_lock_of_the_interpreter_is_released_while_something_is_drawn(sessio
     thread = threading.Thread(target=count)
     thread.start()
     before = counted[0]
-    viewer.draw([(world, large)])
+    renderer.draw([(world, large)])
     during = counted[0] - before
     done.set()
     thread.join()
@@ -141,13 +141,13 @@ def test_the_lock_of_the_interpreter_is_released_while_something_is_drawn(sessio
 
 
 def test_camera_sizes_of_a_view_are_equal_and_views_may_differ(session, scene):
-    world, viewer = decouplegs.World(scene), session.viewer()
+    world, renderer = decouplegs.World(scene), session.batch_renderer()
     small, large = scene.cameras(0.0)[:1], scene.cameras(0.0, size=(96, 72))[:1]
     with pytest.raises(ValueError, match="64x48 and 96x72"):
-        viewer.draw([(world, small + large)])
-    a, b = viewer.draw([(world, small), (world, large)])
+        renderer.draw([(world, small + large)])
+    a, b = renderer.draw([(world, small), (world, large)])
     assert a.shape == (1, 48, 64, 4) and b.shape == (1, 72, 96, 4)
-    assert len(viewer.statistics) == 1
+    assert len(renderer.statistics) == 1
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_poses_may_be_lists_and_floats_of_less(scene):
 
 
 def test_what_is_wrong_is_said(session, scene, tmp_path):
-    world, viewer = decouplegs.World(scene), session.viewer()
+    world, renderer = decouplegs.World(scene), session.batch_renderer()
     with pytest.raises(KeyError, match="standing, moving"):
         world.move_to("nobody", np.eye(4))
     with pytest.raises(ValueError, match="plain splats"):
@@ -185,9 +185,9 @@ def test_what_is_wrong_is_said(session, scene, tmp_path):
     with pytest.raises(IndexError, match="has no asset 9"):
         world.place("new", 9, np.eye(4))
     with pytest.raises(ValueError, match="at least one"):
-        viewer.draw([])
+        renderer.draw([])
     with pytest.raises(ValueError, match="at least one camera"):
-        viewer.draw([(world, [])])
+        renderer.draw([(world, [])])
     with pytest.raises(decouplegs.FileError, match="missing.toml"):
         session.open_scene(tmp_path / "missing.toml")
     (tmp_path / "wrong.toml").write_text("version = 7")
@@ -210,7 +210,7 @@ def test_a_scene_is_drawn_by_its_own_rules(session, scene_file, tmp_path):
         path = tmp_path / "scene.toml"
         path.write_text(text)
         own = session.open_scene(path)
-        return session.viewer().draw([(decouplegs.World(own), own.cameras(0.0))])[0]
+        return session.batch_renderer().draw([(decouplegs.World(own), own.cameras(0.0))])[0]
 
     for name in ["wall.splat", "cone.safetensors"]:
         (tmp_path / name).write_bytes((scene_file.parent / name).read_bytes())
@@ -226,13 +226,13 @@ def test_a_scene_is_drawn_by_its_own_rules(session, scene_file, tmp_path):
 
 
 def test_drawing_in_a_forked_child_is_an_error(session, scene):
-    viewer, world, cameras = session.viewer(), decouplegs.World(scene), scene.cameras(0.0)
-    viewer.draw([(world, cameras)])
+    renderer, world, cameras = session.batch_renderer(), decouplegs.World(scene), scene.cameras(0.0)
+    renderer.draw([(world, cameras)])
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
         try:
-            viewer.draw([(world, cameras)])
+            renderer.draw([(world, cameras)])
             said = "it drew"
         except decouplegs.DeviceError as error:
             said = str(error)

@@ -98,7 +98,7 @@ def test_time_truncates_and_the_log_is_written(place, tmp_path):
 def test_many_worlds_are_drawn_in_one_call_and_are_those_of_single_ones(place):
     many = DriveVectorEnv(3, **SMALL, **place)
     observations, _ = many.reset(seed=5)
-    assert len(many.course.viewer.statistics) == 1 and many.course.viewer.statistics[0].cameras == 6
+    assert len(many.course.renderer.statistics) == 1 and many.course.renderer.statistics[0].cameras == 6
     assert many.observation_space.contains(observations)
     action = np.array([[0.0, 1.0]] * 3, np.float32)
     stepped, rewards, *_ = many.step(action)

@@ -60,7 +60,7 @@ async fn every_call_is_answered_under_every_name() {
         assert_eq!(png(&drawn.image_bytes).0, [160, 100]);
         let asked = AggregatedRenderRequest { rgb_requests: vec![image.clone(), image.clone()], ..Default::default() };
         let both: AggregatedRenderReturn = call(&channel, service, "render_aggregated", asked).await.unwrap();
-        assert_eq!(both.rgb_returns, [drawn.clone(), drawn.clone()], "the same sight is the same image");
+        assert_eq!(both.rgb_returns, [drawn.clone(), drawn.clone()], "the same request is the same image");
         let asked = batch([("a".to_owned(), image.clone()), ("b".to_owned(), image)]);
         let named: BatchRgbRenderReturn = call(&channel, service, "batch_render_rgb", asked).await.unwrap();
         for (item, name) in named.items.iter().zip(["a", "b"]) {

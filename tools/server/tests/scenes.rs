@@ -44,13 +44,8 @@ pub fn street(folder: &Path) -> PathBuf {
 }
 
 fn coded(cloud: &SplatCloud) -> CodedAsset {
-    let options = CompressOptions {
-        prune: Prune::KeepRatio(1.0),
-        iterations_max: 4,
-        colors: 64,
-        shapes: 64,
-        ..CompressOptions::default()
-    };
+    let options =
+        CompressOptions { prune: Prune::KeepRatio(1.0), iterations_max: 4, colors: 64, shapes: 64, ..CompressOptions::default() };
     let cloud = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| {}).unwrap().cloud;
     CodedAsset { cloud, provenance: Provenance::default() }
 }

@@ -187,8 +187,7 @@ fn code(
 fn residual_steps(finest: &SplatCloud, book: &Quantized, colors: &[[f32; 3]], weights: &[f32]) -> [f32; 3] {
     let coefficients = sh::coefficient_count(finest.sh_degree);
     let entries = book.assignment.iter().map(|&entry| &colors[usize::from(entry) * coefficients]);
-    let residuals: Vec<[f32; 3]> =
-        finest.sh_dc.iter().zip(entries).map(|(dc, entry)| color_space::residual(dc, entry)).collect();
+    let residuals: Vec<[f32; 3]> = finest.sh_dc.iter().zip(entries).map(|(dc, entry)| color_space::residual(dc, entry)).collect();
     color_space::residual_steps(&residuals, weights)
 }
 

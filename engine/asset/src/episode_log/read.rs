@@ -1,6 +1,6 @@
 //! From the bytes of a log to its episode.
 
-use decouplegs_scene::episode::Instant;
+use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};
 
 use super::chain::Chain;
@@ -60,7 +60,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-fn head(chain: &mut Chain, line: &[u8]) -> Result<(EpisodeHead, Instant, Sequence), String> {
+fn head(chain: &mut Chain, line: &[u8]) -> Result<(EpisodeHead, EpisodeTick, Sequence), String> {
     let payload = chain.open(line)?;
     let json_error = |error: serde_json::Error| format!("is no head of an episode log: {error}");
     let FormatForm { format, version } = serde_json::from_str(payload).map_err(json_error)?;

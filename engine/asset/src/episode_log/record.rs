@@ -1,6 +1,6 @@
 //! Records as JSON: what serde sees, and what of an [`Episode`](decouplegs_scene::Episode) it stands for.
 
-use decouplegs_scene::episode::{DrawnBy, ImageRecord, Instant, PlannerRecord};
+use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
 use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, VehicleSize, VehicleState};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
@@ -105,19 +105,19 @@ fn state([x, y, yaw_rad, speed_mps, acceleration_mps2]: StateForm) -> VehicleSta
     VehicleState { position_m: DVec2::new(x, y), yaw_rad, speed_mps, acceleration_mps2 }
 }
 
-fn instant_form(instant: &Instant) -> InstantForm {
-    let Instant { time_s, ego, steer_rad, on_road, agents } = instant;
+fn instant_form(instant: &EpisodeTick) -> InstantForm {
+    let EpisodeTick { time_s, ego, steer_rad, on_road, agents } = instant;
     (*time_s, state_form(ego), *steer_rad, *on_road, agents.iter().map(state_form).collect())
 }
 
-fn instant((time_s, ego, steer_rad, on_road, agents): InstantForm) -> Instant {
-    Instant { time_s, ego: state(ego), steer_rad, on_road, agents: agents.into_iter().map(state).collect() }
+fn instant((time_s, ego, steer_rad, on_road, agents): InstantForm) -> EpisodeTick {
+    EpisodeTick { time_s, ego: state(ego), steer_rad, on_road, agents: agents.into_iter().map(state).collect() }
 }
 
 impl HeadForm {
     /// # Errors
     /// A sentence, when no file can say its scenario.
-    pub(super) fn of(head: &EpisodeHead, start: &Instant) -> Result<Self, String> {
+    pub(super) fn of(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
         let EpisodeHead { version, scenario, planner, drawn_by, route_m, agent_sizes } = head;
         let PlannerRecord { name, cameras, privileged } = planner.clone();
         let drawn_by = drawn_by.clone().map(|DrawnBy { device, width_px, height_px, every }| DrawnByForm {
@@ -141,7 +141,7 @@ impl HeadForm {
 
     /// # Errors
     /// A sentence, when its scenario is none.
-    pub(super) fn into_head(self) -> Result<(EpisodeHead, Instant), String> {
+    pub(super) fn into_head(self) -> Result<(EpisodeHead, EpisodeTick), String> {
         let scenario = scenario_file::parse(&self.scenario).map_err(|error| format!("its scenario, {error}"))?;
         let PlannerForm { name, cameras, privileged } = self.planner;
         let drawn_by = self.drawn_by.map(|DrawnByForm { device, width_px, height_px, every }| DrawnBy {

@@ -1,7 +1,7 @@
 //! Order of records: steps count up, time increases, every moment has all agents, numbers are
 //! finite.
 
-use decouplegs_scene::episode::Instant;
+use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, VehicleState};
 
 /// Position in the sequence of records of a log. Writer and reader ask the same one, so that what
@@ -15,7 +15,7 @@ pub(super) struct Sequence {
 
 impl Sequence {
     /// After the first line.
-    pub(super) fn new(head: &EpisodeHead, start: &Instant) -> Result<Self, String> {
+    pub(super) fn new(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
         if head.route_m.len() < 2 {
             return Err(format!("a route of {} points; expected at least 2", head.route_m.len()));
         }
@@ -59,7 +59,7 @@ impl Sequence {
         }
     }
 
-    fn check_instant(&self, instant: &Instant) -> Result<(), String> {
+    fn check_instant(&self, instant: &EpisodeTick) -> Result<(), String> {
         if instant.agents.len() != self.agents {
             return Err(format!("has {} agents; expected {}", instant.agents.len(), self.agents));
         }

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use decouplegs_scene::episode::Instant;
+use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};
 
 use super::chain::Chain;
@@ -22,7 +22,7 @@ struct Encoder {
 }
 
 impl Encoder {
-    fn new(head: &EpisodeHead, start: &Instant) -> Result<(Self, String), EncodeError> {
+    fn new(head: &EpisodeHead, start: &EpisodeTick) -> Result<(Self, String), EncodeError> {
         let sequence = Sequence::new(head, start).map_err(EncodeError)?;
         let form = HeadForm::of(head, start).map_err(EncodeError)?;
         let mut chain = Chain::new();
@@ -70,7 +70,7 @@ impl EpisodeLog {
     ///
     /// # Errors
     /// [`AssetError::Encode`] when no log can hold it, [`AssetError::Write`] of the file that grows.
-    pub fn create(path: &Path, head: &EpisodeHead, start: &Instant) -> Result<Self, AssetError> {
+    pub fn create(path: &Path, head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, AssetError> {
         let encoded = Encoder::new(head, start);
         let (encoder, line) = encoded.map_err(|source| encode_error(path, source))?;
         let mut name: OsString = path.as_os_str().to_owned();

@@ -171,9 +171,8 @@ impl Document {
         let splats = || self.meshes.iter().flat_map(|mesh| &mesh.primitives).filter_map(Primitive::splats);
         let mut notes = Vec::new();
         if splats().any(|splats| splats.color_space == "lin_rec709_display") {
-            notes.push(
-                "colors are linear light (lin_rec709_display): they are kept as stored, and are drawn too dark".to_owned(),
-            );
+            notes
+                .push("colors are linear light (lin_rec709_display): they are kept as stored, and are drawn too dark".to_owned());
         }
         if splats().any(|splats| !matches!(splats.kernel.as_str(), "" | "ellipse")) {
             notes.push("kernels other than 'ellipse' are drawn as ellipses".to_owned());

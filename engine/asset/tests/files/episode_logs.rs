@@ -2,7 +2,7 @@
 
 use decouplegs_asset::episode_log::{decode, encode};
 use decouplegs_asset::{EpisodeLog, read_episode_log};
-use decouplegs_scene::episode::{DrawnBy, ImageRecord, Instant, PlannerRecord};
+use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, Scenario, VehicleSize, VehicleState};
 use glam::DVec2;
 use proptest::prelude::*;
@@ -23,9 +23,9 @@ fn states() -> impl Strategy<Value = VehicleState> {
     })
 }
 
-fn instants(agents: usize) -> impl Strategy<Value = Instant> {
+fn instants(agents: usize) -> impl Strategy<Value = EpisodeTick> {
     (states(), numbers(), any::<bool>(), prop::collection::vec(states(), agents))
-        .prop_map(|(ego, steer_rad, on_road, agents)| Instant { time_s: 0.0, ego, steer_rad, on_road, agents })
+        .prop_map(|(ego, steer_rad, on_road, agents)| EpisodeTick { time_s: 0.0, ego, steer_rad, on_road, agents })
 }
 
 fn plans() -> impl Strategy<Value = Plan> {
@@ -80,7 +80,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                 other => other,
             };
             let mut moment = 0;
-            let number = |(step, (images, plan, mut instants)): (usize, (Vec<ImageRecord>, Plan, Vec<Instant>))| {
+            let number = |(step, (images, plan, mut instants)): (usize, (Vec<ImageRecord>, Plan, Vec<EpisodeTick>))| {
                 for instant in &mut instants {
                     moment += 1;
                     instant.time_s = f64::from(moment) * substep_s;
@@ -97,7 +97,7 @@ fn small() -> Episode {
     let scenario: Scenario =
         decouplegs_asset::scenario_file::parse(&crate::scenario_files::example().replace("\"hard\"", "\"easy\"")).unwrap();
     let state = |x: f64| VehicleState { position_m: DVec2::new(x, 0.1), speed_mps: 8.0, ..VehicleState::default() };
-    let instant = |time_s: f64| Instant {
+    let instant = |time_s: f64| EpisodeTick {
         time_s,
         ego: state(8.0 * time_s),
         steer_rad: 0.01,

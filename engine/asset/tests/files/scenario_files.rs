@@ -96,11 +96,7 @@ fn complaints_name_line_key_and_reason() {
         ("asset = 3", "asset = 65536", "agent[0].asset: 65536 is out of range"),
         ("\"hurried\"", "\"drunk\"", "agent[0].driver: 'drunk' is unknown"),
         ("\"cut_in\"", "\"vanish\"", "agent[0].behavior[0].maneuver: 'vanish' is unknown"),
-        (
-            "near_ego_m = 14.0",
-            "deceleration_mps2 = 1.0\nnear_ego_m = 14.0",
-            "behavior[0].deceleration_mps2: a maneuver 'cut_in'",
-        ),
+        ("near_ego_m = 14.0", "deceleration_mps2 = 1.0\nnear_ego_m = 14.0", "behavior[0].deceleration_mps2: a maneuver 'cut_in'"),
         ("at_time_s = 9.5", "near_ego_m = 1.0\nat_time_s = 9.5", "agent[0].behavior[1].at_time_s: give either"),
         ("deceleration_mps2 = 7.0", "deceleration_mps2 = -7.0", "behavior[1].deceleration_mps2: -7 is out of range"),
         ("amplitude_m = 0.8", "amplitude_m = 80.0", "agent[0].behavior[2].amplitude_m: 80 is out of range"),

@@ -7,7 +7,7 @@ use glam::DVec2;
 use super::ego_start::EgoStart;
 use super::placement::{Role, Vehicle};
 use super::random::Stream;
-use super::rules::{NEAR_M, Rules};
+use super::rules::{LevelRequirements, NEAR_M};
 use super::to_tenth;
 
 /// Somebody who stands cannot swerve, m/s.
@@ -25,7 +25,7 @@ const ALONG: f64 = 0.8;
 
 /// The agents among `vehicles`, of which the first is the ego.
 pub(super) fn agents(map: &LaneMap, level: Level, start: &EgoStart, vehicles: &[Vehicle], random: &Stream) -> Vec<TrafficAgent> {
-    let rules = Rules::of(level);
+    let rules = LevelRequirements::of(level);
     let mut draw = random.of(0);
     let mut agents: Vec<TrafficAgent> = Vec::with_capacity(vehicles.len());
     for (number, vehicle) in vehicles.iter().enumerate().skip(1) {

@@ -6,7 +6,7 @@ use glam::DVec2;
 
 use super::random::Stream;
 use super::roads::{Roads, Spot};
-use super::rules::Rules;
+use super::rules::LevelRequirements;
 use super::{down_to_tenth, to_centimeter};
 use crate::route::Route;
 
@@ -102,7 +102,13 @@ pub(super) struct Wishes {
 }
 
 /// A start and a route; none where the random place was none for either.
-pub(super) fn choose(roads: &Roads, area: Option<Area>, rules: &Rules, random: &Stream, wishes: Wishes) -> Option<EgoStart> {
+pub(super) fn choose(
+    roads: &Roads,
+    area: Option<Area>,
+    rules: &LevelRequirements,
+    random: &Stream,
+    wishes: Wishes,
+) -> Option<EgoStart> {
     let mut draw = random.of(0);
     let before_crossing = draw.chance(rules.crossing_share) && wishes.crossing;
     let lanes = if before_crossing { before_a_crossing(roads, rules, &mut draw)? } else { vec![roads.anywhere(&mut draw)?] };
@@ -136,7 +142,7 @@ pub(super) fn choose(roads: &Roads, area: Option<Area>, rules: &Rules, random: &
 }
 
 /// Lanes that lead to a crossing, the first with the place to start.
-fn before_a_crossing(roads: &Roads, rules: &Rules, draw: &mut Stream) -> Option<Vec<Spot>> {
+fn before_a_crossing(roads: &Roads, rules: &LevelRequirements, draw: &mut Stream) -> Option<Vec<Spot>> {
     let crossing = *draw.pick(&roads.crossings)?;
     let mut lanes = vec![Spot { at_m: crossing.at_m - draw.between(rules.before_crossing_m) - 0.5 * EGO.length_m, ..crossing }];
     while lanes[0].at_m < 0.0 {

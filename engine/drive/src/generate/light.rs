@@ -49,7 +49,7 @@ pub enum PlaceOptions {
     },
 }
 
-/// Brightness of a place, stops relative to a clear day. Eyes and cameras adapt: measured light
+/// Brightness of a place, stops relative to a clear day. ObservationRenderer and cameras adapt: measured light
 /// differs by far more.
 const fn brightness_ev(weather: Weather) -> f64 {
     match weather {

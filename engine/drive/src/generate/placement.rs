@@ -7,7 +7,7 @@ use glam::DVec2;
 use super::ego_start::{EGO, EgoStart};
 use super::random::Stream;
 use super::roads::{Roads, Spot};
-use super::rules::{NEAR_M, Rules};
+use super::rules::{LevelRequirements, NEAR_M};
 use super::{down_to_tenth, safe_speed, to_centimeter};
 use crate::oriented_box::OrientedBox;
 
@@ -69,7 +69,7 @@ pub(super) struct TooFew(pub usize);
 /// The vehicles of a scenario as they are put on the road; the ego is the first.
 pub(super) struct Placement<'a> {
     roads: &'a Roads<'a>,
-    rules: &'a Rules,
+    rules: &'a LevelRequirements,
     start: &'a EgoStart,
     assets: &'a [VehicleSize],
     vehicles: Vec<Vehicle>,
@@ -78,7 +78,13 @@ pub(super) struct Placement<'a> {
 
 impl<'a> Placement<'a> {
     /// The ego alone.
-    pub fn new(roads: &'a Roads<'a>, rules: &'a Rules, start: &'a EgoStart, assets: &'a [VehicleSize], random: Stream) -> Self {
+    pub fn new(
+        roads: &'a Roads<'a>,
+        rules: &'a LevelRequirements,
+        start: &'a EgoStart,
+        assets: &'a [VehicleSize],
+        random: Stream,
+    ) -> Self {
         let (position, yaw_rad) = start.route.pose_at(0.0);
         let outline = OrientedBox { center_m: position.truncate(), yaw_rad, ..roads.outline(start.spot, &EGO) };
         let ego = Vehicle { role: Role::Ego, spot: start.spot, asset: 0, size: EGO, outline, speed_mps: start.task.speed_mps };

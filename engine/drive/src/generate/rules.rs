@@ -34,7 +34,7 @@ pub const fn weathers(level: Level) -> &'static [Weather] {
 
 /// Further differences between levels. Pairs are least and most; shares of speed are of what a lane
 /// allows.
-pub(super) struct Rules {
+pub(super) struct LevelRequirements {
     /// Agents that come along from farther away.
     pub far: (usize, usize),
     pub drivers: &'static [DriverKind],
@@ -58,7 +58,7 @@ pub(super) struct Rules {
     pub swerves: (usize, usize),
 }
 
-impl Rules {
+impl LevelRequirements {
     pub fn of(level: Level) -> Self {
         use DriverKind::{Aggressive, Calm, Hurried, Normal};
         let easy = Self {

@@ -299,7 +299,7 @@ impl Register<'_> {
         pairs
     }
 
-    /// Sees how long the lane changes last under a motion that was found; always from the guess, which an earlier motion may not shorten.
+    /// ObservationRequest how long the lane changes last under a motion that was found; always from the guess, which an earlier motion may not shorten.
     pub(super) fn measure_changes(&self, routed: &mut Routed, found: &PlanarFit) {
         let feet = self.feet(routed, &found.motion);
         let laterals = feet.iter().zip(&routed.times_s).filter_map(|(foot, time_s)| Some((*time_s, foot.as_ref()?.1.lateral_m)));

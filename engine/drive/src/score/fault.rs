@@ -13,7 +13,7 @@
 //! the route does, so that it shows which of two vehicles leaves its lane. In bends it is averaged over less, or it would cut them; in
 //! those of less than about 80 m radius it no longer tells a route that changes lanes from a road that bends.
 
-use decouplegs_scene::episode::Instant;
+use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -69,7 +69,7 @@ impl Fault {
 }
 
 /// Fault of the contact between the ego and `agent` at moment `contact` of `instants`.
-pub(super) fn fault(episode: &Episode, instants: &[&Instant], contact: usize, agent: usize) -> Fault {
+pub(super) fn fault(episode: &Episode, instants: &[&EpisodeTick], contact: usize, agent: usize) -> Fault {
     let (now, before) = (instants[contact], instants[contact.saturating_sub(1)]);
     if now.ego.speed_mps < STANDING_MPS && before.ego.speed_mps < STANDING_MPS {
         return Fault::EgoStood;

@@ -1,6 +1,6 @@
 //! Infractions of an episode: collisions and excursions from the road.
 
-use decouplegs_scene::episode::Instant;
+use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, EpisodeEnd};
 
 use super::fault::{Fault, fault};
@@ -58,14 +58,14 @@ impl Infraction {
 
 /// All infractions of an episode, in time.
 pub(super) fn infractions(episode: &Episode) -> Vec<Infraction> {
-    let instants: Vec<&Instant> = episode.instants().collect();
+    let instants: Vec<&EpisodeTick> = episode.instants().collect();
     let mut infractions = excursions(&instants);
     infractions.extend(collisions(episode, &instants));
     infractions.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     infractions
 }
 
-fn excursions(instants: &[&Instant]) -> Vec<Infraction> {
+fn excursions(instants: &[&EpisodeTick]) -> Vec<Infraction> {
     let mut excursions = Vec::new();
     // When the ego was last off the road, while that excursion is not over.
     let mut off_s: Option<f64> = None;
@@ -81,7 +81,7 @@ fn excursions(instants: &[&Instant]) -> Vec<Infraction> {
     excursions
 }
 
-fn collisions(episode: &Episode, instants: &[&Instant]) -> Vec<Infraction> {
+fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
     let mut collisions = Vec::new();
     for (agent, size) in episode.head.agent_sizes.iter().enumerate() {
         let mut touched_s: Option<f64> = None;

@@ -1,6 +1,6 @@
 //! Episodes that are made by hand: everybody moves as told.
 
-use decouplegs_scene::episode::{EpisodeHead, Instant, PlannerRecord};
+use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, PlannerRecord};
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, Scenario, VehicleSize, VehicleState, Weather};
 use glam::DVec2;
@@ -60,7 +60,7 @@ fn scenario(agents: usize) -> Scenario {
 
 /// An episode of so many steps, in which everybody moves as told; the route leads 100 m along x.
 pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: EpisodeEnd) -> Episode {
-    let instant = |time_s: f64| Instant {
+    let instant = |time_s: f64| EpisodeTick {
         time_s,
         ego: ego(time_s),
         steer_rad: 0.0,

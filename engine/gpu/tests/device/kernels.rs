@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use decouplegs_gpu::{Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, QueueRole, Residence};
+use decouplegs_gpu::{Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole};
 
 use crate::{Watched, bytes, scale, scale_push, spirv};
 
@@ -15,7 +15,7 @@ fn constants_are_given_by_name() {
     assert_eq!(kernel.workgroup_size(), [32, 1, 1]);
     println!("subgroups pinned to {}: {}", gpu.limits().subgroup_size, kernel.subgroups_pinned());
     let from = gpu.upload("source", "test", &source).unwrap();
-    let to = gpu.buffer::<i32>("target", "test", source.len(), Residence::Device).unwrap();
+    let to = gpu.buffer::<i32>("target", "test", source.len(), MemoryKind::Device).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     let buffers = [("target_values", to.binding()), ("source_values", from.binding())];
     recorder.dispatch(&kernel, &buffers, &scale_push(1000, 7), [32, 1, 1]);
@@ -70,7 +70,7 @@ fn what_is_no_storage_buffer_and_what_is_no_spirv_is_refused() {
         Err(error @ GpuError::Kernel { .. }) => error.to_string(),
         other => panic!("expected a refusal, got {other:?}"),
     };
-    assert!(refusal(&spirv("texture")).contains("image is not a storage buffer"));
+    assert!(refusal(&spirv("texture")).contains("picture is not a storage buffer"));
     assert!(refusal(&[1, 2, 3]).contains("not a SPIR-V module"));
     let large = Constant::U32(gpu.limits().workgroup_threads_max + 1);
     let error = gpu.kernel("scale", &spirv("scale"), &[("GROUP_SIZE", large)]).unwrap_err().to_string();

@@ -1,6 +1,6 @@
 //! Buffers: round trips, accounting, and what is said when there is no more memory.
 
-use decouplegs_gpu::{Buffer, GpuError, QueueRole, Residence};
+use decouplegs_gpu::{Buffer, GpuError, MemoryKind, QueueRole};
 
 use crate::{Watched, scale, scale_push};
 
@@ -48,8 +48,8 @@ fn fill_and_copy_touch_their_ranges_only() {
 #[test]
 fn mapped_buffers_are_written_and_read_by_the_host() {
     let gpu = Watched::open();
-    let upload = gpu.buffer::<i32>("upload", "test", 100, Residence::Upload).unwrap();
-    let readback = gpu.buffer::<i32>("readback", "test", 100, Residence::Readback).unwrap();
+    let upload = gpu.buffer::<i32>("upload", "test", 100, MemoryKind::Upload).unwrap();
+    let readback = gpu.buffer::<i32>("readback", "test", 100, MemoryKind::Readback).unwrap();
     upload.write_host(0, &[3; 100]);
     upload.write_host(50, &[4; 50]);
     let mut recorder = gpu.record(QueueRole::Main);
@@ -80,7 +80,7 @@ fn memory_is_counted_by_purpose_until_the_last_use_is_over() {
     let gpu = Watched::open();
     assert_eq!(gpu.memory().total_bytes, 0);
     let splats = gpu.upload("means", "splats", &[0_i32; 1000]).unwrap();
-    let image = gpu.buffer::<i32>("image", "images", 500, Residence::Device).unwrap();
+    let image = gpu.buffer::<i32>("image", "images", 500, MemoryKind::Device).unwrap();
     let report = gpu.memory();
     // Drivers round up to their alignment; nothing else may come on top, staging is gone.
     assert!((4000..=4000 + 4096).contains(&report.bytes_by_purpose["splats"]), "{report:?}");
@@ -112,14 +112,14 @@ fn a_recorder_that_is_never_submitted_gives_back_what_it_held() {
 fn a_buffer_that_no_kernel_could_see_whole_is_refused_with_both_numbers() {
     let gpu = Watched::open();
     let limit = gpu.limits().storage_buffer_bytes_max;
-    let error = gpu.buffer::<u8>("everything", "test", limit as usize + 1, Residence::Device).unwrap_err();
+    let error = gpu.buffer::<u8>("everything", "test", limit as usize + 1, MemoryKind::Device).unwrap_err();
     let text = error.to_string();
     assert!(
         text.contains(&limit.to_string()) && text.contains(&(limit + 1).to_string()) && text.contains("everything"),
         "{text}"
     );
     // A length whose bytes do not fit 64 bits is as much too large.
-    let error = gpu.buffer::<[u64; 4]>("absurd", "test", usize::MAX, Residence::Device).unwrap_err();
+    let error = gpu.buffer::<[u64; 4]>("absurd", "test", usize::MAX, MemoryKind::Device).unwrap_err();
     assert!(matches!(error, GpuError::BufferTooLarge { .. }), "{error}");
 }
 
@@ -132,7 +132,7 @@ fn memory_that_the_heap_does_not_have_is_refused_with_the_bytes() {
     // Never touched: a driver that runs on the CPU does not really use these pages.
     let error = loop {
         assert!(held.len() as u64 <= heap / each, "{} buffers of {each} bytes in a heap of {heap}", held.len());
-        match gpu.buffer::<u8>("hoard", "greed", each as usize, Residence::Device) {
+        match gpu.buffer::<u8>("hoard", "greed", each as usize, MemoryKind::Device) {
             Ok(buffer) => held.push(buffer),
             Err(error) => break error,
         }
@@ -152,7 +152,7 @@ fn memory_that_the_heap_does_not_have_is_refused_with_the_bytes() {
 fn memory_for_others_is_a_buffer_like_any_or_is_refused_with_the_reason() {
     let gpu = Watched::open();
     if !gpu.can_export() {
-        let refused = gpu.buffer::<u32>("images", "test", 4, Residence::Exported).map(|_| ()).unwrap_err().to_string();
+        let refused = gpu.buffer::<u32>("images", "test", 4, MemoryKind::Exported).map(|_| ()).unwrap_err().to_string();
         assert!(refused.contains("VK_KHR_external_memory_fd"), "{refused}");
         assert!(gpu.export_timeline(QueueRole::Main).is_err());
         println!("{} exports nothing: what it would give was not tested", gpu.info());
@@ -160,7 +160,7 @@ fn memory_for_others_is_a_buffer_like_any_or_is_refused_with_the_reason() {
     }
     let words: Vec<u32> = (0..70_001).collect();
     let before = gpu.memory().total_bytes;
-    let buffer: Buffer<u32> = gpu.buffer("images", "test", words.len(), Residence::Exported).unwrap();
+    let buffer: Buffer<u32> = gpu.buffer("images", "test", words.len(), MemoryKind::Exported).unwrap();
     gpu.write(&buffer, 0, &words).unwrap();
     let (first, second) = (buffer.export().unwrap(), buffer.export().unwrap());
     assert!(first.allocation_bytes >= buffer.byte_len() && second.allocation_bytes == first.allocation_bytes);

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use decouplegs_gpu::{Buffer, DeviceOptions, Gpu, Kernel, QueueRole, QueueUse, Recorder, Residence, Ticket};
+use decouplegs_gpu::{Buffer, DeviceOptions, Gpu, Kernel, MemoryKind, QueueRole, QueueUse, Recorder, Ticket};
 
 use crate::{Watched, bytes, scale, scale_push, spirv};
 
@@ -18,7 +18,7 @@ fn there_and_back(recorder: &mut Recorder, kernel: &Kernel, a: &Buffer<i32>, b: 
 
 fn two_buffers(gpu: &Gpu) -> (Buffer<i32>, Buffer<i32>) {
     let values: Vec<i32> = (0..COUNT as i32).collect();
-    (gpu.upload("a", "test", &values).unwrap(), gpu.buffer("b", "test", values.len(), Residence::Device).unwrap())
+    (gpu.upload("a", "test", &values).unwrap(), gpu.buffer("b", "test", values.len(), MemoryKind::Device).unwrap())
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn tickets_order_the_queues() {
 fn submitted_work_keeps_what_it_uses() {
     let gpu = Watched::open();
     let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
-    let readback = gpu.buffer::<u32>("readback", "test", 64, Residence::Readback).unwrap();
+    let readback = gpu.buffer::<u32>("readback", "test", 64, MemoryKind::Readback).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 64]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     recorder.dispatch(&spin, &[("values", values.binding())], &bytes(&[64, 60_000]), [1, 1, 1]);

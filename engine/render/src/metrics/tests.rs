@@ -130,8 +130,7 @@ fn a_value_that_is_not_a_number_has_no_score() {
 
 #[test]
 fn images_of_two_sizes_are_refused_with_both() {
-    let message =
-        Difference::between(&Image::filled(3, 2, [0.0; 3]), &Image::filled(2, 3, [0.0; 3])).unwrap_err().to_string();
+    let message = Difference::between(&Image::filled(3, 2, [0.0; 3]), &Image::filled(2, 3, [0.0; 3])).unwrap_err().to_string();
     assert!(message.contains("3x2") && message.contains("2x3"), "{message}");
 }
 

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use exr::meta::{BlockDescription, MetaData};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-use super::{DECODER_BYTES_MAX, PIXELS_MAX, Image, ImageError, ImageFileFormat};
+use super::{DECODER_BYTES_MAX, Image, ImageError, ImageFileFormat, PIXELS_MAX};
 
 /// Most bytes that one byte of a deflated stream can stand for.
 const DEFLATE_RATIO_MAX: u64 = 1032;
@@ -113,9 +113,8 @@ fn encode(
     color: ColorType,
 ) -> Result<Vec<u8>, ImageError> {
     let mut file = Cursor::new(Vec::new());
-    image::write_buffer_with_format(&mut file, samples, image.width, image.height, color, kind).map_err(|error| {
-        ImageError::Encoding { format, width: image.width, height: image.height, message: error.to_string() }
-    })?;
+    image::write_buffer_with_format(&mut file, samples, image.width, image.height, color, kind)
+        .map_err(|error| ImageError::Encoding { format, width: image.width, height: image.height, message: error.to_string() })?;
     Ok(file.into_inner())
 }
 

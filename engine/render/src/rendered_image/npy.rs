@@ -1,6 +1,6 @@
 //! NumPy arrays (format versions 1 to 3, NumPy enhancement proposal 1): float32, `[height, width, 3 or 4]`.
 
-use super::{PIXELS_MAX, Image, ImageError, ImageFileFormat};
+use super::{Image, ImageError, ImageFileFormat, PIXELS_MAX};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 

@@ -37,11 +37,8 @@ mod tests {
 
     #[test]
     fn images_of_several_sizes_lie_in_cells_of_the_largest() {
-        let images = [
-            Image::filled(4, 2, [1.0, 0.0, 0.0]),
-            Image::filled(3, 5, [0.0, 1.0, 0.0]),
-            Image::filled(1, 1, [0.0, 0.0, 1.0]),
-        ];
+        let images =
+            [Image::filled(4, 2, [1.0, 0.0, 0.0]), Image::filled(3, 5, [0.0, 1.0, 0.0]), Image::filled(1, 1, [0.0, 0.0, 1.0])];
         let sheet = contact_sheet(&images, 2).unwrap();
         assert_eq!((sheet.width, sheet.height), (2 * 12 + 8, 2 * 13 + 8));
         let at = |x: u32, y: u32| sheet.rgb[(y * sheet.width + x) as usize];

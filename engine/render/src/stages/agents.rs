@@ -1,7 +1,7 @@
 //! Culling and projection of agents.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
 use super::{PURPOSE, Projected, RelitColors, Visible, kernel, push_constants};
@@ -19,22 +19,22 @@ pub struct AgentBuffers {
     pub lenses: Buffer<LensRecord>,
     /// Visible agents' splats.
     pub visible: Visible,
-    /// Visible splats before each `[camera][chunk]` of the agents, and their total.
-    pub firsts: Buffer<u32>,
+    /// Visible splats before each `[camera][cluster]` of the agents, and their total.
+    pub offsets: Buffer<u32>,
 }
 
 impl AgentBuffers {
-    /// Buffers for `agents` agents of `chunks` chunks in all, seen by `cameras`.
+    /// Buffers for `agents` agents of `clusters` clusters in all, seen by `cameras`.
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, agents: usize, chunks: usize, cameras: usize) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, agents: usize, clusters: usize, cameras: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            agents: gpu.buffer("agents", PURPOSE, agents, Residence::Device)?,
-            cameras: gpu.buffer("agent_cameras", PURPOSE, agents * cameras, Residence::Device)?,
-            lenses: gpu.buffer("agent_lenses", PURPOSE, cameras, Residence::Device)?,
-            visible: Visible::new(gpu, cameras, chunks)?,
-            firsts: gpu.buffer("agent_firsts", PURPOSE, cameras * chunks + 1, Residence::Device)?,
+            agents: gpu.buffer("agents", PURPOSE, agents, MemoryKind::Device)?,
+            cameras: gpu.buffer("agent_cameras", PURPOSE, agents * cameras, MemoryKind::Device)?,
+            lenses: gpu.buffer("agent_lenses", PURPOSE, cameras, MemoryKind::Device)?,
+            visible: Visible::new(gpu, cameras, clusters)?,
+            offsets: gpu.buffer("agent_offsets", PURPOSE, cameras * clusters + 1, MemoryKind::Device)?,
         })
     }
 }
@@ -46,15 +46,15 @@ pub struct AgentCounts {
     pub agents: usize,
     /// Cameras of the rig.
     pub cameras: usize,
-    /// Chunks of all those agents.
-    pub chunks: usize,
+    /// Clusters of all those agents.
+    pub clusters: usize,
 }
 
 push_constants! {
     struct CullPush {
         agent_count: u32,
         camera_count: u32,
-        chunk_count: u32,
+        cluster_count: u32,
     }
 }
 
@@ -62,7 +62,7 @@ push_constants! {
     struct ProjectPush {
         agent_count: u32,
         camera_count: u32,
-        chunk_count: u32,
+        cluster_count: u32,
         records_max: u32,
         static_lists: u32,
     }
@@ -92,19 +92,19 @@ impl CullAgents {
         let push = CullPush {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
-            chunk_count: counts.chunks as u32,
+            cluster_count: counts.clusters as u32,
         };
         let bound = [
             ("agents", buffers.agents.binding()),
             ("agent_cameras", buffers.cameras.binding()),
             ("coded_splats", pool.splats.binding()),
             ("coded_shapes", pool.shapes.binding()),
-            ("asset_chunks", pool.chunks.binding()),
+            ("asset_clusters", pool.clusters.binding()),
             ("visible_words", buffers.visible.words.binding()),
             ("visible_counts", buffers.visible.counts.binding()),
             ("lenses", buffers.lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.chunks));
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.clusters));
     }
 }
 
@@ -132,7 +132,7 @@ impl ProjectAgents {
     }
 
     /// Writes a record for every visible splat of the agents behind those of the background, whose `static_lists` lists begin
-    /// at `static_firsts`, and its depth key.
+    /// at `static_offsets`, and its depth key.
     #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
     pub fn record(
         &self,
@@ -141,14 +141,14 @@ impl ProjectAgents {
         buffers: &AgentBuffers,
         relit: &RelitColors,
         counts: AgentCounts,
-        static_firsts: &Buffer<u32>,
+        static_offsets: &Buffer<u32>,
         static_lists: usize,
         projected: &Projected,
     ) {
         let push = ProjectPush {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
-            chunk_count: counts.chunks as u32,
+            cluster_count: counts.clusters as u32,
             records_max: projected.colors.len() as u32,
             static_lists: static_lists as u32,
         };
@@ -158,10 +158,10 @@ impl ProjectAgents {
             ("coded_splats", pool.splats.binding()),
             ("coded_shapes", pool.shapes.binding()),
             ("visible_words", buffers.visible.words.binding()),
-            ("firsts", buffers.firsts.binding()),
+            ("offsets", buffers.offsets.binding()),
             ("coded_dc", pool.color_dc.binding()),
             ("coded_bands", pool.color_bands.binding()),
-            ("static_firsts", static_firsts.binding()),
+            ("static_offsets", static_offsets.binding()),
             ("relit_dc", relit.dc.binding()),
             ("relit_bands", relit.bands.binding()),
             ("footprints", projected.footprints.binding()),
@@ -169,6 +169,6 @@ impl ProjectAgents {
             ("keys", projected.keys.binding()),
             ("lenses", buffers.lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.chunks));
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.clusters));
     }
 }

@@ -1,42 +1,42 @@
-//! Blends segments of macro tiles' lists.
+//! Blends segments of coarse tiles' lists.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{EarlyStop, Rules};
 
-use super::{Arguments, Control, PURPOSE, Plan, Projected, kernel, push_constants};
-use crate::layout::{CameraRecord, MACRO_PIXELS};
+use super::{FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, kernel, push_constants};
+use crate::layout::{COARSE_PIXELS, CameraRecord};
 use crate::output::{OutputBuffers, Outputs};
 
 /// Partial accumulations of segments for composite: one per pixel, in the order of blend. Of length
 /// 0 where the output was not asked for.
-pub struct Partials {
+pub struct PartialResults {
     /// RGB and transmittance.
     pub colors: Buffer<[f32; 4]>,
     /// Sum of weight times depth.
     pub depths: Buffer<f32>,
     /// Largest weight (bits of an f32) and its instance.
     pub instances: Buffer<[u32; 2]>,
-    /// Bits of the largest transmittance by render tile; zero before the frame.
+    /// Bits of the largest transmittance by fine tile; zero before the frame.
     pub transmittances: Buffer<[u32; 32]>,
-    /// Render tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0 where nothing is finished.
+    /// Fine tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0 where nothing is finished.
     pub unfinished: Buffer<u32>,
 }
 
-impl Partials {
+impl PartialResults {
     /// Buffers for `slots` segments.
     ///
     /// # Errors
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu, slots: usize, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
         let unfinished = if finishes(rules, outputs) { slots } else { 0 };
-        let pixels = |asked: bool| if asked { slots * MACRO_PIXELS } else { 0 };
+        let pixels = |asked: bool| if asked { slots * COARSE_PIXELS } else { 0 };
         Ok(Self {
-            colors: gpu.buffer("partial_colors", PURPOSE, pixels(true), Residence::Device)?,
-            depths: gpu.buffer("partial_depths", PURPOSE, pixels(outputs.depth), Residence::Device)?,
-            instances: gpu.buffer("partial_instances", PURPOSE, pixels(outputs.instance), Residence::Device)?,
-            transmittances: gpu.buffer("partial_transmittances", PURPOSE, slots, Residence::Device)?,
-            unfinished: gpu.buffer("partial_unfinished", PURPOSE, unfinished, Residence::Device)?,
+            colors: gpu.buffer("partial_colors", PURPOSE, pixels(true), MemoryKind::Device)?,
+            depths: gpu.buffer("partial_depths", PURPOSE, pixels(outputs.depth), MemoryKind::Device)?,
+            instances: gpu.buffer("partial_instances", PURPOSE, pixels(outputs.instance), MemoryKind::Device)?,
+            transmittances: gpu.buffer("partial_transmittances", PURPOSE, slots, MemoryKind::Device)?,
+            unfinished: gpu.buffer("partial_unfinished", PURPOSE, unfinished, MemoryKind::Device)?,
         })
     }
 }
@@ -115,14 +115,14 @@ impl Blend {
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        control: &Control,
+        counters: &FrameCounters,
         cameras: &Buffer<CameraRecord>,
         camera_count: usize,
         sky: [f32; 3],
         plan: &Plan,
         records: &Buffer<u32>,
         projected: &Projected,
-        partials: &Partials,
+        partials: &PartialResults,
         images: &OutputBuffers,
     ) {
         let push = Push {
@@ -138,7 +138,7 @@ impl Blend {
             images_u8,
             depths,
             instances,
-            ("needs", control.needs.binding()),
+            ("required", counters.required.binding()),
             ("items", plan.items.binding()),
             ("records", records.binding()),
             ("footprints", projected.footprints.binding()),
@@ -154,8 +154,8 @@ impl Blend {
             &self.kernel,
             &buffers,
             bytes_of(&push),
-            control.arguments.binding(),
-            Arguments::Blend.byte_offset(),
+            counters.arguments.binding(),
+            IndirectArguments::Blend.byte_offset(),
         );
     }
 }

@@ -1,10 +1,10 @@
-//! Joins the segments of macro tiles that were cut.
+//! Joins the segments of coarse tiles that were cut.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder};
 use decouplegs_scene::{EarlyStop, Rules};
 
-use super::{Arguments, Control, Partials, Plan, kernel, push_constants};
+use super::{FrameCounters, IndirectArguments, PartialResults, Plan, kernel, push_constants};
 use crate::layout::CameraRecord;
 use crate::output::{OutputBuffers, Outputs};
 
@@ -33,17 +33,17 @@ impl CompositeSegments {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)? })
     }
 
-    /// Writes the pixels of every macro tile that `plan` cut.
+    /// Writes the pixels of every coarse tile that `plan` cut.
     #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        control: &Control,
+        counters: &FrameCounters,
         cameras: &Buffer<CameraRecord>,
         camera_count: usize,
         sky: [f32; 3],
         plan: &Plan,
-        partials: &Partials,
+        partials: &PartialResults,
         images: &OutputBuffers,
     ) {
         let push = Push { sky, camera_count: camera_count as u32 };
@@ -54,14 +54,14 @@ impl CompositeSegments {
             images_u8,
             depths,
             instances,
-            ("needs", control.needs.binding()),
+            ("required", counters.required.binding()),
             ("composites", plan.composites.binding()),
             ("partial_colors", partials.colors.binding()),
             ("partial_depths", partials.depths.binding()),
             ("partial_instances", partials.instances.binding()),
             ("partial_unfinished", partials.unfinished.binding()),
         ];
-        let offset = Arguments::Composite.byte_offset();
-        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), control.arguments.binding(), offset);
+        let offset = IndirectArguments::Composite.byte_offset();
+        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), counters.arguments.binding(), offset);
     }
 }

@@ -1,32 +1,32 @@
 //! Frustum culling: visible splats per camera.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
 
 use super::{PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
-use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, near_m};
-use crate::resident::ResidentWorld;
+use crate::layout::{CLUSTER_SPLATS, CameraRecord, LensRecord, near_m};
+use crate::resident::GpuScene;
 
 /// Per-(camera, cluster) visibility bit mask and count.
 pub struct Visible {
-    /// One bit a splat, `[camera][chunk][8 words]`.
+    /// One bit a splat, `[camera][cluster][8 words]`.
     pub words: Buffer<u32>,
-    /// Visible splats a `[camera][chunk]`.
+    /// Visible splats a `[camera][cluster]`.
     pub counts: Buffer<u32>,
 }
 
 impl Visible {
-    /// Buffers for a world of `chunks` seen by `cameras`.
+    /// Buffers for a world of `clusters` seen by `cameras`.
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, cameras: usize, chunks: usize) -> Result<Self, GpuError> {
-        let lists = cameras * chunks;
+    pub fn new(gpu: &Gpu, cameras: usize, clusters: usize) -> Result<Self, GpuError> {
+        let lists = cameras * clusters;
         Ok(Self {
-            words: gpu.buffer("visible_words", PURPOSE, lists * CHUNK_SPLATS / 32, Residence::Device)?,
-            counts: gpu.buffer("visible_counts", PURPOSE, lists, Residence::Device)?,
+            words: gpu.buffer("visible_words", PURPOSE, lists * CLUSTER_SPLATS / 32, MemoryKind::Device)?,
+            counts: gpu.buffer("visible_counts", PURPOSE, lists, MemoryKind::Device)?,
         })
     }
 }
@@ -35,7 +35,7 @@ push_constants! {
     struct Push {
         splat_count: u32,
         camera_count: u32,
-        chunk_count: u32,
+        cluster_count: u32,
     }
 }
 
@@ -62,17 +62,20 @@ impl Cull {
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        world: &ResidentWorld,
+        world: &GpuScene,
         cameras: &Buffer<CameraRecord>,
         lenses: &Buffer<LensRecord>,
         camera_count: usize,
         visible: &Visible,
     ) {
-        let push =
-            Push { splat_count: world.splats as u32, camera_count: camera_count as u32, chunk_count: world.chunk_count() as u32 };
+        let push = Push {
+            splat_count: world.splats as u32,
+            camera_count: camera_count as u32,
+            cluster_count: world.cluster_count() as u32,
+        };
         let buffers = [
             ("cameras", cameras.binding()),
-            ("chunks", world.chunks.binding()),
+            ("clusters", world.clusters.binding()),
             ("means_m", world.means.binding()),
             ("shapes", world.shapes.binding()),
             ("rotations", world.rotations.binding()),
@@ -80,6 +83,6 @@ impl Cull {
             ("visible_counts", visible.counts.binding()),
             ("lenses", lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
+        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.cluster_count()));
     }
 }

@@ -1,30 +1,30 @@
 //! Culling of contact shadows per cluster of the background.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
 use super::{PURPOSE, kernel, push_constants};
 use crate::capacity::groups_for;
-use crate::layout::{CHUNK_SPLATS, ShadowRecord};
-use crate::resident::ResidentWorld;
+use crate::layout::{CLUSTER_SPLATS, ShadowRecord};
+use crate::resident::GpuScene;
 
 /// The shadows of a frame on the device.
 pub struct ShadowBuffers {
     /// One record a shadow.
     pub shadows: Buffer<ShadowRecord>,
-    /// A bit a shadow, `[chunk][word]`.
+    /// A bit a shadow, `[cluster][word]`.
     pub words: Buffer<u32>,
 }
 
 impl ShadowBuffers {
-    /// Buffers for `shadows` shadows over `chunks` chunks.
+    /// Buffers for `shadows` shadows over `clusters` clusters.
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, shadows: usize, chunks: usize) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, shadows: usize, clusters: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            shadows: gpu.buffer("shadows", PURPOSE, shadows, Residence::Device)?,
-            words: gpu.buffer("shadow_words", PURPOSE, chunks * words_for(shadows), Residence::Device)?,
+            shadows: gpu.buffer("shadows", PURPOSE, shadows, MemoryKind::Device)?,
+            words: gpu.buffer("shadow_words", PURPOSE, clusters * words_for(shadows), MemoryKind::Device)?,
         })
     }
 }
@@ -37,7 +37,7 @@ pub fn words_for(shadows: usize) -> usize {
 
 push_constants! {
     struct Push {
-        chunk_count: u32,
+        cluster_count: u32,
         shadow_count: u32,
     }
 }
@@ -56,16 +56,16 @@ impl CullShadows {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])? })
     }
 
-    /// Marks which of the first `shadow_count` shadows may lie on each chunk of `world`.
-    pub fn record(&self, recorder: &mut Recorder, world: &ResidentWorld, buffers: &ShadowBuffers, shadow_count: usize) {
-        let chunks = world.chunk_count();
-        let push = Push { chunk_count: chunks as u32, shadow_count: shadow_count as u32 };
+    /// Marks which of the first `shadow_count` shadows may lie on each cluster of `world`.
+    pub fn record(&self, recorder: &mut Recorder, world: &GpuScene, buffers: &ShadowBuffers, shadow_count: usize) {
+        let clusters = world.cluster_count();
+        let push = Push { cluster_count: clusters as u32, shadow_count: shadow_count as u32 };
         let bound = [
-            ("chunks", world.chunks.binding()),
+            ("clusters", world.clusters.binding()),
             ("shadows", buffers.shadows.binding()),
             ("shadow_words", buffers.words.binding()),
         ];
-        let threads = chunks * words_for(shadow_count);
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(threads.div_ceil(CHUNK_SPLATS)));
+        let threads = clusters * words_for(shadow_count);
+        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(threads.div_ceil(CLUSTER_SPLATS)));
     }
 }

@@ -6,7 +6,7 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 use super::{kernel, push_constants};
 use crate::capacity::groups_for;
 use crate::layout::CameraRecord;
-use crate::resident::ResidentWorld;
+use crate::resident::GpuScene;
 
 /// Depth keys that projection reads instead of computing them.
 #[derive(Clone, Copy)]
@@ -43,7 +43,7 @@ impl KeySplats {
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        world: &ResidentWorld,
+        world: &GpuScene,
         cameras: &Buffer<CameraRecord>,
         (camera, set): (usize, usize),
         keys: &Buffer<u32>,

@@ -17,7 +17,7 @@ mod scan;
 mod tile_sort;
 
 pub use agents::{AgentBuffers, AgentCounts, CullAgents, ProjectAgents};
-pub use blend::{Blend, BlendPass, Partials, finishes};
+pub use blend::{Blend, BlendPass, PartialResults, finishes};
 pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
@@ -28,47 +28,47 @@ pub use relight::{RELIGHT_BLOCK, Relight, RelitColors};
 pub use scan::Scan;
 pub use tile_sort::{BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers};
 
-use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Residence};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind};
 use decouplegs_shaders::constants;
 
-use crate::layout::{ARGUMENT_SETS, Needs};
+use crate::layout::{ARGUMENT_SETS, RequiredCounts};
 
 /// Purpose under which the memory of a frame's lists is counted.
 pub const PURPOSE: &str = "frame";
 
 /// The counts that a frame finds and the sizes of the dispatches that follow from them.
-pub struct Control {
-    /// One [`Needs`].
-    pub needs: Buffer<Needs>,
+pub struct FrameCounters {
+    /// One [`RequiredCounts`].
+    pub required: Buffer<RequiredCounts>,
     /// Arguments of the indirect dispatches.
     pub arguments: Buffer<[u32; 3]>,
 }
 
-impl Control {
+impl FrameCounters {
     /// Buffers for one frame.
     ///
     /// # Errors
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            needs: gpu.buffer("needs", PURPOSE, 1, Residence::Device)?,
-            arguments: gpu.buffer("arguments", PURPOSE, ARGUMENT_SETS, Residence::Device)?,
+            required: gpu.buffer("required", PURPOSE, 1, MemoryKind::Device)?,
+            arguments: gpu.buffer("arguments", PURPOSE, ARGUMENT_SETS, MemoryKind::Device)?,
         })
     }
 }
 
-/// Indirect dispatches, by their place in [`Control::arguments`]; the twins of `ARGUMENTS_*` in `frame.glsl`.
+/// Indirect dispatches, by their place in [`FrameCounters::arguments`]; the twins of `ARGUMENTS_*` in `frame.glsl`.
 #[derive(Clone, Copy, Debug)]
-pub enum Arguments {
+pub enum IndirectArguments {
     /// Blocks of records to be binned.
     PairBlocks = constants::ARGUMENTS_PAIR_BLOCKS as isize,
     /// Segments to be blended.
     Blend = constants::ARGUMENTS_BLEND as isize,
-    /// Cut macro tiles to be joined.
+    /// Cut coarse tiles to be joined.
     Composite = constants::ARGUMENTS_COMPOSITE as isize,
 }
 
-impl Arguments {
+impl IndirectArguments {
     /// Offset in bytes.
     #[must_use]
     pub fn byte_offset(self) -> u64 {

@@ -1,29 +1,29 @@
-//! Cuts each macro tile's list into segments that are blended side by side.
+//! Cuts each coarse tile's list into segments that are blended side by side.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{Control, PURPOSE, kernel, push_constants};
+use super::{FrameCounters, PURPOSE, kernel, push_constants};
 use crate::capacity::Capacity;
-use crate::layout::{Composite, Item};
+use crate::layout::{BlendItem, Composite};
 
 /// The work of blend and composite.
 pub struct Plan {
-    /// Segments, in waves: those that are first in their macro tile, then the second, then the third and fourth and so on.
-    pub items: Buffer<Item>,
-    /// Macro tiles that were cut.
+    /// Segments, in waves: those that are first in their coarse tile, then the second, then the third and fourth and so on.
+    pub items: Buffer<BlendItem>,
+    /// Coarse tiles that were cut.
     pub composites: Buffer<Composite>,
 }
 
 impl Plan {
-    /// Buffers for images of `bins` macro tiles.
+    /// Buffers for images of `bins` coarse tiles.
     ///
     /// # Errors
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu, capacity: &Capacity, bins: u32) -> Result<Self, GpuError> {
         Ok(Self {
-            items: gpu.buffer("items", PURPOSE, capacity.items(bins), Residence::Device)?,
-            composites: gpu.buffer("composites", PURPOSE, capacity.composites(bins), Residence::Device)?,
+            items: gpu.buffer("items", PURPOSE, capacity.items(bins), MemoryKind::Device)?,
+            composites: gpu.buffer("composites", PURPOSE, capacity.composites(bins), MemoryKind::Device)?,
         })
     }
 }
@@ -57,7 +57,7 @@ impl PlanSegments {
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        control: &Control,
+        counters: &FrameCounters,
         tile_lists: &Buffer<[u32; 2]>,
         bin_count: u32,
         capacity: &Capacity,
@@ -70,18 +70,18 @@ impl PlanSegments {
             partials_max: capacity.partials as u32,
         };
         let buffers = [
-            ("needs", control.needs.binding()),
+            ("required", counters.required.binding()),
             ("tile_lists", tile_lists.binding()),
             ("items", plan.items.binding()),
             ("composites", plan.composites.binding()),
-            ("arguments", control.arguments.binding()),
+            ("arguments", counters.arguments.binding()),
         ];
         let waves = waves_for(capacity.pairs.div_ceil(self.segment_pairs as usize));
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), [bin_count.div_ceil(256), waves, 1]);
     }
 }
 
-/// Waves that hold `segments` of one macro tile: wave 0 is segment 0, wave w the segments from 2^(w - 1) to 2^w - 1.
+/// Waves that hold `segments` of one coarse tile: wave 0 is segment 0, wave w the segments from 2^(w - 1) to 2^w - 1.
 fn waves_for(segments: usize) -> u32 {
     1 + segments.max(1).next_power_of_two().trailing_zeros()
 }

@@ -1,13 +1,13 @@
 //! Footprint, depth key and color of every visible (camera, splat).
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
 use super::{KeptKeys, PURPOSE, ShadowBuffers, Visible, kernel, push_constants, words_for};
 use crate::capacity::groups_for;
 use crate::layout::{CameraRecord, LensRecord, near_m};
-use crate::resident::ResidentWorld;
+use crate::resident::GpuScene;
 
 /// One entry a visible (camera, splat): by camera, and by splat within a camera.
 pub struct Projected {
@@ -26,9 +26,9 @@ impl Projected {
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu, records: usize, pairs: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            footprints: gpu.buffer("footprints", PURPOSE, 2 * records, Residence::Device)?,
-            colors: gpu.buffer("colors", PURPOSE, records, Residence::Device)?,
-            keys: gpu.buffer("depth_keys", PURPOSE, records.max(pairs), Residence::Device)?,
+            footprints: gpu.buffer("footprints", PURPOSE, 2 * records, MemoryKind::Device)?,
+            colors: gpu.buffer("colors", PURPOSE, records, MemoryKind::Device)?,
+            keys: gpu.buffer("depth_keys", PURPOSE, records.max(pairs), MemoryKind::Device)?,
         })
     }
 }
@@ -54,7 +54,7 @@ push_constants! {
     struct Push {
         splat_count: u32,
         camera_count: u32,
-        chunk_count: u32,
+        cluster_count: u32,
         records_max: u32,
         shadow_word_count: u32,
     }
@@ -85,18 +85,18 @@ impl Project {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)? })
     }
 
-    /// Writes a record and a depth key for every bit of `visible`, the first of each list at `firsts`, darkened by the first
+    /// Writes a record and a depth key for every bit of `visible`, the first of each list at `offsets`, darkened by the first
     /// `shadow_count` of `shadows`.
     #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        world: &ResidentWorld,
+        world: &GpuScene,
         cameras: &Buffer<CameraRecord>,
         lenses: &Buffer<LensRecord>,
         camera_count: usize,
         visible: &Visible,
-        firsts: &Buffer<u32>,
+        offsets: &Buffer<u32>,
         projected: &Projected,
         kept: KeptKeys<'_>,
         shadows: &ShadowBuffers,
@@ -105,7 +105,7 @@ impl Project {
         let push = Push {
             splat_count: world.splats as u32,
             camera_count: camera_count as u32,
-            chunk_count: world.chunk_count() as u32,
+            cluster_count: world.cluster_count() as u32,
             records_max: projected.colors.len() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
         };
@@ -115,7 +115,7 @@ impl Project {
             ("shapes", world.shapes.binding()),
             ("rotations", world.rotations.binding()),
             ("visible_words", visible.words.binding()),
-            ("firsts", firsts.binding()),
+            ("offsets", offsets.binding()),
             ("sh_dc", world.sh_dc.binding()),
             ("sh_band1", world.sh_bands[0].binding()),
             ("sh_band2", world.sh_bands[1].binding()),
@@ -130,6 +130,6 @@ impl Project {
             ("shadow_words", shadows.words.binding()),
             ("lenses", lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.chunk_count()));
+        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.cluster_count()));
     }
 }

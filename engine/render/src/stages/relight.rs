@@ -1,7 +1,7 @@
 //! Codebooks in the light of their agents.
 
 use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
 use super::{PURPOSE, kernel, push_constants};
 use crate::asset_pool::{COLOR_WORDS, PoolBuffers};
@@ -26,8 +26,8 @@ impl RelitColors {
     /// When the device is out of memory.
     pub fn new(gpu: &Gpu, colors: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            dc: gpu.buffer("relit_dc", PURPOSE, colors, Residence::Device)?,
-            bands: gpu.buffer("relit_bands", PURPOSE, colors, Residence::Device)?,
+            dc: gpu.buffer("relit_dc", PURPOSE, colors, MemoryKind::Device)?,
+            bands: gpu.buffer("relit_bands", PURPOSE, colors, MemoryKind::Device)?,
         })
     }
 }

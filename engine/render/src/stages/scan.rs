@@ -27,10 +27,10 @@ impl Scan {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::SCAN, &[])? })
     }
 
-    /// Writes the exclusive sums of the first `count` of `counts` to `firsts`, and their total behind them.
-    pub fn record(&self, recorder: &mut Recorder, counts: &Buffer<u32>, firsts: &Buffer<u32>, count: usize) {
+    /// Writes the exclusive sums of the first `count` of `counts` to `offsets`, and their total behind them.
+    pub fn record(&self, recorder: &mut Recorder, counts: &Buffer<u32>, offsets: &Buffer<u32>, count: usize) {
         let push = Push { count: count as u32 };
-        let buffers = [("counts", counts.binding()), ("firsts", firsts.binding())];
+        let buffers = [("counts", counts.binding()), ("offsets", offsets.binding())];
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(count.div_ceil(SCAN_BLOCK).max(1)));
     }
 }

@@ -38,10 +38,10 @@ pub fn unpack_splat([xy, z_opacity_size, codes]: [u32; 3], agent: &AgentRecord) 
     }
 }
 
-/// The agent that chunk `chunk` of a frame belongs to: the last whose chunks begin at or before it.
+/// The agent that cluster `cluster` of a frame belongs to: the last whose clusters begin at or before it.
 #[must_use]
-pub fn agent_of_chunk(chunk: u32, agents: &[AgentRecord]) -> usize {
-    agents.iter().rposition(|agent| agent.first_chunk <= chunk).unwrap_or(0)
+pub fn agent_of_cluster(cluster: u32, agents: &[AgentRecord]) -> usize {
+    agents.iter().rposition(|agent| agent.first_cluster <= cluster).unwrap_or(0)
 }
 
 /// Columns whose products with themselves sum to the covariance, in the agent's frame: the splat's triangular factor.

@@ -2,56 +2,56 @@
 
 use glam::Vec3;
 
-use super::agent::{agent_of_chunk, axes_of, unpack_splat};
+use super::agent::{agent_of_cluster, axes_of, unpack_splat};
 use super::depth_key::{depth_key, scaled_depth};
-use super::lens::{chunk_reaches_seen, lens_of, project_splat_seen};
+use super::lens::{cluster_overlaps_any_lens, lens_of, project_splat_seen};
 use super::projection::{Variant, from_camera_m, to_camera_axes};
 use super::record::Record;
 use super::sh::{Stored, sh_color};
-use super::visibility::splat_reaches;
+use super::visibility::splat_overlaps;
 use super::write_record::write_record;
-use crate::layout::{AgentRecord, CHUNK_SPLATS, CameraRecord, ChunkRecord, LensRecord};
+use crate::layout::{AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord};
 use crate::sh_codec::words_of;
 
-const CHUNK_WORDS: usize = CHUNK_SPLATS / 32;
+const CLUSTER_WORDS: usize = CLUSTER_SPLATS / 32;
 
 /// Words that bands 1 to 3 of a color take, one behind the other.
 const COLOR_WORDS: usize = 24;
 
-/// Writes one bit a splat of the agents, `[camera][chunk][8 words]`, and the count a `[camera][chunk]`; chunks are counted over
+/// Writes one bit a splat of the agents, `[camera][cluster][8 words]`, and the count a `[camera][cluster]`; clusters are counted over
 /// all agents. Cameras are `[agent][camera]`.
 pub fn cull_agents(
     agents: &[AgentRecord],
     agent_cameras: &[CameraRecord],
     coded_splats: &[[u32; 3]],
     coded_shapes: &[[f32; 6]],
-    asset_chunks: &[ChunkRecord],
+    asset_clusters: &[ClusterRecord],
     visible_words: &mut [u32],
     visible_counts: &mut [u32],
     lenses: &[LensRecord],
     camera_count: usize,
-    chunk_count: usize,
+    cluster_count: usize,
     variant: Variant,
 ) {
     visible_words.fill(0);
     visible_counts.fill(0);
     for (agent_index, agent) in agents.iter().enumerate() {
         for own_splat in 0..agent.splat_count as usize {
-            let own_chunk = own_splat / CHUNK_SPLATS;
-            let chunk = &asset_chunks[agent.first_bounds as usize + own_chunk];
+            let own_cluster = own_splat / CLUSTER_SPLATS;
+            let cluster = &asset_clusters[agent.first_bounds as usize + own_cluster];
             let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
             for camera_index in 0..camera_count {
                 let camera = &agent_cameras[agent_index * camera_count + camera_index];
                 let lens = lens_of(lenses, camera_index);
-                if agent.cameras >> camera_index & 1 == 0 || !chunk_reaches_seen(chunk, camera, lens, variant.near_m) {
+                if agent.cameras >> camera_index & 1 == 0 || !cluster_overlaps_any_lens(cluster, camera, lens, variant.near_m) {
                     continue;
                 }
                 let t = to_camera_axes(camera, from_camera_m(coded.mean_m, camera));
                 let (splat, drawn) =
                     project_splat_seen(camera, lens, t, axes_of(agent, &coded, coded_shapes), coded.opacity, variant);
-                if drawn && splat_reaches(&splat, camera) {
-                    let list = camera_index * chunk_count + agent.first_chunk as usize + own_chunk;
-                    visible_words[list * CHUNK_WORDS + own_splat % CHUNK_SPLATS / 32] |= 1 << (own_splat % 32);
+                if drawn && splat_overlaps(&splat, camera) {
+                    let list = camera_index * cluster_count + agent.first_cluster as usize + own_cluster;
+                    visible_words[list * CLUSTER_WORDS + own_splat % CLUSTER_SPLATS / 32] |= 1 << (own_splat % 32);
                     visible_counts[list] += 1;
                 }
             }
@@ -71,18 +71,18 @@ fn stored<'a>(dc: &'a [[f32; 3]; 1], bands: &'a [u32; COLOR_WORDS]) -> Stored<'a
     Stored { sh_dc: dc, sh_bands: [band1, band2, band3] }
 }
 
-/// Writes a record, its color and depth key for every bit of `visible_words`, as far as there is room: behind the records of the background, of which there are `static_firsts[static_lists]`, the first of each
-/// `[camera][chunk]` at `firsts`.
+/// Writes a record, its color and depth key for every bit of `visible_words`, as far as there is room: behind the records of the background, of which there are `static_offsets[static_lists]`, the first of each
+/// `[camera][cluster]` at `offsets`.
 pub fn project_agents(
     agents: &[AgentRecord],
     agent_cameras: &[CameraRecord],
     coded_splats: &[[u32; 3]],
     coded_shapes: &[[f32; 6]],
     visible_words: &[u32],
-    firsts: &[u32],
+    offsets: &[u32],
     coded_dc: &[[f32; 3]],
     coded_bands: &[[u32; COLOR_WORDS]],
-    static_firsts: &[u32],
+    static_offsets: &[u32],
     relit_dc: &[[f32; 3]],
     relit_bands: &[[u32; COLOR_WORDS]],
     footprints: &mut [[f32; 4]],
@@ -90,24 +90,24 @@ pub fn project_agents(
     keys: &mut [u32],
     lenses: &[LensRecord],
     camera_count: usize,
-    chunk_count: usize,
+    cluster_count: usize,
     static_lists: usize,
     variant: Variant,
     sh_degree: usize,
     radial: bool,
 ) {
     let records_max = colors.len();
-    let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
+    let visible = |list: usize, place: usize| visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
     for camera_index in 0..camera_count {
-        for chunk_index in 0..chunk_count {
-            let list = camera_index * chunk_count + chunk_index;
-            let agent_index = agent_of_chunk(chunk_index as u32, agents);
+        for cluster_index in 0..cluster_count {
+            let list = camera_index * cluster_count + cluster_index;
+            let agent_index = agent_of_cluster(cluster_index as u32, agents);
             let agent = &agents[agent_index];
             let camera = &agent_cameras[agent_index * camera_count + camera_index];
-            let first_slot = (static_firsts[static_lists] + firsts[list]) as usize;
-            let seen = (0..CHUNK_SPLATS).filter(|&place| visible(list, place));
+            let first_slot = (static_offsets[static_lists] + offsets[list]) as usize;
+            let seen = (0..CLUSTER_SPLATS).filter(|&place| visible(list, place));
             for (slot, place) in (first_slot..records_max).zip(seen) {
-                let own_splat = (chunk_index - agent.first_chunk as usize) * CHUNK_SPLATS + place;
+                let own_splat = (cluster_index - agent.first_cluster as usize) * CLUSTER_SPLATS + place;
                 let coded = unpack_splat(coded_splats[agent.first_splat as usize + own_splat], agent);
                 let offset = from_camera_m(coded.mean_m, camera);
                 let t = to_camera_axes(camera, offset);

@@ -1,10 +1,10 @@
-//! Blends one segment of one macro tile's list, front to back: `blend.comp`.
+//! Blends one segment of one coarse tile's list, front to back: `blend.comp`.
 
 use super::footprint::{LOG2_255, center_of, log2_alpha};
-use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, macro_tile_origin, pixel_offset};
+use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, coarse_tile_origin, pixel_offset};
 use super::projection::rgb_of;
 use super::record::load_footprint;
-use crate::layout::{CameraRecord, Item, MACRO_PIXELS, NO_PARTIAL};
+use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
 
 /// log2 of the alpha that record `record` has at pixel `(column, row)` of its image.
 #[must_use]
@@ -40,7 +40,7 @@ fn blend_pixel(
     }
 }
 
-/// The pixels of the item's macro tile, by their place in a partial result ([`pixel_offset`]). Every record meets every pixel: the
+/// The pixels of the item's coarse tile, by their place in a partial result ([`pixel_offset`]). Every record meets every pixel: the
 /// kernel's lists may leave out nothing that counts.
 ///
 /// `before` is what composite left to be finished, for the pass that finishes it: only pixels whose transmittance is negative
@@ -48,7 +48,7 @@ fn blend_pixel(
 #[must_use]
 pub fn blend(
     cameras: &[CameraRecord],
-    item: &Item,
+    item: &BlendItem,
     records: &[u32],
     footprints: &[[f32; 4]],
     colors: &[[f32; 4]],
@@ -57,8 +57,8 @@ pub fn blend(
     before: Option<&[Pixel]>,
 ) -> Vec<Pixel> {
     let camera = &cameras[camera_of_bin(cameras, item.bin)];
-    let origin = macro_tile_origin(item.bin, camera);
-    let mut pixels = before.map_or_else(|| vec![PIXEL_EMPTY; MACRO_PIXELS], <[Pixel]>::to_vec);
+    let origin = coarse_tile_origin(item.bin, camera);
+    let mut pixels = before.map_or_else(|| vec![PIXEL_EMPTY; COARSE_PIXELS], <[Pixel]>::to_vec);
     let mut full: Vec<bool> = pixels.iter().map(|pixel| before.is_some() && pixel.transmittance >= 0.0).collect();
     let takes_no_part = full.clone();
     pixels.iter_mut().for_each(|pixel| pixel.transmittance = pixel.transmittance.abs());

@@ -1,7 +1,7 @@
-//! Joins the segments of a macro tile that was cut, front to back, until it is full: `composite.comp`.
+//! Joins the segments of a coarse tile that was cut, front to back, until it is full: `composite.comp`.
 
 use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN, over};
-use crate::layout::{Composite, MACRO_PIXELS};
+use crate::layout::{COARSE_PIXELS, Composite};
 
 /// Pixel that composite leaves to a segment: its index there, and the color and transmittance
 /// before it, transmittance negated.
@@ -9,13 +9,13 @@ use crate::layout::{Composite, MACRO_PIXELS};
 pub struct Unfinished {
     /// Slot of the segment.
     pub slot: usize,
-    /// Place of the pixel in the macro tile, as [`super::blend`] keeps them.
+    /// Place of the pixel in the coarse tile, as [`super::blend`] keeps them.
     pub place: usize,
     /// All that lies before the segment.
     pub before: Pixel,
 }
 
-/// The pixels of the macro tile, in the order of `partials`: `MACRO_PIXELS` a slot, as [`super::blend`] keeps them. By an exclusive
+/// The pixels of the coarse tile, in the order of `partials`: `COARSE_PIXELS` a slot, as [`super::blend`] keeps them. By an exclusive
 /// stop where `stops`, and with every segment behind the first left to be finished where `counts`: with that, what is left.
 #[must_use]
 pub fn composite(composite: &Composite, partials: &[Pixel], stops: bool, counts: bool) -> (Vec<Pixel>, Vec<Unfinished>) {
@@ -24,7 +24,7 @@ pub fn composite(composite: &Composite, partials: &[Pixel], stops: bool, counts:
         let mut pixel = PIXEL_EMPTY;
         for segment in 0..composite.partials as usize {
             let slot = composite.first_partial as usize + segment;
-            let mut farther = partials[slot * MACRO_PIXELS + place];
+            let mut farther = partials[slot * COARSE_PIXELS + place];
             let ended = stops && farther.transmittance < 0.0;
             farther.transmittance = farther.transmittance.abs();
             let before = pixel;
@@ -39,5 +39,5 @@ pub fn composite(composite: &Composite, partials: &[Pixel], stops: bool, counts:
         }
         pixel
     };
-    ((0..MACRO_PIXELS).map(&mut joined).collect(), left)
+    ((0..COARSE_PIXELS).map(&mut joined).collect(), left)
 }

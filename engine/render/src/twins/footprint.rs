@@ -3,7 +3,7 @@
 pub use decouplegs_shaders::constants::{LOG2_255, REACH_SLACK};
 use glam::{Vec2, vec2};
 
-use crate::layout::{MACRO_HEIGHT_PX, MACRO_WIDTH_PX};
+use crate::layout::{COARSE_HEIGHT_PX, COARSE_WIDTH_PX};
 
 /// A projected Gaussian in the factored form that blending evaluates: with d = pixel center - mean,
 /// log2(alpha) = log2_opacity - ((d.x - slope d.y) rate_x)^2 - (d.y rate_y)^2.
@@ -64,20 +64,20 @@ pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32
     pixels_between(splat.mean_px.x + left - rounding, splat.mean_px.x + right + rounding, width_px)
 }
 
-/// Macro tiles `[first, last]` of row `row` of the camera's tiles that the splat can reach; empty when first > last.
+/// Coarse tiles `[first, last]` of row `row` of the camera's tiles that the splat can reach; empty when first > last.
 #[must_use]
-pub fn reached_macro_tiles(splat: &Footprint, row: u32, size_px: [u32; 2]) -> [i32; 2] {
-    let top = (row * MACRO_HEIGHT_PX) as f32;
-    let bottom = (top + MACRO_HEIGHT_PX as f32).min(size_px[1] as f32);
+pub fn reached_coarse_tiles(splat: &Footprint, row: u32, size_px: [u32; 2]) -> [i32; 2] {
+    let top = (row * COARSE_HEIGHT_PX) as f32;
+    let bottom = (top + COARSE_HEIGHT_PX as f32).min(size_px[1] as f32);
     let [first, last] = reached_columns(splat, top + 0.5, bottom - 0.5, size_px[0]);
-    if first > last { [0, -1] } else { [first / MACRO_WIDTH_PX as i32, last / MACRO_WIDTH_PX as i32] }
+    if first > last { [0, -1] } else { [first / COARSE_WIDTH_PX as i32, last / COARSE_WIDTH_PX as i32] }
 }
 
-/// Rows `[first, last]` of macro tiles that the splat can reach; empty when first > last.
+/// Rows `[first, last]` of coarse tiles that the splat can reach; empty when first > last.
 #[must_use]
-pub fn reached_macro_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
+pub fn reached_coarse_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
     let [first, last] = reached_rows(splat, height_px);
-    if first > last { [0, -1] } else { [first / MACRO_HEIGHT_PX as i32, last / MACRO_HEIGHT_PX as i32] }
+    if first > last { [0, -1] } else { [first / COARSE_HEIGHT_PX as i32, last / COARSE_HEIGHT_PX as i32] }
 }
 
 /// The exponent at a pixel center, log2 of alpha before its upper bound.

@@ -5,8 +5,8 @@ use glam::{Mat3, Vec2, Vec3, vec2};
 
 use super::footprint::{Footprint, LOG2_255};
 use super::projection::{ALPHA_MIN, DILATION_PX2, HALF_LOG2_E, Variant, from_camera_m, project_splat, to_camera_axes};
-use super::visibility::{DILATION_REACH_PX, chunk_reaches, farthest};
-use crate::layout::{CameraRecord, ChunkRecord, LENS_INTERVALS, LensKind, LensRecord};
+use super::visibility::{DILATION_REACH_PX, cluster_overlaps, farthest};
+use crate::layout::{CameraRecord, ClusterRecord, LENS_INTERVALS, LensKind, LensRecord};
 
 fn shows(lens: &LensRecord, t: Vec3) -> bool {
     t.z > 0.0 && t.truncate().length() <= lens.tan_limit * t.z
@@ -143,20 +143,20 @@ fn arc_sine_bound(s: f32) -> f32 {
     s / (1.0 - s * s).sqrt()
 }
 
-/// [`chunk_reaches`], whatever the camera's lens; `None` is a pinhole.
+/// [`cluster_overlaps`], whatever the camera's lens; `None` is a pinhole.
 #[must_use]
-pub fn chunk_reaches_seen(chunk: &ChunkRecord, camera: &CameraRecord, lens: Option<&LensRecord>, near_m: f32) -> bool {
-    let Some(lens) = lens else { return chunk_reaches(chunk, camera, near_m) };
-    let center = from_camera_m(chunk.center_m, camera);
-    let half_extent = Vec3::from_array(chunk.half_extent_m);
-    let slack = 1e-5 * (center.abs().element_sum() + half_extent.element_sum() + chunk.reach_m);
-    let nearest = farthest(chunk, center, Vec3::from_array(camera.row_z)) + slack;
-    if chunk.reach_m < 0.0 || nearest.is_nan() || nearest < near_m {
+pub fn cluster_overlaps_any_lens(cluster: &ClusterRecord, camera: &CameraRecord, lens: Option<&LensRecord>, near_m: f32) -> bool {
+    let Some(lens) = lens else { return cluster_overlaps(cluster, camera, near_m) };
+    let center = from_camera_m(cluster.center_m, camera);
+    let half_extent = Vec3::from_array(cluster.half_extent_m);
+    let slack = 1e-5 * (center.abs().element_sum() + half_extent.element_sum() + cluster.reach_m);
+    let nearest = farthest(cluster, center, Vec3::from_array(camera.row_z)) + slack;
+    if cluster.reach_m < 0.0 || nearest.is_nan() || nearest < near_m {
         return false;
     }
     let distance_m = center.length();
     let spread_m = half_extent.length() + slack;
-    let (spread, reach) = (spread_m / distance_m, chunk.reach_m / (distance_m - spread_m));
+    let (spread, reach) = (spread_m / distance_m, cluster.reach_m / (distance_m - spread_m));
     let t = to_camera_axes(camera, center);
     if !(spread < 0.25 && reach < 0.25 && t.z > 0.0) {
         return true;

@@ -1,17 +1,17 @@
 //! Accumulation of a pixel and its output: `output.glsl`.
 
-pub use decouplegs_shaders::constants::{MACRO_COLUMNS, RENDER_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN};
+pub use decouplegs_shaders::constants::{COARSE_COLUMNS, FINE_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN};
 use glam::Vec3;
 
-use crate::layout::{CameraRecord, MACRO_HEIGHT_PX, MACRO_PIXELS, MACRO_WIDTH_PX};
+use crate::layout::{COARSE_HEIGHT_PX, COARSE_PIXELS, COARSE_WIDTH_PX, CameraRecord};
 
-/// Position `[column, row]` in the macro tile of the pixel at `place` of a partial result.
+/// Position `[column, row]` in the coarse tile of the pixel at `place` of a partial result.
 #[must_use]
 pub fn pixel_offset(place: usize) -> [u32; 2] {
-    let (right, left_place) = ((place / (MACRO_PIXELS / 2)) as u32, (place % (MACRO_PIXELS / 2)) as u32);
+    let (right, left_place) = ((place / (COARSE_PIXELS / 2)) as u32, (place % (COARSE_PIXELS / 2)) as u32);
     let (tile, block, lane) = (left_place / 32, left_place / 8 % 4, left_place % 8);
     let in_tile = [block % 2 * 4 + lane % 2 + 2 * right, block / 2 * 4 + lane / 2];
-    [tile % MACRO_COLUMNS * RENDER_TILE_PX + in_tile[0], tile / MACRO_COLUMNS * RENDER_TILE_PX + in_tile[1]]
+    [tile % COARSE_COLUMNS * FINE_TILE_PX + in_tile[0], tile / COARSE_COLUMNS * FINE_TILE_PX + in_tile[1]]
 }
 
 /// Accumulated color and transmittance of a pixel, front to back.
@@ -33,17 +33,17 @@ pub struct Pixel {
 pub const PIXEL_EMPTY: Pixel =
     Pixel { color: Vec3::ZERO, transmittance: 1.0, weighted_depth: 0.0, best_weight: 0.0, best_instance: 0 };
 
-/// The camera whose image macro tile `bin` belongs to.
+/// The camera whose image coarse tile `bin` belongs to.
 #[must_use]
 pub fn camera_of_bin(cameras: &[CameraRecord], bin: u32) -> usize {
     (1..cameras.len()).fold(0, |camera, next| if cameras[next].first_bin <= bin { next } else { camera })
 }
 
-/// Top left pixel of a macro tile.
+/// Top left pixel of a coarse tile.
 #[must_use]
-pub fn macro_tile_origin(bin: u32, camera: &CameraRecord) -> [u32; 2] {
+pub fn coarse_tile_origin(bin: u32, camera: &CameraRecord) -> [u32; 2] {
     let tile = bin - camera.first_bin;
-    [tile % camera.macro_tiles[0] * MACRO_WIDTH_PX, tile / camera.macro_tiles[0] * MACRO_HEIGHT_PX]
+    [tile % camera.coarse_tiles[0] * COARSE_WIDTH_PX, tile / camera.coarse_tiles[0] * COARSE_HEIGHT_PX]
 }
 
 /// Images in f32, of all cameras one after the other.

@@ -1,26 +1,26 @@
-//! Cuts each macro tile's list into segments and plans how their results are joined: `plan_segments.comp`.
+//! Cuts each coarse tile's list into segments and plans how their results are joined: `plan_segments.comp`.
 //!
 //! Items come in waves: segment 0 of every tile, segment 1, segments 2 and 3, segments 4 to 7 and so on.
 
 use crate::capacity::groups_for;
-use crate::layout::{Composite, Item, MACRO_PIXELS, NO_PARTIAL, Needs};
-use crate::stages::Arguments;
+use crate::layout::{BlendItem, COARSE_PIXELS, Composite, NO_PARTIAL, RequiredCounts};
+use crate::stages::IndirectArguments;
 
-/// Workgroups that share the joining of one macro tile.
-const COMPOSITE_GROUPS: u32 = MACRO_PIXELS as u32 / 256;
+/// Workgroups that share the joining of one coarse tile.
+const COMPOSITE_GROUPS: u32 = COARSE_PIXELS as u32 / 256;
 
 /// Pairs that were wanted; `u32::MAX` where they are more than it can hold.
-fn wanted_pairs(needs: &Needs) -> u32 {
-    let pairs = (u64::from(needs.pairs_high) << 16) + u64::from(needs.pairs_low);
+fn wanted_pairs(required: &RequiredCounts) -> u32 {
+    let pairs = (u64::from(required.pairs_high) << 16) + u64::from(required.pairs_low);
     u32::try_from(pairs).unwrap_or(u32::MAX)
 }
 
-/// Writes the segments of all macro tiles as far as there is room, the macro tiles that were cut, how many of each there
+/// Writes the segments of all coarse tiles as far as there is room, the coarse tiles that were cut, how many of each there
 /// are, and the dispatches that depend on it.
 pub fn plan_segments(
-    needs: &mut Needs,
+    required: &mut RequiredCounts,
     tile_lists: &[[u32; 2]],
-    items: &mut [Item],
+    items: &mut [BlendItem],
     composites: &mut [Composite],
     arguments: &mut [[u32; 3]],
     bin_count: u32,
@@ -55,7 +55,7 @@ pub fn plan_segments(
                 if let Some(place) = items.get_mut(item as usize) {
                     let pairs = if segment + 1 < segments_of(list) { segment_pairs } else { list[1] - taken };
                     let partial = if segments_of(list) > 1 { slot } else { NO_PARTIAL };
-                    *place = Item { bin, first_pair: list[0] + taken, pairs, partial, segment };
+                    *place = BlendItem { bin, first_pair: list[0] + taken, pairs, partial, segment };
                 }
                 item += 1;
             }
@@ -65,11 +65,11 @@ pub fn plan_segments(
     if bin_count == 0 {
         return;
     }
-    needs.longest = lists.iter().map(|list| list[1]).max().unwrap_or(0);
-    needs.pairs = wanted_pairs(needs);
-    (needs.items, needs.partials, needs.composites) = (item, partial, composite);
-    let fits = needs.pairs <= pairs_max;
+    required.longest = lists.iter().map(|list| list[1]).max().unwrap_or(0);
+    required.pairs = wanted_pairs(required);
+    (required.items, required.partials, required.composites) = (item, partial, composite);
+    let fits = required.pairs <= pairs_max;
     let composite_groups = if fits && partial <= partials_max { composite * COMPOSITE_GROUPS } else { 0 };
-    arguments[Arguments::Blend as usize] = groups_for(if fits { item.min(items.len() as u32) as usize } else { 0 });
-    arguments[Arguments::Composite as usize] = groups_for(composite_groups as usize);
+    arguments[IndirectArguments::Blend as usize] = groups_for(if fits { item.min(items.len() as u32) as usize } else { 0 });
+    arguments[IndirectArguments::Composite as usize] = groups_for(composite_groups as usize);
 }

@@ -7,17 +7,17 @@ use super::record::Record;
 use super::sh::{Stored, sh_color};
 use super::shadow::shadow_factor;
 use super::write_record::write_record;
-use crate::layout::{CHUNK_SPLATS, CameraRecord, LensRecord, NO_KEY_SET, ShadowRecord};
+use crate::layout::{CLUSTER_SPLATS, CameraRecord, LensRecord, NO_KEY_SET, ShadowRecord};
 
 /// Share of a splat's light after all shadows that may lie on the cluster and that the camera sees.
-fn light_left(chunk_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[ShadowRecord], shadow_words: &[u32]) -> f32 {
+fn light_left(cluster_index: usize, camera: usize, mean_m: [f32; 3], shadows: &[ShadowRecord], shadow_words: &[u32]) -> f32 {
     let words = shadows.len().div_ceil(32);
-    let may_lie = |index: usize| shadow_words[chunk_index * words + index / 32] >> (index % 32) & 1 == 1;
+    let may_lie = |index: usize| shadow_words[cluster_index * words + index / 32] >> (index % 32) & 1 == 1;
     let near = shadows.iter().enumerate().filter(|(index, shadow)| may_lie(*index) && shadow.cameras >> camera & 1 == 1);
     near.map(|(_, shadow)| shadow_factor(shadow, mean_m)).product()
 }
 
-/// Writes a record, its color and depth key for every bit of `visible_words`, the first of each `[camera][chunk]` at `firsts`, as far as
+/// Writes a record, its color and depth key for every bit of `visible_words`, the first of each `[camera][cluster]` at `offsets`, as far as
 /// there is room. `instances` holds two 16-bit ids a word, and is `None` where they are not asked for; with `splat_ids` the splat's
 /// index is written instead. Cameras that have a key set read their keys from it.
 pub fn project(
@@ -26,7 +26,7 @@ pub fn project(
     shapes: &[[f32; 4]],
     rotations: &[[f32; 4]],
     visible_words: &[u32],
-    firsts: &[u32],
+    offsets: &[u32],
     sh: &Stored<'_>,
     instances: Option<&[u32]>,
     footprints: &mut [[f32; 4]],
@@ -43,16 +43,16 @@ pub fn project(
     splat_ids: bool,
 ) {
     let splat_count = means_m.len();
-    let chunk_count = splat_count.div_ceil(CHUNK_SPLATS);
+    let cluster_count = splat_count.div_ceil(CLUSTER_SPLATS);
     let records_max = colors.len();
-    let visible = |list: usize, place: usize| visible_words[(list * CHUNK_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
+    let visible = |list: usize, place: usize| visible_words[(list * CLUSTER_SPLATS + place) / 32] >> (place % 32) & 1 == 1;
     for (camera_index, camera) in cameras.iter().enumerate() {
         let lens = lens_of(lenses, camera_index);
-        for chunk_index in 0..chunk_count {
-            let list = camera_index * chunk_count + chunk_index;
-            let seen = (0..CHUNK_SPLATS).filter(|&place| visible(list, place));
-            for (slot, place) in (firsts[list] as usize..records_max).zip(seen) {
-                let splat_index = chunk_index * CHUNK_SPLATS + place;
+        for cluster_index in 0..cluster_count {
+            let list = camera_index * cluster_count + cluster_index;
+            let seen = (0..CLUSTER_SPLATS).filter(|&place| visible(list, place));
+            for (slot, place) in (offsets[list] as usize..records_max).zip(seen) {
+                let splat_index = cluster_index * CLUSTER_SPLATS + place;
                 let offset = from_camera_m(means_m[splat_index], camera);
                 let t = to_camera_axes(camera, offset);
                 let shape = shapes[splat_index];
@@ -64,7 +64,7 @@ pub fn project(
                     instance: if splat_ids { splat_index as u32 } else { id },
                 };
                 let color = sh_color(sh, splat_index, splat_count, offset.normalize(), sh_degree);
-                let color = light_left(chunk_index, camera_index, means_m[splat_index], shadows, shadow_words) * color;
+                let color = light_left(cluster_index, camera_index, means_m[splat_index], shadows, shadow_words) * color;
                 write_record(slot, &record, color, footprints, colors);
                 keys[slot] = if key_sets[camera_index] != NO_KEY_SET {
                     kept_keys[key_sets[camera_index] as usize * splat_count + splat_index]

@@ -1,8 +1,8 @@
-//! Contact shadows: `shadow.glsl`, and which chunks they may lie on: `cull_shadows.comp`.
+//! Contact shadows: `shadow.glsl`, and which clusters they may lie on: `cull_shadows.comp`.
 
 use glam::Vec3;
 
-use crate::layout::{ChunkRecord, ShadowRecord};
+use crate::layout::{ClusterRecord, ShadowRecord};
 
 fn from_shadow_m(position_m: [f32; 3], shadow: &ShadowRecord) -> Vec3 {
     (Vec3::from_array(position_m) - Vec3::from_array(shadow.center_high_m)) - Vec3::from_array(shadow.center_low_m)
@@ -25,15 +25,15 @@ pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
 
 /// True if the box of a cluster's means reaches into the slab of ground that the shadow lies on.
 #[must_use]
-pub fn shadow_reaches(shadow: &ShadowRecord, chunk: &ChunkRecord) -> bool {
-    let center = from_shadow_m(chunk.center_m, shadow);
-    let half_extent = Vec3::from_array(chunk.half_extent_m);
+pub fn shadow_reaches(shadow: &ShadowRecord, cluster: &ClusterRecord) -> bool {
+    let center = from_shadow_m(cluster.center_m, shadow);
+    let half_extent = Vec3::from_array(cluster.half_extent_m);
     let wide = half_extent + 1e-5 * (center.abs().element_sum() + half_extent.element_sum());
     let within = |axis: [f32; 3], limit: f32| {
         let axis = Vec3::from_array(axis);
         axis.dot(center).abs() <= axis.abs().dot(wide) + limit
     };
-    chunk.reach_m >= 0.0
+    cluster.reach_m >= 0.0
         && within(shadow.normal, shadow.slab_m)
         && within(shadow.along, shadow.reach)
         && within(shadow.across, shadow.reach)

@@ -3,7 +3,7 @@
 use decouplegs_shaders::constants::{SLAB_FIRST_M, SLAB_SHIFT};
 
 use super::depth_key::depth_of_key;
-use super::footprint::{reached_macro_rows, reached_macro_tiles};
+use super::footprint::{reached_coarse_rows, reached_coarse_tiles};
 use super::record::load_footprint;
 use crate::layout::{BUCKET_PAIRS, CameraRecord, SLABS, ViewLists};
 
@@ -22,7 +22,7 @@ fn camera_of(record: u32, lists: &[ViewLists], camera_count: usize) -> usize {
     (1..camera_count).fold(0, |camera, next| if first(next) <= record { next } else { camera })
 }
 
-/// Depth keys and records of all pairs, by `[macro tile][depth slab]`, in the order of records.
+/// Depth keys and records of all pairs, by `[coarse tile][depth slab]`, in the order of records.
 #[must_use]
 pub fn bin_pairs(
     cameras: &[CameraRecord],
@@ -37,11 +37,11 @@ pub fn bin_pairs(
         let camera = &cameras[camera_of(record, lists, cameras.len())];
         let splat = load_footprint(footprints, record as usize);
         let slab = depth_slab(key, if radial { 0.0 } else { camera.key_depth }, camera.key_scale);
-        let [first_row, last_row] = reached_macro_rows(&splat, camera.size_px[1]);
+        let [first_row, last_row] = reached_coarse_rows(&splat, camera.size_px[1]);
         for row in first_row..=last_row {
-            let [left, right] = reached_macro_tiles(&splat, row as u32, camera.size_px);
+            let [left, right] = reached_coarse_tiles(&splat, row as u32, camera.size_px);
             for tile in left..=right {
-                let bin = camera.first_bin + row as u32 * camera.macro_tiles[0] + tile as u32;
+                let bin = camera.first_bin + row as u32 * camera.coarse_tiles[0] + tile as u32;
                 pairs[bin as usize * SLABS + slab].push([key, record]);
             }
         }
@@ -49,7 +49,7 @@ pub fn bin_pairs(
     pairs
 }
 
-/// Lengths of the buckets of one macro tile, some of them 0, whose slabs have `slab_counts` pairs.
+/// Lengths of the buckets of one coarse tile, some of them 0, whose slabs have `slab_counts` pairs.
 #[must_use]
 pub fn plan_buckets(slab_counts: &[u32]) -> Vec<u32> {
     let (mut buckets, mut place, mut begin) = (Vec::new(), 0u32, 0u32);

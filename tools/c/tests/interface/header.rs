@@ -6,7 +6,7 @@ use std::{env, fs};
 use crate::library::{FOLDER, run, succeed};
 
 /// In the order in which the header has them.
-const SOURCES: [&str; 7] = ["status", "boundary", "types", "session", "scene", "world", "viewer"];
+const SOURCES: [&str; 7] = ["status", "boundary", "types", "session", "scene", "world", "batch_renderer"];
 
 /// The header of the sources as they are.
 fn generated() -> String {

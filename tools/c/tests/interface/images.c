@@ -30,7 +30,7 @@ static void require(int holds, const char *what) {
 
 struct drawn {
     DgsSession *session;
-    DgsViewer *viewer;
+    DgsBatchRenderer *renderer;
     size_t pixels;
     uint32_t first_instance;
 };
@@ -52,7 +52,7 @@ static struct drawn draw(const char *path, uint32_t color, uint32_t planes) {
     CHECK(dgs_session_open(&options, &drawn.session));
     CHECK(dgs_scene_open(drawn.session, path, &scene));
     CHECK(dgs_world_new(scene, &world));
-    CHECK(dgs_viewer_new(drawn.session, &drawn.viewer));
+    CHECK(dgs_batch_renderer_new(drawn.session, &drawn.renderer));
     CHECK(dgs_scene_camera_at(scene, 0, 0.0, &camera));
     CHECK(dgs_world_agent(world, 0, &agent));
     drawn.first_instance = agent.instance;
@@ -60,7 +60,7 @@ static struct drawn draw(const char *path, uint32_t color, uint32_t planes) {
     view.world = world;
     view.cameras = &camera;
     view.camera_count = 1;
-    CHECK(dgs_viewer_draw(drawn.viewer, &view, 1));
+    CHECK(dgs_batch_renderer_draw(drawn.renderer, &view, 1));
     CHECK(dgs_world_close(world));
     CHECK(dgs_scene_close(scene));
     return drawn;
@@ -68,14 +68,14 @@ static struct drawn draw(const char *path, uint32_t color, uint32_t planes) {
 
 static const void *pixels(const struct drawn *drawn, uint32_t kind, size_t pixel_bytes) {
     DgsImage image;
-    CHECK(dgs_viewer_image(drawn->viewer, 0, 0, kind, &image));
+    CHECK(dgs_batch_renderer_image(drawn->renderer, 0, 0, kind, &image));
     require(image.kind == kind && image.pixel_bytes == pixel_bytes, "a pixel has its size");
     require(image.row_bytes == pixel_bytes * image.width_px, "rows follow one another");
     return image.data;
 }
 
 static void end(struct drawn *drawn) {
-    CHECK(dgs_viewer_close(drawn->viewer));
+    CHECK(dgs_batch_renderer_close(drawn->renderer));
     CHECK(dgs_session_close(drawn->session));
 }
 

@@ -58,7 +58,13 @@ pub fn compiled(source: &str, linked: Linked, folder: &Path) -> PathBuf {
             Linked::Shared => {
                 let library = library("libdecouplegs_c.so");
                 let beside = library.parent().expect("a library is in a folder");
-                command.arg("-L").arg(beside).arg("-ldecouplegs_c").arg(format!("-Wl,-rpath,{}", beside.display()))
+                // An older library in a folder of LD_LIBRARY_PATH, as Cargo sets it, must not come first: DT_RPATH does.
+                command
+                    .arg("-L")
+                    .arg(beside)
+                    .arg("-ldecouplegs_c")
+                    .arg("-Wl,--disable-new-dtags")
+                    .arg(format!("-Wl,-rpath,{}", beside.display()))
             }
             Linked::Static => command.arg(library("libdecouplegs_c.a")).arg("-ldl"),
         };

@@ -1,6 +1,6 @@
 /*
  * Does what nobody should, and checks that each fault is told and that everything works afterwards. Then what is allowed: handles closed
- * in any order, and two viewers on two threads.
+ * in any order, and two batch renderers on two threads.
  *
  * misuse SCENE.toml: a scene with a rig and an agent.
  */
@@ -144,60 +144,60 @@ static void misuse_worlds(const DgsScene *scene) {
     OK(dgs_world_close(world));
 }
 
-static void misuse_viewers(const DgsSession *session, const DgsScene *scene) {
+static void misuse_batch_renderers(const DgsSession *session, const DgsScene *scene) {
     DgsSession *other = NULL;
-    DgsViewer *viewer = NULL, *stranger = NULL;
+    DgsBatchRenderer *renderer = NULL, *stranger = NULL;
     DgsWorld *world = NULL;
     DgsCamera camera, bad;
     DgsImage image;
     DgsStatistics statistics = {0};
     DgsView view;
-    OK(dgs_viewer_new(session, &viewer));
+    OK(dgs_batch_renderer_new(session, &renderer));
     OK(dgs_world_new(scene, &world));
     OK(dgs_scene_camera_at(scene, 0, 0.0, &camera));
     view.world = world;
     view.cameras = &camera;
     view.camera_count = 1;
-    EXPECT(DGS_STATUS_NOT_FOUND, "no images", dgs_viewer_image(viewer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "no views", dgs_viewer_draw(viewer, &view, 0));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "views is NULL", dgs_viewer_draw(viewer, NULL, 1));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "more than memory", dgs_viewer_draw(viewer, &view, SIZE_MAX));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "not aligned", dgs_viewer_draw(viewer, (const DgsView *)(const void *)((const char *)&view + 1), 1));
+    EXPECT(DGS_STATUS_NOT_FOUND, "no images", dgs_batch_renderer_image(renderer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "no views", dgs_batch_renderer_draw(renderer, &view, 0));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "views is NULL", dgs_batch_renderer_draw(renderer, NULL, 1));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "more than memory", dgs_batch_renderer_draw(renderer, &view, SIZE_MAX));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "not aligned", dgs_batch_renderer_draw(renderer, (const DgsView *)(const void *)((const char *)&view + 1), 1));
     view.camera_count = 0;
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "view 0 has no cameras", dgs_viewer_draw(viewer, &view, 1));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "view 0 has no cameras", dgs_batch_renderer_draw(renderer, &view, 1));
     view.camera_count = 1;
     view.cameras = &bad;
     bad = camera, bad.width_px = 0;
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "view 0, camera 0: image size 0x", dgs_viewer_draw(viewer, &view, 1));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "view 0, camera 0: image size 0x", dgs_batch_renderer_draw(renderer, &view, 1));
     bad = camera, bad.fx_px = NAN;
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "focal lengths NaN", dgs_viewer_draw(viewer, &view, 1));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "focal lengths NaN", dgs_batch_renderer_draw(renderer, &view, 1));
     bad = camera, bad.world_from_camera.position_m[0] = NAN;
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "position of view 0, camera 0", dgs_viewer_draw(viewer, &view, 1));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "position of view 0, camera 0", dgs_batch_renderer_draw(renderer, &view, 1));
     view.cameras = &camera;
     view.world = NULL;
-    EXPECT(DGS_STATUS_INVALID_HANDLE, "view 0: a world was expected", dgs_viewer_draw(viewer, &view, 1));
+    EXPECT(DGS_STATUS_INVALID_HANDLE, "view 0: a world was expected", dgs_batch_renderer_draw(renderer, &view, 1));
     view.world = world;
     OK(dgs_session_open(NULL, &other));
-    OK(dgs_viewer_new(other, &stranger));
-    EXPECT(DGS_STATUS_INVALID_HANDLE, "another session", dgs_viewer_draw(stranger, &view, 1));
-    OK(dgs_viewer_close(stranger));
+    OK(dgs_batch_renderer_new(other, &stranger));
+    EXPECT(DGS_STATUS_INVALID_HANDLE, "another session", dgs_batch_renderer_draw(stranger, &view, 1));
+    OK(dgs_batch_renderer_close(stranger));
     OK(dgs_session_close(other));
-    OK(dgs_viewer_draw(viewer, &view, 1));
-    OK(dgs_viewer_image(viewer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image));
+    OK(dgs_batch_renderer_draw(renderer, &view, 1));
+    OK(dgs_batch_renderer_image(renderer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image));
     require(image.row_bytes == 4 * (size_t)camera.width_px && image.height_px == camera.height_px, "an image has its size");
-    EXPECT(DGS_STATUS_UNSUPPORTED, "no images of this kind", dgs_viewer_image(viewer, 0, 0, DGS_IMAGE_KIND_DEPTH_F32, &image));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "kind is 4", dgs_viewer_image(viewer, 0, 0, 4, &image));
-    EXPECT(DGS_STATUS_NOT_FOUND, "no camera 1", dgs_viewer_image(viewer, 0, 1, 0, &image));
-    EXPECT(DGS_STATUS_NOT_FOUND, "in a view 1", dgs_viewer_image(viewer, 1, 0, 0, &image));
-    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "statistics", dgs_viewer_statistics(viewer, &statistics));
-    OK(dgs_viewer_close(viewer));
-    EXPECT(DGS_STATUS_INVALID_HANDLE, "closed", dgs_viewer_draw(viewer, &view, 1));
+    EXPECT(DGS_STATUS_UNSUPPORTED, "no images of this kind", dgs_batch_renderer_image(renderer, 0, 0, DGS_IMAGE_KIND_DEPTH_F32, &image));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "kind is 4", dgs_batch_renderer_image(renderer, 0, 0, 4, &image));
+    EXPECT(DGS_STATUS_NOT_FOUND, "no camera 1", dgs_batch_renderer_image(renderer, 0, 1, 0, &image));
+    EXPECT(DGS_STATUS_NOT_FOUND, "in a view 1", dgs_batch_renderer_image(renderer, 1, 0, 0, &image));
+    EXPECT(DGS_STATUS_INVALID_ARGUMENT, "statistics", dgs_batch_renderer_statistics(renderer, &statistics));
+    OK(dgs_batch_renderer_close(renderer));
+    EXPECT(DGS_STATUS_INVALID_HANDLE, "closed", dgs_batch_renderer_draw(renderer, &view, 1));
     OK(dgs_world_close(world));
 }
 
 /* What a thread draws, and what came of it. */
 struct task {
-    DgsViewer *viewer;
+    DgsBatchRenderer *renderer;
     DgsView view;
     size_t bytes;
     uint8_t *pixels;
@@ -208,8 +208,8 @@ static void *draw_some(void *given) {
     struct task *task = given;
     DgsImage image;
     for (int turn = 0; turn < 3; turn++) {
-        task->failed |= dgs_viewer_draw(task->viewer, &task->view, 1) != DGS_STATUS_OK;
-        task->failed |= dgs_viewer_image(task->viewer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image) != DGS_STATUS_OK;
+        task->failed |= dgs_batch_renderer_draw(task->renderer, &task->view, 1) != DGS_STATUS_OK;
+        task->failed |= dgs_batch_renderer_image(task->renderer, 0, 0, DGS_IMAGE_KIND_RGBA_U8, &image) != DGS_STATUS_OK;
         if (task->failed || image.row_bytes * image.height_px != task->bytes) {
             fprintf(stderr, "a thread could not draw: %s\n", dgs_last_error());
             task->failed = 1;
@@ -222,7 +222,7 @@ static void *draw_some(void *given) {
     return NULL;
 }
 
-/* Two viewers on two threads draw one world, from the cameras that they have; handles are closed in the worst order. */
+/* Two batch renderers on two threads draw one world, from the cameras that they have; handles are closed in the worst order. */
 static void use_two_threads(const char *path) {
     DgsSession *session = NULL;
     DgsScene *scene = NULL;
@@ -237,7 +237,7 @@ static void use_two_threads(const char *path) {
         struct task *task = &tasks[index];
         memset(task, 0, sizeof *task);
         OK(dgs_scene_camera_at(scene, index % 2, 0.0, &cameras[index % 2]));
-        OK(dgs_viewer_new(session, &task->viewer));
+        OK(dgs_batch_renderer_new(session, &task->renderer));
         task->view.world = world;
         task->view.cameras = &cameras[index % 2];
         task->view.camera_count = 1;
@@ -259,7 +259,7 @@ static void use_two_threads(const char *path) {
     require(memcmp(tasks[0].pixels, tasks[1].pixels, tasks[0].bytes) != 0, "two cameras see different things");
     OK(dgs_world_close(world));
     for (size_t index = 0; index < 3; index++) {
-        OK(dgs_viewer_close(tasks[index].viewer));
+        OK(dgs_batch_renderer_close(tasks[index].renderer));
         free(tasks[index].pixels);
     }
 }
@@ -278,7 +278,7 @@ int main(int count, char **arguments) {
     misuse_scenes(session, arguments[1]);
     OK(dgs_scene_open(session, arguments[1], &scene));
     misuse_worlds(scene);
-    misuse_viewers(session, scene);
+    misuse_batch_renderers(session, scene);
     OK(dgs_session_close(session));
     EXPECT(DGS_STATUS_INVALID_HANDLE, "closed", dgs_session_close(session));
     OK(dgs_scene_close(scene));

@@ -1,15 +1,15 @@
-//! Tile binning: (macro tile, record) pairs by depth slab, counted and then written.
+//! Tile binning: (coarse tile, record) pairs by depth slab, counted and then written.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
 
 use super::{Records, TileSortBuffers};
-use crate::stages::{Arguments, Control, kernel, push_constants};
+use crate::stages::{FrameCounters, IndirectArguments, kernel, push_constants};
 
 /// Purpose of a run of [`BinPairs`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BinPass {
-    /// Counts the pairs of each macro tile and depth slab.
+    /// Counts the pairs of each coarse tile and depth slab.
     Count,
     /// Writes them to the places that were planned.
     Fill,
@@ -39,7 +39,7 @@ impl BinPairs {
     }
 
     /// Counts or writes the pairs of `records`.
-    pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers) {
+    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, records: Records<'_>, buffers: &TileSortBuffers) {
         let push = Push {
             camera_count: records.camera_count as u32,
             records_max: records.projected.colors.len() as u32,
@@ -47,7 +47,7 @@ impl BinPairs {
         };
         let bound = [
             ("cameras", records.cameras.binding()),
-            ("needs", control.needs.binding()),
+            ("required", counters.required.binding()),
             ("lists", buffers.lists.binding()),
             ("keys", records.projected.keys.binding()),
             ("footprints", records.projected.footprints.binding()),
@@ -55,7 +55,7 @@ impl BinPairs {
             ("pair_keys", buffers.pair_keys.binding()),
             ("pair_records", buffers.pair_records.binding()),
         ];
-        let offset = Arguments::PairBlocks.byte_offset();
-        recorder.dispatch_indirect(&self.kernel, &bound, bytes_of(&push), control.arguments.binding(), offset);
+        let offset = IndirectArguments::PairBlocks.byte_offset();
+        recorder.dispatch_indirect(&self.kernel, &bound, bytes_of(&push), counters.arguments.binding(), offset);
     }
 }

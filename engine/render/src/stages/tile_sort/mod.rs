@@ -1,6 +1,6 @@
-//! Sorted lists of macro tiles: from records in any order to one front-to-back list per macro tile.
+//! Sorted lists of coarse tiles: from records in any order to one front-to-back list per coarse tile.
 //!
-//! A radix sort by the most significant digits, macro tile and depth slab, which counts ([`BinPairs`]), plans ([`PlanBuckets`]) and
+//! A radix sort by the most significant digits, coarse tile and depth slab, which counts ([`BinPairs`]), plans ([`PlanBuckets`]) and
 //! fills; then each bucket, a run of slabs, is sorted by the rest of its digits in shared memory ([`SortBuckets`]). All that lies
 //! between is in [`TileSortBuffers`]. Who replaces the sort needs to read this folder only.
 
@@ -14,10 +14,10 @@ pub use plan_buckets::PlanBuckets;
 pub use plan_lists::PlanLists;
 pub use sort_buckets::SortBuckets;
 
-use decouplegs_gpu::{Buffer, Gpu, GpuError, Recorder, Residence};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{Control, PURPOSE, Projected};
+use super::{FrameCounters, PURPOSE, Projected};
 use crate::capacity::Capacity;
 use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
 
@@ -25,9 +25,9 @@ use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
 pub struct TileSortBuffers {
     /// First records of each camera.
     pub lists: Buffer<ViewLists>,
-    /// Pairs of each `[macro tile][depth slab]`; zero before the frame. From the plan on, the next place in the pair buffer.
+    /// Pairs of each `[coarse tile][depth slab]`; zero before the frame. From the plan on, the next place in the pair buffer.
     pub slab_counts: Buffer<u32>,
-    /// First place and length of each macro tile's list.
+    /// First place and length of each coarse tile's list.
     pub tile_lists: Buffer<[u32; 2]>,
     /// Runs of pairs that are sorted one by one.
     pub buckets: Buffer<Bucket>,
@@ -35,17 +35,17 @@ pub struct TileSortBuffers {
     pub pair_keys: Buffer<u32>,
     /// Record of each pair.
     pub pair_records: Buffer<u32>,
-    /// The result: records, front to back in each macro tile's list.
+    /// The result: records, front to back in each coarse tile's list.
     pub sorted_records: Buffer<u32>,
 }
 
 impl TileSortBuffers {
-    /// Buffers for as many pairs as `capacity` says in `bins` macro tiles.
+    /// Buffers for as many pairs as `capacity` says in `bins` coarse tiles.
     ///
     /// # Errors
     /// [`GpuError`]: the device is out of memory.
     pub fn new(gpu: &Gpu, capacity: &Capacity, bins: u32) -> Result<Self, GpuError> {
-        let (device, bin_count) = (Residence::Device, bins as usize);
+        let (device, bin_count) = (MemoryKind::Device, bins as usize);
         Ok(Self {
             lists: gpu.buffer("view_lists", PURPOSE, crate::layout::CAMERAS_MAX, device)?,
             slab_counts: gpu.buffer("slab_counts", PURPOSE, bin_count * SLABS, device)?,
@@ -57,7 +57,7 @@ impl TileSortBuffers {
         })
     }
 
-    /// Size of the slab counts of `bins` macro tiles, bytes.
+    /// Size of the slab counts of `bins` coarse tiles, bytes.
     pub(crate) fn slab_bytes(bins: u32) -> u64 {
         4 * u64::from(bins) * SLABS as u64
     }
@@ -72,14 +72,14 @@ pub struct Records<'a> {
     pub camera_count: usize,
     /// Their footprints and depth keys.
     pub projected: &'a Projected,
-    /// Records of the background before each `[camera][chunk]`, and their total.
-    pub static_firsts: &'a Buffer<u32>,
-    /// Chunks of the background.
-    pub static_chunks: usize,
+    /// Records of the background before each `[camera][cluster]`, and their total.
+    pub static_offsets: &'a Buffer<u32>,
+    /// Clusters of the background.
+    pub static_clusters: usize,
     /// The same of agents.
-    pub moving_firsts: &'a Buffer<u32>,
-    /// Chunks of agents.
-    pub moving_chunks: usize,
+    pub moving_offsets: &'a Buffer<u32>,
+    /// Clusters of agents.
+    pub moving_clusters: usize,
 }
 
 /// The stages of the sort.
@@ -107,14 +107,21 @@ impl TileSort {
         })
     }
 
-    /// Writes the sorted lists of `bins` macro tiles to `buffers`.
-    pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers, bins: u32) {
+    /// Writes the sorted lists of `bins` coarse tiles to `buffers`.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        counters: &FrameCounters,
+        records: Records<'_>,
+        buffers: &TileSortBuffers,
+        bins: u32,
+    ) {
         recorder.stage("bin", |r| {
-            self.plan_lists.record(r, control, records, buffers);
-            self.count.record(r, control, records, buffers);
-            self.plan_buckets.record(r, control, buffers, bins);
-            self.fill.record(r, control, records, buffers);
+            self.plan_lists.record(r, counters, records, buffers);
+            self.count.record(r, counters, records, buffers);
+            self.plan_buckets.record(r, counters, buffers, bins);
+            self.fill.record(r, counters, records, buffers);
         });
-        recorder.stage("sort", |r| self.sort.record(r, control, records, buffers));
+        recorder.stage("sort", |r| self.sort.record(r, counters, records, buffers));
     }
 }

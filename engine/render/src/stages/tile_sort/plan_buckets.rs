@@ -1,11 +1,11 @@
-//! Stretches of the pair buffer for macro tiles and their depth slabs, and the buckets that are sorted.
+//! Stretches of the pair buffer for coarse tiles and their depth slabs, and the buckets that are sorted.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
 
 use super::TileSortBuffers;
 use crate::capacity::groups_for;
-use crate::stages::{Control, kernel, push_constants};
+use crate::stages::{FrameCounters, kernel, push_constants};
 
 push_constants! {
     struct Push {
@@ -28,11 +28,11 @@ impl PlanBuckets {
         Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_BUCKETS, &[])? })
     }
 
-    /// Turns the counts of `bins` macro tiles into places, and writes their lists and buckets.
-    pub fn record(&self, recorder: &mut Recorder, control: &Control, buffers: &TileSortBuffers, bins: u32) {
+    /// Turns the counts of `bins` coarse tiles into places, and writes their lists and buckets.
+    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, buffers: &TileSortBuffers, bins: u32) {
         let push = Push { bin_count: bins, buckets_max: buffers.buckets.len() as u32 };
         let bound = [
-            ("needs", control.needs.binding()),
+            ("required", counters.required.binding()),
             ("slab_counts", buffers.slab_counts.binding()),
             ("tile_lists", buffers.tile_lists.binding()),
             ("buckets", buffers.buckets.binding()),

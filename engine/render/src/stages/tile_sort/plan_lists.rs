@@ -4,13 +4,13 @@ use bytemuck::bytes_of;
 use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
 
 use super::{Records, TileSortBuffers};
-use crate::stages::{Control, kernel, push_constants};
+use crate::stages::{FrameCounters, kernel, push_constants};
 
 push_constants! {
     struct Push {
         camera_count: u32,
-        static_chunks: u32,
-        moving_chunks: u32,
+        static_clusters: u32,
+        moving_clusters: u32,
         records_max: u32,
     }
 }
@@ -30,19 +30,19 @@ impl PlanLists {
     }
 
     /// Writes the lists of `records`, how many records there are, and the dispatch that bins them.
-    pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers) {
+    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, records: Records<'_>, buffers: &TileSortBuffers) {
         let push = Push {
             camera_count: records.camera_count as u32,
-            static_chunks: records.static_chunks as u32,
-            moving_chunks: records.moving_chunks as u32,
+            static_clusters: records.static_clusters as u32,
+            moving_clusters: records.moving_clusters as u32,
             records_max: records.projected.colors.len() as u32,
         };
         let bound = [
-            ("static_firsts", records.static_firsts.binding()),
-            ("moving_firsts", records.moving_firsts.binding()),
+            ("static_offsets", records.static_offsets.binding()),
+            ("moving_offsets", records.moving_offsets.binding()),
             ("lists", buffers.lists.binding()),
-            ("needs", control.needs.binding()),
-            ("arguments", control.arguments.binding()),
+            ("required", counters.required.binding()),
+            ("arguments", counters.arguments.binding()),
         ];
         recorder.dispatch(&self.kernel, &bound, bytes_of(&push), [1, 1, 1]);
     }

@@ -5,7 +5,7 @@ use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
 
 use super::{Records, TileSortBuffers};
 use crate::capacity::groups_for;
-use crate::stages::{Control, kernel, push_constants};
+use crate::stages::{FrameCounters, kernel, push_constants};
 
 push_constants! {
     struct Push {
@@ -29,10 +29,10 @@ impl SortBuckets {
     }
 
     /// Writes the sorted records. Their own depth keys are overwritten: the pairs have copies.
-    pub fn record(&self, recorder: &mut Recorder, control: &Control, records: Records<'_>, buffers: &TileSortBuffers) {
+    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, records: Records<'_>, buffers: &TileSortBuffers) {
         let push = Push { pairs_max: buffers.sorted_records.len() as u32, camera_count: records.camera_count as u32 };
         let bound = [
-            ("needs", control.needs.binding()),
+            ("required", counters.required.binding()),
             ("buckets", buffers.buckets.binding()),
             ("pair_keys", buffers.pair_keys.binding()),
             ("pair_records", buffers.pair_records.binding()),

@@ -13,7 +13,7 @@ const MARGIN: f64 = 0.25;
 
 /// One window of one camera's image, as several drew it; no image where there is no car.
 #[derive(Default)]
-pub struct Showcase {
+pub struct ExampleCrops {
     pub time_s: f64,
     pub camera: String,
     pub car: u16,
@@ -30,12 +30,12 @@ struct Window {
 
 /// The one with more of one car in sight: `known`, whose first number says how much, or what `sample` shows.
 pub fn better(
-    known: Option<(usize, Showcase)>,
+    known: Option<(usize, ExampleCrops)>,
     sample: &Sample,
     ours: &[Image],
     plain: &[Image],
     floor: f64,
-) -> Option<(usize, Showcase)> {
+) -> Option<(usize, ExampleCrops)> {
     let (pixels, view, car) = largest(&sample.truth)?;
     if known.as_ref().is_some_and(|(known, _)| *known >= pixels) {
         return known;
@@ -46,7 +46,7 @@ pub fn better(
     let all =
         [("truth", truth), ("ours", &ours[view]), ("no relighting", &plain[view]), ("angle between ours and truth", &angles)];
     let images = all.map(|(what, image)| (what, cut(image, window))).into();
-    Some((pixels, Showcase { time_s: sample.time_s, camera: sample.cameras[view].name.clone(), car, images }))
+    Some((pixels, ExampleCrops { time_s: sample.time_s, camera: sample.cameras[view].name.clone(), car, images }))
 }
 
 /// The car with the most pixels in one image: how many, which image, which car. One that is cut off by the image's side counts

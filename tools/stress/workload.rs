@@ -28,7 +28,7 @@ struct Asset {
 }
 
 /// A scene whose agents can be drawn compressed and as they were.
-pub struct Subject {
+pub struct Workload {
     /// Background, rig and ego; assets and agents are those that were staged last.
     staged: LoadedScene,
     assets: Vec<Asset>,
@@ -50,7 +50,7 @@ pub struct StreetWish {
     pub seed: u64,
 }
 
-impl Subject {
+impl Workload {
     /// The scene file at `path`, whose agents may be plain splats or compressed.
     pub fn open(path: &Path) -> Result<Self> {
         ensure!(is_scene_file(path), "{}: expected a scene file (.toml), which has agents", path.display());

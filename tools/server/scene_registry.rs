@@ -11,7 +11,7 @@ use glam::DVec3;
 
 /// Metadata of a scene as clients see it: in the local frame, and from the clients' rig origin.
 #[derive(Debug)]
-pub struct Outline {
+pub struct SceneMetadata {
     /// The rig's cameras.
     pub rig: Rig,
     /// The way of the rig.
@@ -19,16 +19,16 @@ pub struct Outline {
 }
 
 /// The scenes of a server, by id.
-pub struct Catalog {
+pub struct SceneRegistry {
     paths: BTreeMap<String, PathBuf>,
     /// The clients' rig origin in the vehicle frame, meters.
     rig_origin: DVec3,
-    outlines: Mutex<HashMap<String, Arc<Outline>>>,
-    /// Held while an outline is read: one at a time, because a splat file may take gigabytes.
+    metadata: Mutex<HashMap<String, Arc<SceneMetadata>>>,
+    /// Held while an metadata is read: one at a time, because a splat file may take gigabytes.
     reading: Mutex<()>,
 }
 
-impl Catalog {
+impl SceneRegistry {
     /// The scenes at `paths` and those that `patterns` find.
     ///
     /// # Errors
@@ -52,7 +52,7 @@ impl Catalog {
         }
         let searched = patterns.join(", ");
         ensure!(!by_id.is_empty(), "no scenes: name scene files, or a pattern that finds some (searched: {searched:?})");
-        Ok(Self { paths: by_id, rig_origin, outlines: Mutex::default(), reading: Mutex::default() })
+        Ok(Self { paths: by_id, rig_origin, metadata: Mutex::default(), reading: Mutex::default() })
     }
 
     /// All ids, sorted.
@@ -69,18 +69,18 @@ impl Catalog {
     ///
     /// # Errors
     /// Of the scene file.
-    pub fn outline(&self, id: &str) -> Result<Option<Arc<Outline>>, AssetError> {
-        let known = || self.outlines.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(outline) = known().get(id) {
-            return Ok(Some(Arc::clone(outline)));
+    pub fn metadata(&self, id: &str) -> Result<Option<Arc<SceneMetadata>>, AssetError> {
+        let known = || self.metadata.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(metadata) = known().get(id) {
+            return Ok(Some(Arc::clone(metadata)));
         }
         let Some(path) = self.path(id) else { return Ok(None) };
         let _reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         // Another request may have read it meanwhile.
-        if let Some(outline) = known().get(id) {
-            return Ok(Some(Arc::clone(outline)));
+        if let Some(metadata) = known().get(id) {
+            return Ok(Some(Arc::clone(metadata)));
         }
-        let outline = if is_scene_file(path) {
+        let metadata = if is_scene_file(path) {
             let file = SceneFile::read(path)?;
             let ego = file.ego.unwrap_or_else(|| Trajectory::standing(Pose { translation: file.origin, ..Pose::IDENTITY }));
             self.seen_by_clients(file.rig, &ego, file.origin)
@@ -88,12 +88,12 @@ impl Catalog {
             let loaded = open_scene(path, 0.0)?;
             self.seen_by_clients(loaded.rig, &loaded.ego, loaded.world.origin)
         };
-        let outline = Arc::new(outline);
-        known().insert(id.to_owned(), Arc::clone(&outline));
-        Ok(Some(outline))
+        let metadata = Arc::new(metadata);
+        known().insert(id.to_owned(), Arc::clone(&metadata));
+        Ok(Some(metadata))
     }
 
-    fn seen_by_clients(&self, rig: Rig, ego: &Trajectory, world_origin: DVec3) -> Outline {
+    fn seen_by_clients(&self, rig: Rig, ego: &Trajectory, world_origin: DVec3) -> SceneMetadata {
         let moved = |camera: RigCamera| {
             let Pose { rotation, translation } = camera.rig_from_camera;
             RigCamera { rig_from_camera: Pose { rotation, translation: translation - self.rig_origin }, ..camera }
@@ -103,7 +103,7 @@ impl Catalog {
             TimedPose { pose: Pose { translation, ..timed.pose }, ..*timed }
         };
         let poses = ego.poses().iter().map(local).collect();
-        Outline {
+        SceneMetadata {
             rig: Rig { cameras: rig.cameras.into_iter().map(moved).collect() },
             ego: Trajectory::new(poses).unwrap_or_else(|_| ego.clone()),
         }
@@ -137,14 +137,14 @@ mod tests {
             std::fs::write(path, "").unwrap();
         }
         let refused = |paths: &[PathBuf], patterns: &[String]| {
-            Catalog::new(paths, patterns, DVec3::ZERO).map(|_| ()).unwrap_err().to_string()
+            SceneRegistry::new(paths, patterns, DVec3::ZERO).map(|_| ()).unwrap_err().to_string()
         };
         assert!(refused(&[one.clone(), two], &[]).contains("both be called \"town\""));
         assert!(refused(&[], &[]).contains("no scenes"));
         assert!(refused(&[folder.path().join("absent.toml")], &[]).contains("absent.toml"));
         assert!(refused(&[], &["a***".to_owned()]).contains("no pattern"));
         let pattern = format!("{}/*.toml", folder.path().display());
-        assert_eq!(Catalog::new(&[one], &[pattern], DVec3::ZERO).unwrap().ids(), ["town"]);
+        assert_eq!(SceneRegistry::new(&[one], &[pattern], DVec3::ZERO).unwrap().ids(), ["town"]);
     }
 
     #[test]
@@ -156,10 +156,10 @@ mod tests {
                     0.2, 0.0]\n[[ego]]\ntime_s = 0.5\nposition_m = [1010.0, 2005.0, 50.8]\nyaw_rad = 1.0\n";
         std::fs::write(&path, text).unwrap();
         let camera = |rig_origin| {
-            let catalog = Catalog::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
-            let outline = catalog.outline("town").unwrap().unwrap();
-            assert!(catalog.outline("village").unwrap().is_none());
-            outline.rig.at(&outline.ego.at(0.5)).remove(0).world_from_camera
+            let registry = SceneRegistry::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
+            let metadata = registry.metadata("town").unwrap().unwrap();
+            assert!(registry.metadata("village").unwrap().is_none());
+            metadata.rig.at(&metadata.ego.at(0.5)).remove(0).world_from_camera
         };
         let (center, axle) = (camera(DVec3::ZERO), camera(DVec3::new(-1.4, 0.0, -0.8)));
         assert!((center.translation - axle.translation).length() < 1e-9);

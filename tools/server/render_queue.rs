@@ -19,13 +19,13 @@ use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
 use crate::cache::Cache;
-use crate::catalog::Catalog;
 use crate::log_limit::LogLimit;
 use crate::metrics::Metrics;
 use crate::names::no_scene;
 use crate::options::Limits;
-use crate::sight::Sight;
-use crate::stage::{Stage, is_lost, status_of};
+use crate::render_request::RenderRequest;
+use crate::scene_registry::SceneRegistry;
+use crate::scene_renderer::{SceneRenderer, is_lost, status_of};
 
 /// Frames whose images there may be at a time. When encoding falls so far behind, drawing waits: memory stays bounded.
 const FRAMES_MAX: usize = 4;
@@ -36,7 +36,7 @@ const READERS: usize = 2;
 
 /// Asks for images.
 #[derive(Clone)]
-pub struct Painter {
+pub struct RenderQueue {
     messages: Sender<Message>,
     metrics: Arc<Metrics>,
     /// Turns true when nothing will be drawn again.
@@ -88,18 +88,18 @@ enum Message {
 
 /// Sights of one scene with the same objects.
 struct Job {
-    sights: Vec<Sight>,
+    requests: Vec<RenderRequest>,
     answer: oneshot::Sender<Result<Images, Status>>,
 }
 
-impl Painter {
-    /// Starts the threads, which draw scenes of `catalog` on `gpu`.
+impl RenderQueue {
+    /// Starts the threads, which draw scenes of `registry` on `gpu`.
     ///
     /// # Errors
     /// When the operating system gives no threads.
     pub fn start(
         gpu: Gpu,
-        catalog: Arc<Catalog>,
+        registry: Arc<SceneRegistry>,
         limits: &Limits,
         metrics: Arc<Metrics>,
     ) -> Result<(Self, JoinHandle<Result<()>>)> {
@@ -112,9 +112,9 @@ impl Painter {
         }
         let (lost_sender, lost) = watch::channel(false);
         let refusing = Arc::new(AtomicBool::new(false));
-        let mut studio = Studio {
+        let mut studio = RenderWorker {
             gpu,
-            catalog,
+            registry,
             scenes: Cache::new(limits.cache_size as usize, limits.cache_bytes),
             waiting: HashMap::new(),
             loads,
@@ -138,14 +138,14 @@ impl Painter {
         Ok((Self { messages, metrics, lost, refusing }, thread))
     }
 
-    /// Images of `sights`, which are of one scene and see the same objects, drawn in one submission.
+    /// Images of `requests`, which are of one scene and see the same objects, drawn in one submission.
     ///
     /// # Errors
     /// NOT_FOUND for unknown scenes, and what reading or drawing meets.
-    pub async fn draw(&self, sights: Vec<Sight>) -> Result<Images, Status> {
+    pub async fn draw(&self, requests: Vec<RenderRequest>) -> Result<Images, Status> {
         let (answer, answered) = oneshot::channel();
         self.metrics.queued(1);
-        let sent = self.messages.send(Message::Draw(Job { sights, answer }));
+        let sent = self.messages.send(Message::Draw(Job { requests, answer }));
         let gone = || Status::unavailable("the server is ending: ask another");
         let answered = match sent {
             Ok(()) => answered.await.map_err(|_| gone()),
@@ -156,7 +156,7 @@ impl Painter {
 
     /// Reads `scenes` into the cache.
     pub fn preload(&self, scenes: Vec<String>) {
-        // A painter that has ended needs no scenes.
+        // A render_queue that has ended needs no scenes.
         let _ = self.messages.send(Message::Preload(scenes));
     }
 
@@ -192,7 +192,7 @@ fn read_scenes(to_load: &Mutex<Receiver<(String, PathBuf)>>, loaded: &Sender<Mes
             tracing::warn!(scene = id, assets, "plain splat files of agents were compressed: `decouplegs compress` does it once");
         }
         let scene = read.map(|(scene, _)| Box::new(scene));
-        // No one to tell: the painter has ended.
+        // No one to tell: the render_queue has ended.
         let _ = loaded.send(Message::Loaded(id, scene));
     }
 }
@@ -207,10 +207,10 @@ fn caught<T>(what: &str, work: impl FnOnce() -> T) -> Result<T, Status> {
 }
 
 /// State of the render thread.
-struct Studio {
+struct RenderWorker {
     gpu: Gpu,
-    catalog: Arc<Catalog>,
-    scenes: Cache<Stage>,
+    registry: Arc<SceneRegistry>,
+    scenes: Cache<SceneRenderer>,
     /// Jobs for scenes that are being read.
     waiting: HashMap<String, Vec<Job>>,
     loads: Sender<(String, PathBuf)>,
@@ -225,7 +225,7 @@ struct Studio {
     refusing: Arc<AtomicBool>,
 }
 
-impl Studio {
+impl RenderWorker {
     fn work(&mut self, inbox: &Receiver<Message>) {
         for message in inbox {
             match message {
@@ -251,11 +251,11 @@ impl Studio {
     }
 
     fn draw_or_wait(&mut self, job: Job) {
-        let id = job.sights.first().map(|sight| sight.scene.clone()).unwrap_or_default();
+        let id = job.requests.first().map(|request| request.scene.clone()).unwrap_or_default();
         if self.refusing.load(Ordering::Relaxed) {
             return self.answer(job.answer, Err(Status::unavailable("the server is ending: ask another")));
         }
-        if self.catalog.path(&id).is_none() {
+        if self.registry.path(&id).is_none() {
             return self.answer(job.answer, Err(no_scene(&id)));
         }
         if self.scenes.get(&id).is_some() {
@@ -268,7 +268,7 @@ impl Studio {
 
     /// Has `id` read, unless it is there or on its way.
     fn load(&mut self, id: &str) {
-        let Some(path) = self.catalog.path(id) else { return };
+        let Some(path) = self.registry.path(id) else { return };
         if self.scenes.get(id).is_none() && !self.waiting.contains_key(id) {
             self.waiting.insert(id.to_owned(), Vec::new());
             // The reader lives as long as this sender.
@@ -278,7 +278,7 @@ impl Studio {
 
     fn loaded(&mut self, id: &str, scene: Result<Box<LoadedScene>, Status>) {
         let jobs = self.waiting.remove(id).unwrap_or_default();
-        let staged = scene.and_then(|scene| caught("preparing the scene", || self.stage(id, &scene)).flatten());
+        let staged = scene.and_then(|scene| caught("preparing the scene", || self.scene_renderer(id, &scene)).flatten());
         if let Err(status) = staged {
             if let Some(suppressed) = self.failures.admit() {
                 tracing::error!(scene = id, reason = status.message(), suppressed, "a scene cannot be served");
@@ -291,14 +291,14 @@ impl Studio {
     }
 
     /// Puts `scene` on the device, in the place of others if need be.
-    fn stage(&mut self, id: &str, scene: &LoadedScene) -> Result<(), Status> {
+    fn scene_renderer(&mut self, id: &str, scene: &LoadedScene) -> Result<(), Status> {
         let most = self.scenes.bytes_max();
         let estimate = scene.world.splats.len() as u64 * bytes_a_splat(scene.world.splats.sh_degree);
         while let Some((other, _)) = self.scenes.make_room(estimate.min(most)) {
             tracing::info!(scene = other, "a scene leaves the cache");
         }
         let (before, since) = (self.gpu.memory().total_bytes, Instant::now());
-        let stage = Stage::new(&self.gpu, scene).map_err(|error| status_of(&error))?;
+        let scene_renderer = SceneRenderer::new(&self.gpu, scene).map_err(|error| status_of(&error))?;
         let bytes = self.gpu.memory().total_bytes.saturating_sub(before);
         if bytes > most {
             let reason = format!("scene {id:?} takes {bytes} bytes of the device; the cache has {most} (--cache-bytes)");
@@ -306,27 +306,32 @@ impl Studio {
         }
         let (splats, agents, seconds) = (scene.world.splats.len(), scene.agents.len(), since.elapsed().as_secs_f64());
         tracing::info!(scene = id, splats, agents, bytes, seconds, "a scene is on the device");
-        self.scenes.insert(id.to_owned(), stage, bytes);
+        self.scenes.insert(id.to_owned(), scene_renderer, bytes);
         self.resize(id, bytes);
         Ok(())
     }
 
     fn draw(&mut self, id: &str, job: Job) {
-        let Job { sights, answer } = job;
+        let Job { requests, answer } = job;
         // Whoever asked has gone, or the deadline has passed.
         if answer.is_closed() {
             return self.metrics.queued(-1);
         }
         let mut images = self.memory.take();
         let (before, held) = (self.gpu.memory().total_bytes, self.scenes.bytes_of(id));
-        let Some(stage) = self.scenes.get(id) else {
+        let Some(scene_renderer) = self.scenes.get(id) else {
             return self.answer(answer, Err(Status::unavailable(format!("scene {id:?} left the cache: ask again"))));
         };
         let since = Instant::now();
-        let result = match caught("drawing", || stage.draw(&sights, &mut images.bytes)) {
+        let result = match caught("drawing", || scene_renderer.draw(&requests, &mut images.bytes)) {
             Ok(Ok(drawn)) => {
-                tracing::debug!(scene = id, cameras = sights.len(), seconds = since.elapsed().as_secs_f64(), "a frame was drawn");
-                self.metrics.drew(sights.len(), drawn.unknown.len());
+                tracing::debug!(
+                    scene = id,
+                    cameras = requests.len(),
+                    seconds = since.elapsed().as_secs_f64(),
+                    "a frame was drawn"
+                );
+                self.metrics.drew(requests.len(), drawn.unknown.len());
                 self.warn_of(id, drawn.unknown);
                 let grown = i128::from(self.gpu.memory().total_bytes) - i128::from(before);
                 self.resize(id, u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX));

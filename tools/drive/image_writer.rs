@@ -6,11 +6,11 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use decouplegs::asset::EpisodeLog;
-use decouplegs::episode::{EpisodeError, Witness};
+use decouplegs::episode::{EpisodeError, EpisodeObserver};
 use decouplegs::planner::Frame;
 use decouplegs::render::Image;
 use decouplegs::render::rendered_image::ImageFileFormat;
-use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, Instant};
+use decouplegs::scene::episode::{EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick};
 
 use crate::arguments::write_image;
 
@@ -26,7 +26,7 @@ pub enum Images {
 }
 
 /// The images of one episode.
-pub struct Album {
+pub struct ImageWriter {
     folder: PathBuf,
     keeps: Images,
     /// Images of the first camera at the start and at each moment that would be the middle if the
@@ -48,7 +48,7 @@ struct Key {
 const KEY_EVERY: u32 = 10;
 const KEYS_MAX: usize = 3;
 
-impl Album {
+impl ImageWriter {
     pub fn new(folder: PathBuf, keeps: Images) -> Self {
         Self { folder, keeps, keys: Vec::new(), last: None }
     }
@@ -105,29 +105,29 @@ fn image_of([width_px, height_px]: [u32; 2], rgba: &[u8]) -> Image {
     }
 }
 
-/// Keeps what happens: the log on disk, and the album.
-pub struct Keeper {
+/// Keeps what happens: the log on disk, and the image_writer.
+pub struct EpisodeImages {
     path: PathBuf,
     log: Option<EpisodeLog>,
-    album: Album,
+    image_writer: ImageWriter,
     /// Error of writing an image. The log has priority, so it is reported after the episode.
-    pub album_error: Option<anyhow::Error>,
+    pub image_error: Option<anyhow::Error>,
 }
 
-impl Keeper {
-    pub fn new(path: PathBuf, album: Album) -> Self {
-        Self { path, log: None, album, album_error: None }
+impl EpisodeImages {
+    pub fn new(path: PathBuf, image_writer: ImageWriter) -> Self {
+        Self { path, log: None, image_writer, image_error: None }
     }
 
     fn keep(&mut self, result: Result<()>) {
-        if let (Err(error), None) = (result, &self.album_error) {
-            self.album_error = Some(error);
+        if let (Err(error), None) = (result, &self.image_error) {
+            self.image_error = Some(error);
         }
     }
 }
 
-impl Witness for Keeper {
-    fn begin(&mut self, head: &EpisodeHead, start: &Instant) -> Result<(), EpisodeError> {
+impl EpisodeObserver for EpisodeImages {
+    fn begin(&mut self, head: &EpisodeHead, start: &EpisodeTick) -> Result<(), EpisodeError> {
         self.log = Some(EpisodeLog::create(&self.path, head, start)?);
         Ok(())
     }
@@ -136,14 +136,14 @@ impl Witness for Keeper {
         if let Some(log) = &mut self.log {
             log.append(step)?;
         }
-        let added = self.album.add(step.step, frames);
+        let added = self.image_writer.add(step.step, frames);
         self.keep(added);
         Ok(())
     }
 
     fn end(&mut self, end: &EpisodeEnd) -> Result<(), EpisodeError> {
         // Images first: a log under its own name says that all of the episode is there.
-        let closed = self.album.close();
+        let closed = self.image_writer.close();
         self.keep(closed);
         if let Some(log) = self.log.take() {
             log.finish(end)?;
@@ -162,12 +162,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let intrinsics = Intrinsics::from_horizontal_fov(2, 1, 1.0);
         let camera = RigCamera { name: "front".into(), intrinsics, rig_from_camera: Pose::IDENTITY };
-        let mut album = Album::new(folder.path().join("a"), Images::Key);
+        let mut image_writer = ImageWriter::new(folder.path().join("a"), Images::Key);
         for step in 0..14_u8 {
             let rgba = [step, 0, 0, 255, 0, step, 0, 255];
-            album.add(u32::from(step), &[Frame { camera: &camera, rgba: &rgba }]).unwrap();
+            image_writer.add(u32::from(step), &[Frame { camera: &camera, rgba: &rgba }]).unwrap();
         }
-        album.close().unwrap();
+        image_writer.close().unwrap();
         let mut names: Vec<_> = fs::read_dir(folder.path().join("a")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
         names.sort();
         assert_eq!(names, ["key_0000.png", "key_0010.png", "key_0013.png"]);

@@ -4,25 +4,25 @@ use std::collections::HashMap;
 
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::{Gpu, GpuError};
-use decouplegs::render::{ColorFormat, Outputs, ImageBytes, RenderError, RenderOptions, Renderer};
+use decouplegs::render::{ColorFormat, ImageBytes, Outputs, RenderError, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, Pose};
-use decouplegs::{LiveScene, Placed};
+use decouplegs::{AgentInstance, LiveScene};
 use glam::DVec3;
 use tonic::Status;
 
-use crate::sight::{PlacedObject, Sight};
+use crate::render_request::{PlacedObject, RenderRequest};
 
 /// Probes of light that are kept for one scene, wherever clients put objects: a square kilometer of them.
 const PROBES_MAX: usize = 1 << 20;
 
 /// A scene that can be drawn.
-pub struct Stage {
+pub struct SceneRenderer {
     renderer: Renderer,
     live: LiveScene,
     /// World coordinates of the local frame's origin.
     origin: DVec3,
     /// Assets of the scene's agents, by name; their poses come with each request.
-    agents: HashMap<String, Placed>,
+    agents: HashMap<String, AgentInstance>,
 }
 
 /// Results beside the images.
@@ -32,7 +32,7 @@ pub struct Drawn {
     pub unknown: Vec<String>,
 }
 
-impl Stage {
+impl SceneRenderer {
     /// `loaded` on the device.
     ///
     /// # Errors
@@ -45,23 +45,24 @@ impl Stage {
         };
         let renderer = Renderer::new(gpu, options);
         let live = LiveScene::new(&renderer, loaded)?;
-        let placed = |instance, asset, sh_frame| Placed { asset, pose: Pose::IDENTITY, sh_frame: Some(sh_frame), instance };
+        let placed =
+            |instance, asset, sh_frame| AgentInstance { asset, pose: Pose::IDENTITY, sh_frame: Some(sh_frame), instance };
         let agents = loaded.agents.iter();
         let agents = agents.map(|agent| (agent.name.clone(), placed(agent.instance, agent.asset, agent.sh_frame))).collect();
         Ok(Self { renderer, live, origin: loaded.world.origin, agents })
     }
 
-    /// Draws what `sights` see, all of them in one submission, into `images`. They see the same objects at the same places.
+    /// Draws what `requests` see, all of them in one submission, into `images`. They see the same objects at the same places.
     ///
     /// # Errors
     /// When a camera cannot make an image, the device has not the memory or was lost.
-    pub fn draw(&mut self, sights: &[Sight], images: &mut ImageBytes) -> Result<Drawn, RenderError> {
-        let objects = sights.first().map_or(&[][..], |sight| &sight.objects);
+    pub fn draw(&mut self, requests: &[RenderRequest], images: &mut ImageBytes) -> Result<Drawn, RenderError> {
+        let objects = requests.first().map_or(&[][..], |request| &request.objects);
         let mut drawn = Drawn::default();
         let mut placed = Vec::with_capacity(objects.len());
         for PlacedObject { track_id, pose } in objects {
             match self.agents.get(track_id) {
-                Some(agent) => placed.push(Placed { pose: self.in_world(pose), ..*agent }),
+                Some(agent) => placed.push(AgentInstance { pose: self.in_world(pose), ..*agent }),
                 None => drawn.unknown.push(track_id.clone()),
             }
         }
@@ -70,15 +71,15 @@ impl Stage {
             self.live.bake_light(places);
         }
         let moment = self.live.placed(&placed);
-        let cameras: Vec<Camera> = sights.iter().enumerate().map(|(index, sight)| self.camera(index, sight)).collect();
+        let cameras: Vec<Camera> = requests.iter().enumerate().map(|(index, request)| self.camera(index, request)).collect();
         self.renderer.render(self.live.with(&moment), &cameras)?;
         self.renderer.read_bytes(images)?;
         Ok(drawn)
     }
 
-    fn camera(&self, index: usize, sight: &Sight) -> Camera {
-        let world_from_camera = self.in_world(&sight.local_from_camera);
-        Camera { name: index.to_string(), intrinsics: sight.intrinsics, world_from_camera }
+    fn camera(&self, index: usize, request: &RenderRequest) -> Camera {
+        let world_from_camera = self.in_world(&request.local_from_camera);
+        Camera { name: index.to_string(), intrinsics: request.intrinsics, world_from_camera }
     }
 
     fn in_world(&self, pose: &Pose) -> Pose {

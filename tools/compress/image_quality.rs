@@ -62,20 +62,20 @@ pub struct Views {
 }
 
 /// Draws versions of an asset and scores them.
-pub struct Yardstick {
+pub struct QualityMeter {
     renderer: Renderer,
     pub views: Vec<Views>,
 }
 
-impl Yardstick {
+impl QualityMeter {
     /// Scores against `original` from the `cameras` of each name; the second of each is what the cameras are, for the reader.
     pub fn new(gpu: &Gpu, original: &SplatCloud, cameras: Vec<(&'static str, String, Vec<Camera>)>) -> Result<Self> {
-        let mut yardstick = Self { renderer: Renderer::new(gpu, RenderOptions::default()), views: Vec::new() };
+        let mut quality_meter = Self { renderer: Renderer::new(gpu, RenderOptions::default()), views: Vec::new() };
         for (name, what, cameras) in cameras {
-            let original = yardstick.draw(original, &cameras)?;
-            yardstick.views.push(Views { name, what, cameras, original });
+            let original = quality_meter.draw(original, &cameras)?;
+            quality_meter.views.push(Views { name, what, cameras, original });
         }
-        Ok(yardstick)
+        Ok(quality_meter)
     }
 
     pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {

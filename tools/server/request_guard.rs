@@ -23,13 +23,13 @@ use crate::metrics::Metrics;
 use crate::names::{Destination, destination_of};
 use crate::options::Limits;
 
-/// Puts a [`Gate`] in front of services.
+/// Puts a [`RequestGuard`] in front of services.
 #[derive(Clone)]
 pub struct GateLayer {
-    rules: Arc<Rules>,
+    rules: Arc<GuardLimits>,
 }
 
-struct Rules {
+struct GuardLimits {
     metrics: Arc<Metrics>,
     token: Option<String>,
     deadline: Duration,
@@ -42,28 +42,28 @@ impl GateLayer {
     pub fn new(limits: &Limits, token: Option<String>, metrics: Arc<Metrics>) -> Self {
         let places = Arc::new(Semaphore::new(limits.requests as usize));
         let deadline = limits.deadline();
-        Self { rules: Arc::new(Rules { metrics, token, deadline, places, requests_max: limits.requests }) }
+        Self { rules: Arc::new(GuardLimits { metrics, token, deadline, places, requests_max: limits.requests }) }
     }
 }
 
 impl<S> Layer<S> for GateLayer {
-    type Service = Gate<S>;
+    type Service = RequestGuard<S>;
 
-    fn layer(&self, service: S) -> Gate<S> {
-        Gate { service, rules: Arc::clone(&self.rules) }
+    fn layer(&self, service: S) -> RequestGuard<S> {
+        RequestGuard { service, rules: Arc::clone(&self.rules) }
     }
 }
 
-/// A service behind the gate.
+/// A service behind the guard.
 #[derive(Clone)]
-pub struct Gate<S> {
+pub struct RequestGuard<S> {
     service: S,
-    rules: Arc<Rules>,
+    rules: Arc<GuardLimits>,
 }
 
 type Answer<E> = Pin<Box<dyn Future<Output = Result<Response<Body>, E>> + Send>>;
 
-impl<S> Service<Request<Body>> for Gate<S>
+impl<S> Service<Request<Body>> for RequestGuard<S>
 where
     S: Service<Request<Body>, Response = Response<Body>> + Clone + Send + 'static,
     S::Future: Send + 'static,
@@ -111,7 +111,7 @@ where
     }
 }
 
-impl Rules {
+impl GuardLimits {
     fn admit(
         &self,
         request: &Request<Body>,
@@ -170,7 +170,7 @@ impl Count {
 impl Drop for Count {
     fn drop(&mut self) {
         if !self.is_counted {
-            self.metrics.answered(self.method, Code::Canceled, self.since.elapsed());
+            self.metrics.answered(self.method, Code::Cancelled, self.since.elapsed());
         }
     }
 }

@@ -17,7 +17,7 @@ const CLOCKS_RISE: Duration = Duration::from_millis(500);
 const REHEARSED_FRAMES_MAX: u32 = 240;
 
 /// The drive that every mode makes.
-pub struct Course {
+pub struct DriveSchedule {
     /// The moment of the first timed frame, seconds.
     pub start_s: f64,
     /// From one frame to the next, seconds.
@@ -36,7 +36,7 @@ pub struct Course {
 
 /// Frames before the timed frames.
 pub struct WarmUp {
-    /// One turn of it: frames of the course, drawn backwards so that the timed ones go on where it ends.
+    /// One turn of it: frames of the schedule, drawn backwards so that the timed ones go on where it ends.
     pub turn: Vec<u32>,
     /// Turns are repeated until so much time has passed.
     pub least: Duration,
@@ -53,7 +53,7 @@ pub struct Driven {
 }
 
 impl WarmUp {
-    /// The frames to draw, and whether they are timed: the warm-up from now on, then the course of `frames`.
+    /// The frames to draw, and whether they are timed: the warm-up from now on, then the schedule of `frames`.
     pub fn then(self, frames: u32) -> impl Iterator<Item = (u32, bool)> {
         let begun = Instant::now();
         let mut turns = 0;
@@ -65,12 +65,12 @@ impl WarmUp {
     }
 }
 
-impl Course {
+impl DriveSchedule {
     pub fn time_s(&self, frame: u32) -> f64 {
         self.start_s + f64::from(frame) * self.step_s
     }
 
-    /// The warm-up on a device of `kind`. A GPU draws every frame of the course at least once, so that no list outgrows its
+    /// The warm-up on a device of `kind`. A GPU draws every frame of the schedule at least once, so that no list outgrows its
     /// buffer while it is timed, and long enough for its clocks to rise; software, which has no clocks of its own and takes long
     /// for a frame, draws as many as were asked for.
     pub fn warm_up_on(&self, kind: DeviceKind) -> WarmUp {
@@ -80,7 +80,7 @@ impl Course {
         WarmUp { turn, least: if is_software { Duration::ZERO } else { CLOCKS_RISE } }
     }
 
-    /// The warm-up and then the course, as far ahead as frames may be in flight; `submit` draws the moment it is given, seconds.
+    /// The warm-up and then the schedule, as far ahead as frames may be in flight; `submit` draws the moment it is given, seconds.
     pub fn drive(&self, renderer: &mut Renderer, mut submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Driven> {
         let mut driven = Driven { frames: Vec::new(), steps_ms: Vec::new(), warm_up_frames: 0 };
         let depth = renderer.options().frames_in_flight;
@@ -146,36 +146,36 @@ impl Course {
 mod tests {
     use super::*;
 
-    fn course(warm_up: u32, frames: u32, samples: u32) -> Course {
-        Course { start_s: 1.0, step_s: 0.5, warm_up, frames, samples, cameras_used: 1, standing: None }
+    fn schedule(warm_up: u32, frames: u32, samples: u32) -> DriveSchedule {
+        DriveSchedule { start_s: 1.0, step_s: 0.5, warm_up, frames, samples, cameras_used: 1, standing: None }
     }
 
     #[test]
     fn samples_are_timed_frames_and_spread() {
-        assert_eq!(course(10, 6, 3).sample_frames(), [1, 3, 5]);
-        assert_eq!(course(10, 2, 5).sample_frames(), [0, 1]);
-        assert_eq!(course(10, 7, 1).sample_frames(), [3]);
-        assert!(course(10, 4, 0).sample_frames().is_empty());
+        assert_eq!(schedule(10, 6, 3).sample_frames(), [1, 3, 5]);
+        assert_eq!(schedule(10, 2, 5).sample_frames(), [0, 1]);
+        assert_eq!(schedule(10, 7, 1).sample_frames(), [3]);
+        assert!(schedule(10, 4, 0).sample_frames().is_empty());
     }
 
     #[test]
     fn the_drive_does_not_depend_on_the_warm_up() {
         for warm_up in [1, 10, 1000] {
-            let course = course(warm_up, 6, 3);
-            assert_eq!((course.time_s(0), course.middle_s(), course.sample_frames()), (1.0, 2.5, vec![1, 3, 5]));
+            let schedule = schedule(warm_up, 6, 3);
+            assert_eq!((schedule.time_s(0), schedule.middle_s(), schedule.sample_frames()), (1.0, 2.5, vec![1, 3, 5]));
         }
     }
 
     #[test]
     fn software_warms_up_by_what_was_asked_for_and_a_gpu_by_all_of_a_short_course() {
         let [software, gpu] = [DeviceKind::Cpu, DeviceKind::Discrete];
-        assert_eq!(course(2, 6, 0).warm_up_on(software).turn, [2, 1]);
-        assert_eq!(course(8, 6, 0).warm_up_on(software).turn, [2, 1, 0, 5, 4, 3, 2, 1]);
-        assert_eq!(course(3, 1, 0).warm_up_on(software).turn, [0, 0, 0]);
-        assert_eq!(course(2, 6, 0).warm_up_on(gpu).turn, [0, 5, 4, 3, 2, 1]);
-        assert_eq!(course(2, 241, 0).warm_up_on(gpu).turn, [2, 1]);
-        assert_eq!(course(2, 6, 0).warm_up_on(software).least, Duration::ZERO);
-        assert!(course(2, 241, 0).warm_up_on(gpu).least >= Duration::from_millis(500));
+        assert_eq!(schedule(2, 6, 0).warm_up_on(software).turn, [2, 1]);
+        assert_eq!(schedule(8, 6, 0).warm_up_on(software).turn, [2, 1, 0, 5, 4, 3, 2, 1]);
+        assert_eq!(schedule(3, 1, 0).warm_up_on(software).turn, [0, 0, 0]);
+        assert_eq!(schedule(2, 6, 0).warm_up_on(gpu).turn, [0, 5, 4, 3, 2, 1]);
+        assert_eq!(schedule(2, 241, 0).warm_up_on(gpu).turn, [2, 1]);
+        assert_eq!(schedule(2, 6, 0).warm_up_on(software).least, Duration::ZERO);
+        assert!(schedule(2, 241, 0).warm_up_on(gpu).least >= Duration::from_millis(500));
     }
 
     #[test]

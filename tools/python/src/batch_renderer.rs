@@ -1,9 +1,9 @@
-//! Viewers: what draws.
+//! Batch renderers: what draws.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use decouplegs::render::FrameStatistics;
-use decouplegs::session::{HostImages, Session, Viewer as EngineViewer};
+use decouplegs::session::{BatchRenderer as EngineViewer, HostImages, Session};
 use decouplegs_sharing::{Cuda, InteropError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -12,14 +12,14 @@ use crate::array::{Values, to_numpy};
 use crate::camera::Camera;
 use crate::drawing::{Layers, Views, draw};
 use crate::error::{of_interop, of_session, value_error};
-use crate::lent::{CudaLender, addresses, lender};
 use crate::images::{Frame, Images};
+use crate::lent::{CudaLender, addresses, lender};
 use crate::statistics::Statistics;
 use crate::world::World;
 
 /// Draws worlds of one session.
 #[pyclass(frozen, module = "decouplegs")]
-pub struct Viewer {
+pub struct BatchRenderer {
     state: Mutex<State>,
     /// Statistics of the last call, outside of the state, so that they can be read during a draw.
     statistics: Mutex<Vec<Statistics>>,
@@ -28,7 +28,7 @@ pub struct Viewer {
 }
 
 struct State {
-    viewer: EngineViewer,
+    renderer: EngineViewer,
     bytes: HostImages,
 }
 
@@ -49,9 +49,9 @@ fn copied(views: &GivenViews<'_>) -> PyResult<Views> {
     Ok(Views(views.iter().map(copy).collect()))
 }
 
-impl Viewer {
+impl BatchRenderer {
     pub fn new(session: &Session, cuda: Option<&Arc<Cuda>>) -> Result<Self, InteropError> {
-        let state = State { viewer: session.viewer(), bytes: HostImages::default() };
+        let state = State { renderer: session.batch_renderer(), bytes: HostImages::default() };
         let lender = cuda.map(|cuda| Ok::<_, InteropError>((lender(session, cuda)?, cuda.ordinal()))).transpose()?;
         Ok(Self { state: Mutex::new(state), statistics: Mutex::default(), lender })
     }
@@ -64,8 +64,8 @@ impl Viewer {
     fn drawn(&self, py: Python<'_>, views: &Views, groups: &[Vec<(usize, usize)>]) -> PyResult<Vec<Layers>> {
         let drawn = py.detach(|| {
             let mut state = lock(&self.state);
-            let State { viewer, bytes } = &mut *state;
-            draw(viewer, views, groups, bytes)
+            let State { renderer, bytes } = &mut *state;
+            draw(renderer, views, groups, bytes)
         });
         let (layers, statistics) = drawn.map_err(|error| of_session(&error))?;
         self.keep(&statistics);
@@ -99,7 +99,7 @@ impl Viewer {
         let drawn = py.detach(|| {
             let mut state = lock(&self.state);
             lender.collect().map_err(|error| of_interop(&error))?;
-            let (taken, statistics) = state.viewer.draw_on_device(&views.borrowed()).map_err(|error| of_session(&error))?;
+            let (taken, statistics) = state.renderer.draw_on_device(&views.borrowed()).map_err(|error| of_session(&error))?;
             let frames = taken.into_iter().map(|taken| {
                 let (drawn, places) = (taken.frame().value(), taken.places().to_vec());
                 let loan = lender.lend(taken, drawn);
@@ -115,7 +115,7 @@ impl Viewer {
 }
 
 #[pymethods]
-impl Viewer {
+impl BatchRenderer {
     /// Draws each world for its cameras, as many as 32 cameras over one scene in one submission.
     ///
     /// Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8, or float32 as blended. The

@@ -19,7 +19,7 @@ const STEPS: u32 = 20;
 const NEAR_M: f64 = 3.0;
 
 /// Scene into which the cars are reinserted.
-pub struct Stage {
+pub struct ReinsertionScene {
     pub options: StreetOptions,
     pub street: Street,
     /// The background as it was captured empty, compressed cars that drive as they truly do, and the light.
@@ -35,7 +35,7 @@ pub struct Truth {
     pub cars: Vec<SplatCloud>,
 }
 
-impl Stage {
+impl ReinsertionScene {
     /// The street of `options` with `cars` in its light, which `light` brings to colors, seen by the first `cameras_used` cameras.
     pub fn set(options: &StreetOptions, cars: &Cars, light: &LightTransfer, size: Size, cameras_used: usize) -> Result<Self> {
         let mut street = Street::generate(options);

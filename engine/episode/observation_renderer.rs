@@ -1,6 +1,6 @@
 //! Images of the ego's cameras.
 
-use decouplegs_render::{ColorFormat, Outputs, ImageBytes, RenderError, RenderOptions, Renderer};
+use decouplegs_render::{ColorFormat, ImageBytes, Outputs, RenderError, RenderOptions, Renderer};
 use decouplegs_scene::episode::{DrawnBy, ImageRecord};
 use decouplegs_scene::{Rig, RigCamera, Rules};
 use rayon::prelude::*;
@@ -11,7 +11,7 @@ use crate::LiveScene;
 use crate::planner::{Cameras, Frame};
 
 /// Cameras that look at an episode.
-pub struct Eyes<'a> {
+pub struct ObservationRenderer<'a> {
     live: &'a LiveScene,
     renderer: Renderer,
     rig: Rig,
@@ -53,7 +53,7 @@ pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<
     Ok(Rig { cameras: chosen })
 }
 
-impl<'a> Eyes<'a> {
+impl<'a> ObservationRenderer<'a> {
     /// The cameras of `rig` in `live`, drawn by `renderer` at every `every`th step.
     #[must_use]
     pub fn new(live: &'a LiveScene, renderer: Renderer, rig: Rig, every: u32) -> Self {
@@ -111,9 +111,7 @@ impl<'a> Eyes<'a> {
     /// Images of the last observation.
     #[must_use]
     pub fn frames(&self) -> Vec<Frame<'_>> {
-        (0..self.images.len())
-            .map(|index| Frame { camera: &self.rig.cameras[index], rgba: self.images.rgba(index) })
-            .collect()
+        (0..self.images.len()).map(|index| Frame { camera: &self.rig.cameras[index], rgba: self.images.rgba(index) }).collect()
     }
 
     /// The bits of what was seen last.

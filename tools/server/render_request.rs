@@ -23,7 +23,7 @@ pub struct PlacedObject {
 
 /// Render request of one camera.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sight {
+pub struct RenderRequest {
     /// Id of the scene.
     pub scene: String,
     /// Intrinsics of the camera, at the requested size.
@@ -36,7 +36,7 @@ pub struct Sight {
     pub encoding: Encoding,
 }
 
-impl Sight {
+impl RenderRequest {
     /// The request in `field` of a message (empty: the message itself).
     ///
     /// # Errors

@@ -19,8 +19,8 @@ pub struct WorldView<'a> {
     pub cameras: &'a [Camera],
 }
 
-/// Draws worlds of one session. Its buffers are kept from frame to frame, so one viewer for one use is fastest.
-pub struct Viewer {
+/// Draws worlds of one session. Its buffers are kept from frame to frame, so one batch renderer for one use is fastest.
+pub struct BatchRenderer {
     gpu: Gpu,
     options: RenderOptions,
     /// None: each scene's own.
@@ -65,7 +65,7 @@ impl HostImages {
     }
 }
 
-impl Viewer {
+impl BatchRenderer {
     pub(super) fn new(gpu: &Gpu, options: &SessionOptions) -> Self {
         Self { gpu: gpu.clone(), options: options.render, rules: options.rules, renderers: Vec::new() }
     }
@@ -114,10 +114,10 @@ impl Viewer {
         })
     }
 
-    /// [`Viewer::draw`], in floats, with depth and instances where the session's outputs have them: `[view][camera]`.
+    /// [`BatchRenderer::draw`], in floats, with depth and instances where the session's outputs have them: `[view][camera]`.
     ///
     /// # Errors
-    /// Those of [`Viewer::draw`].
+    /// Those of [`BatchRenderer::draw`].
     pub fn draw_images(&mut self, views: &[WorldView<'_>]) -> Result<(Vec<Vec<Image>>, Vec<FrameStatistics>), SessionError> {
         let mut images: Vec<Vec<Image>> = vec![Vec::new(); views.len()];
         let statistics = self.each_frame(views, |renderer, _, batch| {
@@ -132,11 +132,8 @@ impl Viewer {
     /// until they are dropped, and with [`decouplegs_render::Outputs::exported`] another API may read them there.
     ///
     /// # Errors
-    /// Those of [`Viewer::draw`], and when too many are held already.
-    pub fn draw_on_device(
-        &mut self,
-        views: &[WorldView<'_>],
-    ) -> Result<(Vec<TakenImages>, Vec<FrameStatistics>), SessionError> {
+    /// Those of [`BatchRenderer::draw`], and when too many are held already.
+    pub fn draw_on_device(&mut self, views: &[WorldView<'_>]) -> Result<(Vec<TakenImages>, Vec<FrameStatistics>), SessionError> {
         let mut taken = Vec::new();
         let statistics = self.each_frame(views, |renderer, _, _| {
             taken.extend(renderer.take_images()?);
@@ -159,8 +156,8 @@ impl Viewer {
         let renderers: Vec<usize> = batches.iter().map(|batch| self.renderer_of(&batch.scene)).collect();
         let mut statistics = Vec::with_capacity(batches.len());
         // Each renderer finishes its frames in the order of their submission, so all frames are finished in the order of the batches.
-        let mut finish = |renderers_of_viewer: &mut Vec<Renderer>, number: usize| -> Result<(), SessionError> {
-            let renderer = &mut renderers_of_viewer[renderers[number]];
+        let mut finish = |own_renderers: &mut Vec<Renderer>, number: usize| -> Result<(), SessionError> {
+            let renderer = &mut own_renderers[renderers[number]];
             statistics.push(renderer.finish()?);
             done(renderer, number, &batches[number])
         };

@@ -1,12 +1,12 @@
-//! Viewers: worlds become images.
+//! Batch renderers: worlds become images.
 
 use std::ffi::c_void;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
-use decouplegs::render::{ColorFormat, FrameStatistics, Outputs, Image};
+use decouplegs::render::{ColorFormat, FrameStatistics, Image, Outputs};
 use decouplegs::scene::Camera;
-use decouplegs::session::{HostImages, Session, SessionError, Viewer, WorldView};
+use decouplegs::session::{BatchRenderer, HostImages, Session, SessionError, WorldView};
 
 use crate::arguments::{array, give_growing, out, out_handle};
 use crate::boundary::{Call, guarded};
@@ -17,25 +17,25 @@ use crate::types::{DgsCamera, DgsImage, DgsImageKind, DgsStatistics, DgsView};
 use crate::world::{HeldWorld, WORLDS};
 
 /// Draws worlds and keeps the images.
-pub struct DgsViewer(());
+pub struct DgsBatchRenderer(());
 
-/// Object behind a viewer handle.
-struct HeldViewer {
+/// Object behind a batch renderer handle.
+struct HeldBatchRenderer {
     session: Arc<Session>,
     drawing: Mutex<Drawing>,
 }
 
-static VIEWERS: Registry<HeldViewer> = Registry::new("viewer");
+static BATCH_RENDERERS: Registry<HeldBatchRenderer> = Registry::new("batch renderer");
 
-impl HeldViewer {
+impl HeldBatchRenderer {
     fn lock(&self) -> Result<MutexGuard<'_, Drawing>, Failure> {
-        alone("viewer", &self.drawing)
+        alone("batch renderer", &self.drawing)
     }
 }
 
-/// A viewer and what it drew last.
+/// A batch renderer and what it drew last.
 struct Drawing {
-    viewer: Viewer,
+    renderer: BatchRenderer,
     /// Kept from draw to draw, their memory is used again.
     bytes: HostImages,
     drawn: Drawn,
@@ -74,34 +74,38 @@ impl Planes {
     }
 }
 
-/// A viewer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
+/// A batch renderer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
 /// memory from draw to draw.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_viewer_new(session: *const DgsSession, viewer: *mut *mut DgsViewer) -> DgsStatus {
+pub unsafe extern "C" fn dgs_batch_renderer_new(session: *const DgsSession, renderer: *mut *mut DgsBatchRenderer) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
-        let made = unsafe { out_handle("viewer", viewer) }?;
+        let made = unsafe { out_handle("renderer", renderer) }?;
         let session = Arc::clone(&*SESSIONS.find(call, session)?);
-        let viewer = session.viewer();
+        let renderer = session.batch_renderer();
         let (bytes, drawn, statistics) = (HostImages::default(), Drawn::Nothing, DgsStatistics::default());
-        let drawing = Mutex::new(Drawing { viewer, bytes, drawn, statistics });
-        made.write(VIEWERS.add(HeldViewer { session, drawing }));
+        let drawing = Mutex::new(Drawing { renderer, bytes, drawn, statistics });
+        made.write(BATCH_RENDERERS.add(HeldBatchRenderer { session, drawing }));
         Ok(())
     })
 }
 
-/// Closes a viewer. Its images go with it.
+/// Closes a batch renderer. Its images go with it.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_viewer_close(viewer: *mut DgsViewer) -> DgsStatus {
-    guarded(|_| VIEWERS.close(viewer))
+pub unsafe extern "C" fn dgs_batch_renderer_close(renderer: *mut DgsBatchRenderer) -> DgsStatus {
+    guarded(|_| BATCH_RENDERERS.close(renderer))
 }
 
 /// Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow one another are drawn together, 32
-/// cameras at a time. Where it fails, the viewer has no images and is as good as before.
+/// cameras at a time. Where it fails, the batch renderer has no images and is as good as before.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_viewer_draw(viewer: *mut DgsViewer, views: *const DgsView, count: usize) -> DgsStatus {
+pub unsafe extern "C" fn dgs_batch_renderer_draw(
+    renderer: *mut DgsBatchRenderer,
+    views: *const DgsView,
+    count: usize,
+) -> DgsStatus {
     guarded(|call| {
-        let held = VIEWERS.find(call, viewer)?;
+        let held = BATCH_RENDERERS.find(call, renderer)?;
         let mut drawing = held.lock()?;
         drawing.drawn = Drawn::Nothing;
         // SAFETY: as the header asks of all pointers; a view is of pointers and a number.
@@ -127,14 +131,14 @@ struct Seen {
 }
 
 impl Seen {
-    /// Converts view number `index`, `view`, for a viewer of `session`.
+    /// Converts view number `index`, `view`, for a batch renderer of `session`.
     ///
     /// # Safety
     /// The view's pointers are NULL or as the header asks.
     unsafe fn new(call: &mut Call, session: &Arc<Session>, index: usize, view: &DgsView) -> Result<Self, Failure> {
         let world = WORLDS.find(call, view.world).map_err(|failure| failure.of(&format!("view {index}")))?;
         if !Arc::ptr_eq(&world.session, session) {
-            let text = "belongs to another session than the viewer: its device knows nothing of it";
+            let text = "belongs to another session than the batch renderer: its device knows nothing of it";
             return Err(Failure::new(DgsStatus::InvalidHandle, format!("the world of view {index} {text}")));
         }
         // SAFETY: promised by our caller; a camera is of numbers.
@@ -151,19 +155,19 @@ impl Seen {
 impl Drawing {
     fn draw(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
         let begun = Instant::now();
-        let Outputs { color, depth, instance, .. } = self.viewer.options().outputs;
+        let Outputs { color, depth, instance, .. } = self.renderer.options().outputs;
         let frames = if color == ColorFormat::U8 && !depth && !instance {
-            let frames = self.viewer.draw(views, &mut self.bytes)?;
+            let frames = self.renderer.draw(views, &mut self.bytes)?;
             self.drawn = Drawn::Bytes;
             frames
         } else {
-            let (images, frames) = self.viewer.draw_images(views)?;
+            let (images, frames) = self.renderer.draw_images(views)?;
             let planes = |cameras: Vec<Image>| cameras.into_iter().map(|image| Planes::new(image, color)).collect();
             self.drawn = Drawn::Planes(images.into_iter().map(planes).collect());
             frames
         };
         self.statistics = summed(&frames);
-        self.statistics.memory_bytes = self.viewer.gpu().memory().total_bytes;
+        self.statistics.memory_bytes = self.renderer.gpu().memory().total_bytes;
         self.statistics.wall_ms = 1e3 * begun.elapsed().as_secs_f64();
         Ok(())
     }
@@ -229,16 +233,16 @@ fn summed(frames: &[FrameStatistics]) -> DgsStatistics {
         agents: frames.iter().map(|frame| frame.agents as u32).sum(),
         redrawn: frames.iter().map(|frame| frame.redrawn).sum(),
         gpu_ms: frames.iter().map(|frame| 1e3 * frame.gpu_time.as_secs_f64()).sum(),
-        splats_listed: frames.iter().map(|frame| u64::from(frame.needs.records)).sum(),
+        splats_listed: frames.iter().map(|frame| u64::from(frame.required.records)).sum(),
         ..DgsStatistics::default()
     }
 }
 
 /// The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsImageKind. The pixels stay
-/// until the viewer draws or is closed.
+/// until the batch renderer draws or is closed.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_viewer_image(
-    viewer: *const DgsViewer,
+pub unsafe extern "C" fn dgs_batch_renderer_image(
+    renderer: *const DgsBatchRenderer,
     view: usize,
     camera: usize,
     kind: u32,
@@ -247,16 +251,19 @@ pub unsafe extern "C" fn dgs_viewer_image(
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
         let place = unsafe { out("image", image) }?;
-        place.write(VIEWERS.find(call, viewer)?.lock()?.image(view, camera, kind)?);
+        place.write(BATCH_RENDERERS.find(call, renderer)?.lock()?.image(view, camera, kind)?);
         Ok(())
     })
 }
 
 /// Writes the statistics of the last successful draw to `statistics`, whose `struct_bytes` is set.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_viewer_statistics(viewer: *const DgsViewer, statistics: *mut DgsStatistics) -> DgsStatus {
+pub unsafe extern "C" fn dgs_batch_renderer_statistics(
+    renderer: *const DgsBatchRenderer,
+    statistics: *mut DgsStatistics,
+) -> DgsStatus {
     guarded(|call| {
-        let held = VIEWERS.find(call, viewer)?;
+        let held = BATCH_RENDERERS.find(call, renderer)?;
         let drawing = held.lock()?;
         // SAFETY: as the header asks of all pointers.
         unsafe { give_growing("statistics", statistics, DgsStatistics::FIRST_BYTES, &drawing.statistics) }
