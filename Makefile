@@ -3,7 +3,7 @@
 #   make demo     renders a small synthetic street with a six-camera rig and writes the images to out/demo
 #   make test     runs every test, with the Vulkan validation layers on
 #
-# And one for whoever changes a shader:
+# And one to change a shader:
 #
 #   make shaders  compiles shaders/*.comp to shaders/spirv with shaderc. The first time it builds shaderc: about eight minutes.
 #

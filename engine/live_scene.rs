@@ -57,7 +57,7 @@ struct LiveAsset {
     sh_frame: ShFrame,
 }
 
-/// An agent as somebody puts it into a scene.
+/// Agent instance: an asset and a pose in a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AgentInstance {
     /// Index of its asset in [`LoadedScene::assets`].
@@ -77,12 +77,14 @@ pub struct SceneSnapshot {
     pub agents: Vec<Agent>,
     /// The contact shadows that they throw.
     pub shadows: Vec<ContactShadow>,
-    /// Agents about whose place the background tells nothing: they keep the light that their assets were captured in.
+    /// Agents about whose place the background tells nothing: they keep the light that their assets
+    /// were captured in.
     pub unlit: usize,
 }
 
 impl LiveScene {
-    /// Copies background and assets of `loaded` to the device of `renderer`, and sums up its light where agents drive.
+    /// Copies background and assets of `loaded` to the device of `renderer`, and sums up its light
+    /// where agents drive.
     ///
     /// # Errors
     /// When the device has not the memory, or an asset cannot be drawn.
@@ -90,14 +92,19 @@ impl LiveScene {
         Self::layer(renderer, loaded, Layer::All)
     }
 
-    /// [`LiveScene::new`], of what belongs to `layer`: all, the background without agents and their shadows, or the agents over
-    /// nothing, in the light of the background.
+    /// [`LiveScene::new`], of what belongs to `layer`: all, the background without agents and their
+    /// shadows, or the agents over nothing, in the light of the background.
     ///
-    /// Agents alone still have shadows in their [`SceneSnapshot`]: these lie on agents of plain splats, as in the full image.
+    /// Agents alone still have shadows in their [`SceneSnapshot`]: these lie on agents of plain
+    /// splats, as in the full image.
     ///
     /// # Errors
     /// When the device has not the memory, or an asset cannot be drawn.
-    pub fn layer(renderer: &Renderer, loaded: &LoadedScene, layer: Layer) -> Result<Self, RenderError> {
+    pub fn layer(
+        renderer: &Renderer,
+        loaded: &LoadedScene,
+        layer: Layer,
+    ) -> Result<Self, RenderError> {
         let mut live = Self {
             world: renderer.upload(&loaded.standing(layer))?,
             pool: AssetPool::new(renderer.gpu())?,
@@ -105,13 +112,21 @@ impl LiveScene {
             agents: Vec::new(),
             plain_agents: Vec::new(),
             lighting: None,
-            light_step_m: loaded.light.as_ref().map_or(1.0, |light| light.ambient.spacing_m),
+            light_step_m: loaded
+                .light
+                .as_ref()
+                .map_or(1.0, |light| light.ambient.spacing_m),
         };
         if layer != Layer::Background {
             for asset in &loaded.assets {
                 live.add_asset(asset)?;
             }
-            let moves = |instance: &u16| loaded.agents.iter().any(|agent| agent.instance == *instance);
+            let moves = |instance: &u16| {
+                loaded
+                    .agents
+                    .iter()
+                    .any(|agent| agent.instance == *instance)
+            };
             let named = loaded.agent_names.iter().cloned().zip(1..=u16::MAX);
             live.plain_agents = named.filter(|(_, instance)| !moves(instance)).collect();
             live.agents.clone_from(&loaded.agents);
@@ -120,7 +135,8 @@ impl LiveScene {
         Ok(live)
     }
 
-    /// Sums up the light about `places`, where agents may come that no trajectory of the scene file leads to.
+    /// Sums up the light about `places`, where agents may come that no trajectory of the scene file
+    /// leads to.
     pub fn bake_light(&mut self, places: impl IntoIterator<Item = DVec3>) {
         if let Some(lighting) = &mut self.lighting {
             lighting.field.bake(places);
@@ -131,8 +147,11 @@ impl LiveScene {
     /// `probes_max` probes are kept already.
     #[must_use]
     pub fn has_light_at(&self, places: &[DVec3], probes_max: usize) -> bool {
-        let Some(lighting) = &self.lighting else { return true };
-        lighting.field.size().0 >= probes_max || places.iter().all(|place| lighting.field.is_baked(*place))
+        let Some(lighting) = &self.lighting else {
+            return true;
+        };
+        lighting.field.size().0 >= probes_max
+            || places.iter().all(|place| lighting.field.is_baked(*place))
     }
 
     /// Assets that agents may show.
@@ -171,9 +190,22 @@ impl LiveScene {
     /// When an asset is not one of the scene's.
     #[must_use]
     pub fn placed(&self, placed: &[AgentInstance]) -> SceneSnapshot {
-        let sh_frame = |placed: &AgentInstance| placed.sh_frame.unwrap_or(self.assets[placed.asset].sh_frame);
-        let to_light = |placed: &AgentInstance| (placed.pose, self.assets[placed.asset].dims_m, sh_frame(placed));
-        let lit = self.lighting.as_ref().map(|lighting| lighting.of_agents(&placed.iter().map(to_light).collect::<Vec<_>>()));
+        let sh_frame = |placed: &AgentInstance| {
+            placed
+                .sh_frame
+                .unwrap_or(self.assets[placed.asset].sh_frame)
+        };
+        let to_light = |placed: &AgentInstance| {
+            (
+                placed.pose,
+                self.assets[placed.asset].dims_m,
+                sh_frame(placed),
+            )
+        };
+        let lit = self
+            .lighting
+            .as_ref()
+            .map(|lighting| lighting.of_agents(&placed.iter().map(to_light).collect::<Vec<_>>()));
         let agent = |(index, placed): (usize, &AgentInstance)| Agent {
             sh_frame: Some(sh_frame(placed)),
             relight: lit.as_ref().and_then(|lit| lit[index].relight),
@@ -189,6 +221,9 @@ impl LiveScene {
     /// The background with what moves, as [`Renderer::render`] takes it.
     #[must_use]
     pub fn with<'a>(&'a self, moment: &'a SceneSnapshot) -> Scene<'a> {
-        Scene { shadows: &moment.shadows, ..Scene::with_agents(&self.world, &self.pool, &moment.agents) }
+        Scene {
+            shadows: &moment.shadows,
+            ..Scene::with_agents(&self.world, &self.pool, &moment.agents)
+        }
     }
 }

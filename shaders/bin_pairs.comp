@@ -1,9 +1,11 @@
 #version 460
-// Tile binning: a (coarse tile, record) pair for every coarse tile that a record reaches, by depth slab.
+// Tile binning: a (coarse tile, record) pair for every coarse tile that a record reaches, by depth
+// slab.
 //
-// Run twice. The first run counts the pairs of each coarse tile and depth slab. plan_buckets then gives each of them a stretch of
-// the pair buffer, and the second run fills it. The order within a stretch is that of the atomics: sort_buckets makes it one order.
-// Rows of coarse tiles of records that have many are shared out over the workgroup.
+// Run twice. The first run counts the pairs of each coarse tile and depth slab. plan_buckets then
+// gives each of them a stretch of the pair buffer, and the second run fills it. The order within a
+// stretch is that of the atomics: sort_buckets makes it one order. Rows of coarse tiles of records
+// that have many are shared out over the workgroup.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -37,14 +39,16 @@ layout(push_constant, scalar) uniform push_block {
     uint pairs_max;
 };
 
-// Records with more rows of coarse tiles than this are binned by the whole workgroup, one thread per row.
+// Records with more rows of coarse tiles than this are binned by the whole workgroup, one thread
+// per row.
 const uint ALONE_ROWS_MAX = 2u;
 
 // By thread: the record it gave away, and how many rows were given away before it.
 shared uint shared_records[WORKGROUP_THREADS];
 shared uint shared_rows_before[WORKGROUP_THREADS];
 
-// The camera of a record: records of the background lie by camera, and behind them those of the agents.
+// The camera of a record: records of the background lie by camera, and behind them those of the
+// agents.
 uint camera_of(uint record) {
     uint camera = 0u;
     bool moving = record >= lists[0].first_moving;

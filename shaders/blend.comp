@@ -1,22 +1,26 @@
 #version 460
 // Blends one segment of one coarse tile's list, front to back, into its 64 x 32 pixels.
 //
-// The list is taken in batches. Each thread stages some records and finds which of the 32 fine tiles (8 x 8 pixels) they can
-// reach; the masks are turned into one bit list per fine tile. Then every subgroup works by itself: it finds which records of its
-// tile can reach which 4 x 4 block of it, and eight lanes blend the list of their block, two pixels a lane. So a splat costs only
-// where it is, and threads wait for each other only while a batch is staged. Sums are f32; the pixel decides alpha >= 1/255 by
-// itself, lists only leave out what that test would refuse.
+// The list is taken in batches. Each thread stages some records and finds which of the 32 fine
+// tiles (8 x 8 pixels) they can reach; the masks are turned into one bit list per fine tile. Then
+// every subgroup works by itself: it finds which records of its tile can reach which 4 x 4 block of
+// it, and eight lanes blend the list of their block, two pixels a lane. So a splat costs only where
+// it is, and threads wait for each other only while a batch is staged. Sums are f32; the pixel
+// decides alpha >= 1/255 by itself, lists only leave out what that test would refuse.
 //
-// Where a segment is one batch, subgroups take their shares of the coarse tile from a counter, and one that meets few records takes
-// more of them. Where it is several, each keeps four shares in registers from batch to batch.
+// Where a segment is one batch, subgroups take their shares of the coarse tile from a counter, and
+// one that meets few records takes more of them. Where it is several, each keeps four shares in
+// registers from batch to batch.
 //
-// A segment leaves out fine tiles that the segments before it have covered, as far as these are done when it starts:
-// composite stops at the same transmittance, so that the image does not depend on who was done first.
+// A segment leaves out fine tiles that the segments before it have covered, as far as these are
+// done when it starts: composite stops at the same transmittance, so that the image does not depend
+// on who was done first.
 //
-// By an exclusive stop, where a pixel ends depends on all that lies before it. The first segment of a list knows that and
-// stops. The others are blended to their end; composite finds the one segment in which a pixel ends, and leaves there what the
-// pixel was before it. A second run, with FINISH, blends that segment again from there. The weights of splats (CONTRIBUTIONS)
-// depend on what lies before them as well, and are counted in the same way.
+// By an exclusive stop, where a pixel ends depends on all that lies before it. The first segment of
+// a list knows that and stops. The others are blended to their end; composite finds the one segment
+// in which a pixel ends, and leaves there what the pixel was before it. A second run, with FINISH,
+// blends that segment again from there. The weights of splats (CONTRIBUTIONS) depend on what lies
+// before them as well, and are counted in the same way.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -73,7 +77,8 @@ shared uint open_subgroups; // whether one of them has a pixel that is not full
 shared uint next_share;
 shared uint tile_largest[32];
 
-// Fine tiles that the segments before this one are not known to have covered. Every thread of the workgroup calls it.
+// Fine tiles that the segments before this one are not known to have covered. Every thread of the
+// workgroup calls it.
 uint uncovered_tiles(BlendItem item, uint thread) {
     uint tile = thread % 32u;
     uint row = thread / 32u;
@@ -99,7 +104,8 @@ uint uncovered_tiles(BlendItem item, uint thread) {
     return open_tiles;
 }
 
-// Blends the list of the subgroup's only block: each lane reads one record of it and shows it to all.
+// Blends the list of the subgroup's only block: each lane reads one record of it and shows it to
+// all.
 void blend_one_list(inout LanePixels pixels, vec2 at, uint list, uint count) {
     for (uint first = 0u; first < count; first += LANES) {
         uint place = first + gl_SubgroupInvocationID;
@@ -110,7 +116,8 @@ void blend_one_list(inout LanePixels pixels, vec2 at, uint list, uint count) {
     }
 }
 
-// Blends the lists of the subgroup's blocks: each lane that of its own, `count` records from `list` on. Every lane calls it.
+// Blends the lists of the subgroup's blocks: each lane that of its own, `count` records from `list`
+// on. Every lane calls it.
 void blend_lists(inout LanePixels pixels, vec2 at, uint list, uint count) {
     // All run as long as the longest, four records at a time: shorter lists are filled up.
     uint end = (subgroupMax(count) + 3u) / 4u * 4u;
@@ -128,7 +135,8 @@ void blend_lists(inout LanePixels pixels, vec2 at, uint list, uint count) {
     }
 }
 
-// Blends the batch into the subgroup's share that begins at `first_place`; false once all its pixels are full. Every lane calls it.
+// Blends the batch into the subgroup's share that begins at `first_place`; false once all its
+// pixels are full. Every lane calls it.
 bool blend_share(inout LanePixels pixels, uint first_place, uint batch_records) {
     uint lane = gl_SubgroupInvocationID;
     uint own_block = lane / BLOCK_LANES;
@@ -190,7 +198,8 @@ Pixel unfinished_pixel(uint place, out bool full) {
     return pixel;
 }
 
-// The pixels of a lane before the segment is blended, the left one at `place` of the coarse tile at `origin`.
+// The pixels of a lane before the segment is blended, the left one at `place` of the coarse tile at
+// `origin`.
 LanePixels first_pixels(BlendItem item, Camera camera, uvec2 origin, uint place) {
     LanePixels pixels = empty_pixels(origin + pixel_offset(place), camera.size_px);
     if (FINISH) {
@@ -204,7 +213,8 @@ LanePixels first_pixels(BlendItem item, Camera camera, uvec2 origin, uint place)
 void write_result(BlendItem item, Camera camera, uvec2 origin, uint place, LanePixels pixels) {
     uvec2 at = origin + pixel_offset(place);
     if (FINISH) {
-        // Composite has written the pixel as it is without an end in this segment, and pixels that were full before keep that.
+        // Composite has written the pixel as it is without an end in this segment, and pixels that
+        // were full before keep that.
         if (pixels.left_full && pixels.left.transmittance > 0.0) {
             write_pixel(camera, at, pixels.left, sky);
         }

@@ -1,5 +1,5 @@
-//! Compiles every `.comp` of this folder to `spirv/NAME.spv` with shaderc. With `--check` it writes nothing and fails if a
-//! file would change.
+//! Compiles every `.comp` of this folder to `spirv/NAME.spv` with shaderc. With `--check` it writes
+//! nothing and fails if a file would change.
 
 use std::env;
 use std::process::ExitCode;
@@ -29,23 +29,35 @@ fn main() -> ExitCode {
 /// Compiles the shaders and writes or compares the results.
 fn run(shaders: &Path, check: bool) -> Result<(), String> {
     let folder = shaders.join("spirv");
-    let compiler = shaderc::Compiler::new().map_err(|error| format!("shaderc does not start: {error}"))?;
+    let compiler =
+        shaderc::Compiler::new().map_err(|error| format!("shaderc does not start: {error}"))?;
     let mut files = vec![(folder.join(DIGESTS), digests(shaders).into_bytes())];
     for path in paths_with(shaders, "comp") {
         let name = path.with_extension("spv");
-        files.push((folder.join(name_of(&name)), compile(&compiler, shaders, &path)?));
+        files.push((
+            folder.join(name_of(&name)),
+            compile(&compiler, shaders, &path)?,
+        ));
     }
-    let deleted: Vec<PathBuf> =
-        paths_with(&folder, "spv").into_iter().filter(|path| !files.iter().any(|(file, _)| file == path)).collect();
+    let deleted: Vec<PathBuf> = paths_with(&folder, "spv")
+        .into_iter()
+        .filter(|path| !files.iter().any(|(file, _)| file == path))
+        .collect();
     if check {
-        let differs = |(path, content): &&(PathBuf, Vec<u8>)| fs::read(path).ok().as_ref() != Some(content);
-        let mut stale: Vec<&str> = files.iter().filter(differs).map(|(path, _)| name_of(path)).collect();
+        let differs =
+            |(path, content): &&(PathBuf, Vec<u8>)| fs::read(path).ok().as_ref() != Some(content);
+        let mut stale: Vec<&str> = files
+            .iter()
+            .filter(differs)
+            .map(|(path, _)| name_of(path))
+            .collect();
         stale.extend(deleted.iter().map(|path| name_of(path)));
         return match stale[..] {
             [] => Ok(()),
-            _ => {
-                Err(format!("shaders/spirv is not what shaderc makes of the shaders: {}. Run `make shaders`.", stale.join(", ")))
-            }
+            _ => Err(format!(
+                "shaders/spirv is not what shaderc makes of the shaders: {}. Run `make shaders`.",
+                stale.join(", ")
+            )),
         };
     }
     for (path, content) in &files {
@@ -59,19 +71,37 @@ fn run(shaders: &Path, check: bool) -> Result<(), String> {
 
 /// SPIR-V of one kernel, little endian.
 fn compile(compiler: &shaderc::Compiler, shaders: &Path, path: &Path) -> Result<Vec<u8>, String> {
-    let mut options = shaderc::CompileOptions::new().map_err(|error| format!("shaderc options: {error}"))?;
-    options.set_target_env(shaderc::TargetEnv::Vulkan, shaderc::EnvVersion::Vulkan1_3 as u32);
+    let mut options =
+        shaderc::CompileOptions::new().map_err(|error| format!("shaderc options: {error}"))?;
+    options.set_target_env(
+        shaderc::TargetEnv::Vulkan,
+        shaderc::EnvVersion::Vulkan1_3 as u32,
+    );
     options.set_optimization_level(shaderc::OptimizationLevel::Performance);
     // Kernels are bound by the names in the source: debug information keeps them.
     options.set_generate_debug_info();
     options.set_warnings_as_errors();
     options.set_include_callback(|name, _, _, _| {
         let path = shaders.join("include").join(name);
-        let content = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-        Ok(shaderc::ResolvedInclude { resolved_name: name.to_owned(), content })
+        let content =
+            fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+        Ok(shaderc::ResolvedInclude {
+            resolved_name: name.to_owned(),
+            content,
+        })
     });
     let artifact = compiler
-        .compile_into_spirv(&text_of(path), shaderc::ShaderKind::Compute, name_of(path), "main", Some(&options))
+        .compile_into_spirv(
+            &text_of(path),
+            shaderc::ShaderKind::Compute,
+            name_of(path),
+            "main",
+            Some(&options),
+        )
         .map_err(|error| error.to_string())?;
-    Ok(artifact.as_binary().iter().flat_map(|word| word.to_le_bytes()).collect())
+    Ok(artifact
+        .as_binary()
+        .iter()
+        .flat_map(|word| word.to_le_bytes())
+        .collect())
 }

@@ -1,7 +1,8 @@
 #version 460
 // Joins the segments of coarse tiles that were cut, front to back, and writes their pixels.
 //
-// By an exclusive stop, the pixel is left to be finished in the segment in which it ends: see blend.comp.
+// By an exclusive stop, the pixel is left to be finished in the segment in which it ends: see
+// blend.comp.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -30,7 +31,8 @@ const uint AHEAD = 4u;
 
 #include "partial.glsl"
 
-// Leaves `before`, what lies before segment `slot`, in the place of what the segment adds, to be blended again from there.
+// Leaves `before`, what lies before segment `slot`, in the place of what the segment adds, to be
+// blended again from there.
 void leave_unfinished(uint slot, uint place, uint tile, Pixel before) {
     before.transmittance = -before.transmittance;
     store_partial(slot * COARSE_PIXELS + place, before);

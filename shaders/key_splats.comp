@@ -1,5 +1,6 @@
 #version 460
-// The depth keys of all splats of the background along one camera's direction, seen or not: a set of the persistent key buffer.
+// The depth keys of all splats of the background along one camera's direction, seen or not: a set
+// of the persistent key buffer.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"

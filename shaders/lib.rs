@@ -1,8 +1,10 @@
-//! Compute kernels: GLSL sources, and their SPIR-V in `spirv`, which `make shaders` compiles with shaderc. The build refuses SPIR-V that
-//! is older than its sources; `.ci/run` compiles all of it again and compares the bytes.
+//! Compute kernels: GLSL sources, and their SPIR-V in `spirv`, which `make shaders` compiles with
+//! shaderc. The build refuses SPIR-V that is older than its sources; `.ci/run` compiles all of it
+//! again and compares the bytes.
 //!
-//! Each `NAME.comp` in this folder is a [`Kernel`] here called `NAME` in capitals. Names of buffers, structure members
-//! and specialization constants are kept in the SPIR-V: kernels are bound by name.
+//! Each `NAME.comp` in this folder is a [`Kernel`] here called `NAME` in capitals. Names of
+//! buffers, structure members and specialization constants are kept in the SPIR-V: kernels are
+//! bound by name.
 #![forbid(unsafe_code)]
 
 /// One compiled compute shader.

@@ -1,10 +1,12 @@
 #version 460
-// Gives each coarse tile a stretch of the pair buffer and cuts it into buckets, which are sorted one by one.
+// Gives each coarse tile a stretch of the pair buffer and cuts it into buckets, which are sorted
+// one by one.
 //
-// One workgroup per coarse tile. The position of a tile's stretch depends on the order in which workgroups run; its content does not. A
-// bucket is a run of neighboring depth slabs. It ends with the slab in which the running count of pairs passes a multiple of
-// BUCKET_PAIRS. A slab of BUCKET_PAIRS or more is a bucket by itself. So a bucket has fewer than twice BUCKET_PAIRS pairs, or is one
-// slab. It may be empty.
+// One workgroup per coarse tile. The position of a tile's stretch depends on the order in which
+// workgroups run; its content does not. A bucket is a run of neighboring depth slabs. It ends with
+// the slab in which the running count of pairs passes a multiple of BUCKET_PAIRS. A slab of
+// BUCKET_PAIRS or more is a bucket by itself. So a bucket has fewer than twice BUCKET_PAIRS pairs,
+// or is one slab. It may be empty.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require

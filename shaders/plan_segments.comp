@@ -1,14 +1,18 @@
 #version 460
-// Cuts each coarse tile's list into segments that are blended side by side, and plans how their results are joined.
+// Cuts each coarse tile's list into segments that are blended side by side, and plans how their
+// results are joined.
 //
-// One tile may hold a hundred times the average list; blended by one workgroup it would set the frame's time. Over is
-// associative, (C, T) o (C', T') = (C + T C', T T'), so segments need not wait for each other. A tile's segments depend on
-// its own list alone, so its pixels do not change with what else is drawn.
+// One tile may hold a hundred times the average list; blended by one workgroup it would set the
+// frame's time. Over is associative, (C, T) o (C', T') = (C + T C', T T'), so segments need not
+// wait for each other. A tile's segments depend on its own list alone, so its pixels do not change
+// with what else is drawn.
 //
-// Items are ordered in waves, segment 0 of every tile before segment 1 of any, then segments 2 and 3, then 4 to 7 and so
-// on, so that a segment mostly starts when those before it are done and can leave out what they have covered.
+// Items are ordered in waves, segment 0 of every tile before segment 1 of any, then segments 2 and
+// 3, then 4 to 7 and so on, so that a segment mostly starts when those before it are done and can
+// leave out what they have covered.
 //
-// One thread a tile and wave. Each workgroup adds up what stands before it by itself; no group waits for another.
+// One thread a tile and wave. Each workgroup adds up what stands before it by itself; no group
+// waits for another.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require

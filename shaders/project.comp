@@ -1,8 +1,10 @@
 #version 460
-// Footprint, depth key and color of every visible (camera, splat) of the background, at the place that the scan gave it.
+// Footprint, depth key and color of every visible (camera, splat) of the background, at the place
+// that the scan gave it.
 //
-// One workgroup a cluster, one thread a splat, all cameras: attributes are read once. Records of a camera are in splat order: equal
-// depth keys are drawn in the order of records. Where the keys of a camera's direction are kept, they are read instead of computed.
+// One workgroup a cluster, one thread a splat, all cameras: attributes are read once. Records of a
+// camera are in splat order: equal depth keys are drawn in the order of records. Where the keys of
+// a camera's direction are kept, they are read instead of computed.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -48,7 +50,8 @@ layout(push_constant, scalar) uniform push_block {
     uint shadow_word_count; // a cluster
 };
 
-// By plane: word w of splat i stands at w * splat_count + i, so that neighboring threads read neighboring words.
+// By plane: word w of splat i stands at w * splat_count + i, so that neighboring threads read
+// neighboring words.
 #define SH_WORD(band, word, index, stride) sh_band##band[(word) * (stride) + (index)]
 #include "sh.glsl"
 #include "write_record.glsl"

@@ -1,8 +1,9 @@
 #version 460
-// Footprint, depth key and color of every visible (camera, splat) of the agents: what project is for the background.
+// Footprint, depth key and color of every visible (camera, splat) of the agents: what project is
+// for the background.
 //
-// Their records come behind those of the background, by camera, agent and splat. Shapes and colors are entries of the
-// asset's codebooks, decoded here and nowhere else.
+// Their records come behind those of the background, by camera, agent and splat. Shapes and colors
+// are entries of the asset's codebooks, decoded here and nowhere else.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -38,7 +39,8 @@ layout(push_constant, scalar) uniform push_block {
     uint static_lists; // of the background: how many records it has stands behind them
 };
 
-// All bands of a color in one piece: a codebook stays in cache, and its entries are read in any order.
+// All bands of a color in one piece: a codebook stays in cache, and its entries are read in any
+// order.
 const uint COLOR_WORDS = 24u;
 const uint FIRST_WORD_1 = 0u;
 const uint FIRST_WORD_2 = 5u;

@@ -1,8 +1,9 @@
 #version 460
-// Codebooks in the light of their agents: c' = T c + b for every coefficient of every color (DecoupleGS, section 3.4).
+// Codebooks in the light of their agents: c' = T c + b for every coefficient of every color
+// (DecoupleGS, section 3.4).
 //
-// One thread an entry. T and b are meant for colors as plain expansions: DC without the 0.5 that splats' colors add.
-// Entries are written as sh.glsl reads them.
+// One thread an entry. T and b are meant for colors as plain expansions: DC without the 0.5 that
+// splats' colors add. Entries are written as sh.glsl reads them.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -63,7 +64,8 @@ float half_word(uint first, uint index) {
     return float(index % 2u == 0u ? int(word << 16) >> 16 : int(word) >> 16);
 }
 
-// One band: `count` numbers behind a scale, from word `from` of the pool to word `to` of what is lit.
+// One band: `count` numbers behind a scale, from word `from` of the pool to word `to` of what is
+// lit.
 void relight_band(uint relight, uint first_coefficient, uint count, uint from, uint to) {
     float scale = unpackHalf2x16(coded_bands[from]).x / 32767.0;
     float lit[21];

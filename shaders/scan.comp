@@ -1,9 +1,9 @@
 #version 460
 // Exclusive sums over a list of counts, and their total behind the last, in one dispatch.
 //
-// Each workgroup adds up everything before its block by itself: the counts are few (one for 256 splats), the reads are
-// coalesced and wait for nothing, and no group waits for another, which Vulkan gives no right to (no forward-progress
-// guarantee).
+// Each workgroup adds up everything before its block by itself: the counts are few (one for 256
+// splats), the reads are coalesced and wait for nothing, and no group waits for another, which
+// Vulkan gives no right to (no forward-progress guarantee).
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_basic : require

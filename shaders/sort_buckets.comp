@@ -3,12 +3,14 @@
 //
 // One workgroup per bucket. The algorithm depends on the number of pairs:
 // - Up to FEW_PAIRS: each thread counts the pairs that come before its own.
-// - Up to SHARED_PAIRS: the pairs are distributed over bins in shared memory, as many bins as pairs. A depth slab gets as many bins as it
-//   has pairs. Each thread then counts within the bin of its pair, which holds few.
-// - More, which is always a single slab: the pairs are distributed over bins of the slab in global memory, and each cluster of bins is
-//   sorted in shared memory.
-// Two fallbacks handle many pairs of almost one depth: a bitonic sort (Batcher, Sorting Networks and Their Applications, 1968) if a bin
-// holds more than BIN_PAIRS_MAX, and a radix sort in global memory, four bits per pass, if a bin does not fit shared memory.
+// - Up to SHARED_PAIRS: the pairs are distributed over bins in shared memory, as many bins as
+//   pairs. A depth slab gets as many bins as it has pairs. Each thread then counts within the bin
+//   of its pair, which holds few.
+// - More, which is always a single slab: the pairs are distributed over bins of the slab in global
+//   memory, and each cluster of bins is sorted in shared memory. Two fallbacks handle many pairs of
+//   almost one depth: a bitonic sort (Batcher, Sorting Networks and Their Applications, 1968) if a
+//   bin holds more than BIN_PAIRS_MAX, and a radix sort in global memory, four bits per pass, if a
+//   bin does not fit shared memory.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -53,7 +55,8 @@ bool stands_before(uint key, uint record, uint other_key, uint other_record) {
 // Pairs of a bin above which comparing all with all takes longer than the bitonic sort.
 const uint BIN_PAIRS_MAX = 128u;
 
-// The bin of a key in its bucket: a slab's pairs are spread over as many bins, by their place in the slab.
+// The bin of a key in its bucket: a slab's pairs are spread over as many bins, by their place in
+// the slab.
 uint bin_of(uint key, Bucket bucket, float camera_depth, float key_scale) {
     uvec2 slab = slab_and_place(key, camera_depth, key_scale);
     uint at = bucket.bin * SLABS + slab.x;
@@ -138,8 +141,9 @@ void sort_few(uint first, uint count, uint thread) {
     }
 }
 
-// Sorts the `count` pairs in shared memory, and writes their records from `first` on. They lie there by bin: bins of the slab where
-// `slab_bins`, else bins of the bucket. The ends of bins count from `binned_first` places before the first pair.
+// Sorts the `count` pairs in shared memory, and writes their records from `first` on. They lie
+// there by bin: bins of the slab where `slab_bins`, else bins of the bucket. The ends of bins count
+// from `binned_first` places before the first pair.
 void finish_in_shared_memory(Bucket bucket, uint first, uint count, uint binned_first, bool slab_bins, float camera_depth, float key_scale, uint thread) {
     if (longest_bin > BIN_PAIRS_MAX) {
         uint size = 1u;
@@ -193,7 +197,8 @@ void sort_in_shared_memory(Bucket bucket, float camera_depth, float key_scale, u
 const uint DIGIT_BITS = 4u;
 const uint DIGITS = 1u << DIGIT_BITS;
 
-// Entries that a thread moves per round of its loops. Software drivers end all loops of a thread after 65,535 rounds in total.
+// Entries that a thread moves per round of its loops. Software drivers end all loops of a thread
+// after 65,535 rounds in total.
 const uint MOVED = 8u;
 
 uint key_at(bool there, uint place) {
@@ -208,7 +213,8 @@ uint digit_of(uint key, uint record, uint shift, bool by_key) {
     return (by_key ? key : record) >> shift & (DIGITS - 1u);
 }
 
-// One stable pass of the radix sort, from one pair of buffers to the other. Each thread has a run of the bucket.
+// One stable pass of the radix sort, from one pair of buffers to the other. Each thread has a run
+// of the bucket.
 void pass_over_memory(uint first, uint count, uint thread, bool there, uint shift, bool by_key) {
     uint run = (count + WORKGROUP_THREADS - 1u) / WORKGROUP_THREADS;
     uint begin = min(thread * run, count);

@@ -1,4 +1,5 @@
-// Shader sources and their digests. Included by `build.rs` and by `compile.rs`, which must agree on them.
+// Shader sources and their digests. Included by `build.rs` and by `compile.rs`, which must agree on
+// them.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -28,8 +29,9 @@ fn name_of(path: &Path) -> &str {
     path.file_name().and_then(|name| name.to_str()).expect("a shader's file name is UTF-8")
 }
 
-/// One line per shader source, kernels first: its name and the FNV-1a hash (64 bits) of its content.
-/// It detects a forgotten `make shaders`. Tampering is detected by recompiling, in `.ci/run`.
+/// One line per shader source, kernels first: its name and the FNV-1a hash (64 bits) of its
+/// content. It detects a forgotten `make shaders`. Tampering is detected by recompiling, in
+/// `.ci/run`.
 fn digests(shaders: &Path) -> String {
     let mut lines = String::new();
     for path in [paths_with(shaders, "comp"), paths_with(&shaders.join("include"), "glsl")].concat() {

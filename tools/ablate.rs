@@ -34,15 +34,17 @@ use reinsertion_scene::ReinsertionScene;
 
 /// Put cars back into streets they were taken out of, and leave out parts of the system one by one
 ///
-/// Streets are made up, so that the truth is known: what their cars look like in the light of the place, and the dark about them.
-/// Cars captured in neutral light are put where the true ones stand, relit by the street about them, and compared with the truth
-/// over the pixels of vehicles. Then the system runs in full and without compression, registration and relighting.
+/// Streets are synthetic, so that the truth is known: what their cars look like in the light of the
+/// place, and the dark about them. Cars captured in neutral light are put where the true ones
+/// stand, relit by the street about them, and compared with the truth over the pixels of vehicles.
+/// Then the system runs in full and without compression, registration and relighting.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Light transfer: the effect of light on colors, written by `calibrate-light` (.safetensors)
     #[arg(long, value_name = "FILE")]
     light: PathBuf,
-    /// The light over the streets, one street each: clear, overcast, dusk, night; the system is measured in the first
+    /// The light over the streets, one street each: clear, overcast, dusk, night; the system is
+    /// measured in the first
     #[arg(long, value_name = "WEATHER", value_delimiter = ',', default_value = "clear,overcast,dusk,night", value_parser = weather)]
     weather: Vec<Weather>,
     /// Splats of the street without its traffic
@@ -60,7 +62,8 @@ pub struct Arguments {
     /// Size of every image
     #[arg(long, value_name = "WxH", default_value = "800x450")]
     size: Size,
-    /// Moments at which images are compared with the truth: of so many parts of the drive those with most of the cars in sight
+    /// Moments at which images are compared with the truth: of so many parts of the drive those
+    /// with most of the cars in sight
     #[arg(long, value_name = "M", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     moments: u32,
     /// Frames that are timed, a tenth of a second apart
@@ -103,16 +106,25 @@ fn weather(text: &str) -> Result<Weather, String> {
 }
 
 fn at_least_one(text: &str) -> Result<usize, String> {
-    text.parse().ok().filter(|&count| count >= 1).ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
+    text.parse()
+        .ok()
+        .filter(|&count| count >= 1)
+        .ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|value: &f64| value.is_finite() && *value >= 0.0);
+    let number = text
+        .parse()
+        .ok()
+        .filter(|value: &f64| value.is_finite() && *value >= 0.0);
     number.ok_or_else(|| format!("expected a number of at least 0, found {text:?}"))
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for out in [Some(&arguments.out), arguments.json.as_ref()].into_iter().flatten() {
+    for out in [Some(&arguments.out), arguments.json.as_ref()]
+        .into_iter()
+        .flatten()
+    {
         check_output(out)?;
     }
     let light = read_light_transfer(&arguments.light)?.transfer;
@@ -123,15 +135,30 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let gpu = arguments.device.open()?;
-    let cars = Cars::captured(&gpu, &street_options(arguments, weathers[0]), arguments.views)?;
+    let cars = Cars::captured(
+        &gpu,
+        &street_options(arguments, weathers[0]),
+        arguments.views,
+    )?;
     let bar = progress::bar("ablate", weathers.len() * arguments.moments as usize);
     let mut reinsertions = Vec::new();
     let mut system = None;
     for &weather in &weathers {
         let options = street_options(arguments, weather);
-        let stage = ReinsertionScene::set(&options, &cars, &light, arguments.size, arguments.cameras_used as usize)?;
+        let stage = ReinsertionScene::set(
+            &options,
+            &cars,
+            &light,
+            arguments.size,
+            arguments.cameras_used as usize,
+        )?;
         let moments_s = stage.moments_s(arguments.moments);
-        let reinsertion = Reinsertion { gpu: &gpu, stage: &stage, cars: &cars, floor: arguments.floor };
+        let reinsertion = Reinsertion {
+            gpu: &gpu,
+            stage: &stage,
+            cars: &cars,
+            floor: arguments.floor,
+        };
         let (measured, truths) = reinsertion.measure(&moments_s, &|| bar.inc(1))?;
         if system.is_none() {
             bar.set_message("the system and its parts");
@@ -148,7 +175,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     bar.finish_and_clear();
     check_validation(&gpu)?;
     let Some(system) = system else { return Ok(()) };
-    let report = Report { conditions: conditions(arguments, &gpu, &cars), reinsertions, system };
+    let report = Report {
+        conditions: conditions(arguments, &gpu, &cars),
+        reinsertions,
+        system,
+    };
     if let Some(path) = &arguments.json {
         write_atomically(path, |file| writeln!(file, "{:#}", report.to_json()))?;
     }
@@ -172,10 +203,22 @@ fn street_options(arguments: &Arguments, weather: Weather) -> StreetOptions {
 
 /// Refuses, before minutes of work, what could not be written after them.
 fn check_output(out: &Path) -> Result<()> {
-    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = out
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     let is_folder = fs::metadata(folder).is_ok_and(|found| found.is_dir());
-    ensure!(is_folder, "cannot write {}: there is no folder {}; make it first", out.display(), folder.display());
-    ensure!(!out.is_dir(), "cannot write {}: it is a folder; name the file to write", out.display());
+    ensure!(
+        is_folder,
+        "cannot write {}: there is no folder {}; make it first",
+        out.display(),
+        folder.display()
+    );
+    ensure!(
+        !out.is_dir(),
+        "cannot write {}: it is a folder; name the file to write",
+        out.display()
+    );
     Ok(())
 }
 
@@ -212,7 +255,11 @@ mod tests {
     #[test]
     fn nonsense_is_refused_with_what_there_is() {
         assert_eq!(weather("dusk"), Ok(Weather::Dusk));
-        assert!(weather("fog").unwrap_err().contains("clear, overcast, dusk, night"));
+        assert!(
+            weather("fog")
+                .unwrap_err()
+                .contains("clear, overcast, dusk, night")
+        );
         assert_eq!(at_least_one("3"), Ok(3));
         for nonsense in ["0", "-1", "many"] {
             assert!(at_least_one(nonsense).unwrap_err().contains(nonsense));

@@ -24,27 +24,49 @@ impl FromStr for Size {
     fn from_str(text: &str) -> Result<Self, String> {
         let parsed = text.split_once('x').and_then(|(width, height)| {
             let side = |text: &str| text.parse().ok().filter(|side| (1..=65_536).contains(side));
-            Some(Self { width_px: side(width)?, height_px: side(height)? })
+            Some(Self {
+                width_px: side(width)?,
+                height_px: side(height)?,
+            })
         });
-        parsed.ok_or_else(|| format!("expected WIDTHxHEIGHT in pixels, 1x1 to 65536x65536, like 1600x900, found {text:?}"))
+        parsed.ok_or_else(|| {
+            format!(
+                "expected WIDTHxHEIGHT in pixels, 1x1 to 65536x65536, like 1600x900, found {text:?}"
+            )
+        })
     }
 }
 
 /// A finite number, for options where NaN and infinity mean nothing.
 pub fn finite(text: &str) -> Result<f64, String> {
-    let parsed = text.parse().ok().filter(|number: &f64| number.is_finite() && number.abs() <= 1e12);
+    let parsed = text
+        .parse()
+        .ok()
+        .filter(|number: &f64| number.is_finite() && number.abs() <= 1e12);
     parsed.ok_or_else(|| format!("expected a number, found {text:?}"))
 }
 
 /// Three numbers of at most `most` with commas between them. None for any other text.
 pub fn three_numbers(text: &str, most: f64) -> Option<[f64; 3]> {
-    let number = |part: &str| part.trim().parse().ok().filter(|number: &f64| number.abs() <= most);
-    text.split(',').map(number).collect::<Option<Vec<f64>>>()?.try_into().ok()
+    let number = |part: &str| {
+        part.trim()
+            .parse()
+            .ok()
+            .filter(|number: &f64| number.abs() <= most)
+    };
+    text.split(',')
+        .map(number)
+        .collect::<Option<Vec<f64>>>()?
+        .try_into()
+        .ok()
 }
 
 /// A number of pixels, 0 or more.
 pub fn pixels(text: &str) -> Result<f64, String> {
-    finite(text).ok().filter(|pixels| *pixels >= 0.0).ok_or_else(|| format!("expected pixels, 0 or more, found {text:?}"))
+    finite(text)
+        .ok()
+        .filter(|pixels| *pixels >= 0.0)
+        .ok_or_else(|| format!("expected pixels, 0 or more, found {text:?}"))
 }
 
 /// By whose definition splats become an image.
@@ -86,13 +108,17 @@ pub fn warn(sentence: &str) {
 
 /// Writes an image; the file is there whole or not at all.
 pub fn write_image(path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
-    let bytes = image.encode(format).with_context(|| format!("{} was not written", path.display()))?;
+    let bytes = image
+        .encode(format)
+        .with_context(|| format!("{} was not written", path.display()))?;
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
 /// [`write_image`], for one to be laid over another: PNG holds its alpha too.
 pub fn write_image_with_alpha(path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
-    let bytes = image.encode_with_alpha(format).with_context(|| format!("{} was not written", path.display()))?;
+    let bytes = image
+        .encode_with_alpha(format)
+        .with_context(|| format!("{} was not written", path.display()))?;
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
@@ -102,8 +128,25 @@ mod tests {
 
     #[test]
     fn sizes_are_read_and_nonsense_is_refused() {
-        assert_eq!("1600x900".parse(), Ok(Size { width_px: 1600, height_px: 900 }));
-        for nonsense in ["", "1600", "1600x", "x900", "0x900", "-1x5", "1600x900x3", "70000x1", "1600 x 900", "1e3x5"] {
+        assert_eq!(
+            "1600x900".parse(),
+            Ok(Size {
+                width_px: 1600,
+                height_px: 900
+            })
+        );
+        for nonsense in [
+            "",
+            "1600",
+            "1600x",
+            "x900",
+            "0x900",
+            "-1x5",
+            "1600x900x3",
+            "70000x1",
+            "1600 x 900",
+            "1e3x5",
+        ] {
             let refused = nonsense.parse::<Size>().unwrap_err();
             assert!(refused.contains(&format!("{nonsense:?}")), "{refused}");
         }
@@ -111,8 +154,17 @@ mod tests {
 
     #[test]
     fn every_rule_of_the_engine_can_be_asked_for() {
-        let offered: Vec<_> = RulesName::value_variants().iter().map(|name| name.to_possible_value().unwrap()).collect();
-        assert_eq!(offered.iter().map(|value| value.get_name()).collect::<Vec<_>>(), Rules::NAMES);
+        let offered: Vec<_> = RulesName::value_variants()
+            .iter()
+            .map(|name| name.to_possible_value().unwrap())
+            .collect();
+        assert_eq!(
+            offered
+                .iter()
+                .map(|value| value.get_name())
+                .collect::<Vec<_>>(),
+            Rules::NAMES
+        );
         for name in RulesName::value_variants() {
             let value = name.to_possible_value().unwrap();
             assert_eq!(Rules::by_name(value.get_name()), Some(name.rules()));

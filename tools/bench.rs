@@ -1,4 +1,5 @@
-//! `decouplegs bench`: how long a frame takes, stage by stage, what memory it holds, and how wrong it is.
+//! `decouplegs bench`: how long a frame takes, stage by stage, what memory it holds, and how wrong
+//! it is.
 
 mod report;
 mod trace;
@@ -23,7 +24,8 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
 
-/// Time frames on a GPU, stage by stage, with memory by purpose and the error against the f64 definition
+/// Time frames on a GPU, stage by stage, with memory by purpose and the error against the f64
+/// definition
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -46,13 +48,16 @@ pub struct Arguments {
     /// Draw the instance ids too
     #[arg(long)]
     instance: bool,
-    /// Compute the background's depth keys in every frame instead of keeping them while a camera does not turn
+    /// Compute the background's depth keys in every frame instead of keeping them while a camera
+    /// does not turn
     #[arg(long)]
     compute_keys: bool,
-    /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
+    /// Draw agents at the coarsest level of detail whose splats are at most this far apart
+    /// (default: always the finest)
     #[arg(long, value_name = "PX", value_parser = pixels)]
     level_pitch: Option<f64>,
-    /// Time from one frame to the next, in which the ego and the agents drive on (default: they stand)
+    /// Time from one frame to the next, in which the ego and the agents drive on (default: they
+    /// stand)
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = finite)]
     step: f64,
     /// Frames in flight: with 2, a frame is submitted before the one before it is waited for
@@ -61,7 +66,8 @@ pub struct Arguments {
     /// Run the agents' part of a frame in line with the rest instead of on the queue for updates
     #[arg(long)]
     serial: bool,
-    /// Write what both queues and the host did when, as a trace for chrome://tracing or ui.perfetto.dev
+    /// Write what both queues and the host did when, as a trace for chrome://tracing or
+    /// ui.perfetto.dev
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
     /// Write three frames of that trace as an image
@@ -103,7 +109,12 @@ impl Arguments {
             Color::Rgba8 => ColorFormat::U8,
             Color::F32 => ColorFormat::F32,
         };
-        Outputs { color, depth: self.depth, instance: self.instance, ..Outputs::default() }
+        Outputs {
+            color,
+            depth: self.depth,
+            instance: self.instance,
+            ..Outputs::default()
+        }
     }
 }
 
@@ -128,12 +139,19 @@ struct Measured {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for path in [&arguments.json, &arguments.trace, &arguments.trace_image].into_iter().flatten() {
+    for path in [&arguments.json, &arguments.trace, &arguments.trace_image]
+        .into_iter()
+        .flatten()
+    {
         check_writable(path)?;
     }
     let mut scene = Scene::open(&arguments.scene)?;
     let used = arguments.cameras_used.unwrap_or(scene.cameras.len());
-    ensure!((1..=scene.cameras.len()).contains(&used), "--cameras-used {used}: the scene has {} cameras", scene.cameras.len());
+    ensure!(
+        (1..=scene.cameras.len()).contains(&used),
+        "--cameras-used {used}: the scene has {} cameras",
+        scene.cameras.len()
+    );
     scene.cameras.truncate(used);
 
     let gpu = arguments.device.open()?;
@@ -153,7 +171,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
     let (device, warm_up) = (gpu.info().clone(), arguments.warm_up);
     let (options, step_s) = (arguments.options(scene.rules()), arguments.step);
-    let measured = Measured { device, options, step_s, warm_up, timed, window, difference };
+    let measured = Measured {
+        device,
+        options,
+        step_s,
+        warm_up,
+        timed,
+        window,
+        difference,
+    };
     let figures = report::figures(&scene, &measured);
     if let Some(path) = &arguments.json {
         write_atomically(path, |file| writeln!(file, "{figures:#}"))?;
@@ -161,7 +187,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print(&report::to_text(&figures))
 }
 
-/// The frames after the warm-up, the wall clock from one to the next, and the memory that they took.
+/// The frames after the warm-up, the wall clock from one to the next, and the memory that they
+/// took.
 fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed> {
     let mut renderer = Renderer::new(gpu, arguments.options(scene.rules()));
     let live = LiveScene::new(&renderer, &scene.loaded)?;
@@ -188,24 +215,50 @@ fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed>
         }
     }
     bar.finish_and_clear();
-    Ok(Timed { frames, steps_ms, memory: gpu.memory() })
+    Ok(Timed {
+        frames,
+        steps_ms,
+        memory: gpu.memory(),
+    })
 }
 
 /// The window of at most `size` in the middle of an image.
 fn middle(image: &Intrinsics, size: Size) -> Window {
-    let (width_px, height_px) = (size.width_px.min(image.width_px), size.height_px.min(image.height_px));
-    Window { left_px: (image.width_px - width_px) / 2, top_px: (image.height_px - height_px) / 2, width_px, height_px }
+    let (width_px, height_px) = (
+        size.width_px.min(image.width_px),
+        size.height_px.min(image.height_px),
+    );
+    Window {
+        left_px: (image.width_px - width_px) / 2,
+        top_px: (image.height_px - height_px) / 2,
+        width_px,
+        height_px,
+    }
 }
 
 /// Difference between the first camera's image, rendered once more in f32, and the reference: 8
 /// bits would hide it.
-fn error_in_window(gpu: &Gpu, scene: &Scene, arguments: &Arguments, window: Window) -> Result<Difference> {
+fn error_in_window(
+    gpu: &Gpu,
+    scene: &Scene,
+    arguments: &Arguments,
+    window: Window,
+) -> Result<Difference> {
     let working = progress::spinner("the middle of an image by the f64 definition".into());
     let camera = &scene.cameras[0];
     let outputs = Outputs::default();
-    let mut renderer = Renderer::new(gpu, RenderOptions { outputs, ..arguments.options(scene.rules()) });
+    let mut renderer = Renderer::new(
+        gpu,
+        RenderOptions {
+            outputs,
+            ..arguments.options(scene.rules())
+        },
+    );
     let live = LiveScene::new(&renderer, &scene.loaded)?;
-    renderer.render(live.with(&live.at(scene.time_s)), std::slice::from_ref(camera))?;
+    renderer.render(
+        live.with(&live.at(scene.time_s)),
+        std::slice::from_ref(camera),
+    )?;
     let found = cut(&renderer.read_images()?[0], window);
     let world = scene.world();
     let expected = reference::render_window(&world, camera, &world.rules, window).to_image();
@@ -216,8 +269,12 @@ fn error_in_window(gpu: &Gpu, scene: &Scene, arguments: &Arguments, window: Wind
 /// The pixels of `image` in `window`, which lies inside it.
 fn cut(image: &Image, window: Window) -> Image {
     let rows = window.top_px..window.top_px + window.height_px;
-    let pixels = rows.flat_map(|row| (window.left_px..window.left_px + window.width_px).map(move |column| (row, column)));
-    let places: Vec<usize> = pixels.map(|(row, column)| row as usize * image.width as usize + column as usize).collect();
+    let pixels = rows.flat_map(|row| {
+        (window.left_px..window.left_px + window.width_px).map(move |column| (row, column))
+    });
+    let places: Vec<usize> = pixels
+        .map(|(row, column)| row as usize * image.width as usize + column as usize)
+        .collect();
     Image {
         width: window.width_px,
         height: window.height_px,
@@ -235,11 +292,29 @@ mod tests {
     #[test]
     fn the_window_lies_in_the_middle_and_cuts_its_own_pixels() {
         let image = Intrinsics::from_horizontal_fov(7, 5, 1.0);
-        let window = middle(&image, Size { width_px: 3, height_px: 100 });
-        assert_eq!(window, Window { left_px: 2, top_px: 0, width_px: 3, height_px: 5 });
+        let window = middle(
+            &image,
+            Size {
+                width_px: 3,
+                height_px: 100,
+            },
+        );
+        assert_eq!(
+            window,
+            Window {
+                left_px: 2,
+                top_px: 0,
+                width_px: 3,
+                height_px: 5
+            }
+        );
         let mut image = Image::filled(7, 5, [0.0; 3]);
-        image.rgb.iter_mut().enumerate().for_each(|(at, rgb)| rgb[0] = at as f32);
-        let firsts: Vec<f32> = cut(&image, window).rgb.iter().map(|rgb| rgb[0]).collect();
-        assert_eq!(firsts[..4], [2.0, 3.0, 4.0, 9.0]);
+        image
+            .rgb
+            .iter_mut()
+            .enumerate()
+            .for_each(|(at, rgb)| rgb[0] = at as f32);
+        let offsets: Vec<f32> = cut(&image, window).rgb.iter().map(|rgb| rgb[0]).collect();
+        assert_eq!(offsets[..4], [2.0, 3.0, 4.0, 9.0]);
     }
 }

@@ -9,10 +9,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use decouplegs::asset::calibrate::{
-    CalibrateOptions, Calibration, Comparison, Objective, Probe, Progress, Surroundings, calibrate, probe_paths,
+    CalibrateOptions, Calibration, Comparison, Objective, Probe, Progress, Surroundings, calibrate,
+    probe_paths,
 };
 use decouplegs::asset::{
-    LightTransferFile, Provenance, check_writable, read_bytes, read_splats, write_atomically, write_light_transfer,
+    LightTransferFile, Provenance, check_writable, read_bytes, read_splats, write_atomically,
+    write_light_transfer,
 };
 use decouplegs::scene::SplatCloud;
 
@@ -21,13 +23,15 @@ use crate::progress;
 
 /// Calibrate how light changes the colors of agents
 ///
-/// Fits Theta, which turns the colors of a place into a factor and a summand for each color coefficient of an agent that
-/// stands there, so that agents look as their surroundings are lit. Truth are the given assets in the light of the given
-/// environment probes, each turned, mirrored and exposed in several ways. Each probe is also left out in turn to see how far
-/// colors are off in light that the fit was not shown.
+/// Fits Theta, which turns the colors of a place into a factor and a summand for each color
+/// coefficient of an agent that stands there, so that agents look as their surroundings are lit.
+/// Truth are the given assets in the light of the given environment probes, each turned, mirrored
+/// and exposed in several ways. Each probe is also left out in turn to see how far colors are off
+/// in light that the fit was not shown.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Assets in their own frame: meters, x forward, y left, z up (.ply, .splat, .spz, coded .safetensors)
+    /// Assets in their own frame: meters, x forward, y left, z up (.ply, .splat, .spz, coded
+    /// .safetensors)
     #[arg(required = true, value_name = "ASSET")]
     assets: Vec<PathBuf>,
     /// Folder of lat-long images of linear radiance (.exr, .hdr), top row up
@@ -49,7 +53,7 @@ pub struct Arguments {
     /// Number of turns of each probe about the vertical
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..=64))]
     rotations: u64,
-    /// Splats looked at, shared by the assets
+    /// Splats examined, shared by the assets
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     samples: u64,
     /// Linear albedo of the ground whose color tells of the light, above 0, at most 1
@@ -83,23 +87,38 @@ pub struct Subject {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for out in [Some(&arguments.out), arguments.report.as_ref()].into_iter().flatten() {
+    for out in [Some(&arguments.out), arguments.report.as_ref()]
+        .into_iter()
+        .flatten()
+    {
         check_output(out)?;
         check_writable(out)?;
     }
     let mut sources = BTreeMap::new();
     let subject = read(arguments, &mut sources)?;
     for probe in subject.probes.iter().filter(|probe| probe.clamped > 0) {
-        warn(&format!("{}: {} pixels hold no radiance (NaN, infinite or negative) and were clamped", probe.name, probe.clamped));
+        warn(&format!(
+            "{}: {} pixels hold no radiance (NaN, infinite or negative) and were clamped",
+            probe.name, probe.clamped
+        ));
     }
     let bar = progress::bar("calibrating", 2 * subject.probes.len() + 1);
-    let assets: Vec<(String, &SplatCloud)> = subject.assets.iter().map(|(name, cloud)| (name.clone(), cloud)).collect();
-    let calibration = calibrate(&assets, &subject.probes, &subject.options, &|step| match step {
-        Progress::Sampling => {}
-        Progress::Probes(done) => bar.set_position(done as u64),
-        Progress::Moments => bar.set_position(subject.probes.len() as u64),
-        Progress::HeldOut(done) => bar.set_position((subject.probes.len() + 1 + done) as u64),
-    });
+    let assets: Vec<(String, &SplatCloud)> = subject
+        .assets
+        .iter()
+        .map(|(name, cloud)| (name.clone(), cloud))
+        .collect();
+    let calibration = calibrate(
+        &assets,
+        &subject.probes,
+        &subject.options,
+        &|step| match step {
+            Progress::Sampling => {}
+            Progress::Probes(done) => bar.set_position(done as u64),
+            Progress::Moments => bar.set_position(subject.probes.len() as u64),
+            Progress::HeldOut(done) => bar.set_position((subject.probes.len() + 1 + done) as u64),
+        },
+    );
     bar.finish_and_clear();
     let calibration = calibration?;
     let file = LightTransferFile {
@@ -112,7 +131,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     print(&summary(&arguments.out, &subject, &calibration))?;
     if let Some(path) = &arguments.report {
         let html = page::page(&subject, &calibration)?;
-        write_atomically(path, |file| std::io::Write::write_all(file, html.as_bytes()))?;
+        write_atomically(path, |file| {
+            std::io::Write::write_all(file, html.as_bytes())
+        })?;
         print(&format!("{}\n", path.display()))?;
     }
     Ok(())
@@ -120,17 +141,35 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Refuses, before minutes of work, what could not be written after them.
 fn check_output(out: &Path) -> Result<()> {
-    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    ensure!(folder.is_dir(), "cannot write {}: there is no folder {}; make it first", out.display(), folder.display());
-    ensure!(!out.is_dir(), "cannot write {}: it is a folder; name the file to write", out.display());
+    let folder = out
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
+    ensure!(
+        folder.is_dir(),
+        "cannot write {}: there is no folder {}; make it first",
+        out.display(),
+        folder.display()
+    );
+    ensure!(
+        !out.is_dir(),
+        "cannot write {}: it is a folder; name the file to write",
+        out.display()
+    );
     Ok(())
 }
 
 fn read(arguments: &Arguments, sources: &mut BTreeMap<String, String>) -> Result<Subject> {
     let mut hashed = |path: &Path| -> Result<String> {
         let bytes = read_bytes(path)?;
-        let Provenance { source, source_sha256, .. } =
-            Provenance::of_source(path.file_name().unwrap_or_default().to_string_lossy(), &bytes);
+        let Provenance {
+            source,
+            source_sha256,
+            ..
+        } = Provenance::of_source(
+            path.file_name().unwrap_or_default().to_string_lossy(),
+            &bytes,
+        );
         sources.insert(source.clone(), source_sha256);
         Ok(source)
     };
@@ -143,7 +182,11 @@ fn read(arguments: &Arguments, sources: &mut BTreeMap<String, String>) -> Result
         hashed(&path)?;
         probes.push(Probe::read(&path)?);
     }
-    ensure!(!probes.is_empty(), "{} holds no probe: expected .exr or .hdr files", arguments.probes.display());
+    ensure!(
+        !probes.is_empty(),
+        "{} holds no probe: expected .exr or .hdr files",
+        arguments.probes.display()
+    );
     let options = CalibrateOptions {
         sh_degree: arguments.degree,
         ridge: arguments.ridge,
@@ -153,10 +196,17 @@ fn read(arguments: &Arguments, sources: &mut BTreeMap<String, String>) -> Result
         },
         rotations: arguments.rotations as usize,
         samples: arguments.samples as usize,
-        ground: Surroundings { albedo: arguments.ground_albedo, ..Surroundings::default() },
+        ground: Surroundings {
+            albedo: arguments.ground_albedo,
+            ..Surroundings::default()
+        },
         seed: arguments.seed,
     };
-    Ok(Subject { assets, probes, options })
+    Ok(Subject {
+        assets,
+        probes,
+        options,
+    })
 }
 
 fn settings(options: &CalibrateOptions, calibration: &Calibration) -> BTreeMap<String, String> {
@@ -188,23 +238,36 @@ fn summary(out: &Path, subject: &Subject, calibration: &Calibration) -> String {
         calibration.neutral.relit.rmse(),
     );
     if calibration.held_out.is_empty() {
-        text.push_str("no probe could be left out: the others do not determine a fit without it; give more\n");
+        text.push_str(
+            "no probe could be left out: the others do not determine a fit without it; give more\n",
+        );
         return text;
     }
     text.push_str(
         "left out           RMSE none  relit  best affine   angle none mean/p95    relit mean/p95    affine mean/p95\n",
     );
     for held_out in &calibration.held_out {
-        text.push_str(&row(&subject.probes[held_out.probe].name, &held_out.comparison));
+        text.push_str(&row(
+            &subject.probes[held_out.probe].name,
+            &held_out.comparison,
+        ));
     }
     text.push_str(&row("all", &calibration.total()));
     text
 }
 
 fn row(name: &str, comparison: &Comparison) -> String {
-    let Comparison { none, relit, affine } = comparison;
+    let Comparison {
+        none,
+        relit,
+        affine,
+    } = comparison;
     let angle = |error: &decouplegs::asset::calibrate::ColorError| {
-        format!("{:6.2} / {:5.2} deg", error.angle_mean_deg(), error.angle_p95_deg())
+        format!(
+            "{:6.2} / {:5.2} deg",
+            error.angle_mean_deg(),
+            error.angle_p95_deg()
+        )
     };
     format!(
         "{name:<18} {:9.4} {:6.4} {:12.4}   {} {} {}\n",

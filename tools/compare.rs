@@ -27,18 +27,39 @@ pub struct Arguments {
 }
 
 fn positive(text: &str) -> Result<f32, String> {
-    let value: f32 = text.parse().map_err(|_| format!("expected a number, found {text:?}"))?;
-    if value.is_finite() && value > 0.0 { Ok(value) } else { Err(format!("expected a number above zero, found {text}")) }
+    let value: f32 = text
+        .parse()
+        .map_err(|_| format!("expected a number, found {text:?}"))?;
+    if value.is_finite() && value > 0.0 {
+        Ok(value)
+    } else {
+        Err(format!("expected a number above zero, found {text}"))
+    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let (a, b) = (Image::read(&arguments.a)?, Image::read(&arguments.b)?);
-    let names = || format!("{} and {} cannot be compared", arguments.a.display(), arguments.b.display());
+    let names = || {
+        format!(
+            "{} and {} cannot be compared",
+            arguments.a.display(),
+            arguments.b.display()
+        )
+    };
     let difference = Difference::between(&a, &b).with_context(names)?;
     if let Some(path) = &arguments.difference {
         let image = difference_image(&a, &b, arguments.gain).with_context(names)?;
-        let unknown = || format!("{}: the image's name must end with .png, .exr or .npy", path.display());
-        write_image(path, &image, ImageFileFormat::of_path(path).with_context(unknown)?)?;
+        let unknown = || {
+            format!(
+                "{}: the image's name must end with .png, .exr or .npy",
+                path.display()
+            )
+        };
+        write_image(
+            path,
+            &image,
+            ImageFileFormat::of_path(path).with_context(unknown)?,
+        )?;
     }
     if arguments.json {
         return print(&format!("{:#}\n", serde_json::to_value(difference)?));
@@ -47,8 +68,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 fn to_text(difference: &Difference) -> String {
-    let Difference { max_abs, rmse, psnr_db, ssim, flip, share_off } = difference;
-    let ssim = ssim.map_or("none: a side is below 11 pixels".to_owned(), |ssim| format!("{ssim:.6}"));
+    let Difference {
+        max_abs,
+        rmse,
+        psnr_db,
+        ssim,
+        flip,
+        share_off,
+    } = difference;
+    let ssim = ssim.map_or("none: a side is below 11 pixels".to_owned(), |ssim| {
+        format!("{ssim:.6}")
+    });
     format!(
         "max abs      {max_abs:.6}\nRMSE         {rmse:.3e}\nPSNR         {psnr_db:.2} dB\nSSIM         {ssim}\n\
          FLIP         {flip:.6}\nabove 1/255  {:.4} %\n",

@@ -11,8 +11,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::compress::{CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress};
-use decouplegs::asset::{CodedAsset, Provenance, check_writable, read_bytes, read_splats, write_coded};
+use decouplegs::asset::compress::{
+    CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress,
+};
+use decouplegs::asset::{
+    CodedAsset, Provenance, check_writable, read_bytes, read_splats, write_coded,
+};
 use decouplegs::scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs::scene::{ShFrame, SplatCloud};
 use indicatif::ProgressBar;
@@ -22,19 +26,23 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use visibility::VIEW_PX_MAX;
 
-/// Compress the splats of an agent: prune what matters little, and keep shapes and colors as entries of codebooks
+/// Compress the splats of an agent: prune what matters little, and keep shapes and colors as
+/// entries of codebooks
 ///
-/// An agent is what moves through a scene, such as a car. Its splats are drawn from all around; those that hardly show are
-/// dropped, and the shapes and colors of the others become entries of two codebooks, so that a splat takes 12 bytes. The asset
-/// stands in a scene file where plain splats may, `inspect` describes it and `decompress` turns it back into plain splats.
+/// An agent is what moves through a scene, such as a car. Its splats are drawn from all around;
+/// those that hardly show are dropped, and the shapes and colors of the others become entries of
+/// two codebooks, so that a splat takes 12 bytes. The asset stands in a scene file where plain
+/// splats may, `inspect` describes it and `decompress` turns it back into plain splats.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats in the agent's own frame: meters, x forward, y left, z up (.ply, .splat, .spz, .sog, .glb, .pt)
+    /// Splats in the agent's own frame: meters, x forward, y left, z up (.ply, .splat, .spz, .sog,
+    /// .glb, .pt)
     file: PathBuf,
     /// The asset to write (.safetensors)
     #[arg(long, value_name = "FILE", value_parser = asset_path)]
     out: PathBuf,
-    /// Share of the splats to keep, the most important ones, above 0 and at most 1 (default: by --tau)
+    /// Share of the splats to keep, the most important ones, above 0 and at most 1 (default: by
+    /// --tau)
     #[arg(long, value_name = "R", conflicts_with = "tau", value_parser = keep_ratio)]
     keep: Option<f32>,
     /// Least importance that is kept, 0 to 1; anything above 0 drops what no view shows
@@ -60,7 +68,8 @@ pub struct Arguments {
     /// Side of these views, pixels
     #[arg(long, value_name = "PX", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=VIEW_PX_MAX as i64))]
     view_size: u32,
-    /// Measure what is lost, with other settings too, and write report.html and report.json to this folder; takes minutes
+    /// Measure what is lost, with other settings too, and write report.html and report.json to this
+    /// folder; takes minutes
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     /// Distance of the report's street cameras, meters: ten is for cars
@@ -85,19 +94,34 @@ enum Frame {
 fn asset_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     let fits = decouplegs::asset::coded_asset::has_extension(&path);
-    if fits { Ok(path) } else { Err(format!("expected a name that ends with .safetensors, found {text:?}")) }
+    if fits {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a name that ends with .safetensors, found {text:?}"
+        ))
+    }
 }
 
 fn number_within(text: &str, what: &str, fits: impl Fn(f64) -> bool) -> Result<f64, String> {
-    text.parse().ok().filter(|&value| fits(value)).ok_or_else(|| format!("expected {what}, found {text:?}"))
+    text.parse()
+        .ok()
+        .filter(|&value| fits(value))
+        .ok_or_else(|| format!("expected {what}, found {text:?}"))
 }
 
 fn keep_ratio(text: &str) -> Result<f32, String> {
-    number_within(text, "a share above 0, at most 1", |value| value > 0.0 && value <= 1.0).map(|value| value as f32)
+    number_within(text, "a share above 0, at most 1", |value| {
+        value > 0.0 && value <= 1.0
+    })
+    .map(|value| value as f32)
 }
 
 fn importance(text: &str) -> Result<f32, String> {
-    number_within(text, "an importance from 0 to 1", |value| (0.0..=1.0).contains(&value)).map(|value| value as f32)
+    number_within(text, "an importance from 0 to 1", |value| {
+        (0.0..=1.0).contains(&value)
+    })
+    .map(|value| value as f32)
 }
 
 fn distance(text: &str) -> Result<f64, String> {
@@ -108,20 +132,43 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     check_outputs(arguments)?;
     let source = read_bytes(&arguments.file)?;
     let cloud = read_splats(&arguments.file)?;
-    let drawn: Vec<u32> = (0..cloud.len() as u32).filter(|&splat| cloud.defect_of(splat as usize).is_none()).collect();
-    ensure!(!drawn.is_empty(), "{} has no splat that can be drawn", arguments.file.display());
+    let drawn: Vec<u32> = (0..cloud.len() as u32)
+        .filter(|&splat| cloud.defect_of(splat as usize).is_none())
+        .collect();
+    ensure!(
+        !drawn.is_empty(),
+        "{} has no splat that can be drawn",
+        arguments.file.display()
+    );
     let gpu = arguments.device.open()?;
     // The box of what can be drawn: a mean that is NaN has no place in it.
-    let cameras = views::sphere(&cloud.select(&drawn).bounds(), arguments.views as usize, arguments.view_size, 0.0);
+    let cameras = views::sphere(
+        &cloud.select(&drawn).bounds(),
+        arguments.views as usize,
+        arguments.view_size,
+        0.0,
+    );
     let visibility = visibility::visibility(&gpu, &cloud, &cameras)?;
     let options = options(arguments);
     let compressed = compressed_with_bar(&cloud, &visibility, &options)?;
-    let asset = CodedAsset { cloud: compressed.cloud.clone(), provenance: provenance(arguments, &source, &options) };
+    let asset = CodedAsset {
+        cloud: compressed.cloud.clone(),
+        provenance: provenance(arguments, &source, &options),
+    };
     write_coded(&arguments.out, &asset)?;
-    let stored_bytes = fs::metadata(&arguments.out).with_context(|| format!("cannot read {}", arguments.out.display()))?.len();
+    let stored_bytes = fs::metadata(&arguments.out)
+        .with_context(|| format!("cannot read {}", arguments.out.display()))?
+        .len();
     print(&summary(arguments, &compressed, stored_bytes))?;
     if let Some(folder) = &arguments.report {
-        let subject = report::Subject { arguments, gpu: &gpu, cloud: &cloud, visibility: &visibility, options, stored_bytes };
+        let subject = report::Subject {
+            arguments,
+            gpu: &gpu,
+            cloud: &cloud,
+            visibility: &visibility,
+            options,
+            stored_bytes,
+        };
         report::write(&subject, &compressed, folder)?;
         print(&format!("{}\n", folder.join("report.html").display()))?;
     }
@@ -131,19 +178,37 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// Refuses, before minutes of work, what could not be written after them.
 fn check_outputs(arguments: &Arguments) -> Result<()> {
     let out = &arguments.out;
-    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    ensure!(folder.is_dir(), "cannot write {}: there is no folder {}; make it first", out.display(), folder.display());
-    ensure!(!out.is_dir(), "cannot write {}: it is a folder; --out is the file to write", out.display());
+    let folder = out
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
+    ensure!(
+        folder.is_dir(),
+        "cannot write {}: there is no folder {}; make it first",
+        out.display(),
+        folder.display()
+    );
+    ensure!(
+        !out.is_dir(),
+        "cannot write {}: it is a folder; --out is the file to write",
+        out.display()
+    );
     check_writable(out)?;
     if let Some(report) = &arguments.report {
-        ensure!(report.is_dir() || !report.exists(), "--report {}: it is a file; expected a folder", report.display());
+        ensure!(
+            report.is_dir() || !report.exists(),
+            "--report {}: it is a file; expected a folder",
+            report.display()
+        );
     }
     Ok(())
 }
 
 fn options(arguments: &Arguments) -> CompressOptions {
     CompressOptions {
-        prune: arguments.keep.map_or(Prune::Threshold(arguments.tau), Prune::KeepRatio),
+        prune: arguments
+            .keep
+            .map_or(Prune::Threshold(arguments.tau), Prune::KeepRatio),
         colors: arguments.colors as usize,
         shapes: arguments.shapes as usize,
         seed: arguments.seed,
@@ -155,9 +220,15 @@ fn options(arguments: &Arguments) -> CompressOptions {
     }
 }
 
-fn compressed_with_bar(cloud: &SplatCloud, visibility: &[f32], options: &CompressOptions) -> Result<Compressed> {
+fn compressed_with_bar(
+    cloud: &SplatCloud,
+    visibility: &[f32],
+    options: &CompressOptions,
+) -> Result<Compressed> {
     let working = progress::spinner("pruning".into());
-    let done = compress(cloud, visibility, options, &|progress| show(&working, progress, options.iterations_max));
+    let done = compress(cloud, visibility, options, &|progress| {
+        show(&working, progress, options.iterations_max);
+    });
     working.finish_and_clear();
     Ok(done?)
 }
@@ -172,7 +243,11 @@ fn show(working: &ProgressBar, progress: Progress, iterations_max: usize) {
 }
 
 fn provenance(arguments: &Arguments, source: &[u8], options: &CompressOptions) -> Provenance {
-    let name = arguments.file.file_name().unwrap_or_default().to_string_lossy();
+    let name = arguments
+        .file
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
     let mut provenance = Provenance::of_source(name, source);
     let prune = match options.prune {
         Prune::Threshold(least) => ("tau", least.to_string()),
@@ -218,6 +293,9 @@ mod tests {
         }
         assert!(importance("-0.1").is_err() && importance("0").is_ok());
         assert!(distance("inf").is_err() && distance("10").is_ok());
-        assert!(asset_path("car.ply").unwrap_err().contains("car.ply") && asset_path("car.safetensors").is_ok());
+        assert!(
+            asset_path("car.ply").unwrap_err().contains("car.ply")
+                && asset_path("car.safetensors").is_ok()
+        );
     }
 }

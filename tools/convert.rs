@@ -16,11 +16,13 @@ use crate::progress;
 use format::Format;
 use report::Report;
 
-/// Convert splats from one format to another, or a checkpoint with actors to a scene, and say what was lost
+/// Convert splats from one format to another, or a checkpoint with actors to a scene, and say what
+/// was lost
 ///
-/// Read are .ply (INRIA and PlayCanvas compressed), .spz, .splat, .sog (or its folder), .glb with KHR_gaussian_splatting, .pt of
-/// gsplat and .safetensors; written are .ply, .spz, .splat, .sog, .glb and .safetensors. What was written is read back and
-/// compared, splat by splat. A checkpoint of drivestudio (OmniRe) or Street Gaussians becomes a folder with a scene file.
+/// Read are .ply (INRIA and PlayCanvas compressed), .spz, .splat, .sog (or its folder), .glb with
+/// KHR_gaussian_splatting, .pt of gsplat and .safetensors; written are .ply, .spz, .splat, .sog,
+/// .glb and .safetensors. What was written is read back and compared, splat by splat. A checkpoint
+/// of drivestudio (OmniRe) or Street Gaussians becomes a folder with a scene file.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Input to convert
@@ -46,13 +48,24 @@ pub struct Arguments {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|&hz: &f64| hz > 0.0 && hz <= 10_000.0);
+    let value = text
+        .parse()
+        .ok()
+        .filter(|&hz: &f64| hz > 0.0 && hz <= 10_000.0);
     value.ok_or_else(|| format!("expected frames a second, above 0, found {text:?}"))
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?.unwrap_or_default();
-    let options = ImportOptions { frame_rate_hz: arguments.frame_rate, tracks };
+    let tracks = arguments
+        .tracks
+        .as_deref()
+        .map(read_tracks)
+        .transpose()?
+        .unwrap_or_default();
+    let options = ImportOptions {
+        frame_rate_hz: arguments.frame_rate,
+        tracks,
+    };
     let reading = progress::spinner(format!("reading {}", arguments.input.display()));
     let scene = read_scene(&arguments.input, &options)?;
     reading.finish_and_clear();
@@ -71,15 +84,33 @@ fn write_splats(arguments: &Arguments) -> Result<()> {
     let reading = progress::spinner(format!("reading {}", arguments.input.display()));
     let before = read_splats(&arguments.input)?;
     reading.finish_and_clear();
-    ensure!(!before.is_empty(), "{} has no splats", arguments.input.display());
+    ensure!(
+        !before.is_empty(),
+        "{} has no splats",
+        arguments.input.display()
+    );
     let mut notes = notes_of(&arguments.input)?;
-    let (mut wanted, dropped) = if format.holds_defects() { (before.clone(), 0) } else { without_defects(&before) };
+    let (mut wanted, dropped) = if format.holds_defects() {
+        (before.clone(), 0)
+    } else {
+        without_defects(&before)
+    };
     if dropped > 0 {
-        notes.push(format!("{dropped} splats that cannot be drawn are left out: {} has no code for them", format.name()));
+        notes.push(format!(
+            "{dropped} splats that cannot be drawn are left out: {} has no code for them",
+            format.name()
+        ));
     }
-    ensure!(!wanted.is_empty(), "{} has no splat that can be drawn", arguments.input.display());
+    ensure!(
+        !wanted.is_empty(),
+        "{} has no splat that can be drawn",
+        arguments.input.display()
+    );
     let original = wanted.clone();
-    let degree = arguments.degree.unwrap_or(wanted.sh_degree).min(wanted.sh_degree);
+    let degree = arguments
+        .degree
+        .unwrap_or(wanted.sh_degree)
+        .min(wanted.sh_degree);
     wanted.set_degree(degree);
     notes.extend(format.limits(&wanted));
     let writing = progress::spinner(format!("writing {}", arguments.output.display()));
@@ -87,14 +118,25 @@ fn write_splats(arguments: &Arguments) -> Result<()> {
     let compared = order.map_or_else(|| original.clone(), |order| original.select(&order));
     if compared.len() < original.len() {
         let count = original.len() - compared.len();
-        notes.push(format!("{count} splats with an opacity below 1/255, which are never drawn, are left out"));
+        notes.push(format!(
+            "{count} splats with an opacity below 1/255, which are never drawn, are left out"
+        ));
     }
     // A device or FIFO cannot be read back.
-    let after = arguments.output.is_file().then(|| format.read(&arguments.output)).transpose()?;
+    let after = arguments
+        .output
+        .is_file()
+        .then(|| format.read(&arguments.output))
+        .transpose()?;
     writing.finish_and_clear();
-    let loss = after.as_ref().map(|after| LossReport::between(&compared, after, format.keeps_axes()));
+    let loss = after
+        .as_ref()
+        .map(|after| LossReport::between(&compared, after, format.keeps_axes()));
     if loss.is_none() {
-        notes.push(format!("{} is no regular file: it was not read back", arguments.output.display()));
+        notes.push(format!(
+            "{} is no regular file: it was not read back",
+            arguments.output.display()
+        ));
     }
     let report = Report {
         input: &arguments.input,
@@ -120,11 +162,25 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
             format.name()
         );
     }
-    let is_taken = out.is_file() || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
-    ensure!(!is_taken, "{} is there already; give a folder that is empty or not there", out.display());
-    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let name = out.file_name().with_context(|| format!("{} names no folder", out.display()))?;
-    let unfinished = parent.join(format!(".writing-{}-{}", std::process::id(), name.to_string_lossy()));
+    let is_taken =
+        out.is_file() || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
+    ensure!(
+        !is_taken,
+        "{} is there already; give a folder that is empty or not there",
+        out.display()
+    );
+    let parent = out
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
+    let name = out
+        .file_name()
+        .with_context(|| format!("{} names no folder", out.display()))?;
+    let unfinished = parent.join(format!(
+        ".writing-{}-{}",
+        std::process::id(),
+        name.to_string_lossy()
+    ));
     let written = write_into(&unfinished, out, scene);
     if written.is_err() {
         // What is left of an attempt is nobody's.
@@ -132,9 +188,18 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
     }
     let agents = written?;
     let mut notes = scene.notes.clone();
-    let placed = format!("{} of {} actors stand in the scene, their colors in the world's frame", agents, scene.actors.len());
+    let placed = format!(
+        "{} of {} actors stand in the scene, their colors in the world's frame",
+        agents,
+        scene.actors.len()
+    );
     notes.insert(0, placed);
-    let splats: usize = scene.background.len() + scene.actors.iter().map(|actor| actor.splats.len()).sum::<usize>();
+    let splats: usize = scene.background.len()
+        + scene
+            .actors
+            .iter()
+            .map(|actor| actor.splats.len())
+            .sum::<usize>();
     let report = Report {
         input: &arguments.input,
         output: out,
@@ -151,12 +216,14 @@ fn write_scene(arguments: &Arguments, scene: &ImportedScene) -> Result<()> {
 
 /// Writes the scene under the name `unfinished` and renames it; agents in it.
 fn write_into(unfinished: &Path, out: &Path, scene: &ImportedScene) -> Result<usize> {
-    fs::create_dir(unfinished).with_context(|| format!("cannot make a folder beside {}", out.display()))?;
+    fs::create_dir(unfinished)
+        .with_context(|| format!("cannot make a folder beside {}", out.display()))?;
     let agents = scene.write(unfinished)?.agents.len();
     if out.is_dir() {
         fs::remove_dir(out).with_context(|| format!("cannot replace {}", out.display()))?;
     }
-    fs::rename(unfinished, out).with_context(|| format!("cannot give {} its name", out.display()))?;
+    fs::rename(unfinished, out)
+        .with_context(|| format!("cannot give {} its name", out.display()))?;
     Ok(agents)
 }
 
@@ -166,7 +233,9 @@ fn read_back(out: &Path, scene: &ImportedScene) -> Result<LossReport> {
     let mut after = read_splats(&out.join("background.ply"))?;
     for actor in &scene.actors {
         before.append(&actor.splats);
-        after.append(&read_splats(&out.join("assets").join(format!("{}.ply", actor.name)))?);
+        after.append(&read_splats(
+            &out.join("assets").join(format!("{}.ply", actor.name)),
+        )?);
     }
     Ok(LossReport::between(&before, &after, true))
 }
@@ -192,9 +261,15 @@ fn notes_of(path: &Path) -> Result<Vec<String>> {
 
 /// The splats that can be drawn, and how many cannot.
 fn without_defects(cloud: &SplatCloud) -> (SplatCloud, usize) {
-    let drawn: Vec<u32> = (0..cloud.len() as u32).filter(|&splat| cloud.defect_of(splat as usize).is_none()).collect();
+    let drawn: Vec<u32> = (0..cloud.len() as u32)
+        .filter(|&splat| cloud.defect_of(splat as usize).is_none())
+        .collect();
     let dropped = cloud.len() - drawn.len();
-    if dropped == 0 { (cloud.clone(), 0) } else { (cloud.select(&drawn), dropped) }
+    if dropped == 0 {
+        (cloud.clone(), 0)
+    } else {
+        (cloud.select(&drawn), dropped)
+    }
 }
 
 /// Bytes of a file, or of all files in a folder.

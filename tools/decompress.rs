@@ -22,8 +22,16 @@ pub struct Arguments {
 
 fn ply_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    let is_ply = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply"));
-    if is_ply { Ok(path) } else { Err(format!("expected a name that ends with .ply, found {text:?}")) }
+    let is_ply = path
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"));
+    if is_ply {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a name that ends with .ply, found {text:?}"
+        ))
+    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -38,5 +46,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     let splats = cloud.decoded(arguments.level);
     inria_ply::write(&arguments.out, &splats)?;
-    print(&format!("{}: {} splats of degree {}\n", arguments.out.display(), splats.len(), splats.sh_degree))
+    print(&format!(
+        "{}: {} splats of degree {}\n",
+        arguments.out.display(),
+        splats.len(),
+        splats.sh_degree
+    ))
 }

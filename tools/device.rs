@@ -14,20 +14,29 @@ pub struct DeviceArguments {
 }
 
 impl DeviceArguments {
-    /// The device, said on standard error: which one made an image matters to whoever looks at it later.
+    /// The device, said on standard error: which one made an image matters to its readers
+    /// later.
     pub fn open(&self) -> Result<Gpu> {
-        let gpu = Gpu::open(&DeviceOptions { choice: self.device.clone(), ..DeviceOptions::default() })?;
+        let gpu = Gpu::open(&DeviceOptions {
+            choice: self.device.clone(),
+            ..DeviceOptions::default()
+        })?;
         // Only for information.
         let _ = writeln!(std::io::stderr(), "on {}", gpu.info());
         Ok(gpu)
     }
 }
 
-/// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`) and had something to say.
+/// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`) and
+/// had something to say.
 pub fn check_validation(gpu: &Gpu) -> Result<()> {
     let messages = gpu.take_validation_messages();
     if messages.is_empty() {
         return Ok(());
     }
-    bail!("the Vulkan validation layers reported {} faults, the first: {}", messages.len(), messages[0])
+    bail!(
+        "the Vulkan validation layers reported {} faults, the first: {}",
+        messages.len(),
+        messages[0]
+    )
 }

@@ -26,7 +26,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn to_text(device: &DeviceInfo) -> String {
     let memory_gib = device.device_memory_bytes as f64 / f64::from(1 << 30);
     let uuid = DeviceChoice::Uuid(device.uuid);
-    format!("{}  {device}\n   {}, {memory_gib:.1} GiB, {uuid}\n", device.index, kind_name(device.kind))
+    format!(
+        "{}  {device}\n   {}, {memory_gib:.1} GiB, {uuid}\n",
+        device.index,
+        kind_name(device.kind)
+    )
 }
 
 fn to_json(device: &DeviceInfo) -> serde_json::Value {

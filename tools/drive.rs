@@ -33,14 +33,14 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::episode_report::{self, Scored};
 use crate::progress;
 
-/// Drive episodes in closed loop: cameras are drawn, a planner answers, the ego follows, traffic reacts. Finished episodes stay in
-/// --out; the same command goes on where a run was stopped
+/// Drive episodes in closed loop: cameras are drawn, a planner answers, the ego follows, traffic
+/// reacts. Finished episodes stay in --out; the same command goes on where a run was stopped
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Scenarios (.toml) to drive, one episode each
     #[arg(required_unless_present = "level", value_name = "SCENARIO")]
     scenarios: Vec<PathBuf>,
-    /// Make up scenarios of these levels: easy, medium, hard, extreme or all
+    /// Generate scenarios of these levels: easy, medium, hard, extreme or all
     #[arg(long, value_name = "LEVEL", value_delimiter = ',', value_parser = levels, conflicts_with = "scenarios")]
     level: Vec<LevelName>,
     /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND or unix:SOCKET
@@ -49,7 +49,7 @@ pub struct Arguments {
     /// Episodes of each level
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
-    /// Scenarios that are made up follow from it
+    /// Scenarios that are synthetic follow from it
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Folder for the run; made if it does not exist
@@ -69,7 +69,8 @@ pub struct Arguments {
     /// Light transfer for the cars of a synthetic place, written by `calibrate-light`
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
-    /// Episodes that are driven side by side: two hide what one waits for, and a device has only so much to give
+    /// Episodes that are driven side by side: two hide what one waits for, and a device has only so
+    /// much to give
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
     /// Images to keep
@@ -86,7 +87,10 @@ pub struct Arguments {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let parsed = text.parse::<f64>().ok().filter(|seconds| (0.001..=86_400.0).contains(seconds));
+    let parsed = text
+        .parse::<f64>()
+        .ok()
+        .filter(|seconds| (0.001..=86_400.0).contains(seconds));
     parsed.ok_or_else(|| format!("expected seconds from 0.001 to 86400, found {text:?}"))
 }
 
@@ -110,15 +114,24 @@ impl std::str::FromStr for Every {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let every = if text == "off" { Some(0) } else { text.parse().ok().filter(|every| *every > 0) };
-        every.map(Self).ok_or_else(|| format!("expected a number from 1 on, or off, found {text:?}"))
+        let every = if text == "off" {
+            Some(0)
+        } else {
+            text.parse().ok().filter(|every| *every > 0)
+        };
+        every
+            .map(Self)
+            .ok_or_else(|| format!("expected a number from 1 on, or off, found {text:?}"))
     }
 }
 
 impl Arguments {
     fn levels(&self) -> Vec<Level> {
-        let mut levels: Vec<Level> =
-            self.level.iter().flat_map(|name| name.0.map_or(Level::ALL.to_vec(), |level| vec![level])).collect();
+        let mut levels: Vec<Level> = self
+            .level
+            .iter()
+            .flat_map(|name| name.0.map_or(Level::ALL.to_vec(), |level| vec![level]))
+            .collect();
         levels.sort_unstable();
         levels.dedup();
         levels
@@ -138,8 +151,13 @@ impl Arguments {
     }
 
     fn planner(&self) -> Result<Box<dyn Planner>> {
-        let patience = Timeouts { answer: Duration::from_secs_f64(self.planner_timeout), ..Timeouts::default() };
-        self.planner.open(patience).with_context(|| format!("the planner {} is not to be had", self.planner))
+        let patience = Timeouts {
+            answer: Duration::from_secs_f64(self.planner_timeout),
+            ..Timeouts::default()
+        };
+        self.planner
+            .open(patience)
+            .with_context(|| format!("the planner {} is not to be had", self.planner))
     }
 
     fn keeps(&self) -> Images {
@@ -149,7 +167,10 @@ impl Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.video {
-        ensure!(arguments.render.0 > 0, "--video needs images, and --render off draws none");
+        ensure!(
+            arguments.render.0 > 0,
+            "--video needs images, and --render off draws none"
+        );
         video::check_ffmpeg()?;
     }
     // Before the first episode: a planner that cannot be had is no episode's failure.
@@ -162,10 +183,25 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     drop(planner);
     let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
     let jobs = jobs::of(arguments, &folder)?;
-    let gpu = (arguments.render.0 > 0).then(|| arguments.device.open()).transpose()?;
-    let look = Look { transfer: arguments.light.as_deref().map(read_light_transfer).transpose()?.map(|file| file.transfer) };
+    let gpu = (arguments.render.0 > 0)
+        .then(|| arguments.device.open())
+        .transpose()?;
+    let look = Look {
+        transfer: arguments
+            .light
+            .as_deref()
+            .map(read_light_transfer)
+            .transpose()?
+            .map(|file| file.transfer),
+    };
     let sites = Sites::new(gpu.as_ref(), look);
-    let run = Run { arguments, folder: &folder, sites: &sites, gpu: gpu.as_ref(), bar: progress::bar("episodes", jobs.len()) };
+    let run = Run {
+        arguments,
+        folder: &folder,
+        sites: &sites,
+        gpu: gpu.as_ref(),
+        bar: progress::bar("episodes", jobs.len()),
+    };
     let mut scored = run.all(&jobs)?;
     run.bar.finish_and_clear();
     scored.sort_by(|a, b| (a.level(), a.name()).cmp(&(b.level(), b.name())));
@@ -189,12 +225,23 @@ impl Run<'_> {
         let (next, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
         let scored = Mutex::new(Vec::with_capacity(jobs.len()));
         let work = || -> Result<()> {
-            let mut worker = Worker { run: self, planner: None, renderer: None };
+            let mut worker = Worker {
+                run: self,
+                planner: None,
+                renderer: None,
+            };
             while !failed.load(Ordering::Relaxed) {
-                let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
-                let done = worker.job(job).with_context(|| format!("episode {} was not driven", job.scenario.name));
+                let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) else {
+                    break;
+                };
+                let done = worker
+                    .job(job)
+                    .with_context(|| format!("episode {} was not driven", job.scenario.name));
                 match done {
-                    Ok(done) => scored.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(done),
+                    Ok(done) => scored
+                        .lock()
+                        .unwrap_or_else(std::sync::PoisonError::into_inner)
+                        .push(done),
                     Err(error) => {
                         failed.store(true, Ordering::Relaxed);
                         return Err(error);
@@ -205,10 +252,16 @@ impl Run<'_> {
             Ok(())
         };
         std::thread::scope(|scope| {
-            let workers: Vec<_> = (0..self.arguments.workers).map(|_| scope.spawn(work)).collect();
-            workers.into_iter().try_for_each(|worker| worker.join().expect("a worker does not panic"))
+            let workers: Vec<_> = (0..self.arguments.workers)
+                .map(|_| scope.spawn(work))
+                .collect();
+            workers
+                .into_iter()
+                .try_for_each(|worker| worker.join().expect("a worker does not panic"))
         })?;
-        Ok(scored.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner))
+        Ok(scored
+            .into_inner()
+            .unwrap_or_else(std::sync::PoisonError::into_inner))
     }
 }
 
@@ -236,8 +289,12 @@ impl Worker<'_> {
                 // Kept under another name, and driven again.
                 Err(error @ AssetError::Decode { .. }) => {
                     let damaged = path.with_extension("log.damaged");
-                    fs::rename(&path, &damaged).with_context(|| format!("{} cannot be renamed", path.display()))?;
-                    warn(&format!("{error}: it is kept as {}, and the episode is driven again", damaged.display()));
+                    fs::rename(&path, &damaged)
+                        .with_context(|| format!("{} cannot be renamed", path.display()))?;
+                    warn(&format!(
+                        "{error}: it is kept as {}, and the episode is driven again",
+                        damaged.display()
+                    ));
                 }
                 Err(error) => return Err(error.into()),
             }
@@ -246,7 +303,12 @@ impl Worker<'_> {
         if self.run.arguments.video {
             self.videos(&driven.episode)?;
         }
-        Scored::new(driven.episode, path, self.run.folder.images(name), Some(driven.times))
+        Scored::new(
+            driven.episode,
+            path,
+            self.run.folder.images(name),
+            Some(driven.times),
+        )
     }
 
     fn drive(&mut self, job: &Job) -> Result<Driven> {
@@ -262,9 +324,16 @@ impl Worker<'_> {
         let driven = match (run.gpu, &ready.live) {
             (Some(gpu), Some(live)) => {
                 let options = render_options(ready.site.loaded.world.rules);
-                let renderer = self.renderer.take().filter(|renderer| *renderer.options() == options);
+                let renderer = self
+                    .renderer
+                    .take()
+                    .filter(|renderer| *renderer.options() == options);
                 let renderer = renderer.unwrap_or_else(|| Renderer::new(gpu, options));
-                let at_least = if run.arguments.all_cameras { Cameras::All } else { Cameras::Front };
+                let at_least = if run.arguments.all_cameras {
+                    Cameras::All
+                } else {
+                    Cameras::Front
+                };
                 let size = run.arguments.size;
                 let rig = chosen(
                     &ready.site.loaded.rig,
@@ -272,12 +341,25 @@ impl Worker<'_> {
                     Some([size.width_px, size.height_px]),
                 )
                 .map_err(anyhow::Error::msg)?;
-                let mut eyes = ObservationRenderer::new(live, renderer, rig, run.arguments.render.0);
-                let driven = drive(&job.scenario, &ready.site, Some(&mut eyes), planner.as_mut(), &mut images)?;
+                let mut eyes =
+                    ObservationRenderer::new(live, renderer, rig, run.arguments.render.0);
+                let driven = drive(
+                    &job.scenario,
+                    &ready.site,
+                    Some(&mut eyes),
+                    planner.as_mut(),
+                    &mut images,
+                )?;
                 self.renderer = Some(eyes.into_renderer());
                 driven
             }
-            _ => drive(&job.scenario, &ready.site, None, planner.as_mut(), &mut images)?,
+            _ => drive(
+                &job.scenario,
+                &ready.site,
+                None,
+                planner.as_mut(),
+                &mut images,
+            )?,
         };
         images.image_error.map_or(Ok(driven), Err)
     }
@@ -288,7 +370,12 @@ impl Worker<'_> {
         let every = f64::from(self.run.arguments.render.0);
         for camera in &episode.head.planner.cameras {
             let video = self.run.folder.images(name).join(format!("{camera}.mp4"));
-            video::encode(&folder, camera, 1.0 / (every * episode.head.scenario.step_s), &video)?;
+            video::encode(
+                &folder,
+                camera,
+                1.0 / (every * episode.head.scenario.step_s),
+                &video,
+            )?;
         }
         Ok(())
     }

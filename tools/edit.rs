@@ -16,9 +16,10 @@ use footing::{Footing, dims_of};
 
 /// Move, swap, remove and add agents of a scene, and write it as a new scene file
 ///
-/// Whatever the order on the command line: agents are removed first, then added, swapped, moved and shifted. Positions are world
-/// coordinates of the middle of an agent's box, meters; angles are degrees, counted from x towards y. Files that the scene names
-/// stay where they are: their paths are rewritten if the new file lies in another folder. Comments of the old file are lost.
+/// Whatever the order on the command line: agents are removed first, then added, swapped, moved and
+/// shifted. Positions are world coordinates of the middle of an agent's box, meters; angles are
+/// degrees, counted from x towards y. Files that the scene names stay where they are: their paths
+/// are rewritten if the new file lies in another folder. Comments of the old file are lost.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The scene (.toml); it is left as it is
@@ -30,35 +31,67 @@ pub struct Arguments {
     #[arg(long, value_name = "NAME")]
     remove: Vec<String>,
     /// Add an agent that stands
-    #[arg(long, value_name = "NAME=ASSET,X,Y,Z,YAW_DEG", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "NAME=ASSET,X,Y,Z,YAW_DEG",
+        allow_hyphen_values = true
+    )]
     add: Vec<Addition>,
     /// Show another asset; the pose stays, so that one of another height needs --ground
     #[arg(long, value_name = "NAME=ASSET")]
     swap: Vec<Swap>,
     /// Move an agent, with its whole trajectory, so that it begins there
-    #[arg(long = "move", value_name = "NAME=X,Y,Z,YAW_DEG", allow_hyphen_values = true)]
+    #[arg(
+        long = "move",
+        value_name = "NAME=X,Y,Z,YAW_DEG",
+        allow_hyphen_values = true
+    )]
     moves: Vec<Move>,
     /// Move an agent in its own frame, at each pose of its trajectory
-    #[arg(long, value_name = "NAME=FORWARD,LEFT[,YAW_DEG]", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "NAME=FORWARD,LEFT[,YAW_DEG]",
+        allow_hyphen_values = true
+    )]
     shift: Vec<Shift>,
-    /// Set the wheels of every agent that is added, swapped, moved or shifted on the ground that was captured
+    /// Set the wheels of every agent that is added, swapped, moved or shifted on the ground that
+    /// was captured
     #[arg(long)]
     ground: bool,
 }
 
 fn scene_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    if is_scene_file(&path) { Ok(path) } else { Err(format!("expected a name that ends with .toml, found {text:?}")) }
+    if is_scene_file(&path) {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a name that ends with .toml, found {text:?}"
+        ))
+    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
-    let [from, to] = [&arguments.scene, &arguments.out].map(|file| file.parent().unwrap_or(Path::new("")));
-    let is_itself = arguments.out.canonicalize().is_ok_and(|out| arguments.scene.canonicalize().is_ok_and(|scene| scene == out));
-    ensure!(!is_itself, "{} is the scene itself, which is left as it is; give --out another name", arguments.out.display());
-    let mut edited = scene
-        .moved_to_folder(from, to)
-        .with_context(|| format!("{} cannot be written: its folder cannot be reached", arguments.out.display()))?;
+    let [from, to] =
+        [&arguments.scene, &arguments.out].map(|file| file.parent().unwrap_or(Path::new("")));
+    let is_itself = arguments.out.canonicalize().is_ok_and(|out| {
+        arguments
+            .scene
+            .canonicalize()
+            .is_ok_and(|scene| scene == out)
+    });
+    ensure!(
+        !is_itself,
+        "{} is the scene itself, which is left as it is; give --out another name",
+        arguments.out.display()
+    );
+    let mut edited = scene.moved_to_folder(from, to).with_context(|| {
+        format!(
+            "{} cannot be written: its folder cannot be reached",
+            arguments.out.display()
+        )
+    })?;
     let touched = change(&mut edited, arguments, to)?;
     let mut report = String::new();
     if arguments.ground {
@@ -68,23 +101,45 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     edited.write(&arguments.out)?;
-    print(&format!("{report}{}: {} agents, {} before\n", arguments.out.display(), edited.agents.len(), scene.agents.len()))
+    print(&format!(
+        "{report}{}: {} agents, {} before\n",
+        arguments.out.display(),
+        edited.agents.len(),
+        scene.agents.len()
+    ))
 }
 
-/// Edits `scene`, whose paths are relative to `folder`; returns the agents whose feet may have left the ground, each once.
+/// Edits `scene`, whose paths are relative to `folder`; returns the agents whose feet may have left
+/// the ground, each once.
 fn change(scene: &mut SceneFile, arguments: &Arguments, folder: &Path) -> Result<Vec<String>> {
     for name in &arguments.remove {
         scene.remove_agent(name)?;
     }
-    for Addition { name, asset, position_m, yaw_rad } in &arguments.add {
+    for Addition {
+        name,
+        asset,
+        position_m,
+        yaw_rad,
+    } in &arguments.add
+    {
         let trajectory = Trajectory::standing(Pose::from_yaw(*yaw_rad, *position_m));
         let asset = asset_from(folder, asset)?;
-        scene.add_agent(SceneAgent { name: name.clone(), asset, sh_frame: None, trajectory })?;
+        scene.add_agent(SceneAgent {
+            name: name.clone(),
+            asset,
+            sh_frame: None,
+            trajectory,
+        })?;
     }
     for Swap { name, asset } in &arguments.swap {
         scene.swap_asset(name, asset_from(folder, asset)?)?;
     }
-    for Move { name, position_m, yaw_rad } in &arguments.moves {
+    for Move {
+        name,
+        position_m,
+        yaw_rad,
+    } in &arguments.moves
+    {
         scene.move_agent(name, *position_m, *yaw_rad)?;
     }
     for Shift { name, shift } in &arguments.shift {
@@ -103,25 +158,46 @@ fn change(scene: &mut SceneFile, arguments: &Arguments, folder: &Path) -> Result
     Ok(touched)
 }
 
-/// The asset at `path` as a scene file in `folder` names it. It is read, so that no scene names what cannot be shown.
+/// The asset at `path` as a scene file in `folder` names it. It is read, so that no scene names
+/// what cannot be shown.
 fn asset_from(folder: &Path, path: &Path) -> Result<PathBuf> {
     dims_of(path)?;
-    path_from(folder, path).with_context(|| format!("{} cannot be named in the new scene", path.display()))
+    path_from(folder, path)
+        .with_context(|| format!("{} cannot be named in the new scene", path.display()))
 }
 
 /// Sets the agent called `name` on the ground all along its way; what was done, as lines.
-fn set_on_ground(scene: &mut SceneFile, name: &str, folder: &Path, footing: &Footing) -> Result<String> {
+fn set_on_ground(
+    scene: &mut SceneFile,
+    name: &str,
+    folder: &Path,
+    footing: &Footing,
+) -> Result<String> {
     let agent = scene.agent(name)?;
     let dims_m = dims_of(&folder.join(&agent.asset))?;
     let set = footing.under(&agent.trajectory, dims_m)?;
     let poses = agent.trajectory.poses().len();
     scene.set_trajectory(name, set.trajectory)?;
     let missing = poses - set.grounded;
-    ensure!(set.grounded > 0, "there is no ground below agent {name:?}; move it over the street that was captured");
-    let left = if missing == 0 { String::new() } else { format!("; {missing} without ground below keep their heights") };
-    let turned = if set.raised_max_m < 0.0 { "lowered" } else { "raised" };
+    ensure!(
+        set.grounded > 0,
+        "there is no ground below agent {name:?}; move it over the street that was captured"
+    );
+    let left = if missing == 0 {
+        String::new()
+    } else {
+        format!("; {missing} without ground below keep their heights")
+    };
+    let turned = if set.raised_max_m < 0.0 {
+        "lowered"
+    } else {
+        "raised"
+    };
     let by_m = set.raised_max_m.abs();
-    Ok(format!("{name}: poses on the ground {} of {poses}, {turned} by {by_m:.3} m at most{left}\n", set.grounded))
+    Ok(format!(
+        "{name}: poses on the ground {} of {poses}, {turned} by {by_m:.3} m at most{left}\n",
+        set.grounded
+    ))
 }
 
 #[cfg(test)]

@@ -9,7 +9,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use decouplegs::asset::write_atomically;
-use decouplegs::drive::score::{EpisodeScore, Infraction, InfractionKind, Moments, SetSummary, Summary};
+use decouplegs::drive::score::{
+    EpisodeScore, Infraction, InfractionKind, Moments, SetSummary, Summary,
+};
 use decouplegs::episode::StepTime;
 use decouplegs::explain::one_line;
 use decouplegs::scene::Level;
@@ -30,8 +32,19 @@ pub struct Scored {
 }
 
 impl Scored {
-    pub fn new(episode: Episode, log: PathBuf, images: PathBuf, times: Option<Vec<StepTime>>) -> Result<Self> {
-        Ok(Self { score: EpisodeScore::of(&episode), episode, log, images, times })
+    pub fn new(
+        episode: Episode,
+        log: PathBuf,
+        images: PathBuf,
+        times: Option<Vec<StepTime>>,
+    ) -> Result<Self> {
+        Ok(Self {
+            score: EpisodeScore::of(&episode),
+            episode,
+            log,
+            images,
+            times,
+        })
     }
 
     pub fn name(&self) -> &str {
@@ -53,12 +66,22 @@ impl Scored {
             EpisodeEnd::RouteDone => "route done".into(),
             EpisodeEnd::Collision { agent } => {
                 let agents = &self.episode.head.scenario.agents;
-                let name = agents.get(*agent).map_or("an agent", |agent| agent.name.as_str());
+                let name = agents
+                    .get(*agent)
+                    .map_or("an agent", |agent| agent.name.as_str());
                 let hit = |infraction: &Infraction| match infraction.kind {
-                    InfractionKind::Collision { agent: other, fault } if other == *agent => Some(fault.why()),
+                    InfractionKind::Collision {
+                        agent: other,
+                        fault,
+                    } if other == *agent => Some(fault.why()),
                     _ => None,
                 };
-                let why = self.score.infractions.iter().find_map(hit).unwrap_or("nobody knows why");
+                let why = self
+                    .score
+                    .infractions
+                    .iter()
+                    .find_map(hit)
+                    .unwrap_or("nobody knows why");
                 format!("collision with {name}: {why}")
             }
             EpisodeEnd::Time => "time over".into(),
@@ -75,11 +98,17 @@ impl Scored {
             let what = match infraction.kind {
                 InfractionKind::Layout => "off the road".to_owned(),
                 InfractionKind::Collision { agent, fault } => {
-                    let name = agents.get(agent).map_or("an agent", |agent| agent.name.as_str());
+                    let name = agents
+                        .get(agent)
+                        .map_or("an agent", |agent| agent.name.as_str());
                     format!("collision with {name}, {}", fault.why())
                 }
             };
-            format!(" × {:.2} ({what} at {:.1} s)", infraction.factor(), infraction.time_s)
+            format!(
+                " × {:.2} ({what} at {:.1} s)",
+                infraction.factor(),
+                infraction.time_s
+            )
         };
         let factors: String = self.score.infractions.iter().map(factor).collect();
         let lost = match &self.episode.end {
@@ -88,27 +117,38 @@ impl Scored {
             EpisodeEnd::Collision { .. } => " (ended by the collision)",
             EpisodeEnd::Planner { .. } => " (the planner failed)",
         };
-        format!("DS {:.3} = RC {:.3}{lost}{factors}", self.score.driving_score, self.score.route_completion)
+        format!(
+            "DS {:.3} = RC {:.3}{lost}{factors}",
+            self.score.driving_score, self.score.route_completion
+        )
     }
 }
 
 /// Folder in which `drive` keeps the images of the episode with the log `log`.
 pub fn images_beside(log: &Path) -> PathBuf {
     let root = log.parent().and_then(Path::parent).unwrap_or(Path::new(""));
-    root.join("images").join(log.file_stem().unwrap_or_default())
+    root.join("images")
+        .join(log.file_stem().unwrap_or_default())
 }
 
 /// Sums up, and refuses sums that cannot be: they would be a fault of the scoring.
 pub fn summary(scored: &[Scored]) -> Result<Summary> {
     let scores: Vec<EpisodeScore> = scored.iter().map(|scored| scored.score.clone()).collect();
     let summary = Summary::of(&scores);
-    summary.check().map_err(anyhow::Error::msg).context("the scores contradict each other")?;
+    summary
+        .check()
+        .map_err(anyhow::Error::msg)
+        .context("the scores contradict each other")?;
     Ok(summary)
 }
 
 /// The figures of each level, from easy to extreme, and of all where there are several.
 pub fn rows(summary: &Summary) -> Vec<(&'static str, SetSummary)> {
-    let mut rows: Vec<_> = summary.levels.iter().map(|(level, set)| (level.map_or("own", Level::name), *set)).collect();
+    let mut rows: Vec<_> = summary
+        .levels
+        .iter()
+        .map(|(level, set)| (level.map_or("own", Level::name), *set))
+        .collect();
     if rows.len() > 1 {
         rows.extend(summary.all.map(|all| ("all", all)));
     }
@@ -119,8 +159,14 @@ pub fn rows(summary: &Summary) -> Vec<(&'static str, SetSummary)> {
 pub fn spread(moments: Option<&Moments>, digits: usize) -> String {
     match moments {
         None => "-".into(),
-        Some(Moments { mean, std: None, .. }) => format!("{mean:.digits$}"),
-        Some(Moments { mean, std: Some(std), .. }) => format!("{mean:.digits$} ± {std:.digits$}"),
+        Some(Moments {
+            mean, std: None, ..
+        }) => format!("{mean:.digits$}"),
+        Some(Moments {
+            mean,
+            std: Some(std),
+            ..
+        }) => format!("{mean:.digits$} ± {std:.digits$}"),
     }
 }
 
@@ -164,24 +210,40 @@ pub fn write(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
 /// Episodes whose planner failed that are named on the console.
 const FAILED_SHOWN_MAX: usize = 3;
 
-/// A line for each of the first episodes that ended because the planner failed, and how many there are.
+/// A line for each of the first episodes that ended because the planner failed, and how many there
+/// are.
 fn failed_planners(scored: &[Scored]) -> String {
-    let failed: Vec<&Scored> = scored.iter().filter(|scored| matches!(scored.episode.end, EpisodeEnd::Planner { .. })).collect();
+    let failed: Vec<&Scored> = scored
+        .iter()
+        .filter(|scored| matches!(scored.episode.end, EpisodeEnd::Planner { .. }))
+        .collect();
     if failed.is_empty() {
         return String::new();
     }
-    let mut text = format!("the planner failed in {} of {} episodes:\n", failed.len(), scored.len());
+    let mut text = format!(
+        "the planner failed in {} of {} episodes:\n",
+        failed.len(),
+        scored.len()
+    );
     for scored in failed.iter().take(FAILED_SHOWN_MAX) {
-        text.push_str(&format!("  {}: {}\n", scored.name(), one_line(&scored.ending())));
+        text.push_str(&format!(
+            "  {}: {}\n",
+            scored.name(),
+            one_line(&scored.ending())
+        ));
     }
     text
 }
 
 fn to_json(scored: &[Scored]) -> Result<Value> {
-    let levels: serde_json::Map<String, Value> =
-        rows(&summary(scored)?).iter().map(|(name, set)| ((*name).to_owned(), set_to_json(set))).collect();
+    let levels: serde_json::Map<String, Value> = rows(&summary(scored)?)
+        .iter()
+        .map(|(name, set)| ((*name).to_owned(), set_to_json(set)))
+        .collect();
     let planner = scored.first().map(|scored| &scored.episode.head.planner);
-    let drawn_by = scored.first().and_then(|scored| scored.episode.head.drawn_by.as_ref());
+    let drawn_by = scored
+        .first()
+        .and_then(|scored| scored.episode.head.drawn_by.as_ref());
     Ok(json!({
         "planner": planner.map(|planner| json!({
             "name": planner.name, "cameras": planner.cameras, "privileged": planner.privileged,
@@ -196,7 +258,8 @@ fn to_json(scored: &[Scored]) -> Result<Value> {
 }
 
 fn set_to_json(set: &SetSummary) -> Value {
-    let moments = |moments: &Moments| json!({ "n": moments.count, "mean": moments.mean, "std": moments.std });
+    let moments =
+        |moments: &Moments| json!({ "n": moments.count, "mean": moments.mean, "std": moments.std });
     json!({
         "episodes": set.count(),
         "driving_score": moments(&set.driving_score),
@@ -219,7 +282,9 @@ fn episode_to_json(scored: &Scored) -> Value {
             "time_s": infraction.time_s, "kind": "collision", "agent": agents.get(agent).map(|agent| &agent.name),
             "at_fault": fault.at_fault(), "why": fault.why(),
         }),
-        InfractionKind::Layout => json!({ "time_s": infraction.time_s, "kind": "off_road", "at_fault": true }),
+        InfractionKind::Layout => {
+            json!({ "time_s": infraction.time_s, "kind": "off_road", "at_fault": true })
+        }
     };
     json!({
         "name": scored.name(),

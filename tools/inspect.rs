@@ -6,16 +6,21 @@ mod summary;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use decouplegs::asset::{CodedAsset, CodedSummary, SceneFile, SplatSummary, coded_asset, is_scene_file, open_scene, read_coded};
+use decouplegs::asset::{
+    CodedAsset, CodedSummary, SceneFile, SplatSummary, coded_asset, is_scene_file, open_scene,
+    read_coded,
+};
 use serde_json::Value;
 
 use crate::arguments::print;
 use summary::{Lines, splats_to_text};
 
-/// Describe a splat file, a compressed asset or a scene: counts, bounds, histograms, splats that cannot be drawn
+/// Describe a splat file, a compressed asset or a scene: counts, bounds, histograms, splats that
+/// cannot be drawn
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Splats (.ply, .splat, .spz, .sog, .glb, .pt), a compressed asset (.safetensors) or a scene (.toml, .usdz)
+    /// Splats (.ply, .splat, .spz, .sog, .glb, .pt), a compressed asset (.safetensors) or a scene
+    /// (.toml, .usdz)
     file: PathBuf,
     /// Print JSON
     #[arg(long)]
@@ -35,7 +40,10 @@ fn describe(path: &Path) -> Result<(String, Value)> {
     if coded_asset::has_extension(path) {
         let asset = read_coded(path)?;
         let summary = CodedSummary::of(&asset, std::fs::metadata(path)?.len());
-        return Ok((asset_to_text(&asset, &summary), serde_json::to_value(&summary)?));
+        return Ok((
+            asset_to_text(&asset, &summary),
+            serde_json::to_value(&summary)?,
+        ));
     }
     let loaded = open_scene(path, 0.0)?;
     loaded.check_baked()?;
@@ -61,14 +69,37 @@ fn describe(path: &Path) -> Result<(String, Value)> {
 fn asset_to_text(asset: &CodedAsset, summary: &CodedSummary) -> String {
     let mut lines = Lines::default();
     let levels: Vec<String> = summary.levels.iter().map(u64::to_string).collect();
-    lines.line("levels", &format!("{} splats, the finest first", levels.join(", ")));
-    lines.line("codebooks", &format!("{} shapes, {} colors of degree {}", summary.shapes, summary.colors, asset.cloud.sh_degree));
-    let each = summary.bytes_per_splat.map_or_else(String::new, |bytes| format!(", {bytes:.2} for each splat of any level"));
+    lines.line(
+        "levels",
+        &format!("{} splats, the finest first", levels.join(", ")),
+    );
+    lines.line(
+        "codebooks",
+        &format!(
+            "{} shapes, {} colors of degree {}",
+            summary.shapes, summary.colors, asset.cloud.sh_degree
+        ),
+    );
+    let each = summary.bytes_per_splat.map_or_else(String::new, |bytes| {
+        format!(", {bytes:.2} for each splat of any level")
+    });
     lines.line("bytes", &format!("{}{each}", summary.file_bytes));
     let [length, width, height] = summary.dims_m;
-    lines.line("shows", &format!("{length:.3} x {width:.3} x {height:.3} m (length, width, height)"));
-    lines.line("colors are", if summary.sh_frame == "world" { "in the world's frame" } else { "in its own frame (canonical)" });
-    let step_mm = summary.position_step_m.map(|step_m| format!("{:.3}", f64::from(step_m) * 1e3));
+    lines.line(
+        "shows",
+        &format!("{length:.3} x {width:.3} x {height:.3} m (length, width, height)"),
+    );
+    lines.line(
+        "colors are",
+        if summary.sh_frame == "world" {
+            "in the world's frame"
+        } else {
+            "in its own frame (canonical)"
+        },
+    );
+    let step_mm = summary
+        .position_step_m
+        .map(|step_m| format!("{:.3}", f64::from(step_m) * 1e3));
     lines.line("position steps", &format!("{} mm", step_mm.join(", ")));
     lines.line("made from", &summary.source);
     lines.line("its SHA-256", &summary.source_sha256);
@@ -76,5 +107,9 @@ fn asset_to_text(asset: &CodedAsset, summary: &CodedSummary) -> String {
     for (key, value) in &summary.settings {
         lines.line("", &format!("{key} = {value}"));
     }
-    format!("{}\n  level 0, as it is drawn\n{}", lines.into_text(), splats_to_text(&summary.finest))
+    format!(
+        "{}\n  level 0, as it is drawn\n{}",
+        lines.into_text(),
+        splats_to_text(&summary.finest)
+    )
 }

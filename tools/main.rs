@@ -1,7 +1,7 @@
 //! The command line program `decouplegs`: one file for each subcommand.
 //!
-//! It exits with 0 when the work is done, with 1 when it could not be done (one sentence on standard error, then its
-//! causes), and with 2 when the command line makes no sense.
+//! It exits with 0 when the work is done, with 1 when it could not be done (one sentence on
+//! standard error, then its causes), and with 2 when the command line makes no sense.
 #![forbid(unsafe_code)]
 
 mod ablate;

@@ -1,4 +1,5 @@
-//! `decouplegs map`: the lanes of a map, as a table and as an image, and where tracks run over them.
+//! `decouplegs map`: the lanes of a map, as a table and as an image, and where tracks run over
+//! them.
 
 mod drawing;
 mod style;
@@ -20,10 +21,12 @@ use summary::{MapSummary, TrackSummary};
 pub struct Arguments {
     /// OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad (.xml)
     file: PathBuf,
-    /// Draw the lanes from above into an SVG file, with their ids where there is room. A browser shows the id of any lane below the mouse
+    /// Draw the lanes from above into an SVG file, with their ids where there is room. A browser
+    /// shows the id of any lane below the mouse
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Write all lanes as lane JSON: ids, centerlines, borders, links. Scenarios name lanes by these ids, and all commands read the file
+    /// Write all lanes as lane JSON: ids, centerlines, borders, links. Scenarios name lanes by
+    /// these ids, and all commands read the file
     #[arg(long, value_name = "FILE")]
     lanes: Option<PathBuf>,
     /// Print the summary as JSON
@@ -38,10 +41,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let map = read_map(&arguments.file)?;
     let tracks = arguments.tracks.as_deref().map(read_tracks).transpose()?;
     let summary = MapSummary::of(&map);
-    let driven = tracks.as_deref().map(|tracks| TrackSummary::of(tracks, &summary));
+    let driven = tracks
+        .as_deref()
+        .map(|tracks| TrackSummary::of(tracks, &summary));
     if let Some(path) = &arguments.svg {
-        let name = arguments.file.file_name().unwrap_or_default().to_string_lossy();
-        let svg = Drawing { name: &name, map: &map, summary: &summary, tracks: tracks.as_deref().unwrap_or_default() }.to_svg();
+        let name = arguments
+            .file
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy();
+        let svg = Drawing {
+            name: &name,
+            map: &map,
+            summary: &summary,
+            tracks: tracks.as_deref().unwrap_or_default(),
+        }
+        .to_svg();
         write_atomically(path, |file| file.write_all(svg.as_bytes()))?;
     }
     if let Some(path) = &arguments.lanes {
@@ -55,5 +70,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return print(&format!("{value:#}\n"));
     }
     let driven = driven.map_or_else(String::new, |driven| driven.to_text());
-    print(&format!("{}\n{}{driven}", arguments.file.display(), summary.to_text()))
+    print(&format!(
+        "{}\n{}{driven}",
+        arguments.file.display(),
+        summary.to_text()
+    ))
 }

@@ -10,7 +10,9 @@ use decouplegs::drive::OrientedBox;
 use decouplegs::drive::oriented_box::time_to_collision;
 use decouplegs::drive::score::{Moments, TTC_HORIZON_S, plan_ade_m};
 use decouplegs::episode::open_loop::{Images, plans};
-use decouplegs::episode::{EpisodeError, Look, ObservationRenderer, Simulation, chosen, render_options};
+use decouplegs::episode::{
+    EpisodeError, Look, ObservationRenderer, Simulation, chosen, render_options,
+};
 use decouplegs::planner::{PlannerChoice, Timeouts};
 use decouplegs::render::{Image, Renderer};
 use decouplegs::scene::episode::{Episode, EpisodeTick};
@@ -22,8 +24,8 @@ use crate::device::DeviceArguments;
 use crate::drive::Sites;
 use crate::episode_report::spread;
 
-/// Show a planner two sources of images along the same log, such as real images and rendered ones, and compare what it answers. The ego
-/// drives as in the log whatever the answers are
+/// Show a planner two sources of images along the same log, such as real images and rendered ones,
+/// and compare what it answers. The ego drives as in the log whatever the answers are
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The log that the ego drives by
@@ -31,7 +33,8 @@ pub struct Arguments {
     /// Planner, by its name in `drive`; not one that replays a log
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerChoice,
-    /// The reference: a folder of CAMERA_STEP.png, as `drive --images all` writes them (front_0000.png), or `rendered`
+    /// The reference: a folder of CAMERA_STEP.png, as `drive --images all` writes them
+    /// (front_0000.png), or `rendered`
     #[arg(long, value_name = "DIR|rendered", default_value = "rendered")]
     reference: PathBuf,
     /// Images to compare with: a folder, or `rendered`
@@ -62,12 +65,21 @@ struct Answers {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let episode = read_episode_log(&arguments.log)?;
-    ensure!(!episode.steps.is_empty(), "{} has no steps to show a planner", arguments.log.display());
-    let answers = [&arguments.reference, &arguments.other].map(|source| answers(arguments, &episode, source));
+    ensure!(
+        !episode.steps.is_empty(),
+        "{} has no steps to show a planner",
+        arguments.log.display()
+    );
+    let answers =
+        [&arguments.reference, &arguments.other].map(|source| answers(arguments, &episode, source));
     let [reference, other] = answers;
     let (reference, other) = (reference?, other?);
-    let differences: Vec<Option<f64>> =
-        reference.plans.iter().zip(&other.plans).map(|(a, b)| Some(difference_m(a.as_ref()?, b.as_ref()?))).collect();
+    let differences: Vec<Option<f64>> = reference
+        .plans
+        .iter()
+        .zip(&other.plans)
+        .map(|(a, b)| Some(difference_m(a.as_ref()?, b.as_ref()?)))
+        .collect();
     let report = to_json(&episode, &[&reference, &other], &differences);
     if let Some(path) = &arguments.json {
         write_atomically(path, |file| writeln!(file, "{report:#}"))?;
@@ -77,24 +89,47 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Plans of the planner for the images of `source`.
 fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<Answers> {
-    let mut planner = arguments.planner.open(Timeouts { answer: Duration::from_secs(60), ..Timeouts::default() })?;
-    let base = arguments.base.as_deref().or(arguments.log.parent()).unwrap_or(Path::new(""));
+    let mut planner = arguments.planner.open(Timeouts {
+        answer: Duration::from_secs(60),
+        ..Timeouts::default()
+    })?;
+    let base = arguments
+        .base
+        .as_deref()
+        .or(arguments.log.parent())
+        .unwrap_or(Path::new(""));
     let is_rendered = source == Path::new("rendered");
     let gpu = is_rendered.then(|| arguments.device.open()).transpose()?;
-    let look = Look { transfer: arguments.light.as_deref().map(read_light_transfer).transpose()?.map(|file| file.transfer) };
+    let look = Look {
+        transfer: arguments
+            .light
+            .as_deref()
+            .map(read_light_transfer)
+            .transpose()?
+            .map(|file| file.transfer),
+    };
     let ready = Sites::new(gpu.as_ref(), look).get(&episode.head.scenario.place, base)?;
-    let size_px = episode.head.drawn_by.as_ref().map(|by| [by.width_px, by.height_px]);
+    let size_px = episode
+        .head
+        .drawn_by
+        .as_ref()
+        .map(|by| [by.width_px, by.height_px]);
     let wanted = planner.sees().cameras;
     let plans = match (&gpu, &ready.live) {
         (Some(gpu), Some(live)) => {
-            let rig = chosen(&ready.site.loaded.rig, wanted, size_px).map_err(anyhow::Error::msg)?;
+            let rig =
+                chosen(&ready.site.loaded.rig, wanted, size_px).map_err(anyhow::Error::msg)?;
             let renderer = Renderer::new(gpu, render_options(ready.site.loaded.world.rules));
             let mut eyes = ObservationRenderer::new(live, renderer, rig.clone(), 1);
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
             let drawn = |step: u32| -> Result<Images> {
                 eyes.look(&mut shadow, step).map_err(EpisodeError::from)?;
                 eyes.read().map_err(EpisodeError::from)?;
-                let images = eyes.frames().iter().map(|frame| frame.rgba.to_vec()).collect();
+                let images = eyes
+                    .frames()
+                    .iter()
+                    .map(|frame| frame.rgba.to_vec())
+                    .collect();
                 shadow.advance(&episode.steps[step as usize].plan);
                 Ok(images)
             };
@@ -102,15 +137,26 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
         }
         _ => {
             let rig = rig_of_folder(arguments, episode, source, wanted)?;
-            plans(episode, &ready.site, &rig, planner.as_mut(), |step| read_images(source, &rig, step))?
+            plans(episode, &ready.site, &rig, planner.as_mut(), |step| {
+                read_images(source, &rig, step)
+            })?
         }
     };
     Ok(judged(source, episode, plans))
 }
 
 /// Cameras as the place has them, at the size of the images in the folder.
-fn rig_of_folder(arguments: &Arguments, episode: &Episode, source: &Path, wanted: decouplegs::planner::Cameras) -> Result<Rig> {
-    let base = arguments.base.as_deref().or(arguments.log.parent()).unwrap_or(Path::new(""));
+fn rig_of_folder(
+    arguments: &Arguments,
+    episode: &Episode,
+    source: &Path,
+    wanted: decouplegs::planner::Cameras,
+) -> Result<Rig> {
+    let base = arguments
+        .base
+        .as_deref()
+        .or(arguments.log.parent())
+        .unwrap_or(Path::new(""));
     let rig = decouplegs::episode::rig_of(&episode.head.scenario.place, base)?;
     let mut rig = chosen(&rig, wanted, None).map_err(anyhow::Error::msg)?;
     for camera in &mut rig.cameras {
@@ -128,8 +174,15 @@ fn read_images(folder: &Path, rig: &Rig, step: u32) -> Result<Images> {
     let read = |camera: &decouplegs::scene::RigCamera| -> Result<Vec<u8>> {
         let path = path_of(folder, &camera.name, step);
         let image = Image::read(&path)?;
-        let (wanted, found) = ([camera.intrinsics.width_px, camera.intrinsics.height_px], [image.width, image.height]);
-        ensure!(wanted == found, "{} is {found:?} pixels large; expected {wanted:?}, as the first", path.display());
+        let (wanted, found) = (
+            [camera.intrinsics.width_px, camera.intrinsics.height_px],
+            [image.width, image.height],
+        );
+        ensure!(
+            wanted == found,
+            "{} is {found:?} pixels large; expected {wanted:?}, as the first",
+            path.display()
+        );
         let bytes = image.rgb.iter().flat_map(|rgb| {
             let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
             [byte(rgb[0]), byte(rgb[1]), byte(rgb[2]), 255]
@@ -141,28 +194,53 @@ fn read_images(folder: &Path, rig: &Rig, step: u32) -> Result<Images> {
 
 fn judged(source: &Path, episode: &Episode, plans: Vec<Option<Plan>>) -> Answers {
     let instants: Vec<&EpisodeTick> = episode.instants().collect();
-    let pose = |instant: &EpisodeTick| Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0));
-    let driven =
-        Trajectory::new(instants.iter().map(|instant| TimedPose { time_s: instant.time_s, pose: pose(instant) }).collect());
+    let pose = |instant: &EpisodeTick| {
+        Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0))
+    };
+    let driven = Trajectory::new(
+        instants
+            .iter()
+            .map(|instant| TimedPose {
+                time_s: instant.time_s,
+                pose: pose(instant),
+            })
+            .collect(),
+    );
     let mut before = 0;
     let (mut ade_m, mut ttc_s) = (Vec::new(), Vec::new());
     for (plan, step) in plans.iter().zip(&episode.steps) {
         let instant = instants[before];
-        let ade = |plan: &Plan| plan_ade_m(plan, &pose(instant), instant.time_s, driven.as_ref().ok()?);
+        let ade =
+            |plan: &Plan| plan_ade_m(plan, &pose(instant), instant.time_s, driven.as_ref().ok()?);
         ade_m.push(plan.as_ref().and_then(ade));
-        ttc_s.push(plan.as_ref().and_then(|plan| plan_ttc_s(episode, instant, plan)));
+        ttc_s.push(
+            plan.as_ref()
+                .and_then(|plan| plan_ttc_s(episode, instant, plan)),
+        );
         before += step.instants.len();
     }
-    Answers { name: source.display().to_string(), plans, ade_m, ttc_s }
+    Answers {
+        name: source.display().to_string(),
+        plans,
+        ade_m,
+        ttc_s,
+    }
 }
 
-/// The time to collision at `instant` if the ego took the plan's mean velocity over its first second.
+/// The time to collision at `instant` if the ego took the plan's mean velocity over its first
+/// second.
 fn plan_ttc_s(episode: &Episode, instant: &EpisodeTick, plan: &Plan) -> Option<f64> {
     let velocity = instant.ego.to_world(plan.at(1.0)) - instant.ego.position_m;
     let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
     let agents = instant.agents.iter().zip(&episode.head.agent_sizes);
     let times = agents.filter_map(|(state, size)| {
-        time_to_collision(&ego, velocity, &OrientedBox::of(state, size), state.velocity(), TTC_HORIZON_S)
+        time_to_collision(
+            &ego,
+            velocity,
+            &OrientedBox::of(state, size),
+            state.velocity(),
+            TTC_HORIZON_S,
+        )
     });
     times.min_by(f64::total_cmp)
 }
@@ -172,7 +250,11 @@ const COMPARED_S: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
 
 /// Mean distance of two plans from each other, meters.
 fn difference_m(a: &Plan, b: &Plan) -> f64 {
-    COMPARED_S.iter().map(|&time_s| a.at(time_s).distance(b.at(time_s))).sum::<f64>() / COMPARED_S.len() as f64
+    COMPARED_S
+        .iter()
+        .map(|&time_s| a.at(time_s).distance(b.at(time_s)))
+        .sum::<f64>()
+        / COMPARED_S.len() as f64
 }
 
 fn known(values: &[Option<f64>]) -> Vec<f64> {
@@ -184,18 +266,31 @@ fn min_ttc_s(answers: &Answers) -> Option<f64> {
 }
 
 fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
-    let mut text = format!("{:<32} {:>6}  {:>13}  {:>9}\n", "images", "plans", "mADE, m", "minTTC, s");
+    let mut text = format!(
+        "{:<32} {:>6}  {:>13}  {:>9}\n",
+        "images", "plans", "mADE, m", "minTTC, s"
+    );
     for answers in answers {
         let ade_m = known(&answers.ade_m);
         let ttc_s = min_ttc_s(answers).map_or("-".into(), |ttc_s| format!("{ttc_s:.2}"));
         let plans = answers.plans.iter().flatten().count();
-        text.push_str(&format!("{:<32} {plans:>6}  {:>13}  {ttc_s:>9}\n", answers.name, spread(Moments::of(&ade_m).as_ref(), 3)));
+        text.push_str(&format!(
+            "{:<32} {plans:>6}  {:>13}  {ttc_s:>9}\n",
+            answers.name,
+            spread(Moments::of(&ade_m).as_ref(), 3)
+        ));
     }
     let mut known = known(differences_m);
     known.sort_by(f64::total_cmp);
-    let gap = |a: Option<f64>, b: Option<f64>| a.zip(b).map_or("-".into(), |(a, b)| format!("{:.3}", (a - b).abs()));
-    let mean = |answers: &Answers| Moments::of(&self::known(&answers.ade_m)).map(|moments| moments.mean);
-    let last = known.last().map_or("-".into(), |worst| format!("{worst:.3}"));
+    let gap = |a: Option<f64>, b: Option<f64>| {
+        a.zip(b)
+            .map_or("-".into(), |(a, b)| format!("{:.3}", (a - b).abs()))
+    };
+    let mean =
+        |answers: &Answers| Moments::of(&self::known(&answers.ade_m)).map(|moments| moments.mean);
+    let last = known
+        .last()
+        .map_or("-".into(), |worst| format!("{worst:.3}"));
     text.push_str(&format!(
         "gap: mADE {} m, minTTC {} s; plans differ by {} m (mean over {} frames), at most {last} m\n",
         gap(mean(answers[0]), mean(answers[1])),
@@ -234,11 +329,15 @@ mod tests {
     #[test]
     fn plans_differ_by_what_is_between_them() {
         let plan = |y: f64| {
-            let point = |step: i32| PlanPoint { time_s: f64::from(step), position_m: DVec2::new(5.0 * f64::from(step), y) };
+            let point = |step: i32| PlanPoint {
+                time_s: f64::from(step),
+                position_m: DVec2::new(5.0 * f64::from(step), y),
+            };
             Plan::new((1..=4).map(point).collect()).unwrap()
         };
         assert_eq!(difference_m(&plan(0.0), &plan(0.0)), 0.0);
-        // From the ego's place to a meter aside at the first second, and a meter aside from there on.
+        // From the ego's place to a meter aside at the first second, and a meter aside from there
+        // on.
         assert!((difference_m(&plan(0.0), &plan(1.0)) - 5.5 / 6.0).abs() < 1e-12);
     }
 }

@@ -17,7 +17,8 @@ const SIZE_PX: [u32; 2] = [1280, 720];
 const VIEW_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 /// Cameras stand above the middle by this angle, radians.
 const ELEVATION_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
-/// The middle and the size are those of this share of the splats, on each axis: a few stray ones are far away in every capture.
+/// The middle and the size are those of this share of the splats, on each axis: a few stray ones
+/// are far away in every capture.
 const CORE: f64 = 0.9;
 /// Splats with a smaller opacity do not count.
 const OPACITY_MIN: f32 = 0.1;
@@ -29,17 +30,21 @@ const FILLED: f64 = 0.8;
 /// Placement of cameras around a scene that has none.
 #[derive(clap::Args)]
 pub struct OrbitArguments {
-    /// Put N cameras in a circle around the scene (default: 8, if the scene has no cameras and no file names some)
+    /// Put N cameras in a circle around the scene (default: 8, if the scene has no cameras and no
+    /// file names some)
     #[arg(long, value_name = "N", conflicts_with = "cameras", value_parser = clap::value_parser!(u32).range(1..=3600))]
     orbit: Option<u32>,
-    /// The place that the circle's cameras look at, in the scene's coordinates (default: the middle of the splats)
+    /// The place that the circle's cameras look at, in the scene's coordinates (default: the middle
+    /// of the splats)
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     look_at: Option<Place>,
-    /// Distance of the circle's cameras from that place (default: so that the splats fill the image)
+    /// Distance of the circle's cameras from that place (default: so that the splats fill the
+    /// image)
     #[arg(long, value_name = "METERS", value_parser = positive)]
     distance: Option<f64>,
-    /// The direction that is up in the images of the circle: x, y, z, -x, -y or -z (default: z for scenes, y for .glb, -y for other
-    /// splat files, which are mostly trained from COLMAP's coordinates)
+    /// The direction that is up in the images of the circle: x, y, z, -x, -y or -z (default: z for
+    /// scenes, y for .glb, -y for other splat files, which are mostly trained from COLMAP's
+    /// coordinates)
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Axis>,
 }
@@ -65,14 +70,22 @@ impl FromStr for Axis {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (sign, name) = text.strip_prefix('-').map_or((1.0, text), |name| (-1.0, name));
-        let axis = [("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)].into_iter().find(|(known, _)| *known == name);
-        axis.map(|(_, axis)| Self(axis * sign)).ok_or_else(|| format!("expected x, y, z, -x, -y or -z, found {text:?}"))
+        let (sign, name) = text
+            .strip_prefix('-')
+            .map_or((1.0, text), |name| (-1.0, name));
+        let axis = [("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)]
+            .into_iter()
+            .find(|(known, _)| *known == name);
+        axis.map(|(_, axis)| Self(axis * sign))
+            .ok_or_else(|| format!("expected x, y, z, -x, -y or -z, found {text:?}"))
     }
 }
 
 fn positive(text: &str) -> Result<f64, String> {
-    let parsed = text.parse().ok().filter(|value: &f64| *value > 0.0 && *value <= 1e9);
+    let parsed = text
+        .parse()
+        .ok()
+        .filter(|value: &f64| *value > 0.0 && *value <= 1e9);
     parsed.ok_or_else(|| format!("expected a distance above 0, found {text:?}"))
 }
 
@@ -82,30 +95,49 @@ impl OrbitArguments {
         self.orbit.is_some()
     }
 
-    /// The cameras around `splats`, whose coordinates are relative to `origin`, of the scene at `path`. None where no splat can be seen.
-    pub fn cameras(&self, splats: &SplatCloud, origin: DVec3, path: &Path, size_px: Option<[u32; 2]>) -> Option<Vec<Camera>> {
+    /// The cameras around `splats`, whose coordinates are relative to `origin`, of the scene at
+    /// `path`. None where no splat can be seen.
+    pub fn cameras(
+        &self,
+        splats: &SplatCloud,
+        origin: DVec3,
+        path: &Path,
+        size_px: Option<[u32; 2]>,
+    ) -> Option<Vec<Camera>> {
         let (middle, radius) = core_of(splats)?;
         let target = self.look_at.map_or(middle + origin, |Place(place)| place);
         let up = self.up.map_or_else(|| usual_up(path), |Axis(axis)| axis);
         let [width_px, height_px] = size_px.unwrap_or(SIZE_PX);
         let longer_px = width_px.max(height_px);
-        let view_rad = |side_px: u32| 2.0 * ((0.5 * VIEW_RAD).tan() * f64::from(side_px) / f64::from(longer_px)).atan();
+        let view_rad = |side_px: u32| {
+            2.0 * ((0.5 * VIEW_RAD).tan() * f64::from(side_px) / f64::from(longer_px)).atan()
+        };
         let intrinsics = Intrinsics::from_horizontal_fov(width_px, height_px, view_rad(width_px));
-        let distance = self.distance.unwrap_or(radius / FILLED / (0.5 * view_rad(width_px.min(height_px))).sin());
+        let distance = self
+            .distance
+            .unwrap_or(radius / FILLED / (0.5 * view_rad(width_px.min(height_px))).sin());
         let count = self.orbit.unwrap_or(VIEWS);
         let aside = up.any_orthonormal_vector();
         let camera = |index: u32| {
             let turn = DQuat::from_axis_angle(up, TAU * f64::from(index) / f64::from(count));
             let away = turn * aside * ELEVATION_RAD.cos() + up * ELEVATION_RAD.sin();
             let world_from_camera = Pose::look_at(target + away * distance, target, up)?;
-            Some(Camera { name: format!("orbit_{index:03}"), intrinsics, world_from_camera })
+            Some(Camera {
+                name: format!("orbit_{index:03}"),
+                intrinsics,
+                world_from_camera,
+            })
         };
         (0..count).map(camera).collect()
     }
 }
 
 fn usual_up(path: &Path) -> DVec3 {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let extension = path
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase();
     match extension.as_str() {
         "toml" | "usdz" | "safetensors" => DVec3::Z,
         "glb" => DVec3::Y,
@@ -115,11 +147,16 @@ fn usual_up(path: &Path) -> DVec3 {
 
 /// Middle and radius of the core of the splats that can be seen. None where there are none.
 fn core_of(splats: &SplatCloud) -> Option<(DVec3, f64)> {
-    let seen = |splat: &usize| splats.opacities[*splat] >= OPACITY_MIN && splats.defect_of(*splat).is_none();
+    let seen = |splat: &usize| {
+        splats.opacities[*splat] >= OPACITY_MIN && splats.defect_of(*splat).is_none()
+    };
     let seen: Vec<usize> = (0..splats.len()).filter(seen).collect();
     let last = seen.len().checked_sub(1)?;
     let [x, y, z] = [0, 1, 2].map(|axis| {
-        let mut places: Vec<f64> = seen.iter().map(|&splat| f64::from(splats.means[splat][axis])).collect();
+        let mut places: Vec<f64> = seen
+            .iter()
+            .map(|&splat| f64::from(splats.means[splat][axis]))
+            .collect();
         places.sort_by(f64::total_cmp);
         let at = |share: f64| places[(share * last as f64).round() as usize];
         (at(0.5 - 0.5 * CORE), at(0.5 + 0.5 * CORE))
@@ -136,7 +173,8 @@ mod tests {
         let mut means: Vec<[f32; 3]> = Vec::new();
         for step in 0..200 {
             let angle = f64::from(step) * 0.7;
-            let place = middle + DVec3::new(angle.cos(), angle.sin(), f64::from(step % 21) / 10.0 - 1.0);
+            let place =
+                middle + DVec3::new(angle.cos(), angle.sin(), f64::from(step % 21) / 10.0 - 1.0);
             means.push(place.as_vec3().to_array());
         }
         if stray {
@@ -172,31 +210,55 @@ mod tests {
         let origin = DVec3::new(4.5e6, 0.0, 0.0);
         let splats = ball(DVec3::new(5.0, 6.0, 7.0), true);
         for path in ["a.ply", "a.glb", "a.toml"] {
-            let cameras = arguments(&["--orbit", "6"]).cameras(&splats, origin, Path::new(path), Some([200, 100])).unwrap();
+            let cameras = arguments(&["--orbit", "6"])
+                .cameras(&splats, origin, Path::new(path), Some([200, 100]))
+                .unwrap();
             assert_eq!(cameras.len(), 6);
             let up = usual_up(Path::new(path));
             for camera in &cameras {
                 let to_camera = camera.world_from_camera.inverse();
                 for mean in &splats.means[..200] {
                     let seen = to_camera.transform(DVec3::from_array(mean.map(f64::from)) + origin);
-                    let (x, y) =
-                        (seen.x / seen.z * camera.intrinsics.fx_px + 100.0, seen.y / seen.z * camera.intrinsics.fy_px + 50.0);
-                    assert!(seen.z > 0.0 && (0.0..200.0).contains(&x) && (0.0..100.0).contains(&y), "{path}: {x} {y}");
+                    let (x, y) = (
+                        seen.x / seen.z * camera.intrinsics.fx_px + 100.0,
+                        seen.y / seen.z * camera.intrinsics.fy_px + 50.0,
+                    );
+                    assert!(
+                        seen.z > 0.0 && (0.0..200.0).contains(&x) && (0.0..100.0).contains(&y),
+                        "{path}: {x} {y}"
+                    );
                 }
-                assert!((camera.world_from_camera.rotation * DVec3::NEG_Y).dot(up) > 0.8, "up is up");
+                assert!(
+                    (camera.world_from_camera.rotation * DVec3::NEG_Y).dot(up) > 0.8,
+                    "up is up"
+                );
             }
         }
-        assert!(arguments(&[]).cameras(&SplatCloud::default(), origin, Path::new("a.ply"), None).is_none());
+        assert!(
+            arguments(&[])
+                .cameras(&SplatCloud::default(), origin, Path::new("a.ply"), None)
+                .is_none()
+        );
     }
 
     #[test]
     fn target_distance_and_up_are_obeyed() {
         let asked = arguments(&["--look-at", "1,2,-3", "--distance", "9", "--up", "-x"]);
-        let cameras = asked.cameras(&ball(DVec3::ZERO, false), DVec3::ZERO, Path::new("a.ply"), None).unwrap();
+        let cameras = asked
+            .cameras(
+                &ball(DVec3::ZERO, false),
+                DVec3::ZERO,
+                Path::new("a.ply"),
+                None,
+            )
+            .unwrap();
         assert_eq!((cameras.len(), cameras[0].intrinsics.width_px), (8, 1280));
         for camera in &cameras {
             let eye = camera.world_from_camera.translation;
-            assert!((eye.distance(DVec3::new(1.0, 2.0, -3.0)) - 9.0).abs() < 1e-9 && eye.x < 1.0, "{eye}");
+            assert!(
+                (eye.distance(DVec3::new(1.0, 2.0, -3.0)) - 9.0).abs() < 1e-9 && eye.x < 1.0,
+                "{eye}"
+            );
         }
         for wrong in ["1,2", "a,b,c", "1,2,1e12", "1,x,2,3"] {
             assert!(wrong.parse::<Place>().is_err());

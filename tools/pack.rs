@@ -16,8 +16,9 @@ use crate::arguments::{print, three_numbers};
 
 /// Pack a scene into one USDZ that AlpaSim's runtime and CARLA's NuRec scripts read
 ///
-/// In the package are the ego's way, the cameras, the agents and the ground as these programs want them, and the scene itself with
-/// all its splats, so that the package is opened wherever a scene is. Others see the world from the scene's origin.
+/// In the package are the ego's way, the cameras, the agents and the ground as these programs want
+/// them, and the scene itself with all its splats, so that the package is opened wherever a scene
+/// is. Others see the world from the scene's origin.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The scene (.toml)
@@ -55,27 +56,43 @@ impl FromStr for Triple {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let parsed = three_numbers(text, METERS_MAX).map(Self);
-        parsed.ok_or_else(|| format!("expected three numbers of meters, like 4.5,1.8,1.5, found {text:?}"))
+        parsed.ok_or_else(|| {
+            format!("expected three numbers of meters, like 4.5,1.8,1.5, found {text:?}")
+        })
     }
 }
 
 fn package_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    let is_package = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"));
-    if is_package { Ok(path) } else { Err(format!("expected a name that ends with .usdz, found {text:?}")) }
+    let is_package = path
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"));
+    if is_package {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a name that ends with .usdz, found {text:?}"
+        ))
+    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
     let directory = arguments.scene.parent().unwrap_or(Path::new(""));
     let Triple(dims_m) = arguments.vehicle;
-    ensure!(dims_m.iter().all(|&side_m| side_m > 0.0), "--vehicle {dims_m:?}: sides are above 0");
+    ensure!(
+        dims_m.iter().all(|&side_m| side_m > 0.0),
+        "--vehicle {dims_m:?}: sides are above 0"
+    );
     let mut options = PackOptions::new(scene_id(arguments)?);
     options.vehicle = VehicleSize::from_array(dims_m);
     let below = DVec3::new(options.rig_origin_m.x, 0.0, -0.5 * dims_m[2]);
-    options.rig_origin_m = arguments.rig_origin.map_or(below, |Triple(origin)| DVec3::from_array(origin));
+    options.rig_origin_m = arguments
+        .rig_origin
+        .map_or(below, |Triple(origin)| DVec3::from_array(origin));
     if let Some(map) = &arguments.map {
-        // Read as a map too: an empty or wrong file would only be found by those who open the package.
+        // Read as a map too: an empty or wrong file would only be found by those who open the
+        // package.
         read_map(map)?;
         options.map = Some(read_bytes(map)?);
     }
@@ -83,7 +100,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if !arguments.no_ground {
         let mesh = ground::mesh_of(&scene, directory, dims_m[2])?;
         if mesh.triangles.is_empty() {
-            notes.push("no ground was found along the ego's way: the package has no mesh_ground.ply".to_owned());
+            notes.push(
+                "no ground was found along the ego's way: the package has no mesh_ground.ply"
+                    .to_owned(),
+            );
         } else {
             notes.push(format!(
                 "ground: {} vertices, {} triangles, {} m apart",
@@ -99,7 +119,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         notes.push("the map has no geoReference with +lat_0 and +lon_0: AlpaSim cannot lay it under the scene".to_owned());
     }
     let (start_s, end_s) = summary.span_s;
-    let bytes = fs::metadata(&arguments.usdz).with_context(|| format!("cannot read {}", arguments.usdz.display()))?.len();
+    let bytes = fs::metadata(&arguments.usdz)
+        .with_context(|| format!("cannot read {}", arguments.usdz.display()))?
+        .len();
     let mut text = format!(
         "{}: scene '{}', {start_s:.3} to {end_s:.3} s, {} cameras, {} agents, {} entries, {bytes} bytes\n",
         arguments.usdz.display(),
@@ -108,7 +130,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         scene.agents.len(),
         summary.entries.len()
     );
-    notes.iter().for_each(|note| text.push_str(&format!("  {note}\n")));
+    notes
+        .iter()
+        .for_each(|note| text.push_str(&format!("  {note}\n")));
     print(&text)
 }
 
@@ -117,9 +141,20 @@ fn scene_id(arguments: &Arguments) -> Result<String> {
     if let Some(id) = &arguments.scene_id {
         return Ok(id.clone());
     }
-    let scene = arguments.scene.canonicalize().with_context(|| format!("cannot read {}", arguments.scene.display()))?;
-    let folder = scene.parent().and_then(Path::file_name).map(|name| name.to_string_lossy().into_owned());
-    folder.with_context(|| format!("{} is in no folder that could name the scene; give --scene-id", arguments.scene.display()))
+    let scene = arguments
+        .scene
+        .canonicalize()
+        .with_context(|| format!("cannot read {}", arguments.scene.display()))?;
+    let folder = scene
+        .parent()
+        .and_then(Path::file_name)
+        .map(|name| name.to_string_lossy().into_owned());
+    folder.with_context(|| {
+        format!(
+            "{} is in no folder that could name the scene; give --scene-id",
+            arguments.scene.display()
+        )
+    })
 }
 
 #[cfg(test)]
@@ -129,8 +164,22 @@ mod tests {
     #[test]
     fn three_numbers_are_read_and_nonsense_is_refused() {
         assert_eq!("4.5, 1.8,-1".parse(), Ok(Triple([4.5, 1.8, -1.0])));
-        for nonsense in ["", "1,2", "1e308,0,0", "1,2,3,4", "1,2,x", "1,2,inf", "1,2,3,x"] {
-            assert!(nonsense.parse::<Triple>().unwrap_err().contains(&format!("{nonsense:?}")), "{nonsense}");
+        for nonsense in [
+            "",
+            "1,2",
+            "1e308,0,0",
+            "1,2,3,4",
+            "1,2,x",
+            "1,2,inf",
+            "1,2,3,x",
+        ] {
+            assert!(
+                nonsense
+                    .parse::<Triple>()
+                    .unwrap_err()
+                    .contains(&format!("{nonsense:?}")),
+                "{nonsense}"
+            );
         }
     }
 }

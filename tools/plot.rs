@@ -1,4 +1,5 @@
-//! Plots as inline SVG: curves, scatters and stacked bars; and the start of the page that holds them.
+//! Plots as inline SVG: curves, scatters and stacked bars; and the start of the page that holds
+//! them.
 
 mod scale;
 
@@ -17,7 +18,12 @@ const COLORS: usize = 10;
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 340.0;
 /// The frame of a plot within the drawing.
-const FRAME: Frame = Frame { left: 70.0, right: 480.0, top: 34.0, bottom: 286.0 };
+const FRAME: Frame = Frame {
+    left: 70.0,
+    right: 480.0,
+    top: 34.0,
+    bottom: 286.0,
+};
 const LEGEND_X: f64 = 494.0;
 const LEGEND_STEP: f64 = 18.0;
 /// A letter of the plots' text is about so wide.
@@ -99,19 +105,39 @@ impl Plot<'_> {
     /// The drawing. Points that an axis cannot show are left out.
     pub fn to_svg(&self) -> String {
         let points = || self.series.iter().flat_map(|series| &series.points);
-        let ends = self.series.iter().filter_map(|series| Some(series.end.as_ref()?.0));
+        let ends = self
+            .series
+            .iter()
+            .filter_map(|series| Some(series.end.as_ref()?.0));
         let x = Scale::over(points().map(|point| point.0).chain(ends), self.x);
         let y = Scale::over(points().map(|point| point.1), self.y);
         let mut svg = svg_of(self.title, HEIGHT);
         self.draw_axes(&mut svg, &x, &y);
         // Names keep clear of marks, too.
-        let named = self.series.iter().filter(|series| series.shape == Shape::Named).flat_map(|series| &series.points);
-        let mark = |&(px, py): &(f64, f64)| Some((x.place(px, FRAME.left, FRAME.right)?, y.place(py, FRAME.bottom, FRAME.top)?));
-        let mut labels: Vec<(f64, f64, f64)> = named.filter_map(mark).map(|(x, y)| (x - 6.0, y + 4.0, 12.0)).collect();
+        let named = self
+            .series
+            .iter()
+            .filter(|series| series.shape == Shape::Named)
+            .flat_map(|series| &series.points);
+        let mark = |&(px, py): &(f64, f64)| {
+            Some((
+                x.place(px, FRAME.left, FRAME.right)?,
+                y.place(py, FRAME.bottom, FRAME.top)?,
+            ))
+        };
+        let mut labels: Vec<(f64, f64, f64)> = named
+            .filter_map(mark)
+            .map(|(x, y)| (x - 6.0, y + 4.0, 12.0))
+            .collect();
         for series in &self.series {
             draw_series(&mut svg, series, &x, &y, &mut labels);
         }
-        for (at, series) in self.series.iter().filter(|series| series.shape == Shape::Curve).enumerate() {
+        for (at, series) in self
+            .series
+            .iter()
+            .filter(|series| series.shape == Shape::Curve)
+            .enumerate()
+        {
             legend(&mut svg, at, series.color, &series.name);
         }
         svg.push_str("</svg>");
@@ -119,18 +145,40 @@ impl Plot<'_> {
     }
 
     fn draw_axes(&self, svg: &mut String, x: &Scale, y: &Scale) {
-        let Frame { left, right, top, bottom } = FRAME;
+        let Frame {
+            left,
+            right,
+            top,
+            bottom,
+        } = FRAME;
         for &tick in &y.ticks {
             if let Some(at) = y.place(tick, bottom, top) {
-                let _ = write!(svg, "<line x1=\"{left}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\" class=\"grid\"/>");
-                let _ = write!(svg, "<text x=\"{}\" y=\"{:.1}\" class=\"end\">{}</text>", left - 8.0, at + 4.0, number(tick));
+                let _ = write!(
+                    svg,
+                    "<line x1=\"{left}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\" class=\"grid\"/>"
+                );
+                let _ = write!(
+                    svg,
+                    "<text x=\"{}\" y=\"{:.1}\" class=\"end\">{}</text>",
+                    left - 8.0,
+                    at + 4.0,
+                    number(tick)
+                );
             }
         }
         for &tick in &x.ticks {
             if let Some(at) = x.place(tick, left, right) {
-                let _ =
-                    write!(svg, "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{bottom}\" y2=\"{}\" class=\"grid\"/>", bottom + 5.0);
-                let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{}\" class=\"middle\">{}</text>", bottom + 20.0, number(tick));
+                let _ = write!(
+                    svg,
+                    "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{bottom}\" y2=\"{}\" class=\"grid\"/>",
+                    bottom + 5.0
+                );
+                let _ = write!(
+                    svg,
+                    "<text x=\"{at:.1}\" y=\"{}\" class=\"middle\">{}</text>",
+                    bottom + 20.0,
+                    number(tick)
+                );
             }
         }
         let _ = write!(
@@ -150,31 +198,66 @@ impl Plot<'_> {
 }
 
 /// A curve or named points; `labels` are the places of names that are written already.
-fn draw_series(svg: &mut String, series: &Series, x: &Scale, y: &Scale, labels: &mut Vec<(f64, f64, f64)>) {
+fn draw_series(
+    svg: &mut String,
+    series: &Series,
+    x: &Scale,
+    y: &Scale,
+    labels: &mut Vec<(f64, f64, f64)>,
+) {
     let color = series.color % COLORS;
-    let place = |&(px, py): &(f64, f64)| Some((x.place(px, FRAME.left, FRAME.right)?, y.place(py, FRAME.bottom, FRAME.top)?));
+    let place = |&(px, py): &(f64, f64)| {
+        Some((
+            x.place(px, FRAME.left, FRAME.right)?,
+            y.place(py, FRAME.bottom, FRAME.top)?,
+        ))
+    };
     let places: Vec<(f64, f64)> = series.points.iter().filter_map(place).collect();
-    let line = || places.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ");
+    let line = || {
+        places
+            .iter()
+            .map(|(x, y)| format!("{x:.1},{y:.1}"))
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
     if series.shape == Shape::Guide {
         let _ = write!(svg, "<polyline points=\"{}\" class=\"guide\"/>", line());
         return;
     }
     if series.shape == Shape::Curve {
-        let _ = write!(svg, "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{color})\"/>", line());
+        let _ = write!(
+            svg,
+            "<polyline points=\"{}\" class=\"curve\" style=\"stroke:var(--c{color})\"/>",
+            line()
+        );
     }
-    let marked = if series.shape == Shape::Curve && places.len() > MARKED_MAX { &[] } else { places.as_slice() };
+    let marked = if series.shape == Shape::Curve && places.len() > MARKED_MAX {
+        &[]
+    } else {
+        places.as_slice()
+    };
     for &(x, y) in marked {
-        let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" class=\"mark\" style=\"stroke:var(--c{color})\"/>");
+        let _ = write!(
+            svg,
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" class=\"mark\" style=\"stroke:var(--c{color})\"/>"
+        );
         if series.shape == Shape::Named {
             let width = LETTER * series.name.chars().count() as f64;
             let left = x + 9.0;
             // Down until no other name is in the way.
             let mut base = y + 4.0;
-            while labels.iter().any(|&(l, b, w)| (b - base).abs() < 13.0 && l < left + width && left < l + w) {
+            while labels
+                .iter()
+                .any(|&(l, b, w)| (b - base).abs() < 13.0 && l < left + width && left < l + w)
+            {
                 base += 13.0;
             }
             labels.push((left, base, width));
-            let _ = write!(svg, "<text x=\"{left:.1}\" y=\"{base:.1}\" class=\"name\">{}</text>", escaped(&series.name));
+            let _ = write!(
+                svg,
+                "<text x=\"{left:.1}\" y=\"{base:.1}\" class=\"name\">{}</text>",
+                escaped(&series.name)
+            );
         }
     }
     if let Some((end, reason)) = &series.end
@@ -199,24 +282,46 @@ impl Bars<'_> {
     pub fn to_svg(&self) -> String {
         const ROW: f64 = 26.0;
         const LEFT: f64 = 130.0;
-        let rows_height = (ROW * self.rows.len() as f64).max(LEGEND_STEP * self.parts.len() as f64 + 12.0);
+        let rows_height =
+            (ROW * self.rows.len() as f64).max(LEGEND_STEP * self.parts.len() as f64 + 12.0);
         let (right, bottom) = (FRAME.right, FRAME.top + rows_height);
         let sum = |values: &[f64]| values.iter().sum::<f64>();
-        let axis = Axis { from_zero: true, ..Axis::default() };
+        let axis = Axis {
+            from_zero: true,
+            ..Axis::default()
+        };
         let scale = Scale::over(self.rows.iter().map(|(_, values)| sum(values)), axis);
         let mut svg = svg_of(self.title, bottom + 54.0);
         for &tick in &scale.ticks {
             if let Some(at) = scale.place(tick, LEFT, right) {
-                let _ = write!(svg, "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{}\" y2=\"{bottom}\" class=\"grid\"/>", FRAME.top);
-                let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{}\" class=\"middle\">{}</text>", bottom + 18.0, number(tick));
+                let _ = write!(
+                    svg,
+                    "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{}\" y2=\"{bottom}\" class=\"grid\"/>",
+                    FRAME.top
+                );
+                let _ = write!(
+                    svg,
+                    "<text x=\"{at:.1}\" y=\"{}\" class=\"middle\">{}</text>",
+                    bottom + 18.0,
+                    number(tick)
+                );
             }
         }
         for (row, (name, values)) in self.rows.iter().enumerate() {
             let y = FRAME.top + ROW * row as f64 + 4.0;
-            let _ = write!(svg, "<text x=\"{}\" y=\"{:.1}\" class=\"end name\">{}</text>", LEFT - 8.0, y + 13.0, escaped(name));
+            let _ = write!(
+                svg,
+                "<text x=\"{}\" y=\"{:.1}\" class=\"end name\">{}</text>",
+                LEFT - 8.0,
+                y + 13.0,
+                escaped(name)
+            );
             let mut from = 0.0;
             for (part, value) in values.iter().enumerate() {
-                if let (Some(a), Some(b)) = (scale.place(from, LEFT, right), scale.place(from + value, LEFT, right)) {
+                if let (Some(a), Some(b)) = (
+                    scale.place(from, LEFT, right),
+                    scale.place(from + value, LEFT, right),
+                ) {
                     let _ = write!(
                         svg,
                         "<rect x=\"{a:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"18\" \
@@ -251,8 +356,8 @@ fn opacity(color: usize) -> f64 {
     if color < COLORS { 1.0 } else { 0.55 }
 }
 
-/// A page up to its heading. It needs nothing beside it, follows the reader's choice of light or dark, and ends with `</html>`.
-/// `title` is HTML already.
+/// A page up to its heading. It needs nothing beside it, follows the reader's choice of light or
+/// dark, and ends with `</html>`. `title` is HTML already.
 pub fn page_start(title: &str) -> String {
     format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
@@ -262,7 +367,10 @@ pub fn page_start(title: &str) -> String {
 
 /// `text` as HTML shows it.
 pub fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }
 
 #[cfg(test)]
@@ -270,19 +378,49 @@ mod tests {
     use super::*;
 
     fn series(points: &[(f64, f64)]) -> Series {
-        Series { name: "a < b".into(), color: 0, points: points.to_vec(), shape: Shape::Curve, end: None }
+        Series {
+            name: "a < b".into(),
+            color: 0,
+            points: points.to_vec(),
+            shape: Shape::Curve,
+            end: None,
+        }
     }
 
     #[test]
     fn a_curve_lies_in_its_frame_and_what_is_no_number_is_left_out() {
         let points = [(0.0, 10.0), (1.0, 1000.0), (2.0, f64::NAN), (3.0, 0.0)];
         let plot = |log| {
-            let y = Axis { label: "y", log, ..Axis::default() };
-            Plot { title: "t", x: Axis::default(), y, series: vec![series(&points)] }.to_svg()
+            let y = Axis {
+                label: "y",
+                log,
+                ..Axis::default()
+            };
+            Plot {
+                title: "t",
+                x: Axis::default(),
+                y,
+                series: vec![series(&points)],
+            }
+            .to_svg()
         };
-        assert!(plot(true).contains("points=\"70.0,286.0 206.7,34.0\""), "{}", plot(true));
-        assert!(plot(false).contains(" 480.0,286.0\"") && plot(false).contains("a &lt; b"), "{}", plot(false));
-        let empty = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![] }.to_svg();
+        assert!(
+            plot(true).contains("points=\"70.0,286.0 206.7,34.0\""),
+            "{}",
+            plot(true)
+        );
+        assert!(
+            plot(false).contains(" 480.0,286.0\"") && plot(false).contains("a &lt; b"),
+            "{}",
+            plot(false)
+        );
+        let empty = Plot {
+            title: "",
+            x: Axis::default(),
+            y: Axis::default(),
+            series: vec![],
+        }
+        .to_svg();
         assert!(!empty.contains("NaN") && !empty.contains("inf"));
     }
 
@@ -290,7 +428,12 @@ mod tests {
     fn a_long_curve_is_a_line_without_marks() {
         let marks = |count: usize| {
             let points: Vec<(f64, f64)> = (0..count).map(|at| (at as f64, 1.0)).collect();
-            let plot = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![series(&points)] };
+            let plot = Plot {
+                title: "",
+                x: Axis::default(),
+                y: Axis::default(),
+                series: vec![series(&points)],
+            };
             plot.to_svg().matches("<circle").count()
         };
         assert_eq!((marks(MARKED_MAX), marks(MARKED_MAX + 1)), (MARKED_MAX, 0));
@@ -298,21 +441,47 @@ mod tests {
 
     #[test]
     fn names_of_points_in_one_place_do_not_cover_each_other() {
-        let named = |name: &str| Series { name: name.into(), shape: Shape::Named, ..series(&[(1.0, 1.0)]) };
-        let all = Plot { title: "", x: Axis::default(), y: Axis::default(), series: vec![named("first"), named("second")] };
+        let named = |name: &str| Series {
+            name: name.into(),
+            shape: Shape::Named,
+            ..series(&[(1.0, 1.0)])
+        };
+        let all = Plot {
+            title: "",
+            x: Axis::default(),
+            y: Axis::default(),
+            series: vec![named("first"), named("second")],
+        };
         let svg = all.to_svg();
         let bases: Vec<&str> = svg.split("class=\"name\"").collect();
         assert_eq!(bases.len(), 3);
-        let base = |text: &str| text.rsplit("y=\"").next().unwrap().split('"').next().unwrap().parse::<f64>().unwrap();
+        let base = |text: &str| {
+            text.rsplit("y=\"")
+                .next()
+                .unwrap()
+                .split('"')
+                .next()
+                .unwrap()
+                .parse::<f64>()
+                .unwrap()
+        };
         assert!((base(bases[0]) - base(bases[1])).abs() >= 13.0, "{svg}");
     }
 
     #[test]
     fn bars_are_as_long_as_their_parts() {
-        let bars =
-            Bars { title: "t", x_label: "ms", parts: vec!["a".into(), "b".into()], rows: vec![("m".into(), vec![1.0, 3.0])] };
+        let bars = Bars {
+            title: "t",
+            x_label: "ms",
+            parts: vec!["a".into(), "b".into()],
+            rows: vec![("m".into(), vec![1.0, 3.0])],
+        };
         let svg = bars.to_svg();
         // The axis ends at 4, so 350 px are 4 ms.
-        assert!(svg.contains("x=\"130.0\" y=\"38.0\" width=\"87.5\"") && svg.contains("width=\"262.5\""), "{svg}");
+        assert!(
+            svg.contains("x=\"130.0\" y=\"38.0\" width=\"87.5\"")
+                && svg.contains("width=\"262.5\""),
+            "{svg}"
+        );
     }
 }

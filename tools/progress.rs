@@ -1,4 +1,5 @@
-//! Progress of long work, on standard error: a bar for a person at a terminal, a line now and then where there is none.
+//! Progress of long work, on standard error: a bar for a person at a terminal, a line now and then
+//! where there is none.
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -14,8 +15,11 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// A bar of `steps` under the name of the work.
 pub fn bar(work: &'static str, steps: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}").expect("the template is well-formed");
-    let bar = ProgressBar::new(steps as u64).with_style(style).with_message(work);
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}")
+        .expect("the template is well-formed");
+    let bar = ProgressBar::new(steps as u64)
+        .with_style(style)
+        .with_message(work);
     report_without_terminal(&bar);
     bar
 }
@@ -37,7 +41,9 @@ fn report_without_terminal(bar: &ProgressBar) {
     }
     let bar = bar.downgrade();
     // Without a thread there are no lines, and the work goes on.
-    let _ = std::thread::Builder::new().name("progress".into()).spawn(move || report(&bar));
+    let _ = std::thread::Builder::new()
+        .name("progress".into())
+        .spawn(move || report(&bar));
 }
 
 fn report(bar: &WeakProgressBar) {
@@ -45,12 +51,23 @@ fn report(bar: &WeakProgressBar) {
     let (mut next, mut wait) = (FIRST_LINE, FIRST_LINE);
     loop {
         std::thread::sleep(LOOK_EVERY);
-        let Some(bar) = bar.upgrade().filter(|bar| !bar.is_finished()) else { return };
+        let Some(bar) = bar.upgrade().filter(|bar| !bar.is_finished()) else {
+            return;
+        };
         if since.elapsed() < next {
             continue;
         }
         // A standard error that is closed or full is nobody to tell.
-        let _ = writeln!(std::io::stderr(), "{}", line(&bar.message(), bar.position(), bar.length(), since.elapsed()));
+        let _ = writeln!(
+            std::io::stderr(),
+            "{}",
+            line(
+                &bar.message(),
+                bar.position(),
+                bar.length(),
+                since.elapsed()
+            )
+        );
         wait = (2 * wait).min(LINE_EVERY_MAX);
         next += wait;
     }
@@ -70,7 +87,13 @@ mod tests {
 
     #[test]
     fn lines_say_how_far_the_work_is() {
-        assert_eq!(line("episodes", 3, Some(10), Duration::from_millis(4900)), "episodes: 3 of 10 after 4 s");
-        assert_eq!(line("reading a.ply", 0, None, Duration::from_secs(7)), "reading a.ply: 7 s so far");
+        assert_eq!(
+            line("episodes", 3, Some(10), Duration::from_millis(4900)),
+            "episodes: 3 of 10 after 4 s"
+        );
+        assert_eq!(
+            line("reading a.ply", 0, None, Duration::from_secs(7)),
+            "reading a.ply: 7 s so far"
+        );
     }
 }

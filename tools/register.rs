@@ -1,4 +1,5 @@
-//! `decouplegs register`: tracks brought onto the lanes of a map and the ground of a scene, as poses.
+//! `decouplegs register`: tracks brought onto the lanes of a map and the ground of a scene, as
+//! poses.
 
 mod measure;
 mod page;
@@ -20,11 +21,13 @@ use measure::Measured;
 
 /// Bring tracks onto the lanes of a map and the ground of a scene
 ///
-/// A log may drift: its cars drive beside their lanes, and float above the road or sink into it. Tracks are matched to their lanes, moved
-/// by planar motions where lanes show that the log drifted, and set on the splats below their four corners. The log as a whole comes
-/// first; a single track is moved only by more than the habits of drivers explain. A log without drift stays as it is, and the report
-/// says so. Lanes show where a track is across them; where they are straight, its place along them stays as logged. Parked vehicles
-/// stay where they were logged. Tracks that drive against their lanes, or follow none, are left out with the reason.
+/// A log may drift: its cars drive beside their lanes, and float above the road or sink into it.
+/// Tracks are matched to their lanes, moved by planar motions where lanes show that the log
+/// drifted, and set on the splats below their four corners. The log as a whole comes first; a
+/// single track is moved only by more than the habits of drivers explain. A log without drift stays
+/// as it is, and the report says so. Lanes show where a track is across them; where they are
+/// straight, its place along them stays as logged. Parked vehicles stay where they were logged.
+/// Tracks that drive against their lanes, or follow none, are left out with the reason.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Lanes: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad (.xml)
@@ -33,18 +36,20 @@ pub struct Arguments {
     /// Tracks: a CSV or JSON table, or CommonRoad
     #[arg(long, value_name = "FILE")]
     tracks: PathBuf,
-    /// The ground: splats, a scene (.toml), its background, or points of a survey as a table of x, y and z (.csv) (default: the
-    /// heights of the map)
+    /// The ground: splats, a scene (.toml), its background, or points of a survey as a table of x,
+    /// y and z (.csv) (default: the heights of the map)
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// The poses to write (.csv or .json): time, id, position of the box's center, rotation as w, x, y, z, what is to be known
+    /// The poses to write (.csv or .json): time, id, position of the box's center, rotation as w,
+    /// x, y, z, what is to be known
     #[arg(long, value_name = "FILE", value_parser = pose_path)]
     out: PathBuf,
     /// Tracks as they should be, by the same ids: errors are measured against them
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
-    /// Clearances are measured against this ground: splats, a scene, or points of a survey as a table of x, y and z (.csv).
-    /// Without it they are measured against the ground the boxes were set on, which shows how well they fit it and no more
+    /// Clearances are measured against this ground: splats, a scene, or points of a survey as a
+    /// table of x, y and z (.csv). Without it they are measured against the ground the boxes were
+    /// set on, which shows how well they fit it and no more
     #[arg(long, value_name = "FILE")]
     ground_truth: Option<PathBuf>,
     /// Write a page with plots of each track, errors and clearances
@@ -56,7 +61,8 @@ pub struct Arguments {
     /// Move all tracks together or not at all: for a log that drifts as a whole
     #[arg(long)]
     shared: bool,
-    /// Deviation of drivers from the middle of their lane, meters; tracks are moved one by one only for more. 0: tracks belong on the middle
+    /// Deviation of drivers from the middle of their lane, meters; tracks are moved one by one only
+    /// for more. 0: tracks belong on the middle
     #[arg(long, value_name = "METERS", default_value_t = 0.3, value_parser = not_negative)]
     habit: f64,
     /// Corners that are deeper below the ground have penetrated it, meters
@@ -66,12 +72,23 @@ pub struct Arguments {
 
 fn pose_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    let fits = path.extension().is_some_and(|extension| extension == "csv" || extension == "json");
-    if fits { Ok(path) } else { Err(format!("expected a name that ends with .csv or .json, found {text:?}")) }
+    let fits = path
+        .extension()
+        .is_some_and(|extension| extension == "csv" || extension == "json");
+    if fits {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a name that ends with .csv or .json, found {text:?}"
+        ))
+    }
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|value: &f64| value.is_finite() && *value >= 0.0);
+    let number = text
+        .parse()
+        .ok()
+        .filter(|value: &f64| value.is_finite() && *value >= 0.0);
     number.ok_or_else(|| format!("expected meters, 0 or more, found {text:?}"))
 }
 
@@ -80,11 +97,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let tracks = read_tracks(&arguments.tracks)?;
     let truth = arguments.truth.as_deref().map(read_tracks).transpose()?;
     if let Some(truth) = &truth {
-        let known = tracks.iter().any(|track| truth.iter().any(|truth| truth.id == track.id));
-        ensure!(known, "{} has none of the tracks of {}", text_of(arguments.truth.as_deref()), arguments.tracks.display());
+        let known = tracks
+            .iter()
+            .any(|track| truth.iter().any(|truth| truth.id == track.id));
+        ensure!(
+            known,
+            "{} has none of the tracks of {}",
+            text_of(arguments.truth.as_deref()),
+            arguments.tracks.display()
+        );
     }
     let ground = arguments.scene.as_deref().map(ground_of).transpose()?;
-    let truth_ground = arguments.ground_truth.as_deref().map(ground_of).transpose()?;
+    let truth_ground = arguments
+        .ground_truth
+        .as_deref()
+        .map(ground_of)
+        .transpose()?;
     let options = RegisterOptions {
         noise_m: arguments.sigma,
         shared: arguments.shared,
@@ -97,25 +125,49 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         warn("--shared: lanes show no motion of the log as a whole, so no track was moved");
     }
     let compared = truth_ground.as_ref().or(ground.as_ref());
-    let measured = Measured::of(&map, &tracks, &registration, truth.as_deref(), compared, arguments.tolerance);
+    let measured = Measured::of(
+        &map,
+        &tracks,
+        &registration,
+        truth.as_deref(),
+        compared,
+        arguments.tolerance,
+    );
     working.finish_and_clear();
 
     let rows = rows(&registration);
     if rows.is_empty() {
         print(&table::table(&measured))?;
-        bail!("none of the {} tracks of {} could be registered", tracks.len(), arguments.tracks.display());
+        bail!(
+            "none of the {} tracks of {} could be registered",
+            tracks.len(),
+            arguments.tracks.display()
+        );
     }
     write_poses(&arguments.out, &rows)?;
     if let Some(path) = &arguments.report {
-        let subject =
-            page::Subject { arguments, map: &map, tracks: &tracks, truth: truth.as_deref(), registration: &registration };
-        write_atomically(path, |file| file.write_all(page::page(&subject, &measured).as_bytes()))?;
+        let subject = page::Subject {
+            arguments,
+            map: &map,
+            tracks: &tracks,
+            truth: truth.as_deref(),
+            registration: &registration,
+        };
+        write_atomically(path, |file| {
+            file.write_all(page::page(&subject, &measured).as_bytes())
+        })?;
     }
-    print(&format!("{}{}: {} poses\n", table::table(&measured), arguments.out.display(), rows.len()))
+    print(&format!(
+        "{}{}: {} poses\n",
+        table::table(&measured),
+        arguments.out.display(),
+        rows.len()
+    ))
 }
 
 fn text_of(path: Option<&Path>) -> String {
-    path.map(|path| path.display().to_string()).unwrap_or_default()
+    path.map(|path| path.display().to_string())
+        .unwrap_or_default()
 }
 
 /// The ground of a scene's background, or that of a survey's points.
@@ -124,21 +176,37 @@ fn ground_of(path: &Path) -> Result<Ground> {
     let (cloud, origin) = if path.extension().is_some_and(|extension| extension == "csv") {
         points::read(path)?
     } else {
-        let World { splats, instance_from_splat, origin, .. } = open_scene(path, 0.0)?.world;
-        let still: Vec<u32> =
-            (0..splats.len() as u32).filter(|&at| instance_from_splat.get(at as usize).is_none_or(|id| *id == 0)).collect();
+        let World {
+            splats,
+            instance_from_splat,
+            origin,
+            ..
+        } = open_scene(path, 0.0)?.world;
+        let still: Vec<u32> = (0..splats.len() as u32)
+            .filter(|&at| {
+                instance_from_splat
+                    .get(at as usize)
+                    .is_none_or(|id| *id == 0)
+            })
+            .collect();
         (splats.select(&still), origin)
     };
     let ground = Ground::new(&cloud, origin, &GroundOptions::default());
     reading.finish_and_clear();
-    ensure!(!cloud.is_empty(), "{} has no splats to stand on", path.display());
+    ensure!(
+        !cloud.is_empty(),
+        "{} has no splats to stand on",
+        path.display()
+    );
     Ok(ground)
 }
 
 fn rows(registration: &Registration) -> Vec<PoseRow> {
     let mut rows = Vec::new();
     for track in &registration.tracks {
-        let Outcome::Registered(registered) = &track.outcome else { continue };
+        let Outcome::Registered(registered) = &track.outcome else {
+            continue;
+        };
         rows.extend(registered.poses.iter().map(|pose| PoseRow {
             id: track.id.clone(),
             class: track.class.clone(),
@@ -158,7 +226,10 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused_with_what_was_found() {
-        assert!(pose_path("poses.txt").unwrap_err().contains("poses.txt") && pose_path("a.json").is_ok());
+        assert!(
+            pose_path("poses.txt").unwrap_err().contains("poses.txt")
+                && pose_path("a.json").is_ok()
+        );
         for nonsense in ["-1", "NaN", "inf", "some"] {
             assert!(not_negative(nonsense).unwrap_err().contains(nonsense));
         }

@@ -18,7 +18,8 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::progress;
 use crate::scene_source::{Scene, SceneArguments};
 
-/// Render a scene for every camera, one image each, named by the camera; the files are listed as they are written
+/// Render a scene for every camera, one image each, named by the camera; the files are listed as
+/// they are written
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -32,11 +33,13 @@ pub struct Arguments {
     /// Part of the scene to render
     #[arg(long, value_enum, default_value_t = LayerName::All)]
     layer: LayerName,
-    /// Draw agents at the coarsest level of detail whose splats are at most this far apart (default: always the finest)
+    /// Draw agents at the coarsest level of detail whose splats are at most this far apart
+    /// (default: always the finest)
     #[arg(long, value_name = "PX", conflicts_with = "reference", value_parser = pixels)]
     level_pitch: Option<f64>,
-    /// Write these planes beside each image too: depth (expected depth along the camera's z, meters, 0 where nothing is) as float32
-    /// [height, width] in NAME.depth.npy, instance (0 the background, k the k-th agent) as uint16 in NAME.instance.npy
+    /// Write these planes beside each image too: depth (expected depth along the camera's z,
+    /// meters, 0 where nothing is) as float32 [height, width] in NAME.depth.npy, instance (0 the
+    /// background, k the k-th agent) as uint16 in NAME.instance.npy
     #[arg(long, value_enum, value_name = "PLANES", value_delimiter = ',')]
     planes: Vec<PlaneName>,
     #[command(flatten)]
@@ -52,7 +55,13 @@ pub struct Arguments {
 fn png_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     let is_png = ImageFileFormat::of_path(&path) == Some(ImageFileFormat::Png);
-    if is_png { Ok(path) } else { Err(format!("expected a name that ends with .png, found {text:?}")) }
+    if is_png {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a name that ends with .png, found {text:?}"
+        ))
+    }
 }
 
 /// Image file format.
@@ -112,7 +121,8 @@ const SHEET_COLUMNS: u32 = 3;
 /// About the memory that the reference takes for each pixel.
 const REFERENCE_PIXEL_BYTES: u64 = 96;
 
-/// Most cameras of one submission. A rig has fewer; a file of training cameras has hundreds, whose images no device holds.
+/// Most cameras of one submission. A rig has fewer; a file of training cameras has hundreds, whose
+/// images no device holds.
 const CAMERAS_AT_ONCE: usize = 8;
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -131,7 +141,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         render_on_gpu(&scene, arguments, &mut writer)?;
     }
     if let (Some(path), Some(images)) = (&arguments.contact_sheet, &writer.kept) {
-        let sheet = contact_sheet(images, SHEET_COLUMNS).context("there is no camera, so there is no image")?;
+        let sheet = contact_sheet(images, SHEET_COLUMNS)
+            .context("there is no camera, so there is no image")?;
         writer.write(path, &sheet, ImageFileFormat::Png)?;
         print(&format!("{}\n", path.display()))?;
     }
@@ -153,8 +164,11 @@ struct ImageWriter<'a> {
 
 impl ImageWriter<'_> {
     fn add(&mut self, camera: &Camera, image: Image) -> Result<()> {
-        fs::create_dir_all(self.out).with_context(|| format!("{} cannot be made", self.out.display()))?;
-        let path = self.out.join(format!("{}.{}", camera.name, self.format.extension()));
+        fs::create_dir_all(self.out)
+            .with_context(|| format!("{} cannot be made", self.out.display()))?;
+        let path = self
+            .out
+            .join(format!("{}.{}", camera.name, self.format.extension()));
         self.write(&path, &image, self.format)?;
         print(&format!("{}\n", path.display()))?;
         for plane in self.planes {
@@ -178,7 +192,11 @@ impl ImageWriter<'_> {
     }
 
     fn write(&self, path: &Path, image: &Image, format: ImageFileFormat) -> Result<()> {
-        let write = if self.transparent { write_image_with_alpha } else { write_image };
+        let write = if self.transparent {
+            write_image_with_alpha
+        } else {
+            write_image
+        };
         write(path, image, format)
     }
 }
@@ -186,21 +204,37 @@ impl ImageWriter<'_> {
 fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter) -> Result<()> {
     let gpu = arguments.device.open()?;
     let bar = progress::bar("images", scene.cameras.len());
-    // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps of 8 bits.
+    // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps
+    // of 8 bits.
     let (color, pixel_bytes) = match writer.format {
         ImageFileFormat::Png if !writer.transparent => (ColorFormat::U8, 4),
-        ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => (ColorFormat::F32, 16),
+        ImageFileFormat::Png | ImageFileFormat::Exr | ImageFileFormat::Npy => {
+            (ColorFormat::F32, 16)
+        }
     };
     let asked = |plane| arguments.planes.contains(&plane);
     let (depth, instance) = (asked(PlaneName::Depth), asked(PlaneName::Instance));
-    let outputs = Outputs { color, depth, instance, ..Outputs::default() };
+    let outputs = Outputs {
+        color,
+        depth,
+        instance,
+        ..Outputs::default()
+    };
     let mut renderer = Renderer::new(
         &gpu,
-        RenderOptions { rules: scene.rules(), outputs, level_pitch_px: arguments.level_pitch, ..RenderOptions::default() },
+        RenderOptions {
+            rules: scene.rules(),
+            outputs,
+            level_pitch_px: arguments.level_pitch,
+            ..RenderOptions::default()
+        },
     );
     let live = LiveScene::layer(&renderer, &scene.loaded, arguments.layer.into())?;
     let moment = live.at(scene.time_s);
-    for cameras in submissions(&scene.cameras, gpu.limits().storage_buffer_bytes_max / pixel_bytes) {
+    for cameras in submissions(
+        &scene.cameras,
+        gpu.limits().storage_buffer_bytes_max / pixel_bytes,
+    ) {
         renderer.render(live.with(&moment), cameras)?;
         for (camera, image) in cameras.iter().zip(renderer.read_images()?) {
             writer.add(camera, image)?;
@@ -211,7 +245,8 @@ fn render_on_gpu(scene: &Scene, arguments: &Arguments, writer: &mut ImageWriter)
     check_validation(&gpu)
 }
 
-/// `cameras` in runs that are drawn together: at most [`CAMERAS_AT_ONCE`] with at most `pixels_max` pixels, or a single one.
+/// `cameras` in runs that are drawn together: at most [`CAMERAS_AT_ONCE`] with at most `pixels_max`
+/// pixels, or a single one.
 fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
     let mut runs = Vec::new();
     let mut rest = cameras;
@@ -231,11 +266,23 @@ fn submissions(cameras: &[Camera], pixels_max: u64) -> Vec<&[Camera]> {
 fn render_by_definition(scene: &Scene, layer: Layer, writer: &mut ImageWriter) -> Result<()> {
     let bar = progress::bar("reference", scene.cameras.len());
     scene.loaded.check_baked()?;
-    let most = scene.cameras.iter().map(|camera| camera.intrinsics.pixels()).max().unwrap_or(0);
-    memory::require("a reference image of this size", REFERENCE_PIXEL_BYTES * most).map_err(anyhow::Error::msg)?;
+    let most = scene
+        .cameras
+        .iter()
+        .map(|camera| camera.intrinsics.pixels())
+        .max()
+        .unwrap_or(0);
+    memory::require(
+        "a reference image of this size",
+        REFERENCE_PIXEL_BYTES * most,
+    )
+    .map_err(anyhow::Error::msg)?;
     let world = scene.loaded.baked_layer(scene.time_s, layer);
     for camera in &scene.cameras {
-        writer.add(camera, reference::render(&world, camera, &world.rules).to_image())?;
+        writer.add(
+            camera,
+            reference::render(&world, camera, &world.rules).to_image(),
+        )?;
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -247,8 +294,14 @@ fn check_names(cameras: &[Camera]) -> Result<()> {
     let mut taken = HashSet::new();
     for Camera { name, .. } in cameras {
         let plain = !name.is_empty() && !name.contains(['/', '\\', '\0']) && !name.starts_with('.');
-        ensure!(plain, "the camera {name:?} cannot name an image: use letters, digits, '-' and '_'");
-        ensure!(taken.insert(name.to_lowercase()), "two cameras are called {name:?}: the second image would replace the first");
+        ensure!(
+            plain,
+            "the camera {name:?} cannot name an image: use letters, digits, '-' and '_'"
+        );
+        ensure!(
+            taken.insert(name.to_lowercase()),
+            "two cameras are called {name:?}: the second image would replace the first"
+        );
     }
     Ok(())
 }
@@ -260,28 +313,51 @@ mod tests {
 
     fn cameras(names: &[&str]) -> Vec<Camera> {
         let intrinsics = Intrinsics::from_horizontal_fov(2, 2, 1.0);
-        names.iter().map(|&name| Camera { name: name.into(), intrinsics, world_from_camera: Pose::IDENTITY }).collect()
+        names
+            .iter()
+            .map(|&name| Camera {
+                name: name.into(),
+                intrinsics,
+                world_from_camera: Pose::IDENTITY,
+            })
+            .collect()
     }
 
     #[test]
     fn images_stay_in_their_folder_and_apart() {
         assert!(check_names(&cameras(&["front", "front left", "0001.v2"])).is_ok());
         for bad in ["", "..", "../front", "a/b", "a\\b", ".hidden"] {
-            let error = check_names(&cameras(&["front", bad])).unwrap_err().to_string();
+            let error = check_names(&cameras(&["front", bad]))
+                .unwrap_err()
+                .to_string();
             assert!(error.contains(&format!("{bad:?}")), "{error}");
         }
-        assert!(check_names(&cameras(&["front", "Front"])).unwrap_err().to_string().contains("replace"));
+        assert!(
+            check_names(&cameras(&["front", "Front"]))
+                .unwrap_err()
+                .to_string()
+                .contains("replace")
+        );
     }
 
     #[test]
     fn a_submission_is_a_rig_and_fits_the_device() {
         let eleven = cameras(&["c"; 11]);
-        let lengths = |pixels_max| submissions(&eleven, pixels_max).iter().map(|run| run.len()).collect::<Vec<_>>();
+        let lengths = |pixels_max| {
+            submissions(&eleven, pixels_max)
+                .iter()
+                .map(|run| run.len())
+                .collect::<Vec<_>>()
+        };
         // Four pixels each.
         assert_eq!(lengths(u64::MAX), [8, 3]);
         assert_eq!(lengths(16), [4, 4, 3]);
         assert_eq!(lengths(15), [3, 3, 3, 2]);
-        assert_eq!(lengths(1), [1; 11], "an image that is too large is refused by the engine, with its bytes");
+        assert_eq!(
+            lengths(1),
+            [1; 11],
+            "an image that is too large is refused by the engine, with its bytes"
+        );
         assert!(submissions(&[], 16).is_empty());
     }
 

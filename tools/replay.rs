@@ -6,7 +6,9 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::{read_episode_log, read_light_transfer};
 use decouplegs::drive::score::EpisodeScore;
-use decouplegs::episode::{EpisodeObserver, Look, ObservationRenderer, Replayed, Site, render_options, replay};
+use decouplegs::episode::{
+    EpisodeObserver, Look, ObservationRenderer, Replayed, Site, render_options, replay,
+};
 use decouplegs::render::Renderer;
 use decouplegs::scene::Rig;
 use decouplegs::scene::episode::{DrawnBy, Episode, EpisodeHead, EpisodeStep};
@@ -16,8 +18,8 @@ use crate::device::{DeviceArguments, check_validation};
 use crate::drive::{ImageWriter, Images, Ready, Sites};
 use crate::progress;
 
-/// Drive a log's plans again and compare: everybody's motion and the score to the last bit, images by their hashes. Exits with 1
-/// where something differs
+/// Drive a log's plans again and compare: the motion of all vehicles and the score to the last bit,
+/// images by their hashes. Exits with 1 where something differs
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The log of an episode, as `drive` writes it
@@ -40,7 +42,11 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let episode = read_episode_log(&arguments.log)?;
-    let base = arguments.base.as_deref().or(arguments.log.parent()).unwrap_or(Path::new(""));
+    let base = arguments
+        .base
+        .as_deref()
+        .or(arguments.log.parent())
+        .unwrap_or(Path::new(""));
     let working = progress::spinner(format!("replaying {}", arguments.log.display()));
     let (replayed, device) = match (&episode.head.drawn_by, arguments.no_render) {
         (Some(drawn_by), false) => drawn(arguments, &episode, drawn_by, base)?,
@@ -54,23 +60,56 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Drawn as the log was: its cameras, their size, every so manyth step.
-fn drawn(arguments: &Arguments, episode: &Episode, drawn_by: &DrawnBy, base: &Path) -> Result<(Replayed, Option<String>)> {
+fn drawn(
+    arguments: &Arguments,
+    episode: &Episode,
+    drawn_by: &DrawnBy,
+    base: &Path,
+) -> Result<(Replayed, Option<String>)> {
     let gpu = arguments.device.open()?;
-    let look = Look { transfer: arguments.light.as_deref().map(read_light_transfer).transpose()?.map(|file| file.transfer) };
+    let look = Look {
+        transfer: arguments
+            .light
+            .as_deref()
+            .map(read_light_transfer)
+            .transpose()?
+            .map(|file| file.transfer),
+    };
     let ready = Sites::new(Some(&gpu), look).get(&episode.head.scenario.place, base)?;
-    let Ready { site, live: Some(live) } = ready.as_ref() else { bail!("the place has nothing to draw") };
+    let Ready {
+        site,
+        live: Some(live),
+    } = ready.as_ref()
+    else {
+        bail!("the place has nothing to draw")
+    };
     let mut rig = Rig::default();
     for name in &episode.head.planner.cameras {
-        let camera = site.loaded.rig.cameras.iter().find(|camera| camera.name == *name);
-        let mut camera = camera.with_context(|| format!("the place has no camera called {name}, which the log has"))?.clone();
-        camera.intrinsics = camera.intrinsics.resized(drawn_by.width_px, drawn_by.height_px);
+        let camera = site
+            .loaded
+            .rig
+            .cameras
+            .iter()
+            .find(|camera| camera.name == *name);
+        let mut camera = camera
+            .with_context(|| format!("the place has no camera called {name}, which the log has"))?
+            .clone();
+        camera.intrinsics = camera
+            .intrinsics
+            .resized(drawn_by.width_px, drawn_by.height_px);
         rig.cameras.push(camera);
     }
     let renderer = Renderer::new(&gpu, render_options(site.loaded.world.rules));
     let mut eyes = ObservationRenderer::new(live, renderer, rig, drawn_by.every);
-    let keeps = if arguments.images.is_some() { Images::All } else { Images::None };
-    let mut renderer =
-        ReplayRenderer { image_writer: ImageWriter::new(arguments.images.clone().unwrap_or_default(), keeps), error: None };
+    let keeps = if arguments.images.is_some() {
+        Images::All
+    } else {
+        Images::None
+    };
+    let mut renderer = ReplayRenderer {
+        image_writer: ImageWriter::new(arguments.images.clone().unwrap_or_default(), keeps),
+        error: None,
+    };
     let replayed = replay(episode, site, Some(&mut eyes), &mut renderer)?;
     check_validation(&gpu)?;
     renderer.error.map_or(Ok(()), Err)?;
@@ -108,18 +147,36 @@ fn report(episode: &Episode, replayed: &Replayed, device: Option<&str>) -> Resul
     if let Some(difference) = &replayed.moved_differently {
         bail!("the replay is another episode: {difference}");
     }
-    let (before, after) = (EpisodeScore::of(episode), EpisodeScore::of(&replayed.episode));
-    ensure!(before == after, "the same motion was scored differently: {before:?} in the log, {after:?} now");
+    let (before, after) = (
+        EpisodeScore::of(episode),
+        EpisodeScore::of(&replayed.episode),
+    );
+    ensure!(
+        before == after,
+        "the same motion was scored differently: {before:?} in the log, {after:?} now"
+    );
     let steps = episode.steps.len();
-    print(&format!("{steps} steps: everybody moves as in the log, to the last bit; the score is the same\n"))?;
+    print(&format!(
+        "{steps} steps: all vehicles move as in the log, to the last bit; the score is the same\n"
+    ))?;
     let Some(device) = device else { return Ok(()) };
-    let logged_on = episode.head.drawn_by.as_ref().map_or("", |by| by.device.as_str());
-    let Replayed { images, images_different, .. } = replayed;
+    let logged_on = episode
+        .head
+        .drawn_by
+        .as_ref()
+        .map_or("", |by| by.device.as_str());
+    let Replayed {
+        images,
+        images_different,
+        ..
+    } = replayed;
     if *images_different == 0 {
         return print(&format!("{images} images: the same, to the last bit\n"));
     }
     if logged_on == device {
-        bail!("{images_different} of {images} images are not those of the log, on the same device: {device}");
+        bail!(
+            "{images_different} of {images} images are not those of the log, on the same device: {device}"
+        );
     }
     print(&format!(
         "{images_different} of {images} images have other bits: they were drawn on {logged_on}, now on {device}, and devices round \

@@ -15,11 +15,13 @@ use crate::progress;
 pub struct SceneArguments {
     /// Splats (.ply, .splat, .spz, .sog, .glb, .pt, .safetensors) or a scene (.toml, .usdz)
     scene: PathBuf,
-    /// Cameras: INRIA cameras.json, nerfstudio or NeRF-synthetic transforms.json, or the folder of a COLMAP model (default: the
-    /// scene's own rig, or a circle of views around splats that have none)
+    /// Cameras: INRIA cameras.json, nerfstudio or NeRF-synthetic transforms.json, or the folder of
+    /// a COLMAP model (default: the scene's own rig, or a circle of views around splats that have
+    /// none)
     #[arg(long, value_name = "FILE|DIR")]
     cameras: Option<PathBuf>,
-    /// nerfstudio's dataparser_transforms.json, with --cameras transforms.json: for splats that `ns-export` wrote
+    /// nerfstudio's dataparser_transforms.json, with --cameras transforms.json: for splats that
+    /// `ns-export` wrote
     #[arg(long, value_name = "FILE", requires = "cameras")]
     dataparser: Option<PathBuf>,
     #[command(flatten)]
@@ -27,7 +29,8 @@ pub struct SceneArguments {
     /// The moment at which the scene is drawn, seconds (default: when the ego's trajectory begins)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Render every image at this size, with its horizontal and its vertical field of view (default: the camera's own)
+    /// Render every image at this size, with its horizontal and its vertical field of view
+    /// (default: the camera's own)
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// By whose definition splats become an image (default: the scene's own rules)
@@ -53,13 +56,22 @@ pub struct Scene {
 /// Shapes that differ by less count as one: 1600x900 and 320x180 as well as 854x480.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
-/// `intrinsics` at the size asked for. An image of another shape is squeezed, and a warning says so.
+/// `intrinsics` at the size asked for. An image of another shape is squeezed, and a warning says
+/// so.
 fn resized(name: &str, intrinsics: &Intrinsics, size_px: Option<[u32; 2]>) -> Intrinsics {
-    let Some([width_px, height_px]) = size_px else { return *intrinsics };
+    let Some([width_px, height_px]) = size_px else {
+        return *intrinsics;
+    };
     let shape = |width_px: u32, height_px: u32| f64::from(width_px) / f64::from(height_px);
-    let (own, wanted) = (shape(intrinsics.width_px, intrinsics.height_px), shape(width_px, height_px));
+    let (own, wanted) = (
+        shape(intrinsics.width_px, intrinsics.height_px),
+        shape(width_px, height_px),
+    );
     if (wanted / own - 1.0).abs() > SHAPE_TOLERANCE {
-        let (own_px, height) = ([intrinsics.width_px, intrinsics.height_px], (f64::from(width_px) / own).round());
+        let (own_px, height) = (
+            [intrinsics.width_px, intrinsics.height_px],
+            (f64::from(width_px) / own).round(),
+        );
         warn(&format!(
             "camera {name} is {}x{}, and --size {width_px}x{height_px} has another shape: its image is squeezed. {width_px}x{height} keeps it",
             own_px[0], own_px[1]
@@ -83,27 +95,49 @@ impl Scene {
         for camera in &mut loaded.rig.cameras {
             camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
         }
-        let drives = arguments.cameras.is_none() && !arguments.orbit.is_asked() && !loaded.rig.cameras.is_empty();
+        let drives = arguments.cameras.is_none()
+            && !arguments.orbit.is_asked()
+            && !loaded.rig.cameras.is_empty();
         let cameras = match &arguments.cameras {
             Some(file) => {
-                let options = CameraOptions { size_px, dataparser: arguments.dataparser.as_deref() };
+                let options = CameraOptions {
+                    size_px,
+                    dataparser: arguments.dataparser.as_deref(),
+                };
                 let mut cameras = read_cameras(file, &options)?;
-                cameras.iter_mut().for_each(|camera| camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px));
+                cameras.iter_mut().for_each(|camera| {
+                    camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
+                });
                 cameras
             }
             None if drives => loaded.rig.at(&loaded.ego.at(time_s)),
             None => {
                 let (splats, origin) = (&loaded.world.splats, loaded.world.origin);
-                let around = arguments.orbit.cameras(splats, origin, &arguments.scene, size_px);
-                around.with_context(|| format!("{} has no splats that can be seen", arguments.scene.display()))?
+                let around = arguments
+                    .orbit
+                    .cameras(splats, origin, &arguments.scene, size_px);
+                around.with_context(|| {
+                    format!(
+                        "{} has no splats that can be seen",
+                        arguments.scene.display()
+                    )
+                })?
             }
         };
         let rules = &mut loaded.world.rules;
         if let Some(name) = arguments.rules {
-            *rules = Rules { antialias: rules.antialias, ..name.rules() };
+            *rules = Rules {
+                antialias: rules.antialias,
+                ..name.rules()
+            };
         }
         rules.antialias |= arguments.antialias;
-        Ok(Self { loaded, time_s, cameras, drives })
+        Ok(Self {
+            loaded,
+            time_s,
+            cameras,
+            drives,
+        })
     }
 
     /// By whose definition splats become an image.
@@ -116,13 +150,21 @@ impl Scene {
         if !self.drives {
             return self.cameras.clone();
         }
-        let mut cameras = self.loaded.rig.at(&self.loaded.ego.at(self.time_s + later_s));
+        let mut cameras = self
+            .loaded
+            .rig
+            .at(&self.loaded.ego.at(self.time_s + later_s));
         cameras.truncate(self.cameras.len());
         cameras
     }
 
-    /// Background and agents as one cloud, at the moment of the scene: what the f64 definition draws.
+    /// Background and agents as one cloud, at the moment of the scene: what the f64 definition
+    /// draws.
     pub fn world(&self) -> World {
-        if self.loaded.agents.is_empty() { self.loaded.world.clone() } else { self.loaded.baked(self.time_s) }
+        if self.loaded.agents.is_empty() {
+            self.loaded.world.clone()
+        } else {
+            self.loaded.baked(self.time_s)
+        }
     }
 }

@@ -27,7 +27,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut scored = Vec::with_capacity(arguments.logs.len());
     for path in &arguments.logs {
         let images = episode_report::images_beside(path);
-        scored.push(Scored::new(read_episode_log(path)?, path.clone(), images, None)?);
+        scored.push(Scored::new(
+            read_episode_log(path)?,
+            path.clone(),
+            images,
+            None,
+        )?);
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -1,4 +1,5 @@
-//! `decouplegs stress`: how frames, memory and error go with the number of agents, for several ways to draw them.
+//! `decouplegs stress`: how frames, memory and error go with the number of agents, for several ways
+//! to draw them.
 
 mod charts;
 pub mod drive_schedule;
@@ -33,26 +34,34 @@ use mode::{Agents, Mode};
 use report::{Report, Thumbnails};
 use workload::{StreetWish, Workload};
 
-/// Measure frames, memory and error against the number of agents that drive, for several ways to draw them
+/// Measure frames, memory and error against the number of agents that drive, for several ways to
+/// draw them
 ///
-/// The ego drives through a scene file or a street made up, with more and more agents around it, once for each mode. Every
-/// mode's frames are timed, its memory is counted, and its images are compared with those of vanilla. A table is printed;
-/// --report writes a page with plots, and says there how to read them.
+/// The ego drives through a scene file or a street synthetic, with more and more agents around it,
+/// once for each mode. Every mode's frames are timed, its memory is counted, and its images are
+/// compared with those of vanilla. A table is printed; --report writes a page with plots, and says
+/// there how to read them.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true))]
 pub struct Arguments {
     /// A scene (.toml) with agents, plain or compressed
     #[arg(group = "what")]
     scene: Option<PathBuf>,
-    /// Make up a street instead, with as many agents as are asked for, and compress its cars
+    /// Generate a street instead, with as many agents as are asked for, and compress its cars
     #[arg(long, group = "what")]
     synth: bool,
     #[command(flatten)]
     street: StreetArguments,
     /// Numbers of agents to measure with, always the first so many of the scene
-    #[arg(long, value_name = "N,...", value_delimiter = ',', default_value = "0,1,2,5,10,20,30,40,50")]
+    #[arg(
+        long,
+        value_name = "N,...",
+        value_delimiter = ',',
+        default_value = "0,1,2,5,10,20,30,40,50"
+    )]
     agents: Vec<usize>,
-    /// Cameras that stand: INRIA cameras.json or nerfstudio transforms.json (default: the ego's rig, which drives)
+    /// Cameras that stand: INRIA cameras.json or nerfstudio transforms.json (default: the ego's
+    /// rig, which drives)
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     /// Draw the first so many cameras, in one submission (default: all)
@@ -66,9 +75,9 @@ pub struct Arguments {
     frames: u32,
     /// Least number of frames before them that are not timed
     ///
-    /// They are the first frames of the drive backwards, so that the timed ones begin at --time in any case. A GPU warms up for at
-    /// least 0.5 s, until its clocks have risen, and by the whole drive where that has at most 240 frames. A software device draws
-    /// exactly N.
+    /// They are the first frames of the drive backwards, so that the timed ones begin at --time in
+    /// any case. A GPU warms up for at least 0.5 s, until its clocks have risen, and by the whole
+    /// drive where that has at most 240 frames. A software device draws exactly N.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     warm_up: u32,
     /// Time from one frame to the next, in which the ego and the agents drive on, seconds
@@ -77,25 +86,28 @@ pub struct Arguments {
     /// The moment of the first timed frame, seconds (default: when the ego's trajectory begins)
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = finite)]
     time: Option<f64>,
-    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PX], sh0, sh1, sh2, keep=SHARE, colors=N
+    /// Ways to draw: vanilla, prune[=SHARE], decoupled, decoupled-serial, lod[=PX], sh0, sh1, sh2,
+    /// keep=SHARE, colors=N
     ///
-    /// vanilla: uncompressed copies of the agents, depth keys computed in every frame; the others are compared with it
-    /// prune=SHARE: vanilla with a share of all splats kept (0.34)
-    /// decoupled: compressed agents that drive, the background's depth keys kept while a camera does not turn
-    /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2
-    /// lod=PX: decoupled, agents at the coarsest level whose splats are at most so far apart (0.7)
-    /// sh0, sh1, sh2: decoupled, colors evaluated to that degree
-    /// keep=SHARE: decoupled, assets compressed with a share of their splats kept
-    /// colors=N: decoupled, assets compressed with N colors and half as many shapes
+    /// vanilla: uncompressed copies of the agents, depth keys computed in every frame; the others
+    /// are compared with it prune=SHARE: vanilla with a share of all splats kept (0.34) decoupled:
+    /// compressed agents that drive, the background's depth keys kept while a camera does not turn
+    /// decoupled-serial: the same without overlap, 1 frame in flight instead of 2 lod=PX:
+    /// decoupled, agents at the coarsest level whose splats are at most so far apart (0.7) sh0,
+    /// sh1, sh2: decoupled, colors evaluated to that degree keep=SHARE: decoupled, assets
+    /// compressed with a share of their splats kept colors=N: decoupled, assets compressed with N
+    /// colors and half as many shapes
     #[arg(long, verbatim_doc_comment, value_name = "MODE,...", value_delimiter = ',', default_value = mode::DEFAULT_MODES)]
     modes: Vec<Mode>,
     /// Moments at which images are compared with vanilla's
     #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
     samples: u32,
-    /// Report a mode that takes more device memory than this, such as 2GiB or 500MiB, as out of memory
+    /// Report a mode that takes more device memory than this, such as 2GiB or 500MiB, as out of
+    /// memory
     #[arg(long, value_name = "BYTES")]
     memory_limit: Option<ByteSize>,
-    /// Views all around an asset from which its splats' visibility is measured, where it is to be compressed
+    /// Views all around an asset from which its splats' visibility is measured, where it is to be
+    /// compressed
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=4096))]
     views: u32,
     #[command(flatten)]
@@ -112,7 +124,12 @@ pub struct Arguments {
 #[derive(clap::Args)]
 struct StreetArguments {
     /// Splats of the street without its traffic
-    #[arg(long, value_name = "N", default_value_t = 200_000, conflicts_with = "scene")]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 200_000,
+        conflicts_with = "scene"
+    )]
     background: usize,
     /// Splats of each car
     #[arg(long, value_name = "N", default_value_t = 10_000, conflicts_with = "scene", value_parser = at_least_one)]
@@ -156,12 +173,20 @@ impl FromStr for ByteSize {
 }
 
 fn at_least_one(text: &str) -> Result<usize, String> {
-    text.parse().ok().filter(|&count| count >= 1).ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
+    text.parse()
+        .ok()
+        .filter(|&count| count >= 1)
+        .ok_or_else(|| format!("expected a number of at least 1, found {text:?}"))
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    finite(text)
-        .and_then(|value| if value >= 0.0 { Ok(value) } else { Err(format!("expected seconds of at least 0, found {text:?}")) })
+    finite(text).and_then(|value| {
+        if value >= 0.0 {
+            Ok(value)
+        } else {
+            Err(format!("expected seconds of at least 0, found {text:?}"))
+        }
+    })
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -174,7 +199,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let modes = without_repetition(&arguments.modes);
     let mut workload = open(arguments, counts.last().copied().unwrap_or(0))?;
     let most = counts.last().copied().unwrap_or(0);
-    ensure!(most <= workload.agents(), "--agents {most}: the scene has {} agents", workload.agents());
+    ensure!(
+        most <= workload.agents(),
+        "--agents {most}: the scene has {} agents",
+        workload.agents()
+    );
     let schedule = schedule(arguments, &mut workload)?;
 
     let gpu = arguments.device.open()?;
@@ -184,11 +213,22 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let conditions = conditions(arguments, &gpu, &workload, &schedule);
-    let mut stand = TestRig::new(&gpu, workload, &schedule, arguments.memory_limit.map(|limit| limit.0));
+    let mut stand = TestRig::new(
+        &gpu,
+        workload,
+        &schedule,
+        arguments.memory_limit.map(|limit| limit.0),
+    );
     let (points, thumbnails) = measure_all(&mut stand, &modes, &counts)?;
     check_validation(&gpu)?;
 
-    let report = Report { conditions, modes, counts, points, thumbnails };
+    let report = Report {
+        conditions,
+        modes,
+        counts,
+        points,
+        thumbnails,
+    };
     if let Some(path) = &arguments.json {
         write_atomically(path, |file| writeln!(file, "{:#}", report.to_json()))?;
     }
@@ -210,26 +250,61 @@ fn without_repetition(asked: &[Mode]) -> Vec<Mode> {
 }
 
 fn open(arguments: &Arguments, agents: usize) -> Result<Workload> {
-    let StreetArguments { background, agent_splats, assets, degree, seed } = arguments.street;
+    let StreetArguments {
+        background,
+        agent_splats,
+        assets,
+        degree,
+        seed,
+    } = arguments.street;
     match &arguments.scene {
         Some(path) => Workload::open(path),
-        None => Workload::street(&StreetWish { background, agents, agent_splats, assets, sh_degree: degree, seed }),
+        None => Workload::street(&StreetWish {
+            background,
+            agents,
+            agent_splats,
+            assets,
+            sh_degree: degree,
+            seed,
+        }),
     }
 }
 
 /// The drive, for which the scene's cameras get the size that was asked for.
 fn schedule(arguments: &Arguments, workload: &mut Workload) -> Result<DriveSchedule> {
     let scene = workload.background_mut();
-    let mut standing = arguments.cameras.as_deref().map(|path| read_cameras(path, &CameraOptions::default())).transpose()?;
-    if let Some(Size { width_px, height_px }) = arguments.size {
-        let rig = scene.rig.cameras.iter_mut().map(|camera| &mut camera.intrinsics);
-        let fixed = standing.iter_mut().flatten().map(|camera| &mut camera.intrinsics);
-        rig.chain(fixed).for_each(|intrinsics| *intrinsics = intrinsics.resized(width_px, height_px));
+    let mut standing = arguments
+        .cameras
+        .as_deref()
+        .map(|path| read_cameras(path, &CameraOptions::default()))
+        .transpose()?;
+    if let Some(Size {
+        width_px,
+        height_px,
+    }) = arguments.size
+    {
+        let rig = scene
+            .rig
+            .cameras
+            .iter_mut()
+            .map(|camera| &mut camera.intrinsics);
+        let fixed = standing
+            .iter_mut()
+            .flatten()
+            .map(|camera| &mut camera.intrinsics);
+        rig.chain(fixed)
+            .for_each(|intrinsics| *intrinsics = intrinsics.resized(width_px, height_px));
     }
     let there = standing.as_ref().map_or(scene.rig.cameras.len(), Vec::len);
-    ensure!(there > 0, "the scene has no cameras of its own: name some with --cameras FILE (INRIA or nerfstudio)");
+    ensure!(
+        there > 0,
+        "the scene has no cameras of its own: name some with --cameras FILE (INRIA or nerfstudio)"
+    );
     let cameras_used = arguments.cameras_used.unwrap_or(there);
-    ensure!((1..=there).contains(&cameras_used), "--cameras-used {cameras_used}: there are {there} cameras");
+    ensure!(
+        (1..=there).contains(&cameras_used),
+        "--cameras-used {cameras_used}: there are {there} cameras"
+    );
     Ok(DriveSchedule {
         start_s: arguments.time.unwrap_or(scene.ego.start_s()),
         step_s: arguments.step,
@@ -242,7 +317,12 @@ fn schedule(arguments: &Arguments, workload: &mut Workload) -> Result<DriveSched
 }
 
 /// Conditions of the measurement, for later readers.
-fn conditions(arguments: &Arguments, gpu: &Gpu, workload: &Workload, schedule: &DriveSchedule) -> Value {
+fn conditions(
+    arguments: &Arguments,
+    gpu: &Gpu,
+    workload: &Workload,
+    schedule: &DriveSchedule,
+) -> Value {
     let scene = workload.background();
     let cameras = schedule.cameras(scene, schedule.start_s);
     let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
@@ -277,8 +357,13 @@ fn conditions(arguments: &Arguments, gpu: &Gpu, workload: &Workload, schedule: &
     })
 }
 
-/// Every mode with every number of agents, and one view of the last that vanilla and decoupled were both drawn with.
-fn measure_all(stand: &mut TestRig<'_>, modes: &[Mode], counts: &[usize]) -> Result<(Vec<Point>, Option<Thumbnails>)> {
+/// Every mode with every number of agents, and one view of the last that vanilla and decoupled were
+/// both drawn with.
+fn measure_all(
+    stand: &mut TestRig<'_>,
+    modes: &[Mode],
+    counts: &[usize],
+) -> Result<(Vec<Point>, Option<Thumbnails>)> {
     let bar = progress::bar("stress", counts.len() * (modes.len() + 1));
     let (mut points, mut thumbnails) = (Vec::new(), None);
     for &agents in counts {
@@ -289,9 +374,15 @@ fn measure_all(stand: &mut TestRig<'_>, modes: &[Mode], counts: &[usize]) -> Res
             bar.set_message(format!("{agents} agents: {}", mode.name));
             let (outcome, images) = stand.measure(mode, agents, vanilla.as_deref())?;
             if mode.is_decoupled() {
-                thumbnails = view_of(stand.schedule, agents, vanilla.as_deref(), &images).or(thumbnails);
+                thumbnails =
+                    view_of(stand.schedule, agents, vanilla.as_deref(), &images).or(thumbnails);
             }
-            points.push(Point { mode: mode.clone(), agents, unique_assets: stand.workload.unique_assets(agents), outcome });
+            points.push(Point {
+                mode: mode.clone(),
+                agents,
+                unique_assets: stand.workload.unique_assets(agents),
+                outcome,
+            });
             bar.inc(1);
         }
     }
@@ -300,7 +391,12 @@ fn measure_all(stand: &mut TestRig<'_>, modes: &[Mode], counts: &[usize]) -> Res
 }
 
 /// The first camera at the middle one of the sampled moments.
-fn view_of(schedule: &DriveSchedule, agents: usize, vanilla: Option<&[Image]>, decoupled: &[Image]) -> Option<Thumbnails> {
+fn view_of(
+    schedule: &DriveSchedule,
+    agents: usize,
+    vanilla: Option<&[Image]>,
+    decoupled: &[Image],
+) -> Option<Thumbnails> {
     let samples = schedule.sample_frames();
     let middle = samples.len() / 2;
     let place = middle * schedule.cameras_used;

@@ -1,4 +1,4 @@
-//! `decouplegs synth`: scenes made up, of any size.
+//! `decouplegs synth`: scenes synthetic, of any size.
 
 use std::fs;
 use std::io::Write;
@@ -21,7 +21,7 @@ use crate::progress;
 /// Sampling rate of the tracks.
 const TRACK_RATE_HZ: f64 = 10.0;
 
-/// Make up a scene and write it as files
+/// Generate a scene and write it as files
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]
@@ -57,8 +57,8 @@ impl WeatherName {
     }
 }
 
-/// A street with traffic and a vehicle of six cameras: scene.toml, background.ply, assets/*.ply, transforms.json, lanes.json and
-/// tracks.csv (where each car truly is, ten times a second)
+/// A street with traffic and a vehicle of six cameras: scene.toml, background.ply, assets/*.ply,
+/// transforms.json, lanes.json and tracks.csv (where each car truly is, ten times a second)
 #[derive(clap::Args)]
 struct StreetArguments {
     /// Splats of the street without its traffic
@@ -79,16 +79,19 @@ struct StreetArguments {
     /// The light over the street
     #[arg(long, value_name = "WEATHER", value_enum, default_value = "clear")]
     weather: WeatherName,
-    /// Capture the cars in even white light, without sun, sheen and shadow: what relighting starts from
+    /// Capture the cars in even white light, without sun, sheen and shadow: what relighting starts
+    /// from
     #[arg(long)]
     neutral_assets: bool,
-    /// Capture the street from all of its lanes instead of the ego's way: for those who drive where they like
+    /// Capture the street from all of its lanes instead of the ego's way: for those who drive where
+    /// they like
     #[arg(long)]
     all_lanes: bool,
     /// Size of the cameras' images
     #[arg(long, value_name = "WxH", default_value = "1600x900")]
     size: Size,
-    /// Write world.ply too: street and cars as one cloud of splats, for programs that know no agents
+    /// Write world.ply too: street and cars as one cloud of splats, for programs that know no
+    /// agents
     #[arg(long)]
     baked: bool,
     /// Folder for the files; made if it does not exist
@@ -107,11 +110,21 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         sh_degree: arguments.degree,
         seed: arguments.seed,
         weather: arguments.weather.weather(),
-        asset_light: if arguments.neutral_assets { AssetLight::Neutral } else { AssetLight::Sun },
-        capture: if arguments.all_lanes { Capture::Lanes } else { Capture::Ego },
+        asset_light: if arguments.neutral_assets {
+            AssetLight::Neutral
+        } else {
+            AssetLight::Sun
+        },
+        capture: if arguments.all_lanes {
+            Capture::Lanes
+        } else {
+            Capture::Ego
+        },
     });
     for camera in &mut street.rig.cameras {
-        camera.intrinsics = camera.intrinsics.resized(arguments.size.width_px, arguments.size.height_px);
+        camera.intrinsics = camera
+            .intrinsics
+            .resized(arguments.size.width_px, arguments.size.height_px);
     }
     working.set_message(format!("writing {}", arguments.out.display()));
     write_street(&street, &arguments.out, arguments.baked)?;
@@ -137,12 +150,21 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Refuses what the memory cannot hold, before anything is made.
 fn check_size(arguments: &StreetArguments) -> Result<()> {
-    ensure!(arguments.agents <= usize::from(u16::MAX), "--agents {}: a scene has at most {} agents", arguments.agents, u16::MAX);
+    ensure!(
+        arguments.agents <= usize::from(u16::MAX),
+        "--agents {}: a scene has at most {} agents",
+        arguments.agents,
+        u16::MAX
+    );
     // As many different cars as agents, at most.
     let cars = (arguments.agents as u64).saturating_mul(arguments.agent_splats as u64);
     let splats = (arguments.background as u64).saturating_add(cars);
     // Twice: the street is sorted into a copy.
-    memory::require("this street", cloud_bytes(splats, arguments.degree).saturating_mul(2)).map_err(anyhow::Error::msg)
+    memory::require(
+        "this street",
+        cloud_bytes(splats, arguments.degree).saturating_mul(2),
+    )
+    .map_err(anyhow::Error::msg)
 }
 
 fn write_street(street: &Street, out: &Path, baked: bool) -> Result<()> {
@@ -154,13 +176,16 @@ fn write_street(street: &Street, out: &Path, baked: bool) -> Result<()> {
     }
     let ego = trajectory(&street.ego).context("the ego's way is no trajectory")?;
     let cameras = transforms(&street.rig.at(&ego.at(ego.start_s())));
-    write_atomically(&out.join("transforms.json"), |file| writeln!(file, "{cameras:#}"))?;
+    write_atomically(&out.join("transforms.json"), |file| {
+        writeln!(file, "{cameras:#}")
+    })?;
     lane_json::write(&out.join("lanes.json"), &street.lanes)?;
     tracks::write_poses(&out.join("tracks.csv"), &poses(street)?)?;
     if baked {
         inria_ply::write(&out.join("world.ply"), &baked_world(street)?)?;
     }
-    // Last, because it is what makes a folder a scene: when it is there, all that it names is there.
+    // Last, because it is what makes a folder a scene: when it is there, all that it names is
+    // there.
     scene_file(street, ego)?.write(&out.join("scene.toml"))?;
     Ok(())
 }
@@ -171,14 +196,19 @@ fn asset_path(index: usize) -> PathBuf {
 }
 
 fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
-    let agents = street.agents.iter().zip(&street.agent_trajectories).map(|(agent, way)| {
-        Ok(SceneAgent {
-            name: agent.name.clone(),
-            asset: asset_path(agent.asset),
-            sh_frame: Some(agent.sh_frame),
-            trajectory: trajectory(way).with_context(|| format!("the way of {} is no trajectory", agent.name))?,
-        })
-    });
+    let agents = street
+        .agents
+        .iter()
+        .zip(&street.agent_trajectories)
+        .map(|(agent, way)| {
+            Ok(SceneAgent {
+                name: agent.name.clone(),
+                asset: asset_path(agent.asset),
+                sh_frame: Some(agent.sh_frame),
+                trajectory: trajectory(way)
+                    .with_context(|| format!("the way of {} is no trajectory", agent.name))?,
+            })
+        });
     Ok(SceneFile {
         sky: street.sky,
         rules: Rules::DEFAULT,
@@ -193,18 +223,25 @@ fn scene_file(street: &Street, ego: Trajectory) -> Result<SceneFile> {
 fn poses(street: &Street) -> Result<Vec<PoseRow>> {
     let mut rows = Vec::new();
     for (agent, way) in street.agents.iter().zip(&street.agent_trajectories) {
-        let way = trajectory(way).with_context(|| format!("the way of {} is no trajectory", agent.name))?;
+        let way = trajectory(way)
+            .with_context(|| format!("the way of {} is no trajectory", agent.name))?;
         let steps = ((way.end_s() - way.start_s()) * TRACK_RATE_HZ).round() as u32;
         rows.extend((0..=steps).map(|step| {
             let time_s = way.start_s() + f64::from(step) / TRACK_RATE_HZ;
-            let Pose { rotation, translation } = way.at(time_s);
+            let Pose {
+                rotation,
+                translation,
+            } = way.at(time_s);
             PoseRow {
                 id: agent.name.clone(),
                 class: "car".into(),
                 time_s,
                 position: translation,
                 rotation,
-                dims_m: Some(street.asset_dims_m[agent.asset].map(|side_m| (f64::from(side_m) * 1e6).round() / 1e6)),
+                dims_m: Some(
+                    street.asset_dims_m[agent.asset]
+                        .map(|side_m| (f64::from(side_m) * 1e6).round() / 1e6),
+                ),
                 note: String::new(),
             }
         }));
@@ -213,9 +250,19 @@ fn poses(street: &Street) -> Result<Vec<PoseRow>> {
 }
 
 fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
-    // To the micrometer: heights come from sizes in 32-bit floats, whose rounding nobody wants to read.
-    let rounded = |pose: Pose| Pose { translation: (pose.translation * 1e6).round() / 1e6, ..pose };
-    let poses = knots.iter().map(|&(time_s, pose)| TimedPose { time_s, pose: rounded(pose) }).collect();
+    // To the micrometer: heights come from sizes in 32-bit floats, whose rounding nobody wants to
+    // read.
+    let rounded = |pose: Pose| Pose {
+        translation: (pose.translation * 1e6).round() / 1e6,
+        ..pose
+    };
+    let poses = knots
+        .iter()
+        .map(|&(time_s, pose)| TimedPose {
+            time_s,
+            pose: rounded(pose),
+        })
+        .collect();
     Trajectory::new(poses).map_err(anyhow::Error::msg)
 }
 
@@ -223,16 +270,26 @@ fn trajectory(knots: &[(f64, Pose)]) -> Result<Trajectory> {
 fn baked_world(street: &Street) -> Result<SplatCloud> {
     let mut world = World::of(street.background.clone());
     for agent in &street.agents {
-        world.bake_agent(&street.assets[agent.asset], agent).map_err(anyhow::Error::msg)?;
+        world
+            .bake_agent(&street.assets[agent.asset], agent)
+            .map_err(anyhow::Error::msg)?;
     }
     Ok(world.splats)
 }
 
-/// nerfstudio's transforms.json: world from camera in OpenGL axes (x right, y up, z back), intrinsics for each frame.
+/// nerfstudio's transforms.json: world from camera in OpenGL axes (x right, y up, z back),
+/// intrinsics for each frame.
 fn transforms(cameras: &[Camera]) -> Value {
     let frame = |camera: &Camera| {
-        let Pose { rotation, translation } = camera.world_from_camera;
-        let (right, up, back) = (rotation * DVec3::X, rotation * DVec3::NEG_Y, rotation * DVec3::NEG_Z);
+        let Pose {
+            rotation,
+            translation,
+        } = camera.world_from_camera;
+        let (right, up, back) = (
+            rotation * DVec3::X,
+            rotation * DVec3::NEG_Y,
+            rotation * DVec3::NEG_Z,
+        );
         let row = |axis: usize| json!([right[axis], up[axis], back[axis], translation[axis]]);
         let lens = &camera.intrinsics;
         json!({
@@ -260,12 +317,21 @@ mod tests {
     fn cameras_that_are_written_are_read_back() {
         let camera = Camera {
             name: "front_left".into(),
-            intrinsics: Intrinsics { cx_px: 310.5, ..Intrinsics::from_horizontal_fov(640, 360, 1.1) },
-            world_from_camera: Pose::new(DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5), DVec3::new(1.0, -2.5, 4.5e6)),
+            intrinsics: Intrinsics {
+                cx_px: 310.5,
+                ..Intrinsics::from_horizontal_fov(640, 360, 1.1)
+            },
+            world_from_camera: Pose::new(
+                DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5),
+                DVec3::new(1.0, -2.5, 4.5e6),
+            ),
         };
         let bytes = transforms(std::slice::from_ref(&camera)).to_string();
         let read = cameras::decode(bytes.as_bytes(), None).unwrap();
-        assert_eq!((read.len(), &read[0].name, read[0].intrinsics), (1, &camera.name, camera.intrinsics));
+        assert_eq!(
+            (read.len(), &read[0].name, read[0].intrinsics),
+            (1, &camera.name, camera.intrinsics)
+        );
         let (read, written) = (read[0].world_from_camera, camera.world_from_camera);
         assert_eq!(read.translation, written.translation);
         assert!(read.rotation.dot(written.rotation).abs() > 1.0 - 1e-12);

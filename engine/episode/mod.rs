@@ -1,8 +1,10 @@
-//! The closed loop: the ego's cameras are drawn, a planner answers with a trajectory, the ego follows it, traffic answers, and again.
+//! The closed loop: the ego's cameras are drawn, a planner answers with a trajectory, the ego
+//! follows it, traffic answers, and again.
 //!
-//! This is the only place that joins what moves with what draws. [`Site`] is where it happens, [`Simulation`] what moves, [`ObservationRenderer`]
-//! what is seen, and [`drive`] goes round the loop; [`Rollout`] is for those who go round it themselves. Everything that happens is in an [`Episode`], from which [`replay`] makes
-//! it again, bit by bit.
+//! This is the only place that joins what moves with what draws. [`Site`] is where it happens,
+//! [`Simulation`] what moves, [`ObservationRenderer`] what is seen, and [`drive`] goes round the
+//! loop; [`Rollout`] is for those who go round it themselves. Everything that happens is in an
+//! [`Episode`], from which [`replay`] makes it again, bit by bit.
 
 mod observation_renderer;
 pub mod open_loop;
@@ -17,7 +19,9 @@ use std::time::{Duration, Instant};
 use decouplegs_asset::AssetError;
 use decouplegs_render::RenderError;
 use decouplegs_scene::Scenario;
-use decouplegs_scene::episode::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick, PlannerRecord};
+use decouplegs_scene::episode::{
+    Episode, EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick, PlannerRecord,
+};
 
 use crate::planner::{Cameras, EpisodeInfo, Frame, Observation, Planner};
 
@@ -46,7 +50,7 @@ pub enum EpisodeError {
     Log(#[from] AssetError),
 }
 
-/// Somebody who is told what happens while it happens: a log, an album of images.
+/// Observer of an episode while it runs: a log, or a writer of images.
 pub trait EpisodeObserver {
     /// Before the first step.
     ///
@@ -114,8 +118,8 @@ pub struct Driven {
 /// Drives `scenario` in `site` with `planner`, who sees through `eyes`.
 ///
 /// # Errors
-/// When the scenario does not fit the site, the device fails, or the witness cannot go on. A planner that fails ends the
-/// episode with its reason, which is no error.
+/// When the scenario does not fit the site, the device fails, or the witness cannot go on. A
+/// planner that fails ends the episode with its reason, which is no error.
 pub fn drive(
     scenario: &Scenario,
     site: &Arc<Site>,
@@ -130,7 +134,12 @@ pub fn drive(
     }
     let mut times = Vec::new();
     while rollout.end().is_none() {
-        times.push(one_step(&mut rollout, eyes.as_deref_mut(), planner, witness)?);
+        times.push(one_step(
+            &mut rollout,
+            eyes.as_deref_mut(),
+            planner,
+            witness,
+        )?);
     }
     let episode = rollout.into_episode();
     witness.end(&episode.end)?;
@@ -195,9 +204,24 @@ fn one_step(
 }
 
 fn crew(eyes: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMetadata {
-    let cameras = eyes.map(|eyes| eyes.rig().cameras.iter().map(|camera| camera.name.clone()).collect()).unwrap_or_default();
-    let planner = PlannerRecord { name: planner.name(), cameras, privileged: planner.sees().privileged };
-    EpisodeMetadata { planner, drawn_by: eyes.and_then(ObservationRenderer::drawn_by) }
+    let cameras = eyes
+        .map(|eyes| {
+            eyes.rig()
+                .cameras
+                .iter()
+                .map(|camera| camera.name.clone())
+                .collect()
+        })
+        .unwrap_or_default();
+    let planner = PlannerRecord {
+        name: planner.name(),
+        cameras,
+        privileged: planner.sees().privileged,
+    };
+    EpisodeMetadata {
+        planner,
+        drawn_by: eyes.and_then(ObservationRenderer::drawn_by),
+    }
 }
 
 fn briefing(scenario: &Scenario, eyes: Option<&ObservationRenderer>) -> EpisodeInfo {
@@ -205,7 +229,9 @@ fn briefing(scenario: &Scenario, eyes: Option<&ObservationRenderer>) -> EpisodeI
         scenario: scenario.name.clone(),
         step_s: scenario.step_s,
         ego_size: scenario.ego.size,
-        cameras: eyes.map(|eyes| eyes.rig().cameras.clone()).unwrap_or_default(),
+        cameras: eyes
+            .map(|eyes| eyes.rig().cameras.clone())
+            .unwrap_or_default(),
     }
 }
 

@@ -27,8 +27,16 @@ const SPARE: f64 = 0.5;
 /// Options of a renderer for episodes: `rules`, and 8-bit images.
 #[must_use]
 pub fn render_options(rules: Rules) -> RenderOptions {
-    let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
-    RenderOptions { rules, outputs, spare: SPARE, ..RenderOptions::default() }
+    let outputs = Outputs {
+        color: ColorFormat::U8,
+        ..Outputs::default()
+    };
+    RenderOptions {
+        rules,
+        outputs,
+        spare: SPARE,
+        ..RenderOptions::default()
+    }
 }
 
 /// Cameras of `rig` that `cameras` selects, at `size_px` if given.
@@ -36,7 +44,12 @@ pub fn render_options(rules: Rules) -> RenderOptions {
 /// # Errors
 /// When there is none to choose from.
 pub fn chosen(rig: &Rig, cameras: Cameras, size_px: Option<[u32; 2]>) -> Result<Rig, String> {
-    let first = || rig.cameras.iter().find(|camera| camera.name == "front").or(rig.cameras.first());
+    let first = || {
+        rig.cameras
+            .iter()
+            .find(|camera| camera.name == "front")
+            .or(rig.cameras.first())
+    };
     let mut chosen: Vec<RigCamera> = match cameras {
         Cameras::None => Vec::new(),
         Cameras::Front => first().cloned().into_iter().collect(),
@@ -57,7 +70,14 @@ impl<'a> ObservationRenderer<'a> {
     /// The cameras of `rig` in `live`, drawn by `renderer` at every `every`th step.
     #[must_use]
     pub fn new(live: &'a LiveScene, renderer: Renderer, rig: Rig, every: u32) -> Self {
-        Self { live, renderer, rig, every: every.max(1), images: ImageBytes::default(), unread: false }
+        Self {
+            live,
+            renderer,
+            rig,
+            every: every.max(1),
+            images: ImageBytes::default(),
+            unread: false,
+        }
     }
 
     /// The cameras.
@@ -95,7 +115,8 @@ impl<'a> ObservationRenderer<'a> {
         }
         let (ego, placed) = simulation.placed();
         let moment = self.live.placed(&placed);
-        self.renderer.render(self.live.with(&moment), &self.rig.at(&ego))?;
+        self.renderer
+            .render(self.live.with(&moment), &self.rig.at(&ego))?;
         self.unread = true;
         Ok(true)
     }
@@ -105,20 +126,31 @@ impl<'a> ObservationRenderer<'a> {
     /// # Errors
     /// When the device was lost or has not the memory.
     pub fn read(&mut self) -> Result<(), RenderError> {
-        if std::mem::take(&mut self.unread) { self.renderer.read_bytes(&mut self.images) } else { Ok(()) }
+        if std::mem::take(&mut self.unread) {
+            self.renderer.read_bytes(&mut self.images)
+        } else {
+            Ok(())
+        }
     }
 
     /// Images of the last observation.
     #[must_use]
     pub fn frames(&self) -> Vec<Frame<'_>> {
-        (0..self.images.len()).map(|index| Frame { camera: &self.rig.cameras[index], rgba: self.images.rgba(index) }).collect()
+        (0..self.images.len())
+            .map(|index| Frame {
+                camera: &self.rig.cameras[index],
+                rgba: self.images.rgba(index),
+            })
+            .collect()
     }
 
     /// The bits of what was seen last.
     #[must_use]
     pub fn hashes(&self) -> Vec<ImageRecord> {
-        let hash =
-            |index: usize| ImageRecord { camera: self.rig.cameras[index].name.clone(), hash: hash_of(self.images.rgba(index)) };
+        let hash = |index: usize| ImageRecord {
+            camera: self.rig.cameras[index].name.clone(),
+            hash: hash_of(self.images.rgba(index)),
+        };
         (0..self.images.len()).into_par_iter().map(hash).collect()
     }
 }
@@ -128,6 +160,9 @@ const HASHED_BYTES: usize = 1 << 20;
 
 /// The hash of [`ImageRecord`]: of the hashes of its pieces, which are found side by side.
 fn hash_of(rgba: &[u8]) -> u128 {
-    let pieces: Vec<[u8; 16]> = rgba.par_chunks(HASHED_BYTES).map(|piece| xxh3_128(piece).to_le_bytes()).collect();
+    let pieces: Vec<[u8; 16]> = rgba
+        .par_chunks(HASHED_BYTES)
+        .map(|piece| xxh3_128(piece).to_le_bytes())
+        .collect();
     xxh3_128(pieces.as_flattened())
 }

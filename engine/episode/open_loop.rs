@@ -1,4 +1,5 @@
-//! Open loop: what a planner would have answered along a log, given other images. Nothing it answers is driven.
+//! Open loop: what a planner would have answered along a log, given other images. Nothing it
+//! answers is driven.
 
 use std::sync::Arc;
 
@@ -12,8 +13,8 @@ use crate::planner::{EpisodeInfo, Frame, Observation, Planner};
 /// Images of a step, four bytes a pixel, one a camera of the rig.
 pub type Images = Vec<Vec<u8>>;
 
-/// Shows `planner` the images that `images_of` has of each step, the ego moving as in `episode`. Its answers, `None` where it
-/// had none.
+/// Shows `planner` the images that `images_of` has of each step, the ego moving as in `episode`.
+/// Its answers, `None` where it had none.
 ///
 /// # Errors
 /// When the scenario does not fit the site, or `images_of` fails.
@@ -36,7 +37,12 @@ pub fn plans<E: From<EpisodeError>>(
     let mut answers = Vec::with_capacity(episode.steps.len());
     for step in &episode.steps {
         let images = images_of(step.step)?;
-        let frames: Vec<Frame> = rig.cameras.iter().zip(&images).map(|(camera, rgba)| Frame { camera, rgba }).collect();
+        let frames: Vec<Frame> = rig
+            .cameras
+            .iter()
+            .zip(&images)
+            .map(|(camera, rgba)| Frame { camera, rgba })
+            .collect();
         let privileged = planner.sees().privileged.then(|| simulation.privileged());
         let observation = Observation {
             step: step.step,
@@ -46,7 +52,11 @@ pub fn plans<E: From<EpisodeError>>(
             guidance: simulation.guidance(),
             privileged: privileged.as_ref(),
         };
-        answers.push(if begun { planner.plan(&observation).ok() } else { None });
+        answers.push(if begun {
+            planner.plan(&observation).ok()
+        } else {
+            None
+        });
         simulation.advance(&step.plan);
     }
     Ok(answers)

@@ -12,7 +12,8 @@ use crate::planner::{EpisodeInfo, Observation, ObservationRequest, Planner, Plan
 pub struct Replayed {
     /// New episode. Its head is that of the log, except for the renderer.
     pub episode: Episode,
-    /// The first difference in what moved, a sentence; `None` where all is the same to the last bit.
+    /// The first difference in what moved, a sentence; `None` where all is the same to the last
+    /// bit.
     pub moved_differently: Option<String>,
     /// Images that were drawn both times.
     pub images: usize,
@@ -31,7 +32,10 @@ impl Planner for Logged<'_> {
     }
 
     fn sees(&self) -> ObservationRequest {
-        ObservationRequest { privileged: self.episode.head.planner.privileged, ..ObservationRequest::default() }
+        ObservationRequest {
+            privileged: self.episode.head.planner.privileged,
+            ..ObservationRequest::default()
+        }
     }
 
     fn begin(&mut self, _briefing: &EpisodeInfo) -> Result<(), PlannerError> {
@@ -43,10 +47,11 @@ impl Planner for Logged<'_> {
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
         let step = self.episode.steps.get(observation.step as usize);
-        step.map(|step| step.plan.clone()).ok_or_else(|| match &self.episode.end {
-            EpisodeEnd::Planner { reason } => PlannerError(reason.clone()),
-            _ => PlannerError(format!("the log ends before step {}", observation.step)),
-        })
+        step.map(|step| step.plan.clone())
+            .ok_or_else(|| match &self.episode.end {
+                EpisodeEnd::Planner { reason } => PlannerError(reason.clone()),
+                _ => PlannerError(format!("the log ends before step {}", observation.step)),
+            })
     }
 }
 
@@ -62,32 +67,54 @@ pub fn replay(
 ) -> Result<Replayed, EpisodeError> {
     let scenario: &Scenario = &episode.head.scenario;
     let again = drive(scenario, site, eyes, &mut Logged { episode }, witness)?.episode;
-    let images = |episode: &Episode| episode.steps.iter().flat_map(|step| step.images.clone()).collect::<Vec<_>>();
+    let images = |episode: &Episode| {
+        episode
+            .steps
+            .iter()
+            .flat_map(|step| step.images.clone())
+            .collect::<Vec<_>>()
+    };
     let (before, after) = (images(episode), images(&again));
     let same_frames = before.len() == after.len();
     Ok(Replayed {
         moved_differently: first_difference(episode, &again),
         images: if same_frames { after.len() } else { 0 },
-        images_different: if same_frames { before.iter().zip(&after).filter(|(a, b)| a != b).count() } else { 0 },
+        images_different: if same_frames {
+            before.iter().zip(&after).filter(|(a, b)| a != b).count()
+        } else {
+            0
+        },
         episode: again,
     })
 }
 
 /// First difference between two episodes, images apart.
 fn first_difference(a: &Episode, b: &Episode) -> Option<String> {
-    if a.head.route_m != b.head.route_m || a.head.agent_sizes != b.head.agent_sizes || a.start != b.start {
+    if a.head.route_m != b.head.route_m
+        || a.head.agent_sizes != b.head.agent_sizes
+        || a.start != b.start
+    {
         return Some("the start is another: its map, its assets or the program has changed".into());
     }
     for (a, b) in a.steps.iter().zip(&b.steps) {
         if let Some((a, _)) = a.instants.iter().zip(&b.instants).find(|(a, b)| a != b) {
-            return Some(format!("somebody moves differently at {} s", a.time_s));
+            return Some(format!("a vehicle moves differently at {} s", a.time_s));
         }
         if a.instants.len() != b.instants.len() {
-            return Some(format!("step {} has {} moments instead of {}", a.step, b.instants.len(), a.instants.len()));
+            return Some(format!(
+                "step {} has {} moments instead of {}",
+                a.step,
+                b.instants.len(),
+                a.instants.len()
+            ));
         }
     }
     if a.steps.len() != b.steps.len() || a.end != b.end {
-        return Some(format!("it ends after {} steps instead of {}", b.steps.len(), a.steps.len()));
+        return Some(format!(
+            "it ends after {} steps instead of {}",
+            b.steps.len(),
+            a.steps.len()
+        ));
     }
     None
 }

@@ -1,9 +1,12 @@
-//! An episode that somebody else steps through: its world in motion, and the record of what happened.
+//! An episode that the caller steps through: its world in motion, and the record of what
+//! happened.
 
 use std::sync::Arc;
 
 use decouplegs_drive::score::EpisodeScore;
-use decouplegs_scene::episode::{DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, ImageRecord, PlannerRecord};
+use decouplegs_scene::episode::{
+    DrawnBy, Episode, EpisodeEnd, EpisodeHead, EpisodeStep, ImageRecord, PlannerRecord,
+};
 use decouplegs_scene::{Plan, Pose, Scenario};
 
 use super::{EpisodeError, Simulation, Site};
@@ -18,8 +21,8 @@ pub struct EpisodeMetadata {
     pub drawn_by: Option<DrawnBy>,
 }
 
-/// One episode, step by step. It owns all that it needs: [`super::drive`] goes through one with a planner, and others go through one when
-/// they please.
+/// One episode, step by step. It owns all that it needs: [`super::drive`] goes through one with a
+/// planner, and others go through one when they please.
 pub struct Rollout {
     simulation: Simulation,
     episode: Episode,
@@ -30,7 +33,11 @@ impl Rollout {
     ///
     /// # Errors
     /// When it does not fit `site`.
-    pub fn new(scenario: &Scenario, site: &Arc<Site>, crew: EpisodeMetadata) -> Result<Self, EpisodeError> {
+    pub fn new(
+        scenario: &Scenario,
+        site: &Arc<Site>,
+        crew: EpisodeMetadata,
+    ) -> Result<Self, EpisodeError> {
         let simulation = Simulation::new(scenario, site)?;
         let head = EpisodeHead {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -41,7 +48,15 @@ impl Rollout {
             agent_sizes: simulation.agent_sizes().to_vec(),
         };
         let start = simulation.instant();
-        Ok(Self { simulation, episode: Episode { head, start, steps: Vec::new(), end: EpisodeEnd::Time } })
+        Ok(Self {
+            simulation,
+            episode: Episode {
+                head,
+                start,
+                steps: Vec::new(),
+                end: EpisodeEnd::Time,
+            },
+        })
     }
 
     /// State of the vehicles.
@@ -80,11 +95,17 @@ impl Rollout {
         self.simulation.end()
     }
 
-    /// Drives `plan` for a step, made from images whose hashes are `images`. Nothing moves any more when it is over.
+    /// Drives `plan` for a step, made from images whose hashes are `images`. Nothing moves any more
+    /// when it is over.
     pub fn step(&mut self, plan: Plan, images: Vec<ImageRecord>) -> &EpisodeStep {
         let step = self.next_step();
         let instants = self.simulation.advance(&plan);
-        self.episode.steps.push(EpisodeStep { step, images, plan, instants });
+        self.episode.steps.push(EpisodeStep {
+            step,
+            images,
+            plan,
+            instants,
+        });
         self.note_end();
         &self.episode.steps[step as usize]
     }
@@ -104,7 +125,10 @@ impl Rollout {
     /// Meters along the route where the ego had come farthest, and how long the route is.
     #[must_use]
     pub fn progress_m(&self) -> (f64, f64) {
-        (self.simulation.progress_m(), self.simulation.route().length_m())
+        (
+            self.simulation.progress_m(),
+            self.simulation.route().length_m(),
+        )
     }
 
     /// Score so far.
@@ -113,13 +137,20 @@ impl Rollout {
         EpisodeScore::of(&self.episode)
     }
 
-    /// Puts the agents into `world` as they stand now, and takes out all others. Returns the ego's pose.
+    /// Puts the agents into `world` as they stand now, and takes out all others. Returns the ego's
+    /// pose.
     ///
     /// # Errors
     /// When the scene of `world` has not the assets.
     pub fn show(&mut self, world: &mut World) -> Result<Pose, SessionError> {
         let (ego, placed) = self.simulation.placed();
-        let names = self.episode.head.scenario.agents.iter().map(|agent| agent.name.clone());
+        let names = self
+            .episode
+            .head
+            .scenario
+            .agents
+            .iter()
+            .map(|agent| agent.name.clone());
         world.set_agents(names.zip(placed))?;
         Ok(ego)
     }

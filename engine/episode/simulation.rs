@@ -16,7 +16,8 @@ use crate::planner::{EgoMotion, Navigation, Privileged, Turn};
 /// A wheel may be so far beyond the lanes' borders, meters: markings are as wide.
 const ROAD_SLACK_M: f64 = 0.15;
 
-/// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the same bits.
+/// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the
+/// same bits.
 pub struct Simulation {
     scenario: Scenario,
     site: Arc<Site>,
@@ -37,10 +38,13 @@ impl Simulation {
     /// # Errors
     /// When its lanes are not those of `site`, or vehicles stand in one another.
     pub fn new(scenario: &Scenario, site: &Arc<Site>) -> Result<Self, EpisodeError> {
-        let unfit = |reason: String| EpisodeError::Unfit { scenario: scenario.name.clone(), reason };
+        let unfit = |reason: String| EpisodeError::Unfit {
+            scenario: scenario.name.clone(),
+            reason,
+        };
         let route = Route::new(&site.lanes, &scenario.ego).map_err(unfit)?;
-        let traffic =
-            Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed).map_err(|error| unfit(error.to_string()))?;
+        let traffic = Traffic::new(site.graph.clone(), &scenario.agents, scenario.seed)
+            .map_err(|error| unfit(error.to_string()))?;
         let (start, heading_rad) = route.pose_at(0.0);
         let state = VehicleState {
             position_m: start.truncate(),
@@ -48,14 +52,21 @@ impl Simulation {
             speed_mps: scenario.ego.speed_mps,
             acceleration_mps2: 0.0,
         };
-        let progress =
-            RouteProgress::new(&line_of(&route), state.position_m).ok_or_else(|| unfit("the route is no line".into()))?;
-        let agent_sizes: Vec<VehicleSize> = scenario.agents.iter().map(|agent| agent.size).collect();
+        let progress = RouteProgress::new(&line_of(&route), state.position_m)
+            .ok_or_else(|| unfit("the route is no line".into()))?;
+        let agent_sizes: Vec<VehicleSize> =
+            scenario.agents.iter().map(|agent| agent.size).collect();
         let ego_box = OrientedBox::of(&state, &scenario.ego.size);
-        let touched =
-            traffic.states().iter().zip(&agent_sizes).position(|(state, size)| OrientedBox::of(state, size).overlaps(&ego_box));
+        let touched = traffic
+            .states()
+            .iter()
+            .zip(&agent_sizes)
+            .position(|(state, size)| OrientedBox::of(state, size).overlaps(&ego_box));
         if let Some(agent) = touched {
-            return Err(unfit(format!("the ego starts where agent {} stands", scenario.agents[agent].name)));
+            return Err(unfit(format!(
+                "the ego starts where agent {} stands",
+                scenario.agents[agent].name
+            )));
         }
         let mut simulation = Self {
             progress,
@@ -78,7 +89,9 @@ impl Simulation {
         let lanes = &self.site.lanes.lanes;
         for (agent, z_m) in self.scenario.agents.iter().zip(&mut self.ground_z_m[1..]) {
             let lane = lanes.iter().find(|lane| lane.id == agent.lane);
-            *z_m = lane.and_then(|lane| lane.centerline.first()).map_or(*z_m, |point| point.z);
+            *z_m = lane
+                .and_then(|lane| lane.centerline.first())
+                .map_or(*z_m, |point| point.z);
         }
     }
 
@@ -142,7 +155,10 @@ impl Simulation {
         let ego = self.ego.state();
         EpisodeTick {
             time_s: self.time_s(),
-            on_road: self.site.surface.holds_box(&OrientedBox::of(&ego, &self.scenario.ego.size), ROAD_SLACK_M),
+            on_road: self.site.surface.holds_box(
+                &OrientedBox::of(&ego, &self.scenario.ego.size),
+                ROAD_SLACK_M,
+            ),
             ego,
             steer_rad: self.ego.steer_rad(),
             agents: self.traffic.states().to_vec(),
@@ -167,13 +183,21 @@ impl Simulation {
         let (progress_m, cruise_mps) = (self.progress.progress_m(), self.scenario.ego.cruise_mps);
         match self.route.next_turn(progress_m) {
             Some(turn) => Navigation {
-                turn: if turn.angle_rad > 0.0 { Turn::Left } else { Turn::Right },
+                turn: if turn.angle_rad > 0.0 {
+                    Turn::Left
+                } else {
+                    Turn::Right
+                },
                 distance_m: turn.begin_m - progress_m,
                 angle_rad: turn.angle_rad,
                 length_m: turn.end_m - turn.begin_m,
                 cruise_mps,
             },
-            None => Navigation { distance_m: self.route.length_m() - progress_m, cruise_mps, ..Navigation::default() },
+            None => Navigation {
+                distance_m: self.route.length_m() - progress_m,
+                cruise_mps,
+                ..Navigation::default()
+            },
         }
     }
 
@@ -184,11 +208,18 @@ impl Simulation {
             ego: self.ego.state(),
             ego_size: self.scenario.ego.size,
             route_m: self.route_m(),
-            agents: self.traffic.states().iter().copied().zip(self.agent_sizes.iter().copied()).collect(),
+            agents: self
+                .traffic
+                .states()
+                .iter()
+                .copied()
+                .zip(self.agent_sizes.iter().copied())
+                .collect(),
         }
     }
 
-    /// Drives `plan` for a step. The moments after each sub-step, the last of them that at which the episode ended, if it did.
+    /// Drives `plan` for a step. The moments after each sub-step, the last of them that at which
+    /// the episode ended, if it did.
     pub fn advance(&mut self, plan: &Plan) -> Vec<EpisodeTick> {
         let (substeps, substep_s) = self.scenario.substeps();
         self.ego.follow(plan);
@@ -197,10 +228,11 @@ impl Simulation {
             if self.end.is_some() {
                 break;
             }
-            // Everybody acts on what was: neither sees the other's step before its own.
+            // All act on the previous state: none sees another's step before its own.
             let seen = self.ego.state();
             self.ego.step(substep_s);
-            self.traffic.step(substep_s, Some((&seen, &self.scenario.ego.size)));
+            self.traffic
+                .step(substep_s, Some((&seen, &self.scenario.ego.size)));
             self.substep += 1;
             self.progress.advance(self.ego.state().position_m);
             let instant = self.instant();
@@ -212,7 +244,11 @@ impl Simulation {
 
     fn end_at(&self, instant: &EpisodeTick) -> Option<EpisodeEnd> {
         let ego = OrientedBox::of(&instant.ego, &self.scenario.ego.size);
-        let mut boxes = instant.agents.iter().zip(&self.agent_sizes).map(|(state, size)| OrientedBox::of(state, size));
+        let mut boxes = instant
+            .agents
+            .iter()
+            .zip(&self.agent_sizes)
+            .map(|(state, size)| OrientedBox::of(state, size));
         if let Some(agent) = boxes.position(|other| other.overlaps(&ego)) {
             return Some(EpisodeEnd::Collision { agent });
         }
@@ -228,12 +264,15 @@ impl Simulation {
         let assets = self.site.asset_sizes.len().max(1);
         let ego = self.stand(0, self.ego.state(), self.scenario.ego.size);
         let states = self.traffic.states().to_vec();
-        let placed = states.iter().enumerate().map(|(index, state)| AgentInstance {
-            asset: self.scenario.agents[index].asset % assets,
-            pose: self.stand(index + 1, *state, self.agent_sizes[index]),
-            sh_frame: None,
-            instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
-        });
+        let placed = states
+            .iter()
+            .enumerate()
+            .map(|(index, state)| AgentInstance {
+                asset: self.scenario.agents[index].asset % assets,
+                pose: self.stand(index + 1, *state, self.agent_sizes[index]),
+                sh_frame: None,
+                instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
+            });
         (ego, placed.collect())
     }
 
@@ -252,5 +291,10 @@ impl Simulation {
 }
 
 fn line_of(route: &Route) -> Vec<DVec2> {
-    route.line().points().iter().map(|point| point.truncate()).collect()
+    route
+        .line()
+        .points()
+        .iter()
+        .map(|point| point.truncate())
+        .collect()
 }

@@ -7,13 +7,17 @@ use decouplegs_asset::compress::{CompressError, compress_quickly};
 use decouplegs_asset::memory::{self, cloud_bytes};
 use decouplegs_asset::roads::{self, RoadsOptions};
 use decouplegs_asset::street::{AssetLight, Capture, Street, StreetOptions};
-use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, measure_movable_scene, open_movable_scene, read_map};
+use decouplegs_asset::{
+    AssetError, LoadedLight, LoadedScene, SceneFile, measure_movable_scene, open_movable_scene,
+    read_map,
+};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::scenario::Place;
 use decouplegs_scene::{
-    CodedCloud, LaneMap, LightTransfer, Pose, Rig, SplatCloud, Trajectory, VehicleSize, VehicleState, Weather, World,
+    CodedCloud, LaneMap, LightTransfer, Pose, Rig, SplatCloud, Trajectory, VehicleSize,
+    VehicleState, Weather, World,
 };
 use glam::DVec3;
 use rayon::prelude::*;
@@ -24,7 +28,7 @@ pub enum SiteError {
     /// A file of it.
     #[error(transparent)]
     Asset(#[from] AssetError),
-    /// An asset that was made up.
+    /// An asset that was synthetic.
     #[error("a car of the street cannot be coded")]
     Compress(#[from] CompressError),
     /// The lanes form no roads, or the scene has no splats.
@@ -48,7 +52,7 @@ pub struct Site {
     pub lanes: LaneMap,
     /// The same for traffic.
     pub graph: Arc<RoadGraph>,
-    /// The same for whoever may leave them.
+    /// The same for vehicles that may leave them.
     pub surface: RoadSurface,
     /// Boxes of the assets that agents may show.
     pub asset_sizes: Vec<VehicleSize>,
@@ -56,41 +60,78 @@ pub struct Site {
     ground: Option<Ground>,
 }
 
-/// The ground is looked for within this of the lane's height, meters: less than there is between two decks.
+/// The ground is looked for within this of the lane's height, meters: less than there is between
+/// two decks.
 const GROUND_BAND_M: f64 = 1.0;
 
 impl Site {
     /// Light is summed up along lanes in steps of this, meters: what its field is spaced by.
     pub const LIGHT_STEP_M: f64 = 1.0;
 
-    /// `place` made ready, its files relative to `directory`. Without a `look` nothing is made that is only to be seen.
+    /// `place` made ready, its files relative to `directory`. Without a `look` nothing is made that
+    /// is only to be seen.
     ///
     /// # Errors
     /// When a file is at fault, or lanes or assets are missing.
     pub fn open(place: &Place, directory: &Path, look: Option<&Look>) -> Result<Self, SiteError> {
-        if let (Some(_), Place::Street { background, agent_splats, .. } | Place::Roads { background, agent_splats, .. }) =
-            (look, place)
+        if let (
+            Some(_),
+            Place::Street {
+                background,
+                agent_splats,
+                ..
+            }
+            | Place::Roads {
+                background,
+                agent_splats,
+                ..
+            },
+        ) = (look, place)
         {
-            let splats = (*background as u64).saturating_add((*agent_splats as u64).saturating_mul(ALL_CARS as u64));
+            let splats = (*background as u64)
+                .saturating_add((*agent_splats as u64).saturating_mul(ALL_CARS as u64));
             let what = format!("a place of {background} splats with cars of {agent_splats}");
             // Twice, as lists are sorted into copies.
-            memory::require(&what, cloud_bytes(splats, 0).saturating_mul(2)).map_err(SiteError::Unfit)?;
+            memory::require(&what, cloud_bytes(splats, 0).saturating_mul(2))
+                .map_err(SiteError::Unfit)?;
         }
         match place {
-            Place::Street { weather, background, agent_splats, seed } => {
-                Self::street(*weather, [*background, *agent_splats], *seed, look)
-            }
-            Place::Roads { map, probe, exposure_ev, background, agent_splats } => {
+            Place::Street {
+                weather,
+                background,
+                agent_splats,
+                seed,
+            } => Self::street(*weather, [*background, *agent_splats], *seed, look),
+            Place::Roads {
+                map,
+                probe,
+                exposure_ev,
+                background,
+                agent_splats,
+            } => {
                 let lanes = read_map(&directory.join(map))?;
-                let cars = cars(*agent_splats * usize::from(look.is_some()), AssetLight::Neutral);
-                let Some(look) = look else { return Self::bare(lanes, cars.sizes) };
+                let cars = cars(
+                    *agent_splats * usize::from(look.is_some()),
+                    AssetLight::Neutral,
+                );
+                let Some(look) = look else {
+                    return Self::bare(lanes, cars.sizes);
+                };
                 let probe = probe.as_ref().map(|probe| directory.join(probe));
                 let options = RoadsOptions::new(*background, probe.as_deref(), *exposure_ev)?;
                 let drawn = roads::generate(&lanes, &options);
-                let world = World { origin: drawn.origin, sky: drawn.sky, ..World::of(drawn.background) };
+                let world = World {
+                    origin: drawn.origin,
+                    sky: drawn.sky,
+                    ..World::of(drawn.background)
+                };
                 Self::made_up(lanes, world, cars, look)
             }
-            Place::Scene { scene, map } => Self::captured(&directory.join(scene), read_map(&directory.join(map))?, look),
+            Place::Scene { scene, map } => Self::captured(
+                &directory.join(scene),
+                read_map(&directory.join(map))?,
+                look,
+            ),
         }
     }
 
@@ -108,10 +149,22 @@ impl Site {
         let cars = cars(agent_splats * usize::from(look.is_some()), asset_light);
         let background = background * usize::from(look.is_some());
         let capture = Capture::Lanes;
-        let options = StreetOptions { background, agents: 0, seed, weather, capture, ..StreetOptions::default() };
+        let options = StreetOptions {
+            background,
+            agents: 0,
+            seed,
+            weather,
+            capture,
+            ..StreetOptions::default()
+        };
         let street = Street::generate(&options);
-        let Some(look) = look else { return Self::bare(street.lanes, cars.sizes) };
-        let world = World { sky: street.sky, ..World::of(street.background) };
+        let Some(look) = look else {
+            return Self::bare(street.lanes, cars.sizes);
+        };
+        let world = World {
+            sky: street.sky,
+            ..World::of(street.background)
+        };
         Self::made_up(street.lanes, world, cars, look)
     }
 
@@ -120,16 +173,29 @@ impl Site {
         Self::of(empty_scene(World::default()), lanes, asset_sizes, None)
     }
 
-    fn made_up(lanes: LaneMap, mut world: World, cars: Cars, look: &Look) -> Result<Self, SiteError> {
+    fn made_up(
+        lanes: LaneMap,
+        mut world: World,
+        cars: Cars,
+        look: &Look,
+    ) -> Result<Self, SiteError> {
         world.splats = world.splats.select(&world.splats.spatial_order());
-        let assets = cars.clouds.par_iter().zip(&cars.sizes).map(|(cloud, size)| coded(cloud, size));
+        let assets = cars
+            .clouds
+            .par_iter()
+            .zip(&cars.sizes)
+            .map(|(cloud, size)| coded(cloud, size));
         let light = LoadedLight {
             transfer: look.transfer.clone(),
             ambient: AmbientOptions::default(),
             shadows: Some(ShadowOptions::default()),
         };
-        let loaded =
-            LoadedScene { assets: assets.collect::<Result<_, _>>()?, rig: cars.rig, light: Some(light), ..empty_scene(world) };
+        let loaded = LoadedScene {
+            assets: assets.collect::<Result<_, _>>()?,
+            rig: cars.rig,
+            light: Some(light),
+            ..empty_scene(world)
+        };
         Self::of(loaded, lanes, cars.sizes, None)
     }
 
@@ -143,7 +209,7 @@ impl Site {
             // Cars of plain splats take time to compress: only where they are seen.
             None => measure_movable_scene(scene)?,
         };
-        // Traffic takes the place of whoever drove when the scene was captured.
+        // Traffic replaces the vehicles that drove when the scene was captured.
         loaded.agents.clear();
         loaded.agent_names.clear();
         if look.is_some() && loaded.assets.is_empty() {
@@ -153,15 +219,30 @@ impl Site {
             )));
         }
         let sizes = dims_m.into_iter().map(size_of).collect();
-        let options = GroundOptions { band_m: GROUND_BAND_M, ..GroundOptions::default() };
+        let options = GroundOptions {
+            band_m: GROUND_BAND_M,
+            ..GroundOptions::default()
+        };
         let ground = Ground::new(&loaded.world.splats, loaded.world.origin, &options);
         Self::of(loaded, lanes, sizes, Some(ground))
     }
 
-    fn of(loaded: LoadedScene, lanes: LaneMap, asset_sizes: Vec<VehicleSize>, ground: Option<Ground>) -> Result<Self, SiteError> {
+    fn of(
+        loaded: LoadedScene,
+        lanes: LaneMap,
+        asset_sizes: Vec<VehicleSize>,
+        ground: Option<Ground>,
+    ) -> Result<Self, SiteError> {
         let graph = Arc::new(RoadGraph::new(&lanes).map_err(SiteError::Unfit)?);
         let surface = RoadSurface::new(&lanes);
-        Ok(Self { loaded, lanes, graph, surface, asset_sizes, ground })
+        Ok(Self {
+            loaded,
+            lanes,
+            graph,
+            surface,
+            asset_sizes,
+            ground,
+        })
     }
 
     /// Pose of a vehicle on the ground: wheels at the height of the captured ground, otherwise of
@@ -174,13 +255,19 @@ impl Site {
         let height_at = |local| {
             let at = state.to_world(local);
             let lane_z_m = self.surface.height_at(at, near_z_m);
-            let captured = self.ground.as_ref().and_then(|ground| ground.height_at(at, Some(lane_z_m.unwrap_or(near_z_m))));
+            let captured = self
+                .ground
+                .as_ref()
+                .and_then(|ground| ground.height_at(at, Some(lane_z_m.unwrap_or(near_z_m))));
             captured.map(|height| height.z_m).or(lane_z_m)
         };
         let corners = corners(dims_m);
         match plane(&corners, &corners.map(height_at)) {
             Some((plane, _)) => pose_on(&plane, state.position_m, state.yaw_rad, size.height_m),
-            None => Pose::from_yaw(state.yaw_rad, state.position_m.extend(near_z_m + 0.5 * size.height_m)),
+            None => Pose::from_yaw(
+                state.yaw_rad,
+                state.position_m.extend(near_z_m + 0.5 * size.height_m),
+            ),
         }
     }
 
@@ -188,8 +275,11 @@ impl Site {
     pub fn places(&self, step_m: f64) -> impl Iterator<Item = DVec3> + '_ {
         self.lanes.lanes.iter().flat_map(move |lane| {
             lane.centerline.windows(2).flat_map(move |pair| {
-                let steps = (pair[0].distance(pair[1]) / step_m).ceil().clamp(1.0, 4096.0) as u32;
-                (0..steps).map(move |step| pair[0].lerp(pair[1], f64::from(step) / f64::from(steps)))
+                let steps = (pair[0].distance(pair[1]) / step_m)
+                    .ceil()
+                    .clamp(1.0, 4096.0) as u32;
+                (0..steps)
+                    .map(move |step| pair[0].lerp(pair[1], f64::from(step) / f64::from(steps)))
             })
         })
     }
@@ -228,8 +318,16 @@ fn cars(splats: usize, asset_light: AssetLight) -> Cars {
         ..StreetOptions::default()
     };
     let street = Street::generate(&options);
-    let sizes = street.asset_dims_m.iter().map(|dims| size_of(*dims)).collect();
-    Cars { clouds: street.assets, sizes, rig: street.rig }
+    let sizes = street
+        .asset_dims_m
+        .iter()
+        .map(|dims| size_of(*dims))
+        .collect();
+    Cars {
+        clouds: street.assets,
+        sizes,
+        rig: street.rig,
+    }
 }
 
 /// In millimeters, so that a person can read what a scenario says of it.

@@ -1,9 +1,12 @@
-//! Many worlds over one background: each has agents of its own, all are drawn in one call, and images per second are counted.
+//! Many worlds over one background: each has agents of its own, all are drawn in one call, and
+//! images per second are counted.
 //!
-//! `cargo run --release --example many_worlds -- street/scene.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS] [AGENTS] [PITCH]`
+//! `cargo run --release --example many_worlds -- street/scene.toml [WORLDS] [WIDTHxHEIGHT]
+//! [SECONDS] [AGENTS] [PITCH]`
 //!
-//! Egos are spread over the way of the scene's ego. Each world has the first AGENTS agents of the scene (default: all), where they
-//! are at another time in each. With PITCH, agents are drawn at a level of detail whose splats are so many pixels apart at most.
+//! Egos are spread over the way of the scene's ego. Each world has the first AGENTS agents of the
+//! scene (default: all), where they are at another time in each. With PITCH, agents are drawn at a
+//! level of detail whose splats are so many pixels apart at most.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -32,12 +35,20 @@ impl Course {
     fn cameras(&self, scene: &SessionScene, time_s: f64) -> Result<Vec<Camera>, Box<dyn Error>> {
         let mut rig = scene.rig().clone();
         rig.cameras.truncate(1);
-        let front = rig.cameras.first_mut().ok_or("the scene has no rig: add a [[rig]] to the scene file")?;
+        let front = rig
+            .cameras
+            .first_mut()
+            .ok_or("the scene has no rig: add a [[rig]] to the scene file")?;
         front.intrinsics = front.intrinsics.resized(self.size_px[0], self.size_px[1]);
         Ok(rig.at(&scene.ego().at(time_s)))
     }
 
-    fn run(&self, session: &Session, scene: &std::sync::Arc<SessionScene>, to_host: bool) -> Result<(), Box<dyn Error>> {
+    fn run(
+        &self,
+        session: &Session,
+        scene: &std::sync::Arc<SessionScene>,
+        to_host: bool,
+    ) -> Result<(), Box<dyn Error>> {
         let mut worlds = vec![World::new(scene); self.worlds];
         for world in &mut worlds {
             for agent in scene.agents().iter().skip(self.agents) {
@@ -49,14 +60,31 @@ impl Course {
         let start = Instant::now();
         for step in 0.. {
             let at = |world: usize| self.time_s(scene, world, step);
-            let cameras = (0..self.worlds).map(|world| self.cameras(scene, at(world))).collect::<Result<Vec<_>, _>>()?;
-            worlds.iter_mut().enumerate().for_each(|(index, world)| world.set_time(at(index)));
-            let views: Vec<WorldView<'_>> =
-                worlds.iter().zip(&cameras).map(|(world, cameras)| WorldView { world, cameras }).collect();
+            let cameras = (0..self.worlds)
+                .map(|world| self.cameras(scene, at(world)))
+                .collect::<Result<Vec<_>, _>>()?;
+            worlds
+                .iter_mut()
+                .enumerate()
+                .for_each(|(index, world)| world.set_time(at(index)));
+            let views: Vec<WorldView<'_>> = worlds
+                .iter()
+                .zip(&cameras)
+                .map(|(world, cameras)| WorldView { world, cameras })
+                .collect();
             let since = Instant::now();
-            let frames = if to_host { renderer.draw(&views, &mut images)? } else { renderer.draw_on_device(&views)?.1 };
+            let frames = if to_host {
+                renderer.draw(&views, &mut images)?
+            } else {
+                renderer.draw_on_device(&views)?.1
+            };
             times_ms.push(1e3 * since.elapsed().as_secs_f64());
-            gpu_ms.push(frames.iter().map(|frame| 1e3 * frame.gpu_time.as_secs_f64()).sum::<f64>());
+            gpu_ms.push(
+                frames
+                    .iter()
+                    .map(|frame| 1e3 * frame.gpu_time.as_secs_f64())
+                    .sum::<f64>(),
+            );
             seen += frames.iter().map(|frame| frame.agents).sum::<usize>();
             if start.elapsed() > self.length {
                 break;
@@ -92,18 +120,28 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let usage = "usage: many_worlds SCENE.toml [WORLDS] [WIDTHxHEIGHT] [SECONDS] [AGENTS] [PITCH]";
     let path = PathBuf::from(arguments.first().ok_or(usage)?);
-    let (width, height) = arguments.get(2).map_or("512x320", String::as_str).split_once('x').ok_or("a size is WIDTHxHEIGHT")?;
+    let (width, height) = arguments
+        .get(2)
+        .map_or("512x320", String::as_str)
+        .split_once('x')
+        .ok_or("a size is WIDTHxHEIGHT")?;
     let course = Course {
         worlds: arguments.get(1).map_or(Ok(64), |text| text.parse())?,
         size_px: [width.parse()?, height.parse()?],
         length: Duration::from_secs_f64(arguments.get(3).map_or(Ok(10.0), |text| text.parse())?),
-        agents: arguments.get(4).map_or(Ok(usize::MAX), |text| text.parse())?,
+        agents: arguments
+            .get(4)
+            .map_or(Ok(usize::MAX), |text| text.parse())?,
     };
     let mut options = SessionOptions::default();
     options.render.level_pitch_px = arguments.get(5).map(|text| text.parse()).transpose()?;
     let session = Session::open(&options)?;
     let scene = session.open_scene(&path)?;
-    println!("{}: {} splats of background, once", session.gpu().info(), scene.background_splats());
+    println!(
+        "{}: {} splats of background, once",
+        session.gpu().info(),
+        scene.background_splats()
+    );
     course.run(&session, &scene, false)?;
     course.run(&session, &scene, true)?;
     for (purpose, bytes) in session.gpu().memory().bytes_by_purpose {

@@ -5,7 +5,8 @@ use glam::DVec2;
 
 use super::PlannerError;
 
-/// From one point of a plan to the next, seconds: half a control step, so that each step passes two.
+/// From one point of a plan to the next, seconds: half a control step, so that each step passes
+/// two.
 pub(super) const SPACING_S: f64 = 0.25;
 /// Horizon of a plan, seconds: the time that a car at 50 km/h needs to stop with comfort.
 pub(super) const HORIZON_S: f64 = 4.0;
@@ -18,7 +19,10 @@ pub(super) fn plan_through(mut place_at: impl FnMut(f64) -> DVec2) -> Result<Pla
     let count = (HORIZON_S / SPACING_S).round() as u32;
     let points = (1..=count).map(|at| {
         let time_s = f64::from(at) * SPACING_S;
-        PlanPoint { time_s, position_m: place_at(time_s) }
+        PlanPoint {
+            time_s,
+            position_m: place_at(time_s),
+        }
     });
     Plan::new(points.collect()).map_err(PlannerError)
 }

@@ -30,7 +30,7 @@ pub enum PlannerChoice {
     Vision,
     /// The way of the ego in the episode of this log.
     Replay(PathBuf),
-    /// Somebody else's.
+    /// An external planner.
     External(Transport),
 }
 
@@ -45,7 +45,8 @@ impl PlannerChoice {
             Self::LaneFollow => Box::new(LaneFollow::default()),
             Self::Vision => Box::new(Vision::default()),
             Self::Replay(log) => {
-                let episode = read_episode_log(log).map_err(|error| PlannerError(error.to_string()))?;
+                let episode =
+                    read_episode_log(log).map_err(|error| PlannerError(error.to_string()))?;
                 Box::new(Replay::of_episode(&episode)?)
             }
             Self::External(attachment) => Box::new(External::open(attachment.clone(), patience)?),
@@ -57,15 +58,21 @@ impl FromStr for PlannerChoice {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
+        let (kind, rest) = text
+            .split_once(':')
+            .map_or((text, None), |(kind, rest)| (kind, Some(rest)));
         match (kind, rest) {
             ("constant-velocity", None) => Ok(Self::ConstantVelocity),
             ("lane-follow", None) => Ok(Self::LaneFollow),
             ("vision", None) => Ok(Self::Vision),
             ("replay", Some(log)) if !log.is_empty() => Ok(Self::Replay(log.into())),
-            ("unix", Some(path)) if !path.is_empty() => Ok(Self::External(Transport::Socket(path.into()))),
+            ("unix", Some(path)) if !path.is_empty() => {
+                Ok(Self::External(Transport::Socket(path.into())))
+            }
             ("exec", Some(command)) => match words_of(command)? {
-                words if words.is_empty() => Err("exec: names no program; expected exec:COMMAND ARGUMENTS".into()),
+                words if words.is_empty() => {
+                    Err("exec: names no program; expected exec:COMMAND ARGUMENTS".into())
+                }
                 words => Ok(Self::External(Transport::Command(words))),
             },
             _ => Err(format!(
@@ -84,7 +91,15 @@ impl fmt::Display for PlannerChoice {
             Self::Replay(log) => write!(f, "replay:{}", log.display()),
             Self::External(Transport::Socket(path)) => write!(f, "unix:{}", path.display()),
             Self::External(Transport::Command(words)) => {
-                write!(f, "exec:{}", words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" "))
+                write!(
+                    f,
+                    "exec:{}",
+                    words
+                        .iter()
+                        .map(|word| quoted(word))
+                        .collect::<Vec<_>>()
+                        .join(" ")
+                )
             }
         }
     }
@@ -117,7 +132,11 @@ fn quoted(word: &str) -> String {
         _ if !word.is_empty() && word.chars().all(needs_none) => word.to_owned(),
         _ if !word.contains('\'') => format!("'{word}'"),
         // Single quotes stand in double ones, all else in single ones.
-        _ => word.split('\'').map(|part| format!("'{part}'")).collect::<Vec<_>>().join("\"'\""),
+        _ => word
+            .split('\'')
+            .map(|part| format!("'{part}'"))
+            .collect::<Vec<_>>()
+            .join("\"'\""),
     }
 }
 
@@ -127,23 +146,48 @@ mod tests {
 
     #[test]
     fn every_choice_reads_back_what_it_shows() {
-        let texts =
-            ["constant-velocity", "lane-follow", "vision", "replay:a b/c.log", "unix:run/p.sock", "exec:python3 -u my.py"];
+        let texts = [
+            "constant-velocity",
+            "lane-follow",
+            "vision",
+            "replay:a b/c.log",
+            "unix:run/p.sock",
+            "exec:python3 -u my.py",
+        ];
         for text in texts {
             assert_eq!(text.parse::<PlannerChoice>().unwrap().to_string(), text);
         }
-        let words = ["a b", "it's", "\"", "", "x'\"y", "plain"].map(String::from).to_vec();
+        let words = ["a b", "it's", "\"", "", "x'\"y", "plain"]
+            .map(String::from)
+            .to_vec();
         let choice = PlannerChoice::External(Transport::Command(words));
-        assert_eq!(choice.to_string().parse::<PlannerChoice>().unwrap(), choice, "{choice}");
+        assert_eq!(
+            choice.to_string().parse::<PlannerChoice>().unwrap(),
+            choice,
+            "{choice}"
+        );
     }
 
     #[test]
     fn what_is_no_planner_is_refused_with_what_is() {
         for text in ["", "fast", "replay:", "unix:", "replay", "lane-follow:x"] {
             let refusal = text.parse::<PlannerChoice>().unwrap_err();
-            assert!(refusal.contains("expected constant-velocity, lane-follow, vision, replay:LOG"), "{refusal}");
+            assert!(
+                refusal.contains("expected constant-velocity, lane-follow, vision, replay:LOG"),
+                "{refusal}"
+            );
         }
-        assert!("exec:  ".parse::<PlannerChoice>().unwrap_err().contains("names no program"));
-        assert!("exec:sh -c 'x".parse::<PlannerChoice>().unwrap_err().contains("is not closed"));
+        assert!(
+            "exec:  "
+                .parse::<PlannerChoice>()
+                .unwrap_err()
+                .contains("names no program")
+        );
+        assert!(
+            "exec:sh -c 'x"
+                .parse::<PlannerChoice>()
+                .unwrap_err()
+                .contains("is not closed")
+        );
     }
 }

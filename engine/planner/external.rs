@@ -1,7 +1,9 @@
-//! Planners of others, in any language: a child process or a server on a Unix socket that speaks the protocol of `protocol.md`.
+//! Planners of others, in any language: a child process or a server on a Unix socket that speaks
+//! the protocol of `protocol.md`.
 //!
-//! Nothing that such a planner does ends more than its episode: an answer that is late, endless, wrong or missing is an error with a
-//! sentence, the process is ended with all that it started, and the next episode begins with a new one.
+//! Nothing that such a planner does ends more than its episode: an answer that is late, endless,
+//! wrong or missing is an error with a sentence, the process is ended with all that it started, and
+//! the next episode begins with a new one.
 
 mod connection;
 mod message;
@@ -37,7 +39,10 @@ pub struct Timeouts {
 
 impl Default for Timeouts {
     fn default() -> Self {
-        Self { hello: Duration::from_secs(30), answer: Duration::from_secs(10) }
+        Self {
+            hello: Duration::from_secs(30),
+            answer: Duration::from_secs(10),
+        }
     }
 }
 
@@ -58,7 +63,12 @@ impl External {
     /// Where it cannot be started or reached, or does not introduce itself in time and form.
     pub fn open(attachment: Transport, patience: Timeouts) -> Result<Self, PlannerError> {
         let (session, introduction) = Session::open(&attachment, &patience)?;
-        Ok(Self { attachment, patience, introduction, session: Some(session) })
+        Ok(Self {
+            attachment,
+            patience,
+            introduction,
+            session: Some(session),
+        })
     }
 
     /// The same planner, waited for so long from here on.
@@ -75,16 +85,30 @@ impl External {
         self.session = None;
         let (mut session, introduction) = Session::open(&self.attachment, &self.patience)?;
         if introduction != self.introduction {
-            return Err(session.broken("introduced itself in another way than before; expected the same name and wishes"));
+            return Err(session.broken(
+                "introduced itself in another way than before; expected the same name and wishes",
+            ));
         }
         self.session = Some(session);
         Ok(())
     }
 
     /// The answer to a question; a session that does not have one is over.
-    fn ask(&mut self, header: &serde_json::Value, payload: &[&[u8]]) -> Result<Answer, PlannerError> {
-        let lost = || PlannerError("the external planner was lost; it is started again when an episode begins".into());
-        let answer = self.session.as_mut().ok_or_else(lost)?.ask(header, payload, self.patience.answer);
+    fn ask(
+        &mut self,
+        header: &serde_json::Value,
+        payload: &[&[u8]],
+    ) -> Result<Answer, PlannerError> {
+        let lost = || {
+            PlannerError(
+                "the external planner was lost; it is started again when an episode begins".into(),
+            )
+        };
+        let answer =
+            self.session
+                .as_mut()
+                .ok_or_else(lost)?
+                .ask(header, payload, self.patience.answer);
         if answer.is_err() {
             self.session = None;
         }
@@ -97,8 +121,14 @@ impl External {
         if let Answer::Fail(reason) = answer {
             return PlannerError(format!("the external planner failed: {reason}"));
         }
-        let what = format!("answered `{asked}` with {}; expected {expected} or fail", answer.word());
-        self.session.take().map_or_else(|| PlannerError(what.clone()), |mut session| session.broken(&what))
+        let what = format!(
+            "answered `{asked}` with {}; expected {expected} or fail",
+            answer.word()
+        );
+        self.session.take().map_or_else(
+            || PlannerError(what.clone()),
+            |mut session| session.broken(&what),
+        )
     }
 }
 
@@ -123,7 +153,11 @@ impl Planner for External {
         let frames: Vec<&[u8]> = observation.frames.iter().map(|frame| frame.rgba).collect();
         match self.ask(&message::observe(observation), &frames)? {
             Answer::Plan { step, plan } if step == u64::from(observation.step) => Ok(plan),
-            other => Err(self.refused(&other, "observe", &format!("a plan for step {}", observation.step))),
+            other => Err(self.refused(
+                &other,
+                "observe",
+                &format!("a plan for step {}", observation.step),
+            )),
         }
     }
 }

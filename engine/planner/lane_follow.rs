@@ -1,5 +1,6 @@
-//! A prudent driver who knows everything: the Intelligent Driver Model along the route, slow in bends, yielding to whoever will be in
-//! the way. What planners that look at images are measured against.
+//! A prudent driver who knows everything: the Intelligent Driver Model along the route, slow in
+//! bends, yielding to vehicles that will be in the way. What planners that look at images are
+//! measured against.
 
 mod corridor;
 
@@ -8,7 +9,10 @@ use decouplegs_scene::plan::Plan;
 
 use self::corridor::{Corridor, PredictedPath, Span};
 use super::cadence::{HORIZON_S, plan_through};
-use super::{Cameras, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError, Privileged, state_needed};
+use super::{
+    Cameras, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError, Privileged,
+    state_needed,
+};
 
 /// Sideways acceleration that is borne in bends.
 const LATERAL_MPS2: f64 = 2.0;
@@ -16,13 +20,13 @@ const LATERAL_MPS2: f64 = 2.0;
 const COMFORT_MPS2: f64 = 2.0;
 /// Acceleration: livelier than Treiber's 1 m/s^2, as the ego has a route to finish.
 const ACCELERATION_MPS2: f64 = 1.5;
-/// Headway to whoever is ahead, seconds.
+/// Headway to the vehicle ahead, seconds.
 const HEADWAY_S: f64 = 1.5;
 /// Time step of the prediction, seconds.
 const TICK_S: f64 = 0.2;
-/// Whoever will be on the strip within this is followed as if he were, seconds.
+/// A vehicle that will be on the strip within this time is followed as if it were there, seconds.
 const FORESIGHT_S: f64 = 2.0;
-/// Whoever crosses may be earlier or later by this, seconds, and is given so much room, meters.
+/// A crossing vehicle may be earlier or later by this, seconds, and is given so much room, meters.
 const CROSSING_S: f64 = 0.6;
 const CROSSING_M: f64 = 1.0;
 /// Being off the route's middle decays along this much of it, meters.
@@ -30,7 +34,7 @@ const RETURN_M: f64 = 8.0;
 /// Ways to slow down that are tried, the most comfortable first.
 const BRAKES_MPS2: [f64; 6] = [0.0, 1.0, 2.0, 3.5, 5.0, BRAKING_MPS2];
 
-/// Follows the lanes of its route. Privileged: it is told where everybody is.
+/// Follows the lanes of its route. Privileged: it is told the states of all vehicles.
 #[derive(Clone, Debug, Default)]
 pub struct LaneFollow {
     /// Along its route when it last looked, meters.
@@ -53,7 +57,7 @@ struct Outlook {
     agents: Vec<Expected>,
 }
 
-/// Places along the route, one a tick, and when on them somebody is met.
+/// Places along the route, one a tick, and the first time at which a vehicle is met on them.
 struct Candidate {
     arcs_m: Vec<f64>,
     met_s: Option<f64>,
@@ -65,7 +69,10 @@ impl Planner for LaneFollow {
     }
 
     fn sees(&self) -> ObservationRequest {
-        ObservationRequest { cameras: Cameras::None, privileged: true }
+        ObservationRequest {
+            cameras: Cameras::None,
+            privileged: true,
+        }
     }
 
     fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
@@ -75,14 +82,22 @@ impl Planner for LaneFollow {
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
         let known = state_needed(observation, "lane-follow")?;
-        let corridor = Corridor::new(&known.route_m, known.ego.position_m, known.ego_size.width_m, self.arc_m)
-            .ok_or_else(|| PlannerError("lane-follow needs a route of at least two places, all finite".into()))?;
+        let corridor = Corridor::new(
+            &known.route_m,
+            known.ego.position_m,
+            known.ego_size.width_m,
+            self.arc_m,
+        )
+        .ok_or_else(|| {
+            PlannerError("lane-follow needs a route of at least two places, all finite".into())
+        })?;
         self.arc_m = Some(corridor.ego_arc_m);
         let outlook = Outlook::new(&corridor, known, observation.guidance.cruise_mps);
         let course = outlook.choose(known.ego.speed_mps);
         plan_through(|time_s| {
             let arc_m = course.at(time_s);
-            let lateral_m = corridor.ego_lateral_m * (-(arc_m - corridor.ego_arc_m) / RETURN_M).exp();
+            let lateral_m =
+                corridor.ego_lateral_m * (-(arc_m - corridor.ego_arc_m) / RETURN_M).exp();
             known.ego.to_local(corridor.place(arc_m, lateral_m))
         })
     }
@@ -97,8 +112,9 @@ impl Outlook {
     fn new(corridor: &Corridor, known: &Privileged, cruise_mps: f64) -> Self {
         let times_s: Vec<f64> = (0..ticks()).map(|tick| tick as f64 * TICK_S).collect();
         let near = |speed_mps: f64| 40.0 + HORIZON_S * (known.ego.speed_mps + speed_mps);
-        let agents =
-            known.agents.iter().filter(|(agent, _)| agent.position_m.distance(known.ego.position_m) < near(agent.speed_mps));
+        let agents = known.agents.iter().filter(|(agent, _)| {
+            agent.position_m.distance(known.ego.position_m) < near(agent.speed_mps)
+        });
         let agents = agents.map(|(agent, size)| {
             let (way, spans) = corridor.spans(agent, size, &times_s);
             Expected { way, spans }
@@ -116,18 +132,25 @@ impl Outlook {
             bend_mps: bend_speeds(corridor, known.ego.speed_mps.max(cruise_mps)),
             // Who is behind on our own road minds us, not we him.
             agents: agents
-                .filter(|agent| !(agent.way == PredictedPath::Along && agent.spans[0].front_m < corridor.ego_arc_m))
+                .filter(|agent| {
+                    !(agent.way == PredictedPath::Along
+                        && agent.spans[0].front_m < corridor.ego_arc_m)
+                })
                 .collect(),
         }
     }
 
-    /// The most comfortable course on which nobody is met, else the one on which somebody is met last.
+    /// The most comfortable course on which no vehicle is met, else the one on which one is met
+    /// last.
     fn choose(&self, speed_mps: f64) -> Candidate {
         let mut best: Option<Candidate> = None;
         for brake_mps2 in BRAKES_MPS2 {
             let course = self.roll(speed_mps, brake_mps2);
             let met_s = course.met_s.unwrap_or(f64::INFINITY);
-            if best.as_ref().is_none_or(|best| met_s >= best.met_s.unwrap_or(f64::INFINITY)) {
+            if best
+                .as_ref()
+                .is_none_or(|best| met_s >= best.met_s.unwrap_or(f64::INFINITY))
+            {
                 best = Some(course);
             }
             if met_s == f64::INFINITY {
@@ -140,7 +163,10 @@ impl Outlook {
     /// Simulates the ego's motion when it follows and brakes with at least `brake_mps2`.
     fn roll(&self, speed_mps: f64, brake_mps2: f64) -> Candidate {
         let (mut arc_m, mut speed_mps) = (self.ego_arc_m, speed_mps);
-        let mut course = Candidate { arcs_m: vec![arc_m], met_s: None };
+        let mut course = Candidate {
+            arcs_m: vec![arc_m],
+            met_s: None,
+        };
         for tick in 0..ticks() - 1 {
             let mut rate_mps2 = self.rate(tick, arc_m, speed_mps);
             if brake_mps2 > 0.0 {
@@ -150,38 +176,65 @@ impl Outlook {
             arc_m += 0.5 * (speed_mps + next_mps) * TICK_S;
             speed_mps = next_mps;
             course.arcs_m.push(arc_m);
-            if course.met_s.is_none() && self.agents.iter().any(|agent| self.meets(agent, tick + 1, arc_m)) {
+            if course.met_s.is_none()
+                && self
+                    .agents
+                    .iter()
+                    .any(|agent| self.meets(agent, tick + 1, arc_m))
+            {
                 course.met_s = Some((tick + 1) as f64 * TICK_S);
             }
         }
         course
     }
 
-    /// Acceleration of the ego at `arc_m` for the road and for everybody on it.
+    /// Acceleration of the ego at `arc_m` for the road and for all vehicles on it.
     fn rate(&self, tick: usize, arc_m: f64, speed_mps: f64) -> f64 {
-        let meter = ((arc_m - self.ego_arc_m + speed_mps * TICK_S).round() as usize).min(self.bend_mps.len() - 1);
+        let meter = ((arc_m - self.ego_arc_m + speed_mps * TICK_S).round() as usize)
+            .min(self.bend_mps.len() - 1);
         let bend_mps2 = (self.bend_mps[meter] - speed_mps) / (2.0 * TICK_S);
         let foresight = (FORESIGHT_S / TICK_S).round() as usize;
         let followed = self.agents.iter().filter(|agent| {
-            let until = if agent.way == PredictedPath::Across { tick } else { (tick + foresight).min(agent.spans.len() - 1) };
+            let until = if agent.way == PredictedPath::Across {
+                tick
+            } else {
+                (tick + foresight).min(agent.spans.len() - 1)
+            };
             let ahead = 0.5 * (agent.spans[tick].rear_m + agent.spans[tick].front_m) > arc_m;
             ahead && agent.spans[tick..=until].iter().any(|span| span.inside)
         });
         let rates = followed.map(|agent| {
             let gap_m = agent.spans[tick].rear_m - (arc_m + self.half_length_m);
-            self.idm.acceleration(speed_mps, Some(Leader { gap_m, speed_mps: agent.spans[tick].speed_mps }))
+            self.idm.acceleration(
+                speed_mps,
+                Some(Leader {
+                    gap_m,
+                    speed_mps: agent.spans[tick].speed_mps,
+                }),
+            )
         });
-        rates.fold(self.idm.free_acceleration(speed_mps).min(bend_mps2), f64::min).max(-BRAKING_MPS2)
+        rates
+            .fold(
+                self.idm.free_acceleration(speed_mps).min(bend_mps2),
+                f64::min,
+            )
+            .max(-BRAKING_MPS2)
     }
 
     /// True if the ego at `arc_m` touches the agent, or nearly does.
     fn meets(&self, agent: &Expected, tick: usize, arc_m: f64) -> bool {
         let crossing = agent.way == PredictedPath::Across;
-        let slack = if crossing { (CROSSING_S / TICK_S).round() as usize } else { 0 };
+        let slack = if crossing {
+            (CROSSING_S / TICK_S).round() as usize
+        } else {
+            0
+        };
         let room_m = self.half_length_m + if crossing { CROSSING_M } else { 0.0 };
         let until = (tick + slack).min(agent.spans.len() - 1);
         let spans = &agent.spans[tick.saturating_sub(slack)..=until];
-        spans.iter().any(|span| span.inside && span.rear_m < arc_m + room_m && span.front_m > arc_m - room_m)
+        spans.iter().any(|span| {
+            span.inside && span.rear_m < arc_m + room_m && span.front_m > arc_m - room_m
+        })
     }
 }
 
@@ -197,8 +250,16 @@ impl Candidate {
 
 /// The highest speed at each meter ahead from which every bend is still reached slowly enough.
 fn bend_speeds(corridor: &Corridor, speed_mps: f64) -> Vec<f64> {
-    let count = (HORIZON_S * speed_mps + 0.5 * speed_mps * speed_mps / COMFORT_MPS2).clamp(1.0, 400.0) as usize + 1;
-    let bend = |meter: usize| (LATERAL_MPS2 / corridor.curvature_at(corridor.ego_arc_m + meter as f64).max(1e-6)).sqrt();
+    let count = (HORIZON_S * speed_mps + 0.5 * speed_mps * speed_mps / COMFORT_MPS2)
+        .clamp(1.0, 400.0) as usize
+        + 1;
+    let bend = |meter: usize| {
+        (LATERAL_MPS2
+            / corridor
+                .curvature_at(corridor.ego_arc_m + meter as f64)
+                .max(1e-6))
+        .sqrt()
+    };
     let mut speeds: Vec<f64> = (0..=count).map(bend).collect();
     for meter in (0..count).rev() {
         let reached_mps = (speeds[meter + 1].powi(2) + 2.0 * COMFORT_MPS2).sqrt();

@@ -1,8 +1,8 @@
 //! Planners of the ego: they receive images and return trajectories.
 //!
-//! A planner sees what it asks for in [`Planner::sees`], and the episode's log keeps what that was. All of them are told what any
-//! vehicle knows of itself (speed, steering) and what a navigation system says. States of others and the map are
-//! [privileged](Privileged): no camera shows them.
+//! A planner sees what it asks for in [`Planner::sees`], and the episode's log keeps what that was.
+//! All of them are told what any vehicle knows of itself (speed, steering) and what a navigation
+//! system says. States of others and the map are [privileged](Privileged): no camera shows them.
 
 mod cadence;
 mod choice;
@@ -83,7 +83,8 @@ impl Turn {
 pub struct Navigation {
     /// The next turn of the route.
     pub turn: Turn,
-    /// Until it begins, meters along the route; below zero within it, and the rest of the route where none is ahead.
+    /// Until it begins, meters along the route; below zero within it, and the rest of the route
+    /// where none is ahead.
     pub distance_m: f64,
     /// By how much the heading changes in it, radians, to the left where above zero.
     pub angle_rad: f64,
@@ -154,7 +155,7 @@ pub struct EpisodeInfo {
 #[error("{0}")]
 pub struct PlannerError(pub String);
 
-/// Somebody who drives the ego.
+/// Planner that drives the ego.
 pub trait Planner: Send {
     /// Name in logs and reports.
     fn name(&self) -> String;
@@ -176,6 +177,13 @@ pub trait Planner: Send {
 }
 
 /// Privileged state for the planner `who`, or an error if it is absent.
-fn state_needed<'a>(observation: &Observation<'a>, who: &str) -> Result<&'a Privileged, PlannerError> {
-    observation.privileged.ok_or_else(|| PlannerError(format!("{who} was not told where the ego is; expected privileged state")))
+fn state_needed<'a>(
+    observation: &Observation<'a>,
+    who: &str,
+) -> Result<&'a Privileged, PlannerError> {
+    observation.privileged.ok_or_else(|| {
+        PlannerError(format!(
+            "{who} was not told where the ego is; expected privileged state"
+        ))
+    })
 }

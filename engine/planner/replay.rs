@@ -1,15 +1,19 @@
-//! Driving as somebody drove before.
+//! Planner that repeats a recorded drive.
 
 use decouplegs_scene::episode::Episode;
 use decouplegs_scene::plan::Plan;
 use decouplegs_scene::{Pose, TimedPose, Trajectory};
 
 use super::cadence::plan_through;
-use super::{Cameras, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError, state_needed};
+use super::{
+    Cameras, EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError, state_needed,
+};
 
-/// Follows a recorded motion in place and time, whoever is in the way; beyond its end it stands where the record ends.
+/// Follows a recorded motion in place and time, regardless of what is in the way; beyond its end it
+/// stands where the record ends.
 ///
-/// It has to be told where the ego is, as the record is in world coordinates: an ego that has come off the record is led back.
+/// It has to be told where the ego is, as the record is in world coordinates: an ego that has come
+/// off the record is led back.
 #[derive(Clone, Debug)]
 pub struct Replay {
     /// Seconds since the episode's start, world coordinates.
@@ -34,7 +38,11 @@ impl Replay {
         };
         let path = Trajectory::new(episode.instants().map(stand).collect());
         let scenario = &episode.head.scenario.name;
-        Ok(Self { path: path.map_err(|fault| PlannerError(format!("the recorded episode {scenario}: {fault}")))? })
+        Ok(Self {
+            path: path.map_err(|fault| {
+                PlannerError(format!("the recorded episode {scenario}: {fault}"))
+            })?,
+        })
     }
 }
 
@@ -44,7 +52,10 @@ impl Planner for Replay {
     }
 
     fn sees(&self) -> ObservationRequest {
-        ObservationRequest { cameras: Cameras::None, privileged: true }
+        ObservationRequest {
+            cameras: Cameras::None,
+            privileged: true,
+        }
     }
 
     fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
@@ -53,6 +64,13 @@ impl Planner for Replay {
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
         let ego = state_needed(observation, "replay")?.ego;
-        plan_through(|time_s| ego.to_local(self.path.at(observation.time_s + time_s).translation.truncate()))
+        plan_through(|time_s| {
+            ego.to_local(
+                self.path
+                    .at(observation.time_s + time_s)
+                    .translation
+                    .truncate(),
+            )
+        })
     }
 }

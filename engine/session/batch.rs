@@ -23,27 +23,49 @@ pub(super) struct Batch {
     pub parts: Vec<Part>,
 }
 
-/// The frames that draw `views`, in order: of one scene each, with no more cameras than a frame can have, nor more pixels than
-/// `pixels_max` unless it is one camera.
-pub(super) fn batches(views: &[WorldView<'_>], pixels_max: u64) -> Result<Vec<Batch>, SessionError> {
+/// The frames that draw `views`, in order: of one scene each, with no more cameras than a frame can
+/// have, nor more pixels than `pixels_max` unless it is one camera.
+pub(super) fn batches(
+    views: &[WorldView<'_>],
+    pixels_max: u64,
+) -> Result<Vec<Batch>, SessionError> {
     let mut batches: Vec<Batch> = Vec::new();
     let (mut cameras, mut pixels) = (0, 0);
-    for (view, WorldView { world, cameras: wanted }) in views.iter().enumerate() {
+    for (
+        view,
+        WorldView {
+            world,
+            cameras: wanted,
+        },
+    ) in views.iter().enumerate()
+    {
         if wanted.is_empty() {
             return Err(SessionError::NoCameras);
         }
         for (index, camera) in wanted.iter().enumerate() {
             let own = camera.intrinsics.pixels();
             let fits = cameras < CAMERAS_MAX && pixels + own <= pixels_max;
-            match batches.last_mut().filter(|batch| fits && Arc::ptr_eq(&batch.scene, world.scene())) {
+            match batches
+                .last_mut()
+                .filter(|batch| fits && Arc::ptr_eq(&batch.scene, world.scene()))
+            {
                 Some(batch) => match batch.parts.last_mut().filter(|part| part.view == view) {
                     Some(part) => part.cameras.end = index + 1,
-                    None => batch.parts.push(Part { view, cameras: index..index + 1 }),
+                    None => batch.parts.push(Part {
+                        view,
+                        cameras: index..index + 1,
+                    }),
                 },
                 None => {
                     (cameras, pixels) = (0, 0);
-                    let parts = vec![Part { view, cameras: index..index + 1 }];
-                    batches.push(Batch { scene: world.scene().clone(), parts });
+                    let parts = vec![Part {
+                        view,
+                        cameras: index..index + 1,
+                    }];
+                    batches.push(Batch {
+                        scene: world.scene().clone(),
+                        parts,
+                    });
                 }
             }
             (cameras, pixels) = (cameras + 1, pixels + own);
@@ -62,25 +84,46 @@ pub(super) struct AgentBatch {
 impl Batch {
     /// Cameras, in the order of the frame's images.
     pub fn cameras(&self, views: &[WorldView<'_>]) -> Vec<Camera> {
-        self.parts.iter().flat_map(|part| views[part.view].cameras[part.cameras.clone()].iter().cloned()).collect()
+        self.parts
+            .iter()
+            .flat_map(|part| {
+                views[part.view].cameras[part.cameras.clone()]
+                    .iter()
+                    .cloned()
+            })
+            .collect()
     }
 
     /// Agents, in the light of the scene.
     pub fn cast(&self, live: &LiveScene, views: &[WorldView<'_>]) -> AgentBatch {
-        let mut cast = AgentBatch { agents: Vec::new(), shadows: Vec::new(), shadow_cameras: None };
+        let mut cast = AgentBatch {
+            agents: Vec::new(),
+            shadows: Vec::new(),
+            shadow_cameras: None,
+        };
         let mut shadow_cameras = Vec::new();
         let mut first = 0;
         for part in &self.parts {
             let own = ((1u64 << part.cameras.len()) - 1) << first;
             first += part.cameras.len();
-            let placed: Vec<AgentInstance> = views[part.view].world.agents().iter().map(|agent| agent.placed).collect();
+            let placed: Vec<AgentInstance> = views[part.view]
+                .world
+                .agents()
+                .iter()
+                .map(|agent| agent.placed)
+                .collect();
             let moment = live.placed(&placed);
-            cast.agents.extend(moment.agents.into_iter().map(|agent| Agent { cameras: own as u32, ..agent }));
+            cast.agents
+                .extend(moment.agents.into_iter().map(|agent| Agent {
+                    cameras: own as u32,
+                    ..agent
+                }));
             shadow_cameras.extend(std::iter::repeat_n(own as u32, moment.shadows.len()));
             cast.shadows.extend(moment.shadows);
         }
         // One world needs no masks, and kernels without them are the faster ones.
-        cast.shadow_cameras = (self.parts.len() > 1 && !shadow_cameras.is_empty()).then_some(shadow_cameras);
+        cast.shadow_cameras =
+            (self.parts.len() > 1 && !shadow_cameras.is_empty()).then_some(shadow_cameras);
         cast
     }
 }

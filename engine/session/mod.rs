@@ -1,8 +1,10 @@
 //! Many scenes, many worlds and many views on one device: how other programs use the engine.
 //!
-//! A [`Session`] owns the device and the scenes that were opened on it: each background and each asset is there once, however many
-//! show it. A [`World`] is a set of agents over one of these scenes, and costs a few hundred bytes. A [`BatchRenderer`] draws any number of
-//! worlds for any cameras in as few submissions as there are 32 cameras; several batch renderers may work on several threads.
+//! A [`Session`] owns the device and the scenes that were opened on it: each background and each
+//! asset is there once, however many show it. A [`World`] is a set of agents over one of these
+//! scenes, and costs a few hundred bytes. A [`BatchRenderer`] draws any number of worlds for any
+//! cameras in as few submissions as there are 32 cameras; several batch renderers may work on
+//! several threads.
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -17,7 +19,8 @@
 //! for step in 0..100 {
 //!     let time_s = 0.1 * f64::from(step);
 //!     worlds[0].set_time(time_s);
-//!     let pose = Pose { translation: glam::DVec3::new(0.2 * f64::from(step), 3.5, 0.0), ..Pose::IDENTITY };
+//!     let translation = glam::DVec3::new(0.2 * f64::from(step), 3.5, 0.0);
+//!     let pose = Pose { translation, ..Pose::IDENTITY };
 //!     worlds[1].move_to("car_001", pose)?;
 //!     let cameras = scene.rig().at(&scene.ego().at(time_s));
 //!     let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
@@ -48,8 +51,8 @@ use crate::episode::Site;
 pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
 pub use world::{World, WorldAgent};
 
-/// Probes of light that a scene keeps at most, about 110 bytes each: agents that are sent anywhere at all must not fill the memory.
-/// Light elsewhere is summed up anew in every frame.
+/// Probes of light that a scene keeps at most, about 110 bytes each: agents that are sent anywhere
+/// at all must not fill the memory. Light elsewhere is summed up anew in every frame.
 const PROBES_MAX: usize = 1 << 18;
 
 /// Reason why a session could not serve a request.
@@ -95,10 +98,14 @@ pub enum SessionError {
         max: usize,
     },
     /// Bytes were asked of a batch renderer that draws floats.
-    #[error("the batch renderer stores floats: open the session with ColorFormat::U8 to read bytes")]
+    #[error(
+        "the batch renderer stores floats: open the session with ColorFormat::U8 to read bytes"
+    )]
     NotBytes,
     /// A world of another session, whose scenes are not on this device.
-    #[error("view {view} shows a world of another session: draw it with a batch renderer of its own")]
+    #[error(
+        "view {view} shows a world of another session: draw it with a batch renderer of its own"
+    )]
     OtherSession {
         /// Index of the view.
         view: usize,
@@ -123,13 +130,25 @@ pub struct SessionOptions {
 impl Default for SessionOptions {
     /// The best device, images in bytes, and room to spare for cameras that leap.
     fn default() -> Self {
-        let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
-        let render = RenderOptions { outputs, spare: 0.5, ..RenderOptions::default() };
-        Self { device: DeviceOptions::default(), render, rules: None }
+        let outputs = Outputs {
+            color: ColorFormat::U8,
+            ..Outputs::default()
+        };
+        let render = RenderOptions {
+            outputs,
+            spare: 0.5,
+            ..RenderOptions::default()
+        };
+        Self {
+            device: DeviceOptions::default(),
+            render,
+            rules: None,
+        }
     }
 }
 
-/// A device and the scenes on it. Share it by reference or in an [`Arc`]; all its methods may be called from any thread.
+/// A device and the scenes on it. Share it by reference or in an [`Arc`]; all its methods may be
+/// called from any thread.
 pub struct Session {
     gpu: Gpu,
     options: SessionOptions,
@@ -137,7 +156,7 @@ pub struct Session {
     scenes: Mutex<BTreeMap<PathBuf, Weak<SessionScene>>>,
 }
 
-/// A scene on the device. It stays there as long as somebody holds it.
+/// A scene on the device. It stays there as long as it is held.
 pub struct SessionScene {
     gpu: Gpu,
     rules: Rules,
@@ -160,10 +179,15 @@ impl Session {
         Ok(Self::on(&Gpu::open(&options.device)?, options))
     }
 
-    /// A session on a device that is open already, which [`SessionOptions::device`] is not asked for: to look at what it can do first.
+    /// A session on a device that is open already, which [`SessionOptions::device`] is not asked
+    /// for: to look at what it can do first.
     #[must_use]
     pub fn on(gpu: &Gpu, options: &SessionOptions) -> Self {
-        Self { gpu: gpu.clone(), options: options.clone(), scenes: Mutex::default() }
+        Self {
+            gpu: gpu.clone(),
+            options: options.clone(),
+            scenes: Mutex::default(),
+        }
     }
 
     /// The device.
@@ -178,7 +202,7 @@ impl Session {
         &self.options
     }
 
-    /// The scene of a scene file or splat file, loaded unless somebody holds it already.
+    /// The scene of a scene file or splat file, loaded unless it is loaded already.
     ///
     /// # Errors
     /// When a file is missing or wrong, or the device has not the memory.
@@ -187,7 +211,8 @@ impl Session {
         if let Some(scene) = self.held(&key) {
             return Ok(scene);
         }
-        // Loaded without the lock, so that frames of other scenes go on; who comes second lets his go.
+        // Loaded without the lock, so that frames of other scenes go on; the loser of a race drops
+        // its copy and takes the other.
         let scene = self.add_scene(&open_scene(path, 0.0)?)?;
         let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(other) = scenes.get(&key).and_then(Weak::upgrade) {
@@ -198,7 +223,8 @@ impl Session {
         Ok(scene)
     }
 
-    /// The place of episodes, with light summed up all along its lanes. A [`crate::episode::Rollout`] shows itself in worlds over it.
+    /// The place of episodes, with light summed up all along its lanes. A
+    /// [`crate::episode::Rollout`] shows itself in worlds over it.
     ///
     /// # Errors
     /// Those of [`Session::add_scene`].
@@ -209,24 +235,37 @@ impl Session {
     }
 
     fn held(&self, key: &Path) -> Option<Arc<SessionScene>> {
-        self.scenes.lock().unwrap_or_else(PoisonError::into_inner).get(key).and_then(Weak::upgrade)
+        self.scenes
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get(key)
+            .and_then(Weak::upgrade)
     }
 
-    /// A scene that was loaded or made up by the caller, copied to the device.
+    /// A scene that was loaded or synthetic by the caller, copied to the device.
     ///
     /// # Errors
     /// When the device has not the memory, or an asset cannot be drawn.
     pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<SessionScene>, SessionError> {
         let live = LiveScene::new(&Renderer::new(&self.gpu, self.options.render), loaded)?;
-        let agent_by_name: HashMap<String, usize> =
-            loaded.agents.iter().enumerate().map(|(index, agent)| (agent.name.clone(), index)).collect();
+        let agent_by_name: HashMap<String, usize> = loaded
+            .agents
+            .iter()
+            .enumerate()
+            .map(|(index, agent)| (agent.name.clone(), index))
+            .collect();
         Ok(Arc::new(SessionScene {
             gpu: self.gpu.clone(),
             rules: loaded.world.rules,
             rig: loaded.rig.clone(),
             ego: loaded.ego.clone(),
             agents: loaded.agents.clone(),
-            plain_agents: loaded.agent_names.iter().filter(|name| !agent_by_name.contains_key(*name)).cloned().collect(),
+            plain_agents: loaded
+                .agent_names
+                .iter()
+                .filter(|name| !agent_by_name.contains_key(*name))
+                .cloned()
+                .collect(),
             agent_by_name,
             live: RwLock::new(live),
         }))
@@ -272,7 +311,9 @@ impl SessionScene {
 
     /// The agent of the scene file called `name`.
     pub(crate) fn agent(&self, name: &str) -> Option<&LoadedAgent> {
-        self.agent_by_name.get(name).map(|&index| &self.agents[index])
+        self.agent_by_name
+            .get(name)
+            .map(|&index| &self.agents[index])
     }
 
     /// True if it is on the device `gpu`.
@@ -292,10 +333,14 @@ impl SessionScene {
     /// When there is no such asset.
     pub fn asset_dims_m(&self, asset: usize) -> Result<[f32; 3], SessionError> {
         let live = self.live();
-        live.asset_dims_m(asset).ok_or(SessionError::NoAsset { asset, count: live.asset_count() })
+        live.asset_dims_m(asset).ok_or(SessionError::NoAsset {
+            asset,
+            count: live.asset_count(),
+        })
     }
 
-    /// Copies another compressed asset (`.safetensors`) to the device, for all worlds over this scene; returns its number.
+    /// Copies another compressed asset (`.safetensors`) to the device, for all worlds over this
+    /// scene; returns its number.
     ///
     /// # Errors
     /// When the file is missing or wrong, or the device has not the memory.

@@ -22,7 +22,8 @@ pub struct WorldAgent {
     pub placed: AgentInstance,
 }
 
-/// A set of agents over a scene, which other worlds may be over as well: the background is shared, the agents are not.
+/// A set of agents over a scene, which other worlds may be over as well: the background is shared,
+/// the agents are not.
 #[derive(Clone)]
 pub struct World {
     scene: Arc<SessionScene>,
@@ -42,13 +43,19 @@ impl World {
                 instance: agent.instance,
             },
         };
-        Self { agents: scene.agents().iter().map(agent).collect(), scene: scene.clone() }
+        Self {
+            agents: scene.agents().iter().map(agent).collect(),
+            scene: scene.clone(),
+        }
     }
 
     /// The background alone.
     #[must_use]
     pub fn empty(scene: &Arc<SessionScene>) -> Self {
-        Self { agents: Vec::new(), scene: scene.clone() }
+        Self {
+            agents: Vec::new(),
+            scene: scene.clone(),
+        }
     }
 
     /// The scene that it is over.
@@ -63,7 +70,8 @@ impl World {
         &self.agents
     }
 
-    /// Puts the agents of the scene file that are still here where their trajectories have them at `time_s`.
+    /// Puts the agents of the scene file that are still here where their trajectories have them at
+    /// `time_s`.
     pub fn set_time(&mut self, time_s: f64) {
         for agent in &mut self.agents {
             if let Some(loaded) = self.scene.agent(&agent.name) {
@@ -82,20 +90,39 @@ impl World {
         Ok(())
     }
 
-    /// Adds an agent that shows `asset`, or lets the one of that name show it. `sh_frame` says how the asset's colors are meant; `None`:
-    /// as the asset says. Returns its instance id.
+    /// Adds an agent that shows `asset`, or lets the one of that name show it. `sh_frame` says how
+    /// the asset's colors are meant; `None`: as the asset says. Returns its instance id.
     ///
     /// # Errors
     /// When there is no such asset, or there are as many agents as ids.
-    pub fn place(&mut self, name: &str, asset: usize, pose: Pose, sh_frame: Option<ShFrame>) -> Result<u16, SessionError> {
+    pub fn place(
+        &mut self,
+        name: &str,
+        asset: usize,
+        pose: Pose,
+        sh_frame: Option<ShFrame>,
+    ) -> Result<u16, SessionError> {
         self.scene.asset_dims_m(asset)?;
         if let Ok(index) = self.index_of(name) {
             let placed = &mut self.agents[index].placed;
-            *placed = AgentInstance { asset, pose, sh_frame, instance: placed.instance };
+            *placed = AgentInstance {
+                asset,
+                pose,
+                sh_frame,
+                instance: placed.instance,
+            };
             return Ok(placed.instance);
         }
         let instance = self.free_instance()?;
-        self.agents.push(WorldAgent { name: name.to_owned(), placed: AgentInstance { asset, pose, sh_frame, instance } });
+        self.agents.push(WorldAgent {
+            name: name.to_owned(),
+            placed: AgentInstance {
+                asset,
+                pose,
+                sh_frame,
+                instance,
+            },
+        });
         Ok(instance)
     }
 
@@ -103,14 +130,23 @@ impl World {
     ///
     /// # Errors
     /// When there is no such asset, or there are more agents than ids; nothing is changed then.
-    pub fn set_agents(&mut self, agents: impl IntoIterator<Item = (String, AgentInstance)>) -> Result<(), SessionError> {
-        let agents: Vec<WorldAgent> = agents.into_iter().map(|(name, placed)| WorldAgent { name, placed }).collect();
+    pub fn set_agents(
+        &mut self,
+        agents: impl IntoIterator<Item = (String, AgentInstance)>,
+    ) -> Result<(), SessionError> {
+        let agents: Vec<WorldAgent> = agents
+            .into_iter()
+            .map(|(name, placed)| WorldAgent { name, placed })
+            .collect();
         if agents.len() > AGENTS_MAX {
             return Err(SessionError::TooManyAgents { max: AGENTS_MAX });
         }
         let count = self.scene.asset_count();
         if let Some(agent) = agents.iter().find(|agent| agent.placed.asset >= count) {
-            return Err(SessionError::NoAsset { asset: agent.placed.asset, count });
+            return Err(SessionError::NoAsset {
+                asset: agent.placed.asset,
+                count,
+            });
         }
         self.agents = agents;
         Ok(())
@@ -130,23 +166,53 @@ impl World {
             return Ok(index);
         }
         if self.scene.plain_agents().iter().any(|plain| plain == name) {
-            return Err(SessionError::PlainSplats { name: name.to_owned() });
+            return Err(SessionError::PlainSplats {
+                name: name.to_owned(),
+            });
         }
-        let mut there: Vec<&str> = self.agents.iter().take(NAMES_LISTED).map(|agent| agent.name.as_str()).collect();
+        let mut there: Vec<&str> = self
+            .agents
+            .iter()
+            .take(NAMES_LISTED)
+            .map(|agent| agent.name.as_str())
+            .collect();
         if self.agents.len() > NAMES_LISTED {
             there.push("and more");
         }
-        let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
-        Err(SessionError::NoAgent { name: name.to_owned(), there })
+        let there = if there.is_empty() {
+            "none".to_owned()
+        } else {
+            there.join(", ")
+        };
+        Err(SessionError::NoAgent {
+            name: name.to_owned(),
+            there,
+        })
     }
 
-    /// One above the highest in use, of this world or of the background; the lowest free one where that is the highest there is.
+    /// One above the highest in use, of this world or of the background; the lowest free one where
+    /// that is the highest there is.
     fn free_instance(&self) -> Result<u16, SessionError> {
         let background = self.scene.agents().len() + self.scene.plain_agents().len();
-        let mut taken: Vec<u16> = self.agents.iter().map(|agent| agent.placed.instance).collect();
+        let mut taken: Vec<u16> = self
+            .agents
+            .iter()
+            .map(|agent| agent.placed.instance)
+            .collect();
         taken.sort_unstable();
-        let above = taken.last().copied().unwrap_or(0).max(background as u16).checked_add(1);
-        let gap = || (1..=u16::MAX).skip(background).find(|id| taken.binary_search(id).is_err());
-        above.or_else(gap).ok_or(SessionError::TooManyAgents { max: AGENTS_MAX })
+        let above = taken
+            .last()
+            .copied()
+            .unwrap_or(0)
+            .max(background as u16)
+            .checked_add(1);
+        let gap = || {
+            (1..=u16::MAX)
+                .skip(background)
+                .find(|id| taken.binary_search(id).is_err())
+        };
+        above
+            .or_else(gap)
+            .ok_or(SessionError::TooManyAgents { max: AGENTS_MAX })
     }
 }

@@ -1,5 +1,6 @@
-// Agents: splats of 12 bytes over codebooks, in the asset's own frame. They are never expanded: each camera is moved into the
-// agent's frame instead, so that neither a position nor a shape has to be turned.
+// Agents: splats of 12 bytes over codebooks, in the asset's own frame. They are never expanded:
+// each camera is moved into the agent's frame instead, so that neither a position nor a shape has
+// to be turned.
 
 struct Agent {
     vec3 row_x; // world from agent rotation, by rows: for colors that are meant in the world's frame

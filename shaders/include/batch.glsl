@@ -1,4 +1,5 @@
-// Records staged in shared memory, and for each 4x4 block of pixels the list of those that can reach it.
+// Records staged in shared memory, and for each 4x4 block of pixels the list of those that can
+// reach it.
 //
 // Included by blend.comp, whose buffers it reads.
 
@@ -7,21 +8,25 @@ const uint SHARES = LEFT_PIXELS / LANES; // of a coarse tile, for a subgroup eac
 
 const uint BATCH_WORDS = BATCH / 32u;
 
-// Index of a record that adds nothing to any pixel. No constant of its own: reflection would call BATCH by its name.
+// Index of a record that adds nothing to any pixel. No constant of its own: reflection would call
+// BATCH by its name.
 #define NO_RECORD BATCH
 
-// Lanes that share a block: two pixels each. Subgroups of four lanes have blocks of half the height.
+// Lanes that share a block: two pixels each. Subgroups of four lanes have blocks of half the
+// height.
 const uint BLOCK_LANES = LANES < 8u ? LANES : 8u;
 const uint BLOCKS = LANES / BLOCK_LANES; // of a subgroup
-const uint ROUND = LANES < 32u ? LANES : 32u; // records that are looked at together
+const uint ROUND = LANES < 32u ? LANES : 32u; // records that are examined together
 const uint PARTS = LANES < 32u ? 32u / LANES : 1u; // of a word, a subgroup's lanes each
 const uint WORDS_STAGED = LANES > 32u ? LANES / 32u : 1u; // by a subgroup at a time
 
-// Entries of a block's list: as many as shared memory allows, a multiple of four and more than a round.
+// Entries of a block's list: as many as shared memory allows, a multiple of four and more than a
+// round.
 const uint LIST_ROOM = 6u * BLOCK_LANES;
 const uint LISTS = THREADS / BLOCK_LANES;
 
-// The exponent of a record at (x, y), relative to the coarse tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
+// The exponent of a record at (x, y), relative to the coarse tile: log2_opacity - (x * slants.x + y
+// * slants.y + slants.z)^2
 // - (y * rate_y + slants.w)^2. `tones` is rate_y, log2_opacity, red and green.
 shared vec4 batch_slants[BATCH + 1u];
 shared vec4 batch_tones[BATCH + 1u];
@@ -29,7 +34,8 @@ shared float batch_blues[BATCH + 1u];
 shared float batch_depths[DEPTH ? BATCH + 1u : 1u];
 shared uint batch_instances[INSTANCE || CONTRIBUTIONS ? BATCH + 1u : 1u];
 
-// Records of each fine tile, one bit each. A word more than needed keeps tiles out of each other's memory bank.
+// Records of each fine tile, one bit each. A word more than needed keeps tiles out of each other's
+// memory bank.
 shared uint tile_records[32][BATCH_WORDS + 1u];
 
 // The lists of blocks.
@@ -53,7 +59,8 @@ uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
     return mask;
 }
 
-// Stages record `entry` of `count`, which begin at entry `first` of the lists; returns the fine tiles that it can reach.
+// Stages record `entry` of `count`, which begin at entry `first` of the lists; returns the fine
+// tiles that it can reach.
 uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_px) {
     if (entry >= count) {
         return 0u;
@@ -77,9 +84,11 @@ uint stage_record(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
     return reached_fine_tiles(splat, origin, size_px);
 }
 
-// Stages `count` records, which begin at entry `first` of the lists, and lists them by fine tile. A barrier must follow.
+// Stages `count` records, which begin at entry `first` of the lists, and lists them by fine tile. A
+// barrier must follow.
 //
-// A subgroup takes 32 records at a time, or as many as it has lanes: their masks are turned into one word per tile by ballots.
+// A subgroup takes 32 records at a time, or as many as it has lanes: their masks are turned into
+// one word per tile by ballots.
 void stage_records(uint first, uint count, uvec2 origin, uvec2 size_px) {
     uint lane = gl_SubgroupInvocationID;
     uint words = (count + 31u) / 32u;
@@ -139,7 +148,8 @@ uint place_of_bit(uint bits, uint rank) {
     return place;
 }
 
-// Record `rank` of those whose bits the lanes hold: `bits` of each, and how many bits lie in the lanes before. Every lane calls it.
+// Record `rank` of those whose bits the lanes hold: `bits` of each, and how many bits lie in the
+// lanes before. Every lane calls it.
 uint record_of_rank(uint rank, uint bits, uint before) {
     uint holder = 0u;
     [[unroll]] for (uint step = LANES / 2u; step > 0u; step /= 2u) {
@@ -149,8 +159,9 @@ uint record_of_rank(uint rank, uint bits, uint before) {
     return 32u * holder + place_of_bit(held, rank - subgroupShuffle(before, holder));
 }
 
-// Blocks of the subgroup whose first pixel is `first_place` that a record may reach, as bits. The exponent is a sum of squares
-// of two linear functions: a block whose bounds of the two lie too far from zero is not reached.
+// Blocks of the subgroup whose first pixel is `first_place` that a record may reach, as bits. The
+// exponent is a sum of squares of two linear functions: a block whose bounds of the two lie too far
+// from zero is not reached.
 uint reached_blocks(uint entry, uint first_place) {
     vec4 slants = batch_slants[entry];
     vec4 tones = batch_tones[entry];
@@ -202,7 +213,8 @@ Staged record_of_lane(Staged own, uint lane) {
     return own;
 }
 
-// log2(alpha) of a record at two pixels, the second two columns to the right of the first, whose center is `at`.
+// log2(alpha) of a record at two pixels, the second two columns to the right of the first, whose
+// center is `at`.
 vec2 log2_alphas(vec4 slants, vec4 tones, vec2 at) {
     float u = at.x * slants.x + (at.y * slants.y + slants.z);
     float u_right = u + 2.0 * slants.x;

@@ -1,4 +1,5 @@
-// Sums over a workgroup, right for every subgroup size. RequiredCounts WORKGROUP_THREADS and GL_KHR_shader_subgroup_arithmetic.
+// Sums over a workgroup, right for every subgroup size. RequiredCounts WORKGROUP_THREADS and
+// GL_KHR_shader_subgroup_arithmetic.
 
 // At most this many subgroups in a workgroup: 256 threads in subgroups of 4.
 shared uint block_subgroup_sums[WORKGROUP_THREADS / 4];
@@ -8,8 +9,8 @@ uint block_thread() {
     return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
 }
 
-// Sum of `value` over the threads before this one in block_thread() order; `total` is the sum over all of them.
-// Every thread of the workgroup calls it.
+// Sum of `value` over the threads before this one in block_thread() order; `total` is the sum over
+// all of them. Every thread of the workgroup calls it.
 uint block_exclusive_sum(uint value, out uint total) {
     uint inclusive = subgroupInclusiveAdd(value);
     barrier(); // an earlier call may still be read

@@ -1,13 +1,16 @@
 // Depth key of the front-to-back order, finer than an f32: 27 binary digits of a depth computed
 // with 48.
 //
-// The depth is counted from the world's origin, along the camera's direction: f.p instead of f.(p - c), which differs by the
-// same for all splats. So a key does not change when the camera moves without turning, and neither does the order.
+// The depth is counted from the world's origin, along the camera's direction: f.p instead of f.(p -
+// c), which differs by the same for all splats. So a key does not change when the camera moves
+// without turning, and neither does the order.
 //
-// Of two splats on one pixel the nearer must come first, and captured scenes hold pairs that differ by less than the
-// rounding of an f32 camera transform; drawing such a pair the wrong way round shows as a stain of their size.
+// Of two splats on one pixel the nearer must come first, and captured scenes hold pairs that differ
+// by less than the rounding of an f32 camera transform; drawing such a pair the wrong way round
+// shows as a stain of their size.
 
-// Sixteen steps between one f32 and the next, of fifteen powers of two; what is smaller is counted in steps of one size.
+// Sixteen steps between one f32 and the next, of fifteen powers of two; what is smaller is counted
+// in steps of one size.
 const float KEY_STEPS = 16.0;
 const float KEY_FLOATS_FROM = 3.0517578125e-5; // 2^-15
 const float KEY_LINEAR_STEPS = 4398046511104.0; // 2^42: as fine at 2^-15 as the floats there
@@ -28,15 +31,17 @@ uint depth_key(vec2 depth) {
         uint places = floatBitsToUint(size.x) - floatBitsToUint(KEY_FLOATS_FROM);
         // The distance to the next float: 2^-23 of the power of two below.
         float place = uintBitsToFloat(floatBitsToUint(size.x) & 0x7f800000u) * 1.1920929e-7;
-        // At most half a place up or down. The nearest step, not the one below: a depth that an f32 holds stands in the
-        // middle of its step, and what a rotation's last digit adds to one of two equal depths leaves them tied.
+        // At most half a place up or down. The nearest step, not the one below: a depth that an f32
+        // holds stands in the middle of its step, and what a rotation's last digit adds to one of
+        // two equal depths leaves them tied.
         int part = int(floor(clamp(size.y / place, -0.5, 0.5) * KEY_STEPS + 0.5));
         code = min(KEY_LINEAR_CODES + uint(int(min(places, 0x07ffffffu) << 4u) + part), 0x7fffffffu);
     }
     return negative ? 0x80000000u - code : 0x80000000u + code;
 }
 
-// The depth, between -1 and 1, of a mean: background relative to the world's origin, or an agent's in its own frame.
+// The depth, between -1 and 1, of a mean: background relative to the world's origin, or an agent's
+// in its own frame.
 vec2 scaled_depth(vec3 mean_m, Camera camera) {
     vec2 depth = camera.key_offset;
     for (int axis = 0; axis < 3; ++axis) {
@@ -46,7 +51,8 @@ vec2 scaled_depth(vec3 mean_m, Camera camera) {
     return depth;
 }
 
-// The same of a distance from the camera: it does not lose its sign, and only the camera's own place counts.
+// The same of a distance from the camera: it does not lose its sign, and only the camera's own
+// place counts.
 vec2 scaled_distance(vec3 mean_m, Camera camera) {
     vec2 squared = vec2(0.0);
     for (int axis = 0; axis < 3; ++axis) {

@@ -1,9 +1,10 @@
-// Depth slabs: coarse tiles' lists are cut by them before they are sorted. A slab is a function of the depth key that never falls,
-// so that the order of slabs and the order of keys agree.
+// Depth slabs: coarse tiles' lists are cut by them before they are sorted. A slab is a function of
+// the depth key that never falls, so that the order of slabs and the order of keys agree.
 //
 // RequiredCounts depth_key.glsl.
 
-// 64 slabs per doubling of the depth, from 1/16 m to 4 km. What is nearer or farther is in the first or the last.
+// 64 slabs per doubling of the depth, from 1/16 m to 4 km. What is nearer or farther is in the
+// first or the last.
 const uint SLABS = 1024u;
 const uint SLAB_SHIFT = 17u; // keeps six digits of an f32's fraction
 const float SLAB_FIRST_M = 0.0625;
@@ -18,8 +19,8 @@ float depth_of_key(uint key) {
     return negative ? -size : size;
 }
 
-// The slab of a depth key, and its place in it from 0 to 2^SLAB_SHIFT - 1, where the camera has the depth `camera_depth`, scaled as keys
-// are by `key_scale`. Both together never fall with the key.
+// The slab of a depth key, and its place in it from 0 to 2^SLAB_SHIFT - 1, where the camera has the
+// depth `camera_depth`, scaled as keys are by `key_scale`. Both together never fall with the key.
 uvec2 slab_and_place(uint key, float camera_depth, float key_scale) {
     precise float distance = depth_of_key(key) - camera_depth;
     float first = SLAB_FIRST_M * key_scale;

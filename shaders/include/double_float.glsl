@@ -1,6 +1,7 @@
-// Sums and products of two f32 with their rounding errors kept, as an unevaluated pair (high, low): Dekker, A
-// Floating-Point Technique for Extending the Available Precision, 1971. Only additions and multiplications, which Vulkan
-// requires to be correctly rounded, and `precise`, which forbids fusing them: the bits are the same on every device.
+// Sums and products of two f32 with their rounding errors kept, as an unevaluated pair (high, low):
+// Dekker, A Floating-Point Technique for Extending the Available Precision, 1971. Only additions
+// and multiplications, which Vulkan requires to be correctly rounded, and `precise`, which forbids
+// fusing them: the bits are the same on every device.
 
 vec2 two_sum(float a, float b) {
     precise float sum = a + b;

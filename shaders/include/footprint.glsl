@@ -1,10 +1,11 @@
-// The pixels that a projected splat can reach. Culling, binning, masks and blending all use the numbers here, so that nothing is
-// dropped that blending would count. `precise`: the two runs of bin_pairs must find the same tiles, and a compiler might fuse them
-// differently.
+// The pixels that a projected splat can reach. Culling, binning, masks and blending all use the
+// numbers here, so that nothing is dropped that blending would count. `precise`: the two runs of
+// bin_pairs must find the same tiles, and a compiler might fuse them differently.
 
 // A projected Gaussian in the factored form that blending evaluates: with d = pixel center - mean,
-//   log2(alpha) = log2_opacity - ((d.x - slope * d.y) * rate_x)^2 - (d.y * rate_y)^2,
-// a sum of squares: never positive by rounding, however thin the splat (Cholesky factors of the inverse covariance).
+// log2(alpha) = log2_opacity - ((d.x - slope * d.y) * rate_x)^2 - (d.y * rate_y)^2, a sum of
+// squares: never positive by rounding, however thin the splat (Cholesky factors of the inverse
+// covariance).
 struct Footprint {
     vec2 mean_px;
     float slope;
@@ -19,8 +20,9 @@ const float LOG2_255 = 7.994353436858858;
 // The least alpha that is blended.
 const float ALPHA_MIN = 1.0 / 255.0;
 
-// Added to the squared reach wherever pixels are only bounded, never where they are blended. Rounding moves the sum of
-// squares of a pixel by less than 1e-3 for means within 10^5 pixels of the image; a wider bound costs work, not truth.
+// Added to the squared reach wherever pixels are only bounded, never where they are blended.
+// Rounding moves the sum of squares of a pixel by less than 1e-3 for means within 10^5 pixels of
+// the image; a wider bound costs work, not truth.
 const float REACH_SLACK = 0.01;
 
 // Squared radius, in units of the exponent, beyond which the splat adds nothing.
@@ -28,7 +30,8 @@ float squared_reach(Footprint splat) {
     return splat.log2_opacity + LOG2_255;
 }
 
-// Pixel coordinates [first, last] along one axis whose centers lie in [low, high], clipped to the image.
+// Pixel coordinates [first, last] along one axis whose centers lie in [low, high], clipped to the
+// image.
 ivec2 pixels_between(float low, float high, uint size_px) {
     // Both ends from both sides: what an int cannot hold has no defined conversion.
     float size = float(size_px);
@@ -41,11 +44,13 @@ ivec2 reached_rows(Footprint splat, uint height_px) {
     return pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px);
 }
 
-// Columns of pixels [first, last] the splat can reach in the rows whose centers lie in [low_y, high_y].
+// Columns of pixels [first, last] the splat can reach in the rows whose centers lie in [low_y,
+// high_y].
 //
-// In v = d.y * rate_y the ellipse's left and right edges are x = A v -+ B sqrt(r2 - v^2), A = slope / rate_y,
-// B = 1 / rate_x. The right edge is concave in v with its top at v = r A / sqrt(A^2 + B^2), the left edge is its mirror
-// image: the extreme over a strip is at that v, moved into the strip.
+// In v = d.y * rate_y the ellipse's left and right edges are x = A v -+ B sqrt(r2 - v^2), A = slope
+// / rate_y, B = 1 / rate_x. The right edge is concave in v with its top at v = r A / sqrt(A^2 +
+// B^2), the left edge is its mirror image: the extreme over a strip is at that v, moved into the
+// strip.
 ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px) {
     precise float r2 = squared_reach(splat) + REACH_SLACK;
     precise float r = sqrt(r2);
@@ -66,7 +71,8 @@ ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px)
     return pixels_between(splat.mean_px.x + left - rounding, splat.mean_px.x + right + rounding, width_px);
 }
 
-// Coarse tiles [x, y] of row `row` of the camera's tiles that the splat can reach; empty when x > y.
+// Coarse tiles [x, y] of row `row` of the camera's tiles that the splat can reach; empty when x >
+// y.
 ivec2 reached_coarse_tiles(Footprint splat, uint row, uvec2 size_px) {
     float top = float(row * COARSE_HEIGHT_PX);
     float bottom = min(top + float(COARSE_HEIGHT_PX), float(size_px.y));

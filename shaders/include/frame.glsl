@@ -1,10 +1,12 @@
-// Structures shared by the stages of a frame. The host has them in engine/render/src/layout.rs; tests/stages/layout.rs compares the two.
+// Structures shared by the stages of a frame. The host has them in engine/render/src/layout.rs;
+// tests/stages/layout.rs compares the two.
 
 // Splats a cluster; a cluster is culled as one and is one workgroup of cull and project.
 const uint CLUSTER_SPLATS = 256u;
 const uint CLUSTER_WORDS = CLUSTER_SPLATS / 32u;
 
-// A coarse tile is what lists are made for: 8 x 4 fine tiles of 8 x 8 pixels, one bit of a 32-bit mask each.
+// A coarse tile is what lists are made for: 8 x 4 fine tiles of 8 x 8 pixels, one bit of a 32-bit
+// mask each.
 const uint FINE_TILE_PX = 8u;
 const uint COARSE_COLUMNS = 8u;
 const uint COARSE_ROWS = 4u;
@@ -52,7 +54,8 @@ struct RequiredCounts {
     uint longest;    // pairs of one coarse tile, at most
 };
 
-// Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 coarse tiles' halves cannot wrap.
+// Pairs that were wanted; what an u32 cannot hold is its largest value. Sums of up to 65,536 coarse
+// tiles' halves cannot wrap.
 uint wanted_pairs(RequiredCounts required) {
     uint high = required.pairs_high + (required.pairs_low >> 16u);
     return high > 0xffffu ? 0xffffffffu : high << 16u | (required.pairs_low & 0xffffu);
@@ -68,7 +71,8 @@ const uint ARGUMENTS_PAIR_BLOCKS = 0u;
 const uint ARGUMENTS_BLEND = 1u;
 const uint ARGUMENTS_COMPOSITE = 2u;
 
-// First records of a camera: the background's lie before those of agents, each in the order of their splats.
+// First records of a camera: the background's lie before those of agents, each in the order of
+// their splats.
 struct ViewLists {
     uint first_static;
     uint first_moving;

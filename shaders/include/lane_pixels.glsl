@@ -2,7 +2,8 @@
 //
 // Included by blend.comp, after batch.glsl.
 
-// A product of largest transmittances up to here means that composite stops before, its own rounding included.
+// A product of largest transmittances up to here means that composite stops before, its own
+// rounding included.
 float covered() {
     return EXCLUSIVE_STOP ? 0.999 * TRANSMITTANCE_MIN : 0.999 * TRANSMITTANCE_FULL;
 }

@@ -1,9 +1,10 @@
 // Projection of a Gaussian through a lens other than a pinhole: the unscented transform (Wu et al.,
 // 3DGUT, 2025), in f32.
 //
-// Seven points stand for the Gaussian, the lens takes each to the image, and the footprint has their mean and covariance. Up to
-// where it ends a lens is followed; beyond, it goes on linearly in the chord 2 sin(angle / 2), which is finite even for what
-// lies behind. No angle is ever computed: drivers may be 4096 units in the last place off in an arc tangent.
+// Seven points stand for the Gaussian, the lens takes each to the image, and the footprint has
+// their mean and covariance. Up to where it ends a lens is followed; beyond, it goes on linearly in
+// the chord 2 sin(angle / 2), which is finite even for what lies behind. No angle is ever computed:
+// drivers may be 4096 units in the last place off in an arc tangent.
 
 const uint LENS_PINHOLE = 0u;
 const uint LENS_PLANAR = 1u; // a distorted pinhole: a function of x / z and y / z
@@ -28,7 +29,8 @@ layout(constant_id = 16) const bool LENSES = false; // some camera is no pinhole
 
 layout(set = 0, binding = 32, scalar) readonly buffer lenses_block { Lens lenses[]; }; // by camera
 
-// The square root of three dimensions: how far the points stand from the mean, in standard deviations.
+// The square root of three dimensions: how far the points stand from the mean, in standard
+// deviations.
 const float SIGMA_REACH = 1.7320508075688772;
 const float SQRT_2 = 1.4142135623730951;
 const float SQRT_SIXTH = 0.4082482904638631;
@@ -99,7 +101,8 @@ bool project_splat_unscented(Camera camera, uint lens, vec3 t, mat3 axes, float 
     }
     vec2 middle = through_lens(lens, t);
     bool shown = lens_shows(lens, t);
-    // The triangular factor in the camera's axes: it is the same whichever factor of its covariance the splat is stored by.
+    // The triangular factor in the camera's axes: it is the same whichever factor of its covariance
+    // the splat is stored by.
     vec3 columns[3] = vec3[3](to_camera_axes(camera, axes[0]), to_camera_axes(camera, axes[1]), to_camera_axes(camera, axes[2]));
     turn_columns(columns[0], columns[1], 0);
     turn_columns(columns[0], columns[2], 0);
@@ -172,11 +175,12 @@ float arc_sine_bound(float s) {
 // sqrt(6).
 const float UNSCENTED_REACH = 3.45;
 
-// True if a splat of the cluster may overlap the image of a camera: cluster_overlaps for a lens other
-// than a pinhole.
+// True if a splat of the cluster may overlap the image of a camera: cluster_overlaps for a lens
+// other than a pinhole.
 //
-// The means lie in a ball, within some angle of its center, and no lens takes rays so far apart in the image as its steepest
-// place would. Balls near the camera or beside it are let pass: there are few.
+// The means lie in a ball, within some angle of its center, and no lens takes rays so far apart in
+// the image as its steepest place would. Balls near the camera or beside it are let pass: there are
+// few.
 bool cluster_overlaps_lens(Cluster cluster, Camera camera, uint lens) {
     vec3 center = from_camera_m(cluster.center_m, camera);
     float slack = 1e-5 * (dot(abs(center), vec3(1.0)) + dot(cluster.half_extent_m, vec3(1.0)) + cluster.reach_m);

@@ -35,7 +35,8 @@ uvec2 pixel_offset(uint place) {
 // transmittance to this or below.
 const float TRANSMITTANCE_MIN = 1e-4;
 
-// Elsewhere it stops once no more than this is left: the rules allow an error of 1e-4, and 95 dB do not.
+// Elsewhere it stops once no more than this is left: the rules allow an error of 1e-4, and 95 dB do
+// not.
 const float TRANSMITTANCE_FULL = 2e-5;
 
 // Accumulated color and transmittance of a pixel, front to back.

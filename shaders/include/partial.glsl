@@ -1,7 +1,8 @@
-// Results of segments, a pixel each: blend leaves them for composite, and composite for the pass of blend that finishes pixels.
+// Results of segments, a pixel each: blend leaves them for composite, and composite for the pass of
+// blend that finishes pixels.
 //
-// Included where partial_colors, partial_depths and partial_instances are bound. A negative transmittance is a mark, which the two
-// kernels explain.
+// Included where partial_colors, partial_depths and partial_instances are bound. A negative
+// transmittance is a mark, which the two kernels explain.
 
 Pixel load_partial(uint place) {
     vec4 color = partial_colors[place];

@@ -1,13 +1,15 @@
 // Spherical harmonics of a splat, to degree 3, with the basis signs of the original 3DGS.
 //
-// DC is f32. Each higher band is stored as 16-bit fractions of its own largest coefficient (rounded up to f16): half-word
-// 0 is that scale, then [coefficient][rgb]. Against f32 the error is at most 1.6e-5 of the band's largest coefficient,
-// a thirtieth of what f16 would make of it, for the same bytes. Where the words stand is the including kernel's: it says
-// SH_WORD(band, word, index, stride) before it includes this.
+// DC is f32. Each higher band is stored as 16-bit fractions of its own largest coefficient (rounded
+// up to f16): half-word 0 is that scale, then [coefficient][rgb]. Against f32 the error is at most
+// 1.6e-5 of the band's largest coefficient, a thirtieth of what f16 would make of it, for the same
+// bytes. Where the words stand is the including kernel's: it says SH_WORD(band, word, index,
+// stride) before it includes this.
 
 layout(constant_id = 2) const uint SH_DEGREE = 3u;
 
-// Adds weight * half-word `index` of a band; `words` are the band's words, `channel` the color it belongs to.
+// Adds weight * half-word `index` of a band; `words` are the band's words, `channel` the color it
+// belongs to.
 #define ADD_COEFFICIENT(color, words, k, basis)                                                      \
     color += (basis) * vec3(sh_fraction(words[(3 * (k) + 1) / 2], (3 * (k) + 1) % 2),                \
                              sh_fraction(words[(3 * (k) + 2) / 2], (3 * (k) + 2) % 2),                \
@@ -65,7 +67,8 @@ vec3 sh_band3_color(uint index, uint stride, vec3 d) {
     return color * sh_scale(words[0]);
 }
 
-// The color of entry `index` with the DC coefficients `dc`, seen along the unit vector d, from the camera to the splat.
+// The color of entry `index` with the DC coefficients `dc`, seen along the unit vector d, from the
+// camera to the splat.
 vec3 sh_color(vec3 dc, uint index, uint stride, vec3 d) {
     vec3 color = 0.28209479177387814 * dc + 0.5;
     if (SH_DEGREE >= 1u) {

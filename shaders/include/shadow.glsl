@@ -1,4 +1,5 @@
-// The contact shadow of an agent: a soft super-ellipse about its footprint, laid on the ground that it stands on.
+// The contact shadow of an agent: a soft super-ellipse about its footprint, laid on the ground that
+// it stands on.
 
 struct Shadow {
     vec3 center_high_m; // the ground under the agent's middle, relative to the world's origin: high and low part

@@ -9,27 +9,50 @@ use super::*;
 
 /// A file that seeds the fuzz targets of the readers.
 fn seed(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../engine/asset/fuzz/seeds").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../engine/asset/fuzz/seeds")
+        .join(name)
 }
 
 #[test]
 fn a_ply_is_converted_to_every_format_and_says_what_it_lost() {
     let folder = tempfile::tempdir().unwrap();
-    let (source, report) = (seed("inria_ply/cone.ply"), folder.path().join("report.json"));
-    for (name, position_max_m, rest_max) in
-        [("a.ply", 0.0, 0.0), ("a.glb", 0.0, 0.0), ("a.spz", 1e-3, 0.01), ("a.sog", 1e-3, 0.01), ("a.splat", 0.0, 1.0)]
-    {
+    let (source, report) = (
+        seed("inria_ply/cone.ply"),
+        folder.path().join("report.json"),
+    );
+    for (name, position_max_m, rest_max) in [
+        ("a.ply", 0.0, 0.0),
+        ("a.glb", 0.0, 0.0),
+        ("a.spz", 1e-3, 0.01),
+        ("a.sog", 1e-3, 0.01),
+        ("a.splat", 0.0, 1.0),
+    ] {
         let out = folder.path().join(name);
-        let said = succeed(&["convert", text(&source), text(&out), "--report", text(&report)]);
-        assert!(said.contains(name) && said.contains("12 of 12 splats") && said.contains("position, m"), "{said}");
+        let said = succeed(&[
+            "convert",
+            text(&source),
+            text(&out),
+            "--report",
+            text(&report),
+        ]);
+        assert!(
+            said.contains(name) && said.contains("12 of 12 splats") && said.contains("position, m"),
+            "{said}"
+        );
         let value: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
         assert_eq!(
             (&value["splats_out"], &value["bytes_out"]),
-            (&Value::from(12), &Value::from(fs::metadata(&out).unwrap().len()))
+            (
+                &Value::from(12),
+                &Value::from(fs::metadata(&out).unwrap().len())
+            )
         );
         let loss = |attribute: &str| value["loss"][attribute]["max"].as_f64().unwrap();
         assert!(
-            loss("position_m") <= position_max_m && loss("sh_rest") <= rest_max && loss("opacity") < 0.003,
+            loss("position_m") <= position_max_m
+                && loss("sh_rest") <= rest_max
+                && loss("opacity") < 0.003,
             "{name}: {value:#}"
         );
         assert_eq!(read_splats(&out).unwrap().len(), 12);
@@ -38,19 +61,38 @@ fn a_ply_is_converted_to_every_format_and_says_what_it_lost() {
         succeed(&["convert", text(&out), text(&back)]);
         assert_eq!(json(&["inspect", text(&back), "--json"])["splats"], 12);
     }
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 7, "no temporary file is left");
+    assert_eq!(
+        fs::read_dir(folder.path()).unwrap().count(),
+        7,
+        "no temporary file is left"
+    );
 }
 
 #[test]
 fn a_compressed_asset_is_compared_splat_by_splat_though_its_order_is_another() {
     let folder = tempfile::tempdir().unwrap();
-    let (out, report) = (folder.path().join("a.safetensors"), folder.path().join("report.json"));
-    let said = succeed(&["convert", text(&seed("inria_ply/cone.ply")), text(&out), "--report", text(&report)]);
+    let (out, report) = (
+        folder.path().join("a.safetensors"),
+        folder.path().join("report.json"),
+    );
+    let said = succeed(&[
+        "convert",
+        text(&seed("inria_ply/cone.ply")),
+        text(&out),
+        "--report",
+        text(&report),
+    ]);
     assert!(said.contains("another order"), "{said}");
     let value: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
     // 12 splats have a shape and a color each: what is lost is the grid of positions, over 0.75 m.
-    assert!(value["loss"]["position_m"]["max"].as_f64().unwrap() < 1e-4, "{value:#}");
-    assert!(value["loss"]["scale_relative"]["max"].as_f64().unwrap() < 0.2, "{value:#}");
+    assert!(
+        value["loss"]["position_m"]["max"].as_f64().unwrap() < 1e-4,
+        "{value:#}"
+    );
+    assert!(
+        value["loss"]["scale_relative"]["max"].as_f64().unwrap() < 0.2,
+        "{value:#}"
+    );
     assert_eq!(value["loss"]["rotation_rad"], Value::Null);
 }
 
@@ -60,12 +102,40 @@ fn what_cannot_be_converted_is_refused_and_nothing_is_left() {
     let out = |name: &str| folder.path().join(name);
     let ply = seed("inria_ply/cone.ply");
     assert!(fail(1, &["convert", text(&ply), text(&out("a.obj"))]).contains(".obj"));
-    assert!(fail(1, &["convert", text(&ply), text(&out("a.compressed.ply"))]).contains("not written"));
-    assert!(fail(1, &["convert", text(&out("absent.sog")), text(&out("a.ply"))]).contains("absent.sog"));
-    assert!(fail(2, &["convert", text(&ply), text(&out("a.ply")), "--degree", "4"]).contains('4'));
-    assert!(fail(2, &["convert", text(&ply), text(&out("a.ply")), "--to", "obj"]).contains("glb"));
+    assert!(
+        fail(1, &["convert", text(&ply), text(&out("a.compressed.ply"))]).contains("not written")
+    );
+    assert!(
+        fail(
+            1,
+            &["convert", text(&out("absent.sog")), text(&out("a.ply"))]
+        )
+        .contains("absent.sog")
+    );
+    assert!(
+        fail(
+            2,
+            &["convert", text(&ply), text(&out("a.ply")), "--degree", "4"]
+        )
+        .contains('4')
+    );
+    assert!(
+        fail(
+            2,
+            &["convert", text(&ply), text(&out("a.ply")), "--to", "obj"]
+        )
+        .contains("glb")
+    );
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
-    let degree = succeed(&["convert", text(&ply), text(&out("a.bin")), "--to", "spz", "--degree", "1"]);
+    let degree = succeed(&[
+        "convert",
+        text(&ply),
+        text(&out("a.bin")),
+        "--to",
+        "spz",
+        "--degree",
+        "1",
+    ]);
     assert!(degree.contains("degree 1 where 3 was"), "{degree}");
 }
 
@@ -74,14 +144,45 @@ fn a_checkpoint_with_actors_becomes_a_scene() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("scene");
     let checkpoint = seed("scene_import/drivestudio.pth");
-    let said = succeed(&["convert", text(&checkpoint), text(&out), "--frame-rate", "5"]);
-    assert!(said.contains("2 of 2 actors") && said.contains("SMPLNodes") && said.contains("Sky"), "{said}");
+    let said = succeed(&[
+        "convert",
+        text(&checkpoint),
+        text(&out),
+        "--frame-rate",
+        "5",
+    ]);
+    assert!(
+        said.contains("2 of 2 actors") && said.contains("SMPLNodes") && said.contains("Sky"),
+        "{said}"
+    );
     let scene = SceneFile::read(&out.join("scene.toml")).unwrap();
-    assert_eq!((scene.agents.len(), scene.agents[0].trajectory.end_s()), (2, 0.4));
-    assert_eq!(json(&["inspect", text(&out.join("scene.toml")), "--json"])["splats"], 24);
+    assert_eq!(
+        (scene.agents.len(), scene.agents[0].trajectory.end_s()),
+        (2, 0.4)
+    );
+    assert_eq!(
+        json(&["inspect", text(&out.join("scene.toml")), "--json"])["splats"],
+        24
+    );
     assert!(fail(1, &["convert", text(&checkpoint), text(&out)]).contains("is there already"));
-    assert!(fail(1, &["convert", text(&checkpoint), text(&folder.path().join("b")), "--to", "ply"]).contains("--to"));
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary folder is left");
+    assert!(
+        fail(
+            1,
+            &[
+                "convert",
+                text(&checkpoint),
+                text(&folder.path().join("b")),
+                "--to",
+                "ply"
+            ]
+        )
+        .contains("--to")
+    );
+    assert_eq!(
+        fs::read_dir(folder.path()).unwrap().count(),
+        1,
+        "no temporary folder is left"
+    );
 }
 
 #[test]
@@ -100,19 +201,56 @@ fn a_packed_scene_is_a_zip_that_others_read_and_opens_as_the_scene() {
     fs::write(&map, format!("<OpenDRIVE>{header}{road}</OpenDRIVE>")).unwrap();
     let empty = folder.path().join("empty.xodr");
     fs::write(&empty, "").unwrap();
-    let refused = fail(1, &["pack", text(&scene), "--usdz", text(&package), "--map", text(&empty)]);
-    assert!(refused.contains("empty.xodr") && !package.exists(), "{refused}");
-    let said = succeed(&["pack", text(&scene), "--usdz", text(&package), "--map", text(&map)]);
-    assert!(said.contains("'street'") && said.contains("6 cameras, 2 agents"), "{said}");
+    let refused = fail(
+        1,
+        &[
+            "pack",
+            text(&scene),
+            "--usdz",
+            text(&package),
+            "--map",
+            text(&empty),
+        ],
+    );
+    assert!(
+        refused.contains("empty.xodr") && !package.exists(),
+        "{refused}"
+    );
+    let said = succeed(&[
+        "pack",
+        text(&scene),
+        "--usdz",
+        text(&package),
+        "--map",
+        text(&map),
+    ]);
+    assert!(
+        said.contains("'street'") && said.contains("6 cameras, 2 agents"),
+        "{said}"
+    );
     let file = SceneFile::read(&scene).unwrap();
     let [plain, packed] = [&scene, &package].map(|path| open_scene(path, 0.5).unwrap());
     assert_eq!(plain, packed);
     check_with_python(&package, &file);
     assert!(fail(2, &["pack", text(&scene), "--usdz", "a.zip"]).contains("a.zip"));
-    assert!(fail(1, &["pack", text(&scene), "--usdz", text(&package), "--scene-id", "a/b"]).contains("scene id"));
+    assert!(
+        fail(
+            1,
+            &[
+                "pack",
+                text(&scene),
+                "--usdz",
+                text(&package),
+                "--scene-id",
+                "a/b"
+            ]
+        )
+        .contains("scene id")
+    );
 }
 
-/// Reads the package as others do: by Python's zipfile and json, the fields that their readers name.
+/// Reads the package as others do: by Python's zipfile and json, the fields that their readers
+/// name.
 fn check_with_python(package: &Path, scene: &SceneFile) {
     let script = r#"
 import json, struct, sys, zipfile
@@ -145,18 +283,48 @@ with open(sys.argv[1], "rb") as file, zipfile.ZipFile(file) as archive:
     assert data["pose-range"]["start-timestamp_us"] == times[0]
     print(json.dumps({"rig": [row[3] for row in way["T_rig_worlds"][0][:3]], "agents": columns[0], "first": columns[4][0][0]}))
 "#;
-    let output = Command::new("python3").args(["-c", script, text(package)]).output().expect("python3 runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = Command::new("python3")
+        .args(["-c", script, text(package)])
+        .output()
+        .expect("python3 runs");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let said: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let numbers = |value: &Value| -> Vec<f64> { value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect() };
+    let numbers = |value: &Value| -> Vec<f64> {
+        value
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|x| x.as_f64().unwrap())
+            .collect()
+    };
     let ego = scene.ego.as_ref().unwrap();
-    let rig = ego.at(ego.start_s()).transform(DVec3::new(-1.35, 0.0, -0.75)) - scene.origin;
-    assert!((DVec3::from_slice(&numbers(&said["rig"])) - rig).length() < 1e-9, "{said}");
-    let names: Vec<&str> = scene.agents.iter().map(|agent| agent.name.as_str()).collect();
+    let rig = ego
+        .at(ego.start_s())
+        .transform(DVec3::new(-1.35, 0.0, -0.75))
+        - scene.origin;
+    assert!(
+        (DVec3::from_slice(&numbers(&said["rig"])) - rig).length() < 1e-9,
+        "{said}"
+    );
+    let names: Vec<&str> = scene
+        .agents
+        .iter()
+        .map(|agent| agent.name.as_str())
+        .collect();
     assert_eq!(said["agents"], Value::from(names));
     let first = numbers(&said["first"]);
     let way = &scene.agents[0].trajectory;
     let pose = way.at(way.start_s().max(ego.start_s()));
-    assert!((DVec3::from_slice(&first[..3]) - (pose.translation - scene.origin)).length() < 1e-9, "{said}");
-    assert!((first[6].abs() - pose.rotation.w.abs()).abs() < 1e-12, "the quaternion's w comes last");
+    assert!(
+        (DVec3::from_slice(&first[..3]) - (pose.translation - scene.origin)).length() < 1e-9,
+        "{said}"
+    );
+    assert!(
+        (first[6].abs() - pose.rotation.w.abs()).abs() < 1e-12,
+        "the quaternion's w comes last"
+    );
 }

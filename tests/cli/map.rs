@@ -10,8 +10,7 @@ const LANES: &str = r#"{"version": 1, "lanes": [
  {"id": "walk", "kind": "walking", "centerline": [[0, -4], [30, -4]], "left_neighbor": "a"}
 ]}"#;
 
-const TRACKS: &str =
-    "t,id,class,x,y,yaw,l,w\n0,v1,car,2,0,0,4.5,1.9\n1,v1,car,12,0,0,4.5,1.9\n0,p,pedestrian,5,-4,,,\n0,far,truck,900,0,,,\n";
+const TRACKS: &str = "t,id,class,x,y,yaw,l,w\n0,v1,car,2,0,0,4.5,1.9\n1,v1,car,12,0,0,4.5,1.9\n0,p,pedestrian,5,-4,,,\n0,far,truck,900,0,,,\n";
 
 fn written(folder: &Path, name: &str, content: &str) -> std::path::PathBuf {
     let path = folder.join(name);
@@ -24,15 +23,38 @@ fn a_map_is_described_in_words_and_in_json() {
     let folder = tempfile::tempdir().unwrap();
     let map = written(folder.path(), "lanes.json", LANES);
     let said = succeed(&["map", text(&map)]);
-    for part in ["driving          2        61.6 m", "walking          1        30.0 m", "all              3        91.6 m"] {
+    for part in [
+        "driving          2        61.6 m",
+        "walking          1        30.0 m",
+        "all              3        91.6 m",
+    ] {
         assert!(said.contains(part), "{part}: {said}");
     }
-    for part in ["0.00 to 60.00 m", "known to 2 of 3 lanes", "1 from lane to lane, 1 side by side", "8.00 to 8.00 m/s"] {
+    for part in [
+        "0.00 to 60.00 m",
+        "known to 2 of 3 lanes",
+        "1 from lane to lane, 1 side by side",
+        "8.00 to 8.00 m/s",
+    ] {
         assert!(said.contains(part), "{part}: {said}");
     }
     let value = json(&["map", text(&map), "--json"]);
-    assert_eq!((&value["lanes"], &value["kinds"]["driving"]["lanes"], &value["with_height"]), (&3.into(), &2.into(), &2.into()));
-    assert_eq!((&value["successors"], &value["without_successor"], &value["tracks"]), (&1.into(), &2.into(), &Value::Null));
+    assert_eq!(
+        (
+            &value["lanes"],
+            &value["kinds"]["driving"]["lanes"],
+            &value["with_height"]
+        ),
+        (&3.into(), &2.into(), &2.into())
+    );
+    assert_eq!(
+        (
+            &value["successors"],
+            &value["without_successor"],
+            &value["tracks"]
+        ),
+        (&1.into(), &2.into(), &Value::Null)
+    );
     assert_eq!(value["bounds_m"]["max"], Value::from(vec![60.0, 12.0, 2.0]));
 }
 
@@ -47,16 +69,45 @@ fn an_image_shows_lanes_and_tracks() {
         (said, fs::read_to_string(&image).unwrap())
     };
     let (_, svg) = draw(&[]);
-    assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n") && svg.contains("lanes &amp; more.json"), "{svg}");
+    assert!(
+        svg.starts_with("<svg ")
+            && svg.ends_with("</svg>\n")
+            && svg.contains("lanes &amp; more.json"),
+        "{svg}"
+    );
     let count = |svg: &str, part: &str| svg.matches(part).count();
     // Each in the map and in the legend: two surfaces of driving lanes, one band of a walkway.
-    assert_eq!((count(&svg, "class=\"lane driving\""), count(&svg, "class=\"wide walking\"")), (3, 1));
-    assert!(svg.contains("<title>b&lt; (driving)</title>") && count(&svg, "class=\"track\"") == 0 && !svg.contains("NaN"));
+    assert_eq!(
+        (
+            count(&svg, "class=\"lane driving\""),
+            count(&svg, "class=\"wide walking\"")
+        ),
+        (3, 1)
+    );
+    assert!(
+        svg.contains("<title>b&lt; (driving)</title>")
+            && count(&svg, "class=\"track\"") == 0
+            && !svg.contains("NaN")
+    );
     let (said, svg) = draw(&["--tracks", text(&tracks)]);
-    assert!(said.contains("3 (1 car, 1 pedestrian, 1 truck), 0.00 to 1.00 s") && said.contains("4, 3 of them within"), "{said}");
-    assert_eq!(count(&svg, "class=\"body\""), 6, "three in the map and three in the legend");
+    assert!(
+        said.contains("3 (1 car, 1 pedestrian, 1 truck), 0.00 to 1.00 s")
+            && said.contains("4, 3 of them within"),
+        "{said}"
+    );
+    assert_eq!(
+        count(&svg, "class=\"body\""),
+        6,
+        "three in the map and three in the legend"
+    );
     let value = json(&["map", text(&map), "--json", "--tracks", text(&tracks)]);
-    assert_eq!((&value["tracks"]["tracks"], &value["tracks"]["points_within_bounds"]), (&3.into(), &3.into()));
+    assert_eq!(
+        (
+            &value["tracks"]["tracks"],
+            &value["tracks"]["points_within_bounds"]
+        ),
+        (&3.into(), &3.into())
+    );
 }
 
 #[test]
@@ -67,12 +118,30 @@ fn what_is_no_map_is_refused_and_nothing_is_written() {
         let path = written(folder.path(), name, content);
         fail(1, &["map", text(&path), "--svg", text(&image)])
     };
-    assert!(refused("page.osm", "<html/>").contains("page.osm: XML of another kind; expected a map"));
-    assert!(refused("empty.json", "{\"lanes\": []}").contains("empty.json: not a readable lane JSON file"));
+    assert!(
+        refused("page.osm", "<html/>").contains("page.osm: XML of another kind; expected a map")
+    );
+    assert!(
+        refused("empty.json", "{\"lanes\": []}")
+            .contains("empty.json: not a readable lane JSON file")
+    );
     assert!(refused("cut.xodr", "<OpenDRIVE><road").contains("cut.xodr"));
     let map = written(folder.path(), "lanes.json", LANES);
     let tracks = written(folder.path(), "tracks.csv", "t,id,x,y\n0,a,1,\n");
-    let said = fail(1, &["map", text(&map), "--svg", text(&image), "--tracks", text(&tracks)]);
-    assert!(said.contains("tracks.csv") && said.contains("line 2, 'y'"), "{said}");
+    let said = fail(
+        1,
+        &[
+            "map",
+            text(&map),
+            "--svg",
+            text(&image),
+            "--tracks",
+            text(&tracks),
+        ],
+    );
+    assert!(
+        said.contains("tracks.csv") && said.contains("line 2, 'y'"),
+        "{said}"
+    );
     assert!(!image.exists());
 }

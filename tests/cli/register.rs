@@ -1,5 +1,7 @@
 //! `decouplegs register`, on a small road and on real maps.
 
+mod drift;
+
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -7,7 +9,9 @@ use decouplegs::asset::read_map;
 use decouplegs::drive::alignment::{TruthError, against_truth_along};
 use decouplegs::drive::polyline::wrapped;
 use decouplegs::drive::register::fit::PlanarFit;
-use decouplegs::drive::{LaneIndex, Outcome, PlanarTransform, Polyline, RegisterOptions, Treatment, register};
+use decouplegs::drive::{
+    LaneIndex, Outcome, PlanarTransform, Polyline, RegisterOptions, Treatment, register,
+};
 use decouplegs::scene::{LaneKind, LaneMap, Track, TrackPoint};
 use glam::DVec2;
 use serde_json::Value;
@@ -15,24 +19,42 @@ use serde_json::Value;
 use super::stress::assert_page_stands_alone;
 use super::*;
 
-/// A lane of 100 m that rises by 4 %, a track 0.4 m beside it, another against it, its truth, and the ground 0.3 m above the map.
+/// A lane of 100 m that rises by 4 %, a track 0.4 m beside it, another against it, its truth, and
+/// the ground 0.3 m above the map.
 fn small_road(folder: &Path) -> [PathBuf; 4] {
-    let lane: Vec<[f64; 3]> = (0..=50).map(|i| [2.0 * f64::from(i), 0.0, 0.08 * f64::from(i)]).collect();
+    let lane: Vec<[f64; 3]> = (0..=50)
+        .map(|i| [2.0 * f64::from(i), 0.0, 0.08 * f64::from(i)])
+        .collect();
     let map = serde_json::json!({"version": 1, "lanes": [{"id": "a", "centerline": lane}]});
     let track = |y: f64| {
         let mut table = String::from("time_s,id,class,x,y\n");
         for i in 0..90 {
-            let _ = writeln!(table, "{},there,car,{},{y}", 0.1 * f64::from(i), 2.0 + f64::from(i));
-            let _ = writeln!(table, "{},against,car,{},{y}", 0.1 * f64::from(i), 98.0 - f64::from(i));
+            let _ = writeln!(
+                table,
+                "{},there,car,{},{y}",
+                0.1 * f64::from(i),
+                2.0 + f64::from(i)
+            );
+            let _ = writeln!(
+                table,
+                "{},against,car,{},{y}",
+                0.1 * f64::from(i),
+                98.0 - f64::from(i)
+            );
         }
         table
     };
     let mut points = String::from("x,y,z\n");
-    for (x, y) in (-20..220).flat_map(|x| (-6..=6).map(move |y| (0.5 * f64::from(x), 0.5 * f64::from(y)))) {
+    for (x, y) in
+        (-20..220).flat_map(|x| (-6..=6).map(move |y| (0.5 * f64::from(x), 0.5 * f64::from(y))))
+    {
         let _ = writeln!(points, "{x},{y},{}", 0.3 + 0.04 * x);
     }
     let files = ["map.json", "tracks.csv", "truth.csv", "points.csv"].map(|name| folder.join(name));
-    for (file, text) in files.iter().zip([map.to_string(), track(0.4), track(0.0), points]) {
+    for (file, text) in files
+        .iter()
+        .zip([map.to_string(), track(0.4), track(0.0), points])
+    {
         fs::write(file, text).unwrap();
     }
     files
@@ -43,22 +65,52 @@ fn tracks_are_registered_measured_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let [map, tracks, truth, points] = small_road(folder.path());
     let [out, page] = ["poses.csv", "report.html"].map(|name| folder.path().join(name));
-    let inputs = ["register", "--map", text(&map), "--tracks", text(&tracks), "--scene", text(&points), "--truth", text(&truth)];
-    let outputs = ["--habit", "0", "--ground-truth", text(&points), "--out", text(&out), "--report", text(&page)];
+    let inputs = [
+        "register",
+        "--map",
+        text(&map),
+        "--tracks",
+        text(&tracks),
+        "--scene",
+        text(&points),
+        "--truth",
+        text(&truth),
+    ];
+    let outputs = [
+        "--habit",
+        "0",
+        "--ground-truth",
+        text(&points),
+        "--out",
+        text(&out),
+        "--report",
+        text(&page),
+    ];
     let said = succeed(&[&inputs[..], &outputs].concat());
-    assert!(said.contains("1 of 2 tracks registered") && said.contains("against its lanes"), "{said}");
+    assert!(
+        said.contains("1 of 2 tracks registered") && said.contains("against its lanes"),
+        "{said}"
+    );
     assert!(said.contains("0.400 -> 0.00"), "{said}");
     let poses = decouplegs::asset::read_tracks(&out).unwrap();
     assert_eq!((poses.len(), poses[0].points.len()), (1, 90));
     for point in &poses[0].points {
         let expected_m = 0.3 + 0.04 * point.position_m.x + 0.5 * poses[0].dims_m.unwrap()[2];
-        assert!(point.position_m.y.abs() < 0.01 && (point.z_m.unwrap() - expected_m).abs() < 0.02, "{point:?}");
+        assert!(
+            point.position_m.y.abs() < 0.01 && (point.z_m.unwrap() - expected_m).abs() < 0.02,
+            "{point:?}"
+        );
     }
     let page = fs::read_to_string(page).unwrap();
     assert_page_stands_alone(&page);
-    for part in
-        ["as logged", "registered", "Corners by clearance", "independent ground", "Ground penetration rate", "was refused"]
-    {
+    for part in [
+        "as logged",
+        "registered",
+        "Corners by clearance",
+        "independent ground",
+        "Ground penetration rate",
+        "was refused",
+    ] {
         assert!(page.contains(part), "{part}");
     }
 }
@@ -69,30 +121,61 @@ fn what_cannot_be_registered_is_told_and_nothing_is_written() {
     let [map, tracks, _, points] = small_road(folder.path());
     let out = folder.path().join("poses.csv");
     let run = |map: &Path, tracks: &Path, more: &[&str]| {
-        let files = ["register", "--map", text(map), "--tracks", text(tracks), "--out", text(&out)];
+        let files = [
+            "register",
+            "--map",
+            text(map),
+            "--tracks",
+            text(tracks),
+            "--out",
+            text(&out),
+        ];
         decouplegs(&[&files[..], more].concat())
     };
     let other = folder.path().join("other.csv");
     fs::write(&other, "time_s,id,x,y\n0,b,1,2\n").unwrap();
     let against = folder.path().join("against.csv");
     let only = fs::read_to_string(&tracks).unwrap();
-    fs::write(&against, only.lines().filter(|line| !line.contains("there")).collect::<Vec<_>>().join("\n")).unwrap();
+    fs::write(
+        &against,
+        only.lines()
+            .filter(|line| !line.contains("there"))
+            .collect::<Vec<_>>()
+            .join("\n"),
+    )
+    .unwrap();
     let broken = folder.path().join("broken.csv");
     fs::write(&broken, "x,y,z\n1,2,three\n").unwrap();
     let cases: [(&Path, &Path, &[&str], &str); 5] = [
         (&map, &map, &[], "map.json"),
         (&folder.path().join("none.json"), &tracks, &[], "none.json"),
-        (&map, &tracks, &["--truth", text(&other)], "none of the tracks"),
+        (
+            &map,
+            &tracks,
+            &["--truth", text(&other)],
+            "none of the tracks",
+        ),
         (&map, &tracks, &["--scene", text(&broken)], "line 2"),
-        (&map, &against, &["--scene", text(&points)], "could be registered"),
+        (
+            &map,
+            &against,
+            &["--scene", text(&points)],
+            "could be registered",
+        ),
     ];
     for (map, tracks, more, expected) in cases {
         let output = run(map, tracks, more);
         let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.code() == Some(1) && said.contains(expected), "{more:?} said: {said}");
+        assert!(
+            output.status.code() == Some(1) && said.contains(expected),
+            "{more:?} said: {said}"
+        );
         assert!(!out.exists());
     }
-    assert_eq!(run(&map, &tracks, &["--sigma", "-1"]).status.code(), Some(2));
+    assert_eq!(
+        run(&map, &tracks, &["--sigma", "-1"]).status.code(),
+        Some(2)
+    );
 }
 
 /// A real map, or `None` with a word of it where the test files are missing.
@@ -110,37 +193,75 @@ struct Found {
     shifted_m: f64,
 }
 
-/// Cars on `map` that were moved by up to 1.1 m and 1.7 degrees, with noise of 8 cm, as they were brought back; those
-/// changing to a lane on the left where `changing`. Several draws of noise and drift for each route.
+/// Cars on `map` that were moved by up to 1.1 m and 1.7 degrees, with noise of 8 cm, as they were
+/// brought back; those changing to a lane on the left where `changing`. Several draws of noise and
+/// drift for each route.
 fn brought_back(map: &LaneMap, changing: bool) -> Vec<Found> {
     const YAWS: [f64; 4] = [0.02, -0.03, 0.01, 0.0];
     const DRAWS: usize = 4;
     let mut all = Vec::new();
     let lines = routes(map, 60.0, 24);
-    let short = lines.iter().enumerate().filter(|(_, line)| line.length_m() < 250.0);
+    let short = lines
+        .iter()
+        .enumerate()
+        .filter(|(_, line)| line.length_m() < 250.0);
     for ((at, line), draw) in short.flat_map(|route| (0..DRAWS).map(move |draw| (route, draw))) {
         let middle_m = 0.5 * line.length_m();
-        let width_m = if changing { left_lane_m(map, line, middle_m + 20.0) } else { Some(0.0) };
+        let width_m = if changing {
+            left_lane_m(map, line, middle_m + 20.0)
+        } else {
+            Some(0.0)
+        };
         let Some(width_m) = width_m else { continue };
-        let left = |s: f64| 0.5 * width_m * (1.0 - (std::f64::consts::PI * ((s - middle_m + 15.0) / 30.0).clamp(0.0, 1.0)).cos());
+        let left = |s: f64| {
+            0.5 * width_m
+                * (1.0
+                    - (std::f64::consts::PI * ((s - middle_m + 15.0) / 30.0).clamp(0.0, 1.0)).cos())
+        };
         let truth = drive("car", line, left);
         let drift = at + 7 * draw;
-        let shift_m = DVec2::new([0.6, -0.7, 0.2][drift % 3], [-0.6, 0.5, 0.8, -0.9, 0.1][drift % 5]);
+        let shift_m = DVec2::new(
+            [0.6, -0.7, 0.2][drift % 3],
+            [-0.6, 0.5, 0.8, -0.9, 0.1][drift % 5],
+        );
         let log = logged(&truth, YAWS[drift % 4], shift_m, 0.08, draw as u64 + 1);
         // The truth lies on the middles of lanes.
-        let options = RegisterOptions { keeping_m: 0.0, ..RegisterOptions::default() };
+        let options = RegisterOptions {
+            keeping_m: 0.0,
+            ..RegisterOptions::default()
+        };
         let registration = register(map, &[log], None, &options).unwrap();
-        let Outcome::Registered(found) = &registration.tracks[0].outcome else { panic!("{:?}", registration.tracks[0].outcome) };
-        assert_eq!(found.lane_changes.len(), usize::from(changing), "route {at}, draw {draw}");
+        let Outcome::Registered(found) = &registration.tracks[0].outcome else {
+            panic!("{:?}", registration.tracks[0].outcome)
+        };
+        assert_eq!(
+            found.lane_changes.len(),
+            usize::from(changing),
+            "route {at}, draw {draw}"
+        );
         let places = found.poses.iter().map(|pose| {
             let lane_heading = pose.lane.map(|lane| lane.heading_rad);
             (pose.time_s, pose.pose.translation.truncate(), lane_heading)
         });
         let error = against_truth_along(places, &truth).unwrap();
-        let off = found.poses.iter().zip(&truth.points).map(|(pose, point)| pose.pose.translation.truncate() - point.position_m);
-        let way: DVec2 = truth.points.windows(2).map(|pair| (pair[1].position_m - pair[0].position_m).normalize()).sum();
-        let shifted_m = (off.sum::<DVec2>() / truth.points.len() as f64).dot(way.normalize()).abs();
-        all.push(Found { error, fit: found.fit, shifted_m });
+        let off = found
+            .poses
+            .iter()
+            .zip(&truth.points)
+            .map(|(pose, point)| pose.pose.translation.truncate() - point.position_m);
+        let way: DVec2 = truth
+            .points
+            .windows(2)
+            .map(|pair| (pair[1].position_m - pair[0].position_m).normalize())
+            .sum();
+        let shifted_m = (off.sum::<DVec2>() / truth.points.len() as f64)
+            .dot(way.normalize())
+            .abs();
+        all.push(Found {
+            error,
+            fit: found.fit,
+            shifted_m,
+        });
     }
     all
 }
@@ -151,17 +272,23 @@ fn left_lane_m(map: &LaneMap, line: &Polyline, from_m: f64) -> Option<f64> {
     let index = LaneIndex::new(map);
     let beside = |arc_m: f64| {
         let near = index.lanes_near(line.at(arc_m).truncate(), 5.0);
-        let same_way = |heading_rad: f64| wrapped(heading_rad - line.heading_at(arc_m)).abs() < 0.15;
+        let same_way =
+            |heading_rad: f64| wrapped(heading_rad - line.heading_at(arc_m)).abs() < 0.15;
         let found = near.iter().find(|near| {
             let kind = map.lanes[near.lane].kind;
-            same_way(near.foot.heading_rad) && kind == LaneKind::Driving && (-4.5..-2.3).contains(&near.foot.lateral_m)
+            same_way(near.foot.heading_rad)
+                && kind == LaneKind::Driving
+                && (-4.5..-2.3).contains(&near.foot.lateral_m)
         });
         found.map(|near| -near.foot.lateral_m)
     };
     let width_m = beside(from_m)?;
     let rest_m = line.length_m() - 1.0 - from_m;
     (0..30)
-        .all(|i| beside(from_m + rest_m * f64::from(i) / 29.0).is_some_and(|own| (own - width_m).abs() < 0.05))
+        .all(|i| {
+            beside(from_m + rest_m * f64::from(i) / 29.0)
+                .is_some_and(|own| (own - width_m).abs() < 0.05)
+        })
         .then_some(width_m)
 }
 
@@ -179,152 +306,72 @@ fn tracks_on_real_maps_are_brought_back_across_their_lanes() {
         let Some(map) = real_map(file) else { continue };
         for (changing, least) in [false, true].into_iter().zip(least) {
             let found = brought_back(&map, changing);
-            let worst = found.iter().map(|found| found.error.lateral_m).fold(0.0, f64::max);
-            println!("{file}, changing {changing}: {} logs, at worst {worst:.3} m across", found.len());
+            let worst = found
+                .iter()
+                .map(|found| found.error.lateral_m)
+                .fold(0.0, f64::max);
+            println!(
+                "{file}, changing {changing}: {} logs, at worst {worst:.3} m across",
+                found.len()
+            );
             assert!(found.len() >= least, "{} logs", found.len());
             assert!(worst <= ADE_MAX_M, "{file}, changing {changing}: {worst}");
-            along.extend(found.iter().map(|found| (found.shifted_m, found.fit.along_m)));
+            along.extend(
+                found
+                    .iter()
+                    .map(|found| (found.shifted_m, found.fit.along_m)),
+            );
         }
     }
     assert_deviations_hold(&along);
 }
 
 /// Maps on which logs of many tracks are made.
-const MAPS: [&str; 3] =
-    ["maps/lanelet2_mapping_example.osm", "maps/esmini_fabriksgatan.xodr", "scenarios/commonroad_USA_Lanker-1_1_T-1.xml"];
+const MAPS: [&str; 3] = [
+    "maps/lanelet2_mapping_example.osm",
+    "maps/esmini_fabriksgatan.xodr",
+    "scenarios/commonroad_USA_Lanker-1_1_T-1.xml",
+];
 
-/// The truth of a log on `map`: cars that keep up to `habit_m` beside the middle of their lane and weave by `weave_m`, some that change
-/// lanes, and parked ones.
-fn truth_of_log(map: &LaneMap, habit_m: f64, weave_m: f64) -> Vec<Track> {
-    let mut tracks = Vec::new();
-    for (at, line) in routes(map, 60.0, 24).iter().enumerate().filter(|(_, line)| line.length_m() < 250.0) {
-        let middle_m = 0.5 * line.length_m();
-        let own_m = habit_m * [1.0, -1.0, 0.6, -0.3, 0.0][at % 5];
-        let weave = |s: f64| own_m + weave_m * (s / (6.0 + at as f64 % 4.0)).sin();
-        let to_left_m = if at % 4 == 3 { left_lane_m(map, line, middle_m + 20.0) } else { None };
-        let change = |s: f64| 0.5 * (1.0 - (std::f64::consts::PI * ((s - middle_m + 15.0) / 30.0).clamp(0.0, 1.0)).cos());
-        tracks.push(drive(&format!("car {at}"), line, |s| weave(s) + to_left_m.map_or(0.0, |width_m| width_m * change(s))));
-        if at % 3 == 0 {
-            let mut parked = drive(&format!("parked {at}"), line, |_| -2.6);
-            let place = parked.points[parked.points.len() / 2].position_m;
-            parked.points.truncate(40);
-            parked.points.iter_mut().for_each(|point| point.position_m = place);
-            tracks.push(parked);
-        }
-    }
-    tracks
-}
-
-/// Mean distance of the registered poses of a track from the truth, across the truth's way, meters. None where it was refused.
-fn across_m(found: &Outcome, truth: &Track) -> Option<f64> {
-    let Outcome::Registered(found) = found else { return None };
-    Some(mean_across_m(found.poses.iter().map(|pose| pose.pose.translation.truncate()), truth))
-}
-
-fn mean_across_m(places: impl Iterator<Item = DVec2>, truth: &Track) -> f64 {
-    let last = truth.points.len() - 1;
-    let way = |at: usize| truth.points[(at + 1).min(last)].position_m - truth.points[at.saturating_sub(1)].position_m;
-    let off = |(at, place): (usize, DVec2)| {
-        let off = place - truth.points[at].position_m;
-        // A parked car has no way: all of it counts.
-        way(at).try_normalize().map_or(off.length(), |way| way.perp_dot(off).abs())
-    };
-    let offs: Vec<f64> = places.enumerate().map(off).collect();
-    offs.iter().sum::<f64>() / offs.len() as f64
-}
-
-#[test]
-fn a_log_without_drift_is_not_made_worse() {
-    let (mut better, mut worse, mut refused) = (0, Vec::new(), 0);
-    for file in MAPS {
-        let Some(map) = real_map(file) else { continue };
-        for (seed, (habit_m, weave_m)) in [(0.35, 0.15), (0.35, 0.0), (0.0, 0.2), (0.2, 0.1)].into_iter().enumerate() {
-            let truths = truth_of_log(&map, habit_m, weave_m);
-            let logs: Vec<Track> = truths.iter().map(|truth| logged(truth, 0.0, DVec2::ZERO, 0.05, seed as u64 + 1)).collect();
-            let registration = register(&map, &logs, None, &RegisterOptions::default()).unwrap();
-            assert!(registration.shared.is_none(), "{file}, habits of {habit_m} m: {:?}", registration.shared);
-            for ((log, truth), found) in logs.iter().zip(&truths).zip(&registration.tracks) {
-                let before_m = mean_across_m(log.points.iter().map(|point| point.position_m), truth);
-                match across_m(&found.outcome, truth) {
-                    // The log's noise, which smoothing mostly removes, is no registration.
-                    Some(after_m) if after_m <= before_m + 0.005 => better += 1,
-                    Some(after_m) => worse.push(format!("{file} {}: {before_m:.3} -> {after_m:.3}", log.id)),
-                    None => refused += 1,
-                }
-                if log.id.starts_with("parked") {
-                    let Outcome::Registered(found) = &found.outcome else { panic!("{}: {:?}", log.id, found.outcome) };
-                    assert_eq!(found.treatment, Treatment::KeptParked);
-                }
-            }
-        }
-    }
-    let all = better + worse.len() + refused;
-    println!("{better} of {all} tracks no worse than logged, {refused} refused, worse: {worse:?}");
-    assert!(refused == 0 && 100 * worse.len() <= all, "{worse:?}");
-}
-
-#[test]
-fn a_log_that_drifted_as_a_whole_is_brought_back() {
-    const ACROSS_MAX_M: f64 = 0.05;
-    for file in MAPS {
-        let Some(map) = real_map(file) else { continue };
-        // Where lanes show nothing of the place along them, a parked car stays as far off along as it was logged.
-        let truths: Vec<Track> = truth_of_log(&map, 0.0, 0.0).into_iter().filter(|track| track.id.starts_with("car")).collect();
-        for (seed, shift) in [[0.3, 0.0], [-0.4, 0.6], [1.0, -0.9], [-1.3, -1.1], [0.4, 2.1]].into_iter().enumerate() {
-            let logs: Vec<Track> =
-                truths.iter().map(|truth| logged(truth, 0.0, DVec2::from_array(shift), 0.05, seed as u64 + 1)).collect();
-            let registration = register(&map, &logs, None, &RegisterOptions::default()).unwrap();
-            let found = registration.tracks.iter().zip(&truths).filter_map(|(found, truth)| across_m(&found.outcome, truth));
-            let across: Vec<f64> = found.collect();
-            let worst_m = across.iter().copied().fold(0.0, f64::max);
-            println!("{file}, drift {shift:?}: {} of {} tracks, at worst {worst_m:.3} m across", across.len(), truths.len());
-            assert!(registration.shared.is_some(), "{file} {shift:?}");
-            assert!(across.len() == truths.len() && worst_m <= ACROSS_MAX_M, "{file} {shift:?}: {worst_m}");
-        }
-    }
-}
-
-#[test]
-fn a_track_that_fits_two_lanes_is_not_moved_into_either() {
-    // Three lanes side by side: 2.2 m off one is 1.3 m off the next.
-    let lane = |y: f64| (0..=60).map(|i| serde_json::json!([2.0 * f64::from(i), y, 0.0])).collect::<Vec<_>>();
-    let lanes: Vec<Value> =
-        (0..3).map(|at| serde_json::json!({"id": at.to_string(), "centerline": lane(3.5 * f64::from(at))})).collect();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("map.json");
-    fs::write(&path, serde_json::json!({"version": 1, "lanes": lanes}).to_string()).unwrap();
-    let map = read_map(&path).unwrap();
-    let line = Polyline::new(map.lanes[1].centerline.iter().copied()).unwrap();
-    let truth = drive("car", &line, |_| 0.0);
-    let log = logged(&truth, 0.0, DVec2::new(0.0, 2.2), 0.03, 1);
-    let registration = register(&map, std::slice::from_ref(&log), None, &RegisterOptions::default()).unwrap();
-    let Outcome::Registered(found) = &registration.tracks[0].outcome else { panic!() };
-    assert_eq!(found.treatment, Treatment::KeptLaneUnsure);
-    assert!(found.poses.iter().all(|pose| pose.flags.lane_unsure));
-    assert!((across_m(&registration.tracks[0].outcome, &truth).unwrap() - 2.2).abs() < 0.05, "it stays where it was logged");
-}
-
-/// Shifts along lanes that are left and the deviations told with them: as a normal distribution has them, about two thirds within one deviation and few
-/// beyond two. Errors of no motion at all, as deviations too large to say anything would have them, are not.
+/// Shifts along lanes that are left and the deviations told with them: as a normal distribution has
+/// them, about two thirds within one deviation and few beyond two. Errors of no motion at all, as
+/// deviations too large to say anything would have them, are not.
 fn assert_deviations_hold(along: &[(f64, f64)]) {
-    let shown: Vec<f64> = along.iter().filter(|(_, told_m)| *told_m < 0.2).map(|(error_m, told_m)| error_m / told_m).collect();
+    let shown: Vec<f64> = along
+        .iter()
+        .filter(|(_, told_m)| *told_m < 0.2)
+        .map(|(error_m, told_m)| error_m / told_m)
+        .collect();
     if shown.is_empty() {
         return;
     }
-    let share = |reach: f64| shown.iter().filter(|error| **error <= reach).count() as f64 / shown.len() as f64;
+    let share = |reach: f64| {
+        shown.iter().filter(|error| **error <= reach).count() as f64 / shown.len() as f64
+    };
     println!(
         "{} logs that show the place along: {:.2} within a deviation, {:.2} within two",
         shown.len(),
         share(1.0),
         share(2.0)
     );
-    assert!((0.5..0.9).contains(&share(1.0)) && share(2.0) >= 0.9 && share(5.0) >= 1.0, "{} {}", share(1.0), share(2.0));
+    assert!(
+        (0.5..0.9).contains(&share(1.0)) && share(2.0) >= 0.9 && share(5.0) >= 1.0,
+        "{} {}",
+        share(1.0),
+        share(2.0)
+    );
 }
 
-/// Ways of at least `least_m` along lanes that follow one another, about `count` of them, spread over the map.
+/// Ways of at least `least_m` along lanes that follow one another, about `count` of them, spread
+/// over the map.
 fn routes(map: &LaneMap, least_m: f64, count: usize) -> Vec<Polyline> {
     let mut routes = Vec::new();
-    for (start, lane) in map.lanes.iter().enumerate().filter(|(_, lane)| lane.kind == LaneKind::Driving) {
+    for (start, lane) in map
+        .lanes
+        .iter()
+        .enumerate()
+        .filter(|(_, lane)| lane.kind == LaneKind::Driving)
+    {
         let (mut lanes, mut points) = (vec![start], lane.centerline.clone());
         loop {
             let line = Polyline::new(points.iter().copied()).unwrap();
@@ -332,7 +379,10 @@ fn routes(map: &LaneMap, least_m: f64, count: usize) -> Vec<Polyline> {
                 break;
             }
             let next = map.lanes[lanes[lanes.len() - 1]].successors.iter().copied();
-            let Some(next) = next.clone().find(|next| !lanes.contains(next) && map.lanes[*next].kind == LaneKind::Driving) else {
+            let Some(next) = next
+                .clone()
+                .find(|next| !lanes.contains(next) && map.lanes[*next].kind == LaneKind::Driving)
+            else {
                 break;
             };
             lanes.push(next);
@@ -354,20 +404,40 @@ fn drive(id: &str, line: &Polyline, left: impl Fn(f64) -> f64) -> Track {
     let point = |at: usize| {
         let arc_m = 1.0 + 0.8 * at as f64;
         let side = DVec2::from_angle(line.heading_at(arc_m)).perp() * left(arc_m);
-        TrackPoint { time_s: 0.1 * at as f64, position_m: line.at(arc_m).truncate() + side, z_m: None, yaw_rad: None }
+        TrackPoint {
+            time_s: 0.1 * at as f64,
+            position_m: line.at(arc_m).truncate() + side,
+            z_m: None,
+            yaw_rad: None,
+        }
     };
-    Track { id: id.into(), class: "car".into(), dims_m: Some([4.5, 1.9, 1.6]), points: (0..count).map(point).collect() }
+    Track {
+        id: id.into(),
+        class: "car".into(),
+        dims_m: Some([4.5, 1.9, 1.6]),
+        points: (0..count).map(point).collect(),
+    }
 }
 
 /// `truth` as a log that drifts has it: moved about its middle and noisy.
 fn logged(truth: &Track, yaw_rad: f64, shift_m: DVec2, noise_m: f64, seed: u64) -> Track {
     let first = truth.points[0].position_m;
-    let sum: DVec2 = truth.points.iter().map(|point| point.position_m - first).sum();
-    let drift = PlanarTransform { pivot_m: first + sum / truth.points.len() as f64, yaw_rad, shift_m };
+    let sum: DVec2 = truth
+        .points
+        .iter()
+        .map(|point| point.position_m - first)
+        .sum();
+    let drift = PlanarTransform {
+        pivot_m: first + sum / truth.points.len() as f64,
+        yaw_rad,
+        shift_m,
+    };
     let mut seed = seed;
     let mut uniform = || {
         // The sum of four even numbers is normal enough for noise.
-        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        seed = seed
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     };
     let mut normal = || (uniform() + uniform() + uniform() + uniform()) * 3f64.sqrt();

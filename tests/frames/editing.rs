@@ -1,4 +1,5 @@
-//! Scenes taken apart into layers, and edited while they are shown: six cameras, against what the files say and the definition.
+//! Scenes taken apart into layers, and edited while they are shown: six cameras, against what the
+//! files say and the definition.
 
 use std::path::Path;
 
@@ -6,13 +7,15 @@ use decouplegs::LiveScene;
 use decouplegs::asset::scene_file::editing::{begun_at, shifted};
 use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::asset::{
-    CodedAsset, Layer, LightTransferFile, LoadedScene, Provenance, SceneAgent, SceneFile, SceneLight, inria_ply, read_coded,
-    read_splats, write_coded, write_light_transfer,
+    CodedAsset, Layer, LightTransferFile, LoadedScene, Provenance, SceneAgent, SceneFile,
+    SceneLight, inria_ply, read_coded, read_splats, write_coded, write_light_transfer,
 };
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Image, RenderOptions, Renderer, reference};
 use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs::scene::{AmbientDescriptor, Camera, LightTransfer, Pose, Rules, ShFrame, TimedPose, Trajectory};
+use decouplegs::scene::{
+    AmbientDescriptor, Camera, LightTransfer, Pose, Rules, ShFrame, TimedPose, Trajectory,
+};
 use glam::DVec3;
 
 use super::agents::coded_car;
@@ -28,7 +31,8 @@ const AGENTS_DEPTH_MAX_M: f64 = 12.0;
 /// Radius around the ego vehicle within which the background is removed, meters.
 const CLEARED_M: f64 = 22.0;
 
-/// A street with a car of plain splats and five coded ones around the ego vehicle, one of which drives, in a folder.
+/// A street with a car of plain splats and five coded ones around the ego vehicle, one of which
+/// drives, in a folder.
 struct Site {
     folder: tempfile::TempDir,
     file: SceneFile,
@@ -38,14 +42,26 @@ impl Site {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
-        let options =
-            StreetOptions { background: 12_000, agents: 1, agent_splats: 800, sh_degree: 1, ..StreetOptions::default() };
+        let options = StreetOptions {
+            background: 12_000,
+            agents: 1,
+            agent_splats: 800,
+            sh_degree: 1,
+            ..StreetOptions::default()
+        };
         let street = Street::generate(&options);
         inria_ply::write(&at("background.ply"), &street.background).unwrap();
         inria_ply::write(&at("plain.ply"), &street.assets[0]).unwrap();
         for (name, seed) in [("red", 2), ("blue", 3), ("green", 4)] {
             let cloud = coded_car(500, seed);
-            write_coded(&at(&format!("{name}.safetensors")), &CodedAsset { cloud, provenance: Provenance::default() }).unwrap();
+            write_coded(
+                &at(&format!("{name}.safetensors")),
+                &CodedAsset {
+                    cloud,
+                    provenance: Provenance::default(),
+                },
+            )
+            .unwrap();
         }
         let transfer = LightTransferFile {
             transfer: some_theta(),
@@ -55,11 +71,18 @@ impl Site {
         };
         write_light_transfer(&at("light.safetensors"), &transfer).unwrap();
         let ego = street.ego[0].1;
-        let beside =
-            |x: f64, y: f64, yaw_rad: f64| Trajectory::standing(ego.then(&Pose::from_yaw(yaw_rad, DVec3::new(x, y, 0.0))));
+        let beside = |x: f64, y: f64, yaw_rad: f64| {
+            Trajectory::standing(ego.then(&Pose::from_yaw(yaw_rad, DVec3::new(x, y, 0.0))))
+        };
         let drives = Trajectory::new(vec![
-            TimedPose { time_s: 0.0, pose: ego.then(&Pose::from_yaw(0.1, DVec3::new(7.5, -2.5, 0.0))) },
-            TimedPose { time_s: 2.0, pose: ego.then(&Pose::from_yaw(0.3, DVec3::new(9.5, -2.0, 0.0))) },
+            TimedPose {
+                time_s: 0.0,
+                pose: ego.then(&Pose::from_yaw(0.1, DVec3::new(7.5, -2.5, 0.0))),
+            },
+            TimedPose {
+                time_s: 2.0,
+                pose: ego.then(&Pose::from_yaw(0.3, DVec3::new(9.5, -2.0, 0.0))),
+            },
         ]);
         let agent = |name: &str, asset: &str, trajectory| SceneAgent {
             name: name.into(),
@@ -68,7 +91,9 @@ impl Site {
             trajectory,
         };
         let mut rig = street.rig.clone();
-        rig.cameras.iter_mut().for_each(|camera| camera.intrinsics = camera.intrinsics.resized(SIZE.0, SIZE.1));
+        rig.cameras
+            .iter_mut()
+            .for_each(|camera| camera.intrinsics = camera.intrinsics.resized(SIZE.0, SIZE.1));
         let file = SceneFile {
             sky: street.sky,
             rig,
@@ -84,8 +109,12 @@ impl Site {
             light: Some(SceneLight {
                 transfer: Some("light.safetensors".into()),
                 ambient: AmbientOptions::default(),
-                // A slab that reaches the wheels of the plain car: its splats are darkened in every layer that has them.
-                shadows: Some(ShadowOptions { slab_m: 0.5, ..ShadowOptions::default() }),
+                // A slab that reaches the wheels of the plain car: its splats are darkened in every
+                // layer that has them.
+                shadows: Some(ShadowOptions {
+                    slab_m: 0.5,
+                    ..ShadowOptions::default()
+                }),
             }),
             ..SceneFile::of_background("background.ply")
         };
@@ -98,9 +127,14 @@ impl Site {
     }
 
     fn cleared(self) -> Self {
-        let (path, ego) = (self.folder.path().join("background.ply"), self.file.ego.as_ref().unwrap().at(0.0).translation);
+        let (path, ego) = (
+            self.folder.path().join("background.ply"),
+            self.file.ego.as_ref().unwrap().at(0.0).translation,
+        );
         let cloud = read_splats(&path).unwrap();
-        let far = |splat: &u32| DVec3::from_array(cloud.means[*splat as usize].map(f64::from)).distance(ego) > CLEARED_M;
+        let far = |splat: &u32| {
+            DVec3::from_array(cloud.means[*splat as usize].map(f64::from)).distance(ego) > CLEARED_M
+        };
         let kept: Vec<u32> = (0..cloud.len() as u32).filter(far).collect();
         inria_ply::write(&path, &cloud.select(&kept)).unwrap();
         self
@@ -121,7 +155,12 @@ fn loaded(file: &SceneFile, folder: &Path) -> LoadedScene {
 /// A calibration in which the colors follow every number of the light a little.
 fn some_theta() -> LightTransfer {
     let mut random = Random(5);
-    let mut row = |scale: f32, constant: f32| (std::array::from_fn(|_| random.between(-scale, scale)), constant);
+    let mut row = |scale: f32, constant: f32| {
+        (
+            std::array::from_fn(|_| random.between(-scale, scale)),
+            constant,
+        )
+    };
     let rows = 3 * 16;
     LightTransfer {
         sh_degree: 3,
@@ -135,15 +174,25 @@ fn cameras(loaded: &LoadedScene) -> Vec<Camera> {
     loaded.rig.at(&loaded.ego.at(0.0))
 }
 
-fn draw_by(gpu: &Validated, loaded: &LoadedScene, layer: Layer, options: RenderOptions) -> Vec<Image> {
+fn draw_by(
+    gpu: &Validated,
+    loaded: &LoadedScene,
+    layer: Layer,
+    options: RenderOptions,
+) -> Vec<Image> {
     let mut renderer = Renderer::new(gpu, options);
     let live = LiveScene::layer(&renderer, loaded, layer).unwrap();
-    renderer.render(live.with(&live.at(0.0)), &cameras(loaded)).unwrap();
+    renderer
+        .render(live.with(&live.at(0.0)), &cameras(loaded))
+        .unwrap();
     renderer.read_images().unwrap()
 }
 
 fn options() -> RenderOptions {
-    RenderOptions { outputs: all_outputs(), ..RenderOptions::default() }
+    RenderOptions {
+        outputs: all_outputs(),
+        ..RenderOptions::default()
+    }
 }
 
 fn draw(gpu: &Validated, loaded: &LoadedScene, layer: Layer) -> Vec<Image> {
@@ -162,16 +211,29 @@ fn the_background_is_a_scene_that_never_had_agents() {
     let whole = site.loaded();
     assert!(draw(&gpu, &whole, Layer::Background) == expected);
     let all = draw(&gpu, &whole, Layer::All);
-    assert!(all.iter().zip(&expected).all(|(all, expected)| all != expected), "every camera sees an agent");
+    assert!(
+        all.iter()
+            .zip(&expected)
+            .all(|(all, expected)| all != expected),
+        "every camera sees an agent"
+    );
 }
 
 /// Pixels whose color, alpha or depth is not the same to the last bit.
 fn differing(a: &Image, b: &Image) -> Vec<bool> {
     let bits = |image: &Image, at: usize| {
         let [r, g, b] = image.rgb[at].map(f32::to_bits);
-        [r, g, b, image.alpha[at].to_bits(), image.depth.as_ref().unwrap()[at].to_bits()]
+        [
+            r,
+            g,
+            b,
+            image.alpha[at].to_bits(),
+            image.depth.as_ref().unwrap()[at].to_bits(),
+        ]
     };
-    (0..a.alpha.len()).map(|at| bits(a, at) != bits(b, at)).collect()
+    (0..a.alpha.len())
+        .map(|at| bits(a, at) != bits(b, at))
+        .collect()
 }
 
 /// Differences between the whole scene and the background in pixels without agents, in one camera.
@@ -186,21 +248,37 @@ struct Uncovered {
 
 fn uncovered(gpu: &Validated, site: &Site, options: RenderOptions) -> Vec<Uncovered> {
     let loaded = site.loaded();
-    let [all, background, agents] =
-        [Layer::All, Layer::Background, Layer::Agents].map(|layer| draw_by(gpu, &loaded, layer, options));
-    let rows = all.iter().zip(&background).zip(&agents).map(|((all, background), agents)| {
-        let covered = agents.alpha.iter().filter(|alpha| **alpha > 0.0).count();
-        assert!(covered > 200, "an agent is in view of every camera, found {covered} pixels of it");
-        let differs = differing(all, background);
-        let free: Vec<usize> = (0..all.alpha.len()).filter(|at| agents.alpha[*at] == 0.0).collect();
-        let error = |at: &usize| (0..3).fold(0f32, |worst, c| worst.max((all.rgb[*at][c] - background.rgb[*at][c]).abs()));
-        Uncovered {
-            pixels: free.len(),
-            differing: free.iter().filter(|at| differs[**at]).count(),
-            differing_open: free.iter().filter(|at| differs[**at] && background.alpha[**at] < 0.9999).count(),
-            error_max: free.iter().map(error).fold(0.0, f32::max),
-        }
-    });
+    let [all, background, agents] = [Layer::All, Layer::Background, Layer::Agents]
+        .map(|layer| draw_by(gpu, &loaded, layer, options));
+    let rows = all
+        .iter()
+        .zip(&background)
+        .zip(&agents)
+        .map(|((all, background), agents)| {
+            let covered = agents.alpha.iter().filter(|alpha| **alpha > 0.0).count();
+            assert!(
+                covered > 200,
+                "an agent is in view of every camera, found {covered} pixels of it"
+            );
+            let differs = differing(all, background);
+            let free: Vec<usize> = (0..all.alpha.len())
+                .filter(|at| agents.alpha[*at] == 0.0)
+                .collect();
+            let error = |at: &usize| {
+                (0..3).fold(0f32, |worst, c| {
+                    worst.max((all.rgb[*at][c] - background.rgb[*at][c]).abs())
+                })
+            };
+            Uncovered {
+                pixels: free.len(),
+                differing: free.iter().filter(|at| differs[**at]).count(),
+                differing_open: free
+                    .iter()
+                    .filter(|at| differs[**at] && background.alpha[**at] < 0.9999)
+                    .count(),
+                error_max: free.iter().map(error).fold(0.0, f32::max),
+            }
+        });
     rows.collect()
 }
 
@@ -209,42 +287,95 @@ fn where_agents_have_no_alpha_the_whole_is_the_background_to_the_last_bit() {
     let gpu = Validated::open();
     let site = Site::new().without_shadows();
     // By these rules a pixel stops by itself.
-    let exact = uncovered(&gpu, &site, RenderOptions { rules: Rules::GSPLAT15, segment_pairs: u32::MAX, ..options() });
+    let exact = uncovered(
+        &gpu,
+        &site,
+        RenderOptions {
+            rules: Rules::GSPLAT15,
+            segment_pairs: u32::MAX,
+            ..options()
+        },
+    );
     println!("gsplat15, whole lists: {exact:?}");
-    assert!(exact.iter().all(|camera| camera.pixels > 1000 && camera.differing == 0), "{exact:?}");
-    // By the default ones a pixel that is full takes splats as long as one beside it is not, at most 2e-5 of their light.
-    let whole_lists = uncovered(&gpu, &site, RenderOptions { segment_pairs: u32::MAX, ..options() });
+    assert!(
+        exact
+            .iter()
+            .all(|camera| camera.pixels > 1000 && camera.differing == 0),
+        "{exact:?}"
+    );
+    // By the default ones a pixel that is full takes splats as long as one beside it is not, at
+    // most 2e-5 of their light.
+    let whole_lists = uncovered(
+        &gpu,
+        &site,
+        RenderOptions {
+            segment_pairs: u32::MAX,
+            ..options()
+        },
+    );
     println!("default, whole lists: {whole_lists:?}");
-    assert!(whole_lists.iter().all(|camera| camera.differing_open == 0 && camera.error_max <= 4e-5), "{whole_lists:?}");
+    assert!(
+        whole_lists
+            .iter()
+            .all(|camera| camera.differing_open == 0 && camera.error_max <= 4e-5),
+        "{whole_lists:?}"
+    );
     // Where a list is cut depends on what else is in it, and rounding on where it is cut.
     for rules in [Rules::DEFAULT, Rules::GSPLAT15] {
         let cut = uncovered(&gpu, &site, RenderOptions { rules, ..options() });
         println!("{rules:?}: {cut:?}");
         assert!(cut.iter().all(|camera| camera.error_max <= 4e-5), "{cut:?}");
     }
-    let shaded = uncovered(&gpu, &Site::new(), RenderOptions { rules: Rules::GSPLAT15, ..options() });
+    let shaded = uncovered(
+        &gpu,
+        &Site::new(),
+        RenderOptions {
+            rules: Rules::GSPLAT15,
+            ..options()
+        },
+    );
     println!("with shadows: {shaded:?}");
     let seen = |camera: &Uncovered| camera.differing > 0 && camera.error_max > 0.01;
-    assert!(shaded.iter().any(seen), "shadows lie where no agent is, and are seen to");
+    assert!(
+        shaded.iter().any(seen),
+        "shadows lie where no agent is, and are seen to"
+    );
 }
 
 #[test]
 fn agents_laid_over_the_background_are_the_whole() {
     let gpu = Validated::open();
     let loaded = Site::new().without_shadows().cleared().loaded();
-    let [all, background, agents] = [Layer::All, Layer::Background, Layer::Agents].map(|layer| draw(&gpu, &loaded, layer));
-    // Where the background has nothing up to the depth of the farthest agent, leaving that out changes nothing.
-    let rules = Rules { near_m: AGENTS_DEPTH_MAX_M, ..loaded.world.rules };
-    let beyond = draw_by(&gpu, &loaded, Layer::Background, RenderOptions { rules, ..options() });
+    let [all, background, agents] =
+        [Layer::All, Layer::Background, Layer::Agents].map(|layer| draw(&gpu, &loaded, layer));
+    // Where the background has nothing up to the depth of the farthest agent, leaving that out
+    // changes nothing.
+    let rules = Rules {
+        near_m: AGENTS_DEPTH_MAX_M,
+        ..loaded.world.rules
+    };
+    let beyond = draw_by(
+        &gpu,
+        &loaded,
+        Layer::Background,
+        RenderOptions { rules, ..options() },
+    );
     let [mut sum, mut sum_opaque, mut channels, mut worst] = [0.0f64; 4];
     for camera in 0..6 {
         let (all, background, agents) = (&all[camera], &background[camera], &agents[camera]);
         let in_front = |at: &usize| {
-            let same = background.rgb[*at].iter().zip(&beyond[camera].rgb[*at]).all(|(a, b)| (a - b).abs() < 1e-6);
+            let same = background.rgb[*at]
+                .iter()
+                .zip(&beyond[camera].rgb[*at])
+                .all(|(a, b)| (a - b).abs() < 1e-6);
             agents.alpha[*at] > 0.0 && same
         };
         let seen: Vec<usize> = (0..all.alpha.len()).filter(in_front).collect();
-        assert!(seen.len() > 50, "camera {camera} sees agents before everything in {} pixels", seen.len());
+        assert!(
+            seen.len() > 50,
+            "camera {camera} sees agents before everything in {} pixels",
+            seen.len()
+        );
         for at in seen {
             for channel in 0..3 {
                 let (front, behind) = (agents.rgb[at][channel], background.rgb[at][channel]);
@@ -258,9 +389,15 @@ fn agents_laid_over_the_background_are_the_whole() {
         }
     }
     let [composed_db, opaque_db] = [sum, sum_opaque].map(|sum| -10.0 * (sum / channels).log10());
-    println!("{} pixels: {composed_db:.1} dB, max {worst:.6}; as if opaque {opaque_db:.1} dB", channels / 3.0);
+    println!(
+        "{} pixels: {composed_db:.1} dB, max {worst:.6}; as if opaque {opaque_db:.1} dB",
+        channels / 3.0
+    );
     // What blending leaves out once a pixel is full: 1e-4 of what is behind.
-    assert!(composed_db >= PSNR_MIN_DB && worst <= 2e-4, "{composed_db:.2} dB, {worst}");
+    assert!(
+        composed_db >= PSNR_MIN_DB && worst <= 2e-4,
+        "{composed_db:.2} dB, {worst}"
+    );
     assert!(opaque_db < 60.0, "alpha matters: without it {opaque_db} dB");
 }
 
@@ -274,10 +411,23 @@ fn every_layer_is_its_definition() {
         let truths: Vec<Image> = cameras(&loaded).iter().map(truth).collect();
         for (image, truth) in draw(&gpu, &loaded, layer).iter().zip(&truths) {
             let difference = Difference::between(image, truth).unwrap();
-            let alpha_error = image.alpha.iter().zip(&truth.alpha).fold(0f32, |worst, (a, b)| worst.max((a - b).abs()));
-            println!("{layer:?}: {:.1} dB, max {:.5}, alpha {alpha_error:.5}", difference.psnr_db, difference.max_abs);
-            assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{layer:?}: {difference:?}");
-            assert!(f64::from(alpha_error) <= ERROR_MAX, "{layer:?}: {alpha_error}");
+            let alpha_error = image
+                .alpha
+                .iter()
+                .zip(&truth.alpha)
+                .fold(0f32, |worst, (a, b)| worst.max((a - b).abs()));
+            println!(
+                "{layer:?}: {:.1} dB, max {:.5}, alpha {alpha_error:.5}",
+                difference.psnr_db, difference.max_abs
+            );
+            assert!(
+                difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
+                "{layer:?}: {difference:?}"
+            );
+            assert!(
+                f64::from(alpha_error) <= ERROR_MAX,
+                "{layer:?}: {alpha_error}"
+            );
         }
         truths
     });
@@ -289,14 +439,38 @@ fn every_layer_is_its_definition() {
 
 /// The same images, and in each pixel agents of the same name.
 fn assert_same(live: (&[Image], &LiveScene), fresh: (&[Image], &LoadedScene), step: &str) {
-    let plain = |instance: u16| fresh.1.agent_names.get(usize::from(instance).wrapping_sub(1)).cloned();
-    let named = |instance: u16| live.1.agents().iter().find(|agent| agent.instance == instance).map(|agent| agent.name.clone());
+    let plain = |instance: u16| {
+        fresh
+            .1
+            .agent_names
+            .get(usize::from(instance).wrapping_sub(1))
+            .cloned()
+    };
+    let named = |instance: u16| {
+        live.1
+            .agents()
+            .iter()
+            .find(|agent| agent.instance == instance)
+            .map(|agent| agent.name.clone())
+    };
     for (camera, (live, fresh)) in live.0.iter().zip(fresh.0).enumerate() {
-        assert!(!differing(live, fresh).contains(&true), "{step}: camera {camera} differs");
-        let ids = live.instance.as_ref().unwrap().iter().zip(fresh.instance.as_ref().unwrap());
+        assert!(
+            !differing(live, fresh).contains(&true),
+            "{step}: camera {camera} differs"
+        );
+        let ids = live
+            .instance
+            .as_ref()
+            .unwrap()
+            .iter()
+            .zip(fresh.instance.as_ref().unwrap());
         for (live, fresh) in ids {
             // A plain agent is no agent of the live scene; in this one it keeps its place.
-            assert_eq!(named(*live).or_else(|| plain(*live)), plain(*fresh), "{step}: camera {camera}");
+            assert_eq!(
+                named(*live).or_else(|| plain(*live)),
+                plain(*fresh),
+                "{step}: camera {camera}"
+            );
         }
     }
 }
@@ -309,14 +483,20 @@ fn a_scene_edited_while_it_is_shown_is_the_edited_file_loaded() {
     let loaded_first = site.loaded();
     let mut renderer = Renderer::new(&gpu, options());
     let mut live = LiveScene::new(&renderer, &loaded_first).unwrap();
-    let green = live.add_asset(&read_coded(&folder.join("green.safetensors")).unwrap().cloud).unwrap();
+    let green = live
+        .add_asset(&read_coded(&folder.join("green.safetensors")).unwrap().cloud)
+        .unwrap();
     let views = cameras(&loaded_first);
     let mut shown = Vec::new();
     let mut check = |live: &LiveScene, file: &SceneFile, step: &str| {
         renderer.render(live.with(&live.at(0.0)), &views).unwrap();
         let images = renderer.read_images().unwrap();
         let fresh = loaded(file, folder);
-        assert_same((&images, live), (&draw(&gpu, &fresh, Layer::All), &fresh), step);
+        assert_same(
+            (&images, live),
+            (&draw(&gpu, &fresh, Layer::All), &fresh),
+            step,
+        );
         assert!(!shown.contains(&images), "{step} is seen");
         shown.push(images);
     };
@@ -349,9 +529,19 @@ fn a_scene_edited_while_it_is_shown_is_the_edited_file_loaded() {
     file.remove_agent("left").unwrap();
     check(&live, &file, "removed");
 
-    assert_eq!(live.add_agent("new", green, Some(ShFrame::World), taken.trajectory.clone()).unwrap(), 7);
+    assert_eq!(
+        live.add_agent("new", green, Some(ShFrame::World), taken.trajectory.clone())
+            .unwrap(),
+        7
+    );
     let (asset, trajectory) = ("green.safetensors".into(), taken.trajectory);
-    file.add_agent(SceneAgent { name: "new".into(), asset, sh_frame: Some(ShFrame::World), trajectory }).unwrap();
+    file.add_agent(SceneAgent {
+        name: "new".into(),
+        asset,
+        sh_frame: Some(ShFrame::World),
+        trajectory,
+    })
+    .unwrap();
     check(&live, &file, "added");
 }
 
@@ -363,12 +553,36 @@ fn an_edit_that_cannot_be_is_refused_and_changes_nothing() {
     let mut live = LiveScene::new(&renderer, &loaded).unwrap();
     let standing = || Trajectory::standing(Pose::IDENTITY);
     let said = live.remove_agent("nobody").unwrap_err().to_string();
-    assert!(said.contains("\"nobody\"") && said.contains("\"behind left\"") && said.contains("\"plain\""), "{said}");
-    let said = live.set_trajectory("plain", standing()).unwrap_err().to_string();
-    assert!(said.contains("\"plain\"") && said.contains("load it again"), "{said}");
-    assert!(live.swap_asset("ahead", 2).unwrap_err().to_string().contains("the scene has 2"));
-    assert!(live.add_agent("plain", 0, None, standing()).unwrap_err().to_string().contains("already"));
-    assert!(live.add_agent("", 0, None, standing()).is_err() && live.add_agent("new", 9, None, standing()).is_err());
+    assert!(
+        said.contains("\"nobody\"")
+            && said.contains("\"behind left\"")
+            && said.contains("\"plain\""),
+        "{said}"
+    );
+    let said = live
+        .set_trajectory("plain", standing())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        said.contains("\"plain\"") && said.contains("load it again"),
+        "{said}"
+    );
+    assert!(
+        live.swap_asset("ahead", 2)
+            .unwrap_err()
+            .to_string()
+            .contains("the scene has 2")
+    );
+    assert!(
+        live.add_agent("plain", 0, None, standing())
+            .unwrap_err()
+            .to_string()
+            .contains("already")
+    );
+    assert!(
+        live.add_agent("", 0, None, standing()).is_err()
+            && live.add_agent("new", 9, None, standing()).is_err()
+    );
     assert_eq!(live.agents(), loaded.agents);
     let none = LiveScene::layer(&renderer, &loaded, Layer::Background).unwrap();
     assert!(none.agents().is_empty() && none.at(0.0).shadows.is_empty());

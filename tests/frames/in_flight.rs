@@ -9,7 +9,12 @@ use crate::device::Validated;
 
 fn camera(frame: usize) -> [Camera; 1] {
     let eye = DVec3::new(0.2 * frame as f64, 0.0, 0.5);
-    [camera_towards("front", eye, eye + DVec3::new(1.0, 0.05 * frame as f64, 0.0), (120, 80))]
+    [camera_towards(
+        "front",
+        eye,
+        eye + DVec3::new(1.0, 0.05 * frame as f64, 0.0),
+        (120, 80),
+    )]
 }
 
 #[test]
@@ -19,37 +24,74 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
     let mut pool = AssetPool::new(&gpu).unwrap();
     let asset = pool.add(&coded_car(500, 72)).unwrap();
     let agents = |frame: usize| {
-        let pose = Pose::from_yaw(0.1 * frame as f64, DVec3::new(8.0 + 0.3 * frame as f64, 0.0, 0.0));
+        let pose = Pose::from_yaw(
+            0.1 * frame as f64,
+            DVec3::new(8.0 + 0.3 * frame as f64, 0.0, 0.0),
+        );
         [Agent::new(asset, pose, 1)]
     };
-    let mut one_by_one = Renderer::new(&gpu, RenderOptions { overlap: false, frames_in_flight: 1, ..RenderOptions::default() });
+    let mut one_by_one = Renderer::new(
+        &gpu,
+        RenderOptions {
+            overlap: false,
+            frames_in_flight: 1,
+            ..RenderOptions::default()
+        },
+    );
     let resident = one_by_one.upload(&world).unwrap();
     let expected: Vec<_> = (0..8)
         .map(|frame| {
-            one_by_one.render(Scene::with_agents(&resident, &pool, &agents(frame)), &camera(frame)).unwrap();
+            one_by_one
+                .render(
+                    Scene::with_agents(&resident, &pool, &agents(frame)),
+                    &camera(frame),
+                )
+                .unwrap();
             one_by_one.read_images().unwrap()
         })
         .collect();
     for frames_in_flight in [1, 2, 3] {
         // Too little room: frames that are in flight already are drawn again as well.
-        let capacity = Capacity { records: 900, pairs: 900, partials: 1 };
-        let options = RenderOptions { frames_in_flight, ..RenderOptions::default() };
+        let capacity = Capacity {
+            records: 900,
+            pairs: 900,
+            partials: 1,
+        };
+        let options = RenderOptions {
+            frames_in_flight,
+            ..RenderOptions::default()
+        };
         let mut renderer = Renderer::new(&gpu, options).with_capacity(capacity);
         let mut redrawn = 0;
         for step in 0..8 + frames_in_flight - 1 {
             if step < 8 {
-                renderer.submit(Scene::with_agents(&resident, &pool, &agents(step)), &camera(step)).unwrap();
+                renderer
+                    .submit(
+                        Scene::with_agents(&resident, &pool, &agents(step)),
+                        &camera(step),
+                    )
+                    .unwrap();
             }
             if step + 1 >= frames_in_flight {
                 let statistics = renderer.finish().unwrap();
                 redrawn += statistics.redrawn;
-                assert_eq!(statistics.queues.len(), 2, "frame and agents are submitted apart");
+                assert_eq!(
+                    statistics.queues.len(),
+                    2,
+                    "frame and agents are submitted apart"
+                );
                 let frame = step + 1 - frames_in_flight;
-                assert!(renderer.read_images().unwrap() == expected[frame], "frame {frame} of {frames_in_flight} in flight");
+                assert!(
+                    renderer.read_images().unwrap() == expected[frame],
+                    "frame {frame} of {frames_in_flight} in flight"
+                );
             }
         }
         assert!(redrawn > 0, "the room cannot have been enough");
-        assert!(matches!(renderer.finish(), Err(RenderError::NothingInFlight)));
+        assert!(matches!(
+            renderer.finish(),
+            Err(RenderError::NothingInFlight)
+        ));
     }
 }
 
@@ -57,12 +99,21 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
 fn one_frame_too_many_is_refused_and_the_others_are_kept() {
     let gpu = Validated::open();
     let world = background(300, 81);
-    let mut renderer = Renderer::new(&gpu, RenderOptions { frames_in_flight: 2, ..RenderOptions::default() });
+    let mut renderer = Renderer::new(
+        &gpu,
+        RenderOptions {
+            frames_in_flight: 2,
+            ..RenderOptions::default()
+        },
+    );
     let resident = renderer.upload(&world).unwrap();
     renderer.submit(&resident, &camera(0)).unwrap();
     renderer.submit(&resident, &camera(1)).unwrap();
     let error = renderer.submit(&resident, &camera(2)).unwrap_err();
-    assert!(error.to_string().contains("2 frames are in flight"), "{error}");
+    assert!(
+        error.to_string().contains("2 frames are in flight"),
+        "{error}"
+    );
     renderer.finish().unwrap();
     let first = renderer.read_images().unwrap();
     renderer.finish().unwrap();

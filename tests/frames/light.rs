@@ -1,10 +1,14 @@
-//! Relit agents and contact shadows against the definition: colors transferred, splats darkened, all baked and drawn in f64.
+//! Relit agents and contact shadows against the definition: colors transferred, splats darkened,
+//! all baked and drawn in f64.
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, GpuScene, Image, RenderError, RenderOptions, Renderer, Scene, reference};
+use decouplegs::render::{
+    Agent, AssetPool, GpuScene, Image, RenderError, RenderOptions, Renderer, Scene, reference,
+};
 use decouplegs::scene::light::bake_shadows;
 use decouplegs::scene::{
-    AmbientDescriptor, Camera, CodedCloud, ColorTransfer, ContactShadow, LightTransfer, Pose, Rules, ShFrame, World, sh,
+    AmbientDescriptor, Camera, CodedCloud, ColorTransfer, ContactShadow, LightTransfer, Pose,
+    Rules, ShFrame, World, sh,
 };
 use glam::{DQuat, DVec3};
 
@@ -27,7 +31,10 @@ pub fn some_transfer(seed: u64) -> ColorTransfer {
 /// A shadow on ground that is tilted, below the background's middle.
 pub fn shadow(at: DVec3, yaw_rad: f64, strength: f64) -> ContactShadow {
     ContactShadow {
-        world_from_ground: Pose::new(DQuat::from_rotation_z(yaw_rad) * DQuat::from_rotation_x(0.1), at),
+        world_from_ground: Pose::new(
+            DQuat::from_rotation_z(yaw_rad) * DQuat::from_rotation_x(0.1),
+            at,
+        ),
         half_size_m: [2.2, 0.9],
         strength,
         decay: 1.5,
@@ -50,12 +57,34 @@ impl Case {
         let mut world = background(3000, 1);
         world.origin = DVec3::new(4.5e6, 0.7e6, 30.0);
         let at = |x: f64, y: f64, z: f64| world.origin + DVec3::new(x, y, z);
-        let turned = DQuat::from_rotation_z(2.1) * DQuat::from_rotation_x(0.4) * DQuat::from_rotation_y(-0.2);
+        let turned = DQuat::from_rotation_z(2.1)
+            * DQuat::from_rotation_x(0.4)
+            * DQuat::from_rotation_y(-0.2);
         let placed = vec![
-            (0, Pose::from_yaw(0.3, at(8.0, 1.0, 0.0)), ShFrame::Canonical, Some(some_transfer(1))),
-            (1, Pose::new(turned, at(11.0, -3.0, 0.5)), ShFrame::Canonical, None),
-            (0, Pose::new(turned, at(9.0, 2.5, 0.2)), ShFrame::World, Some(some_transfer(2))),
-            (0, Pose::from_yaw(1.0, at(14.0, 0.0, 0.0)), ShFrame::Canonical, Some(some_transfer(1))),
+            (
+                0,
+                Pose::from_yaw(0.3, at(8.0, 1.0, 0.0)),
+                ShFrame::Canonical,
+                Some(some_transfer(1)),
+            ),
+            (
+                1,
+                Pose::new(turned, at(11.0, -3.0, 0.5)),
+                ShFrame::Canonical,
+                None,
+            ),
+            (
+                0,
+                Pose::new(turned, at(9.0, 2.5, 0.2)),
+                ShFrame::World,
+                Some(some_transfer(2)),
+            ),
+            (
+                0,
+                Pose::from_yaw(1.0, at(14.0, 0.0, 0.0)),
+                ShFrame::Canonical,
+                Some(some_transfer(1)),
+            ),
         ];
         let shadows = vec![
             shadow(at(8.0, 1.0, -0.6), 0.3, 0.9),
@@ -67,11 +96,20 @@ impl Case {
             camera_towards("ahead", at(0.0, 0.0, 0.0), at(10.0, 0.0, 0.2), (200, 120)),
             camera_towards("above", at(9.0, -7.0, 5.0), at(10.0, 0.0, 0.0), (150, 130)),
         ];
-        Self { cars: vec![coded_car(700, 2), coded_car(300, 3)], world, placed, shadows, cameras }
+        Self {
+            cars: vec![coded_car(700, 2), coded_car(300, 3)],
+            world,
+            placed,
+            shadows,
+            cameras,
+        }
     }
 
     fn agents(&self, assets: &[decouplegs::render::AssetId]) -> Vec<Agent> {
-        let agent = |(i, &(car, pose, sh_frame, relight)): (usize, &(usize, Pose, ShFrame, Option<ColorTransfer>))| Agent {
+        let agent = |(i, &(car, pose, sh_frame, relight)): (
+            usize,
+            &(usize, Pose, ShFrame, Option<ColorTransfer>),
+        )| Agent {
             sh_frame: Some(sh_frame),
             relight,
             ..Agent::new(assets[car], pose, i as u16 + 1)
@@ -94,7 +132,10 @@ impl Case {
             let lit = relight.map_or(decoded.clone(), |relight| relight.relit(&decoded));
             world.bake_instance(&lit, pose, *sh_frame, i as u16 + 1);
         }
-        self.cameras.iter().map(|camera| reference::render(&world, camera, &Rules::DEFAULT).to_image()).collect()
+        self.cameras
+            .iter()
+            .map(|camera| reference::render(&world, camera, &Rules::DEFAULT).to_image())
+            .collect()
     }
 }
 
@@ -108,21 +149,40 @@ struct Stage {
 
 impl Stage {
     fn of(gpu: &Validated, case: &Case) -> Self {
-        let renderer = Renderer::new(gpu, RenderOptions { outputs: all_outputs(), ..RenderOptions::default() });
+        let renderer = Renderer::new(
+            gpu,
+            RenderOptions {
+                outputs: all_outputs(),
+                ..RenderOptions::default()
+            },
+        );
         let world = renderer.upload(&case.world).unwrap();
         let mut pool = AssetPool::new(gpu).unwrap();
         let assets = case.cars.iter().map(|car| pool.add(car).unwrap()).collect();
-        Self { renderer, world, pool, assets }
+        Self {
+            renderer,
+            world,
+            pool,
+            assets,
+        }
     }
 
-    fn draw(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> Vec<Image> {
+    fn draw(
+        &mut self,
+        agents: &[Agent],
+        shadows: &[ContactShadow],
+        cameras: &[Camera],
+    ) -> Vec<Image> {
         self.relit(agents, shadows, cameras);
         self.renderer.read_images().unwrap()
     }
 
     /// Draws; returns how many codebooks were relit for it.
     fn relit(&mut self, agents: &[Agent], shadows: &[ContactShadow], cameras: &[Camera]) -> usize {
-        let scene = Scene { shadows, ..Scene::with_agents(&self.world, &self.pool, agents) };
+        let scene = Scene {
+            shadows,
+            ..Scene::with_agents(&self.world, &self.pool, agents)
+        };
         self.renderer.render(scene, cameras).unwrap().relit
     }
 }
@@ -134,13 +194,21 @@ fn lit_agents_and_their_shadows_are_the_definition() {
     let (images, truth) = (case.drawn(&gpu), case.truth());
     for ((image, truth), camera) in images.iter().zip(&truth).zip(&case.cameras) {
         let difference = Difference::between(image, truth).unwrap();
-        println!("{}: {:.1} dB, max {:.5}", camera.name, difference.psnr_db, difference.max_abs);
-        assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{}: {difference:?}", camera.name);
+        println!(
+            "{}: {:.1} dB, max {:.5}",
+            camera.name, difference.psnr_db, difference.max_abs
+        );
+        assert!(
+            difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
+            "{}: {difference:?}",
+            camera.name
+        );
     }
     // And they are seen: without light, or without shadows, the image is another.
-    for change in
-        [|case: &mut Case| case.shadows.clear(), |case: &mut Case| case.placed.iter_mut().for_each(|agent| agent.3 = None)]
-    {
+    for change in [
+        |case: &mut Case| case.shadows.clear(),
+        |case: &mut Case| case.placed.iter_mut().for_each(|agent| agent.3 = None),
+    ] {
         let mut plain = Case::new();
         change(&mut plain);
         for (image, truth) in plain.drawn(&gpu).iter().zip(&truth) {
@@ -155,11 +223,18 @@ fn codebooks_are_relit_once_for_each_light() {
     let case = Case::new();
     let mut stage = Stage::of(&gpu, &case);
     let mut agents = case.agents(&stage.assets);
-    // Two lights of one asset, of which one is shown twice. Frames that are waited for have one place.
-    let relit: Vec<usize> = (0..3).map(|_| stage.relit(&agents, &case.shadows, &case.cameras)).collect();
+    // Two lights of one asset, of which one is shown twice. Frames that are waited for have one
+    // place.
+    let relit: Vec<usize> = (0..3)
+        .map(|_| stage.relit(&agents, &case.shadows, &case.cameras))
+        .collect();
     assert_eq!(relit, [2, 0, 0]);
     agents[0].world_from_agent.translation.x += 0.5;
-    assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 0, "moving alone is no other light");
+    assert_eq!(
+        stage.relit(&agents, &case.shadows, &case.cameras),
+        0,
+        "moving alone is no other light"
+    );
     agents[0].relight = Some(some_transfer(9));
     agents[1].relight = Some(some_transfer(9));
     // One light, two assets; and the two that stay, since four have no room where two had.
@@ -168,11 +243,17 @@ fn codebooks_are_relit_once_for_each_light() {
     assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 1);
     let images = stage.renderer.read_images().unwrap();
     let fresh = Stage::of(&gpu, &case).draw(&agents, &case.shadows, &case.cameras);
-    assert!(images == fresh, "a frame that makes one of four is the one that makes all");
+    assert!(
+        images == fresh,
+        "a frame that makes one of four is the one that makes all"
+    );
     agents.iter_mut().for_each(|agent| agent.relight = None);
     let unlit = stage.draw(&agents, &[], &case.cameras);
     let mut without = Stage::of(&gpu, &case);
-    assert!(unlit == without.draw(&agents, &[], &case.cameras), "what was lit before is as if it never was");
+    assert!(
+        unlit == without.draw(&agents, &[], &case.cameras),
+        "what was lit before is as if it never was"
+    );
 }
 
 #[test]
@@ -180,9 +261,15 @@ fn world_light_and_agent_turned_together_look_the_same() {
     let gpu = Validated::open();
     let mut case = Case::new();
     case.placed.truncate(1);
-    // A transfer that depends on every number of the light; the light is turned into the agent's frame.
+    // A transfer that depends on every number of the light; the light is turned into the agent's
+    // frame.
     let mut random = Random(5);
-    let mut row = |scale: f32, constant: f32| (std::array::from_fn(|_| random.between(-scale, scale)), constant);
+    let mut row = |scale: f32, constant: f32| {
+        (
+            std::array::from_fn(|_| random.between(-scale, scale)),
+            constant,
+        )
+    };
     let rows = 3 * sh::coefficient_count(3);
     let theta = LightTransfer {
         sh_degree: 3,
@@ -191,19 +278,33 @@ fn world_light_and_agent_turned_together_look_the_same() {
         neutral: AmbientDescriptor::uniform([0.5; 3]),
     };
     theta.check().unwrap();
-    let light = AmbientDescriptor { coefficients: std::array::from_fn(|k| [0.9 / (1.0 + k as f32), 0.2, -0.1 * k as f32]) };
+    let light = AmbientDescriptor {
+        coefficients: std::array::from_fn(|k| [0.9 / (1.0 + k as f32), 0.2, -0.1 * k as f32]),
+    };
     let turn = DQuat::from_rotation_z(0.8) * DQuat::from_rotation_y(0.3);
     let seen = |turn: DQuat| {
         let mut turned = Case::new();
         let (center, about) = (case.world.origin, Pose::new(turn, DVec3::ZERO));
         let moved = |pose: &Pose| {
-            let relative = Pose { translation: pose.translation - center, ..*pose };
+            let relative = Pose {
+                translation: pose.translation - center,
+                ..*pose
+            };
             let moved = about.then(&relative);
-            Pose { translation: moved.translation + center, ..moved }
+            Pose {
+                translation: moved.translation + center,
+                ..moved
+            }
         };
         turned.world.splats = case.world.splats.placed(&about, true);
-        turned.shadows.iter_mut().for_each(|shadow| shadow.world_from_ground = moved(&shadow.world_from_ground));
-        turned.cameras.iter_mut().for_each(|camera| camera.world_from_camera = moved(&camera.world_from_camera));
+        turned
+            .shadows
+            .iter_mut()
+            .for_each(|shadow| shadow.world_from_ground = moved(&shadow.world_from_ground));
+        turned
+            .cameras
+            .iter_mut()
+            .for_each(|camera| camera.world_from_camera = moved(&camera.world_from_camera));
         turned.placed.truncate(1);
         let (_, pose, _, relight) = &mut turned.placed[0];
         *pose = moved(pose);
@@ -223,18 +324,35 @@ fn light_and_shadows_that_are_none_are_refused() {
     let case = Case::new();
     let mut stage = Stage::of(&gpu, &case);
     let mut agents = case.agents(&stage.assets);
-    let nowhere = [ContactShadow { strength: f64::NAN, ..case.shadows[0] }];
-    let scene = Scene { shadows: &nowhere, ..Scene::from(&stage.world) };
+    let nowhere = [ContactShadow {
+        strength: f64::NAN,
+        ..case.shadows[0]
+    }];
+    let scene = Scene {
+        shadows: &nowhere,
+        ..Scene::from(&stage.world)
+    };
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
-    assert!(matches!(error, RenderError::Shadow { index: 0, .. }) && error.to_string().contains("strength"), "{error}");
+    assert!(
+        matches!(error, RenderError::Shadow { index: 0, .. })
+            && error.to_string().contains("strength"),
+        "{error}"
+    );
     let mut dark = some_transfer(1);
     dark.offset[3][1] = f32::INFINITY;
     agents[2].relight = Some(dark);
     let scene = Scene::with_agents(&stage.world, &stage.pool, &agents);
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
-    assert!(matches!(error, RenderError::AgentLight { instance: 3 }), "{error}");
+    assert!(
+        matches!(error, RenderError::AgentLight { instance: 3 }),
+        "{error}"
+    );
     agents[2].relight = None;
-    assert_eq!(stage.relit(&agents, &case.shadows, &case.cameras), 1, "a refused frame leaves nothing behind");
+    assert_eq!(
+        stage.relit(&agents, &case.shadows, &case.cameras),
+        1,
+        "a refused frame leaves nothing behind"
+    );
 }
 
 #[test]
@@ -244,6 +362,9 @@ fn shadows_lie_on_the_background_where_no_agent_is() {
     case.placed.clear();
     for (image, truth) in case.drawn(&gpu).iter().zip(&case.truth()) {
         let difference = Difference::between(image, truth).unwrap();
-        assert!(difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX, "{difference:?}");
+        assert!(
+            difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
+            "{difference:?}"
+        );
     }
 }

@@ -40,7 +40,13 @@ pub struct Splat {
 impl Splat {
     /// A gray ball of 10 cm.
     pub fn at(x: f32, y: f32, z: f32) -> Self {
-        Self { mean_m: [x, y, z], scale_m: [0.1; 3], rotation: [1.0, 0.0, 0.0, 0.0], opacity: 0.8, rgb: [0.6, 0.5, 0.4] }
+        Self {
+            mean_m: [x, y, z],
+            scale_m: [0.1; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity: 0.8,
+            rgb: [0.6, 0.5, 0.4],
+        }
     }
 }
 
@@ -52,7 +58,10 @@ pub fn world_of(splats: &[Splat]) -> World {
         rotations: splats.iter().map(|s| s.rotation).collect(),
         opacities: splats.iter().map(|s| s.opacity).collect(),
         sh_degree: 0,
-        sh_dc: splats.iter().map(|s| s.rgb.map(|c| (c - 0.5) / 0.282_094_8)).collect(),
+        sh_dc: splats
+            .iter()
+            .map(|s| s.rgb.map(|c| (c - 0.5) / 0.282_094_8))
+            .collect(),
         sh_rest: vec![],
     })
 }
@@ -60,28 +69,51 @@ pub fn world_of(splats: &[Splat]) -> World {
 /// A camera at `center` that looks along +z of the world, 60 degrees wide.
 pub fn camera_at(center: DVec3, width_px: u32, height_px: u32) -> Camera {
     let intrinsics = Intrinsics::from_horizontal_fov(width_px, height_px, 60f64.to_radians());
-    Camera { name: "test".into(), intrinsics, world_from_camera: Pose::new(DQuat::IDENTITY, center) }
+    Camera {
+        name: "test".into(),
+        intrinsics,
+        world_from_camera: Pose::new(DQuat::IDENTITY, center),
+    }
 }
 
 /// All outputs in f32.
 pub fn all_outputs() -> Outputs {
-    Outputs { depth: true, instance: true, ..Outputs::default() }
+    Outputs {
+        depth: true,
+        instance: true,
+        ..Outputs::default()
+    }
 }
 
 /// Images from the GPU.
 pub fn draw(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Image> {
-    let mut renderer = Renderer::new(gpu, RenderOptions { rules, outputs: all_outputs(), ..RenderOptions::default() });
+    let mut renderer = Renderer::new(
+        gpu,
+        RenderOptions {
+            rules,
+            outputs: all_outputs(),
+            ..RenderOptions::default()
+        },
+    );
     let resident = renderer.upload(world).unwrap();
     renderer.render(&resident, cameras).unwrap();
     renderer.read_images().unwrap()
 }
 
 /// The difference of the GPU's image from the definition, per camera.
-pub fn differences(gpu: &Validated, world: &World, cameras: &[Camera], rules: Rules) -> Vec<Difference> {
+pub fn differences(
+    gpu: &Validated,
+    world: &World,
+    cameras: &[Camera],
+    rules: Rules,
+) -> Vec<Difference> {
     draw(gpu, world, cameras, rules)
         .iter()
         .zip(cameras)
-        .map(|(image, camera)| Difference::between(image, &reference::render(world, camera, &rules).to_image()).unwrap())
+        .map(|(image, camera)| {
+            Difference::between(image, &reference::render(world, camera, &rules).to_image())
+                .unwrap()
+        })
         .collect()
 }
 
@@ -89,7 +121,13 @@ pub fn differences(gpu: &Validated, world: &World, cameras: &[Camera], rules: Ru
 pub fn assert_exact(world: &World, cameras: &[Camera], rules: Rules) {
     let gpu = Validated::open();
     for (difference, camera) in differences(&gpu, world, cameras, rules).iter().zip(cameras) {
-        println!("{} {}: {:.1} dB, max {:.5}", gpu.info().name, camera.name, difference.psnr_db, difference.max_abs);
+        println!(
+            "{} {}: {:.1} dB, max {:.5}",
+            gpu.info().name,
+            camera.name,
+            difference.psnr_db,
+            difference.max_abs
+        );
         assert!(
             difference.psnr_db >= PSNR_MIN_DB && difference.max_abs <= ERROR_MAX,
             "{}: {:.2} dB and {:.5} at most, against {PSNR_MIN_DB} and {ERROR_MAX}",

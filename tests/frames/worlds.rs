@@ -1,4 +1,5 @@
-//! Worlds that share a background: each camera sees the agents and shadows of its own world and no others.
+//! Worlds that share a background: each camera sees the agents and shadows of its own world and no
+//! others.
 
 use std::sync::Arc;
 
@@ -6,10 +7,13 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, RenderError, RenderOptions, Renderer, Scene,
+    Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, RenderError, RenderOptions,
+    Renderer, Scene,
 };
 use decouplegs::scene::{Camera, Pose, Rig, Rules, ShFrame, Trajectory};
-use decouplegs::session::{HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView};
+use decouplegs::session::{
+    HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView,
+};
 use glam::DVec3;
 
 use super::agents::{background, camera_towards, coded_car};
@@ -20,7 +24,12 @@ fn cameras(shift: f64) -> Vec<Camera> {
     let eye = DVec3::new(0.3 * shift, 0.2 * shift, 0.4);
     vec![
         camera_towards("ahead", eye, DVec3::new(10.0, 0.0, 0.0), (150, 90)),
-        camera_towards("above", DVec3::new(9.0, -7.0 + shift, 5.0), DVec3::new(10.0, 0.0, 0.0), (97, 64)),
+        camera_towards(
+            "above",
+            DVec3::new(9.0, -7.0 + shift, 5.0),
+            DVec3::new(10.0, 0.0, 0.0),
+            (97, 64),
+        ),
     ]
 }
 
@@ -32,18 +41,35 @@ fn drawn(renderer: &mut Renderer, scene: Scene<'_>, cameras: &[Camera]) -> Vec<I
 #[test]
 fn cameras_see_the_agents_and_shadows_of_their_own_world() {
     let gpu = Validated::open();
-    let mut renderer = Renderer::new(&gpu, RenderOptions { outputs: super::all_outputs(), ..RenderOptions::default() });
+    let mut renderer = Renderer::new(
+        &gpu,
+        RenderOptions {
+            outputs: super::all_outputs(),
+            ..RenderOptions::default()
+        },
+    );
     let world = renderer.upload(&background(3000, 5)).unwrap();
     let mut pool = AssetPool::new(&gpu).unwrap();
-    let assets = [pool.add(&coded_car(500, 6)).unwrap(), pool.add(&coded_car(300, 7)).unwrap()];
+    let assets = [
+        pool.add(&coded_car(500, 6)).unwrap(),
+        pool.add(&coded_car(300, 7)).unwrap(),
+    ];
 
     // Two worlds of two cameras each: other cars, other light, other shadows.
     let agent = |asset: usize, x: f64, relit: Option<u64>, cameras: u32| Agent {
         relight: relit.map(some_transfer),
         cameras,
-        ..Agent::new(assets[asset], Pose::from_yaw(0.1 * x, DVec3::new(x, 0.3 * x - 3.0, 0.0)), 1 + x as u16)
+        ..Agent::new(
+            assets[asset],
+            Pose::from_yaw(0.1 * x, DVec3::new(x, 0.3 * x - 3.0, 0.0)),
+            1 + x as u16,
+        )
     };
-    let agents = [agent(0, 8.0, Some(1), 0b0011), agent(1, 9.0, None, 0b0011), agent(0, 11.0, Some(2), 0b1100)];
+    let agents = [
+        agent(0, 8.0, Some(1), 0b0011),
+        agent(1, 9.0, None, 0b0011),
+        agent(0, 11.0, Some(2), 0b1100),
+    ];
     let shadows = [
         shadow(DVec3::new(8.0, 1.0, -0.6), 0.3, 0.9),
         shadow(DVec3::new(9.5, 0.0, -0.5), 1.3, 0.7),
@@ -52,27 +78,75 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
     let shadow_cameras = [0b0011, 0b1100, 0b1100];
     let all: Vec<Camera> = cameras(0.0).into_iter().chain(cameras(1.0)).collect();
 
-    let together =
-        Scene { shadows: &shadows, shadow_cameras: Some(&shadow_cameras), ..Scene::with_agents(&world, &pool, &agents) };
+    let together = Scene {
+        shadows: &shadows,
+        shadow_cameras: Some(&shadow_cameras),
+        ..Scene::with_agents(&world, &pool, &agents)
+    };
     let together_drawn = drawn(&mut renderer, together, &all);
-    let (first, second) = (Scene::with_agents(&world, &pool, &agents[..2]), Scene::with_agents(&world, &pool, &agents[2..]));
-    let everywhere =
-        |agents: &[Agent]| -> Vec<Agent> { agents.iter().map(|agent| Agent { cameras: u32::MAX, ..*agent }).collect() };
+    let (first, second) = (
+        Scene::with_agents(&world, &pool, &agents[..2]),
+        Scene::with_agents(&world, &pool, &agents[2..]),
+    );
+    let everywhere = |agents: &[Agent]| -> Vec<Agent> {
+        agents
+            .iter()
+            .map(|agent| Agent {
+                cameras: u32::MAX,
+                ..*agent
+            })
+            .collect()
+    };
     let (cars, other_cars) = (everywhere(&agents[..2]), everywhere(&agents[2..]));
-    let alone = drawn(&mut renderer, Scene { shadows: &shadows[..1], agents: Some((&pool, &cars)), ..first }, &all[..2]);
-    let other = drawn(&mut renderer, Scene { shadows: &shadows[1..], agents: Some((&pool, &other_cars)), ..second }, &all[2..]);
-    assert!(together_drawn[..2] == alone[..], "the first world's cameras see the first world");
-    assert!(together_drawn[2..] == other[..], "the second world's see the second");
+    let alone = drawn(
+        &mut renderer,
+        Scene {
+            shadows: &shadows[..1],
+            agents: Some((&pool, &cars)),
+            ..first
+        },
+        &all[..2],
+    );
+    let other = drawn(
+        &mut renderer,
+        Scene {
+            shadows: &shadows[1..],
+            agents: Some((&pool, &other_cars)),
+            ..second
+        },
+        &all[2..],
+    );
+    assert!(
+        together_drawn[..2] == alone[..],
+        "the first world's cameras see the first world"
+    );
+    assert!(
+        together_drawn[2..] == other[..],
+        "the second world's see the second"
+    );
 
-    // And it can fail: without masks everybody sees everything.
+    // And it can fail: without masks all worlds see all agents.
     let everything = everywhere(&agents);
-    let mixed = drawn(&mut renderer, Scene { shadows: &shadows, ..Scene::with_agents(&world, &pool, &everything) }, &all);
+    let mixed = drawn(
+        &mut renderer,
+        Scene {
+            shadows: &shadows,
+            ..Scene::with_agents(&world, &pool, &everything)
+        },
+        &all,
+    );
     assert!(
         (0..4).all(|camera| mixed[camera] != together_drawn[camera]),
         "every camera would see another world's cars or shadows"
     );
-    let unmasked_shadows = Scene { shadow_cameras: None, ..together };
-    assert!(drawn(&mut renderer, unmasked_shadows, &all) != together_drawn, "shadows are masked by themselves");
+    let unmasked_shadows = Scene {
+        shadow_cameras: None,
+        ..together
+    };
+    assert!(
+        drawn(&mut renderer, unmasked_shadows, &all) != together_drawn,
+        "shadows are masked by themselves"
+    );
 }
 
 fn loaded(seed: u64) -> LoadedScene {
@@ -95,152 +169,327 @@ fn loaded(seed: u64) -> LoadedScene {
 }
 
 fn session(outputs: Outputs) -> Session {
-    let mut options =
-        SessionOptions { device: DeviceOptions { validation: true, ..DeviceOptions::default() }, ..SessionOptions::default() };
+    let mut options = SessionOptions {
+        device: DeviceOptions {
+            validation: true,
+            ..DeviceOptions::default()
+        },
+        ..SessionOptions::default()
+    };
     options.render.outputs = outputs;
     options.render.taken_max = 3;
     Session::open(&options).unwrap()
 }
 
 fn assert_silent(session: &Session) {
-    assert_eq!(session.gpu().take_validation_messages(), Vec::<String>::new());
+    assert_eq!(
+        session.gpu().take_validation_messages(),
+        Vec::<String>::new()
+    );
 }
 
 /// World `index` over `scene`: its cars stand somewhere else in each.
 fn world(scene: &Arc<SessionScene>, index: usize) -> World {
     let mut world = World::new(scene);
     let x = 6.0 + 0.25 * index as f64;
-    world.move_to("a", Pose::from_yaw(0.1 * x, DVec3::new(x, 1.0 - 0.1 * x, 0.0))).unwrap();
+    world
+        .move_to(
+            "a",
+            Pose::from_yaw(0.1 * x, DVec3::new(x, 1.0 - 0.1 * x, 0.0)),
+        )
+        .unwrap();
     match index % 3 {
         0 => {}
         1 => drop(world.remove("b").unwrap()),
-        _ => drop(world.place("c", 1, Pose::from_yaw(0.0, DVec3::new(10.0, -2.0, 0.0)), None).unwrap()),
+        _ => drop(
+            world
+                .place(
+                    "c",
+                    1,
+                    Pose::from_yaw(0.0, DVec3::new(10.0, -2.0, 0.0)),
+                    None,
+                )
+                .unwrap(),
+        ),
     }
     world
 }
 
 #[test]
 fn worlds_of_a_session_are_drawn_together_as_alone() {
-    let session = session(Outputs { color: ColorFormat::U8, ..Outputs::default() });
+    let session = session(Outputs {
+        color: ColorFormat::U8,
+        ..Outputs::default()
+    });
     let scenes = [1, 50].map(|seed| session.add_scene(&loaded(seed)).unwrap());
     // More cameras than a frame has, and a change of scene in the middle.
-    let worlds: Vec<World> = (0..24).map(|index| world(&scenes[usize::from(index >= 19)], index)).collect();
+    let worlds: Vec<World> = (0..24)
+        .map(|index| world(&scenes[usize::from(index >= 19)], index))
+        .collect();
     let cameras: Vec<Vec<Camera>> = (0..24).map(|index| cameras(0.05 * index as f64)).collect();
-    let views: Vec<WorldView<'_>> = worlds.iter().zip(&cameras).map(|(world, cameras)| WorldView { world, cameras }).collect();
-    let (mut renderer, mut images, mut alone) = (session.batch_renderer(), HostImages::default(), HostImages::default());
+    let views: Vec<WorldView<'_>> = worlds
+        .iter()
+        .zip(&cameras)
+        .map(|(world, cameras)| WorldView { world, cameras })
+        .collect();
+    let (mut renderer, mut images, mut alone) = (
+        session.batch_renderer(),
+        HostImages::default(),
+        HostImages::default(),
+    );
     let frames = renderer.draw(&views, &mut images).unwrap();
-    assert_eq!(frames.len(), 3, "38 cameras over one scene are two frames, those over the other one");
+    assert_eq!(
+        frames.len(),
+        3,
+        "38 cameras over one scene are two frames, those over the other one"
+    );
     assert_eq!((images.views(), images.cameras(23)), (24, 2));
     let mut one = session.batch_renderer();
     for (index, view) in views.iter().enumerate() {
         one.draw(&[*view], &mut alone).unwrap();
         for camera in 0..2 {
             assert_eq!(images.size_px(index, camera), alone.size_px(0, camera));
-            assert!(images.rgba(index, camera) == alone.rgba(0, camera), "world {index}, camera {camera}");
+            assert!(
+                images.rgba(index, camera) == alone.rgba(0, camera),
+                "world {index}, camera {camera}"
+            );
         }
     }
-    assert!((1..24).all(|index| images.rgba(index, 0) != images.rgba(0, 0)), "all worlds look different");
+    assert!(
+        (1..24).all(|index| images.rgba(index, 0) != images.rgba(0, 0)),
+        "all worlds look different"
+    );
     assert_silent(&session);
 }
 
 #[test]
 fn what_a_world_cannot_do_is_said() {
-    let session = session(Outputs { depth: true, ..Outputs::default() });
+    let session = session(Outputs {
+        depth: true,
+        ..Outputs::default()
+    });
     let scene = session.add_scene(&loaded(3)).unwrap();
     let mut world = World::new(&scene);
     let text = |error: SessionError| error.to_string();
-    assert!(text(world.move_to("x", Pose::IDENTITY).unwrap_err()).contains("no agent \"x\": it has a, b"));
+    assert!(
+        text(world.move_to("x", Pose::IDENTITY).unwrap_err())
+            .contains("no agent \"x\": it has a, b")
+    );
     assert!(text(world.remove("x").unwrap_err()).contains("\"x\""));
-    assert!(text(world.place("c", 2, Pose::IDENTITY, None).unwrap_err()).contains("no asset 2: it has 2"));
+    assert!(
+        text(world.place("c", 2, Pose::IDENTITY, None).unwrap_err())
+            .contains("no asset 2: it has 2")
+    );
     assert_eq!(world.place("c", 1, Pose::IDENTITY, None).unwrap(), 3);
-    assert_eq!(world.place("c", 0, Pose::IDENTITY, None).unwrap(), 3, "who is placed again keeps his id");
+    assert_eq!(
+        world.place("c", 0, Pose::IDENTITY, None).unwrap(),
+        3,
+        "who is placed again keeps his id"
+    );
     let (mut renderer, cameras) = (session.batch_renderer(), cameras(0.0));
-    let view = [WorldView { world: &world, cameras: &cameras }];
-    assert!(matches!(renderer.draw(&view, &mut HostImages::default()), Err(SessionError::NotBytes)));
-    assert!(matches!(renderer.draw_images(&[WorldView { cameras: &[], ..view[0] }]), Err(SessionError::NoCameras)));
+    let view = [WorldView {
+        world: &world,
+        cameras: &cameras,
+    }];
+    assert!(matches!(
+        renderer.draw(&view, &mut HostImages::default()),
+        Err(SessionError::NotBytes)
+    ));
+    assert!(matches!(
+        renderer.draw_images(&[WorldView {
+            cameras: &[],
+            ..view[0]
+        }]),
+        Err(SessionError::NoCameras)
+    ));
     let (good, _) = renderer.draw_images(&view).unwrap();
     assert!(good[0][0].depth.is_some());
-    let elsewhere = self::session(Outputs { depth: true, ..Outputs::default() });
+    let elsewhere = self::session(Outputs {
+        depth: true,
+        ..Outputs::default()
+    });
     let other = World::new(&elsewhere.add_scene(&loaded(3)).unwrap());
-    let foreign = [view[0], WorldView { world: &other, cameras: &cameras }];
-    assert!(matches!(renderer.draw_images(&foreign), Err(SessionError::OtherSession { view: 1 })));
+    let foreign = [
+        view[0],
+        WorldView {
+            world: &other,
+            cameras: &cameras,
+        },
+    ];
+    assert!(matches!(
+        renderer.draw_images(&foreign),
+        Err(SessionError::OtherSession { view: 1 })
+    ));
     // A frame that cannot be drawn leaves the batch renderer as good as before.
     let mut lost = World::new(&scene);
-    lost.move_to("a", Pose { translation: DVec3::NAN, ..Pose::IDENTITY }).unwrap();
-    let nowhere = [view[0], WorldView { world: &lost, cameras: &cameras }];
-    assert!(matches!(renderer.draw_images(&nowhere), Err(SessionError::Render(RenderError::AgentPose { .. }))));
+    lost.move_to(
+        "a",
+        Pose {
+            translation: DVec3::NAN,
+            ..Pose::IDENTITY
+        },
+    )
+    .unwrap();
+    let nowhere = [
+        view[0],
+        WorldView {
+            world: &lost,
+            cameras: &cameras,
+        },
+    ];
+    assert!(matches!(
+        renderer.draw_images(&nowhere),
+        Err(SessionError::Render(RenderError::AgentPose { .. }))
+    ));
     assert!(renderer.draw_images(&view).unwrap().0 == good);
-    assert!(text(session.open_scene("nowhere/scene.toml".as_ref()).map(|_| ()).unwrap_err()).contains("nowhere/scene.toml"));
+    assert!(
+        text(
+            session
+                .open_scene("nowhere/scene.toml".as_ref())
+                .map(|_| ())
+                .unwrap_err()
+        )
+        .contains("nowhere/scene.toml")
+    );
     assert_silent(&session);
 }
 
 #[test]
 fn images_that_are_held_stay_and_their_memory_comes_back() {
-    let session = session(Outputs { color: ColorFormat::U8, ..Outputs::default() });
+    let session = session(Outputs {
+        color: ColorFormat::U8,
+        ..Outputs::default()
+    });
     let scene = session.add_scene(&loaded(9)).unwrap();
     let cameras = cameras(0.0);
     let (mut renderer, mut expected) = (session.batch_renderer(), HostImages::default());
     let worlds: Vec<World> = (0..4).map(|index| world(&scene, index)).collect();
     let mut take = |index: usize| {
-        let view = [WorldView { world: &worlds[index], cameras: &cameras }];
-        renderer.draw_on_device(&view).map(|(mut taken, _)| taken.remove(0))
+        let view = [WorldView {
+            world: &worlds[index],
+            cameras: &cameras,
+        }];
+        renderer
+            .draw_on_device(&view)
+            .map(|(mut taken, _)| taken.remove(0))
     };
     let held: Vec<_> = (0..3).map(|index| take(index).unwrap()).collect();
-    assert!(matches!(take(3), Err(SessionError::Render(RenderError::TooManyTaken { max: 3 }))));
+    assert!(matches!(
+        take(3),
+        Err(SessionError::Render(RenderError::TooManyTaken { max: 3 }))
+    ));
     let mut again = session.batch_renderer();
     for (index, taken) in held.iter().enumerate() {
-        again.draw(&[WorldView { world: &worlds[index], cameras: &cameras }], &mut expected).unwrap();
+        again
+            .draw(
+                &[WorldView {
+                    world: &worlds[index],
+                    cameras: &cameras,
+                }],
+                &mut expected,
+            )
+            .unwrap();
         let words = session.gpu().read(&taken.buffers().images_u8).unwrap();
         let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
         assert_eq!(taken.places(), [(0, [150, 90]), (150 * 90, [97, 64])]);
-        assert!(bytes[..4 * 150 * 90] == *expected.rgba(0, 0) && bytes[4 * 150 * 90..] == *expected.rgba(0, 1), "{index}");
+        assert!(
+            bytes[..4 * 150 * 90] == *expected.rgba(0, 0)
+                && bytes[4 * 150 * 90..] == *expected.rgba(0, 1),
+            "{index}"
+        );
         assert!(taken.frame().is_done().unwrap());
     }
     drop(held);
     let bytes = session.gpu().memory().total_bytes;
     (0..40).for_each(|step| drop(take(step % 4).unwrap()));
-    assert_eq!(session.gpu().memory().total_bytes, bytes, "memory is used again");
+    assert_eq!(
+        session.gpu().memory().total_bytes,
+        bytes,
+        "memory is used again"
+    );
     // Images outlive their batch renderer.
     let last = take(0).unwrap();
     drop(renderer);
-    assert!(!session.gpu().read(&last.buffers().images_u8).unwrap().is_empty());
+    assert!(
+        !session
+            .gpu()
+            .read(&last.buffers().images_u8)
+            .unwrap()
+            .is_empty()
+    );
     assert_silent(&session);
 }
 
 #[test]
 fn a_session_draws_each_scene_by_its_own_rules() {
-    let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
+    let outputs = Outputs {
+        color: ColorFormat::U8,
+        ..Outputs::default()
+    };
     let (session, cameras) = (session(outputs), cameras(0.5));
-    let own = [Rules::DEFAULT, Rules { antialias: true, ..Rules::DEFAULT }, Rules::GSPLAT15, Rules::INRIA];
+    let own = [
+        Rules::DEFAULT,
+        Rules {
+            antialias: true,
+            ..Rules::DEFAULT
+        },
+        Rules::GSPLAT15,
+        Rules::INRIA,
+    ];
     let loaded = own.map(|rules| {
         let mut loaded = loaded(3);
         loaded.world.rules = rules;
         loaded
     });
-    let scenes = loaded.each_ref().map(|loaded| session.add_scene(loaded).unwrap());
+    let scenes = loaded
+        .each_ref()
+        .map(|loaded| session.add_scene(loaded).unwrap());
     let worlds = scenes.each_ref().map(World::new);
-    let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
+    let views = worlds.each_ref().map(|world| WorldView {
+        world,
+        cameras: &cameras,
+    });
     let mut images = HostImages::default();
     session.batch_renderer().draw(&views, &mut images).unwrap();
     for (view, loaded) in loaded.iter().enumerate() {
         // As `render`, episodes and the server draw.
-        let mut renderer =
-            Renderer::new(session.gpu(), RenderOptions { rules: loaded.world.rules, outputs, ..RenderOptions::default() });
+        let mut renderer = Renderer::new(
+            session.gpu(),
+            RenderOptions {
+                rules: loaded.world.rules,
+                outputs,
+                ..RenderOptions::default()
+            },
+        );
         let live = LiveScene::new(&renderer, loaded).unwrap();
         renderer.render(live.with(&live.at(0.0)), &cameras).unwrap();
         let mut bytes = ImageBytes::default();
         renderer.read_bytes(&mut bytes).unwrap();
         for camera in 0..cameras.len() {
-            assert!(images.rgba(view, camera) == bytes.rgba(camera), "scene {view}, camera {camera}: the same bytes");
+            assert!(
+                images.rgba(view, camera) == bytes.rgba(camera),
+                "scene {view}, camera {camera}: the same bytes"
+            );
         }
-        assert!(view == 0 || images.rgba(view, 0) != images.rgba(0, 0), "rules {view} show in the image");
+        assert!(
+            view == 0 || images.rgba(view, 0) != images.rgba(0, 0),
+            "rules {view} show in the image"
+        );
     }
     // Unless the session has rules for all.
-    let options = SessionOptions { rules: Some(Rules::DEFAULT), ..session.options().clone() };
+    let options = SessionOptions {
+        rules: Some(Rules::DEFAULT),
+        ..session.options().clone()
+    };
     let other = Session::on(session.gpu(), &options);
-    let scenes = loaded.each_ref().map(|loaded| other.add_scene(loaded).unwrap());
+    let scenes = loaded
+        .each_ref()
+        .map(|loaded| other.add_scene(loaded).unwrap());
     let worlds = scenes.each_ref().map(World::new);
-    let views = worlds.each_ref().map(|world| WorldView { world, cameras: &cameras });
+    let views = worlds.each_ref().map(|world| WorldView {
+        world,
+        cameras: &cameras,
+    });
     let mut same = HostImages::default();
     other.batch_renderer().draw(&views, &mut same).unwrap();
     assert!((0..4).all(|view| same.rgba(view, 0) == images.rgba(0, 0)));

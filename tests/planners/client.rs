@@ -1,4 +1,5 @@
-//! The protocol from end to end: what a Python planner gets is what was sent, to the byte and to the bit.
+//! The protocol from end to end: what a Python planner gets is what was sent, to the byte and to
+//! the bit.
 
 use std::path::Path;
 use std::process::{Child, Command};
@@ -11,25 +12,49 @@ use super::scene_ahead::{PATIENT, briefing, cameras, observation, opened, privil
 
 /// Checksum as in `checksum_planner.py`.
 fn checksum(rgba: &[u8]) -> u64 {
-    rgba.iter().enumerate().map(|(at, &byte)| (at as u64 % 251 + 1) * u64::from(byte)).sum::<u64>() % 1_000_003
+    rgba.iter()
+        .enumerate()
+        .map(|(at, &byte)| (at as u64 % 251 + 1) * u64::from(byte))
+        .sum::<u64>()
+        % 1_000_003
 }
 
 /// Bytes that look like the end of a line, of a string and of everything, among others.
 fn image(pixels: u64, seed: u64) -> Vec<u8> {
-    (0..4 * pixels).map(|at| (at.wrapping_mul(at + 7).wrapping_add(seed * 10) >> 2) as u8).collect()
+    (0..4 * pixels)
+        .map(|at| (at.wrapping_mul(at + 7).wrapping_add(seed * 10) >> 2) as u8)
+        .collect()
 }
 
 /// Two steps of an episode, each number and each image as it was sent.
 fn drive(planner: &mut dyn Planner) {
     assert_eq!(planner.name(), "checksums");
-    assert_eq!(planner.sees(), ObservationRequest { cameras: Cameras::All, privileged: true });
+    assert_eq!(
+        planner.sees(),
+        ObservationRequest {
+            cameras: Cameras::All,
+            privileged: true
+        }
+    );
     let (briefing, known, rig) = (briefing(), privileged(), cameras());
     planner.begin(&briefing).unwrap();
     for step in 0..2 {
-        let images: Vec<Vec<u8>> = rig.iter().map(|camera| image(camera.intrinsics.pixels(), u64::from(step))).collect();
-        let frames: Vec<Frame> = rig.iter().zip(&images).map(|(camera, rgba)| Frame { camera, rgba }).collect();
-        let plan = planner.plan(&observation(step, &frames, Some(&known))).unwrap();
-        let expected: Vec<DVec2> = images.iter().map(|rgba| DVec2::new(checksum(rgba) as f64 / 1000.0, 0.0)).collect();
+        let images: Vec<Vec<u8>> = rig
+            .iter()
+            .map(|camera| image(camera.intrinsics.pixels(), u64::from(step)))
+            .collect();
+        let frames: Vec<Frame> = rig
+            .iter()
+            .zip(&images)
+            .map(|(camera, rgba)| Frame { camera, rgba })
+            .collect();
+        let plan = planner
+            .plan(&observation(step, &frames, Some(&known)))
+            .unwrap();
+        let expected: Vec<DVec2> = images
+            .iter()
+            .map(|rgba| DVec2::new(checksum(rgba) as f64 / 1000.0, 0.0))
+            .collect();
         let told = [
             0.5 * f64::from(step),
             7.3,
@@ -41,8 +66,14 @@ fn drive(planner: &mut dyn Planner) {
             0.75,
         ];
         let places = plan.points().iter().map(|point| point.position_m);
-        let all = expected.into_iter().chain(told.map(|value| DVec2::new(0.0, value)));
-        assert_eq!(places.collect::<Vec<_>>(), all.collect::<Vec<_>>(), "step {step}");
+        let all = expected
+            .into_iter()
+            .chain(told.map(|value| DVec2::new(0.0, value)));
+        assert_eq!(
+            places.collect::<Vec<_>>(),
+            all.collect::<Vec<_>>(),
+            "step {step}"
+        );
     }
 }
 
@@ -56,9 +87,18 @@ fn an_exception_ends_its_episode_and_the_planner_goes_on() {
     let mut planner = opened("checksum_planner.py", &[], PATIENT);
     drive(&mut planner);
     let known = privileged();
-    for (step, reason) in [(13, "ValueError: thirteen"), (14, "Out of range float values")] {
-        let failed = planner.plan(&observation(step, &[], Some(&known))).unwrap_err().to_string();
-        assert!(failed.starts_with("the external planner failed: ") && failed.contains(reason), "{failed}");
+    for (step, reason) in [
+        (13, "ValueError: thirteen"),
+        (14, "Out of range float values"),
+    ] {
+        let failed = planner
+            .plan(&observation(step, &[], Some(&known)))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            failed.starts_with("the external planner failed: ") && failed.contains(reason),
+            "{failed}"
+        );
         drive(&mut planner);
     }
 }
@@ -75,7 +115,15 @@ impl Drop for Server {
 
 fn serve(path: &Path) -> Server {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/planners/checksum_planner.py");
-    let server = Server(Command::new("python3").arg("-B").arg(script).arg("--socket").arg(path).spawn().unwrap());
+    let server = Server(
+        Command::new("python3")
+            .arg("-B")
+            .arg(script)
+            .arg("--socket")
+            .arg(path)
+            .spawn()
+            .unwrap(),
+    );
     let deadline = Instant::now() + PATIENT.hello;
     while !path.exists() && Instant::now() < deadline {
         std::thread::sleep(Duration::from_millis(5));
@@ -98,8 +146,13 @@ fn connect(path: &Path) -> External {
 fn a_server_on_a_unix_socket_drives_for_many() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("planner.sock");
-    let refused = External::open(Transport::Socket(path.clone()), PATIENT).unwrap_err().to_string();
-    assert!(refused.contains("cannot connect to") && refused.contains("planner.sock"), "{refused}");
+    let refused = External::open(Transport::Socket(path.clone()), PATIENT)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        refused.contains("cannot connect to") && refused.contains("planner.sock"),
+        "{refused}"
+    );
     let mut server = serve(&path);
     let (mut one, mut other) = (connect(&path), connect(&path));
     drive(&mut one);
@@ -108,10 +161,19 @@ fn a_server_on_a_unix_socket_drives_for_many() {
     drive(&mut other);
     server.0.kill().unwrap();
     server.0.wait().unwrap();
-    let lost = other.plan(&observation(0, &[], None)).unwrap_err().to_string();
+    let lost = other
+        .plan(&observation(0, &[], None))
+        .unwrap_err()
+        .to_string();
     assert!(lost.contains("closed the connection"), "{lost}");
     std::fs::remove_file(&path).unwrap();
-    assert!(other.begin(&briefing()).unwrap_err().to_string().contains("cannot connect to"));
+    assert!(
+        other
+            .begin(&briefing())
+            .unwrap_err()
+            .to_string()
+            .contains("cannot connect to")
+    );
     let again = serve(&path);
     drop(connect(&path));
     drive(&mut other);
@@ -120,17 +182,40 @@ fn a_server_on_a_unix_socket_drives_for_many() {
 
 #[test]
 fn the_example_slows_down_in_the_dark() {
-    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/planner_client/example_planner.py");
-    let words = ["python3".into(), "-B".into(), example.to_string_lossy().into_owned()];
+    let example =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/planner_client/example_planner.py");
+    let words = [
+        "python3".into(),
+        "-B".into(),
+        example.to_string_lossy().into_owned(),
+    ];
     let mut planner = External::open(Transport::Command(words.to_vec()), PATIENT).unwrap();
-    assert_eq!(planner.sees(), ObservationRequest { cameras: Cameras::Front, privileged: false });
+    assert_eq!(
+        planner.sees(),
+        ObservationRequest {
+            cameras: Cameras::Front,
+            privileged: false
+        }
+    );
     let rig = cameras();
     let mut reach_m = |gray: u8| {
         planner.begin(&briefing()).unwrap();
         let rgba = vec![gray; 4 * rig[0].intrinsics.pixels() as usize];
-        let plan = planner.plan(&observation(0, &[Frame { camera: &rig[0], rgba: &rgba }], None)).unwrap();
+        let plan = planner
+            .plan(&observation(
+                0,
+                &[Frame {
+                    camera: &rig[0],
+                    rgba: &rgba,
+                }],
+                None,
+            ))
+            .unwrap();
         plan.at(4.0).x
     };
     let (bright_m, dark_m) = (reach_m(150), reach_m(20));
-    assert!((bright_m - 4.0 * 7.3).abs() < 1e-9 && dark_m < 0.75 * bright_m && dark_m > 0.0, "{bright_m} {dark_m}");
+    assert!(
+        (bright_m - 4.0 * 7.3).abs() < 1e-9 && dark_m < 0.75 * bright_m && dark_m > 0.0,
+        "{bright_m} {dark_m}"
+    );
 }

@@ -10,13 +10,25 @@ use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, Scenario, Weather};
 
 fn street() -> Arc<Site> {
-    let place = Place::Street { weather: Weather::Clear, background: 0, agent_splats: 0, seed: 1 };
+    let place = Place::Street {
+        weather: Weather::Clear,
+        background: 0,
+        agent_splats: 0,
+        seed: 1,
+    };
     Arc::new(Site::open(&place, Path::new(""), None).unwrap())
 }
 
 fn scenario(site: &Site, level: Level, seed: u64) -> Scenario {
-    let options = PlaceOptions::Street { background: 0, agent_splats: 0, seed: 1 };
-    Generator::new(&site.lanes, options, &site.asset_sizes).unwrap().scenario(level, seed, 0).unwrap()
+    let options = PlaceOptions::Street {
+        background: 0,
+        agent_splats: 0,
+        seed: 1,
+    };
+    Generator::new(&site.lanes, options, &site.asset_sizes)
+        .unwrap()
+        .scenario(level, seed, 0)
+        .unwrap()
 }
 
 #[test]
@@ -24,8 +36,13 @@ fn stepping_through_a_drive_gives_the_same_episode() {
     let site = street();
     for (level, seed) in [(Level::Easy, 3), (Level::Hard, 4)] {
         let scenario = scenario(&site, level, seed);
-        let driven = drive(&scenario, &site, None, &mut ConstantVelocity, &mut ()).unwrap().episode;
-        let crew = EpisodeMetadata { planner: driven.head.planner.clone(), drawn_by: None };
+        let driven = drive(&scenario, &site, None, &mut ConstantVelocity, &mut ())
+            .unwrap()
+            .episode;
+        let crew = EpisodeMetadata {
+            planner: driven.head.planner.clone(),
+            drawn_by: None,
+        };
         let mut rollout = Rollout::new(&scenario, &site, crew).unwrap();
         for step in &driven.steps {
             assert_eq!(rollout.end(), None);
@@ -35,7 +52,10 @@ fn stepping_through_a_drive_gives_the_same_episode() {
         assert_eq!(rollout.episode(), &driven);
         let (progress_m, length_m) = rollout.progress_m();
         let completion = rollout.score().route_completion;
-        assert!((completion - (progress_m / length_m).min(1.0)).abs() < 1e-6, "{completion} and {progress_m} of {length_m} m");
+        assert!(
+            (completion - (progress_m / length_m).min(1.0)).abs() < 1e-6,
+            "{completion} and {progress_m} of {length_m} m"
+        );
     }
 }
 
@@ -46,7 +66,11 @@ fn an_episode_steered_by_hand_is_one_of_plans() {
     let mut rollout = Rollout::new(&scenario, &site, EpisodeMetadata::default()).unwrap();
     let mut standing = 0;
     while rollout.end().is_none() {
-        let plan = rollout.simulation().ego().plan_under(0.0, -3.0, 2.0).unwrap();
+        let plan = rollout
+            .simulation()
+            .ego()
+            .plan_under(0.0, -3.0, 2.0)
+            .unwrap();
         let step = rollout.step(plan, Vec::new());
         standing += usize::from(step.instants.last().unwrap().ego.speed_mps == 0.0);
     }

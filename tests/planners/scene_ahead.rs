@@ -1,7 +1,8 @@
 //! Inputs of the planners under test: two cameras, an agent and a route.
 
 use decouplegs::planner::{
-    EgoMotion, EpisodeInfo, External, Frame, Navigation, Observation, Privileged, Timeouts, Transport, Turn,
+    EgoMotion, EpisodeInfo, External, Frame, Navigation, Observation, Privileged, Timeouts,
+    Transport, Turn,
 };
 use decouplegs::scene::{Intrinsics, Pose, RigCamera, VehicleSize, VehicleState};
 use glam::{DQuat, DVec2, DVec3};
@@ -9,7 +10,10 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Long enough for a Python on a machine that does other things; no test waits for it to pass.
-pub const PATIENT: Timeouts = Timeouts { hello: Duration::from_secs(120), answer: Duration::from_secs(120) };
+pub const PATIENT: Timeouts = Timeouts {
+    hello: Duration::from_secs(120),
+    answer: Duration::from_secs(120),
+};
 
 /// A script of this folder as a command.
 pub fn script(name: &str, arguments: &[&str]) -> Transport {
@@ -17,7 +21,11 @@ pub fn script(name: &str, arguments: &[&str]) -> Transport {
     let path = folder.join(name).to_string_lossy().into_owned();
     // Without -B Python leaves compiled files beside the sources.
     let words = ["python3".to_owned(), "-B".to_owned(), path].into_iter();
-    Transport::Command(words.chain(arguments.iter().map(|&word| word.to_owned())).collect())
+    Transport::Command(
+        words
+            .chain(arguments.iter().map(|&word| word.to_owned()))
+            .collect(),
+    )
 }
 
 /// The planner of a script that says hello as it should.
@@ -29,18 +37,30 @@ pub fn cameras() -> Vec<RigCamera> {
     let camera = |name: &str, width_px, height_px, fov_rad| RigCamera {
         name: name.into(),
         intrinsics: Intrinsics::from_horizontal_fov(width_px, height_px, fov_rad),
-        rig_from_camera: Pose::new(DQuat::from_xyzw(-0.5, 0.5, -0.5, 0.5), DVec3::new(1.5, 0.0, 0.75)),
+        rig_from_camera: Pose::new(
+            DQuat::from_xyzw(-0.5, 0.5, -0.5, 0.5),
+            DVec3::new(1.5, 0.0, 0.75),
+        ),
     };
     vec![camera("front", 37, 11, 1.2), camera("rear", 8, 5, 1.7)]
 }
 
 pub fn briefing() -> EpisodeInfo {
-    EpisodeInfo { scenario: "test".into(), step_s: 0.5, ego_size: VehicleSize::CAR, cameras: cameras() }
+    EpisodeInfo {
+        scenario: "test".into(),
+        step_s: 0.5,
+        ego_size: VehicleSize::CAR,
+        cameras: cameras(),
+    }
 }
 
 pub fn privileged() -> Privileged {
-    let state =
-        |x: f64, yaw_rad| VehicleState { position_m: DVec2::new(x, -2.0), yaw_rad, speed_mps: 7.3, acceleration_mps2: 0.0 };
+    let state = |x: f64, yaw_rad| VehicleState {
+        position_m: DVec2::new(x, -2.0),
+        yaw_rad,
+        speed_mps: 7.3,
+        acceleration_mps2: 0.0,
+    };
     Privileged {
         ego: state(512.123_456_789, 0.0),
         ego_size: VehicleSize::CAR,
@@ -50,13 +70,25 @@ pub fn privileged() -> Privileged {
 }
 
 /// An observation of step `step`.
-pub fn observation<'a>(step: u32, frames: &'a [Frame<'a>], privileged: Option<&'a Privileged>) -> Observation<'a> {
+pub fn observation<'a>(
+    step: u32,
+    frames: &'a [Frame<'a>],
+    privileged: Option<&'a Privileged>,
+) -> Observation<'a> {
     Observation {
         step,
         time_s: 0.5 * f64::from(step),
         frames,
-        ego: EgoMotion { speed_mps: 7.3, ..EgoMotion::default() },
-        guidance: Navigation { turn: Turn::Left, angle_rad: 1.25, cruise_mps: 10.0, ..Navigation::default() },
+        ego: EgoMotion {
+            speed_mps: 7.3,
+            ..EgoMotion::default()
+        },
+        guidance: Navigation {
+            turn: Turn::Left,
+            angle_rad: 1.25,
+            cruise_mps: 10.0,
+            ..Navigation::default()
+        },
         privileged,
     }
 }

@@ -1,11 +1,12 @@
-//! A road drawn pixel by pixel: asphalt, markings, shade, paint across the road and a car. What is seen is known exactly.
+//! A road drawn pixel by pixel: asphalt, markings, shade, paint across the road and a car. What is
+//! seen is known exactly.
 
 use decouplegs::scene::{Intrinsics, Lens, Pose, RigCamera, VehicleSize};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// The ego that looks.
 pub const EGO: VehicleSize = VehicleSize { length_m: 4.5, width_m: 1.8, height_m: 1.7 };
-/// The car that is looked at: width and height, meters.
+/// The car that is examined: width and height, meters.
 const CAR_M: [f64; 2] = [1.8, 1.5];
 /// Width of a marking, meters.
 const MARKING_M: f64 = 0.14;

@@ -1,4 +1,5 @@
-//! Driving by perception on a drawn road: what is planned is driven by the ego's bicycle, and what is seen then follows from it.
+//! Driving by perception on a drawn road: what is planned is driven by the ego's bicycle, and what
+//! is seen then follows from it.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -65,7 +66,8 @@ fn it_follows_a_bend() {
     }
 }
 
-/// Drives behind a car that is `gap_m` ahead at the start and drives `speed_mps`; gap and speed after each step.
+/// Drives behind a car that is `gap_m` ahead at the start and drives `speed_mps`; gap and speed
+/// after each step.
 fn drive_behind(gap_m: f64, lead_mps: f64, steps: u32) -> Vec<(f64, f64)> {
     let (camera, mut ego) = (camera(), ego_at(DVec2::ZERO, 0.0, 9.0));
     let mut vision = beginner(&camera);

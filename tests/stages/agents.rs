@@ -1,4 +1,5 @@
-//! `cull_agents.comp` and `project_agents.comp`: what is visible of agents, and their records behind those of the background.
+//! `cull_agents.comp` and `project_agents.comp`: what is visible of agents, and their records
+//! behind those of the background.
 
 pub mod hard_agents;
 mod hard_clouds;
@@ -21,19 +22,32 @@ fn visible(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> (Vec<u32>, Vec
     let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
     let cull = CullAgents::new(gpu, rules, !scene.lenses.is_empty()).unwrap();
     run(gpu, |r| cull.record(r, &pool, &buffers, scene.counts));
-    (gpu.read(&buffers.visible.words).unwrap(), gpu.read(&buffers.visible.counts).unwrap())
+    (
+        gpu.read(&buffers.visible.words).unwrap(),
+        gpu.read(&buffers.visible.counts).unwrap(),
+    )
 }
 
 /// Holds the kernel's bits to the twin's wherever these survive rounding; returns how many do not.
-fn check_bits(scene: &AgentScene, rules: &Rules, words: &[u32], twin_words: &[u32]) -> Result<usize, String> {
+fn check_bits(
+    scene: &AgentScene,
+    rules: &Rules,
+    words: &[u32],
+    twin_words: &[u32],
+) -> Result<usize, String> {
     let mut unsettled = 0;
     for bit in 0..words.len() * 32 {
         let (camera, agent, splat) = scene.splat_of_bit(bit);
-        let [kernel, twin] = [words, twin_words].map(|words| words[bit / 32] >> (bit % 32) & 1 == 1);
-        let settled = splat.map_or(Some(false), |splat| scene.settled_visibility(camera, agent, splat, rules));
+        let [kernel, twin] =
+            [words, twin_words].map(|words| words[bit / 32] >> (bit % 32) & 1 == 1);
+        let settled = splat.map_or(Some(false), |splat| {
+            scene.settled_visibility(camera, agent, splat, rules)
+        });
         unsettled += usize::from(settled.is_none());
         if kernel != twin && settled.is_some() {
-            return Err(format!("camera {camera}, agent {agent}, splat {splat:?}: the kernel says {kernel}, the twin {twin}"));
+            return Err(format!(
+                "camera {camera}, agent {agent}, splat {splat:?}: the kernel says {kernel}, the twin {twin}"
+            ));
         }
     }
     Ok(unsettled)
@@ -45,9 +59,14 @@ fn compare_bits(gpu: &Validated, scene: &AgentScene, rules: Rules) {
     let (seen, decisions): (u32, usize) = (counts.iter().sum(), words.len() * 32);
     println!("{seen} of {decisions} are seen, {unsettled} only as f32 rounds");
     // One in thirty-two is made to be at the threshold of opacity.
-    assert!(unsettled * 20 <= decisions, "{unsettled} of {decisions} decisions are left to rounding: the test proves too little");
-    let bits: Vec<u32> =
-        words.chunks(CLUSTER_SPLATS / 32).map(|cluster| cluster.iter().map(|word| word.count_ones()).sum()).collect();
+    assert!(
+        unsettled * 20 <= decisions,
+        "{unsettled} of {decisions} decisions are left to rounding: the test proves too little"
+    );
+    let bits: Vec<u32> = words
+        .chunks(CLUSTER_SPLATS / 32)
+        .map(|cluster| cluster.iter().map(|word| word.count_ones()).sum())
+        .collect();
     identical("counts", &counts, &bits).unwrap();
 }
 
@@ -55,7 +74,14 @@ fn compare_bits(gpu: &Validated, scene: &AgentScene, rules: Rules) {
 fn hard_agents_are_seen_by_the_same_cameras() {
     let gpu = open();
     let scene = hard_agents(&rig());
-    for rules in [Rules::DEFAULT, Rules::INRIA, Rules { antialias: true, ..Rules::DEFAULT }] {
+    for rules in [
+        Rules::DEFAULT,
+        Rules::INRIA,
+        Rules {
+            antialias: true,
+            ..Rules::DEFAULT
+        },
+    ] {
         compare_bits(&gpu, &scene, rules);
         compare_bits(&gpu, &hard_agents(&lens_rig()), rules);
     }
@@ -67,15 +93,25 @@ fn as_many_cameras_as_there_may_be() {
     let cameras: Vec<Camera> = (0..32).map(|i| rig()[i % 4].clone()).collect();
     let placed = [0xffff_ffff, 0x8000_0001].map(|cameras| AgentInstance {
         cameras,
-        ..AgentInstance::new(0, Pose::from_yaw(f64::from(cameras % 7), DVec3::new(0.0, 0.0, 7.0)))
+        ..AgentInstance::new(
+            0,
+            Pose::from_yaw(f64::from(cameras % 7), DVec3::new(0.0, 0.0, 7.0)),
+        )
     });
     let scene = AgentScene::new(&[hard_cloud(vec![300], 33)], &placed, &cameras);
     compare_bits(&gpu, &scene, Rules::DEFAULT);
     let (_, counts) = visible(&gpu, &scene, &Rules::DEFAULT);
     let of_second = |camera: usize| counts[4 * camera + 2] + counts[4 * camera + 3];
     let seen_by: Vec<usize> = (0..32).filter(|&camera| of_second(camera) > 0).collect();
-    assert_eq!(seen_by, [0, 31], "the first and the last camera, whose bits are set");
-    assert!((0..32).step_by(4).all(|camera| counts[4 * camera] > 0), "the other is masked from none");
+    assert_eq!(
+        seen_by,
+        [0, 31],
+        "the first and the last camera, whose bits are set"
+    );
+    assert!(
+        (0..32).step_by(4).all(|camera| counts[4 * camera] > 0),
+        "the other is masked from none"
+    );
 }
 
 #[test]
@@ -85,15 +121,21 @@ fn agents_behind_every_camera_are_dropped_by_their_boxes() {
     let scene = hard_agents(&cameras);
     let reached = |agent: usize, camera: usize| {
         let first = scene.agents[agent].first_bounds as usize;
-        let clusters = &scene.clusters[first..first + (scene.agents[agent].splat_count as usize).div_ceil(CLUSTER_SPLATS)];
-        clusters.iter().any(|cluster| twins::cluster_overlaps(cluster, scene.camera(agent, camera), near_m))
+        let clusters = &scene.clusters
+            [first..first + (scene.agents[agent].splat_count as usize).div_ceil(CLUSTER_SPLATS)];
+        clusters
+            .iter()
+            .any(|cluster| twins::cluster_overlaps(cluster, scene.camera(agent, camera), near_m))
     };
     // Shapes of up to 16 m reach far, but not over 3 km.
     assert!(reached(0, 0) && reached(1, 1));
     let placed = AgentInstance::new(0, Pose::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, -3000.0)));
     let behind = AgentScene::new(&[hard_cloud(vec![900], 31)], &[placed], &cameras);
     assert!((0..4).all(|camera| {
-        behind.clusters.iter().all(|cluster| !twins::cluster_overlaps(cluster, behind.camera(0, camera), near_m))
+        behind
+            .clusters
+            .iter()
+            .all(|cluster| !twins::cluster_overlaps(cluster, behind.camera(0, camera), near_m))
     }));
     compare_bits(&open(), &behind, Rules::DEFAULT);
 }
@@ -103,12 +145,17 @@ fn one_bit_is_seen() {
     let gpu = open();
     let scene = hard_agents(&rig()[..2]);
     let (words, _) = visible(&gpu, &scene, &Rules::DEFAULT);
-    let settled = (0..900).find(|&splat| scene.settled_visibility(0, 0, splat, &Rules::DEFAULT) == Some(true)).unwrap();
+    let settled = (0..900)
+        .find(|&splat| scene.settled_visibility(0, 0, splat, &Rules::DEFAULT) == Some(true))
+        .unwrap();
     let mut twin = words.clone();
     check_bits(&scene, &Rules::DEFAULT, &words, &twin).unwrap();
     twin[settled / 32] ^= 1 << (settled % 32);
     let failure = check_bits(&scene, &Rules::DEFAULT, &words, &twin).unwrap_err();
-    assert!(failure.contains(&format!("splat Some({settled}):")), "{failure}");
+    assert!(
+        failure.contains(&format!("splat Some({settled}):")),
+        "{failure}"
+    );
 }
 
 /// Records of the background before those of the agents, by list, and their total behind.
@@ -129,26 +176,55 @@ impl Case {
     fn new(scene: AgentScene, rules: Rules, sh_degree: u8) -> Self {
         let listed = scene.listed(&rules);
         let room = STATIC_RECORDS + listed.records.len();
-        Self { scene, listed, rules, sh_degree, room }
+        Self {
+            scene,
+            listed,
+            rules,
+            sh_degree,
+            room,
+        }
     }
 
     fn twin(&self) -> ProjectedTwin {
-        self.scene.projected(&self.listed, &STATIC_FIRSTS, &self.rules, self.sh_degree, self.room)
+        self.scene.projected(
+            &self.listed,
+            &STATIC_FIRSTS,
+            &self.rules,
+            self.sh_degree,
+            self.room,
+        )
     }
 
     fn kernel(&self, gpu: &Validated) -> ProjectedTwin {
-        let Self { scene, listed, rules, sh_degree, room } = self;
+        let Self {
+            scene,
+            listed,
+            rules,
+            sh_degree,
+            room,
+        } = self;
         let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
         gpu.write(&buffers.visible.words, 0, &listed.words).unwrap();
         gpu.write(&buffers.offsets, 0, &listed.offsets).unwrap();
         let static_offsets = upload(gpu, &STATIC_FIRSTS);
         let projected = Projected::new(gpu, *room, 0).unwrap();
-        gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room]).unwrap();
+        gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room])
+            .unwrap();
         let (relit, is_relit) = (scene.relit(gpu), !scene.relit_dc.is_empty());
-        let project = ProjectAgents::new(gpu, rules, *sh_degree, is_relit, !scene.lenses.is_empty()).unwrap();
+        let project =
+            ProjectAgents::new(gpu, rules, *sh_degree, is_relit, !scene.lenses.is_empty()).unwrap();
         let lists = STATIC_FIRSTS.len() - 1;
         run(gpu, |r| {
-            project.record(r, &pool, &buffers, &relit, scene.counts, &static_offsets, lists, &projected);
+            project.record(
+                r,
+                &pool,
+                &buffers,
+                &relit,
+                scene.counts,
+                &static_offsets,
+                lists,
+                &projected,
+            );
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
@@ -162,8 +238,16 @@ impl Case {
         let (camera, agent, splat) = self.listed.records[record];
         let (coded, axes) = self.scene.unpacked(agent, splat);
         let entry = (self.scene.agents[agent].first_color + coded.color) as usize;
-        let dc_of = if self.scene.agents[agent].colors_relit != 0 { &self.scene.relit_dc } else { &self.scene.dc };
-        let dc = dc_of[entry].iter().chain(coded.dc_residual.as_ref()).map(|value| f64::from(value.abs())).sum::<f64>();
+        let dc_of = if self.scene.agents[agent].colors_relit != 0 {
+            &self.scene.relit_dc
+        } else {
+            &self.scene.dc
+        };
+        let dc = dc_of[entry]
+            .iter()
+            .chain(coded.dc_residual.as_ref())
+            .map(|value| f64::from(value.abs()))
+            .sum::<f64>();
         Projection {
             camera: self.scene.camera(agent, camera),
             lens: lens_of(&self.scene.lenses, camera).map(|lens| (self.scene.maps[camera], lens)),
@@ -172,7 +256,8 @@ impl Case {
             // Entries of a factor are stored; only their size and the dot products are rounded.
             axes_share: 8.0 * ROUNDOFF + self.scene.size_share(agent, splat),
             opacity: coded.opacity.into(),
-            // A unit vector is off by some 12 roundings, turned by some 20, and no basis function is steeper than 10.
+            // A unit vector is off by some 12 roundings, turned by some 20, and no basis function
+            // is steeper than 10.
             color: 300.0 * ROUNDOFF * (1.0 + dc + 15.0 * 0.3),
         }
     }
@@ -181,12 +266,28 @@ impl Case {
         let mut worst = [0.0f64; 2];
         let records = self.room - STATIC_RECORDS;
         for record in 0..records {
-            let what = format!("record {record} of (camera, agent, splat) {:?}", self.listed.records[record]);
-            let used = check_record(&what, STATIC_RECORDS + record, kernel, twin, &self.projection(record).bounds(&self.rules))?;
+            let what = format!(
+                "record {record} of (camera, agent, splat) {:?}",
+                self.listed.records[record]
+            );
+            let used = check_record(
+                &what,
+                STATIC_RECORDS + record,
+                kernel,
+                twin,
+                &self.projection(record).bounds(&self.rules),
+            )?;
             worst = [worst[0].max(used[0]), worst[1].max(used[1])];
         }
-        println!("{records} records: {:.3} of the bound of footprints, {:.3} of that of colors", worst[0], worst[1]);
-        identical("of the background", &kernel.keys[..STATIC_RECORDS], &[UNTOUCHED; STATIC_RECORDS])?;
+        println!(
+            "{records} records: {:.3} of the bound of footprints, {:.3} of that of colors",
+            worst[0], worst[1]
+        );
+        identical(
+            "of the background",
+            &kernel.keys[..STATIC_RECORDS],
+            &[UNTOUCHED; STATIC_RECORDS],
+        )?;
         check_keys(&kernel.keys, &twin.keys)
     }
 }
@@ -196,17 +297,39 @@ fn records_of_hard_agents() {
     let gpu = open();
     for (rules, sh_degree) in [
         (Rules::DEFAULT, 3),
-        (Rules { order: DepthOrder::Radial, ..Rules::DEFAULT }, 0),
-        (Rules { antialias: true, ..Rules::INRIA }, 2),
+        (
+            Rules {
+                order: DepthOrder::Radial,
+                ..Rules::DEFAULT
+            },
+            0,
+        ),
+        (
+            Rules {
+                antialias: true,
+                ..Rules::INRIA
+            },
+            2,
+        ),
     ] {
         let case = Case::new(hard_agents(&rig()), rules, sh_degree);
         let kinds = |of: fn(&(usize, usize, usize)) -> usize| {
-            case.listed.records.iter().map(of).collect::<std::collections::BTreeSet<_>>().len()
+            case.listed
+                .records
+                .iter()
+                .map(of)
+                .collect::<std::collections::BTreeSet<_>>()
+                .len()
         };
-        assert!(kinds(|record| record.0) == 4 && kinds(|record| record.1) >= 6, "cameras or agents without a record");
+        assert!(
+            kinds(|record| record.0) == 4 && kinds(|record| record.1) >= 6,
+            "cameras or agents without a record"
+        );
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
         let through = Case::new(hard_agents(&lens_rig()), rules, sh_degree);
-        through.check(&through.kernel(&gpu), &through.twin()).unwrap();
+        through
+            .check(&through.kernel(&gpu), &through.twin())
+            .unwrap();
     }
 }
 
@@ -226,10 +349,23 @@ fn records_of_relit_agents() {
     let case = Case::new(scene, Rules::DEFAULT, 3);
     let kernel = case.kernel(&gpu);
     case.check(&kernel, &case.twin()).unwrap();
-    let (changed, lit) = (case.check(&kernel, &plain.twin()).unwrap_err(), plain.kernel(&gpu));
+    let (changed, lit) = (
+        case.check(&kernel, &plain.twin()).unwrap_err(),
+        plain.kernel(&gpu),
+    );
     assert!(changed.contains("value"), "other light is seen: {changed}");
-    let of = |wanted: usize| case.listed.records.iter().position(|&(_, agent, _)| agent == wanted).unwrap() + STATIC_RECORDS;
-    assert!(kernel.colors[of(1)] == lit.colors[of(1)], "an agent that is not relit has the bits it has without light");
+    let of = |wanted: usize| {
+        case.listed
+            .records
+            .iter()
+            .position(|&(_, agent, _)| agent == wanted)
+            .unwrap()
+            + STATIC_RECORDS
+    };
+    assert!(
+        kernel.colors[of(1)] == lit.colors[of(1)],
+        "an agent that is not relit has the bits it has without light"
+    );
     assert!(kernel.colors[of(0)] != lit.colors[of(0)]);
 }
 
@@ -237,7 +373,11 @@ fn records_of_relit_agents() {
 fn every_shape_and_color_is_read() {
     let case = Case::new(hard_agents(&rig()), Rules::DEFAULT, 3);
     let read = |of: fn(&UnpackedSplat) -> u32| {
-        let entries = case.listed.records.iter().map(|&(_, agent, splat)| of(&case.scene.unpacked(agent, splat).0));
+        let entries = case
+            .listed
+            .records
+            .iter()
+            .map(|&(_, agent, splat)| of(&case.scene.unpacked(agent, splat).0));
         entries.collect::<std::collections::BTreeSet<_>>().len()
     };
     // A thirty-second of the splats is never drawn, another one at the edge of it.
@@ -248,7 +388,12 @@ fn every_shape_and_color_is_read() {
 fn records_without_room_are_left_out() {
     let gpu = open();
     let mut case = Case::new(hard_agents(&rig()[..2]), Rules::DEFAULT, 1);
-    for room in [STATIC_RECORDS, STATIC_RECORDS + 1, STATIC_RECORDS + 300, case.room - 1] {
+    for room in [
+        STATIC_RECORDS,
+        STATIC_RECORDS + 1,
+        STATIC_RECORDS + 300,
+        case.room - 1,
+    ] {
         case.room = room;
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
     }
@@ -265,12 +410,32 @@ fn no_agents_are_nothing() {
         CullAgents::new(&gpu, &Rules::DEFAULT, false).unwrap(),
         ProjectAgents::new(&gpu, &Rules::DEFAULT, 3, false, false).unwrap(),
     );
-    let (none, static_offsets) = (AgentCounts { cameras: 4, ..AgentCounts::default() }, untouched(&gpu, 1));
+    let (none, static_offsets) = (
+        AgentCounts {
+            cameras: 4,
+            ..AgentCounts::default()
+        },
+        untouched(&gpu, 1),
+    );
     run(&gpu, |r| {
         cull.record(r, &pool, &buffers, none);
-        project.record(r, &pool, &buffers, &scene.relit(&gpu), none, &static_offsets, 0, &projected);
+        project.record(
+            r,
+            &pool,
+            &buffers,
+            &scene.relit(&gpu),
+            none,
+            &static_offsets,
+            0,
+            &projected,
+        );
     });
-    let left = [&buffers.visible.words, &buffers.visible.counts, &projected.keys].map(|buffer| gpu.read(buffer).unwrap());
+    let left = [
+        &buffers.visible.words,
+        &buffers.visible.counts,
+        &projected.keys,
+    ]
+    .map(|buffer| gpu.read(buffer).unwrap());
     assert!(left.iter().flatten().all(|&word| word == UNTOUCHED));
 }
 
@@ -290,9 +455,16 @@ fn one_changed_value_is_seen() {
     };
     assert!(failure(&|twin| twin.footprints[2 * record][3] *= 1.0002).contains("value 3"));
     assert!(failure(&|twin| twin.colors[record][1] += 0.001).contains("value 1"));
-    assert!(failure(&|twin| twin.footprints[2 * record + 1][3] = f32::from_bits(99)).contains("instance"));
+    assert!(
+        failure(&|twin| twin.footprints[2 * record + 1][3] = f32::from_bits(99))
+            .contains("instance")
+    );
     assert!(failure(&|twin| twin.keys[record] += 2).contains("keys"));
     let mut wrong = case.kernel(&gpu);
     wrong.keys[0] = 1;
-    assert!(case.check(&wrong, &case.twin()).unwrap_err().contains("of the background"));
+    assert!(
+        case.check(&wrong, &case.twin())
+            .unwrap_err()
+            .contains("of the background")
+    );
 }

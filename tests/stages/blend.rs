@@ -3,10 +3,16 @@
 mod finish;
 mod rounding;
 
-use decouplegs::render::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, RequiredCounts};
-use decouplegs::render::stages::{Blend, BlendPass, IndirectArguments, PartialResults, Plan, ProjectVariant, Projected};
+use decouplegs::render::layout::{
+    BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL, RequiredCounts,
+};
+use decouplegs::render::stages::{
+    Blend, BlendPass, IndirectArguments, PartialResults, Plan, ProjectVariant, Projected,
+};
 use decouplegs::render::twins;
-use decouplegs::render::twins::output::{Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel};
+use decouplegs::render::twins::output::{
+    Images, Pixel, coarse_tile_origin, pixel_offset, write_pixel,
+};
 use decouplegs::render::{Capacity, OutputBuffers, Outputs};
 use decouplegs::scene::{EarlyStop, Rules};
 use glam::Vec3;
@@ -18,17 +24,27 @@ use crate::device::Validated;
 use rounding::PixelBounds;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
-const OUTPUTS: Outputs =
-    Outputs { color: decouplegs::render::ColorFormat::F32, depth: true, instance: true, contributions: false, exported: false };
+const OUTPUTS: Outputs = Outputs {
+    color: decouplegs::render::ColorFormat::F32,
+    depth: true,
+    instance: true,
+    contributions: false,
+    exported: false,
+};
 
 /// Records whose instance is to be found in the image.
-const VARIANT: ProjectVariant = ProjectVariant { sh_degree: 1, instances: true, ..PLAIN };
+const VARIANT: ProjectVariant = ProjectVariant {
+    sh_degree: 1,
+    instances: true,
+    ..PLAIN
+};
 
 /// Inputs that all items of a run share.
 struct Case {
     scene: Scene,
     projected: ProjectedTwin,
-    /// Records front to back, which every item takes a piece of. Most do not reach a given tile: masks must leave those out.
+    /// Records front to back, which every item takes a piece of. Most do not reach a given tile:
+    /// masks must leave those out.
     records: Vec<u32>,
     items: Vec<BlendItem>,
     rules: Rules,
@@ -38,10 +54,15 @@ struct Case {
 type Blended = Vec<Vec<Pixel>>;
 
 impl Case {
-    /// The records of two cameras of the rig, their opacities scaled by `faintness`, for the first `tiles` coarse tiles of each.
+    /// The records of two cameras of the rig, their opacities scaled by `faintness`, for the first
+    /// `tiles` coarse tiles of each.
     fn new(gpu: &Validated, splats: usize, faintness: f32, rules: Rules) -> Self {
         let mut world = hard_world(splats, 21);
-        world.splats.opacities.iter_mut().for_each(|opacity| *opacity *= faintness);
+        world
+            .splats
+            .opacities
+            .iter_mut()
+            .for_each(|opacity| *opacity *= faintness);
         let scene = Scene::new(gpu, &world, &rig()[..2]);
         let listed = scene.listed(&rules);
         let projected = scene.projected(&listed, &rules, VARIANT, listed.records.len());
@@ -56,41 +77,82 @@ impl Case {
                 let first_pair = (bin * 97) % (all - length + 1);
                 let slot = if bin % 3 == 0 { partial } else { NO_PARTIAL };
                 partial += u32::from(bin % 3 == 0);
-                BlendItem { bin, first_pair, pairs: length, partial: slot, segment: 0 }
+                BlendItem {
+                    bin,
+                    first_pair,
+                    pairs: length,
+                    partial: slot,
+                    segment: 0,
+                }
             })
             .collect();
-        Self { scene, projected, records, items, rules }
+        Self {
+            scene,
+            projected,
+            records,
+            items,
+            rules,
+        }
     }
 
     fn slots(&self) -> usize {
-        self.items.iter().filter(|item| item.partial != NO_PARTIAL).count()
+        self.items
+            .iter()
+            .filter(|item| item.partial != NO_PARTIAL)
+            .count()
     }
 
     /// Pixels of each item; those of cut lists begun at `before`, by slot, if that is given.
     fn twin(&self, before: Option<&Blended>) -> Blended {
-        let Self { scene, projected, records, items, rules } = self;
+        let Self {
+            scene,
+            projected,
+            records,
+            items,
+            rules,
+        } = self;
         let exclusive = rules.stop == EarlyStop::Exclusive;
         let blend = |item: &BlendItem| {
             let cameras = &scene.view.cameras;
-            let before = before.map(|before| before.get(item.partial as usize).map_or(&[][..], Vec::as_slice));
+            let before = before.map(|before| {
+                before
+                    .get(item.partial as usize)
+                    .map_or(&[][..], Vec::as_slice)
+            });
             if before.is_some_and(<[Pixel]>::is_empty) {
                 return Vec::new(); // lists that are not cut are not finished
             }
             let alpha_max = rules.alpha_max as f32;
-            twins::blend(cameras, item, records, &projected.footprints, &projected.colors, alpha_max, exclusive, before)
+            twins::blend(
+                cameras,
+                item,
+                records,
+                &projected.footprints,
+                &projected.colors,
+                alpha_max,
+                exclusive,
+                before,
+            )
         };
         items.iter().map(blend).collect()
     }
 
     fn bounds(&self, item: &BlendItem, before: Option<&[Pixel]>) -> Vec<PixelBounds> {
-        let camera = &self.scene.view.cameras[twins::output::camera_of_bin(&self.scene.view.cameras, item.bin)];
+        let camera = &self.scene.view.cameras
+            [twins::output::camera_of_bin(&self.scene.view.cameras, item.bin)];
         let origin = coarse_tile_origin(item.bin, camera);
         let list = &self.records[item.first_pair as usize..(item.first_pair + item.pairs) as usize];
         (0..COARSE_PIXELS)
             .map(|place| {
                 let [x, y] = pixel_offset(place);
                 let before = before.map(|before| &before[place]);
-                PixelBounds::of(&self.projected, list, [origin[0] + x, origin[1] + y], &self.rules, before)
+                PixelBounds::of(
+                    &self.projected,
+                    list,
+                    [origin[0] + x, origin[1] + y],
+                    &self.rules,
+                    before,
+                )
             })
             .collect()
     }
@@ -105,32 +167,73 @@ impl Case {
         (at[0] < camera.size_px[0] && at[1] < camera.size_px[1]).then_some((camera, at))
     }
 
-    /// The kernel's images and partial results; where there is `before`, the images of the pass that finishes it.
+    /// The kernel's images and partial results; where there is `before`, the images of the pass
+    /// that finishes it.
     fn kernel(&self, gpu: &Validated, before: Option<&Blended>) -> (Images, Blended) {
-        let Self { scene, projected, records, items, rules } = self;
+        let Self {
+            scene,
+            projected,
+            records,
+            items,
+            rules,
+        } = self;
         let (count, slots) = (projected.keys.len(), self.slots());
-        let required = RequiredCounts { items: items.len() as u32, ..RequiredCounts::default() };
+        let required = RequiredCounts {
+            items: items.len() as u32,
+            ..RequiredCounts::default()
+        };
         let counters = counters(gpu, required, &[(IndirectArguments::Blend, items.len())]);
-        let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, items.len() as u32).unwrap();
+        let plan = Plan::new(
+            gpu,
+            &Capacity {
+                records: 1,
+                pairs: 1,
+                partials: 1,
+            },
+            items.len() as u32,
+        )
+        .unwrap();
         gpu.write(&plan.items, 0, items).unwrap();
         let on_device = Projected::new(gpu, count, 0).unwrap();
-        gpu.write(&on_device.footprints, 0, &projected.footprints).unwrap();
+        gpu.write(&on_device.footprints, 0, &projected.footprints)
+            .unwrap();
         gpu.write(&on_device.colors, 0, &projected.colors).unwrap();
         let partials = PartialResults::new(gpu, slots, rules, &OUTPUTS).unwrap();
         let outputs = OutputBuffers::new(gpu, scene.view.pixels, 0, &OUTPUTS).unwrap();
-        gpu.write(&outputs.instance_ids, 0, &vec![UNTOUCHED; scene.view.pixels]).unwrap();
+        gpu.write(
+            &outputs.instance_ids,
+            0,
+            &vec![UNTOUCHED; scene.view.pixels],
+        )
+        .unwrap();
         let records = upload(gpu, records);
-        let pass = if before.is_some() { BlendPass::Finish } else { BlendPass::Segments };
+        let pass = if before.is_some() {
+            BlendPass::Finish
+        } else {
+            BlendPass::Segments
+        };
         if let Some(before) = before {
             write_partials(gpu, &partials, &before.concat());
             // Every fine tile has something to be finished.
-            gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()]).unwrap();
+            gpu.write(&partials.unfinished, 0, &vec![u32::MAX; before.len()])
+                .unwrap();
         }
         let longest = items.iter().map(|item| item.pairs).max().unwrap();
         let blend = Blend::new(gpu, rules, &OUTPUTS, pass, longest).unwrap();
         let cameras = scene.view.cameras.len();
         run(gpu, |r| {
-            blend.record(r, &counters, &scene.camera_buffer, cameras, SKY, &plan, &records, &on_device, &partials, &outputs);
+            blend.record(
+                r,
+                &counters,
+                &scene.camera_buffer,
+                cameras,
+                SKY,
+                &plan,
+                &records,
+                &on_device,
+                &partials,
+                &outputs,
+            );
         });
         let images = Images {
             images_f32: gpu.read(&outputs.images_f32).unwrap(),
@@ -143,9 +246,18 @@ impl Case {
     /// Partial results of cut tiles, one after the other.
     fn check_partials(&self, kernel: &Blended, twin: &Blended) -> Result<(), String> {
         let mut report = Report::default();
-        for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial != NO_PARTIAL) {
-            for (place, ((bounds, kernel), twin)) in
-                self.bounds(item, None).iter().zip(&kernel[item.partial as usize]).zip(twin).enumerate()
+        for (item, twin) in self
+            .items
+            .iter()
+            .zip(twin)
+            .filter(|(item, _)| item.partial != NO_PARTIAL)
+        {
+            for (place, ((bounds, kernel), twin)) in self
+                .bounds(item, None)
+                .iter()
+                .zip(&kernel[item.partial as usize])
+                .zip(twin)
+                .enumerate()
             {
                 // Beside the image nobody reads them.
                 if self.place_in_images(item, place).is_none() {
@@ -153,8 +265,15 @@ impl Case {
                 }
                 let what = format!("pixel {place} of {item:?}");
                 report.add(bounds, |bounds| {
-                    let values =
-                        |pixel: &Pixel| [pixel.color.x, pixel.color.y, pixel.color.z, pixel.transmittance, pixel.weighted_depth];
+                    let values = |pixel: &Pixel| {
+                        [
+                            pixel.color.x,
+                            pixel.color.y,
+                            pixel.color.z,
+                            pixel.transmittance,
+                            pixel.weighted_depth,
+                        ]
+                    };
                     let [c, t, d] = [bounds.color, bounds.transmittance, bounds.weighted_depth];
                     let share = within(&what, &values(kernel), &values(twin), &[c, c, c, t, d])?;
                     bounds.check_instance(&what, kernel.best_instance, twin.best_instance)?;
@@ -168,17 +287,37 @@ impl Case {
     /// Pixels of tiles of one segment.
     fn check_images(&self, kernel: &Images, twin: &Blended) -> Result<(), String> {
         let mut report = Report::default();
-        for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial == NO_PARTIAL) {
+        for (item, twin) in self
+            .items
+            .iter()
+            .zip(twin)
+            .filter(|(item, _)| item.partial == NO_PARTIAL)
+        {
             self.check_written(&mut report, (item, twin), None, kernel)?;
         }
         report.finish("images")
     }
 
     /// Pixels that end in segments whose pixels were `before`; no others are written.
-    fn check_finished(&self, before: &Blended, kernel: &Images, twin: &Blended) -> Result<(), String> {
+    fn check_finished(
+        &self,
+        before: &Blended,
+        kernel: &Images,
+        twin: &Blended,
+    ) -> Result<(), String> {
         let mut report = Report::default();
-        for (item, twin) in self.items.iter().zip(twin).filter(|(item, _)| item.partial != NO_PARTIAL) {
-            self.check_written(&mut report, (item, twin), Some(&before[item.partial as usize]), kernel)?;
+        for (item, twin) in self
+            .items
+            .iter()
+            .zip(twin)
+            .filter(|(item, _)| item.partial != NO_PARTIAL)
+        {
+            self.check_written(
+                &mut report,
+                (item, twin),
+                Some(&before[item.partial as usize]),
+                kernel,
+            )?;
         }
         report.finish("finished pixels")
     }
@@ -191,7 +330,9 @@ impl Case {
         kernel: &Images,
     ) -> Result<(), String> {
         for (place, (bounds, pixel)) in self.bounds(item, before).iter().zip(twin).enumerate() {
-            let Some((camera, at)) = self.place_in_images(item, place) else { continue };
+            let Some((camera, at)) = self.place_in_images(item, place) else {
+                continue;
+            };
             let target = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
             let what = format!("column and row {at:?} of {item:?}");
             // Of a segment that is finished, the pixels that end in it.
@@ -199,17 +340,32 @@ impl Case {
             report.add(bounds, |bounds| {
                 if !is_written {
                     let untouched = kernel.instance_ids[target] == UNTOUCHED;
-                    return if untouched { Ok(0.0) } else { Err(format!("{what}: written, though it does not end here")) };
+                    return if untouched {
+                        Ok(0.0)
+                    } else {
+                        Err(format!("{what}: written, though it does not end here"))
+                    };
                 }
-                let written = written_alone(&Pixel { transmittance: pixel.transmittance.abs(), ..*pixel });
+                let written = written_alone(&Pixel {
+                    transmittance: pixel.transmittance.abs(),
+                    ..*pixel
+                });
                 let [r, g, b, a] = written.images_f32[0];
                 let (depth, k) = (written.depths_m[0], kernel.images_f32[target]);
                 let c = bounds.color + 1.3 * bounds.transmittance + 8.0 * super::ROUNDOFF;
                 let t = bounds.transmittance + super::ROUNDOFF;
                 let d = bounds.depth_m(depth, a);
-                let share =
-                    within(&what, &[k[0], k[1], k[2], k[3], kernel.depths_m[target]], &[r, g, b, a, depth], &[c, c, c, t, d])?;
-                bounds.check_instance(&what, kernel.instance_ids[target], written.instance_ids[0])?;
+                let share = within(
+                    &what,
+                    &[k[0], k[1], k[2], k[3], kernel.depths_m[target]],
+                    &[r, g, b, a, depth],
+                    &[c, c, c, t, d],
+                )?;
+                bounds.check_instance(
+                    &what,
+                    kernel.instance_ids[target],
+                    written.instance_ids[0],
+                )?;
                 Ok(share)
             })?;
         }
@@ -219,8 +375,15 @@ impl Case {
 
 /// Images that the twin writes for `pixel` alone.
 fn written_alone(pixel: &Pixel) -> Images {
-    let mut image = Images { images_f32: vec![[0.0; 4]], depths_m: vec![0.0], instance_ids: vec![0] };
-    let camera = CameraRecord { size_px: [1, 1], ..bytemuck::Zeroable::zeroed() };
+    let mut image = Images {
+        images_f32: vec![[0.0; 4]],
+        depths_m: vec![0.0],
+        instance_ids: vec![0],
+    };
+    let camera = CameraRecord {
+        size_px: [1, 1],
+        ..bytemuck::Zeroable::zeroed()
+    };
     write_pixel(&mut image, &camera, [0, 0], pixel, Vec3::from_array(SKY));
     image
 }
@@ -235,7 +398,11 @@ struct Report {
 
 impl Report {
     /// Compares one pixel, unless rounding decides whether a splat counts there.
-    fn add(&mut self, bounds: &PixelBounds, compare: impl FnOnce(&PixelBounds) -> Result<f64, String>) -> Result<(), String> {
+    fn add(
+        &mut self,
+        bounds: &PixelBounds,
+        compare: impl FnOnce(&PixelBounds) -> Result<f64, String>,
+    ) -> Result<(), String> {
         self.pixels += 1;
         if bounds.unsettled {
             self.unsettled += 1;
@@ -246,10 +413,18 @@ impl Report {
     }
 
     fn finish(&self, what: &str) -> Result<(), String> {
-        let Self { pixels, unsettled, worst } = self;
-        println!("{what}: {pixels} pixels, {unsettled} left to rounding, the others use {worst:.3} of their bound at most");
+        let Self {
+            pixels,
+            unsettled,
+            worst,
+        } = self;
+        println!(
+            "{what}: {pixels} pixels, {unsettled} left to rounding, the others use {worst:.3} of their bound at most"
+        );
         if unsettled * 20 > *pixels {
-            Err(format!("{what}: {unsettled} of {pixels} pixels are left to rounding"))
+            Err(format!(
+                "{what}: {unsettled} of {pixels} pixels are left to rounding"
+            ))
         } else {
             Ok(())
         }
@@ -257,7 +432,10 @@ impl Report {
 }
 
 fn read_partials(gpu: &Validated, partials: &PartialResults) -> Blended {
-    let (colors, depths) = (gpu.read(&partials.colors).unwrap(), gpu.read(&partials.depths).unwrap());
+    let (colors, depths) = (
+        gpu.read(&partials.colors).unwrap(),
+        gpu.read(&partials.depths).unwrap(),
+    );
     let instances = gpu.read(&partials.instances).unwrap();
     let pixel = |place: usize| Pixel {
         color: Vec3::from_slice(&colors[place]),
@@ -267,7 +445,11 @@ fn read_partials(gpu: &Validated, partials: &PartialResults) -> Blended {
         best_instance: instances[place][1],
     };
     (0..colors.len() / COARSE_PIXELS)
-        .map(|slot| (slot * COARSE_PIXELS..(slot + 1) * COARSE_PIXELS).map(pixel).collect())
+        .map(|slot| {
+            (slot * COARSE_PIXELS..(slot + 1) * COARSE_PIXELS)
+                .map(pixel)
+                .collect()
+        })
         .collect()
 }
 
@@ -293,9 +475,15 @@ fn opaque_splats_that_fill_pixels() {
 fn segments_of_one_batch() {
     // Subgroups take their shares from a counter there.
     let gpu = open();
-    for (faintness, rules) in [(1.0, Rules::DEFAULT), (0.1, Rules::DEFAULT), (1.0, Rules::GSPLAT16)] {
+    for (faintness, rules) in [
+        (1.0, Rules::DEFAULT),
+        (0.1, Rules::DEFAULT),
+        (1.0, Rules::GSPLAT16),
+    ] {
         let mut case = Case::new(&gpu, 1200, faintness, rules);
-        case.items.iter_mut().for_each(|item| item.pairs = item.pairs.min(128 - item.bin % 3));
+        case.items
+            .iter_mut()
+            .for_each(|item| item.pairs = item.pairs.min(128 - item.bin % 3));
         compare_case(&gpu, &case);
     }
 }
@@ -313,17 +501,23 @@ fn stopping_before_the_splat_that_would_fill_a_pixel() {
 
 #[test]
 fn every_pixel_is_written_once_and_no_other() {
-    // Tiles that were cut leave their pixels to composite; edges of the images cut through coarse tiles.
+    // Tiles that were cut leave their pixels to composite; edges of the images cut through coarse
+    // tiles.
     let gpu = open();
     let case = Case::new(&gpu, 300, 1.0, Rules::DEFAULT);
     let (images, _) = case.kernel(&gpu, None);
     let mut expected = vec![true; case.scene.view.pixels];
     for item in case.items.iter().filter(|item| item.partial != NO_PARTIAL) {
-        for (camera, at) in (0..COARSE_PIXELS).filter_map(|place| case.place_in_images(item, place)) {
+        for (camera, at) in (0..COARSE_PIXELS).filter_map(|place| case.place_in_images(item, place))
+        {
             expected[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = false;
         }
     }
-    let written: Vec<bool> = images.instance_ids.iter().map(|&id| id != UNTOUCHED).collect();
+    let written: Vec<bool> = images
+        .instance_ids
+        .iter()
+        .map(|&id| id != UNTOUCHED)
+        .collect();
     identical("pixels written", &written, &expected).unwrap();
 }
 
@@ -334,17 +528,28 @@ fn one_changed_pixel_is_seen() {
     let (images, partials) = case.kernel(&gpu, None);
     case.check_images(&images, &case.twin(None)).unwrap();
     case.check_partials(&partials, &case.twin(None)).unwrap();
-    let place = |item: &BlendItem| case.bounds(item, None).iter().position(|bounds| !bounds.unsettled).unwrap();
+    let place = |item: &BlendItem| {
+        case.bounds(item, None)
+            .iter()
+            .position(|bounds| !bounds.unsettled)
+            .unwrap()
+    };
     for (i, item) in case.items.iter().enumerate().take(2) {
         let mut twin = case.twin(None);
         twin[i][place(item)].color.y += 0.001;
-        let seen =
-            if item.partial == NO_PARTIAL { case.check_images(&images, &twin) } else { case.check_partials(&partials, &twin) };
+        let seen = if item.partial == NO_PARTIAL {
+            case.check_images(&images, &twin)
+        } else {
+            case.check_partials(&partials, &twin)
+        };
         assert!(seen.unwrap_err().contains("value 1"));
         twin[i][place(item)].color.y -= 0.001;
         twin[i][place(item)].best_instance = 7;
-        let seen =
-            if item.partial == NO_PARTIAL { case.check_images(&images, &twin) } else { case.check_partials(&partials, &twin) };
+        let seen = if item.partial == NO_PARTIAL {
+            case.check_images(&images, &twin)
+        } else {
+            case.check_partials(&partials, &twin)
+        };
         assert!(seen.unwrap_err().contains("instance"));
     }
 }

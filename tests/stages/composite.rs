@@ -10,7 +10,9 @@ use decouplegs::scene::Rules;
 use glam::{DVec3, Vec3};
 
 use super::scenes::rig;
-use super::{ROUNDOFF, Random, UNTOUCHED, counters, identical, open, run, upload, within, write_partials};
+use super::{
+    ROUNDOFF, Random, UNTOUCHED, counters, identical, open, run, upload, within, write_partials,
+};
 use crate::device::Validated;
 
 const SKY: [f32; 3] = [0.2, 0.5, 1.3];
@@ -33,36 +35,101 @@ impl Case {
         let mut first_partial = 0;
         let mut composites = Vec::new();
         for bin in (0..view.bins).step_by(2) {
-            let partials = 2 + if bin % 8 == 0 { random.below(39) } else { random.below(4) };
-            composites.push(Composite { bin, first_partial, partials });
+            let partials = 2 + if bin % 8 == 0 {
+                random.below(39)
+            } else {
+                random.below(4)
+            };
+            composites.push(Composite {
+                bin,
+                first_partial,
+                partials,
+            });
             first_partial += partials;
         }
-        let partials = (0..first_partial as usize * COARSE_PIXELS).map(|_| random_pixel(&mut random)).collect();
-        Self { view, composites, partials }
+        let partials = (0..first_partial as usize * COARSE_PIXELS)
+            .map(|_| random_pixel(&mut random))
+            .collect();
+        Self {
+            view,
+            composites,
+            partials,
+        }
     }
 
     /// Output of the kernel, with colors in bytes if requested.
     fn kernel(&self, gpu: &Validated, color: ColorFormat) -> (Images, Vec<u32>) {
-        let outputs = Outputs { color, depth: true, instance: true, ..Outputs::default() };
+        let outputs = Outputs {
+            color,
+            depth: true,
+            instance: true,
+            ..Outputs::default()
+        };
         let (images, bytes, _) = self.kernel_by(gpu, Rules::DEFAULT, outputs);
         (images, bytes)
     }
 
     /// Output of the kernel under `rules`, and the partial results that it leaves.
-    fn kernel_by(&self, gpu: &Validated, rules: Rules, outputs: Outputs) -> (Images, Vec<u32>, PartialResults) {
-        let Self { view, composites, partials } = self;
-        let required = RequiredCounts { composites: composites.len() as u32, ..RequiredCounts::default() };
-        let counters = counters(gpu, required, &[(IndirectArguments::Composite, composites.len() * COMPOSITE_GROUPS)]);
-        let plan = Plan::new(gpu, &Capacity { records: 1, pairs: 1, partials: 1 }, view.bins).unwrap();
+    fn kernel_by(
+        &self,
+        gpu: &Validated,
+        rules: Rules,
+        outputs: Outputs,
+    ) -> (Images, Vec<u32>, PartialResults) {
+        let Self {
+            view,
+            composites,
+            partials,
+        } = self;
+        let required = RequiredCounts {
+            composites: composites.len() as u32,
+            ..RequiredCounts::default()
+        };
+        let counters = counters(
+            gpu,
+            required,
+            &[(
+                IndirectArguments::Composite,
+                composites.len() * COMPOSITE_GROUPS,
+            )],
+        );
+        let plan = Plan::new(
+            gpu,
+            &Capacity {
+                records: 1,
+                pairs: 1,
+                partials: 1,
+            },
+            view.bins,
+        )
+        .unwrap();
         gpu.write(&plan.composites, 0, composites).unwrap();
-        let on_device = PartialResults::new(gpu, partials.len() / COARSE_PIXELS, &rules, &outputs).unwrap();
-        gpu.write(&on_device.unfinished, 0, &vec![0; on_device.unfinished.len()]).unwrap();
+        let on_device =
+            PartialResults::new(gpu, partials.len() / COARSE_PIXELS, &rules, &outputs).unwrap();
+        gpu.write(
+            &on_device.unfinished,
+            0,
+            &vec![0; on_device.unfinished.len()],
+        )
+        .unwrap();
         write_partials(gpu, &on_device, partials);
         let images = OutputBuffers::new(gpu, view.pixels, 0, &outputs).unwrap();
-        gpu.write(&images.instance_ids, 0, &vec![UNTOUCHED; view.pixels]).unwrap();
+        gpu.write(&images.instance_ids, 0, &vec![UNTOUCHED; view.pixels])
+            .unwrap();
         let cameras = upload(gpu, &view.cameras);
         let composite = CompositeSegments::new(gpu, &rules, &outputs).unwrap();
-        run(gpu, |r| composite.record(r, &counters, &cameras, view.cameras.len(), SKY, &plan, &on_device, &images));
+        run(gpu, |r| {
+            composite.record(
+                r,
+                &counters,
+                &cameras,
+                view.cameras.len(),
+                SKY,
+                &plan,
+                &on_device,
+                &images,
+            );
+        });
         let floats = Images {
             images_f32: gpu.read(&images.images_f32).unwrap(),
             depths_m: gpu.read(&images.depths_m).unwrap(),
@@ -71,7 +138,8 @@ impl Case {
         (floats, gpu.read(&images.images_u8).unwrap(), on_device)
     }
 
-    /// The twin's images, and for each pixel how many segments it was joined from: 0 where it was not written.
+    /// The twin's images, and for each pixel how many segments it was joined from: 0 where it was
+    /// not written.
     fn twin(&self) -> (Images, Vec<u32>) {
         self.twin_by(false, false)
     }
@@ -79,34 +147,57 @@ impl Case {
     fn twin_by(&self, stops: bool, counts: bool) -> (Images, Vec<u32>) {
         let pixels = self.view.pixels;
         let (images_f32, depths_m) = (vec![[0.0; 4]; pixels], vec![0.0; pixels]);
-        let mut images = Images { images_f32, depths_m, instance_ids: vec![UNTOUCHED; pixels] };
+        let mut images = Images {
+            images_f32,
+            depths_m,
+            instance_ids: vec![UNTOUCHED; pixels],
+        };
         let mut segments = vec![0; pixels];
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = coarse_tile_origin(composite.bin, camera);
-            for (place, pixel) in twins::composite(composite, &self.partials, stops, counts).0.iter().enumerate() {
+            for (place, pixel) in twins::composite(composite, &self.partials, stops, counts)
+                .0
+                .iter()
+                .enumerate()
+            {
                 let [x, y] = pixel_offset(place);
                 let at = [origin[0] + x, origin[1] + y];
                 write_pixel(&mut images, camera, at, pixel, Vec3::from_array(SKY));
                 if at[0] < camera.size_px[0] && at[1] < camera.size_px[1] {
-                    segments[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] = composite.partials;
+                    segments[(camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize] =
+                        composite.partials;
                 }
             }
         }
         (images, segments)
     }
 
-    /// The fine tiles that are to be finished in each segment, and their pixels as they are before it.
-    fn check_unfinished(&self, gpu: &Validated, left: &PartialResults, stops: bool, counts: bool) -> Result<(), String> {
+    /// The fine tiles that are to be finished in each segment, and their pixels as they are before
+    /// it.
+    fn check_unfinished(
+        &self,
+        gpu: &Validated,
+        left: &PartialResults,
+        stops: bool,
+        counts: bool,
+    ) -> Result<(), String> {
         let mut tiles = vec![0u32; left.unfinished.len()];
-        let (colors, depths) = (gpu.read(&left.colors).unwrap(), gpu.read(&left.depths).unwrap());
+        let (colors, depths) = (
+            gpu.read(&left.colors).unwrap(),
+            gpu.read(&left.depths).unwrap(),
+        );
         let instances = gpu.read(&left.instances).unwrap();
         let mut found = 0;
         for composite in &self.composites {
             let camera = &self.view.cameras[camera_of_bin(&self.view.cameras, composite.bin)];
             let origin = coarse_tile_origin(composite.bin, camera);
             for unfinished in twins::composite(composite, &self.partials, stops, counts).1 {
-                let twins::Unfinished { slot, place, before } = unfinished;
+                let twins::Unfinished {
+                    slot,
+                    place,
+                    before,
+                } = unfinished;
                 let [x, y] = pixel_offset(place);
                 if origin[0] + x >= camera.size_px[0] || origin[1] + y >= camera.size_px[1] {
                     continue;
@@ -114,21 +205,41 @@ impl Case {
                 tiles[slot] |= 1 << (y / 8 * 8 + x / 8);
                 let at = slot * COARSE_PIXELS + place;
                 let [r, g, b, t] = colors[at];
-                let relative = 8.0 * ROUNDOFF * f64::from(slot as u32 - composite.first_partial + 2);
-                let Vec3 { x: red, y: green, z: blue } = before.color;
-                let expected = [red, green, blue, before.transmittance, before.weighted_depth];
+                let relative =
+                    8.0 * ROUNDOFF * f64::from(slot as u32 - composite.first_partial + 2);
+                let Vec3 {
+                    x: red,
+                    y: green,
+                    z: blue,
+                } = before.color;
+                let expected = [
+                    red,
+                    green,
+                    blue,
+                    before.transmittance,
+                    before.weighted_depth,
+                ];
                 let bounds = expected.map(|value| relative * f64::from(value.abs()));
-                within(&format!("pixel {place} of slot {slot}"), &[r, g, b, t, depths[at]], &expected, &bounds)?;
+                within(
+                    &format!("pixel {place} of slot {slot}"),
+                    &[r, g, b, t, depths[at]],
+                    &expected,
+                    &bounds,
+                )?;
                 identical("instances", &[instances[at][1]], &[before.best_instance])?;
                 found += 1;
             }
         }
         println!("{found} pixels are to be finished");
-        identical("fine tiles to be finished", &gpu.read(&left.unfinished).unwrap(), &tiles)
+        identical(
+            "fine tiles to be finished",
+            &gpu.read(&left.unfinished).unwrap(),
+            &tiles,
+        )
     }
 
-    /// Every segment adds a product to a sum of positive terms: 4 roundings of the whole a segment at most, on both sides. A
-    /// depth is a quotient by alpha, whose error is relative to 1.
+    /// Every segment adds a product to a sum of positive terms: 4 roundings of the whole a segment
+    /// at most, on both sides. A depth is a quotient by alpha, whose error is relative to 1.
     fn check(kernel: &Images, twin: &Images, segments: &[u32]) -> Result<(), String> {
         let mut worst = 0.0f64;
         identical("instance_ids", &kernel.instance_ids, &twin.instance_ids)?;
@@ -136,11 +247,16 @@ impl Case {
             let relative = 8.0 * ROUNDOFF * f64::from(count + 2);
             let (k, t) = (kernel.images_f32[place], twin.images_f32[place]);
             let colors = [0, 1, 2].map(|channel| relative * f64::from(t[channel]));
-            let depth = if t[3] > 0.0 { 2.0 * relative * f64::from(twin.depths_m[place]) / f64::from(t[3]) } else { 0.0 };
+            let depth = if t[3] > 0.0 {
+                2.0 * relative * f64::from(twin.depths_m[place]) / f64::from(t[3])
+            } else {
+                0.0
+            };
             let bounds = [colors[0], colors[1], colors[2], relative, depth];
             let what = format!("pixel {place}");
-            let [k, t] =
-                [(k, kernel), (t, twin)].map(|(value, side)| [value[0], value[1], value[2], value[3], side.depths_m[place]]);
+            let [k, t] = [(k, kernel), (t, twin)].map(|(value, side)| {
+                [value[0], value[1], value[2], value[3], side.depths_m[place]]
+            });
             worst = worst.max(within(&what, &k, &t, &bounds)?);
         }
         println!("{worst:.3} of the bound");
@@ -153,7 +269,11 @@ fn random_pixel(random: &mut Random) -> Pixel {
     if random.below(5) == 0 {
         return twins::output::PIXEL_EMPTY;
     }
-    let transmittance = if random.below(3) == 0 { random.across_scales(1e-5, 1.0) } else { random.between(0.5, 0.996) };
+    let transmittance = if random.below(3) == 0 {
+        random.across_scales(1e-5, 1.0)
+    } else {
+        random.between(0.5, 0.996)
+    };
     let alpha = 1.0 - transmittance;
     Pixel {
         color: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
@@ -178,12 +298,21 @@ fn bytes_are_rounded() {
     let case = Case::new(2);
     let (twin, segments) = case.twin();
     let bytes = case.kernel(&gpu, ColorFormat::U8).1;
-    for (place, value) in twin.images_f32.iter().enumerate().filter(|(place, _)| segments[*place] > 0) {
+    for (place, value) in twin
+        .images_f32
+        .iter()
+        .enumerate()
+        .filter(|(place, _)| segments[*place] > 0)
+    {
         let packed = pack_unorm_4x8(*value).to_le_bytes();
         for (channel, (&a, &b)) in bytes[place].to_le_bytes().iter().zip(&packed).enumerate() {
             // Half-way values may be rounded either way.
-            let half_way = ((f64::from(value[channel].clamp(0.0, 1.0)) * 255.0).fract() - 0.5).abs() < 0.01;
-            assert!(a == b || (half_way && a.abs_diff(b) == 1), "pixel {place}, channel {channel}: {a}, the twin has {b}");
+            let half_way =
+                ((f64::from(value[channel].clamp(0.0, 1.0)) * 255.0).fract() - 0.5).abs() < 0.01;
+            assert!(
+                a == b || (half_way && a.abs_diff(b) == 1),
+                "pixel {place}, channel {channel}: {a}, the twin has {b}"
+            );
         }
     }
 }
@@ -197,13 +326,18 @@ fn segments_in_another_order_are_seen() {
     Case::check(&kernel, &twin, &segments).unwrap();
     let first = case.composites[0].first_partial as usize * COARSE_PIXELS;
     for place in 0..COARSE_PIXELS {
-        case.partials.swap(first + place, first + COARSE_PIXELS + place);
+        case.partials
+            .swap(first + place, first + COARSE_PIXELS + place);
     }
     let (twin, segments) = case.twin();
     assert!(Case::check(&kernel, &twin, &segments).is_err());
     let mut kernel = kernel;
     kernel.instance_ids.clone_from(&twin.instance_ids);
-    assert!(Case::check(&kernel, &twin, &segments).unwrap_err().starts_with("pixel"));
+    assert!(
+        Case::check(&kernel, &twin, &segments)
+            .unwrap_err()
+            .starts_with("pixel")
+    );
 }
 
 /// The state before a segment is stored for pixels that end in it. Where weights are counted, it is
@@ -211,7 +345,11 @@ fn segments_in_another_order_are_seen() {
 #[test]
 fn pixels_are_left_to_be_finished_where_they_end() {
     let gpu = open();
-    for (rules, counts) in [(Rules::GSPLAT15, false), (Rules::INRIA, true), (Rules::DEFAULT, true)] {
+    for (rules, counts) in [
+        (Rules::GSPLAT15, false),
+        (Rules::INRIA, true),
+        (Rules::DEFAULT, true),
+    ] {
         let stops = rules != Rules::DEFAULT;
         let mut case = Case::new(4);
         let mut random = Random(6);
@@ -219,14 +357,26 @@ fn pixels_are_left_to_be_finished_where_they_end() {
             // Some pixels end in the first segment, which tells by the sign.
             let first = composite.first_partial as usize * COARSE_PIXELS;
             for pixel in &mut case.partials[first..first + COARSE_PIXELS] {
-                pixel.transmittance *= if stops && random.below(8) == 0 { -1.0 } else { 1.0 };
+                pixel.transmittance *= if stops && random.below(8) == 0 {
+                    -1.0
+                } else {
+                    1.0
+                };
             }
         }
-        let outputs = Outputs { depth: true, instance: true, contributions: counts, ..Outputs::default() };
+        let outputs = Outputs {
+            depth: true,
+            instance: true,
+            contributions: counts,
+            ..Outputs::default()
+        };
         let (images, _, left) = case.kernel_by(&gpu, rules, outputs);
         let (twin, segments) = case.twin_by(stops, counts);
         Case::check(&images, &twin, &segments).unwrap();
         case.check_unfinished(&gpu, &left, stops, counts).unwrap();
-        assert!(case.check_unfinished(&gpu, &left, stops, !counts).is_err(), "other pixels would be seen");
+        assert!(
+            case.check_unfinished(&gpu, &left, stops, !counts).is_err(),
+            "other pixels would be seen"
+        );
     }
 }

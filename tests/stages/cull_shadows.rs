@@ -22,7 +22,10 @@ fn hard_shadows(count: usize, center_m: DVec3, spread_m: DVec3) -> Vec<ShadowRec
         let center = center_m + spread_m * DVec3::new(unit(), unit(), unit()) + DVec3::Z * far;
         let shadow = ContactShadow {
             world_from_ground: Pose::new(rotation, center),
-            half_size_m: [f64::from(random.across_scales(0.3, 9.0)), f64::from(random.across_scales(0.2, 5.0))],
+            half_size_m: [
+                f64::from(random.across_scales(0.3, 9.0)),
+                f64::from(random.across_scales(0.2, 5.0)),
+            ],
             strength: f64::from(random.between(0.0, 1.0)),
             decay: f64::from(random.between(0.5, 6.0)),
             slab_m: f64::from(random.across_scales(0.05, 3.0)),
@@ -36,15 +39,22 @@ fn hard_shadows(count: usize, center_m: DVec3, spread_m: DVec3) -> Vec<ShadowRec
 fn kernel_words(gpu: &Validated, scene: &Scene) -> Vec<u32> {
     let buffers = ShadowBuffers::new(gpu, scene.shadows.len(), scene.clusters.len()).unwrap();
     gpu.write(&buffers.shadows, 0, &scene.shadows).unwrap();
-    gpu.write(&buffers.words, 0, &vec![UNTOUCHED; buffers.words.len()]).unwrap();
+    gpu.write(&buffers.words, 0, &vec![UNTOUCHED; buffers.words.len()])
+        .unwrap();
     let cull = CullShadows::new(gpu).unwrap();
-    run(gpu, |r| cull.record(r, &scene.resident, &buffers, scene.shadows.len()));
+    run(gpu, |r| {
+        cull.record(r, &scene.resident, &buffers, scene.shadows.len());
+    });
     gpu.read(&buffers.words).unwrap()
 }
 
 fn with_shadows(gpu: &Validated, splats: usize, shadows: usize) -> Scene {
     let mut scene = Scene::new(gpu, &background(splats, 11), &rig());
-    scene.shadows = hard_shadows(shadows, DVec3::new(20.0, 0.0, 0.0), DVec3::new(20.0, 12.0, 3.0));
+    scene.shadows = hard_shadows(
+        shadows,
+        DVec3::new(20.0, 0.0, 0.0),
+        DVec3::new(20.0, 12.0, 3.0),
+    );
     scene
 }
 
@@ -53,8 +63,14 @@ fn settled(shadow: &ShadowRecord, cluster: &ClusterRecord) -> Option<bool> {
     let reaches = |share: f32| {
         let half_extent_m = cluster.half_extent_m.map(|half| half * (1.0 + share));
         shadow_reaches(
-            &ShadowRecord { reach: shadow.reach * (1.0 + share), ..*shadow },
-            &ClusterRecord { half_extent_m, ..*cluster },
+            &ShadowRecord {
+                reach: shadow.reach * (1.0 + share),
+                ..*shadow
+            },
+            &ClusterRecord {
+                half_extent_m,
+                ..*cluster
+            },
         )
     };
     (reaches(4e-6) == reaches(-4e-6)).then(|| reaches(0.0))
@@ -87,7 +103,10 @@ fn shadows_reach_the_clusters_that_the_twin_names() {
         check(&scene, &words, &twin).unwrap();
         let bits: u32 = twin.iter().map(|word| word.count_ones()).sum();
         let all = (scene.clusters.len() * shadows) as u32;
-        assert!(shadows == 1 || (bits > 0 && bits < all), "{bits} of {all}: too few or too many to tell");
+        assert!(
+            shadows == 1 || (bits > 0 && bits < all),
+            "{bits} of {all}: too few or too many to tell"
+        );
     }
 }
 
@@ -96,10 +115,23 @@ fn no_splat_in_a_shadow_is_in_a_cluster_without_it() {
     let gpu = open();
     let scene = with_shadows(&gpu, 3000, 100);
     let (words, mut darkened) = (kernel_words(&gpu, &scene), 0);
-    for (splat, mean_m) in scene.means_m.iter().enumerate().filter(|&(splat, _)| scene.shapes[splat][3] >= 1.0 / 255.0) {
-        for (index, _) in scene.shadows.iter().enumerate().filter(|(_, shadow)| shadow_factor(shadow, *mean_m) < 1.0) {
+    for (splat, mean_m) in scene
+        .means_m
+        .iter()
+        .enumerate()
+        .filter(|&(splat, _)| scene.shapes[splat][3] >= 1.0 / 255.0)
+    {
+        for (index, _) in scene
+            .shadows
+            .iter()
+            .enumerate()
+            .filter(|(_, shadow)| shadow_factor(shadow, *mean_m) < 1.0)
+        {
             darkened += 1;
-            assert!(words[splat / 256 * 4 + index / 32] >> (index % 32) & 1 == 1, "shadow {index} misses splat {splat}");
+            assert!(
+                words[splat / 256 * 4 + index / 32] >> (index % 32) & 1 == 1,
+                "shadow {index} misses splat {splat}"
+            );
         }
     }
     assert!(darkened > 1000, "{darkened}: too few to tell");
@@ -111,23 +143,45 @@ fn one_flipped_bit_is_seen() {
     let scene = with_shadows(&gpu, 700, 3);
     let (words, mut twin) = (kernel_words(&gpu, &scene), scene.shadow_words());
     check(&scene, &words, &twin).unwrap();
-    let index = (0..3).find(|&index| settled(&scene.shadows[index], &scene.clusters[1]).is_some()).unwrap();
+    let index = (0..3)
+        .find(|&index| settled(&scene.shadows[index], &scene.clusters[1]).is_some())
+        .unwrap();
     twin[1] ^= 1 << index;
-    assert!(check(&scene, &words, &twin).unwrap_err().contains(&format!("shadow {index} on cluster 1")));
+    assert!(
+        check(&scene, &words, &twin)
+            .unwrap_err()
+            .contains(&format!("shadow {index} on cluster 1"))
+    );
 }
 
 #[test]
 fn records_in_shadow() {
     let gpu = open();
-    let variant = ProjectVariant { sh_degree: 3, shadows: true, ..PLAIN };
+    let variant = ProjectVariant {
+        sh_degree: 3,
+        shadows: true,
+        ..PLAIN
+    };
     let mut case = Case::new(&gpu, 3000, Rules::DEFAULT, variant);
     let lit = case.twin();
     case.scene.shadows = hard_shadows(40, DVec3::Z * 8.0, DVec3::new(3.0, 3.0, 8.0));
     let (kernel, twin) = (case.kernel(&gpu), case.twin());
     case.check(&kernel, &twin).unwrap();
-    let darker = lit.colors.iter().zip(&twin.colors).filter(|(lit, dark)| dark[0] < 0.9 * lit[0]).count();
-    assert!(darker > 300 && darker < lit.colors.len(), "{darker} of {} records are darker", lit.colors.len());
-    assert!(case.check(&kernel, &lit).unwrap_err().contains("value"), "light instead of shadow is seen");
+    let darker = lit
+        .colors
+        .iter()
+        .zip(&twin.colors)
+        .filter(|(lit, dark)| dark[0] < 0.9 * lit[0])
+        .count();
+    assert!(
+        darker > 300 && darker < lit.colors.len(),
+        "{darker} of {} records are darker",
+        lit.colors.len()
+    );
+    assert!(
+        case.check(&kernel, &lit).unwrap_err().contains("value"),
+        "light instead of shadow is seen"
+    );
 }
 
 #[test]

@@ -13,13 +13,23 @@ fn keys_of_all_splats_go_to_their_set() {
     let splats = scene.means_m.len();
     let keys = untouched(&gpu, 3 * splats);
     let key_splats = KeySplats::new(&gpu).unwrap();
-    run(&gpu, |r| key_splats.record(r, &scene.resident, &scene.camera_buffer, (1, 2), &keys));
+    run(&gpu, |r| {
+        key_splats.record(r, &scene.resident, &scene.camera_buffer, (1, 2), &keys);
+    });
     let kernel = gpu.read(&keys).unwrap();
-    assert!(kernel[..2 * splats].iter().all(|&key| key == UNTOUCHED), "other sets are left alone");
+    assert!(
+        kernel[..2 * splats].iter().all(|&key| key == UNTOUCHED),
+        "other sets are left alone"
+    );
     let apart = |camera: usize| {
         let mut twin = vec![UNTOUCHED; 3 * splats];
         twins::key_splats(&scene.view.cameras, &scene.means_m, &mut twin, camera, 2);
-        kernel.iter().zip(&twin).map(|(a, b)| a.abs_diff(*b)).max().unwrap()
+        kernel
+            .iter()
+            .zip(&twin)
+            .map(|(a, b)| a.abs_diff(*b))
+            .max()
+            .unwrap()
     };
     // A depth on the edge of a step may fall to either side.
     assert!(apart(1) <= 1);

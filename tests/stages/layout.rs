@@ -1,4 +1,5 @@
-//! Structures and constants that host and shaders both spell out: the same names at the same places, and the same numbers.
+//! Structures and constants that host and shaders both spell out: the same names at the same
+//! places, and the same numbers.
 
 use std::fs;
 use std::mem::{offset_of, size_of};
@@ -6,8 +7,8 @@ use std::path::Path;
 
 use decouplegs::gpu::{DeviceOptions, Gpu};
 use decouplegs::render::layout::{
-    AgentRecord, BlendItem, Bucket, CameraRecord, ClusterRecord, Composite, LensRecord, RelightRecord, RequiredCounts,
-    ShadowRecord, ViewLists,
+    AgentRecord, BlendItem, Bucket, CameraRecord, ClusterRecord, Composite, LensRecord,
+    RelightRecord, RequiredCounts, ShadowRecord, ViewLists,
 };
 use decouplegs::scene::rules;
 
@@ -55,10 +56,31 @@ fn records_of_frames() -> Vec<Record> {
             first_bin,
             first_pixel
         }),
-        record!(ClusterRecord { center_m, half_extent_m, reach_m }),
-        record!(RequiredCounts { records, pairs, pairs_low, pairs_high, buckets, items, partials, composites, longest }),
-        record!(ViewLists { first_static, first_moving }),
-        record!(Bucket { first_pair, pairs, bin }),
+        record!(ClusterRecord {
+            center_m,
+            half_extent_m,
+            reach_m
+        }),
+        record!(RequiredCounts {
+            records,
+            pairs,
+            pairs_low,
+            pairs_high,
+            buckets,
+            items,
+            partials,
+            composites,
+            longest
+        }),
+        record!(ViewLists {
+            first_static,
+            first_moving
+        }),
+        record!(Bucket {
+            first_pair,
+            pairs,
+            bin
+        }),
         record!(AgentRecord {
             row_x,
             row_y,
@@ -80,8 +102,18 @@ fn records_of_frames() -> Vec<Record> {
             colors_relit,
             dc_residual_gain
         }),
-        record!(BlendItem { bin, first_pair, pairs, partial, segment }),
-        record!(Composite { bin, first_partial, partials }),
+        record!(BlendItem {
+            bin,
+            first_pair,
+            pairs,
+            partial,
+            segment
+        }),
+        record!(Composite {
+            bin,
+            first_partial,
+            partials
+        }),
     ]
 }
 
@@ -112,27 +144,53 @@ fn records_of_light_and_lenses() -> Vec<Record> {
             slab_m,
             cameras
         }),
-        record!(RelightRecord { gain, summand, first_color, colors, first_relit, first_group }),
+        record!(RelightRecord {
+            gain,
+            summand,
+            first_color,
+            colors,
+            first_relit,
+            first_group
+        }),
     ]
 }
 
 /// Difference of a kernel's structure from the host's, if any: none of the host's has its members
 /// at its offsets and its size.
 fn fault(members: &[(String, u32)], stride: Option<u32>, records: &[Record]) -> Option<String> {
-    let names = |members: &[(String, u32)]| members.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
-    let Some(record) = records.iter().find(|record| names(&record.members) == names(members)) else {
-        return Some(format!("no structure of the host has the members {:?}", names(members)));
+    let names = |members: &[(String, u32)]| {
+        members
+            .iter()
+            .map(|(name, _)| name.clone())
+            .collect::<Vec<_>>()
+    };
+    let Some(record) = records
+        .iter()
+        .find(|record| names(&record.members) == names(members))
+    else {
+        return Some(format!(
+            "no structure of the host has the members {:?}",
+            names(members)
+        ));
     };
     let fits = record.members == members && stride.is_none_or(|stride| stride == record.bytes);
     (!fits).then(|| {
-        format!("{} is {:?} of {} bytes, and {members:?} of {stride:?} there", record.name, record.members, record.bytes)
+        format!(
+            "{} is {:?} of {} bytes, and {members:?} of {stride:?} there",
+            record.name, record.members, record.bytes
+        )
     })
 }
 
 #[test]
 fn structures_are_the_same_on_host_and_device() {
-    // Not validated: kernels are built for their layout alone, without the constants that fit their shared memory to the device.
-    let gpu = Gpu::open(&DeviceOptions { validation: false, ..DeviceOptions::default() }).unwrap();
+    // Not validated: kernels are built for their layout alone, without the constants that fit their
+    // shared memory to the device.
+    let gpu = Gpu::open(&DeviceOptions {
+        validation: false,
+        ..DeviceOptions::default()
+    })
+    .unwrap();
     let records = records();
     let mut seen = 0;
     for kernel in decouplegs_shaders::ALL {
@@ -147,21 +205,34 @@ fn structures_are_the_same_on_host_and_device() {
             }
         }
     }
-    println!("{seen} bindings of structures in {} kernels", decouplegs_shaders::ALL.len());
+    println!(
+        "{seen} bindings of structures in {} kernels",
+        decouplegs_shaders::ALL.len()
+    );
     assert!(seen >= 20, "{seen}");
     // And it can fail: a member that moved, one that is called otherwise, another size.
     let cluster = &records[1];
     let mut moved = cluster.members.clone();
     moved[1].1 += 4;
-    assert!(fault(&moved, Some(cluster.bytes), &records).unwrap().contains("ClusterRecord"));
+    assert!(
+        fault(&moved, Some(cluster.bytes), &records)
+            .unwrap()
+            .contains("ClusterRecord")
+    );
     moved[1].0 = "extent".into();
-    assert!(fault(&moved, Some(cluster.bytes), &records).unwrap().contains("no structure"));
+    assert!(
+        fault(&moved, Some(cluster.bytes), &records)
+            .unwrap()
+            .contains("no structure")
+    );
     assert!(fault(&cluster.members, Some(cluster.bytes + 4), &records).is_some());
 }
 
 /// The number that a shader's `const NAME = ...` stands for: a number, or a quotient of two.
 fn constant(text: &str, name: &str) -> Option<f64> {
-    let line = text.lines().find(|line| line.starts_with("const ") && line.split_whitespace().nth(2) == Some(name))?;
+    let line = text
+        .lines()
+        .find(|line| line.starts_with("const ") && line.split_whitespace().nth(2) == Some(name))?;
     let value = line.split('=').nth(1)?.split(';').next()?.trim();
     let number = |text: &str| text.trim().trim_end_matches('u').parse::<f64>().ok();
     match value.split_once('/') {
@@ -173,12 +244,23 @@ fn constant(text: &str, name: &str) -> Option<f64> {
 #[test]
 fn constants_of_the_rules_are_the_same_on_host_and_device() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders/include");
-    let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let texts: Vec<String> = paths.map(|path| fs::read_to_string(path).unwrap()).collect();
-    let of = |name: &str| -> Vec<f64> { texts.iter().filter_map(|text| constant(text, name)).collect() };
-    for (name, expected) in
-        [("ALPHA_MIN", rules::ALPHA_MIN), ("TRANSMITTANCE_MIN", rules::TRANSMITTANCE_MIN), ("DILATION_PX2", rules::DILATION_PX2)]
-    {
+    let paths = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let texts: Vec<String> = paths
+        .map(|path| fs::read_to_string(path).unwrap())
+        .collect();
+    let of = |name: &str| -> Vec<f64> {
+        texts
+            .iter()
+            .filter_map(|text| constant(text, name))
+            .collect()
+    };
+    for (name, expected) in [
+        ("ALPHA_MIN", rules::ALPHA_MIN),
+        ("TRANSMITTANCE_MIN", rules::TRANSMITTANCE_MIN),
+        ("DILATION_PX2", rules::DILATION_PX2),
+    ] {
         assert_eq!(of(name), [expected], "{name}");
     }
     assert_eq!(constant("const float A = 1.0 / 4.0;", "A"), Some(0.25));

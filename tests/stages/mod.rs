@@ -1,7 +1,8 @@
 //! Each stage's kernels against its twin: both are given the same bytes.
 //!
-//! Integers must be identical. Floats lie within a bound that the test derives from the operations that were rounded, and an
-//! integer that was decided by floats may differ only where the twin's own decision does not survive that rounding.
+//! Integers must be identical. Floats lie within a bound that the test derives from the operations
+//! that were rounded, and an integer that was decided by floats may differ only where the twin's
+//! own decision does not survive that rounding.
 
 pub mod agents;
 mod blend;
@@ -36,11 +37,17 @@ const ROUNDOFF: f64 = 1.0 / 16_777_216.0;
 /// Value of output buffers before a kernel runs: untouched elements still have it.
 const UNTOUCHED: u32 = 0xdead_beef;
 
-/// The device; in a child process of `subgroups`, one whose subgroups have the size that was asked for.
+/// The device; in a child process of `subgroups`, one whose subgroups have the size that was asked
+/// for.
 fn open() -> Validated {
     let gpu = Validated::open();
     if let Ok(lanes) = std::env::var(subgroups::EXPECTED_LANES) {
-        assert_eq!(gpu.limits().subgroup_size.to_string(), lanes, "{} gives subgroups of another size", gpu.info());
+        assert_eq!(
+            gpu.limits().subgroup_size.to_string(),
+            lanes,
+            "{} gives subgroups of another size",
+            gpu.info()
+        );
     }
     gpu
 }
@@ -63,7 +70,11 @@ fn untouched(gpu: &Validated, len: usize) -> Buffer<u32> {
 
 /// Counters from earlier stages, and the workgroups of the dispatches that they sized; the others
 /// hold [`UNTOUCHED`].
-fn counters(gpu: &Validated, required: RequiredCounts, groups: &[(IndirectArguments, usize)]) -> FrameCounters {
+fn counters(
+    gpu: &Validated,
+    required: RequiredCounts,
+    groups: &[(IndirectArguments, usize)],
+) -> FrameCounters {
     let counters = FrameCounters::new(gpu).unwrap();
     gpu.write(&counters.required, 0, &[required]).unwrap();
     let mut arguments = [[UNTOUCHED; 3]; ARGUMENT_SETS];
@@ -76,9 +87,15 @@ fn counters(gpu: &Validated, required: RequiredCounts, groups: &[(IndirectArgume
 
 /// Results of segments as a kernel finds them, `COARSE_PIXELS` for each slot.
 fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) {
-    let colors: Vec<_> = pixels.iter().map(|pixel| pixel.color.extend(pixel.transmittance).to_array()).collect();
+    let colors: Vec<_> = pixels
+        .iter()
+        .map(|pixel| pixel.color.extend(pixel.transmittance).to_array())
+        .collect();
     let depths: Vec<_> = pixels.iter().map(|pixel| pixel.weighted_depth).collect();
-    let instances: Vec<_> = pixels.iter().map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance]).collect();
+    let instances: Vec<_> = pixels
+        .iter()
+        .map(|pixel| [pixel.best_weight.to_bits(), pixel.best_instance])
+        .collect();
     gpu.write(&partials.colors, 0, &colors).unwrap();
     gpu.write(&partials.depths, 0, &depths).unwrap();
     gpu.write(&partials.instances, 0, &instances).unwrap();
@@ -86,38 +103,54 @@ fn write_partials(gpu: &Validated, partials: &PartialResults, pixels: &[Pixel]) 
 
 /// Counts from the kernel, and the sizes of the dispatches after it.
 fn found(gpu: &Validated, counters: &FrameCounters) -> (RequiredCounts, Vec<[u32; 3]>) {
-    (gpu.read(&counters.required).unwrap()[0], gpu.read(&counters.arguments).unwrap())
+    (
+        gpu.read(&counters.required).unwrap()[0],
+        gpu.read(&counters.arguments).unwrap(),
+    )
 }
 
 /// Says where `kernel` and `twin` differ first.
 fn identical<T: PartialEq + Debug>(what: &str, kernel: &[T], twin: &[T]) -> Result<(), String> {
     if kernel.len() != twin.len() {
-        return Err(format!("{what}: the kernel has {} values, the twin {}", kernel.len(), twin.len()));
+        return Err(format!(
+            "{what}: the kernel has {} values, the twin {}",
+            kernel.len(),
+            twin.len()
+        ));
     }
     let different = kernel.iter().zip(twin).filter(|(a, b)| a != b).count();
     match kernel.iter().zip(twin).position(|(a, b)| a != b) {
         None => Ok(()),
-        Some(i) => Err(format!("{what}: {different} differ; value {i} is {:?}, the twin has {:?}", kernel[i], twin[i])),
+        Some(i) => Err(format!(
+            "{what}: {different} differ; value {i} is {:?}, the twin has {:?}",
+            kernel[i], twin[i]
+        )),
     }
 }
 
-/// Says where `kernel` is farther from `twin` than the bound given for each value; else returns the largest share of its
-/// bound that a value used.
+/// Says where `kernel` is farther from `twin` than the bound given for each value; else returns the
+/// largest share of its bound that a value used.
 fn within(what: &str, kernel: &[f32], twin: &[f32], bounds: &[f64]) -> Result<f64, String> {
-    assert!(kernel.len() == twin.len() && twin.len() == bounds.len(), "{what}: lists of different lengths are compared");
+    assert!(
+        kernel.len() == twin.len() && twin.len() == bounds.len(),
+        "{what}: lists of different lengths are compared"
+    );
     let mut worst = 0.0f64;
     for (i, ((&a, &b), &bound)) in kernel.iter().zip(twin).zip(bounds).enumerate() {
         let error = (f64::from(a) - f64::from(b)).abs();
         // A NaN on either side compares as none and fails.
         if error.partial_cmp(&bound).is_none_or(Ordering::is_gt) {
-            return Err(format!("{what}: value {i} is {a}, the twin has {b}: {error:e} apart, at most {bound:e} is rounding"));
+            return Err(format!(
+                "{what}: value {i} is {a}, the twin has {b}: {error:e} apart, at most {bound:e} is rounding"
+            ));
         }
         worst = worst.max(if bound > 0.0 { error / bound } else { 0.0 });
     }
     Ok(worst)
 }
 
-/// Numbers that are the same in every run (Steele et al., Fast Splittable Pseudorandom Number Generators, 2014).
+/// Numbers that are the same in every run (Steele et al., Fast Splittable Pseudorandom Number
+/// Generators, 2014).
 pub struct Random(pub u64);
 
 impl Random {
@@ -149,7 +182,11 @@ impl Random {
 fn comparators_see_one_changed_value() {
     let words = [1u32, 2, 3];
     identical("same", &words, &words).unwrap();
-    assert!(identical("changed", &[1, 2, 4], &words).unwrap_err().contains("value 2 is 4"));
+    assert!(
+        identical("changed", &[1, 2, 4], &words)
+            .unwrap_err()
+            .contains("value 2 is 4")
+    );
     assert!(identical("shorter", &words[..2], &words).is_err());
     let floats = [1.0f32, -2.0];
     assert_eq!(within("same", &floats, &floats, &[0.0; 2]), Ok(0.0));

@@ -37,20 +37,51 @@ impl Case<'_> {
     /// Plans on the device, and by a twin that cuts at `twin_segment_pairs`.
     fn compare(&self, gpu: &Validated, twin_segment_pairs: u32) -> Result<RequiredCounts, String> {
         let bin_count = self.lengths.len() as u32;
-        let capacity = Capacity { records: 1, pairs: self.pairs_max, partials: self.partials_max };
+        let capacity = Capacity {
+            records: 1,
+            pairs: self.pairs_max,
+            partials: self.partials_max,
+        };
         let (tile_lists, pairs) = (self.tile_lists(), self.lengths.iter().sum::<u32>());
-        let before = RequiredCounts { pairs, pairs_low: pairs & 0xffff, pairs_high: pairs >> 16, ..RequiredCounts::default() };
+        let before = RequiredCounts {
+            pairs,
+            pairs_low: pairs & 0xffff,
+            pairs_high: pairs >> 16,
+            ..RequiredCounts::default()
+        };
         let counters = counters(gpu, before, &[]);
         let plan = Plan::new(gpu, &capacity, bin_count).unwrap();
-        let mut items = vec![BlendItem { bin: UNTOUCHED, ..BlendItem::zeroed() }; plan.items.len()];
-        let mut composites = vec![Composite { bin: UNTOUCHED, ..Composite::zeroed() }; plan.composites.len()];
+        let mut items = vec![
+            BlendItem {
+                bin: UNTOUCHED,
+                ..BlendItem::zeroed()
+            };
+            plan.items.len()
+        ];
+        let mut composites = vec![
+            Composite {
+                bin: UNTOUCHED,
+                ..Composite::zeroed()
+            };
+            plan.composites.len()
+        ];
         gpu.write(&plan.items, 0, &items).unwrap();
         gpu.write(&plan.composites, 0, &composites).unwrap();
         let plan_segments = PlanSegments::new(gpu, self.segment_pairs).unwrap();
-        run(gpu, |r| plan_segments.record(r, &counters, &upload(gpu, &tile_lists), bin_count, &capacity, &plan));
+        run(gpu, |r| {
+            plan_segments.record(
+                r,
+                &counters,
+                &upload(gpu, &tile_lists),
+                bin_count,
+                &capacity,
+                &plan,
+            );
+        });
         let (required, arguments) = found(gpu, &counters);
 
-        let (mut twin_required, mut twin_arguments) = (before, vec![[UNTOUCHED; 3]; arguments.len()]);
+        let (mut twin_required, mut twin_arguments) =
+            (before, vec![[UNTOUCHED; 3]; arguments.len()]);
         twins::plan_segments(
             &mut twin_required,
             &tile_lists,
@@ -63,7 +94,11 @@ impl Case<'_> {
             twin_segment_pairs,
         );
         identical("items", &gpu.read(&plan.items).unwrap(), &items)?;
-        identical("composites", &gpu.read(&plan.composites).unwrap(), &composites)?;
+        identical(
+            "composites",
+            &gpu.read(&plan.composites).unwrap(),
+            &composites,
+        )?;
         identical("required", &[required], &[twin_required])?;
         identical("arguments", &arguments, &twin_arguments)?;
         Ok(required)
@@ -88,10 +123,19 @@ fn lists_of_all_lengths_are_cut() {
     for bins in [1, 2, 255, 256, 257, 2000] {
         let lengths = lengths(bins);
         for segment_pairs in [64, 256, 1024, u32::MAX] {
-            let case = Case { lengths: &lengths, segment_pairs, pairs_max: 1 << 24, partials_max: 1 << 18 };
-            let required =
-                case.compare(&gpu, segment_pairs).unwrap_or_else(|error| panic!("{bins} lists, {segment_pairs}: {error}"));
-            assert_eq!(required.partials == 0, segment_pairs == u32::MAX || required.composites == 0);
+            let case = Case {
+                lengths: &lengths,
+                segment_pairs,
+                pairs_max: 1 << 24,
+                partials_max: 1 << 18,
+            };
+            let required = case
+                .compare(&gpu, segment_pairs)
+                .unwrap_or_else(|error| panic!("{bins} lists, {segment_pairs}: {error}"));
+            assert_eq!(
+                required.partials == 0,
+                segment_pairs == u32::MAX || required.composites == 0
+            );
         }
     }
 }
@@ -100,7 +144,12 @@ fn lists_of_all_lengths_are_cut() {
 fn edges_of_a_segment() {
     let gpu = open();
     let lengths = [0, 1, 255, 256, 257, 511, 512, 513, 25_600, 25_601];
-    let case = Case { lengths: &lengths, segment_pairs: 256, pairs_max: 1 << 20, partials_max: 1 << 10 };
+    let case = Case {
+        lengths: &lengths,
+        segment_pairs: 256,
+        pairs_max: 1 << 20,
+        partials_max: 1 << 10,
+    };
     let required = case.compare(&gpu, 256).unwrap();
     assert_eq!(
         (required.items, required.partials, required.composites),
@@ -112,7 +161,12 @@ fn edges_of_a_segment() {
 fn no_pairs_is_an_item_a_tile() {
     let gpu = open();
     let lengths = [0; 700];
-    let case = Case { lengths: &lengths, segment_pairs: 64, pairs_max: 10, partials_max: 10 };
+    let case = Case {
+        lengths: &lengths,
+        segment_pairs: 64,
+        pairs_max: 10,
+        partials_max: 10,
+    };
     assert_eq!(case.compare(&gpu, 64).unwrap().items, 700);
 }
 
@@ -121,9 +175,19 @@ fn what_has_no_room_is_counted_and_not_written() {
     let gpu = open();
     let lengths = lengths(600);
     for partials_max in [1, 2, 100, 1000] {
-        let case = Case { lengths: &lengths, segment_pairs: 64, pairs_max: 1 << 24, partials_max };
-        let required = case.compare(&gpu, 64).unwrap_or_else(|error| panic!("room for {partials_max}: {error}"));
-        assert!(required.partials as usize > partials_max, "the case must not fit");
+        let case = Case {
+            lengths: &lengths,
+            segment_pairs: 64,
+            pairs_max: 1 << 24,
+            partials_max,
+        };
+        let required = case
+            .compare(&gpu, 64)
+            .unwrap_or_else(|error| panic!("room for {partials_max}: {error}"));
+        assert!(
+            required.partials as usize > partials_max,
+            "the case must not fit"
+        );
     }
 }
 
@@ -131,7 +195,12 @@ fn what_has_no_room_is_counted_and_not_written() {
 fn another_segment_length_is_seen() {
     let gpu = open();
     let lengths = lengths(300);
-    let case = Case { lengths: &lengths, segment_pairs: 64, pairs_max: 1 << 24, partials_max: 1 << 18 };
+    let case = Case {
+        lengths: &lengths,
+        segment_pairs: 64,
+        pairs_max: 1 << 24,
+        partials_max: 1 << 18,
+    };
     case.compare(&gpu, 64).unwrap();
     assert!(case.compare(&gpu, 65).is_err());
 }

@@ -29,32 +29,70 @@ impl Case {
         Self::seen_by(gpu, splats, &rig(), rules, variant)
     }
 
-    fn seen_by(gpu: &Validated, splats: usize, cameras: &[Camera], rules: Rules, variant: ProjectVariant) -> Self {
+    fn seen_by(
+        gpu: &Validated,
+        splats: usize,
+        cameras: &[Camera],
+        rules: Rules,
+        variant: ProjectVariant,
+    ) -> Self {
         let scene = Scene::new(gpu, &hard_world(splats, 11), cameras);
-        let maps = cameras.iter().map(|camera| RayMap::new(&camera.intrinsics)).collect();
+        let maps = cameras
+            .iter()
+            .map(|camera| RayMap::new(&camera.intrinsics))
+            .collect();
         let listed = scene.listed(&rules);
         let room = listed.records.len();
-        Self { scene, maps, listed, rules, variant, room }
+        Self {
+            scene,
+            maps,
+            listed,
+            rules,
+            variant,
+            room,
+        }
     }
 
     pub fn twin(&self) -> ProjectedTwin {
-        self.scene.projected(&self.listed, &self.rules, self.variant, self.room)
+        self.scene
+            .projected(&self.listed, &self.rules, self.variant, self.room)
     }
 
     pub fn kernel(&self, gpu: &Validated) -> ProjectedTwin {
-        let Self { scene, listed, rules, variant, room, .. } = self;
+        let Self {
+            scene,
+            listed,
+            rules,
+            variant,
+            room,
+            ..
+        } = self;
         let cameras = scene.view.cameras.len();
         let visible = Visible::new(gpu, cameras, scene.clusters.len()).unwrap();
         gpu.write(&visible.words, 0, &listed.words).unwrap();
         let projected = Projected::new(gpu, *room, 0).unwrap();
-        gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room]).unwrap();
+        gpu.write(&projected.keys, 0, &vec![UNTOUCHED; *room])
+            .unwrap();
         let (no_keys, shadows) = (NoKeys::new(gpu), scene.shadow_buffers(gpu));
         let offsets = upload(gpu, &listed.offsets);
         let project = Project::new(gpu, rules, *variant).unwrap();
         run(gpu, |r| {
-            let (cameras_of, lenses, kept) = (&scene.camera_buffer, &scene.lens_buffer, no_keys.kept());
+            let (cameras_of, lenses, kept) =
+                (&scene.camera_buffer, &scene.lens_buffer, no_keys.kept());
             let (shadows, count) = (&shadows, scene.shadows.len());
-            project.record(r, &scene.resident, cameras_of, lenses, cameras, &visible, &offsets, &projected, kept, shadows, count);
+            project.record(
+                r,
+                &scene.resident,
+                cameras_of,
+                lenses,
+                cameras,
+                &visible,
+                &offsets,
+                &projected,
+                kept,
+                shadows,
+                count,
+            );
         });
         ProjectedTwin {
             footprints: gpu.read(&projected.footprints).unwrap(),
@@ -77,7 +115,8 @@ impl Case {
             axes_share: 40.0 * ROUNDOFF,
             opacity: shape[3].into(),
             // A unit vector is off by some 12 roundings, and no basis function is steeper than 10.
-            color: (200.0 * ROUNDOFF + self.shadow_share(splat)) * (1.0 + self.coefficient_sum(splat)),
+            color: (200.0 * ROUNDOFF + self.shadow_share(splat))
+                * (1.0 + self.coefficient_sum(splat)),
         }
     }
 
@@ -86,14 +125,24 @@ impl Case {
         for record in 0..self.room {
             let splat = self.listed.records[record].1;
             let what = format!("record {record} of splat {splat}, kind {}", splat % 16);
-            let used = check_record(&what, record, kernel, twin, &self.projection(record).bounds(&self.rules))?;
+            let used = check_record(
+                &what,
+                record,
+                kernel,
+                twin,
+                &self.projection(record).bounds(&self.rules),
+            )?;
             worst = [worst[0].max(used[0]), worst[1].max(used[1])];
         }
-        println!("{} records: {:.3} of the bound of footprints, {:.3} of that of colors", self.room, worst[0], worst[1]);
+        println!(
+            "{} records: {:.3} of the bound of footprints, {:.3} of that of colors",
+            self.room, worst[0], worst[1]
+        );
         check_keys(&kernel.keys, &twin.keys)
     }
 
-    /// By how much rounding may change what shadows leave of the splat's light: at an edge of one, by all of it.
+    /// By how much rounding may change what shadows leave of the splat's light: at an edge of one,
+    /// by all of it.
     fn shadow_share(&self, splat: usize) -> f64 {
         let mean = self.scene.means_m[splat];
         let share = |shadow| {
@@ -105,7 +154,10 @@ impl Case {
                 moved[axis] += by_m;
                 f64::from((shadow_factor(shadow, moved) - here).abs())
             };
-            8.0 * ROUNDOFF + (0..3).map(|axis| change(axis, moved_m).max(change(axis, -moved_m))).sum::<f64>()
+            8.0 * ROUNDOFF
+                + (0..3)
+                    .map(|axis| change(axis, moved_m).max(change(axis, -moved_m)))
+                    .sum::<f64>()
         };
         self.scene.shadows.iter().map(share).sum()
     }
@@ -113,24 +165,71 @@ impl Case {
     /// Sum of the largest SH coefficients, DC among them.
     fn coefficient_sum(&self, splat: usize) -> f64 {
         let stored = self.scene.sh();
-        let rest = if self.variant.sh_degree > 0 { 15.0 * 0.3 } else { 0.0 };
-        rest + stored.sh_dc[splat].iter().fold(0.0, |largest, &c| f64::from(c.abs()).max(largest))
+        let rest = if self.variant.sh_degree > 0 {
+            15.0 * 0.3
+        } else {
+            0.0
+        };
+        rest + stored.sh_dc[splat]
+            .iter()
+            .fold(0.0, |largest, &c| f64::from(c.abs()).max(largest))
     }
 }
 
 /// Colors of degree 0 and nothing else.
-pub const PLAIN: ProjectVariant =
-    ProjectVariant { sh_degree: 0, instances: false, splat_ids: false, shadows: false, shadows_by_camera: false, lenses: false };
+pub const PLAIN: ProjectVariant = ProjectVariant {
+    sh_degree: 0,
+    instances: false,
+    splat_ids: false,
+    shadows: false,
+    shadows_by_camera: false,
+    lenses: false,
+};
 
 #[test]
 fn records_of_hard_splats() {
     let gpu = open();
     for (rules, variant) in [
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ..PLAIN }),
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, ..PLAIN }),
-        (Rules { order: DepthOrder::Radial, ..Rules::DEFAULT }, PLAIN),
-        (Rules { antialias: true, ..Rules::INRIA }, ProjectVariant { sh_degree: 2, instances: true, ..PLAIN }),
-        (Rules::DEFAULT, ProjectVariant { splat_ids: true, ..PLAIN }),
+        (
+            Rules::DEFAULT,
+            ProjectVariant {
+                sh_degree: 3,
+                instances: true,
+                ..PLAIN
+            },
+        ),
+        (
+            Rules::DEFAULT,
+            ProjectVariant {
+                sh_degree: 1,
+                ..PLAIN
+            },
+        ),
+        (
+            Rules {
+                order: DepthOrder::Radial,
+                ..Rules::DEFAULT
+            },
+            PLAIN,
+        ),
+        (
+            Rules {
+                antialias: true,
+                ..Rules::INRIA
+            },
+            ProjectVariant {
+                sh_degree: 2,
+                instances: true,
+                ..PLAIN
+            },
+        ),
+        (
+            Rules::DEFAULT,
+            ProjectVariant {
+                splat_ids: true,
+                ..PLAIN
+            },
+        ),
     ] {
         let case = Case::new(&gpu, 3000, rules, variant);
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
@@ -141,11 +240,29 @@ fn records_of_hard_splats() {
 fn records_through_lenses() {
     let gpu = open();
     for (rules, variant) in [
-        (Rules::DEFAULT, ProjectVariant { sh_degree: 1, lenses: true, ..PLAIN }),
-        (Rules { antialias: true, order: DepthOrder::Radial, ..Rules::INRIA }, ProjectVariant { lenses: true, ..PLAIN }),
+        (
+            Rules::DEFAULT,
+            ProjectVariant {
+                sh_degree: 1,
+                lenses: true,
+                ..PLAIN
+            },
+        ),
+        (
+            Rules {
+                antialias: true,
+                order: DepthOrder::Radial,
+                ..Rules::INRIA
+            },
+            ProjectVariant {
+                lenses: true,
+                ..PLAIN
+            },
+        ),
     ] {
         let case = Case::seen_by(&gpu, 3000, &lens_rig(), rules, variant);
-        let cameras: std::collections::BTreeSet<usize> = case.listed.records.iter().map(|record| record.0).collect();
+        let cameras: std::collections::BTreeSet<usize> =
+            case.listed.records.iter().map(|record| record.0).collect();
         assert_eq!(cameras.len(), 4, "a lens shows nothing");
         case.check(&case.kernel(&gpu), &case.twin()).unwrap();
     }
@@ -166,25 +283,47 @@ fn keys_are_depths_in_order() {
     let gpu = open();
     let case = Case::new(&gpu, 2000, Rules::DEFAULT, PLAIN);
     let keys = case.kernel(&gpu).keys;
-    // Between -1 and 1 over a world whose farthest splat is 10^7 m away: a step is 2^-42 of that, or 2^-27 of the depth.
+    // Between -1 and 1 over a world whose farthest splat is 10^7 m away: a step is 2^-42 of that,
+    // or 2^-27 of the depth.
     let depth = |record: usize| {
         let (camera, splat) = case.listed.records[record];
-        twins::depth_key::scaled_depth(case.scene.means_m[splat], &case.scene.view.cameras[camera], false)
+        twins::depth_key::scaled_depth(
+            case.scene.means_m[splat],
+            &case.scene.view.cameras[camera],
+            false,
+        )
     };
     let mut order: Vec<usize> = (0..keys.len()).collect();
     order.sort_by_key(|&record| keys[record]);
     for pair in order.windows(2) {
         let step = (depth(pair[1]).abs() * 2f64.powi(-26)).max(2f64.powi(-41));
-        assert!(depth(pair[0]) <= depth(pair[1]) + step, "records {pair:?} are in the wrong order");
+        assert!(
+            depth(pair[0]) <= depth(pair[1]) + step,
+            "records {pair:?} are in the wrong order"
+        );
     }
 }
 
 #[test]
 fn one_changed_value_is_seen() {
     let gpu = open();
-    let case = Case::new(&gpu, 500, Rules::DEFAULT, ProjectVariant { sh_degree: 3, instances: true, ..PLAIN });
+    let case = Case::new(
+        &gpu,
+        500,
+        Rules::DEFAULT,
+        ProjectVariant {
+            sh_degree: 3,
+            instances: true,
+            ..PLAIN
+        },
+    );
     let kernel = case.kernel(&gpu);
-    let ordinary = case.listed.records.iter().position(|&(_, splat)| splat % 16 > 9).unwrap();
+    let ordinary = case
+        .listed
+        .records
+        .iter()
+        .position(|&(_, splat)| splat % 16 > 9)
+        .unwrap();
     let failure = |change: fn(&mut ProjectedTwin, usize)| {
         let mut twin = case.twin();
         case.check(&kernel, &twin).unwrap();
@@ -193,6 +332,8 @@ fn one_changed_value_is_seen() {
     };
     assert!(failure(|twin, i| twin.footprints[2 * i][3] *= 1.0001).contains("value 3"));
     assert!(failure(|twin, i| twin.colors[i][1] += 0.001).contains("value 1"));
-    assert!(failure(|twin, i| twin.footprints[2 * i + 1][3] = f32::from_bits(9)).contains("instance"));
+    assert!(
+        failure(|twin, i| twin.footprints[2 * i + 1][3] = f32::from_bits(9)).contains("instance")
+    );
     assert!(failure(|twin, i| twin.keys[i] += 2).contains("keys"));
 }

@@ -3,8 +3,12 @@
 use decouplegs::render::layout::{CameraRecord, View};
 use decouplegs::render::reference;
 use decouplegs::render::stages::{Project, Projected, Visible};
-use decouplegs::render::twins::footprint::{Footprint, log2_alpha, reached_coarse_rows, reached_coarse_tiles};
-use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, project_splat, to_camera_axes};
+use decouplegs::render::twins::footprint::{
+    Footprint, log2_alpha, reached_coarse_rows, reached_coarse_tiles,
+};
+use decouplegs::render::twins::projection::{
+    Variant, axes_of, from_camera_m, project_splat, to_camera_axes,
+};
 use decouplegs::scene::rules::ALPHA_MIN;
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, World};
 use glam::{DQuat, DVec2, DVec3, Vec2, Vec3};
@@ -22,15 +26,30 @@ const SIZE: (u32, u32) = (150, 90);
 /// Means for which footprint.glsl promises its slack to be enough.
 const MEAN_MAX_PX: f32 = 1e5;
 
-/// Needles, discs and balls from a tenth of a millimeter to a kilometer, from the near plane on, in and far beside the image.
+/// Needles, discs and balls from a tenth of a millimeter to a kilometer, from the near plane on, in
+/// and far beside the image.
 fn any_splat() -> impl Strategy<Value = Splat> {
     let length_m = || (-4.0f32..3.0).prop_map(|exponent| 10f32.powf(exponent));
     let depth_m = (-2.0f32..2.0).prop_map(|exponent| 10f32.powf(exponent));
     let slope = prop_oneof![3 => -0.7f32..0.7, 1 => -30.0f32..30.0];
     let opacity = prop_oneof![Just(1.0f32), 0.0039f32..0.0045, 0.004f32..1.0];
-    (prop::array::uniform3(length_m()), depth_m, slope.clone(), slope, prop::array::uniform4(-1.0f32..1.0), opacity)
-        .prop_filter("a rotation has a direction", |(_, _, _, _, q, _)| q.iter().map(|x| x * x).sum::<f32>() > 0.01)
-        .prop_map(|(scale_m, z, x, y, rotation, opacity)| Splat { scale_m, rotation, opacity, ..Splat::at(x * z, y * z, z) })
+    (
+        prop::array::uniform3(length_m()),
+        depth_m,
+        slope.clone(),
+        slope,
+        prop::array::uniform4(-1.0f32..1.0),
+        opacity,
+    )
+        .prop_filter("a rotation has a direction", |(_, _, _, _, q, _)| {
+            q.iter().map(|x| x * x).sum::<f32>() > 0.01
+        })
+        .prop_map(|(scale_m, z, x, y, rotation, opacity)| Splat {
+            scale_m,
+            rotation,
+            opacity,
+            ..Splat::at(x * z, y * z, z)
+        })
 }
 
 /// The footprint that the twin gives the splat, `None` where it is not drawn.
@@ -61,7 +80,11 @@ fn log2_alpha_f64(splat: &Footprint, center: DVec2) -> f64 {
 }
 
 /// A pixel that `splat` reaches, by its footprint or by definition, and that no list has it for.
-fn pixel_left_out(splat: &Splat, rules: &Rules, is_listed: fn(&Footprint, u32, u32) -> bool) -> Option<String> {
+fn pixel_left_out(
+    splat: &Splat,
+    rules: &Rules,
+    is_listed: fn(&Footprint, u32, u32) -> bool,
+) -> Option<String> {
     let camera = camera_at(DVec3::ZERO, SIZE.0, SIZE.1);
     let record = CameraRecord::new(&camera, DVec3::ZERO, 1.0, 0, 0);
     let footprint = footprint_of(splat, &record, rules);
@@ -71,17 +94,28 @@ fn pixel_left_out(splat: &Splat, rules: &Rules, is_listed: fn(&Footprint, u32, u
         for column in 0..SIZE.0 {
             let center = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
             let listed = footprint.is_some_and(|footprint| is_listed(&footprint, column, row));
-            if let Some(footprint) = footprint.filter(|footprint| footprint.mean_px.abs().max_element() < MEAN_MAX_PX) {
+            if let Some(footprint) =
+                footprint.filter(|footprint| footprint.mean_px.abs().max_element() < MEAN_MAX_PX)
+            {
                 let counts = log2_alpha_f64(&footprint, center) >= ALPHA_MIN.log2()
-                    || log2_alpha(&footprint, Vec2::new(center.x as f32, center.y as f32)) >= ALPHA_MIN.log2() as f32;
+                    || log2_alpha(&footprint, Vec2::new(center.x as f32, center.y as f32))
+                        >= ALPHA_MIN.log2() as f32;
                 if counts && !listed {
-                    return Some(format!("column {column}, row {row} of the footprint {footprint:?}"));
+                    return Some(format!(
+                        "column {column}, row {row} of the footprint {footprint:?}"
+                    ));
                 }
             }
-            // By definition, with a hundredth of the threshold for the rounding of the projection itself.
-            let alpha = truth.as_ref().and_then(|truth| reference::blend::alpha_at(truth, center, rules)).unwrap_or(0.0);
+            // By definition, with a hundredth of the threshold for the rounding of the projection
+            // itself.
+            let alpha = truth
+                .as_ref()
+                .and_then(|truth| reference::blend::alpha_at(truth, center, rules))
+                .unwrap_or(0.0);
             if alpha >= 1.01 * ALPHA_MIN && !listed {
-                return Some(format!("column {column}, row {row}: alpha {alpha} by definition"));
+                return Some(format!(
+                    "column {column}, row {row}: alpha {alpha} by definition"
+                ));
             }
         }
     }
@@ -101,9 +135,14 @@ proptest! {
 #[test]
 fn a_list_that_ends_a_pixel_early_is_seen() {
     // The ball's edge falls into the first column of the second coarse tile.
-    let splat = Splat { scale_m: [1.0; 3], opacity: 1.0, ..Splat::at(-0.5, 0.0, 4.0) };
+    let splat = Splat {
+        scale_m: [1.0; 3],
+        opacity: 1.0,
+        ..Splat::at(-0.5, 0.0, 4.0)
+    };
     assert_eq!(pixel_left_out(&splat, &Rules::DEFAULT, is_listed), None);
-    let without_last_tile = |splat: &Footprint, column, row| is_listed(splat, column, row) && column < 128;
+    let without_last_tile =
+        |splat: &Footprint, column, row| is_listed(splat, column, row) && column < 128;
     assert!(pixel_left_out(&splat, &Rules::DEFAULT, without_last_tile).is_some());
 }
 
@@ -116,26 +155,53 @@ fn culled_splats_change_nothing() {
         let world = hard_world(500, seed);
         let scene = Scene::new(&gpu, &world, cameras);
         let unseen = |splat: usize| {
-            (0..cameras.len()).all(|camera| scene.settled_visibility(camera, splat, &Rules::DEFAULT) == Some(false))
+            (0..cameras.len()).all(|camera| {
+                scene.settled_visibility(camera, splat, &Rules::DEFAULT) == Some(false)
+            })
         };
-        // The farthest one sets the steps in which depths are counted, and so what ties: it stays, seen or not.
-        let distance_m = |&splat: &usize| f64::from(Vec3::from_array(scene.means_m[splat]).length());
-        let farthest = (0..500).max_by(|a, b| distance_m(a).total_cmp(&distance_m(b))).unwrap();
-        let kept: Vec<u32> = (0..500).filter(|&splat| splat == farthest || !unseen(splat)).map(|splat| splat as u32).collect();
-        prop_assert!(kept.len() < 400, "few splats are culled: the property says little");
+        // The farthest one sets the steps in which depths are counted, and so what ties: it stays,
+        // seen or not.
+        let distance_m =
+            |&splat: &usize| f64::from(Vec3::from_array(scene.means_m[splat]).length());
+        let farthest = (0..500)
+            .max_by(|a, b| distance_m(a).total_cmp(&distance_m(b)))
+            .unwrap();
+        let kept: Vec<u32> = (0..500)
+            .filter(|&splat| splat == farthest || !unseen(splat))
+            .map(|splat| splat as u32)
+            .collect();
+        prop_assert!(
+            kept.len() < 400,
+            "few splats are culled: the property says little"
+        );
         let without = |kept: &[u32]| World {
-            instance_from_splat: kept.iter().map(|&splat| world.instance_from_splat[splat as usize]).collect(),
+            instance_from_splat: kept
+                .iter()
+                .map(|&splat| world.instance_from_splat[splat as usize])
+                .collect(),
             ..World::of(world.splats.select(kept))
         };
         let images = draw(&gpu, &world, cameras, Rules::DEFAULT);
-        prop_assert!(draw(&gpu, &without(&kept), cameras, Rules::DEFAULT) == images, "a culled splat is in the image");
-        prop_assert!(draw(&gpu, &without(&kept[kept.len() / 2..]), cameras, Rules::DEFAULT) != images, "no splat is");
+        prop_assert!(
+            draw(&gpu, &without(&kept), cameras, Rules::DEFAULT) == images,
+            "a culled splat is in the image"
+        );
+        prop_assert!(
+            draw(
+                &gpu,
+                &without(&kept[kept.len() / 2..]),
+                cameras,
+                Rules::DEFAULT
+            ) != images,
+            "no splat is"
+        );
         Ok(())
     };
     runner.run(&(0..u64::MAX / 2), property).unwrap();
 }
 
-/// Depth keys of all splats as the kernel finds them, by splat; all splats are in front of the camera.
+/// Depth keys of all splats as the kernel finds them, by splat; all splats are in front of the
+/// camera.
 fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
     let scene = Scene::new(gpu, world, std::slice::from_ref(camera));
     let splats = world.splats.len();
@@ -145,14 +211,28 @@ fn depth_keys(gpu: &Validated, world: &World, camera: &Camera) -> Vec<u32> {
         words[bit / 32] &= !(1 << (bit % 32));
     }
     gpu.write(&visible.words, 0, &words).unwrap();
-    let offsets: Vec<u32> = (0..scene.clusters.len() as u32).map(|cluster| cluster * 256).collect();
+    let offsets: Vec<u32> = (0..scene.clusters.len() as u32)
+        .map(|cluster| cluster * 256)
+        .collect();
     let projected = Projected::new(gpu, splats, 0).unwrap();
     let (offsets, no_keys) = (upload(gpu, &offsets), NoKeys::new(gpu));
     let shadows = scene.shadow_buffers(gpu);
     let project = Project::new(gpu, &Rules::DEFAULT, PLAIN).unwrap();
     run(gpu, |r| {
         let (camera, kept) = (&scene.camera_buffer, no_keys.kept());
-        project.record(r, &scene.resident, camera, &scene.lens_buffer, 1, &visible, &offsets, &projected, kept, &shadows, 0);
+        project.record(
+            r,
+            &scene.resident,
+            camera,
+            &scene.lens_buffer,
+            1,
+            &visible,
+            &offsets,
+            &projected,
+            kept,
+            &shadows,
+            0,
+        );
     });
     gpu.read(&projected.keys).unwrap()
 }
@@ -163,19 +243,32 @@ fn a_camera_that_does_not_turn_changes_no_key() {
     let splats: Vec<Splat> = hard_splats(700, 5)
         .into_iter()
         .filter(|splat| splat.mean_m[0].abs() < 60.0 && splat.mean_m[2] > 0.1)
-        .map(|splat| Splat { scale_m: [0.1; 3], ..splat })
+        .map(|splat| Splat {
+            scale_m: [0.1; 3],
+            ..splat
+        })
         .collect();
     let world = world_of(&splats);
     let mut runner = TestRunner::new(Config::with_cases(12));
     let property = |(center_m, turn): ([f64; 3], f64)| {
         let camera = |center: DVec3, turn: f64| {
-            let pose = Pose::new(DQuat::from_rotation_z(turn) * DQuat::from_rotation_y(0.1 * turn), center);
-            Camera { name: "moved".into(), intrinsics: Intrinsics::from_horizontal_fov(64, 64, 1.0), world_from_camera: pose }
+            let pose = Pose::new(
+                DQuat::from_rotation_z(turn) * DQuat::from_rotation_y(0.1 * turn),
+                center,
+            );
+            Camera {
+                name: "moved".into(),
+                intrinsics: Intrinsics::from_horizontal_fov(64, 64, 1.0),
+                world_from_camera: pose,
+            }
         };
         let center = DVec3::from_array(center_m.map(|x| (x * 1024.0).round() / 1024.0));
         let keys = depth_keys(&gpu, &world, &camera(DVec3::ZERO, turn));
         prop_assert!(keys.iter().any(|&key| key != keys[0]));
-        prop_assert!(depth_keys(&gpu, &world, &camera(center, turn)) == keys, "a key has changed");
+        prop_assert!(
+            depth_keys(&gpu, &world, &camera(center, turn)) == keys,
+            "a key has changed"
+        );
         // A thousandth of a thousandth of a degree is seen.
         prop_assert!(depth_keys(&gpu, &world, &camera(center, turn + 2e-8)) != keys);
         // Moved by its origin, the world is the same to the last bit.
@@ -185,5 +278,10 @@ fn a_camera_that_does_not_turn_changes_no_key() {
         prop_assert_eq!(&here.cameras, &there.cameras);
         Ok(())
     };
-    runner.run(&(prop::array::uniform3(-4e3f64..4e3), -0.5f64..0.5), property).unwrap();
+    runner
+        .run(
+            &(prop::array::uniform3(-4e3f64..4e3), -0.5f64..0.5),
+            property,
+        )
+        .unwrap();
 }

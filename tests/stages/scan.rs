@@ -11,7 +11,9 @@ use crate::device::Validated;
 fn compare(gpu: &Validated, counts: &[u32], twin_counts: &[u32]) -> Result<(), String> {
     let offsets = untouched(gpu, counts.len() + 3);
     let scan = Scan::new(gpu).unwrap();
-    run(gpu, |r| scan.record(r, &upload(gpu, counts), &offsets, counts.len()));
+    run(gpu, |r| {
+        scan.record(r, &upload(gpu, counts), &offsets, counts.len());
+    });
     let mut twin_offsets = vec![UNTOUCHED; counts.len() + 3];
     twins::scan(twin_counts, &mut twin_offsets);
     identical("offsets", &gpu.read(&offsets).unwrap(), &twin_offsets)
@@ -19,14 +21,34 @@ fn compare(gpu: &Validated, counts: &[u32], twin_counts: &[u32]) -> Result<(), S
 
 fn counts(len: usize, seed: u64) -> Vec<u32> {
     let mut random = Random(seed);
-    (0..len).map(|_| if random.below(3) == 0 { 0 } else { random.below(257) }).collect()
+    (0..len)
+        .map(|_| {
+            if random.below(3) == 0 {
+                0
+            } else {
+                random.below(257)
+            }
+        })
+        .collect()
 }
 
 #[test]
 fn sums_of_every_length_around_a_block() {
     let gpu = open();
-    for len in [0, 1, 2, 255, 256, 257, SCAN_BLOCK - 1, SCAN_BLOCK, SCAN_BLOCK + 1, 2 * SCAN_BLOCK, 7 * SCAN_BLOCK + 300, 100_000]
-    {
+    for len in [
+        0,
+        1,
+        2,
+        255,
+        256,
+        257,
+        SCAN_BLOCK - 1,
+        SCAN_BLOCK,
+        SCAN_BLOCK + 1,
+        2 * SCAN_BLOCK,
+        7 * SCAN_BLOCK + 300,
+        100_000,
+    ] {
         let counts = counts(len, len as u64);
         compare(&gpu, &counts, &counts).unwrap_or_else(|error| panic!("{len} counts: {error}"));
     }
@@ -46,7 +68,16 @@ fn a_count_of_one_more_is_seen() {
     let mut changed = counts.clone();
     compare(&gpu, &counts, &changed).unwrap();
     changed[1999] += 1;
-    assert!(compare(&gpu, &counts, &changed).unwrap_err().contains("value 2000"), "the total");
+    assert!(
+        compare(&gpu, &counts, &changed)
+            .unwrap_err()
+            .contains("value 2000"),
+        "the total"
+    );
     changed[5] += 1;
-    assert!(compare(&gpu, &counts, &changed).unwrap_err().contains("value 6"));
+    assert!(
+        compare(&gpu, &counts, &changed)
+            .unwrap_err()
+            .contains("value 6")
+    );
 }

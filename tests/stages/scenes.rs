@@ -2,7 +2,9 @@
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::GpuScene;
-use decouplegs::render::layout::{CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord, View};
+use decouplegs::render::layout::{
+    CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, NO_KEY_SET, ShadowRecord, View,
+};
 use decouplegs::render::stages::{KeptKeys, ProjectVariant, ShadowBuffers, words_for};
 use decouplegs::render::twins::footprint::{Footprint, reached_coarse_rows, reached_coarse_tiles};
 use decouplegs::render::twins::lens::{lens_of, project_splat_seen};
@@ -16,15 +18,19 @@ use super::{ROUNDOFF, Random, UNTOUCHED, upload};
 use crate::device::Validated;
 use crate::frames::{Splat, world_of};
 
-/// Ordinary splats, needles, discs, ones that cover the image or no pixel center, far beside it, at the near plane, behind
-/// it, too faint, and at the edge of too faint.
+/// Ordinary splats, needles, discs, ones that cover the image or no pixel center, far beside it, at
+/// the near plane, behind it, too faint, and at the edge of too faint.
 pub fn hard_splats(count: usize, seed: u64) -> Vec<Splat> {
     let mut random = Random(seed);
     (0..count)
         .map(|i| {
             let depth_m = random.across_scales(0.5, 60.0);
             let ordinary = Splat {
-                mean_m: [random.between(-1.0, 1.0) * depth_m, random.between(-0.6, 0.6) * depth_m, depth_m],
+                mean_m: [
+                    random.between(-1.0, 1.0) * depth_m,
+                    random.between(-0.6, 0.6) * depth_m,
+                    depth_m,
+                ],
                 scale_m: std::array::from_fn(|_| random.across_scales(0.005, 0.5)),
                 rotation: std::array::from_fn(|_| random.between(-1.0, 1.0)),
                 opacity: random.between(0.01, 1.0),
@@ -32,17 +38,50 @@ pub fn hard_splats(count: usize, seed: u64) -> Vec<Splat> {
             };
             let [x, y, z] = ordinary.mean_m;
             match i % 16 {
-                0 => Splat { scale_m: [random.between(0.5, 2.0), 1e-5, 1e-5], ..ordinary },
-                1 => Splat { scale_m: [random.between(0.1, 1.0), random.between(0.1, 1.0), 1e-6], ..ordinary },
-                2 => Splat { scale_m: [random.across_scales(1.0, 1000.0); 3], opacity: 0.1, ..ordinary },
-                3 => Splat { scale_m: [1e-6; 3], ..ordinary },
-                4 => Splat { mean_m: [x * 10.0, y * 10.0, z], ..ordinary },
+                0 => Splat {
+                    scale_m: [random.between(0.5, 2.0), 1e-5, 1e-5],
+                    ..ordinary
+                },
+                1 => Splat {
+                    scale_m: [random.between(0.1, 1.0), random.between(0.1, 1.0), 1e-6],
+                    ..ordinary
+                },
+                2 => Splat {
+                    scale_m: [random.across_scales(1.0, 1000.0); 3],
+                    opacity: 0.1,
+                    ..ordinary
+                },
+                3 => Splat {
+                    scale_m: [1e-6; 3],
+                    ..ordinary
+                },
+                4 => Splat {
+                    mean_m: [x * 10.0, y * 10.0, z],
+                    ..ordinary
+                },
                 // So far beside the axis that its pixel is none that an integer holds.
-                5 => Splat { mean_m: [x * 1e6, y, random.between(0.01, 0.02)], scale_m: [0.1; 3], ..ordinary },
-                6 => Splat { mean_m: [x * 0.01, y * 0.01, random.between(0.009, 0.011)], scale_m: [0.002; 3], ..ordinary },
-                7 => Splat { mean_m: [x, y, -z], ..ordinary },
-                8 => Splat { opacity: random.between(0.003, 0.005), ..ordinary },
-                9 => Splat { opacity: f32::from_bits((1.0f32 / 255.0).to_bits() - 2 + random.below(5)), ..ordinary },
+                5 => Splat {
+                    mean_m: [x * 1e6, y, random.between(0.01, 0.02)],
+                    scale_m: [0.1; 3],
+                    ..ordinary
+                },
+                6 => Splat {
+                    mean_m: [x * 0.01, y * 0.01, random.between(0.009, 0.011)],
+                    scale_m: [0.002; 3],
+                    ..ordinary
+                },
+                7 => Splat {
+                    mean_m: [x, y, -z],
+                    ..ordinary
+                },
+                8 => Splat {
+                    opacity: random.between(0.003, 0.005),
+                    ..ordinary
+                },
+                9 => Splat {
+                    opacity: f32::from_bits((1.0f32 / 255.0).to_bits() - 2 + random.below(5)),
+                    ..ordinary
+                },
                 _ => ordinary,
             }
         })
@@ -54,25 +93,36 @@ pub fn hard_world(count: usize, seed: u64) -> World {
     let mut world = world_of(&hard_splats(count, seed));
     let mut random = Random(seed + 1);
     world.splats.sh_degree = 3;
-    world.splats.sh_rest = (0..count * 15).map(|_| std::array::from_fn(|_| random.between(-0.3, 0.3))).collect();
+    world.splats.sh_rest = (0..count * 15)
+        .map(|_| std::array::from_fn(|_| random.between(-0.3, 0.3)))
+        .collect();
     world.instance_from_splat = (0..count).map(|_| random.below(3) as u16).collect();
     world
 }
 
-/// Cameras that see the hard splats: straight on, turned with the principal point off center, wide, and of one pixel.
+/// Cameras that see the hard splats: straight on, turned with the principal point off center, wide,
+/// and of one pixel.
 pub fn rig() -> Vec<Camera> {
     let camera = |name: &str, size: (u32, u32), fov_deg: f64, pose: Pose| Camera {
         name: name.into(),
         intrinsics: Intrinsics::from_horizontal_fov(size.0, size.1, fov_deg.to_radians()),
         world_from_camera: pose,
     };
-    let turned = Pose::new(DQuat::from_rotation_y(0.3) * DQuat::from_rotation_z(0.2), DVec3::new(0.4, -0.2, -1.0));
+    let turned = Pose::new(
+        DQuat::from_rotation_y(0.3) * DQuat::from_rotation_z(0.2),
+        DVec3::new(0.4, -0.2, -1.0),
+    );
     let mut shifted = camera("shifted", (333, 217), 50.0, turned);
     shifted.intrinsics.cx_px = 20.0;
     vec![
         camera("straight", (200, 120), 60.0, Pose::IDENTITY),
         shifted,
-        camera("wide", (1000, 700), 130.0, Pose::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, -0.5))),
+        camera(
+            "wide",
+            (1000, 700),
+            130.0,
+            Pose::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, -0.5)),
+        ),
         camera("pixel", (1, 1), 60.0, Pose::IDENTITY),
     ]
 }
@@ -86,7 +136,10 @@ pub fn lens_rig() -> Vec<Camera> {
             tangential: [0.002, -0.001],
             thin_prism: [0.001, -0.0005, -0.0007, 0.0002],
         }),
-        Lens::Fisheye(Fisheye { radial: [-0.02, 0.004, -0.002, 0.0003], max_angle_rad: 1.3 }),
+        Lens::Fisheye(Fisheye {
+            radial: [-0.02, 0.004, -0.002, 0.0003],
+            max_angle_rad: 1.3,
+        }),
         Lens::FTheta(FTheta {
             reference: FThetaReference::PixelDistanceToAngle,
             pixel_distance_to_angle: [0.0, 0.0042, 5.6e-7, -6.4e-9, 3.8e-11, -5.8e-14],
@@ -98,11 +151,22 @@ pub fn lens_rig() -> Vec<Camera> {
     let focal_px = [180.0, 150.0, 110.0, 238.0];
     let with = |(mut camera, (lens, focal_px)): (Camera, (Lens, f64))| {
         let size = (400, 260);
-        camera.intrinsics = Intrinsics { lens, ..Intrinsics::from_horizontal_fov(size.0, size.1, 1.0) };
-        (camera.intrinsics.fx_px, camera.intrinsics.fy_px, camera.intrinsics.cx_px) = (focal_px, 1.01 * focal_px, 207.5);
+        camera.intrinsics = Intrinsics {
+            lens,
+            ..Intrinsics::from_horizontal_fov(size.0, size.1, 1.0)
+        };
+        (
+            camera.intrinsics.fx_px,
+            camera.intrinsics.fy_px,
+            camera.intrinsics.cx_px,
+        ) = (focal_px, 1.01 * focal_px, 207.5);
         camera
     };
-    rig().into_iter().zip(lenses.into_iter().zip(focal_px)).map(with).collect()
+    rig()
+        .into_iter()
+        .zip(lenses.into_iter().zip(focal_px))
+        .map(with)
+        .collect()
 }
 
 /// A world on the device, its bytes as the kernels read them, and the cameras.
@@ -143,7 +207,10 @@ impl Scene {
     }
 
     pub fn sh(&self) -> Stored<'_> {
-        Stored { sh_dc: &self.sh_dc, sh_bands: std::array::from_fn(|band| self.sh_bands[band].as_slice()) }
+        Stored {
+            sh_dc: &self.sh_dc,
+            sh_bands: std::array::from_fn(|band| self.sh_bands[band].as_slice()),
+        }
     }
 
     /// The twin's bits of which shadow may lie on which cluster.
@@ -183,15 +250,26 @@ impl Scene {
     pub fn settled_visibility(&self, camera: usize, splat: usize, rules: &Rules) -> Option<bool> {
         let (shape, rotation) = (self.shapes[splat], self.rotations[splat]);
         let axes = axes_of(shape, rotation);
-        let (camera, lens) = (&self.view.cameras[camera], lens_of(&self.view.lenses, camera));
-        settled_visibility(camera, lens, self.means_m[splat], axes, 16.0 * ROUNDOFF, shape[3], rules)
+        let (camera, lens) = (
+            &self.view.cameras[camera],
+            lens_of(&self.view.lenses, camera),
+        );
+        settled_visibility(
+            camera,
+            lens,
+            self.means_m[splat],
+            axes,
+            16.0 * ROUNDOFF,
+            shape[3],
+            rules,
+        )
     }
 }
 
 /// Visibility of a splat if it is the same for every rounding of f32: else `None`.
 ///
-/// Tried are the mean moved by the rounding of a camera transform along each axis, the size changed by `size_share` and the
-/// opacity by some roundings of its own.
+/// Tried are the mean moved by the rounding of a camera transform along each axis, the size changed
+/// by `size_share` and the opacity by some roundings of its own.
 pub fn settled_visibility(
     camera: &CameraRecord,
     lens: Option<&LensRecord>,
@@ -205,15 +283,24 @@ pub fn settled_visibility(
     let t = to_camera_axes(camera, offset);
     let moved_m = (8.0 * ROUNDOFF) as f32 * offset.abs().element_sum();
     let visible = |t: Vec3, size: f32, opacity: f32| {
-        let (footprint, drawn) = project_splat_seen(camera, lens, t, axes * size, opacity, Variant::of(rules));
+        let (footprint, drawn) =
+            project_splat_seen(camera, lens, t, axes * size, opacity, Variant::of(rules));
         drawn && count_coarse_tiles(&footprint, camera) > 0
     };
     let decision = visible(t, 1.0, opacity);
-    let moves = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [t + moved_m * axis, t - moved_m * axis]);
+    let moves = [Vec3::X, Vec3::Y, Vec3::Z]
+        .into_iter()
+        .flat_map(|axis| [t + moved_m * axis, t - moved_m * axis]);
     let changes = |share: f64| [1.0 - share as f32, 1.0 + share as f32];
-    let same = moves.into_iter().all(|t| visible(t, 1.0, opacity) == decision)
-        && changes(size_share).iter().all(|&change| visible(t, change, opacity) == decision)
-        && changes(16.0 * ROUNDOFF).iter().all(|&change| visible(t, 1.0, opacity * change) == decision);
+    let same = moves
+        .into_iter()
+        .all(|t| visible(t, 1.0, opacity) == decision)
+        && changes(size_share)
+            .iter()
+            .all(|&change| visible(t, change, opacity) == decision)
+        && changes(16.0 * ROUNDOFF)
+            .iter()
+            .all(|&change| visible(t, 1.0, opacity * change) == decision);
     same.then_some(decision)
 }
 
@@ -240,7 +327,10 @@ pub fn settled_tile_count(splat: &Footprint, camera: &CameraRecord) -> Option<u3
     let dx = roundings * (splat.mean_px.x.abs() + half_width + camera.size_px[0] as f32);
     let dy = roundings * (splat.mean_px.y.abs() + half_height + camera.size_px[1] as f32);
     let here = count(0.0, 0.0);
-    [(dx, 0.0), (-dx, 0.0), (0.0, dy), (0.0, -dy)].iter().all(|&(dx, dy)| count(dx, dy) == here).then_some(here)
+    [(dx, 0.0), (-dx, 0.0), (0.0, dy), (0.0, -dy)]
+        .iter()
+        .all(|&(dx, dy)| count(dx, dy) == here)
+        .then_some(here)
 }
 
 /// Output of the twin of project.
@@ -258,11 +348,17 @@ pub struct NoKeys {
 
 impl NoKeys {
     pub fn new(gpu: &Validated) -> Self {
-        Self { sets: upload(gpu, &[NO_KEY_SET; 32]), keys: upload(gpu, &[]) }
+        Self {
+            sets: upload(gpu, &[NO_KEY_SET; 32]),
+            keys: upload(gpu, &[]),
+        }
     }
 
     pub fn kept(&self) -> KeptKeys<'_> {
-        KeptKeys { sets: &self.sets, keys: &self.keys }
+        KeptKeys {
+            sets: &self.sets,
+            keys: &self.keys,
+        }
     }
 }
 
@@ -278,7 +374,11 @@ impl Scene {
     /// The visible splats, without those whose visibility is a matter of rounding.
     pub fn listed(&self, rules: &Rules) -> Listed {
         let (mut words, _) = self.culled(rules);
-        let mut listed = Listed { words: Vec::new(), offsets: Vec::new(), records: Vec::new() };
+        let mut listed = Listed {
+            words: Vec::new(),
+            offsets: Vec::new(),
+            records: Vec::new(),
+        };
         for camera in 0..self.view.cameras.len() {
             for cluster in 0..self.clusters.len() {
                 listed.offsets.push(listed.records.len() as u32);
@@ -300,10 +400,20 @@ impl Scene {
         listed
     }
 
-    /// The twin's records where there is room for `room` and no keys are kept. What is not written is `UNTOUCHED`.
-    pub fn projected(&self, listed: &Listed, rules: &Rules, variant: ProjectVariant, room: usize) -> ProjectedTwin {
-        let mut out =
-            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colors: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
+    /// The twin's records where there is room for `room` and no keys are kept. What is not written
+    /// is `UNTOUCHED`.
+    pub fn projected(
+        &self,
+        listed: &Listed,
+        rules: &Rules,
+        variant: ProjectVariant,
+        room: usize,
+    ) -> ProjectedTwin {
+        let mut out = ProjectedTwin {
+            footprints: vec![[0.0; 4]; 2 * room],
+            colors: vec![[0.0; 4]; room],
+            keys: vec![UNTOUCHED; room],
+        };
         twins::project(
             &self.view.cameras,
             &self.means_m,

@@ -1,7 +1,7 @@
 //! The kernels that use subgroups, with subgroups of other sizes than this device's own.
 //!
-//! lavapipe's subgroups are as wide as its vectors, which `LP_NATIVE_VECTOR_WIDTH` sets for a process: the tests run again,
-//! in children of this one.
+//! lavapipe's subgroups are as wide as its vectors, which `LP_NATIVE_VECTOR_WIDTH` sets for a
+//! process: the tests run again, in children of this one.
 
 use std::process::Command;
 
@@ -12,9 +12,14 @@ use crate::device::Validated;
 /// Tells a child which subgroup size to insist on.
 pub const EXPECTED_LANES: &str = "DECOUPLEGS_EXPECTED_SUBGROUP_SIZE";
 
-/// The tests that depend on the size, by the start of their names, with how many there are at least.
-const TESTS: [(&str, usize); 4] =
-    [("stages::scan::", 3), ("stages::tile_sort::", 6), ("stages::plan_segments::", 5), ("stages::blend::", 3)];
+/// The tests that depend on the size, by the start of their names, with how many there are at
+/// least.
+const TESTS: [(&str, usize); 4] = [
+    ("stages::scan::", 3),
+    ("stages::tile_sort::", 6),
+    ("stages::plan_segments::", 5),
+    ("stages::blend::", 3),
+];
 
 /// Output of a child process with `lanes` lanes, and true if it succeeded.
 fn child(vector_bits: u32, lanes: u32, filter: &str) -> (bool, String) {
@@ -24,21 +29,32 @@ fn child(vector_bits: u32, lanes: u32, filter: &str) -> (bool, String) {
         .env(EXPECTED_LANES, lanes.to_string())
         .output()
         .unwrap();
-    let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let text = format!(
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
     (output.status.success(), text)
 }
 
 /// The number before ` passed` in a test runner's summary.
 fn passed(text: &str) -> usize {
     let before = text.rsplit_once(" passed").map_or("", |(before, _)| before);
-    before.rsplit(' ').next().and_then(|number| number.parse().ok()).unwrap_or(0)
+    before
+        .rsplit(' ')
+        .next()
+        .and_then(|number| number.parse().ok())
+        .unwrap_or(0)
 }
 
 fn is_lavapipe(test: &str) -> bool {
     let gpu = Validated::open();
     let lavapipe = gpu.info().kind == DeviceKind::Cpu && gpu.info().name.contains("llvmpipe");
     if !lavapipe {
-        println!("SKIPPED {test}: the subgroups of {} cannot be set", gpu.info());
+        println!(
+            "SKIPPED {test}: the subgroups of {} cannot be set",
+            gpu.info()
+        );
     }
     lavapipe
 }
@@ -50,7 +66,10 @@ fn all_pass(test: &str, vector_bits: u32) {
     for (filter, at_least) in TESTS {
         let (succeeded, text) = child(vector_bits, vector_bits / 32, filter);
         assert!(succeeded, "{filter} with {vector_bits} bits:\n{text}");
-        assert!(passed(&text) >= at_least, "{filter} with {vector_bits} bits ran too few tests:\n{text}");
+        assert!(
+            passed(&text) >= at_least,
+            "{filter} with {vector_bits} bits ran too few tests:\n{text}"
+        );
     }
 }
 
@@ -79,6 +98,12 @@ fn a_child_of_another_size_fails() {
         return;
     }
     let (succeeded, text) = child(256, 4, "stages::scan::counts_of_nothing");
-    assert!(!succeeded && text.contains("subgroups of another size"), "{text}");
-    assert_eq!((passed("test result: ok. 12 passed; 0 failed"), passed("")), (12, 0));
+    assert!(
+        !succeeded && text.contains("subgroups of another size"),
+        "{text}"
+    );
+    assert_eq!(
+        (passed("test result: ok. 12 passed; 0 failed"), passed("")),
+        (12, 0)
+    );
 }

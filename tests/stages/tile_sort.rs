@@ -1,10 +1,14 @@
-//! `plan_lists.comp`, `bin_pairs.comp`, `plan_buckets.comp` and `sort_buckets.comp`: from records to sorted lists of coarse tiles.
+//! `plan_lists.comp`, `bin_pairs.comp`, `plan_buckets.comp` and `sort_buckets.comp`: from records
+//! to sorted lists of coarse tiles.
 
 use decouplegs::gpu::Buffer;
 use decouplegs::render::Capacity;
-use decouplegs::render::layout::{BUCKET_PAIRS, Bucket, CameraRecord, PAIR_BLOCK, RequiredCounts, SLABS, View};
+use decouplegs::render::layout::{
+    BUCKET_PAIRS, Bucket, CameraRecord, PAIR_BLOCK, RequiredCounts, SLABS, View,
+};
 use decouplegs::render::stages::{
-    IndirectArguments, Plan, PlanBuckets, PlanSegments, Projected, Records, TileSort, TileSortBuffers,
+    IndirectArguments, Plan, PlanBuckets, PlanSegments, Projected, Records, TileSort,
+    TileSortBuffers,
 };
 use decouplegs::render::twins;
 use decouplegs::render::twins::depth_key::{depth_key, depth_of_key};
@@ -46,7 +50,8 @@ fn check_lists(kernel: &Sorted, twin: &Sorted) -> Result<(), String> {
 }
 
 impl Case {
-    /// Hard splats whose coarse tiles do not depend on rounding. Agents are the background once more, so that all keys are tied.
+    /// Hard splats whose coarse tiles do not depend on rounding. Agents are the background once
+    /// more, so that all keys are tied.
     fn hard(gpu: &Validated, splats: usize, rules: Rules) -> Self {
         let scene = Scene::new(gpu, &hard_world(splats, 41), &rig());
         let listed = scene.listed(&rules);
@@ -61,15 +66,26 @@ impl Case {
             rules,
         };
         for camera in 0..case.cameras.len() {
-            for record in (0..listed.records.len()).filter(|&record| listed.records[record].0 == camera) {
-                if settled_tile_count(&load_footprint(&all.footprints, record), &case.cameras[camera]).is_some() {
-                    case.footprints.extend([all.footprints[2 * record], all.footprints[2 * record + 1]]);
+            for record in
+                (0..listed.records.len()).filter(|&record| listed.records[record].0 == camera)
+            {
+                if settled_tile_count(
+                    &load_footprint(&all.footprints, record),
+                    &case.cameras[camera],
+                )
+                .is_some()
+                {
+                    case.footprints
+                        .extend([all.footprints[2 * record], all.footprints[2 * record + 1]]);
                     case.keys.push(all.keys[record]);
                 }
             }
             case.static_offsets.push(case.keys.len() as u32);
         }
-        assert!(case.keys.len() * 20 >= listed.records.len() * 19, "rounding decides too many of the records");
+        assert!(
+            case.keys.len() * 20 >= listed.records.len() * 19,
+            "rounding decides too many of the records"
+        );
         case.footprints.extend_from_within(..);
         case.keys.extend_from_within(..);
         case.moving_offsets = case.static_offsets.clone();
@@ -110,23 +126,47 @@ impl Case {
             pairs.sort_unstable();
             pairs.into_iter().map(|[_, record]| record).collect()
         };
-        let lengths =
-            |tile: &[Vec<[u32; 2]>]| twins::plan_buckets(&tile.iter().map(|slab| slab.len() as u32).collect::<Vec<_>>());
-        Sorted { records: slabs.chunks(SLABS).map(sorted).collect(), buckets: slabs.chunks(SLABS).map(lengths).collect() }
+        let lengths = |tile: &[Vec<[u32; 2]>]| {
+            twins::plan_buckets(
+                &tile
+                    .iter()
+                    .map(|slab| slab.len() as u32)
+                    .collect::<Vec<_>>(),
+            )
+        };
+        Sorted {
+            records: slabs.chunks(SLABS).map(sorted).collect(),
+            buckets: slabs.chunks(SLABS).map(lengths).collect(),
+        }
     }
 
-    /// Lists of the kernels with room for `pairs_max` pairs, and their counts; `None` if the pairs do not fit.
-    fn kernel(&self, gpu: &Validated, pairs_max: usize) -> Result<(Option<Sorted>, RequiredCounts), String> {
+    /// Lists of the kernels with room for `pairs_max` pairs, and their counts; `None` if the pairs
+    /// do not fit.
+    fn kernel(
+        &self,
+        gpu: &Validated,
+        pairs_max: usize,
+    ) -> Result<(Option<Sorted>, RequiredCounts), String> {
         let bins = self.bins();
         let counters = counters(gpu, RequiredCounts::default(), &[]);
         let projected = Projected::new(gpu, self.keys.len(), pairs_max).unwrap();
-        gpu.write(&projected.footprints, 0, &self.footprints).unwrap();
+        gpu.write(&projected.footprints, 0, &self.footprints)
+            .unwrap();
         gpu.write(&projected.keys, 0, &self.keys).unwrap();
-        let capacity = Capacity { records: self.keys.len(), pairs: pairs_max, partials: 1 };
+        let capacity = Capacity {
+            records: self.keys.len(),
+            pairs: pairs_max,
+            partials: 1,
+        };
         let buffers = TileSortBuffers::new(gpu, &capacity, bins).unwrap();
-        gpu.write(&buffers.slab_counts, 0, &vec![0; bins as usize * SLABS]).unwrap();
-        gpu.write(&buffers.sorted_records, 0, &vec![UNTOUCHED; pairs_max]).unwrap();
-        let (static_offsets, moving_offsets) = (upload(gpu, &self.static_offsets), upload(gpu, &self.moving_offsets));
+        gpu.write(&buffers.slab_counts, 0, &vec![0; bins as usize * SLABS])
+            .unwrap();
+        gpu.write(&buffers.sorted_records, 0, &vec![UNTOUCHED; pairs_max])
+            .unwrap();
+        let (static_offsets, moving_offsets) = (
+            upload(gpu, &self.static_offsets),
+            upload(gpu, &self.moving_offsets),
+        );
         let records = Records {
             cameras: &self.camera_buffer,
             camera_count: self.cameras.len(),
@@ -140,7 +180,11 @@ impl Case {
         run(gpu, |r| sort.record(r, &counters, records, &buffers, bins));
         let (required, _) = found(gpu, &counters);
         if required.records as usize != self.keys.len() {
-            return Err(format!("{} records instead of {}", required.records, self.keys.len()));
+            return Err(format!(
+                "{} records instead of {}",
+                required.records,
+                self.keys.len()
+            ));
         }
         let all = gpu.read(&buffers.sorted_records).unwrap();
         if required.pairs as usize > pairs_max {
@@ -148,20 +192,33 @@ impl Case {
             return Ok((None, required));
         }
         let tile_lists = gpu.read(&buffers.tile_lists).unwrap();
-        let records = tile_lists.iter().map(|&[first, length]| all[first as usize..(first + length) as usize].to_vec()).collect();
-        let mut buckets: Vec<Bucket> = gpu.read(&buffers.buckets).unwrap()[..required.buckets as usize].to_vec();
+        let records = tile_lists
+            .iter()
+            .map(|&[first, length]| all[first as usize..(first + length) as usize].to_vec())
+            .collect();
+        let mut buckets: Vec<Bucket> =
+            gpu.read(&buffers.buckets).unwrap()[..required.buckets as usize].to_vec();
         buckets.sort_unstable();
         let of_tile = |bin: usize| {
             let own = buckets.iter().filter(|bucket| bucket.bin as usize == bin);
             let mut end = tile_lists[bin][0];
             own.map(|bucket| {
-                assert_eq!(bucket.first_pair, end, "buckets of a tile follow each other");
+                assert_eq!(
+                    bucket.first_pair, end,
+                    "buckets of a tile follow each other"
+                );
                 end += bucket.pairs;
                 bucket.pairs
             })
             .collect()
         };
-        Ok((Some(Sorted { records, buckets: (0..bins as usize).map(of_tile).collect() }), required))
+        Ok((
+            Some(Sorted {
+                records,
+                buckets: (0..bins as usize).map(of_tile).collect(),
+            }),
+            required,
+        ))
     }
 
     fn compare(&self, gpu: &Validated) -> Result<Sorted, String> {
@@ -170,7 +227,11 @@ impl Case {
         let (kernel, required) = self.kernel(gpu, pairs)?;
         let kernel = kernel.ok_or("as many pairs as the twin has do not fit")?;
         check_lists(&kernel, &twin)?;
-        let counts = [required.pairs, (required.pairs_high << 16) + required.pairs_low, required.buckets];
+        let counts = [
+            required.pairs,
+            (required.pairs_high << 16) + required.pairs_low,
+            required.buckets,
+        ];
         let buckets = twin.buckets.iter().map(Vec::len).sum::<usize>() as u32;
         identical("counts", &counts, &[pairs as u32, pairs as u32, buckets])?;
         Ok(kernel)
@@ -180,13 +241,26 @@ impl Case {
 #[test]
 fn lists_of_hard_splats_are_those_of_the_definition() {
     let gpu = open();
-    for rules in [Rules::DEFAULT, Rules { order: DepthOrder::Radial, ..Rules::DEFAULT }] {
+    for rules in [
+        Rules::DEFAULT,
+        Rules {
+            order: DepthOrder::Radial,
+            ..Rules::DEFAULT
+        },
+    ] {
         let case = Case::hard(&gpu, 5000, rules);
         let sorted = case.compare(&gpu).unwrap();
         let pairs: usize = sorted.records.iter().map(Vec::len).sum();
         let longest = sorted.records.iter().map(Vec::len).max().unwrap();
-        println!("{} records, {pairs} pairs in {} coarse tiles, at most {longest}", case.keys.len(), case.bins());
-        assert!(case.keys.len() > 3 * PAIR_BLOCK && longest > BUCKET_PAIRS, "the case must fill blocks and cut lists");
+        println!(
+            "{} records, {pairs} pairs in {} coarse tiles, at most {longest}",
+            case.keys.len(),
+            case.bins()
+        );
+        assert!(
+            case.keys.len() > 3 * PAIR_BLOCK && longest > BUCKET_PAIRS,
+            "the case must fill blocks and cut lists"
+        );
         assert!(sorted.buckets.iter().any(|buckets| buckets.len() > 1));
     }
 }
@@ -198,18 +272,40 @@ fn hard_keys(count: usize) -> Vec<(&'static str, Vec<u32>)> {
     let mut all: Vec<(&str, Vec<u32>)> = vec![
         ("equal", vec![near; count]),
         ("any", (0..count).map(|_| random.word()).collect()),
-        ("two", (0..count).map(|i| near + (i as u32 * 7 % 2)).collect()),
+        (
+            "two",
+            (0..count).map(|i| near + (i as u32 * 7 % 2)).collect(),
+        ),
         ("falling", (0..count).map(|i| near - i as u32).collect()),
-        ("in one slab", (0..count).map(|_| near + random.below(1 << 12)).collect()),
+        (
+            "in one slab",
+            (0..count).map(|_| near + random.below(1 << 12)).collect(),
+        ),
         (
             "a wall and others",
             (0..count)
-                .map(|i| if i % 8 == 0 { depth_key(f64::from(random.between(0.0, 0.9))) } else { near + random.below(64) })
+                .map(|i| {
+                    if i % 8 == 0 {
+                        depth_key(f64::from(random.between(0.0, 0.9)))
+                    } else {
+                        near + random.below(64)
+                    }
+                })
                 .collect(),
         ),
-        ("behind the last slab", (0..count).map(|_| depth_key(0.99) + random.below(1 << 20)).collect()),
+        (
+            "behind the last slab",
+            (0..count)
+                .map(|_| depth_key(0.99) + random.below(1 << 20))
+                .collect(),
+        ),
     ];
-    all.push(("uniform depths", (0..count).map(|_| depth_key(f64::from(random.between(0.001, 0.99)))).collect()));
+    all.push((
+        "uniform depths",
+        (0..count)
+            .map(|_| depth_key(f64::from(random.between(0.001, 0.99))))
+            .collect(),
+    ));
     all
 }
 
@@ -218,7 +314,9 @@ fn piles_of_all_sizes_are_sorted() {
     let gpu = open();
     for count in [1, 2, 255, 257, 1023, 1024, 1025, 2047, 2048, 2049, 5000] {
         for (name, keys) in hard_keys(count) {
-            Case::pile(&gpu, keys).compare(&gpu).unwrap_or_else(|error| panic!("{count} keys, {name}: {error}"));
+            Case::pile(&gpu, keys)
+                .compare(&gpu)
+                .unwrap_or_else(|error| panic!("{count} keys, {name}: {error}"));
         }
     }
 }
@@ -229,7 +327,12 @@ fn a_hundred_thousand_layers_of_one_depth_are_sorted() {
     let near = depth_key(0.3);
     Case::pile(&gpu, vec![near; 100_000]).compare(&gpu).unwrap();
     let mut random = Random(3);
-    Case::pile(&gpu, (0..100_000).map(|_| near + random.below(1 << 14)).collect()).compare(&gpu).unwrap();
+    Case::pile(
+        &gpu,
+        (0..100_000).map(|_| near + random.below(1 << 14)).collect(),
+    )
+    .compare(&gpu)
+    .unwrap();
 }
 
 #[test]
@@ -239,31 +342,55 @@ fn pairs_without_room_are_counted_and_not_written() {
     let pairs: usize = case.twin().records.iter().map(Vec::len).sum();
     for pairs_max in [1, pairs / 2, pairs - 1] {
         let (sorted, required) = case.kernel(&gpu, pairs_max).unwrap();
-        assert!(sorted.is_none() && required.pairs as usize == pairs, "{required:?}");
+        assert!(
+            sorted.is_none() && required.pairs as usize == pairs,
+            "{required:?}"
+        );
     }
-    assert_eq!(case.kernel(&gpu, pairs + 1000).unwrap().0, Some(case.twin()));
+    assert_eq!(
+        case.kernel(&gpu, pairs + 1000).unwrap().0,
+        Some(case.twin())
+    );
 }
 
 #[test]
 fn more_pairs_than_32_bits_hold_do_not_look_like_few() {
     let gpu = open();
-    let capacity = Capacity { records: 1, pairs: 5000, partials: 4 };
+    let capacity = Capacity {
+        records: 1,
+        pairs: 5000,
+        partials: 4,
+    };
     let bins = 9u32;
     // Eight times 2^30 wrap to nothing.
     let counters = counters(&gpu, RequiredCounts::default(), &[]);
     let buffers = TileSortBuffers::new(&gpu, &capacity, bins).unwrap();
-    let counts: Vec<u32> =
-        (0..bins as usize * SLABS).map(|i| if i % SLABS == 7 && i < 8 * SLABS { 1 << 30 } else { 0 }).collect();
+    let counts: Vec<u32> = (0..bins as usize * SLABS)
+        .map(|i| {
+            if i % SLABS == 7 && i < 8 * SLABS {
+                1 << 30
+            } else {
+                0
+            }
+        })
+        .collect();
     gpu.write(&buffers.slab_counts, 0, &counts).unwrap();
     let plan = Plan::new(&gpu, &capacity, bins).unwrap();
-    let (buckets, segments) = (PlanBuckets::new(&gpu).unwrap(), PlanSegments::new(&gpu, 1024).unwrap());
+    let (buckets, segments) = (
+        PlanBuckets::new(&gpu).unwrap(),
+        PlanSegments::new(&gpu, 1024).unwrap(),
+    );
     run(&gpu, |r| {
         buckets.record(r, &counters, &buffers, bins);
         segments.record(r, &counters, &buffers.tile_lists, bins, &capacity, &plan);
     });
     let (required, arguments) = found(&gpu, &counters);
     assert_eq!((required.pairs, required.longest), (u32::MAX, 1 << 30));
-    assert_eq!(arguments[IndirectArguments::Blend as usize][0], 0, "nothing is blended");
+    assert_eq!(
+        arguments[IndirectArguments::Blend as usize][0],
+        0,
+        "nothing is blended"
+    );
 }
 
 #[test]
@@ -273,10 +400,16 @@ fn the_slab_never_falls_with_the_key() {
         let (a, b) = (random.word(), random.word());
         let (low, high) = (a.min(b), a.max(b));
         let (camera_depth, key_scale) = (random.between(-0.9, 0.9), 1.0 / 128.0);
-        assert!(twins::depth_slab(low, camera_depth, key_scale) <= twins::depth_slab(high, camera_depth, key_scale));
+        assert!(
+            twins::depth_slab(low, camera_depth, key_scale)
+                <= twins::depth_slab(high, camera_depth, key_scale)
+        );
         assert!(depth_of_key(low) <= depth_of_key(high));
     }
-    assert_ne!(twins::depth_slab(depth_key(0.1), 0.0, 1.0 / 128.0), twins::depth_slab(depth_key(0.2), 0.0, 1.0 / 128.0));
+    assert_ne!(
+        twins::depth_slab(depth_key(0.1), 0.0, 1.0 / 128.0),
+        twins::depth_slab(depth_key(0.2), 0.0, 1.0 / 128.0)
+    );
 }
 
 #[test]
@@ -285,11 +418,23 @@ fn records_in_another_order_are_seen() {
     let case = Case::hard(&gpu, 500, Rules::DEFAULT);
     let kernel = case.compare(&gpu).unwrap();
     let mut twin = case.twin();
-    let tile = twin.records.iter().position(|records| records.len() > 1).unwrap();
+    let tile = twin
+        .records
+        .iter()
+        .position(|records| records.len() > 1)
+        .unwrap();
     twin.records[tile].swap(0, 1);
     let tile_records = format!("records of coarse tile {tile}");
-    assert!(check_lists(&kernel, &twin).unwrap_err().starts_with(&tile_records));
+    assert!(
+        check_lists(&kernel, &twin)
+            .unwrap_err()
+            .starts_with(&tile_records)
+    );
     twin.records[tile].swap(0, 1);
     twin.buckets[tile][0] += 1;
-    assert!(check_lists(&kernel, &twin).unwrap_err().starts_with("buckets"));
+    assert!(
+        check_lists(&kernel, &twin)
+            .unwrap_err()
+            .starts_with("buckets")
+    );
 }

@@ -4,7 +4,8 @@
 use super::Finding;
 use super::tree::{SourceFile, Tree};
 
-/// Kernels that belong to a stage of another name, as `(kernel, stage)`: a stage of several dispatches has one file or folder.
+/// Kernels that belong to a stage of another name, as `(kernel, stage)`: a stage of several
+/// dispatches has one file or folder.
 const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
     ("cull_agents", "agents"),
     ("project_agents", "agents"),
@@ -21,10 +22,16 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("shaders/Cargo.toml", &[]),
     ("engine/asset/Cargo.toml", &["decouplegs-scene"]),
     ("engine/drive/Cargo.toml", &["decouplegs-scene"]),
-    ("engine/render/Cargo.toml", &["decouplegs-scene", "decouplegs-gpu", "decouplegs-shaders"]),
+    (
+        "engine/render/Cargo.toml",
+        &["decouplegs-scene", "decouplegs-gpu", "decouplegs-shaders"],
+    ),
     ("tools/Cargo.toml", &["decouplegs"]),
     ("tools/server/Cargo.toml", &["decouplegs"]),
-    ("tools/python/Cargo.toml", &["decouplegs", "decouplegs-sharing"]),
+    (
+        "tools/python/Cargo.toml",
+        &["decouplegs", "decouplegs-sharing"],
+    ),
     ("tools/python/sharing/Cargo.toml", &[]),
     ("tools/c/Cargo.toml", &["decouplegs"]),
 ];
@@ -33,35 +40,73 @@ const MAY_USE: &[(&str, &[&str])] = &[
 const MAY_TEST_WITH: &[(&str, &str)] = &[("engine/drive/Cargo.toml", "decouplegs-asset")];
 
 /// Findings for the lines of `texts` in which `fault` sees one.
-fn lines_with(file: &SourceFile, text: &str, fault: impl Fn(&str) -> Option<String>) -> Vec<Finding> {
+fn lines_with(
+    file: &SourceFile,
+    text: &str,
+    fault: impl Fn(&str) -> Option<String>,
+) -> Vec<Finding> {
     let lines = text.lines().enumerate();
-    lines.filter_map(|(i, line)| Some(Finding { path: file.path.clone(), line: i + 1, what: fault(line)? })).collect()
+    lines
+        .filter_map(|(i, line)| {
+            Some(Finding {
+                path: file.path.clone(),
+                line: i + 1,
+                what: fault(line)?,
+            })
+        })
+        .collect()
 }
 
 /// True if `word` stands in `text` with nothing of a name on either side.
 fn has_word(text: &str, word: &str) -> bool {
     let part_of_a_name = |c: char| c.is_alphanumeric() || c == '_';
-    text.match_indices(word)
-        .any(|(at, _)| !text[..at].ends_with(part_of_a_name) && !text[at + word.len()..].starts_with(part_of_a_name))
+    text.match_indices(word).any(|(at, _)| {
+        !text[..at].ends_with(part_of_a_name)
+            && !text[at + word.len()..].starts_with(part_of_a_name)
+    })
 }
 
 pub fn nothing_undone(tree: &Tree) -> Vec<Finding> {
-    let words = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X")];
-    let code = [concat!("to", "do!"), concat!("unimpl", "emented!"), concat!("#[ign", "ore")];
+    let words = [
+        concat!("TO", "DO"),
+        concat!("FIX", "ME"),
+        concat!("XX", "X"),
+    ];
+    let code = [
+        concat!("to", "do!"),
+        concat!("unimpl", "emented!"),
+        concat!("#[ign", "ore"),
+    ];
     let fault = |line: &str| {
         let word = words.iter().find(|word| has_word(line, word));
-        word.or_else(|| code.iter().find(|part| line.contains(*part))).map(|found| format!("{found} in {:?}", line.trim()))
+        word.or_else(|| code.iter().find(|part| line.contains(*part)))
+            .map(|found| format!("{found} in {:?}", line.trim()))
     };
-    tree.files.iter().flat_map(|file| lines_with(file, &file.text, fault)).collect()
+    tree.files
+        .iter()
+        .flat_map(|file| lines_with(file, &file.text, fault))
+        .collect()
 }
 
 pub fn named_for_a_subject(tree: &Tree) -> Vec<Finding> {
-    let empty_words = ["util", "utils", "helper", "helpers", "common", "manager", "misc"];
-    let parts_of = |path: &str| -> Vec<String> { path.split(['/', '.', '_', '-']).map(str::to_lowercase).collect() };
+    let empty_words = [
+        "util", "utils", "helper", "helpers", "common", "manager", "misc",
+    ];
+    let parts_of = |path: &str| -> Vec<String> {
+        path.split(['/', '.', '_', '-'])
+            .map(str::to_lowercase)
+            .collect()
+    };
     let bad = tree.files.iter().filter_map(|file| {
         let parts = parts_of(&file.path);
-        let word = parts.iter().find(|part| empty_words.contains(&part.as_str()))?;
-        Some(Finding { path: file.path.clone(), line: 0, what: format!("{word:?} names no subject") })
+        let word = parts
+            .iter()
+            .find(|part| empty_words.contains(&part.as_str()))?;
+        Some(Finding {
+            path: file.path.clone(),
+            line: 0,
+            what: format!("{word:?} names no subject"),
+        })
     });
     bad.collect()
 }
@@ -95,7 +140,11 @@ pub fn unsafe_is_explained(tree: &Tree) -> Vec<Finding> {
                 rest.starts_with('{') || rest.starts_with("impl") || rest.is_empty()
             });
             if opens && has_word(code, "unsafe") && !explained(&lines[..=i]) {
-                findings.push(Finding { path: file.path.clone(), line: i + 1, what: code.trim().to_owned() });
+                findings.push(Finding {
+                    path: file.path.clone(),
+                    line: i + 1,
+                    what: code.trim().to_owned(),
+                });
             }
         }
     }
@@ -105,7 +154,9 @@ pub fn unsafe_is_explained(tree: &Tree) -> Vec<Finding> {
 /// True if a comment with the word stands on the last of `lines` or in front of the statement that
 /// ends there.
 fn explained(lines: &[(&str, &str)]) -> bool {
-    let (last, above) = lines.split_last().expect("there is the line with the block");
+    let (last, above) = lines
+        .split_last()
+        .expect("there is the line with the block");
     let mut in_statement = true;
     last.0.contains("SAFETY:")
         || above
@@ -121,7 +172,9 @@ fn explained(lines: &[(&str, &str)]) -> bool {
 
 pub fn vulkan_only_in_gpu(tree: &Tree) -> Vec<Finding> {
     let fault = |line: &str| {
-        let seen = ["vk::", "ash::"].iter().any(|path| has_word(&line.replace("::", ":: "), path));
+        let seen = ["vk::", "ash::"]
+            .iter()
+            .any(|path| has_word(&line.replace("::", ":: "), path));
         seen.then(|| line.trim().to_owned())
     };
     tree.files
@@ -132,25 +185,53 @@ pub fn vulkan_only_in_gpu(tree: &Tree) -> Vec<Finding> {
 }
 
 pub fn shader_says_what_it_is(tree: &Tree) -> Vec<Finding> {
-    let shaders = tree.files.iter().filter(|file| file.path.ends_with(".comp") || file.path.ends_with(".glsl"));
-    let first_line =
-        |file: &&SourceFile| file.text.lines().find(|line| !line.starts_with("#version")).unwrap_or_default().to_owned();
+    let shaders = tree
+        .files
+        .iter()
+        .filter(|file| file.path.ends_with(".comp") || file.path.ends_with(".glsl"));
+    let first_line = |file: &&SourceFile| {
+        file.text
+            .lines()
+            .find(|line| !line.starts_with("#version"))
+            .unwrap_or_default()
+            .to_owned()
+    };
     let silent = shaders.filter(|file| !first_line(file).starts_with("//"));
     let what = "the first line is no comment".to_owned();
-    silent.map(|file| Finding { path: file.path.clone(), line: 1, what: what.clone() }).collect()
+    silent
+        .map(|file| Finding {
+            path: file.path.clone(),
+            line: 1,
+            what: what.clone(),
+        })
+        .collect()
 }
 
 pub fn kernel_has_its_stem(tree: &Tree) -> Vec<Finding> {
-    let kernels = tree.files.iter().filter(|file| file.path.starts_with("shaders/") && file.path.ends_with(".comp"));
+    let kernels = tree
+        .files
+        .iter()
+        .filter(|file| file.path.starts_with("shaders/") && file.path.ends_with(".comp"));
     let alone = kernels.filter_map(|file| {
-        let stem = KERNELS_OF_A_STAGE.iter().find(|(kernel, _)| *kernel == file.stem()).map_or(file.stem(), |(_, stage)| stage);
-        let places = ["engine/render/src/stages", "engine/render/src/twins", "tests/stages"];
+        let stem = KERNELS_OF_A_STAGE
+            .iter()
+            .find(|(kernel, _)| *kernel == file.stem())
+            .map_or(file.stem(), |(_, stage)| stage);
+        let places = [
+            "engine/render/src/stages",
+            "engine/render/src/twins",
+            "tests/stages",
+        ];
         let exists = |path: String| tree.files.iter().any(|other| other.path == path);
         let missing: Vec<String> = (places.iter().map(|folder| format!("{folder}/{stem}")))
             .filter(|path| !exists(format!("{path}.rs")) && !exists(format!("{path}/mod.rs")))
             .map(|path| path + ".rs")
             .collect();
-        let finding = || Finding { path: file.path.clone(), line: 0, what: format!("missing: {}", missing.join(", ")) };
+        let finding = || Finding {
+            path: file.path.clone(),
+            line: 0,
+            what: format!("missing: {}", missing.join(", ")),
+        };
         (!missing.is_empty()).then(finding)
     });
     alone.collect()
@@ -158,66 +239,274 @@ pub fn kernel_has_its_stem(tree: &Tree) -> Vec<Finding> {
 
 pub fn crates_depend_one_way(tree: &Tree) -> Vec<Finding> {
     let depends = |file: &SourceFile, allowed: &[&str]| {
-        let tests_from = file.text.find("[dev-dependencies]").unwrap_or(file.text.len());
-        let is_for_tests = |line: &str| line.as_ptr().addr() - file.text.as_ptr().addr() > tests_from;
+        let tests_from = file
+            .text
+            .find("[dev-dependencies]")
+            .unwrap_or(file.text.len());
+        let is_for_tests =
+            |line: &str| line.as_ptr().addr() - file.text.as_ptr().addr() > tests_from;
         let fault = |line: &str| {
-            let used =
-                line.split(['.', ' ', '=']).next().filter(|name| *name == "decouplegs" || name.starts_with("decouplegs-"))?;
-            let may_test = is_for_tests(line) && MAY_TEST_WITH.contains(&(file.path.as_str(), used));
+            let used = line
+                .split(['.', ' ', '='])
+                .next()
+                .filter(|name| *name == "decouplegs" || name.starts_with("decouplegs-"))?;
+            let may_test =
+                is_for_tests(line) && MAY_TEST_WITH.contains(&(file.path.as_str(), used));
             (!allowed.contains(&used) && !may_test).then(|| format!("{used} is above or beside it"))
         };
         lines_with(file, &file.text, fault)
     };
-    let known = tree.files.iter().filter_map(|file| Some((file, MAY_USE.iter().find(|(path, _)| *path == file.path)?.1)));
-    known.flat_map(|(file, allowed)| depends(file, allowed)).collect()
+    let known = tree
+        .files
+        .iter()
+        .filter_map(|file| Some((file, MAY_USE.iter().find(|(path, _)| *path == file.path)?.1)));
+    known
+        .flat_map(|(file, allowed)| depends(file, allowed))
+        .collect()
 }
 
 pub fn crates_forbid_unsafe(tree: &Tree) -> Vec<Finding> {
     let is_first = |file: &&SourceFile| file.path == "tools/main.rs" || file.name() == "lib.rs";
     let safe = |file: &&SourceFile| is_first(file) && !is_gpu(file) && !is_boundary(file);
-    let open = tree.files.iter().filter(|file| safe(file) && !file.code.contains("#![forbid(unsafe_code)]"));
-    open.map(|file| Finding { path: file.path.clone(), line: 0, what: "#![forbid(unsafe_code)] is missing".into() }).collect()
+    let open = tree
+        .files
+        .iter()
+        .filter(|file| safe(file) && !file.code.contains("#![forbid(unsafe_code)]"));
+    open.map(|file| Finding {
+        path: file.path.clone(),
+        line: 0,
+        what: "#![forbid(unsafe_code)] is missing".into(),
+    })
+    .collect()
+}
+
+/// True for tests, whose tables of cases are long.
+fn is_test(file: &SourceFile) -> bool {
+    file.path.starts_with("tests/") || file.path.contains("/tests/") || file.stem() == "tests"
 }
 
 pub fn files_have_an_end(tree: &Tree) -> Vec<Finding> {
-    const LINES_MAX: usize = 400;
-    let sources = tree.files.iter().filter(|file| [".rs", ".comp", ".glsl"].iter().any(|end| file.path.ends_with(end)));
-    let long = sources.map(|file| (file, file.text.lines().count())).filter(|(_, lines)| *lines > LINES_MAX);
-    long.map(|(file, lines)| Finding { path: file.path.clone(), line: 0, what: format!("{lines} lines") }).collect()
+    const LINES_MAX: usize = 550;
+    const TEST_LINES_MAX: usize = 600;
+    let sources = tree.files.iter().filter(|file| {
+        [".rs", ".comp", ".glsl"]
+            .iter()
+            .any(|end| file.path.ends_with(end))
+    });
+    let long = sources
+        .map(|file| (file, file.text.lines().count()))
+        .filter(|(file, lines)| {
+            *lines
+                > if is_test(file) {
+                    TEST_LINES_MAX
+                } else {
+                    LINES_MAX
+                }
+        });
+    long.map(|(file, lines)| Finding {
+        path: file.path.clone(),
+        line: 0,
+        what: format!("{lines} lines"),
+    })
+    .collect()
 }
 
-pub fn no_machine_paths(tree: &Tree) -> Vec<Finding> {
-    let folders = [concat!("/wo", "rk"), concat!("/ro", "ot"), concat!("/t", "mp"), concat!("/ho", "me")];
-    let fault = |line: &str| {
-        let absolute = |folder: &&&str| {
-            line.match_indices(**folder).any(|(at, found)| {
-                let starts = !line[..at].ends_with(|c: char| c.is_alphanumeric() || "_.-})*".contains(c));
-                starts && !line[at + found.len()..].starts_with(|c: char| c.is_alphanumeric() || "_-".contains(c))
-            })
-        };
-        folders.iter().find(absolute).map(|folder| format!("{folder} in {:?}", line.trim()))
-    };
-    let read_by_others = tree.files.iter().filter(|file| !file.path.starts_with("tests/"));
-    read_by_others.flat_map(|file| lines_with(file, &file.text, fault)).collect()
+/// Words that a doc comment must not begin with: what follows them is a riddle away from the item.
+const RELATIVE_WORDS: [&str; 15] = [
+    "What",
+    "How",
+    "Where",
+    "Whether",
+    "When",
+    "Who",
+    "Whose",
+    "Whom",
+    "Which",
+    "Why",
+    "Its",
+    "Of",
+    "As",
+    concat!("Every", "body"),
+    "Nobody",
+];
+
+/// The text of a doc comment's line, if `line` is one.
+fn doc_text(line: &str) -> Option<&str> {
+    let line = line.trim_start();
+    let text = line
+        .strip_prefix("///")
+        .or_else(|| line.strip_prefix("//!"))?;
+    Some(text.trim())
 }
 
-pub fn functions_fit_a_screen(tree: &Tree) -> Vec<Finding> {
-    const LINES_MAX: usize = 70;
+pub fn docs_name_their_subject(tree: &Tree) -> Vec<Finding> {
     let mut findings = Vec::new();
     for file in tree.files.iter().filter(|file| file.is_rust()) {
-        for (at, _) in file.code.match_indices("fn ") {
-            let starts_a_word = !file.code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
-            let lines = function_lines(&file.code[at..]);
-            if starts_a_word && lines > LINES_MAX {
-                let line = file.code[..at].lines().count().max(1);
-                findings.push(Finding { path: file.path.clone(), line, what: format!("a function of {lines} lines") });
+        let mut in_doc = false;
+        for (i, line) in file.text.lines().enumerate() {
+            let text = doc_text(line);
+            let begins = !in_doc;
+            in_doc = text.is_some();
+            let first = text
+                .and_then(|text| text.split_whitespace().next())
+                .unwrap_or_default();
+            if begins && RELATIVE_WORDS.contains(&first) {
+                findings.push(Finding {
+                    path: file.path.clone(),
+                    line: i + 1,
+                    what: format!("begins with {first:?}: name the thing, or what it does"),
+                });
             }
         }
     }
     findings
 }
 
-/// Lines from the start of `code` to the brace that closes its first block; 0 where a `;` comes before any block.
+pub fn comments_are_narrow(tree: &Tree) -> Vec<Finding> {
+    const COLUMNS_MAX: usize = 100;
+    let fault = |line: &str| {
+        let comment = line
+            .trim_start()
+            .strip_prefix("//")?
+            .trim_start_matches(['/', '!'])
+            .trim();
+        // Tables, and what has no space to break at.
+        let breaks = !comment.starts_with('|') && comment.contains(' ');
+        let columns = line.chars().count();
+        (breaks && columns > COLUMNS_MAX).then(|| format!("a comment of {columns} columns"))
+    };
+    let sources = [".rs", ".comp", ".glsl"];
+    let files = tree
+        .files
+        .iter()
+        .filter(|file| sources.iter().any(|end| file.path.ends_with(end)));
+    files
+        .flat_map(|file| lines_with(file, &file.text, fault))
+        .collect()
+}
+
+/// Words that the field has better ones for, with those. `CHANGELOG.md` tells of them.
+const RETIRED_WORDS: &[(&str, &str)] = &[
+    (concat!("pict", "ure"), "image"),
+    (concat!("pict", "ures"), "images"),
+    (concat!("col", "our"), "color"),
+    (concat!("cen", "tre"), "center"),
+    (concat!("met", "re"), "meter"),
+    (concat!("met", "res"), "meters"),
+    (concat!("neigh", "bour"), "neighbor"),
+    (concat!("behav", "iour"), "behavior"),
+    (concat!("raster", "isation"), "rasterization"),
+    (concat!("fir", "sts"), "offsets"),
+    (concat!("macro ", "tile"), "coarse tile"),
+    (concat!("macro ", "tiles"), "coarse tiles"),
+    (concat!("macro_", "tile"), "coarse_tile"),
+    (concat!("render ", "tile"), "fine tile"),
+    (concat!("render ", "tiles"), "fine tiles"),
+    (concat!("who", "ever"), "the vehicle, caller or reader that"),
+    (concat!("Who", "ever"), "the vehicle, caller or reader that"),
+    (concat!("some", "body"), "a vehicle, a caller"),
+    (concat!("Some", "body"), "a vehicle, a caller"),
+    (concat!("every", "body"), "all vehicles"),
+    (concat!("Every", "body"), "all vehicles"),
+    (concat!("made ", "up"), "synthetic, generated"),
+    (concat!("looked ", "at"), "examined"),
+    (concat!("Resident", "World"), "GpuScene"),
+    (concat!("Frame", "Slot"), "FrameInFlight"),
+    (concat!("Yard", "stick"), "QualityMeter"),
+    (concat!("Show", "case"), "ExampleCrops"),
+];
+
+/// Exceptions for retired words: keys of files on disk, and compiled test kernels.
+const MAY_USE_RETIRED: &[(&str, &str)] = &[
+    ("engine/gpu/tests/", concat!("pict", "ure")),
+    (
+        "engine/drive/tests/drive/alignment.rs",
+        concat!("met", "re"),
+    ),
+];
+
+pub fn no_retired_words(tree: &Tree) -> Vec<Finding> {
+    let texts = [".rs", ".comp", ".glsl", ".md", ".py", ".pyi", ".c", ".h"];
+    let files = tree.files.iter().filter(|file| {
+        file.path != "CHANGELOG.md" && texts.iter().any(|end| file.path.ends_with(end))
+    });
+    let mut findings = Vec::new();
+    for file in files {
+        let allowed = |word: &str| {
+            let mut exceptions = MAY_USE_RETIRED.iter();
+            exceptions.any(|(path, other)| file.path.starts_with(path) && *other == word)
+        };
+        let fault = |line: &str| {
+            let found = RETIRED_WORDS
+                .iter()
+                .find(|(word, _)| has_word(line, word) && !allowed(word));
+            found.map(|(word, better)| format!("{word:?}: say {better:?}"))
+        };
+        findings.extend(lines_with(file, &file.text, fault));
+    }
+    findings
+}
+
+pub fn no_machine_paths(tree: &Tree) -> Vec<Finding> {
+    let folders = [
+        concat!("/wo", "rk"),
+        concat!("/ro", "ot"),
+        concat!("/t", "mp"),
+        concat!("/ho", "me"),
+    ];
+    let fault = |line: &str| {
+        let absolute = |folder: &&&str| {
+            line.match_indices(**folder).any(|(at, found)| {
+                let starts =
+                    !line[..at].ends_with(|c: char| c.is_alphanumeric() || "_.-})*".contains(c));
+                starts
+                    && !line[at + found.len()..]
+                        .starts_with(|c: char| c.is_alphanumeric() || "_-".contains(c))
+            })
+        };
+        folders
+            .iter()
+            .find(absolute)
+            .map(|folder| format!("{folder} in {:?}", line.trim()))
+    };
+    let read_by_others = tree
+        .files
+        .iter()
+        .filter(|file| !file.path.starts_with("tests/"));
+    read_by_others
+        .flat_map(|file| lines_with(file, &file.text, fault))
+        .collect()
+}
+
+pub fn functions_fit_a_screen(tree: &Tree) -> Vec<Finding> {
+    const LINES_MAX: usize = 95;
+    const TEST_LINES_MAX: usize = 160;
+    let mut findings = Vec::new();
+    for file in tree.files.iter().filter(|file| file.is_rust()) {
+        for (at, _) in file.code.match_indices("fn ") {
+            let starts_a_word =
+                !file.code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
+            let lines = function_lines(&file.code[at..]);
+            let most = if is_test(file) {
+                TEST_LINES_MAX
+            } else {
+                LINES_MAX
+            };
+            if starts_a_word && lines > most {
+                let line = file.code[..at].lines().count().max(1);
+                findings.push(Finding {
+                    path: file.path.clone(),
+                    line,
+                    what: format!("a function of {lines} lines"),
+                });
+            }
+        }
+    }
+    findings
+}
+
+/// Lines from the start of `code` to the brace that closes its first block; 0 where a `;` comes
+/// before any block.
 fn function_lines(code: &str) -> usize {
     let (mut braces, mut brackets) = (0_usize, 0_usize);
     for (at, c) in code.char_indices() {

@@ -1,6 +1,7 @@
 //! Telling code from comments and literals, for Rust and GLSL.
 
-/// `text` with the inside of every comment, string and character literal replaced by spaces. Lines stay where they are.
+/// `text` with the inside of every comment, string and character literal replaced by spaces. Lines
+/// stay where they are.
 pub fn code_only(text: &str) -> String {
     let bytes = text.as_bytes();
     let mut code = Vec::with_capacity(bytes.len());
@@ -12,27 +13,44 @@ pub fn code_only(text: &str) -> String {
             at += 1;
         } else {
             let end = (at + length).min(bytes.len());
-            code.extend(bytes[at..end].iter().map(|&byte| if byte == b'\n' { b'\n' } else { b' ' }));
+            code.extend(
+                bytes[at..end]
+                    .iter()
+                    .map(|&byte| if byte == b'\n' { b'\n' } else { b' ' }),
+            );
             at = end;
         }
     }
     String::from_utf8(code).expect("literals and comments are blanked whole")
 }
 
-/// Length of the comment or literal that starts `rest`, 0 if none does. `before` is the byte in front of it.
+/// Length of the comment or literal that starts `rest`, 0 if none does. `before` is the byte in
+/// front of it.
 fn literal_length(rest: &[u8], before: Option<u8>) -> usize {
     let inside_a_word = before.is_some_and(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
     match rest {
-        [b'/', b'/', ..] => rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len()),
+        [b'/', b'/', ..] => rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .unwrap_or(rest.len()),
         [b'/', b'*', ..] => block_comment_length(rest),
         [b'"', ..] => 1 + quoted_length(&rest[1..], b'"'),
         [b'r', ..] | [b'b', b'r', ..] if !inside_a_word => raw_string_length(rest),
         // 'a' and '\n' are characters, 'a is a lifetime.
         [b'\'', b'\\', ..] => 1 + quoted_length(&rest[1..], b'\''),
         [b'\'', ..] => {
-            let character = std::str::from_utf8(&rest[1..rest.len().min(5)]).map_or_else(|error| error.valid_up_to(), str::len);
-            let first = std::str::from_utf8(&rest[1..=character]).ok().and_then(|text| text.chars().next());
-            first.map_or(0, |first| if rest.get(1 + first.len_utf8()) == Some(&b'\'') { first.len_utf8() + 2 } else { 0 })
+            let character = std::str::from_utf8(&rest[1..rest.len().min(5)])
+                .map_or_else(|error| error.valid_up_to(), str::len);
+            let first = std::str::from_utf8(&rest[1..=character])
+                .ok()
+                .and_then(|text| text.chars().next());
+            first.map_or(0, |first| {
+                if rest.get(1 + first.len_utf8()) == Some(&b'\'') {
+                    first.len_utf8() + 2
+                } else {
+                    0
+                }
+            })
         }
         _ => 0,
     }
@@ -69,14 +87,19 @@ fn quoted_length(rest: &[u8], quote: u8) -> usize {
 
 fn raw_string_length(rest: &[u8]) -> usize {
     let prefix = if rest[0] == b'b' { 2 } else { 1 };
-    let hashes = rest[prefix..].iter().take_while(|&&byte| byte == b'#').count();
+    let hashes = rest[prefix..]
+        .iter()
+        .take_while(|&&byte| byte == b'#')
+        .count();
     let open = prefix + hashes;
     if rest.get(open) != Some(&b'"') {
         return 0;
     }
     let mut close = vec![b'"'];
     close.resize(1 + hashes, b'#');
-    let found = rest[open + 1..].windows(close.len()).position(|window| window == close);
+    let found = rest[open + 1..]
+        .windows(close.len())
+        .position(|window| window == close);
     found.map_or(rest.len(), |at| open + 1 + at + close.len())
 }
 

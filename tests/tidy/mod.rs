@@ -28,14 +28,21 @@ pub struct Rule {
 }
 
 fn report(rule: &Rule, findings: &[Finding]) -> String {
-    let lines: Vec<String> = findings.iter().map(|found| format!("{}:{}: {}", found.path, found.line, found.what)).collect();
+    let lines: Vec<String> = findings
+        .iter()
+        .map(|found| format!("{}:{}: {}", found.path, found.line, found.what))
+        .collect();
     format!("{}\n  {}", rule.name, lines.join("\n  "))
 }
 
 #[test]
 fn the_sources_keep_every_rule() {
     let tree = Tree::of_repository();
-    assert!(tree.files.len() > 20, "only {} files were found: the walk is broken", tree.files.len());
+    assert!(
+        tree.files.len() > 20,
+        "only {} files were found: the walk is broken",
+        tree.files.len()
+    );
     let broken: Vec<String> = RULES
         .iter()
         .map(|rule| (rule, (rule.check)(&tree)))
@@ -48,14 +55,33 @@ fn the_sources_keep_every_rule() {
 #[test]
 fn every_rule_passes_what_keeps_it_and_finds_what_breaks_it() {
     for rule in RULES {
-        let files = rule.kept_by.iter().map(|&(path, text)| SourceFile::new(path, text)).collect();
+        let files = rule
+            .kept_by
+            .iter()
+            .map(|&(path, text)| SourceFile::new(path, text))
+            .collect();
         let findings = (rule.check)(&Tree { files });
-        assert!(findings.is_empty(), "should have passed: {}", report(rule, &findings));
+        assert!(
+            findings.is_empty(),
+            "should have passed: {}",
+            report(rule, &findings)
+        );
 
-        assert!(!rule.broken_by.is_empty(), "{}: no case that must fail", rule.name);
+        assert!(
+            !rule.broken_by.is_empty(),
+            "{}: no case that must fail",
+            rule.name
+        );
         for &(path, text) in rule.broken_by {
-            let findings = (rule.check)(&Tree { files: vec![SourceFile::new(path, text)] });
-            assert_eq!(findings.len(), 1, "should have failed once, on {path} with {text:?}: {}", report(rule, &findings));
+            let findings = (rule.check)(&Tree {
+                files: vec![SourceFile::new(path, text)],
+            });
+            assert_eq!(
+                findings.len(),
+                1,
+                "should have failed once, on {path} with {text:?}: {}",
+                report(rule, &findings)
+            );
         }
     }
 }

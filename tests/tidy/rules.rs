@@ -1,10 +1,12 @@
-//! The rules. Words that a rule forbids are put together from halves here, so that this file keeps the rules too.
+//! The rules. Words that a rule forbids are put together from halves here, so that this file keeps
+//! the rules too.
 
 use super::Rule;
 use super::checks::{
-    crates_depend_one_way, crates_forbid_unsafe, files_have_an_end, functions_fit_a_screen, kernel_has_its_stem,
-    named_for_a_subject, no_machine_paths, nothing_undone, shader_says_what_it_is, unsafe_is_explained, unsafe_only_in_gpu,
-    vulkan_only_in_gpu,
+    comments_are_narrow, crates_depend_one_way, crates_forbid_unsafe, docs_name_their_subject,
+    files_have_an_end, functions_fit_a_screen, kernel_has_its_stem, named_for_a_subject,
+    no_machine_paths, no_retired_words, nothing_undone, shader_says_what_it_is,
+    unsafe_is_explained, unsafe_only_in_gpu, vulkan_only_in_gpu,
 };
 
 /// Every rule.
@@ -12,7 +14,10 @@ pub const RULES: &[Rule] = &[
     Rule {
         name: "nothing is left undone: finish it, or write an issue",
         check: nothing_undone,
-        kept_by: &[("engine/a.rs", "// A todo list is a list.\nlet unimplemented = 1;")],
+        kept_by: &[(
+            "engine/a.rs",
+            "// A todo list is a list.\nlet unimplemented = 1;",
+        )],
         broken_by: &[
             ("engine/a.rs", concat!("// TO", "DO: later")),
             ("shaders/a.comp", concat!("// FIX", "ME")),
@@ -35,11 +40,23 @@ pub const RULES: &[Rule] = &[
         name: "unsafe code stays in engine/gpu, and at the boundaries to C and Python",
         check: unsafe_only_in_gpu,
         kept_by: &[
-            ("engine/gpu/src/a.rs", "// SAFETY: checked above.\nunsafe { a() }"),
-            ("tools/python/src/a.rs", "// SAFETY: checked above.\nunsafe { a() }"),
-            ("tools/main.rs", "#![forbid(unsafe_code)]\n// unsafe in a comment\nlet a = \"unsafe\";"),
+            (
+                "engine/gpu/src/a.rs",
+                "// SAFETY: checked above.\nunsafe { a() }",
+            ),
+            (
+                "tools/python/src/a.rs",
+                "// SAFETY: checked above.\nunsafe { a() }",
+            ),
+            (
+                "tools/main.rs",
+                "#![forbid(unsafe_code)]\n// unsafe in a comment\nlet a = \"unsafe\";",
+            ),
         ],
-        broken_by: &[("engine/render/src/a.rs", "fn a() { unsafe { b() } }"), ("tools/pythons.rs", "fn a() { unsafe { b() } }")],
+        broken_by: &[
+            ("engine/render/src/a.rs", "fn a() { unsafe { b() } }"),
+            ("tools/pythons.rs", "fn a() { unsafe { b() } }"),
+        ],
     },
     Rule {
         name: "every unsafe block and impl says above it why it is sound, after 'SAFETY:'",
@@ -50,21 +67,42 @@ pub const RULES: &[Rule] = &[
         )],
         broken_by: &[
             ("engine/gpu/src/a.rs", "fn a() {\n    unsafe { b() };\n}"),
-            ("engine/gpu/src/a.rs", "// SAFETY: this is about the first.\nlet a = 1;\nlet b = unsafe { c() };"),
-            ("engine/gpu/src/a.rs", "/// A thing.\nunsafe impl Send for A {}"),
+            (
+                "engine/gpu/src/a.rs",
+                "// SAFETY: this is about the first.\nlet a = 1;\nlet b = unsafe { c() };",
+            ),
+            (
+                "engine/gpu/src/a.rs",
+                "/// A thing.\nunsafe impl Send for A {}",
+            ),
         ],
     },
     Rule {
         name: "Vulkan's types stay in engine/gpu",
         check: vulkan_only_in_gpu,
-        kept_by: &[("engine/gpu/src/a.rs", "use ash::vk;"), ("engine/render/src/a.rs", "// as vk::Buffer is to gpu")],
-        broken_by: &[("engine/render/src/a.rs", "fn a(buffer: vk::Buffer) {}"), ("tools/a.rs", "use ash::Entry;")],
+        kept_by: &[
+            ("engine/gpu/src/a.rs", "use ash::vk;"),
+            ("engine/render/src/a.rs", "// as vk::Buffer is to gpu"),
+        ],
+        broken_by: &[
+            ("engine/render/src/a.rs", "fn a(buffer: vk::Buffer) {}"),
+            ("tools/a.rs", "use ash::Entry;"),
+        ],
     },
     Rule {
         name: "a shader says in its first line, behind #version, what it is",
         check: shader_says_what_it_is,
-        kept_by: &[("shaders/include/a.glsl", "// The constants.\n"), ("shaders/b.comp", "#version 460\n// Adds.\n")],
-        broken_by: &[("shaders/a.comp", "#version 460\nlayout(local_size_x = 64) in;\n// Adds.\n"), ("shaders/b.glsl", "")],
+        kept_by: &[
+            ("shaders/include/a.glsl", "// The constants.\n"),
+            ("shaders/b.comp", "#version 460\n// Adds.\n"),
+        ],
+        broken_by: &[
+            (
+                "shaders/a.comp",
+                "#version 460\nlayout(local_size_x = 64) in;\n// Adds.\n",
+            ),
+            ("shaders/b.glsl", ""),
+        ],
     },
     Rule {
         name: "a kernel shares its stem with its stage, its twin and their test",
@@ -82,15 +120,36 @@ pub const RULES: &[Rule] = &[
         name: "crates depend one way: tools on the engine, render on gpu, asset and render on scene",
         check: crates_depend_one_way,
         kept_by: &[
-            ("engine/render/Cargo.toml", "[dependencies]\ndecouplegs-gpu.workspace = true\n"),
-            ("tools/Cargo.toml", "name = \"decouplegs-tools\"\ndecouplegs.workspace = true\n"),
-            ("engine/drive/Cargo.toml", "[dev-dependencies]\ndecouplegs-asset.workspace = true\n"),
+            (
+                "engine/render/Cargo.toml",
+                "[dependencies]\ndecouplegs-gpu.workspace = true\n",
+            ),
+            (
+                "tools/Cargo.toml",
+                "name = \"decouplegs-tools\"\ndecouplegs.workspace = true\n",
+            ),
+            (
+                "engine/drive/Cargo.toml",
+                "[dev-dependencies]\ndecouplegs-asset.workspace = true\n",
+            ),
         ],
         broken_by: &[
-            ("engine/asset/Cargo.toml", "[dependencies]\ndecouplegs-render.workspace = true\n"),
-            ("engine/drive/Cargo.toml", "[dependencies]\ndecouplegs-asset.workspace = true\n\n[dev-dependencies]\n"),
-            ("engine/gpu/Cargo.toml", "[dependencies]\ndecouplegs-scene = { path = \"../scene\" }\n"),
-            ("engine/scene/Cargo.toml", "[dev-dependencies]\ndecouplegs.workspace = true\n"),
+            (
+                "engine/asset/Cargo.toml",
+                "[dependencies]\ndecouplegs-render.workspace = true\n",
+            ),
+            (
+                "engine/drive/Cargo.toml",
+                "[dependencies]\ndecouplegs-asset.workspace = true\n\n[dev-dependencies]\n",
+            ),
+            (
+                "engine/gpu/Cargo.toml",
+                "[dependencies]\ndecouplegs-scene = { path = \"../scene\" }\n",
+            ),
+            (
+                "engine/scene/Cargo.toml",
+                "[dev-dependencies]\ndecouplegs.workspace = true\n",
+            ),
         ],
     },
     Rule {
@@ -103,12 +162,19 @@ pub const RULES: &[Rule] = &[
             ("tools/python/sharing/src/lib.rs", ""),
             ("engine/a/src/b.rs", ""),
         ],
-        broken_by: &[("engine/a/src/lib.rs", "// #![forbid(unsafe_code)]"), ("tools/main.rs", ""), ("engine/lib.rs", "")],
+        broken_by: &[
+            ("engine/a/src/lib.rs", "// #![forbid(unsafe_code)]"),
+            ("tools/main.rs", ""),
+            ("engine/lib.rs", ""),
+        ],
     },
     Rule {
         name: "no path of one machine in what others read",
         check: no_machine_paths,
-        kept_by: &[("README.md", "a framework/root of the /temporary kind"), ("tests/a.rs", concat!("\"/t", "mp/x\""))],
+        kept_by: &[
+            ("README.md", "a framework/root of the /temporary kind"),
+            ("tests/a.rs", concat!("\"/t", "mp/x\"")),
+        ],
         broken_by: &[
             ("README.md", concat!("see /wo", "rk/main")),
             ("tools/a.rs", concat!("let a = \"/t", "mp\";")),
@@ -117,26 +183,72 @@ pub const RULES: &[Rule] = &[
         ],
     },
     Rule {
-        name: "a function fits a screen: 70 lines",
+        name: "a doc comment begins with a noun or a verb",
+        check: docs_name_their_subject,
+        kept_by: &[(
+            "engine/a.rs",
+            "/// Visible splats.\n/// What follows may begin so.\nfn a() {}\n",
+        )],
+        broken_by: &[
+            ("engine/a.rs", "/// What culling finds.\nfn a() {}\n"),
+            ("engine/a.rs", "//! How a world is stored.\n"),
+        ],
+    },
+    Rule {
+        name: "a comment has at most 100 columns",
+        check: comments_are_narrow,
+        kept_by: &[("engine/a.rs", "// short\nlet a = \"http://x\";\n")],
+        broken_by: &[
+            (
+                "engine/a.rs",
+                "// 23456789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 1\n",
+            ),
+            (
+                "shaders/a.comp",
+                "    // 789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 123456789 1\n",
+            ),
+        ],
+    },
+    Rule {
+        name: "retired words stay retired",
+        check: no_retired_words,
+        kept_by: &[
+            ("CHANGELOG.md", concat!("the pict", "ures are images now\n")),
+            ("engine/a.rs", "// An image in color.\n"),
+        ],
+        broken_by: &[
+            ("engine/a.rs", concat!("// A pict", "ure.\n")),
+            ("README.md", concat!("The col", "our of it.\n")),
+            ("shaders/a.comp", concat!("uint fir", "sts;\n")),
+        ],
+    },
+    Rule {
+        name: "a function has at most 95 lines, in a test 160",
         check: functions_fit_a_screen,
-        kept_by: &[("engine/a.rs", "fn a() -> u32 {\n    { 1 }\n}\ntrait B { fn b(); }\n")],
+        kept_by: &[(
+            "engine/a.rs",
+            "fn a() -> u32 {\n    { 1 }\n}\ntrait B { fn b(); }\n",
+        )],
         broken_by: &[(
             "engine/a.rs",
-            // 71 lines.
-            "fn a() {\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n}\n",
+            // 96 lines.
+            "fn a() {\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n\n}\n",
         )],
     },
     Rule {
-        name: "a file has an end: 400 lines, and usually 300",
+        name: "a file has at most 550 lines, in a test 600, and usually 300",
         check: files_have_an_end,
-        kept_by: &[("engine/a.rs", "\n\n\n"), ("README.md", LINES_401)],
-        broken_by: &[("engine/a.rs", LINES_401), ("shaders/include/a.glsl", LINES_401)],
+        kept_by: &[("engine/a.rs", "\n\n\n"), ("README.md", LINES_551)],
+        broken_by: &[
+            ("engine/a.rs", LINES_551),
+            ("shaders/include/a.glsl", LINES_551),
+        ],
     },
 ];
 
 /// One line more than a file may have.
-const LINES_401: &str = {
-    const BYTES: [u8; 401] = [b'\n'; 401];
+const LINES_551: &str = {
+    const BYTES: [u8; 551] = [b'\n'; 551];
     match std::str::from_utf8(&BYTES) {
         Ok(text) => text,
         Err(_) => panic!("line feeds are text"),

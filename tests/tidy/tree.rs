@@ -9,14 +9,26 @@ use super::code::code_only;
 pub struct SourceFile {
     pub path: String,
     pub text: String,
-    /// The text with comments and literals blanked out, line for line, if this is a Rust or GLSL file; else empty.
+    /// The text with comments and literals blanked out, line for line, if this is a Rust or GLSL
+    /// file; else empty.
     pub code: String,
 }
 
 impl SourceFile {
     pub fn new(path: &str, text: &str) -> Self {
-        let code = if [".rs", ".comp", ".glsl"].iter().any(|end| path.ends_with(end)) { code_only(text) } else { String::new() };
-        Self { path: path.to_owned(), text: text.to_owned(), code }
+        let code = if [".rs", ".comp", ".glsl"]
+            .iter()
+            .any(|end| path.ends_with(end))
+        {
+            code_only(text)
+        } else {
+            String::new()
+        };
+        Self {
+            path: path.to_owned(),
+            text: text.to_owned(),
+            code,
+        }
     }
 
     pub fn name(&self) -> &str {
@@ -59,15 +71,23 @@ fn is_ours(folder: &str) -> bool {
 fn collect(root: &Path, folder: &Path, files: &mut Vec<SourceFile>) {
     for entry in fs::read_dir(folder).expect("the repository can be read") {
         let path = entry.expect("the repository can be read").path();
-        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        let name = path
+            .file_name()
+            .and_then(|name| name.to_str())
+            .unwrap_or_default();
         if path.is_dir() {
             if is_ours(name) {
                 collect(root, &path, files);
             }
         } else if let Ok(text) = fs::read_to_string(&path) {
             // Images and other files that are not UTF-8 are passed over.
-            let relative = path.strip_prefix(root).expect("the walk stays inside the repository");
-            files.push(SourceFile::new(&relative.to_string_lossy().replace('\\', "/"), &text));
+            let relative = path
+                .strip_prefix(root)
+                .expect("the walk stays inside the repository");
+            files.push(SourceFile::new(
+                &relative.to_string_lossy().replace('\\', "/"),
+                &text,
+            ));
         }
     }
 }

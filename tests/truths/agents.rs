@@ -1,4 +1,5 @@
-//! An agent's splats are turned by moving the camera into its frame. Here covariances and colors are turned themselves, in f64.
+//! An agent's splats are turned by moving the camera into its frame. Here covariances and colors
+//! are turned themselves, in f64.
 
 use std::f64::consts::LOG2_E;
 
@@ -18,12 +19,20 @@ use crate::stages::agents::hard_agents::{AgentInstance, AgentScene};
 /// Tolerance of a rotation, relative to the covariance and to the color.
 const RELATIVE: f64 = 1e-5;
 
-/// A cloud of sixty-four shapes, of which the thinnest are 1 : 100, and as many colors that stay above zero from all sides.
+/// A cloud of sixty-four shapes, of which the thinnest are 1 : 100, and as many colors that stay
+/// above zero from all sides.
 fn cloud(random: &mut Random) -> CodedCloud {
     let shape = |random: &mut Random| {
         let mut off = || random.between(-0.5, 0.5);
         let [yx, zx, zy] = [off(), off(), off()];
-        [random.across_scales(0.01, 1.0), yx, random.across_scales(0.01, 1.0), zx, zy, random.across_scales(0.01, 1.0)]
+        [
+            random.across_scales(0.01, 1.0),
+            yx,
+            random.across_scales(0.01, 1.0),
+            zx,
+            zy,
+            random.across_scales(0.01, 1.0),
+        ]
     };
     let splat = |i: u16, random: &mut Random| SplatCodes {
         position: std::array::from_fn(|_| random.below(65_536) as u16),
@@ -31,10 +40,17 @@ fn cloud(random: &mut Random) -> CodedCloud {
         size: random.below(256) as u8,
         shape: i,
         color: i,
-        dc_residual: [random.below(32) as i8 - 16, random.below(16) as i8 - 8, random.below(16) as i8 - 8],
+        dc_residual: [
+            random.below(32) as i8 - 16,
+            random.below(16) as i8 - 8,
+            random.below(16) as i8 - 8,
+        ],
     };
     CodedCloud {
-        bounds: Bounds { min: [-2.2, -0.9, -0.75], max: [2.2, 0.9, 0.75] },
+        bounds: Bounds {
+            min: [-2.2, -0.9, -0.75],
+            max: [2.2, 0.9, 0.75],
+        },
         log2_size_min: -6.0,
         log2_size_step: 5.0 / 255.0,
         dc_residual_step: [0.01; 3],
@@ -43,7 +59,15 @@ fn cloud(random: &mut Random) -> CodedCloud {
         shapes: (0..64).map(|_| shape(random)).collect(),
         sh_degree: 3,
         colors: (0..64 * 16)
-            .map(|i| std::array::from_fn(|_| if i % 16 == 0 { 1.5 } else { random.between(-0.1, 0.1) }))
+            .map(|i| {
+                std::array::from_fn(|_| {
+                    if i % 16 == 0 {
+                        1.5
+                    } else {
+                        random.between(-0.1, 0.1)
+                    }
+                })
+            })
             .collect(),
         sh_frame: ShFrame::Canonical,
         dims_m: [4.4, 1.8, 1.5],
@@ -56,18 +80,35 @@ struct Seen {
     rgb: DVec3,
 }
 
-/// The splat turned into the world and seen by `camera`, in f64. With `rotation` other than the agent's it is turned wrongly.
-fn turned(cloud: &CodedCloud, codes: &SplatCodes, pose: &Pose, rotation: DQuat, camera: &Camera, colors_turn: bool) -> Seen {
+/// The splat turned into the world and seen by `camera`, in f64. With `rotation` other than the
+/// agent's it is turned wrongly.
+fn turned(
+    cloud: &CodedCloud,
+    codes: &SplatCodes,
+    pose: &Pose,
+    rotation: DQuat,
+    camera: &Camera,
+    colors_turn: bool,
+) -> Seen {
     let [xx, yx, yy, zx, zy, zz] = cloud.shapes[usize::from(codes.shape)].map(f64::from);
-    let factor = DMat3::from_cols(DVec3::new(xx, yx, zx), DVec3::new(0.0, yy, zy), DVec3::new(0.0, 0.0, zz));
-    let size = (f64::from(cloud.log2_size_min) + f64::from(codes.size) * f64::from(cloud.log2_size_step)).exp2();
+    let factor = DMat3::from_cols(
+        DVec3::new(xx, yx, zx),
+        DVec3::new(0.0, yy, zy),
+        DVec3::new(0.0, 0.0, zz),
+    );
+    let size = (f64::from(cloud.log2_size_min)
+        + f64::from(codes.size) * f64::from(cloud.log2_size_step))
+    .exp2();
     let r = DMat3::from_quat(rotation);
     let covariance_m2 = r * (factor * factor.transpose()) * r.transpose() * (size * size);
     let mean_m = pose.transform(DVec3::from_array(cloud.mean_m(codes).map(f64::from)));
     let w = DMat3::from_quat(camera.world_from_camera.rotation).transpose();
     let t = w * (mean_m - camera.world_from_camera.translation);
     let (k, z) = (&camera.intrinsics, t.z);
-    let rows = [DVec3::new(k.fx_px / z, 0.0, -k.fx_px * t.x / (z * z)), DVec3::new(0.0, k.fy_px / z, -k.fy_px * t.y / (z * z))];
+    let rows = [
+        DVec3::new(k.fx_px / z, 0.0, -k.fx_px * t.x / (z * z)),
+        DVec3::new(0.0, k.fy_px / z, -k.fy_px * t.y / (z * z)),
+    ];
     let in_camera = w * covariance_m2 * w.transpose();
     let entry = |i: usize, j: usize| rows[i].dot(in_camera * rows[j]);
     let covariance_px2 = DMat2::from_cols(
@@ -82,8 +123,15 @@ fn turned(cloud: &CodedCloud, codes: &SplatCodes, pose: &Pose, rotation: DQuat, 
     let dc = DVec3::from_array(cloud.color(codes.color.into())[0].map(f64::from));
     let dc = dc + DVec3::from_array(cloud.dc_residual(codes).map(f64::from));
     let y = basis((mean_m - camera.world_from_camera.translation).normalize());
-    let higher = rest.iter().zip(&y[1..]).map(|(c, y)| DVec3::from_array(c.map(f64::from)) * *y).sum::<DVec3>();
-    Seen { covariance_px2, rgb: 0.5 + y[0] * dc + higher }
+    let higher = rest
+        .iter()
+        .zip(&y[1..])
+        .map(|(c, y)| DVec3::from_array(c.map(f64::from)) * *y)
+        .sum::<DVec3>();
+    Seen {
+        covariance_px2,
+        rgb: 0.5 + y[0] * dc + higher,
+    }
 }
 
 /// Coefficients after DC as 16 bits hold them.
@@ -96,7 +144,11 @@ fn stored_rest(coefficients: &[[f32; 3]]) -> Vec<[f32; 3]> {
 }
 
 /// Result of the kernel for each splat of `listed`, from its factored form.
-fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((usize, usize), Seen)> {
+fn seen_by_kernel(
+    gpu: &Validated,
+    scene: &AgentScene,
+    rules: &Rules,
+) -> Vec<((usize, usize), Seen)> {
     let listed = scene.listed(rules);
     let room = listed.records.len();
     let (pool, buffers) = (scene.pool(gpu), scene.buffers(gpu));
@@ -106,36 +158,67 @@ fn seen_by_kernel(gpu: &Validated, scene: &AgentScene, rules: &Rules) -> Vec<((u
     let projected = Projected::new(gpu, room, 0).unwrap();
     let project = ProjectAgents::new(gpu, rules, 3, false, false).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    project.record(&mut recorder, &pool, &buffers, &scene.relit(gpu), scene.counts, &static_offsets, 0, &projected);
+    project.record(
+        &mut recorder,
+        &pool,
+        &buffers,
+        &scene.relit(gpu),
+        scene.counts,
+        &static_offsets,
+        0,
+        &projected,
+    );
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
-    let (footprints, colors) = (gpu.read(&projected.footprints).unwrap(), gpu.read(&projected.colors).unwrap());
+    let (footprints, colors) = (
+        gpu.read(&projected.footprints).unwrap(),
+        gpu.read(&projected.colors).unwrap(),
+    );
     let seen = |record: usize| {
         let [_, _, slope, rate_x] = footprints[2 * record].map(f64::from);
         let rate_y = f64::from(footprints[2 * record + 1][0]);
-        // In d.y the variance is half log2(e) over the squared rate; along x what slope explains comes on top.
+        // In d.y the variance is half log2(e) over the squared rate; along x what slope explains
+        // comes on top.
         let half = 0.5 * LOG2_E;
         let yy = half / (rate_y * rate_y);
         let xx = half / (rate_x * rate_x) + slope * slope * yy;
         let [r, g, b, _] = colors[record].map(f64::from);
         Seen {
-            covariance_px2: DMat2::from_cols(DVec2::new(xx, slope * yy), DVec2::new(slope * yy, yy)),
+            covariance_px2: DMat2::from_cols(
+                DVec2::new(xx, slope * yy),
+                DVec2::new(slope * yy, yy),
+            ),
             rgb: DVec3::new(r, g, b),
         }
     };
-    listed.records.iter().enumerate().map(|(record, &(_, agent, splat))| ((agent, splat), seen(record))).collect()
+    listed
+        .records
+        .iter()
+        .enumerate()
+        .map(|(record, &(_, agent, splat))| ((agent, splat), seen(record)))
+        .collect()
 }
 
 fn norm(m: DMat2) -> f64 {
-    m.to_cols_array().iter().map(|entry| entry * entry).sum::<f64>().sqrt()
+    m.to_cols_array()
+        .iter()
+        .map(|entry| entry * entry)
+        .sum::<f64>()
+        .sqrt()
 }
 
 /// The largest relative differences of covariance and color.
 fn worst(found: &[((usize, usize), Seen)], expected: impl Fn(usize, usize) -> Seen) -> [f64; 2] {
-    found.iter().fold([0.0; 2], |worst: [f64; 2], ((agent, splat), seen)| {
-        let truth = expected(*agent, *splat);
-        let covariance = norm(seen.covariance_px2 - truth.covariance_px2) / norm(truth.covariance_px2);
-        [worst[0].max(covariance), worst[1].max((seen.rgb - truth.rgb).length() / truth.rgb.length())]
-    })
+    found
+        .iter()
+        .fold([0.0; 2], |worst: [f64; 2], ((agent, splat), seen)| {
+            let truth = expected(*agent, *splat);
+            let covariance =
+                norm(seen.covariance_px2 - truth.covariance_px2) / norm(truth.covariance_px2);
+            [
+                worst[0].max(covariance),
+                worst[1].max((seen.rgb - truth.rgb).length() / truth.rgb.length()),
+            ]
+        })
 }
 
 #[test]
@@ -152,26 +235,62 @@ fn covariances_and_colors_turn_with_the_agent() {
     let place = |agent: usize| {
         let rotation = quaternion(&mut Random(100 + agent as u64));
         let mut random = Random(1000 + agent as u64);
-        let before =
-            DVec3::new(random.between(-4.0, 4.0).into(), random.between(-4.0, 4.0).into(), random.between(5.0, 40.0).into());
+        let before = DVec3::new(
+            random.between(-4.0, 4.0).into(),
+            random.between(-4.0, 4.0).into(),
+            random.between(5.0, 40.0).into(),
+        );
         let pose = Pose::new(rotation, camera.world_from_camera.transform(before));
-        AgentInstance { colors_in_world: agent % 4 == 3, ..AgentInstance::new(0, pose) }
+        AgentInstance {
+            colors_in_world: agent % 4 == 3,
+            ..AgentInstance::new(0, pose)
+        }
     };
     let placed: Vec<AgentInstance> = (0..100).map(place).collect();
-    let scene = AgentScene::new(std::slice::from_ref(&cloud), &placed, std::slice::from_ref(&camera));
+    let scene = AgentScene::new(
+        std::slice::from_ref(&cloud),
+        &placed,
+        std::slice::from_ref(&camera),
+    );
     let found = seen_by_kernel(&gpu, &scene, &Rules::DEFAULT);
     assert!(found.len() > 5000, "{} splats are seen", found.len());
     let truth = |agent: usize, splat: usize, rotation: DQuat| {
-        let AgentInstance { pose, colors_in_world, .. } = &placed[agent];
-        turned(&cloud, &cloud.splats[splat].into(), pose, rotation, &camera, !colors_in_world)
+        let AgentInstance {
+            pose,
+            colors_in_world,
+            ..
+        } = &placed[agent];
+        turned(
+            &cloud,
+            &cloud.splats[splat].into(),
+            pose,
+            rotation,
+            &camera,
+            !colors_in_world,
+        )
     };
-    let [covariance, color] = worst(&found, |agent, splat| truth(agent, splat, placed[agent].pose.rotation));
-    println!("{} splats: covariances within {covariance:.1e}, colors within {color:.1e}", found.len());
-    assert!(covariance < RELATIVE && color < RELATIVE, "{covariance:e}, {color:e}");
+    let [covariance, color] = worst(&found, |agent, splat| {
+        truth(agent, splat, placed[agent].pose.rotation)
+    });
+    println!(
+        "{} splats: covariances within {covariance:.1e}, colors within {color:.1e}",
+        found.len()
+    );
+    assert!(
+        covariance < RELATIVE && color < RELATIVE,
+        "{covariance:e}, {color:e}"
+    );
     // The other way round, or by a ten-thousandth of a radian more, it is seen to be wrong.
-    let wrong = worst(&found, |agent, splat| truth(agent, splat, placed[agent].pose.rotation.inverse()));
+    let wrong = worst(&found, |agent, splat| {
+        truth(agent, splat, placed[agent].pose.rotation.inverse())
+    });
     assert!(wrong[0] > 0.1 && wrong[1] > 0.01, "{wrong:?}");
     let more = DQuat::from_rotation_x(1e-4);
-    let wrong = worst(&found, |agent, splat| truth(agent, splat, placed[agent].pose.rotation * more));
-    assert!(wrong[0] > 2.0 * RELATIVE && wrong[1] > 2.0 * RELATIVE, "{wrong:?}");
+    let wrong = worst(&found, |agent, splat| {
+        truth(agent, splat, placed[agent].pose.rotation * more)
+    });
+    assert!(
+        wrong[0] > 2.0 * RELATIVE && wrong[1] > 2.0 * RELATIVE,
+        "{wrong:?}"
+    );
 }

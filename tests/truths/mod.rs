@@ -1,6 +1,7 @@
 //! Properties of any image that were derived by hand, without the f64 reference and without a twin.
 //!
-//! The definition's own truths stand in `engine/render/src/reference/truths.rs`; these hold the GPU to the same mathematics.
+//! The definition's own truths stand in `engine/render/src/reference/truths.rs`; these hold the GPU
+//! to the same mathematics.
 
 mod agents;
 mod light;
@@ -15,16 +16,16 @@ use decouplegs::scene::{Camera, Intrinsics, Lens, Pose, Rules, World};
 use crate::device::Validated;
 use crate::frames::{Splat, all_outputs, world_of};
 
-/// Rounding of f32 through projection, exponential and a few blends, on colors up to 1. A flipped decision at 1/255 is a
-/// hundred times as much.
+/// Rounding of f32 through projection, exponential and a few blends, on colors up to 1. A flipped
+/// decision at 1/255 is a hundred times as much.
 const ROUNDING: f32 = 4e-5;
 
 const WHITE: [f32; 3] = [1.0; 3];
 const RED: [f32; 3] = [1.0, 0.0, 0.0];
 const BLUE: [f32; 3] = [0.0, 0.0, 1.0];
 
-/// At the world's zero, looking along +z, `size_px` pixels square with a focal length of 100 pixels: an odd size puts a
-/// pixel's center on the axis.
+/// At the world's zero, looking along +z, `size_px` pixels square with a focal length of 100
+/// pixels: an odd size puts a pixel's center on the axis.
 fn square_camera(size_px: u32) -> Camera {
     let center_px = 0.5 * f64::from(size_px);
     Camera {
@@ -44,7 +45,12 @@ fn square_camera(size_px: u32) -> Camera {
 
 /// A splat that covers the image evenly: so wide and flat that its fall-off is below rounding.
 fn sheet(z_m: f32, opacity: f32, rgb: [f32; 3]) -> Splat {
-    Splat { scale_m: [1e4, 1e4, 1e-6], opacity, rgb, ..Splat::at(0.0, 0.0, z_m) }
+    Splat {
+        scale_m: [1e4, 1e4, 1e-6],
+        opacity,
+        rgb,
+        ..Splat::at(0.0, 0.0, z_m)
+    }
 }
 
 /// One device and one renderer for many small worlds.
@@ -57,13 +63,25 @@ struct Easel {
 impl Easel {
     fn new(rules: Rules) -> Self {
         let gpu = Validated::open();
-        let renderer = Renderer::new(&gpu, RenderOptions { rules, outputs: all_outputs(), ..RenderOptions::default() });
+        let renderer = Renderer::new(
+            &gpu,
+            RenderOptions {
+                rules,
+                outputs: all_outputs(),
+                ..RenderOptions::default()
+            },
+        );
         Self { renderer, gpu }
     }
 
     fn draw(&mut self, world: &World, camera: &Camera) -> Image {
-        let resident = self.renderer.upload(world).unwrap_or_else(|error| panic!("{}: {error}", self.gpu.info()));
-        self.renderer.render(&resident, std::slice::from_ref(camera)).unwrap();
+        let resident = self
+            .renderer
+            .upload(world)
+            .unwrap_or_else(|error| panic!("{}: {error}", self.gpu.info()));
+        self.renderer
+            .render(&resident, std::slice::from_ref(camera))
+            .unwrap();
         self.renderer.read_images().unwrap().remove(0)
     }
 }
@@ -77,6 +95,18 @@ fn middle_of(splats: &[Splat], rules: Rules) -> ([f32; 3], f32) {
 /// The largest difference of a color channel or an alpha.
 fn worst_difference(a: &Image, b: &Image) -> f32 {
     assert_eq!((a.width, a.height), (b.width, b.height));
-    let values = |image: &Image| image.rgb.iter().flatten().chain(&image.alpha).copied().collect::<Vec<_>>();
-    values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    let values = |image: &Image| {
+        image
+            .rgb
+            .iter()
+            .flatten()
+            .chain(&image.alpha)
+            .copied()
+            .collect::<Vec<_>>()
+    };
+    values(a)
+        .iter()
+        .zip(values(b))
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f32::max)
 }

@@ -6,7 +6,12 @@ use super::{Splat, WHITE, middle_of, sheet};
 
 #[test]
 fn the_bound_of_alpha_is_that_of_the_rules() {
-    for (rules, bound) in [(Rules::DEFAULT, 0.99), (Rules::GSPLAT15, 0.999), (Rules::GSPLAT16, 0.99), (Rules::INRIA, 0.99)] {
+    for (rules, bound) in [
+        (Rules::DEFAULT, 0.99),
+        (Rules::GSPLAT15, 0.999),
+        (Rules::GSPLAT16, 0.99),
+        (Rules::INRIA, 0.99),
+    ] {
         let (_, alpha) = middle_of(&[sheet(2.0, 1.0, WHITE)], rules);
         assert!((alpha - bound).abs() < 1e-6, "{alpha}, not {bound}");
     }
@@ -15,29 +20,61 @@ fn the_bound_of_alpha_is_that_of_the_rules() {
 #[test]
 fn the_exclusive_stop_leaves_out_the_splat_that_would_fill_the_pixel() {
     // Alpha 0.98 thrice: what is left goes 2e-2, 4e-4, 8e-6. The third takes it below 1e-4.
-    let layers: Vec<Splat> = (0..3u8).map(|i| sheet(2.0 + f32::from(i), 0.98, WHITE)).collect();
-    for (rules, left) in [(Rules::DEFAULT, 8e-6), (Rules::GSPLAT15, 4e-4), (Rules::GSPLAT16, 4e-4), (Rules::INRIA, 4e-4)] {
+    let layers: Vec<Splat> = (0..3u8)
+        .map(|i| sheet(2.0 + f32::from(i), 0.98, WHITE))
+        .collect();
+    for (rules, left) in [
+        (Rules::DEFAULT, 8e-6),
+        (Rules::GSPLAT15, 4e-4),
+        (Rules::GSPLAT16, 4e-4),
+        (Rules::INRIA, 4e-4),
+    ] {
         let ([red, ..], alpha) = middle_of(&layers, rules);
-        assert!((1.0 - alpha - left).abs() < 2e-6 && (1.0 - red - left).abs() < 2e-6, "{} is left, not {left}", 1.0 - alpha);
+        assert!(
+            (1.0 - alpha - left).abs() < 2e-6 && (1.0 - red - left).abs() < 2e-6,
+            "{} is left, not {left}",
+            1.0 - alpha
+        );
     }
 }
 
 #[test]
 fn nothing_behind_the_splat_that_stops_a_pixel_is_blended_either() {
-    // The third layer stops the pixel; the fourth is faint enough to have been let through on its own.
-    let mut layers: Vec<Splat> = (0..3u8).map(|i| sheet(2.0 + f32::from(i), 0.98, WHITE)).collect();
+    // The third layer stops the pixel; the fourth is faint enough to have been let through on its
+    // own.
+    let mut layers: Vec<Splat> = (0..3u8)
+        .map(|i| sheet(2.0 + f32::from(i), 0.98, WHITE))
+        .collect();
     layers.push(sheet(9.0, 0.5, WHITE));
     let without = middle_of(&layers[..2], Rules::GSPLAT15);
     assert_eq!(middle_of(&layers, Rules::GSPLAT15), without);
     layers.remove(2);
     let (_, alpha) = middle_of(&layers, Rules::GSPLAT15);
-    assert!((1.0 - alpha - 2e-4).abs() < 2e-6, "alone it is let through: {}", 1.0 - alpha);
+    assert!(
+        (1.0 - alpha - 2e-4).abs() < 2e-6,
+        "alone it is let through: {}",
+        1.0 - alpha
+    );
 }
 
 #[test]
 fn the_near_plane_is_that_of_the_rules() {
-    let at = |z_m: f32, rules: Rules| middle_of(&[Splat { scale_m: [0.01; 3], ..Splat::at(0.0, 0.0, z_m) }], rules).1 > 0.5;
-    assert!(at(0.15, Rules::DEFAULT) && at(0.15, Rules::GSPLAT15) && at(0.15, Rules::GSPLAT16) && !at(0.15, Rules::INRIA));
+    let at = |z_m: f32, rules: Rules| {
+        middle_of(
+            &[Splat {
+                scale_m: [0.01; 3],
+                ..Splat::at(0.0, 0.0, z_m)
+            }],
+            rules,
+        )
+        .1 > 0.5
+    };
+    assert!(
+        at(0.15, Rules::DEFAULT)
+            && at(0.15, Rules::GSPLAT15)
+            && at(0.15, Rules::GSPLAT16)
+            && !at(0.15, Rules::INRIA)
+    );
     assert!(at(0.201, Rules::INRIA) && !at(0.199, Rules::INRIA));
     assert!(at(0.0101, Rules::DEFAULT) && !at(0.0099, Rules::DEFAULT));
 }

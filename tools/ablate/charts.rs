@@ -6,20 +6,39 @@ use crate::plot::Bars;
 
 /// The angle that 95 of 100 pixels of vehicles are not farther off, a bar for each weather and arm.
 pub fn angles(report: &Report) -> String {
-    let shown = [Arm::NoRelighting, Arm::Ours, Arm::BestAffine, Arm::TruthCompressed];
+    let shown = [
+        Arm::NoRelighting,
+        Arm::Ours,
+        Arm::BestAffine,
+        Arm::TruthCompressed,
+    ];
     let rows = report.reinsertions.iter().flat_map(|found| {
         shown.iter().enumerate().filter_map(|(at, arm)| {
             let figures = found.arms.iter().find(|figures| figures.arm == *arm)?;
             let mut values = vec![0.0; shown.len()];
             values[at] = figures.vehicles.angle_deg?.p95;
-            Some((if at == 0 { found.weather.name().to_owned() } else { String::new() }, values))
+            Some((
+                if at == 0 {
+                    found.weather.name().to_owned()
+                } else {
+                    String::new()
+                },
+                values,
+            ))
         })
     });
     let bars = Bars {
         title: "Angle between colors of vehicles and the truth, p95",
         x_label: "degrees",
         rows: rows.collect(),
-        parts: ["no relighting", "ours", "best affine on DC", "truth, compressed"].map(str::to_owned).into(),
+        parts: [
+            "no relighting",
+            "ours",
+            "best affine on DC",
+            "truth, compressed",
+        ]
+        .map(str::to_owned)
+        .into(),
     };
     format!("<figure>{}</figure>", bars.to_svg())
 }

@@ -28,7 +28,8 @@ struct Window {
     rows: (usize, usize),
 }
 
-/// The one with more of one car in sight: `known`, whose first number says how much, or what `sample` shows.
+/// The one with more of one car in sight: `known`, whose first number says how much, or what
+/// `sample` shows.
 pub fn better(
     known: Option<(usize, ExampleCrops)>,
     sample: &Sample,
@@ -43,23 +44,41 @@ pub fn better(
     let truth = &sample.truth[view];
     let window = window_about(truth, car)?;
     let angles = angle_image(&ours[view], truth, &sample.vehicles[view], floor);
-    let all =
-        [("truth", truth), ("ours", &ours[view]), ("no relighting", &plain[view]), ("angle between ours and truth", &angles)];
+    let all = [
+        ("truth", truth),
+        ("ours", &ours[view]),
+        ("no relighting", &plain[view]),
+        ("angle between ours and truth", &angles),
+    ];
     let images = all.map(|(what, image)| (what, cut(image, window))).into();
-    Some((pixels, ExampleCrops { time_s: sample.time_s, camera: sample.cameras[view].name.clone(), car, images }))
+    Some((
+        pixels,
+        ExampleCrops {
+            time_s: sample.time_s,
+            camera: sample.cameras[view].name.clone(),
+            car,
+            images,
+        },
+    ))
 }
 
-/// The car with the most pixels in one image: how many, which image, which car. One that is cut off by the image's side counts
-/// for less.
+/// The car with the most pixels in one image: how many, which image, which car. One that is cut off
+/// by the image's side counts for less.
 fn largest(truth: &[Image]) -> Option<(usize, usize, u16)> {
     let mut found: Option<(usize, usize, u16)> = None;
     for (view, image) in truth.iter().enumerate() {
         let instances = image.instance.as_deref().unwrap_or(&[]);
         let mut counts = std::collections::BTreeMap::<u16, usize>::new();
-        instances.iter().filter(|&&id| id != 0).for_each(|&id| *counts.entry(id).or_default() += 1);
+        instances
+            .iter()
+            .filter(|&&id| id != 0)
+            .for_each(|&id| *counts.entry(id).or_default() += 1);
         for (car, count) in counts {
             let width = image.width as usize;
-            let cut_off = instances.iter().enumerate().any(|(at, &id)| id == car && (at % width == 0 || at % width == width - 1));
+            let cut_off = instances
+                .iter()
+                .enumerate()
+                .any(|(at, &id)| id == car && (at % width == 0 || at % width == width - 1));
             let worth = if cut_off { count.div_ceil(4) } else { count };
             if found.is_none_or(|(most, ..)| worth > most) {
                 found = Some((worth, view, car));
@@ -72,42 +91,86 @@ fn largest(truth: &[Image]) -> Option<(usize, usize, u16)> {
 fn window_about(image: &Image, car: u16) -> Option<Window> {
     let (width, height) = (image.width as usize, image.height as usize);
     let instances = image.instance.as_deref()?;
-    let places = || instances.iter().enumerate().filter(|(_, id)| **id == car).map(|(at, _)| (at % width, at / width));
-    let columns = (places().map(|place| place.0).min()?, places().map(|place| place.0).max()? + 1);
-    let rows = (places().map(|place| place.1).min()?, places().map(|place| place.1).max()? + 1);
-    let wider = |(from, to): (usize, usize), margin: usize, end: usize| (from.saturating_sub(margin), (to + margin).min(end));
+    let places = || {
+        instances
+            .iter()
+            .enumerate()
+            .filter(|(_, id)| **id == car)
+            .map(|(at, _)| (at % width, at / width))
+    };
+    let columns = (
+        places().map(|place| place.0).min()?,
+        places().map(|place| place.0).max()? + 1,
+    );
+    let rows = (
+        places().map(|place| place.1).min()?,
+        places().map(|place| place.1).max()? + 1,
+    );
+    let wider = |(from, to): (usize, usize), margin: usize, end: usize| {
+        (from.saturating_sub(margin), (to + margin).min(end))
+    };
     let margin = (MARGIN * (columns.1 - columns.0).max(rows.1 - rows.0) as f64) as usize + 2;
-    Some(Window { columns: wider(columns, margin, width), rows: wider(rows, margin, height) })
+    Some(Window {
+        columns: wider(columns, margin, width),
+        rows: wider(rows, margin, height),
+    })
 }
 
 fn cut(image: &Image, Window { columns, rows }: Window) -> Image {
     let width = image.width as usize;
-    let pixels = (rows.0..rows.1).flat_map(|row| (columns.0..columns.1).map(move |column| row * width + column));
+    let pixels = (rows.0..rows.1)
+        .flat_map(|row| (columns.0..columns.1).map(move |column| row * width + column));
     let rgb = pixels.map(|at| image.rgb[at]).collect();
-    Image { rgb, ..Image::filled((columns.1 - columns.0) as u32, (rows.1 - rows.0) as u32, [0.0; 3]) }
+    Image {
+        rgb,
+        ..Image::filled(
+            (columns.1 - columns.0) as u32,
+            (rows.1 - rows.0) as u32,
+            [0.0; 3],
+        )
+    }
 }
 
-/// The angle between colors of vehicles in false colors, white from [`ANGLE_MAX_DEG`] on; the rest in faint gray.
+/// The angle between colors of vehicles in false colors, white from [`ANGLE_MAX_DEG`] on; the rest
+/// in faint gray.
 fn angle_image(found: &Image, truth: &Image, vehicles: &[bool], floor: f64) -> Image {
     let black = Image::filled(truth.width, truth.height, [0.0; 3]);
     let mut angles = black.clone();
-    for (at, _) in vehicles.iter().enumerate().filter(|(_, is_vehicle)| **is_vehicle) {
-        angles.rgb[at] = [(angle_deg(found.rgb[at], truth.rgb[at], floor) / ANGLE_MAX_DEG) as f32; 3];
+    for (at, _) in vehicles
+        .iter()
+        .enumerate()
+        .filter(|(_, is_vehicle)| **is_vehicle)
+    {
+        angles.rgb[at] =
+            [(angle_deg(found.rgb[at], truth.rgb[at], floor) / ANGLE_MAX_DEG) as f32; 3];
     }
     let colored = difference_image(&angles, &black, 1.0).unwrap_or(black);
     let gray = |rgb: &[f32; 3]| [0.25 * rgb.iter().sum::<f32>() / 3.0; 3];
-    let rgb = colored.rgb.iter().zip(&truth.rgb).zip(vehicles).map(
-        |((colored, truth), is_vehicle)| {
-            if *is_vehicle { *colored } else { gray(truth) }
-        },
-    );
-    Image { rgb: rgb.collect(), ..colored.clone() }
+    let rgb =
+        colored
+            .rgb
+            .iter()
+            .zip(&truth.rgb)
+            .zip(vehicles)
+            .map(
+                |((colored, truth), is_vehicle)| {
+                    if *is_vehicle { *colored } else { gray(truth) }
+                },
+            );
+    Image {
+        rgb: rgb.collect(),
+        ..colored.clone()
+    }
 }
 
 /// 0 where the true color is too dark to have a hue.
 fn angle_deg(found: [f32; 3], truth: [f32; 3], floor: f64) -> f64 {
     let [found, truth] = [found, truth].map(|rgb| glam::DVec3::from_array(rgb.map(f64::from)));
-    if truth.length() < floor || found.length() == 0.0 { 0.0 } else { found.angle_between(truth).to_degrees() }
+    if truth.length() < floor || found.length() == 0.0 {
+        0.0
+    } else {
+        found.angle_between(truth).to_degrees()
+    }
 }
 
 #[cfg(test)]
@@ -115,7 +178,10 @@ mod tests {
     use super::*;
 
     fn image(instance: Vec<u16>) -> Image {
-        Image { instance: Some(instance), ..Image::filled(8, 4, [0.5; 3]) }
+        Image {
+            instance: Some(instance),
+            ..Image::filled(8, 4, [0.5; 3])
+        }
     }
 
     #[test]
@@ -129,9 +195,18 @@ mod tests {
         let images = [image(second), image(first)];
         assert_eq!(largest(&images), Some((2, 1, 7)));
         let window = window_about(&images[1], 7).unwrap();
-        assert_eq!(window, Window { columns: (1, 7), rows: (0, 4) });
+        assert_eq!(
+            window,
+            Window {
+                columns: (1, 7),
+                rows: (0, 4)
+            }
+        );
         assert_eq!(cut(&images[1], window).rgb.len(), 24);
-        assert_eq!((largest(&[image(vec![0; 32])]), window_about(&images[1], 3)), (None, None));
+        assert_eq!(
+            (largest(&[image(vec![0; 32])]), window_about(&images[1], 3)),
+            (None, None)
+        );
     }
 
     #[test]

@@ -41,10 +41,18 @@ impl Report {
                 percent(found.truth_darkness),
                 found.starkness
             );
-            let _ =
-                writeln!(text, "  {:<27} PSNR dB   PIE max/p99/p95/mean      PAE max/p99/p95/mean deg   ground dB  darker", "");
+            let _ = writeln!(
+                text,
+                "  {:<27} PSNR dB   PIE max/p99/p95/mean      PAE max/p99/p95/mean deg   ground dB  darker",
+                ""
+            );
             for arm in &found.arms {
-                let _ = writeln!(text, "  {:<27}{}", arm.arm.name(), arm_cells(arm).join("  "));
+                let _ = writeln!(
+                    text,
+                    "  {:<27}{}",
+                    arm.arm.name(),
+                    arm_cells(arm).join("  ")
+                );
             }
         }
         let _ = writeln!(
@@ -53,7 +61,12 @@ impl Report {
             self.system.weather.name()
         );
         for row in &self.system.rows {
-            let _ = writeln!(text, "  {:<40}{}", row.without.name(), row_cells(row).join("  "));
+            let _ = writeln!(
+                text,
+                "  {:<40}{}",
+                row.without.name(),
+                row_cells(row).join("  ")
+            );
         }
         text
     }
@@ -62,13 +75,21 @@ impl Report {
 /// PSNR, PIE, PAE, PSNR of the ground, its darkness.
 pub fn arm_cells(arm: &ArmFigures) -> Vec<String> {
     let peak = |peak: &decouplegs::render::metrics::Peak, digits: usize| {
-        format!("{:.digits$} / {:.digits$} / {:.digits$} / {:.digits$}", peak.max, peak.p99, peak.p95, peak.mean)
+        format!(
+            "{:.digits$} / {:.digits$} / {:.digits$} / {:.digits$}",
+            peak.max, peak.p99, peak.p95, peak.mean
+        )
     };
     vec![
         decibels(arm.vehicles.psnr_db),
         peak(&arm.vehicles.intensity, 3),
-        arm.vehicles.angle_deg.as_ref().map_or("-".into(), |angle| peak(angle, 1)),
-        arm.ground.as_ref().map_or("-".into(), |ground| decibels(ground.psnr_db)),
+        arm.vehicles
+            .angle_deg
+            .as_ref()
+            .map_or("-".into(), |angle| peak(angle, 1)),
+        arm.ground
+            .as_ref()
+            .map_or("-".into(), |ground| decibels(ground.psnr_db)),
         percent(arm.darkness),
     ]
 }
@@ -76,13 +97,21 @@ pub fn arm_cells(arm: &ArmFigures) -> Vec<String> {
 /// Images/s, rig steps/s, frame times, ADE, PAE at true poses and as placed.
 pub fn row_cells(row: &SystemRow) -> Vec<String> {
     let angle = |found: &decouplegs::render::metrics::MaskedDifference| {
-        found.angle_deg.map_or("-".into(), |angle| format!("{:.1} / {:.1} / {:.1}", angle.max, angle.p99, angle.p95))
+        found.angle_deg.map_or("-".into(), |angle| {
+            format!("{:.1} / {:.1} / {:.1}", angle.max, angle.p99, angle.p95)
+        })
     };
     vec![
         number(round(row.speed.images_per_s(), 2)),
         number(round(row.speed.rig_steps_per_s(), 2)),
-        format!("{:.1} / {:.1}", row.speed.step_ms.median, row.speed.step_ms.p99),
-        format!("{:.3} ({:.3})", row.placing.ade_truth_m, row.placing.ade_lane_m),
+        format!(
+            "{:.1} / {:.1}",
+            row.speed.step_ms.median, row.speed.step_ms.p99
+        ),
+        format!(
+            "{:.3} ({:.3})",
+            row.placing.ade_truth_m, row.placing.ade_lane_m
+        ),
         angle(&row.at_truth),
         angle(&row.as_placed),
     ]
@@ -94,7 +123,11 @@ fn round(value: f64, digits: i32) -> f64 {
 }
 
 pub fn decibels(psnr_db: f64) -> String {
-    if psnr_db.is_finite() { format!("{psnr_db:.2}") } else { "equal".into() }
+    if psnr_db.is_finite() {
+        format!("{psnr_db:.2}")
+    } else {
+        "equal".into()
+    }
 }
 
 pub fn percent(share: Option<f64>) -> String {

@@ -26,7 +26,10 @@ pub fn page(report: &Report) -> Result<String> {
         html.push_str(&weather(found)?);
     }
     html.push_str(&system(&report.system));
-    let _ = write!(html, "<h2>How to read this, and what it does not show</h2><ul>{HOW_TO_READ}</ul></html>");
+    let _ = write!(
+        html,
+        "<h2>How to read this, and what it does not show</h2><ul>{HOW_TO_READ}</ul></html>"
+    );
     html.push('\n');
     Ok(html)
 }
@@ -36,8 +39,15 @@ fn summary(report: &Report) -> String {
     let mut html = String::new();
     for found in &report.reinsertions {
         let of = |arm| found.arms.iter().find(|figures| figures.arm == arm);
-        let (Some(plain), Some(ours)) = (of(Arm::NoRelighting), of(Arm::Ours)) else { continue };
-        let angles = |figures: &super::reinsert::ArmFigures| figures.vehicles.angle_deg.map_or(f64::NAN, |angle| angle.p95);
+        let (Some(plain), Some(ours)) = (of(Arm::NoRelighting), of(Arm::Ours)) else {
+            continue;
+        };
+        let angles = |figures: &super::reinsert::ArmFigures| {
+            figures
+                .vehicles
+                .angle_deg
+                .map_or(f64::NAN, |angle| angle.p95)
+        };
         let _ = write!(
             html,
             "<li><b>{}</b>: relighting takes the PSNR over vehicles from {} dB to {} dB, and the angle between colors (p95) from \
@@ -55,7 +65,10 @@ fn summary(report: &Report) -> String {
             html,
             "<li>Registration takes the mean distance to the nearest centerline from {:.3} m to {:.3} m, and to the true place from \
              {:.3} m to {:.3} m.</li>",
-            logged.placing.ade_lane_m, full.placing.ade_lane_m, logged.placing.ade_truth_m, full.placing.ade_truth_m
+            logged.placing.ade_lane_m,
+            full.placing.ade_lane_m,
+            logged.placing.ade_truth_m,
+            full.placing.ade_truth_m
         );
     }
     format!("<ul>{html}</ul>")
@@ -65,7 +78,7 @@ fn conditions(report: &Report) -> String {
     let c = &report.conditions;
     let text = |value: &serde_json::Value| escaped(value.as_str().unwrap_or_default());
     format!(
-        "<p class=\"dim\">{} ({}), DecoupleGS {}. Streets of {} splats made up from seed {}; {} cars that drive, {} distinct ones of \
+        "<p class=\"dim\">{} ({}), DecoupleGS {}. Streets of {} splats generated from seed {}; {} cars that drive, {} distinct ones of \
          {} splats each; {} camera(s) of {}x{} px; images compared at {} moment(s), {} frames timed; light transfer {}.</p>",
         text(&c["device"]),
         text(&c["driver"]),
@@ -87,7 +100,12 @@ fn conditions(report: &Report) -> String {
 fn arms() -> String {
     let mut html = String::from("<table><tr><th>arm<th class=\"text\">what it is</tr>");
     for arm in Arm::ALL {
-        let _ = write!(html, "<tr><td>{}<td class=\"text\">{}</tr>", arm.name(), arm.what());
+        let _ = write!(
+            html,
+            "<tr><td>{}<td class=\"text\">{}</tr>",
+            arm.name(),
+            arm.what()
+        );
     }
     html.push_str("</table>");
     html
@@ -103,15 +121,31 @@ fn weather(found: &Reinserted) -> Result<String> {
         percent(found.truth_darkness),
         found.starkness,
         found.directionality,
-        if found.unlit > 0 { format!(" {} cars stood where nothing tells of the light.", found.unlit) } else { String::new() }
+        if found.unlit > 0 {
+            format!(
+                " {} cars stood where nothing tells of the light.",
+                found.unlit
+            )
+        } else {
+            String::new()
+        }
     );
     html.push_str(
         "<div class=\"wide\"><table><tr><th>arm<th>PSNR,<br>vehicles, dB<th>PIE<br>max / p99 / p95 / mean<th>PAE, degrees<br>max / p99 / \
          p95 / mean<th>PSNR, ground<br>about, dB<th>ground<br>darker by</tr>",
     );
     for arm in &found.arms {
-        let ours = if arm.arm == Arm::Ours { " class=\"ours\"" } else { "" };
-        let _ = write!(html, "<tr{ours}><td>{}<td>{}</tr>", arm.arm.name(), arm_cells(arm).join("<td>"));
+        let ours = if arm.arm == Arm::Ours {
+            " class=\"ours\""
+        } else {
+            ""
+        };
+        let _ = write!(
+            html,
+            "<tr{ours}><td>{}<td>{}</tr>",
+            arm.arm.name(),
+            arm_cells(arm).join("<td>")
+        );
     }
     html.push_str("</table></div>");
     html.push_str(&images(&found.example_crops)?);
@@ -148,9 +182,20 @@ fn system(system: &System) -> String {
         system.splats[1]
     );
     for row in &system.rows {
-        let ours = if row.without == Without::Nothing { " class=\"ours\"" } else { "" };
-        let paper = row.without.paper().map_or("-".into(), |[fps, ade_m, pae]| format!("{fps} / {ade_m} / {pae}"));
-        let _ = write!(html, "<tr{ours}><td>{}<td>{}<td>{paper}</tr>", row.without.name(), row_cells(row).join("<td>"));
+        let ours = if row.without == Without::Nothing {
+            " class=\"ours\""
+        } else {
+            ""
+        };
+        let paper = row.without.paper().map_or("-".into(), |[fps, ade_m, pae]| {
+            format!("{fps} / {ade_m} / {pae}")
+        });
+        let _ = write!(
+            html,
+            "<tr{ours}><td>{}<td>{}<td>{paper}</tr>",
+            row.without.name(),
+            row_cells(row).join("<td>")
+        );
     }
     html.push_str(
         "</table></div><p class=\"dim\">The paper's figures (table 4) are of other scenes, on an RTX 4090, at a resolution it does not \
@@ -159,7 +204,12 @@ fn system(system: &System) -> String {
     html.push_str(&placing(system));
     html.push_str("<table><tr><th>row<th class=\"text\">what it is</tr>");
     for without in Without::ALL {
-        let _ = write!(html, "<tr><td>{}<td class=\"text\">{}</tr>", without.name(), without.what());
+        let _ = write!(
+            html,
+            "<tr><td>{}<td class=\"text\">{}</tr>",
+            without.name(),
+            without.what()
+        );
     }
     html.push_str("</table>");
     html

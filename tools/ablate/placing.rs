@@ -4,7 +4,9 @@
 use std::f64::consts::TAU;
 
 use anyhow::Result;
-use decouplegs::drive::alignment::{ade_to_lanes, against_truth, clearances, penetration_rate, size_quantile};
+use decouplegs::drive::alignment::{
+    ade_to_lanes, against_truth, clearances, penetration_rate, size_quantile,
+};
 use decouplegs::drive::{Ground, GroundOptions, LaneIndex, Outcome, RegisterOptions, register};
 use decouplegs::scene::{LaneMap, Pose, Track, TrackPoint, Trajectory};
 use glam::DVec2;
@@ -80,20 +82,35 @@ pub struct Tracks {
 }
 
 impl Tracks {
-    /// The ways of `stage`'s agents as a log that drifts tells them, and as they come out of registration.
+    /// The ways of `stage`'s agents as a log that drifts tells them, and as they come out of
+    /// registration.
     pub fn of(stage: &ReinsertionScene, drift: &Drift) -> Result<Self> {
-        let truth: Vec<Track> = (0..stage.loaded.agents.len()).map(|agent| true_track(stage, agent)).collect();
+        let truth: Vec<Track> = (0..stage.loaded.agents.len())
+            .map(|agent| true_track(stage, agent))
+            .collect();
         let mut random = Random(drift.seed);
-        let logged: Vec<Track> = truth.iter().map(|track| drifted(track, drift, &mut random)).collect();
-        let ground = Ground::new(&stage.loaded.world.splats, stage.loaded.world.origin, &GroundOptions::default());
+        let logged: Vec<Track> = truth
+            .iter()
+            .map(|track| drifted(track, drift, &mut random))
+            .collect();
+        let ground = Ground::new(
+            &stage.loaded.world.splats,
+            stage.loaded.world.origin,
+            &GroundOptions::default(),
+        );
         // Each track drifts on its own, from the middle of its lane.
-        let options = RegisterOptions { keeping_m: 0.0, ..RegisterOptions::default() };
+        let options = RegisterOptions {
+            keeping_m: 0.0,
+            ..RegisterOptions::default()
+        };
         let registration = register(&stage.street.lanes, &logged, Some(&ground), &options)?;
         let (mut ways, mut refused) = (Vec::new(), 0);
         for (track, outcome) in logged.iter().zip(&registration.tracks) {
             match &outcome.outcome {
                 Outcome::Registered(found) => {
-                    ways.push(trajectory(found.poses.iter().map(|pose| (pose.time_s, pose.pose)))?);
+                    ways.push(trajectory(
+                        found.poses.iter().map(|pose| (pose.time_s, pose.pose)),
+                    )?);
                 }
                 Outcome::Refused { .. } => {
                     refused += 1;
@@ -104,8 +121,14 @@ impl Tracks {
         let as_logged = logged.iter().map(as_logged).collect::<Result<Vec<_>>>()?;
         let lanes = &stage.street.lanes;
         Ok(Self {
-            logged: Placed { placing: placing(lanes, &truth, &as_logged, 0), ways: as_logged },
-            registered: Placed { placing: placing(lanes, &truth, &ways, refused), ways },
+            logged: Placed {
+                placing: placing(lanes, &truth, &as_logged, 0),
+                ways: as_logged,
+            },
+            registered: Placed {
+                placing: placing(lanes, &truth, &ways, refused),
+                ways,
+            },
         })
     }
 }
@@ -136,34 +159,62 @@ fn true_track(stage: &ReinsertionScene, agent: usize) -> Track {
 /// `track` shifted, turned and noisy. Heights and headings get no noise.
 fn drifted(track: &Track, drift: &Drift, random: &mut Random) -> Track {
     let shift = DVec2::from_angle(TAU * random.unit()) * drift.shift_m;
-    let turn_rad = if random.unit() < 0.5 { drift.turn_rad } else { -drift.turn_rad };
-    let middle = track.points.iter().map(|point| point.position_m).sum::<DVec2>() / track.points.len() as f64;
+    let turn_rad = if random.unit() < 0.5 {
+        drift.turn_rad
+    } else {
+        -drift.turn_rad
+    };
+    let middle = track
+        .points
+        .iter()
+        .map(|point| point.position_m)
+        .sum::<DVec2>()
+        / track.points.len() as f64;
     let moved = |point: &TrackPoint| {
         let noise = random.normal_pair() * drift.noise_m;
         TrackPoint {
-            position_m: middle + DVec2::from_angle(turn_rad).rotate(point.position_m - middle) + shift + noise,
+            position_m: middle
+                + DVec2::from_angle(turn_rad).rotate(point.position_m - middle)
+                + shift
+                + noise,
             yaw_rad: point.yaw_rad.map(|yaw_rad| yaw_rad + turn_rad),
             ..*point
         }
     };
-    Track { points: track.points.iter().map(moved).collect(), ..track.clone() }
+    Track {
+        points: track.points.iter().map(moved).collect(),
+        ..track.clone()
+    }
 }
 
 fn as_logged(track: &Track) -> Result<Trajectory> {
-    trajectory(track.points.iter().map(|point| (point.time_s, Pose::from_yaw(point.yaw_rad.unwrap_or(0.0), point.position()))))
+    trajectory(track.points.iter().map(|point| {
+        (
+            point.time_s,
+            Pose::from_yaw(point.yaw_rad.unwrap_or(0.0), point.position()),
+        )
+    }))
 }
 
 fn placing(lanes: &LaneMap, truth: &[Track], ways: &[Trajectory], refused: usize) -> Placing {
     let index = LaneIndex::new(lanes);
     let (mut sums, mut lane_sum, mut heights_m) = (glam::DVec3::ZERO, 0.0, Vec::new());
     for (track, way) in truth.iter().zip(ways) {
-        let places = || way.poses().iter().map(|timed| (timed.time_s, timed.pose.translation.truncate()));
+        let places = || {
+            way.poses()
+                .iter()
+                .map(|timed| (timed.time_s, timed.pose.translation.truncate()))
+        };
         if let Some(error) = against_truth(places(), track) {
             sums += glam::DVec3::new(error.ade_m, error.lateral_m, error.longitudinal_m);
         }
         lane_sum += ade_to_lanes(&index, places().map(|(_, place)| place), |_| true).unwrap_or(0.0);
         let dims_m = track.dims_m.unwrap_or_default();
-        heights_m.extend(clearances(way.poses().iter().map(|timed| timed.pose), dims_m, |_, _| Some(0.0)));
+        heights_m.extend(clearances(
+            way.poses().iter().map(|timed| timed.pose),
+            dims_m,
+            |_, _| Some(0.0),
+        ));
     }
     let count = truth.len().max(1) as f64;
     Placing {
@@ -209,20 +260,41 @@ mod tests {
             z_m: Some(0.75),
             yaw_rad: Some(0.0),
         };
-        Track { dims_m: Some([4.0, 2.0, 1.5]), points: (0..101).map(point).collect(), ..Track::default() }
+        Track {
+            dims_m: Some([4.0, 2.0, 1.5]),
+            points: (0..101).map(point).collect(),
+            ..Track::default()
+        }
     }
 
     #[test]
     fn drift_is_as_large_as_asked_for() {
         let truth = straight();
         let off = |shift_m: f64, turn_rad: f64, noise_m: f64| -> Vec<f64> {
-            let drift = Drift { shift_m, turn_rad, noise_m, seed: 4 };
+            let drift = Drift {
+                shift_m,
+                turn_rad,
+                noise_m,
+                seed: 4,
+            };
             let moved = drifted(&truth, &drift, &mut Random(drift.seed));
-            moved.points.iter().zip(&truth.points).map(|(a, b)| a.position_m.distance(b.position_m)).collect()
+            moved
+                .points
+                .iter()
+                .zip(&truth.points)
+                .map(|(a, b)| a.position_m.distance(b.position_m))
+                .collect()
         };
-        assert!(off(0.5, 0.0, 0.0).iter().all(|off_m| (off_m - 0.5).abs() < 1e-9));
+        assert!(
+            off(0.5, 0.0, 0.0)
+                .iter()
+                .all(|off_m| (off_m - 0.5).abs() < 1e-9)
+        );
         let turned = off(0.0, 0.1, 0.0);
-        assert!(turned[50] < 1e-9 && (turned[0] - 5.0).abs() < 0.01, "the middle stays");
+        assert!(
+            turned[50] < 1e-9 && (turned[0] - 5.0).abs() < 0.01,
+            "the middle stays"
+        );
         // The mean of a Rayleigh distribution.
         let noisy = off(0.0, 0.0, 0.2).iter().sum::<f64>() / 101.0;
         assert!((noisy - 0.2 * (TAU / 4.0).sqrt()).abs() < 0.04, "{noisy}");
@@ -233,10 +305,32 @@ mod tests {
     fn boxes_on_level_ground_neither_sink_nor_float() {
         let way = as_logged(&straight()).unwrap();
         let found = placing(&LaneMap::default(), &[straight()], &[way], 0);
-        assert!(found.ade_truth_m < 1e-9 && found.clearance_p95_m < 1e-9 && found.penetration_rate == 0.0, "{found:?}");
-        let sunk =
-            Track { points: straight().points.iter().map(|p| TrackPoint { z_m: Some(0.5), ..*p }).collect(), ..straight() };
-        let found = placing(&LaneMap::default(), &[straight()], &[as_logged(&sunk).unwrap()], 0);
-        assert!(found.penetration_rate == 1.0 && (found.clearance_p95_m - 0.25).abs() < 1e-9, "{found:?}");
+        assert!(
+            found.ade_truth_m < 1e-9
+                && found.clearance_p95_m < 1e-9
+                && found.penetration_rate == 0.0,
+            "{found:?}"
+        );
+        let sunk = Track {
+            points: straight()
+                .points
+                .iter()
+                .map(|p| TrackPoint {
+                    z_m: Some(0.5),
+                    ..*p
+                })
+                .collect(),
+            ..straight()
+        };
+        let found = placing(
+            &LaneMap::default(),
+            &[straight()],
+            &[as_logged(&sunk).unwrap()],
+            0,
+        );
+        assert!(
+            found.penetration_rate == 1.0 && (found.clearance_p95_m - 0.25).abs() < 1e-9,
+            "{found:?}"
+        );
     }
 }

@@ -27,8 +27,14 @@ pub enum Arm {
 }
 
 impl Arm {
-    pub const ALL: [Self; 6] =
-        [Self::NoRelighting, Self::Ours, Self::OursUnshadowed, Self::OursUncompressed, Self::BestAffine, Self::TruthCompressed];
+    pub const ALL: [Self; 6] = [
+        Self::NoRelighting,
+        Self::Ours,
+        Self::OursUnshadowed,
+        Self::OursUncompressed,
+        Self::BestAffine,
+        Self::TruthCompressed,
+    ];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -44,10 +50,16 @@ impl Arm {
     /// For the reader of a report.
     pub fn what(self) -> &'static str {
         match self {
-            Self::NoRelighting => "compressed cars as they were captured in neutral light, no shadows",
-            Self::Ours => "compressed cars, relit from the colors of the street about them, and contact shadows",
+            Self::NoRelighting => {
+                "compressed cars as they were captured in neutral light, no shadows"
+            }
+            Self::Ours => {
+                "compressed cars, relit from the colors of the street about them, and contact shadows"
+            }
             Self::OursUnshadowed => "ours without the contact shadows",
-            Self::OursUncompressed => "ours with every splat of the captured cars: what compression adds to the error",
+            Self::OursUncompressed => {
+                "ours with every splat of the captured cars: what compression adds to the error"
+            }
             Self::BestAffine => {
                 "no method, for only the truth tells it: whole cars whose DC terms take the factor and the summand for each channel \
                  that come nearest to the true ones over all of the car; what bands above DC would change is left"
@@ -132,8 +144,12 @@ impl Reinsertion<'_> {
             for (&arm, errors) in Arm::ALL.iter().zip(&mut errors) {
                 let images = self.images(&mut renderer, &live, arm, &truth, &sample)?;
                 for (at, found) in images.iter().enumerate() {
-                    errors.vehicles.add(found, &sample.truth[at], |pixel| sample.vehicles[at][pixel])?;
-                    errors.ground.add(found, &sample.truth[at], |pixel| sample.ground[at][pixel])?;
+                    errors
+                        .vehicles
+                        .add(found, &sample.truth[at], |pixel| sample.vehicles[at][pixel])?;
+                    errors
+                        .ground
+                        .add(found, &sample.truth[at], |pixel| sample.ground[at][pixel])?;
                     errors.darkness.add(found, &empty[at], &sample.ground[at]);
                 }
                 drawn.push(images);
@@ -154,15 +170,27 @@ impl Reinsertion<'_> {
             starkness,
             directionality,
             unlit,
-            example_crops: shown.map(|(_, example_crops)| example_crops).unwrap_or_default(),
+            example_crops: shown
+                .map(|(_, example_crops)| example_crops)
+                .unwrap_or_default(),
         };
         Ok((reinserted, samples))
     }
 
     /// One that draws as exactly as can be.
     pub fn renderer(&self) -> Renderer {
-        let outputs = Outputs { instance: true, ..Outputs::default() };
-        Renderer::new(self.gpu, RenderOptions { outputs, frames_in_flight: 1, ..RenderOptions::default() })
+        let outputs = Outputs {
+            instance: true,
+            ..Outputs::default()
+        };
+        Renderer::new(
+            self.gpu,
+            RenderOptions {
+                outputs,
+                frames_in_flight: 1,
+                ..RenderOptions::default()
+            },
+        )
     }
 
     fn sample(&self, renderer: &mut Renderer, truth: &Truth, time_s: f64) -> Result<Sample> {
@@ -170,29 +198,62 @@ impl Reinsertion<'_> {
         let world = renderer.upload(&truth.world)?;
         renderer.render(&world, &cameras)?;
         let truth = renderer.read_images()?;
-        let vehicles: Vec<Vec<bool>> =
-            truth.iter().map(|image| image.instance.iter().flatten().map(|&id| id != 0).collect()).collect();
-        let ground = vehicles.iter().zip(&truth).map(|(mask, image)| ring::around(mask, image.width as usize)).collect();
-        Ok(Sample { time_s, cameras, truth, vehicles, ground })
+        let vehicles: Vec<Vec<bool>> = truth
+            .iter()
+            .map(|image| image.instance.iter().flatten().map(|&id| id != 0).collect())
+            .collect();
+        let ground = vehicles
+            .iter()
+            .zip(&truth)
+            .map(|(mask, image)| ring::around(mask, image.width as usize))
+            .collect();
+        Ok(Sample {
+            time_s,
+            cameras,
+            truth,
+            vehicles,
+            ground,
+        })
     }
 
-    fn images(&self, renderer: &mut Renderer, live: &LiveScene, arm: Arm, truth: &Truth, sample: &Sample) -> Result<Vec<Image>> {
+    fn images(
+        &self,
+        renderer: &mut Renderer,
+        live: &LiveScene,
+        arm: Arm,
+        truth: &Truth,
+        sample: &Sample,
+    ) -> Result<Vec<Image>> {
         let mut moment = live.at(sample.time_s);
         match arm {
             Arm::Ours => {}
             Arm::OursUnshadowed => moment.shadows.clear(),
             Arm::NoRelighting => {
                 moment.shadows.clear();
-                moment.agents.iter_mut().for_each(|agent| agent.relight = None);
+                moment
+                    .agents
+                    .iter_mut()
+                    .for_each(|agent| agent.relight = None);
             }
             Arm::BestAffine => {
-                for ((agent, car), placed) in moment.agents.iter_mut().zip(&truth.cars).zip(&self.stage.loaded.agents) {
+                for ((agent, car), placed) in moment
+                    .agents
+                    .iter_mut()
+                    .zip(&truth.cars)
+                    .zip(&self.stage.loaded.agents)
+                {
                     let weights = &self.cars.visibility[placed.asset];
-                    agent.relight = Some(affine::best_on_dc(&self.cars.originals[placed.asset], car, weights));
+                    agent.relight = Some(affine::best_on_dc(
+                        &self.cars.originals[placed.asset],
+                        car,
+                        weights,
+                    ));
                 }
             }
             Arm::OursUncompressed => {}
-            Arm::TruthCompressed => return self.images_in_true_colors(renderer, live, &moment, truth, sample),
+            Arm::TruthCompressed => {
+                return self.images_in_true_colors(renderer, live, &moment, truth, sample);
+            }
         }
         if matches!(arm, Arm::OursUncompressed | Arm::BestAffine) {
             let world = renderer.upload(&self.copies(&moment))?;
@@ -212,21 +273,39 @@ impl Reinsertion<'_> {
         truth: &Truth,
         sample: &Sample,
     ) -> Result<Vec<Image>> {
-        let is_seen =
-            |instance: u16| sample.truth.iter().flat_map(|image| image.instance.iter().flatten()).any(|&id| id == instance);
+        let is_seen = |instance: u16| {
+            sample
+                .truth
+                .iter()
+                .flat_map(|image| image.instance.iter().flatten())
+                .any(|&id| id == instance)
+        };
         let placed = &self.stage.loaded.agents;
-        let seen: Vec<usize> = (0..placed.len()).filter(|&at| is_seen(placed[at].instance)).collect();
-        let clouds: Vec<_> = seen.iter().map(|&at| (placed[at].asset, &truth.cars[at])).collect();
+        let seen: Vec<usize> = (0..placed.len())
+            .filter(|&at| is_seen(placed[at].instance))
+            .collect();
+        let clouds: Vec<_> = seen
+            .iter()
+            .map(|&at| (placed[at].asset, &truth.cars[at]))
+            .collect();
         let mut pool = AssetPool::new(renderer.gpu())?;
         let mut agents = Vec::new();
         for (coded, at) in self.cars.compressed(&clouds)?.iter().zip(seen) {
-            agents.push(Agent { asset: pool.add(coded)?, relight: None, ..moment.agents[at] });
+            agents.push(Agent {
+                asset: pool.add(coded)?,
+                relight: None,
+                ..moment.agents[at]
+            });
         }
-        renderer.render(Scene::with_agents(&live.world, &pool, &agents), &sample.cameras)?;
+        renderer.render(
+            Scene::with_agents(&live.world, &pool, &agents),
+            &sample.cameras,
+        )?;
         Ok(renderer.read_images()?)
     }
 
-    /// The background under the shadows of `moment`, and world-space copies of the whole cars in its light.
+    /// The background under the shadows of `moment`, and world-space copies of the whole cars in
+    /// its light.
     pub fn copies(&self, moment: &SceneSnapshot) -> World {
         let mut world = self.stage.loaded.world.clone();
         bake_shadows(&mut world, &moment.shadows);
@@ -234,21 +313,36 @@ impl Reinsertion<'_> {
             let original = &self.cars.originals[placed.asset];
             let relit = agent.relight.map(|relight| relight.relit(original));
             let shown = relit.as_ref().unwrap_or(original);
-            world.bake_instance(shown, &agent.world_from_agent, ShFrame::Canonical, agent.instance);
+            world.bake_instance(
+                shown,
+                &agent.world_from_agent,
+                ShFrame::Canonical,
+                agent.instance,
+            );
         }
         world
     }
 
-    /// Means of I_dom and of directionality, and how many agents stand where nothing tells of the light.
+    /// Means of I_dom and of directionality, and how many agents stand where nothing tells of the
+    /// light.
     fn light(&self, live: &LiveScene, moments_s: &[f64]) -> (f64, f64, usize) {
         let moments: Vec<SceneSnapshot> = moments_s.iter().map(|&time_s| live.at(time_s)).collect();
         let strength = ShadowOptions::default().strength;
         let starkness = |shadow: &ContactShadow| shadow.strength / strength;
         let lighting = self.stage.loaded.lighting();
-        let places = moments.iter().flat_map(|moment| &moment.agents).map(|agent| agent.world_from_agent.translation);
-        let directionality = places.filter_map(|place| Some(lighting.as_ref()?.at(place).0.directionality()));
+        let places = moments
+            .iter()
+            .flat_map(|moment| &moment.agents)
+            .map(|agent| agent.world_from_agent.translation);
+        let directionality =
+            places.filter_map(|place| Some(lighting.as_ref()?.at(place).0.directionality()));
         (
-            mean(moments.iter().flat_map(|moment| &moment.shadows).map(starkness)),
+            mean(
+                moments
+                    .iter()
+                    .flat_map(|moment| &moment.shadows)
+                    .map(starkness),
+            ),
             mean(directionality),
             moments.iter().map(|moment| moment.unlit).sum(),
         )
@@ -258,14 +352,28 @@ impl Reinsertion<'_> {
 fn figures(errors: Vec<Errors>) -> Result<Vec<ArmFigures>> {
     let mut figures = Vec::new();
     for (arm, errors) in Arm::ALL.into_iter().zip(errors) {
-        let Some(vehicles) = errors.vehicles.finish() else { continue };
-        figures.push(ArmFigures { arm, vehicles, ground: errors.ground.finish(), darkness: errors.darkness.share() });
+        let Some(vehicles) = errors.vehicles.finish() else {
+            continue;
+        };
+        figures.push(ArmFigures {
+            arm,
+            vehicles,
+            ground: errors.ground.finish(),
+            darkness: errors.darkness.share(),
+        });
     }
-    ensure!(!figures.is_empty(), "no camera sees a car at any moment: ask for more --agents, --moments or --cameras-used");
+    ensure!(
+        !figures.is_empty(),
+        "no camera sees a car at any moment: ask for more --agents, --moments or --cameras-used"
+    );
     Ok(figures)
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
-    if count > 0 { sum / f64::from(count) } else { 0.0 }
+    if count > 0 {
+        sum / f64::from(count)
+    } else {
+        0.0
+    }
 }

@@ -5,7 +5,8 @@ use decouplegs::asset::street::{Street, StreetOptions, Weather};
 use decouplegs::asset::{LoadedAgent, LoadedLight, LoadedScene};
 use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs::scene::{
-    AgentPlacement, Camera, Intrinsics, LightTransfer, Pose, ShFrame, SplatCloud, TimedPose, Trajectory, World,
+    AgentPlacement, Camera, Intrinsics, LightTransfer, Pose, ShFrame, SplatCloud, TimedPose,
+    Trajectory, World,
 };
 
 use glam::DVec3;
@@ -13,7 +14,7 @@ use glam::DVec3;
 use super::cars::Cars;
 use crate::arguments::Size;
 
-/// Moments that are looked at in each part of the drive.
+/// Moments that are examined in each part of the drive.
 const STEPS: u32 = 20;
 /// A car whose middle is nearer is hardly in the image, meters.
 const NEAR_M: f64 = 3.0;
@@ -22,7 +23,8 @@ const NEAR_M: f64 = 3.0;
 pub struct ReinsertionScene {
     pub options: StreetOptions,
     pub street: Street,
-    /// The background as it was captured empty, compressed cars that drive as they truly do, and the light.
+    /// The background as it was captured empty, compressed cars that drive as they truly do, and
+    /// the light.
     pub loaded: LoadedScene,
     /// Permutation from the street's order of background splats to the order used here.
     order: Vec<u32>,
@@ -36,8 +38,15 @@ pub struct Truth {
 }
 
 impl ReinsertionScene {
-    /// The street of `options` with `cars` in its light, which `light` brings to colors, seen by the first `cameras_used` cameras.
-    pub fn set(options: &StreetOptions, cars: &Cars, light: &LightTransfer, size: Size, cameras_used: usize) -> Result<Self> {
+    /// The street of `options` with `cars` in its light, which `light` brings to colors, seen by
+    /// the first `cameras_used` cameras.
+    pub fn set(
+        options: &StreetOptions,
+        cars: &Cars,
+        light: &LightTransfer,
+        size: Size,
+        cameras_used: usize,
+    ) -> Result<Self> {
         let mut street = Street::generate(options);
         let background = std::mem::take(&mut street.background);
         let order = background.spatial_order();
@@ -46,29 +55,46 @@ impl ReinsertionScene {
         for camera in &mut rig.cameras {
             camera.intrinsics = camera.intrinsics.resized(size.width_px, size.height_px);
         }
-        let agents = street.agents.iter().zip(&street.agent_trajectories).enumerate().map(|(at, (agent, way))| {
-            Ok(LoadedAgent {
-                name: agent.name.clone(),
-                asset: agent.asset,
-                instance: u16::try_from(at + 1).context("there are more than 65535 agents")?,
-                sh_frame: ShFrame::Canonical,
-                trajectory: trajectory(way.iter().copied())?,
-            })
-        });
+        let agents = street
+            .agents
+            .iter()
+            .zip(&street.agent_trajectories)
+            .enumerate()
+            .map(|(at, (agent, way))| {
+                Ok(LoadedAgent {
+                    name: agent.name.clone(),
+                    asset: agent.asset,
+                    instance: u16::try_from(at + 1).context("there are more than 65535 agents")?,
+                    sh_frame: ShFrame::Canonical,
+                    trajectory: trajectory(way.iter().copied())?,
+                })
+            });
         let loaded = LoadedScene {
-            world: World { sky: street.sky, ..World::of(background.select(&order)) },
+            world: World {
+                sky: street.sky,
+                ..World::of(background.select(&order))
+            },
             assets: cars.coded.clone(),
             agents: agents.collect::<Result<_>>()?,
             rig,
             ego: trajectory(street.ego.iter().copied())?,
-            agent_names: street.agents.iter().map(|agent| agent.name.clone()).collect(),
+            agent_names: street
+                .agents
+                .iter()
+                .map(|agent| agent.name.clone())
+                .collect(),
             light: Some(LoadedLight {
                 transfer: Some(light.clone()),
                 ambient: AmbientOptions::default(),
                 shadows: Some(ShadowOptions::default()),
             }),
         };
-        Ok(Self { options: *options, street, loaded, order })
+        Ok(Self {
+            options: *options,
+            street,
+            loaded,
+            order,
+        })
     }
 
     pub fn weather(&self) -> Weather {
@@ -80,8 +106,13 @@ impl ReinsertionScene {
         let (start_s, end_s) = (self.loaded.ego.start_s(), self.loaded.ego.end_s());
         let part_s = (end_s - start_s) / f64::from(count);
         let best = |part: u32| {
-            let step = |step: u32| start_s + (f64::from(part) + (f64::from(step) + 0.5) / f64::from(STEPS)) * part_s;
-            (0..STEPS).map(step).max_by(|a, b| self.in_sight(*a).total_cmp(&self.in_sight(*b))).unwrap_or(start_s)
+            let step = |step: u32| {
+                start_s + (f64::from(part) + (f64::from(step) + 0.5) / f64::from(STEPS)) * part_s
+            };
+            (0..STEPS)
+                .map(step)
+                .max_by(|a, b| self.in_sight(*a).total_cmp(&self.in_sight(*b)))
+                .unwrap_or(start_s)
         };
         (0..count).map(best).collect()
     }
@@ -90,15 +121,28 @@ impl ReinsertionScene {
     /// factor.
     fn in_sight(&self, time_s: f64) -> f64 {
         let cameras = self.cameras(time_s);
-        let places = self.loaded.agents.iter().map(|agent| agent.trajectory.at(time_s).translation);
+        let places = self
+            .loaded
+            .agents
+            .iter()
+            .map(|agent| agent.trajectory.at(time_s).translation);
         let seen = |place: DVec3| {
             let of = |camera: &Camera| {
                 let at = camera.world_from_camera.inverse().transform(place);
-                let Intrinsics { width_px, height_px, .. } = camera.intrinsics;
+                let Intrinsics {
+                    width_px,
+                    height_px,
+                    ..
+                } = camera.intrinsics;
                 let inside = camera.intrinsics.project(at).is_some_and(|pixel| {
-                    (0.0..f64::from(width_px)).contains(&pixel.x) && (0.0..f64::from(height_px)).contains(&pixel.y)
+                    (0.0..f64::from(width_px)).contains(&pixel.x)
+                        && (0.0..f64::from(height_px)).contains(&pixel.y)
                 });
-                if at.z > NEAR_M && inside { at.length_squared().recip() } else { 0.0 }
+                if at.z > NEAR_M && inside {
+                    at.length_squared().recip()
+                } else {
+                    0.0
+                }
             };
             cameras.iter().map(of).sum::<f64>()
         };
@@ -113,28 +157,52 @@ impl ReinsertionScene {
     pub fn truth(&self, cars: &Cars, time_s: f64) -> Truth {
         let agents = &self.loaded.agents;
         let placements: Vec<AgentPlacement> = (self.street.agents.iter().zip(agents))
-            .map(|(placed, agent)| AgentPlacement { world_from_agent: agent.trajectory.at(time_s), ..placed.clone() })
+            .map(|(placed, agent)| AgentPlacement {
+                world_from_agent: agent.trajectory.at(time_s),
+                ..placed.clone()
+            })
             .collect();
         let lit = Street::lit(&self.options, &placements);
-        let clouds: Vec<SplatCloud> =
-            lit.cars.iter().zip(&placements).map(|(cloud, placed)| cloud.select(&cars.orders[placed.asset])).collect();
-        let mut world = World { splats: lit.background.select(&self.order), ..self.loaded.world.clone() };
+        let clouds: Vec<SplatCloud> = lit
+            .cars
+            .iter()
+            .zip(&placements)
+            .map(|(cloud, placed)| cloud.select(&cars.orders[placed.asset]))
+            .collect();
+        let mut world = World {
+            splats: lit.background.select(&self.order),
+            ..self.loaded.world.clone()
+        };
         for ((cloud, placed), agent) in clouds.iter().zip(&placements).zip(agents) {
-            world.bake_instance(cloud, &placed.world_from_agent, ShFrame::Canonical, agent.instance);
+            world.bake_instance(
+                cloud,
+                &placed.world_from_agent,
+                ShFrame::Canonical,
+                agent.instance,
+            );
         }
-        Truth { world, cars: clouds }
+        Truth {
+            world,
+            cars: clouds,
+        }
     }
 
     /// The same with agents that drive as `ways` say.
     pub fn driven(&self, ways: &[Trajectory]) -> LoadedScene {
         let mut loaded = self.loaded.clone();
-        loaded.agents.iter_mut().zip(ways).for_each(|(agent, way)| agent.trajectory = way.clone());
+        loaded
+            .agents
+            .iter_mut()
+            .zip(ways)
+            .for_each(|(agent, way)| agent.trajectory = way.clone());
         loaded
     }
 }
 
 /// The way through `knots` (seconds, world from box).
 pub fn trajectory(knots: impl Iterator<Item = (f64, Pose)>) -> Result<Trajectory> {
-    let poses = knots.map(|(time_s, pose)| TimedPose { time_s, pose }).collect();
+    let poses = knots
+        .map(|(time_s, pose)| TimedPose { time_s, pose })
+        .collect();
     Trajectory::new(poses).map_err(anyhow::Error::msg)
 }

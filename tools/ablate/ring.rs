@@ -13,11 +13,20 @@ pub fn around(vehicles: &[bool], width_px: usize) -> Vec<bool> {
     let height_px = vehicles.len() / width_px.max(1);
     let rows = spread(vehicles, (height_px, width_px), (width_px, 1), reach_px);
     let near = spread(&rows, (width_px, height_px), (1, width_px), reach_px);
-    near.iter().zip(vehicles).map(|(near, vehicle)| *near && !vehicle).collect()
+    near.iter()
+        .zip(vehicles)
+        .map(|(near, vehicle)| *near && !vehicle)
+        .collect()
 }
 
-/// `mask` with all within `reach` along lines set: `lines` lines of `length` pixels, one `steps.0` from the next, its pixels `steps.1`.
-fn spread(mask: &[bool], (lines, length): (usize, usize), steps: (usize, usize), reach: usize) -> Vec<bool> {
+/// `mask` with all within `reach` along lines set: `lines` lines of `length` pixels, one `steps.0`
+/// from the next, its pixels `steps.1`.
+fn spread(
+    mask: &[bool],
+    (lines, length): (usize, usize),
+    steps: (usize, usize),
+    reach: usize,
+) -> Vec<bool> {
     let mut found = vec![false; mask.len()];
     for line in 0..lines {
         let place = |at: usize| line * steps.0 + at * steps.1;
@@ -42,9 +51,21 @@ pub struct Darkness {
 impl Darkness {
     /// Adds the pixels of `mask`.
     pub fn add(&mut self, with: &Image, without: &Image, mask: &[bool]) {
-        let luminance =
-            |rgb: &[f32; 3]| f64::from(rgb.iter().zip(LUMA).map(|(value, weight)| value * weight as f32).sum::<f32>());
-        for ((with, without), _) in with.rgb.iter().zip(&without.rgb).zip(mask).filter(|(_, is_in)| **is_in) {
+        let luminance = |rgb: &[f32; 3]| {
+            f64::from(
+                rgb.iter()
+                    .zip(LUMA)
+                    .map(|(value, weight)| value * weight as f32)
+                    .sum::<f32>(),
+            )
+        };
+        for ((with, without), _) in with
+            .rgb
+            .iter()
+            .zip(&without.rgb)
+            .zip(mask)
+            .filter(|(_, is_in)| **is_in)
+        {
             self.with += luminance(with);
             self.without += luminance(without);
         }
@@ -70,7 +91,10 @@ mod tests {
         let ring = around(&mask, 64);
         let row = |y: usize| (0..64).filter(|x| ring[y * 64 + x]).collect::<Vec<_>>();
         assert_eq!(row(2), [0, 1, 2, 28, 29, 30, 31, 32, 33]);
-        assert_eq!((row(4), row(6).len(), row(7)), (vec![1, 2, 28, 29, 32, 33], 9, vec![]));
+        assert_eq!(
+            (row(4), row(6).len(), row(7)),
+            (vec![1, 2, 28, 29, 32, 33], 9, vec![])
+        );
         assert!(around(&[], 64).is_empty());
     }
 

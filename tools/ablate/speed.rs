@@ -22,14 +22,26 @@ pub struct Speed<'a> {
 }
 
 impl<'a> Speed<'a> {
-    /// `frames` timed frames from the middle moment on backwards and forwards: the middle of the drive is the middle of the frames.
+    /// `frames` timed frames from the middle moment on backwards and forwards: the middle of the
+    /// drive is the middle of the frames.
     pub fn over(gpu: &'a Gpu, scene: &'a LoadedScene, frames: u32) -> Self {
         let cameras_used = scene.rig.cameras.len();
         let middle_s = 0.5 * (scene.ego.start_s() + scene.ego.end_s());
         let start_s = (middle_s - 0.5 * STEP_S * f64::from(frames)).max(scene.ego.start_s());
-        let schedule =
-            DriveSchedule { start_s, step_s: STEP_S, warm_up: WARM_UP_FRAMES, frames, samples: 0, cameras_used, standing: None };
-        Self { gpu, scene, schedule }
+        let schedule = DriveSchedule {
+            start_s,
+            step_s: STEP_S,
+            warm_up: WARM_UP_FRAMES,
+            frames,
+            samples: 0,
+            cameras_used,
+            standing: None,
+        };
+        Self {
+            gpu,
+            scene,
+            schedule,
+        }
     }
 
     /// Compressed agents that drive as `driven` says, two frames in flight.
@@ -38,36 +50,66 @@ impl<'a> Speed<'a> {
         let live = LiveScene::new(&renderer, driven)?;
         self.drive(&mut renderer, |renderer, time_s| {
             let moment = live.at(time_s);
-            Ok(renderer.submit(live.with(&moment), &self.schedule.cameras(self.scene, time_s))?)
+            Ok(renderer.submit(
+                live.with(&moment),
+                &self.schedule.cameras(self.scene, time_s),
+            )?)
         })
     }
 
-    /// Copies that stand, depth keys computed in every frame, two frames in flight: as `stress` measures vanilla.
+    /// Copies that stand, depth keys computed in every frame, two frames in flight: as `stress`
+    /// measures vanilla.
     pub fn of_copies(&self, copies: World) -> Result<Measured> {
         let mut renderer = self.renderer(false, 2);
-        let resident = renderer.upload(&World { instance_from_splat: Vec::new(), ..copies })?;
-        self.drive(&mut renderer, |renderer, time_s| Ok(renderer.submit(&resident, &self.schedule.cameras(self.scene, time_s))?))
+        let resident = renderer.upload(&World {
+            instance_from_splat: Vec::new(),
+            ..copies
+        })?;
+        self.drive(&mut renderer, |renderer, time_s| {
+            Ok(renderer.submit(&resident, &self.schedule.cameras(self.scene, time_s))?)
+        })
     }
 
-    /// Copies that are made and uploaded anew in each frame, as they must be where agents drive or light changes.
+    /// Copies that are made and uploaded anew in each frame, as they must be where agents drive or
+    /// light changes.
     pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> World) -> Result<Measured> {
         let mut renderer = self.renderer(false, 1);
         // Kept until the next frame: this one is drawn from it.
         let mut shown: Option<GpuScene> = None;
         self.drive(&mut renderer, |renderer, time_s| {
-            let world = World { instance_from_splat: Vec::new(), ..copies_at(time_s) };
+            let world = World {
+                instance_from_splat: Vec::new(),
+                ..copies_at(time_s)
+            };
             let resident = shown.insert(renderer.upload(&world)?);
             Ok(renderer.submit(&*resident, &self.schedule.cameras(self.scene, time_s))?)
         })
     }
 
     fn renderer(&self, keep_keys: bool, frames_in_flight: usize) -> Renderer {
-        let outputs = Outputs { color: ColorFormat::U8, ..Outputs::default() };
-        Renderer::new(self.gpu, RenderOptions { outputs, keep_keys, frames_in_flight, ..RenderOptions::default() })
+        let outputs = Outputs {
+            color: ColorFormat::U8,
+            ..Outputs::default()
+        };
+        Renderer::new(
+            self.gpu,
+            RenderOptions {
+                outputs,
+                keep_keys,
+                frames_in_flight,
+                ..RenderOptions::default()
+            },
+        )
     }
 
-    fn drive(&self, renderer: &mut Renderer, submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Measured> {
-        let Driven { frames, steps_ms, .. } = self.schedule.drive(renderer, submit)?;
+    fn drive(
+        &self,
+        renderer: &mut Renderer,
+        submit: impl FnMut(&mut Renderer, f64) -> Result<()>,
+    ) -> Result<Measured> {
+        let Driven {
+            frames, steps_ms, ..
+        } = self.schedule.drive(renderer, submit)?;
         Ok(Measured::of(&frames, &steps_ms, self.gpu.memory()))
     }
 }

@@ -23,7 +23,13 @@ pub enum Without {
 }
 
 impl Without {
-    pub const ALL: [Self; 5] = [Self::Nothing, Self::Compression, Self::CompressionFresh, Self::Registration, Self::Relighting];
+    pub const ALL: [Self; 5] = [
+        Self::Nothing,
+        Self::Compression,
+        Self::CompressionFresh,
+        Self::Registration,
+        Self::Relighting,
+    ];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -38,7 +44,9 @@ impl Without {
     /// For the reader of a report.
     pub fn what(self) -> &'static str {
         match self {
-            Self::Nothing => "compressed cars on registered tracks, relit, with contact shadows; 2 frames in flight",
+            Self::Nothing => {
+                "compressed cars on registered tracks, relit, with contact shadows; 2 frames in flight"
+            }
             Self::Compression => {
                 "whole cars as copies in one cloud, relit once; all splats are sorted in every frame; 2 frames in flight. The copies \
                  stand where they are in the middle of the drive, which flatters its speed"
@@ -93,20 +101,33 @@ pub struct System {
 }
 
 impl Reinsertion<'_> {
-    /// Every row, in the street of this stage; `samples` are of true images, `measured` of cars at true poses.
-    pub fn system(&self, drift: &Drift, samples: &[Sample], measured: &Reinserted, frames: u32) -> Result<System> {
+    /// Every row, in the street of this stage; `samples` are of true images, `measured` of cars at
+    /// true poses.
+    pub fn system(
+        &self,
+        drift: &Drift,
+        samples: &[Sample],
+        measured: &Reinserted,
+        frames: u32,
+    ) -> Result<System> {
         let tracks = Tracks::of(self.stage, drift)?;
         let speed = Speed::over(self.gpu, &self.stage.loaded, frames);
         let middle_s = speed.schedule.middle_s();
         let mut rows = Vec::new();
         for without in Without::ALL {
-            let placed = if without == Without::Registration { &tracks.logged } else { &tracks.registered };
+            let placed = if without == Without::Registration {
+                &tracks.logged
+            } else {
+                &tracks.registered
+            };
             let mut driven = self.stage.driven(&placed.ways);
             if without == Without::Relighting {
                 driven.light = None;
             }
             let measured_speed = match without {
-                Without::Nothing | Without::Registration | Without::Relighting => speed.of_coded(&driven)?,
+                Without::Nothing | Without::Registration | Without::Relighting => {
+                    speed.of_coded(&driven)?
+                }
                 Without::Compression | Without::CompressionFresh => {
                     let renderer = self.renderer();
                     let live = LiveScene::new(&renderer, &driven)?;
@@ -116,7 +137,10 @@ impl Reinsertion<'_> {
                     }
                 }
             };
-            let at_truth = measured.arms.iter().find(|figures| figures.arm == without.arm());
+            let at_truth = measured
+                .arms
+                .iter()
+                .find(|figures| figures.arm == without.arm());
             rows.push(SystemRow {
                 without,
                 speed: measured_speed,
@@ -126,13 +150,29 @@ impl Reinsertion<'_> {
             });
         }
         let background = self.stage.loaded.world.splats.len();
-        let whole = self.stage.loaded.agents.iter().map(|agent| self.cars.originals[agent.asset].len()).sum::<usize>();
+        let whole = self
+            .stage
+            .loaded
+            .agents
+            .iter()
+            .map(|agent| self.cars.originals[agent.asset].len())
+            .sum::<usize>();
         let splats = [background, background + whole];
-        Ok(System { weather: self.stage.weather(), rows, splats, start_s: speed.schedule.start_s })
+        Ok(System {
+            weather: self.stage.weather(),
+            rows,
+            splats,
+            start_s: speed.schedule.start_s,
+        })
     }
 
     /// Errors over the pixels that show vehicles in the truth, of cars that drive on `ways`.
-    fn as_placed(&self, without: Without, ways: &[Trajectory], samples: &[Sample]) -> Result<MaskedDifference> {
+    fn as_placed(
+        &self,
+        without: Without,
+        ways: &[Trajectory],
+        samples: &[Sample],
+    ) -> Result<MaskedDifference> {
         let mut renderer = self.renderer();
         let live = LiveScene::new(&renderer, &self.stage.driven(ways))?;
         let mut errors = MaskedErrors::new(self.floor);
@@ -140,7 +180,10 @@ impl Reinsertion<'_> {
             let mut moment: SceneSnapshot = live.at(sample.time_s);
             if without.arm() == Arm::NoRelighting {
                 moment.shadows.clear();
-                moment.agents.iter_mut().for_each(|agent| agent.relight = None);
+                moment
+                    .agents
+                    .iter_mut()
+                    .for_each(|agent| agent.relight = None);
             }
             if without.arm() == Arm::OursUncompressed {
                 let world = renderer.upload(&self.copies(&moment))?;

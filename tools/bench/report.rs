@@ -11,10 +11,23 @@ use crate::scene_source::Scene;
 
 /// Results, with the conditions of the measurement.
 pub fn figures(scene: &Scene, measured: &Measured) -> Value {
-    let Measured { device, options, step_s, warm_up, timed, window, difference } = measured;
-    let Timed { frames, steps_ms, memory } = timed;
+    let Measured {
+        device,
+        options,
+        step_s,
+        warm_up,
+        timed,
+        window,
+        difference,
+    } = measured;
+    let Timed {
+        frames,
+        steps_ms,
+        memory,
+    } = timed;
     let last = frames.last().expect("at least one frame was timed");
-    let milliseconds = |of: &dyn Fn(&FrameStatistics) -> f64| spread(frames.iter().map(of).collect());
+    let milliseconds =
+        |of: &dyn Fn(&FrameStatistics) -> f64| spread(frames.iter().map(of).collect());
     let wall_ms = milliseconds(&|frame| frame.wall_time.as_secs_f64() * 1e3);
     let step_wall_ms = spread(steps_ms.clone());
     // Not from the median: with frames in flight, their ends may come in bursts.
@@ -25,7 +38,9 @@ pub fn figures(scene: &Scene, measured: &Measured) -> Value {
         .collect();
     let mut keys = BTreeMap::<String, usize>::new();
     for source in frames.iter().flat_map(|frame| &frame.keys) {
-        *keys.entry(format!("{source:?}").to_lowercase()).or_default() += 1;
+        *keys
+            .entry(format!("{source:?}").to_lowercase())
+            .or_default() += 1;
     }
     let size = |camera: &Camera| json!([camera.intrinsics.width_px, camera.intrinsics.height_px]);
     json!({
@@ -84,10 +99,16 @@ fn stage_names(frames: &[FrameStatistics]) -> Vec<&'static str> {
 }
 
 fn stage_ms(frame: &FrameStatistics, name: &str) -> f64 {
-    frame.stages.iter().filter(|stage| stage.name == name).map(|stage| stage.duration_ns as f64 / 1e6).sum()
+    frame
+        .stages
+        .iter()
+        .filter(|stage| stage.name == name)
+        .map(|stage| stage.duration_ns as f64 / 1e6)
+        .sum()
 }
 
-/// Median, 99th percentile (the value that 99 of 100 do not exceed) and the extremes of at least one value.
+/// Median, 99th percentile (the value that 99 of 100 do not exceed) and the extremes of at least
+/// one value.
 fn spread(mut values: Vec<f64>) -> Value {
     values.sort_by(f64::total_cmp);
     let count = values.len();
@@ -98,17 +119,33 @@ fn spread(mut values: Vec<f64>) -> Value {
 
 /// Name of `rules`, or all of their values if they have no name.
 fn rules_text(rules: &Rules) -> String {
-    let named = Rules::NAMES
-        .iter()
-        .find(|name| Rules::by_name(name).map(|known| Rules { antialias: rules.antialias, ..known }) == Some(*rules));
+    let named = Rules::NAMES.iter().find(|name| {
+        Rules::by_name(name).map(|known| Rules {
+            antialias: rules.antialias,
+            ..known
+        }) == Some(*rules)
+    });
     let name = named.map_or_else(|| format!("{rules:?}"), |name| (*name).to_owned());
-    if rules.antialias && named.is_some() { format!("{name}, antialiased") } else { name }
+    if rules.antialias && named.is_some() {
+        format!("{name}, antialiased")
+    } else {
+        name
+    }
 }
 
 fn outputs_text(outputs: &Value) -> String {
-    let color = if outputs["color"] == "U8" { "rgba8" } else { "f32" };
-    let beside = ["depth", "instance"].into_iter().filter(|output| outputs[*output] == true);
-    std::iter::once(color).chain(beside).collect::<Vec<_>>().join(", ")
+    let color = if outputs["color"] == "U8" {
+        "rgba8"
+    } else {
+        "f32"
+    };
+    let beside = ["depth", "instance"]
+        .into_iter()
+        .filter(|output| outputs[*output] == true);
+    std::iter::once(color)
+        .chain(beside)
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// Widest bar of the chart, characters.
@@ -116,7 +153,14 @@ const BAR_CHARS: f64 = 30.0;
 
 /// Report for people: conditions, then the stages as a chart, the frame, memory and error.
 pub fn to_text(figures: &Value) -> String {
-    format!("{}\n{}\n{}{}{}", heading(figures), chart(figures), rates(figures), memory(figures), error(figures))
+    format!(
+        "{}\n{}\n{}{}{}",
+        heading(figures),
+        chart(figures),
+        rates(figures),
+        memory(figures),
+        error(figures)
+    )
 }
 
 fn number(value: &Value) -> f64 {
@@ -150,13 +194,27 @@ fn heading(figures: &Value) -> String {
 
 /// A line for each stage with a bar as long as its median, then the frame.
 fn chart(figures: &Value) -> String {
-    let stages: Vec<(&str, &Value)> =
-        figures["stages"].as_array().into_iter().flatten().map(|stage| (text(&stage["name"]), &stage["gpu_ms"])).collect();
-    let longest_ms = stages.iter().map(|(_, times)| number(&times["median"])).fold(f64::MIN_POSITIVE, f64::max);
+    let stages: Vec<(&str, &Value)> = figures["stages"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|stage| (text(&stage["name"]), &stage["gpu_ms"]))
+        .collect();
+    let longest_ms = stages
+        .iter()
+        .map(|(_, times)| number(&times["median"]))
+        .fold(f64::MIN_POSITIVE, f64::max);
     let row = |name: &str, times: &Value, bar: &str| {
         // The clock's steps may make a time of nothing a little negative.
         let ms = |key: &str| number(&times[key]).max(0.0);
-        format!("  {name:<16} {:>9.3} {:>9.3}  {bar}", ms("median"), ms("p99")).trim_end().to_owned() + "\n"
+        format!(
+            "  {name:<16} {:>9.3} {:>9.3}  {bar}",
+            ms("median"),
+            ms("p99")
+        )
+        .trim_end()
+        .to_owned()
+            + "\n"
     };
     let mut lines = format!("  {:<16} {:>9} {:>9}\n", "ms", "median", "p99");
     for (name, times) in &stages {
@@ -164,13 +222,17 @@ fn chart(figures: &Value) -> String {
         lines.push_str(&row(name, times, &bar));
     }
     lines.push_str(&row("frame, GPU", &figures["frame_gpu_ms"], ""));
-    // With several frames in flight this is how long one takes from submission to image, and not the time between two.
+    // With several frames in flight this is how long one takes from submission to image, and not
+    // the time between two.
     lines.push_str(&row("frame, latency", &figures["frame_wall_ms"], ""));
     lines
 }
 
 fn rates(figures: &Value) -> String {
-    let (images, steps) = (number(&figures["images_per_s"]), number(&figures["rig_steps_per_s"]));
+    let (images, steps) = (
+        number(&figures["images_per_s"]),
+        number(&figures["rig_steps_per_s"]),
+    );
     let required = &figures["required"];
     format!(
         "  {images:.1} images/s, {steps:.1} rig steps/s by the wall clock; {} visible splats in {} tile entries\n",
@@ -180,14 +242,25 @@ fn rates(figures: &Value) -> String {
 
 fn memory(figures: &Value) -> String {
     let mebibytes = |value: &Value| number(value) / f64::from(1 << 20);
-    let by_purpose = figures["memory_bytes"]["by_purpose"].as_object().into_iter().flatten();
-    let purposes: Vec<String> = by_purpose.map(|(purpose, bytes)| format!("{purpose} {:.1}", mebibytes(bytes))).collect();
-    format!("  {:.1} MiB on the device: {}\n", mebibytes(&figures["memory_bytes"]["total"]), purposes.join(", "))
+    let by_purpose = figures["memory_bytes"]["by_purpose"]
+        .as_object()
+        .into_iter()
+        .flatten();
+    let purposes: Vec<String> = by_purpose
+        .map(|(purpose, bytes)| format!("{purpose} {:.1}", mebibytes(bytes)))
+        .collect();
+    format!(
+        "  {:.1} MiB on the device: {}\n",
+        mebibytes(&figures["memory_bytes"]["total"]),
+        purposes.join(", ")
+    )
 }
 
 fn error(figures: &Value) -> String {
     let (error, difference) = (&figures["error"], &figures["error"]["difference"]);
-    let psnr = difference["psnr_db"].as_f64().map_or("no error".to_owned(), |psnr| format!("PSNR {psnr:.2} dB"));
+    let psnr = difference["psnr_db"]
+        .as_f64()
+        .map_or("no error".to_owned(), |psnr| format!("PSNR {psnr:.2} dB"));
     format!(
         "  against f64, {}x{} in the middle of {}: {psnr}, max {:.6}\n",
         error["window_px"][2],
@@ -203,26 +276,55 @@ mod tests {
 
     #[test]
     fn a_spread_is_of_the_sorted_values() {
-        assert_eq!(spread(vec![5.0]), json!({ "median": 5.0, "p99": 5.0, "min": 5.0, "max": 5.0 }));
+        assert_eq!(
+            spread(vec![5.0]),
+            json!({ "median": 5.0, "p99": 5.0, "min": 5.0, "max": 5.0 })
+        );
         let hundred: Vec<f64> = (0..100).rev().map(f64::from).collect();
-        assert_eq!(spread(hundred), json!({ "median": 49.5, "p99": 98.0, "min": 0.0, "max": 99.0 }));
+        assert_eq!(
+            spread(hundred),
+            json!({ "median": 49.5, "p99": 98.0, "min": 0.0, "max": 99.0 })
+        );
     }
 
     #[test]
     fn rules_are_called_by_their_names() {
         assert_eq!(rules_text(&Rules::INRIA), "inria");
-        assert_eq!(rules_text(&Rules { antialias: true, ..Rules::DEFAULT }), "default, antialiased");
-        assert!(rules_text(&Rules { near_m: 3.5, ..Rules::DEFAULT }).contains("3.5"));
+        assert_eq!(
+            rules_text(&Rules {
+                antialias: true,
+                ..Rules::DEFAULT
+            }),
+            "default, antialiased"
+        );
+        assert!(
+            rules_text(&Rules {
+                near_m: 3.5,
+                ..Rules::DEFAULT
+            })
+            .contains("3.5")
+        );
     }
 
     #[test]
     fn the_longest_stage_has_the_longest_bar() {
         let times = |median: f64| json!({ "median": median, "p99": 2.0 * median });
         let stages = json!([{ "name": "cull", "gpu_ms": times(0.5) }, { "name": "blend", "gpu_ms": times(1.5) }]);
-        let chart = chart(&json!({ "stages": stages, "frame_gpu_ms": times(2.0), "frame_wall_ms": times(2.25) }));
-        let lines: Vec<Vec<&str>> = chart.lines().map(|line| line.split_whitespace().collect()).collect();
-        assert_eq!(lines[1], ["cull", "0.500", "1.000", "#".repeat(10).as_str()]);
-        assert_eq!(lines[2], ["blend", "1.500", "3.000", "#".repeat(30).as_str()]);
+        let chart = chart(
+            &json!({ "stages": stages, "frame_gpu_ms": times(2.0), "frame_wall_ms": times(2.25) }),
+        );
+        let lines: Vec<Vec<&str>> = chart
+            .lines()
+            .map(|line| line.split_whitespace().collect())
+            .collect();
+        assert_eq!(
+            lines[1],
+            ["cull", "0.500", "1.000", "#".repeat(10).as_str()]
+        );
+        assert_eq!(
+            lines[2],
+            ["blend", "1.500", "3.000", "#".repeat(30).as_str()]
+        );
         assert_eq!(lines[4], ["frame,", "latency", "2.250", "4.500"]);
     }
 }

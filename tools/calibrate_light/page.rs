@@ -27,7 +27,10 @@ pub fn page(subject: &Subject, calibration: &Calibration) -> Result<String> {
         html.push_str("</div>");
     }
     html.push_str("<h2>The neutral light</h2><div class=\"row\">");
-    for (caption, image) in ["as it is", "relit"].iter().zip(&views::neutral(subject, calibration)) {
+    for (caption, image) in ["as it is", "relit"]
+        .iter()
+        .zip(&views::neutral(subject, calibration))
+    {
         figure(&mut html, caption, image)?;
     }
     html.push_str("</div>");
@@ -47,7 +50,11 @@ const HOW_TO_READ: &str = "<h2>How to read this</h2><ul>\
     coefficient can do at best.</li></ul>";
 
 fn summary(subject: &Subject, calibration: &Calibration) -> String {
-    let assets: Vec<String> = subject.assets.iter().map(|(name, _)| escaped(name)).collect();
+    let assets: Vec<String> = subject
+        .assets
+        .iter()
+        .map(|(name, _)| escaped(name))
+        .collect();
     format!(
         "<p>Degree {}, {} splats of {}, {} lights from {} probes, objective {}, ridge {:.1e}. The smallest singular value of \
          the lights is {:.1e} of the largest. The neutral light changes colors by {:.4} (RMSE).</p>",
@@ -65,14 +72,19 @@ fn summary(subject: &Subject, calibration: &Calibration) -> String {
 
 fn table(subject: &Subject, calibration: &Calibration) -> String {
     if calibration.held_out.is_empty() {
-        return "<p>No probe could be left out: the others do not determine a fit without it.</p>".into();
+        return "<p>No probe could be left out: the others do not determine a fit without it.</p>"
+            .into();
     }
     let mut html = String::from("<table><tr><th>left out");
     for method in ["not relit", "relit", "best affine"] {
         let _ = write!(html, "<th>RMSE, {method}<th>PSNR, dB<th>angle, mean<th>p95");
     }
     for held_out in &calibration.held_out {
-        table_row(&mut html, &escaped(&subject.probes[held_out.probe].name), &held_out.comparison);
+        table_row(
+            &mut html,
+            &escaped(&subject.probes[held_out.probe].name),
+            &held_out.comparison,
+        );
     }
     table_row(&mut html, "all", &calibration.total());
     let _ = write!(
@@ -95,7 +107,9 @@ fn table_row(html: &mut String, name: &str, comparison: &Comparison) {
             error.angle_p95_deg()
         );
     };
-    [&comparison.none, &comparison.relit, &comparison.affine].into_iter().for_each(&mut cells);
+    [&comparison.none, &comparison.relit, &comparison.affine]
+        .into_iter()
+        .for_each(&mut cells);
 }
 
 fn figure(html: &mut String, caption: &str, image: &Image) -> Result<()> {
@@ -113,8 +127,15 @@ fn ridges(calibration: &Calibration) -> String {
     }
     let plot = Plot {
         title: "Ridge",
-        x: Axis { label: "ridge", log: true, ..Axis::default() },
-        y: Axis { label: "RMSE by the objective, probes left out", ..Axis::default() },
+        x: Axis {
+            label: "ridge",
+            log: true,
+            ..Axis::default()
+        },
+        y: Axis {
+            label: "RMSE by the objective, probes left out",
+            ..Axis::default()
+        },
         series: vec![Series {
             name: "probes left out".into(),
             color: 0,

@@ -1,6 +1,8 @@
 //! Images of an asset in the light of a probe: the truth, relit, and as it is.
 
-use decouplegs::asset::calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, Probe, Surroundings, lit_cloud, to_display};
+use decouplegs::asset::calibrate::{
+    Calibration, HeldOut, Lighting, PreparedProbe, Probe, Surroundings, lit_cloud, to_display,
+};
 use decouplegs::render::reference;
 use decouplegs::render::rendered_image::Image;
 use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, World};
@@ -27,24 +29,39 @@ const YAW_RAD: f64 = 0.4;
 pub struct Row {
     /// Captions of the images.
     pub captions: [&'static str; 4],
-    /// The probe itself, the truth, relit by a fit that was not shown the probe, and the asset as it is.
+    /// The probe itself, the truth, relit by a fit that was not shown the probe, and the asset as
+    /// it is.
     pub images: [Image; 4],
 }
 
-/// The first asset in the light of the probe that was left out; `None` where the probe leaves the ground dark.
+/// The first asset in the light of the probe that was left out; `None` where the probe leaves the
+/// ground dark.
 pub fn row(subject: &Subject, held_out: &HeldOut) -> Option<Row> {
     let probe = &subject.probes[held_out.probe];
     let small = probe.downsampled(decouplegs::asset::calibrate::PROBE_WIDTH);
     let ground: &Surroundings = &subject.options.ground;
     let prepared = PreparedProbe::new(&small, ground);
-    let light = Lighting::of_probe((held_out.probe, &prepared), ground, YAW_RAD, false, GROUND_DISPLAY)?;
+    let light = Lighting::of_probe(
+        (held_out.probe, &prepared),
+        ground,
+        YAW_RAD,
+        false,
+        GROUND_DISPLAY,
+    )?;
     let asset = shown(&subject.assets[0].1);
     let background = ground_color(&light.descriptor);
     let truth = lit_cloud(&asset, |normal| light.reflected_by_white(normal));
     let relit = held_out.transfer.at(&light.descriptor).relit(&asset);
-    let images =
-        [thumbnail(&small, light.exposure), image(truth, background), image(relit, background), image(asset, background)];
-    Some(Row { captions: ["the probe", "truth", "relit, probe left out", "not relit"], images })
+    let images = [
+        thumbnail(&small, light.exposure),
+        image(truth, background),
+        image(relit, background),
+        image(asset, background),
+    ];
+    Some(Row {
+        captions: ["the probe", "truth", "relit, probe left out", "not relit"],
+        images,
+    })
 }
 
 /// The first asset in the neutral light: as it is, and relit.
@@ -52,11 +69,16 @@ pub fn neutral(subject: &Subject, calibration: &Calibration) -> [Image; 2] {
     let asset = shown(&subject.assets[0].1);
     let neutral = &calibration.transfer.neutral;
     let relit = calibration.transfer.at(neutral).relit(&asset);
-    [image(asset, ground_color(neutral)), image(relit, ground_color(neutral))]
+    [
+        image(asset, ground_color(neutral)),
+        image(relit, ground_color(neutral)),
+    ]
 }
 
 fn shown(asset: &SplatCloud) -> SplatCloud {
-    let shows = |&splat: &u32| asset.opacities[splat as usize] >= OPACITY_MIN && asset.defect_of(splat as usize).is_none();
+    let shows = |&splat: &u32| {
+        asset.opacities[splat as usize] >= OPACITY_MIN && asset.defect_of(splat as usize).is_none()
+    };
     asset.select(&(0..asset.len() as u32).filter(shows).collect::<Vec<_>>())
 }
 
@@ -66,10 +88,24 @@ fn ground_color(light: &AmbientDescriptor) -> [f32; 3] {
 
 fn image(cloud: SplatCloud, background: [f32; 3]) -> Image {
     let bounds = cloud.bounds();
-    let size_m = bounds.half_extent().iter().map(|half| f64::from(2.0 * half)).fold(0.0, f64::max).max(1e-3);
+    let size_m = bounds
+        .half_extent()
+        .iter()
+        .map(|half| f64::from(2.0 * half))
+        .fold(0.0, f64::max)
+        .max(1e-3);
     let focal_px = 0.8 * DISTANCE * f64::from(WIDTH_PX);
-    let cameras = street(&bounds, 8, DISTANCE * size_m, focal_px, [WIDTH_PX, HEIGHT_PX]);
-    let world = World { sky: background, ..World::of(cloud) };
+    let cameras = street(
+        &bounds,
+        8,
+        DISTANCE * size_m,
+        focal_px,
+        [WIDTH_PX, HEIGHT_PX],
+    );
+    let world = World {
+        sky: background,
+        ..World::of(cloud)
+    };
     reference::render(&world, &cameras[1], &Rules::DEFAULT).to_image()
 }
 

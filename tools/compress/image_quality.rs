@@ -9,7 +9,8 @@ use decouplegs::render::{Image, RenderOptions, Renderer};
 use decouplegs::scene::{Camera, SplatCloud, World};
 use serde_json::{Value, json};
 
-/// Behind the asset: neither black nor white, so that what is missing shows on both dark and light parts.
+/// Behind the asset: neither black nor white, so that what is missing shows on both dark and light
+/// parts.
 const SKY_RGB: [f32; 3] = [0.6, 0.7, 0.8];
 
 /// Similarity of images to the original's.
@@ -34,7 +35,10 @@ impl Score {
             ssims.extend(difference.ssim);
         }
         let ssim = (!ssims.is_empty()).then(|| ssims.iter().sum::<f64>() / ssims.len() as f64);
-        Ok(Self { psnr_db: -10.0 * (square_sum / found.len() as f64).log10(), ssim })
+        Ok(Self {
+            psnr_db: -10.0 * (square_sum / found.len() as f64).log10(),
+            ssim,
+        })
     }
 }
 
@@ -45,9 +49,15 @@ pub fn differences(found: &[Image], expected: &[Image]) -> Result<Vec<Difference
     let mut differences = Vec::new();
     for pairs in pairs.chunks(threads) {
         thread::scope(|scope| {
-            let running: Vec<_> =
-                pairs.iter().map(|(found, expected)| scope.spawn(|| Difference::between(found, expected))).collect();
-            differences.extend(running.into_iter().map(|thread| thread.join().expect("metrics do not panic")));
+            let running: Vec<_> = pairs
+                .iter()
+                .map(|(found, expected)| scope.spawn(|| Difference::between(found, expected)))
+                .collect();
+            differences.extend(
+                running
+                    .into_iter()
+                    .map(|thread| thread.join().expect("metrics do not panic")),
+            );
         });
     }
     Ok(differences.into_iter().collect::<Result<_, _>>()?)
@@ -68,18 +78,34 @@ pub struct QualityMeter {
 }
 
 impl QualityMeter {
-    /// Scores against `original` from the `cameras` of each name; the second of each is what the cameras are, for the reader.
-    pub fn new(gpu: &Gpu, original: &SplatCloud, cameras: Vec<(&'static str, String, Vec<Camera>)>) -> Result<Self> {
-        let mut quality_meter = Self { renderer: Renderer::new(gpu, RenderOptions::default()), views: Vec::new() };
+    /// Scores against `original` from the `cameras` of each name; the second of each is what the
+    /// cameras are, for the reader.
+    pub fn new(
+        gpu: &Gpu,
+        original: &SplatCloud,
+        cameras: Vec<(&'static str, String, Vec<Camera>)>,
+    ) -> Result<Self> {
+        let mut quality_meter = Self {
+            renderer: Renderer::new(gpu, RenderOptions::default()),
+            views: Vec::new(),
+        };
         for (name, what, cameras) in cameras {
             let original = quality_meter.draw(original, &cameras)?;
-            quality_meter.views.push(Views { name, what, cameras, original });
+            quality_meter.views.push(Views {
+                name,
+                what,
+                cameras,
+                original,
+            });
         }
         Ok(quality_meter)
     }
 
     pub fn draw(&mut self, cloud: &SplatCloud, cameras: &[Camera]) -> Result<Vec<Image>> {
-        let world = World { sky: SKY_RGB, ..World::of(cloud.select(&cloud.spatial_order())) };
+        let world = World {
+            sky: SKY_RGB,
+            ..World::of(cloud.select(&cloud.spatial_order()))
+        };
         let resident = self.renderer.upload(&world)?;
         self.renderer.render(&resident, cameras)?;
         Ok(self.renderer.read_images()?)
@@ -97,7 +123,12 @@ impl QualityMeter {
     }
 
     /// Similarity of `found` to `expected`, both rendered for `cameras`.
-    pub fn compare(&mut self, found: &SplatCloud, expected: &SplatCloud, cameras: &[Camera]) -> Result<Score> {
+    pub fn compare(
+        &mut self,
+        found: &SplatCloud,
+        expected: &SplatCloud,
+        cameras: &[Camera],
+    ) -> Result<Score> {
         let expected = self.draw(expected, cameras)?;
         Score::between(&self.draw(found, cameras)?, &expected)
     }
@@ -114,7 +145,10 @@ mod tests {
         // Squared errors 0 and 0.01.
         assert!((score.psnr_db - 23.0103).abs() < 1e-3, "{score:?}");
         let equal = Score::between(&[gray(0.5)], &[gray(0.5)]).unwrap();
-        assert_eq!((equal.psnr_db, equal.to_json()["psnr_db"].is_null()), (f64::INFINITY, true));
+        assert_eq!(
+            (equal.psnr_db, equal.to_json()["psnr_db"].is_null()),
+            (f64::INFINITY, true)
+        );
         assert!((equal.ssim.unwrap() - 1.0).abs() < 1e-9);
     }
 }

@@ -27,7 +27,13 @@ pub fn page(
     let names: Vec<&str> = quality_meter.views.iter().map(|views| views.name).collect();
     html.push_str("<h2>Against the original</h2><ul>");
     for views in &quality_meter.views {
-        let _ = write!(html, "<li><b>{}</b>: {}, {} views</li>", views.name, escaped(&views.what), views.cameras.len());
+        let _ = write!(
+            html,
+            "<li><b>{}</b>: {}, {} views</li>",
+            views.name,
+            escaped(&views.what),
+            views.cameras.len()
+        );
     }
     html.push_str("</ul>");
     html.push_str(&trial_table(&names, std::slice::from_ref(&measured.asset)));
@@ -63,21 +69,49 @@ fn summary(subject: &Subject<'_>, compressed: &Compressed) -> String {
         escaped(&subject.gpu.info().name)
     );
     let mut row = |name: String, bytes: u64| {
-        let _ = write!(html, "<tr><td>{name}<td>{bytes}<td>{:.3}</tr>", bytes as f64 / report.kept as f64);
+        let _ = write!(
+            html,
+            "<tr><td>{name}<td>{bytes}<td>{:.3}</tr>",
+            bytes as f64 / report.kept as f64
+        );
     };
     for (level, &bytes) in report.bytes.levels.iter().enumerate() {
-        row(format!("level {level}: {} splats", compressed.cloud.levels[level]), bytes as u64);
+        row(
+            format!("level {level}: {} splats", compressed.cloud.levels[level]),
+            bytes as u64,
+        );
     }
-    row(format!("{} shapes", report.shapes.entries), report.bytes.shapes as u64);
-    row(format!("{} colors of degree {}", report.colors.entries, compressed.cloud.sh_degree), report.bytes.colors as u64);
-    row("header".into(), subject.stored_bytes.saturating_sub(report.bytes.total() as u64));
+    row(
+        format!("{} shapes", report.shapes.entries),
+        report.bytes.shapes as u64,
+    );
+    row(
+        format!(
+            "{} colors of degree {}",
+            report.colors.entries, compressed.cloud.sh_degree
+        ),
+        report.bytes.colors as u64,
+    );
+    row(
+        "header".into(),
+        subject
+            .stored_bytes
+            .saturating_sub(report.bytes.total() as u64),
+    );
     html.push_str("</table>");
     html
 }
 
 fn score_cells(score: &Score) -> String {
-    let psnr = if score.psnr_db.is_finite() { format!("{:.2} dB", score.psnr_db) } else { "equal".into() };
-    format!("<td>{psnr}<td>{}", score.ssim.map_or("-".into(), |ssim| format!("{ssim:.4}")))
+    let psnr = if score.psnr_db.is_finite() {
+        format!("{:.2} dB", score.psnr_db)
+    } else {
+        "equal".into()
+    };
+    format!(
+        "<td>{psnr}<td>{}",
+        score.ssim.map_or("-".into(), |ssim| format!("{ssim:.4}"))
+    )
 }
 
 fn trial_table(names: &[&str], trials: &[Trial]) -> String {
@@ -86,9 +120,16 @@ fn trial_table(names: &[&str], trials: &[Trial]) -> String {
         let _ = write!(html, "<th>PSNR {name}<th>SSIM");
     });
     for trial in trials {
-        let bytes = if trial.bytes_per_splat.is_finite() { format!("{:.2}", trial.bytes_per_splat) } else { "-".into() };
+        let bytes = if trial.bytes_per_splat.is_finite() {
+            format!("{:.2}", trial.bytes_per_splat)
+        } else {
+            "-".into()
+        };
         let _ = write!(html, "<tr><td>{}<td>{bytes}", escaped(&trial.name));
-        trial.scores.iter().for_each(|score| html.push_str(&score_cells(score)));
+        trial
+            .scores
+            .iter()
+            .for_each(|score| html.push_str(&score_cells(score)));
     }
     html.push_str("</table>");
     html
@@ -117,16 +158,27 @@ fn level_table(measured: &Measured) -> String {
 fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> String {
     let by_view = |trials: &[Trial], suffix: &str, first_color: usize| -> Vec<Series> {
         let of = |(at, name): (usize, &&str)| {
-            let points = trials.iter().map(|trial| (trial.at, trial.scores[at].psnr_db)).collect();
+            let points = trials
+                .iter()
+                .map(|trial| (trial.at, trial.scores[at].psnr_db))
+                .collect();
             curve(format!("{name}{suffix}"), first_color + at, points)
         };
         names.iter().enumerate().map(of).collect()
     };
     let mut kept = by_view(&measured.kept, "", 0);
     kept.extend(by_view(&measured.pruned_only, ", only pruned", names.len()));
-    let linear = |label| Axis { label, ..Axis::default() };
+    let linear = |label| Axis {
+        label,
+        ..Axis::default()
+    };
     let plots = [
-        Plot { title: "Share of the splats kept", x: linear("share"), y: linear("PSNR, dB"), series: kept },
+        Plot {
+            title: "Share of the splats kept",
+            x: linear("share"),
+            y: linear("PSNR, dB"),
+            series: kept,
+        },
         Plot {
             title: "Sizes of the codebooks (half as many shapes)",
             x: linear("colors"),
@@ -136,22 +188,47 @@ fn curves(names: &[&str], compressed: &Compressed, measured: &Measured) -> Strin
         distortion("Distortion of shapes", &compressed.report.shapes),
         distortion("Distortion of colors", &compressed.report.colors),
     ];
-    let svgs: String = plots.iter().map(|plot| format!("<figure>{}</figure>", plot.to_svg())).collect();
+    let svgs: String = plots
+        .iter()
+        .map(|plot| format!("<figure>{}</figure>", plot.to_svg()))
+        .collect();
     format!("<h2>Curves</h2><div class=\"row\">{svgs}</div>")
 }
 
 fn curve(name: String, color: usize, points: Vec<(f64, f64)>) -> Series {
-    Series { name, color, points, shape: Shape::Curve, end: None }
+    Series {
+        name,
+        color,
+        points,
+        shape: Shape::Curve,
+        end: None,
+    }
 }
 
 fn distortion<'a>(title: &'a str, book: &BookReport) -> Plot<'a> {
-    let numbered: Vec<(f64, f64)> = book.distortion.iter().enumerate().map(|(at, &value)| (at as f64, value)).collect();
+    let numbered: Vec<(f64, f64)> = book
+        .distortion
+        .iter()
+        .enumerate()
+        .map(|(at, &value)| (at as f64, value))
+        .collect();
     let (batches, all) = numbered.split_at(book.batches);
     Plot {
         title,
-        x: Axis { label: "iteration", from_zero: true, log: false },
-        y: Axis { label: "mean squared distance", log: true, from_zero: false },
-        series: vec![curve("mini-batches".into(), 0, batches.to_vec()), curve("all splats".into(), 1, all.to_vec())],
+        x: Axis {
+            label: "iteration",
+            from_zero: true,
+            log: false,
+        },
+        y: Axis {
+            label: "mean squared distance",
+            log: true,
+            from_zero: false,
+        },
+        series: vec![
+            curve("mini-batches".into(), 0, batches.to_vec()),
+            curve("all splats".into(), 1, all.to_vec()),
+        ],
     }
 }
 
@@ -165,7 +242,11 @@ fn images(quality_meter: &mut QualityMeter, compressed: &Compressed) -> Result<S
         let before = &quality_meter.views[at].original[0];
         let difference = difference_image(before, &after[0], DIFFERENCE_GAIN)?;
         html.push_str("<div class=\"row\">");
-        for (what, image) in [("before", before), ("after", &after[0]), ("difference, times 8", &difference)] {
+        for (what, image) in [
+            ("before", before),
+            ("after", &after[0]),
+            ("difference, times 8", &difference),
+        ] {
             let name = quality_meter.views[at].name;
             let _ = write!(
                 html,

@@ -5,7 +5,9 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::compress::{CompressOptions, Compressed, Prune, ShapeSpace, compress, importance, prune};
+use decouplegs::asset::compress::{
+    CompressOptions, Compressed, Prune, ShapeSpace, compress, importance, prune,
+};
 use decouplegs::asset::write_atomically;
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::{CodedCloud, SplatCloud};
@@ -23,7 +25,8 @@ const KEEP_RATIOS: [f32; 6] = [1.0, 0.9, 0.75, 0.6, 0.45, 0.3];
 /// Codebooks that the curve is measured at: colors and shapes.
 const BOOK_SIZES: [(usize, usize); 4] = [(64, 32), (256, 128), (512, 256), (1024, 512)];
 
-/// Distances at which a level of detail is compared with the finest: where this many pixels lie between its splats.
+/// Distances at which a level of detail is compared with the finest: where this many pixels lie
+/// between its splats.
 const PITCHES_PX: [f64; 4] = [0.5, 0.7, 1.0, 1.4];
 
 /// Cameras of each kind, where the command line does not say.
@@ -91,26 +94,59 @@ pub fn write(subject: &Subject<'_>, compressed: &Compressed, folder: &Path) -> R
     };
     bar.finish_and_clear();
     let figures = figures(subject, compressed, &quality_meter, &measured);
-    write_atomically(&folder.join("report.json"), |file| writeln!(file, "{figures:#}"))?;
+    write_atomically(&folder.join("report.json"), |file| {
+        writeln!(file, "{figures:#}")
+    })?;
     let page = page::page(subject, compressed, &mut quality_meter, &measured)?;
-    write_atomically(&folder.join("report.html"), |file| file.write_all(page.as_bytes()))?;
+    write_atomically(&folder.join("report.html"), |file| {
+        file.write_all(page.as_bytes())
+    })?;
     Ok(())
 }
 
 fn quality_meter(subject: &Subject<'_>) -> Result<QualityMeter> {
-    let drawn: Vec<u32> = (0..subject.cloud.len() as u32).filter(|&at| subject.cloud.defect_of(at as usize).is_none()).collect();
+    let drawn: Vec<u32> = (0..subject.cloud.len() as u32)
+        .filter(|&at| subject.cloud.defect_of(at as usize).is_none())
+        .collect();
     let bounds = subject.cloud.select(&drawn).bounds();
     let distance_m = subject.arguments.report_distance;
     let [width_px, height_px] = WINDOW_PX;
     let street = |distance_m: f64| {
-        format!("window of {width_px}x{height_px} px of a 1600x900 camera (focal length {STREET_FOCAL_PX} px) at {distance_m} m")
+        format!(
+            "window of {width_px}x{height_px} px of a 1600x900 camera (focal length {STREET_FOCAL_PX} px) at {distance_m} m"
+        )
     };
     let close_m = 0.4 * distance_m;
-    let views_of = |by_default: usize| subject.arguments.report_views.map_or(by_default, |views| views as usize);
+    let views_of = |by_default: usize| {
+        subject
+            .arguments
+            .report_views
+            .map_or(by_default, |views| views as usize)
+    };
     let around = views_of(AROUND_VIEWS);
     let cameras = vec![
-        ("street", street(distance_m), views::street(&bounds, views_of(STREET_VIEWS), distance_m, STREET_FOCAL_PX, WINDOW_PX)),
-        ("close", street(close_m), views::street(&bounds, views_of(CLOSE_VIEWS), close_m, STREET_FOCAL_PX, WINDOW_PX)),
+        (
+            "street",
+            street(distance_m),
+            views::street(
+                &bounds,
+                views_of(STREET_VIEWS),
+                distance_m,
+                STREET_FOCAL_PX,
+                WINDOW_PX,
+            ),
+        ),
+        (
+            "close",
+            street(close_m),
+            views::street(
+                &bounds,
+                views_of(CLOSE_VIEWS),
+                close_m,
+                STREET_FOCAL_PX,
+                WINDOW_PX,
+            ),
+        ),
         (
             "around",
             format!("all of it from {around} held-out directions on a sphere, {AROUND_PX} px"),
@@ -120,9 +156,19 @@ fn quality_meter(subject: &Subject<'_>) -> Result<QualityMeter> {
     QualityMeter::new(subject.gpu, subject.cloud, cameras)
 }
 
-fn trial(quality_meter: &mut QualityMeter, name: String, at: f64, compressed: &Compressed) -> Result<Trial> {
+fn trial(
+    quality_meter: &mut QualityMeter,
+    name: String,
+    at: f64,
+    compressed: &Compressed,
+) -> Result<Trial> {
     let scores = quality_meter.score(&compressed.cloud.decoded(0))?;
-    Ok(Trial { name, at, bytes_per_splat: compressed.report.bytes_per_splat(), scores })
+    Ok(Trial {
+        name,
+        at,
+        bytes_per_splat: compressed.report.bytes_per_splat(),
+        scores,
+    })
 }
 
 /// Compresses otherwise, and scores what comes of it.
@@ -144,42 +190,94 @@ fn pruned_only(subject: &Subject<'_>, quality_meter: &mut QualityMeter) -> Resul
     let pruned = KEEP_RATIOS.iter().map(|&ratio| {
         let kept = prune(subject.cloud, &importance, Prune::KeepRatio(ratio)).splats;
         let scores = quality_meter.score(&subject.cloud.select(&kept))?;
-        Ok(Trial { name: format!("keep {ratio}"), at: ratio.into(), bytes_per_splat: f64::NAN, scores })
+        Ok(Trial {
+            name: format!("keep {ratio}"),
+            at: ratio.into(),
+            bytes_per_splat: f64::NAN,
+            scores,
+        })
     });
     pruned.collect()
 }
 
-fn kept(subject: &Subject<'_>, quality_meter: &mut QualityMeter, bar: &ProgressBar) -> Result<Vec<Trial>> {
+fn kept(
+    subject: &Subject<'_>,
+    quality_meter: &mut QualityMeter,
+    bar: &ProgressBar,
+) -> Result<Vec<Trial>> {
     let trials = KEEP_RATIOS.iter().map(|&ratio| {
-        let options = CompressOptions { prune: Prune::KeepRatio(ratio), ..subject.options };
-        other(subject, quality_meter, bar, (format!("keep {ratio}"), ratio.into()), options)
+        let options = CompressOptions {
+            prune: Prune::KeepRatio(ratio),
+            ..subject.options
+        };
+        other(
+            subject,
+            quality_meter,
+            bar,
+            (format!("keep {ratio}"), ratio.into()),
+            options,
+        )
     });
     trials.collect()
 }
 
-fn books(subject: &Subject<'_>, quality_meter: &mut QualityMeter, bar: &ProgressBar) -> Result<Vec<Trial>> {
+fn books(
+    subject: &Subject<'_>,
+    quality_meter: &mut QualityMeter,
+    bar: &ProgressBar,
+) -> Result<Vec<Trial>> {
     let trials = BOOK_SIZES.iter().map(|&(colors, shapes)| {
-        let options = CompressOptions { colors, shapes, ..subject.options };
-        other(subject, quality_meter, bar, (format!("{colors} colors, {shapes} shapes"), colors as f64), options)
+        let options = CompressOptions {
+            colors,
+            shapes,
+            ..subject.options
+        };
+        other(
+            subject,
+            quality_meter,
+            bar,
+            (format!("{colors} colors, {shapes} shapes"), colors as f64),
+            options,
+        )
     });
     trials.collect()
 }
 
-fn spaces(subject: &Subject<'_>, quality_meter: &mut QualityMeter, bar: &ProgressBar) -> Result<Vec<Trial>> {
+fn spaces(
+    subject: &Subject<'_>,
+    quality_meter: &mut QualityMeter,
+    bar: &ProgressBar,
+) -> Result<Vec<Trial>> {
     let trials = ShapeSpace::ALL.iter().map(|&shape_space| {
-        let options = CompressOptions { shape_space, ..subject.options };
-        other(subject, quality_meter, bar, (format!("{shape_space:?}"), 0.0), options)
+        let options = CompressOptions {
+            shape_space,
+            ..subject.options
+        };
+        other(
+            subject,
+            quality_meter,
+            bar,
+            (format!("{shape_space:?}"), 0.0),
+            options,
+        )
     });
     trials.collect()
 }
 
-/// Each coarser level against the finest, where [`PITCHES_PX`] lie between its splats: the root of the share of its box's
-/// surface that each has.
-fn levels(subject: &Subject<'_>, quality_meter: &mut QualityMeter, cloud: &CodedCloud) -> Result<Vec<LevelTrial>> {
+/// Each coarser level against the finest, where [`PITCHES_PX`] lie between its splats: the root of
+/// the share of its box's surface that each has.
+fn levels(
+    subject: &Subject<'_>,
+    quality_meter: &mut QualityMeter,
+    cloud: &CodedCloud,
+) -> Result<Vec<LevelTrial>> {
     let finest = cloud.decoded(0);
     let [length, width, height] = cloud.dims_m.map(f64::from);
     let surface_m2 = 2.0 * (length * width + length * height + width * height);
-    let views = subject.arguments.report_views.map_or(STREET_VIEWS, |views| views as usize);
+    let views = subject
+        .arguments
+        .report_views
+        .map_or(STREET_VIEWS, |views| views as usize);
     let mut trials = Vec::new();
     for level in 1..cloud.levels.len() {
         let decoded = cloud.decoded(level);
@@ -187,20 +285,38 @@ fn levels(subject: &Subject<'_>, quality_meter: &mut QualityMeter, cloud: &Coded
         for pitch_px in PITCHES_PX {
             let distance_m = pitch_m * STREET_FOCAL_PX / pitch_px;
             // As large as the asset: pixels of sky would flatter it.
-            let size_px = |size_m: f64| ((size_m / distance_m * STREET_FOCAL_PX).ceil() as u32).clamp(16, 400);
+            let size_px = |size_m: f64| {
+                ((size_m / distance_m * STREET_FOCAL_PX).ceil() as u32).clamp(16, 400)
+            };
             let window = [size_px(length.max(width)), size_px(height)];
-            let cameras = views::street(&finest.bounds(), views, distance_m, STREET_FOCAL_PX, window);
+            let cameras =
+                views::street(&finest.bounds(), views, distance_m, STREET_FOCAL_PX, window);
             let score = quality_meter.compare(&decoded, &finest, &cameras)?;
-            trials.push(LevelTrial { level, splats: decoded.len(), pitch_px, distance_m, score });
+            trials.push(LevelTrial {
+                level,
+                splats: decoded.len(),
+                pitch_px,
+                distance_m,
+                score,
+            });
         }
     }
     Ok(trials)
 }
 
 /// The same figures for programs.
-fn figures(subject: &Subject<'_>, compressed: &Compressed, quality_meter: &QualityMeter, measured: &Measured) -> Value {
+fn figures(
+    subject: &Subject<'_>,
+    compressed: &Compressed,
+    quality_meter: &QualityMeter,
+    measured: &Measured,
+) -> Value {
     let trial_json = |trial: &Trial| {
-        let scores = quality_meter.views.iter().zip(&trial.scores).map(|(views, score)| (views.name.to_owned(), score.to_json()));
+        let scores = quality_meter
+            .views
+            .iter()
+            .zip(&trial.scores)
+            .map(|(views, score)| (views.name.to_owned(), score.to_json()));
         json!({
             "name": trial.name,
             "at": trial.at,

@@ -5,7 +5,10 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use decouplegs::asset::compress::{CompressOptions, Prune, compress};
-use decouplegs::asset::{CodedAsset, Provenance, inria_ply, khr_glb, read_bytes, read_splats, sog, splat, spz, write_coded};
+use decouplegs::asset::{
+    CodedAsset, Provenance, inria_ply, khr_glb, read_bytes, read_splats, sog, splat, spz,
+    write_coded,
+};
 use decouplegs::scene::SplatCloud;
 
 /// A format that splats are written in.
@@ -21,29 +24,39 @@ pub enum Format {
     Sog,
     /// Binary glTF with KHR_gaussian_splatting: all in 32-bit floats
     Glb,
-    /// Our compressed asset, of all splats with an opacity of at least 1/255; `compress` prunes by what is seen
+    /// Our compressed asset, of all splats with an opacity of at least 1/255; `compress` prunes by
+    /// what is seen
     Safetensors,
 }
 
 impl Format {
     /// The format of a name.
     pub fn of_path(path: &Path) -> Result<Self> {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        let name = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_lowercase();
         if name.ends_with(".compressed.ply") {
-            bail!("{}: PlayCanvas' compressed PLY is read, not written; write .sog or .spz", path.display());
-        }
-        Ok(match name.rsplit_once('.').map_or("", |(_, extension)| extension) {
-            "ply" => Self::Ply,
-            "spz" => Self::Spz,
-            "splat" => Self::Splat,
-            "sog" => Self::Sog,
-            "glb" => Self::Glb,
-            "safetensors" => Self::Safetensors,
-            other => bail!(
-                "{}: expected a name that ends with .ply, .spz, .splat, .sog, .glb or .safetensors, or --to FORMAT, found {other:?}",
+            bail!(
+                "{}: PlayCanvas' compressed PLY is read, not written; write .sog or .spz",
                 path.display()
-            ),
-        })
+            );
+        }
+        Ok(
+            match name.rsplit_once('.').map_or("", |(_, extension)| extension) {
+                "ply" => Self::Ply,
+                "spz" => Self::Spz,
+                "splat" => Self::Splat,
+                "sog" => Self::Sog,
+                "glb" => Self::Glb,
+                "safetensors" => Self::Safetensors,
+                other => bail!(
+                    "{}: expected a name that ends with .ply, .spz, .splat, .sog, .glb or .safetensors, or --to FORMAT, found {other:?}",
+                    path.display()
+                ),
+            },
+        )
     }
 
     /// Name of the format for users.
@@ -73,31 +86,48 @@ impl Format {
         let mut limits = Vec::new();
         let mut say = |told: &str| limits.push(told.to_owned());
         match self {
-            Self::Ply => say("opacities and scales are stored as logits and logarithms, rounded to 32-bit floats"),
+            Self::Ply => say(
+                "opacities and scales are stored as logits and logarithms, rounded to 32-bit floats",
+            ),
             Self::Glb => {}
             Self::Spz => {
-                say("positions on a grid of 0.24 mm (coarser beyond 2 km), scales in steps of 6.4 % from 4.5e-5 to 379 m");
-                say("rotations of 10 bits a component, opacities and colors of 8 bits, coefficients within -1 to 1 in 8 bits");
+                say(
+                    "positions on a grid of 0.24 mm (coarser beyond 2 km), scales in steps of 6.4 % from 4.5e-5 to 379 m",
+                );
+                say(
+                    "rotations of 10 bits a component, opacities and colors of 8 bits, coefficients within -1 to 1 in 8 bits",
+                );
             }
             Self::Splat => {
-                say("colors and opacities of 8 bits within 0 to 1, rotations of 8 bits a component");
+                say(
+                    "colors and opacities of 8 bits within 0 to 1, rotations of 8 bits a component",
+                );
                 if cloud.sh_degree > 0 {
                     say("no spherical harmonics: colors are the same from everywhere");
                 }
             }
             Self::Sog => {
-                say("positions of 16 bits an axis, closer where the scene is small and near its origin");
-                say("rotations of 8 bits a component, opacities of 8 bits; scales and coefficients are one of 256 numbers each");
+                say(
+                    "positions of 16 bits an axis, closer where the scene is small and near its origin",
+                );
+                say(
+                    "rotations of 8 bits a component, opacities of 8 bits; scales and coefficients are one of 256 numbers each",
+                );
             }
             Self::Safetensors => {
-                say("positions of 16 bits an axis; shapes and colors are entries of codebooks; splats in another order");
-                say("axes are stored as a shape: which is the first is not kept, and rotations are not compared");
+                say(
+                    "positions of 16 bits an axis; shapes and colors are entries of codebooks; splats in another order",
+                );
+                say(
+                    "axes are stored as a shape: which is the first is not kept, and rotations are not compared",
+                );
             }
         }
         limits
     }
 
-    /// Writes `cloud`. Where the splats come in another order: which of them stand in the file, one behind the other.
+    /// Writes `cloud`. Where the splats come in another order: which of them stand in the file, one
+    /// behind the other.
     pub fn write(self, out: &Path, source: &Path, cloud: &SplatCloud) -> Result<Option<Vec<u32>>> {
         match self {
             Self::Ply => inria_ply::write(out, cloud)?,
@@ -121,21 +151,39 @@ impl Format {
             // These are told by their first bytes.
             Self::Ply | Self::Spz | Self::Sog | Self::Glb => return Ok(read_splats(path)?),
             Self::Splat => splat::decode(&bytes()?),
-            Self::Safetensors => decouplegs::asset::coded_asset::decode(&bytes()?).map(|asset| asset.cloud.decoded(0)),
+            Self::Safetensors => decouplegs::asset::coded_asset::decode(&bytes()?)
+                .map(|asset| asset.cloud.decoded(0)),
         };
         decoded.with_context(|| format!("{} cannot be read back", path.display()))
     }
 }
 
-/// Writes a compressed asset of all splats that can be seen. Returns their indices in `cloud`, in the order of the file.
+/// Writes a compressed asset of all splats that can be seen. Returns their indices in `cloud`, in
+/// the order of the file.
 fn write_asset(out: &Path, source: &Path, cloud: &SplatCloud) -> Result<Vec<u32>> {
     // Every splat counts alike: nothing is rendered, so nobody knows which are seen.
-    let options = CompressOptions { prune: Prune::KeepRatio(1.0), ..CompressOptions::default() };
+    let options = CompressOptions {
+        prune: Prune::KeepRatio(1.0),
+        ..CompressOptions::default()
+    };
     let compressed = compress(cloud, &vec![1.0; cloud.len()], &options, &|_| ())?;
-    let bytes = if source.is_file() { read_bytes(source)? } else { Vec::new() };
-    let mut provenance = Provenance::of_source(source.file_name().unwrap_or_default().to_string_lossy(), &bytes);
+    let bytes = if source.is_file() {
+        read_bytes(source)?
+    } else {
+        Vec::new()
+    };
+    let mut provenance = Provenance::of_source(
+        source.file_name().unwrap_or_default().to_string_lossy(),
+        &bytes,
+    );
     provenance.settings.insert("prune".into(), "none".into());
-    write_coded(out, &CodedAsset { cloud: compressed.cloud, provenance })?;
+    write_coded(
+        out,
+        &CodedAsset {
+            cloud: compressed.cloud,
+            provenance,
+        },
+    )?;
     Ok(compressed.kept)
 }
 
@@ -147,10 +195,23 @@ mod tests {
     fn formats_are_told_by_extension_and_others_refused() {
         for format in Format::value_variants() {
             let name = format.to_possible_value().unwrap().get_name().to_owned();
-            assert_eq!(Format::of_path(Path::new(&format!("a.b.{}", name.to_uppercase()))).unwrap(), *format);
+            assert_eq!(
+                Format::of_path(Path::new(&format!("a.b.{}", name.to_uppercase()))).unwrap(),
+                *format
+            );
         }
-        for (name, part) in [("a.compressed.ply", "not written"), ("a", "\"\""), ("a.obj", "\"obj\"")] {
-            assert!(Format::of_path(Path::new(name)).unwrap_err().to_string().contains(part), "{name}");
+        for (name, part) in [
+            ("a.compressed.ply", "not written"),
+            ("a", "\"\""),
+            ("a.obj", "\"obj\""),
+        ] {
+            assert!(
+                Format::of_path(Path::new(name))
+                    .unwrap_err()
+                    .to_string()
+                    .contains(part),
+                "{name}"
+            );
         }
     }
 }

@@ -34,13 +34,23 @@ impl Report<'_> {
             self.bytes_in
         );
         if let Some(loss) = &self.loss {
-            text.push_str(&format!("  {:<20}{:>12}{:>12}{:>12}\n", "lost", "mean", "99 %", "largest"));
+            text.push_str(&format!(
+                "  {:<20}{:>12}{:>12}{:>12}\n",
+                "lost", "mean", "99 %", "largest"
+            ));
             for (name, loss) in rows(loss) {
-                text.push_str(&format!("  {name:<20}{:>12}{:>12}{:>12}\n", shown(loss.mean), shown(loss.p99), shown(loss.max)));
+                text.push_str(&format!(
+                    "  {name:<20}{:>12}{:>12}{:>12}\n",
+                    shown(loss.mean),
+                    shown(loss.p99),
+                    shown(loss.max)
+                ));
             }
             if loss.sh_degree_after != loss.sh_degree_before {
                 let (before, after) = (loss.sh_degree_before, loss.sh_degree_after);
-                text.push_str(&format!("  spherical harmonics of degree {after} where {before} was\n"));
+                text.push_str(&format!(
+                    "  spherical harmonics of degree {after} where {before} was\n"
+                ));
             }
         }
         for note in &self.notes {
@@ -68,7 +78,10 @@ impl Report<'_> {
 
 /// Names with units, and what was lost of each.
 fn rows(loss: &LossReport) -> Vec<(&'static str, AttributeLoss)> {
-    let mut rows = vec![("position, m", loss.position_m), ("scale, relative", loss.scale_relative)];
+    let mut rows = vec![
+        ("position, m", loss.position_m),
+        ("scale, relative", loss.scale_relative),
+    ];
     rows.extend(loss.rotation_rad.map(|loss| ("rotation, rad", loss)));
     rows.extend([("opacity", loss.opacity), ("color, DC", loss.sh_dc)]);
     rows.extend(loss.sh_rest.map(|loss| ("color, further", loss)));
@@ -76,5 +89,9 @@ fn rows(loss: &LossReport) -> Vec<(&'static str, AttributeLoss)> {
 }
 
 fn shown(value: f64) -> String {
-    if value == 0.0 { "0".to_owned() } else { format!("{value:.2e}") }
+    if value == 0.0 {
+        "0".to_owned()
+    } else {
+        format!("{value:.2e}")
+    }
 }

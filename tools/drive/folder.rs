@@ -1,7 +1,8 @@
 //! The folder of a run: what is finished stays, and what is not is driven again.
 //!
-//! `run.json` says with what the run was begun, `scenarios/` holds what is driven, `logs/` what happened. A log under its own name
-//! is whole: it is renamed when its last line is in, so that a run can be stopped at any moment and loses what is under way.
+//! `run.json` says with what the run was begun, `scenarios/` holds what is driven, `logs/` what
+//! happened. A log under its own name is whole: it is renamed when its last line is in, so that a
+//! run can be stopped at any moment and loses what is under way.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Write};
@@ -27,21 +28,28 @@ impl RunFolder {
     pub fn open(root: &Path, settings: &Value) -> Result<Self> {
         for part in ["scenarios", "logs"] {
             let part = root.join(part);
-            fs::create_dir_all(&part).with_context(|| format!("{} cannot be made", part.display()))?;
+            fs::create_dir_all(&part)
+                .with_context(|| format!("{} cannot be made", part.display()))?;
         }
-        let folder = Self { root: root.to_owned(), _lock: locked(root)? };
+        let folder = Self {
+            root: root.to_owned(),
+            _lock: locked(root)?,
+        };
         sweep(&[root.to_owned(), root.join("scenarios"), root.join("logs")]);
         let path = folder.root.join("run.json");
         match fs::read(&path) {
             Ok(bytes) => {
-                let begun: Value = serde_json::from_slice(&bytes)
-                    .with_context(|| format!("{} is no JSON: remove it to begin again", path.display()))?;
+                let begun: Value = serde_json::from_slice(&bytes).with_context(|| {
+                    format!("{} is no JSON: remove it to begin again", path.display())
+                })?;
                 check_same(&path, &begun, settings)?;
             }
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 write_atomically(&path, |file| writeln!(file, "{settings:#}"))?;
             }
-            Err(error) => return Err(error).with_context(|| format!("{} cannot be read", path.display())),
+            Err(error) => {
+                return Err(error).with_context(|| format!("{} cannot be read", path.display()));
+            }
         }
         Ok(folder)
     }
@@ -63,7 +71,12 @@ impl RunFolder {
 /// The lock of the run in `root`. Two runs in one folder would write the same logs.
 fn locked(root: &Path) -> Result<File> {
     let path = root.join(LOCK);
-    let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+    let open = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(&path);
     let mut file = open.with_context(|| format!("{} cannot be opened", path.display()))?;
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {
         Ok(()) => {}
@@ -77,7 +90,9 @@ fn locked(root: &Path) -> Result<File> {
                 holder.trim()
             );
         }
-        Err(error) => return Err(error).with_context(|| format!("{} cannot be locked", path.display())),
+        Err(error) => {
+            return Err(error).with_context(|| format!("{} cannot be locked", path.display()));
+        }
     }
     file.set_len(0)
         .and_then(|()| writeln!(file, "{}", std::process::id()))
@@ -85,10 +100,20 @@ fn locked(root: &Path) -> Result<File> {
     Ok(file)
 }
 
-/// Removes what killed runs have left in `folders`: temporary files of half a second, by their names.
+/// Removes what killed runs have left in `folders`: temporary files of half a second, by their
+/// names.
 fn sweep(folders: &[PathBuf]) {
-    let entries = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();
-    for entry in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX)) {
+    let entries = folders
+        .iter()
+        .filter_map(|folder| fs::read_dir(folder).ok())
+        .flatten()
+        .flatten();
+    for entry in entries.filter(|entry| {
+        entry
+            .file_name()
+            .to_string_lossy()
+            .starts_with(TEMPORARY_PREFIX)
+    }) {
         // One that stays does no harm.
         let _ = fs::remove_file(entry.path());
     }
@@ -122,12 +147,28 @@ mod tests {
         RunFolder::open(root.path(), &settings).unwrap();
         fs::write(root.path().join("logs/.writing-abc123"), "litter").unwrap();
         let run = RunFolder::open(root.path(), &settings).unwrap();
-        assert_eq!(fs::read_dir(root.path().join("logs")).unwrap().count(), 0, "litter of a killed run is removed");
-        let second = RunFolder::open(root.path(), &settings).err().unwrap().to_string();
-        assert!(second.contains("in use") && second.contains(&std::process::id().to_string()), "{second}");
+        assert_eq!(
+            fs::read_dir(root.path().join("logs")).unwrap().count(),
+            0,
+            "litter of a killed run is removed"
+        );
+        let second = RunFolder::open(root.path(), &settings)
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(
+            second.contains("in use") && second.contains(&std::process::id().to_string()),
+            "{second}"
+        );
         drop(run);
-        let other = RunFolder::open(root.path(), &json!({ "planner": "vision", "seed": 1 })).err().unwrap().to_string();
-        assert!(other.contains("planner = \"lane-follow\"") && other.contains("\"vision\""), "{other}");
+        let other = RunFolder::open(root.path(), &json!({ "planner": "vision", "seed": 1 }))
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(
+            other.contains("planner = \"lane-follow\"") && other.contains("\"vision\""),
+            "{other}"
+        );
     }
 
     #[test]
@@ -135,7 +176,10 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let taken = root.path().join("taken");
         fs::write(&taken, "a file").unwrap();
-        let refused = RunFolder::open(&taken, &json!({})).err().unwrap().to_string();
+        let refused = RunFolder::open(&taken, &json!({}))
+            .err()
+            .unwrap()
+            .to_string();
         assert!(refused.contains("taken"), "{refused}");
     }
 }

@@ -50,13 +50,21 @@ const KEYS_MAX: usize = 3;
 
 impl ImageWriter {
     pub fn new(folder: PathBuf, keeps: Images) -> Self {
-        Self { folder, keeps, keys: Vec::new(), last: None }
+        Self {
+            folder,
+            keeps,
+            keys: Vec::new(),
+            last: None,
+        }
     }
 
     pub fn add(&mut self, step: u32, frames: &[Frame]) -> Result<()> {
         if self.keeps == Images::All {
             for frame in frames {
-                self.write(&format!("{}_{step:04}.png", frame.camera.name), &image(frame))?;
+                self.write(
+                    &format!("{}_{step:04}.png", frame.camera.name),
+                    &image(frame),
+                )?;
             }
         }
         if let (Some(frame), true) = (frames.first(), self.keeps != Images::None) {
@@ -64,7 +72,11 @@ impl ImageWriter {
             rgba.clear();
             rgba.extend_from_slice(frame.rgba);
             let lens = &frame.camera.intrinsics;
-            let key = Key { step, size_px: [lens.width_px, lens.height_px], rgba };
+            let key = Key {
+                step,
+                size_px: [lens.width_px, lens.height_px],
+                rgba,
+            };
             if step.is_multiple_of(KEY_EVERY) && self.keys.len() < KEYS_MAX {
                 self.keys.push(key.clone());
             }
@@ -76,15 +88,25 @@ impl ImageWriter {
     /// Writes the key frames.
     fn close(&mut self) -> Result<()> {
         let mut keys = std::mem::take(&mut self.keys);
-        keys.extend(self.last.take().filter(|last| keys.last().is_none_or(|key| key.step != last.step)));
-        for Key { step, size_px, rgba } in keys {
+        keys.extend(
+            self.last
+                .take()
+                .filter(|last| keys.last().is_none_or(|key| key.step != last.step)),
+        );
+        for Key {
+            step,
+            size_px,
+            rgba,
+        } in keys
+        {
             self.write(&format!("key_{step:04}.png"), &image_of(size_px, &rgba))?;
         }
         Ok(())
     }
 
     fn write(&self, name: &str, image: &Image) -> Result<()> {
-        fs::create_dir_all(&self.folder).with_context(|| format!("{} cannot be made", self.folder.display()))?;
+        fs::create_dir_all(&self.folder)
+            .with_context(|| format!("{} cannot be made", self.folder.display()))?;
         write_image(&self.folder.join(name), image, ImageFileFormat::Png)
     }
 }
@@ -99,7 +121,10 @@ fn image_of([width_px, height_px]: [u32; 2], rgba: &[u8]) -> Image {
     let pixels = rgba.chunks_exact(4);
     let share = |byte: u8| f32::from(byte) / 255.0;
     Image {
-        rgb: pixels.clone().map(|pixel| [share(pixel[0]), share(pixel[1]), share(pixel[2])]).collect(),
+        rgb: pixels
+            .clone()
+            .map(|pixel| [share(pixel[0]), share(pixel[1]), share(pixel[2])])
+            .collect(),
         alpha: pixels.map(|pixel| share(pixel[3])).collect(),
         ..Image::filled(width_px, height_px, [0.0; 3])
     }
@@ -116,7 +141,12 @@ pub struct EpisodeImages {
 
 impl EpisodeImages {
     pub fn new(path: PathBuf, image_writer: ImageWriter) -> Self {
-        Self { path, log: None, image_writer, image_error: None }
+        Self {
+            path,
+            log: None,
+            image_writer,
+            image_error: None,
+        }
     }
 
     fn keep(&mut self, result: Result<()>) {
@@ -161,17 +191,35 @@ mod tests {
     fn key_frames_are_the_first_the_last_and_some_between() {
         let folder = tempfile::tempdir().unwrap();
         let intrinsics = Intrinsics::from_horizontal_fov(2, 1, 1.0);
-        let camera = RigCamera { name: "front".into(), intrinsics, rig_from_camera: Pose::IDENTITY };
+        let camera = RigCamera {
+            name: "front".into(),
+            intrinsics,
+            rig_from_camera: Pose::IDENTITY,
+        };
         let mut image_writer = ImageWriter::new(folder.path().join("a"), Images::Key);
         for step in 0..14_u8 {
             let rgba = [step, 0, 0, 255, 0, step, 0, 255];
-            image_writer.add(u32::from(step), &[Frame { camera: &camera, rgba: &rgba }]).unwrap();
+            image_writer
+                .add(
+                    u32::from(step),
+                    &[Frame {
+                        camera: &camera,
+                        rgba: &rgba,
+                    }],
+                )
+                .unwrap();
         }
         image_writer.close().unwrap();
-        let mut names: Vec<_> = fs::read_dir(folder.path().join("a")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        let mut names: Vec<_> = fs::read_dir(folder.path().join("a"))
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name())
+            .collect();
         names.sort();
         assert_eq!(names, ["key_0000.png", "key_0010.png", "key_0013.png"]);
         let last = Image::read(&folder.path().join("a/key_0013.png")).unwrap();
-        assert_eq!((last.rgb[0], last.rgb[1]), ([13.0 / 255.0, 0.0, 0.0], [0.0, 13.0 / 255.0, 0.0]));
+        assert_eq!(
+            (last.rgb[0], last.rgb[1]),
+            ([13.0 / 255.0, 0.0, 0.0], [0.0, 13.0 / 255.0, 0.0])
+        );
     }
 }

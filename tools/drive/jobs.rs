@@ -20,20 +20,22 @@ use crate::progress;
 /// Place of generated scenarios.
 #[derive(clap::Args)]
 pub struct PlaceArguments {
-    /// Drive on the roads of this map, drawn as asphalt and markings, instead of the synthetic street
+    /// Drive on the roads of this map, drawn as asphalt and markings, instead of the synthetic
+    /// street
     #[arg(long, value_name = "FILE", conflicts_with = "scenarios")]
     map: Option<PathBuf>,
-    /// Light the roads of --map by the probes (.hdr, .exr) in this folder. Names with `night`, `dusk`, `dawn`, `sunset`, `sunrise`, `overcast`
-    /// or `cloud` tell what they show; all others count as clear days
+    /// Light the roads of --map by the probes (.hdr, .exr) in this folder. Names with `night`,
+    /// `dusk`, `dawn`, `sunset`, `sunrise`, `overcast` or `cloud` tell what they show; all others
+    /// count as clear days
     #[arg(long, value_name = "DIR", requires = "map")]
     probes: Option<PathBuf>,
     /// Drive in this captured scene (.toml), whose lanes are those of --map
     #[arg(long, value_name = "FILE", requires = "map", conflicts_with = "probes")]
     scene: Option<PathBuf>,
-    /// Splats of the static part of a place that is made up
+    /// Splats of the static part of a place that is synthetic
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     background: usize,
-    /// Splats of each car of a place that is made up
+    /// Splats of each car of a place that is synthetic
     #[arg(long, value_name = "N", default_value_t = 4_000)]
     agent_splats: usize,
 }
@@ -46,25 +48,38 @@ pub struct Job {
 }
 
 pub fn of(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
-    let jobs = if arguments.scenarios.is_empty() { made_up(arguments, folder)? } else { from_files(&arguments.scenarios)? };
+    let jobs = if arguments.scenarios.is_empty() {
+        made_up(arguments, folder)?
+    } else {
+        from_files(&arguments.scenarios)?
+    };
     let mut names: Vec<&str> = jobs.iter().map(|job| job.scenario.name.as_str()).collect();
     names.sort_unstable();
     if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-        bail!("two scenarios are called {:?}: their logs would be one; change `name` in one of the files", pair[0]);
+        bail!(
+            "two scenarios are called {:?}: their logs would be one; change `name` in one of the files",
+            pair[0]
+        );
     }
     Ok(jobs)
 }
 
 fn from_files(paths: &[PathBuf]) -> Result<Vec<Job>> {
-    let job =
-        |path: &PathBuf| Ok(Job { scenario: read_scenario(path)?, directory: path.parent().unwrap_or(Path::new("")).to_owned() });
+    let job = |path: &PathBuf| {
+        Ok(Job {
+            scenario: read_scenario(path)?,
+            directory: path.parent().unwrap_or(Path::new("")).to_owned(),
+        })
+    };
     paths.iter().map(job).collect()
 }
 
-/// Scenarios of each level, written to the folder of the run, where people can read, edit and drive them.
+/// Scenarios of each level, written to the folder of the run, where people can read, edit and drive
+/// them.
 fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let options = arguments.place.options()?;
-    let site = Site::open(&arguments.place.bare(), Path::new(""), None).context("no scenarios can be made up here")?;
+    let site = Site::open(&arguments.place.bare(), Path::new(""), None)
+        .context("no scenarios can be synthetic here")?;
     if arguments.render.0 > 0 {
         arguments.place.warn_of_fog(&site);
     }
@@ -75,13 +90,19 @@ fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     let levels = arguments.levels();
     let bar = progress::bar("scenarios", levels.len() * arguments.episodes as usize);
     let mut jobs = Vec::new();
-    for (level, index) in levels.into_iter().flat_map(|level| (0..arguments.episodes).map(move |index| (level, index))) {
+    for (level, index) in levels
+        .into_iter()
+        .flat_map(|level| (0..arguments.episodes).map(move |index| (level, index)))
+    {
         let scenario = generator.scenario(level, arguments.seed, index)?;
         let path = folder.scenario(&scenario.name);
         if !path.exists() {
             write_scenario(&path, &scenario)?;
         }
-        jobs.push(Job { scenario, directory: PathBuf::new() });
+        jobs.push(Job {
+            scenario,
+            directory: PathBuf::new(),
+        });
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -90,7 +111,11 @@ fn made_up(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
 
 /// Weather of a probe, by its name.
 fn weather_of(probe: &Path) -> Weather {
-    let name = probe.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    let name = probe
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase();
     let says = |words: &[&str]| words.iter().any(|word| name.contains(word));
     match () {
         () if says(&["night"]) => Weather::Night,
@@ -100,7 +125,8 @@ fn weather_of(probe: &Path) -> Weather {
     }
 }
 
-/// A captured scene is driven in within this of the middle of its ego's way, meters, where it has none: what cameras see from there.
+/// A captured scene is driven in within this of the middle of its ego's way, meters, where it has
+/// none: what cameras see from there.
 const SEEN_M: f64 = 150.0;
 /// The seed of the street's houses: the same for all runs, so that they differ by who drives.
 const STREET_SEED: u64 = 1;
@@ -113,7 +139,13 @@ const LANE_M: f64 = 3.5;
 impl PlaceArguments {
     /// Warns where a map's roads have too few splats.
     fn warn_of_fog(&self, site: &Site) {
-        let area_m2 = LANE_M * site.lanes.lanes.iter().map(|lane| length_m(&lane.centerline)).sum::<f64>();
+        let area_m2 = LANE_M
+            * site
+                .lanes
+                .lanes
+                .iter()
+                .map(|lane| length_m(&lane.centerline))
+                .sum::<f64>();
         let needed = SPLATS_PER_M2_MIN * area_m2;
         if self.map.is_some() && self.scene.is_none() && (self.background as f64) < needed {
             warn(&format!(
@@ -128,18 +160,41 @@ impl PlaceArguments {
     /// of the run.
     fn options(&self) -> Result<PlaceOptions> {
         let whole = |path: &Path| {
-            std::fs::canonicalize(path).with_context(|| format!("{} cannot be read: expected a file", path.display()))
+            std::fs::canonicalize(path)
+                .with_context(|| format!("{} cannot be read: expected a file", path.display()))
         };
         let (background, agent_splats) = (self.background, self.agent_splats);
         Ok(match (&self.map, &self.scene) {
-            (Some(map), Some(scene)) => PlaceOptions::Scene { scene: whole(scene)?, map: whole(map)? },
+            (Some(map), Some(scene)) => PlaceOptions::Scene {
+                scene: whole(scene)?,
+                map: whole(map)?,
+            },
             (Some(map), None) => {
-                let probes = self.probes.as_deref().map(probe_paths).transpose()?.unwrap_or_default();
-                let sky = |probe: PathBuf| Ok(Sky { weather: weather_of(&probe), probe: whole(&probe)? });
+                let probes = self
+                    .probes
+                    .as_deref()
+                    .map(probe_paths)
+                    .transpose()?
+                    .unwrap_or_default();
+                let sky = |probe: PathBuf| {
+                    Ok(Sky {
+                        weather: weather_of(&probe),
+                        probe: whole(&probe)?,
+                    })
+                };
                 let skies = probes.into_iter().map(sky).collect::<Result<_>>()?;
-                PlaceOptions::Roads { map: whole(map)?, skies, background, agent_splats }
+                PlaceOptions::Roads {
+                    map: whole(map)?,
+                    skies,
+                    background,
+                    agent_splats,
+                }
             }
-            (None, _) => PlaceOptions::Street { background, agent_splats, seed: STREET_SEED },
+            (None, _) => PlaceOptions::Street {
+                background,
+                agent_splats,
+                seed: STREET_SEED,
+            },
         })
     }
 
@@ -147,18 +202,41 @@ impl PlaceArguments {
     fn bare(&self) -> Place {
         match (self.map.clone(), self.scene.clone()) {
             (Some(map), Some(scene)) => Place::Scene { scene, map },
-            (Some(map), None) => Place::Roads { map, probe: None, exposure_ev: 0.0, background: 0, agent_splats: 0 },
-            (None, _) => Place::Street { weather: Weather::Clear, background: 0, agent_splats: 0, seed: STREET_SEED },
+            (Some(map), None) => Place::Roads {
+                map,
+                probe: None,
+                exposure_ev: 0.0,
+                background: 0,
+                agent_splats: 0,
+            },
+            (None, _) => Place::Street {
+                weather: Weather::Clear,
+                background: 0,
+                agent_splats: 0,
+                seed: STREET_SEED,
+            },
         }
     }
 
     /// Visible area of a captured scene: around the path of the vehicle that captured it.
     fn seen(&self, site: &Site) -> Option<Area> {
         self.scene.as_ref()?;
-        let way: Vec<_> = site.loaded.ego.poses().iter().map(|timed| timed.pose.translation.truncate()).collect();
+        let way: Vec<_> = site
+            .loaded
+            .ego
+            .poses()
+            .iter()
+            .map(|timed| timed.pose.translation.truncate())
+            .collect();
         let center_m = way.iter().sum::<glam::DVec2>() / way.len() as f64;
-        let reach_m = way.iter().map(|at| at.distance(center_m)).fold(0.0, f64::max);
-        Some(Area { center_m, radius_m: reach_m.max(SEEN_M) })
+        let reach_m = way
+            .iter()
+            .map(|at| at.distance(center_m))
+            .fold(0.0, f64::max);
+        Some(Area {
+            center_m,
+            radius_m: reach_m.max(SEEN_M),
+        })
     }
 
     pub fn to_json(&self) -> Value {

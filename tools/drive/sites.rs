@@ -32,13 +32,22 @@ pub struct Sites<'a> {
 impl<'a> Sites<'a> {
     /// Creates the renderer of sites; without a device nothing is rendered.
     pub fn new(gpu: Option<&'a Gpu>, look: Look) -> Self {
-        Self { gpu, look, kept: Mutex::default(), lanes: Mutex::default() }
+        Self {
+            gpu,
+            look,
+            kept: Mutex::default(),
+            lanes: Mutex::default(),
+        }
     }
 
-    /// `place`, its files relative to `directory`. Others wait while it is made: it may be theirs too.
+    /// `place`, its files relative to `directory`. Others wait while it is made: it may be theirs
+    /// too.
     pub fn get(&self, place: &Place, directory: &Path) -> Result<Arc<Ready>> {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((.., ready)) = kept.iter().find(|(other, base, _)| other == place && base == directory) {
+        if let Some((.., ready)) = kept
+            .iter()
+            .find(|(other, base, _)| other == place && base == directory)
+        {
             return Ok(ready.clone());
         }
         if kept.len() >= KEPT_MAX {
@@ -50,14 +59,19 @@ impl<'a> Sites<'a> {
     }
 
     fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
-        let site =
-            Site::open(place, directory, self.gpu.map(|_| &self.look)).context("the place of the scenario is not usable")?;
+        let site = Site::open(place, directory, self.gpu.map(|_| &self.look))
+            .context("the place of the scenario is not usable")?;
         let site = Arc::new(site);
-        let Some(gpu) = self.gpu else { return Ok(Ready { site, live: None }) };
+        let Some(gpu) = self.gpu else {
+            return Ok(Ready { site, live: None });
+        };
         let renderer = Renderer::new(gpu, render_options(site.loaded.world.rules));
         let mut live = LiveScene::new(&renderer, &site.loaded)?;
         live.bake_light(site.places(Site::LIGHT_STEP_M));
-        Ok(Ready { site, live: Some(live) })
+        Ok(Ready {
+            site,
+            live: Some(live),
+        })
     }
 }
 
@@ -65,7 +79,10 @@ impl Sites<'_> {
     /// The lanes of `place`, without anything that is only to be seen.
     pub fn lanes(&self, place: &Place, directory: &Path) -> Result<Vec<Lane>> {
         let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((.., known)) = lanes.iter().find(|(other, base, _)| other == place && base == directory) {
+        if let Some((.., known)) = lanes
+            .iter()
+            .find(|(other, base, _)| other == place && base == directory)
+        {
             return Ok(known.clone());
         }
         let found = Site::open(place, directory, None)?.lanes.lanes;

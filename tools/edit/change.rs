@@ -48,7 +48,12 @@ impl FromStr for Addition {
             let (yaw_deg, z, y, x) = (next()?, next()?, next()?, next()?);
             let asset = parts.next().filter(|asset| !asset.is_empty())?;
             let position_m = DVec3::new(x, y, z);
-            Some(Self { name: named(name)?, asset: asset.into(), position_m, yaw_rad: yaw_deg.to_radians() })
+            Some(Self {
+                name: named(name)?,
+                asset: asset.into(),
+                position_m,
+                yaw_rad: yaw_deg.to_radians(),
+            })
         });
         parsed.ok_or_else(|| {
             format!("expected NAME=ASSET,X,Y,Z,YAW_DEG, like taxi=car.safetensors,12.5,-3,0.75,90, found {text:?}")
@@ -61,8 +66,15 @@ impl FromStr for Swap {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let parsed = text.split_once('=').filter(|(_, asset)| !asset.is_empty());
-        let swap = parsed.and_then(|(name, asset)| Some(Self { name: named(name)?, asset: asset.into() }));
-        swap.ok_or_else(|| format!("expected NAME=ASSET, like car_03=van.safetensors, found {text:?}"))
+        let swap = parsed.and_then(|(name, asset)| {
+            Some(Self {
+                name: named(name)?,
+                asset: asset.into(),
+            })
+        });
+        swap.ok_or_else(|| {
+            format!("expected NAME=ASSET, like car_03=van.safetensors, found {text:?}")
+        })
     }
 }
 
@@ -71,7 +83,11 @@ impl FromStr for Move {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let parsed = named_numbers(text).and_then(|(name, numbers)| match numbers[..] {
-            [x, y, z, yaw_deg] => Some(Self { name, position_m: DVec3::new(x, y, z), yaw_rad: yaw_deg.to_radians() }),
+            [x, y, z, yaw_deg] => Some(Self {
+                name,
+                position_m: DVec3::new(x, y, z),
+                yaw_rad: yaw_deg.to_radians(),
+            }),
             _ => None,
         });
         parsed.ok_or_else(|| {
@@ -85,11 +101,20 @@ impl FromStr for Shift {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let shift = |forward_m, left_m, yaw_deg: f64| {
-            Pose::new(DQuat::from_rotation_z(yaw_deg.to_radians()), DVec3::new(forward_m, left_m, 0.0))
+            Pose::new(
+                DQuat::from_rotation_z(yaw_deg.to_radians()),
+                DVec3::new(forward_m, left_m, 0.0),
+            )
         };
         let parsed = named_numbers(text).and_then(|(name, numbers)| match numbers[..] {
-            [forward_m, left_m] => Some(Self { name, shift: shift(forward_m, left_m, 0.0) }),
-            [forward_m, left_m, yaw_deg] => Some(Self { name, shift: shift(forward_m, left_m, yaw_deg) }),
+            [forward_m, left_m] => Some(Self {
+                name,
+                shift: shift(forward_m, left_m, 0.0),
+            }),
+            [forward_m, left_m, yaw_deg] => Some(Self {
+                name,
+                shift: shift(forward_m, left_m, yaw_deg),
+            }),
             _ => None,
         });
         parsed.ok_or_else(|| {
@@ -103,12 +128,18 @@ fn named(name: &str) -> Option<String> {
 }
 
 fn number(text: &str) -> Option<f64> {
-    text.trim().parse().ok().filter(|number: &f64| number.is_finite())
+    text.trim()
+        .parse()
+        .ok()
+        .filter(|number: &f64| number.is_finite())
 }
 
 fn named_numbers(text: &str) -> Option<(String, Vec<f64>)> {
     let (name, numbers) = text.rsplit_once('=')?;
-    Some((named(name)?, numbers.split(',').map(number).collect::<Option<_>>()?))
+    Some((
+        named(name)?,
+        numbers.split(',').map(number).collect::<Option<_>>()?,
+    ))
 }
 
 #[cfg(test)]
@@ -118,29 +149,87 @@ mod tests {
     #[test]
     fn changes_are_read() {
         let addition: Addition = "taxi=a=b, c.ply,1,-2.5,3e1,90".parse().unwrap();
-        assert_eq!((addition.name.as_str(), addition.asset), ("taxi", "a=b, c.ply".into()));
-        assert_eq!((addition.position_m, addition.yaw_rad), (DVec3::new(1.0, -2.5, 30.0), 90f64.to_radians()));
-        assert_eq!("a=b.ply".parse(), Ok(Swap { name: "a".into(), asset: "b.ply".into() }));
+        assert_eq!(
+            (addition.name.as_str(), addition.asset),
+            ("taxi", "a=b, c.ply".into())
+        );
+        assert_eq!(
+            (addition.position_m, addition.yaw_rad),
+            (DVec3::new(1.0, -2.5, 30.0), 90f64.to_radians())
+        );
+        assert_eq!(
+            "a=b.ply".parse(),
+            Ok(Swap {
+                name: "a".into(),
+                asset: "b.ply".into()
+            })
+        );
         let moved: Move = "a=1, 2 ,3,-180".parse().unwrap();
-        assert_eq!((moved.position_m, moved.yaw_rad), (DVec3::new(1.0, 2.0, 3.0), -std::f64::consts::PI));
-        let [two, three]: [Shift; 2] = ["a=5,-3.5", "a=5,-3.5,90"].map(|text| text.parse().unwrap());
-        assert_eq!(two.shift, Pose { translation: DVec3::new(5.0, -3.5, 0.0), ..Pose::IDENTITY });
+        assert_eq!(
+            (moved.position_m, moved.yaw_rad),
+            (DVec3::new(1.0, 2.0, 3.0), -std::f64::consts::PI)
+        );
+        let [two, three]: [Shift; 2] =
+            ["a=5,-3.5", "a=5,-3.5,90"].map(|text| text.parse().unwrap());
+        assert_eq!(
+            two.shift,
+            Pose {
+                translation: DVec3::new(5.0, -3.5, 0.0),
+                ..Pose::IDENTITY
+            }
+        );
         assert!((three.shift.transform(DVec3::X) - DVec3::new(5.0, -2.5, 0.0)).length() < 1e-12);
     }
 
     #[test]
     fn nonsense_is_refused_with_what_was_found() {
-        for nonsense in ["", "a", "a=", "=b.ply,1,2,3,4", "a=b.ply,1,2,3", "a=,1,2,3,4", "a=b.ply,1,2,x,4", "a=b.ply,1,2,inf,4"] {
-            assert!(nonsense.parse::<Addition>().unwrap_err().contains(&format!("{nonsense:?}")));
+        for nonsense in [
+            "",
+            "a",
+            "a=",
+            "=b.ply,1,2,3,4",
+            "a=b.ply,1,2,3",
+            "a=,1,2,3,4",
+            "a=b.ply,1,2,x,4",
+            "a=b.ply,1,2,inf,4",
+        ] {
+            assert!(
+                nonsense
+                    .parse::<Addition>()
+                    .unwrap_err()
+                    .contains(&format!("{nonsense:?}"))
+            );
         }
         for nonsense in ["", "a", "a=", "=b.ply"] {
-            assert!(nonsense.parse::<Swap>().unwrap_err().contains(&format!("{nonsense:?}")));
+            assert!(
+                nonsense
+                    .parse::<Swap>()
+                    .unwrap_err()
+                    .contains(&format!("{nonsense:?}"))
+            );
         }
-        for nonsense in ["", "a=1,2,3", "a=1,2,3,4,5", "a=1,2,NaN,4", "=1,2,3,4", "a=1;2;3;4"] {
-            assert!(nonsense.parse::<Move>().unwrap_err().contains(&format!("{nonsense:?}")));
+        for nonsense in [
+            "",
+            "a=1,2,3",
+            "a=1,2,3,4,5",
+            "a=1,2,NaN,4",
+            "=1,2,3,4",
+            "a=1;2;3;4",
+        ] {
+            assert!(
+                nonsense
+                    .parse::<Move>()
+                    .unwrap_err()
+                    .contains(&format!("{nonsense:?}"))
+            );
         }
         for nonsense in ["", "a=1", "a=1,2,3,4", "=1,2", "a=1,east"] {
-            assert!(nonsense.parse::<Shift>().unwrap_err().contains(&format!("{nonsense:?}")));
+            assert!(
+                nonsense
+                    .parse::<Shift>()
+                    .unwrap_err()
+                    .contains(&format!("{nonsense:?}"))
+            );
         }
     }
 }

@@ -26,14 +26,22 @@ pub struct Grounded {
     pub raised_max_m: f64,
 }
 
-/// Length, width and height of the asset at `path`, meters: as a compressed one says, or of the box about the means of its splats.
+/// Length, width and height of the asset at `path`, meters: as a compressed one says, or of the box
+/// about the means of its splats.
 pub fn dims_of(path: &Path) -> Result<[f64; 3]> {
     if coded_asset::has_extension(path) {
         return Ok(read_coded(path)?.cloud.dims_m.map(f64::from));
     }
     let cloud = read_splats(path)?;
-    let dims_m = cloud.bounds().half_extent().map(|half_m| 2.0 * f64::from(half_m));
-    ensure!(dims_m.iter().all(|side_m| side_m.is_finite()), "{} has no splats that could stand somewhere", path.display());
+    let dims_m = cloud
+        .bounds()
+        .half_extent()
+        .map(|half_m| 2.0 * f64::from(half_m));
+    ensure!(
+        dims_m.iter().all(|side_m| side_m.is_finite()),
+        "{} has no splats that could stand somewhere",
+        path.display()
+    );
     Ok(dims_m)
 }
 
@@ -47,11 +55,14 @@ impl Footing {
         Ok(Self { ground })
     }
 
-    /// `trajectory` with the wheels of a box of `dims_m` on the ground at each pose: the heading stays, and the place from above.
+    /// `trajectory` with the wheels of a box of `dims_m` on the ground at each pose: the heading
+    /// stays, and the place from above.
     pub fn under(&self, trajectory: &Trajectory, dims_m: [f64; 3]) -> Result<Grounded> {
         let (mut grounded, mut raised_max_m) = (0, 0f64);
         let mut set = |timed: &TimedPose| {
-            let Some(pose) = self.set(&timed.pose, dims_m) else { return *timed };
+            let Some(pose) = self.set(&timed.pose, dims_m) else {
+                return *timed;
+            };
             grounded += 1;
             let raised_m = pose.translation.z - timed.pose.translation.z;
             if raised_m.abs() > raised_max_m.abs() {
@@ -61,21 +72,38 @@ impl Footing {
         };
         let poses = trajectory.poses().iter().map(&mut set).collect();
         let trajectory = Trajectory::new(poses).map_err(anyhow::Error::msg)?;
-        Ok(Grounded { trajectory, grounded, raised_max_m })
+        Ok(Grounded {
+            trajectory,
+            grounded,
+            raised_max_m,
+        })
     }
 
     fn set(&self, pose: &Pose, dims_m: [f64; 3]) -> Option<Pose> {
-        let plane = self.plane_below(pose, dims_m, true).or_else(|| self.plane_below(pose, dims_m, false))?;
-        Some(pose_on(&plane, pose.translation.truncate(), heading_rad(pose), dims_m[2]))
+        let plane = self
+            .plane_below(pose, dims_m, true)
+            .or_else(|| self.plane_below(pose, dims_m, false))?;
+        Some(pose_on(
+            &plane,
+            pose.translation.truncate(),
+            heading_rad(pose),
+            dims_m[2],
+        ))
     }
 
-    /// The plane below the four bottom corners of the box: of the surface that it is near, or of the lowest.
+    /// The plane below the four bottom corners of the box: of the surface that it is near, or of
+    /// the lowest.
     fn plane_below(&self, pose: &Pose, dims_m: [f64; 3], near: bool) -> Option<RoadPlane> {
-        let (place, ahead) = (pose.translation.truncate(), DVec2::from_angle(heading_rad(pose)));
+        let (place, ahead) = (
+            pose.translation.truncate(),
+            DVec2::from_angle(heading_rad(pose)),
+        );
         let corners = corners(dims_m);
         let heights_m = corners.map(|corner| {
             let expected_z_m = pose.transform(corner.extend(-0.5 * dims_m[2])).z;
-            let found = self.ground.height_at(place + ahead.rotate(corner), near.then_some(expected_z_m));
+            let found = self
+                .ground
+                .height_at(place + ahead.rotate(corner), near.then_some(expected_z_m));
             found.map(|height| height.z_m)
         });
         plane(&corners, &heights_m).map(|(plane, _)| plane)
@@ -89,8 +117,9 @@ mod tests {
 
     /// A slope that rises by 5 % towards x, 30 m long, of discs at every quarter of a meter.
     fn slope() -> Footing {
-        let places: Vec<(f32, f32)> =
-            (-60..60).flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32))).collect();
+        let places: Vec<(f32, f32)> = (-60..60)
+            .flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32)))
+            .collect();
         let count = places.len();
         let cloud = SplatCloud {
             means: places.iter().map(|(x, y)| [*x, *y, 0.05 * x]).collect(),
@@ -101,20 +130,31 @@ mod tests {
             sh_dc: vec![[0.0; 3]; count],
             sh_rest: vec![],
         };
-        Footing { ground: Ground::new(&cloud, DVec3::new(500.0, 800.0, 90.0), &GroundOptions::default()) }
+        Footing {
+            ground: Ground::new(
+                &cloud,
+                DVec3::new(500.0, 800.0, 90.0),
+                &GroundOptions::default(),
+            ),
+        }
     }
 
     #[test]
     fn wheels_stand_on_a_slope_however_far_they_were_from_it() {
         let (footing, dims_m) = (slope(), [4.4, 1.8, 1.5]);
         for z_m in [0.3, 1.4, 40.0] {
-            let floating = Trajectory::standing(Pose::from_yaw(2.0, DVec3::new(503.0, 801.0, 90.0 + z_m)));
+            let floating =
+                Trajectory::standing(Pose::from_yaw(2.0, DVec3::new(503.0, 801.0, 90.0 + z_m)));
             let set = footing.under(&floating, dims_m).unwrap();
             let pose = set.trajectory.poses()[0].pose;
-            assert_eq!((set.grounded, pose.translation.truncate()), (1, DVec2::new(503.0, 801.0)));
+            assert_eq!(
+                (set.grounded, pose.translation.truncate()),
+                (1, DVec2::new(503.0, 801.0))
+            );
             assert!((heading_rad(&pose) - 2.0).abs() < 1e-9);
             for corner in corners(dims_m) {
-                let wheel = pose.transform(corner.extend(-0.5 * dims_m[2])) - DVec3::new(500.0, 800.0, 90.0);
+                let wheel = pose.transform(corner.extend(-0.5 * dims_m[2]))
+                    - DVec3::new(500.0, 800.0, 90.0);
                 assert!((wheel.z - 0.05 * wheel.x).abs() < 0.01, "{z_m}: {wheel}");
             }
             assert!((set.raised_max_m - (pose.translation.z - 90.0 - z_m)).abs() < 1e-12);

@@ -12,38 +12,74 @@ const EGO: usize = 0;
 const AGENT: usize = 7;
 const HIT: usize = 3;
 const ROUTE: usize = 2;
-/// Agents farther than this from the ego's way are not drawn, meters: they would shrink what matters.
+/// Agents farther than this from the ego's way are not drawn, meters: they would shrink what
+/// matters.
 const NEAR_M: f64 = 45.0;
 
-/// Lanes, the route, what the ego drove, and where everybody stood when it ended.
+/// Lanes, the route, what the ego drove, and all vehicles at its end.
 pub fn svg(scored: &Scored, lanes: &[Lane]) -> String {
     let episode = &scored.episode;
     let instants: Vec<&EpisodeTick> = episode.instants().collect();
-    let ego_way: Vec<DVec2> = instants.iter().map(|instant| instant.ego.position_m).collect();
+    let ego_way: Vec<DVec2> = instants
+        .iter()
+        .map(|instant| instant.ego.position_m)
+        .collect();
     let last = instants[instants.len() - 1];
     let hit = match episode.end {
         EpisodeEnd::Collision { agent } => Some(agent),
         _ => None,
     };
-    let near = |state: &VehicleState| ego_way.iter().any(|at| at.distance(state.position_m) < NEAR_M);
-    let mut ways = vec![Way { name: "route", color: ROUTE, dashed: true, places: episode.head.route_m.clone() }];
+    let near = |state: &VehicleState| {
+        ego_way
+            .iter()
+            .any(|at| at.distance(state.position_m) < NEAR_M)
+    };
+    let mut ways = vec![Way {
+        name: "route",
+        color: ROUTE,
+        dashed: true,
+        places: episode.head.route_m.clone(),
+    }];
     for agent in (0..last.agents.len()).filter(|&agent| near(&last.agents[agent])) {
         let places = instants
             .iter()
             .map(|instant| instant.agents[agent].position_m)
             .filter(|at| ego_way.iter().any(|ego| ego.distance(*at) < NEAR_M));
-        ways.push(Way { name: "", color: if hit == Some(agent) { HIT } else { AGENT }, dashed: false, places: places.collect() });
+        ways.push(Way {
+            name: "",
+            color: if hit == Some(agent) { HIT } else { AGENT },
+            dashed: false,
+            places: places.collect(),
+        });
     }
-    ways.push(Way { name: "ego", color: EGO, dashed: false, places: ego_way.clone() });
-    let body =
-        |color: usize, state: &VehicleState, size: &VehicleSize| Body { color, corners: OrientedBox::of(state, size).corners() };
-    let agents = last.agents.iter().zip(&episode.head.agent_sizes).enumerate();
+    ways.push(Way {
+        name: "ego",
+        color: EGO,
+        dashed: false,
+        places: ego_way.clone(),
+    });
+    let body = |color: usize, state: &VehicleState, size: &VehicleSize| Body {
+        color,
+        corners: OrientedBox::of(state, size).corners(),
+    };
+    let agents = last
+        .agents
+        .iter()
+        .zip(&episode.head.agent_sizes)
+        .enumerate();
     let mut bodies: Vec<Body> = agents
         .filter(|(_, (state, _))| near(state))
-        .map(|(agent, (state, size))| body(if hit == Some(agent) { HIT } else { AGENT }, state, size))
+        .map(|(agent, (state, size))| {
+            body(if hit == Some(agent) { HIT } else { AGENT }, state, size)
+        })
         .collect();
     bodies.push(body(EGO, &last.ego, &ego_size(episode)));
-    drawing(&format!("{} after {:.1} s", scored.name(), last.time_s), lanes, &ways, &bodies)
+    drawing(
+        &format!("{} after {:.1} s", scored.name(), last.time_s),
+        lanes,
+        &ways,
+        &bodies,
+    )
 }
 
 fn ego_size(episode: &Episode) -> VehicleSize {

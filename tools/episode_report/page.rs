@@ -22,7 +22,9 @@ const APART_MAX_M: f64 = 30.0;
 const KEY_WIDTH_PX: u32 = 420;
 
 pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
-    let planner = scored.first().map_or("", |scored| scored.episode.head.planner.name.as_str());
+    let planner = scored
+        .first()
+        .map_or("", |scored| scored.episode.head.planner.name.as_str());
     let mut html = plot::page_start(&format!("{} in closed loop", escaped(planner)));
     html.push_str(&facts(scored));
     html.push_str(&table(scored)?);
@@ -33,18 +35,32 @@ pub fn page(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
 }
 
 fn facts(scored: &[Scored]) -> String {
-    let Some(first) = scored.first() else { return "<p>No episodes.</p>".into() };
+    let Some(first) = scored.first() else {
+        return "<p>No episodes.</p>".into();
+    };
     let planner = &first.episode.head.planner;
     let sees = match (planner.cameras.is_empty(), planner.privileged) {
-        (true, true) => "It was told where everybody is, which no camera shows, and needed no images.".to_owned(),
-        (_, true) => "It was told where everybody is, which no camera shows.".to_owned(),
+        (true, true) => {
+            "It received the states of all vehicles, which no camera shows, and needed no images."
+                .to_owned()
+        }
+        (_, true) => "It received the states of all vehicles, which no camera shows.".to_owned(),
         (true, false) => "It saw nothing.".to_owned(),
         (false, false) => "It was told nothing but its own motion and its navigation.".to_owned(),
     };
-    let drawn = first.episode.head.drawn_by.as_ref().map_or("Nothing was drawn.".to_owned(), |by| {
-        let cameras = planner.cameras.join(", ");
-        format!("Cameras {cameras} at {}x{}, every {} steps, on {}.", by.width_px, by.height_px, by.every, by.device)
-    });
+    let drawn =
+        first
+            .episode
+            .head
+            .drawn_by
+            .as_ref()
+            .map_or("Nothing was drawn.".to_owned(), |by| {
+                let cameras = planner.cameras.join(", ");
+                format!(
+                    "Cameras {cameras} at {}x{}, every {} steps, on {}.",
+                    by.width_px, by.height_px, by.every, by.device
+                )
+            });
     format!("<p>{} {}</p>", escaped(&sees), escaped(&drawn))
 }
 
@@ -81,7 +97,10 @@ fn table(scored: &[Scored]) -> Result<String> {
 /// Failures first, the worst of them at the top.
 fn by_failure(a: &Scored, b: &Scored) -> Ordering {
     let key = |scored: &Scored| (scored.score.success, !scored.at_fault());
-    key(a).cmp(&key(b)).then(a.score.driving_score.total_cmp(&b.score.driving_score)).then(a.name().cmp(b.name()))
+    key(a)
+        .cmp(&key(b))
+        .then(a.score.driving_score.total_cmp(&b.score.driving_score))
+        .then(a.name().cmp(b.name()))
 }
 
 fn episodes(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
@@ -89,7 +108,11 @@ fn episodes(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
     order.sort_by(|a, b| by_failure(a, b));
     let mut html = String::from("<h2>Episodes, failures first</h2>");
     if order.len() > SHOWN_MAX {
-        let _ = write!(html, "<p>{SHOWN_MAX} of {}; report.json has all.</p>", order.len());
+        let _ = write!(
+            html,
+            "<p>{SHOWN_MAX} of {}; report.json has all.</p>",
+            order.len()
+        );
     }
     for scored in order.into_iter().take(SHOWN_MAX) {
         html.push_str(&card(scored, &lanes(scored, sites, out))?);
@@ -101,7 +124,12 @@ fn episodes(scored: &[Scored], sites: &Sites, out: &Path) -> Result<String> {
 fn lanes(scored: &Scored, sites: &Sites, out: &Path) -> Vec<Lane> {
     let place = match &scored.episode.head.scenario.place {
         // Where nothing is drawn, all weathers and sizes have the same lanes.
-        Place::Street { weather, seed, .. } => Place::Street { weather: *weather, background: 0, agent_splats: 0, seed: *seed },
+        Place::Street { weather, seed, .. } => Place::Street {
+            weather: *weather,
+            background: 0,
+            agent_splats: 0,
+            seed: *seed,
+        },
         place => place.clone(),
     };
     sites.lanes(&place, out).unwrap_or_default()
@@ -116,8 +144,16 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
         escaped(scored.name()),
         escaped(&scored.ending()),
         escaped(&scored.explained()),
-        score.min_ttc_s().map_or("never on a collision course".into(), |ttc_s| format!("minTTC {ttc_s:.2} s")),
-        scored.episode.instants().last().map_or(0.0, |instant| instant.time_s),
+        score
+            .min_ttc_s()
+            .map_or("never on a collision course".into(), |ttc_s| format!(
+                "minTTC {ttc_s:.2} s"
+            )),
+        scored
+            .episode
+            .instants()
+            .last()
+            .map_or(0.0, |instant| instant.time_s),
         score.comfort.braking_max_mps2,
         score.comfort.lateral_acceleration_max_mps2,
         escaped(&format!("logs/{}.log", scored.name())),
@@ -127,7 +163,11 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
     );
     for path in key_frames(&scored.images) {
         let image = data_uri::shrunk(&Image::read(&path)?, KEY_WIDTH_PX);
-        let step = path.file_stem().unwrap_or_default().to_string_lossy().replace("key_", "step ");
+        let step = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .replace("key_", "step ");
         let _ = write!(
             html,
             "<figure><img src=\"{}\" alt=\"{step}\"><figcaption>{}</figcaption></figure>",
@@ -139,29 +179,58 @@ fn card(scored: &Scored, lanes: &[Lane]) -> Result<String> {
     Ok(html)
 }
 
-/// Speeds of the ego and of the vehicle nearest to it, and the distance between their middles, over time; infractions are marked.
+/// Speeds of the ego and of the vehicle nearest to it, and the distance between their middles, over
+/// time; infractions are marked.
 fn over_time(scored: &Scored) -> String {
     let (mut ego, mut nearest, mut apart) = (Vec::new(), Vec::new(), Vec::new());
     for instant in scored.episode.instants() {
         ego.push((instant.time_s, instant.ego.speed_mps));
         let distance_m = |other: &VehicleState| other.position_m.distance(instant.ego.position_m);
-        let other = instant.agents.iter().min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+        let other = instant
+            .agents
+            .iter()
+            .min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
         nearest.extend(other.map(|other| (instant.time_s, other.speed_mps)));
         apart.extend(other.map(|other| (instant.time_s, distance_m(other).min(APART_MAX_M))));
     }
-    let top = ego.iter().chain(&nearest).chain(&apart).map(|point| point.1).fold(1.0, f64::max);
-    let series = |name: &str, color, points, shape| Series { name: name.into(), color, points, shape, end: None };
+    let top = ego
+        .iter()
+        .chain(&nearest)
+        .chain(&apart)
+        .map(|point| point.1)
+        .fold(1.0, f64::max);
+    let series = |name: &str, color, points, shape| Series {
+        name: name.into(),
+        color,
+        points,
+        shape,
+        end: None,
+    };
     let mut series_of_plot = vec![
         series("ego, m/s", 0, ego, Shape::Curve),
         series("nearest vehicle, m/s", 7, nearest, Shape::Curve),
         series("distance to it, m", 2, apart, Shape::Curve),
     ];
     let marks = scored.score.infractions.iter();
-    series_of_plot.extend(marks.map(|mark| series("infraction", 3, vec![(mark.time_s, 0.0), (mark.time_s, top)], Shape::Guide)));
+    series_of_plot.extend(marks.map(|mark| {
+        series(
+            "infraction",
+            3,
+            vec![(mark.time_s, 0.0), (mark.time_s, top)],
+            Shape::Guide,
+        )
+    }));
     let plot = Plot {
         title: &format!("{} over time", scored.name()),
-        x: Axis { label: "seconds", ..Axis::default() },
-        y: Axis { label: "m/s, m", from_zero: true, ..Axis::default() },
+        x: Axis {
+            label: "seconds",
+            ..Axis::default()
+        },
+        y: Axis {
+            label: "m/s, m",
+            from_zero: true,
+            ..Axis::default()
+        },
         series: series_of_plot,
     };
     plot.to_svg()
@@ -169,8 +238,15 @@ fn over_time(scored: &Scored) -> String {
 
 /// The key frames in `folder`, in time.
 fn key_frames(folder: &Path) -> Vec<std::path::PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let is_key = |path: &std::path::PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("key_"));
+    let entries = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path());
+    let is_key = |path: &std::path::PathBuf| {
+        path.file_name()
+            .is_some_and(|name| name.to_string_lossy().starts_with("key_"))
+    };
     let mut keys: Vec<_> = entries.filter(is_key).collect();
     keys.sort();
     keys

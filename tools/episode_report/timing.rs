@@ -32,7 +32,9 @@ const WARM_UP: usize = 2;
 /// Each part over the steps that were driven in this run, and how many these are.
 fn parts(scored: &[Scored]) -> Option<(usize, Vec<Spread>)> {
     let driven = scored.iter().filter_map(|scored| scored.times.as_ref());
-    let times: Vec<&StepTime> = driven.flat_map(|times| times.iter().skip(WARM_UP)).collect();
+    let times: Vec<&StepTime> = driven
+        .flat_map(|times| times.iter().skip(WARM_UP))
+        .collect();
     if times.is_empty() {
         return None;
     }
@@ -40,7 +42,11 @@ fn parts(scored: &[Scored]) -> Option<(usize, Vec<Spread>)> {
         let mut values: Vec<f64> = times.iter().map(|time| part(time)).collect();
         values.sort_by(f64::total_cmp);
         let at = |share: f64| values[((values.len() - 1) as f64 * share).ceil() as usize];
-        Spread { name, p50_ms: at(0.5), p99_ms: at(0.99) }
+        Spread {
+            name,
+            p50_ms: at(0.5),
+            p99_ms: at(0.99),
+        }
     };
     Some((times.len(), PARTS.into_iter().map(of).collect()))
 }
@@ -54,16 +60,32 @@ pub fn to_json(scored: &[Scored]) -> Value {
 
 /// A line of it.
 pub fn text(scored: &[Scored]) -> String {
-    let Some((steps, parts)) = parts(scored) else { return String::new() };
-    let parts: Vec<String> =
-        parts.iter().map(|Spread { name, p50_ms, p99_ms }| format!("{name} {p50_ms:.2}/{p99_ms:.2}")).collect();
+    let Some((steps, parts)) = parts(scored) else {
+        return String::new();
+    };
+    let parts: Vec<String> = parts
+        .iter()
+        .map(
+            |Spread {
+                 name,
+                 p50_ms,
+                 p99_ms,
+             }| format!("{name} {p50_ms:.2}/{p99_ms:.2}"),
+        )
+        .collect();
     format!("ms a step, median/p99 over {steps}: {}\n", parts.join(", "))
 }
 
 /// The same as a table of a page.
 pub fn table(scored: &[Scored]) -> String {
-    let Some((steps, parts)) = parts(scored) else { return String::new() };
-    let row = |Spread { name, p50_ms, p99_ms }: &Spread| format!("<tr><td>{name}<td>{p50_ms:.2}<td>{p99_ms:.2}");
+    let Some((steps, parts)) = parts(scored) else {
+        return String::new();
+    };
+    let row = |Spread {
+                   name,
+                   p50_ms,
+                   p99_ms,
+               }: &Spread| format!("<tr><td>{name}<td>{p50_ms:.2}<td>{p99_ms:.2}");
     let rows: String = parts.iter().map(row).collect();
     format!(
         "<h2>Time</h2><p>Over {steps} steps, the first {WARM_UP} of each episode left out. The simulator is all but the planner: poses, light and \

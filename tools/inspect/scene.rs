@@ -51,16 +51,29 @@ impl Listing {
     /// Lists `scene`, of which `loaded` was read and `world` baked.
     pub fn of(scene: &SceneFile, loaded: &LoadedScene, world: &World) -> Self {
         let mut splats = vec![0; scene.agents.len() + 1];
-        world.instance_from_splat.iter().for_each(|&instance| splats[usize::from(instance)] += 1);
+        world
+            .instance_from_splat
+            .iter()
+            .for_each(|&instance| splats[usize::from(instance)] += 1);
         let agent = |(index, agent): (usize, &decouplegs::asset::SceneAgent)| {
-            let coded = loaded.agents.iter().find(|coded| usize::from(coded.instance) == index + 1);
-            let sh_frame = coded.map_or_else(|| agent.sh_frame.unwrap_or_default(), |coded| coded.sh_frame);
+            let coded = loaded
+                .agents
+                .iter()
+                .find(|coded| usize::from(coded.instance) == index + 1);
+            let sh_frame = coded.map_or_else(
+                || agent.sh_frame.unwrap_or_default(),
+                |coded| coded.sh_frame,
+            );
             Agent {
                 instance: index + 1,
                 name: agent.name.clone(),
                 asset: agent.asset.clone(),
                 splats: splats[index + 1],
-                sh_frame: if sh_frame == ShFrame::World { "world" } else { "canonical" },
+                sh_frame: if sh_frame == ShFrame::World {
+                    "world"
+                } else {
+                    "canonical"
+                },
                 trajectory: agent.trajectory.clone(),
             }
         };
@@ -75,10 +88,16 @@ impl Listing {
     pub fn to_text(&self) -> String {
         let mut lines = Lines::default();
         lines.line("cameras", &self.cameras.len().to_string());
-        for RigCamera { name, intrinsics, rig_from_camera } in &self.cameras {
+        for RigCamera {
+            name,
+            intrinsics,
+            rig_from_camera,
+        } in &self.cameras
+        {
             let forward = rig_from_camera.rotation * DVec3::Z;
             let yaw_deg = forward.y.atan2(forward.x).to_degrees();
-            let fov_deg = (2.0 * (0.5 * f64::from(intrinsics.width_px) / intrinsics.fx_px).atan()).to_degrees();
+            let fov_deg = (2.0 * (0.5 * f64::from(intrinsics.width_px) / intrinsics.fx_px).atan())
+                .to_degrees();
             let at = meters(rig_from_camera.translation);
             let (width_px, height_px) = (intrinsics.width_px, intrinsics.height_px);
             lines.line(
@@ -88,9 +107,20 @@ impl Listing {
         }
         lines.line("ego", &way_to_text(&self.ego));
         lines.line("agents", &self.agents.len().to_string());
-        for Agent { instance, name, asset, splats, sh_frame, trajectory } in &self.agents {
+        for Agent {
+            instance,
+            name,
+            asset,
+            splats,
+            sh_frame,
+            trajectory,
+        } in &self.agents
+        {
             let (asset, way) = (asset.display(), way_to_text(trajectory));
-            lines.line("", &format!("{instance} {name}: {asset}, {splats} splats, colors {sh_frame}, {way}"));
+            lines.line(
+                "",
+                &format!("{instance} {name}: {asset}, {splats} splats, colors {sh_frame}, {way}"),
+            );
         }
         if let Some(light) = &self.light {
             light.add_to(&mut lines);
@@ -133,7 +163,12 @@ impl Light {
         // Agents of plain files stand behind the background.
         let instances = &loaded.world.instance_from_splat;
         let background = match instances.iter().position(|&instance| instance != 0) {
-            Some(end) => Cow::Owned(loaded.world.splats.select(&(0..end as u32).collect::<Vec<_>>())),
+            Some(end) => Cow::Owned(
+                loaded
+                    .world
+                    .splats
+                    .select(&(0..end as u32).collect::<Vec<_>>()),
+            ),
             None => Cow::Borrowed(&loaded.world.splats),
         };
         let (mut starts, mut error) = (Vec::new(), 0.0f64);
@@ -141,24 +176,51 @@ impl Light {
             let place = agent.trajectory.poses()[0].pose.translation;
             let found = lighting.field.at(place);
             let light = found.map(|light| (light.mean(), shadows.starkness(&light)));
-            starts.push(Start { instance: agent.instance, light });
-            let truth = ambient_by_definition(&background, place - loaded.world.origin, &file.ambient);
+            starts.push(Start {
+                instance: agent.instance,
+                light,
+            });
+            let truth =
+                ambient_by_definition(&background, place - loaded.world.origin, &file.ambient);
             if let (Some(found), Some(truth)) = (found, truth) {
-                let off = found.to_vector().iter().zip(truth.to_vector()).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
+                let off = found
+                    .to_vector()
+                    .iter()
+                    .zip(truth.to_vector())
+                    .fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
                 error = error.max(off / f64::from(truth.coefficients[0][1]).max(1e-9));
             }
         }
         let (probes, _) = lighting.field.size();
-        Some(Self { transfer: file.transfer.clone(), shadows: file.shadows.is_some(), probes, starts, error })
+        Some(Self {
+            transfer: file.transfer.clone(),
+            shadows: file.shadows.is_some(),
+            probes,
+            starts,
+            error,
+        })
     }
 
     fn add_to(&self, lines: &mut Lines) {
-        let transfer =
-            self.transfer.as_ref().map_or("colors stay as captured".into(), |path| format!("relit by {}", path.display()));
-        let shadows = if self.shadows { "contact shadows" } else { "no shadows" };
+        let transfer = self
+            .transfer
+            .as_ref()
+            .map_or("colors stay as captured".into(), |path| {
+                format!("relit by {}", path.display())
+            });
+        let shadows = if self.shadows {
+            "contact shadows"
+        } else {
+            "no shadows"
+        };
         let error = 100.0 * self.error;
-        lines
-            .line("light", &format!("{transfer}, {shadows}; {} probes, at most {error:.2} % of the mean light off", self.probes));
+        lines.line(
+            "light",
+            &format!(
+                "{transfer}, {shadows}; {} probes, at most {error:.2} % of the mean light off",
+                self.probes
+            ),
+        );
         for Start { instance, light } in &self.starts {
             let told = light.map_or("nothing is told of the light where it starts".into(), |([red, green, blue], starkness)| {
                 format!("starts in light of ({red:.2}, {green:.2}, {blue:.2}), shadows {starkness:.2} stark")
@@ -207,9 +269,15 @@ fn way_to_json(way: &Trajectory) -> Value {
 
 /// Along the straight pieces between its poses.
 fn length_m(way: &Trajectory) -> f64 {
-    way.poses().windows(2).map(|pair| pair[0].pose.translation.distance(pair[1].pose.translation)).sum()
+    way.poses()
+        .windows(2)
+        .map(|pair| pair[0].pose.translation.distance(pair[1].pose.translation))
+        .sum()
 }
 
 fn meters(position: DVec3) -> String {
-    format!("({:.2}, {:.2}, {:.2}) m", position.x, position.y, position.z)
+    format!(
+        "({:.2}, {:.2}, {:.2}) m",
+        position.x, position.y, position.z
+    )
 }

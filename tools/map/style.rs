@@ -2,7 +2,8 @@
 
 use decouplegs::scene::LaneKind;
 
-/// The drawing's own style sheet: it needs nothing beside it, and follows the reader's choice of light or dark.
+/// The drawing's own style sheet: it needs nothing beside it, and follows the reader's choice of
+/// light or dark.
 pub const STYLE: &str = include_str!("style.css");
 
 /// The style class of a lane.

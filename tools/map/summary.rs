@@ -9,7 +9,13 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 /// The kinds of lanes, in the order of tables and legends.
-pub const KINDS: [LaneKind; 5] = [LaneKind::Driving, LaneKind::Bicycle, LaneKind::Walking, LaneKind::Parking, LaneKind::Other];
+pub const KINDS: [LaneKind; 5] = [
+    LaneKind::Driving,
+    LaneKind::Bicycle,
+    LaneKind::Walking,
+    LaneKind::Parking,
+    LaneKind::Other,
+];
 
 /// Lanes of one kind.
 #[derive(Clone, Copy, Default)]
@@ -32,7 +38,7 @@ pub struct MapSummary {
     successors: usize,
     /// Pairs of lanes side by side.
     neighbors: usize,
-    /// Lanes that no lane goes on in, and those that go on in none.
+    /// Lanes that no lane continues in, and those that continue in none.
     first: usize,
     last: usize,
     /// Least and largest, meters a second, and lanes that have one.
@@ -44,8 +50,12 @@ impl MapSummary {
     /// The numbers of a map, which has lanes.
     pub fn of(map: &LaneMap) -> Self {
         let lanes = &map.lanes;
-        let count = |holds: fn(&decouplegs::scene::Lane) -> bool| lanes.iter().filter(|lane| holds(lane)).count();
-        let points = lanes.iter().flat_map(|lane| lane.centerline.iter().chain(&lane.left).chain(&lane.right));
+        let count = |holds: fn(&decouplegs::scene::Lane) -> bool| {
+            lanes.iter().filter(|lane| holds(lane)).count()
+        };
+        let points = lanes
+            .iter()
+            .flat_map(|lane| lane.centerline.iter().chain(&lane.left).chain(&lane.right));
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let (min, max) = points.fold(none, |(min, max), point| (min.min(*point), max.max(*point)));
         let limits = || lanes.iter().filter_map(|lane| lane.speed_limit_mps);
@@ -66,7 +76,9 @@ impl MapSummary {
             neighbors: count(|lane| lane.right_neighbor.is_some()),
             first: count(|lane| lane.predecessors.is_empty()),
             last: count(|lane| lane.successors.is_empty()),
-            speed_limits_mps: limits().min_by(f64::total_cmp).zip(limits().max_by(f64::total_cmp)),
+            speed_limits_mps: limits()
+                .min_by(f64::total_cmp)
+                .zip(limits().max_by(f64::total_cmp)),
             with_speed_limit: limits().count(),
         }
     }
@@ -81,20 +93,48 @@ impl MapSummary {
 
     pub fn to_text(&self) -> String {
         let mut text = format!("\n  {:<10}{:>8}{:>14}\n", "kind", "lanes", "centerline");
-        let row = |name: &str, kind: KindSummary| format!("  {name:<10}{:>8}{:>12.1} m\n", kind.lanes, kind.length_m);
-        for (kind, found) in KINDS.iter().zip(self.kinds).filter(|(_, found)| found.lanes > 0) {
+        let row = |name: &str, kind: KindSummary| {
+            format!("  {name:<10}{:>8}{:>12.1} m\n", kind.lanes, kind.length_m)
+        };
+        for (kind, found) in KINDS
+            .iter()
+            .zip(self.kinds)
+            .filter(|(_, found)| found.lanes > 0)
+        {
             text += &row(kind.name(), found);
         }
-        text += &row("all", KindSummary { lanes: self.lanes(), length_m: self.length_m() });
+        text += &row(
+            "all",
+            KindSummary {
+                lanes: self.lanes(),
+                length_m: self.length_m(),
+            },
+        );
         text.push('\n');
         let all = self.lanes();
         for (axis, name) in ["bounds x", "bounds y", "bounds z"].iter().enumerate() {
             let (min, max) = (self.min[axis], self.max[axis]);
-            let known = if axis < 2 || self.with_height > 0 { "" } else { " (no lane has a height)" };
-            let _ = writeln!(text, "  {name:<14}{min:.2} to {max:.2} m, {:.2} m{known}", max - min);
+            let known = if axis < 2 || self.with_height > 0 {
+                ""
+            } else {
+                " (no lane has a height)"
+            };
+            let _ = writeln!(
+                text,
+                "  {name:<14}{min:.2} to {max:.2} m, {:.2} m{known}",
+                max - min
+            );
         }
-        let _ = writeln!(text, "  {:<14}known to {} of {all} lanes", "heights", self.with_height);
-        let _ = writeln!(text, "  {:<14}known to {} of {all} lanes", "borders", self.with_borders);
+        let _ = writeln!(
+            text,
+            "  {:<14}known to {} of {all} lanes",
+            "heights", self.with_height
+        );
+        let _ = writeln!(
+            text,
+            "  {:<14}known to {} of {all} lanes",
+            "borders", self.with_borders
+        );
         let _ = writeln!(
             text,
             "  {:<14}{} from lane to lane, {} side by side; {} lanes start and {} end without one",
@@ -115,8 +155,12 @@ impl MapSummary {
 
     pub fn to_json(&self) -> Value {
         let kinds = KINDS.iter().zip(self.kinds);
-        let kinds =
-            kinds.map(|(kind, found)| (kind.name().to_owned(), json!({"lanes": found.lanes, "length_m": found.length_m})));
+        let kinds = kinds.map(|(kind, found)| {
+            (
+                kind.name().to_owned(),
+                json!({"lanes": found.lanes, "length_m": found.length_m}),
+            )
+        });
         json!({
             "lanes": self.lanes(),
             "length_m": self.length_m(),
@@ -148,19 +192,35 @@ pub struct TrackSummary {
 impl TrackSummary {
     pub fn of(tracks: &[Track], map: &MapSummary) -> Self {
         let mut classes = BTreeMap::new();
-        tracks.iter().for_each(|track| *classes.entry(track.class.clone()).or_insert(0) += 1);
+        tracks
+            .iter()
+            .for_each(|track| *classes.entry(track.class.clone()).or_insert(0) += 1);
         let points = || tracks.iter().flat_map(|track| &track.points);
         let times_s = points().map(|point| point.time_s);
-        let (start_s, end_s) =
-            times_s.fold((f64::INFINITY, f64::NEG_INFINITY), |(start, end), time| (start.min(time), end.max(time)));
+        let (start_s, end_s) = times_s
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(start, end), time| {
+                (start.min(time), end.max(time))
+            });
         let (min, max) = (map.min.truncate(), map.max.truncate());
-        let within = points().filter(|point| point.position_m.clamp(min, max) == point.position_m).count();
-        Self { classes, points: points().count(), start_s, end_s, within }
+        let within = points()
+            .filter(|point| point.position_m.clamp(min, max) == point.position_m)
+            .count();
+        Self {
+            classes,
+            points: points().count(),
+            start_s,
+            end_s,
+            within,
+        }
     }
 
     pub fn to_text(&self) -> String {
         let control_free = |text: &str| text.replace(char::is_control, "?");
-        let classes: Vec<String> = self.classes.iter().map(|(class, count)| format!("{count} {}", control_free(class))).collect();
+        let classes: Vec<String> = self
+            .classes
+            .iter()
+            .map(|(class, count)| format!("{count} {}", control_free(class)))
+            .collect();
         let count: usize = self.classes.values().sum();
         format!(
             "\n  {:<14}{count} ({}), {:.2} to {:.2} s\n  {:<14}{}, {} of them within the bounds of the map\n",

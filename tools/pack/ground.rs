@@ -31,8 +31,18 @@ pub fn mesh_of(scene: &SceneFile, directory: &Path, height_m: f64) -> Result<Mes
     let finding = progress::spinner("finding the ground".into());
     let cloud = read_splats(&directory.join(&scene.background))?;
     let ground = Ground::new(&cloud, scene.origin, &GroundOptions::default());
-    let standing = Trajectory::standing(Pose { translation: scene.origin, ..Pose::IDENTITY });
-    let way: Vec<DVec3> = scene.ego.as_ref().unwrap_or(&standing).poses().iter().map(|timed| timed.pose.translation).collect();
+    let standing = Trajectory::standing(Pose {
+        translation: scene.origin,
+        ..Pose::IDENTITY
+    });
+    let way: Vec<DVec3> = scene
+        .ego
+        .as_ref()
+        .unwrap_or(&standing)
+        .poses()
+        .iter()
+        .map(|timed| timed.pose.translation)
+        .collect();
     let mesh = Grid::about(&way, height_m).mesh(&ground, scene.origin);
     finding.finish_and_clear();
     Ok(mesh)
@@ -56,21 +66,35 @@ impl Grid {
         let size = high - low;
         let step_m = STEP_M.max((size.x * size.y / PLACES_MAX).sqrt());
         let count = |side: f64| (side / step_m).floor() as usize + 1;
-        let below = way.iter().map(|point| *point - DVec3::Z * (0.5 * height_m)).collect();
-        Self { low, columns: count(size.x), rows: count(size.y), step_m, below }
+        let below = way
+            .iter()
+            .map(|point| *point - DVec3::Z * (0.5 * height_m))
+            .collect();
+        Self {
+            low,
+            columns: count(size.x),
+            rows: count(size.y),
+            step_m,
+            below,
+        }
     }
 
     /// The place of a node, if it is near the way, and the height expected there.
     fn query(&self, node: usize) -> Option<(DVec2, Option<f64>)> {
-        let place = self.low + DVec2::new((node % self.columns) as f64, (node / self.columns) as f64) * self.step_m;
+        let place = self.low
+            + DVec2::new((node % self.columns) as f64, (node / self.columns) as f64) * self.step_m;
         let distance = |point: &&DVec3| point.truncate().distance_squared(place);
-        let nearest = self.below.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        let nearest = self
+            .below
+            .iter()
+            .min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
         (distance(&nearest) <= MARGIN_M * MARGIN_M).then_some((place, Some(nearest.z)))
     }
 
     fn mesh(&self, ground: &Ground, origin: DVec3) -> Mesh {
-        let nodes: Vec<(usize, (DVec2, Option<f64>))> =
-            (0..self.columns * self.rows).filter_map(|node| Some((node, self.query(node)?))).collect();
+        let nodes: Vec<(usize, (DVec2, Option<f64>))> = (0..self.columns * self.rows)
+            .filter_map(|node| Some((node, self.query(node)?)))
+            .collect();
         let queries: Vec<(DVec2, Option<f64>)> = nodes.iter().map(|(_, query)| *query).collect();
         let mut vertices = Vec::new();
         let mut vertex_of: Vec<Option<u32>> = vec![None; self.columns * self.rows];
@@ -83,21 +107,34 @@ impl Grid {
         let mut triangles = Vec::new();
         for row in 1..self.rows {
             for column in 1..self.columns {
-                let [a, b] = [(row - 1) * self.columns + column - 1, row * self.columns + column - 1];
+                let [a, b] = [
+                    (row - 1) * self.columns + column - 1,
+                    row * self.columns + column - 1,
+                ];
                 // Counter-clockwise from above: normals point up.
                 for corners in [[a, a + 1, b + 1], [a, b + 1, b]] {
                     triangles.extend(self.triangle(&vertices, corners.map(|node| vertex_of[node])));
                 }
             }
         }
-        Mesh { vertices, triangles, step_m: self.step_m }
+        Mesh {
+            vertices,
+            triangles,
+            step_m: self.step_m,
+        }
     }
 
     /// Three vertices that are there and lie like ground.
     fn triangle(&self, vertices: &[[f32; 3]], corners: [Option<u32>; 3]) -> Option<[u32; 3]> {
-        let [Some(a), Some(b), Some(c)] = corners else { return None };
+        let [Some(a), Some(b), Some(c)] = corners else {
+            return None;
+        };
         let heights = [a, b, c].map(|vertex| f64::from(vertices[vertex as usize][2]));
-        let (low, high) = heights.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &z| (low.min(z), high.max(z)));
+        let (low, high) = heights
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &z| {
+                (low.min(z), high.max(z))
+            });
         (high - low <= SLOPE_MAX * self.step_m).then_some([a, b, c])
     }
 }
@@ -109,8 +146,9 @@ mod tests {
 
     #[test]
     fn flat_ground_is_a_flat_mesh_that_looks_up() {
-        let places: Vec<(f32, f32)> =
-            (-40..40).flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32))).collect();
+        let places: Vec<(f32, f32)> = (-40..40)
+            .flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32)))
+            .collect();
         let count = places.len();
         let cloud = SplatCloud {
             means: places.iter().map(|(x, y)| [*x, *y, 1.0]).collect(),
@@ -124,12 +162,20 @@ mod tests {
         let origin = DVec3::new(500.0, 800.0, 90.0);
         let ground = Ground::new(&cloud, origin, &GroundOptions::default());
         let mesh = Grid::about(&[origin + DVec3::Z * 1.75], 1.5).mesh(&ground, origin);
-        assert!(mesh.triangles.len() > 300 && mesh.step_m == STEP_M, "{}", mesh.triangles.len());
+        assert!(
+            mesh.triangles.len() > 300 && mesh.step_m == STEP_M,
+            "{}",
+            mesh.triangles.len()
+        );
         for vertex in &mesh.vertices {
-            assert!((vertex[2] - 1.0).abs() < 0.02 && vertex[0].abs() < 11.0 && vertex[1].abs() < 5.0, "{vertex:?}");
+            assert!(
+                (vertex[2] - 1.0).abs() < 0.02 && vertex[0].abs() < 11.0 && vertex[1].abs() < 5.0,
+                "{vertex:?}"
+            );
         }
         for triangle in &mesh.triangles {
-            let [a, b, c] = triangle.map(|vertex| glam::Vec3::from_array(mesh.vertices[vertex as usize]));
+            let [a, b, c] =
+                triangle.map(|vertex| glam::Vec3::from_array(mesh.vertices[vertex as usize]));
             assert!((b - a).cross(c - a).z > 0.0);
         }
     }

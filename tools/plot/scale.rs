@@ -26,20 +26,40 @@ impl Scale {
     /// For `values`; those that the axis cannot show are passed over.
     pub fn over(values: impl Iterator<Item = f64>, axis: Axis<'_>) -> Self {
         let shown = values.filter(|&value| value.is_finite() && (!axis.log || value > 0.0));
-        let (min, max) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), value| (min.min(value), max.max(value)));
+        let (min, max) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), value| {
+            (min.min(value), max.max(value))
+        });
         let (min, max) = if min <= max { (min, max) } else { (1.0, 10.0) };
-        if axis.log { Self::logarithmic(min, max) } else { Self::linear(if axis.from_zero { min.min(0.0) } else { min }, max) }
+        if axis.log {
+            Self::logarithmic(min, max)
+        } else {
+            Self::linear(if axis.from_zero { min.min(0.0) } else { min }, max)
+        }
     }
 
     fn linear(min: f64, max: f64) -> Self {
-        let max = if max > min { max } else { min + min.abs().max(1.0) };
+        let max = if max > min {
+            max
+        } else {
+            min + min.abs().max(1.0)
+        };
         let rough = (max - min) / TICKS;
         let power = 10f64.powf(rough.log10().floor());
-        let step =
-            [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power).into_iter().find(|step| *step >= rough).unwrap_or(10.0 * power);
+        let step = [1.0, 2.0, 5.0, 10.0]
+            .map(|factor| factor * power)
+            .into_iter()
+            .find(|step| *step >= rough)
+            .unwrap_or(10.0 * power);
         let (first, last) = ((min / step).floor(), (max / step - 1e-9).ceil());
-        let ticks: Vec<f64> = (0..=(last - first) as usize).map(|at| (first + at as f64) * step).collect();
-        Self { log: false, min: first * step, max: last * step, ticks }
+        let ticks: Vec<f64> = (0..=(last - first) as usize)
+            .map(|at| (first + at as f64) * step)
+            .collect();
+        Self {
+            log: false,
+            min: first * step,
+            max: last * step,
+            ticks,
+        }
     }
 
     fn logarithmic(min: f64, max: f64) -> Self {
@@ -49,12 +69,29 @@ impl Scale {
             2..=3 => &[1.0, 2.0, 5.0],
             _ => &[1.0],
         };
-        let all: Vec<f64> =
-            (decades.0..=decades.1).flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power))).collect();
-        let below = all.iter().copied().filter(|tick| *tick <= min * 1.0001).fold(f64::NEG_INFINITY, f64::max);
-        let above = all.iter().copied().find(|tick| *tick >= max * 0.9999 && *tick > below).unwrap_or(max * 2.0);
-        let ticks = all.into_iter().filter(|tick| (below..=above).contains(tick)).collect();
-        Self { log: true, min: below, max: above, ticks }
+        let all: Vec<f64> = (decades.0..=decades.1)
+            .flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power)))
+            .collect();
+        let below = all
+            .iter()
+            .copied()
+            .filter(|tick| *tick <= min * 1.0001)
+            .fold(f64::NEG_INFINITY, f64::max);
+        let above = all
+            .iter()
+            .copied()
+            .find(|tick| *tick >= max * 0.9999 && *tick > below)
+            .unwrap_or(max * 2.0);
+        let ticks = all
+            .into_iter()
+            .filter(|tick| (below..=above).contains(tick))
+            .collect();
+        Self {
+            log: true,
+            min: below,
+            max: above,
+            ticks,
+        }
     }
 
     /// The place of `value` between `from` and `to`; `None` where it has none.
@@ -71,9 +108,17 @@ pub fn number(value: f64) -> String {
     if size != 0.0 && !(1e-3..1e6).contains(&size) {
         return format!("{value:.1e}");
     }
-    let decimals = if size == 0.0 { 0 } else { (2 - size.log10().floor() as i32).clamp(0, 5) as usize };
+    let decimals = if size == 0.0 {
+        0
+    } else {
+        (2 - size.log10().floor() as i32).clamp(0, 5) as usize
+    };
     let text = format!("{value:.decimals$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
 }
 
 #[cfg(test)]
@@ -85,7 +130,10 @@ mod tests {
         let scale = Scale::linear(0.0, 52.4);
         assert_eq!(scale.ticks, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]);
         let scale = Scale::logarithmic(3.0, 70.0);
-        assert_eq!((scale.min, scale.max, scale.ticks.as_slice()), (2.0, 100.0, [2.0, 5.0, 10.0, 20.0, 50.0, 100.0].as_slice()));
+        assert_eq!(
+            (scale.min, scale.max, scale.ticks.as_slice()),
+            (2.0, 100.0, [2.0, 5.0, 10.0, 20.0, 50.0, 100.0].as_slice())
+        );
         let one = Scale::linear(5.0, 5.0);
         assert!(one.min <= 5.0 && one.max > one.min && one.ticks.len() < 20);
         let one = Scale::logarithmic(10.0, 10.0);
@@ -95,6 +143,11 @@ mod tests {
     #[test]
     fn numbers_are_short() {
         let written = [0.0, 0.5, 1.0, 12.34, 123.4, 2e7, -0.25, 0.0015, 0.0025].map(number);
-        assert_eq!(written, ["0", "0.5", "1", "12.3", "123", "2.0e7", "-0.25", "0.0015", "0.0025"]);
+        assert_eq!(
+            written,
+            [
+                "0", "0.5", "1", "12.3", "123", "2.0e7", "-0.25", "0.0015", "0.0025"
+            ]
+        );
     }
 }

@@ -33,12 +33,24 @@ pub struct Subject<'a> {
 /// The page.
 pub fn page(subject: &Subject<'_>, measured: &Measured) -> String {
     let arguments = subject.arguments;
-    let name = arguments.tracks.file_name().unwrap_or_default().to_string_lossy();
+    let name = arguments
+        .tracks
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
     let mut html = plot::page_start(&format!("{} registered", escaped(&name)));
-    let _ = write!(html, "<p>To the lanes of {}", escaped(&arguments.map.display().to_string()));
+    let _ = write!(
+        html,
+        "<p>To the lanes of {}",
+        escaped(&arguments.map.display().to_string())
+    );
     match &arguments.scene {
         Some(scene) => {
-            let _ = write!(html, ", on the ground of {}.</p>", escaped(&scene.display().to_string()));
+            let _ = write!(
+                html,
+                ", on the ground of {}.</p>",
+                escaped(&scene.display().to_string())
+            );
         }
         None => html.push_str(", at the heights of the map: no scene was given.</p>"),
     }
@@ -62,7 +74,11 @@ fn table(measured: &Measured) -> String {
     for track in &measured.tracks {
         html.push_str("<tr>");
         for (at, cell) in cells(measured, track).iter().enumerate() {
-            let class = if at + 1 == columns(measured).len() { " class=\"text\"" } else { "" };
+            let class = if at + 1 == columns(measured).len() {
+                " class=\"text\""
+            } else {
+                ""
+            };
             let _ = write!(html, "<td{class}>{}", escaped(cell));
         }
     }
@@ -116,7 +132,11 @@ fn clearance_svg(clearances_m: &[f64], tolerance_m: f64) -> String {
         let low_m = REACH_M * (2.0 * at as f64 / BINS as f64 - 1.0);
         let high_m = REACH_M * (2.0 * (at + 1) as f64 / BINS as f64 - 1.0);
         let height = (BOTTOM - TOP) * count as f64 / largest;
-        let color = if high_m <= -tolerance_m { BEFORE } else { AFTER };
+        let color = if high_m <= -tolerance_m {
+            BEFORE
+        } else {
+            AFTER
+        };
         let _ = write!(
             svg,
             "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{height:.1}\" style=\"fill:var(--c{color})\"><title>{count} from {:.1} \
@@ -156,16 +176,33 @@ fn drawings(subject: &Subject<'_>, measured: &Measured) -> String {
     let drawn = measured.tracks.len().min(DRAWN_MAX);
     let mut html = String::from("<h2>Before and after</h2>");
     if drawn < measured.tracks.len() {
-        let _ = write!(html, "<p>The first {drawn} of {} tracks.</p>", measured.tracks.len());
+        let _ = write!(
+            html,
+            "<p>The first {drawn} of {} tracks.</p>",
+            measured.tracks.len()
+        );
     }
     for (at, track) in measured.tracks.iter().enumerate().take(drawn) {
-        let _ = write!(html, "<div class=\"row\"><figure style=\"flex:1 1 24em\">{}</figure>", above(subject, at));
+        let _ = write!(
+            html,
+            "<div class=\"row\"><figure style=\"flex:1 1 24em\">{}</figure>",
+            above(subject, at)
+        );
         if !track.offsets_m.before.is_empty() {
-            let _ = write!(html, "<figure style=\"flex:1 1 24em\">{}</figure>", offsets(track));
+            let _ = write!(
+                html,
+                "<figure style=\"flex:1 1 24em\">{}</figure>",
+                offsets(track)
+            );
         }
         html.push_str("</div>");
         if let Some(reason) = &track.refused {
-            let _ = write!(html, "<p class=\"dim\">{} was refused: it {}.</p>", escaped(&track.id), escaped(reason));
+            let _ = write!(
+                html,
+                "<p class=\"dim\">{} was refused: it {}.</p>",
+                escaped(&track.id),
+                escaped(reason)
+            );
         }
     }
     html
@@ -175,27 +212,69 @@ fn above(subject: &Subject<'_>, at: usize) -> String {
     let track = &subject.tracks[at];
     let mut ways = Vec::new();
     let places = |track: &Track| track.points.iter().map(|point| point.position_m).collect();
-    if let Some(truth) = subject.truth.and_then(|truth| truth.iter().find(|truth| truth.id == track.id)) {
-        ways.push(Way { name: "truth", color: TRUTH, dashed: false, places: places(truth) });
+    if let Some(truth) = subject
+        .truth
+        .and_then(|truth| truth.iter().find(|truth| truth.id == track.id))
+    {
+        ways.push(Way {
+            name: "truth",
+            color: TRUTH,
+            dashed: false,
+            places: places(truth),
+        });
     }
-    ways.push(Way { name: "as logged", color: BEFORE, dashed: false, places: places(track) });
+    ways.push(Way {
+        name: "as logged",
+        color: BEFORE,
+        dashed: false,
+        places: places(track),
+    });
     if let Outcome::Registered(registered) = &subject.registration.tracks[at].outcome {
-        let places = registered.poses.iter().map(|pose| pose.pose.translation.truncate()).collect();
-        ways.push(Way { name: "registered", color: AFTER, dashed: true, places });
+        let places = registered
+            .poses
+            .iter()
+            .map(|pose| pose.pose.translation.truncate())
+            .collect();
+        ways.push(Way {
+            name: "registered",
+            color: AFTER,
+            dashed: true,
+            places,
+        });
     }
-    drawing(&format!("{} ({})", track.id, track.class), &subject.map.lanes, &ways, &[])
+    drawing(
+        &format!("{} ({})", track.id, track.class),
+        &subject.map.lanes,
+        &ways,
+        &[],
+    )
 }
 
 fn offsets(track: &MeasuredTrack) -> String {
     let curve = |name: &str, color: usize, points: &[(f64, f64)]| {
         let points = points.to_vec();
-        Series { name: name.into(), color, points, shape: Shape::Curve, end: None }
+        Series {
+            name: name.into(),
+            color,
+            points,
+            shape: Shape::Curve,
+            end: None,
+        }
     };
     let mut series = vec![curve("as logged", BEFORE, &track.offsets_m.before)];
     if !track.offsets_m.after.is_empty() {
         series.push(curve("registered", AFTER, &track.offsets_m.after));
     }
-    let linear = |label| Axis { label, ..Axis::default() };
+    let linear = |label| Axis {
+        label,
+        ..Axis::default()
+    };
     let title = format!("{}: offset from the centerline of its lane", track.id);
-    Plot { title: &title, x: linear("time, s"), y: linear("to the left, m"), series }.to_svg()
+    Plot {
+        title: &title,
+        x: linear("time, s"),
+        y: linear("to the left, m"),
+        series,
+    }
+    .to_svg()
 }

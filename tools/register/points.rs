@@ -10,27 +10,46 @@ use glam::DVec3;
 /// A point stands for the ground within so much of it, meters.
 const POINT_SIGMA_M: f32 = 0.1;
 
-/// A table of x, y and z in meters, one point a line below a line of these names, as round splats about their first point.
+/// A table of x, y and z in meters, one point a line below a line of these names, as round splats
+/// about their first point.
 pub fn read(path: &Path) -> Result<(SplatCloud, DVec3)> {
-    let text = String::from_utf8(read_bytes(path)?).with_context(|| format!("{} is not UTF-8", path.display()))?;
+    let text = String::from_utf8(read_bytes(path)?)
+        .with_context(|| format!("{} is not UTF-8", path.display()))?;
     parse(&text).with_context(|| format!("{} is no table of points", path.display()))
 }
 
 fn parse(text: &str) -> Result<(SplatCloud, DVec3)> {
-    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let header = lines.next().context("it is empty; expected a first line of x,y,z")?.1;
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty());
+    let header = lines
+        .next()
+        .context("it is empty; expected a first line of x,y,z")?
+        .1;
     let names: Vec<&str> = header.split(',').map(str::trim).collect();
-    let column = |name: &str| names.iter().position(|found| found.trim_end_matches("_m") == name);
+    let column = |name: &str| {
+        names
+            .iter()
+            .position(|found| found.trim_end_matches("_m") == name)
+    };
     let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
         bail!("line 1 names the columns {header:?}; expected x, y and z among them");
     };
     let mut points: Vec<DVec3> = Vec::new();
     for (at, line) in lines {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        let number =
-            |column: usize| cells.get(column).and_then(|cell| cell.parse().ok()).filter(|number: &f64| number.is_finite());
+        let number = |column: usize| {
+            cells
+                .get(column)
+                .and_then(|cell| cell.parse().ok())
+                .filter(|number: &f64| number.is_finite())
+        };
         let (Some(x), Some(y), Some(z)) = (number(x), number(y), number(z)) else {
-            bail!("line {}: {line:?}; expected a number in each of x, y and z", at + 1);
+            bail!(
+                "line {}: {line:?}; expected a number in each of x, y and z",
+                at + 1
+            );
         };
         points.push(DVec3::new(x, y, z));
     }
@@ -38,7 +57,10 @@ fn parse(text: &str) -> Result<(SplatCloud, DVec3)> {
     let origin = points[0];
     let count = points.len();
     let cloud = SplatCloud {
-        means: points.iter().map(|point| (*point - origin).as_vec3().to_array()).collect(),
+        means: points
+            .iter()
+            .map(|point| (*point - origin).as_vec3().to_array())
+            .collect(),
         // Flat, so that the ground is where the points are.
         scales: vec![[POINT_SIGMA_M, POINT_SIGMA_M, 0.01]; count],
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
@@ -55,10 +77,21 @@ mod tests {
 
     #[test]
     fn points_keep_their_places_and_lines_at_fault_are_named() {
-        let (cloud, origin) = parse("z_m, name ,x,y\n1.5,a,500000.25,7\n2,b,500001.25,8\n\n").unwrap();
-        assert_eq!((cloud.means[1], origin), ([1.0, 1.0, 0.5], DVec3::new(500_000.25, 7.0, 1.5)));
+        let (cloud, origin) =
+            parse("z_m, name ,x,y\n1.5,a,500000.25,7\n2,b,500001.25,8\n\n").unwrap();
+        assert_eq!(
+            (cloud.means[1], origin),
+            ([1.0, 1.0, 0.5], DVec3::new(500_000.25, 7.0, 1.5))
+        );
         let said = |text: &str| format!("{:#}", parse(text).unwrap_err());
-        assert!(said("").contains("empty") && said("x,y\n1,2").contains("x, y and z") && said("x,y,z\n").contains("no points"));
-        assert!(said("x,y,z\n1,2,3\n1,two,3").contains("line 3") && said("x,y,z\n1,2,inf").contains("line 2"));
+        assert!(
+            said("").contains("empty")
+                && said("x,y\n1,2").contains("x, y and z")
+                && said("x,y,z\n").contains("no points")
+        );
+        assert!(
+            said("x,y,z\n1,2,3\n1,two,3").contains("line 3")
+                && said("x,y,z\n1,2,inf").contains("line 2")
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! `decouplegs-server bench`: a server in this process, asked over the loopback as a simulator's runtime asks it.
+//! `decouplegs-server bench`: a server in this process, asked over the loopback as a simulator's
+//! runtime asks it.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -20,13 +21,14 @@ use crate::wire::common::Empty;
 use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
 use crate::wire::sensorsim::sensorsim_service_client::SensorsimServiceClient;
 use crate::wire::sensorsim::{
-    AvailableCamerasRequest, AvailableTrajectoriesRequest, BatchRgbRenderRequest, BatchRgbRenderRequestItem, DynamicObject,
-    ImageFormat, PosePair, RgbRenderRequest,
+    AvailableCamerasRequest, AvailableTrajectoriesRequest, BatchRgbRenderRequest,
+    BatchRgbRenderRequestItem, DynamicObject, ImageFormat, PosePair, RgbRenderRequest,
 };
 
 /// A shutter is open so long, microseconds.
 const SHUTTER_US: u64 = 20_000;
-/// The first requests of a client, in which buffers still grow, are left out of the figures: so many, or half of them if they are few.
+/// The first requests of a client, in which buffers still grow, are left out of the figures: so
+/// many, or half of them if they are few.
 const WARM_UP: usize = 20;
 
 /// Bytes that the server may send ahead of what is read.
@@ -51,7 +53,12 @@ pub struct BenchOptions {
     #[arg(long, value_name = "Q", default_value_t = 95.0)]
     pub quality: f32,
     /// Ask for so long, also called --soak
-    #[arg(long, visible_alias = "soak", value_name = "SECONDS", default_value_t = 10.0)]
+    #[arg(
+        long,
+        visible_alias = "soak",
+        value_name = "SECONDS",
+        default_value_t = 10.0
+    )]
     pub seconds: f64,
     /// Rollouts that ask at the same time, each for itself
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -83,8 +90,14 @@ pub enum FormatName {
 /// # Errors
 /// When the server does not start, or a request fails.
 pub fn run(options: &BenchOptions, started: Instant) -> Result<()> {
-    ensure!(options.clients > 0 && options.cameras > 0, "--clients and --cameras are at least 1");
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("no threads")?;
+    ensure!(
+        options.clients > 0 && options.cameras > 0,
+        "--clients and --cameras are at least 1"
+    );
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .context("no threads")?;
     runtime.block_on(measure(options, started))
 }
 
@@ -95,7 +108,9 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
     let listening = started.elapsed();
     let endpoint = Endpoint::from_shared(format!("http://{}", running.address))?.tcp_nodelay(true);
     // Images come in one piece; a window smaller than one would be asked for again and again.
-    let endpoint = endpoint.initial_stream_window_size(WINDOW_BYTES).initial_connection_window_size(WINDOW_BYTES);
+    let endpoint = endpoint
+        .initial_stream_window_size(WINDOW_BYTES)
+        .initial_connection_window_size(WINDOW_BYTES);
     let mut rollout = Rollout::begin(endpoint.connect().await?, options).await?;
     rollout.ask(0).await?;
     let first_image = started.elapsed();
@@ -121,9 +136,13 @@ async fn measure(options: &BenchOptions, started: Instant) -> Result<()> {
     let asked_for = asked_since.elapsed();
     let submissions = running.submissions();
     running.stop().await?;
-    ensure!(!times.is_empty(), "no request was answered: give more --seconds");
+    ensure!(
+        !times.is_empty(),
+        "no request was answered: give more --seconds"
+    );
     times.sort();
-    let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize].as_secs_f64() * 1e3;
+    let at =
+        |share: f64| times[((times.len() - 1) as f64 * share).round() as usize].as_secs_f64() * 1e3;
     let requests = times.len();
     let figures = json!({
         "scene": options.scene.display().to_string(),
@@ -167,35 +186,84 @@ impl Rollout {
         let file = SceneFile::read(&options.scene)?;
         let mut client = SensorsimServiceClient::new(channel).max_decoding_message_size(64 << 20);
         client.get_version(Empty {}).await?;
-        let scenes = client.get_available_scenes(Empty {}).await?.into_inner().scene_ids;
+        let scenes = client
+            .get_available_scenes(Empty {})
+            .await?
+            .into_inner()
+            .scene_ids;
         let scene = scenes.first().cloned().context("the server has no scene")?;
         client.get_available_ego_masks(Empty {}).await?;
-        let asked = AvailableCamerasRequest { scene_id: scene.clone() };
-        let mut cameras = client.get_available_cameras(asked).await?.into_inner().available_cameras;
+        let asked = AvailableCamerasRequest {
+            scene_id: scene.clone(),
+        };
+        let mut cameras = client
+            .get_available_cameras(asked)
+            .await?
+            .into_inner()
+            .available_cameras;
         let count = cameras.len();
-        ensure!(count >= options.cameras, "the rig has {count} cameras, asked for are {}", options.cameras);
+        ensure!(
+            count >= options.cameras,
+            "the rig has {count} cameras, asked for are {}",
+            options.cameras
+        );
         cameras.truncate(options.cameras);
-        let asked = AvailableTrajectoriesRequest { scene_id: scene.clone() };
-        let ways = client.get_available_trajectories(asked).await?.into_inner().available_trajectories;
-        let way = ways.into_iter().next().and_then(|way| way.trajectory).context("the scene has no way of the ego")?;
-        let timed = way.poses.iter().map(|timed| Ok((timed.timestamp_us, pose_of(timed.pose.as_ref(), "ego")?)));
+        let asked = AvailableTrajectoriesRequest {
+            scene_id: scene.clone(),
+        };
+        let ways = client
+            .get_available_trajectories(asked)
+            .await?
+            .into_inner()
+            .available_trajectories;
+        let way = ways
+            .into_iter()
+            .next()
+            .and_then(|way| way.trajectory)
+            .context("the scene has no way of the ego")?;
+        let timed = way
+            .poses
+            .iter()
+            .map(|timed| Ok((timed.timestamp_us, pose_of(timed.pose.as_ref(), "ego")?)));
         let ego = timed.collect::<Result<Vec<_>, tonic::Status>>()?;
-        let agents = file.agents.into_iter().map(|agent| (agent.name, agent.trajectory)).collect();
-        Ok(Self { client, scene, cameras, ego, agents, origin: file.origin, options: options.clone() })
+        let agents = file
+            .agents
+            .into_iter()
+            .map(|agent| (agent.name, agent.trajectory))
+            .collect();
+        Ok(Self {
+            client,
+            scene,
+            cameras,
+            ego,
+            agents,
+            origin: file.origin,
+            options: options.clone(),
+        })
     }
 
     /// Asks for the images of one step; how long it took from the request to all bytes.
     async fn ask(&mut self, step: usize) -> Result<Duration> {
         let end_us = self.ego.last().map_or(0, |(time_us, _)| *time_us).max(1);
         let time_us = (step as f64 * self.options.step * 1e6) as u64 % end_us;
-        let items = self.cameras.iter().map(|camera| self.item(camera, time_us)).collect::<Result<Vec<_>>>()?;
+        let items = self
+            .cameras
+            .iter()
+            .map(|camera| self.item(camera, time_us))
+            .collect::<Result<Vec<_>>>()?;
         let request = BatchRgbRenderRequest { items };
         let since = Instant::now();
         let reply = self.client.batch_render_rgb(request).await?.into_inner();
         let took = since.elapsed();
         let failed = reply.items.iter().find(|item| !item.success);
-        failed.map_or(Ok(()), |item| Err(anyhow!("{}: {}", item.camera_name, item.error_message)))?;
-        ensure!(reply.items.len() == self.cameras.len(), "{} images came back", reply.items.len());
+        failed.map_or(Ok(()), |item| {
+            Err(anyhow!("{}: {}", item.camera_name, item.error_message))
+        })?;
+        ensure!(
+            reply.items.len() == self.cameras.len(),
+            "{} images came back",
+            reply.items.len()
+        );
         Ok(took)
     }
 
@@ -203,15 +271,25 @@ impl Rollout {
         let rig_from_camera = pose_of(camera.rig_to_camera.as_ref(), "rig_to_camera")?;
         let times_us = [time_us, time_us + SHUTTER_US];
         let pair = |pose_at: &dyn Fn(u64) -> Pose| {
-            let [start_pose, end_pose] = times_us.map(|time_us| Some(message_of(&pose_at(time_us))));
-            Some(PosePair { start_pose, end_pose })
+            let [start_pose, end_pose] =
+                times_us.map(|time_us| Some(message_of(&pose_at(time_us))));
+            Some(PosePair {
+                start_pose,
+                end_pose,
+            })
         };
         let object = |(name, way): &(String, Trajectory)| {
             let local = |time_us: u64| {
                 let pose = way.at(time_us as f64 * 1e-6);
-                Pose { translation: pose.translation - self.origin, ..pose }
+                Pose {
+                    translation: pose.translation - self.origin,
+                    ..pose
+                }
             };
-            DynamicObject { track_id: name.clone(), pose_pair: pair(&local) }
+            DynamicObject {
+                track_id: name.clone(),
+                pose_pair: pair(&local),
+            }
         };
         let format = match self.options.format {
             FormatName::Png => ImageFormat::Png,
@@ -231,12 +309,18 @@ impl Rollout {
             image_quality: self.options.quality,
             ..RgbRenderRequest::default()
         };
-        Ok(BatchRgbRenderRequestItem { camera_name: camera.logical_id.clone(), request: Some(request) })
+        Ok(BatchRgbRenderRequestItem {
+            camera_name: camera.logical_id.clone(),
+            request: Some(request),
+        })
     }
 
     fn ego_at(&self, time_us: u64) -> Pose {
         let next = self.ego.partition_point(|(knot_us, _)| *knot_us <= time_us);
-        match (next.checked_sub(1).and_then(|before| self.ego.get(before)), self.ego.get(next)) {
+        match (
+            next.checked_sub(1).and_then(|before| self.ego.get(before)),
+            self.ego.get(next),
+        ) {
             (Some((from_us, from)), Some((to_us, to))) => {
                 from.interpolate(to, (time_us - from_us) as f64 / (to_us - from_us) as f64)
             }
@@ -250,7 +334,8 @@ impl Rollout {
 fn memory_bytes() -> u64 {
     let status = std::fs::read_to_string(Path::new("/proc/self/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-    line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok()).map_or(0, |kib| kib << 10)
+    line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok())
+        .map_or(0, |kib| kib << 10)
 }
 
 fn size(text: &str) -> Result<[u32; 2], String> {
@@ -258,5 +343,7 @@ fn size(text: &str) -> Result<[u32; 2], String> {
         let side = |text: &str| text.parse().ok().filter(|side| (1..=65_536).contains(side));
         Some([side(width)?, side(height)?])
     });
-    parsed.ok_or_else(|| format!("expected WIDTHxHEIGHT in pixels, 1x1 to 65536x65536, like 512x320, found {text:?}"))
+    parsed.ok_or_else(|| {
+        format!("expected WIDTHxHEIGHT in pixels, 1x1 to 65536x65536, like 512x320, found {text:?}")
+    })
 }

@@ -12,7 +12,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         .bytes(".")
         .codec_path("crate::codec::BoundedCodec")
         .compile_fds_with_config(files, messages)?;
-    println!("cargo:rustc-env=DECOUPLEGS_GIT_HASH={}", git(&["rev-parse", "HEAD"]).unwrap_or_default());
+    println!(
+        "cargo:rustc-env=DECOUPLEGS_GIT_HASH={}",
+        git(&["rev-parse", "HEAD"]).unwrap_or_default()
+    );
     if let Some(log) = git(&["rev-parse", "--git-path", "logs/HEAD"]) {
         println!("cargo:rerun-if-changed={log}");
     }

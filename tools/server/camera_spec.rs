@@ -7,7 +7,8 @@ use tonic::Status;
 use crate::wire::sensorsim::camera_spec::CameraParam;
 use crate::wire::sensorsim::ftheta_camera_param::PolynomialType;
 use crate::wire::sensorsim::{
-    CameraSpec, FthetaCameraParam, LinearCde, OpenCvFisheyeCameraParam, OpenCvPinholeCameraParam, ShutterType,
+    CameraSpec, FthetaCameraParam, LinearCde, OpenCvFisheyeCameraParam, OpenCvPinholeCameraParam,
+    ShutterType,
 };
 
 /// F-theta calibrations count pixels from the center of the first one, images from its corner.
@@ -17,21 +18,49 @@ const FTHETA_ORIGIN_PX: f64 = 0.5;
 ///
 /// # Errors
 /// INVALID_ARGUMENT with the name of the field that makes no sense, UNIMPLEMENTED for windshields.
-pub fn intrinsics_of(spec: &CameraSpec, [width_px, height_px]: [u32; 2], field: &str) -> Result<Intrinsics, Status> {
-    let asked = if [width_px, height_px] == [0, 0] { [spec.resolution_w, spec.resolution_h] } else { [width_px, height_px] };
-    let own = if [spec.resolution_w, spec.resolution_h] == [0, 0] { asked } else { [spec.resolution_w, spec.resolution_h] };
+pub fn intrinsics_of(
+    spec: &CameraSpec,
+    [width_px, height_px]: [u32; 2],
+    field: &str,
+) -> Result<Intrinsics, Status> {
+    let asked = if [width_px, height_px] == [0, 0] {
+        [spec.resolution_w, spec.resolution_h]
+    } else {
+        [width_px, height_px]
+    };
+    let own = if [spec.resolution_w, spec.resolution_h] == [0, 0] {
+        asked
+    } else {
+        [spec.resolution_w, spec.resolution_h]
+    };
     if spec.external_distortion.is_some() {
-        return Err(Status::unimplemented(format!("{field}.external_distortion: windshields cannot be drawn")));
+        return Err(Status::unimplemented(format!(
+            "{field}.external_distortion: windshields cannot be drawn"
+        )));
     }
     let intrinsics = match &spec.camera_param {
-        Some(CameraParam::OpencvPinholeParam(pinhole)) => of_pinhole(pinhole, own, &format!("{field}.opencv_pinhole_param"))?,
-        Some(CameraParam::OpencvFisheyeParam(fisheye)) => of_fisheye(fisheye, own, &format!("{field}.opencv_fisheye_param"))?,
-        Some(CameraParam::FthetaParam(ftheta)) => of_ftheta(ftheta, own, &format!("{field}.ftheta_param"))?,
-        None => return Err(Status::invalid_argument(format!("{field}.camera_param is missing"))),
+        Some(CameraParam::OpencvPinholeParam(pinhole)) => {
+            of_pinhole(pinhole, own, &format!("{field}.opencv_pinhole_param"))?
+        }
+        Some(CameraParam::OpencvFisheyeParam(fisheye)) => {
+            of_fisheye(fisheye, own, &format!("{field}.opencv_fisheye_param"))?
+        }
+        Some(CameraParam::FthetaParam(ftheta)) => {
+            of_ftheta(ftheta, own, &format!("{field}.ftheta_param"))?
+        }
+        None => {
+            return Err(Status::invalid_argument(format!(
+                "{field}.camera_param is missing"
+            )));
+        }
     };
-    intrinsics.check().map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
+    intrinsics
+        .check()
+        .map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
     let resized = intrinsics.resized(asked[0], asked[1]);
-    resized.check().map_err(|reason| Status::invalid_argument(format!("resolution_w and resolution_h: {reason}")))?;
+    resized.check().map_err(|reason| {
+        Status::invalid_argument(format!("resolution_w and resolution_h: {reason}"))
+    })?;
     Ok(resized)
 }
 
@@ -39,16 +68,30 @@ pub fn intrinsics_of(spec: &CameraSpec, [width_px, height_px]: [u32; 2], field: 
 fn padded<const N: usize>(values: &[f64], field: &str) -> Result<[f64; N], Status> {
     if values.len() > N {
         let count = values.len();
-        return Err(Status::invalid_argument(format!("{field}: {count} coefficients, at most {N} are known")));
+        return Err(Status::invalid_argument(format!(
+            "{field}: {count} coefficients, at most {N} are known"
+        )));
     }
-    Ok(std::array::from_fn(|place| values.get(place).copied().unwrap_or(0.0)))
+    Ok(std::array::from_fn(|place| {
+        values.get(place).copied().unwrap_or(0.0)
+    }))
 }
 
-fn of_pinhole(pinhole: &OpenCvPinholeCameraParam, [width_px, height_px]: [u32; 2], field: &str) -> Result<Intrinsics, Status> {
+fn of_pinhole(
+    pinhole: &OpenCvPinholeCameraParam,
+    [width_px, height_px]: [u32; 2],
+    field: &str,
+) -> Result<Intrinsics, Status> {
     let lens = OpenCv {
         radial: padded(&pinhole.radial_coeffs, &format!("{field}.radial_coeffs"))?,
-        tangential: padded(&pinhole.tangential_coeffs, &format!("{field}.tangential_coeffs"))?,
-        thin_prism: padded(&pinhole.thin_prism_coeffs, &format!("{field}.thin_prism_coeffs"))?,
+        tangential: padded(
+            &pinhole.tangential_coeffs,
+            &format!("{field}.tangential_coeffs"),
+        )?,
+        thin_prism: padded(
+            &pinhole.thin_prism_coeffs,
+            &format!("{field}.thin_prism_coeffs"),
+        )?,
     };
     Ok(Intrinsics {
         width_px,
@@ -57,13 +100,25 @@ fn of_pinhole(pinhole: &OpenCvPinholeCameraParam, [width_px, height_px]: [u32; 2
         fy_px: pinhole.focal_length_y,
         cx_px: pinhole.principal_point_x,
         cy_px: pinhole.principal_point_y,
-        lens: if lens == OpenCv::default() { Lens::Pinhole } else { Lens::OpenCv(lens) },
+        lens: if lens == OpenCv::default() {
+            Lens::Pinhole
+        } else {
+            Lens::OpenCv(lens)
+        },
     })
 }
 
-fn of_fisheye(fisheye: &OpenCvFisheyeCameraParam, [width_px, height_px]: [u32; 2], field: &str) -> Result<Intrinsics, Status> {
+fn of_fisheye(
+    fisheye: &OpenCvFisheyeCameraParam,
+    [width_px, height_px]: [u32; 2],
+    field: &str,
+) -> Result<Intrinsics, Status> {
     let radial = padded(&fisheye.radial_coeffs, &format!("{field}.radial_coeffs"))?;
-    let max_angle_rad = if fisheye.max_angle == 0.0 { ANGLE_LIMIT_RAD } else { fisheye.max_angle };
+    let max_angle_rad = if fisheye.max_angle == 0.0 {
+        ANGLE_LIMIT_RAD
+    } else {
+        fisheye.max_angle
+    };
     Ok(Intrinsics {
         width_px,
         height_px,
@@ -71,25 +126,53 @@ fn of_fisheye(fisheye: &OpenCvFisheyeCameraParam, [width_px, height_px]: [u32; 2
         fy_px: fisheye.focal_length_y,
         cx_px: fisheye.principal_point_x,
         cy_px: fisheye.principal_point_y,
-        lens: Lens::Fisheye(Fisheye { radial, max_angle_rad }),
+        lens: Lens::Fisheye(Fisheye {
+            radial,
+            max_angle_rad,
+        }),
     })
 }
 
-fn of_ftheta(ftheta: &FthetaCameraParam, [width_px, height_px]: [u32; 2], field: &str) -> Result<Intrinsics, Status> {
-    let reference = match (ftheta.reference_poly(), ftheta.pixeldist_to_angle_poly.is_empty()) {
-        (PolynomialType::PixeldistToAngle, _) | (PolynomialType::Unknown, false) => FThetaReference::PixelDistanceToAngle,
-        (PolynomialType::AngleToPixeldist, _) | (PolynomialType::Unknown, true) => FThetaReference::AngleToPixelDistance,
+fn of_ftheta(
+    ftheta: &FthetaCameraParam,
+    [width_px, height_px]: [u32; 2],
+    field: &str,
+) -> Result<Intrinsics, Status> {
+    let reference = match (
+        ftheta.reference_poly(),
+        ftheta.pixeldist_to_angle_poly.is_empty(),
+    ) {
+        (PolynomialType::PixeldistToAngle, _) | (PolynomialType::Unknown, false) => {
+            FThetaReference::PixelDistanceToAngle
+        }
+        (PolynomialType::AngleToPixeldist, _) | (PolynomialType::Unknown, true) => {
+            FThetaReference::AngleToPixelDistance
+        }
     };
     let lens = FTheta {
         reference,
-        pixel_distance_to_angle: padded(&ftheta.pixeldist_to_angle_poly, &format!("{field}.pixeldist_to_angle_poly"))?,
-        angle_to_pixel_distance: padded(&ftheta.angle_to_pixeldist_poly, &format!("{field}.angle_to_pixeldist_poly"))?,
-        max_angle_rad: if ftheta.max_angle == 0.0 { ANGLE_LIMIT_RAD } else { ftheta.max_angle },
-        linear_cde: ftheta.linear_cde.as_ref().map_or([1.0, 0.0, 0.0], |cde| [cde.linear_c, cde.linear_d, cde.linear_e]),
+        pixel_distance_to_angle: padded(
+            &ftheta.pixeldist_to_angle_poly,
+            &format!("{field}.pixeldist_to_angle_poly"),
+        )?,
+        angle_to_pixel_distance: padded(
+            &ftheta.angle_to_pixeldist_poly,
+            &format!("{field}.angle_to_pixeldist_poly"),
+        )?,
+        max_angle_rad: if ftheta.max_angle == 0.0 {
+            ANGLE_LIMIT_RAD
+        } else {
+            ftheta.max_angle
+        },
+        linear_cde: ftheta.linear_cde.as_ref().map_or([1.0, 0.0, 0.0], |cde| {
+            [cde.linear_c, cde.linear_d, cde.linear_e]
+        }),
     };
     let lens_checked = Lens::FTheta(lens);
     // Focal lengths at the center come from the polynomials, which must be sound for that.
-    lens_checked.check().map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
+    lens_checked
+        .check()
+        .map_err(|reason| Status::invalid_argument(format!("{field}: {reason}")))?;
     let [fx_px, fy_px] = lens.center_focal_px();
     Ok(Intrinsics {
         width_px,
@@ -106,7 +189,9 @@ fn of_ftheta(ftheta: &FthetaCameraParam, [width_px, height_px]: [u32; 2], field:
 #[must_use]
 pub fn spec_of(intrinsics: &Intrinsics, logical_id: &str) -> CameraSpec {
     let camera_param = match &intrinsics.lens {
-        Lens::Pinhole => CameraParam::OpencvPinholeParam(pinhole_of(intrinsics, &OpenCv::default())),
+        Lens::Pinhole => {
+            CameraParam::OpencvPinholeParam(pinhole_of(intrinsics, &OpenCv::default()))
+        }
         Lens::OpenCv(lens) => CameraParam::OpencvPinholeParam(pinhole_of(intrinsics, lens)),
         Lens::Fisheye(lens) => CameraParam::OpencvFisheyeParam(OpenCvFisheyeCameraParam {
             principal_point_x: intrinsics.cx_px,
@@ -170,8 +255,15 @@ mod tests {
         };
         [
             Lens::Pinhole,
-            Lens::OpenCv(OpenCv { radial: [-0.1, 0.01, 0.0, 0.0, 0.0, 0.0], tangential: [0.001, -0.001], ..OpenCv::default() }),
-            Lens::Fisheye(Fisheye { radial: [0.01, -0.002, 0.0, 0.0], max_angle_rad: 1.3 }),
+            Lens::OpenCv(OpenCv {
+                radial: [-0.1, 0.01, 0.0, 0.0, 0.0, 0.0],
+                tangential: [0.001, -0.001],
+                ..OpenCv::default()
+            }),
+            Lens::Fisheye(Fisheye {
+                radial: [0.01, -0.002, 0.0, 0.0],
+                max_angle_rad: 1.3,
+            }),
             Lens::FTheta(ftheta),
         ]
     }
@@ -179,16 +271,32 @@ mod tests {
     #[test]
     fn cameras_survive_the_wire_and_are_scaled_to_the_size_asked_for() {
         for lens in lenses() {
-            let mut own = Intrinsics { cx_px: 300.5, lens, ..Intrinsics::from_horizontal_fov(640, 360, 1.1) };
+            let mut own = Intrinsics {
+                cx_px: 300.5,
+                lens,
+                ..Intrinsics::from_horizontal_fov(640, 360, 1.1)
+            };
             if let Lens::FTheta(ftheta) = lens {
                 [own.fx_px, own.fy_px] = ftheta.center_focal_px();
             }
             let spec = spec_of(&own, "front");
             assert_eq!(intrinsics_of(&spec, [0, 0], "k").unwrap(), own);
-            assert_eq!(intrinsics_of(&spec, [320, 90], "k").unwrap(), own.resized(320, 90));
-            let unsized_spec = CameraSpec { resolution_h: 0, resolution_w: 0, ..spec };
+            assert_eq!(
+                intrinsics_of(&spec, [320, 90], "k").unwrap(),
+                own.resized(320, 90)
+            );
+            let unsized_spec = CameraSpec {
+                resolution_h: 0,
+                resolution_w: 0,
+                ..spec
+            };
             assert_eq!(intrinsics_of(&unsized_spec, [640, 360], "k").unwrap(), own);
-            assert!(intrinsics_of(&unsized_spec, [0, 0], "k").unwrap_err().message().contains("0x0"));
+            assert!(
+                intrinsics_of(&unsized_spec, [0, 0], "k")
+                    .unwrap_err()
+                    .message()
+                    .contains("0x0")
+            );
         }
     }
 
@@ -196,10 +304,22 @@ mod tests {
     fn lenses_that_are_none_are_refused_by_the_name_of_their_field() {
         let own = Intrinsics::from_horizontal_fov(640, 360, 1.1);
         let mut spec = spec_of(&own, "front");
-        let Some(CameraParam::OpencvPinholeParam(pinhole)) = &mut spec.camera_param else { panic!("{spec:?}") };
+        let Some(CameraParam::OpencvPinholeParam(pinhole)) = &mut spec.camera_param else {
+            panic!("{spec:?}")
+        };
         pinhole.radial_coeffs = vec![0.0; 7];
-        assert!(intrinsics_of(&spec, [0, 0], "k").unwrap_err().message().contains("k.opencv_pinhole_param.radial_coeffs"));
+        assert!(
+            intrinsics_of(&spec, [0, 0], "k")
+                .unwrap_err()
+                .message()
+                .contains("k.opencv_pinhole_param.radial_coeffs")
+        );
         spec.camera_param = Some(CameraParam::FthetaParam(FthetaCameraParam::default()));
-        assert!(intrinsics_of(&spec, [0, 0], "k").unwrap_err().message().contains("k.ftheta_param"));
+        assert!(
+            intrinsics_of(&spec, [0, 0], "k")
+                .unwrap_err()
+                .message()
+                .contains("k.ftheta_param")
+        );
     }
 }

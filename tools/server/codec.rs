@@ -8,7 +8,8 @@ use tonic::Status;
 use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
-/// Entries that all repeated fields of a message may have together: a batch of sixteen cameras that each see 4,096 objects.
+/// Entries that all repeated fields of a message may have together: a batch of sixteen cameras that
+/// each see 4,096 objects.
 pub const ENTRIES_MAX: usize = 1 << 16;
 
 /// Fields that hold many messages, each as the way there from the message whose name comes first.
@@ -28,11 +29,15 @@ pub struct BoundedCodec<T, U> {
 
 impl<T, U> Default for BoundedCodec<T, U> {
     fn default() -> Self {
-        Self { messages: PhantomData }
+        Self {
+            messages: PhantomData,
+        }
     }
 }
 
-impl<T: Message + Send + 'static, U: Message + Name + Default + Send + 'static> Codec for BoundedCodec<T, U> {
+impl<T: Message + Send + 'static, U: Message + Name + Default + Send + 'static> Codec
+    for BoundedCodec<T, U>
+{
     type Encode = T;
     type Decode = U;
     type Encoder = ProstEncoder<T>;
@@ -43,7 +48,9 @@ impl<T: Message + Send + 'static, U: Message + Name + Default + Send + 'static> 
     }
 
     fn decoder(&mut self) -> Self::Decoder {
-        BoundedDecoder { message: PhantomData }
+        BoundedDecoder {
+            message: PhantomData,
+        }
     }
 }
 
@@ -61,11 +68,18 @@ impl<U: Message + Name + Default> Decoder for BoundedDecoder<U> {
         use bytes::Buf;
         let bytes = buffer.copy_to_bytes(buffer.remaining());
         let mut entries = 0;
-        for way in REPEATED.iter().filter(|(name, _)| *name == U::NAME).flat_map(|(_, ways)| *ways) {
+        for way in REPEATED
+            .iter()
+            .filter(|(name, _)| *name == U::NAME)
+            .flat_map(|(_, ways)| *ways)
+        {
             count(&bytes, way, &mut entries);
         }
         if entries > ENTRIES_MAX {
-            let reason = format!("{} has more than {ENTRIES_MAX} entries in all: send fewer objects or cameras", U::NAME);
+            let reason = format!(
+                "{} has more than {ENTRIES_MAX} entries in all: send fewer objects or cameras",
+                U::NAME
+            );
             return Err(Status::resource_exhausted(reason));
         }
         let malformed = |error| Status::invalid_argument(format!("not a {}: {error}", U::NAME));
@@ -73,8 +87,8 @@ impl<U: Message + Name + Default> Decoder for BoundedDecoder<U> {
     }
 }
 
-/// Adds the entries of the field at the end of `way` to `entries`, until there are too many. What is malformed ends the count: it will
-/// not be decoded either.
+/// Adds the entries of the field at the end of `way` to `entries`, until there are too many. What
+/// is malformed ends the count: it will not be decoded either.
 fn count(message: &[u8], way: &[u32], entries: &mut usize) {
     let mut rest = message;
     while let Some((field, inner)) = next_field(&mut rest) {
@@ -83,7 +97,9 @@ fn count(message: &[u8], way: &[u32], entries: &mut usize) {
         }
         match (way, inner) {
             ([last], Some(_)) if u64::from(*last) == field => *entries += 1,
-            ([first, on @ ..], Some(inner)) if u64::from(*first) == field => count(inner, on, entries),
+            ([first, on @ ..], Some(inner)) if u64::from(*first) == field => {
+                count(inner, on, entries);
+            }
             _ => {}
         }
     }
@@ -129,19 +145,26 @@ mod tests {
     use super::*;
     use crate::wire::physics::PhysicsGroundIntersectionRequest;
     use crate::wire::sensorsim::{
-        AggregatedRenderRequest, BatchRgbRenderRequest, BatchRgbRenderRequestItem, DynamicObject, LidarRenderRequest,
-        RgbRenderRequest,
+        AggregatedRenderRequest, BatchRgbRenderRequest, BatchRgbRenderRequestItem, DynamicObject,
+        LidarRenderRequest, RgbRenderRequest,
     };
 
     fn entries<M: Message + Name>(message: &M) -> usize {
-        let ways = REPEATED.iter().find(|(name, _)| *name == M::NAME).expect("its repeated fields are listed").1;
+        let ways = REPEATED
+            .iter()
+            .find(|(name, _)| *name == M::NAME)
+            .expect("its repeated fields are listed")
+            .1;
         let (bytes, mut entries) = (message.encode_to_vec(), 0);
         ways.iter().for_each(|way| count(&bytes, way, &mut entries));
         entries
     }
 
     fn request(objects: usize) -> RgbRenderRequest {
-        let object = DynamicObject { track_id: "a car".into(), pose_pair: None };
+        let object = DynamicObject {
+            track_id: "a car".into(),
+            pose_pair: None,
+        };
         RgbRenderRequest {
             scene_id: "street".into(),
             frame_end_us: 7,
@@ -153,13 +176,30 @@ mod tests {
     #[test]
     fn entries_are_counted_wherever_they_are() {
         assert_eq!(entries(&request(3)), 3);
-        let item = |objects| BatchRgbRenderRequestItem { camera_name: "front".into(), request: Some(request(objects)) };
-        assert_eq!(entries(&BatchRgbRenderRequest { items: vec![item(3), item(4)] }), 2 + 7);
-        let lidar = LidarRenderRequest { dynamic_objects: request(5).dynamic_objects, ..Default::default() };
-        let aggregated = AggregatedRenderRequest { rgb_requests: vec![request(2)], lidar_requests: vec![lidar.clone()] };
+        let item = |objects| BatchRgbRenderRequestItem {
+            camera_name: "front".into(),
+            request: Some(request(objects)),
+        };
+        assert_eq!(
+            entries(&BatchRgbRenderRequest {
+                items: vec![item(3), item(4)]
+            }),
+            2 + 7
+        );
+        let lidar = LidarRenderRequest {
+            dynamic_objects: request(5).dynamic_objects,
+            ..Default::default()
+        };
+        let aggregated = AggregatedRenderRequest {
+            rgb_requests: vec![request(2)],
+            lidar_requests: vec![lidar.clone()],
+        };
         assert_eq!((entries(&lidar), entries(&aggregated)), (5, 1 + 2 + 1 + 5));
         assert_eq!(
-            entries(&PhysicsGroundIntersectionRequest { other_objects: vec![Default::default(); 6], ..Default::default() }),
+            entries(&PhysicsGroundIntersectionRequest {
+                other_objects: vec![Default::default(); 6],
+                ..Default::default()
+            }),
             6
         );
     }
@@ -167,7 +207,10 @@ mod tests {
     #[test]
     fn no_bytes_hang_or_panic() {
         let bytes = BatchRgbRenderRequest {
-            items: vec![BatchRgbRenderRequestItem { camera_name: "front".into(), request: Some(request(4)) }],
+            items: vec![BatchRgbRenderRequestItem {
+                camera_name: "front".into(),
+                request: Some(request(4)),
+            }],
         }
         .encode_to_vec();
         for length in 0..bytes.len() {

@@ -21,7 +21,8 @@ use tonic::transport::server::Connected;
 use crate::metrics::Metrics;
 use crate::options::Limits;
 
-/// Bytes that a client says before anything else: the preface of HTTP/2, or more of a TLS handshake.
+/// Bytes that a client says before anything else: the preface of HTTP/2, or more of a TLS
+/// handshake.
 const PREFACE_BYTES: usize = 24;
 /// Connections beyond the limit that are kept for health checks.
 const HEALTH_CONNECTIONS: usize = 8;
@@ -92,7 +93,10 @@ impl AddressPlace {
         let count = counts.entry(address).or_default();
         (*count < most).then(|| {
             *count += 1;
-            Self { address, addresses: Arc::clone(addresses) }
+            Self {
+                address,
+                addresses: Arc::clone(addresses),
+            }
         })
     }
 }
@@ -109,9 +113,9 @@ impl Drop for AddressPlace {
     }
 }
 
-/// Accepts connections from `listener` within `limits`; further ones are closed, but for a few that serve health checks alone.
-/// A connection is closed when the client says nothing after it was opened, when it has had no request for a while, and when
-/// `closing` turns true.
+/// Accepts connections from `listener` within `limits`; further ones are closed, but for a few that
+/// serve health checks alone. A connection is closed when the client says nothing after it was
+/// opened, when it has had no request for a while, and when `closing` turns true.
 pub fn accept(
     listener: TcpListener,
     limits: &Limits,
@@ -128,7 +132,9 @@ pub fn accept(
             Err(error) => return Some(Err(error)),
         };
         let address = stream.peer_addr().map(|address| address.ip()).ok();
-        let address_place = address.and_then(|address| AddressPlace::take(&addresses, address, limits.address_connections));
+        let address_place = address.and_then(|address| {
+            AddressPlace::take(&addresses, address, limits.address_connections)
+        });
         let place = Arc::clone(&places).try_acquire_owned();
         let is_for_health = place.is_err();
         let place = place.or_else(|_| Arc::clone(&health_places).try_acquire_owned());
@@ -136,17 +142,28 @@ pub fn accept(
             metrics.refused();
             return None;
         };
-        // Images are written whole: waiting for more to send only delays them. Refused where the client has gone already.
+        // Images are written whole: waiting for more to send only delays them. Refused where the
+        // client has gone already.
         let _ = stream.set_nodelay(true);
         metrics.connected(1);
-        let idle = if is_for_health { HEALTH_IDLE } else { limits.idle() };
-        let activity = Arc::new(Activity { open: AtomicUsize::new(0), last: Mutex::new(Instant::now()) });
+        let idle = if is_for_health {
+            HEALTH_IDLE
+        } else {
+            limits.idle()
+        };
+        let activity = Arc::new(Activity {
+            open: AtomicUsize::new(0),
+            last: Mutex::new(Instant::now()),
+        });
         let mut closing = closing.clone();
         Some(Ok(Connection {
             stream,
             patience: Some(Box::pin(sleep(limits.handshake()))),
             heard_bytes: 0,
-            info: ConnectionInfo { is_for_health, activity },
+            info: ConnectionInfo {
+                is_for_health,
+                activity,
+            },
             idle,
             idle_timer: Box::pin(sleep(idle)),
             closing: Box::pin(async move {
@@ -182,7 +199,11 @@ impl Connection {
         loop {
             ready!(self.idle_timer.as_mut().poll(context));
             let is_busy = self.info.activity.open.load(Ordering::SeqCst) > 0;
-            let since = if is_busy { Instant::now() } else { *lock(&self.info.activity.last) };
+            let since = if is_busy {
+                Instant::now()
+            } else {
+                *lock(&self.info.activity.last)
+            };
             if since.elapsed() >= self.idle {
                 return Poll::Ready(());
             }
@@ -192,14 +213,24 @@ impl Connection {
 }
 
 impl AsyncRead for Connection {
-    fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<Result<()>> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<Result<()>> {
         if let Some(patience) = &mut self.patience
             && patience.as_mut().poll(context).is_ready()
         {
-            return Poll::Ready(Err(Error::new(ErrorKind::TimedOut, "the client opened a connection and said nothing")));
+            return Poll::Ready(Err(Error::new(
+                ErrorKind::TimedOut,
+                "the client opened a connection and said nothing",
+            )));
         }
         if self.closing.as_mut().poll(context).is_ready() {
-            return Poll::Ready(Err(Error::new(ErrorKind::ConnectionAborted, "the server ends")));
+            return Poll::Ready(Err(Error::new(
+                ErrorKind::ConnectionAborted,
+                "the server ends",
+            )));
         }
         if self.poll_idle(context).is_ready() {
             // As if the client had closed it: nothing is read.
@@ -222,7 +253,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl AsyncWrite for Connection {
-    fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<Result<usize>> {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<Result<usize>> {
         Pin::new(&mut self.stream).poll_write(context, bytes)
     }
 

@@ -1,4 +1,5 @@
-//! Images as bytes of a file, on threads of their own: while one frame is encoded, the next is drawn.
+//! Images as bytes of a file, on threads of their own: while one frame is encoded, the next is
+//! drawn.
 
 use std::sync::Arc;
 
@@ -30,16 +31,26 @@ impl Encoding {
     /// 0 leaves it to us.
     ///
     /// # Errors
-    /// UNIMPLEMENTED for formats that there are not, INVALID_ARGUMENT for numbers that are no format or no quality.
+    /// UNIMPLEMENTED for formats that there are not, INVALID_ARGUMENT for numbers that are no
+    /// format or no quality.
     pub fn of(format: i32, quality: f32, field: &str) -> Result<Self, Status> {
         const SUPPORTED: &str = "supported are PNG (1), JPEG (2) and RGB_UINT8_PLANAR (4)";
         match ImageFormat::try_from(format) {
             Ok(ImageFormat::Png) => Ok(Self::Png),
             Ok(ImageFormat::RgbUint8Planar) => Ok(Self::Planar),
-            Ok(ImageFormat::Jpeg) => Ok(Self::Jpeg { quality: quality_of(quality)? }),
-            Ok(ImageFormat::Undefined) => Err(Status::invalid_argument(format!("{field} is not given; {SUPPORTED}"))),
-            Ok(other) => Err(Status::unimplemented(format!("{field}: {} is not written; {SUPPORTED}", other.as_str_name()))),
-            Err(_) => Err(Status::invalid_argument(format!("{field}: {format} is no format; {SUPPORTED}"))),
+            Ok(ImageFormat::Jpeg) => Ok(Self::Jpeg {
+                quality: quality_of(quality)?,
+            }),
+            Ok(ImageFormat::Undefined) => Err(Status::invalid_argument(format!(
+                "{field} is not given; {SUPPORTED}"
+            ))),
+            Ok(other) => Err(Status::unimplemented(format!(
+                "{field}: {} is not written; {SUPPORTED}",
+                other.as_str_name()
+            ))),
+            Err(_) => Err(Status::invalid_argument(format!(
+                "{field}: {format} is no format; {SUPPORTED}"
+            ))),
         }
     }
 }
@@ -49,7 +60,9 @@ fn quality_of(quality: f32) -> Result<u8, Status> {
         0.0 => Ok(QUALITY_DEFAULT),
         share if share > 0.0 && share <= 1.0 => Ok((100.0 * share).round().max(1.0) as u8),
         percent if percent > 1.0 && percent <= 100.0 => Ok(percent.round() as u8),
-        _ => Err(Status::invalid_argument(format!("image_quality: {quality} is neither within 0 to 1 nor within 1 to 100"))),
+        _ => Err(Status::invalid_argument(format!(
+            "image_quality: {quality} is neither within 0 to 1 nor within 1 to 100"
+        ))),
     }
 }
 
@@ -57,13 +70,20 @@ fn quality_of(quality: f32) -> Result<u8, Status> {
 ///
 /// # Errors
 /// A sentence, when the format cannot hold the size.
-pub fn encode(rgba: &[u8], [width_px, height_px]: [u32; 2], encoding: Encoding) -> Result<Vec<u8>, String> {
+pub fn encode(
+    rgba: &[u8],
+    [width_px, height_px]: [u32; 2],
+    encoding: Encoding,
+) -> Result<Vec<u8>, String> {
     match encoding {
         Encoding::Planar => {
             let pixels = rgba.len() / 4;
             let mut planes = vec![0; 3 * pixels];
             for (channel, plane) in planes.chunks_exact_mut(pixels.max(1)).enumerate() {
-                plane.iter_mut().zip(rgba.chunks_exact(4)).for_each(|(to, pixel)| *to = pixel[channel]);
+                plane
+                    .iter_mut()
+                    .zip(rgba.chunks_exact(4))
+                    .for_each(|(to, pixel)| *to = pixel[channel]);
             }
             Ok(planes)
         }
@@ -74,9 +94,14 @@ pub fn encode(rgba: &[u8], [width_px, height_px]: [u32; 2], encoding: Encoding) 
             encoder.set_depth(png::BitDepth::Eight);
             encoder.set_compression(png::Compression::Fast);
             let mut rgb = vec![0; 3 * (rgba.len() / 4)];
-            rgb.chunks_exact_mut(3).zip(rgba.chunks_exact(4)).for_each(|(to, pixel)| to.copy_from_slice(&pixel[..3]));
+            rgb.chunks_exact_mut(3)
+                .zip(rgba.chunks_exact(4))
+                .for_each(|(to, pixel)| to.copy_from_slice(&pixel[..3]));
             let mut writer = encoder.write_header().map_err(|error| error.to_string())?;
-            writer.write_image_data(&rgb).and_then(|()| writer.finish()).map_err(|error| error.to_string())?;
+            writer
+                .write_image_data(&rgb)
+                .and_then(|()| writer.finish())
+                .map_err(|error| error.to_string())?;
             Ok(bytes)
         }
         Encoding::Jpeg { quality } => jpeg::encode(rgba, [width_px, height_px], quality),
@@ -96,7 +121,14 @@ impl Encoders {
     /// When the operating system gives no threads.
     pub fn new(threads: usize) -> anyhow::Result<Self> {
         let name = |index| format!("encode-{index}");
-        Ok(Self { threads: Arc::new(ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?) })
+        Ok(Self {
+            threads: Arc::new(
+                ThreadPoolBuilder::new()
+                    .num_threads(threads)
+                    .thread_name(name)
+                    .build()?,
+            ),
+        })
     }
 
     /// Runs `work` on one of the threads.
@@ -110,7 +142,14 @@ mod tests {
     use super::*;
 
     fn image(size: [u32; 2]) -> Vec<u8> {
-        let pixel = |i: u32| [(i % size[0] * 3) as u8, (i / size[0] * 5) as u8, (i % 7 * 20) as u8, 255];
+        let pixel = |i: u32| {
+            [
+                (i % size[0] * 3) as u8,
+                (i / size[0] * 5) as u8,
+                (i % 7 * 20) as u8,
+                255,
+            ]
+        };
         (0..size[0] * size[1]).flat_map(pixel).collect()
     }
 
@@ -118,9 +157,14 @@ mod tests {
     fn png_and_planes_lose_nothing_and_jpeg_little() {
         let size = [37, 23];
         let rgba = image(size);
-        let rgb: Vec<u8> = rgba.chunks(4).flat_map(|pixel| pixel[..3].to_vec()).collect();
+        let rgb: Vec<u8> = rgba
+            .chunks(4)
+            .flat_map(|pixel| pixel[..3].to_vec())
+            .collect();
         let png = encode(&rgba, size, Encoding::Png).unwrap();
-        let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+            .read_info()
+            .unwrap();
         let mut decoded = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut decoded).unwrap();
         assert_eq!(decoded, rgb);
@@ -128,34 +172,65 @@ mod tests {
         let pixels = 37 * 23;
         assert_eq!(planar.len(), 3 * pixels);
         for (i, pixel) in rgb.chunks(3).enumerate() {
-            assert_eq!([planar[i], planar[pixels + i], planar[2 * pixels + i]], pixel);
+            assert_eq!(
+                [planar[i], planar[pixels + i], planar[2 * pixels + i]],
+                pixel
+            );
         }
         let jpeg = encode(&rgba, size, Encoding::Jpeg { quality: 95 }).unwrap();
         let mut decoder = jpeg_decoder::Decoder::new(jpeg.as_slice());
         let decoded = decoder.decode().unwrap();
-        assert_eq!(decoder.info().map(|info| (info.width, info.height)), Some((37, 23)));
-        let off: u64 = decoded.iter().zip(&rgb).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
-        assert!((off as f64) < 6.0 * rgb.len() as f64, "mean difference {}", off as f64 / rgb.len() as f64);
+        assert_eq!(
+            decoder.info().map(|info| (info.width, info.height)),
+            Some((37, 23))
+        );
+        let off: u64 = decoded
+            .iter()
+            .zip(&rgb)
+            .map(|(a, b)| u64::from(a.abs_diff(*b)))
+            .sum();
+        assert!(
+            (off as f64) < 6.0 * rgb.len() as f64,
+            "mean difference {}",
+            off as f64 / rgb.len() as f64
+        );
     }
 
     #[test]
     fn quality_is_understood_both_ways() {
         let of = |quality| Encoding::of(2, quality, "image_format");
-        for (asked, quality) in [(95.0, 95), (0.95, 95), (1.0, 100), (100.0, 100), (0.0, 95), (0.001, 1)] {
+        for (asked, quality) in [
+            (95.0, 95),
+            (0.95, 95),
+            (1.0, 100),
+            (100.0, 100),
+            (0.0, 95),
+            (0.001, 1),
+        ] {
             assert_eq!(of(asked).unwrap(), Encoding::Jpeg { quality });
         }
         for nonsense in [f32::NAN, -1.0, 101.0, f32::INFINITY] {
-            assert!(of(nonsense).unwrap_err().message().contains("image_quality"));
+            assert!(
+                of(nonsense)
+                    .unwrap_err()
+                    .message()
+                    .contains("image_quality")
+            );
         }
     }
 
     #[test]
     fn formats_that_there_are_not_are_named_with_those_that_there_are() {
-        for (format, code) in
-            [(0, tonic::Code::InvalidArgument), (3, tonic::Code::Unimplemented), (99, tonic::Code::InvalidArgument)]
-        {
+        for (format, code) in [
+            (0, tonic::Code::InvalidArgument),
+            (3, tonic::Code::Unimplemented),
+            (99, tonic::Code::InvalidArgument),
+        ] {
             let status = Encoding::of(format, 0.0, "image_format").unwrap_err();
-            assert!(status.code() == code && status.message().contains("JPEG (2)"), "{status}");
+            assert!(
+                status.code() == code && status.message().contains("JPEG (2)"),
+                "{status}"
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! A render server for closed-loop simulators: images of scenes, and ground below vehicles, over gRPC.
+//! A render server for closed-loop simulators: images of scenes, and ground below vehicles, over
+//! gRPC.
 //!
 //! | file | what it is |
 //! |---|---|
@@ -12,8 +13,9 @@
 //! | [`encoding`] | images as PNG, JPEG or planes, on threads of their own |
 //! | [`running`] | all of it together, until it is told to stop |
 //!
-//! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32, and a world may lie in UTM
-//! coordinates. Objects are placed by the centers of their boxes, as agents are in a scene file.
+//! A client's `local` frame is the scene's world seen from the scene's origin: messages hold f32,
+//! and a world may lie in UTM coordinates. Objects are placed by the centers of their boxes, as
+//! agents are in a scene file.
 #![forbid(unsafe_code)]
 
 pub mod bench;

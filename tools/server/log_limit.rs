@@ -23,7 +23,10 @@ impl LogLimit {
     }
 
     fn admit_at(&mut self, now: Instant) -> Option<u64> {
-        if self.since.is_none_or(|since| now.duration_since(since) >= WINDOW) {
+        if self
+            .since
+            .is_none_or(|since| now.duration_since(since) >= WINDOW)
+        {
             (self.since, self.lines) = (Some(now), 0);
         }
         if self.lines == LINES_MAX {
@@ -42,7 +45,9 @@ mod tests {
     #[test]
     fn a_flood_is_cut_and_counted() {
         let (mut limit, start) = (LogLimit::default(), Instant::now());
-        let written = (0..1000).filter(|_| limit.admit_at(start).is_some()).count();
+        let written = (0..1000)
+            .filter(|_| limit.admit_at(start).is_some())
+            .count();
         assert_eq!(written, 20);
         assert_eq!(limit.admit_at(start + WINDOW), Some(980));
         assert_eq!(limit.admit_at(start + WINDOW), Some(0));

@@ -1,7 +1,7 @@
 //! The program `decouplegs-server`.
 //!
-//! It exits with 0 when it was told to stop, with 1 when it could not serve (one sentence on standard error, then its causes), and
-//! with 2 when the command line makes no sense.
+//! It exits with 0 when it was told to stop, with 1 when it could not serve (one sentence on
+//! standard error, then its causes), and with 2 when the command line makes no sense.
 #![forbid(unsafe_code)]
 
 use std::io::{IsTerminal, Write};
@@ -33,7 +33,8 @@ enum Command {
     /// Serve until SIGTERM or SIGINT
     #[command(name = "serve-grpc", visible_alias = "serve")]
     Serve(Box<ServerOptions>),
-    /// Start a server in this process, ask it for images over the loopback, and tell how long that took
+    /// Start a server in this process, ask it for images over the loopback, and tell how long that
+    /// took
     Bench(Box<BenchOptions>),
 }
 
@@ -58,9 +59,15 @@ fn main() -> ExitCode {
 
 fn serve(options: &ServerOptions) -> Result<()> {
     log(options.log, "info");
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("no threads")?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .context("no threads")?;
     let served = runtime.block_on(async {
-        let (mut terminated, mut interrupted) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+        let (mut terminated, mut interrupted) = (
+            signal(SignalKind::terminate())?,
+            signal(SignalKind::interrupt())?,
+        );
         let running = running::start(options).await?;
         let mut said = std::io::stdout().lock();
         writeln!(said, "listening on {}", running.address)?;
@@ -86,8 +93,10 @@ fn serve(options: &ServerOptions) -> Result<()> {
 /// Events go to standard error: those that `RUST_LOG` says, otherwise those of `level` and above.
 fn log(form: LogForm, level: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    let events =
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
+    let events = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal());
     match form {
         LogForm::Text => events.init(),
         LogForm::Json => events.json().init(),

@@ -9,7 +9,10 @@ use std::time::Duration;
 use tonic::Code;
 
 /// Upper ends of the histogram's buckets, seconds.
-const BUCKETS_S: [f64; 16] = [0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
+const BUCKETS_S: [f64; 16] = [
+    0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0,
+    60.0,
+];
 
 /// Metrics of the server.
 #[derive(Default)]
@@ -54,7 +57,8 @@ impl Metrics {
     pub fn drew(&self, images: usize, unknown_objects: usize) {
         self.submissions.fetch_add(1, Ordering::Relaxed);
         self.images.fetch_add(images as u64, Ordering::Relaxed);
-        self.unknown_objects.fetch_add(unknown_objects as u64, Ordering::Relaxed);
+        self.unknown_objects
+            .fetch_add(unknown_objects as u64, Ordering::Relaxed);
     }
 
     /// The scenes on the device, and their bytes.
@@ -87,27 +91,61 @@ impl Metrics {
     pub fn text(&self) -> String {
         let mut text = String::new();
         self.write_methods(&mut text);
-        let (signed, unsigned) =
-            (|value: &AtomicI64| value.load(Ordering::Relaxed).max(0) as u64, |value: &AtomicU64| value.load(Ordering::Relaxed));
+        let (signed, unsigned) = (
+            |value: &AtomicI64| value.load(Ordering::Relaxed).max(0) as u64,
+            |value: &AtomicU64| value.load(Ordering::Relaxed),
+        );
         let scenes = lock(&self.scenes).len() as u64;
         for (name, kind, meaning, value) in [
-            ("images_total", "counter", "Images drawn.", unsigned(&self.images)),
-            ("submissions_total", "counter", "Frames submitted to the device.", unsigned(&self.submissions)),
+            (
+                "images_total",
+                "counter",
+                "Images drawn.",
+                unsigned(&self.images),
+            ),
+            (
+                "submissions_total",
+                "counter",
+                "Frames submitted to the device.",
+                unsigned(&self.submissions),
+            ),
             (
                 "unknown_objects_total",
                 "counter",
                 "Objects asked for that a scene does not have.",
                 unsigned(&self.unknown_objects),
             ),
-            ("queue_depth", "gauge", "Jobs that wait to be drawn or are being drawn.", signed(&self.queue)),
+            (
+                "queue_depth",
+                "gauge",
+                "Jobs that wait to be drawn or are being drawn.",
+                signed(&self.queue),
+            ),
             ("scenes_cached", "gauge", "Scenes on the device.", scenes),
-            ("scene_cache_bytes", "gauge", "Device memory of the scenes in the cache.", unsigned(&self.cache_bytes)),
-            ("connections", "gauge", "Open connections.", signed(&self.connections)),
-            ("connections_refused_total", "counter", "Connections closed at the limit.", unsigned(&self.connections_refused)),
+            (
+                "scene_cache_bytes",
+                "gauge",
+                "Device memory of the scenes in the cache.",
+                unsigned(&self.cache_bytes),
+            ),
+            (
+                "connections",
+                "gauge",
+                "Open connections.",
+                signed(&self.connections),
+            ),
+            (
+                "connections_refused_total",
+                "counter",
+                "Connections closed at the limit.",
+                unsigned(&self.connections_refused),
+            ),
         ] {
             // Writing to a string cannot fail.
-            let _ =
-                write!(text, "# HELP decouplegs_{name} {meaning}\n# TYPE decouplegs_{name} {kind}\ndecouplegs_{name} {value}\n");
+            let _ = write!(
+                text,
+                "# HELP decouplegs_{name} {meaning}\n# TYPE decouplegs_{name} {kind}\ndecouplegs_{name} {value}\n"
+            );
         }
         text
     }
@@ -118,7 +156,10 @@ impl Metrics {
         for (name, method) in methods.iter() {
             for (code, count) in &method.by_status {
                 let code = Code::from_i32(*code);
-                let _ = writeln!(text, "decouplegs_requests_total{{method=\"{name}\",status=\"{code:?}\"}} {count}");
+                let _ = writeln!(
+                    text,
+                    "decouplegs_requests_total{{method=\"{name}\",status=\"{code:?}\"}} {count}"
+                );
             }
         }
         text.push_str("# HELP decouplegs_request_seconds Time to answer.\n# TYPE decouplegs_request_seconds histogram\n");
@@ -126,12 +167,25 @@ impl Metrics {
             let mut below = 0;
             for (end, count) in BUCKETS_S.iter().zip(method.buckets) {
                 below += count;
-                let _ = writeln!(text, "decouplegs_request_seconds_bucket{{method=\"{name}\",le=\"{end}\"}} {below}");
+                let _ = writeln!(
+                    text,
+                    "decouplegs_request_seconds_bucket{{method=\"{name}\",le=\"{end}\"}} {below}"
+                );
             }
             let all: u64 = method.by_status.values().sum();
-            let _ = writeln!(text, "decouplegs_request_seconds_bucket{{method=\"{name}\",le=\"+Inf\"}} {all}");
-            let _ = writeln!(text, "decouplegs_request_seconds_sum{{method=\"{name}\"}} {}", method.seconds);
-            let _ = writeln!(text, "decouplegs_request_seconds_count{{method=\"{name}\"}} {all}");
+            let _ = writeln!(
+                text,
+                "decouplegs_request_seconds_bucket{{method=\"{name}\",le=\"+Inf\"}} {all}"
+            );
+            let _ = writeln!(
+                text,
+                "decouplegs_request_seconds_sum{{method=\"{name}\"}} {}",
+                method.seconds
+            );
+            let _ = writeln!(
+                text,
+                "decouplegs_request_seconds_count{{method=\"{name}\"}} {all}"
+            );
         }
     }
 }
@@ -150,7 +204,11 @@ mod tests {
         for milliseconds in [1, 4, 4, 100_000] {
             metrics.answered("render_rgb", Code::Ok, Duration::from_millis(milliseconds));
         }
-        metrics.answered("render_rgb", Code::InvalidArgument, Duration::from_millis(1));
+        metrics.answered(
+            "render_rgb",
+            Code::InvalidArgument,
+            Duration::from_millis(1),
+        );
         metrics.drew(6, 2);
         let text = metrics.text();
         for line in [
@@ -162,10 +220,15 @@ mod tests {
             "decouplegs_images_total 6",
             "decouplegs_unknown_objects_total 2",
         ] {
-            assert!(text.lines().any(|written| written == line), "{line} is not in\n{text}");
+            assert!(
+                text.lines().any(|written| written == line),
+                "{line} is not in\n{text}"
+            );
         }
-        let values =
-            text.lines().filter(|line| !line.starts_with('#')).map(|line| line.rsplit(' ').next().map(str::parse::<f64>));
+        let values = text
+            .lines()
+            .filter(|line| !line.starts_with('#'))
+            .map(|line| line.rsplit(' ').next().map(str::parse::<f64>));
         assert!(values.flatten().all(|value| value.is_ok()));
     }
 }

@@ -21,7 +21,9 @@ const HEAD_MAX: usize = 8192;
 pub async fn serve(listener: TcpListener, metrics: Arc<Metrics>) {
     let readers = Arc::new(Semaphore::new(READERS_MAX));
     loop {
-        let Ok(permit) = Arc::clone(&readers).acquire_owned().await else { return };
+        let Ok(permit) = Arc::clone(&readers).acquire_owned().await else {
+            return;
+        };
         let Ok((stream, _)) = listener.accept().await else {
             // No file descriptors left, most likely: there will be some again.
             sleep(Duration::from_millis(100)).await;

@@ -10,8 +10,8 @@ use decouplegs::gpu::DeviceChoice;
 /// All that a server is told when it starts.
 #[derive(Args, Clone, Debug)]
 pub struct ServerOptions {
-    /// Scenes: scene files (.toml) or splat files. A scene's id is the name of the folder of scene.toml, or of any other file
-    /// without its ending
+    /// Scenes: scene files (.toml) or splat files. A scene's id is the name of the folder of
+    /// scene.toml, or of any other file without its ending
     #[arg(value_name = "SCENE")]
     pub scenes: Vec<PathBuf>,
     /// More scenes, found by a pattern such as '/data/**/scene.toml'
@@ -26,7 +26,8 @@ pub struct ServerOptions {
     /// Port of the Prometheus metrics, on the same address; none without it
     #[arg(long, value_name = "PORT")]
     pub metrics_port: Option<u16>,
-    /// Device to draw on: an index, a part of its name or its UUID, as `decouplegs devices` lists them
+    /// Device to draw on: an index, a part of its name or its UUID, as `decouplegs devices` lists
+    /// them
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
     /// Origin of the clients' rig, in the scenes' vehicle frame (meters, x forward, y left, z up):
@@ -97,7 +98,8 @@ pub struct Limits {
     /// Connections at a time from one address; further ones are closed
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub address_connections: u32,
-    /// A connection without a request for so long is closed, seconds. Clients connect again by themselves
+    /// A connection without a request for so long is closed, seconds. Clients connect again by
+    /// themselves
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = seconds)]
     pub idle: f64,
     /// Pixels of one image
@@ -118,8 +120,9 @@ pub struct Limits {
     /// A connection that says nothing after it was opened is closed, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
     pub handshake: f64,
-    /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds. Then connections are closed and the
-    /// server exits, as soon as the frame that is being drawn is done
+    /// On SIGTERM and SIGINT, requests that have begun may take so long to finish, seconds. Then
+    /// connections are closed and the server exits, as soon as the frame that is being drawn is
+    /// done
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     pub grace: f64,
     /// Scenes that are kept on the device
@@ -160,18 +163,32 @@ impl Limits {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let parsed = text.parse().ok().filter(|seconds| (0.001..=86_400.0).contains(seconds));
+    let parsed = text
+        .parse()
+        .ok()
+        .filter(|seconds| (0.001..=86_400.0).contains(seconds));
     parsed.ok_or_else(|| format!("expected seconds, 0.001 to 86400, found {text:?}"))
 }
 
 /// A size of messages that can hold a request.
 fn message_bytes(text: &str) -> Result<usize, String> {
-    let parsed = text.parse().ok().filter(|bytes| (1024..=2 << 30).contains(bytes));
+    let parsed = text
+        .parse()
+        .ok()
+        .filter(|bytes| (1024..=2 << 30).contains(bytes));
     parsed.ok_or_else(|| format!("expected bytes, 1024 to 2147483648, found {text:?}"))
 }
 
 fn meters(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
-    let parsed = numbers.try_into().ok().filter(|place: &[f64; 3]| place.iter().all(|meters| meters.is_finite()));
-    parsed.ok_or_else(|| format!("expected three numbers in meters, like -1.4,0,-0.75, found {text:?}"))
+    let numbers: Vec<f64> = text
+        .split(',')
+        .filter_map(|number| number.trim().parse().ok())
+        .collect();
+    let parsed = numbers
+        .try_into()
+        .ok()
+        .filter(|place: &[f64; 3]| place.iter().all(|meters| meters.is_finite()));
+    parsed.ok_or_else(|| {
+        format!("expected three numbers in meters, like -1.4,0,-0.75, found {text:?}")
+    })
 }

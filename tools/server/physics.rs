@@ -22,7 +22,8 @@ use crate::wire::physics::physics_ground_intersection_return::{ReturnPose, Statu
 use crate::wire::physics::physics_service_server::PhysicsService;
 use crate::wire::physics::{PhysicsGroundIntersectionRequest, PhysicsGroundIntersectionReturn};
 
-/// A box that would be raised or lowered by more is left where it is, meters: as simulators' own ground service does.
+/// A box that would be raised or lowered by more is left where it is, meters: as simulators' own
+/// ground service does.
 const TRANSLATION_MAX_M: f64 = 1.5;
 /// A box that would be tilted by more is left as it is, radians: 10 degrees, as there.
 const ROTATION_MAX_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
@@ -37,7 +38,7 @@ pub struct Physics {
     registry: Arc<SceneRegistry>,
     limits: Arc<Limits>,
     grounds: Arc<Mutex<Cache<Arc<LocalGround>>>>,
-    /// Whoever has it makes a ground ready: one at a time, and none twice.
+    /// Lock under which a ground is prepared: one at a time, and none twice.
     making: Arc<tokio::sync::Mutex<()>>,
 }
 
@@ -50,8 +51,16 @@ struct LocalGround {
 impl Physics {
     /// Grounds of the scenes of `registry`, as many as scenes in the cache.
     pub fn new(registry: Arc<SceneRegistry>, limits: Arc<Limits>) -> Self {
-        let grounds = Arc::new(Mutex::new(Cache::new(limits.cache_size as usize, limits.cache_bytes)));
-        Self { registry, limits, grounds, making: Arc::default() }
+        let grounds = Arc::new(Mutex::new(Cache::new(
+            limits.cache_size as usize,
+            limits.cache_bytes,
+        )));
+        Self {
+            registry,
+            limits,
+            grounds,
+            making: Arc::default(),
+        }
     }
 
     async fn ground_of(&self, id: &str) -> Result<Arc<LocalGround>, Status> {
@@ -71,10 +80,16 @@ impl Physics {
         let read = move || -> Result<(LocalGround, u64), AssetError> {
             let (cloud, origin) = background_of(&path)?;
             let ground = Ground::new(&cloud, origin, &GroundOptions::default());
-            Ok((LocalGround { ground, origin }, cloud.len() as u64 * BYTES_A_SPLAT))
+            Ok((
+                LocalGround { ground, origin },
+                cloud.len() as u64 * BYTES_A_SPLAT,
+            ))
         };
-        let made = tokio::task::spawn_blocking(read).await.map_err(|error| Status::internal(error.to_string()))?;
-        let (ground, bytes) = made.map_err(|error| Status::failed_precondition(error.to_string()))?;
+        let made = tokio::task::spawn_blocking(read)
+            .await
+            .map_err(|error| Status::internal(error.to_string()))?;
+        let (ground, bytes) =
+            made.map_err(|error| Status::failed_precondition(error.to_string()))?;
         let ground = Arc::new(ground);
         let mut grounds = known();
         while grounds.make_room(bytes).is_some() {}
@@ -95,29 +110,55 @@ fn background_of(path: &std::path::Path) -> Result<(SplatCloud, DVec3), AssetErr
 }
 
 impl LocalGround {
-    /// `pose`, that of the center of a box of `dims_m`, set on the ground: place from above and heading stay.
+    /// `pose`, that of the center of a box of `dims_m`, set on the ground: place from above and
+    /// heading stay.
     fn set(&self, pose: &Pose, dims_m: [f64; 3]) -> (Pose, Outcome) {
-        let world = Pose { translation: pose.translation + self.origin, ..*pose };
-        let found = self.plane_below(&world, dims_m, true).or_else(|| self.plane_below(&world, dims_m, false));
-        let Some(plane) = found else { return (*pose, Outcome::InsufficientPointsFitplane) };
+        let world = Pose {
+            translation: pose.translation + self.origin,
+            ..*pose
+        };
+        let found = self
+            .plane_below(&world, dims_m, true)
+            .or_else(|| self.plane_below(&world, dims_m, false));
+        let Some(plane) = found else {
+            return (*pose, Outcome::InsufficientPointsFitplane);
+        };
         let bottom = world.transform(DVec3::new(0.0, 0.0, -0.5 * dims_m[2]));
         if (plane.height_m - bottom.z).abs() > TRANSLATION_MAX_M {
             return (*pose, Outcome::HighTranslation);
         }
-        let set = pose_on(&plane, world.translation.truncate(), heading_rad(pose), dims_m[2]);
+        let set = pose_on(
+            &plane,
+            world.translation.truncate(),
+            heading_rad(pose),
+            dims_m[2],
+        );
         if (set.rotation * DVec3::Z).angle_between(pose.rotation * DVec3::Z) > ROTATION_MAX_RAD {
             return (*pose, Outcome::HighRotation);
         }
-        (Pose { translation: set.translation - self.origin, ..set }, Outcome::SuccessfulUpdate)
+        (
+            Pose {
+                translation: set.translation - self.origin,
+                ..set
+            },
+            Outcome::SuccessfulUpdate,
+        )
     }
 
-    /// The plane below the four bottom corners of a box: of the surface that it is near, or of the lowest.
+    /// The plane below the four bottom corners of a box: of the surface that it is near, or of the
+    /// lowest.
     fn plane_below(&self, pose: &Pose, dims_m: [f64; 3], is_near: bool) -> Option<RoadPlane> {
-        let (place, ahead) = (pose.translation.truncate(), DVec2::from_angle(heading_rad(pose)));
+        let (place, ahead) = (
+            pose.translation.truncate(),
+            DVec2::from_angle(heading_rad(pose)),
+        );
         let corners = corners(dims_m);
         let heights_m = corners.map(|corner| {
             let expected_z_m = pose.transform(corner.extend(-0.5 * dims_m[2])).z;
-            let found = self.ground.height_at(place + ahead.rotate(corner), is_near.then_some(expected_z_m));
+            let found = self.ground.height_at(
+                place + ahead.rotate(corner),
+                is_near.then_some(expected_z_m),
+            );
             found.map(|height| height.z_m)
         });
         plane(&corners, &heights_m).map(|(plane, _)| plane)
@@ -133,29 +174,55 @@ struct Standing {
 fn dims_of(aabb: Option<&Aabb>, field: &str) -> Result<[f64; 3], Status> {
     let aabb = aabb.ok_or_else(|| Status::invalid_argument(format!("{field} is missing")))?;
     let sides_m = [aabb.size_x, aabb.size_y, aabb.size_z];
-    if !sides_m.iter().all(|side_m| *side_m > 0.0 && *side_m <= SIDE_MAX_M) {
-        return Err(Status::invalid_argument(format!("{field}: sides {sides_m:?} must be above 0 and at most {SIDE_MAX_M} m")));
+    if !sides_m
+        .iter()
+        .all(|side_m| *side_m > 0.0 && *side_m <= SIDE_MAX_M)
+    {
+        return Err(Status::invalid_argument(format!(
+            "{field}: sides {sides_m:?} must be above 0 and at most {SIDE_MAX_M} m"
+        )));
     }
     Ok(sides_m.map(f64::from))
 }
 
 fn ego_boxes(ego: Option<&EgoData>) -> Result<(Vec<Standing>, Vec<u64>), Status> {
-    let Some(ego) = ego else { return Ok((Vec::new(), Vec::new())) };
+    let Some(ego) = ego else {
+        return Ok((Vec::new(), Vec::new()));
+    };
     let dims_m = dims_of(ego.aabb.as_ref(), "ego_data.aabb")?;
-    let poses = ego.ego_trajectory_aabb.iter().flat_map(|trajectory| &trajectory.poses).enumerate();
+    let poses = ego
+        .ego_trajectory_aabb
+        .iter()
+        .flat_map(|trajectory| &trajectory.poses)
+        .enumerate();
     let boxed = poses.map(|(index, timed)| {
         let field = format!("ego_data.ego_trajectory_aabb.poses[{index}].pose");
-        Ok((Standing { pose: pose_of(timed.pose.as_ref(), &field)?, dims_m }, timed.timestamp_us))
+        Ok((
+            Standing {
+                pose: pose_of(timed.pose.as_ref(), &field)?,
+                dims_m,
+            },
+            timed.timestamp_us,
+        ))
     });
-    Ok(boxed.collect::<Result<Vec<_>, Status>>()?.into_iter().unzip())
+    Ok(boxed
+        .collect::<Result<Vec<_>, Status>>()?
+        .into_iter()
+        .unzip())
 }
 
 fn other_boxes(others: &[OtherObject]) -> Result<Vec<Standing>, Status> {
     let of = |(index, other): (usize, &OtherObject)| {
         let field = format!("other_objects[{index}]");
-        let future = other.pose_pair.as_ref().and_then(|pair| pair.future_pose.as_ref());
+        let future = other
+            .pose_pair
+            .as_ref()
+            .and_then(|pair| pair.future_pose.as_ref());
         let pose = pose_of(future, &format!("{field}.pose_pair.future_pose"))?;
-        Ok(Standing { pose, dims_m: dims_of(other.aabb.as_ref(), &format!("{field}.aabb"))? })
+        Ok(Standing {
+            pose,
+            dims_m: dims_of(other.aabb.as_ref(), &format!("{field}.aabb"))?,
+        })
     };
     others.iter().enumerate().map(of).collect()
 }
@@ -171,19 +238,35 @@ impl PhysicsService for Physics {
         let others = other_boxes(&request.other_objects)?;
         let (count, most) = (boxes.len() + others.len(), self.limits.objects);
         if count > most {
-            return Err(Status::resource_exhausted(format!("other_objects: {count} poses in all, at most {most}")));
+            return Err(Status::resource_exhausted(format!(
+                "other_objects: {count} poses in all, at most {most}"
+            )));
         }
         let ground = self.ground_of(&request.scene_id).await?;
         boxes.extend(others);
-        let set = move || boxes.iter().map(|each| ground.set(&each.pose, each.dims_m)).collect::<Vec<_>>();
-        let mut ego = tokio::task::spawn_blocking(set).await.map_err(|error| Status::internal(error.to_string()))?;
+        let set = move || {
+            boxes
+                .iter()
+                .map(|each| ground.set(&each.pose, each.dims_m))
+                .collect::<Vec<_>>()
+        };
+        let mut ego = tokio::task::spawn_blocking(set)
+            .await
+            .map_err(|error| Status::internal(error.to_string()))?;
         let others = ego.split_off(times_us.len());
-        let timed =
-            |((pose, _), timestamp_us): (&(Pose, Outcome), u64)| PoseAtTime { pose: Some(message_of(pose)), timestamp_us };
-        let returned = |(pose, outcome): (Pose, Outcome)| ReturnPose { pose: Some(message_of(&pose)), status: outcome.into() };
+        let timed = |((pose, _), timestamp_us): (&(Pose, Outcome), u64)| PoseAtTime {
+            pose: Some(message_of(pose)),
+            timestamp_us,
+        };
+        let returned = |(pose, outcome): (Pose, Outcome)| ReturnPose {
+            pose: Some(message_of(&pose)),
+            status: outcome.into(),
+        };
         Ok(Response::new(PhysicsGroundIntersectionReturn {
             ego_status: ego.iter().map(|(_, outcome)| (*outcome).into()).collect(),
-            ego_trajectory_aabb: Some(Trajectory { poses: ego.iter().zip(times_us).map(timed).collect() }),
+            ego_trajectory_aabb: Some(Trajectory {
+                poses: ego.iter().zip(times_us).map(timed).collect(),
+            }),
             other_poses: others.into_iter().map(returned).collect(),
         }))
     }
@@ -192,8 +275,13 @@ impl PhysicsService for Physics {
         Ok(Response::new(version()))
     }
 
-    async fn get_available_scenes(&self, _: Request<Empty>) -> Result<Response<AvailableScenesReturn>, Status> {
-        Ok(Response::new(AvailableScenesReturn { scene_ids: self.registry.ids() }))
+    async fn get_available_scenes(
+        &self,
+        _: Request<Empty>,
+    ) -> Result<Response<AvailableScenesReturn>, Status> {
+        Ok(Response::new(AvailableScenesReturn {
+            scene_ids: self.registry.ids(),
+        }))
     }
 }
 
@@ -204,8 +292,9 @@ mod tests {
 
     /// A slope that rises by 5 % towards x, of discs at every quarter of a meter.
     fn slope() -> LocalGround {
-        let places: Vec<(f32, f32)> =
-            (-60..60).flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32))).collect();
+        let places: Vec<(f32, f32)> = (-60..60)
+            .flat_map(|x| (-16..16).map(move |y| (0.25 * x as f32, 0.25 * y as f32)))
+            .collect();
         let count = places.len();
         let cloud = SplatCloud {
             means: places.iter().map(|(x, y)| [*x, *y, 0.05 * x]).collect(),
@@ -217,17 +306,26 @@ mod tests {
             sh_rest: vec![],
         };
         let origin = DVec3::new(500.0, 800.0, 90.0);
-        LocalGround { ground: Ground::new(&cloud, origin, &GroundOptions::default()), origin }
+        LocalGround {
+            ground: Ground::new(&cloud, origin, &GroundOptions::default()),
+            origin,
+        }
     }
 
     #[test]
     fn every_outcome_is_told() {
         let (slope, dims_m) = (slope(), [4.4, 1.8, 1.5]);
         let set = |x: f64, z: f64, roll_rad: f64| {
-            slope.set(&Pose::new(DQuat::from_rotation_x(roll_rad), DVec3::new(x, 1.0, z)), dims_m)
+            slope.set(
+                &Pose::new(DQuat::from_rotation_x(roll_rad), DVec3::new(x, 1.0, z)),
+                dims_m,
+            )
         };
         let (pose, outcome) = set(3.0, 1.1, 0.0);
-        assert_eq!((outcome, pose.translation.truncate()), (Outcome::SuccessfulUpdate, DVec2::new(3.0, 1.0)));
+        assert_eq!(
+            (outcome, pose.translation.truncate()),
+            (Outcome::SuccessfulUpdate, DVec2::new(3.0, 1.0))
+        );
         for corner in corners(dims_m) {
             let wheel = pose.transform(corner.extend(-0.5 * dims_m[2]));
             assert!((wheel.z - 0.05 * wheel.x).abs() < 0.01, "{wheel}");
@@ -235,6 +333,12 @@ mod tests {
         assert_eq!(set(3.0, 30.0, 0.0).1, Outcome::HighTranslation);
         assert_eq!(set(3.0, 0.9, 0.3).1, Outcome::HighRotation);
         let (pose, outcome) = set(100.0, 0.9, 0.0);
-        assert_eq!((outcome, pose.translation), (Outcome::InsufficientPointsFitplane, DVec3::new(100.0, 1.0, 0.9)));
+        assert_eq!(
+            (outcome, pose.translation),
+            (
+                Outcome::InsufficientPointsFitplane,
+                DVec3::new(100.0, 1.0, 0.9)
+            )
+        );
     }
 }

@@ -21,14 +21,18 @@ pub fn pose_of(pose: Option<&common::Pose>, field: &str) -> Result<Pose, Status>
     let place = pose.vec.unwrap_or_default();
     let place = DVec3::new(place.x.into(), place.y.into(), place.z.into());
     if !(place.is_finite() && place.length() <= REACH_MAX_M) {
-        let reason = format!("{field}.vec: {place} must be finite and within {REACH_MAX_M:e} m of the local origin");
+        let reason = format!(
+            "{field}.vec: {place} must be finite and within {REACH_MAX_M:e} m of the local origin"
+        );
         return Err(Status::invalid_argument(reason));
     }
     let turn = pose.quat.unwrap_or_default();
     let turn = DQuat::from_xyzw(turn.x.into(), turn.y.into(), turn.z.into(), turn.w.into());
     if !(turn.is_finite() && turn.length() >= QUATERNION_MIN) {
         let (w, x, y, z) = (turn.w, turn.x, turn.y, turn.z);
-        return Err(Status::invalid_argument(format!("{field}.quat: w {w}, x {x}, y {y}, z {z} is no rotation")));
+        return Err(Status::invalid_argument(format!(
+            "{field}.quat: w {w}, x {x}, y {y}, z {z} is no rotation"
+        )));
     }
     Ok(Pose::new(turn, place))
 }
@@ -47,10 +51,22 @@ pub fn middle_of(pair: Option<&PosePair>, field: &str) -> Result<Pose, Status> {
 /// `pose` as a message.
 #[must_use]
 pub fn message_of(pose: &Pose) -> common::Pose {
-    let Pose { rotation, translation } = pose;
+    let Pose {
+        rotation,
+        translation,
+    } = pose;
     common::Pose {
-        vec: Some(common::Vec3 { x: translation.x as f32, y: translation.y as f32, z: translation.z as f32 }),
-        quat: Some(common::Quat { w: rotation.w as f32, x: rotation.x as f32, y: rotation.y as f32, z: rotation.z as f32 }),
+        vec: Some(common::Vec3 {
+            x: translation.x as f32,
+            y: translation.y as f32,
+            z: translation.z as f32,
+        }),
+        quat: Some(common::Quat {
+            w: rotation.w as f32,
+            x: rotation.x as f32,
+            y: rotation.y as f32,
+            z: rotation.z as f32,
+        }),
     }
 }
 
@@ -60,7 +76,10 @@ mod tests {
 
     #[test]
     fn poses_survive_the_wire_as_far_as_f32_holds_them() {
-        let pose = Pose::new(DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5), DVec3::new(120.25, -33.5, 1.75));
+        let pose = Pose::new(
+            DQuat::from_xyzw(0.1, -0.7, 0.3, 0.5),
+            DVec3::new(120.25, -33.5, 1.75),
+        );
         let read = pose_of(Some(&message_of(&pose)), "pose").unwrap();
         assert_eq!(read.translation, pose.translation);
         assert!(read.rotation.angle_between(pose.rotation) < 1e-6);
@@ -68,24 +87,77 @@ mod tests {
 
     #[test]
     fn a_place_is_added_after_the_turn() {
-        let quarter = common::Quat { w: 0.5f32.sqrt(), x: 0.0, y: 0.0, z: 0.5f32.sqrt() };
-        let pose = common::Pose { vec: Some(common::Vec3 { x: 10.0, y: 0.0, z: 0.0 }), quat: Some(quarter) };
+        let quarter = common::Quat {
+            w: 0.5f32.sqrt(),
+            x: 0.0,
+            y: 0.0,
+            z: 0.5f32.sqrt(),
+        };
+        let pose = common::Pose {
+            vec: Some(common::Vec3 {
+                x: 10.0,
+                y: 0.0,
+                z: 0.0,
+            }),
+            quat: Some(quarter),
+        };
         let moved = pose_of(Some(&pose), "pose").unwrap().transform(DVec3::X);
-        assert!((moved - DVec3::new(10.0, 1.0, 0.0)).length() < 1e-6, "{moved}");
+        assert!(
+            (moved - DVec3::new(10.0, 1.0, 0.0)).length() < 1e-6,
+            "{moved}"
+        );
     }
 
     #[test]
     fn nonsense_is_refused_by_the_name_of_its_field() {
-        let level = common::Quat { w: 1.0, x: 0.0, y: 0.0, z: 0.0 };
-        let said = |vec, quat| pose_of(Some(&common::Pose { vec: Some(vec), quat: Some(quat) }), "sensor_pose").unwrap_err();
+        let level = common::Quat {
+            w: 1.0,
+            x: 0.0,
+            y: 0.0,
+            z: 0.0,
+        };
+        let said = |vec, quat| {
+            pose_of(
+                Some(&common::Pose {
+                    vec: Some(vec),
+                    quat: Some(quat),
+                }),
+                "sensor_pose",
+            )
+            .unwrap_err()
+        };
         for x in [f32::NAN, f32::INFINITY, 1e9] {
             let status = said(common::Vec3 { x, y: 0.0, z: 0.0 }, level);
-            assert!(status.code() == tonic::Code::InvalidArgument && status.message().starts_with("sensor_pose.vec"), "{status}");
+            assert!(
+                status.code() == tonic::Code::InvalidArgument
+                    && status.message().starts_with("sensor_pose.vec"),
+                "{status}"
+            );
         }
-        for quat in [common::Quat::default(), common::Quat { w: f32::NAN, ..level }] {
-            assert!(said(common::Vec3::default(), quat).message().starts_with("sensor_pose.quat"));
+        for quat in [
+            common::Quat::default(),
+            common::Quat {
+                w: f32::NAN,
+                ..level
+            },
+        ] {
+            assert!(
+                said(common::Vec3::default(), quat)
+                    .message()
+                    .starts_with("sensor_pose.quat")
+            );
         }
-        assert!(pose_of(None, "x").unwrap_err().message().contains("x is missing"));
-        assert!(middle_of(Some(&PosePair::default()), "pair").unwrap_err().message().contains("pair.start_pose"));
+        assert!(
+            pose_of(None, "x")
+                .unwrap_err()
+                .message()
+                .contains("x is missing")
+        );
+        assert!(
+            middle_of(Some(&PosePair::default()), "pair")
+                .unwrap_err()
+                .message()
+                .contains("pair.start_pose")
+        );
     }
 }

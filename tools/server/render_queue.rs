@@ -1,5 +1,5 @@
-//! The thread that draws: it owns the device and the scenes on it. Requests come by a queue, images go back one by one, and files
-//! are read on a thread beside it.
+//! The thread that draws: it owns the device and the scenes on it. Requests come by a queue, images
+//! go back one by one, and files are read on a thread beside it.
 
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasher, RandomState};
@@ -27,7 +27,8 @@ use crate::render_request::RenderRequest;
 use crate::scene_registry::SceneRegistry;
 use crate::scene_renderer::{SceneRenderer, is_lost, status_of};
 
-/// Frames whose images there may be at a time. When encoding falls so far behind, drawing waits: memory stays bounded.
+/// Frames whose images there may be at a time. When encoding falls so far behind, drawing waits:
+/// memory stays bounded.
 const FRAMES_MAX: usize = 4;
 /// Unknown objects that are warned of, once each. Only hashes of their names are kept.
 const WARNED_MAX: usize = 1000;
@@ -45,7 +46,8 @@ pub struct RenderQueue {
     refusing: Arc<AtomicBool>,
 }
 
-/// Images of one submission, in the order of its cameras. Their memory serves another frame afterwards.
+/// Images of one submission, in the order of its cameras. Their memory serves another frame
+/// afterwards.
 pub struct Images {
     /// The images.
     pub bytes: ImageBytes,
@@ -64,15 +66,25 @@ impl ImageMemory {
     /// Memory for one frame, once there is some.
     fn take(self: &Arc<Self>) -> Images {
         let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut free = self.given_back.wait_while(free, |(_, out)| *out >= FRAMES_MAX).unwrap_or_else(PoisonError::into_inner);
+        let mut free = self
+            .given_back
+            .wait_while(free, |(_, out)| *out >= FRAMES_MAX)
+            .unwrap_or_else(PoisonError::into_inner);
         free.1 += 1;
-        Images { bytes: free.0.pop().unwrap_or_default(), memory: Arc::clone(self) }
+        Images {
+            bytes: free.0.pop().unwrap_or_default(),
+            memory: Arc::clone(self),
+        }
     }
 }
 
 impl Drop for Images {
     fn drop(&mut self) {
-        let mut free = self.memory.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut free = self
+            .memory
+            .free
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         free.0.push(std::mem::take(&mut self.bytes));
         free.1 -= 1;
         self.memory.given_back.notify_one();
@@ -108,7 +120,10 @@ impl RenderQueue {
         let to_load = Arc::new(Mutex::new(to_load));
         for _ in 0..READERS {
             let (to_load, loaded) = (Arc::clone(&to_load), messages.clone());
-            Builder::new().name("read-scenes".into()).spawn(move || read_scenes(&to_load, &loaded)).context("no thread")?;
+            Builder::new()
+                .name("read-scenes".into())
+                .spawn(move || read_scenes(&to_load, &loaded))
+                .context("no thread")?;
         }
         let (lost_sender, lost) = watch::channel(false);
         let refusing = Arc::new(AtomicBool::new(false));
@@ -134,11 +149,23 @@ impl RenderQueue {
             }
             studio.check_validation()
         };
-        let thread = Builder::new().name("paint".into()).spawn(paint).context("no thread")?;
-        Ok((Self { messages, metrics, lost, refusing }, thread))
+        let thread = Builder::new()
+            .name("paint".into())
+            .spawn(paint)
+            .context("no thread")?;
+        Ok((
+            Self {
+                messages,
+                metrics,
+                lost,
+                refusing,
+            },
+            thread,
+        ))
     }
 
-    /// Images of `requests`, which are of one scene and see the same objects, drawn in one submission.
+    /// Images of `requests`, which are of one scene and see the same objects, drawn in one
+    /// submission.
     ///
     /// # Errors
     /// NOT_FOUND for unknown scenes, and what reading or drawing meets.
@@ -171,25 +198,36 @@ impl RenderQueue {
         self.refusing.store(true, Ordering::Relaxed);
     }
 
-    /// Turns true when nothing will be drawn again: the device was lost, or the thread that draws has ended.
+    /// Turns true when nothing will be drawn again: the device was lost, or the thread that draws
+    /// has ended.
     pub fn lost(&self) -> watch::Receiver<bool> {
         self.lost.clone()
     }
 }
 
-/// Reads scenes that are asked for, until nobody can ask. A reader that panics has failed to read one scene.
+/// Reads scenes that are asked for, until nobody can ask. A reader that panics has failed to read
+/// one scene.
 fn read_scenes(to_load: &Mutex<Receiver<(String, PathBuf)>>, loaded: &Sender<Message>) {
     loop {
         // Locked only while it waits: the other reader waits for the lock then.
-        let next = to_load.lock().unwrap_or_else(PoisonError::into_inner).recv();
+        let next = to_load
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .recv();
         let Ok((id, path)) = next else { return };
         let since = Instant::now();
         let read = caught("reading the scene", || open_movable_scene(&path));
-        let read = read.and_then(|scene| scene.map_err(|error| Status::failed_precondition(error.to_string())));
+        let read = read.and_then(|scene| {
+            scene.map_err(|error| Status::failed_precondition(error.to_string()))
+        });
         let (seconds, is_good) = (since.elapsed().as_secs_f64(), read.is_ok());
         tracing::info!(scene = id, seconds, is_good, "a scene was read");
         if let Ok((_, assets @ 1..)) = read {
-            tracing::warn!(scene = id, assets, "plain splat files of agents were compressed: `decouplegs compress` does it once");
+            tracing::warn!(
+                scene = id,
+                assets,
+                "plain splat files of agents were compressed: `decouplegs compress` does it once"
+            );
         }
         let scene = read.map(|(scene, _)| Box::new(scene));
         // No one to tell: the render_queue has ended.
@@ -200,9 +238,18 @@ fn read_scenes(to_load: &Mutex<Receiver<(String, PathBuf)>>, loaded: &Sender<Mes
 /// Runs `work`; a panic in it becomes INTERNAL.
 fn caught<T>(what: &str, work: impl FnOnce() -> T) -> Result<T, Status> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
-        let text = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
-        let text: String = text.unwrap_or("without a message").chars().take(200).collect();
-        Status::internal(format!("{what} panicked, which is a fault of this server: {text}"))
+        let text = panic
+            .downcast_ref::<&str>()
+            .copied()
+            .or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+        let text: String = text
+            .unwrap_or("without a message")
+            .chars()
+            .take(200)
+            .collect();
+        Status::internal(format!(
+            "{what} panicked, which is a fault of this server: {text}"
+        ))
     })
 }
 
@@ -234,11 +281,13 @@ impl RenderWorker {
                 Message::Preload(ids) => ids.iter().for_each(|id| self.load(id)),
                 Message::Stop => return,
             }
-            self.metrics.cached(self.scenes.names(), self.scenes.bytes());
+            self.metrics
+                .cached(self.scenes.names(), self.scenes.bytes());
         }
     }
 
-    /// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`) and had something to say.
+    /// Fails with what the validation layers reported, if they were on (`DECOUPLEGS_VALIDATION=1`)
+    /// and had something to say.
     fn check_validation(&self) -> Result<()> {
         let messages = self.gpu.take_validation_messages();
         ensure!(
@@ -251,9 +300,16 @@ impl RenderWorker {
     }
 
     fn draw_or_wait(&mut self, job: Job) {
-        let id = job.requests.first().map(|request| request.scene.clone()).unwrap_or_default();
+        let id = job
+            .requests
+            .first()
+            .map(|request| request.scene.clone())
+            .unwrap_or_default();
         if self.refusing.load(Ordering::Relaxed) {
-            return self.answer(job.answer, Err(Status::unavailable("the server is ending: ask another")));
+            return self.answer(
+                job.answer,
+                Err(Status::unavailable("the server is ending: ask another")),
+            );
         }
         if self.registry.path(&id).is_none() {
             return self.answer(job.answer, Err(no_scene(&id)));
@@ -268,7 +324,9 @@ impl RenderWorker {
 
     /// Has `id` read, unless it is there or on its way.
     fn load(&mut self, id: &str) {
-        let Some(path) = self.registry.path(id) else { return };
+        let Some(path) = self.registry.path(id) else {
+            return;
+        };
         if self.scenes.get(id).is_none() && !self.waiting.contains_key(id) {
             self.waiting.insert(id.to_owned(), Vec::new());
             // The reader lives as long as this sender.
@@ -278,12 +336,20 @@ impl RenderWorker {
 
     fn loaded(&mut self, id: &str, scene: Result<Box<LoadedScene>, Status>) {
         let jobs = self.waiting.remove(id).unwrap_or_default();
-        let staged = scene.and_then(|scene| caught("preparing the scene", || self.scene_renderer(id, &scene)).flatten());
+        let staged = scene.and_then(|scene| {
+            caught("preparing the scene", || self.scene_renderer(id, &scene)).flatten()
+        });
         if let Err(status) = staged {
             if let Some(suppressed) = self.failures.admit() {
-                tracing::error!(scene = id, reason = status.message(), suppressed, "a scene cannot be served");
+                tracing::error!(
+                    scene = id,
+                    reason = status.message(),
+                    suppressed,
+                    "a scene cannot be served"
+                );
             }
-            jobs.into_iter().for_each(|job| self.answer(job.answer, Err(status.clone())));
+            jobs.into_iter()
+                .for_each(|job| self.answer(job.answer, Err(status.clone())));
             return;
         }
         // As they came, and refused if the server is ending meanwhile.
@@ -293,19 +359,34 @@ impl RenderWorker {
     /// Puts `scene` on the device, in the place of others if need be.
     fn scene_renderer(&mut self, id: &str, scene: &LoadedScene) -> Result<(), Status> {
         let most = self.scenes.bytes_max();
-        let estimate = scene.world.splats.len() as u64 * bytes_a_splat(scene.world.splats.sh_degree);
+        let estimate =
+            scene.world.splats.len() as u64 * bytes_a_splat(scene.world.splats.sh_degree);
         while let Some((other, _)) = self.scenes.make_room(estimate.min(most)) {
             tracing::info!(scene = other, "a scene leaves the cache");
         }
         let (before, since) = (self.gpu.memory().total_bytes, Instant::now());
-        let scene_renderer = SceneRenderer::new(&self.gpu, scene).map_err(|error| status_of(&error))?;
+        let scene_renderer =
+            SceneRenderer::new(&self.gpu, scene).map_err(|error| status_of(&error))?;
         let bytes = self.gpu.memory().total_bytes.saturating_sub(before);
         if bytes > most {
-            let reason = format!("scene {id:?} takes {bytes} bytes of the device; the cache has {most} (--cache-bytes)");
+            let reason = format!(
+                "scene {id:?} takes {bytes} bytes of the device; the cache has {most} (--cache-bytes)"
+            );
             return Err(Status::resource_exhausted(reason));
         }
-        let (splats, agents, seconds) = (scene.world.splats.len(), scene.agents.len(), since.elapsed().as_secs_f64());
-        tracing::info!(scene = id, splats, agents, bytes, seconds, "a scene is on the device");
+        let (splats, agents, seconds) = (
+            scene.world.splats.len(),
+            scene.agents.len(),
+            since.elapsed().as_secs_f64(),
+        );
+        tracing::info!(
+            scene = id,
+            splats,
+            agents,
+            bytes,
+            seconds,
+            "a scene is on the device"
+        );
         self.scenes.insert(id.to_owned(), scene_renderer, bytes);
         self.resize(id, bytes);
         Ok(())
@@ -313,17 +394,24 @@ impl RenderWorker {
 
     fn draw(&mut self, id: &str, job: Job) {
         let Job { requests, answer } = job;
-        // Whoever asked has gone, or the deadline has passed.
+        // The client has gone, or the deadline has passed.
         if answer.is_closed() {
             return self.metrics.queued(-1);
         }
         let mut images = self.memory.take();
         let (before, held) = (self.gpu.memory().total_bytes, self.scenes.bytes_of(id));
         let Some(scene_renderer) = self.scenes.get(id) else {
-            return self.answer(answer, Err(Status::unavailable(format!("scene {id:?} left the cache: ask again"))));
+            return self.answer(
+                answer,
+                Err(Status::unavailable(format!(
+                    "scene {id:?} left the cache: ask again"
+                ))),
+            );
         };
         let since = Instant::now();
-        let result = match caught("drawing", || scene_renderer.draw(&requests, &mut images.bytes)) {
+        let result = match caught("drawing", || {
+            scene_renderer.draw(&requests, &mut images.bytes)
+        }) {
             Ok(Ok(drawn)) => {
                 tracing::debug!(
                     scene = id,
@@ -334,14 +422,22 @@ impl RenderWorker {
                 self.metrics.drew(requests.len(), drawn.unknown.len());
                 self.warn_of(id, drawn.unknown);
                 let grown = i128::from(self.gpu.memory().total_bytes) - i128::from(before);
-                self.resize(id, u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX));
+                self.resize(
+                    id,
+                    u64::try_from((i128::from(held) + grown).max(0)).unwrap_or(u64::MAX),
+                );
                 Ok(images)
             }
             // What the panic left of the scene is not drawn again.
             Err(status) => {
                 self.scenes.remove(id);
                 if let Some(suppressed) = self.failures.admit() {
-                    tracing::error!(scene = id, reason = status.message(), suppressed, "a frame was not drawn");
+                    tracing::error!(
+                        scene = id,
+                        reason = status.message(),
+                        suppressed,
+                        "a frame was not drawn"
+                    );
                 }
                 Err(status)
             }
@@ -366,20 +462,33 @@ impl RenderWorker {
 
     fn warn_of(&mut self, id: &str, unknown: Vec<String>) {
         for track in unknown {
-            if self.warned.len() < WARNED_MAX && self.warned.insert(self.hashes.hash_one((id, &track))) {
-                tracing::warn!(scene = id, track, "an object that the scene does not have is not drawn");
+            if self.warned.len() < WARNED_MAX
+                && self.warned.insert(self.hashes.hash_one((id, &track)))
+            {
+                tracing::warn!(
+                    scene = id,
+                    track,
+                    "an object that the scene does not have is not drawn"
+                );
                 if self.warned.len() == WARNED_MAX {
-                    tracing::warn!("further unknown objects are not reported: see decouplegs_unknown_objects_total");
+                    tracing::warn!(
+                        "further unknown objects are not reported: see decouplegs_unknown_objects_total"
+                    );
                 }
             }
         }
     }
 
-    fn answer(&self, answer: oneshot::Sender<Result<Images, Status>>, result: Result<Images, Status>) {
+    fn answer(
+        &self,
+        answer: oneshot::Sender<Result<Images, Status>>,
+        result: Result<Images, Status>,
+    ) {
         self.metrics.queued(-1);
         // A client may read the metrics as soon as it has the answer.
-        self.metrics.cached(self.scenes.names(), self.scenes.bytes());
-        // Whoever asked may have gone.
+        self.metrics
+            .cached(self.scenes.names(), self.scenes.bytes());
+        // The client may have gone.
         let _ = answer.send(result);
     }
 }
@@ -399,6 +508,10 @@ mod tests {
         assert_eq!(caught("reading", || 7).unwrap(), 7);
         let status = caught("reading", || -> u8 { panic!("entry {} is odd", 3) }).unwrap_err();
         assert_eq!(status.code(), tonic::Code::Internal);
-        assert!(status.message().contains("reading panicked") && status.message().contains("entry 3 is odd"), "{status}");
+        assert!(
+            status.message().contains("reading panicked")
+                && status.message().contains("entry 3 is odd"),
+            "{status}"
+        );
     }
 }

@@ -40,46 +40,88 @@ impl RenderRequest {
     /// The request in `field` of a message (empty: the message itself).
     ///
     /// # Errors
-    /// INVALID_ARGUMENT with the name of the field that is missing or makes no sense, RESOURCE_EXHAUSTED with the limit that it
-    /// passes, UNIMPLEMENTED for lenses and formats that there are not.
+    /// INVALID_ARGUMENT with the name of the field that is missing or makes no sense,
+    /// RESOURCE_EXHAUSTED with the limit that it passes, UNIMPLEMENTED for lenses and formats that
+    /// there are not.
     pub fn of(request: RgbRenderRequest, field: &str, limits: &Limits) -> Result<Self, Status> {
-        let named = |name: &str| if field.is_empty() { name.to_owned() } else { format!("{field}.{name}") };
-        let invalid = |name: &str, reason: &str| Status::invalid_argument(format!("{} {reason}", named(name)));
+        let named = |name: &str| {
+            if field.is_empty() {
+                name.to_owned()
+            } else {
+                format!("{field}.{name}")
+            }
+        };
+        let invalid = |name: &str, reason: &str| {
+            Status::invalid_argument(format!("{} {reason}", named(name)))
+        };
         check_name(&request.scene_id, &named("scene_id"))?;
         if request.frame_end_us < request.frame_start_us {
             return Err(invalid("frame_end_us", "is before frame_start_us"));
         }
         if request.insert_ego_mask {
-            return Err(invalid("ego_mask_id", "names no mask: there are none, as get_available_ego_masks says"));
+            return Err(invalid(
+                "ego_mask_id",
+                "names no mask: there are none, as get_available_ego_masks says",
+            ));
         }
         let local_from_camera = middle_of(request.sensor_pose.as_ref(), &named("sensor_pose"))?;
         let objects = objects_of(&request.dynamic_objects, &named("dynamic_objects"), limits)?;
-        let encoding = Encoding::of(request.image_format, request.image_quality, &named("image_format"))?;
-        let spec = request.camera_intrinsics.as_ref().ok_or_else(|| invalid("camera_intrinsics", "is missing"))?;
+        let encoding = Encoding::of(
+            request.image_format,
+            request.image_quality,
+            &named("image_format"),
+        )?;
+        let spec = request
+            .camera_intrinsics
+            .as_ref()
+            .ok_or_else(|| invalid("camera_intrinsics", "is missing"))?;
         let size = [request.resolution_w, request.resolution_h];
         let intrinsics = intrinsics_of(spec, size, &named("camera_intrinsics"))?;
         if intrinsics.pixels() > limits.image_pixels {
             let (pixels, most) = (intrinsics.pixels(), limits.image_pixels);
-            return Err(Status::resource_exhausted(format!("{}: {pixels} pixels, at most {most}", named("resolution_w"))));
+            return Err(Status::resource_exhausted(format!(
+                "{}: {pixels} pixels, at most {most}",
+                named("resolution_w")
+            )));
         }
-        Ok(Self { scene: request.scene_id, intrinsics, local_from_camera, objects, encoding })
+        Ok(Self {
+            scene: request.scene_id,
+            intrinsics,
+            local_from_camera,
+            objects,
+            encoding,
+        })
     }
 }
 
-fn objects_of(objects: &[DynamicObject], field: &str, limits: &Limits) -> Result<Vec<PlacedObject>, Status> {
+fn objects_of(
+    objects: &[DynamicObject],
+    field: &str,
+    limits: &Limits,
+) -> Result<Vec<PlacedObject>, Status> {
     if objects.len() > limits.objects {
         let (count, most) = (objects.len(), limits.objects);
-        return Err(Status::resource_exhausted(format!("{field}: {count} objects, at most {most}")));
+        return Err(Status::resource_exhausted(format!(
+            "{field}: {count} objects, at most {most}"
+        )));
     }
     let mut names = HashSet::new();
     let mut placed = Vec::with_capacity(objects.len());
     for (index, object) in objects.iter().enumerate() {
         check_name(&object.track_id, &format!("{field}[{index}].track_id"))?;
         if !names.insert(&object.track_id) {
-            return Err(Status::invalid_argument(format!("{field}[{index}].track_id is that of an object before it")));
+            return Err(Status::invalid_argument(format!(
+                "{field}[{index}].track_id is that of an object before it"
+            )));
         }
-        let pose = middle_of(object.pose_pair.as_ref(), &format!("{field}[{index}].pose_pair"))?;
-        placed.push(PlacedObject { track_id: object.track_id.clone(), pose });
+        let pose = middle_of(
+            object.pose_pair.as_ref(),
+            &format!("{field}[{index}].pose_pair"),
+        )?;
+        placed.push(PlacedObject {
+            track_id: object.track_id.clone(),
+            pose,
+        });
     }
     Ok(placed)
 }

@@ -42,7 +42,15 @@ impl GateLayer {
     pub fn new(limits: &Limits, token: Option<String>, metrics: Arc<Metrics>) -> Self {
         let places = Arc::new(Semaphore::new(limits.requests as usize));
         let deadline = limits.deadline();
-        Self { rules: Arc::new(GuardLimits { metrics, token, deadline, places, requests_max: limits.requests }) }
+        Self {
+            rules: Arc::new(GuardLimits {
+                metrics,
+                token,
+                deadline,
+                places,
+                requests_max: limits.requests,
+            }),
+        }
     }
 }
 
@@ -50,7 +58,10 @@ impl<S> Layer<S> for GateLayer {
     type Service = RequestGuard<S>;
 
     fn layer(&self, service: S) -> RequestGuard<S> {
-        RequestGuard { service, rules: Arc::clone(&self.rules) }
+        RequestGuard {
+            service,
+            rules: Arc::clone(&self.rules),
+        }
     }
 }
 
@@ -81,8 +92,15 @@ where
         let count = Count::new(&self.rules.metrics, destination.counted_as);
         let info = connection_of(&request);
         let open = info.as_ref().map(ConnectionInfo::begin);
-        let place = self.rules.admit(&request, &destination, info.is_some_and(|info| info.is_for_health));
-        if let Some(path) = destination.path.and_then(|path| PathAndQuery::try_from(path).ok()) {
+        let place = self.rules.admit(
+            &request,
+            &destination,
+            info.is_some_and(|info| info.is_for_health),
+        );
+        if let Some(path) = destination
+            .path
+            .and_then(|path| PathAndQuery::try_from(path).ok())
+        {
             let mut parts = std::mem::take(request.uri_mut()).into_parts();
             parts.path_and_query = Some(path);
             *request.uri_mut() = Uri::from_parts(parts).unwrap_or_default();
@@ -101,11 +119,18 @@ where
                     count.done(code_of(&response));
                     // Watching for health has no end, and keeps no connection open.
                     let open = open.filter(|_| !destination.is_health);
-                    let held = |body| Held { body, until: Box::pin(sleep_until(deadline)), place, _open: open };
+                    let held = |body| Held {
+                        body,
+                        until: Box::pin(sleep_until(deadline)),
+                        place,
+                        _open: open,
+                    };
                     Ok(response.map(|body| Body::new(held(body))))
                 }
                 Ok(Err(error)) => Err(error),
-                Err(_) => Ok(count.refused(Status::deadline_exceeded("the request took longer than the server allows"))),
+                Err(_) => Ok(count.refused(Status::deadline_exceeded(
+                    "the request took longer than the server allows",
+                ))),
             }
         })
     }
@@ -118,28 +143,48 @@ impl GuardLimits {
         destination: &Destination,
         is_for_health: bool,
     ) -> Result<Option<OwnedSemaphorePermit>, Status> {
-        // Whoever watches over the server may ask without a token, and however busy it is.
+        // A health check may ask without a token, and however busy it is.
         if destination.is_health {
             return Ok(None);
         }
         if is_for_health {
-            return Err(Status::resource_exhausted("there are too many connections: this one serves health checks alone"));
+            return Err(Status::resource_exhausted(
+                "there are too many connections: this one serves health checks alone",
+            ));
         }
         if let Some(token) = &self.token {
-            let sent = request.headers().get(http::header::AUTHORIZATION).map(http::HeaderValue::as_bytes).unwrap_or_default();
+            let sent = request
+                .headers()
+                .get(http::header::AUTHORIZATION)
+                .map(http::HeaderValue::as_bytes)
+                .unwrap_or_default();
             let sent = sent.strip_prefix(b"Bearer ").unwrap_or_default();
             if !bool::from(sent.ct_eq(token.as_bytes())) {
-                return Err(Status::unauthenticated("the metadata needs authorization: Bearer TOKEN, with this server's token"));
+                return Err(Status::unauthenticated(
+                    "the metadata needs authorization: Bearer TOKEN, with this server's token",
+                ));
             }
         }
-        let full = |_| Status::resource_exhausted(format!("{} requests are being answered: ask again", self.requests_max));
-        Arc::clone(&self.places).try_acquire_owned().map(Some).map_err(full)
+        let full = |_| {
+            Status::resource_exhausted(format!(
+                "{} requests are being answered: ask again",
+                self.requests_max
+            ))
+        };
+        Arc::clone(&self.places)
+            .try_acquire_owned()
+            .map(Some)
+            .map_err(full)
     }
 }
 
-/// The status that `response` ends with. One that is not in its head comes behind a body, and bodies are sent for success alone.
+/// The status that `response` ends with. One that is not in its head comes behind a body, and
+/// bodies are sent for success alone.
 fn code_of(response: &Response<Body>) -> Code {
-    response.headers().get("grpc-status").map_or(Code::Ok, |code| Code::from_bytes(code.as_bytes()))
+    response
+        .headers()
+        .get("grpc-status")
+        .map_or(Code::Ok, |code| Code::from_bytes(code.as_bytes()))
 }
 
 /// Counts one request, whatever becomes of it.
@@ -152,12 +197,18 @@ struct Count {
 
 impl Count {
     fn new(metrics: &Arc<Metrics>, method: &'static str) -> Self {
-        Self { metrics: Arc::clone(metrics), method, since: Instant::now(), is_counted: false }
+        Self {
+            metrics: Arc::clone(metrics),
+            method,
+            since: Instant::now(),
+            is_counted: false,
+        }
     }
 
     fn done(mut self, code: Code) {
         self.is_counted = true;
-        self.metrics.answered(self.method, code, self.since.elapsed());
+        self.metrics
+            .answered(self.method, code, self.since.elapsed());
     }
 
     fn refused(self, status: Status) -> Response<Body> {
@@ -170,12 +221,14 @@ impl Count {
 impl Drop for Count {
     fn drop(&mut self) {
         if !self.is_counted {
-            self.metrics.answered(self.method, Code::Cancelled, self.since.elapsed());
+            self.metrics
+                .answered(self.method, Code::Cancelled, self.since.elapsed());
         }
     }
 }
 
-/// A reply that keeps its place among the requests until it is sent, and that is not waited for longer than the request.
+/// A reply that keeps its place among the requests until it is sent, and that is not waited for
+/// longer than the request.
 struct Held {
     body: Body,
     until: Pin<Box<Sleep>>,
@@ -186,7 +239,11 @@ struct Held {
 /// The connection that `request` came by.
 fn connection_of(request: &Request<Body>) -> Option<ConnectionInfo> {
     let extensions = request.extensions();
-    let of_tls = || extensions.get::<TlsConnectInfo<ConnectionInfo>>().map(TlsConnectInfo::get_ref);
+    let of_tls = || {
+        extensions
+            .get::<TlsConnectInfo<ConnectionInfo>>()
+            .map(TlsConnectInfo::get_ref)
+    };
     extensions.get::<ConnectionInfo>().or_else(of_tls).cloned()
 }
 
@@ -194,10 +251,15 @@ impl HttpBody for Held {
     type Data = Bytes;
     type Error = Status;
 
-    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         // Watching for health has no end.
         if self.place.is_some() && self.until.as_mut().poll(context).is_ready() {
-            return Poll::Ready(Some(Err(Status::deadline_exceeded("the reply was not taken in time"))));
+            return Poll::Ready(Some(Err(Status::deadline_exceeded(
+                "the reply was not taken in time",
+            ))));
         }
         let frame = ready!(Pin::new(&mut self.body).poll_frame(context));
         Poll::Ready(frame)

@@ -91,7 +91,11 @@ impl Running {
 /// When there are no scenes, no device, a file cannot be read, or the address is taken.
 pub async fn start(options: &ServerOptions) -> Result<Running> {
     let rig_origin = DVec3::from_array(options.rig_origin);
-    let registry = Arc::new(SceneRegistry::new(&options.scenes, &options.artifact_glob, rig_origin)?);
+    let registry = Arc::new(SceneRegistry::new(
+        &options.scenes,
+        &options.artifact_glob,
+        rig_origin,
+    )?);
     let token = options.token_file.as_deref().map(token_of).transpose()?;
     let tls = tls_of(options)?;
     warn_of_openness(options);
@@ -100,12 +104,25 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
         Some(port) => Some(listen(SocketAddr::new(options.host, port)).await?),
         None => None,
     };
-    let gpu = Gpu::open(&DeviceOptions { choice: options.device.clone(), ..DeviceOptions::default() })?;
+    let gpu = Gpu::open(&DeviceOptions {
+        choice: options.device.clone(),
+        ..DeviceOptions::default()
+    })?;
     tracing::info!(device = %gpu.info(), scenes = registry.ids().len(), "ready");
-    let (limits, metrics) = (Arc::new(options.limits.clone()), Arc::new(Metrics::default()));
-    let (render_queue, painting) = RenderQueue::start(gpu, Arc::clone(&registry), &limits, Arc::clone(&metrics))?;
+    let (limits, metrics) = (
+        Arc::new(options.limits.clone()),
+        Arc::new(Metrics::default()),
+    );
+    let (render_queue, painting) =
+        RenderQueue::start(gpu, Arc::clone(&registry), &limits, Arc::clone(&metrics))?;
     if options.preload {
-        render_queue.preload(registry.ids().into_iter().take(limits.cache_size as usize).collect());
+        render_queue.preload(
+            registry
+                .ids()
+                .into_iter()
+                .take(limits.cache_size as usize)
+                .collect(),
+        );
     }
     let address = listener.local_addr()?;
     let metrics_address = page.as_ref().map(TcpListener::local_addr).transpose()?;
@@ -131,10 +148,20 @@ pub async fn start(options: &ServerOptions) -> Result<Running> {
             page.abort();
         }
         let painted = tokio::task::spawn_blocking(move || painting.join());
-        let painted = timeout(FRAME_PATIENCE, painted).await.context("the last frame does not end: it is given up")??;
-        painted.map_err(|_| anyhow::anyhow!("the render_queue panicked"))?.and(served)
+        let painted = timeout(FRAME_PATIENCE, painted)
+            .await
+            .context("the last frame does not end: it is given up")??;
+        painted
+            .map_err(|_| anyhow::anyhow!("the render_queue panicked"))?
+            .and(served)
     });
-    Ok(Running { address, metrics_address, stop: Some(stop), done, metrics })
+    Ok(Running {
+        address,
+        metrics_address,
+        stop: Some(stop),
+        done,
+        metrics,
+    })
 }
 
 struct Services {
@@ -145,7 +172,12 @@ struct Services {
 }
 
 impl Services {
-    async fn serve(self, listener: TcpListener, metrics: Arc<Metrics>, stopped: oneshot::Receiver<()>) -> Result<()> {
+    async fn serve(
+        self,
+        listener: TcpListener,
+        metrics: Arc<Metrics>,
+        stopped: oneshot::Receiver<()>,
+    ) -> Result<()> {
         let limits = Arc::clone(&self.sensorsim.limits);
         let render_queue = self.sensorsim.render_queue.clone();
         let mut lost = render_queue.lost();
@@ -159,7 +191,9 @@ impl Services {
             .http2_keepalive_interval(Some(KEEPALIVE))
             .http2_keepalive_timeout(Some(KEEPALIVE_PATIENCE));
         if let Some(tls) = self.tls {
-            server = server.tls_config(tls.timeout(limits.handshake())).context("the certificate or its key cannot be used")?;
+            server = server
+                .tls_config(tls.timeout(limits.handshake()))
+                .context("the certificate or its key cannot be used")?;
         }
         let sensorsim = SensorsimServiceServer::new(self.sensorsim)
             .max_decoding_message_size(limits.request_bytes)
@@ -167,12 +201,15 @@ impl Services {
         let physics = PhysicsServiceServer::new(self.physics)
             .max_decoding_message_size(limits.request_bytes)
             .max_encoding_message_size(limits.message_bytes);
-        let router = server.add_service(sensorsim).add_service(physics).add_service(health);
+        let router = server
+            .add_service(sensorsim)
+            .add_service(physics)
+            .add_service(health);
         let (close, closing) = watch::channel(false);
         let connections = connections::accept(listener, &limits, &closing, metrics);
         let (end, ending) = oneshot::channel();
         let ended = async {
-            // Whoever could send it is gone: that too is an end.
+            // The sender is gone: that too is an end.
             let _ = ending.await;
         };
         let mut serving = tokio::spawn(router.serve_with_incoming_shutdown(connections, ended));
@@ -190,22 +227,34 @@ impl Services {
                 render_queue.refuse_waiting();
                 serving.abort();
                 close.send_replace(true);
-                tracing::warn!(seconds = limits.grace, "requests that had begun are cut off");
+                tracing::warn!(
+                    seconds = limits.grace,
+                    "requests that had begun are cut off"
+                );
             }
         }
-        ensure!(!is_lost, "nothing can be drawn any more (the log says why): start the server again");
+        ensure!(
+            !is_lost,
+            "nothing can be drawn any more (the log says why): start the server again"
+        );
         Ok(())
     }
 }
 
 async fn report(reporter: &HealthReporter, status: ServingStatus) {
-    for name in ["", SENSORSIM, PHYSICS].into_iter().chain(SENSORSIM_ALSO).chain(PHYSICS_ALSO) {
+    for name in ["", SENSORSIM, PHYSICS]
+        .into_iter()
+        .chain(SENSORSIM_ALSO)
+        .chain(PHYSICS_ALSO)
+    {
         reporter.set_service_status(name, status).await;
     }
 }
 
 async fn listen(address: SocketAddr) -> Result<TcpListener> {
-    TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}: choose another --host or --port"))
+    TcpListener::bind(address)
+        .await
+        .with_context(|| format!("cannot listen on {address}: choose another --host or --port"))
 }
 
 /// Warns of what a network can read or reach. The loopback is no network.
@@ -227,15 +276,26 @@ fn warn_of_openness(options: &ServerOptions) {
 
 /// The token in `path`, without the end of its line.
 fn token_of(path: &Path) -> Result<String> {
-    let text = String::from_utf8(read_bytes(path)?).with_context(|| format!("{} is not UTF-8", path.display()))?;
+    let text = String::from_utf8(read_bytes(path)?)
+        .with_context(|| format!("{} is not UTF-8", path.display()))?;
     let token = text.trim_end_matches(['\r', '\n']);
-    let is_sendable = token.len() >= TOKEN_BYTES_MIN && token.bytes().all(|byte| byte.is_ascii_graphic());
-    ensure!(is_sendable, "{}: expected one line of at least {TOKEN_BYTES_MIN} visible ASCII characters", path.display());
+    let is_sendable =
+        token.len() >= TOKEN_BYTES_MIN && token.bytes().all(|byte| byte.is_ascii_graphic());
+    ensure!(
+        is_sendable,
+        "{}: expected one line of at least {TOKEN_BYTES_MIN} visible ASCII characters",
+        path.display()
+    );
     Ok(token.to_owned())
 }
 
 fn tls_of(options: &ServerOptions) -> Result<Option<ServerTlsConfig>> {
-    let (Some(certificate), Some(key)) = (&options.tls_cert, &options.tls_key) else { return Ok(None) };
+    let (Some(certificate), Some(key)) = (&options.tls_cert, &options.tls_key) else {
+        return Ok(None);
+    };
     let read = |path: &Path| read_bytes(path);
-    Ok(Some(ServerTlsConfig::new().identity(Identity::from_pem(read(certificate)?, read(key)?))))
+    Ok(Some(ServerTlsConfig::new().identity(Identity::from_pem(
+        read(certificate)?,
+        read(key)?,
+    ))))
 }

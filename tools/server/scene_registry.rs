@@ -32,27 +32,47 @@ impl SceneRegistry {
     /// The scenes at `paths` and those that `patterns` find.
     ///
     /// # Errors
-    /// When a path does not exist, a pattern makes no sense, two scenes have one id, or there is no scene at all.
+    /// When a path does not exist, a pattern makes no sense, two scenes have one id, or there is no
+    /// scene at all.
     pub fn new(paths: &[PathBuf], patterns: &[String], rig_origin: DVec3) -> Result<Self> {
         let mut found = paths.to_vec();
         for pattern in patterns {
-            let matches = glob::glob(pattern).with_context(|| format!("--artifact-glob {pattern:?} is no pattern"))?;
+            let matches = glob::glob(pattern)
+                .with_context(|| format!("--artifact-glob {pattern:?} is no pattern"))?;
             for path in matches {
                 found.push(path.with_context(|| format!("--artifact-glob {pattern:?}"))?);
             }
         }
         let mut by_id = BTreeMap::new();
         for path in found {
-            ensure!(path.is_file(), "{} is no file: expected a scene file or a splat file", path.display());
-            let id = id_of(&path).with_context(|| format!("{} has no name that could be a scene's id", path.display()))?;
+            ensure!(
+                path.is_file(),
+                "{} is no file: expected a scene file or a splat file",
+                path.display()
+            );
+            let id = id_of(&path).with_context(|| {
+                format!("{} has no name that could be a scene's id", path.display())
+            })?;
             let there = by_id.insert(id.clone(), path.clone());
             if let Some(other) = there.filter(|other| *other != path) {
-                bail!("{} and {} would both be called {id:?}: rename one", other.display(), path.display());
+                bail!(
+                    "{} and {} would both be called {id:?}: rename one",
+                    other.display(),
+                    path.display()
+                );
             }
         }
         let searched = patterns.join(", ");
-        ensure!(!by_id.is_empty(), "no scenes: name scene files, or a pattern that finds some (searched: {searched:?})");
-        Ok(Self { paths: by_id, rig_origin, metadata: Mutex::default(), reading: Mutex::default() })
+        ensure!(
+            !by_id.is_empty(),
+            "no scenes: name scene files, or a pattern that finds some (searched: {searched:?})"
+        );
+        Ok(Self {
+            paths: by_id,
+            rig_origin,
+            metadata: Mutex::default(),
+            reading: Mutex::default(),
+        })
     }
 
     /// All ids, sorted.
@@ -74,7 +94,9 @@ impl SceneRegistry {
         if let Some(metadata) = known().get(id) {
             return Ok(Some(Arc::clone(metadata)));
         }
-        let Some(path) = self.path(id) else { return Ok(None) };
+        let Some(path) = self.path(id) else {
+            return Ok(None);
+        };
         let _reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         // Another request may have read it meanwhile.
         if let Some(metadata) = known().get(id) {
@@ -82,7 +104,12 @@ impl SceneRegistry {
         }
         let metadata = if is_scene_file(path) {
             let file = SceneFile::read(path)?;
-            let ego = file.ego.unwrap_or_else(|| Trajectory::standing(Pose { translation: file.origin, ..Pose::IDENTITY }));
+            let ego = file.ego.unwrap_or_else(|| {
+                Trajectory::standing(Pose {
+                    translation: file.origin,
+                    ..Pose::IDENTITY
+                })
+            });
             self.seen_by_clients(file.rig, &ego, file.origin)
         } else {
             let loaded = open_scene(path, 0.0)?;
@@ -95,16 +122,33 @@ impl SceneRegistry {
 
     fn seen_by_clients(&self, rig: Rig, ego: &Trajectory, world_origin: DVec3) -> SceneMetadata {
         let moved = |camera: RigCamera| {
-            let Pose { rotation, translation } = camera.rig_from_camera;
-            RigCamera { rig_from_camera: Pose { rotation, translation: translation - self.rig_origin }, ..camera }
+            let Pose {
+                rotation,
+                translation,
+            } = camera.rig_from_camera;
+            RigCamera {
+                rig_from_camera: Pose {
+                    rotation,
+                    translation: translation - self.rig_origin,
+                },
+                ..camera
+            }
         };
         let local = |timed: &TimedPose| {
             let translation = timed.pose.transform(self.rig_origin) - world_origin;
-            TimedPose { pose: Pose { translation, ..timed.pose }, ..*timed }
+            TimedPose {
+                pose: Pose {
+                    translation,
+                    ..timed.pose
+                },
+                ..*timed
+            }
         };
         let poses = ego.poses().iter().map(local).collect();
         SceneMetadata {
-            rig: Rig { cameras: rig.cameras.into_iter().map(moved).collect() },
+            rig: Rig {
+                cameras: rig.cameras.into_iter().map(moved).collect(),
+            },
             ego: Trajectory::new(poses).unwrap_or_else(|_| ego.clone()),
         }
     }
@@ -113,8 +157,14 @@ impl SceneRegistry {
 /// The folder's name for `scene.toml`, and otherwise the file's without its ending.
 fn id_of(path: &Path) -> Option<String> {
     let absolute = std::path::absolute(path).ok()?;
-    let is_plain = absolute.file_name().is_some_and(|name| name.eq_ignore_ascii_case("scene.toml"));
-    let named = if is_plain { absolute.parent()?.file_name() } else { absolute.file_stem() };
+    let is_plain = absolute
+        .file_name()
+        .is_some_and(|name| name.eq_ignore_ascii_case("scene.toml"));
+    let named = if is_plain {
+        absolute.parent()?.file_name()
+    } else {
+        absolute.file_stem()
+    };
     named.and_then(|name| name.to_str()).map(str::to_owned)
 }
 
@@ -124,27 +174,44 @@ mod tests {
 
     #[test]
     fn scenes_are_called_by_their_folder_or_file() {
-        assert_eq!(id_of(Path::new("/data/street_1/scene.toml")).as_deref(), Some("street_1"));
-        assert_eq!(id_of(Path::new("/data/garden.ply")).as_deref(), Some("garden"));
+        assert_eq!(
+            id_of(Path::new("/data/street_1/scene.toml")).as_deref(),
+            Some("street_1")
+        );
+        assert_eq!(
+            id_of(Path::new("/data/garden.ply")).as_deref(),
+            Some("garden")
+        );
         assert_eq!(id_of(Path::new("/scene.toml")), None);
     }
 
     #[test]
     fn what_cannot_be_served_is_refused_at_the_start() {
         let folder = tempfile::tempdir().unwrap();
-        let (one, two) = (folder.path().join("town.toml"), folder.path().join("town.ply"));
+        let (one, two) = (
+            folder.path().join("town.toml"),
+            folder.path().join("town.ply"),
+        );
         for path in [&one, &two] {
             std::fs::write(path, "").unwrap();
         }
         let refused = |paths: &[PathBuf], patterns: &[String]| {
-            SceneRegistry::new(paths, patterns, DVec3::ZERO).map(|_| ()).unwrap_err().to_string()
+            SceneRegistry::new(paths, patterns, DVec3::ZERO)
+                .map(|_| ())
+                .unwrap_err()
+                .to_string()
         };
         assert!(refused(&[one.clone(), two], &[]).contains("both be called \"town\""));
         assert!(refused(&[], &[]).contains("no scenes"));
         assert!(refused(&[folder.path().join("absent.toml")], &[]).contains("absent.toml"));
         assert!(refused(&[], &["a***".to_owned()]).contains("no pattern"));
         let pattern = format!("{}/*.toml", folder.path().display());
-        assert_eq!(SceneRegistry::new(&[one], &[pattern], DVec3::ZERO).unwrap().ids(), ["town"]);
+        assert_eq!(
+            SceneRegistry::new(&[one], &[pattern], DVec3::ZERO)
+                .unwrap()
+                .ids(),
+            ["town"]
+        );
     }
 
     #[test]
@@ -156,13 +223,21 @@ mod tests {
                     0.2, 0.0]\n[[ego]]\ntime_s = 0.5\nposition_m = [1010.0, 2005.0, 50.8]\nyaw_rad = 1.0\n";
         std::fs::write(&path, text).unwrap();
         let camera = |rig_origin| {
-            let registry = SceneRegistry::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
+            let registry =
+                SceneRegistry::new(std::slice::from_ref(&path), &[], rig_origin).unwrap();
             let metadata = registry.metadata("town").unwrap().unwrap();
             assert!(registry.metadata("village").unwrap().is_none());
-            metadata.rig.at(&metadata.ego.at(0.5)).remove(0).world_from_camera
+            metadata
+                .rig
+                .at(&metadata.ego.at(0.5))
+                .remove(0)
+                .world_from_camera
         };
         let (center, axle) = (camera(DVec3::ZERO), camera(DVec3::new(-1.4, 0.0, -0.8)));
         assert!((center.translation - axle.translation).length() < 1e-9);
-        assert!((center.translation - DVec3::new(10.0, 5.0, 0.8)).length() < 2.0, "local: the scene's origin is taken off");
+        assert!(
+            (center.translation - DVec3::new(10.0, 5.0, 0.8)).length() < 2.0,
+            "local: the scene's origin is taken off"
+        );
     }
 }

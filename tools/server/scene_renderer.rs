@@ -12,7 +12,8 @@ use tonic::Status;
 
 use crate::render_request::{PlacedObject, RenderRequest};
 
-/// Probes of light that are kept for one scene, wherever clients put objects: a square kilometer of them.
+/// Probes of light that are kept for one scene, wherever clients put objects: a square kilometer of
+/// them.
 const PROBES_MAX: usize = 1 << 20;
 
 /// A scene that can be drawn.
@@ -40,29 +41,56 @@ impl SceneRenderer {
     pub fn new(gpu: &Gpu, loaded: &LoadedScene) -> Result<Self, RenderError> {
         let options = RenderOptions {
             rules: loaded.world.rules,
-            outputs: Outputs { color: ColorFormat::U8, ..Outputs::default() },
+            outputs: Outputs {
+                color: ColorFormat::U8,
+                ..Outputs::default()
+            },
             ..RenderOptions::default()
         };
         let renderer = Renderer::new(gpu, options);
         let live = LiveScene::new(&renderer, loaded)?;
-        let placed =
-            |instance, asset, sh_frame| AgentInstance { asset, pose: Pose::IDENTITY, sh_frame: Some(sh_frame), instance };
+        let placed = |instance, asset, sh_frame| AgentInstance {
+            asset,
+            pose: Pose::IDENTITY,
+            sh_frame: Some(sh_frame),
+            instance,
+        };
         let agents = loaded.agents.iter();
-        let agents = agents.map(|agent| (agent.name.clone(), placed(agent.instance, agent.asset, agent.sh_frame))).collect();
-        Ok(Self { renderer, live, origin: loaded.world.origin, agents })
+        let agents = agents
+            .map(|agent| {
+                (
+                    agent.name.clone(),
+                    placed(agent.instance, agent.asset, agent.sh_frame),
+                )
+            })
+            .collect();
+        Ok(Self {
+            renderer,
+            live,
+            origin: loaded.world.origin,
+            agents,
+        })
     }
 
-    /// Draws what `requests` see, all of them in one submission, into `images`. They see the same objects at the same places.
+    /// Draws what `requests` see, all of them in one submission, into `images`. They see the same
+    /// objects at the same places.
     ///
     /// # Errors
     /// When a camera cannot make an image, the device has not the memory or was lost.
-    pub fn draw(&mut self, requests: &[RenderRequest], images: &mut ImageBytes) -> Result<Drawn, RenderError> {
+    pub fn draw(
+        &mut self,
+        requests: &[RenderRequest],
+        images: &mut ImageBytes,
+    ) -> Result<Drawn, RenderError> {
         let objects = requests.first().map_or(&[][..], |request| &request.objects);
         let mut drawn = Drawn::default();
         let mut placed = Vec::with_capacity(objects.len());
         for PlacedObject { track_id, pose } in objects {
             match self.agents.get(track_id) {
-                Some(agent) => placed.push(AgentInstance { pose: self.in_world(pose), ..*agent }),
+                Some(agent) => placed.push(AgentInstance {
+                    pose: self.in_world(pose),
+                    ..*agent
+                }),
                 None => drawn.unknown.push(track_id.clone()),
             }
         }
@@ -71,7 +99,11 @@ impl SceneRenderer {
             self.live.bake_light(places);
         }
         let moment = self.live.placed(&placed);
-        let cameras: Vec<Camera> = requests.iter().enumerate().map(|(index, request)| self.camera(index, request)).collect();
+        let cameras: Vec<Camera> = requests
+            .iter()
+            .enumerate()
+            .map(|(index, request)| self.camera(index, request))
+            .collect();
         self.renderer.render(self.live.with(&moment), &cameras)?;
         self.renderer.read_bytes(images)?;
         Ok(drawn)
@@ -79,11 +111,18 @@ impl SceneRenderer {
 
     fn camera(&self, index: usize, request: &RenderRequest) -> Camera {
         let world_from_camera = self.in_world(&request.local_from_camera);
-        Camera { name: index.to_string(), intrinsics: request.intrinsics, world_from_camera }
+        Camera {
+            name: index.to_string(),
+            intrinsics: request.intrinsics,
+            world_from_camera,
+        }
     }
 
     fn in_world(&self, pose: &Pose) -> Pose {
-        Pose { translation: pose.translation + self.origin, ..*pose }
+        Pose {
+            translation: pose.translation + self.origin,
+            ..*pose
+        }
     }
 }
 
@@ -94,12 +133,17 @@ pub fn status_of(error: &RenderError) -> Status {
         RenderError::Gpu(GpuError::OutOfMemory { .. } | GpuError::BufferTooLarge { .. }) => {
             Status::resource_exhausted(error.to_string())
         }
-        RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. }) => Status::unavailable(error.to_string()),
+        RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. }) => {
+            Status::unavailable(error.to_string())
+        }
         _ => Status::internal(error.to_string()),
     }
 }
 
 /// True if the device is lost for good.
 pub fn is_lost(error: &RenderError) -> bool {
-    matches!(error, RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. }))
+    matches!(
+        error,
+        RenderError::Gpu(GpuError::DeviceLost { .. } | GpuError::Hang { .. })
+    )
 }

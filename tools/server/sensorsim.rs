@@ -25,10 +25,11 @@ use crate::wire::sensorsim::available_cameras_return::AvailableCamera;
 use crate::wire::sensorsim::available_trajectories_return::AvailableTrajectory;
 use crate::wire::sensorsim::sensorsim_service_server::SensorsimService;
 use crate::wire::sensorsim::{
-    AggregatedRenderRequest, AggregatedRenderReturn, AvailableCamerasRequest, AvailableCamerasReturn, AvailableEgoMasksReturn,
-    AvailableTrajectoriesRequest, AvailableTrajectoriesReturn, BatchRgbRenderRequest, BatchRgbRenderReturn,
-    BatchRgbRenderReturnItem, LidarRenderRequest, LidarRenderReturn, LoadedSceneEntry, LoadedScenesReturn, RgbRenderRequest,
-    RgbRenderReturn,
+    AggregatedRenderRequest, AggregatedRenderReturn, AvailableCamerasRequest,
+    AvailableCamerasReturn, AvailableEgoMasksReturn, AvailableTrajectoriesRequest,
+    AvailableTrajectoriesReturn, BatchRgbRenderRequest, BatchRgbRenderReturn,
+    BatchRgbRenderReturnItem, LidarRenderRequest, LidarRenderReturn, LoadedSceneEntry,
+    LoadedScenesReturn, RgbRenderRequest, RgbRenderReturn,
 };
 
 /// The service.
@@ -53,12 +54,19 @@ pub fn version() -> VersionId {
     VersionId {
         version_id: concat!("decouplegs-server ", env!("CARGO_PKG_VERSION")).to_owned(),
         git_hash: env!("DECOUPLEGS_GIT_HASH").to_owned(),
-        grpc_api_version: Some(ApiVersion { major, minor, patch }),
+        grpc_api_version: Some(ApiVersion {
+            major,
+            minor,
+            patch,
+        }),
     }
 }
 
 /// Metadata of the scene `id`; files are read on a blocking thread.
-pub async fn metadata_of(registry: &Arc<SceneRegistry>, id: String) -> Result<Arc<SceneMetadata>, Status> {
+pub async fn metadata_of(
+    registry: &Arc<SceneRegistry>,
+    id: String,
+) -> Result<Arc<SceneMetadata>, Status> {
     check_name(&id, "scene_id")?;
     let (registry, asked) = (Arc::clone(registry), id.clone());
     let read = tokio::task::spawn_blocking(move || registry.metadata(&asked)).await;
@@ -68,8 +76,12 @@ pub async fn metadata_of(registry: &Arc<SceneRegistry>, id: String) -> Result<Ar
 }
 
 impl Sensorsim {
-    /// Images of `requests`, in their order: those that see the same objects in the same scene are drawn in one submission.
-    async fn images(&self, requests: Vec<Result<RenderRequest, Status>>) -> Vec<Result<Bytes, Status>> {
+    /// Images of `requests`, in their order: those that see the same objects in the same scene are
+    /// drawn in one submission.
+    async fn images(
+        &self,
+        requests: Vec<Result<RenderRequest, Status>>,
+    ) -> Vec<Result<Bytes, Status>> {
         let mut results: Vec<Result<Bytes, Status>> = Vec::with_capacity(requests.len());
         let mut shots: Vec<(Vec<usize>, Vec<RenderRequest>)> = Vec::new();
         for (place, request) in requests.into_iter().enumerate() {
@@ -77,7 +89,9 @@ impl Sensorsim {
                 Ok(request) => {
                     results.push(Err(Status::internal("it was not drawn")));
                     let same = |(_, others): &&mut (Vec<usize>, Vec<RenderRequest>)| {
-                        others.first().is_some_and(|other| other.scene == request.scene && other.objects == request.objects)
+                        others.first().is_some_and(|other| {
+                            other.scene == request.scene && other.objects == request.objects
+                        })
                     };
                     match shots.iter_mut().find(same) {
                         Some((places, others)) => {
@@ -90,7 +104,9 @@ impl Sensorsim {
                 Err(status) => results.push(Err(status)),
             }
         }
-        let drawn = shots.into_iter().map(|(places, requests)| async move { (places, self.shot(requests).await) });
+        let drawn = shots
+            .into_iter()
+            .map(|(places, requests)| async move { (places, self.shot(requests).await) });
         for (places, images) in join_all(drawn).await {
             for (place, image) in places.into_iter().zip(images) {
                 results[place] = image;
@@ -110,7 +126,7 @@ impl Sensorsim {
             let (images, (done, waited)) = (Arc::clone(&images), oneshot::channel());
             self.encoders.spawn(move || {
                 let Images { bytes, .. } = &*images;
-                // Whoever asked may have gone.
+                // The client may have gone.
                 let _ = done.send(encode(bytes.rgba(index), bytes.size_px(index), encoding));
             });
             waited
@@ -128,11 +144,23 @@ impl Sensorsim {
     }
 
     /// Refuses images that are too large together.
-    fn check_pixels(&self, requests: &[Result<RenderRequest, Status>], field: &str) -> Result<(), Status> {
-        let (pixels, most) =
-            (requests.iter().flatten().map(|request| request.intrinsics.pixels()).sum::<u64>(), self.limits.pixels);
+    fn check_pixels(
+        &self,
+        requests: &[Result<RenderRequest, Status>],
+        field: &str,
+    ) -> Result<(), Status> {
+        let (pixels, most) = (
+            requests
+                .iter()
+                .flatten()
+                .map(|request| request.intrinsics.pixels())
+                .sum::<u64>(),
+            self.limits.pixels,
+        );
         if pixels > most {
-            return Err(Status::resource_exhausted(format!("{field}: {pixels} pixels in all, at most {most}")));
+            return Err(Status::resource_exhausted(format!(
+                "{field}: {pixels} pixels in all, at most {most}"
+            )));
         }
         Ok(())
     }
@@ -140,7 +168,9 @@ impl Sensorsim {
     fn check_cameras(&self, cameras: usize, field: &str) -> Result<(), Status> {
         if cameras > self.limits.cameras {
             let most = self.limits.cameras;
-            return Err(Status::resource_exhausted(format!("{field}: {cameras} cameras, at most {most}")));
+            return Err(Status::resource_exhausted(format!(
+                "{field}: {cameras} cameras, at most {most}"
+            )));
         }
         Ok(())
     }
@@ -148,18 +178,29 @@ impl Sensorsim {
 
 /// True if the error belongs to one camera; errors of the request belong to all of it.
 fn is_of_one_camera(request: &Result<RenderRequest, Status>) -> bool {
-    !request.as_ref().is_err_and(|status| matches!(status.code(), Code::InvalidArgument | Code::ResourceExhausted))
+    !request.as_ref().is_err_and(|status| {
+        matches!(
+            status.code(),
+            Code::InvalidArgument | Code::ResourceExhausted
+        )
+    })
 }
 
 #[tonic::async_trait]
 impl SensorsimService for Sensorsim {
-    async fn render_rgb(&self, request: Request<RgbRenderRequest>) -> Result<Response<RgbRenderReturn>, Status> {
+    async fn render_rgb(
+        &self,
+        request: Request<RgbRenderRequest>,
+    ) -> Result<Response<RgbRenderReturn>, Status> {
         let request = RenderRequest::of(request.into_inner(), "", &self.limits)?;
         let image_bytes = self.shot(vec![request]).await.remove(0)?;
         Ok(Response::new(RgbRenderReturn { image_bytes }))
     }
 
-    async fn render_lidar(&self, _: Request<LidarRenderRequest>) -> Result<Response<LidarRenderReturn>, Status> {
+    async fn render_lidar(
+        &self,
+        _: Request<LidarRenderRequest>,
+    ) -> Result<Response<LidarRenderReturn>, Status> {
         Err(Status::unimplemented("this server renders no lidar"))
     }
 
@@ -169,32 +210,58 @@ impl SensorsimService for Sensorsim {
     ) -> Result<Response<AggregatedRenderReturn>, Status> {
         let request = request.into_inner();
         if !request.lidar_requests.is_empty() {
-            return Err(Status::unimplemented("lidar_requests: this server renders no lidar"));
+            return Err(Status::unimplemented(
+                "lidar_requests: this server renders no lidar",
+            ));
         }
         self.check_cameras(request.rgb_requests.len(), "rgb_requests")?;
-        let of = |(index, request)| RenderRequest::of(request, &format!("rgb_requests[{index}]"), &self.limits);
-        let requests: Vec<RenderRequest> = request.rgb_requests.into_iter().enumerate().map(of).collect::<Result<_, _>>()?;
+        let of = |(index, request)| {
+            RenderRequest::of(request, &format!("rgb_requests[{index}]"), &self.limits)
+        };
+        let requests: Vec<RenderRequest> = request
+            .rgb_requests
+            .into_iter()
+            .enumerate()
+            .map(of)
+            .collect::<Result<_, _>>()?;
         let requests: Vec<_> = requests.into_iter().map(Ok).collect();
         self.check_pixels(&requests, "rgb_requests")?;
         let images = self.images(requests).await;
-        let returned = images.into_iter().map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
+        let returned = images
+            .into_iter()
+            .map(|bytes| bytes.map(|image_bytes| RgbRenderReturn { image_bytes }));
         let rgb_returns = returned.collect::<Result<_, _>>()?;
-        Ok(Response::new(AggregatedRenderReturn { rgb_returns, ..AggregatedRenderReturn::default() }))
+        Ok(Response::new(AggregatedRenderReturn {
+            rgb_returns,
+            ..AggregatedRenderReturn::default()
+        }))
     }
 
-    async fn batch_render_rgb(&self, request: Request<BatchRgbRenderRequest>) -> Result<Response<BatchRgbRenderReturn>, Status> {
+    async fn batch_render_rgb(
+        &self,
+        request: Request<BatchRgbRenderRequest>,
+    ) -> Result<Response<BatchRgbRenderReturn>, Status> {
         let items = request.into_inner().items;
         self.check_cameras(items.len(), "items")?;
-        let (mut names, mut requests) = (Vec::with_capacity(items.len()), Vec::with_capacity(items.len()));
+        let (mut names, mut requests) = (
+            Vec::with_capacity(items.len()),
+            Vec::with_capacity(items.len()),
+        );
         let mut seen = HashSet::new();
         for (index, item) in items.into_iter().enumerate() {
             let field = format!("items[{index}]");
             check_name(&item.camera_name, &format!("{field}.camera_name"))?;
             if !seen.insert(item.camera_name.clone()) {
-                return Err(Status::invalid_argument(format!("{field}.camera_name is that of an item before it")));
+                return Err(Status::invalid_argument(format!(
+                    "{field}.camera_name is that of an item before it"
+                )));
             }
             let missing = || Status::invalid_argument(format!("{field}.request is missing"));
-            let request = RenderRequest::of(item.request.ok_or_else(missing)?, &format!("{field}.request"), &self.limits);
+            let request = RenderRequest::of(
+                item.request.ok_or_else(missing)?,
+                &format!("{field}.request"),
+                &self.limits,
+            );
             if !is_of_one_camera(&request) {
                 request.as_ref().map_err(Status::clone)?;
             }
@@ -203,31 +270,53 @@ impl SensorsimService for Sensorsim {
         }
         self.check_pixels(&requests, "items")?;
         let images = self.images(requests).await;
-        let returned = names.into_iter().zip(images).map(|(camera_name, image)| match image {
-            Ok(image_bytes) => BatchRgbRenderReturnItem {
-                camera_name,
-                result: Some(RgbRenderReturn { image_bytes }),
-                success: true,
-                error_message: String::new(),
-            },
-            Err(status) => {
-                let error_message = format!("{:?}: {}", status.code(), status.message());
-                BatchRgbRenderReturnItem { camera_name, result: None, success: false, error_message }
-            }
-        });
-        Ok(Response::new(BatchRgbRenderReturn { items: returned.collect() }))
+        let returned = names
+            .into_iter()
+            .zip(images)
+            .map(|(camera_name, image)| match image {
+                Ok(image_bytes) => BatchRgbRenderReturnItem {
+                    camera_name,
+                    result: Some(RgbRenderReturn { image_bytes }),
+                    success: true,
+                    error_message: String::new(),
+                },
+                Err(status) => {
+                    let error_message = format!("{:?}: {}", status.code(), status.message());
+                    BatchRgbRenderReturnItem {
+                        camera_name,
+                        result: None,
+                        success: false,
+                        error_message,
+                    }
+                }
+            });
+        Ok(Response::new(BatchRgbRenderReturn {
+            items: returned.collect(),
+        }))
     }
 
     async fn get_version(&self, _: Request<Empty>) -> Result<Response<VersionId>, Status> {
         Ok(Response::new(version()))
     }
 
-    async fn get_available_scenes(&self, _: Request<Empty>) -> Result<Response<AvailableScenesReturn>, Status> {
-        Ok(Response::new(AvailableScenesReturn { scene_ids: self.registry.ids() }))
+    async fn get_available_scenes(
+        &self,
+        _: Request<Empty>,
+    ) -> Result<Response<AvailableScenesReturn>, Status> {
+        Ok(Response::new(AvailableScenesReturn {
+            scene_ids: self.registry.ids(),
+        }))
     }
 
-    async fn get_loaded_scenes(&self, _: Request<Empty>) -> Result<Response<LoadedScenesReturn>, Status> {
-        let entry = |scene_id| LoadedSceneEntry { scene_id, loaded_instance_count: 1, reusable_instance_count: 1 };
+    async fn get_loaded_scenes(
+        &self,
+        _: Request<Empty>,
+    ) -> Result<Response<LoadedScenesReturn>, Status> {
+        let entry = |scene_id| LoadedSceneEntry {
+            scene_id,
+            loaded_instance_count: 1,
+            reusable_instance_count: 1,
+        };
         Ok(Response::new(LoadedScenesReturn {
             scenes: self.metrics.scenes().into_iter().map(entry).collect(),
             loaded_instance_capacity: self.limits.cache_size.into(),
@@ -244,7 +333,9 @@ impl SensorsimService for Sensorsim {
             rig_to_camera: Some(message_of(&camera.rig_from_camera)),
             logical_id: camera.name.clone(),
         });
-        Ok(Response::new(AvailableCamerasReturn { available_cameras: cameras.collect() }))
+        Ok(Response::new(AvailableCamerasReturn {
+            available_cameras: cameras.collect(),
+        }))
     }
 
     async fn get_available_trajectories(
@@ -254,13 +345,21 @@ impl SensorsimService for Sensorsim {
         let metadata = metadata_of(&self.registry, request.into_inner().scene_id).await?;
         let timed = |timed: &TimedPose| PoseAtTime {
             pose: Some(message_of(&timed.pose)),
-            timestamp_us: Duration::try_from_secs_f64(timed.time_s).map_or(0, |time| time.as_micros() as u64),
+            timestamp_us: Duration::try_from_secs_f64(timed.time_s)
+                .map_or(0, |time| time.as_micros() as u64),
         };
-        let trajectory = Some(Trajectory { poses: metadata.ego.poses().iter().map(timed).collect() });
-        Ok(Response::new(AvailableTrajectoriesReturn { available_trajectories: vec![AvailableTrajectory { trajectory }] }))
+        let trajectory = Some(Trajectory {
+            poses: metadata.ego.poses().iter().map(timed).collect(),
+        });
+        Ok(Response::new(AvailableTrajectoriesReturn {
+            available_trajectories: vec![AvailableTrajectory { trajectory }],
+        }))
     }
 
-    async fn get_available_ego_masks(&self, _: Request<Empty>) -> Result<Response<AvailableEgoMasksReturn>, Status> {
+    async fn get_available_ego_masks(
+        &self,
+        _: Request<Empty>,
+    ) -> Result<Response<AvailableEgoMasksReturn>, Status> {
         Ok(Response::new(AvailableEgoMasksReturn::default()))
     }
 }

@@ -8,12 +8,18 @@ fn figure(svg: &str) -> String {
     format!("<figure>{svg}</figure>")
 }
 
-const AGENTS: Axis<'static> = Axis { label: "agents", log: false, from_zero: true };
+const AGENTS: Axis<'static> = Axis {
+    label: "agents",
+    log: false,
+    from_zero: true,
+};
 
 /// A curve for each mode over the number of agents; one that ends says why.
 fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -> Vec<Series> {
     let series = |(at, mode): (usize, &super::mode::Mode)| {
-        let lost = report.points_of(mode).find(|point| point.measured().is_none());
+        let lost = report
+            .points_of(mode)
+            .find(|point| point.measured().is_none());
         let reason = |outcome: &Outcome| match outcome {
             Outcome::OutOfMemory { .. } => format!("{} out of memory", mode.name),
             _ => format!("{} not drawn", mode.name),
@@ -21,7 +27,10 @@ fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -
         Series {
             name: mode.name.clone(),
             color: at,
-            points: report.measured_of(mode).map(|(point, measured)| (point.agents as f64, of(measured))).collect(),
+            points: report
+                .measured_of(mode)
+                .map(|(point, measured)| (point.agents as f64, of(measured)))
+                .collect(),
             shape: Shape::Curve,
             end: lost.map(|point| (point.agents as f64, reason(&point.outcome))),
         }
@@ -30,22 +39,54 @@ fn over_agents(report: &Report, of: &dyn Fn(&super::figures::Measured) -> f64) -
 }
 
 pub fn images_against_agents(report: &Report) -> String {
-    let y = Axis { label: "images/s", log: false, from_zero: true };
+    let y = Axis {
+        label: "images/s",
+        log: false,
+        from_zero: true,
+    };
     let series = over_agents(report, &|measured| measured.images_per_s());
-    figure(&Plot { title: "Images a second against agents", x: AGENTS, y, series }.to_svg())
+    figure(
+        &Plot {
+            title: "Images a second against agents",
+            x: AGENTS,
+            y,
+            series,
+        }
+        .to_svg(),
+    )
 }
 
 pub fn memory_against_agents(report: &Report) -> String {
-    let y = Axis { label: "MiB", log: false, from_zero: true };
+    let y = Axis {
+        label: "MiB",
+        log: false,
+        from_zero: true,
+    };
     let series = over_agents(report, &|measured| mebibytes(measured.memory.total_bytes));
-    figure(&Plot { title: "Device memory against agents", x: AGENTS, y, series }.to_svg())
+    figure(
+        &Plot {
+            title: "Device memory against agents",
+            x: AGENTS,
+            y,
+            series,
+        }
+        .to_svg(),
+    )
 }
 
 /// Median GPU time by stage, a bar for each mode, with the most agents.
 pub fn stages(report: &Report) -> String {
     let largest = report.largest_count();
-    let points: Vec<_> = report.points.iter().filter(|point| point.agents == largest).collect();
-    let mut listed: Vec<_> = points.iter().filter_map(|point| point.measured()).map(|measured| &measured.stages).collect();
+    let points: Vec<_> = report
+        .points
+        .iter()
+        .filter(|point| point.agents == largest)
+        .collect();
+    let mut listed: Vec<_> = points
+        .iter()
+        .filter_map(|point| point.measured())
+        .map(|measured| &measured.stages)
+        .collect();
     // The mode of most stages says in which order they run.
     listed.sort_by_key(|stages| std::cmp::Reverse(stages.len()));
     let mut parts: Vec<&'static str> = Vec::new();
@@ -56,8 +97,13 @@ pub fn stages(report: &Report) -> String {
     }
     let rows = points.iter().filter_map(|point| {
         let measured = point.measured()?;
-        let time =
-            |part: &&'static str| measured.stages.iter().find(|(name, _)| name == part).map_or(0.0, |(_, times)| times.median);
+        let time = |part: &&'static str| {
+            measured
+                .stages
+                .iter()
+                .find(|(name, _)| name == part)
+                .map_or(0.0, |(_, times)| times.median)
+        };
         Some((point.mode.name.clone(), parts.iter().map(time).collect()))
     });
     let bars = Bars {
@@ -77,25 +123,67 @@ pub fn speed_against_error(report: &Report) -> String {
     let largest = report.largest_count();
     let measured: Vec<_> = (report.modes.iter().enumerate())
         .filter_map(|(at, mode)| {
-            let (_, measured) = report.measured_of(mode).find(|(point, _)| point.agents == largest)?;
-            let psnr_db = if mode.is_vanilla() { f64::INFINITY } else { measured.fidelity?.psnr_all_db };
+            let (_, measured) = report
+                .measured_of(mode)
+                .find(|(point, _)| point.agents == largest)?;
+            let psnr_db = if mode.is_vanilla() {
+                f64::INFINITY
+            } else {
+                measured.fidelity?.psnr_all_db
+            };
             Some((at, mode, measured.images_per_s(), psnr_db))
         })
         .collect();
-    let highest =
-        measured.iter().map(|(.., psnr_db)| *psnr_db).filter(|psnr_db| psnr_db.is_finite()).fold(f64::NEG_INFINITY, f64::max);
-    let equal = if highest.is_finite() { highest + EQUAL_ABOVE_DB } else { 100.0 };
-    let places: Vec<(f64, f64)> =
-        measured.iter().map(|(_, _, images_per_s, psnr_db)| (*images_per_s, psnr_db.min(equal))).collect();
-    let guide = Series { name: String::new(), color: 0, points: front(&places), shape: Shape::Guide, end: None };
-    let named = measured.iter().zip(&places).map(|((at, mode, _, psnr_db), place)| {
-        let name = if psnr_db.is_finite() { mode.name.clone() } else { format!("{} (no error)", mode.name) };
-        Series { name, color: *at, points: vec![*place], shape: Shape::Named, end: None }
-    });
+    let highest = measured
+        .iter()
+        .map(|(.., psnr_db)| *psnr_db)
+        .filter(|psnr_db| psnr_db.is_finite())
+        .fold(f64::NEG_INFINITY, f64::max);
+    let equal = if highest.is_finite() {
+        highest + EQUAL_ABOVE_DB
+    } else {
+        100.0
+    };
+    let places: Vec<(f64, f64)> = measured
+        .iter()
+        .map(|(_, _, images_per_s, psnr_db)| (*images_per_s, psnr_db.min(equal)))
+        .collect();
+    let guide = Series {
+        name: String::new(),
+        color: 0,
+        points: front(&places),
+        shape: Shape::Guide,
+        end: None,
+    };
+    let named = measured
+        .iter()
+        .zip(&places)
+        .map(|((at, mode, _, psnr_db), place)| {
+            let name = if psnr_db.is_finite() {
+                mode.name.clone()
+            } else {
+                format!("{} (no error)", mode.name)
+            };
+            Series {
+                name,
+                color: *at,
+                points: vec![*place],
+                shape: Shape::Named,
+                end: None,
+            }
+        });
     let plot = Plot {
         title: "Speed against error: up and right is better",
-        x: Axis { label: "images/s, logarithmic", log: true, from_zero: false },
-        y: Axis { label: "PSNR-All against vanilla, dB", log: false, from_zero: false },
+        x: Axis {
+            label: "images/s, logarithmic",
+            log: true,
+            from_zero: false,
+        },
+        y: Axis {
+            label: "PSNR-All against vanilla, dB",
+            log: false,
+            from_zero: false,
+        },
         series: std::iter::once(guide).chain(named).collect(),
     };
     figure(&plot.to_svg())
@@ -104,7 +192,11 @@ pub fn speed_against_error(report: &Report) -> String {
 /// Pareto front of `places`: points without another one above and to the right, by rising x.
 fn front(places: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let beaten = |a: &(f64, f64)| places.iter().any(|b| b.0 >= a.0 && b.1 >= a.1 && b != a);
-    let mut front: Vec<(f64, f64)> = places.iter().copied().filter(|place| !beaten(place)).collect();
+    let mut front: Vec<(f64, f64)> = places
+        .iter()
+        .copied()
+        .filter(|place| !beaten(place))
+        .collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
     front
 }
@@ -115,8 +207,18 @@ mod tests {
 
     #[test]
     fn the_front_is_what_nothing_beats_in_both() {
-        let places = [(1.0, 9.0), (3.0, 5.0), (2.0, 5.0), (4.0, 1.0), (2.0, 7.0), (3.5, 0.5)];
-        assert_eq!(front(&places), [(1.0, 9.0), (2.0, 7.0), (3.0, 5.0), (4.0, 1.0)]);
+        let places = [
+            (1.0, 9.0),
+            (3.0, 5.0),
+            (2.0, 5.0),
+            (4.0, 1.0),
+            (2.0, 7.0),
+            (3.5, 0.5),
+        ];
+        assert_eq!(
+            front(&places),
+            [(1.0, 9.0), (2.0, 7.0), (3.0, 5.0), (4.0, 1.0)]
+        );
         assert!(front(&[]).is_empty());
     }
 }

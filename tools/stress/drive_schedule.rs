@@ -10,7 +10,8 @@ use decouplegs::gpu::DeviceKind;
 use decouplegs::render::{FrameStatistics, Renderer};
 use decouplegs::scene::Camera;
 
-/// The clocks of a GPU that idled rise within some 100 ms of work; frames before that take twice as long.
+/// The clocks of a GPU that idled rise within some 100 ms of work; frames before that take twice as
+/// long.
 const CLOCKS_RISE: Duration = Duration::from_millis(500);
 
 /// A drive of more frames is not made once as a warm-up.
@@ -36,7 +37,8 @@ pub struct DriveSchedule {
 
 /// Frames before the timed frames.
 pub struct WarmUp {
-    /// One turn of it: frames of the schedule, drawn backwards so that the timed ones go on where it ends.
+    /// One turn of it: frames of the schedule, drawn backwards so that the timed ones go on where
+    /// it ends.
     pub turn: Vec<u32>,
     /// Turns are repeated until so much time has passed.
     pub least: Duration,
@@ -53,7 +55,8 @@ pub struct Driven {
 }
 
 impl WarmUp {
-    /// The frames to draw, and whether they are timed: the warm-up from now on, then the schedule of `frames`.
+    /// The frames to draw, and whether they are timed: the warm-up from now on, then the schedule
+    /// of `frames`.
     pub fn then(self, frames: u32) -> impl Iterator<Item = (u32, bool)> {
         let begun = Instant::now();
         let mut turns = 0;
@@ -61,7 +64,10 @@ impl WarmUp {
             turns += 1;
             (turns == 1 || begun.elapsed() < self.least).then(|| self.turn.clone())
         });
-        warm_up.flatten().map(|frame| (frame, false)).chain((0..frames).map(|frame| (frame, true)))
+        warm_up
+            .flatten()
+            .map(|frame| (frame, false))
+            .chain((0..frames).map(|frame| (frame, true)))
     }
 }
 
@@ -70,22 +76,49 @@ impl DriveSchedule {
         self.start_s + f64::from(frame) * self.step_s
     }
 
-    /// The warm-up on a device of `kind`. A GPU draws every frame of the schedule at least once, so that no list outgrows its
-    /// buffer while it is timed, and long enough for its clocks to rise; software, which has no clocks of its own and takes long
-    /// for a frame, draws as many as were asked for.
+    /// The warm-up on a device of `kind`. A GPU draws every frame of the schedule at least once, so
+    /// that no list outgrows its buffer while it is timed, and long enough for its clocks to rise;
+    /// software, which has no clocks of its own and takes long for a frame, draws as many as were
+    /// asked for.
     pub fn warm_up_on(&self, kind: DeviceKind) -> WarmUp {
         let is_software = kind == DeviceKind::Cpu;
-        let rehearsed = if is_software || self.frames > REHEARSED_FRAMES_MAX { 0 } else { self.frames };
-        let turn = (1..=self.warm_up.max(rehearsed)).rev().map(|ahead| ahead % self.frames).collect();
-        WarmUp { turn, least: if is_software { Duration::ZERO } else { CLOCKS_RISE } }
+        let rehearsed = if is_software || self.frames > REHEARSED_FRAMES_MAX {
+            0
+        } else {
+            self.frames
+        };
+        let turn = (1..=self.warm_up.max(rehearsed))
+            .rev()
+            .map(|ahead| ahead % self.frames)
+            .collect();
+        WarmUp {
+            turn,
+            least: if is_software {
+                Duration::ZERO
+            } else {
+                CLOCKS_RISE
+            },
+        }
     }
 
-    /// The warm-up and then the schedule, as far ahead as frames may be in flight; `submit` draws the moment it is given, seconds.
-    pub fn drive(&self, renderer: &mut Renderer, mut submit: impl FnMut(&mut Renderer, f64) -> Result<()>) -> Result<Driven> {
-        let mut driven = Driven { frames: Vec::new(), steps_ms: Vec::new(), warm_up_frames: 0 };
+    /// The warm-up and then the schedule, as far ahead as frames may be in flight; `submit` draws
+    /// the moment it is given, seconds.
+    pub fn drive(
+        &self,
+        renderer: &mut Renderer,
+        mut submit: impl FnMut(&mut Renderer, f64) -> Result<()>,
+    ) -> Result<Driven> {
+        let mut driven = Driven {
+            frames: Vec::new(),
+            steps_ms: Vec::new(),
+            warm_up_frames: 0,
+        };
         let depth = renderer.options().frames_in_flight;
-        // One follows the other without a pause, so that the first timed frame finds the device as busy as the others do.
-        let mut moments = self.warm_up_on(renderer.gpu().info().kind).then(self.frames);
+        // One follows the other without a pause, so that the first timed frame finds the device as
+        // busy as the others do.
+        let mut moments = self
+            .warm_up_on(renderer.gpu().info().kind)
+            .then(self.frames);
         // Of the frames in flight, oldest first, whether they are timed.
         let mut in_flight = VecDeque::with_capacity(depth);
         let mut last = Instant::now();
@@ -98,7 +131,9 @@ impl DriveSchedule {
             if in_flight.len() < depth && next.is_some() {
                 continue;
             }
-            let Some(is_timed) = in_flight.pop_front() else { return Ok(driven) };
+            let Some(is_timed) = in_flight.pop_front() else {
+                return Ok(driven);
+            };
             let statistics = renderer.finish()?;
             let now = Instant::now();
             let step_ms = (now - std::mem::replace(&mut last, now)).as_secs_f64() * 1e3;
@@ -126,19 +161,26 @@ impl DriveSchedule {
     /// The frames whose images are compared: timed ones, evenly spread.
     pub fn sample_frames(&self) -> Vec<u32> {
         let count = self.samples.min(self.frames);
-        let place = |at: u32| ((2 * u64::from(at) + 1) * u64::from(self.frames) / (2 * u64::from(count))) as u32;
+        let place = |at: u32| {
+            ((2 * u64::from(at) + 1) * u64::from(self.frames) / (2 * u64::from(count))) as u32
+        };
         (0..count).map(place).collect()
     }
 
-    /// `count` moments spread over all of the ego's way, seconds: more than the drive sees where that is short.
+    /// `count` moments spread over all of the ego's way, seconds: more than the drive sees where
+    /// that is short.
     pub fn way_moments_s(&self, scene: &LoadedScene, count: u32) -> Vec<f64> {
         let (start_s, end_s) = (scene.ego.start_s(), scene.ego.end_s());
-        (0..count).map(|at| start_s + (f64::from(at) + 0.5) / f64::from(count) * (end_s - start_s)).collect()
+        (0..count)
+            .map(|at| start_s + (f64::from(at) + 0.5) / f64::from(count) * (end_s - start_s))
+            .collect()
     }
 
     /// All cameras at `time_s`, those that are not drawn too.
     pub fn all_cameras(&self, scene: &LoadedScene, time_s: f64) -> Vec<Camera> {
-        self.standing.clone().unwrap_or_else(|| scene.rig.at(&scene.ego.at(time_s)))
+        self.standing
+            .clone()
+            .unwrap_or_else(|| scene.rig.at(&scene.ego.at(time_s)))
     }
 }
 
@@ -147,7 +189,15 @@ mod tests {
     use super::*;
 
     fn schedule(warm_up: u32, frames: u32, samples: u32) -> DriveSchedule {
-        DriveSchedule { start_s: 1.0, step_s: 0.5, warm_up, frames, samples, cameras_used: 1, standing: None }
+        DriveSchedule {
+            start_s: 1.0,
+            step_s: 0.5,
+            warm_up,
+            frames,
+            samples,
+            cameras_used: 1,
+            standing: None,
+        }
     }
 
     #[test]
@@ -162,7 +212,14 @@ mod tests {
     fn the_drive_does_not_depend_on_the_warm_up() {
         for warm_up in [1, 10, 1000] {
             let schedule = schedule(warm_up, 6, 3);
-            assert_eq!((schedule.time_s(0), schedule.middle_s(), schedule.sample_frames()), (1.0, 2.5, vec![1, 3, 5]));
+            assert_eq!(
+                (
+                    schedule.time_s(0),
+                    schedule.middle_s(),
+                    schedule.sample_frames()
+                ),
+                (1.0, 2.5, vec![1, 3, 5])
+            );
         }
     }
 
@@ -170,7 +227,10 @@ mod tests {
     fn software_warms_up_by_what_was_asked_for_and_a_gpu_by_all_of_a_short_course() {
         let [software, gpu] = [DeviceKind::Cpu, DeviceKind::Discrete];
         assert_eq!(schedule(2, 6, 0).warm_up_on(software).turn, [2, 1]);
-        assert_eq!(schedule(8, 6, 0).warm_up_on(software).turn, [2, 1, 0, 5, 4, 3, 2, 1]);
+        assert_eq!(
+            schedule(8, 6, 0).warm_up_on(software).turn,
+            [2, 1, 0, 5, 4, 3, 2, 1]
+        );
         assert_eq!(schedule(3, 1, 0).warm_up_on(software).turn, [0, 0, 0]);
         assert_eq!(schedule(2, 6, 0).warm_up_on(gpu).turn, [0, 5, 4, 3, 2, 1]);
         assert_eq!(schedule(2, 241, 0).warm_up_on(gpu).turn, [2, 1]);
@@ -181,16 +241,34 @@ mod tests {
     #[test]
     fn a_warm_up_is_repeated_in_whole_turns_until_its_time_has_passed() {
         let all = |least| {
-            let warm_up = WarmUp { turn: vec![2, 1], least };
+            let warm_up = WarmUp {
+                turn: vec![2, 1],
+                least,
+            };
             let begun = Instant::now();
-            let moments: Vec<(u32, bool)> = warm_up.then(3).inspect(|_| std::thread::sleep(Duration::from_millis(1))).collect();
+            let moments: Vec<(u32, bool)> = warm_up
+                .then(3)
+                .inspect(|_| std::thread::sleep(Duration::from_millis(1)))
+                .collect();
             (moments, begun.elapsed())
         };
         let timed = [(0, true), (1, true), (2, true)];
-        assert_eq!(all(Duration::ZERO).0, [[(2, false), (1, false)].as_slice(), &timed].concat());
+        assert_eq!(
+            all(Duration::ZERO).0,
+            [[(2, false), (1, false)].as_slice(), &timed].concat()
+        );
         let (moments, took) = all(Duration::from_millis(20));
         let (warm_up, rest) = moments.split_at(moments.len() - 3);
-        assert!(took >= Duration::from_millis(20) && warm_up.len() >= 4, "{moments:?} in {took:?}");
-        assert!(warm_up.chunks(2).all(|turn| turn == [(2, false), (1, false)]) && rest == timed, "{moments:?}");
+        assert!(
+            took >= Duration::from_millis(20) && warm_up.len() >= 4,
+            "{moments:?} in {took:?}"
+        );
+        assert!(
+            warm_up
+                .chunks(2)
+                .all(|turn| turn == [(2, false), (1, false)])
+                && rest == timed,
+            "{moments:?}"
+        );
     }
 }

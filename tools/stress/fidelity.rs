@@ -26,12 +26,23 @@ impl Fidelity {
     pub fn between(found: &[Image], expected: &[Image]) -> Result<Self> {
         let pairs = || found.iter().zip(expected);
         let differences = differences(found, expected)?;
-        let ssims: Vec<f64> = differences.iter().filter_map(|difference| difference.ssim).collect();
+        let ssims: Vec<f64> = differences
+            .iter()
+            .filter_map(|difference| difference.ssim)
+            .collect();
         Ok(Self {
-            psnr_all_db: psnr_db(pairs().map(|(found, expected)| errors(found, expected, |_| true))).unwrap_or(f64::INFINITY),
-            psnr_vehicles_db: psnr_db(pairs().map(|(found, expected)| errors(found, expected, |id| id != 0))),
+            psnr_all_db: psnr_db(
+                pairs().map(|(found, expected)| errors(found, expected, |_| true)),
+            )
+            .unwrap_or(f64::INFINITY),
+            psnr_vehicles_db: psnr_db(
+                pairs().map(|(found, expected)| errors(found, expected, |id| id != 0)),
+            ),
             ssim: (!ssims.is_empty()).then(|| ssims.iter().sum::<f64>() / ssims.len() as f64),
-            max_abs: differences.iter().map(|difference| difference.max_abs).fold(0.0, f64::max),
+            max_abs: differences
+                .iter()
+                .map(|difference| difference.max_abs)
+                .fold(0.0, f64::max),
             images: differences.len(),
         })
     }
@@ -50,13 +61,18 @@ impl Fidelity {
     }
 }
 
-/// Sum of the squared errors of the channels of those pixels whose instance `counts`, and how many channels they are.
+/// Sum of the squared errors of the channels of those pixels whose instance `counts`, and how many
+/// channels they are.
 fn errors(found: &Image, expected: &Image, counts: impl Fn(u16) -> bool) -> (f64, usize) {
     let instances = expected.instance.as_deref().unwrap_or(&[]);
     let mut sum = (0.0, 0);
     for (at, (found, expected)) in found.rgb.iter().zip(&expected.rgb).enumerate() {
         if counts(instances.get(at).copied().unwrap_or(0)) {
-            sum.0 += found.iter().zip(expected).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum::<f64>();
+            sum.0 += found
+                .iter()
+                .zip(expected)
+                .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+                .sum::<f64>();
             sum.1 += 3;
         }
     }
@@ -77,15 +93,26 @@ mod tests {
         let gray = |value: f32| Image::filled(16, 16, [value; 3]);
         let mut instances = vec![0; 256];
         instances[..64].fill(3);
-        let expected = Image { instance: Some(instances), ..gray(0.5) };
+        let expected = Image {
+            instance: Some(instances),
+            ..gray(0.5)
+        };
         let mut found = gray(0.5);
         found.rgb[..64].fill([0.6; 3]);
         let fidelity = Fidelity::between(&[found], std::slice::from_ref(&expected)).unwrap();
         // 0.01 on vehicles, a quarter of the image.
-        assert!((fidelity.psnr_vehicles_db.unwrap() - 20.0).abs() < 1e-4, "{fidelity:?}");
-        assert!((fidelity.psnr_all_db - 26.0206).abs() < 1e-3 && (fidelity.max_abs - 0.1).abs() < 1e-6);
+        assert!(
+            (fidelity.psnr_vehicles_db.unwrap() - 20.0).abs() < 1e-4,
+            "{fidelity:?}"
+        );
+        assert!(
+            (fidelity.psnr_all_db - 26.0206).abs() < 1e-3 && (fidelity.max_abs - 0.1).abs() < 1e-6
+        );
         let equal = Fidelity::between(&[gray(0.5), gray(0.2)], &[gray(0.5), gray(0.2)]).unwrap();
-        assert_eq!((equal.psnr_all_db, equal.psnr_vehicles_db, equal.images), (f64::INFINITY, None, 2));
+        assert_eq!(
+            (equal.psnr_all_db, equal.psnr_vehicles_db, equal.images),
+            (f64::INFINITY, None, 2)
+        );
         assert_eq!(equal.to_json()["equal"], true);
         assert!(Fidelity::between(&[gray(0.5)], &[Image::filled(8, 8, [0.5; 3])]).is_err());
     }

@@ -96,13 +96,20 @@ impl Spread {
 
 impl Point {
     pub fn measured(&self) -> Option<&Measured> {
-        if let Outcome::Measured(measured) = &self.outcome { Some(measured) } else { None }
+        if let Outcome::Measured(measured) = &self.outcome {
+            Some(measured)
+        } else {
+            None
+        }
     }
 
     pub fn to_json(&self) -> Value {
         let mut point = match &self.outcome {
             Outcome::Measured(measured) => measured.to_json(),
-            Outcome::OutOfMemory { needed_bytes, known } => {
+            Outcome::OutOfMemory {
+                needed_bytes,
+                known,
+            } => {
                 json!({ "out_of_memory": { "needed_bytes": needed_bytes, "known": known } })
             }
             Outcome::Refused(reason) => json!({ "refused": reason }),
@@ -115,15 +122,20 @@ impl Point {
 }
 
 impl Measured {
-    /// The figures of `frames`, which took `steps_ms` one after the other; neither is empty. Fidelity and what the frames
-    /// do not tell are left open.
+    /// The figures of `frames`, which took `steps_ms` one after the other; neither is empty.
+    /// Fidelity and what the frames do not tell are left open.
     pub fn of(frames: &[FrameStatistics], steps_ms: &[f64], memory: MemoryReport) -> Self {
         let spread = |of: &dyn Fn(&FrameStatistics) -> f64| Spread::of(frames.iter().map(of));
         let median = |of: &dyn Fn(&FrameStatistics) -> f64| spread(of).median;
-        let updates: Vec<f64> = frames.iter().filter_map(|frame| Some(frame.update_time?.as_secs_f64() * 1e3)).collect();
+        let updates: Vec<f64> = frames
+            .iter()
+            .filter_map(|frame| Some(frame.update_time?.as_secs_f64() * 1e3))
+            .collect();
         let mut keys = BTreeMap::<String, usize>::new();
         for source in frames.iter().flat_map(|frame| &frame.keys) {
-            *keys.entry(format!("{source:?}").to_lowercase()).or_default() += 1;
+            *keys
+                .entry(format!("{source:?}").to_lowercase())
+                .or_default() += 1;
         }
         Self {
             warm_up_frames: 0,
@@ -131,7 +143,10 @@ impl Measured {
             gpu_ms: spread(&|frame| frame.gpu_time.as_secs_f64() * 1e3),
             update_ms: (!updates.is_empty()).then(|| Spread::of(updates)),
             record_ms: spread(&|frame| frame.record_time.as_secs_f64() * 1e3),
-            stages: stage_names(frames).into_iter().map(|name| (name, spread(&|frame| stage_ms(frame, name)))).collect(),
+            stages: stage_names(frames)
+                .into_iter()
+                .map(|name| (name, spread(&|frame| stage_ms(frame, name))))
+                .collect(),
             memory,
             predicted_scene_bytes: 0,
             world_splats: 0,
@@ -146,7 +161,8 @@ impl Measured {
         }
     }
 
-    /// By the time that all of them took: frames in flight may end in pairs, so that a median says nothing of a rate.
+    /// By the time that all of them took: frames in flight may end in pairs, so that a median says
+    /// nothing of a rate.
     pub fn rig_steps_per_s(&self) -> f64 {
         1e3 / self.step_ms.mean
     }
@@ -162,7 +178,10 @@ impl Measured {
     }
 
     fn to_json(&self) -> Value {
-        let stages = self.stages.iter().map(|(name, times)| json!({ "name": name, "gpu_ms": times.to_json() }));
+        let stages = self
+            .stages
+            .iter()
+            .map(|(name, times)| json!({ "name": name, "gpu_ms": times.to_json() }));
         json!({
             "rig_steps_per_s": self.rig_steps_per_s(),
             "images_per_s": self.images_per_s(),
@@ -195,7 +214,11 @@ impl Measured {
 /// Names of all stages that some frame had, in the order they run, those of the update queue first.
 fn stage_names(frames: &[FrameStatistics]) -> Vec<&'static str> {
     let mut names: Vec<&'static str> = Vec::new();
-    for stage in frames.iter().flat_map(|frame| frame.queues.iter().rev()).flat_map(|queue| &queue.stages) {
+    for stage in frames
+        .iter()
+        .flat_map(|frame| frame.queues.iter().rev())
+        .flat_map(|queue| &queue.stages)
+    {
         if !names.contains(&stage.name) {
             names.push(stage.name);
         }
@@ -205,7 +228,10 @@ fn stage_names(frames: &[FrameStatistics]) -> Vec<&'static str> {
 
 fn stage_ms(frame: &FrameStatistics, name: &str) -> f64 {
     let stages = frame.queues.iter().flat_map(|queue| &queue.stages);
-    stages.filter(|stage| stage.name == name).map(|stage| stage.duration_ns as f64 / 1e6).sum()
+    stages
+        .filter(|stage| stage.name == name)
+        .map(|stage| stage.duration_ns as f64 / 1e6)
+        .sum()
 }
 
 #[cfg(test)]
@@ -214,8 +240,26 @@ mod tests {
 
     #[test]
     fn a_spread_is_of_the_sorted_values() {
-        assert_eq!(Spread::of([5.0]), Spread { mean: 5.0, median: 5.0, p99: 5.0, min: 5.0, max: 5.0 });
+        assert_eq!(
+            Spread::of([5.0]),
+            Spread {
+                mean: 5.0,
+                median: 5.0,
+                p99: 5.0,
+                min: 5.0,
+                max: 5.0
+            }
+        );
         let hundred = Spread::of((0..100).rev().map(f64::from));
-        assert_eq!(hundred, Spread { mean: 49.5, median: 49.5, p99: 98.0, min: 0.0, max: 99.0 });
+        assert_eq!(
+            hundred,
+            Spread {
+                mean: 49.5,
+                median: 49.5,
+                p99: 98.0,
+                min: 0.0,
+                max: 99.0
+            }
+        );
     }
 }

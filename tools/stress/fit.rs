@@ -23,7 +23,15 @@ impl Line {
         let slope = mean(&|point| (point.0 - x_mean) * (point.1 - y_mean)) / x_variance;
         let offset = y_mean - slope * x_mean;
         let rest = mean(&|point| (point.1 - offset - slope * point.0).powi(2));
-        Some(Self { offset, slope, r_squared: if y_variance > 0.0 { 1.0 - rest / y_variance } else { 1.0 } })
+        Some(Self {
+            offset,
+            slope,
+            r_squared: if y_variance > 0.0 {
+                1.0 - rest / y_variance
+            } else {
+                1.0
+            },
+        })
     }
 }
 
@@ -34,12 +42,22 @@ mod tests {
     #[test]
     fn a_line_is_found_again_and_noise_lowers_its_share() {
         let exact = Line::through(&[(0.0, 1.0), (2.0, 7.0), (5.0, 16.0)]).unwrap();
-        assert!((exact.slope - 3.0).abs() < 1e-12 && (exact.offset - 1.0).abs() < 1e-12 && (exact.r_squared - 1.0).abs() < 1e-12);
+        assert!(
+            (exact.slope - 3.0).abs() < 1e-12
+                && (exact.offset - 1.0).abs() < 1e-12
+                && (exact.r_squared - 1.0).abs() < 1e-12
+        );
         // Slope 0.5, offset 1/3; residuals -1/3, 2/3, -1/3 of a variance of 2/3.
         let noisy = Line::through(&[(0.0, 0.0), (1.0, 1.5), (2.0, 1.0)]).unwrap();
-        assert!((noisy.slope - 0.5).abs() < 1e-12 && (noisy.r_squared - 3.0 / 7.0).abs() < 1e-12, "{noisy:?}");
+        assert!(
+            (noisy.slope - 0.5).abs() < 1e-12 && (noisy.r_squared - 3.0 / 7.0).abs() < 1e-12,
+            "{noisy:?}"
+        );
         assert_eq!(Line::through(&[(1.0, 1.0), (1.0, 2.0)]), None);
         assert_eq!(Line::through(&[]), None);
-        assert_eq!(Line::through(&[(0.0, 2.0), (1.0, 2.0)]).unwrap().r_squared, 1.0);
+        assert_eq!(
+            Line::through(&[(0.0, 2.0), (1.0, 2.0)]).unwrap().r_squared,
+            1.0
+        );
     }
 }

@@ -1,10 +1,13 @@
-//! Drives a mode through the scene: how long its frames take, what memory they hold, and its images at the sampled moments.
+//! Drives a mode through the scene: how long its frames take, what memory they hold, and its images
+//! at the sampled moments.
 
 use anyhow::Result;
 use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord};
-use decouplegs::render::{ColorFormat, GpuScene, Image, Outputs, RenderError, RenderOptions, Renderer, sh_codec};
+use decouplegs::render::{
+    ColorFormat, GpuScene, Image, Outputs, RenderError, RenderOptions, Renderer, sh_codec,
+};
 use decouplegs::scene::{Camera, CodedCloud, World};
 
 use super::drive_schedule::{DriveSchedule, Driven};
@@ -34,7 +37,12 @@ enum Resident {
 }
 
 impl Resident {
-    fn submit(&self, renderer: &mut Renderer, time_s: f64, cameras: &[Camera]) -> Result<(), RenderError> {
+    fn submit(
+        &self,
+        renderer: &mut Renderer,
+        time_s: f64,
+        cameras: &[Camera],
+    ) -> Result<(), RenderError> {
         match self {
             Self::Copies(world) => renderer.submit(&**world, cameras),
             Self::Live(live) => renderer.submit(live.with(&live.at(time_s)), cameras),
@@ -43,13 +51,29 @@ impl Resident {
 }
 
 impl<'a> TestRig<'a> {
-    pub fn new(gpu: &'a Gpu, workload: Workload, schedule: &'a DriveSchedule, memory_limit_bytes: Option<u64>) -> Self {
-        Self { gpu, workload, schedule, memory_limit_bytes, importance: None }
+    pub fn new(
+        gpu: &'a Gpu,
+        workload: Workload,
+        schedule: &'a DriveSchedule,
+        memory_limit_bytes: Option<u64>,
+    ) -> Self {
+        Self {
+            gpu,
+            workload,
+            schedule,
+            memory_limit_bytes,
+            importance: None,
+        }
     }
 
     /// Measures the first `count` agents in `mode`. The images at the sampled moments are compared
     /// with `vanilla` if given.
-    pub fn measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Image]>) -> Result<(Outcome, Vec<Image>)> {
+    pub fn measure(
+        &mut self,
+        mode: &Mode,
+        count: usize,
+        vanilla: Option<&[Image]>,
+    ) -> Result<(Outcome, Vec<Image>)> {
         match self.try_measure(mode, count, vanilla) {
             Ok(found) => Ok(found),
             Err(error) => match refusal(&error) {
@@ -59,10 +83,19 @@ impl<'a> TestRig<'a> {
         }
     }
 
-    /// The images that others are compared with, with instances; `None` where the device has not the memory for them.
+    /// The images that others are compared with, with instances; `None` where the device has not
+    /// the memory for them.
     pub fn vanilla_images(&mut self, count: usize) -> Result<Option<Vec<Image>>> {
-        let outputs = Outputs { instance: true, ..Outputs::default() };
-        let options = RenderOptions { outputs, frames_in_flight: 1, keep_keys: false, ..self.defaults() };
+        let outputs = Outputs {
+            instance: true,
+            ..Outputs::default()
+        };
+        let options = RenderOptions {
+            outputs,
+            frames_in_flight: 1,
+            keep_keys: false,
+            ..self.defaults()
+        };
         match self.images_of_copies(options, count, None) {
             Ok(images) => Ok(Some(images)),
             Err(error) if refusal(&error).is_some() => Ok(None),
@@ -71,10 +104,18 @@ impl<'a> TestRig<'a> {
     }
 
     fn defaults(&self) -> RenderOptions {
-        RenderOptions { rules: self.workload.background().world.rules, ..RenderOptions::default() }
+        RenderOptions {
+            rules: self.workload.background().world.rules,
+            ..RenderOptions::default()
+        }
     }
 
-    fn try_measure(&mut self, mode: &Mode, count: usize, vanilla: Option<&[Image]>) -> Result<(Outcome, Vec<Image>)> {
+    fn try_measure(
+        &mut self,
+        mode: &Mode,
+        count: usize,
+        vanilla: Option<&[Image]>,
+    ) -> Result<(Outcome, Vec<Image>)> {
         let kept = self.kept(mode, count)?;
         let rules = self.workload.background().world.rules;
         let (schedule, limit_bytes) = (self.schedule, self.memory_limit_bytes.unwrap_or(u64::MAX));
@@ -84,8 +125,10 @@ impl<'a> TestRig<'a> {
             let mut renderer = Renderer::new(self.gpu, mode.options(rules, ColorFormat::U8));
             let resident = match mode.agents {
                 Agents::Copies { .. } => {
-                    let world =
-                        World { instance_from_splat: Vec::new(), ..self.copies(count, schedule.middle_s(), kept.as_deref()) };
+                    let world = World {
+                        instance_from_splat: Vec::new(),
+                        ..self.copies(count, schedule.middle_s(), kept.as_deref())
+                    };
                     predicted_scene_bytes = world_bytes(&world);
                     world_splats = world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
@@ -95,7 +138,8 @@ impl<'a> TestRig<'a> {
                 }
                 Agents::Coded(coding) => {
                     let scene = self.workload.staged(count, coding);
-                    predicted_scene_bytes = world_bytes(&scene.world) + scene.assets.iter().map(asset_bytes).sum::<u64>();
+                    predicted_scene_bytes = world_bytes(&scene.world)
+                        + scene.assets.iter().map(asset_bytes).sum::<u64>();
                     world_splats = scene.world.splats.len();
                     if predicted_scene_bytes > limit_bytes {
                         return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
@@ -103,15 +147,33 @@ impl<'a> TestRig<'a> {
                     Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
                 }
             };
-            let Driven { frames, steps_ms, warm_up_frames } = self.schedule.drive(&mut renderer, |renderer, time_s| {
-                Ok(resident.submit(renderer, time_s, &self.schedule.cameras(self.workload.background(), time_s))?)
+            let Driven {
+                frames,
+                steps_ms,
+                warm_up_frames,
+            } = self.schedule.drive(&mut renderer, |renderer, time_s| {
+                Ok(resident.submit(
+                    renderer,
+                    time_s,
+                    &self.schedule.cameras(self.workload.background(), time_s),
+                )?)
             })?;
-            Measured { warm_up_frames, ..Measured::of(&frames, &steps_ms, self.gpu.memory()) }
+            Measured {
+                warm_up_frames,
+                ..Measured::of(&frames, &steps_ms, self.gpu.memory())
+            }
         };
         if measured.memory.total_bytes > limit_bytes {
-            return Ok((out_of_memory(measured.memory.total_bytes, COUNTED), Vec::new()));
+            return Ok((
+                out_of_memory(measured.memory.total_bytes, COUNTED),
+                Vec::new(),
+            ));
         }
-        let mut measured = Measured { predicted_scene_bytes, world_splats, ..measured };
+        let mut measured = Measured {
+            predicted_scene_bytes,
+            world_splats,
+            ..measured
+        };
         let mut images = Vec::new();
         if let Some(vanilla) = vanilla.filter(|vanilla| !vanilla.is_empty() && !mode.is_vanilla()) {
             images = self.images(mode, count, kept.as_deref())?;
@@ -122,63 +184,115 @@ impl<'a> TestRig<'a> {
 
     /// The images of `mode` at the sampled moments, all cameras of one after those of the other.
     fn images(&mut self, mode: &Mode, count: usize, kept: Option<&[u32]>) -> Result<Vec<Image>> {
-        let options = RenderOptions { frames_in_flight: 1, ..mode.options(self.defaults().rules, ColorFormat::F32) };
-        let Agents::Coded(coding) = mode.agents else { return self.images_of_copies(options, count, kept) };
+        let options = RenderOptions {
+            frames_in_flight: 1,
+            ..mode.options(self.defaults().rules, ColorFormat::F32)
+        };
+        let Agents::Coded(coding) = mode.agents else {
+            return self.images_of_copies(options, count, kept);
+        };
         let mut renderer = Renderer::new(self.gpu, options);
-        let resident = Resident::Live(Box::new(LiveScene::new(&renderer, self.workload.staged(count, coding))?));
+        let resident = Resident::Live(Box::new(LiveScene::new(
+            &renderer,
+            self.workload.staged(count, coding),
+        )?));
         let mut images = Vec::new();
         for frame in self.schedule.sample_frames() {
             let time_s = self.schedule.time_s(frame);
-            resident.submit(&mut renderer, time_s, &self.schedule.cameras(self.workload.background(), time_s))?;
+            resident.submit(
+                &mut renderer,
+                time_s,
+                &self.schedule.cameras(self.workload.background(), time_s),
+            )?;
             renderer.finish()?;
             images.extend(renderer.read_images()?);
         }
         Ok(images)
     }
 
-    fn images_of_copies(&self, options: RenderOptions, count: usize, kept: Option<&[u32]>) -> Result<Vec<Image>> {
+    fn images_of_copies(
+        &self,
+        options: RenderOptions,
+        count: usize,
+        kept: Option<&[u32]>,
+    ) -> Result<Vec<Image>> {
         let mut renderer = Renderer::new(self.gpu, options);
         let mut images = Vec::new();
         for frame in self.schedule.sample_frames() {
             let time_s = self.schedule.time_s(frame);
             let world = renderer.upload(&self.copies(count, time_s, kept))?;
-            renderer.render(&world, &self.schedule.cameras(self.workload.background(), time_s))?;
+            renderer.render(
+                &world,
+                &self.schedule.cameras(self.workload.background(), time_s),
+            )?;
             images.extend(renderer.read_images()?);
         }
         Ok(images)
     }
 
-    /// Background and copies of the agents where they are at `time_s`; of all their splats those at `kept`, if given.
+    /// Background and copies of the agents where they are at `time_s`; of all their splats those at
+    /// `kept`, if given.
     fn copies(&self, count: usize, time_s: f64, kept: Option<&[u32]>) -> World {
         let world = self.workload.copies(count, time_s);
         let Some(kept) = kept else { return world };
         let of = |&splat: &u32| world.instance_from_splat[splat as usize];
-        let instance_from_splat = if world.instance_from_splat.is_empty() { Vec::new() } else { kept.iter().map(of).collect() };
-        World { splats: world.splats.select(kept), instance_from_splat, ..world }
+        let instance_from_splat = if world.instance_from_splat.is_empty() {
+            Vec::new()
+        } else {
+            kept.iter().map(of).collect()
+        };
+        World {
+            splats: world.splats.select(kept),
+            instance_from_splat,
+            ..world
+        }
     }
 
     /// The splats that `mode` keeps of background and copies; `None` for all.
     fn kept(&mut self, mode: &Mode, count: usize) -> Result<Option<Vec<u32>>> {
-        let Agents::Copies { keep } = mode.agents else { return Ok(None) };
+        let Agents::Copies { keep } = mode.agents else {
+            return Ok(None);
+        };
         if keep >= 1.0 {
             return Ok(None);
         }
-        if self.importance.as_ref().is_none_or(|(known, _)| *known != count) {
+        if self
+            .importance
+            .as_ref()
+            .is_none_or(|(known, _)| *known != count)
+        {
             self.importance = Some((count, self.measured_importance(count)?));
         }
-        Ok(self.importance.as_ref().map(|(_, importance)| prune::kept(importance, keep)))
+        Ok(self
+            .importance
+            .as_ref()
+            .map(|(_, importance)| prune::kept(importance, keep)))
     }
 
     fn measured_importance(&self, count: usize) -> Result<Vec<f64>> {
         let renderer = Renderer::new(self.gpu, self.defaults());
         let mut weights = Vec::new();
-        for time_s in self.schedule.way_moments_s(self.workload.background(), PRUNE_MOMENTS) {
+        for time_s in self
+            .schedule
+            .way_moments_s(self.workload.background(), PRUNE_MOMENTS)
+        {
             let world = renderer.upload(&self.copies(count, time_s, None))?;
-            let found = renderer.contribution_weights(&world, &self.schedule.all_cameras(self.workload.background(), time_s))?;
+            let found = renderer.contribution_weights(
+                &world,
+                &self
+                    .schedule
+                    .all_cameras(self.workload.background(), time_s),
+            )?;
             weights.resize(found.len(), 0.0);
-            weights.iter_mut().zip(found).for_each(|(sum, weight)| *sum += f64::from(weight));
+            weights
+                .iter_mut()
+                .zip(found)
+                .for_each(|(sum, weight)| *sum += f64::from(weight));
         }
-        Ok(prune::importance(&self.copies(count, self.schedule.start_s, None).splats, &weights))
+        Ok(prune::importance(
+            &self.copies(count, self.schedule.start_s, None).splats,
+            &weights,
+        ))
     }
 }
 
@@ -187,16 +301,21 @@ const COUNTED: &str = "counted after the last frame";
 const DEVICE: &str = "refused by the device";
 
 fn out_of_memory(needed_bytes: u64, known: &'static str) -> Outcome {
-    Outcome::OutOfMemory { needed_bytes, known }
+    Outcome::OutOfMemory {
+        needed_bytes,
+        known,
+    }
 }
 
 /// Outcome of a mode that cannot be rendered; `None` if the whole run has failed.
 fn refusal(error: &anyhow::Error) -> Option<Outcome> {
     let error = error.downcast_ref::<RenderError>()?;
     match error {
-        RenderError::Gpu(GpuError::OutOfMemory { wanted_bytes, used_bytes, .. }) => {
-            Some(out_of_memory(used_bytes + wanted_bytes, DEVICE))
-        }
+        RenderError::Gpu(GpuError::OutOfMemory {
+            wanted_bytes,
+            used_bytes,
+            ..
+        }) => Some(out_of_memory(used_bytes + wanted_bytes, DEVICE)),
         RenderError::Gpu(GpuError::BufferTooLarge { .. }) | RenderError::TooManySplats { .. } => {
             Some(Outcome::Refused(error.to_string()))
         }
@@ -208,16 +327,24 @@ fn refusal(error: &anyhow::Error) -> Option<Outcome> {
 fn world_bytes(world: &World) -> u64 {
     // Mean, scales and opacity, rotation, DC.
     const SPLAT_BYTES: usize = 12 + 16 + 16 + 12;
-    let words: usize = (1..=usize::from(world.splats.sh_degree)).map(sh_codec::words_of).sum();
+    let words: usize = (1..=usize::from(world.splats.sh_degree))
+        .map(sh_codec::words_of)
+        .sum();
     let clusters = world.splats.len().div_ceil(CLUSTER_SPLATS) * size_of::<ClusterRecord>();
-    (world.splats.len() * (SPLAT_BYTES + 4 * words) + clusters + 2 * world.instance_from_splat.len()) as u64
+    (world.splats.len() * (SPLAT_BYTES + 4 * words)
+        + clusters
+        + 2 * world.instance_from_splat.len()) as u64
 }
 
 /// Size of an asset on the device, without rounding.
 fn asset_bytes(asset: &CodedCloud) -> u64 {
     // A color's DC term, and its bands.
     const COLOR_BYTES: usize = 12 + 4 * 24;
-    let clusters: usize = asset.levels.iter().map(|level| level.div_ceil(CLUSTER_SPLATS)).sum();
+    let clusters: usize = asset
+        .levels
+        .iter()
+        .map(|level| level.div_ceil(CLUSTER_SPLATS))
+        .sum();
     let books = size_of_val(asset.shapes.as_slice()) + asset.color_count() * COLOR_BYTES;
     (size_of_val(asset.splats.as_slice()) + books + clusters * size_of::<ClusterRecord>()) as u64
 }

@@ -55,7 +55,8 @@ const COLORS_MIN: f64 = 2.0;
 const COLORS_MAX: f64 = decouplegs::scene::codebook::COLORS_MAX as f64;
 
 impl Mode {
-    /// Compressed agents that drive, drawn as exactly as can be; the other modes are this one with something changed.
+    /// Compressed agents that drive, drawn as exactly as can be; the other modes are this one with
+    /// something changed.
     fn decoupled(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -96,7 +97,10 @@ impl Mode {
     pub fn options(&self, rules: Rules, color: ColorFormat) -> RenderOptions {
         RenderOptions {
             rules,
-            outputs: Outputs { color, ..Outputs::default() },
+            outputs: Outputs {
+                color,
+                ..Outputs::default()
+            },
             sh_degree_max: self.sh_degree_max,
             keep_keys: self.keep_keys,
             level_pitch_px: self.level_pitch_px,
@@ -111,49 +115,93 @@ impl FromStr for Mode {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (base, value) = text.split_once('=').map_or((text, None), |(base, value)| (base, Some(value)));
-        // A value where the mode takes one, its default where it is left out; an error where it is out of its range.
+        let (base, value) = text
+            .split_once('=')
+            .map_or((text, None), |(base, value)| (base, Some(value)));
+        // A value where the mode takes one, its default where it is left out; an error where it is
+        // out of its range.
         let number = |least: f64, most: f64, default: Option<f64>| match (value, default) {
             (None, Some(default)) => Ok(default),
-            (given, _) => {
-                given.and_then(|given| given.parse().ok()).filter(|number| (least..=most).contains(number)).ok_or_else(|| {
-                    format!("'{text}': {base} takes a number from {least} to {most}, such as {base}={}", default.unwrap_or(most))
-                })
-            }
+            (given, _) => given
+                .and_then(|given| given.parse().ok())
+                .filter(|number| (least..=most).contains(number))
+                .ok_or_else(|| {
+                    format!(
+                        "'{text}': {base} takes a number from {least} to {most}, such as {base}={}",
+                        default.unwrap_or(most)
+                    )
+                }),
         };
         let decoupled = Self::decoupled(text);
         Ok(match (base, value) {
             ("vanilla", None) => Self::vanilla(text),
             ("prune", _) => {
                 let keep = number(1e-6, 1.0, Some(PRUNE_KEEP))?;
-                let what =
-                    format!("vanilla with {keep} of all splats kept, by their weights in the ego's views and their volume");
-                Self { agents: Agents::Copies { keep }, what, ..Self::vanilla(text) }
+                let what = format!(
+                    "vanilla with {keep} of all splats kept, by their weights in the ego's views and their volume"
+                );
+                Self {
+                    agents: Agents::Copies { keep },
+                    what,
+                    ..Self::vanilla(text)
+                }
             }
             ("decoupled", None) => decoupled,
             ("decoupled-serial", None) => {
                 let what = "decoupled, the agents' updates in line with the rest of the frame, 1 frame in flight".into();
-                Self { overlap: false, frames_in_flight: 1, what, ..decoupled }
+                Self {
+                    overlap: false,
+                    frames_in_flight: 1,
+                    what,
+                    ..decoupled
+                }
             }
             ("lod", _) => {
                 let pitch_px = number(0.01, 1000.0, Some(LEVEL_PITCH_PX))?;
-                let what = format!("decoupled, agents at the coarsest level whose splats are at most {pitch_px} px apart");
-                Self { level_pitch_px: Some(pitch_px), what, ..decoupled }
+                let what = format!(
+                    "decoupled, agents at the coarsest level whose splats are at most {pitch_px} px apart"
+                );
+                Self {
+                    level_pitch_px: Some(pitch_px),
+                    what,
+                    ..decoupled
+                }
             }
             ("sh0" | "sh1" | "sh2", None) => {
                 let sh_degree_max = base.as_bytes()[2] - b'0';
                 let what = format!("decoupled, colors evaluated to degree {sh_degree_max}");
-                Self { sh_degree_max, what, ..decoupled }
+                Self {
+                    sh_degree_max,
+                    what,
+                    ..decoupled
+                }
             }
             ("keep", _) => {
                 let keep = number(1e-6, 1.0, None)? as f32;
                 let what = format!("decoupled, assets compressed with {keep} of their splats kept");
-                Self { agents: Agents::Coded(Coding { keep: Some(keep), colors: None }), what, ..decoupled }
+                Self {
+                    agents: Agents::Coded(Coding {
+                        keep: Some(keep),
+                        colors: None,
+                    }),
+                    what,
+                    ..decoupled
+                }
             }
             ("colors", _) => {
                 let colors = number(COLORS_MIN, COLORS_MAX, None)? as usize;
-                let what = format!("decoupled, assets compressed with {colors} colors and {} shapes", colors / 2);
-                Self { agents: Agents::Coded(Coding { keep: None, colors: Some(colors) }), what, ..decoupled }
+                let what = format!(
+                    "decoupled, assets compressed with {colors} colors and {} shapes",
+                    colors / 2
+                );
+                Self {
+                    agents: Agents::Coded(Coding {
+                        keep: None,
+                        colors: Some(colors),
+                    }),
+                    what,
+                    ..decoupled
+                }
             }
             _ => return Err(format!("'{text}' is no mode: there are {KNOWN}")),
         })
@@ -166,26 +214,66 @@ mod tests {
 
     #[test]
     fn every_mode_by_default_is_one() {
-        let modes = |list: &str| -> Vec<Mode> { list.split(',').map(|name| name.parse().unwrap()).collect() };
-        assert_eq!(modes(DEFAULT_MODES).iter().map(|mode| mode.name.as_str()).collect::<Vec<_>>(), ["vanilla", "decoupled"]);
+        let modes = |list: &str| -> Vec<Mode> {
+            list.split(',').map(|name| name.parse().unwrap()).collect()
+        };
+        assert_eq!(
+            modes(DEFAULT_MODES)
+                .iter()
+                .map(|mode| mode.name.as_str())
+                .collect::<Vec<_>>(),
+            ["vanilla", "decoupled"]
+        );
         let modes = modes("vanilla,prune,decoupled,decoupled-serial,lod,sh1,sh0");
-        assert!(modes[0].is_vanilla() && modes.iter().filter(|mode| mode.is_vanilla()).count() == 1);
+        assert!(
+            modes[0].is_vanilla() && modes.iter().filter(|mode| mode.is_vanilla()).count() == 1
+        );
         assert_eq!(modes[1].agents, Agents::Copies { keep: 0.34 });
         let serial = modes[3].options(Rules::DEFAULT, ColorFormat::U8);
-        assert_eq!((serial.overlap, serial.frames_in_flight, serial.keep_keys), (false, 1, true));
+        assert_eq!(
+            (serial.overlap, serial.frames_in_flight, serial.keep_keys),
+            (false, 1, true)
+        );
     }
 
     #[test]
     fn values_are_read_and_nonsense_is_refused_with_what_there_is() {
         let lod: Mode = "lod=1.5".parse().unwrap();
-        assert_eq!(lod.options(Rules::DEFAULT, ColorFormat::F32).level_pitch_px, Some(1.5));
+        assert_eq!(
+            lod.options(Rules::DEFAULT, ColorFormat::F32).level_pitch_px,
+            Some(1.5)
+        );
         let few: Mode = "colors=64".parse().unwrap();
-        assert_eq!(few.agents, Agents::Coded(Coding { keep: None, colors: Some(64) }));
+        assert_eq!(
+            few.agents,
+            Agents::Coded(Coding {
+                keep: None,
+                colors: Some(64)
+            })
+        );
         for nonsense in ["", "vanila", "vanilla=1", "sh3", "sh", "decoupled=2"] {
-            assert!(nonsense.parse::<Mode>().unwrap_err().contains("decoupled-serial"), "{nonsense}");
+            assert!(
+                nonsense
+                    .parse::<Mode>()
+                    .unwrap_err()
+                    .contains("decoupled-serial"),
+                "{nonsense}"
+            );
         }
-        for nonsense in ["prune=0", "prune=2", "lod=", "lod=-1", "lod=NaN", "keep", "keep=x", "colors=5000"] {
-            assert!(nonsense.parse::<Mode>().unwrap_err().contains("from"), "{nonsense}");
+        for nonsense in [
+            "prune=0",
+            "prune=2",
+            "lod=",
+            "lod=-1",
+            "lod=NaN",
+            "keep",
+            "keep=x",
+            "colors=5000",
+        ] {
+            assert!(
+                nonsense.parse::<Mode>().unwrap_err().contains("from"),
+                "{nonsense}"
+            );
         }
     }
 }

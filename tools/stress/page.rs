@@ -51,13 +51,18 @@ fn summary(report: &Report) -> String {
     let largest = report.largest_count();
     let mut html = String::new();
     for mode in [report.vanilla(), report.decoupled()].into_iter().flatten() {
-        let Some(point) = report.points_of(mode).find(|point| point.agents == largest) else { continue };
+        let Some(point) = report.points_of(mode).find(|point| point.agents == largest) else {
+            continue;
+        };
         let found = match point.measured() {
             None => tables::reason(&point.outcome),
             Some(measured) => {
-                let error = measured
-                    .fidelity
-                    .map_or(String::new(), |fidelity| format!(", PSNR {} dB against vanilla", decibels(fidelity.psnr_all_db)));
+                let error = measured.fidelity.map_or(String::new(), |fidelity| {
+                    format!(
+                        ", PSNR {} dB against vanilla",
+                        decibels(fidelity.psnr_all_db)
+                    )
+                });
                 format!(
                     "{:.1} images/s ({:.1} rig steps/s), {:.1} MiB of device memory{error}",
                     measured.images_per_s(),
@@ -66,7 +71,11 @@ fn summary(report: &Report) -> String {
                 )
             }
         };
-        let _ = write!(html, "<p><b>{}</b> with {largest} agents: {found}.</p>", escaped(&mode.name));
+        let _ = write!(
+            html,
+            "<p><b>{}</b> with {largest} agents: {found}.</p>",
+            escaped(&mode.name)
+        );
     }
     html
 }
@@ -74,9 +83,14 @@ fn summary(report: &Report) -> String {
 fn conditions(report: &Report) -> String {
     let c = &report.conditions;
     let text = |value: &serde_json::Value| escaped(value.as_str().unwrap_or_default());
-    let limit = c["memory_limit_bytes"].as_u64().map_or(String::new(), |bytes| {
-        format!(" Modes that take more than {:.0} MiB are reported as out of memory.", mebibytes(bytes))
-    });
+    let limit = c["memory_limit_bytes"]
+        .as_u64()
+        .map_or(String::new(), |bytes| {
+            format!(
+                " Modes that take more than {:.0} MiB are reported as out of memory.",
+                mebibytes(bytes)
+            )
+        });
     format!(
         "<p class=\"dim\">{} ({}), DecoupleGS {}. {} splats of background, degree {}; {} assets; {} camera(s) of {}x{} px, \
          8 bits a channel; {} frames timed, {} s of the drive apart, after {} to warm up. {}{limit}</p>",
@@ -97,8 +111,15 @@ fn conditions(report: &Report) -> String {
 }
 
 fn warm_up_text(conditions: &serde_json::Value) -> String {
-    let (frames, least_s) = (&conditions["warm_up"], conditions["warm_up_least_s"].as_f64().unwrap_or(0.0));
-    if least_s > 0.0 { format!("at least {frames} and {least_s} s") } else { frames.to_string() }
+    let (frames, least_s) = (
+        &conditions["warm_up"],
+        conditions["warm_up_least_s"].as_f64().unwrap_or(0.0),
+    );
+    if least_s > 0.0 {
+        format!("at least {frames} and {least_s} s")
+    } else {
+        frames.to_string()
+    }
 }
 
 fn source_text(source: &serde_json::Value) -> String {
@@ -106,25 +127,33 @@ fn source_text(source: &serde_json::Value) -> String {
     match source["scene"].as_str() {
         Some(path) => format!("Scene {path}."),
         None => format!(
-            "A street made up from seed {}, its {} cars of {} splats each before compression.",
+            "A street generated from seed {}, its {} cars of {} splats each before compression.",
             street["seed"], street["assets"], street["agent_splats"]
         ),
     }
 }
 
 fn thumbnails(report: &Report) -> Result<String> {
-    let Some(shown) = &report.thumbnails else { return Ok(String::new()) };
+    let Some(shown) = &report.thumbnails else {
+        return Ok(String::new());
+    };
     let small = |image| data_uri::shrunk(image, THUMBNAIL_WIDTH_PX);
     let difference = difference_image(&shown.vanilla, &shown.decoupled, DIFFERENCE_GAIN)?;
     let mut html = format!(
         "<h2>What was drawn</h2><p class=\"dim\">The first camera at {:.2} s, with {} agents.</p><div class=\"row\">",
         shown.time_s, shown.agents
     );
-    let images =
-        [("vanilla", &shown.vanilla), ("decoupled", &shown.decoupled), ("difference, times 8, false colors", &difference)];
+    let images = [
+        ("vanilla", &shown.vanilla),
+        ("decoupled", &shown.decoupled),
+        ("difference, times 8, false colors", &difference),
+    ];
     for (what, image) in images {
         let address = data_uri::png(&small(image))?;
-        let _ = write!(html, "<figure><img src=\"{address}\" alt=\"{what}\"><figcaption>{what}</figcaption></figure>");
+        let _ = write!(
+            html,
+            "<figure><img src=\"{address}\" alt=\"{what}\"><figcaption>{what}</figcaption></figure>"
+        );
     }
     html.push_str("</div>");
     Ok(html)
@@ -133,18 +162,29 @@ fn thumbnails(report: &Report) -> Result<String> {
 fn memory_lines(lines: &MemoryLines) -> String {
     let mut html = String::from("<ul>");
     let mut item = |what: &str, line: Option<Line>, each: &str| {
-        let text = line.map_or("no line: fewer than two different counts were measured".to_owned(), |line| {
-            format!(
-                "{:.1} KiB {each} (R² {:.4}), from {:.2} MiB",
-                line.slope / 1024.0,
-                line.r_squared,
-                line.offset / f64::from(1 << 20)
-            )
-        });
+        let text = line.map_or(
+            "no line: fewer than two different counts were measured".to_owned(),
+            |line| {
+                format!(
+                    "{:.1} KiB {each} (R² {:.4}), from {:.2} MiB",
+                    line.slope / 1024.0,
+                    line.r_squared,
+                    line.offset / f64::from(1 << 20)
+                )
+            },
+        );
         let _ = write!(html, "<li>{what}: {text}</li>");
     };
-    item("Decoupled, memory of purpose <i>assets</i>", lines.assets, "for each unique asset");
-    item("Decoupled, memory of every other purpose", lines.rest, "for each agent");
+    item(
+        "Decoupled, memory of purpose <i>assets</i>",
+        lines.assets,
+        "for each unique asset",
+    );
+    item(
+        "Decoupled, memory of every other purpose",
+        lines.rest,
+        "for each agent",
+    );
     item("Decoupled, all memory", lines.total, "for each agent");
     item("Vanilla, all memory", lines.vanilla_total, "for each agent");
     html.push_str(
@@ -161,5 +201,7 @@ fn how_to_read(report: &Report) -> String {
         "Vanilla's copies of assets that came compressed are what these decode to: what compression itself costs is then \
          <b>not</b> in the errors."
     };
-    format!("<h2>How to read this, and what is not measured</h2><ul>{HOW_TO_READ}<li>{originals}</li></ul>")
+    format!(
+        "<h2>How to read this, and what is not measured</h2><ul>{HOW_TO_READ}<li>{originals}</li></ul>"
+    )
 }

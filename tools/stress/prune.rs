@@ -1,5 +1,6 @@
-//! The whole scene pruned by one global importance, in LightGaussian's manner (Fan et al., 2024): the blending weights of a splat
-//! over all views times a power of its volume. Nothing is trained afterwards, which LightGaussian does.
+//! The whole scene pruned by one global importance, in LightGaussian's manner (Fan et al., 2024):
+//! the blending weights of a splat over all views times a power of its volume. Nothing is trained
+//! afterwards, which LightGaussian does.
 
 use decouplegs::scene::SplatCloud;
 
@@ -11,16 +12,39 @@ const VOLUME_SHARE: f64 = 0.9;
 /// Importance of each splat of `cloud`: `weights` are the sums of its blending weights over all
 /// views.
 pub fn importance(cloud: &SplatCloud, weights: &[f64]) -> Vec<f64> {
-    let volumes: Vec<f64> = cloud.scales.iter().map(|scale| scale.iter().map(|&side_m| f64::from(side_m)).product()).collect();
-    let mut sorted: Vec<f64> = volumes.iter().copied().filter(|volume| volume.is_finite()).collect();
+    let volumes: Vec<f64> = cloud
+        .scales
+        .iter()
+        .map(|scale| scale.iter().map(|&side_m| f64::from(side_m)).product())
+        .collect();
+    let mut sorted: Vec<f64> = volumes
+        .iter()
+        .copied()
+        .filter(|volume| volume.is_finite())
+        .collect();
     sorted.sort_by(f64::total_cmp);
     let place = (sorted.len() as f64 * VOLUME_SHARE) as usize;
-    let full = sorted.get(place.min(sorted.len().saturating_sub(1))).copied().unwrap_or(0.0).max(f64::MIN_POSITIVE);
-    let factor = |volume: &f64| if volume.is_finite() { (volume / full).clamp(0.0, 1.0).powf(VOLUME_POWER) } else { 0.0 };
-    volumes.iter().zip(weights).map(|(volume, weight)| factor(volume) * weight).collect()
+    let full = sorted
+        .get(place.min(sorted.len().saturating_sub(1)))
+        .copied()
+        .unwrap_or(0.0)
+        .max(f64::MIN_POSITIVE);
+    let factor = |volume: &f64| {
+        if volume.is_finite() {
+            (volume / full).clamp(0.0, 1.0).powf(VOLUME_POWER)
+        } else {
+            0.0
+        }
+    };
+    volumes
+        .iter()
+        .zip(weights)
+        .map(|(volume, weight)| factor(volume) * weight)
+        .collect()
 }
 
-/// The share `keep` of the splats that matters most, in rising order; of equal ones the earlier stay.
+/// The share `keep` of the splats that matters most, in rising order; of equal ones the earlier
+/// stay.
 pub fn kept(importance: &[f64], keep: f64) -> Vec<u32> {
     let mut order: Vec<u32> = (0..importance.len() as u32).collect();
     let of = |splat: u32| importance[splat as usize];
@@ -49,9 +73,18 @@ mod tests {
 
     #[test]
     fn unseen_splats_go_first_and_large_ones_count_as_much_as_the_largest_tenth() {
-        let found = importance(&cloud(&[0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 50.0]), &[1.0; 11]);
-        assert!((found[0] - 1e-3f64.powf(0.1)).abs() < 1e-6 && found[10] == 1.0 && found[1] == 1.0, "{found:?}");
-        assert_eq!(importance(&cloud(&[1.0, f32::NAN]), &[0.0, 3.0]), [0.0, 0.0]);
+        let found = importance(
+            &cloud(&[0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 50.0]),
+            &[1.0; 11],
+        );
+        assert!(
+            (found[0] - 1e-3f64.powf(0.1)).abs() < 1e-6 && found[10] == 1.0 && found[1] == 1.0,
+            "{found:?}"
+        );
+        assert_eq!(
+            importance(&cloud(&[1.0, f32::NAN]), &[0.0, 3.0]),
+            [0.0, 0.0]
+        );
         assert!(importance(&cloud(&[]), &[]).is_empty());
     }
 

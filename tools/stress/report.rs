@@ -50,7 +50,9 @@ impl Report {
     }
 
     pub fn pruned(&self) -> Option<&Mode> {
-        self.modes.iter().find(|mode| matches!(mode.agents, Agents::Copies { keep } if keep < 1.0))
+        self.modes
+            .iter()
+            .find(|mode| matches!(mode.agents, Agents::Copies { keep } if keep < 1.0))
     }
 
     /// The points of `mode`, by rising number of agents.
@@ -58,8 +60,12 @@ impl Report {
         self.points.iter().filter(move |point| point.mode == *mode)
     }
 
-    pub fn measured_of<'a>(&'a self, mode: &'a Mode) -> impl Iterator<Item = (&'a Point, &'a Measured)> {
-        self.points_of(mode).filter_map(|point| Some((point, point.measured()?)))
+    pub fn measured_of<'a>(
+        &'a self,
+        mode: &'a Mode,
+    ) -> impl Iterator<Item = (&'a Point, &'a Measured)> {
+        self.points_of(mode)
+            .filter_map(|point| Some((point, point.measured()?)))
     }
 
     pub fn largest_count(&self) -> usize {
@@ -68,15 +74,32 @@ impl Report {
 
     pub fn memory_lines(&self) -> MemoryLines {
         let line = |mode: Option<&Mode>, of: &dyn Fn(&Point, &Measured) -> (f64, f64)| {
-            let points: Vec<(f64, f64)> = self.measured_of(mode?).map(|(point, measured)| of(point, measured)).collect();
+            let points: Vec<(f64, f64)> = self
+                .measured_of(mode?)
+                .map(|(point, measured)| of(point, measured))
+                .collect();
             Line::through(&points)
         };
-        let assets = |measured: &Measured| measured.memory.bytes_by_purpose.get("assets").copied().unwrap_or(0) as f64;
-        let total = |point: &Point, measured: &Measured| (point.agents as f64, measured.memory.total_bytes as f64);
+        let assets = |measured: &Measured| {
+            measured
+                .memory
+                .bytes_by_purpose
+                .get("assets")
+                .copied()
+                .unwrap_or(0) as f64
+        };
+        let total = |point: &Point, measured: &Measured| {
+            (point.agents as f64, measured.memory.total_bytes as f64)
+        };
         MemoryLines {
-            assets: line(self.decoupled(), &|point, measured| (point.unique_assets as f64, assets(measured))),
+            assets: line(self.decoupled(), &|point, measured| {
+                (point.unique_assets as f64, assets(measured))
+            }),
             rest: line(self.decoupled(), &|point, measured| {
-                (point.agents as f64, measured.memory.total_bytes as f64 - assets(measured))
+                (
+                    point.agents as f64,
+                    measured.memory.total_bytes as f64 - assets(measured),
+                )
             }),
             total: line(self.decoupled(), &total),
             vanilla_total: line(self.vanilla(), &total),
@@ -87,9 +110,18 @@ impl Report {
         let line = |line: Option<Line>| {
             line.map(|line| json!({ "offset_bytes": line.offset, "slope_bytes": line.slope, "r_squared": line.r_squared }))
         };
-        let MemoryLines { assets, rest, total, vanilla_total } = self.memory_lines();
+        let MemoryLines {
+            assets,
+            rest,
+            total,
+            vanilla_total,
+        } = self.memory_lines();
         let mut report = self.conditions.clone();
-        report["modes"] = self.modes.iter().map(|mode| json!({ "name": mode.name, "what": mode.what })).collect();
+        report["modes"] = self
+            .modes
+            .iter()
+            .map(|mode| json!({ "name": mode.name, "what": mode.what }))
+            .collect();
         report["agent_counts"] = json!(self.counts);
         report["points"] = self.points.iter().map(Point::to_json).collect();
         report["memory_lines"] = json!({
@@ -110,9 +142,18 @@ impl Report {
         for point in &self.points {
             let start = format!("{:<18} {:>6}", point.mode.name, point.agents);
             text.push_str(&match &point.outcome {
-                Outcome::Measured(measured) => format!("{start} {}\n", figures_text(measured, point.mode.is_vanilla())),
-                Outcome::OutOfMemory { needed_bytes, known } => {
-                    format!("{start} out of memory: {:.1} MiB, {known}\n", mebibytes(*needed_bytes))
+                Outcome::Measured(measured) => format!(
+                    "{start} {}\n",
+                    figures_text(measured, point.mode.is_vanilla())
+                ),
+                Outcome::OutOfMemory {
+                    needed_bytes,
+                    known,
+                } => {
+                    format!(
+                        "{start} out of memory: {:.1} MiB, {known}\n",
+                        mebibytes(*needed_bytes)
+                    )
                 }
                 Outcome::Refused(reason) => format!("{start} not drawn: {reason}\n"),
             });
@@ -125,7 +166,10 @@ fn figures_text(measured: &Measured, is_vanilla: bool) -> String {
     let (all, vehicles) = match (&measured.fidelity, is_vanilla) {
         (_, true) => ("reference".into(), String::new()),
         (None, false) => ("-".into(), "-".into()),
-        (Some(fidelity), false) => (decibels(fidelity.psnr_all_db), fidelity.psnr_vehicles_db.map_or("-".into(), decibels)),
+        (Some(fidelity), false) => (
+            decibels(fidelity.psnr_all_db),
+            fidelity.psnr_vehicles_db.map_or("-".into(), decibels),
+        ),
     };
     format!(
         "{:>10.2} {:>9.2} {:>9.2} {:>9.1} {all:>8} {vehicles:>8}",
@@ -142,5 +186,9 @@ pub fn mebibytes(bytes: u64) -> f64 {
 
 /// Without the unit.
 pub fn decibels(psnr_db: f64) -> String {
-    if psnr_db.is_finite() { format!("{psnr_db:.2}") } else { "equal".into() }
+    if psnr_db.is_finite() {
+        format!("{psnr_db:.2}")
+    } else {
+        "equal".into()
+    }
 }

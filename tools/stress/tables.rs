@@ -9,9 +9,14 @@ use super::report::{Report, decibels, mebibytes};
 use crate::plot::escaped;
 
 /// Traffic densities of the paper's table.
-const DENSITIES: [(&str, RangeInclusive<usize>); 3] = [("S (1 to 2)", 1..=2), ("M (3 to 5)", 3..=5), ("L (6 to 10)", 6..=10)];
+const DENSITIES: [(&str, RangeInclusive<usize>); 3] = [
+    ("S (1 to 2)", 1..=2),
+    ("M (3 to 5)", 3..=5),
+    ("L (6 to 10)", 6..=10),
+];
 
-/// The paper's table: vanilla, the pruned scene and decoupled by traffic density, each the mean over the counts measured.
+/// The paper's table: vanilla, the pruned scene and decoupled by traffic density, each the mean
+/// over the counts measured.
 pub fn compression(report: &Report) -> String {
     let mut html = String::from(
         "<div class=\"wide\"><table><tr><th>agents<th class=\"text\">mode\
@@ -20,10 +25,21 @@ pub fn compression(report: &Report) -> String {
     let modes = [report.vanilla(), report.pruned(), report.decoupled()];
     for (density, counts) in &DENSITIES {
         for mode in modes.iter().flatten() {
-            let points: Vec<&Point> = report.points_of(mode).filter(|point| counts.contains(&point.agents)).collect();
-            let ours = if report.decoupled() == Some(*mode) { " class=\"ours\"" } else { "" };
+            let points: Vec<&Point> = report
+                .points_of(mode)
+                .filter(|point| counts.contains(&point.agents))
+                .collect();
+            let ours = if report.decoupled() == Some(*mode) {
+                " class=\"ours\""
+            } else {
+                ""
+            };
             let name = escaped(&mode.name);
-            let _ = write!(html, "<tr{ours}><td>{density}<td class=\"text\">{name}{}</tr>", density_cells(mode, &points));
+            let _ = write!(
+                html,
+                "<tr{ours}><td>{density}<td class=\"text\">{name}{}</tr>",
+                density_cells(mode, &points)
+            );
         }
     }
     html.push_str(
@@ -41,28 +57,59 @@ fn density_cells(mode: &Mode, points: &[&Point]) -> String {
     if measured.is_empty() {
         return format!(
             "<td colspan=\"6\" class=\"text\">{}",
-            points.iter().map(|point| reason(&point.outcome)).next().unwrap_or_default()
+            points
+                .iter()
+                .map(|point| reason(&point.outcome))
+                .next()
+                .unwrap_or_default()
         );
     }
-    let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+    let mean = |values: Vec<f64>| {
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
     let fidelity = |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| {
-        mean(measured.iter().filter_map(|measured| of(measured.fidelity.as_ref()?)).collect())
+        mean(
+            measured
+                .iter()
+                .filter_map(|measured| of(measured.fidelity.as_ref()?))
+                .collect(),
+        )
     };
     // Errors are averaged before the logarithm: images without error have no finite PSNR.
-    let psnr =
-        |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| match fidelity(&|found| Some(10f64.powf(of(found)? / -10.0))) {
-            _ if mode.is_vanilla() => "reference".to_owned(),
-            square => square.map_or("-".into(), |square| decibels(-10.0 * square.log10())),
-        };
-    let counts: Vec<String> =
-        points.iter().filter(|point| point.measured().is_some()).map(|point| point.agents.to_string()).collect();
+    let psnr = |of: &dyn Fn(&super::fidelity::Fidelity) -> Option<f64>| match fidelity(&|found| {
+        Some(10f64.powf(of(found)? / -10.0))
+    }) {
+        _ if mode.is_vanilla() => "reference".to_owned(),
+        square => square.map_or("-".into(), |square| decibels(-10.0 * square.log10())),
+    };
+    let counts: Vec<String> = points
+        .iter()
+        .filter(|point| point.measured().is_some())
+        .map(|point| point.agents.to_string())
+        .collect();
     format!(
         "<td>{}<td>{}<td>{}<td>{:.1}<td>{:.1}<td>{}",
         psnr(&|fidelity| fidelity.psnr_vehicles_db),
         psnr(&|fidelity| Some(fidelity.psnr_all_db)),
-        if mode.is_vanilla() { "reference".into() } else { ssim(fidelity(&|fidelity| fidelity.ssim)) },
-        mean(measured.iter().map(|measured| measured.images_per_s()).collect()).unwrap_or(f64::NAN),
-        mean(measured.iter().map(|measured| mebibytes(measured.memory.total_bytes)).collect()).unwrap_or(f64::NAN),
+        if mode.is_vanilla() {
+            "reference".into()
+        } else {
+            ssim(fidelity(&|fidelity| fidelity.ssim))
+        },
+        mean(
+            measured
+                .iter()
+                .map(|measured| measured.images_per_s())
+                .collect()
+        )
+        .unwrap_or(f64::NAN),
+        mean(
+            measured
+                .iter()
+                .map(|measured| mebibytes(measured.memory.total_bytes))
+                .collect()
+        )
+        .unwrap_or(f64::NAN),
         counts.join(", ")
     )
 }
@@ -74,7 +121,13 @@ fn ssim(value: Option<f64>) -> String {
 pub fn reason(outcome: &Outcome) -> String {
     match outcome {
         Outcome::Measured(_) => String::new(),
-        Outcome::OutOfMemory { needed_bytes, known } => format!("out of memory: {:.1} MiB, {known}", mebibytes(*needed_bytes)),
+        Outcome::OutOfMemory {
+            needed_bytes,
+            known,
+        } => format!(
+            "out of memory: {:.1} MiB, {known}",
+            mebibytes(*needed_bytes)
+        ),
         Outcome::Refused(reason) => format!("not drawn: {}", escaped(reason)),
     }
 }
@@ -82,21 +135,38 @@ pub fn reason(outcome: &Outcome) -> String {
 pub fn modes(report: &Report) -> String {
     let mut html = String::from("<table><tr><th>mode<th class=\"text\">what it is</tr>");
     for mode in &report.modes {
-        let _ = write!(html, "<tr><td>{}<td class=\"text\">{}</tr>", escaped(&mode.name), escaped(&mode.what));
+        let _ = write!(
+            html,
+            "<tr><td>{}<td class=\"text\">{}</tr>",
+            escaped(&mode.name),
+            escaped(&mode.what)
+        );
     }
     html.push_str("</table>");
     html
 }
 
 /// A row for each point: `head` and `cells` of what was measured, or why there is nothing.
-fn rows(report: &Report, head: &[&str], cells: &dyn Fn(&Point, &Measured) -> Vec<String>) -> String {
-    let mut html = format!("<div class=\"wide\"><table><tr><th>mode<th>agents<th>{}</tr>", head.join("<th>"));
+fn rows(
+    report: &Report,
+    head: &[&str],
+    cells: &dyn Fn(&Point, &Measured) -> Vec<String>,
+) -> String {
+    let mut html = format!(
+        "<div class=\"wide\"><table><tr><th>mode<th>agents<th>{}</tr>",
+        head.join("<th>")
+    );
     for mode in &report.modes {
         for point in report.points_of(mode) {
             let _ = write!(html, "<tr><td>{}<td>{}", escaped(&mode.name), point.agents);
             let _ = match point.measured() {
                 Some(measured) => write!(html, "<td>{}</tr>", cells(point, measured).join("<td>")),
-                None => write!(html, "<td colspan=\"{}\" class=\"text\">{}</tr>", head.len(), reason(&point.outcome)),
+                None => write!(
+                    html,
+                    "<td colspan=\"{}\" class=\"text\">{}</tr>",
+                    head.len(),
+                    reason(&point.outcome)
+                ),
             };
         }
     }
@@ -128,11 +198,18 @@ pub fn all_times(report: &Report) -> String {
             format!("{:.3}", measured.step_ms.p99),
             format!("{:.3}", measured.gpu_ms.median),
             format!("{:.3}", measured.gpu_ms.p99),
-            measured.update_ms.map_or("-".into(), |update| format!("{:.3}", update.median)),
+            measured
+                .update_ms
+                .map_or("-".into(), |update| format!("{:.3}", update.median)),
             format!("{:.3}", measured.record_ms.median),
         ];
         cells.extend(match &measured.fidelity {
-            _ if point.mode.is_vanilla() => vec!["reference".into(), "reference".into(), "-".into(), "-".into()],
+            _ if point.mode.is_vanilla() => vec![
+                "reference".into(),
+                "reference".into(),
+                "-".into(),
+                "-".into(),
+            ],
             None => vec!["-".to_owned(); 4],
             Some(fidelity) => vec![
                 decibels(fidelity.psnr_all_db),
@@ -169,7 +246,10 @@ pub fn all_memory(report: &Report) -> String {
         vec![
             format!("{:.1}", mebibytes(measured.memory.total_bytes)),
             purposes.join(", "),
-            measured.memory.driver_usage_bytes.map_or("-".into(), |bytes| format!("{:.1}", mebibytes(bytes))),
+            measured
+                .memory
+                .driver_usage_bytes
+                .map_or("-".into(), |bytes| format!("{:.1}", mebibytes(bytes))),
             point.unique_assets.to_string(),
             measured.world_splats.to_string(),
             format!("{:.0}", measured.agents_drawn),

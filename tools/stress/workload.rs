@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use decouplegs::asset::compress::{CompressOptions, Progress, Prune, compress};
 use decouplegs::asset::street::{Street, StreetOptions};
-use decouplegs::asset::{LoadedAgent, LoadedScene, SceneFile, coded_asset, is_scene_file, read_coded, read_splats};
+use decouplegs::asset::{
+    LoadedAgent, LoadedScene, SceneFile, coded_asset, is_scene_file, read_coded, read_splats,
+};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::{CodedCloud, ShFrame, SplatCloud, TimedPose, Trajectory, World};
 use serde_json::{Value, json};
@@ -15,7 +17,8 @@ use super::mode::Coding;
 use crate::compress::{views, visibility};
 use crate::progress;
 
-/// Side of the views from which the visibility of an asset's splats is measured, pixels: as `compress` by default.
+/// Side of the views from which the visibility of an asset's splats is measured, pixels: as
+/// `compress` by default.
 const VIEW_SIZE_PX: u32 = 256;
 
 /// An asset in its own frame.
@@ -40,7 +43,7 @@ pub struct Workload {
     source: Value,
 }
 
-/// A street that is made up.
+/// A street that is synthetic.
 pub struct StreetWish {
     pub background: usize,
     pub agents: usize,
@@ -53,12 +56,17 @@ pub struct StreetWish {
 impl Workload {
     /// The scene file at `path`, whose agents may be plain splats or compressed.
     pub fn open(path: &Path) -> Result<Self> {
-        ensure!(is_scene_file(path), "{}: expected a scene file (.toml), which has agents", path.display());
+        ensure!(
+            is_scene_file(path),
+            "{}: expected a scene file (.toml), which has agents",
+            path.display()
+        );
         let mut file = SceneFile::read(path)?;
         let directory = path.parent().unwrap_or(Path::new("")).to_owned();
         let listed = std::mem::take(&mut file.agents);
         let staged = file.load(&directory, 0.0)?;
-        let (mut assets, mut places, mut agents) = (Vec::new(), HashMap::<PathBuf, usize>::new(), Vec::new());
+        let (mut assets, mut places, mut agents) =
+            (Vec::new(), HashMap::<PathBuf, usize>::new(), Vec::new());
         for agent in listed {
             let place = match places.get(&agent.asset) {
                 Some(&place) => place,
@@ -68,17 +76,27 @@ impl Workload {
                     assets.len() - 1
                 }
             };
-            let own_frame = assets[place].stored.as_ref().map_or(ShFrame::Canonical, |stored| stored.sh_frame);
+            let own_frame = assets[place]
+                .stored
+                .as_ref()
+                .map_or(ShFrame::Canonical, |stored| stored.sh_frame);
             agents.push(LoadedAgent {
                 name: agent.name,
                 asset: place,
-                instance: u16::try_from(agents.len() + 1).context("there are more than 65535 agents")?,
+                instance: u16::try_from(agents.len() + 1)
+                    .context("there are more than 65535 agents")?,
                 sh_frame: agent.sh_frame.unwrap_or(own_frame),
                 trajectory: agent.trajectory,
             });
         }
         let source = json!({ "scene": path.display().to_string() });
-        Ok(Self { staged, assets, agents, codings: Vec::new(), source })
+        Ok(Self {
+            staged,
+            assets,
+            agents,
+            codings: Vec::new(),
+            source,
+        })
     }
 
     /// A street with as many agents as `wish` says.
@@ -94,26 +112,40 @@ impl Workload {
         };
         let mut street = Street::generate(&options);
         let mut clouds = std::mem::take(&mut street.assets);
-        // A street has at most twelve cars; more come from streets of other seeds, each car other splats of the same kind.
+        // A street has at most twelve cars; more come from streets of other seeds, each car other
+        // splats of the same kind.
         let mut seed = wish.seed;
         while clouds.len() < wish.assets.min(wish.agents) {
             seed = seed.wrapping_add(1 << 32);
-            let more = StreetOptions { background: 1, agents: wish.assets - clouds.len(), seed, ..options };
+            let more = StreetOptions {
+                background: 1,
+                agents: wish.assets - clouds.len(),
+                seed,
+                ..options
+            };
             clouds.extend(Street::generate(&more).assets);
         }
         clouds.truncate(wish.assets);
-        let agents = street.agents.iter().zip(&street.agent_trajectories).enumerate().map(|(at, (agent, way))| {
-            Ok(LoadedAgent {
-                name: agent.name.clone(),
-                asset: at % clouds.len(),
-                instance: u16::try_from(at + 1).context("there are more than 65535 agents")?,
-                sh_frame: agent.sh_frame,
-                trajectory: trajectory(way)?,
-            })
-        });
+        let agents = street
+            .agents
+            .iter()
+            .zip(&street.agent_trajectories)
+            .enumerate()
+            .map(|(at, (agent, way))| {
+                Ok(LoadedAgent {
+                    name: agent.name.clone(),
+                    asset: at % clouds.len(),
+                    instance: u16::try_from(at + 1).context("there are more than 65535 agents")?,
+                    sh_frame: agent.sh_frame,
+                    trajectory: trajectory(way)?,
+                })
+            });
         let agents = agents.collect::<Result<Vec<_>>>()?;
         let spatial = |cloud: &SplatCloud| cloud.select(&cloud.spatial_order());
-        let world = World { sky: street.sky, ..World::of(spatial(&street.background)) };
+        let world = World {
+            sky: street.sky,
+            ..World::of(spatial(&street.background))
+        };
         let staged = LoadedScene {
             world,
             assets: Vec::new(),
@@ -123,15 +155,24 @@ impl Workload {
             agent_names: Vec::new(),
             light: None,
         };
-        let named =
-            |(at, cloud): (usize, &SplatCloud)| Asset { name: format!("car {at}"), original: spatial(cloud), stored: None };
+        let named = |(at, cloud): (usize, &SplatCloud)| Asset {
+            name: format!("car {at}"),
+            original: spatial(cloud),
+            stored: None,
+        };
         let assets = clouds.iter().enumerate().map(named).collect();
         working.finish_and_clear();
         let source = json!({ "synth": {
             "background": wish.background, "agent_splats": wish.agent_splats, "assets": wish.assets,
             "degree": wish.sh_degree, "seed": wish.seed,
         } });
-        Ok(Self { staged, assets, agents, codings: Vec::new(), source })
+        Ok(Self {
+            staged,
+            assets,
+            agents,
+            codings: Vec::new(),
+            source,
+        })
     }
 
     pub fn source(&self) -> &Value {
@@ -153,9 +194,18 @@ impl Workload {
 
     /// Splats of the original and of the asset compressed by the defaults, where it was, by asset.
     pub fn asset_splats(&self) -> Vec<(String, usize, Option<usize>)> {
-        let coded = self.codings.iter().find(|(coding, _)| *coding == Coding::default()).map(|(_, coded)| coded);
-        let of =
-            |(at, asset): (usize, &Asset)| (asset.name.clone(), asset.original.len(), coded.map(|coded| coded[at].levels[0]));
+        let coded = self
+            .codings
+            .iter()
+            .find(|(coding, _)| *coding == Coding::default())
+            .map(|(_, coded)| coded);
+        let of = |(at, asset): (usize, &Asset)| {
+            (
+                asset.name.clone(),
+                asset.original.len(),
+                coded.map(|coded| coded[at].levels[0]),
+            )
+        };
         self.assets.iter().enumerate().map(of).collect()
     }
 
@@ -181,7 +231,8 @@ impl Workload {
         places
     }
 
-    /// Compresses all assets by `coding`, those that came compressed excepted; what was done before is kept.
+    /// Compresses all assets by `coding`, those that came compressed excepted; what was done before
+    /// is kept.
     pub fn code(&mut self, gpu: &Gpu, coding: Coding, views: u32, seed: u64) -> Result<()> {
         if self.codings.iter().any(|(known, _)| *known == coding) {
             return Ok(());
@@ -206,15 +257,28 @@ impl Workload {
         Ok(())
     }
 
-    /// The scene with its first `count` agents and the assets that they show, compressed by `coding`, which was made before.
+    /// The scene with its first `count` agents and the assets that they show, compressed by
+    /// `coding`, which was made before.
     pub fn staged(&mut self, count: usize, coding: Coding) -> &LoadedScene {
         let places = self.places(count);
-        let coded = self.codings.iter().find(|(known, _)| *known == coding).map_or(&[][..], |(_, coded)| coded.as_slice());
-        let mut shown: Vec<(usize, &CodedCloud)> =
-            places.iter().zip(coded).filter_map(|(place, cloud)| Some(((*place)?, cloud))).collect();
+        let coded = self
+            .codings
+            .iter()
+            .find(|(known, _)| *known == coding)
+            .map_or(&[][..], |(_, coded)| coded.as_slice());
+        let mut shown: Vec<(usize, &CodedCloud)> = places
+            .iter()
+            .zip(coded)
+            .filter_map(|(place, cloud)| Some(((*place)?, cloud)))
+            .collect();
         shown.sort_by_key(|(place, _)| *place);
         self.staged.assets = shown.into_iter().map(|(_, cloud)| cloud.clone()).collect();
-        let placed = |agent: &LoadedAgent| Some(LoadedAgent { asset: places[agent.asset]?, ..agent.clone() });
+        let placed = |agent: &LoadedAgent| {
+            Some(LoadedAgent {
+                asset: places[agent.asset]?,
+                ..agent.clone()
+            })
+        };
         self.staged.agents = self.agents[..count].iter().filter_map(placed).collect();
         &self.staged
     }
@@ -224,7 +288,12 @@ impl Workload {
         let mut world = self.staged.world.clone();
         for agent in &self.agents[..count] {
             let pose = agent.trajectory.at(time_s);
-            world.bake_instance(&self.assets[agent.asset].original, &pose, agent.sh_frame, agent.instance);
+            world.bake_instance(
+                &self.assets[agent.asset].original,
+                &pose,
+                agent.sh_frame,
+                agent.instance,
+            );
         }
         world
     }
@@ -235,18 +304,39 @@ impl Asset {
         let (path, name) = (directory.join(file), file.display().to_string());
         if coded_asset::has_extension(&path) {
             let stored = read_coded(&path)?.cloud;
-            return Ok(Self { name, original: stored.decoded(0), stored: Some(stored) });
+            return Ok(Self {
+                name,
+                original: stored.decoded(0),
+                stored: Some(stored),
+            });
         }
         let cloud = read_splats(&path)?;
-        Ok(Self { name, original: cloud.select(&cloud.spatial_order()), stored: None })
+        Ok(Self {
+            name,
+            original: cloud.select(&cloud.spatial_order()),
+            stored: None,
+        })
     }
 
-    fn coded(&self, gpu: &Gpu, coding: Coding, views: u32, seed: u64, working: String) -> Result<CodedCloud> {
+    fn coded(
+        &self,
+        gpu: &Gpu,
+        coding: Coding,
+        views: u32,
+        seed: u64,
+        working: String,
+    ) -> Result<CodedCloud> {
         // The box of what can be drawn: a mean that is NaN has no place in it.
-        let drawn: Vec<u32> =
-            (0..self.original.len() as u32).filter(|&splat| self.original.defect_of(splat as usize).is_none()).collect();
+        let drawn: Vec<u32> = (0..self.original.len() as u32)
+            .filter(|&splat| self.original.defect_of(splat as usize).is_none())
+            .collect();
         ensure!(!drawn.is_empty(), "it has no splat that can be drawn");
-        let cameras = views::sphere(&self.original.select(&drawn).bounds(), views as usize, VIEW_SIZE_PX, 0.0);
+        let cameras = views::sphere(
+            &self.original.select(&drawn).bounds(),
+            views as usize,
+            VIEW_SIZE_PX,
+            0.0,
+        );
         let visibility = visibility::visibility(gpu, &self.original, &cameras)?;
         let defaults = CompressOptions::default();
         let options = CompressOptions {
@@ -257,17 +347,29 @@ impl Asset {
             ..defaults
         };
         let spinner = progress::spinner(working.clone());
-        let compressed = compress(&self.original, &visibility, &options, &|progress| match progress {
-            Progress::Pruning | Progress::Coding => spinner.set_message(working.clone()),
-            Progress::Shapes(done) => spinner.set_message(format!("{working}, shapes: iteration {done}")),
-            Progress::Colors(done) => spinner.set_message(format!("{working}, colors: iteration {done}")),
-        });
+        let compressed = compress(
+            &self.original,
+            &visibility,
+            &options,
+            &|progress| match progress {
+                Progress::Pruning | Progress::Coding => spinner.set_message(working.clone()),
+                Progress::Shapes(done) => {
+                    spinner.set_message(format!("{working}, shapes: iteration {done}"));
+                }
+                Progress::Colors(done) => {
+                    spinner.set_message(format!("{working}, colors: iteration {done}"));
+                }
+            },
+        );
         spinner.finish_and_clear();
         Ok(compressed?.cloud)
     }
 }
 
 fn trajectory(knots: &[(f64, decouplegs::scene::Pose)]) -> Result<Trajectory> {
-    let poses = knots.iter().map(|&(time_s, pose)| TimedPose { time_s, pose }).collect();
+    let poses = knots
+        .iter()
+        .map(|&(time_s, pose)| TimedPose { time_s, pose })
+        .collect();
     Trajectory::new(poses).map_err(anyhow::Error::msg)
 }

@@ -1,5 +1,6 @@
-//! Draws the roads of a map as splats and writes them with a scene file whose camera stands on a lane, fit for `decouplegs render`:
-//! `cargo run --release -p decouplegs-asset --example draw_roads -- MAP SPLATS PROBE|none EV OUT LANE AT_M`.
+//! Draws the roads of a map as splats and writes them with a scene file whose camera stands on a
+//! lane, fit for `decouplegs render`: `cargo run --release -p decouplegs-asset --example draw_roads
+//! -- MAP SPLATS PROBE|none EV OUT LANE AT_M`.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -20,21 +21,36 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = RoadsOptions::new(splats.parse()?, probe.as_deref(), exposure_ev.parse()?)?;
     let start = Instant::now();
     let drawn = roads::generate(&map, &options);
-    println!("{} splats in {:.2} s", drawn.background.len(), start.elapsed().as_secs_f64());
+    println!(
+        "{} splats in {:.2} s",
+        drawn.background.len(),
+        start.elapsed().as_secs_f64()
+    );
     let out = Path::new(out);
     std::fs::create_dir_all(out)?;
     inria_ply::write(&out.join("roads.ply"), &drawn.background)?;
 
-    let driving: Vec<_> = map.lanes.iter().filter(|lane| lane.kind == LaneKind::Driving).collect();
+    let driving: Vec<_> = map
+        .lanes
+        .iter()
+        .filter(|lane| lane.kind == LaneKind::Driving)
+        .collect();
     let lane = driving[lane.parse::<usize>()? % driving.len()];
     let (mut left_m, mut at) = (at_m.parse::<f64>()?, 0);
-    while at + 2 < lane.centerline.len() && left_m > lane.centerline[at].distance(lane.centerline[at + 1]) {
+    while at + 2 < lane.centerline.len()
+        && left_m > lane.centerline[at].distance(lane.centerline[at + 1])
+    {
         left_m -= lane.centerline[at].distance(lane.centerline[at + 1]);
         at += 1;
     }
     let ahead = lane.centerline[at + 1] - lane.centerline[at];
     let stands = lane.centerline[at] + ahead.normalize() * left_m + DVec3::Z * 0.75;
-    println!("{} driving lanes; on lane {} of {} points", driving.len(), lane.id, lane.centerline.len());
+    println!(
+        "{} driving lanes; on lane {} of {} points",
+        driving.len(),
+        lane.id,
+        lane.centerline.len()
+    );
     let camera = |name: &str, eye: DVec3, look: DVec3| RigCamera {
         name: name.into(),
         intrinsics: Intrinsics {
@@ -46,16 +62,36 @@ fn main() -> Result<(), Box<dyn Error>> {
             cy_px: 270.0,
             lens: Lens::Pinhole,
         },
-        rig_from_camera: Pose { translation: eye, ..Pose::look_at(DVec3::ZERO, look, DVec3::Z).expect("no vertical look") },
+        rig_from_camera: Pose {
+            translation: eye,
+            ..Pose::look_at(DVec3::ZERO, look, DVec3::Z).expect("no vertical look")
+        },
     };
     let rig = Rig {
         cameras: vec![
-            camera("front", DVec3::new(1.5, 0.0, 0.8), DVec3::new(1.0, 0.0, -0.04)),
-            camera("above", DVec3::new(-30.0, 0.0, 40.0), DVec3::new(1.0, 0.0, -0.9)),
+            camera(
+                "front",
+                DVec3::new(1.5, 0.0, 0.8),
+                DVec3::new(1.0, 0.0, -0.04),
+            ),
+            camera(
+                "above",
+                DVec3::new(-30.0, 0.0, 40.0),
+                DVec3::new(1.0, 0.0, -0.9),
+            ),
         ],
     };
-    let ego = Some(Trajectory::standing(Pose::from_yaw(ahead.y.atan2(ahead.x), stands)));
-    let scene = SceneFile { origin: drawn.origin, sky: drawn.sky, rig, ego, ..SceneFile::of_background("roads.ply") };
+    let ego = Some(Trajectory::standing(Pose::from_yaw(
+        ahead.y.atan2(ahead.x),
+        stands,
+    )));
+    let scene = SceneFile {
+        origin: drawn.origin,
+        sky: drawn.sky,
+        rig,
+        ego,
+        ..SceneFile::of_background("roads.ply")
+    };
     scene.write(&out.join("scene.toml"))?;
     Ok(())
 }

@@ -18,19 +18,27 @@ const LINKS_MAX: usize = 40;
 
 /// Writes `path` through `fill` so that no reader ever sees half of it.
 ///
-/// The bytes go to a file without a name in the same directory (with a temporary name where the file system has no such files),
-/// are forced to the disk and renamed over `path`. If `fill` or the disk fails, nothing is left behind and the old file stays.
+/// The bytes go to a file without a name in the same directory (with a temporary name where the
+/// file system has no such files), are forced to the disk and renamed over `path`. If `fill` or the
+/// disk fails, nothing is left behind and the old file stays.
 ///
-/// A symbolic link is followed, and a file that was there keeps its permissions. A device or FIFO is written to directly: it
-/// cannot be replaced.
+/// A symbolic link is followed, and a file that was there keeps its permissions. A device or FIFO
+/// is written to directly: it cannot be replaced.
 ///
 /// # Errors
 /// [`AssetError::Write`] with the failure of `fill` or of the operating system.
-pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>) -> Result<(), AssetError> {
-    write(path, fill).map_err(|source| AssetError::Write { path: path.to_owned(), source })
+pub fn write_atomically(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> Result<(), AssetError> {
+    write(path, fill).map_err(|source| AssetError::Write {
+        path: path.to_owned(),
+        source,
+    })
 }
 
-/// Checks that [`write_atomically`] could write `path` now: before work that takes long, not after it.
+/// Checks that [`write_atomically`] could write `path` now: before work that takes long, not after
+/// it.
 ///
 /// # Errors
 /// [`AssetError::Write`]: no such directory, no permission, a read-only file system.
@@ -38,25 +46,42 @@ pub fn check_writable(path: &Path) -> Result<(), AssetError> {
     let check = || {
         let there = std::fs::metadata(path).ok();
         if there.as_ref().is_some_and(Metadata::is_dir) {
-            return Err(io::Error::other("it is a folder; expected the name of a file"));
+            return Err(io::Error::other(
+                "it is a folder; expected the name of a file",
+            ));
         }
         if there.is_some_and(|there| !there.is_file()) {
             return OpenOptions::new().write(true).open(path).map(drop);
         }
         // Gone as soon as it is made.
-        temporary_name().tempfile_in(directory_of(&followed(path)?)).map(drop)
+        temporary_name()
+            .tempfile_in(directory_of(&followed(path)?))
+            .map(drop)
     };
-    check().map_err(|source| AssetError::Write { path: path.to_owned(), source })
+    check().map_err(|source| AssetError::Write {
+        path: path.to_owned(),
+        source,
+    })
 }
 
-fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>) -> io::Result<()> {
+fn write(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> io::Result<()> {
     let there = std::fs::metadata(path).ok();
-    if there.as_ref().is_some_and(|there| !there.is_file() && !there.is_dir()) {
+    if there
+        .as_ref()
+        .is_some_and(|there| !there.is_file() && !there.is_dir())
+    {
         return fill_file(&mut OpenOptions::new().write(true).open(path)?, fill);
     }
     let path = &followed(path)?;
     let directory = directory_of(path);
-    let unnamed = rustix::fs::open(directory, OFlags::TMPFILE | OFlags::WRONLY | OFlags::CLOEXEC, Mode::from_raw_mode(0o666));
+    let unnamed = rustix::fs::open(
+        directory,
+        OFlags::TMPFILE | OFlags::WRONLY | OFlags::CLOEXEC,
+        Mode::from_raw_mode(0o666),
+    );
     match unnamed {
         Ok(unnamed) => {
             let mut file = File::from(unnamed);
@@ -76,7 +101,10 @@ fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result
     Ok(())
 }
 
-fn fill_file(file: &mut File, fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>) -> io::Result<()> {
+fn fill_file(
+    file: &mut File,
+    fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> io::Result<()> {
     let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, file);
     fill(&mut buffered)?;
     buffered.flush()
@@ -90,15 +118,18 @@ fn finish(file: &File, replaced: Option<&Metadata>) -> io::Result<()> {
     file.sync_all()
 }
 
-/// Links `file`, which has no name, to `path`, over any file there. Only the last two steps leave a file behind if the program is
-/// killed between them.
+/// Links `file`, which has no name, to `path`, over any file there. Only the last two steps leave a
+/// file behind if the program is killed between them.
 fn give_name(file: &File, path: &Path) -> io::Result<()> {
     let unnamed = format!("/proc/self/fd/{}", file.as_raw_fd());
     let link = |name: &Path| linkat(CWD, unnamed.as_str(), CWD, name, AtFlags::SYMLINK_FOLLOW);
     match link(path) {
         Err(rustix::io::Errno::EXIST) => {
             let temporary = temporary_name().make_in(directory_of(path), |name| Ok(link(name)?))?;
-            temporary.into_temp_path().persist(path).map_err(|error| error.error)
+            temporary
+                .into_temp_path()
+                .persist(path)
+                .map_err(|error| error.error)
         }
         other => Ok(other?),
     }
@@ -112,7 +143,8 @@ fn temporary_name() -> tempfile::Builder<'static, 'static> {
     builder
 }
 
-/// `path` with its symbolic links followed, as far as its last part is one. What it leads to need not exist.
+/// `path` with its symbolic links followed, as far as its last part is one. What it leads to need
+/// not exist.
 fn followed(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..LINKS_MAX {
@@ -121,7 +153,9 @@ fn followed(path: &Path) -> io::Result<PathBuf> {
             Err(_) => return Ok(path),
         }
     }
-    Err(io::Error::other("too many symbolic links, one behind the other"))
+    Err(io::Error::other(
+        "too many symbolic links, one behind the other",
+    ))
 }
 
 /// The directory that `path` is in.
@@ -132,7 +166,8 @@ fn directory_of(path: &Path) -> &Path {
     }
 }
 
-/// Makes a rename to `path` survive a power cut; systems that cannot sync a directory have no such guarantee to give.
+/// Makes a rename to `path` survive a power cut; systems that cannot sync a directory have no such
+/// guarantee to give.
 pub(crate) fn sync_directory_of(path: &Path) {
     if let Ok(directory) = File::open(directory_of(path)) {
         let _ = directory.sync_all();
@@ -153,7 +188,10 @@ mod tests {
             Err(io::Error::other("disk on fire"))
         })
         .unwrap_err();
-        assert!(error.to_string().contains("a.txt") && error.to_string().contains("disk on fire"), "{error}");
+        assert!(
+            error.to_string().contains("a.txt") && error.to_string().contains("disk on fire"),
+            "{error}"
+        );
         assert_eq!(std::fs::read(&path).unwrap(), b"first");
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
         write_atomically(&path, |file| file.write_all(b"third")).unwrap();
@@ -175,19 +213,40 @@ mod tests {
         assert_eq!(std::fs::read(at("far/file")).unwrap(), b"second");
         assert_eq!(std::fs::metadata(at("link")).unwrap().mode() & 0o777, 0o600);
         assert!(std::fs::symlink_metadata(at("link")).unwrap().is_symlink());
-        assert_eq!(std::fs::read_dir(at("far")).unwrap().count(), 1, "no litter");
+        assert_eq!(
+            std::fs::read_dir(at("far")).unwrap().count(),
+            1,
+            "no litter"
+        );
         symlink("round", at("round")).unwrap();
-        assert!(write_atomically(&at("round"), |_| Ok(())).unwrap_err().to_string().contains("round"));
+        assert!(
+            write_atomically(&at("round"), |_| Ok(()))
+                .unwrap_err()
+                .to_string()
+                .contains("round")
+        );
     }
 
     #[test]
     fn devices_and_fifos_are_written_to_and_stay_what_they_are() {
         use std::os::unix::fs::FileTypeExt;
         write_atomically(Path::new("/dev/null"), |file| file.write_all(b"nothing")).unwrap();
-        assert!(std::fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+        assert!(
+            std::fs::metadata("/dev/null")
+                .unwrap()
+                .file_type()
+                .is_char_device()
+        );
         let directory = tempfile::tempdir().unwrap();
         let fifo = directory.path().join("fifo");
-        rustix::fs::mknodat(CWD, &fifo, rustix::fs::FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        rustix::fs::mknodat(
+            CWD,
+            &fifo,
+            rustix::fs::FileType::Fifo,
+            Mode::RUSR | Mode::WUSR,
+            0,
+        )
+        .unwrap();
         let reader = std::thread::spawn({
             let fifo = fifo.clone();
             move || std::fs::read(fifo).unwrap()
@@ -202,9 +261,16 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.txt");
         check_writable(&path).unwrap();
-        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "nothing is left behind");
-        for (wrong, part) in [(directory.path().to_owned(), "folder"), (path.join("b"), "a.txt/b"), ("/proc/a".into(), "/proc/a")]
-        {
+        assert_eq!(
+            std::fs::read_dir(directory.path()).unwrap().count(),
+            0,
+            "nothing is left behind"
+        );
+        for (wrong, part) in [
+            (directory.path().to_owned(), "folder"),
+            (path.join("b"), "a.txt/b"),
+            ("/proc/a".into(), "/proc/a"),
+        ] {
             let message = check_writable(&wrong).unwrap_err().to_string();
             assert!(message.contains(part), "{message}");
         }

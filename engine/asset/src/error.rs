@@ -125,28 +125,37 @@ pub struct SceneError {
     pub reason: String,
 }
 
-/// Reads a whole regular file. Devices and FIFOs are refused: they may have no end, or block forever.
+/// Reads a whole regular file. Devices and FIFOs are refused: they may have no end, or block
+/// forever.
 ///
 /// # Errors
-/// [`AssetError::Read`] when `path` is no regular file, is larger than the free memory, or cannot be read.
+/// [`AssetError::Read`] when `path` is no regular file, is larger than the free memory, or cannot
+/// be read.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, AssetError> {
-    read_regular_file(path).map_err(|source| AssetError::Read { path: path.to_owned(), source })
+    read_regular_file(path).map_err(|source| AssetError::Read {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 fn read_regular_file(path: &Path) -> io::Result<Vec<u8>> {
-    // Looked at before it is opened: opening a FIFO waits for its writer.
+    // Examined before it is opened: opening a FIFO waits for its writer.
     let metadata = std::fs::metadata(path)?;
     if metadata.is_dir() {
         return Err(io::Error::other("it is a folder; expected a file"));
     }
     if !metadata.is_file() {
-        return Err(io::Error::other("it is a device, a FIFO or a socket; expected a regular file: save the data to one first"));
+        return Err(io::Error::other(
+            "it is a device, a FIFO or a socket; expected a regular file: save the data to one first",
+        ));
     }
     memory::require("reading it", metadata.len()).map_err(io::Error::other)?;
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(usize::try_from(metadata.len()).unwrap_or(usize::MAX))?;
     // Never more than was there: a file may grow while it is read.
-    std::fs::File::open(path)?.take(metadata.len()).read_to_end(&mut bytes)?;
+    std::fs::File::open(path)?
+        .take(metadata.len())
+        .read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
@@ -161,13 +170,23 @@ mod tests {
         assert!(told(Path::new("/dev/zero")).contains("expected a regular file"));
         assert!(told(folder.path()).contains("folder"));
         let fifo = folder.path().join("fifo");
-        rustix::fs::mknodat(rustix::fs::CWD, &fifo, rustix::fs::FileType::Fifo, rustix::fs::Mode::RUSR, 0).unwrap();
+        rustix::fs::mknodat(
+            rustix::fs::CWD,
+            &fifo,
+            rustix::fs::FileType::Fifo,
+            rustix::fs::Mode::RUSR,
+            0,
+        )
+        .unwrap();
         assert!(told(&fifo).contains("FIFO"));
         let file = folder.path().join("file");
         std::fs::write(&file, b"content").unwrap();
         assert_eq!(read_bytes(&file).unwrap(), b"content");
         // As large as the file system allows, and without a block on the disk.
-        std::fs::File::create(&file).unwrap().set_len(1 << 43).unwrap();
+        std::fs::File::create(&file)
+            .unwrap()
+            .set_len(1 << 43)
+            .unwrap();
         assert!(told(&file).contains("of memory"));
     }
 }

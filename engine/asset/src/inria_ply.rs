@@ -1,10 +1,11 @@
 //! The PLY of the original 3DGS (Kerbl et al., 2023), as nearly every trainer writes it.
 //!
-//! One row a splat: `x y z`, optional normals, `f_dc_0..2`, `f_rest_*`, `opacity`, `scale_0..2`, `rot_0..3`. Opacity is a
-//! logit, scales are natural logarithms, rotations w, x, y, z of any length. `f_rest` is channel-major: all red
-//! coefficients, then all green, then all blue. Properties are found by name, of any scalar type, among any others.
-//! Coordinates are the trainer's and stay as they are. Where DC has several terms a channel, those of a Fourier series over time
-//! (Street Gaussians), their mean over time is read.
+//! One row a splat: `x y z`, optional normals, `f_dc_0..2`, `f_rest_*`, `opacity`, `scale_0..2`,
+//! `rot_0..3`. Opacity is a logit, scales are natural logarithms, rotations w, x, y, z of any
+//! length. `f_rest` is channel-major: all red coefficients, then all green, then all blue.
+//! Properties are found by name, of any scalar type, among any others. Coordinates are the
+//! trainer's and stay as they are. Where DC has several terms a channel, those of a Fourier series
+//! over time (Street Gaussians), their mean over time is read.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -22,7 +23,8 @@ const ELEMENT: &str = "vertex";
 
 /// Reads the splats of element `vertex`.
 ///
-/// Splats that cannot be drawn (NaN, zero rotation) are kept for [`SplatCloud::defect_of`] to count.
+/// Splats that cannot be drawn (NaN, zero rotation) are kept for [`SplatCloud::defect_of`] to
+/// count.
 ///
 /// # Errors
 /// A [`DecodeError`] that names the property, count or variant at fault.
@@ -30,8 +32,8 @@ pub fn decode(bytes: &[u8]) -> Result<SplatCloud, DecodeError> {
     decode_ply(&Ply::parse(bytes)?, ELEMENT)
 }
 
-/// Reads the splats of the element called `element`: files that keep one element a model (`vertex_background`,
-/// `vertex_obj_007`) are read one model at a time.
+/// Reads the splats of the element called `element`: files that keep one element a model
+/// (`vertex_background`, `vertex_obj_007`) are read one model at a time.
 ///
 /// # Errors
 /// As [`decode`].
@@ -42,10 +44,14 @@ pub fn decode_element(bytes: &[u8], element: &str) -> Result<SplatCloud, DecodeE
 /// Reads the splats of `element` of a parsed file.
 pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, DecodeError> {
     if !ply.has_element(element) {
-        return Err(DecodeError::Malformed(format!("there is no element '{element}', only: {}", ply.element_names())));
+        return Err(DecodeError::Malformed(format!(
+            "there is no element '{element}', only: {}",
+            ply.element_names()
+        )));
     }
-    let columns =
-        |names: &[&str]| -> Result<Vec<Column>, DecodeError> { names.iter().map(|name| ply.column(element, name)).collect() };
+    let columns = |names: &[&str]| -> Result<Vec<Column>, DecodeError> {
+        names.iter().map(|name| ply.column(element, name)).collect()
+    };
     let mean = columns(&["x", "y", "z"])?;
     let scale = columns(&["scale_0", "scale_1", "scale_2"])?;
     let rotation = columns(&["rot_0", "rot_1", "rot_2", "rot_3"])?;
@@ -55,16 +61,26 @@ pub(crate) fn decode_ply(ply: &Ply<'_>, element: &str) -> Result<SplatCloud, Dec
     let rows = ply.rows(element)?;
     Ok(SplatCloud {
         means: triples(&rows, &mean),
-        scales: triples(&rows, &scale).into_par_iter().map(|logarithms| logarithms.map(scale_of_log)).collect(),
-        rotations: row_slices(&rows).map(|row| normalized(std::array::from_fn(|i| rotation[i].f32_of(row)))).collect(),
-        opacities: row_slices(&rows).map(|row| sigmoid(opacity.f32_of(row))).collect(),
+        scales: triples(&rows, &scale)
+            .into_par_iter()
+            .map(|logarithms| logarithms.map(scale_of_log))
+            .collect(),
+        rotations: row_slices(&rows)
+            .map(|row| normalized(std::array::from_fn(|i| rotation[i].f32_of(row))))
+            .collect(),
+        opacities: row_slices(&rows)
+            .map(|row| sigmoid(opacity.f32_of(row)))
+            .collect(),
         sh_degree: rest.degree,
-        sh_dc: row_slices(&rows).map(|row| std::array::from_fn(|channel| dc.value(channel, row))).collect(),
+        sh_dc: row_slices(&rows)
+            .map(|row| std::array::from_fn(|channel| dc.value(channel, row)))
+            .collect(),
         sh_rest: rest.read(&rows, |column, row| column.f32_of(row)),
     })
 }
 
-/// The `f_dc` columns of an element, channel-major: one a channel, or the terms of its series over time.
+/// The `f_dc` columns of an element, channel-major: one a channel, or the terms of its series over
+/// time.
 struct DcColumns {
     columns: Vec<Column>,
     /// Mean of each term.
@@ -73,11 +89,23 @@ struct DcColumns {
 
 /// Finds `f_dc_0..` in `element`.
 fn dc_columns(ply: &Ply<'_>, element: &str) -> Result<DcColumns, DecodeError> {
-    let count = ply.property_names(element).filter(|name| name.starts_with("f_dc_")).count();
+    let count = ply
+        .property_names(element)
+        .filter(|name| name.starts_with("f_dc_"))
+        .count();
     // Fewer than three are missed by name.
-    let terms = if count > 3 && count.is_multiple_of(3) { count / 3 } else { 1 };
-    let columns = (0..3 * terms).map(|i| ply.column(element, &format!("f_dc_{i}"))).collect::<Result<_, DecodeError>>()?;
-    Ok(DcColumns { columns, weights: mean_weights(terms)? })
+    let terms = if count > 3 && count.is_multiple_of(3) {
+        count / 3
+    } else {
+        1
+    };
+    let columns = (0..3 * terms)
+        .map(|i| ply.column(element, &format!("f_dc_{i}")))
+        .collect::<Result<_, DecodeError>>()?;
+    Ok(DcColumns {
+        columns,
+        weights: mean_weights(terms)?,
+    })
 }
 
 impl DcColumns {
@@ -86,8 +114,11 @@ impl DcColumns {
         let columns = &self.columns[channel * terms..(channel + 1) * terms];
         match columns {
             [only] => only.f32_of(row),
-            _ => columns.iter().zip(&self.weights).map(|(column, weight)| f64::from(column.f32_of(row)) * weight).sum::<f64>()
-                as f32,
+            _ => columns
+                .iter()
+                .zip(&self.weights)
+                .map(|(column, weight)| f64::from(column.f32_of(row)) * weight)
+                .sum::<f64>() as f32,
         }
     }
 }
@@ -102,7 +133,10 @@ pub(crate) struct RestColumns {
 impl RestColumns {
     /// Finds `f_rest_0..` in `element` and the degree that their number means.
     pub(crate) fn of(ply: &Ply<'_>, element: &str) -> Result<Self, DecodeError> {
-        let count = ply.property_names(element).filter(|name| name.starts_with("f_rest_")).count();
+        let count = ply
+            .property_names(element)
+            .filter(|name| name.starts_with("f_rest_"))
+            .count();
         let degree: u8 = match count {
             0 => 0,
             9 => 1,
@@ -117,7 +151,12 @@ impl RestColumns {
         let stride = count / 3;
         let columns = (0..sh::coefficient_count(degree) - 1)
             .map(|coefficient| {
-                let of = |channel: usize| ply.column(element, &format!("f_rest_{}", channel * stride + coefficient));
+                let of = |channel: usize| {
+                    ply.column(
+                        element,
+                        &format!("f_rest_{}", channel * stride + coefficient),
+                    )
+                };
                 Ok([of(0)?, of(1)?, of(2)?])
             })
             .collect::<Result<_, DecodeError>>()?;
@@ -125,28 +164,38 @@ impl RestColumns {
     }
 
     /// All coefficients of all rows, each through `value`.
-    pub(crate) fn read(&self, rows: &Rows<'_>, value: impl Fn(Column, &[u8]) -> f32 + Sync) -> Vec<[f32; 3]> {
+    pub(crate) fn read(
+        &self,
+        rows: &Rows<'_>,
+        value: impl Fn(Column, &[u8]) -> f32 + Sync,
+    ) -> Vec<[f32; 3]> {
         let stride = self.columns.len();
         if stride == 0 {
             return Vec::new();
         }
         let mut rest = vec![[0.0; 3]; rows.count * stride];
-        rest.par_chunks_mut(stride).zip(row_slices(rows)).for_each(|(coefficients, row)| {
-            for (coefficient, columns) in coefficients.iter_mut().zip(&self.columns) {
-                *coefficient = columns.map(|column| value(column, row));
-            }
-        });
+        rest.par_chunks_mut(stride)
+            .zip(row_slices(rows))
+            .for_each(|(coefficients, row)| {
+                for (coefficient, columns) in coefficients.iter_mut().zip(&self.columns) {
+                    *coefficient = columns.map(|column| value(column, row));
+                }
+            });
         rest
     }
 }
 
 /// The rows, each as its bytes. Only for rows with properties.
-pub(crate) fn row_slices<'a>(rows: &Rows<'a>) -> impl IndexedParallelIterator<Item = &'a [u8]> + use<'a> {
+pub(crate) fn row_slices<'a>(
+    rows: &Rows<'a>,
+) -> impl IndexedParallelIterator<Item = &'a [u8]> + use<'a> {
     rows.bytes.par_chunks_exact(rows.stride.max(1))
 }
 
 fn triples(rows: &Rows<'_>, columns: &[Column]) -> Vec<[f32; 3]> {
-    row_slices(rows).map(|row| std::array::from_fn(|axis| columns[axis].f32_of(row))).collect()
+    row_slices(rows)
+        .map(|row| std::array::from_fn(|axis| columns[axis].f32_of(row)))
+        .collect()
 }
 
 /// Writes `cloud` to `path`, atomically.
@@ -171,11 +220,21 @@ pub fn encode(cloud: &SplatCloud) -> Vec<u8> {
 const BLOCK: usize = 1 << 14;
 
 fn write_to(file: &mut impl Write, cloud: &SplatCloud) -> io::Result<()> {
-    write!(file, "ply\nformat binary_little_endian 1.0\nelement {ELEMENT} {}\n", cloud.len())?;
+    write!(
+        file,
+        "ply\nformat binary_little_endian 1.0\nelement {ELEMENT} {}\n",
+        cloud.len()
+    )?;
     let stride = cloud.rest_stride();
     let rest = (0..3 * stride).map(|i| format!("f_rest_{i}"));
-    let before = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(String::from);
-    let after = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"].map(String::from);
+    let before = [
+        "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
+    ]
+    .map(String::from);
+    let after = [
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ]
+    .map(String::from);
     for name in before.into_iter().chain(rest).chain(after) {
         writeln!(file, "property float {name}")?;
     }
@@ -185,7 +244,9 @@ fn write_to(file: &mut impl Write, cloud: &SplatCloud) -> io::Result<()> {
     for first in (0..cloud.len()).step_by(BLOCK) {
         let count = BLOCK.min(cloud.len() - first);
         let rows = &mut block[..count * row_bytes];
-        rows.par_chunks_exact_mut(row_bytes).enumerate().for_each(|(i, row)| fill_row(row, cloud, first + i));
+        rows.par_chunks_exact_mut(row_bytes)
+            .enumerate()
+            .for_each(|(i, row)| fill_row(row, cloud, first + i));
         file.write_all(rows)?;
     }
     Ok(())
@@ -193,7 +254,8 @@ fn write_to(file: &mut impl Write, cloud: &SplatCloud) -> io::Result<()> {
 
 fn fill_row(row: &mut [u8], cloud: &SplatCloud, splat: usize) {
     let rest = cloud.rest_of(splat);
-    let channel_major = (0..3).flat_map(|channel| rest.iter().map(move |coefficient| coefficient[channel]));
+    let channel_major =
+        (0..3).flat_map(|channel| rest.iter().map(move |coefficient| coefficient[channel]));
     let values = cloud.means[splat]
         .into_iter()
         .chain([0.0; 3])
@@ -245,15 +307,30 @@ mod tests {
         let cloud = decode(&file(&ONE)).unwrap();
         assert_eq!(cloud.means, [[1.0, 2.0, 3.0]]);
         assert_eq!(cloud.rotations, [[1.0, 0.0, 0.0, 0.0]]);
-        assert_eq!(cloud.scales, [[(-1.0f64).exp() as f32, 1.0, std::f32::consts::E]]);
-        assert_eq!((cloud.opacities[0], cloud.sh_dc[0], cloud.sh_degree), (1.0, [0.1, 0.2, 0.3], 0));
+        assert_eq!(
+            cloud.scales,
+            [[(-1.0f64).exp() as f32, 1.0, std::f32::consts::E]]
+        );
+        assert_eq!(
+            (cloud.opacities[0], cloud.sh_dc[0], cloud.sh_degree),
+            (1.0, [0.1, 0.2, 0.3], 0)
+        );
         assert_eq!(cloud.defect_of(0), None);
     }
 
     #[test]
     fn a_missing_property_is_named() {
-        for (skipped, (name, _)) in ONE.iter().enumerate().filter(|(_, (name, _))| *name != "confidence") {
-            let rest: Vec<_> = ONE.iter().enumerate().filter(|(i, _)| *i != skipped).map(|(_, property)| *property).collect();
+        for (skipped, (name, _)) in ONE
+            .iter()
+            .enumerate()
+            .filter(|(_, (name, _))| *name != "confidence")
+        {
+            let rest: Vec<_> = ONE
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| *i != skipped)
+                .map(|(_, property)| *property)
+                .collect();
             assert!(decode(&file(&rest)).unwrap_err().to_string().contains(name));
         }
     }
@@ -263,13 +340,29 @@ mod tests {
         for (count, degree) in [(9usize, 1u8), (24, 2), (45, 3), (72, 3)] {
             let names: Vec<String> = (0..count).map(|i| format!("f_rest_{i}")).collect();
             let mut properties = ONE.to_vec();
-            properties.extend(names.iter().enumerate().map(|(i, name)| (name.as_str(), i as f32)));
+            properties.extend(
+                names
+                    .iter()
+                    .enumerate()
+                    .map(|(i, name)| (name.as_str(), i as f32)),
+            );
             let cloud = decode(&file(&properties)).unwrap();
             let stride = count / 3;
-            assert_eq!((cloud.sh_degree, cloud.sh_rest.len()), (degree, stride.min(15)));
-            assert_eq!(cloud.rest_of(0)[1], [1.0, (stride + 1) as f32, (2 * stride + 1) as f32]);
+            assert_eq!(
+                (cloud.sh_degree, cloud.sh_rest.len()),
+                (degree, stride.min(15))
+            );
+            assert_eq!(
+                cloud.rest_of(0)[1],
+                [1.0, (stride + 1) as f32, (2 * stride + 1) as f32]
+            );
             properties.pop();
-            assert!(decode(&file(&properties)).unwrap_err().to_string().contains("f_rest"));
+            assert!(
+                decode(&file(&properties))
+                    .unwrap_err()
+                    .to_string()
+                    .contains("f_rest")
+            );
         }
     }
 
@@ -283,17 +376,34 @@ mod tests {
             ("opacity", f32::NAN, SplatDefect::Opacity),
             ("f_dc_1", f32::NEG_INFINITY, SplatDefect::Color),
         ] {
-            let changed = ONE.map(|property| if property.0 == name { (name, value) } else { property });
-            assert_eq!(decode(&file(&changed)).unwrap().defect_of(0), Some(defect), "{name}");
+            let changed = ONE.map(|property| {
+                if property.0 == name {
+                    (name, value)
+                } else {
+                    property
+                }
+            });
+            assert_eq!(
+                decode(&file(&changed)).unwrap().defect_of(0),
+                Some(defect),
+                "{name}"
+            );
         }
     }
 
     #[test]
     fn one_of_several_models_is_read_by_its_element() {
-        let bytes = String::from_utf8(file(&[("x", 0.0)])).unwrap().replace("element vertex", "element vertex_obj_007");
+        let bytes = String::from_utf8(file(&[("x", 0.0)]))
+            .unwrap()
+            .replace("element vertex", "element vertex_obj_007");
         let error = decode(bytes.as_bytes()).unwrap_err().to_string();
         assert!(error.contains("vertex_obj_007"), "{error}");
-        assert!(decode_element(bytes.as_bytes(), "vertex_obj_007").unwrap_err().to_string().contains("'y'"));
+        assert!(
+            decode_element(bytes.as_bytes(), "vertex_obj_007")
+                .unwrap_err()
+                .to_string()
+                .contains("'y'")
+        );
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! File formats: splats, compressed assets, cameras, scene files, maps and tracks.
 //!
-//! One module a format. Each reader takes bytes that anyone may have written: it returns a [`DecodeError`] and neither
-//! panics nor allocates by a count that the bytes do not cover. Each writer goes through [`write_atomically`].
+//! One module a format. Each reader takes bytes that anyone may have written: it returns a
+//! [`DecodeError`] and neither panics nor allocates by a count that the bytes do not cover. Each
+//! writer goes through [`write_atomically`].
 #![forbid(unsafe_code)]
 
 mod activation;
@@ -50,8 +51,8 @@ pub use packed_scene::open_packed_scene;
 pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{
-    EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight, is_scene_file,
-    measure_movable_scene, open_movable_scene, open_scene,
+    EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight,
+    is_scene_file, measure_movable_scene, open_movable_scene, open_scene,
 };
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
 pub use tracks::read_tracks;

@@ -1,9 +1,10 @@
 //! The container of light transfers: Theta and where it comes from, as one safetensors file.
 //!
-//! Tensors, K coefficients of three channels: `gain_weights` and `offset_weights` f32 \[3K, 27\], `gain_constants` and
-//! `offset_constants` f32 \[3K\], rows in the order `[coefficient][rgb]`; `neutral` f32 \[9, 3\], the descriptor of the light
-//! that shows colors as they are. Metadata: `format`, `version`, `sh_degree` (K is its coefficients), `tool_version`,
-//! `sources.NAME` (SHA-256 of each asset and probe) and `settings.KEY`.
+//! Tensors, K coefficients of three channels: `gain_weights` and `offset_weights` f32 \[3K, 27\],
+//! `gain_constants` and `offset_constants` f32 \[3K\], rows in the order `[coefficient][rgb]`;
+//! `neutral` f32 \[9, 3\], the descriptor of the light that shows colors as they are. Metadata:
+//! `format`, `version`, `sh_degree` (K is its coefficients), `tool_version`, `sources.NAME`
+//! (SHA-256 of each asset and probe) and `settings.KEY`.
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -30,7 +31,13 @@ const WEIGHT_MAX: f32 = 1e6;
 const SOURCES: &str = "sources.";
 const SETTINGS: &str = "settings.";
 /// Tensors in the order in which they lie in the file.
-const NAMES: [&str; 5] = ["gain_weights", "gain_constants", "offset_weights", "offset_constants", "neutral"];
+const NAMES: [&str; 5] = [
+    "gain_weights",
+    "gain_constants",
+    "offset_weights",
+    "offset_constants",
+    "neutral",
+];
 
 type Row = ([f32; AmbientDescriptor::LEN], f32);
 
@@ -41,7 +48,8 @@ pub struct LightTransferFile {
     pub transfer: LightTransfer,
     /// Version of the program that wrote it.
     pub tool_version: String,
-    /// SHA-256, 64 hexadecimal digits, of each asset and probe it was calibrated with, by file name.
+    /// SHA-256, 64 hexadecimal digits, of each asset and probe it was calibrated with, by file
+    /// name.
     pub sources: BTreeMap<String, String>,
     /// Settings of the calibration (ridge, seed, ...), open to any key.
     pub settings: BTreeMap<String, String>,
@@ -55,27 +63,42 @@ pub fn decode(bytes: &[u8]) -> Result<LightTransferFile, DecodeError> {
     let container = Container::read(bytes)?;
     let format = container.text("format")?;
     if format != FORMAT {
-        let reason = format!("the metadata's 'format' is '{format}', not '{FORMAT}': these tensors are no light transfer");
+        let reason = format!(
+            "the metadata's 'format' is '{format}', not '{FORMAT}': these tensors are no light transfer"
+        );
         return Err(DecodeError::Malformed(reason));
     }
     let version = container.text("version")?;
     if version != VERSION {
-        let reason = format!("version '{version}'; this program reads version {VERSION}: calibrate again");
+        let reason =
+            format!("version '{version}'; this program reads version {VERSION}: calibrate again");
         return Err(DecodeError::Unsupported(reason));
     }
     let sh_degree = match container.text("sh_degree")?.parse() {
         Ok(degree @ 0..=sh::DEGREE_MAX) => degree,
-        _ => return Err(DecodeError::Malformed("the metadata's 'sh_degree' is not 0 to 3".into())),
+        _ => {
+            return Err(DecodeError::Malformed(
+                "the metadata's 'sh_degree' is not 0 to 3".into(),
+            ));
+        }
     };
     container.check_names(&NAMES)?;
     let rows = 3 * sh::coefficient_count(sh_degree);
-    let [gain_weights, gain_constants, offset_weights, offset_constants, neutral] = NAMES;
+    let [
+        gain_weights,
+        gain_constants,
+        offset_weights,
+        offset_constants,
+        neutral,
+    ] = NAMES;
     let neutral = numbers(&container, neutral, AmbientDescriptor::COEFFICIENTS, &[3])?;
     let transfer = LightTransfer {
         sh_degree,
         gain: read_rows(&container, gain_weights, gain_constants, rows)?,
         offset: read_rows(&container, offset_weights, offset_constants, rows)?,
-        neutral: AmbientDescriptor { coefficients: std::array::from_fn(|k| std::array::from_fn(|rgb| neutral[3 * k + rgb])) },
+        neutral: AmbientDescriptor {
+            coefficients: std::array::from_fn(|k| std::array::from_fn(|rgb| neutral[3 * k + rgb])),
+        },
     };
     check(&transfer).map_err(DecodeError::Malformed)?;
     Ok(LightTransferFile {
@@ -100,25 +123,46 @@ pub fn encode(file: &LightTransferFile) -> Result<Vec<u8>, EncodeError> {
         ("sh_degree", transfer.sh_degree.to_string()),
     ];
     let below = |prefix: &'static str, texts: &BTreeMap<String, String>| -> Vec<(String, String)> {
-        texts.iter().map(|(key, value)| (format!("{prefix}{key}"), value.clone())).collect()
+        texts
+            .iter()
+            .map(|(key, value)| (format!("{prefix}{key}"), value.clone()))
+            .collect()
     };
     let own = own.into_iter().map(|(key, value)| (key.to_owned(), value));
-    let metadata = own.chain(below(SOURCES, &file.sources)).chain(below(SETTINGS, &file.settings)).collect();
+    let metadata = own
+        .chain(below(SOURCES, &file.sources))
+        .chain(below(SETTINGS, &file.settings))
+        .collect();
     let rows = transfer.gain.len();
     let tensor = |name: usize, shape: Vec<usize>, values: Vec<f32>| Tensor {
         name: NAMES[name],
         dtype: Dtype::F32,
         shape,
-        bytes: values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+        bytes: values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect(),
     };
     let weights = |rows: &[Row]| rows.iter().flat_map(|(weights, _)| *weights).collect();
     let constants = |rows: &[Row]| rows.iter().map(|(_, constant)| *constant).collect();
     let tensors = [
-        tensor(0, vec![rows, AmbientDescriptor::LEN], weights(&transfer.gain)),
+        tensor(
+            0,
+            vec![rows, AmbientDescriptor::LEN],
+            weights(&transfer.gain),
+        ),
         tensor(1, vec![rows], constants(&transfer.gain)),
-        tensor(2, vec![rows, AmbientDescriptor::LEN], weights(&transfer.offset)),
+        tensor(
+            2,
+            vec![rows, AmbientDescriptor::LEN],
+            weights(&transfer.offset),
+        ),
         tensor(3, vec![rows], constants(&transfer.offset)),
-        tensor(4, vec![AmbientDescriptor::COEFFICIENTS, 3], transfer.neutral.coefficients.as_flattened().to_vec()),
+        tensor(
+            4,
+            vec![AmbientDescriptor::COEFFICIENTS, 3],
+            transfer.neutral.coefficients.as_flattened().to_vec(),
+        ),
     ];
     container::write(&metadata, &tensors)
 }
@@ -133,7 +177,11 @@ pub fn read_light_transfer(path: &Path) -> Result<LightTransferFile, AssetError>
 
 /// Reads a transfer from the bytes of its file at `path`.
 pub(crate) fn read_from(bytes: &[u8], path: &Path) -> Result<LightTransferFile, AssetError> {
-    decode(bytes).map_err(|source| AssetError::Decode { path: path.to_owned(), format: NAME, source })
+    decode(bytes).map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
+        format: NAME,
+        source,
+    })
 }
 
 /// Writes `file` to `path`, atomically.
@@ -141,30 +189,66 @@ pub(crate) fn read_from(bytes: &[u8], path: &Path) -> Result<LightTransferFile, 
 /// # Errors
 /// As [`encode`], and when the operating system refuses.
 pub fn write_light_transfer(path: &Path, file: &LightTransferFile) -> Result<(), AssetError> {
-    let bytes = encode(file).map_err(|source| AssetError::Encode { path: path.to_owned(), format: NAME, source })?;
+    let bytes = encode(file).map_err(|source| AssetError::Encode {
+        path: path.to_owned(),
+        format: NAME,
+        source,
+    })?;
     write_atomically(path, |file| file.write_all(&bytes))
 }
 
 fn check(transfer: &LightTransfer) -> Result<(), String> {
     transfer.check()?;
-    let rows = transfer.gain.iter().chain(&transfer.offset).flat_map(|(weights, constant)| weights.iter().chain([constant]));
-    match rows.chain(transfer.neutral.coefficients.as_flattened()).find(|value| value.abs() > WEIGHT_MAX) {
-        Some(value) => Err(format!("a weight of {value:e}; weights end at {WEIGHT_MAX:e}")),
+    let rows = transfer
+        .gain
+        .iter()
+        .chain(&transfer.offset)
+        .flat_map(|(weights, constant)| weights.iter().chain([constant]));
+    match rows
+        .chain(transfer.neutral.coefficients.as_flattened())
+        .find(|value| value.abs() > WEIGHT_MAX)
+    {
+        Some(value) => Err(format!(
+            "a weight of {value:e}; weights end at {WEIGHT_MAX:e}"
+        )),
         None => Ok(()),
     }
 }
 
 /// The f32 of a tensor of exactly `rows` rows.
-fn numbers(container: &Container, name: &str, rows: usize, columns: &[usize]) -> Result<Vec<f32>, DecodeError> {
+fn numbers(
+    container: &Container,
+    name: &str,
+    rows: usize,
+    columns: &[usize],
+) -> Result<Vec<f32>, DecodeError> {
     let (bytes, found) = container.rows(name, Dtype::F32, columns)?;
     if found != rows {
-        return Err(DecodeError::Malformed(format!("tensor '{name}' has {found} rows; expected {rows}")));
+        return Err(DecodeError::Malformed(format!(
+            "tensor '{name}' has {found} rows; expected {rows}"
+        )));
     }
-    Ok(bytes.as_chunks::<4>().0.iter().map(|&word| f32::from_le_bytes(word)).collect())
+    Ok(bytes
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|&word| f32::from_le_bytes(word))
+        .collect())
 }
 
-fn read_rows(container: &Container, weights: &str, constants: &str, rows: usize) -> Result<Vec<Row>, DecodeError> {
+fn read_rows(
+    container: &Container,
+    weights: &str,
+    constants: &str,
+    rows: usize,
+) -> Result<Vec<Row>, DecodeError> {
     let weights = numbers(container, weights, rows, &[AmbientDescriptor::LEN])?;
     let constants = numbers(container, constants, rows, &[])?;
-    Ok(weights.as_chunks::<{ AmbientDescriptor::LEN }>().0.iter().copied().zip(constants).collect())
+    Ok(weights
+        .as_chunks::<{ AmbientDescriptor::LEN }>()
+        .0
+        .iter()
+        .copied()
+        .zip(constants)
+        .collect())
 }

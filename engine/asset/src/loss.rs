@@ -16,13 +16,17 @@ pub struct AttributeLoss {
 }
 
 impl AttributeLoss {
-    /// The statistics of `errors`; zero without any. An error that is not a number counts as infinite.
+    /// The statistics of `errors`; zero without any. An error that is not a number counts as
+    /// infinite.
     #[must_use]
     pub fn of(mut errors: Vec<f64>) -> Self {
         if errors.is_empty() {
             return Self::default();
         }
-        errors.iter_mut().filter(|error| error.is_nan()).for_each(|error| *error = f64::INFINITY);
+        errors
+            .iter_mut()
+            .filter(|error| error.is_nan())
+            .for_each(|error| *error = f64::INFINITY);
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         let rank = ((errors.len() as f64 * 0.99).ceil() as usize).clamp(1, errors.len()) - 1;
         let (_, &mut p99, above) = errors.select_nth_unstable_by(rank, f64::total_cmp);
@@ -53,8 +57,9 @@ pub struct LossReport {
 }
 
 impl LossReport {
-    /// Compares splat `i` of `before` with splat `i` of `after`. `axes_are_kept`: whether the file kept which of a splat's axes is
-    /// the first, second and third; formats that store shapes do not.
+    /// Compares splat `i` of `before` with splat `i` of `after`. `axes_are_kept`: whether the file
+    /// kept which of a splat's axes is the first, second and third; formats that store shapes do
+    /// not.
     ///
     /// # Panics
     /// When there are not equally many.
@@ -69,14 +74,22 @@ impl LossReport {
             scales
         };
         let distance = |(a, b): (&[f32; 3], &[f32; 3])| {
-            a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum::<f64>().sqrt()
+            a.iter()
+                .zip(b)
+                .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+                .sum::<f64>()
+                .sqrt()
         };
         let scale_pairs = before.scales.par_iter().zip(&after.scales);
         let scale_relative = scale_pairs.flat_map_iter(|(a, b)| {
             let (a, b) = (scales(a), scales(b));
             (0..3).map(move |i| relative(a[i], b[i]))
         });
-        let angles = before.rotations.par_iter().zip(&after.rotations).map(|(a, b)| angle_rad(a, b));
+        let angles = before
+            .rotations
+            .par_iter()
+            .zip(&after.rotations)
+            .map(|(a, b)| angle_rad(a, b));
         let degree = before.sh_degree.max(after.sh_degree);
         let sh_rest = (degree > 0).then(|| {
             let [a, b] = [before, after].map(|cloud| {
@@ -92,11 +105,23 @@ impl LossReport {
             differences(&a, &b)
         });
         Self {
-            position_m: AttributeLoss::of(before.means.par_iter().zip(&after.means).map(distance).collect()),
+            position_m: AttributeLoss::of(
+                before
+                    .means
+                    .par_iter()
+                    .zip(&after.means)
+                    .map(distance)
+                    .collect(),
+            ),
             scale_relative: AttributeLoss::of(scale_relative.collect()),
             rotation_rad: axes_are_kept.then(|| AttributeLoss::of(angles.collect())),
             opacity: AttributeLoss::of(
-                before.opacities.iter().zip(&after.opacities).map(|(a, b)| f64::from((a - b).abs())).collect(),
+                before
+                    .opacities
+                    .iter()
+                    .zip(&after.opacities)
+                    .map(|(a, b)| f64::from((a - b).abs()))
+                    .collect(),
             ),
             sh_dc: differences(&before.sh_dc, &after.sh_dc),
             sh_rest,
@@ -108,15 +133,24 @@ impl LossReport {
 
 fn differences(a: &[[f32; 3]], b: &[[f32; 3]]) -> AttributeLoss {
     let pairs = a.as_flattened().par_iter().zip(b.as_flattened());
-    AttributeLoss::of(pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs()).collect())
+    AttributeLoss::of(
+        pairs
+            .map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs())
+            .collect(),
+    )
 }
 
 /// |b / a - 1|; of nothing that stays nothing, 0.
 fn relative(a: f32, b: f32) -> f64 {
-    if a == b { 0.0 } else { (f64::from(b) / f64::from(a) - 1.0).abs() }
+    if a == b {
+        0.0
+    } else {
+        (f64::from(b) / f64::from(a) - 1.0).abs()
+    }
 }
 
-/// The angle between two orientations, w, x, y, z of any sign. Not by the arc cosine, which loses small angles.
+/// The angle between two orientations, w, x, y, z of any sign. Not by the arc cosine, which loses
+/// small angles.
 fn angle_rad(a: &[f32; 4], b: &[f32; 4]) -> f64 {
     let (a, b) = (a.map(f64::from), b.map(f64::from));
     let length = |q: &[f64; 4]| q.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -149,18 +183,39 @@ mod tests {
     #[test]
     fn nothing_lost_is_zero_and_everything_is_measured_in_its_unit() {
         let same = LossReport::between(&one(), &one(), true);
-        assert_eq!((same.position_m.max, same.rotation_rad.unwrap().max, same.sh_rest.unwrap().max), (0.0, 0.0, 0.0));
+        assert_eq!(
+            (
+                same.position_m.max,
+                same.rotation_rad.unwrap().max,
+                same.sh_rest.unwrap().max
+            ),
+            (0.0, 0.0, 0.0)
+        );
         let mut other = one();
         other.means[0] = [1.0, 5.0, 7.0];
         other.scales[0][1] = 0.3;
         // Turned by a milliradian, and the sign of the quaternion with it.
-        other.rotations[0] = [-(0.0005f64.cos() as f32), -(0.0005f64.sin() as f32), 0.0, 0.0];
+        other.rotations[0] = [
+            -(0.0005f64.cos() as f32),
+            -(0.0005f64.sin() as f32),
+            0.0,
+            0.0,
+        ];
         other.opacities[0] = 0.25;
         other.set_degree(0);
         let loss = LossReport::between(&one(), &other, true);
-        assert_eq!((loss.position_m.max, loss.opacity.max, loss.sh_degree_after), (5.0, 0.25, 0));
-        assert!((loss.scale_relative.max - 0.5).abs() < 1e-6 && (loss.scale_relative.mean - 0.5 / 3.0).abs() < 1e-6);
-        assert!((loss.rotation_rad.unwrap().max - 0.001).abs() < 1e-6, "{loss:?}");
+        assert_eq!(
+            (loss.position_m.max, loss.opacity.max, loss.sh_degree_after),
+            (5.0, 0.25, 0)
+        );
+        assert!(
+            (loss.scale_relative.max - 0.5).abs() < 1e-6
+                && (loss.scale_relative.mean - 0.5 / 3.0).abs() < 1e-6
+        );
+        assert!(
+            (loss.rotation_rad.unwrap().max - 0.001).abs() < 1e-6,
+            "{loss:?}"
+        );
         assert!((loss.sh_rest.unwrap().max - 0.4).abs() < 1e-7, "{loss:?}");
     }
 

@@ -1,18 +1,21 @@
-//! Memory limits, in one place: small files must not ask for large memory, and large scenes must fit before they are expanded.
+//! Memory limits, in one place: small files must not ask for large memory, and large scenes must
+//! fit before they are expanded.
 //!
-//! A failed allocation ends a Rust program with SIGABRT. Code that expands its input therefore asks [`require`] first and gets a
-//! sentence instead.
+//! A failed allocation ends a Rust program with SIGABRT. Code that expands its input therefore asks
+//! [`require`] first and gets a sentence instead.
 
 use decouplegs_scene::sh;
 
-/// Most splats of one world after agents are placed in it. The renderer numbers splats with 27 bits.
+/// Most splats of one world after agents are placed in it. The renderer numbers splats with 27
+/// bits.
 pub const SPLATS_MAX: u64 = 1 << 27;
 
 /// Bytes that a decoder may take however small the file is.
 const DECODED_BYTES_ALWAYS: u64 = 64 << 20;
 /// Further bytes that a decoder may take for each byte of the file.
 pub(crate) const DECODED_BYTES_PER_FILE_BYTE: u64 = 8;
-/// Share of the free memory that one request may take, in percent. The rest is for buffers that nobody counts.
+/// Share of the free memory that one request may take, in percent. The rest is for buffers that
+/// nobody counts.
 const SHARE_PERCENT: u64 = 90;
 
 /// Memory of `splats` splats of degree `sh_degree` in a [`decouplegs_scene::SplatCloud`], bytes.
@@ -27,7 +30,8 @@ pub(crate) fn decoded_bytes_max(file_bytes: usize) -> u64 {
     DECODED_BYTES_ALWAYS + DECODED_BYTES_PER_FILE_BYTE * file_bytes as u64
 }
 
-/// Checks that `what` may take `bytes` of memory now. `what` begins the sentence, as in "a background of 5 splats".
+/// Checks that `what` may take `bytes` of memory now. `what` begins the sentence, as in "a
+/// background of 5 splats".
 ///
 /// # Errors
 /// A sentence with the bytes needed and the bytes free.
@@ -50,27 +54,50 @@ fn mebibytes(bytes: u64) -> String {
     format!("{} MiB", bytes.div_ceil(1 << 20))
 }
 
-/// Memory that this process may still take: what the system has free, less if a limit of address space (`ulimit -v`) or of the
-/// control group is nearer. None where the system does not say.
+/// Memory that this process may still take: what the system has free, less if a limit of address
+/// space (`ulimit -v`) or of the control group is nearer. None where the system does not say.
 fn free_bytes() -> Option<u64> {
-    let system = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| available_of(&text));
-    [system, below_address_limit(), below_group_limit()].into_iter().flatten().min()
+    let system = std::fs::read_to_string("/proc/meminfo")
+        .ok()
+        .and_then(|text| available_of(&text));
+    [system, below_address_limit(), below_group_limit()]
+        .into_iter()
+        .flatten()
+        .min()
 }
 
 /// `MemAvailable` of /proc/meminfo, bytes.
 fn available_of(meminfo: &str) -> Option<u64> {
-    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kibibytes| kibibytes * 1024)
+    let line = meminfo
+        .lines()
+        .find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim()
+        .strip_suffix("kB")?
+        .trim()
+        .parse::<u64>()
+        .ok()
+        .map(|kibibytes| kibibytes * 1024)
 }
 
 fn below_address_limit() -> Option<u64> {
     let limit = rustix::process::getrlimit(rustix::process::Resource::As).current?;
-    let pages = std::fs::read_to_string("/proc/self/statm").ok()?.split(' ').next()?.parse::<u64>().ok()?;
+    let pages = std::fs::read_to_string("/proc/self/statm")
+        .ok()?
+        .split(' ')
+        .next()?
+        .parse::<u64>()
+        .ok()?;
     Some(limit.saturating_sub(pages * rustix::param::page_size() as u64))
 }
 
 fn below_group_limit() -> Option<u64> {
-    let number = |name: &str| std::fs::read_to_string(format!("/sys/fs/cgroup/{name}")).ok()?.trim().parse::<u64>().ok();
+    let number = |name: &str| {
+        std::fs::read_to_string(format!("/sys/fs/cgroup/{name}"))
+            .ok()?
+            .trim()
+            .parse::<u64>()
+            .ok()
+    };
     Some(number("memory.max")?.saturating_sub(number("memory.current")?))
 }
 
@@ -83,12 +110,18 @@ mod tests {
         assert_eq!(require_of("a cloud", 900, Some(1000)), Ok(()));
         assert_eq!(require_of("a cloud", u64::MAX, None), Ok(()));
         let message = require_of("a cloud", 2 << 30, Some(1 << 30)).unwrap_err();
-        assert!(message.starts_with("a cloud needs about 2048 MiB of memory, and 1024 MiB are free"), "{message}");
+        assert!(
+            message.starts_with("a cloud needs about 2048 MiB of memory, and 1024 MiB are free"),
+            "{message}"
+        );
     }
 
     #[test]
     fn this_system_tells_its_free_memory() {
-        assert_eq!(available_of("MemTotal: 9 kB\nMemAvailable:   24 kB\n"), Some(24 * 1024));
+        assert_eq!(
+            available_of("MemTotal: 9 kB\nMemAvailable:   24 kB\n"),
+            Some(24 * 1024)
+        );
         assert_eq!(available_of("MemTotal: 9 kB\n"), None);
         #[cfg(target_os = "linux")]
         assert!(free_bytes().is_some_and(|bytes| bytes > 1 << 20));

@@ -7,7 +7,10 @@ use decouplegs_scene::SplatCloud;
 use crate::error::read_bytes;
 use crate::ply::Ply;
 use crate::zip::Archive;
-use crate::{AssetError, DecodeError, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, sog, splat, spz};
+use crate::{
+    AssetError, DecodeError, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, sog,
+    splat, spz,
+};
 
 /// The formats that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +49,8 @@ impl SplatFormat {
         }
     }
 
-    /// The format of `bytes`: by their first bytes where the format has such, else by the file's `extension`.
+    /// The format of `bytes`: by their first bytes where the format has such, else by the file's
+    /// `extension`.
     ///
     /// # Errors
     /// A sentence on what the bytes look like and what to do.
@@ -65,7 +69,9 @@ impl SplatFormat {
             _ if extension.eq_ignore_ascii_case("splat") => Ok(Self::Splat),
             _ if extension.eq_ignore_ascii_case("safetensors") => Ok(Self::CodedAsset),
             [] => Err("the file is empty".into()),
-            _ => Err(format!("neither its first bytes nor its extension '{extension}' tell a splat format")),
+            _ => Err(format!(
+                "neither its first bytes nor its extension '{extension}' tell a splat format"
+            )),
         }
     }
 
@@ -75,8 +81,13 @@ impl SplatFormat {
         match Archive::parse(bytes) {
             Ok(archive) if sog::is_bundle(&archive) => Ok(Self::Sog),
             Ok(archive) if checkpoint::is_checkpoint(&archive) => Ok(Self::Checkpoint),
-            Ok(_) if is("usdz") => Err("a USDZ package, which is a scene: open it as one, not as splats".into()),
-            Ok(_) => Err("a zip archive with neither a SOG's meta.json nor a checkpoint's data.pkl in it".into()),
+            Ok(_) if is("usdz") => {
+                Err("a USDZ package, which is a scene: open it as one, not as splats".into())
+            }
+            Ok(_) => Err(
+                "a zip archive with neither a SOG's meta.json nor a checkpoint's data.pkl in it"
+                    .into(),
+            ),
             // A broken zip is its reader's to explain.
             Err(_) if is("pt") || is("pth") || is("ckpt") => Ok(Self::Checkpoint),
             Err(_) => Ok(Self::Sog),
@@ -84,17 +95,24 @@ impl SplatFormat {
     }
 }
 
-/// Reads the splats of a file in any format, chosen by its content and, where that says nothing, its extension.
+/// Reads the splats of a file in any format, chosen by its content and, where that says nothing,
+/// its extension.
 ///
-/// A SOG may also be a folder, or the `meta.json` in it; a folder with `lod-meta.json` is a set of SOG folders, read at its finest level. Coordinates are the file's own; SPZ is turned to the axes of the PLY it was made from (see [`spz`]). Splats that
-/// cannot be drawn are kept: [`SplatCloud::defect_of`] tells them.
+/// A SOG may also be a folder, or the `meta.json` in it; a folder with `lod-meta.json` is a set of
+/// SOG folders, read at its finest level. Coordinates are the file's own; SPZ is turned to the axes
+/// of the PLY it was made from (see [`spz`]). Splats that cannot be drawn are kept:
+/// [`SplatCloud::defect_of`] tells them.
 ///
 /// # Errors
 /// [`AssetError::Read`], [`AssetError::UnknownFormat`] or [`AssetError::Decode`].
 pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
     let is_set = |folder: &Path| folder.join(sog::LOD_META).is_file();
     if path.is_dir() {
-        return if is_set(path) { sog::read_set(path) } else { sog::read_folder(path) };
+        return if is_set(path) {
+            sog::read_set(path)
+        } else {
+            sog::read_folder(path)
+        };
     }
     if path.file_name().is_some_and(|name| name == sog::LOD_META) {
         return sog::read_set(path.parent().unwrap_or(Path::new("")));
@@ -109,8 +127,15 @@ pub fn read_splats(path: &Path) -> Result<SplatCloud, AssetError> {
 pub(crate) fn splats_of(bytes: &[u8], path: &Path) -> Result<SplatCloud, AssetError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     let format =
-        SplatFormat::detect(bytes, &extension).map_err(|found| AssetError::UnknownFormat { path: path.to_owned(), found })?;
-    decode(bytes, format).map_err(|source| AssetError::Decode { path: path.to_owned(), format: format.name(), source })
+        SplatFormat::detect(bytes, &extension).map_err(|found| AssetError::UnknownFormat {
+            path: path.to_owned(),
+            found,
+        })?;
+    decode(bytes, format).map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
+        format: format.name(),
+        source,
+    })
 }
 
 fn decode(bytes: &[u8], format: SplatFormat) -> Result<SplatCloud, DecodeError> {
@@ -132,24 +157,57 @@ mod tests {
 
     #[test]
     fn content_is_believed_before_the_extension() {
-        assert_eq!(SplatFormat::detect(b"ply\nformat", "splat"), Ok(SplatFormat::InriaPly));
+        assert_eq!(
+            SplatFormat::detect(b"ply\nformat", "splat"),
+            Ok(SplatFormat::InriaPly)
+        );
         assert_eq!(SplatFormat::detect(b"NGSP", "bin"), Ok(SplatFormat::Spz));
-        assert_eq!(SplatFormat::detect(&[0x1f, 0x8b, 8], "ply"), Ok(SplatFormat::Spz));
-        assert_eq!(SplatFormat::detect(&[0; 32], "SPLAT"), Ok(SplatFormat::Splat));
-        assert_eq!(SplatFormat::detect(&[0; 32], "safetensors"), Ok(SplatFormat::CodedAsset));
-        assert_eq!(SplatFormat::detect(b"PK\x03\x04", "sog"), Ok(SplatFormat::Sog));
-        assert_eq!(SplatFormat::detect(b"PK\x03\x04", "pt"), Ok(SplatFormat::Checkpoint));
-        assert_eq!(SplatFormat::detect(b"glTF\x02", "bin"), Ok(SplatFormat::KhrGlb));
-        assert!(SplatFormat::detect(b"hello", "txt").unwrap_err().contains("'txt'"));
+        assert_eq!(
+            SplatFormat::detect(&[0x1f, 0x8b, 8], "ply"),
+            Ok(SplatFormat::Spz)
+        );
+        assert_eq!(
+            SplatFormat::detect(&[0; 32], "SPLAT"),
+            Ok(SplatFormat::Splat)
+        );
+        assert_eq!(
+            SplatFormat::detect(&[0; 32], "safetensors"),
+            Ok(SplatFormat::CodedAsset)
+        );
+        assert_eq!(
+            SplatFormat::detect(b"PK\x03\x04", "sog"),
+            Ok(SplatFormat::Sog)
+        );
+        assert_eq!(
+            SplatFormat::detect(b"PK\x03\x04", "pt"),
+            Ok(SplatFormat::Checkpoint)
+        );
+        assert_eq!(
+            SplatFormat::detect(b"glTF\x02", "bin"),
+            Ok(SplatFormat::KhrGlb)
+        );
+        assert!(
+            SplatFormat::detect(b"hello", "txt")
+                .unwrap_err()
+                .contains("'txt'")
+        );
     }
 
     #[test]
     fn errors_name_the_file() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.splat");
-        assert!(read_splats(&path).unwrap_err().to_string().contains("a.splat"));
+        assert!(
+            read_splats(&path)
+                .unwrap_err()
+                .to_string()
+                .contains("a.splat")
+        );
         std::fs::write(&path, [0; 33]).unwrap();
         let error = read_splats(&path).unwrap_err().to_string();
-        assert!(error.contains("a.splat") && error.contains("needs 64 bytes, found 33"), "{error}");
+        assert!(
+            error.contains("a.splat") && error.contains("needs 64 bytes, found 33"),
+            "{error}"
+        );
     }
 }

@@ -11,7 +11,8 @@ use serde::Serialize;
 pub struct Histogram {
     /// Bin edges: one more than there are bins.
     pub edges: Vec<f64>,
-    /// Values in each bin; a value on an inner edge belongs to the bin above it, the last edge to the last bin.
+    /// Values in each bin; a value on an inner edge belongs to the bin above it, the last edge to
+    /// the last bin.
     pub counts: Vec<u64>,
     /// Values below the first edge.
     pub below: u64,
@@ -20,10 +21,18 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Counts `values` in `bins` equal steps from `min` to `max`. Values that are not a number are left out.
+    /// Counts `values` in `bins` equal steps from `min` to `max`. Values that are not a number are
+    /// left out.
     fn of(values: impl Iterator<Item = f64>, min: f64, max: f64, bins: usize) -> Self {
-        let edges = (0..=bins).map(|i| min + (max - min) * i as f64 / bins as f64).collect();
-        let mut histogram = Self { edges, counts: vec![0; bins], below: 0, above: 0 };
+        let edges = (0..=bins)
+            .map(|i| min + (max - min) * i as f64 / bins as f64)
+            .collect();
+        let mut histogram = Self {
+            edges,
+            counts: vec![0; bins],
+            below: 0,
+            above: 0,
+        };
         for value in values {
             if value < min {
                 histogram.below += 1;
@@ -52,7 +61,8 @@ pub struct SummaryBounds {
 pub struct DefectCounts {
     /// All of them.
     pub total: u64,
-    /// By kind: `mean`, `scale`, `rotation`, `opacity`, `color`. Kinds that do not occur are left out.
+    /// By kind: `mean`, `scale`, `rotation`, `opacity`, `color`. Kinds that do not occur are left
+    /// out.
     pub by_kind: BTreeMap<&'static str, u64>,
 }
 
@@ -65,7 +75,8 @@ pub struct SplatSummary {
     pub sh_degree: u8,
     /// The box around the finite means; none without any.
     pub bounds: Option<SummaryBounds>,
-    /// log10 of the standard deviations in meters, three a splat, in steps of a quarter decade. Zero counts as below.
+    /// log10 of the standard deviations in meters, three a splat, in steps of a quarter decade.
+    /// Zero counts as below.
     pub scale_log10_m: Histogram,
     /// log10 of each splat's largest over its smallest standard deviation.
     pub anisotropy_log10: Histogram,
@@ -81,23 +92,42 @@ impl SplatSummary {
     /// Describes `cloud`.
     #[must_use]
     pub fn of(cloud: &SplatCloud) -> Self {
-        let finite = || cloud.means.iter().filter(|mean| mean.iter().all(|x| x.is_finite()));
+        let finite = || {
+            cloud
+                .means
+                .iter()
+                .filter(|mean| mean.iter().all(|x| x.is_finite()))
+        };
         let bounds = finite().next().map(|_| {
             let Bounds { min, max } = Bounds::of(finite());
             SummaryBounds { min, max }
         });
         let log10 = |value: f32| f64::from(value).log10();
         let anisotropy = cloud.scales.iter().map(|scale| {
-            let (least, most) = scale.iter().fold((f32::INFINITY, 0.0f32), |(least, most), &s| (least.min(s), most.max(s)));
+            let (least, most) = scale
+                .iter()
+                .fold((f32::INFINITY, 0.0f32), |(least, most), &s| {
+                    (least.min(s), most.max(s))
+                });
             f64::from(most).log10() - f64::from(least).log10()
         });
         Self {
             splats: cloud.len() as u64,
             sh_degree: cloud.sh_degree,
             bounds,
-            scale_log10_m: Histogram::of(cloud.scales.iter().flatten().map(|&scale| log10(scale)), -6.0, 3.0, 36),
+            scale_log10_m: Histogram::of(
+                cloud.scales.iter().flatten().map(|&scale| log10(scale)),
+                -6.0,
+                3.0,
+                36,
+            ),
             anisotropy_log10: Histogram::of(anisotropy, 0.0, 5.0, 20),
-            opacity: Histogram::of(cloud.opacities.iter().map(|&opacity| f64::from(opacity)), 0.0, 1.0, 20),
+            opacity: Histogram::of(
+                cloud.opacities.iter().map(|&opacity| f64::from(opacity)),
+                0.0,
+                1.0,
+                20,
+            ),
             defects: count_defects(cloud),
             memory_bytes: memory_bytes(cloud),
         }
@@ -106,7 +136,10 @@ impl SplatSummary {
 
 fn count_defects(cloud: &SplatCloud) -> DefectCounts {
     let mut counts = DefectCounts::default();
-    let defects: Vec<SplatDefect> = (0..cloud.len()).into_par_iter().filter_map(|splat| cloud.defect_of(splat)).collect();
+    let defects: Vec<SplatDefect> = (0..cloud.len())
+        .into_par_iter()
+        .filter_map(|splat| cloud.defect_of(splat))
+        .collect();
     for defect in defects {
         counts.total += 1;
         *counts.by_kind.entry(defect_name(defect)).or_default() += 1;
@@ -140,10 +173,31 @@ mod tests {
 
     #[test]
     fn every_value_is_counted_once() {
-        let values = [-0.1, 0.0, 0.04999, 0.05, 0.999, 1.0, 1.1, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
+        let values = [
+            -0.1,
+            0.0,
+            0.04999,
+            0.05,
+            0.999,
+            1.0,
+            1.1,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            f64::NAN,
+        ];
         let histogram = Histogram::of(values.into_iter(), 0.0, 1.0, 20);
-        assert_eq!((histogram.below, histogram.above, histogram.edges.len()), (2, 2, 21));
-        assert_eq!((histogram.counts[0], histogram.counts[1], histogram.counts[19]), (2, 1, 2));
+        assert_eq!(
+            (histogram.below, histogram.above, histogram.edges.len()),
+            (2, 2, 21)
+        );
+        assert_eq!(
+            (
+                histogram.counts[0],
+                histogram.counts[1],
+                histogram.counts[19]
+            ),
+            (2, 1, 2)
+        );
     }
 
     #[test]
@@ -158,13 +212,29 @@ mod tests {
             sh_rest: vec![],
         };
         let summary = SplatSummary::of(&cloud);
-        assert_eq!(summary.bounds, Some(SummaryBounds { min: [0.0, -1.0, 2.0], max: [4.0, 1.0, 2.0] }));
-        assert_eq!((summary.defects.total, summary.defects.by_kind["mean"], summary.defects.by_kind["rotation"]), (2, 1, 1));
+        assert_eq!(
+            summary.bounds,
+            Some(SummaryBounds {
+                min: [0.0, -1.0, 2.0],
+                max: [4.0, 1.0, 2.0]
+            })
+        );
+        assert_eq!(
+            (
+                summary.defects.total,
+                summary.defects.by_kind["mean"],
+                summary.defects.by_kind["rotation"]
+            ),
+            (2, 1, 1)
+        );
         assert_eq!((summary.splats, summary.memory_bytes), (3, 3 * 56));
         assert_eq!(summary.scale_log10_m.counts.iter().sum::<u64>(), 9);
         assert_eq!(summary.anisotropy_log10.counts[8], 1, "two decades");
         let json = serde_json::to_string(&summary).unwrap();
-        assert!(json.contains("\"by_kind\":{\"mean\":1,\"rotation\":1}"), "{json}");
+        assert!(
+            json.contains("\"by_kind\":{\"mean\":1,\"rotation\":1}"),
+            "{json}"
+        );
         assert_eq!(SplatSummary::of(&SplatCloud::default()).bounds, None);
     }
 }

@@ -1,5 +1,5 @@
-//! XML as the readers of maps and tracks take it: errors with lines, numbers that are finite, and no document types, so that
-//! no entity grows.
+//! XML as the readers of maps and tracks take it: errors with lines, numbers that are finite, and
+//! no document types, so that no entity grows.
 
 use roxmltree::{Document, Node};
 
@@ -7,15 +7,21 @@ use crate::DecodeError;
 
 /// The document that `bytes` hold.
 pub(crate) fn parse(bytes: &[u8]) -> Result<Document<'_>, DecodeError> {
-    let text = std::str::from_utf8(bytes)
-        .map_err(|error| DecodeError::Malformed(format!("{error}; expected XML in UTF-8, without which it is not read")))?;
+    let text = std::str::from_utf8(bytes).map_err(|error| {
+        DecodeError::Malformed(format!(
+            "{error}; expected XML in UTF-8, without which it is not read"
+        ))
+    })?;
     check_attributes(bytes)?;
-    Document::parse(text).map_err(|error| DecodeError::Malformed(format!("not XML that is read here: {error}")))
+    Document::parse(text)
+        .map_err(|error| DecodeError::Malformed(format!("not XML that is read here: {error}")))
 }
 
-/// Most attributes of one element. The parser compares each with all others, and maps have at most twenty.
+/// Most attributes of one element. The parser compares each with all others, and maps have at most
+/// twenty.
 const ATTRIBUTES_MAX: usize = 256;
-/// Most declarations of namespaces in a document. The parser copies them from element to element, and maps have one or two.
+/// Most declarations of namespaces in a document. The parser copies them from element to element,
+/// and maps have one or two.
 const NAMESPACES_MAX: usize = 64;
 
 /// Refuses documents for which the parser would take quadratic time, in one pass over the bytes.
@@ -23,24 +29,40 @@ fn check_attributes(bytes: &[u8]) -> Result<(), DecodeError> {
     let (mut rest, mut namespaces) = (bytes, 0);
     while let Some(start) = rest.iter().position(|&byte| byte == b'<') {
         rest = &rest[start..];
-        let skipped = [(&b"<!--"[..], &b"-->"[..]), (b"<![CDATA[", b"]]>"), (b"<?", b"?>")];
+        let skipped = [
+            (&b"<!--"[..], &b"-->"[..]),
+            (b"<![CDATA[", b"]]>"),
+            (b"<?", b"?>"),
+        ];
         let end = match skipped.into_iter().find(|(open, _)| rest.starts_with(open)) {
             Some((open, close)) => {
-                open.len() + rest[open.len()..].windows(close.len()).position(|window| window == close).unwrap_or(rest.len())
+                open.len()
+                    + rest[open.len()..]
+                        .windows(close.len())
+                        .position(|window| window == close)
+                        .unwrap_or(rest.len())
             }
             None => {
                 let tag = Tag::at(rest);
                 namespaces += tag.namespaces;
                 let told = if tag.attributes > ATTRIBUTES_MAX {
-                    format!("an element has {} attributes; at most {ATTRIBUTES_MAX} are read", tag.attributes)
+                    format!(
+                        "an element has {} attributes; at most {ATTRIBUTES_MAX} are read",
+                        tag.attributes
+                    )
                 } else if namespaces > NAMESPACES_MAX {
                     format!("more than {NAMESPACES_MAX} namespaces are declared")
                 } else {
                     rest = &rest[tag.bytes..];
                     continue;
                 };
-                let line = 1 + bytes[..bytes.len() - rest.len()].iter().filter(|&&byte| byte == b'\n').count();
-                return Err(DecodeError::Malformed(format!("line {line}: {told}; maps and tracks have fewer")));
+                let line = 1 + bytes[..bytes.len() - rest.len()]
+                    .iter()
+                    .filter(|&&byte| byte == b'\n')
+                    .count();
+                return Err(DecodeError::Malformed(format!(
+                    "line {line}: {told}; maps and tracks have fewer"
+                )));
             }
         };
         rest = &rest[end.min(rest.len())..];
@@ -56,9 +78,14 @@ struct Tag {
 }
 
 impl Tag {
-    /// The tag that `text` begins with, up to the first `>` outside of quotes. Each `=` outside of quotes is an attribute.
+    /// The tag that `text` begins with, up to the first `>` outside of quotes. Each `=` outside of
+    /// quotes is an attribute.
     fn at(text: &[u8]) -> Self {
-        let mut tag = Self { bytes: text.len(), attributes: 0, namespaces: 0 };
+        let mut tag = Self {
+            bytes: text.len(),
+            attributes: 0,
+            namespaces: 0,
+        };
         let mut quote = None;
         for (at, &byte) in text.iter().enumerate() {
             match (quote, byte) {
@@ -86,7 +113,11 @@ impl<'a> Element<'a> {
     /// The root, which must have `name`.
     pub(crate) fn root(document: &'a Document<'a>, name: &str) -> Result<Self, DecodeError> {
         let root = Self(document.root_element());
-        if root.name() == name { Ok(root) } else { Err(root.fault(format!("the root is no <{name}>"))) }
+        if root.name() == name {
+            Ok(root)
+        } else {
+            Err(root.fault(format!("the root is no <{name}>")))
+        }
     }
 
     /// Name without a namespace.
@@ -101,7 +132,8 @@ impl<'a> Element<'a> {
 
     /// The elements in it that have `name`.
     pub(crate) fn all(self, name: &str) -> impl Iterator<Item = Self> {
-        self.elements().filter(move |element| element.name() == name)
+        self.elements()
+            .filter(move |element| element.name() == name)
     }
 
     /// The first element in it that has `name`.
@@ -111,7 +143,8 @@ impl<'a> Element<'a> {
 
     /// Like [`Element::first`]; an error if there is none.
     pub(crate) fn needed(self, name: &str) -> Result<Self, DecodeError> {
-        self.first(name).ok_or_else(|| self.fault(format!("it has no <{name}>")))
+        self.first(name)
+            .ok_or_else(|| self.fault(format!("it has no <{name}>")))
     }
 
     /// Value of an attribute.
@@ -121,18 +154,24 @@ impl<'a> Element<'a> {
 
     /// Like [`Element::attribute`]; an error if there is none.
     pub(crate) fn needed_attribute(self, name: &str) -> Result<&'a str, DecodeError> {
-        self.attribute(name).ok_or_else(|| self.fault(format!("it has no attribute '{name}'")))
+        self.attribute(name)
+            .ok_or_else(|| self.fault(format!("it has no attribute '{name}'")))
     }
 
     /// The number in an attribute.
     pub(crate) fn number(self, name: &str) -> Result<f64, DecodeError> {
         let text = self.needed_attribute(name)?;
-        finite(text).ok_or_else(|| self.fault(format!("{name}=\"{}\" is no finite number", excerpt(text))))
+        finite(text)
+            .ok_or_else(|| self.fault(format!("{name}=\"{}\" is no finite number", excerpt(text))))
     }
 
     /// Like [`Element::number`], or `otherwise` if the attribute is absent.
     pub(crate) fn number_or(self, name: &str, otherwise: f64) -> Result<f64, DecodeError> {
-        if self.attribute(name).is_some() { self.number(name) } else { Ok(otherwise) }
+        if self.attribute(name).is_some() {
+            self.number(name)
+        } else {
+            Ok(otherwise)
+        }
     }
 
     /// The text in it, trimmed; empty where there is none.
@@ -142,13 +181,18 @@ impl<'a> Element<'a> {
 
     /// The number that its text is.
     pub(crate) fn text_number(self) -> Result<f64, DecodeError> {
-        finite(self.text()).ok_or_else(|| self.fault(format!("'{}' is no finite number", excerpt(self.text()))))
+        finite(self.text())
+            .ok_or_else(|| self.fault(format!("'{}' is no finite number", excerpt(self.text()))))
     }
 
     /// Error about this element, with its line and name.
     pub(crate) fn fault(self, reason: impl AsRef<str>) -> DecodeError {
         let line = self.0.document().text_pos_at(self.0.range().start).row;
-        DecodeError::Malformed(format!("line {line}, <{}>: {}", excerpt(self.name()), reason.as_ref()))
+        DecodeError::Malformed(format!(
+            "line {line}, <{}>: {}",
+            excerpt(self.name()),
+            reason.as_ref()
+        ))
     }
 }
 
@@ -174,10 +218,18 @@ mod tests {
     fn a_fault_has_its_line_and_name() {
         let document = parse(b"<a>\n<b x='1e999' y=' 2 '/>\n</a>").unwrap();
         let root = Element::root(&document, "a").unwrap();
-        let error = root.first("b").unwrap().number("x").unwrap_err().to_string();
+        let error = root
+            .first("b")
+            .unwrap()
+            .number("x")
+            .unwrap_err()
+            .to_string();
         assert_eq!(error, "line 2, <b>: x=\"1e999\" is no finite number");
         assert_eq!(root.first("b").unwrap().number("y"), Ok(2.0));
-        assert!(root.needed("c").is_err_and(|error| error.to_string().contains("<c>")));
+        assert!(
+            root.needed("c")
+                .is_err_and(|error| error.to_string().contains("<c>"))
+        );
         assert!(Element::root(&document, "z").is_err());
     }
 
@@ -185,22 +237,45 @@ mod tests {
     fn document_types_and_other_encodings_are_refused() {
         let bomb = b"<!DOCTYPE a [<!ENTITY b 'bb'><!ENTITY c '&b;&b;&b;'>]><a>&c;</a>";
         assert!(parse(bomb).is_err());
-        assert!(parse(b"\xff\xfe<\0a\0").unwrap_err().to_string().contains("UTF-8"));
+        assert!(
+            parse(b"\xff\xfe<\0a\0")
+                .unwrap_err()
+                .to_string()
+                .contains("UTF-8")
+        );
     }
 
     #[test]
     fn attributes_and_namespaces_without_end_are_refused_at_once() {
-        let attributes = |count: usize| (0..count).map(|i| format!(" a{i}='{i}>'")).collect::<String>();
+        let attributes = |count: usize| {
+            (0..count)
+                .map(|i| format!(" a{i}='{i}>'"))
+                .collect::<String>()
+        };
         let since = std::time::Instant::now();
-        let told = parse(format!("<m>\n<e{}/></m>", attributes(400_000)).as_bytes()).unwrap_err().to_string();
-        assert!(told.contains("line 2") && told.contains("400000 attributes"), "{told}");
-        let nested = (0..20_000).map(|i| format!("<e xmlns:n{i} ='u{i}'>")).collect::<String>();
-        assert!(parse(nested.as_bytes()).unwrap_err().to_string().contains("namespaces"));
+        let told = parse(format!("<m>\n<e{}/></m>", attributes(400_000)).as_bytes())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            told.contains("line 2") && told.contains("400000 attributes"),
+            "{told}"
+        );
+        let nested = (0..20_000)
+            .map(|i| format!("<e xmlns:n{i} ='u{i}'>"))
+            .collect::<String>();
+        assert!(
+            parse(nested.as_bytes())
+                .unwrap_err()
+                .to_string()
+                .contains("namespaces")
+        );
         assert!(since.elapsed().as_secs_f64() < 2.0);
         // What is not an attribute is not counted, and what is allowed is read.
         let equals = "=".repeat(1000);
-        let text =
-            format!("<?xml version='1.0'?><m{}><!-- it's {equals} --><![CDATA[<a {equals}>]]>{equals}</m>", attributes(256));
+        let text = format!(
+            "<?xml version='1.0'?><m{}><!-- it's {equals} --><![CDATA[<a {equals}>]]>{equals}</m>",
+            attributes(256)
+        );
         parse(text.as_bytes()).unwrap();
     }
 

@@ -1,7 +1,8 @@
 //! Heap use of readers on damaged and lying files, measured.
 //!
-//! Counted is what Rust code asks for. Zstandard's own working memory comes from C and is not: a stream is decoded in one
-//! piece into a buffer of ours, for which the library needs some hundred kilobytes whatever the stream says.
+//! Counted is what Rust code asks for. Zstandard's own working memory comes from C and is not: a
+//! stream is decoded in one piece into a buffer of ours, for which the library needs some hundred
+//! kilobytes whatever the stream says.
 
 use std::io::Write;
 use std::path::Path;
@@ -9,7 +10,8 @@ use std::sync::{Mutex, PoisonError};
 
 use decouplegs_asset::zip::StoredZip;
 use decouplegs_asset::{
-    SceneFile, SplatFormat, cameras, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb, sog, splat, spz,
+    SceneFile, SplatFormat, cameras, checkpoint, coded_asset, compressed_ply, inria_ply, khr_glb,
+    sog, splat, spz,
 };
 use peak_alloc::PeakAlloc;
 
@@ -27,7 +29,8 @@ const GZIP_HEAP: usize = 64 << 10;
 /// Heap use of decoding a small file of a format, beside its splats.
 fn heap_of(format: SplatFormat) -> usize {
     match format {
-        // Images of as many pixels as are believed however small the file is, one and a half at a time, and a palette.
+        // Images of as many pixels as are believed however small the file is, one and a half at a
+        // time, and a palette.
         SplatFormat::Sog => 4 * MIB,
         // The nodes of a document and of a pickle take some ten times their text.
         SplatFormat::KhrGlb | SplatFormat::Checkpoint => 4 * GZIP_HEAP,
@@ -35,7 +38,8 @@ fn heap_of(format: SplatFormat) -> usize {
     }
 }
 
-/// Runs `read` once to start the thread pool and once to measure: the most bytes that were in use beyond those before.
+/// Runs `read` once to start the thread pool and once to measure: the most bytes that were in use
+/// beyond those before.
 fn peak_bytes<T>(read: impl Fn() -> T) -> usize {
     drop(read());
     HEAP.reset_peak_usage();
@@ -64,7 +68,10 @@ fn seeds() -> Vec<(&'static str, SplatFormat, Vec<u8>)> {
     let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
     [
         ("inria_ply/cone.ply", SplatFormat::InriaPly),
-        ("compressed_ply/cone.compressed.ply", SplatFormat::CompressedPly),
+        (
+            "compressed_ply/cone.compressed.ply",
+            SplatFormat::CompressedPly,
+        ),
         ("splat/cone.splat", SplatFormat::Splat),
         ("coded_asset/cone.safetensors", SplatFormat::CodedAsset),
         ("sog/cone.sog", SplatFormat::Sog),
@@ -105,8 +112,14 @@ fn no_overwritten_byte_and_no_cut_makes_a_small_file_take_much() {
                 most = most.max(peak_bytes(|| read(&bytes, format)));
             }
         }
-        println!("{name}: {} bytes, at most {most} bytes of heap", whole.len());
-        assert!(most <= heap_of(format) + 4 * whole.len(), "{name}: {most} bytes");
+        println!(
+            "{name}: {} bytes, at most {most} bytes of heap",
+            whole.len()
+        );
+        assert!(
+            most <= heap_of(format) + 4 * whole.len(),
+            "{name}: {most} bytes"
+        );
     }
 }
 
@@ -117,7 +130,11 @@ fn a_claim_takes_nothing_that_the_file_does_not_hold() {
         assert_eq!(read(bytes, format), None, "{what} must be refused");
         let peak = peak_bytes(|| read(bytes, format));
         println!("{what}: {} bytes, {peak} bytes of heap", bytes.len());
-        assert!(peak <= heap_of(format) + 4 * bytes.len(), "{what}: {peak} bytes for a file of {}", bytes.len());
+        assert!(
+            peak <= heap_of(format) + 4 * bytes.len(),
+            "{what}: {peak} bytes for a file of {}",
+            bytes.len()
+        );
     };
     for (name, format, bytes) in seeds() {
         for count in [1u64 << 20, u64::from(u32::MAX), 1 << 40, u64::MAX] {
@@ -125,9 +142,18 @@ fn a_claim_takes_nothing_that_the_file_does_not_hold() {
             match (format, u32::try_from(count)) {
                 (SplatFormat::InriaPly | SplatFormat::CompressedPly, _) => {
                     for element in ["chunk 1", "vertex 12", "sh 12"] {
-                        let (from, kind) = (format!("element {element}\n"), element.split(' ').next().unwrap());
-                        let claimed = replaced(&bytes, from.as_bytes(), format!("element {kind} {count}\n").as_bytes());
-                        claimed.into_iter().for_each(|claimed| check(format!("{what} of {kind}"), format, &claimed));
+                        let (from, kind) = (
+                            format!("element {element}\n"),
+                            element.split(' ').next().unwrap(),
+                        );
+                        let claimed = replaced(
+                            &bytes,
+                            from.as_bytes(),
+                            format!("element {kind} {count}\n").as_bytes(),
+                        );
+                        claimed.into_iter().for_each(|claimed| {
+                            check(format!("{what} of {kind}"), format, &claimed);
+                        });
                     }
                 }
                 (SplatFormat::Spz, Ok(count)) if bytes.starts_with(b"NGSP") => {
@@ -142,29 +168,56 @@ fn a_claim_takes_nothing_that_the_file_does_not_hold() {
                     check(format!("{what} bytes of header"), format, &claimed);
                     for (from, to) in [
                         ("\"shape\":[16]", format!("\"shape\":[{count}]")),
-                        ("\"shape\":[16,3],\"data_offsets\":[", format!("\"shape\":[{count},3],\"data_offsets\":[")),
-                        ("\"data_offsets\":[0,", format!("\"data_offsets\":[{count},")),
+                        (
+                            "\"shape\":[16,3],\"data_offsets\":[",
+                            format!("\"shape\":[{count},3],\"data_offsets\":["),
+                        ),
+                        (
+                            "\"data_offsets\":[0,",
+                            format!("\"data_offsets\":[{count},"),
+                        ),
                         (",288]", format!(",{count}]")),
                     ] {
-                        check(format!("{what} for {from}"), format, &with_header(&bytes, from, &to));
+                        check(
+                            format!("{what} for {from}"),
+                            format,
+                            &with_header(&bytes, from, &to),
+                        );
                     }
                 }
                 (SplatFormat::KhrGlb, _) => {
-                    let claimed = replaced(&bytes, b"\"count\":12,", format!("\"count\":{count},").as_bytes()).unwrap();
+                    let claimed = replaced(
+                        &bytes,
+                        b"\"count\":12,",
+                        format!("\"count\":{count},").as_bytes(),
+                    )
+                    .unwrap();
                     check(what, format, &claimed);
                 }
                 (SplatFormat::Sog, _) => {
-                    let means = "\"means\":{\"mins\":[0,0,0],\"maxs\":[1,1,1],\"files\":[\"a\",\"b\"]}";
+                    let means =
+                        "\"means\":{\"mins\":[0,0,0],\"maxs\":[1,1,1],\"files\":[\"a\",\"b\"]}";
                     let coded = "{\"codebook\":[0],\"files\":[\"a\"]}";
-                    let rest = format!("\"scales\":{coded},\"sh0\":{coded},\"quats\":{{\"files\":[\"a\"]}}");
+                    let rest = format!(
+                        "\"scales\":{coded},\"sh0\":{coded},\"quats\":{{\"files\":[\"a\"]}}"
+                    );
                     let mut zip = StoredZip::new(Vec::new());
-                    zip.add("meta.json", format!("{{\"version\":2,\"count\":{count},{means},{rest}}}").as_bytes()).unwrap();
+                    zip.add(
+                        "meta.json",
+                        format!("{{\"version\":2,\"count\":{count},{means},{rest}}}").as_bytes(),
+                    )
+                    .unwrap();
                     check(what, format, &zip.finish().unwrap());
                 }
-                // The shape of a tensor, 12 rows: the last instruction that says so is that of 'shN'.
+                // The shape of a tensor, 12 rows: the last instruction that says so is that of
+                // 'shN'.
                 (SplatFormat::Checkpoint, Ok(count)) => {
-                    let claimed =
-                        replaced(&bytes, b"K\x0cK\x03\x86", &[b"J", &count.to_le_bytes()[..], b"K\x03\x86"].concat()).unwrap();
+                    let claimed = replaced(
+                        &bytes,
+                        b"K\x0cK\x03\x86",
+                        &[b"J", &count.to_le_bytes()[..], b"K\x03\x86"].concat(),
+                    )
+                    .unwrap();
                     check(what, format, &claimed);
                 }
                 (SplatFormat::Checkpoint, Err(_)) => {}
@@ -174,19 +227,27 @@ fn a_claim_takes_nothing_that_the_file_does_not_hold() {
         }
     }
     // As many as are believed of a file of this size, over nothing.
-    check("gzip SPZ over nothing".into(), SplatFormat::Spz, &gzip_of_zeros(16_384, 0));
+    check(
+        "gzip SPZ over nothing".into(),
+        SplatFormat::Spz,
+        &gzip_of_zeros(16_384, 0),
+    );
 }
 
 /// `bytes` with the one place that says `from` saying `to`.
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Option<Vec<u8>> {
-    let at = bytes.windows(from.len()).position(|window| window == from)?;
+    let at = bytes
+        .windows(from.len())
+        .position(|window| window == from)?;
     Some([&bytes[..at], to, &bytes[at + from.len()..]].concat())
 }
 
-/// The coded asset `bytes` with the one place of its header that says `from` saying `to`, and the header's length to match.
+/// The coded asset `bytes` with the one place of its header that says `from` saying `to`, and the
+/// header's length to match.
 fn with_header(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
     let mut changed = replaced(bytes, from.as_bytes(), to.as_bytes()).expect("the header has it");
-    let length = u64::from_le_bytes(bytes[..8].try_into().unwrap()) + to.len() as u64 - from.len() as u64;
+    let length =
+        u64::from_le_bytes(bytes[..8].try_into().unwrap()) + to.len() as u64 - from.len() as u64;
     changed[..8].copy_from_slice(&length.to_le_bytes());
     changed
 }
@@ -197,17 +258,33 @@ fn a_bomb_takes_no_more_than_the_splats_that_are_believed() {
     let check = |what: &str, bytes: &[u8], bound: usize| {
         let peak = peak_bytes(|| spz::decode(bytes).is_ok());
         println!("{what}: {} bytes, {peak} bytes of heap", bytes.len());
-        assert!(peak <= bound, "{what}: {peak} bytes of heap, at most {bound}");
+        assert!(
+            peak <= bound,
+            "{what}: {peak} bytes of heap, at most {bound}"
+        );
     };
     let zeros = 256 * MIB;
     // 64 KiB of what follows the streams are read, as extensions, into a buffer that doubles.
-    check("gzip bomb of few splats", &gzip_of_zeros(2, zeros), 5 * GZIP_HEAP);
+    check(
+        "gzip bomb of few splats",
+        &gzip_of_zeros(2, zeros),
+        5 * GZIP_HEAP,
+    );
     let length = gzip_of_zeros(2, zeros).len();
     // 20 bytes a splat in the file, 56 in memory, and a buffer that grows by doubling.
     let believed = 16_384 + length;
-    check("gzip bomb of as many splats as are believed", &gzip_of_zeros(believed as u32, zeros), 160 * believed);
-    check("gzip bomb of more", &gzip_of_zeros(u32::MAX, zeros), GZIP_HEAP);
-    // The positions of a version 4 file, whose table of contents tells the truth about twelve splats.
+    check(
+        "gzip bomb of as many splats as are believed",
+        &gzip_of_zeros(believed as u32, zeros),
+        160 * believed,
+    );
+    check(
+        "gzip bomb of more",
+        &gzip_of_zeros(u32::MAX, zeros),
+        GZIP_HEAP,
+    );
+    // The positions of a version 4 file, whose table of contents tells the truth about twelve
+    // splats.
     let (_, _, seed) = seeds().pop().unwrap();
     let bomb = zstd::bulk::compress(&vec![0; zeros], 3).unwrap();
     let first = u64::from_le_bytes(seed[32..40].try_into().unwrap()) as usize;
@@ -216,7 +293,12 @@ fn a_bomb_takes_no_more_than_the_splats_that_are_believed() {
     file[32..40].copy_from_slice(&(bomb.len() as u64).to_le_bytes());
     file.extend_from_slice(&bomb);
     file.extend_from_slice(&seed[data_at + first..]);
-    assert!(spz::decode(&file).unwrap_err().to_string().contains("positions"));
+    assert!(
+        spz::decode(&file)
+            .unwrap_err()
+            .to_string()
+            .contains("positions")
+    );
     check("Zstandard bomb", &file, GZIP_HEAP);
 }
 
@@ -234,31 +316,59 @@ fn text_takes_a_small_multiple_of_its_length() {
     ] {
         let text = of(start, middle);
         let peak = peak_bytes(|| cameras::decode(text.as_bytes(), None).is_ok());
-        println!("cameras {start}{middle}...: {} bytes of heap a byte", peak / text.len());
+        println!(
+            "cameras {start}{middle}...: {} bytes of heap a byte",
+            peak / text.len()
+        );
         assert!(peak <= 32 * text.len(), "{start}{middle}: {peak} bytes");
     }
     let empty_tensor = "\"TENSOR\":{\"dtype\":\"U8\",\"shape\":[0],\"data_offsets\":[0,0]},";
-    for (start, middle) in [("{", empty_tensor), ("{\"__metadata__\":{", "\"KEY\":\"\","), ("{\"a\":", "["), ("{\"a\":[", "[],")]
-    {
+    for (start, middle) in [
+        ("{", empty_tensor),
+        ("{\"__metadata__\":{", "\"KEY\":\"\","),
+        ("{\"a\":", "["),
+        ("{\"a\":[", "[],"),
+    ] {
         // Every tensor and every key has a name of its own, as far as there are names.
         let mut names = 0u32;
         let mut text = start.to_owned();
         while text.len() + middle.len() + 8 < MIB {
             names += 1;
-            text.push_str(&middle.replace("TENSOR", &format!("{names:x}")).replace("KEY", &format!("{names:x}")));
+            text.push_str(
+                &middle
+                    .replace("TENSOR", &format!("{names:x}"))
+                    .replace("KEY", &format!("{names:x}")),
+            );
         }
         // Once cut, once whole where it can be.
-        for text in [text.clone(), format!("{}}}}}", text.trim_end_matches(',')), format!("{}}}", text.trim_end_matches(','))] {
+        for text in [
+            text.clone(),
+            format!("{}}}}}", text.trim_end_matches(',')),
+            format!("{}}}", text.trim_end_matches(',')),
+        ] {
             let file = [&(text.len() as u64).to_le_bytes(), text.as_bytes()].concat();
             let peak = peak_bytes(|| coded_asset::decode(&file).is_ok());
-            println!("coded asset {start}{middle}...: {} bytes of heap a byte", peak / file.len());
+            println!(
+                "coded asset {start}{middle}...: {} bytes of heap a byte",
+                peak / file.len()
+            );
             assert!(peak <= 32 * file.len(), "{start}{middle}: {peak} bytes");
         }
     }
-    for (start, middle) in [("a = [", "0,"), ("a = ", "["), ("", "[[rig]]\n"), ("", "[[a]]\n"), ("a = ", "{a="), ("a", ".a")] {
+    for (start, middle) in [
+        ("a = [", "0,"),
+        ("a = ", "["),
+        ("", "[[rig]]\n"),
+        ("", "[[a]]\n"),
+        ("a = ", "{a="),
+        ("a", ".a"),
+    ] {
         let text = of(start, middle);
         let peak = peak_bytes(|| SceneFile::parse(&text).is_ok());
-        println!("scene {start}{middle}...: {} bytes of heap a byte", peak / text.len());
+        println!(
+            "scene {start}{middle}...: {} bytes of heap a byte",
+            peak / text.len()
+        );
         assert!(peak <= 128 * text.len(), "{start}{middle}: {peak} bytes");
     }
 }

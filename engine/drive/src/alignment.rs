@@ -7,8 +7,8 @@ use glam::{DVec2, DVec3};
 use crate::lane_index::{LaneIndex, LanePoint};
 use crate::register::grounding::corners;
 
-/// Average displacement error to centerlines, meters: the mean distance of `positions` from the nearest place on any lane that
-/// `accept` takes. `None` where there are no positions or no lanes.
+/// Average displacement error to centerlines, meters: the mean distance of `positions` from the
+/// nearest place on any lane that `accept` takes. `None` where there are no positions or no lanes.
 ///
 /// It is a measure across lanes only: who stands a car's length too far ahead on his lane has none.
 #[must_use]
@@ -17,7 +17,11 @@ pub fn ade_to_lanes(
     positions: impl IntoIterator<Item = DVec2>,
     accept: impl Fn(&LanePoint) -> bool,
 ) -> Option<f64> {
-    mean(positions.into_iter().map(|position| Some(index.nearest(position, &accept)?.foot.distance_m)))
+    mean(
+        positions
+            .into_iter()
+            .map(|position| Some(index.nearest(position, &accept)?.foot.distance_m)),
+    )
 }
 
 /// Average displacement errors to a truth, meters.
@@ -25,7 +29,8 @@ pub fn ade_to_lanes(
 pub struct TruthError {
     /// Mean distance.
     pub ade_m: f64,
-    /// Mean size of the distance across the lane, or where none is given across the truth's direction of motion.
+    /// Mean size of the distance across the lane, or where none is given across the truth's
+    /// direction of motion.
     pub lateral_m: f64,
     /// Mean size of the distance along it, which lanes do not show where they are straight.
     pub longitudinal_m: f64,
@@ -33,28 +38,49 @@ pub struct TruthError {
     pub moments: usize,
 }
 
-/// `positions` with their times in seconds against `truth`, linear between its points; moments outside it are passed over. `None`
-/// where no moment is left.
+/// `positions` with their times in seconds against `truth`, linear between its points; moments
+/// outside it are passed over. `None` where no moment is left.
 #[must_use]
-pub fn against_truth(positions: impl IntoIterator<Item = (f64, DVec2)>, truth: &Track) -> Option<TruthError> {
-    against_truth_along(positions.into_iter().map(|(time_s, position)| (time_s, position, None)), truth)
+pub fn against_truth(
+    positions: impl IntoIterator<Item = (f64, DVec2)>,
+    truth: &Track,
+) -> Option<TruthError> {
+    against_truth_along(
+        positions
+            .into_iter()
+            .map(|(time_s, position)| (time_s, position, None)),
+        truth,
+    )
 }
 
-/// The same with the direction, radians, along which and across which each error is told: that of the lane, where one is known. Who
-/// changes lanes drives across them a little, and an error along the lane, which lanes do not show, would be one across his motion.
+/// The same with the direction, radians, along which and across which each error is told: that of
+/// the lane, where one is known. Who changes lanes drives across them a little, and an error along
+/// the lane, which lanes do not show, would be one across his motion.
 #[must_use]
-pub fn against_truth_along(positions: impl IntoIterator<Item = (f64, DVec2, Option<f64>)>, truth: &Track) -> Option<TruthError> {
+pub fn against_truth_along(
+    positions: impl IntoIterator<Item = (f64, DVec2, Option<f64>)>,
+    truth: &Track,
+) -> Option<TruthError> {
     let points = &truth.points;
     let (mut sums, mut moments) = (DVec3::ZERO, 0);
     for (time_s, position, heading_rad) in positions {
         let next = points.partition_point(|point| point.time_s < time_s);
         let exact = points.get(next).is_some_and(|point| point.time_s <= time_s);
         let (before, after) = (if exact { next } else { next.wrapping_sub(1) }, next);
-        let (Some(a), Some(b)) = (points.get(before), points.get(after)) else { continue };
-        let share = if exact { 0.0 } else { (time_s - a.time_s) / (b.time_s - a.time_s) };
+        let (Some(a), Some(b)) = (points.get(before), points.get(after)) else {
+            continue;
+        };
+        let share = if exact {
+            0.0
+        } else {
+            (time_s - a.time_s) / (b.time_s - a.time_s)
+        };
         let place = a.position_m.lerp(b.position_m, share);
         // The way over a neighbor to each side.
-        let (first, last) = (&points[before.saturating_sub(1)], &points[(after + 1).min(points.len() - 1)]);
+        let (first, last) = (
+            &points[before.saturating_sub(1)],
+            &points[(after + 1).min(points.len() - 1)],
+        );
         let way = (last.position_m - first.position_m).try_normalize();
         let way = way.or(a.yaw_rad.map(DVec2::from_angle)).unwrap_or(DVec2::X);
         let way = heading_rad.map_or(way, DVec2::from_angle);
@@ -63,11 +89,17 @@ pub fn against_truth_along(positions: impl IntoIterator<Item = (f64, DVec2, Opti
         moments += 1;
     }
     let mean = sums / moments as f64;
-    (moments > 0).then_some(TruthError { ade_m: mean.x, lateral_m: mean.y, longitudinal_m: mean.z, moments })
+    (moments > 0).then_some(TruthError {
+        ade_m: mean.x,
+        lateral_m: mean.y,
+        longitudinal_m: mean.z,
+        moments,
+    })
 }
 
-/// Height of each bottom corner of boxes of `dims_m` at `poses` above a ground, meters; negative below it. `ground` tells the
-/// height at a place, near the height given; corners without ground are passed over.
+/// Height of each bottom corner of boxes of `dims_m` at `poses` above a ground, meters; negative
+/// below it. `ground` tells the height at a place, near the height given; corners without ground
+/// are passed over.
 #[must_use]
 pub fn clearances(
     poses: impl IntoIterator<Item = Pose>,
@@ -75,14 +107,23 @@ pub fn clearances(
     ground: impl Fn(DVec2, f64) -> Option<f64>,
 ) -> Vec<f64> {
     let bottom = corners(dims_m).map(|corner| corner.extend(-0.5 * dims_m[2]));
-    let anchors = poses.into_iter().flat_map(|pose| bottom.map(|corner| pose.transform(corner)));
-    anchors.filter_map(|anchor| Some(anchor.z - ground(anchor.truncate(), anchor.z)?)).collect()
+    let anchors = poses
+        .into_iter()
+        .flat_map(|pose| bottom.map(|corner| pose.transform(corner)));
+    anchors
+        .filter_map(|anchor| Some(anchor.z - ground(anchor.truncate(), anchor.z)?))
+        .collect()
 }
 
-/// Ground penetration rate: the share of `clearances_m` below `-tolerance_m`. `None` where there are none.
+/// Ground penetration rate: the share of `clearances_m` below `-tolerance_m`. `None` where there
+/// are none.
 #[must_use]
 pub fn penetration_rate(clearances_m: &[f64], tolerance_m: f64) -> Option<f64> {
-    mean(clearances_m.iter().map(|clearance| Some(f64::from(u8::from(*clearance < -tolerance_m)))))
+    mean(
+        clearances_m
+            .iter()
+            .map(|clearance| Some(f64::from(u8::from(*clearance < -tolerance_m)))),
+    )
 }
 
 /// The size that `share` of `values` do not exceed, signs left out. `None` where there are none.
@@ -90,7 +131,13 @@ pub fn penetration_rate(clearances_m: &[f64], tolerance_m: f64) -> Option<f64> {
 pub fn size_quantile(values: &[f64], share: f64) -> Option<f64> {
     let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
     sizes.sort_by(f64::total_cmp);
-    sizes.get(((share * sizes.len() as f64).ceil() as usize).saturating_sub(1).min(sizes.len().saturating_sub(1))).copied()
+    sizes
+        .get(
+            ((share * sizes.len() as f64).ceil() as usize)
+                .saturating_sub(1)
+                .min(sizes.len().saturating_sub(1)),
+        )
+        .copied()
 }
 
 /// Histogram of `values` in `bins` equal parts of -`reach` to `reach`; values beyond are in the
@@ -123,8 +170,14 @@ mod tests {
 
     #[test]
     fn distances_to_lanes_are_across_only() {
-        let lane = Lane { centerline: vec![DVec3::ZERO, DVec3::X * 100.0], ..Lane::default() };
-        let index = LaneIndex::new(&LaneMap { lanes: vec![lane], ..LaneMap::default() });
+        let lane = Lane {
+            centerline: vec![DVec3::ZERO, DVec3::X * 100.0],
+            ..Lane::default()
+        };
+        let index = LaneIndex::new(&LaneMap {
+            lanes: vec![lane],
+            ..LaneMap::default()
+        });
         let at = |off: f64, ahead: f64| (0..20).map(move |i| DVec2::new(f64::from(i) + ahead, off));
         assert!((ade_to_lanes(&index, at(0.48, 0.0), |_| true).unwrap() - 0.48).abs() < 1e-12);
         assert!(ade_to_lanes(&index, at(0.0, 5.0), |_| true).unwrap() < 1e-12);
@@ -140,16 +193,33 @@ mod tests {
             z_m: None,
             yaw_rad: None,
         };
-        let truth = Track { points: (0..10).map(point).collect(), ..Track::default() };
-        let moved = |off: DVec2| (-5..40).map(move |i| (0.3 * f64::from(i), DVec2::new(0.0, 3.0 * f64::from(i)) + off));
+        let truth = Track {
+            points: (0..10).map(point).collect(),
+            ..Track::default()
+        };
+        let moved = |off: DVec2| {
+            (-5..40).map(move |i| {
+                (
+                    0.3 * f64::from(i),
+                    DVec2::new(0.0, 3.0 * f64::from(i)) + off,
+                )
+            })
+        };
         let exact = against_truth(moved(DVec2::ZERO), &truth).unwrap();
         assert!(exact.ade_m < 1e-12 && exact.moments == 31, "{exact:?}");
         let aside = against_truth(moved(DVec2::new(0.3, 0.4)), &truth).unwrap();
-        assert!((aside.ade_m - 0.5).abs() < 1e-9 && (aside.lateral_m - 0.3).abs() < 1e-9, "{aside:?}");
+        assert!(
+            (aside.ade_m - 0.5).abs() < 1e-9 && (aside.lateral_m - 0.3).abs() < 1e-9,
+            "{aside:?}"
+        );
         assert!((aside.longitudinal_m - 0.4).abs() < 1e-9, "{aside:?}");
-        let lane = moved(DVec2::new(0.3, 0.4)).map(|(time_s, position)| (time_s, position, Some(0.0)));
+        let lane =
+            moved(DVec2::new(0.3, 0.4)).map(|(time_s, position)| (time_s, position, Some(0.0)));
         let along_x = against_truth_along(lane, &truth).unwrap();
-        assert!((along_x.lateral_m - 0.4).abs() < 1e-9 && (along_x.longitudinal_m - 0.3).abs() < 1e-9, "{along_x:?}");
+        assert!(
+            (along_x.lateral_m - 0.4).abs() < 1e-9 && (along_x.longitudinal_m - 0.3).abs() < 1e-9,
+            "{along_x:?}"
+        );
         assert_eq!(against_truth([(100.0, DVec2::ZERO)], &truth), None);
         assert_eq!(against_truth(moved(DVec2::ZERO), &Track::default()), None);
     }
@@ -162,10 +232,19 @@ mod tests {
         assert!(of(10.75).iter().all(|clearance| clearance.abs() < 1e-12) && of(10.75).len() == 4);
         assert!((of(10.5)[0] + 0.25).abs() < 1e-12, "sunk");
         let mixed: Vec<f64> = [of(10.74), of(10.5), of(11.0), of(10.75)].concat();
-        assert_eq!((penetration_rate(&mixed, 0.02), penetration_rate(&mixed, 0.3)), (Some(0.25), Some(0.0)));
+        assert_eq!(
+            (
+                penetration_rate(&mixed, 0.02),
+                penetration_rate(&mixed, 0.3)
+            ),
+            (Some(0.25), Some(0.0))
+        );
         assert_eq!(penetration_rate(&[], 0.0), None);
         assert!((size_quantile(&mixed, 0.95).unwrap() - 0.25).abs() < 1e-12);
-        assert_eq!(histogram(&[-9.0, -0.2, 0.0, 0.1, 0.3, 9.0], 0.5, 4), [1, 1, 2, 2]);
+        assert_eq!(
+            histogram(&[-9.0, -0.2, 0.0, 0.1, 0.3, 9.0], 0.5, 4),
+            [1, 1, 2, 2]
+        );
         assert!(clearances([pose(0.0)], [4.0, 2.0, 1.5], |_, _| None).is_empty());
         assert_eq!(size_quantile(&[], 0.95), None);
     }

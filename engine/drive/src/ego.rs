@@ -1,10 +1,12 @@
 //! The ego vehicle: a kinematic bicycle that tracks a plan.
 //!
-//! Both wheels of an axle are one wheel, and none slips: the rear axle moves where the vehicle points, and turns about the place that the
-//! front wheels' angle tells (Rajamani, "Vehicle Dynamics and Control", 2012, section 2.2). The axles lie symmetrically about the middle
-//! of the box, which is what positions are of. Steering is pure pursuit (Coulter, "Implementation of the Pure Pursuit Path Tracking
-//! Algorithm", 1992), solved for the middle of the box and not for the rear axle: the middle would otherwise run outside of every bend. Speed is
-//! that of the plan plus a correction in proportion to how far the ego lies behind or ahead of it.
+//! Both wheels of an axle are one wheel, and none slips: the rear axle moves where the vehicle
+//! points, and turns about the place that the front wheels' angle tells (Rajamani, "Vehicle
+//! Dynamics and Control", 2012, section 2.2). The axles lie symmetrically about the middle of the
+//! box, which is what positions are of. Steering is pure pursuit (Coulter, "Implementation of the
+//! Pure Pursuit Path Tracking Algorithm", 1992), solved for the middle of the box and not for the
+//! rear axle: the middle would otherwise run outside of every bend. Speed is that of the plan plus
+//! a correction in proportion to how far the ego lies behind or ahead of it.
 
 use decouplegs_scene::{Plan, VehicleSize, VehicleState};
 use glam::DVec2;
@@ -18,7 +20,8 @@ mod speed;
 use path::PlannedPath;
 use speed::SpeedProfile;
 
-/// A step is integrated in parts of so many seconds at most, and the controls are set anew at each: steps of 0.1 s and 0.01 s then agree.
+/// A step is integrated in parts of so many seconds at most, and the controls are set anew at each:
+/// steps of 0.1 s and 0.01 s then agree.
 const PART_S: f64 = 0.01;
 /// Longest step, seconds.
 const STEP_S_MAX: f64 = 60.0;
@@ -28,7 +31,8 @@ const SPEED_TIME_S: f64 = 0.25;
 const POSITION_GAIN_PER_S: f64 = 1.0;
 /// Deceleration without a plan or after its end: gentle, as nothing is known to be ahead.
 const IDLE_BRAKING_MPS2: f64 = 2.0;
-/// The last of the speed is taken off at least so hard: an exponential approach would creep forever.
+/// The last of the speed is taken off at least so hard: an exponential approach would creep
+/// forever.
 const HALTING_MPS2: f64 = 1.0;
 /// The nearest place on the path is searched so far behind and ahead of the last one, meters.
 const SEARCH_M: f64 = 5.0;
@@ -53,7 +57,8 @@ pub struct EgoOptions {
 }
 
 impl Default for EgoOptions {
-    /// A family car. It turns on a circle of 8 m (with a wheelbase of 2.7 m), from side to side in 1.5 s.
+    /// A family car. It turns on a circle of 8 m (with a wheelbase of 2.7 m), from side to side in
+    /// 1.5 s.
     fn default() -> Self {
         Self {
             wheelbase_m: None,
@@ -86,11 +91,15 @@ pub struct Ego {
 }
 
 impl Ego {
-    /// An ego that stands or drives as `state` says, its wheels straight, with no plan yet: until [`Ego::follow`] it brakes gently.
+    /// An ego that stands or drives as `state` says, its wheels straight, with no plan yet: until
+    /// [`Ego::follow`] it brakes gently.
     #[must_use]
     pub fn new(state: VehicleState, size: VehicleSize, options: EgoOptions) -> Self {
         let wheelbase_m = options.wheelbase_m.unwrap_or(0.6 * size.length_m).max(0.1);
-        let state = VehicleState { speed_mps: state.speed_mps.max(0.0), ..state };
+        let state = VehicleState {
+            speed_mps: state.speed_mps.max(0.0),
+            ..state
+        };
         Self {
             options,
             wheelbase_m,
@@ -122,14 +131,16 @@ impl Ego {
         self.state.speed_mps * self.steer_rad.tan() / self.wheelbase_m
     }
 
-    /// Towards the middle of its bend, to the left where above zero. It is reported and limited by nothing.
+    /// Towards the middle of its bend, to the left where above zero. It is reported and limited by
+    /// nothing.
     #[must_use]
     pub fn lateral_acceleration_mps2(&self) -> f64 {
         self.state.speed_mps * self.yaw_rate_radps()
     }
 
-    /// Takes `plan` as made now, from here. Of a plan that turns back, the part before that is driven and the rest is a halt: the ego
-    /// never reverses. A plan that leads nowhere is a halt on the way of the plan before.
+    /// Takes `plan` as made now, from here. Of a plan that turns back, the part before that is
+    /// driven and the rest is a halt: the ego never reverses. A plan that leads nowhere is a halt
+    /// on the way of the plan before.
     pub fn follow(&mut self, plan: &Plan) {
         let (path, arcs_m) = PlannedPath::of(plan, &self.state);
         let times = plan.points().iter().map(|point| point.time_s);
@@ -140,8 +151,9 @@ impl Ego {
         (self.plan_age_s, self.driven_m) = (0.0, 0.0);
     }
 
-    /// Drives on for `dt_s` seconds, 60 at most; what is not above zero is no time. Where the plan is over, a halt goes on as one, and
-    /// otherwise the ego brakes gently along the way that the plan had at its end.
+    /// Drives on for `dt_s` seconds, 60 at most; what is not above zero is no time. Where the plan
+    /// is over, a halt goes on as one, and otherwise the ego brakes gently along the way that the
+    /// plan had at its end.
     pub fn step(&mut self, dt_s: f64) {
         if dt_s.is_nan() || dt_s <= 0.0 {
             return;
@@ -157,12 +169,15 @@ impl Ego {
     }
 
     fn part(&mut self, dt_s: f64) {
-        let acceleration_mps2 =
-            self.wanted_acceleration(dt_s).clamp(-self.options.braking_max_mps2, self.options.acceleration_max_mps2);
+        let acceleration_mps2 = self.wanted_acceleration(dt_s).clamp(
+            -self.options.braking_max_mps2,
+            self.options.acceleration_max_mps2,
+        );
         let steer_max_rad = self.options.steer_max_rad;
         let turn_max_rad = self.options.steer_rate_max_radps * dt_s;
         let wanted_rad = self.wanted_steer().clamp(-steer_max_rad, steer_max_rad);
-        let steer_rad = self.steer_rad + (wanted_rad - self.steer_rad).clamp(-turn_max_rad, turn_max_rad);
+        let steer_rad =
+            self.steer_rad + (wanted_rad - self.steer_rad).clamp(-turn_max_rad, turn_max_rad);
         self.advance(dt_s, acceleration_mps2, steer_rad);
         self.plan_age_s += dt_s;
     }
@@ -171,28 +186,39 @@ impl Ego {
     fn wanted_acceleration(&self, dt_s: f64) -> f64 {
         let speed_mps = self.state.speed_mps;
         let halt = |mps2: f64| -mps2.min(speed_mps / dt_s);
-        let Some(profile) = &self.profile else { return halt(IDLE_BRAKING_MPS2) };
+        let Some(profile) = &self.profile else {
+            return halt(IDLE_BRAKING_MPS2);
+        };
         let wanted = profile.at(self.plan_age_s);
         if wanted.rests {
-            // What is missing to the plan's last place is not caught up with: that would be creeping.
+            // What is missing to the plan's last place is not caught up with: that would be
+            // creeping.
             let overshoot_m = (self.driven_m - wanted.arc_m).max(0.0);
-            return halt(((speed_mps + POSITION_GAIN_PER_S * overshoot_m) / SPEED_TIME_S).max(HALTING_MPS2));
+            return halt(
+                ((speed_mps + POSITION_GAIN_PER_S * overshoot_m) / SPEED_TIME_S).max(HALTING_MPS2),
+            );
         }
         if self.plan_age_s > profile.end_s() {
             return halt(IDLE_BRAKING_MPS2);
         }
-        let speed_error_mps = wanted.speed_mps + POSITION_GAIN_PER_S * (wanted.arc_m - self.driven_m) - speed_mps;
+        let speed_error_mps =
+            wanted.speed_mps + POSITION_GAIN_PER_S * (wanted.arc_m - self.driven_m) - speed_mps;
         wanted.acceleration_mps2 + speed_error_mps / SPEED_TIME_S
     }
 
-    /// The angle of the wheels with which the middle of the box comes to the place that pure pursuit aims at.
+    /// The angle of the wheels with which the middle of the box comes to the place that pure
+    /// pursuit aims at.
     ///
-    /// With the axles half a wheelbase L before and behind it, the middle moves aslant by b, where tan b = tan(steer) / 2, on a circle of
-    /// curvature 2 sin b / L. A place at distance d and bearing a lies on that circle where 2 sin(a - b) / d is the same curvature,
-    /// which gives tan b = L sin a / (d + L cos a).
+    /// With the axles half a wheelbase L before and behind it, the middle moves aslant by b, where
+    /// tan b = tan(steer) / 2, on a circle of curvature 2 sin b / L. A place at distance d and
+    /// bearing a lies on that circle where 2 sin(a - b) / d is the same curvature, which gives tan
+    /// b = L sin a / (d + L cos a).
     fn wanted_steer(&self) -> f64 {
-        let Some(path) = &self.path else { return self.steer_rad };
-        let look_ahead_m = (self.options.look_ahead_s * self.state.speed_mps).max(self.options.look_ahead_m_min);
+        let Some(path) = &self.path else {
+            return self.steer_rad;
+        };
+        let look_ahead_m =
+            (self.options.look_ahead_s * self.state.speed_mps).max(self.options.look_ahead_m_min);
         let goal = self.state.to_local(path.at(self.path_arc_m + look_ahead_m));
         let (distance_m, wheelbase_m) = (goal.length(), self.wheelbase_m);
         if goal.x <= 0.0 || distance_m < 0.1 {
@@ -203,16 +229,25 @@ impl Ego {
         (2.0 * tan_slip).atan()
     }
 
-    /// Moves on an arc: exactly so for an angle of the wheels that does not change, and with the middle one otherwise.
+    /// Moves on an arc: exactly so for an angle of the wheels that does not change, and with the
+    /// middle one otherwise.
     fn advance(&mut self, dt_s: f64, acceleration_mps2: f64, steer_rad: f64) {
         let speed_mps = self.state.speed_mps;
         let end_mps = (speed_mps + acceleration_mps2 * dt_s).max(0.0);
         // Where it comes to rest within the time, it moves only until then.
-        let moving_s = if end_mps > 0.0 || acceleration_mps2 >= 0.0 { dt_s } else { speed_mps / -acceleration_mps2 };
+        let moving_s = if end_mps > 0.0 || acceleration_mps2 >= 0.0 {
+            dt_s
+        } else {
+            speed_mps / -acceleration_mps2
+        };
         let distance_m = 0.5 * (speed_mps + end_mps) * moving_s;
         let turn_rad = distance_m * (0.5 * (self.steer_rad + steer_rad)).tan() / self.wheelbase_m;
         let half_rad = 0.5 * turn_rad;
-        let chord = if half_rad.abs() < 1e-6 { 1.0 } else { half_rad.sin() / half_rad };
+        let chord = if half_rad.abs() < 1e-6 {
+            1.0
+        } else {
+            half_rad.sin() / half_rad
+        };
         let to_rear = 0.5 * self.wheelbase_m;
         let rear_m = self.state.position_m - self.state.ahead() * to_rear
             + DVec2::from_angle(self.state.yaw_rad + half_rad) * (chord * distance_m);
@@ -230,7 +265,9 @@ impl Ego {
             return;
         };
         let before_m = self.path_arc_m;
-        self.path_arc_m = path.project(self.state.position_m, before_m, SEARCH_M).max(before_m);
+        self.path_arc_m = path
+            .project(self.state.position_m, before_m, SEARCH_M)
+            .max(before_m);
         self.driven_m += self.path_arc_m - before_m;
     }
 }

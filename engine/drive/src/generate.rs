@@ -1,12 +1,16 @@
-//! Scenarios made up for a level: where the ego starts and goes, who else is on the road, what the light is and what goes wrong.
+//! Scenarios synthetic for a level: where the ego starts and goes, who else is on the road, what
+//! the light is and what goes wrong.
 //!
-//! Everything follows from a seed and an index. Numbers are round (centimeters, tenths of a meter a second), so that a person can read and
-//! change what comes out. At the start
-//! - nobody overlaps, and everybody is all on one lane and off all places where other lanes cross or merge;
-//! - everybody can stop: behind the vehicle ahead if that brakes as hard as it can, with a second to react; before a crossing where others
-//!   go first; before the end of a road;
-//! - the ego's route is some 100 to 180 m, shorter where lanes end or allow less, and takes 13 s at most where nobody is in the way;
-//! - from Medium on somebody slower drives 15 to 40 m ahead of the ego, so that keeping one's speed is not enough.
+//! Everything follows from a seed and an index. Numbers are round (centimeters, tenths of a meter a
+//! second), so that a person can read and change what comes out. At the start
+//! - no vehicles overlap, and each is wholly on one lane and off all places where other lanes cross
+//!   or merge;
+//! - all vehicles can stop: behind the vehicle ahead if that brakes as hard as it can, with a
+//!   second to react; before a crossing where others go first; before the end of a road;
+//! - the ego's route is some 100 to 180 m, shorter where lanes end or allow less, and takes 13 s at
+//!   most where nobody is in the way;
+//! - from Medium on a slower vehicle drives 15 to 40 m ahead of the ego, so that keeping one's
+//!   speed is not enough.
 
 mod behaviors;
 mod ego_start;
@@ -54,7 +58,9 @@ pub enum GenerateError {
     #[error("no scenarios can be made: {0}")]
     Roads(String),
     /// No assets were given.
-    #[error("no scenarios can be made without assets for agents to show; expected the size of at least one")]
+    #[error(
+        "no scenarios can be made without assets for agents to show; expected the size of at least one"
+    )]
     NoAssets,
     /// No way for the ego.
     #[error(
@@ -94,41 +100,62 @@ pub struct Generator<'a> {
 }
 
 impl<'a> Generator<'a> {
-    /// A generator for `place`, whose lanes are `map` and whose agents show `assets` of these sizes, in the order of
-    /// [`TrafficAgent::asset`]. Egos on the synthetic street stay where it has details.
+    /// A generator for `place`, whose lanes are `map` and whose agents show `assets` of these
+    /// sizes, in the order of [`TrafficAgent::asset`]. Egos on the synthetic street stay where it
+    /// has details.
     ///
     /// # Errors
     /// [`GenerateError::Roads`] and [`GenerateError::NoAssets`].
-    pub fn new(map: &'a LaneMap, place: PlaceOptions, assets: &[VehicleSize]) -> Result<Self, GenerateError> {
+    pub fn new(
+        map: &'a LaneMap,
+        place: PlaceOptions,
+        assets: &[VehicleSize],
+    ) -> Result<Self, GenerateError> {
         if assets.is_empty() {
             return Err(GenerateError::NoAssets);
         }
         if let Some(asset) = assets.iter().find(|asset| !is_a_vehicle(asset)) {
             let [length_m, width_m, height_m] = asset.to_array();
             let expected = "expected 0.5 to 25 by 0.3 to 4 by 0.1 to 10 m";
-            return Err(GenerateError::Roads(format!("an asset is {length_m} by {width_m} by {height_m} m; {expected}")));
+            return Err(GenerateError::Roads(format!(
+                "an asset is {length_m} by {width_m} by {height_m} m; {expected}"
+            )));
         }
-        let largest = assets.iter().fold(RoadGraph::VEHICLE, |largest, asset| VehicleSize {
-            length_m: largest.length_m.max(asset.length_m),
-            width_m: largest.width_m.max(asset.width_m),
-            height_m: largest.height_m.max(asset.height_m),
-        });
+        let largest = assets
+            .iter()
+            .fold(RoadGraph::VEHICLE, |largest, asset| VehicleSize {
+                length_m: largest.length_m.max(asset.length_m),
+                width_m: largest.width_m.max(asset.width_m),
+                height_m: largest.height_m.max(asset.height_m),
+            });
         let roads = Roads::new(map, largest).map_err(GenerateError::Roads)?;
         let street = matches!(place, PlaceOptions::Street { .. });
-        let area = street.then_some(Area { center_m: DVec2::ZERO, radius_m: STREET_RADIUS_M });
-        Ok(Self { roads, place, area, assets: assets.to_vec() })
+        let area = street.then_some(Area {
+            center_m: DVec2::ZERO,
+            radius_m: STREET_RADIUS_M,
+        });
+        Ok(Self {
+            roads,
+            place,
+            area,
+            assets: assets.to_vec(),
+        })
     }
 
     /// The same with routes that start and end within `area`: where a captured scene has been seen.
     #[must_use]
     pub fn within(self, area: Area) -> Self {
-        Self { area: Some(area), ..self }
+        Self {
+            area: Some(area),
+            ..self
+        }
     }
 
     /// Scenario `index` of `level`, called for instance `hard_0007`.
     ///
     /// # Errors
-    /// [`GenerateError::NoRoute`] and [`GenerateError::NoRoom`], where the map is too small for the level.
+    /// [`GenerateError::NoRoute`] and [`GenerateError::NoRoom`], where the map is too small for the
+    /// level.
     pub fn scenario(&self, level: Level, seed: u64, index: u32) -> Result<Scenario, GenerateError> {
         let name = format!("{}_{index:04}", level.name());
         let stream = Stream::new(seed).of(level as u64).of(u64::from(index));
@@ -137,8 +164,15 @@ impl<'a> Generator<'a> {
         for number in 0..TRIES {
             let random = stream.of(FOR_TRIES).of(number);
             let beside = number < TRIES_WITH_ALL && self.roads.has_lanes_beside;
-            let wishes = Wishes { crossing: number < TRIES_BEFORE_CROSSING, beside };
-            let Some(start) = ego_start::choose(&self.roads, self.area, &rules, &random.of(0), wishes) else { continue };
+            let wishes = Wishes {
+                crossing: number < TRIES_BEFORE_CROSSING,
+                beside,
+            };
+            let Some(start) =
+                ego_start::choose(&self.roads, self.area, &rules, &random.of(0), wishes)
+            else {
+                continue;
+            };
             routes += 1;
             let placement = Placement::new(&self.roads, &rules, &start, &self.assets, random.of(1));
             let vehicles = match placement.fill((least, most)) {
@@ -162,12 +196,21 @@ impl<'a> Generator<'a> {
                 step_s: Scenario::STEP_S,
                 place: self.place.lit_for(level, &mut stream.of(FOR_LIGHT)),
                 agents,
-                ego: EgoTask { speed_mps: vehicles[0].speed_mps, ..start.task },
+                ego: EgoTask {
+                    speed_mps: vehicles[0].speed_mps,
+                    ..start.task
+                },
             });
         }
         Err(match routes {
             0 => GenerateError::NoRoute { name, tries: TRIES },
-            _ => GenerateError::NoRoom { name, least, most, found, tries: TRIES },
+            _ => GenerateError::NoRoom {
+                name,
+                least,
+                most,
+                found,
+                tries: TRIES,
+            },
         })
     }
 
@@ -175,14 +218,18 @@ impl<'a> Generator<'a> {
     /// crossings than the generator.
     fn begins_as_told(&self, agents: &[TrafficAgent], seed: u64) -> bool {
         let traffic = Traffic::new(self.roads.graph.clone(), agents, seed);
-        let as_fast = |(state, agent): (&VehicleState, &TrafficAgent)| (state.speed_mps - agent.speed_mps).abs() < 1e-6;
+        let as_fast = |(state, agent): (&VehicleState, &TrafficAgent)| {
+            (state.speed_mps - agent.speed_mps).abs() < 1e-6
+        };
         traffic.is_ok_and(|traffic| traffic.states().iter().zip(agents).all(as_fast))
     }
 }
 
 /// True if traffic takes an agent of this size.
 fn is_a_vehicle(size: &VehicleSize) -> bool {
-    (0.5..=25.0).contains(&size.length_m) && (0.3..=4.0).contains(&size.width_m) && (0.1..=10.0).contains(&size.height_m)
+    (0.5..=25.0).contains(&size.length_m)
+        && (0.3..=4.0).contains(&size.width_m)
+        && (0.1..=10.0).contains(&size.height_m)
 }
 
 fn to_centimeter(value: f64) -> f64 {

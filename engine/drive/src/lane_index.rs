@@ -42,13 +42,24 @@ impl LaneIndex {
     /// The index of `map`. Lanes whose centerline is no line are in none of its answers.
     #[must_use]
     pub fn new(map: &LaneMap) -> Self {
-        let lines: Vec<Option<Polyline>> = map.lanes.iter().map(|lane| Polyline::new(lane.centerline.iter().copied())).collect();
+        let lines: Vec<Option<Polyline>> = map
+            .lanes
+            .iter()
+            .map(|lane| Polyline::new(lane.centerline.iter().copied()))
+            .collect();
         let mut pieces = Vec::new();
         for (lane, line) in lines.iter().enumerate() {
             let segments = line.as_ref().map_or(0, |line| line.points().len() - 1);
-            pieces.extend((0..segments).map(|segment| Piece { lane: lane as u32, segment: segment as u32 }));
+            pieces.extend((0..segments).map(|segment| Piece {
+                lane: lane as u32,
+                segment: segment as u32,
+            }));
         }
-        let mut index = Self { lines, pieces, nodes: Vec::new() };
+        let mut index = Self {
+            lines,
+            pieces,
+            nodes: Vec::new(),
+        };
         if !index.pieces.is_empty() {
             index.build(0, index.pieces.len());
         }
@@ -66,14 +77,25 @@ impl LaneIndex {
     pub fn lanes_near(&self, at: DVec2, radius_m: f64) -> Vec<LanePoint> {
         let mut found: Vec<LanePoint> = Vec::new();
         self.visit(at, radius_m, |piece, foot| {
-            match found.iter_mut().find(|point| point.lane == piece.lane as usize) {
+            match found
+                .iter_mut()
+                .find(|point| point.lane == piece.lane as usize)
+            {
                 Some(point) if point.foot.distance_m <= foot.distance_m => {}
                 Some(point) => point.foot = foot,
-                None => found.push(LanePoint { lane: piece.lane as usize, foot }),
+                None => found.push(LanePoint {
+                    lane: piece.lane as usize,
+                    foot,
+                }),
             }
             radius_m
         });
-        found.sort_by(|a, b| a.foot.distance_m.total_cmp(&b.foot.distance_m).then(a.lane.cmp(&b.lane)));
+        found.sort_by(|a, b| {
+            a.foot
+                .distance_m
+                .total_cmp(&b.foot.distance_m)
+                .then(a.lane.cmp(&b.lane))
+        });
         found
     }
 
@@ -82,8 +104,13 @@ impl LaneIndex {
     pub fn nearest(&self, at: DVec2, accept: impl Fn(&LanePoint) -> bool) -> Option<LanePoint> {
         let mut best: Option<LanePoint> = None;
         self.visit(at, f64::INFINITY, |piece, foot| {
-            let point = LanePoint { lane: piece.lane as usize, foot };
-            let nearer = best.is_none_or(|best| (foot.distance_m, point.lane) < (best.foot.distance_m, best.lane));
+            let point = LanePoint {
+                lane: piece.lane as usize,
+                foot,
+            };
+            let nearer = best.is_none_or(|best| {
+                (foot.distance_m, point.lane) < (best.foot.distance_m, best.lane)
+            });
             if nearer && accept(&point) {
                 best = Some(point);
             }
@@ -106,11 +133,16 @@ impl LaneIndex {
             }
             if node.second == 0 {
                 for &piece in &self.pieces[node.pieces.start as usize..node.pieces.end as usize] {
-                    let Some(line) = self.line(piece.lane as usize) else { continue };
+                    let Some(line) = self.line(piece.lane as usize) else {
+                        continue;
+                    };
                     let segment = piece.segment as usize;
                     let arcs = line.arcs_m();
                     let share = line.share_of(segment, at);
-                    let foot = line.foot(at, arcs[segment] + share * (arcs[segment + 1] - arcs[segment]));
+                    let foot = line.foot(
+                        at,
+                        arcs[segment] + share * (arcs[segment + 1] - arcs[segment]),
+                    );
                     if foot.distance_m <= radius_m {
                         radius_m = see(piece, foot).min(radius_m);
                     }
@@ -121,21 +153,34 @@ impl LaneIndex {
                     let node = &self.nodes[node as usize];
                     at.clamp(node.low, node.high).distance_squared(at)
                 };
-                // The nearer one is looked at first.
+                // The nearer one is examined first.
                 let nearer_first = distance(first) <= distance(second);
-                open.extend(if nearer_first { [second, first] } else { [first, second] });
+                open.extend(if nearer_first {
+                    [second, first]
+                } else {
+                    [first, second]
+                });
             }
         }
     }
 
-    /// The tree over pieces `from` to `to`: halves along the longer side. Its depth is the logarithm of their number.
+    /// The tree over pieces `from` to `to`: halves along the longer side. Its depth is the
+    /// logarithm of their number.
     fn build(&mut self, from: usize, to: usize) -> u32 {
         let ends = |piece: &Piece| {
-            let points = self.lines[piece.lane as usize].as_ref().map_or(&[][..], Polyline::points);
-            [points[piece.segment as usize].truncate(), points[piece.segment as usize + 1].truncate()]
+            let points = self.lines[piece.lane as usize]
+                .as_ref()
+                .map_or(&[][..], Polyline::points);
+            [
+                points[piece.segment as usize].truncate(),
+                points[piece.segment as usize + 1].truncate(),
+            ]
         };
         let all = self.pieces[from..to].iter().flat_map(ends);
-        let (low, high) = all.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), end| (low.min(end), high.max(end)));
+        let (low, high) = all.fold(
+            (DVec2::INFINITY, DVec2::NEG_INFINITY),
+            |(low, high), end| (low.min(end), high.max(end)),
+        );
         let node = self.nodes.len();
         let along_x = high.x - low.x >= high.y - low.y;
         if to - from > LEAF_PIECES {
@@ -149,7 +194,12 @@ impl LaneIndex {
                 *to = piece;
             }
         }
-        self.nodes.push(Node { low, high, pieces: from as u32..to as u32, second: 0 });
+        self.nodes.push(Node {
+            low,
+            high,
+            pieces: from as u32..to as u32,
+            second: 0,
+        });
         if to - from > LEAF_PIECES {
             let middle = usize::midpoint(from, to);
             self.build(from, middle);
@@ -169,24 +219,45 @@ mod tests {
         let lane = |at: usize| {
             let offset = 3.0 * at as f64;
             let point = |x: f64| DVec3::new(x, offset + 5.0 * (0.05 * x + at as f64).sin(), 0.0);
-            Lane { id: at.to_string(), centerline: (0..60).map(|x| point(2.0 * f64::from(x))).collect(), ..Lane::default() }
+            Lane {
+                id: at.to_string(),
+                centerline: (0..60).map(|x| point(2.0 * f64::from(x))).collect(),
+                ..Lane::default()
+            }
         };
-        LaneMap { lanes: (0..12).map(lane).collect(), ..LaneMap::default() }
+        LaneMap {
+            lanes: (0..12).map(lane).collect(),
+            ..LaneMap::default()
+        }
     }
 
     #[test]
     fn the_tree_finds_what_looking_at_all_lanes_finds() {
         let index = LaneIndex::new(&map());
         for at in 0..400 {
-            let at = DVec2::new(f64::from(at * 37 % 131) - 5.0, f64::from(at * 53 % 47) - 6.0);
-            let mut all: Vec<(usize, f64)> =
-                (0..12).map(|lane| (lane, index.line(lane).unwrap().project(at).distance_m)).collect();
+            let at = DVec2::new(
+                f64::from(at * 37 % 131) - 5.0,
+                f64::from(at * 53 % 47) - 6.0,
+            );
+            let mut all: Vec<(usize, f64)> = (0..12)
+                .map(|lane| (lane, index.line(lane).unwrap().project(at).distance_m))
+                .collect();
             all.sort_by(|a, b| a.1.total_cmp(&b.1));
             let nearest = index.nearest(at, |_| true).unwrap();
-            assert!((nearest.foot.distance_m - all[0].1).abs() < 1e-9, "{nearest:?} for {all:?}");
+            assert!(
+                (nearest.foot.distance_m - all[0].1).abs() < 1e-9,
+                "{nearest:?} for {all:?}"
+            );
             let near = index.lanes_near(at, 6.0);
-            assert_eq!(near.len(), all.iter().filter(|(_, distance)| *distance <= 6.0).count());
-            assert!(near.iter().zip(&all).all(|(found, all)| (found.foot.distance_m - all.1).abs() < 1e-9));
+            assert_eq!(
+                near.len(),
+                all.iter().filter(|(_, distance)| *distance <= 6.0).count()
+            );
+            assert!(
+                near.iter()
+                    .zip(&all)
+                    .all(|(found, all)| (found.foot.distance_m - all.1).abs() < 1e-9)
+            );
             let odd = index.nearest(at, |point| point.lane % 2 == 1).unwrap();
             let odd_truth = all.iter().find(|(lane, _)| lane % 2 == 1).unwrap();
             assert!((odd.foot.distance_m - odd_truth.1).abs() < 1e-9);
@@ -195,7 +266,15 @@ mod tests {
 
     #[test]
     fn no_lanes_and_no_numbers_find_nothing() {
-        assert!(LaneIndex::new(&LaneMap::default()).nearest(DVec2::ZERO, |_| true).is_none());
-        assert!(LaneIndex::new(&map()).lanes_near(DVec2::NAN, 5.0).is_empty());
+        assert!(
+            LaneIndex::new(&LaneMap::default())
+                .nearest(DVec2::ZERO, |_| true)
+                .is_none()
+        );
+        assert!(
+            LaneIndex::new(&map())
+                .lanes_near(DVec2::NAN, 5.0)
+                .is_empty()
+        );
     }
 }

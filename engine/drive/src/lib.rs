@@ -1,6 +1,8 @@
-//! Motion in a world: lanes and ground, registration of tracks, traffic, the ego vehicle, generated scenarios, scores.
+//! Motion in a world: lanes and ground, registration of tracks, traffic, the ego vehicle, generated
+//! scenarios, scores.
 //!
-//! Plain mathematics over [`decouplegs_scene`]; nothing here reads a file or knows a GPU. Units are meters, seconds and radians.
+//! Plain mathematics over [`decouplegs_scene`]; nothing here reads a file or knows a GPU. Units are
+//! meters, seconds and radians.
 #![forbid(unsafe_code)]
 
 pub mod alignment;
@@ -24,7 +26,9 @@ pub use lane_index::{LaneIndex, LanePoint};
 pub use oriented_box::{OrientedBox, time_to_collision};
 pub use planar::PlanarTransform;
 pub use polyline::{Foot, Polyline};
-pub use register::{Outcome, RegisterError, RegisterOptions, RegisteredTrack, Registration, Treatment, register};
+pub use register::{
+    Outcome, RegisterError, RegisterOptions, RegisteredTrack, Registration, Treatment, register,
+};
 pub use road_graph::{Conflict, RoadGraph, RoadLane};
 pub use road_surface::RoadSurface;
 pub use route::{Route, RouteTurn};

@@ -1,4 +1,5 @@
-//! Vehicles as rectangles seen from above: whether they overlap, how far apart they are and when they will touch.
+//! Vehicles as rectangles seen from above: whether they overlap, how far apart they are and when
+//! they will touch.
 
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
@@ -49,7 +50,12 @@ impl OrientedBox {
     fn offsets(&self) -> [DVec2; 4] {
         let ahead = DVec2::from_angle(self.yaw_rad);
         let (length, width) = (ahead * self.half_length_m, ahead.perp() * self.half_width_m);
-        [length + width, width - length, -length - width, length - width]
+        [
+            length + width,
+            width - length,
+            -length - width,
+            length - width,
+        ]
     }
 
     /// A place in the world, seen from the box: x towards its front, y to its left, meters.
@@ -61,7 +67,9 @@ impl OrientedBox {
     /// True if the two share a point; touching is sharing.
     #[must_use]
     pub fn overlaps(&self, other: &Self) -> bool {
-        self.shadows(other).iter().all(|shadow| shadow.offset_m.abs() <= shadow.reach_m)
+        self.shadows(other)
+            .iter()
+            .all(|shadow| shadow.offset_m.abs() <= shadow.reach_m)
     }
 
     /// The gap between the two, meters: 0 where they overlap.
@@ -71,24 +79,42 @@ impl OrientedBox {
             return 0.0;
         }
         // Of two convex shapes that are apart, a corner of one is nearest to the other.
-        self.nearest_corner_m(other).min(other.nearest_corner_m(self))
+        self.nearest_corner_m(other)
+            .min(other.nearest_corner_m(self))
     }
 
     /// From this box to the nearest corner of `other`, meters.
     fn nearest_corner_m(&self, other: &Self) -> f64 {
-        let (half, turn) = (DVec2::new(self.half_length_m, self.half_width_m), DVec2::from_angle(-self.yaw_rad));
-        // Middles are subtracted before corners are made of them: what is left is exact far from the world's origin.
+        let (half, turn) = (
+            DVec2::new(self.half_length_m, self.half_width_m),
+            DVec2::from_angle(-self.yaw_rad),
+        );
+        // Middles are subtracted before corners are made of them: what is left is exact far from
+        // the world's origin.
         let between = other.center_m - self.center_m;
-        let outside = |offset: DVec2| (turn.rotate(between + offset).abs() - half).max(DVec2::ZERO).length();
-        other.offsets().into_iter().map(outside).fold(f64::INFINITY, f64::min)
+        let outside = |offset: DVec2| {
+            (turn.rotate(between + offset).abs() - half)
+                .max(DVec2::ZERO)
+                .length()
+        };
+        other
+            .offsets()
+            .into_iter()
+            .map(outside)
+            .fold(f64::INFINITY, f64::min)
     }
 
-    /// The two along the sides of both: they overlap where their shadows do on all four (separating axis theorem).
+    /// The two along the sides of both: they overlap where their shadows do on all four (separating
+    /// axis theorem).
     fn shadows(&self, other: &Self) -> [Shadow; 4] {
         let between = other.center_m - self.center_m;
-        let (a, b) = (DVec2::from_angle(self.yaw_rad), DVec2::from_angle(other.yaw_rad));
+        let (a, b) = (
+            DVec2::from_angle(self.yaw_rad),
+            DVec2::from_angle(other.yaw_rad),
+        );
         let radius = |ahead: DVec2, half: &Self, axis: DVec2| {
-            half.half_length_m * ahead.dot(axis).abs() + half.half_width_m * ahead.perp().dot(axis).abs()
+            half.half_length_m * ahead.dot(axis).abs()
+                + half.half_width_m * ahead.perp().dot(axis).abs()
         };
         [a, a.perp(), b, b.perp()].map(|axis| Shadow {
             offset_m: between.dot(axis),
@@ -112,7 +138,12 @@ pub fn time_to_collision(
 ) -> Option<f64> {
     let relative_mps = velocity_b_mps - velocity_a_mps;
     let (mut first_s, mut last_s) = (0.0_f64, horizon_s);
-    for Shadow { offset_m, reach_m, axis } in a.shadows(b) {
+    for Shadow {
+        offset_m,
+        reach_m,
+        axis,
+    } in a.shadows(b)
+    {
         let along_mps = relative_mps.dot(axis);
         if along_mps == 0.0 {
             if offset_m.abs() > reach_m {
@@ -120,7 +151,10 @@ pub fn time_to_collision(
             }
             continue;
         }
-        let ends = [(-reach_m - offset_m) / along_mps, (reach_m - offset_m) / along_mps];
+        let ends = [
+            (-reach_m - offset_m) / along_mps,
+            (reach_m - offset_m) / along_mps,
+        ];
         first_s = first_s.max(ends[0].min(ends[1]));
         last_s = last_s.min(ends[0].max(ends[1]));
     }

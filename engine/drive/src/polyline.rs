@@ -29,12 +29,14 @@ pub struct Foot {
 
 /// Points nearer to each other than this are one, meters.
 const SAME_POINT_M: f64 = 1e-6;
-/// A heading is that of the chord from so far before a place to so far behind it, meters: about the length of a car, so that a corner of
-/// the line turns as a car does, while the middle of a long segment points where the segment does.
+/// A heading is that of the chord from so far before a place to so far behind it, meters: about the
+/// length of a car, so that a corner of the line turns as a car does, while the middle of a long
+/// segment points where the segment does.
 const HALF_CHORD_M: f64 = 2.0;
 
 impl Polyline {
-    /// The line through `points`, repeated ones left out; `None` where fewer than two are left or one is not finite.
+    /// The line through `points`, repeated ones left out; `None` where fewer than two are left or
+    /// one is not finite.
     #[must_use]
     pub fn new(points: impl IntoIterator<Item = DVec3>) -> Option<Self> {
         let mut kept: Vec<DVec3> = Vec::new();
@@ -42,7 +44,10 @@ impl Polyline {
             if !point.is_finite() {
                 return None;
             }
-            if kept.last().is_none_or(|last| last.truncate().distance(point.truncate()) > SAME_POINT_M) {
+            if kept
+                .last()
+                .is_none_or(|last| last.truncate().distance(point.truncate()) > SAME_POINT_M)
+            {
                 kept.push(point);
             }
         }
@@ -53,7 +58,11 @@ impl Polyline {
         for pair in kept.windows(2) {
             arcs.push(arcs[arcs.len() - 1] + pair[0].truncate().distance(pair[1].truncate()));
         }
-        arcs[arcs.len() - 1].is_finite().then(|| Self { headings: segment_headings(&kept), points: kept, arcs })
+        arcs[arcs.len() - 1].is_finite().then(|| Self {
+            headings: segment_headings(&kept),
+            points: kept,
+            arcs,
+        })
     }
 
     /// The points it goes through.
@@ -93,23 +102,33 @@ impl Polyline {
         heading_rad + wrapped(chord.to_angle() - heading_rad)
     }
 
-    /// Direction across the line, to the left, in which its distance from `at` grows: `foot` is the place nearest to `at`. Beside a
-    /// corner, that is the way from the corner; beyond an end of the line, across its last segment, as nothing is known along it.
+    /// Direction across the line, to the left, in which its distance from `at` grows: `foot` is the
+    /// place nearest to `at`. Beside a corner, that is the way from the corner; beyond an end of
+    /// the line, across its last segment, as nothing is known along it.
     pub(crate) fn across(&self, foot: &Foot, at: DVec2) -> DVec2 {
         let segment = self.segment_at(foot.arc_m);
         let normal = DVec2::from_angle(self.headings[segment]).perp();
         let last = self.points.len() - 1;
-        let corner =
-            [segment, segment + 1].into_iter().any(|at| 0 < at && at < last && (self.arcs[at] - foot.arc_m).abs() < SAME_POINT_M);
-        let away = if corner { (at - foot.point.truncate()).try_normalize() } else { None };
-        away.map_or(normal, |away| if away.dot(normal) < 0.0 { -away } else { away })
+        let corner = [segment, segment + 1]
+            .into_iter()
+            .any(|at| 0 < at && at < last && (self.arcs[at] - foot.arc_m).abs() < SAME_POINT_M);
+        let away = if corner {
+            (at - foot.point.truncate()).try_normalize()
+        } else {
+            None
+        };
+        away.map_or(
+            normal,
+            |away| if away.dot(normal) < 0.0 { -away } else { away },
+        )
     }
 
     /// Height a meter along it at `arc_m`.
     #[must_use]
     pub fn grade_at(&self, arc_m: f64) -> f64 {
         let (segment, _) = self.locate(arc_m);
-        (self.points[segment + 1].z - self.points[segment].z) / (self.arcs[segment + 1] - self.arcs[segment])
+        (self.points[segment + 1].z - self.points[segment].z)
+            / (self.arcs[segment + 1] - self.arcs[segment])
     }
 
     fn locate(&self, arc_m: f64) -> (usize, f64) {
@@ -119,7 +138,10 @@ impl Polyline {
     }
 
     fn segment_at(&self, arc_m: f64) -> usize {
-        self.arcs.partition_point(|&arc| arc <= arc_m).saturating_sub(1).min(self.points.len() - 2)
+        self.arcs
+            .partition_point(|&arc| arc <= arc_m)
+            .saturating_sub(1)
+            .min(self.points.len() - 2)
     }
 
     /// The place nearest to `at`.
@@ -136,7 +158,8 @@ impl Polyline {
         let (from_m, to_m) = (within(from_m), within(to_m));
         let segments = self.segment_at(from_m)..=self.segment_at(to_m);
         let nearest = |segment: usize| {
-            let arc_m = self.arcs[segment] + self.share_of(segment, at) * (self.arcs[segment + 1] - self.arcs[segment]);
+            let arc_m = self.arcs[segment]
+                + self.share_of(segment, at) * (self.arcs[segment + 1] - self.arcs[segment]);
             let arc_m = arc_m.clamp(from_m, to_m.max(from_m));
             (self.at(arc_m).truncate().distance_squared(at), arc_m)
         };
@@ -146,7 +169,10 @@ impl Polyline {
 
     /// Position of the nearest point to `at` along segment `segment`, 0 to 1.
     pub(crate) fn share_of(&self, segment: usize, at: DVec2) -> f64 {
-        let (a, b) = (self.points[segment].truncate(), self.points[segment + 1].truncate());
+        let (a, b) = (
+            self.points[segment].truncate(),
+            self.points[segment + 1].truncate(),
+        );
         ((at - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0)
     }
 
@@ -156,9 +182,17 @@ impl Polyline {
         let off = at - point.truncate();
         // Across the segment itself: the interpolated heading would lean where the line is coarse.
         let segment = self.segment_at(arc_m);
-        let along = (self.points[segment + 1] - self.points[segment]).truncate().normalize_or_zero();
+        let along = (self.points[segment + 1] - self.points[segment])
+            .truncate()
+            .normalize_or_zero();
         let lateral_m = along.perp_dot(off);
-        Foot { arc_m, point, heading_rad, lateral_m, distance_m: off.length() }
+        Foot {
+            arc_m,
+            point,
+            heading_rad,
+            lateral_m,
+            distance_m: off.length(),
+        }
     }
 }
 
@@ -185,8 +219,16 @@ mod tests {
 
     #[test]
     fn lengths_offsets_and_headings_are_those_of_the_line() {
-        let line = Polyline::new([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [10.0, 10.0, 1.0]].map(DVec3::from_array))
-            .unwrap();
+        let line = Polyline::new(
+            [
+                [0.0, 0.0, 0.0],
+                [0.0, 0.0, 0.0],
+                [10.0, 0.0, 1.0],
+                [10.0, 10.0, 1.0],
+            ]
+            .map(DVec3::from_array),
+        )
+        .unwrap();
         assert_eq!((line.points().len(), line.length_m()), (3, 20.0));
         let foot = line.project(DVec2::new(4.0, 0.5));
         assert_eq!((foot.arc_m, foot.lateral_m, foot.point.z), (4.0, 0.5, 0.4));
@@ -205,16 +247,26 @@ mod tests {
         let mut last = line.heading_at(0.0);
         for at in 1..4000 {
             let heading = line.heading_at(0.1 * f64::from(at));
-            assert!((heading - last).abs() < 0.02, "at {at}: {last} to {heading}");
+            assert!(
+                (heading - last).abs() < 0.02,
+                "at {at}: {last} to {heading}"
+            );
             last = heading;
         }
     }
 
     #[test]
     fn beside_a_corner_the_distance_grows_away_from_it_and_beside_a_segment_across_it() {
-        let line = Polyline::new([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [10.0, 10.0, 0.0]].map(DVec3::from_array)).unwrap();
-        let across = |x: f64, y: f64| line.across(&line.project(DVec2::new(x, y)), DVec2::new(x, y));
-        assert!(across(4.0, -0.5).distance(DVec2::Y) < 1e-12 && across(10.2, 6.0).distance(DVec2::NEG_X) < 1e-12);
+        let line = Polyline::new(
+            [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [10.0, 10.0, 0.0]].map(DVec3::from_array),
+        )
+        .unwrap();
+        let across =
+            |x: f64, y: f64| line.across(&line.project(DVec2::new(x, y)), DVec2::new(x, y));
+        assert!(
+            across(4.0, -0.5).distance(DVec2::Y) < 1e-12
+                && across(10.2, 6.0).distance(DVec2::NEG_X) < 1e-12
+        );
         // Outside the corner, to its right.
         assert!(across(11.0, -1.0).distance(DVec2::new(-1.0, 1.0).normalize()) < 1e-9);
         // Beyond an end nothing is known along the line.

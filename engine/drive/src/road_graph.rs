@@ -1,4 +1,5 @@
-//! The driving lanes of a map as a graph: what each goes on in, what lies beside it and which lanes cross it.
+//! The driving lanes of a map as a graph: what each continues in, what lies beside it and which
+//! lanes cross it.
 
 mod cells;
 mod conflicts;
@@ -21,7 +22,8 @@ const SPEED_LIMIT_MPS: f64 = 50.0 / 3.6;
 const LINK_GAP_M: f64 = 2.0;
 /// A lane that turns by less is straight.
 const STRAIGHT_RAD: f64 = 0.35;
-/// Most meters of lanes: those of a large city. More is taken for a mistake before anything is made of its size.
+/// Most meters of lanes: those of a large city. More is taken for a mistake before anything is made
+/// of its size.
 const LENGTH_M_MAX: f64 = 5e6;
 /// Ways on are told apart up to this length: longer ones are as good as endless, meters.
 const ONWARD_M_MAX: f64 = 2000.0;
@@ -62,9 +64,9 @@ pub struct RoadLane {
     pub id: String,
     /// Centerline.
     pub line: Polyline,
-    /// Driving lanes that it goes on in, places in [`LaneMap::lanes`].
+    /// Driving lanes that it continues in, places in [`LaneMap::lanes`].
     pub successors: Vec<usize>,
-    /// Driving lanes that go on in it.
+    /// Driving lanes that continue in it.
     pub predecessors: Vec<usize>,
     /// The driving lane to the left with the same direction.
     pub left: Option<usize>,
@@ -85,11 +87,12 @@ pub struct RoadLane {
 
 /// Driving lanes by their place in the map, and where they are in each other's way.
 ///
-/// Conflicts are found for vehicles up to [`RoadGraph::vehicle`]; the corridor of a lane is what such a vehicle sweeps
-/// when the middle of its box follows the lane's line.
+/// Conflicts are found for vehicles up to [`RoadGraph::vehicle`]; the corridor of a lane is what
+/// such a vehicle sweeps when the middle of its box follows the lane's line.
 ///
-/// Who goes first where two lanes conflict: straight on before turning; else who comes from the right; else (from the front, or side by
-/// side) who turns less to the left; else the lane named first in the map. One of two always does.
+/// Who goes first where two lanes conflict: straight on before turning; else who comes from the
+/// right; else (from the front, or side by side) who turns less to the left; else the lane named
+/// first in the map. One of two always does.
 #[derive(Clone, Debug)]
 pub struct RoadGraph {
     lanes: Vec<Option<RoadLane>>,
@@ -100,45 +103,79 @@ pub struct RoadGraph {
 
 impl RoadGraph {
     /// A vehicle that most cars and vans are smaller than.
-    pub const VEHICLE: VehicleSize = VehicleSize { length_m: 5.4, width_m: 2.0, height_m: 2.0 };
+    pub const VEHICLE: VehicleSize = VehicleSize {
+        length_m: 5.4,
+        width_m: 2.0,
+        height_m: 2.0,
+    };
 
     /// The graph of the driving lanes of `map`, for vehicles up to [`RoadGraph::VEHICLE`].
     ///
-    /// Links to lanes that begin more than 2 m from the lane's end, or that nobody drives on, are left out.
+    /// Links to lanes that begin more than 2 m from the lane's end, or that nobody drives on, are
+    /// left out.
     ///
     /// # Errors
-    /// A sentence: what [`LaneMap::check`] says, a centerline that is no line, more than 5,000 km of lanes, or more of them in one
-    /// place than a city has.
+    /// A sentence: what [`LaneMap::check`] says, a centerline that is no line, more than 5,000 km
+    /// of lanes, or more of them in one place than a city has.
     pub fn new(map: &LaneMap) -> Result<Self, String> {
         map.check()?;
         let mut lanes = Vec::with_capacity(map.lanes.len());
         for lane in &map.lanes {
             let line = Polyline::new(lane.centerline.iter().copied());
-            let line = line.ok_or_else(|| format!("lane {}: its centerline is one point; expected a line", lane.id))?;
-            lanes.push((lane.kind == LaneKind::Driving).then(|| RoadLane {
-                id: lane.id.clone(),
-                successors: Vec::new(),
-                predecessors: Vec::new(),
-                left: lane.left_neighbor.filter(|&other| map.lanes[other].kind == LaneKind::Driving),
-                right: lane.right_neighbor.filter(|&other| map.lanes[other].kind == LaneKind::Driving),
-                speed_limit_mps: lane.speed_limit_mps.filter(|limit| *limit > 0.0).unwrap_or(SPEED_LIMIT_MPS),
-                turn_rad: wrapped(line.heading_at(line.length_m()) - line.heading_at(0.0)),
-                conflicts: Vec::new(),
-                onward_m: 0.0,
-                forks: Vec::new(),
-                has_height: lane.has_height,
-                line,
+            let line = line.ok_or_else(|| {
+                format!(
+                    "lane {}: its centerline is one point; expected a line",
+                    lane.id
+                )
+            })?;
+            lanes.push((lane.kind == LaneKind::Driving).then(|| {
+                RoadLane {
+                    id: lane.id.clone(),
+                    successors: Vec::new(),
+                    predecessors: Vec::new(),
+                    left: lane
+                        .left_neighbor
+                        .filter(|&other| map.lanes[other].kind == LaneKind::Driving),
+                    right: lane
+                        .right_neighbor
+                        .filter(|&other| map.lanes[other].kind == LaneKind::Driving),
+                    speed_limit_mps: lane
+                        .speed_limit_mps
+                        .filter(|limit| *limit > 0.0)
+                        .unwrap_or(SPEED_LIMIT_MPS),
+                    turn_rad: wrapped(line.heading_at(line.length_m()) - line.heading_at(0.0)),
+                    conflicts: Vec::new(),
+                    onward_m: 0.0,
+                    forks: Vec::new(),
+                    has_height: lane.has_height,
+                    line,
+                }
             }));
         }
-        let length_m: f64 = lanes.iter().flatten().map(|lane: &RoadLane| lane.line.length_m()).sum();
+        let length_m: f64 = lanes
+            .iter()
+            .flatten()
+            .map(|lane: &RoadLane| lane.line.length_m())
+            .sum();
         if length_m.is_nan() || length_m > LENGTH_M_MAX {
-            return Err(format!("{:.0} km of driving lanes; expected at most {:.0}", length_m / 1e3, LENGTH_M_MAX / 1e3));
+            return Err(format!(
+                "{:.0} km of driving lanes; expected at most {:.0}",
+                length_m / 1e3,
+                LENGTH_M_MAX / 1e3
+            ));
         }
         link(map, &mut lanes);
         find_ways_on(&mut lanes);
-        let mut by_id: Vec<usize> = (0..lanes.len()).filter(|&lane| lanes[lane].is_some()).collect();
+        let mut by_id: Vec<usize> = (0..lanes.len())
+            .filter(|&lane| lanes[lane].is_some())
+            .collect();
         by_id.sort_by(|&a, &b| map.lanes[a].id.cmp(&map.lanes[b].id));
-        let graph = Self { lanes, by_id, vehicle: Self::VEHICLE, cells: Cells::default() };
+        let graph = Self {
+            lanes,
+            by_id,
+            vehicle: Self::VEHICLE,
+            cells: Cells::default(),
+        };
         graph.for_vehicle(Self::VEHICLE)
     }
 
@@ -149,7 +186,9 @@ impl RoadGraph {
     pub fn for_vehicle(mut self, vehicle: VehicleSize) -> Result<Self, String> {
         let [length_m, width_m, _] = vehicle.to_array();
         if !(0.1..=40.0).contains(&length_m) || !(0.1..=10.0).contains(&width_m) {
-            return Err(format!("a vehicle of {length_m} by {width_m} m; expected 0.1 to 40 by 0.1 to 10"));
+            return Err(format!(
+                "a vehicle of {length_m} by {width_m} m; expected 0.1 to 40 by 0.1 to 10"
+            ));
         }
         self.vehicle = vehicle;
         let (cells, conflicts, forks) = conflicts::find(&self.lanes, vehicle)?;
@@ -183,8 +222,15 @@ impl RoadGraph {
     /// Index of the driving lane `id` in [`LaneMap::lanes`].
     #[must_use]
     pub fn find(&self, id: &str) -> Option<usize> {
-        let name = |&lane: &usize| self.lanes[lane].as_ref().map_or("", |lane| lane.id.as_str());
-        let at = self.by_id.binary_search_by(|lane| name(lane).cmp(id)).ok()?;
+        let name = |&lane: &usize| {
+            self.lanes[lane]
+                .as_ref()
+                .map_or("", |lane| lane.id.as_str())
+        };
+        let at = self
+            .by_id
+            .binary_search_by(|lane| name(lane).cmp(id))
+            .ok()?;
         Some(self.by_id[at])
     }
 
@@ -198,7 +244,9 @@ impl RoadGraph {
 
     /// A lane that is known to be driven on.
     pub(crate) fn road(&self, lane: usize) -> &RoadLane {
-        self.lanes[lane].as_ref().expect("paths and links lead over driving lanes only")
+        self.lanes[lane]
+            .as_ref()
+            .expect("paths and links lead over driving lanes only")
     }
 }
 
@@ -212,23 +260,37 @@ fn link(map: &LaneMap, lanes: &mut [Option<RoadLane>]) {
     links.sort_unstable();
     links.dedup();
     for (from, to) in links {
-        let (Some(before), Some(after)) = (&lanes[from], &lanes[to]) else { continue };
+        let (Some(before), Some(after)) = (&lanes[from], &lanes[to]) else {
+            continue;
+        };
         let end = before.line.at(before.line.length_m()).truncate();
         if from != to && end.distance(after.line.at(0.0).truncate()) <= LINK_GAP_M {
-            lanes[from].iter_mut().for_each(|lane| lane.successors.push(to));
-            lanes[to].iter_mut().for_each(|lane| lane.predecessors.push(from));
+            lanes[from]
+                .iter_mut()
+                .for_each(|lane| lane.successors.push(to));
+            lanes[to]
+                .iter_mut()
+                .for_each(|lane| lane.predecessors.push(from));
         }
     }
 }
 
 /// The longest way on from each lane: on a circle it grows to the most that is told apart.
 fn find_ways_on(lanes: &mut [Option<RoadLane>]) {
-    // Lanes whose way may have grown; each grows by at least its own length, so the work has an end.
-    let mut open: Vec<usize> = (0..lanes.len()).rev().filter(|&lane| lanes[lane].is_some()).collect();
+    // Lanes whose way may have grown; each grows by at least its own length, so the work has an
+    // end.
+    let mut open: Vec<usize> = (0..lanes.len())
+        .rev()
+        .filter(|&lane| lanes[lane].is_some())
+        .collect();
     let mut rises = vec![0_u32; lanes.len()];
     while let Some(at) = open.pop() {
         let Some(lane) = &lanes[at] else { continue };
-        let beyond = lane.successors.iter().filter_map(|&next| Some(lanes[next].as_ref()?.onward_m)).fold(0.0, f64::max);
+        let beyond = lane
+            .successors
+            .iter()
+            .filter_map(|&next| Some(lanes[next].as_ref()?.onward_m))
+            .fold(0.0, f64::max);
         let mut onward_m = (lane.line.length_m() + beyond).min(ONWARD_M_MAX);
         if rises[at] > 200 {
             // A circle of very short lanes.
@@ -237,7 +299,9 @@ fn find_ways_on(lanes: &mut [Option<RoadLane>]) {
         if onward_m > lane.onward_m {
             rises[at] += 1;
             open.extend(lane.predecessors.iter().copied());
-            lanes[at].iter_mut().for_each(|lane| lane.onward_m = onward_m);
+            lanes[at]
+                .iter_mut()
+                .for_each(|lane| lane.onward_m = onward_m);
         }
     }
 }

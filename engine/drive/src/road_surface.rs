@@ -14,26 +14,32 @@ use tree::TriangleTree;
 pub const HALF_WIDTH_M: f64 = 1.75;
 /// Places so near to the road are on it, meters: no seam between two triangles has a width.
 const SEAM_M: f64 = 1e-3;
-/// Between two places on a box's outline that are looked at, meters at most.
+/// Between two places on a box's outline that are examined, meters at most.
 const OUTLINE_STRIDE_M: f64 = 1.0;
 /// Places on one side of a box at most; a vehicle of any real length has fewer.
 const OUTLINE_PLACES_MAX: f64 = 64.0;
 /// A place so far from all lanes, meters, has no height.
 const HEIGHT_REACH_M: f64 = 3.0;
 
-/// The union of a map's driving lanes, from border to border, as triangles in a tree. It is seen from above: what is under a bridge
-/// counts as on the road where the bridge does.
+/// The union of a map's driving lanes, from border to border, as triangles in a tree. It is seen
+/// from above: what is under a bridge counts as on the road where the bridge does.
 #[derive(Clone, Debug)]
 pub struct RoadSurface {
     tree: TriangleTree,
 }
 
 impl RoadSurface {
-    /// The surface of `map`. Where a border is missing, the lane reaches 1.75 m from its centerline; lanes without a line have no area.
+    /// The surface of `map`. Where a border is missing, the lane reaches 1.75 m from its
+    /// centerline; lanes without a line have no area.
     #[must_use]
     pub fn new(map: &LaneMap) -> Self {
-        let lanes = map.lanes.iter().filter(|lane| lane.kind == LaneKind::Driving);
-        Self { tree: TriangleTree::new(lanes.flat_map(strip::triangles).collect()) }
+        let lanes = map
+            .lanes
+            .iter()
+            .filter(|lane| lane.kind == LaneKind::Driving);
+        Self {
+            tree: TriangleTree::new(lanes.flat_map(strip::triangles).collect()),
+        }
     }
 
     /// True if a place is on a driving lane.
@@ -48,7 +54,7 @@ impl RoadSurface {
         let mut found = false;
         self.tree.visit(at, slack_m.max(0.0) + SEAM_M, |_, _| {
             found = true;
-            // Nothing nearer needs to be looked at.
+            // Nothing nearer needs to be examined.
             f64::NEG_INFINITY
         });
         found
@@ -63,21 +69,31 @@ impl RoadSurface {
             let (from, to) = (corners[side], corners[(side + 1) % 4]);
             let places = (from.distance(to) / OUTLINE_STRIDE_M).ceil();
             // What is no number has one place, which is not on the road.
-            let places = if places > 1.0 { places.min(OUTLINE_PLACES_MAX) } else { 1.0 };
-            (0..places as usize).all(|place| self.reaches(from.lerp(to, place as f64 / places), slack_m))
+            let places = if places > 1.0 {
+                places.min(OUTLINE_PLACES_MAX)
+            } else {
+                1.0
+            };
+            (0..places as usize)
+                .all(|place| self.reaches(from.lerp(to, place as f64 / places), slack_m))
         })
     }
 
-    /// Height of the road at a place, meters: of the lanes over and under each other, the one nearest to `expected_z_m`. `None` where no lane
-    /// that knows its height is within 3 m.
+    /// Height of the road at a place, meters: of the lanes over and under each other, the one
+    /// nearest to `expected_z_m`. `None` where no lane that knows its height is within 3 m.
     #[must_use]
     pub fn height_at(&self, at: DVec2, expected_z_m: f64) -> Option<f64> {
-        // Lanes at the place go before lanes beside it; of those at the same distance, the nearest in height is taken.
+        // Lanes at the place go before lanes beside it; of those at the same distance, the nearest
+        // in height is taken.
         let mut best: Option<(f64, f64, f64)> = None;
         self.tree.visit(at, HEIGHT_REACH_M, |triangle, distance_m| {
             if triangle.has_height {
                 let z_m = triangle.height_near(at);
-                let key = ((distance_m - SEAM_M).max(0.0), (z_m - expected_z_m).abs(), z_m);
+                let key = (
+                    (distance_m - SEAM_M).max(0.0),
+                    (z_m - expected_z_m).abs(),
+                    z_m,
+                );
                 if best.is_none_or(|best| key < best) {
                     best = Some(key);
                 }
@@ -96,7 +112,8 @@ struct Triangle {
 }
 
 impl Triangle {
-    /// The place of the triangle nearest to `at`, seen from above, from `at` on: zero where `at` is within it.
+    /// The place of the triangle nearest to `at`, seen from above, from `at` on: zero where `at` is
+    /// within it.
     fn nearest_offset(&self, at: DVec2) -> DVec2 {
         let corners = self.corners.map(|corner| corner.truncate() - at);
         let sides = [0, 1, 2].map(|side| corners[side].perp_dot(corners[(side + 1) % 3]));
@@ -109,7 +126,13 @@ impl Triangle {
             // Two corners in one place make no edge.
             from + along * if share.is_finite() { share } else { 0.0 }
         };
-        let nearer = |a: DVec2, b: DVec2| if a.length_squared() <= b.length_squared() { a } else { b };
+        let nearer = |a: DVec2, b: DVec2| {
+            if a.length_squared() <= b.length_squared() {
+                a
+            } else {
+                b
+            }
+        };
         nearer(nearer(edge(0), edge(1)), edge(2))
     }
 
@@ -129,6 +152,10 @@ impl Triangle {
         let z_m = (areas[0] * z_a + areas[1] * z_b + areas[2] * z_c) / area;
         // A triangle without area has one height, but for rounding.
         let [low, high] = [z_a.min(z_b).min(z_c), z_a.max(z_b).max(z_c)];
-        if z_m.is_finite() { z_m.clamp(low, high) } else { 0.5 * (low + high) }
+        if z_m.is_finite() {
+            z_m.clamp(low, high)
+        } else {
+            0.5 * (low + high)
+        }
     }
 }

@@ -29,16 +29,22 @@ pub struct Route {
 }
 
 impl Route {
-    /// The route of `task` through `map`: from `start_m` along its first lane to `end_m` along its last. Where a lane is a neighbor of the
-    /// one before it, the line goes over to it within 30 m, or less where the lanes are shorter.
+    /// The route of `task` through `map`: from `start_m` along its first lane to `end_m` along its
+    /// last. Where a lane is a neighbor of the one before it, the line goes over to it within 30 m,
+    /// or less where the lanes are shorter.
     ///
     /// # Errors
-    /// A sentence naming the lane: one that is not in the map, or twice; one that does not follow or neighbor the one before; a
-    /// start or end beyond it; no room to change to it.
+    /// A sentence naming the lane: one that is not in the map, or twice; one that does not follow
+    /// or neighbor the one before; a start or end beyond it; no room to change to it.
     pub fn new(map: &LaneMap, task: &EgoTask) -> Result<Self, String> {
         let joined = joined::join(map, task)?;
         let turns = turns::turns_of(&joined.line);
-        Ok(Self { turns, line: joined.line, lanes: joined.lanes, has_height: joined.has_height })
+        Ok(Self {
+            turns,
+            line: joined.line,
+            lanes: joined.lanes,
+            has_height: joined.has_height,
+        })
     }
 
     /// The line, a point every meter or so; z is the lanes' height, 0 where the map knows none.
@@ -59,23 +65,32 @@ impl Route {
         self.has_height
     }
 
-    /// Place and heading (radians, counted from x towards y, not wrapped) `progress_m` along it; its ends beyond them.
+    /// Place and heading (radians, counted from x towards y, not wrapped) `progress_m` along it;
+    /// its ends beyond them.
     #[must_use]
     pub fn pose_at(&self, progress_m: f64) -> (DVec3, f64) {
         (self.line.at(progress_m), self.line.heading_at(progress_m))
     }
 
-    /// The place on the route nearest to `position_m`, from 5 m behind `last_progress_m` to 40 m ahead of it: where the route passes the
-    /// same place twice, the search does not jump. `arc_m` of the answer is the progress.
+    /// The place on the route nearest to `position_m`, from 5 m behind `last_progress_m` to 40 m
+    /// ahead of it: where the route passes the same place twice, the search does not jump. `arc_m`
+    /// of the answer is the progress.
     #[must_use]
     pub fn project(&self, position_m: DVec2, last_progress_m: f64) -> Foot {
-        self.line.project_within(position_m, last_progress_m - SEARCH_BEHIND_M, last_progress_m + SEARCH_AHEAD_M)
+        self.line.project_within(
+            position_m,
+            last_progress_m - SEARCH_BEHIND_M,
+            last_progress_m + SEARCH_AHEAD_M,
+        )
     }
 
-    /// The lane, a place in the map, that the route is on `progress_m` along; in the middle of a lane change the new one begins.
+    /// The lane, a place in the map, that the route is on `progress_m` along; in the middle of a
+    /// lane change the new one begins.
     #[must_use]
     pub fn lane_at(&self, progress_m: f64) -> usize {
-        let after = self.lanes.partition_point(|(begin_m, _)| *begin_m <= progress_m);
+        let after = self
+            .lanes
+            .partition_point(|(begin_m, _)| *begin_m <= progress_m);
         self.lanes[after.saturating_sub(1)].1
     }
 

@@ -1,9 +1,11 @@
-//! Scores of episodes, from their records alone: no map and no image is needed, so that a log scores the same wherever it is read.
+//! Scores of episodes, from their records alone: no map and no image is needed, so that a log
+//! scores the same wherever it is read.
 //!
-//! As CARLA's leaderboard has it (leaderboard.carla.org, "Evaluation criteria"), a driving score is the share of the route that was
-//! completed, times a factor for each infraction. Only collisions that are the ego's fault are penalized so; one that is not ends the episode
-//! and costs the rest of the route. Success is a completed route without any such infraction, so no set of episodes has more success than
-//! completion, nor a driving score above its completion: [`Summary::check`].
+//! As CARLA's leaderboard has it (leaderboard.carla.org, "Evaluation criteria"), a driving score is
+//! the share of the route that was completed, times a factor for each infraction. Only collisions
+//! that are the ego's fault are penalized so; one that is not ends the episode and costs the rest
+//! of the route. Success is a completed route without any such infraction, so no set of episodes
+//! has more success than completion, nor a driving score above its completion: [`Summary::check`].
 
 use decouplegs_scene::{Episode, EpisodeEnd, Level};
 
@@ -35,22 +37,25 @@ pub struct EpisodeScore {
     pub scenario: String,
     /// The scenario's level.
     pub level: Option<Level>,
-    /// Share of the route that was driven, 0 to 1; 1 exactly where the episode ended with the route done.
+    /// Share of the route that was driven, 0 to 1; 1 exactly where the episode ended with the route
+    /// done.
     pub route_completion: f64,
-    /// [`Self::route_completion`] times [`COLLISION_FACTOR`] and [`LAYOUT_FACTOR`] for each infraction.
+    /// [`Self::route_completion`] times [`COLLISION_FACTOR`] and [`LAYOUT_FACTOR`] for each
+    /// infraction.
     pub driving_score: f64,
     /// True if the route was completed without an infraction of the ego.
     pub success: bool,
     /// Infractions, in the order of time.
     pub infractions: Vec<Infraction>,
-    /// The smallest time to collision, `None` where the ego was never on course for one within [`TTC_HORIZON_S`].
+    /// The smallest time to collision, `None` where the ego was never on course for one within
+    /// [`TTC_HORIZON_S`].
     pub closest: Option<Closest>,
     /// Share of moments with a time to collision below [`TTC_SHORT_S`].
     pub ttc_short_share: f64,
     /// Comfort of the drive.
     pub comfort: Comfort,
-    /// Mean displacement between what was planned and what was driven at the same time, meters; `None` where no plan reached into what
-    /// was driven.
+    /// Mean displacement between what was planned and what was driven at the same time, meters;
+    /// `None` where no plan reached into what was driven.
     pub plan_ade_m: Option<f64>,
 }
 
@@ -83,10 +88,13 @@ impl EpisodeScore {
         self.closest.map(|closest| closest.ttc_s)
     }
 
-    /// Collisions with vehicles, whoever's fault they were.
+    /// Collisions with vehicles, regardless of fault.
     #[must_use]
     pub fn collisions(&self) -> usize {
-        self.infractions.iter().filter(|infraction| matches!(infraction.kind, InfractionKind::Collision { .. })).count()
+        self.infractions
+            .iter()
+            .filter(|infraction| matches!(infraction.kind, InfractionKind::Collision { .. }))
+            .count()
     }
 
     /// Times that the ego left the road.

@@ -1,11 +1,14 @@
-//! Traffic: agents that follow, change lanes, give way and now and then misbehave, on the driving lanes of a map.
+//! Traffic: agents that follow, change lanes, give way and now and then misbehave, on the driving
+//! lanes of a map.
 //!
-//! What keeps agents apart is built in, not repaired. Each knows where its front would be if it braked as hard as tires allow
-//! ([`idm::BRAKING_MPS2`]). Behind another on its path it never lets that place pass where the other's rear could come to a stand; before
-//! a place that conflicts with another lane it never lets it pass unless the place is its own (`claims`, `junction`). Whoever brakes as
-//! hard as that keeps all of it true, so there is always a way to go on. The models (IDM, MOBIL) drive within these bounds.
+//! What keeps agents apart is built in, not repaired. Each knows where its front would be if it
+//! braked as hard as tires allow ([`idm::BRAKING_MPS2`]). Behind another on its path it never lets
+//! that place pass where the other's rear could come to a stand; before a place that conflicts with
+//! another lane it never lets it pass unless the place is its own (`claims`, `junction`). A vehicle
+//! that brakes as hard as that keeps all of it true, so there is always a way to go on. The models
+//! (IDM, MOBIL) drive within these bounds.
 //!
-//! The ego is seen by everybody, but nobody is kept from it: who cannot stop for it hits it.
+//! All agents see the ego, but none is kept from it: an agent that cannot stop for it hits it.
 //!
 //! Everything follows from the agents, the seed and the ego's motion, bit by bit.
 
@@ -66,15 +69,21 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// One step of `dt_s` seconds, above 0 and at most [`Scenario::SUBSTEP_S_MAX`]; `ego` is where the ego is at its beginning.
+    /// One step of `dt_s` seconds, above 0 and at most [`Scenario::SUBSTEP_S_MAX`]; `ego` is where
+    /// the ego is at its beginning.
     ///
     /// # Panics
     /// Where `dt_s` is not in that range.
     pub fn step(&mut self, dt_s: f64, ego: Option<(&VehicleState, &VehicleSize)>) {
-        assert!(dt_s > 0.0 && dt_s <= Scenario::SUBSTEP_S_MAX + 1e-9, "a step of {dt_s} s");
+        assert!(
+            dt_s > 0.0 && dt_s <= Scenario::SUBSTEP_S_MAX + 1e-9,
+            "a step of {dt_s} s"
+        );
         self.ego = ego.and_then(|(state, size)| EgoSeen::new(&self.graph, state, size));
-        self.order.build(&self.graph, &self.agents, self.ego.as_ref());
-        self.claims.build(&self.graph, &self.agents, self.ego.as_ref());
+        self.order
+            .build(&self.graph, &self.agents, self.ego.as_ref());
+        self.claims
+            .build(&self.graph, &self.agents, self.ego.as_ref());
         self.behave();
         self.change_lanes(dt_s);
         self.cross(dt_s);
@@ -83,7 +92,11 @@ impl Traffic {
         }
         let mut accelerations = std::mem::take(&mut self.accelerations);
         accelerations.clear();
-        accelerations.extend(self.agents.iter().map(|agent| self.acceleration(agent, dt_s)));
+        accelerations.extend(
+            self.agents
+                .iter()
+                .map(|agent| self.acceleration(agent, dt_s)),
+        );
         for (agent, &acceleration_mps2) in self.agents.iter_mut().zip(&accelerations) {
             agent.advance(&self.graph, self.seed, acceleration_mps2, dt_s);
         }
@@ -104,7 +117,11 @@ impl Traffic {
 
     /// Lane positions of all agents, in the order of the scenario.
     pub fn places(&self) -> impl Iterator<Item = LanePlace> {
-        self.agents.iter().map(|agent| LanePlace { lane: agent.lane(), arc_m: agent.arc_m, lateral_m: agent.lateral_m() })
+        self.agents.iter().map(|agent| LanePlace {
+            lane: agent.lane(),
+            arc_m: agent.arc_m,
+            lateral_m: agent.lateral_m(),
+        })
     }
 
     /// The lanes that it drives on.
@@ -116,9 +133,18 @@ impl Traffic {
     /// Updates the position of an agent on the lane that it is leaving.
     fn follow_on_left_lane(&mut self, number: usize) {
         let position_m = self.states[number].position_m;
-        if let Some(AsideKind::Change { from, from_arc_m, .. }) = self.agents[number].aside.as_mut().map(|aside| &mut aside.kind)
+        if let Some(AsideKind::Change {
+            from, from_arc_m, ..
+        }) = self.agents[number]
+            .aside
+            .as_mut()
+            .map(|aside| &mut aside.kind)
         {
-            let foot = self.graph.road(*from).line.project_within(position_m, *from_arc_m, *from_arc_m + 10.0);
+            let foot = self.graph.road(*from).line.project_within(
+                position_m,
+                *from_arc_m,
+                *from_arc_m + 10.0,
+            );
             *from_arc_m = foot.arc_m;
         }
     }

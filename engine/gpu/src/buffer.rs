@@ -20,11 +20,11 @@ pub enum MemoryKind {
     Exported,
 }
 
-/// `len` values of `T` on the device. Clones share the memory, which is freed with the last of them and the last submitted work
-/// that uses it.
+/// `len` values of `T` on the device. Clones share the memory, which is freed with the last of them
+/// and the last submitted work that uses it.
 ///
-/// A kernel's descriptor covers the buffer in whole 32-bit words and at least 16 bytes of it, so that a buffer of no elements
-/// can be bound; what lies behind `len` has no defined content.
+/// A kernel's descriptor covers the buffer in whole 32-bit words and at least 16 bytes of it, so
+/// that a buffer of no elements can be bound; what lies behind `len` has no defined content.
 pub struct Buffer<T> {
     pub(crate) memory: Arc<BufferMemory>,
     len: usize,
@@ -33,20 +33,35 @@ pub struct Buffer<T> {
 
 impl<T> Clone for Buffer<T> {
     fn clone(&self) -> Self {
-        Self { memory: self.memory.clone(), len: self.len, element: PhantomData }
+        Self {
+            memory: self.memory.clone(),
+            len: self.len,
+            element: PhantomData,
+        }
     }
 }
 
 impl<T> fmt::Debug for Buffer<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {} x {} ({:?})", self.name(), self.len, std::any::type_name::<T>(), self.memory.memory_kind)
+        write!(
+            f,
+            "{}: {} x {} ({:?})",
+            self.name(),
+            self.len,
+            std::any::type_name::<T>(),
+            self.memory.memory_kind
+        )
     }
 }
 
 impl<T> Buffer<T> {
     /// `memory` must hold `len` values of `T`.
     pub(crate) fn new(memory: Arc<BufferMemory>, len: usize) -> Self {
-        Self { memory, len, element: PhantomData }
+        Self {
+            memory,
+            len,
+            element: PhantomData,
+        }
     }
 
     /// Number of values.
@@ -100,19 +115,23 @@ impl<T> Buffer<T> {
     /// The buffer without its type, to be bound to a kernel.
     #[must_use]
     pub fn binding(&self) -> Bound<'_> {
-        Bound { memory: &self.memory }
+        Bound {
+            memory: &self.memory,
+        }
     }
 }
 
 impl<T: Pod> Buffer<T> {
-    /// Writes `data` from element `first` on, at once. Submitted work that reads these elements must be done.
+    /// Writes `data` from element `first` on, at once. Submitted work that reads these elements
+    /// must be done.
     ///
     /// # Panics
     /// When the buffer lives on the device or `data` does not fit.
     pub fn write_host(&self, first: usize, data: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         let range = self.byte_range(first, data.len());
-        self.memory.with_host_bytes(|host| host[range].copy_from_slice(bytes));
+        self.memory
+            .with_host_bytes(|host| host[range].copy_from_slice(bytes));
     }
 
     /// Elements as the host sees them. Submitted work that writes them must be done.
@@ -126,14 +145,15 @@ impl<T: Pod> Buffer<T> {
         data
     }
 
-    /// Shows `see` its first `count` values where they lie, for those who copy on several threads. Submitted work that writes them must
-    /// be done.
+    /// Shows `see` its first `count` values where they lie, for those who copy on several threads.
+    /// Submitted work that writes them must be done.
     ///
     /// # Panics
     /// When the buffer lives on the device or has fewer values.
     pub fn with_host<R>(&self, count: usize, see: impl FnOnce(&[T]) -> R) -> R {
         let range = self.byte_range(0, count);
-        self.memory.with_host_bytes(|host| see(bytemuck::cast_slice(&host[range])))
+        self.memory
+            .with_host_bytes(|host| see(bytemuck::cast_slice(&host[range])))
     }
 
     /// The values from element `first` on, into `data`.
@@ -143,14 +163,21 @@ impl<T: Pod> Buffer<T> {
     pub fn read_host_into(&self, first: usize, data: &mut [T]) {
         let range = self.byte_range(first, data.len());
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(data);
-        self.memory.with_host_bytes(|host| bytes.copy_from_slice(&host[range]));
+        self.memory
+            .with_host_bytes(|host| bytes.copy_from_slice(&host[range]));
     }
 
     /// # Panics
     /// When the elements are not all inside the buffer.
     pub(crate) fn byte_range(&self, first: usize, count: usize) -> std::ops::Range<usize> {
         let end = first.checked_add(count).filter(|&end| end <= self.len);
-        let Some(end) = end else { panic!("buffer {}: elements {first} + {count} wanted, it has {}", self.name(), self.len) };
+        let Some(end) = end else {
+            panic!(
+                "buffer {}: elements {first} + {count} wanted, it has {}",
+                self.name(),
+                self.len
+            )
+        };
         first * size_of::<T>()..end * size_of::<T>()
     }
 }

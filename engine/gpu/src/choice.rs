@@ -19,21 +19,28 @@ pub struct DeviceOptions {
 }
 
 impl Default for DeviceOptions {
-    /// The best device, all queues, built kernels in the user's folder for caches, and validation where the environment says
-    /// `DECOUPLEGS_VALIDATION=1`.
+    /// The best device, all queues, built kernels in the user's folder for caches, and validation
+    /// where the environment says `DECOUPLEGS_VALIDATION=1`.
     fn default() -> Self {
         let validation = std::env::var("DECOUPLEGS_VALIDATION").is_ok_and(|value| value == "1");
-        Self { choice: DeviceChoice::Automatic, validation, queues: QueueUse::All, kernels: KernelCache::User }
+        Self {
+            choice: DeviceChoice::Automatic,
+            validation,
+            queues: QueueUse::All,
+            kernels: KernelCache::User,
+        }
     }
 }
 
 /// Selection of a device.
 ///
-/// From text: a decimal number is an index, `uuid:` and 32 hex digits or 32 hex digits alone (dashes allowed) are a UUID, an
-/// empty text or `auto` is automatic, and anything else is a part of a name.
+/// From text: a decimal number is an index, `uuid:` and 32 hex digits or 32 hex digits alone
+/// (dashes allowed) are a UUID, an empty text or `auto` is automatic, and anything else is a part
+/// of a name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
-    /// The first that can do the work: discrete before integrated, virtual and CPU devices, then by memory.
+    /// The first that can do the work: discrete before integrated, virtual and CPU devices, then by
+    /// memory.
     #[default]
     Automatic,
     /// By position in [`crate::Gpu::list`].
@@ -100,27 +107,42 @@ fn uuid_from_hex(text: &str) -> Option<[u8; 16]> {
     (digits == 32).then_some(uuid)
 }
 
-/// The positions in `devices` to try for `choice`, best first. A choice that names a device gives that one only.
-pub(crate) fn candidates(choice: &DeviceChoice, devices: &[DeviceInfo]) -> Result<Vec<usize>, GpuError> {
+/// The positions in `devices` to try for `choice`, best first. A choice that names a device gives
+/// that one only.
+pub(crate) fn candidates(
+    choice: &DeviceChoice,
+    devices: &[DeviceInfo],
+) -> Result<Vec<usize>, GpuError> {
     if devices.is_empty() {
         return Err(GpuError::NoDevice);
     }
     let chosen = match choice {
         DeviceChoice::Automatic => {
             let mut order: Vec<usize> = (0..devices.len()).collect();
-            order.sort_by_key(|&i| (rank(devices[i].kind), std::cmp::Reverse(devices[i].device_memory_bytes), i));
+            order.sort_by_key(|&i| {
+                (
+                    rank(devices[i].kind),
+                    std::cmp::Reverse(devices[i].device_memory_bytes),
+                    i,
+                )
+            });
             return Ok(order);
         }
         DeviceChoice::Index(index) => (*index < devices.len()).then_some(*index),
         DeviceChoice::Name(part) => {
             let part = part.to_lowercase();
-            devices.iter().position(|device| device.name.to_lowercase().contains(&part))
+            devices
+                .iter()
+                .position(|device| device.name.to_lowercase().contains(&part))
         }
         DeviceChoice::Uuid(uuid) => devices.iter().position(|device| device.uuid == *uuid),
     };
     chosen
         .map(|index| vec![index])
-        .ok_or_else(|| GpuError::UnknownDevice { wanted: format!("'{choice}'"), found: sentence(devices) })
+        .ok_or_else(|| GpuError::UnknownDevice {
+            wanted: format!("'{choice}'"),
+            found: sentence(devices),
+        })
 }
 
 fn rank(kind: DeviceKind) -> u8 {
@@ -136,7 +158,14 @@ fn rank(kind: DeviceKind) -> u8 {
 fn sentence(devices: &[DeviceInfo]) -> String {
     let texts: Vec<String> = devices
         .iter()
-        .map(|device| format!("{} = {} ({})", device.index, device.name, DeviceChoice::Uuid(device.uuid)))
+        .map(|device| {
+            format!(
+                "{} = {} ({})",
+                device.index,
+                device.name,
+                DeviceChoice::Uuid(device.uuid)
+            )
+        })
         .collect();
     texts.join(", ")
 }
@@ -169,26 +198,44 @@ mod tests {
 
     #[test]
     fn automatic_prefers_discrete_then_memory() {
-        assert_eq!(candidates(&DeviceChoice::Automatic, &three()).unwrap(), [1, 2, 0]);
+        assert_eq!(
+            candidates(&DeviceChoice::Automatic, &three()).unwrap(),
+            [1, 2, 0]
+        );
     }
 
     #[test]
     fn a_part_of_a_name_is_enough_whatever_its_case() {
-        assert_eq!(candidates(&DeviceChoice::Name("LLVMPIPE".into()), &three()).unwrap(), [0]);
-        assert_eq!(candidates(&DeviceChoice::Uuid([2; 16]), &three()).unwrap(), [2]);
+        assert_eq!(
+            candidates(&DeviceChoice::Name("LLVMPIPE".into()), &three()).unwrap(),
+            [0]
+        );
+        assert_eq!(
+            candidates(&DeviceChoice::Uuid([2; 16]), &three()).unwrap(),
+            [2]
+        );
     }
 
     #[test]
     fn an_unknown_device_lists_those_found() {
-        for choice in [DeviceChoice::Name("radeon".into()), DeviceChoice::Index(3), DeviceChoice::Uuid([9; 16])] {
+        for choice in [
+            DeviceChoice::Name("radeon".into()),
+            DeviceChoice::Index(3),
+            DeviceChoice::Uuid([9; 16]),
+        ] {
             let text = candidates(&choice, &three()).unwrap_err().to_string();
             assert!(text.contains(&choice.to_string()), "{text}");
             assert!(
-                text.contains("0 = llvmpipe") && text.contains("1 = NVIDIA H200") && text.contains("2 = NVIDIA T4"),
+                text.contains("0 = llvmpipe")
+                    && text.contains("1 = NVIDIA H200")
+                    && text.contains("2 = NVIDIA T4"),
                 "{text}"
             );
         }
-        assert!(matches!(candidates(&DeviceChoice::Automatic, &[]), Err(GpuError::NoDevice)));
+        assert!(matches!(
+            candidates(&DeviceChoice::Automatic, &[]),
+            Err(GpuError::NoDevice)
+        ));
     }
 
     #[test]
@@ -197,11 +244,25 @@ mod tests {
         assert_eq!("12".parse(), Ok(DeviceChoice::Index(12)));
         assert_eq!("auto".parse(), Ok(DeviceChoice::Automatic));
         assert_eq!("+1".parse(), Ok(DeviceChoice::Name("+1".into())));
-        assert_eq!("RTX 4090".parse(), Ok(DeviceChoice::Name("RTX 4090".into())));
-        let uuid = [0x6d, 0x65, 0x73, 0x61, 0x32, 0x32, 0x2e, 0x33, 0x2e, 0x36, 0x2d, 0, 0, 0, 0, 0xff];
-        assert_eq!("6d657361-3232-2e33-2e36-2d00000000ff".parse(), Ok(DeviceChoice::Uuid(uuid)));
-        assert_eq!("uuid:6D65736132322e332e362d00000000FF".parse(), Ok(DeviceChoice::Uuid(uuid)));
-        assert_eq!("uuid:6d65".parse(), Ok(DeviceChoice::Name("uuid:6d65".into())));
+        assert_eq!(
+            "RTX 4090".parse(),
+            Ok(DeviceChoice::Name("RTX 4090".into()))
+        );
+        let uuid = [
+            0x6d, 0x65, 0x73, 0x61, 0x32, 0x32, 0x2e, 0x33, 0x2e, 0x36, 0x2d, 0, 0, 0, 0, 0xff,
+        ];
+        assert_eq!(
+            "6d657361-3232-2e33-2e36-2d00000000ff".parse(),
+            Ok(DeviceChoice::Uuid(uuid))
+        );
+        assert_eq!(
+            "uuid:6D65736132322e332e362d00000000FF".parse(),
+            Ok(DeviceChoice::Uuid(uuid))
+        );
+        assert_eq!(
+            "uuid:6d65".parse(),
+            Ok(DeviceChoice::Name("uuid:6d65".into()))
+        );
     }
 
     proptest! {

@@ -21,8 +21,8 @@ use crate::{
     memory::Accounting,
 };
 
-/// Memory blocks that small buffers share. Larger ones have an allocation of their own (see `memory`), so blocks stay small and
-/// what the driver counts stays near what we count.
+/// Memory blocks that small buffers share. Larger ones have an allocation of their own (see
+/// `memory`), so blocks stay small and what the driver counts stays near what we count.
 const DEVICE_BLOCK_BYTES: u64 = 32 << 20;
 const HOST_BLOCK_BYTES: u64 = 8 << 20;
 
@@ -56,7 +56,15 @@ impl Context {
         let mut refusal = GpuError::NoDevice;
         for index in choice::candidates(&options.choice, &infos)? {
             match open_physical(&instance, &devices[index], options.queues) {
-                Ok((opened, families)) => return Self::finish(instance, &devices[index], opened, families, &options.kernels),
+                Ok((opened, families)) => {
+                    return Self::finish(
+                        instance,
+                        &devices[index],
+                        opened,
+                        families,
+                        &options.kernels,
+                    );
+                }
                 // The best device's reason is the one worth reading.
                 Err(error) if matches!(refusal, GpuError::NoDevice) => refusal = error,
                 Err(_) => {}
@@ -72,7 +80,11 @@ impl Context {
         families: Families,
         kernels: &KernelCache,
     ) -> Result<Self, GpuError> {
-        let Opened { device, abilities, limits } = opened;
+        let Opened {
+            device,
+            abilities,
+            limits,
+        } = opened;
         let mut debug_settings = AllocatorDebugSettings::default();
         debug_settings.log_leaks_on_shutdown = false;
         let allocator = Allocator::new(&AllocatorCreateDesc {
@@ -88,7 +100,10 @@ impl Context {
             Err(error) => {
                 // SAFETY: the device was just made and nothing was made from it.
                 unsafe { device.destroy_device(None) };
-                return Err(GpuError::Driver { call: "preparing the allocator", code: error.to_string() });
+                return Err(GpuError::Driver {
+                    call: "preparing the allocator",
+                    code: error.to_string(),
+                });
             }
         };
         // SAFETY: a query on a device of this instance.
@@ -96,7 +111,9 @@ impl Context {
         Ok(Self {
             push_descriptor: khr::push_descriptor::Device::new(&instance.raw, &device),
             exports: abilities.exports.then(|| Exports::new(&instance, &device)),
-            debug: instance.labels.then(|| ext::debug_utils::Device::new(&instance.raw, &device)),
+            debug: instance
+                .labels
+                .then(|| ext::debug_utils::Device::new(&instance.raw, &device)),
             info: physical.info.clone(),
             limits,
             abilities,
@@ -117,15 +134,30 @@ impl Context {
 
     /// Bytes by purpose, and the driver's view where it gives one.
     pub(crate) fn memory_report(&self) -> MemoryReport {
-        let mut report = self.accounting.lock().unwrap_or_else(PoisonError::into_inner).report();
+        let mut report = self
+            .accounting
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .report();
         if self.abilities.memory_budget {
             let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
             let mut memory = vk::PhysicalDeviceMemoryProperties2::default().push_next(&mut budget);
-            // SAFETY: a query on this instance's device, which has the extension that the chained structure belongs to.
-            unsafe { self.instance.raw.get_physical_device_memory_properties2(self.physical, &mut memory) };
+            // SAFETY: a query on this instance's device, which has the extension that the chained
+            // structure belongs to.
+            unsafe {
+                self.instance
+                    .raw
+                    .get_physical_device_memory_properties2(self.physical, &mut memory);
+            };
             let heaps = memory.memory_properties;
-            let local = |i: &usize| heaps.memory_heaps[*i].flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
-            let local: Vec<usize> = (0..heaps.memory_heap_count as usize).filter(local).collect();
+            let local = |i: &usize| {
+                heaps.memory_heaps[*i]
+                    .flags
+                    .contains(vk::MemoryHeapFlags::DEVICE_LOCAL)
+            };
+            let local: Vec<usize> = (0..heaps.memory_heap_count as usize)
+                .filter(local)
+                .collect();
             report.budget_bytes = Some(local.iter().map(|&i| budget.heap_budget[i]).sum());
             report.driver_usage_bytes = Some(local.iter().map(|&i| budget.heap_usage[i]).sum());
         }
@@ -135,7 +167,11 @@ impl Context {
     /// The first device-local type among those in `bits`.
     pub(crate) fn device_local_type(&self, bits: u32) -> Option<u32> {
         // SAFETY: a query on a device of this instance.
-        let memory = unsafe { self.instance.raw.get_physical_device_memory_properties(self.physical) };
+        let memory = unsafe {
+            self.instance
+                .raw
+                .get_physical_device_memory_properties(self.physical)
+        };
         let local = |index: &u32| {
             let flags = memory.memory_types[*index as usize].property_flags;
             bits >> index & 1 == 1 && flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
@@ -143,46 +179,62 @@ impl Context {
         (0..memory.memory_type_count).find(local)
     }
 
-    /// Gives `handle` a name in validation messages and debuggers. A name that cannot be given is no reason to fail.
+    /// Gives `handle` a name in validation messages and debuggers. A name that cannot be given is
+    /// no reason to fail.
     pub(crate) fn set_name<H: vk::Handle>(&self, handle: H, name: &str) {
         if let Some(debug) = &self.debug {
             let name = ShortName::new(name);
-            let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(name.as_c_str());
-            // SAFETY: `handle` is a live object of this device, made a moment ago by the caller and not yet shared.
+            let info = vk::DebugUtilsObjectNameInfoEXT::default()
+                .object_handle(handle)
+                .object_name(name.as_c_str());
+            // SAFETY: `handle` is a live object of this device, made a moment ago by the caller and
+            // not yet shared.
             let _ = unsafe { debug.set_debug_utils_object_name(&info) };
         }
     }
 }
 
-fn open_physical(instance: &Instance, physical: &Physical, queues: QueueUse) -> Result<(Opened, Families), GpuError> {
+fn open_physical(
+    instance: &Instance,
+    physical: &Physical,
+    queues: QueueUse,
+) -> Result<(Opened, Families), GpuError> {
     let mut families = device::families(instance, physical)?;
     if queues == QueueUse::One {
         families.update = None;
     }
-    let indices: Vec<u32> = std::iter::once(families.main).chain(families.update).collect();
+    let indices: Vec<u32> = std::iter::once(families.main)
+        .chain(families.update)
+        .collect();
     Ok((device::open(instance, physical, &indices)?, families))
 }
 
 impl Drop for Context {
     fn drop(&mut self) {
-        // An error here is a device lost: destroying is allowed then too.
-        // SAFETY: queues are externally synchronised; every other owner of this context is gone, so no other call can run.
+        // An error here is a device lost: destroying is allowed then too. SAFETY: queues are
+        // externally synchronised; every other owner of this context is gone, so no other call can
+        // run.
         let _ = unsafe { self.device.device_wait_idle() };
         self.pipelines.close(&self.device);
         // SAFETY: dropped once, here, and not used after.
         unsafe { ManuallyDrop::drop(&mut self.allocator) };
-        // SAFETY: everything made from the device holds this context alive, and the allocator has returned its memory.
+        // SAFETY: everything made from the device holds this context alive, and the allocator has
+        // returned its memory.
         unsafe { self.device.destroy_device(None) };
     }
 }
 
-/// A name as C wants it, without an allocation: labels are written for every stage of every frame. Longer names are cut.
+/// A name as C wants it, without an allocation: labels are written for every stage of every frame.
+/// Longer names are cut.
 pub(crate) struct ShortName([u8; 64]);
 
 impl ShortName {
     pub(crate) fn new(name: &str) -> Self {
         let mut bytes = [0; 64];
-        for (to, from) in bytes[..63].iter_mut().zip(name.bytes().filter(|&byte| byte != 0)) {
+        for (to, from) in bytes[..63]
+            .iter_mut()
+            .zip(name.bytes().filter(|&byte| byte != 0))
+        {
             *to = from;
         }
         Self(bytes)

@@ -3,9 +3,11 @@
 use ash::vk;
 use thiserror::Error;
 
-/// A failure that the program did not cause: a missing driver, a device that cannot do the work, memory used up, a device lost.
+/// A failure that the program did not cause: a missing driver, a device that cannot do the work,
+/// memory used up, a device lost.
 ///
-/// Wrong programs (a binding name that the shader does not have, a push constant of the wrong size) assert instead.
+/// Wrong programs (a binding name that the shader does not have, a push constant of the wrong size)
+/// assert instead.
 #[derive(Clone, Debug, Error)]
 #[non_exhaustive]
 pub enum GpuError {
@@ -36,7 +38,9 @@ pub enum GpuError {
         found: String,
     },
     /// The device, or its driver, lacks something that is needed.
-    #[error("{device} lacks {feature}, which {needed_by} needs: choose another device or update its driver")]
+    #[error(
+        "{device} lacks {feature}, which {needed_by} needs: choose another device or update its driver"
+    )]
     MissingFeature {
         /// The device's name.
         device: String,
@@ -99,7 +103,9 @@ pub enum GpuError {
         progress: String,
     },
     /// Submitted work did not finish in a time that no frame takes.
-    #[error("device work did not finish within {seconds} s; {progress}: the kernel after it hangs or the device is overloaded")]
+    #[error(
+        "device work did not finish within {seconds} s; {progress}: the kernel after it hangs or the device is overloaded"
+    )]
     Hang {
         /// Time waited.
         seconds: u64,
@@ -116,13 +122,18 @@ pub enum GpuError {
     },
 }
 
-/// Turns a result code of `call` into an error; for calls that can lose the device where no stage is known.
+/// Turns a result code of `call` into an error; for calls that can lose the device where no stage
+/// is known.
 pub(crate) fn failed(call: &'static str) -> impl FnOnce(vk::Result) -> GpuError {
     move |code| match code {
-        vk::Result::ERROR_DEVICE_LOST => {
-            GpuError::DeviceLost { during: call, progress: "no stage is known to have finished".into() }
-        }
-        _ => GpuError::Driver { call, code: format!("{code:?}") },
+        vk::Result::ERROR_DEVICE_LOST => GpuError::DeviceLost {
+            during: call,
+            progress: "no stage is known to have finished".into(),
+        },
+        _ => GpuError::Driver {
+            call,
+            code: format!("{code:?}"),
+        },
     }
 }
 
@@ -132,19 +143,40 @@ mod tests {
 
     #[test]
     fn errors_say_what_to_install() {
-        let loader = GpuError::LoaderMissing { detail: "libvulkan.so.1: cannot open shared object file".into() }.to_string();
-        assert!(loader.contains("libvulkan1") && loader.contains("mesa-vulkan-drivers") && loader.contains("libvulkan.so.1"));
-        assert!(GpuError::ValidationMissing.to_string().contains("vulkan-validationlayers"));
-        assert!(GpuError::NoDevice.to_string().contains("mesa-vulkan-drivers"));
+        let loader = GpuError::LoaderMissing {
+            detail: "libvulkan.so.1: cannot open shared object file".into(),
+        }
+        .to_string();
+        assert!(
+            loader.contains("libvulkan1")
+                && loader.contains("mesa-vulkan-drivers")
+                && loader.contains("libvulkan.so.1")
+        );
+        assert!(
+            GpuError::ValidationMissing
+                .to_string()
+                .contains("vulkan-validationlayers")
+        );
+        assert!(
+            GpuError::NoDevice
+                .to_string()
+                .contains("mesa-vulkan-drivers")
+        );
     }
 
     #[test]
     fn a_lost_device_is_told_from_other_codes() {
         assert!(matches!(
             failed("vkQueueSubmit2")(vk::Result::ERROR_DEVICE_LOST),
-            GpuError::DeviceLost { during: "vkQueueSubmit2", .. }
+            GpuError::DeviceLost {
+                during: "vkQueueSubmit2",
+                ..
+            }
         ));
         let other = failed("vkCreateBuffer")(vk::Result::ERROR_FRAGMENTATION).to_string();
-        assert!(other.contains("vkCreateBuffer") && other.contains("FRAGMENTATION"), "{other}");
+        assert!(
+            other.contains("vkCreateBuffer") && other.contains("FRAGMENTATION"),
+            "{other}"
+        );
     }
 }

@@ -1,8 +1,11 @@
-//! Memory and timelines that another API on the same device may import: CUDA, and through it PyTorch, without a copy.
+//! Memory and timelines that another API on the same device may import: CUDA, and through it
+//! PyTorch, without a copy.
 //!
-//! Linux only, by opaque file descriptors (`VK_KHR_external_memory_fd`, `VK_KHR_external_semaphore_fd`). An importer finds the
-//! device by its UUID ([`crate::DeviceInfo::uuid`]), imports the memory as dedicated and of the size in [`ExportedMemory`], and
-//! waits on the timeline for the value of a [`crate::Ticket`] before it reads.
+//! Linux only, by opaque file descriptors (`VK_KHR_external_memory_fd`,
+//! `VK_KHR_external_semaphore_fd`). An importer finds the device by its UUID
+//! ([`crate::DeviceInfo::uuid`]), imports the memory as dedicated and of the size in
+//! [`ExportedMemory`], and waits on the timeline for the value of a [`crate::Ticket`] before it
+//! reads.
 
 use std::os::fd::{FromRawFd, OwnedFd};
 
@@ -11,10 +14,13 @@ use ash::{khr, vk};
 use crate::{GpuError, context::Context, error::failed, instance::Instance};
 
 /// The kind of handle that is exported.
-const MEMORY_HANDLE: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
-const SEMAPHORE_HANDLE: vk::ExternalSemaphoreHandleTypeFlags = vk::ExternalSemaphoreHandleTypeFlags::OPAQUE_FD;
+const MEMORY_HANDLE: vk::ExternalMemoryHandleTypeFlags =
+    vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
+const SEMAPHORE_HANDLE: vk::ExternalSemaphoreHandleTypeFlags =
+    vk::ExternalSemaphoreHandleTypeFlags::OPAQUE_FD;
 
-/// The memory of a buffer for another API. The descriptor belongs to whoever holds this, and goes to the importer with it.
+/// The memory of a buffer for another API. The descriptor belongs to the holder of this value, and
+/// goes to the importer with it.
 #[derive(Debug)]
 pub struct ExportedMemory {
     /// An opaque descriptor of the memory.
@@ -41,20 +47,38 @@ impl Exports {
 /// True if storage buffers and timeline semaphores of `physical` can be exported; it has the
 /// extensions.
 pub(crate) fn is_possible(instance: &Instance, physical: vk::PhysicalDevice) -> bool {
-    let buffer =
-        vk::PhysicalDeviceExternalBufferInfo::default().usage(vk::BufferUsageFlags::STORAGE_BUFFER).handle_type(MEMORY_HANDLE);
+    let buffer = vk::PhysicalDeviceExternalBufferInfo::default()
+        .usage(vk::BufferUsageFlags::STORAGE_BUFFER)
+        .handle_type(MEMORY_HANDLE);
     let mut buffer_found = vk::ExternalBufferProperties::default();
-    let mut timeline = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
-    let semaphore = vk::PhysicalDeviceExternalSemaphoreInfo::default().handle_type(SEMAPHORE_HANDLE).push_next(&mut timeline);
+    let mut timeline =
+        vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+    let semaphore = vk::PhysicalDeviceExternalSemaphoreInfo::default()
+        .handle_type(SEMAPHORE_HANDLE)
+        .push_next(&mut timeline);
     let mut semaphore_found = vk::ExternalSemaphoreProperties::default();
     // SAFETY: queries on a device of this instance, of Vulkan 1.1.
     unsafe {
-        instance.raw.get_physical_device_external_buffer_properties(physical, &buffer, &mut buffer_found);
-        instance.raw.get_physical_device_external_semaphore_properties(physical, &semaphore, &mut semaphore_found);
+        instance.raw.get_physical_device_external_buffer_properties(
+            physical,
+            &buffer,
+            &mut buffer_found,
+        );
+        instance
+            .raw
+            .get_physical_device_external_semaphore_properties(
+                physical,
+                &semaphore,
+                &mut semaphore_found,
+            );
     }
-    let memory = buffer_found.external_memory_properties.external_memory_features;
+    let memory = buffer_found
+        .external_memory_properties
+        .external_memory_features;
     memory.contains(vk::ExternalMemoryFeatureFlags::EXPORTABLE)
-        && semaphore_found.external_semaphore_features.contains(vk::ExternalSemaphoreFeatureFlags::EXPORTABLE)
+        && semaphore_found
+            .external_semaphore_features
+            .contains(vk::ExternalSemaphoreFeatureFlags::EXPORTABLE)
 }
 
 /// Says, chained to the creation of a buffer, that its memory will be exported.
@@ -68,10 +92,15 @@ pub(crate) fn semaphore_info() -> vk::ExportSemaphoreCreateInfo<'static> {
 }
 
 /// Device-local memory for `buffer` alone, bound to it, that can be exported; and its size.
-pub(crate) fn allocate(context: &Context, buffer: vk::Buffer) -> Result<(vk::DeviceMemory, u64), vk::Result> {
+pub(crate) fn allocate(
+    context: &Context,
+    buffer: vk::Buffer,
+) -> Result<(vk::DeviceMemory, u64), vk::Result> {
     // SAFETY: a query on a live buffer of this device.
     let requirements = unsafe { context.device.get_buffer_memory_requirements(buffer) };
-    let memory_type = context.device_local_type(requirements.memory_type_bits).ok_or(vk::Result::ERROR_OUT_OF_DEVICE_MEMORY)?;
+    let memory_type = context
+        .device_local_type(requirements.memory_type_bits)
+        .ok_or(vk::Result::ERROR_OUT_OF_DEVICE_MEMORY)?;
     let mut export = vk::ExportMemoryAllocateInfo::default().handle_types(MEMORY_HANDLE);
     let mut dedicated = vk::MemoryDedicatedAllocateInfo::default().buffer(buffer);
     let allocate = vk::MemoryAllocateInfo::default()
@@ -79,7 +108,8 @@ pub(crate) fn allocate(context: &Context, buffer: vk::Buffer) -> Result<(vk::Dev
         .memory_type_index(memory_type)
         .push_next(&mut export)
         .push_next(&mut dedicated);
-    // SAFETY: the type is one of those that the buffer may have, and the buffer was made for exported memory.
+    // SAFETY: the type is one of those that the buffer may have, and the buffer was made for
+    // exported memory.
     let memory = unsafe { context.device.allocate_memory(&allocate, None) }?;
     // SAFETY: the memory was made for this buffer, which is bound to nothing yet.
     if let Err(code) = unsafe { context.device.bind_buffer_memory(buffer, memory, 0) } {
@@ -102,18 +132,24 @@ impl Context {
 
     /// A descriptor of `memory`.
     pub(crate) fn export_memory(&self, memory: vk::DeviceMemory) -> Result<OwnedFd, GpuError> {
-        let get = vk::MemoryGetFdInfoKHR::default().memory(memory).handle_type(MEMORY_HANDLE);
+        let get = vk::MemoryGetFdInfoKHR::default()
+            .memory(memory)
+            .handle_type(MEMORY_HANDLE);
         // SAFETY: the memory was allocated to be exported as this type.
-        let descriptor = unsafe { self.exports()?.memory.get_memory_fd(&get) }.map_err(failed("vkGetMemoryFdKHR"))?;
+        let descriptor = unsafe { self.exports()?.memory.get_memory_fd(&get) }
+            .map_err(failed("vkGetMemoryFdKHR"))?;
         // SAFETY: the call gives away a descriptor that nobody else owns.
         Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
     }
 
     /// A descriptor of `semaphore`.
     pub(crate) fn export_semaphore(&self, semaphore: vk::Semaphore) -> Result<OwnedFd, GpuError> {
-        let get = vk::SemaphoreGetFdInfoKHR::default().semaphore(semaphore).handle_type(SEMAPHORE_HANDLE);
+        let get = vk::SemaphoreGetFdInfoKHR::default()
+            .semaphore(semaphore)
+            .handle_type(SEMAPHORE_HANDLE);
         // SAFETY: the semaphore was made to be exported as this type.
-        let descriptor = unsafe { self.exports()?.semaphore.get_semaphore_fd(&get) }.map_err(failed("vkGetSemaphoreFdKHR"))?;
+        let descriptor = unsafe { self.exports()?.semaphore.get_semaphore_fd(&get) }
+            .map_err(failed("vkGetSemaphoreFdKHR"))?;
         // SAFETY: the call gives away a descriptor that nobody else owns.
         Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
     }

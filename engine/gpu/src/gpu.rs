@@ -7,8 +7,9 @@ use std::time::{Duration, Instant};
 use bytemuck::Pod;
 
 use crate::{
-    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, Limits, MemoryKind, MemoryReport, QueueRole,
-    Recorder, Ticket, context::Context, device, instance::Instance, memory::BufferMemory, queue::Queue, transfer,
+    Buffer, Constant, DeviceInfo, DeviceOptions, GpuError, Kernel, KernelCounts, Limits,
+    MemoryKind, MemoryReport, QueueRole, Recorder, Ticket, context::Context, device,
+    instance::Instance, memory::BufferMemory, queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -55,18 +56,30 @@ impl Gpu {
     /// Opens a device.
     ///
     /// # Errors
-    /// When there is no loader, no validation layer where one is asked for, no such device, or the device lacks what we
-    /// require: Vulkan 1.3 with timeline semaphores, host query reset, scalar block layout, synchronization2 and maintenance4,
-    /// and `VK_KHR_push_descriptor`.
+    /// When there is no loader, no validation layer where one is asked for, no such device, or the
+    /// device lacks what we require: Vulkan 1.3 with timeline semaphores, host query reset, scalar
+    /// block layout, synchronization2 and maintenance4, and `VK_KHR_push_descriptor`.
     pub fn open(options: &DeviceOptions) -> Result<Self, GpuError> {
         let context = Arc::new(Context::open(options)?);
         let families = context.families;
-        let main = Arc::new(Queue::new(&context, families.main, families.main_timestamp_bits)?);
+        let main = Arc::new(Queue::new(
+            &context,
+            families.main,
+            families.main_timestamp_bits,
+        )?);
         let update = match families.update {
-            Some(family) => Arc::new(Queue::new(&context, family, families.update_timestamp_bits)?),
+            Some(family) => Arc::new(Queue::new(
+                &context,
+                family,
+                families.update_timestamp_bits,
+            )?),
             None => main.clone(),
         };
-        Ok(Self(Arc::new(Shared { main, update, context })))
+        Ok(Self(Arc::new(Shared {
+            main,
+            update,
+            context,
+        })))
     }
 
     /// The device.
@@ -81,7 +94,8 @@ impl Gpu {
         &self.0.context.limits
     }
 
-    /// Kernels that were built, and how many of them the driver found among those kept ([`DeviceOptions::kernels`]).
+    /// Kernels that were built, and how many of them the driver found among those kept
+    /// ([`DeviceOptions::kernels`]).
     #[must_use]
     pub fn kernel_counts(&self) -> KernelCounts {
         self.0.context.pipelines.counts()
@@ -112,8 +126,8 @@ impl Gpu {
         self.0.context.exports.is_some()
     }
 
-    /// The timeline that counts the submissions to the queue of `role`, for another API to wait on: an opaque descriptor, as of a
-    /// timeline semaphore.
+    /// The timeline that counts the submissions to the queue of `role`, for another API to wait on:
+    /// an opaque descriptor, as of a timeline semaphore.
     ///
     /// # Errors
     /// When the device cannot export.
@@ -128,17 +142,19 @@ impl Gpu {
         self.0.context.memory_report()
     }
 
-    /// Warnings and errors of the validation layer since the last call; nothing where validation is off.
+    /// Warnings and errors of the validation layer since the last call; nothing where validation is
+    /// off.
     #[must_use]
     pub fn take_validation_messages(&self) -> Vec<String> {
         self.0.context.take_messages()
     }
 
-    /// A buffer of `len` values with undefined content. `name` is what debuggers and errors call it, `purpose` what its bytes
-    /// are counted under.
+    /// A buffer of `len` values with undefined content. `name` is what debuggers and errors call
+    /// it, `purpose` what its bytes are counted under.
     ///
     /// # Errors
-    /// When memory is used up, or the buffer is longer than a kernel can see (`storage_buffer_bytes_max`).
+    /// When memory is used up, or the buffer is longer than a kernel can see
+    /// (`storage_buffer_bytes_max`).
     pub fn buffer<T: Pod>(
         &self,
         name: &'static str,
@@ -156,26 +172,36 @@ impl Gpu {
     ///
     /// # Errors
     /// Those of [`Gpu::buffer`], and when the device is lost.
-    pub fn upload<T: Pod>(&self, name: &'static str, purpose: &'static str, data: &[T]) -> Result<Buffer<T>, GpuError> {
+    pub fn upload<T: Pod>(
+        &self,
+        name: &'static str,
+        purpose: &'static str,
+        data: &[T],
+    ) -> Result<Buffer<T>, GpuError> {
         let buffer = self.buffer(name, purpose, data.len(), MemoryKind::Device)?;
         self.write(&buffer, 0, data)?;
         Ok(buffer)
     }
 
-    /// Writes `data` from element `first` of `buffer` on, behind everything submitted to the main queue before, and waits for
-    /// it. Work on the update queue that uses the buffer must be done.
+    /// Writes `data` from element `first` of `buffer` on, behind everything submitted to the main
+    /// queue before, and waits for it. Work on the update queue that uses the buffer must be done.
     ///
     /// # Errors
     /// When memory for staging is used up or the device is lost.
     ///
     /// # Panics
     /// When `data` does not fit.
-    pub fn write<T: Pod>(&self, buffer: &Buffer<T>, first: usize, data: &[T]) -> Result<(), GpuError> {
+    pub fn write<T: Pod>(
+        &self,
+        buffer: &Buffer<T>,
+        first: usize,
+        data: &[T],
+    ) -> Result<(), GpuError> {
         transfer::write(self, buffer, first, data, self.piece_bytes())
     }
 
-    /// All values of `buffer`, behind everything submitted to the main queue before. Work on the update queue that writes the
-    /// buffer must be done.
+    /// All values of `buffer`, behind everything submitted to the main queue before. Work on the
+    /// update queue that writes the buffer must be done.
     ///
     /// # Errors
     /// When memory for staging is used up or the device is lost.
@@ -183,17 +209,23 @@ impl Gpu {
         transfer::read(self, buffer, self.piece_bytes())
     }
 
-    /// Builds a kernel from a SPIR-V module with names (debug information), its specialization constants given by name. A
-    /// constant that sizes the workgroup and has no other use goes by `local_size_x`, `local_size_y` or `local_size_z`, as
-    /// compilers drop its name.
+    /// Builds a kernel from a SPIR-V module with names (debug information), its specialization
+    /// constants given by name. A constant that sizes the workgroup and has no other use goes by
+    /// `local_size_x`, `local_size_y` or `local_size_z`, as compilers drop its name.
     ///
     /// # Errors
-    /// When the device lacks a feature that the module uses, its workgroup is too large for the device, the module binds
-    /// something other than storage buffers in set 0, or the driver cannot build it.
+    /// When the device lacks a feature that the module uses, its workgroup is too large for the
+    /// device, the module binds something other than storage buffers in set 0, or the driver cannot
+    /// build it.
     ///
     /// # Panics
     /// When the module has no constant of a name, or one of another type.
-    pub fn kernel(&self, name: &'static str, spirv: &[u32], constants: &[(&str, Constant)]) -> Result<Kernel, GpuError> {
+    pub fn kernel(
+        &self,
+        name: &'static str,
+        spirv: &[u32],
+        constants: &[(&str, Constant)],
+    ) -> Result<Kernel, GpuError> {
         Kernel::new(&self.0.context, name, spirv, constants)
     }
 
@@ -202,7 +234,8 @@ impl Gpu {
         Recorder::new(&self.0.context, self.0.queue(role))
     }
 
-    /// Submits what was recorded, to run behind `after` and behind everything submitted to the same queue before.
+    /// Submits what was recorded, to run behind `after` and behind everything submitted to the same
+    /// queue before.
     ///
     /// # Errors
     /// When the device is lost or memory is used up, also where that happened while recording.
@@ -211,8 +244,14 @@ impl Gpu {
     /// When the recorder or a ticket belongs to another device.
     pub fn submit(&self, recorder: Recorder, after: &[&Ticket]) -> Result<Ticket, GpuError> {
         let ours = |context: &Arc<Context>| Arc::ptr_eq(context, &self.0.context);
-        assert!(ours(&recorder.context), "the recorder belongs to another device");
-        assert!(after.iter().all(|ticket| ours(&ticket.queue.context)), "a ticket belongs to another device");
+        assert!(
+            ours(&recorder.context),
+            "the recorder belongs to another device"
+        );
+        assert!(
+            after.iter().all(|ticket| ours(&ticket.queue.context)),
+            "a ticket belongs to another device"
+        );
         let queue = recorder.queue.clone();
         let (slot, stages) = recorder.finish()?;
         queue.submit(slot, stages, after)
@@ -233,10 +272,17 @@ impl Gpu {
             let half = before.elapsed() / 2;
             let middle_ns = ticket.begin_ns()? + ticket.gpu_time_ns()? / 2;
             if best.is_none_or(|best| half < best.uncertainty) {
-                best = Some(DeviceClock { host: before + half, device_ns: middle_ns, uncertainty: half });
+                best = Some(DeviceClock {
+                    host: before + half,
+                    device_ns: middle_ns,
+                    uncertainty: half,
+                });
             }
         }
-        best.ok_or(GpuError::Driver { call: "reading the clock", code: "no measurement".into() })
+        best.ok_or(GpuError::Driver {
+            call: "reading the clock",
+            code: "no measurement".into(),
+        })
     }
 
     /// Staging is bound to nothing, and still a buffer like all others.
@@ -253,7 +299,7 @@ impl Shared {
         }
     }
 
-    /// A failure is a device lost, which whoever submits or waits next is told.
+    /// A failure is a device lost, which the next submission or wait reports.
     fn reap(&self) {
         let _ = self.main.reap();
         let _ = self.update.reap();
@@ -262,7 +308,8 @@ impl Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // A lost or hung device has nobody left to be told; the queues' own drops decide what is sound to free.
+        // A lost or hung device has nobody left to be told; the queues' own drops decide what is
+        // sound to free.
         let _ = self.main.wait_idle();
         let _ = self.update.wait_idle();
     }

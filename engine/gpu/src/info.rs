@@ -39,15 +39,19 @@ pub struct DeviceInfo {
 impl fmt::Display for DeviceInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [major, minor, patch] = self.api_version;
-        write!(f, "{} ({}, Vulkan {major}.{minor}.{patch})", self.name, self.driver)
+        write!(
+            f,
+            "{} ({}, Vulkan {major}.{minor}.{patch})",
+            self.name, self.driver
+        )
     }
 }
 
 /// The numbers that kernels and capacities are sized by.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
-    /// Invocations in a subgroup; kernels whose workgroup is a multiple of it along x run with exactly this size, all lanes
-    /// active, where the device lets us ask for it.
+    /// Invocations in a subgroup; kernels whose workgroup is a multiple of it along x run with
+    /// exactly this size, all lanes active, where the device lets us ask for it.
     pub subgroup_size: u32,
     /// Memory that a workgroup shares.
     pub shared_memory_bytes: u32,
@@ -70,7 +74,8 @@ pub struct Limits {
 /// Memory in use.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MemoryReport {
-    /// Bytes that buffers hold, by the purpose they were made for. Purposes that hold nothing are left out.
+    /// Bytes that buffers hold, by the purpose they were made for. Purposes that hold nothing are
+    /// left out.
     pub bytes_by_purpose: BTreeMap<&'static str, u64>,
     /// Their sum.
     pub total_bytes: u64,

@@ -11,7 +11,8 @@ use crate::{GpuError, error::failed};
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-/// Messages kept until somebody takes them; a frame in a loop that is wrong would otherwise fill the memory.
+/// Messages kept until they are taken; a frame in a loop that is wrong would otherwise fill
+/// the memory.
 const MESSAGES_MAX: usize = 1000;
 
 /// Warnings and errors of the validation layer, oldest first.
@@ -30,9 +31,11 @@ pub(crate) struct Instance {
 
 impl Instance {
     pub(crate) fn new(validation: bool) -> Result<Self, GpuError> {
-        // SAFETY: the system's Vulkan loader has no initialization duties, and `Instance` keeps the library open while it is
-        // used.
-        let entry = unsafe { ash::Entry::load() }.map_err(|error| GpuError::LoaderMissing { detail: error.to_string() })?;
+        // SAFETY: the system's Vulkan loader has no initialization duties, and `Instance` keeps the
+        // library open while it is used.
+        let entry = unsafe { ash::Entry::load() }.map_err(|error| GpuError::LoaderMissing {
+            detail: error.to_string(),
+        })?;
         if validation && !has_validation_layer(&entry)? {
             return Err(GpuError::ValidationMissing);
         }
@@ -44,14 +47,28 @@ impl Instance {
         let mut layers = Vec::new();
         if validation {
             layers.push(VALIDATION_LAYER.as_ptr());
-            if has_extension(&entry, Some(VALIDATION_LAYER), ext::validation_features::NAME)? {
+            if has_extension(
+                &entry,
+                Some(VALIDATION_LAYER),
+                ext::validation_features::NAME,
+            )? {
                 extensions.push(ext::validation_features::NAME.as_ptr());
             }
         }
         let raw = create(&entry, validation, &layers, &extensions)?;
         let messages = Arc::default();
-        let messenger = if validation && labels { Some(listen(&entry, &raw, &messages)?) } else { None };
-        Ok(Self { raw, labels, messenger, messages, _entry: entry })
+        let messenger = if validation && labels {
+            Some(listen(&entry, &raw, &messages)?)
+        } else {
+            None
+        };
+        Ok(Self {
+            raw,
+            labels,
+            messenger,
+            messages,
+            _entry: entry,
+        })
     }
 
     /// Warnings and errors since the last call.
@@ -63,10 +80,12 @@ impl Instance {
 impl Drop for Instance {
     fn drop(&mut self) {
         if let Some((debug, messenger)) = self.messenger.take() {
-            // SAFETY: created from this instance, destroyed once, and no Vulkan call of this instance runs any more.
+            // SAFETY: created from this instance, destroyed once, and no Vulkan call of this
+            // instance runs any more.
             unsafe { debug.destroy_debug_utils_messenger(messenger, None) };
         }
-        // SAFETY: everything made from the instance holds its context alive, so all of it is gone when this runs.
+        // SAFETY: everything made from the instance holds its context alive, so all of it is gone
+        // when this runs.
         unsafe { self.raw.destroy_instance(None) };
     }
 }
@@ -90,7 +109,8 @@ fn create(
     if validation {
         create = create.push_next(&mut features);
     }
-    // SAFETY: all pointers in `create` outlive the call, and its layers and extensions were found to be present.
+    // SAFETY: all pointers in `create` outlive the call, and its layers and extensions were found
+    // to be present.
     unsafe { entry.create_instance(&create, None) }.map_err(|code| match code {
         // What the loader says when it finds no driver at all.
         vk::Result::ERROR_INCOMPATIBLE_DRIVER => GpuError::NoDevice,
@@ -100,15 +120,20 @@ fn create(
 
 fn has_validation_layer(entry: &ash::Entry) -> Result<bool, GpuError> {
     // SAFETY: a query without preconditions.
-    let layers = unsafe { entry.enumerate_instance_layer_properties() }.map_err(failed("vkEnumerateInstanceLayerProperties"))?;
-    Ok(layers.iter().any(|layer| layer.layer_name_as_c_str() == Ok(VALIDATION_LAYER)))
+    let layers = unsafe { entry.enumerate_instance_layer_properties() }
+        .map_err(failed("vkEnumerateInstanceLayerProperties"))?;
+    Ok(layers
+        .iter()
+        .any(|layer| layer.layer_name_as_c_str() == Ok(VALIDATION_LAYER)))
 }
 
 fn has_extension(entry: &ash::Entry, layer: Option<&CStr>, name: &CStr) -> Result<bool, GpuError> {
     // SAFETY: a query; `layer`, where given, was found to be present.
     let extensions = unsafe { entry.enumerate_instance_extension_properties(layer) }
         .map_err(failed("vkEnumerateInstanceExtensionProperties"))?;
-    Ok(extensions.iter().any(|extension| extension.extension_name_as_c_str() == Ok(name)))
+    Ok(extensions
+        .iter()
+        .any(|extension| extension.extension_name_as_c_str() == Ok(name)))
 }
 
 fn listen(
@@ -116,16 +141,19 @@ fn listen(
     instance: &ash::Instance,
     messages: &Arc<Messages>,
 ) -> Result<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT), GpuError> {
-    use vk::{DebugUtilsMessageSeverityFlagsEXT as Severity, DebugUtilsMessageTypeFlagsEXT as Type};
+    use vk::{
+        DebugUtilsMessageSeverityFlagsEXT as Severity, DebugUtilsMessageTypeFlagsEXT as Type,
+    };
     let debug = ext::debug_utils::Instance::new(entry, instance);
     let create = vk::DebugUtilsMessengerCreateInfoEXT::default()
         .message_severity(Severity::WARNING | Severity::ERROR)
         .message_type(Type::GENERAL | Type::VALIDATION | Type::PERFORMANCE)
         .pfn_user_callback(Some(keep_message))
         .user_data(Arc::as_ptr(messages).cast_mut().cast());
-    // SAFETY: `Instance` holds `messages`, which the callback reads, until after the messenger is destroyed.
-    let messenger =
-        unsafe { debug.create_debug_utils_messenger(&create, None) }.map_err(failed("vkCreateDebugUtilsMessengerEXT"))?;
+    // SAFETY: `Instance` holds `messages`, which the callback reads, until after the messenger is
+    // destroyed.
+    let messenger = unsafe { debug.create_debug_utils_messenger(&create, None) }
+        .map_err(failed("vkCreateDebugUtilsMessengerEXT"))?;
     Ok((debug, messenger))
 }
 
@@ -141,7 +169,8 @@ unsafe extern "system" fn keep_message(
     // SAFETY: the layer hands a valid structure for the time of the call.
     let data = unsafe { &*data };
     // SAFETY: its message is a C string or null, valid as long.
-    let text = unsafe { data.message_as_c_str() }.map_or_else(String::new, |text| text.to_string_lossy().into_owned());
+    let text = unsafe { data.message_as_c_str() }
+        .map_or_else(String::new, |text| text.to_string_lossy().into_owned());
     let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
     if messages.len() < MESSAGES_MAX {
         messages.push(text);

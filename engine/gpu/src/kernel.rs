@@ -103,7 +103,10 @@ impl Kernel {
         spirv: &[u32],
         constants: &[(&str, Constant)],
     ) -> Result<Self, GpuError> {
-        let refuse = |reason| GpuError::Kernel { kernel: name, reason };
+        let refuse = |reason| GpuError::Kernel {
+            kernel: name,
+            reason,
+        };
         let interface = reflection::reflect(spirv).map_err(refuse)?;
         let specialized = specialize(name, &interface, constants);
         let workgroup_size = interface.workgroup_size(&specialized);
@@ -120,7 +123,8 @@ impl Kernel {
                 block: found.block.clone(),
             })
             .collect();
-        // Handles stay null until they are made, and destroying null does nothing: so a failure half way leaks nothing.
+        // Handles stay null until they are made, and destroying null does nothing: so a failure
+        // half way leaks nothing.
         let mut core = KernelCore {
             name,
             bindings,
@@ -135,7 +139,9 @@ impl Kernel {
         };
         core.make_layout()?;
         core.make_pipeline(spirv, &interface.entry_point, &specialized)?;
-        Ok(Self { core: Arc::new(core) })
+        Ok(Self {
+            core: Arc::new(core),
+        })
     }
 
     /// The name it was made with.
@@ -175,11 +181,13 @@ impl Kernel {
         &self.core.push.members
     }
 
-    /// Names and byte offsets of the members of the structure that `binding` holds: of an element where the block is an array
-    /// of structures, else of the block itself. `None` for a name that the kernel does not have.
+    /// Names and byte offsets of the members of the structure that `binding` holds: of an element
+    /// where the block is an array of structures, else of the block itself. `None` for a name that
+    /// the kernel does not have.
     #[must_use]
     pub fn member_offsets(&self, binding: &str) -> Option<Vec<(String, u32)>> {
-        self.binding(binding).map(|found| found.block.members.clone())
+        self.binding(binding)
+            .map(|found| found.block.members.clone())
     }
 
     /// Bytes from element to element, where `binding` holds nothing but an array.
@@ -195,7 +203,10 @@ impl Kernel {
 
 impl KernelCore {
     pub(crate) fn binding_names(&self) -> Vec<&str> {
-        self.bindings.iter().map(|found| found.name.as_str()).collect()
+        self.bindings
+            .iter()
+            .map(|found| found.name.as_str())
+            .collect()
     }
 
     fn make_layout(&mut self) -> Result<(), GpuError> {
@@ -214,47 +225,82 @@ impl KernelCore {
         let create = vk::DescriptorSetLayoutCreateInfo::default()
             .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
             .bindings(&bindings);
-        // SAFETY: the device has push descriptors, and reflection made sure that binding numbers differ and are few.
-        self.set_layout =
-            unsafe { device.create_descriptor_set_layout(&create, None) }.map_err(failed("vkCreateDescriptorSetLayout"))?;
+        // SAFETY: the device has push descriptors, and reflection made sure that binding numbers
+        // differ and are few.
+        self.set_layout = unsafe { device.create_descriptor_set_layout(&create, None) }
+            .map_err(failed("vkCreateDescriptorSetLayout"))?;
         let sets = [self.set_layout];
-        let push = [vk::PushConstantRange { stage_flags: vk::ShaderStageFlags::COMPUTE, offset: 0, size: self.push_bytes }];
-        let ranges = if self.push_bytes == 0 { &[][..] } else { &push[..] };
-        let create = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets).push_constant_ranges(ranges);
-        // SAFETY: the set layout is of this device, and the push constants were checked against its limit.
-        self.layout = unsafe { device.create_pipeline_layout(&create, None) }.map_err(failed("vkCreatePipelineLayout"))?;
+        let push = [vk::PushConstantRange {
+            stage_flags: vk::ShaderStageFlags::COMPUTE,
+            offset: 0,
+            size: self.push_bytes,
+        }];
+        let ranges = if self.push_bytes == 0 {
+            &[][..]
+        } else {
+            &push[..]
+        };
+        let create = vk::PipelineLayoutCreateInfo::default()
+            .set_layouts(&sets)
+            .push_constant_ranges(ranges);
+        // SAFETY: the set layout is of this device, and the push constants were checked against its
+        // limit.
+        self.layout = unsafe { device.create_pipeline_layout(&create, None) }
+            .map_err(failed("vkCreatePipelineLayout"))?;
         Ok(())
     }
 
-    fn make_pipeline(&mut self, spirv: &[u32], entry_point: &str, specialized: &[(u32, u32)]) -> Result<(), GpuError> {
+    fn make_pipeline(
+        &mut self,
+        spirv: &[u32],
+        entry_point: &str,
+        specialized: &[(u32, u32)],
+    ) -> Result<(), GpuError> {
         let context = self.context.clone();
         let entries: Vec<vk::SpecializationMapEntry> = (0_u32..)
             .zip(specialized)
-            .map(|(i, (spec_id, _))| vk::SpecializationMapEntry { constant_id: *spec_id, offset: 4 * i, size: 4 })
+            .map(|(i, (spec_id, _))| vk::SpecializationMapEntry {
+                constant_id: *spec_id,
+                offset: 4 * i,
+                size: 4,
+            })
             .collect();
         let values: Vec<u32> = specialized.iter().map(|(_, bits)| *bits).collect();
-        let specialization = vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(&values));
+        let specialization = vk::SpecializationInfo::default()
+            .map_entries(&entries)
+            .data(bytemuck::cast_slice(&values));
         let create = vk::ShaderModuleCreateInfo::default().code(spirv);
-        // SAFETY: `spirv` is SPIR-V by its header and reflection; that it is valid beyond that is the shader compiler's
-        // promise.
-        let module = unsafe { context.device.create_shader_module(&create, None) }.map_err(failed("vkCreateShaderModule"))?;
+        // SAFETY: `spirv` is SPIR-V by its header and reflection; that it is valid beyond that is
+        // the shader compiler's promise.
+        let module = unsafe { context.device.create_shader_module(&create, None) }
+            .map_err(failed("vkCreateShaderModule"))?;
         let entry_point = ShortName::new(entry_point);
-        let mut subgroups =
-            vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default().required_subgroup_size(context.limits.subgroup_size);
+        let mut subgroups = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
+            .required_subgroup_size(context.limits.subgroup_size);
         let mut stage = vk::PipelineShaderStageCreateInfo::default()
             .stage(vk::ShaderStageFlags::COMPUTE)
             .module(module)
             .name(entry_point.as_c_str())
             .specialization_info(&specialization);
         if self.subgroups_pinned {
-            stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut subgroups);
+            stage = stage
+                .flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS)
+                .push_next(&mut subgroups);
         }
         let mut built = vk::PipelineCreationFeedback::default();
-        let mut feedback = vk::PipelineCreationFeedbackCreateInfo::default().pipeline_creation_feedback(&mut built);
-        let create = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.layout).push_next(&mut feedback);
-        // SAFETY: module and layout are live and of this device, what `create` points to outlives the call, and the layout was
-        // reflected from the module.
-        let pipelines = unsafe { context.device.create_compute_pipelines(context.pipelines.cache, &[create], None) };
+        let mut feedback = vk::PipelineCreationFeedbackCreateInfo::default()
+            .pipeline_creation_feedback(&mut built);
+        let create = vk::ComputePipelineCreateInfo::default()
+            .stage(stage)
+            .layout(self.layout)
+            .push_next(&mut feedback);
+        // SAFETY: module and layout are live and of this device, what `create` points to outlives
+        // the call, and the layout was reflected from the module.
+        let pipelines = unsafe {
+            context
+                .device
+                .create_compute_pipelines(context.pipelines.cache, &[create], None)
+        };
         // SAFETY: a module may go as soon as its pipelines are made.
         unsafe { context.device.destroy_shader_module(module, None) };
         self.pipeline = match pipelines {
@@ -263,10 +309,15 @@ impl KernelCore {
                 pipelines[0]
             }
             Err((_, vk::Result::ERROR_DEVICE_LOST)) => {
-                return Err(failed("vkCreateComputePipelines")(vk::Result::ERROR_DEVICE_LOST));
+                return Err(failed("vkCreateComputePipelines")(
+                    vk::Result::ERROR_DEVICE_LOST,
+                ));
             }
             Err((_, code)) => {
-                return Err(GpuError::Kernel { kernel: self.name, reason: format!("the driver could not build it: {code:?}") });
+                return Err(GpuError::Kernel {
+                    kernel: self.name,
+                    reason: format!("the driver could not build it: {code:?}"),
+                });
             }
         };
         context.set_name(self.pipeline, self.name);
@@ -277,7 +328,8 @@ impl KernelCore {
 impl Drop for KernelCore {
     fn drop(&mut self) {
         let device = &self.context.device;
-        // SAFETY: submitted work holds its kernels until it is done, so nothing uses the pipeline; null is allowed.
+        // SAFETY: submitted work holds its kernels until it is done, so nothing uses the pipeline;
+        // null is allowed.
         unsafe { device.destroy_pipeline(self.pipeline, None) };
         // SAFETY: as above.
         unsafe { device.destroy_pipeline_layout(self.layout, None) };
@@ -290,10 +342,22 @@ impl Drop for KernelCore {
 ///
 /// # Panics
 /// When the shader has no constant of a name, or one of another type.
-fn specialize(kernel: &str, interface: &Interface, constants: &[(&str, Constant)]) -> Vec<(u32, u32)> {
+fn specialize(
+    kernel: &str,
+    interface: &Interface,
+    constants: &[(&str, Constant)],
+) -> Vec<(u32, u32)> {
     let found = |name: &str, constant: Constant| {
-        let Some(declared) = interface.constants.iter().find(|declared| declared.name == name) else {
-            let names: Vec<&str> = interface.constants.iter().map(|declared| declared.name.as_str()).collect();
+        let Some(declared) = interface
+            .constants
+            .iter()
+            .find(|declared| declared.name == name)
+        else {
+            let names: Vec<&str> = interface
+                .constants
+                .iter()
+                .map(|declared| declared.name.as_str())
+                .collect();
             panic!("kernel {kernel}: no specialization constant '{name}', it has {names:?}");
         };
         assert!(
@@ -303,12 +367,22 @@ fn specialize(kernel: &str, interface: &Interface, constants: &[(&str, Constant)
         );
         (declared.spec_id, constant.bits())
     };
-    constants.iter().map(|&(name, constant)| found(name, constant)).collect()
+    constants
+        .iter()
+        .map(|&(name, constant)| found(name, constant))
+        .collect()
 }
 
-fn check_capabilities(context: &Context, kernel: &'static str, interface: &Interface) -> Result<(), GpuError> {
+fn check_capabilities(
+    context: &Context,
+    kernel: &'static str,
+    interface: &Interface,
+) -> Result<(), GpuError> {
     let missing = &context.abilities.missing_capabilities;
-    match missing.iter().find(|(capability, _)| interface.capabilities.contains(capability)) {
+    match missing
+        .iter()
+        .find(|(capability, _)| interface.capabilities.contains(capability))
+    {
         Some((_, feature)) => Err(GpuError::MissingFeature {
             device: context.info.name.clone(),
             feature: (*feature).into(),
@@ -327,12 +401,17 @@ fn check_sizes(limits: &Limits, interface: &Interface, workgroup: [u32; 3]) -> R
         ));
     }
     if interface.bindings.len() > BINDINGS_MAX {
-        return Err(format!("{} buffers bound, at most {BINDINGS_MAX} can be", interface.bindings.len()));
+        return Err(format!(
+            "{} buffers bound, at most {BINDINGS_MAX} can be",
+            interface.bindings.len()
+        ));
     }
     let push_bytes = interface.push.as_ref().map_or(0, |push| push.bytes);
     if push_bytes > limits.push_constant_bytes_max || !push_bytes.is_multiple_of(4) {
         let max = limits.push_constant_bytes_max;
-        return Err(format!("{push_bytes} bytes of push constants, this device has at most {max}, in whole words"));
+        return Err(format!(
+            "{push_bytes} bytes of push constants, this device has at most {max}, in whole words"
+        ));
     }
     Ok(())
 }

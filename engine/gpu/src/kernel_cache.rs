@@ -1,7 +1,8 @@
 //! Built kernels, kept on disk from one start to the next, so that a second start compiles nothing.
 //!
-//! The driver says what it keeps, and checks itself whether it can use it again. A file is named after the device and the driver's
-//! UUID: another driver finds none. A file that is damaged, or that says it belongs to another driver, is ignored and written anew.
+//! The driver says what it keeps, and checks itself whether it can use it again. A file is named
+//! after the device and the driver's UUID: another driver finds none. A file that is damaged, or
+//! that says it belongs to another driver, is ignored and written anew.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -23,7 +24,8 @@ const DRIVER_HEADER_BYTES: usize = 32;
 /// Folder in which built kernels are kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum KernelCache {
-    /// In `decouplegs/kernels` of the user's folder for caches (`XDG_CACHE_HOME`, else `.cache` in `HOME`); nowhere without one.
+    /// In `decouplegs/kernels` of the user's folder for caches (`XDG_CACHE_HOME`, else `.cache` in
+    /// `HOME`); nowhere without one.
     #[default]
     User,
     /// In this folder, which is made if it does not exist.
@@ -34,10 +36,15 @@ pub enum KernelCache {
 
 impl KernelCache {
     fn folder(&self) -> Option<PathBuf> {
-        let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+        let absolute = |name: &str| {
+            std::env::var_os(name)
+                .map(PathBuf::from)
+                .filter(|path| path.is_absolute())
+        };
         match self {
             Self::User => {
-                let caches = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")));
+                let caches = absolute("XDG_CACHE_HOME")
+                    .or_else(|| absolute("HOME").map(|home| home.join(".cache")));
                 caches.map(|caches| caches.join("decouplegs/kernels"))
             }
             Self::Folder(folder) => Some(folder.clone()),
@@ -66,20 +73,39 @@ pub(crate) struct PipelineStore {
 }
 
 impl PipelineStore {
-    /// Makes the store of `device`, with what `kept` holds for it. Without a file, or where the driver does not take it, the store is empty.
-    pub(crate) fn open(device: &ash::Device, properties: &vk::PhysicalDeviceProperties, kept: &KernelCache) -> Self {
+    /// Makes the store of `device`, with what `kept` holds for it. Without a file, or where the
+    /// driver does not take it, the store is empty.
+    pub(crate) fn open(
+        device: &ash::Device,
+        properties: &vk::PhysicalDeviceProperties,
+        kept: &KernelCache,
+    ) -> Self {
         let identity = Identity::of(properties);
-        let path = kept.folder().map(|folder| folder.join(identity.file_name()));
-        let data = path.as_deref().and_then(read).filter(|data| identity.owns(data));
+        let path = kept
+            .folder()
+            .map(|folder| folder.join(identity.file_name()));
+        let data = path
+            .as_deref()
+            .and_then(read)
+            .filter(|data| identity.owns(data));
         let make = |data: &[u8]| {
             let create = vk::PipelineCacheCreateInfo::default().initial_data(data);
-            // SAFETY: `data` outlives the call, and is empty or begins with the header of this very driver, which checks the rest.
+            // SAFETY: `data` outlives the call, and is empty or begins with the header of this very
+            // driver, which checks the rest.
             unsafe { device.create_pipeline_cache(&create, None) }
         };
-        let read = data.as_deref().and_then(|data| Some((make(data).ok()?, Some(xxh3_64(data)))));
+        let read = data
+            .as_deref()
+            .and_then(|data| Some((make(data).ok()?, Some(xxh3_64(data)))));
         // Without a cache kernels are built all the same.
         let (cache, read_hash) = read.unwrap_or_else(|| (make(&[]).unwrap_or_default(), None));
-        Self { cache, path, read_hash, built: AtomicU32::new(0), found: AtomicU32::new(0) }
+        Self {
+            cache,
+            path,
+            read_hash,
+            built: AtomicU32::new(0),
+            found: AtomicU32::new(0),
+        }
     }
 
     /// Notes a kernel that was built, and whether the driver had it.
@@ -91,7 +117,10 @@ impl PipelineStore {
     }
 
     pub(crate) fn counts(&self) -> KernelCounts {
-        KernelCounts { built: self.built.load(Ordering::Relaxed), found: self.found.load(Ordering::Relaxed) }
+        KernelCounts {
+            built: self.built.load(Ordering::Relaxed),
+            found: self.found.load(Ordering::Relaxed),
+        }
     }
 
     /// True if what it began with came from a file.
@@ -99,7 +128,8 @@ impl PipelineStore {
         self.read_hash.is_some()
     }
 
-    /// Writes what is new to the file, and ends. A file that cannot be written costs the next start some time, and nothing else.
+    /// Writes what is new to the file, and ends. A file that cannot be written costs the next start
+    /// some time, and nothing else.
     pub(crate) fn close(&self, device: &ash::Device) {
         if self.counts().built > 0 && self.cache != vk::PipelineCache::null() {
             // SAFETY: the cache is of this device and live.
@@ -110,7 +140,8 @@ impl PipelineStore {
                 let _ = write(path, &data);
             }
         }
-        // SAFETY: made from this device, destroyed once, and nothing is built any more; null is allowed.
+        // SAFETY: made from this device, destroyed once, and nothing is built any more; null is
+        // allowed.
         unsafe { device.destroy_pipeline_cache(self.cache, None) };
     }
 }
@@ -126,7 +157,11 @@ struct Identity {
 
 impl Identity {
     fn of(properties: &vk::PhysicalDeviceProperties) -> Self {
-        Self { vendor: properties.vendor_id, device: properties.device_id, uuid: properties.pipeline_cache_uuid }
+        Self {
+            vendor: properties.vendor_id,
+            device: properties.device_id,
+            uuid: properties.pipeline_cache_uuid,
+        }
     }
 
     fn file_name(&self) -> String {
@@ -134,9 +169,14 @@ impl Identity {
         format!("{:04x}-{:04x}-{uuid}", self.vendor, self.device)
     }
 
-    /// True if `data` says that it comes from this driver (Vulkan specification, `VkPipelineCacheHeaderVersionOne`).
+    /// True if `data` says that it comes from this driver (Vulkan specification,
+    /// `VkPipelineCacheHeaderVersionOne`).
     fn owns(&self, data: &[u8]) -> bool {
-        let word = |at: usize| data.get(4 * at..4 * at + 4).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
+        let word = |at: usize| {
+            data.get(4 * at..4 * at + 4)
+                .and_then(|bytes| bytes.try_into().ok())
+                .map(u32::from_le_bytes)
+        };
         data.len() >= DRIVER_HEADER_BYTES
             && word(0).is_some_and(|bytes| bytes as usize >= DRIVER_HEADER_BYTES)
             && word(1) == Some(1)
@@ -146,7 +186,8 @@ impl Identity {
     }
 }
 
-/// Content of the file at `path`, without its header. None if the file is absent, damaged or too large.
+/// Content of the file at `path`, without its header. None if the file is absent, damaged or too
+/// large.
 fn read(path: &Path) -> Option<Vec<u8>> {
     let file = File::open(path).ok()?;
     let metadata = file.metadata().ok()?;
@@ -154,18 +195,26 @@ fn read(path: &Path) -> Option<Vec<u8>> {
         return None;
     }
     let mut bytes = Vec::new();
-    file.take((BYTES_MAX + HEADER_BYTES) as u64).read_to_end(&mut bytes).ok()?;
+    file.take((BYTES_MAX + HEADER_BYTES) as u64)
+        .read_to_end(&mut bytes)
+        .ok()?;
     unpack(&bytes).map(<[u8]>::to_vec)
 }
 
 /// Writes the file at `path`, whole or not at all.
 fn write(path: &Path, data: &[u8]) -> std::io::Result<()> {
-    let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else { return Ok(()) };
+    let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else {
+        return Ok(());
+    };
     if data.len() > BYTES_MAX {
         return Ok(());
     }
     fs::create_dir_all(folder)?;
-    let unfinished = folder.join(format!(".{}.{}", name.to_string_lossy(), std::process::id()));
+    let unfinished = folder.join(format!(
+        ".{}.{}",
+        name.to_string_lossy(),
+        std::process::id()
+    ));
     let written = File::create(&unfinished).and_then(|mut file| file.write_all(&pack(data)));
     let renamed = written.and_then(|()| fs::rename(&unfinished, path));
     if renamed.is_err() {
@@ -184,8 +233,15 @@ fn pack(data: &[u8]) -> Vec<u8> {
 
 fn unpack(bytes: &[u8]) -> Option<&[u8]> {
     let (header, data) = bytes.split_at_checked(HEADER_BYTES)?;
-    let word = |at: usize| header.get(at..at + 8).and_then(|bytes| bytes.try_into().ok()).map(u64::from_le_bytes);
-    let is_whole = header.starts_with(&MAGIC) && word(8) == Some(data.len() as u64) && word(16) == Some(xxh3_64(data));
+    let word = |at: usize| {
+        header
+            .get(at..at + 8)
+            .and_then(|bytes| bytes.try_into().ok())
+            .map(u64::from_le_bytes)
+    };
+    let is_whole = header.starts_with(&MAGIC)
+        && word(8) == Some(data.len() as u64)
+        && word(16) == Some(xxh3_64(data));
     is_whole.then_some(data)
 }
 
@@ -194,7 +250,11 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const DRIVER: Identity = Identity { vendor: 0x10de, device: 0x2335, uuid: *b"driver 580.159.0" };
+    const DRIVER: Identity = Identity {
+        vendor: 0x10de,
+        device: 0x2335,
+        uuid: *b"driver 580.159.0",
+    };
 
     fn kept() -> Vec<u8> {
         let words = [32, 1, DRIVER.vendor, DRIVER.device].map(u32::to_le_bytes);
@@ -204,7 +264,20 @@ mod tests {
     #[test]
     fn another_driver_or_device_is_not_given_it() {
         assert!(DRIVER.owns(&kept()));
-        for other in [Identity { vendor: 1, ..DRIVER }, Identity { device: 1, ..DRIVER }, Identity { uuid: [7; 16], ..DRIVER }] {
+        for other in [
+            Identity {
+                vendor: 1,
+                ..DRIVER
+            },
+            Identity {
+                device: 1,
+                ..DRIVER
+            },
+            Identity {
+                uuid: [7; 16],
+                ..DRIVER
+            },
+        ] {
             assert!(!other.owns(&kept()));
             assert_ne!(other.file_name(), DRIVER.file_name());
         }

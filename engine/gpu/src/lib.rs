@@ -1,20 +1,23 @@
 //! Vulkan layer of DecoupleGS: compute only, without knowledge of splats.
 //!
-//! A [`Gpu`] is opened once. Buffers are typed and counted by purpose ([`Buffer`]), kernels bind them by the names that the
-//! shader gives them ([`Kernel`]), a [`Recorder`] turns dispatches into a command buffer and derives its barriers, and
-//! submitting gives a [`Ticket`] to wait for and to read times from.
+//! A [`Gpu`] is opened once. Buffers are typed and counted by purpose ([`Buffer`]), kernels bind
+//! them by the names that the shader gives them ([`Kernel`]), a [`Recorder`] turns dispatches into
+//! a command buffer and derives its barriers, and submitting gives a [`Ticket`] to wait for and to
+//! read times from.
 //!
 //! # Reading order
-//! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and `kernel_cache`, `recorder` and
-//! `recorder/hazards` (the one home of barriers), `queue` (submitting, waiting, recycling), `transfer` (staged uploads and reads).
+//! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and
+//! `kernel_cache`, `recorder` and `recorder/hazards` (the one home of barriers), `queue`
+//! (submitting, waiting, recycling), `transfer` (staged uploads and reads).
 //!
 //! # What is not done here
-//! - No robust access: a kernel that reads or writes out of bounds is undefined, as robustness costs time in every access.
-//!   Kernels check their own bounds; tests run on lavapipe with validation, where a wild access tends to be seen.
-//! - No images, no graphics pipelines, no presentation, no buffer addresses: synchronization validation sees descriptors, not
-//!   addresses.
-//! - No ordering between the host and the device but through tickets: writing an upload buffer while submitted work reads it is
-//!   the caller's race to avoid.
+//! - No robust access: a kernel that reads or writes out of bounds is undefined, as robustness
+//!   costs time in every access. Kernels check their own bounds; tests run on lavapipe with
+//!   validation, where a wild access tends to be seen.
+//! - No images, no graphics pipelines, no presentation, no buffer addresses: synchronization
+//!   validation sees descriptors, not addresses.
+//! - No ordering between the host and the device but through tickets: writing an upload buffer
+//!   while submitted work reads it is the caller's race to avoid.
 //!
 //! This is the only crate with `unsafe`; each block is one operation and says why it is sound.
 

@@ -1,4 +1,5 @@
-//! Memory of buffers: where it comes from, who holds how much of it, and the sentence when there is no more.
+//! Memory of buffers: where it comes from, who holds how much of it, and the sentence when there is
+//! no more.
 
 use std::{
     collections::BTreeMap,
@@ -14,10 +15,12 @@ use gpu_allocator::{
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
 
-use crate::{ExportedMemory, GpuError, MemoryKind, MemoryReport, context::Context, error::failed, export};
+use crate::{
+    ExportedMemory, GpuError, MemoryKind, MemoryReport, context::Context, error::failed, export,
+};
 
-/// From this size a buffer has its own allocation: freed, it goes back to the driver at once, and capacities that grow leave no
-/// holes.
+/// From this size a buffer has its own allocation: freed, it goes back to the driver at once, and
+/// capacities that grow leave no holes.
 const OWN_ALLOCATION_FROM_BYTES: u64 = 4 << 20;
 
 /// The least that is bound: a buffer of no elements still needs a descriptor.
@@ -35,7 +38,12 @@ impl Accounting {
     pub(crate) fn report(&self) -> MemoryReport {
         let bytes_by_purpose = self.bytes_by_purpose.clone();
         let total_bytes = bytes_by_purpose.values().sum();
-        MemoryReport { bytes_by_purpose, total_bytes, budget_bytes: None, driver_usage_bytes: None }
+        MemoryReport {
+            bytes_by_purpose,
+            total_bytes,
+            budget_bytes: None,
+            driver_usage_bytes: None,
+        }
     }
 
     fn add(&mut self, purpose: &'static str, bytes: u64, device_local: bool) {
@@ -56,7 +64,11 @@ impl Accounting {
         if self.bytes_by_purpose.is_empty() {
             return "nothing yet".into();
         }
-        let texts: Vec<String> = self.bytes_by_purpose.iter().map(|(purpose, bytes)| format!("{purpose} {bytes}")).collect();
+        let texts: Vec<String> = self
+            .bytes_by_purpose
+            .iter()
+            .map(|(purpose, bytes)| format!("{purpose} {bytes}"))
+            .collect();
         texts.join(", ")
     }
 }
@@ -99,7 +111,11 @@ impl BufferMemory {
         static NEXT_ID: AtomicU64 = AtomicU64::new(0);
         let limit_bytes = context.limits.storage_buffer_bytes_max;
         if byte_len > limit_bytes {
-            return Err(GpuError::BufferTooLarge { name, wanted_bytes: byte_len, limit_bytes });
+            return Err(GpuError::BufferTooLarge {
+                name,
+                wanted_bytes: byte_len,
+                limit_bytes,
+            });
         }
         let bound_bytes = byte_len.next_multiple_of(4).max(BOUND_BYTES_MIN);
         refuse_above_heap(context, name, purpose, bound_bytes, memory_kind)?;
@@ -107,7 +123,8 @@ impl BufferMemory {
         if exported {
             context.exports()?;
         }
-        let raw = create(context, bound_bytes, exported).map_err(|code| translate(context, name, purpose, bound_bytes, code))?;
+        let raw = create(context, bound_bytes, exported)
+            .map_err(|code| translate(context, name, purpose, bound_bytes, code))?;
         let held = if exported {
             let made = export::allocate(context, raw);
             made.map(|(memory, bytes)| (Held::Exported(memory, bytes), bytes, true))
@@ -124,7 +141,11 @@ impl BufferMemory {
             }
         };
         context.set_name(raw, name);
-        context.accounting.lock().unwrap_or_else(PoisonError::into_inner).add(purpose, counted_bytes, device_local);
+        context
+            .accounting
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .add(purpose, counted_bytes, device_local);
         Ok(Self {
             context: context.clone(),
             raw,
@@ -150,42 +171,77 @@ impl BufferMemory {
             "buffer {}: lives on the device; the host reaches it through the Gpu only",
             self.name
         );
-        let mut allocation = self.allocation.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(Held::Allocated(allocation)) = allocation.as_mut() else { unreachable!("only device memory is exported") };
-        let bytes = allocation.mapped_slice_mut().expect("host-visible memory is mapped while it lives");
+        let mut allocation = self
+            .allocation
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let Some(Held::Allocated(allocation)) = allocation.as_mut() else {
+            unreachable!("only device memory is exported")
+        };
+        let bytes = allocation
+            .mapped_slice_mut()
+            .expect("host-visible memory is mapped while it lives");
         body(&mut bytes[..self.byte_len as usize])
     }
 
     /// # Panics
     /// For a buffer without [`MemoryKind::Exported`].
     pub(crate) fn export(&self) -> Result<ExportedMemory, GpuError> {
-        let held = self.allocation.lock().unwrap_or_else(PoisonError::into_inner);
+        let held = self
+            .allocation
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         let Some(Held::Exported(memory, allocation_bytes)) = *held else {
-            panic!("buffer {}: its memory was not made to be exported", self.name)
+            panic!(
+                "buffer {}: its memory was not made to be exported",
+                self.name
+            )
         };
-        Ok(ExportedMemory { descriptor: self.context.export_memory(memory)?, allocation_bytes })
+        Ok(ExportedMemory {
+            descriptor: self.context.export_memory(memory)?,
+            allocation_bytes,
+        })
     }
 }
 
 impl Drop for BufferMemory {
     fn drop(&mut self) {
-        // SAFETY: submitted work holds what it uses until it is done, so no device work uses the buffer any more.
+        // SAFETY: submitted work holds what it uses until it is done, so no device work uses the
+        // buffer any more.
         unsafe { self.context.device.destroy_buffer(self.raw, None) };
-        match self.allocation.get_mut().unwrap_or_else(PoisonError::into_inner).take() {
+        match self
+            .allocation
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take()
+        {
             Some(Held::Allocated(allocation)) => {
-                // An error would mean that the allocation is not of this allocator; there is nobody to tell in a drop.
-                let _ = self.context.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
+                // An error would mean that the allocation is not of this allocator; there is nobody
+                // to tell in a drop.
+                let _ = self
+                    .context
+                    .allocator
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .free(allocation);
             }
             // SAFETY: its buffer is gone, and what was imported holds the memory by itself.
-            Some(Held::Exported(memory, _)) => unsafe { self.context.device.free_memory(memory, None) },
+            Some(Held::Exported(memory, _)) => unsafe {
+                self.context.device.free_memory(memory, None);
+            },
             None => {}
         }
-        let mut accounting = self.context.accounting.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut accounting = self
+            .context
+            .accounting
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         accounting.remove(self.purpose, self.counted_bytes, self.device_local);
     }
 }
 
-/// Some drivers promise more than the heap has and fail when it is touched; so what cannot fit is refused here.
+/// Some drivers promise more than the heap has and fail when it is touched; so what cannot fit is
+/// refused here.
 fn refuse_above_heap(
     context: &Context,
     name: &'static str,
@@ -193,7 +249,11 @@ fn refuse_above_heap(
     bytes: u64,
     memory_kind: MemoryKind,
 ) -> Result<(), GpuError> {
-    let used = context.accounting.lock().unwrap_or_else(PoisonError::into_inner).device_local_bytes;
+    let used = context
+        .accounting
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .device_local_bytes;
     if matches!(memory_kind, MemoryKind::Device | MemoryKind::Exported)
         && used.saturating_add(bytes) > context.limits.device_memory_bytes
     {
@@ -204,19 +264,26 @@ fn refuse_above_heap(
 
 fn create(context: &Context, bytes: u64, exported: bool) -> Result<vk::Buffer, vk::Result> {
     use vk::BufferUsageFlags as Usage;
-    let families = [context.families.main, context.families.update.unwrap_or(context.families.main)];
-    let mut create = vk::BufferCreateInfo::default()
-        .size(bytes)
-        .usage(Usage::STORAGE_BUFFER | Usage::INDIRECT_BUFFER | Usage::TRANSFER_SRC | Usage::TRANSFER_DST);
+    let families = [
+        context.families.main,
+        context.families.update.unwrap_or(context.families.main),
+    ];
+    let mut create = vk::BufferCreateInfo::default().size(bytes).usage(
+        Usage::STORAGE_BUFFER | Usage::INDIRECT_BUFFER | Usage::TRANSFER_SRC | Usage::TRANSFER_DST,
+    );
     if context.families.update.is_some() {
-        // Buffers need no ownership transfers: storage buffers lose nothing by being shared on the devices that we know.
-        create = create.sharing_mode(vk::SharingMode::CONCURRENT).queue_family_indices(&families);
+        // Buffers need no ownership transfers: storage buffers lose nothing by being shared on the
+        // devices that we know.
+        create = create
+            .sharing_mode(vk::SharingMode::CONCURRENT)
+            .queue_family_indices(&families);
     }
     let mut export = export::buffer_info();
     if exported {
         create = create.push_next(&mut export);
     }
-    // SAFETY: the size is not zero, and the families are two different ones of this device where sharing is concurrent.
+    // SAFETY: the size is not zero, and the families are two different ones of this device where
+    // sharing is concurrent.
     unsafe { context.device.create_buffer(&create, None) }
 }
 
@@ -240,26 +307,53 @@ fn allocate_and_bind(
             MemoryKind::Readback => MemoryLocation::GpuToCpu,
         },
         linear: true,
-        allocation_scheme: if own { AllocationScheme::DedicatedBuffer(buffer) } else { AllocationScheme::GpuAllocatorManaged },
+        allocation_scheme: if own {
+            AllocationScheme::DedicatedBuffer(buffer)
+        } else {
+            AllocationScheme::GpuAllocatorManaged
+        },
     };
-    let mut allocator = context.allocator.lock().unwrap_or_else(PoisonError::into_inner);
-    let allocation = allocator.allocate(&description).map_err(|error| match error {
-        AllocationError::OutOfMemory => out_of_memory(context, name, purpose, requirements.size),
-        other => GpuError::Driver { call: "allocating memory", code: other.to_string() },
-    })?;
-    // SAFETY: the memory is of this device, large enough and aligned as the buffer requires, and the buffer is bound to nothing
-    // yet.
-    let bound = unsafe { context.device.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
+    let mut allocator = context
+        .allocator
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner);
+    let allocation = allocator
+        .allocate(&description)
+        .map_err(|error| match error {
+            AllocationError::OutOfMemory => {
+                out_of_memory(context, name, purpose, requirements.size)
+            }
+            other => GpuError::Driver {
+                call: "allocating memory",
+                code: other.to_string(),
+            },
+        })?;
+    // SAFETY: the memory is of this device, large enough and aligned as the buffer requires, and
+    // the buffer is bound to nothing yet.
+    let bound = unsafe {
+        context
+            .device
+            .bind_buffer_memory(buffer, allocation.memory(), allocation.offset())
+    };
     if let Err(code) = bound {
-        // The allocation is unbound and of this allocator: freeing cannot fail, and the first error is the one to report.
+        // The allocation is unbound and of this allocator: freeing cannot fail, and the first error
+        // is the one to report.
         let _ = allocator.free(allocation);
         return Err(translate(context, name, purpose, requirements.size, code));
     }
-    let device_local = allocation.memory_properties().contains(vk::MemoryPropertyFlags::DEVICE_LOCAL);
+    let device_local = allocation
+        .memory_properties()
+        .contains(vk::MemoryPropertyFlags::DEVICE_LOCAL);
     Ok((Held::Allocated(allocation), requirements.size, device_local))
 }
 
-fn translate(context: &Context, name: &'static str, purpose: &'static str, bytes: u64, code: vk::Result) -> GpuError {
+fn translate(
+    context: &Context,
+    name: &'static str,
+    purpose: &'static str,
+    bytes: u64,
+    code: vk::Result,
+) -> GpuError {
     match code {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY | vk::Result::ERROR_OUT_OF_HOST_MEMORY => {
             out_of_memory(context, name, purpose, bytes)
@@ -268,8 +362,16 @@ fn translate(context: &Context, name: &'static str, purpose: &'static str, bytes
     }
 }
 
-fn out_of_memory(context: &Context, name: &'static str, purpose: &'static str, wanted_bytes: u64) -> GpuError {
-    let accounting = context.accounting.lock().unwrap_or_else(PoisonError::into_inner);
+fn out_of_memory(
+    context: &Context,
+    name: &'static str,
+    purpose: &'static str,
+    wanted_bytes: u64,
+) -> GpuError {
+    let accounting = context
+        .accounting
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner);
     GpuError::OutOfMemory {
         name,
         purpose,
@@ -293,7 +395,10 @@ mod tests {
         assert_eq!(accounting.device_local_bytes, 103);
         assert_eq!(accounting.used_by_purpose(), "images 3, splats 120");
         accounting.remove("images", 3, true);
-        assert_eq!(accounting.report().bytes_by_purpose, BTreeMap::from([("splats", 120)]));
+        assert_eq!(
+            accounting.report().bytes_by_purpose,
+            BTreeMap::from([("splats", 120)])
+        );
         assert_eq!(accounting.report().total_bytes, 120);
     }
 }

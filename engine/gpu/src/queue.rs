@@ -1,7 +1,7 @@
 //! Queues: submitting, waiting, and taking back what the device is done with.
 //!
-//! Each queue has one timeline semaphore that counts submissions. A submission of the same queue needs no wait: it starts with
-//! a full barrier. One of the other queue becomes a semaphore wait.
+//! Each queue has one timeline semaphore that counts submissions. A submission of the same queue
+//! needs no wait: it starts with a full barrier. One of the other queue becomes a semaphore wait.
 
 use std::{
     collections::VecDeque,
@@ -30,11 +30,12 @@ pub enum QueueRole {
     Update,
 }
 
-/// After this long, work counts as hung. Drivers of real GPUs give up within seconds; the CPU driver on a loaded machine has
-/// been seen to take a minute for one large frame.
+/// After this long, work counts as hung. Drivers of real GPUs give up within seconds; the CPU
+/// driver on a loaded machine has been seen to take a minute for one large frame.
 const HANG_AFTER: Duration = Duration::from_secs(300);
 
-/// Between two looks at how far waiting work has come: short enough to know the last stage when the device is lost.
+/// Between two looks at how far waiting work has come: short enough to know the last stage when the
+/// device is lost.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// Command slots kept for reuse; more are in flight only in a burst of uploads.
@@ -61,15 +62,22 @@ struct State {
 
 impl Queue {
     /// The first queue of `family`, which the device was opened with.
-    pub(crate) fn new(context: &Arc<Context>, family: u32, timestamp_bits: u32) -> Result<Self, GpuError> {
-        let mut timeline = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+    pub(crate) fn new(
+        context: &Arc<Context>,
+        family: u32,
+        timestamp_bits: u32,
+    ) -> Result<Self, GpuError> {
+        let mut timeline =
+            vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
         let mut export = export::semaphore_info();
         let mut create = vk::SemaphoreCreateInfo::default().push_next(&mut timeline);
         if context.abilities.exports {
             create = create.push_next(&mut export);
         }
-        // SAFETY: timeline semaphores are required of every device, and those of this one can be exported where it is asked for.
-        let timeline = unsafe { context.device.create_semaphore(&create, None) }.map_err(failed("vkCreateSemaphore"))?;
+        // SAFETY: timeline semaphores are required of every device, and those of this one can be
+        // exported where it is asked for.
+        let timeline = unsafe { context.device.create_semaphore(&create, None) }
+            .map_err(failed("vkCreateSemaphore"))?;
         // SAFETY: the device was opened with one queue of this family.
         let raw = unsafe { context.device.get_device_queue(family, 0) };
         Ok(Self {
@@ -120,14 +128,23 @@ impl Queue {
             .wait_semaphore_infos(&waits)
             .command_buffer_infos(&commands)
             .signal_semaphore_infos(&signals);
-        // SAFETY: the state's lock makes us the only user of the queue; the command buffer is recorded and not pending, and the
-        // slot with all that it uses stays in flight until the timeline has its value.
-        let submitted = unsafe { self.context.device.queue_submit2(self.raw, &[submit], vk::Fence::null()) };
+        // SAFETY: the state's lock makes us the only user of the queue; the command buffer is
+        // recorded and not pending, and the slot with all that it uses stays in flight until the
+        // timeline has its value.
+        let submitted = unsafe {
+            self.context
+                .device
+                .queue_submit2(self.raw, &[submit], vk::Fence::null())
+        };
         match submitted {
             Ok(()) => {
                 state.submitted = value;
                 state.in_flight.push_back((value, slot, submission.clone()));
-                Ok(Ticket { queue: self.clone(), value, submission })
+                Ok(Ticket {
+                    queue: self.clone(),
+                    value,
+                    submission,
+                })
             }
             Err(code) => Err(self.explain(&state, "vkQueueSubmit2", code)),
         }
@@ -136,17 +153,26 @@ impl Queue {
     /// Waits until the timeline has `value`.
     pub(crate) fn wait(&self, value: u64, submission: &Submission) -> Result<(), GpuError> {
         let (semaphores, values) = ([self.timeline], [value]);
-        let wait = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+        let wait = vk::SemaphoreWaitInfo::default()
+            .semaphores(&semaphores)
+            .values(&values);
         let since = Instant::now();
         loop {
             // SAFETY: the semaphore lives as long as this queue, and was told to count to `value`.
-            match unsafe { self.context.device.wait_semaphores(&wait, LOOK_EVERY.as_nanos() as u64) } {
+            match unsafe {
+                self.context
+                    .device
+                    .wait_semaphores(&wait, LOOK_EVERY.as_nanos() as u64)
+            } {
                 Ok(()) => return self.reap(),
                 Err(vk::Result::TIMEOUT) => self.look(&self.state()),
                 Err(code) => return Err(self.explain(&self.state(), "vkWaitSemaphores", code)),
             }
             if since.elapsed() > HANG_AFTER {
-                return Err(GpuError::Hang { seconds: HANG_AFTER.as_secs(), progress: submission.progress() });
+                return Err(GpuError::Hang {
+                    seconds: HANG_AFTER.as_secs(),
+                    progress: submission.progress(),
+                });
             }
         }
     }
@@ -157,7 +183,11 @@ impl Queue {
 
     /// Waits for everything submitted.
     pub(crate) fn wait_idle(&self) -> Result<(), GpuError> {
-        let last = self.state().in_flight.back().map(|(value, _, submission)| (*value, submission.clone()));
+        let last = self
+            .state()
+            .in_flight
+            .back()
+            .map(|(value, _, submission)| (*value, submission.clone()));
         last.map_or(Ok(()), |(value, submission)| self.wait(value, &submission))
     }
 
@@ -168,9 +198,19 @@ impl Queue {
             return Ok(());
         }
         let counted = self.counted(&state)?;
-        while state.in_flight.front().is_some_and(|(value, ..)| *value <= counted) {
-            let Some((_, mut slot, submission)) = state.in_flight.pop_front() else { break };
-            submission.finish(&slot, self.timestamp_bits, self.context.limits.timestamp_period_ns);
+        while state
+            .in_flight
+            .front()
+            .is_some_and(|(value, ..)| *value <= counted)
+        {
+            let Some((_, mut slot, submission)) = state.in_flight.pop_front() else {
+                break;
+            };
+            submission.finish(
+                &slot,
+                self.timestamp_bits,
+                self.context.limits.timestamp_period_ns,
+            );
             slot.release();
             if state.free.len() < FREE_SLOTS_MAX {
                 state.free.push(slot);
@@ -181,7 +221,11 @@ impl Queue {
 
     fn counted(&self, state: &State) -> Result<u64, GpuError> {
         // SAFETY: a query on a live semaphore.
-        let counted = unsafe { self.context.device.get_semaphore_counter_value(self.timeline) };
+        let counted = unsafe {
+            self.context
+                .device
+                .get_semaphore_counter_value(self.timeline)
+        };
         counted.map_err(|code| self.explain(state, "vkGetSemaphoreCounterValue", code))
     }
 
@@ -201,8 +245,14 @@ impl Queue {
             return failed(during)(code);
         }
         self.look(state);
-        let progress = state.in_flight.front().map(|(_, _, submission)| submission.progress());
-        GpuError::DeviceLost { during, progress: progress.unwrap_or_else(|| "nothing was in flight".into()) }
+        let progress = state
+            .in_flight
+            .front()
+            .map(|(_, _, submission)| submission.progress());
+        GpuError::DeviceLost {
+            during,
+            progress: progress.unwrap_or_else(|| "nothing was in flight".into()),
+        }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -217,13 +267,17 @@ impl Drop for Queue {
             std::mem::forget(std::mem::take(&mut self.state().in_flight));
             return;
         }
-        // SAFETY: the device is idle or lost, and every ticket that knew the semaphore held this queue.
+        // SAFETY: the device is idle or lost, and every ticket that knew the semaphore held this
+        // queue.
         unsafe { self.context.device.destroy_semaphore(self.timeline, None) };
     }
 }
 
 fn semaphore_at(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo<'static> {
-    vk::SemaphoreSubmitInfo::default().semaphore(semaphore).value(value).stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+    vk::SemaphoreSubmitInfo::default()
+        .semaphore(semaphore)
+        .value(value)
+        .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
 }
 
 #[cfg(test)]
@@ -236,13 +290,20 @@ mod tests {
     fn a_look_at_running_work_tells_the_stages_that_are_done() {
         let gpu = Gpu::open(&DeviceOptions::default()).unwrap();
         let bytes = include_bytes!("../tests/kernels/spin.spv").chunks_exact(4);
-        let spirv: Vec<u32> = bytes.map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]])).collect();
+        let spirv: Vec<u32> = bytes
+            .map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
+            .collect();
         let spin = gpu.kernel("spin", &spirv, &[]).unwrap();
         let values = gpu.upload("values", "test", &vec![1_u32; 1 << 15]).unwrap();
         let mut recorder = gpu.record(QueueRole::Main);
         for (name, rounds) in [("short", 1_u32), ("long", 50_000)] {
-            let push: Vec<u8> = [1_u32 << 15, rounds].iter().flat_map(|word| word.to_ne_bytes()).collect();
-            recorder.stage(name, |recorder| recorder.dispatch(&spin, &[("values", values.binding())], &push, [512, 1, 1]));
+            let push: Vec<u8> = [1_u32 << 15, rounds]
+                .iter()
+                .flat_map(|word| word.to_ne_bytes())
+                .collect();
+            recorder.stage(name, |recorder| {
+                recorder.dispatch(&spin, &[("values", values.binding())], &push, [512, 1, 1]);
+            });
         }
         let ticket = gpu.submit(recorder, &[]).unwrap();
         ticket.queue.look(&ticket.queue.state());
@@ -255,8 +316,14 @@ mod tests {
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
         let between = "the last stage known to have finished is 'short', the next is 'long'";
-        assert!(gpu.info().kind == DeviceKind::Cpu || seen.iter().any(|progress| progress == between), "{seen:#?}");
+        assert!(
+            gpu.info().kind == DeviceKind::Cpu || seen.iter().any(|progress| progress == between),
+            "{seen:#?}"
+        );
         ticket.wait().unwrap();
-        assert_eq!(ticket.submission.progress(), "the last stage known to have finished is 'long'");
+        assert_eq!(
+            ticket.submission.progress(),
+            "the last stage known to have finished is 'long'"
+        );
     }
 }

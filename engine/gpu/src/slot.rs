@@ -1,4 +1,5 @@
-//! Command slots: a command buffer with its pool, its timestamps, and hold of all that it uses. Reused frame after frame.
+//! Command slots: a command buffer with its pool, its timestamps, and hold of all that it uses.
+//! Reused frame after frame.
 
 use std::sync::Arc;
 
@@ -38,11 +39,19 @@ pub(crate) struct CommandSlot {
 }
 
 impl CommandSlot {
-    pub(crate) fn new(context: &Arc<Context>, family: u32, timestamps: bool) -> Result<Self, GpuError> {
-        let create = vk::CommandPoolCreateInfo::default().queue_family_index(family).flags(vk::CommandPoolCreateFlags::TRANSIENT);
+    pub(crate) fn new(
+        context: &Arc<Context>,
+        family: u32,
+        timestamps: bool,
+    ) -> Result<Self, GpuError> {
+        let create = vk::CommandPoolCreateInfo::default()
+            .queue_family_index(family)
+            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
         // SAFETY: `family` is one that the device was opened with.
-        let pool = unsafe { context.device.create_command_pool(&create, None) }.map_err(failed("vkCreateCommandPool"))?;
-        // From here on a failure drops the slot, which destroys what there is; null handles are allowed then.
+        let pool = unsafe { context.device.create_command_pool(&create, None) }
+            .map_err(failed("vkCreateCommandPool"))?;
+        // From here on a failure drops the slot, which destroys what there is; null handles are
+        // allowed then.
         let mut slot = Self {
             commands: vk::CommandBuffer::null(),
             hazards: Hazards::default(),
@@ -52,15 +61,20 @@ impl CommandSlot {
             queries: vk::QueryPool::null(),
             context: context.clone(),
         };
-        let allocate = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+        let allocate = vk::CommandBufferAllocateInfo::default()
+            .command_pool(pool)
+            .command_buffer_count(1);
         // SAFETY: the pool was made above and nobody else knows it.
-        let commands =
-            unsafe { context.device.allocate_command_buffers(&allocate) }.map_err(failed("vkAllocateCommandBuffers"))?;
+        let commands = unsafe { context.device.allocate_command_buffers(&allocate) }
+            .map_err(failed("vkAllocateCommandBuffers"))?;
         slot.commands = commands[0];
         if timestamps {
-            let create = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(QUERIES);
+            let create = vk::QueryPoolCreateInfo::default()
+                .query_type(vk::QueryType::TIMESTAMP)
+                .query_count(QUERIES);
             // SAFETY: a plain creation; the queue's family has timestamps.
-            slot.queries = unsafe { context.device.create_query_pool(&create, None) }.map_err(failed("vkCreateQueryPool"))?;
+            slot.queries = unsafe { context.device.create_query_pool(&create, None) }
+                .map_err(failed("vkCreateQueryPool"))?;
         }
         Ok(slot)
     }
@@ -68,16 +82,20 @@ impl CommandSlot {
     /// Starts recording. The device must be done with what was recorded before.
     pub(crate) fn begin(&mut self) -> Result<(), GpuError> {
         let device = &self.context.device;
-        // SAFETY: the device is done with the pool's one command buffer, by this function's contract.
+        // SAFETY: the device is done with the pool's one command buffer, by this function's
+        // contract.
         unsafe { device.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty()) }
             .map_err(failed("vkResetCommandPool"))?;
         if self.has_timestamps() {
-            // SAFETY: the feature is required of every device, and no pending command buffer uses the pool.
+            // SAFETY: the feature is required of every device, and no pending command buffer uses
+            // the pool.
             unsafe { device.reset_query_pool(self.queries, 0, QUERIES) };
         }
-        let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        let begin = vk::CommandBufferBeginInfo::default()
+            .flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer was just reset.
-        unsafe { device.begin_command_buffer(self.commands, &begin) }.map_err(failed("vkBeginCommandBuffer"))?;
+        unsafe { device.begin_command_buffer(self.commands, &begin) }
+            .map_err(failed("vkBeginCommandBuffer"))?;
         hazards::barrier_at_start(&self.context, self.commands);
         self.timestamp(QUERY_START);
         Ok(())
@@ -88,7 +106,8 @@ impl CommandSlot {
         hazards::barrier_to_host(&self.context, self.commands);
         self.timestamp(QUERY_END);
         // SAFETY: the command buffer is being recorded, by us alone.
-        unsafe { self.context.device.end_command_buffer(self.commands) }.map_err(failed("vkEndCommandBuffer"))
+        unsafe { self.context.device.end_command_buffer(self.commands) }
+            .map_err(failed("vkEndCommandBuffer"))
     }
 
     /// Gives back what the finished work held.
@@ -106,12 +125,18 @@ impl CommandSlot {
         self.timestamp(3 + 2 * stage as u32);
     }
 
-    /// Marks the time at which everything recorded so far is done, so that consecutive stages do not overlap.
+    /// Marks the time at which everything recorded so far is done, so that consecutive stages do
+    /// not overlap.
     fn timestamp(&self, query: u32) {
         if self.has_timestamps() {
             let stage = vk::PipelineStageFlags2::ALL_COMMANDS;
-            // SAFETY: recording, by us alone; the query is inside the pool, was reset, and is written once.
-            unsafe { self.context.device.cmd_write_timestamp2(self.commands, stage, self.queries, query) };
+            // SAFETY: recording, by us alone; the query is inside the pool, was reset, and is
+            // written once.
+            unsafe {
+                self.context
+                    .device
+                    .cmd_write_timestamp2(self.commands, stage, self.queries, query);
+            };
         }
     }
 
@@ -119,25 +144,33 @@ impl CommandSlot {
         self.queries != vk::QueryPool::null()
     }
 
-    /// The timestamps of the start, the end, and of start and end of each of `stages` stages, `None` for those that the device
-    /// has not written yet. Empty where the queue has none.
+    /// The timestamps of the start, the end, and of start and end of each of `stages` stages,
+    /// `None` for those that the device has not written yet. Empty where the queue has none.
     pub(crate) fn ticks(&self, stages: usize) -> Vec<Option<u64>> {
         if !self.has_timestamps() {
             return Vec::new();
         }
         let mut answers: Vec<Answer> = vec![[0; 2]; 2 + 2 * stages];
         let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WITH_AVAILABILITY;
-        // Not ready, or a device lost, leaves the words of timestamps that are not there at zero: that is the answer then.
-        // SAFETY: the queries are inside the pool, and an answer has the two words that the flags ask for.
-        let _ = unsafe { self.context.device.get_query_pool_results(self.queries, 0, &mut answers, flags) };
-        answers.into_iter().map(|[value, there]| (there != 0).then_some(value)).collect()
+        // Not ready, or a device lost, leaves the words of timestamps that are not there at zero:
+        // that is the answer then. SAFETY: the queries are inside the pool, and an answer has the
+        // two words that the flags ask for.
+        let _ = unsafe {
+            self.context
+                .device
+                .get_query_pool_results(self.queries, 0, &mut answers, flags)
+        };
+        answers
+            .into_iter()
+            .map(|[value, there]| (there != 0).then_some(value))
+            .collect()
     }
 }
 
 impl Drop for CommandSlot {
     fn drop(&mut self) {
-        // SAFETY: a slot is dropped only when the device is done with it or never saw it; its command buffer goes with the
-        // pool.
+        // SAFETY: a slot is dropped only when the device is done with it or never saw it; its
+        // command buffer goes with the pool.
         unsafe { self.context.device.destroy_command_pool(self.pool, None) };
         // SAFETY: as above; null is allowed.
         unsafe { self.context.device.destroy_query_pool(self.queries, None) };

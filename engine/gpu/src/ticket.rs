@@ -37,7 +37,8 @@ impl Ticket {
     /// Waits until the work is done. What it wrote to readback buffers can be read then.
     ///
     /// # Errors
-    /// When the device is lost, or did not finish in minutes; both name the last stage known to have finished.
+    /// When the device is lost, or did not finish in minutes; both name the last stage known to
+    /// have finished.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.queue.wait(self.value, &self.submission)
     }
@@ -109,47 +110,89 @@ struct Times {
 
 impl Submission {
     pub(crate) fn new(stages: Vec<&'static str>) -> Self {
-        Self { stages, finished: AtomicUsize::new(0), times: OnceLock::new() }
+        Self {
+            stages,
+            finished: AtomicUsize::new(0),
+            times: OnceLock::new(),
+        }
     }
 
-    /// Takes the times over from `slot`, whose work is done. `valid_bits` of a timestamp count, a tick takes `period_ns`.
+    /// Takes the times over from `slot`, whose work is done. `valid_bits` of a timestamp count, a
+    /// tick takes `period_ns`.
     pub(crate) fn finish(&self, slot: &CommandSlot, valid_bits: u32, period_ns: f32) {
-        let times = times(&self.stages, &slot.ticks(self.stages.len()), valid_bits, period_ns);
+        let times = times(
+            &self.stages,
+            &slot.ticks(self.stages.len()),
+            valid_bits,
+            period_ns,
+        );
         self.finished.store(self.stages.len(), Ordering::Relaxed);
-        // Set once: whoever reaps the slot has taken it out of the queue.
+        // Set once: the thread that retires the slot has taken it out of the queue.
         let _ = self.times.set(times);
     }
 
     /// Looks how far the device is with `slot`, whose work may still run.
     pub(crate) fn look(&self, slot: &CommandSlot) {
         let ticks = slot.ticks(self.stages.len());
-        let finished = (0..self.stages.len()).take_while(|stage| ticks.get(3 + 2 * stage).is_some_and(Option::is_some)).count();
+        let finished = (0..self.stages.len())
+            .take_while(|stage| ticks.get(3 + 2 * stage).is_some_and(Option::is_some))
+            .count();
         self.finished.fetch_max(finished, Ordering::Relaxed);
     }
 
     /// Known progress of the work, as a clause.
     pub(crate) fn progress(&self) -> String {
         let finished = self.finished.load(Ordering::Relaxed);
-        let next = self.stages.get(finished).map_or_else(String::new, |next| format!(", the next is '{next}'"));
-        match finished.checked_sub(1).and_then(|last| self.stages.get(last)) {
+        let next = self
+            .stages
+            .get(finished)
+            .map_or_else(String::new, |next| format!(", the next is '{next}'"));
+        match finished
+            .checked_sub(1)
+            .and_then(|last| self.stages.get(last))
+        {
             Some(last) => format!("the last stage known to have finished is '{last}'{next}"),
             None => format!("no stage is known to have finished{next}"),
         }
     }
 }
 
-/// Ticks count in `valid_bits` bits and start anywhere, so only differences mean something, and they wrap.
-fn times(names: &[&'static str], ticks: &[Option<u64>], valid_bits: u32, period_ns: f32) -> Option<Times> {
+/// Ticks count in `valid_bits` bits and start anywhere, so only differences mean something, and
+/// they wrap.
+fn times(
+    names: &[&'static str],
+    ticks: &[Option<u64>],
+    valid_bits: u32,
+    period_ns: f32,
+) -> Option<Times> {
     let start = (*ticks.first()?)?;
-    let mask = if valid_bits >= 64 { u64::MAX } else { (1 << valid_bits) - 1 };
-    let since = |from: u64, tick: u64| ((tick.wrapping_sub(from) & mask) as f64 * f64::from(period_ns)) as u64;
+    let mask = if valid_bits >= 64 {
+        u64::MAX
+    } else {
+        (1 << valid_bits) - 1
+    };
+    let since = |from: u64, tick: u64| {
+        ((tick.wrapping_sub(from) & mask) as f64 * f64::from(period_ns)) as u64
+    };
     let stage = |(i, &name): (usize, &&'static str)| {
         let (from, to) = (ticks[2 + 2 * i]?, ticks[3 + 2 * i]?);
-        Some(StageTime { name, start_ns: since(start, from), duration_ns: since(from, to) })
+        Some(StageTime {
+            name,
+            start_ns: since(start, from),
+            duration_ns: since(from, to),
+        })
     };
-    let stages = names.iter().enumerate().map(stage).collect::<Option<Vec<_>>>()?;
+    let stages = names
+        .iter()
+        .enumerate()
+        .map(stage)
+        .collect::<Option<Vec<_>>>()?;
     let begin_ns = ((start & mask) as f64 * f64::from(period_ns)) as u64;
-    Some(Times { begin_ns, total_ns: since(start, ticks[1]?), stages })
+    Some(Times {
+        begin_ns,
+        total_ns: since(start, ticks[1]?),
+        stages,
+    })
 }
 
 #[cfg(test)]
@@ -159,16 +202,32 @@ mod tests {
     #[test]
     fn a_clock_that_wraps_gives_the_same_times() {
         let expected = [
-            StageTime { name: "project", start_ns: 20, duration_ns: 40 },
-            StageTime { name: "blend", start_ns: 60, duration_ns: 200 },
+            StageTime {
+                name: "project",
+                start_ns: 20,
+                duration_ns: 40,
+            },
+            StageTime {
+                name: "blend",
+                start_ns: 60,
+                duration_ns: 200,
+            },
         ];
         for (start, bits) in [(100, 64), ((1 << 36) - 15, 36), (u64::MAX - 3, 64)] {
-            let mask = if bits == 64 { u64::MAX } else { (1 << bits) - 1 };
+            let mask = if bits == 64 {
+                u64::MAX
+            } else {
+                (1 << bits) - 1
+            };
             // Bits above the valid ones mean nothing: set them.
             let tick = |ticks: u64| Some(u64::wrapping_add(start, ticks) & mask | !mask);
             let ticks = [tick(0), tick(140), tick(10), tick(30), tick(30), tick(130)];
             let times = times(&["project", "blend"], &ticks, bits, 2.0).unwrap();
-            assert_eq!((times.total_ns, times.stages.as_slice()), (280, &expected[..]), "{bits} bits from {start}");
+            assert_eq!(
+                (times.total_ns, times.stages.as_slice()),
+                (280, &expected[..]),
+                "{bits} bits from {start}"
+            );
         }
     }
 
@@ -181,10 +240,19 @@ mod tests {
     #[test]
     fn progress_names_the_last_stage_and_the_next() {
         let submission = Submission::new(vec!["project", "sort", "blend"]);
-        assert_eq!(submission.progress(), "no stage is known to have finished, the next is 'project'");
+        assert_eq!(
+            submission.progress(),
+            "no stage is known to have finished, the next is 'project'"
+        );
         submission.finished.store(2, Ordering::Relaxed);
-        assert_eq!(submission.progress(), "the last stage known to have finished is 'sort', the next is 'blend'");
+        assert_eq!(
+            submission.progress(),
+            "the last stage known to have finished is 'sort', the next is 'blend'"
+        );
         submission.finished.store(3, Ordering::Relaxed);
-        assert_eq!(submission.progress(), "the last stage known to have finished is 'blend'");
+        assert_eq!(
+            submission.progress(),
+            "the last stage known to have finished is 'blend'"
+        );
     }
 }

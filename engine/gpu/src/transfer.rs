@@ -9,9 +9,15 @@ pub(crate) const PIECE_BYTES: usize = 64 << 20;
 
 const STAGING: &str = "staging";
 
-/// Writes `data` from element `first` of `buffer` on. Two pieces alternate: while the device copies one, the host fills the
-/// other.
-pub(crate) fn write<T: Pod>(gpu: &Gpu, buffer: &Buffer<T>, first: usize, data: &[T], piece_bytes: usize) -> Result<(), GpuError> {
+/// Writes `data` from element `first` of `buffer` on. Two pieces alternate: while the device copies
+/// one, the host fills the other.
+pub(crate) fn write<T: Pod>(
+    gpu: &Gpu,
+    buffer: &Buffer<T>,
+    first: usize,
+    data: &[T],
+    piece_bytes: usize,
+) -> Result<(), GpuError> {
     let range = buffer.byte_range(first, data.len());
     let bytes: &[u8] = bytemuck::cast_slice(data);
     let mut pieces: [Option<(Buffer<u8>, Ticket)>; 2] = [None, None];
@@ -29,17 +35,29 @@ pub(crate) fn write<T: Pod>(gpu: &Gpu, buffer: &Buffer<T>, first: usize, data: &
         recorder.copy_bytes(&staging.memory, 0, &buffer.memory, to, piece.len() as u64);
         pieces[i % 2] = Some((staging, gpu.submit(recorder, &[])?));
     }
-    pieces.iter().flatten().try_for_each(|(_, ticket)| ticket.wait())
+    pieces
+        .iter()
+        .flatten()
+        .try_for_each(|(_, ticket)| ticket.wait())
 }
 
 /// All values of `buffer`, after everything submitted to the main queue before.
-pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &Buffer<T>, piece_bytes: usize) -> Result<Vec<T>, GpuError> {
+pub(crate) fn read<T: Pod>(
+    gpu: &Gpu,
+    buffer: &Buffer<T>,
+    piece_bytes: usize,
+) -> Result<Vec<T>, GpuError> {
     let mut data = vec![T::zeroed(); buffer.len()];
     let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut data);
     if bytes.is_empty() {
         return Ok(data);
     }
-    let staging: Buffer<u8> = gpu.buffer(STAGING, STAGING, piece_bytes.min(bytes.len()), MemoryKind::Readback)?;
+    let staging: Buffer<u8> = gpu.buffer(
+        STAGING,
+        STAGING,
+        piece_bytes.min(bytes.len()),
+        MemoryKind::Readback,
+    )?;
     for (i, piece) in bytes.chunks_mut(piece_bytes).enumerate() {
         read_piece(gpu, &buffer.memory, i * piece_bytes, &staging, piece)?;
     }
@@ -54,7 +72,13 @@ fn read_piece(
     piece: &mut [u8],
 ) -> Result<(), GpuError> {
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.copy_bytes(memory, byte_offset as u64, &staging.memory, 0, piece.len() as u64);
+    recorder.copy_bytes(
+        memory,
+        byte_offset as u64,
+        &staging.memory,
+        0,
+        piece.len() as u64,
+    );
     gpu.submit(recorder, &[])?.wait()?;
     staging.read_host_into(0, piece);
     Ok(())
@@ -67,16 +91,37 @@ mod tests {
 
     #[test]
     fn pieces_of_any_size_carry_all_the_bytes() {
-        let gpu = Gpu::open(&DeviceOptions { validation: true, ..DeviceOptions::default() }).unwrap();
-        let words: Vec<u32> = (0..1000_u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
+        let gpu = Gpu::open(&DeviceOptions {
+            validation: true,
+            ..DeviceOptions::default()
+        })
+        .unwrap();
+        let words: Vec<u32> = (0..1000_u32)
+            .map(|i| i.wrapping_mul(2_654_435_761))
+            .collect();
         // One piece, an exact split, a short last piece, many pieces, pieces that split values.
         for piece_bytes in [4000, 2000, 1024, 64, 333] {
-            let buffer: Buffer<u32> = gpu.buffer("words", "test", words.len() + 7, MemoryKind::Device).unwrap();
-            write(&gpu, &buffer, 0, &vec![u32::MAX; words.len() + 7], PIECE_BYTES).unwrap();
+            let buffer: Buffer<u32> = gpu
+                .buffer("words", "test", words.len() + 7, MemoryKind::Device)
+                .unwrap();
+            write(
+                &gpu,
+                &buffer,
+                0,
+                &vec![u32::MAX; words.len() + 7],
+                PIECE_BYTES,
+            )
+            .unwrap();
             write(&gpu, &buffer, 5, &words, piece_bytes).unwrap();
             let read = read(&gpu, &buffer, piece_bytes).unwrap();
             assert_eq!(read[5..1005], words, "pieces of {piece_bytes} bytes");
-            assert!(read[..5].iter().chain(&read[1005..]).all(|&word| word == u32::MAX), "pieces of {piece_bytes} bytes");
+            assert!(
+                read[..5]
+                    .iter()
+                    .chain(&read[1005..])
+                    .all(|&word| word == u32::MAX),
+                "pieces of {piece_bytes} bytes"
+            );
         }
         assert_eq!(gpu.memory().total_bytes, 0);
         assert_eq!(gpu.take_validation_messages(), [""; 0]);

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 /// Longest line of a planner, bytes: a plan of 256 points with 17 digits a number has 17 KiB.
 pub(super) const LINE_BYTES_MAX: usize = 64 * 1024;
-/// Written at a time, bytes. The kernel starts its clock anew for each piece of about this size, so that a larger write to a slow
-/// reader could outlast its deadline many times over.
+/// Written at a time, bytes. The kernel starts its clock anew for each piece of about this size, so
+/// that a larger write to a slow reader could outlast its deadline many times over.
 const WRITE_BYTES: usize = 64 * 1024;
 /// Read at a time, bytes.
 const READ_BYTES: usize = 8 * 1024;
@@ -45,7 +45,9 @@ impl Connection {
         for part in parts {
             let mut rest = *part;
             while !rest.is_empty() {
-                self.to.set_write_timeout(Some(left_until(deadline)?)).map_err(Fault::System)?;
+                self.to
+                    .set_write_timeout(Some(left_until(deadline)?))
+                    .map_err(Fault::System)?;
                 match self.to.write(&rest[..rest.len().min(WRITE_BYTES)]) {
                     Ok(count) => rest = &rest[count..],
                     Err(error) if error.kind() == ErrorKind::Interrupted => {}
@@ -61,7 +63,9 @@ impl Connection {
         let mut line = Vec::new();
         let mut piece = [0; READ_BYTES];
         loop {
-            self.from.set_read_timeout(Some(left_until(deadline)?)).map_err(Fault::System)?;
+            self.from
+                .set_read_timeout(Some(left_until(deadline)?))
+                .map_err(Fault::System)?;
             let count = match self.from.read(&mut piece) {
                 Ok(0) => return Err(Fault::Closed),
                 Ok(count) => count,
@@ -92,7 +96,11 @@ impl Connection {
         match found {
             Ok(0) => Err(Fault::Closed),
             Ok(count) => Err(Fault::Unasked(piece[..count].to_vec())),
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => Ok(()),
+            Err(error)
+                if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
+            {
+                Ok(())
+            }
             Err(error) => Err(fault_of(error)),
         }
     }
@@ -106,14 +114,20 @@ impl Connection {
 
 fn left_until(deadline: Instant) -> Result<Duration, Fault> {
     let left = deadline.saturating_duration_since(Instant::now());
-    if left.is_zero() { Err(Fault::Late) } else { Ok(left) }
+    if left.is_zero() {
+        Err(Fault::Late)
+    } else {
+        Ok(left)
+    }
 }
 
 fn fault_of(error: std::io::Error) -> Fault {
     match error.kind() {
         // What a socket says whose time is up differs between systems.
         ErrorKind::WouldBlock | ErrorKind::TimedOut => Fault::Late,
-        ErrorKind::BrokenPipe | ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted => Fault::Closed,
+        ErrorKind::BrokenPipe | ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted => {
+            Fault::Closed
+        }
         _ => Fault::System(error),
     }
 }
@@ -150,7 +164,10 @@ mod tests {
     fn who_does_not_read_or_reads_slowly_is_late() {
         let (mut connection, mut theirs) = pair();
         let frame = vec![0; 8 << 20];
-        assert!(matches!(connection.send(&[&frame], soon()), Err(Fault::Late)));
+        assert!(matches!(
+            connection.send(&[&frame], soon()),
+            Err(Fault::Late)
+        ));
         let sipping = std::thread::spawn(move || {
             let mut piece = [0; 4096];
             while theirs.read(&mut piece).is_ok_and(|count| count > 0) {
@@ -158,7 +175,10 @@ mod tests {
             }
         });
         let begin = Instant::now();
-        assert!(matches!(connection.send(&[&frame], soon()), Err(Fault::Late)));
+        assert!(matches!(
+            connection.send(&[&frame], soon()),
+            Err(Fault::Late)
+        ));
         assert!(begin.elapsed() < Duration::from_secs(20));
         drop(connection);
         sipping.join().unwrap();
@@ -179,9 +199,15 @@ mod tests {
         say(b"\n");
         assert_eq!(connection.read_line(soon()).unwrap().len(), LINE_BYTES_MAX);
         say(&[b'x'; LINE_BYTES_MAX + 1]);
-        assert!(matches!(connection.read_line(soon()), Err(Fault::Endless(_))));
+        assert!(matches!(
+            connection.read_line(soon()),
+            Err(Fault::Endless(_))
+        ));
         drop(theirs);
         assert!(matches!(connection.is_silent(), Err(Fault::Closed)));
-        assert!(matches!(connection.send(&[b"x"], soon()), Err(Fault::Closed)));
+        assert!(matches!(
+            connection.send(&[b"x"], soon()),
+            Err(Fault::Closed)
+        ));
     }
 }

@@ -49,10 +49,18 @@ impl Answer {
     /// # Errors
     /// What is wrong with it, the end of a sentence that names the planner.
     pub(super) fn from_line(line: &[u8]) -> Result<Self, String> {
-        let text = std::str::from_utf8(line).map_err(|_| format!("sent a line that is not UTF-8: {}", beginning(line)))?;
+        let text = std::str::from_utf8(line)
+            .map_err(|_| format!("sent a line that is not UTF-8: {}", beginning(line)))?;
         let message: Value = serde_json::from_str(text).map_err(|error| {
-            let hint = if text.contains("NaN") || text.contains("Infinity") { " (NaN and Infinity are not JSON)" } else { "" };
-            format!("sent a line that is not JSON: {error}{hint}: {}", beginning(line))
+            let hint = if text.contains("NaN") || text.contains("Infinity") {
+                " (NaN and Infinity are not JSON)"
+            } else {
+                ""
+            };
+            format!(
+                "sent a line that is not JSON: {error}{hint}: {}",
+                beginning(line)
+            )
         })?;
         if message["bytes"].as_u64().unwrap_or(0) != 0 {
             return Err("announced bytes after its line; expected none from a planner".into());
@@ -61,40 +69,76 @@ impl Answer {
             Some("hello") => introduction(&message).map(Self::Hello),
             Some("ready") => Ok(Self::Ready),
             Some("plan") => plan(&message),
-            Some("fail") => Ok(Self::Fail(printable(message["reason"].as_str().unwrap_or("no reason given"), REASON_CHARS_MAX))),
-            _ => Err(format!("sent a message whose `type` is not hello, ready, plan or fail: {}", beginning(line))),
+            Some("fail") => Ok(Self::Fail(printable(
+                message["reason"].as_str().unwrap_or("no reason given"),
+                REASON_CHARS_MAX,
+            ))),
+            _ => Err(format!(
+                "sent a message whose `type` is not hello, ready, plan or fail: {}",
+                beginning(line)
+            )),
         }
     }
 }
 
 fn introduction(message: &Value) -> Result<Introduction, String> {
     if message["protocol"].as_u64() != Some(PROTOCOL) {
-        let spoken = if message["protocol"].is_null() { "none".into() } else { printable(&message["protocol"].to_string(), 20) };
+        let spoken = if message["protocol"].is_null() {
+            "none".into()
+        } else {
+            printable(&message["protocol"].to_string(), 20)
+        };
         return Err(format!("speaks protocol {spoken}; expected {PROTOCOL}"));
     }
-    let name = message["name"].as_str().filter(|name| !name.is_empty()).ok_or("said hello without a `name`")?;
+    let name = message["name"]
+        .as_str()
+        .filter(|name| !name.is_empty())
+        .ok_or("said hello without a `name`")?;
     let cameras = match message["cameras"].as_str() {
         Some("none") => Cameras::None,
         Some("front") => Cameras::Front,
         Some("all") => Cameras::All,
         _ => return Err("said hello without `cameras`; expected none, front or all".into()),
     };
-    let privileged = message["privileged"].as_bool().ok_or("said hello without `privileged`; expected true or false")?;
-    Ok(Introduction { name: printable(name, NAME_CHARS_MAX), sees: ObservationRequest { cameras, privileged } })
+    let privileged = message["privileged"]
+        .as_bool()
+        .ok_or("said hello without `privileged`; expected true or false")?;
+    Ok(Introduction {
+        name: printable(name, NAME_CHARS_MAX),
+        sees: ObservationRequest {
+            cameras,
+            privileged,
+        },
+    })
 }
 
 fn plan(message: &Value) -> Result<Answer, String> {
-    let step = message["step"].as_u64().ok_or("sent a plan without the `step` it is for")?;
-    let points = message["points"].as_array().ok_or("sent a plan without `points`")?;
+    let step = message["step"]
+        .as_u64()
+        .ok_or("sent a plan without the `step` it is for")?;
+    let points = message["points"]
+        .as_array()
+        .ok_or("sent a plan without `points`")?;
     let point = |(index, point): (usize, &Value)| {
         let numbers: Vec<f64> = point.as_array()?.iter().map_while(Value::as_f64).collect();
-        let [time_s, x, y] = <[f64; 3]>::try_from(numbers).ok().filter(|_| point.as_array().is_some_and(|all| all.len() == 3))?;
-        Some((index, PlanPoint { time_s, position_m: DVec2::new(x, y) }))
+        let [time_s, x, y] = <[f64; 3]>::try_from(numbers)
+            .ok()
+            .filter(|_| point.as_array().is_some_and(|all| all.len() == 3))?;
+        Some((
+            index,
+            PlanPoint {
+                time_s,
+                position_m: DVec2::new(x, y),
+            },
+        ))
     };
     let mut read = Vec::with_capacity(points.len());
     for (index, value) in points.iter().enumerate() {
-        let (_, point) = point((index, value))
-            .ok_or_else(|| format!("sent a plan whose point {index} is not [seconds, meters ahead, meters to the left]"))?;
+        let (_, point) = point((index, value)).ok_or_else(|| {
+            format!(
+                "sent a plan whose point {index} is not [seconds, meters ahead, meters to the left]"
+            )
+        })?;
         read.push(point);
     }
     let plan = Plan::new(read).map_err(|fault| format!("sent what is no plan: {fault}"))?;
@@ -103,7 +147,10 @@ fn plan(message: &Value) -> Result<Answer, String> {
 
 /// The first of `text`'s characters, those that a terminal would obey replaced.
 fn printable(text: &str, chars_max: usize) -> String {
-    text.chars().take(chars_max).map(|c| if c.is_control() { ' ' } else { c }).collect()
+    text.chars()
+        .take(chars_max)
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect()
 }
 
 /// Start of a line, quoted.
@@ -122,7 +169,12 @@ pub(super) fn hello() -> Value {
 pub(super) fn begin(briefing: &EpisodeInfo) -> Value {
     let camera = |camera: &RigCamera| {
         let (k, pose) = (camera.intrinsics, camera.rig_from_camera);
-        let rotation = [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z];
+        let rotation = [
+            pose.rotation.w,
+            pose.rotation.x,
+            pose.rotation.y,
+            pose.rotation.z,
+        ];
         json!({
             "name": camera.name, "width_px": k.width_px, "height_px": k.height_px,
             "fx_px": k.fx_px, "fy_px": k.fy_px, "cx_px": k.cx_px, "cy_px": k.cy_px,

@@ -19,8 +19,8 @@ const TAIL_LINES: usize = 6;
 /// Between two looks at whether it has ended.
 const LOOK: Duration = Duration::from_millis(3);
 
-/// A running child that leads a process group of its own. Dropping it ends the group and reaps the child. If this program ends in any
-/// other way, even by SIGKILL, the guardian ends the group.
+/// A running child that leads a process group of its own. Dropping it ends the group and reaps the
+/// child. If this program ends in any other way, even by SIGKILL, the guardian ends the group.
 #[derive(Debug)]
 pub(super) struct Process {
     /// None once it is reaped: its id may be another process's by then.
@@ -45,7 +45,8 @@ struct Tail {
 impl Process {
     /// Starts `words`, a program and its arguments, its stdin and stdout joined to a connection.
     ///
-    /// Both are sockets rather than pipes: a socket has deadlines for both directions, so that nobody has to wait in a thread.
+    /// Both are sockets rather than pipes: a socket has deadlines for both directions, so that
+    /// nobody has to wait in a thread.
     pub(super) fn start(words: &[String]) -> Result<(Self, Connection), String> {
         let (program, arguments) = words.split_first().ok_or("no program is named")?;
         let pair = || UnixStream::pair().map_err(|error| format!("cannot make a socket: {error}"));
@@ -57,7 +58,8 @@ impl Process {
             .stderr(Stdio::piped())
             .process_group(0)
             .spawn();
-        let mut child = child.map_err(|error| format!("cannot start {program:?}: {error}; expected a program"))?;
+        let mut child = child
+            .map_err(|error| format!("cannot start {program:?}: {error}; expected a program"))?;
         let guardian = guardian_of(&child);
         let complaints = Arc::new(Complaints::default());
         if let Some(stderr) = child.stderr.take() {
@@ -65,18 +67,27 @@ impl Process {
             std::thread::spawn(move || kept.listen(stderr));
         }
         // Made before a failure of the guardian is told: dropping it ends the child.
-        let mut process = Self { child: Some(child), guardian: None, complaints };
-        process.guardian =
-            Some(guardian.map_err(|error| format!("cannot start sh, which ends the planner with this program: {error}"))?);
+        let mut process = Self {
+            child: Some(child),
+            guardian: None,
+            complaints,
+        };
+        process.guardian = Some(guardian.map_err(|error| {
+            format!("cannot start sh, which ends the planner with this program: {error}")
+        })?);
         Ok((process, Connection::new(to, from)))
     }
 
-    /// Ends it and all that it started, once `grace` is over or it has ended by itself: what is to be said of it.
+    /// Ends it and all that it started, once `grace` is over or it has ended by itself: what is to
+    /// be said of it.
     pub(super) fn end(&mut self, grace: Duration) -> String {
-        let Some(mut child) = self.child.take() else { return "it was ended before".to_owned() };
+        let Some(mut child) = self.child.take() else {
+            return "it was ended before".to_owned();
+        };
         let ended = has_ended(&child, grace);
         if ended.is_ok() {
-            // The child is not reaped yet, so its id is nobody else's. Where nobody is left in its group, nothing is to be done.
+            // The child is not reaped yet, so its id is nobody else's. Where nobody is left in its
+            // group, nothing is to be done.
             let _ = kill_process_group(Pid::from_child(&child), Signal::KILL);
         }
         // Before the child is reaped: the guardian must not end a group that has its id afterwards.
@@ -97,9 +108,10 @@ impl Process {
     }
 }
 
-/// Starts a shell that ends the process group of `child` when this program ends. It waits for the end of its input, a pipe whose other
-/// end only this program has. A signal at the death of the parent (PR_SET_PDEATHSIG) would reach the child alone, and come when the
-/// thread that started it ends.
+/// Starts a shell that ends the process group of `child` when this program ends. It waits for the
+/// end of its input, a pipe whose other end only this program has. A signal at the death of the
+/// parent (PR_SET_PDEATHSIG) would reach the child alone, and come when the thread that started it
+/// ends.
 fn guardian_of(child: &Child) -> std::io::Result<Child> {
     Command::new("sh")
         .args(["-c", "read -r _; kill -s KILL -- \"-$0\""])
@@ -139,19 +151,31 @@ impl Complaints {
             let excess = tail.bytes.len().saturating_sub(TAIL_BYTES);
             tail.bytes.drain(..excess);
         }
-        self.tail.lock().unwrap_or_else(PoisonError::into_inner).is_whole = true;
+        self.tail
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .is_whole = true;
         self.ended.notify_all();
     }
 
-    /// The last lines in one, without control characters. A moment is given to what is still on its way.
+    /// The last lines in one, without control characters. A moment is given to what is still on its
+    /// way.
     fn last_lines(&self) -> String {
         let tail = self.tail.lock().unwrap_or_else(PoisonError::into_inner);
-        let waited = self.ended.wait_timeout_while(tail, Duration::from_secs(1), |tail| !tail.is_whole);
+        let waited = self
+            .ended
+            .wait_timeout_while(tail, Duration::from_secs(1), |tail| !tail.is_whole);
         let tail = waited.unwrap_or_else(PoisonError::into_inner).0;
         let bytes: Vec<u8> = tail.bytes.iter().copied().collect();
         let text = String::from_utf8_lossy(&bytes);
-        let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        let lines: Vec<&str> = text
+            .lines()
+            .map(str::trim)
+            .filter(|line| !line.is_empty())
+            .collect();
         let last = lines[lines.len().saturating_sub(TAIL_LINES)..].join(" | ");
-        last.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+        last.chars()
+            .map(|c| if c.is_control() { ' ' } else { c })
+            .collect()
     }
 }

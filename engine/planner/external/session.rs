@@ -30,26 +30,49 @@ pub(super) struct Session {
 
 impl Session {
     /// Starts or connects to the planner and has it introduce itself.
-    pub(super) fn open(attachment: &Transport, patience: &Timeouts) -> Result<(Self, Introduction), PlannerError> {
+    pub(super) fn open(
+        attachment: &Transport,
+        patience: &Timeouts,
+    ) -> Result<(Self, Introduction), PlannerError> {
         let (process, connection) = match attachment {
-            Transport::Command(words) => Process::start(words).map(|(process, connection)| (Some(process), connection)),
-            Transport::Socket(path) => connect(path, patience.hello).map(|connection| (None, connection)),
+            Transport::Command(words) => {
+                Process::start(words).map(|(process, connection)| (Some(process), connection))
+            }
+            Transport::Socket(path) => {
+                connect(path, patience.hello).map(|connection| (None, connection))
+            }
         }
         .map_err(|fault| PlannerError(format!("the external planner: {fault}")))?;
-        let mut session = Self { connection, process, is_sound: true };
+        let mut session = Self {
+            connection,
+            process,
+            is_sound: true,
+        };
         match session.ask(&message::hello(), &[], patience.hello)? {
             Answer::Hello(introduction) => Ok((session, introduction)),
-            other => Err(session.broken(&format!("answered hello with {}; expected hello", other.word()))),
+            other => Err(session.broken(&format!(
+                "answered hello with {}; expected hello",
+                other.word()
+            ))),
         }
     }
 
     /// True if it is connected and sent nothing unasked.
     pub(super) fn is_open(&mut self) -> bool {
-        self.is_sound && !matches!(self.connection.is_silent(), Err(Fault::Closed | Fault::System(_)))
+        self.is_sound
+            && !matches!(
+                self.connection.is_silent(),
+                Err(Fault::Closed | Fault::System(_))
+            )
     }
 
     /// Sends `header` and `payload` and waits for the answer, all within `time`.
-    pub(super) fn ask(&mut self, header: &Value, payload: &[&[u8]], time: Duration) -> Result<Answer, PlannerError> {
+    pub(super) fn ask(
+        &mut self,
+        header: &Value,
+        payload: &[&[u8]],
+        time: Duration,
+    ) -> Result<Answer, PlannerError> {
         let asked = header["type"].as_str().unwrap_or_default();
         let line = format!("{header}\n");
         let mut parts = vec![line.as_bytes()];
@@ -61,7 +84,9 @@ impl Session {
         }
         let line = match self.connection.read_line(deadline) {
             Ok(line) => line,
-            Err(fault) => return Err(self.faulty(&fault, &format!("did not answer `{asked}`"), time)),
+            Err(fault) => {
+                return Err(self.faulty(&fault, &format!("did not answer `{asked}`"), time));
+            }
         };
         Answer::from_line(&line).map_err(|fault| self.broken(&fault))
     }
@@ -74,9 +99,14 @@ impl Session {
     fn faulty(&mut self, fault: &Fault, undone: &str, time: Duration) -> PlannerError {
         let what = match fault {
             Fault::Late => format!("{undone} within {} s", time.as_secs_f64()),
-            Fault::Closed => return self.fails(&format!("{undone} and closed the connection"), EXIT_GRACE),
+            Fault::Closed => {
+                return self.fails(&format!("{undone} and closed the connection"), EXIT_GRACE);
+            }
             Fault::Endless(line) => {
-                format!("sent a line of more than {LINE_BYTES_MAX} bytes, which begins with {}", beginning(line))
+                format!(
+                    "sent a line of more than {LINE_BYTES_MAX} bytes, which begins with {}",
+                    beginning(line)
+                )
             }
             Fault::Unasked(bytes) => format!("spoke without being asked: {}", beginning(bytes)),
             Fault::System(error) => format!("{undone}: {error}"),
@@ -86,7 +116,10 @@ impl Session {
 
     fn fails(&mut self, what: &str, grace: Duration) -> PlannerError {
         self.is_sound = false;
-        let end = self.process.as_mut().map_or_else(String::new, |process| format!(" ({})", process.end(grace)));
+        let end = self
+            .process
+            .as_mut()
+            .map_or_else(String::new, |process| format!(" ({})", process.end(grace)));
         PlannerError(format!("the external planner {what}{end}"))
     }
 }
@@ -95,7 +128,10 @@ impl Drop for Session {
     fn drop(&mut self) {
         if self.is_sound {
             // Who no longer listens has no use for it.
-            let _ = self.connection.send(&[format!("{}\n", message::end()).as_bytes()], Instant::now() + FAREWELL);
+            let _ = self.connection.send(
+                &[format!("{}\n", message::end()).as_bytes()],
+                Instant::now() + FAREWELL,
+            );
             self.connection.close();
             if let Some(process) = &mut self.process {
                 process.end(EXIT_GRACE);
@@ -104,7 +140,8 @@ impl Drop for Session {
     }
 }
 
-/// Connects to a listening planner. A queue that is full makes the system wait without a deadline, so that a thread does the waiting.
+/// Connects to a listening planner. A queue that is full makes the system wait without a deadline,
+/// so that a thread does the waiting.
 fn connect(path: &Path, time: Duration) -> Result<Connection, String> {
     let (done, connected) = mpsc::channel();
     let to: PathBuf = path.to_owned();
@@ -113,8 +150,11 @@ fn connect(path: &Path, time: Duration) -> Result<Connection, String> {
         let _ = done.send(UnixStream::connect(to));
     });
     let shown = path.display();
-    let stream =
-        connected.recv_timeout(time).map_err(|_| format!("{shown} took no connection within {} s", time.as_secs_f64()))?;
+    let stream = connected
+        .recv_timeout(time)
+        .map_err(|_| format!("{shown} took no connection within {} s", time.as_secs_f64()))?;
     let connection = stream.and_then(|stream| Ok(Connection::new(stream.try_clone()?, stream)));
-    connection.map_err(|error| format!("cannot connect to {shown}: {error}; expected a planner that listens there"))
+    connection.map_err(|error| {
+        format!("cannot connect to {shown}: {error}; expected a planner that listens there")
+    })
 }

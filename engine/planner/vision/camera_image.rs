@@ -7,7 +7,8 @@ use glam::{DMat3, DVec2, DVec3};
 
 use crate::planner::Frame;
 
-/// An image wider than this is halved until it is not, pixels: finer detail than that shows no more of markings.
+/// An image wider than this is halved until it is not, pixels: finer detail than that shows no more
+/// of markings.
 const WIDTH_PX_MAX: usize = 800;
 /// Added to brightness before it is compared, display-referred: so dark a pixel tells nothing.
 const BLACK: f32 = 0.02;
@@ -29,7 +30,11 @@ impl Color {
     /// The color between two, `share` of the way to `other`.
     fn lerp(self, other: Self, share: f32) -> Self {
         let mix = |a: f32, b: f32| a + (b - a) * share;
-        Self { luma: mix(self.luma, other.luma), red: mix(self.red, other.red), blue: mix(self.blue, other.blue) }
+        Self {
+            luma: mix(self.luma, other.luma),
+            red: mix(self.red, other.red),
+            blue: mix(self.blue, other.blue),
+        }
     }
 }
 
@@ -45,7 +50,8 @@ pub(super) struct Image {
     intrinsics: Intrinsics,
     /// Lens model, if other than a pinhole.
     lens: Option<RayMap>,
-    /// Height of the ground in the ego's frame, meters: wheels touch it half a height below the middle of the box.
+    /// Height of the ground in the ego's frame, meters: wheels touch it half a height below the
+    /// middle of the box.
     ground_z_m: f64,
 }
 
@@ -54,7 +60,10 @@ impl Image {
     pub(super) fn of(frame: &Frame, ego_height_m: f64) -> Option<Self> {
         let camera = frame.camera;
         camera.intrinsics.check().ok()?;
-        let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
+        let (width, height) = (
+            camera.intrinsics.width_px as usize,
+            camera.intrinsics.height_px as usize,
+        );
         if frame.rgba.len() != width.checked_mul(height)?.checked_mul(4)? {
             return None;
         }
@@ -63,7 +72,10 @@ impl Image {
             halvings += 1;
         }
         let (kept_width, kept_height) = (width >> halvings, height >> halvings);
-        let Pose { rotation, translation } = camera.rig_from_camera.inverse();
+        let Pose {
+            rotation,
+            translation,
+        } = camera.rig_from_camera.inverse();
         // Cropped to whole blocks of pixels first, so that the principal point keeps its place.
         let intrinsics = scaled(&camera.intrinsics, 1.0 / f64::from(1_u32 << halvings));
         let kept = Self {
@@ -76,7 +88,8 @@ impl Image {
             intrinsics,
             ground_z_m: -0.5 * ego_height_m,
         };
-        (rotation.is_finite() && translation.is_finite() && ego_height_m.is_finite()).then_some(kept)
+        (rotation.is_finite() && translation.is_finite() && ego_height_m.is_finite())
+            .then_some(kept)
     }
 
     /// Projection of a point into the image: `at_m` in the ego's frame, `height_m` over the ground.
@@ -89,27 +102,36 @@ impl Image {
         let at = &self.intrinsics;
         let pixel = match &self.lens {
             Some(lens) => lens.project(seen)?,
-            None => DVec2::new(at.fx_px * seen.x / seen.z + at.cx_px, at.fy_px * seen.y / seen.z + at.cy_px),
+            None => DVec2::new(
+                at.fx_px * seen.x / seen.z + at.cx_px,
+                at.fy_px * seen.y / seen.z + at.cy_px,
+            ),
         };
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x <= self.width as f64 && pixel.y <= self.height as f64;
+        let inside = pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x <= self.width as f64
+            && pixel.y <= self.height as f64;
         inside.then_some(pixel)
     }
 
     /// Color of a place, between pixels.
     pub(super) fn color_of(&self, at_m: DVec2, height_m: f64) -> Option<Color> {
-        self.pixel_of(at_m, height_m).map(|pixel| self.color_at(pixel))
+        self.pixel_of(at_m, height_m)
+            .map(|pixel| self.color_at(pixel))
     }
 
     /// Meters across the road that one pixel shows at a distance ahead.
     pub(super) fn pixel_m(&self, distance_m: f64) -> f64 {
-        let from_camera_m = (self.rotation * DVec3::new(distance_m, 0.0, self.ground_z_m) + self.translation).z;
+        let from_camera_m =
+            (self.rotation * DVec3::new(distance_m, 0.0, self.ground_z_m) + self.translation).z;
         from_camera_m.max(NEAR_M) / self.intrinsics.fx_px
     }
 
     /// Pixels of the image that a meter along the road fills at a distance ahead.
     pub(super) fn pixels_along(&self, distance_m: f64) -> f64 {
         let row = |distance_m: f64| {
-            let seen = self.rotation * DVec3::new(distance_m, 0.0, self.ground_z_m) + self.translation;
+            let seen =
+                self.rotation * DVec3::new(distance_m, 0.0, self.ground_z_m) + self.translation;
             self.intrinsics.fy_px * seen.y / seen.z.max(NEAR_M)
         };
         (row(distance_m - 0.5) - row(distance_m + 0.5)).abs()
@@ -119,7 +141,10 @@ impl Image {
         let clamped = |at: f64, count: usize| (at - 0.5).clamp(0.0, (count - 1) as f64);
         let (x, y) = (clamped(pixel.x, self.width), clamped(pixel.y, self.height));
         let (left, top) = (x as usize, y as usize);
-        let (right, below) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
+        let (right, below) = (
+            (left + 1).min(self.width - 1),
+            (top + 1).min(self.height - 1),
+        );
         let (share_x, share_y) = ((x - left as f64) as f32, (y - top as f64) as f32);
         let of = |x: usize, y: usize| self.colors[y * self.width + x];
         let upper = of(left, top).lerp(of(right, top), share_x);
@@ -139,7 +164,8 @@ fn scaled(intrinsics: &Intrinsics, scale: f64) -> Intrinsics {
     }
 }
 
-/// Colors of an image of `size` (width, height), each the mean of `block` by `block` pixels of `rgba`.
+/// Colors of an image of `size` (width, height), each the mean of `block` by `block` pixels of
+/// `rgba`.
 fn halved(rgba: &[u8], width: usize, size: (usize, usize), block: usize) -> Vec<Color> {
     let mut colors = Vec::with_capacity(size.0 * size.1);
     for y in 0..size.1 {
@@ -156,7 +182,11 @@ fn halved(rgba: &[u8], width: usize, size: (usize, usize), block: usize) -> Vec<
             let scale = 1.0 / (255.0 * (block * block) as f32);
             let [red, green, blue] = sum.map(|sum| sum as f32 * scale + BLACK);
             let all = red + green + blue;
-            colors.push(Color { luma: all / 3.0, red: red / all, blue: blue / all });
+            colors.push(Color {
+                luma: all / 3.0,
+                red: red / all,
+                blue: blue / all,
+            });
         }
     }
     colors

@@ -53,7 +53,8 @@ impl Pace<'_> {
                 speed_mps: lead.speed_mps,
             });
             let soon_m = arc_m + speed_mps * SPACING_S;
-            let limit_mps = limits_mps[((soon_m / LIMIT_STEP_M) as usize).min(limits_mps.len() - 1)];
+            let limit_mps =
+                limits_mps[((soon_m / LIMIT_STEP_M) as usize).min(limits_mps.len() - 1)];
             let bend_mps2 = (limit_mps - speed_mps) / (2.0 * SPACING_S);
             let acceleration_mps2 = driver.acceleration(speed_mps, leader).min(bend_mps2);
             let (driven_m, after_mps) = advance(speed_mps, acceleration_mps2, SPACING_S);
@@ -63,13 +64,24 @@ impl Pace<'_> {
         arcs_m
     }
 
-    /// The highest speed at each meter of the way from which every bend is still reached slowly enough.
+    /// The highest speed at each meter of the way from which every bend is still reached slowly
+    /// enough.
     fn limits_mps(&self) -> Vec<f64> {
         let count = (REACH_M / LIMIT_STEP_M) as usize;
-        let bend = |at: usize| (LATERAL_MPS2 / self.way.at(at as f64 * LIMIT_STEP_M).curvature.abs().max(1e-6)).sqrt();
+        let bend = |at: usize| {
+            (LATERAL_MPS2
+                / self
+                    .way
+                    .at(at as f64 * LIMIT_STEP_M)
+                    .curvature
+                    .abs()
+                    .max(1e-6))
+            .sqrt()
+        };
         let mut limits: Vec<f64> = (0..=count).map(bend).collect();
         for at in (0..count).rev() {
-            limits[at] = limits[at].min((limits[at + 1].powi(2) + 2.0 * BEND_BRAKING_MPS2 * LIMIT_STEP_M).sqrt());
+            limits[at] = limits[at]
+                .min((limits[at + 1].powi(2) + 2.0 * BEND_BRAKING_MPS2 * LIMIT_STEP_M).sqrt());
         }
         limits
     }

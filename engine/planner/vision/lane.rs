@@ -60,43 +60,76 @@ impl LaneBelief {
         }
     }
 
-    /// The belief after the ego moved by `step` while the way was `way`. Where navigation tells the progress on the way, it is that; a place
-    /// in a bend can only so be told from another heading.
+    /// The belief after the ego moved by `step` while the way was `way`. Where navigation tells the
+    /// progress on the way, it is that; a place in a bend can only so be told from another heading.
     pub(super) fn moved(&self, way: &RoadPath, step: &Step, length_m: f64) -> Self {
-        let Step { driven_m, turned_rad, progress_m } = *step;
+        let Step {
+            driven_m,
+            turned_rad,
+            progress_m,
+        } = *step;
         let to_rear = REAR_AXLE_SHARE * length_m;
         let half_rad = 0.5 * turned_rad;
-        let chord = if half_rad.abs() < 1e-6 { 1.0 } else { half_rad.sin() / half_rad };
-        let at_m = DVec2::from_angle(half_rad) * (chord * driven_m) + (DVec2::from_angle(turned_rad) - DVec2::X) * to_rear;
-        let foot = progress_m.map_or_else(|| way.nearest(at_m, 1.5 * driven_m + 2.0), |arc_m| way.at(arc_m));
+        let chord = if half_rad.abs() < 1e-6 {
+            1.0
+        } else {
+            half_rad.sin() / half_rad
+        };
+        let at_m = DVec2::from_angle(half_rad) * (chord * driven_m)
+            + (DVec2::from_angle(turned_rad) - DVec2::X) * to_rear;
+        let foot = progress_m.map_or_else(
+            || way.nearest(at_m, 1.5 * driven_m + 2.0),
+            |arc_m| way.at(arc_m),
+        );
         let (offset_m, heading_rad) = seen_from(at_m, turned_rad, &foot);
         Self {
             offset_m: offset_m.clamp(-OFFSET_M_MAX, OFFSET_M_MAX),
             heading_rad,
             curvature: self.curvature,
-            offset_sigma_m: self.offset_sigma_m.hypot(0.06 + 0.015 * driven_m + 0.5 * turned_rad.abs()).min(0.8),
-            heading_sigma_rad: self.heading_sigma_rad.hypot(0.008 + 0.1 * turned_rad.abs()).min(0.12),
-            curvature_sigma: self.curvature_sigma.hypot(0.0005 + 0.0001 * driven_m).min(0.006),
+            offset_sigma_m: self
+                .offset_sigma_m
+                .hypot(0.06 + 0.015 * driven_m + 0.5 * turned_rad.abs())
+                .min(0.8),
+            heading_sigma_rad: self
+                .heading_sigma_rad
+                .hypot(0.008 + 0.1 * turned_rad.abs())
+                .min(0.12),
+            curvature_sigma: self
+                .curvature_sigma
+                .hypot(0.0005 + 0.0001 * driven_m)
+                .min(0.006),
             unseen_m: self.unseen_m + driven_m,
             ..*self
         }
     }
 
-    /// The belief after the markings showed the lane as `fix` says, relative to `way` at `reference_m` along it.
+    /// The belief after the markings showed the lane as `fix` says, relative to `way` at
+    /// `reference_m` along it.
     ///
-    /// The whole way is turned and moved as one piece, so that a lane beyond a turn also tells how the ego stands in the turn.
+    /// The whole way is turned and moved as one piece, so that a lane beyond a turn also tells how
+    /// the ego stands in the turn.
     pub(super) fn corrected(&self, fix: &LaneFix, way: &RoadPath, reference_m: f64) -> Self {
         let (beside, there) = (way.at(0.0), way.at(reference_m));
-        let moved_m = there.left() * fix.offset_m + (beside.position_m - there.position_m).perp() * fix.heading_rad;
+        let moved_m = there.left() * fix.offset_m
+            + (beside.position_m - there.position_m).perp() * fix.heading_rad;
         let here = reference_m == 0.0;
         Self {
-            offset_m: (self.offset_m + moved_m.dot(beside.left())).clamp(-OFFSET_M_MAX, OFFSET_M_MAX),
+            offset_m: (self.offset_m + moved_m.dot(beside.left()))
+                .clamp(-OFFSET_M_MAX, OFFSET_M_MAX),
             heading_rad: self.heading_rad + fix.heading_rad,
-            curvature: if here { self.curvature + fix.curvature } else { self.curvature },
+            curvature: if here {
+                self.curvature + fix.curvature
+            } else {
+                self.curvature
+            },
             width_m: self.width_m + WIDTH_GAIN * (fix.width_m - self.width_m),
             offset_sigma_m: self.offset_sigma_m.min(0.15),
             heading_sigma_rad: self.heading_sigma_rad.min(0.012),
-            curvature_sigma: if here { self.curvature_sigma.min(0.0015) } else { self.curvature_sigma },
+            curvature_sigma: if here {
+                self.curvature_sigma.min(0.0015)
+            } else {
+                self.curvature_sigma
+            },
             width_sigma_m: self.width_sigma_m.min(0.15),
             unseen_m: 0.0,
         }

@@ -1,8 +1,9 @@
 //! Detection of lane markings: bright lines on both sides of the expected path. Every pixel that is
 //! brighter than the road on both of its sides has a vote.
 //!
-//! A lane is tried in every heading, bend, offset and width near the believed one, and the one with the most evidence for it wins, less
-//! what it departs from belief (the maximum of the posterior; noise about lines is taken for Gaussian).
+//! A lane is tried in every heading, bend, offset and width near the believed one, and the one with
+//! the most evidence for it wins, less what it departs from belief (the maximum of the posterior;
+//! noise about lines is taken for Gaussian).
 
 use super::lane::LaneBelief;
 use super::road_view::{COLUMN_M, COLUMNS, HALF_COLUMNS, Row};
@@ -27,7 +28,8 @@ const BORDER_SIGMAS: f64 = 3.0;
 const BORDER_SIGMAS_MAX: f64 = 8.0;
 /// Weight of a standard deviation of evidence against one (squared, halved) of the prior.
 const EVIDENCE: f64 = 0.9;
-/// A row whose road between the markings responds like this on average is paint across the lane: a crosswalk.
+/// A row whose road between the markings responds like this on average is paint across the lane: a
+/// crosswalk.
 const CROSSWALK: f32 = 0.03;
 /// Half the width of the road between the markings, meters.
 const INTERIOR_M: f64 = 1.1;
@@ -57,7 +59,8 @@ struct Group {
     responses: Vec<f32>,
 }
 
-/// The lane that `rows` show, whose offset is told at `reference_m` along the way; `None` where they show no marking.
+/// The lane that `rows` show, whose offset is told at `reference_m` along the way; `None` where
+/// they show no marking.
 pub(super) fn find_lane(rows: &[Row], belief: &LaneBelief, reference_m: f64) -> Option<LaneFix> {
     let groups = groups(rows, reference_m);
     let weight: f32 = groups.iter().map(|group| group.weight * group.weight).sum();
@@ -71,17 +74,35 @@ pub(super) fn find_lane(rows: &[Row], belief: &LaneBelief, reference_m: f64) -> 
     let mut best: Option<(f64, LaneFix)> = None;
     for heading in -headings..=headings {
         for bend in -CURVATURES..=CURVATURES {
-            let (heading_rad, curvature) = (f64::from(heading) * HEADING_STEP_RAD, f64::from(bend) * CURVATURE_STEP);
+            let (heading_rad, curvature) = (
+                f64::from(heading) * HEADING_STEP_RAD,
+                f64::from(bend) * CURVATURE_STEP,
+            );
             let evidence: Vec<f64> = profile(&groups, heading_rad, curvature)
                 .iter()
                 .map(|&sum| f64::from((sum - level) / noise).clamp(-1.0, BORDER_SIGMAS_MAX))
                 .collect();
-            let doubt = squared(heading_rad / belief.heading_sigma_rad) + squared(curvature / belief.curvature_sigma);
-            search(&evidence, belief, doubt, |score, offset_m, width_m, borders| {
-                if best.is_none_or(|(before, _)| score > before) {
-                    best = Some((score, LaneFix { offset_m, heading_rad, curvature, width_m, borders }));
-                }
-            });
+            let doubt = squared(heading_rad / belief.heading_sigma_rad)
+                + squared(curvature / belief.curvature_sigma);
+            search(
+                &evidence,
+                belief,
+                doubt,
+                |score, offset_m, width_m, borders| {
+                    if best.is_none_or(|(before, _)| score > before) {
+                        best = Some((
+                            score,
+                            LaneFix {
+                                offset_m,
+                                heading_rad,
+                                curvature,
+                                width_m,
+                                borders,
+                            },
+                        ));
+                    }
+                },
+            );
         }
     }
     let (_, fix) = best?;
@@ -89,7 +110,12 @@ pub(super) fn find_lane(rows: &[Row], belief: &LaneBelief, reference_m: f64) -> 
 }
 
 /// Shows `see` the score of every offset and width near the believed ones.
-fn search(evidence: &[f64], belief: &LaneBelief, doubt: f64, mut see: impl FnMut(f64, f64, f64, [f64; 2])) {
+fn search(
+    evidence: &[f64],
+    belief: &LaneBelief,
+    doubt: f64,
+    mut see: impl FnMut(f64, f64, f64, [f64; 2]),
+) {
     let offsets = (SIGMAS_MAX * belief.offset_sigma_m / COLUMN_M).ceil() as i32;
     let widths = ((WIDTHS_M.end() - WIDTHS_M.start()) / WIDTH_STEP_M).round() as i32;
     for offset in -offsets..=offsets {
@@ -99,11 +125,20 @@ fn search(evidence: &[f64], belief: &LaneBelief, doubt: f64, mut see: impl FnMut
             let width_m = WIDTHS_M.start() + f64::from(width) * WIDTH_STEP_M;
             let at = |left_m: f64| {
                 let column = (left_m / COLUMN_M).round() + HALF_COLUMNS as f64;
-                if column < 0.0 { 0.0 } else { evidence.get(column as usize).copied().unwrap_or(0.0) }
+                if column < 0.0 {
+                    0.0
+                } else {
+                    evidence.get(column as usize).copied().unwrap_or(0.0)
+                }
             };
             let borders = [at(offset_m + 0.5 * width_m), at(offset_m - 0.5 * width_m)];
             let doubt = doubt + squared((width_m - belief.width_m) / belief.width_sigma_m);
-            see(EVIDENCE * (borders[0] + borders[1]) - 0.5 * doubt, offset_m, width_m, borders);
+            see(
+                EVIDENCE * (borders[0] + borders[1]) - 0.5 * doubt,
+                offset_m,
+                width_m,
+                borders,
+            );
         }
     }
 }
@@ -122,7 +157,11 @@ fn groups(rows: &[Row], reference_m: f64) -> Vec<Group> {
             }
         }
         let arc_m = rows.iter().map(|row| row.arc_m).sum::<f64>() / rows.len() as f64;
-        Group { ahead_m: arc_m - reference_m, weight: rows.iter().map(|row| row.weight).sum(), responses }
+        Group {
+            ahead_m: arc_m - reference_m,
+            weight: rows.iter().map(|row| row.weight).sum(),
+            responses,
+        }
     };
     clear.chunks(GROUP).map(group).collect()
 }
@@ -131,7 +170,11 @@ fn groups(rows: &[Row], reference_m: f64) -> Vec<Group> {
 fn is_crosswalk(row: &Row) -> bool {
     let half = (INTERIOR_M / COLUMN_M) as usize;
     let interior = &row.responses[HALF_COLUMNS - half..=HALF_COLUMNS + half];
-    interior.iter().map(|response| response.max(0.0)).sum::<f32>() > CROSSWALK * interior.len() as f32
+    interior
+        .iter()
+        .map(|response| response.max(0.0))
+        .sum::<f32>()
+        > CROSSWALK * interior.len() as f32
 }
 
 /// Sums of responses along lines of one heading and bend, by their column at the reference place.
@@ -150,7 +193,8 @@ fn profile(groups: &[Group], heading_rad: f64, curvature: f64) -> Vec<f32> {
     sums
 }
 
-/// The median of a profile and the standard deviation of its noise, by the quartile below: lines are only above.
+/// The median of a profile and the standard deviation of its noise, by the quartile below: lines
+/// are only above.
 fn level_and_noise(profile: &[f32]) -> (f32, f32) {
     let mut sorted = profile.to_vec();
     sorted.sort_by(f32::total_cmp);

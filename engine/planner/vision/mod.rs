@@ -1,11 +1,14 @@
-//! A small driver that looks: it finds its lane's markings and the vehicle ahead in one front image, and nothing else is told to it but
-//! what any vehicle knows of itself and what a navigation system says.
+//! A small driver that looks: it finds its lane's markings and the vehicle ahead in one front
+//! image, and nothing else is told to it but what any vehicle knows of itself and what a navigation
+//! system says.
 //!
-//! Each step goes the same way. The lane believed in (`lane`) is moved by the ego's own motion, and continued ahead by the turn that
-//! navigation announces: that is the expected way (`way`). Along it the image is unrolled (`road_view`), the lane's markings are voted
-//! for (`markings`), and the belief is corrected. The way is searched for the foot of a vehicle (`obstacle`), which is tracked (`lead`)
-//! and followed (`follow`) by the Intelligent Driver Model. Where no markings are seen, at crossings or behind others, the belief is
-//! kept and carried on by the ego's motion alone.
+//! Each step goes the same way. The lane believed in (`lane`) is moved by the ego's own motion, and
+//! continued ahead by the turn that navigation announces: that is the expected way (`way`). Along
+//! it the image is unrolled (`road_view`), the lane's markings are voted for (`markings`), and the
+//! belief is corrected. The way is searched for the foot of a vehicle (`obstacle`), which is
+//! tracked (`lead`) and followed (`follow`) by the Intelligent Driver Model. Where no markings are
+//! seen, at crossings or behind others, the belief is kept and carried on by the ego's motion
+//! alone.
 
 mod camera_image;
 mod follow;
@@ -26,15 +29,19 @@ use self::lane::{LaneBelief, Step};
 use self::lead::{Elapsed, Lead};
 use self::way::{Arc, RoadPath};
 use super::cadence::{SPACING_S, plan_through};
-use super::{Cameras, EgoMotion, EpisodeInfo, Navigation, Observation, ObservationRequest, Planner, PlannerError, Turn};
+use super::{
+    Cameras, EgoMotion, EpisodeInfo, Navigation, Observation, ObservationRequest, Planner,
+    PlannerError, Turn,
+};
 
-/// The lane before a turn is looked at while there is at least so much of it ahead, meters.
+/// The lane before a turn is examined while there is at least so much of it ahead, meters.
 const LANE_BEFORE_M: f64 = 10.0;
 /// The lane after a turn is looked for when it begins at most so far ahead, meters.
 const LANE_AFTER_M: f64 = 20.0;
 /// Markings are looked for up to so far before the vehicle ahead, meters.
 const BEFORE_LEAD_M: f64 = 0.5;
-/// Being off the lane's middle decays along this, or along what is driven in [`RETURN_S`] where that is more, meters.
+/// Being off the lane's middle decays along this, or along what is driven in [`RETURN_S`] where
+/// that is more, meters.
 const RETURN_M: f64 = 6.0;
 /// See [`RETURN_M`], seconds.
 const RETURN_S: f64 = 0.9;
@@ -46,7 +53,8 @@ const LOST_MPS: f64 = 5.0;
 const SPEED_MPS_MAX: f64 = 60.0;
 /// No step takes longer than this, seconds.
 const STEP_S_MAX: f64 = 5.0;
-/// Progress that navigation tells is believed when it differs from what was driven by less than this, meters.
+/// Progress that navigation tells is believed when it differs from what was driven by less than
+/// this, meters.
 const PROGRESS_SLACK_M: f64 = 3.0;
 
 /// Perception of the last image by the planner.
@@ -66,10 +74,12 @@ pub struct Perception {
     pub gap_m: Option<f64>,
 }
 
-/// Drives by the front image alone: by lane markings and the vehicle ahead, and what navigation announces.
+/// Drives by the front image alone: by lane markings and the vehicle ahead, and what navigation
+/// announces.
 ///
-/// It sees no traffic lights, no signs and nobody who comes from the side; it changes no lanes and knows no hills. It takes the ground
-/// for flat, and starts in the belief that it stands in a lane, along it.
+/// It sees no traffic lights, no signs and nobody who comes from the side; it changes no lanes and
+/// knows no hills. It takes the ground for flat, and starts in the belief that it stands in a lane,
+/// along it.
 #[derive(Clone, Debug, Default)]
 pub struct Vision {
     state: Option<State>,
@@ -99,7 +109,9 @@ impl Vision {
             lane_curvature: state.lane.curvature,
             lane_width_m: state.lane.width_m,
             unseen_m: state.lane.unseen_m,
-            gap_m: state.lead.map(|lead| lead.arc_m - 0.5 * state.ego_size.length_m),
+            gap_m: state
+                .lead
+                .map(|lead| lead.arc_m - 0.5 * state.ego_size.length_m),
         })
     }
 }
@@ -110,13 +122,20 @@ impl Planner for Vision {
     }
 
     fn sees(&self) -> ObservationRequest {
-        ObservationRequest { cameras: Cameras::Front, privileged: false }
+        ObservationRequest {
+            cameras: Cameras::Front,
+            privileged: false,
+        }
     }
 
     fn begin(&mut self, briefing: &EpisodeInfo) -> Result<(), PlannerError> {
         self.state = Some(State {
             ego_size: briefing.ego_size,
-            step_s: if briefing.step_s.is_finite() { briefing.step_s.clamp(0.0, STEP_S_MAX) } else { 0.0 },
+            step_s: if briefing.step_s.is_finite() {
+                briefing.step_s.clamp(0.0, STEP_S_MAX)
+            } else {
+                0.0
+            },
             time_s: None,
             motion: EgoMotion::default(),
             guidance: Navigation::default(),
@@ -128,8 +147,9 @@ impl Planner for Vision {
     }
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
-        let state =
-            self.state.as_mut().ok_or_else(|| PlannerError("vision was asked for a plan before an episode began".into()))?;
+        let state = self.state.as_mut().ok_or_else(|| {
+            PlannerError("vision was asked for a plan before an episode began".into())
+        })?;
         state.look(observation);
         state.drive(&observation.guidance)
     }
@@ -140,7 +160,10 @@ impl State {
     fn look(&mut self, observation: &Observation) {
         let elapsed = self.move_on(observation);
         self.turn_on(Arc::announced(&observation.guidance));
-        let image = observation.frames.first().and_then(|frame| Image::of(frame, self.ego_size.height_m));
+        let image = observation
+            .frames
+            .first()
+            .and_then(|frame| Image::of(frame, self.ego_size.height_m));
         let Some(image) = image else {
             self.lead = lead::track(self.lead, &elapsed, &[]);
             return;
@@ -153,25 +176,44 @@ impl State {
     /// Moves what is believed by the ego's motion since the last step.
     fn move_on(&mut self, observation: &Observation) -> Elapsed {
         let motion = believable(&observation.ego);
-        let dt_s = self.time_s.map_or(0.0, |before_s| observation.time_s - before_s);
-        let dt_s = if dt_s.is_finite() { dt_s.clamp(0.0, STEP_S_MAX) } else { self.step_s };
+        let dt_s = self
+            .time_s
+            .map_or(0.0, |before_s| observation.time_s - before_s);
+        let dt_s = if dt_s.is_finite() {
+            dt_s.clamp(0.0, STEP_S_MAX)
+        } else {
+            self.step_s
+        };
         let driven_m = 0.5 * (self.motion.speed_mps + motion.speed_mps) * dt_s;
         let turned_rad = 0.5 * (self.motion.yaw_rate_radps + motion.yaw_rate_radps) * dt_s;
         if self.time_s.is_some() {
-            let progress_m =
-                progress_m(&self.guidance, &observation.guidance).filter(|told_m| (told_m - driven_m).abs() < PROGRESS_SLACK_M);
-            let step = Step { driven_m, turned_rad, progress_m };
+            let progress_m = progress_m(&self.guidance, &observation.guidance)
+                .filter(|told_m| (told_m - driven_m).abs() < PROGRESS_SLACK_M);
+            let step = Step {
+                driven_m,
+                turned_rad,
+                progress_m,
+            };
             self.lane = self.lane.moved(&self.way(), &step, self.ego_size.length_m);
         }
-        (self.motion, self.time_s, self.guidance) = (motion, Some(observation.time_s), observation.guidance);
-        Elapsed { driven_m, dt_s, speed_mps: motion.speed_mps }
+        (self.motion, self.time_s, self.guidance) =
+            (motion, Some(observation.time_s), observation.guidance);
+        Elapsed {
+            driven_m,
+            dt_s,
+            speed_mps: motion.speed_mps,
+        }
     }
 
-    /// Takes note of the turn ahead. Behind a turn the road is taken for straight until its markings tell otherwise.
+    /// Takes note of the turn ahead. Behind a turn the road is taken for straight until its
+    /// markings tell otherwise.
     fn turn_on(&mut self, arc: Option<Arc>) {
         let within = |arc: &Option<Arc>| arc.is_some_and(|arc| arc.begin_m <= 0.0);
         if within(&self.arc) && !within(&arc) {
-            self.lane = LaneBelief { curvature: 0.0, ..self.lane };
+            self.lane = LaneBelief {
+                curvature: 0.0,
+                ..self.lane
+            };
         }
         self.arc = arc;
     }
@@ -180,9 +222,12 @@ impl State {
         RoadPath::expected(&self.lane, self.arc.as_ref())
     }
 
-    /// Corrects the lane by its markings: those before a turn, or those after it once they are near.
+    /// Corrects the lane by its markings: those before a turn, or those after it once they are
+    /// near.
     fn find_lane(&mut self, image: &Image, way: &RoadPath) {
-        let lead_m = self.lead.map_or(f64::INFINITY, |lead| lead.arc_m - BEFORE_LEAD_M);
+        let lead_m = self
+            .lead
+            .map_or(f64::INFINITY, |lead| lead.arc_m - BEFORE_LEAD_M);
         let (from_m, to_m) = match self.arc {
             Some(arc) if arc.begin_m >= LANE_BEFORE_M => (0.0, arc.begin_m),
             Some(arc) if arc.end_m <= LANE_AFTER_M => (arc.end_m, f64::INFINITY),
@@ -198,32 +243,49 @@ impl State {
     /// The plan along the way, at the pace that lead and bends allow.
     fn drive(&self, guidance: &Navigation) -> Result<Plan, PlannerError> {
         let way = self.way();
-        let cruise_mps = if guidance.cruise_mps.is_finite() { guidance.cruise_mps.clamp(0.1, SPEED_MPS_MAX) } else { LOST_MPS };
+        let cruise_mps = if guidance.cruise_mps.is_finite() {
+            guidance.cruise_mps.clamp(0.1, SPEED_MPS_MAX)
+        } else {
+            LOST_MPS
+        };
         let pace = Pace {
             way: &way,
             lead: self.lead,
             length_m: self.ego_size.length_m,
             speed_mps: self.motion.speed_mps,
-            cruise_mps: if self.lane.unseen_m > LOST_M { cruise_mps.min(LOST_MPS) } else { cruise_mps },
+            cruise_mps: if self.lane.unseen_m > LOST_M {
+                cruise_mps.min(LOST_MPS)
+            } else {
+                cruise_mps
+            },
         };
         let arcs_m = pace.arcs_m();
         let return_m = RETURN_M.max(RETURN_S * self.motion.speed_mps);
         plan_through(|time_s| {
             let arc_m = arcs_m[((time_s / SPACING_S).round() as usize).min(arcs_m.len() - 1)];
-            way.at(arc_m).beside(-self.lane.offset_m * (-arc_m / return_m).exp())
+            way.at(arc_m)
+                .beside(-self.lane.offset_m * (-arc_m / return_m).exp())
         })
     }
 }
 
 /// Progress along the way between two announcements of the same turn, meters.
 fn progress_m(before: &Navigation, now: &Navigation) -> Option<f64> {
-    let same = before.turn == now.turn && before.angle_rad == now.angle_rad && before.length_m == now.length_m;
+    let same = before.turn == now.turn
+        && before.angle_rad == now.angle_rad
+        && before.length_m == now.length_m;
     (same && now.turn != Turn::Straight).then_some(before.distance_m - now.distance_m)
 }
 
 /// Motion without numbers that no car has.
 fn believable(motion: &EgoMotion) -> EgoMotion {
-    let finite = |value: f64, limit: f64| if value.is_finite() { value.clamp(-limit, limit) } else { 0.0 };
+    let finite = |value: f64, limit: f64| {
+        if value.is_finite() {
+            value.clamp(-limit, limit)
+        } else {
+            0.0
+        }
+    };
     EgoMotion {
         speed_mps: finite(motion.speed_mps, SPEED_MPS_MAX).max(0.0),
         acceleration_mps2: finite(motion.acceleration_mps2, 20.0),

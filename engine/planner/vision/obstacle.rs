@@ -1,9 +1,10 @@
 //! The vehicle ahead: where on the expected way the road ends at the foot of something upright.
 //!
-//! An upright block, about as large as the rear of a car, is put at each of many distances along the way. Its brightness and color, in
-//! bands of height, are compared with those of the road just before its foot, and a linear classifier (`weights`) says how likely
-//! a vehicle stands there. Shadows and markings lie flat: their bands seldom change as those of a car do, from the dark below it to its
-//! paint, its windows and what is behind its roof.
+//! An upright block, about as large as the rear of a car, is put at each of many distances along
+//! the way. Its brightness and color, in bands of height, are compared with those of the road just
+//! before its foot, and a linear classifier (`weights`) says how likely a vehicle stands there.
+//! Shadows and markings lie flat: their bands seldom change as those of a car do, from the dark
+//! below it to its paint, its windows and what is behind its roof.
 
 use super::camera_image::{Color, Image};
 use super::way::{RoadPath, WayPoint};
@@ -20,9 +21,11 @@ const ACROSS: usize = 7;
 const HALF_WIDTH_M: f64 = 0.6;
 /// The road before the foot that it is compared with, meters.
 const APRON_M: [f64; 4] = [0.35, 0.7, 1.2, 1.9];
-/// Features for each band: how bright, how differently bright, how differently colored, how uneven, how unlike the strips beside it.
+/// Features for each band: how bright, how differently bright, how differently colored, how uneven,
+/// how unlike the strips beside it.
 const PER_BAND: usize = 5;
-/// Length of a list of features: those of bands, the least departures from the road, and three of the whole block.
+/// Length of a list of features: those of bands, the least departures from the road, and three of
+/// the whole block.
 pub(super) const FEATURES: usize = PER_BAND * BANDS + 5;
 /// Features are kept within this.
 const FEATURE_MAX: f32 = 1.5;
@@ -67,7 +70,9 @@ impl Sums {
     }
 
     fn spread(&self) -> f32 {
-        (self.square / self.count - self.mean() * self.mean()).max(0.0).sqrt()
+        (self.square / self.count - self.mean() * self.mean())
+            .max(0.0)
+            .sqrt()
     }
 
     fn color_distance(&self, other: &Self) -> f32 {
@@ -79,7 +84,12 @@ impl Sums {
 
 /// Features of the block at `arc_m`, `beside_m` to the left of the path; `None` if the image does
 /// not show all of it.
-pub(super) fn features(image: &Image, way: &RoadPath, arc_m: f64, beside_m: f64) -> Option<[f32; FEATURES]> {
+pub(super) fn features(
+    image: &Image,
+    way: &RoadPath,
+    arc_m: f64,
+    beside_m: f64,
+) -> Option<[f32; FEATURES]> {
     let foot = way.at(arc_m);
     let apron = apron(image, way, arc_m, beside_m)?;
     let mut features = [0.0; FEATURES];
@@ -88,9 +98,18 @@ pub(super) fn features(image: &Image, way: &RoadPath, arc_m: f64, beside_m: f64)
     for band in 0..BANDS {
         let (inside, outside) = band_of(image, &foot, beside_m, band)?;
         let brighter = inside.mean() - apron.mean();
-        let unlike =
-            if outside.count > 0.0 { (inside.mean() - outside.mean()).abs() + inside.color_distance(&outside) } else { 0.3 };
-        let of_band = [brighter, brighter.abs(), inside.color_distance(&apron), inside.spread(), unlike];
+        let unlike = if outside.count > 0.0 {
+            (inside.mean() - outside.mean()).abs() + inside.color_distance(&outside)
+        } else {
+            0.3
+        };
+        let of_band = [
+            brighter,
+            brighter.abs(),
+            inside.color_distance(&apron),
+            inside.spread(),
+            unlike,
+        ];
         features[band * PER_BAND..(band + 1) * PER_BAND].copy_from_slice(&of_band);
         departures[band] = brighter.abs() + inside.color_distance(&apron) + 0.5 * inside.spread();
         changes += (brighter - before).abs();
@@ -127,7 +146,8 @@ fn across_m(place: usize) -> f64 {
 fn band_of(image: &Image, foot: &WayPoint, beside_m: f64, band: usize) -> Option<(Sums, Sums)> {
     let (mut inside, mut outside) = (Sums::default(), Sums::default());
     for line in 0..LINES {
-        let height_m = BANDS_M[band] + (BANDS_M[band + 1] - BANDS_M[band]) * (line as f64 + 0.5) / LINES as f64;
+        let height_m = BANDS_M[band]
+            + (BANDS_M[band + 1] - BANDS_M[band]) * (line as f64 + 0.5) / LINES as f64;
         for place in 0..ACROSS {
             inside.add(image.color_of(foot.beside(beside_m + across_m(place)), height_m)?);
         }
@@ -142,7 +162,13 @@ fn band_of(image: &Image, foot: &WayPoint, beside_m: f64, band: usize) -> Option
 
 /// Log odds that a vehicle stands there.
 fn score(features: &[f32; FEATURES]) -> f64 {
-    f64::from(BIAS + features.iter().zip(&WEIGHTS).map(|(feature, weight)| feature * weight).sum::<f32>())
+    f64::from(
+        BIAS + features
+            .iter()
+            .zip(&WEIGHTS)
+            .map(|(feature, weight)| feature * weight)
+            .sum::<f32>(),
+    )
 }
 
 /// Scores along the way: each distance with the best of the blocks beside each other there.
@@ -150,8 +176,10 @@ pub(super) fn scan(image: &Image, way: &RoadPath) -> Vec<Sighting> {
     let mut sightings = Vec::new();
     let mut arc_m = RANGE_M.start;
     while arc_m < RANGE_M.end {
-        let scores =
-            BESIDE_M.iter().filter_map(|&beside_m| features(image, way, arc_m, beside_m)).map(|features| score(&features));
+        let scores = BESIDE_M
+            .iter()
+            .filter_map(|&beside_m| features(image, way, arc_m, beside_m))
+            .map(|features| score(&features));
         if let Some(score) = scores.max_by(f64::total_cmp) {
             sightings.push(Sighting { arc_m, score });
         }

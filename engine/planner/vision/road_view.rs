@@ -1,7 +1,8 @@
-//! The road from above, unrolled along the way: markings that follow the way stand straight up in it.
+//! The road from above, unrolled along the way: markings that follow the way stand straight up in
+//! it.
 //!
-//! The ground is taken for flat, at the height of the ego's wheels; on a hill's edge or under a car that pitches, what is seen
-//! far ahead lies nearer or farther than it does in truth.
+//! The ground is taken for flat, at the height of the ego's wheels; on a hill's edge or under a car
+//! that pitches, what is seen far ahead lies nearer or farther than it does in truth.
 
 use super::camera_image::Image;
 use super::way::RoadPath;
@@ -10,7 +11,8 @@ use super::way::RoadPath;
 pub(super) const ROW_M: f64 = 0.25;
 /// The first row, meters ahead of the middle of the ego.
 const FIRST_M: f64 = 3.0;
-/// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of an image 320 wide.
+/// The last row is nearer than this, meters: beyond, a marking is narrower than a pixel of an image
+/// 320 wide.
 const REACH_M: f64 = 34.0;
 /// From one column to the next across the way, meters.
 pub(super) const COLUMN_M: f64 = 0.06;
@@ -29,7 +31,8 @@ const FLANK_M: f64 = 0.30;
 /// Responses are kept within this, so that no single bright spot outweighs a line.
 const RESPONSE: std::ops::Range<f32> = -0.04..0.20;
 
-/// A row of the view: how much brighter each column is than the road on both sides of it, as a share of that road's brightness.
+/// A row of the view: how much brighter each column is than the road on both sides of it, as a
+/// share of that road's brightness.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
     /// Meters along the way.
@@ -44,7 +47,9 @@ pub(super) struct Row {
 pub(super) fn rows(image: &Image, way: &RoadPath, from_m: f64, to_m: f64) -> Vec<Row> {
     let from_m = from_m.max(FIRST_M);
     let count = ((to_m.min(REACH_M) - from_m) / ROW_M).max(0.0) as usize;
-    (0..count).filter_map(|row| row_at(image, way, from_m + row as f64 * ROW_M)).collect()
+    (0..count)
+        .filter_map(|row| row_at(image, way, from_m + row as f64 * ROW_M))
+        .collect()
 }
 
 fn row_at(image: &Image, way: &RoadPath, arc_m: f64) -> Option<Row> {
@@ -63,9 +68,15 @@ fn row_at(image: &Image, way: &RoadPath, arc_m: f64) -> Option<Row> {
     }
     let pixel_m = image.pixel_m(point.position_m.x);
     let window = Window::of(pixel_m);
-    let responses = (0..COLUMNS).map(|column| window.response(&sums, column)).collect();
+    let responses = (0..COLUMNS)
+        .map(|column| window.response(&sums, column))
+        .collect();
     let weight = (image.pixels_along(point.position_m.x) * ROW_M).clamp(0.05, 1.0) as f32;
-    Some(Row { arc_m, weight, responses })
+    Some(Row {
+        arc_m,
+        weight,
+        responses,
+    })
 }
 
 /// Columns of a row that are compared.
@@ -98,7 +109,9 @@ impl Window {
         let (first, last) = (column - self.core, column + self.core + 1);
         let right = mean(first - self.edge - self.flank, first - self.edge);
         let left = mean(last + self.edge, last + self.edge + self.flank);
-        let (Some(core), Some(left), Some(right)) = (mean(first, last), left, right) else { return 0.0 };
+        let (Some(core), Some(left), Some(right)) = (mean(first, last), left, right) else {
+            return 0.0;
+        };
         let road = 0.5 * (left + right);
         ((core - left.max(right)) / road).clamp(RESPONSE.start, RESPONSE.end)
     }

@@ -1,7 +1,9 @@
-//! Agents of a frame: which of them some camera may see, at which level of detail, and the rig as each of them sees it.
+//! Agents of a frame: which of them some camera may see, at which level of detail, and the rig as
+//! each of them sees it.
 //!
-//! Nothing of an agent is turned: each camera is moved into the agent's frame instead, in f64, which is one record an agent
-//! and camera where turning a codebook would be 512 entries. Shapes, colors and depth keys come out the same.
+//! Nothing of an agent is turned: each camera is moved into the agent's frame instead, in f64,
+//! which is one record an agent and camera where turning a codebook would be 512 entries. Shapes,
+//! colors and depth keys come out the same.
 
 use bytemuck::Zeroable;
 use decouplegs_scene::{Camera, ColorTransfer, ContactShadow, Pose, ShFrame};
@@ -27,8 +29,8 @@ pub struct Agent {
     pub instance: u16,
     /// Effect of the surrounding light on its colors, in the frame of these; `None`: none.
     pub relight: Option<ColorTransfer>,
-    /// Cameras of the frame that may see it, a bit each, the first lowest: worlds that share a background are cameras that see
-    /// different agents.
+    /// Cameras of the frame that may see it, a bit each, the first lowest: worlds that share a
+    /// background are cameras that see different agents.
     pub cameras: u32,
 }
 
@@ -36,7 +38,14 @@ impl Agent {
     /// An agent as its asset shows it, for all cameras.
     #[must_use]
     pub fn new(asset: AssetId, world_from_agent: Pose, instance: u16) -> Self {
-        Self { asset, world_from_agent, sh_frame: None, instance, relight: None, cameras: u32::MAX }
+        Self {
+            asset,
+            world_from_agent,
+            sh_frame: None,
+            instance,
+            relight: None,
+            cameras: u32::MAX,
+        }
     }
 }
 
@@ -47,7 +56,8 @@ pub struct Scene<'a> {
     pub world: &'a GpuScene,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
-    /// Contact shadows on the background. They multiply, and need not be those of agents that are drawn.
+    /// Contact shadows on the background. They multiply, and need not be those of agents that are
+    /// drawn.
     pub shadows: &'a [ContactShadow],
     /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; `None`: all see all.
     pub shadow_cameras: Option<&'a [u32]>,
@@ -55,7 +65,12 @@ pub struct Scene<'a> {
 
 impl<'a> From<&'a GpuScene> for Scene<'a> {
     fn from(world: &'a GpuScene) -> Self {
-        Self { world, agents: None, shadows: &[], shadow_cameras: None }
+        Self {
+            world,
+            agents: None,
+            shadows: &[],
+            shadow_cameras: None,
+        }
     }
 }
 
@@ -63,12 +78,18 @@ impl<'a> Scene<'a> {
     /// A background with agents, without shadows.
     #[must_use]
     pub fn with_agents(world: &'a GpuScene, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
-        Self { world, agents: Some((pool, agents)), shadows: &[], shadow_cameras: None }
+        Self {
+            world,
+            agents: Some((pool, agents)),
+            shadows: &[],
+            shadow_cameras: None,
+        }
     }
 
     /// True if some agent, in view or not, is relit.
     pub(crate) fn relights(&self) -> bool {
-        self.agents.is_some_and(|(_, agents)| agents.iter().any(|agent| agent.relight.is_some()))
+        self.agents
+            .is_some_and(|(_, agents)| agents.iter().any(|agent| agent.relight.is_some()))
     }
 }
 
@@ -77,10 +98,17 @@ impl Scene<'_> {
     pub(crate) fn reach_m(&self) -> Result<f64, RenderError> {
         let mut reach_m = self.world.reach_m;
         if let Some(cameras) = self.shadow_cameras {
-            assert!(cameras.len() == self.shadows.len(), "{} shadows, and cameras for {}", self.shadows.len(), cameras.len());
+            assert!(
+                cameras.len() == self.shadows.len(),
+                "{} shadows, and cameras for {}",
+                self.shadows.len(),
+                cameras.len()
+            );
         }
         for (index, shadow) in self.shadows.iter().enumerate() {
-            shadow.check().map_err(|reason| RenderError::Shadow { index, reason })?;
+            shadow
+                .check()
+                .map_err(|reason| RenderError::Shadow { index, reason })?;
         }
         let (pool, agents) = match self.agents {
             Some((pool, agents)) => (pool, agents),
@@ -88,16 +116,31 @@ impl Scene<'_> {
         };
         for agent in agents {
             let pose = &agent.world_from_agent;
-            if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
-                return Err(RenderError::AgentPose { instance: agent.instance, pose: format!("{pose:?}") });
-            }
-            if agent
-                .relight
-                .is_some_and(|light| light.gain.iter().chain(&light.offset).flatten().any(|number| !number.is_finite()))
+            if !(pose.translation.is_finite()
+                && pose.rotation.is_finite()
+                && pose.rotation.length_squared() > 1e-12)
             {
-                return Err(RenderError::AgentLight { instance: agent.instance });
+                return Err(RenderError::AgentPose {
+                    instance: agent.instance,
+                    pose: format!("{pose:?}"),
+                });
             }
-            reach_m = reach_m.max((pose.translation - self.world.origin).length() + pool.asset(agent.asset)?.reach_m());
+            if agent.relight.is_some_and(|light| {
+                light
+                    .gain
+                    .iter()
+                    .chain(&light.offset)
+                    .flatten()
+                    .any(|number| !number.is_finite())
+            }) {
+                return Err(RenderError::AgentLight {
+                    instance: agent.instance,
+                });
+            }
+            reach_m = reach_m.max(
+                (pose.translation - self.world.origin).length()
+                    + pool.asset(agent.asset)?.reach_m(),
+            );
         }
         Ok(reach_m)
     }
@@ -119,8 +162,8 @@ pub(crate) struct AgentList {
 }
 
 impl AgentList {
-    /// The agents of `scene` for `cameras`, which `view` is made of; levels of detail are as coarse as
-    /// `level_pitch_px` lets neighboring splats be apart, the finest where it is `None`.
+    /// The agents of `scene` for `cameras`, which `view` is made of; levels of detail are as coarse
+    /// as `level_pitch_px` lets neighboring splats be apart, the finest where it is `None`.
     ///
     /// `None` where no camera can see an agent.
     pub fn new(
@@ -130,12 +173,17 @@ impl AgentList {
         near_m: f32,
         level_pitch_px: Option<f64>,
     ) -> Result<Option<Self>, RenderError> {
-        let Some((pool, agents)) = scene.agents else { return Ok(None) };
+        let Some((pool, agents)) = scene.agents else {
+            return Ok(None);
+        };
         let mut list = Self {
             pool: pool.buffers().clone(),
             records: Vec::new(),
             cameras: Vec::new(),
-            counts: AgentCounts { cameras: cameras.len(), ..AgentCounts::default() },
+            counts: AgentCounts {
+                cameras: cameras.len(),
+                ..AgentCounts::default()
+            },
             splats: 0,
             relights: Vec::new(),
         };
@@ -146,24 +194,40 @@ impl AgentList {
             let may_see = |index: usize| agent.cameras >> index & 1 == 1;
             // Records of cameras that may not see it are never read.
             let moved = |(index, (record, camera)): (usize, (&CameraRecord, &Camera))| {
-                if may_see(index) { record.moved_into(camera, origin, &agent.world_from_agent) } else { CameraRecord::zeroed() }
+                if may_see(index) {
+                    record.moved_into(camera, origin, &agent.world_from_agent)
+                } else {
+                    CameraRecord::zeroed()
+                }
             };
             let seen_by: Vec<CameraRecord> = records.enumerate().map(moved).collect();
             let reached = |index: usize| {
                 let lens = twins::lens::lens_of(&view.lenses, index);
-                may_see(index) && twins::cluster_overlaps_any_lens(&asset.whole, &seen_by[index], lens, near_m)
+                may_see(index)
+                    && twins::cluster_overlaps_any_lens(&asset.whole, &seen_by[index], lens, near_m)
             };
-            let mask = (0..seen_by.len()).fold(0u32, |mask, index| mask | u32::from(reached(index)) << index);
+            let mask = (0..seen_by.len()).fold(0u32, |mask, index| {
+                mask | u32::from(reached(index)) << index
+            });
             if mask == 0 {
                 continue;
             }
-            let level = level_pitch_px.map_or(0, |pitch_px| level_for(asset, &seen_by, mask, near_m, pitch_px));
+            let level = level_pitch_px.map_or(0, |pitch_px| {
+                level_for(asset, &seen_by, mask, near_m, pitch_px)
+            });
             list.push(agent, asset, level, mask, seen_by);
         }
         Ok((list.counts.clusters > 0).then_some(list))
     }
 
-    fn push(&mut self, agent: &Agent, asset: &Asset, level: usize, mask: u32, seen_by: Vec<CameraRecord>) {
+    fn push(
+        &mut self,
+        agent: &Agent,
+        asset: &Asset,
+        level: usize,
+        mask: u32,
+        seen_by: Vec<CameraRecord>,
+    ) {
         let rotation = DMat3::from_quat(agent.world_from_agent.rotation.normalize()).transpose();
         let row = |column: DVec3| column.as_vec3().to_array();
         self.records.push(AgentRecord {
@@ -181,7 +245,8 @@ impl AgentList {
         if let Some(light) = &agent.relight {
             let (first, colors) = asset.colors();
             let relight = RelightRecord::new(light, asset.sh_degree, first, colors);
-            self.relights.push((self.records.len() - 1, agent.asset, relight));
+            self.relights
+                .push((self.records.len() - 1, agent.asset, relight));
         }
         self.cameras.extend(seen_by);
         self.counts.agents += 1;
@@ -190,14 +255,30 @@ impl AgentList {
     }
 }
 
-/// The coarsest level of detail whose splats are at most `pitch_px` apart in every image that shows them.
-fn level_for(asset: &Asset, seen_by: &[CameraRecord], mask: u32, near_m: f32, pitch_px: f64) -> usize {
+/// The coarsest level of detail whose splats are at most `pitch_px` apart in every image that shows
+/// them.
+fn level_for(
+    asset: &Asset,
+    seen_by: &[CameraRecord],
+    mask: u32,
+    near_m: f32,
+    pitch_px: f64,
+) -> usize {
     let half_diagonal_m = Vec3::from_array(asset.whole.half_extent_m).length();
-    let px_per_m = seen_by.iter().enumerate().filter(|(i, _)| mask >> i & 1 == 1).map(|(_, camera)| {
-        let center = twins::projection::from_camera_m(asset.whole.center_m, camera);
-        let nearest_m = (Vec3::from_array(camera.row_z).dot(center) - half_diagonal_m).max(near_m);
-        f64::from(camera.focal_px[0].max(camera.focal_px[1]) / nearest_m)
-    });
+    let px_per_m = seen_by
+        .iter()
+        .enumerate()
+        .filter(|(i, _)| mask >> i & 1 == 1)
+        .map(|(_, camera)| {
+            let center = twins::projection::from_camera_m(asset.whole.center_m, camera);
+            let nearest_m =
+                (Vec3::from_array(camera.row_z).dot(center) - half_diagonal_m).max(near_m);
+            f64::from(camera.focal_px[0].max(camera.focal_px[1]) / nearest_m)
+        });
     let px_per_m = px_per_m.fold(0.0, f64::max);
-    asset.levels.iter().rposition(|level| level.pitch_m * px_per_m <= pitch_px).unwrap_or(0)
+    asset
+        .levels
+        .iter()
+        .rposition(|level| level.pitch_m * px_per_m <= pitch_px)
+        .unwrap_or(0)
 }

@@ -1,4 +1,5 @@
-//! Agents' assets on the device: all in one set of buffers, so that one dispatch draws agents of any assets.
+//! Agents' assets on the device: all in one set of buffers, so that one dispatch draws agents of
+//! any assets.
 
 use std::sync::Arc;
 
@@ -72,9 +73,15 @@ pub(crate) struct Asset {
 }
 
 impl Asset {
-    /// The record of an agent that shows it at level of detail `level`, its splats' place and codebooks filled in.
+    /// The record of an agent that shows it at level of detail `level`, its splats' place and
+    /// codebooks filled in.
     pub fn record(&self, level: usize) -> AgentRecord {
-        let Level { first_splat, splats, first_bounds, .. } = self.levels[level];
+        let Level {
+            first_splat,
+            splats,
+            first_bounds,
+            ..
+        } = self.levels[level];
         AgentRecord {
             first_splat: first_splat as u32,
             splat_count: splats as u32,
@@ -90,7 +97,9 @@ impl Asset {
 
     /// The farthest that a drawn mean is from its origin, meters.
     pub fn reach_m(&self) -> f64 {
-        let farthest = |axis: usize| f64::from(self.whole.center_m[axis].abs() + self.whole.half_extent_m[axis]);
+        let farthest = |axis: usize| {
+            f64::from(self.whole.center_m[axis].abs() + self.whole.half_extent_m[axis])
+        };
         DVec3::new(farthest(0), farthest(1), farthest(2)).length()
     }
 }
@@ -104,7 +113,8 @@ struct Ranges {
     colors: (usize, usize),
 }
 
-/// Assets on a device, shared by any number of agents. Adding one copies it behind the frames in flight and waits for nothing.
+/// Assets on a device, shared by any number of agents. Adding one copies it behind the frames in
+/// flight and waits for nothing.
 pub struct AssetPool {
     gpu: Gpu,
     buffers: PoolBuffers,
@@ -187,12 +197,19 @@ impl AssetPool {
             },
             ranges,
         };
-        let index = self.assets.iter().position(Option::is_none).unwrap_or(self.assets.len());
+        let index = self
+            .assets
+            .iter()
+            .position(Option::is_none)
+            .unwrap_or(self.assets.len());
         if index == self.assets.len() {
             self.assets.push(None);
         }
         self.assets[index] = Some(asset);
-        Ok(AssetId { index: index as u32, generation: self.generation })
+        Ok(AssetId {
+            index: index as u32,
+            generation: self.generation,
+        })
     }
 
     /// Gives the asset's memory back to the pool. Frames in flight still draw it.
@@ -208,12 +225,18 @@ impl AssetPool {
 
     pub(crate) fn asset(&self, id: AssetId) -> Result<&Asset, RenderError> {
         let asset = self.assets.get(id.index as usize).and_then(Option::as_ref);
-        asset.filter(|asset| asset.generation == id.generation).ok_or(RenderError::NoSuchAsset)
+        asset
+            .filter(|asset| asset.generation == id.generation)
+            .ok_or(RenderError::NoSuchAsset)
     }
 
     /// Highest degree of the colors of its assets; `None` when there are none.
     pub(crate) fn sh_degree(&self) -> Option<u8> {
-        self.assets.iter().flatten().map(|asset| asset.sh_degree).max()
+        self.assets
+            .iter()
+            .flatten()
+            .map(|asset| asset.sh_degree)
+            .max()
     }
 
     pub(crate) fn buffers(&self) -> &PoolBuffers {
@@ -226,8 +249,12 @@ impl AssetPool {
     }
 
     fn allocate(&mut self, encoded: &Encoded) -> Result<Ranges, RenderError> {
-        let [splats, clusters, shapes, colors] =
-            [encoded.splats.len(), encoded.clusters.len(), encoded.shapes.len(), encoded.color_dc.len()];
+        let [splats, clusters, shapes, colors] = [
+            encoded.splats.len(),
+            encoded.clusters.len(),
+            encoded.shapes.len(),
+            encoded.color_dc.len(),
+        ];
         let ranges = Ranges {
             splats: (self.splats.take(splats), splats),
             clusters: (self.clusters.take(clusters), clusters),
@@ -243,14 +270,20 @@ impl AssetPool {
 
     fn release(&mut self, ranges: &Ranges) {
         self.splats.give_back(ranges.splats.0, ranges.splats.1);
-        self.clusters.give_back(ranges.clusters.0, ranges.clusters.1);
+        self.clusters
+            .give_back(ranges.clusters.0, ranges.clusters.1);
         self.shapes.give_back(ranges.shapes.0, ranges.shapes.1);
         self.colors.give_back(ranges.colors.0, ranges.colors.1);
     }
 
     /// Buffers as long as what was allocated, the assets in them copied over on the device.
     fn fit_buffers(&mut self) -> Result<(), RenderError> {
-        let lengths = [self.splats.end(), self.clusters.end(), self.shapes.end(), self.colors.end()];
+        let lengths = [
+            self.splats.end(),
+            self.clusters.end(),
+            self.shapes.end(),
+            self.colors.end(),
+        ];
         let old = self.buffers.clone();
         if lengths[0] <= old.splats.len()
             && lengths[1] <= old.clusters.len()
@@ -272,7 +305,13 @@ impl AssetPool {
             r.copy(&old.clusters, 0, &buffers.clusters, 0, old.clusters.len());
             r.copy(&old.shapes, 0, &buffers.shapes, 0, old.shapes.len());
             r.copy(&old.color_dc, 0, &buffers.color_dc, 0, old.color_dc.len());
-            r.copy(&old.color_bands, 0, &buffers.color_bands, 0, old.color_bands.len());
+            r.copy(
+                &old.color_bands,
+                0,
+                &buffers.color_bands,
+                0,
+                old.color_bands.len(),
+            );
         });
         self.last_upload = Some(self.gpu.submit(recorder, &[])?);
         self.buffers = buffers;
@@ -291,20 +330,60 @@ impl AssetPool {
         let to = &self.buffers;
         let mut recorder = gpu.record(QueueRole::Main);
         recorder.stage("add asset", |r| {
-            r.copy(&staged.splats, 0, &to.splats, ranges.splats.0, ranges.splats.1);
-            r.copy(&staged.clusters, 0, &to.clusters, ranges.clusters.0, ranges.clusters.1);
-            r.copy(&staged.shapes, 0, &to.shapes, ranges.shapes.0, ranges.shapes.1);
-            r.copy(&staged.color_dc, 0, &to.color_dc, ranges.colors.0, ranges.colors.1);
-            r.copy(&staged.color_bands, 0, &to.color_bands, ranges.colors.0, ranges.colors.1);
+            r.copy(
+                &staged.splats,
+                0,
+                &to.splats,
+                ranges.splats.0,
+                ranges.splats.1,
+            );
+            r.copy(
+                &staged.clusters,
+                0,
+                &to.clusters,
+                ranges.clusters.0,
+                ranges.clusters.1,
+            );
+            r.copy(
+                &staged.shapes,
+                0,
+                &to.shapes,
+                ranges.shapes.0,
+                ranges.shapes.1,
+            );
+            r.copy(
+                &staged.color_dc,
+                0,
+                &to.color_dc,
+                ranges.colors.0,
+                ranges.colors.1,
+            );
+            r.copy(
+                &staged.color_bands,
+                0,
+                &to.color_bands,
+                ranges.colors.0,
+                ranges.colors.1,
+            );
         });
         self.last_upload = Some(gpu.submit(recorder, &[])?);
         Ok(())
     }
 }
 
-/// A buffer of at least `len`; `old` itself where that is long enough. The next asset shall not make it grow again at once.
-fn grown<T: bytemuck::Pod>(gpu: &Gpu, name: &'static str, old: &Buffer<T>, len: usize) -> Result<Buffer<T>, RenderError> {
-    let room = if len <= old.len() { old.len() } else { len + len / 4 };
+/// A buffer of at least `len`; `old` itself where that is long enough. The next asset shall not
+/// make it grow again at once.
+fn grown<T: bytemuck::Pod>(
+    gpu: &Gpu,
+    name: &'static str,
+    old: &Buffer<T>,
+    len: usize,
+) -> Result<Buffer<T>, RenderError> {
+    let room = if len <= old.len() {
+        old.len()
+    } else {
+        len + len / 4
+    };
     Ok(gpu.buffer(name, PURPOSE, room, MemoryKind::Device)?)
 }
 
@@ -320,7 +399,12 @@ fn levels_of(cloud: &CodedCloud, ranges: &Ranges) -> Vec<Level> {
     let area_m2 = 2.0 * (size.x * size.y + size.y * size.z + size.z * size.x);
     let (mut first_splat, mut first_bounds) = (ranges.splats.0, ranges.clusters.0);
     let levels = cloud.levels.iter().map(|&splats| {
-        let level = Level { first_splat, splats, first_bounds, pitch_m: (area_m2 / splats.max(1) as f64).sqrt() };
+        let level = Level {
+            first_splat,
+            splats,
+            first_bounds,
+            pitch_m: (area_m2 / splats.max(1) as f64).sqrt(),
+        };
         first_splat += splats;
         first_bounds += level.chunks();
         level
@@ -340,7 +424,11 @@ struct Encoded {
 
 impl Encoded {
     fn of(cloud: &CodedCloud) -> Self {
-        let longest: Arc<[f32]> = cloud.shapes.iter().map(|factor| shape::principal_axes(factor).scales[0]).collect();
+        let longest: Arc<[f32]> = cloud
+            .shapes
+            .iter()
+            .map(|factor| shape::principal_axes(factor).scales[0])
+            .collect();
         let extent = |codes: SplatCodes| Extent {
             mean_m: cloud.mean_m(&codes),
             longest_m: longest[usize::from(codes.shape)] * cloud.size(&codes),
@@ -349,14 +437,25 @@ impl Encoded {
         let mut clusters = Vec::new();
         for level in 0..cloud.levels.len() {
             let of_level = cloud.level(level).par_chunks(CLUSTER_SPLATS);
-            let boxes = of_level.map(|splats| cluster_of(&splats.iter().map(|&splat| extent(splat.into())).collect::<Vec<_>>()));
+            let boxes = of_level.map(|splats| {
+                cluster_of(
+                    &splats
+                        .iter()
+                        .map(|&splat| extent(splat.into()))
+                        .collect::<Vec<_>>(),
+                )
+            });
             clusters.extend(boxes.collect::<Vec<_>>());
         }
         Self {
             splats: cloud.splats.iter().map(|splat| splat.0).collect(),
             shapes: cloud.shapes.clone(),
-            color_dc: (0..cloud.color_count()).map(|entry| cloud.color(entry)[0]).collect(),
-            color_bands: (0..cloud.color_count()).map(|entry| encode_bands(cloud.color(entry), cloud.sh_degree)).collect(),
+            color_dc: (0..cloud.color_count())
+                .map(|entry| cloud.color(entry)[0])
+                .collect(),
+            color_bands: (0..cloud.color_count())
+                .map(|entry| encode_bands(cloud.color(entry), cloud.sh_degree))
+                .collect(),
             whole: whole_of(&clusters),
             clusters,
         }
@@ -371,7 +470,8 @@ fn encode_bands(coefficients: &[[f32; 3]], sh_degree: u8) -> [u32; COLOR_WORDS] 
         let count = sh_codec::words_of(band);
         if band <= usize::from(sh_degree) {
             let range = sh::coefficient_count(band as u8 - 1)..sh::coefficient_count(band as u8);
-            words[first_word..first_word + count].copy_from_slice(&sh_codec::encode_band(&coefficients[range])[..count]);
+            words[first_word..first_word + count]
+                .copy_from_slice(&sh_codec::encode_band(&coefficients[range])[..count]);
         }
         first_word += count;
     }
@@ -384,13 +484,22 @@ fn whole_of(clusters: &[ClusterRecord]) -> ClusterRecord {
     let mut reach_m = -1e30f32;
     for cluster in clusters.iter().filter(|cluster| cluster.reach_m >= 0.0) {
         for side in [-1.0f32, 1.0] {
-            bounds.include(&std::array::from_fn(|axis| cluster.center_m[axis] + side * cluster.half_extent_m[axis]));
+            bounds.include(&std::array::from_fn(|axis| {
+                cluster.center_m[axis] + side * cluster.half_extent_m[axis]
+            }));
         }
         reach_m = reach_m.max(cluster.reach_m);
     }
     if reach_m < 0.0 {
-        return ClusterRecord { reach_m, ..ClusterRecord::zeroed() };
+        return ClusterRecord {
+            reach_m,
+            ..ClusterRecord::zeroed()
+        };
     }
     let half_extent_m = bounds.half_extent().map(|half| half * 1.000_01);
-    ClusterRecord { center_m: bounds.center(), half_extent_m, reach_m }
+    ClusterRecord {
+        center_m: bounds.center(),
+        half_extent_m,
+        reach_m,
+    }
 }

@@ -1,7 +1,7 @@
 //! Capacities of a frame's buffers. Pure sizes: nothing here touches a device.
 //!
-//! No capacity truncates silently. The GPU counts what it wanted ([`RequiredCounts`]); when that is more than there was room for,
-//! the frame grows and is drawn again, and says so.
+//! No capacity truncates silently. The GPU counts what it wanted ([`RequiredCounts`]); when that is
+//! more than there was room for, the frame grows and is drawn again, and says so.
 
 use crate::layout::RequiredCounts;
 
@@ -21,7 +21,11 @@ impl Capacity {
     #[must_use]
     pub fn guess(splats: usize, cameras: usize) -> Self {
         let records = (splats * cameras).min(splats / 2 + splats * cameras / 16 + 1024);
-        Self { records, pairs: records * 2 + 1024, partials: 64 }
+        Self {
+            records,
+            pairs: records * 2 + 1024,
+            partials: 64,
+        }
     }
 
     /// True if all required counts fit.
@@ -32,14 +36,19 @@ impl Capacity {
             && required.partials as usize <= self.partials
     }
 
-    /// Room for `required` with a share of them to `spare`, so that a moving camera does not outgrow it at every step. Never smaller.
+    /// Room for `required` with a share of them to `spare`, so that a moving camera does not
+    /// outgrow it at every step. Never smaller.
     ///
     /// RequiredCounts found while an earlier list overflowed are too low: it may take another turn.
     #[must_use]
     pub fn grown_to(&self, required: &RequiredCounts, spare: f64) -> Self {
         let grown = |have: usize, need: u32| {
             let need = need as usize;
-            if need > have { need + (need as f64 * spare.max(0.0)) as usize + 64 } else { have }
+            if need > have {
+                need + (need as f64 * spare.max(0.0)) as usize + 64
+            } else {
+                have
+            }
         };
         Self {
             records: grown(self.records, required.records),
@@ -54,19 +63,24 @@ impl Capacity {
         bins as usize + self.partials
     }
 
-    /// Coarse tiles that can be cut: each takes two partial results at least. Cut tiles are listed even when their results
-    /// find no room, so that their number is known.
+    /// Coarse tiles that can be cut: each takes two partial results at least. Cut tiles are listed
+    /// even when their results find no room, so that their number is known.
     #[must_use]
     pub fn composites(&self, bins: u32) -> usize {
         bins as usize
     }
 }
 
-/// The device's limit of groups along an axis, for counts known on the host; `groups_for` in `frame.glsl` is its twin.
+/// The device's limit of groups along an axis, for counts known on the host; `groups_for` in
+/// `frame.glsl` is its twin.
 #[must_use]
 pub fn groups_for(count: usize) -> [u32; 3] {
     const GROUPS_X_MAX: usize = decouplegs_shaders::constants::GROUPS_X_MAX as usize;
-    if count <= GROUPS_X_MAX { [count as u32, 1, 1] } else { [GROUPS_X_MAX as u32, count.div_ceil(GROUPS_X_MAX) as u32, 1] }
+    if count <= GROUPS_X_MAX {
+        [count as u32, 1, 1]
+    } else {
+        [GROUPS_X_MAX as u32, count.div_ceil(GROUPS_X_MAX) as u32, 1]
+    }
 }
 
 #[cfg(test)]
@@ -75,13 +89,28 @@ mod tests {
 
     #[test]
     fn growth_holds_what_was_needed_and_never_shrinks() {
-        let start = Capacity { records: 100, pairs: 1000, partials: 64 };
-        let required = RequiredCounts { records: 5000, pairs: 10, partials: 65, ..RequiredCounts::default() };
+        let start = Capacity {
+            records: 100,
+            pairs: 1000,
+            partials: 64,
+        };
+        let required = RequiredCounts {
+            records: 5000,
+            pairs: 10,
+            partials: 65,
+            ..RequiredCounts::default()
+        };
         assert!(!start.holds(&required));
         let grown = start.grown_to(&required, 1.0 / 16.0);
         assert!(grown.holds(&required));
         assert_eq!(grown.pairs, 1000);
-        assert!(!start.holds(&RequiredCounts { pairs: 1001, ..RequiredCounts::default() }), "one too many must be seen");
+        assert!(
+            !start.holds(&RequiredCounts {
+                pairs: 1001,
+                ..RequiredCounts::default()
+            }),
+            "one too many must be seen"
+        );
     }
 
     #[test]

@@ -6,13 +6,16 @@ use crate::output::Outputs;
 use crate::{GpuScene, RenderError, RenderOptions, Renderer};
 
 impl Renderer {
-    /// The sum of each background splat's weights over all pixels of the frame that was finished last, in the order of splats.
-    /// Empty where [`Outputs::contributions`](crate::Outputs) were not asked for.
+    /// The sum of each background splat's weights over all pixels of the frame that was finished
+    /// last, in the order of splats. Empty where [`Outputs::contributions`](crate::Outputs) were
+    /// not asked for.
     ///
     /// # Errors
     /// When the device was lost.
     pub fn read_contributions(&self) -> Result<Vec<f32>, RenderError> {
-        let Some(slot) = self.shown_slot() else { return Ok(Vec::new()) };
+        let Some(slot) = self.shown_slot() else {
+            return Ok(Vec::new());
+        };
         let scale = slot.images.contribution_scale();
         let steps = self.gpu().read(&slot.images.contributions)?;
         Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
@@ -25,9 +28,21 @@ impl Renderer {
     ///
     /// # Errors
     /// Those of [`Renderer::render`].
-    pub fn contribution_weights(&self, world: &GpuScene, cameras: &[Camera]) -> Result<Vec<f32>, RenderError> {
-        let outputs = Outputs { contributions: true, ..Outputs::default() };
-        let options = RenderOptions { outputs, keep_keys: false, frames_in_flight: 1, ..*self.options() };
+    pub fn contribution_weights(
+        &self,
+        world: &GpuScene,
+        cameras: &[Camera],
+    ) -> Result<Vec<f32>, RenderError> {
+        let outputs = Outputs {
+            contributions: true,
+            ..Outputs::default()
+        };
+        let options = RenderOptions {
+            outputs,
+            keep_keys: false,
+            frames_in_flight: 1,
+            ..*self.options()
+        };
         let mut renderer = Self::new(self.gpu(), options);
         let mut sums = vec![0.0f64; world.splats];
         for camera in cameras {

@@ -15,7 +15,9 @@ pub enum RenderError {
     #[error("the asset cannot be drawn: {0}")]
     Asset(String),
     /// An agent that names an asset which was removed, or is another pool's.
-    #[error("an agent shows an asset that the pool does not hold: it was removed, or added to another pool")]
+    #[error(
+        "an agent shows an asset that the pool does not hold: it was removed, or added to another pool"
+    )]
     NoSuchAsset,
     /// An agent that stands nowhere.
     #[error("agent with instance {instance}: its pose {pose} is not finite")]
@@ -26,7 +28,9 @@ pub enum RenderError {
         pose: String,
     },
     /// An agent in a light that is no light.
-    #[error("agent with instance {instance}: the light it is put in has numbers that are not finite")]
+    #[error(
+        "agent with instance {instance}: the light it is put in has numbers that are not finite"
+    )]
     AgentLight {
         /// Instance id.
         instance: u16,
@@ -45,8 +49,10 @@ pub enum RenderError {
         /// Limit.
         max: usize,
     },
-    /// Images too many that somebody holds.
-    #[error("the images of {max} frames are held, as many as may be: drop some, or allow more (taken_max)")]
+    /// Number of held images beyond the limit.
+    #[error(
+        "the images of {max} frames are held, as many as may be: drop some, or allow more (taken_max)"
+    )]
     TooManyTaken {
         /// Limit.
         max: usize,
@@ -55,7 +61,9 @@ pub enum RenderError {
     #[error("no frame is in flight: submit one first")]
     NothingInFlight,
     /// The lists kept outgrowing their buffers.
-    #[error("the frame was drawn {attempts} times and still needed more room than it had: {required}")]
+    #[error(
+        "the frame was drawn {attempts} times and still needed more room than it had: {required}"
+    )]
     Unsettled {
         /// Number of attempts.
         attempts: u32,

@@ -19,8 +19,8 @@ pub(crate) struct FrameInput<'a> {
     pub agents: Option<AgentCounts>,
 }
 
-/// Records the agents' part of a frame, which needs nothing of the frame before it: their shadows on `world`, their colors in
-/// their light, and what of them is visible.
+/// Records the agents' part of a frame, which needs nothing of the frame before it: their shadows
+/// on `world`, their colors in their light, and what of them is visible.
 pub(crate) fn record_agents(
     recorder: &mut Recorder,
     stages: &FrameStages<'_>,
@@ -34,19 +34,35 @@ pub(crate) fn record_agents(
             shadows.record(r, world, &slot.shadows, slot.shadow_count);
         });
     }
-    let (Some(agents), Some(pool), Some(counts)) = (stages.agents, slot.pool(), counts) else { return };
+    let (Some(agents), Some(pool), Some(counts)) = (stages.agents, slot.pool(), counts) else {
+        return;
+    };
     if let Some(relight) = agents.relight.as_ref().filter(|_| slot.relit.to_make.0 > 0) {
         recorder.stage("relight", |r| {
             let (count, groups) = slot.relit.to_make;
             slot.relit.copy(r);
-            relight.record(r, pool, &slot.relit.records, count, groups, &slot.relit.colors);
+            relight.record(
+                r,
+                pool,
+                &slot.relit.records,
+                count,
+                groups,
+                &slot.relit.colors,
+            );
         });
     }
     recorder.stage("agents", |r| {
         slot.copy_agents(r, counts);
         agents.cull.record(r, pool, &slot.agents, counts);
-        let AgentCounts { cameras, clusters, .. } = counts;
-        stages.common.scan.record(r, &slot.agents.visible.counts, &slot.agents.offsets, cameras * clusters);
+        let AgentCounts {
+            cameras, clusters, ..
+        } = counts;
+        stages.common.scan.record(
+            r,
+            &slot.agents.visible.counts,
+            &slot.agents.offsets,
+            cameras * clusters,
+        );
     });
 }
 
@@ -59,10 +75,21 @@ pub(crate) fn record_frame(
     input: FrameInput<'_>,
 ) {
     record_begin(recorder, frame, slot, input);
-    if let Some(key_splats) = stages.common.key_splats.as_ref().filter(|_| !input.keys.find.is_empty()) {
+    if let Some(key_splats) = stages
+        .common
+        .key_splats
+        .as_ref()
+        .filter(|_| !input.keys.find.is_empty())
+    {
         recorder.stage("key splats", |r| {
             for &camera_and_set in &input.keys.find {
-                key_splats.record(r, input.world, &frame.cameras, camera_and_set, input.kept_keys);
+                key_splats.record(
+                    r,
+                    input.world,
+                    &frame.cameras,
+                    camera_and_set,
+                    input.kept_keys,
+                );
             }
         });
     }
@@ -76,24 +103,45 @@ pub(crate) fn record_frame(
         moving_offsets: &slot.agents.offsets,
         moving_clusters: input.agents.map_or(0, |counts| counts.clusters),
     };
-    stages.common.tile_sort.record(recorder, &frame.counters, records, &frame.tile_sort, frame.shape.bins);
+    stages.common.tile_sort.record(
+        recorder,
+        &frame.counters,
+        records,
+        &frame.tile_sort,
+        frame.shape.bins,
+    );
     record_images(recorder, stages, frame, slot, input);
 }
 
 /// Hands over what the host wrote, and empties what is counted.
-fn record_begin(recorder: &mut Recorder, frame: &FrameBuffers, slot: &FrameInFlight, input: FrameInput<'_>) {
+fn record_begin(
+    recorder: &mut Recorder,
+    frame: &FrameBuffers,
+    slot: &FrameInFlight,
+    input: FrameInput<'_>,
+) {
     let counters = &frame.counters;
     recorder.stage("begin", |r| {
         let cameras = frame.shape.cameras;
         r.copy(&slot.staged_cameras, 0, &frame.cameras, 0, cameras);
         slot.copy_lenses(r, &frame.lenses);
         r.copy(&slot.staged_key_sets, 0, &frame.key_sets, 0, cameras);
-        let PartialResults { transmittances, unfinished, .. } = &frame.partials;
+        let PartialResults {
+            transmittances,
+            unfinished,
+            ..
+        } = &frame.partials;
         let emptied = [
             (counters.required.binding(), counters.required.byte_len()),
             (counters.arguments.binding(), counters.arguments.byte_len()),
-            (frame.tile_sort.slab_counts.binding(), TileSortBuffers::slab_bytes(frame.shape.bins)),
-            (slot.images.contributions.binding(), slot.images.contributions.byte_len()),
+            (
+                frame.tile_sort.slab_counts.binding(),
+                TileSortBuffers::slab_bytes(frame.shape.bins),
+            ),
+            (
+                slot.images.contributions.binding(),
+                slot.images.contributions.byte_len(),
+            ),
             (transmittances.binding(), transmittances.byte_len()),
             (unfinished.binding(), unfinished.byte_len()),
         ];
@@ -114,23 +162,65 @@ fn record_projection(
     slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
-    let FrameShape { cameras: camera_count, clusters, .. } = frame.shape;
+    let FrameShape {
+        cameras: camera_count,
+        clusters,
+        ..
+    } = frame.shape;
     let (world, cameras, lenses) = (input.world, &frame.cameras, &frame.lenses);
     let background = stages.background;
-    recorder.stage("cull", |r| background.cull.record(r, world, cameras, lenses, camera_count, &frame.visible));
+    recorder.stage("cull", |r| {
+        background
+            .cull
+            .record(r, world, cameras, lenses, camera_count, &frame.visible);
+    });
     recorder.stage("scan", |r| {
-        stages.common.scan.record(r, &frame.visible.counts, &frame.offsets, camera_count * clusters);
+        stages.common.scan.record(
+            r,
+            &frame.visible.counts,
+            &frame.offsets,
+            camera_count * clusters,
+        );
     });
     recorder.stage("project", |r| {
-        let (visible, offsets, projected, shadows) = (&frame.visible, &frame.offsets, &frame.projected, &slot.shadows);
-        let kept = KeptKeys { sets: &frame.key_sets, keys: input.kept_keys };
+        let (visible, offsets, projected, shadows) = (
+            &frame.visible,
+            &frame.offsets,
+            &frame.projected,
+            &slot.shadows,
+        );
+        let kept = KeptKeys {
+            sets: &frame.key_sets,
+            keys: input.kept_keys,
+        };
         let project = &background.project;
-        project.record(r, world, cameras, lenses, camera_count, visible, offsets, projected, kept, shadows, slot.shadow_count);
+        project.record(
+            r,
+            world,
+            cameras,
+            lenses,
+            camera_count,
+            visible,
+            offsets,
+            projected,
+            kept,
+            shadows,
+            slot.shadow_count,
+        );
     });
     if let (Some(counts), Some(agents), Some(pool)) = (input.agents, stages.agents, slot.pool()) {
         recorder.stage("project agents", |r| {
             let lists = camera_count * clusters;
-            agents.project.record(r, pool, &slot.agents, &slot.relit.colors, counts, &frame.offsets, lists, &frame.projected);
+            agents.project.record(
+                r,
+                pool,
+                &slot.agents,
+                &slot.relit.colors,
+                counts,
+                &frame.offsets,
+                lists,
+                &frame.projected,
+            );
         });
     }
 }
@@ -143,21 +233,67 @@ fn record_images(
     slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
-    let FrameShape { capacity, cameras: camera_count, bins, .. } = frame.shape;
+    let FrameShape {
+        capacity,
+        cameras: camera_count,
+        bins,
+        ..
+    } = frame.shape;
     let (counters, cameras, stages) = (&frame.counters, &frame.cameras, stages.common);
-    let (plan, partials, images, sky) = (&frame.plan, &frame.partials, &slot.images, input.world.sky);
+    let (plan, partials, images, sky) =
+        (&frame.plan, &frame.partials, &slot.images, input.world.sky);
     let (records, projected) = (&frame.tile_sort.sorted_records, &frame.projected);
-    recorder.stage("plan", |r| stages.plan_segments.record(r, counters, &frame.tile_sort.tile_lists, bins, &capacity, plan));
+    recorder.stage("plan", |r| {
+        stages.plan_segments.record(
+            r,
+            counters,
+            &frame.tile_sort.tile_lists,
+            bins,
+            &capacity,
+            plan,
+        );
+    });
     recorder.stage("blend", |r| {
-        stages.blend.record(r, counters, cameras, camera_count, sky, plan, records, projected, partials, images);
+        stages.blend.record(
+            r,
+            counters,
+            cameras,
+            camera_count,
+            sky,
+            plan,
+            records,
+            projected,
+            partials,
+            images,
+        );
     });
     recorder.stage("composite", |r| {
-        stages.composite.record(r, counters, cameras, camera_count, sky, plan, partials, images);
+        stages.composite.record(
+            r,
+            counters,
+            cameras,
+            camera_count,
+            sky,
+            plan,
+            partials,
+            images,
+        );
         r.copy(&counters.required, 0, &slot.found_required, 0, 1);
     });
     if let Some(finish) = &stages.finish {
         recorder.stage("finish", |r| {
-            finish.record(r, counters, cameras, camera_count, sky, plan, records, projected, partials, images);
+            finish.record(
+                r,
+                counters,
+                cameras,
+                camera_count,
+                sky,
+                plan,
+                records,
+                projected,
+                partials,
+                images,
+            );
         });
     }
 }

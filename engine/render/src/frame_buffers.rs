@@ -5,7 +5,9 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind};
 use crate::capacity::Capacity;
 use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord};
 use crate::options::RenderOptions;
-use crate::stages::{FrameCounters, PURPOSE, PartialResults, Plan, Projected, TileSortBuffers, Visible};
+use crate::stages::{
+    FrameCounters, PURPOSE, PartialResults, Plan, Projected, TileSortBuffers, Visible,
+};
 
 /// Counts that determine the size of a frame's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +36,8 @@ impl FrameShape {
     }
 }
 
-/// The buffers of a frame that only the device sees: frames in flight share them, as they run one after the other.
+/// The buffers of a frame that only the device sees: frames in flight share them, as they run one
+/// after the other.
 pub(crate) struct FrameBuffers {
     /// Shape that the buffers were allocated for: upper limits of cameras, splats and so on, so
     /// that different frames can share them.
@@ -56,7 +59,12 @@ pub(crate) struct FrameBuffers {
 
 impl FrameBuffers {
     pub fn new(gpu: &Gpu, shape: FrameShape, options: &RenderOptions) -> Result<Self, GpuError> {
-        let FrameShape { capacity, cameras, clusters, bins } = shape;
+        let FrameShape {
+            capacity,
+            cameras,
+            clusters,
+            bins,
+        } = shape;
         let device = MemoryKind::Device;
         Ok(Self {
             room: shape,
@@ -70,7 +78,12 @@ impl FrameBuffers {
             projected: Projected::new(gpu, capacity.records, capacity.pairs)?,
             tile_sort: TileSortBuffers::new(gpu, &capacity, bins)?,
             plan: Plan::new(gpu, &capacity, bins)?,
-            partials: PartialResults::new(gpu, capacity.partials, &options.rules, &options.outputs)?,
+            partials: PartialResults::new(
+                gpu,
+                capacity.partials,
+                &options.rules,
+                &options.outputs,
+            )?,
         })
     }
 

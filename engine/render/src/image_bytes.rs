@@ -15,7 +15,8 @@ pub struct ImageBytes {
     words: Vec<u32>,
     /// First pixel, width and height of each.
     places: Vec<(usize, [u32; 2])>,
-    /// Memory that the device writes and the host reads, kept from frame to frame: to make it takes longer than a copy.
+    /// Memory that the device writes and the host reads, kept from frame to frame: to make it takes
+    /// longer than a copy.
     staging: Option<Buffer<u32>>,
 }
 
@@ -52,7 +53,8 @@ impl ImageBytes {
 }
 
 impl Renderer {
-    /// Reads the images of the frame that was finished last into `bytes`, in the order of its cameras. None before the first frame.
+    /// Reads the images of the frame that was finished last into `bytes`, in the order of its
+    /// cameras. None before the first frame.
     ///
     /// # Errors
     /// When the device was lost or has not the memory.
@@ -60,13 +62,29 @@ impl Renderer {
     /// # Panics
     /// When the renderer does not store [`ColorFormat::U8`].
     pub fn read_bytes(&self, bytes: &mut ImageBytes) -> Result<(), RenderError> {
-        assert!(self.options().outputs.color == ColorFormat::U8, "the images are stored as floats");
+        assert!(
+            self.options().outputs.color == ColorFormat::U8,
+            "the images are stored as floats"
+        );
         bytes.places.clear();
-        let Some(slot) = self.shown_slot() else { return Ok(()) };
-        let Some(view) = &slot.view else { return Ok(()) };
+        let Some(slot) = self.shown_slot() else {
+            return Ok(());
+        };
+        let Some(view) = &slot.view else {
+            return Ok(());
+        };
         let images = &slot.images.images_u8;
-        if bytes.staging.as_ref().is_none_or(|staging| staging.len() < view.pixels) {
-            bytes.staging = Some(self.gpu().buffer("staged_images", PURPOSE, view.pixels, MemoryKind::Readback)?);
+        if bytes
+            .staging
+            .as_ref()
+            .is_none_or(|staging| staging.len() < view.pixels)
+        {
+            bytes.staging = Some(self.gpu().buffer(
+                "staged_images",
+                PURPOSE,
+                view.pixels,
+                MemoryKind::Readback,
+            )?);
         }
         if let Some(staging) = &bytes.staging {
             let mut recorder = self.gpu().record(QueueRole::Main);
@@ -76,10 +94,16 @@ impl Renderer {
             // One thread alone copies tens of megabytes in milliseconds.
             let pieces = bytes.words.par_chunks_mut(COPY_PIXELS);
             staging.with_host(view.pixels, |host| {
-                pieces.zip(host.par_chunks(COPY_PIXELS)).for_each(|(to, from)| to.copy_from_slice(from));
+                pieces
+                    .zip(host.par_chunks(COPY_PIXELS))
+                    .for_each(|(to, from)| to.copy_from_slice(from));
             });
         }
-        bytes.places.extend(view.cameras.iter().map(|camera| (camera.first_pixel as usize, camera.size_px)));
+        bytes.places.extend(
+            view.cameras
+                .iter()
+                .map(|camera| (camera.first_pixel as usize, camera.size_px)),
+        );
         Ok(())
     }
 }

@@ -6,15 +6,15 @@ use decouplegs_scene::Rules;
 use crate::options::RenderOptions;
 use crate::output::Outputs;
 use crate::stages::{
-    Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats, PlanSegments, Project, ProjectAgents,
-    ProjectVariant, Relight, Scan, TileSort, finishes,
+    Blend, BlendPass, CompositeSegments, Cull, CullAgents, CullShadows, KeySplats, PlanSegments,
+    Project, ProjectAgents, ProjectVariant, Relight, Scan, TileSort, finishes,
 };
 
 /// Longer segments are no segments.
 const SEGMENT_PAIRS_MAX: u32 = 1 << 24;
 
-/// Longest segment that a software device blends: llvmpipe ends all loops of a thread after 65,535 rounds in total, silently,
-/// and a thread of blend makes up to two per entry of a segment.
+/// Longest segment that a software device blends: llvmpipe ends all loops of a thread after 65,535
+/// rounds in total, silently, and a thread of blend generates to two per entry of a segment.
 const SEGMENT_PAIRS_MAX_IN_SOFTWARE: u32 = 10_000;
 
 /// Kernels that every frame runs.
@@ -87,7 +87,13 @@ pub(crate) struct FrameVariant {
 impl Kernels {
     /// For images as `options` say; nothing is built yet.
     pub fn new(options: &RenderOptions, device: DeviceKind) -> Self {
-        let RenderOptions { rules, outputs, segment_pairs, keep_keys, .. } = *options;
+        let RenderOptions {
+            rules,
+            outputs,
+            segment_pairs,
+            keep_keys,
+            ..
+        } = *options;
         Self {
             rules,
             outputs,
@@ -106,24 +112,42 @@ impl Kernels {
 
     /// The kernels for `variant`, those that are new built now.
     pub fn of(&mut self, gpu: &Gpu, variant: FrameVariant) -> Result<FrameStages<'_>, GpuError> {
-        let Self { rules, outputs, segment_pairs, keep_keys, .. } = self;
+        let Self {
+            rules,
+            outputs,
+            segment_pairs,
+            keep_keys,
+            ..
+        } = self;
         if self.common.is_none() {
             let blend = |pass| Blend::new(gpu, rules, outputs, pass, *segment_pairs);
             let finish = finishes(rules, outputs) && *segment_pairs < u32::MAX;
             self.common = Some(CommonStages {
                 scan: Scan::new(gpu)?,
-                key_splats: if *keep_keys { Some(KeySplats::new(gpu)?) } else { None },
+                key_splats: if *keep_keys {
+                    Some(KeySplats::new(gpu)?)
+                } else {
+                    None
+                },
                 tile_sort: TileSort::new(gpu, rules)?,
                 plan_segments: PlanSegments::new(gpu, *segment_pairs)?,
                 blend: blend(BlendPass::Segments)?,
                 composite: CompositeSegments::new(gpu, rules, outputs)?,
-                finish: if finish { Some(blend(BlendPass::Finish)?) } else { None },
+                finish: if finish {
+                    Some(blend(BlendPass::Finish)?)
+                } else {
+                    None
+                },
             });
         }
         let kind = variant.background;
         if !self.background.iter().any(|(built, _)| *built == kind) {
-            let (cull, project) = (Cull::new(gpu, rules, kind.lenses)?, Project::new(gpu, rules, kind)?);
-            self.background.push((kind, BackgroundStages { cull, project }));
+            let (cull, project) = (
+                Cull::new(gpu, rules, kind.lenses)?,
+                Project::new(gpu, rules, kind)?,
+            );
+            self.background
+                .push((kind, BackgroundStages { cull, project }));
         }
         if let Some(kind) = variant.agents
             && !self.agents.iter().any(|(built, _)| *built == kind)
@@ -131,14 +155,21 @@ impl Kernels {
             let stages = AgentStages {
                 cull: CullAgents::new(gpu, rules, kind.lenses)?,
                 project: ProjectAgents::new(gpu, rules, kind.sh_degree, kind.relit, kind.lenses)?,
-                relight: if kind.relit { Some(Relight::new(gpu, kind.sh_degree)?) } else { None },
+                relight: if kind.relit {
+                    Some(Relight::new(gpu, kind.sh_degree)?)
+                } else {
+                    None
+                },
             };
             self.agents.push((kind, stages));
         }
         if variant.background.shadows && self.shadows.is_none() {
             self.shadows = Some(CullShadows::new(gpu)?);
         }
-        let built = |what| GpuError::Driver { call: "building kernels", code: format!("{what} was not built") };
+        let built = |what| GpuError::Driver {
+            call: "building kernels",
+            code: format!("{what} was not built"),
+        };
         Ok(FrameStages {
             common: self.common.as_ref().ok_or_else(|| built("a stage"))?,
             background: self
@@ -146,7 +177,10 @@ impl Kernels {
                 .iter()
                 .find_map(|(built, stages)| (*built == variant.background).then_some(stages))
                 .ok_or_else(|| built("the background's projection"))?,
-            agents: self.agents.iter().find_map(|(built, stages)| (Some(*built) == variant.agents).then_some(stages)),
+            agents: self
+                .agents
+                .iter()
+                .find_map(|(built, stages)| (Some(*built) == variant.agents).then_some(stages)),
             shadows: self.shadows.as_ref().filter(|_| variant.background.shadows),
         })
     }

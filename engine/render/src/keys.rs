@@ -1,7 +1,8 @@
 //! The persistent key buffer: depth keys of the background along the directions that cameras look.
 //!
-//! The depth of a splat is f.p - f.c: along one direction f the keys f.p are the same wherever the camera stands. They are computed
-//! once per direction, for all splats, and read by every frame that looks the same way. Driving straight on computes none.
+//! The depth of a splat is f.p - f.c: along one direction f the keys f.p are the same wherever the
+//! camera stands. They are computed once per direction, for all splats, and read by every frame
+//! that looks the same way. Driving straight on computes none.
 
 use decouplegs_gpu::{Buffer, Gpu, MemoryKind};
 use decouplegs_scene::{DepthOrder, Rules};
@@ -32,7 +33,11 @@ struct Direction {
 
 impl Direction {
     fn of(camera: &CameraRecord) -> Self {
-        Self { forward: camera.row_z, forward_low: camera.row_z_low, key_scale: camera.key_scale }
+        Self {
+            forward: camera.row_z,
+            forward_low: camera.row_z_low,
+            key_scale: camera.key_scale,
+        }
     }
 }
 
@@ -55,7 +60,11 @@ pub(crate) struct KeyDecision {
 impl KeyDecision {
     /// All keys computed.
     pub fn computed(views: usize) -> Self {
-        Self { sets: vec![NO_KEY_SET; views], sources: vec![KeySource::Computed; views], find: Vec::new() }
+        Self {
+            sets: vec![NO_KEY_SET; views],
+            sources: vec![KeySource::Computed; views],
+            find: Vec::new(),
+        }
     }
 }
 
@@ -73,7 +82,14 @@ impl PersistentKeys {
     /// None kept yet, with no memory taken.
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         let keys = gpu.buffer("kept_keys", PURPOSE, 0, MemoryKind::Device)?;
-        Ok(Self { world: 0, keys, sets: Vec::new(), sets_max: 0, previous: Vec::new(), frame: 0 })
+        Ok(Self {
+            world: 0,
+            keys,
+            sets: Vec::new(),
+            sets_max: 0,
+            previous: Vec::new(),
+            frame: 0,
+        })
     }
 
     /// Depth keys, `[set][splat]`.
@@ -82,7 +98,13 @@ impl PersistentKeys {
     }
 
     /// Decides for the views of the next frame. Keys that it decides to find are taken as found.
-    pub fn decide(&mut self, gpu: &Gpu, world: &GpuScene, view: &View, rules: &Rules) -> Result<KeyDecision, RenderError> {
+    pub fn decide(
+        &mut self,
+        gpu: &Gpu,
+        world: &GpuScene,
+        view: &View,
+        rules: &Rules,
+    ) -> Result<KeyDecision, RenderError> {
         let views = view.cameras.len();
         let bytes = (world.splats * views * 4) as u64;
         let possible = bytes > 0 && bytes <= gpu.limits().storage_buffer_bytes_max;
@@ -94,24 +116,31 @@ impl PersistentKeys {
         let directions: Vec<Direction> = view.cameras.iter().map(Direction::of).collect();
         let mut decision = KeyDecision::computed(views);
         for (camera, direction) in directions.iter().enumerate() {
-            let (set, source) = if let Some(known) = self.sets.iter().position(|set| set.direction == *direction) {
-                (known, KeySource::Kept)
-            } else if self.previous.get(camera) == Some(direction)
-                && let Some(free) = self.free_set(*direction, &directions)
-            {
-                // A direction that did not change for a frame is worth it: its keys are paid for once and serve many frames.
-                decision.find.push((camera, free));
-                (free, KeySource::Found)
-            } else {
-                continue;
-            };
+            let (set, source) =
+                if let Some(known) = self.sets.iter().position(|set| set.direction == *direction) {
+                    (known, KeySource::Kept)
+                } else if self.previous.get(camera) == Some(direction)
+                    && let Some(free) = self.free_set(*direction, &directions)
+                {
+                    // A direction that did not change for a frame is worth it: its keys are paid
+                    // for once and serve many frames.
+                    decision.find.push((camera, free));
+                    (free, KeySource::Found)
+                } else {
+                    continue;
+                };
             self.sets[set].last_used = self.frame;
             decision.sets[camera] = set as u32;
             decision.sources[camera] = source;
         }
         if !decision.find.is_empty() && self.keys.is_empty() {
             // Those who draw a single image have no use for it.
-            self.keys = gpu.buffer("kept_keys", PURPOSE, world.splats * self.sets_max, MemoryKind::Device)?;
+            self.keys = gpu.buffer(
+                "kept_keys",
+                PURPOSE,
+                world.splats * self.sets_max,
+                MemoryKind::Device,
+            )?;
         }
         self.previous = directions;
         Ok(decision)
@@ -128,16 +157,21 @@ impl PersistentKeys {
         Ok(())
     }
 
-    /// The set for the keys along `direction`: a new one, or the one whose last use is longest ago, of those that no view of this
-    /// frame looks along.
+    /// The set for the keys along `direction`: a new one, or the one whose last use is longest ago,
+    /// of those that no view of this frame looks along.
     fn free_set(&mut self, direction: Direction, wanted: &[Direction]) -> Option<usize> {
-        let set = KeySet { direction, last_used: self.frame };
+        let set = KeySet {
+            direction,
+            last_used: self.frame,
+        };
         if self.sets.len() < self.sets_max {
             self.sets.push(set);
             return Some(self.sets.len() - 1);
         }
         let free = |&i: &usize| !wanted.contains(&self.sets[i].direction);
-        let oldest = (0..self.sets.len()).filter(free).min_by_key(|&i| self.sets[i].last_used)?;
+        let oldest = (0..self.sets.len())
+            .filter(free)
+            .min_by_key(|&i| self.sets[i].last_used)?;
         self.sets[oldest] = set;
         Some(oldest)
     }

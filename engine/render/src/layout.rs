@@ -1,8 +1,8 @@
-//! Structures shared with the shaders, which spell them out too. `tests/stages/layout.rs` compares names, offsets and sizes of all of them
-//! with the reflection of every kernel.
+//! Structures shared with the shaders, which spell them out too. `tests/stages/layout.rs` compares
+//! names, offsets and sizes of all of them with the reflection of every kernel.
 //!
-//! Arrays of `f32` and `u32` only: glam's vectors may be padded for SIMD. The shaders use scalar block layout, whose
-//! offsets are those of `repr(C)`.
+//! Arrays of `f32` and `u32` only: glam's vectors may be padded for SIMD. The shaders use scalar
+//! block layout, whose offsets are those of `repr(C)`.
 
 mod lens;
 mod light;
@@ -80,10 +80,16 @@ pub struct CameraRecord {
 }
 
 impl CameraRecord {
-    /// The record of `camera` in a world with the given `origin`, whose depths are scaled by `key_scale`; bins and pixels begin
-    /// where the arguments say.
+    /// The record of `camera` in a world with the given `origin`, whose depths are scaled by
+    /// `key_scale`; bins and pixels begin where the arguments say.
     #[must_use]
-    pub fn new(camera: &Camera, origin: DVec3, key_scale: f32, first_bin: u32, first_pixel: u32) -> Self {
+    pub fn new(
+        camera: &Camera,
+        origin: DVec3,
+        key_scale: f32,
+        first_bin: u32,
+        first_pixel: u32,
+    ) -> Self {
         let k = &camera.intrinsics;
         let size = DVec3::new(f64::from(k.width_px), f64::from(k.height_px), 0.0);
         let margin = |size: f64, focal: f64| rules::JACOBIAN_MARGIN * 0.5 * size / focal;
@@ -96,7 +102,9 @@ impl CameraRecord {
             row_x: axes.x_axis.as_vec3().to_array(),
             row_y: axes.y_axis.as_vec3().to_array(),
             row_z: forward.as_vec3().to_array(),
-            row_z_low: (forward - forward.as_vec3().as_dvec3()).as_vec3().to_array(),
+            row_z_low: (forward - forward.as_vec3().as_dvec3())
+                .as_vec3()
+                .to_array(),
             center_high_m: high.to_array(),
             center_low_m: low.to_array(),
             focal_px: [k.fx_px as f32, k.fy_px as f32],
@@ -110,7 +118,10 @@ impl CameraRecord {
                 ((size.y - k.cy_px) / k.fy_px + margin(size.y, k.fy_px)) as f32,
             ],
             size_px: [k.width_px, k.height_px],
-            coarse_tiles: [k.width_px.div_ceil(COARSE_WIDTH_PX), k.height_px.div_ceil(COARSE_HEIGHT_PX)],
+            coarse_tiles: [
+                k.width_px.div_ceil(COARSE_WIDTH_PX),
+                k.height_px.div_ceil(COARSE_HEIGHT_PX),
+            ],
             key_offset: [0.0; 2],
             key_scale,
             key_depth: (forward.dot(center) * f64::from(key_scale)) as f32,
@@ -119,19 +130,29 @@ impl CameraRecord {
         }
     }
 
-    /// This camera as the splats of an agent see it, which stands at `world_from_agent`: the image and the depth keys of a
-    /// splat are the same whether it is moved into the world or the camera into the agent's frame. `camera` and `origin` are
-    /// those that the record was made of.
+    /// This camera as the splats of an agent see it, which stands at `world_from_agent`: the image
+    /// and the depth keys of a splat are the same whether it is moved into the world or the camera
+    /// into the agent's frame. `camera` and `origin` are those that the record was made of.
     #[must_use]
     pub fn moved_into(&self, camera: &Camera, origin: DVec3, world_from_agent: &Pose) -> Self {
         let agent_from_camera = world_from_agent.inverse().then(&camera.world_from_camera);
-        let local = Camera { world_from_camera: agent_from_camera, ..camera.clone() };
-        let forward = steady(DMat3::from_quat(camera.world_from_camera.rotation.normalize()).z_axis);
+        let local = Camera {
+            world_from_camera: agent_from_camera,
+            ..camera.clone()
+        };
+        let forward =
+            steady(DMat3::from_quat(camera.world_from_camera.rotation.normalize()).z_axis);
         let offset = forward.dot(world_from_agent.translation - origin) * f64::from(self.key_scale);
         let high = offset as f32;
         Self {
             key_offset: [high, (offset - f64::from(high)) as f32],
-            ..Self::new(&local, DVec3::ZERO, self.key_scale, self.first_bin, self.first_pixel)
+            ..Self::new(
+                &local,
+                DVec3::ZERO,
+                self.key_scale,
+                self.first_bin,
+                self.first_pixel,
+            )
         }
     }
 
@@ -148,27 +169,35 @@ impl CameraRecord {
     }
 }
 
-/// A direction without its last digits, which rounding changes from one frame to the next although nothing turned: what is
-/// left out moves a splat a kilometer away by a nanometer.
+/// A direction without its last digits, which rounding changes from one frame to the next although
+/// nothing turned: what is left out moves a splat a kilometer away by a nanometer.
 fn steady(direction: DVec3) -> DVec3 {
     const STEPS: f64 = (1u64 << 40) as f64;
     (direction * STEPS).round() / STEPS
 }
 
-/// The largest power of two that takes depths of up to `reach_m` between -1 and 1, and no f32 out of its range.
+/// The largest power of two that takes depths of up to `reach_m` between -1 and 1, and no f32 out
+/// of its range.
 #[must_use]
 pub fn key_scale(reach_m: f64) -> f32 {
     // A sixteenth more: what rounding adds stays below 1 as well.
-    let exponent = (reach_m.max(1e-30) * 1.0625).log2().ceil().clamp(-100.0, 100.0);
+    let exponent = (reach_m.max(1e-30) * 1.0625)
+        .log2()
+        .ceil()
+        .clamp(-100.0, 100.0);
     (-exponent).exp2() as f32
 }
 
-/// The near plane as the shaders compare with it: the smallest f32 that is not nearer than the rules', so that f32 depths
-/// fall on the same side of both.
+/// The near plane as the shaders compare with it: the smallest f32 that is not nearer than the
+/// rules', so that f32 depths fall on the same side of both.
 #[must_use]
 pub fn near_m(rules: &Rules) -> f32 {
     let rounded = rules.near_m as f32;
-    if f64::from(rounded) < rules.near_m { rounded.next_up() } else { rounded }
+    if f64::from(rounded) < rules.near_m {
+        rounded.next_up()
+    } else {
+        rounded
+    }
 }
 
 /// `Cluster` of `frame.glsl`.
@@ -318,31 +347,56 @@ pub struct View {
 }
 
 impl View {
-    /// Lays out the images of `cameras` one after the other; depths up to `reach_m` from the world's `origin` are told apart.
+    /// Lays out the images of `cameras` one after the other; depths up to `reach_m` from the
+    /// world's `origin` are told apart.
     ///
     /// # Errors
     /// A sentence when there is no camera, too many, or one that cannot make an image.
     pub fn new(cameras: &[Camera], origin: DVec3, reach_m: f64) -> Result<Self, String> {
         if cameras.is_empty() || cameras.len() > CAMERAS_MAX {
-            return Err(format!("{} cameras were given; a frame draws 1 to {CAMERAS_MAX}", cameras.len()));
+            return Err(format!(
+                "{} cameras were given; a frame draws 1 to {CAMERAS_MAX}",
+                cameras.len()
+            ));
         }
         let key_scale = key_scale(reach_m);
-        let mut view = Self { cameras: Vec::with_capacity(cameras.len()), lenses: Vec::new(), bins: 0, pixels: 0 };
+        let mut view = Self {
+            cameras: Vec::with_capacity(cameras.len()),
+            lenses: Vec::new(),
+            bins: 0,
+            pixels: 0,
+        };
         for camera in cameras {
-            camera.intrinsics.check().map_err(|reason| format!("camera {}: {reason}", camera.name))?;
+            camera
+                .intrinsics
+                .check()
+                .map_err(|reason| format!("camera {}: {reason}", camera.name))?;
             let pose = &camera.world_from_camera;
-            if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
-                return Err(format!("camera {}: its pose {pose:?} is not finite", camera.name));
+            if !(pose.translation.is_finite()
+                && pose.rotation.is_finite()
+                && pose.rotation.length_squared() > 1e-12)
+            {
+                return Err(format!(
+                    "camera {}: its pose {pose:?} is not finite",
+                    camera.name
+                ));
             }
-            let first_pixel =
-                u32::try_from(view.pixels).map_err(|_| format!("camera {}: more than 2^32 pixels in one frame", camera.name))?;
+            let first_pixel = u32::try_from(view.pixels).map_err(|_| {
+                format!("camera {}: more than 2^32 pixels in one frame", camera.name)
+            })?;
             let record = CameraRecord::new(camera, origin, key_scale, view.bins, first_pixel);
             view.bins += record.bins();
             view.pixels += record.pixels();
             view.cameras.push(record);
         }
-        if cameras.iter().any(|camera| !camera.intrinsics.lens.is_pinhole()) {
-            view.lenses = cameras.iter().map(|camera| LensRecord::new(&camera.intrinsics)).collect();
+        if cameras
+            .iter()
+            .any(|camera| !camera.intrinsics.lens.is_pinhole())
+        {
+            view.lenses = cameras
+                .iter()
+                .map(|camera| LensRecord::new(&camera.intrinsics))
+                .collect();
         }
         Ok(view)
     }
@@ -355,14 +409,21 @@ mod tests {
 
     fn camera(width: u32, height: u32) -> Camera {
         let intrinsics = Intrinsics::from_horizontal_fov(width, height, 1.0);
-        Camera { name: "c".into(), intrinsics, world_from_camera: Pose::IDENTITY }
+        Camera {
+            name: "c".into(),
+            intrinsics,
+            world_from_camera: Pose::IDENTITY,
+        }
     }
 
     #[test]
     fn images_lie_one_after_the_other() {
         let view = View::new(&[camera(65, 33), camera(1, 1)], DVec3::ZERO, 1.0).unwrap();
         assert_eq!(view.cameras[0].coarse_tiles, [2, 2]);
-        assert_eq!((view.cameras[1].first_bin, view.cameras[1].first_pixel), (4, 65 * 33));
+        assert_eq!(
+            (view.cameras[1].first_bin, view.cameras[1].first_pixel),
+            (4, 65 * 33)
+        );
         assert_eq!((view.bins, view.pixels), (5, 65 * 33 + 1));
     }
 
@@ -378,9 +439,17 @@ mod tests {
     #[test]
     fn cameras_that_cannot_be_drawn_are_named() {
         assert!(View::new(&[], DVec3::ZERO, 1.0).is_err());
-        assert!(View::new(&vec![camera(4, 4); 33], DVec3::ZERO, 1.0).unwrap_err().contains("33"));
+        assert!(
+            View::new(&vec![camera(4, 4); 33], DVec3::ZERO, 1.0)
+                .unwrap_err()
+                .contains("33")
+        );
         let mut lost = camera(4, 4);
         lost.world_from_camera.translation.x = f64::NAN;
-        assert!(View::new(&[lost], DVec3::ZERO, 1.0).unwrap_err().contains("camera c"));
+        assert!(
+            View::new(&[lost], DVec3::ZERO, 1.0)
+                .unwrap_err()
+                .contains("camera c")
+        );
     }
 }

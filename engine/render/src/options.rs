@@ -19,20 +19,23 @@ pub struct RenderOptions {
     pub outputs: Outputs,
     /// Highest degree of spherical harmonics that is evaluated, whatever the world stores.
     pub sh_degree_max: u8,
-    /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs. Shorter segments balance better and take
-    /// more memory: 32 KiB of partial result each. Above 2^24 lists are not cut; a software device cuts them at 10,000.
+    /// Length of the segments in which lists of coarse tiles are blended, side by side, pairs.
+    /// Shorter segments balance better and take more memory: 32 KiB of partial result each. Above
+    /// 2^24 lists are not cut; a software device cuts them at 10,000.
     pub segment_pairs: u32,
-    /// True keeps depth keys of the background per view direction, false computes them in every frame. Images are the same.
+    /// True keeps depth keys of the background per view direction, false computes them in every
+    /// frame. Images are the same.
     pub keep_keys: bool,
-    /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in the image. `None`: always
-    /// at the finest, which is exact.
+    /// Agents are drawn at the coarsest level of detail whose splats are at most this far apart in
+    /// the image. `None`: always at the finest, which is exact.
     pub level_pitch_px: Option<f64>,
-    /// Frames that may be submitted before the first of them is finished, at least 1. Each has images of its own.
+    /// Frames that may be submitted before the first of them is finished, at least 1. Each has
+    /// images of its own.
     pub frames_in_flight: usize,
     /// Frames whose images may be taken ([`crate::Renderer::take_images`]) and not yet dropped.
     pub taken_max: usize,
-    /// Buffers that were too small grow to what was needed and this share of it more. Cameras that leap outgrow a small one
-    /// again and again, and each time a frame is drawn twice.
+    /// Buffers that were too small grow to what was needed and this share of it more. Cameras that
+    /// leap outgrow a small one again and again, and each time a frame is drawn twice.
     pub spare: f64,
     /// True if the agents' part of a frame runs on the queue for updates, beside the frame before;
     /// otherwise it runs in line.
@@ -72,8 +75,17 @@ pub struct QueueTrace {
 
 impl QueueTrace {
     pub(crate) fn of(queue: &'static str, ticket: &Ticket) -> Result<Self, GpuError> {
-        let (begin_ns, total_ns, stages) = (ticket.begin_ns()?, ticket.gpu_time_ns()?, ticket.stage_times()?);
-        Ok(Self { queue, begin_ns, total_ns, stages })
+        let (begin_ns, total_ns, stages) = (
+            ticket.begin_ns()?,
+            ticket.gpu_time_ns()?,
+            ticket.stage_times()?,
+        );
+        Ok(Self {
+            queue,
+            begin_ns,
+            total_ns,
+            stages,
+        })
     }
 }
 
@@ -92,9 +104,11 @@ pub struct FrameStatistics {
     pub agents: usize,
     /// Splats of those agents.
     pub agent_splats: usize,
-    /// Codebooks that were relit for this frame: those of agents whose light changed since their place was last drawn.
+    /// Codebooks that were relit for this frame: those of agents whose light changed since their
+    /// place was last drawn.
     pub relit: usize,
-    /// GPU time from the first command to the last, without the agents' part where that ran on its own queue.
+    /// GPU time from the first command to the last, without the agents' part where that ran on its
+    /// own queue.
     pub gpu_time: Duration,
     /// GPU time by stage, in order.
     pub stages: Vec<StageTime>,

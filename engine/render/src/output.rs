@@ -21,12 +21,14 @@ pub enum ColorFormat {
 pub struct Outputs {
     /// Storage format of color.
     pub color: ColorFormat,
-    /// Expected depth along z (or distance, where the order is radial), meters; 0 where nothing was hit.
+    /// Expected depth along z (or distance, where the order is radial), meters; 0 where nothing was
+    /// hit.
     pub depth: bool,
     /// Instance of the splat with the largest weight; 0 is the background.
     pub instance: bool,
-    /// The sum of each background splat's weights over all pixels ([`crate::Renderer::read_contributions`]). Instances cannot be
-    /// had beside it, and agents take part as what hides the background.
+    /// The sum of each background splat's weights over all pixels
+    /// ([`crate::Renderer::read_contributions`]). Instances cannot be had beside it, and agents
+    /// take part as what hides the background.
     pub contributions: bool,
     /// True if another API on the device may import the images
     /// ([`crate::Renderer::take_images`]).
@@ -43,7 +45,8 @@ impl Outputs {
     }
 }
 
-/// Images on the device, of all cameras one after the other, rows from the top. Of length 0 where not asked for.
+/// Images on the device, of all cameras one after the other, rows from the top. Of length 0 where
+/// not asked for.
 #[derive(Clone)]
 pub struct OutputBuffers {
     /// RGB over the sky, unclamped, and alpha.
@@ -65,8 +68,16 @@ impl OutputBuffers {
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, pixels: usize, splats: usize, outputs: &Outputs) -> Result<Self, GpuError> {
-        let (f32, u8) = (outputs.color == ColorFormat::F32, outputs.color == ColorFormat::U8);
+    pub fn new(
+        gpu: &Gpu,
+        pixels: usize,
+        splats: usize,
+        outputs: &Outputs,
+    ) -> Result<Self, GpuError> {
+        let (f32, u8) = (
+            outputs.color == ColorFormat::F32,
+            outputs.color == ColorFormat::U8,
+        );
         Ok(Self {
             images_f32: image(gpu, "images_f32", f32, pixels, outputs)?,
             images_u8: image(gpu, "images_u8", u8, pixels, outputs)?,
@@ -99,7 +110,22 @@ impl OutputBuffers {
 }
 
 /// A buffer for a value of each pixel, of length 0 where it is not asked for.
-fn image<T: Pod>(gpu: &Gpu, name: &'static str, asked: bool, pixels: usize, outputs: &Outputs) -> Result<Buffer<T>, GpuError> {
+fn image<T: Pod>(
+    gpu: &Gpu,
+    name: &'static str,
+    asked: bool,
+    pixels: usize,
+    outputs: &Outputs,
+) -> Result<Buffer<T>, GpuError> {
     let len = if asked { pixels } else { 0 };
-    gpu.buffer(name, PURPOSE, len, if outputs.exported && len > 0 { MemoryKind::Exported } else { MemoryKind::Device })
+    gpu.buffer(
+        name,
+        PURPOSE,
+        len,
+        if outputs.exported && len > 0 {
+            MemoryKind::Exported
+        } else {
+            MemoryKind::Device
+        },
+    )
 }

@@ -4,35 +4,57 @@ use crate::rendered_image::Image;
 use crate::{RenderError, Renderer};
 
 impl Renderer {
-    /// The images of the frame that was finished last, one a camera, in the order the cameras were given.
+    /// The images of the frame that was finished last, one a camera, in the order the cameras were
+    /// given.
     ///
-    /// Colors of [`crate::ColorFormat::U8`] come back as multiples of 1/255. Empty before the first frame, and once its place is taken by
-    /// a frame submitted later ([`RenderOptions::frames_in_flight`]).
+    /// Colors of [`crate::ColorFormat::U8`] come back as multiples of 1/255. Empty before the first
+    /// frame, and once its place is taken by a frame submitted later
+    /// ([`RenderOptions::frames_in_flight`]).
     ///
     /// # Errors
     /// When the device was lost.
     pub fn read_images(&self) -> Result<Vec<Image>, RenderError> {
-        let Some(slot) = self.shown_slot() else { return Ok(Vec::new()) };
-        let Some(view) = &slot.view else { return Ok(Vec::new()) };
+        let Some(slot) = self.shown_slot() else {
+            return Ok(Vec::new());
+        };
+        let Some(view) = &slot.view else {
+            return Ok(Vec::new());
+        };
         let buffers = &slot.images;
         let pixels: Vec<[f32; 4]> = match self.options().outputs.color {
             crate::ColorFormat::F32 => self.gpu().read(&buffers.images_f32)?,
             crate::ColorFormat::U8 => {
                 let words = self.gpu().read(&buffers.images_u8)?;
-                words.iter().map(|word| word.to_le_bytes().map(|byte| f32::from(byte) / 255.0)).collect()
+                words
+                    .iter()
+                    .map(|word| word.to_le_bytes().map(|byte| f32::from(byte) / 255.0))
+                    .collect()
             }
         };
-        let depths = if self.options().outputs.depth { Some(self.gpu().read(&buffers.depths_m)?) } else { None };
-        let instances = if self.options().outputs.instance { Some(self.gpu().read(&buffers.instance_ids)?) } else { None };
+        let depths = if self.options().outputs.depth {
+            Some(self.gpu().read(&buffers.depths_m)?)
+        } else {
+            None
+        };
+        let instances = if self.options().outputs.instance {
+            Some(self.gpu().read(&buffers.instance_ids)?)
+        } else {
+            None
+        };
         let images = view.cameras.iter().map(|camera| {
             let range = camera.first_pixel as usize..camera.first_pixel as usize + camera.pixels();
             Image {
                 width: camera.size_px[0],
                 height: camera.size_px[1],
-                rgb: pixels[range.clone()].iter().map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect(),
+                rgb: pixels[range.clone()]
+                    .iter()
+                    .map(|pixel| [pixel[0], pixel[1], pixel[2]])
+                    .collect(),
                 alpha: pixels[range.clone()].iter().map(|pixel| pixel[3]).collect(),
                 depth: depths.as_ref().map(|depths| depths[range.clone()].to_vec()),
-                instance: instances.as_ref().map(|ids| ids[range.clone()].iter().map(|&id| id as u16).collect()),
+                instance: instances
+                    .as_ref()
+                    .map(|ids| ids[range.clone()].iter().map(|&id| id as u16).collect()),
             }
         });
         Ok(images.collect())

@@ -1,4 +1,5 @@
-//! Colors made for agents in their light, which a frame in flight keeps until it shows another light.
+//! Colors made for agents in their light, which a frame in flight keeps until it shows another
+//! light.
 
 use std::collections::{HashMap, HashSet};
 
@@ -13,8 +14,9 @@ use crate::stages::{PURPOSE, RELIGHT_BLOCK, RelitColors};
 /// An asset in a light: the bits of T and b.
 type InLight = (AssetId, [u32; 96]);
 
-/// The relit codebooks of one frame in flight. What the frame before in its place made is used again where asset and light
-/// are the same: an agent that stands still costs nothing, and alike ones share.
+/// The relit codebooks of one frame in flight. What the frame before in its place made is used
+/// again where asset and light are the same: an agent that stands still costs nothing, and alike
+/// ones share.
 pub(crate) struct RelitCodebooks {
     pub colors: RelitColors,
     places: RelitPlaces,
@@ -36,8 +38,13 @@ impl RelitCodebooks {
         })
     }
 
-    /// Finds a place for each of `wanted`, and lists those that have to be made. Returns the first color of each.
-    pub fn set(&mut self, gpu: &Gpu, wanted: &[(AssetId, RelightRecord)]) -> Result<Vec<u32>, RenderError> {
+    /// Finds a place for each of `wanted`, and lists those that have to be made. Returns the first
+    /// color of each.
+    pub fn set(
+        &mut self,
+        gpu: &Gpu,
+        wanted: &[(AssetId, RelightRecord)],
+    ) -> Result<Vec<u32>, RenderError> {
         let (mut offsets, mut to_make) = self.places.find(wanted);
         let room = self.places.allocator.end();
         if room > self.colors.dc.len() {
@@ -52,7 +59,12 @@ impl RelitCodebooks {
             self.records = gpu.buffer("relights", PURPOSE, room, MemoryKind::Device)?;
         }
         self.staged.write_host(0, &to_make);
-        self.to_make = (to_make.len(), to_make.last().map_or(0, |last| last.first_group as usize + groups_of(last)));
+        self.to_make = (
+            to_make.len(),
+            to_make
+                .last()
+                .map_or(0, |last| last.first_group as usize + groups_of(last)),
+        );
         Ok(offsets)
     }
 
@@ -75,9 +87,13 @@ struct RelitPlaces {
 }
 
 impl RelitPlaces {
-    /// The first color of each of `wanted`, and those that are not there yet, with their place and workgroups.
+    /// The first color of each of `wanted`, and those that are not there yet, with their place and
+    /// workgroups.
     fn find(&mut self, wanted: &[(AssetId, RelightRecord)]) -> (Vec<u32>, Vec<RelightRecord>) {
-        let keys: Vec<InLight> = wanted.iter().map(|(asset, record)| (*asset, light_of(record))).collect();
+        let keys: Vec<InLight> = wanted
+            .iter()
+            .map(|(asset, record)| (*asset, light_of(record)))
+            .collect();
         self.drop_others(&keys);
         let mut to_make: Vec<RelightRecord> = Vec::new();
         let mut groups = 0;
@@ -86,7 +102,11 @@ impl RelitPlaces {
             let (first, _) = *self.made.entry(key).or_insert_with(|| {
                 let colors = record.colors as usize;
                 let first = self.allocator.take(colors);
-                to_make.push(RelightRecord { first_relit: first as u32, first_group: groups, ..*record });
+                to_make.push(RelightRecord {
+                    first_relit: first as u32,
+                    first_group: groups,
+                    ..*record
+                });
                 groups += groups_of(record) as u32;
                 (first, colors)
             });
@@ -99,11 +119,17 @@ impl RelitPlaces {
     fn drop_others(&mut self, keys: &[InLight]) {
         let wanted: HashSet<&InLight> = keys.iter().collect();
         // In order of place: a map's own order is another in every run, and so would places be.
-        let mut dropped: Vec<(usize, usize)> =
-            self.made.iter().filter(|(key, _)| !wanted.contains(key)).map(|(_, place)| *place).collect();
+        let mut dropped: Vec<(usize, usize)> = self
+            .made
+            .iter()
+            .filter(|(key, _)| !wanted.contains(key))
+            .map(|(_, place)| *place)
+            .collect();
         dropped.sort_unstable();
         self.made.retain(|key, _| wanted.contains(key));
-        dropped.into_iter().for_each(|(first, colors)| self.allocator.give_back(first, colors));
+        dropped
+            .into_iter()
+            .for_each(|(first, colors)| self.allocator.give_back(first, colors));
     }
 }
 
@@ -113,7 +139,10 @@ fn groups_of(record: &RelightRecord) -> usize {
 
 fn light_of(record: &RelightRecord) -> [u32; 96] {
     let mut bits = [0; 96];
-    for (bit, number) in bits.iter_mut().zip(record.gain.iter().chain(&record.summand)) {
+    for (bit, number) in bits
+        .iter_mut()
+        .zip(record.gain.iter().chain(&record.summand))
+    {
         *bit = number.to_bits();
     }
     bits
@@ -125,19 +154,36 @@ mod tests {
     use bytemuck::Zeroable;
 
     fn wanted(index: u32, gain: f32, colors: u32) -> (AssetId, RelightRecord) {
-        (AssetId { index, generation: 1 }, RelightRecord { gain: [gain; 48], colors, ..RelightRecord::zeroed() })
+        (
+            AssetId {
+                index,
+                generation: 1,
+            },
+            RelightRecord {
+                gain: [gain; 48],
+                colors,
+                ..RelightRecord::zeroed()
+            },
+        )
     }
 
     #[test]
     fn what_stays_is_not_made_again_and_alike_ones_share() {
         let mut places = RelitPlaces::default();
-        let (first, made) = places.find(&[wanted(1, 1.0, 300), wanted(1, 1.0, 300), wanted(2, 1.0, 10)]);
-        assert_eq!((first, made.len(), made[1].first_group), (vec![0, 0, 300], 2, 2));
+        let (first, made) =
+            places.find(&[wanted(1, 1.0, 300), wanted(1, 1.0, 300), wanted(2, 1.0, 10)]);
+        assert_eq!(
+            (first, made.len(), made[1].first_group),
+            (vec![0, 0, 300], 2, 2)
+        );
         let (second, made) = places.find(&[wanted(2, 1.0, 10), wanted(1, 1.0, 300)]);
         assert_eq!((second, made.len()), (vec![300, 0], 0));
         // Another light of one of them; the other stays where it is.
         let (third, made) = places.find(&[wanted(1, 1.0, 300), wanted(2, 0.5, 10)]);
-        assert_eq!((third[0], made.len(), made[0].gain[0], made[0].first_group), (0, 1, 0.5, 0));
+        assert_eq!(
+            (third[0], made.len(), made[0].gain[0], made[0].first_group),
+            (0, 1, 0.5, 0)
+        );
         assert_ne!(third[1], 0);
         let (none, made) = places.find(&[]);
         assert_eq!((none.len(), made.len(), places.allocator.end()), (0, 0, 0));

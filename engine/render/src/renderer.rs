@@ -23,10 +23,12 @@ use crate::taken::SharedShelf;
 /// Splats an index can name with room for a camera beside it.
 const SPLATS_MAX: usize = 1 << 27;
 
-/// Frames that may outgrow their buffers in a row: each list can grow once, and once more for what it hid.
+/// Frames that may outgrow their buffers in a row: each list can grow once, and once more for what
+/// it hid.
 const ATTEMPTS_MAX: u32 = 6;
 
-/// Draws worlds on one device with one set of options. Buffers are kept from frame to frame and grow as needed.
+/// Draws worlds on one device with one set of options. Buffers are kept from frame to frame and
+/// grow as needed.
 pub struct Renderer {
     gpu: Gpu,
     options: RenderOptions,
@@ -72,7 +74,8 @@ impl Renderer {
         &self.options
     }
 
-    /// Starts with room for exactly `capacity` instead of a guess: for those who know their scene, and for tests of growth.
+    /// Starts with room for exactly `capacity` instead of a guess: for those who know their scene,
+    /// and for tests of growth.
     #[must_use]
     pub fn with_capacity(mut self, capacity: Capacity) -> Self {
         self.capacity = Some(capacity);
@@ -86,19 +89,26 @@ impl Renderer {
     pub fn upload(&self, world: &World) -> Result<GpuScene, RenderError> {
         let splats = world.splats.len();
         if splats > SPLATS_MAX {
-            return Err(RenderError::TooManySplats { splats, max: SPLATS_MAX });
+            return Err(RenderError::TooManySplats {
+                splats,
+                max: SPLATS_MAX,
+            });
         }
         GpuScene::upload(&self.gpu, world)
     }
 
     /// Draws `scene` for all `cameras` in one submission and waits for the images.
     ///
-    /// They stay on the device until the next call; [`Renderer::read_images`] fetches them. Frames submitted before are
-    /// finished first, and what they took is dropped.
+    /// They stay on the device until the next call; [`Renderer::read_images`] fetches them. Frames
+    /// submitted before are finished first, and what they took is dropped.
     ///
     /// # Errors
     /// When a camera or an agent cannot make an image, the device has not the memory or was lost.
-    pub fn render<'a>(&mut self, scene: impl Into<Scene<'a>>, cameras: &[Camera]) -> Result<FrameStatistics, RenderError> {
+    pub fn render<'a>(
+        &mut self,
+        scene: impl Into<Scene<'a>>,
+        cameras: &[Camera],
+    ) -> Result<FrameStatistics, RenderError> {
         while !self.in_flight.is_empty() {
             self.finish()?;
         }
@@ -106,12 +116,17 @@ impl Renderer {
         self.finish()
     }
 
-    /// Submits the frame that shows `scene` to all `cameras`, and returns without waiting for it. Frames are finished in the
-    /// order submitted, by [`Renderer::finish`].
+    /// Submits the frame that shows `scene` to all `cameras`, and returns without waiting for it.
+    /// Frames are finished in the order submitted, by [`Renderer::finish`].
     ///
     /// # Errors
-    /// Those of [`Renderer::render`], and when [`RenderOptions::frames_in_flight`] frames are in flight already.
-    pub fn submit<'a>(&mut self, scene: impl Into<Scene<'a>>, cameras: &[Camera]) -> Result<(), RenderError> {
+    /// Those of [`Renderer::render`], and when [`RenderOptions::frames_in_flight`] frames are in
+    /// flight already.
+    pub fn submit<'a>(
+        &mut self,
+        scene: impl Into<Scene<'a>>,
+        cameras: &[Camera],
+    ) -> Result<(), RenderError> {
         let submitted = self.try_submit(scene.into(), cameras);
         if submitted.is_err() {
             // Keys that this frame was to find may never be found.
@@ -124,9 +139,16 @@ impl Renderer {
     fn try_submit(&mut self, scene: Scene<'_>, cameras: &[Camera]) -> Result<(), RenderError> {
         let since = Instant::now();
         let options = self.options;
-        let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?).map_err(RenderError::View)?;
+        let view = View::new(cameras, scene.world.origin, self.reach_m(&scene, cameras)?)
+            .map_err(RenderError::View)?;
         let slot = self.free_slot(view.pixels)?;
-        let list = AgentList::new(&scene, cameras, &view, near_m(&options.rules), options.level_pitch_px)?;
+        let list = AgentList::new(
+            &scene,
+            cameras,
+            &view,
+            near_m(&options.rules),
+            options.level_pitch_px,
+        )?;
         let keys = match &mut self.keys {
             Some(keys) => keys,
             None => self.keys.insert(PersistentKeys::new(&self.gpu)?),
@@ -145,15 +167,21 @@ impl Renderer {
                 shadows_by_camera: scene.shadow_cameras.is_some(),
                 lenses: !view.lenses.is_empty(),
             },
-            // That of all assets, whoever is in view: building kernels in the middle of a drive would stall it.
-            agents: scene.agents.and_then(|(pool, _)| pool.sh_degree()).map(|degree| AgentVariant {
-                sh_degree: degree.min(options.sh_degree_max),
-                relit: scene.relights(),
-                lenses: !view.lenses.is_empty(),
-            }),
+            // That of all assets, in view or not: building kernels in the middle of a drive
+            // would stall it.
+            agents: scene
+                .agents
+                .and_then(|(pool, _)| pool.sh_degree())
+                .map(|degree| AgentVariant {
+                    sh_degree: degree.min(options.sh_degree_max),
+                    relit: scene.relights(),
+                    lenses: !view.lenses.is_empty(),
+                }),
         };
         let kept_keys = keys.keys().clone();
-        let added = scene.agents.and_then(|(pool, _)| pool.last_upload().cloned());
+        let added = scene
+            .agents
+            .and_then(|(pool, _)| pool.last_upload().cloned());
         self.slots[slot].set(
             &self.gpu,
             (&options.outputs, &self.shelf),
@@ -162,14 +190,32 @@ impl Renderer {
             list,
             (scene.shadows, scene.shadow_cameras),
         )?;
-        self.slots[slot].staged_key_sets.write_host(0, &decision.sets);
+        self.slots[slot]
+            .staged_key_sets
+            .write_host(0, &decision.sets);
         let update = self.submit_agents(slot, scene.world, variant, added.as_ref())?;
         let record_start = Instant::now();
-        let (frame, capacity) = self.submit_frame(slot, scene.world, variant, (&decision, &kept_keys), update.as_ref())?;
+        let (frame, capacity) = self.submit_frame(
+            slot,
+            scene.world,
+            variant,
+            (&decision, &kept_keys),
+            update.as_ref(),
+        )?;
         let (world, record_time) = (scene.world.clone(), record_start.elapsed());
         let submitted = Instant::now();
-        let pending =
-            Pending { world, variant, keys: decision, kept_keys, frame, update, capacity, since, submitted, record_time };
+        let pending = Pending {
+            world,
+            variant,
+            keys: decision,
+            kept_keys,
+            frame,
+            update,
+            capacity,
+            since,
+            submitted,
+            record_time,
+        };
         self.slots[slot].pending = Some(pending);
         self.in_flight.push_back(slot);
         Ok(())
@@ -180,8 +226,13 @@ impl Renderer {
     /// # Errors
     /// When there is none, the device has not the memory for what the frame needed, or was lost.
     pub fn finish(&mut self) -> Result<FrameStatistics, RenderError> {
-        let slot = self.in_flight.pop_front().ok_or(RenderError::NothingInFlight)?;
-        let Some(mut pending) = self.slots[slot].pending.take() else { return Err(RenderError::NothingInFlight) };
+        let slot = self
+            .in_flight
+            .pop_front()
+            .ok_or(RenderError::NothingInFlight)?;
+        let Some(mut pending) = self.slots[slot].pending.take() else {
+            return Err(RenderError::NothingInFlight);
+        };
         let awaited = Instant::now();
         for redrawn in 0..ATTEMPTS_MAX {
             pending.frame.wait()?;
@@ -189,7 +240,8 @@ impl Renderer {
             if pending.capacity.holds(&required) {
                 self.shown = Some(slot);
                 self.slots[slot].done = Some(pending.frame.clone());
-                let statistics = self.slots[slot].statistics(&pending, required, redrawn, awaited)?;
+                let statistics =
+                    self.slots[slot].statistics(&pending, required, redrawn, awaited)?;
                 return Ok(statistics);
             }
             // Another frame may have grown the buffers since.
@@ -198,13 +250,27 @@ impl Renderer {
             let record_start = Instant::now();
             // Frames submitted since may have taken the place of the keys that this one was to use.
             pending.keys = KeyDecision::computed(pending.keys.sources.len());
-            self.slots[slot].staged_key_sets.write_host(0, &pending.keys.sets);
-            let Pending { world, variant, keys, kept_keys, update, .. } = &pending;
-            let (frame, capacity) = self.submit_frame(slot, world, *variant, (keys, kept_keys), update.as_ref())?;
-            (pending.frame, pending.capacity, pending.record_time) = (frame, capacity, record_start.elapsed());
+            self.slots[slot]
+                .staged_key_sets
+                .write_host(0, &pending.keys.sets);
+            let Pending {
+                world,
+                variant,
+                keys,
+                kept_keys,
+                update,
+                ..
+            } = &pending;
+            let (frame, capacity) =
+                self.submit_frame(slot, world, *variant, (keys, kept_keys), update.as_ref())?;
+            (pending.frame, pending.capacity, pending.record_time) =
+                (frame, capacity, record_start.elapsed());
         }
         let required = format!("{:?}", self.slots[slot].found_required.read_host());
-        Err(RenderError::Unsettled { attempts: ATTEMPTS_MAX, required })
+        Err(RenderError::Unsettled {
+            attempts: ATTEMPTS_MAX,
+            required,
+        })
     }
 
     /// The place of the frame that was finished last.
@@ -232,8 +298,8 @@ impl Renderer {
         &self.shelf
     }
 
-    /// A slot that no frame in flight has, one with room for just `pixels` if there is one: frames of two sizes that take turns
-    /// then make no buffers.
+    /// A slot that no frame in flight has, one with room for just `pixels` if there is one: frames
+    /// of two sizes that take turns then make no buffers.
     fn free_slot(&mut self, pixels: usize) -> Result<usize, RenderError> {
         let max = self.options.frames_in_flight.max(1);
         if self.in_flight.len() >= max {
@@ -241,17 +307,25 @@ impl Renderer {
         }
         // Not the one whose images may be read, as long as there is another.
         let free = |slot: &usize| !self.in_flight.contains(slot);
-        let slot = (0..self.slots.len())
-            .filter(free)
-            .min_by_key(|slot| (self.slots[*slot].pixels() != pixels, self.shown == Some(*slot)));
+        let slot = (0..self.slots.len()).filter(free).min_by_key(|slot| {
+            (
+                self.slots[*slot].pixels() != pixels,
+                self.shown == Some(*slot),
+            )
+        });
         match slot {
             // One place is enough for those who wait for every frame.
-            Some(slot) if self.shown != Some(slot) || self.in_flight.is_empty() || self.slots.len() >= max => {
+            Some(slot)
+                if self.shown != Some(slot)
+                    || self.in_flight.is_empty()
+                    || self.slots.len() >= max =>
+            {
                 self.shown = self.shown.filter(|shown| *shown != slot);
                 Ok(slot)
             }
             _ => {
-                self.slots.push(FrameInFlight::new(&self.gpu, &self.options.outputs)?);
+                self.slots
+                    .push(FrameInFlight::new(&self.gpu, &self.options.outputs)?);
                 Ok(self.slots.len() - 1)
             }
         }
@@ -262,14 +336,17 @@ impl Renderer {
         let reach_m = scene.reach_m()?;
         // Distances count from the camera, depths from the origin.
         Ok(if self.options.rules.order == DepthOrder::Radial {
-            let from_origin = |camera: &Camera| (camera.world_from_camera.translation - scene.world.origin).length();
+            let from_origin = |camera: &Camera| {
+                (camera.world_from_camera.translation - scene.world.origin).length()
+            };
             cameras.iter().map(from_origin).fold(0.0, f64::max) + reach_m
         } else {
             reach_m
         })
     }
 
-    /// Submits the agents' part of the frame in `slot` by itself, behind `added`; nothing where it is to run in line.
+    /// Submits the agents' part of the frame in `slot` by itself, behind `added`; nothing where it
+    /// is to run in line.
     fn submit_agents(
         &mut self,
         slot: usize,
@@ -299,13 +376,20 @@ impl Renderer {
     ) -> Result<(Ticket, Capacity), RenderError> {
         let agents = self.agent_counts(slot);
         let frame_capacity = self.fit_buffers(slot, world)?;
-        let Some(frame) = &self.frame else { unreachable!("fit_buffers made them") };
+        let Some(frame) = &self.frame else {
+            unreachable!("fit_buffers made them")
+        };
         let stages = self.kernels.of(&self.gpu, variant)?;
         let mut recorder = self.gpu.record(QueueRole::Main);
         if update.is_none() {
             record_agents(&mut recorder, &stages, &self.slots[slot], world, agents);
         }
-        let input = FrameInput { world, keys, kept_keys, agents };
+        let input = FrameInput {
+            world,
+            keys,
+            kept_keys,
+            agents,
+        };
         record_frame(&mut recorder, &stages, frame, &self.slots[slot], input);
         let behind: Vec<&Ticket> = update.into_iter().collect();
         Ok((self.gpu.submit(recorder, &behind)?, frame_capacity))
@@ -318,10 +402,14 @@ impl Renderer {
     /// Makes the buffers what the frame in `slot` needs, as far as that is known.
     fn fit_buffers(&mut self, slot: usize, world: &GpuScene) -> Result<Capacity, RenderError> {
         let slot = &self.slots[slot];
-        let Some(view) = &slot.view else { unreachable!("a slot is set before it is submitted") };
+        let Some(view) = &slot.view else {
+            unreachable!("a slot is set before it is submitted")
+        };
         let splats = world.splats + slot.list.as_ref().map_or(0, |list| list.splats);
         let shape = FrameShape {
-            capacity: self.capacity.unwrap_or_else(|| Capacity::guess(splats, view.cameras.len())),
+            capacity: self
+                .capacity
+                .unwrap_or_else(|| Capacity::guess(splats, view.cameras.len())),
             cameras: view.cameras.len(),
             clusters: world.cluster_count(),
             bins: view.bins,

@@ -19,8 +19,8 @@ pub const PURPOSE: &str = "scene";
 /// Tells worlds apart whose depth keys are kept.
 static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
-/// The splats of a world in device memory. Drawn by any number of frames; clones share the memory, and dropping the last
-/// frees it.
+/// The splats of a world in device memory. Drawn by any number of frames; clones share the memory,
+/// and dropping the last frees it.
 #[derive(Clone)]
 pub struct GpuScene {
     pub(crate) id: u64,
@@ -50,36 +50,56 @@ pub struct GpuScene {
     pub sh_dc: Buffer<[f32; 3]>,
     /// Bands 1, 2 and 3, by plane of words; of length 0 where the degree is lower.
     pub sh_bands: [Buffer<u32>; 3],
-    /// Two 16-bit ids a word, the earlier one in the low half; of length 0 where splats belong to no instance.
+    /// Two 16-bit ids a word, the earlier one in the low half; of length 0 where splats belong to
+    /// no instance.
     pub instances: Buffer<u32>,
 }
 
 impl GpuScene {
     /// Copies `world` to the device.
     ///
-    /// Splats are drawn in the order given; culling is quickest when neighbors in it are neighbors in space
-    /// ([`SplatCloud::spatial_order`]). Splats with a defect are kept as ones of opacity 0.
+    /// Splats are drawn in the order given; culling is quickest when neighbors in it are neighbors
+    /// in space ([`SplatCloud::spatial_order`]). Splats with a defect are kept as ones of opacity
+    /// 0.
     ///
     /// # Errors
     /// When the device has not the memory, with the bytes wanted.
     pub fn upload(gpu: &Gpu, world: &World) -> Result<Self, RenderError> {
         let cloud = &world.splats;
-        let prepared: Vec<Prepared> = (0..cloud.len()).into_par_iter().map(|splat| Prepared::of(cloud, splat)).collect();
-        let gather = |name, of: fn(&Prepared) -> [f32; 4]| -> Result<Buffer<[f32; 4]>, RenderError> {
-            let values: Vec<[f32; 4]> = prepared.par_iter().map(of).collect();
-            Ok(gpu.upload(name, PURPOSE, &values)?)
-        };
+        let prepared: Vec<Prepared> = (0..cloud.len())
+            .into_par_iter()
+            .map(|splat| Prepared::of(cloud, splat))
+            .collect();
+        let gather =
+            |name, of: fn(&Prepared) -> [f32; 4]| -> Result<Buffer<[f32; 4]>, RenderError> {
+                let values: Vec<[f32; 4]> = prepared.par_iter().map(of).collect();
+                Ok(gpu.upload(name, PURPOSE, &values)?)
+            };
         let means: Vec<[f32; 3]> = prepared.par_iter().map(|splat| splat.mean_m).collect();
-        let dc: Vec<[f32; 3]> =
-            prepared.iter().zip(&cloud.sh_dc).map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] }).collect();
+        let dc: Vec<[f32; 3]> = prepared
+            .iter()
+            .zip(&cloud.sh_dc)
+            .map(|(splat, dc)| if splat.drawn { *dc } else { [0.0; 3] })
+            .collect();
         let clusters: Vec<ClusterRecord> = prepared
             .par_chunks(CLUSTER_SPLATS)
-            .map(|splats| cluster_of(&splats.iter().filter_map(Prepared::extent).collect::<Vec<_>>()))
+            .map(|splats| {
+                cluster_of(
+                    &splats
+                        .iter()
+                        .filter_map(Prepared::extent)
+                        .collect::<Vec<_>>(),
+                )
+            })
             .collect();
         let distance_m = |splat: &Prepared| Vec3::from_array(splat.mean_m).as_dvec3().length();
         Ok(Self {
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
-            reach_m: prepared.par_iter().filter(|splat| splat.drawn).map(distance_m).reduce(|| 0.0, f64::max),
+            reach_m: prepared
+                .par_iter()
+                .filter(|splat| splat.drawn)
+                .map(distance_m)
+                .reduce(|| 0.0, f64::max),
             splats: cloud.len(),
             defects: prepared.iter().filter(|splat| !splat.drawn).count(),
             sh_degree: cloud.sh_degree,
@@ -96,7 +116,11 @@ impl GpuScene {
                 upload_band(gpu, cloud, &prepared, 2)?,
                 upload_band(gpu, cloud, &prepared, 3)?,
             ],
-            instances: gpu.upload("instances", PURPOSE, &pack_pairs(&world.instance_from_splat))?,
+            instances: gpu.upload(
+                "instances",
+                PURPOSE,
+                &pack_pairs(&world.instance_from_splat),
+            )?,
         })
     }
 
@@ -119,7 +143,12 @@ struct Prepared {
 impl Prepared {
     fn of(cloud: &SplatCloud, splat: usize) -> Self {
         if cloud.defect_of(splat).is_some() {
-            return Self { drawn: false, mean_m: [0.0; 3], shape: [0.0; 4], rotation: [1.0, 0.0, 0.0, 0.0] };
+            return Self {
+                drawn: false,
+                mean_m: [0.0; 3],
+                shape: [0.0; 4],
+                rotation: [1.0, 0.0, 0.0, 0.0],
+            };
         }
         let [sx, sy, sz] = cloud.scales[splat];
         let q = cloud.rotations[splat].map(f64::from);
@@ -134,7 +163,11 @@ impl Prepared {
 
     fn extent(&self) -> Option<Extent> {
         let [x, y, z, opacity] = self.shape;
-        self.drawn.then_some(Extent { mean_m: self.mean_m, longest_m: x.max(y).max(z), opacity })
+        self.drawn.then_some(Extent {
+            mean_m: self.mean_m,
+            longest_m: x.max(y).max(z),
+            opacity,
+        })
     }
 }
 
@@ -147,10 +180,12 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// Standard deviation times cut-off radius along the longest axis, meters, rounded up; no less than how far the points stand
-    /// that the unscented transform takes.
+    /// Standard deviation times cut-off radius along the longest axis, meters, rounded up; no less
+    /// than how far the points stand that the unscented transform takes.
     fn reach_m(&self) -> f32 {
-        let radius = (2.0 * (f64::from(self.opacity) / rules::ALPHA_MIN).ln().max(0.0)).sqrt().max(SIGMA_REACH);
+        let radius = (2.0 * (f64::from(self.opacity) / rules::ALPHA_MIN).ln().max(0.0))
+            .sqrt()
+            .max(SIGMA_REACH);
         (f64::from(self.longest_m) * radius * 1.001) as f32
     }
 }
@@ -158,10 +193,18 @@ impl Extent {
 /// The box of a cluster's drawn splats; one that no camera reaches when it has none.
 pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
     // An opacity below 1/255 is never seen, wherever it is.
-    let drawn = || splats.iter().filter(|splat| f64::from(splat.opacity) >= rules::ALPHA_MIN * 0.999);
+    let drawn = || {
+        splats
+            .iter()
+            .filter(|splat| f64::from(splat.opacity) >= rules::ALPHA_MIN * 0.999)
+    };
     if drawn().next().is_none() {
-        // Infinitely small at infinity would be NaN in the test; far behind nothing is simplest said by a negative reach.
-        return ClusterRecord { reach_m: -1e30, ..ClusterRecord::zeroed() };
+        // Infinitely small at infinity would be NaN in the test; far behind nothing is simplest
+        // said by a negative reach.
+        return ClusterRecord {
+            reach_m: -1e30,
+            ..ClusterRecord::zeroed()
+        };
     }
     let bounds = Bounds::of(drawn().map(|splat| &splat.mean_m));
     ClusterRecord {
@@ -171,13 +214,21 @@ pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
     }
 }
 
-fn upload_band(gpu: &Gpu, cloud: &SplatCloud, prepared: &[Prepared], band: usize) -> Result<Buffer<u32>, RenderError> {
+fn upload_band(
+    gpu: &Gpu,
+    cloud: &SplatCloud,
+    prepared: &[Prepared],
+    band: usize,
+) -> Result<Buffer<u32>, RenderError> {
     const NAMES: [&str; 3] = ["sh_band1", "sh_band2", "sh_band3"];
     let name = NAMES[band - 1];
     if usize::from(cloud.sh_degree) < band {
         return Ok(gpu.upload(name, PURPOSE, &[])?);
     }
-    let (first, end) = (sh::coefficient_count(band as u8 - 1) - 1, sh::coefficient_count(band as u8) - 1);
+    let (first, end) = (
+        sh::coefficient_count(band as u8 - 1) - 1,
+        sh::coefficient_count(band as u8) - 1,
+    );
     let encoded: Vec<[u32; sh_codec::WORDS_MAX]> = (0..cloud.len())
         .into_par_iter()
         .map(|splat| {
@@ -197,5 +248,7 @@ fn upload_band(gpu: &Gpu, cloud: &SplatCloud, prepared: &[Prepared], band: usize
 
 /// Two 16-bit ids a word, the earlier one in the low half.
 fn pack_pairs(ids: &[u16]) -> Vec<u32> {
-    ids.chunks(2).map(|pair| u32::from(pair[0]) | u32::from(pair.get(1).copied().unwrap_or(0)) << 16).collect()
+    ids.chunks(2)
+        .map(|pair| u32::from(pair[0]) | u32::from(pair.get(1).copied().unwrap_or(0)) << 16)
+        .collect()
 }

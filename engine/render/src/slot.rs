@@ -11,7 +11,9 @@ use crate::agents::AgentList;
 use crate::capacity::Capacity;
 use crate::kernels::FrameVariant;
 use crate::keys::KeyDecision;
-use crate::layout::{AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, RequiredCounts, ShadowRecord, View};
+use crate::layout::{
+    AgentRecord, CAMERAS_MAX, CameraRecord, LensRecord, RequiredCounts, ShadowRecord, View,
+};
 use crate::output::{OutputBuffers, Outputs};
 use crate::relit::RelitCodebooks;
 use crate::resident::GpuScene;
@@ -68,11 +70,26 @@ impl FrameInFlight {
     pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, RenderError> {
         let no_images = OutputBuffers::new(gpu, 0, 0, outputs)?;
         Ok(Self {
-            staged_cameras: gpu.buffer("staged_cameras", PURPOSE, CAMERAS_MAX, MemoryKind::Upload)?,
+            staged_cameras: gpu.buffer(
+                "staged_cameras",
+                PURPOSE,
+                CAMERAS_MAX,
+                MemoryKind::Upload,
+            )?,
             staged_lenses: gpu.buffer("staged_lenses", PURPOSE, CAMERAS_MAX, MemoryKind::Upload)?,
-            staged_key_sets: gpu.buffer("staged_key_sets", PURPOSE, CAMERAS_MAX, MemoryKind::Upload)?,
+            staged_key_sets: gpu.buffer(
+                "staged_key_sets",
+                PURPOSE,
+                CAMERAS_MAX,
+                MemoryKind::Upload,
+            )?,
             staged_agents: gpu.buffer("staged_agents", PURPOSE, 0, MemoryKind::Upload)?,
-            staged_agent_cameras: gpu.buffer("staged_agent_cameras", PURPOSE, 0, MemoryKind::Upload)?,
+            staged_agent_cameras: gpu.buffer(
+                "staged_agent_cameras",
+                PURPOSE,
+                0,
+                MemoryKind::Upload,
+            )?,
             agents: AgentBuffers::new(gpu, 0, 0, 0)?,
             agent_room: AgentCounts::default(),
             relit: RelitCodebooks::new(gpu)?,
@@ -94,7 +111,10 @@ impl FrameInFlight {
     /// Removes its images, with the size that they were made for; none remain.
     pub fn give_images(&mut self) -> ((usize, usize), OutputBuffers) {
         let room = std::mem::take(&mut self.room);
-        (room, std::mem::replace(&mut self.images, self.no_images.clone()))
+        (
+            room,
+            std::mem::replace(&mut self.images, self.no_images.clone()),
+        )
     }
 
     /// Pixels that its images are made for.
@@ -107,8 +127,8 @@ impl FrameInFlight {
         self.list.as_ref().map(|list| &list.pool)
     }
 
-    /// Takes the views and agents of the next frame, before `world`, and the shadows on it. The frame before in this slot must
-    /// be done.
+    /// Takes the views and agents of the next frame, before `world`, and the shadows on it. The
+    /// frame before in this slot must be done.
     pub fn set(
         &mut self,
         gpu: &Gpu,
@@ -136,7 +156,11 @@ impl FrameInFlight {
         let mut list = list;
         if let Some(list) = &mut list {
             self.fit_agents(gpu, list.counts)?;
-            let wanted: Vec<_> = list.relights.iter().map(|&(_, asset, relight)| (asset, relight)).collect();
+            let wanted: Vec<_> = list
+                .relights
+                .iter()
+                .map(|&(_, asset, relight)| (asset, relight))
+                .collect();
             for (&(agent, ..), first) in list.relights.iter().zip(self.relit.set(gpu, &wanted)?) {
                 list.records[agent].first_color = first;
             }
@@ -156,8 +180,13 @@ impl FrameInFlight {
     ) -> Result<(), RenderError> {
         let (room, clusters) = (self.shadow_room, world.cluster_count());
         if shadows.len() > room.0 || clusters > room.1 {
-            let wanted = if shadows.len() > room.0 { shadows.len() + shadows.len() / 4 } else { room.0 };
-            self.staged_shadows = gpu.buffer("staged_shadows", PURPOSE, wanted, MemoryKind::Upload)?;
+            let wanted = if shadows.len() > room.0 {
+                shadows.len() + shadows.len() / 4
+            } else {
+                room.0
+            };
+            self.staged_shadows =
+                gpu.buffer("staged_shadows", PURPOSE, wanted, MemoryKind::Upload)?;
             self.shadows = ShadowBuffers::new(gpu, wanted, clusters)?;
             self.shadow_room = (wanted, clusters);
         }
@@ -174,18 +203,29 @@ impl FrameInFlight {
     /// Room for `counts`, with some to spare: agents come into view and leave it all the time.
     fn fit_agents(&mut self, gpu: &Gpu, counts: AgentCounts) -> Result<(), RenderError> {
         let room = self.agent_room;
-        if counts.agents <= room.agents && counts.clusters <= room.clusters && counts.cameras == room.cameras {
+        if counts.agents <= room.agents
+            && counts.clusters <= room.clusters
+            && counts.cameras == room.cameras
+        {
             return Ok(());
         }
-        let spare = |wanted: usize, had: usize| if wanted <= had { had } else { wanted + wanted / 4 };
+        let spare = |wanted: usize, had: usize| {
+            if wanted <= had {
+                had
+            } else {
+                wanted + wanted / 4
+            }
+        };
         let room = AgentCounts {
             agents: spare(counts.agents, room.agents),
             clusters: spare(counts.clusters, room.clusters),
             cameras: counts.cameras,
         };
         let cameras = room.agents * room.cameras;
-        self.staged_agents = gpu.buffer("staged_agents", PURPOSE, room.agents, MemoryKind::Upload)?;
-        self.staged_agent_cameras = gpu.buffer("staged_agent_cameras", PURPOSE, cameras, MemoryKind::Upload)?;
+        self.staged_agents =
+            gpu.buffer("staged_agents", PURPOSE, room.agents, MemoryKind::Upload)?;
+        self.staged_agent_cameras =
+            gpu.buffer("staged_agent_cameras", PURPOSE, cameras, MemoryKind::Upload)?;
         self.agents = AgentBuffers::new(gpu, room.agents, room.clusters, room.cameras)?;
         self.agent_room = room;
         Ok(())
@@ -193,7 +233,13 @@ impl FrameInFlight {
 
     /// Records the copy of what the host wrote of shadows.
     pub fn copy_shadows(&self, recorder: &mut Recorder) {
-        recorder.copy(&self.staged_shadows, 0, &self.shadows.shadows, 0, self.shadow_count);
+        recorder.copy(
+            &self.staged_shadows,
+            0,
+            &self.shadows.shadows,
+            0,
+            self.shadow_count,
+        );
     }
 
     /// Records the copy of what the host wrote of lenses, if it did.
@@ -206,8 +252,20 @@ impl FrameInFlight {
 
     /// Records the copy of what the host wrote of agents.
     pub fn copy_agents(&self, recorder: &mut Recorder, counts: AgentCounts) {
-        recorder.copy(&self.staged_agents, 0, &self.agents.agents, 0, counts.agents);
-        recorder.copy(&self.staged_agent_cameras, 0, &self.agents.cameras, 0, counts.agents * counts.cameras);
+        recorder.copy(
+            &self.staged_agents,
+            0,
+            &self.agents.agents,
+            0,
+            counts.agents,
+        );
+        recorder.copy(
+            &self.staged_agent_cameras,
+            0,
+            &self.agents.cameras,
+            0,
+            counts.agents * counts.cameras,
+        );
         self.copy_lenses(recorder, &self.agents.lenses);
     }
 }

@@ -8,8 +8,8 @@ use crate::options::{FrameStatistics, QueueTrace};
 use crate::slot::{FrameInFlight, Pending};
 
 impl FrameInFlight {
-    /// Statistics of the frame `pending` of this slot: `required` are its required counts, `redrawn`
-    /// its repeated attempts, and `awaited` the time at which the host began to wait.
+    /// Statistics of the frame `pending` of this slot: `required` are its required counts,
+    /// `redrawn` its repeated attempts, and `awaited` the time at which the host began to wait.
     pub fn statistics(
         &self,
         pending: &Pending,
@@ -32,7 +32,9 @@ impl FrameInFlight {
             relit: list.map_or(0, |_| self.relit.to_make.0),
             gpu_time: Duration::from_nanos(queues[0].total_ns),
             stages: queues[0].stages.clone(),
-            update_time: queues.get(1).map(|update| Duration::from_nanos(update.total_ns)),
+            update_time: queues
+                .get(1)
+                .map(|update| Duration::from_nanos(update.total_ns)),
             queues,
             submitted: (pending.since, pending.submitted),
             awaited: (awaited, Instant::now()),

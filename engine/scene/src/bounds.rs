@@ -11,7 +11,10 @@ pub struct Bounds {
 
 impl Bounds {
     /// The box with nothing in it.
-    pub const EMPTY: Self = Self { min: [f32::INFINITY; 3], max: [f32::NEG_INFINITY; 3] };
+    pub const EMPTY: Self = Self {
+        min: [f32::INFINITY; 3],
+        max: [f32::NEG_INFINITY; 3],
+    };
 
     /// The smallest box around `points`.
     #[must_use]

@@ -25,7 +25,8 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// A pinhole with square pixels, a centerd principal point and the given horizontal field of view.
+    /// A pinhole with square pixels, a centerd principal point and the given horizontal field of
+    /// view.
     #[must_use]
     pub fn from_horizontal_fov(width_px: u32, height_px: u32, fov_rad: f64) -> Self {
         let focal_px = 0.5 * f64::from(width_px) / (0.5 * fov_rad).tan();
@@ -40,7 +41,8 @@ impl Intrinsics {
         }
     }
 
-    /// The same view sampled at another size; the field of view stays, pixels may become non-square.
+    /// The same view sampled at another size; the field of view stays, pixels may become
+    /// non-square.
     #[must_use]
     pub fn resized(&self, width_px: u32, height_px: u32) -> Self {
         let sx = f64::from(width_px) / f64::from(self.width_px);
@@ -56,10 +58,17 @@ impl Intrinsics {
         }
     }
 
-    /// The window of `width_px` by `height_px` pixels whose top left pixel is `(left_px, top_px)`, as a camera of its own.
+    /// The window of `width_px` by `height_px` pixels whose top left pixel is `(left_px, top_px)`,
+    /// as a camera of its own.
     #[must_use]
     pub fn cropped(&self, left_px: u32, top_px: u32, width_px: u32, height_px: u32) -> Self {
-        Self { width_px, height_px, cx_px: self.cx_px - f64::from(left_px), cy_px: self.cy_px - f64::from(top_px), ..*self }
+        Self {
+            width_px,
+            height_px,
+            cx_px: self.cx_px - f64::from(left_px),
+            cy_px: self.cy_px - f64::from(top_px),
+            ..*self
+        }
     }
 
     /// Pixels in the image.
@@ -73,17 +82,38 @@ impl Intrinsics {
     /// # Errors
     /// A sentence naming the value at fault.
     pub fn check(&self) -> Result<(), String> {
-        if self.width_px == 0 || self.height_px == 0 || self.width_px > 65_536 || self.height_px > 65_536 {
-            return Err(format!("image size {}x{} is outside 1x1 to 65536x65536", self.width_px, self.height_px));
+        if self.width_px == 0
+            || self.height_px == 0
+            || self.width_px > 65_536
+            || self.height_px > 65_536
+        {
+            return Err(format!(
+                "image size {}x{} is outside 1x1 to 65536x65536",
+                self.width_px, self.height_px
+            ));
         }
-        if !(self.fx_px.is_finite() && self.fx_px > 0.0 && self.fy_px.is_finite() && self.fy_px > 0.0) {
-            return Err(format!("focal lengths {} and {} must be finite and positive", self.fx_px, self.fy_px));
+        if !(self.fx_px.is_finite()
+            && self.fx_px > 0.0
+            && self.fy_px.is_finite()
+            && self.fy_px > 0.0)
+        {
+            return Err(format!(
+                "focal lengths {} and {} must be finite and positive",
+                self.fx_px, self.fy_px
+            ));
         }
         if !(self.cx_px.is_finite() && self.cy_px.is_finite()) {
-            return Err(format!("principal point ({}, {}) must be finite", self.cx_px, self.cy_px));
+            return Err(format!(
+                "principal point ({}, {}) must be finite",
+                self.cx_px, self.cy_px
+            ));
         }
         self.lens.check()?;
-        if self.lens == Lens::Pinhole { Ok(()) } else { RayMap::new(self).check(self) }
+        if self.lens == Lens::Pinhole {
+            Ok(())
+        } else {
+            RayMap::new(self).check(self)
+        }
     }
 
     /// Projection of `ray` (x right, y down, z forward, of any length), pixels, in the image or
@@ -92,7 +122,8 @@ impl Intrinsics {
     #[must_use]
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
         if self.lens.is_pinhole() {
-            let on_plane = DVec2::new(self.fx_px, self.fy_px) * (ray.truncate() / ray.z) + DVec2::new(self.cx_px, self.cy_px);
+            let on_plane = DVec2::new(self.fx_px, self.fy_px) * (ray.truncate() / ray.z)
+                + DVec2::new(self.cx_px, self.cy_px);
             return (ray.z > 0.0).then_some(on_plane);
         }
         RayMap::new(self).project(ray)
@@ -102,7 +133,8 @@ impl Intrinsics {
     #[must_use]
     pub fn unproject(&self, pixel: DVec2) -> Option<DVec3> {
         if self.lens.is_pinhole() {
-            let slope = (pixel - DVec2::new(self.cx_px, self.cy_px)) / DVec2::new(self.fx_px, self.fy_px);
+            let slope =
+                (pixel - DVec2::new(self.cx_px, self.cy_px)) / DVec2::new(self.fx_px, self.fy_px);
             return slope.is_finite().then(|| slope.extend(1.0).normalize());
         }
         RayMap::new(self).unproject(pixel)
@@ -169,7 +201,23 @@ mod tests {
     fn nonsense_is_refused_with_its_value() {
         let good = Intrinsics::from_horizontal_fov(4, 4, 1.0);
         assert!(good.check().is_ok());
-        assert!(Intrinsics { width_px: 0, ..good }.check().unwrap_err().contains("0x4"));
-        assert!(Intrinsics { fx_px: f64::NAN, ..good }.check().unwrap_err().contains("NaN"));
+        assert!(
+            Intrinsics {
+                width_px: 0,
+                ..good
+            }
+            .check()
+            .unwrap_err()
+            .contains("0x4")
+        );
+        assert!(
+            Intrinsics {
+                fx_px: f64::NAN,
+                ..good
+            }
+            .check()
+            .unwrap_err()
+            .contains("NaN")
+        );
     }
 }

@@ -1,9 +1,11 @@
 //! Splats whose shapes and colors are entries of codebooks: what an agent's asset is made of.
 //!
-//! A splat is 12 bytes: a position on a 16-bit grid over the asset's box, 8 bits of opacity, 8 bits of size, a shape (9 bits),
-//! a color (10 bits) and what the color's DC term is off by (13 bits). The same words are in memory, in the file and
-//! on the device. Work that is linear per agent, such as turning covariances, is done on the entries, not on the splats
-//! (vector quantization of Gaussians: Navaneet et al., CompGS, 2023; Niedermayr et al., Compressed 3D Gaussian Splatting, 2024).
+//! A splat is 12 bytes: a position on a 16-bit grid over the asset's box, 8 bits of opacity, 8 bits
+//! of size, a shape (9 bits), a color (10 bits) and what the color's DC term is off by (13 bits).
+//! The same words are in memory, in the file and on the device. Work that is linear per agent, such
+//! as turning covariances, is done on the entries, not on the splats (vector quantization of
+//! Gaussians: Navaneet et al., CompGS, 2023; Niedermayr et al., Compressed 3D Gaussian Splatting,
+//! 2024).
 
 use rayon::prelude::*;
 
@@ -18,8 +20,9 @@ pub const LEVELS_MAX: usize = 8;
 
 /// One splat, packed.
 ///
-/// Word 0: position x (low half) and y. Word 1: position z (low half), opacity (8 bits), size (high 8 bits). Word 2: shape
-/// (low 9 bits), color (10), DC residual: luma (5), orange (4), green (high 4), each offset by half its range.
+/// Word 0: position x (low half) and y. Word 1: position z (low half), opacity (8 bits), size (high
+/// 8 bits). Word 2: shape (low 9 bits), color (10), DC residual: luma (5), orange (4), green (high
+/// 4), each offset by half its range.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct CodedSplat(pub [u32; 3]);
 
@@ -63,12 +66,17 @@ impl From<CodedSplat> for SplatCodes {
             size: (z_opacity_size >> 24) as u8,
             shape: field(0, 9) as u16,
             color: field(9, 10) as u16,
-            dc_residual: [field(19, 5) as i8 - 16, field(24, 4) as i8 - 8, field(28, 4) as i8 - 8],
+            dc_residual: [
+                field(19, 5) as i8 - 16,
+                field(24, 4) as i8 - 8,
+                field(28, 4) as i8 - 8,
+            ],
         }
     }
 }
 
-/// A cloud of coded splats with its codebooks, in an asset's own frame, at one or more levels of detail.
+/// A cloud of coded splats with its codebooks, in an asset's own frame, at one or more levels of
+/// detail.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CodedCloud {
     /// Box of the position grid, meters.
@@ -83,7 +91,8 @@ pub struct CodedCloud {
     pub splats: Vec<CodedSplat>,
     /// Number of splats of each level; their sum is the number of splats.
     pub levels: Vec<usize>,
-    /// Lower triangles L by rows (xx, yx, yy, zx, zy, zz) of splats of size 1: the covariance is size^2 L L^T.
+    /// Lower triangles L by rows (xx, yx, yy, zx, zy, zz) of splats of size 1: the covariance is
+    /// size^2 L L^T.
     pub shapes: Vec<[f32; 6]>,
     /// Degree of the colors, 0 to 3.
     pub sh_degree: u8,
@@ -130,10 +139,20 @@ impl CodedCloud {
     pub fn check(&self) -> Result<(), String> {
         let coefficients = sh::coefficient_count(self.sh_degree);
         if self.sh_degree > sh::DEGREE_MAX {
-            return Err(format!("colors have degree {}; 0 to {} can be drawn", self.sh_degree, sh::DEGREE_MAX));
+            return Err(format!(
+                "colors have degree {}; 0 to {} can be drawn",
+                self.sh_degree,
+                sh::DEGREE_MAX
+            ));
         }
-        let listed = self.levels.iter().try_fold(0usize, |sum, &level| sum.checked_add(level));
-        if self.levels.is_empty() || self.levels.len() > LEVELS_MAX || listed != Some(self.splats.len()) {
+        let listed = self
+            .levels
+            .iter()
+            .try_fold(0usize, |sum, &level| sum.checked_add(level));
+        if self.levels.is_empty()
+            || self.levels.len() > LEVELS_MAX
+            || listed != Some(self.splats.len())
+        {
             return Err(format!(
                 "levels of {:?} splats: expected 1 to {LEVELS_MAX} levels that add up to {}",
                 self.levels,
@@ -141,24 +160,51 @@ impl CodedCloud {
             ));
         }
         if self.shapes.is_empty() || self.shapes.len() > SHAPES_MAX {
-            return Err(format!("{} shapes; expected 1 to {SHAPES_MAX}", self.shapes.len()));
+            return Err(format!(
+                "{} shapes; expected 1 to {SHAPES_MAX}",
+                self.shapes.len()
+            ));
         }
-        if !self.colors.len().is_multiple_of(coefficients) || self.colors.is_empty() || self.color_count() > COLORS_MAX {
+        if !self.colors.len().is_multiple_of(coefficients)
+            || self.colors.is_empty()
+            || self.color_count() > COLORS_MAX
+        {
             let found = self.colors.len();
-            return Err(format!("{found} color coefficients; expected 1 to {COLORS_MAX} colors of {coefficients}"));
+            return Err(format!(
+                "{found} color coefficients; expected 1 to {COLORS_MAX} colors of {coefficients}"
+            ));
         }
-        let numbers = self.shapes.as_flattened().iter().chain(self.colors.as_flattened()).chain(&self.bounds.min);
-        let numbers = numbers.chain(&self.bounds.max).chain(&self.dc_residual_step).chain(&self.dims_m);
-        if let Some(value) = numbers.chain([&self.log2_size_min, &self.log2_size_step]).find(|value| !value.is_finite()) {
-            return Err(format!("a codebook or a bound holds {value}; expected finite numbers"));
+        let numbers = self
+            .shapes
+            .as_flattened()
+            .iter()
+            .chain(self.colors.as_flattened())
+            .chain(&self.bounds.min);
+        let numbers = numbers
+            .chain(&self.bounds.max)
+            .chain(&self.dc_residual_step)
+            .chain(&self.dims_m);
+        if let Some(value) = numbers
+            .chain([&self.log2_size_min, &self.log2_size_step])
+            .find(|value| !value.is_finite())
+        {
+            return Err(format!(
+                "a codebook or a bound holds {value}; expected finite numbers"
+            ));
         }
         let largest = self.log2_size_min + 255.0 * self.log2_size_step;
-        if !(-120.0..=120.0).contains(&self.log2_size_min) || !(self.log2_size_min..=120.0).contains(&largest) {
-            return Err(format!("sizes from 2^{} to 2^{largest}; expected rising exponents in -120 to 120", self.log2_size_min));
+        if !(-120.0..=120.0).contains(&self.log2_size_min)
+            || !(self.log2_size_min..=120.0).contains(&largest)
+        {
+            return Err(format!(
+                "sizes from 2^{} to 2^{largest}; expected rising exponents in -120 to 120",
+                self.log2_size_min
+            ));
         }
         let bad = |splat: &CodedSplat| {
             let codes = SplatCodes::from(*splat);
-            usize::from(codes.shape) >= self.shapes.len() || usize::from(codes.color) >= self.color_count()
+            usize::from(codes.shape) >= self.shapes.len()
+                || usize::from(codes.color) >= self.color_count()
         };
         match self.splats.par_iter().position_any(bad) {
             Some(splat) => Err(format!(
@@ -177,7 +223,9 @@ impl CodedCloud {
     #[must_use]
     pub fn mean_m(&self, codes: &SplatCodes) -> [f32; 3] {
         let step = self.position_step_m();
-        std::array::from_fn(|axis| self.bounds.min[axis] + f32::from(codes.position[axis]) * step[axis])
+        std::array::from_fn(|axis| {
+            self.bounds.min[axis] + f32::from(codes.position[axis]) * step[axis]
+        })
     }
 
     /// The factor of its shape that size stands for.
@@ -189,7 +237,9 @@ impl CodedCloud {
     /// Residual of the DC coefficients of its color, RGB.
     #[must_use]
     pub fn dc_residual(&self, codes: &SplatCodes) -> [f32; 3] {
-        let [luma, orange, green] = std::array::from_fn(|axis| f32::from(codes.dc_residual[axis]) * self.dc_residual_step[axis]);
+        let [luma, orange, green] = std::array::from_fn(|axis| {
+            f32::from(codes.dc_residual[axis]) * self.dc_residual_step[axis]
+        });
         rgb_from_ycocg([luma, orange, green])
     }
 
@@ -199,32 +249,54 @@ impl CodedCloud {
     /// When there is no such level, or [`CodedCloud::check`] fails.
     #[must_use]
     pub fn decoded(&self, level: usize) -> SplatCloud {
-        let shapes: Vec<shape::PrincipalAxes> = self.shapes.iter().map(shape::principal_axes).collect();
-        let codes: Vec<SplatCodes> = self.level(level).iter().map(|&splat| splat.into()).collect();
+        let shapes: Vec<shape::PrincipalAxes> =
+            self.shapes.iter().map(shape::principal_axes).collect();
+        let codes: Vec<SplatCodes> = self
+            .level(level)
+            .iter()
+            .map(|&splat| splat.into())
+            .collect();
         let dc = |codes: &SplatCodes| {
             let (entry, residual) = (self.color(codes.color.into())[0], self.dc_residual(codes));
             std::array::from_fn(|channel| entry[channel] + residual[channel])
         };
         let scales = |codes: &SplatCodes| {
             let size = self.size(codes);
-            shapes[usize::from(codes.shape)].scales.map(|scale| scale * size)
+            shapes[usize::from(codes.shape)]
+                .scales
+                .map(|scale| scale * size)
         };
         SplatCloud {
             means: codes.iter().map(|codes| self.mean_m(codes)).collect(),
             scales: codes.iter().map(scales).collect(),
-            rotations: codes.iter().map(|codes| shapes[usize::from(codes.shape)].rotation).collect(),
-            opacities: codes.iter().map(|codes| f32::from(codes.opacity) / 255.0).collect(),
+            rotations: codes
+                .iter()
+                .map(|codes| shapes[usize::from(codes.shape)].rotation)
+                .collect(),
+            opacities: codes
+                .iter()
+                .map(|codes| f32::from(codes.opacity) / 255.0)
+                .collect(),
             sh_degree: self.sh_degree,
             sh_dc: codes.iter().map(dc).collect(),
-            sh_rest: codes.iter().flat_map(|codes| &self.color(codes.color.into())[1..]).copied().collect(),
+            sh_rest: codes
+                .iter()
+                .flat_map(|codes| &self.color(codes.color.into())[1..])
+                .copied()
+                .collect(),
         }
     }
 }
 
-/// RGB as luma, orange and green differences: Malvar and Sullivan, YCoCg-R, 2003, without the lifting.
+/// RGB as luma, orange and green differences: Malvar and Sullivan, YCoCg-R, 2003, without the
+/// lifting.
 #[must_use]
 pub fn ycocg_from_rgb([red, green, blue]: [f32; 3]) -> [f32; 3] {
-    [0.25 * (red + blue) + 0.5 * green, 0.5 * (red - blue), 0.5 * green - 0.25 * (red + blue)]
+    [
+        0.25 * (red + blue) + 0.5 * green,
+        0.5 * (red - blue),
+        0.5 * green - 0.25 * (red + blue),
+    ]
 }
 
 /// Back from [`ycocg_from_rgb`].
@@ -240,16 +312,28 @@ mod tests {
     use proptest::prelude::*;
 
     fn cloud() -> CodedCloud {
-        let codes =
-            SplatCodes { position: [0, 65_535, 32_768], opacity: 255, size: 128, shape: 1, color: 2, dc_residual: [3, -1, 2] };
+        let codes = SplatCodes {
+            position: [0, 65_535, 32_768],
+            opacity: 255,
+            size: 128,
+            shape: 1,
+            color: 2,
+            dc_residual: [3, -1, 2],
+        };
         CodedCloud {
-            bounds: Bounds { min: [-2.0, -1.0, 0.0], max: [2.0, 1.0, 1.5] },
+            bounds: Bounds {
+                min: [-2.0, -1.0, 0.0],
+                max: [2.0, 1.0, 1.5],
+            },
             log2_size_min: -10.0,
             log2_size_step: 0.05,
             dc_residual_step: [0.02, 0.01, 0.01],
             splats: vec![codes.into(), CodedSplat::default()],
             levels: vec![1, 1],
-            shapes: vec![[1.0, 0.0, 1.0, 0.0, 0.0, 1.0], [2.0, 0.0, 1.0, 0.0, 0.0, 0.5]],
+            shapes: vec![
+                [1.0, 0.0, 1.0, 0.0, 0.0, 1.0],
+                [2.0, 0.0, 1.0, 0.0, 0.0, 0.5],
+            ],
             sh_degree: 1,
             colors: (0..12).map(|i| [i as f32 * 0.1, 0.0, -0.2]).collect(),
             sh_frame: ShFrame::Canonical,
@@ -280,8 +364,13 @@ mod tests {
         let cloud = cloud();
         cloud.check().unwrap();
         let decoded = cloud.decoded(0);
-        assert_eq!((decoded.len(), decoded.sh_degree, decoded.opacities[0]), (1, 1, 1.0));
-        assert!((decoded.means[0][0] + 2.0).abs() < 1e-6 && (decoded.means[0][1] - 1.0).abs() < 1e-6);
+        assert_eq!(
+            (decoded.len(), decoded.sh_degree, decoded.opacities[0]),
+            (1, 1, 1.0)
+        );
+        assert!(
+            (decoded.means[0][0] + 2.0).abs() < 1e-6 && (decoded.means[0][1] - 1.0).abs() < 1e-6
+        );
         let size = (-10.0f32 + 128.0 * 0.05).exp2();
         let mut scales = decoded.scales[0];
         scales.sort_by(f32::total_cmp);

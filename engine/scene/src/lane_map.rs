@@ -34,7 +34,15 @@ impl LaneKind {
     /// The kind that a file names so.
     #[must_use]
     pub fn by_name(name: &str) -> Option<Self> {
-        [Self::Driving, Self::Bicycle, Self::Walking, Self::Parking, Self::Other].into_iter().find(|kind| kind.name() == name)
+        [
+            Self::Driving,
+            Self::Bicycle,
+            Self::Walking,
+            Self::Parking,
+            Self::Other,
+        ]
+        .into_iter()
+        .find(|kind| kind.name() == name)
     }
 }
 
@@ -45,7 +53,8 @@ pub struct Lane {
     pub id: String,
     /// Purpose.
     pub kind: LaneKind,
-    /// At least two points, no two neighbors the same, world coordinates in meters. z is 0 where [`Lane::has_height`] is false.
+    /// At least two points, no two neighbors the same, world coordinates in meters. z is 0 where
+    /// [`Lane::has_height`] is false.
     pub centerline: Vec<DVec3>,
     /// Left border, none where the file tells nothing of it.
     pub left: Vec<DVec3>,
@@ -53,9 +62,9 @@ pub struct Lane {
     pub right: Vec<DVec3>,
     /// True if z is the road's height; false if heights are absent.
     pub has_height: bool,
-    /// Lanes that it goes on in, places in [`LaneMap::lanes`].
+    /// Lanes that it continues in, places in [`LaneMap::lanes`].
     pub successors: Vec<usize>,
-    /// Lanes that go on in it.
+    /// Lanes that continue in it.
     pub predecessors: Vec<usize>,
     /// The lane to the left with the same direction.
     pub left_neighbor: Option<usize>,
@@ -85,15 +94,28 @@ impl LaneMap {
         for lane in &self.lanes {
             let id = &lane.id;
             if lane.centerline.len() < 2 {
-                return Err(format!("lane {id}: a centerline of {} points; expected at least 2", lane.centerline.len()));
+                return Err(format!(
+                    "lane {id}: a centerline of {} points; expected at least 2",
+                    lane.centerline.len()
+                ));
             }
             let mut points = lane.centerline.iter().chain(&lane.left).chain(&lane.right);
             if let Some(point) = points.find(|point| !point.is_finite()) {
-                return Err(format!("lane {id}: a point at {point}; expected finite numbers"));
+                return Err(format!(
+                    "lane {id}: a point at {point}; expected finite numbers"
+                ));
             }
-            let links = lane.successors.iter().chain(&lane.predecessors).chain(&lane.left_neighbor).chain(&lane.right_neighbor);
+            let links = lane
+                .successors
+                .iter()
+                .chain(&lane.predecessors)
+                .chain(&lane.left_neighbor)
+                .chain(&lane.right_neighbor);
             if let Some(link) = links.copied().find(|&link| link >= self.lanes.len()) {
-                return Err(format!("lane {id}: names lane number {link} of {}", self.lanes.len()));
+                return Err(format!(
+                    "lane {id}: names lane number {link} of {}",
+                    self.lanes.len()
+                ));
             }
         }
         Ok(())

@@ -1,9 +1,10 @@
 //! Scene data: splats, spherical harmonics, poses, cameras, and the rules by which they become an
 //! image.
 //!
-//! Plain data and mathematics; nothing here reads a file or knows a GPU. Units are meters, seconds and radians,
-//! frames are right-handed. World: z up. Vehicle and agent: x forward, y left, z up, origin at the center of the
-//! bounding box. Camera: OpenCV (x right, y down, z forward). A [`Pose`] is active: `p_parent = R p_child + t`.
+//! Plain data and mathematics; nothing here reads a file or knows a GPU. Units are meters, seconds
+//! and radians, frames are right-handed. World: z up. Vehicle and agent: x forward, y left, z up,
+//! origin at the center of the bounding box. Camera: OpenCV (x right, y down, z forward). A
+//! [`Pose`] is active: `p_parent = R p_child + t`.
 #![forbid(unsafe_code)]
 
 pub mod bounds;

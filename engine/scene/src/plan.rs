@@ -28,16 +28,22 @@ impl Plan {
     /// A plan through `points`.
     ///
     /// # Errors
-    /// A sentence naming what is wrong: no points or too many, a number that is not finite, time that does not rise, a place or
-    /// a time out of reach.
+    /// A sentence naming what is wrong: no points or too many, a number that is not finite, time
+    /// that does not rise, a place or a time out of reach.
     pub fn new(points: Vec<PlanPoint>) -> Result<Self, String> {
         if points.is_empty() || points.len() > Self::POINTS_MAX {
-            return Err(format!("a plan of {} points; expected 1 to {}", points.len(), Self::POINTS_MAX));
+            return Err(format!(
+                "a plan of {} points; expected 1 to {}",
+                points.len(),
+                Self::POINTS_MAX
+            ));
         }
         let mut before_s = 0.0;
         for (index, PlanPoint { time_s, position_m }) in points.iter().enumerate() {
             if !(time_s.is_finite() && position_m.is_finite()) {
-                return Err(format!("point {index} of the plan has a time or a place that is not finite"));
+                return Err(format!(
+                    "point {index} of the plan has a time or a place that is not finite"
+                ));
             }
             if *time_s <= before_s || *time_s > Self::HORIZON_S_MAX {
                 let horizon_s = Self::HORIZON_S_MAX;
@@ -60,7 +66,12 @@ impl Plan {
     /// Standing still: one point at the ego's own place.
     #[must_use]
     pub fn standing() -> Self {
-        Self { points: vec![PlanPoint { time_s: 1.0, position_m: DVec2::ZERO }] }
+        Self {
+            points: vec![PlanPoint {
+                time_s: 1.0,
+                position_m: DVec2::ZERO,
+            }],
+        }
     }
 
     /// Points, at least one, with increasing times.
@@ -74,7 +85,9 @@ impl Plan {
     #[must_use]
     pub fn at(&self, time_s: f64) -> DVec2 {
         let next = self.points.partition_point(|point| point.time_s <= time_s);
-        let before = next.checked_sub(1).map_or((0.0, DVec2::ZERO), |at| (self.points[at].time_s, self.points[at].position_m));
+        let before = next.checked_sub(1).map_or((0.0, DVec2::ZERO), |at| {
+            (self.points[at].time_s, self.points[at].position_m)
+        });
         match self.points.get(next) {
             Some(after) => {
                 let share = ((time_s - before.0) / (after.time_s - before.0)).clamp(0.0, 1.0);
@@ -90,14 +103,23 @@ mod tests {
     use super::*;
 
     fn point(time_s: f64, x: f64) -> PlanPoint {
-        PlanPoint { time_s, position_m: DVec2::new(x, 0.0) }
+        PlanPoint {
+            time_s,
+            position_m: DVec2::new(x, 0.0),
+        }
     }
 
     #[test]
     fn a_plan_is_joined_from_the_ego_on() {
         let plan = Plan::new(vec![point(1.0, 4.0), point(2.0, 10.0)]).unwrap();
-        assert_eq!([0.0, 0.5, 1.0, 1.5, 2.0, 9.0].map(|time_s| plan.at(time_s).x), [0.0, 2.0, 4.0, 7.0, 10.0, 10.0]);
-        assert_eq!((Plan::standing().at(0.3), plan.at(-1.0)), (DVec2::ZERO, DVec2::ZERO));
+        assert_eq!(
+            [0.0, 0.5, 1.0, 1.5, 2.0, 9.0].map(|time_s| plan.at(time_s).x),
+            [0.0, 2.0, 4.0, 7.0, 10.0, 10.0]
+        );
+        assert_eq!(
+            (Plan::standing().at(0.3), plan.at(-1.0)),
+            (DVec2::ZERO, DVec2::ZERO)
+        );
     }
 
     #[test]

@@ -13,12 +13,18 @@ pub struct Pose {
 
 impl Pose {
     /// The transform that changes nothing.
-    pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
+    pub const IDENTITY: Self = Self {
+        rotation: DQuat::IDENTITY,
+        translation: DVec3::ZERO,
+    };
 
     /// A pose from a rotation, which is normalized, and a translation in meters.
     #[must_use]
     pub fn new(rotation: DQuat, translation: DVec3) -> Self {
-        Self { rotation: rotation.normalize(), translation }
+        Self {
+            rotation: rotation.normalize(),
+            translation,
+        }
     }
 
     /// Heading `yaw_rad` about +z at `translation`: how a vehicle stands on level ground.
@@ -27,7 +33,8 @@ impl Pose {
         Self::new(DQuat::from_rotation_z(yaw_rad), translation)
     }
 
-    /// The camera at `eye` that looks at `target` with its image's up towards `up` (OpenCV axes), as parent from camera.
+    /// The camera at `eye` that looks at `target` with its image's up towards `up` (OpenCV axes),
+    /// as parent from camera.
     ///
     /// Returns `None` when `eye`, `target` and `up` span no frame.
     #[must_use]
@@ -35,20 +42,29 @@ impl Pose {
         let forward = (target - eye).try_normalize()?;
         let right = forward.cross(up).try_normalize()?;
         let down = forward.cross(right);
-        Some(Self::new(DQuat::from_mat3(&DMat3::from_cols(right, down, forward)), eye))
+        Some(Self::new(
+            DQuat::from_mat3(&DMat3::from_cols(right, down, forward)),
+            eye,
+        ))
     }
 
     /// `self` after `child`: grandparent from child, where `self` is grandparent from parent.
     #[must_use]
     pub fn then(&self, child: &Self) -> Self {
-        Self { rotation: (self.rotation * child.rotation).normalize(), translation: self.transform(child.translation) }
+        Self {
+            rotation: (self.rotation * child.rotation).normalize(),
+            translation: self.transform(child.translation),
+        }
     }
 
     /// The transform back: child from parent.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.conjugate();
-        Self { rotation, translation: -(rotation * self.translation) }
+        Self {
+            rotation,
+            translation: -(rotation * self.translation),
+        }
     }
 
     /// A point of the child frame in the parent frame.
@@ -84,9 +100,18 @@ mod tests {
     fn look_at_puts_the_target_ahead_and_up_above() {
         let pose = Pose::look_at(DVec3::ZERO, DVec3::new(5.0, 0.0, 0.0), DVec3::Z).unwrap();
         let in_camera = pose.inverse();
-        assert!((in_camera.transform(DVec3::new(5.0, 0.0, 0.0)) - DVec3::new(0.0, 0.0, 5.0)).length() < 1e-12);
-        assert!(in_camera.transform(DVec3::new(5.0, 0.0, 1.0)).y < 0.0, "up in the world is up in the image (y down)");
-        assert!(in_camera.transform(DVec3::new(5.0, 1.0, 0.0)).x < 0.0, "left in the world is left in the image");
+        assert!(
+            (in_camera.transform(DVec3::new(5.0, 0.0, 0.0)) - DVec3::new(0.0, 0.0, 5.0)).length()
+                < 1e-12
+        );
+        assert!(
+            in_camera.transform(DVec3::new(5.0, 0.0, 1.0)).y < 0.0,
+            "up in the world is up in the image (y down)"
+        );
+        assert!(
+            in_camera.transform(DVec3::new(5.0, 1.0, 0.0)).x < 0.0,
+            "left in the world is left in the image"
+        );
         assert!(Pose::look_at(DVec3::ZERO, DVec3::Z, DVec3::Z).is_none());
     }
 }

@@ -1,7 +1,8 @@
 //! The rules of image formation: what a Gaussian adds to a pixel.
 //!
-//! Public renderers disagree here by far more than by rounding, so an image is compared only with images made by
-//! the same rules. The shaders repeat the constants; `tests/stages/layout.rs` compares them.
+//! Public renderers disagree here by far more than by rounding, so an image is compared only with
+//! images made by the same rules. The shaders repeat the constants; `tests/stages/layout.rs`
+//! compares them.
 
 /// Added to both diagonal entries of a projected covariance, square pixels
 /// (Kerbl et al., 3D Gaussian Splatting, 2023: a splat never falls below about a pixel).
@@ -20,10 +21,11 @@ pub const JACOBIAN_MARGIN: f64 = 0.3;
 /// Early termination of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EarlyStop {
-    /// Never, by definition. An implementation may stop after the splat that takes the transmittance to
-    /// [`TRANSMITTANCE_MIN`] or below: an error of at most that.
+    /// Never, by definition. An implementation may stop after the splat that takes the
+    /// transmittance to [`TRANSMITTANCE_MIN`] or below: an error of at most that.
     None,
-    /// The splat that would take the transmittance to [`TRANSMITTANCE_MIN`] or below is not blended, nor any behind it.
+    /// The splat that would take the transmittance to [`TRANSMITTANCE_MIN`] or below is not
+    /// blended, nor any behind it.
     Exclusive,
 }
 
@@ -33,8 +35,8 @@ pub enum DepthOrder {
     /// Camera-space z: what scenes are trained with.
     #[default]
     Z,
-    /// Distance from the camera center: the order does not change when the camera turns. Splats behind the near plane are dropped all
-    /// the same, so no camera sees more than a half-space.
+    /// Distance from the camera center: the order does not change when the camera turns. Splats
+    /// behind the near plane are dropped all the same, so no camera sees more than a half-space.
     Radial,
 }
 
@@ -56,14 +58,30 @@ pub struct Rules {
 
 impl Rules {
     /// Ours: alpha at most 0.99, no early stop, near plane at 0.01 m.
-    pub const DEFAULT: Self =
-        Self { alpha_max: 0.99, stop: EarlyStop::None, near_m: 0.01, antialias: false, order: DepthOrder::Z };
+    pub const DEFAULT: Self = Self {
+        alpha_max: 0.99,
+        stop: EarlyStop::None,
+        near_m: 0.01,
+        antialias: false,
+        order: DepthOrder::Z,
+    };
     /// gsplat 1.5's: alpha at most 0.999, exclusive stop.
-    pub const GSPLAT15: Self = Self { alpha_max: 0.999, stop: EarlyStop::Exclusive, ..Self::DEFAULT };
+    pub const GSPLAT15: Self = Self {
+        alpha_max: 0.999,
+        stop: EarlyStop::Exclusive,
+        ..Self::DEFAULT
+    };
     /// gsplat 1.6's: alpha at most 0.99, exclusive stop.
-    pub const GSPLAT16: Self = Self { stop: EarlyStop::Exclusive, ..Self::DEFAULT };
+    pub const GSPLAT16: Self = Self {
+        stop: EarlyStop::Exclusive,
+        ..Self::DEFAULT
+    };
     /// The INRIA rasterizer's: exclusive stop, near plane at 0.2 m.
-    pub const INRIA: Self = Self { stop: EarlyStop::Exclusive, near_m: 0.2, ..Self::DEFAULT };
+    pub const INRIA: Self = Self {
+        stop: EarlyStop::Exclusive,
+        near_m: 0.2,
+        ..Self::DEFAULT
+    };
 
     /// The rules called `name`, of [`Rules::NAMES`].
     #[must_use]

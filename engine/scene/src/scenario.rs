@@ -1,4 +1,5 @@
-//! Scenarios: where an episode takes place, what the ego is to do there and who else is on the road.
+//! Scenarios: where an episode takes place, what the ego is to do there and who else is on the
+//! road.
 
 use std::path::PathBuf;
 
@@ -39,7 +40,7 @@ impl Level {
     }
 }
 
-/// The light over a place that is made up.
+/// The light over a place that is synthetic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Weather {
     /// A sunny afternoon.

@@ -1,7 +1,9 @@
-//! Real spherical harmonics to degree 3, with the basis signs of the original 3DGS (Kerbl et al., 2023).
+//! Real spherical harmonics to degree 3, with the basis signs of the original 3DGS (Kerbl et al.,
+//! 2023).
 //!
 //! Coefficient 0 is the direct (DC) term. Band `l` holds `2l + 1` coefficients. A splat's color is
-//! `max(0, 0.5 + sum_k c_k Y_k(d))` with `d` the unit vector from the camera center to the splat's mean.
+//! `max(0, 0.5 + sum_k c_k Y_k(d))` with `d` the unit vector from the camera center to the splat's
+//! mean.
 
 use std::sync::LazyLock;
 
@@ -50,8 +52,9 @@ pub fn basis(d: DVec3) -> [f64; 16] {
 
 /// Turns coefficients with the object they belong to.
 ///
-/// After `c' = rotate(c)`, `sum c'_k Y_k(R d) = sum c_k Y_k(d)` for every `d`. Bands do not mix, so this is one
-/// small matrix a band: the basis at fixed directions that were turned, times its pseudo-inverse at these directions.
+/// After `c' = rotate(c)`, `sum c'_k Y_k(R d) = sum c_k Y_k(d)` for every `d`. Bands do not mix, so
+/// this is one small matrix a band: the basis at fixed directions that were turned, times its
+/// pseudo-inverse at these directions.
 #[derive(Clone, Debug)]
 pub struct ShRotation {
     /// Row-major square matrices of bands 1, 2 and 3 in the upper left `2l + 1` of each.
@@ -69,7 +72,10 @@ impl ShRotation {
             for (index, matrix) in bands.iter_mut().enumerate() {
                 let (count, first) = (2 * index + 3, (index + 1) * (index + 1));
                 for (row, values) in matrix.iter_mut().enumerate().take(count) {
-                    for (value, inverse) in values[..count].iter_mut().zip(&samples.inverses[index][sample]) {
+                    for (value, inverse) in values[..count]
+                        .iter_mut()
+                        .zip(&samples.inverses[index][sample])
+                    {
                         *value += turned[first + row] * inverse;
                     }
                 }
@@ -78,7 +84,8 @@ impl ShRotation {
         Self { bands }
     }
 
-    /// Turns `rest`, the coefficients after DC as `[coefficient][rgb]`, in place. Its length tells the degree.
+    /// Turns `rest`, the coefficients after DC as `[coefficient][rgb]`, in place. Its length tells
+    /// the degree.
     pub fn rotate(&self, rest: &mut [[f32; 3]]) {
         let mut first = 0;
         for (index, matrix) in self.bands.iter().enumerate() {
@@ -121,10 +128,14 @@ static ROTATION_SAMPLES: LazyLock<RotationSamples> = LazyLock::new(|| {
         let radius = (1.0 - z * z).sqrt();
         DVec3::new(radius * azimuth.cos(), radius * azimuth.sin(), z)
     });
-    RotationSamples { directions, inverses: std::array::from_fn(|index| inverse_basis(index + 1, &directions)) }
+    RotationSamples {
+        directions,
+        inverses: std::array::from_fn(|index| inverse_basis(index + 1, &directions)),
+    }
 });
 
-/// (A^T A)^-1 A^T by columns, A the basis of band `l` at `directions`. Well conditioned: A^T A is near a multiple of I.
+/// (A^T A)^-1 A^T by columns, A the basis of band `l` at `directions`. Well conditioned: A^T A is
+/// near a multiple of I.
 fn inverse_basis(l: usize, directions: &[DVec3; SAMPLES]) -> [[f64; 7]; SAMPLES] {
     let (count, first) = (2 * l + 1, l * l);
     let mut normal = [[0.0f64; 7]; 7];
@@ -141,14 +152,20 @@ fn inverse_basis(l: usize, directions: &[DVec3; SAMPLES]) -> [[f64; 7]; SAMPLES]
     let inverse = solve(normal, identity, count);
     directions.map(|d| {
         let y = basis(d);
-        std::array::from_fn(|row| (0..count).map(|column| inverse[row][column] * y[first + column]).sum())
+        std::array::from_fn(|row| {
+            (0..count)
+                .map(|column| inverse[row][column] * y[first + column])
+                .sum()
+        })
     })
 }
 
 /// Gaussian elimination with partial pivoting on the upper left `count` rows.
 fn solve(mut a: [[f64; 7]; 7], mut b: [[f64; 7]; 7], count: usize) -> [[f64; 7]; 7] {
     for pivot in 0..count {
-        let best = (pivot..count).max_by(|&i, &j| a[i][pivot].abs().total_cmp(&a[j][pivot].abs())).unwrap_or(pivot);
+        let best = (pivot..count)
+            .max_by(|&i, &j| a[i][pivot].abs().total_cmp(&a[j][pivot].abs()))
+            .unwrap_or(pivot);
         a.swap(pivot, best);
         b.swap(pivot, best);
         for row in 0..count {
@@ -190,17 +207,25 @@ mod tests {
             for j in 0..columns {
                 let azimuth = std::f64::consts::TAU * f64::from(j) / f64::from(columns);
                 let radius = (1.0 - z * z).sqrt();
-                let y = basis(DVec3::new(radius * azimuth.cos(), radius * azimuth.sin(), z));
+                let y = basis(DVec3::new(
+                    radius * azimuth.cos(),
+                    radius * azimuth.sin(),
+                    z,
+                ));
                 for k in 0..16 {
                     for m in 0..16 {
-                        gram[k][m] += y[k] * y[m] * 4.0 * std::f64::consts::PI / f64::from(rows * columns);
+                        gram[k][m] +=
+                            y[k] * y[m] * 4.0 * std::f64::consts::PI / f64::from(rows * columns);
                     }
                 }
             }
         }
         for (k, row) in gram.iter().enumerate() {
             for (m, value) in row.iter().enumerate() {
-                assert!((value - f64::from(u8::from(k == m))).abs() < 1e-4, "gram[{k}][{m}] = {value}");
+                assert!(
+                    (value - f64::from(u8::from(k == m))).abs() < 1e-4,
+                    "gram[{k}][{m}] = {value}"
+                );
             }
         }
     }
@@ -208,18 +233,33 @@ mod tests {
     #[test]
     fn rotated_coefficients_give_the_same_color_in_the_rotated_direction() {
         let rotation = DQuat::from_euler(glam::EulerRot::ZYX, 0.7, -1.1, 2.3);
-        let rest: Vec<[f32; 3]> = (0..15).map(|k| [0.1 * k as f32 - 0.6, (k as f32).sin(), 0.3]).collect();
+        let rest: Vec<[f32; 3]> = (0..15)
+            .map(|k| [0.1 * k as f32 - 0.6, (k as f32).sin(), 0.3])
+            .collect();
         let mut turned = rest.clone();
         ShRotation::new(rotation).rotate(&mut turned);
         for d in directions() {
-            let value = |rest: &[[f32; 3]], d| -> f64 { rest.iter().zip(&basis(d)[1..]).map(|(c, y)| f64::from(c[1]) * y).sum() };
+            let value = |rest: &[[f32; 3]], d| -> f64 {
+                rest.iter()
+                    .zip(&basis(d)[1..])
+                    .map(|(c, y)| f64::from(c[1]) * y)
+                    .sum()
+            };
             assert!((value(&rest, d) - value(&turned, rotation * d)).abs() < 1e-6);
         }
         // It must be seen to do something: the unturned coefficients differ.
         let differs = directions().any(|d| {
             let y = basis(rotation * d);
-            let plain: f64 = rest.iter().zip(&y[1..]).map(|(c, y)| f64::from(c[1]) * y).sum();
-            let original: f64 = rest.iter().zip(&basis(d)[1..]).map(|(c, y)| f64::from(c[1]) * y).sum();
+            let plain: f64 = rest
+                .iter()
+                .zip(&y[1..])
+                .map(|(c, y)| f64::from(c[1]) * y)
+                .sum();
+            let original: f64 = rest
+                .iter()
+                .zip(&basis(d)[1..])
+                .map(|(c, y)| f64::from(c[1]) * y)
+                .sum();
             (plain - original).abs() > 0.1
         });
         assert!(differs);

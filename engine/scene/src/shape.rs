@@ -1,7 +1,7 @@
 //! Shapes of splats: covariances by their triangular factors.
 //!
-//! A covariance is never formed: of a needle 1 : 1e5 its squares would be 1e10 apart, more than an f32 holds, while its
-//! factor is exact to the last digits.
+//! A covariance is never formed: of a needle 1 : 1e5 its squares would be 1e10 apart, more than an
+//! f32 holds, while its factor is exact to the last digits.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -14,7 +14,8 @@ pub struct PrincipalAxes {
     pub rotation: [f32; 4],
 }
 
-/// The lower triangle L by rows (xx, yx, yy, zx, zy, zz), diagonal not negative, with L L^T the covariance of `axes`.
+/// The lower triangle L by rows (xx, yx, yy, zx, zy, zz), diagonal not negative, with L L^T the
+/// covariance of `axes`.
 #[must_use]
 pub fn triangular_factor(axes: &PrincipalAxes) -> [f64; 6] {
     let [w, x, y, z] = axes.rotation.map(f64::from);
@@ -38,7 +39,11 @@ pub fn triangular_factor(axes: &PrincipalAxes) -> [f64; 6] {
         let length = left.length();
         let vanished = length <= 1e-14 * row.length();
         factor[i * (i + 1) / 2 + i] = if vanished { 0.0 } else { length };
-        q[i] = if vanished { orthogonal_to(&q[..i]) } else { left / length };
+        q[i] = if vanished {
+            orthogonal_to(&q[..i])
+        } else {
+            left / length
+        };
     }
     factor
 }
@@ -47,7 +52,10 @@ pub fn triangular_factor(axes: &PrincipalAxes) -> [f64; 6] {
 fn orthogonal_to(others: &[DVec3]) -> DVec3 {
     let candidates = [DVec3::X, DVec3::Y, DVec3::Z];
     let lefts = candidates.map(|axis| others.iter().fold(axis, |left, q| left - left.dot(*q) * *q));
-    let best = lefts.into_iter().max_by(|a, b| a.length().total_cmp(&b.length())).unwrap_or(DVec3::X);
+    let best = lefts
+        .into_iter()
+        .max_by(|a, b| a.length().total_cmp(&b.length()))
+        .unwrap_or(DVec3::X);
     best.normalize()
 }
 
@@ -55,11 +63,16 @@ fn orthogonal_to(others: &[DVec3]) -> DVec3 {
 #[must_use]
 pub fn principal_axes(factor: &[f32; 6]) -> PrincipalAxes {
     let [xx, yx, yy, zx, zy, zz] = factor.map(f64::from);
-    principal_axes_of([DVec3::new(xx, yx, zx), DVec3::new(0.0, yy, zy), DVec3::new(0.0, 0.0, zz)])
+    principal_axes_of([
+        DVec3::new(xx, yx, zx),
+        DVec3::new(0.0, yy, zy),
+        DVec3::new(0.0, 0.0, zz),
+    ])
 }
 
-/// The axes of the covariance M M^T with `columns` those of M: one-sided Jacobi rotations (Hestenes, Inversion of Matrices
-/// by Biorthogonalization, 1958), which keep the digits of the smallest axis.
+/// The axes of the covariance M M^T with `columns` those of M: one-sided Jacobi rotations
+/// (Hestenes, Inversion of Matrices by Biorthogonalization, 1958), which keep the digits of the
+/// smallest axis.
 #[must_use]
 pub fn principal_axes_of(mut columns: [DVec3; 3]) -> PrincipalAxes {
     // Rotating pairs of columns leaves M M^T as it is, and orthogonal columns are the scaled axes.
@@ -92,13 +105,20 @@ fn axes_of(mut columns: [DVec3; 3]) -> PrincipalAxes {
     let mut axes = [DVec3::ZERO; 3];
     for i in 0..3 {
         let known = scales[i] > 1e-300 && scales[i] > 1e-15 * scales[0];
-        axes[i] = if known { columns[i] / scales[i] } else { orthogonal_to(&axes[..i]) };
+        axes[i] = if known {
+            columns[i] / scales[i]
+        } else {
+            orthogonal_to(&axes[..i])
+        };
     }
     if axes[0].cross(axes[1]).dot(axes[2]) < 0.0 {
         axes[2] = -axes[2];
     }
     let q = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2])).normalize();
-    PrincipalAxes { scales: scales.map(|scale| scale as f32), rotation: [q.w, q.x, q.y, q.z].map(|x| x as f32) }
+    PrincipalAxes {
+        scales: scales.map(|scale| scale as f32),
+        rotation: [q.w, q.x, q.y, q.z].map(|x| x as f32),
+    }
 }
 
 #[cfg(test)]
@@ -108,7 +128,11 @@ mod tests {
 
     fn covariance(factor: &[f64; 6]) -> DMat3 {
         let [xx, yx, yy, zx, zy, zz] = *factor;
-        let lower = DMat3::from_cols(DVec3::new(xx, yx, zx), DVec3::new(0.0, yy, zy), DVec3::new(0.0, 0.0, zz));
+        let lower = DMat3::from_cols(
+            DVec3::new(xx, yx, zx),
+            DVec3::new(0.0, yy, zy),
+            DVec3::new(0.0, 0.0, zz),
+        );
         lower * lower.transpose()
     }
 
@@ -120,7 +144,10 @@ mod tests {
     }
 
     fn assert_close(a: DMat3, b: DMat3, relative: f64) {
-        let largest = a.to_cols_array().iter().fold(0.0f64, |largest, x| largest.max(x.abs()));
+        let largest = a
+            .to_cols_array()
+            .iter()
+            .fold(0.0f64, |largest, x| largest.max(x.abs()));
         for (x, y) in a.to_cols_array().iter().zip(b.to_cols_array()) {
             assert!((x - y).abs() <= relative * largest, "{a:?} against {b:?}");
         }
@@ -143,11 +170,23 @@ mod tests {
     #[test]
     fn needles_and_discs_keep_their_thin_axis() {
         let half = std::f32::consts::FRAC_1_SQRT_2;
-        for scales in [[1.0, 1e-5, 1e-5], [1.0, 1.0, 1e-5], [1.0, 0.5, 0.0], [1.0, 0.0, 0.0], [0.0; 3]] {
-            let axes = PrincipalAxes { scales, rotation: [half, 0.5, 0.5, 0.0] };
+        for scales in [
+            [1.0, 1e-5, 1e-5],
+            [1.0, 1.0, 1e-5],
+            [1.0, 0.5, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0; 3],
+        ] {
+            let axes = PrincipalAxes {
+                scales,
+                rotation: [half, 0.5, 0.5, 0.0],
+            };
             let back = principal_axes(&triangular_factor(&axes).map(|x| x as f32));
             for (scale, expected) in back.scales.iter().zip(scales) {
-                assert!((scale - expected).abs() <= 1e-6 * scales[0], "{back:?} from {axes:?}");
+                assert!(
+                    (scale - expected).abs() <= 1e-6 * scales[0],
+                    "{back:?} from {axes:?}"
+                );
             }
             assert!(back.rotation.iter().all(|x| x.is_finite()));
         }

@@ -4,9 +4,11 @@ use rayon::prelude::*;
 
 use crate::{Bounds, Pose, sh};
 
-/// Gaussians as arrays of equal length. The index of a splat is its place in them; equal depths are ordered by it.
+/// Gaussians as arrays of equal length. The index of a splat is its place in them; equal depths are
+/// ordered by it.
 ///
-/// Scales are linear (standard deviations, meters), rotations unit quaternions w, x, y, z, opacities in 0 to 1.
+/// Scales are linear (standard deviations, meters), rotations unit quaternions w, x, y, z,
+/// opacities in 0 to 1.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatCloud {
     /// Means, meters, relative to the origin of the world the cloud belongs to.
@@ -21,7 +23,8 @@ pub struct SplatCloud {
     pub sh_degree: u8,
     /// DC coefficient per splat, RGB.
     pub sh_dc: Vec<[f32; 3]>,
-    /// Coefficients after DC, `[splat][coefficient][rgb]` flattened over the first two; empty at degree 0.
+    /// Coefficients after DC, `[splat][coefficient][rgb]` flattened over the first two; empty at
+    /// degree 0.
     pub sh_rest: Vec<[f32; 3]>,
 }
 
@@ -44,7 +47,10 @@ impl SplatCloud {
     /// An empty cloud of the given degree.
     #[must_use]
     pub fn with_degree(sh_degree: u8) -> Self {
-        Self { sh_degree, ..Self::default() }
+        Self {
+            sh_degree,
+            ..Self::default()
+        }
     }
 
     /// Splats in the cloud.
@@ -84,9 +90,13 @@ impl SplatCloud {
         let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
         if !finite(&self.means[splat]) {
             Some(SplatDefect::Mean)
-        } else if !finite(&self.scales[splat]) || self.scales[splat].iter().any(|&scale| scale < 0.0) {
+        } else if !finite(&self.scales[splat])
+            || self.scales[splat].iter().any(|&scale| scale < 0.0)
+        {
             Some(SplatDefect::Scale)
-        } else if !finite(&self.rotations[splat]) || self.rotations[splat].iter().map(|q| q * q).sum::<f32>() < 1e-30 {
+        } else if !finite(&self.rotations[splat])
+            || self.rotations[splat].iter().map(|q| q * q).sum::<f32>() < 1e-30
+        {
             Some(SplatDefect::Rotation)
         } else if !(0.0..=1.0).contains(&self.opacities[splat]) {
             Some(SplatDefect::Opacity)
@@ -103,7 +113,10 @@ impl SplatCloud {
         let stride = self.rest_stride();
         let mut sh_rest = vec![[0.0; 3]; order.len() * stride];
         if stride > 0 {
-            sh_rest.par_chunks_mut(stride).zip(order).for_each(|(to, &from)| to.copy_from_slice(self.rest_of(from as usize)));
+            sh_rest
+                .par_chunks_mut(stride)
+                .zip(order)
+                .for_each(|(to, &from)| to.copy_from_slice(self.rest_of(from as usize)));
         }
         Self {
             means: gather(&self.means, order),
@@ -116,7 +129,8 @@ impl SplatCloud {
         }
     }
 
-    /// Adds the splats of `other` behind these. The result has the higher degree of the two; missing bands are zero.
+    /// Adds the splats of `other` behind these. The result has the higher degree of the two;
+    /// missing bands are zero.
     pub fn append(&mut self, other: &Self) {
         let degree = self.sh_degree.max(other.sh_degree);
         self.set_degree(degree);
@@ -132,7 +146,8 @@ impl SplatCloud {
             for splat in 0..other.len() {
                 let rest = other.rest_of(splat);
                 self.sh_rest.extend_from_slice(rest);
-                self.sh_rest.resize(self.sh_rest.len() + stride - rest.len(), [0.0; 3]);
+                self.sh_rest
+                    .resize(self.sh_rest.len() + stride - rest.len(), [0.0; 3]);
             }
         }
     }
@@ -146,40 +161,61 @@ impl SplatCloud {
         let mut sh_rest = vec![[0.0; 3]; self.len() * to];
         let kept = from.min(to);
         for splat in 0..self.len() {
-            sh_rest[splat * to..splat * to + kept].copy_from_slice(&self.sh_rest[splat * from..splat * from + kept]);
+            sh_rest[splat * to..splat * to + kept]
+                .copy_from_slice(&self.sh_rest[splat * from..splat * from + kept]);
         }
         self.sh_rest = sh_rest;
         self.sh_degree = degree;
     }
 
-    /// The cloud moved rigidly by `pose`. Its colors turn with it if `turn_sh`; scenes trained in place must not be turned.
+    /// The cloud moved rigidly by `pose`. Its colors turn with it if `turn_sh`; scenes trained in
+    /// place must not be turned.
     #[must_use]
     pub fn placed(&self, pose: &Pose, turn_sh: bool) -> Self {
         let mut placed = self.clone();
         placed.means.par_iter_mut().for_each(|mean| {
-            *mean = pose.transform(glam::Vec3::from_array(*mean).as_dvec3()).as_vec3().to_array();
+            *mean = pose
+                .transform(glam::Vec3::from_array(*mean).as_dvec3())
+                .as_vec3()
+                .to_array();
         });
         placed.rotations.par_iter_mut().for_each(|rotation| {
             let [w, x, y, z] = rotation.map(f64::from);
             let turned = (pose.rotation * glam::DQuat::from_xyzw(x, y, z, w)).normalize();
-            *rotation = [turned.w as f32, turned.x as f32, turned.y as f32, turned.z as f32];
+            *rotation = [
+                turned.w as f32,
+                turned.x as f32,
+                turned.y as f32,
+                turned.z as f32,
+            ];
         });
         let stride = self.rest_stride();
         if turn_sh && stride > 0 {
             let turn = sh::ShRotation::new(pose.rotation);
-            placed.sh_rest.par_chunks_mut(stride).for_each(|rest| turn.rotate(rest));
+            placed
+                .sh_rest
+                .par_chunks_mut(stride)
+                .for_each(|rest| turn.rotate(rest));
         }
         placed
     }
 
     /// The order of a space-filling (Morton) curve over the means, ties by index.
     ///
-    /// Neighbors in it are neighbors in space, so runs of it make tight boxes for culling. Means that are not finite
-    /// come last.
+    /// Neighbors in it are neighbors in space, so runs of it make tight boxes for culling. Means
+    /// that are not finite come last.
     #[must_use]
     pub fn spatial_order(&self) -> Vec<u32> {
-        let bounds = Bounds::of(self.means.iter().filter(|mean| mean.iter().all(|x| x.is_finite())));
-        let codes: Vec<u64> = self.means.par_iter().map(|mean| morton_code(mean, &bounds)).collect();
+        let bounds = Bounds::of(
+            self.means
+                .iter()
+                .filter(|mean| mean.iter().all(|x| x.is_finite())),
+        );
+        let codes: Vec<u64> = self
+            .means
+            .par_iter()
+            .map(|mean| morton_code(mean, &bounds))
+            .collect();
         let mut order: Vec<u32> = (0..self.len() as u32).collect();
         order.par_sort_unstable_by_key(|&splat| (codes[splat as usize], splat));
         order
@@ -187,15 +223,21 @@ impl SplatCloud {
 }
 
 fn gather<T: Copy + Send + Sync>(values: &[T], order: &[u32]) -> Vec<T> {
-    order.par_iter().map(|&index| values[index as usize]).collect()
+    order
+        .par_iter()
+        .map(|&index| values[index as usize])
+        .collect()
 }
 
-/// 21 bits an axis, interleaved. The grid is cubic cells over the longest axis so that chunks are compact.
+/// 21 bits an axis, interleaved. The grid is cubic cells over the longest axis so that chunks are
+/// compact.
 fn morton_code(mean: &[f32; 3], bounds: &Bounds) -> u64 {
     if !mean.iter().all(|x| x.is_finite()) {
         return u64::MAX;
     }
-    let longest = (0..3).map(|axis| f64::from(bounds.max[axis]) - f64::from(bounds.min[axis])).fold(f64::MIN_POSITIVE, f64::max);
+    let longest = (0..3)
+        .map(|axis| f64::from(bounds.max[axis]) - f64::from(bounds.min[axis]))
+        .fold(f64::MIN_POSITIVE, f64::max);
     let cell = |axis: usize| {
         let offset = f64::from(mean[axis]) - f64::from(bounds.min[axis]);
         (offset / longest * 2_097_151.0) as u64
@@ -222,14 +264,22 @@ mod tests {
         let stride = sh::coefficient_count(degree) - 1;
         SplatCloud {
             means: (0..count)
-                .map(|i| [(i as f32 * 0.37).sin() * 10.0, (i as f32 * 0.91).cos() * 10.0, i as f32 * 0.01])
+                .map(|i| {
+                    [
+                        (i as f32 * 0.37).sin() * 10.0,
+                        (i as f32 * 0.91).cos() * 10.0,
+                        i as f32 * 0.01,
+                    ]
+                })
                 .collect(),
             scales: vec![[0.1, 0.2, 0.3]; count],
             rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
             opacities: vec![0.5; count],
             sh_degree: degree,
             sh_dc: (0..count).map(|i| [i as f32; 3]).collect(),
-            sh_rest: (0..count * stride).map(|i| [i as f32 * 0.01, 0.0, 1.0]).collect(),
+            sh_rest: (0..count * stride)
+                .map(|i| [i as f32 * 0.01, 0.0, 1.0])
+                .collect(),
         }
     }
 
@@ -241,8 +291,12 @@ mod tests {
         seen.sort_unstable();
         assert!(seen.iter().enumerate().all(|(i, &s)| i as u32 == s));
         let sorted = cloud.select(&order);
-        let step =
-            |c: &SplatCloud| -> f32 { c.means.windows(2).map(|w| (w[0][0] - w[1][0]).abs() + (w[0][1] - w[1][1]).abs()).sum() };
+        let step = |c: &SplatCloud| -> f32 {
+            c.means
+                .windows(2)
+                .map(|w| (w[0][0] - w[1][0]).abs() + (w[0][1] - w[1][1]).abs())
+                .sum()
+        };
         assert!(step(&sorted) < 0.5 * step(&cloud));
         assert_eq!(sorted.rest_of(7), cloud.rest_of(order[7] as usize));
     }
@@ -283,10 +337,19 @@ mod tests {
             change(&mut cloud);
             cloud.defect_of(0)
         };
-        assert_eq!(broken(|c| c.means[0][1] = f32::NAN), Some(SplatDefect::Mean));
+        assert_eq!(
+            broken(|c| c.means[0][1] = f32::NAN),
+            Some(SplatDefect::Mean)
+        );
         assert_eq!(broken(|c| c.scales[0][2] = -1.0), Some(SplatDefect::Scale));
-        assert_eq!(broken(|c| c.rotations[0] = [0.0; 4]), Some(SplatDefect::Rotation));
+        assert_eq!(
+            broken(|c| c.rotations[0] = [0.0; 4]),
+            Some(SplatDefect::Rotation)
+        );
         assert_eq!(broken(|c| c.opacities[0] = 1.5), Some(SplatDefect::Opacity));
-        assert_eq!(broken(|c| c.sh_rest[2][0] = f32::INFINITY), Some(SplatDefect::Color));
+        assert_eq!(
+            broken(|c| c.sh_rest[2][0] = f32::INFINITY),
+            Some(SplatDefect::Color)
+        );
     }
 }

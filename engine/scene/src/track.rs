@@ -47,19 +47,30 @@ impl Track {
             return Err(format!("track {id}: no points"));
         }
         for (index, point) in self.points.iter().enumerate() {
-            let numbers = [Some(point.time_s), Some(point.position_m.x), Some(point.position_m.y), point.z_m, point.yaw_rad];
+            let numbers = [
+                Some(point.time_s),
+                Some(point.position_m.x),
+                Some(point.position_m.y),
+                point.z_m,
+                point.yaw_rad,
+            ];
             if numbers.iter().flatten().any(|number| !number.is_finite()) {
-                return Err(format!("track {id}: point {index} holds a number that is not finite"));
+                return Err(format!(
+                    "track {id}: point {index} holds a number that is not finite"
+                ));
             }
             if index > 0 && point.time_s <= self.points[index - 1].time_s {
                 let before = self.points[index - 1].time_s;
-                return Err(format!("track {id}: point {index} at {} s does not follow the one at {before} s", point.time_s));
+                return Err(format!(
+                    "track {id}: point {index} at {} s does not follow the one at {before} s",
+                    point.time_s
+                ));
             }
         }
         match self.dims_m {
-            Some(dims) if dims.iter().any(|dim| !(dim.is_finite() && *dim > 0.0)) => {
-                Err(format!("track {id}: dimensions {dims:?}; expected length, width and height above zero"))
-            }
+            Some(dims) if dims.iter().any(|dim| !(dim.is_finite() && *dim > 0.0)) => Err(format!(
+                "track {id}: dimensions {dims:?}; expected length, width and height above zero"
+            )),
             _ => Ok(()),
         }
     }

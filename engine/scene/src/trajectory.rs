@@ -21,14 +21,17 @@ impl Trajectory {
     /// A trajectory through `poses`.
     ///
     /// # Errors
-    /// A sentence naming the first pose at fault when there is none, a value is not finite, or time does not rise.
+    /// A sentence naming the first pose at fault when there is none, a value is not finite, or time
+    /// does not rise.
     pub fn new(poses: Vec<TimedPose>) -> Result<Self, String> {
         if poses.is_empty() {
             return Err("a trajectory needs at least one pose".into());
         }
         for (index, TimedPose { time_s, pose }) in poses.iter().enumerate() {
             if !(time_s.is_finite() && pose.translation.is_finite() && pose.rotation.is_finite()) {
-                return Err(format!("pose {index} has a time, position or rotation that is not finite"));
+                return Err(format!(
+                    "pose {index} has a time, position or rotation that is not finite"
+                ));
             }
             if index > 0 && *time_s <= poses[index - 1].time_s {
                 return Err(format!(
@@ -44,7 +47,9 @@ impl Trajectory {
     /// Standing at `pose` for all time.
     #[must_use]
     pub fn standing(pose: Pose) -> Self {
-        Self { poses: vec![TimedPose { time_s: 0.0, pose }] }
+        Self {
+            poses: vec![TimedPose { time_s: 0.0, pose }],
+        }
     }
 
     /// The poses it passes through, in time.
@@ -65,12 +70,15 @@ impl Trajectory {
         self.poses[self.poses.len() - 1].time_s
     }
 
-    /// The pose at `time_s`: position linear and rotation along the great arc between neighbors, the end poses before
-    /// and after the ends. A time that is not a number counts as the start.
+    /// The pose at `time_s`: position linear and rotation along the great arc between neighbors,
+    /// the end poses before and after the ends. A time that is not a number counts as the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Pose {
         let next = self.poses.partition_point(|timed| timed.time_s <= time_s);
-        let (Some(before), after) = (next.checked_sub(1).and_then(|i| self.poses.get(i)), self.poses.get(next)) else {
+        let (Some(before), after) = (
+            next.checked_sub(1).and_then(|i| self.poses.get(i)),
+            self.poses.get(next),
+        ) else {
             return self.poses[0].pose;
         };
         match after {
@@ -89,8 +97,16 @@ mod tests {
     use glam::DVec3;
 
     fn trajectory() -> Trajectory {
-        let pose = |time_s, yaw_rad, x| TimedPose { time_s, pose: Pose::from_yaw(yaw_rad, DVec3::X * x) };
-        Trajectory::new(vec![pose(1.0, 0.0, 0.0), pose(2.0, 1.0, 10.0), pose(4.0, -3.0, 10.0)]).unwrap()
+        let pose = |time_s, yaw_rad, x| TimedPose {
+            time_s,
+            pose: Pose::from_yaw(yaw_rad, DVec3::X * x),
+        };
+        Trajectory::new(vec![
+            pose(1.0, 0.0, 0.0),
+            pose(2.0, 1.0, 10.0),
+            pose(4.0, -3.0, 10.0),
+        ])
+        .unwrap()
     }
 
     #[test]
@@ -101,10 +117,19 @@ mod tests {
         }
         let middle = trajectory.at(1.25);
         assert!((middle.translation.x - 2.5).abs() < 1e-12);
-        assert!(middle.rotation.angle_between(glam::DQuat::from_rotation_z(0.25)) < 1e-7);
+        assert!(
+            middle
+                .rotation
+                .angle_between(glam::DQuat::from_rotation_z(0.25))
+                < 1e-7
+        );
         // From 1 rad to -3 rad the shorter way leads over pi.
         let across = trajectory.at(3.0).rotation;
-        assert!(across.angle_between(glam::DQuat::from_rotation_z(1.0 + (std::f64::consts::PI - 2.0))) < 1e-7);
+        assert!(
+            across.angle_between(glam::DQuat::from_rotation_z(
+                1.0 + (std::f64::consts::PI - 2.0)
+            )) < 1e-7
+        );
     }
 
     #[test]
@@ -121,8 +146,19 @@ mod tests {
     #[test]
     fn what_is_no_motion_is_refused() {
         assert!(Trajectory::new(vec![]).is_err());
-        let at = |time_s| TimedPose { time_s, pose: Pose::IDENTITY };
-        assert!(Trajectory::new(vec![at(1.0), at(1.0)]).unwrap_err().contains("pose 1"));
-        assert!(Trajectory::new(vec![at(f64::NAN)]).unwrap_err().contains("finite"));
+        let at = |time_s| TimedPose {
+            time_s,
+            pose: Pose::IDENTITY,
+        };
+        assert!(
+            Trajectory::new(vec![at(1.0), at(1.0)])
+                .unwrap_err()
+                .contains("pose 1")
+        );
+        assert!(
+            Trajectory::new(vec![at(f64::NAN)])
+                .unwrap_err()
+                .contains("finite")
+        );
     }
 }

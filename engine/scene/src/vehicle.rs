@@ -15,12 +15,20 @@ pub struct VehicleSize {
 
 impl VehicleSize {
     /// A family car: 4.5 by 1.8 by 1.5 meters.
-    pub const CAR: Self = Self { length_m: 4.5, width_m: 1.8, height_m: 1.5 };
+    pub const CAR: Self = Self {
+        length_m: 4.5,
+        width_m: 1.8,
+        height_m: 1.5,
+    };
 
     /// From length, width and height, meters.
     #[must_use]
     pub fn from_array([length_m, width_m, height_m]: [f64; 3]) -> Self {
-        Self { length_m, width_m, height_m }
+        Self {
+            length_m,
+            width_m,
+            height_m,
+        }
     }
 
     /// Length, width and height, meters.

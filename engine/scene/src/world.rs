@@ -10,7 +10,8 @@ pub enum ShFrame {
     /// In the asset's own frame: colors turn with the object (object captures).
     #[default]
     Canonical,
-    /// In the world's frame: trained in place, as HUGSIM and drivestudio export. Must not be turned.
+    /// In the world's frame: trained in place, as HUGSIM and drivestudio export. Must not be
+    /// turned.
     World,
 }
 
@@ -32,9 +33,11 @@ pub struct AgentPlacement {
 pub struct World {
     /// All splats, background first, then agents in order; means are relative to [`World::origin`].
     pub splats: SplatCloud,
-    /// The instance each splat belongs to: 0 the background, `k` the `k`-th agent. Empty where there is only background.
+    /// The instance each splat belongs to: 0 the background, `k` the `k`-th agent. Empty where
+    /// there is only background.
     pub instance_from_splat: Vec<u16>,
-    /// World coordinates of the point that means are relative to, f64 meters: UTM-sized worlds keep their millimeters.
+    /// World coordinates of the point that means are relative to, f64 meters: UTM-sized worlds keep
+    /// their millimeters.
     pub origin: DVec3,
     /// Seen where transmittance is left, display-referred RGB.
     pub sky: [f32; 3],
@@ -46,27 +49,48 @@ impl World {
     /// A world of background only, its origin at zero, a black sky and the default rules.
     #[must_use]
     pub fn of(splats: SplatCloud) -> Self {
-        Self { splats, ..Self::default() }
+        Self {
+            splats,
+            ..Self::default()
+        }
     }
 
-    /// Adds `agent`, showing `asset`, as world-space splats with the id that follows the last one. It is returned.
+    /// Adds `agent`, showing `asset`, as world-space splats with the id that follows the last one.
+    /// It is returned.
     ///
     /// # Errors
     /// When the 65,535 instances that an id can name are used up.
-    pub fn bake_agent(&mut self, asset: &SplatCloud, agent: &AgentPlacement) -> Result<u16, String> {
+    pub fn bake_agent(
+        &mut self,
+        asset: &SplatCloud,
+        agent: &AgentPlacement,
+    ) -> Result<u16, String> {
         let last = self.instance_from_splat.last().copied().unwrap_or(0);
-        let instance = last.checked_add(1).ok_or_else(|| format!("agent {}: more than 65535 agents in one world", agent.name))?;
+        let instance = last
+            .checked_add(1)
+            .ok_or_else(|| format!("agent {}: more than 65535 agents in one world", agent.name))?;
         self.bake_instance(asset, &agent.world_from_agent, agent.sh_frame, instance);
         Ok(instance)
     }
 
-    /// Adds `asset`, standing at `world_from_agent`, as world-space splats that belong to `instance`.
-    pub fn bake_instance(&mut self, asset: &SplatCloud, world_from_agent: &Pose, sh_frame: ShFrame, instance: u16) {
-        let relative = Pose { translation: world_from_agent.translation - self.origin, ..*world_from_agent };
+    /// Adds `asset`, standing at `world_from_agent`, as world-space splats that belong to
+    /// `instance`.
+    pub fn bake_instance(
+        &mut self,
+        asset: &SplatCloud,
+        world_from_agent: &Pose,
+        sh_frame: ShFrame,
+        instance: u16,
+    ) {
+        let relative = Pose {
+            translation: world_from_agent.translation - self.origin,
+            ..*world_from_agent
+        };
         if self.instance_from_splat.is_empty() {
             self.instance_from_splat.resize(self.splats.len(), 0);
         }
-        self.splats.append(&asset.placed(&relative, sh_frame == ShFrame::Canonical));
+        self.splats
+            .append(&asset.placed(&relative, sh_frame == ShFrame::Canonical));
         self.instance_from_splat.resize(self.splats.len(), instance);
     }
 }
@@ -86,12 +110,18 @@ mod tests {
             sh_dc: vec![[0.0; 3]],
             sh_rest: vec![],
         };
-        let mut world = World { origin: DVec3::new(4.5e6, 0.0, 0.0), ..World::of(one.clone()) };
+        let mut world = World {
+            origin: DVec3::new(4.5e6, 0.0, 0.0),
+            ..World::of(one.clone())
+        };
         for x in [0.0, 10.0] {
             let agent = AgentPlacement {
                 name: "car".into(),
                 asset: 0,
-                world_from_agent: Pose::from_yaw(std::f64::consts::FRAC_PI_2, world.origin + DVec3::X * x),
+                world_from_agent: Pose::from_yaw(
+                    std::f64::consts::FRAC_PI_2,
+                    world.origin + DVec3::X * x,
+                ),
                 sh_frame: ShFrame::Canonical,
             };
             world.bake_agent(&one, &agent).unwrap();
@@ -100,6 +130,9 @@ mod tests {
         let mut mixed = world.clone();
         mixed.bake_instance(&one, &Pose::IDENTITY, ShFrame::World, 9);
         assert_eq!(mixed.instance_from_splat, [0, 1, 2, 9]);
-        assert!((world.splats.means[2][0] - 10.0).abs() < 1e-6 && (world.splats.means[2][1] - 1.0).abs() < 1e-6);
+        assert!(
+            (world.splats.means[2][0] - 10.0).abs() < 1e-6
+                && (world.splats.means[2][1] - 1.0).abs() < 1e-6
+        );
     }
 }

@@ -1,14 +1,18 @@
 //! Agents of every kind that is hard for a stage, as the stages hold them.
 
 use decouplegs::gpu::Buffer;
-use decouplegs::render::layout::{AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord, View};
+use decouplegs::render::layout::{
+    AgentRecord, CLUSTER_SPLATS, CameraRecord, ClusterRecord, LensRecord, RelightRecord, View,
+};
 use decouplegs::render::stages::{AgentBuffers, AgentCounts, RelitColors};
 use decouplegs::render::twins::agent::{UnpackedSplat, axes_of, unpack_splat};
 use decouplegs::render::twins::lens::lens_of;
 use decouplegs::render::twins::projection::Variant;
 use decouplegs::render::{PoolBuffers, sh_codec, twins};
 use decouplegs::scene::shape::principal_axes;
-use decouplegs::scene::{Bounds, Camera, CodedCloud, CodedSplat, ColorTransfer, Pose, RayMap, Rules, SplatCodes, sh};
+use decouplegs::scene::{
+    Bounds, Camera, CodedCloud, CodedSplat, ColorTransfer, Pose, RayMap, Rules, SplatCodes, sh,
+};
 use glam::{DMat3, DQuat, DVec3, Mat3};
 
 use super::super::scenes::{ProjectedTwin, settled_visibility};
@@ -29,7 +33,13 @@ pub struct AgentInstance {
 impl AgentInstance {
     /// The finest level of a cloud, seen by all cameras.
     pub fn new(cloud: usize, pose: Pose) -> Self {
-        Self { cloud, level: 0, pose, cameras: u32::MAX, colors_in_world: false }
+        Self {
+            cloud,
+            level: 0,
+            pose,
+            cameras: u32::MAX,
+            colors_in_world: false,
+        }
     }
 }
 
@@ -52,7 +62,8 @@ pub struct AgentScene {
     pub counts: AgentCounts,
 }
 
-/// The splats to be projected: a bit each, and where each list of them begins, with their total behind.
+/// The splats to be projected: a bit each, and where each list of them begins, with their total
+/// behind.
 pub struct ListedAgents {
     pub words: Vec<u32>,
     pub offsets: Vec<u32>,
@@ -78,7 +89,10 @@ impl AgentScene {
                 row_z: rows.z_axis.as_vec3().to_array(),
                 first_cluster: scene.counts.clusters as u32,
                 first_bounds: first.first_bounds
-                    + before.iter().map(|splats| splats.div_ceil(CLUSTER_SPLATS)).sum::<usize>() as u32,
+                    + before
+                        .iter()
+                        .map(|splats| splats.div_ceil(CLUSTER_SPLATS))
+                        .sum::<usize>() as u32,
                 first_splat: first.first_splat + before.iter().sum::<usize>() as u32,
                 splat_count: cloud.levels[placed.level] as u32,
                 cameras: placed.cameras,
@@ -88,11 +102,16 @@ impl AgentScene {
             });
             scene.counts.clusters += cloud.levels[placed.level].div_ceil(CLUSTER_SPLATS);
             let moved = view.cameras.iter().zip(cameras);
-            scene.cameras.extend(moved.map(|(record, camera)| record.moved_into(camera, DVec3::ZERO, &placed.pose)));
+            scene.cameras.extend(
+                moved.map(|(record, camera)| record.moved_into(camera, DVec3::ZERO, &placed.pose)),
+            );
         }
         scene.counts.agents = placed.len();
         scene.lenses = view.lenses;
-        scene.maps = cameras.iter().map(|camera| RayMap::new(&camera.intrinsics)).collect();
+        scene.maps = cameras
+            .iter()
+            .map(|camera| RayMap::new(&camera.intrinsics))
+            .collect();
         scene
     }
 
@@ -103,7 +122,11 @@ impl AgentScene {
         self.shapes.push([1e9; 6]);
         self.dc.push([1e9; 3]);
         self.bands.push([u32::MAX; 24]);
-        self.clusters.push(ClusterRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 });
+        self.clusters.push(ClusterRecord {
+            center_m: [0.0; 3],
+            half_extent_m: [0.0; 3],
+            reach_m: -1e30,
+        });
         let record = AgentRecord {
             box_min_m: cloud.bounds.min,
             box_step_m: cloud.position_step_m(),
@@ -124,7 +147,12 @@ impl AgentScene {
             self.bands.push(encoded_bands(cloud.color(color)));
         }
         for level in 0..cloud.levels.len() {
-            self.clusters.extend(cloud.level(level).chunks(CLUSTER_SPLATS).map(|splats| cluster_of(cloud, splats)));
+            self.clusters.extend(
+                cloud
+                    .level(level)
+                    .chunks(CLUSTER_SPLATS)
+                    .map(|splats| cluster_of(cloud, splats)),
+            );
         }
         record
     }
@@ -132,11 +160,20 @@ impl AgentScene {
     /// Puts `agent`, which shows a codebook of `colors`, in a light of its own.
     pub fn relight(&mut self, agent: usize, colors: usize, light: &ColorTransfer) {
         let (record, first) = (&mut self.agents[agent], self.relit_dc.len());
-        let relight =
-            RelightRecord { first_relit: first as u32, ..RelightRecord::new(light, 3, record.first_color as usize, colors) };
+        let relight = RelightRecord {
+            first_relit: first as u32,
+            ..RelightRecord::new(light, 3, record.first_color as usize, colors)
+        };
         self.relit_dc.resize(first + colors, [0.0; 3]);
         self.relit_bands.resize(first + colors, [0; 24]);
-        twins::relight(&[relight], &self.dc, &self.bands, &mut self.relit_dc, &mut self.relit_bands, 3);
+        twins::relight(
+            &[relight],
+            &self.dc,
+            &self.bands,
+            &mut self.relit_dc,
+            &mut self.relit_bands,
+            3,
+        );
         record.first_color = first as u32;
         record.colors_relit = 1;
         record.dc_residual_gain = light.gain[0];
@@ -165,12 +202,20 @@ impl AgentScene {
     pub fn size_share(&self, agent: usize, splat: usize) -> f64 {
         let record = &self.agents[agent];
         let log2_size = f64::from(self.unpacked(agent, splat).0.size).log2();
-        let steps = f64::from((record.log2_size_min.abs() + 255.0 * record.log2_size_step).max(1.0));
-        2.0 * ROUNDOFF * (3.0 + 2.0 * log2_size.abs()) + std::f64::consts::LN_2 * 2.0 * ROUNDOFF * steps
+        let steps =
+            f64::from((record.log2_size_min.abs() + 255.0 * record.log2_size_step).max(1.0));
+        2.0 * ROUNDOFF * (3.0 + 2.0 * log2_size.abs())
+            + std::f64::consts::LN_2 * 2.0 * ROUNDOFF * steps
     }
 
     /// Visibility of the splat if it is the same for every rounding of f32: else `None`.
-    pub fn settled_visibility(&self, camera: usize, agent: usize, splat: usize, rules: &Rules) -> Option<bool> {
+    pub fn settled_visibility(
+        &self,
+        camera: usize,
+        agent: usize,
+        splat: usize,
+        rules: &Rules,
+    ) -> Option<bool> {
         if self.agents[agent].cameras >> camera & 1 == 0 {
             return Some(false);
         }
@@ -190,16 +235,28 @@ impl AgentScene {
     /// Camera, agent and splat of a bit of the visibility words; the splat is `None` beyond the
     /// agent's last.
     pub fn splat_of_bit(&self, bit: usize) -> (usize, usize, Option<usize>) {
-        let (camera, place) = (bit / (self.counts.clusters * CLUSTER_SPLATS), bit % (self.counts.clusters * CLUSTER_SPLATS));
+        let (camera, place) = (
+            bit / (self.counts.clusters * CLUSTER_SPLATS),
+            bit % (self.counts.clusters * CLUSTER_SPLATS),
+        );
         let agent = twins::agent::agent_of_cluster((place / CLUSTER_SPLATS) as u32, &self.agents);
         let splat = place - self.agents[agent].first_cluster as usize * CLUSTER_SPLATS;
-        (camera, agent, Some(splat).filter(|&splat| splat < self.agents[agent].splat_count as usize))
+        (
+            camera,
+            agent,
+            Some(splat).filter(|&splat| splat < self.agents[agent].splat_count as usize),
+        )
     }
 
     /// The twin's visible words and counts.
     pub fn culled(&self, rules: &Rules) -> (Vec<u32>, Vec<u32>) {
-        let AgentCounts { cameras, clusters, .. } = self.counts;
-        let (mut words, mut counts) = (vec![0; cameras * clusters * CLUSTER_SPLATS / 32], vec![0; cameras * clusters]);
+        let AgentCounts {
+            cameras, clusters, ..
+        } = self.counts;
+        let (mut words, mut counts) = (
+            vec![0; cameras * clusters * CLUSTER_SPLATS / 32],
+            vec![0; cameras * clusters],
+        );
         twins::cull_agents(
             &self.agents,
             &self.cameras,
@@ -219,14 +276,20 @@ impl AgentScene {
     /// The visible splats, without those whose visibility is a matter of rounding.
     pub fn listed(&self, rules: &Rules) -> ListedAgents {
         let (mut words, _) = self.culled(rules);
-        let mut listed = ListedAgents { words: Vec::new(), offsets: Vec::new(), records: Vec::new() };
+        let mut listed = ListedAgents {
+            words: Vec::new(),
+            offsets: Vec::new(),
+            records: Vec::new(),
+        };
         for bit in 0..words.len() * 32 {
             if bit % CLUSTER_SPLATS == 0 {
                 listed.offsets.push(listed.records.len() as u32);
             }
             let (camera, agent, splat) = self.splat_of_bit(bit);
             match splat.filter(|_| words[bit / 32] >> (bit % 32) & 1 == 1) {
-                Some(splat) if self.settled_visibility(camera, agent, splat, rules) == Some(true) => {
+                Some(splat)
+                    if self.settled_visibility(camera, agent, splat, rules) == Some(true) =>
+                {
                     listed.records.push((camera, agent, splat));
                 }
                 _ => words[bit / 32] &= !(1 << (bit % 32)),
@@ -237,7 +300,8 @@ impl AgentScene {
         listed
     }
 
-    /// The twin's records behind `static_offsets[static_lists]` of the background, where there is room for `room` in all.
+    /// The twin's records behind `static_offsets[static_lists]` of the background, where there is
+    /// room for `room` in all.
     pub fn projected(
         &self,
         listed: &ListedAgents,
@@ -246,8 +310,11 @@ impl AgentScene {
         sh_degree: u8,
         room: usize,
     ) -> ProjectedTwin {
-        let mut out =
-            ProjectedTwin { footprints: vec![[0.0; 4]; 2 * room], colors: vec![[0.0; 4]; room], keys: vec![UNTOUCHED; room] };
+        let mut out = ProjectedTwin {
+            footprints: vec![[0.0; 4]; 2 * room],
+            colors: vec![[0.0; 4]; room],
+            keys: vec![UNTOUCHED; room],
+        };
         twins::project_agents(
             &self.agents,
             &self.cameras,
@@ -286,13 +353,26 @@ impl AgentScene {
 
     /// The agents on the device; what the kernels write holds [`UNTOUCHED`].
     pub fn buffers(&self, gpu: &Validated) -> AgentBuffers {
-        let AgentCounts { agents, cameras, clusters } = self.counts;
+        let AgentCounts {
+            agents,
+            cameras,
+            clusters,
+        } = self.counts;
         let buffers = AgentBuffers::new(gpu, agents, clusters, cameras).unwrap();
         gpu.write(&buffers.agents, 0, &self.agents).unwrap();
         gpu.write(&buffers.cameras, 0, &self.cameras).unwrap();
         gpu.write(&buffers.lenses, 0, &self.lenses).unwrap();
-        let fill = |buffer: &Buffer<u32>| gpu.write(buffer, 0, &vec![UNTOUCHED; buffer.len()]).unwrap();
-        [&buffers.visible.words, &buffers.visible.counts, &buffers.offsets].into_iter().for_each(fill);
+        let fill = |buffer: &Buffer<u32>| {
+            gpu.write(buffer, 0, &vec![UNTOUCHED; buffer.len()])
+                .unwrap();
+        };
+        [
+            &buffers.visible.words,
+            &buffers.visible.counts,
+            &buffers.offsets,
+        ]
+        .into_iter()
+        .for_each(fill);
         buffers
     }
 }
@@ -302,22 +382,32 @@ fn encoded_bands(coefficients: &[[f32; 3]]) -> [u32; 24] {
     let mut words = Vec::new();
     for band in 1..=3u8 {
         let range = sh::coefficient_count(band - 1)..sh::coefficient_count(band);
-        words.extend(&sh_codec::encode_band(&coefficients[range])[..sh_codec::words_of(band.into())]);
+        words.extend(
+            &sh_codec::encode_band(&coefficients[range])[..sh_codec::words_of(band.into())],
+        );
     }
     words.try_into().unwrap()
 }
 
 /// A box that holds what is drawn of `splats`.
 fn cluster_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ClusterRecord {
-    let codes: Vec<SplatCodes> =
-        splats.iter().map(|&splat| splat.into()).filter(|codes: &SplatCodes| codes.opacity > 0).collect();
+    let codes: Vec<SplatCodes> = splats
+        .iter()
+        .map(|&splat| splat.into())
+        .filter(|codes: &SplatCodes| codes.opacity > 0)
+        .collect();
     let means: Vec<[f32; 3]> = codes.iter().map(|codes| cloud.mean_m(codes)).collect();
     if means.is_empty() {
-        return ClusterRecord { center_m: [0.0; 3], half_extent_m: [0.0; 3], reach_m: -1e30 };
+        return ClusterRecord {
+            center_m: [0.0; 3],
+            half_extent_m: [0.0; 3],
+            reach_m: -1e30,
+        };
     }
     let bounds = Bounds::of(&means);
     let reach_m = |codes: &SplatCodes| {
-        let longest = principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);
+        let longest =
+            principal_axes(&cloud.shapes[usize::from(codes.shape)]).scales[0] * cloud.size(codes);
         longest * (2.0 * f32::from(codes.opacity).ln()).sqrt().max(1.7321) * 1.001
     };
     ClusterRecord {
@@ -327,26 +417,51 @@ fn cluster_of(cloud: &CodedCloud, splats: &[CodedSplat]) -> ClusterRecord {
     }
 }
 
-/// Agents in front of the rig, turned, around the near plane, behind, so far that they are a pixel, and beside it; some for some
-/// cameras only, some of a coarser level, of a level of no splats or with colors that are not turned.
+/// Agents in front of the rig, turned, around the near plane, behind, so far that they are a pixel,
+/// and beside it; some for some cameras only, some of a coarser level, of a level of no splats or
+/// with colors that are not turned.
 pub fn hard_agents(cameras: &[Camera]) -> AgentScene {
-    let clouds = [hard_cloud(vec![900, 256, 0, 1], 31), hard_cloud(vec![1100], 32)];
-    let turned = DQuat::from_rotation_z(2.1) * DQuat::from_rotation_x(0.4) * DQuat::from_rotation_y(-0.7);
+    let clouds = [
+        hard_cloud(vec![900, 256, 0, 1], 31),
+        hard_cloud(vec![1100], 32),
+    ];
+    let turned =
+        DQuat::from_rotation_z(2.1) * DQuat::from_rotation_x(0.4) * DQuat::from_rotation_y(-0.7);
     let at = |cloud: usize, x: f64, y: f64, z: f64, rotation: DQuat| {
         AgentInstance::new(cloud, Pose::new(rotation, DVec3::new(x, y, z)))
     };
     let placed = [
         at(0, 0.5, 0.2, 8.0, DQuat::IDENTITY),
         at(1, -1.0, 0.5, 5.0, turned),
-        AgentInstance { level: 2, ..at(0, 0.0, 0.0, 6.0, turned) },
+        AgentInstance {
+            level: 2,
+            ..at(0, 0.0, 0.0, 6.0, turned)
+        },
         at(1, 0.1, 0.0, 0.3, turned.inverse()),
         at(0, 0.0, 0.0, -30.0, turned),
-        AgentInstance { level: 1, ..at(0, 20.0, -9.0, 3000.0, turned) },
-        AgentInstance { colors_in_world: true, cameras: 0b0101, ..at(1, 1.0, -1.0, 12.0, turned) },
-        AgentInstance { level: 3, colors_in_world: true, ..at(0, 0.2, 0.1, 4.0, turned.inverse()) },
-        AgentInstance { cameras: 0, ..at(0, 0.0, 0.0, 7.0, turned) },
+        AgentInstance {
+            level: 1,
+            ..at(0, 20.0, -9.0, 3000.0, turned)
+        },
+        AgentInstance {
+            colors_in_world: true,
+            cameras: 0b0101,
+            ..at(1, 1.0, -1.0, 12.0, turned)
+        },
+        AgentInstance {
+            level: 3,
+            colors_in_world: true,
+            ..at(0, 0.2, 0.1, 4.0, turned.inverse())
+        },
+        AgentInstance {
+            cameras: 0,
+            ..at(0, 0.0, 0.0, 7.0, turned)
+        },
         at(1, 40.0, 0.0, 6.0, turned * turned),
-        AgentInstance { level: 2, ..at(0, 0.0, 0.0, 9.0, turned) },
+        AgentInstance {
+            level: 2,
+            ..at(0, 0.0, 0.0, 9.0, turned)
+        },
     ];
     AgentScene::new(&clouds, &placed, cameras)
 }

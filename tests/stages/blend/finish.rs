@@ -17,13 +17,19 @@ fn before(case: &Case) -> Blended {
         let alpha = 1.0 - transmittance;
         Pixel {
             color: Vec3::from_array(std::array::from_fn(|_| alpha * random.between(0.0, 1.0))),
-            transmittance: if random.below(3) == 0 { transmittance } else { -transmittance },
+            transmittance: if random.below(3) == 0 {
+                transmittance
+            } else {
+                -transmittance
+            },
             weighted_depth: alpha * random.between(0.5, 100.0),
             best_weight: alpha * random.between(0.1, 1.0),
             best_instance: random.below(3),
         }
     };
-    (0..case.slots()).map(|_| (0..COARSE_PIXELS).map(|_| pixel()).collect()).collect()
+    (0..case.slots())
+        .map(|_| (0..COARSE_PIXELS).map(|_| pixel()).collect())
+        .collect()
 }
 
 #[test]
@@ -34,12 +40,22 @@ fn pixels_end_where_the_whole_list_would_end_them() {
         let before = before(&case);
         let (images, _) = case.kernel(&gpu, Some(&before));
         let twin = case.twin(Some(&before));
-        let ended = twin.iter().flatten().filter(|pixel| pixel.transmittance < 0.0).count();
+        let ended = twin
+            .iter()
+            .flatten()
+            .filter(|pixel| pixel.transmittance < 0.0)
+            .count();
         assert!(ended > 1000, "{ended} pixels end");
         case.check_finished(&before, &images, &twin).unwrap();
         // A pixel that began with something else is seen.
         let mut other = before.clone();
-        other.iter_mut().flatten().for_each(|pixel| pixel.color.y += 0.001);
-        assert!(case.check_finished(&before, &images, &case.twin(Some(&other))).is_err());
+        other
+            .iter_mut()
+            .flatten()
+            .for_each(|pixel| pixel.color.y += 0.001);
+        assert!(
+            case.check_finished(&before, &images, &case.twin(Some(&other)))
+                .is_err()
+        );
     }
 }

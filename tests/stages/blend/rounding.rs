@@ -36,7 +36,13 @@ struct Run {
 impl PixelBounds {
     /// Bounds of the pixel at column and row `at`, where `list` is blended front to back, behind
     /// `before` if given.
-    pub fn of(projected: &ProjectedTwin, list: &[u32], at: [u32; 2], rules: &Rules, before: Option<&Pixel>) -> Self {
+    pub fn of(
+        projected: &ProjectedTwin,
+        list: &[u32],
+        at: [u32; 2],
+        rules: &Rules,
+        before: Option<&Pixel>,
+    ) -> Self {
         let bounds = Self {
             color: 0.0,
             transmittance: 0.0,
@@ -46,13 +52,18 @@ impl PixelBounds {
             best_weights: [0.0; 3],
             weight_error: 0.0,
         };
-        let mut run = Run { transmittance: 1.0, depth_before: 0.0, bounds };
+        let mut run = Run {
+            transmittance: 1.0,
+            depth_before: 0.0,
+            bounds,
+        };
         if let Some(before) = before {
             run.transmittance = f64::from(before.transmittance.abs());
             run.depth_before = f64::from(before.weighted_depth);
             run.bounds.best_weights[before.best_instance as usize] = f64::from(before.best_weight);
         }
-        // Where a pixel is full, an implementation that stops inclusively may leave out all that follows.
+        // Where a pixel is full, an implementation that stops inclusively may leave out all that
+        // follows.
         let mut behind = [0.0f64; 2];
         for &record in list {
             let record = record as usize;
@@ -60,7 +71,9 @@ impl PixelBounds {
             if log2_alpha < -LOG2_255 - error {
                 continue;
             }
-            let color = projected.colors[record][..3].iter().fold(0.0, |largest, &c| f64::from(c).max(largest));
+            let color = projected.colors[record][..3]
+                .iter()
+                .fold(0.0, |largest, &c| f64::from(c).max(largest));
             let depth_m = f64::from(projected.footprints[2 * record + 1][2]);
             let full = run.transmittance <= TRANSMITTANCE_MIN * (1.0 + 1e-3);
             if rules.stop == EarlyStop::None && full {
@@ -91,17 +104,25 @@ impl PixelBounds {
             return 0.0;
         }
         let (depth_m, alpha) = (f64::from(depth_m), f64::from(alpha));
-        (self.weighted_depth + depth_m * (self.transmittance + 2.0 * ROUNDOFF)) / (alpha - self.transmittance)
+        (self.weighted_depth + depth_m * (self.transmittance + 2.0 * ROUNDOFF))
+            / (alpha - self.transmittance)
             + 8.0 * ROUNDOFF * depth_m
     }
 
     /// Two instances may be confused where their largest weights are equal to rounding.
     pub fn check_instance(&self, what: &str, kernel: u32, twin: u32) -> Result<(), String> {
-        let weight = |instance: u32| self.best_weights.get(instance as usize).copied().unwrap_or(-1.0);
+        let weight = |instance: u32| {
+            self.best_weights
+                .get(instance as usize)
+                .copied()
+                .unwrap_or(-1.0)
+        };
         if kernel == twin || (weight(kernel) - weight(twin)).abs() <= 2.0 * self.weight_error {
             return Ok(());
         }
-        Err(format!("{what}: the kernel names instance {kernel}, the twin {twin}"))
+        Err(format!(
+            "{what}: the kernel names instance {kernel}, the twin {twin}"
+        ))
     }
 }
 
@@ -115,26 +136,43 @@ fn log2_alpha(projected: &ProjectedTwin, record: usize, at: [u32; 2]) -> (f64, f
     let (shear, peak) = (slope * d.y, f64::from(splat.log2_opacity));
     let (u, v) = ((d.x - shear) * rate_x, d.y * rate_y);
     let value = peak - v * v - u * u;
-    // A kernel may sum pixel and mean relative to the coarse tile, each times its rate, instead of subtracting them first: terms
-    // of the tile's size cancel.
+    // A kernel may sum pixel and mean relative to the coarse tile, each times its rate, instead of
+    // subtracting them first: terms of the tile's size cancel.
     let (width, height) = (f64::from(COARSE_WIDTH_PX), f64::from(COARSE_HEIGHT_PX));
     let u_terms = d.x.abs() + shear.abs() + 2.0 * (width + slope.abs() * height);
     let u_error = 4.0 * ROUNDOFF * rate_x * u_terms + 2.0 * ROUNDOFF * u.abs();
     let v_error = 4.0 * ROUNDOFF * rate_y * (d.y.abs() + 2.0 * height);
     let squares_error = 2.0 * (u.abs() * u_error + v.abs() * v_error);
-    (value, squares_error + 6.0 * ROUNDOFF * (peak.abs() + v * v + u * u))
+    (
+        value,
+        squares_error + 6.0 * ROUNDOFF * (peak.abs() + v * v + u * u),
+    )
 }
 
 impl Run {
     /// Adds one splat; whether the pixel stops before it.
-    fn add(&mut self, log2_alpha: f64, log2_error: f64, [color, depth_m]: [f64; 2], instance: usize, rules: &Rules) -> bool {
-        // exp2 may be off by 3 + 2 |x| roundings in the last place (Vulkan specification), on both sides.
-        let relative = std::f64::consts::LN_2 * log2_error + 4.0 * ROUNDOFF * (3.0 + 2.0 * log2_alpha.abs());
+    fn add(
+        &mut self,
+        log2_alpha: f64,
+        log2_error: f64,
+        [color, depth_m]: [f64; 2],
+        instance: usize,
+        rules: &Rules,
+    ) -> bool {
+        // exp2 may be off by 3 + 2 |x| roundings in the last place (Vulkan specification), on both
+        // sides.
+        let relative =
+            std::f64::consts::LN_2 * log2_error + 4.0 * ROUNDOFF * (3.0 + 2.0 * log2_alpha.abs());
         let alpha = log2_alpha.exp2().min(rules.alpha_max);
         let alpha_error = alpha * relative;
-        let Self { transmittance, depth_before, bounds } = self;
+        let Self {
+            transmittance,
+            depth_before,
+            bounds,
+        } = self;
         let left = *transmittance * (1.0 - alpha);
-        let left_error = bounds.transmittance * (1.0 - alpha) + *transmittance * (alpha_error + 2.0 * ROUNDOFF);
+        let left_error =
+            bounds.transmittance * (1.0 - alpha) + *transmittance * (alpha_error + 2.0 * ROUNDOFF);
         if rules.stop == EarlyStop::Exclusive {
             bounds.unsettled |= (left - TRANSMITTANCE_MIN).abs() <= left_error;
             if left <= TRANSMITTANCE_MIN {
@@ -142,10 +180,12 @@ impl Run {
             }
         }
         let weight = *transmittance * alpha;
-        let weight_error = bounds.transmittance * alpha + *transmittance * alpha_error + 2.0 * ROUNDOFF * weight;
+        let weight_error =
+            bounds.transmittance * alpha + *transmittance * alpha_error + 2.0 * ROUNDOFF * weight;
         // Sums of weights are at most 1, so no partial sum is larger than the largest value.
         bounds.color += weight_error * color + 4.0 * ROUNDOFF * color.max(1.0);
-        bounds.weighted_depth += weight_error * depth_m + 4.0 * ROUNDOFF * depth_m.max(*depth_before);
+        bounds.weighted_depth +=
+            weight_error * depth_m + 4.0 * ROUNDOFF * depth_m.max(*depth_before);
         bounds.transmittance = left_error;
         bounds.weight_error = bounds.weight_error.max(weight_error);
         bounds.best_weights[instance] = bounds.best_weights[instance].max(weight);

@@ -14,7 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Ends the program when a call fails; the system lets go of what is open. */
+/* Ends the program when a call fails; the system releases what is open. */
 #define CHECK(call) check((call), #call)
 
 static void check(DgsStatus status, const char *call) {

@@ -9,12 +9,12 @@
  * do. Numbers and structs of a call that failed are not written; handles are set to NULL.
  *
  * Handles. A handle is a number in the clothes of a pointer: it points at nothing, is never given out twice, and one that was
- * closed, made up or is of another kind is DGS_STATUS_INVALID_HANDLE. Handles may be closed in any order: what others still need
+ * closed, synthetic or is of another kind is DGS_STATUS_INVALID_HANDLE. Handles may be closed in any order: what others still need
  * stays alive without its handle. NULL may be closed. Where a fault of the library stopped a call midway (DGS_STATUS_PANIC), the
  * handles of that call can only be closed (DGS_STATUS_POISONED).
  *
  * Threads. Every function may be called from any thread. Sessions and scenes are used by many threads at once. A world may be read
- * and drawn by many at once; a batch renderer is used by one at a time, as is a world that is changed: whoever comes second does not wait
+ * and drawn by many at once; a batch renderer is used by one at a time, as is a world that is changed: a second caller does not wait
  * but gets DGS_STATUS_BUSY.
  *
  * Memory. Pointers are NULL only where it says so, and aligned; arrays are as long as the count says. Nothing is kept that a
@@ -53,11 +53,13 @@ typedef enum {
      */
     DGS_STATUS_OK = 0,
     /**
-     * NULL, a misaligned pointer, text that is not UTF-8, a number out of range or not finite, a struct of an unknown size.
+     * NULL, a misaligned pointer, text that is not UTF-8, a number out of range or not finite, a
+     * struct of an unknown size.
      */
     DGS_STATUS_INVALID_ARGUMENT = 1,
     /**
-     * A handle that was closed, was never given out, is of another kind, or belongs to another session.
+     * A handle that was closed, was never given out, is of another kind, or belongs to another
+     * session.
      */
     DGS_STATUS_INVALID_HANDLE = 2,
     /**
@@ -111,7 +113,8 @@ typedef enum {
  */
 typedef enum {
     /**
-     * Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera delivers.
+     * Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera
+     * delivers.
      */
     DGS_COLOR_U8 = 0,
     /**
@@ -133,11 +136,13 @@ typedef enum {
      */
     DGS_IMAGE_KIND_RGBA_F32 = 1,
     /**
-     * float: expected depth along the camera's z, meters; 0 where nothing was hit. Sessions with `depth`.
+     * float: expected depth along the camera's z, meters; 0 where nothing was hit. Sessions with
+     * `depth`.
      */
     DGS_IMAGE_KIND_DEPTH_F32 = 2,
     /**
-     * uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with `instance`.
+     * uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with
+     * `instance`.
      */
     DGS_IMAGE_KIND_INSTANCE_U16 = 3,
 } DgsImageKind;
@@ -205,7 +210,8 @@ typedef struct {
      */
     uint64_t memory_bytes;
     /**
-     * The same for this device in every process and after every start; CUDA names it by the same 16 bytes.
+     * The same for this device in every process and after every start; CUDA names it by the same
+     * 16 bytes.
      */
     uint8_t uuid[16];
     /**
@@ -369,7 +375,8 @@ typedef struct {
      */
     uint32_t struct_bytes;
     /**
-     * Frames that were submitted: one draws up to 32 cameras of worlds over the same scene that follow one another.
+     * Frames that were submitted: one draws up to 32 cameras of worlds over the same scene that
+     * follow one another.
      */
     uint32_t frames;
     /**
@@ -409,7 +416,8 @@ extern "C" {
 const char *dgs_last_error(void);
 
 /**
- * The version of the library's functions and structs. Programs compare it with DGS_ABI_VERSION before anything else.
+ * The version of the library's functions and structs. Programs compare it with DGS_ABI_VERSION
+ * before anything else.
  */
 uint32_t dgs_abi_version(void);
 
@@ -419,7 +427,8 @@ uint32_t dgs_abi_version(void);
 const char *dgs_version(void);
 
 /**
- * A status in a word or two, such as "invalid handle"; "unknown" for a number that is none. Valid for ever.
+ * A status in a word or two, such as "invalid handle"; "unknown" for a number that is none. Valid
+ * for ever.
  */
 const char *dgs_status_name(int32_t status);
 
@@ -434,14 +443,14 @@ DgsStatus dgs_device_count(size_t *count);
 DgsStatus dgs_device(size_t index, DgsDevice *device);
 
 /**
- * Opens a device. `options` may be NULL for the best device and images in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
- * Khronos validation layer watches, which is slow.
+ * Opens a device. `options` may be NULL for the best device and images in bytes. With
+ * DECOUPLEGS_VALIDATION=1 in the environment the Khronos validation layer watches, which is slow.
  */
-DgsStatus dgs_session_open(const DgsSessionOptions *options,
-                           DgsSession **session);
+DgsStatus dgs_session_open(const DgsSessionOptions *options, DgsSession **session);
 
 /**
- * Closes a session. Scenes, worlds and batch renderers that were made of it go on; the device is let go with the last of them.
+ * Closes a session. Scenes, worlds and batch renderers that were made of it go on; the device is
+ * let go with the last of them.
  */
 DgsStatus dgs_session_close(DgsSession *session);
 
@@ -456,12 +465,11 @@ DgsStatus dgs_session_device(const DgsSession *session, DgsDevice *device);
 DgsStatus dgs_session_memory(const DgsSession *session, uint64_t *bytes);
 
 /**
- * Loads a scene file or a file of splats, unless another handle holds it already: a scene is on the device once, and leaves it when
- * its handles and worlds are closed. Each call gives a handle of its own, to be closed.
+ * Loads a scene file or a file of splats, unless another handle holds it already: a scene is on
+ * the device once, and leaves it when its handles and worlds are closed. Each call gives a handle
+ * of its own, to be closed.
  */
-DgsStatus dgs_scene_open(const DgsSession *session,
-                         const char *path,
-                         DgsScene **scene);
+DgsStatus dgs_scene_open(const DgsSession *session, const char *path, DgsScene **scene);
 
 /**
  * Closes a handle of a scene. Worlds over the scene go on.
@@ -488,7 +496,8 @@ DgsStatus dgs_scene_camera_name(const DgsScene *scene,
                                 size_t *length);
 
 /**
- * Camera `index` of the rig, where it is when the ego vehicle is where the scene file has it at `time_s`.
+ * Camera `index` of the rig, where it is when the ego vehicle is where the scene file has it at
+ * `time_s`.
  */
 DgsStatus dgs_scene_camera_at(const DgsScene *scene, size_t index, double time_s, DgsCamera *camera);
 
@@ -539,11 +548,10 @@ DgsStatus dgs_scene_asset_count(const DgsScene *scene, size_t *count);
 DgsStatus dgs_scene_asset_size(const DgsScene *scene, uint32_t asset, float *size_m);
 
 /**
- * Copies another compressed asset (.safetensors) to the device, for all worlds over this scene. Its number goes into `asset`.
+ * Copies another compressed asset (.safetensors) to the device, for all worlds over this scene.
+ * Its number goes into `asset`.
  */
-DgsStatus dgs_scene_add_asset(const DgsScene *scene,
-                              const char *path,
-                              uint32_t *asset);
+DgsStatus dgs_scene_add_asset(const DgsScene *scene, const char *path, uint32_t *asset);
 
 /**
  * A world with the agents of the scene file, where they are at time 0.
@@ -556,10 +564,10 @@ DgsStatus dgs_world_new(const DgsScene *scene, DgsWorld **world);
 DgsStatus dgs_world_new_empty(const DgsScene *scene, DgsWorld **world);
 
 /**
- * Another world with agents as those of `world` are now. Over the same scene, they go their own ways from here on.
+ * Another world with agents as those of `world` are now. Over the same scene, they go their own
+ * ways from here on.
  */
-DgsStatus dgs_world_clone(const DgsWorld *world,
-                          DgsWorld **copy);
+DgsStatus dgs_world_clone(const DgsWorld *world, DgsWorld **copy);
 
 /**
  * Closes a world.
@@ -572,15 +580,14 @@ DgsStatus dgs_world_close(DgsWorld *world);
 DgsStatus dgs_world_set_time(DgsWorld *world, double time_s);
 
 /**
- * Moves the agent called `name`. One of plain splats is part of the background and cannot be moved: DGS_STATUS_UNSUPPORTED.
+ * Moves the agent called `name`. One of plain splats is part of the background and cannot be
+ * moved: DGS_STATUS_UNSUPPORTED.
  */
-DgsStatus dgs_world_move(DgsWorld *world,
-                         const char *name,
-                         const DgsPose *pose);
+DgsStatus dgs_world_move(DgsWorld *world, const char *name, const DgsPose *pose);
 
 /**
- * Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show it. Its number in images of
- * instances goes into `instance`, which may be NULL.
+ * Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show
+ * it. Its number in images of instances goes into `instance`, which may be NULL.
  */
 DgsStatus dgs_world_place(DgsWorld *world,
                           const char *name,
@@ -599,7 +606,8 @@ DgsStatus dgs_world_remove(DgsWorld *world, const char *name);
 DgsStatus dgs_world_agent_count(const DgsWorld *world, size_t *count);
 
 /**
- * The name of agent `index` of a world, from 0. `length` may be NULL. Removing an agent renumbers those behind it.
+ * The name of agent `index` of a world, from 0. `length` may be NULL. Removing an agent renumbers
+ * those behind it.
  */
 DgsStatus dgs_world_agent_name(const DgsWorld *world,
                                size_t index,
@@ -613,11 +621,10 @@ DgsStatus dgs_world_agent_name(const DgsWorld *world,
 DgsStatus dgs_world_agent(const DgsWorld *world, size_t index, DgsAgent *agent);
 
 /**
- * A batch renderer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
- * memory from draw to draw.
+ * A batch renderer that draws as the session's options say. One for each thread that draws, and
+ * one for each use, is fastest: it keeps its memory from draw to draw.
  */
-DgsStatus dgs_batch_renderer_new(const DgsSession *session,
-                                 DgsBatchRenderer **renderer);
+DgsStatus dgs_batch_renderer_new(const DgsSession *session, DgsBatchRenderer **renderer);
 
 /**
  * Closes a batch renderer. Its images go with it.
@@ -625,16 +632,15 @@ DgsStatus dgs_batch_renderer_new(const DgsSession *session,
 DgsStatus dgs_batch_renderer_close(DgsBatchRenderer *renderer);
 
 /**
- * Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow one another are drawn together, 32
- * cameras at a time. Where it fails, the batch renderer has no images and is as good as before.
+ * Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow
+ * one another are drawn together, 32 cameras at a time. Where it fails, the batch renderer has no
+ * images and is as good as before.
  */
-DgsStatus dgs_batch_renderer_draw(DgsBatchRenderer *renderer,
-                                  const DgsView *views,
-                                  size_t count);
+DgsStatus dgs_batch_renderer_draw(DgsBatchRenderer *renderer, const DgsView *views, size_t count);
 
 /**
- * The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsImageKind. The pixels stay
- * until the batch renderer draws or is closed.
+ * The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a
+ * DgsImageKind. The pixels stay until the batch renderer draws or is closed.
  */
 DgsStatus dgs_batch_renderer_image(const DgsBatchRenderer *renderer,
                                    size_t view,

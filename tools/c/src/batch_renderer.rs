@@ -62,7 +62,13 @@ struct Planes {
 
 impl Planes {
     fn new(image: Image, color: ColorFormat) -> Self {
-        let pixels = || image.rgb.iter().zip(&image.alpha).map(|(&[r, g, b], &a)| [r, g, b, a]);
+        let pixels = || {
+            image
+                .rgb
+                .iter()
+                .zip(&image.alpha)
+                .map(|(&[r, g, b], &a)| [r, g, b, a])
+        };
         // They were bytes on the device, so nothing is lost.
         let bytes = |pixel: [f32; 4]| pixel.map(|value| (255.0 * value).round() as u8);
         let (rgba_u8, rgba_f32) = match color {
@@ -70,21 +76,39 @@ impl Planes {
             ColorFormat::F32 => (Vec::new(), pixels().collect()),
         };
         let size_px = [image.width, image.height];
-        Self { size_px, rgba_u8, rgba_f32, depth: image.depth, instance: image.instance }
+        Self {
+            size_px,
+            rgba_u8,
+            rgba_f32,
+            depth: image.depth,
+            instance: image.instance,
+        }
     }
 }
 
-/// A batch renderer that draws as the session's options say. One for each thread that draws, and one for each use, is fastest: it keeps its
-/// memory from draw to draw.
+/// A batch renderer that draws as the session's options say. One for each thread that draws, and
+/// one for each use, is fastest: it keeps its memory from draw to draw.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_batch_renderer_new(session: *const DgsSession, renderer: *mut *mut DgsBatchRenderer) -> DgsStatus {
+pub unsafe extern "C" fn dgs_batch_renderer_new(
+    session: *const DgsSession,
+    renderer: *mut *mut DgsBatchRenderer,
+) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
         let made = unsafe { out_handle("renderer", renderer) }?;
         let session = Arc::clone(&*SESSIONS.find(call, session)?);
         let renderer = session.batch_renderer();
-        let (bytes, drawn, statistics) = (HostImages::default(), Drawn::Nothing, DgsStatistics::default());
-        let drawing = Mutex::new(Drawing { renderer, bytes, drawn, statistics });
+        let (bytes, drawn, statistics) = (
+            HostImages::default(),
+            Drawn::Nothing,
+            DgsStatistics::default(),
+        );
+        let drawing = Mutex::new(Drawing {
+            renderer,
+            bytes,
+            drawn,
+            statistics,
+        });
         made.write(BATCH_RENDERERS.add(HeldBatchRenderer { session, drawing }));
         Ok(())
     })
@@ -96,8 +120,9 @@ pub unsafe extern "C" fn dgs_batch_renderer_close(renderer: *mut DgsBatchRendere
     guarded(|_| BATCH_RENDERERS.close(renderer))
 }
 
-/// Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow one another are drawn together, 32
-/// cameras at a time. Where it fails, the batch renderer has no images and is as good as before.
+/// Draws `count` views, at least one, and waits for the images. Worlds over one scene that follow
+/// one another are drawn together, 32 cameras at a time. Where it fails, the batch renderer has no
+/// images and is as good as before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_batch_renderer_draw(
     renderer: *mut DgsBatchRenderer,
@@ -115,11 +140,21 @@ pub unsafe extern "C" fn dgs_batch_renderer_draw(
         }
         let numbered = views.iter().enumerate();
         // SAFETY: the views' pointers too are as the header asks.
-        let seen = numbered.map(|(index, view)| unsafe { Seen::new(call, &held.session, index, view) });
+        let seen =
+            numbered.map(|(index, view)| unsafe { Seen::new(call, &held.session, index, view) });
         let seen = seen.collect::<Result<Vec<_>, _>>()?;
-        let worlds = seen.iter().map(|seen| seen.world.read()).collect::<Result<Vec<_>, _>>()?;
-        let views: Vec<WorldView<'_>> =
-            worlds.iter().zip(&seen).map(|(world, seen)| WorldView { world, cameras: &seen.cameras }).collect();
+        let worlds = seen
+            .iter()
+            .map(|seen| seen.world.read())
+            .collect::<Result<Vec<_>, _>>()?;
+        let views: Vec<WorldView<'_>> = worlds
+            .iter()
+            .zip(&seen)
+            .map(|(world, seen)| WorldView {
+                world,
+                cameras: &seen.cameras,
+            })
+            .collect();
         Ok(drawing.draw(&views)?)
     })
 }
@@ -135,19 +170,43 @@ impl Seen {
     ///
     /// # Safety
     /// The view's pointers are NULL or as the header asks.
-    unsafe fn new(call: &mut Call, session: &Arc<Session>, index: usize, view: &DgsView) -> Result<Self, Failure> {
-        let world = WORLDS.find(call, view.world).map_err(|failure| failure.of(&format!("view {index}")))?;
+    unsafe fn new(
+        call: &mut Call,
+        session: &Arc<Session>,
+        index: usize,
+        view: &DgsView,
+    ) -> Result<Self, Failure> {
+        let world = WORLDS
+            .find(call, view.world)
+            .map_err(|failure| failure.of(&format!("view {index}")))?;
         if !Arc::ptr_eq(&world.session, session) {
             let text = "belongs to another session than the batch renderer: its device knows nothing of it";
-            return Err(Failure::new(DgsStatus::InvalidHandle, format!("the world of view {index} {text}")));
+            return Err(Failure::new(
+                DgsStatus::InvalidHandle,
+                format!("the world of view {index} {text}"),
+            ));
         }
         // SAFETY: promised by our caller; a camera is of numbers.
-        let cameras = unsafe { array(&format!("cameras of view {index}"), view.cameras, view.camera_count) }?;
+        let cameras = unsafe {
+            array(
+                &format!("cameras of view {index}"),
+                view.cameras,
+                view.camera_count,
+            )
+        }?;
         if cameras.is_empty() {
-            return Err(Failure::argument(format!("view {index} has no cameras: give it at least one")));
+            return Err(Failure::argument(format!(
+                "view {index} has no cameras: give it at least one"
+            )));
         }
-        let named = |(place, camera): (usize, &DgsCamera)| camera.to_camera(format!("view {index}, camera {place}"));
-        let cameras = cameras.iter().enumerate().map(named).collect::<Result<_, _>>()?;
+        let named = |(place, camera): (usize, &DgsCamera)| {
+            camera.to_camera(format!("view {index}, camera {place}"))
+        };
+        let cameras = cameras
+            .iter()
+            .enumerate()
+            .map(named)
+            .collect::<Result<_, _>>()?;
         Ok(Self { world, cameras })
     }
 }
@@ -155,14 +214,24 @@ impl Seen {
 impl Drawing {
     fn draw(&mut self, views: &[WorldView<'_>]) -> Result<(), SessionError> {
         let begun = Instant::now();
-        let Outputs { color, depth, instance, .. } = self.renderer.options().outputs;
+        let Outputs {
+            color,
+            depth,
+            instance,
+            ..
+        } = self.renderer.options().outputs;
         let frames = if color == ColorFormat::U8 && !depth && !instance {
             let frames = self.renderer.draw(views, &mut self.bytes)?;
             self.drawn = Drawn::Bytes;
             frames
         } else {
             let (images, frames) = self.renderer.draw_images(views)?;
-            let planes = |cameras: Vec<Image>| cameras.into_iter().map(|image| Planes::new(image, color)).collect();
+            let planes = |cameras: Vec<Image>| {
+                cameras
+                    .into_iter()
+                    .map(|image| Planes::new(image, color))
+                    .collect()
+            };
             self.drawn = Drawn::Planes(images.into_iter().map(planes).collect());
             frames
         };
@@ -175,22 +244,34 @@ impl Drawing {
     /// The image of a camera, where there is one.
     fn image(&self, view: usize, camera: usize, kind: u32) -> Result<DgsImage, Failure> {
         match &self.drawn {
-            Drawn::Nothing => Err(Failure::not_found("there are no images: nothing was drawn, or the last draw failed")),
+            Drawn::Nothing => Err(Failure::not_found(
+                "there are no images: nothing was drawn, or the last draw failed",
+            )),
             Drawn::Bytes => {
                 let there = view < self.bytes.views() && camera < self.bytes.cameras(view);
                 if !there {
                     return Err(no_camera(view, camera));
                 }
-                let bytes = (kind == DgsImageKind::RgbaU8 as u32).then(|| self.bytes.rgba(view, camera));
+                let bytes =
+                    (kind == DgsImageKind::RgbaU8 as u32).then(|| self.bytes.rgba(view, camera));
                 image(kind, self.bytes.size_px(view, camera), bytes)
             }
             Drawn::Planes(views) => {
-                let planes = views.get(view).and_then(|cameras| cameras.get(camera)).ok_or_else(|| no_camera(view, camera))?;
+                let planes = views
+                    .get(view)
+                    .and_then(|cameras| cameras.get(camera))
+                    .ok_or_else(|| no_camera(view, camera))?;
                 let size_px = planes.size_px;
                 match kind {
-                    kind if kind == DgsImageKind::RgbaU8 as u32 => image(kind, size_px, of_some(&planes.rgba_u8)),
-                    kind if kind == DgsImageKind::RgbaF32 as u32 => image(kind, size_px, of_some(&planes.rgba_f32)),
-                    kind if kind == DgsImageKind::DepthF32 as u32 => image(kind, size_px, planes.depth.as_deref()),
+                    kind if kind == DgsImageKind::RgbaU8 as u32 => {
+                        image(kind, size_px, of_some(&planes.rgba_u8))
+                    }
+                    kind if kind == DgsImageKind::RgbaF32 as u32 => {
+                        image(kind, size_px, of_some(&planes.rgba_f32))
+                    }
+                    kind if kind == DgsImageKind::DepthF32 as u32 => {
+                        image(kind, size_px, planes.depth.as_deref())
+                    }
                     kind => image(kind, size_px, planes.instance.as_deref()),
                 }
             }
@@ -199,7 +280,9 @@ impl Drawing {
 }
 
 fn no_camera(view: usize, camera: usize) -> Failure {
-    Failure::not_found(format!("the last draw had no camera {camera} in a view {view}; both are counted from 0"))
+    Failure::not_found(format!(
+        "the last draw had no camera {camera} in a view {view}; both are counted from 0"
+    ))
 }
 
 /// `None` for an empty plane: images have at least one pixel.
@@ -208,9 +291,15 @@ fn of_some<T>(plane: &[T]) -> Option<&[T]> {
 }
 
 /// The image whose values are `values`, rows from the top.
-fn image<T>(kind: u32, [width_px, height_px]: [u32; 2], values: Option<&[T]>) -> Result<DgsImage, Failure> {
+fn image<T>(
+    kind: u32,
+    [width_px, height_px]: [u32; 2],
+    values: Option<&[T]>,
+) -> Result<DgsImage, Failure> {
     if kind > DgsImageKind::InstanceU16 as u32 {
-        return Err(Failure::argument(format!("kind is {kind}: expected a DgsImageKind, 0 to 3")));
+        return Err(Failure::argument(format!(
+            "kind is {kind}: expected a DgsImageKind, 0 to 3"
+        )));
     }
     let values = values.ok_or_else(|| {
         let text = "the session has no images of this kind: ask for it in DgsSessionOptions (color, depth, instance)";
@@ -232,14 +321,20 @@ fn summed(frames: &[FrameStatistics]) -> DgsStatistics {
         frames: frames.len() as u32,
         agents: frames.iter().map(|frame| frame.agents as u32).sum(),
         redrawn: frames.iter().map(|frame| frame.redrawn).sum(),
-        gpu_ms: frames.iter().map(|frame| 1e3 * frame.gpu_time.as_secs_f64()).sum(),
-        splats_listed: frames.iter().map(|frame| u64::from(frame.required.records)).sum(),
+        gpu_ms: frames
+            .iter()
+            .map(|frame| 1e3 * frame.gpu_time.as_secs_f64())
+            .sum(),
+        splats_listed: frames
+            .iter()
+            .map(|frame| u64::from(frame.required.records))
+            .sum(),
         ..DgsStatistics::default()
     }
 }
 
-/// The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a DgsImageKind. The pixels stay
-/// until the batch renderer draws or is closed.
+/// The image that camera `camera` of view `view` of the last draw took, both from 0; `kind` is a
+/// DgsImageKind. The pixels stay until the batch renderer draws or is closed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_batch_renderer_image(
     renderer: *const DgsBatchRenderer,
@@ -251,7 +346,12 @@ pub unsafe extern "C" fn dgs_batch_renderer_image(
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
         let place = unsafe { out("image", image) }?;
-        place.write(BATCH_RENDERERS.find(call, renderer)?.lock()?.image(view, camera, kind)?);
+        place.write(
+            BATCH_RENDERERS
+                .find(call, renderer)?
+                .lock()?
+                .image(view, camera, kind)?,
+        );
         Ok(())
     })
 }
@@ -266,6 +366,13 @@ pub unsafe extern "C" fn dgs_batch_renderer_statistics(
         let held = BATCH_RENDERERS.find(call, renderer)?;
         let drawing = held.lock()?;
         // SAFETY: as the header asks of all pointers.
-        unsafe { give_growing("statistics", statistics, DgsStatistics::FIRST_BYTES, &drawing.statistics) }
+        unsafe {
+            give_growing(
+                "statistics",
+                statistics,
+                DgsStatistics::FIRST_BYTES,
+                &drawing.statistics,
+            )
+        }
     })
 }

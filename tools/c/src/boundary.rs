@@ -32,12 +32,18 @@ impl Call {
     }
 }
 
-/// Does the work of a call. No panic leaves it: what it was working with is poisoned instead, for nobody knows in what state it is.
+/// Does the work of a call. No panic leaves it: what it was working with is poisoned instead, for
+/// nobody knows in what state it is.
 pub fn guarded(work: impl FnOnce(&mut Call) -> Result<(), Failure>) -> DgsStatus {
     let mut call = Call::default();
     let outcome = catch_unwind(AssertUnwindSafe(|| work(&mut call))).unwrap_or_else(|panic| {
-        call.poison.iter().for_each(|poison| poison.store(true, Ordering::Relaxed));
-        Err(Failure::new(DgsStatus::Panic, format!("a fault of the library: {}", said(&*panic))))
+        call.poison
+            .iter()
+            .for_each(|poison| poison.store(true, Ordering::Relaxed));
+        Err(Failure::new(
+            DgsStatus::Panic,
+            format!("a fault of the library: {}", said(&*panic)),
+        ))
     });
     let (status, message) = match outcome {
         Ok(()) => (DgsStatus::Ok, String::new()),
@@ -50,7 +56,8 @@ pub fn guarded(work: impl FnOnce(&mut Call) -> Result<(), Failure>) -> DgsStatus
 /// Message of a panic.
 fn said(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
-    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("it did not say which")
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("it did not say which")
 }
 
 fn remember(mut message: String) {
@@ -64,10 +71,13 @@ fn remember(mut message: String) {
 /// after success. Never NULL. Valid until this thread's next such call.
 #[unsafe(no_mangle)]
 pub extern "C" fn dgs_last_error() -> *const c_char {
-    LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+    LAST_ERROR
+        .try_with(|last| last.borrow().as_ptr())
+        .unwrap_or(c"".as_ptr())
 }
 
-/// The version of the library's functions and structs. Programs compare it with DGS_ABI_VERSION before anything else.
+/// The version of the library's functions and structs. Programs compare it with DGS_ABI_VERSION
+/// before anything else.
 #[unsafe(no_mangle)]
 pub extern "C" fn dgs_abi_version() -> u32 {
     DGS_ABI_VERSION
@@ -76,17 +86,21 @@ pub extern "C" fn dgs_abi_version() -> u32 {
 /// The version of the library, such as "0.1.0". Valid for ever.
 #[unsafe(no_mangle)]
 pub extern "C" fn dgs_version() -> *const c_char {
-    const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
-        Ok(text) => text,
-        Err(_) => panic!("a version has no NUL"),
-    };
+    const VERSION: &CStr =
+        match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
+            Ok(text) => text,
+            Err(_) => panic!("a version has no NUL"),
+        };
     VERSION.as_ptr()
 }
 
-/// A status in a word or two, such as "invalid handle"; "unknown" for a number that is none. Valid for ever.
+/// A status in a word or two, such as "invalid handle"; "unknown" for a number that is none. Valid
+/// for ever.
 #[unsafe(no_mangle)]
 pub extern "C" fn dgs_status_name(status: i32) -> *const c_char {
-    let known = usize::try_from(status).ok().and_then(|status| DgsStatus::ALL.get(status));
+    let known = usize::try_from(status)
+        .ok()
+        .and_then(|status| DgsStatus::ALL.get(status));
     known.map_or(c"unknown", |status| status.name()).as_ptr()
 }
 
@@ -97,7 +111,10 @@ mod tests {
 
     fn last_error() -> String {
         // SAFETY: the text is this thread's own, and no call comes between.
-        unsafe { CStr::from_ptr(dgs_last_error()) }.to_str().unwrap().to_owned()
+        unsafe { CStr::from_ptr(dgs_last_error()) }
+            .to_str()
+            .unwrap()
+            .to_owned()
     }
 
     #[test]
@@ -109,20 +126,42 @@ mod tests {
             panic!("the {}th of them", 13)
         });
         assert_eq!(failing, DgsStatus::Panic);
-        assert!(last_error().contains("the 13th of them"), "{}", last_error());
-        assert_eq!(guarded(|call| NUMBERS.find(call, used).map(drop)), DgsStatus::Poisoned);
+        assert!(
+            last_error().contains("the 13th of them"),
+            "{}",
+            last_error()
+        );
+        assert_eq!(
+            guarded(|call| NUMBERS.find(call, used).map(drop)),
+            DgsStatus::Poisoned
+        );
         assert!(last_error().contains("number"), "{}", last_error());
-        assert_eq!(guarded(|call| NUMBERS.find(call, unused).map(|number| assert_eq!(*number, 8))), DgsStatus::Ok);
+        assert_eq!(
+            guarded(|call| NUMBERS
+                .find(call, unused)
+                .map(|number| assert_eq!(*number, 8))),
+            DgsStatus::Ok
+        );
         assert_eq!(last_error(), "", "success takes the sentence away");
-        assert_eq!(guarded(|_| NUMBERS.close(used)), DgsStatus::Ok, "who is poisoned can still be closed");
-        assert_eq!(guarded(|call| NUMBERS.find(call, used).map(drop)), DgsStatus::InvalidHandle);
+        assert_eq!(
+            guarded(|_| NUMBERS.close(used)),
+            DgsStatus::Ok,
+            "who is poisoned can still be closed"
+        );
+        assert_eq!(
+            guarded(|call| NUMBERS.find(call, used).map(drop)),
+            DgsStatus::InvalidHandle
+        );
     }
 
     #[test]
     fn a_panic_may_carry_anything() {
         assert_eq!(guarded(|_| std::panic::panic_any(13_u8)), DgsStatus::Panic);
         assert!(last_error().contains("did not say"));
-        assert_eq!(guarded(|_| Err(Failure::argument("a\0b"))), DgsStatus::InvalidArgument);
+        assert_eq!(
+            guarded(|_| Err(Failure::argument("a\0b"))),
+            DgsStatus::InvalidArgument
+        );
         assert_eq!(last_error(), "ab");
     }
 
@@ -133,8 +172,13 @@ mod tests {
         }
         let name = |status| {
             // SAFETY: names are static text.
-            unsafe { CStr::from_ptr(dgs_status_name(status)) }.to_str().unwrap()
+            unsafe { CStr::from_ptr(dgs_status_name(status)) }
+                .to_str()
+                .unwrap()
         };
-        assert_eq!([name(0), name(13), name(14), name(-1), name(i32::MIN)], ["ok", "poisoned", "unknown", "unknown", "unknown"]);
+        assert_eq!(
+            [name(0), name(13), name(14), name(-1), name(i32::MIN)],
+            ["ok", "poisoned", "unknown", "unknown", "unknown"]
+        );
     }
 }

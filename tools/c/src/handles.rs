@@ -2,12 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
+use std::sync::{
+    Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError,
+};
 
 use crate::boundary::Call;
 use crate::status::{DgsStatus, Failure};
 
-/// The next handle of any kind. Odd, so that none is ever equal to a pointer to something aligned; none is given out twice.
+/// The next handle of any kind. Odd, so that none is ever equal to a pointer to something aligned;
+/// none is given out twice.
 static NEXT: AtomicUsize = AtomicUsize::new(1);
 
 /// Objects behind the handles of one kind.
@@ -25,29 +28,43 @@ struct Held<T> {
 
 impl<T> Registry<T> {
     pub const fn new(kind: &'static str) -> Self {
-        Self { kind, held: Mutex::new(BTreeMap::new()) }
+        Self {
+            kind,
+            held: Mutex::new(BTreeMap::new()),
+        }
     }
 
     /// A handle for `object`, typed as the C program sees it.
     pub fn add<Handle>(&self, object: T) -> *mut Handle {
         let handle = NEXT.fetch_add(2, Ordering::Relaxed);
-        self.lock().insert(handle, Held { object: Arc::new(object), poison: Arc::default() });
+        self.lock().insert(
+            handle,
+            Held {
+                object: Arc::new(object),
+                poison: Arc::default(),
+            },
+        );
         std::ptr::without_provenance_mut(handle)
     }
 
-    /// Object behind `handle`. It stays alive while it is used, whoever closes it.
+    /// Object behind `handle`. It stays alive while it is used, even if it is closed.
     pub fn find<Handle>(&self, call: &mut Call, handle: *const Handle) -> Result<Arc<T>, Failure> {
         let held = self.lock();
-        let found = held.get(&handle.addr()).ok_or_else(|| self.unknown(handle.addr()))?;
+        let found = held
+            .get(&handle.addr())
+            .ok_or_else(|| self.unknown(handle.addr()))?;
         if found.poison.load(Ordering::Relaxed) {
-            let text = format!("this {} was in a call that a fault of the library stopped midway: close it", self.kind);
+            let text = format!(
+                "this {} was in a call that a fault of the library stopped midway: close it",
+                self.kind
+            );
             return Err(Failure::new(DgsStatus::Poisoned, text));
         }
         call.uses(found.poison.clone());
         Ok(found.object.clone())
     }
 
-    /// Lets go of what `handle` stands for; of nothing where it is NULL.
+    /// Releases what `handle` stands for; of nothing where it is NULL.
     pub fn close<Handle>(&self, handle: *mut Handle) -> Result<(), Failure> {
         if handle.is_null() {
             return Ok(());
@@ -60,7 +77,10 @@ impl<T> Registry<T> {
     fn unknown(&self, handle: usize) -> Failure {
         let text = match handle {
             0 => format!("a {} was expected, found NULL", self.kind),
-            _ => format!("{handle:#x} is no {}: it was closed, or is something else", self.kind),
+            _ => format!(
+                "{handle:#x} is no {}: it was closed, or is something else",
+                self.kind
+            ),
         };
         Failure::new(DgsStatus::InvalidHandle, text)
     }
@@ -71,9 +91,10 @@ impl<T> Registry<T> {
 }
 
 /// Locks an object that one thread may use at a time. A second caller gets an error instead of a
-/// wait: it made a mistake. Nobody waits, for who comes second made a mistake.
+/// wait: it made a mistake. There is no wait, because a second caller is a mistake.
 ///
-/// Locks of the standard library are poisoned by panics too. That is passed over here: handles know which calls were stopped midway.
+/// Locks of the standard library are poisoned by panics too. That is passed over here: handles know
+/// which calls were stopped midway.
 pub fn alone<'a, T>(kind: &str, lock: &'a Mutex<T>) -> Result<MutexGuard<'a, T>, Failure> {
     free(kind, lock.try_lock())
 }
@@ -84,7 +105,10 @@ pub fn to_read<'a, T>(kind: &str, lock: &'a RwLock<T>) -> Result<RwLockReadGuard
 }
 
 /// Locks an object for changes.
-pub fn to_change<'a, T>(kind: &str, lock: &'a RwLock<T>) -> Result<RwLockWriteGuard<'a, T>, Failure> {
+pub fn to_change<'a, T>(
+    kind: &str,
+    lock: &'a RwLock<T>,
+) -> Result<RwLockWriteGuard<'a, T>, Failure> {
     free(kind, lock.try_write())
 }
 
@@ -92,9 +116,10 @@ fn free<Guard>(kind: &str, tried: Result<Guard, TryLockError<Guard>>) -> Result<
     match tried {
         Ok(guard) => Ok(guard),
         Err(TryLockError::Poisoned(guard)) => Ok(guard.into_inner()),
-        Err(TryLockError::WouldBlock) => {
-            Err(Failure::new(DgsStatus::Busy, format!("another thread is using this {kind}: use it from one at a time")))
-        }
+        Err(TryLockError::WouldBlock) => Err(Failure::new(
+            DgsStatus::Busy,
+            format!("another thread is using this {kind}: use it from one at a time"),
+        )),
     }
 }
 
@@ -113,7 +138,11 @@ mod tests {
         assert!(refused(std::ptr::null()).message.contains("found NULL"));
         assert_eq!(refused(&7_u8).status, DgsStatus::InvalidHandle);
         LEFT.close(one).unwrap();
-        assert_eq!(LEFT.close(one).unwrap_err().status, DgsStatus::InvalidHandle, "closed twice");
+        assert_eq!(
+            LEFT.close(one).unwrap_err().status,
+            DgsStatus::InvalidHandle,
+            "closed twice"
+        );
         assert_eq!(refused(one).status, DgsStatus::InvalidHandle);
         assert_ne!(LEFT.add::<u8>(3), one, "no handle is given out twice");
         LEFT.close::<u8>(std::ptr::null_mut()).unwrap();
@@ -131,7 +160,9 @@ mod tests {
 
     #[test]
     fn who_comes_second_is_told_so() {
-        let busy = |failure: Failure| failure.status == DgsStatus::Busy && failure.message.contains("this thing");
+        let busy = |failure: Failure| {
+            failure.status == DgsStatus::Busy && failure.message.contains("this thing")
+        };
         let one = Mutex::new(1);
         let held = alone("thing", &one).unwrap();
         assert!(alone("thing", &one).is_err_and(busy));
@@ -139,11 +170,16 @@ mod tests {
         assert_eq!(*alone("thing", &one).unwrap(), 1);
 
         let many = RwLock::new(2);
-        let readers = [to_read("thing", &many).unwrap(), to_read("thing", &many).unwrap()];
+        let readers = [
+            to_read("thing", &many).unwrap(),
+            to_read("thing", &many).unwrap(),
+        ];
         assert!(to_change("thing", &many).is_err_and(busy));
         drop(readers);
         let writer = to_change("thing", &many).unwrap();
-        assert!(to_read("thing", &many).is_err_and(busy) && to_change("thing", &many).is_err_and(busy));
+        assert!(
+            to_read("thing", &many).is_err_and(busy) && to_change("thing", &many).is_err_and(busy)
+        );
         drop(writer);
         assert_eq!(*to_read("thing", &many).unwrap(), 2);
     }

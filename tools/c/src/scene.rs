@@ -26,10 +26,15 @@ pub struct HeldScene {
 
 pub static SCENES: Registry<HeldScene> = Registry::new("scene");
 
-/// Loads a scene file or a file of splats, unless another handle holds it already: a scene is on the device once, and leaves it when
-/// its handles and worlds are closed. Each call gives a handle of its own, to be closed.
+/// Loads a scene file or a file of splats, unless another handle holds it already: a scene is on
+/// the device once, and leaves it when its handles and worlds are closed. Each call gives a handle
+/// of its own, to be closed.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_open(session: *const DgsSession, path: *const c_char, scene: *mut *mut DgsScene) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_open(
+    session: *const DgsSession,
+    path: *const c_char,
+    scene: *mut *mut DgsScene,
+) -> DgsStatus {
     guarded(|_| {
         // SAFETY: as the header asks of all pointers.
         let (opened, path) = unsafe { (out_handle("scene", scene)?, text("path", path)?) };
@@ -68,14 +73,20 @@ unsafe fn read<T>(
 
 /// Number of splats of the background.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_splat_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_splat_count(
+    scene: *const DgsScene,
+    count: *mut usize,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "count", count, |scene| Ok(scene.background_splats())) }
 }
 
 /// Number of cameras of the rig: 0 for a file of splats.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_camera_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_camera_count(
+    scene: *const DgsScene,
+    count: *mut usize,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "count", count, |scene| Ok(scene.rig().cameras.len())) }
 }
@@ -92,11 +103,19 @@ pub unsafe extern "C" fn dgs_scene_camera_name(
     guarded(|call| {
         let held = SCENES.find(call, scene)?;
         // SAFETY: as the header asks of all pointers.
-        unsafe { give_text(&rig_camera(&held.scene, index)?.name, buffer, capacity, length) }
+        unsafe {
+            give_text(
+                &rig_camera(&held.scene, index)?.name,
+                buffer,
+                capacity,
+                length,
+            )
+        }
     })
 }
 
-/// Camera `index` of the rig, where it is when the ego vehicle is where the scene file has it at `time_s`.
+/// Camera `index` of the rig, where it is when the ego vehicle is where the scene file has it at
+/// `time_s`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_scene_camera_at(
     scene: *const DgsScene,
@@ -128,19 +147,30 @@ pub unsafe extern "C" fn dgs_scene_camera_on(
 
 fn rig_camera(scene: &SessionScene, index: usize) -> Result<&RigCamera, Failure> {
     let cameras = &scene.rig().cameras;
-    let missing = || Failure::not_found(format!("the rig has no camera {index}: it has {}, counted from 0", cameras.len()));
+    let missing = || {
+        Failure::not_found(format!(
+            "the rig has no camera {index}: it has {}, counted from 0",
+            cameras.len()
+        ))
+    };
     cameras.get(index).ok_or_else(missing)
 }
 
 fn camera_on(scene: &SessionScene, index: usize, ego: &Pose) -> Result<DgsCamera, Failure> {
-    let rig = Rig { cameras: vec![rig_camera(scene, index)?.clone()] };
+    let rig = Rig {
+        cameras: vec![rig_camera(scene, index)?.clone()],
+    };
     DgsCamera::of(&rig.at(ego)[0])
 }
 
 /// Start and end of the ego vehicle's trajectory, seconds. `start_s` and `end_s` are the same where
 /// it stands.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_ego_span(scene: *const DgsScene, start_s: *mut f64, end_s: *mut f64) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_ego_span(
+    scene: *const DgsScene,
+    start_s: *mut f64,
+    end_s: *mut f64,
+) -> DgsStatus {
     guarded(|call| {
         let held = SCENES.find(call, scene)?;
         // SAFETY: as the header asks of all pointers.
@@ -154,19 +184,36 @@ pub unsafe extern "C" fn dgs_scene_ego_span(scene: *const DgsScene, start_s: *mu
 /// Pose of the ego vehicle at `time_s` from the scene file: world from ego. Before its way begins
 /// and after it ends, it stands.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_ego_at(scene: *const DgsScene, time_s: f64, pose: *mut DgsPose) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_ego_at(
+    scene: *const DgsScene,
+    time_s: f64,
+    pose: *mut DgsPose,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
-    unsafe { read(scene, "pose", pose, |scene| Ok(DgsPose::of(&scene.ego().at(moment(time_s)?)))) }
+    unsafe {
+        read(scene, "pose", pose, |scene| {
+            Ok(DgsPose::of(&scene.ego().at(moment(time_s)?)))
+        })
+    }
 }
 
 /// A moment, which must be one.
 pub fn moment(time_s: f64) -> Result<f64, Failure> {
-    if time_s.is_finite() { Ok(time_s) } else { Err(Failure::argument(format!("the time is {time_s}: expected seconds"))) }
+    if time_s.is_finite() {
+        Ok(time_s)
+    } else {
+        Err(Failure::argument(format!(
+            "the time is {time_s}: expected seconds"
+        )))
+    }
 }
 
 /// Number of movable agents in the scene file: those that a new world has.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_agent_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_agent_count(
+    scene: *const DgsScene,
+    count: *mut usize,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "count", count, |scene| Ok(scene.agents().len())) }
 }
@@ -183,7 +230,14 @@ pub unsafe extern "C" fn dgs_scene_agent_name(
     guarded(|call| {
         let held = SCENES.find(call, scene)?;
         // SAFETY: as the header asks of all pointers.
-        unsafe { give_text(&loaded_agent(&held.scene, index)?.name, buffer, capacity, length) }
+        unsafe {
+            give_text(
+                &loaded_agent(&held.scene, index)?.name,
+                buffer,
+                capacity,
+                length,
+            )
+        }
     })
 }
 
@@ -198,7 +252,11 @@ pub unsafe extern "C" fn dgs_scene_agent_at(
     let at = |scene: &SessionScene| {
         let agent = loaded_agent(scene, index)?;
         let pose = DgsPose::of(&agent.trajectory.at(moment(time_s)?));
-        Ok(DgsAgent { pose, asset: agent.asset as u32, instance: agent.instance.into() })
+        Ok(DgsAgent {
+            pose,
+            asset: agent.asset as u32,
+            instance: agent.instance.into(),
+        })
     };
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "agent", agent, at) }
@@ -206,28 +264,48 @@ pub unsafe extern "C" fn dgs_scene_agent_at(
 
 fn loaded_agent(scene: &SessionScene, index: usize) -> Result<&LoadedAgent, Failure> {
     let agents = scene.agents();
-    let missing =
-        || Failure::not_found(format!("the scene has no agent {index} that moves: it has {}, counted from 0", agents.len()));
+    let missing = || {
+        Failure::not_found(format!(
+            "the scene has no agent {index} that moves: it has {}, counted from 0",
+            agents.len()
+        ))
+    };
     agents.get(index).ok_or_else(missing)
 }
 
 /// Number of assets that agents may use.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_asset_count(scene: *const DgsScene, count: *mut usize) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_asset_count(
+    scene: *const DgsScene,
+    count: *mut usize,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "count", count, |scene| Ok(scene.asset_count())) }
 }
 
 /// Length, width and height of the box of asset number `asset`, from 0, meters, into three floats.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_asset_size(scene: *const DgsScene, asset: u32, size_m: *mut f32) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_asset_size(
+    scene: *const DgsScene,
+    asset: u32,
+    size_m: *mut f32,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers; three floats are aligned as one is.
-    unsafe { read(scene, "size_m", size_m.cast::<[f32; 3]>(), |scene| Ok(scene.asset_dims_m(asset as usize)?)) }
+    unsafe {
+        read(scene, "size_m", size_m.cast::<[f32; 3]>(), |scene| {
+            Ok(scene.asset_dims_m(asset as usize)?)
+        })
+    }
 }
 
-/// Copies another compressed asset (.safetensors) to the device, for all worlds over this scene. Its number goes into `asset`.
+/// Copies another compressed asset (.safetensors) to the device, for all worlds over this scene.
+/// Its number goes into `asset`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_scene_add_asset(scene: *const DgsScene, path: *const c_char, asset: *mut u32) -> DgsStatus {
+pub unsafe extern "C" fn dgs_scene_add_asset(
+    scene: *const DgsScene,
+    path: *const c_char,
+    asset: *mut u32,
+) -> DgsStatus {
     let add = |scene: &SessionScene| {
         // SAFETY: as the header asks of all pointers.
         let path = unsafe { text("path", path) }?;

@@ -35,17 +35,30 @@ pub unsafe extern "C" fn dgs_device(index: usize, device: *mut DgsDevice) -> Dgs
     guarded(|_| {
         let devices = Gpu::list()?;
         let info = devices.get(index).ok_or_else(|| {
-            Failure::not_found(format!("there is no device {index}: Vulkan finds {}, counted from 0", devices.len()))
+            Failure::not_found(format!(
+                "there is no device {index}: Vulkan finds {}, counted from 0",
+                devices.len()
+            ))
         })?;
         // SAFETY: as the header asks of all pointers.
-        unsafe { give_growing("device", device, DgsDevice::FIRST_BYTES, &DgsDevice::of(info)) }
+        unsafe {
+            give_growing(
+                "device",
+                device,
+                DgsDevice::FIRST_BYTES,
+                &DgsDevice::of(info),
+            )
+        }
     })
 }
 
-/// Opens a device. `options` may be NULL for the best device and images in bytes. With DECOUPLEGS_VALIDATION=1 in the environment the
-/// Khronos validation layer watches, which is slow.
+/// Opens a device. `options` may be NULL for the best device and images in bytes. With
+/// DECOUPLEGS_VALIDATION=1 in the environment the Khronos validation layer watches, which is slow.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_session_open(options: *const DgsSessionOptions, session: *mut *mut DgsSession) -> DgsStatus {
+pub unsafe extern "C" fn dgs_session_open(
+    options: *const DgsSessionOptions,
+    session: *mut *mut DgsSession,
+) -> DgsStatus {
     guarded(|_| {
         // SAFETY: as the header asks of all pointers.
         let session = unsafe { out_handle("session", session) }?;
@@ -66,11 +79,22 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
         return Ok(session);
     }
     // SAFETY: as the header asks of all pointers; the struct is of numbers and a pointer.
-    let options = unsafe { growing("options", options, DgsSessionOptions::FIRST_BYTES, DgsSessionOptions::DEFAULT) }?;
+    let options = unsafe {
+        growing(
+            "options",
+            options,
+            DgsSessionOptions::FIRST_BYTES,
+            DgsSessionOptions::DEFAULT,
+        )
+    }?;
     session.render.outputs.color = match options.color {
         color if color == DgsColor::U8 as u32 => ColorFormat::U8,
         color if color == DgsColor::F32 as u32 => ColorFormat::F32,
-        other => return Err(Failure::argument(format!("color is {other}: expected a DgsColor, 0 or 1"))),
+        other => {
+            return Err(Failure::argument(format!(
+                "color is {other}: expected a DgsColor, 0 or 1"
+            )));
+        }
     };
     session.render.outputs.depth = flag("depth", options.depth)?;
     session.render.outputs.instance = flag("instance", options.instance)?;
@@ -85,11 +109,14 @@ unsafe fn session_options(options: *const DgsSessionOptions) -> Result<SessionOp
 fn flag(what: &str, number: u32) -> Result<bool, Failure> {
     match number {
         0 | 1 => Ok(number == 1),
-        _ => Err(Failure::argument(format!("{what} is {number}: expected 0 or 1"))),
+        _ => Err(Failure::argument(format!(
+            "{what} is {number}: expected 0 or 1"
+        ))),
     }
 }
 
-/// Closes a session. Scenes, worlds and batch renderers that were made of it go on; the device is let go with the last of them.
+/// Closes a session. Scenes, worlds and batch renderers that were made of it go on; the device is
+/// let go with the last of them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_session_close(session: *mut DgsSession) -> DgsStatus {
     guarded(|_| SESSIONS.close(session))
@@ -97,17 +124,30 @@ pub unsafe extern "C" fn dgs_session_close(session: *mut DgsSession) -> DgsStatu
 
 /// Describes the device of a session in `device`, whose `struct_bytes` is set.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_session_device(session: *const DgsSession, device: *mut DgsDevice) -> DgsStatus {
+pub unsafe extern "C" fn dgs_session_device(
+    session: *const DgsSession,
+    device: *mut DgsDevice,
+) -> DgsStatus {
     guarded(|call| {
         let session = SESSIONS.find(call, session)?;
         // SAFETY: as the header asks of all pointers.
-        unsafe { give_growing("device", device, DgsDevice::FIRST_BYTES, &DgsDevice::of(session.gpu().info())) }
+        unsafe {
+            give_growing(
+                "device",
+                device,
+                DgsDevice::FIRST_BYTES,
+                &DgsDevice::of(session.gpu().info()),
+            )
+        }
     })
 }
 
 /// Bytes that a session's scenes and batch renderers hold on the device.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_session_memory(session: *const DgsSession, bytes: *mut u64) -> DgsStatus {
+pub unsafe extern "C" fn dgs_session_memory(
+    session: *const DgsSession,
+    bytes: *mut u64,
+) -> DgsStatus {
     guarded(|call| {
         let session = SESSIONS.find(call, session)?;
         // SAFETY: as the header asks of all pointers.

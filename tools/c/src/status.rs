@@ -10,9 +10,11 @@ use decouplegs::session::SessionError;
 pub enum DgsStatus {
     /// Done.
     Ok = 0,
-    /// NULL, a misaligned pointer, text that is not UTF-8, a number out of range or not finite, a struct of an unknown size.
+    /// NULL, a misaligned pointer, text that is not UTF-8, a number out of range or not finite, a
+    /// struct of an unknown size.
     InvalidArgument = 1,
-    /// A handle that was closed, was never given out, is of another kind, or belongs to another session.
+    /// A handle that was closed, was never given out, is of another kind, or belongs to another
+    /// session.
     InvalidHandle = 2,
     /// No device, agent, asset, camera or image of that name or number.
     NotFound = 3,
@@ -86,7 +88,10 @@ pub struct Failure {
 
 impl Failure {
     pub fn new(status: DgsStatus, message: impl Into<String>) -> Self {
-        Self { status, message: message.into() }
+        Self {
+            status,
+            message: message.into(),
+        }
     }
 
     pub fn argument(message: impl Into<String>) -> Self {
@@ -95,7 +100,10 @@ impl Failure {
 
     /// The same, said of `whom`.
     pub fn of(self, whom: &str) -> Self {
-        Self { message: format!("{whom}: {}", self.message), ..self }
+        Self {
+            message: format!("{whom}: {}", self.message),
+            ..self
+        }
     }
 
     pub fn not_found(message: impl Into<String>) -> Self {
@@ -141,10 +149,12 @@ fn of_render(error: &RenderError) -> DgsStatus {
         RenderError::Gpu(error) => of_gpu(error),
         RenderError::View(_) | RenderError::AgentPose { .. } => DgsStatus::InvalidArgument,
         // What is drawn comes from files, and was checked when they were read.
-        RenderError::Asset(_) | RenderError::AgentLight { .. } | RenderError::Shadow { .. } => DgsStatus::File,
-        RenderError::TooManyInFlight { .. } | RenderError::TooManyTaken { .. } | RenderError::TooManySplats { .. } => {
-            DgsStatus::Limit
+        RenderError::Asset(_) | RenderError::AgentLight { .. } | RenderError::Shadow { .. } => {
+            DgsStatus::File
         }
+        RenderError::TooManyInFlight { .. }
+        | RenderError::TooManyTaken { .. }
+        | RenderError::TooManySplats { .. } => DgsStatus::Limit,
         RenderError::NoSuchAsset | RenderError::NothingInFlight => DgsStatus::NotFound,
         RenderError::Unsettled { .. } => DgsStatus::OutOfMemory,
     }

@@ -25,20 +25,30 @@ pub struct DgsPose {
 impl DgsPose {
     pub fn of(pose: &Pose) -> Self {
         let [x, y, z, w] = pose.rotation.to_array();
-        Self { rotation_wxyz: [w, x, y, z], position_m: pose.translation.to_array() }
+        Self {
+            rotation_wxyz: [w, x, y, z],
+            position_m: pose.translation.to_array(),
+        }
     }
 
     pub fn to_pose(self, what: &str) -> Result<Pose, Failure> {
         let [w, x, y, z] = self.rotation_wxyz;
-        let (rotation, position) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(self.position_m));
+        let (rotation, position) = (
+            DQuat::from_xyzw(x, y, z, w),
+            DVec3::from_array(self.position_m),
+        );
         if !position.is_finite() {
-            return Err(Failure::argument(format!("the position of {what} is {position}: expected finite numbers")));
+            return Err(Failure::argument(format!(
+                "the position of {what} is {position}: expected finite numbers"
+            )));
         }
         // Written so that what is not a number fails too.
         let is_unit = (rotation.length() - 1.0).abs() <= ROTATION_LENGTH_SPARE;
         if !is_unit {
             let found = format!("({w}, {x}, {y}, {z})");
-            return Err(Failure::argument(format!("the rotation of {what} is {found}: expected w, x, y, z of length 1")));
+            return Err(Failure::argument(format!(
+                "the rotation of {what} is {found}: expected w, x, y, z of length 1"
+            )));
         }
         Ok(Pose::new(rotation, position))
     }
@@ -67,7 +77,15 @@ pub struct DgsCamera {
 impl DgsCamera {
     /// `camera`, which must be a pinhole: others do not fit.
     pub fn of(camera: &Camera) -> Result<Self, Failure> {
-        let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics;
+        let Intrinsics {
+            width_px,
+            height_px,
+            fx_px,
+            fy_px,
+            cx_px,
+            cy_px,
+            lens,
+        } = camera.intrinsics;
         if lens != Lens::Pinhole {
             let text = format!(
                 "camera {:?} has a lens, and cameras of this interface are pinholes: describe one of your own",
@@ -76,15 +94,45 @@ impl DgsCamera {
             return Err(Failure::new(DgsStatus::Unsupported, text));
         }
         let world_from_camera = DgsPose::of(&camera.world_from_camera);
-        Ok(Self { width_px, height_px, fx_px, fy_px, cx_px, cy_px, world_from_camera })
+        Ok(Self {
+            width_px,
+            height_px,
+            fx_px,
+            fy_px,
+            cx_px,
+            cy_px,
+            world_from_camera,
+        })
     }
 
     /// The camera, called `name` in what goes wrong with it.
     pub fn to_camera(self, name: String) -> Result<Camera, Failure> {
-        let Self { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = self;
-        let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens: Lens::Pinhole };
-        intrinsics.check().map_err(|fault| Failure::argument(format!("{name}: {fault}")))?;
-        Ok(Camera { intrinsics, world_from_camera: self.world_from_camera.to_pose(&name)?, name })
+        let Self {
+            width_px,
+            height_px,
+            fx_px,
+            fy_px,
+            cx_px,
+            cy_px,
+            ..
+        } = self;
+        let intrinsics = Intrinsics {
+            width_px,
+            height_px,
+            fx_px,
+            fy_px,
+            cx_px,
+            cy_px,
+            lens: Lens::Pinhole,
+        };
+        intrinsics
+            .check()
+            .map_err(|fault| Failure::argument(format!("{name}: {fault}")))?;
+        Ok(Camera {
+            intrinsics,
+            world_from_camera: self.world_from_camera.to_pose(&name)?,
+            name,
+        })
     }
 }
 
@@ -116,7 +164,8 @@ pub struct DgsAgent {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DgsColor {
-    /// Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera delivers.
+    /// Four bytes: red, green, blue, clamped to 0 to 1 and rounded, and alpha. What a camera
+    /// delivers.
     U8 = 0,
     /// Four floats: red, green, blue as blended, unclamped, and alpha.
     F32 = 1,
@@ -130,9 +179,11 @@ pub enum DgsImageKind {
     RgbaU8 = 0,
     /// float red, green, blue, alpha; sessions of DGS_COLOR_F32.
     RgbaF32 = 1,
-    /// float: expected depth along the camera's z, meters; 0 where nothing was hit. Sessions with `depth`.
+    /// float: expected depth along the camera's z, meters; 0 where nothing was hit. Sessions with
+    /// `depth`.
     DepthF32 = 2,
-    /// uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with `instance`.
+    /// uint16_t: the agent that weighs most, by its `instance`; 0 is the background. Sessions with
+    /// `instance`.
     InstanceU16 = 3,
 }
 
@@ -175,8 +226,13 @@ pub struct DgsSessionOptions {
 impl DgsSessionOptions {
     /// Size when it was first published.
     pub(crate) const FIRST_BYTES: usize = 24;
-    pub const DEFAULT: Self =
-        Self { struct_bytes: size_of::<Self>() as u32, color: 0, depth: 0, instance: 0, device: std::ptr::null() };
+    pub const DEFAULT: Self = Self {
+        struct_bytes: size_of::<Self>() as u32,
+        color: 0,
+        depth: 0,
+        instance: 0,
+        device: std::ptr::null(),
+    };
 }
 
 /// Kind of a device.
@@ -205,7 +261,8 @@ pub struct DgsDevice {
     pub kind: u32,
     /// Size of its largest memory.
     pub memory_bytes: u64,
-    /// The same for this device in every process and after every start; CUDA names it by the same 16 bytes.
+    /// The same for this device in every process and after every start; CUDA names it by the same
+    /// 16 bytes.
     pub uuid: [u8; 16],
     /// Name; ends with a NUL.
     pub name: [c_char; 256],
@@ -240,7 +297,10 @@ impl DgsDevice {
 fn fixed_text<const LENGTH: usize>(text: &str) -> [c_char; LENGTH] {
     let mut fixed = [0; LENGTH];
     let cut = text.floor_char_boundary(LENGTH - 1);
-    fixed.iter_mut().zip(text[..cut].bytes()).for_each(|(to, byte)| *to = byte as c_char);
+    fixed
+        .iter_mut()
+        .zip(text[..cut].bytes())
+        .for_each(|(to, byte)| *to = byte as c_char);
     fixed
 }
 
@@ -250,7 +310,8 @@ fn fixed_text<const LENGTH: usize>(text: &str) -> [c_char; LENGTH] {
 pub struct DgsStatistics {
     /// sizeof(DgsStatistics), set by the caller.
     pub struct_bytes: u32,
-    /// Frames that were submitted: one draws up to 32 cameras of worlds over the same scene that follow one another.
+    /// Frames that were submitted: one draws up to 32 cameras of worlds over the same scene that
+    /// follow one another.
     pub frames: u32,
     /// Agents that some camera could see, summed over frames.
     pub agents: u32,
@@ -281,14 +342,21 @@ mod tests {
         assert!(size_of::<DgsDevice>() >= DgsDevice::FIRST_BYTES);
         assert!(size_of::<DgsStatistics>() >= DgsStatistics::FIRST_BYTES);
         // Those without a size stay as they are under the ABI version.
-        let frozen =
-            [size_of::<DgsPose>(), size_of::<DgsCamera>(), size_of::<DgsView>(), size_of::<DgsAgent>(), size_of::<DgsImage>()];
+        let frozen = [
+            size_of::<DgsPose>(),
+            size_of::<DgsCamera>(),
+            size_of::<DgsView>(),
+            size_of::<DgsAgent>(),
+            size_of::<DgsImage>(),
+        ];
         assert_eq!(frozen, [56, 96, 24, 64, 32]);
     }
 
     #[test]
     fn long_names_are_cut_between_characters() {
-        let text = |fixed: [c_char; 6]| String::from_utf8(fixed.iter().map(|&byte| byte as u8).collect()).unwrap();
+        let text = |fixed: [c_char; 6]| {
+            String::from_utf8(fixed.iter().map(|&byte| byte as u8).collect()).unwrap()
+        };
         assert_eq!(text(fixed_text("abc")), "abc\0\0\0");
         assert_eq!(text(fixed_text("abcdefgh")), "abcde\0");
         assert_eq!(text(fixed_text("abcd\u{e4}f")), "abcd\0\0");
@@ -296,12 +364,34 @@ mod tests {
 
     #[test]
     fn poses_go_there_and_back() {
-        let pose = Pose::new(DQuat::from_rotation_z(0.4) * DQuat::from_rotation_x(1.0), DVec3::new(1.0, 2.0, 3.0));
+        let pose = Pose::new(
+            DQuat::from_rotation_z(0.4) * DQuat::from_rotation_x(1.0),
+            DVec3::new(1.0, 2.0, 3.0),
+        );
         let back = DgsPose::of(&pose).to_pose("it").unwrap();
-        assert!(back.rotation.angle_between(pose.rotation) < 1e-7 && back.translation == pose.translation);
-        let with = |rotation_wxyz, position_m| DgsPose { rotation_wxyz, position_m }.to_pose("it").map_err(|fault| fault.message);
-        assert!(with([1.0, 0.0, 0.0, 0.0], [0.0, f64::INFINITY, 0.0]).unwrap_err().contains("position of it"));
-        for nonsense in [[0.0; 4], [f64::NAN; 4], [2.0, 0.0, 0.0, 0.0], [1.0, 0.0, f64::INFINITY, 0.0]] {
+        assert!(
+            back.rotation.angle_between(pose.rotation) < 1e-7
+                && back.translation == pose.translation
+        );
+        let with = |rotation_wxyz, position_m| {
+            DgsPose {
+                rotation_wxyz,
+                position_m,
+            }
+            .to_pose("it")
+            .map_err(|fault| fault.message)
+        };
+        assert!(
+            with([1.0, 0.0, 0.0, 0.0], [0.0, f64::INFINITY, 0.0])
+                .unwrap_err()
+                .contains("position of it")
+        );
+        for nonsense in [
+            [0.0; 4],
+            [f64::NAN; 4],
+            [2.0, 0.0, 0.0, 0.0],
+            [1.0, 0.0, f64::INFINITY, 0.0],
+        ] {
             assert!(with(nonsense, [0.0; 3]).unwrap_err().contains("length 1"));
         }
     }

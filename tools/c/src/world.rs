@@ -25,7 +25,10 @@ pub static WORLDS: Registry<HeldWorld> = Registry::new("world");
 
 impl HeldWorld {
     fn new(session: &Arc<Session>, world: World) -> Self {
-        Self { session: session.clone(), world: RwLock::new(world) }
+        Self {
+            session: session.clone(),
+            world: RwLock::new(world),
+        }
     }
 
     /// To look at, with others.
@@ -41,14 +44,20 @@ impl HeldWorld {
 
 /// A world with the agents of the scene file, where they are at time 0.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_world_new(scene: *const DgsScene, world: *mut *mut DgsWorld) -> DgsStatus {
+pub unsafe extern "C" fn dgs_world_new(
+    scene: *const DgsScene,
+    world: *mut *mut DgsWorld,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
     unsafe { begin(scene, world, |held| World::new(&held.scene)) }
 }
 
 /// A world without agents.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_world_new_empty(scene: *const DgsScene, world: *mut *mut DgsWorld) -> DgsStatus {
+pub unsafe extern "C" fn dgs_world_new_empty(
+    scene: *const DgsScene,
+    world: *mut *mut DgsWorld,
+) -> DgsStatus {
     // SAFETY: as the header asks of all pointers.
     unsafe { begin(scene, world, |held| World::empty(&held.scene)) }
 }
@@ -57,7 +66,11 @@ pub unsafe extern "C" fn dgs_world_new_empty(scene: *const DgsScene, world: *mut
 ///
 /// # Safety
 /// `world` is NULL or as the header asks.
-unsafe fn begin(scene: *const DgsScene, world: *mut *mut DgsWorld, of: impl FnOnce(&HeldScene) -> World) -> DgsStatus {
+unsafe fn begin(
+    scene: *const DgsScene,
+    world: *mut *mut DgsWorld,
+    of: impl FnOnce(&HeldScene) -> World,
+) -> DgsStatus {
     guarded(|call| {
         // SAFETY: promised by our caller.
         let begun = unsafe { out_handle("world", world) }?;
@@ -67,9 +80,13 @@ unsafe fn begin(scene: *const DgsScene, world: *mut *mut DgsWorld, of: impl FnOn
     })
 }
 
-/// Another world with agents as those of `world` are now. Over the same scene, they go their own ways from here on.
+/// Another world with agents as those of `world` are now. Over the same scene, they go their own
+/// ways from here on.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_world_clone(world: *const DgsWorld, copy: *mut *mut DgsWorld) -> DgsStatus {
+pub unsafe extern "C" fn dgs_world_clone(
+    world: *const DgsWorld,
+    copy: *mut *mut DgsWorld,
+) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
         let copy = unsafe { out_handle("copy", copy) }?;
@@ -96,9 +113,14 @@ pub unsafe extern "C" fn dgs_world_set_time(world: *mut DgsWorld, time_s: f64) -
     })
 }
 
-/// Moves the agent called `name`. One of plain splats is part of the background and cannot be moved: DGS_STATUS_UNSUPPORTED.
+/// Moves the agent called `name`. One of plain splats is part of the background and cannot be
+/// moved: DGS_STATUS_UNSUPPORTED.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_world_move(world: *mut DgsWorld, name: *const c_char, pose: *const DgsPose) -> DgsStatus {
+pub unsafe extern "C" fn dgs_world_move(
+    world: *mut DgsWorld,
+    name: *const c_char,
+    pose: *const DgsPose,
+) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers; a pose is of numbers.
         let (name, pose) = unsafe { (text("name", name)?, one("pose", pose)?) };
@@ -107,8 +129,8 @@ pub unsafe extern "C" fn dgs_world_move(world: *mut DgsWorld, name: *const c_cha
     })
 }
 
-/// Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show it. Its number in images of
-/// instances goes into `instance`, which may be NULL.
+/// Adds an agent called `name` that shows asset number `asset`, or lets the one of that name show
+/// it. Its number in images of instances goes into `instance`, which may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_world_place(
     world: *mut DgsWorld,
@@ -121,9 +143,16 @@ pub unsafe extern "C" fn dgs_world_place(
         // SAFETY: as the header asks of all pointers; a pose is of numbers.
         let (name, pose) = unsafe { (text("name", name)?, one("pose", pose)?) };
         let pose = pose.to_pose(&format!("agent {name:?}"))?;
-        // SAFETY: likewise.
-        let instance = if instance.is_null() { None } else { Some(unsafe { out("instance", instance) }?) };
-        let given = WORLDS.find(call, world)?.write()?.place(name, asset as usize, pose, None)?;
+        let instance = if instance.is_null() {
+            None
+        } else {
+            // SAFETY: likewise.
+            Some(unsafe { out("instance", instance) }?)
+        };
+        let given = WORLDS
+            .find(call, world)?
+            .write()?
+            .place(name, asset as usize, pose, None)?;
         if let Some(instance) = instance {
             instance.write(given.into());
         }
@@ -144,7 +173,10 @@ pub unsafe extern "C" fn dgs_world_remove(world: *mut DgsWorld, name: *const c_c
 
 /// Number of agents of a world.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_world_agent_count(world: *const DgsWorld, count: *mut usize) -> DgsStatus {
+pub unsafe extern "C" fn dgs_world_agent_count(
+    world: *const DgsWorld,
+    count: *mut usize,
+) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
         let count = unsafe { out("count", count) }?;
@@ -153,7 +185,8 @@ pub unsafe extern "C" fn dgs_world_agent_count(world: *const DgsWorld, count: *m
     })
 }
 
-/// The name of agent `index` of a world, from 0. `length` may be NULL. Removing an agent renumbers those behind it.
+/// The name of agent `index` of a world, from 0. `length` may be NULL. Removing an agent renumbers
+/// those behind it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_world_agent_name(
     world: *const DgsWorld,
@@ -172,20 +205,33 @@ pub unsafe extern "C" fn dgs_world_agent_name(
 
 /// Agent `index` of a world, from 0, as it stands.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_world_agent(world: *const DgsWorld, index: usize, agent: *mut DgsAgent) -> DgsStatus {
+pub unsafe extern "C" fn dgs_world_agent(
+    world: *const DgsWorld,
+    index: usize,
+    agent: *mut DgsAgent,
+) -> DgsStatus {
     guarded(|call| {
         // SAFETY: as the header asks of all pointers.
         let place = unsafe { out("agent", agent) }?;
         let held = WORLDS.find(call, world)?;
         let world = held.read()?;
         let placed = self::agent(&world, index)?.placed;
-        place.write(DgsAgent { pose: DgsPose::of(&placed.pose), asset: placed.asset as u32, instance: placed.instance.into() });
+        place.write(DgsAgent {
+            pose: DgsPose::of(&placed.pose),
+            asset: placed.asset as u32,
+            instance: placed.instance.into(),
+        });
         Ok(())
     })
 }
 
 fn agent(world: &World, index: usize) -> Result<&WorldAgent, Failure> {
     let agents = world.agents();
-    let missing = || Failure::not_found(format!("the world has no agent {index}: it has {}, counted from 0", agents.len()));
+    let missing = || {
+        Failure::not_found(format!(
+            "the world has no agent {index}: it has {}, counted from 0",
+            agents.len()
+        ))
+    };
     agents.get(index).ok_or_else(missing)
 }

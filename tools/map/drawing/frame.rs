@@ -31,7 +31,8 @@ impl Frame {
         let size_m = (max_m - min_m).max(DVec2::ONE);
         let area_width = PAGE_WIDTH - PANEL - 3.0 * MARGIN;
         let inner_width = area_width - 2.0 * PADDING;
-        let area_height = (inner_width * size_m.y / size_m.x + 2.0 * PADDING).clamp(AREA_HEIGHT[0], AREA_HEIGHT[1]);
+        let area_height = (inner_width * size_m.y / size_m.x + 2.0 * PADDING)
+            .clamp(AREA_HEIGHT[0], AREA_HEIGHT[1]);
         let px_per_m = (inner_width / size_m.x).min((area_height - 2.0 * PADDING) / size_m.y);
         Self {
             width: PAGE_WIDTH,
@@ -57,13 +58,18 @@ mod tests {
 
     #[test]
     fn corners_lie_in_the_area_and_north_is_up() {
-        for (min, max) in
-            [(DVec2::ZERO, DVec2::new(900.0, 20.0)), (DVec2::splat(1e6), DVec2::new(1e6 + 3.0, 2e6)), (DVec2::ONE, DVec2::ONE)]
-        {
+        for (min, max) in [
+            (DVec2::ZERO, DVec2::new(900.0, 20.0)),
+            (DVec2::splat(1e6), DVec2::new(1e6 + 3.0, 2e6)),
+            (DVec2::ONE, DVec2::ONE),
+        ] {
             let frame = Frame::around(min, max);
             for corner in [min, max] {
                 let place = frame.place(corner) - DVec2::new(frame.left, frame.top);
-                assert!(place.cmpge(DVec2::ZERO).all() && place.cmple(frame.area).all(), "{corner}: {place}");
+                assert!(
+                    place.cmpge(DVec2::ZERO).all() && place.cmple(frame.area).all(),
+                    "{corner}: {place}"
+                );
             }
             assert!(frame.place(min + DVec2::Y).y < frame.place(min).y);
         }

@@ -17,14 +17,33 @@ const BAR_MAX_PX: f64 = 220.0;
 pub fn draw(svg: &mut String, frame: &Frame, kinds: &[(&str, KindSummary)], tracks: &[Track]) {
     let classes: Vec<(&str, &str, usize)> = TRACK_CLASSES
         .iter()
-        .map(|(class, name)| (*class, *name, tracks.iter().filter(|track| track_class(&track.class) == *class).count()))
+        .map(|(class, name)| {
+            (
+                *class,
+                *name,
+                tracks
+                    .iter()
+                    .filter(|track| track_class(&track.class) == *class)
+                    .count(),
+            )
+        })
         .filter(|(_, _, count)| *count > 0)
         .collect();
     let left = frame.width - PANEL - frame.left;
-    let lines = 1 + usize::from(shows_arrows(frame)) + kinds.len() + if classes.is_empty() { 0 } else { 2 + classes.len() };
+    let lines = 1
+        + usize::from(shows_arrows(frame))
+        + kinds.len()
+        + if classes.is_empty() {
+            0
+        } else {
+            2 + classes.len()
+        };
     let height = LINE * lines as f64 + 20.0;
-    let _ =
-        writeln!(svg, "<rect class=\"panel\" x=\"{left}\" y=\"{}\" width=\"{PANEL}\" height=\"{height}\" rx=\"8\"/>", frame.top);
+    let _ = writeln!(
+        svg,
+        "<rect class=\"panel\" x=\"{left}\" y=\"{}\" width=\"{PANEL}\" height=\"{height}\" rx=\"8\"/>",
+        frame.top
+    );
     let mut y = frame.top + 30.0;
     heading(svg, left, y, "Lanes", "number, length");
     for (class, kind) in kinds {
@@ -38,7 +57,13 @@ pub fn draw(svg: &mut String, frame: &Frame, kinds: &[(&str, KindSummary)], trac
             left + 16.0,
             y - 12.0
         );
-        entry(svg, left, y, class, &format!("{}, {}", kind.lanes, meters(kind.length_m)));
+        entry(
+            svg,
+            left,
+            y,
+            class,
+            &format!("{}, {}", kind.lanes, meters(kind.length_m)),
+        );
     }
     if shows_arrows(frame) {
         y += LINE;
@@ -93,7 +118,11 @@ fn entry(svg: &mut String, left: f64, y: f64, name: &str, value: &str) {
 
 /// A length in the unit that suits it.
 fn meters(length_m: f64) -> String {
-    if length_m < 1e4 { format!("{length_m:.0} m") } else { format!("{:.1} km", length_m / 1e3) }
+    if length_m < 1e4 {
+        format!("{length_m:.0} m")
+    } else {
+        format!("{:.1} km", length_m / 1e3)
+    }
 }
 
 /// A bar of a round length below the map.
@@ -101,7 +130,11 @@ pub fn draw_scale(svg: &mut String, frame: &Frame) {
     let length_m = round_length_m(BAR_MAX_PX / frame.px_per_m);
     let (left, y) = (frame.left, frame.top + frame.area.y + 26.0);
     let length_px = length_m * frame.px_per_m;
-    let name = if length_m < 1000.0 { format!("{length_m} m") } else { format!("{} km", length_m / 1e3) };
+    let name = if length_m < 1000.0 {
+        format!("{length_m} m")
+    } else {
+        format!("{} km", length_m / 1e3)
+    };
     let _ = writeln!(
         svg,
         "<path class=\"bar\" d=\"M{left} {:.1}v6h{length_px:.1}v-6\"/><text x=\"{:.1}\" y=\"{:.1}\">{name}</text>\
@@ -117,7 +150,11 @@ pub fn draw_scale(svg: &mut String, frame: &Frame) {
 /// The largest of 1, 2 or 5 times a power of ten that is at most `most_m`.
 fn round_length_m(most_m: f64) -> f64 {
     let power = 10.0_f64.powf(most_m.log10().floor());
-    [5.0, 2.0, 1.0].into_iter().map(|factor| factor * power).find(|length_m| *length_m <= most_m).unwrap_or(power)
+    [5.0, 2.0, 1.0]
+        .into_iter()
+        .map(|factor| factor * power)
+        .find(|length_m| *length_m <= most_m)
+        .unwrap_or(power)
 }
 
 #[cfg(test)]
@@ -126,7 +163,13 @@ mod tests {
 
     #[test]
     fn a_scale_is_round_and_fits() {
-        for (most_m, expected_m) in [(73.0, 50.0), (49.9, 20.0), (1.99, 1.0), (1000.0, 1000.0), (0.3, 0.2)] {
+        for (most_m, expected_m) in [
+            (73.0, 50.0),
+            (49.9, 20.0),
+            (1.99, 1.0),
+            (1000.0, 1000.0),
+            (0.3, 0.2),
+        ] {
             let found_m: f64 = round_length_m(most_m);
             assert!((found_m - expected_m).abs() < 1e-12, "{most_m}: {found_m}");
         }

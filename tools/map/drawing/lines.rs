@@ -18,7 +18,9 @@ pub fn shown(frame: &Frame, line: impl Iterator<Item = DVec2>) -> Vec<DVec2> {
     let mut kept: Vec<DVec2> = Vec::new();
     let mut left_out = None;
     for point in line.map(|point| frame.place(point)) {
-        let is_seen = kept.last().is_none_or(|last| last.distance(point) >= SAME_PX);
+        let is_seen = kept
+            .last()
+            .is_none_or(|last| last.distance(point) >= SAME_PX);
         left_out = if is_seen { None } else { Some(point) };
         kept.extend(is_seen.then_some(point));
     }
@@ -30,14 +32,24 @@ pub fn shown(frame: &Frame, line: impl Iterator<Item = DVec2>) -> Vec<DVec2> {
 pub fn path(points: &[DVec2]) -> String {
     let mut data = String::with_capacity(14 * points.len());
     for (at, point) in points.iter().enumerate() {
-        let _ = write!(data, "{}{:.2} {:.2}", if at == 0 { "M" } else { "L" }, point.x, point.y);
+        let _ = write!(
+            data,
+            "{}{:.2} {:.2}",
+            if at == 0 { "M" } else { "L" },
+            point.x,
+            point.y
+        );
     }
     data
 }
 
-/// The data of a path of arrow heads along a line, evenly spread; empty where it is too short for one.
+/// The data of a path of arrow heads along a line, evenly spread; empty where it is too short for
+/// one.
 pub fn arrows(points: &[DVec2], size_px: f64) -> String {
-    let whole_px: f64 = points.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+    let whole_px: f64 = points
+        .windows(2)
+        .map(|pair| pair[0].distance(pair[1]))
+        .sum();
     let mut data = String::new();
     if whole_px < ARROW_LANE_PX {
         return data;
@@ -68,11 +80,20 @@ mod tests {
 
     #[test]
     fn arrows_are_spread_over_the_line_and_point_along_it() {
-        let line = [DVec2::ZERO, DVec2::new(100.0, 0.0), DVec2::new(100.0, 120.0)];
+        let line = [
+            DVec2::ZERO,
+            DVec2::new(100.0, 0.0),
+            DVec2::new(100.0, 120.0),
+        ];
         let data = arrows(&line, 5.0);
         assert_eq!(data.matches('Z').count(), 3, "{data}");
-        assert!(data.starts_with("M41.67 0.00L"), "the first tip is 5 px past a sixth of the way: {data}");
-        assert!(arrows(&line[..1], 5.0).is_empty() && arrows(&[DVec2::ZERO, DVec2::X], 5.0).is_empty());
+        assert!(
+            data.starts_with("M41.67 0.00L"),
+            "the first tip is 5 px past a sixth of the way: {data}"
+        );
+        assert!(
+            arrows(&line[..1], 5.0).is_empty() && arrows(&[DVec2::ZERO, DVec2::X], 5.0).is_empty()
+        );
     }
 
     #[test]

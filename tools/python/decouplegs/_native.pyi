@@ -139,7 +139,7 @@ class Session:
     def taken_max(self) -> int:
         """Frames that tensors may hold at a time."""
     def open_scene(self, path: str | os.PathLike[str]) -> Scene:
-        """The scene of a scene file (.toml) or splat file, loaded unless somebody holds it already."""
+        """The scene of a scene file (.toml) or splat file, loaded unless it is loaded already."""
     def batch_renderer(self) -> BatchRenderer:
         """Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws."""
     def memory(self) -> dict[str, int]:
@@ -319,7 +319,7 @@ class Tensor:
     """Images for torch.from_dlpack, numpy.from_dlpack, cupy.from_dlpack and others: in C order, to be read, not written.
 
     On CUDA the consumer's stream waits for the frame. The memory is drawn into again when all tensors over the frame are gone and the streams
-    that they were taken on have come so far. Whoever reads them on yet another stream has to keep the tensor until that is done.
+    that they were taken on have come so far. A reader on yet another stream must keep the tensor until that is done.
     """
 
     @property
@@ -386,7 +386,7 @@ class Rollout:
         duration_s: float | None = None,
         name: str = "python",
     ) -> None:
-        """Scenario ``index`` of a level, made up from ``seed``; with a site of a scenario file, that scenario. ``name`` is the planner's, for
+        """Scenario ``index`` of a level, generated from ``seed``; with a site of a scenario file, that scenario. ``name`` is the planner's, for
         logs."""
     def step_controls(self, steer_rad: float, acceleration_mps2: float) -> StepResult:
         """Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and accelerating so (-8 to 3).

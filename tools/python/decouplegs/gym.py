@@ -23,7 +23,7 @@ Action, by ``action``:
 - ``plan``: places in the ego's frame for the times ``plan_step_s``, 2 ``plan_step_s``, ..., meters, float32 [``plan_points``, 2].
 
 Reward of a step, its parts in ``info["reward"]``: ``progress``, meters driven along the route over what the route's speed makes of a step;
-``off_road``, -0.5 times the share of the step with a wheel off the road; ``collision``, -10 where the ego touches somebody.
+``off_road``, -0.5 times the share of the step with a wheel off the road; ``collision``, -10 where the ego touches a vehicle.
 An episode terminates with the route done or a collision, and is truncated when its time is over. ``info["score"]`` has what a log of the
 episode so far scores.
 
@@ -284,7 +284,7 @@ class DriveEnv(gymnasium.Env):
 class DriveVectorEnv(VectorEnv):
     """Many egos, each in a world of its own over one street, drawn in one call.
 
-    Episodes that are over begin anew with the next step (``AutoresetMode.NEXT_STEP``), whose action is not looked at for them.
+    Episodes that are over begin anew with the next step (``AutoresetMode.NEXT_STEP``), whose action is not examined for them.
     """
 
     metadata = {"render_modes": [], "render_fps": 2, "autoreset_mode": AutoresetMode.NEXT_STEP}

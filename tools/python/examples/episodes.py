@@ -86,7 +86,7 @@ class Driver:
 
 
 def result_path(options: argparse.Namespace, seed: int) -> Path:
-    """Where the result of an episode is: the same for whoever drives it."""
+    """Where the result of an episode is: independent of the process that drives it."""
     return options.out / f"{options.level}_{seed:06}.json"
 
 

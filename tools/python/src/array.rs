@@ -1,6 +1,8 @@
 //! Arrays to and from NumPy.
 
-use numpy::{AllowTypeChange, Element, PyArray1, PyArrayLikeDyn, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{
+    AllowTypeChange, Element, PyArray1, PyArrayLikeDyn, PyArrayMethods, PyUntypedArrayMethods,
+};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
@@ -14,7 +16,11 @@ pub enum Values {
 }
 
 /// `values` as an array of `shape`, without a copy.
-pub fn to_numpy<'py>(py: Python<'py>, values: Values, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+pub fn to_numpy<'py>(
+    py: Python<'py>,
+    values: Values,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyAny>> {
     match values {
         Values::U8(values) => shaped(py, values, shape),
         Values::F32(values) => shaped(py, values, shape),
@@ -23,15 +29,27 @@ pub fn to_numpy<'py>(py: Python<'py>, values: Values, shape: &[usize]) -> PyResu
 }
 
 /// `values` as an array of `shape`, without a copy.
-pub fn shaped<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
-    Ok(PyArray1::from_vec(py, values).reshape(shape.to_vec())?.into_any())
+pub fn shaped<'py, T: Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyAny>> {
+    Ok(PyArray1::from_vec(py, values)
+        .reshape(shape.to_vec())?
+        .into_any())
 }
 
 /// `R` by `C` finite numbers of anything that NumPy makes an array of. `what` it is, in errors.
-pub fn matrix<const R: usize, const C: usize>(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[[f64; C]; R]> {
+pub fn matrix<const R: usize, const C: usize>(
+    what: &str,
+    value: &Bound<'_, PyAny>,
+) -> PyResult<[[f64; C]; R]> {
     let array = numbers(what, value)?;
     if array.shape() != [R, C] {
-        return Err(value_error(format!("{what}: expected an array of shape [{R}, {C}], found {:?}", array.shape())));
+        return Err(value_error(format!(
+            "{what}: expected an array of shape [{R}, {C}], found {:?}",
+            array.shape()
+        )));
     }
     let view = array.as_array();
     let mut matrix = [[0.0; C]; R];
@@ -41,7 +59,9 @@ pub fn matrix<const R: usize, const C: usize>(what: &str, value: &Bound<'_, PyAn
         }
     }
     match matrix.iter().flatten().find(|number| !number.is_finite()) {
-        Some(number) => Err(value_error(format!("{what}: expected finite numbers, found {number}"))),
+        Some(number) => Err(value_error(format!(
+            "{what}: expected finite numbers, found {number}"
+        ))),
         None => Ok(matrix),
     }
 }
@@ -50,12 +70,22 @@ pub fn matrix<const R: usize, const C: usize>(what: &str, value: &Bound<'_, PyAn
 pub fn rows<const C: usize>(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; C]>> {
     let array = numbers(what, value)?;
     if array.shape().len() != 2 || array.shape()[1] != C {
-        return Err(value_error(format!("{what}: expected an array of shape [N, {C}], found {:?}", array.shape())));
+        return Err(value_error(format!(
+            "{what}: expected an array of shape [N, {C}], found {:?}",
+            array.shape()
+        )));
     }
     let view = array.as_array();
-    Ok((0..array.shape()[0]).map(|row| std::array::from_fn(|column| view[[row, column]])).collect())
+    Ok((0..array.shape()[0])
+        .map(|row| std::array::from_fn(|column| view[[row, column]]))
+        .collect())
 }
 
-fn numbers<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<PyArrayLikeDyn<'py, f64, AllowTypeChange>> {
-    value.extract().map_err(|error: PyErr| PyTypeError::new_err(format!("{what}: expected an array of numbers ({error})")))
+fn numbers<'py>(
+    what: &str,
+    value: &Bound<'py, PyAny>,
+) -> PyResult<PyArrayLikeDyn<'py, f64, AllowTypeChange>> {
+    value.extract().map_err(|error: PyErr| {
+        PyTypeError::new_err(format!("{what}: expected an array of numbers ({error})"))
+    })
 }

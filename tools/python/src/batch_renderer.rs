@@ -40,10 +40,15 @@ type GivenViews<'py> = Vec<(Bound<'py, World>, Vec<Bound<'py, Camera>>)>;
 
 fn copied(views: &GivenViews<'_>) -> PyResult<Views> {
     if views.is_empty() {
-        return Err(value_error("views: expected at least one (world, cameras)".to_owned()));
+        return Err(value_error(
+            "views: expected at least one (world, cameras)".to_owned(),
+        ));
     }
     let copy = |(world, cameras): &(Bound<'_, World>, Vec<Bound<'_, Camera>>)| {
-        let cameras = cameras.iter().map(|camera| camera.get().inner.clone()).collect();
+        let cameras = cameras
+            .iter()
+            .map(|camera| camera.get().inner.clone())
+            .collect();
         (world.get().lock().clone(), cameras)
     };
     Ok(Views(views.iter().map(copy).collect()))
@@ -51,9 +56,18 @@ fn copied(views: &GivenViews<'_>) -> PyResult<Views> {
 
 impl BatchRenderer {
     pub fn new(session: &Session, cuda: Option<&Arc<Cuda>>) -> Result<Self, InteropError> {
-        let state = State { renderer: session.batch_renderer(), bytes: HostImages::default() };
-        let lender = cuda.map(|cuda| Ok::<_, InteropError>((lender(session, cuda)?, cuda.ordinal()))).transpose()?;
-        Ok(Self { state: Mutex::new(state), statistics: Mutex::default(), lender })
+        let state = State {
+            renderer: session.batch_renderer(),
+            bytes: HostImages::default(),
+        };
+        let lender = cuda
+            .map(|cuda| Ok::<_, InteropError>((lender(session, cuda)?, cuda.ordinal())))
+            .transpose()?;
+        Ok(Self {
+            state: Mutex::new(state),
+            statistics: Mutex::default(),
+            lender,
+        })
     }
 
     fn keep(&self, frames: &[FrameStatistics]) {
@@ -61,7 +75,12 @@ impl BatchRenderer {
     }
 
     /// Draws to the host, without the interpreter's lock.
-    fn drawn(&self, py: Python<'_>, views: &Views, groups: &[Vec<(usize, usize)>]) -> PyResult<Vec<Layers>> {
+    fn drawn(
+        &self,
+        py: Python<'_>,
+        views: &Views,
+        groups: &[Vec<(usize, usize)>],
+    ) -> PyResult<Vec<Layers>> {
         let drawn = py.detach(|| {
             let mut state = lock(&self.state);
             let State { renderer, bytes } = &mut *state;
@@ -75,14 +94,22 @@ impl BatchRenderer {
     /// Draws to the host, a group for each view. Shape of its colors: cameras, rows, columns.
     fn by_view(&self, py: Python<'_>, views: &Views) -> PyResult<Vec<([usize; 3], Layers)>> {
         let mut groups = vec![Vec::new(); views.0.len()];
-        views.places().into_iter().for_each(|place| groups[place.0].push(place));
+        views
+            .places()
+            .into_iter()
+            .for_each(|place| groups[place.0].push(place));
         let mut shapes = Vec::with_capacity(groups.len());
         for (view, group) in groups.iter().enumerate() {
             let Some(&first) = group.first() else {
-                return Err(value_error(format!("views[{view}]: expected at least one camera")));
+                return Err(value_error(format!(
+                    "views[{view}]: expected at least one camera"
+                )));
             };
             let [width, height] = views.size_px(first);
-            if let Some(&other) = group.iter().find(|place| views.size_px(**place) != [width, height]) {
+            if let Some(&other) = group
+                .iter()
+                .find(|place| views.size_px(**place) != [width, height])
+            {
                 let [other_width, other_height] = views.size_px(other);
                 return Err(value_error(format!(
                     "views[{view}]: its images are one array, and its cameras are of {width}x{height} and \
@@ -91,15 +118,26 @@ impl BatchRenderer {
             }
             shapes.push([group.len(), height as usize, width as usize]);
         }
-        Ok(shapes.into_iter().zip(self.drawn(py, views, &groups)?).collect())
+        Ok(shapes
+            .into_iter()
+            .zip(self.drawn(py, views, &groups)?)
+            .collect())
     }
 
     /// Draws into memory that CUDA shares.
-    fn drawn_on_device(&self, py: Python<'_>, views: &Views, (lender, ordinal): &(Arc<CudaLender>, i32)) -> PyResult<Vec<Frame>> {
+    fn drawn_on_device(
+        &self,
+        py: Python<'_>,
+        views: &Views,
+        (lender, ordinal): &(Arc<CudaLender>, i32),
+    ) -> PyResult<Vec<Frame>> {
         let drawn = py.detach(|| {
             let mut state = lock(&self.state);
             lender.collect().map_err(|error| of_interop(&error))?;
-            let (taken, statistics) = state.renderer.draw_on_device(&views.borrowed()).map_err(|error| of_session(&error))?;
+            let (taken, statistics) = state
+                .renderer
+                .draw_on_device(&views.borrowed())
+                .map_err(|error| of_session(&error))?;
             let frames = taken.into_iter().map(|taken| {
                 let (drawn, places) = (taken.frame().value(), taken.places().to_vec());
                 let loan = lender.lend(taken, drawn);
@@ -118,24 +156,35 @@ impl BatchRenderer {
 impl BatchRenderer {
     /// Draws each world for its cameras, as many as 32 cameras over one scene in one submission.
     ///
-    /// Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8, or float32 as blended. The
-    /// cameras of a view must be of one size.
+    /// Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8,
+    /// or float32 as blended. The cameras of a view must be of one size.
     fn draw<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Bound<'py, PyList>> {
         let drawn = self.by_view(py, &copied(&views)?)?;
-        let array =
-            |([cameras, rows, columns], layers): ([usize; 3], Layers)| to_numpy(py, layers.color, &[cameras, rows, columns, 4]);
-        PyList::new(py, drawn.into_iter().map(array).collect::<PyResult<Vec<_>>>()?)
+        let array = |([cameras, rows, columns], layers): ([usize; 3], Layers)| {
+            to_numpy(py, layers.color, &[cameras, rows, columns, 4])
+        };
+        PyList::new(
+            py,
+            drawn.into_iter().map(array).collect::<PyResult<Vec<_>>>()?,
+        )
     }
 
     /// Draws like draw: ``color`` [C, H, W, 4], and where the session has them ``depth`` float32
     /// [C, H, W], meters along the camera's z, 0 where nothing was hit, and ``instance`` int32 [C,
     /// H, W], 0 the background.
-    fn draw_layers<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    fn draw_layers<'py>(
+        &self,
+        py: Python<'py>,
+        views: GivenViews<'py>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let drawn = self.by_view(py, &copied(&views)?)?;
         let dict = |(shape, layers): ([usize; 3], Layers)| {
             let dict = PyDict::new(py);
             let [cameras, rows, columns] = shape;
-            dict.set_item("color", to_numpy(py, layers.color, &[cameras, rows, columns, 4])?)?;
+            dict.set_item(
+                "color",
+                to_numpy(py, layers.color, &[cameras, rows, columns, 4])?,
+            )?;
             if let Some(depth) = layers.depth {
                 dict.set_item("depth", to_numpy(py, Values::F32(depth), &shape)?)?;
             }
@@ -158,22 +207,31 @@ impl BatchRenderer {
                 let places = views.places();
                 let sizes: Vec<_> = places.iter().map(|place| views.size_px(*place)).collect();
                 let layers = self.drawn(py, &views, &[places])?;
-                layers.into_iter().map(|layers| Frame::on_host(layers, &sizes)).collect()
+                layers
+                    .into_iter()
+                    .map(|layers| Frame::on_host(layers, &sizes))
+                    .collect()
             }
         };
         Ok(Images::new(frames, of_views))
     }
 
-    /// Takes back images that nobody reads any more, which each draw_dlpack does first; how many frames the device still reads.
+    /// Takes back images that nobody reads any more, which each draw_dlpack does first; how many
+    /// frames the device still reads.
     fn collect(&self, py: Python<'_>) -> PyResult<usize> {
-        let Some((lender, _)) = &self.lender else { return Ok(0) };
-        py.detach(|| lender.collect()).map_err(|error| of_interop(&error))
+        let Some((lender, _)) = &self.lender else {
+            return Ok(0);
+        };
+        py.detach(|| lender.collect())
+            .map_err(|error| of_interop(&error))
     }
 
     /// Buffers of the renderer that are imported into CUDA.
     #[getter]
     fn imports(&self) -> usize {
-        self.lender.as_ref().map_or(0, |(lender, _)| lender.imports())
+        self.lender
+            .as_ref()
+            .map_or(0, |(lender, _)| lender.imports())
     }
 
     /// Statistics of the last call, one per frame.

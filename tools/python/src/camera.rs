@@ -11,8 +11,8 @@ use crate::pose::{pose_of, to_matrix};
 ///
 /// A camera of ``width`` by ``height`` pixels.
 ///
-/// K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its center at (i + 0.5, j + 0.5).
-/// world_from_camera: float64 [4, 4], meters, OpenCV axes.
+/// K: float64 [3, 3], pixels, ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``; pixel (i, j) has its
+/// center at (i + 0.5, j + 0.5). world_from_camera: float64 [4, 4], meters, OpenCV axes.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Camera {
     pub inner: EngineCamera,
@@ -33,23 +33,52 @@ fn intrinsics_of(width_px: u32, height_px: u32, k: &Bound<'_, PyAny>) -> PyResul
             "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found a skew of {skew}, {zero} below it and the last row {last:?}"
         )));
     }
-    let intrinsics = Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens: Lens::Pinhole };
+    let intrinsics = Intrinsics {
+        width_px,
+        height_px,
+        fx_px,
+        fy_px,
+        cx_px,
+        cy_px,
+        lens: Lens::Pinhole,
+    };
     intrinsics.check().map_err(value_error)?;
     Ok(intrinsics)
 }
 
 fn k_of<'py>(py: Python<'py>, of: &Intrinsics) -> PyResult<Bound<'py, PyAny>> {
-    shaped(py, vec![of.fx_px, 0.0, of.cx_px, 0.0, of.fy_px, of.cy_px, 0.0, 0.0, 1.0], &[3, 3])
+    shaped(
+        py,
+        vec![
+            of.fx_px, 0.0, of.cx_px, 0.0, of.fy_px, of.cy_px, 0.0, 0.0, 1.0,
+        ],
+        &[3, 3],
+    )
 }
 
 #[pymethods]
 impl Camera {
     #[new]
     #[pyo3(signature = (width, height, K, world_from_camera, name = String::from("camera")))]
-    #[allow(non_snake_case, reason = "K is what everybody calls the matrix of intrinsics, and arguments are named in Python")]
-    fn new(width: u32, height: u32, K: &Bound<'_, PyAny>, world_from_camera: &Bound<'_, PyAny>, name: String) -> PyResult<Self> {
+    #[allow(
+        non_snake_case,
+        reason = "K is the usual name of the matrix of intrinsics, and arguments are named in Python"
+    )]
+    fn new(
+        width: u32,
+        height: u32,
+        K: &Bound<'_, PyAny>,
+        world_from_camera: &Bound<'_, PyAny>,
+        name: String,
+    ) -> PyResult<Self> {
         let world_from_camera = pose_of("world_from_camera", world_from_camera)?;
-        Ok(Self { inner: EngineCamera { name, intrinsics: intrinsics_of(width, height, K)?, world_from_camera } })
+        Ok(Self {
+            inner: EngineCamera {
+                name,
+                intrinsics: intrinsics_of(width, height, K)?,
+                world_from_camera,
+            },
+        })
     }
 
     /// Names its image.
@@ -84,8 +113,16 @@ impl Camera {
     }
 
     fn __repr__(&self) -> String {
-        let Intrinsics { width_px, height_px, fx_px, .. } = self.inner.intrinsics;
-        format!("Camera({:?}, {width_px}x{height_px}, fx {fx_px:.1} px)", self.inner.name)
+        let Intrinsics {
+            width_px,
+            height_px,
+            fx_px,
+            ..
+        } = self.inner.intrinsics;
+        format!(
+            "Camera({:?}, {width_px}x{height_px}, fx {fx_px:.1} px)",
+            self.inner.name
+        )
     }
 }
 
@@ -94,9 +131,21 @@ impl RigCamera {
     #[new]
     #[pyo3(signature = (name, width, height, K, rig_from_camera))]
     #[allow(non_snake_case, reason = "as in Camera")]
-    fn new(name: String, width: u32, height: u32, K: &Bound<'_, PyAny>, rig_from_camera: &Bound<'_, PyAny>) -> PyResult<Self> {
+    fn new(
+        name: String,
+        width: u32,
+        height: u32,
+        K: &Bound<'_, PyAny>,
+        rig_from_camera: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
         let rig_from_camera = pose_of("rig_from_camera", rig_from_camera)?;
-        Ok(Self { inner: EngineRigCamera { name, intrinsics: intrinsics_of(width, height, K)?, rig_from_camera } })
+        Ok(Self {
+            inner: EngineRigCamera {
+                name,
+                intrinsics: intrinsics_of(width, height, K)?,
+                rig_from_camera,
+            },
+        })
     }
 
     /// Names its image.
@@ -140,13 +189,30 @@ impl RigCamera {
 
     /// The camera in the world, of a vehicle that stands at world_from_rig, float64 [4, 4], meters.
     fn at(&self, world_from_rig: &Bound<'_, PyAny>) -> PyResult<Camera> {
-        let world_from_camera = pose_of("world_from_rig", world_from_rig)?.then(&self.inner.rig_from_camera);
-        let EngineRigCamera { name, intrinsics, .. } = self.inner.clone();
-        Ok(Camera { inner: EngineCamera { name, intrinsics, world_from_camera } })
+        let world_from_camera =
+            pose_of("world_from_rig", world_from_rig)?.then(&self.inner.rig_from_camera);
+        let EngineRigCamera {
+            name, intrinsics, ..
+        } = self.inner.clone();
+        Ok(Camera {
+            inner: EngineCamera {
+                name,
+                intrinsics,
+                world_from_camera,
+            },
+        })
     }
 
     fn __repr__(&self) -> String {
-        let Intrinsics { width_px, height_px, fx_px, .. } = self.inner.intrinsics;
-        format!("RigCamera({:?}, {width_px}x{height_px}, fx {fx_px:.1} px)", self.inner.name)
+        let Intrinsics {
+            width_px,
+            height_px,
+            fx_px,
+            ..
+        } = self.inner.intrinsics;
+        format!(
+            "RigCamera({:?}, {width_px}x{height_px}, fx {fx_px:.1} px)",
+            self.inner.name
+        )
     }
 }

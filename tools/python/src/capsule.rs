@@ -1,7 +1,9 @@
-//! Capsules of DLPack (github.com/dmlc/dlpack, `dlpack.h`): tensors that one library hands to another.
+//! Capsules of DLPack (github.com/dmlc/dlpack, `dlpack.h`): tensors that one library hands to
+//! another.
 //!
-//! A capsule owns a struct on the heap that begins with DLPack's own, and a keeper that holds the memory. Whoever takes the tensor
-//! renames the capsule and calls the deleter once, from any thread; a capsule that nobody took calls it itself.
+//! A capsule owns a struct on the heap that begins with DLPack's own, and a keeper that holds the
+//! memory. The consumer of the tensor renames the capsule and calls the deleter once, from any
+//! thread; a capsule that nobody took calls it itself.
 
 use std::any::Any;
 use std::ffi::{CStr, c_void};
@@ -40,9 +42,21 @@ pub struct DataType {
 }
 
 impl DataType {
-    pub const U8: Self = Self { code: 1, bits: 8, lanes: 1 };
-    pub const F32: Self = Self { code: 2, bits: 32, lanes: 1 };
-    pub const I32: Self = Self { code: 0, bits: 32, lanes: 1 };
+    pub const U8: Self = Self {
+        code: 1,
+        bits: 8,
+        lanes: 1,
+    };
+    pub const F32: Self = Self {
+        code: 2,
+        bits: 32,
+        lanes: 1,
+    };
+    pub const I32: Self = Self {
+        code: 0,
+        bits: 32,
+        lanes: 1,
+    };
 
     pub fn bytes(self) -> u64 {
         u64::from(self.bits) / 8
@@ -91,7 +105,10 @@ struct ManagedVersioned {
 }
 
 const _: () = assert!(size_of::<DlTensor>() == 48 && std::mem::offset_of!(Managed, held) == 64);
-const _: () = assert!(std::mem::offset_of!(ManagedVersioned, tensor) == 32 && std::mem::offset_of!(Managed, deleter) == 56);
+const _: () = assert!(
+    std::mem::offset_of!(ManagedVersioned, tensor) == 32
+        && std::mem::offset_of!(Managed, deleter) == 56
+);
 
 /// Data that a tensor needs while it is in use.
 struct Held {
@@ -114,7 +131,11 @@ impl Description {
         for axis in (1..self.shape.len()).rev() {
             strides[axis - 1] = strides[axis] * self.shape[axis];
         }
-        Held { shape: self.shape.clone().into(), strides: strides.into(), _keeper: keeper }
+        Held {
+            shape: self.shape.clone().into(),
+            strides: strides.into(),
+            _keeper: keeper,
+        }
     }
 
     /// Describes the tensor; its pointers go into `held`, whose boxes do not move.
@@ -130,19 +151,41 @@ impl Description {
         }
     }
 
-    /// A capsule of it, read-only where `versioned` capsules can say so. `keeper` is dropped when the consumer lets go.
-    pub fn capsule(&self, py: Python<'_>, keeper: Box<dyn Any + Send>, versioned: bool) -> PyResult<Py<PyAny>> {
+    /// A capsule of it, read-only where `versioned` capsules can say so. `keeper` is dropped when
+    /// the consumer releases it.
+    pub fn capsule(
+        &self,
+        py: Python<'_>,
+        keeper: Box<dyn Any + Send>,
+        versioned: bool,
+    ) -> PyResult<Py<PyAny>> {
         let mut held = self.held(keeper);
         let tensor = self.tensor(&mut held);
-        let (pointer, name, destructor): (*mut c_void, &CStr, ffi::PyCapsule_Destructor) = if versioned {
-            let context = std::ptr::null_mut();
-            let managed =
-                ManagedVersioned { version: VERSION, context, deleter: delete_versioned, flags: READ_ONLY, tensor, held };
-            (Box::into_raw(Box::new(managed)).cast(), NAME_VERSIONED, destroy_versioned)
-        } else {
-            let managed = Managed { tensor, context: std::ptr::null_mut(), deleter: delete, held };
-            (Box::into_raw(Box::new(managed)).cast(), NAME, destroy)
-        };
+        let (pointer, name, destructor): (*mut c_void, &CStr, ffi::PyCapsule_Destructor) =
+            if versioned {
+                let context = std::ptr::null_mut();
+                let managed = ManagedVersioned {
+                    version: VERSION,
+                    context,
+                    deleter: delete_versioned,
+                    flags: READ_ONLY,
+                    tensor,
+                    held,
+                };
+                (
+                    Box::into_raw(Box::new(managed)).cast(),
+                    NAME_VERSIONED,
+                    destroy_versioned,
+                )
+            } else {
+                let managed = Managed {
+                    tensor,
+                    context: std::ptr::null_mut(),
+                    deleter: delete,
+                    held,
+                };
+                (Box::into_raw(Box::new(managed)).cast(), NAME, destroy)
+            };
         // SAFETY: the interpreter's lock is held, the name is static, and the pointer is not null.
         let capsule = unsafe { ffi::PyCapsule_New(pointer, name.as_ptr(), Some(destructor)) };
         // SAFETY: a new reference, or null with an exception set.
@@ -162,7 +205,7 @@ unsafe extern "C" fn delete_versioned(managed: *mut ManagedVersioned) {
     drop(unsafe { Box::from_raw(managed) });
 }
 
-/// The capsule goes. Whoever took the tensor has renamed it.
+/// The capsule goes. The consumer of the tensor has renamed it.
 unsafe extern "C" fn destroy(capsule: *mut ffi::PyObject) {
     // SAFETY: the interpreter calls this with the capsule that it destroys.
     if let Some(managed) = unsafe { not_taken(capsule, NAME) } {
@@ -171,7 +214,7 @@ unsafe extern "C" fn destroy(capsule: *mut ffi::PyObject) {
     }
 }
 
-/// The capsule goes. Whoever took the tensor has renamed it.
+/// The capsule goes. The consumer of the tensor has renamed it.
 unsafe extern "C" fn destroy_versioned(capsule: *mut ffi::PyObject) {
     // SAFETY: the interpreter calls this with the capsule that it destroys.
     if let Some(managed) = unsafe { not_taken(capsule, NAME_VERSIONED) } {

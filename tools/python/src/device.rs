@@ -16,7 +16,8 @@ pub struct Device {
     driver: String,
     /// Kind of hardware.
     kind: &'static str,
-    /// ``uuid:`` and 32 hexadecimal digits: the same in every process, and CUDA's of the same device.
+    /// ``uuid:`` and 32 hexadecimal digits: the same in every process, and CUDA's of the same
+    /// device.
     uuid: String,
     /// Size of its largest heap, bytes.
     memory_bytes: u64,
@@ -48,7 +49,10 @@ impl Device {
 #[pymethods]
 impl Device {
     fn __repr__(&self) -> String {
-        format!("Device({}, {:?}, {}, {})", self.index, self.name, self.kind, self.uuid)
+        format!(
+            "Device({}, {:?}, {}, {})",
+            self.index, self.name, self.kind, self.uuid
+        )
     }
 }
 

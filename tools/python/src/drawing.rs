@@ -11,12 +11,17 @@ pub struct Views(pub Vec<(World, Vec<Camera>)>);
 
 impl Views {
     pub fn borrowed(&self) -> Vec<WorldView<'_>> {
-        self.0.iter().map(|(world, cameras)| WorldView { world, cameras }).collect()
+        self.0
+            .iter()
+            .map(|(world, cameras)| WorldView { world, cameras })
+            .collect()
     }
 
     /// View and camera of every image, in order.
     pub fn places(&self) -> Vec<(usize, usize)> {
-        let of_view = |(view, (_, cameras)): (usize, &(World, Vec<Camera>))| (0..cameras.len()).map(move |camera| (view, camera));
+        let of_view = |(view, (_, cameras)): (usize, &(World, Vec<Camera>))| {
+            (0..cameras.len()).map(move |camera| (view, camera))
+        };
         self.0.iter().enumerate().flat_map(of_view).collect()
     }
 
@@ -48,30 +53,64 @@ pub fn draw(
     if outputs.color == ColorFormat::U8 && !outputs.depth && !outputs.instance {
         let statistics = renderer.draw(&views.borrowed(), bytes)?;
         let gather = |group: &Vec<(usize, usize)>| {
-            let images: Vec<&[u8]> = group.iter().map(|&(view, camera)| bytes.rgba(view, camera)).collect();
-            Layers { color: Values::U8(images.concat()), depth: None, instance: None }
+            let images: Vec<&[u8]> = group
+                .iter()
+                .map(|&(view, camera)| bytes.rgba(view, camera))
+                .collect();
+            Layers {
+                color: Values::U8(images.concat()),
+                depth: None,
+                instance: None,
+            }
         };
         return Ok((groups.iter().map(gather).collect(), statistics));
     }
     let (images, statistics) = renderer.draw_images(&views.borrowed())?;
     let gather = |group: &Vec<(usize, usize)>| {
-        let images: Vec<&Image> = group.iter().map(|&(view, camera)| &images[view][camera]).collect();
+        let images: Vec<&Image> = group
+            .iter()
+            .map(|&(view, camera)| &images[view][camera])
+            .collect();
         gathered(&images, &outputs)
     };
     Ok((groups.iter().map(gather).collect(), statistics))
 }
 
 fn gathered(images: &[&Image], outputs: &Outputs) -> Layers {
-    let colors = images.iter().flat_map(|image| image.rgb.iter().zip(&image.alpha));
+    let colors = images
+        .iter()
+        .flat_map(|image| image.rgb.iter().zip(&image.alpha));
     let color = match outputs.color {
-        ColorFormat::F32 => Values::F32(colors.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha]).collect()),
+        ColorFormat::F32 => Values::F32(
+            colors
+                .flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha])
+                .collect(),
+        ),
         ColorFormat::U8 => {
             // They were bytes on the device: rounding brings these back.
             let byte = |value: f32| (255.0 * value).round() as u8;
-            Values::U8(colors.flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha].map(byte)).collect())
+            Values::U8(
+                colors
+                    .flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha].map(byte))
+                    .collect(),
+            )
         }
     };
-    let depths = || images.iter().flat_map(|image| image.depth.iter().flatten().copied()).collect();
-    let instances = || images.iter().flat_map(|image| image.instance.iter().flatten().map(|&id| i32::from(id))).collect();
-    Layers { color, depth: outputs.depth.then(depths), instance: outputs.instance.then(instances) }
+    let depths = || {
+        images
+            .iter()
+            .flat_map(|image| image.depth.iter().flatten().copied())
+            .collect()
+    };
+    let instances = || {
+        images
+            .iter()
+            .flat_map(|image| image.instance.iter().flatten().map(|&id| i32::from(id)))
+            .collect()
+    };
+    Layers {
+        color,
+        depth: outputs.depth.then(depths),
+        instance: outputs.instance.then(instances),
+    }
 }

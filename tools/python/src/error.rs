@@ -11,14 +11,24 @@ use decouplegs_sharing::InteropError;
 use pyo3::exceptions::{PyIndexError, PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::{PyErr, create_exception};
 
-create_exception!(decouplegs, Error, PyRuntimeError, "What the engine could not do. The base of the others.");
+create_exception!(
+    decouplegs,
+    Error,
+    PyRuntimeError,
+    "What the engine could not do. The base of the others."
+);
 create_exception!(
     decouplegs,
     DeviceError,
     Error,
     "No such device, a device that was lost, or one without the memory or the means."
 );
-create_exception!(decouplegs, FileError, Error, "A file that is missing or wrong; the message names it and what was expected.");
+create_exception!(
+    decouplegs,
+    FileError,
+    Error,
+    "A file that is missing or wrong; the message names it and what was expected."
+);
 create_exception!(
     decouplegs,
     TooManyHeldError,

@@ -31,9 +31,23 @@ pub struct Frame {
 }
 
 impl Frame {
-    pub fn on_device(loan: Arc<CudaLoan>, ordinal: i32, addresses: Addresses, places: Vec<(usize, [u32; 2])>) -> Self {
-        let color = if loan.images().buffers().images_u8.is_empty() { DataType::F32 } else { DataType::U8 };
-        Self { holder: Holder::Device(loan, ordinal), addresses, color, places: places.into() }
+    pub fn on_device(
+        loan: Arc<CudaLoan>,
+        ordinal: i32,
+        addresses: Addresses,
+        places: Vec<(usize, [u32; 2])>,
+    ) -> Self {
+        let color = if loan.images().buffers().images_u8.is_empty() {
+            DataType::F32
+        } else {
+            DataType::U8
+        };
+        Self {
+            holder: Holder::Device(loan, ordinal),
+            addresses,
+            color,
+            places: places.into(),
+        }
     }
 
     /// Images of `sizes_px`, one after the other.
@@ -52,10 +66,21 @@ impl Frame {
         };
         let addresses = Addresses {
             color: address as u64,
-            depth: layers.depth.as_ref().map_or(0, |depth| depth.as_ptr().expose_provenance() as u64),
-            instance: layers.instance.as_ref().map_or(0, |ids| ids.as_ptr().expose_provenance() as u64),
+            depth: layers
+                .depth
+                .as_ref()
+                .map_or(0, |depth| depth.as_ptr().expose_provenance() as u64),
+            instance: layers
+                .instance
+                .as_ref()
+                .map_or(0, |ids| ids.as_ptr().expose_provenance() as u64),
         };
-        Self { holder: Holder::Host(Arc::new(layers)), addresses, color, places }
+        Self {
+            holder: Holder::Host(Arc::new(layers)),
+            addresses,
+            color,
+            places,
+        }
     }
 
     /// Cameras `first` to `first + count`, as one tensor.
@@ -63,7 +88,9 @@ impl Frame {
         let places = &self.places[first..first + count];
         let (start, [width, height]) = places[0];
         let pixels = width as usize * height as usize;
-        let regular = |(index, place): (usize, &(usize, [u32; 2]))| *place == (start + index * pixels, [width, height]);
+        let regular = |(index, place): (usize, &(usize, [u32; 2]))| {
+            *place == (start + index * pixels, [width, height])
+        };
         if !places.iter().enumerate().all(regular) {
             return Err(value_error(
                 "cameras of several sizes make no one tensor: take camera(view, camera) of each, or draw them as views of their own"
@@ -74,14 +101,28 @@ impl Frame {
             "color" => (self.addresses.color, self.color, Some(4)),
             "depth" => (self.addresses.depth, DataType::F32, None),
             "instance" => (self.addresses.instance, DataType::I32, None),
-            _ => return Err(value_error(format!("layer: expected \"color\", \"depth\" or \"instance\", found {layer:?}"))),
+            _ => {
+                return Err(value_error(format!(
+                    "layer: expected \"color\", \"depth\" or \"instance\", found {layer:?}"
+                )));
+            }
         };
         if address == 0 {
-            return Err(value_error(format!("the session draws no {layer}: open it with Session({layer}=True)")));
+            return Err(value_error(format!(
+                "the session draws no {layer}: open it with Session({layer}=True)"
+            )));
         }
         let offset = start as u64 * u64::from(channels.unwrap_or(1_u32)) * dtype.bytes();
-        let shape = [count as i64, i64::from(height), i64::from(width)].into_iter().chain(channels.map(i64::from)).collect();
-        Ok(Tensor { holder: self.holder.clone(), address: address + offset, dtype, shape })
+        let shape = [count as i64, i64::from(height), i64::from(width)]
+            .into_iter()
+            .chain(channels.map(i64::from))
+            .collect();
+        Ok(Tensor {
+            holder: self.holder.clone(),
+            address: address + offset,
+            dtype,
+            shape,
+        })
     }
 }
 
@@ -96,9 +137,19 @@ pub struct Images {
 impl Images {
     /// `frames` hold the cameras of all views in order; `of_views` says how many each view has.
     pub fn new(frames: Vec<Frame>, of_views: Vec<usize>) -> Self {
-        let places = |(number, frame): (usize, &Frame)| (0..frame.places.len()).map(move |place| (number, place));
-        let mut places = frames.iter().enumerate().flat_map(places).collect::<Vec<_>>().into_iter();
-        let views = of_views.into_iter().map(|count| places.by_ref().take(count).collect()).collect();
+        let places = |(number, frame): (usize, &Frame)| {
+            (0..frame.places.len()).map(move |place| (number, place))
+        };
+        let mut places = frames
+            .iter()
+            .enumerate()
+            .flat_map(places)
+            .collect::<Vec<_>>()
+            .into_iter();
+        let views = of_views
+            .into_iter()
+            .map(|count| places.by_ref().take(count).collect())
+            .collect();
         Self { frames, views }
     }
 
@@ -125,12 +176,14 @@ impl Images {
         self.views.len()
     }
 
-    /// All cameras of a frame: [C, H, W, 4] of color, [C, H, W] of the others. Cameras must be of one size.
+    /// All cameras of a frame: [C, H, W, 4] of color, [C, H, W] of the others. Cameras must be of
+    /// one size.
     #[pyo3(signature = (index, layer = "color"))]
     fn frame(&self, index: usize, layer: &str) -> PyResult<Tensor> {
         let there = self.frames.len();
-        let frame =
-            self.frames.get(index).ok_or_else(|| PyIndexError::new_err(format!("there are {there} frames, not {index}")))?;
+        let frame = self.frames.get(index).ok_or_else(|| {
+            PyIndexError::new_err(format!("there are {there} frames, not {index}"))
+        })?;
         frame.tensor((0, frame.places.len()), layer)
     }
 
@@ -152,8 +205,9 @@ impl Images {
     fn camera(&self, view: usize, camera: usize, layer: &str) -> PyResult<Tensor> {
         let places = self.of_view(view)?;
         let there = places.len();
-        let &(frame, place) =
-            places.get(camera).ok_or_else(|| PyIndexError::new_err(format!("view {view} has {there} cameras, not {camera}")))?;
+        let &(frame, place) = places.get(camera).ok_or_else(|| {
+            PyIndexError::new_err(format!("view {view} has {there} cameras, not {camera}"))
+        })?;
         let mut tensor = self.frames[frame].tensor((place, 1), layer)?;
         tensor.shape.remove(0);
         Ok(tensor)
@@ -167,7 +221,8 @@ impl Images {
                 self.frames.len()
             )));
         }
-        self.frame(0, "color").map_err(|error| PyBufferError::new_err(error.to_string()))
+        self.frame(0, "color")
+            .map_err(|error| PyBufferError::new_err(error.to_string()))
     }
 
     /// tensor().__dlpack__(...)
@@ -180,7 +235,8 @@ impl Images {
         dl_device: Option<(i32, i32)>,
         copy: Option<bool>,
     ) -> PyResult<Py<PyAny>> {
-        self.tensor()?.__dlpack__(py, stream, max_version, dl_device, copy)
+        self.tensor()?
+            .__dlpack__(py, stream, max_version, dl_device, copy)
     }
 
     /// tensor().__dlpack_device__()
@@ -189,7 +245,11 @@ impl Images {
     }
 
     fn __repr__(&self) -> String {
-        format!("Images({} views in {} frames)", self.views.len(), self.frames.len())
+        format!(
+            "Images({} views in {} frames)",
+            self.views.len(),
+            self.frames.len()
+        )
     }
 }
 
@@ -205,8 +265,14 @@ pub struct Tensor {
 impl Tensor {
     fn device(&self) -> Device {
         match &self.holder {
-            Holder::Device(_, ordinal) => Device { kind: Device::CUDA, number: *ordinal },
-            Holder::Host(_) => Device { kind: Device::CPU, number: 0 },
+            Holder::Device(_, ordinal) => Device {
+                kind: Device::CUDA,
+                number: *ordinal,
+            },
+            Holder::Host(_) => Device {
+                kind: Device::CPU,
+                number: 0,
+            },
         }
     }
 
@@ -215,7 +281,8 @@ impl Tensor {
         match &self.holder {
             Holder::Device(loan, _) => {
                 let stream = Stream::of_dlpack(stream).map_err(value_error)?;
-                let handed: CudaHanded = loan.hand_out(stream).map_err(|error| of_interop(&error))?;
+                let handed: CudaHanded =
+                    loan.hand_out(stream).map_err(|error| of_interop(&error))?;
                 Ok(Box::new(handed))
             }
             Holder::Host(layers) => Ok(Box::new(layers.clone())),
@@ -237,7 +304,8 @@ impl Tensor {
         self.dtype.name()
     }
 
-    /// A capsule, read-only as DLPack 1 has it where max_version allows. stream as in the array API standard.
+    /// A capsule, read-only as DLPack 1 has it where max_version allows. stream as in the array API
+    /// standard.
     #[pyo3(signature = (*, stream = None, max_version = None, dl_device = None, copy = None))]
     fn __dlpack__(
         &self,
@@ -254,10 +322,21 @@ impl Tensor {
             ));
         }
         if copy == Some(true) {
-            return Err(PyBufferError::new_err("images are handed out where they lie: copy them after taking them"));
+            return Err(PyBufferError::new_err(
+                "images are handed out where they lie: copy them after taking them",
+            ));
         }
-        let description = Description { address: self.address, device, dtype: self.dtype, shape: self.shape.clone() };
-        description.capsule(py, self.keeper(stream)?, max_version.is_some_and(|(major, _)| major >= 1))
+        let description = Description {
+            address: self.address,
+            device,
+            dtype: self.dtype,
+            shape: self.shape.clone(),
+        };
+        description.capsule(
+            py,
+            self.keeper(stream)?,
+            max_version.is_some_and(|(major, _)| major >= 1),
+        )
     }
 
     /// (2, number) for CUDA, (1, 0) for the host.
@@ -267,7 +346,15 @@ impl Tensor {
     }
 
     fn __repr__(&self) -> String {
-        let place = if self.device().kind == Device::CUDA { "CUDA" } else { "the host" };
-        format!("Tensor({:?}, {}, on {place})", self.shape, self.dtype.name())
+        let place = if self.device().kind == Device::CUDA {
+            "CUDA"
+        } else {
+            "the host"
+        };
+        format!(
+            "Tensor({:?}, {}, on {place})",
+            self.shape,
+            self.dtype.name()
+        )
     }
 }

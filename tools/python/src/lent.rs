@@ -24,15 +24,25 @@ impl<T> Shared for ImageBuffer<T> {
     }
 
     fn export(&self) -> Result<Exported, InteropError> {
-        let exported = self.0.export().map_err(|error| InteropError::Export(error.to_string()))?;
+        let exported = self
+            .0
+            .export()
+            .map_err(|error| InteropError::Export(error.to_string()))?;
         let buffer_bytes = self.0.byte_len();
-        Ok(Exported { descriptor: exported.descriptor, allocation_bytes: exported.allocation_bytes, buffer_bytes })
+        Ok(Exported {
+            descriptor: exported.descriptor,
+            allocation_bytes: exported.allocation_bytes,
+            buffer_bytes,
+        })
     }
 }
 
 /// A lender of the images that are drawn in `session`.
 pub fn lender(session: &Session, cuda: &Arc<Cuda>) -> Result<Arc<CudaLender>, InteropError> {
-    let timeline = session.gpu().export_timeline(QueueRole::Main).map_err(|error| InteropError::Export(error.to_string()))?;
+    let timeline = session
+        .gpu()
+        .export_timeline(QueueRole::Main)
+        .map_err(|error| InteropError::Export(error.to_string()))?;
     Lender::new(cuda.clone(), timeline)
 }
 
@@ -47,12 +57,19 @@ pub struct Addresses {
 /// Imports what of `loan` was asked for.
 pub fn addresses(lender: &CudaLender, loan: &CudaLoan) -> Result<Addresses, InteropError> {
     let buffers = loan.images().buffers();
-    let color =
-        if buffers.images_u8.is_empty() { address(lender, &buffers.images_f32)? } else { address(lender, &buffers.images_u8)? };
-    Ok(Addresses { color, depth: address(lender, &buffers.depths_m)?, instance: address(lender, &buffers.instance_ids)? })
+    let color = if buffers.images_u8.is_empty() {
+        address(lender, &buffers.images_f32)?
+    } else {
+        address(lender, &buffers.images_u8)?
+    };
+    Ok(Addresses {
+        color,
+        depth: address(lender, &buffers.depths_m)?,
+        instance: address(lender, &buffers.instance_ids)?,
+    })
 }
 
-/// The import stays as long as somebody but the lender holds the buffer, which the loan does.
+/// The import stays as long as another than the lender holds the buffer, which the loan does.
 fn address<T: 'static>(lender: &CudaLender, buffer: &Buffer<T>) -> Result<u64, InteropError> {
     if buffer.is_empty() {
         return Ok(0);

@@ -1,7 +1,9 @@
-//! The Python package `decouplegs`: sessions, scenes, worlds and batch renderers of the engine, in NumPy and DLPack.
+//! The Python package `decouplegs`: sessions, scenes, worlds and batch renderers of the engine, in
+//! NumPy and DLPack.
 //!
-//! What Python sees is documented in `decouplegs/_native.pyi`. Each class holds the engine's own object of that name; work on the device
-//! is done without the interpreter's lock. `unsafe` is only in `capsule`, where DLPack's structs are handed to C.
+//! What Python sees is documented in `decouplegs/_native.pyi`. Each class holds the engine's own
+//! object of that name; work on the device is done without the interpreter's lock. `unsafe` is only
+//! in `capsule`, where DLPack's structs are handed to C.
 
 mod array;
 mod batch_renderer;

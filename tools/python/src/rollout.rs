@@ -18,15 +18,16 @@ use crate::pose::to_matrix;
 use crate::site::Site;
 use crate::world::World;
 
-/// Controls are kept up so long in the plan that is made of them, seconds: what the ego looks ahead, and more.
+/// Controls are kept up so long in the plan that is made of them, seconds: what the ego looks
+/// ahead, and more.
 const CONTROL_HORIZON_S: f64 = 2.0;
 /// Steps that a scenario may have, seconds.
 const STEP_S: std::ops::RangeInclusive<f64> = 0.02..=5.0;
 
 /// One episode, step by step.
 ///
-/// Scenario ``index`` of a level, made up from ``seed``; with a site of a scenario file, that scenario. ``name`` is the planner's, for
-/// logs.
+/// Scenario ``index`` of a level, generated from ``seed``; with a site of a scenario file, that
+/// scenario. ``name`` is the planner's, for logs.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Rollout {
     site: Arc<EngineSite>,
@@ -49,7 +50,10 @@ impl Rollout {
         let off_road = instants.iter().filter(|instant| !instant.on_road).count();
         let dict = PyDict::new(py);
         dict.set_item("progress_m", rollout.progress_m().0 - before_m)?;
-        dict.set_item("off_road_share", off_road as f64 / instants.len().max(1) as f64)?;
+        dict.set_item(
+            "off_road_share",
+            off_road as f64 / instants.len().max(1) as f64,
+        )?;
         dict.set_item("time_s", rollout.simulation().time_s())?;
         dict.set_item("end", rollout.end().map(name_of))?;
         Ok(dict)
@@ -84,7 +88,9 @@ impl Rollout {
         let mut scenario = py.detach(|| site.scenario(level, seed, index))?;
         scenario.step_s = step_s.unwrap_or(scenario.step_s);
         scenario.duration_s = duration_s.unwrap_or(scenario.duration_s);
-        if !STEP_S.contains(&scenario.step_s) || !(scenario.step_s..=3600.0).contains(&scenario.duration_s) {
+        if !STEP_S.contains(&scenario.step_s)
+            || !(scenario.step_s..=3600.0).contains(&scenario.duration_s)
+        {
             return Err(value_error(format!(
                 "expected step_s from {} to {} and duration_s from that to 3600, found {} and {}",
                 STEP_S.start(),
@@ -93,37 +99,79 @@ impl Rollout {
                 scenario.duration_s
             )));
         }
-        let cameras = site.scene.rig().cameras.iter().map(|camera| camera.name.clone()).collect();
-        let planner = PlannerRecord { name: name.to_owned(), cameras, privileged: false };
-        let rollout = EngineRollout::new(&scenario, &site.site, EpisodeMetadata { planner, drawn_by: None });
+        let cameras = site
+            .scene
+            .rig()
+            .cameras
+            .iter()
+            .map(|camera| camera.name.clone())
+            .collect();
+        let planner = PlannerRecord {
+            name: name.to_owned(),
+            cameras,
+            privileged: false,
+        };
+        let rollout = EngineRollout::new(
+            &scenario,
+            &site.site,
+            EpisodeMetadata {
+                planner,
+                drawn_by: None,
+            },
+        );
         let inner = Mutex::new(rollout.map_err(|error| of_episode(&error))?);
-        Ok(Self { site: site.site.clone(), inner })
+        Ok(Self {
+            site: site.site.clone(),
+            inner,
+        })
     }
 
-    /// Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and accelerating so (-8 to 3).
+    /// Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and
+    /// accelerating so (-8 to 3).
     ///
-    /// The ego is given the trajectory that this would drive for 2 s, so that a log of it replays like any other.
-    fn step_controls<'py>(&self, py: Python<'py>, steer_rad: f64, acceleration_mps2: f64) -> PyResult<Bound<'py, PyDict>> {
+    /// The ego is given the trajectory that this would drive for 2 s, so that a log of it replays
+    /// like any other.
+    fn step_controls<'py>(
+        &self,
+        py: Python<'py>,
+        steer_rad: f64,
+        acceleration_mps2: f64,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let plan = {
             let rollout = self.lock();
             let horizon_s = CONTROL_HORIZON_S.max(2.0 * rollout.simulation().scenario().step_s);
-            rollout.simulation().ego().plan_under(steer_rad, acceleration_mps2, horizon_s).map_err(value_error)?
+            rollout
+                .simulation()
+                .ego()
+                .plan_under(steer_rad, acceleration_mps2, horizon_s)
+                .map_err(value_error)?
         };
         self.driven(py, plan)
     }
 
-    /// Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x (forward) and y (left) in the ego's
-    /// frame, meters.
-    fn step_plan<'py>(&self, py: Python<'py>, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
+    /// Drives a step along a trajectory: float64 [N, 3] of time (seconds from now, rising), x
+    /// (forward) and y (left) in the ego's frame, meters.
+    fn step_plan<'py>(
+        &self,
+        py: Python<'py>,
+        points: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let points = rows::<3>("points", points)?;
-        let points = points.into_iter().map(|[time_s, x, y]| PlanPoint { time_s, position_m: DVec2::new(x, y) });
+        let points = points.into_iter().map(|[time_s, x, y]| PlanPoint {
+            time_s,
+            position_m: DVec2::new(x, y),
+        });
         let plan = Plan::new(points.collect()).map_err(value_error)?;
         self.driven(py, plan)
     }
 
-    /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4, 4], meters.
+    /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4,
+    /// 4], meters.
     fn show<'py>(&self, py: Python<'py>, world: &World) -> PyResult<Bound<'py, PyAny>> {
-        let ego = self.lock().show(&mut world.lock()).map_err(|error| of_session(&error))?;
+        let ego = self
+            .lock()
+            .show(&mut world.lock())
+            .map_err(|error| of_session(&error))?;
         to_matrix(py, &ego)
     }
 
@@ -131,7 +179,16 @@ impl Rollout {
     #[getter]
     fn ego_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let motion = self.lock().simulation().motion();
-        shaped(py, vec![motion.speed_mps, motion.acceleration_mps2, motion.steer_rad, motion.yaw_rate_radps], &[4])
+        shaped(
+            py,
+            vec![
+                motion.speed_mps,
+                motion.acceleration_mps2,
+                motion.steer_rad,
+                motion.yaw_rate_radps,
+            ],
+            &[4],
+        )
     }
 
     /// Navigation instructions: turn (``left``, ``right``, ``straight``), distance_m, angle_rad,
@@ -150,12 +207,22 @@ impl Rollout {
 
     /// Places on the route ahead, in the ego's frame: float64 [points, 2], meters.
     #[pyo3(signature = (points = 10, spacing_m = 5.0))]
-    fn route_ahead<'py>(&self, py: Python<'py>, points: usize, spacing_m: f64) -> PyResult<Bound<'py, PyAny>> {
+    fn route_ahead<'py>(
+        &self,
+        py: Python<'py>,
+        points: usize,
+        spacing_m: f64,
+    ) -> PyResult<Bound<'py, PyAny>> {
         if !((1..=4096).contains(&points) && spacing_m > 0.0 && spacing_m.is_finite()) {
-            return Err(value_error(format!("expected 1 to 4096 points and a spacing above 0, found {points} and {spacing_m}")));
+            return Err(value_error(format!(
+                "expected 1 to 4096 points and a spacing above 0, found {points} and {spacing_m}"
+            )));
         }
         let rollout = self.lock();
-        let (ego, route) = (rollout.simulation().instant().ego, rollout.simulation().route());
+        let (ego, route) = (
+            rollout.simulation().instant().ego,
+            rollout.simulation().route(),
+        );
         let (progress_m, length_m) = rollout.progress_m();
         let place = |number: usize| {
             let (at, _) = route.pose_at((progress_m + spacing_m * number as f64).min(length_m));
@@ -216,7 +283,10 @@ impl Rollout {
         let rollout = self.lock();
         let (progress_m, length_m) = rollout.progress_m();
         let lanes = self.site.lanes.lanes.len();
-        format!("Rollout({}, {progress_m:.1} of {length_m:.1} m, {lanes} lanes)", rollout.simulation().scenario().name)
+        format!(
+            "Rollout({}, {progress_m:.1} of {length_m:.1} m, {lanes} lanes)",
+            rollout.simulation().scenario().name
+        )
     }
 }
 

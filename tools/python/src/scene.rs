@@ -18,8 +18,13 @@ pub struct Scene {
     pub inner: Arc<SessionScene>,
 }
 
-/// The cameras of `rig` where the vehicle stands at `world_from_rig`, of `size_px` where it is given.
-pub fn rig_at(rig: &Rig, world_from_rig: &Pose, size_px: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
+/// The cameras of `rig` where the vehicle stands at `world_from_rig`, of `size_px` where it is
+/// given.
+pub fn rig_at(
+    rig: &Rig,
+    world_from_rig: &Pose,
+    size_px: Option<(u32, u32)>,
+) -> PyResult<Vec<Camera>> {
     let mut cameras = rig.at(world_from_rig);
     if let Some((width_px, height_px)) = size_px {
         for camera in &mut cameras {
@@ -31,7 +36,13 @@ pub fn rig_at(rig: &Rig, world_from_rig: &Pose, size_px: Option<(u32, u32)>) -> 
 }
 
 fn finite(time_s: f64) -> PyResult<f64> {
-    if time_s.is_finite() { Ok(time_s) } else { Err(value_error(format!("time_s: expected a finite number, found {time_s}"))) }
+    if time_s.is_finite() {
+        Ok(time_s)
+    } else {
+        Err(value_error(format!(
+            "time_s: expected a finite number, found {time_s}"
+        )))
+    }
 }
 
 #[pymethods]
@@ -39,7 +50,14 @@ impl Scene {
     /// The ego vehicle's cameras; none for a splat file.
     #[getter]
     fn rig(&self) -> Vec<RigCamera> {
-        self.inner.rig().cameras.iter().map(|camera| RigCamera { inner: camera.clone() }).collect()
+        self.inner
+            .rig()
+            .cameras
+            .iter()
+            .map(|camera| RigCamera {
+                inner: camera.clone(),
+            })
+            .collect()
     }
 
     /// Pose of the ego vehicle from the scene file, world_from_rig, float64 [4, 4], meters.
@@ -53,22 +71,39 @@ impl Scene {
         (self.inner.ego().start_s(), self.inner.ego().end_s())
     }
 
-    /// The rig where the ego is at time_s, in images of ``size`` = (width, height) pixels where it is given.
+    /// The rig where the ego is at time_s, in images of ``size`` = (width, height) pixels where it
+    /// is given.
     #[pyo3(signature = (time_s = 0.0, size = None))]
     fn cameras(&self, time_s: f64, size: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
-        rig_at(self.inner.rig(), &self.inner.ego().at(finite(time_s)?), size)
+        rig_at(
+            self.inner.rig(),
+            &self.inner.ego().at(finite(time_s)?),
+            size,
+        )
     }
 
     /// The rig on a vehicle that stands at world_from_rig, float64 [4, 4], meters.
     #[pyo3(signature = (world_from_rig, size = None))]
-    fn cameras_at(&self, world_from_rig: &Bound<'_, PyAny>, size: Option<(u32, u32)>) -> PyResult<Vec<Camera>> {
-        rig_at(self.inner.rig(), &pose_of("world_from_rig", world_from_rig)?, size)
+    fn cameras_at(
+        &self,
+        world_from_rig: &Bound<'_, PyAny>,
+        size: Option<(u32, u32)>,
+    ) -> PyResult<Vec<Camera>> {
+        rig_at(
+            self.inner.rig(),
+            &pose_of("world_from_rig", world_from_rig)?,
+            size,
+        )
     }
 
     /// Agents of the scene file that can be moved, with which a World begins.
     #[getter]
     fn agents(&self) -> Vec<String> {
-        self.inner.agents().iter().map(|agent| agent.name.clone()).collect()
+        self.inner
+            .agents()
+            .iter()
+            .map(|agent| agent.name.clone())
+            .collect()
     }
 
     /// Agents of plain splats, which are part of the background.
@@ -78,9 +113,16 @@ impl Scene {
     }
 
     /// Pose of an agent from the scene file, world_from_agent, float64 [4, 4], meters.
-    fn agent_pose<'py>(&self, py: Python<'py>, name: &str, time_s: f64) -> PyResult<Bound<'py, PyAny>> {
+    fn agent_pose<'py>(
+        &self,
+        py: Python<'py>,
+        name: &str,
+        time_s: f64,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let agent = self.inner.agents().iter().find(|agent| agent.name == name);
-        let agent = agent.ok_or_else(|| PyKeyError::new_err(format!("the scene has no agent {name:?} that can be moved")))?;
+        let agent = agent.ok_or_else(|| {
+            PyKeyError::new_err(format!("the scene has no agent {name:?} that can be moved"))
+        })?;
         to_matrix(py, &agent.trajectory.at(finite(time_s)?))
     }
 
@@ -92,12 +134,17 @@ impl Scene {
 
     /// Length, width and height of an asset, meters. Its origin is the center of its box.
     fn asset_size(&self, asset: usize) -> PyResult<(f32, f32, f32)> {
-        self.inner.asset_dims_m(asset).map(Into::into).map_err(|error| of_session(&error))
+        self.inner
+            .asset_dims_m(asset)
+            .map(Into::into)
+            .map_err(|error| of_session(&error))
     }
 
-    /// Copies another compressed asset (.safetensors) to the device, for all worlds over this scene; its number.
+    /// Copies another compressed asset (.safetensors) to the device, for all worlds over this
+    /// scene; its number.
     fn add_asset(&self, py: Python<'_>, path: PathBuf) -> PyResult<usize> {
-        py.detach(|| self.inner.add_asset(&path)).map_err(|error| of_session(&error))
+        py.detach(|| self.inner.add_asset(&path))
+            .map_err(|error| of_session(&error))
     }
 
     /// Splats of the background.
@@ -108,6 +155,9 @@ impl Scene {
 
     fn __repr__(&self) -> String {
         let (splats, agents) = (self.inner.background_splats(), self.inner.agents().len());
-        format!("Scene({splats} splats, {agents} agents, {} cameras)", self.inner.rig().cameras.len())
+        format!(
+            "Scene({splats} splats, {agents} agents, {} cameras)",
+            self.inner.rig().cameras.len()
+        )
     }
 }

@@ -21,12 +21,13 @@ use crate::scene::Scene;
 ///
 /// Opens a device: the best, or by number, a part of its name, or ``uuid:...``.
 ///
-/// color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped.
-/// depth, instance: whether batch renderers draw these layers too (BatchRenderer.draw_layers, Images).
-/// exported: whether images are drawn into memory that CUDA shares. None: where that can be; True: or DeviceError.
-/// rules: the rules of image formation for all scenes: ``default``, ``gsplat15``, ``gsplat16`` or ``inria``. None: each scene's own, as its file says.
-/// taken_max: frames that may be held on the device by tensors before TooManyHeldError.
-/// frames_in_flight: frames of one call that are submitted before the first is waited for.
+/// color: ``u8`` for clamped bytes, ``f32`` for values as blended, not clamped. depth, instance:
+/// whether batch renderers draw these layers too (BatchRenderer.draw_layers, Images). exported:
+/// whether images are drawn into memory that CUDA shares. None: where that can be; True: or
+/// DeviceError. rules: the rules of image formation for all scenes: ``default``, ``gsplat15``,
+/// ``gsplat16`` or ``inria``. None: each scene's own, as its file says. taken_max: frames that may
+/// be held on the device by tensors before TooManyHeldError. frames_in_flight: frames of one call
+/// that are submitted before the first is waited for.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Session {
     pub inner: Arc<EngineSession>,
@@ -40,19 +41,27 @@ pub struct Session {
 const TAKEN_MAX: usize = 65_536;
 
 fn choice_of(device: Option<&Bound<'_, PyAny>>) -> PyResult<DeviceChoice> {
-    let Some(device) = device else { return Ok(DeviceChoice::Automatic) };
+    let Some(device) = device else {
+        return Ok(DeviceChoice::Automatic);
+    };
     if let Ok(index) = device.extract::<usize>() {
         return Ok(DeviceChoice::Index(index));
     }
-    let text: String = device
-        .extract()
-        .map_err(|_| value_error("device: expected None, a number of devices(), a part of a name or \"uuid:...\"".to_owned()))?;
+    let text: String = device.extract().map_err(|_| {
+        value_error(
+            "device: expected None, a number of devices(), a part of a name or \"uuid:...\""
+                .to_owned(),
+        )
+    })?;
     Ok(text.parse().unwrap_or_default())
 }
 
 fn rules_of(name: &str) -> PyResult<Rules> {
     let told = || {
-        value_error(format!("rules: expected None, {}, found {name:?}", Rules::NAMES.map(|name| format!("{name:?}")).join(", ")))
+        value_error(format!(
+            "rules: expected None, {}, found {name:?}",
+            Rules::NAMES.map(|name| format!("{name:?}")).join(", ")
+        ))
     };
     Rules::by_name(name).ok_or_else(told)
 }
@@ -60,7 +69,10 @@ fn rules_of(name: &str) -> PyResult<Rules> {
 /// CUDA functions on the device of `gpu`, or the reason why there are none.
 fn cuda_of(gpu: &Gpu) -> Result<Cuda, String> {
     if !gpu.can_export() {
-        return Err(format!("{} cannot export memory and timelines (VK_KHR_external_memory_fd)", gpu.info()));
+        return Err(format!(
+            "{} cannot export memory and timelines (VK_KHR_external_memory_fd)",
+            gpu.info()
+        ));
     }
     Cuda::open(gpu.info().uuid).map_err(|error| error.to_string())
 }
@@ -84,33 +96,63 @@ impl Session {
         let color = match color {
             "u8" => ColorFormat::U8,
             "f32" => ColorFormat::F32,
-            _ => return Err(value_error(format!("color: expected \"u8\" or \"f32\", found {color:?}"))),
+            _ => {
+                return Err(value_error(format!(
+                    "color: expected \"u8\" or \"f32\", found {color:?}"
+                )));
+            }
         };
         if !(1..=TAKEN_MAX).contains(&taken_max) || !(1..=64).contains(&frames_in_flight) {
             return Err(value_error(format!(
                 "expected taken_max from 1 to {TAKEN_MAX} and frames_in_flight from 1 to 64, found {taken_max} and {frames_in_flight}"
             )));
         }
-        let device = DeviceOptions { choice: choice_of(device)?, ..DeviceOptions::default() };
-        let mut options = SessionOptions { device, ..SessionOptions::default() };
-        let outputs = Outputs { color, depth, instance, ..Outputs::default() };
+        let device = DeviceOptions {
+            choice: choice_of(device)?,
+            ..DeviceOptions::default()
+        };
+        let mut options = SessionOptions {
+            device,
+            ..SessionOptions::default()
+        };
+        let outputs = Outputs {
+            color,
+            depth,
+            instance,
+            ..Outputs::default()
+        };
         options.rules = rules.map(rules_of).transpose()?;
-        options.render = RenderOptions { outputs, taken_max, frames_in_flight, ..options.render };
+        options.render = RenderOptions {
+            outputs,
+            taken_max,
+            frames_in_flight,
+            ..options.render
+        };
         let opened = py.detach(|| {
             let gpu = Gpu::open(&options.device)?;
-            let cuda = if exported == Some(false) { Err("exported is False".to_owned()) } else { cuda_of(&gpu) };
+            let cuda = if exported == Some(false) {
+                Err("exported is False".to_owned())
+            } else {
+                cuda_of(&gpu)
+            };
             Ok((gpu, cuda))
         });
         let (gpu, cuda) = opened.map_err(|error| of_gpu(&error))?;
         let (cuda, not_shared) = match cuda {
             Ok(cuda) => (Some(Arc::new(cuda)), None),
             Err(reason) if exported == Some(true) => {
-                return Err(DeviceError::new_err(format!("images cannot be shared with CUDA: {reason}")));
+                return Err(DeviceError::new_err(format!(
+                    "images cannot be shared with CUDA: {reason}"
+                )));
             }
             Err(reason) => (None, Some(reason)),
         };
         options.render.outputs.exported = cuda.is_some();
-        Ok(Self { inner: Arc::new(EngineSession::on(&gpu, &options)), cuda, not_shared })
+        Ok(Self {
+            inner: Arc::new(EngineSession::on(&gpu, &options)),
+            cuda,
+            not_shared,
+        })
     }
 
     /// The device.
@@ -119,7 +161,8 @@ impl Session {
         Device::of(self.inner.gpu().info())
     }
 
-    /// True if BatchRenderer.draw_dlpack gives CUDA tensors over the renderer's memory, without a copy.
+    /// True if BatchRenderer.draw_dlpack gives CUDA tensors over the renderer's memory, without a
+    /// copy.
     #[getter]
     fn exported(&self) -> bool {
         self.cuda.is_some()
@@ -146,13 +189,16 @@ impl Session {
         self.inner.options().render.taken_max
     }
 
-    /// The scene of a scene file (.toml) or splat file, loaded unless somebody holds it already.
+    /// The scene of a scene file (.toml) or splat file, loaded unless it is loaded already.
     fn open_scene(&self, py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
-        let inner = py.detach(|| self.inner.open_scene(&path)).map_err(|error| of_session(&error))?;
+        let inner = py
+            .detach(|| self.inner.open_scene(&path))
+            .map_err(|error| of_session(&error))?;
         Ok(Scene { inner })
     }
 
-    /// Something that draws. Its buffers are kept from frame to frame; use one for each thread that draws.
+    /// Something that draws. Its buffers are kept from frame to frame; use one for each thread that
+    /// draws.
     fn batch_renderer(&self) -> PyResult<BatchRenderer> {
         BatchRenderer::new(&self.inner, self.cuda.as_ref()).map_err(|error| of_interop(&error))
     }
@@ -160,7 +206,11 @@ impl Session {
     /// Bytes on the device by purpose.
     fn memory(&self) -> BTreeMap<String, u64> {
         let report = self.inner.gpu().memory();
-        report.bytes_by_purpose.into_iter().map(|(purpose, bytes)| (purpose.to_owned(), bytes)).collect()
+        report
+            .bytes_by_purpose
+            .into_iter()
+            .map(|(purpose, bytes)| (purpose.to_owned(), bytes))
+            .collect()
     }
 
     /// Vulkan validation messages since the last call; validation is on with

@@ -18,8 +18,9 @@ use crate::session::Session;
 
 /// A place of episodes, on the device.
 ///
-/// The synthetic street of ``background`` splats with cars of ``agent_splats``, its houses by ``seed``; or the place of a scenario
-/// file (.toml), whose scenario is then the one that is driven.
+/// The synthetic street of ``background`` splats with cars of ``agent_splats``, its houses by
+/// ``seed``; or the place of a scenario file (.toml), whose scenario is then the one that is
+/// driven.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Site {
     pub site: Arc<EngineSite>,
@@ -35,19 +36,36 @@ impl Site {
         if let Some(scenario) = &self.scenario {
             return Ok(scenario.clone());
         }
-        let expected = || value_error(format!("level: expected easy, medium, hard or extreme, found {level:?}"));
+        let expected = || {
+            value_error(format!(
+                "level: expected easy, medium, hard or extreme, found {level:?}"
+            ))
+        };
         let level = Level::by_name(level).ok_or_else(expected)?;
-        let Place::Street { background, agent_splats, seed: street, .. } = self.place else {
+        let Place::Street {
+            background,
+            agent_splats,
+            seed: street,
+            ..
+        } = self.place
+        else {
             return Err(value_error(
-                "scenarios are made up on the synthetic street: name a scenario file for this place".to_owned(),
+                "scenarios are synthetic on the synthetic street: name a scenario file for this place".to_owned(),
             ));
         };
-        let options = PlaceOptions::Street { background, agent_splats, seed: street };
+        let options = PlaceOptions::Street {
+            background,
+            agent_splats,
+            seed: street,
+        };
         let generator = Generator::new(&self.site.lanes, options, &self.site.asset_sizes);
         let made = generator.and_then(|generator| generator.scenario(level, seed, index));
         let scenario = made.map_err(|error| value_error(sentence(&error)))?;
         // The light is that of the place, which is there already, and not the level's.
-        Ok(Scenario { place: self.place.clone(), ..scenario })
+        Ok(Scenario {
+            place: self.place.clone(),
+            ..scenario
+        })
     }
 }
 
@@ -64,35 +82,68 @@ impl Site {
         seed: u64,
         scenario: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let expected = || value_error(format!("weather: expected clear, overcast, dusk or night, found {weather:?}"));
+        let expected = || {
+            value_error(format!(
+                "weather: expected clear, overcast, dusk or night, found {weather:?}"
+            ))
+        };
         let weather = Weather::by_name(weather).ok_or_else(expected)?;
         if agent_splats == 0 || background == 0 {
             return Err(value_error(format!(
                 "expected at least one splat of the background and of each car, found {background} and {agent_splats}"
             )));
         }
-        let directory = scenario.as_deref().and_then(Path::parent).unwrap_or(Path::new("")).to_owned();
+        let directory = scenario
+            .as_deref()
+            .and_then(Path::parent)
+            .unwrap_or(Path::new(""))
+            .to_owned();
         let scenario = scenario.map(|path| read_scenario(&path)).transpose();
         let scenario = scenario.map_err(|error| FileError::new_err(sentence(&error)))?;
-        let street = Place::Street { weather, background, agent_splats, seed };
-        let place = scenario.as_ref().map_or(street, |scenario| scenario.place.clone());
+        let street = Place::Street {
+            weather,
+            background,
+            agent_splats,
+            seed,
+        };
+        let place = scenario
+            .as_ref()
+            .map_or(street, |scenario| scenario.place.clone());
         py.detach(|| {
-            let site = EngineSite::open(&place, &directory, Some(&Look::default())).map_err(|error| of_site(&error))?;
-            let scene = session.inner.add_site(&site).map_err(|error| of_session(&error))?;
-            Ok(Self { site: Arc::new(site), scene, place, scenario })
+            let site = EngineSite::open(&place, &directory, Some(&Look::default()))
+                .map_err(|error| of_site(&error))?;
+            let scene = session
+                .inner
+                .add_site(&site)
+                .map_err(|error| of_session(&error))?;
+            Ok(Self {
+                site: Arc::new(site),
+                scene,
+                place,
+                scenario,
+            })
         })
     }
 
     /// Scene of the site: worlds over it can follow rollouts.
     #[getter]
     fn scene(&self) -> Scene {
-        Scene { inner: self.scene.clone() }
+        Scene {
+            inner: self.scene.clone(),
+        }
     }
 
     /// The ego's cameras.
     #[getter]
     fn rig(&self) -> Vec<RigCamera> {
-        self.scene.rig().cameras.iter().map(|camera| RigCamera { inner: camera.clone() }).collect()
+        self.scene
+            .rig()
+            .cameras
+            .iter()
+            .map(|camera| RigCamera {
+                inner: camera.clone(),
+            })
+            .collect()
     }
 
     fn __copy__(slf: Py<Self>) -> Py<Self> {
@@ -105,6 +156,10 @@ impl Site {
     }
 
     fn __repr__(&self) -> String {
-        format!("Site({} lanes, {} splats)", self.site.lanes.lanes.len(), self.scene.background_splats())
+        format!(
+            "Site({} lanes, {} splats)",
+            self.site.lanes.lanes.len(),
+            self.scene.background_splats()
+        )
     }
 }

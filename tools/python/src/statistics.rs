@@ -57,6 +57,9 @@ impl Statistics {
 #[pymethods]
 impl Statistics {
     fn __repr__(&self) -> String {
-        format!("Statistics({} cameras, {} agents, {:.3} ms on the device)", self.cameras, self.agents, self.gpu_ms)
+        format!(
+            "Statistics({} cameras, {} agents, {:.3} ms on the device)",
+            self.cameras, self.agents, self.gpu_ms
+        )
     }
 }

@@ -33,13 +33,18 @@ pub struct Agent {
 #[pymethods]
 impl Agent {
     fn __repr__(&self) -> String {
-        format!("Agent({:?}, asset {}, instance {})", self.name, self.asset, self.instance)
+        format!(
+            "Agent({:?}, asset {}, instance {})",
+            self.name, self.asset, self.instance
+        )
     }
 }
 
 impl World {
     pub fn of(inner: EngineWorld) -> Self {
-        Self { inner: Mutex::new(inner) }
+        Self {
+            inner: Mutex::new(inner),
+        }
     }
 
     /// Held for the time of a change or a copy, never while something is drawn.
@@ -53,13 +58,19 @@ impl World {
     #[new]
     #[pyo3(signature = (scene, empty = false))]
     fn new(scene: &Scene, empty: bool) -> Self {
-        Self::of(if empty { EngineWorld::empty(&scene.inner) } else { EngineWorld::new(&scene.inner) })
+        Self::of(if empty {
+            EngineWorld::empty(&scene.inner)
+        } else {
+            EngineWorld::new(&scene.inner)
+        })
     }
 
     /// Puts the agents of the scene file that are still here where their trajectories have them.
     fn set_time(&self, time_s: f64) -> PyResult<()> {
         if !time_s.is_finite() {
-            return Err(value_error(format!("time_s: expected a finite number, found {time_s}")));
+            return Err(value_error(format!(
+                "time_s: expected a finite number, found {time_s}"
+            )));
         }
         self.lock().set_time(time_s);
         Ok(())
@@ -68,18 +79,25 @@ impl World {
     /// Moves an agent; pose is world_from_agent, float64 [4, 4], meters.
     fn move_to(&self, name: &str, pose: &Bound<'_, PyAny>) -> PyResult<()> {
         let pose = pose_of("pose", pose)?;
-        self.lock().move_to(name, pose).map_err(|error| of_session(&error))
+        self.lock()
+            .move_to(name, pose)
+            .map_err(|error| of_session(&error))
     }
 
     /// Adds an agent that shows an asset, or lets the one of that name show it; its instance id.
     fn place(&self, name: &str, asset: usize, pose: &Bound<'_, PyAny>) -> PyResult<u16> {
         let pose = pose_of("pose", pose)?;
-        self.lock().place(name, asset, pose, None).map_err(|error| of_session(&error))
+        self.lock()
+            .place(name, asset, pose, None)
+            .map_err(|error| of_session(&error))
     }
 
     /// Takes an agent out.
     fn remove(&self, name: &str) -> PyResult<()> {
-        self.lock().remove(name).map(drop).map_err(|error| of_session(&error))
+        self.lock()
+            .remove(name)
+            .map(drop)
+            .map_err(|error| of_session(&error))
     }
 
     /// Agents of the world.
@@ -88,7 +106,12 @@ impl World {
         let agents = self.lock().agents().to_vec();
         let agent = |agent: decouplegs::session::WorldAgent| {
             let pose = to_matrix(py, &agent.placed.pose)?.unbind();
-            Ok(Agent { name: agent.name, asset: agent.placed.asset, instance: agent.placed.instance, pose })
+            Ok(Agent {
+                name: agent.name,
+                asset: agent.placed.asset,
+                instance: agent.placed.instance,
+                pose,
+            })
         };
         agents.into_iter().map(agent).collect()
     }
@@ -96,7 +119,9 @@ impl World {
     /// The scene that it is over.
     #[getter]
     fn scene(&self) -> Scene {
-        Scene { inner: self.lock().scene().clone() }
+        Scene {
+            inner: self.lock().scene().clone(),
+        }
     }
 
     /// Another world with the same agents.

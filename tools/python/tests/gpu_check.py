@@ -199,7 +199,7 @@ def no_leak(options) -> dict:
     grown["cuda_free"] = -grown["cuda_free"]
     smi = subprocess.run(["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader"], capture_output=True, text=True)
     ok = grown["cuda_free"] <= LEAK_BYTES and grown["session"] == 0 and grown["rss"] <= 4 * LEAK_BYTES and grown["descriptors"] <= 0
-    return {"ok": ok, "frames": options.frames, "grown": grown, "imports": bench.batch renderer.imports, "nvidia_smi": smi.stdout.split("\n")[0]}
+    return {"ok": ok, "frames": options.frames, "grown": grown, "imports": bench.renderer.imports, "nvidia_smi": smi.stdout.split("\n")[0]}
 
 
 @check
@@ -261,7 +261,7 @@ def too_many(options) -> dict:
 
 @check
 def sizes_that_change(options) -> dict:
-    """Imports of buffers that the renderer has let go of are forgotten."""
+    """Imports of buffers that the renderer has released are forgotten."""
     bench = Bench(options)
     for step in range(60):
         size = (160 + 32 * (step % 5), 90)
@@ -273,7 +273,7 @@ def sizes_that_change(options) -> dict:
             return {"ok": False, "size": size}
     torch.cuda.synchronize()
     bench.renderer.collect()
-    return {"ok": bench.batch renderer.imports <= 6, "imports": bench.renderer.imports}
+    return {"ok": bench.renderer.imports <= 6, "imports": bench.renderer.imports}
 
 
 @check
@@ -307,8 +307,8 @@ def many_worlds(options) -> dict:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", help="a scene file; a street is made up without one")
-    parser.add_argument("--background", type=int, default=400_000, help="splats of the street that is made up")
+    parser.add_argument("--scene", help="a scene file; a street is synthetic without one")
+    parser.add_argument("--background", type=int, default=400_000, help="splats of the street that is synthetic")
     parser.add_argument("--frames", type=int, default=10_000, help="frames of the leak check")
     parser.add_argument("--device", help="a number, a part of a name, or uuid:...")
     parser.add_argument("--decouplegs", help="the program, whose PNG files are compared with")

@@ -1,4 +1,5 @@
-//! A server that has to last: broken scenes, names without end, idle connections, an end that comes, and hours of all of it.
+//! A server that has to last: broken scenes, names without end, idle connections, an end that
+//! comes, and hours of all of it.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -22,25 +23,51 @@ use crate::scenes::street;
 /// A good request for an image of the street.
 async fn good(client: &mut SensorsimServiceClient<Channel>) -> RgbRenderRequest {
     let rig = cameras(client, "street").await;
-    request("street", &rig[0], &Pose::from_yaw(0.0, DVec3::Z), ImageFormat::Png)
+    request(
+        "street",
+        &rig[0],
+        &Pose::from_yaw(0.0, DVec3::Z),
+        ImageFormat::Png,
+    )
 }
 
 /// Resident memory of a process, bytes.
 fn resident_bytes(process: &str) -> u64 {
     let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-    line.trim().strip_suffix(" kB").unwrap().trim().parse::<u64>().unwrap() << 10
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .unwrap();
+    line.trim()
+        .strip_suffix(" kB")
+        .unwrap()
+        .trim()
+        .parse::<u64>()
+        .unwrap()
+        << 10
 }
 
 async fn is_healthy(channel: Channel) -> bool {
-    let asked = HealthCheckRequest { service: String::new() };
-    HealthClient::new(channel).check(asked).await.is_ok_and(|health| health.into_inner().status == 1)
+    let asked = HealthCheckRequest {
+        service: String::new(),
+    };
+    HealthClient::new(channel)
+        .check(asked)
+        .await
+        .is_ok_and(|health| health.into_inner().status == 1)
 }
 
-/// Scenes in `folder` that cannot be served: a background that is no splat file, and one that blocks whoever reads it.
+/// Scenes in `folder` that cannot be served: a background that is no splat file, and one that
+/// blocks its readers.
 fn broken_scenes(folder: &Path) -> Vec<std::path::PathBuf> {
     let fifo = folder.join("fifo.ply");
-    assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    assert!(
+        Command::new("mkfifo")
+            .arg(&fifo)
+            .status()
+            .unwrap()
+            .success()
+    );
     fs::write(folder.join("cut.pt"), b"PK\x03\x04 and nothing behind it").unwrap();
     let scene = |name: &str, background: &str| {
         let place = folder.join(name);
@@ -49,7 +76,11 @@ fn broken_scenes(folder: &Path) -> Vec<std::path::PathBuf> {
         fs::write(&path, format!("version = 1\nbackground = {background:?}\n")).unwrap();
         path
     };
-    vec![scene("cut", "../cut.pt"), scene("blocked", "../fifo.ply"), scene("endless", "/dev/zero")]
+    vec![
+        scene("cut", "../cut.pt"),
+        scene("blocked", "../fifo.ply"),
+        scene("endless", "/dev/zero"),
+    ]
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -61,11 +92,23 @@ async fn scenes_that_cannot_be_read_leave_the_others_and_the_health_alone() {
     let mut client = client(&running).await;
     let good = good(&mut client).await;
     for name in ["cut", "blocked", "endless", "cut"] {
-        let asked = RgbRenderRequest { scene_id: name.into(), ..good.clone() };
+        let asked = RgbRenderRequest {
+            scene_id: name.into(),
+            ..good.clone()
+        };
         let status = client.render_rgb(asked).await.unwrap_err();
         assert_eq!(status.code(), Code::FailedPrecondition, "{name}: {status}");
     }
-    assert_eq!(png(&client.render_rgb(good).await.unwrap().into_inner().image_bytes).0, [160, 100]);
+    assert_eq!(
+        png(&client
+            .render_rgb(good)
+            .await
+            .unwrap()
+            .into_inner()
+            .image_bytes)
+        .0,
+        [160, 100]
+    );
     assert!(is_healthy(channel(&running).await).await);
     running.stop().await.unwrap();
 }
@@ -81,28 +124,55 @@ async fn names_without_end_are_refused_and_not_kept() {
     let here = Pose::IDENTITY;
     for _ in 0..20 {
         let long = "\u{1}".repeat(15 << 20);
-        let crowded = RgbRenderRequest { dynamic_objects: vec![object(&long, &here, &here)], ..good.clone() };
-        let elsewhere = RgbRenderRequest { scene_id: long.clone(), ..good.clone() };
+        let crowded = RgbRenderRequest {
+            dynamic_objects: vec![object(&long, &here, &here)],
+            ..good.clone()
+        };
+        let elsewhere = RgbRenderRequest {
+            scene_id: long.clone(),
+            ..good.clone()
+        };
         for asked in [crowded, elsewhere] {
             let status = client.render_rgb(asked).await.unwrap_err();
             assert_eq!(status.code(), Code::InvalidArgument, "{:?}", status.code());
-            assert!(status.message().contains("256") && status.message().len() < 200, "{}", status.message());
+            assert!(
+                status.message().contains("256") && status.message().len() < 200,
+                "{}",
+                status.message()
+            );
         }
         let asked = AvailableCamerasRequest { scene_id: long };
-        assert_eq!(client.get_available_cameras(asked).await.unwrap_err().code(), Code::InvalidArgument);
+        assert_eq!(
+            client
+                .get_available_cameras(asked)
+                .await
+                .unwrap_err()
+                .code(),
+            Code::InvalidArgument
+        );
     }
     let grown = resident_bytes("self").saturating_sub(before);
     assert!(grown < 300 << 20, "memory grew by {grown} bytes");
     // One of 256 control characters is told in a few.
-    let asked = RgbRenderRequest { scene_id: "\u{1}".repeat(256), ..good };
+    let asked = RgbRenderRequest {
+        scene_id: "\u{1}".repeat(256),
+        ..good
+    };
     let status = client.render_rgb(asked).await.unwrap_err();
-    assert!(status.code() == Code::NotFound && status.message().len() < 1000, "{status}");
+    assert!(
+        status.code() == Code::NotFound && status.message().len() < 1000,
+        "{status}"
+    );
     running.stop().await.unwrap();
 }
 
 /// A channel of its own, connected.
 async fn connect(running: &Running) -> Option<Channel> {
-    Endpoint::from_shared(format!("http://{}", running.address)).unwrap().connect().await.ok()
+    Endpoint::from_shared(format!("http://{}", running.address))
+        .unwrap()
+        .connect()
+        .await
+        .ok()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -115,11 +185,19 @@ async fn idle_connections_end_and_health_is_served_beside_a_crowd() {
     for _ in 0..3 {
         crowd.push(connect(&running).await.unwrap());
     }
-    let crowded = SensorsimServiceClient::new(connect(&running).await.unwrap()).get_version(Empty {}).await;
+    let crowded = SensorsimServiceClient::new(connect(&running).await.unwrap())
+        .get_version(Empty {})
+        .await;
     assert_eq!(crowded.unwrap_err().code(), Code::ResourceExhausted);
-    assert!(is_healthy(connect(&running).await.unwrap()).await, "health has places of its own");
+    assert!(
+        is_healthy(connect(&running).await.unwrap()).await,
+        "health has places of its own"
+    );
     tokio::time::sleep(Duration::from_secs(3)).await;
-    SensorsimServiceClient::new(connect(&running).await.unwrap()).get_version(Empty {}).await.expect("the idle ones have ended");
+    SensorsimServiceClient::new(connect(&running).await.unwrap())
+        .get_version(Empty {})
+        .await
+        .expect("the idle ones have ended");
     // A connection with a request now and then stays.
     let mut busy = SensorsimServiceClient::new(connect(&running).await.unwrap());
     for _ in 0..4 {
@@ -143,10 +221,19 @@ async fn one_address_does_not_take_all_connections() {
     let third = connect(&running).await;
     let refused = match third {
         None => true,
-        Some(channel) => SensorsimServiceClient::new(channel).get_version(Empty {}).await.is_err(),
+        Some(channel) => SensorsimServiceClient::new(channel)
+            .get_version(Empty {})
+            .await
+            .is_err(),
     };
-    assert!(refused, "the third connection of an address that may have two");
-    SensorsimServiceClient::new(own.remove(0)).get_version(Empty {}).await.unwrap();
+    assert!(
+        refused,
+        "the third connection of an address that may have two"
+    );
+    SensorsimServiceClient::new(own.remove(0))
+        .get_version(Empty {})
+        .await
+        .unwrap();
     running.stop().await.unwrap();
 }
 
@@ -169,7 +256,11 @@ async fn the_end_comes_when_grace_is_over() {
     tokio::time::sleep(Duration::from_millis(500)).await;
     let since = Instant::now();
     running.stop().await.unwrap();
-    assert!(since.elapsed() < Duration::from_secs(15), "it took {:.1} s", since.elapsed().as_secs_f64());
+    assert!(
+        since.elapsed() < Duration::from_secs(15),
+        "it took {:.1} s",
+        since.elapsed().as_secs_f64()
+    );
     let mut cut = 0;
     for asked in asking {
         cut += usize::from(asked.await.unwrap().is_err());
@@ -177,12 +268,14 @@ async fn the_end_comes_when_grace_is_over() {
     assert!(cut > 0, "forty images take longer than the server had");
 }
 
-/// Runs the program for `DECOUPLEGS_SOAK_S` seconds (5 unless set) under good and bad requests: its memory stays, its log stays small, and
-/// it is healthy to the end.
+/// Runs the program for `DECOUPLEGS_SOAK_S` seconds (5 unless set) under good and bad requests: its
+/// memory stays, its log stays small, and it is healthy to the end.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_soak_leaves_memory_log_and_health_as_they_were() {
-    let seconds =
-        std::env::var("DECOUPLEGS_SOAK_S").map_or(5, |text| text.parse().expect("DECOUPLEGS_SOAK_S is a number of seconds"));
+    let seconds = std::env::var("DECOUPLEGS_SOAK_S").map_or(5, |text| {
+        text.parse()
+            .expect("DECOUPLEGS_SOAK_S is a number of seconds")
+    });
     let folder = tempfile::tempdir().unwrap();
     let mut scenes = broken_scenes(folder.path());
     scenes.push(street(folder.path()));
@@ -195,10 +288,21 @@ async fn a_soak_leaves_memory_log_and_health_as_they_were() {
         .spawn()
         .unwrap();
     let mut said = String::new();
-    std::io::BufRead::read_line(&mut std::io::BufReader::new(program.stdout.take().unwrap()), &mut said).unwrap();
-    let address = format!("http://{}", said.trim().strip_prefix("listening on ").expect("it says where it listens"));
+    std::io::BufRead::read_line(
+        &mut std::io::BufReader::new(program.stdout.take().unwrap()),
+        &mut said,
+    )
+    .unwrap();
+    let address = format!(
+        "http://{}",
+        said.trim()
+            .strip_prefix("listening on ")
+            .expect("it says where it listens")
+    );
     let end = Instant::now() + Duration::from_secs(seconds);
-    let clients: Vec<_> = (0..4).map(|number| tokio::spawn(soak(address.clone(), number, end))).collect();
+    let clients: Vec<_> = (0..4)
+        .map(|number| tokio::spawn(soak(address.clone(), number, end)))
+        .collect();
     // A minute, or a fifth of a short soak, until caches are full.
     tokio::time::sleep(Duration::from_secs((seconds / 5).clamp(2, 60))).await;
     let process = program.id().to_string();
@@ -208,10 +312,19 @@ async fn a_soak_leaves_memory_log_and_health_as_they_were() {
         calls += client.await.unwrap();
     }
     let (after, logged) = (resident_bytes(&process), fs::metadata(&log).unwrap().len());
-    let channel = Endpoint::from_shared(address).unwrap().connect().await.unwrap();
+    let channel = Endpoint::from_shared(address)
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
     assert!(is_healthy(channel).await);
-    println!("{seconds} s, {calls} calls: {warm} bytes resident when warm, {after} at the end; {logged} bytes of log");
-    assert!(after < warm + warm / 10 + (16 << 20), "memory grew from {warm} to {after} bytes");
+    println!(
+        "{seconds} s, {calls} calls: {warm} bytes resident when warm, {after} at the end; {logged} bytes of log"
+    );
+    assert!(
+        after < warm + warm / 10 + (16 << 20),
+        "memory grew from {warm} to {after} bytes"
+    );
     assert!(logged < 5 << 20, "{logged} bytes of log");
     let id = rustix::process::Pid::from_child(&program);
     rustix::process::kill_process(id, rustix::process::Signal::TERM).unwrap();
@@ -220,7 +333,11 @@ async fn a_soak_leaves_memory_log_and_health_as_they_were() {
 
 /// Good and bad requests until `end`; how many.
 async fn soak(address: String, number: u64, end: Instant) -> u64 {
-    let channel = Endpoint::from_shared(address).unwrap().connect().await.unwrap();
+    let channel = Endpoint::from_shared(address)
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
     let mut client = SensorsimServiceClient::new(channel).max_encoding_message_size(64 << 20);
     let good = good(&mut client).await;
     let here = Pose::IDENTITY;
@@ -230,11 +347,16 @@ async fn soak(address: String, number: u64, end: Instant) -> u64 {
         let is_good = match (calls + number) % 8 {
             0 | 1 => true,
             2 => {
-                asked.dynamic_objects = vec![object(&format!("unknown {number} {calls}"), &here, &here)];
+                asked.dynamic_objects =
+                    vec![object(&format!("unknown {number} {calls}"), &here, &here)];
                 true
             }
             3 => {
-                asked.dynamic_objects = vec![object(&"\u{1b}[31m\n".repeat(1 + 2000 * (calls as usize % 300)), &here, &here)];
+                asked.dynamic_objects = vec![object(
+                    &"\u{1b}[31m\n".repeat(1 + 2000 * (calls as usize % 300)),
+                    &here,
+                    &here,
+                )];
                 calls % 300 == 0
             }
             4 => {
@@ -255,7 +377,12 @@ async fn soak(address: String, number: u64, end: Instant) -> u64 {
             }
         };
         let answer = client.render_rgb(asked).await;
-        assert_eq!(answer.is_ok(), is_good, "call {calls} of client {number}: {:?}", answer.map(|_| ()));
+        assert_eq!(
+            answer.is_ok(),
+            is_good,
+            "call {calls} of client {number}: {:?}",
+            answer.map(|_| ())
+        );
         calls += 1;
     }
     calls

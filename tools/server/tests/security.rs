@@ -27,26 +27,53 @@ async fn a_token_is_asked_for_and_health_is_not_secret() {
     let token_file = folder.path().join("token");
     fs::write(&token_file, "open sesame\n").unwrap();
     options.token_file = Some(token_file.clone());
-    assert!(decouplegs_server::running::start(&options).await.is_err(), "a token with a space cannot be sent");
+    assert!(
+        decouplegs_server::running::start(&options).await.is_err(),
+        "a token with a space cannot be sent"
+    );
     fs::write(&token_file, "open-sesame\n").unwrap();
     let running = serve(&options).await;
     let mut client = client(&running).await;
-    for sent in [None, Some("Bearer open-sesamE"), Some("Bearer "), Some("open-sesame"), Some("Basic open-sesame")] {
+    for sent in [
+        None,
+        Some("Bearer open-sesamE"),
+        Some("Bearer "),
+        Some("open-sesame"),
+        Some("Basic open-sesame"),
+    ] {
         let mut asked = Request::new(Empty {});
         if let Some(sent) = sent {
-            asked.metadata_mut().insert("authorization", sent.parse().unwrap());
+            asked
+                .metadata_mut()
+                .insert("authorization", sent.parse().unwrap());
         }
-        assert_eq!(client.get_version(asked).await.unwrap_err().code(), Code::Unauthenticated, "{sent:?}");
+        assert_eq!(
+            client.get_version(asked).await.unwrap_err().code(),
+            Code::Unauthenticated,
+            "{sent:?}"
+        );
     }
     let mut asked = Request::new(Empty {});
-    asked.metadata_mut().insert("authorization", "Bearer open-sesame".parse().unwrap());
+    asked
+        .metadata_mut()
+        .insert("authorization", "Bearer open-sesame".parse().unwrap());
     client.get_version(asked).await.unwrap();
     let mut health = HealthClient::new(channel(&running).await);
     for service in ["", SENSORSIM, SENSORSIM_ALSO[0], PHYSICS_ALSO[1]] {
-        let asked = HealthCheckRequest { service: service.into() };
-        assert_eq!(health.check(asked).await.unwrap().into_inner().status, 1, "{service:?} is serving");
+        let asked = HealthCheckRequest {
+            service: service.into(),
+        };
+        assert_eq!(
+            health.check(asked).await.unwrap().into_inner().status,
+            1,
+            "{service:?} is serving"
+        );
     }
-    let unknown = health.check(HealthCheckRequest { service: "lidar".into() }).await;
+    let unknown = health
+        .check(HealthCheckRequest {
+            service: "lidar".into(),
+        })
+        .await;
     assert_eq!(unknown.unwrap_err().code(), Code::NotFound);
     running.stop().await.unwrap();
 }
@@ -55,7 +82,10 @@ async fn a_token_is_asked_for_and_health_is_not_secret() {
 async fn tls_is_spoken_and_nothing_else() {
     let folder = tempfile::tempdir().unwrap();
     let made = rcgen::generate_simple_self_signed(vec!["localhost".to_owned()]).unwrap();
-    let (certificate, key) = (folder.path().join("cert.pem"), folder.path().join("key.pem"));
+    let (certificate, key) = (
+        folder.path().join("cert.pem"),
+        folder.path().join("key.pem"),
+    );
     fs::write(&certificate, made.cert.pem()).unwrap();
     fs::write(&key, made.signing_key.serialize_pem()).unwrap();
     let mut options = options(vec![street(folder.path())]);
@@ -65,15 +95,28 @@ async fn tls_is_spoken_and_nothing_else() {
     let port = running.address.port();
     let plain = Endpoint::from_shared(format!("http://127.0.0.1:{port}")).unwrap();
     if let Ok(channel) = plain.timeout(Duration::from_secs(10)).connect().await {
-        SensorsimServiceClient::new(channel).get_version(Empty {}).await.expect_err("plain text is not answered");
+        SensorsimServiceClient::new(channel)
+            .get_version(Empty {})
+            .await
+            .expect_err("plain text is not answered");
     }
-    let trusted = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(made.cert.pem())).domain_name("localhost");
-    let endpoint = Endpoint::from_shared(format!("https://127.0.0.1:{port}")).unwrap().tls_config(trusted).unwrap();
+    let trusted = ClientTlsConfig::new()
+        .ca_certificate(Certificate::from_pem(made.cert.pem()))
+        .domain_name("localhost");
+    let endpoint = Endpoint::from_shared(format!("https://127.0.0.1:{port}"))
+        .unwrap()
+        .tls_config(trusted)
+        .unwrap();
     let mut client = SensorsimServiceClient::new(endpoint.connect().await.unwrap());
     client.get_version(Empty {}).await.unwrap();
     let stranger = Endpoint::from_shared(format!("https://127.0.0.1:{port}")).unwrap();
-    let stranger = stranger.tls_config(ClientTlsConfig::new().domain_name("localhost")).unwrap();
-    assert!(stranger.connect().await.is_err(), "who does not trust the certificate does not speak");
+    let stranger = stranger
+        .tls_config(ClientTlsConfig::new().domain_name("localhost"))
+        .unwrap();
+    assert!(
+        stranger.connect().await.is_err(),
+        "who does not trust the certificate does not speak"
+    );
     running.stop().await.unwrap();
 }
 
@@ -86,12 +129,24 @@ async fn metrics_tell_what_was_asked() {
     let mut client = client(&running).await;
     let rig = cameras(&mut client, "street").await;
     let asked = request("street", &rig[0], &Pose::IDENTITY, ImageFormat::Png);
-    client.batch_render_rgb(batch([("a".to_owned(), asked.clone()), ("b".to_owned(), asked)])).await.unwrap();
-    client.render_rgb(decouplegs_server::wire::sensorsim::RgbRenderRequest::default()).await.unwrap_err();
+    client
+        .batch_render_rgb(batch([
+            ("a".to_owned(), asked.clone()),
+            ("b".to_owned(), asked),
+        ]))
+        .await
+        .unwrap();
+    client
+        .render_rgb(decouplegs_server::wire::sensorsim::RgbRenderRequest::default())
+        .await
+        .unwrap_err();
     let address = running.metrics_address.unwrap();
     let read = async |path: &str| {
         let mut stream = TcpStream::connect(address).await.unwrap();
-        stream.write_all(format!("GET {path} HTTP/1.1\r\nhost: x\r\n\r\n").as_bytes()).await.unwrap();
+        stream
+            .write_all(format!("GET {path} HTTP/1.1\r\nhost: x\r\n\r\n").as_bytes())
+            .await
+            .unwrap();
         let mut text = String::new();
         stream.read_to_string(&mut text).await.unwrap();
         text
@@ -107,9 +162,15 @@ async fn metrics_tell_what_was_asked() {
         "decouplegs_scenes_cached 1",
         "decouplegs_connections 1",
     ] {
-        assert!(page.lines().any(|written| written == line), "{line} is not in\n{page}");
+        assert!(
+            page.lines().any(|written| written == line),
+            "{line} is not in\n{page}"
+        );
     }
-    let bytes = page.lines().find_map(|line| line.strip_prefix("decouplegs_scene_cache_bytes ")).unwrap();
+    let bytes = page
+        .lines()
+        .find_map(|line| line.strip_prefix("decouplegs_scene_cache_bytes "))
+        .unwrap();
     assert!(bytes.parse::<u64>().unwrap() > 4000 * 48, "{bytes}");
     assert!(read("/").await.starts_with("HTTP/1.1 404"));
     running.stop().await.unwrap();
@@ -120,7 +181,19 @@ async fn what_has_begun_is_finished_when_the_server_is_told_to_stop() {
     let folder = tempfile::tempdir().unwrap();
     let scene = street(folder.path());
     let mut program = Command::new(env!("CARGO_BIN_EXE_decouplegs-server"))
-        .args(["serve-grpc", "--host", "127.0.0.1", "--port", "0", "--cache-size", "2", "--max-workers", "2", "--log", "json"])
+        .args([
+            "serve-grpc",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--cache-size",
+            "2",
+            "--max-workers",
+            "2",
+            "--log",
+            "json",
+        ])
         .arg("--artifact-glob")
         .arg(folder.path().join("*/scene.toml"))
         .stdout(Stdio::piped())
@@ -128,34 +201,72 @@ async fn what_has_begun_is_finished_when_the_server_is_told_to_stop() {
         .unwrap();
     assert!(scene.exists());
     let mut said = String::new();
-    BufReader::new(program.stdout.take().unwrap()).read_line(&mut said).unwrap();
-    let address = said.trim().strip_prefix("listening on ").expect("it says where it listens").to_owned();
-    let channel = Endpoint::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap();
+    BufReader::new(program.stdout.take().unwrap())
+        .read_line(&mut said)
+        .unwrap();
+    let address = said
+        .trim()
+        .strip_prefix("listening on ")
+        .expect("it says where it listens")
+        .to_owned();
+    let channel = Endpoint::from_shared(format!("http://{address}"))
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
     let mut client = SensorsimServiceClient::new(channel);
     let rig = cameras(&mut client, "street").await;
     // The first image takes a while: the scene is read and kernels are built.
-    let asked = request("street", &rig[0], &Pose::from_yaw(0.0, glam::DVec3::Z), ImageFormat::Png);
+    let asked = request(
+        "street",
+        &rig[0],
+        &Pose::from_yaw(0.0, glam::DVec3::Z),
+        ImageFormat::Png,
+    );
     let mut asking = client.clone();
     let begun = tokio::spawn(async move { asking.render_rgb(asked).await });
     tokio::time::sleep(Duration::from_millis(150)).await;
     let id = rustix::process::Pid::from_child(&program);
     rustix::process::kill_process(id, rustix::process::Signal::TERM).unwrap();
-    assert!(!begun.await.unwrap().expect("what has begun is finished").into_inner().image_bytes.is_empty());
-    let status = tokio::task::spawn_blocking(move || program.wait()).await.unwrap().unwrap();
+    assert!(
+        !begun
+            .await
+            .unwrap()
+            .expect("what has begun is finished")
+            .into_inner()
+            .image_bytes
+            .is_empty()
+    );
+    let status = tokio::task::spawn_blocking(move || program.wait())
+        .await
+        .unwrap()
+        .unwrap();
     assert_eq!(status.code(), Some(0));
-    client.get_version(Empty {}).await.expect_err("nobody is there");
+    client
+        .get_version(Empty {})
+        .await
+        .expect_err("nobody is there");
 }
 
 #[test]
 fn a_command_line_that_makes_no_sense_exits_with_two_and_a_failure_with_one() {
     let run = |arguments: &[&str]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_decouplegs-server")).args(arguments).output().unwrap();
-        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+        let output = Command::new(env!("CARGO_BIN_EXE_decouplegs-server"))
+            .args(arguments)
+            .output()
+            .unwrap();
+        (
+            output.status.code(),
+            String::from_utf8_lossy(&output.stderr).into_owned(),
+        )
     };
     assert_eq!(run(&["serve", "--port", "70000", "a.toml"]).0, Some(2));
     assert_eq!(run(&["serve", "a.toml", "--tls-cert", "x.pem"]).0, Some(2));
     let (code, said) = run(&["serve", "/nowhere/scene.toml"]);
-    assert!(code == Some(1) && said.contains("/nowhere/scene.toml"), "{said}");
+    assert!(
+        code == Some(1) && said.contains("/nowhere/scene.toml"),
+        "{said}"
+    );
     let (code, said) = run(&["serve"]);
     assert!(code == Some(1) && said.contains("no scenes"), "{said}");
 }

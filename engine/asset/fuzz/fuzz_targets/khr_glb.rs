@@ -10,7 +10,11 @@ const BINARY: [u8; 256] = [0x3f; 256];
 fuzz_target!(|bytes: &[u8]| {
     let mut wrapped = b"glTF".to_vec();
     let length = 12 + 8 + bytes.len() + 8 + BINARY.len();
-    wrapped.extend([2, length as u32, bytes.len() as u32].into_iter().flat_map(u32::to_le_bytes));
+    wrapped.extend(
+        [2, length as u32, bytes.len() as u32]
+            .into_iter()
+            .flat_map(u32::to_le_bytes),
+    );
     wrapped.extend_from_slice(b"JSON");
     wrapped.extend_from_slice(bytes);
     wrapped.extend_from_slice(&(BINARY.len() as u32).to_le_bytes());

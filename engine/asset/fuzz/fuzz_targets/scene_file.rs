@@ -5,7 +5,14 @@ use decouplegs_asset::SceneFile;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|text: &str| {
-    let Ok(scene) = SceneFile::parse(text) else { return };
-    let written = scene.to_toml().expect("a scene that was read can be written");
-    assert_eq!(SceneFile::parse(&written).expect("what was written can be read"), scene);
+    let Ok(scene) = SceneFile::parse(text) else {
+        return;
+    };
+    let written = scene
+        .to_toml()
+        .expect("a scene that was read can be written");
+    assert_eq!(
+        SceneFile::parse(&written).expect("what was written can be read"),
+        scene
+    );
 });

@@ -1,4 +1,5 @@
-//! Zips whose directories lie about places, sizes and methods, as packages of scenes, bundles and checkpoints: an error or what they hold.
+//! Zips whose directories lie about places, sizes and methods, as packages of scenes, bundles and
+//! checkpoints: an error or what they hold.
 #![no_main]
 
 mod choices;
@@ -56,23 +57,57 @@ fuzz_target!(|bytes: &[u8]| {
             "meta.json" => META.to_vec(),
             _ => vec![0x3e; 32 * choices.one_of(64)],
         };
-        entries.push(Entry { name, at: file.len() as u32, bytes: content.len() as u32 });
+        entries.push(Entry {
+            name,
+            at: file.len() as u32,
+            bytes: content.len() as u32,
+        });
         checksums.push(checksum(&content));
         file.extend(b"PK\x03\x04");
-        header(&mut file, 0, checksum(&content), content.len() as u32, content.len() as u32, name);
+        header(
+            &mut file,
+            0,
+            checksum(&content),
+            content.len() as u32,
+            content.len() as u32,
+            name,
+        );
         file.extend(name.bytes());
         file.extend(content);
     }
     let start = file.len() as u32;
     for at in 0..entries.len() {
         // Several names may stand for the same bytes.
-        let seen = if choices.rarely() { choices.one_of(entries.len()) } else { at };
-        let Entry { at: place, bytes, .. } = entries[seen];
-        let lie = |choices: &mut Choices<'_>, truth: u32| if choices.rarely() { choices.number() as u32 } else { truth };
+        let seen = if choices.rarely() {
+            choices.one_of(entries.len())
+        } else {
+            at
+        };
+        let Entry {
+            at: place, bytes, ..
+        } = entries[seen];
+        let lie = |choices: &mut Choices<'_>, truth: u32| {
+            if choices.rarely() {
+                choices.number() as u32
+            } else {
+                truth
+            }
+        };
         let (packed, size) = (lie(&mut choices, bytes), lie(&mut choices, bytes));
-        let method = if choices.rarely() { [8, 9, 93][choices.one_of(3)] } else { 0 };
+        let method = if choices.rarely() {
+            [8, 9, 93][choices.one_of(3)]
+        } else {
+            0
+        };
         file.extend(b"PK\x01\x02\x14\x00");
-        header(&mut file, method, checksums[seen], packed, size, entries[at].name);
+        header(
+            &mut file,
+            method,
+            checksums[seen],
+            packed,
+            size,
+            entries[at].name,
+        );
         file.extend([0; 10]);
         file.extend([0; 4][..0].iter());
         let place = lie(&mut choices, place);

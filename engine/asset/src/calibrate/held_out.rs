@@ -30,18 +30,34 @@ pub struct ColorError {
 
 impl ColorError {
     fn none() -> Self {
-        Self { squares: 0.0, channels: 0, angle_sum_deg: 0.0, angles: vec![0; (180.0 * BINS_PER_DEGREE) as usize + 1] }
+        Self {
+            squares: 0.0,
+            channels: 0,
+            angle_sum_deg: 0.0,
+            angles: vec![0; (180.0 * BINS_PER_DEGREE) as usize + 1],
+        }
     }
 
     fn add(&mut self, found: [f64; 3], truth: [f64; 3]) {
-        self.squares += found.iter().zip(truth).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+        self.squares += found
+            .iter()
+            .zip(truth)
+            .map(|(a, b)| (a - b).powi(2))
+            .sum::<f64>();
         self.channels += 3;
         if truth.iter().copied().fold(0.0, f64::max) < HUE_FLOOR {
             return;
         }
-        let (found, truth) = (glam::DVec3::from_array(found), glam::DVec3::from_array(truth));
+        let (found, truth) = (
+            glam::DVec3::from_array(found),
+            glam::DVec3::from_array(truth),
+        );
         // Black has no hue: as far off as colors can be.
-        let angle_deg = if found == glam::DVec3::ZERO { 90.0 } else { found.angle_between(truth).to_degrees() };
+        let angle_deg = if found == glam::DVec3::ZERO {
+            90.0
+        } else {
+            found.angle_between(truth).to_degrees()
+        };
         self.angle_sum_deg += angle_deg;
         self.angles[(angle_deg * BINS_PER_DEGREE) as usize] += 1;
     }
@@ -50,7 +66,10 @@ impl ColorError {
         self.squares += other.squares;
         self.channels += other.channels;
         self.angle_sum_deg += other.angle_sum_deg;
-        self.angles.iter_mut().zip(&other.angles).for_each(|(count, more)| *count += more);
+        self.angles
+            .iter_mut()
+            .zip(&other.angles)
+            .for_each(|(count, more)| *count += more);
     }
 
     /// Root of the mean squared error over colors and channels.
@@ -98,7 +117,11 @@ pub struct Comparison {
 impl Comparison {
     /// Creates an accumulator without comparisons.
     pub(super) fn new() -> Self {
-        Self { none: ColorError::none(), relit: ColorError::none(), affine: ColorError::none() }
+        Self {
+            none: ColorError::none(),
+            relit: ColorError::none(),
+            affine: ColorError::none(),
+        }
     }
 
     pub(super) fn merge(&mut self, other: &Self) {
@@ -115,8 +138,10 @@ impl Comparison {
         moments: &Moments,
         lights: &[(&Lighting<'_>, &LightMoments)],
     ) -> Self {
-        let parts: Vec<Self> =
-            lights.par_iter().map(|(light, of_light)| Self::in_light(transfer, samples, moments, light, of_light)).collect();
+        let parts: Vec<Self> = lights
+            .par_iter()
+            .map(|(light, of_light)| Self::in_light(transfer, samples, moments, light, of_light))
+            .collect();
         let mut sum = Self::new();
         parts.iter().for_each(|part| sum.merge(part));
         sum
@@ -134,7 +159,9 @@ impl Comparison {
         let mut comparison = Self::new();
         for sample in samples {
             let color = &sample.surface.color;
-            let truth = sample.surface.lit(light.reflected_by_white(sample.surface.normal));
+            let truth = sample
+                .surface
+                .lit(light.reflected_by_white(sample.surface.normal));
             let (relit, affine) = (relit_color(&relit, color), relit_color(&affine, color));
             for basis in &sample.views {
                 let truth = shown(&truth, basis);
@@ -149,20 +176,30 @@ impl Comparison {
 
 fn relit_color(transfer: &ColorTransfer, color: &Color) -> Color {
     std::array::from_fn(|k| {
-        let affine =
-            |channel: usize| f64::from(transfer.gain[k][channel]) * color[k][channel] + f64::from(transfer.offset[k][channel]);
+        let affine = |channel: usize| {
+            f64::from(transfer.gain[k][channel]) * color[k][channel]
+                + f64::from(transfer.offset[k][channel])
+        };
         std::array::from_fn(affine)
     })
 }
 
 fn shown(color: &Color, basis: &[f64; COEFFICIENTS]) -> [f64; 3] {
-    let value = |channel: usize| basis.iter().zip(color).map(|(y, coefficient)| y * coefficient[channel]).sum::<f64>();
+    let value = |channel: usize| {
+        basis
+            .iter()
+            .zip(color)
+            .map(|(y, coefficient)| y * coefficient[channel])
+            .sum::<f64>()
+    };
     std::array::from_fn(|channel| value(channel).clamp(0.0, 1.0))
 }
 
 fn best_affine(moments: &Moments, light: &LightMoments) -> ColorTransfer {
     let count = moments.coefficients;
-    let fitted = Ridge::new(moments, &[light]).solve(TRACE_RIDGE, &zero(count)).at(&light.descriptor);
+    let fitted = Ridge::new(moments, &[light])
+        .solve(TRACE_RIDGE, &zero(count))
+        .at(&light.descriptor);
     let mut transfer = ColorTransfer::IDENTITY;
     for k in 0..count {
         transfer.gain[k] = std::array::from_fn(|channel| fitted[channel][k] as f32);

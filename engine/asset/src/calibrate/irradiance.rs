@@ -13,7 +13,8 @@ const WIDTH: usize = 128;
 /// Rows; the first is the zenith, the last the nadir.
 const HEIGHT: usize = 65;
 
-/// E(n) / pi of a probe for every unit vector n, linear RGB: what a white surface that faces n reflects.
+/// E(n) / pi of a probe for every unit vector n, linear RGB: what a white surface that faces n
+/// reflects.
 #[derive(Clone, Debug)]
 pub struct IrradianceMap {
     /// Row-major; columns as in [`Probe`], their values at their left edges.
@@ -37,7 +38,9 @@ impl IrradianceMap {
     pub fn new(probe: &Probe) -> Self {
         let rays: Vec<(DVec3, [f64; 3])> = probe
             .rays()
-            .map(|(direction, steradians, rgb)| (direction, rgb.map(|value| value * steradians / PI)))
+            .map(|(direction, steradians, rgb)| {
+                (direction, rgb.map(|value| value * steradians / PI))
+            })
             .filter(|(_, rgb)| *rgb != [0.0; 3])
             .collect();
         let at = |point: usize| {
@@ -45,12 +48,15 @@ impl IrradianceMap {
             let azimuth = PI * (1.0 - 2.0 * (point % WIDTH) as f64 / WIDTH as f64);
             let (radius, z) = from_zenith.sin_cos();
             let normal = DVec3::new(radius * azimuth.cos(), radius * azimuth.sin(), z);
-            rays.iter().fold([0.0; 3], |sum: [f64; 3], (direction, rgb)| {
-                let cosine = normal.dot(*direction).max(0.0);
-                std::array::from_fn(|channel| sum[channel] + cosine * rgb[channel])
-            })
+            rays.iter()
+                .fold([0.0; 3], |sum: [f64; 3], (direction, rgb)| {
+                    let cosine = normal.dot(*direction).max(0.0);
+                    std::array::from_fn(|channel| sum[channel] + cosine * rgb[channel])
+                })
         };
-        Self { values: (0..WIDTH * HEIGHT).into_par_iter().map(at).collect() }
+        Self {
+            values: (0..WIDTH * HEIGHT).into_par_iter().map(at).collect(),
+        }
     }
 
     /// E(n) / pi, linear RGB, for a unit vector.
@@ -62,14 +68,31 @@ impl IrradianceMap {
         let column = (x as usize).min(WIDTH - 1);
         let (across, down) = (x - column as f64, y - row as f64);
         let value = |row: usize, column: usize| self.values[row * WIDTH + column % WIDTH];
-        let corners = [value(row, column), value(row, column + 1), value(row + 1, column), value(row + 1, column + 1)];
-        let weights = [(1.0 - across) * (1.0 - down), across * (1.0 - down), (1.0 - across) * down, across * down];
-        std::array::from_fn(|channel| corners.iter().zip(weights).map(|(corner, weight)| weight * corner[channel]).sum())
+        let corners = [
+            value(row, column),
+            value(row, column + 1),
+            value(row + 1, column),
+            value(row + 1, column + 1),
+        ];
+        let weights = [
+            (1.0 - across) * (1.0 - down),
+            across * (1.0 - down),
+            (1.0 - across) * down,
+            across * down,
+        ];
+        std::array::from_fn(|channel| {
+            corners
+                .iter()
+                .zip(weights)
+                .map(|(corner, weight)| weight * corner[channel])
+                .sum()
+        })
     }
 }
 
-/// E(n) / pi from bands 0 to 2 of the probe's radiance alone (Ramamoorthi and Hanrahan, An Efficient Representation for
-/// Irradiance Environment Maps, 2001): the reading of [`IrradianceMap`] that shares no code with it.
+/// E(n) / pi from bands 0 to 2 of the probe's radiance alone (Ramamoorthi and Hanrahan, An
+/// Efficient Representation for Irradiance Environment Maps, 2001): the reading of
+/// [`IrradianceMap`] that shares no code with it.
 #[must_use]
 pub fn reflected_by_white_of_nine(probe: &Probe, normal: DVec3) -> [f64; 3] {
     /// A_l / pi of bands 0, 1 and 2.

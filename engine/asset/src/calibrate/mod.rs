@@ -1,10 +1,12 @@
 //! Theta, calibrated offline: from environment probes and assets to a [`LightTransfer`].
 //!
-//! DecoupleGS section 3.4 and supplement: `T = W_T L + w_0` and `b = W_B L + b_0` are fitted by ridge-regularised least squares
-//! over assets and probes. The truth is what light makes of matt surfaces (`surface`): each splat faces along its shortest axis,
-//! its color is its albedo, and the probe's irradiance falls on it. L is what a reference ground looks like in that light
-//! (`surroundings`), because at run time L is what the background looks like. Probes are turned, mirrored and exposed
-//! (`lighting`) so that lights span all of R^27; a fit that they leave undetermined is refused.
+//! DecoupleGS section 3.4 and supplement: `T = W_T L + w_0` and `b = W_B L + b_0` are fitted by
+//! ridge-regularised least squares over assets and probes. The truth is what light makes of matt
+//! surfaces (`surface`): each splat faces along its shortest axis, its color is its albedo, and the
+//! probe's irradiance falls on it. L is what a reference ground looks like in that light
+//! (`surroundings`), because at run time L is what the background looks like. Probes are turned,
+//! mirrored and exposed (`lighting`) so that lights span all of R^27; a fit that they leave
+//! undetermined is refused.
 
 mod display;
 mod held_out;
@@ -41,7 +43,8 @@ use prior::prior;
 use ridge::{COLUMNS, Ridge, Theta, rank_of};
 use sample::{Sample, samples};
 
-/// Columns to which probes are made smaller: irradiance and bands 1 and 2 are smooth, and sums stay exact.
+/// Columns to which probes are made smaller: irradiance and bands 1 and 2 are smooth, and sums stay
+/// exact.
 pub const PROBE_WIDTH: usize = 128;
 
 /// The ridge where too few probes are given to leave one out.
@@ -89,7 +92,8 @@ pub struct Calibration {
     pub transfer: LightTransfer,
     /// The ridge it was fitted with.
     pub ridge: f64,
-    /// Ridges tried, and the root of the mean squared error by the objective over probes left out; empty where none could be.
+    /// Ridges tried, and the root of the mean squared error by the objective over probes left out;
+    /// empty where none could be.
     pub tried: Vec<(f64, f64)>,
     /// Lights it was fitted to, the neutral one included.
     pub lights: usize,
@@ -108,15 +112,19 @@ impl Calibration {
     #[must_use]
     pub fn total(&self) -> Comparison {
         let mut total = Comparison::new();
-        self.held_out.iter().for_each(|held_out| total.merge(&held_out.comparison));
+        self.held_out
+            .iter()
+            .for_each(|held_out| total.merge(&held_out.comparison));
         total
     }
 }
 
-/// A light transfer for `assets`, each with a name for messages, in the light of `probes`. The same on any number of threads.
+/// A light transfer for `assets`, each with a name for messages, in the light of `probes`. The same
+/// on any number of threads.
 ///
 /// # Errors
-/// A [`CalibrateError`]: options out of range, assets that show nothing, lights that leave the weights undetermined.
+/// A [`CalibrateError`]: options out of range, assets that show nothing, lights that leave the
+/// weights undetermined.
 pub fn calibrate(
     assets: &[(String, &SplatCloud)],
     probes: &[Probe],
@@ -133,28 +141,67 @@ pub fn calibrate(
     let probes: Vec<PreparedProbe> = probes.iter().enumerate().map(prepare).collect();
     let lights = lightings(&probes, &options.ground, options.rotations);
     progress(Progress::Moments);
-    let degree_of_assets = assets.iter().map(|(_, cloud)| cloud.sh_degree).max().unwrap_or(0);
-    let sh_degree = options.sh_degree.unwrap_or(degree_of_assets).min(sh::DEGREE_MAX);
+    let degree_of_assets = assets
+        .iter()
+        .map(|(_, cloud)| cloud.sh_degree)
+        .max()
+        .unwrap_or(0);
+    let sh_degree = options
+        .sh_degree
+        .unwrap_or(degree_of_assets)
+        .min(sh::DEGREE_MAX);
     let moments = |objective| {
-        let lit = |sample: &Sample, light: &Lighting<'_>| sample.surface.lit(light.reflected_by_white(sample.surface.normal));
-        Moments::of(&samples, &lights, sh::coefficient_count(sh_degree), objective, lit)
+        let lit = |sample: &Sample, light: &Lighting<'_>| {
+            sample
+                .surface
+                .lit(light.reflected_by_white(sample.surface.normal))
+        };
+        Moments::of(
+            &samples,
+            &lights,
+            sh::coefficient_count(sh_degree),
+            objective,
+            lit,
+        )
     };
-    let fit = Fit { fitted: moments(options.objective), sh_degree, options, probes: probes.len() };
+    let fit = Fit {
+        fitted: moments(options.objective),
+        sh_degree,
+        options,
+        probes: probes.len(),
+    };
     let all: Vec<&LightMoments> = fit.fitted.lights.iter().collect();
     let smallest_over_largest = check_rank(&all, probes.len())?;
-    let seen = if options.objective == Objective::Seen { fit.fitted.clone() } else { moments(Objective::Seen) };
+    let seen = if options.objective == Objective::Seen {
+        fit.fitted.clone()
+    } else {
+        moments(Objective::Seen)
+    };
 
     let left_out = fit.errors_of_left_out();
     let compare = |transfer: &LightTransfer, probe: Option<usize>| {
-        let of_probe: Vec<_> = lights.iter().zip(&seen.lights).filter(|(_, light)| light.probe == probe).collect();
+        let of_probe: Vec<_> = lights
+            .iter()
+            .zip(&seen.lights)
+            .filter(|(_, light)| light.probe == probe)
+            .collect();
         Comparison::of(transfer, &samples, &seen, &of_probe)
     };
     let mut held_out = Vec::new();
     for probe in (0..probes.len()).filter(|&probe| left_out[probe][probe].is_some()) {
         progress(Progress::HeldOut(probe));
-        let ridge = fit.ridge_from((0..probes.len()).filter(|&other| other != probe).map(|other| &left_out[probe][other]));
+        let ridge = fit.ridge_from(
+            (0..probes.len())
+                .filter(|&other| other != probe)
+                .map(|other| &left_out[probe][other]),
+        );
         let transfer = fit.transfer(&fit.without(&[probe]), ridge);
-        held_out.push(HeldOut { probe, ridge, comparison: compare(&transfer, Some(probe)), transfer });
+        held_out.push(HeldOut {
+            probe,
+            ridge,
+            comparison: compare(&transfer, Some(probe)),
+            transfer,
+        });
     }
     let errors = || (0..probes.len()).map(|probe| &left_out[probe][probe]);
     let ridge = fit.ridge_from(errors());
@@ -171,10 +218,17 @@ pub fn calibrate(
     })
 }
 
-fn samples_of(assets: &[(String, &SplatCloud)], options: &CalibrateOptions) -> Result<Vec<Sample>, CalibrateError> {
+fn samples_of(
+    assets: &[(String, &SplatCloud)],
+    options: &CalibrateOptions,
+) -> Result<Vec<Sample>, CalibrateError> {
     let mut all = Vec::with_capacity(options.samples);
     for (index, (name, cloud)) in assets.iter().enumerate() {
-        let of_asset = samples(cloud, options.samples / assets.len(), options.seed.wrapping_add(index as u64));
+        let of_asset = samples(
+            cloud,
+            options.samples / assets.len(),
+            options.seed.wrapping_add(index as u64),
+        );
         if of_asset.is_empty() {
             return Err(CalibrateError::NothingSeen(name.clone()));
         }
@@ -187,18 +241,32 @@ fn samples_of(assets: &[(String, &SplatCloud)], options: &CalibrateOptions) -> R
 fn check_rank(lights: &[&LightMoments], probes: usize) -> Result<f64, CalibrateError> {
     let mut different: Vec<&LightMoments> = Vec::new();
     for &light in lights.iter().filter(|light| light.probe.is_some()) {
-        let same = |other: &&LightMoments| light.descriptor.iter().zip(other.descriptor).all(|(a, b)| (a - b).abs() < 1e-6);
+        let same = |other: &&LightMoments| {
+            light
+                .descriptor
+                .iter()
+                .zip(other.descriptor)
+                .all(|(a, b)| (a - b).abs() < 1e-6)
+        };
         if !different.iter().any(same) {
             different.push(light);
         }
     }
     if different.len() < LIGHTS_MIN {
-        return Err(CalibrateError::TooFewLights { found: different.len(), probes });
+        return Err(CalibrateError::TooFewLights {
+            found: different.len(),
+            probes,
+        });
     }
     let rank = rank_of(lights);
     if rank.rank < COLUMNS {
         let (rank, ratio) = (rank.rank, rank.smallest_over_largest);
-        return Err(CalibrateError::RankDeficient { lights: lights.len(), probes, rank, ratio });
+        return Err(CalibrateError::RankDeficient {
+            lights: lights.len(),
+            probes,
+            rank,
+            ratio,
+        });
     }
     Ok(rank.smallest_over_largest)
 }
@@ -207,7 +275,8 @@ fn ridges() -> impl Iterator<Item = f64> {
     (0..RIDGES).map(|step| RIDGE_MIN * 10f64.powi(step as i32))
 }
 
-/// Mean squared errors in the light of one probe by each ridge; none where the lights left do not determine a fit.
+/// Mean squared errors in the light of one probe by each ridge; none where the lights left do not
+/// determine a fit.
 type Errors = Option<[f64; RIDGES]>;
 
 /// Each ridge, and the root of the mean of `errors`.
@@ -218,7 +287,10 @@ fn tried<'a>(errors: impl Iterator<Item = &'a Errors>) -> Vec<(f64, f64)> {
     }
     let mean = |at: usize| known.iter().map(|errors| errors[at]).sum::<f64>() / known.len() as f64;
     // Rounding may leave the error of a perfect fit slightly below 0.
-    ridges().enumerate().map(|(at, ridge)| (ridge, mean(at).max(0.0).sqrt())).collect()
+    ridges()
+        .enumerate()
+        .map(|(at, ridge)| (ridge, mean(at).max(0.0).sqrt()))
+        .collect()
 }
 
 /// Moments to be fitted, and how.
@@ -231,11 +303,18 @@ struct Fit<'a> {
 
 impl Fit<'_> {
     fn without(&self, probes: &[usize]) -> Vec<&LightMoments> {
-        self.fitted.lights.iter().filter(|light| light.probe.is_none_or(|probe| !probes.contains(&probe))).collect()
+        self.fitted
+            .lights
+            .iter()
+            .filter(|light| light.probe.is_none_or(|probe| !probes.contains(&probe)))
+            .collect()
     }
 
     fn theta(&self, equations: &Ridge, lights: &[&LightMoments], ridge: f64) -> Theta {
-        equations.solve(RIDGE_FROM_PRIOR * ridge, &prior(&self.fitted, lights, ridge))
+        equations.solve(
+            RIDGE_FROM_PRIOR * ridge,
+            &prior(&self.fitted, lights, ridge),
+        )
     }
 
     fn transfer(&self, lights: &[&LightMoments], ridge: f64) -> LightTransfer {
@@ -245,8 +324,13 @@ impl Fit<'_> {
 
     /// `[f][g]`: the errors in the light of probe g of fits without f and g.
     fn errors_of_left_out(&self) -> Vec<Vec<Errors>> {
-        let pairs: Vec<(usize, usize)> = (0..self.probes).flat_map(|f| (f..self.probes).map(move |g| (f, g))).collect();
-        let of_pairs: Vec<[Errors; 2]> = pairs.par_iter().map(|&(f, g)| self.errors_without(f, g)).collect();
+        let pairs: Vec<(usize, usize)> = (0..self.probes)
+            .flat_map(|f| (f..self.probes).map(move |g| (f, g)))
+            .collect();
+        let of_pairs: Vec<[Errors; 2]> = pairs
+            .par_iter()
+            .map(|&(f, g)| self.errors_without(f, g))
+            .collect();
         let mut errors = vec![vec![None; self.probes]; self.probes];
         for ((f, g), [of_f, of_g]) in pairs.into_iter().zip(of_pairs) {
             errors[g][f] = of_f;
@@ -262,11 +346,19 @@ impl Fit<'_> {
             return [None; 2];
         }
         let equations = Ridge::new(&self.fitted, &lights);
-        let thetas: Vec<Theta> = ridges().map(|ridge| self.theta(&equations, &lights, ridge)).collect();
+        let thetas: Vec<Theta> = ridges()
+            .map(|ridge| self.theta(&equations, &lights, ridge))
+            .collect();
         [f, g].map(|probe| {
-            let of_probe: Vec<&LightMoments> = self.fitted.lights.iter().filter(|light| light.probe == Some(probe)).collect();
+            let of_probe: Vec<&LightMoments> = self
+                .fitted
+                .lights
+                .iter()
+                .filter(|light| light.probe == Some(probe))
+                .collect();
             let mean = |theta: &Theta| {
-                let error = |light: &&LightMoments| self.fitted.error(light, &theta.at(&light.descriptor));
+                let error =
+                    |light: &&LightMoments| self.fitted.error(light, &theta.at(&light.descriptor));
                 of_probe.iter().map(error).sum::<f64>() / of_probe.len() as f64
             };
             (!of_probe.is_empty()).then(|| std::array::from_fn(|at| mean(&thetas[at])))
@@ -275,7 +367,12 @@ impl Fit<'_> {
 
     /// The ridge asked for, or the one of least error.
     fn ridge_from<'a>(&self, errors: impl Iterator<Item = &'a Errors>) -> f64 {
-        let best = || tried(errors).into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).map(|(ridge, _)| ridge);
+        let best = || {
+            tried(errors)
+                .into_iter()
+                .min_by(|a, b| a.1.total_cmp(&b.1))
+                .map(|(ridge, _)| ridge)
+        };
         self.options.ridge.or_else(best).unwrap_or(DEFAULT_RIDGE)
     }
 }

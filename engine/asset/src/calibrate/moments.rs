@@ -1,9 +1,10 @@
 //! Sums over samples, of which a fit and its error are functions.
 //!
-//! A transfer x = (T_0 .. T_K-1, b_0 .. b_K-1) of one channel in one light is judged by the mean over samples i of
-//! `|sum_k (T_k c_ik + b_k) Y_k(d) - sum_k q_ik Y_k(d)|^2` over directions d, q the truth. With G_i the Gram matrix of the
-//! basis over those directions and D_i = [diag(c_i); 1] that is `x' B x - 2 x' r + p`, with `B = mean(D_i G_i D_i')` the same
-//! in every light, `r = mean(D_i G_i q_i)` and `p = mean(q_i' G_i q_i)`.
+//! A transfer x = (T_0 .. T_K-1, b_0 .. b_K-1) of one channel in one light is judged by the mean
+//! over samples i of `|sum_k (T_k c_ik + b_k) Y_k(d) - sum_k q_ik Y_k(d)|^2` over directions d, q
+//! the truth. With G_i the Gram matrix of the basis over those directions and D_i = [diag(c_i); 1]
+//! that is `x' B x - 2 x' r + p`, with `B = mean(D_i G_i D_i')` the same in every light, `r =
+//! mean(D_i G_i q_i)` and `p = mean(q_i' G_i q_i)`.
 
 use decouplegs_scene::AmbientDescriptor;
 use faer::Mat;
@@ -52,9 +53,13 @@ impl Moments {
         };
         let gram = std::array::from_fn(|channel| {
             let mut sum = Mat::zeros(2 * coefficients, 2 * coefficients);
-            samples.iter().for_each(|sample| add_outer(&mut sum, &gram_of(sample), sample, channel));
+            samples
+                .iter()
+                .for_each(|sample| add_outer(&mut sum, &gram_of(sample), sample, channel));
             let share = 1.0 / samples.len() as f64;
-            Mat::from_fn(2 * coefficients, 2 * coefficients, |i, j| sum[(i, j)] * share)
+            Mat::from_fn(2 * coefficients, 2 * coefficients, |i, j| {
+                sum[(i, j)] * share
+            })
         });
         let light_moments = |light: &Lighting<'_>| {
             let mut moments = LightMoments {
@@ -69,19 +74,34 @@ impl Moments {
                 moments.add(&gram_of(sample), &sample.surface.color, &truth);
             }
             let share = 1.0 / samples.len() as f64;
-            moments.cross.iter_mut().flatten().chain(&mut moments.power).for_each(|value| *value *= share);
+            moments
+                .cross
+                .iter_mut()
+                .flatten()
+                .chain(&mut moments.power)
+                .for_each(|value| *value *= share);
             moments
         };
         // Each light is one task and its samples are summed in order: threads change nothing.
-        Self { coefficients, gram, lights: lights.par_iter().map(light_moments).collect() }
+        Self {
+            coefficients,
+            gram,
+            lights: lights.par_iter().map(light_moments).collect(),
+        }
     }
 
     /// Mean squared error over channels of the transfers `x`, one a channel, in one light.
     pub(super) fn error(&self, light: &LightMoments, x: &[Vec<f64>; 3]) -> f64 {
         let of_channel = |channel: usize| {
             let (gram, x) = (&self.gram[channel], &x[channel]);
-            let bent: f64 = (0..x.len()).map(|i| x[i] * (0..x.len()).map(|j| gram[(i, j)] * x[j]).sum::<f64>()).sum();
-            let along: f64 = x.iter().zip(&light.cross[channel]).map(|(x, cross)| x * cross).sum();
+            let bent: f64 = (0..x.len())
+                .map(|i| x[i] * (0..x.len()).map(|j| gram[(i, j)] * x[j]).sum::<f64>())
+                .sum();
+            let along: f64 = x
+                .iter()
+                .zip(&light.cross[channel])
+                .map(|(x, cross)| x * cross)
+                .sum();
             bent - 2.0 * along + light.power[channel]
         };
         (0..3).map(of_channel).sum::<f64>() / 3.0
@@ -94,7 +114,9 @@ impl LightMoments {
         for channel in 0..3 {
             let cross = &mut self.cross[channel];
             for k in 0..coefficients {
-                let seen: f64 = (0..coefficients).map(|j| gram[k][j] * truth[j][channel]).sum();
+                let seen: f64 = (0..coefficients)
+                    .map(|j| gram[k][j] * truth[j][channel])
+                    .sum();
                 cross[k] += color[k][channel] * seen;
                 cross[coefficients + k] += seen;
                 self.power[channel] += truth[k][channel] * seen;

@@ -13,10 +13,11 @@ pub const LIGHTS_MIN: usize = COLUMNS;
 /// Quantity that the fit minimizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Objective {
-    /// The error of coefficients, each on its own: that of the paper. As much as the error of colors in all directions,
-    /// those from which the splat's outer side is not seen included.
+    /// The error of coefficients, each on its own: that of the paper. As much as the error of
+    /// colors in all directions, those from which the splat's outer side is not seen included.
     Coefficients,
-    /// The error of colors in the directions in which a splat's outer side is seen, by projected area.
+    /// The error of colors in the directions in which a splat's outer side is seen, by projected
+    /// area.
     #[default]
     Seen,
 }
@@ -42,7 +43,7 @@ pub struct CalibrateOptions {
     pub objective: Objective,
     /// Number of turns of each probe about the vertical, 1 to 64.
     pub rotations: usize,
-    /// Splats looked at, shared evenly by the assets, at least one each.
+    /// Splats examined, shared evenly by the assets, at least one each.
     pub samples: usize,
     /// The ground whose color tells of the light.
     pub ground: Surroundings,
@@ -69,16 +70,31 @@ impl CalibrateOptions {
         let Surroundings { albedo, gloss } = self.ground;
         let fault = match self {
             _ if assets == 0 => "there is no asset; name at least one file of splats".to_owned(),
-            Self { rotations: 0 | 65.., .. } => format!("{} rotations; expected 1 to 64", self.rotations),
+            Self {
+                rotations: 0 | 65..,
+                ..
+            } => format!("{} rotations; expected 1 to 64", self.rotations),
             Self { samples, .. } if !(assets..=1 << 20).contains(samples) => {
-                format!("{samples} samples; expected {assets}, one an asset, to {}", 1 << 20)
+                format!(
+                    "{samples} samples; expected {assets}, one an asset, to {}",
+                    1 << 20
+                )
             }
-            Self { sh_degree: Some(degree @ 4..), .. } => format!("degree {degree}; expected 0 to 3"),
-            Self { ridge: Some(ridge), .. } if !(ridge.is_finite() && *ridge > 0.0) => {
+            Self {
+                sh_degree: Some(degree @ 4..),
+                ..
+            } => format!("degree {degree}; expected 0 to 3"),
+            Self {
+                ridge: Some(ridge), ..
+            } if !(ridge.is_finite() && *ridge > 0.0) => {
                 format!("a ridge of {ridge}; expected a number above 0")
             }
-            _ if !(albedo > 0.0 && albedo <= 1.0) => format!("a ground of albedo {albedo}; expected above 0, at most 1"),
-            _ if !(0.0..=1.0).contains(&gloss) => format!("a ground of gloss {gloss}; expected 0 to 1"),
+            _ if !(albedo > 0.0 && albedo <= 1.0) => {
+                format!("a ground of albedo {albedo}; expected above 0, at most 1")
+            }
+            _ if !(0.0..=1.0).contains(&gloss) => {
+                format!("a ground of gloss {gloss}; expected 0 to 1")
+            }
             _ => return Ok(()),
         };
         Err(CalibrateError::Option(fault))

@@ -19,13 +19,15 @@ const HEIGHT_MAX_PX: u32 = 4096;
 /// No compression of these formats makes images of light so small; a file that claims it is broken.
 const PIXELS_PER_BYTE_MAX: u64 = 1024;
 
-/// Brighter radiance is clamped: beyond a half float's range by far, and sums over pixels stay finite.
+/// Brighter radiance is clamped: beyond a half float's range by far, and sums over pixels stay
+/// finite.
 const RADIANCE_MAX: f32 = 1e9;
 
 /// Linear radiance from every direction, lat-long.
 ///
-/// World: z up. The top row is the zenith; the middle column is +x, and left of it, as for one who looks along +x, is +y:
-/// pixel (u, v) in \[0, 1)² lies at azimuth pi (1 - 2 u) from +x towards +y and at pi v from the zenith.
+/// World: z up. The top row is the zenith; the middle column is +x, and left of it, as for one who
+/// looks along +x, is +y: pixel (u, v) in \[0, 1)² lies at azimuth pi (1 - 2 u) from +x towards +y
+/// and at pi v from the zenith.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Probe {
     /// Name in reports.
@@ -34,7 +36,8 @@ pub struct Probe {
     height: usize,
     /// Row-major from the top left, linear RGB, finite and not negative.
     radiance: Vec<[f32; 3]>,
-    /// Pixels of the file that held no radiance (NaN, infinite, negative or beyond all reason) and were clamped.
+    /// Pixels of the file that held no radiance (NaN, infinite, negative or beyond all reason) and
+    /// were clamped.
     pub clamped: usize,
 }
 
@@ -44,23 +47,56 @@ impl Probe {
     /// # Panics
     /// If there are not `width` times `height` pixels, or none.
     #[must_use]
-    pub fn new(name: impl Into<String>, width: usize, height: usize, mut radiance: Vec<[f32; 3]>) -> Self {
-        assert!(width * height == radiance.len() && !radiance.is_empty(), "{width} x {height} px of {}", radiance.len());
+    pub fn new(
+        name: impl Into<String>,
+        width: usize,
+        height: usize,
+        mut radiance: Vec<[f32; 3]>,
+    ) -> Self {
+        assert!(
+            width * height == radiance.len() && !radiance.is_empty(),
+            "{width} x {height} px of {}",
+            radiance.len()
+        );
         let mut clamped = 0;
         for pixel in &mut radiance {
-            let kept = pixel.map(|value| if value.is_nan() { 0.0 } else { value.clamp(0.0, RADIANCE_MAX) });
+            let kept = pixel.map(|value| {
+                if value.is_nan() {
+                    0.0
+                } else {
+                    value.clamp(0.0, RADIANCE_MAX)
+                }
+            });
             clamped += usize::from(kept != *pixel);
             *pixel = kept;
         }
-        Self { name: name.into(), width, height, radiance, clamped }
+        Self {
+            name: name.into(),
+            width,
+            height,
+            radiance,
+            clamped,
+        }
     }
 
     /// A probe of `width` by `width / 2` pixels of what `radiance` is at their middles.
     #[must_use]
-    pub fn from_fn(name: impl Into<String>, width: usize, radiance: impl Fn(DVec3) -> [f32; 3]) -> Self {
+    pub fn from_fn(
+        name: impl Into<String>,
+        width: usize,
+        radiance: impl Fn(DVec3) -> [f32; 3],
+    ) -> Self {
         let height = (width / 2).max(1);
-        let blank = Self { name: name.into(), width, height, radiance: Vec::new(), clamped: 0 };
-        let pixels = (0..width * height).map(|pixel| radiance(blank.direction(pixel))).collect();
+        let blank = Self {
+            name: name.into(),
+            width,
+            height,
+            radiance: Vec::new(),
+            clamped: 0,
+        };
+        let pixels = (0..width * height)
+            .map(|pixel| radiance(blank.direction(pixel)))
+            .collect();
         Self::new(blank.name, width, height, pixels)
     }
 
@@ -72,7 +108,8 @@ impl Probe {
         let broken = |error: image::ImageError| DecodeError::Malformed(error.to_string());
         let image = if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
             check_exr_windows(bytes)?;
-            let decoder = OpenExrDecoder::with_alpha_preference(Cursor::new(bytes), Some(false)).map_err(broken)?;
+            let decoder = OpenExrDecoder::with_alpha_preference(Cursor::new(bytes), Some(false))
+                .map_err(broken)?;
             check_size(decoder.dimensions(), bytes.len())?;
             DynamicImage::from_decoder(decoder).map_err(broken)?
         } else if bytes.starts_with(b"#?") {
@@ -96,7 +133,11 @@ impl Probe {
     pub fn read(path: &Path) -> Result<Self, AssetError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let decoded = Self::decode(name, &read_bytes(path)?);
-        decoded.map_err(|source| AssetError::Decode { path: path.to_owned(), format: "light probe", source })
+        decoded.map_err(|source| AssetError::Decode {
+            path: path.to_owned(),
+            format: "light probe",
+            source,
+        })
     }
 
     /// Columns.
@@ -123,7 +164,11 @@ impl Probe {
         let (column, row) = (pixel % self.width, pixel / self.width);
         let azimuth = PI * (1.0 - 2.0 * (column as f64 + 0.5) / self.width as f64);
         let from_zenith = PI * (row as f64 + 0.5) / self.height as f64;
-        DVec3::new(from_zenith.sin() * azimuth.cos(), from_zenith.sin() * azimuth.sin(), from_zenith.cos())
+        DVec3::new(
+            from_zenith.sin() * azimuth.cos(),
+            from_zenith.sin() * azimuth.sin(),
+            from_zenith.cos(),
+        )
     }
 
     /// Steradians that a pixel covers, exactly; 4 pi over all.
@@ -146,11 +191,18 @@ impl Probe {
 
     /// Each pixel: unit vector to its middle, steradians, linear RGB.
     pub fn rays(&self) -> impl Iterator<Item = (DVec3, f64, [f64; 3])> + '_ {
-        let ray = |pixel| (self.direction(pixel), self.solid_angle(pixel), self.radiance[pixel].map(f64::from));
+        let ray = |pixel| {
+            (
+                self.direction(pixel),
+                self.solid_angle(pixel),
+                self.radiance[pixel].map(f64::from),
+            )
+        };
         (0..self.radiance.len()).map(ray)
     }
 
-    /// The same light on at most `width` columns: blocks of pixels become their mean by solid angle, so no light is lost.
+    /// The same light on at most `width` columns: blocks of pixels become their mean by solid
+    /// angle, so no light is lost.
     #[must_use]
     pub fn downsampled(&self, width: usize) -> Self {
         let block = self.width.div_ceil(width.max(1));
@@ -168,8 +220,14 @@ impl Probe {
             (0..3).for_each(|channel| sum[channel] += weight * f64::from(rgb[channel]));
             *weights += weight;
         }
-        let radiance = sums.iter().map(|(sum, weights)| sum.map(|value| (value / weights) as f32)).collect();
-        Self { clamped: self.clamped, ..Self::new(self.name.clone(), columns, rows, radiance) }
+        let radiance = sums
+            .iter()
+            .map(|(sum, weights)| sum.map(|value| (value / weights) as f32))
+            .collect();
+        Self {
+            clamped: self.clamped,
+            ..Self::new(self.name.clone(), columns, rows, radiance)
+        }
     }
 }
 
@@ -177,11 +235,15 @@ impl Probe {
 fn check_size((width, height): (u32, u32), file_bytes: usize) -> Result<(), DecodeError> {
     let pixels = u64::from(width) * u64::from(height);
     if pixels == 0 || width > WIDTH_MAX_PX || height > HEIGHT_MAX_PX {
-        let reason = format!("{width} x {height} px; expected 1 x 1 to {WIDTH_MAX_PX} x {HEIGHT_MAX_PX}: make it smaller");
+        let reason = format!(
+            "{width} x {height} px; expected 1 x 1 to {WIDTH_MAX_PX} x {HEIGHT_MAX_PX}: make it smaller"
+        );
         return Err(DecodeError::Unsupported(reason));
     }
     if pixels > PIXELS_PER_BYTE_MAX * file_bytes as u64 {
-        let reason = format!("{width} x {height} px in {file_bytes} bytes: the file is cut short or its size is wrong");
+        let reason = format!(
+            "{width} x {height} px in {file_bytes} bytes: the file is cut short or its size is wrong"
+        );
         return Err(DecodeError::Malformed(reason));
     }
     Ok(())
@@ -204,11 +266,18 @@ fn check_exr_windows(bytes: &[u8]) -> Result<(), DecodeError> {
 /// # Errors
 /// [`AssetError::Read`] when the folder cannot be listed.
 pub fn probe_paths(folder: &Path) -> Result<Vec<PathBuf>, AssetError> {
-    let refused = |source| AssetError::Read { path: folder.to_owned(), source };
+    let refused = |source| AssetError::Read {
+        path: folder.to_owned(),
+        source,
+    };
     let mut paths = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(refused)? {
         let path = entry.map_err(refused)?.path();
-        let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        let extension = path
+            .extension()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_ascii_lowercase();
         if ["exr", "hdr"].contains(&extension.as_str()) && path.is_file() {
             paths.push(path);
         }

@@ -1,5 +1,5 @@
-//! Environments that are made up: enough different light to calibrate a [`LightTransfer`](decouplegs_scene::LightTransfer) without a
-//! probe from a file.
+//! Environments that are synthetic: enough different light to calibrate a
+//! [`LightTransfer`](decouplegs_scene::LightTransfer) without a probe from a file.
 
 use std::f64::consts::{PI, TAU};
 
@@ -38,11 +38,24 @@ const GLOW_SHARPNESS: f64 = 8.0;
 
 fn towards(azimuth_degrees: f64, height_degrees: f64) -> DVec3 {
     let (azimuth, height) = (azimuth_degrees.to_radians(), height_degrees.to_radians());
-    DVec3::new(height.cos() * azimuth.cos(), height.cos() * azimuth.sin(), height.sin())
+    DVec3::new(
+        height.cos() * azimuth.cos(),
+        height.cos() * azimuth.sin(),
+        height.sin(),
+    )
 }
 
-fn lobe(azimuth_degrees: f64, height_degrees: f64, reflected_by_white: [f64; 3], sharpness: f64) -> Lobe {
-    Lobe { towards: towards(azimuth_degrees, height_degrees), reflected_by_white, sharpness }
+fn lobe(
+    azimuth_degrees: f64,
+    height_degrees: f64,
+    reflected_by_white: [f64; 3],
+    sharpness: f64,
+) -> Lobe {
+    Lobe {
+        towards: towards(azimuth_degrees, height_degrees),
+        reflected_by_white,
+        sharpness,
+    }
 }
 
 impl Environment {
@@ -58,7 +71,8 @@ impl Environment {
             self.lobes.iter().map(of).sum()
         };
         std::array::from_fn(|channel| {
-            let sky = self.horizon[channel] + (self.zenith[channel] - self.horizon[channel]) * share;
+            let sky =
+                self.horizon[channel] + (self.zenith[channel] - self.horizon[channel]) * share;
             // A step at the horizon, softer than a pixel.
             let above = (0.5 + 0.5 * direction.z / 0.03).clamp(0.0, 1.0);
             self.ground[channel] + (sky + from_lobes(channel) - self.ground[channel]) * above
@@ -66,7 +80,9 @@ impl Environment {
     }
 
     fn probe(&self) -> Probe {
-        Probe::from_fn(self.name, PROBE_WIDTH, |direction| self.radiance(direction).map(|value| value as f32))
+        Probe::from_fn(self.name, PROBE_WIDTH, |direction| {
+            self.radiance(direction).map(|value| value as f32)
+        })
     }
 }
 
@@ -84,7 +100,12 @@ fn clear(name: &'static str, azimuth_degrees: f64, height_degrees: f64) -> Envir
         ground: [0.13, 0.12, 0.10].map(|value| value * sky),
         lobes: vec![
             lobe(azimuth_degrees, height_degrees, sun, SUN_SHARPNESS),
-            lobe(azimuth_degrees, height_degrees, sun.map(|value| 0.12 * value), GLOW_SHARPNESS),
+            lobe(
+                azimuth_degrees,
+                height_degrees,
+                sun.map(|value| 0.12 * value),
+                GLOW_SHARPNESS,
+            ),
         ],
     }
 }
@@ -92,7 +113,8 @@ fn clear(name: &'static str, azimuth_degrees: f64, height_degrees: f64) -> Envir
 fn overcast() -> Environment {
     Environment {
         name: "overcast",
-        // Three times as bright overhead as at the horizon (Moon and Spencer, Illumination from a non-uniform sky, 1942).
+        // Three times as bright overhead as at the horizon (Moon and Spencer, Illumination from a
+        // non-uniform sky, 1942).
         zenith: [1.02, 1.06, 1.12],
         horizon: [0.34, 0.35, 0.37],
         falloff: 2.2,
@@ -101,7 +123,8 @@ fn overcast() -> Environment {
     }
 }
 
-/// An overcast sky, white in it about as bright as it is displayed: the light of places that name no probe.
+/// An overcast sky, white in it about as bright as it is displayed: the light of places that name
+/// no probe.
 #[must_use]
 pub fn overcast_probe() -> Probe {
     overcast().probe()
@@ -153,7 +176,10 @@ fn nights() -> [Environment; 2] {
     [
         night(
             "night-lamps",
-            vec![lobe(20.0, 60.0, sodium, LAMP_SHARPNESS), lobe(170.0, 30.0, sodium.map(|v| 0.3 * v), LAMP_SHARPNESS)],
+            vec![
+                lobe(20.0, 60.0, sodium, LAMP_SHARPNESS),
+                lobe(170.0, 30.0, sodium.map(|v| 0.3 * v), LAMP_SHARPNESS),
+            ],
         ),
         night(
             "night-shops",
@@ -166,11 +192,15 @@ fn nights() -> [Environment; 2] {
     ]
 }
 
-/// Twelve environments from noon to night, in the form in which probes from files come. Turned, mirrored and exposed by a calibration
-/// they are some hundred lights of full rank.
+/// Twelve environments from noon to night, in the form in which probes from files come. Turned,
+/// mirrored and exposed by a calibration they are some hundred lights of full rank.
 #[must_use]
 pub fn procedural_probes() -> Vec<Probe> {
-    let hazy = Environment { name: "hazy", lobes: vec![lobe(135.0, 40.0, [0.6, 0.56, 0.5], GLOW_SHARPNESS)], ..overcast() };
+    let hazy = Environment {
+        name: "hazy",
+        lobes: vec![lobe(135.0, 40.0, [0.6, 0.56, 0.5], GLOW_SHARPNESS)],
+        ..overcast()
+    };
     let days = [
         clear("clear-12", 160.0, 12.0),
         clear("clear-25", 40.0, 25.0),
@@ -180,7 +210,11 @@ pub fn procedural_probes() -> Vec<Probe> {
         overcast(),
         hazy,
     ];
-    days.iter().chain(&twilights()).chain(&nights()).map(Environment::probe).collect()
+    days.iter()
+        .chain(&twilights())
+        .chain(&nights())
+        .map(Environment::probe)
+        .collect()
 }
 
 #[cfg(test)]
@@ -201,19 +235,35 @@ mod tests {
         let towards = towards(30.0, 60.0);
         // Broad lobes bring less: their light comes aslant.
         let [red, green, blue] = reflected_by_white(&alone(SUN_SHARPNESS).probe(), towards);
-        assert!((red - 1.0).abs() < 0.01 && (green - 0.5).abs() < 0.005 && blue == 0.0, "{red} {green} {blue}");
+        assert!(
+            (red - 1.0).abs() < 0.01 && (green - 0.5).abs() < 0.005 && blue == 0.0,
+            "{red} {green} {blue}"
+        );
 
         let up = |name: &str| {
-            let probe = procedural_probes().into_iter().find(|probe| probe.name == name).unwrap();
+            let probe = procedural_probes()
+                .into_iter()
+                .find(|probe| probe.name == name)
+                .unwrap();
             reflected_by_white(&probe, DVec3::Z)
         };
         let green = |name: &str| up(name)[1];
         assert!(green("clear-70") > green("clear-25") && green("clear-25") > green("dusk"));
         assert!(green("dusk") > green("blue-hour") && green("blue-hour") > green("night-shops"));
-        assert!((0.6..1.0).contains(&green("overcast")), "{}", green("overcast"));
+        assert!(
+            (0.6..1.0).contains(&green("overcast")),
+            "{}",
+            green("overcast")
+        );
         assert!(up("blue-hour")[2] > up("blue-hour")[0] && green("night-shops") < 0.05);
-        let dusk = procedural_probes().into_iter().find(|probe| probe.name == "dusk").unwrap();
+        let dusk = procedural_probes()
+            .into_iter()
+            .find(|probe| probe.name == "dusk")
+            .unwrap();
         let [red, _, blue] = reflected_by_white(&dusk, self::towards(200.0, 4.0));
-        assert!(red > 1.3 * blue, "a wall that faces the low sun is red: {red} {blue}");
+        assert!(
+            red > 1.3 * blue,
+            "a wall that faces the low sun is red: {red} {blue}"
+        );
     }
 }

@@ -1,7 +1,8 @@
 //! The ridge fit of Theta to moments, in closed form.
 //!
-//! Unknown are, per channel, the 2K x 28 weights of x(L) = Theta (L, 1). With A = mean over lights of (L, 1)(L, 1)' the normal
-//! equations are `B Theta A + ridge (Theta - prior) = R`: B and A are diagonalised once, and each ridge costs two products.
+//! Unknown are, per channel, the 2K x 28 weights of x(L) = Theta (L, 1). With A = mean over lights
+//! of (L, 1)(L, 1)' the normal equations are `B Theta A + ridge (Theta - prior) = R`: B and A are
+//! diagonalised once, and each ridge costs two products.
 
 use decouplegs_scene::{AmbientDescriptor, LightTransfer};
 use faer::{Mat, Side};
@@ -15,8 +16,8 @@ pub(super) const COLUMNS: usize = AmbientDescriptor::LEN + 1;
 /// Share of all lights' weight that the neutral one has: it pins where assets look as they are.
 const NEUTRAL_SHARE: f64 = 0.1;
 
-/// Least ratio of the design's smallest singular value to its largest. Descriptors are f32, so what linear dependence leaves
-/// is below 1e-6; eight outdoor and indoor probes gave 4e-3.
+/// Least ratio of the design's smallest singular value to its largest. Descriptors are f32, so what
+/// linear dependence leaves is below 1e-6; eight outdoor and indoor probes gave 4e-3.
 const RANK_TOLERANCE: f64 = 1e-5;
 
 /// W_T and w_0 over W_B and b_0, 2K x 28 for each channel.
@@ -27,10 +28,18 @@ impl Theta {
     /// T(L) and b(L) of each channel.
     pub(super) fn at(&self, descriptor: &[f64; AmbientDescriptor::LEN]) -> [Vec<f64>; 3] {
         let value = |rows: &Mat<f64>, row: usize| {
-            let linear: f64 = descriptor.iter().enumerate().map(|(column, l)| rows[(row, column)] * l).sum();
+            let linear: f64 = descriptor
+                .iter()
+                .enumerate()
+                .map(|(column, l)| rows[(row, column)] * l)
+                .sum();
             linear + rows[(row, AmbientDescriptor::LEN)]
         };
-        std::array::from_fn(|channel| (0..self.0[channel].nrows()).map(|row| value(&self.0[channel], row)).collect())
+        std::array::from_fn(|channel| {
+            (0..self.0[channel].nrows())
+                .map(|row| value(&self.0[channel], row))
+                .collect()
+        })
     }
 
     /// Converts to the stored form.
@@ -44,12 +53,17 @@ impl Theta {
             };
             (0..3 * coefficients).map(row).collect()
         };
-        LightTransfer { sh_degree, gain: rows(0), offset: rows(coefficients), neutral }
+        LightTransfer {
+            sh_degree,
+            gain: rows(0),
+            offset: rows(coefficients),
+            neutral,
+        }
     }
 }
 
-/// The smallest over the largest singular value of the lights' standardised descriptors, constant included, and how many are
-/// not negligible.
+/// The smallest over the largest singular value of the lights' standardised descriptors, constant
+/// included, and how many are not negligible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rank {
     pub rank: usize,
@@ -75,9 +89,13 @@ struct Channel {
 
 fn eigen(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
     // Fails only on numbers that are not finite, and moments are sums of finite ones.
-    let eigen = matrix.self_adjoint_eigen(Side::Lower).expect("a finite symmetric matrix has eigenvalues");
+    let eigen = matrix
+        .self_adjoint_eigen(Side::Lower)
+        .expect("a finite symmetric matrix has eigenvalues");
     // Rounding leaves eigenvalues of a positive matrix slightly below 0.
-    let values = (0..matrix.nrows()).map(|index| eigen.S()[index].max(0.0)).collect();
+    let values = (0..matrix.nrows())
+        .map(|index| eigen.S()[index].max(0.0))
+        .collect();
     (values, eigen.U().to_owned())
 }
 
@@ -117,36 +135,62 @@ impl Ridge {
         let channels = std::array::from_fn(|channel| {
             let gram = &moments.gram[channel];
             // A coefficient that no sample has: nothing is known of its gain, and the prior stands.
-            let scales: Vec<f64> =
-                (0..size).map(|index| gram[(index, index)].sqrt()).map(|scale| if scale > 0.0 { scale } else { 1.0 }).collect();
+            let scales: Vec<f64> = (0..size)
+                .map(|index| gram[(index, index)].sqrt())
+                .map(|scale| if scale > 0.0 { scale } else { 1.0 })
+                .collect();
             let scaled = Mat::from_fn(size, size, |i, j| gram[(i, j)] / (scales[i] * scales[j]));
             let cross = Mat::from_fn(size, COLUMNS, |i, j| cross[channel][(i, j)] / scales[i]);
-            Channel { eigen: eigen(&scaled), scales, cross }
+            Channel {
+                eigen: eigen(&scaled),
+                scales,
+                cross,
+            }
         });
-        Self { standard, channels, lights: eigen(&design) }
+        Self {
+            standard,
+            channels,
+            lights: eigen(&design),
+        }
     }
 
-    /// Theta drawn towards `prior` by `ridge`, which counts against standardised columns: 1 is much.
+    /// Theta drawn towards `prior` by `ridge`, which counts against standardised columns: 1 is
+    /// much.
     pub(super) fn solve(&self, ridge: f64, prior: &Theta) -> Theta {
-        Theta(std::array::from_fn(|channel| self.solve_channel(&self.channels[channel], ridge, &prior.0[channel])))
+        Theta(std::array::from_fn(|channel| {
+            self.solve_channel(&self.channels[channel], ridge, &prior.0[channel])
+        }))
     }
 
     fn solve_channel(&self, channel: &Channel, ridge: f64, prior: &Mat<f64>) -> Mat<f64> {
         let size = channel.scales.len();
-        let rows = |matrix: &Mat<f64>, row: usize| -> Vec<f64> { (0..COLUMNS).map(|column| matrix[(row, column)]).collect() };
-        let prior: Vec<Vec<f64>> = (0..size).map(|row| self.standard.to_standardised(&rows(prior, row))).collect();
+        let rows = |matrix: &Mat<f64>, row: usize| -> Vec<f64> {
+            (0..COLUMNS).map(|column| matrix[(row, column)]).collect()
+        };
+        let prior: Vec<Vec<f64>> = (0..size)
+            .map(|row| self.standard.to_standardised(&rows(prior, row)))
+            .collect();
         let right = Mat::from_fn(size, COLUMNS, |row, column| {
             channel.cross[(row, column)] + ridge * prior[row][column] * channel.scales[row]
         });
-        let ((gram_values, gram_vectors), (light_values, light_vectors)) = (&channel.eigen, &self.lights);
+        let ((gram_values, gram_vectors), (light_values, light_vectors)) =
+            (&channel.eigen, &self.lights);
         let turned = gram_vectors.transpose() * &right * light_vectors;
         let solved = Mat::from_fn(size, COLUMNS, |row, column| {
             let denominator = gram_values[row] * light_values[column] + ridge;
-            if denominator > 0.0 { turned[(row, column)] / denominator } else { 0.0 }
+            if denominator > 0.0 {
+                turned[(row, column)] / denominator
+            } else {
+                0.0
+            }
         });
         let scaled = gram_vectors * &solved * light_vectors.transpose();
-        let plain: Vec<Vec<f64>> = (0..size).map(|row| self.standard.to_plain(&rows(&scaled, row))).collect();
-        Mat::from_fn(size, COLUMNS, |row, column| plain[row][column] / channel.scales[row])
+        let plain: Vec<Vec<f64>> = (0..size)
+            .map(|row| self.standard.to_plain(&rows(&scaled, row)))
+            .collect();
+        Mat::from_fn(size, COLUMNS, |row, column| {
+            plain[row][column] / channel.scales[row]
+        })
     }
 }
 
@@ -157,16 +201,33 @@ pub(super) fn rank_of(lights: &[&LightMoments]) -> Rank {
     for (row, light) in lights.iter().enumerate() {
         let values = standard.row(&light.descriptor);
         // Here the constant is a column like any other.
-        values.iter().enumerate().for_each(|(column, &value)| design[(row, column)] = value);
+        values
+            .iter()
+            .enumerate()
+            .for_each(|(column, &value)| design[(row, column)] = value);
         design[(row, COLUMNS - 1)] = 1.0;
     }
-    let values = design.singular_values().expect("a finite matrix has singular values");
+    let values = design
+        .singular_values()
+        .expect("a finite matrix has singular values");
     let (largest, smallest) = (values[0], values[COLUMNS - 1]);
-    let rank = values.iter().filter(|&&value| value > RANK_TOLERANCE * largest).count();
-    Rank { rank, smallest_over_largest: if largest > 0.0 { smallest / largest } else { 0.0 } }
+    let rank = values
+        .iter()
+        .filter(|&&value| value > RANK_TOLERANCE * largest)
+        .count();
+    Rank {
+        rank,
+        smallest_over_largest: if largest > 0.0 {
+            smallest / largest
+        } else {
+            0.0
+        },
+    }
 }
 
 /// Theta with nothing but zeros.
 pub(super) fn zero(coefficients: usize) -> Theta {
-    Theta(std::array::from_fn(|_| Mat::zeros(2 * coefficients, COLUMNS)))
+    Theta(std::array::from_fn(|_| {
+        Mat::zeros(2 * coefficients, COLUMNS)
+    }))
 }

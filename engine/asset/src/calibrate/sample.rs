@@ -9,8 +9,8 @@ use crate::compress::random::Random;
 /// Directions over the sphere of which those count in which a splat is seen.
 const DIRECTIONS: usize = 256;
 
-/// Agents stand on the ground, and cameras are not below it: a direction of view rises at most so steeply (z of the unit
-/// vector from camera to splat).
+/// Agents stand on the ground, and cameras are not below it: a direction of view rises at most so
+/// steeply (z of the unit vector from camera to splat).
 const RISE_MAX: f64 = 0.35;
 
 /// Opacity below which no pixel shows a splat.
@@ -26,19 +26,22 @@ pub(super) type Gram = [[f64; COEFFICIENTS]; COEFFICIENTS];
 #[derive(Clone, Debug)]
 pub(super) struct Sample {
     pub surface: Surface,
-    /// Means of products of the basis over the directions in which the splat's outer side is seen, by projected area.
+    /// Means of products of the basis over the directions in which the splat's outer side is seen,
+    /// by projected area.
     pub seen: Box<Gram>,
     /// The basis in some of these directions.
     pub views: [[f64; COEFFICIENTS]; VIEWS],
 }
 
-/// Means of products of the basis over all directions alike: the basis is orthonormal over the sphere.
+/// Means of products of the basis over all directions alike: the basis is orthonormal over the
+/// sphere.
 pub(super) fn gram_of_sphere() -> Gram {
     let mean = 1.0 / (4.0 * std::f64::consts::PI);
     std::array::from_fn(|i| std::array::from_fn(|j| if i == j { mean } else { 0.0 }))
 }
 
-/// Directions of view, unit vectors from camera to splat, spread evenly over the sphere without the steeply rising ones.
+/// Directions of view, unit vectors from camera to splat, spread evenly over the sphere without the
+/// steeply rising ones.
 pub(super) struct Directions(Vec<(DVec3, [f64; COEFFICIENTS])>);
 
 impl Directions {
@@ -50,17 +53,32 @@ impl Directions {
             let radius = (1.0 - z * z).sqrt();
             DVec3::new(radius * x, radius * y, z)
         };
-        let level = (0..DIRECTIONS).map(direction).filter(|direction| direction.z <= RISE_MAX);
-        Self(level.map(|direction| (direction, sh::basis(direction))).collect())
+        let level = (0..DIRECTIONS)
+            .map(direction)
+            .filter(|direction| direction.z <= RISE_MAX);
+        Self(
+            level
+                .map(|direction| (direction, sh::basis(direction)))
+                .collect(),
+        )
     }
 
-    /// Mean projected area of a unit of surface over all directions: 1/4 where cameras are everywhere.
+    /// Mean projected area of a unit of surface over all directions: 1/4 where cameras are
+    /// everywhere.
     fn visible(&self, normal: DVec3) -> f64 {
-        self.0.iter().map(|(direction, _)| (-normal.dot(*direction)).max(0.0)).sum::<f64>() / DIRECTIONS as f64
+        self.0
+            .iter()
+            .map(|(direction, _)| (-normal.dot(*direction)).max(0.0))
+            .sum::<f64>()
+            / DIRECTIONS as f64
     }
 
     fn sample(&self, surface: Surface, random: &mut Random) -> Sample {
-        let weights: Vec<f64> = self.0.iter().map(|(direction, _)| (-surface.normal.dot(*direction)).max(0.0)).collect();
+        let weights: Vec<f64> = self
+            .0
+            .iter()
+            .map(|(direction, _)| (-surface.normal.dot(*direction)).max(0.0))
+            .collect();
         let sum: f64 = weights.iter().sum();
         let mut seen = Box::new([[0.0; COEFFICIENTS]; COEFFICIENTS]);
         for ((_, basis), weight) in self.0.iter().zip(&weights) {
@@ -79,7 +97,11 @@ impl Directions {
             self.0[found.unwrap_or(0)].1
         };
         let views = std::array::from_fn(|_| drawn());
-        Sample { surface, seen, views }
+        Sample {
+            surface,
+            seen,
+            views,
+        }
     }
 }
 
@@ -92,13 +114,14 @@ fn weight(cloud: &SplatCloud, splat: usize, surface: &Surface, directions: &Dire
     f64::from(cloud.opacities[splat]) * broad * long * flat * directions.visible(surface.normal)
 }
 
-/// `count` splats of `cloud`, drawn by what they add to images (systematic sampling; a splat may come more than once).
-/// Empty if nothing of it is seen.
+/// `count` splats of `cloud`, drawn by what they add to images (systematic sampling; a splat may
+/// come more than once). Empty if nothing of it is seen.
 pub(super) fn samples(cloud: &SplatCloud, count: usize, seed: u64) -> Vec<Sample> {
     let directions = Directions::new();
     let center = center_of(cloud);
     let mut random = Random::new(seed);
-    let shown = |&splat: &usize| cloud.opacities[splat] >= OPACITY_MIN && cloud.defect_of(splat).is_none();
+    let shown =
+        |&splat: &usize| cloud.opacities[splat] >= OPACITY_MIN && cloud.defect_of(splat).is_none();
     let weighed: Vec<(Surface, f64)> = (0..cloud.len())
         .filter(shown)
         .map(|splat| {

@@ -24,12 +24,16 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// Splat `splat` of a cloud whose middle is `center`. The normal is the shortest axis, away from the middle.
+    /// Splat `splat` of a cloud whose middle is `center`. The normal is the shortest axis, away
+    /// from the middle.
     pub(super) fn of(cloud: &SplatCloud, splat: usize, center: DVec3) -> Self {
         let scales = cloud.scales[splat];
-        let shortest = (0..3).min_by(|&a, &b| scales[a].total_cmp(&scales[b])).unwrap_or(2);
+        let shortest = (0..3)
+            .min_by(|&a, &b| scales[a].total_cmp(&scales[b]))
+            .unwrap_or(2);
         let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
-        let axis = (DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[shortest]).normalize_or(DVec3::Z);
+        let axis = (DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[shortest])
+            .normalize_or(DVec3::Z);
         let outward = DVec3::from_array(cloud.means[splat].map(f64::from)) - center;
         let normal = if axis.dot(outward) < 0.0 { -axis } else { axis };
         let mut color = [[0.0; 3]; COEFFICIENTS];
@@ -43,14 +47,15 @@ impl Surface {
     /// Color of this surface under a light that gives a white surface of the same orientation
     /// `white` (E / pi, linear RGB).
     ///
-    /// The display value v becomes `display(linear(v) white)`, and what depends on the direction of view is brightened or
-    /// dimmed along with it. White 1 leaves the color as it is.
+    /// The display value v becomes `display(linear(v) white)`, and what depends on the direction of
+    /// view is brightened or dimmed along with it. White 1 leaves the color as it is.
     pub(super) fn lit(&self, white: [f64; 3]) -> Color {
         let mut lit = self.color;
         for channel in 0..3 {
             let shown = (sh::Y0 * self.color[0][channel]).clamp(DISPLAY_MIN, DISPLAY_MAX);
             let ratio = to_display(to_linear(shown) * white[channel]) / shown;
-            lit.iter_mut().for_each(|coefficient| coefficient[channel] *= ratio);
+            lit.iter_mut()
+                .for_each(|coefficient| coefficient[channel] *= ratio);
         }
         lit
     }
@@ -64,8 +69,9 @@ pub(super) fn center_of(cloud: &SplatCloud) -> DVec3 {
     0.5 * (corner(bounds.min) + corner(bounds.max))
 }
 
-/// `cloud` as calibration takes it to look in a light: the truth that a transfer is fitted to. `reflected_by_white` tells E / pi
-/// for each unit normal. Splats that cannot be drawn stay as they are.
+/// `cloud` as calibration takes it to look in a light: the truth that a transfer is fitted to.
+/// `reflected_by_white` tells E / pi for each unit normal. Splats that cannot be drawn stay as they
+/// are.
 #[must_use]
 pub fn lit_cloud(cloud: &SplatCloud, reflected_by_white: impl Fn(DVec3) -> [f64; 3]) -> SplatCloud {
     let center = center_of(cloud);
@@ -75,7 +81,10 @@ pub fn lit_cloud(cloud: &SplatCloud, reflected_by_white: impl Fn(DVec3) -> [f64;
         let surface = Surface::of(cloud, splat, center);
         let lit = surface.lit(reflected_by_white(surface.normal));
         lit_cloud.sh_dc[splat] = lit[0].map(|value| (value - sh::DC_SHIFT) as f32);
-        for (rest, value) in lit_cloud.sh_rest[splat * stride..(splat + 1) * stride].iter_mut().zip(&lit[1..]) {
+        for (rest, value) in lit_cloud.sh_rest[splat * stride..(splat + 1) * stride]
+            .iter_mut()
+            .zip(&lit[1..])
+        {
             *rest = value.map(|value| value as f32);
         }
     }

@@ -1,7 +1,8 @@
-//! COLMAP sparse models: `cameras` and `images`, as text or binary (colmap.github.io, Output Format).
+//! COLMAP sparse models: `cameras` and `images`, as text or binary (colmap.github.io, Output
+//! Format).
 //!
-//! An image's pose is camera from world, with OpenCV axes; pixels are counted from the corner of the first one, as here. Points are
-//! not read.
+//! An image's pose is camera from world, with OpenCV axes; pixels are counted from the corner of
+//! the first one, as here. Points are not read.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -34,17 +35,24 @@ const POINT_BYTES: u64 = 24;
 /// Longest name of an image.
 const NAME_BYTES_MAX: usize = 4096;
 
-/// Reads the cameras of the model in `folder`, or in its `sparse/0`: one for each image, sorted by name.
+/// Reads the cameras of the model in `folder`, or in its `sparse/0`: one for each image, sorted by
+/// name.
 ///
 /// # Errors
 /// [`AssetError::Read`] or [`AssetError::Cameras`].
 pub(super) fn read_folder(folder: &Path) -> Result<Vec<Camera>, AssetError> {
-    let found = FOLDERS.iter().flat_map(|inner| ["bin", "txt"].map(|form| (folder.join(inner), form)));
-    let model = found.into_iter().find(|(folder, form)| folder.join(format!("cameras.{form}")).is_file());
+    let found = FOLDERS
+        .iter()
+        .flat_map(|inner| ["bin", "txt"].map(|form| (folder.join(inner), form)));
+    let model = found
+        .into_iter()
+        .find(|(folder, form)| folder.join(format!("cameras.{form}")).is_file());
     let Some((folder, form)) = model else {
-        let message =
-            "it has neither cameras.bin nor cameras.txt, nor has its sparse/0; expected a COLMAP model or a camera file";
-        return Err(AssetError::Cameras { path: folder.to_owned(), source: DecodeError::Malformed(message.into()) });
+        let message = "it has neither cameras.bin nor cameras.txt, nor has its sparse/0; expected a COLMAP model or a camera file";
+        return Err(AssetError::Cameras {
+            path: folder.to_owned(),
+            source: DecodeError::Malformed(message.into()),
+        });
     };
     let file = |name: &str| -> Result<(PathBuf, Vec<u8>), AssetError> {
         let path = folder.join(format!("{name}.{form}"));
@@ -54,21 +62,43 @@ pub(super) fn read_folder(folder: &Path) -> Result<Vec<Camera>, AssetError> {
     let (lenses_path, lenses) = file("cameras")?;
     let (images_path, images) = file("images")?;
     let is_binary = form == "bin";
-    let lenses = decode_lenses(&lenses, is_binary).map_err(|source| AssetError::Cameras { path: lenses_path, source })?;
-    decode_images(&images, &lenses, is_binary).map_err(|source| AssetError::Cameras { path: images_path, source })
+    let lenses = decode_lenses(&lenses, is_binary).map_err(|source| AssetError::Cameras {
+        path: lenses_path,
+        source,
+    })?;
+    decode_images(&images, &lenses, is_binary).map_err(|source| AssetError::Cameras {
+        path: images_path,
+        source,
+    })
 }
 
 /// Reads the cameras of a model from the bytes of its two files.
-pub(super) fn decode(lenses: &[u8], images: &[u8], is_binary: bool) -> Result<Vec<Camera>, DecodeError> {
+pub(super) fn decode(
+    lenses: &[u8],
+    images: &[u8],
+    is_binary: bool,
+) -> Result<Vec<Camera>, DecodeError> {
     decode_images(images, &decode_lenses(lenses, is_binary)?, is_binary)
 }
 
 fn decode_lenses(bytes: &[u8], is_binary: bool) -> Result<Lenses, DecodeError> {
-    if is_binary { lenses_of_binary(bytes) } else { lenses_of_text(bytes) }
+    if is_binary {
+        lenses_of_binary(bytes)
+    } else {
+        lenses_of_text(bytes)
+    }
 }
 
-fn decode_images(bytes: &[u8], lenses: &Lenses, is_binary: bool) -> Result<Vec<Camera>, DecodeError> {
-    if is_binary { images_of_binary(bytes, lenses) } else { images_of_text(bytes, lenses) }
+fn decode_images(
+    bytes: &[u8],
+    lenses: &Lenses,
+    is_binary: bool,
+) -> Result<Vec<Camera>, DecodeError> {
+    if is_binary {
+        images_of_binary(bytes, lenses)
+    } else {
+        images_of_text(bytes, lenses)
+    }
 }
 
 /// Intrinsics by the number of the camera.
@@ -83,61 +113,134 @@ fn lenses_of_text(bytes: &[u8]) -> Result<Lenses, DecodeError> {
         let [id, model, width, height, parameters @ ..] = words.as_slice() else {
             return Err(fault("expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS"));
         };
-        let parameters: Option<Vec<f64>> = parameters.iter().map(|word| word.parse().ok()).collect();
-        let (Ok(id), Ok(width), Ok(height), Some(parameters)) = (id.parse(), width.parse(), height.parse(), parameters) else {
-            return Err(fault("expected whole numbers for id, width and height, and numbers behind them"));
+        let parameters: Option<Vec<f64>> =
+            parameters.iter().map(|word| word.parse().ok()).collect();
+        let (Ok(id), Ok(width), Ok(height), Some(parameters)) =
+            (id.parse(), width.parse(), height.parse(), parameters)
+        else {
+            return Err(fault(
+                "expected whole numbers for id, width and height, and numbers behind them",
+            ));
         };
-        lenses.insert(id, intrinsics(model, [width, height], &parameters).map_err(|reason| fault(&reason))?);
+        lenses.insert(
+            id,
+            intrinsics(model, [width, height], &parameters).map_err(|reason| fault(&reason))?,
+        );
     }
     Ok(lenses)
 }
 
 /// Reads `cameras.bin`.
 fn lenses_of_binary(bytes: &[u8]) -> Result<Lenses, DecodeError> {
-    let mut reader = Reader { rest: bytes, what: "cameras.bin" };
+    let mut reader = Reader {
+        rest: bytes,
+        what: "cameras.bin",
+    };
     let mut lenses = Lenses::new();
     for _ in 0..reader.u64()? {
         let (id, model) = (reader.u32()?, reader.u32()?);
         let size = [reader.u64()?, reader.u64()?];
         let Some((name, count)) = MODELS.get(model as usize) else {
-            return Err(DecodeError::Unsupported(format!("camera {id}: model number {model} is unknown")));
+            return Err(DecodeError::Unsupported(format!(
+                "camera {id}: model number {model} is unknown"
+            )));
         };
-        let parameters = (0..*count).map(|_| reader.f64()).collect::<Result<Vec<f64>, _>>()?;
+        let parameters = (0..*count)
+            .map(|_| reader.f64())
+            .collect::<Result<Vec<f64>, _>>()?;
         let of_camera = |reason| DecodeError::Malformed(format!("camera {id}: {reason}"));
         lenses.insert(id, intrinsics(name, size, &parameters).map_err(of_camera)?);
     }
     Ok(lenses)
 }
 
-fn intrinsics(model: &str, [width, height]: [u64; 2], parameters: &[f64]) -> Result<Intrinsics, String> {
-    let known = MODELS.iter().find(|(name, _)| *name == model).ok_or_else(|| format!("camera model {model:.40} is unknown"))?;
+fn intrinsics(
+    model: &str,
+    [width, height]: [u64; 2],
+    parameters: &[f64],
+) -> Result<Intrinsics, String> {
+    let known = MODELS
+        .iter()
+        .find(|(name, _)| *name == model)
+        .ok_or_else(|| format!("camera model {model:.40} is unknown"))?;
     if parameters.len() != known.1 {
-        return Err(format!("{model} has {} parameters, found {}", known.1, parameters.len()));
+        return Err(format!(
+            "{model} has {} parameters, found {}",
+            known.1,
+            parameters.len()
+        ));
     }
-    let size = |side: u64| u32::try_from(side).map_err(|_| format!("an image has 1 to 65536 pixels a side, found {side}"));
-    let with = |focal_px: [f64; 2], center_px: [f64; 2], lens: Lens| -> Result<Intrinsics, String> {
-        let lens = if lens.is_pinhole() { Lens::Pinhole } else { lens };
-        let [fx_px, fy_px] = focal_px;
-        let [cx_px, cy_px] = center_px;
-        Ok(Intrinsics { width_px: size(width)?, height_px: size(height)?, fx_px, fy_px, cx_px, cy_px, lens })
+    let size = |side: u64| {
+        u32::try_from(side)
+            .map_err(|_| format!("an image has 1 to 65536 pixels a side, found {side}"))
     };
-    let open_cv = |radial: [f64; 6], tangential: [f64; 2]| Lens::OpenCv(OpenCv { radial, tangential, ..OpenCv::default() });
-    let fisheye = |radial: [f64; 4]| Lens::Fisheye(Fisheye { radial, ..Fisheye::default() });
+    let with =
+        |focal_px: [f64; 2], center_px: [f64; 2], lens: Lens| -> Result<Intrinsics, String> {
+            let lens = if lens.is_pinhole() {
+                Lens::Pinhole
+            } else {
+                lens
+            };
+            let [fx_px, fy_px] = focal_px;
+            let [cx_px, cy_px] = center_px;
+            Ok(Intrinsics {
+                width_px: size(width)?,
+                height_px: size(height)?,
+                fx_px,
+                fy_px,
+                cx_px,
+                cy_px,
+                lens,
+            })
+        };
+    let open_cv = |radial: [f64; 6], tangential: [f64; 2]| {
+        Lens::OpenCv(OpenCv {
+            radial,
+            tangential,
+            ..OpenCv::default()
+        })
+    };
+    let fisheye = |radial: [f64; 4]| {
+        Lens::Fisheye(Fisheye {
+            radial,
+            ..Fisheye::default()
+        })
+    };
     match (model, parameters) {
         ("SIMPLE_PINHOLE", &[f, cx, cy]) => with([f, f], [cx, cy], Lens::Pinhole),
         ("PINHOLE", &[fx, fy, cx, cy]) => with([fx, fy], [cx, cy], Lens::Pinhole),
-        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => with([f, f], [cx, cy], open_cv([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
-        ("RADIAL", &[f, cx, cy, k1, k2]) => with([f, f], [cx, cy], open_cv([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-            with([fx, fy], [cx, cy], open_cv([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]))
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => with(
+            [f, f],
+            [cx, cy],
+            open_cv([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+        ),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => with(
+            [f, f],
+            [cx, cy],
+            open_cv([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+        ),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => with(
+            [fx, fy],
+            [cx, cy],
+            open_cv([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]),
+        ),
+        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => with(
+            [fx, fy],
+            [cx, cy],
+            open_cv([k1, k2, k3, k4, k5, k6], [p1, p2]),
+        ),
+        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
+            with([fx, fy], [cx, cy], fisheye([k1, k2, k3, k4]))
         }
-        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
-            with([fx, fy], [cx, cy], open_cv([k1, k2, k3, k4, k5, k6], [p1, p2]))
+        ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => {
+            with([f, f], [cx, cy], fisheye([k, 0.0, 0.0, 0.0]))
         }
-        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => with([fx, fy], [cx, cy], fisheye([k1, k2, k3, k4])),
-        ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => with([f, f], [cx, cy], fisheye([k, 0.0, 0.0, 0.0])),
-        ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => with([f, f], [cx, cy], fisheye([k1, k2, 0.0, 0.0])),
-        _ => Err(format!("camera model {model} is not drawn: undistort the images first (colmap image_undistorter)")),
+        ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => {
+            with([f, f], [cx, cy], fisheye([k1, k2, 0.0, 0.0]))
+        }
+        _ => Err(format!(
+            "camera model {model} is not drawn: undistort the images first (colmap image_undistorter)"
+        )),
     }
 }
 
@@ -151,10 +254,14 @@ fn images_of_text(bytes: &[u8], lenses: &Lenses) -> Result<Vec<Camera>, DecodeEr
         }
         let fault = |reason: String| DecodeError::Malformed(format!("line {number}: {reason}"));
         let words: Vec<&str> = line.splitn(10, ' ').collect();
-        let [_, pose @ .., lens, name] = words.as_slice() else { return Err(fault("expected ten columns".into())) };
+        let [_, pose @ .., lens, name] = words.as_slice() else {
+            return Err(fault("expected ten columns".into()));
+        };
         let pose: Option<Vec<f64>> = pose.iter().map(|word| word.parse().ok()).collect();
         let (Some(&[w, x, y, z, tx, ty, tz]), Ok(lens)) = (pose.as_deref(), lens.parse()) else {
-            return Err(fault("expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME".into()));
+            return Err(fault(
+                "expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME".into(),
+            ));
         };
         cameras.push(camera(name, [w, x, y, z], [tx, ty, tz], lens, lenses).map_err(fault)?);
         // The line of its points.
@@ -165,7 +272,10 @@ fn images_of_text(bytes: &[u8], lenses: &Lenses) -> Result<Vec<Camera>, DecodeEr
 
 /// Reads `images.bin`.
 fn images_of_binary(bytes: &[u8], lenses: &Lenses) -> Result<Vec<Camera>, DecodeError> {
-    let mut reader = Reader { rest: bytes, what: "images.bin" };
+    let mut reader = Reader {
+        rest: bytes,
+        what: "images.bin",
+    };
     let mut cameras = Vec::new();
     for _ in 0..reader.u64()? {
         reader.u32()?;
@@ -178,19 +288,34 @@ fn images_of_binary(bytes: &[u8], lenses: &Lenses) -> Result<Vec<Camera>, Decode
         let points = reader.u64()?;
         reader.take(points.saturating_mul(POINT_BYTES))?;
         let [w, x, y, z, tx, ty, tz] = numbers;
-        cameras.push(camera(&name, [w, x, y, z], [tx, ty, tz], lens, lenses).map_err(DecodeError::Malformed)?);
+        cameras.push(
+            camera(&name, [w, x, y, z], [tx, ty, tz], lens, lenses)
+                .map_err(DecodeError::Malformed)?,
+        );
     }
     Ok(sorted(cameras))
 }
 
-fn camera(name: &str, [w, x, y, z]: [f64; 4], t: [f64; 3], lens: u32, lenses: &Lenses) -> Result<Camera, String> {
-    let intrinsics = *lenses.get(&lens).ok_or_else(|| format!("image '{name:.60}': there is no camera {lens}"))?;
+fn camera(
+    name: &str,
+    [w, x, y, z]: [f64; 4],
+    t: [f64; 3],
+    lens: u32,
+    lenses: &Lenses,
+) -> Result<Camera, String> {
+    let intrinsics = *lenses
+        .get(&lens)
+        .ok_or_else(|| format!("image '{name:.60}': there is no camera {lens}"))?;
     let (rotation, translation) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(t));
     if !(rotation.is_finite() && translation.is_finite() && rotation.length_squared() > 1e-12) {
         return Err(format!("image '{name:.60}': its pose is no rigid motion"));
     }
     let world_from_camera = Pose::new(rotation.normalize(), translation).inverse();
-    Ok(Camera { name: name.to_owned(), intrinsics, world_from_camera })
+    Ok(Camera {
+        name: name.to_owned(),
+        intrinsics,
+        world_from_camera,
+    })
 }
 
 fn sorted(mut cameras: Vec<Camera>) -> Vec<Camera> {
@@ -198,10 +323,15 @@ fn sorted(mut cameras: Vec<Camera>) -> Vec<Camera> {
     cameras
 }
 
-/// Lines with their numbers, without comments. Empty lines stay: points of an image may be an empty line.
+/// Lines with their numbers, without comments. Empty lines stay: points of an image may be an empty
+/// line.
 fn lines(bytes: &[u8]) -> Result<impl Iterator<Item = (usize, &str)>, DecodeError> {
-    let text = std::str::from_utf8(bytes).map_err(|error| DecodeError::Malformed(format!("not UTF-8: {error}")))?;
-    let numbered = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
+    let text = std::str::from_utf8(bytes)
+        .map_err(|error| DecodeError::Malformed(format!("not UTF-8: {error}")))?;
+    let numbered = text
+        .lines()
+        .enumerate()
+        .map(|(index, line)| (index + 1, line.trim()));
     Ok(numbered.filter(|(_, line)| !line.starts_with('#')))
 }
 
@@ -213,10 +343,16 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn take(&mut self, length: u64) -> Result<&'a [u8], DecodeError> {
-        let split = usize::try_from(length).ok().and_then(|length| self.rest.split_at_checked(length));
+        let split = usize::try_from(length)
+            .ok()
+            .and_then(|length| self.rest.split_at_checked(length));
         let Some((taken, rest)) = split else {
             let (expected_bytes, found_bytes) = (length, self.rest.len() as u64);
-            return Err(DecodeError::Truncated { what: self.what.into(), expected_bytes, found_bytes });
+            return Err(DecodeError::Truncated {
+                what: self.what.into(),
+                expected_bytes,
+                found_bytes,
+            });
         };
         self.rest = rest;
         Ok(taken)
@@ -241,8 +377,14 @@ impl<'a> Reader<'a> {
 
     /// Text up to a NUL.
     fn text(&mut self) -> Result<String, DecodeError> {
-        let end = self.rest.iter().take(NAME_BYTES_MAX).position(|&byte| byte == 0);
-        let end = end.ok_or_else(|| DecodeError::Malformed(format!("{}: the name of an image has no end", self.what)))?;
+        let end = self
+            .rest
+            .iter()
+            .take(NAME_BYTES_MAX)
+            .position(|&byte| byte == 0);
+        let end = end.ok_or_else(|| {
+            DecodeError::Malformed(format!("{}: the name of an image has no end", self.what))
+        })?;
         let text = String::from_utf8_lossy(self.take(end as u64)?).into_owned();
         self.take(1)?;
         Ok(text)
@@ -253,23 +395,34 @@ impl<'a> Reader<'a> {
 mod tests {
     use super::*;
 
-    const CAMERAS: &str =
-        "# Camera list\n1 PINHOLE 640 480 500 510 320 240\n7 OPENCV 640 480 500 510 320 240 0.1 0.01 0.001 -0.001\n";
-    /// A camera at (0, 0, -5) that looks along z, and one at (4, 0, 0) turned by half a turn about y.
+    const CAMERAS: &str = "# Camera list\n1 PINHOLE 640 480 500 510 320 240\n7 OPENCV 640 480 500 510 320 240 0.1 0.01 0.001 -0.001\n";
+    /// A camera at (0, 0, -5) that looks along z, and one at (4, 0, 0) turned by half a turn about
+    /// y.
     const IMAGES: &str = "# Image list\n2 0 0 1 0 4 0 0 7 b dir/b.png\n\n1 1 0 0 0 0 0 5 1 a.jpg\n1.5 2.5 -1 3.0 4.0 12\n";
 
     fn binary() -> (Vec<u8>, Vec<u8>) {
         let mut cameras = 2u64.to_le_bytes().to_vec();
-        for (id, model, parameters) in
-            [(1u32, 1u32, &[500.0f64, 510.0, 320.0, 240.0][..]), (7, 4, &[500.0, 510.0, 320.0, 240.0, 0.1, 0.01, 0.001, -0.001])]
-        {
+        for (id, model, parameters) in [
+            (1u32, 1u32, &[500.0f64, 510.0, 320.0, 240.0][..]),
+            (
+                7,
+                4,
+                &[500.0, 510.0, 320.0, 240.0, 0.1, 0.01, 0.001, -0.001],
+            ),
+        ] {
             cameras.extend([id.to_le_bytes(), model.to_le_bytes()].concat());
             cameras.extend([640u64.to_le_bytes(), 480u64.to_le_bytes()].concat());
             cameras.extend(parameters.iter().flat_map(|number| number.to_le_bytes()));
         }
         let mut images = 2u64.to_le_bytes().to_vec();
         for (id, pose, camera, name, points) in [
-            (2u32, [0.0f64, 0.0, 1.0, 0.0, 4.0, 0.0, 0.0], 7u32, "b dir/b.png\0", 0u64),
+            (
+                2u32,
+                [0.0f64, 0.0, 1.0, 0.0, 4.0, 0.0, 0.0],
+                7u32,
+                "b dir/b.png\0",
+                0u64,
+            ),
             (1, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0], 1, "a.jpg\0", 2),
         ] {
             images.extend(id.to_le_bytes());
@@ -284,32 +437,63 @@ mod tests {
 
     #[test]
     fn text_and_binary_are_the_same_cameras() {
-        let text = images_of_text(IMAGES.as_bytes(), &lenses_of_text(CAMERAS.as_bytes()).unwrap()).unwrap();
+        let text = images_of_text(
+            IMAGES.as_bytes(),
+            &lenses_of_text(CAMERAS.as_bytes()).unwrap(),
+        )
+        .unwrap();
         let (cameras, images) = binary();
-        assert_eq!(images_of_binary(&images, &lenses_of_binary(&cameras).unwrap()).unwrap(), text);
-        assert_eq!([text[0].name.as_str(), text[1].name.as_str()], ["a.jpg", "b dir/b.png"]);
+        assert_eq!(
+            images_of_binary(&images, &lenses_of_binary(&cameras).unwrap()).unwrap(),
+            text
+        );
+        assert_eq!(
+            [text[0].name.as_str(), text[1].name.as_str()],
+            ["a.jpg", "b dir/b.png"]
+        );
         let [a, b] = [&text[0], &text[1]];
         assert!((a.world_from_camera.translation - DVec3::new(0.0, 0.0, -5.0)).length() < 1e-12);
         assert!((b.world_from_camera.translation - DVec3::new(4.0, 0.0, 0.0)).length() < 1e-12);
         assert!((b.world_from_camera.rotation * DVec3::Z - DVec3::NEG_Z).length() < 1e-12);
-        assert_eq!((a.intrinsics.lens, a.intrinsics.fy_px), (Lens::Pinhole, 510.0));
-        assert!(matches!(b.intrinsics.lens, Lens::OpenCv(lens) if lens.radial[0] == 0.1 && lens.tangential[1] == -0.001));
+        assert_eq!(
+            (a.intrinsics.lens, a.intrinsics.fy_px),
+            (Lens::Pinhole, 510.0)
+        );
+        assert!(
+            matches!(b.intrinsics.lens, Lens::OpenCv(lens) if lens.radial[0] == 0.1 && lens.tangential[1] == -0.001)
+        );
     }
 
     #[test]
     fn a_dataset_is_found_by_its_folder() {
         let folder = tempfile::tempdir().unwrap();
         let message = read_folder(folder.path()).unwrap_err().to_string();
-        assert!(message.contains("cameras.bin") && message.contains("sparse/0"), "{message}");
+        assert!(
+            message.contains("cameras.bin") && message.contains("sparse/0"),
+            "{message}"
+        );
         let model = folder.path().join("sparse/0");
         std::fs::create_dir_all(&model).unwrap();
         std::fs::write(model.join("cameras.txt"), CAMERAS).unwrap();
-        assert!(read_folder(folder.path()).unwrap_err().to_string().contains("images.txt"));
+        assert!(
+            read_folder(folder.path())
+                .unwrap_err()
+                .to_string()
+                .contains("images.txt")
+        );
         std::fs::write(model.join("images.txt"), IMAGES).unwrap();
         assert_eq!(read_folder(folder.path()).unwrap().len(), 2);
         assert_eq!(read_folder(&model).unwrap().len(), 2);
-        let options = super::super::CameraOptions { dataparser: Some(folder.path()), ..Default::default() };
-        assert!(super::super::read_cameras(&model, &options).unwrap_err().to_string().contains("this is a folder"));
+        let options = super::super::CameraOptions {
+            dataparser: Some(folder.path()),
+            ..Default::default()
+        };
+        assert!(
+            super::super::read_cameras(&model, &options)
+                .unwrap_err()
+                .to_string()
+                .contains("this is a folder")
+        );
     }
 
     #[test]
@@ -320,7 +504,10 @@ mod tests {
             assert!(lenses_of_binary(&cameras[..length]).is_err(), "{length}");
         }
         for length in 0..images.len() {
-            assert!(images_of_binary(&images[..length], &lenses).is_err(), "{length}");
+            assert!(
+                images_of_binary(&images[..length], &lenses).is_err(),
+                "{length}"
+            );
         }
         // A claim of points or images allocates nothing.
         let mut lying = images.clone();
@@ -333,14 +520,23 @@ mod tests {
             ("640 480 500", "640 -1 500", "whole numbers"),
             ("640 480 500", "99999999999 480 500", "pixels a side"),
         ] {
-            let message = lenses_of_text(CAMERAS.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
-            assert!(message.contains(part) && message.contains("line 2"), "{to}: {message}");
+            let message = lenses_of_text(CAMERAS.replacen(from, to, 1).as_bytes())
+                .unwrap_err()
+                .to_string();
+            assert!(
+                message.contains(part) && message.contains("line 2"),
+                "{to}: {message}"
+            );
         }
         let lenses = lenses_of_text(CAMERAS.as_bytes()).unwrap();
-        for (from, to, part) in
-            [("4 0 0 7 b", "4 0 0 9 b", "no camera 9"), ("2 0 0 1 0", "2 0 0 0 0", "rigid"), ("7 b dir/b.png", "", "IMAGE_ID")]
-        {
-            let message = images_of_text(IMAGES.replacen(from, to, 1).as_bytes(), &lenses).unwrap_err().to_string();
+        for (from, to, part) in [
+            ("4 0 0 7 b", "4 0 0 9 b", "no camera 9"),
+            ("2 0 0 1 0", "2 0 0 0 0", "rigid"),
+            ("7 b dir/b.png", "", "IMAGE_ID"),
+        ] {
+            let message = images_of_text(IMAGES.replacen(from, to, 1).as_bytes(), &lenses)
+                .unwrap_err()
+                .to_string();
             assert!(message.contains(part), "{to}: {message}");
         }
     }

@@ -7,7 +7,8 @@ use serde::Deserialize;
 use super::{json_error, pose_of};
 use crate::DecodeError;
 
-/// One entry. `position` is the camera's center, `rotation` the rows of world from camera; there is no principal point.
+/// One entry. `position` is the camera's center, `rotation` the rows of world from camera; there is
+/// no principal point.
 #[derive(Deserialize)]
 struct Entry {
     #[serde(default)]
@@ -28,7 +29,10 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Vec<Camera>, DecodeError> {
 }
 
 fn camera(entry: Entry) -> Result<Camera, DecodeError> {
-    let name = entry.img_name.or_else(|| entry.id.map(|id| id.to_string())).unwrap_or_default();
+    let name = entry
+        .img_name
+        .or_else(|| entry.id.map(|id| id.to_string()))
+        .unwrap_or_default();
     let axes = DMat3::from_cols_array_2d(&entry.rotation).transpose();
     Ok(Camera {
         intrinsics: Intrinsics {
@@ -58,10 +62,18 @@ mod tests {
     fn position_is_the_center_and_rows_are_world_from_camera() {
         let cameras = decode(FILE.as_bytes(), None).unwrap();
         let camera = &cameras[0];
-        assert_eq!((camera.name.as_str(), camera.intrinsics.cx_px, camera.intrinsics.cy_px), ("seq_00001", 400.0, 300.0));
+        assert_eq!(
+            (
+                camera.name.as_str(),
+                camera.intrinsics.cx_px,
+                camera.intrinsics.cy_px
+            ),
+            ("seq_00001", 400.0, 300.0)
+        );
         let place = camera.world_from_camera;
         assert!((place.translation - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
-        // z forward becomes +x of the world, x right becomes -y, y down becomes -z: a vehicle's front camera.
+        // z forward becomes +x of the world, x right becomes -y, y down becomes -z: a vehicle's
+        // front camera.
         assert!((place.rotation * DVec3::Z - DVec3::X).length() < 1e-12);
         assert!((place.rotation * DVec3::X + DVec3::Y).length() < 1e-12);
         assert_eq!(cameras[1].name, "1");
@@ -76,7 +88,9 @@ mod tests {
             ("700.5", "-1", "-1"),
             ("700.5", "1e999", "line"),
         ] {
-            let error = decode(FILE.replacen(from, to, 1).as_bytes(), None).unwrap_err().to_string();
+            let error = decode(FILE.replacen(from, to, 1).as_bytes(), None)
+                .unwrap_err()
+                .to_string();
             assert!(error.contains(part), "{error}");
         }
     }

@@ -10,13 +10,18 @@ const NAME_CHARS_MAX: usize = 60;
 /// The cameras with file-safe names of which no two are the same, even where case does not count.
 pub(super) fn made_unique(mut cameras: Vec<Camera>) -> Vec<Camera> {
     let mut taken = HashSet::new();
-    // The number that the next camera of the same name tries first, so that a million equal names take linear time.
+    // The number that the next camera of the same name tries first, so that a million equal names
+    // take linear time.
     let mut next_number: HashMap<String, usize> = HashMap::new();
     for camera in &mut cameras {
         let base = file_safe(&camera.name);
         let number = next_number.entry(base.to_lowercase()).or_insert(1);
         camera.name = loop {
-            let name = if *number == 1 { base.clone() } else { format!("{base}_{number}") };
+            let name = if *number == 1 {
+                base.clone()
+            } else {
+                format!("{base}_{number}")
+            };
             *number += 1;
             if taken.insert(name.to_lowercase()) {
                 break name;
@@ -26,7 +31,8 @@ pub(super) fn made_unique(mut cameras: Vec<Camera>) -> Vec<Camera> {
     cameras
 }
 
-/// `name` without the extension of an image, its other characters letters, digits, `-`, `_` or an inner `.`.
+/// `name` without the extension of an image, its other characters letters, digits, `-`, `_` or an
+/// inner `.`.
 fn file_safe(name: &str) -> String {
     let name = name.trim_start_matches(['.', '/', '\\']);
     let stem = match name.rsplit_once('.') {
@@ -34,7 +40,11 @@ fn file_safe(name: &str) -> String {
         _ => name,
     };
     let allowed = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let safe: String = stem.chars().take(NAME_CHARS_MAX).map(|c| if allowed(c) { c } else { '_' }).collect();
+    let safe: String = stem
+        .chars()
+        .take(NAME_CHARS_MAX)
+        .map(|c| if allowed(c) { c } else { '_' })
+        .collect();
     match safe.trim_matches('.') {
         "" => "camera".to_owned(),
         safe => safe.to_owned(),
@@ -42,7 +52,9 @@ fn file_safe(name: &str) -> String {
 }
 
 fn is_image_extension(extension: &str) -> bool {
-    ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "exr"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+    ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "exr"]
+        .iter()
+        .any(|known| extension.eq_ignore_ascii_case(known))
 }
 
 #[cfg(test)]
@@ -72,7 +84,10 @@ mod tests {
             intrinsics: decouplegs_scene::Intrinsics::from_horizontal_fov(4, 4, 1.0),
             world_from_camera: decouplegs_scene::Pose::IDENTITY,
         };
-        let names: Vec<_> = made_unique(["a", "a_2", "A", "a"].map(camera).to_vec()).into_iter().map(|c| c.name).collect();
+        let names: Vec<_> = made_unique(["a", "a_2", "A", "a"].map(camera).to_vec())
+            .into_iter()
+            .map(|c| c.name)
+            .collect();
         assert_eq!(names, ["a", "a_2", "A_3", "a_4"]);
     }
 }

@@ -24,7 +24,8 @@ pub(crate) struct Names {
     pub(crate) rest: &'static str,
 }
 
-/// The splats of `model`, a dictionary of tensors called `names`. DC is given as `dc` makes it of the tensor.
+/// The splats of `model`, a dictionary of tensors called `names`. DC is given as `dc` makes it of
+/// the tensor.
 pub(crate) fn cloud_of(
     checkpoint: &Checkpoint<'_>,
     model: &Node,
@@ -34,7 +35,10 @@ pub(crate) fn cloud_of(
     let tensor = |name: &str| {
         let node = checkpoint.tree.get(model, name).ok_or_else(|| {
             let there: Vec<&str> = checkpoint.tree.keys(model).take(24).collect();
-            DecodeError::Malformed(format!("the model has no '{name}', only: {}", there.join(", ")))
+            DecodeError::Malformed(format!(
+                "the model has no '{name}', only: {}",
+                there.join(", ")
+            ))
         })?;
         checkpoint.tensor(node, name)
     };
@@ -42,7 +46,11 @@ pub(crate) fn cloud_of(
     let count = means.len();
     let same = |found: usize, name: &str| {
         let told = || format!("'{name}' has {found} rows for {count} means");
-        if found == count { Ok(()) } else { Err(DecodeError::Malformed(told())) }
+        if found == count {
+            Ok(())
+        } else {
+            Err(DecodeError::Malformed(told()))
+        }
     };
     let scales = rows::<3>(&tensor(names.scales)?, names.scales)?;
     same(scales.len(), names.scales)?;
@@ -55,7 +63,10 @@ pub(crate) fn cloud_of(
     let (sh_degree, sh_rest) = coefficients(&tensor(names.rest)?, names.rest, count)?;
     Ok(SplatCloud {
         means,
-        scales: scales.into_iter().map(|logarithms| logarithms.map(scale_of_log)).collect(),
+        scales: scales
+            .into_iter()
+            .map(|logarithms| logarithms.map(scale_of_log))
+            .collect(),
         rotations: rotations.into_iter().map(normalized).collect(),
         opacities: opacities.f32s().map(sigmoid).collect(),
         sh_degree,
@@ -70,23 +81,41 @@ pub(crate) fn plain_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError
 }
 
 /// The rows of a tensor whose last dimension is `N` and whose others, but for the first, are 1.
-pub(crate) fn rows<const N: usize>(tensor: &Tensor<'_>, what: &str) -> Result<Vec<[f32; N]>, DecodeError> {
+pub(crate) fn rows<const N: usize>(
+    tensor: &Tensor<'_>,
+    what: &str,
+) -> Result<Vec<[f32; N]>, DecodeError> {
     let shape = tensor.shape();
-    let is_rows = shape.len() >= 2 && shape.last() == Some(&N) && shape[1..shape.len() - 1].iter().all(|&size| size == 1);
+    let is_rows = shape.len() >= 2
+        && shape.last() == Some(&N)
+        && shape[1..shape.len() - 1].iter().all(|&size| size == 1);
     if !is_rows {
-        return Err(DecodeError::Malformed(format!("'{what}' has the shape {shape:?}, expected [splats, {N}]")));
+        return Err(DecodeError::Malformed(format!(
+            "'{what}' has the shape {shape:?}, expected [splats, {N}]"
+        )));
     }
     let mut values = tensor.f32s();
     let mut row = || std::array::from_fn(|_| values.next().unwrap_or_default());
     Ok((0..shape[0]).map(|_| row()).collect())
 }
 
-/// Degree and coefficients of `[N, coefficients, 3]`. Those of a fourth degree, which nothing here evaluates, are left out.
-fn coefficients(tensor: &Tensor<'_>, what: &str, count: usize) -> Result<(u8, Vec<[f32; 3]>), DecodeError> {
+/// Degree and coefficients of `[N, coefficients, 3]`. Those of a fourth degree, which nothing here
+/// evaluates, are left out.
+fn coefficients(
+    tensor: &Tensor<'_>,
+    what: &str,
+    count: usize,
+) -> Result<(u8, Vec<[f32; 3]>), DecodeError> {
     let shape = tensor.shape();
-    let wrong = || DecodeError::Malformed(format!("'{what}' has the shape {shape:?}, expected [{count}, 0, 3, 8, 15 or 24, 3]"));
+    let wrong = || {
+        DecodeError::Malformed(format!(
+            "'{what}' has the shape {shape:?}, expected [{count}, 0, 3, 8, 15 or 24, 3]"
+        ))
+    };
     // A model without them is saved as [N, 0, 3].
-    let &[rows, stored, channels] = shape else { return Err(wrong()) };
+    let &[rows, stored, channels] = shape else {
+        return Err(wrong());
+    };
     let degree: u8 = match stored {
         0 => 0,
         3 => 1,

@@ -7,8 +7,14 @@ use super::gaussians::{Names, cloud_of, plain_dc};
 use super::value::Node;
 use crate::DecodeError;
 
-const NAMES: Names =
-    Names { means: "means", scales: "scales", rotations: "quats", opacities: "opacities", dc: "sh0", rest: "shN" };
+const NAMES: Names = Names {
+    means: "means",
+    scales: "scales",
+    rotations: "quats",
+    opacities: "opacities",
+    dc: "sh0",
+    rest: "shN",
+};
 
 /// nerfstudio's splatfacto, which keeps the state of the whole pipeline in one dictionary.
 const SPLATFACTO: Names = Names {
@@ -30,7 +36,10 @@ pub(super) fn cloud(checkpoint: &Checkpoint<'_>) -> Result<SplatCloud, DecodeErr
         }
         return cloud_of(checkpoint, splats, &NAMES, plain_dc);
     }
-    if let Some(pipeline) = tree.get(root, "pipeline").filter(|pipeline| tree.get(pipeline, SPLATFACTO.means).is_some()) {
+    if let Some(pipeline) = tree
+        .get(root, "pipeline")
+        .filter(|pipeline| tree.get(pipeline, SPLATFACTO.means).is_some())
+    {
         return cloud_of(checkpoint, pipeline, &SPLATFACTO, plain_dc);
     }
     if tree.get(root, "models").is_some() || tree.get(root, "background").is_some() {
@@ -39,7 +48,10 @@ pub(super) fn cloud(checkpoint: &Checkpoint<'_>) -> Result<SplatCloud, DecodeErr
         return Err(DecodeError::Unsupported(told.into()));
     }
     let found = match root {
-        Node::Dictionary(_) => format!("a dictionary of {}", tree.keys(root).take(12).collect::<Vec<_>>().join(", ")),
+        Node::Dictionary(_) => format!(
+            "a dictionary of {}",
+            tree.keys(root).take(12).collect::<Vec<_>>().join(", ")
+        ),
         other => other.kind().to_owned(),
     };
     Err(DecodeError::Unsupported(format!(

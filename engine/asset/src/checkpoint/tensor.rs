@@ -8,9 +8,10 @@ use crate::DecodeError;
 /// Dimensions that a tensor may have.
 const DIMENSIONS_MAX: usize = 8;
 
-/// Largest product of the sizes of an empty tensor that are not 0, however small its file is. Readers make lists as long as one
-/// dimension, so an empty tensor must not claim a large one. In larger files the product may be as large as the file, because a
-/// model of N splats without view-dependent colors has a tensor of shape [N, 0, 3].
+/// Largest product of the sizes of an empty tensor that are not 0, however small its file is.
+/// Readers make lists as long as one dimension, so an empty tensor must not claim a large one. In
+/// larger files the product may be as large as the file, because a model of N splats without
+/// view-dependent colors has a tensor of shape [N, 0, 3].
 const EMPTY_SIZES_MAX: u64 = 1 << 16;
 
 /// The type of a storage's numbers.
@@ -55,7 +56,8 @@ impl Scalar {
         }
     }
 
-    /// The number that `bytes` hold, as many as [`Scalar::bytes`] says. Integers beyond 2^53 are rounded.
+    /// The number that `bytes` hold, as many as [`Scalar::bytes`] says. Integers beyond 2^53 are
+    /// rounded.
     fn read(self, bytes: &[u8]) -> f64 {
         fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
             std::array::from_fn(|i| bytes[i])
@@ -119,13 +121,16 @@ impl<'a> Tensor<'a> {
             return Err(too_large());
         }
         let mut sizes = form.shape.iter().filter(|&&size| size > 0);
-        let product = sizes.try_fold(1u64, |product, &size| product.checked_mul(size)).ok_or_else(too_large)?;
+        let product = sizes
+            .try_fold(1u64, |product, &size| product.checked_mul(size))
+            .ok_or_else(too_large)?;
         let is_empty = form.shape.contains(&0);
-        let reach = form
-            .shape
-            .iter()
-            .zip(&form.strides)
-            .try_fold(form.offset, |reach, (&size, &stride)| reach.checked_add(size.saturating_sub(1).checked_mul(stride)?));
+        let reach = form.shape.iter().zip(&form.strides).try_fold(
+            form.offset,
+            |reach, (&size, &stride)| {
+                reach.checked_add(size.saturating_sub(1).checked_mul(stride)?)
+            },
+        );
         let is_inside = match is_empty {
             true => product <= EMPTY_SIZES_MAX.max(file_bytes as u64),
             false => product <= there && reach.is_some_and(|reach| reach < there),
@@ -133,9 +138,23 @@ impl<'a> Tensor<'a> {
         if !is_inside {
             return Err(too_large());
         }
-        let first = if is_empty { 0 } else { form.offset as usize * scalar.bytes() };
-        let all = |values: &[u64]| values.iter().map(|&value| usize::try_from(value).unwrap_or(0)).collect();
-        Ok(Self { numbers: &storage[first..], scalar, shape: all(&form.shape), strides: all(&form.strides) })
+        let first = if is_empty {
+            0
+        } else {
+            form.offset as usize * scalar.bytes()
+        };
+        let all = |values: &[u64]| {
+            values
+                .iter()
+                .map(|&value| usize::try_from(value).unwrap_or(0))
+                .collect()
+        };
+        Ok(Self {
+            numbers: &storage[first..],
+            scalar,
+            shape: all(&form.shape),
+            strides: all(&form.strides),
+        })
     }
 
     /// Sizes of its dimensions.
@@ -165,21 +184,29 @@ impl<'a> Tensor<'a> {
     /// True if the numbers stand one behind the other.
     fn is_packed(&self) -> bool {
         let mut expected = 1;
-        self.shape.iter().zip(&self.strides).rev().all(|(&size, &stride)| {
-            let fits = size <= 1 || stride == expected;
-            expected *= size;
-            fits
-        })
+        self.shape
+            .iter()
+            .zip(&self.strides)
+            .rev()
+            .all(|(&size, &stride)| {
+                let fits = size <= 1 || stride == expected;
+                expected *= size;
+                fits
+            })
     }
 
     /// Offset of the number `index`, counted in order, in the storage.
     fn place(&self, index: usize) -> usize {
         let mut rest = index;
-        self.shape.iter().zip(&self.strides).rev().fold(0, |place, (&size, &stride)| {
-            let here = rest % size;
-            rest /= size;
-            place + here * stride
-        })
+        self.shape
+            .iter()
+            .zip(&self.strides)
+            .rev()
+            .fold(0, |place, (&size, &stride)| {
+                let here = rest % size;
+                rest /= size;
+                place + here * stride
+            })
     }
 }
 
@@ -188,19 +215,46 @@ mod tests {
     use super::*;
 
     fn form(offset: u64, shape: &[u64], strides: &[u64]) -> Form {
-        Form { storage: 0, offset, shape: shape.to_vec(), strides: strides.to_vec() }
+        Form {
+            storage: 0,
+            offset,
+            shape: shape.to_vec(),
+            strides: strides.to_vec(),
+        }
     }
 
     #[test]
     fn a_transposed_tensor_is_read_in_its_own_order() {
-        let storage: Vec<u8> = (0..7u8).flat_map(|value| f32::from(value).to_le_bytes()).collect();
-        let of = |form: &Form| Tensor::new(form, Scalar::F32, &storage, storage.len(), "t").unwrap().f32s().collect::<Vec<_>>();
-        assert_eq!(of(&form(1, &[2, 3], &[3, 1])), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-        assert_eq!(of(&form(1, &[3, 2], &[1, 3])), [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
+        let storage: Vec<u8> = (0..7u8)
+            .flat_map(|value| f32::from(value).to_le_bytes())
+            .collect();
+        let of = |form: &Form| {
+            Tensor::new(form, Scalar::F32, &storage, storage.len(), "t")
+                .unwrap()
+                .f32s()
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(
+            of(&form(1, &[2, 3], &[3, 1])),
+            [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+        );
+        assert_eq!(
+            of(&form(1, &[3, 2], &[1, 3])),
+            [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]
+        );
         assert_eq!(of(&form(9, &[0, 3], &[3, 1])), [0.0; 0]);
         assert_eq!(of(&form(6, &[], &[])), [6.0]);
-        // A model of many splats without view-dependent colors, in a file that is large enough for them.
-        let of_file = |file_bytes| Tensor::new(&form(0, &[1 << 20, 0, 3], &[0, 3, 1]), Scalar::F32, &[], file_bytes, "rest");
+        // A model of many splats without view-dependent colors, in a file that is large enough for
+        // them.
+        let of_file = |file_bytes| {
+            Tensor::new(
+                &form(0, &[1 << 20, 0, 3], &[0, 3, 1]),
+                Scalar::F32,
+                &[],
+                file_bytes,
+                "rest",
+            )
+        };
         assert_eq!(of_file(28 << 20).unwrap().len(), 0);
         assert!(of_file(1 << 20).is_err());
     }
@@ -210,11 +264,21 @@ mod tests {
         let read = |scalar: Scalar, bytes: &[u8]| scalar.read(bytes);
         assert_eq!(read(Scalar::F64, &(-2.5f64).to_le_bytes()), -2.5);
         assert_eq!(read(Scalar::F16, &f16::from_f32(0.5).to_le_bytes()), 0.5);
-        assert_eq!(read(Scalar::Bf16, &bf16::from_f32(-3.0).to_le_bytes()), -3.0);
+        assert_eq!(
+            read(Scalar::Bf16, &bf16::from_f32(-3.0).to_le_bytes()),
+            -3.0
+        );
         assert_eq!(read(Scalar::I64, &(-7i64).to_le_bytes()), -7.0);
         assert_eq!(read(Scalar::I32, &(-7i32).to_le_bytes()), -7.0);
         assert_eq!(read(Scalar::I16, &(-7i16).to_le_bytes()), -7.0);
-        assert_eq!([read(Scalar::I8, &[255]), read(Scalar::U8, &[255]), read(Scalar::Bool, &[2])], [-1.0, 255.0, 1.0]);
+        assert_eq!(
+            [
+                read(Scalar::I8, &[255]),
+                read(Scalar::U8, &[255]),
+                read(Scalar::Bool, &[2])
+            ],
+            [-1.0, 255.0, 1.0]
+        );
     }
 
     #[test]
@@ -236,8 +300,17 @@ mod tests {
             (0, &[0, 1 << 17], &[1, 1]),
             (0, &[1 << 40, 0, 1 << 40], &[1, 1, 1]),
         ] {
-            let result = Tensor::new(&form(offset, shape, strides), Scalar::F32, &storage, storage.len(), "means");
-            assert!(result.unwrap_err().to_string().contains("'means'"), "{shape:?}");
+            let result = Tensor::new(
+                &form(offset, shape, strides),
+                Scalar::F32,
+                &storage,
+                storage.len(),
+                "means",
+            );
+            assert!(
+                result.unwrap_err().to_string().contains("'means'"),
+                "{shape:?}"
+            );
         }
     }
 }

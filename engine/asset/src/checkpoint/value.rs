@@ -6,7 +6,8 @@ use super::tensor::{Form, Scalar};
 /// The place of a node.
 pub(crate) type Id = u32;
 
-/// Something that a pickle built. Small, because a byte of a pickle may build one: see `PICKLE_BYTES_MAX`.
+/// Something that a pickle built. Small, because a byte of a pickle may build one: see
+/// `PICKLE_BYTES_MAX`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Node {
     /// Python's `None`, and what is not there.
@@ -83,16 +84,33 @@ impl Tree {
         self.node(self.root)
     }
 
-    /// The value at `key` of a dictionary, the last one set. None where there is no such key or no dictionary.
+    /// The value at `key` of a dictionary, the last one set. None where there is no such key or no
+    /// dictionary.
     pub(crate) fn get(&self, node: &Node, key: &str) -> Option<&Node> {
-        let Node::Dictionary(pairs) = node else { return None };
+        let Node::Dictionary(pairs) = node else {
+            return None;
+        };
         let is_key = |id: Id| matches!(self.node(id), Node::Text(text) if text == key);
-        pairs.iter().rev().find(|(id, _)| is_key(*id)).map(|(_, value)| self.node(*value))
+        pairs
+            .iter()
+            .rev()
+            .find(|(id, _)| is_key(*id))
+            .map(|(_, value)| self.node(*value))
     }
 
     /// The keys of a dictionary that are texts, in order.
     pub(crate) fn keys<'t>(&'t self, node: &'t Node) -> impl Iterator<Item = &'t str> {
-        let pairs = if let Node::Dictionary(pairs) = node { pairs.as_slice() } else { &[] };
-        pairs.iter().filter_map(|(key, _)| if let Node::Text(text) = self.node(*key) { Some(text.as_str()) } else { None })
+        let pairs = if let Node::Dictionary(pairs) = node {
+            pairs.as_slice()
+        } else {
+            &[]
+        };
+        pairs.iter().filter_map(|(key, _)| {
+            if let Node::Text(text) = self.node(*key) {
+                Some(text.as_str())
+            } else {
+                None
+            }
+        })
     }
 }

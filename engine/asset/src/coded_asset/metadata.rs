@@ -1,6 +1,7 @@
 //! Between an asset's scalars and the strings of its file's metadata.
 //!
-//! Numbers are the shortest decimals that read back as the same f32, three of them as a JSON array: `json.loads` reads both.
+//! Numbers are the shortest decimals that read back as the same f32, three of them as a JSON array:
+//! `json.loads` reads both.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -31,14 +32,18 @@ pub(super) fn check_format(container: &Container) -> Result<(), DecodeError> {
         Ok(FORMAT) => {}
         found => {
             let found = found.map_or_else(|_| "missing".to_owned(), |found| format!("'{found}'"));
-            let reason = format!("the metadata's 'format' is {found}, not '{FORMAT}': these tensors are no asset of ours");
+            let reason = format!(
+                "the metadata's 'format' is {found}, not '{FORMAT}': these tensors are no asset of ours"
+            );
             return Err(DecodeError::Malformed(reason));
         }
     }
     match container.text("version")? {
         VERSION => Ok(()),
         found => {
-            let reason = format!("version '{found}'; this program reads version {VERSION}: compress the source again");
+            let reason = format!(
+                "version '{found}'; this program reads version {VERSION}: compress the source again"
+            );
             Err(DecodeError::Unsupported(reason))
         }
     }
@@ -56,7 +61,10 @@ pub(super) fn read_scalars(container: &Container) -> Result<Scalars, DecodeError
         _ => return Err(invalid(container, "sh_frame", "'canonical' or 'world'")),
     };
     Ok(Scalars {
-        bounds: Bounds { min: three_numbers(container, "bounds_min_m")?, max: three_numbers(container, "bounds_max_m")? },
+        bounds: Bounds {
+            min: three_numbers(container, "bounds_min_m")?,
+            max: three_numbers(container, "bounds_max_m")?,
+        },
         log2_size_min: number(container, "log2_size_min")?,
         log2_size_step: number(container, "log2_size_step")?,
         dc_residual_step: three_numbers(container, "dc_residual_step")?,
@@ -78,16 +86,29 @@ pub(super) fn read_provenance(container: &Container) -> Result<Provenance, Decod
 
 fn invalid(container: &Container, key: &str, expected: &str) -> DecodeError {
     let found = container.text(key).unwrap_or_default();
-    DecodeError::Malformed(format!("the metadata's '{key}' is '{found}'; expected {expected}"))
+    DecodeError::Malformed(format!(
+        "the metadata's '{key}' is '{found}'; expected {expected}"
+    ))
 }
 
 fn number(container: &Container, key: &str) -> Result<f32, DecodeError> {
-    container.text(key)?.parse().map_err(|_| invalid(container, key, "a number"))
+    container
+        .text(key)?
+        .parse()
+        .map_err(|_| invalid(container, key, "a number"))
 }
 
 fn three_numbers(container: &Container, key: &str) -> Result<[f32; 3], DecodeError> {
-    let inside = container.text(key)?.trim().strip_prefix('[').and_then(|text| text.strip_suffix(']'));
-    let numbers = inside.and_then(|text| text.split(',').map(|number| number.trim().parse().ok()).collect::<Option<Vec<f32>>>());
+    let inside = container
+        .text(key)?
+        .trim()
+        .strip_prefix('[')
+        .and_then(|text| text.strip_suffix(']'));
+    let numbers = inside.and_then(|text| {
+        text.split(',')
+            .map(|number| number.trim().parse().ok())
+            .collect::<Option<Vec<f32>>>()
+    });
     let numbers = numbers.and_then(|numbers| <[f32; 3]>::try_from(numbers).ok());
     numbers.ok_or_else(|| invalid(container, key, "an array of three numbers"))
 }
@@ -115,6 +136,12 @@ pub(super) fn write(asset: &CodedAsset) -> BTreeMap<String, String> {
         ("sh_degree", cloud.sh_degree.to_string()),
         ("sh_frame", sh_frame.to_owned()),
     ];
-    let settings = provenance.settings.iter().map(|(key, value)| (format!("{SETTINGS}{key}"), value.clone()));
-    own.into_iter().map(|(key, value)| (key.to_owned(), value)).chain(settings).collect()
+    let settings = provenance
+        .settings
+        .iter()
+        .map(|(key, value)| (format!("{SETTINGS}{key}"), value.clone()));
+    own.into_iter()
+        .map(|(key, value)| (key.to_owned(), value))
+        .chain(settings)
+        .collect()
 }

@@ -25,7 +25,8 @@ pub struct CodedSummary {
     pub position_step_m: [f32; 3],
     /// Bytes of its file.
     pub file_bytes: u64,
-    /// Bytes of its file, codebooks and header included, for each splat of any level; none without splats.
+    /// Bytes of its file, codebooks and header included, for each splat of any level; none without
+    /// splats.
     pub bytes_per_splat: Option<f64>,
     /// Version of the program that wrote it.
     pub tool_version: String,

@@ -1,11 +1,12 @@
 //! Levels of detail: the same object by ever fewer splats, for agents that are far away.
 //!
-//! A level is made by cutting the finest splats into clusters that are small in place and color, and putting one splat of the
-//! same moments in the place of each cluster. Splats count by their visibility, so that what is hidden inside has no say, and
-//! a cluster that covers more than one opaque splat of its size would makes a wider one.
+//! A level is made by cutting the finest splats into clusters that are small in place and color,
+//! and putting one splat of the same moments in the place of each cluster. Splats count by their
+//! visibility, so that what is hidden inside has no say, and a cluster that covers more than one
+//! opaque splat of its size would makes a wider one.
 //!
-//! Measured on a synthetic car of 50,000 splats and a captured object of 13,536: PSNR in dB of the first coarser level against the
-//! finest, from where its splats are 1 pixel apart.
+//! Measured on a synthetic car of 50,000 splats and a captured object of 13,536: PSNR in dB of the
+//! first coarser level against the finest, from where its splats are 1 pixel apart.
 //!
 //! | weights | widened at most | car | captured object |
 //! |---|---|---|---|
@@ -38,13 +39,15 @@ const WIDENING_MAX: f64 = 2.0;
 /// Weight of opacity times area beside visibility. It orders splats that no view shows.
 const UNSEEN_SHARE: f64 = 1e-6;
 
-/// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest side.
+/// A difference of 1 in an RGB channel is as bad as a displacement by this share of the longest
+/// side.
 const COLOR_WEIGHT: f64 = 0.1;
 
 /// Exponent of Thomsen's approximation to the surface of an ellipsoid (error below 1.1 %).
 const THOMSEN: f64 = 1.6075;
 
-/// The coarser levels of `cloud`, which has no splat with a defect; `visibility` is that of its splats.
+/// The coarser levels of `cloud`, which has no splat with a defect; `visibility` is that of its
+/// splats.
 #[must_use]
 pub fn coarser_levels(cloud: &SplatCloud, visibility: &[f32]) -> Vec<SplatCloud> {
     let weights = weights(cloud, visibility);
@@ -60,26 +63,37 @@ pub fn coarser_levels(cloud: &SplatCloud, visibility: &[f32]) -> Vec<SplatCloud>
 /// Weight of each splat in its merged replacement, above 0: its visibility.
 #[must_use]
 pub fn weights(cloud: &SplatCloud, visibility: &[f32]) -> Vec<f64> {
-    let covered: Vec<f64> = (0..cloud.len()).map(|splat| covered_m2(cloud, splat)).collect();
+    let covered: Vec<f64> = (0..cloud.len())
+        .map(|splat| covered_m2(cloud, splat))
+        .collect();
     let mean_covered = covered.iter().sum::<f64>() / cloud.len() as f64;
-    let mean_seen = visibility.iter().map(|&value| f64::from(value)).sum::<f64>() / cloud.len() as f64;
+    let mean_seen = visibility
+        .iter()
+        .map(|&value| f64::from(value))
+        .sum::<f64>()
+        / cloud.len() as f64;
     let seen_unit = if mean_seen > 0.0 { mean_seen } else { 1.0 };
-    let weight =
-        |(&seen, &covered): (&f32, &f64)| f64::from(seen) / seen_unit + UNSEEN_SHARE * (covered / mean_covered).max(1e-12);
+    let weight = |(&seen, &covered): (&f32, &f64)| {
+        f64::from(seen) / seen_unit + UNSEEN_SHARE * (covered / mean_covered).max(1e-12)
+    };
     visibility.iter().zip(&covered).map(weight).collect()
 }
 
 /// `cloud` with one splat for each cluster, whose members count by `weights`.
 #[must_use]
 pub fn merged(cloud: &SplatCloud, weights: &[f64], clusters: &[Vec<u32>]) -> SplatCloud {
-    let splats: Vec<SplatCloud> = clusters.par_iter().map(|members| moment_match(cloud, weights, members)).collect();
+    let splats: Vec<SplatCloud> = clusters
+        .par_iter()
+        .map(|members| moment_match(cloud, weights, members))
+        .collect();
     let mut merged = SplatCloud::with_degree(cloud.sh_degree);
     splats.iter().for_each(|splat| merged.append(splat));
     merged
 }
 
-/// The area that a splat covers in an image, over all directions, but for a constant factor: a quarter of its ellipsoid's
-/// surface (Cauchy), after Thomsen. Square meters. Of splats without any size it is tiny, not zero, so that they keep a say.
+/// The area that a splat covers in an image, over all directions, but for a constant factor: a
+/// quarter of its ellipsoid's surface (Cauchy), after Thomsen. Square meters. Of splats without any
+/// size it is tiny, not zero, so that they keep a say.
 #[must_use]
 pub fn mean_projected_area_m2(scales: &[f32; 3]) -> f64 {
     let [a, b, c] = scales.map(f64::from);
@@ -87,16 +101,26 @@ pub fn mean_projected_area_m2(scales: &[f32; 3]) -> f64 {
     mean.powf(1.0 / THOMSEN).max(1e-60)
 }
 
-/// One splat for `members` (at least one): the mean, covariance and color of them all, each by its weight; its opacity is such
-/// that opacity times area is the sum of theirs. Where that asks for more than 1, the splat is opaque and wider, up to
-/// [`WIDENING_MAX`]; what is beyond was overlap.
+/// One splat for `members` (at least one): the mean, covariance and color of them all, each by its
+/// weight; its opacity is such that opacity times area is the sum of theirs. Where that asks for
+/// more than 1, the splat is opaque and wider, up to [`WIDENING_MAX`]; what is beyond was overlap.
 fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCloud {
-    let weights: Vec<f64> = members.iter().map(|&splat| weights[splat as usize]).collect();
+    let weights: Vec<f64> = members
+        .iter()
+        .map(|&splat| weights[splat as usize])
+        .collect();
     let total: f64 = weights.iter().sum();
     let mean_of = |value: &dyn Fn(usize) -> f64| {
-        members.iter().zip(&weights).map(|(&splat, weight)| weight * value(splat as usize)).sum::<f64>() / total
+        members
+            .iter()
+            .zip(&weights)
+            .map(|(&splat, weight)| weight * value(splat as usize))
+            .sum::<f64>()
+            / total
     };
-    let mean = DVec3::from_array(std::array::from_fn(|axis| mean_of(&|splat| f64::from(cloud.means[splat][axis]))));
+    let mean = DVec3::from_array(std::array::from_fn(|axis| {
+        mean_of(&|splat| f64::from(cloud.means[splat][axis]))
+    }));
     let mut covariance = DMat3::ZERO;
     for (&splat, weight) in members.iter().zip(&weights) {
         let off = DVec3::from_array(cloud.means[splat as usize].map(f64::from)) - mean;
@@ -105,7 +129,10 @@ fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCl
     }
     let own = OwnAxes::of(&covariance);
     let scales = own.values.max(DVec3::ZERO).map(f64::sqrt);
-    let covered: f64 = members.iter().map(|&splat| covered_m2(cloud, splat as usize)).sum();
+    let covered: f64 = members
+        .iter()
+        .map(|&splat| covered_m2(cloud, splat as usize))
+        .sum();
     let wanted = covered / mean_projected_area_m2(&scales.as_vec3().to_array());
     let widening = wanted.sqrt().clamp(1.0, WIDENING_MAX);
     let color = |of: &dyn Fn(usize) -> [f32; 3]| -> [f32; 3] {
@@ -118,7 +145,9 @@ fn moment_match(cloud: &SplatCloud, weights: &[f64], members: &[u32]) -> SplatCl
         opacities: vec![wanted.min(1.0) as f32],
         sh_degree: cloud.sh_degree,
         sh_dc: vec![color(&|splat| cloud.sh_dc[splat])],
-        sh_rest: (0..cloud.rest_stride()).map(|k| color(&|splat| cloud.rest_of(splat)[k])).collect(),
+        sh_rest: (0..cloud.rest_stride())
+            .map(|k| color(&|splat| cloud.rest_of(splat)[k]))
+            .collect(),
     }
 }
 
@@ -130,21 +159,28 @@ fn covered_m2(cloud: &SplatCloud, splat: usize) -> f64 {
 fn covariance_of(cloud: &SplatCloud, splat: usize) -> DMat3 {
     let [w, x, y, z] = cloud.rotations[splat].map(f64::from);
     let scales = DVec3::from_array(cloud.scales[splat].map(f64::from));
-    let scaled = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()) * DMat3::from_diagonal(scales);
+    let scaled =
+        DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()) * DMat3::from_diagonal(scales);
     scaled * scaled.transpose()
 }
 
-/// The splats of `cloud` in `count` clusters (fewer where it has fewer different ones): again and again the cluster that spreads
-/// most, in place and color, is cut in two at its mean across the axis of its largest spread (Wan et al., Variance-Based
-/// Color Image Quantization, 1988).
+/// The splats of `cloud` in `count` clusters (fewer where it has fewer different ones): again and
+/// again the cluster that spreads most, in place and color, is cut in two at its mean across the
+/// axis of its largest spread (Wan et al., Variance-Based Color Image Quantization, 1988).
 #[must_use]
 pub fn clusters(cloud: &SplatCloud, weights: &[f64], count: usize) -> Vec<Vec<u32>> {
     let bounds = cloud.bounds();
-    let longest_m = bounds.half_extent().iter().fold(0.0f64, |longest, &half| longest.max(2.0 * f64::from(half)));
+    let longest_m = bounds
+        .half_extent()
+        .iter()
+        .fold(0.0f64, |longest, &half| longest.max(2.0 * f64::from(half)));
     let feature = |splat: usize| -> Feature {
         let color = cloud.sh_dc[splat].map(|dc| f64::from(dc) * sh::Y0 * COLOR_WEIGHT * longest_m);
         let mean = cloud.means[splat].map(f64::from);
-        Feature { at: [mean[0], mean[1], mean[2], color[0], color[1], color[2]], weight: weights[splat] }
+        Feature {
+            at: [mean[0], mean[1], mean[2], color[0], color[1], color[2]],
+            weight: weights[splat],
+        }
     };
     let features: Vec<Feature> = (0..cloud.len()).into_par_iter().map(feature).collect();
     let mut heap = BinaryHeap::new();
@@ -191,18 +227,37 @@ impl Cluster {
         let mut squares = [0.0; 6];
         for &splat in &members {
             let feature = &features[splat as usize];
-            (0..6).for_each(|axis| squares[axis] += feature.weight * (feature.at[axis] - means[axis]).powi(2));
+            (0..6).for_each(|axis| {
+                squares[axis] += feature.weight * (feature.at[axis] - means[axis]).powi(2);
+            });
         }
-        let axis = (0..6).max_by(|&a, &b| squares[a].total_cmp(&squares[b]).then(b.cmp(&a))).unwrap_or(0);
+        let axis = (0..6)
+            .max_by(|&a, &b| squares[a].total_cmp(&squares[b]).then(b.cmp(&a)))
+            .unwrap_or(0);
         // A mean that rounding moved to one side of all members would cut nothing off.
-        let low = members.iter().filter(|&&splat| features[splat as usize].at[axis] <= means[axis]).count();
+        let low = members
+            .iter()
+            .filter(|&&splat| features[splat as usize].at[axis] <= means[axis])
+            .count();
         let cuts = low > 0 && low < members.len();
-        Self { spread: if cuts { squares[axis] } else { 0.0 }, axis, mean: means[axis], members }
+        Self {
+            spread: if cuts { squares[axis] } else { 0.0 },
+            axis,
+            mean: means[axis],
+            members,
+        }
     }
 
     fn cut(self, features: &[Feature]) -> (Vec<u32>, Vec<u32>) {
-        let Self { members, axis, mean, .. } = self;
-        members.into_iter().partition(|&splat| features[splat as usize].at[axis] <= mean)
+        let Self {
+            members,
+            axis,
+            mean,
+            ..
+        } = self;
+        members
+            .into_iter()
+            .partition(|&splat| features[splat as usize].at[axis] <= mean)
     }
 }
 
@@ -221,9 +276,12 @@ impl PartialOrd for Cluster {
 }
 
 impl Ord for Cluster {
-    /// By spread; of equal ones the one with the earliest splat is the greater. Clusters share no splats.
+    /// By spread; of equal ones the one with the earliest splat is the greater. Clusters share no
+    /// splats.
     fn cmp(&self, other: &Self) -> Ordering {
-        self.spread.total_cmp(&other.spread).then_with(|| other.members.first().cmp(&self.members.first()))
+        self.spread
+            .total_cmp(&other.spread)
+            .then_with(|| other.members.first().cmp(&self.members.first()))
     }
 }
 
@@ -249,7 +307,11 @@ mod tests {
             assert!((scale - expected).abs() < 1e-5, "{scales:?}");
         }
         assert_eq!(one.sh_dc[0], [0.5, 0.5, 0.0]);
-        let covered = |cloud: &SplatCloud| (0..cloud.len()).map(|splat| covered_m2(cloud, splat)).sum::<f64>();
+        let covered = |cloud: &SplatCloud| {
+            (0..cloud.len())
+                .map(|splat| covered_m2(cloud, splat))
+                .sum::<f64>()
+        };
         assert!((covered(&one) / covered(&cloud) - 1.0).abs() < 1e-6);
     }
 
@@ -260,7 +322,11 @@ mod tests {
         cloud.scales = vec![[4.0, 4.0, 4.0]; 2];
         cloud.opacities = vec![0.9; 2];
         let one = merged(&cloud, &[1.0, 1.0], &[vec![0, 1]]);
-        let covered = |cloud: &SplatCloud| (0..cloud.len()).map(|splat| covered_m2(cloud, splat)).sum::<f64>();
+        let covered = |cloud: &SplatCloud| {
+            (0..cloud.len())
+                .map(|splat| covered_m2(cloud, splat))
+                .sum::<f64>()
+        };
         assert_eq!(one.opacities[0], 1.0);
         assert!((covered(&one) / covered(&cloud) - 1.0).abs() < 1e-6);
         // A splat of five-fold weight draws the mean to itself.
@@ -272,9 +338,15 @@ mod tests {
     fn splats_count_by_visibility_and_by_area_where_none_is_seen() {
         let cloud = plane(3, 0);
         let seen = weights(&cloud, &[0.0, 1.0, 3.0]);
-        assert!(seen[0] > 0.0 && seen[0] < 1e-4 && (seen[2] / seen[1] - 3.0).abs() < 1e-3, "{seen:?}");
+        assert!(
+            seen[0] > 0.0 && seen[0] < 1e-4 && (seen[2] / seen[1] - 3.0).abs() < 1e-3,
+            "{seen:?}"
+        );
         let unseen = weights(&cloud, &[0.0; 3]);
-        assert!((unseen[0] / unseen[1] * covered_m2(&cloud, 1) / covered_m2(&cloud, 0) - 1.0).abs() < 1e-9);
+        assert!(
+            (unseen[0] / unseen[1] * covered_m2(&cloud, 1) / covered_m2(&cloud, 0) - 1.0).abs()
+                < 1e-9
+        );
     }
 
     #[test]
@@ -283,11 +355,23 @@ mod tests {
         let alone = merged(&cloud, &[1.0; 3], &[vec![1]]);
         assert!((alone.opacities[0] - cloud.opacities[1]).abs() < 1e-6);
         cloud = cloud.select(&[1, 1, 1]);
-        assert_eq!(clusters(&cloud, &[1.0; 3], 3).len(), 1, "equal splats cannot be told apart");
+        assert_eq!(
+            clusters(&cloud, &[1.0; 3], 3).len(),
+            1,
+            "equal splats cannot be told apart"
+        );
         let heap = merged(&cloud, &[1.0; 3], &clusters(&cloud, &[1.0; 3], 1));
-        assert_eq!((heap.len(), heap.opacities[0]), (1, 1.0), "three of 0.8 on one another are opaque");
+        assert_eq!(
+            (heap.len(), heap.opacities[0]),
+            (1, 1.0),
+            "three of 0.8 on one another are opaque"
+        );
         cloud.scales = vec![[0.0; 3]; 3];
-        assert!(merged(&cloud, &[1.0; 3], &[vec![0, 1, 2]]).defect_of(0).is_none());
+        assert!(
+            merged(&cloud, &[1.0; 3], &[vec![0, 1, 2]])
+                .defect_of(0)
+                .is_none()
+        );
     }
 
     #[test]
@@ -297,16 +381,35 @@ mod tests {
         assert_eq!(clusters.len(), 125);
         let mut all = clusters.concat();
         all.sort_unstable();
-        assert!(all.iter().enumerate().all(|(place, &splat)| place as u32 == splat) && all.len() == 1000);
-        let width = |members: &Vec<u32>| cloud.select(members).bounds().half_extent().into_iter().fold(0.0, f32::max);
+        assert!(
+            all.iter()
+                .enumerate()
+                .all(|(place, &splat)| place as u32 == splat)
+                && all.len() == 1000
+        );
+        let width = |members: &Vec<u32>| {
+            cloud
+                .select(members)
+                .bounds()
+                .half_extent()
+                .into_iter()
+                .fold(0.0, f32::max)
+        };
         let mean = clusters.iter().map(width).sum::<f32>() / 125.0;
-        assert!(mean < 0.1 * cloud.bounds().half_extent()[0].max(cloud.bounds().half_extent()[1]), "{mean}");
+        assert!(
+            mean < 0.1 * cloud.bounds().half_extent()[0].max(cloud.bounds().half_extent()[1]),
+            "{mean}"
+        );
     }
 
     #[test]
     fn levels_fall_by_eight_and_end_before_they_are_too_few() {
-        let counts =
-            |splats| coarser_levels(&plane(splats, 0), &vec![1.0; splats]).iter().map(SplatCloud::len).collect::<Vec<_>>();
+        let counts = |splats| {
+            coarser_levels(&plane(splats, 0), &vec![1.0; splats])
+                .iter()
+                .map(SplatCloud::len)
+                .collect::<Vec<_>>()
+        };
         assert_eq!(counts(20_000), [2500, 312, 39]);
         assert_eq!(counts(2_100), [262, 32]);
         assert!(counts(200).is_empty());

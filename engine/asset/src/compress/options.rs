@@ -50,18 +50,31 @@ impl Default for CompressOptions {
 impl CompressOptions {
     pub(super) fn check(&self) -> Result<(), CompressError> {
         let within = |what, value: usize, max: usize| {
-            let fault = || Err(CompressError::Option(format!("{what} is {value}; expected 1 to {max}")));
-            if (1..=max).contains(&value) { Ok(()) } else { fault() }
+            let fault = || {
+                Err(CompressError::Option(format!(
+                    "{what} is {value}; expected 1 to {max}"
+                )))
+            };
+            if (1..=max).contains(&value) {
+                Ok(())
+            } else {
+                fault()
+            }
         };
         within("the number of colors", self.colors, COLORS_MAX)?;
         within("the number of shapes", self.shapes, SHAPES_MAX)?;
         let fault = match self.prune {
-            Prune::Threshold(least) if !(0.0..=1.0).contains(&least) => format!("the threshold is {least}; expected 0 to 1"),
+            Prune::Threshold(least) if !(0.0..=1.0).contains(&least) => {
+                format!("the threshold is {least}; expected 0 to 1")
+            }
             Prune::KeepRatio(ratio) if !(ratio > 0.0 && ratio <= 1.0) => {
                 format!("the keep ratio is {ratio}; expected a share above 0, at most 1")
             }
             _ if !(self.color_dc_weight.is_finite() && self.color_dc_weight >= 1e-3) => {
-                format!("the weight of DC is {}; expected at least 0.001", self.color_dc_weight)
+                format!(
+                    "the weight of DC is {}; expected at least 0.001",
+                    self.color_dc_weight
+                )
             }
             _ => return Ok(()),
         };
@@ -98,7 +111,7 @@ pub enum CompressError {
     Visibility {
         /// Index of the splat.
         splat: usize,
-        /// Its visibility as text, because NaN is not equal to itself.
+        /// Visibility as text, because NaN is not equal to itself.
         value: String,
     },
     /// No splats remain after pruning.
@@ -121,12 +134,24 @@ pub enum CompressError {
     Unrepresentable(String),
 }
 
-pub(super) fn check_visibility(cloud: &SplatCloud, visibility: &[f32]) -> Result<(), CompressError> {
+pub(super) fn check_visibility(
+    cloud: &SplatCloud,
+    visibility: &[f32],
+) -> Result<(), CompressError> {
     if visibility.len() != cloud.len() {
-        return Err(CompressError::VisibilityCount { expected: cloud.len(), found: visibility.len() });
+        return Err(CompressError::VisibilityCount {
+            expected: cloud.len(),
+            found: visibility.len(),
+        });
     }
-    match visibility.iter().position(|value| !(value.is_finite() && *value >= 0.0)) {
-        Some(splat) => Err(CompressError::Visibility { splat, value: visibility[splat].to_string() }),
+    match visibility
+        .iter()
+        .position(|value| !(value.is_finite() && *value >= 0.0))
+    {
+        Some(splat) => Err(CompressError::Visibility {
+            splat,
+            value: visibility[splat].to_string(),
+        }),
         None => Ok(()),
     }
 }

@@ -28,7 +28,8 @@ pub struct Kept {
     pub least_importance: Option<f32>,
 }
 
-/// The splats of `cloud` that stay. Those with a defect or an opacity below 1/255 never do: no image shows them.
+/// The splats of `cloud` that stay. Those with a defect or an opacity below 1/255 never do: no
+/// image shows them.
 ///
 /// # Panics
 /// When there are not as many importances as splats.
@@ -55,7 +56,12 @@ pub fn prune(cloud: &SplatCloud, importance: &[f32], by: Prune) -> Kept {
         }
     }
     let least_importance = drawn.iter().map(|&splat| of(splat)).min_by(f32::total_cmp);
-    Kept { splats: drawn, defects, transparent, least_importance }
+    Kept {
+        splats: drawn,
+        defects,
+        transparent,
+        least_importance,
+    }
 }
 
 #[cfg(test)]
@@ -71,7 +77,10 @@ mod tests {
         cloud.scales[4] = [f32::NAN; 3];
         for by in [Prune::Threshold(0.0), Prune::KeepRatio(1.0)] {
             let kept = prune(&cloud, &[0.5; 6], by);
-            assert_eq!((kept.splats.as_slice(), kept.defects, kept.transparent), ([0, 2, 3, 5].as_slice(), 1, 1));
+            assert_eq!(
+                (kept.splats.as_slice(), kept.defects, kept.transparent),
+                ([0, 2, 3, 5].as_slice(), 1, 1)
+            );
         }
     }
 
@@ -79,9 +88,18 @@ mod tests {
     fn of_equal_splats_the_earlier_stay() {
         let cloud = plane(5, 0);
         let kept = prune(&cloud, &[0.2, 0.7, 0.2, 0.2, 0.1], Prune::KeepRatio(0.5));
-        assert_eq!((kept.splats.as_slice(), kept.least_importance), ([0, 1, 2].as_slice(), Some(0.2)));
-        assert_eq!(prune(&cloud, &[0.2, 0.7, 0.2, 0.2, 0.1], Prune::Threshold(0.2)).splats, [0, 1, 2, 3]);
-        assert_eq!(prune(&cloud, &[0.0; 5], Prune::Threshold(0.1)).least_importance, None);
+        assert_eq!(
+            (kept.splats.as_slice(), kept.least_importance),
+            ([0, 1, 2].as_slice(), Some(0.2))
+        );
+        assert_eq!(
+            prune(&cloud, &[0.2, 0.7, 0.2, 0.2, 0.1], Prune::Threshold(0.2)).splats,
+            [0, 1, 2, 3]
+        );
+        assert_eq!(
+            prune(&cloud, &[0.0; 5], Prune::Threshold(0.1)).least_importance,
+            None
+        );
     }
 
     proptest! {

@@ -7,7 +7,8 @@ use super::{CompressError, CompressOptions, Prune, compress, prune};
 
 /// Mini-batches for the codebooks.
 const ITERATIONS_MAX: usize = 16;
-/// Splats for each entry of the codebooks, where the books could hold more. With fewer, making the books takes as long as using them.
+/// Splats for each entry of the codebooks, where the books could hold more. With fewer, making the
+/// books takes as long as using them.
 const SPLATS_PER_ENTRY: usize = 16;
 const ALL: Prune = Prune::KeepRatio(1.0);
 
@@ -27,11 +28,14 @@ pub fn compress_quickly(cloud: &SplatCloud) -> Result<CodedCloud, CompressError>
     Ok(compress(cloud, &vec![1.0; cloud.len()], &options, &|_| {})?.cloud)
 }
 
-/// Length, width and height that [`compress_quickly`] gives to `cloud`, meters. None if no splat is left.
+/// Length, width and height that [`compress_quickly`] gives to `cloud`, meters. None if no splat is
+/// left.
 #[must_use]
 pub fn quick_dims_m(cloud: &SplatCloud) -> Option<[f32; 3]> {
     let kept = prune(cloud, &vec![1.0; cloud.len()], ALL);
     kept.least_importance?;
     let bounds = cloud.select(&kept.splats).bounds();
-    Some(std::array::from_fn(|axis| bounds.max[axis] - bounds.min[axis]))
+    Some(std::array::from_fn(|axis| {
+        bounds.max[axis] - bounds.min[axis]
+    }))
 }

@@ -1,7 +1,8 @@
-//! The random numbers of a compression: all of them follow from its seed, and none is drawn by a thread of its own.
+//! The random numbers of a compression: all of them follow from its seed, and none is drawn by a
+//! thread of its own.
 
-/// 2^64 over the golden ratio: the increment of SplitMix64 (Steele, Lea and Flood, Fast Splittable Pseudorandom Number
-/// Generators, 2014).
+/// 2^64 over the golden ratio: the increment of SplitMix64 (Steele, Lea and Flood, Fast Splittable
+/// Pseudorandom Number Generators, 2014).
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A sequence of random numbers.
@@ -13,7 +14,9 @@ pub(crate) struct Random {
 impl Random {
     /// The sequence of `seed`.
     pub(crate) fn new(seed: u64) -> Self {
-        Self { state: seed.wrapping_mul(GOLDEN) ^ 0x5bf0_3635 }
+        Self {
+            state: seed.wrapping_mul(GOLDEN) ^ 0x5bf0_3635,
+        }
     }
 
     fn bits(&mut self) -> u64 {
@@ -33,8 +36,8 @@ impl Random {
         ((u128::from(self.bits()) * count as u128) >> 64) as usize
     }
 
-    /// `picked` distinct numbers below `count` in increasing order, all of them when there are no more
-    /// (Knuth, The Art of Computer Programming 2, algorithm S).
+    /// `picked` distinct numbers below `count` in increasing order, all of them when there are no
+    /// more (Knuth, The Art of Computer Programming 2, algorithm S).
     pub(crate) fn subset(&mut self, count: usize, picked: usize) -> Vec<usize> {
         let mut wanted = picked.min(count);
         let mut subset = Vec::with_capacity(wanted);
@@ -58,7 +61,10 @@ mod tests {
         for (count, picked) in [(10, 4), (5, 9), (1, 1), (0, 3), (1000, 999)] {
             let subset = random.subset(count, picked);
             assert_eq!(subset.len(), picked.min(count));
-            assert!(subset.windows(2).all(|pair| pair[0] < pair[1]) && subset.iter().all(|&index| index < count));
+            assert!(
+                subset.windows(2).all(|pair| pair[0] < pair[1])
+                    && subset.iter().all(|&index| index < count)
+            );
         }
     }
 
@@ -67,7 +73,10 @@ mod tests {
         let mut random = Random::new(7);
         let mut bins = [0; 10];
         (0..10_000).for_each(|_| bins[random.index(10)] += 1);
-        assert!(bins.iter().all(|&count| (850..1150).contains(&count)), "{bins:?}");
+        assert!(
+            bins.iter().all(|&count| (850..1150).contains(&count)),
+            "{bins:?}"
+        );
         let mean = (0..10_000).map(|_| random.unit()).sum::<f64>() / 1e4;
         assert!((mean - 0.5).abs() < 0.02);
         assert_eq!(Random::new(5).unit(), Random::new(5).unit());

@@ -55,7 +55,11 @@ pub struct PartBytes {
 impl PartBytes {
     pub(super) fn of(cloud: &CodedCloud) -> Self {
         Self {
-            levels: cloud.levels.iter().map(|level| level * size_of::<CodedSplat>()).collect(),
+            levels: cloud
+                .levels
+                .iter()
+                .map(|level| level * size_of::<CodedSplat>())
+                .collect(),
             shapes: size_of_val(cloud.shapes.as_slice()),
             // Two bytes a number instead of four.
             colors: size_of_val(cloud.colors.as_slice()) / 2,

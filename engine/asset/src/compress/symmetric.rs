@@ -2,7 +2,8 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-/// A symmetric matrix by its own axes: eigenvalues and the rotation whose columns are the eigenvectors.
+/// A symmetric matrix by its own axes: eigenvalues and the rotation whose columns are the
+/// eigenvectors.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OwnAxes {
     pub values: DVec3,
@@ -26,7 +27,10 @@ impl OwnAxes {
                 axes *= turn;
             }
         }
-        Self { values: DVec3::new(m.x_axis.x, m.y_axis.y, m.z_axis.z), axes }
+        Self {
+            values: DVec3::new(m.x_axis.x, m.y_axis.y, m.z_axis.z),
+            axes,
+        }
     }
 
     /// The matrix.
@@ -34,7 +38,8 @@ impl OwnAxes {
         self.axes * DMat3::from_diagonal(self.values) * self.axes.transpose()
     }
 
-    /// The rotation as a unit quaternion w, x, y, z; a mirrored axis is turned round, which no covariance sees.
+    /// The rotation as a unit quaternion w, x, y, z; a mirrored axis is turned round, which no
+    /// covariance sees.
     pub(super) fn rotation_wxyz(&self) -> [f32; 4] {
         let mut axes = self.axes;
         if axes.determinant() < 0.0 {
@@ -52,7 +57,11 @@ fn rotation_that_clears(m: &DMat3, i: usize, j: usize) -> DMat3 {
         return DMat3::IDENTITY;
     }
     let half = (jj - ii) / (2.0 * ij);
-    let tangent = if half.is_finite() { half.signum() / (half.abs() + (1.0 + half * half).sqrt()) } else { 0.0 };
+    let tangent = if half.is_finite() {
+        half.signum() / (half.abs() + (1.0 + half * half).sqrt())
+    } else {
+        0.0
+    };
     let cosine = 1.0 / (1.0 + tangent * tangent).sqrt();
     let mut turn = DMat3::IDENTITY;
     turn.col_mut(i)[i] = cosine;
@@ -62,17 +71,29 @@ fn rotation_that_clears(m: &DMat3, i: usize, j: usize) -> DMat3 {
     turn
 }
 
-/// The six numbers whose L2 distance is the Frobenius distance of the matrices: off-diagonals by sqrt 2.
+/// The six numbers whose L2 distance is the Frobenius distance of the matrices: off-diagonals by
+/// sqrt 2.
 pub(super) fn to_six(m: &DMat3) -> [f64; 6] {
     let root = std::f64::consts::SQRT_2;
-    [m.x_axis.x, m.y_axis.y, m.z_axis.z, root * m.y_axis.x, root * m.z_axis.x, root * m.z_axis.y]
+    [
+        m.x_axis.x,
+        m.y_axis.y,
+        m.z_axis.z,
+        root * m.y_axis.x,
+        root * m.z_axis.x,
+        root * m.z_axis.y,
+    ]
 }
 
 /// Back from [`to_six`].
 pub(super) fn from_six(six: &[f64; 6]) -> DMat3 {
     let [xx, yy, zz, xy, xz, yz] = *six;
     let [xy, xz, yz] = [xy, xz, yz].map(|value| value * std::f64::consts::FRAC_1_SQRT_2);
-    DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz))
+    DMat3::from_cols(
+        DVec3::new(xx, xy, xz),
+        DVec3::new(xy, yy, yz),
+        DVec3::new(xz, yz, zz),
+    )
 }
 
 #[cfg(test)]
@@ -97,8 +118,15 @@ mod tests {
 
     #[test]
     fn six_numbers_keep_the_distance() {
-        let (a, b) = ([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [0.5, 0.0, -1.0, 2.0, 2.5, 1.0]);
-        let frobenius = (from_six(&a) - from_six(&b)).to_cols_array().iter().map(|x| x * x).sum::<f64>();
+        let (a, b) = (
+            [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+            [0.5, 0.0, -1.0, 2.0, 2.5, 1.0],
+        );
+        let frobenius = (from_six(&a) - from_six(&b))
+            .to_cols_array()
+            .iter()
+            .map(|x| x * x)
+            .sum::<f64>();
         let six: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
         assert!((frobenius - six).abs() < 1e-12);
         assert_eq!(OwnAxes::of(&DMat3::ZERO).values, DVec3::ZERO);

@@ -4,26 +4,58 @@ use decouplegs_scene::{SplatCloud, sh};
 
 use super::*;
 
-/// `count` discs on a plane of 10 by 10 m, of different sizes, directions and smoothly varying colors.
+/// `count` discs on a plane of 10 by 10 m, of different sizes, directions and smoothly varying
+/// colors.
 pub(super) fn plane(count: usize, sh_degree: u8) -> SplatCloud {
     let stride = sh::coefficient_count(sh_degree) - 1;
     let wave = |i: usize, k: f32| (i as f32 * k + 0.3).sin();
     let side = (count as f32).sqrt().ceil();
     SplatCloud {
         means: (0..count)
-            .map(|i| [i as f32 % side * 10.0 / side, (i as f32 / side).floor() * 10.0 / side, 0.05 * wave(i, 0.7)])
+            .map(|i| {
+                [
+                    i as f32 % side * 10.0 / side,
+                    (i as f32 / side).floor() * 10.0 / side,
+                    0.05 * wave(i, 0.7),
+                ]
+            })
             .collect(),
-        scales: (0..count).map(|i| [0.1 + 0.05 * wave(i, 0.37), 0.06 + 0.03 * wave(i, 0.53), 0.002]).collect(),
-        rotations: (0..count).map(|i| [1.0, 0.3 * wave(i, 0.11), 0.2 * wave(i, 0.23), wave(i, 0.31)]).collect(),
+        scales: (0..count)
+            .map(|i| {
+                [
+                    0.1 + 0.05 * wave(i, 0.37),
+                    0.06 + 0.03 * wave(i, 0.53),
+                    0.002,
+                ]
+            })
+            .collect(),
+        rotations: (0..count)
+            .map(|i| [1.0, 0.3 * wave(i, 0.11), 0.2 * wave(i, 0.23), wave(i, 0.31)])
+            .collect(),
         opacities: (0..count).map(|i| 0.6 + 0.39 * wave(i, 0.91)).collect(),
         sh_degree,
-        sh_dc: (0..count).map(|i| [wave(i, 0.01), wave(i, 0.013), wave(i, 0.002)]).collect(),
-        sh_rest: (0..count * stride).map(|i| [0.1 * wave(i, 0.017), 0.1 * wave(i, 0.019), 0.05 * wave(i, 0.023)]).collect(),
+        sh_dc: (0..count)
+            .map(|i| [wave(i, 0.01), wave(i, 0.013), wave(i, 0.002)])
+            .collect(),
+        sh_rest: (0..count * stride)
+            .map(|i| {
+                [
+                    0.1 * wave(i, 0.017),
+                    0.1 * wave(i, 0.019),
+                    0.05 * wave(i, 0.023),
+                ]
+            })
+            .collect(),
     }
 }
 
 fn quick() -> CompressOptions {
-    CompressOptions { colors: 64, shapes: 32, iterations_max: 50, ..CompressOptions::default() }
+    CompressOptions {
+        colors: 64,
+        shapes: 32,
+        iterations_max: 50,
+        ..CompressOptions::default()
+    }
 }
 
 fn compressed(cloud: &SplatCloud, options: &CompressOptions) -> Compressed {
@@ -33,15 +65,30 @@ fn compressed(cloud: &SplatCloud, options: &CompressOptions) -> Compressed {
 /// The largest axis of a splat of `cloud`, and the least.
 fn extremes(cloud: &SplatCloud, splat: usize) -> (f32, f32) {
     let scales = cloud.scales[splat];
-    (scales.into_iter().fold(0.0, f32::max), scales.into_iter().fold(f32::MAX, f32::min))
+    (
+        scales.into_iter().fold(0.0, f32::max),
+        scales.into_iter().fold(f32::MAX, f32::min),
+    )
 }
 
 #[test]
 fn what_comes_out_is_near_what_went_in() {
     let cloud = plane(2000, 3);
-    let Compressed { cloud: coded, report, .. } =
-        compressed(&cloud, &CompressOptions { iterations_max: 100, ..Default::default() });
-    assert_eq!((report.kept, coded.levels.as_slice()), (2000, [2000, 250].as_slice()));
+    let Compressed {
+        cloud: coded,
+        report,
+        ..
+    } = compressed(
+        &cloud,
+        &CompressOptions {
+            iterations_max: 100,
+            ..Default::default()
+        },
+    );
+    assert_eq!(
+        (report.kept, coded.levels.as_slice()),
+        (2000, [2000, 250].as_slice())
+    );
     let decoded = coded.decoded(0);
     let sorted = cloud.select(&cloud.spatial_order());
     for splat in 0..2000 {
@@ -51,17 +98,32 @@ fn what_comes_out_is_near_what_went_in() {
         }
         assert!((decoded.opacities[splat] - sorted.opacities[splat]).abs() < 0.002);
         let ((long, _), (long_before, _)) = (extremes(&decoded, splat), extremes(&sorted, splat));
-        assert!((long / long_before - 1.0).abs() < 0.1, "{:?} from {:?}", decoded.scales[splat], sorted.scales[splat]);
+        assert!(
+            (long / long_before - 1.0).abs() < 0.1,
+            "{:?} from {:?}",
+            decoded.scales[splat],
+            sorted.scales[splat]
+        );
     }
-    assert_eq!(coded.dims_m, std::array::from_fn(|axis| cloud.bounds().half_extent()[axis] * 2.0));
+    assert_eq!(
+        coded.dims_m,
+        std::array::from_fn(|axis| cloud.bounds().half_extent()[axis] * 2.0)
+    );
 }
 
 #[test]
 fn sizes_are_counted_as_they_are_stored() {
     let cloud = plane(2000, 3);
-    let Compressed { cloud: coded, report, .. } = compressed(&cloud, &quick());
+    let Compressed {
+        cloud: coded,
+        report,
+        ..
+    } = compressed(&cloud, &quick());
     assert_eq!(report.bytes.levels, [2000 * 12, 250 * 12]);
-    assert_eq!((report.bytes.shapes, report.bytes.colors), (coded.shapes.len() * 24, coded.color_count() * 96));
+    assert_eq!(
+        (report.bytes.shapes, report.bytes.colors),
+        (coded.shapes.len() * 24, coded.color_count() * 96)
+    );
     assert!((report.bytes_per_splat() - report.bytes.total() as f64 / 2000.0).abs() < 1e-12);
 }
 
@@ -69,17 +131,25 @@ fn sizes_are_counted_as_they_are_stored() {
 fn the_seed_decides_and_the_threads_do_not() {
     let cloud = plane(1500, 1);
     let with_threads = |threads, seed| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| compressed(&cloud, &CompressOptions { seed, ..quick() }))
     };
     assert_eq!(with_threads(1, 3), with_threads(2, 3));
-    assert_ne!(with_threads(1, 3).cloud.colors, with_threads(1, 4).cloud.colors);
+    assert_ne!(
+        with_threads(1, 3).cloud.colors,
+        with_threads(1, 4).cloud.colors
+    );
 }
 
 #[test]
 fn needles_stay_needles() {
     let mut cloud = plane(300, 0);
-    cloud.scales = (0..300).map(|i| [1.0 + i as f32 * 0.01, 1e-5, 1e-5]).collect();
+    cloud.scales = (0..300)
+        .map(|i| [1.0 + i as f32 * 0.01, 1e-5, 1e-5])
+        .collect();
     cloud.rotations = vec![[0.5, 0.5, 0.5, -0.5]; 300];
     let decoded = compressed(&cloud, &quick()).cloud.decoded(0);
     for splat in 0..300 {
@@ -95,9 +165,19 @@ fn flat_assets_and_splats_without_any_size_are_coded() {
     cloud.scales.iter_mut().for_each(|scales| scales[2] = 0.0);
     cloud.scales[5] = [0.0; 3];
     for shape_space in ShapeSpace::ALL {
-        let coded = compressed(&cloud, &CompressOptions { shape_space, ..quick() }).cloud;
+        let coded = compressed(
+            &cloud,
+            &CompressOptions {
+                shape_space,
+                ..quick()
+            },
+        )
+        .cloud;
         let decoded = coded.decoded(0);
-        assert!((0..300).all(|splat| decoded.defect_of(splat).is_none()), "{shape_space:?}");
+        assert!(
+            (0..300).all(|splat| decoded.defect_of(splat).is_none()),
+            "{shape_space:?}"
+        );
         assert!(decoded.means.iter().all(|mean| mean[2] == 0.25));
     }
 }
@@ -105,14 +185,33 @@ fn flat_assets_and_splats_without_any_size_are_coded() {
 #[test]
 fn one_splat_and_equal_splats_come_back() {
     let one = plane(1, 3);
-    let decoded = compressed(&one, &CompressOptions::default()).cloud.decoded(0);
+    let decoded = compressed(&one, &CompressOptions::default())
+        .cloud
+        .decoded(0);
     assert_eq!((decoded.len(), decoded.means[0]), (1, one.means[0]));
     assert!((decoded.sh_rest[4][0] - one.sh_rest[4][0]).abs() < 1e-3);
     let many = one.select(&[0; 500]);
-    let Compressed { cloud: coded, report, .. } = compressed(&many, &CompressOptions::default());
-    assert_eq!((coded.levels.len(), coded.shapes.len(), coded.color_count(), report.kept), (2, 1, 1, 500));
+    let Compressed {
+        cloud: coded,
+        report,
+        ..
+    } = compressed(&many, &CompressOptions::default());
+    assert_eq!(
+        (
+            coded.levels.len(),
+            coded.shapes.len(),
+            coded.color_count(),
+            report.kept
+        ),
+        (2, 1, 1, 500)
+    );
     let decoded = coded.decoded(0);
-    assert!(decoded.scales.iter().all(|scales| *scales == decoded.scales[0]));
+    assert!(
+        decoded
+            .scales
+            .iter()
+            .all(|scales| *scales == decoded.scales[0])
+    );
     let ((long, _), (long_before, _)) = (extremes(&decoded, 0), extremes(&one, 0));
     assert!((long / long_before - 1.0).abs() < 1e-3);
 }
@@ -120,9 +219,16 @@ fn one_splat_and_equal_splats_come_back() {
 #[test]
 fn fewer_splats_than_codes_lose_no_shape_and_no_color() {
     let cloud = plane(40, 1);
-    let Compressed { cloud: coded, report, .. } = compressed(&cloud, &CompressOptions::default());
+    let Compressed {
+        cloud: coded,
+        report,
+        ..
+    } = compressed(&cloud, &CompressOptions::default());
     assert_eq!((coded.shapes.len(), coded.color_count()), (40, 40));
-    assert!(report.shapes.distortion.last().unwrap() < &1e-12 && report.colors.distortion.last().unwrap() < &1e-12);
+    assert!(
+        report.shapes.distortion.last().unwrap() < &1e-12
+            && report.colors.distortion.last().unwrap() < &1e-12
+    );
 }
 
 #[test]
@@ -130,13 +236,21 @@ fn what_leaves_nothing_is_refused_with_the_reason() {
     let mut cloud = plane(10, 0);
     cloud.opacities = vec![0.002; 10];
     let refuse = |cloud: &SplatCloud, visibility: &[f32], options: &CompressOptions| {
-        compress(cloud, visibility, options, &|_| ()).unwrap_err().to_string()
+        compress(cloud, visibility, options, &|_| ())
+            .unwrap_err()
+            .to_string()
     };
     let all_transparent = refuse(&cloud, &[0.0; 10], &quick());
-    assert!(all_transparent.contains("10 have an opacity below 1/255"), "{all_transparent}");
+    assert!(
+        all_transparent.contains("10 have an opacity below 1/255"),
+        "{all_transparent}"
+    );
     assert!(refuse(&plane(10, 0), &[0.0; 10], &quick()).contains("10 are seen in no view"));
     assert!(refuse(&SplatCloud::default(), &[], &quick()).contains("none of 0 splats"));
-    assert!(refuse(&plane(3, 0), &[1.0; 2], &quick()).contains("2 visibilities were given for 3 splats"));
+    assert!(
+        refuse(&plane(3, 0), &[1.0; 2], &quick())
+            .contains("2 visibilities were given for 3 splats")
+    );
     assert!(refuse(&plane(2, 0), &[1.0, f32::NAN], &quick()).contains("splat 1 is NaN"));
     let with = |change: fn(&mut CompressOptions)| {
         let mut options = quick();
@@ -153,8 +267,20 @@ fn what_leaves_nothing_is_refused_with_the_reason() {
 #[test]
 fn unseen_splats_go_by_threshold_and_stay_when_a_ratio_asks_for_them() {
     let cloud = plane(100, 0);
-    let visibility: Vec<f32> = (0..100).map(|i| if i < 30 { 0.0 } else { i as f32 }).collect();
-    let kept = |prune| compress(&cloud, &visibility, &CompressOptions { prune, ..quick() }, &|_| ()).unwrap().report.kept;
+    let visibility: Vec<f32> = (0..100)
+        .map(|i| if i < 30 { 0.0 } else { i as f32 })
+        .collect();
+    let kept = |prune| {
+        compress(
+            &cloud,
+            &visibility,
+            &CompressOptions { prune, ..quick() },
+            &|_| (),
+        )
+        .unwrap()
+        .report
+        .kept
+    };
     assert_eq!(kept(Prune::Threshold(THRESHOLD)), 70);
     assert_eq!(kept(Prune::KeepRatio(1.0)), 100);
     assert_eq!(kept(Prune::KeepRatio(0.25)), 25);
@@ -165,7 +291,12 @@ fn an_extent_beyond_f32_is_an_error() {
     let mut cloud = plane(4, 0);
     cloud.means[0] = [-3e38; 3];
     cloud.means[3] = [3e38; 3];
-    assert!(compress(&cloud, &[1.0; 4], &quick(), &|_| ()).unwrap_err().to_string().contains("cannot be coded"));
+    assert!(
+        compress(&cloud, &[1.0; 4], &quick(), &|_| ())
+            .unwrap_err()
+            .to_string()
+            .contains("cannot be coded")
+    );
 }
 
 mod properties {

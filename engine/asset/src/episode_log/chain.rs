@@ -1,4 +1,5 @@
-//! Lines that vouch for each other: each begins with a checksum over the one before it and its own payload.
+//! Lines that vouch for each other: each begins with a checksum over the one before it and its own
+//! payload.
 //!
 //! XXH3 (Collet, xxHash 0.8, 2021) finds accidents of any kind, not forgeries.
 
@@ -15,7 +16,9 @@ pub(super) struct Chain {
 
 impl Chain {
     pub(super) fn new() -> Self {
-        Self { checksum: [b'0'; 16] }
+        Self {
+            checksum: [b'0'; 16],
+        }
     }
 
     fn next_checksum(&self, payload: &[u8]) -> [u8; 16] {
@@ -23,7 +26,10 @@ impl Chain {
         hasher.update(&self.checksum);
         hasher.update(payload);
         let digits = format!("{:016x}", hasher.digest());
-        digits.as_bytes().try_into().expect("64 bits are 16 hex digits")
+        digits
+            .as_bytes()
+            .try_into()
+            .expect("64 bits are 16 hex digits")
     }
 
     /// The line of `payload`, its end included.

@@ -1,4 +1,5 @@
-//! Episode logs: what happened in an episode, line by line as it happened, each line vouching for all before it.
+//! Episode logs: what happened in an episode, line by line as it happened, each line vouching for
+//! all before it.
 //!
 //! The format is documented in `engine/asset/episode-log.md`.
 
@@ -26,8 +27,8 @@ pub const VERSION: u32 = 1;
 /// The episode in the bytes of a log.
 ///
 /// # Errors
-/// When a line was changed, moved, left out or put in, when the end is missing or something follows it, or when a record does not
-/// hold together; the sentence names the first line at fault.
+/// When a line was changed, moved, left out or put in, when the end is missing or something follows
+/// it, or when a record does not hold together; the sentence names the first line at fault.
 pub fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
     read::decode(bytes)
 }
@@ -35,7 +36,8 @@ pub fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
 /// The bytes of the log of `episode`: what [`EpisodeLog`] writes.
 ///
 /// # Errors
-/// When no log can hold it: a number that is not finite, a scenario that no file can say, steps that do not follow each other.
+/// When no log can hold it: a number that is not finite, a scenario that no file can say, steps
+/// that do not follow each other.
 pub fn encode(episode: &Episode) -> Result<Vec<u8>, EncodeError> {
     write::encode(episode)
 }
@@ -47,5 +49,9 @@ pub fn encode(episode: &Episode) -> Result<Vec<u8>, EncodeError> {
 pub fn read_episode_log(path: &Path) -> Result<Episode, AssetError> {
     let bytes = read_bytes(path)?;
     let path = path.to_owned();
-    decode(&bytes).map_err(|source| AssetError::Decode { path, format: "episode log", source })
+    decode(&bytes).map_err(|source| AssetError::Decode {
+        path,
+        format: "episode log",
+        source,
+    })
 }

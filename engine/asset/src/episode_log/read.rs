@@ -11,11 +11,18 @@ use crate::DecodeError;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
     let mut chain = Chain::new();
-    let mut lines = Lines { rest: bytes, line: 0 };
-    let Some(first) = lines.next() else {
-        return Err(DecodeError::Malformed("is empty; an episode log has at least two lines".into()));
+    let mut lines = Lines {
+        rest: bytes,
+        line: 0,
     };
-    let (head, start, mut sequence) = first.and_then(|line| head(&mut chain, line)).map_err(|reason| at(1, reason))?;
+    let Some(first) = lines.next() else {
+        return Err(DecodeError::Malformed(
+            "is empty; an episode log has at least two lines".into(),
+        ));
+    };
+    let (head, start, mut sequence) = first
+        .and_then(|line| head(&mut chain, line))
+        .map_err(|reason| at(1, reason))?;
     let mut steps = Vec::new();
     let mut end: Option<EpisodeEnd> = None;
     while let Some(line) = lines.next() {
@@ -23,14 +30,22 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
         if end.is_some() {
             return Err(at(number, "follows the end of the episode".into()));
         }
-        match line.and_then(|line| record(&mut chain, line, &mut sequence)).map_err(|reason| at(number, reason))? {
+        match line
+            .and_then(|line| record(&mut chain, line, &mut sequence))
+            .map_err(|reason| at(number, reason))?
+        {
             Decoded::Step(step) => steps.push(step),
             Decoded::End(found) => end = Some(found),
         }
     }
     let missing = "is missing: the log ends without telling how the episode ended; it was cut short, drive the episode again";
     let end = end.ok_or_else(|| at(lines.line + 1, missing.into()))?;
-    Ok(Episode { head, start, steps, end })
+    Ok(Episode {
+        head,
+        start,
+        steps,
+        end,
+    })
 }
 
 fn at(line: usize, reason: String) -> DecodeError {
@@ -52,7 +67,9 @@ impl<'a> Lines<'a> {
         self.line += 1;
         let Some(length) = self.rest.iter().position(|&byte| byte == b'\n') else {
             self.rest = &[];
-            return Some(Err("has no end: the log was cut short, drive the episode again".into()));
+            return Some(Err(
+                "has no end: the log was cut short, drive the episode again".into(),
+            ));
         };
         let line = &self.rest[..length];
         self.rest = &self.rest[length + 1..];
@@ -65,7 +82,9 @@ fn head(chain: &mut Chain, line: &[u8]) -> Result<(EpisodeHead, EpisodeTick, Seq
     let json_error = |error: serde_json::Error| format!("is no head of an episode log: {error}");
     let FormatForm { format, version } = serde_json::from_str(payload).map_err(json_error)?;
     if (format.as_str(), version) != (FORMAT, VERSION) {
-        return Err(format!("is of format {format:?}, version {version}; this program reads {FORMAT:?}, version {VERSION}"));
+        return Err(format!(
+            "is of format {format:?}, version {version}; this program reads {FORMAT:?}, version {VERSION}"
+        ));
     }
     let form: HeadForm = serde_json::from_str(payload).map_err(json_error)?;
     check_canonical(payload, &to_json(&form))?;
@@ -102,6 +121,12 @@ fn check_canonical(found: &str, expected: &str) -> Result<(), String> {
     if found == expected {
         return Ok(());
     }
-    let byte = found.bytes().zip(expected.bytes()).take_while(|(a, b)| a == b).count();
-    Err(format!("is not written as this program writes it, from byte {byte} of its record on"))
+    let byte = found
+        .bytes()
+        .zip(expected.bytes())
+        .take_while(|(a, b)| a == b)
+        .count();
+    Err(format!(
+        "is not written as this program writes it, from byte {byte} of its record on"
+    ))
 }

@@ -1,7 +1,10 @@
-//! Records as JSON: what serde sees, and what of an [`Episode`](decouplegs_scene::Episode) it stands for.
+//! Records as JSON: what serde sees, and what of an [`Episode`](decouplegs_scene::Episode) it
+//! stands for.
 
 use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
-use decouplegs_scene::{EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, VehicleSize, VehicleState};
+use decouplegs_scene::{
+    EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, VehicleSize, VehicleState,
+};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
@@ -83,11 +86,16 @@ pub(super) enum Record {
 
 impl Record {
     pub(super) fn parse(payload: &str) -> Result<Self, String> {
-        let json_error = |error: serde_json::Error| format!("is no record of a step or an end: {error}");
+        let json_error =
+            |error: serde_json::Error| format!("is no record of a step or an end: {error}");
         if payload.starts_with("{\"end\"") {
-            return serde_json::from_str(payload).map(Self::End).map_err(json_error);
+            return serde_json::from_str(payload)
+                .map(Self::End)
+                .map_err(json_error);
         }
-        serde_json::from_str(payload).map(Self::Step).map_err(json_error)
+        serde_json::from_str(payload)
+            .map(Self::Step)
+            .map_err(json_error)
     }
 }
 
@@ -97,41 +105,98 @@ pub(super) fn to_json(form: &impl Serialize) -> String {
 }
 
 fn state_form(state: &VehicleState) -> StateForm {
-    let VehicleState { position_m, yaw_rad, speed_mps, acceleration_mps2 } = *state;
-    [position_m.x, position_m.y, yaw_rad, speed_mps, acceleration_mps2]
+    let VehicleState {
+        position_m,
+        yaw_rad,
+        speed_mps,
+        acceleration_mps2,
+    } = *state;
+    [
+        position_m.x,
+        position_m.y,
+        yaw_rad,
+        speed_mps,
+        acceleration_mps2,
+    ]
 }
 
 fn state([x, y, yaw_rad, speed_mps, acceleration_mps2]: StateForm) -> VehicleState {
-    VehicleState { position_m: DVec2::new(x, y), yaw_rad, speed_mps, acceleration_mps2 }
+    VehicleState {
+        position_m: DVec2::new(x, y),
+        yaw_rad,
+        speed_mps,
+        acceleration_mps2,
+    }
 }
 
 fn instant_form(instant: &EpisodeTick) -> InstantForm {
-    let EpisodeTick { time_s, ego, steer_rad, on_road, agents } = instant;
-    (*time_s, state_form(ego), *steer_rad, *on_road, agents.iter().map(state_form).collect())
+    let EpisodeTick {
+        time_s,
+        ego,
+        steer_rad,
+        on_road,
+        agents,
+    } = instant;
+    (
+        *time_s,
+        state_form(ego),
+        *steer_rad,
+        *on_road,
+        agents.iter().map(state_form).collect(),
+    )
 }
 
 fn instant((time_s, ego, steer_rad, on_road, agents): InstantForm) -> EpisodeTick {
-    EpisodeTick { time_s, ego: state(ego), steer_rad, on_road, agents: agents.into_iter().map(state).collect() }
+    EpisodeTick {
+        time_s,
+        ego: state(ego),
+        steer_rad,
+        on_road,
+        agents: agents.into_iter().map(state).collect(),
+    }
 }
 
 impl HeadForm {
     /// # Errors
     /// A sentence, when no file can say its scenario.
     pub(super) fn of(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
-        let EpisodeHead { version, scenario, planner, drawn_by, route_m, agent_sizes } = head;
-        let PlannerRecord { name, cameras, privileged } = planner.clone();
-        let drawn_by = drawn_by.clone().map(|DrawnBy { device, width_px, height_px, every }| DrawnByForm {
-            device,
-            width_px,
-            height_px,
-            every,
-        });
+        let EpisodeHead {
+            version,
+            scenario,
+            planner,
+            drawn_by,
+            route_m,
+            agent_sizes,
+        } = head;
+        let PlannerRecord {
+            name,
+            cameras,
+            privileged,
+        } = planner.clone();
+        let drawn_by = drawn_by.clone().map(
+            |DrawnBy {
+                 device,
+                 width_px,
+                 height_px,
+                 every,
+             }| DrawnByForm {
+                device,
+                width_px,
+                height_px,
+                every,
+            },
+        );
         Ok(Self {
             format: FORMAT.into(),
             version: VERSION,
             program: version.clone(),
-            scenario: scenario_file::to_toml(scenario).map_err(|error| format!("its scenario: {error}"))?,
-            planner: PlannerForm { name, cameras, privileged },
+            scenario: scenario_file::to_toml(scenario)
+                .map_err(|error| format!("its scenario: {error}"))?,
+            planner: PlannerForm {
+                name,
+                cameras,
+                privileged,
+            },
             drawn_by,
             route_m: route_m.iter().map(DVec2::to_array).collect(),
             agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
@@ -142,21 +207,41 @@ impl HeadForm {
     /// # Errors
     /// A sentence, when its scenario is none.
     pub(super) fn into_head(self) -> Result<(EpisodeHead, EpisodeTick), String> {
-        let scenario = scenario_file::parse(&self.scenario).map_err(|error| format!("its scenario, {error}"))?;
-        let PlannerForm { name, cameras, privileged } = self.planner;
-        let drawn_by = self.drawn_by.map(|DrawnByForm { device, width_px, height_px, every }| DrawnBy {
-            device,
-            width_px,
-            height_px,
-            every,
-        });
+        let scenario = scenario_file::parse(&self.scenario)
+            .map_err(|error| format!("its scenario, {error}"))?;
+        let PlannerForm {
+            name,
+            cameras,
+            privileged,
+        } = self.planner;
+        let drawn_by = self.drawn_by.map(
+            |DrawnByForm {
+                 device,
+                 width_px,
+                 height_px,
+                 every,
+             }| DrawnBy {
+                device,
+                width_px,
+                height_px,
+                every,
+            },
+        );
         let head = EpisodeHead {
             version: self.program,
             scenario,
-            planner: PlannerRecord { name, cameras, privileged },
+            planner: PlannerRecord {
+                name,
+                cameras,
+                privileged,
+            },
             drawn_by,
             route_m: self.route_m.into_iter().map(DVec2::from_array).collect(),
-            agent_sizes: self.agent_sizes_m.into_iter().map(VehicleSize::from_array).collect(),
+            agent_sizes: self
+                .agent_sizes_m
+                .into_iter()
+                .map(VehicleSize::from_array)
+                .collect(),
         };
         Ok((head, instant(self.start)))
     }
@@ -164,11 +249,23 @@ impl HeadForm {
 
 impl StepForm {
     pub(super) fn of(step: &EpisodeStep) -> Self {
-        let EpisodeStep { step, images, plan, instants } = step;
+        let EpisodeStep {
+            step,
+            images,
+            plan,
+            instants,
+        } = step;
         Self {
             step: *step,
-            images: images.iter().map(|image| (image.camera.clone(), format!("{:032x}", image.hash))).collect(),
-            plan: plan.points().iter().map(|point| [point.time_s, point.position_m.x, point.position_m.y]).collect(),
+            images: images
+                .iter()
+                .map(|image| (image.camera.clone(), format!("{:032x}", image.hash)))
+                .collect(),
+            plan: plan
+                .points()
+                .iter()
+                .map(|point| [point.time_s, point.position_m.x, point.position_m.y])
+                .collect(),
             instants: instants.iter().map(instant_form).collect(),
         }
     }
@@ -178,12 +275,21 @@ impl StepForm {
     pub(super) fn into_step(self) -> Result<EpisodeStep, String> {
         let image = |(camera, hash): (String, String)| match u128::from_str_radix(&hash, 16) {
             Ok(bits) => Ok(ImageRecord { camera, hash: bits }),
-            Err(_) => Err(format!("the image of camera {camera:?} has the hash {hash:?}; expected 32 hex digits")),
+            Err(_) => Err(format!(
+                "the image of camera {camera:?} has the hash {hash:?}; expected 32 hex digits"
+            )),
         };
-        let point = |[time_s, x, y]: [f64; 3]| PlanPoint { time_s, position_m: DVec2::new(x, y) };
+        let point = |[time_s, x, y]: [f64; 3]| PlanPoint {
+            time_s,
+            position_m: DVec2::new(x, y),
+        };
         Ok(EpisodeStep {
             step: self.step,
-            images: self.images.into_iter().map(image).collect::<Result<_, _>>()?,
+            images: self
+                .images
+                .into_iter()
+                .map(image)
+                .collect::<Result<_, _>>()?,
             plan: Plan::new(self.plan.into_iter().map(point).collect())?,
             instants: self.instants.into_iter().map(instant).collect(),
         })
@@ -196,7 +302,9 @@ impl EndForm {
             EpisodeEnd::RouteDone => Self::RouteDone {},
             EpisodeEnd::Collision { agent } => Self::Collision { agent: *agent },
             EpisodeEnd::Time => Self::Time {},
-            EpisodeEnd::Planner { reason } => Self::Planner { reason: reason.clone() },
+            EpisodeEnd::Planner { reason } => Self::Planner {
+                reason: reason.clone(),
+            },
         }
     }
 

@@ -17,59 +17,102 @@ impl Sequence {
     /// After the first line.
     pub(super) fn new(head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, String> {
         if head.route_m.len() < 2 {
-            return Err(format!("a route of {} points; expected at least 2", head.route_m.len()));
+            return Err(format!(
+                "a route of {} points; expected at least 2",
+                head.route_m.len()
+            ));
         }
         let sizes = head.agent_sizes.iter().flat_map(|size| size.to_array());
-        if !(head.route_m.iter().all(|point| point.is_finite()) && sizes.into_iter().all(f64::is_finite)) {
+        if !(head.route_m.iter().all(|point| point.is_finite())
+            && sizes.into_iter().all(f64::is_finite))
+        {
             return Err("the route or an agent's size has a number that is not finite".into());
         }
         let agents = head.agent_sizes.len();
         if agents != head.scenario.agents.len() {
-            return Err(format!("{agents} agents have a size; the scenario has {}", head.scenario.agents.len()));
+            return Err(format!(
+                "{agents} agents have a size; the scenario has {}",
+                head.scenario.agents.len()
+            ));
         }
-        let sequence = Self { agents, next_step: 0, time_s: start.time_s };
-        sequence.check_instant(start).map_err(|reason| format!("the start {reason}"))?;
+        let sequence = Self {
+            agents,
+            next_step: 0,
+            time_s: start.time_s,
+        };
+        sequence
+            .check_instant(start)
+            .map_err(|reason| format!("the start {reason}"))?;
         Ok(sequence)
     }
 
     /// After `step`.
     pub(super) fn step(&mut self, step: &EpisodeStep) -> Result<(), String> {
         if step.step != self.next_step {
-            return Err(format!("step {}; expected step {}", step.step, self.next_step));
+            return Err(format!(
+                "step {}; expected step {}",
+                step.step, self.next_step
+            ));
         }
         for (index, instant) in step.instants.iter().enumerate() {
-            self.check_instant(instant).map_err(|reason| format!("instant {index} of step {} {reason}", step.step))?;
+            self.check_instant(instant)
+                .map_err(|reason| format!("instant {index} of step {} {reason}", step.step))?;
             if instant.time_s <= self.time_s {
                 let (found_s, before_s) = (instant.time_s, self.time_s);
-                return Err(format!("instant {index} of step {} is at {found_s} s, not after {before_s} s", step.step));
+                return Err(format!(
+                    "instant {index} of step {} is at {found_s} s, not after {before_s} s",
+                    step.step
+                ));
             }
             self.time_s = instant.time_s;
         }
-        self.next_step = self.next_step.checked_add(1).ok_or("more steps than have a number")?;
+        self.next_step = self
+            .next_step
+            .checked_add(1)
+            .ok_or("more steps than have a number")?;
         Ok(())
     }
 
     /// After `end`.
     pub(super) fn end(&self, end: &EpisodeEnd) -> Result<(), String> {
         match end {
-            EpisodeEnd::Collision { agent } if *agent >= self.agents => {
-                Err(format!("a collision with agent {agent} of {}, which count from 0", self.agents))
-            }
+            EpisodeEnd::Collision { agent } if *agent >= self.agents => Err(format!(
+                "a collision with agent {agent} of {}, which count from 0",
+                self.agents
+            )),
             _ => Ok(()),
         }
     }
 
     fn check_instant(&self, instant: &EpisodeTick) -> Result<(), String> {
         if instant.agents.len() != self.agents {
-            return Err(format!("has {} agents; expected {}", instant.agents.len(), self.agents));
+            return Err(format!(
+                "has {} agents; expected {}",
+                instant.agents.len(),
+                self.agents
+            ));
         }
         let finite = |state: &VehicleState| {
-            let VehicleState { position_m, yaw_rad, speed_mps, acceleration_mps2 } = *state;
-            position_m.is_finite() && [yaw_rad, speed_mps, acceleration_mps2].into_iter().all(f64::is_finite)
+            let VehicleState {
+                position_m,
+                yaw_rad,
+                speed_mps,
+                acceleration_mps2,
+            } = *state;
+            position_m.is_finite()
+                && [yaw_rad, speed_mps, acceleration_mps2]
+                    .into_iter()
+                    .all(f64::is_finite)
         };
         let all_finite = instant.time_s.is_finite()
             && instant.steer_rad.is_finite()
-            && std::iter::once(&instant.ego).chain(&instant.agents).all(finite);
-        if all_finite { Ok(()) } else { Err("has a number that is not finite".into()) }
+            && std::iter::once(&instant.ego)
+                .chain(&instant.agents)
+                .all(finite);
+        if all_finite {
+            Ok(())
+        } else {
+            Err("has a number that is not finite".into())
+        }
     }
 }

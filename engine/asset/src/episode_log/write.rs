@@ -52,9 +52,9 @@ pub(super) fn encode(episode: &Episode) -> Result<Vec<u8>, EncodeError> {
 
 /// The log of an episode that is going on.
 ///
-/// It grows under the name of its path with `.part` behind it, each record handed to the operating system as it comes, and gets
-/// its own name with its last record: a log under its own name is whole. What a crash leaves behind is overwritten by the next
-/// log of the same path.
+/// It grows under the name of its path with `.part` behind it, each record handed to the operating
+/// system as it comes, and gets its own name with its last record: a log under its own name is
+/// whole. What a crash leaves behind is overwritten by the next log of the same path.
 #[derive(Debug)]
 pub struct EpisodeLog {
     path: PathBuf,
@@ -66,18 +66,33 @@ pub struct EpisodeLog {
 }
 
 impl EpisodeLog {
-    /// Begins the log that will be at `path`, with what is known before the episode. The directory must exist.
+    /// Begins the log that will be at `path`, with what is known before the episode. The directory
+    /// must exist.
     ///
     /// # Errors
-    /// [`AssetError::Encode`] when no log can hold it, [`AssetError::Write`] of the file that grows.
-    pub fn create(path: &Path, head: &EpisodeHead, start: &EpisodeTick) -> Result<Self, AssetError> {
+    /// [`AssetError::Encode`] when no log can hold it, [`AssetError::Write`] of the file that
+    /// grows.
+    pub fn create(
+        path: &Path,
+        head: &EpisodeHead,
+        start: &EpisodeTick,
+    ) -> Result<Self, AssetError> {
         let encoded = Encoder::new(head, start);
         let (encoder, line) = encoded.map_err(|source| encode_error(path, source))?;
         let mut name: OsString = path.as_os_str().to_owned();
         name.push(".part");
         let part = PathBuf::from(name);
-        let file = File::create(&part).map_err(|source| AssetError::Write { path: part.clone(), source })?;
-        let mut log = Self { path: path.to_owned(), part, file, encoder, broken: false };
+        let file = File::create(&part).map_err(|source| AssetError::Write {
+            path: part.clone(),
+            source,
+        })?;
+        let mut log = Self {
+            path: path.to_owned(),
+            part,
+            file,
+            encoder,
+            broken: false,
+        };
         log.write(&line)?;
         Ok(log)
     }
@@ -85,12 +100,17 @@ impl EpisodeLog {
     /// Adds a step.
     ///
     /// # Errors
-    /// [`AssetError::Encode`] when no log can hold it, after which the log is as before; [`AssetError::Write`], after which nothing
-    /// more can be added.
+    /// [`AssetError::Encode`] when no log can hold it, after which the log is as before;
+    /// [`AssetError::Write`], after which nothing more can be added.
     pub fn append(&mut self, step: &EpisodeStep) -> Result<(), AssetError> {
         // The encoder moves on only with what is written.
-        let mut encoder = Encoder { chain: self.encoder.chain.clone(), sequence: self.encoder.sequence.clone() };
-        let line = encoder.step(step).map_err(|source| encode_error(&self.path, source))?;
+        let mut encoder = Encoder {
+            chain: self.encoder.chain.clone(),
+            sequence: self.encoder.sequence.clone(),
+        };
+        let line = encoder
+            .step(step)
+            .map_err(|source| encode_error(&self.path, source))?;
         self.write(&line)?;
         self.encoder = encoder;
         Ok(())
@@ -99,13 +119,22 @@ impl EpisodeLog {
     /// Adds the end, forces everything to the disk and gives the log its name.
     ///
     /// # Errors
-    /// [`AssetError::Encode`] when no log can hold the end, [`AssetError::Write`]. What was written stays under the name with
-    /// `.part`.
+    /// [`AssetError::Encode`] when no log can hold the end, [`AssetError::Write`]. What was written
+    /// stays under the name with `.part`.
     pub fn finish(mut self, end: &EpisodeEnd) -> Result<(), AssetError> {
-        let line = self.encoder.end(end).map_err(|source| encode_error(&self.path, source))?;
+        let line = self
+            .encoder
+            .end(end)
+            .map_err(|source| encode_error(&self.path, source))?;
         self.write(&line)?;
-        self.file.sync_data().map_err(|source| AssetError::Write { path: self.part.clone(), source })?;
-        std::fs::rename(&self.part, &self.path).map_err(|source| AssetError::Write { path: self.path.clone(), source })?;
+        self.file.sync_data().map_err(|source| AssetError::Write {
+            path: self.part.clone(),
+            source,
+        })?;
+        std::fs::rename(&self.part, &self.path).map_err(|source| AssetError::Write {
+            path: self.path.clone(),
+            source,
+        })?;
         sync_directory_of(&self.path);
         Ok(())
     }
@@ -117,9 +146,14 @@ impl EpisodeLog {
     }
 
     fn write(&mut self, line: &str) -> Result<(), AssetError> {
-        let write_error = |source| AssetError::Write { path: self.part.clone(), source };
+        let write_error = |source| AssetError::Write {
+            path: self.part.clone(),
+            source,
+        };
         if self.broken {
-            return Err(write_error(io::Error::other("a record before this one could not be written; begin the log anew")));
+            return Err(write_error(io::Error::other(
+                "a record before this one could not be written; begin the log anew",
+            )));
         }
         self.file.write_all(line.as_bytes()).map_err(|source| {
             self.broken = true;
@@ -129,5 +163,9 @@ impl EpisodeLog {
 }
 
 fn encode_error(path: &Path, source: EncodeError) -> AssetError {
-    AssetError::Encode { path: path.to_owned(), format: "an episode log", source }
+    AssetError::Encode {
+        path: path.to_owned(),
+        format: "an episode log",
+        source,
+    }
 }

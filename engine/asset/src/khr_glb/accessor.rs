@@ -48,7 +48,11 @@ impl Component {
             Self::U16 | Self::F32 => 65_535.0,
         };
         // The lowest of a signed type is one step beyond minus one.
-        if normalized { (value / largest).max(-1.0) } else { value }
+        if normalized {
+            (value / largest).max(-1.0)
+        } else {
+            value
+        }
     }
 }
 
@@ -60,25 +64,39 @@ pub(super) fn rows<const N: usize>(
     what: &str,
 ) -> Result<Vec<[f32; N]>, DecodeError> {
     let malformed = |told: String| DecodeError::Malformed(format!("attribute '{what}': {told}"));
-    let accessor = document.accessors.get(index).ok_or_else(|| malformed(format!("there is no accessor {index}")))?;
-    let component = Component::of_code(accessor.component_type)
-        .ok_or_else(|| malformed(format!("numbers of type {} are not read", accessor.component_type)))?;
+    let accessor = document
+        .accessors
+        .get(index)
+        .ok_or_else(|| malformed(format!("there is no accessor {index}")))?;
+    let component = Component::of_code(accessor.component_type).ok_or_else(|| {
+        malformed(format!(
+            "numbers of type {} are not read",
+            accessor.component_type
+        ))
+    })?;
     let expected = match N {
         1 => "SCALAR",
         3 => "VEC3",
         _ => "VEC4",
     };
     if accessor.kind != expected {
-        return Err(malformed(format!("accessor {index} is another type than {expected}")));
+        return Err(malformed(format!(
+            "accessor {index} is another type than {expected}"
+        )));
     }
     if accessor.sparse.is_some() {
-        return Err(DecodeError::Unsupported(format!("attribute '{what}' is sparse; export it whole")));
+        return Err(DecodeError::Unsupported(format!(
+            "attribute '{what}' is sparse; export it whole"
+        )));
     }
-    let view = accessor.buffer_view.ok_or_else(|| malformed(format!("accessor {index} has no buffer view")))?;
+    let view = accessor
+        .buffer_view
+        .ok_or_else(|| malformed(format!("accessor {index} has no buffer view")))?;
     let (bytes, view) = view_bytes(document, binary, view).map_err(malformed)?;
     let width = N * component.bytes();
     let stride = view.byte_stride.unwrap_or(width as u64);
-    let extent = extent_of(accessor, stride, width).filter(|&end| stride >= width as u64 && end <= bytes.len() as u64);
+    let extent = extent_of(accessor, stride, width)
+        .filter(|&end| stride >= width as u64 && end <= bytes.len() as u64);
     if extent.is_none() {
         return Err(malformed(format!(
             "accessor {index} claims {} rows of {width} bytes, {stride} apart, in {} bytes",
@@ -89,7 +107,9 @@ pub(super) fn rows<const N: usize>(
     let start = accessor.byte_offset as usize;
     let row = |row: usize| {
         let at = start + row * stride as usize;
-        std::array::from_fn(|i| component.read(&bytes[at + i * component.bytes()..], accessor.normalized))
+        std::array::from_fn(|i| {
+            component.read(&bytes[at + i * component.bytes()..], accessor.normalized)
+        })
     };
     Ok((0..accessor.count as usize).map(row).collect())
 }
@@ -99,7 +119,10 @@ fn extent_of(accessor: &Accessor, stride: u64, width: usize) -> Option<u64> {
     if accessor.count == 0 {
         return Some(0);
     }
-    (accessor.count - 1).checked_mul(stride)?.checked_add(accessor.byte_offset)?.checked_add(width as u64)
+    (accessor.count - 1)
+        .checked_mul(stride)?
+        .checked_add(accessor.byte_offset)?
+        .checked_add(width as u64)
 }
 
 /// The bytes of buffer view `index`.
@@ -108,14 +131,31 @@ pub(super) fn view_bytes<'d, 'b>(
     binary: &'b [u8],
     index: usize,
 ) -> Result<(&'b [u8], &'d BufferView), String> {
-    let view = document.buffer_views.get(index).ok_or_else(|| format!("there is no buffer view {index}"))?;
-    let buffer = document.buffers.get(view.buffer).ok_or_else(|| format!("there is no buffer {}", view.buffer))?;
+    let view = document
+        .buffer_views
+        .get(index)
+        .ok_or_else(|| format!("there is no buffer view {index}"))?;
+    let buffer = document
+        .buffers
+        .get(view.buffer)
+        .ok_or_else(|| format!("there is no buffer {}", view.buffer))?;
     if view.buffer != 0 || buffer.uri.is_some() {
-        return Err(format!("buffer {} is another file; pack everything into one .glb", view.buffer));
+        return Err(format!(
+            "buffer {} is another file; pack everything into one .glb",
+            view.buffer
+        ));
     }
-    let end = view.byte_offset.checked_add(view.byte_length).filter(|&end| end <= binary.len() as u64);
+    let end = view
+        .byte_offset
+        .checked_add(view.byte_length)
+        .filter(|&end| end <= binary.len() as u64);
     let end = end.ok_or_else(|| {
-        format!("buffer view {index} has {} bytes from {}, of {}", view.byte_length, view.byte_offset, binary.len())
+        format!(
+            "buffer view {index} has {} bytes from {}, of {}",
+            view.byte_length,
+            view.byte_offset,
+            binary.len()
+        )
     })?;
     Ok((&binary[view.byte_offset as usize..end as usize], view))
 }
@@ -126,10 +166,19 @@ mod tests {
 
     #[test]
     fn integers_are_normalized_as_gltf_says() {
-        assert_eq!([127, 0, -127, -128].map(|x: i8| Component::I8.read(&[x as u8], true)), [1.0, 0.0, -1.0, -1.0]);
+        assert_eq!(
+            [127, 0, -127, -128].map(|x: i8| Component::I8.read(&[x as u8], true)),
+            [1.0, 0.0, -1.0, -1.0]
+        );
         assert_eq!(Component::I8.read(&[0xfe], false), -2.0);
         assert_eq!(Component::I16.read(&i16::MIN.to_le_bytes(), true), -1.0);
-        assert_eq!([Component::U8.read(&[51], true), Component::U16.read(&[0xff, 0xff], true)], [0.2, 1.0]);
+        assert_eq!(
+            [
+                Component::U8.read(&[51], true),
+                Component::U16.read(&[0xff, 0xff], true)
+            ],
+            [0.2, 1.0]
+        );
         assert_eq!(Component::F32.read(&(-1.5f32).to_le_bytes(), true), -1.5);
     }
 }

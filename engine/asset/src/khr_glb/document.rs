@@ -141,18 +141,25 @@ pub(super) struct Buffer {
 
 impl Document {
     pub(super) fn parse(text: &[u8]) -> Result<Self, DecodeError> {
-        let document: Self =
-            serde_json::from_slice(text).map_err(|error| DecodeError::Malformed(format!("the JSON of the glTF: {error}")))?;
+        let document: Self = serde_json::from_slice(text)
+            .map_err(|error| DecodeError::Malformed(format!("the JSON of the glTF: {error}")))?;
         let known = [EXTENSION, EXTENSION_SPZ, "KHR_mesh_quantization"];
-        if let Some(other) = document.extensions_required.iter().find(|name| !known.contains(&name.as_str())) {
+        if let Some(other) = document
+            .extensions_required
+            .iter()
+            .find(|name| !known.contains(&name.as_str()))
+        {
             let shown: String = other.chars().take(60).collect();
-            let told = format!("it requires the extension '{shown}', which is not read; export it without");
+            let told = format!(
+                "it requires the extension '{shown}', which is not read; export it without"
+            );
             return Err(DecodeError::Unsupported(told));
         }
         Ok(document)
     }
 
-    /// The nodes that the scene begins with: of a file without scenes, those that are below no other.
+    /// The nodes that the scene begins with: of a file without scenes, those that are below no
+    /// other.
     pub(super) fn roots(&self) -> Vec<usize> {
         if let Some(scene) = self.scenes.get(self.scene).or(self.scenes.first()) {
             return scene.nodes.clone();
@@ -163,12 +170,19 @@ impl Document {
                 *is_child = true;
             }
         }
-        (0..self.nodes.len()).filter(|&node| !is_child[node]).collect()
+        (0..self.nodes.len())
+            .filter(|&node| !is_child[node])
+            .collect()
     }
 
     /// Properties of the splats whose meaning differs from the rendered one.
     pub(super) fn notes(&self) -> Vec<String> {
-        let splats = || self.meshes.iter().flat_map(|mesh| &mesh.primitives).filter_map(Primitive::splats);
+        let splats = || {
+            self.meshes
+                .iter()
+                .flat_map(|mesh| &mesh.primitives)
+                .filter_map(Primitive::splats)
+        };
         let mut notes = Vec::new();
         if splats().any(|splats| splats.color_space == "lin_rec709_display") {
             notes

@@ -1,18 +1,22 @@
 //! Splats in binary glTF (`.glb`) by the extension KHR_gaussian_splatting.
 //!
-//! Every primitive of points that has the extension is read, where the nodes of the scene put it: their transforms apply to means,
-//! scales, rotations and spherical harmonics, mirrors and unequal scales included. Attributes are floats or integers, normalized or
-//! not; rotations x, y, z, w; opacities 0 to 1; spherical harmonics `[coefficient][rgb]` with the signs of INRIA's. The child
+//! Every primitive of points that has the extension is read, where the nodes of the scene put it:
+//! their transforms apply to means, scales, rotations and spherical harmonics, mirrors and unequal
+//! scales included. Attributes are floats or integers, normalized or not; rotations x, y, z, w;
+//! opacities 0 to 1; spherical harmonics `[coefficient][rgb]` with the signs of INRIA's. The child
 //! extension with an SPZ inside (`KHR_gaussian_splatting_compression_spz_2`) is read too.
 //!
-//! **Scales.** The ratified extension stores them as they are, never negative. Its drafts until the release candidate of January
-//! 2026 stored natural logarithms, under the same name. A file with a scale below zero, which logarithms of all splats smaller than
-//! a meter are, is taken for such a draft as a whole.
+//! **Scales.** The ratified extension stores them as they are, never negative. Its drafts until the
+//! release candidate of January 2026 stored natural logarithms, under the same name. A file with a
+//! scale below zero, which logarithms of all splats smaller than a meter are, is taken for such a
+//! draft as a whole.
 //!
-//! **Axes** are the file's own: glTF says y is up. What is written has the coordinates of the cloud.
+//! **Axes** are the file's own: glTF says y is up. What is written has the coordinates of the
+//! cloud.
 //!
-//! **Colors** are as stored. A file that says `lin_rec709_display` means light, which should be blended as such and turned to
-//! display values afterwards; it is drawn too dark here, and [`read_notes`] says so.
+//! **Colors** are as stored. A file that says `lin_rec709_display` means light, which should be
+//! blended as such and turned to display values afterwards; it is drawn too dark here, and
+//! [`read_notes`] says so.
 
 mod accessor;
 mod document;
@@ -62,15 +66,23 @@ pub fn read_notes(bytes: &[u8]) -> Result<Vec<String>, DecodeError> {
 
 /// The JSON and the binary chunk, which may be absent.
 fn chunks(bytes: &[u8]) -> Result<(&[u8], &[u8]), DecodeError> {
-    let word = |at: usize| bytes.get(at..at + 4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]));
+    let word = |at: usize| {
+        bytes
+            .get(at..at + 4)
+            .map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
+    };
     let truncated = |what: &str, expected: usize| DecodeError::Truncated {
         what: what.to_owned(),
         expected_bytes: expected as u64,
         found_bytes: bytes.len() as u64,
     };
-    let (Some(version), Some(length)) = (word(4), word(8)) else { return Err(truncated("the header", HEADER_BYTES)) };
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        return Err(truncated("the header", HEADER_BYTES));
+    };
     if version != 2 {
-        return Err(DecodeError::Unsupported(format!("binary glTF of version {version}; version 2 is read")));
+        return Err(DecodeError::Unsupported(format!(
+            "binary glTF of version {version}; version 2 is read"
+        )));
     }
     if length as usize > bytes.len() {
         return Err(truncated("the file", length as usize));
@@ -82,7 +94,9 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], &[u8]), DecodeError> {
             return Err(truncated("the header of a chunk", at + CHUNK_HEADER_BYTES));
         };
         let start = at + CHUNK_HEADER_BYTES;
-        let content = bytes.get(start..start + size as usize).ok_or_else(|| truncated("a chunk", start + size as usize))?;
+        let content = bytes
+            .get(start..start + size as usize)
+            .ok_or_else(|| truncated("a chunk", start + size as usize))?;
         match kind {
             CHUNK_JSON if text.is_none() => text = Some(content),
             CHUNK_BINARY if binary.is_empty() => binary = content,

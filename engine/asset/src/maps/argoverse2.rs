@@ -1,8 +1,9 @@
-//! Argoverse 2 maps (`log_map_archive_*.json`): lane segments between two boundaries, in city coordinates with heights.
+//! Argoverse 2 maps (`log_map_archive_*.json`): lane segments between two boundaries, in city
+//! coordinates with heights.
 //!
-//! A segment's centerline is the file's or, where it has none, the middle of its boundaries. Neighbors are kept where they
-//! run the same way, told by their ends. Pedestrian crossings and drivable areas are not read,
-//! and speed limits are not in the format.
+//! A segment's centerline is the file's or, where it has none, the middle of its boundaries.
+//! Neighbors are kept where they run the same way, told by their ends. Pedestrian crossings and
+//! drivable areas are not read, and speed limits are not in the format.
 
 use std::collections::BTreeMap;
 
@@ -47,7 +48,8 @@ struct Point {
 /// # Errors
 /// A [`DecodeError`] that names the line or segment at fault.
 pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
-    let file: File = serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
+    let file: File =
+        serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
     let segments: Vec<Segment> = file.lane_segments.into_values().collect();
     let mut lanes: Vec<Lane> = segments.iter().map(lane).collect();
     let places = Places::of(&lanes)?;
@@ -59,20 +61,37 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         for before in segment.predecessors.iter().filter_map(|&id| place(id)) {
             join(&mut lanes, before, at);
         }
-        let beside = |id: Option<i64>| id.and_then(place).filter(|&other| run_alike(&lanes[at], &lanes[other]));
-        let (left, right) = (beside(segment.left_neighbor_id), beside(segment.right_neighbor_id));
+        let beside = |id: Option<i64>| {
+            id.and_then(place)
+                .filter(|&other| run_alike(&lanes[at], &lanes[other]))
+        };
+        let (left, right) = (
+            beside(segment.left_neighbor_id),
+            beside(segment.right_neighbor_id),
+        );
         (lanes[at].left_neighbor, lanes[at].right_neighbor) = (left, right);
     }
     super::finished(lanes, DVec3::ZERO)
 }
 
 fn lane(segment: &Segment) -> Lane {
-    let line = |points: &[Point]| cleaned(points.iter().map(|point| DVec3::new(point.x, point.y, point.z)));
-    let (left, right) = (line(&segment.left_lane_boundary), line(&segment.right_lane_boundary));
+    let line = |points: &[Point]| {
+        cleaned(
+            points
+                .iter()
+                .map(|point| DVec3::new(point.x, point.y, point.z)),
+        )
+    };
+    let (left, right) = (
+        line(&segment.left_lane_boundary),
+        line(&segment.right_lane_boundary),
+    );
     let middle = between(&left, &right);
     let centerline = match segment.centerline.as_deref().map(line) {
         // Motion forecasting maps have centerlines at z = 0 between borders at their true heights.
-        Some(flat) if !middle.is_empty() && has_no_height(&flat) && !has_no_height(&middle) => at_heights_of(&flat, &middle),
+        Some(flat) if !middle.is_empty() && has_no_height(&flat) && !has_no_height(&middle) => {
+            at_heights_of(&flat, &middle)
+        }
         Some(given) => given,
         None => middle,
     };
@@ -81,7 +100,15 @@ fn lane(segment: &Segment) -> Lane {
         "BIKE" => LaneKind::Bicycle,
         _ => LaneKind::Other,
     };
-    Lane { id: segment.id.to_string(), kind, centerline, left, right, has_height: true, ..Lane::default() }
+    Lane {
+        id: segment.id.to_string(),
+        kind,
+        centerline,
+        left,
+        right,
+        has_height: true,
+        ..Lane::default()
+    }
 }
 
 fn has_no_height(line: &[DVec3]) -> bool {

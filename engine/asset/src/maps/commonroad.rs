@@ -1,8 +1,9 @@
 //! CommonRoad scenarios (`.xml`, versions 2018b and 2020a): lanelets between two bounds.
 //!
-//! A lanelet's kind is its `laneletType` (2020a; 2018b knows only roads). Its speed limit is its `speedLimit` (2018b) or that of
-//! the signs that it refers to (2020a), meters a second. Neighbors are kept where they run the same way. The road users of a
-//! scenario are [`crate::tracks::commonroad`]'s.
+//! A lanelet's kind is its `laneletType` (2020a; 2018b knows only roads). Its speed limit is its
+//! `speedLimit` (2018b) or that of the signs that it refers to (2020a), meters a second. Neighbors
+//! are kept where they run the same way. The road users of a scenario are
+//! [`crate::tracks::commonroad`]'s.
 
 use std::collections::HashMap;
 
@@ -14,17 +15,22 @@ use super::polyline::{between, cleaned};
 use crate::DecodeError;
 use crate::xml::{Element, excerpt, parse};
 
-/// Signs that limit the speed, of Germany (and CommonRoad's own country), the United States and Spain.
+/// Signs that limit the speed, of Germany (and CommonRoad's own country), the United States and
+/// Spain.
 const SPEED_LIMIT_SIGNS: [&str; 3] = ["274", "R2-1", "r301"];
 
 /// The scenario that a document is, of a version that is read.
-pub(crate) fn scenario<'a>(document: &'a roxmltree::Document<'a>) -> Result<Element<'a>, DecodeError> {
+pub(crate) fn scenario<'a>(
+    document: &'a roxmltree::Document<'a>,
+) -> Result<Element<'a>, DecodeError> {
     let root = Element::root(document, "commonRoad")?;
     match root.attribute("commonRoadVersion") {
         Some("2018b" | "2020a") => Ok(root),
         found => {
             let version = excerpt(found.unwrap_or("none"));
-            Err(DecodeError::Unsupported(format!("CommonRoad version {version}; versions 2018b and 2020a are read")))
+            Err(DecodeError::Unsupported(format!(
+                "CommonRoad version {version}; versions 2018b and 2020a are read"
+            )))
         }
     }
 }
@@ -43,17 +49,32 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         }
     }
     let elements: Vec<Element> = root.all("lanelet").collect();
-    let mut lanes = elements.iter().map(|element| lane(*element, &sign_limits)).collect::<Result<Vec<_>, _>>()?;
+    let mut lanes = elements
+        .iter()
+        .map(|element| lane(*element, &sign_limits))
+        .collect::<Result<Vec<_>, _>>()?;
     let places = Places::of(&lanes)?;
     for (at, element) in elements.iter().enumerate() {
-        let linked = |name: &str| element.all(name).filter_map(|link| places.get(link.attribute("ref")?)).collect::<Vec<_>>();
-        linked("successor").into_iter().for_each(|next| join(&mut lanes, at, next));
-        linked("predecessor").into_iter().for_each(|before| join(&mut lanes, before, at));
+        let linked = |name: &str| {
+            element
+                .all(name)
+                .filter_map(|link| places.get(link.attribute("ref")?))
+                .collect::<Vec<_>>()
+        };
+        linked("successor")
+            .into_iter()
+            .for_each(|next| join(&mut lanes, at, next));
+        linked("predecessor")
+            .into_iter()
+            .for_each(|before| join(&mut lanes, before, at));
         let beside = |name: &str| {
-            let neighbor = element.first(name).filter(|link| link.attribute("drivingDir") == Some("same"));
+            let neighbor = element
+                .first(name)
+                .filter(|link| link.attribute("drivingDir") == Some("same"));
             neighbor.and_then(|link| places.get(link.attribute("ref")?))
         };
-        (lanes[at].left_neighbor, lanes[at].right_neighbor) = (beside("adjacentLeft"), beside("adjacentRight"));
+        (lanes[at].left_neighbor, lanes[at].right_neighbor) =
+            (beside("adjacentLeft"), beside("adjacentRight"));
     }
     super::finished(lanes, DVec3::ZERO)
 }
@@ -62,10 +83,21 @@ fn lane(element: Element, sign_limits: &HashMap<&str, f64>) -> Result<Lane, Deco
     let (left, left_has_height) = bound(element.needed("leftBound")?)?;
     let (right, right_has_height) = bound(element.needed("rightBound")?)?;
     let has_height = left_has_height && right_has_height;
-    let line = |points: Vec<DVec3>| cleaned(points.into_iter().map(|point| if has_height { point } else { point.with_z(0.0) }));
+    let line = |points: Vec<DVec3>| {
+        cleaned(
+            points
+                .into_iter()
+                .map(|point| if has_height { point } else { point.with_z(0.0) }),
+        )
+    };
     let (left, right) = (line(left), line(right));
-    let own_limit = element.first("speedLimit").map(Element::text_number).transpose()?;
-    let signs = element.all("trafficSignRef").filter_map(|sign| sign_limits.get(sign.attribute("ref")?).copied());
+    let own_limit = element
+        .first("speedLimit")
+        .map(Element::text_number)
+        .transpose()?;
+    let signs = element
+        .all("trafficSignRef")
+        .filter_map(|sign| sign_limits.get(sign.attribute("ref")?).copied());
     Ok(Lane {
         id: element.needed_attribute("id")?.to_owned(),
         kind: kind(element),
@@ -73,7 +105,9 @@ fn lane(element: Element, sign_limits: &HashMap<&str, f64>) -> Result<Lane, Deco
         left,
         right,
         has_height,
-        speed_limit_mps: own_limit.or(signs.min_by(f64::total_cmp)).filter(|limit_mps| *limit_mps > 0.0),
+        speed_limit_mps: own_limit
+            .or(signs.min_by(f64::total_cmp))
+            .filter(|limit_mps| *limit_mps > 0.0),
         ..Lane::default()
     })
 }
@@ -85,17 +119,26 @@ fn bound(element: Element) -> Result<(Vec<DVec3>, bool), DecodeError> {
     for point in element.all("point") {
         let height_m = point.first("z").map(Element::text_number).transpose()?;
         has_height &= height_m.is_some();
-        let [x, y] = [point.needed("x")?.text_number()?, point.needed("y")?.text_number()?];
+        let [x, y] = [
+            point.needed("x")?.text_number()?,
+            point.needed("y")?.text_number()?,
+        ];
         points.push(DVec3::new(x, y, height_m.unwrap_or(0.0)));
     }
-    if points.is_empty() { Err(element.fault("it has no points")) } else { Ok((points, has_height)) }
+    if points.is_empty() {
+        Err(element.fault("it has no points"))
+    } else {
+        Ok((points, has_height))
+    }
 }
 
 /// The least limit that the elements of a sign set, if they set one.
 fn sign_limit_mps(sign: Element) -> Result<Option<f64>, DecodeError> {
     let mut least_mps: Option<f64> = None;
     for part in sign.all("trafficSignElement") {
-        let is_limit = part.first("trafficSignID").is_some_and(|id| SPEED_LIMIT_SIGNS.contains(&id.text()));
+        let is_limit = part
+            .first("trafficSignID")
+            .is_some_and(|id| SPEED_LIMIT_SIGNS.contains(&id.text()));
         if let Some(value) = part.first("additionalValue").filter(|_| is_limit) {
             let limit_mps = value.text_number()?;
             least_mps = Some(least_mps.map_or(limit_mps, |least| least.min(limit_mps)));
@@ -114,5 +157,7 @@ fn kind(element: Element) -> LaneKind {
     };
     // A lanelet has several types: an urban sidewalk is a sidewalk.
     let mut kinds = element.all("laneletType").map(|kind| of(kind.text()));
-    kinds.find(|kind| *kind != LaneKind::Driving).unwrap_or_default()
+    kinds
+        .find(|kind| *kind != LaneKind::Driving)
+        .unwrap_or_default()
 }

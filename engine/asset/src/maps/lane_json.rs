@@ -3,16 +3,19 @@
 //! ```json
 //! {"version": 1, "lanes": [
 //!   {"id": "a", "centerline": [[0, 0], [50, 0]]},
-//!   {"id": "b", "kind": "driving", "centerline": [[50, 0, 1.5], [90, 8, 1.5]], "left": [[50, 2, 1.5], [90, 10, 1.5]],
-//!    "right": [[50, -2, 1.5], [90, 6, 1.5]], "successors": ["a"], "left_neighbor": null, "speed_limit_mps": 13.9}
+//!   {"id": "b", "kind": "driving", "centerline": [[50, 0, 1.5], [90, 8, 1.5]],
+//!    "left": [[50, 2, 1.5], [90, 10, 1.5]], "right": [[50, -2, 1.5], [90, 6, 1.5]],
+//!    "successors": ["a"], "left_neighbor": null, "speed_limit_mps": 13.9}
 //! ]}
 //! ```
 //!
-//! A lane needs its id, a text or a whole number, and its centerline, world coordinates in meters in driving direction. Points
-//! of two numbers have no height: where a lane has one, or says `"has_height": false`, its z is 0. `kind` is one of
-//! [`LaneKind::by_name`]'s, driving where absent. Links name lanes of the same file; predecessors follow from successors.
-//! `offset` (see [`LaneMap::offset`]) is zero where absent. Keys that are not known are refused, so that no typing error
-//! passes for an absent key. `centreline`, `left_neighbour` and `right_neighbour`, as older files have them, are read too.
+//! A lane needs its id, a text or a whole number, and its centerline, world coordinates in meters
+//! in driving direction. Points of two numbers have no height: where a lane has one, or says
+//! `"has_height": false`, its z is 0. `kind` is one of [`LaneKind::by_name`]'s, driving where
+//! absent. Links name lanes of the same file; predecessors follow from successors. `offset` (see
+//! [`LaneMap::offset`]) is zero where absent. Keys that are not known are refused, so that no
+//! typing error passes for an absent key. `centreline`, `left_neighbour` and `right_neighbour`, as
+//! older files have them, are read too.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -53,9 +56,17 @@ struct LaneForm {
     has_height: Option<bool>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     successors: Vec<Id>,
-    #[serde(default, alias = "left_neighbour", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        alias = "left_neighbour",
+        skip_serializing_if = "Option::is_none"
+    )]
     left_neighbor: Option<Id>,
-    #[serde(default, alias = "right_neighbour", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        alias = "right_neighbour",
+        skip_serializing_if = "Option::is_none"
+    )]
     right_neighbor: Option<Id>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     speed_limit_mps: Option<f64>,
@@ -89,14 +100,21 @@ impl Id {
 /// # Errors
 /// A [`DecodeError`] that names the line or the lane at fault.
 pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
-    let file: File = serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
+    let file: File =
+        serde_json::from_slice(bytes).map_err(|error| DecodeError::Malformed(error.to_string()))?;
     if let Some(version) = file.version.filter(|version| *version != VERSION) {
-        return Err(DecodeError::Unsupported(format!("version {version}; version {VERSION} is read")));
+        return Err(DecodeError::Unsupported(format!(
+            "version {version}; version {VERSION} is read"
+        )));
     }
     let mut lanes = Vec::with_capacity(file.lanes.len());
     let mut links = Vec::with_capacity(file.lanes.len());
     for mut form in file.lanes {
-        links.push((std::mem::take(&mut form.successors), form.left_neighbor.take(), form.right_neighbor.take()));
+        links.push((
+            std::mem::take(&mut form.successors),
+            form.left_neighbor.take(),
+            form.right_neighbor.take(),
+        ));
         lanes.push(form.into_lane()?);
     }
     let places = Places::of(&lanes)?;
@@ -104,10 +122,18 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
         let place = |id: Id| {
             let id = id.into_text();
             let from = excerpt(&lanes[at].id);
-            let missing = || DecodeError::Malformed(format!("lane {from} names lane {}, which is not there", excerpt(&id)));
+            let missing = || {
+                DecodeError::Malformed(format!(
+                    "lane {from} names lane {}, which is not there",
+                    excerpt(&id)
+                ))
+            };
             places.get(&id).ok_or_else(missing)
         };
-        let next = successors.into_iter().map(place).collect::<Result<Vec<_>, _>>()?;
+        let next = successors
+            .into_iter()
+            .map(place)
+            .collect::<Result<Vec<_>, _>>()?;
         let (left, right) = (left.map(place).transpose()?, right.map(place).transpose()?);
         (lanes[at].left_neighbor, lanes[at].right_neighbor) = (left, right);
         next.into_iter().for_each(|next| join(&mut lanes, at, next));
@@ -122,16 +148,26 @@ impl LaneForm {
             None => LaneKind::Driving,
             Some(name) => LaneKind::by_name(&name).ok_or_else(|| {
                 let kinds = "driving, bicycle, walking, parking or other";
-                DecodeError::Malformed(format!("lane {}: the kind '{}'; expected {kinds}", excerpt(&id), excerpt(&name)))
+                DecodeError::Malformed(format!(
+                    "lane {}: the kind '{}'; expected {kinds}",
+                    excerpt(&id),
+                    excerpt(&name)
+                ))
             })?,
         };
         if let Some(limit) = self.speed_limit_mps.filter(|limit| *limit <= 0.0) {
-            return Err(DecodeError::Malformed(format!("lane {}: a speed limit of {limit} m/s; expected more", excerpt(&id))));
+            return Err(DecodeError::Malformed(format!(
+                "lane {}: a speed limit of {limit} m/s; expected more",
+                excerpt(&id)
+            )));
         }
         let mut points = self.centerline.iter().chain(&self.left).chain(&self.right);
         let is_solid = points.all(|point| matches!(point, Point::Solid(_)));
         if self.has_height == Some(true) && !is_solid {
-            return Err(DecodeError::Malformed(format!("lane {}: has_height, but a point of two numbers", excerpt(&id))));
+            return Err(DecodeError::Malformed(format!(
+                "lane {}: has_height, but a point of two numbers",
+                excerpt(&id)
+            )));
         }
         let has_height = is_solid && self.has_height != Some(false);
         let line = |points: Vec<Point>| {
@@ -141,7 +177,16 @@ impl LaneForm {
             }))
         };
         let [centerline, left, right] = [self.centerline, self.left, self.right].map(line);
-        Ok(Lane { id, kind, centerline, left, right, has_height, speed_limit_mps: self.speed_limit_mps, ..Lane::default() })
+        Ok(Lane {
+            id,
+            kind,
+            centerline,
+            left,
+            right,
+            has_height,
+            speed_limit_mps: self.speed_limit_mps,
+            ..Lane::default()
+        })
     }
 
     fn of(lane: &Lane, all: &[Lane]) -> Self {
@@ -174,10 +219,20 @@ impl LaneForm {
 /// A sentence on what is wrong with the map, see [`LaneMap::check`].
 pub fn encode(map: &LaneMap) -> Result<Vec<u8>, String> {
     map.check()?;
-    let lanes = map.lanes.iter().map(|lane| serde_json::to_string(&LaneForm::of(lane, &map.lanes)));
-    let lanes = lanes.collect::<Result<Vec<_>, _>>().map_err(|error| error.to_string())?;
-    let offset = serde_json::to_string(&map.offset.to_array()).map_err(|error| error.to_string())?;
-    Ok(format!("{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]}}\n", lanes.join(",\n")).into_bytes())
+    let lanes = map
+        .lanes
+        .iter()
+        .map(|lane| serde_json::to_string(&LaneForm::of(lane, &map.lanes)));
+    let lanes = lanes
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|error| error.to_string())?;
+    let offset =
+        serde_json::to_string(&map.offset.to_array()).map_err(|error| error.to_string())?;
+    Ok(format!(
+        "{{\"version\": {VERSION}, \"offset\": {offset}, \"lanes\": [\n{}\n]}}\n",
+        lanes.join(",\n")
+    )
+    .into_bytes())
 }
 
 /// Writes `map` to `path`, whole or not at all.
@@ -185,8 +240,10 @@ pub fn encode(map: &LaneMap) -> Result<Vec<u8>, String> {
 /// # Errors
 /// [`AssetError::Write`].
 pub fn write(path: &Path, map: &LaneMap) -> Result<(), AssetError> {
-    let refused =
-        |reason| AssetError::Write { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) };
+    let refused = |reason| AssetError::Write {
+        path: path.to_owned(),
+        source: io::Error::new(io::ErrorKind::InvalidInput, reason),
+    };
     let bytes = encode(map).map_err(refused)?;
     write_atomically(path, |file| file.write_all(&bytes))
 }

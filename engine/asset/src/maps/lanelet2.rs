@@ -1,10 +1,13 @@
-//! Lanelet2 (`.osm`): OpenStreetMap's XML with relations of type `lanelet`, each between a way on its left and one on its right.
+//! Lanelet2 (`.osm`): OpenStreetMap's XML with relations of type `lanelet`, each between a way on
+//! its left and one on its right.
 //!
-//! Ways are turned so that left is to the left. Coordinates are the tags `local_x` and `local_y` where all nodes of lanelets
-//! have them, else latitude and longitude in UTM on WGS 84, full eastings and northings ([`LaneMap::offset`] is zero), in the
-//! zone and on the hemisphere of the first node of the first lanelet, see [`UtmZone::of`]. Height is the tag `ele`, known to a
-//! lanelet if all its nodes have it. A lanelet goes on in those that start at the two nodes where it ends; neighbors share a
-//! way and its direction. A lanelet for both directions (`one_way` = no) is read in that of its file alone.
+//! Ways are turned so that left is to the left. Coordinates are the tags `local_x` and `local_y`
+//! where all nodes of lanelets have them, else latitude and longitude in UTM on WGS 84, full
+//! eastings and northings ([`LaneMap::offset`] is zero), in the zone and on the hemisphere of the
+//! first node of the first lanelet, see [`UtmZone::of`]. Height is the tag `ele`, known to a
+//! lanelet if all its nodes have it. A lanelet continues in those that start at the two nodes where
+//! it ends; neighbors share a way and its direction. A lanelet for both directions (`one_way` = no)
+//! is read in that of its file alone.
 //!
 //! Not read: areas, regulatory elements, speed limits other than the tag `speed_limit`.
 
@@ -23,16 +26,24 @@ use crate::xml::{Element, excerpt, finite, parse};
 /// Reads the lanelets of a file.
 ///
 /// # Errors
-/// A [`DecodeError`] that names the element or lanelet at fault: a way or node that is missing is one.
+/// A [`DecodeError`] that names the element or lanelet at fault: a way or node that is missing is
+/// one.
 pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     let document = parse(bytes)?;
     let root = Element::root(&document, "osm")?;
     let file = File::read(root)?;
     let plane = file.plane()?;
     let mut budget = Budget::whole();
-    let lanelets = file.lanelets.iter().map(|lanelet| lanelet.sides(&file, plane, &mut budget));
+    let lanelets = file
+        .lanelets
+        .iter()
+        .map(|lanelet| lanelet.sides(&file, plane, &mut budget));
     let sides = lanelets.collect::<Result<Vec<_>, _>>()?;
-    let lanes = file.lanelets.iter().zip(&sides).map(|(lanelet, sides)| lanelet.lane(&file, plane, sides, &mut budget));
+    let lanes = file
+        .lanelets
+        .iter()
+        .zip(&sides)
+        .map(|(lanelet, sides)| lanelet.lane(&file, plane, sides, &mut budget));
     let mut lanes = lanes.collect::<Result<Vec<_>, _>>()?;
     Places::of(&lanes)?;
     connect(&sides, &mut lanes);
@@ -82,23 +93,39 @@ struct Side<'a> {
 
 /// Value of a tag of an element.
 fn tag<'a>(element: Element<'a>, key: &str) -> Option<&'a str> {
-    element.all("tag").find(|tag| tag.attribute("k") == Some(key)).and_then(|tag| tag.attribute("v"))
+    element
+        .all("tag")
+        .find(|tag| tag.attribute("k") == Some(key))
+        .and_then(|tag| tag.attribute("v"))
 }
 
 impl<'a> File<'a> {
     fn read(root: Element<'a>) -> Result<Self, DecodeError> {
-        let mut file = File { nodes: HashMap::new(), ways: HashMap::new(), lanelets: Vec::new() };
+        let mut file = File {
+            nodes: HashMap::new(),
+            ways: HashMap::new(),
+            lanelets: Vec::new(),
+        };
         // JOSM keeps what was deleted until it is uploaded.
-        for element in root.elements().filter(|element| element.attribute("action") != Some("delete")) {
+        for element in root
+            .elements()
+            .filter(|element| element.attribute("action") != Some("delete"))
+        {
             match element.name() {
                 "node" => {
-                    file.nodes.insert(element.needed_attribute("id")?, Node::read(element)?);
+                    file.nodes
+                        .insert(element.needed_attribute("id")?, Node::read(element)?);
                 }
                 "way" => {
-                    let nodes = element.all("nd").map(|nd| nd.needed_attribute("ref")).collect::<Result<_, _>>()?;
+                    let nodes = element
+                        .all("nd")
+                        .map(|nd| nd.needed_attribute("ref"))
+                        .collect::<Result<_, _>>()?;
                     file.ways.insert(element.needed_attribute("id")?, nodes);
                 }
-                "relation" if tag(element, "type") == Some("lanelet") => file.lanelets.push(Lanelet::read(element)?),
+                "relation" if tag(element, "type") == Some("lanelet") => {
+                    file.lanelets.push(Lanelet::read(element)?);
+                }
                 _ => {}
             }
         }
@@ -108,26 +135,46 @@ impl<'a> File<'a> {
     fn nodes_of(&self, lanelet: &Lanelet<'a>, way: &str) -> Result<&[&'a str], DecodeError> {
         match self.ways.get(way) {
             Some(nodes) if !nodes.is_empty() => Ok(nodes),
-            Some(_) => Err(lanelet.element.fault(format!("way {} has no nodes", excerpt(way)))),
-            None => Err(lanelet.element.fault(format!("way {} is not in the file", excerpt(way)))),
+            Some(_) => Err(lanelet
+                .element
+                .fault(format!("way {} has no nodes", excerpt(way)))),
+            None => Err(lanelet
+                .element
+                .fault(format!("way {} is not in the file", excerpt(way)))),
         }
     }
 
     fn node(&self, lanelet: &Lanelet, id: &str) -> Result<Node, DecodeError> {
         let node = self.nodes.get(id).copied();
-        node.ok_or_else(|| lanelet.element.fault(format!("node {} is not in the file", excerpt(id))))
+        node.ok_or_else(|| {
+            lanelet
+                .element
+                .fault(format!("node {} is not in the file", excerpt(id)))
+        })
     }
 
     /// Local coordinates where all nodes of lanelets have them; else UTM around the first of them.
     fn plane(&self) -> Result<Plane, DecodeError> {
-        let Some(first) = self.lanelets.first() else { return Ok(Plane::Local) };
-        let ways: std::collections::HashSet<&str> = self.lanelets.iter().flat_map(|one| [one.left, one.right]).collect();
-        let mut nodes = ways.iter().filter_map(|way| self.ways.get(way)).flatten().filter_map(|id| self.nodes.get(id));
+        let Some(first) = self.lanelets.first() else {
+            return Ok(Plane::Local);
+        };
+        let ways: std::collections::HashSet<&str> = self
+            .lanelets
+            .iter()
+            .flat_map(|one| [one.left, one.right])
+            .collect();
+        let mut nodes = ways
+            .iter()
+            .filter_map(|way| self.ways.get(way))
+            .flatten()
+            .filter_map(|id| self.nodes.get(id));
         if nodes.all(|node| node.local_m.is_some()) {
             return Ok(Plane::Local);
         }
         let node = self.node(first, self.nodes_of(first, first.left)?[0])?;
-        let degrees = node.degrees.ok_or_else(|| first.element.fault("its first node has no lat and lon"))?;
+        let degrees = node
+            .degrees
+            .ok_or_else(|| first.element.fault("its first node has no lat and lon"))?;
         Ok(Plane::Utm(UtmZone::of(degrees.y, degrees.x)))
     }
 
@@ -141,27 +188,37 @@ impl<'a> File<'a> {
     ) -> Result<(Vec<DVec3>, bool), DecodeError> {
         let ids = self.nodes_of(lanelet, way)?;
         budget.spend(ids.len())?;
-        let nodes = ids.iter().map(|id| self.node(lanelet, id)).collect::<Result<Vec<_>, _>>()?;
+        let nodes = ids
+            .iter()
+            .map(|id| self.node(lanelet, id))
+            .collect::<Result<Vec<_>, _>>()?;
         let has_height = nodes.iter().all(|node| node.height_m.is_some());
         let point = |node: &Node| -> Result<DVec3, DecodeError> {
             let place = match (plane, node.local_m, node.degrees) {
                 (Plane::Local, Some(local_m), _) => local_m,
-                (Plane::Utm(zone), _, Some(degrees)) => {
-                    zone.project(degrees.y, degrees.x).map_err(|reason| lanelet.element.fault(reason))?
-                }
+                (Plane::Utm(zone), _, Some(degrees)) => zone
+                    .project(degrees.y, degrees.x)
+                    .map_err(|reason| lanelet.element.fault(reason))?,
                 _ => return Err(lanelet.element.fault("one of its nodes has no lat and lon")),
             };
             Ok(place.extend(node.height_m.filter(|_| has_height).unwrap_or(0.0)))
         };
-        Ok((nodes.iter().map(point).collect::<Result<_, _>>()?, has_height))
+        Ok((
+            nodes.iter().map(point).collect::<Result<_, _>>()?,
+            has_height,
+        ))
     }
 }
 
 impl Node {
     fn read(element: Element) -> Result<Self, DecodeError> {
         let number = |key: &str| -> Result<Option<f64>, DecodeError> {
-            let Some(text) = tag(element, key).filter(|text| !text.is_empty()) else { return Ok(None) };
-            let number = finite(text).ok_or_else(|| element.fault(format!("{key} = '{}' is no finite number", excerpt(text))));
+            let Some(text) = tag(element, key).filter(|text| !text.is_empty()) else {
+                return Ok(None);
+            };
+            let number = finite(text).ok_or_else(|| {
+                element.fault(format!("{key} = '{}' is no finite number", excerpt(text)))
+            });
             number.map(Some)
         };
         let pair = |x: Option<f64>, y: Option<f64>| Some(DVec2::new(x?, y?));
@@ -181,26 +238,47 @@ impl Node {
 impl<'a> Lanelet<'a> {
     fn read(element: Element<'a>) -> Result<Self, DecodeError> {
         let way = |role: &str| -> Result<Option<&'a str>, DecodeError> {
-            let mut members = element
-                .all("member")
-                .filter(|member| member.attribute("role") == Some(role) && member.attribute("type") == Some("way"));
+            let mut members = element.all("member").filter(|member| {
+                member.attribute("role") == Some(role) && member.attribute("type") == Some("way")
+            });
             match (members.next(), members.next()) {
                 (None, _) => Ok(None),
                 (Some(member), None) => member.needed_attribute("ref").map(Some),
-                (Some(_), Some(_)) => Err(element.fault(format!("two ways are its {role}; expected one"))),
+                (Some(_), Some(_)) => {
+                    Err(element.fault(format!("two ways are its {role}; expected one")))
+                }
             }
         };
-        let needed = |role: &str| way(role)?.ok_or_else(|| element.fault(format!("no way is its {role}")));
+        let needed =
+            |role: &str| way(role)?.ok_or_else(|| element.fault(format!("no way is its {role}")));
         let id = element.needed_attribute("id")?;
-        Ok(Self { element, id, left: needed("left")?, right: needed("right")?, centerline: way("centerline")? })
+        Ok(Self {
+            element,
+            id,
+            left: needed("left")?,
+            right: needed("right")?,
+            centerline: way("centerline")?,
+        })
     }
 
     /// Borders of the lane, turned so that each has the other on its proper side.
-    fn sides(&self, file: &File<'a>, plane: Plane, budget: &mut Budget) -> Result<[Side<'a>; 2], DecodeError> {
+    fn sides(
+        &self,
+        file: &File<'a>,
+        plane: Plane,
+        budget: &mut Budget,
+    ) -> Result<[Side<'a>; 2], DecodeError> {
         let mut side = |way: &'a str| -> Result<Side<'a>, DecodeError> {
             let (points, has_height) = file.points(self, way, plane, budget)?;
             let nodes = file.nodes_of(self, way)?;
-            Ok(Side { way, is_turned: false, first: nodes[0], last: nodes[nodes.len() - 1], points, has_height })
+            Ok(Side {
+                way,
+                is_turned: false,
+                first: nodes[0],
+                last: nodes[nodes.len() - 1],
+                points,
+                has_height,
+            })
         };
         let (mut left, mut right) = (side(self.left)?, side(self.right)?);
         if is_left_of(&left.points, halfway(&right.points)) {
@@ -212,10 +290,28 @@ impl<'a> Lanelet<'a> {
         Ok([left, right])
     }
 
-    fn lane(&self, file: &File<'a>, plane: Plane, sides: &[Side; 2], budget: &mut Budget) -> Result<Lane, DecodeError> {
-        let middle = self.centerline.map(|way| file.points(self, way, plane, budget)).transpose()?;
-        let has_height = sides.iter().all(|side| side.has_height) && middle.as_ref().is_none_or(|(_, has_height)| *has_height);
-        let line = |points: &[DVec3]| cleaned(points.iter().map(|point| if has_height { *point } else { point.with_z(0.0) }));
+    fn lane(
+        &self,
+        file: &File<'a>,
+        plane: Plane,
+        sides: &[Side; 2],
+        budget: &mut Budget,
+    ) -> Result<Lane, DecodeError> {
+        let middle = self
+            .centerline
+            .map(|way| file.points(self, way, plane, budget))
+            .transpose()?;
+        let has_height = sides.iter().all(|side| side.has_height)
+            && middle.as_ref().is_none_or(|(_, has_height)| *has_height);
+        let line = |points: &[DVec3]| {
+            cleaned(points.iter().map(|point| {
+                if has_height {
+                    *point
+                } else {
+                    point.with_z(0.0)
+                }
+            }))
+        };
         let [left, right] = sides.each_ref().map(|side| line(&side.points));
         budget.spend(2 * (left.len() + right.len()))?;
         let centerline = middle.map_or_else(
@@ -236,7 +332,9 @@ impl<'a> Lanelet<'a> {
             left,
             right,
             has_height,
-            speed_limit_mps: tag(self.element, "speed_limit").map(|text| self.speed_mps(text)).transpose()?,
+            speed_limit_mps: tag(self.element, "speed_limit")
+                .map(|text| self.speed_mps(text))
+                .transpose()?,
             ..Lane::default()
         })
     }
@@ -244,14 +342,21 @@ impl<'a> Lanelet<'a> {
     /// By its subtype, unless tags say that no vehicle takes part.
     fn kind(&self) -> LaneKind {
         let takes_part = |who: &str| {
-            let mut tags = self.element.all("tag").filter(|tag| tag.attribute("v") == Some("yes"));
-            tags.any(|tag| tag.attribute("k").is_some_and(|key| key.starts_with(&format!("participant:{who}"))))
+            let mut tags = self
+                .element
+                .all("tag")
+                .filter(|tag| tag.attribute("v") == Some("yes"));
+            tags.any(|tag| {
+                tag.attribute("k")
+                    .is_some_and(|key| key.starts_with(&format!("participant:{who}")))
+            })
         };
         match tag(self.element, "subtype").unwrap_or_default() {
             "walkway" | "shared_walkway" | "crosswalk" | "stairs" => LaneKind::Walking,
             "bicycle_lane" => LaneKind::Bicycle,
             "parking" => LaneKind::Parking,
-            "road" | "highway" | "play_street" | "bus_lane" | "exit" => match takes_part("vehicle") {
+            "road" | "highway" | "play_street" | "bus_lane" | "exit" => match takes_part("vehicle")
+            {
                 false if takes_part("pedestrian") => LaneKind::Walking,
                 false if takes_part("bicycle") => LaneKind::Bicycle,
                 _ => LaneKind::Driving,
@@ -262,16 +367,24 @@ impl<'a> Lanelet<'a> {
 
     /// A speed with its unit, kilometers an hour where it has none.
     fn speed_mps(&self, text: &str) -> Result<f64, DecodeError> {
-        let digits = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
+        let digits = text
+            .find(|c: char| !(c.is_ascii_digit() || c == '.'))
+            .unwrap_or(text.len());
         let factor = match text[digits..].trim() {
             "" | "km/h" | "kmh" | "kph" => Some(1.0 / 3.6),
             "mph" => Some(0.447_04),
             "m/s" | "mps" => Some(1.0),
             _ => None,
         };
-        let speed_mps = finite(&text[..digits]).zip(factor).map(|(number, factor)| number * factor);
-        speed_mps
-            .ok_or_else(|| self.element.fault(format!("speed_limit = '{}'; expected a speed such as '50 km/h'", excerpt(text))))
+        let speed_mps = finite(&text[..digits])
+            .zip(factor)
+            .map(|(number, factor)| number * factor);
+        speed_mps.ok_or_else(|| {
+            self.element.fault(format!(
+                "speed_limit = '{}'; expected a speed such as '50 km/h'",
+                excerpt(text)
+            ))
+        })
     }
 }
 
@@ -288,15 +401,22 @@ fn connect(sides: &[[Side; 2]], lanes: &mut [Lane]) {
     let mut by_start: HashMap<[&str; 2], Vec<usize>> = HashMap::new();
     let mut by_left = HashMap::new();
     for (at, [left, right]) in sides.iter().enumerate() {
-        by_start.entry([left.first, right.first]).or_default().push(at);
-        // Of several lanelets over one way, which only happens where lanes split, the first is the neighbor.
+        by_start
+            .entry([left.first, right.first])
+            .or_default()
+            .push(at);
+        // Of several lanelets over one way, which only happens where lanes split, the first is the
+        // neighbor.
         by_left.entry((left.way, left.is_turned)).or_insert(at);
     }
     for (at, [left, right]) in sides.iter().enumerate() {
         for &next in by_start.get(&[left.last, right.last]).into_iter().flatten() {
             join(lanes, at, next);
         }
-        if let Some(&neighbor) = by_left.get(&(right.way, right.is_turned)).filter(|neighbor| **neighbor != at) {
+        if let Some(&neighbor) = by_left
+            .get(&(right.way, right.is_turned))
+            .filter(|neighbor| **neighbor != at)
+        {
             lanes[at].right_neighbor = Some(neighbor);
             lanes[neighbor].left_neighbor.get_or_insert(at);
         }

@@ -20,13 +20,16 @@ impl Places {
         for (at, lane) in lanes.iter().enumerate() {
             if places.insert(lane.id.clone(), at).is_some() {
                 let id = excerpt(&lane.id);
-                return Err(DecodeError::Malformed(format!("two lanes have the id {id}; ids must be unique in a map")));
+                return Err(DecodeError::Malformed(format!(
+                    "two lanes have the id {id}; ids must be unique in a map"
+                )));
             }
         }
         Ok(Self(places))
     }
 
-    /// The lane of an id. Files cut out of larger ones name lanes that they do not hold: those have no place.
+    /// The lane of an id. Files cut out of larger ones name lanes that they do not hold: those have
+    /// no place.
     pub(super) fn get(&self, id: &str) -> Option<usize> {
         self.0.get(id).copied()
     }

@@ -1,10 +1,11 @@
 //! Maps of lanes: OpenDRIVE, Lanelet2, Argoverse 2, CommonRoad and our own JSON.
 //!
-//! Every reader gives a [`LaneMap`]: borders and a centerline in driving direction, meters, x east and y north where the file
-//! knows of such, and how lanes join. Coordinates are the file's own ([`LaneMap::offset`] is zero); latitudes and longitudes
-//! are projected, see [`projection`]. A link to a lane that the file does not hold is dropped, as maps are often cut out of
-//! larger ones (our own JSON, which is written whole, is refused instead); an id that two lanes have is refused, and so is a
-//! map without lanes.
+//! Every reader gives a [`LaneMap`]: borders and a centerline in driving direction, meters, x east
+//! and y north where the file knows of such, and how lanes join. Coordinates are the file's own
+//! ([`LaneMap::offset`] is zero); latitudes and longitudes are projected, see [`projection`]. A
+//! link to a lane that the file does not hold is dropped, as maps are often cut out of larger ones
+//! (our own JSON, which is written whole, is refused instead); an id that two lanes have is
+//! refused, and so is a map without lanes.
 
 pub mod argoverse2;
 mod budget;
@@ -62,15 +63,29 @@ impl MapFormat {
     /// # Errors
     /// A sentence on what was found.
     pub fn detect(bytes: &[u8]) -> Result<Self, String> {
-        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
+        let text = bytes
+            .strip_prefix(b"\xef\xbb\xbf")
+            .unwrap_or(bytes)
+            .trim_ascii_start();
         match text.first() {
             Some(b'<') => {
-                let named =
-                    |name: &str| text.windows(name.len()).take(ROOT_WITHIN_BYTES).position(|part| part == name.as_bytes());
-                let roots = [("<OpenDRIVE", Self::OpenDrive), ("<osm", Self::Lanelet2), ("<commonRoad", Self::CommonRoad)];
-                let first =
-                    roots.into_iter().filter_map(|(name, format)| Some((named(name)?, format))).min_by_key(|found| found.0);
-                first.map(|(_, format)| format).ok_or_else(|| "XML of another kind".to_owned())
+                let named = |name: &str| {
+                    text.windows(name.len())
+                        .take(ROOT_WITHIN_BYTES)
+                        .position(|part| part == name.as_bytes())
+                };
+                let roots = [
+                    ("<OpenDRIVE", Self::OpenDrive),
+                    ("<osm", Self::Lanelet2),
+                    ("<commonRoad", Self::CommonRoad),
+                ];
+                let first = roots
+                    .into_iter()
+                    .filter_map(|(name, format)| Some((named(name)?, format)))
+                    .min_by_key(|found| found.0);
+                first
+                    .map(|(_, format)| format)
+                    .ok_or_else(|| "XML of another kind".to_owned())
             }
             Some(b'{') if has_key(text, "lane_segments") => Ok(Self::Argoverse2),
             Some(b'{') => Ok(Self::LaneJson),
@@ -100,7 +115,11 @@ pub fn read_map(path: &Path) -> Result<LaneMap, AssetError> {
         found,
         expected: "a map: OpenDRIVE (.xodr), Lanelet2 (.osm), Argoverse 2 or lane JSON, or CommonRoad XML",
     })?;
-    decode(&bytes, format).map_err(|source| AssetError::Decode { path: path.to_owned(), format: format.name(), source })
+    decode(&bytes, format).map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
+        format: format.name(),
+        source,
+    })
 }
 
 /// Reads the lanes of a map from the bytes of its file.
@@ -123,7 +142,9 @@ pub fn decode(bytes: &[u8], format: MapFormat) -> Result<LaneMap, DecodeError> {
 /// A [`DecodeError`] where there are none or one of them is no lane.
 fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError> {
     if lanes.is_empty() {
-        return Err(DecodeError::Malformed("the file holds no lane; expected at least one".into()));
+        return Err(DecodeError::Malformed(
+            "the file holds no lane; expected at least one".into(),
+        ));
     }
     links::tidy(&mut lanes);
     // A limit of nothing is none: maps write 0 where they know no limit.
@@ -136,7 +157,9 @@ fn finished(mut lanes: Vec<Lane>, offset: DVec3) -> Result<LaneMap, DecodeError>
         let mut points = lane.centerline.iter().chain(&lane.left).chain(&lane.right);
         if let Some(point) = points.find(|point| point.abs().max_element() > COORDINATE_MAX_M) {
             let id = &lane.id;
-            return Err(DecodeError::Malformed(format!("lane {id}: a point at {point} m, which is no place on Earth")));
+            return Err(DecodeError::Malformed(format!(
+                "lane {id}: a point at {point} m, which is no place on Earth"
+            )));
         }
     }
     Ok(map)
@@ -149,7 +172,10 @@ mod tests {
     #[test]
     fn formats_are_told_by_content() {
         for (text, expected) in [
-            ("<?xml version='1.0'?>\n<OpenDRIVE>", Ok(MapFormat::OpenDrive)),
+            (
+                "<?xml version='1.0'?>\n<OpenDRIVE>",
+                Ok(MapFormat::OpenDrive),
+            ),
             ("\u{feff} <osm version='0.6'>", Ok(MapFormat::Lanelet2)),
             ("<!-- not <osm --><commonRoad>", Ok(MapFormat::Lanelet2)),
             ("<commonRoad>", Ok(MapFormat::CommonRoad)),
@@ -171,10 +197,16 @@ mod tests {
         assert!(read_map(&path).unwrap_err().to_string().contains("a.xodr"));
         std::fs::write(&path, "[]").unwrap();
         let error = read_map(&path).unwrap_err().to_string();
-        assert!(error.contains("a.xodr") && error.contains("OpenDRIVE (.xodr)"), "{error}");
+        assert!(
+            error.contains("a.xodr") && error.contains("OpenDRIVE (.xodr)"),
+            "{error}"
+        );
         std::fs::write(&path, "<OpenDRIVE/>").unwrap();
         let error = read_map(&path).unwrap_err().to_string();
-        assert!(error.contains("not a readable OpenDRIVE file") && error.contains("no lane"), "{error}");
+        assert!(
+            error.contains("not a readable OpenDRIVE file") && error.contains("no lane"),
+            "{error}"
+        );
     }
 }
 
@@ -190,7 +222,15 @@ mod limits {
             speed_limit_mps,
             ..Lane::default()
         };
-        let map = finished(vec![lane("a", Some(0.0)), lane("b", Some(-1.0)), lane("c", Some(9.0))], DVec3::ZERO).unwrap();
+        let map = finished(
+            vec![
+                lane("a", Some(0.0)),
+                lane("b", Some(-1.0)),
+                lane("c", Some(9.0)),
+            ],
+            DVec3::ZERO,
+        )
+        .unwrap();
         let limits: Vec<Option<f64>> = map.lanes.iter().map(|lane| lane.speed_limit_mps).collect();
         assert_eq!(limits, [None, None, Some(9.0)]);
         let written = lane_json::encode(&map).unwrap();

@@ -21,14 +21,27 @@ pub(super) fn sequence_tracks(
     options: &PackOptions,
     span_s: (f64, f64),
 ) -> Result<Value, AssetError> {
-    let (mut ids, mut classes, mut flags, mut times, mut poses, mut dims) = (vec![], vec![], vec![], vec![], vec![], vec![]);
+    let (mut ids, mut classes, mut flags, mut times, mut poses, mut dims) =
+        (vec![], vec![], vec![], vec![], vec![], vec![]);
     for agent in &scene.agents {
         let way = sampled(scene, agent, span_s);
         ids.push(json!(agent.name));
         classes.push(json!(CLASS));
-        flags.push(if stands(agent) { json!(["STATIC"]) } else { json!(["DYNAMIC", "CONTROLLABLE"]) });
-        times.push(way.iter().map(|(time_us, _)| *time_us).collect::<Vec<u64>>());
-        poses.push(way.into_iter().map(|(_, pose)| pose).collect::<Vec<[f64; 7]>>());
+        flags.push(if stands(agent) {
+            json!(["STATIC"])
+        } else {
+            json!(["DYNAMIC", "CONTROLLABLE"])
+        });
+        times.push(
+            way.iter()
+                .map(|(time_us, _)| *time_us)
+                .collect::<Vec<u64>>(),
+        );
+        poses.push(
+            way.into_iter()
+                .map(|(_, pose)| pose)
+                .collect::<Vec<[f64; 7]>>(),
+        );
         dims.push(dims_of(&directory.join(&agent.asset))?);
     }
     let mut sequences = serde_json::Map::new();
@@ -47,33 +60,52 @@ pub(super) fn sequence_tracks(
     Ok(Value::Object(sequences))
 }
 
-/// Moments in microseconds and local poses (x, y, z and a quaternion x, y, z, w): where the agent's own way is known, and over the
-/// whole scene for one that stands.
+/// Moments in microseconds and local poses (x, y, z and a quaternion x, y, z, w): where the agent's
+/// own way is known, and over the whole scene for one that stands.
 fn sampled(scene: &SceneFile, agent: &SceneAgent, span_s: (f64, f64)) -> Vec<(u64, [f64; 7])> {
     let way = &agent.trajectory;
     let (start_s, end_s) = (way.start_s().max(span_s.0), way.end_s().min(span_s.1));
-    let (start_s, end_s) = if end_s > start_s { (start_s, end_s) } else { span_s };
+    let (start_s, end_s) = if end_s > start_s {
+        (start_s, end_s)
+    } else {
+        span_s
+    };
     let local = |time_s: f64| {
-        let Pose { rotation: q, translation } = way.at(time_s);
+        let Pose {
+            rotation: q,
+            translation,
+        } = way.at(time_s);
         let [x, y, z] = (translation - scene.origin).to_array();
         [x, y, z, q.x, q.y, q.z, q.w]
     };
-    moments(start_s, end_s).into_iter().map(|(time_s, time_us)| (time_us, local(time_s))).collect()
+    moments(start_s, end_s)
+        .into_iter()
+        .map(|(time_s, time_us)| (time_us, local(time_s)))
+        .collect()
 }
 
 fn stands(agent: &SceneAgent) -> bool {
     let poses = agent.trajectory.poses();
-    poses.iter().all(|timed| timed.pose.translation.distance(poses[0].pose.translation) < STANDS_M)
+    poses
+        .iter()
+        .all(|timed| timed.pose.translation.distance(poses[0].pose.translation) < STANDS_M)
 }
 
-/// Length, width and height of an asset, meters: as a compressed one says, or of the box about the means of its splats.
+/// Length, width and height of an asset, meters: as a compressed one says, or of the box about the
+/// means of its splats.
 fn dims_of(path: &Path) -> Result<[f64; 3], AssetError> {
     if coded_asset::has_extension(path) {
         return Ok(read_coded(path)?.cloud.dims_m.map(f64::from));
     }
-    let dims_m = read_splats(path)?.bounds().half_extent().map(|half_m| 2.0 * f64::from(half_m));
+    let dims_m = read_splats(path)?
+        .bounds()
+        .half_extent()
+        .map(|half_m| 2.0 * f64::from(half_m));
     if dims_m.iter().all(|side_m| side_m.is_finite()) {
         return Ok(dims_m);
     }
-    Err(AssetError::Placement(format!("{} has no splats that could stand somewhere", path.display())))
+    Err(AssetError::Placement(format!(
+        "{} has no splats that could stand somewhere",
+        path.display()
+    )))
 }

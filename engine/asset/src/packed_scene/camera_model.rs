@@ -1,5 +1,5 @@
-//! Cameras in the vocabulary of USDZ packages (NVIDIA NCore, `docs/data/sensor_models.rst`): `ftheta`, `opencv-pinhole`,
-//! `opencv-fisheye`.
+//! Cameras in the vocabulary of USDZ packages (NVIDIA NCore, `docs/data/sensor_models.rst`):
+//! `ftheta`, `opencv-pinhole`, `opencv-fisheye`.
 
 use decouplegs_scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs_scene::{Intrinsics, Lens};
@@ -19,7 +19,11 @@ pub(super) fn model(intrinsics: &Intrinsics) -> Value {
     let (name, own) = match &intrinsics.lens {
         Lens::Pinhole => ("ftheta", f_theta(intrinsics, &fitted(intrinsics))),
         Lens::FTheta(lens) => ("ftheta", f_theta(intrinsics, lens)),
-        Lens::OpenCv(OpenCv { radial, tangential, thin_prism }) => (
+        Lens::OpenCv(OpenCv {
+            radial,
+            tangential,
+            thin_prism,
+        }) => (
             "opencv-pinhole",
             json!({
                 "principal_point": principal_point,
@@ -29,7 +33,10 @@ pub(super) fn model(intrinsics: &Intrinsics) -> Value {
                 "thin_prism_coeffs": thin_prism,
             }),
         ),
-        Lens::Fisheye(Fisheye { radial, max_angle_rad }) => (
+        Lens::Fisheye(Fisheye {
+            radial,
+            max_angle_rad,
+        }) => (
             "opencv-fisheye",
             json!({
                 "principal_point": principal_point,
@@ -61,14 +68,27 @@ fn f_theta(intrinsics: &Intrinsics, lens: &FTheta) -> Value {
     })
 }
 
-/// A pinhole as f-theta: distance from the principal point against the angle from the axis, and back, as polynomials of the fifth
-/// degree up to the farthest corner.
+/// A pinhole as f-theta: distance from the principal point against the angle from the axis, and
+/// back, as polynomials of the fifth degree up to the farthest corner.
 fn fitted(intrinsics: &Intrinsics) -> FTheta {
-    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, .. } = *intrinsics;
+    let Intrinsics {
+        width_px,
+        height_px,
+        fx_px,
+        fy_px,
+        cx_px,
+        cy_px,
+        ..
+    } = *intrinsics;
     let reach = |center: f64, size: u32| center.abs().max((f64::from(size) - center).abs());
-    let (x, y) = (reach(cx_px, width_px) / fx_px, reach(cy_px, height_px) / fy_px);
+    let (x, y) = (
+        reach(cx_px, width_px) / fx_px,
+        reach(cy_px, height_px) / fy_px,
+    );
     let max_angle_rad = x.hypot(y).atan();
-    let angles: Vec<f64> = (0..SAMPLES).map(|i| max_angle_rad * (i as f64 + 0.5) / SAMPLES as f64).collect();
+    let angles: Vec<f64> = (0..SAMPLES)
+        .map(|i| max_angle_rad * (i as f64 + 0.5) / SAMPLES as f64)
+        .collect();
     let distances: Vec<f64> = angles.iter().map(|angle| fy_px * angle.tan()).collect();
     FTheta {
         reference: FThetaReference::AngleToPixelDistance,
@@ -95,13 +115,18 @@ fn fit(from: &[f64], to: &[f64]) -> [f64; COEFFICIENTS] {
         }
     }
     for pivot in 0..UNKNOWNS {
-        let best = (pivot..UNKNOWNS).max_by(|&a, &b| normal[a][pivot].abs().total_cmp(&normal[b][pivot].abs())).unwrap_or(pivot);
+        let best = (pivot..UNKNOWNS)
+            .max_by(|&a, &b| normal[a][pivot].abs().total_cmp(&normal[b][pivot].abs()))
+            .unwrap_or(pivot);
         normal.swap(pivot, best);
         let head = normal[pivot];
         for (row, values) in normal.iter_mut().enumerate() {
             if row != pivot {
                 let factor = values[pivot] / head[pivot];
-                values.iter_mut().zip(head).for_each(|(value, head)| *value -= factor * head);
+                values
+                    .iter_mut()
+                    .zip(head)
+                    .for_each(|(value, head)| *value -= factor * head);
             }
         }
     }
@@ -118,7 +143,13 @@ mod tests {
 
     fn usual() -> Intrinsics {
         let square = Intrinsics::from_horizontal_fov(1600, 900, 1.0);
-        Intrinsics { fx_px: 1266.4, fy_px: 1266.4, cx_px: 816.3, cy_px: 491.5, ..square }
+        Intrinsics {
+            fx_px: 1266.4,
+            fy_px: 1266.4,
+            cx_px: 816.3,
+            cy_px: 491.5,
+            ..square
+        }
     }
 
     #[test]
@@ -126,34 +157,78 @@ mod tests {
         let model = model(&usual());
         let parameters = &model["parameters"];
         let polynomial = |name: &str, x: f64| -> f64 {
-            parameters[name].as_array().unwrap().iter().rev().fold(0.0, |sum, c| sum * x + c.as_f64().unwrap())
+            parameters[name]
+                .as_array()
+                .unwrap()
+                .iter()
+                .rev()
+                .fold(0.0, |sum, c| sum * x + c.as_f64().unwrap())
         };
         let angle_max = parameters["max_angle"].as_f64().unwrap();
         for step in 0..=100 {
             let angle = angle_max * f64::from(step) / 100.0;
             let distance_px = 1266.4 * angle.tan();
-            assert!((polynomial("angle_to_pixeldist_poly", angle) - distance_px).abs() < 0.05, "{angle}");
-            assert!((polynomial("pixeldist_to_angle_poly", distance_px) - angle).abs() < 5e-5, "{angle}");
+            assert!(
+                (polynomial("angle_to_pixeldist_poly", angle) - distance_px).abs() < 0.05,
+                "{angle}"
+            );
+            assert!(
+                (polynomial("pixeldist_to_angle_poly", distance_px) - angle).abs() < 5e-5,
+                "{angle}"
+            );
         }
-        assert_eq!(parameters["principal_point"], json!([815.8, 491.0]), "counted from the center of the first pixel");
+        assert_eq!(
+            parameters["principal_point"],
+            json!([815.8, 491.0]),
+            "counted from the center of the first pixel"
+        );
     }
 
     #[test]
     fn each_lens_has_its_type_and_its_parameters() {
         let of = |lens: Lens| model(&Intrinsics { lens, ..usual() });
         let tangential = [0.001, -0.002];
-        let open_cv = of(Lens::OpenCv(OpenCv { radial: [-0.3, 0.1, 0.0, 0.0, 0.0, 0.0], tangential, ..OpenCv::default() }));
+        let open_cv = of(Lens::OpenCv(OpenCv {
+            radial: [-0.3, 0.1, 0.0, 0.0, 0.0, 0.0],
+            tangential,
+            ..OpenCv::default()
+        }));
         assert_eq!(open_cv["type"], "opencv-pinhole");
-        assert_eq!(open_cv["parameters"]["principal_point"], json!([816.3, 491.5]), "counted from the corner of the image");
-        assert_eq!(open_cv["parameters"]["tangential_coeffs"], json!(tangential));
+        assert_eq!(
+            open_cv["parameters"]["principal_point"],
+            json!([816.3, 491.5]),
+            "counted from the corner of the image"
+        );
+        assert_eq!(
+            open_cv["parameters"]["tangential_coeffs"],
+            json!(tangential)
+        );
         assert_eq!(open_cv["parameters"]["radial_coeffs"][0], -0.3);
-        let fisheye = of(Lens::Fisheye(Fisheye { radial: [0.01, 0.0, 0.0, 0.0], max_angle_rad: 1.2 }));
-        assert_eq!((&fisheye["type"], &fisheye["parameters"]["max_angle"]), (&json!("opencv-fisheye"), &json!(1.2)));
-        assert_eq!(fisheye["parameters"]["focal_length"], json!([1266.4, 1266.4]));
-        let lens = FTheta { reference: FThetaReference::PixelDistanceToAngle, ..fitted(&usual()) };
+        let fisheye = of(Lens::Fisheye(Fisheye {
+            radial: [0.01, 0.0, 0.0, 0.0],
+            max_angle_rad: 1.2,
+        }));
+        assert_eq!(
+            (&fisheye["type"], &fisheye["parameters"]["max_angle"]),
+            (&json!("opencv-fisheye"), &json!(1.2))
+        );
+        assert_eq!(
+            fisheye["parameters"]["focal_length"],
+            json!([1266.4, 1266.4])
+        );
+        let lens = FTheta {
+            reference: FThetaReference::PixelDistanceToAngle,
+            ..fitted(&usual())
+        };
         let f_theta = of(Lens::FTheta(lens));
-        assert_eq!(f_theta["parameters"]["reference_poly"], "PIXELDIST_TO_ANGLE");
-        assert_eq!(f_theta["parameters"]["angle_to_pixeldist_poly"], json!(lens.angle_to_pixel_distance));
+        assert_eq!(
+            f_theta["parameters"]["reference_poly"],
+            "PIXELDIST_TO_ANGLE"
+        );
+        assert_eq!(
+            f_theta["parameters"]["angle_to_pixeldist_poly"],
+            json!(lens.angle_to_pixel_distance)
+        );
         for model in [open_cv, fisheye, f_theta] {
             assert_eq!(model["parameters"]["resolution"], json!([1600, 900]));
             assert_eq!(model["parameters"]["shutter_type"], "GLOBAL");

@@ -1,7 +1,10 @@
-//! Scenes as one USDZ package, which AlpaSim's runtime and CARLA's NuRec scripts read and [`crate::open_scene`] opens again.
+//! Scenes as one USDZ package, which AlpaSim's runtime and CARLA's NuRec scripts read and
+//! [`crate::open_scene`] opens again.
 //!
-//! A package is a zip of stored, aligned entries. Read by others (names and fields followed: NVlabs/alpasim at 3032e0cf of July 2026,
-//! `src/utils/alpasim_utils/{artifact,scenario,scene_metadata}.py`, and CARLA 0.9.16, `PythonAPI/examples/nvidia/nurec/scenario.py`):
+//! A package is a zip of stored, aligned entries. Read by others (names and fields followed:
+//! NVlabs/alpasim at 3032e0cf of July 2026,
+//! `src/utils/alpasim_utils/{artifact,scenario,scene_metadata}.py`, and CARLA 0.9.16,
+//! `PythonAPI/examples/nvidia/nurec/scenario.py`):
 //!
 //! | entry | what is in it | for |
 //! |---|---|---|
@@ -14,11 +17,13 @@
 //! | `mesh_ground.ply`, `mesh.ply` | the ground as triangles, if it is given | AlpaSim |
 //! | `decouplegs/` | our scene file and everything it names | us |
 //!
-//! **Frames.** `local` is the scene's world seen from its origin, axes as they are: others keep it in 32-bit floats. The rig's origin is
-//! where [`PackOptions::rig_origin_m`] says, on the ground below the rear axle by default; agents are the middles of their boxes, as
-//! in scene files. **Times** are the scene's in microseconds, and have to be at least 0.
+//! **Frames.** `local` is the scene's world seen from its origin, axes as they are: others keep it
+//! in 32-bit floats. The rig's origin is where [`PackOptions::rig_origin_m`] says, on the ground
+//! below the rear axle by default; agents are the middles of their boxes, as in scene files.
+//! **Times** are the scene's in microseconds, and have to be at least 0.
 //!
-//! Trajectories are sampled ten times a second: others interpolate, and smooth, more than two poses far apart.
+//! Trajectories are sampled ten times a second: others interpolate, and smooth, more than two poses
+//! far apart.
 
 mod agents;
 mod camera_model;
@@ -68,7 +73,13 @@ impl PackOptions {
     pub fn new(scene_id: impl Into<String>) -> Self {
         let vehicle = VehicleSize::CAR;
         let rig_origin_m = DVec3::new(-0.3 * vehicle.length_m, 0.0, -0.5 * vehicle.height_m);
-        Self { scene_id: scene_id.into(), vehicle, rig_origin_m, map: None, ground_mesh: None }
+        Self {
+            scene_id: scene_id.into(),
+            vehicle,
+            rig_origin_m,
+            map: None,
+            ground_mesh: None,
+        }
     }
 }
 
@@ -82,7 +93,12 @@ pub fn ground_mesh_ply(vertices: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<u8>
         triangles.len()
     )
     .into_bytes();
-    file.extend(vertices.as_flattened().iter().flat_map(|value| value.to_le_bytes()));
+    file.extend(
+        vertices
+            .as_flattened()
+            .iter()
+            .flat_map(|value| value.to_le_bytes()),
+    );
     for triangle in triangles {
         file.push(3);
         file.extend(triangle.iter().flat_map(|index| index.to_le_bytes()));

@@ -1,4 +1,5 @@
-//! Scenes read from packages. Nothing is unpacked to the disk: entries are read from the bytes of the package.
+//! Scenes read from packages. Nothing is unpacked to the disk: entries are read from the bytes of
+//! the package.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -17,25 +18,44 @@ const NAME: &str = "USDZ package of decouplegs";
 
 /// True if `path` is named like a package.
 pub(crate) fn is_package(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"))
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"))
 }
 
-/// Opens the scene in the package at `path`, loaded as at `time_s`. Only the entries that the scene names are read.
+/// Opens the scene in the package at `path`, loaded as at `time_s`. Only the entries that the scene
+/// names are read.
 ///
 /// # Errors
-/// [`AssetError`] of the package, or of the entry at fault. A scene that names files outside of its package is refused.
+/// [`AssetError`] of the package, or of the entry at fault. A scene that names files outside of its
+/// package is refused.
 pub fn open_packed_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     let bytes = read_bytes(path)?;
-    let decode_error = |source| AssetError::Decode { path: path.to_owned(), format: NAME, source };
+    let decode_error = |source| AssetError::Decode {
+        path: path.to_owned(),
+        format: NAME,
+        source,
+    };
     let archive = Archive::parse(&bytes).map_err(decode_error)?;
     if !archive.has(SCENE) {
-        let told = format!("it has no '{SCENE}': packages of other programs hold no scene that is read here");
+        let told = format!(
+            "it has no '{SCENE}': packages of other programs hold no scene that is read here"
+        );
         return Err(decode_error(DecodeError::Unsupported(told)));
     }
-    let package = Package { path, archive, file_bytes: bytes.len() as u64, read_bytes: Cell::new(0) };
+    let package = Package {
+        path,
+        archive,
+        file_bytes: bytes.len() as u64,
+        read_bytes: Cell::new(0),
+    };
     let text = package.bytes(Path::new(&SCENE[OURS.len()..]))?;
-    let scene_error = |source| AssetError::Scene { path: path.join(SCENE), source };
-    let scene = text_of(&text).and_then(SceneFile::parse).map_err(scene_error)?;
+    let scene_error = |source| AssetError::Scene {
+        path: path.join(SCENE),
+        source,
+    };
+    let scene = text_of(&text)
+        .and_then(SceneFile::parse)
+        .map_err(scene_error)?;
     scene.load_from(&package, time_s)
 }
 
@@ -51,7 +71,11 @@ struct Package<'a> {
 
 impl SceneFiles for Package<'_> {
     fn bytes(&self, file: &Path) -> Result<Cow<'_, [u8]>, AssetError> {
-        self.entry(file).map_err(|source| AssetError::Decode { path: self.path.to_owned(), format: NAME, source })
+        self.entry(file).map_err(|source| AssetError::Decode {
+            path: self.path.to_owned(),
+            format: NAME,
+            source,
+        })
     }
 
     fn path(&self, file: &Path) -> PathBuf {
@@ -61,9 +85,14 @@ impl SceneFiles for Package<'_> {
 
 impl Package<'_> {
     fn entry(&self, file: &Path) -> Result<Cow<'_, [u8]>, DecodeError> {
-        let is_inside = file.components().all(|part| matches!(part, std::path::Component::Normal(_)));
+        let is_inside = file
+            .components()
+            .all(|part| matches!(part, std::path::Component::Normal(_)));
         let Some(name) = file.to_str().filter(|_| is_inside) else {
-            return Err(DecodeError::Malformed(format!("its scene names '{}', which is not in the package", file.display())));
+            return Err(DecodeError::Malformed(format!(
+                "its scene names '{}', which is not in the package",
+                file.display()
+            )));
         };
         let name = format!("{OURS}{name}");
         // Stored: `checked` compares the checksum and allocates nothing.

@@ -10,13 +10,24 @@ use crate::SceneFile;
 
 /// First and last moment of a scene, seconds.
 pub(super) fn span_of(scene: &SceneFile) -> Result<(f64, f64), String> {
-    let ways = || scene.ego.iter().chain(scene.agents.iter().map(|agent| &agent.trajectory));
+    let ways = || {
+        scene
+            .ego
+            .iter()
+            .chain(scene.agents.iter().map(|agent| &agent.trajectory))
+    };
     // The ego's way is the scene's; without one, whatever moves.
     let (start_s, end_s) = match &scene.ego {
         Some(ego) if ego.end_s() > ego.start_s() => (ego.start_s(), ego.end_s()),
-        _ => ways().fold((0.0, 0.0), |(start, end): (f64, f64), way| (start.min(way.start_s()), end.max(way.end_s()))),
+        _ => ways().fold((0.0, 0.0), |(start, end): (f64, f64), way| {
+            (start.min(way.start_s()), end.max(way.end_s()))
+        }),
     };
-    let end_s = if end_s > start_s { end_s } else { start_s + STANDING_S };
+    let end_s = if end_s > start_s {
+        end_s
+    } else {
+        start_s + STANDING_S
+    };
     if start_s < 0.0 || end_s > DURATION_MAX_S {
         return Err(format!(
             "the scene lasts from {start_s} to {end_s} s; a package counts microseconds from 0 to {DURATION_MAX_S} s"
@@ -43,23 +54,42 @@ pub(super) fn rows(pose: &Pose) -> Value {
 }
 
 /// `rig_trajectories.json`.
-pub(super) fn rig_trajectories(scene: &SceneFile, options: &PackOptions, span_s: (f64, f64)) -> Value {
-    let standing = Trajectory::standing(Pose { translation: scene.origin, ..Pose::IDENTITY });
+pub(super) fn rig_trajectories(
+    scene: &SceneFile,
+    options: &PackOptions,
+    span_s: (f64, f64),
+) -> Value {
+    let standing = Trajectory::standing(Pose {
+        translation: scene.origin,
+        ..Pose::IDENTITY
+    });
     let ego = scene.ego.as_ref().unwrap_or(&standing);
     let moments = moments(span_s.0, span_s.1);
     let local_from_rig = |time_s: f64| {
         let pose = ego.at(time_s);
-        Pose { translation: pose.transform(options.rig_origin_m) - scene.origin, ..pose }
+        Pose {
+            translation: pose.transform(options.rig_origin_m) - scene.origin,
+            ..pose
+        }
     };
     let mut calibrations = Map::new();
     let mut frames = Map::new();
     // A frame is an instant, of which the end is not part; the last sample is where the way ends.
-    let frame_times: Vec<[u64; 2]> =
-        moments.iter().take(moments.len().max(2) - 1).map(|&(_, time_us)| [time_us, time_us + 1]).collect();
+    let frame_times: Vec<[u64; 2]> = moments
+        .iter()
+        .take(moments.len().max(2) - 1)
+        .map(|&(_, time_us)| [time_us, time_us + 1])
+        .collect();
     for (index, camera) in scene.rig.cameras.iter().enumerate() {
         let key = format!("{}@{}", camera.name, options.scene_id);
-        let Pose { rotation, translation } = camera.rig_from_camera;
-        let rig_from_sensor = Pose { rotation, translation: translation - options.rig_origin_m };
+        let Pose {
+            rotation,
+            translation,
+        } = camera.rig_from_camera;
+        let rig_from_sensor = Pose {
+            rotation,
+            translation: translation - options.rig_origin_m,
+        };
         let calibration = json!({
             "sequence_id": options.scene_id,
             "logical_sensor_name": camera.name,
@@ -72,7 +102,10 @@ pub(super) fn rig_trajectories(scene: &SceneFile, options: &PackOptions, span_s:
         frames.insert(key, json!(frame_times));
     }
     let middle = DVec3::ZERO - options.rig_origin_m;
-    let worlds: Vec<Value> = moments.iter().map(|&(time_s, _)| rows(&local_from_rig(time_s))).collect();
+    let worlds: Vec<Value> = moments
+        .iter()
+        .map(|&(time_s, _)| rows(&local_from_rig(time_s)))
+        .collect();
     let times: Vec<u64> = moments.iter().map(|&(_, time_us)| time_us).collect();
     json!({
         "T_world_base": rows(&earth_from_local(scene, options)),
@@ -94,11 +127,17 @@ pub(super) fn rig_trajectories(scene: &SceneFile, options: &PackOptions, span_s:
     })
 }
 
-/// Earth-centerd from local coordinates where the map says where on Earth it is; else the place of the origin in the world.
+/// Earth-centerd from local coordinates where the map says where on Earth it is; else the place of
+/// the origin in the world.
 fn earth_from_local(scene: &SceneFile, options: &PackOptions) -> Pose {
-    let in_world = Pose { translation: scene.origin, ..Pose::IDENTITY };
+    let in_world = Pose {
+        translation: scene.origin,
+        ..Pose::IDENTITY
+    };
     let place = options.map.as_deref().and_then(geographic_origin);
-    place.map_or(in_world, |(latitude_deg, longitude_deg)| earth_from_east_north_up(latitude_deg, longitude_deg).then(&in_world))
+    place.map_or(in_world, |(latitude_deg, longitude_deg)| {
+        earth_from_east_north_up(latitude_deg, longitude_deg).then(&in_world)
+    })
 }
 
 /// Latitude and longitude of a map's origin, of its `geoReference` in PROJ's words.
@@ -108,9 +147,15 @@ pub(super) fn geographic_origin(map: &[u8]) -> Option<(f64, f64)> {
     let (reference, _) = behind.split_once("</geoReference>")?;
     let value = |name: &str| {
         let (_, behind) = reference.split_once(name)?;
-        behind.split(|c: char| c.is_whitespace() || c == ']').next()?.parse().ok().filter(|value: &f64| value.is_finite())
+        behind
+            .split(|c: char| c.is_whitespace() || c == ']')
+            .next()?
+            .parse()
+            .ok()
+            .filter(|value: &f64| value.is_finite())
     };
-    Some((value("+lat_0=")?, value("+lon_0=")?)).filter(|(latitude_deg, _)| latitude_deg.abs() <= 90.0)
+    Some((value("+lat_0=")?, value("+lon_0=")?))
+        .filter(|(latitude_deg, _)| latitude_deg.abs() <= 90.0)
 }
 
 /// Directions of east, north and up at a position on WGS 84, in Earth-centered coordinates, meters.
@@ -120,10 +165,17 @@ fn earth_from_east_north_up(latitude_deg: f64, longitude_deg: f64) -> Pose {
     let (latitude, longitude) = (latitude_deg.to_radians(), longitude_deg.to_radians());
     let eccentricity_squared = FLATTENING * (2.0 - FLATTENING);
     let normal_m = EQUATOR_M / (1.0 - eccentricity_squared * latitude.sin().powi(2)).sqrt();
-    let up = DVec3::new(latitude.cos() * longitude.cos(), latitude.cos() * longitude.sin(), latitude.sin());
+    let up = DVec3::new(
+        latitude.cos() * longitude.cos(),
+        latitude.cos() * longitude.sin(),
+        latitude.sin(),
+    );
     let east = DVec3::new(-longitude.sin(), longitude.cos(), 0.0);
     let place = DVec3::new(up.x, up.y, up.z * (1.0 - eccentricity_squared)) * normal_m;
-    Pose::new(glam::DQuat::from_mat3(&glam::DMat3::from_cols(east, up.cross(east), up)), place)
+    Pose::new(
+        glam::DQuat::from_mat3(&glam::DMat3::from_cols(east, up.cross(east), up)),
+        place,
+    )
 }
 
 #[cfg(test)]
@@ -132,7 +184,13 @@ mod tests {
 
     #[test]
     fn moments_rise_and_hold_both_ends() {
-        assert_eq!(moments(0.0, 0.25).iter().map(|moment| moment.1).collect::<Vec<_>>(), [0, 100_000, 200_000, 250_000]);
+        assert_eq!(
+            moments(0.0, 0.25)
+                .iter()
+                .map(|moment| moment.1)
+                .collect::<Vec<_>>(),
+            [0, 100_000, 200_000, 250_000]
+        );
         assert_eq!(moments(1.0, 1.0).len(), 1);
     }
 

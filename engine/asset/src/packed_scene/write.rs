@@ -14,8 +14,7 @@ use crate::zip::StoredZip;
 use crate::{AssetError, SceneFile, write_atomically};
 
 /// The layer that makes a zip a USDZ: an empty stage.
-const STAGE: &str =
-    "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n\ndef Xform \"World\"\n{\n}\n";
+const STAGE: &str = "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n\ndef Xform \"World\"\n{\n}\n";
 
 /// Summary of a packed scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,24 +31,55 @@ pub struct PackSummary {
 /// Writes `scene`, whose paths are relative to `directory`, as a package to `out`, atomically.
 ///
 /// # Errors
-/// [`AssetError`] of the file at fault; [`AssetError::Placement`] when the scene's times do not fit, the id is none or an asset is a
-/// folder.
-pub fn pack(scene: &SceneFile, directory: &Path, options: &PackOptions, out: &Path) -> Result<PackSummary, AssetError> {
+/// [`AssetError`] of the file at fault; [`AssetError::Placement`] when the scene's times do not
+/// fit, the id is none or an asset is a folder.
+pub fn pack(
+    scene: &SceneFile,
+    directory: &Path,
+    options: &PackOptions,
+    out: &Path,
+) -> Result<PackSummary, AssetError> {
     let refused = |told: String| AssetError::Placement(told);
-    if options.scene_id.is_empty() || options.scene_id.contains(|c: char| c.is_control() || matches!(c, '/' | '\\' | '"' | '@')) {
-        return Err(refused(format!("{:?} is no scene id; expected a name without slashes, quotes and @", options.scene_id)));
+    if options.scene_id.is_empty()
+        || options
+            .scene_id
+            .contains(|c: char| c.is_control() || matches!(c, '/' | '\\' | '"' | '@'))
+    {
+        return Err(refused(format!(
+            "{:?} is no scene id; expected a name without slashes, quotes and @",
+            options.scene_id
+        )));
     }
     let span_s = span_of(scene).map_err(refused)?;
     let mut texts: Vec<(&str, Vec<u8>)> = vec![
         ("default.usda", STAGE.into()),
-        ("metadata.yaml", metadata(scene, options, span_s).into_bytes()),
-        ("rig_trajectories.json", rig_trajectories(scene, options, span_s).to_string().into_bytes()),
-        ("sequence_tracks.json", sequence_tracks(scene, directory, options, span_s)?.to_string().into_bytes()),
-        ("data_info.json", data_info(options, span_s).to_string().into_bytes()),
+        (
+            "metadata.yaml",
+            metadata(scene, options, span_s).into_bytes(),
+        ),
+        (
+            "rig_trajectories.json",
+            rig_trajectories(scene, options, span_s)
+                .to_string()
+                .into_bytes(),
+        ),
+        (
+            "sequence_tracks.json",
+            sequence_tracks(scene, directory, options, span_s)?
+                .to_string()
+                .into_bytes(),
+        ),
+        (
+            "data_info.json",
+            data_info(options, span_s).to_string().into_bytes(),
+        ),
     ];
     texts.extend(options.map.as_ref().map(|map| ("map.xodr", map.clone())));
     if let Some(mesh) = &options.ground_mesh {
-        texts.extend([("mesh_ground.ply", mesh.clone()), ("mesh.ply", mesh.clone())]);
+        texts.extend([
+            ("mesh_ground.ply", mesh.clone()),
+            ("mesh.ply", mesh.clone()),
+        ]);
     }
     let (own, files) = renamed(scene);
     let text = own.to_toml().map_err(refused)?;
@@ -57,25 +87,42 @@ pub fn pack(scene: &SceneFile, directory: &Path, options: &PackOptions, out: &Pa
     for (path, _) in &files {
         let path = directory.join(path);
         if path.is_dir() {
-            return Err(refused(format!("{} is a folder; zip it to a .sog, or convert it", path.display())));
+            return Err(refused(format!(
+                "{} is a folder; zip it to a .sog, or convert it",
+                path.display()
+            )));
         }
         // Here, so that the complaint names the file and not the package.
         File::open(&path).map_err(|source| AssetError::Read { path, source })?;
     }
-    let entries: Vec<String> =
-        texts.iter().map(|(name, _)| (*name).to_owned()).chain(files.iter().map(|(_, name)| name.clone())).collect();
+    let entries: Vec<String> = texts
+        .iter()
+        .map(|(name, _)| (*name).to_owned())
+        .chain(files.iter().map(|(_, name)| name.clone()))
+        .collect();
     write_atomically(out, |file| {
         let mut zip = StoredZip::new(file);
-        texts.iter().try_for_each(|(name, content)| zip.add(name, content))?;
-        files.iter().try_for_each(|(path, name)| zip.add_from(name, || File::open(directory.join(path))))?;
+        texts
+            .iter()
+            .try_for_each(|(name, content)| zip.add(name, content))?;
+        files
+            .iter()
+            .try_for_each(|(path, name)| zip.add_from(name, || File::open(directory.join(path))))?;
         zip.finish()?.flush()
     })?;
-    let is_georeferenced = options.map.as_deref().is_some_and(|map| geographic_origin(map).is_some());
-    Ok(PackSummary { entries, span_s, is_georeferenced })
+    let is_georeferenced = options
+        .map
+        .as_deref()
+        .is_some_and(|map| geographic_origin(map).is_some());
+    Ok(PackSummary {
+        entries,
+        span_s,
+        is_georeferenced,
+    })
 }
 
-/// The scene as it names its files in the package, and where each comes from and what it is called there. One that is named often is
-/// packed once.
+/// The scene as it names its files in the package, and where each comes from and what it is called
+/// there. One that is named often is packed once.
 fn renamed(scene: &SceneFile) -> (SceneFile, Vec<(PathBuf, String)>) {
     let mut own = scene.clone();
     let mut files: Vec<(PathBuf, String)> = Vec::new();
@@ -85,14 +132,25 @@ fn renamed(scene: &SceneFile) -> (SceneFile, Vec<(PathBuf, String)>) {
             *path = name.clone();
             return;
         }
-        let file_name: String = path.file_name().unwrap_or_default().to_string_lossy().chars().filter(|c| fits(*c)).collect();
+        let file_name: String = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .chars()
+            .filter(|c| fits(*c))
+            .collect();
         // Numbered: files of one name may come from several folders.
         let name = format!("{folder}{:04}_{file_name}", known.len());
         files.push((path.clone(), format!("{OURS}{name}")));
-        known.insert(std::mem::replace(path, PathBuf::from(&name)), PathBuf::from(name));
+        known.insert(
+            std::mem::replace(path, PathBuf::from(&name)),
+            PathBuf::from(name),
+        );
     };
     take(&mut own.background, "");
-    own.agents.iter_mut().for_each(|agent| take(&mut agent.asset, "assets/"));
+    own.agents
+        .iter_mut()
+        .for_each(|agent| take(&mut agent.asset, "assets/"));
     if let Some(path) = own.light.as_mut().and_then(|light| light.transfer.as_mut()) {
         take(path, "");
     }
@@ -107,7 +165,12 @@ fn fits(c: char) -> bool {
 /// `metadata.yaml`. Texts are written as JSON writes them, which YAML reads.
 fn metadata(scene: &SceneFile, options: &PackOptions, span_s: (f64, f64)) -> String {
     let quoted = |text: &str| Value::from(text).to_string();
-    let cameras: Vec<&str> = scene.rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
+    let cameras: Vec<&str> = scene
+        .rig
+        .cameras
+        .iter()
+        .map(|camera| camera.name.as_str())
+        .collect();
     let id = quoted(&options.scene_id);
     format!(
         "scene_id: {id}\nuuid: {id}\nversion_string: {}\ntraining_date: \"1970-01-01\"\ndataset_hash: \"\"\nis_resumable: false\n\

@@ -23,7 +23,9 @@ pub(super) struct Element {
 impl Element {
     /// Bytes of a row, unless a list makes that differ from row to row.
     pub(super) fn stride(&self) -> Option<usize> {
-        self.properties.iter().try_fold(0, |sum, property| Some(sum + property.column?.scalar.bytes()))
+        self.properties.iter().try_fold(0, |sum, property| {
+            Some(sum + property.column?.scalar.bytes())
+        })
     }
 }
 
@@ -32,7 +34,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<Element>, usize), DecodeError> 
     let mut lines = HeaderLines { bytes, next: 0 };
     let magic = lines.next_line()?;
     if magic != "ply" {
-        return Err(DecodeError::Malformed(format!("the first line is '{}', expected 'ply'", shown(magic))));
+        return Err(DecodeError::Malformed(format!(
+            "the first line is '{}', expected 'ply'",
+            shown(magic)
+        )));
     }
     let mut elements: Vec<Element> = Vec::new();
     let mut has_format = false;
@@ -50,7 +55,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<Element>, usize), DecodeError> 
             ["property", rest @ ..] => match elements.last_mut() {
                 Some(element) => add_property(element, rest, line)?,
                 None => {
-                    return Err(DecodeError::Malformed(format!("header line '{}' stands before any element", shown(line))));
+                    return Err(DecodeError::Malformed(format!(
+                        "header line '{}' stands before any element",
+                        shown(line)
+                    )));
                 }
             },
             _ => {
@@ -62,7 +70,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<Element>, usize), DecodeError> 
         }
     }
     if !has_format {
-        return Err(DecodeError::Malformed("the header has no 'format' line".into()));
+        return Err(DecodeError::Malformed(
+            "the header has no 'format' line".into(),
+        ));
     }
     Ok((elements, lines.next))
 }
@@ -78,9 +88,13 @@ impl<'a> HeaderLines<'a> {
         let end = self.bytes.len().min(HEADER_BYTES_MAX);
         let rest = self.bytes.get(self.next..end).unwrap_or_default();
         let Some(length) = rest.iter().position(|&byte| byte == b'\n') else {
-            return Err(DecodeError::Malformed(format!("the header has no 'end_header' line in its first {end} bytes")));
+            return Err(DecodeError::Malformed(format!(
+                "the header has no 'end_header' line in its first {end} bytes"
+            )));
         };
-        let line = rest[..length].strip_suffix(b"\r").unwrap_or(&rest[..length]);
+        let line = rest[..length]
+            .strip_suffix(b"\r")
+            .unwrap_or(&rest[..length]);
         self.next += length + 1;
         // Comments may be in any encoding; everything that carries meaning is ASCII.
         Ok(std::str::from_utf8(line).unwrap_or("comment"))
@@ -93,30 +107,53 @@ fn require_little_endian(format: &str) -> Result<(), DecodeError> {
         "ascii" | "binary_big_endian" => Err(DecodeError::Unsupported(format!(
             "the body is {format}; only binary_little_endian is read: convert the file, for example with the PLY tool that wrote it"
         ))),
-        _ => Err(DecodeError::Malformed(format!("'{}' is no PLY format", shown(format)))),
+        _ => Err(DecodeError::Malformed(format!(
+            "'{}' is no PLY format",
+            shown(format)
+        ))),
     }
 }
 
 fn parse_element(name: &str, count: &str) -> Result<Element, DecodeError> {
     let count = count.parse().map_err(|_| {
-        DecodeError::Malformed(format!("element '{}' has the count '{}', expected a number", shown(name), shown(count)))
+        DecodeError::Malformed(format!(
+            "element '{}' has the count '{}', expected a number",
+            shown(name),
+            shown(count)
+        ))
     })?;
-    Ok(Element { name: name.to_owned(), count, properties: Vec::new() })
+    Ok(Element {
+        name: name.to_owned(),
+        count,
+        properties: Vec::new(),
+    })
 }
 
 fn add_property(element: &mut Element, words: &[&str], line: &str) -> Result<(), DecodeError> {
-    let malformed = || DecodeError::Malformed(format!("header line '{}' is no PLY property", shown(line)));
+    let malformed =
+        || DecodeError::Malformed(format!("header line '{}' is no PLY property", shown(line)));
     let property = match *words {
         ["list", count, item, name] => {
-            Scalar::by_name(count).and(Scalar::by_name(item)).ok_or_else(malformed)?;
-            Property { name: name.to_owned(), column: None }
+            Scalar::by_name(count)
+                .and(Scalar::by_name(item))
+                .ok_or_else(malformed)?;
+            Property {
+                name: name.to_owned(),
+                column: None,
+            }
         }
         [scalar, name] => {
             let scalar = Scalar::by_name(scalar).ok_or_else(malformed)?;
-            let last = element.properties.last().and_then(|property| property.column);
+            let last = element
+                .properties
+                .last()
+                .and_then(|property| property.column);
             // After a list there is no fixed offset; such rows are refused before a column is used.
             let offset = last.map_or(0, |column| column.offset + column.scalar.bytes());
-            Property { name: name.to_owned(), column: Some(Column { offset, scalar }) }
+            Property {
+                name: name.to_owned(),
+                column: Some(Column { offset, scalar }),
+            }
         }
         _ => return Err(malformed()),
     };
@@ -126,5 +163,8 @@ fn add_property(element: &mut Element, words: &[&str], line: &str) -> Result<(),
 
 /// The start of a text from a file, fit for a message.
 pub(super) fn shown(text: &str) -> String {
-    text.chars().take(60).map(|c| if c.is_control() { '?' } else { c }).collect()
+    text.chars()
+        .take(60)
+        .map(|c| if c.is_control() { '?' } else { c })
+        .collect()
 }

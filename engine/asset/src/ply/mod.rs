@@ -1,7 +1,7 @@
 //! The PLY container: a text header that names elements and properties, then rows of fixed stride.
 //!
-//! Reads binary little-endian bodies. Nothing is allocated by what a header claims: every element's extent is checked
-//! against the bytes that are there before a row is touched.
+//! Reads binary little-endian bodies. Nothing is allocated by what a header claims: every element's
+//! extent is checked against the bytes that are there before a row is touched.
 
 mod column;
 mod header;
@@ -38,7 +38,10 @@ impl<'a> Ply<'a> {
     /// Parses the header of `bytes`.
     pub(crate) fn parse(bytes: &'a [u8]) -> Result<Self, DecodeError> {
         let (elements, body_at) = header::parse(bytes)?;
-        Ok(Self { elements, body: &bytes[body_at..] })
+        Ok(Self {
+            elements,
+            body: &bytes[body_at..],
+        })
     }
 
     /// True if there is an element called `name`.
@@ -58,8 +61,16 @@ impl<'a> Ply<'a> {
 
     /// The names of the properties of `element`, none if it is not there.
     pub(crate) fn property_names(&self, element: &str) -> impl Iterator<Item = &str> {
-        let found = self.elements.iter().find(|candidate| candidate.name == element);
-        found.into_iter().flat_map(|element| element.properties.iter().map(|property| property.name.as_str()))
+        let found = self
+            .elements
+            .iter()
+            .find(|candidate| candidate.name == element);
+        found.into_iter().flat_map(|element| {
+            element
+                .properties
+                .iter()
+                .map(|property| property.name.as_str())
+        })
     }
 
     /// The column of a scalar property.
@@ -75,8 +86,15 @@ impl<'a> Ply<'a> {
 
     /// The column of a scalar property, if it exists.
     pub(crate) fn column_if_present(&self, element: &str, property: &str) -> Option<Column> {
-        let element = self.elements.iter().find(|candidate| candidate.name == element)?;
-        element.properties.iter().find(|candidate| candidate.name == property)?.column
+        let element = self
+            .elements
+            .iter()
+            .find(|candidate| candidate.name == element)?;
+        element
+            .properties
+            .iter()
+            .find(|candidate| candidate.name == property)?
+            .column
     }
 
     /// The rows of `name`, all of them there.
@@ -89,40 +107,72 @@ impl<'a> Ply<'a> {
                     shown(&element.name)
                 )));
             };
-            let extent = element.count.checked_mul(stride as u64).and_then(|bytes| start.checked_add(bytes));
+            let extent = element
+                .count
+                .checked_mul(stride as u64)
+                .and_then(|bytes| start.checked_add(bytes));
             let found_bytes = self.body.len() as u64;
             match extent {
                 Some(end) if end <= found_bytes => {
                     if element.name == name {
-                        return self.rows_at(start as usize..end as usize, stride, element.count, name);
+                        return self.rows_at(
+                            start as usize..end as usize,
+                            stride,
+                            element.count,
+                            name,
+                        );
                     }
                     start = end;
                 }
                 _ => {
                     return Err(DecodeError::Truncated {
-                        what: format!("element '{}' of {} rows of {stride} bytes", shown(&element.name), element.count),
+                        what: format!(
+                            "element '{}' of {} rows of {stride} bytes",
+                            shown(&element.name),
+                            element.count
+                        ),
                         expected_bytes: extent.unwrap_or(u64::MAX),
                         found_bytes,
                     });
                 }
             }
         }
-        Err(DecodeError::Malformed(format!("there is no element '{name}', only: {}", self.element_names())))
+        Err(DecodeError::Malformed(format!(
+            "there is no element '{name}', only: {}",
+            self.element_names()
+        )))
     }
 
-    fn rows_at(&self, range: Range<usize>, stride: usize, count: u64, name: &str) -> Result<Rows<'a>, DecodeError> {
-        // Rows without properties take no bytes, so the bytes do not bound their number; equal depths and buffers are
-        // indexed with 32 bits.
-        let count = u32::try_from(count)
-            .map_err(|_| DecodeError::Unsupported(format!("element '{name}' has {count} rows; at most 4294967295 are read")))?;
-        Ok(Rows { bytes: &self.body[range], stride, count: count as usize })
+    fn rows_at(
+        &self,
+        range: Range<usize>,
+        stride: usize,
+        count: u64,
+        name: &str,
+    ) -> Result<Rows<'a>, DecodeError> {
+        // Rows without properties take no bytes, so the bytes do not bound their number; equal
+        // depths and buffers are indexed with 32 bits.
+        let count = u32::try_from(count).map_err(|_| {
+            DecodeError::Unsupported(format!(
+                "element '{name}' has {count} rows; at most 4294967295 are read"
+            ))
+        })?;
+        Ok(Rows {
+            bytes: &self.body[range],
+            stride,
+            count: count as usize,
+        })
     }
 }
 
 /// The first of `names`, for messages.
 fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
     let mut names = names.map(shown);
-    let mut list = names.by_ref().take(NAMES_SHOWN_MAX).collect::<Vec<_>>().join(", ");
+    let mut list = names
+        .by_ref()
+        .take(NAMES_SHOWN_MAX)
+        .collect::<Vec<_>>()
+        .join(", ");
     if names.next().is_some() {
         list += ", ...";
     }
@@ -134,7 +184,8 @@ mod tests {
     use super::*;
 
     fn ply(header: &str, body: &[u8]) -> Vec<u8> {
-        let mut bytes = format!("ply\nformat binary_little_endian 1.0\n{header}end_header\n").into_bytes();
+        let mut bytes =
+            format!("ply\nformat binary_little_endian 1.0\n{header}end_header\n").into_bytes();
         bytes.extend_from_slice(body);
         bytes
     }
@@ -155,7 +206,10 @@ mod tests {
         let rows = ply.rows("vertex").unwrap();
         let value = |name: &str| ply.column("vertex", name).unwrap().f32_of(rows.bytes);
         let values = ["a", "b", "c", "d", "e", "f", "g", "h"].map(value);
-        assert_eq!(values, [-1.0, 254.0, -3.0, 65_535.0, -70_000.0, 3.0e9, 1.5, -2.25]);
+        assert_eq!(
+            values,
+            [-1.0, 254.0, -3.0, 65_535.0, -70_000.0, 3.0e9, 1.5, -2.25]
+        );
     }
 
     #[test]
@@ -169,11 +223,19 @@ mod tests {
 
     #[test]
     fn what_is_not_read_is_said() {
-        let error = |bytes: &[u8]| Ply::parse(bytes).and_then(|ply| ply.rows("vertex").map(|_| ())).unwrap_err().to_string();
+        let error = |bytes: &[u8]| {
+            Ply::parse(bytes)
+                .and_then(|ply| ply.rows("vertex").map(|_| ()))
+                .unwrap_err()
+                .to_string()
+        };
         assert!(error(b"ply\nformat ascii 1.0\nend_header\n").contains("ascii"));
         assert!(error(b"ply\nformat binary_big_endian 1.0\nend_header\n").contains("big_endian"));
         assert!(error(b"ply\nend_header\n").contains("format"));
-        assert!(error(b"ply\nformat binary_little_endian 1.0\nproperty float x\nend_header\n").contains("before any element"));
+        assert!(
+            error(b"ply\nformat binary_little_endian 1.0\nproperty float x\nend_header\n")
+                .contains("before any element")
+        );
         assert!(error(&ply("element vertex -1\n", b"")).contains("-1"));
         assert!(error(&ply("element vertex 1\nproperty quad x\n", b"")).contains("quad"));
         assert!(error(&ply("element mesh 0\n", b"")).contains("mesh"));
@@ -182,10 +244,21 @@ mod tests {
 
     #[test]
     fn absurd_counts_are_refused_before_anything_is_allocated() {
-        for count in ["18446744073709551615", "4611686018427387904", "1000000000000", "3"] {
-            let bytes = ply(&format!("element vertex {count}\nproperty float x\n"), &[0; 8]);
+        for count in [
+            "18446744073709551615",
+            "4611686018427387904",
+            "1000000000000",
+            "3",
+        ] {
+            let bytes = ply(
+                &format!("element vertex {count}\nproperty float x\n"),
+                &[0; 8],
+            );
             let error = Ply::parse(&bytes).unwrap().rows("vertex").unwrap_err();
-            assert!(matches!(error, DecodeError::Truncated { found_bytes: 8, .. }), "{error}");
+            assert!(
+                matches!(error, DecodeError::Truncated { found_bytes: 8, .. }),
+                "{error}"
+            );
         }
         let empty_rows = ply("element vertex 99999999999\n", b"");
         assert!(Ply::parse(&empty_rows).unwrap().rows("vertex").is_err());

@@ -42,7 +42,10 @@ const FLATNESS: f32 = 0.08;
 
 impl Canvas {
     pub(super) fn new(discs_max: usize) -> Self {
-        Self { discs: Vec::new(), discs_max }
+        Self {
+            discs: Vec::new(),
+            discs_max,
+        }
     }
 
     /// Discs kept.
@@ -74,16 +77,28 @@ impl Canvas {
     /// The splats of all discs in `light`.
     pub(super) fn into_cloud(self, sh_degree: u8, light: &Illumination) -> SplatCloud {
         let stride = sh::coefficient_count(sh_degree) - 1;
-        let mut cloud = SplatCloud { sh_degree, ..SplatCloud::default() };
+        let mut cloud = SplatCloud {
+            sh_degree,
+            ..SplatCloud::default()
+        };
         for disc in &self.discs {
-            let (along_m, across_m) = (disc.along.length().max(1e-3), disc.across.length().max(1e-3));
+            let (along_m, across_m) = (
+                disc.along.length().max(1e-3),
+                disc.across.length().max(1e-3),
+            );
             let normal = disc.along.cross(disc.across).normalize_or(Vec3::Z);
             let along = disc.along.normalize_or(Vec3::X);
             let axes = Mat3::from_cols(along, normal.cross(along), normal);
             let rotation = Quat::from_mat3(&axes).normalize();
             cloud.means.push(disc.middle.to_array());
-            cloud.scales.push([along_m, across_m, (along_m.min(across_m) * FLATNESS).max(1e-3)]);
-            cloud.rotations.push([rotation.w, rotation.x, rotation.y, rotation.z]);
+            cloud.scales.push([
+                along_m,
+                across_m,
+                (along_m.min(across_m) * FLATNESS).max(1e-3),
+            ]);
+            cloud
+                .rotations
+                .push([rotation.w, rotation.x, rotation.y, rotation.z]);
             cloud.opacities.push(OPACITY);
             let color = match disc.look {
                 Look::Lit { .. } => light.shown(disc.albedo, normal),
@@ -94,7 +109,9 @@ impl Canvas {
                 Look::Lit { gloss } if normal.z > 0.9 => gloss,
                 _ => 0.0,
             };
-            cloud.sh_rest.extend((0..stride).map(|index| (mirrors * light.mirrored(index + 1)).to_array()));
+            cloud
+                .sh_rest
+                .extend((0..stride).map(|index| (mirrors * light.mirrored(index + 1)).to_array()));
         }
         cloud
     }

@@ -14,15 +14,23 @@ const BELOW: f32 = -0.12;
 /// Standard deviation over the spacing.
 const SCALE_OVER_SPACING: f32 = 0.75;
 
-/// `count` splats on a dome of `radius_m`, its middle at height `z_m`, evenly on a spiral (Vogel, A better way to construct the
-/// sunflower head, 1979).
-pub(super) fn dome(canvas: &mut Canvas, count: usize, radius_m: f32, light: &Illumination, z_m: f32) {
+/// `count` splats on a dome of `radius_m`, its middle at height `z_m`, evenly on a spiral (Vogel, A
+/// better way to construct the sunflower head, 1979).
+pub(super) fn dome(
+    canvas: &mut Canvas,
+    count: usize,
+    radius_m: f32,
+    light: &Illumination,
+    z_m: f32,
+) {
     canvas.grow(count);
     let golden_rad = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let spacing_m = (std::f32::consts::TAU * (1.0 - BELOW) / count.max(1) as f32).sqrt() * radius_m;
     for index in 0..count {
         let height = 1.0 - (1.0 - BELOW) * ((index as f64 + 0.5) / count as f64) as f32;
-        let (sin, cos) = (golden_rad * index as f64).rem_euclid(std::f64::consts::TAU).sin_cos();
+        let (sin, cos) = (golden_rad * index as f64)
+            .rem_euclid(std::f64::consts::TAU)
+            .sin_cos();
         let ring = (1.0 - height * height).max(0.0).sqrt();
         let outward = Vec3::new(ring * cos as f32, ring * sin as f32, height);
         let along = outward.cross(Vec3::Z).normalize_or(Vec3::X);

@@ -67,7 +67,11 @@ impl House {
 /// Houses along the lanes of `index` where there is room.
 pub(super) fn houses(index: &StripIndex, relief: &Relief, seed: u64) -> Vec<House> {
     let mut houses: Vec<House> = Vec::new();
-    let driving = index.strips.iter().enumerate().filter(|(_, strip)| strip.kind == LaneKind::Driving);
+    let driving = index
+        .strips
+        .iter()
+        .enumerate()
+        .filter(|(_, strip)| strip.kind == LaneKind::Driving);
     for (number, strip) in driving {
         let tries = (strip.length_m() / TRY_EVERY_M) as usize;
         for attempt in 0..tries {
@@ -76,12 +80,19 @@ pub(super) fn houses(index: &StripIndex, relief: &Relief, seed: u64) -> Vec<Hous
                 let mut random = Stream::new(seed, STREAM, number);
                 let at_m = TRY_EVERY_M * (attempt as f32 + random.unit());
                 let (section, beyond) = (strip.at(at_m), strip.at(at_m + 1.0));
-                let ahead = (beyond.middle() - section.middle()).truncate().normalize_or(Vec2::X);
-                let border = if side > 0.0 { section.left } else { section.right };
+                let ahead = (beyond.middle() - section.middle())
+                    .truncate()
+                    .normalize_or(Vec2::X);
+                let border = if side > 0.0 {
+                    section.left
+                } else {
+                    section.right
+                };
                 let house = drawn(&mut random, (border, ahead, side), relief, number);
                 let free = is_free(index, &house)
                     && houses.iter().all(|other| {
-                        other.middle.truncate().distance(house.middle.truncate()) > other.radius_m() + house.radius_m() + 1.0
+                        other.middle.truncate().distance(house.middle.truncate())
+                            > other.radius_m() + house.radius_m() + 1.0
                     });
                 if free {
                     houses.push(house);
@@ -95,12 +106,26 @@ pub(super) fn houses(index: &StripIndex, relief: &Relief, seed: u64) -> Vec<Hous
     houses
 }
 
-fn drawn(random: &mut Stream, (border, ahead, side): (Vec3, Vec2, f32), relief: &Relief, number: u64) -> House {
+fn drawn(
+    random: &mut Stream,
+    (border, ahead, side): (Vec3, Vec2, f32),
+    relief: &Relief,
+    number: u64,
+) -> House {
     let (half_length_m, half_depth_m) = (random.range(5.0, 9.0), random.range(4.0, 6.5));
     let storeys = 2.0 + (random.unit() * 3.0).floor();
-    let walls =
-        [display(206, 190, 164), display(188, 120, 96), display(214, 208, 196), display(170, 160, 148), display(196, 168, 120)];
-    let roofs = [display(110, 64, 52), display(84, 84, 90), display(124, 92, 74)];
+    let walls = [
+        display(206, 190, 164),
+        display(188, 120, 96),
+        display(214, 208, 196),
+        display(170, 160, 148),
+        display(196, 168, 120),
+    ];
+    let roofs = [
+        display(110, 64, 52),
+        display(84, 84, 90),
+        display(124, 92, 74),
+    ];
     let setback_m = random.range(6.0, 14.0);
     let middle = border.truncate() + ahead.perp() * side * (setback_m + half_depth_m);
     House {
@@ -120,20 +145,32 @@ fn drawn(random: &mut Stream, (border, ahead, side): (Vec3, Vec2, f32), relief: 
 fn is_free(index: &StripIndex, house: &House) -> bool {
     let steps = [-1.0, -0.5, 0.0, 0.5, 1.0];
     let at = |u: f32, v: f32| {
-        house.middle.truncate() + house.ahead * (u * house.half_length_m) + house.side() * (v * house.half_depth_m)
+        house.middle.truncate()
+            + house.ahead * (u * house.half_length_m)
+            + house.side() * (v * house.half_depth_m)
     };
-    steps.iter().all(|&u| steps.iter().all(|&v| index.distance_m(at(u, v)) > CLEAR_M))
+    steps
+        .iter()
+        .all(|&u| steps.iter().all(|&v| index.distance_m(at(u, v)) > CLEAR_M))
 }
 
 /// The walls and roofs of all houses.
 pub(super) fn walls(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
     let is_dark = place.light.is_dark();
     for house in &place.houses {
-        let patch_m = |share: f32| (PATCH_OVER_SPACING * spacing_m * place.coarseness(house.middle) * share).min(BAY_M);
-        let (right, left) = if house.road_on_right > 0.0 { (1.0, UNSEEN) } else { (UNSEEN, 1.0) };
+        let patch_m = |share: f32| {
+            (PATCH_OVER_SPACING * spacing_m * place.coarseness(house.middle) * share).min(BAY_M)
+        };
+        let (right, left) = if house.road_on_right > 0.0 {
+            (1.0, UNSEEN)
+        } else {
+            (UNSEEN, 1.0)
+        };
         let (ahead, side) = (house.ahead.extend(0.0), house.side().extend(0.0));
         let (length_m, depth_m) = (2.0 * house.half_length_m, 2.0 * house.half_depth_m);
-        let corner = |u: f32, v: f32| house.middle + ahead * (u * house.half_length_m) + side * (v * house.half_depth_m);
+        let corner = |u: f32, v: f32| {
+            house.middle + ahead * (u * house.half_length_m) + side * (v * house.half_depth_m)
+        };
         let up = Vec3::Z * house.height_m;
         let walls = [
             (corner(-1.0, -1.0), ahead * length_m, right),
@@ -142,27 +179,50 @@ pub(super) fn walls(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
             (corner(-1.0, 1.0), -side * depth_m, ASIDE),
         ];
         for (number, (start, along, share)) in walls.into_iter().enumerate() {
-            let color = |along_m: f32, up_m: f32| wall(house, number as u64, (along_m, up_m), is_dark);
+            let color =
+                |along_m: f32, up_m: f32| wall(house, number as u64, (along_m, up_m), is_dark);
             tiles(canvas, (start, along, up), patch_m(share), color);
         }
         let color = |along_m: f32, up_m: f32| {
             let tone = fractal_noise(house.number, along_m * 0.5, up_m * 0.5, 2);
             (house.roof * (0.75 + 0.5 * tone), Look::Lit { gloss: 0.0 })
         };
-        tiles(canvas, (corner(-1.0, -1.0) + up, ahead * length_m, side * depth_m), patch_m(UNSEEN), color);
+        tiles(
+            canvas,
+            (corner(-1.0, -1.0) + up, ahead * length_m, side * depth_m),
+            patch_m(UNSEEN),
+            color,
+        );
     }
 }
 
 /// A rectangle of discs, colored by where they are along and up, meters.
-fn tiles(canvas: &mut Canvas, (start, along, up): (Vec3, Vec3, Vec3), patch_m: f32, color: impl Fn(f32, f32) -> (Vec3, Look)) {
+fn tiles(
+    canvas: &mut Canvas,
+    (start, along, up): (Vec3, Vec3, Vec3),
+    patch_m: f32,
+    color: impl Fn(f32, f32) -> (Vec3, Look),
+) {
     let (length_m, height_m) = (along.length(), up.length());
-    let (columns, rows) = ((length_m / patch_m).ceil().max(1.0), (height_m / patch_m).ceil().max(1.0));
+    let (columns, rows) = (
+        (length_m / patch_m).ceil().max(1.0),
+        (height_m / patch_m).ceil().max(1.0),
+    );
     for row in 0..rows as u32 {
         for column in 0..columns as u32 {
             let (u, v) = ((column as f32 + 0.5) / columns, (row as f32 + 0.5) / rows);
             let (albedo, look) = color(u * length_m, v * height_m);
-            let (spread_along, spread_up) = (along * (SCALE_OVER_PATCH / columns), up * (SCALE_OVER_PATCH / rows));
-            canvas.push(Disc { middle: start + along * u + up * v, along: spread_along, across: spread_up, albedo, look });
+            let (spread_along, spread_up) = (
+                along * (SCALE_OVER_PATCH / columns),
+                up * (SCALE_OVER_PATCH / rows),
+            );
+            canvas.push(Disc {
+                middle: start + along * u + up * v,
+                along: spread_along,
+                across: spread_up,
+                albedo,
+                look,
+            });
         }
     }
 }
@@ -171,7 +231,8 @@ fn tiles(canvas: &mut Canvas, (start, along, up): (Vec3, Vec3, Vec3), patch_m: f
 fn wall(house: &House, side: u64, (along_m, up_m): (f32, f32), is_dark: bool) -> (Vec3, Look) {
     let (bay, storey) = ((along_m / BAY_M).floor(), ((up_m - 0.4) / STOREY_M).floor());
     let (in_bay, in_storey) = (along_m / BAY_M - bay, (up_m - 0.4) / STOREY_M - storey);
-    let is_window = storey >= 0.0 && (0.3..0.7).contains(&in_bay) && (0.3..0.75).contains(&in_storey);
+    let is_window =
+        storey >= 0.0 && (0.3..0.7).contains(&in_bay) && (0.3..0.75).contains(&in_storey);
     if !is_window {
         let dirt = fractal_noise(house.number + side, along_m * 0.4, up_m * 0.4, 3);
         return (house.wall * (0.8 + 0.35 * dirt), Look::Lit { gloss: 0.0 });

@@ -1,4 +1,5 @@
-//! The land about the roads: pavement beside them, grass and fields to the horizon, in cells that grow with distance.
+//! The land about the roads: pavement beside them, grass and fields to the horizon, in cells that
+//! grow with distance.
 
 use glam::{Vec2, Vec3};
 
@@ -34,7 +35,11 @@ struct Cell {
 }
 
 pub(super) fn land(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
-    let mut open = vec![Cell { middle: Vec2::ZERO, width_m: 2.0 * place.relief.reach_m(), halvings: 0 }];
+    let mut open = vec![Cell {
+        middle: Vec2::ZERO,
+        width_m: 2.0 * place.relief.reach_m(),
+        halvings: 0,
+    }];
     while let Some(cell) = open.pop() {
         if canvas.is_full() {
             return;
@@ -42,16 +47,37 @@ pub(super) fn land(canvas: &mut Canvas, place: &Drawn, spacing_m: f32) {
         // The nearest point of the cell decides how fine it has to be.
         let reach_m = 0.71 * cell.width_m;
         let coarse_m = place.relief.distance_m(cell.middle);
-        let near_m = if coarse_m > reach_m + 8.0 { coarse_m - reach_m } else { 0.0 };
+        let near_m = if coarse_m > reach_m + 8.0 {
+            coarse_m - reach_m
+        } else {
+            0.0
+        };
         let finest_m = CELL_OVER_SPACING * spacing_m * place.coarseness(cell.middle.extend(0.0));
-        let exact_m = if near_m > 0.0 { near_m } else { place.index.distance_m(cell.middle) };
-        let allowed_m = finest_m.max(CELL_OVER_DISTANCE * if near_m > 0.0 { near_m } else { (exact_m - reach_m).max(0.0) });
+        let exact_m = if near_m > 0.0 {
+            near_m
+        } else {
+            place.index.distance_m(cell.middle)
+        };
+        let allowed_m = finest_m.max(
+            CELL_OVER_DISTANCE
+                * if near_m > 0.0 {
+                    near_m
+                } else {
+                    (exact_m - reach_m).max(0.0)
+                },
+        );
         if cell.width_m > allowed_m && cell.halvings < HALVINGS_MAX {
             let (width_m, halvings) = (0.5 * cell.width_m, cell.halvings + 1);
             for (x, y) in [(-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)] {
-                open.push(Cell { middle: cell.middle + Vec2::new(x, y) * width_m, width_m, halvings });
+                open.push(Cell {
+                    middle: cell.middle + Vec2::new(x, y) * width_m,
+                    width_m,
+                    halvings,
+                });
             }
-        } else if exact_m > 0.3 * cell.width_m.min(1.0) && cell.middle.length() < place.relief.reach_m() {
+        } else if exact_m > 0.3 * cell.width_m.min(1.0)
+            && cell.middle.length() < place.relief.reach_m()
+        {
             canvas.push(disc(place, &cell, exact_m));
         }
     }
@@ -62,8 +88,12 @@ fn disc(place: &Drawn, cell: &Cell, from_road_m: f32) -> Disc {
     let size_m = SCALE_OVER_CELL * cell.width_m;
     let slope = |axis: Vec2| {
         let step = axis * (0.5 * cell.width_m);
-        let rise_m = place.relief.height_m(cell.middle + step) - place.relief.height_m(cell.middle - step);
-        (axis * cell.width_m).extend(rise_m).normalize_or(axis.extend(0.0)) * size_m
+        let rise_m =
+            place.relief.height_m(cell.middle + step) - place.relief.height_m(cell.middle - step);
+        (axis * cell.width_m)
+            .extend(rise_m)
+            .normalize_or(axis.extend(0.0))
+            * size_m
     };
     Disc {
         middle: cell.middle.extend(height_m),
@@ -77,8 +107,13 @@ fn disc(place: &Drawn, cell: &Cell, from_road_m: f32) -> Disc {
 fn albedo(seed: u64, point: Vec2, from_road_m: f32) -> Vec3 {
     let patches = fractal_noise(seed + 151, point.x * 0.03, point.y * 0.03, 4);
     let blades = fractal_noise(seed + 157, point.x * 0.9, point.y * 0.9, 3);
-    let grass = display(98, 116, 62).lerp(display(142, 136, 96), smoothstep(0.42, 0.62, patches)) * (0.6 + 0.8 * blades);
+    let grass = display(98, 116, 62).lerp(display(142, 136, 96), smoothstep(0.42, 0.62, patches))
+        * (0.6 + 0.8 * blades);
     let stones = display(150, 146, 138) * (0.8 + 0.4 * blades);
-    let paved = smoothstep(PAVED_M + 0.5, PAVED_M - 0.5, from_road_m.min(StripIndex::NEAR_M));
+    let paved = smoothstep(
+        PAVED_M + 0.5,
+        PAVED_M - 0.5,
+        from_road_m.min(StripIndex::NEAR_M),
+    );
     grass.lerp(stones, paved)
 }

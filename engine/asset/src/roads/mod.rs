@@ -1,7 +1,9 @@
-//! Places that are only a map, as splats: asphalt with its markings, the land about it with houses, and the sky of a light probe.
+//! Places that are only a map, as splats: asphalt with its markings, the land about it with houses,
+//! and the sky of a light probe.
 //!
-//! Everything is laid out relative to the middle of the map, and in the light of the probe: a face that looks up shows its albedo times
-//! what the probe brings to it. The same map and options give the same bits.
+//! Everything is laid out relative to the middle of the map, and in the light of the probe: a face
+//! that looks up shows its albedo times what the probe brings to it. The same map and options give
+//! the same bits.
 
 mod canvas;
 mod dome;
@@ -38,19 +40,27 @@ pub struct RoadsOptions {
     pub probe: Option<Probe>,
     /// Stops by which the probe's light is made brighter, below zero darker.
     pub exposure_ev: f64,
-    /// Degree of the spherical harmonics; values above 3 count as 3. Roads mirror the sky in bands 1 and 2.
+    /// Degree of the spherical harmonics; values above 3 count as 3. Roads mirror the sky in bands
+    /// 1 and 2.
     pub sh_degree: u8,
     /// Houses and the wear of surfaces follow from it.
     pub seed: u64,
-    /// Points of the way that cameras take, world coordinates in meters: splats are the smaller the nearer to it. Empty: roads
-    /// are alike everywhere.
+    /// Points of the way that cameras take, world coordinates in meters: splats are the smaller the
+    /// nearer to it. Empty: roads are alike everywhere.
     pub way_m: Vec<DVec3>,
 }
 
 impl Default for RoadsOptions {
     /// 200,000 splats of degree 2 under an overcast sky, alike everywhere.
     fn default() -> Self {
-        Self { splats: 200_000, probe: None, exposure_ev: 0.0, sh_degree: 2, seed: 1, way_m: Vec::new() }
+        Self {
+            splats: 200_000,
+            probe: None,
+            exposure_ev: 0.0,
+            sh_degree: 2,
+            seed: 1,
+            way_m: Vec::new(),
+        }
     }
 }
 
@@ -61,7 +71,12 @@ impl RoadsOptions {
     /// [`AssetError::Read`] or [`AssetError::Decode`] of the probe.
     pub fn new(splats: usize, probe: Option<&Path>, exposure_ev: f64) -> Result<Self, AssetError> {
         let probe = probe.map(Probe::read).transpose()?;
-        Ok(Self { splats, probe, exposure_ev, ..Self::default() })
+        Ok(Self {
+            splats,
+            probe,
+            exposure_ev,
+            ..Self::default()
+        })
     }
 }
 
@@ -79,7 +94,8 @@ pub struct RoadsScene {
 /// Least share of the splats that the sky has.
 const DOME_SHARE: f64 = 0.08;
 
-/// Largest spacing of splats on roads that is tried, meters. What does not fit at this spacing is left out.
+/// Largest spacing of splats on roads that is tried, meters. What does not fit at this spacing is
+/// left out.
 const SPACING_M_MAX: f32 = 12.0;
 
 /// Number of spacings that are tried, and the share of the requested count that is enough. The sky
@@ -91,14 +107,28 @@ const FITTED: f32 = 0.93;
 #[must_use]
 pub fn generate(map: &LaneMap, options: &RoadsOptions) -> RoadsScene {
     let (strips, origin) = strips(map);
-    let way: Vec<Vec3> = options.way_m.iter().map(|point| (*point - origin).as_vec3()).collect();
+    let way: Vec<Vec3> = options
+        .way_m
+        .iter()
+        .map(|point| (*point - origin).as_vec3())
+        .collect();
     let place = Drawn::new(strips, way, options);
     let target = (options.splats as f64 * (1.0 - DOME_SHARE)) as usize;
     let mut canvas = place.fitted(target);
     let dome_splats = options.splats - canvas.len();
-    dome::dome(&mut canvas, dome_splats, place.relief.reach_m() + dome::BEYOND_M, &place.light, place.relief.mean_z_m());
+    dome::dome(
+        &mut canvas,
+        dome_splats,
+        place.relief.reach_m() + dome::BEYOND_M,
+        &place.light,
+        place.relief.mean_z_m(),
+    );
     let sh_degree = options.sh_degree.min(sh::DEGREE_MAX);
-    RoadsScene { background: canvas.into_cloud(sh_degree, &place.light), origin, sky: place.light.horizon() }
+    RoadsScene {
+        background: canvas.into_cloud(sh_degree, &place.light),
+        origin,
+        sky: place.light.horizon(),
+    }
 }
 
 /// Elements that are the same for every spacing.
@@ -119,7 +149,14 @@ impl Drawn {
         let light = Illumination::new(options.probe.as_ref(), options.exposure_ev);
         // Noise adds to its seed, which must leave room.
         let seed = (options.seed ^ (options.seed >> 32)) & 0xffff_ffff;
-        Self { index, relief, light, way, houses, seed }
+        Self {
+            index,
+            relief,
+            light,
+            way,
+            houses,
+            seed,
+        }
     }
 
     /// Everything except the sky, at the spacing whose count is closest below `target` splats, and
@@ -141,10 +178,16 @@ impl Drawn {
             if share > 1.0 && spacing_m >= SPACING_M_MAX {
                 break;
             }
-            // Counts fall with the square of the spacing, but where one splat a cell is the least there is.
-            spacing_m = (spacing_m * (share * 1.03).sqrt().clamp(0.1, 2.0)).clamp(0.01, SPACING_M_MAX);
+            // Counts fall with the square of the spacing, but where one splat a cell is the least
+            // there is.
+            spacing_m =
+                (spacing_m * (share * 1.03).sqrt().clamp(0.1, 2.0)).clamp(0.01, SPACING_M_MAX);
         }
-        if best.len() == 0 { self.at_spacing(SPACING_M_MAX, target) } else { best }
+        if best.len() == 0 {
+            self.at_spacing(SPACING_M_MAX, target)
+        } else {
+            best
+        }
     }
 
     /// Everything except the sky, at most `splats_max`.

@@ -32,14 +32,31 @@ pub(super) enum Line {
 }
 
 /// The line on the left (`true`) or right border of lane `strip` where it is cut by `section`.
-pub(super) fn line(index: &StripIndex, strip: usize, section: &Section, ahead: Vec2, on_left: bool) -> Line {
-    let (border, other) = if on_left { (section.left, section.right) } else { (section.right, section.left) };
-    let drives = |hit: &Hit| hit.strip != strip && index.strips[hit.strip].kind == LaneKind::Driving;
-    if index.at(border).any(|hit| drives(&hit) && hit.depth_m > INSIDE_M) {
+pub(super) fn line(
+    index: &StripIndex,
+    strip: usize,
+    section: &Section,
+    ahead: Vec2,
+    on_left: bool,
+) -> Line {
+    let (border, other) = if on_left {
+        (section.left, section.right)
+    } else {
+        (section.right, section.left)
+    };
+    let drives =
+        |hit: &Hit| hit.strip != strip && index.strips[hit.strip].kind == LaneKind::Driving;
+    if index
+        .at(border)
+        .any(|hit| drives(&hit) && hit.depth_m > INSIDE_M)
+    {
         return Line::None;
     }
     let outward = (border - other).normalize_or(Vec3::Y);
-    let beyond: Vec<Hit> = index.at(border + outward * BEYOND_M).filter(drives).collect();
+    let beyond: Vec<Hit> = index
+        .at(border + outward * BEYOND_M)
+        .filter(drives)
+        .collect();
     let is_driven = index.strips[strip].kind == LaneKind::Driving;
     let Some(neighbor) = beyond.iter().map(|hit| hit.strip).min() else {
         return if is_driven { Line::Solid } else { Line::None };
@@ -48,6 +65,8 @@ pub(super) fn line(index: &StripIndex, strip: usize, section: &Section, ahead: V
     if neighbor < strip || !is_driven {
         return Line::OfNeighbor;
     }
-    let same_way = beyond.iter().any(|hit| hit.strip == neighbor && hit.ahead.dot(ahead) > 0.0);
+    let same_way = beyond
+        .iter()
+        .any(|hit| hit.strip == neighbor && hit.ahead.dot(ahead) > 0.0);
     if same_way { Line::Dashed } else { Line::Solid }
 }

@@ -1,4 +1,5 @@
-//! The height of the land and how far it is from roads, on a coarse grid over the map and its surroundings.
+//! The height of the land and how far it is from roads, on a coarse grid over the map and its
+//! surroundings.
 
 use std::collections::VecDeque;
 
@@ -32,8 +33,14 @@ pub(super) struct Relief {
 
 impl Relief {
     pub(super) fn new(index: &StripIndex) -> Self {
-        let points =
-            || index.strips.iter().flat_map(|strip| strip.sections.iter().flat_map(|section| [section.left, section.right]));
+        let points = || {
+            index.strips.iter().flat_map(|strip| {
+                strip
+                    .sections
+                    .iter()
+                    .flat_map(|section| [section.left, section.right])
+            })
+        };
         let low = points().fold(Vec3::ZERO, Vec3::min).truncate() - MARGIN_M;
         let high = points().fold(Vec3::ZERO, Vec3::max).truncate() + MARGIN_M;
         let cell_m = CELL_M_MIN.max((high - low).max_element() / CELLS_MAX);
@@ -55,8 +62,11 @@ impl Relief {
     }
 
     fn cell(&self, point: Vec2) -> usize {
-        let cell = ((point - self.corner) / self.cell_m).floor().max(Vec2::ZERO);
-        (cell.y as usize).min(self.rows - 1) * self.columns + (cell.x as usize).min(self.columns - 1)
+        let cell = ((point - self.corner) / self.cell_m)
+            .floor()
+            .max(Vec2::ZERO);
+        (cell.y as usize).min(self.rows - 1) * self.columns
+            + (cell.x as usize).min(self.columns - 1)
     }
 
     /// Up to four neighbors of a cell.
@@ -69,7 +79,10 @@ impl Relief {
             (row > 0, -(columns as isize)),
             (row + 1 < rows, columns as isize),
         ];
-        sides.into_iter().filter(|(there, _)| *there).map(move |(_, step)| cell.wrapping_add_signed(step))
+        sides
+            .into_iter()
+            .filter(|(there, _)| *there)
+            .map(move |(_, step)| cell.wrapping_add_signed(step))
     }
 
     /// From the lowest of `points` in each cell to all land, nearest first.
@@ -79,7 +92,9 @@ impl Relief {
             let cell = self.cell(point.truncate());
             seeds[cell] = seeds[cell].min(point.z);
         }
-        let mut queue: VecDeque<usize> = (0..seeds.len()).filter(|&cell| seeds[cell] < f32::MAX).collect();
+        let mut queue: VecDeque<usize> = (0..seeds.len())
+            .filter(|&cell| seeds[cell] < f32::MAX)
+            .collect();
         for &cell in &queue {
             self.height_m[cell] = seeds[cell];
             self.distance_m[cell] = 0.0;
@@ -95,9 +110,14 @@ impl Relief {
         }
         for _ in 0..SMOOTHINGS {
             let smoothed = |cell: usize| {
-                let (sum, count) =
-                    self.neighbors(cell).fold((0.0, 0.0), |(sum, count), next| (sum + self.height_m[next], count + 1.0));
-                if self.distance_m[cell] == 0.0 || count == 0.0 { self.height_m[cell] } else { sum / count }
+                let (sum, count) = self.neighbors(cell).fold((0.0, 0.0), |(sum, count), next| {
+                    (sum + self.height_m[next], count + 1.0)
+                });
+                if self.distance_m[cell] == 0.0 || count == 0.0 {
+                    self.height_m[cell]
+                } else {
+                    sum / count
+                }
             };
             self.height_m = (0..self.height_m.len()).map(smoothed).collect();
         }
@@ -120,7 +140,11 @@ impl Relief {
     /// About how far the nearest lane is, meters; beyond the grid as at its border.
     pub(super) fn distance_m(&self, point: Vec2) -> f32 {
         let distance_m = self.distance_m[self.cell(point)];
-        if distance_m == f32::MAX { MARGIN_M } else { distance_m }
+        if distance_m == f32::MAX {
+            MARGIN_M
+        } else {
+            distance_m
+        }
     }
 
     /// From the origin to the corners of the grid, meters.

@@ -64,7 +64,9 @@ impl fmt::Display for Table {
             Self::Place => formatter.write_str("place"),
             Self::Ego => formatter.write_str("ego"),
             Self::Agent(agent) => write!(formatter, "agent[{agent}]"),
-            Self::Behavior(agent, behavior) => write!(formatter, "agent[{agent}].behavior[{behavior}]"),
+            Self::Behavior(agent, behavior) => {
+                write!(formatter, "agent[{agent}].behavior[{behavior}]")
+            }
         }
     }
 }
@@ -79,7 +81,11 @@ pub(super) struct Fault {
 
 impl Fault {
     pub(super) fn new(table: Table, field: &'static str, reason: String) -> Self {
-        Self { table, field, reason }
+        Self {
+            table,
+            field,
+            reason,
+        }
     }
 }
 
@@ -87,12 +93,20 @@ impl Fault {
 pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
     let top = Table::Top;
     check_name(top, &scenario.name)?;
-    within(top, "duration_s", scenario.duration_s, &(STEP_S_MIN..=DURATION_S_MAX))?;
+    within(
+        top,
+        "duration_s",
+        scenario.duration_s,
+        &(STEP_S_MIN..=DURATION_S_MAX),
+    )?;
     within(top, "step_s", scenario.step_s, &(STEP_S_MIN..=STEP_S_MAX))?;
     check_place(&scenario.place)?;
     check_ego(&scenario.ego)?;
     if scenario.agents.len() > AGENTS_MAX {
-        let reason = format!("{} agents; expected at most {AGENTS_MAX}", scenario.agents.len());
+        let reason = format!(
+            "{} agents; expected at most {AGENTS_MAX}",
+            scenario.agents.len()
+        );
         return Err(Fault::new(Table::Agent(AGENTS_MAX), "name", reason));
     }
     let mut names = HashSet::new();
@@ -103,8 +117,15 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
             return Err(Fault::new(Table::Agent(index), "name", reason));
         }
         if agent.behaviors.len() > BEHAVIORS_MAX {
-            let reason = format!("{} behaviors; expected at most {BEHAVIORS_MAX}", agent.behaviors.len());
-            return Err(Fault::new(Table::Behavior(index, BEHAVIORS_MAX), "maneuver", reason));
+            let reason = format!(
+                "{} behaviors; expected at most {BEHAVIORS_MAX}",
+                agent.behaviors.len()
+            );
+            return Err(Fault::new(
+                Table::Behavior(index, BEHAVIORS_MAX),
+                "maneuver",
+                reason,
+            ));
         }
         for (at, behavior) in agent.behaviors.iter().enumerate() {
             check_behavior(Table::Behavior(index, at), behavior)?;
@@ -113,18 +134,44 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
     Ok(())
 }
 
-fn within(table: Table, field: &'static str, value: f64, range: &RangeInclusive<f64>) -> Result<(), Fault> {
+fn within(
+    table: Table,
+    field: &'static str,
+    value: f64,
+    range: &RangeInclusive<f64>,
+) -> Result<(), Fault> {
     if range.contains(&value) {
         return Ok(());
     }
-    Err(Fault::new(table, field, format!("{value} is out of range; expected {} to {}", range.start(), range.end())))
+    Err(Fault::new(
+        table,
+        field,
+        format!(
+            "{value} is out of range; expected {} to {}",
+            range.start(),
+            range.end()
+        ),
+    ))
 }
 
-fn count(table: Table, field: &'static str, value: usize, range: &RangeInclusive<usize>) -> Result<(), Fault> {
+fn count(
+    table: Table,
+    field: &'static str,
+    value: usize,
+    range: &RangeInclusive<usize>,
+) -> Result<(), Fault> {
     if range.contains(&value) {
         return Ok(());
     }
-    Err(Fault::new(table, field, format!("{value} is out of range; expected {} to {}", range.start(), range.end())))
+    Err(Fault::new(
+        table,
+        field,
+        format!(
+            "{value} is out of range; expected {} to {}",
+            range.start(),
+            range.end()
+        ),
+    ))
 }
 
 fn check_name(table: Table, name: &str) -> Result<(), Fault> {
@@ -133,27 +180,55 @@ fn check_name(table: Table, name: &str) -> Result<(), Fault> {
         return Ok(());
     }
     let shown: String = name.chars().take(NAME_BYTES_MAX).collect();
-    let reason = format!("'{shown}' names files; expected 1 to {NAME_BYTES_MAX} letters (a to z), digits, '-' and '_'");
+    let reason = format!(
+        "'{shown}' names files; expected 1 to {NAME_BYTES_MAX} letters (a to z), digits, '-' and '_'"
+    );
     Err(Fault::new(table, "name", reason))
 }
 
 fn check_path(field: &'static str, path: &Path) -> Result<(), Fault> {
     if path.as_os_str().is_empty() {
-        return Err(Fault::new(Table::Place, field, "is empty; expected the path of a file".into()));
+        return Err(Fault::new(
+            Table::Place,
+            field,
+            "is empty; expected the path of a file".into(),
+        ));
     }
     Ok(())
 }
 
 fn check_place(place: &Place) -> Result<(), Fault> {
     let splats = |background: usize, agent_splats: usize| {
-        count(Table::Place, "background", background, &(1..=BACKGROUND_SPLATS_MAX))?;
-        count(Table::Place, "agent_splats", agent_splats, &(1..=AGENT_SPLATS_MAX))
+        count(
+            Table::Place,
+            "background",
+            background,
+            &(1..=BACKGROUND_SPLATS_MAX),
+        )?;
+        count(
+            Table::Place,
+            "agent_splats",
+            agent_splats,
+            &(1..=AGENT_SPLATS_MAX),
+        )
     };
     match place {
-        Place::Street { background, agent_splats, .. } => splats(*background, *agent_splats),
-        Place::Roads { map, probe, exposure_ev, background, agent_splats } => {
+        Place::Street {
+            background,
+            agent_splats,
+            ..
+        } => splats(*background, *agent_splats),
+        Place::Roads {
+            map,
+            probe,
+            exposure_ev,
+            background,
+            agent_splats,
+        } => {
             check_path("map", map)?;
-            probe.as_deref().map_or(Ok(()), |probe| check_path("probe", probe))?;
+            probe
+                .as_deref()
+                .map_or(Ok(()), |probe| check_path("probe", probe))?;
             within(Table::Place, "exposure_ev", *exposure_ev, &EXPOSURE_EV)?;
             splats(*background, *agent_splats)
         }
@@ -165,14 +240,19 @@ fn check_place(place: &Place) -> Result<(), Fault> {
 }
 
 fn check_size(table: Table, size: VehicleSize) -> Result<(), Fault> {
-    size.to_array().into_iter().try_for_each(|side_m| within(table, "size_m", side_m, &SIDE_M))
+    size.to_array()
+        .into_iter()
+        .try_for_each(|side_m| within(table, "size_m", side_m, &SIDE_M))
 }
 
 fn check_lane(table: Table, field: &'static str, lane: &str) -> Result<(), Fault> {
     if (1..=LANE_BYTES_MAX).contains(&lane.len()) {
         return Ok(());
     }
-    let reason = format!("a lane's id of {} bytes; expected 1 to {LANE_BYTES_MAX}", lane.len());
+    let reason = format!(
+        "a lane's id of {} bytes; expected 1 to {LANE_BYTES_MAX}",
+        lane.len()
+    );
     Err(Fault::new(table, field, reason))
 }
 
@@ -182,11 +262,16 @@ fn check_ego(ego: &EgoTask) -> Result<(), Fault> {
         let reason = format!("{} lanes; expected 1 to {ROUTE_LANES_MAX}", ego.route.len());
         return Err(Fault::new(table, "route", reason));
     }
-    ego.route.iter().try_for_each(|lane| check_lane(table, "route", lane))?;
+    ego.route
+        .iter()
+        .try_for_each(|lane| check_lane(table, "route", lane))?;
     within(table, "start_m", ego.start_m, &ALONG_M)?;
     within(table, "end_m", ego.end_m, &ALONG_M)?;
     if ego.route.len() == 1 && ego.end_m <= ego.start_m {
-        let reason = format!("{} m does not lie beyond the start at {} m of the only lane", ego.end_m, ego.start_m);
+        let reason = format!(
+            "{} m does not lie beyond the start at {} m of the only lane",
+            ego.end_m, ego.start_m
+        );
         return Err(Fault::new(table, "end_m", reason));
     }
     within(table, "speed_mps", ego.speed_mps, &SPEED_MPS)?;
@@ -209,12 +294,23 @@ fn check_behavior(table: Table, behavior: &Behavior) -> Result<(), Fault> {
         Trigger::NearEgo { distance_m } => within(table, "near_ego_m", distance_m, &NEAR_EGO_M)?,
     }
     match behavior.maneuver {
-        Maneuver::Brake { deceleration_mps2, duration_s } => {
-            within(table, "deceleration_mps2", deceleration_mps2, &DECELERATION_MPS2)?;
+        Maneuver::Brake {
+            deceleration_mps2,
+            duration_s,
+        } => {
+            within(
+                table,
+                "deceleration_mps2",
+                deceleration_mps2,
+                &DECELERATION_MPS2,
+            )?;
             within(table, "duration_s", duration_s, &MANEUVER_S)
         }
         Maneuver::CutIn => Ok(()),
-        Maneuver::Swerve { amplitude_m, duration_s } => {
+        Maneuver::Swerve {
+            amplitude_m,
+            duration_s,
+        } => {
             within(table, "amplitude_m", amplitude_m, &AMPLITUDE_M)?;
             within(table, "duration_s", duration_s, &MANEUVER_S)
         }

@@ -1,6 +1,8 @@
 //! The TOML form of a scenario: what serde sees, and how a [`Scenario`] is made of it.
 
-use decouplegs_scene::scenario::{Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{
+    Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
+};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
@@ -146,7 +148,9 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
             },
             Table::Ego => form.ego.span(),
             Table::Agent(agent) => form.agent[agent].span(),
-            Table::Behavior(agent, behavior) => form.agent[agent].get_ref().behavior[behavior].span(),
+            Table::Behavior(agent, behavior) => {
+                form.agent[agent].get_ref().behavior[behavior].span()
+            }
         };
         Checker { text }.error(&start, &fault.table.to_string(), fault.field, fault.reason)
     };
@@ -157,10 +161,21 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
 
 fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
     if form.version != VERSION {
-        let reason = format!("{} is not read; this program reads version {VERSION}", form.version);
+        let reason = format!(
+            "{} is not read; this program reads version {VERSION}",
+            form.version
+        );
         return Err(Fault::new(Table::Top, "version", reason));
     }
-    let level = |name: &String| named(name, Level::by_name, &Level::ALL.map(Level::name), Table::Top, "level");
+    let level = |name: &String| {
+        named(
+            name,
+            Level::by_name,
+            &Level::ALL.map(Level::name),
+            Table::Top,
+            "level",
+        )
+    };
     Ok(Scenario {
         name: form.name.clone(),
         level: form.level.as_ref().map(level).transpose()?,
@@ -169,25 +184,58 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
         step_s: form.step_s,
         place: place(&form.place)?,
         ego: ego(form.ego.get_ref()),
-        agents: form.agent.iter().enumerate().map(|(at, form)| agent(at, form.get_ref())).collect::<Result<_, _>>()?,
+        agents: form
+            .agent
+            .iter()
+            .enumerate()
+            .map(|(at, form)| agent(at, form.get_ref()))
+            .collect::<Result<_, _>>()?,
     })
 }
 
 /// Value with the name `name`.
-fn named<T>(name: &str, by_name: fn(&str) -> Option<T>, names: &[&str], table: Table, field: &'static str) -> Result<T, Fault> {
-    by_name(name).ok_or_else(|| Fault::new(table, field, format!("'{name}' is unknown; there are {}", names.join(", "))))
+fn named<T>(
+    name: &str,
+    by_name: fn(&str) -> Option<T>,
+    names: &[&str],
+    table: Table,
+    field: &'static str,
+) -> Result<T, Fault> {
+    by_name(name).ok_or_else(|| {
+        Fault::new(
+            table,
+            field,
+            format!("'{name}' is unknown; there are {}", names.join(", ")),
+        )
+    })
 }
 
 fn place(form: &PlaceForm) -> Result<Place, Fault> {
     Ok(match form {
         PlaceForm::Street(form) => {
-            let StreetForm { weather, background, agent_splats, seed } = form.get_ref();
+            let StreetForm {
+                weather,
+                background,
+                agent_splats,
+                seed,
+            } = form.get_ref();
             let names = Weather::ALL.map(Weather::name);
             let weather = named(weather, Weather::by_name, &names, Table::Place, "weather")?;
-            Place::Street { weather, background: *background, agent_splats: *agent_splats, seed: seed.0 }
+            Place::Street {
+                weather,
+                background: *background,
+                agent_splats: *agent_splats,
+                seed: seed.0,
+            }
         }
         PlaceForm::Roads(form) => {
-            let RoadsForm { map, probe, exposure_ev, background, agent_splats } = form.get_ref();
+            let RoadsForm {
+                map,
+                probe,
+                exposure_ev,
+                background,
+                agent_splats,
+            } = form.get_ref();
             Place::Roads {
                 map: map.into(),
                 probe: probe.as_ref().map(Into::into),
@@ -198,7 +246,10 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
         }
         PlaceForm::Scene(form) => {
             let SceneForm { scene, map } = form.get_ref();
-            Place::Scene { scene: scene.into(), map: map.into() }
+            Place::Scene {
+                scene: scene.into(),
+                map: map.into(),
+            }
         }
     })
 }
@@ -224,7 +275,13 @@ fn agent(at: usize, form: &AgentForm) -> Result<TrafficAgent, Fault> {
         lane: form.lane.clone(),
         at_m: form.at_m,
         speed_mps: form.speed_mps,
-        driver: named(&form.driver, DriverKind::by_name, &drivers, Table::Agent(at), "driver")?,
+        driver: named(
+            &form.driver,
+            DriverKind::by_name,
+            &drivers,
+            Table::Agent(at),
+            "driver",
+        )?,
         changes_lanes: form.changes_lanes,
         behaviors: behaviors
             .map(|(index, form)| behavior(form.get_ref(), Table::Behavior(at, index)))
@@ -236,21 +293,34 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
     let trigger = match (form.at_time_s, form.near_ego_m) {
         (Some(time_s), None) => Trigger::Time { time_s },
         (None, Some(distance_m)) => Trigger::NearEgo { distance_m },
-        _ => return Err(Fault::new(table, "at_time_s", "give either 'at_time_s' or 'near_ego_m'".into())),
+        _ => {
+            return Err(Fault::new(
+                table,
+                "at_time_s",
+                "give either 'at_time_s' or 'near_ego_m'".into(),
+            ));
+        }
     };
     let name = form.maneuver.as_str();
     let needed = |field: &'static str, value: Option<f64>| {
         value.ok_or_else(|| Fault::new(table, field, format!("a maneuver '{name}' needs it")))
     };
     let foreign = |field: &'static str, value: Option<f64>| match value {
-        Some(_) => Err(Fault::new(table, field, format!("a maneuver '{name}' has none"))),
+        Some(_) => Err(Fault::new(
+            table,
+            field,
+            format!("a maneuver '{name}' has none"),
+        )),
         None => Ok(()),
     };
     let maneuver = match name {
         "brake" => {
             foreign("amplitude_m", form.amplitude_m)?;
             let deceleration_mps2 = needed("deceleration_mps2", form.deceleration_mps2)?;
-            Maneuver::Brake { deceleration_mps2, duration_s: needed("duration_s", form.duration_s)? }
+            Maneuver::Brake {
+                deceleration_mps2,
+                duration_s: needed("duration_s", form.duration_s)?,
+            }
         }
         "cut_in" => {
             foreign("amplitude_m", form.amplitude_m)?;
@@ -261,9 +331,18 @@ fn behavior(form: &BehaviorForm, table: Table) -> Result<Behavior, Fault> {
         "swerve" => {
             foreign("deceleration_mps2", form.deceleration_mps2)?;
             let amplitude_m = needed("amplitude_m", form.amplitude_m)?;
-            Maneuver::Swerve { amplitude_m, duration_s: needed("duration_s", form.duration_s)? }
+            Maneuver::Swerve {
+                amplitude_m,
+                duration_s: needed("duration_s", form.duration_s)?,
+            }
         }
-        _ => return Err(Fault::new(table, "maneuver", format!("'{name}' is unknown; there are brake, cut_in, swerve"))),
+        _ => {
+            return Err(Fault::new(
+                table,
+                "maneuver",
+                format!("'{name}' is unknown; there are brake, cut_in, swerve"),
+            ));
+        }
     };
     Ok(Behavior { trigger, maneuver })
 }

@@ -29,7 +29,8 @@ pub fn parse(text: &str) -> Result<Scenario, SceneError> {
     form::parse(text)
 }
 
-/// The text of a file that describes `scenario`. Reading it gives the same scenario, to the last bit of every number.
+/// The text of a file that describes `scenario`. Reading it gives the same scenario, to the last
+/// bit of every number.
 ///
 /// # Errors
 /// When no file can say it: a path that is not Unicode, or a value that [`parse`] would refuse.
@@ -43,7 +44,12 @@ pub fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
 /// [`AssetError::Read`], or [`AssetError::Scene`] with line, key and reason.
 pub fn read_scenario(path: &Path) -> Result<Scenario, AssetError> {
     let bytes = read_bytes(path)?;
-    text_of(&bytes).and_then(parse).map_err(|source| AssetError::Scene { path: path.to_owned(), source })
+    text_of(&bytes)
+        .and_then(parse)
+        .map_err(|source| AssetError::Scene {
+            path: path.to_owned(),
+            source,
+        })
 }
 
 /// Writes `scenario` to `path`, atomically.
@@ -51,7 +57,11 @@ pub fn read_scenario(path: &Path) -> Result<Scenario, AssetError> {
 /// # Errors
 /// [`AssetError::Encode`] when no file can say it, [`AssetError::Write`].
 pub fn write_scenario(path: &Path, scenario: &Scenario) -> Result<(), AssetError> {
-    let encode_error = |source| AssetError::Encode { path: path.to_owned(), format: "a scenario file", source };
+    let encode_error = |source| AssetError::Encode {
+        path: path.to_owned(),
+        format: "a scenario file",
+        source,
+    };
     let text = to_toml(scenario).map_err(encode_error)?;
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }

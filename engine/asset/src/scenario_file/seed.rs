@@ -30,11 +30,15 @@ impl Visitor<'_> for SeedVisitor {
     type Value = Seed;
 
     fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("a seed: an integer from 0 on, or \"0x\" and at most 16 hex digits in quotes")
+        formatter.write_str(
+            "a seed: an integer from 0 on, or \"0x\" and at most 16 hex digits in quotes",
+        )
     }
 
     fn visit_i64<E: Error>(self, value: i64) -> Result<Seed, E> {
-        u64::try_from(value).map(Seed).map_err(|_| E::invalid_value(Unexpected::Signed(value), &self))
+        u64::try_from(value)
+            .map(Seed)
+            .map_err(|_| E::invalid_value(Unexpected::Signed(value), &self))
     }
 
     fn visit_u64<E: Error>(self, value: u64) -> Result<Seed, E> {
@@ -42,8 +46,12 @@ impl Visitor<'_> for SeedVisitor {
     }
 
     fn visit_str<E: Error>(self, text: &str) -> Result<Seed, E> {
-        let digits = text.strip_prefix("0x").filter(|digits| digits.bytes().all(|byte| byte.is_ascii_hexdigit()));
+        let digits = text
+            .strip_prefix("0x")
+            .filter(|digits| digits.bytes().all(|byte| byte.is_ascii_hexdigit()));
         let value = digits.and_then(|digits| u64::from_str_radix(digits, 16).ok());
-        value.map(Seed).ok_or_else(|| E::invalid_value(Unexpected::Str(text), &self))
+        value
+            .map(Seed)
+            .ok_or_else(|| E::invalid_value(Unexpected::Str(text), &self))
     }
 }

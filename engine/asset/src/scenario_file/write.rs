@@ -8,7 +8,9 @@ use toml::Spanned;
 
 use super::VERSION;
 use super::check::check;
-use super::form::{AgentForm, BehaviorForm, EgoForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm, StreetForm};
+use super::form::{
+    AgentForm, BehaviorForm, EgoForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm, StreetForm,
+};
 use super::seed::Seed;
 use crate::EncodeError;
 
@@ -33,7 +35,11 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
         step_s: scenario.step_s,
         place: place_form(&scenario.place)?,
         ego: spanless(ego_form(&scenario.ego)),
-        agent: scenario.agents.iter().map(|agent| spanless(agent_form(agent))).collect(),
+        agent: scenario
+            .agents
+            .iter()
+            .map(|agent| spanless(agent_form(agent)))
+            .collect(),
     };
     let body = toml::to_string(&form).map_err(|error| EncodeError(error.to_string()))?;
     Ok(format!("{HEADING}{body}"))
@@ -45,25 +51,44 @@ fn spanless<T>(value: T) -> Spanned<T> {
 
 fn path_text(path: &Path) -> Result<String, EncodeError> {
     let text = path.to_str().map(str::to_owned);
-    text.ok_or_else(|| EncodeError(format!("the path {} is not Unicode, which TOML needs; rename it", path.display())))
+    text.ok_or_else(|| {
+        EncodeError(format!(
+            "the path {} is not Unicode, which TOML needs; rename it",
+            path.display()
+        ))
+    })
 }
 
 fn place_form(place: &Place) -> Result<PlaceForm, EncodeError> {
     Ok(match place {
-        Place::Street { weather, background, agent_splats, seed } => PlaceForm::Street(spanless(StreetForm {
+        Place::Street {
+            weather,
+            background,
+            agent_splats,
+            seed,
+        } => PlaceForm::Street(spanless(StreetForm {
             weather: weather.name().to_owned(),
             background: *background,
             agent_splats: *agent_splats,
             seed: Seed(*seed),
         })),
-        Place::Roads { map, probe, exposure_ev, background, agent_splats } => PlaceForm::Roads(spanless(RoadsForm {
+        Place::Roads {
+            map,
+            probe,
+            exposure_ev,
+            background,
+            agent_splats,
+        } => PlaceForm::Roads(spanless(RoadsForm {
             map: path_text(map)?,
             probe: probe.as_deref().map(path_text).transpose()?,
             exposure_ev: *exposure_ev,
             background: *background,
             agent_splats: *agent_splats,
         })),
-        Place::Scene { scene, map } => PlaceForm::Scene(spanless(SceneForm { scene: path_text(scene)?, map: path_text(map)? })),
+        Place::Scene { scene, map } => PlaceForm::Scene(spanless(SceneForm {
+            scene: path_text(scene)?,
+            map: path_text(map)?,
+        })),
     })
 }
 
@@ -88,7 +113,11 @@ fn agent_form(agent: &TrafficAgent) -> AgentForm {
         speed_mps: agent.speed_mps,
         driver: agent.driver.name().to_owned(),
         changes_lanes: agent.changes_lanes,
-        behavior: agent.behaviors.iter().map(|behavior| spanless(behavior_form(behavior))).collect(),
+        behavior: agent
+            .behaviors
+            .iter()
+            .map(|behavior| spanless(behavior_form(behavior)))
+            .collect(),
     }
 }
 
@@ -97,17 +126,33 @@ fn behavior_form(behavior: &Behavior) -> BehaviorForm {
         Trigger::Time { time_s } => (Some(time_s), None),
         Trigger::NearEgo { distance_m } => (None, Some(distance_m)),
     };
-    let form = BehaviorForm { at_time_s, near_ego_m, ..BehaviorForm::default() };
+    let form = BehaviorForm {
+        at_time_s,
+        near_ego_m,
+        ..BehaviorForm::default()
+    };
     match behavior.maneuver {
-        Maneuver::Brake { deceleration_mps2, duration_s } => BehaviorForm {
+        Maneuver::Brake {
+            deceleration_mps2,
+            duration_s,
+        } => BehaviorForm {
             maneuver: "brake".into(),
             deceleration_mps2: Some(deceleration_mps2),
             duration_s: Some(duration_s),
             ..form
         },
-        Maneuver::CutIn => BehaviorForm { maneuver: "cut_in".into(), ..form },
-        Maneuver::Swerve { amplitude_m, duration_s } => {
-            BehaviorForm { maneuver: "swerve".into(), amplitude_m: Some(amplitude_m), duration_s: Some(duration_s), ..form }
-        }
+        Maneuver::CutIn => BehaviorForm {
+            maneuver: "cut_in".into(),
+            ..form
+        },
+        Maneuver::Swerve {
+            amplitude_m,
+            duration_s,
+        } => BehaviorForm {
+            maneuver: "swerve".into(),
+            amplitude_m: Some(amplitude_m),
+            duration_s: Some(duration_s),
+            ..form
+        },
     }
 }

@@ -1,14 +1,19 @@
-//! From the TOML form of a scene file to a checked [`SceneFile`]; every complaint names its line and key.
+//! From the TOML form of a scene file to a checked [`SceneFile`]; every complaint names its line
+//! and key.
 
 use std::collections::HashSet;
 use std::ops::Range;
 
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
+use decouplegs_scene::{
+    Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
+};
 use glam::{DQuat, DVec3};
 use toml::Spanned;
 
-use super::form::{AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, TimedPoseForm};
+use super::form::{
+    AgentForm, CameraForm, LightForm, RulesForm, SceneForm, ShFrameForm, ShadowForm, TimedPoseForm,
+};
 use super::lens::LensForm;
 use super::{SceneAgent, SceneFile, SceneLight, VERSION};
 use crate::SceneError;
@@ -23,7 +28,10 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
     let checker = Checker { text };
     let top = 0..0;
     if form.version != VERSION {
-        let reason = format!("{} is not read; this program reads version {VERSION}", form.version);
+        let reason = format!(
+            "{} is not read; this program reads version {VERSION}",
+            form.version
+        );
         return Err(checker.error(&top, "", "version", reason));
     }
     if !form.origin.iter().all(|x| x.is_finite()) {
@@ -32,16 +40,26 @@ pub(super) fn parse(text: &str) -> Result<SceneFile, SceneError> {
     if !form.sky.iter().all(|x| x.is_finite()) {
         return Err(checker.error(&top, "", "sky", "must be finite"));
     }
-    let ego = if form.ego.is_empty() { None } else { Some(checker.trajectory(&form.ego, "ego")?) };
+    let ego = if form.ego.is_empty() {
+        None
+    } else {
+        Some(checker.trajectory(&form.ego, "ego")?)
+    };
     Ok(SceneFile {
         origin: DVec3::from_array(form.origin),
         background: form.background.into(),
         sky: form.sky,
         rules: checker.rules(&form.rules)?,
-        rig: Rig { cameras: checker.cameras(&form.rig)? },
+        rig: Rig {
+            cameras: checker.cameras(&form.rig)?,
+        },
         ego,
         agents: checker.agents(&form.agent)?,
-        light: form.light.as_ref().map(|light| checker.light(light)).transpose()?,
+        light: form
+            .light
+            .as_ref()
+            .map(|light| checker.light(light))
+            .transpose()?,
     })
 }
 
@@ -50,13 +68,27 @@ impl Checker<'_> {
         let (span, form) = (form.span(), form.get_ref());
         let name = form.name.as_deref().unwrap_or("default");
         let rules = Rules::by_name(name).ok_or_else(|| {
-            self.error(&span, "rules", "name", format!("'{name}' is unknown; there are {}", Rules::NAMES.join(", ")))
+            self.error(
+                &span,
+                "rules",
+                "name",
+                format!("'{name}' is unknown; there are {}", Rules::NAMES.join(", ")),
+            )
         })?;
         let near_m = form.near_m.unwrap_or(rules.near_m);
         if !(near_m.is_finite() && near_m > 0.0) {
-            return Err(self.error(&span, "rules", "near_m", format!("{near_m} must be finite and positive")));
+            return Err(self.error(
+                &span,
+                "rules",
+                "near_m",
+                format!("{near_m} must be finite and positive"),
+            ));
         }
-        Ok(Rules { antialias: form.antialias.unwrap_or(rules.antialias), near_m, ..rules })
+        Ok(Rules {
+            antialias: form.antialias.unwrap_or(rules.antialias),
+            near_m,
+            ..rules
+        })
     }
 
     fn light(&self, form: &Spanned<LightForm>) -> Result<SceneLight, SceneError> {
@@ -64,12 +96,24 @@ impl Checker<'_> {
         let default = AmbientOptions::default();
         let ambient = AmbientOptions {
             sigma_m: form.sigma_m.unwrap_or(default.sigma_m),
-            radius_m: form.radius_m.unwrap_or(3.0 * form.sigma_m.unwrap_or(default.sigma_m)),
+            radius_m: form
+                .radius_m
+                .unwrap_or(3.0 * form.sigma_m.unwrap_or(default.sigma_m)),
             spacing_m: form.spacing_m.unwrap_or(default.spacing_m),
         };
-        ambient.check().map_err(|reason| self.error(&span, "light", field_of(&reason), reason.as_str()))?;
-        let shadows = form.shadows.as_ref().map(|form| self.shadows(form)).transpose()?;
-        Ok(SceneLight { transfer: form.transfer.as_ref().map(Into::into), ambient, shadows })
+        ambient
+            .check()
+            .map_err(|reason| self.error(&span, "light", field_of(&reason), reason.as_str()))?;
+        let shadows = form
+            .shadows
+            .as_ref()
+            .map(|form| self.shadows(form))
+            .transpose()?;
+        Ok(SceneLight {
+            transfer: form.transfer.as_ref().map(Into::into),
+            ambient,
+            shadows,
+        })
     }
 
     fn shadows(&self, form: &Spanned<ShadowForm>) -> Result<ShadowOptions, SceneError> {
@@ -78,10 +122,14 @@ impl Checker<'_> {
             strength: form.strength.unwrap_or(default.strength),
             decay: form.decay.unwrap_or(default.decay),
             slab_m: form.slab_m.unwrap_or(default.slab_m),
-            full_directionality: form.full_directionality.unwrap_or(default.full_directionality),
+            full_directionality: form
+                .full_directionality
+                .unwrap_or(default.full_directionality),
             floor: form.floor.unwrap_or(default.floor),
         };
-        shadows.check().map_err(|reason| self.error(&span, "light.shadows", field_of(&reason), reason.as_str()))?;
+        shadows.check().map_err(|reason| {
+            self.error(&span, "light.shadows", field_of(&reason), reason.as_str())
+        })?;
         Ok(shadows)
     }
 
@@ -92,7 +140,10 @@ impl Checker<'_> {
             let (span, form, table) = (form.span(), form.get_ref(), format!("rig[{index}]"));
             self.check_name(&mut names, &form.name, &span, &table)?;
             if form.name.contains(['/', '\\', '\0']) || form.name.starts_with('.') {
-                let reason = format!("'{}' names an image file: no slash, no leading dot", form.name);
+                let reason = format!(
+                    "'{}' names an image file: no slash, no leading dot",
+                    form.name
+                );
                 return Err(self.error(&span, &table, "name", reason));
             }
             let lens = form.lens.as_ref().map_or(Ok(Lens::Pinhole), LensForm::lens);
@@ -100,7 +151,9 @@ impl Checker<'_> {
             let focal_px = |given: Option<f64>, axis: usize, field: &str| match (given, &lens) {
                 (Some(focal_px), _) => Ok(focal_px),
                 (None, Lens::FTheta(lens)) => Ok(lens.center_focal_px()[axis]),
-                (None, _) => Err(self.error(&span, &table, field, format!("missing field '{field}'"))),
+                (None, _) => {
+                    Err(self.error(&span, &table, field, format!("missing field '{field}'")))
+                }
             };
             let intrinsics = Intrinsics {
                 width_px: form.width_px,
@@ -111,32 +164,69 @@ impl Checker<'_> {
                 cy_px: form.cy_px,
                 lens,
             };
-            intrinsics.check().map_err(|reason| self.error(&span, &table, intrinsics_field(&intrinsics), reason))?;
+            intrinsics.check().map_err(|reason| {
+                self.error(&span, &table, intrinsics_field(&intrinsics), reason)
+            })?;
             let rig_from_camera = self.camera_pose(form, &span, &table)?;
-            cameras.push(RigCamera { name: form.name.clone(), intrinsics, rig_from_camera });
+            cameras.push(RigCamera {
+                name: form.name.clone(),
+                intrinsics,
+                rig_from_camera,
+            });
         }
         Ok(cameras)
     }
 
-    fn camera_pose(&self, form: &CameraForm, span: &Range<usize>, table: &str) -> Result<Pose, SceneError> {
+    fn camera_pose(
+        &self,
+        form: &CameraForm,
+        span: &Range<usize>,
+        table: &str,
+    ) -> Result<Pose, SceneError> {
         match (form.rotation_wxyz, form.look) {
             (Some(_), None) => self.pose(form.position_m, form.rotation_wxyz, None, span, table),
             (None, Some(look)) => {
                 let eye = self.position(form.position_m, span, table)?;
-                let direction = DVec3::from_array(look).try_normalize().filter(|direction| direction.is_finite());
-                direction.and_then(|direction| Pose::look_at(DVec3::ZERO, direction, DVec3::Z)).map_or_else(
-                    || Err(self.error(span, table, "look", format!("{look:?} is no direction that leaves the vertical"))),
-                    |pose| Ok(Pose { translation: eye, ..pose }),
-                )
+                let direction = DVec3::from_array(look)
+                    .try_normalize()
+                    .filter(|direction| direction.is_finite());
+                direction
+                    .and_then(|direction| Pose::look_at(DVec3::ZERO, direction, DVec3::Z))
+                    .map_or_else(
+                        || {
+                            Err(self.error(
+                                span,
+                                table,
+                                "look",
+                                format!("{look:?} is no direction that leaves the vertical"),
+                            ))
+                        },
+                        |pose| {
+                            Ok(Pose {
+                                translation: eye,
+                                ..pose
+                            })
+                        },
+                    )
             }
-            _ => Err(self.error(span, table, "rotation_wxyz", "give either 'rotation_wxyz' or 'look'")),
+            _ => Err(self.error(
+                span,
+                table,
+                "rotation_wxyz",
+                "give either 'rotation_wxyz' or 'look'",
+            )),
         }
     }
 
     fn agents(&self, forms: &[Spanned<AgentForm>]) -> Result<Vec<SceneAgent>, SceneError> {
         if let Some(first) = forms.get(AGENTS_MAX) {
             let reason = format!("{} agents; at most {AGENTS_MAX} have an id", forms.len());
-            return Err(self.error(&first.span(), &format!("agent[{AGENTS_MAX}]"), "name", reason));
+            return Err(self.error(
+                &first.span(),
+                &format!("agent[{AGENTS_MAX}]"),
+                "name",
+                reason,
+            ));
         }
         let mut names = HashSet::new();
         let mut agents = Vec::with_capacity(forms.len());
@@ -144,33 +234,69 @@ impl Checker<'_> {
             let (span, form, table) = (form.span(), form.get_ref(), format!("agent[{index}]"));
             self.check_name(&mut names, &form.name, &span, &table)?;
             let trajectory = match (form.position_m, form.trajectory.as_slice()) {
-                (Some(position_m), []) => {
-                    Trajectory::standing(self.pose(position_m, form.rotation_wxyz, form.yaw_rad, &span, &table)?)
-                }
-                (None, poses @ [_, ..]) if form.rotation_wxyz.is_none() && form.yaw_rad.is_none() => {
+                (Some(position_m), []) => Trajectory::standing(self.pose(
+                    position_m,
+                    form.rotation_wxyz,
+                    form.yaw_rad,
+                    &span,
+                    &table,
+                )?),
+                (None, poses @ [_, ..])
+                    if form.rotation_wxyz.is_none() && form.yaw_rad.is_none() =>
+                {
                     self.trajectory(poses, &format!("{table}.trajectory"))?
                 }
-                _ => return Err(self.error(&span, &table, "position_m", "give either one pose or a 'trajectory' of poses")),
+                _ => {
+                    return Err(self.error(
+                        &span,
+                        &table,
+                        "position_m",
+                        "give either one pose or a 'trajectory' of poses",
+                    ));
+                }
             };
             let sh_frame = form.sh_frame.map(|sh_frame| match sh_frame {
                 ShFrameForm::Canonical => ShFrame::Canonical,
                 ShFrameForm::World => ShFrame::World,
             });
-            agents.push(SceneAgent { name: form.name.clone(), asset: form.asset.clone().into(), sh_frame, trajectory });
+            agents.push(SceneAgent {
+                name: form.name.clone(),
+                asset: form.asset.clone().into(),
+                sh_frame,
+                trajectory,
+            });
         }
         Ok(agents)
     }
 
-    fn trajectory(&self, forms: &[Spanned<TimedPoseForm>], table: &str) -> Result<Trajectory, SceneError> {
+    fn trajectory(
+        &self,
+        forms: &[Spanned<TimedPoseForm>],
+        table: &str,
+    ) -> Result<Trajectory, SceneError> {
         let mut poses: Vec<TimedPose> = Vec::with_capacity(forms.len());
         for (index, form) in forms.iter().enumerate() {
             let (span, form, table) = (form.span(), form.get_ref(), format!("{table}[{index}]"));
-            if !form.time_s.is_finite() || poses.last().is_some_and(|last| form.time_s <= last.time_s) {
-                let reason = format!("{} must be finite and later than the pose before", form.time_s);
+            if !form.time_s.is_finite()
+                || poses.last().is_some_and(|last| form.time_s <= last.time_s)
+            {
+                let reason = format!(
+                    "{} must be finite and later than the pose before",
+                    form.time_s
+                );
                 return Err(self.error(&span, &table, "time_s", reason));
             }
-            let pose = self.pose(form.position_m, form.rotation_wxyz, form.yaw_rad, &span, &table)?;
-            poses.push(TimedPose { time_s: form.time_s, pose });
+            let pose = self.pose(
+                form.position_m,
+                form.rotation_wxyz,
+                form.yaw_rad,
+                &span,
+                &table,
+            )?;
+            poses.push(TimedPose {
+                time_s: form.time_s,
+                pose,
+            });
         }
         let start = forms.first().map_or(0..0, Spanned::span);
         Trajectory::new(poses).map_err(|reason| self.error(&start, table, "time_s", reason))
@@ -188,23 +314,48 @@ impl Checker<'_> {
         match (rotation_wxyz, yaw_rad) {
             (Some([w, x, y, z]), None) => {
                 let rotation = DQuat::from_xyzw(x, y, z, w);
-                // A file may round its quaternions; one that is far from unit length is another thing in this place.
+                // A file may round its quaternions; one that is far from unit length is another
+                // thing in this place.
                 if !rotation.is_finite() || (rotation.length() - 1.0).abs() > 1e-3 {
                     let reason = format!("[{w}, {x}, {y}, {z}] is no unit quaternion");
                     return Err(self.error(span, table, "rotation_wxyz", reason));
                 }
-                Ok(Pose { rotation: unit(rotation), translation })
+                Ok(Pose {
+                    rotation: unit(rotation),
+                    translation,
+                })
             }
-            (None, Some(yaw_rad)) if yaw_rad.is_finite() => Ok(Pose::from_yaw(yaw_rad, translation)),
-            (None, Some(yaw_rad)) => Err(self.error(span, table, "yaw_rad", format!("{yaw_rad} must be finite"))),
-            (None, None) => Ok(Pose { translation, ..Pose::IDENTITY }),
-            (Some(_), Some(_)) => Err(self.error(span, table, "yaw_rad", "give either 'rotation_wxyz' or 'yaw_rad'")),
+            (None, Some(yaw_rad)) if yaw_rad.is_finite() => {
+                Ok(Pose::from_yaw(yaw_rad, translation))
+            }
+            (None, Some(yaw_rad)) => {
+                Err(self.error(span, table, "yaw_rad", format!("{yaw_rad} must be finite")))
+            }
+            (None, None) => Ok(Pose {
+                translation,
+                ..Pose::IDENTITY
+            }),
+            (Some(_), Some(_)) => Err(self.error(
+                span,
+                table,
+                "yaw_rad",
+                "give either 'rotation_wxyz' or 'yaw_rad'",
+            )),
         }
     }
 
-    fn position(&self, position_m: [f64; 3], span: &Range<usize>, table: &str) -> Result<DVec3, SceneError> {
+    fn position(
+        &self,
+        position_m: [f64; 3],
+        span: &Range<usize>,
+        table: &str,
+    ) -> Result<DVec3, SceneError> {
         let position = DVec3::from_array(position_m);
-        if position.is_finite() { Ok(position) } else { Err(self.error(span, table, "position_m", "must be finite")) }
+        if position.is_finite() {
+            Ok(position)
+        } else {
+            Err(self.error(span, table, "position_m", "must be finite"))
+        }
     }
 
     fn check_name<'n>(
@@ -218,7 +369,12 @@ impl Checker<'_> {
             return Err(self.error(span, table, "name", "must not be empty"));
         }
         if !names.insert(name) {
-            return Err(self.error(span, table, "name", format!("'{name}' is taken; names must differ")));
+            return Err(self.error(
+                span,
+                table,
+                "name",
+                format!("'{name}' is taken; names must differ"),
+            ));
         }
         Ok(())
     }
@@ -229,9 +385,14 @@ fn field_of(reason: &str) -> &str {
     reason.split(' ').next().unwrap_or_default()
 }
 
-/// `rotation` at unit length; one that already has it keeps its bits, so that writing and reading changes nothing.
+/// `rotation` at unit length; one that already has it keeps its bits, so that writing and reading
+/// changes nothing.
 fn unit(rotation: DQuat) -> DQuat {
-    if (rotation.length_squared() - 1.0).abs() < 1e-14 { rotation } else { rotation.normalize() }
+    if (rotation.length_squared() - 1.0).abs() < 1e-14 {
+        rotation
+    } else {
+        rotation.normalize()
+    }
 }
 
 /// The field that [`Intrinsics::check`] complains of.

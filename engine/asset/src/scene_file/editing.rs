@@ -23,7 +23,9 @@ pub enum EditError {
         there: String,
     },
     /// Another agent has the name.
-    #[error("the scene has an agent {name:?} already; names must differ: choose another, or remove that agent first")]
+    #[error(
+        "the scene has an agent {name:?} already; names must differ: choose another, or remove that agent first"
+    )]
     NameTaken {
         /// The name asked for.
         name: String,
@@ -32,7 +34,9 @@ pub enum EditError {
     #[error("an agent needs a name; expected one letter at least, found none")]
     NoName,
     /// The instance ids are used up.
-    #[error("agent {name:?} has no place: instance ids name at most {max} agents in one scene; remove one first")]
+    #[error(
+        "agent {name:?} has no place: instance ids name at most {max} agents in one scene; remove one first"
+    )]
     TooMany {
         /// The agent that was to be added.
         name: String,
@@ -40,7 +44,9 @@ pub enum EditError {
         max: usize,
     },
     /// The motion leads nowhere.
-    #[error("agent {name:?} cannot be moved: {reason}; expected finite numbers of meters and radians")]
+    #[error(
+        "agent {name:?} cannot be moved: {reason}; expected finite numbers of meters and radians"
+    )]
     Motion {
         /// The agent that was to be moved.
         name: String,
@@ -54,25 +60,40 @@ impl EditError {
     #[must_use]
     pub fn no_agent<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) -> Self {
         let names: Vec<&str> = names.into_iter().collect();
-        let told: Vec<String> = names.iter().take(NAMES_TOLD).map(|name| format!("{name:?}")).collect();
+        let told: Vec<String> = names
+            .iter()
+            .take(NAMES_TOLD)
+            .map(|name| format!("{name:?}"))
+            .collect();
         let there = match names.len() {
             0 => "it has none at all".to_owned(),
-            count if count > NAMES_TOLD => format!("it has {} and {} more", told.join(", "), count - NAMES_TOLD),
+            count if count > NAMES_TOLD => {
+                format!("it has {} and {} more", told.join(", "), count - NAMES_TOLD)
+            }
             _ => format!("it has {}", told.join(", ")),
         };
-        Self::NoAgent { name: name.to_owned(), there }
+        Self::NoAgent {
+            name: name.to_owned(),
+            there,
+        }
     }
 }
 
-/// `trajectory` moved as a whole so that it begins at `position_m`, its nose towards `yaw_rad` there: turned about the
-/// vertical and carried along, so that pitch, roll and every turn of it stay.
+/// `trajectory` moved as a whole so that it begins at `position_m`, its nose towards `yaw_rad`
+/// there: turned about the vertical and carried along, so that pitch, roll and every turn of it
+/// stay.
 ///
 /// # Errors
 /// A sentence, when a pose is not finite.
-pub fn begun_at(trajectory: &Trajectory, position_m: DVec3, yaw_rad: f64) -> Result<Trajectory, String> {
+pub fn begun_at(
+    trajectory: &Trajectory,
+    position_m: DVec3,
+    yaw_rad: f64,
+) -> Result<Trajectory, String> {
     let first = trajectory.poses()[0].pose;
     let turn = DQuat::from_rotation_z(yaw_rad - heading_rad(&first));
-    // Relative to the first pose: in UTM coordinates a turn about the origin would cost a nanometer and look odd in the file.
+    // Relative to the first pose: in UTM coordinates a turn about the origin would cost a nanometer
+    // and look odd in the file.
     each_pose(trajectory, |pose| Pose {
         rotation: (turn * pose.rotation).normalize(),
         translation: position_m + turn * (pose.translation - first.translation),
@@ -95,7 +116,10 @@ pub fn heading_rad(pose: &Pose) -> f64 {
 }
 
 fn each_pose(trajectory: &Trajectory, moved: impl Fn(&Pose) -> Pose) -> Result<Trajectory, String> {
-    let timed = |timed: &TimedPose| TimedPose { time_s: timed.time_s, pose: moved(&timed.pose) };
+    let timed = |timed: &TimedPose| TimedPose {
+        time_s: timed.time_s,
+        pose: moved(&timed.pose),
+    };
     Trajectory::new(trajectory.poses().iter().map(timed).collect())
 }
 
@@ -108,7 +132,8 @@ impl SceneFile {
         Ok(&self.agents[self.place_of(name)?])
     }
 
-    /// Takes the agent called `name` out. Those behind it move up, and their instance ids with them.
+    /// Takes the agent called `name` out. Those behind it move up, and their instance ids with
+    /// them.
     ///
     /// # Errors
     /// [`EditError::NoAgent`].
@@ -131,14 +156,17 @@ impl SceneFile {
         }
         let max = usize::from(u16::MAX);
         if self.agents.len() >= max {
-            return Err(EditError::TooMany { name: name.clone(), max });
+            return Err(EditError::TooMany {
+                name: name.clone(),
+                max,
+            });
         }
         self.agents.push(agent);
         Ok(())
     }
 
-    /// Lets the agent called `name` show `asset`, a path relative to the scene file. Its colors are meant as that asset says,
-    /// whatever the file said of the asset before.
+    /// Lets the agent called `name` show `asset`, a path relative to the scene file. Its colors are
+    /// meant as that asset says, whatever the file said of the asset before.
     ///
     /// Its pose stays: an asset of another height stands with its middle where the other's was.
     ///
@@ -166,11 +194,17 @@ impl SceneFile {
     ///
     /// # Errors
     /// When there is no such agent, or a number is not finite.
-    pub fn move_agent(&mut self, name: &str, position_m: DVec3, yaw_rad: f64) -> Result<(), EditError> {
+    pub fn move_agent(
+        &mut self,
+        name: &str,
+        position_m: DVec3,
+        yaw_rad: f64,
+    ) -> Result<(), EditError> {
         self.with_trajectory(name, |trajectory| begun_at(trajectory, position_m, yaw_rad))
     }
 
-    /// Moves the agent called `name` in its own frame all along its trajectory, as [`shifted`] does.
+    /// Moves the agent called `name` in its own frame all along its trajectory, as [`shifted`]
+    /// does.
     ///
     /// # Errors
     /// When there is no such agent, or a number is not finite.
@@ -185,13 +219,18 @@ impl SceneFile {
     ) -> Result<(), EditError> {
         let place = self.place_of(name)?;
         let agent = &mut self.agents[place];
-        agent.trajectory = edited(&agent.trajectory).map_err(|reason| EditError::Motion { name: name.to_owned(), reason })?;
+        agent.trajectory = edited(&agent.trajectory).map_err(|reason| EditError::Motion {
+            name: name.to_owned(),
+            reason,
+        })?;
         Ok(())
     }
 
     fn place_of(&self, name: &str) -> Result<usize, EditError> {
         let place = self.agents.iter().position(|agent| agent.name == name);
-        place.ok_or_else(|| EditError::no_agent(name, self.agents.iter().map(|agent| agent.name.as_str())))
+        place.ok_or_else(|| {
+            EditError::no_agent(name, self.agents.iter().map(|agent| agent.name.as_str()))
+        })
     }
 }
 
@@ -205,9 +244,15 @@ mod tests {
             name: (*name).to_owned(),
             asset: "car.ply".into(),
             sh_frame: Some(ShFrame::World),
-            trajectory: Trajectory::standing(Pose::from_yaw(0.5, DVec3::new(458_000.0, 5_428_000.0, 112.0))),
+            trajectory: Trajectory::standing(Pose::from_yaw(
+                0.5,
+                DVec3::new(458_000.0, 5_428_000.0, 112.0),
+            )),
         };
-        SceneFile { agents: names.iter().map(agent).collect(), ..SceneFile::of_background("street.ply") }
+        SceneFile {
+            agents: names.iter().map(agent).collect(),
+            ..SceneFile::of_background("street.ply")
+        }
     }
 
     #[test]
@@ -218,30 +263,61 @@ mod tests {
         edited.add_agent(taken.clone()).unwrap();
         assert_eq!(edited, scene(&["a", "c", "b"]));
         edited.swap_asset("c", "van.ply").unwrap();
-        assert_eq!((&edited.agents[1].asset, edited.agents[1].sh_frame), (&PathBuf::from("van.ply"), None));
-        edited.set_trajectory("a", Trajectory::standing(Pose::IDENTITY)).unwrap();
-        assert_eq!(edited.agent("a").unwrap().trajectory, Trajectory::standing(Pose::IDENTITY));
-        assert_eq!(SceneFile::parse(&edited.to_toml().unwrap()).unwrap(), edited);
+        assert_eq!(
+            (&edited.agents[1].asset, edited.agents[1].sh_frame),
+            (&PathBuf::from("van.ply"), None)
+        );
+        edited
+            .set_trajectory("a", Trajectory::standing(Pose::IDENTITY))
+            .unwrap();
+        assert_eq!(
+            edited.agent("a").unwrap().trajectory,
+            Trajectory::standing(Pose::IDENTITY)
+        );
+        assert_eq!(
+            SceneFile::parse(&edited.to_toml().unwrap()).unwrap(),
+            edited
+        );
     }
 
     #[test]
     fn a_complaint_names_the_agent_and_those_that_there_are_and_changes_nothing() {
         let mut edited = scene(&["a", "b"]);
         let told = |error: EditError| error.to_string();
-        assert_eq!(told(edited.remove_agent("x").unwrap_err()), r#"the scene has no agent "x"; it has "a", "b""#);
+        assert_eq!(
+            told(edited.remove_agent("x").unwrap_err()),
+            r#"the scene has no agent "x"; it has "a", "b""#
+        );
         assert!(told(edited.swap_asset("x", "van.ply").unwrap_err()).contains(r#""x""#));
-        assert!(told(edited.move_agent("b", DVec3::NAN, 0.0).unwrap_err()).contains(r#""b" cannot be moved"#));
-        let infinite = Pose { translation: DVec3::INFINITY, ..Pose::IDENTITY };
+        assert!(
+            told(edited.move_agent("b", DVec3::NAN, 0.0).unwrap_err())
+                .contains(r#""b" cannot be moved"#)
+        );
+        let infinite = Pose {
+            translation: DVec3::INFINITY,
+            ..Pose::IDENTITY
+        };
         assert!(told(edited.shift_agent("b", &infinite).unwrap_err()).contains("not finite"));
         let twin = edited.agents[0].clone();
-        assert!(told(edited.add_agent(twin.clone()).unwrap_err()).contains(r#"an agent "a" already"#));
-        assert_eq!(edited.add_agent(SceneAgent { name: String::new(), ..twin.clone() }), Err(EditError::NoName));
+        assert!(
+            told(edited.add_agent(twin.clone()).unwrap_err()).contains(r#"an agent "a" already"#)
+        );
+        assert_eq!(
+            edited.add_agent(SceneAgent {
+                name: String::new(),
+                ..twin.clone()
+            }),
+            Err(EditError::NoName)
+        );
         assert_eq!(edited, scene(&["a", "b"]));
         assert!(told(scene(&[]).remove_agent("x").unwrap_err()).contains("none at all"));
         let many: Vec<String> = (0..65_535).map(|index| format!("car{index}")).collect();
         let mut full = scene(&many.iter().map(String::as_str).collect::<Vec<_>>());
         let said = told(full.remove_agent("x\u{1b}").unwrap_err());
-        assert!(said.ends_with("\"car11\" and 65523 more") && !said.contains('\u{1b}'), "{said}");
+        assert!(
+            said.ends_with("\"car11\" and 65523 more") && !said.contains('\u{1b}'),
+            "{said}"
+        );
         assert!(told(full.add_agent(twin).unwrap_err()).contains("65535"));
     }
 
@@ -250,24 +326,44 @@ mod tests {
         // A quarter of a circle to the left, uphill.
         let pose = |turn: f64| {
             let rotation = DQuat::from_rotation_z(turn) * DQuat::from_rotation_y(-0.1);
-            Pose::new(rotation, DVec3::new(458_000.0 + 20.0 * turn.sin(), 5_428_020.0 - 20.0 * turn.cos(), 112.0 + turn))
+            Pose::new(
+                rotation,
+                DVec3::new(
+                    458_000.0 + 20.0 * turn.sin(),
+                    5_428_020.0 - 20.0 * turn.cos(),
+                    112.0 + turn,
+                ),
+            )
         };
-        let knots = [0.0, 0.8, 1.57].map(|turn| TimedPose { time_s: 2.0 * turn, pose: pose(turn) });
+        let knots = [0.0, 0.8, 1.57].map(|turn| TimedPose {
+            time_s: 2.0 * turn,
+            pose: pose(turn),
+        });
         let way = Trajectory::new(knots.to_vec()).unwrap();
         let begin = DVec3::new(-3.0, 7.0, 1.0);
         let moved = begun_at(&way, begin, 2.0).unwrap();
         assert_eq!(moved.poses()[0].pose.translation, begin);
         assert!((heading_rad(&moved.poses()[0].pose) - 2.0).abs() < 1e-12);
-        // A rigid motion about the vertical: how each pose is seen from the first stays, and so does the slope.
+        // A rigid motion about the vertical: how each pose is seen from the first stays, and so
+        // does the slope.
         for (old, new) in way.poses().iter().zip(moved.poses()) {
             assert_eq!(old.time_s, new.time_s);
             let relative = |way: &Trajectory, pose: &Pose| way.poses()[0].pose.inverse().then(pose);
             let (old_seen, new_seen) = (relative(&way, &old.pose), relative(&moved, &new.pose));
-            assert!((old_seen.translation - new_seen.translation).length() < 1e-8, "{old_seen:?} {new_seen:?}");
-            assert!(((old.pose.rotation * DVec3::X).z - (new.pose.rotation * DVec3::X).z).abs() < 1e-12);
+            assert!(
+                (old_seen.translation - new_seen.translation).length() < 1e-8,
+                "{old_seen:?} {new_seen:?}"
+            );
+            assert!(
+                ((old.pose.rotation * DVec3::X).z - (new.pose.rotation * DVec3::X).z).abs() < 1e-12
+            );
         }
         let shift = Pose::new(DQuat::from_rotation_z(0.25), DVec3::new(4.0, -3.5, 0.0));
-        for (old, new) in way.poses().iter().zip(shifted(&way, &shift).unwrap().poses()) {
+        for (old, new) in way
+            .poses()
+            .iter()
+            .zip(shifted(&way, &shift).unwrap().poses())
+        {
             let seen = old.pose.inverse().transform(new.pose.translation);
             assert!((seen - shift.translation).length() < 1e-8, "{seen}");
             assert!((old.pose.rotation.angle_between(new.pose.rotation) - 0.25).abs() < 1e-7);

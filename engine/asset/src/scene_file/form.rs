@@ -129,19 +129,36 @@ fn spanless<T>(value: T) -> Spanned<T> {
 /// Writes a scene.
 pub(super) fn to_toml(scene: &SceneFile) -> Result<String, String> {
     let path = |path: &std::path::Path| {
-        path.to_str().map(str::to_owned).ok_or_else(|| format!("the path {} is not Unicode, which TOML needs", path.display()))
+        path.to_str().map(str::to_owned).ok_or_else(|| {
+            format!(
+                "the path {} is not Unicode, which TOML needs",
+                path.display()
+            )
+        })
     };
-    let agents = scene.agents.iter().map(|agent| Ok(spanless(agent_form(agent, path(&agent.asset)?))));
+    let agents = scene
+        .agents
+        .iter()
+        .map(|agent| Ok(spanless(agent_form(agent, path(&agent.asset)?))));
     let form = SceneForm {
         version: VERSION,
         origin: scene.origin.to_array(),
         background: path(&scene.background)?,
         sky: scene.sky,
         rules: spanless(rules_form(&scene.rules)?),
-        rig: scene.rig.cameras.iter().map(|camera| spanless(camera_form(camera))).collect(),
+        rig: scene
+            .rig
+            .cameras
+            .iter()
+            .map(|camera| spanless(camera_form(camera)))
+            .collect(),
         ego: scene.ego.as_ref().map(timed_pose_forms).unwrap_or_default(),
         agent: agents.collect::<Result<_, String>>()?,
-        light: scene.light.as_ref().map(|light| light_form(light, path)).transpose()?,
+        light: scene
+            .light
+            .as_ref()
+            .map(|light| light_form(light, path))
+            .transpose()?,
     };
     toml::to_string(&form).map_err(|error| error.to_string())
 }
@@ -150,7 +167,11 @@ fn light_form(
     light: &SceneLight,
     path: impl Fn(&std::path::Path) -> Result<String, String>,
 ) -> Result<Spanned<LightForm>, String> {
-    let AmbientOptions { sigma_m, radius_m, spacing_m } = light.ambient;
+    let AmbientOptions {
+        sigma_m,
+        radius_m,
+        spacing_m,
+    } = light.ambient;
     let shadows = |shadows: ShadowOptions| ShadowForm {
         strength: Some(shadows.strength),
         decay: Some(shadows.decay),
@@ -170,18 +191,45 @@ fn light_form(
 /// The rules as a name and what departs from it.
 fn rules_form(rules: &Rules) -> Result<RulesForm, String> {
     let named = |name: &&str| {
-        Rules::by_name(name).is_some_and(|base| Rules { antialias: rules.antialias, near_m: rules.near_m, ..base } == *rules)
+        Rules::by_name(name).is_some_and(|base| {
+            Rules {
+                antialias: rules.antialias,
+                near_m: rules.near_m,
+                ..base
+            } == *rules
+        })
     };
-    let name =
-        Rules::NAMES.iter().find(|name| Rules::by_name(name) == Some(*rules)).or_else(|| Rules::NAMES.iter().find(|n| named(n)));
-    let name =
-        name.ok_or_else(|| format!("rules {rules:?} have no name; a scene file holds one of {}", Rules::NAMES.join(", ")))?;
-    Ok(RulesForm { name: Some((*name).to_owned()), antialias: Some(rules.antialias), near_m: Some(rules.near_m) })
+    let name = Rules::NAMES
+        .iter()
+        .find(|name| Rules::by_name(name) == Some(*rules))
+        .or_else(|| Rules::NAMES.iter().find(|n| named(n)));
+    let name = name.ok_or_else(|| {
+        format!(
+            "rules {rules:?} have no name; a scene file holds one of {}",
+            Rules::NAMES.join(", ")
+        )
+    })?;
+    Ok(RulesForm {
+        name: Some((*name).to_owned()),
+        antialias: Some(rules.antialias),
+        near_m: Some(rules.near_m),
+    })
 }
 
 fn camera_form(camera: &RigCamera) -> CameraForm {
-    let Intrinsics { width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics;
-    let Pose { rotation, translation } = camera.rig_from_camera;
+    let Intrinsics {
+        width_px,
+        height_px,
+        fx_px,
+        fy_px,
+        cx_px,
+        cy_px,
+        lens,
+    } = camera.intrinsics;
+    let Pose {
+        rotation,
+        translation,
+    } = camera.rig_from_camera;
     CameraForm {
         name: camera.name.clone(),
         width_px,
@@ -213,7 +261,11 @@ fn agent_form(agent: &SceneAgent, asset: String) -> AgentForm {
         position_m: standing.map(|pose| pose.translation.to_array()),
         rotation_wxyz: standing.map(|pose| wxyz(pose.rotation)),
         yaw_rad: None,
-        trajectory: if standing.is_some() { Vec::new() } else { timed_pose_forms(&agent.trajectory) },
+        trajectory: if standing.is_some() {
+            Vec::new()
+        } else {
+            timed_pose_forms(&agent.trajectory)
+        },
     }
 }
 
@@ -224,7 +276,11 @@ fn timed_pose_forms(trajectory: &Trajectory) -> Vec<Spanned<TimedPoseForm>> {
         rotation_wxyz: Some(wxyz(timed.pose.rotation)),
         yaw_rad: None,
     };
-    trajectory.poses().iter().map(|timed| spanless(form(timed))).collect()
+    trajectory
+        .poses()
+        .iter()
+        .map(|timed| spanless(form(timed)))
+        .collect()
 }
 
 fn wxyz(rotation: DQuat) -> [f64; 4] {

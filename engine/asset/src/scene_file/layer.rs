@@ -1,4 +1,5 @@
-//! A scene taken apart: its background alone, or its agents alone ("Scene Decoupling" in the DecoupleGS paper's supplement).
+//! A scene taken apart: its background alone, or its agents alone ("Scene Decoupling" in the
+//! DecoupleGS paper's supplement).
 
 use std::borrow::Cow;
 
@@ -14,8 +15,8 @@ pub enum Layer {
     All,
     /// The scene as if no agent had ever been there: without them and without their shadows.
     Background,
-    /// The agents over nothing, in the light that the whole background throws on them. The sky is black and lets through, so
-    /// that color is premultiplied by alpha.
+    /// The agents over nothing, in the light that the whole background throws on them. The sky is
+    /// black and lets through, so that color is premultiplied by alpha.
     Agents,
 }
 
@@ -30,7 +31,8 @@ impl LoadedScene {
         }
     }
 
-    /// [`LoadedScene::baked`], and of that what belongs to `layer`: the definition of the layer's image.
+    /// [`LoadedScene::baked`], and of that what belongs to `layer`: the definition of the layer's
+    /// image.
     #[must_use]
     pub fn baked_layer(&self, time_s: f64, layer: Layer) -> World {
         match layer {
@@ -44,16 +46,28 @@ impl LoadedScene {
 
 /// The part of `world` that belongs to `layer`, in the order it had.
 fn only(world: &World, layer: Layer) -> World {
-    let of_agents = |splat: &u32| world.instance_from_splat.get(*splat as usize).is_some_and(|id| *id != 0);
+    let of_agents = |splat: &u32| {
+        world
+            .instance_from_splat
+            .get(*splat as usize)
+            .is_some_and(|id| *id != 0)
+    };
     let splats = 0..world.splats.len() as u32;
     if layer == Layer::Background {
         let kept: Vec<u32> = splats.filter(|splat| !of_agents(splat)).collect();
-        return World { splats: world.splats.select(&kept), instance_from_splat: Vec::new(), ..*world };
+        return World {
+            splats: world.splats.select(&kept),
+            instance_from_splat: Vec::new(),
+            ..*world
+        };
     }
     let kept: Vec<u32> = splats.filter(of_agents).collect();
     World {
         splats: world.splats.select(&kept),
-        instance_from_splat: kept.iter().map(|splat| world.instance_from_splat[*splat as usize]).collect(),
+        instance_from_splat: kept
+            .iter()
+            .map(|splat| world.instance_from_splat[*splat as usize])
+            .collect(),
         sky: [0.0; 3],
         ..*world
     }
@@ -90,7 +104,10 @@ mod tests {
         for (instance, x) in [(1, 10.0), (4, 20.0)] {
             world.bake_instance(
                 &splats(&[x, x + 1.0]),
-                &Pose { translation: world.origin, ..Pose::IDENTITY },
+                &Pose {
+                    translation: world.origin,
+                    ..Pose::IDENTITY
+                },
                 ShFrame::World,
                 instance,
             );
@@ -99,7 +116,10 @@ mod tests {
         let agents = only(&world, Layer::Agents);
         assert_eq!(agents.instance_from_splat, [1, 1, 4, 4]);
         assert_eq!(agents.splats.means, world.splats.means[3..]);
-        assert_eq!((agents.sky, agents.origin, agents.rules), ([0.0; 3], world.origin, world.rules));
+        assert_eq!(
+            (agents.sky, agents.origin, agents.rules),
+            ([0.0; 3], world.origin, world.rules)
+        );
         assert_eq!(only(&background, Layer::Background), background);
         assert!(only(&background, Layer::Agents).splats.is_empty());
     }

@@ -47,33 +47,57 @@ pub(super) enum ReferenceForm {
 /// `given` and zeros; a sentence where there are too many.
 fn filled<const N: usize>(what: &str, given: &[f64]) -> Result<[f64; N], String> {
     if given.len() > N {
-        return Err(format!("'{what}' has {} coefficients, at most {N} are known", given.len()));
+        return Err(format!(
+            "'{what}' has {} coefficients, at most {N} are known",
+            given.len()
+        ));
     }
-    Ok(std::array::from_fn(|place| given.get(place).copied().unwrap_or(0.0)))
+    Ok(std::array::from_fn(|place| {
+        given.get(place).copied().unwrap_or(0.0)
+    }))
 }
 
 impl LensForm {
     pub(super) fn lens(&self) -> Result<Lens, String> {
         Ok(match self {
-            Self::OpenCv { radial, tangential, thin_prism } => {
-                Lens::OpenCv(OpenCv { radial: filled("radial", radial)?, tangential: *tangential, thin_prism: *thin_prism })
-            }
-            Self::Fisheye { radial, max_angle_rad } => Lens::Fisheye(Fisheye {
+            Self::OpenCv {
+                radial,
+                tangential,
+                thin_prism,
+            } => Lens::OpenCv(OpenCv {
+                radial: filled("radial", radial)?,
+                tangential: *tangential,
+                thin_prism: *thin_prism,
+            }),
+            Self::Fisheye {
+                radial,
+                max_angle_rad,
+            } => Lens::Fisheye(Fisheye {
                 radial: filled("radial", radial)?,
                 max_angle_rad: max_angle_rad.unwrap_or(ANGLE_LIMIT_RAD),
             }),
-            Self::FTheta { reference, pixel_distance_to_angle, angle_to_pixel_distance, max_angle_rad, linear_cde } => {
-                Lens::FTheta(FTheta {
-                    reference: match reference {
-                        ReferenceForm::PixelDistanceToAngle => FThetaReference::PixelDistanceToAngle,
-                        ReferenceForm::AngleToPixelDistance => FThetaReference::AngleToPixelDistance,
-                    },
-                    pixel_distance_to_angle: filled("pixel_distance_to_angle", pixel_distance_to_angle)?,
-                    angle_to_pixel_distance: filled("angle_to_pixel_distance", angle_to_pixel_distance)?,
-                    max_angle_rad: *max_angle_rad,
-                    linear_cde: linear_cde.unwrap_or([1.0, 0.0, 0.0]),
-                })
-            }
+            Self::FTheta {
+                reference,
+                pixel_distance_to_angle,
+                angle_to_pixel_distance,
+                max_angle_rad,
+                linear_cde,
+            } => Lens::FTheta(FTheta {
+                reference: match reference {
+                    ReferenceForm::PixelDistanceToAngle => FThetaReference::PixelDistanceToAngle,
+                    ReferenceForm::AngleToPixelDistance => FThetaReference::AngleToPixelDistance,
+                },
+                pixel_distance_to_angle: filled(
+                    "pixel_distance_to_angle",
+                    pixel_distance_to_angle,
+                )?,
+                angle_to_pixel_distance: filled(
+                    "angle_to_pixel_distance",
+                    angle_to_pixel_distance,
+                )?,
+                max_angle_rad: *max_angle_rad,
+                linear_cde: linear_cde.unwrap_or([1.0, 0.0, 0.0]),
+            }),
         })
     }
 
@@ -81,10 +105,15 @@ impl LensForm {
     pub(super) fn of(lens: &Lens) -> Option<Self> {
         match lens {
             Lens::Pinhole => None,
-            Lens::OpenCv(lens) => {
-                Some(Self::OpenCv { radial: lens.radial.to_vec(), tangential: lens.tangential, thin_prism: lens.thin_prism })
-            }
-            Lens::Fisheye(lens) => Some(Self::Fisheye { radial: lens.radial.to_vec(), max_angle_rad: Some(lens.max_angle_rad) }),
+            Lens::OpenCv(lens) => Some(Self::OpenCv {
+                radial: lens.radial.to_vec(),
+                tangential: lens.tangential,
+                thin_prism: lens.thin_prism,
+            }),
+            Lens::Fisheye(lens) => Some(Self::Fisheye {
+                radial: lens.radial.to_vec(),
+                max_angle_rad: Some(lens.max_angle_rad),
+            }),
             Lens::FTheta(lens) => Some(Self::FTheta {
                 reference: match lens.reference {
                     FThetaReference::PixelDistanceToAngle => ReferenceForm::PixelDistanceToAngle,

@@ -4,8 +4,12 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use decouplegs_scene::light::{AmbientField, AmbientOptions, Lighting, LitAgent, ShadowOptions, bake_shadows};
-use decouplegs_scene::{CodedCloud, ContactShadow, LightTransfer, Pose, Rig, ShFrame, SplatCloud, Trajectory, World};
+use decouplegs_scene::light::{
+    AmbientField, AmbientOptions, Lighting, LitAgent, ShadowOptions, bake_shadows,
+};
+use decouplegs_scene::{
+    CodedCloud, ContactShadow, LightTransfer, Pose, Rig, ShFrame, SplatCloud, Trajectory, World,
+};
 use glam::DVec3;
 
 use super::{SceneAgent, SceneFile, is_scene_file};
@@ -14,11 +18,12 @@ use crate::packed_scene::{is_package, open_packed_scene};
 use crate::read::splats_of;
 use crate::{AssetError, coded_asset, light_transfer_file, read_bytes, read_splats};
 
-/// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to frame.
+/// A scene, ready to be drawn: what stands still at one moment, and what is moved from frame to
+/// frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadedScene {
-    /// Background, and the agents whose assets are plain splat files as they stand at the moment asked for. Each plain
-    /// file's splats are in spatial order.
+    /// Background, and the agents whose assets are plain splat files as they stand at the moment
+    /// asked for. Each plain file's splats are in spatial order.
     pub world: World,
     /// Compressed assets (`.safetensors`), each file once.
     pub assets: Vec<CodedCloud>,
@@ -74,62 +79,116 @@ impl LoadedScene {
         }
     }
 
-    /// Checks that [`LoadedScene::baked`] is a world that the memory holds: thousands of agents may show one small asset.
+    /// Checks that [`LoadedScene::baked`] is a world that the memory holds: thousands of agents may
+    /// show one small asset.
     ///
     /// # Errors
     /// [`AssetError::Placement`] with the splats or bytes.
     pub fn check_baked(&self) -> Result<(), AssetError> {
-        let finest = |agent: &LoadedAgent| self.assets[agent.asset].levels.first().copied().unwrap_or(0) as u64;
+        let finest = |agent: &LoadedAgent| {
+            self.assets[agent.asset]
+                .levels
+                .first()
+                .copied()
+                .unwrap_or(0) as u64
+        };
         let splats = self.world.splats.len() as u64 + self.agents.iter().map(finest).sum::<u64>();
-        let sh_degree = self.assets.iter().map(|asset| asset.sh_degree).max().unwrap_or(0).max(self.world.splats.sh_degree);
+        let sh_degree = self
+            .assets
+            .iter()
+            .map(|asset| asset.sh_degree)
+            .max()
+            .unwrap_or(0)
+            .max(self.world.splats.sh_degree);
         if splats > SPLATS_MAX {
             return Err(AssetError::Placement(format!(
                 "with all agents decoded there are {splats} splats; at most {SPLATS_MAX} are read"
             )));
         }
         // Twice, as a list that grows is copied.
-        memory::require(&format!("a scene of {splats} decoded splats"), 2 * cloud_bytes(splats, sh_degree))
-            .map_err(AssetError::Placement)
+        memory::require(
+            &format!("a scene of {splats} decoded splats"),
+            2 * cloud_bytes(splats, sh_degree),
+        )
+        .map_err(AssetError::Placement)
     }
 
-    /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added where it is at `time_s`, in
-    /// order, in the scene's light. What was in the world already stays as it stands.
+    /// The uncompressed twin: [`LoadedScene::world`] with the finest level of every agent added
+    /// where it is at `time_s`, in order, in the scene's light. What was in the world already stays
+    /// as it stands.
     #[must_use]
     pub fn baked(&self, time_s: f64) -> World {
         let mut world = self.world.clone();
         let lighting = self.lighting();
         let of_agent = |agent: &LoadedAgent| {
             let (pose, dims_m) = (agent.trajectory.at(time_s), self.assets[agent.asset].dims_m);
-            (pose, lighting.as_ref().map(|lighting| lighting.of_agent(&pose, dims_m, agent.sh_frame)))
+            (
+                pose,
+                lighting
+                    .as_ref()
+                    .map(|lighting| lighting.of_agent(&pose, dims_m, agent.sh_frame)),
+            )
         };
         let lit: Vec<(Pose, Option<LitAgent>)> = self.agents.iter().map(of_agent).collect();
         // Before there are agents in it, which shadows do not lie on.
-        let shadows: Vec<ContactShadow> = lit.iter().filter_map(|(_, lit)| lit.and_then(|lit| lit.shadow)).collect();
+        let shadows: Vec<ContactShadow> = lit
+            .iter()
+            .filter_map(|(_, lit)| lit.and_then(|lit| lit.shadow))
+            .collect();
         bake_shadows(&mut world, &shadows);
         let decoded: Vec<SplatCloud> = self.assets.iter().map(|asset| asset.decoded(0)).collect();
         for (agent, (pose, lit)) in self.agents.iter().zip(lit) {
             let asset = &decoded[agent.asset];
-            let relit = lit.and_then(|lit| lit.relight).map(|relight| relight.relit(asset));
-            world.bake_instance(relit.as_ref().unwrap_or(asset), &pose, agent.sh_frame, agent.instance);
+            let relit = lit
+                .and_then(|lit| lit.relight)
+                .map(|relight| relight.relit(asset));
+            world.bake_instance(
+                relit.as_ref().unwrap_or(asset),
+                &pose,
+                agent.sh_frame,
+                agent.instance,
+            );
         }
         world
     }
 
-    /// The light of the background, its field baked where agents drive; `None` where the scene has none.
+    /// The light of the background, its field baked where agents drive; `None` where the scene has
+    /// none.
     #[must_use]
     pub fn lighting(&self) -> Option<Lighting> {
         let light = self.light.as_ref()?;
         let instances = &self.world.instance_from_splat;
-        let background = instances.iter().position(|&id| id != 0).unwrap_or(self.world.splats.len());
-        let mut field = AmbientField::new(&self.world.splats, background, self.world.origin, &light.ambient);
-        field.bake(self.agents.iter().flat_map(|agent| places_along(&agent.trajectory, light.ambient.spacing_m)));
-        Some(Lighting { field, transfer: light.transfer.clone(), shadows: light.shadows })
+        let background = instances
+            .iter()
+            .position(|&id| id != 0)
+            .unwrap_or(self.world.splats.len());
+        let mut field = AmbientField::new(
+            &self.world.splats,
+            background,
+            self.world.origin,
+            &light.ambient,
+        );
+        field.bake(
+            self.agents
+                .iter()
+                .flat_map(|agent| places_along(&agent.trajectory, light.ambient.spacing_m)),
+        );
+        Some(Lighting {
+            field,
+            transfer: light.transfer.clone(),
+            shadows: light.shadows,
+        })
     }
 }
 
-/// Places along a trajectory, world coordinates, at most `step_m` apart: where its light is summed up beforehand.
+/// Places along a trajectory, world coordinates, at most `step_m` apart: where its light is summed
+/// up beforehand.
 pub fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item = DVec3> {
-    let knots: Vec<DVec3> = trajectory.poses().iter().map(|timed| timed.pose.translation).collect();
+    let knots: Vec<DVec3> = trajectory
+        .poses()
+        .iter()
+        .map(|timed| timed.pose.translation)
+        .collect();
     let between = move |pair: &[DVec3]| {
         let (from, to) = (pair[0], pair[1]);
         // A teleport is no road.
@@ -141,8 +200,8 @@ pub fn places_along(trajectory: &Trajectory, step_m: f64) -> impl Iterator<Item 
 }
 
 impl SceneFile {
-    /// Loads background and agents, whose paths are relative to `directory`. Agents of plain splat files stand where they
-    /// are at `time_s`.
+    /// Loads background and agents, whose paths are relative to `directory`. Agents of plain splat
+    /// files stand where they are at `time_s`.
     ///
     /// # Errors
     /// [`AssetError`] of the file at fault, or when there are more agents than ids.
@@ -151,24 +210,58 @@ impl SceneFile {
     }
 
     /// Loads like [`SceneFile::load`], from `files`.
-    pub(crate) fn load_from(&self, files: &dyn SceneFiles, time_s: f64) -> Result<LoadedScene, AssetError> {
+    pub(crate) fn load_from(
+        &self,
+        files: &dyn SceneFiles,
+        time_s: f64,
+    ) -> Result<LoadedScene, AssetError> {
         let background = in_spatial_order(&files.splats(&self.background)?);
-        let mut scene =
-            LoadedScene::of_world(World { origin: self.origin, sky: self.sky, rules: self.rules, ..World::of(background) });
-        let mut loader = AgentLoader { files, time_s, plain: HashMap::new(), coded: HashMap::new(), checked_splats: 0 };
+        let mut scene = LoadedScene::of_world(World {
+            origin: self.origin,
+            sky: self.sky,
+            rules: self.rules,
+            ..World::of(background)
+        });
+        let mut loader = AgentLoader {
+            files,
+            time_s,
+            plain: HashMap::new(),
+            coded: HashMap::new(),
+            checked_splats: 0,
+        };
         for (index, agent) in self.agents.iter().enumerate() {
             let instance = u16::try_from(index + 1).map_err(|_| {
-                AssetError::Placement(format!("agent {}: more than {} agents in one world", agent.name, u16::MAX))
+                AssetError::Placement(format!(
+                    "agent {}: more than {} agents in one world",
+                    agent.name,
+                    u16::MAX
+                ))
             })?;
             loader.add(&mut scene, agent, instance)?;
         }
         scene.rig = self.rig.clone();
-        let standing = || Trajectory::standing(Pose { translation: self.origin, ..Pose::IDENTITY });
+        let standing = || {
+            Trajectory::standing(Pose {
+                translation: self.origin,
+                ..Pose::IDENTITY
+            })
+        };
         scene.ego = self.ego.clone().unwrap_or_else(standing);
         if let Some(light) = &self.light {
-            let read = |file: &PathBuf| light_transfer_file::read_from(&files.bytes(file)?, &files.path(file));
-            let transfer = light.transfer.as_ref().map(read).transpose()?.map(|file| file.transfer);
-            scene.light = Some(LoadedLight { transfer, ambient: light.ambient, shadows: light.shadows });
+            let read = |file: &PathBuf| {
+                light_transfer_file::read_from(&files.bytes(file)?, &files.path(file))
+            };
+            let transfer = light
+                .transfer
+                .as_ref()
+                .map(read)
+                .transpose()?
+                .map(|file| file.transfer);
+            scene.light = Some(LoadedLight {
+                transfer,
+                ambient: light.ambient,
+                shadows: light.shadows,
+            });
         }
         scene.agent_names = self.agents.iter().map(|agent| agent.name.clone()).collect();
         Ok(scene)
@@ -219,40 +312,52 @@ struct AgentLoader<'a> {
 }
 
 impl AgentLoader<'_> {
-    /// Checks that the memory holds `splats` splats and as many more, as a list that is full grows to twice its size: 500 agents may
-    /// show one small file.
+    /// Checks that the memory holds `splats` splats and as many more, as a list that is full grows
+    /// to twice its size: 500 agents may show one small file.
     fn check_size(&mut self, splats: u64, sh_degree: u8) -> Result<(), AssetError> {
         if splats <= self.checked_splats {
             return Ok(());
         }
         if splats > SPLATS_MAX {
-            let told =
-                format!("background and agents have more than {SPLATS_MAX} splats, which is no scene: compress the agents");
+            let told = format!(
+                "background and agents have more than {SPLATS_MAX} splats, which is no scene: compress the agents"
+            );
             return Err(AssetError::Placement(told));
         }
         self.checked_splats = 2 * splats;
         let what = format!("a scene of {splats} splats and more, with its agents,");
-        memory::require(&what, cloud_bytes(self.checked_splats, sh_degree)).map_err(AssetError::Placement)
+        memory::require(&what, cloud_bytes(self.checked_splats, sh_degree))
+            .map_err(AssetError::Placement)
     }
 
-    fn add(&mut self, scene: &mut LoadedScene, agent: &SceneAgent, instance: u16) -> Result<(), AssetError> {
+    fn add(
+        &mut self,
+        scene: &mut LoadedScene,
+        agent: &SceneAgent,
+        instance: u16,
+    ) -> Result<(), AssetError> {
         let file = &agent.asset;
         if !coded_asset::has_extension(file) {
             if !self.plain.contains_key(file) {
-                self.plain.insert(file.clone(), in_spatial_order(&self.files.splats(file)?));
+                self.plain
+                    .insert(file.clone(), in_spatial_order(&self.files.splats(file)?));
             }
             let (there, added) = (&scene.world.splats, &self.plain[file]);
             let splats = (there.len() + added.len()) as u64;
             self.check_size(splats, there.sh_degree.max(added.sh_degree))?;
             let asset = &self.plain[file];
             let pose = agent.trajectory.at(self.time_s);
-            scene.world.bake_instance(asset, &pose, agent.sh_frame.unwrap_or_default(), instance);
+            scene
+                .world
+                .bake_instance(asset, &pose, agent.sh_frame.unwrap_or_default(), instance);
             return Ok(());
         }
         let asset = match self.coded.get(file) {
             Some(&asset) => asset,
             None => {
-                scene.assets.push(coded_asset::read_from(&self.files.bytes(file)?, &self.files.path(file))?.cloud);
+                scene.assets.push(
+                    coded_asset::read_from(&self.files.bytes(file)?, &self.files.path(file))?.cloud,
+                );
                 self.coded.insert(file.clone(), scene.assets.len() - 1);
                 scene.assets.len() - 1
             }
@@ -268,8 +373,9 @@ impl AgentLoader<'_> {
     }
 }
 
-/// Opens what a user calls a scene: a scene file (`.toml`) or a package of one (`.usdz`), loaded as at `time_s`, or a splat file, which becomes a world
-/// of background only, its origin at zero, without cameras.
+/// Opens what a user calls a scene: a scene file (`.toml`) or a package of one (`.usdz`), loaded as
+/// at `time_s`, or a splat file, which becomes a world of background only, its origin at zero,
+/// without cameras.
 ///
 /// # Errors
 /// [`AssetError`] of the file at fault.
@@ -281,7 +387,9 @@ pub fn open_scene(path: &Path, time_s: f64) -> Result<LoadedScene, AssetError> {
     if is_package(path) {
         return open_packed_scene(path, time_s);
     }
-    Ok(LoadedScene::of_world(World::of(in_spatial_order(&read_splats(path)?))))
+    Ok(LoadedScene::of_world(World::of(in_spatial_order(
+        &read_splats(path)?,
+    ))))
 }
 
 /// Neighbors in memory are neighbors in space, so that runs of splats can be culled together.

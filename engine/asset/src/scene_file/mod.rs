@@ -35,10 +35,12 @@ pub const VERSION: u32 = 1;
 /// True if `path` is named like a scene file, and not like a package or a splat file.
 #[must_use]
 pub fn is_scene_file(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
 }
 
-/// A scene as its file describes it, checked: names are unique, poses rigid, times rise, intrinsics make images.
+/// A scene as its file describes it, checked: names are unique, poses rigid, times rise, intrinsics
+/// make images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneFile {
     /// World coordinates of the point that the background's means are relative to, meters.
@@ -107,7 +109,10 @@ impl SceneFile {
     /// [`AssetError::Read`], or [`AssetError::Scene`] with line, key and reason.
     pub fn read(path: &Path) -> Result<Self, AssetError> {
         let bytes = read_bytes(path)?;
-        let scene_error = |source| AssetError::Scene { path: path.to_owned(), source };
+        let scene_error = |source| AssetError::Scene {
+            path: path.to_owned(),
+            source,
+        };
         text_of(&bytes).and_then(Self::parse).map_err(scene_error)
     }
 
@@ -132,9 +137,10 @@ impl SceneFile {
     /// # Errors
     /// [`AssetError::Write`].
     pub fn write(&self, path: &Path) -> Result<(), AssetError> {
-        let text = self
-            .to_toml()
-            .map_err(|reason| AssetError::Write { path: path.to_owned(), source: std::io::Error::other(reason) })?;
+        let text = self.to_toml().map_err(|reason| AssetError::Write {
+            path: path.to_owned(),
+            source: std::io::Error::other(reason),
+        })?;
         write_atomically(path, |file| file.write_all(text.as_bytes()))
     }
 }

@@ -8,8 +8,9 @@ use super::{SceneAgent, SceneFile, is_scene_file};
 use crate::compress::{compress_quickly, quick_dims_m};
 use crate::{AssetError, coded_asset, read_splats};
 
-/// Opens a scene so that all its agents can be moved, and counts the assets that were compressed for it. [`open_scene`] leaves agents
-/// of plain splat files where they stand; here their assets are compressed first, with all splats that can be seen.
+/// Opens a scene so that all its agents can be moved, and counts the assets that were compressed
+/// for it. [`open_scene`] leaves agents of plain splat files where they stand; here their assets
+/// are compressed first, with all splats that can be seen.
 ///
 /// # Errors
 /// [`AssetError`] of the file at fault.
@@ -20,8 +21,9 @@ pub fn open_movable_scene(path: &Path) -> Result<(LoadedScene, usize), AssetErro
     Ok((loaded, compressed))
 }
 
-/// Opens a scene that is not drawn: without its agents of plain splat files, and with the length, width and height of the assets that
-/// [`open_movable_scene`] gives, in its order, meters. Nothing is compressed.
+/// Opens a scene that is not drawn: without its agents of plain splat files, and with the length,
+/// width and height of the assets that [`open_movable_scene`] gives, in its order, meters. Nothing
+/// is compressed.
 ///
 /// # Errors
 /// [`AssetError`] of the file at fault.
@@ -32,26 +34,39 @@ pub fn measure_movable_scene(path: &Path) -> Result<(LoadedScene, Vec<[f32; 3]>)
     let mut measured = HashSet::new();
     for path in plain.iter().map(|agent| directory.join(&agent.asset)) {
         if measured.insert(path.clone()) {
-            let no_splat = || AssetError::Placement(format!("{}: no splat can be seen", path.display()));
+            let no_splat =
+                || AssetError::Placement(format!("{}: no splat can be seen", path.display()));
             dims_m.push(quick_dims_m(&read_splats(&path)?).ok_or_else(no_splat)?);
         }
     }
     Ok((loaded, dims_m))
 }
 
-/// The scene at `path` without its agents of plain splat files, and these. Only scene files have such agents.
-fn without_plain_agents(path: &Path, directory: &Path) -> Result<(LoadedScene, Vec<SceneAgent>), AssetError> {
+/// The scene at `path` without its agents of plain splat files, and these. Only scene files have
+/// such agents.
+fn without_plain_agents(
+    path: &Path,
+    directory: &Path,
+) -> Result<(LoadedScene, Vec<SceneAgent>), AssetError> {
     if !is_scene_file(path) {
         return Ok((open_scene(path, 0.0)?, Vec::new()));
     }
     let mut file = SceneFile::read(path)?;
-    let (coded, plain) = file.agents.drain(..).partition(|agent| coded_asset::has_extension(&agent.asset));
+    let (coded, plain) = file
+        .agents
+        .drain(..)
+        .partition(|agent| coded_asset::has_extension(&agent.asset));
     file.agents = coded;
     Ok((file.load(directory, 0.0)?, plain))
 }
 
-/// Adds `agents`, whose assets are plain splat files, behind those of `loaded`. Returns the number of assets.
-fn code_plain(loaded: &mut LoadedScene, agents: Vec<SceneAgent>, directory: &Path) -> Result<usize, AssetError> {
+/// Adds `agents`, whose assets are plain splat files, behind those of `loaded`. Returns the number
+/// of assets.
+fn code_plain(
+    loaded: &mut LoadedScene,
+    agents: Vec<SceneAgent>,
+    directory: &Path,
+) -> Result<usize, AssetError> {
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
     for agent in agents {
         let path = directory.join(&agent.asset);
@@ -59,14 +74,22 @@ fn code_plain(loaded: &mut LoadedScene, agents: Vec<SceneAgent>, directory: &Pat
             Some(&asset) => asset,
             None => {
                 let unfit = |error| AssetError::Placement(format!("{}: {error}", path.display()));
-                loaded.assets.push(compress_quickly(&read_splats(&path)?).map_err(unfit)?);
+                loaded
+                    .assets
+                    .push(compress_quickly(&read_splats(&path)?).map_err(unfit)?);
                 places.insert(path, loaded.assets.len() - 1);
                 loaded.assets.len() - 1
             }
         };
         loaded.agent_names.push(agent.name.clone());
         let instance = u16::try_from(loaded.agent_names.len());
-        let too_many = |_| AssetError::Placement(format!("agent {}: more than {} agents in one world", agent.name, u16::MAX));
+        let too_many = |_| {
+            AssetError::Placement(format!(
+                "agent {}: more than {} agents in one world",
+                agent.name,
+                u16::MAX
+            ))
+        };
         loaded.agents.push(LoadedAgent {
             instance: instance.map_err(too_many)?,
             sh_frame: agent.sh_frame.unwrap_or_default(),
@@ -87,8 +110,12 @@ mod tests {
     #[test]
     fn a_scene_that_is_only_measured_has_the_assets_it_would_be_drawn_with() {
         let folder = tempfile::tempdir().unwrap();
-        let street =
-            Street::generate(&StreetOptions { background: 50, agents: 2, agent_splats: 200, ..StreetOptions::default() });
+        let street = Street::generate(&StreetOptions {
+            background: 50,
+            agents: 2,
+            agent_splats: 200,
+            ..StreetOptions::default()
+        });
         inria_ply::write(&folder.path().join("ground.ply"), &street.background).unwrap();
         let mut scene = "version = 1\nbackground = \"ground.ply\"\n".to_owned();
         for (index, car) in [0, 1, 0].into_iter().enumerate() {
@@ -107,8 +134,17 @@ mod tests {
         let (drawn, compressed) = open_movable_scene(&path).unwrap();
         let (measured, dims_m) = measure_movable_scene(&path).unwrap();
         assert_eq!((compressed, drawn.agents.len()), (2, 3));
-        assert_eq!(dims_m, drawn.assets.iter().map(|asset| asset.dims_m).collect::<Vec<_>>());
-        assert!(dims_m[0] != dims_m[1] && dims_m.as_flattened().iter().all(|&side_m| side_m < 20.0));
+        assert_eq!(
+            dims_m,
+            drawn
+                .assets
+                .iter()
+                .map(|asset| asset.dims_m)
+                .collect::<Vec<_>>()
+        );
+        assert!(
+            dims_m[0] != dims_m[1] && dims_m.as_flattened().iter().all(|&side_m| side_m < 20.0)
+        );
         assert_eq!(measured.world.splats.len(), drawn.world.splats.len());
     }
 }

@@ -5,39 +5,62 @@ use std::path::{Component, Path, PathBuf};
 
 use super::SceneFile;
 
-/// The way to `target` from `directory`, both of which exist: relative where they share a folder below the root, else absolute.
+/// The way to `target` from `directory`, both of which exist: relative where they share a folder
+/// below the root, else absolute.
 ///
 /// # Errors
-/// When one of them does not exist or may not be looked at.
+/// When one of them does not exist or may not be examined.
 pub fn path_from(directory: &Path, target: &Path) -> io::Result<PathBuf> {
-    // Symbolic links first: `..` leaves the folder that a link leads to, not the one that it lies in.
-    let (directory, target) = (existing(directory)?.canonicalize()?, existing(target)?.canonicalize()?);
-    let shared = directory.components().zip(target.components()).take_while(|(a, b)| a == b).count();
-    let below_root = target.components().take(shared).any(|part| matches!(part, Component::Normal(_)));
+    // Symbolic links first: `..` leaves the folder that a link leads to, not the one that it lies
+    // in.
+    let (directory, target) = (
+        existing(directory)?.canonicalize()?,
+        existing(target)?.canonicalize()?,
+    );
+    let shared = directory
+        .components()
+        .zip(target.components())
+        .take_while(|(a, b)| a == b)
+        .count();
+    let below_root = target
+        .components()
+        .take(shared)
+        .any(|part| matches!(part, Component::Normal(_)));
     if !below_root {
         return Ok(target);
     }
-    let up = directory.components().skip(shared).map(|_| Component::ParentDir);
+    let up = directory
+        .components()
+        .skip(shared)
+        .map(|_| Component::ParentDir);
     Ok(up.chain(target.components().skip(shared)).collect())
 }
 
 /// The folder that a file's parent names: an empty path stands for the current one.
 fn existing(path: &Path) -> io::Result<PathBuf> {
-    if path.as_os_str().is_empty() { std::env::current_dir() } else { Ok(path.to_owned()) }
+    if path.as_os_str().is_empty() {
+        std::env::current_dir()
+    } else {
+        Ok(path.to_owned())
+    }
 }
 
 impl SceneFile {
-    /// This scene, read in the folder `from`, as a file in the folder `to` has to say it: relative paths lead to the same files.
+    /// This scene, read in the folder `from`, as a file in the folder `to` has to say it: relative
+    /// paths lead to the same files.
     ///
     /// # Errors
-    /// When one of the folders does not exist or may not be looked at.
+    /// When one of the folders does not exist or may not be examined.
     pub fn moved_to_folder(&self, from: &Path, to: &Path) -> io::Result<Self> {
         let way = path_from(to, from)?;
         // An absolute path stays as it is, which `join` sees to.
         let moved = |path: &PathBuf| way.join(path);
         let mut scene = self.clone();
         scene.background = moved(&scene.background);
-        scene.agents.iter_mut().for_each(|agent| agent.asset = moved(&agent.asset));
+        scene
+            .agents
+            .iter_mut()
+            .for_each(|agent| agent.asset = moved(&agent.asset));
         if let Some(light) = &mut scene.light {
             light.transfer = light.transfer.as_ref().map(moved);
         }
@@ -69,25 +92,50 @@ mod tests {
         };
         let scene = SceneFile {
             agents: vec![agent("assets/car.ply".into()), agent(elsewhere.clone())],
-            light: Some(SceneLight { transfer: Some("light.safetensors".into()), ..SceneLight::default() }),
+            light: Some(SceneLight {
+                transfer: Some("light.safetensors".into()),
+                ..SceneLight::default()
+            }),
             ..SceneFile::of_background("street.ply")
         };
         let moved = scene.moved_to_folder(&near, &far).unwrap();
         assert_eq!(moved.background, Path::new("../../../a/street/street.ply"));
         let text = |path: &Path| std::fs::read_to_string(far.join(path)).unwrap();
-        assert_eq!((text(&moved.background), text(&moved.agents[0].asset)), ("street.ply".into(), "assets/car.ply".into()));
-        assert_eq!(text(moved.light.unwrap().transfer.as_ref().unwrap()), "light.safetensors");
+        assert_eq!(
+            (text(&moved.background), text(&moved.agents[0].asset)),
+            ("street.ply".into(), "assets/car.ply".into())
+        );
+        assert_eq!(
+            text(moved.light.unwrap().transfer.as_ref().unwrap()),
+            "light.safetensors"
+        );
         assert_eq!(moved.agents[1].asset, elsewhere);
         assert_eq!(scene.moved_to_folder(&near, &near).unwrap(), scene);
-        assert_eq!(scene.moved_to_folder(&near, root.path()).unwrap().background, Path::new("a/street/street.ply"));
-        assert!(scene.moved_to_folder(&near, &root.path().join("absent")).is_err());
+        assert_eq!(
+            scene
+                .moved_to_folder(&near, root.path())
+                .unwrap()
+                .background,
+            Path::new("a/street/street.ply")
+        );
+        assert!(
+            scene
+                .moved_to_folder(&near, &root.path().join("absent"))
+                .is_err()
+        );
     }
 
     #[test]
     fn what_shares_only_the_root_is_named_in_full() {
-        let [root, current] = [Path::new("/").canonicalize().unwrap(), std::env::current_dir().unwrap()];
+        let [root, current] = [
+            Path::new("/").canonicalize().unwrap(),
+            std::env::current_dir().unwrap(),
+        ];
         let current = current.canonicalize().unwrap();
         assert_eq!(path_from(&root, &current).unwrap(), current);
-        assert_eq!(path_from(Path::new(""), Path::new(".")).unwrap(), Path::new(""));
+        assert_eq!(
+            path_from(Path::new(""), Path::new(".")).unwrap(),
+            Path::new("")
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Checkpoints of drivestudio (ziyc/drivestudio, `models/trainers/base.py` and `models/nodes/rigid.py`), with which OmniRe is made.
+//! Checkpoints of drivestudio (ziyc/drivestudio, `models/trainers/base.py` and
+//! `models/nodes/rigid.py`), with which OmniRe is made.
 
 use decouplegs_scene::{Pose, SplatCloud, TimedPose, Trajectory, sh};
 use glam::{DQuat, DVec3};
@@ -22,39 +23,76 @@ const RIGID: &str = "RigidNodes";
 
 /// Descriptions of the other models of a checkpoint.
 const LEFT_OUT: [(&str, &str); 6] = [
-    ("DeformableNodes", "what deforms (cyclists, say) needs its network"),
+    (
+        "DeformableNodes",
+        "what deforms (cyclists, say) needs its network",
+    ),
     ("SMPLNodes", "walking people need their body model"),
-    ("Sky", "the sky is an image around the scene: set 'sky' in the scene file to a color like it"),
-    ("Affine", "corrections of each camera's colors belong to its images"),
-    ("CamPose", "corrections of camera poses belong to its cameras"),
-    ("CamPosePerturb", "perturbations of camera poses belong to training"),
+    (
+        "Sky",
+        "the sky is an image around the scene: set 'sky' in the scene file to a color like it",
+    ),
+    (
+        "Affine",
+        "corrections of each camera's colors belong to its images",
+    ),
+    (
+        "CamPose",
+        "corrections of camera poses belong to its cameras",
+    ),
+    (
+        "CamPosePerturb",
+        "perturbations of camera poses belong to training",
+    ),
 ];
 
 /// The scene of `models`.
-pub(super) fn scene(checkpoint: &Checkpoint<'_>, models: &Node, options: &ImportOptions) -> Result<ImportedScene, DecodeError> {
+pub(super) fn scene(
+    checkpoint: &Checkpoint<'_>,
+    models: &Node,
+    options: &ImportOptions,
+) -> Result<ImportedScene, DecodeError> {
     let tree = &checkpoint.tree;
     let mut notes = Vec::new();
     let background = tree.get(models, BACKGROUND).ok_or_else(|| {
         let there: Vec<&str> = tree.keys(models).take(12).collect();
-        DecodeError::Malformed(format!("its models have no '{BACKGROUND}', only: {}", there.join(", ")))
+        DecodeError::Malformed(format!(
+            "its models have no '{BACKGROUND}', only: {}",
+            there.join(", ")
+        ))
     })?;
     let background = cloud(checkpoint, background)?;
     let actors = match tree.get(models, RIGID) {
         Some(rigid) => actors(checkpoint, rigid, options, &mut notes)?,
         None => Vec::new(),
     };
-    for key in tree.keys(models).filter(|key| ![BACKGROUND, RIGID].contains(key)) {
-        let why = LEFT_OUT.iter().find(|(name, _)| *name == key).map_or("it is no model of splats that is known", |(_, why)| why);
+    for key in tree
+        .keys(models)
+        .filter(|key| ![BACKGROUND, RIGID].contains(key))
+    {
+        let why = LEFT_OUT
+            .iter()
+            .find(|(name, _)| *name == key)
+            .map_or("it is no model of splats that is known", |(_, why)| why);
         let shown: String = key.chars().take(40).collect();
         notes.push(format!("{shown} is left out: {why}"));
     }
     if !actors.is_empty() {
-        notes.push(format!("frames have no times in the checkpoint: {} a second are taken", options.frame_rate_hz));
+        notes.push(format!(
+            "frames have no times in the checkpoint: {} a second are taken",
+            options.frame_rate_hz
+        ));
     }
-    Ok(ImportedScene { source: "drivestudio", background, actors, notes })
+    Ok(ImportedScene {
+        source: "drivestudio",
+        background,
+        actors,
+        notes,
+    })
 }
 
-/// The splats of a model. Without view-dependence drivestudio keeps colors as logits, not as harmonics.
+/// The splats of a model. Without view-dependence drivestudio keeps colors as logits, not as
+/// harmonics.
 fn cloud(checkpoint: &Checkpoint<'_>, model: &Node) -> Result<SplatCloud, DecodeError> {
     let mut cloud = cloud_of(checkpoint, model, &NAMES, plain_dc)?;
     if cloud.sh_degree == 0 {
@@ -84,15 +122,26 @@ fn actors(
     let splats = cloud(checkpoint, rigid)?;
     let ids = tensor(checkpoint, rigid, "points_ids")?;
     if ids.len() != splats.len() {
-        let told = format!("'points_ids' has {} entries for {} splats of {RIGID}", ids.len(), splats.len());
+        let told = format!(
+            "'points_ids' has {} entries for {} splats of {RIGID}",
+            ids.len(),
+            splats.len()
+        );
         return Err(DecodeError::Malformed(told));
     }
     let poses = Poses::read(checkpoint, rigid)?;
     let mut of_instance: Vec<Vec<u32>> = vec![Vec::new(); poses.instances];
     for (splat, id) in ids.f64s().enumerate() {
-        let members = if id >= 0.0 { of_instance.get_mut(id as usize) } else { None };
+        let members = if id >= 0.0 {
+            of_instance.get_mut(id as usize)
+        } else {
+            None
+        };
         let members = members.ok_or_else(|| {
-            DecodeError::Malformed(format!("splat {splat} belongs to instance {id}; there are {}", poses.instances))
+            DecodeError::Malformed(format!(
+                "splat {splat} belongs to instance {id}; there are {}",
+                poses.instances
+            ))
         })?;
         members.push(splat as u32);
     }
@@ -105,13 +154,21 @@ fn actors(
         }
         let trajectory = poses.trajectory(instance, options.frame_rate_hz)?;
         unseen += usize::from(trajectory.is_none());
-        actors.push(ImportedActor { name: format!("rigid_{instance:03}"), splats: splats.select(members), trajectory });
+        actors.push(ImportedActor {
+            name: format!("rigid_{instance:03}"),
+            splats: splats.select(members),
+            trajectory,
+        });
     }
     if empty > 0 {
-        notes.push(format!("{empty} instances of {RIGID} have no splats left and are left out"));
+        notes.push(format!(
+            "{empty} instances of {RIGID} have no splats left and are left out"
+        ));
     }
     if unseen > 0 {
-        notes.push(format!("{unseen} instances of {RIGID} are in no frame: written, and not placed"));
+        notes.push(format!(
+            "{unseen} instances of {RIGID} are in no frame: written, and not placed"
+        ));
     }
     Ok(actors)
 }
@@ -122,9 +179,14 @@ impl Poses {
         let quaternions = tensor(checkpoint, rigid, "instances_quats")?;
         let visible = tensor(checkpoint, rigid, "instances_fv")?;
         let wrong = |what: &str, tensor: &Tensor<'_>| {
-            DecodeError::Malformed(format!("'{what}' has the shape {:?}, expected frames x instances", tensor.shape()))
+            DecodeError::Malformed(format!(
+                "'{what}' has the shape {:?}, expected frames x instances",
+                tensor.shape()
+            ))
         };
-        let &[frames, instances, 3] = translations.shape() else { return Err(wrong("instances_trans", &translations)) };
+        let &[frames, instances, 3] = translations.shape() else {
+            return Err(wrong("instances_trans", &translations));
+        };
         if quaternions.shape() != [frames, instances, 4] {
             return Err(wrong("instances_quats", &quaternions));
         }
@@ -141,7 +203,11 @@ impl Poses {
     }
 
     /// Trajectory of an instance over the frames that have it.
-    fn trajectory(&self, instance: usize, frame_rate_hz: f64) -> Result<Option<Trajectory>, DecodeError> {
+    fn trajectory(
+        &self,
+        instance: usize,
+        frame_rate_hz: f64,
+    ) -> Result<Option<Trajectory>, DecodeError> {
         let mut poses: Vec<TimedPose> = Vec::new();
         for frame in 0..self.frames {
             let at = frame * self.instances + instance;
@@ -151,19 +217,36 @@ impl Poses {
             let [w, x, y, z] = std::array::from_fn(|i| self.quaternions_wxyz[4 * at + i]);
             let rotation = DQuat::from_xyzw(x, y, z, w);
             let translation = DVec3::from_slice(&self.translations_m[3 * at..3 * at + 3]);
-            if !(translation.is_finite() && rotation.is_finite() && rotation.length_squared() > 1e-12) {
-                return Err(DecodeError::Malformed(format!("instance {instance} has no pose in frame {frame}")));
+            if !(translation.is_finite()
+                && rotation.is_finite()
+                && rotation.length_squared() > 1e-12)
+            {
+                return Err(DecodeError::Malformed(format!(
+                    "instance {instance} has no pose in frame {frame}"
+                )));
             }
-            poses.push(TimedPose { time_s: frame as f64 / frame_rate_hz, pose: Pose::new(rotation, translation) });
+            poses.push(TimedPose {
+                time_s: frame as f64 / frame_rate_hz,
+                pose: Pose::new(rotation, translation),
+            });
         }
         if poses.is_empty() {
             return Ok(None);
         }
-        Trajectory::new(poses).map(Some).map_err(|told| DecodeError::Malformed(format!("instance {instance}: {told}")))
+        Trajectory::new(poses)
+            .map(Some)
+            .map_err(|told| DecodeError::Malformed(format!("instance {instance}: {told}")))
     }
 }
 
-fn tensor<'a>(checkpoint: &Checkpoint<'a>, model: &Node, name: &str) -> Result<Tensor<'a>, DecodeError> {
+fn tensor<'a>(
+    checkpoint: &Checkpoint<'a>,
+    model: &Node,
+    name: &str,
+) -> Result<Tensor<'a>, DecodeError> {
     let node = checkpoint.tree.get(model, name);
-    checkpoint.tensor(node.ok_or_else(|| DecodeError::Malformed(format!("{RIGID} has no '{name}'")))?, name)
+    checkpoint.tensor(
+        node.ok_or_else(|| DecodeError::Malformed(format!("{RIGID} has no '{name}'")))?,
+        name,
+    )
 }

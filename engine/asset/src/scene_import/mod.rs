@@ -1,16 +1,18 @@
-//! Scenes of other trainers, taken apart into a background and actors, as a scene file and its assets.
+//! Scenes of other trainers, taken apart into a background and actors, as a scene file and its
+//! assets.
 //!
 //! | source | tracks |
 //! |---|---|
 //! | drivestudio, OmniRe (`checkpoint_*.pth`): `Background` and `RigidNodes` | in the checkpoint, one pose a frame; frames have no times, so a rate is asked for |
 //! | Street Gaussians (`.pth`, or the `.ply` with an element for each model): `background` and `obj_*` | in the data set alone: the checkpoint holds corrections; given beside it, or actors are written and not placed |
 //!
-//! Actors are in the frame of their boxes, x forward, y left, z up, origin in the middle. Both trainers evaluate spherical
-//! harmonics in the directions of the world and do not turn them, so every actor's `sh_frame` is `world`.
+//! Actors are in the frame of their boxes, x forward, y left, z up, origin in the middle. Both
+//! trainers evaluate spherical harmonics in the directions of the world and do not turn them, so
+//! every actor's `sh_frame` is `world`.
 //!
-//! Left out, with a line in [`ImportedScene::notes`] each: what deforms or walks (`DeformableNodes`, `SMPLNodes`), skies, corrections
-//! of colors and of camera poses. A scene file cannot say that an actor is absent: before its first frame and after its last it
-//! stands there.
+//! Left out, with a line in [`ImportedScene::notes`] each: what deforms or walks
+//! (`DeformableNodes`, `SMPLNodes`), skies, corrections of colors and of camera poses. A scene file
+//! cannot say that an actor is absent: before its first frame and after its last it stands there.
 
 mod drivestudio;
 mod street_gaussians;
@@ -39,7 +41,10 @@ pub struct ImportOptions {
 impl Default for ImportOptions {
     /// Ten frames a second, as nearly all driving data sets have, and no tracks.
     fn default() -> Self {
-        Self { frame_rate_hz: 10.0, tracks: Vec::new() }
+        Self {
+            frame_rate_hz: 10.0,
+            tracks: Vec::new(),
+        }
     }
 }
 
@@ -71,17 +76,28 @@ pub struct ImportedActor {
 ///
 /// # Errors
 /// [`AssetError::Read`] or [`AssetError::Decode`].
-pub fn read_scene(path: &Path, options: &ImportOptions) -> Result<Option<ImportedScene>, AssetError> {
+pub fn read_scene(
+    path: &Path,
+    options: &ImportOptions,
+) -> Result<Option<ImportedScene>, AssetError> {
     if path.is_dir() {
         return Ok(None);
     }
     let bytes = read_bytes(path)?;
     let (format, decoded) = match bytes.as_slice() {
-        [b'P', b'K', 3, 4, ..] if is_checkpoint(&bytes) => (checkpoint::NAME, decode_checkpoint(&bytes, options)),
-        [b'p', b'l', b'y', b'\n' | b'\r', ..] => ("PLY of several models", decode_ply(&bytes, options)),
+        [b'P', b'K', 3, 4, ..] if is_checkpoint(&bytes) => {
+            (checkpoint::NAME, decode_checkpoint(&bytes, options))
+        }
+        [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
+            ("PLY of several models", decode_ply(&bytes, options))
+        }
         _ => return Ok(None),
     };
-    decoded.map_err(|source| AssetError::Decode { path: path.to_owned(), format, source })
+    decoded.map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
+        format,
+        source,
+    })
 }
 
 fn is_checkpoint(bytes: &[u8]) -> bool {
@@ -92,7 +108,10 @@ fn is_checkpoint(bytes: &[u8]) -> bool {
 ///
 /// # Errors
 /// A [`DecodeError`] that names the tensor at fault.
-pub fn decode_checkpoint(bytes: &[u8], options: &ImportOptions) -> Result<Option<ImportedScene>, DecodeError> {
+pub fn decode_checkpoint(
+    bytes: &[u8],
+    options: &ImportOptions,
+) -> Result<Option<ImportedScene>, DecodeError> {
     let checkpoint = Checkpoint::parse(bytes)?;
     let root = checkpoint.tree.root();
     if let Some(models) = checkpoint.tree.get(root, "models") {
@@ -108,9 +127,14 @@ pub fn decode_checkpoint(bytes: &[u8], options: &ImportOptions) -> Result<Option
 ///
 /// # Errors
 /// A [`DecodeError`] that names the element at fault.
-pub fn decode_ply(bytes: &[u8], options: &ImportOptions) -> Result<Option<ImportedScene>, DecodeError> {
+pub fn decode_ply(
+    bytes: &[u8],
+    options: &ImportOptions,
+) -> Result<Option<ImportedScene>, DecodeError> {
     // A broken header is the splat reader's to explain.
-    let Ok(ply) = Ply::parse(bytes) else { return Ok(None) };
+    let Ok(ply) = Ply::parse(bytes) else {
+        return Ok(None);
+    };
     if !ply.has_element("vertex_background") {
         return Ok(None);
     }
@@ -126,7 +150,10 @@ impl ImportedScene {
     /// [`AssetError::Write`].
     pub fn write(&self, folder: &Path) -> Result<SceneFile, AssetError> {
         let assets = folder.join("assets");
-        std::fs::create_dir_all(&assets).map_err(|source| AssetError::Write { path: assets.clone(), source })?;
+        std::fs::create_dir_all(&assets).map_err(|source| AssetError::Write {
+            path: assets.clone(),
+            source,
+        })?;
         inria_ply::write(&folder.join("background.ply"), &self.background)?;
         let mut scene = SceneFile::of_background("background.ply");
         for actor in &self.actors {
@@ -141,7 +168,7 @@ impl ImportedScene {
                 });
             }
         }
-        // Last: whoever finds a scene finds all of it.
+        // Last: a scene that is found is complete.
         scene.write(&folder.join("scene.toml"))?;
         Ok(scene)
     }

@@ -1,5 +1,5 @@
-//! Scenes of Street Gaussians (zju3dv/street_gaussians, `lib/models/street_gaussian_model.py`): a dictionary of models, or a PLY
-//! with an element for each.
+//! Scenes of Street Gaussians (zju3dv/street_gaussians, `lib/models/street_gaussian_model.py`): a
+//! dictionary of models, or a PLY with an element for each.
 
 use std::cell::Cell;
 
@@ -31,14 +31,27 @@ const MOMENTS: usize = 64;
 const TERMS_MAX: usize = 1024;
 
 /// The scene of a checkpoint, whose models are the values of `root`.
-pub(super) fn scene(checkpoint: &Checkpoint<'_>, root: &Node, options: &ImportOptions) -> Result<ImportedScene, DecodeError> {
+pub(super) fn scene(
+    checkpoint: &Checkpoint<'_>,
+    root: &Node,
+    options: &ImportOptions,
+) -> Result<ImportedScene, DecodeError> {
     let tree = &checkpoint.tree;
     let over_time = Cell::new(0);
     let dc = |tensor: &Tensor<'_>| {
-        over_time.set(over_time.get() + usize::from(tensor.shape().get(1).is_some_and(|&terms| terms > 1)));
+        over_time.set(
+            over_time.get() + usize::from(tensor.shape().get(1).is_some_and(|&terms| terms > 1)),
+        );
         mean_dc(tensor)
     };
-    let cloud = |name: &str| cloud_of(checkpoint, tree.get(root, name).unwrap_or(&Node::None), &NAMES, dc);
+    let cloud = |name: &str| {
+        cloud_of(
+            checkpoint,
+            tree.get(root, name).unwrap_or(&Node::None),
+            &NAMES,
+            dc,
+        )
+    };
     let background = cloud(BACKGROUND)?;
     let mut actors = Vec::new();
     let mut notes = Vec::new();
@@ -49,10 +62,16 @@ pub(super) fn scene(checkpoint: &Checkpoint<'_>, root: &Node, options: &ImportOp
             let splats = cloud(key)?;
             decoded_bytes += cloud_bytes(splats.len() as u64, splats.sh_degree);
             if decoded_bytes > decoded_bytes_max(checkpoint.file_bytes) {
-                let told = format!("its models name the same tensors so often that they take {decoded_bytes} bytes and more");
+                let told = format!(
+                    "its models name the same tensors so often that they take {decoded_bytes} bytes and more"
+                );
                 return Err(DecodeError::Malformed(told));
             }
-            actors.push(ImportedActor { name: key.to_owned(), splats, trajectory: None });
+            actors.push(ImportedActor {
+                name: key.to_owned(),
+                splats,
+                trajectory: None,
+            });
         } else if matches!(tree.get(root, key), Some(Node::Dictionary(_))) {
             notes.push(left_out(key));
         }
@@ -62,17 +81,31 @@ pub(super) fn scene(checkpoint: &Checkpoint<'_>, root: &Node, options: &ImportOp
 }
 
 /// The scene of a PLY.
-pub(super) fn scene_of_ply(ply: &Ply<'_>, options: &ImportOptions) -> Result<ImportedScene, DecodeError> {
+pub(super) fn scene_of_ply(
+    ply: &Ply<'_>,
+    options: &ImportOptions,
+) -> Result<ImportedScene, DecodeError> {
     let background = inria_ply::decode_ply(ply, "vertex_background")?;
     let mut actors = Vec::new();
     let mut notes = Vec::new();
     let mut over_time = 0;
     for element in ply.names() {
-        let Some(name) = element.strip_prefix(ELEMENT) else { continue };
+        let Some(name) = element.strip_prefix(ELEMENT) else {
+            continue;
+        };
         if is_actor(name) {
-            over_time += usize::from(ply.property_names(element).filter(|name| name.starts_with("f_dc_")).count() > 3);
+            over_time += usize::from(
+                ply.property_names(element)
+                    .filter(|name| name.starts_with("f_dc_"))
+                    .count()
+                    > 3,
+            );
             let splats = inria_ply::decode_ply(ply, element)?;
-            actors.push(ImportedActor { name: name.to_owned(), splats, trajectory: None });
+            actors.push(ImportedActor {
+                name: name.to_owned(),
+                splats,
+                trajectory: None,
+            });
         } else if name != BACKGROUND {
             notes.push(left_out(name));
         }
@@ -83,13 +116,17 @@ pub(super) fn scene_of_ply(ply: &Ply<'_>, options: &ImportOptions) -> Result<Imp
 
 /// `obj_` and a number: the name goes into a file's.
 fn is_actor(name: &str) -> bool {
-    name.strip_prefix(ACTOR).is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
+    name.strip_prefix(ACTOR).is_some_and(|number| {
+        !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())
+    })
 }
 
 fn left_out(name: &str) -> String {
     let shown: String = name.chars().take(40).collect();
     let why = match name {
-        "sky" | "sky_cubemap" => "the sky lies around the scene: set 'sky' in the scene file to a color like it",
+        "sky" | "sky_cubemap" => {
+            "the sky lies around the scene: set 'sky' in the scene file to a color like it"
+        }
         "actor_pose" => "it holds corrections of tracks that are in the data set, not the tracks",
         "color_correction" => "corrections of each camera's colors belong to its images",
         "pose_correction" => "corrections of camera poses belong to its cameras",
@@ -113,7 +150,10 @@ fn finished(
 ) -> Result<ImportedScene, DecodeError> {
     let mut lost = 0;
     for actor in &mut actors {
-        let track = options.tracks.iter().find(|track| names(&actor.name, &track.id));
+        let track = options
+            .tracks
+            .iter()
+            .find(|track| names(&actor.name, &track.id));
         actor.trajectory = track.map(trajectory_of).transpose()?;
         lost += usize::from(actor.trajectory.is_none());
     }
@@ -123,7 +163,12 @@ fn finished(
             actors.len()
         ));
     }
-    Ok(ImportedScene { source: SOURCE, background, actors, notes })
+    Ok(ImportedScene {
+        source: SOURCE,
+        background,
+        actors,
+        notes,
+    })
 }
 
 /// True if a track called `id` is that of the model called `name`.
@@ -134,18 +179,31 @@ fn names(name: &str, id: &str) -> bool {
 
 /// A track as a way: level, with the last heading where a point tells none.
 fn trajectory_of(track: &Track) -> Result<Trajectory, DecodeError> {
-    let mut yaw_rad = track.points.iter().find_map(|point| point.yaw_rad).unwrap_or(0.0);
+    let mut yaw_rad = track
+        .points
+        .iter()
+        .find_map(|point| point.yaw_rad)
+        .unwrap_or(0.0);
     let poses = track.points.iter().map(|point| {
         yaw_rad = point.yaw_rad.unwrap_or(yaw_rad);
-        TimedPose { time_s: point.time_s, pose: Pose::from_yaw(yaw_rad, point.position()) }
+        TimedPose {
+            time_s: point.time_s,
+            pose: Pose::from_yaw(yaw_rad, point.position()),
+        }
     });
-    Trajectory::new(poses.collect()).map_err(|told| DecodeError::Malformed(format!("track {}: {told}", track.id)))
+    Trajectory::new(poses.collect())
+        .map_err(|told| DecodeError::Malformed(format!("track {}: {told}", track.id)))
 }
 
-/// DC of `[N, terms, 3]`: the mean over time of the terms of a Fourier series (`IDFT` in `lib/utils/sh_utils.py`).
+/// DC of `[N, terms, 3]`: the mean over time of the terms of a Fourier series (`IDFT` in
+/// `lib/utils/sh_utils.py`).
 fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
     let &[count, terms, 3] = tensor.shape() else {
-        return Err(DecodeError::Malformed(format!("'{}' has the shape {:?}, expected [N, terms, 3]", NAMES.dc, tensor.shape())));
+        return Err(DecodeError::Malformed(format!(
+            "'{}' has the shape {:?}, expected [N, terms, 3]",
+            NAMES.dc,
+            tensor.shape()
+        )));
     };
     let weights = mean_weights(terms)?;
     let mut values = tensor.f64s();
@@ -165,15 +223,27 @@ fn mean_dc(tensor: &Tensor<'_>) -> Result<Vec<[f32; 3]>, DecodeError> {
 /// For more than 1024 terms.
 pub(crate) fn mean_weights(terms: usize) -> Result<Vec<f64>, DecodeError> {
     if terms > TERMS_MAX {
-        let told = format!("colors are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
+        let told =
+            format!("colors are Fourier series of {terms} terms; at most {TERMS_MAX} are read");
         return Err(DecodeError::Malformed(told));
     }
     let term = |term: usize, time: f64| {
         let angle = std::f64::consts::PI * time;
-        if term.is_multiple_of(2) { (angle * term as f64).cos() } else { (angle * (term + 1) as f64).sin() }
+        if term.is_multiple_of(2) {
+            (angle * term as f64).cos()
+        } else {
+            (angle * (term + 1) as f64).sin()
+        }
     };
     let moment = |index: usize| (index as f64 + 0.5) / MOMENTS as f64;
-    Ok((0..terms).map(|t| (0..MOMENTS).map(|index| term(t, moment(index))).sum::<f64>() / MOMENTS as f64).collect())
+    Ok((0..terms)
+        .map(|t| {
+            (0..MOMENTS)
+                .map(|index| term(t, moment(index)))
+                .sum::<f64>()
+                / MOMENTS as f64
+        })
+        .collect())
 }
 
 #[cfg(test)]
@@ -184,13 +254,18 @@ mod tests {
     fn tracks_are_found_by_name_and_by_number() {
         assert!(names("obj_007", "obj_007") && names("obj_007", "7") && names("obj_007", "007"));
         assert!(!names("obj_007", "8") && !names("obj_007", "car") && !names("obj_007", ""));
-        assert!(is_actor("obj_007") && !is_actor("obj_") && !is_actor("obj_../x") && !is_actor("sky"));
+        assert!(
+            is_actor("obj_007") && !is_actor("obj_") && !is_actor("obj_../x") && !is_actor("sky")
+        );
     }
 
     #[test]
     fn the_mean_over_time_is_the_constant_term() {
         let weights = mean_weights(5).unwrap();
         assert!((weights[0] - 1.0).abs() < 1e-12);
-        assert!(weights[1..].iter().all(|weight| weight.abs() < 1e-9), "{weights:?}");
+        assert!(
+            weights[1..].iter().all(|weight| weight.abs() < 1e-9),
+            "{weights:?}"
+        );
     }
 }

@@ -1,5 +1,6 @@
-//! PlayCanvas sets of levels of detail (`lod-meta.json`, written by splat-transform): a tree of boxes, each with the splats of every
-//! level as ranges of SOG folders. The finest level of every box is read.
+//! PlayCanvas sets of levels of detail (`lod-meta.json`, written by splat-transform): a tree of
+//! boxes, each with the splats of every level as ranges of SOG folders. The finest level of every
+//! box is read.
 
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap};
@@ -50,27 +51,40 @@ pub(crate) fn read_set(folder: &Path) -> Result<SplatCloud, AssetError> {
         format: "PlayCanvas set of levels of detail",
         source: DecodeError::Malformed(message),
     };
-    let meta: Meta = serde_json::from_slice(&read_bytes(&path)?).map_err(|error| decode_error(error.to_string()))?;
+    let meta: Meta = serde_json::from_slice(&read_bytes(&path)?)
+        .map_err(|error| decode_error(error.to_string()))?;
     let mut files: HashMap<usize, SplatCloud> = HashMap::new();
     let (mut all, mut there) = (SplatCloud::default(), 0);
     for range in finest(&meta.tree) {
         let file = match files.entry(range.file) {
             Entry::Occupied(known) => known.into_mut(),
             Entry::Vacant(place) => {
-                let name =
-                    meta.filenames.get(range.file).ok_or_else(|| decode_error(format!("there is no file {}", range.file)))?;
+                let name = meta
+                    .filenames
+                    .get(range.file)
+                    .ok_or_else(|| decode_error(format!("there is no file {}", range.file)))?;
                 let file = read_part(folder, name, &decode_error)?;
                 there += file.len();
                 place.insert(file)
             }
         };
-        let end = range.offset.checked_add(range.count).filter(|end| *end <= file.len());
-        let end =
-            end.ok_or_else(|| decode_error(format!("file {} has {} splats, fewer than a box names", range.file, file.len())))?;
+        let end = range
+            .offset
+            .checked_add(range.count)
+            .filter(|end| *end <= file.len());
+        let end = end.ok_or_else(|| {
+            decode_error(format!(
+                "file {} has {} splats, fewer than a box names",
+                range.file,
+                file.len()
+            ))
+        })?;
         let indices: Vec<u32> = (range.offset as u32..end as u32).collect();
         all.append(&file.select(&indices));
         if all.len() > there {
-            return Err(decode_error("its boxes name the same splats more than once".into()));
+            return Err(decode_error(
+                "its boxes name the same splats more than once".into(),
+            ));
         }
     }
     if let Some(name) = &meta.environment {
@@ -80,10 +94,18 @@ pub(crate) fn read_set(folder: &Path) -> Result<SplatCloud, AssetError> {
 }
 
 /// The SOG folder whose `meta.json` is called `name` in `folder`.
-fn read_part(folder: &Path, name: &str, decode_error: &dyn Fn(String) -> AssetError) -> Result<SplatCloud, AssetError> {
-    let is_inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+fn read_part(
+    folder: &Path,
+    name: &str,
+    decode_error: &dyn Fn(String) -> AssetError,
+) -> Result<SplatCloud, AssetError> {
+    let is_inside = Path::new(name)
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)));
     if !is_inside {
-        return Err(decode_error(format!("the file '{name:.60}' is not in its folder")));
+        return Err(decode_error(format!(
+            "the file '{name:.60}' is not in its folder"
+        )));
     }
     let part = folder.join(name);
     read_folder(part.parent().unwrap_or(folder))
@@ -123,7 +145,11 @@ mod tests {
             let archive = crate::zip::Archive::parse(&bundle).unwrap();
             std::fs::create_dir_all(folder.join(name)).unwrap();
             for entry in archive.names() {
-                std::fs::write(folder.join(name).join(entry), archive.checked(entry, 1 << 20).unwrap()).unwrap();
+                std::fs::write(
+                    folder.join(name).join(entry),
+                    archive.checked(entry, 1 << 20).unwrap(),
+                )
+                .unwrap();
             }
         }
         let leaf = |offset: usize, count: usize, coarse: usize| {
@@ -156,11 +182,19 @@ mod tests {
         let good = set(folder.path());
         for (from, to, part) in [
             ("\"count\":20", "\"count\":31", "fewer than a box names"),
-            ("\"offset\":20", "\"offset\":18446744073709551615", "fewer than a box names"),
+            (
+                "\"offset\":20",
+                "\"offset\":18446744073709551615",
+                "fewer than a box names",
+            ),
             ("\"file\":0", "\"file\":7", "no file 7"),
             ("0_0/meta.json", "../0_0/meta.json", "not in its folder"),
             ("0_0/meta.json", "2_0/meta.json", "2_0"),
-            ("\"offset\":20,\"count\":10", "\"offset\":0,\"count\":30", "more than once"),
+            (
+                "\"offset\":20,\"count\":10",
+                "\"offset\":0,\"count\":30",
+                "more than once",
+            ),
         ] {
             std::fs::write(folder.path().join(LOD_META), good.replacen(from, to, 1)).unwrap();
             let message = read_set(folder.path()).unwrap_err().to_string();

@@ -60,46 +60,81 @@ impl Meta {
         struct Version {
             version: Option<u64>,
         }
-        let malformed = |error: serde_json::Error| DecodeError::Malformed(format!("meta.json: {error}"));
-        match serde_json::from_slice::<Version>(text).map_err(malformed)?.version {
+        let malformed =
+            |error: serde_json::Error| DecodeError::Malformed(format!("meta.json: {error}"));
+        match serde_json::from_slice::<Version>(text)
+            .map_err(malformed)?
+            .version
+        {
             Some(2) => {}
             found => {
-                let found = found.map_or_else(|| "1 (it names none)".to_owned(), |version| version.to_string());
-                let told = format!("SOG of version {found}; version 2 is read: write the file again with splat-transform");
+                let found = found.map_or_else(
+                    || "1 (it names none)".to_owned(),
+                    |version| version.to_string(),
+                );
+                let told = format!(
+                    "SOG of version {found}; version 2 is read: write the file again with splat-transform"
+                );
                 return Err(DecodeError::Unsupported(told));
             }
         }
         let meta: Self = serde_json::from_slice(text).map_err(malformed)?;
-        meta.check().map_err(|told| DecodeError::Malformed(format!("meta.json: {told}")))?;
+        meta.check()
+            .map_err(|told| DecodeError::Malformed(format!("meta.json: {told}")))?;
         Ok(meta)
     }
 
     /// The images that are named.
     pub(super) fn files(&self) -> impl Iterator<Item = &str> {
         let rest = self.rest.iter().flat_map(|rest| &rest.files);
-        let files = self.means.files.iter().chain(&self.scales.files).chain(&self.quats.files).chain(&self.sh0.files);
+        let files = self
+            .means
+            .files
+            .iter()
+            .chain(&self.scales.files)
+            .chain(&self.quats.files)
+            .chain(&self.sh0.files);
         files.chain(rest).map(String::as_str)
     }
 
     fn check(&self) -> Result<(), String> {
         let finite = |values: &[f32], what: &str| {
             let all = values.iter().all(|value| value.is_finite());
-            if all { Ok(()) } else { Err(format!("{what} is not finite")) }
+            if all {
+                Ok(())
+            } else {
+                Err(format!("{what} is not finite"))
+            }
         };
         finite(&self.means.mins, "means.mins")?;
         finite(&self.means.maxs, "means.maxs")?;
-        let rest = self.rest.as_ref().map(|rest| (&rest.codebook, "shN.codebook"));
-        for (codebook, what) in
-            [(&self.scales.codebook, "scales.codebook"), (&self.sh0.codebook, "sh0.codebook")].into_iter().chain(rest)
+        let rest = self
+            .rest
+            .as_ref()
+            .map(|rest| (&rest.codebook, "shN.codebook"));
+        for (codebook, what) in [
+            (&self.scales.codebook, "scales.codebook"),
+            (&self.sh0.codebook, "sh0.codebook"),
+        ]
+        .into_iter()
+        .chain(rest)
         {
             finite(codebook, what)?;
             if codebook.is_empty() || codebook.len() > CODES {
-                return Err(format!("{what} has {} entries, expected 1 to {CODES}", codebook.len()));
+                return Err(format!(
+                    "{what} has {} entries, expected 1 to {CODES}",
+                    codebook.len()
+                ));
             }
         }
         match &self.rest {
-            Some(rest) if rest.bands > 3 => Err(format!("shN.bands is {}, expected 0 to 3", rest.bands)),
-            Some(rest) if rest.count > PALETTE_MAX => Err(format!("shN.count is {}, expected at most {PALETTE_MAX}", rest.count)),
+            Some(rest) if rest.bands > 3 => {
+                Err(format!("shN.bands is {}, expected 0 to 3", rest.bands))
+            }
+            Some(rest) if rest.count > PALETTE_MAX => Err(format!(
+                "shN.count is {}, expected at most {PALETTE_MAX}",
+                rest.count
+            )),
             _ => Ok(()),
         }
     }

@@ -15,31 +15,56 @@ pub(super) struct Texture {
 }
 
 impl Texture {
-    /// Decodes the image `name`, of `pixels_min` to `pixels_max` pixels. Nothing is decoded before its size is looked at.
-    pub(super) fn decode(name: &str, file: &[u8], pixels_min: u64, pixels_max: u64) -> Result<Self, DecodeError> {
+    /// Decodes the image `name`, of `pixels_min` to `pixels_max` pixels. Nothing is decoded before
+    /// its size is examined.
+    pub(super) fn decode(
+        name: &str,
+        file: &[u8],
+        pixels_min: u64,
+        pixels_max: u64,
+    ) -> Result<Self, DecodeError> {
         let malformed = |told: String| DecodeError::Malformed(format!("image '{name}' {told}"));
-        let broken = |error: image_webp::DecodingError| malformed(format!("is no readable WebP: {error}"));
+        let broken =
+            |error: image_webp::DecodingError| malformed(format!("is no readable WebP: {error}"));
         let mut decoder = WebPDecoder::new(Cursor::new(file)).map_err(broken)?;
         if decoder.is_lossy() || decoder.is_animated() {
-            return Err(malformed("is not lossless WebP; its bytes are data, which lossy coding destroys".into()));
+            return Err(malformed(
+                "is not lossless WebP; its bytes are data, which lossy coding destroys".into(),
+            ));
         }
         let (width, height) = decoder.dimensions();
         let pixels = u64::from(width) * u64::from(height);
         if !(pixels_min..=pixels_max.max(pixels_min)).contains(&pixels) {
-            return Err(malformed(format!("has {width} x {height} pixels, expected {pixels_min} to {pixels_max}")));
+            return Err(malformed(format!(
+                "has {width} x {height} pixels, expected {pixels_min} to {pixels_max}"
+            )));
         }
         let channels = if decoder.has_alpha() { 4 } else { 3 };
         decoder.set_memory_limit(8 * pixels as usize + (1 << 20));
         let mut bytes = vec![0; pixels as usize * channels];
         decoder.read_image(&mut bytes).map_err(broken)?;
-        Ok(Self { width: width as usize, height: height as usize, channels, bytes })
+        Ok(Self {
+            width: width as usize,
+            height: height as usize,
+            channels,
+            bytes,
+        })
     }
 
     /// Red, green, blue and alpha of one pixel; 255 where there is no alpha.
     pub(super) fn at(&self, pixel: usize) -> [u8; 4] {
         let start = pixel * self.channels;
-        let alpha = if self.channels == 4 { self.bytes[start + 3] } else { 255 };
-        [self.bytes[start], self.bytes[start + 1], self.bytes[start + 2], alpha]
+        let alpha = if self.channels == 4 {
+            self.bytes[start + 3]
+        } else {
+            255
+        };
+        [
+            self.bytes[start],
+            self.bytes[start + 1],
+            self.bytes[start + 2],
+            alpha,
+        ]
     }
 }
 
@@ -49,7 +74,16 @@ pub(super) fn encode(mut pixels: Vec<[u8; 4]>, width: usize) -> Result<Vec<u8>, 
     pixels.resize(width * height, [0; 4]);
     let mut file = Vec::new();
     WebPEncoder::new(&mut file)
-        .encode(pixels.as_flattened(), width as u32, height as u32, ColorType::Rgba8)
-        .map_err(|error| EncodeError(format!("an image of {width} x {height} pixels: {error}; write fewer splats")))?;
+        .encode(
+            pixels.as_flattened(),
+            width as u32,
+            height as u32,
+            ColorType::Rgba8,
+        )
+        .map_err(|error| {
+            EncodeError(format!(
+                "an image of {width} x {height} pixels: {error}; write fewer splats"
+            ))
+        })?;
     Ok(file)
 }

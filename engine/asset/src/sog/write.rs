@@ -20,14 +20,19 @@ const LOG_SCALE_MIN: f32 = -30.0;
 /// `cloud` as the bytes of a bundle. The order of the splats stays.
 ///
 /// # Errors
-/// When a splat is defective ([`SplatCloud::defect_of`]), when there is none, or when splats with view-dependent color are more
-/// than the 65,536 that the palette has entries for.
+/// When a splat is defective ([`SplatCloud::defect_of`]), when there is none, or when splats with
+/// view-dependent color are more than the 65,536 that the palette has entries for.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     if cloud.is_empty() {
         return Err(EncodeError("there is no splat to write".into()));
     }
-    if let Some(first) = (0..cloud.len()).into_par_iter().find_first(|&splat| cloud.defect_of(splat).is_some()) {
-        return Err(EncodeError(format!("splat {first} is not finite or has no rotation; drop such splats before writing")));
+    if let Some(first) = (0..cloud.len())
+        .into_par_iter()
+        .find_first(|&splat| cloud.defect_of(splat).is_some())
+    {
+        return Err(EncodeError(format!(
+            "splat {first} is not finite or has no rotation; drop such splats before writing"
+        )));
     }
     let count = cloud.len();
     // Rows of a multiple of four pixels in an image that is about square.
@@ -36,24 +41,48 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     let (means, low, high) = means(cloud);
     files.push(("means_l.webp", low, width));
     files.push(("means_u.webp", high, width));
-    files.push(("quats.webp", cloud.rotations.par_iter().map(|&rotation| packed_rotation(rotation)).collect(), width));
-    let logarithms: Vec<[f32; 3]> =
-        cloud.scales.par_iter().map(|scale| scale.map(|scale| log_of_scale(scale).max(LOG_SCALE_MIN))).collect();
+    files.push((
+        "quats.webp",
+        cloud
+            .rotations
+            .par_iter()
+            .map(|&rotation| packed_rotation(rotation))
+            .collect(),
+        width,
+    ));
+    let logarithms: Vec<[f32; 3]> = cloud
+        .scales
+        .par_iter()
+        .map(|scale| scale.map(|scale| log_of_scale(scale).max(LOG_SCALE_MIN)))
+        .collect();
     let scales = fit(logarithms.as_flattened().iter().copied());
     files.push(("scales.webp", indices(&scales, &logarithms), width));
     let sh0 = fit(cloud.sh_dc.as_flattened().iter().copied());
     let mut colors = indices(&sh0, &cloud.sh_dc);
-    colors.iter_mut().zip(&cloud.opacities).for_each(|(pixel, opacity)| pixel[3] = (opacity * 255.0).round() as u8);
+    colors
+        .iter_mut()
+        .zip(&cloud.opacities)
+        .for_each(|(pixel, opacity)| pixel[3] = (opacity * 255.0).round() as u8);
     files.push(("sh0.webp", colors, width));
-    let rest = (cloud.sh_degree > 0).then(|| palette(cloud, width, &mut files)).transpose()?;
+    let rest = (cloud.sh_degree > 0)
+        .then(|| palette(cloud, width, &mut files))
+        .transpose()?;
     let one = |name: &str| [name.to_owned()];
     let meta = Meta {
         version: 2,
         count: count as u64,
         means,
-        scales: Coded { codebook: scales, files: one("scales.webp") },
-        quats: Plain { files: one("quats.webp") },
-        sh0: Coded { codebook: sh0, files: one("sh0.webp") },
+        scales: Coded {
+            codebook: scales,
+            files: one("scales.webp"),
+        },
+        quats: Plain {
+            files: one("quats.webp"),
+        },
+        sh0: Coded {
+            codebook: sh0,
+            files: one("sh0.webp"),
+        },
         rest,
     };
     bundle(&meta, files)
@@ -64,7 +93,11 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
 /// # Errors
 /// As [`encode`], and when the operating system refuses.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
-    let bytes = encode(cloud).map_err(|source| AssetError::Encode { path: path.to_owned(), format: NAME, source })?;
+    let bytes = encode(cloud).map_err(|source| AssetError::Encode {
+        path: path.to_owned(),
+        format: NAME,
+        source,
+    })?;
     write_atomically(path, |file| file.write_all(&bytes))
 }
 
@@ -72,7 +105,8 @@ fn bundle(meta: &Meta, files: Vec<(&str, Vec<[u8; 4]>, usize)>) -> Result<Vec<u8
     let failed = |error: std::io::Error| EncodeError(error.to_string());
     let mut zip = StoredZip::new(Vec::new());
     for (name, pixels, width) in files {
-        zip.add(name, &texture::encode(pixels, width)?).map_err(failed)?;
+        zip.add(name, &texture::encode(pixels, width)?)
+            .map_err(failed)?;
     }
     let text = serde_json::to_vec(meta).map_err(|error| EncodeError(format!("{META}: {error}")))?;
     zip.add(META, &text).map_err(failed)?;
@@ -92,19 +126,34 @@ fn means(cloud: &SplatCloud) -> (Means, Vec<[u8; 4]>, Vec<[u8; 4]>) {
     }
     let code = |x: f32, axis: usize| {
         let (min, max) = (f64::from(mins[axis]), f64::from(maxs[axis]));
-        let share = if max > min { (logarithm(x) - min) / (max - min) } else { 0.0 };
+        let share = if max > min {
+            (logarithm(x) - min) / (max - min)
+        } else {
+            0.0
+        };
         ((share * 65_535.0).round().clamp(0.0, 65_535.0) as u16).to_le_bytes()
     };
-    let codes: Vec<[[u8; 2]; 3]> =
-        cloud.means.par_iter().map(|mean| std::array::from_fn(|axis| code(mean[axis], axis))).collect();
-    let bytes = |which: usize| codes.iter().map(|[x, y, z]| [x[which], y[which], z[which], 255]).collect();
+    let codes: Vec<[[u8; 2]; 3]> = cloud
+        .means
+        .par_iter()
+        .map(|mean| std::array::from_fn(|axis| code(mean[axis], axis)))
+        .collect();
+    let bytes = |which: usize| {
+        codes
+            .iter()
+            .map(|[x, y, z]| [x[which], y[which], z[which], 255])
+            .collect()
+    };
     let files = ["means_l.webp", "means_u.webp"].map(String::from);
     (Means { mins, maxs, files }, bytes(0), bytes(1))
 }
 
 fn packed_rotation(rotation: [f32; 4]) -> [u8; 4] {
     let q = normalized(rotation);
-    let largest = (0..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let largest = (0..4).fold(
+        0,
+        |best, i| if q[i].abs() > q[best].abs() { i } else { best },
+    );
     // -q is the same rotation: the largest component is made positive.
     let sign = if q[largest] < 0.0 { -1.0 } else { 1.0 };
     let mut small = (0..4).filter(|&i| i != largest).map(|i| {
@@ -117,12 +166,23 @@ fn packed_rotation(rotation: [f32; 4]) -> [u8; 4] {
 
 /// A pixel of codes for each triple.
 fn indices(codebook: &[f32], values: &[[f32; 3]]) -> Vec<[u8; 4]> {
-    let pixel = |&[a, b, c]: &[f32; 3]| [nearest(codebook, a), nearest(codebook, b), nearest(codebook, c), 255];
+    let pixel = |&[a, b, c]: &[f32; 3]| {
+        [
+            nearest(codebook, a),
+            nearest(codebook, b),
+            nearest(codebook, c),
+            255,
+        ]
+    };
     values.par_iter().map(pixel).collect()
 }
 
 /// Adds the images of the coefficients after DC: a palette with an entry for each splat.
-fn palette(cloud: &SplatCloud, width: usize, files: &mut Vec<(&str, Vec<[u8; 4]>, usize)>) -> Result<Rest, EncodeError> {
+fn palette(
+    cloud: &SplatCloud,
+    width: usize,
+    files: &mut Vec<(&str, Vec<[u8; 4]>, usize)>,
+) -> Result<Rest, EncodeError> {
     let count = cloud.len();
     if count as u64 > PALETTE_MAX {
         return Err(EncodeError(format!(
@@ -130,12 +190,21 @@ fn palette(cloud: &SplatCloud, width: usize, files: &mut Vec<(&str, Vec<[u8; 4]>
         )));
     }
     let codebook = fit(cloud.sh_rest.as_flattened().iter().copied());
-    files.push(("shN_centroids.webp", indices(&codebook, &cloud.sh_rest), PALETTE_COLUMNS * cloud.rest_stride()));
+    files.push((
+        "shN_centroids.webp",
+        indices(&codebook, &cloud.sh_rest),
+        PALETTE_COLUMNS * cloud.rest_stride(),
+    ));
     let label = |splat: usize| {
         let [low, high] = (splat as u16).to_le_bytes();
         [low, high, 0, 255]
     };
     files.push(("shN_labels.webp", (0..count).map(label).collect(), width));
     let names = ["shN_centroids.webp", "shN_labels.webp"].map(String::from);
-    Ok(Rest { count: count as u64, bands: cloud.sh_degree, codebook, files: names })
+    Ok(Rest {
+        count: count as u64,
+        bands: cloud.sh_degree,
+        codebook,
+        files: names,
+    })
 }

@@ -8,9 +8,11 @@ use crate::EncodeError;
 use crate::activation::{log_of_scale, normalized, scale_of_log};
 
 /// The streams in the order of the file.
-pub(super) const STREAMS: [&str; 6] = ["positions", "alphas", "colors", "scales", "rotations", "sh"];
+pub(super) const STREAMS: [&str; 6] =
+    ["positions", "alphas", "colors", "scales", "rotations", "sh"];
 
-/// A DC coefficient of 1 moves a color byte by this share of its range: colors a little outside 0 to 1 are kept.
+/// A DC coefficient of 1 moves a color byte by this share of its range: colors a little outside 0
+/// to 1 are kept.
 const COLOR_SCALE: f32 = 0.15;
 
 /// Bits after the point that the reference writes: a quarter of a millimeter.
@@ -45,7 +47,15 @@ impl Layout {
 
     /// Bytes of each stream.
     pub(super) fn stream_bytes(&self) -> [usize; 6] {
-        [self.position_bytes(), 1, 3, 3, self.rotation_bytes(), 3 * self.stored_stride()].map(|bytes| bytes * self.count)
+        [
+            self.position_bytes(),
+            1,
+            3,
+            3,
+            self.rotation_bytes(),
+            3 * self.stored_stride(),
+        ]
+        .map(|bytes| bytes * self.count)
     }
 }
 
@@ -65,25 +75,49 @@ pub(super) fn unpack(packed: &Packed) -> SplatCloud {
     let means = positions.par_chunks_exact(layout.position_bytes());
     let rotations = rotations.par_chunks_exact(layout.rotation_bytes());
     let triples = |bytes: &[u8], value: fn(u8) -> f32| -> Vec<[f32; 3]> {
-        bytes.par_chunks_exact(3).map(|codes| [value(codes[0]), value(codes[1]), value(codes[2])]).collect()
+        bytes
+            .par_chunks_exact(3)
+            .map(|codes| [value(codes[0]), value(codes[1]), value(codes[2])])
+            .collect()
     };
     let sh_degree = layout.stored_degree.min(sh::DEGREE_MAX);
     SplatCloud {
         means: if layout.version == 1 {
-            means.map(|p| std::array::from_fn(|i| half(u16::from_le_bytes([p[2 * i], p[2 * i + 1]])))).collect()
+            means
+                .map(|p| {
+                    std::array::from_fn(|i| half(u16::from_le_bytes([p[2 * i], p[2 * i + 1]])))
+                })
+                .collect()
         } else {
-            means.map(|p| std::array::from_fn(|i| signed_24([p[3 * i], p[3 * i + 1], p[3 * i + 2]]) as f32 * step)).collect()
+            means
+                .map(|p| {
+                    std::array::from_fn(|i| {
+                        signed_24([p[3 * i], p[3 * i + 1], p[3 * i + 2]]) as f32 * step
+                    })
+                })
+                .collect()
         },
         scales: triples(scales, |code| scale_of_log(f32::from(code) / 16.0 - 10.0)),
         rotations: if layout.version < 3 {
-            rotations.map(|codes| unpack_first_three([codes[0], codes[1], codes[2]])).collect()
+            rotations
+                .map(|codes| unpack_first_three([codes[0], codes[1], codes[2]]))
+                .collect()
         } else {
-            rotations.map(|r| unpack_smallest_three(u32::from_le_bytes([r[0], r[1], r[2], r[3]]))).collect()
+            rotations
+                .map(|r| unpack_smallest_three(u32::from_le_bytes([r[0], r[1], r[2], r[3]])))
+                .collect()
         },
-        opacities: alphas.par_iter().map(|&code| f32::from(code) / 255.0).collect(),
+        opacities: alphas
+            .par_iter()
+            .map(|&code| f32::from(code) / 255.0)
+            .collect(),
         sh_degree,
         sh_dc: triples(colors, |code| (f32::from(code) / 255.0 - 0.5) / COLOR_SCALE),
-        sh_rest: unpack_rest(rest, layout.stored_stride(), sh::coefficient_count(sh_degree) - 1),
+        sh_rest: unpack_rest(
+            rest,
+            layout.stored_stride(),
+            sh::coefficient_count(sh_degree) - 1,
+        ),
     }
 }
 
@@ -91,13 +125,19 @@ fn unpack_rest(codes: &[u8], stored_stride: usize, stride: usize) -> Vec<[f32; 3
     if stride == 0 {
         return Vec::new();
     }
-    let coefficient = |codes: &[u8]| [codes[0], codes[1], codes[2]].map(|code| (f32::from(code) - 128.0) / 128.0);
-    codes.par_chunks_exact(3 * stored_stride).flat_map_iter(|splat| splat.chunks_exact(3).take(stride).map(coefficient)).collect()
+    let coefficient =
+        |codes: &[u8]| [codes[0], codes[1], codes[2]].map(|code| (f32::from(code) - 128.0) / 128.0);
+    codes
+        .par_chunks_exact(3 * stored_stride)
+        .flat_map_iter(|splat| splat.chunks_exact(3).take(stride).map(coefficient))
+        .collect()
 }
 
 /// The codes of `cloud`, whose axes are those of the file to be.
 pub(super) fn pack(cloud: &SplatCloud) -> Result<Packed, EncodeError> {
-    let defective = (0..cloud.len()).into_par_iter().filter(|&splat| cloud.defect_of(splat).is_some());
+    let defective = (0..cloud.len())
+        .into_par_iter()
+        .filter(|&splat| cloud.defect_of(splat).is_some());
     let defects = defective.clone().count();
     if let Some(first) = defective.min() {
         return Err(EncodeError(format!(
@@ -113,21 +153,47 @@ pub(super) fn pack(cloud: &SplatCloud) -> Result<Packed, EncodeError> {
             [a, b, c]
         })
     });
-    let layout = Layout { version: 4, count: cloud.len(), stored_degree: cloud.sh_degree, fractional_bits };
+    let layout = Layout {
+        version: 4,
+        count: cloud.len(),
+        stored_degree: cloud.sh_degree,
+        fractional_bits,
+    };
     let streams = [
         positions.collect(),
-        cloud.opacities.par_iter().map(|opacity| byte(opacity * 255.0)).collect(),
-        flattened(&cloud.sh_dc, |dc| byte(dc * (COLOR_SCALE * 255.0) + 0.5 * 255.0)),
-        flattened(&cloud.scales, |scale| byte((log_of_scale(scale) + 10.0) * 16.0)),
-        cloud.rotations.par_iter().flat_map_iter(|&rotation| pack_smallest_three(rotation).to_le_bytes()).collect(),
-        flattened(&cloud.sh_rest, |coefficient| byte(coefficient * 128.0 + 128.0)),
+        cloud
+            .opacities
+            .par_iter()
+            .map(|opacity| byte(opacity * 255.0))
+            .collect(),
+        flattened(&cloud.sh_dc, |dc| {
+            byte(dc * (COLOR_SCALE * 255.0) + 0.5 * 255.0)
+        }),
+        flattened(&cloud.scales, |scale| {
+            byte((log_of_scale(scale) + 10.0) * 16.0)
+        }),
+        cloud
+            .rotations
+            .par_iter()
+            .flat_map_iter(|&rotation| pack_smallest_three(rotation).to_le_bytes())
+            .collect(),
+        flattened(&cloud.sh_rest, |coefficient| {
+            byte(coefficient * 128.0 + 128.0)
+        }),
     ];
-    Ok(Packed { layout, streams, axes: StoredAxes::RUB })
+    Ok(Packed {
+        layout,
+        streams,
+        axes: StoredAxes::RUB,
+    })
 }
 
 fn flattened(values: &[[f32; 3]], code: impl Fn(f32) -> u8 + Sync) -> Vec<u8> {
     let code = &code;
-    values.par_iter().flat_map_iter(|triple| triple.iter().map(move |&value| code(value))).collect()
+    values
+        .par_iter()
+        .flat_map_iter(|triple| triple.iter().map(move |&value| code(value)))
+        .collect()
 }
 
 fn byte(value: f32) -> u8 {
@@ -136,12 +202,20 @@ fn byte(value: f32) -> u8 {
 
 /// Number of fractional bits: as many as the reference writes, or as fit.
 fn fractional_bits_for(cloud: &SplatCloud) -> Result<u8, EncodeError> {
-    let largest = cloud.means.par_iter().flat_map_iter(|mean| mean.iter().map(|x| f64::from(x.abs()))).reduce(|| 0.0, f64::max);
+    let largest = cloud
+        .means
+        .par_iter()
+        .flat_map_iter(|mean| mean.iter().map(|x| f64::from(x.abs())))
+        .reduce(|| 0.0, f64::max);
     let code_max = f64::from((1 << 23) - 1);
     (0..=FRACTIONAL_BITS)
         .rev()
         .find(|&bits| largest * f64::from(bits).exp2() <= code_max)
-        .ok_or_else(|| EncodeError(format!("a mean lies {largest} m from the origin; 24-bit positions reach {code_max} m")))
+        .ok_or_else(|| {
+            EncodeError(format!(
+                "a mean lies {largest} m from the origin; 24-bit positions reach {code_max} m"
+            ))
+        })
 }
 
 fn signed_24([a, b, c]: [u8; 3]) -> i32 {
@@ -170,14 +244,19 @@ fn unpack_first_three(codes: [u8; 3]) -> [f32; 4] {
 const SMALL_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
 const SMALL_CODES: f32 = 511.0;
 
-/// From version 3: of x, y, z, w, the index of the largest and 9 bits and a sign for each other, the last one lowest.
+/// From version 3: of x, y, z, w, the index of the largest and 9 bits and a sign for each other,
+/// the last one lowest.
 fn unpack_smallest_three(mut codes: u32) -> [f32; 4] {
     let largest = (codes >> 30) as usize;
     let mut xyzw = [0.0f32; 4];
     let mut squares = 0.0;
     for i in (0..4).rev().filter(|&i| i != largest) {
         let magnitude = SMALL_MAX * (codes & 0x1ff) as f32 / SMALL_CODES;
-        xyzw[i] = if codes & 0x200 == 0 { magnitude } else { -magnitude };
+        xyzw[i] = if codes & 0x200 == 0 {
+            magnitude
+        } else {
+            -magnitude
+        };
         squares += magnitude * magnitude;
         codes >>= 10;
     }
@@ -189,12 +268,20 @@ fn unpack_smallest_three(mut codes: u32) -> [f32; 4] {
 fn pack_smallest_three(rotation: [f32; 4]) -> u32 {
     let [w, x, y, z] = normalized(rotation);
     let xyzw = [x, y, z, w];
-    let largest = (1..4).fold(0, |best, i| if xyzw[i].abs() > xyzw[best].abs() { i } else { best });
+    let largest = (1..4).fold(0, |best, i| {
+        if xyzw[i].abs() > xyzw[best].abs() {
+            i
+        } else {
+            best
+        }
+    });
     let mut codes = largest as u32;
     for i in (0..4).filter(|&i| i != largest) {
         // -q is the same rotation: the largest component is made positive.
         let negative = (xyzw[i] < 0.0) != (xyzw[largest] < 0.0);
-        let magnitude = (xyzw[i].abs() / SMALL_MAX * SMALL_CODES).round().min(SMALL_CODES) as u32;
+        let magnitude = (xyzw[i].abs() / SMALL_MAX * SMALL_CODES)
+            .round()
+            .min(SMALL_CODES) as u32;
         codes = codes << 10 | u32::from(negative) << 9 | magnitude;
     }
     codes
@@ -222,7 +309,14 @@ mod tests {
 
     #[test]
     fn positions_keep_their_sign() {
-        assert_eq!([signed_24([0xff; 3]), signed_24([0, 0, 0x80]), signed_24([1, 0, 0])], [-1, -8_388_608, 1]);
+        assert_eq!(
+            [
+                signed_24([0xff; 3]),
+                signed_24([0, 0, 0x80]),
+                signed_24([1, 0, 0])
+            ],
+            [-1, -8_388_608, 1]
+        );
     }
 
     #[test]
@@ -239,7 +333,12 @@ mod tests {
 
     #[test]
     fn larger_clouds_get_coarser_positions_until_none_fit() {
-        let at = |x: f32| fractional_bits_for(&SplatCloud { means: vec![[0.0, -x, 0.0]], ..SplatCloud::default() });
+        let at = |x: f32| {
+            fractional_bits_for(&SplatCloud {
+                means: vec![[0.0, -x, 0.0]],
+                ..SplatCloud::default()
+            })
+        };
         assert_eq!((at(2047.0), at(2049.0), at(8.0e6)), (Ok(12), Ok(11), Ok(0)));
         assert!(at(9.0e6).is_err());
     }

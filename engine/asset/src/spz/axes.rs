@@ -8,10 +8,12 @@ use crate::DecodeError;
 
 /// The axes of a file, by the code of the Adobe coordinate-system extension.
 ///
-/// Codes 1 to 8 name x, y, z as left/right, down/up, back/front; codes 9 to 16 as left/right, front/back, down/up.
+/// Codes 1 to 8 name x, y, z as left/right, down/up, back/front; codes 9 to 16 as left/right,
+/// front/back, down/up.
 ///
-/// We follow the names. The reference (nianticlabs/spz at 3f156355) flips y where LFD, RFD, LBU and RBU (9, 10, 15, 16)
-/// ask for z and z where they ask for y, so a file that it wrote in one of these four reads upside down. All others agree.
+/// We follow the names. The reference (nianticlabs/spz at 3f156355) flips y where LFD, RFD, LBU and
+/// RBU (9, 10, 15, 16) ask for z and z where they ask for y, so a file that it wrote in one of
+/// these four reads upside down. All others agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct StoredAxes(u32);
 
@@ -24,7 +26,9 @@ impl StoredAxes {
         match code {
             0 => Ok(Self::RUB),
             1..=16 => Ok(Self(code)),
-            _ => Err(DecodeError::Malformed(format!("coordinate system {code} is unknown; 0 to 16 are defined"))),
+            _ => Err(DecodeError::Malformed(format!(
+                "coordinate system {code} is unknown; 0 to 16 are defined"
+            ))),
         }
     }
 
@@ -37,14 +41,20 @@ impl StoredAxes {
         } else {
             // To right-front-up, whose y and z become front and up.
             flip(cloud, [sign(bit(0)), sign(!bit(2)), sign(bit(1))]);
-            let quarter_turn = Pose::new(DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2), DVec3::ZERO);
+            let quarter_turn = Pose::new(
+                DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+                DVec3::ZERO,
+            );
             *cloud = cloud.placed(&quarter_turn, true);
         }
     }
 
     /// The way back, for axes that are reached by flips alone.
     pub(super) fn turn_from_ply(self, cloud: &mut SplatCloud) {
-        debug_assert!(self.0 <= 8, "flips are their own inverse, a quarter turn is not");
+        debug_assert!(
+            self.0 <= 8,
+            "flips are their own inverse, a quarter turn is not"
+        );
         self.turn_to_ply(cloud);
     }
 }
@@ -56,12 +66,24 @@ pub(crate) fn flip(cloud: &mut SplatCloud, signs: [f32; 3]) {
     }
     let [x, y, z] = signs;
     let rotation_signs = [1.0, y * z, x * z, x * y];
-    cloud.means.par_iter_mut().for_each(|mean| *mean = std::array::from_fn(|i| mean[i] * signs[i]));
-    cloud.rotations.par_iter_mut().for_each(|rotation| *rotation = std::array::from_fn(|i| rotation[i] * rotation_signs[i]));
-    // Each basis function is even or odd in each axis, so a mirrored direction changes at most its sign.
+    cloud
+        .means
+        .par_iter_mut()
+        .for_each(|mean| *mean = std::array::from_fn(|i| mean[i] * signs[i]));
+    cloud
+        .rotations
+        .par_iter_mut()
+        .for_each(|rotation| *rotation = std::array::from_fn(|i| rotation[i] * rotation_signs[i]));
+    // Each basis function is even or odd in each axis, so a mirrored direction changes at most its
+    // sign.
     let d = DVec3::new(0.36, 0.48, 0.8);
     let mirrored = sh::basis(d * DVec3::from_array(signs.map(f64::from)));
-    let rest_signs: Vec<f32> = sh::basis(d).iter().zip(mirrored).skip(1).map(|(a, b)| (a * b).signum() as f32).collect();
+    let rest_signs: Vec<f32> = sh::basis(d)
+        .iter()
+        .zip(mirrored)
+        .skip(1)
+        .map(|(a, b)| (a * b).signum() as f32)
+        .collect();
     let stride = cloud.rest_stride();
     if stride > 0 {
         cloud.sh_rest.par_chunks_exact_mut(stride).for_each(|rest| {
@@ -84,7 +106,9 @@ mod tests {
             opacities: vec![0.5],
             sh_degree: 3,
             sh_dc: vec![[0.3; 3]],
-            sh_rest: (0..15).map(|k| [k as f32 * 0.1 - 0.7, 0.2, -0.1 * k as f32]).collect(),
+            sh_rest: (0..15)
+                .map(|k| [k as f32 * 0.1 - 0.7, 0.2, -0.1 * k as f32])
+                .collect(),
         }
     }
 
@@ -100,11 +124,17 @@ mod tests {
     fn half_a_turn_about_x_is_what_placing_the_cloud_gives() {
         let mut flipped = cloud();
         StoredAxes::RUB.turn_to_ply(&mut flipped);
-        let placed = cloud().placed(&Pose::new(DQuat::from_rotation_x(std::f64::consts::PI), DVec3::ZERO), true);
+        let placed = cloud().placed(
+            &Pose::new(DQuat::from_rotation_x(std::f64::consts::PI), DVec3::ZERO),
+            true,
+        );
         assert_eq!(flipped.means, [[1.0, -2.0, -3.0]]);
         assert!(covariance(&flipped).abs_diff_eq(covariance(&placed), 1e-6));
         for (a, b) in flipped.sh_rest.iter().zip(&placed.sh_rest) {
-            assert!((0..3).all(|channel| (a[channel] - b[channel]).abs() < 1e-6), "{a:?} {b:?}");
+            assert!(
+                (0..3).all(|channel| (a[channel] - b[channel]).abs() < 1e-6),
+                "{a:?} {b:?}"
+            );
         }
         assert_ne!(flipped.sh_rest, cloud().sh_rest);
     }
@@ -127,9 +157,15 @@ mod tests {
                 .collect();
             let mut cloud = cloud();
             cloud.means[0] = [stored[0], stored[1], stored[2]];
-            StoredAxes::of_code(index as u32 + 1).unwrap().turn_to_ply(&mut cloud);
+            StoredAxes::of_code(index as u32 + 1)
+                .unwrap()
+                .turn_to_ply(&mut cloud);
             let expected = [1.0, -2.0, 3.0];
-            assert!((0..3).all(|i| (cloud.means[0][i] - expected[i]).abs() < 1e-6), "{name}: {:?}", cloud.means[0]);
+            assert!(
+                (0..3).all(|i| (cloud.means[0][i] - expected[i]).abs() < 1e-6),
+                "{name}: {:?}",
+                cloud.means[0]
+            );
         }
         assert!(StoredAxes::of_code(17).is_err());
     }
@@ -143,7 +179,12 @@ mod tests {
         assert!(covariance(&mirrored).abs_diff_eq(mirror * covariance(&original) * mirror, 1e-6));
         let d = DVec3::new(0.6, 0.0, 0.8);
         let color = |cloud: &SplatCloud, d| -> f64 {
-            cloud.rest_of(0).iter().zip(&sh::basis(d)[1..]).map(|(c, y)| f64::from(c[0]) * y).sum()
+            cloud
+                .rest_of(0)
+                .iter()
+                .zip(&sh::basis(d)[1..])
+                .map(|(c, y)| f64::from(c[0]) * y)
+                .sum()
         };
         assert!((color(&original, d) - color(&mirrored, mirror * d)).abs() < 1e-6);
     }

@@ -23,10 +23,11 @@ const EXTENSION_AXES: u32 = 0xadbe_0003;
 /// Extensions of a gzip file beyond this are not read; known ones have some twenty bytes.
 const EXTENSION_BYTES_MAX: u64 = 1 << 16;
 
-/// A file's claim is believed up to this many splats however small the file is, so that tiny uniform clouds are read.
+/// A file's claim is believed up to this many splats however small the file is, so that tiny
+/// uniform clouds are read.
 const SPLATS_ALWAYS: u64 = 1 << 14;
-/// Further splats are believed if the file has this many bytes for each. Real files have 5 to 20 bytes per splat; without a bound a
-/// file of a megabyte could ask for a terabyte.
+/// Further splats are believed if the file has this many bytes for each. Real files have 5 to 20
+/// bytes per splat; without a bound a file of a megabyte could ask for a terabyte.
 const BYTES_PER_SPLAT_MIN: u64 = 4;
 
 /// Zstandard level: beyond it, files get slower to write but hardly smaller.
@@ -46,25 +47,36 @@ pub(super) fn read(bytes: &[u8]) -> Result<Packed, DecodeError> {
     } else if bytes.starts_with(&GZIP_MAGIC) {
         read_gzip(bytes)
     } else {
-        Err(DecodeError::Malformed("neither 'NGSP' (version 4) nor a gzip header (versions 1 to 3) starts the file".into()))
+        Err(DecodeError::Malformed(
+            "neither 'NGSP' (version 4) nor a gzip header (versions 1 to 3) starts the file".into(),
+        ))
     }
 }
 
 fn read_header(bytes: &[u8; HEADER_BYTES], file_bytes: u64) -> Result<Header, DecodeError> {
     if !bytes.starts_with(&MAGIC) {
-        return Err(DecodeError::Malformed("the gzip stream does not start with 'NGSP'".into()));
+        return Err(DecodeError::Malformed(
+            "the gzip stream does not start with 'NGSP'".into(),
+        ));
     }
     let version = u32_at(bytes, 4);
     let count = u32_at(bytes, 8);
-    let [stored_degree, fractional_bits, flags, byte_15] = [bytes[12], bytes[13], bytes[14], bytes[15]];
+    let [stored_degree, fractional_bits, flags, byte_15] =
+        [bytes[12], bytes[13], bytes[14], bytes[15]];
     if !(1..=4).contains(&version) {
-        return Err(DecodeError::Unsupported(format!("SPZ version {version}; versions 1 to 4 are read")));
+        return Err(DecodeError::Unsupported(format!(
+            "SPZ version {version}; versions 1 to 4 are read"
+        )));
     }
     if stored_degree > 4 {
-        return Err(DecodeError::Malformed(format!("spherical harmonics of degree {stored_degree}; 0 to 4 are defined")));
+        return Err(DecodeError::Malformed(format!(
+            "spherical harmonics of degree {stored_degree}; 0 to 4 are defined"
+        )));
     }
     if fractional_bits > 24 {
-        return Err(DecodeError::Malformed(format!("{fractional_bits} fractional bits in 24-bit positions")));
+        return Err(DecodeError::Malformed(format!(
+            "{fractional_bits} fractional bits in 24-bit positions"
+        )));
     }
     let count_max = SPLATS_ALWAYS + file_bytes / BYTES_PER_SPLAT_MIN;
     if u64::from(count) > count_max {
@@ -72,23 +84,41 @@ fn read_header(bytes: &[u8; HEADER_BYTES], file_bytes: u64) -> Result<Header, De
             "{count} splats in {file_bytes} bytes; at most {count_max} are believed: the count is damaged, export the file again"
         )));
     }
-    let layout = Layout { version, count: count as usize, stored_degree, fractional_bits };
-    Ok(Header { layout, has_extensions: flags & FLAG_EXTENSIONS != 0, byte_15 })
+    let layout = Layout {
+        version,
+        count: count as usize,
+        stored_degree,
+        fractional_bits,
+    };
+    Ok(Header {
+        layout,
+        has_extensions: flags & FLAG_EXTENSIONS != 0,
+        byte_15,
+    })
 }
 
 fn read_gzip(bytes: &[u8]) -> Result<Packed, DecodeError> {
     let mut inflated = GzDecoder::new(bytes);
     let mut fixed = [0; HEADER_BYTES];
-    inflated.read_exact(&mut fixed).map_err(|error| DecodeError::Malformed(format!("the gzip stream: {error}")))?;
+    inflated
+        .read_exact(&mut fixed)
+        .map_err(|error| DecodeError::Malformed(format!("the gzip stream: {error}")))?;
     let header = read_header(&fixed, bytes.len() as u64)?;
     if header.layout.version == 4 {
-        return Err(DecodeError::Malformed("version 4 inside gzip; version 4 is stored plain".into()));
+        return Err(DecodeError::Malformed(
+            "version 4 inside gzip; version 4 is stored plain".into(),
+        ));
     }
     let mut streams: [Vec<u8>; 6] = Default::default();
-    for (stream, (name, expected)) in streams.iter_mut().zip(STREAMS.into_iter().zip(header.layout.stream_bytes())) {
+    for (stream, (name, expected)) in streams
+        .iter_mut()
+        .zip(STREAMS.into_iter().zip(header.layout.stream_bytes()))
+    {
         // Grows with what is really there and stops at what is expected.
         let result = inflated.by_ref().take(expected as u64).read_to_end(stream);
-        result.map_err(|error| DecodeError::Malformed(format!("the gzip stream, in {name}: {error}")))?;
+        result.map_err(|error| {
+            DecodeError::Malformed(format!("the gzip stream, in {name}: {error}"))
+        })?;
         if stream.len() != expected {
             return Err(DecodeError::Truncated {
                 what: format!("stream '{name}'"),
@@ -98,13 +128,26 @@ fn read_gzip(bytes: &[u8]) -> Result<Packed, DecodeError> {
         }
     }
     let mut extensions = Vec::new();
-    let behind = inflated.take(EXTENSION_BYTES_MAX).read_to_end(&mut extensions);
-    behind.map_err(|error| DecodeError::Malformed(format!("the end of the gzip stream: {error}")))?;
+    let behind = inflated
+        .take(EXTENSION_BYTES_MAX)
+        .read_to_end(&mut extensions);
+    behind
+        .map_err(|error| DecodeError::Malformed(format!("the end of the gzip stream: {error}")))?;
     if !header.has_extensions && !extensions.is_empty() {
-        return Err(DecodeError::Malformed("bytes follow the last stream although the header announces no extensions".into()));
+        return Err(DecodeError::Malformed(
+            "bytes follow the last stream although the header announces no extensions".into(),
+        ));
     }
-    let axes = if header.has_extensions { axes_of(&extensions)? } else { StoredAxes::RUB };
-    Ok(Packed { layout: header.layout, streams, axes })
+    let axes = if header.has_extensions {
+        axes_of(&extensions)?
+    } else {
+        StoredAxes::RUB
+    };
+    Ok(Packed {
+        layout: header.layout,
+        streams,
+        axes,
+    })
 }
 
 fn read_v4(bytes: &[u8]) -> Result<Packed, DecodeError> {
@@ -129,14 +172,22 @@ fn read_v4(bytes: &[u8]) -> Result<Packed, DecodeError> {
     let expected = header.layout.stream_bytes();
     let present: Vec<usize> = (0..6).filter(|&stream| expected[stream] > 0).collect();
     if present.len() != usize::from(header.byte_15) {
-        return Err(DecodeError::Malformed(format!("{} streams where {} are expected", header.byte_15, present.len())));
+        return Err(DecodeError::Malformed(format!(
+            "{} streams where {} are expected",
+            header.byte_15,
+            present.len()
+        )));
     }
     let contents_at = u32_at(fixed, 16) as usize;
     let data_at = contents_at + present.len() * CONTENTS_ENTRY_BYTES;
     if contents_at < HEADER_V4_BYTES {
-        return Err(DecodeError::Malformed(format!("the table of contents at byte {contents_at} lies inside the header")));
+        return Err(DecodeError::Malformed(format!(
+            "the table of contents at byte {contents_at} lies inside the header"
+        )));
     }
-    let contents = bytes.get(contents_at..data_at).ok_or_else(|| truncated("the table of contents", data_at as u64))?;
+    let contents = bytes
+        .get(contents_at..data_at)
+        .ok_or_else(|| truncated("the table of contents", data_at as u64))?;
     let sources = v4_sources(contents, &bytes[data_at..], &present, &expected)?;
     let inflated: Vec<Vec<u8>> = present
         .par_iter()
@@ -147,8 +198,16 @@ fn read_v4(bytes: &[u8]) -> Result<Packed, DecodeError> {
     for (&stream, data) in present.iter().zip(inflated) {
         streams[stream] = data;
     }
-    let axes = if header.has_extensions { axes_of(&bytes[HEADER_V4_BYTES..contents_at])? } else { StoredAxes::RUB };
-    Ok(Packed { layout: header.layout, streams, axes })
+    let axes = if header.has_extensions {
+        axes_of(&bytes[HEADER_V4_BYTES..contents_at])?
+    } else {
+        StoredAxes::RUB
+    };
+    Ok(Packed {
+        layout: header.layout,
+        streams,
+        axes,
+    })
 }
 
 /// Cuts `data` into the compressed streams that the table of contents lists.
@@ -168,7 +227,10 @@ fn v4_sources<'a>(
                 expected[stream]
             )));
         }
-        let Some((source, rest)) = usize::try_from(compressed).ok().and_then(|length| data.split_at_checked(length)) else {
+        let Some((source, rest)) = usize::try_from(compressed)
+            .ok()
+            .and_then(|length| data.split_at_checked(length))
+        else {
             return Err(DecodeError::Truncated {
                 what: format!("compressed stream '{name}'"),
                 expected_bytes: compressed,
@@ -179,12 +241,16 @@ fn v4_sources<'a>(
         data = rest;
     }
     if !data.is_empty() {
-        return Err(DecodeError::Malformed(format!("{} bytes follow the last stream", data.len())));
+        return Err(DecodeError::Malformed(format!(
+            "{} bytes follow the last stream",
+            data.len()
+        )));
     }
     Ok(sources)
 }
 
-/// Decompresses one stream into a buffer of exactly the size that the (bounded) splat count gives it.
+/// Decompresses one stream into a buffer of exactly the size that the (bounded) splat count gives
+/// it.
 fn inflate(source: &[u8], stream: usize, expected: usize) -> Result<Vec<u8>, DecodeError> {
     let name = STREAMS[stream];
     let data = zstd::bulk::decompress(source, expected)
@@ -214,7 +280,11 @@ fn axes_of(mut records: &[u8]) -> Result<StoredAxes, DecodeError> {
         if u32_at(records, 0) == EXTENSION_AXES {
             match value.first_chunk::<4>() {
                 Some(code) => axes = StoredAxes::of_code(u32::from_le_bytes(*code))?,
-                None => return Err(DecodeError::Malformed("the coordinate-system extension is shorter than its 4 bytes".into())),
+                None => {
+                    return Err(DecodeError::Malformed(
+                        "the coordinate-system extension is shorter than its 4 bytes".into(),
+                    ));
+                }
             }
         }
         records = &records[8 + value.len()..];
@@ -224,19 +294,31 @@ fn axes_of(mut records: &[u8]) -> Result<StoredAxes, DecodeError> {
 
 /// Wraps `packed` as version 4.
 pub(super) fn write(packed: &Packed) -> Result<Vec<u8>, EncodeError> {
-    let present: Vec<&Vec<u8>> = packed.streams.iter().filter(|stream| !stream.is_empty()).collect();
+    let present: Vec<&Vec<u8>> = packed
+        .streams
+        .iter()
+        .filter(|stream| !stream.is_empty())
+        .collect();
     let compressed: Vec<Vec<u8>> = present
         .par_iter()
-        .map(|stream| zstd::bulk::compress(stream, LEVEL).map_err(|error| EncodeError(format!("Zstandard: {error}"))))
+        .map(|stream| {
+            zstd::bulk::compress(stream, LEVEL)
+                .map_err(|error| EncodeError(format!("Zstandard: {error}")))
+        })
         .collect::<Result<_, _>>()?;
     let layout = &packed.layout;
-    let count =
-        u32::try_from(layout.count).map_err(|_| EncodeError(format!("{} splats; at most 4294967295 fit", layout.count)))?;
+    let count = u32::try_from(layout.count)
+        .map_err(|_| EncodeError(format!("{} splats; at most 4294967295 fit", layout.count)))?;
     let mut bytes = Vec::new();
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&4u32.to_le_bytes());
     bytes.extend_from_slice(&count.to_le_bytes());
-    bytes.extend_from_slice(&[layout.stored_degree, layout.fractional_bits, 0, present.len() as u8]);
+    bytes.extend_from_slice(&[
+        layout.stored_degree,
+        layout.fractional_bits,
+        0,
+        present.len() as u8,
+    ]);
     bytes.extend_from_slice(&(HEADER_V4_BYTES as u32).to_le_bytes());
     bytes.resize(HEADER_V4_BYTES, 0);
     for (plain, stream) in present.iter().zip(&compressed) {

@@ -1,18 +1,21 @@
 //! SPZ, Niantic's quantized splat format, versions 1 to 4.
 //!
-//! Versions 1 to 3 are one gzip stream, version 4 a plain header, a table of contents and one Zstandard stream an
-//! attribute (nianticlabs/spz, README, `src/cc/load-spz.cc`). We write version 4.
+//! Versions 1 to 3 are one gzip stream, version 4 a plain header, a table of contents and one
+//! Zstandard stream an attribute (nianticlabs/spz, README, `src/cc/load-spz.cc`). We write version
+//! 4.
 //!
-//! **Axes.** SPZ stores right-up-back axes; the PLY that a scene was trained into has right-down-front axes. Reading
-//! turns a file into the axes of its PLY and writing turns it back, by half a turn about x of means, rotations and
-//! spherical harmonics: the same scene as `.ply` and as `.spz` is the same cloud, and PLY to SPZ to PLY is the
-//! identity up to quantization. A file that names other axes in the Adobe coordinate-system extension is turned from
-//! those. The reference library turns likewise when it is told both systems; files that were made without telling it
-//! (its own `ply_to_spz` does not) hold the axes of their source against the format's rule, and arrive here turned.
+//! **Axes.** SPZ stores right-up-back axes; the PLY that a scene was trained into has
+//! right-down-front axes. Reading turns a file into the axes of its PLY and writing turns it back,
+//! by half a turn about x of means, rotations and spherical harmonics: the same scene as `.ply` and
+//! as `.spz` is the same cloud, and PLY to SPZ to PLY is the identity up to quantization. A file
+//! that names other axes in the Adobe coordinate-system extension is turned from those. The
+//! reference library turns likewise when it is told both systems; files that were made without
+//! telling it (its own `ply_to_spz` does not) hold the axes of their source against the format's
+//! rule, and arrive here turned.
 //!
-//! **Precision.** Means 2^-12 m (coarser beyond 2 km, see [`encode`]), scales a factor of e^(1/16) within 4.5e-5 m to
-//! 379 m, rotations 10 bits a component, opacities and DC colors 8 bits, further coefficients 8 bits within -1 to 1.
-//! Degree 4 is read to degree 3.
+//! **Precision.** Means 2^-12 m (coarser beyond 2 km, see [`encode`]), scales a factor of e^(1/16)
+//! within 4.5e-5 m to 379 m, rotations 10 bits a component, opacities and DC colors 8 bits, further
+//! coefficients 8 bits within -1 to 1. Degree 4 is read to degree 3.
 
 mod attributes;
 mod axes;
@@ -46,11 +49,13 @@ pub(crate) fn decode_as_stored(bytes: &[u8]) -> Result<SplatCloud, DecodeError> 
 
 /// `cloud` as the bytes of a version 4 file.
 ///
-/// Means keep 12 bits after the point where the cloud lies within 2048 m of its origin, fewer where it is larger.
-/// Scales, colors and coefficients outside the ranges of the format are clamped to them.
+/// Means keep 12 bits after the point where the cloud lies within 2048 m of its origin, fewer where
+/// it is larger. Scales, colors and coefficients outside the ranges of the format are clamped to
+/// them.
 ///
 /// # Errors
-/// When a splat is defective ([`SplatCloud::defect_of`]) or a mean lies beyond 8388 km: SPZ has no code for either.
+/// When a splat is defective ([`SplatCloud::defect_of`]) or a mean lies beyond 8388 km: SPZ has no
+/// code for either.
 pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
     let mut turned = cloud.clone();
     axes::StoredAxes::RUB.turn_from_ply(&mut turned);
@@ -62,6 +67,10 @@ pub fn encode(cloud: &SplatCloud) -> Result<Vec<u8>, EncodeError> {
 /// # Errors
 /// As [`encode`], and when the operating system refuses.
 pub fn write(path: &Path, cloud: &SplatCloud) -> Result<(), AssetError> {
-    let bytes = encode(cloud).map_err(|source| AssetError::Encode { path: path.to_owned(), format: "SPZ", source })?;
+    let bytes = encode(cloud).map_err(|source| AssetError::Encode {
+        path: path.to_owned(),
+        format: "SPZ",
+        source,
+    })?;
     write_atomically(path, |file| file.write_all(&bytes))
 }

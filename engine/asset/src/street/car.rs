@@ -1,6 +1,7 @@
 //! Cars: a lofted body, a cabin of glass and pillars, wheels with rims, mirrors.
 //!
-//! Built in the canonical frame: x forward, y left, z up, origin at the middle of the box, wheels touching z = -H/2.
+//! Built in the canonical frame: x forward, y left, z up, origin at the middle of the box, wheels
+//! touching z = -H/2.
 
 use std::f32::consts::{PI, TAU};
 
@@ -17,7 +18,8 @@ pub(super) const VARIANTS: usize = 12;
 /// Splats a square meter, relative to asphalt, on a parked car.
 pub(super) const CAR_DENSITY: f32 = 9.0;
 
-/// Height of the shadow over the road that is not in the asset, meters: above the road's own splats, which stray.
+/// Height of the shadow over the road that is not in the asset, meters: above the road's own
+/// splats, which stray.
 const SHADOW_Z_M: f32 = 0.06;
 
 /// Splats a square meter of shadow, relative to the body's: it is soft.
@@ -97,15 +99,25 @@ impl Build {
             display(92, 30, 40),
             display(226, 228, 230),
         ];
-        let builds = [SEDAN, SUV, HATCHBACK, VAN, SEDAN, SUV, HATCHBACK, SEDAN, SUV, HATCHBACK, SEDAN, SUV];
+        let builds = [
+            SEDAN, SUV, HATCHBACK, VAN, SEDAN, SUV, HATCHBACK, SEDAN, SUV, HATCHBACK, SEDAN, SUV,
+        ];
         let variant = variant % VARIANTS;
-        (builds[variant], Paint { color: colors[variant], taxi: variant == 7, cargo: variant == 3 })
+        (
+            builds[variant],
+            Paint {
+                color: colors[variant],
+                taxi: variant == 7,
+                cargo: variant == 3,
+            },
+        )
     }
 
     /// Top of the body (hood, belt line, deck) at `x`, above the ground.
     pub(super) fn top_z(&self, x: f32) -> f32 {
         let [nose, cowl, tail] = self.nose_cowl_tail_z;
-        let front = nose + (cowl - nose) * smoothstep(0.56 * self.size.x, self.cowl_x - 0.3, x).powf(0.8);
+        let front =
+            nose + (cowl - nose) * smoothstep(0.56 * self.size.x, self.cowl_x - 0.3, x).powf(0.8);
         front + (tail - cowl) * smoothstep(self.cowl_x, self.deck_x, x)
     }
 
@@ -122,14 +134,19 @@ impl Build {
 
     /// The x where the cabin begins and ends at share `s` of the way from belt to roof.
     pub(super) fn cabin_x(&self, s: f32) -> [f32; 2] {
-        [self.cowl_x + (self.roof_x[0] - self.cowl_x) * s, self.deck_x + (self.roof_x[1] - self.deck_x) * s]
+        [
+            self.cowl_x + (self.roof_x[0] - self.cowl_x) * s,
+            self.deck_x + (self.roof_x[1] - self.deck_x) * s,
+        ]
     }
 
-    /// The tallest part of the cabin's side before it turns into the roof, as a share of the cabin's parameter v.
+    /// The tallest part of the cabin's side before it turns into the roof, as a share of the
+    /// cabin's parameter v.
     const SHOULDER_V: f32 = 0.68;
 
     fn body_point(&self, u: f32, v: f32) -> Vec3 {
-        // Along: a superellipse in plan, so that bumpers are round. Across: a rounder one for the section.
+        // Along: a superellipse in plan, so that bumpers are round. Across: a rounder one for the
+        // section.
         let plan = superellipse(PI * (u - 0.5), 5.5);
         let section = superellipse(TAU * v, 3.6);
         let x = 0.5 * self.size.x * plan.y;
@@ -140,7 +157,11 @@ impl Build {
         // The end faces keep their height longer than their width.
         let ring = plan.x.max(0.0);
         let upright = ring.powf(0.55);
-        Vec3::new(x, 0.5 * self.size.y * 0.985 * ring * section.x * lean, middle + (top - middle) * section.y * upright)
+        Vec3::new(
+            x,
+            0.5 * self.size.y * 0.985 * ring * section.x * lean,
+            middle + (top - middle) * section.y * upright,
+        )
     }
 
     fn cabin_point(&self, u: f32, v: f32) -> Vec3 {
@@ -148,14 +169,22 @@ impl Build {
         let (rise, spread) = if v < Self::SHOULDER_V {
             (0.94 * v / Self::SHOULDER_V, 1.0)
         } else {
-            // Over the shoulder to the middle of the roof: a quarter of a superellipse, nearly flat.
-            let turn = superellipse(0.5 * PI * (v - Self::SHOULDER_V) / (1.0 - Self::SHOULDER_V), 2.6);
+            // Over the shoulder to the middle of the roof: a quarter of a superellipse, nearly
+            // flat.
+            let turn = superellipse(
+                0.5 * PI * (v - Self::SHOULDER_V) / (1.0 - Self::SHOULDER_V),
+                2.6,
+            );
             (0.94 + 0.06 * turn.y, turn.x.max(0.0))
         };
         let [front, rear] = self.cabin_x(rise.min(1.0));
         let half_width = 0.5 * self.size.y * (0.93 - 0.16 * rise);
         let x = 0.5 * (front + rear) + 0.5 * (front - rear) * plan.x * spread;
-        Vec3::new(x, half_width * plan.y * spread, self.belt_z() + (self.size.z - self.belt_z()) * rise)
+        Vec3::new(
+            x,
+            half_width * plan.y * spread,
+            self.belt_z() + (self.size.z - self.belt_z()) * rise,
+        )
     }
 
     /// All surfaces in the canonical frame.
@@ -168,8 +197,12 @@ impl Build {
         let core_cabin = Vec3::new(0.5 * (front + rear), 0.0, self.belt_z() - 0.1) - lift;
         let cabin = Loft::new(core_cabin, move |u, v| build.cabin_point(u, v) - lift);
         let mut elements = vec![
-            Element::new(Shape::Loft(body), 1.0, move |point| body_texel(&build, &paint, point, point.position + lift)),
-            Element::new(Shape::Loft(cabin), 1.1, move |point| cabin_texel(&build, &paint, point, point.position + lift)),
+            Element::new(Shape::Loft(body), 1.0, move |point| {
+                body_texel(&build, &paint, point, point.position + lift)
+            }),
+            Element::new(Shape::Loft(cabin), 1.1, move |point| {
+                cabin_texel(&build, &paint, point, point.position + lift)
+            }),
         ];
         for x in self.axles_x {
             for side in [1.0f32, -1.0] {
@@ -189,8 +222,15 @@ impl Build {
         let center = Vec3::new(x, outer_y, radius_m - 0.5 * self.size.z);
         let inward = Vec3::NEG_Y * side * 0.22;
         let rubber = |point: &SurfacePoint| {
-            let groove = if (point.v * 6.0).fract() < 0.25 { 0.6 } else { 1.0 };
-            Texel { openness: 0.6, ..Texel::matt(display(40, 40, 42) * groove) }
+            let groove = if (point.v * 6.0).fract() < 0.25 {
+                0.6
+            } else {
+                1.0
+            };
+            Texel {
+                openness: 0.6,
+                ..Texel::matt(display(40, 40, 42) * groove)
+            }
         };
         let tread = Loft::new(center + inward * 0.5, move |u, v| {
             let (sin, cos) = (u * TAU).sin_cos();
@@ -208,33 +248,62 @@ impl Build {
             let offset = point.position - center;
             rim_texel(Vec2::new(offset.x, offset.z) / radius_m)
         });
-        let well = bar(center + inward, center + inward * 1.05, radius_m * 0.98, 0.05);
+        let well = bar(
+            center + inward,
+            center + inward * 1.05,
+            radius_m * 0.98,
+            0.05,
+        );
         [
             Element::new(Shape::Loft(tread.bordered()), 1.2, rubber),
             rim,
-            Element::new(Shape::Loft(well.bordered()), 0.4, |_| Texel { openness: 0.2, ..Texel::matt(display(30, 30, 32)) }),
+            Element::new(Shape::Loft(well.bordered()), 0.4, |_| Texel {
+                openness: 0.2,
+                ..Texel::matt(display(30, 30, 32))
+            }),
         ]
     }
 
-    /// The dark that the car lays on whatever road it drives over: a sheer plate under it, fading to its border.
+    /// The dark that the car lays on whatever road it drives over: a sheer plate under it, fading
+    /// to its border.
     pub(super) fn shadow(&self) -> Element {
         let half = Vec2::new(0.5 * self.size.x, 0.5 * self.size.y);
         let corner = Vec3::new(-half.x, -half.y, SHADOW_Z_M - 0.5 * self.size.z);
-        let shape = Shape::Rectangle { corner, along: Vec3::X * self.size.x, up: Vec3::Y * self.size.y };
+        let shape = Shape::Rectangle {
+            corner,
+            along: Vec3::X * self.size.x,
+            up: Vec3::Y * self.size.y,
+        };
         Element::new(shape, SHADOW_DENSITY, move |point| {
             let inside_m = (half - point.position.truncate().abs()).min_element();
             let sheer = 0.75 - 0.7 * smoothstep(0.0, 0.45, inside_m);
-            Texel { sheer, openness: 0.3, emitted: Some(display(34, 34, 36)), ..Texel::matt(Vec3::ZERO) }
+            Texel {
+                sheer,
+                openness: 0.3,
+                emitted: Some(display(34, 34, 36)),
+                ..Texel::matt(Vec3::ZERO)
+            }
         })
         .seamless()
     }
 
     fn mirror(&self, side: f32, color: Vec3) -> Element {
-        let center = Vec3::new(self.cowl_x - 0.38, side * (0.5 * self.size.y + 0.02), self.belt_z() + 0.09 - 0.5 * self.size.z);
+        let center = Vec3::new(
+            self.cowl_x - 0.38,
+            side * (0.5 * self.size.y + 0.02),
+            self.belt_z() + 0.09 - 0.5 * self.size.z,
+        );
         let shell = ellipsoid(center, Vec3::new(0.07, 0.13, 0.085));
         Element::new(Shape::Loft(shell), 1.5, move |point| {
             let glass = point.normal.x < -0.6;
-            Texel { gloss: 0.5, ..Texel::matt(if glass { display(120, 140, 156) } else { color * 0.9 }) }
+            Texel {
+                gloss: 0.5,
+                ..Texel::matt(if glass {
+                    display(120, 140, 156)
+                } else {
+                    color * 0.9
+                })
+            }
         })
     }
 }
@@ -251,15 +320,28 @@ mod tests {
             let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
             for element in build.elements(paint) {
                 for index in 0..3000 {
-                    let point = element.shape.sample(index, 3000, &mut super::super::random::Stream::new(1, 1, index as u64));
+                    let point = element.shape.sample(
+                        index,
+                        3000,
+                        &mut super::super::random::Stream::new(1, 1, index as u64),
+                    );
                     low = low.min(point.position);
                     high = high.max(point.position);
                 }
             }
-            assert!((low.z + half.z).abs() < 0.02 && (high.z - half.z).abs() < 0.03, "variant {variant}: {low} {high}");
-            assert!((low.x + half.x).abs() < 0.03 && (high.x - half.x).abs() < 0.03, "variant {variant}: {low} {high}");
+            assert!(
+                (low.z + half.z).abs() < 0.02 && (high.z - half.z).abs() < 0.03,
+                "variant {variant}: {low} {high}"
+            );
+            assert!(
+                (low.x + half.x).abs() < 0.03 && (high.x - half.x).abs() < 0.03,
+                "variant {variant}: {low} {high}"
+            );
             // Mirrors stand out beyond the body, as the width of a car in data sets excludes them.
-            assert!(high.y > half.y - 0.03 && high.y < half.y + 0.17, "variant {variant}: {low} {high}");
+            assert!(
+                high.y > half.y - 0.03 && high.y < half.y + 0.17,
+                "variant {variant}: {low} {high}"
+            );
         }
     }
 

@@ -10,7 +10,8 @@ use super::light::Light;
 use super::random::Stream;
 use super::surface::Element;
 
-/// Share of splats with an opacity below [`FAINT_OPACITY_MAX`]: what densification leaves behind in trained scenes.
+/// Share of splats with an opacity below [`FAINT_OPACITY_MAX`]: what densification leaves behind in
+/// trained scenes.
 pub(super) const FAINT_SHARE: f32 = 0.45;
 
 /// Below what any pixel shows (1/255), yet with a finite logit.
@@ -26,21 +27,36 @@ const OUTWARD_MAX_M: f32 = 0.015;
 /// Splats sampled by one task; large enough that finding the element costs nothing.
 const CHUNK: usize = 2048;
 
-/// Splats for each element, in proportion to area times density, summing to exactly `total` (largest remainder).
+/// Splats for each element, in proportion to area times density, summing to exactly `total`
+/// (largest remainder).
 fn allocate(elements: &[Element], total: usize) -> Vec<usize> {
-    let weights: Vec<f64> = elements.iter().map(|e| f64::from(e.shape.area_m2()) * f64::from(e.density)).collect();
+    let weights: Vec<f64> = elements
+        .iter()
+        .map(|e| f64::from(e.shape.area_m2()) * f64::from(e.density))
+        .collect();
     let sum: f64 = weights.iter().sum();
     assert!(sum.is_finite(), "a surface without a finite area");
     if sum <= 0.0 {
         return vec![0; elements.len()];
     }
-    let shares: Vec<f64> = weights.iter().map(|weight| weight / sum * total as f64).collect();
+    let shares: Vec<f64> = weights
+        .iter()
+        .map(|weight| weight / sum * total as f64)
+        .collect();
     let mut counts: Vec<usize> = shares.iter().map(|share| share.floor() as usize).collect();
     let mut order: Vec<usize> = (0..elements.len()).collect();
-    order.sort_by(|&a, &b| shares[b].fract().total_cmp(&shares[a].fract()).then(a.cmp(&b)));
+    order.sort_by(|&a, &b| {
+        shares[b]
+            .fract()
+            .total_cmp(&shares[a].fract())
+            .then(a.cmp(&b))
+    });
     let missing = total.saturating_sub(counts.iter().sum());
     // Rounding leaves fewer missing than there are elements.
-    order.iter().take(missing).for_each(|&element| counts[element] += 1);
+    order
+        .iter()
+        .take(missing)
+        .for_each(|&element| counts[element] += 1);
     counts
 }
 
@@ -55,13 +71,23 @@ struct Splat {
 
 /// Exactly `total` splats over `elements`, the same for the same `seed` whatever the threads.
 ///
-/// Splats close to where `focus` has cameras pass stay small. With no surface to put them on, the cloud is empty.
-pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64, light: &Light, focus: &Focus) -> SplatCloud {
+/// Splats close to where `focus` has cameras pass stay small. With no surface to put them on, the
+/// cloud is empty.
+pub(super) fn emit(
+    elements: &[Element],
+    total: usize,
+    sh_degree: u8,
+    seed: u64,
+    light: &Light,
+    focus: &Focus,
+) -> SplatCloud {
     let counts = allocate(elements, total);
-    let mut firsts = Vec::with_capacity(elements.len() + 1);
-    firsts.push(0usize);
-    counts.iter().for_each(|count| firsts.push(firsts[firsts.len() - 1] + count));
-    let total = firsts[elements.len()];
+    let mut offsets = Vec::with_capacity(elements.len() + 1);
+    offsets.push(0usize);
+    counts
+        .iter()
+        .for_each(|count| offsets.push(offsets[offsets.len() - 1] + count));
+    let total = offsets[elements.len()];
     let stride = sh::coefficient_count(sh_degree) - 1;
     let mut cloud = SplatCloud {
         means: vec![[0.0; 3]; total],
@@ -72,10 +98,20 @@ pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64,
         sh_dc: vec![[0.0; 3]; total],
         sh_rest: vec![[0.0; 3]; total * stride],
     };
-    let SplatCloud { means, scales, rotations, opacities, sh_dc, sh_rest, .. } = &mut cloud;
+    let SplatCloud {
+        means,
+        scales,
+        rotations,
+        opacities,
+        sh_dc,
+        sh_rest,
+        ..
+    } = &mut cloud;
     // Degree 0 has no rest; a stand-in of empty chunks keeps the zip below the same.
     let rest_chunks: Vec<&mut [[f32; 3]]> = if stride == 0 {
-        (0..total.div_ceil(CHUNK)).map(|_| Default::default()).collect()
+        (0..total.div_ceil(CHUNK))
+            .map(|_| Default::default())
+            .collect()
     } else {
         sh_rest.chunks_mut(CHUNK * stride).collect()
     };
@@ -87,23 +123,31 @@ pub(super) fn emit(elements: &[Element], total: usize, sh_degree: u8, seed: u64,
         .zip(sh_dc.par_chunks_mut(CHUNK))
         .zip(rest_chunks)
         .enumerate()
-        .for_each(|(chunk, (((((means, scales), rotations), opacities), dc), rest))| {
-            for slot in 0..means.len() {
-                let index = chunk * CHUNK + slot;
-                let element = firsts.partition_point(|&first| first <= index) - 1;
-                let item = index - firsts[element];
-                let mut random = Stream::new(seed, element as u64, item as u64);
-                let rest = &mut rest[slot * stride..(slot + 1) * stride];
-                let splat =
-                    splat(&elements[element], (item, counts[element]), is_faint(index), (light, focus), &mut random, rest);
-                means[slot] = splat.mean.to_array();
-                scales[slot] = splat.scales.to_array();
-                let q = splat.rotation;
-                rotations[slot] = [q.w, q.x, q.y, q.z];
-                opacities[slot] = splat.opacity;
-                dc[slot] = splat.dc.to_array();
-            }
-        });
+        .for_each(
+            |(chunk, (((((means, scales), rotations), opacities), dc), rest))| {
+                for slot in 0..means.len() {
+                    let index = chunk * CHUNK + slot;
+                    let element = offsets.partition_point(|&first| first <= index) - 1;
+                    let item = index - offsets[element];
+                    let mut random = Stream::new(seed, element as u64, item as u64);
+                    let rest = &mut rest[slot * stride..(slot + 1) * stride];
+                    let splat = splat(
+                        &elements[element],
+                        (item, counts[element]),
+                        is_faint(index),
+                        (light, focus),
+                        &mut random,
+                        rest,
+                    );
+                    means[slot] = splat.mean.to_array();
+                    scales[slot] = splat.scales.to_array();
+                    let q = splat.rotation;
+                    rotations[slot] = [q.w, q.x, q.y, q.z];
+                    opacities[slot] = splat.opacity;
+                    dc[slot] = splat.dc.to_array();
+                }
+            },
+        );
     cloud
 }
 
@@ -131,8 +175,16 @@ fn splat(
     let normal = element.rotation * point.normal;
     // Shadows have no depth: they must not reach into the road.
     let depth = if texel.sheer > 0.0 { 0.0 } else { 1.0 };
-    let off_surface_m = (depth * (if faint { 0.25 } else { 0.02 }) * random.normal() * spacing_m.min(1.0)).min(OUTWARD_MAX_M);
-    let footprint = Footprint::new(element, &point, &texel, (spacing_m, focus.largest_m(position)), random);
+    let off_surface_m =
+        (depth * (if faint { 0.25 } else { 0.02 }) * random.normal() * spacing_m.min(1.0))
+            .min(OUTWARD_MAX_M);
+    let footprint = Footprint::new(
+        element,
+        &point,
+        &texel,
+        (spacing_m, focus.largest_m(position)),
+        random,
+    );
     let (scales, rotation) = footprint.disc(point.normal, random);
     texel.albedo = footprint.mean_albedo(element, &point, &texel);
 
@@ -140,8 +192,15 @@ fn splat(
         texel.albedo *= weather(&point);
     }
     let lit = light.shade(&texel, position, normal, random);
-    let color = (lit.color * (1.0 + 0.035 * random.normal()) + 0.012 * random.signed3()).clamp(Vec3::ZERO, Vec3::ONE);
-    view_dependence(rest, color, normal, (light.towards_sun(), texel.gloss * lit.sheen), random);
+    let color = (lit.color * (1.0 + 0.035 * random.normal()) + 0.012 * random.signed3())
+        .clamp(Vec3::ZERO, Vec3::ONE);
+    view_dependence(
+        rest,
+        color,
+        normal,
+        (light.towards_sun(), texel.gloss * lit.sheen),
+        random,
+    );
     Splat {
         mean: position + normal * off_surface_m,
         scales,
@@ -164,14 +223,24 @@ fn opacity_of(faint: bool, random: &mut Stream) -> f32 {
 }
 
 /// Coefficients after DC: a sheen where the sun is mirrored, and noise that falls by band.
-fn view_dependence(rest: &mut [[f32; 3]], color: Vec3, normal: Vec3, (towards_sun, sheen): (Vec3, Vec3), random: &mut Stream) {
+fn view_dependence(
+    rest: &mut [[f32; 3]],
+    color: Vec3,
+    normal: Vec3,
+    (towards_sun, sheen): (Vec3, Vec3),
+    random: &mut Stream,
+) {
     if rest.is_empty() {
         return;
     }
     // The view direction (camera to splat) in which the camera stands in the mirrored sunbeam.
     let mirrored = towards_sun - 2.0 * normal.dot(towards_sun) * normal;
     let strength = sheen * normal.dot(towards_sun).max(0.0);
-    let lobe = if strength != Vec3::ZERO { sh::basis(mirrored.as_dvec3().normalize_or(DVec3::Z)) } else { [0.0; 16] };
+    let lobe = if strength != Vec3::ZERO {
+        sh::basis(mirrored.as_dvec3().normalize_or(DVec3::Z))
+    } else {
+        [0.0; 16]
+    };
     for (index, coefficient) in rest.iter_mut().enumerate() {
         // Noise and lobe by band; index 0 is the first of band 1.
         let (noise, lobe_weight) = match index {
@@ -194,7 +263,11 @@ mod tests {
     use crate::street::weather::{Air, Weather};
 
     fn wall(width_m: f32, density: f32) -> Element {
-        let shape = Shape::Rectangle { corner: Vec3::ZERO, along: Vec3::X * width_m, up: Vec3::Z };
+        let shape = Shape::Rectangle {
+            corner: Vec3::ZERO,
+            along: Vec3::X * width_m,
+            up: Vec3::Z,
+        };
         Element::new(shape, density, |_| Texel::matt(Vec3::splat(0.2)))
     }
 
@@ -212,7 +285,13 @@ mod tests {
 
     #[test]
     fn a_wall_has_the_promised_scales_and_closes() {
-        let light = Light::new(Air { towards_sun: Vec3::new(0.0, -1.0, 1.0), ..Air::of(Weather::Clear) }, vec![]);
+        let light = Light::new(
+            Air {
+                towards_sun: Vec3::new(0.0, -1.0, 1.0),
+                ..Air::of(Weather::Clear)
+            },
+            vec![],
+        );
         let cloud = emit(&[wall(8.0, 1.0)], 20_000, 0, 3, &light, &Focus::nowhere());
         let (mut ln_scales, mut flatness) = (vec![], vec![]);
         for (mean, scale) in cloud.means.iter().zip(&cloud.scales) {
@@ -225,29 +304,46 @@ mod tests {
         }
         assert!(flatness.iter().all(|ratio| (4.9..20.1).contains(ratio)));
         let mean = ln_scales.iter().sum::<f64>() / ln_scales.len() as f64;
-        let sigma = (ln_scales.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / ln_scales.len() as f64).sqrt();
+        let sigma = (ln_scales.iter().map(|x| (x - mean).powi(2)).sum::<f64>()
+            / ln_scales.len() as f64)
+            .sqrt();
         assert!((0.5..0.7).contains(&sigma), "spread of ln scale {sigma}");
         let (mean, worst) = transmittance(&cloud);
-        assert!(mean < 0.01 && worst < 0.2, "light passes: {mean} in the mean, {worst} at worst");
+        assert!(
+            mean < 0.01 && worst < 0.2,
+            "light passes: {mean} in the mean, {worst} at worst"
+        );
     }
 
-    /// Mean and most light that passes the wall at right angles, over 400 points away from its border.
+    /// Mean and most light that passes the wall at right angles, over 400 points away from its
+    /// border.
     fn transmittance(cloud: &SplatCloud) -> (f32, f32) {
-        let points = (0..40).flat_map(|i| (0..10).map(move |j| (1.0 + 6.0 * i as f32 / 40.0, 0.3 + 0.04 * j as f32)));
+        let points = (0..40).flat_map(|i| {
+            (0..10).map(move |j| (1.0 + 6.0 * i as f32 / 40.0, 0.3 + 0.04 * j as f32))
+        });
         let passing = |(x, z): (f32, f32)| {
             let alpha = |splat: usize| {
                 let [w, qx, qy, qz] = cloud.rotations[splat];
                 let axes = Mat3::from_quat(Quat::from_xyzw(qx, qy, qz, w));
-                // Marginalising over the line of sight drops its row and column from the covariance.
+                // Marginalising over the line of sight drops its row and column from the
+                // covariance.
                 let scaled = axes * Mat3::from_diagonal(Vec3::from_array(cloud.scales[splat]));
                 let covariance = scaled * scaled.transpose();
-                let (a, b, c) = (covariance.x_axis.x, covariance.x_axis.z, covariance.z_axis.z);
+                let (a, b, c) = (
+                    covariance.x_axis.x,
+                    covariance.x_axis.z,
+                    covariance.z_axis.z,
+                );
                 let (dx, dz) = (x - cloud.means[splat][0], z - cloud.means[splat][2]);
                 let q = (c * dx * dx - 2.0 * b * dx * dz + a * dz * dz) / (a * c - b * b);
                 cloud.opacities[splat] * (-0.5 * q).exp()
             };
-            (0..cloud.len()).map(|splat| 1.0 - alpha(splat)).product::<f32>()
+            (0..cloud.len())
+                .map(|splat| 1.0 - alpha(splat))
+                .product::<f32>()
         };
-        points.map(passing).fold((0.0, 0.0), |(mean, worst), t| (mean + t / 400.0, t.max(worst)))
+        points.map(passing).fold((0.0, 0.0), |(mean, worst), t| {
+            (mean + t / 400.0, t.max(worst))
+        })
     }
 }

@@ -1,8 +1,9 @@
-//! The lanes of both streets as a map: up to the crossing, over it (straight on, right from the outer lane, left from the inner),
-//! and away from it.
+//! The lanes of both streets as a map: up to the crossing, over it (straight on, right from the
+//! outer lane, left from the inner), and away from it.
 //!
-//! Names say street, direction, number counted from the centerline, and part: `main/forward/0/before`, `/straight`, `/left`,
-//! `/right`, `/after`. Forward is along growing x on the main street and growing y on the other.
+//! Names say street, direction, number counted from the centerline, and part:
+//! `main/forward/0/before`, `/straight`, `/left`, `/right`, `/after`. Forward is along growing x on
+//! the main street and growing y on the other.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -12,7 +13,8 @@ use glam::{DVec2, DVec3};
 use super::layout::{Axis, LANE_M};
 use super::traffic::EGO_TURN_RADIUS_M;
 
-/// Lanes end this far from the origin: as far as traffic of the detailed streets drives in its time, meters.
+/// Lanes end this far from the origin: as far as traffic of the detailed streets drives in its
+/// time, meters.
 const END_M: f64 = 340.0;
 
 /// Points of straight lines lie this far apart at most, meters.
@@ -43,10 +45,22 @@ struct Place {
 
 impl Heading {
     const ALL: [Self; 4] = [
-        Self { axis: Axis::Main, forward: true },
-        Self { axis: Axis::Main, forward: false },
-        Self { axis: Axis::Cross, forward: true },
-        Self { axis: Axis::Cross, forward: false },
+        Self {
+            axis: Axis::Main,
+            forward: true,
+        },
+        Self {
+            axis: Axis::Main,
+            forward: false,
+        },
+        Self {
+            axis: Axis::Cross,
+            forward: true,
+        },
+        Self {
+            axis: Axis::Cross,
+            forward: false,
+        },
     ];
 
     fn name(self) -> &'static str {
@@ -67,7 +81,10 @@ impl Heading {
         let sign = if self.forward { 1.0 } else { -1.0 };
         let s = f64::from(self.axis.crossing_s()) + sign * along_m;
         let at = self.axis.at(s as f32, (-sign * offset_m(number)) as f32);
-        Place { at: at.as_dvec2(), yaw_rad: self.yaw_rad() }
+        Place {
+            at: at.as_dvec2(),
+            yaw_rad: self.yaw_rad(),
+        }
     }
 
     /// Start (negative) and end of its lanes relative to the crossing's center, meters.
@@ -80,7 +97,10 @@ impl Heading {
     fn turned(self, turn_rad: f64) -> Self {
         let ahead = DVec2::from_angle(self.yaw_rad() + turn_rad);
         let along = |heading: &Self| DVec2::from_angle(heading.yaw_rad()).dot(ahead);
-        Self::ALL.into_iter().max_by(|a, b| along(a).total_cmp(&along(b))).unwrap_or(self)
+        Self::ALL
+            .into_iter()
+            .max_by(|a, b| along(a).total_cmp(&along(b)))
+            .unwrap_or(self)
     }
 }
 
@@ -89,7 +109,8 @@ fn offset_m(number: usize) -> f64 {
     (number as f64 + 0.5) * f64::from(LANE_M)
 }
 
-/// Half the width of the crossing, meters: where the narrowest turn, from outer lane to outer lane, begins.
+/// Half the width of the crossing, meters: where the narrowest turn, from outer lane to outer lane,
+/// begins.
 fn crossing_half_m() -> f64 {
     offset_m(1) + EGO_TURN_RADIUS_M
 }
@@ -132,20 +153,31 @@ pub(super) fn lanes() -> LaneMap {
     let mut map = LaneMap::default();
     for heading in Heading::ALL {
         let (begin_m, end_m) = heading.reach_m();
-        for (part, from_m, to_m) in [("before", begin_m, -half_m), ("straight", -half_m, half_m), ("after", half_m, end_m)] {
+        for (part, from_m, to_m) in [
+            ("before", begin_m, -half_m),
+            ("straight", -half_m, half_m),
+            ("after", half_m, end_m),
+        ] {
             let first = map.lanes.len();
             for number in 0..NUMBERS {
                 let id = format!("{}/{number}/{part}", heading.name());
-                map.lanes.push(lane(id, heading.place(number, from_m), to_m - from_m, 0.0));
+                map.lanes
+                    .push(lane(id, heading.place(number, from_m), to_m - from_m, 0.0));
             }
             map.lanes[first].right_neighbor = Some(first + 1);
             map.lanes[first + 1].left_neighbor = Some(first);
         }
-        for (part, number, turn_rad) in [("left", 0, FRAC_PI_2), ("right", NUMBERS - 1, -FRAC_PI_2)] {
+        for (part, number, turn_rad) in [("left", 0, FRAC_PI_2), ("right", NUMBERS - 1, -FRAC_PI_2)]
+        {
             let id = format!("{}/{number}/{part}", heading.name());
             // To the left past the middle of the crossing, to the right short of it.
             let radius_m = half_m + offset_m(number) * turn_rad.signum();
-            map.lanes.push(lane(id, heading.place(number, -half_m), radius_m * FRAC_PI_2, turn_rad));
+            map.lanes.push(lane(
+                id,
+                heading.place(number, -half_m),
+                radius_m * FRAC_PI_2,
+                turn_rad,
+            ));
         }
     }
     connect(&mut map);
@@ -158,10 +190,15 @@ fn connect(map: &mut LaneMap) {
     let mut links = Vec::new();
     for heading in Heading::ALL {
         let ways = (0..NUMBERS).map(|number| ("straight", number, 0.0));
-        for (part, number, turn_rad) in ways.chain([("left", 0, FRAC_PI_2), ("right", NUMBERS - 1, -FRAC_PI_2)]) {
+        for (part, number, turn_rad) in
+            ways.chain([("left", 0, FRAC_PI_2), ("right", NUMBERS - 1, -FRAC_PI_2)])
+        {
             let way = index(format!("{}/{number}/{part}", heading.name()));
             let before = index(format!("{}/{number}/before", heading.name()));
-            let after = index(format!("{}/{number}/after", heading.turned(turn_rad).name()));
+            let after = index(format!(
+                "{}/{number}/after",
+                heading.turned(turn_rad).name()
+            ));
             links.extend([(before, way), (way, after)]);
         }
     }
@@ -191,14 +228,27 @@ mod tests {
     }
 
     fn nearest_m(map: &LaneMap, point: DVec2) -> f64 {
-        map.lanes.iter().map(|lane| distance_m(&lane.centerline, point)).fold(f64::MAX, f64::min)
+        map.lanes
+            .iter()
+            .map(|lane| distance_m(&lane.centerline, point))
+            .fold(f64::MAX, f64::min)
     }
 
     #[test]
     fn lanes_join_without_a_gap_or_a_bend() {
         let map = lanes();
         map.check().unwrap();
-        assert_eq!((map.lanes.len(), map.lanes.iter().map(|lane| &lane.id).collect::<HashSet<_>>().len()), (32, 32));
+        assert_eq!(
+            (
+                map.lanes.len(),
+                map.lanes
+                    .iter()
+                    .map(|lane| &lane.id)
+                    .collect::<HashSet<_>>()
+                    .len()
+            ),
+            (32, 32)
+        );
         let mut links = 0;
         for (number, lane) in map.lanes.iter().enumerate() {
             let heading = |line: &[DVec3]| (line[1] - line[0]).normalize();
@@ -206,14 +256,37 @@ mod tests {
             for &next in &lane.successors {
                 let next = &map.lanes[next];
                 assert!(next.predecessors.contains(&number));
-                assert!(backwards[0].distance(next.centerline[0]) < 1e-4, "{} to {}", lane.id, next.id);
-                assert!(lane.left[lane.left.len() - 1].distance(next.left[0]) < 1e-4, "{} to {}", lane.id, next.id);
+                assert!(
+                    backwards[0].distance(next.centerline[0]) < 1e-4,
+                    "{} to {}",
+                    lane.id,
+                    next.id
+                );
+                assert!(
+                    lane.left[lane.left.len() - 1].distance(next.left[0]) < 1e-4,
+                    "{} to {}",
+                    lane.id,
+                    next.id
+                );
                 // The turns' chords stand half a step askew at their ends.
-                assert!(-heading(&backwards).dot(heading(&next.centerline)) > 0.999, "{} to {}", lane.id, next.id);
+                assert!(
+                    -heading(&backwards).dot(heading(&next.centerline)) > 0.999,
+                    "{} to {}",
+                    lane.id,
+                    next.id
+                );
                 links += 1;
             }
-            assert!(lane.successors.is_empty() == lane.id.ends_with("after"), "{}", lane.id);
-            assert!(lane.predecessors.is_empty() == lane.id.ends_with("before"), "{}", lane.id);
+            assert!(
+                lane.successors.is_empty() == lane.id.ends_with("after"),
+                "{}",
+                lane.id
+            );
+            assert!(
+                lane.predecessors.is_empty() == lane.id.ends_with("before"),
+                "{}",
+                lane.id
+            );
             if let Some(right) = lane.right_neighbor {
                 assert_eq!(map.lanes[right].left_neighbor, Some(number));
                 assert!(map.lanes[right].left[0].distance(lane.right[0]) < 1e-4);
@@ -225,7 +298,10 @@ mod tests {
     #[test]
     fn left_borders_lie_to_the_left() {
         for lane in lanes().lanes {
-            assert_eq!((lane.left.len(), lane.right.len()), (lane.centerline.len(), lane.centerline.len()));
+            assert_eq!(
+                (lane.left.len(), lane.right.len()),
+                (lane.centerline.len(), lane.centerline.len())
+            );
             for (step, pair) in lane.centerline.windows(2).enumerate() {
                 let across = lane.left[step] - lane.right[step];
                 assert!((across.length() - f64::from(LANE_M)).abs() < 1e-6);
@@ -236,10 +312,20 @@ mod tests {
 
     #[test]
     fn agents_and_the_ego_drive_on_centerlines() {
-        let options = StreetOptions { background: 0, agents: 60, agent_splats: 0, sh_degree: 0, seed: 3, ..Default::default() };
+        let options = StreetOptions {
+            background: 0,
+            agents: 60,
+            agent_splats: 0,
+            sh_degree: 0,
+            seed: 3,
+            ..Default::default()
+        };
         let street = Street::generate(&options);
         for (agent, way) in street.agents.iter().zip(&street.agent_trajectories) {
-            let (from, to) = (way[0].1.translation.truncate(), way[way.len() - 1].1.translation.truncate());
+            let (from, to) = (
+                way[0].1.translation.truncate(),
+                way[way.len() - 1].1.translation.truncate(),
+            );
             for step in 0..=100 {
                 let off_m = nearest_m(&street.lanes, from.lerp(to, f64::from(step) / 100.0));
                 assert!(off_m < 0.01, "{} is {off_m} m off", agent.name);
@@ -249,6 +335,9 @@ mod tests {
             let off_m = nearest_m(&street.lanes, pose.translation.truncate());
             assert!(off_m < 0.01, "the ego is {off_m} m off after {time_s} s");
         }
-        assert!(nearest_m(&street.lanes, DVec2::new(0.0, 0.0)) > 1.6, "nobody drives on the centerline of the street");
+        assert!(
+            nearest_m(&street.lanes, DVec2::new(0.0, 0.0)) > 1.6,
+            "nobody drives on the centerline of the street"
+        );
     }
 }

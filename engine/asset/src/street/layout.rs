@@ -101,10 +101,14 @@ impl Axis {
         }
     }
 
-    /// The detailed stretches before and behind the crossing, which is `clear_m` wide on either side.
+    /// The detailed stretches before and behind the crossing, which is `clear_m` wide on either
+    /// side.
     pub(super) fn stretches(self, clear_m: f32) -> [(f32, f32); 2] {
         let crossing = self.crossing_s();
-        [(-EXTENT_M, crossing - clear_m), (crossing + clear_m, EXTENT_M)]
+        [
+            (-EXTENT_M, crossing - clear_m),
+            (crossing + clear_m, EXTENT_M),
+        ]
     }
 }
 
@@ -112,15 +116,33 @@ impl Layout {
     pub(super) fn new(seed: u64) -> Self {
         let mut layout = Self::default();
         for axis in [Axis::Main, Axis::Cross] {
-            let clear_m = if axis == Axis::Main { FRONT_M } else { FRONT_M + LOT_DEPTH_M };
+            let clear_m = if axis == Axis::Main {
+                FRONT_M
+            } else {
+                FRONT_M + LOT_DEPTH_M
+            };
             let crossing = axis.crossing_s();
             let stretches = axis.stretches(clear_m);
-            for (number, (from, to)) in
-                [stretches[0], stretches[1], (-FAR_M, -EXTENT_M), (EXTENT_M, FAR_M)].into_iter().enumerate()
+            for (number, (from, to)) in [
+                stretches[0],
+                stretches[1],
+                (-FAR_M, -EXTENT_M),
+                (EXTENT_M, FAR_M),
+            ]
+            .into_iter()
+            .enumerate()
             {
                 for side in [1.0f32, -1.0] {
-                    let salt = number as u64 * 8 + u64::from(side > 0.0) * 4 + u64::from(axis == Axis::Main);
-                    layout.row(axis, side, (from, to), (number > 1, crossing), Stream::new(seed, 1 << 40, salt));
+                    let salt = number as u64 * 8
+                        + u64::from(side > 0.0) * 4
+                        + u64::from(axis == Axis::Main);
+                    layout.row(
+                        axis,
+                        side,
+                        (from, to),
+                        (number > 1, crossing),
+                        Stream::new(seed, 1 << 40, salt),
+                    );
                 }
             }
             layout.furnish(axis, seed);
@@ -129,7 +151,14 @@ impl Layout {
     }
 
     /// A row of houses on the left (`side` 1) or right (-1) of a street, from s `from` to `to`.
-    fn row(&mut self, axis: Axis, side: f32, (from, to): (f32, f32), (far, crossing): (bool, f32), mut random: Stream) {
+    fn row(
+        &mut self,
+        axis: Axis,
+        side: f32,
+        (from, to): (f32, f32),
+        (far, crossing): (bool, f32),
+        mut random: Stream,
+    ) {
         let yaw_rad = axis.yaw_rad() + if side > 0.0 { 0.0 } else { PI };
         let mut s = from;
         let mut height_m = random.range(11.0, 18.0);
@@ -139,9 +168,11 @@ impl Layout {
                 width_m = to - s;
             }
             // Neighbors differ by a storey or three, rarely by a tower.
-            height_m = (height_m + random.range(-5.0, 5.0)).clamp(9.5, 21.0) + if random.chance(0.06) { 6.0 } else { 0.0 };
+            height_m = (height_m + random.range(-5.0, 5.0)).clamp(9.5, 21.0)
+                + if random.chance(0.06) { 6.0 } else { 0.0 };
             let first_m = if side > 0.0 { s } else { s + width_m };
-            let at_crossing = |end: f32| axis == Axis::Main && (end - crossing).abs() < FRONT_M + 1.0;
+            let at_crossing =
+                |end: f32| axis == Axis::Main && (end - crossing).abs() < FRONT_M + 1.0;
             let (low, high) = (at_crossing(s), at_crossing(s + width_m));
             self.lots.push(Lot {
                 size: Vec3::new(width_m, LOT_DEPTH_M, height_m),
@@ -159,7 +190,8 @@ impl Layout {
     fn furnish(&mut self, axis: Axis, seed: u64) {
         for (stretch, (from, to)) in axis.stretches(ROAD_HALF_M + 8.0).into_iter().enumerate() {
             for side in [1.0f32, -1.0] {
-                let salt = stretch as u64 * 4 + u64::from(side > 0.0) * 2 + u64::from(axis == Axis::Main);
+                let salt =
+                    stretch as u64 * 4 + u64::from(side > 0.0) * 2 + u64::from(axis == Axis::Main);
                 let mut random = Stream::new(seed, 2 << 40, salt);
                 let heading_rad = axis.yaw_rad() + if side > 0.0 { PI } else { 0.0 };
                 let inward_rad = axis.yaw_rad() - side * FRAC_PI_2;
@@ -170,12 +202,19 @@ impl Layout {
                 };
                 let mut s = from + random.range(0.0, 4.0);
                 while s < to {
-                    self.trees.push(spot(s, ROAD_HALF_M + 1.3, KERB_M, random.range(0.0, 6.0), &mut random));
+                    self.trees.push(spot(
+                        s,
+                        ROAD_HALF_M + 1.3,
+                        KERB_M,
+                        random.range(0.0, 6.0),
+                        &mut random,
+                    ));
                     s += random.range(10.0, 15.0);
                 }
                 let mut s = from + 6.0;
                 while s < to {
-                    self.lamps.push(spot(s, ROAD_HALF_M + 0.5, KERB_M, inward_rad, &mut random));
+                    self.lamps
+                        .push(spot(s, ROAD_HALF_M + 0.5, KERB_M, inward_rad, &mut random));
                     s += 26.0;
                 }
                 let mut s = from + 3.0;
@@ -183,7 +222,8 @@ impl Layout {
                     if random.chance(0.66) {
                         let t = ROAD_HALF_M - 1.15 + random.range(-0.06, 0.06);
                         let skew_rad = 0.012 * random.normal();
-                        self.parked.push(spot(s, t, 0.0, heading_rad + skew_rad, &mut random));
+                        self.parked
+                            .push(spot(s, t, 0.0, heading_rad + skew_rad, &mut random));
                     }
                     s += random.range(6.0, 7.0);
                 }
@@ -200,7 +240,12 @@ mod tests {
     fn houses_keep_off_the_roads_and_face_them() {
         let layout = Layout::new(5);
         for lot in &layout.lots {
-            for (x, y) in [(0.0, 0.0), (lot.size.x, 0.0), (0.0, lot.size.y), (lot.size.x, lot.size.y)] {
+            for (x, y) in [
+                (0.0, 0.0),
+                (lot.size.x, 0.0),
+                (0.0, lot.size.y),
+                (lot.size.x, lot.size.y),
+            ] {
                 let corner = lot.rotation() * Vec3::new(x, y, 0.0) + lot.translation();
                 let clear_main = corner.y.abs() > FRONT_M - 0.01;
                 let clear_cross = (corner.x - CROSSING_X_M).abs() > FRONT_M - 0.01;
@@ -209,7 +254,10 @@ mod tests {
             let middle = lot.rotation() * Vec3::new(0.5 * lot.size.x, 0.0, 0.0) + lot.translation();
             let front = lot.rotation() * Vec3::NEG_Y;
             let road = (middle + front * FRONT_M).truncate();
-            assert!(road.y.abs() < 0.1 || (road.x - CROSSING_X_M).abs() < 0.1, "{lot:?} looks at {road}");
+            assert!(
+                road.y.abs() < 0.1 || (road.x - CROSSING_X_M).abs() < 0.1,
+                "{lot:?} looks at {road}"
+            );
         }
     }
 
@@ -219,8 +267,15 @@ mod tests {
         assert!(layout.parked.len() > 20);
         for spot in &layout.parked {
             let on_main = spot.position.y.abs() < ROAD_HALF_M;
-            let t = if on_main { spot.position.y } else { CROSSING_X_M - spot.position.x };
-            assert!((LANES_HALF_M + 0.9..ROAD_HALF_M - 0.9).contains(&t.abs()), "{spot:?}");
+            let t = if on_main {
+                spot.position.y
+            } else {
+                CROSSING_X_M - spot.position.x
+            };
+            assert!(
+                (LANES_HALF_M + 0.9..ROAD_HALF_M - 0.9).contains(&t.abs()),
+                "{spot:?}"
+            );
             let along = Quat::from_rotation_z(spot.yaw_rad) * Vec3::X;
             let s = if on_main { along.x } else { along.y };
             assert!(s * t < 0.0, "right-hand traffic: {spot:?}");

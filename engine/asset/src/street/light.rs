@@ -1,4 +1,5 @@
-//! Light, baked: the sun with cast shadows, the sky, bounce from the ground, street lamps, and the dark under cars.
+//! Light, baked: the sun with cast shadows, the sky, bounce from the ground, street lamps, and the
+//! dark under cars.
 
 use glam::{Quat, Vec2, Vec3};
 
@@ -13,8 +14,8 @@ const CELL_M: f32 = 8.0;
 /// Cells a side; the grid is centerd on the origin, and nothing outside of it casts a shadow.
 const CELLS: i32 = 64;
 
-/// Half the spread of the directions in which shadow rays leave, radians: wider than the sun, for penumbras that
-/// splats of some centimeters can show.
+/// Half the spread of the directions in which shadow rays leave, radians: wider than the sun, for
+/// penumbras that splats of some centimeters can show.
 const PENUMBRA_RAD: f32 = 0.012;
 
 /// Half the size of what shines in a street lamp, meters: larger than life, for the same reason.
@@ -26,7 +27,8 @@ const LAMP_REACH_M: f32 = 32.0;
 /// Longest shadow of a car or a tree crown away from a lamp, meters.
 const LAMP_SHADOW_M: f32 = 7.0;
 
-/// Share of a lamp's light that comes back from what it shines on, to faces turned away from it as well.
+/// Share of a lamp's light that comes back from what it shines on, to faces turned away from it as
+/// well.
 const LAMP_BOUNCE: f32 = 0.06;
 
 /// The light of the street, or of one asset under an open sky.
@@ -43,8 +45,8 @@ pub(super) struct Light {
     /// World from what is lit.
     rotation: Quat,
     translation: Vec3,
-    /// The sun by whose side of a face random numbers are drawn, in the frame of what is lit. Splats and their noise are then
-    /// the same in any light.
+    /// The sun by whose side of a face random numbers are drawn, in the frame of what is lit.
+    /// Splats and their noise are then the same in any light.
     drawn_by: Vec3,
 }
 
@@ -61,7 +63,14 @@ impl Light {
     pub(super) fn new(air: Air, occluders: Vec<Occluder>) -> Self {
         let towards_sun = air.towards_sun.normalize_or(Vec3::Z);
         let lamplit = air.lamp != Vec3::ZERO;
-        let mut shading = vec![Vec::new(); if occluders.is_empty() { 0 } else { (CELLS * CELLS) as usize }];
+        let mut shading = vec![
+            Vec::new();
+            if occluders.is_empty() {
+                0
+            } else {
+                (CELLS * CELLS) as usize
+            }
+        ];
         for (index, occluder) in occluders.iter().enumerate() {
             let (min, max) = occluder.bounds();
             // Down to the ground, the shadow reaches this far the other way.
@@ -78,7 +87,16 @@ impl Light {
         }
         let (rotation, translation) = (Quat::IDENTITY, Vec3::ZERO);
         let drawn_by = TOWARDS_SUN.normalize_or(Vec3::Z);
-        Self { towards_sun, air, occluders, shading, lamps: Vec::new(), rotation, translation, drawn_by }
+        Self {
+            towards_sun,
+            air,
+            occluders,
+            shading,
+            lamps: Vec::new(),
+            rotation,
+            translation,
+            drawn_by,
+        }
     }
 
     /// The same with street lamps at `lamps`.
@@ -86,9 +104,15 @@ impl Light {
         Self { lamps, ..self }
     }
 
-    /// The same on an asset that stands at `rotation` and `translation`, while its splats are made in its own frame.
+    /// The same on an asset that stands at `rotation` and `translation`, while its splats are made
+    /// in its own frame.
     pub(super) fn on_asset(self, rotation: Quat, translation: Vec3) -> Self {
-        Self { rotation, translation, drawn_by: TOWARDS_SUN_ASSET.normalize_or(Vec3::Z), ..self }
+        Self {
+            rotation,
+            translation,
+            drawn_by: TOWARDS_SUN_ASSET.normalize_or(Vec3::Z),
+            ..self
+        }
     }
 
     /// Unit, towards the sun in the frame of what is lit.
@@ -99,7 +123,11 @@ impl Light {
     fn near(&self, position: Vec3) -> impl Iterator<Item = &Occluder> {
         let (i, j) = cell_of(position.truncate());
         let inside = !self.shading.is_empty() && (0..CELLS).contains(&i) && (0..CELLS).contains(&j);
-        let cell: &[u32] = if inside { &self.shading[(j * CELLS + i) as usize] } else { &[] };
+        let cell: &[u32] = if inside {
+            &self.shading[(j * CELLS + i) as usize]
+        } else {
+            &[]
+        };
         cell.iter().map(|&index| &self.occluders[index as usize])
     }
 
@@ -120,7 +148,11 @@ impl Light {
         if self.air.sun_strength == 0.0 {
             return 0.0;
         }
-        self.passing(position, self.towards_sun + PENUMBRA_RAD * spread, f32::INFINITY)
+        self.passing(
+            position,
+            self.towards_sun + PENUMBRA_RAD * spread,
+            f32::INFINITY,
+        )
     }
 
     /// Share of the sky that cars leave to a point near the ground.
@@ -128,11 +160,18 @@ impl Light {
         if position.z > 0.3 {
             return 1.0;
         }
-        self.near(position).fold(1.0, |open, occluder| open * occluder.open_sky(position))
+        self.near(position)
+            .fold(1.0, |open, occluder| open * occluder.open_sky(position))
     }
 
     /// Light of street lamps at a point, and its reflection from the surroundings.
-    fn lamplight(&self, texel: &Texel, (position, normal): (Vec3, Vec3), open: f32, aside: &mut Stream) -> Vec3 {
+    fn lamplight(
+        &self,
+        texel: &Texel,
+        (position, normal): (Vec3, Vec3),
+        open: f32,
+        aside: &mut Stream,
+    ) -> Vec3 {
         let (mut direct, mut around) = (0.0, 0.0);
         for lamp in &self.lamps {
             let to_lamp = *lamp + LAMP_HALF_M * aside.signed3() - position;
@@ -142,31 +181,56 @@ impl Light {
             }
             let direction = to_lamp / distance_m;
             // It hangs with its back to the sky, and its light ends softly.
-            let shining = smoothstep(0.0, 0.75, direction.z) * (1.0 - (distance_m / LAMP_REACH_M).powi(2)).powi(2);
+            let shining = smoothstep(0.0, 0.75, direction.z)
+                * (1.0 - (distance_m / LAMP_REACH_M).powi(2)).powi(2);
             let arriving = shining / (distance_m * distance_m + 3.0);
             around += arriving;
             // Leaves let less of a single beam through than of the whole bright side of the sky.
-            let facing = normal.dot(direction).max(0.35 * wrapped(texel, normal.dot(direction)));
+            let facing = normal
+                .dot(direction)
+                .max(0.35 * wrapped(texel, normal.dot(direction)));
             if facing * arriving > 1e-5 {
-                direct += arriving * facing * self.passing(position + normal * 0.04, direction, distance_m);
+                direct += arriving
+                    * facing
+                    * self.passing(position + normal * 0.04, direction, distance_m);
             }
         }
         self.air.lamp * (direct * (0.4 + 0.6 * open) + LAMP_BOUNCE * around * open)
     }
 
     /// Color of a texel at `position` that faces `normal`, both in the frame of the lit object.
-    pub(super) fn shade(&self, texel: &Texel, position: Vec3, normal: Vec3, random: &mut Stream) -> Lit {
+    pub(super) fn shade(
+        &self,
+        texel: &Texel,
+        position: Vec3,
+        normal: Vec3,
+        random: &mut Stream,
+    ) -> Lit {
         let sheen = self.air.sheen * self.air.shaded_sheen;
         if let Some(emitted) = texel.emitted {
-            return Lit { color: to_display(emitted.lerp(self.air.haze, texel.haze)), sheen };
+            return Lit {
+                color: to_display(emitted.lerp(self.air.haze, texel.haze)),
+                sheen,
+            };
         }
         let mut aside = random.aside();
         let drawn = wrapped(texel, normal.dot(self.drawn_by)) > 0.0;
-        let spread = if drawn { random.signed3() } else { aside.signed3() };
+        let spread = if drawn {
+            random.signed3()
+        } else {
+            aside.signed3()
+        };
 
-        let (position, normal) = (self.rotation * position + self.translation, self.rotation * normal);
+        let (position, normal) = (
+            self.rotation * position + self.translation,
+            self.rotation * normal,
+        );
         let facing = wrapped(texel, normal.dot(self.towards_sun));
-        let sunlit = if facing > 0.0 { self.sunlit(position + normal * 0.04, spread) } else { 0.0 };
+        let sunlit = if facing > 0.0 {
+            self.sunlit(position + normal * 0.04, spread)
+        } else {
+            0.0
+        };
         let open = texel.openness * self.open_sky(position);
         let air = &self.air;
         let sun = air.sun * (air.sun_strength * facing * sunlit);
@@ -176,13 +240,19 @@ impl Light {
             linear += texel.albedo * self.lamplight(texel, (position, normal), open, &mut aside);
         }
         linear += texel.glow * air.glow;
-        Lit { color: to_display(linear.lerp(air.haze, texel.haze)), sheen: air.sheen * sunlit.max(air.shaded_sheen) }
+        Lit {
+            color: to_display(linear.lerp(air.haze, texel.haze)),
+            sheen: air.sheen * sunlit.max(air.shaded_sheen),
+        }
     }
 }
 
-/// Share of the light from a direction that a face takes, from the cosine between them: leaves let it through.
+/// Share of the light from a direction that a face takes, from the cosine between them: leaves let
+/// it through.
 fn wrapped(texel: &Texel, facing: f32) -> f32 {
-    facing.max(0.0).max(texel.translucency * (0.55 + 0.45 * facing.abs()))
+    facing
+        .max(0.0)
+        .max(texel.translucency * (0.55 + 0.45 * facing.abs()))
 }
 
 fn cell_of(position: Vec2) -> (i32, i32) {
@@ -194,7 +264,11 @@ fn cell_of(position: Vec2) -> (i32, i32) {
 fn to_display(linear: Vec3) -> Vec3 {
     linear.max(Vec3::ZERO).map(|value| {
         let encoded = value.powf(1.0 / 2.2);
-        if encoded <= 0.8 { encoded } else { 0.8 + 0.2 * (1.0 - (-(encoded - 0.8) / 0.2).exp()) }
+        if encoded <= 0.8 {
+            encoded
+        } else {
+            0.8 + 0.2 * (1.0 - (-(encoded - 0.8) / 0.2).exp())
+        }
     })
 }
 
@@ -204,25 +278,49 @@ mod tests {
     use crate::street::weather::Weather;
 
     fn light(air: Air) -> Light {
-        let house = Occluder::Box { min: Vec3::new(-5.0, 2.0, 0.0), max: Vec3::new(5.0, 8.0, 10.0) };
-        let crown = Occluder::Crown { center: Vec3::new(40.0, 5.0, 5.0), radii: Vec3::splat(2.0) };
-        let car = Occluder::Car { min: Vec3::new(-42.0, -1.0, 0.0), max: Vec3::new(-38.0, 1.0, 1.5) };
+        let house = Occluder::Box {
+            min: Vec3::new(-5.0, 2.0, 0.0),
+            max: Vec3::new(5.0, 8.0, 10.0),
+        };
+        let crown = Occluder::Crown {
+            center: Vec3::new(40.0, 5.0, 5.0),
+            radii: Vec3::splat(2.0),
+        };
+        let car = Occluder::Car {
+            min: Vec3::new(-42.0, -1.0, 0.0),
+            max: Vec3::new(-38.0, 1.0, 1.5),
+        };
         Light::new(air, vec![house, crown, car])
     }
 
     fn sunny() -> Light {
-        light(Air { towards_sun: Vec3::new(0.0, 1.0, 1.0), ..Air::of(Weather::Clear) })
+        light(Air {
+            towards_sun: Vec3::new(0.0, 1.0, 1.0),
+            ..Air::of(Weather::Clear)
+        })
     }
 
     fn white_ground(light: &Light, x: f32, y: f32) -> Vec3 {
-        light.shade(&Texel::matt(Vec3::splat(0.3)), Vec3::new(x, y, 0.0), Vec3::Z, &mut Stream::new(1, 1, 1)).color
+        light
+            .shade(
+                &Texel::matt(Vec3::splat(0.3)),
+                Vec3::new(x, y, 0.0),
+                Vec3::Z,
+                &mut Stream::new(1, 1, 1),
+            )
+            .color
     }
 
     #[test]
     fn shadows_fall_away_from_the_sun() {
         let light = sunny();
-        let sunlit = |x: f32, y: f32| light.sunlit(Vec3::new(x, y, 0.0), Stream::new(1, 1, 1).signed3());
-        assert_eq!(sunlit(0.0, -3.0), 0.0, "ten meters of house shade as much ground at 45 degrees");
+        let sunlit =
+            |x: f32, y: f32| light.sunlit(Vec3::new(x, y, 0.0), Stream::new(1, 1, 1).signed3());
+        assert_eq!(
+            sunlit(0.0, -3.0),
+            0.0,
+            "ten meters of house shade as much ground at 45 degrees"
+        );
         assert_eq!(sunlit(0.0, -9.5), 1.0);
         assert_eq!(sunlit(0.0, 9.0), 1.0, "the sunny side");
         let dappled = sunlit(40.0, 0.0);
@@ -241,33 +339,69 @@ mod tests {
     fn clouds_leave_no_cast_shadow_but_the_dark_under_a_car() {
         let (sunny, gray) = (sunny(), light(Air::of(Weather::Overcast)));
         assert!(white_ground(&sunny, 0.0, -3.0).x < 0.7 * white_ground(&sunny, 0.0, -20.0).x);
-        assert_eq!(white_ground(&gray, 0.0, -3.0), white_ground(&gray, 0.0, -20.0));
+        assert_eq!(
+            white_ground(&gray, 0.0, -3.0),
+            white_ground(&gray, 0.0, -20.0)
+        );
         assert!(white_ground(&gray, -40.0, 0.0).x < 0.6 * white_ground(&gray, -30.0, 0.0).x);
-        // Relative to open ground, what a car hides from the sun is darker than what it hides from clouds.
-        let below = |light: &Light| white_ground(light, -40.0, 0.0).x / white_ground(light, -30.0, 0.0).x;
-        assert!(below(&sunny) < below(&gray) - 0.05, "{} and {}", below(&sunny), below(&gray));
+        // Relative to open ground, what a car hides from the sun is darker than what it hides from
+        // clouds.
+        let below =
+            |light: &Light| white_ground(light, -40.0, 0.0).x / white_ground(light, -30.0, 0.0).x;
+        assert!(
+            below(&sunny) < below(&gray) - 0.05,
+            "{} and {}",
+            below(&sunny),
+            below(&gray)
+        );
     }
 
     #[test]
     fn a_lamp_lights_what_is_below_it_warmly_and_a_car_throws_its_shadow() {
         let lamp = Vec3::new(-34.0, 0.0, 7.5);
         let lit = light(Air::of(Weather::Night)).with_lamps(vec![lamp]);
-        let (below, far) = (white_ground(&lit, -34.0, 0.0), white_ground(&lit, -34.0, 60.0));
-        assert!(below.x > 3.0 * far.x && below.x > 1.4 * below.z && far.z > far.x, "{below} and {far}");
-        assert!(white_ground(&lit, -34.0, 9.0).x < 0.9 * below.x, "it falls with distance");
-        // The car at -42 to -38 stands between the lamp and -42.6, and open ground is as far on the other side.
-        let (shaded, open) = (white_ground(&lit, -42.8, 0.0), white_ground(&lit, -25.2, 0.0));
+        let (below, far) = (
+            white_ground(&lit, -34.0, 0.0),
+            white_ground(&lit, -34.0, 60.0),
+        );
+        assert!(
+            below.x > 3.0 * far.x && below.x > 1.4 * below.z && far.z > far.x,
+            "{below} and {far}"
+        );
+        assert!(
+            white_ground(&lit, -34.0, 9.0).x < 0.9 * below.x,
+            "it falls with distance"
+        );
+        // The car at -42 to -38 stands between the lamp and -42.6, and open ground is as far on the
+        // other side.
+        let (shaded, open) = (
+            white_ground(&lit, -42.8, 0.0),
+            white_ground(&lit, -25.2, 0.0),
+        );
         assert!(shaded.x < 0.75 * open.x, "{shaded} and {open}");
     }
 
     #[test]
     fn neutral_light_shows_albedo() {
-        let light =
-            Light::new(Air::of_assets(super::super::weather::AssetLight::Neutral), vec![]).on_asset(Quat::IDENTITY, Vec3::ZERO);
+        let light = Light::new(
+            Air::of_assets(super::super::weather::AssetLight::Neutral),
+            vec![],
+        )
+        .on_asset(Quat::IDENTITY, Vec3::ZERO);
         for normal in [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::new(0.6, 0.0, -0.8)] {
-            let texel = Texel { openness: 0.5, gloss: 1.0, ..Texel::matt(Vec3::new(0.4, 0.2, 0.1)) };
+            let texel = Texel {
+                openness: 0.5,
+                gloss: 1.0,
+                ..Texel::matt(Vec3::new(0.4, 0.2, 0.1))
+            };
             let lit = light.shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1));
-            assert!((lit.color - to_display(texel.albedo * 0.5)).abs().max_element() < 1e-6 && lit.sheen == Vec3::ZERO);
+            assert!(
+                (lit.color - to_display(texel.albedo * 0.5))
+                    .abs()
+                    .max_element()
+                    < 1e-6
+                    && lit.sheen == Vec3::ZERO
+            );
         }
     }
 
@@ -276,18 +410,33 @@ mod tests {
         let light = || Light::new(Air::of(Weather::Dusk), vec![]);
         let turn = Quat::from_rotation_z(2.1);
         let texel = Texel::matt(Vec3::splat(0.3));
-        let shade = |light: &Light, normal: Vec3| light.shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1)).color;
+        let shade = |light: &Light, normal: Vec3| {
+            light
+                .shade(&texel, Vec3::ZERO, normal, &mut Stream::new(1, 1, 1))
+                .color
+        };
         let turned = light().on_asset(turn, Vec3::new(5.0, 0.0, 0.7));
         for normal in [Vec3::X, Vec3::Y, Vec3::NEG_X] {
-            assert!((shade(&turned, normal) - shade(&light(), turn * normal)).abs().max_element() < 1e-5);
+            assert!(
+                (shade(&turned, normal) - shade(&light(), turn * normal))
+                    .abs()
+                    .max_element()
+                    < 1e-5
+            );
         }
         assert!((turn * turned.towards_sun() - light().towards_sun).length() < 1e-5);
     }
 
     #[test]
     fn display_values_stay_in_range_and_keep_their_order() {
-        let values: Vec<f32> = (0..100).map(|i| to_display(Vec3::splat(i as f32 * 0.05)).x).collect();
-        assert!(values.windows(2).all(|pair| pair[0] < pair[1] || pair[1] > 0.999));
+        let values: Vec<f32> = (0..100)
+            .map(|i| to_display(Vec3::splat(i as f32 * 0.05)).x)
+            .collect();
+        assert!(
+            values
+                .windows(2)
+                .all(|pair| pair[0] < pair[1] || pair[1] > 0.999)
+        );
         assert!(values.iter().all(|value| (0.0..=1.0).contains(value)));
     }
 }

@@ -4,10 +4,12 @@ use glam::{Vec2, Vec3};
 
 use super::surface::{FAR_M, SurfacePoint};
 
-/// Cells of the area table along each parameter: fine enough that the density inside one is even to a few per cent.
+/// Cells of the area table along each parameter: fine enough that the density inside one is even to
+/// a few per cent.
 const CELLS: usize = 48;
 
-/// A function from the unit square to a surface, with a table that turns even parameters into even area.
+/// A function from the unit square to a surface, with a table that turns even parameters into even
+/// area.
 pub(super) struct Loft {
     point: Box<dyn Fn(f32, f32) -> Vec3 + Send + Sync>,
     /// Normals point away from here.
@@ -23,8 +25,12 @@ pub(super) struct Loft {
 }
 
 impl Loft {
-    /// The surface `point(u, v)`, u and v in [0, 1]. It should be convex about `core`, which tells outside from inside.
-    pub(super) fn new(core: Vec3, point: impl Fn(f32, f32) -> Vec3 + Send + Sync + 'static) -> Self {
+    /// The surface `point(u, v)`, u and v in [0, 1]. It should be convex about `core`, which tells
+    /// outside from inside.
+    pub(super) fn new(
+        core: Vec3,
+        point: impl Fn(f32, f32) -> Vec3 + Send + Sync + 'static,
+    ) -> Self {
         let grid: Vec<Vec3> = (0..=CELLS)
             .flat_map(|row| (0..=CELLS).map(move |column| (column, row)))
             .map(|(column, row)| point(column as f32 / CELLS as f32, row as f32 / CELLS as f32))
@@ -36,7 +42,12 @@ impl Loft {
             let mut sum = 0.0;
             columns.push(0.0);
             for column in 0..CELLS {
-                let (a, b, c, d) = (at(column, row), at(column + 1, row), at(column, row + 1), at(column + 1, row + 1));
+                let (a, b, c, d) = (
+                    at(column, row),
+                    at(column + 1, row),
+                    at(column, row + 1),
+                    at(column + 1, row + 1),
+                );
                 let area = 0.5 * ((b - a).cross(c - a).length() + (b - d).cross(c - d).length());
                 along_m += area * (b - a).length();
                 across_m += area * (c - a).length();
@@ -44,11 +55,14 @@ impl Loft {
                 columns.push(sum);
             }
             let start = columns.len() - CELLS - 1;
-            columns[start..].iter_mut().for_each(|value| *value /= sum.max(f32::MIN_POSITIVE));
+            columns[start..]
+                .iter_mut()
+                .for_each(|value| *value /= sum.max(f32::MIN_POSITIVE));
             rows.push(rows[row] + sum);
         }
         let area_m2 = rows[CELLS];
-        rows.iter_mut().for_each(|value| *value /= area_m2.max(f32::MIN_POSITIVE));
+        rows.iter_mut()
+            .for_each(|value| *value /= area_m2.max(f32::MIN_POSITIVE));
         Self {
             point: Box::new(point),
             core,
@@ -89,9 +103,21 @@ impl Loft {
         let across = (self.point)(u, (v + step).min(1.0)) - (self.point)(u, (v - step).max(0.0));
         let outward = (position - self.core).normalize_or(Vec3::Z);
         let normal = along.cross(across).normalize_or(outward);
-        let normal = if normal.dot(outward) < 0.0 { -normal } else { normal };
-        let tangent = (along - normal * along.dot(normal)).normalize_or(normal.any_orthonormal_vector());
-        SurfacePoint { u, v, position, normal, tangent, border_m: self.flat_m[row * CELLS + column] }
+        let normal = if normal.dot(outward) < 0.0 {
+            -normal
+        } else {
+            normal
+        };
+        let tangent =
+            (along - normal * along.dot(normal)).normalize_or(normal.any_orthonormal_vector());
+        SurfacePoint {
+            u,
+            v,
+            position,
+            normal,
+            tangent,
+            border_m: self.flat_m[row * CELLS + column],
+        }
     }
 }
 
@@ -103,7 +129,11 @@ fn flatness(grid: &[Vec3]) -> Vec<[f32; 2]> {
     for line in 0..CELLS {
         let along_u: Vec<Vec3> = (0..=CELLS).map(|i| grid[line * (CELLS + 1) + i]).collect();
         let along_v: Vec<Vec3> = (0..=CELLS).map(|i| grid[i * (CELLS + 1) + line]).collect();
-        for (i, (u, v)) in line_flatness(&along_u).into_iter().zip(line_flatness(&along_v)).enumerate() {
+        for (i, (u, v)) in line_flatness(&along_u)
+            .into_iter()
+            .zip(line_flatness(&along_v))
+            .enumerate()
+        {
             flat_m[line * CELLS + i][0] = u;
             flat_m[i * CELLS + line][1] = v;
         }
@@ -119,8 +149,17 @@ fn line_flatness(line: &[Vec3]) -> Vec<f32> {
         .map(|i| {
             let (before, after) = (i.saturating_sub(1), (i + 1).min(CELLS - 1));
             let turn_rad = edge(before).angle_between(edge(after));
-            let way_m = 0.5 * (length_m[before] + length_m[after]) + if after - before == 2 { length_m[i] } else { 0.0 };
-            if turn_rad.is_finite() && turn_rad > 1e-3 { (way_m / turn_rad).min(FAR_M) } else { FAR_M }
+            let way_m = 0.5 * (length_m[before] + length_m[after])
+                + if after - before == 2 {
+                    length_m[i]
+                } else {
+                    0.0
+                };
+            if turn_rad.is_finite() && turn_rad > 1e-3 {
+                (way_m / turn_rad).min(FAR_M)
+            } else {
+                FAR_M
+            }
         })
         .collect();
     for i in 1..CELLS {
@@ -135,13 +174,16 @@ fn line_flatness(line: &[Vec3]) -> Vec<f32> {
 /// over the whole table.
 fn invert(table: &[f32], share: f32) -> (usize, f32) {
     let cells = table.len() - 1;
-    let cell = table[1..].partition_point(|&end| end <= share).min(cells - 1);
+    let cell = table[1..]
+        .partition_point(|&end| end <= share)
+        .min(cells - 1);
     let width = (table[cell + 1] - table[cell]).max(f32::MIN_POSITIVE);
     let inside = ((share - table[cell]) / width).clamp(0.0, 1.0);
     (cell, (cell as f32 + inside) / cells as f32)
 }
 
-/// The point of the superellipse |x|^p + |y|^p = 1 in the direction `angle`: a circle at 2, a square in the limit.
+/// The point of the superellipse |x|^p + |y|^p = 1 in the direction `angle`: a circle at 2, a
+/// square in the limit.
 pub(super) fn superellipse(angle: f32, p: f32) -> Vec2 {
     let (sin, cos) = angle.sin_cos();
     let radius = (cos.abs().powf(p) + sin.abs().powf(p)).powf(-1.0 / p);
@@ -179,10 +221,16 @@ mod tests {
         assert!((sphere.area_m2() / (16.0 * std::f32::consts::PI) - 1.0).abs() < 0.01);
         let (mut upper, count) = (0, 4000);
         for index in 0..count {
-            let (u, v) = ((index as f32 * 0.618_034).fract(), (index as f32 + 0.5) / count as f32);
+            let (u, v) = (
+                (index as f32 * 0.618_034).fract(),
+                (index as f32 + 0.5) / count as f32,
+            );
             let point = sphere.at(u, v);
             let outward = (point.position - center) / 2.0;
-            assert!((outward.length() - 1.0).abs() < 1e-3 && outward.dot(point.normal) > 0.99, "{point:?}");
+            assert!(
+                (outward.length() - 1.0).abs() < 1e-3 && outward.dot(point.normal) > 0.99,
+                "{point:?}"
+            );
             assert!(point.tangent.dot(point.normal).abs() < 1e-3);
             upper += usize::from(outward.z > 0.5);
         }

@@ -1,11 +1,14 @@
-//! A synthetic street as Gaussians: for demonstrations, tests and measurements that need a driving scene of any size.
+//! A synthetic street as Gaussians: for demonstrations, tests and measurements that need a driving
+//! scene of any size.
 //!
-//! It looks like a street on a sunny afternoon or in another [`Weather`], and its splats have the statistics of trained driving scenes: discs
-//! with log-normal scales, two modes of opacity with 45 % faint, spherical harmonics with noise that falls by band,
-//! detail near the road and a coarse shell far away. The same options give the same bits on any number of threads.
+//! It looks like a street on a sunny afternoon or in another [`Weather`], and its splats have the
+//! statistics of trained driving scenes: discs with log-normal scales, two modes of opacity with 45
+//! % faint, spherical harmonics with noise that falls by band, detail near the road and a coarse
+//! shell far away. The same options give the same bits on any number of threads.
 //!
-//! The street runs along x, its detailed part from -100 m to 100 m; another crosses it at x = 40 m. The ground is
-//! z = 0, traffic keeps right. Surfaces (`surface`) are textured functions; `emit` samples splats from them.
+//! The street runs along x, its detailed part from -100 m to 100 m; another crosses it at x = 40 m.
+//! The ground is z = 0, traffic keeps right. Surfaces (`surface`) are textured functions; `emit`
+//! samples splats from them.
 
 mod building;
 mod car;
@@ -51,7 +54,8 @@ use weather::Air;
 /// Options of a synthetic street.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreetOptions {
-    /// Splats of the static background. Surfaces close from about 50,000 on, and look sharp from about a million.
+    /// Splats of the static background. Surfaces close from about 50,000 on, and look sharp from
+    /// about a million.
     pub background: usize,
     /// Cars that drive.
     pub agents: usize,
@@ -90,14 +94,15 @@ impl Default for StreetOptions {
 pub struct Street {
     /// The static part, world frame, relative to the world's origin at zero.
     pub background: SplatCloud,
-    /// At most twelve distinct cars, canonical frame: x forward, y left, z up, origin at the middle of the box, wheels
-    /// touching z = -H/2.
+    /// At most twelve distinct cars, canonical frame: x forward, y left, z up, origin at the middle
+    /// of the box, wheels touching z = -H/2.
     pub assets: Vec<SplatCloud>,
     /// Length, width and height of each asset's box, meters; mirrors stand out beyond the width.
     pub asset_dims_m: Vec<[f32; 3]>,
     /// Pose of each agent at time zero. No two overlap.
     pub agents: Vec<AgentPlacement>,
-    /// The knots (seconds, world from agent) of each agent's way, straight along its lane; at least two each.
+    /// The knots (seconds, world from agent) of each agent's way, straight along its lane; at least
+    /// two each.
     pub agent_trajectories: Vec<Vec<(f64, Pose)>>,
     /// Six cameras on the roof of the ego, in the frame of its box.
     pub rig: Rig,
@@ -120,14 +125,20 @@ impl Street {
             .into_par_iter()
             .map(|asset| {
                 let air = Air::of_assets(options.asset_light);
-                asset_in(options, asset, &Light::new(air, vec![]).on_asset(Quat::IDENTITY, Vec3::ZERO))
+                asset_in(
+                    options,
+                    asset,
+                    &Light::new(air, vec![]).on_asset(Quat::IDENTITY, Vec3::ZERO),
+                )
             })
             .collect();
         let traffic = traffic::traffic(options.agents, asset_count, options.seed);
         Self {
             background,
             assets,
-            asset_dims_m: (0..asset_count).map(|asset| Build::of(asset).0.size.to_array()).collect(),
+            asset_dims_m: (0..asset_count)
+                .map(|asset| Build::of(asset).0.size.to_array())
+                .collect(),
             agents: traffic.agents,
             agent_trajectories: traffic.trajectories,
             rig: traffic::rig(),
@@ -143,7 +154,14 @@ fn background(options: &StreetOptions, layout: &Layout, others: Vec<Occluder>) -
     let focus = Focus::new(options.capture);
     let elements = background_elements(layout, options.seed, &focus, options.weather);
     let light = street_light(options.weather, layout, others);
-    emit::emit(&elements, options.background, sh_degree(options), options.seed, &light, &focus)
+    emit::emit(
+        &elements,
+        options.background,
+        sh_degree(options),
+        options.seed,
+        &light,
+        &focus,
+    )
 }
 
 /// Asset `asset` in `light`, in its own frame.
@@ -154,7 +172,14 @@ fn asset_in(options: &StreetOptions, asset: usize, light: &Light) -> SplatCloud 
         elements.push(build.shadow());
     }
     let seed = options.seed.wrapping_add(asset as u64 + 1);
-    emit::emit(&elements, options.agent_splats, sh_degree(options), seed, light, &Focus::nowhere())
+    emit::emit(
+        &elements,
+        options.agent_splats,
+        sh_degree(options),
+        seed,
+        light,
+        &Focus::nowhere(),
+    )
 }
 
 fn sh_degree(options: &StreetOptions) -> u8 {
@@ -165,7 +190,11 @@ fn sh_degree(options: &StreetOptions) -> u8 {
 fn street_light(weather: Weather, layout: &Layout, others: Vec<Occluder>) -> Light {
     let mut occluders = occluders(layout, weather);
     occluders.extend(others);
-    let lamps = if weather == Weather::Night { layout.lamps.iter().map(furniture::lamp_light).collect() } else { vec![] };
+    let lamps = if weather == Weather::Night {
+        layout.lamps.iter().map(furniture::lamp_light).collect()
+    } else {
+        vec![]
+    };
     Light::new(Air::of(weather), occluders).with_lamps(lamps)
 }
 
@@ -177,43 +206,83 @@ fn variant_of(spot: &Spot) -> usize {
 /// Casters of shadows: houses, tree crowns and parked cars.
 fn occluders(layout: &Layout, weather: Weather) -> Vec<Occluder> {
     let mut occluders = Vec::new();
-    // Only a low sun throws the shadows of far houses into the street that is looked at.
-    for lot in layout.lots.iter().filter(|lot| !lot.far || weather == Weather::Dusk) {
-        let (a, b) = (lot.translation(), lot.rotation() * lot.size + lot.translation());
-        occluders.push(Occluder::Box { min: a.min(b), max: a.max(b) });
+    // Only a low sun throws the shadows of far houses into the street that is examined.
+    for lot in layout
+        .lots
+        .iter()
+        .filter(|lot| !lot.far || weather == Weather::Dusk)
+    {
+        let (a, b) = (
+            lot.translation(),
+            lot.rotation() * lot.size + lot.translation(),
+        );
+        occluders.push(Occluder::Box {
+            min: a.min(b),
+            max: a.max(b),
+        });
     }
     occluders.extend(layout.trees.iter().flat_map(tree::tree_occluders));
     for spot in &layout.parked {
         let (build, _) = Build::of(variant_of(spot));
-        // The box is narrower than the car, whose own roof edge would otherwise stand in its shadow.
+        // The box is narrower than the car, whose own roof edge would otherwise stand in its
+        // shadow.
         let half = Vec3::new(0.46 * build.size.x, 0.42 * build.size.y, 0.0);
         let turned = (Quat::from_rotation_z(spot.yaw_rad) * half).abs();
         let (min, max) = (spot.position - turned, spot.position + turned);
-        occluders.push(Occluder::Car { min: min + Vec3::Z * 0.15, max: max + Vec3::Z * (0.75 * build.belt_z()) });
+        occluders.push(Occluder::Car {
+            min: min + Vec3::Z * 0.15,
+            max: max + Vec3::Z * (0.75 * build.belt_z()),
+        });
     }
     occluders
 }
 
-fn background_elements(layout: &Layout, seed: u64, focus: &Focus, weather: Weather) -> Vec<Element> {
+fn background_elements(
+    layout: &Layout,
+    seed: u64,
+    focus: &Focus,
+    weather: Weather,
+) -> Vec<Element> {
     // Textures add to the seed, which must leave room.
     let seed = seed & (u64::MAX >> 1);
     let mut elements = road::road(seed);
-    elements.extend(layout.lots.iter().filter(|lot| !lot.far).flat_map(building::building));
+    elements.extend(
+        layout
+            .lots
+            .iter()
+            .filter(|lot| !lot.far)
+            .flat_map(building::building),
+    );
     elements.extend(layout.trees.iter().flat_map(tree::tree));
     elements.extend(layout.lamps.iter().flat_map(furniture::lamp));
     elements.extend(layout.lamps.iter().flat_map(furniture::beside_lamp));
     elements.extend(furniture::traffic_lights());
-    let cars: Vec<(Build, Vec<Element>)> =
-        (0..car::VARIANTS).map(Build::of).map(|(build, paint)| (build, build.elements(paint))).collect();
+    let cars: Vec<(Build, Vec<Element>)> = (0..car::VARIANTS)
+        .map(Build::of)
+        .map(|(build, paint)| (build, build.elements(paint)))
+        .collect();
     for spot in &layout.parked {
         let (build, parts) = &cars[variant_of(spot)];
         let position = spot.position + Vec3::Z * (0.5 * build.size.z);
         let rotation = Quat::from_rotation_z(spot.yaw_rad);
-        elements.extend(parts.iter().map(|part| part.placed(rotation, position).denser(car::CAR_DENSITY)));
+        elements.extend(
+            parts
+                .iter()
+                .map(|part| part.placed(rotation, position).denser(car::CAR_DENSITY)),
+        );
     }
-    let mut elements: Vec<Element> = elements.into_iter().map(|element| focus.on(element)).collect();
+    let mut elements: Vec<Element> = elements
+        .into_iter()
+        .map(|element| focus.on(element))
+        .collect();
     // What is far is as coarse as its distance allows from everywhere on the way.
-    elements.extend(layout.lots.iter().filter(|lot| lot.far).flat_map(building::building));
+    elements.extend(
+        layout
+            .lots
+            .iter()
+            .filter(|lot| lot.far)
+            .flat_map(building::building),
+    );
     elements.extend(sky::far_shell(seed, weather));
     elements
 }

@@ -1,4 +1,5 @@
-//! Random numbers addressed by what they are for, so that any order of work on any number of threads gives the same street.
+//! Random numbers addressed by what they are for, so that any order of work on any number of
+//! threads gives the same street.
 
 use glam::Vec3;
 
@@ -22,12 +23,16 @@ impl Stream {
     /// The sequence of item `index` of `element` in the street of `seed`.
     pub(crate) fn new(seed: u64, element: u64, index: u64) -> Self {
         let keyed = mix(seed ^ 0x5bf0_3635).wrapping_add(element.wrapping_mul(GOLDEN));
-        Self { state: mix(mix(keyed).wrapping_add(index.wrapping_mul(GOLDEN))) }
+        Self {
+            state: mix(mix(keyed).wrapping_add(index.wrapping_mul(GOLDEN))),
+        }
     }
 
     /// A sequence of its own that leaves this one where it is.
     pub(crate) fn aside(&self) -> Self {
-        Self { state: mix(self.state ^ 0x6c69_6768_7473) }
+        Self {
+            state: mix(self.state ^ 0x6c69_6768_7473),
+        }
     }
 
     pub(crate) fn bits(&mut self) -> u64 {
@@ -45,11 +50,13 @@ impl Stream {
         low + (high - low) * self.unit()
     }
 
-    /// Approximately standard normal: the sum of four 16-bit uniforms, so never beyond 3.47. Three normals cost what
-    /// one Box-Muller draw does, and a splat needs dozens.
+    /// Approximately standard normal: the sum of four 16-bit uniforms, so never beyond 3.47. Three
+    /// normals cost what one Box-Muller draw does, and a splat needs dozens.
     pub(crate) fn normal(&mut self) -> f32 {
         let bits = self.bits();
-        let sum: u32 = (0..4).map(|part| (bits >> (16 * part)) as u32 & 0xffff).sum();
+        let sum: u32 = (0..4)
+            .map(|part| (bits >> (16 * part)) as u32 & 0xffff)
+            .sum();
         (sum as f32 - 131_070.0) / 37_837.0
     }
 
@@ -87,11 +94,17 @@ pub(crate) fn noise(seed: u64, x: f32, y: f32) -> f32 {
     low + (high - low) * t
 }
 
-/// Octaves of [`noise`], each half as strong and twice as fine as the one before; in [0, 1] with mean 0.5.
+/// Octaves of [`noise`], each half as strong and twice as fine as the one before; in [0, 1] with
+/// mean 0.5.
 pub(crate) fn fractal_noise(seed: u64, x: f32, y: f32, octaves: u32) -> f32 {
     let (mut sum, mut weight, mut total, mut frequency) = (0.0, 0.5, 0.0, 1.0);
     for octave in 0..octaves {
-        sum += weight * noise(seed.wrapping_add(u64::from(octave)), x * frequency, y * frequency);
+        sum += weight
+            * noise(
+                seed.wrapping_add(u64::from(octave)),
+                x * frequency,
+                y * frequency,
+            );
         total += weight;
         weight *= 0.5;
         // Not exactly two, so that the lattices of the octaves do not line up.
@@ -121,7 +134,10 @@ mod tests {
             mean += value / count as f64;
             square += value * value / count as f64;
         }
-        assert!(mean.abs() < 0.03 && (square - 1.0).abs() < 0.03, "mean {mean}, variance {square}");
+        assert!(
+            mean.abs() < 0.03 && (square - 1.0).abs() < 0.03,
+            "mean {mean}, variance {square}"
+        );
         assert!((low as f64 / count as f64 - 0.25).abs() < 0.015);
     }
 

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
-use super::layout::{Axis, CROSSING_X_M, EXTENT_M, FAR_M, FRONT_M, KERB_M, LANE_M, LANES_HALF_M, ROAD_HALF_M};
+use super::layout::{
+    Axis, CROSSING_X_M, EXTENT_M, FAR_M, FRONT_M, KERB_M, LANE_M, LANES_HALF_M, ROAD_HALF_M,
+};
 use super::random::{cell, fractal_noise, noise, smoothstep};
 use super::surface::{Element, Shape, SurfacePoint, Texel, display};
 
@@ -14,7 +16,8 @@ const MARGIN_M: f32 = 0.12;
 /// Sampling density of markings relative to asphalt.
 const MARKING_DENSITY: f32 = 8.0;
 
-/// Asphalt on the carriageways, over what densities are relative to: cameras see most of it, and from near by.
+/// Asphalt on the carriageways, over what densities are relative to: cameras see most of it, and
+/// from near by.
 const ASPHALT_DENSITY: f32 = 2.8;
 
 /// About the length of a piece of road whose density is of its own, meters.
@@ -75,7 +78,10 @@ fn cell_of(point: Vec2) -> (i32, i32) {
 
 fn stripe(axis: Axis, s: (f32, f32), t: (f32, f32)) -> Stripe {
     let (a, b) = (axis.at(s.0, t.0), axis.at(s.1, t.1));
-    Stripe { min: a.min(b), max: a.max(b) }
+    Stripe {
+        min: a.min(b),
+        max: a.max(b),
+    }
 }
 
 /// Dashed center and lane lines, solid edge lines.
@@ -90,7 +96,11 @@ fn lane_lines(axis: Axis, stripes: &mut Vec<Stripe>) {
         ] {
             let mut s = from;
             while s < to {
-                stripes.push(stripe(axis, (s, (s + dash_m).min(to)), (t - 0.5 * width_m, t + 0.5 * width_m)));
+                stripes.push(stripe(
+                    axis,
+                    (s, (s + dash_m).min(to)),
+                    (t - 0.5 * width_m, t + 0.5 * width_m),
+                ));
                 s += dash_m + gap_m;
             }
         }
@@ -107,33 +117,55 @@ fn crossing_paint(axis: Axis, stripes: &mut Vec<Stripe>) {
             t += 1.05;
         }
         // Traffic keeps right: on the near arm it comes with growing s on the side of negative t.
-        stripes.push(stripe(axis, (s_of(5.4), s_of(5.8)), (0.1 * arm, arm * LANES_HALF_M)));
+        stripes.push(stripe(
+            axis,
+            (s_of(5.4), s_of(5.8)),
+            (0.1 * arm, arm * LANES_HALF_M),
+        ));
     }
 }
 
 /// The road's surface at a point of the world.
 fn road_texel(markings: &Markings, point: Vec2) -> Texel {
-    let (albedo, gloss) = if markings.at(point) { (display(240, 238, 228), 0.15) } else { (display(114, 112, 111), 0.35) };
-    Texel { gloss, weathered: true, ..Texel::matt(albedo) }
+    let (albedo, gloss) = if markings.at(point) {
+        (display(240, 238, 228), 0.15)
+    } else {
+        (display(114, 112, 111), 0.35)
+    };
+    Texel {
+        gloss,
+        weathered: true,
+        ..Texel::matt(albedo)
+    }
 }
 
 /// Aging of the road: a factor on its albedo.
 fn road_weather(seed: u64, point: Vec2) -> f32 {
     let on_main = point.y.abs() < ROAD_HALF_M;
-    let (s, t) = if on_main { (point.x, point.y) } else { (point.y, CROSSING_X_M - point.x) };
+    let (s, t) = if on_main {
+        (point.x, point.y)
+    } else {
+        (point.y, CROSSING_X_M - point.x)
+    };
     let coarse = fractal_noise(seed, point.x * 0.16, point.y * 0.16, 4);
     let grain = noise(seed + 5, point.x * 9.0, point.y * 9.0);
     let mut shade = 0.88 + 0.3 * (coarse - 0.5) + 0.1 * (grain - 0.5);
     // Tires polish two bands of each lane; oil drips between them.
     let in_lane = (t.abs() / LANE_M).fract() - 0.5;
     if t.abs() < LANES_HALF_M {
-        shade *= 1.0 - 0.12 * (-((in_lane.abs() - 0.24) * 14.0).powi(2)).exp() - 0.07 * (-(in_lane * 12.0).powi(2)).exp();
+        shade *= 1.0
+            - 0.12 * (-((in_lane.abs() - 0.24) * 14.0).powi(2)).exp()
+            - 0.07 * (-(in_lane * 12.0).powi(2)).exp();
     }
     // Repaired trenches: rectangles of newer, darker asphalt.
     let (i, j) = ((s / 11.0).floor() as i32, (t / 3.3).floor() as i32);
     if cell(seed + 7, i, j) < 0.13 {
         let inside = (s / 11.0).fract().abs();
-        shade *= if (0.2..0.62).contains(&inside) { 0.74 } else { 1.0 };
+        shade *= if (0.2..0.62).contains(&inside) {
+            0.74
+        } else {
+            1.0
+        };
     }
     // Cracks follow the zero of a slow noise.
     let ridge = (fractal_noise(seed + 21, point.x * 0.23, point.y * 0.23, 3) - 0.5).abs();
@@ -157,14 +189,22 @@ fn sidewalk_texel(seed: u64, point: Vec2) -> Texel {
     let (x, y) = (point.x / stone - i, point.y / stone - j);
     let joint = x.min(1.0 - x).min(y.min(1.0 - y));
     let dirt = fractal_noise(seed + 41, point.x * 0.4, point.y * 0.4, 3);
-    let shade =
-        (0.86 + 0.16 * cell(seed + 43, i as i32, j as i32)) * (0.78 + 0.3 * dirt) * (0.7 + 0.3 * smoothstep(0.0, 0.045, joint));
-    Texel { gloss: 0.1, ..Texel::matt(display(176, 168, 156) * shade) }
+    let shade = (0.86 + 0.16 * cell(seed + 43, i as i32, j as i32))
+        * (0.78 + 0.3 * dirt)
+        * (0.7 + 0.3 * smoothstep(0.0, 0.045, joint));
+    Texel {
+        gloss: 0.1,
+        ..Texel::matt(display(176, 168, 156) * shade)
+    }
 }
 
 fn flat(min: Vec2, max: Vec2, z: f32) -> Shape {
     let size = max - min;
-    Shape::Rectangle { corner: min.extend(z), along: Vec3::X * size.x, up: Vec3::Y * size.y }
+    Shape::Rectangle {
+        corner: min.extend(z),
+        along: Vec3::X * size.x,
+        up: Vec3::Y * size.y,
+    }
 }
 
 /// A level rectangle of a street from s and t ranges, whichever way its axis runs.
@@ -179,8 +219,10 @@ pub(super) fn road(seed: u64) -> Vec<Element> {
     let mut elements = Vec::new();
     let textured = |shape: Shape, density: f32| {
         let markings = markings.clone();
-        Element::new(shape, density, move |point: &SurfacePoint| road_texel(&markings, point.position.truncate()))
-            .weathered(move |point| road_weather(seed, point.position.truncate()))
+        Element::new(shape, density, move |point: &SurfacePoint| {
+            road_texel(&markings, point.position.truncate())
+        })
+        .weathered(move |point| road_weather(seed, point.position.truncate()))
     };
     for axis in [Axis::Main, Axis::Cross] {
         // The main street owns the crossing.
@@ -190,18 +232,29 @@ pub(super) fn road(seed: u64) -> Vec<Element> {
             let end = |slab: u32| from + (to - from) * slab as f32 / slabs;
             for slab in 0..slabs as u32 {
                 for t in [(-ROAD_HALF_M, 0.0), (0.0, ROAD_HALF_M)] {
-                    elements.push(textured(flat_of(axis, (end(slab), end(slab + 1)), t, 0.0), ASPHALT_DENSITY).seamless());
+                    elements.push(
+                        textured(
+                            flat_of(axis, (end(slab), end(slab + 1)), t, 0.0),
+                            ASPHALT_DENSITY,
+                        )
+                        .seamless(),
+                    );
                 }
             }
         }
     }
     for axis in [Axis::Main, Axis::Cross] {
         for (from, to) in [(-FAR_M - 60.0, -EXTENT_M), (EXTENT_M, FAR_M + 60.0)] {
-            elements.push(textured(flat_of(axis, (from, to), (-FRONT_M, FRONT_M), 0.0), 0.06).seamless());
+            elements.push(
+                textured(flat_of(axis, (from, to), (-FRONT_M, FRONT_M), 0.0), 0.06).seamless(),
+            );
         }
     }
     for Stripe { min, max } in &markings.stripes {
-        elements.push(textured(flat(*min - MARGIN_M, *max + MARGIN_M, 0.001), MARKING_DENSITY));
+        elements.push(textured(
+            flat(*min - MARGIN_M, *max + MARGIN_M, 0.001),
+            MARKING_DENSITY,
+        ));
     }
     for axis in [Axis::Main, Axis::Cross] {
         elements.extend(sidewalks(axis, seed));
@@ -212,16 +265,34 @@ pub(super) fn road(seed: u64) -> Vec<Element> {
 /// Sidewalks and kerbs on both sides of one street; the corners belong to the main street.
 fn sidewalks(axis: Axis, seed: u64) -> Vec<Element> {
     let mut elements = Vec::new();
-    let (walk_clear_m, density) = (if axis == Axis::Main { ROAD_HALF_M } else { FRONT_M }, 0.8);
+    let (walk_clear_m, density) = (
+        if axis == Axis::Main {
+            ROAD_HALF_M
+        } else {
+            FRONT_M
+        },
+        0.8,
+    );
     for (stretch, (from, to)) in axis.stretches(walk_clear_m).into_iter().enumerate() {
         for side in [1.0f32, -1.0] {
             let t = (side * ROAD_HALF_M, side * FRONT_M);
-            elements.push(Element::new(flat_of(axis, (from, to), t, KERB_M), density, move |point| {
-                sidewalk_texel(seed, point.position.truncate())
-            }));
+            elements.push(Element::new(
+                flat_of(axis, (from, to), t, KERB_M),
+                density,
+                move |point| sidewalk_texel(seed, point.position.truncate()),
+            ));
             // The kerb reaches to the corner on both streets.
-            let crossing = axis.crossing_s() + if stretch == 0 { -ROAD_HALF_M } else { ROAD_HALF_M };
-            let ends = if stretch == 0 { (from, crossing) } else { (crossing, to) };
+            let crossing = axis.crossing_s()
+                + if stretch == 0 {
+                    -ROAD_HALF_M
+                } else {
+                    ROAD_HALF_M
+                };
+            let ends = if stretch == 0 {
+                (from, crossing)
+            } else {
+                (crossing, to)
+            };
             elements.extend(kerb(axis, ends, side, 3.0 * density, seed));
         }
     }
@@ -233,17 +304,40 @@ fn kerb(axis: Axis, (from, to): (f32, f32), side: f32, density: f32, seed: u64) 
     let stone = move |point: &SurfacePoint| {
         let p = point.position;
         let along = if axis == Axis::Main { p.x } else { p.y };
-        let shade = 0.85 + 0.22 * cell(seed + 51, along.floor() as i32, side as i32) - 0.25 * smoothstep(0.06, 0.0, p.z);
-        Texel { openness: 0.55 + 0.45 * smoothstep(0.0, KERB_M, p.z), ..Texel::matt(display(188, 184, 176) * shade) }
+        let shade = 0.85 + 0.22 * cell(seed + 51, along.floor() as i32, side as i32)
+            - 0.25 * smoothstep(0.06, 0.0, p.z);
+        Texel {
+            openness: 0.55 + 0.45 * smoothstep(0.0, KERB_M, p.z),
+            ..Texel::matt(display(188, 184, 176) * shade)
+        }
     };
-    let top = flat_of(axis, (from, to), (side * ROAD_HALF_M, side * (ROAD_HALF_M + 0.2)), KERB_M + 0.004);
-    let (a, b) = (axis.at(from, side * ROAD_HALF_M), axis.at(to, side * ROAD_HALF_M));
+    let top = flat_of(
+        axis,
+        (from, to),
+        (side * ROAD_HALF_M, side * (ROAD_HALF_M + 0.2)),
+        KERB_M + 0.004,
+    );
+    let (a, b) = (
+        axis.at(from, side * ROAD_HALF_M),
+        axis.at(to, side * ROAD_HALF_M),
+    );
     let along = (b - a).extend(0.0);
     // The face looks back at the centerline.
     let inward = (axis.at(from, 0.0) - a).extend(0.0);
-    let (corner, along) = if along.cross(Vec3::Z).dot(inward) > 0.0 { (a, along) } else { (b, -along) };
-    let face = Shape::Rectangle { corner: corner.extend(0.0), along, up: Vec3::Z * KERB_M };
-    [Element::new(top, density, stone), Element::new(face, density, stone)]
+    let (corner, along) = if along.cross(Vec3::Z).dot(inward) > 0.0 {
+        (a, along)
+    } else {
+        (b, -along)
+    };
+    let face = Shape::Rectangle {
+        corner: corner.extend(0.0),
+        along,
+        up: Vec3::Z * KERB_M,
+    };
+    [
+        Element::new(top, density, stone),
+        Element::new(face, density, stone),
+    ]
 }
 
 #[cfg(test)]
@@ -254,13 +348,26 @@ mod tests {
     fn paint_lies_where_lane_lines_and_crosswalks_are() {
         let markings = Markings::new();
         let painted = |x: f32, y: f32| markings.at(Vec2::new(x, y));
-        assert!(painted(-99.0, 0.0) && !painted(-96.0, 0.0) && painted(-93.0, 0.0), "a dashed center");
-        assert!((0..100).all(|i| painted(-99.6 + i as f32, LANES_HALF_M)), "a solid edge");
-        assert!(painted(CROSSING_X_M - ROAD_HALF_M - 2.0, -ROAD_HALF_M + 0.8), "a crosswalk");
         assert!(
-            painted(CROSSING_X_M - ROAD_HALF_M - 5.6, -3.0) && !painted(CROSSING_X_M - ROAD_HALF_M - 5.6, 3.0),
+            painted(-99.0, 0.0) && !painted(-96.0, 0.0) && painted(-93.0, 0.0),
+            "a dashed center"
+        );
+        assert!(
+            (0..100).all(|i| painted(-99.6 + i as f32, LANES_HALF_M)),
+            "a solid edge"
+        );
+        assert!(
+            painted(CROSSING_X_M - ROAD_HALF_M - 2.0, -ROAD_HALF_M + 0.8),
+            "a crosswalk"
+        );
+        assert!(
+            painted(CROSSING_X_M - ROAD_HALF_M - 5.6, -3.0)
+                && !painted(CROSSING_X_M - ROAD_HALF_M - 5.6, 3.0),
             "a stop line"
         );
-        assert!(!painted(CROSSING_X_M, 0.0), "nothing on the crossing itself");
+        assert!(
+            !painted(CROSSING_X_M, 0.0),
+            "nothing on the crossing itself"
+        );
     }
 }

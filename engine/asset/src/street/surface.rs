@@ -10,8 +10,8 @@ use super::random::{Stream, noise};
 /// Distance reported where no edge is near, meters.
 pub(super) const FAR_M: f32 = 1e6;
 
-/// A sampled point, in the element's own frame. Textures that have edges should draw them by `position`, which is
-/// what moves when the surroundings of a splat are probed.
+/// A sampled point, in the element's own frame. Textures that have edges should draw them by
+/// `position`, which is what moves when the surroundings of a splat are probed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SurfacePoint {
     /// Surface parameters in [0, 1].
@@ -31,7 +31,10 @@ pub(super) struct SurfacePoint {
 impl SurfacePoint {
     /// The point `offset` away in the tangent plane, meters.
     pub(super) fn moved(&self, offset: Vec3) -> Self {
-        Self { position: self.position + offset, ..*self }
+        Self {
+            position: self.position + offset,
+            ..*self
+        }
     }
 }
 
@@ -77,7 +80,8 @@ impl Texel {
 
 /// Linear RGB of a color given as it is displayed, each channel 0 to 255.
 pub(crate) fn display(red: u8, green: u8, blue: u8) -> Vec3 {
-    Vec3::new(f32::from(red), f32::from(green), f32::from(blue)).map(|value| (value / 255.0).powf(2.2))
+    Vec3::new(f32::from(red), f32::from(green), f32::from(blue))
+        .map(|value| (value / 255.0).powf(2.2))
 }
 
 /// The geometry of an element.
@@ -105,9 +109,13 @@ impl Shape {
                 // Thomsen's approximation, within 1.1 %.
                 let p = 1.6075;
                 let [a, b, c] = radii.to_array().map(|r| r.powf(p));
-                4.0 * std::f32::consts::PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / p) * LEAF_LAYERS
+                4.0 * std::f32::consts::PI
+                    * ((a * b + a * c + b * c) / 3.0).powf(1.0 / p)
+                    * LEAF_LAYERS
             }
-            Self::Dome { radius_m, low } => std::f32::consts::TAU * radius_m * radius_m * (1.0 - low),
+            Self::Dome { radius_m, low } => {
+                std::f32::consts::TAU * radius_m * radius_m * (1.0 - low)
+            }
         }
     }
 
@@ -151,16 +159,36 @@ impl Shape {
                 let outward = on_sphere(u, 2.0 * v - 1.0);
                 let depth = random.unit();
                 // Twigs of unequal length, so that no crown ends in a smooth line.
-                let twigs = noise(17, 4.0 * outward.x + 2.3 * outward.z + center.x, 4.0 * outward.y - 2.9 * outward.z + center.y);
-                let position = *center + *radii * outward * ((0.84 + 0.4 * twigs) * (1.08 - 0.5 * depth * depth));
+                let twigs = noise(
+                    17,
+                    4.0 * outward.x + 2.3 * outward.z + center.x,
+                    4.0 * outward.y - 2.9 * outward.z + center.y,
+                );
+                let position = *center
+                    + *radii * outward * ((0.84 + 0.4 * twigs) * (1.08 - 0.5 * depth * depth));
                 // Leaves face all ways, but more often out and up than in.
-                let normal = (outward + 1.1 * random.signed3() + Vec3::new(0.0, 0.0, 0.4)).normalize_or(outward);
-                SurfacePoint { u, v, position, normal, tangent: normal.any_orthonormal_vector(), border_m: [FAR_M; 2] }
+                let normal = (outward + 1.1 * random.signed3() + Vec3::new(0.0, 0.0, 0.4))
+                    .normalize_or(outward);
+                SurfacePoint {
+                    u,
+                    v,
+                    position,
+                    normal,
+                    tangent: normal.any_orthonormal_vector(),
+                    border_m: [FAR_M; 2],
+                }
             }
             Self::Dome { radius_m, low } => {
                 let outward = on_sphere(u, low + (1.0 - low) * v);
                 let tangent = Vec3::Z.cross(outward).normalize_or(Vec3::X);
-                SurfacePoint { u, v, position: outward * *radius_m, normal: -outward, tangent, border_m: [FAR_M; 2] }
+                SurfacePoint {
+                    u,
+                    v,
+                    position: outward * *radius_m,
+                    normal: -outward,
+                    tangent,
+                    border_m: [FAR_M; 2],
+                }
             }
         }
     }
@@ -173,12 +201,15 @@ fn on_sphere(u: f32, z: f32) -> Vec3 {
     Vec3::new(radius * cos, radius * sin, z)
 }
 
-/// Point `index` of `count` of a jittered grid over the unit square whose cells are square on a surface of this aspect.
-/// Every cell has one point, so no hole is wider than two cells.
+/// Point `index` of `count` of a jittered grid over the unit square whose cells are square on a
+/// surface of this aspect. Every cell has one point, so no hole is wider than two cells.
 fn stratified(index: usize, count: usize, aspect: f32, random: &mut Stream) -> (f32, f32) {
     let rows = ((count as f64 / f64::from(aspect)).sqrt().round() as usize).clamp(1, count.max(1));
     let row = index * rows / count;
-    let (first, next) = ((row * count).div_ceil(rows), ((row + 1) * count).div_ceil(rows));
+    let (first, next) = (
+        (row * count).div_ceil(rows),
+        ((row + 1) * count).div_ceil(rows),
+    );
     let jitter = 0.8;
     let offset = |random: &mut Stream| 0.5 + jitter * (random.unit() - 0.5);
     let u = ((index - first) as f32 + offset(random)) / (next - first) as f32;
@@ -197,12 +228,12 @@ pub(super) type Weathering = Arc<dyn Fn(&SurfacePoint) -> f32 + Send + Sync>;
 pub(super) struct Element {
     pub shape: Arc<Shape>,
     pub texture: Texture,
-    /// Factor on the albedo of weathered texels: slow variation, kept apart because the texture is also asked for
-    /// edges, many times a splat.
+    /// Factor on the albedo of weathered texels: slow variation, kept apart because the texture is
+    /// also asked for edges, many times a splat.
     pub weather: Option<Weathering>,
     /// Splats a square meter, relative to the asphalt's.
     pub density: f32,
-    /// True if the surface goes on in the same look beyond its border, which splats may then
+    /// True if the surface continues in the same look beyond its border, which splats may then
     /// overhang.
     pub seamless: bool,
     /// Parent from element.
@@ -213,7 +244,11 @@ pub(super) struct Element {
 
 impl Element {
     /// An element whose frame is its parent's.
-    pub(super) fn new(shape: Shape, density: f32, texture: impl Fn(&SurfacePoint) -> Texel + Send + Sync + 'static) -> Self {
+    pub(super) fn new(
+        shape: Shape,
+        density: f32,
+        texture: impl Fn(&SurfacePoint) -> Texel + Send + Sync + 'static,
+    ) -> Self {
         Self {
             shape: Arc::new(shape),
             texture: Arc::new(texture),
@@ -227,15 +262,28 @@ impl Element {
 
     /// The element moved rigidly; geometry and texture are shared with the original.
     pub(super) fn placed(&self, rotation: Quat, translation: Vec3) -> Self {
-        Self { rotation: rotation * self.rotation, translation: rotation * self.translation + translation, ..self.clone() }
+        Self {
+            rotation: rotation * self.rotation,
+            translation: rotation * self.translation + translation,
+            ..self.clone()
+        }
     }
 
-    pub(super) fn weathered(self, weather: impl Fn(&SurfacePoint) -> f32 + Send + Sync + 'static) -> Self {
-        Self { weather: Some(Arc::new(weather)), ..self }
+    pub(super) fn weathered(
+        self,
+        weather: impl Fn(&SurfacePoint) -> f32 + Send + Sync + 'static,
+    ) -> Self {
+        Self {
+            weather: Some(Arc::new(weather)),
+            ..self
+        }
     }
 
     pub(super) fn seamless(self) -> Self {
-        Self { seamless: true, ..self }
+        Self {
+            seamless: true,
+            ..self
+        }
     }
 
     /// See [`Shape::middle`], in the element's parent.
@@ -244,7 +292,10 @@ impl Element {
     }
 
     pub(super) fn denser(self, factor: f32) -> Self {
-        Self { density: self.density * factor, ..self }
+        Self {
+            density: self.density * factor,
+            ..self
+        }
     }
 }
 
@@ -253,8 +304,13 @@ pub(super) fn box_faces(min: Vec3, max: Vec3, grounded: bool) -> Vec<Shape> {
     let size = max - min;
     let (x, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
     let face = |corner, along, up| Shape::Rectangle { corner, along, up };
-    let mut faces =
-        vec![face(min, x, z), face(min + x, y, z), face(min + x + y, -x, z), face(min + y, -y, z), face(min + z, x, y)];
+    let mut faces = vec![
+        face(min, x, z),
+        face(min + x, y, z),
+        face(min + x + y, -x, z),
+        face(min + y, -y, z),
+        face(min + z, x, y),
+    ];
     if !grounded {
         faces.push(face(min + y, x, -y));
     }
@@ -290,7 +346,10 @@ mod tests {
                 histogram[(u * 4.0) as usize] += 1;
             }
             if count >= 600 {
-                assert!(histogram.iter().all(|&n| n.abs_diff(count / 4) <= 12), "{count} at {aspect}: {histogram:?}");
+                assert!(
+                    histogram.iter().all(|&n| n.abs_diff(count / 4) <= 12),
+                    "{count} at {aspect}: {histogram:?}"
+                );
             }
         }
     }
@@ -302,7 +361,10 @@ mod tests {
         assert_eq!(faces.len(), 6);
         for face in &faces {
             let point = face.sample(0, 1, &mut Stream::new(0, 0, 0));
-            assert!((point.position - (min + max) * 0.5).dot(point.normal) > 0.5, "{point:?}");
+            assert!(
+                (point.position - (min + max) * 0.5).dot(point.normal) > 0.5,
+                "{point:?}"
+            );
         }
         let area: f32 = faces.iter().map(Shape::area_m2).sum();
         assert!((area - 2.0 * (2.0 * 7.0 + 2.0 * 4.0 + 7.0 * 4.0)).abs() < 1e-3);

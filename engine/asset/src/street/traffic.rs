@@ -51,11 +51,18 @@ impl Lane {
     }
 }
 
-/// The lanes, those that the ego's cameras see most first. Cross traffic waits at its red light, or drives away.
+/// The lanes, those that the ego's cameras see most first. Cross traffic waits at its red light, or
+/// drives away.
 fn lanes() -> Vec<Lane> {
     let crossing = f64::from(Axis::Main.crossing_s());
     let clear = f64::from(ROAD_HALF_M) + 9.0;
-    let lane = |axis, forward, number, range_m, speed_mps| Lane { axis, forward, number, range_m, speed_mps };
+    let lane = |axis, forward, number, range_m, speed_mps| Lane {
+        axis,
+        forward,
+        number,
+        range_m,
+        speed_mps,
+    };
     vec![
         lane(Axis::Main, true, 0, (-96.0, 96.0), 9.0),
         lane(Axis::Main, false, 0, (-96.0, 96.0), 10.5),
@@ -66,8 +73,9 @@ fn lanes() -> Vec<Lane> {
         lane(Axis::Cross, false, 1, (clear, 90.0), 0.0),
         lane(Axis::Cross, true, 0, (clear, 90.0), 9.0),
         lane(Axis::Cross, false, 0, (-90.0, -clear), 9.0),
-        // The ego's own lane comes last, ahead of it only and faster, so that it is never caught: with fewer agents the
-        // ego's whole way is clear even for those who film it among agents that stand still.
+        // The ego's own lane comes last, ahead of it only and faster, so that it is never caught:
+        // with fewer agents the ego's whole way is clear even for those who film it among agents
+        // that stand still.
         lane(Axis::Main, true, 1, (EGO_START_X_M + 16.0, 96.0), 11.5),
         // Beyond the detailed street, one behind the other for as long as there are agents.
         lane(Axis::Main, true, 0, (crossing + 70.0, f64::INFINITY), 9.0),
@@ -80,10 +88,14 @@ pub(super) struct Traffic {
     pub trajectories: Vec<Vec<(f64, Pose)>>,
 }
 
-/// `count` agents over the lanes, sparse where there is room. Asset `k` is variant `k` of [`Build`].
+/// `count` agents over the lanes, sparse where there is room. Asset `k` is variant `k` of
+/// [`Build`].
 pub(super) fn traffic(count: usize, assets: usize, seed: u64) -> Traffic {
     let places = places(count, seed);
-    let mut traffic = Traffic { agents: Vec::with_capacity(count), trajectories: Vec::with_capacity(count) };
+    let mut traffic = Traffic {
+        agents: Vec::with_capacity(count),
+        trajectories: Vec::with_capacity(count),
+    };
     for (number, (lane, s)) in places.into_iter().enumerate() {
         let asset = number % assets;
         let (build, _) = Build::of(asset);
@@ -96,7 +108,10 @@ pub(super) fn traffic(count: usize, assets: usize, seed: u64) -> Traffic {
             world_from_agent: start,
             sh_frame: ShFrame::Canonical,
         });
-        traffic.trajectories.push(vec![(0.0, start), (DURATION_S, lane.pose(s + traveled_m, z))]);
+        traffic.trajectories.push(vec![
+            (0.0, start),
+            (DURATION_S, lane.pose(s + traveled_m, z)),
+        ]);
     }
     traffic
 }
@@ -112,9 +127,10 @@ fn places(count: usize, seed: u64) -> Vec<(Lane, f64)> {
         for slot in 0..fits {
             let mut random = Stream::new(seed, 8 << 40, (number * 1000 + slot) as u64);
             let s = from + (slot as f64 + 0.5) * SLOT_M + f64::from(random.range(-0.9, 0.9));
-            let beside_ego = lane.axis == Axis::Main && (s - EGO_START_X_M).abs() < 7.0 && lane.forward;
-            // Every third slot first, then those between; the main street's three lanes before the other street's six,
-            // those beside the ego and in its lane last.
+            let beside_ego =
+                lane.axis == Axis::Main && (s - EGO_START_X_M).abs() < 7.0 && lane.forward;
+            // Every third slot first, then those between; the main street's three lanes before the
+            // other street's six, those beside the ego and in its lane last.
             let round = [0u64, 2, 1][slot % 3]
                 + [0, 3, 9][usize::from(number >= 3) + usize::from(number >= 9)]
                 + u64::from(beside_ego) * 6;
@@ -122,7 +138,11 @@ fn places(count: usize, seed: u64) -> Vec<(Lane, f64)> {
         }
     }
     slots.sort_by_key(|(rank, ..)| *rank);
-    let mut places: Vec<(Lane, f64)> = slots.into_iter().take(count).map(|(_, lane, s)| (lane, s)).collect();
+    let mut places: Vec<(Lane, f64)> = slots
+        .into_iter()
+        .take(count)
+        .map(|(_, lane, s)| (lane, s))
+        .collect();
     for extra in places.len()..count {
         let first = endless.range_m.0;
         places.push((endless, first + SLOT_M * (extra + 1) as f64));
@@ -139,9 +159,14 @@ pub(super) fn ego() -> Vec<(f64, Pose)> {
     let total_m = straight_m + turn_m + 25.0;
     let (mut s, mut step, mut knots) = (0.0, 0u32, Vec::new());
     while s < total_m {
-        knots.push((f64::from(step) * EGO_STEP_S, ego_pose(s, straight_m, turn_x, lane_m)));
+        knots.push((
+            f64::from(step) * EGO_STEP_S,
+            ego_pose(s, straight_m, turn_x, lane_m),
+        ));
         let to_turn_m = (straight_m - s).max(s - straight_m - turn_m).max(0.0);
-        let allowed = (EGO_TURN_SPEED_MPS * EGO_TURN_SPEED_MPS + 2.0 * EGO_ACCELERATION_MPS2 * to_turn_m).sqrt();
+        let allowed = (EGO_TURN_SPEED_MPS * EGO_TURN_SPEED_MPS
+            + 2.0 * EGO_ACCELERATION_MPS2 * to_turn_m)
+            .sqrt();
         s += allowed.min(EGO_SPEED_MPS) * EGO_STEP_S;
         step += 1;
     }
@@ -153,14 +178,18 @@ fn ego_pose(s: f64, straight_m: f64, turn_x: f64, lane_m: f64) -> Pose {
     let radius = EGO_TURN_RADIUS_M;
     let turned_rad = ((s - straight_m) / radius).clamp(0.0, FRAC_PI_2);
     let after_m = (s - straight_m - radius * FRAC_PI_2).max(0.0);
-    let on_arc = DVec2::new(turn_x + radius * turned_rad.sin(), -lane_m - radius * (1.0 - turned_rad.cos()));
+    let on_arc = DVec2::new(
+        turn_x + radius * turned_rad.sin(),
+        -lane_m - radius * (1.0 - turned_rad.cos()),
+    );
     let heading = DVec2::new(turned_rad.cos(), -turned_rad.sin());
     let place = on_arc + heading * after_m - DVec2::X * (straight_m - s).max(0.0);
     Pose::from_yaw(-turned_rad, place.extend(EGO_CENTRE_Z_M))
 }
 
-/// Six cameras around the roof at 1.6 m, laid out as on the vehicles of nuScenes (Caesar et al., 2020): 1600x900,
-/// five of 64 degrees and a wide one at the back. The rig's frame is the ego's box.
+/// Six cameras around the roof at 1.6 m, laid out as on the vehicles of nuScenes (Caesar et al.,
+/// 2020): 1600x900, five of 64 degrees and a wide one at the back. The rig's frame is the ego's
+/// box.
 pub(super) fn rig() -> Rig {
     let layout: [(&str, f64, [f64; 2], f64); 6] = [
         ("front", 0.0, [0.40, 0.0], 1266.4),
@@ -171,7 +200,8 @@ pub(super) fn rig() -> Rig {
         ("back_right", -110.0, [-0.30, -0.48], 1266.4),
     ];
     // The camera's axes (right, down, forward) in a vehicle that looks along x.
-    let vehicle_from_camera = DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X));
+    let vehicle_from_camera =
+        DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X));
     let cameras = layout.map(|(name, yaw_deg, [x, y], focal_px)| RigCamera {
         name: name.to_string(),
         intrinsics: Intrinsics {
@@ -188,7 +218,9 @@ pub(super) fn rig() -> Rig {
             DVec3::new(x, y, 1.6 - EGO_CENTRE_Z_M),
         ),
     });
-    Rig { cameras: cameras.into() }
+    Rig {
+        cameras: cameras.into(),
+    }
 }
 
 /// Number of distinct assets that `agents` agents share.
@@ -205,7 +237,10 @@ mod tests {
         let knots = ego();
         for pair in knots.windows(2) {
             let step_m = (pair[1].1.translation - pair[0].1.translation).length();
-            assert!((0.3..1.01).contains(&step_m), "{step_m} m in {EGO_STEP_S} s");
+            assert!(
+                (0.3..1.01).contains(&step_m),
+                "{step_m} m in {EGO_STEP_S} s"
+            );
             let turn_rad = pair[0].1.rotation.angle_between(pair[1].1.rotation);
             assert!(turn_rad < 0.08);
             // The nose points where the car goes.
@@ -213,20 +248,29 @@ mod tests {
             assert!(heading.dot(pair[1].1.translation - pair[0].1.translation) > 0.99 * step_m);
         }
         let last = knots[knots.len() - 1].1;
-        assert!((last.rotation * DVec3::X - DVec3::NEG_Y).length() < 1e-6 && last.translation.y < -20.0);
+        assert!(
+            (last.rotation * DVec3::X - DVec3::NEG_Y).length() < 1e-6 && last.translation.y < -20.0
+        );
     }
 
     #[test]
     fn cameras_look_where_their_names_say() {
         let rig = rig();
         let forward = |name: &str| {
-            let camera = rig.cameras.iter().find(|camera| camera.name == name).unwrap();
+            let camera = rig
+                .cameras
+                .iter()
+                .find(|camera| camera.name == name)
+                .unwrap();
             camera.rig_from_camera.rotation * DVec3::Z
         };
         assert!(forward("front").x > 0.999 && forward("back").x < -0.999);
         assert!(forward("front_left").y > 0.7 && forward("back_right").y < -0.9);
         for camera in &rig.cameras {
-            assert!((camera.rig_from_camera.rotation * DVec3::Y).z < -0.999, "image down is world down");
+            assert!(
+                (camera.rig_from_camera.rotation * DVec3::Y).z < -0.999,
+                "image down is world down"
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! In which light the street and its assets stand: the sun, the sky, the lamps and the air, in numbers.
+//! In which light the street and its assets stand: the sun, the sky, the lamps and the air, in
+//! numbers.
 
 pub use decouplegs_scene::Weather;
 use glam::Vec3;
@@ -8,26 +9,29 @@ use super::surface::display;
 /// The light that the assets are captured in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum AssetLight {
-    /// A high sun under a clear sky, and the dark below the car as a part of it: fit to be looked at as it is.
+    /// A high sun under a clear sky, and the dark below the car as a part of it: fit to be looked
+    /// at as it is.
     #[default]
     Sun,
-    /// White light from everywhere, irradiance pi, nothing thrown and nothing mirrored: the canonical capture, which relighting
-    /// starts from.
+    /// White light from everywhere, irradiance pi, nothing thrown and nothing mirrored: the
+    /// canonical capture, which relighting starts from.
     Neutral,
 }
 
-/// Towards the sun of [`Weather::Clear`]: half-way up, behind the ego on its right, so that it drives into lit fronts and
-/// short shadows. Random numbers are drawn by this sun in every weather, so that only the light differs.
+/// Towards the sun of [`Weather::Clear`]: half-way up, behind the ego on its right, so that it
+/// drives into lit fronts and short shadows. Random numbers are drawn by this sun in every weather,
+/// so that only the light differs.
 pub(super) const TOWARDS_SUN: Vec3 = Vec3::new(-0.50, -0.36, 0.79);
 
 /// The same in an asset's frame. High, since the asset may head anywhere.
 pub(super) const TOWARDS_SUN_ASSET: Vec3 = Vec3::new(-0.22, 0.18, 0.95);
 
-/// Towards the sun at dusk, 14 degrees high: it looks down the street from behind the ego and lights the fronts on the left.
+/// Towards the sun at dusk, 14 degrees high: it looks down the street from behind the ego and
+/// lights the fronts on the left.
 const TOWARDS_LOW_SUN: Vec3 = Vec3::new(-0.933, -0.267, 0.242);
 
-/// The light of a place that nothing stands in the way of. Colors are linear RGB, in units in which white turned to a light of 1
-/// is displayed as white: exposure is in them.
+/// The light of a place that nothing stands in the way of. Colors are linear RGB, in units in which
+/// white turned to a light of 1 is displayed as white: exposure is in them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Air {
     /// Towards the sun; any length.
@@ -96,9 +100,14 @@ impl Air {
         let sunny = Self::clear(TOWARDS_SUN_ASSET);
         match light {
             AssetLight::Sun => sunny,
-            AssetLight::Neutral => {
-                Self { sun_strength: 0.0, sky: Vec3::ONE, bounce: Vec3::ONE, sheen: Vec3::ZERO, shaded_sheen: 0.0, ..sunny }
-            }
+            AssetLight::Neutral => Self {
+                sun_strength: 0.0,
+                sky: Vec3::ONE,
+                bounce: Vec3::ONE,
+                sheen: Vec3::ZERO,
+                shaded_sheen: 0.0,
+                ..sunny
+            },
         }
     }
 
@@ -118,7 +127,8 @@ impl Air {
     }
 }
 
-/// Seen where the dome of sky lets light through: the color of the air above the horizon, display-referred.
+/// Seen where the dome of sky lets light through: the color of the air above the horizon,
+/// display-referred.
 pub(super) fn sky_rgb(weather: Weather) -> [f32; 3] {
     match weather {
         Weather::Clear => [0.70, 0.79, 0.89],

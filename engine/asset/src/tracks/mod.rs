@@ -1,7 +1,8 @@
-//! Tracks of road users: tables as CSV or JSON, and CommonRoad scenarios; and poses, which are written as such tables.
+//! Tracks of road users: tables as CSV or JSON, and CommonRoad scenarios; and poses, which are
+//! written as such tables.
 //!
-//! Positions are centers of boxes, world coordinates in meters. Where a file tells length and width but no height, the height
-//! is [`nominal_height_m`]'s: no measurement, but a box needs one.
+//! Positions are centers of boxes, world coordinates in meters. Where a file tells length and width
+//! but no height, the height is [`nominal_height_m`]'s: no measurement, but a box needs one.
 
 pub mod commonroad;
 mod poses;
@@ -43,7 +44,10 @@ impl TrackFormat {
     /// # Errors
     /// A sentence on what was found.
     pub fn detect(bytes: &[u8]) -> Result<Self, String> {
-        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
+        let text = bytes
+            .strip_prefix(b"\xef\xbb\xbf")
+            .unwrap_or(bytes)
+            .trim_ascii_start();
         match text.first() {
             None => Err("the file is empty".into()),
             Some(b'<') => Ok(Self::CommonRoad),
@@ -65,7 +69,11 @@ pub fn read_tracks(path: &Path) -> Result<Vec<Track>, AssetError> {
         found,
         expected: "tracks: a CSV table with a line of names, a JSON array of rows, or a CommonRoad scenario",
     })?;
-    decode(&bytes, format).map_err(|source| AssetError::Decode { path: path.to_owned(), format: format.name(), source })
+    decode(&bytes, format).map_err(|source| AssetError::Decode {
+        path: path.to_owned(),
+        format: format.name(),
+        source,
+    })
 }
 
 /// Reads tracks from the bytes of a file.
@@ -80,7 +88,8 @@ pub fn decode(bytes: &[u8], format: TrackFormat) -> Result<Vec<Track>, DecodeErr
     }
 }
 
-/// The height taken for a road user of `class` of which none is known, meters: that of a usual one of its kind.
+/// The height taken for a road user of `class` of which none is known, meters: that of a usual one
+/// of its kind.
 #[must_use]
 pub fn nominal_height_m(class: &str) -> f64 {
     match class {
@@ -94,9 +103,14 @@ pub fn nominal_height_m(class: &str) -> f64 {
 /// `tracks` as they are, if there are any and each is one.
 fn finished(tracks: Vec<Track>) -> Result<Vec<Track>, DecodeError> {
     if tracks.is_empty() {
-        return Err(DecodeError::Malformed("the file holds no track; expected at least one".into()));
+        return Err(DecodeError::Malformed(
+            "the file holds no track; expected at least one".into(),
+        ));
     }
-    tracks.iter().try_for_each(Track::check).map_err(DecodeError::Malformed)?;
+    tracks
+        .iter()
+        .try_for_each(Track::check)
+        .map_err(DecodeError::Malformed)?;
     Ok(tracks)
 }
 
@@ -107,15 +121,34 @@ mod tests {
     #[test]
     fn forms_are_told_by_content_and_errors_name_the_file() {
         assert_eq!(TrackFormat::detect(b"t,id,x,y"), Ok(TrackFormat::Csv));
-        assert_eq!(TrackFormat::detect("\u{feff} [".as_bytes()), Ok(TrackFormat::Json));
-        assert_eq!(TrackFormat::detect(b"<commonRoad>"), Ok(TrackFormat::CommonRoad));
+        assert_eq!(
+            TrackFormat::detect("\u{feff} [".as_bytes()),
+            Ok(TrackFormat::Json)
+        );
+        assert_eq!(
+            TrackFormat::detect(b"<commonRoad>"),
+            Ok(TrackFormat::CommonRoad)
+        );
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.csv");
-        assert!(read_tracks(&path).unwrap_err().to_string().contains("a.csv"));
-        for (text, part) in [("", "is empty"), ("{}", "JSON array of rows"), ("[]", "no track"), ("t,id,x\n", "'y'")] {
+        assert!(
+            read_tracks(&path)
+                .unwrap_err()
+                .to_string()
+                .contains("a.csv")
+        );
+        for (text, part) in [
+            ("", "is empty"),
+            ("{}", "JSON array of rows"),
+            ("[]", "no track"),
+            ("t,id,x\n", "'y'"),
+        ] {
             std::fs::write(&path, text).unwrap();
             let error = read_tracks(&path).unwrap_err().to_string();
-            assert!(error.contains("a.csv") && error.contains(part), "{text}: {error}");
+            assert!(
+                error.contains("a.csv") && error.contains(part),
+                "{text}: {error}"
+            );
         }
     }
 }

@@ -29,16 +29,26 @@ pub struct PoseRow {
 }
 
 /// Names of the columns, in order.
-const COLUMNS: [&str; 14] =
-    ["time_s", "id", "class", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "length_m", "width_m", "height_m", "note"];
+const COLUMNS: [&str; 14] = [
+    "time_s", "id", "class", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "length_m", "width_m",
+    "height_m", "note",
+];
 
 impl PoseRow {
     /// Checks the row and describes the first fault.
     fn check(&self) -> Result<(), String> {
         let (id, time_s) = (&self.id, self.time_s);
-        let dims_are_finite = self.dims_m.is_none_or(|dims| dims.iter().all(|dim| dim.is_finite()));
-        if !(time_s.is_finite() && self.position.is_finite() && self.rotation.is_finite() && dims_are_finite) {
-            return Err(format!("{id} at {time_s} s holds a number that is not finite"));
+        let dims_are_finite = self
+            .dims_m
+            .is_none_or(|dims| dims.iter().all(|dim| dim.is_finite()));
+        if !(time_s.is_finite()
+            && self.position.is_finite()
+            && self.rotation.is_finite()
+            && dims_are_finite)
+        {
+            return Err(format!(
+                "{id} at {time_s} s holds a number that is not finite"
+            ));
         }
         Ok(())
     }
@@ -71,7 +81,8 @@ impl PoseRow {
 /// The bytes of a table of `rows`, CSV or JSON.
 ///
 /// # Errors
-/// [`io::ErrorKind::InvalidInput`] where a row holds a number that is not finite, or for CommonRoad, which is not written.
+/// [`io::ErrorKind::InvalidInput`] where a row holds a number that is not finite, or for
+/// CommonRoad, which is not written.
 pub fn encode_poses(rows: &[PoseRow], format: TrackFormat) -> io::Result<Vec<u8>> {
     let refused = |reason: String| io::Error::new(io::ErrorKind::InvalidInput, reason);
     rows.iter().try_for_each(PoseRow::check).map_err(refused)?;
@@ -92,7 +103,9 @@ fn csv_of(rows: &[PoseRow]) -> io::Result<Vec<u8>> {
             number => number.to_string(),
         }))?;
     }
-    writer.into_inner().map_err(|error| io::Error::other(error.to_string()))
+    writer
+        .into_inner()
+        .map_err(|error| io::Error::other(error.to_string()))
 }
 
 /// A row a line.
@@ -111,18 +124,30 @@ fn json_of(rows: &[PoseRow]) -> io::Result<Vec<u8>> {
 /// Writes a table of `rows` to `path`, as CSV or JSON by its extension, whole or not at all.
 ///
 /// # Errors
-/// [`AssetError::Unrecognized`] for another extension, [`AssetError::Write`] where a number is not finite or the disk fails.
+/// [`AssetError::Unrecognized`] for another extension, [`AssetError::Write`] where a number is not
+/// finite or the disk fails.
 pub fn write_poses(path: &Path, rows: &[PoseRow]) -> Result<(), AssetError> {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let extension = path
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase();
     let format = match extension.as_str() {
         "csv" => TrackFormat::Csv,
         "json" => TrackFormat::Json,
         _ => {
             let found = format!("the extension '{extension}' tells no form of table");
-            return Err(AssetError::Unrecognized { path: path.to_owned(), found, expected: ".csv or .json" });
+            return Err(AssetError::Unrecognized {
+                path: path.to_owned(),
+                found,
+                expected: ".csv or .json",
+            });
         }
     };
-    let bytes = encode_poses(rows, format).map_err(|source| AssetError::Write { path: path.to_owned(), source })?;
+    let bytes = encode_poses(rows, format).map_err(|source| AssetError::Write {
+        path: path.to_owned(),
+        source,
+    })?;
     write_atomically(path, |file| file.write_all(&bytes))
 }
 
@@ -137,29 +162,57 @@ mod tests {
             id: id.into(),
             class: "car".into(),
             time_s,
-            position: DVec3::new(456_789.123_456_789_1, 5_432_109.876_543_21 + time_s / 3.0, 0.1 + 0.2),
+            position: DVec3::new(
+                456_789.123_456_789_1,
+                5_432_109.876_543_21 + time_s / 3.0,
+                0.1 + 0.2,
+            ),
             rotation: DQuat::from_rotation_z(0.3) * DQuat::from_rotation_x(0.01),
             dims_m,
             note: note.into(),
         };
-        let rows =
-            [row("a", 0.0, Some([4.7, 1.9, 1.6]), "on \"road\", 2\nlines"), row("a", 0.1, None, ""), row("b,c", 1e-7, None, "")];
+        let rows = [
+            row("a", 0.0, Some([4.7, 1.9, 1.6]), "on \"road\", 2\nlines"),
+            row("a", 0.1, None, ""),
+            row("b,c", 1e-7, None, ""),
+        ];
         let directory = tempfile::tempdir().unwrap();
         for name in ["poses.csv", "poses.json"] {
             let path = directory.path().join(name);
             write_poses(&path, &rows).unwrap();
             let tracks = read_tracks(&path).unwrap();
-            assert_eq!(tracks.iter().map(|track| track.id.as_str()).collect::<Vec<_>>(), ["a", "b,c"], "{name}");
+            assert_eq!(
+                tracks
+                    .iter()
+                    .map(|track| track.id.as_str())
+                    .collect::<Vec<_>>(),
+                ["a", "b,c"],
+                "{name}"
+            );
             assert_eq!(tracks[0].dims_m, Some([4.7, 1.9, 1.6]));
             let points = tracks.iter().flat_map(|track| &track.points);
             for (point, row) in points.zip(&rows) {
-                assert_eq!((point.time_s, point.position()), (row.time_s, row.position), "{name}");
+                assert_eq!(
+                    (point.time_s, point.position()),
+                    (row.time_s, row.position),
+                    "{name}"
+                );
                 assert!((point.yaw_rad.unwrap() - 0.3).abs() < 1e-12);
             }
         }
-        assert!(write_poses(&directory.path().join("poses.txt"), &rows).unwrap_err().to_string().contains(".csv or .json"));
+        assert!(
+            write_poses(&directory.path().join("poses.txt"), &rows)
+                .unwrap_err()
+                .to_string()
+                .contains(".csv or .json")
+        );
         let broken = [row("z", f64::NAN, None, "")];
-        assert!(write_poses(&directory.path().join("x.csv"), &broken).unwrap_err().to_string().contains("z at NaN s"));
+        assert!(
+            write_poses(&directory.path().join("x.csv"), &broken)
+                .unwrap_err()
+                .to_string()
+                .contains("z at NaN s")
+        );
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 2);
     }
 }

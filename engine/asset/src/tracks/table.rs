@@ -11,8 +11,9 @@
 //! | `qw`, `qx`, `qy`, `qz` | | or its rotation as a quaternion, of which the heading is kept |
 //! | `l`, `w`, `h` | `length_m`, `width_m`, `height_m` | its size, where known |
 //!
-//! Names are those of the CSV's first line or of the keys in a JSON array of objects; case does not count, others are ignored.
-//! Empty cells and `null` are absent values. A road user has the class and the size of its first row that tells them.
+//! Names are those of the CSV's first line or of the keys in a JSON array of objects; case does not
+//! count, others are ignored. Empty cells and `null` are absent values. A road user has the class
+//! and the size of its first row that tells them.
 
 use std::collections::HashMap;
 
@@ -65,7 +66,9 @@ const NAMES: [&[&str]; COLUMNS] = [
 /// The column of a name.
 fn column(name: &str) -> Option<usize> {
     let name = name.trim().to_lowercase();
-    NAMES.iter().position(|names| names.contains(&name.as_str()))
+    NAMES
+        .iter()
+        .position(|names| names.contains(&name.as_str()))
 }
 
 /// A value of a row.
@@ -89,21 +92,26 @@ struct Row<'a> {
 /// A [`DecodeError`] that names the line and column at fault.
 pub fn decode_csv(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
     let malformed = |error: csv::Error| DecodeError::Malformed(error.to_string());
-    let mut reader =
-        csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_reader(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
     let mut fields: [Option<usize>; COLUMNS] = [None; COLUMNS];
     for (field, name) in reader.headers().map_err(malformed)?.iter().enumerate() {
         if let Some(at) = column(name)
             && fields[at].replace(field).is_some()
         {
             let name = NAMES[at].join("' or '");
-            return Err(DecodeError::Malformed(format!("line 1: two columns are '{name}'; expected one")));
+            return Err(DecodeError::Malformed(format!(
+                "line 1: two columns are '{name}'; expected one"
+            )));
         }
     }
     for needed in [Column::Time, Column::Id, Column::X, Column::Y] {
         if fields[needed as usize].is_none() {
             let names = NAMES[needed as usize].join("' or '");
-            return Err(DecodeError::Malformed(format!("line 1: no column is named '{names}'")));
+            return Err(DecodeError::Malformed(format!(
+                "line 1: no column is named '{names}'"
+            )));
         }
     }
     let mut tracks = Tracks::default();
@@ -114,7 +122,10 @@ pub fn decode_csv(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
             None | Some("") => Cell::Absent,
             Some(text) => Cell::Text(text),
         });
-        tracks.add(&Row { place: &place, cells })?;
+        tracks.add(&Row {
+            place: &place,
+            cells,
+        })?;
     }
     tracks.finish()
 }
@@ -137,21 +148,33 @@ pub fn decode_json(bytes: &[u8]) -> Result<Vec<Track>, DecodeError> {
                 Value::Null => continue,
                 Value::String(text) => Cell::Text(text),
                 Value::Number(number) => Cell::Number(number.as_f64().unwrap_or(f64::NAN)),
-                _ => return Err(DecodeError::Malformed(format!("{place}, '{name}': expected a number or a text"))),
+                _ => {
+                    return Err(DecodeError::Malformed(format!(
+                        "{place}, '{name}': expected a number or a text"
+                    )));
+                }
             };
             if !matches!(std::mem::replace(&mut cells[at], cell), Cell::Absent) {
                 let names = NAMES[at].join("' or '");
-                return Err(DecodeError::Malformed(format!("{place}: two values for '{names}'; expected one")));
+                return Err(DecodeError::Malformed(format!(
+                    "{place}: two values for '{names}'; expected one"
+                )));
             }
         }
-        tracks.add(&Row { place: &place, cells })?;
+        tracks.add(&Row {
+            place: &place,
+            cells,
+        })?;
     }
     tracks.finish()
 }
 
 impl Row<'_> {
     fn fault(&self, column: Column, reason: &str) -> DecodeError {
-        DecodeError::Malformed(format!("{}, '{}': {reason}", self.place, NAMES[column as usize][0]))
+        DecodeError::Malformed(format!(
+            "{}, '{}': {reason}",
+            self.place, NAMES[column as usize][0]
+        ))
     }
 
     fn number(&self, column: Column) -> Result<Option<f64>, DecodeError> {
@@ -160,11 +183,17 @@ impl Row<'_> {
             Cell::Number(number) => Some(number).filter(|number| number.is_finite()),
             Cell::Text(text) => finite(text),
         };
-        number.map(Some).ok_or_else(|| self.fault(column, &format!("'{}' is no finite number", self.text(column))))
+        number.map(Some).ok_or_else(|| {
+            self.fault(
+                column,
+                &format!("'{}' is no finite number", self.text(column)),
+            )
+        })
     }
 
     fn needed(&self, column: Column) -> Result<f64, DecodeError> {
-        self.number(column)?.ok_or_else(|| self.fault(column, "it is empty; expected a number"))
+        self.number(column)?
+            .ok_or_else(|| self.fault(column, "it is empty; expected a number"))
     }
 
     fn text(&self, column: Column) -> String {
@@ -198,8 +227,14 @@ impl Row<'_> {
         if let Some(yaw_rad) = self.number(Column::Yaw)? {
             return Ok(Some(yaw_rad));
         }
-        let Some(w) = self.number(Column::Qw)? else { return Ok(None) };
-        let [x, y, z] = [self.needed(Column::Qx)?, self.needed(Column::Qy)?, self.needed(Column::Qz)?];
+        let Some(w) = self.number(Column::Qw)? else {
+            return Ok(None);
+        };
+        let [x, y, z] = [
+            self.needed(Column::Qx)?,
+            self.needed(Column::Qy)?,
+            self.needed(Column::Qz)?,
+        ];
         let largest = w.abs().max(x.abs()).max(y.abs()).max(z.abs());
         if largest <= 0.0 {
             return Err(self.fault(Column::Qw, "the quaternion is zero; expected a rotation"));
@@ -210,14 +245,26 @@ impl Row<'_> {
 
     fn dims_m(&self, class: &str) -> Result<Option<[f64; 3]>, DecodeError> {
         let mut dims_m = [None; 3];
-        for (dim, column) in dims_m.iter_mut().zip([Column::Length, Column::Width, Column::Height]) {
+        for (dim, column) in dims_m
+            .iter_mut()
+            .zip([Column::Length, Column::Width, Column::Height])
+        {
             *dim = self.number(column)?;
             if dim.is_some_and(|dim| dim <= 0.0) {
-                return Err(self.fault(column, &format!("{} m; expected more than zero", self.text(column))));
+                return Err(self.fault(
+                    column,
+                    &format!("{} m; expected more than zero", self.text(column)),
+                ));
             }
         }
         let [length_m, width_m, height_m] = dims_m;
-        Ok(length_m.zip(width_m).map(|(length, width)| [length, width, height_m.unwrap_or_else(|| nominal_height_m(class))]))
+        Ok(length_m.zip(width_m).map(|(length, width)| {
+            [
+                length,
+                width,
+                height_m.unwrap_or_else(|| nominal_height_m(class)),
+            ]
+        }))
     }
 }
 
@@ -232,7 +279,10 @@ impl Tracks {
     fn add(&mut self, row: &Row) -> Result<(), DecodeError> {
         let id = row.id()?;
         let at = *self.by_id.entry(id).or_insert_with_key(|id| {
-            self.tracks.push(Track { id: id.clone(), ..Track::default() });
+            self.tracks.push(Track {
+                id: id.clone(),
+                ..Track::default()
+            });
             self.tracks.len() - 1
         });
         let track = &mut self.tracks[at];
@@ -250,9 +300,15 @@ impl Tracks {
     fn finish(mut self) -> Result<Vec<Track>, DecodeError> {
         for track in &mut self.tracks {
             track.points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-            if let Some(pair) = track.points.windows(2).find(|pair| pair[0].time_s == pair[1].time_s) {
+            if let Some(pair) = track
+                .points
+                .windows(2)
+                .find(|pair| pair[0].time_s == pair[1].time_s)
+            {
                 let (id, time_s) = (excerpt(&track.id), pair[0].time_s);
-                return Err(DecodeError::Malformed(format!("track {id}: two rows at {time_s} s; expected one a moment")));
+                return Err(DecodeError::Malformed(format!(
+                    "track {id}: two rows at {time_s} s; expected one a moment"
+                )));
             }
             if track.class.is_empty() {
                 track.class = "unknown".into();
@@ -268,24 +324,47 @@ mod tests {
 
     #[test]
     fn columns_come_in_any_order_and_rows_in_any_time() {
-        let text =
-            "\u{feff}Y, X ,id,color,Time_s,class,l,w,yaw\n2,1,a,red,1.5,Car,4,2,0.5\n4,3,a,red,0.5,Car,,,\n0,0,b,,0,truck,,,\n";
+        let text = "\u{feff}Y, X ,id,color,Time_s,class,l,w,yaw\n2,1,a,red,1.5,Car,4,2,0.5\n4,3,a,red,0.5,Car,,,\n0,0,b,,0,truck,,,\n";
         let tracks = decode_csv(text.as_bytes()).unwrap();
-        let [a, b] = tracks.as_slice() else { panic!("{tracks:?}") };
-        assert_eq!((a.id.as_str(), a.class.as_str(), a.dims_m), ("a", "car", Some([4.0, 2.0, 1.5])));
-        assert_eq!(a.points.iter().map(|point| point.time_s).collect::<Vec<_>>(), [0.5, 1.5]);
-        assert_eq!((a.points[1].position_m, a.points[1].yaw_rad, a.points[1].z_m), (DVec2::new(1.0, 2.0), Some(0.5), None));
-        assert_eq!((b.class.as_str(), b.dims_m, b.points[0].yaw_rad), ("truck", None, None));
-        let json =
-            r#"[{"t":1.5,"id":"a","class":"Car","x":1,"y":2,"yaw":0.5,"l":4,"w":2,"h":null},{"t":"0.5","id":"a","x":3,"y":4}]"#;
+        let [a, b] = tracks.as_slice() else {
+            panic!("{tracks:?}")
+        };
+        assert_eq!(
+            (a.id.as_str(), a.class.as_str(), a.dims_m),
+            ("a", "car", Some([4.0, 2.0, 1.5]))
+        );
+        assert_eq!(
+            a.points
+                .iter()
+                .map(|point| point.time_s)
+                .collect::<Vec<_>>(),
+            [0.5, 1.5]
+        );
+        assert_eq!(
+            (a.points[1].position_m, a.points[1].yaw_rad, a.points[1].z_m),
+            (DVec2::new(1.0, 2.0), Some(0.5), None)
+        );
+        assert_eq!(
+            (b.class.as_str(), b.dims_m, b.points[0].yaw_rad),
+            ("truck", None, None)
+        );
+        let json = r#"[{"t":1.5,"id":"a","class":"Car","x":1,"y":2,"yaw":0.5,"l":4,"w":2,"h":null},{"t":"0.5","id":"a","x":3,"y":4}]"#;
         assert_eq!(decode_json(json.as_bytes()).unwrap()[..], tracks[..1]);
     }
 
     #[test]
     fn a_quaternion_tells_its_heading() {
-        let tilted = DQuat::from_rotation_z(2.0) * DQuat::from_rotation_y(0.1) * DQuat::from_rotation_x(-0.05) * 3.0;
-        let text = format!("t,id,x,y,qw,qx,qy,qz\n0,7,0,0,{},{},{},{}\n", tilted.w, tilted.x, tilted.y, tilted.z);
-        let yaw_rad = decode_csv(text.as_bytes()).unwrap()[0].points[0].yaw_rad.unwrap();
+        let tilted = DQuat::from_rotation_z(2.0)
+            * DQuat::from_rotation_y(0.1)
+            * DQuat::from_rotation_x(-0.05)
+            * 3.0;
+        let text = format!(
+            "t,id,x,y,qw,qx,qy,qz\n0,7,0,0,{},{},{},{}\n",
+            tilted.w, tilted.x, tilted.y, tilted.z
+        );
+        let yaw_rad = decode_csv(text.as_bytes()).unwrap()[0].points[0]
+            .yaw_rad
+            .unwrap();
         assert!((yaw_rad - 2.0).abs() < 1e-12, "{yaw_rad}");
     }
 
@@ -300,7 +379,10 @@ mod tests {
             ("t,id,x,y\n0,,1,2\n", "line 2, 'id': it is empty"),
             ("t,id,x,y\n0,a,1\n", "line: 2"),
             ("t,id,x,y\n0,a,1,2\n0,a,3,4\n", "track a: two rows at 0 s"),
-            ("t,id,x,y,qw,qx,qy,qz\n0,a,1,2,0,0,0,0\n", "quaternion is zero"),
+            (
+                "t,id,x,y,qw,qx,qy,qz\n0,a,1,2,0,0,0,0\n",
+                "quaternion is zero",
+            ),
             ("t,id,x,y,l,w\n0,a,1,2,-4,2\n", "line 2, 'l': -4 m"),
             ("t,id,x,y\n", "no track"),
         ] {
@@ -309,7 +391,10 @@ mod tests {
         }
         for (text, part) in [
             (r#"[{"t":0,"id":"a","x":[1],"y":2}]"#, "row 1, 'x'"),
-            (r#"[{"t":0,"id":"a","x":1,"y":2},{"t":1,"id":"a","x":1}]"#, "row 2, 'y': it is empty"),
+            (
+                r#"[{"t":0,"id":"a","x":1,"y":2},{"t":1,"id":"a","x":1}]"#,
+                "row 2, 'y': it is empty",
+            ),
             (r#"[{"t":0,"time":0,"id":"a","x":1,"y":2}]"#, "two values"),
             (r#"[{"t":0,"#, "line 1"),
         ] {

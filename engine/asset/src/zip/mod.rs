@@ -1,8 +1,9 @@
 //! Zip archives: what SOG bundles, checkpoints of PyTorch and USDZ packages are inside.
 //!
-//! Read are archives of one file whose entries are stored or deflated, with the 64-bit extension. Nothing is allocated by
-//! what a directory claims: a stored entry is a piece of the file, a deflated one grows with what is really there and is
-//! given up at the size that the caller is ready to hold. Names that lead out of a folder are refused.
+//! Read are archives of one file whose entries are stored or deflated, with the 64-bit extension.
+//! Nothing is allocated by what a directory claims: a stored entry is a piece of the file, a
+//! deflated one grows with what is really there and is given up at the size that the caller is
+//! ready to hold. Names that lead out of a folder are refused.
 
 mod read;
 mod write;
@@ -26,7 +27,9 @@ const END_BYTES: usize = 22;
 /// Reason why `name` may not be in an archive that is unpacked into a folder, if any.
 fn leads_astray(name: &str) -> bool {
     let is_absolute = name.starts_with('/') || name.contains(':');
-    is_absolute || name.contains(['\\', '\0']) || name.split('/').any(|part| part == ".." || part == ".")
+    is_absolute
+        || name.contains(['\\', '\0'])
+        || name.split('/').any(|part| part == ".." || part == ".")
 }
 
 #[cfg(test)]
@@ -52,7 +55,10 @@ mod tests {
         zip.add("empty", b"").unwrap();
         zip.finish().unwrap();
         let archive = Archive::parse(&bytes).unwrap();
-        assert_eq!(archive.names().collect::<Vec<_>>(), ["a.txt", "folder/b.bin", "empty"]);
+        assert_eq!(
+            archive.names().collect::<Vec<_>>(),
+            ["a.txt", "folder/b.bin", "empty"]
+        );
         for name in ["a.txt", "folder/b.bin", "empty"] {
             let content = archive.stored(name).unwrap();
             let at = content.as_ptr() as usize - bytes.as_ptr() as usize;
@@ -60,7 +66,13 @@ mod tests {
             assert_eq!(archive.checked(name, 300).unwrap(), content);
         }
         assert_eq!(archive.stored("a.txt").unwrap(), b"first");
-        assert!(archive.checked("folder/b.bin", 299).unwrap_err().to_string().contains("300"));
+        assert!(
+            archive
+                .checked("folder/b.bin", 299)
+                .unwrap_err()
+                .to_string()
+                .contains("300")
+        );
         assert!(archive.stored("c").unwrap_err().to_string().contains("'c'"));
     }
 
@@ -70,10 +82,19 @@ mod tests {
         let mut zip = StoredZip::new(&mut bytes);
         zip.add("a.txt", b"content").unwrap();
         zip.finish().unwrap();
-        let at = bytes.windows(7).position(|window| window == b"content").unwrap();
+        let at = bytes
+            .windows(7)
+            .position(|window| window == b"content")
+            .unwrap();
         bytes[at] ^= 1;
         let archive = Archive::parse(&bytes).unwrap();
-        assert!(archive.checked("a.txt", 100).unwrap_err().to_string().contains("checksum"));
+        assert!(
+            archive
+                .checked("a.txt", 100)
+                .unwrap_err()
+                .to_string()
+                .contains("checksum")
+        );
     }
 
     #[test]

@@ -59,13 +59,20 @@ impl<'a> Archive<'a> {
             })?;
             let entry = entry?;
             if leads_astray(entry.name) {
-                return Err(malformed(format!("the zip has an entry '{}', which leads out of it", shown(entry.name))));
+                return Err(malformed(format!(
+                    "the zip has an entry '{}', which leads out of it",
+                    shown(entry.name)
+                )));
             }
             by_name.entry(entry.name).or_insert(entries.len());
             entries.push(entry);
             at = next;
         }
-        Ok(Self { bytes, entries, by_name })
+        Ok(Self {
+            bytes,
+            entries,
+            by_name,
+        })
     }
 
     /// The names of all entries, in the order of the directory.
@@ -78,11 +85,15 @@ impl<'a> Archive<'a> {
         self.by_name.contains_key(name)
     }
 
-    /// The bytes of an entry that is stored as it is, a piece of the file. Its checksum is not looked at.
+    /// The bytes of an entry that is stored as it is, a piece of the file. Its checksum is not
+    /// examined.
     pub(crate) fn stored(&self, name: &str) -> Result<&'a [u8], DecodeError> {
         let entry = self.entry(name)?;
         if entry.method != Method::Stored || entry.packed_bytes != entry.bytes {
-            return Err(DecodeError::Unsupported(format!("the zip's entry '{}' is compressed; store it", shown(name))));
+            return Err(DecodeError::Unsupported(format!(
+                "the zip's entry '{}' is compressed; store it",
+                shown(name)
+            )));
         }
         self.packed(entry)
     }
@@ -91,7 +102,11 @@ impl<'a> Archive<'a> {
     pub(crate) fn checked(&self, name: &str, bytes_max: u64) -> Result<Cow<'a, [u8]>, DecodeError> {
         let entry = self.entry(name)?;
         if entry.bytes > bytes_max {
-            let told = format!("the zip's entry '{}' claims {} bytes; at most {bytes_max} are read", shown(name), entry.bytes);
+            let told = format!(
+                "the zip's entry '{}' claims {} bytes; at most {bytes_max} are read",
+                shown(name),
+                entry.bytes
+            );
             return Err(malformed(told));
         }
         let content = match entry.method {
@@ -101,44 +116,70 @@ impl<'a> Archive<'a> {
         let mut checksum = Crc::new();
         checksum.update(&content);
         if checksum.sum() != entry.checksum {
-            let told = format!("the zip's entry '{}' has a wrong checksum; copy or export the file again", shown(name));
+            let told = format!(
+                "the zip's entry '{}' has a wrong checksum; copy or export the file again",
+                shown(name)
+            );
             return Err(malformed(told));
         }
         Ok(content)
     }
 
     fn entry(&self, name: &str) -> Result<&Entry<'a>, DecodeError> {
-        self.by_name.get(name).map(|&place| &self.entries[place]).ok_or_else(|| {
-            let there: Vec<String> = self.names().take(12).map(shown).collect();
-            malformed(format!("the zip has no entry '{}', only: {}", shown(name), there.join(", ")))
-        })
+        self.by_name
+            .get(name)
+            .map(|&place| &self.entries[place])
+            .ok_or_else(|| {
+                let there: Vec<String> = self.names().take(12).map(shown).collect();
+                malformed(format!(
+                    "the zip has no entry '{}', only: {}",
+                    shown(name),
+                    there.join(", ")
+                ))
+            })
     }
 
     /// The bytes of an entry as they stand in the file.
     fn packed(&self, entry: &Entry<'a>) -> Result<&'a [u8], DecodeError> {
         let truncated = || DecodeError::Truncated {
             what: format!("the zip's entry '{}'", shown(entry.name)),
-            expected_bytes: entry.header_at.saturating_add(LOCAL_BYTES as u64).saturating_add(entry.packed_bytes),
+            expected_bytes: entry
+                .header_at
+                .saturating_add(LOCAL_BYTES as u64)
+                .saturating_add(entry.packed_bytes),
             found_bytes: self.bytes.len() as u64,
         };
         let at = usize::try_from(entry.header_at).map_err(|_| truncated())?;
         let header = slice(self.bytes, at, LOCAL_BYTES).ok_or_else(truncated)?;
         if !header.starts_with(&LOCAL) {
-            return Err(malformed(format!("the zip's directory says that '{}' begins where nothing does", shown(entry.name))));
+            return Err(malformed(format!(
+                "the zip's directory says that '{}' begins where nothing does",
+                shown(entry.name)
+            )));
         }
-        let before = LOCAL_BYTES + usize::from(u16_at(header, 26)) + usize::from(u16_at(header, 28));
+        let before =
+            LOCAL_BYTES + usize::from(u16_at(header, 26)) + usize::from(u16_at(header, 28));
         let length = usize::try_from(entry.packed_bytes).map_err(|_| truncated())?;
-        at.checked_add(before).and_then(|start| slice(self.bytes, start, length)).ok_or_else(truncated)
+        at.checked_add(before)
+            .and_then(|start| slice(self.bytes, start, length))
+            .ok_or_else(truncated)
     }
 }
 
 fn inflated(packed: &[u8], entry: &Entry<'_>) -> Result<Vec<u8>, DecodeError> {
     let mut content = Vec::new();
     // One byte more than is claimed tells a claim that is too small.
-    let result = DeflateDecoder::new(packed).take(entry.bytes + 1).read_to_end(&mut content);
-    result.map_err(|error| malformed(format!("the zip's entry '{}': {error}", shown(entry.name))))?;
+    let result = DeflateDecoder::new(packed)
+        .take(entry.bytes + 1)
+        .read_to_end(&mut content);
+    result
+        .map_err(|error| malformed(format!("the zip's entry '{}': {error}", shown(entry.name))))?;
     if content.len() as u64 != entry.bytes {
-        let told = format!("the zip's entry '{}' has another size than its {} bytes", shown(entry.name), entry.bytes);
+        let told = format!(
+            "the zip's entry '{}' has another size than its {} bytes",
+            shown(entry.name),
+            entry.bytes
+        );
         return Err(malformed(told));
     }
     Ok(content)
@@ -150,12 +191,15 @@ fn directory(bytes: &[u8]) -> Result<(u64, usize), DecodeError> {
     let last = bytes.len().checked_sub(END_BYTES);
     let found = last.and_then(|last| (earliest..=last).rev().find(|&at| is_end(bytes, at)));
     let Some(at) = found else {
-        let told = "the zip has no directory at its end: the file is cut short; copy or export it again";
+        let told =
+            "the zip has no directory at its end: the file is cut short; copy or export it again";
         return Err(malformed(told.into()));
     };
     let end = &bytes[at..at + END_BYTES];
     if u16_at(end, 4) != 0 || u16_at(end, 6) != 0 {
-        return Err(DecodeError::Unsupported("the zip is one of several files; join them first".into()));
+        return Err(DecodeError::Unsupported(
+            "the zip is one of several files; join them first".into(),
+        ));
     }
     let (mut count, mut start) = (u64::from(u16_at(end, 10)), u64::from(u32_at(end, 16)));
     if let Some((count_64, start_64)) = end_64(bytes, at) {
@@ -163,14 +207,17 @@ fn directory(bytes: &[u8]) -> Result<(u64, usize), DecodeError> {
     }
     let room = at as u64;
     if start > room || count > (room - start) / CENTRAL_BYTES as u64 {
-        return Err(malformed(format!("the zip's directory claims {count} entries from byte {start} of {room}")));
+        return Err(malformed(format!(
+            "the zip's directory claims {count} entries from byte {start} of {room}"
+        )));
     }
     Ok((count, start as usize))
 }
 
 /// True if the end of a directory stands at `at`, with a comment that ends where the file does.
 fn is_end(bytes: &[u8], at: usize) -> bool {
-    bytes[at..].starts_with(&END) && at + END_BYTES + usize::from(u16_at(&bytes[at..], 20)) == bytes.len()
+    bytes[at..].starts_with(&END)
+        && at + END_BYTES + usize::from(u16_at(&bytes[at..], 20)) == bytes.len()
 }
 
 /// Entries and start of the directory as the 64-bit extension in front of the end at `end_at` says.
@@ -180,16 +227,19 @@ fn end_64(bytes: &[u8], end_at: usize) -> Option<(u64, u64)> {
         return None;
     }
     let end = slice(bytes, usize::try_from(u64_at(locator, 8)).ok()?, 56)?;
-    end.starts_with(&END_64).then(|| (u64_at(end, 32), u64_at(end, 48)))
+    end.starts_with(&END_64)
+        .then(|| (u64_at(end, 32), u64_at(end, 48)))
 }
 
-/// The entry of the directory at `at`, and where the next begins. None where the bytes are no entry.
+/// The entry of the directory at `at`, and where the next begins. None where the bytes are no
+/// entry.
 fn central_entry(bytes: &[u8], at: usize) -> Option<(Result<Entry<'_>, DecodeError>, usize)> {
     let fixed = slice(bytes, at, CENTRAL_BYTES)?;
     if !fixed.starts_with(&CENTRAL) {
         return None;
     }
-    let [name_bytes, extra_bytes, comment_bytes] = [28, 30, 32].map(|at| usize::from(u16_at(fixed, at)));
+    let [name_bytes, extra_bytes, comment_bytes] =
+        [28, 30, 32].map(|at| usize::from(u16_at(fixed, at)));
     let name_at = at + CENTRAL_BYTES;
     let name = std::str::from_utf8(slice(bytes, name_at, name_bytes)?).ok()?;
     let extra = slice(bytes, name_at + name_bytes, extra_bytes)?;
@@ -198,16 +248,38 @@ fn central_entry(bytes: &[u8], at: usize) -> Option<(Result<Entry<'_>, DecodeErr
     let method = match (u16_at(fixed, 10), u16_at(fixed, 8) & 1) {
         (0, 0) => Method::Stored,
         (8, 0) => Method::Deflated,
-        (_, 1) => return Some((Err(DecodeError::Unsupported(format!("the zip's entry '{}' is encrypted", shown(name)))), next)),
+        (_, 1) => {
+            return Some((
+                Err(DecodeError::Unsupported(format!(
+                    "the zip's entry '{}' is encrypted",
+                    shown(name)
+                ))),
+                next,
+            ));
+        }
         (other, _) => {
-            let told = format!("the zip's entry '{}' is compressed by method {other}; store or deflate it", shown(name));
+            let told = format!(
+                "the zip's entry '{}' is compressed by method {other}; store or deflate it",
+                shown(name)
+            );
             return Some((Err(DecodeError::Unsupported(told)), next));
         }
     };
-    Some((Ok(Entry { name, method, packed_bytes, bytes: size, header_at, checksum: u32_at(fixed, 16) }), next))
+    Some((
+        Ok(Entry {
+            name,
+            method,
+            packed_bytes,
+            bytes: size,
+            header_at,
+            checksum: u32_at(fixed, 16),
+        }),
+        next,
+    ))
 }
 
-/// Compressed size, size and place of an entry; 32 bits that are all ones stand for the next 64 of the extra field.
+/// Compressed size, size and place of an entry; 32 bits that are all ones stand for the next 64 of
+/// the extra field.
 fn sizes(fixed: &[u8], extra: &[u8]) -> Option<[u64; 3]> {
     let mut wide = &[][..];
     let mut rest = extra;
@@ -241,7 +313,10 @@ fn malformed(told: String) -> DecodeError {
 
 /// The start of a name from a file, fit for a message.
 fn shown(name: &str) -> String {
-    name.chars().take(60).map(|c| if c.is_control() { '?' } else { c }).collect()
+    name.chars()
+        .take(60)
+        .map(|c| if c.is_control() { '?' } else { c })
+        .collect()
 }
 
 fn slice(bytes: &[u8], at: usize, length: usize) -> Option<&[u8]> {

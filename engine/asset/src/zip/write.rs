@@ -32,13 +32,18 @@ pub struct StoredZip<W: Write> {
 impl<W: Write> StoredZip<W> {
     /// An archive without entries.
     pub fn new(to: W) -> Self {
-        Self { to, at: 0, written: Vec::new() }
+        Self {
+            to,
+            at: 0,
+            written: Vec::new(),
+        }
     }
 
     /// Adds an entry called `name`, parts joined by `/`.
     ///
     /// # Errors
-    /// When the name is taken or leads out of the archive, when the archive grows beyond 4 GiB, or when writing fails.
+    /// When the name is taken or leads out of the archive, when the archive grows beyond 4 GiB, or
+    /// when writing fails.
     pub fn add(&mut self, name: &str, content: &[u8]) -> io::Result<()> {
         let mut checksum = Crc::new();
         checksum.update(content);
@@ -49,8 +54,13 @@ impl<W: Write> StoredZip<W> {
     /// Adds what `open` reads as an entry called `name`. It is read twice, and kept nowhere.
     ///
     /// # Errors
-    /// As [`StoredZip::add`], when reading fails, and when the second time reads other bytes than the first.
-    pub fn add_from<R: Read>(&mut self, name: &str, open: impl Fn() -> io::Result<R>) -> io::Result<()> {
+    /// As [`StoredZip::add`], when reading fails, and when the second time reads other bytes than
+    /// the first.
+    pub fn add_from<R: Read>(
+        &mut self,
+        name: &str,
+        open: impl Fn() -> io::Result<R>,
+    ) -> io::Result<()> {
         let mut block = vec![0; 1 << 16];
         let mut checksum = Crc::new();
         let mut first = open()?;
@@ -74,7 +84,9 @@ impl<W: Write> StoredZip<W> {
             self.put(&block[..read])?;
         }
         if again.sum() != checksum.sum() {
-            return Err(io::Error::other(format!("the source of '{name}' changed while it was read")));
+            return Err(io::Error::other(format!(
+                "the source of '{name}' changed while it was read"
+            )));
         }
         Ok(())
     }
@@ -85,7 +97,12 @@ impl<W: Write> StoredZip<W> {
     /// When the archive grows beyond 4 GiB or 65,535 entries, or when writing fails.
     pub fn finish(mut self) -> io::Result<W> {
         let start = self.at;
-        let too_many = || io::Error::other(format!("{} entries; a zip has at most 65535", self.written.len()));
+        let too_many = || {
+            io::Error::other(format!(
+                "{} entries; a zip has at most 65535",
+                self.written.len()
+            ))
+        };
         let count = u16::try_from(self.written.len()).map_err(|_| too_many())?;
         for written in std::mem::take(&mut self.written) {
             let mut entry = Vec::with_capacity(CENTRAL_BYTES + written.name.len());
@@ -93,7 +110,11 @@ impl<W: Write> StoredZip<W> {
             // Made by and needed: version 2.0. No flags, stored.
             entry.extend_from_slice(&[20, 0, 20, 0, 0, 0, 0, 0]);
             entry.extend_from_slice(&DATE);
-            entry.extend([written.checksum, written.bytes, written.bytes].into_iter().flat_map(u32::to_le_bytes));
+            entry.extend(
+                [written.checksum, written.bytes, written.bytes]
+                    .into_iter()
+                    .flat_map(u32::to_le_bytes),
+            );
             entry.extend_from_slice(&(written.name.len() as u16).to_le_bytes());
             // No extra field, comment, disk or attributes.
             entry.extend_from_slice(&[0; 12]);
@@ -114,7 +135,12 @@ impl<W: Write> StoredZip<W> {
 
     /// Writes what stands before the content of an entry.
     fn begin(&mut self, name: &str, checksum: u32, bytes: u64) -> io::Result<()> {
-        let refused = |why: &str| Err(io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' {why}")));
+        let refused = |why: &str| {
+            Err(io::Error::new(
+                io::ErrorKind::InvalidInput,
+                format!("'{name}' {why}"),
+            ))
+        };
         if name.is_empty() || leads_astray(name) || name.len() > usize::from(u16::MAX) {
             return refused("is no name in a zip");
         }
@@ -133,14 +159,31 @@ impl<W: Write> StoredZip<W> {
         let mut header = LOCAL.to_vec();
         header.extend_from_slice(&[20, 0, 0, 0, 0, 0]);
         header.extend_from_slice(&DATE);
-        header.extend([checksum, bytes as u32, bytes as u32].into_iter().flat_map(u32::to_le_bytes));
-        header.extend([name.len() as u16, padding as u16].into_iter().flat_map(u16::to_le_bytes));
+        header.extend(
+            [checksum, bytes as u32, bytes as u32]
+                .into_iter()
+                .flat_map(u32::to_le_bytes),
+        );
+        header.extend(
+            [name.len() as u16, padding as u16]
+                .into_iter()
+                .flat_map(u16::to_le_bytes),
+        );
         header.extend_from_slice(name.as_bytes());
         if padding > 0 {
-            header.extend([PADDING, padding as u16 - 4].into_iter().flat_map(u16::to_le_bytes));
+            header.extend(
+                [PADDING, padding as u16 - 4]
+                    .into_iter()
+                    .flat_map(u16::to_le_bytes),
+            );
             header.resize(header.len() + padding - 4, 0);
         }
-        self.written.push(Written { name: name.to_owned(), checksum, bytes: bytes as u32, header_at: self.at as u32 });
+        self.written.push(Written {
+            name: name.to_owned(),
+            checksum,
+            bytes: bytes as u32,
+            header_at: self.at as u32,
+        });
         self.put(&header)
     }
 
@@ -152,5 +195,7 @@ impl<W: Write> StoredZip<W> {
 }
 
 fn beyond_zip() -> io::Error {
-    io::Error::other("a zip without extensions, as USDZ asks for, holds at most 4 GiB; make the splats fewer")
+    io::Error::other(
+        "a zip without extensions, as USDZ asks for, holds at most 4 GiB; make the splats fewer",
+    )
 }

@@ -10,49 +10,119 @@ use crate::sample;
 
 /// Entries of the codebooks, degree and splats of each level.
 fn sizes() -> impl Strategy<Value = (usize, usize, u8, Vec<usize>)> {
-    (1usize..=SHAPES_MAX, 1usize..=COLORS_MAX, 0u8..=3, vec(0usize..20, 1..=LEVELS_MAX))
+    (
+        1usize..=SHAPES_MAX,
+        1usize..=COLORS_MAX,
+        0u8..=3,
+        vec(0usize..20, 1..=LEVELS_MAX),
+    )
 }
 
 fn provenances() -> impl Strategy<Value = Provenance> {
-    (".{0,12}", "[a-z_]{1,8}\\.ply", "[0-9a-f]{64}", btree_map(".{0,8}", ".{0,8}", 0..4))
-        .prop_map(|(tool_version, source, source_sha256, settings)| Provenance { tool_version, source, source_sha256, settings })
-}
-
-/// Assets with every number anywhere in its range. Books repeat a few values, of which there are enough.
-fn assets() -> impl Strategy<Value = CodedAsset> {
-    (sizes(), provenances()).prop_flat_map(|((shapes, colors, sh_degree, levels), provenance)| {
-        let codes = (any::<([u16; 3], u8, u8)>(), 0..shapes as u16, 0..colors as u16, -16i8..16, -8i8..8, -8i8..8);
-        let codes = codes.prop_map(|((position, opacity, size), shape, color, luma, orange, green)| SplatCodes {
-            position,
-            opacity,
-            size,
-            shape,
-            color,
-            dc_residual: [luma, orange, green],
-        });
-        let boxes = (prop::array::uniform3(-1e9f32..1e9), prop::array::uniform3(0f32..1.0));
-        let steps = (-100f32..10.0, 0f32..0.05, prop::array::uniform3(-1e4f32..1e4));
-        let values = (vec(prop::array::uniform6(-1e5f32..1e5), 1..9), vec(prop::array::uniform3(-65_519f32..65_519.0), 1..9));
-        let splats = vec(codes, levels.iter().sum::<usize>());
-        (splats, boxes, steps, values, prop::array::uniform3(0f32..100.0), any::<bool>()).prop_map(
-            move |(splats, (min, share), (log2_size_min, log2_size_step, dc_residual_step), values, dims_m, canonical)| {
-                let coefficients = colors * sh::coefficient_count(sh_degree);
-                let cloud = CodedCloud {
-                    bounds: Bounds { min, max: std::array::from_fn(|axis| min[axis] + share[axis] * (1e9 - min[axis])) },
-                    log2_size_min,
-                    log2_size_step: log2_size_step.min((13.0 - log2_size_min) / 255.0),
-                    dc_residual_step,
-                    splats: splats.into_iter().map(Into::into).collect(),
-                    levels: levels.clone(),
-                    shapes: values.0.iter().copied().cycle().take(shapes).collect(),
-                    sh_degree,
-                    colors: values.1.iter().copied().cycle().take(coefficients).collect(),
-                    sh_frame: if canonical { ShFrame::Canonical } else { ShFrame::World },
-                    dims_m,
-                };
-                CodedAsset { cloud, provenance: provenance.clone() }
+    (
+        ".{0,12}",
+        "[a-z_]{1,8}\\.ply",
+        "[0-9a-f]{64}",
+        btree_map(".{0,8}", ".{0,8}", 0..4),
+    )
+        .prop_map(
+            |(tool_version, source, source_sha256, settings)| Provenance {
+                tool_version,
+                source,
+                source_sha256,
+                settings,
             },
         )
+}
+
+/// Assets with every number anywhere in its range. Books repeat a few values, of which there are
+/// enough.
+fn assets() -> impl Strategy<Value = CodedAsset> {
+    (sizes(), provenances()).prop_flat_map(|((shapes, colors, sh_degree, levels), provenance)| {
+        let codes = (
+            any::<([u16; 3], u8, u8)>(),
+            0..shapes as u16,
+            0..colors as u16,
+            -16i8..16,
+            -8i8..8,
+            -8i8..8,
+        );
+        let codes = codes.prop_map(
+            |((position, opacity, size), shape, color, luma, orange, green)| SplatCodes {
+                position,
+                opacity,
+                size,
+                shape,
+                color,
+                dc_residual: [luma, orange, green],
+            },
+        );
+        let boxes = (
+            prop::array::uniform3(-1e9f32..1e9),
+            prop::array::uniform3(0f32..1.0),
+        );
+        let steps = (
+            -100f32..10.0,
+            0f32..0.05,
+            prop::array::uniform3(-1e4f32..1e4),
+        );
+        let values = (
+            vec(prop::array::uniform6(-1e5f32..1e5), 1..9),
+            vec(prop::array::uniform3(-65_519f32..65_519.0), 1..9),
+        );
+        let splats = vec(codes, levels.iter().sum::<usize>());
+        (
+            splats,
+            boxes,
+            steps,
+            values,
+            prop::array::uniform3(0f32..100.0),
+            any::<bool>(),
+        )
+            .prop_map(
+                move |(
+                    splats,
+                    (min, share),
+                    (log2_size_min, log2_size_step, dc_residual_step),
+                    values,
+                    dims_m,
+                    canonical,
+                )| {
+                    let coefficients = colors * sh::coefficient_count(sh_degree);
+                    let cloud = CodedCloud {
+                        bounds: Bounds {
+                            min,
+                            max: std::array::from_fn(|axis| {
+                                min[axis] + share[axis] * (1e9 - min[axis])
+                            }),
+                        },
+                        log2_size_min,
+                        log2_size_step: log2_size_step.min((13.0 - log2_size_min) / 255.0),
+                        dc_residual_step,
+                        splats: splats.into_iter().map(Into::into).collect(),
+                        levels: levels.clone(),
+                        shapes: values.0.iter().copied().cycle().take(shapes).collect(),
+                        sh_degree,
+                        colors: values
+                            .1
+                            .iter()
+                            .copied()
+                            .cycle()
+                            .take(coefficients)
+                            .collect(),
+                        sh_frame: if canonical {
+                            ShFrame::Canonical
+                        } else {
+                            ShFrame::World
+                        },
+                        dims_m,
+                    };
+                    CodedAsset {
+                        cloud,
+                        provenance: provenance.clone(),
+                    }
+                },
+            )
     })
 }
 

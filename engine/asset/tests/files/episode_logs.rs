@@ -1,9 +1,14 @@
 //! Episode logs: round trips, the file as it grows, and every way in which one can be broken.
 
+mod writing;
+
 use decouplegs_asset::episode_log::{decode, encode};
 use decouplegs_asset::{EpisodeLog, read_episode_log};
 use decouplegs_scene::episode::{DrawnBy, EpisodeTick, ImageRecord, PlannerRecord};
-use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, Scenario, VehicleSize, VehicleState};
+use decouplegs_scene::{
+    Episode, EpisodeEnd, EpisodeHead, EpisodeStep, Plan, PlanPoint, Scenario, VehicleSize,
+    VehicleState,
+};
 use glam::DVec2;
 use proptest::prelude::*;
 
@@ -11,21 +16,40 @@ use crate::scenarios::scenarios;
 
 /// Any finite number, the tiny, the huge and minus zero among them.
 fn numbers() -> impl Strategy<Value = f64> {
-    prop_oneof![any::<u64>().prop_map(f64::from_bits).prop_filter("finite", |value| value.is_finite()), Just(-0.0), -1e7f64..1e7,]
+    prop_oneof![
+        any::<u64>()
+            .prop_map(f64::from_bits)
+            .prop_filter("finite", |value| value.is_finite()),
+        Just(-0.0),
+        -1e7f64..1e7,
+    ]
 }
 
 fn states() -> impl Strategy<Value = VehicleState> {
-    prop::array::uniform5(numbers()).prop_map(|[x, y, yaw_rad, speed_mps, acceleration_mps2]| VehicleState {
-        position_m: DVec2::new(x, y),
-        yaw_rad,
-        speed_mps,
-        acceleration_mps2,
+    prop::array::uniform5(numbers()).prop_map(|[x, y, yaw_rad, speed_mps, acceleration_mps2]| {
+        VehicleState {
+            position_m: DVec2::new(x, y),
+            yaw_rad,
+            speed_mps,
+            acceleration_mps2,
+        }
     })
 }
 
 fn instants(agents: usize) -> impl Strategy<Value = EpisodeTick> {
-    (states(), numbers(), any::<bool>(), prop::collection::vec(states(), agents))
-        .prop_map(|(ego, steer_rad, on_road, agents)| EpisodeTick { time_s: 0.0, ego, steer_rad, on_road, agents })
+    (
+        states(),
+        numbers(),
+        any::<bool>(),
+        prop::collection::vec(states(), agents),
+    )
+        .prop_map(|(ego, steer_rad, on_road, agents)| EpisodeTick {
+            time_s: 0.0,
+            ego,
+            steer_rad,
+            on_road,
+            agents,
+        })
 }
 
 fn plans() -> impl Strategy<Value = Plan> {
@@ -33,7 +57,10 @@ fn plans() -> impl Strategy<Value = Plan> {
         let mut time_s = 0.0;
         let point = |(after_s, x, y)| {
             time_s += after_s;
-            PlanPoint { time_s, position_m: DVec2::new(x, y) }
+            PlanPoint {
+                time_s,
+                position_m: DVec2::new(x, y),
+            }
         };
         Plan::new(steps.into_iter().map(point).collect()).unwrap()
     })
@@ -41,21 +68,42 @@ fn plans() -> impl Strategy<Value = Plan> {
 
 fn heads() -> impl Strategy<Value = EpisodeHead> {
     let text = || "(?s).{0,8}";
-    let planner = (text(), prop::collection::vec(text(), 0..3), any::<bool>())
-        .prop_map(|(name, cameras, privileged)| PlannerRecord { name, cameras, privileged });
-    let drawn_by = (text(), any::<[u32; 3]>()).prop_map(|(device, [width_px, height_px, every])| DrawnBy {
-        device,
-        width_px,
-        height_px,
-        every,
-    });
-    let route = prop::collection::vec((numbers(), numbers()).prop_map(|(x, y)| DVec2::new(x, y)), 2..5);
-    (scenarios(), text(), planner, prop::option::of(drawn_by), route).prop_map(
-        |(scenario, version, planner, drawn_by, route_m)| {
-            let agent_sizes = scenario.agents.iter().map(|agent| agent.size).collect();
-            EpisodeHead { version, scenario, planner, drawn_by, route_m, agent_sizes }
+    let planner = (text(), prop::collection::vec(text(), 0..3), any::<bool>()).prop_map(
+        |(name, cameras, privileged)| PlannerRecord {
+            name,
+            cameras,
+            privileged,
         },
+    );
+    let drawn_by =
+        (text(), any::<[u32; 3]>()).prop_map(|(device, [width_px, height_px, every])| DrawnBy {
+            device,
+            width_px,
+            height_px,
+            every,
+        });
+    let route = prop::collection::vec(
+        (numbers(), numbers()).prop_map(|(x, y)| DVec2::new(x, y)),
+        2..5,
+    );
+    (
+        scenarios(),
+        text(),
+        planner,
+        prop::option::of(drawn_by),
+        route,
     )
+        .prop_map(|(scenario, version, planner, drawn_by, route_m)| {
+            let agent_sizes = scenario.agents.iter().map(|agent| agent.size).collect();
+            EpisodeHead {
+                version,
+                scenario,
+                planner,
+                drawn_by,
+                route_m,
+                agent_sizes,
+            }
+        })
 }
 
 fn ends() -> impl Strategy<Value = EpisodeEnd> {
@@ -70,33 +118,61 @@ fn ends() -> impl Strategy<Value = EpisodeEnd> {
 fn episodes() -> impl Strategy<Value = Episode> {
     heads().prop_flat_map(|head| {
         let agents = head.agent_sizes.len();
-        let image = ("[a-z]{1,5}", any::<u128>()).prop_map(|(camera, hash)| ImageRecord { camera, hash });
-        let step = (prop::collection::vec(image, 0..3), plans(), prop::collection::vec(instants(agents), 0..4));
+        let image =
+            ("[a-z]{1,5}", any::<u128>()).prop_map(|(camera, hash)| ImageRecord { camera, hash });
+        let step = (
+            prop::collection::vec(image, 0..3),
+            plans(),
+            prop::collection::vec(instants(agents), 0..4),
+        );
         let steps = prop::collection::vec(step, 0..4);
-        (Just(head), instants(agents), steps, ends(), 0.001f64..0.3).prop_map(|(head, start, steps, end, substep_s)| {
-            let end = match end {
-                EpisodeEnd::Collision { .. } if head.agent_sizes.is_empty() => EpisodeEnd::Time,
-                EpisodeEnd::Collision { agent } => EpisodeEnd::Collision { agent: agent % head.agent_sizes.len() },
-                other => other,
-            };
-            let mut moment = 0;
-            let number = |(step, (images, plan, mut instants)): (usize, (Vec<ImageRecord>, Plan, Vec<EpisodeTick>))| {
-                for instant in &mut instants {
-                    moment += 1;
-                    instant.time_s = f64::from(moment) * substep_s;
+        (Just(head), instants(agents), steps, ends(), 0.001f64..0.3).prop_map(
+            |(head, start, steps, end, substep_s)| {
+                let end = match end {
+                    EpisodeEnd::Collision { .. } if head.agent_sizes.is_empty() => EpisodeEnd::Time,
+                    EpisodeEnd::Collision { agent } => EpisodeEnd::Collision {
+                        agent: agent % head.agent_sizes.len(),
+                    },
+                    other => other,
+                };
+                let mut moment = 0;
+                let number = |(step, (images, plan, mut instants)): (
+                    usize,
+                    (Vec<ImageRecord>, Plan, Vec<EpisodeTick>),
+                )| {
+                    for instant in &mut instants {
+                        moment += 1;
+                        instant.time_s = f64::from(moment) * substep_s;
+                    }
+                    EpisodeStep {
+                        step: step as u32,
+                        images,
+                        plan,
+                        instants,
+                    }
+                };
+                Episode {
+                    head,
+                    start,
+                    steps: steps.into_iter().enumerate().map(number).collect(),
+                    end,
                 }
-                EpisodeStep { step: step as u32, images, plan, instants }
-            };
-            Episode { head, start, steps: steps.into_iter().enumerate().map(number).collect(), end }
-        })
+            },
+        )
     })
 }
 
 /// An episode of three short steps with one agent.
 fn small() -> Episode {
-    let scenario: Scenario =
-        decouplegs_asset::scenario_file::parse(&crate::scenario_files::example().replace("\"hard\"", "\"easy\"")).unwrap();
-    let state = |x: f64| VehicleState { position_m: DVec2::new(x, 0.1), speed_mps: 8.0, ..VehicleState::default() };
+    let scenario: Scenario = decouplegs_asset::scenario_file::parse(
+        &crate::scenario_files::example().replace("\"hard\"", "\"easy\""),
+    )
+    .unwrap();
+    let state = |x: f64| VehicleState {
+        position_m: DVec2::new(x, 0.1),
+        speed_mps: 8.0,
+        ..VehicleState::default()
+    };
     let instant = |time_s: f64| EpisodeTick {
         time_s,
         ego: state(8.0 * time_s),
@@ -106,12 +182,31 @@ fn small() -> Episode {
     };
     let step = |step: u32| EpisodeStep {
         step,
-        images: vec![ImageRecord { camera: "front".into(), hash: 7 << 100 | u128::from(step) }],
-        plan: Plan::new(vec![PlanPoint { time_s: 0.5, position_m: DVec2::new(4.0, -0.0) }]).unwrap(),
-        instants: vec![instant(0.5 * f64::from(step) + 0.25), instant(0.5 * f64::from(step) + 0.5)],
+        images: vec![ImageRecord {
+            camera: "front".into(),
+            hash: 7 << 100 | u128::from(step),
+        }],
+        plan: Plan::new(vec![PlanPoint {
+            time_s: 0.5,
+            position_m: DVec2::new(4.0, -0.0),
+        }])
+        .unwrap(),
+        instants: vec![
+            instant(0.5 * f64::from(step) + 0.25),
+            instant(0.5 * f64::from(step) + 0.5),
+        ],
     };
-    let planner = PlannerRecord { name: "lane-follow".into(), cameras: vec!["front".into()], privileged: true };
-    let drawn_by = DrawnBy { device: "a device".into(), width_px: 64, height_px: 36, every: 1 };
+    let planner = PlannerRecord {
+        name: "lane-follow".into(),
+        cameras: vec!["front".into()],
+        privileged: true,
+    };
+    let drawn_by = DrawnBy {
+        device: "a device".into(),
+        width_px: 64,
+        height_px: 36,
+        every: 1,
+    };
     Episode {
         head: EpisodeHead {
             version: "0.1.0".into(),
@@ -128,7 +223,10 @@ fn small() -> Episode {
 }
 
 fn lines_of(bytes: &[u8]) -> Vec<Vec<u8>> {
-    bytes.split_inclusive(|&byte| byte == b'\n').map(<[u8]>::to_vec).collect()
+    bytes
+        .split_inclusive(|&byte| byte == b'\n')
+        .map(<[u8]>::to_vec)
+        .collect()
 }
 
 fn complaint(bytes: &[u8]) -> String {
@@ -146,7 +244,10 @@ fn every_flip_of_a_bit_is_found() {
         for flip in (0..8).map(|bit| 1u8 << bit).chain([0x20 ^ b'\n', 0xff]) {
             broken[at] = bytes[at] ^ flip;
             let complaint = complaint(&broken);
-            assert!(complaint.contains(&format!("line {line}: ")), "byte {at} of line {line}, flip {flip:#04x}: {complaint}");
+            assert!(
+                complaint.contains(&format!("line {line}: ")),
+                "byte {at} of line {line}, flip {flip:#04x}: {complaint}"
+            );
         }
         line += usize::from(bytes[at] == b'\n');
     }
@@ -157,13 +258,22 @@ fn every_flip_of_a_bit_is_found() {
 fn every_truncation_is_found() {
     let bytes = encode(&small()).unwrap();
     for length in 0..bytes.len() {
-        let (complaint, whole) = (complaint(&bytes[..length]), lines_of(&bytes[..length]).len());
+        let (complaint, whole) = (
+            complaint(&bytes[..length]),
+            lines_of(&bytes[..length]).len(),
+        );
         match length {
             0 => assert!(complaint.contains("is empty"), "{complaint}"),
             _ if bytes[length - 1] == b'\n' => {
-                assert!(complaint.starts_with(&format!("line {}: is missing", whole + 1)), "{length}: {complaint}");
+                assert!(
+                    complaint.starts_with(&format!("line {}: is missing", whole + 1)),
+                    "{length}: {complaint}"
+                );
             }
-            _ => assert!(complaint.starts_with(&format!("line {whole}: has no end")), "{length}: {complaint}"),
+            _ => assert!(
+                complaint.starts_with(&format!("line {whole}: has no end")),
+                "{length}: {complaint}"
+            ),
         }
     }
 }
@@ -172,7 +282,12 @@ fn every_truncation_is_found() {
 fn lines_that_are_moved_left_out_repeated_or_of_another_log_are_found() {
     let bytes = encode(&small()).unwrap();
     let lines = lines_of(&bytes);
-    let joined = |order: &[usize]| order.iter().flat_map(|&line| lines[line].clone()).collect::<Vec<u8>>();
+    let joined = |order: &[usize]| {
+        order
+            .iter()
+            .flat_map(|&line| lines[line].clone())
+            .collect::<Vec<u8>>()
+    };
     assert_eq!(joined(&[0, 1, 2, 3, 4]), bytes);
     for (order, line) in [
         (&[0, 2, 1, 3, 4][..], 2),
@@ -183,19 +298,32 @@ fn lines_that_are_moved_left_out_repeated_or_of_another_log_are_found() {
         (&[4], 1),
     ] {
         let complaint = complaint(&joined(order));
-        assert!(complaint.starts_with(&format!("line {line}: its checksum is")), "{order:?}: {complaint}");
+        assert!(
+            complaint.starts_with(&format!("line {line}: its checksum is")),
+            "{order:?}: {complaint}"
+        );
     }
     assert!(complaint(&joined(&[0, 1, 2, 3, 4, 4])).starts_with("line 6: follows the end"));
 
     let mut other = small();
     other.steps[0].instants[0].ego.speed_mps = 8.5;
     let others = lines_of(&encode(&other).unwrap());
-    assert_eq!((&others[0], others[1] == lines[1], others[2] == lines[2]), (&lines[0], false, false));
-    let spliced = [&lines[0], &others[1], &lines[2], &lines[3], &lines[4]].map(|line| line.clone()).concat();
-    assert!(complaint(&spliced).starts_with("line 3: its checksum is"), "{}", complaint(&spliced));
+    assert_eq!(
+        (&others[0], others[1] == lines[1], others[2] == lines[2]),
+        (&lines[0], false, false)
+    );
+    let spliced = [&lines[0], &others[1], &lines[2], &lines[3], &lines[4]]
+        .map(|line| line.clone())
+        .concat();
+    assert!(
+        complaint(&spliced).starts_with("line 3: its checksum is"),
+        "{}",
+        complaint(&spliced)
+    );
 }
 
-/// The line of `payload` behind `before`, with a good checksum: what is wrong with it is its content.
+/// The line of `payload` behind `before`, with a good checksum: what is wrong with it is its
+/// content.
 fn sealed(before: &[u8; 16], payload: &str) -> Vec<u8> {
     let checksum = xxhash_rust::xxh3::xxh3_64(&[before.as_slice(), payload.as_bytes()].concat());
     format!("{checksum:016x} {payload}\n").into_bytes()
@@ -207,8 +335,15 @@ fn resealed(line: usize, from: &str, to: &str) -> Vec<u8> {
     let mut bytes = Vec::new();
     for (index, old) in lines_of(&encode(&small()).unwrap()).iter().enumerate() {
         let payload = std::str::from_utf8(&old[17..old.len() - 1]).unwrap();
-        assert!(index != line || payload.contains(from), "{payload} has no {from}");
-        let payload = if index == line { payload.replacen(from, to, 1) } else { payload.to_owned() };
+        assert!(
+            index != line || payload.contains(from),
+            "{payload} has no {from}"
+        );
+        let payload = if index == line {
+            payload.replacen(from, to, 1)
+        } else {
+            payload.to_owned()
+        };
         let new = sealed(&before, &payload);
         before = new[..16].try_into().unwrap();
         bytes.extend(new);
@@ -218,133 +353,120 @@ fn resealed(line: usize, from: &str, to: &str) -> Vec<u8> {
 
 #[test]
 fn records_that_do_not_hold_together_are_refused_though_their_checksums_are_good() {
-    assert_eq!(resealed(0, "a device", "a device"), encode(&small()).unwrap(), "the checksum is as documented");
+    assert_eq!(
+        resealed(0, "a device", "a device"),
+        encode(&small()).unwrap(),
+        "the checksum is as documented"
+    );
     for (line, from, to, expected) in [
-        (0, "decouplegs-episode", "decouplegs", "line 1: is of format \"decouplegs\", version 1"),
-        (0, "\"version\":1", "\"version\":2,\"more\":0", "line 1: is of format \"decouplegs-episode\", version 2"),
-        (0, "\"program\"", "\"pogrom\"", "line 1: is no head of an episode log: unknown field"),
-        (0, "duration_s = 20.0", "duration_s = -1.0", "line 1: its scenario, line"),
-        (0, "\"route_m\":[[0.0,0.0],", "\"route_m\":[", "line 1: a route of 1 points"),
-        (0, "\"agent_sizes_m\":[[4.5,1.8,1.5]]", "\"agent_sizes_m\":[]", "line 1: 0 agents have a size"),
-        (0, "\"start\":[0.0", "\"start\":[1e999", "line 1: is no head"),
-        (1, "\"step\":0", "\"step\":1", "line 2: step 1; expected step 0"),
-        (1, "\"plan\":[[0.5", "\"plan\":[[0.0", "line 2: point 0 of the plan is at 0 s"),
-        (1, "\"instants\":[[0.25", "\"instants\":[[0.0", "line 2: instant 0 of step 0 is at 0 s, not after 0 s"),
-        (1, "[[20.25,0.1,0.0,8.0,0.0]]", "[]", "line 2: instant 0 of step 0 has 0 agents; expected 1"),
+        (
+            0,
+            "decouplegs-episode",
+            "decouplegs",
+            "line 1: is of format \"decouplegs\", version 1",
+        ),
+        (
+            0,
+            "\"version\":1",
+            "\"version\":2,\"more\":0",
+            "line 1: is of format \"decouplegs-episode\", version 2",
+        ),
+        (
+            0,
+            "\"program\"",
+            "\"pogrom\"",
+            "line 1: is no head of an episode log: unknown field",
+        ),
+        (
+            0,
+            "duration_s = 20.0",
+            "duration_s = -1.0",
+            "line 1: its scenario, line",
+        ),
+        (
+            0,
+            "\"route_m\":[[0.0,0.0],",
+            "\"route_m\":[",
+            "line 1: a route of 1 points",
+        ),
+        (
+            0,
+            "\"agent_sizes_m\":[[4.5,1.8,1.5]]",
+            "\"agent_sizes_m\":[]",
+            "line 1: 0 agents have a size",
+        ),
+        (
+            0,
+            "\"start\":[0.0",
+            "\"start\":[1e999",
+            "line 1: is no head",
+        ),
+        (
+            1,
+            "\"step\":0",
+            "\"step\":1",
+            "line 2: step 1; expected step 0",
+        ),
+        (
+            1,
+            "\"plan\":[[0.5",
+            "\"plan\":[[0.0",
+            "line 2: point 0 of the plan is at 0 s",
+        ),
+        (
+            1,
+            "\"instants\":[[0.25",
+            "\"instants\":[[0.0",
+            "line 2: instant 0 of step 0 is at 0 s, not after 0 s",
+        ),
+        (
+            1,
+            "[[20.25,0.1,0.0,8.0,0.0]]",
+            "[]",
+            "line 2: instant 0 of step 0 has 0 agents; expected 1",
+        ),
         (1, "\"step\":0", "\"step\":00", "line 2: is no record"),
-        (1, "\"step\":0", "\"step\": 0", "line 2: is not written as this program writes it, from byte 8"),
-        (1, "[[0.5,4.0", "[[0.50,4.0", "line 2: is not written as this program writes it"),
-        (1, "front\",\"0", "front\",\"+", "line 2: is not written as this program writes it"),
-        (1, "front\",\"0", "front\",\"x", "line 2: the image of camera \"front\" has the hash"),
-        (4, "\"agent\":0", "\"agent\":1", "line 5: a collision with agent 1 of 1"),
-        (4, "\"collision\",\"agent\":0", "\"magic\"", "line 5: is no record of a step or an end"),
+        (
+            1,
+            "\"step\":0",
+            "\"step\": 0",
+            "line 2: is not written as this program writes it, from byte 8",
+        ),
+        (
+            1,
+            "[[0.5,4.0",
+            "[[0.50,4.0",
+            "line 2: is not written as this program writes it",
+        ),
+        (
+            1,
+            "front\",\"0",
+            "front\",\"+",
+            "line 2: is not written as this program writes it",
+        ),
+        (
+            1,
+            "front\",\"0",
+            "front\",\"x",
+            "line 2: the image of camera \"front\" has the hash",
+        ),
+        (
+            4,
+            "\"agent\":0",
+            "\"agent\":1",
+            "line 5: a collision with agent 1 of 1",
+        ),
+        (
+            4,
+            "\"collision\",\"agent\":0",
+            "\"magic\"",
+            "line 5: is no record of a step or an end",
+        ),
     ] {
         let complaint = complaint(&resealed(line, from, to));
-        assert!(complaint.starts_with(expected), "{from} -> {to}: {complaint}; expected {expected}");
-    }
-}
-
-#[test]
-fn a_log_gets_its_name_with_its_end() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("easy-0001.log");
-    let episode = small();
-    let mut log = EpisodeLog::create(&path, &episode.head, &episode.start).unwrap();
-    let part = log.part_path().to_owned();
-    assert_eq!(part, directory.path().join("easy-0001.log.part"));
-    for (index, step) in episode.steps.iter().enumerate() {
-        log.append(step).unwrap();
-        // As it would be if the program died here.
-        let so_far = std::fs::read(&part).unwrap();
-        assert_eq!(lines_of(&so_far).len(), index + 2);
-        assert!(complaint(&so_far).contains("is missing: the log ends without telling how the episode ended"));
-        assert!(!path.exists());
-    }
-    log.finish(&episode.end).unwrap();
-    assert!(!part.exists());
-    assert_eq!(std::fs::read(&path).unwrap(), encode(&episode).unwrap());
-    assert_eq!(read_episode_log(&path).unwrap(), episode);
-
-    std::fs::write(&path, b"no log\n").unwrap();
-    let error = read_episode_log(&path).unwrap_err().to_string();
-    assert!(error.contains("easy-0001.log") && error.contains("line 1: does not begin with a checksum"), "{error}");
-}
-
-#[test]
-fn what_no_log_can_hold_is_refused_and_the_log_goes_on() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("a.log");
-    let episode = small();
-    let mut log = EpisodeLog::create(&path, &episode.head, &episode.start).unwrap();
-    let mut bad = episode.steps[0].clone();
-    bad.instants[1].agents[0].yaw_rad = f64::NAN;
-    let error = log.append(&bad).unwrap_err().to_string();
-    assert!(error.contains("a.log") && error.contains("instant 1 of step 0 has a number that is not finite"), "{error}");
-    assert!(log.append(&episode.steps[1]).unwrap_err().to_string().contains("step 1; expected step 0"));
-    episode.steps.iter().for_each(|step| log.append(step).unwrap());
-    log.finish(&episode.end).unwrap();
-    assert_eq!(read_episode_log(&path).unwrap(), episode);
-
-    let mut head = episode.head.clone();
-    head.route_m[1].x = f64::INFINITY;
-    let error = EpisodeLog::create(&directory.path().join("b.log"), &head, &episode.start).unwrap_err().to_string();
-    assert!(error.contains("b.log") && error.contains("not finite"), "{error}");
-    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1, "nothing is begun that cannot be");
-}
-
-#[test]
-fn what_the_system_refuses_names_the_file() {
-    let episode = small();
-    let missing = std::path::Path::new("/nowhere/at/all/a.log");
-    let error = EpisodeLog::create(missing, &episode.head, &episode.start).unwrap_err().to_string();
-    assert!(error.contains("cannot write /nowhere/at/all/a.log.part"), "{error}");
-    // A directory stands where the log shall be.
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("taken.log");
-    std::fs::create_dir_all(path.join("inside")).unwrap();
-    let log = EpisodeLog::create(&path, &episode.head, &episode.start).unwrap();
-    let error = log.finish(&episode.end).unwrap_err().to_string();
-    assert!(error.contains("cannot write") && error.contains("taken.log"), "{error}");
-}
-
-/// `/dev/full` takes no byte: a full disk without one.
-#[cfg(target_os = "linux")]
-#[test]
-fn a_full_disk_is_told_and_nothing_gets_the_name() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("full.log");
-    std::os::unix::fs::symlink("/dev/full", directory.path().join("full.log.part")).unwrap();
-    let episode = small();
-    let error = EpisodeLog::create(&path, &episode.head, &episode.start).unwrap_err().to_string();
-    assert!(error.contains("full.log.part") && error.contains("No space left"), "{error}");
-    assert!(!path.exists());
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, cases: 128, ..ProptestConfig::default() })]
-
-    #[test]
-    fn an_episode_reads_back_as_it_was_written(episode in episodes()) {
-        let bytes = encode(&episode).unwrap();
-        let back = decode(&bytes);
-        prop_assert_eq!(back.as_ref(), Ok(&episode));
-        // The same bytes: bits are equal where numbers are, minus zero included.
-        prop_assert_eq!(encode(&back.unwrap()).unwrap(), bytes);
-    }
-
-    #[test]
-    fn any_bytes_are_a_log_or_a_complaint(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
-        prop_assert!(decode(&bytes).is_err());
-    }
-
-    /// Good checksums over any payload at all.
-    #[test]
-    fn any_records_are_a_log_or_a_complaint(payloads in prop::collection::vec("(\\{\"end\"|\\{\"step\":0|)[ -~]{0,40}", 1..4)) {
-        let mut bytes = lines_of(&encode(&small()).unwrap()).swap_remove(0);
-        for payload in payloads {
-            let before: [u8; 16] = bytes[bytes.len() - lines_of(&bytes).pop().unwrap().len()..][..16].try_into().unwrap();
-            bytes.extend(sealed(&before, &payload));
-        }
-        let _ = decode(&bytes);
+        assert!(
+            complaint.starts_with(expected),
+            "{from} -> {to}: {complaint}; expected {expected}"
+        );
     }
 }

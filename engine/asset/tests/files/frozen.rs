@@ -9,11 +9,19 @@ use decouplegs_scene::{Episode, EpisodeEnd, SplatCloud, VehicleSize};
 use crate::errors::{Errors, SMALLEST_THREE_MAX_RAD};
 use crate::sample::{self, cone, seed};
 
-/// `cloud` as text that keeps every bit: the shortest decimals that read back as the same numbers, one line a splat.
+/// `cloud` as text that keeps every bit: the shortest decimals that read back as the same numbers,
+/// one line a splat.
 fn text_of(cloud: &SplatCloud) -> String {
     let mut text = format!("{} splats of degree {}\n", cloud.len(), cloud.sh_degree);
     for splat in 0..cloud.len() {
-        let SplatCloud { means, scales, rotations, opacities, sh_dc, .. } = cloud;
+        let SplatCloud {
+            means,
+            scales,
+            rotations,
+            opacities,
+            sh_dc,
+            ..
+        } = cloud;
         writeln!(
             text,
             "mean {:?} scale {:?} rotation {:?} opacity {:?} dc {:?} rest {:?}",
@@ -34,14 +42,20 @@ fn the_cone_in_every_format_and_version_reads_as_ever() {
     let mut changed = Vec::new();
     for (name, bytes, read) in sample::files() {
         let text = text_of(&read(&bytes).unwrap());
-        let frozen = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/frozen").join(format!("{name}.txt"));
+        let frozen = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("tests/files/frozen")
+            .join(format!("{name}.txt"));
         if !std::fs::read_to_string(&frozen).is_ok_and(|frozen| frozen == text) {
-            let now = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{}.txt", name.replace('/', ".")));
+            let now = Path::new(env!("CARGO_TARGET_TMPDIR"))
+                .join(format!("{}.txt", name.replace('/', ".")));
             std::fs::write(&now, text).unwrap();
             changed.push(format!("{} is now {}", frozen.display(), now.display()));
         }
     }
-    assert!(changed.is_empty(), "files no longer read as they did: {changed:#?}");
+    assert!(
+        changed.is_empty(),
+        "files no longer read as they did: {changed:#?}"
+    );
 }
 
 #[test]
@@ -51,8 +65,13 @@ fn the_cone_in_every_format_is_the_cone() {
         let (_, bytes, read) = files.iter().find(|(name, ..)| name.contains(part)).unwrap();
         read(bytes).unwrap()
     };
-    let without_rest = || SplatCloud { sh_degree: 0, sh_rest: Vec::new(), ..cone() };
-    // Largest error of mean (m), logarithm of scale, angle (rad), opacity, DC and further coefficients.
+    let without_rest = || SplatCloud {
+        sh_degree: 0,
+        sh_rest: Vec::new(),
+        ..cone()
+    };
+    // Largest error of mean (m), logarithm of scale, angle (rad), opacity, DC and further
+    // coefficients.
     let check = |name: &str, original: &SplatCloud, bounds: [f64; 6]| {
         let errors = Errors::between(original, &read(name));
         println!("{name}: {errors:?}");
@@ -64,26 +83,51 @@ fn the_cone_in_every_format_is_the_cone() {
             errors.dc.into(),
             errors.rest.into(),
         ];
-        assert!(found.iter().zip(bounds).all(|(&found, bound): (&f64, f64)| found <= bound), "{name}: {errors:?}");
+        assert!(
+            found
+                .iter()
+                .zip(bounds)
+                .all(|(&found, bound): (&f64, f64)| found <= bound),
+            "{name}: {errors:?}"
+        );
     };
     check("cone.ply", &cone(), [0.0, 1e-6, 1e-6, 1e-7, 0.0, 0.0]);
     // Means and scales are floats, a rotation is four bytes, each off by half of 1/128.
     let byte = 0.501 / 255.0;
     let dc_of_byte = byte / decouplegs_scene::sh::Y0;
-    check("cone.splat", &without_rest(), [0.0, 1e-6, 2.0 / 128.0, byte, dc_of_byte, 0.0]);
-    // Half a step of the extents of the cone: 0.375 m in 1023, a factor of 12 in 2047, DC from -1.375 to 1.1875 in 255. A
-    // further coefficient is one of 256 over 8.
-    let compressed =
-        [0.5 * 0.376 / 1023.0, 0.5 * 2.49 / 2047.0, SMALLEST_THREE_MAX_RAD, byte, 0.5 * 2.57 / 255.0, 0.5 * 8.0 / 256.0];
+    check(
+        "cone.splat",
+        &without_rest(),
+        [0.0, 1e-6, 2.0 / 128.0, byte, dc_of_byte, 0.0],
+    );
+    // Half a step of the extents of the cone: 0.375 m in 1023, a factor of 12 in 2047, DC from
+    // -1.375 to 1.1875 in 255. A further coefficient is one of 256 over 8.
+    let compressed = [
+        0.5 * 0.376 / 1023.0,
+        0.5 * 2.49 / 2047.0,
+        SMALLEST_THREE_MAX_RAD,
+        byte,
+        0.5 * 2.57 / 255.0,
+        0.5 * 8.0 / 256.0,
+    ];
     check("cone.compressed", &cone(), compressed);
     let dc = 0.501 / (255.0 * 0.15);
     let first_three = [0.0, 0.501 / 16.0, 0.03, byte, dc, 0.0];
     check("cone.v1", &cone(), first_three);
     check("cone.v2", &cone(), first_three);
-    check("cone.v3", &cone(), [0.0, 0.501 / 16.0, SMALLEST_THREE_MAX_RAD, byte, dc, 0.0]);
-    // 16 bits of a logarithm within 1.4, and 256 numbers that are the cone's own; 8 bits a component of a rotation.
+    check(
+        "cone.v3",
+        &cone(),
+        [0.0, 0.501 / 16.0, SMALLEST_THREE_MAX_RAD, byte, dc, 0.0],
+    );
+    // 16 bits of a logarithm within 1.4, and 256 numbers that are the cone's own; 8 bits a
+    // component of a rotation.
     let sog_angle_rad = 4.0 * 3f64.sqrt() * std::f64::consts::SQRT_2 / 510.0;
-    check("cone.sog", &cone(), [1e-4, 1e-6, sog_angle_rad, byte, 1e-6, 1e-6]);
+    check(
+        "cone.sog",
+        &cone(),
+        [1e-4, 1e-6, sog_angle_rad, byte, 1e-6, 1e-6],
+    );
     // Rotations and opacities are 16-bit integers; a node moves and halves what was doubled.
     check("cone.glb", &cone(), [1e-6, 1e-6, 2e-4, 1e-5, 0.0, 0.0]);
     check("cone.pt", &cone(), [0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0]);
@@ -94,10 +138,13 @@ fn the_cone_in_every_format_is_the_cone() {
 
 #[test]
 fn text_files_read_as_ever() {
-    let [inria, nerfstudio] =
-        ["inria.json", "nerfstudio.json"].map(|name| std::fs::read(seed(&format!("cameras/{name}"))).unwrap());
+    let [inria, nerfstudio] = ["inria.json", "nerfstudio.json"]
+        .map(|name| std::fs::read(seed(&format!("cameras/{name}"))).unwrap());
     assert_eq!(cameras::decode(&inria, None).unwrap()[0].name, "seq_00001");
-    assert_eq!(cameras::decode(&nerfstudio, None).unwrap()[0].name, "images_frame_1");
+    assert_eq!(
+        cameras::decode(&nerfstudio, None).unwrap()[0].name,
+        "images_frame_1"
+    );
     let scene = SceneFile::read(&seed("scene_file/example.toml")).unwrap();
     assert_eq!((scene.rig.cameras.len(), scene.agents.len()), (2, 2));
 }
@@ -106,13 +153,42 @@ fn text_files_read_as_ever() {
 #[test]
 fn an_episode_log_of_version_1_reads_as_it_was_written() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds/episode_log/small.log");
-    let Episode { head, start, steps, end } = read_episode_log(&path).unwrap();
-    assert_eq!((head.scenario.seed, head.scenario.agents[0].behaviors.len()), (0xfedc_ba98_7654_3210, 1));
-    assert_eq!((head.planner.name.as_str(), head.planner.privileged), ("lane-follow", true));
-    assert_eq!((head.route_m[1].y, head.agent_sizes.as_slice()), (1.0 / 3.0, &[VehicleSize::CAR][..]));
-    assert_eq!((start.ego.speed_mps, steps.len(), end), (8.0, 3, EpisodeEnd::Collision { agent: 0 }));
+    let Episode {
+        head,
+        start,
+        steps,
+        end,
+    } = read_episode_log(&path).unwrap();
+    assert_eq!(
+        (head.scenario.seed, head.scenario.agents[0].behaviors.len()),
+        (0xfedc_ba98_7654_3210, 1)
+    );
+    assert_eq!(
+        (head.planner.name.as_str(), head.planner.privileged),
+        ("lane-follow", true)
+    );
+    assert_eq!(
+        (head.route_m[1].y, head.agent_sizes.as_slice()),
+        (1.0 / 3.0, &[VehicleSize::CAR][..])
+    );
+    assert_eq!(
+        (start.ego.speed_mps, steps.len(), end),
+        (8.0, 3, EpisodeEnd::Collision { agent: 0 })
+    );
     let last = &steps[2];
-    assert_eq!((last.step, last.images[0].hash, last.instants.len()), (2, 7 << 100 | 2, 2));
-    assert!(last.plan.points()[0].position_m.y.is_sign_negative(), "minus zero has a sign");
-    assert_eq!((last.instants[1].agents[0].position_m.x, last.instants[1].on_road), (20.0 + 1.5 / 3.0, false));
+    assert_eq!(
+        (last.step, last.images[0].hash, last.instants.len()),
+        (2, 7 << 100 | 2, 2)
+    );
+    assert!(
+        last.plan.points()[0].position_m.y.is_sign_negative(),
+        "minus zero has a sign"
+    );
+    assert_eq!(
+        (
+            last.instants[1].agents[0].position_m.x,
+            last.instants[1].on_road
+        ),
+        (20.0 + 1.5 / 3.0, false)
+    );
 }

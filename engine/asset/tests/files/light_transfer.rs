@@ -1,14 +1,21 @@
 //! Light transfers and light probes as files: what they hold, and broken ones.
 
 use decouplegs_asset::calibrate::Probe;
-use decouplegs_asset::{LightTransferFile, light_transfer_file, read_light_transfer, write_light_transfer};
+use decouplegs_asset::{
+    LightTransferFile, light_transfer_file, read_light_transfer, write_light_transfer,
+};
 use decouplegs_scene::{AmbientDescriptor, LightTransfer, sh};
 use image::{DynamicImage, ImageFormat, Rgb32FImage};
 use safetensors::SafeTensors;
 
 fn transfer(sh_degree: u8) -> LightTransferFile {
     let wave = |index: usize| (index as f32 * 0.37).sin();
-    let row = |row: usize, phase: usize| (std::array::from_fn(|column| wave(row * 27 + column + phase)), wave(row + 2 * phase));
+    let row = |row: usize, phase: usize| {
+        (
+            std::array::from_fn(|column| wave(row * 27 + column + phase)),
+            wave(row + 2 * phase),
+        )
+    };
     let rows = 3 * sh::coefficient_count(sh_degree);
     let pair = |key: &str, value: &str| [(key.to_owned(), value.to_owned())].into();
     LightTransferFile {
@@ -48,36 +55,59 @@ fn broken_transfers_are_refused_with_what_is_wrong() {
     let bytes = light_transfer_file::encode(&transfer(1)).unwrap();
     let replaced = |from: &str, to: &str| {
         assert_eq!(from.len(), to.len(), "a header keeps its length");
-        let at = bytes.windows(from.len()).position(|window| window == from.as_bytes()).expect("the header says so");
+        let at = bytes
+            .windows(from.len())
+            .position(|window| window == from.as_bytes())
+            .expect("the header says so");
         let mut bytes = bytes.clone();
         bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
-        light_transfer_file::decode(&bytes).expect_err("a broken file must be refused").to_string()
+        light_transfer_file::decode(&bytes)
+            .expect_err("a broken file must be refused")
+            .to_string()
     };
-    assert!(replaced("decouplegs-light-transfer", "decouplegs-asset---------").contains("no light transfer"));
+    assert!(
+        replaced("decouplegs-light-transfer", "decouplegs-asset---------")
+            .contains("no light transfer")
+    );
     assert!(replaced("\"version\":\"1\"", "\"version\":\"2\"").contains("calibrate again"));
     assert!(replaced("\"sh_degree\":\"1\"", "\"sh_degree\":\"7\"").contains("sh_degree"));
-    assert!(replaced("\"sh_degree\":\"1\"", "\"sh_degree\":\"2\"").contains("12 rows; expected 27"));
+    assert!(
+        replaced("\"sh_degree\":\"1\"", "\"sh_degree\":\"2\"").contains("12 rows; expected 27")
+    );
     assert!(replaced("\"neutral\"", "\"neutrax\"").contains("neutrax"));
     for value in [f32::NAN, f32::NEG_INFINITY, 1e9] {
         let mut bytes = bytes.clone();
         let end = bytes.len();
         bytes[end - 4..].copy_from_slice(&value.to_le_bytes());
-        let said = light_transfer_file::decode(&bytes).expect_err("a broken file must be refused").to_string();
-        assert!(said.contains(if value.is_finite() { "1e9" } else { "finite" }), "{said}");
+        let said = light_transfer_file::decode(&bytes)
+            .expect_err("a broken file must be refused")
+            .to_string();
+        assert!(
+            said.contains(if value.is_finite() { "1e9" } else { "finite" }),
+            "{said}"
+        );
         let mut file = transfer(1);
         file.transfer.gain[3].0[2] = value;
         assert!(light_transfer_file::encode(&file).is_err());
     }
     let mut file = transfer(1);
     file.transfer.offset.pop();
-    assert!(light_transfer_file::encode(&file).unwrap_err().to_string().contains("11 of offset"));
+    assert!(
+        light_transfer_file::encode(&file)
+            .unwrap_err()
+            .to_string()
+            .contains("11 of offset")
+    );
 }
 
 #[test]
 fn cut_and_flipped_transfers_never_panic() {
     let bytes = light_transfer_file::encode(&transfer(0)).unwrap();
     for length in 0..bytes.len() {
-        assert!(light_transfer_file::decode(&bytes[..length]).is_err(), "cut at {length}");
+        assert!(
+            light_transfer_file::decode(&bytes[..length]).is_err(),
+            "cut at {length}"
+        );
     }
     for at in 0..bytes.len() {
         for bit in 0..8 {
@@ -92,9 +122,13 @@ fn cut_and_flipped_transfers_never_panic() {
 
 /// An image of light in the bytes of a file.
 fn image(format: ImageFormat) -> (Rgb32FImage, Vec<u8>) {
-    let rgb = Rgb32FImage::from_fn(16, 8, |x, y| image::Rgb([0.5 * x as f32, 4.0 * y as f32, 0.25]));
+    let rgb = Rgb32FImage::from_fn(16, 8, |x, y| {
+        image::Rgb([0.5 * x as f32, 4.0 * y as f32, 0.25])
+    });
     let mut bytes = std::io::Cursor::new(Vec::new());
-    DynamicImage::from(rgb.clone()).write_to(&mut bytes, format).unwrap();
+    DynamicImage::from(rgb.clone())
+        .write_to(&mut bytes, format)
+        .unwrap();
     (rgb, bytes.into_inner())
 }
 
@@ -106,11 +140,23 @@ fn probes_are_read_from_both_formats() {
         assert_eq!((probe.width(), probe.height(), probe.clamped), (16, 8, 0));
         for (found, pixel) in probe.pixels().iter().zip(rgb.pixels()) {
             // Radiance HDR shares an exponent: the largest channel has 8 bits, the others fewer.
-            let tolerance = if format == ImageFormat::Hdr { pixel.0.iter().fold(0.0f32, |a, b| a.max(*b)) / 128.0 } else { 0.0 };
-            assert!((0..3).all(|channel| (found[channel] - pixel.0[channel]).abs() <= tolerance), "{found:?} {pixel:?}");
+            let tolerance = if format == ImageFormat::Hdr {
+                pixel.0.iter().fold(0.0f32, |a, b| a.max(*b)) / 128.0
+            } else {
+                0.0
+            };
+            assert!(
+                (0..3).all(|channel| (found[channel] - pixel.0[channel]).abs() <= tolerance),
+                "{found:?} {pixel:?}"
+            );
         }
     }
-    assert!(Probe::decode("sky", b"\x89PNG").unwrap_err().to_string().contains(".exr or .hdr"));
+    assert!(
+        Probe::decode("sky", b"\x89PNG")
+            .unwrap_err()
+            .to_string()
+            .contains(".exr or .hdr")
+    );
     assert!(Probe::decode("sky", &[]).is_err());
 }
 
@@ -118,9 +164,19 @@ fn probes_are_read_from_both_formats() {
 fn probes_that_claim_too_much_are_refused() {
     let mut claim = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4000 +X 8000\n".to_vec();
     claim.extend([2, 2, 31, 64]);
-    assert!(Probe::decode("sky", &claim).unwrap_err().to_string().contains("8000 x 4000"));
+    assert!(
+        Probe::decode("sky", &claim)
+            .unwrap_err()
+            .to_string()
+            .contains("8000 x 4000")
+    );
     let large = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 90000 +X 90000\n";
-    assert!(Probe::decode("sky", large).unwrap_err().to_string().contains("8192 x 4096"));
+    assert!(
+        Probe::decode("sky", large)
+            .unwrap_err()
+            .to_string()
+            .contains("8192 x 4096")
+    );
 }
 
 #[test]
@@ -136,7 +192,13 @@ fn cut_and_flipped_probes_never_panic() {
                 let mut flipped = bytes.clone();
                 flipped[at] ^= 1 << bit;
                 if let Ok(probe) = Probe::decode("flipped", &flipped) {
-                    assert!(probe.pixels().as_flattened().iter().all(|value| value.is_finite() && *value >= 0.0));
+                    assert!(
+                        probe
+                            .pixels()
+                            .as_flattened()
+                            .iter()
+                            .all(|value| value.is_finite() && *value >= 0.0)
+                    );
                 }
             }
         }

@@ -11,8 +11,9 @@ use crate::sample;
 fn clouds() -> impl Strategy<Value = SplatCloud> {
     (0u8..=3, 0usize..12).prop_flat_map(|(degree, count)| {
         let stride = sh::coefficient_count(degree) - 1;
-        let triples =
-            |count: usize, range: std::ops::Range<f32>| prop::collection::vec(prop::array::uniform3(range), count..=count);
+        let triples = |count: usize, range: std::ops::Range<f32>| {
+            prop::collection::vec(prop::array::uniform3(range), count..=count)
+        };
         let rotations = prop::collection::vec(prop::array::uniform4(-1.0f32..1.0), count..=count);
         let opacities = prop::collection::vec(0.0f32..=1.0, count..=count);
         (
@@ -23,17 +24,31 @@ fn clouds() -> impl Strategy<Value = SplatCloud> {
             triples(count, -3.0..3.0),
             triples(count * stride, -0.99..0.99),
         )
-            .prop_map(move |(means, scales, rotations, opacities, sh_dc, sh_rest)| {
-                let rotations = rotations.into_iter().map(unit).collect();
-                SplatCloud { means, scales, rotations, opacities, sh_degree: degree, sh_dc, sh_rest }
-            })
+            .prop_map(
+                move |(means, scales, rotations, opacities, sh_dc, sh_rest)| {
+                    let rotations = rotations.into_iter().map(unit).collect();
+                    SplatCloud {
+                        means,
+                        scales,
+                        rotations,
+                        opacities,
+                        sh_degree: degree,
+                        sh_dc,
+                        sh_rest,
+                    }
+                },
+            )
     })
 }
 
 /// A unit quaternion along `q`, the identity where `q` is too short to have a direction.
 fn unit(q: [f32; 4]) -> [f32; 4] {
     let length = q.iter().map(|x| x * x).sum::<f32>().sqrt();
-    if length > 1e-3 { q.map(|x| x / length) } else { [1.0, 0.0, 0.0, 0.0] }
+    if length > 1e-3 {
+        q.map(|x| x / length)
+    } else {
+        [1.0, 0.0, 0.0, 0.0]
+    }
 }
 
 fn close(a: &[f32], b: &[f32], tolerance: f32) -> bool {
@@ -106,7 +121,8 @@ proptest! {
         low in prop::array::uniform9(-9.0f32..3.0),
         size in prop::array::uniform9(0.0f32..4.0),
     ) {
-        // Means, scales and colors of the chunk's extent lie behind the header: minima of three, then maxima of three.
+        // Means, scales and colors of the chunk's extent lie behind the header: minima of three,
+        // then maxima of three.
         let (_, mut file, read) = sample::files().swap_remove(1);
         let body = file.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
         for (attribute, axis) in (0..3).flat_map(|attribute| (0..3).map(move |axis| (attribute, axis))) {

@@ -12,7 +12,9 @@ use crate::scenarios::scenarios;
 
 /// The pieces of TOML on the format's page.
 fn examples() -> Vec<String> {
-    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scenario-file.md")).unwrap();
+    let page =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scenario-file.md"))
+            .unwrap();
     let ends = |piece: &str| piece[..piece.find("```").expect("the piece ends")].to_owned();
     page.split("```toml\n").skip(1).map(ends).collect()
 }
@@ -25,8 +27,14 @@ pub fn example() -> String {
 #[test]
 fn the_documented_example_means_what_it_says() {
     let scenario = scenario_file::parse(&example()).unwrap();
-    assert_eq!((scenario.name.as_str(), scenario.level, scenario.seed), ("cut-in-at-the-crossing", Some(Level::Hard), 17));
-    assert_eq!((scenario.duration_s, scenario.step_s, scenario.steps()), (20.0, 0.5, 40));
+    assert_eq!(
+        (scenario.name.as_str(), scenario.level, scenario.seed),
+        ("cut-in-at-the-crossing", Some(Level::Hard), 17)
+    );
+    assert_eq!(
+        (scenario.duration_s, scenario.step_s, scenario.steps()),
+        (20.0, 0.5, 40)
+    );
     let place = Place::Roads {
         map: "maps/town.xodr".into(),
         probe: Some("probes/dusk.exr".into()),
@@ -36,18 +44,49 @@ fn the_documented_example_means_what_it_says() {
     };
     assert_eq!(scenario.place, place);
     assert_eq!(scenario.ego.route, ["12/0/-1", "101/0/-1", "14/0/-1"]);
-    assert_eq!((scenario.ego.start_m, scenario.ego.end_m, scenario.ego.size), (5.0, 60.0, VehicleSize::CAR));
-    assert_eq!((scenario.ego.speed_mps, scenario.ego.cruise_mps), (8.0, 11.0));
-    let [taxi] = scenario.agents.as_slice() else { panic!("one agent") };
-    assert_eq!((taxi.name.as_str(), taxi.asset, taxi.lane.as_str(), taxi.at_m), ("taxi", 3, "12/0/-2", 25.0));
-    assert_eq!((taxi.driver, taxi.changes_lanes, taxi.size.to_array()), (DriverKind::Hurried, true, [4.8, 1.85, 1.5]));
+    assert_eq!(
+        (scenario.ego.start_m, scenario.ego.end_m, scenario.ego.size),
+        (5.0, 60.0, VehicleSize::CAR)
+    );
+    assert_eq!(
+        (scenario.ego.speed_mps, scenario.ego.cruise_mps),
+        (8.0, 11.0)
+    );
+    let [taxi] = scenario.agents.as_slice() else {
+        panic!("one agent")
+    };
+    assert_eq!(
+        (
+            taxi.name.as_str(),
+            taxi.asset,
+            taxi.lane.as_str(),
+            taxi.at_m
+        ),
+        ("taxi", 3, "12/0/-2", 25.0)
+    );
+    assert_eq!(
+        (taxi.driver, taxi.changes_lanes, taxi.size.to_array()),
+        (DriverKind::Hurried, true, [4.8, 1.85, 1.5])
+    );
     let behaviors = [
-        Behavior { trigger: Trigger::NearEgo { distance_m: 14.0 }, maneuver: Maneuver::CutIn },
+        Behavior {
+            trigger: Trigger::NearEgo { distance_m: 14.0 },
+            maneuver: Maneuver::CutIn,
+        },
         Behavior {
             trigger: Trigger::Time { time_s: 9.5 },
-            maneuver: Maneuver::Brake { deceleration_mps2: 7.0, duration_s: 1.5 },
+            maneuver: Maneuver::Brake {
+                deceleration_mps2: 7.0,
+                duration_s: 1.5,
+            },
         },
-        Behavior { trigger: Trigger::Time { time_s: 12.0 }, maneuver: Maneuver::Swerve { amplitude_m: 0.8, duration_s: 3.0 } },
+        Behavior {
+            trigger: Trigger::Time { time_s: 12.0 },
+            maneuver: Maneuver::Swerve {
+                amplitude_m: 0.8,
+                duration_s: 3.0,
+            },
+        },
     ];
     assert_eq!(taxi.behaviors, behaviors);
 }
@@ -55,64 +94,225 @@ fn the_documented_example_means_what_it_says() {
 #[test]
 fn every_documented_place_is_read_and_what_may_be_left_out_is() {
     let [example, street, scene] = examples().try_into().expect("an example and two places");
-    let (from, to) = (example.find("[place.roads]").unwrap(), example.find("[ego]").unwrap());
-    let at = |place: &str| scenario_file::parse(&example.replace(&example[from..to], place)).unwrap().place;
-    assert_eq!(at(&street), Place::Street { weather: Weather::Clear, background: 200_000, agent_splats: 10_000, seed: 1 });
-    assert_eq!(at(&scene), Place::Scene { scene: "captured/scene.toml".into(), map: "captured/lanes.osm".into() });
+    let (from, to) = (
+        example.find("[place.roads]").unwrap(),
+        example.find("[ego]").unwrap(),
+    );
+    let at = |place: &str| {
+        scenario_file::parse(&example.replace(&example[from..to], place))
+            .unwrap()
+            .place
+    };
+    assert_eq!(
+        at(&street),
+        Place::Street {
+            weather: Weather::Clear,
+            background: 200_000,
+            agent_splats: 10_000,
+            seed: 1
+        }
+    );
+    assert_eq!(
+        at(&scene),
+        Place::Scene {
+            scene: "captured/scene.toml".into(),
+            map: "captured/lanes.osm".into()
+        }
+    );
 
     let bare = "version = 1\nname = \"a\"\nseed = \"0xffffffffffffffff\"\n[place.roads]\nmap = \"m.json\"\nbackground = 9\n\
         agent_splats = 8\n[ego]\nroute = [\"1\"]\nstart_m = 0\nend_m = 9\nspeed_mps = 1\ncruise_mps = 2\n\
         [[agent]]\nname = \"b\"\nasset = 0\nlane = \"2\"\nat_m = 3\nspeed_mps = 4\n";
-    let Scenario { level, seed, duration_s, step_s, place, ego, agents, .. } = scenario_file::parse(bare).unwrap();
-    assert_eq!((level, seed, duration_s, step_s), (None, u64::MAX, Scenario::DURATION_S, Scenario::STEP_S));
-    assert!(matches!(place, Place::Roads { probe: None, exposure_ev: 0.0, .. }), "{place:?}");
-    assert_eq!((ego.size, agents[0].size), (VehicleSize::CAR, VehicleSize::CAR));
-    assert_eq!((agents[0].driver, agents[0].changes_lanes), (DriverKind::Normal, true));
+    let Scenario {
+        level,
+        seed,
+        duration_s,
+        step_s,
+        place,
+        ego,
+        agents,
+        ..
+    } = scenario_file::parse(bare).unwrap();
+    assert_eq!(
+        (level, seed, duration_s, step_s),
+        (None, u64::MAX, Scenario::DURATION_S, Scenario::STEP_S)
+    );
+    assert!(
+        matches!(
+            place,
+            Place::Roads {
+                probe: None,
+                exposure_ev: 0.0,
+                ..
+            }
+        ),
+        "{place:?}"
+    );
+    assert_eq!(
+        (ego.size, agents[0].size),
+        (VehicleSize::CAR, VehicleSize::CAR)
+    );
+    assert_eq!(
+        (agents[0].driver, agents[0].changes_lanes),
+        (DriverKind::Normal, true)
+    );
 }
 
 #[test]
 fn complaints_name_line_key_and_reason() {
-    // What is replaced by what, and what the complaint says, in this order; the line is that of the replacement.
+    // What is replaced by what, and what the complaint says, in this order; the line is that of the
+    // replacement.
     let cases = [
         ("version = 1", "version = 2", "version: 2 is not read"),
-        ("\"cut-in-at-the-crossing\"", "\"../../etc\"", "name: '../../etc' names files"),
+        (
+            "\"cut-in-at-the-crossing\"",
+            "\"../../etc\"",
+            "name: '../../etc' names files",
+        ),
         ("\"cut-in-at-the-crossing\"", "\"\"", "name: '' names files"),
-        ("\"hard\"", "\"harder\"", "level: 'harder' is unknown; there are easy, medium"),
-        ("seed = 17", "seed = -17", "seed: invalid value: integer `-17`"),
-        ("seed = 17", "seed = \"0x1ffffffffffffffff\"", "seed: invalid value"),
-        ("duration_s = 20.0", "duration_s = 3601.0", "duration_s: 3601 is out of range"),
-        ("duration_s = 20.0", "duration_s = nan", "duration_s: NaN is out of range"),
-        ("step_s = 0.5", "step_s = 0.0", "step_s: 0 is out of range; expected 0.02 to 5"),
-        ("map = \"maps/town.xodr\"", "map = \"\"", "place.map: is empty"),
-        ("exposure_ev = -1.5", "exposure_ev = inf", "place.exposure_ev: inf is out of range"),
-        ("background = 400000", "background = 0", "place.background: 0 is out of range"),
-        ("agent_splats = 10000", "agent_splats = 9000000000", "place.agent_splats: 9000000000 is out of range"),
-        ("[\"12/0/-1\", \"101/0/-1\", \"14/0/-1\"]", "[]", "ego.route: 0 lanes"),
-        ("[\"12/0/-1\", \"101/0/-1\", \"14/0/-1\"]", "[\"\"]", "ego.route: a lane's id of 0 bytes"),
-        ("start_m = 5.0", "start_m = -5.0", "ego.start_m: -5 is out of range"),
-        ("cruise_mps = 11.0", "cruise = 11.0", "cruise: unknown field"),
-        ("size_m = [4.5,", "size_m = [0.0,", "ego.size_m: 0 is out of range"),
-        ("\"taxi\"", "\"a taxi\"", "agent[0].name: 'a taxi' names files"),
-        ("asset = 3", "asset = 65536", "agent[0].asset: 65536 is out of range"),
-        ("\"hurried\"", "\"drunk\"", "agent[0].driver: 'drunk' is unknown"),
-        ("\"cut_in\"", "\"vanish\"", "agent[0].behavior[0].maneuver: 'vanish' is unknown"),
-        ("near_ego_m = 14.0", "deceleration_mps2 = 1.0\nnear_ego_m = 14.0", "behavior[0].deceleration_mps2: a maneuver 'cut_in'"),
-        ("at_time_s = 9.5", "near_ego_m = 1.0\nat_time_s = 9.5", "agent[0].behavior[1].at_time_s: give either"),
-        ("deceleration_mps2 = 7.0", "deceleration_mps2 = -7.0", "behavior[1].deceleration_mps2: -7 is out of range"),
-        ("amplitude_m = 0.8", "amplitude_m = 80.0", "agent[0].behavior[2].amplitude_m: 80 is out of range"),
+        (
+            "\"hard\"",
+            "\"harder\"",
+            "level: 'harder' is unknown; there are easy, medium",
+        ),
+        (
+            "seed = 17",
+            "seed = -17",
+            "seed: invalid value: integer `-17`",
+        ),
+        (
+            "seed = 17",
+            "seed = \"0x1ffffffffffffffff\"",
+            "seed: invalid value",
+        ),
+        (
+            "duration_s = 20.0",
+            "duration_s = 3601.0",
+            "duration_s: 3601 is out of range",
+        ),
+        (
+            "duration_s = 20.0",
+            "duration_s = nan",
+            "duration_s: NaN is out of range",
+        ),
+        (
+            "step_s = 0.5",
+            "step_s = 0.0",
+            "step_s: 0 is out of range; expected 0.02 to 5",
+        ),
+        (
+            "map = \"maps/town.xodr\"",
+            "map = \"\"",
+            "place.map: is empty",
+        ),
+        (
+            "exposure_ev = -1.5",
+            "exposure_ev = inf",
+            "place.exposure_ev: inf is out of range",
+        ),
+        (
+            "background = 400000",
+            "background = 0",
+            "place.background: 0 is out of range",
+        ),
+        (
+            "agent_splats = 10000",
+            "agent_splats = 9000000000",
+            "place.agent_splats: 9000000000 is out of range",
+        ),
+        (
+            "[\"12/0/-1\", \"101/0/-1\", \"14/0/-1\"]",
+            "[]",
+            "ego.route: 0 lanes",
+        ),
+        (
+            "[\"12/0/-1\", \"101/0/-1\", \"14/0/-1\"]",
+            "[\"\"]",
+            "ego.route: a lane's id of 0 bytes",
+        ),
+        (
+            "start_m = 5.0",
+            "start_m = -5.0",
+            "ego.start_m: -5 is out of range",
+        ),
+        (
+            "cruise_mps = 11.0",
+            "cruise = 11.0",
+            "cruise: unknown field",
+        ),
+        (
+            "size_m = [4.5,",
+            "size_m = [0.0,",
+            "ego.size_m: 0 is out of range",
+        ),
+        (
+            "\"taxi\"",
+            "\"a taxi\"",
+            "agent[0].name: 'a taxi' names files",
+        ),
+        (
+            "asset = 3",
+            "asset = 65536",
+            "agent[0].asset: 65536 is out of range",
+        ),
+        (
+            "\"hurried\"",
+            "\"drunk\"",
+            "agent[0].driver: 'drunk' is unknown",
+        ),
+        (
+            "\"cut_in\"",
+            "\"vanish\"",
+            "agent[0].behavior[0].maneuver: 'vanish' is unknown",
+        ),
+        (
+            "near_ego_m = 14.0",
+            "deceleration_mps2 = 1.0\nnear_ego_m = 14.0",
+            "behavior[0].deceleration_mps2: a maneuver 'cut_in'",
+        ),
+        (
+            "at_time_s = 9.5",
+            "near_ego_m = 1.0\nat_time_s = 9.5",
+            "agent[0].behavior[1].at_time_s: give either",
+        ),
+        (
+            "deceleration_mps2 = 7.0",
+            "deceleration_mps2 = -7.0",
+            "behavior[1].deceleration_mps2: -7 is out of range",
+        ),
+        (
+            "amplitude_m = 0.8",
+            "amplitude_m = 80.0",
+            "agent[0].behavior[2].amplitude_m: 80 is out of range",
+        ),
     ];
     for (from, to, complaint) in cases {
         let text = example();
-        let at = text.find(from).unwrap_or_else(|| panic!("the example has no {from}"));
+        let at = text
+            .find(from)
+            .unwrap_or_else(|| panic!("the example has no {from}"));
         let line = 1 + text[..at].matches('\n').count();
         let error = scenario_file::parse(&text.replacen(from, to, 1)).unwrap_err();
-        assert!(error.to_string().contains(complaint), "{from} -> {to}: {error}");
+        assert!(
+            error.to_string().contains(complaint),
+            "{from} -> {to}: {error}"
+        );
         // An added line may stand above or below the one at fault.
-        assert!(error.line.abs_diff(line) <= to.matches('\n').count(), "{from} -> {to}: {error}; expected line {line}");
+        assert!(
+            error.line.abs_diff(line) <= to.matches('\n').count(),
+            "{from} -> {to}: {error}; expected line {line}"
+        );
     }
-    let twice = format!("{}{}", example(), &example()[example().find("\n[[agent]]\n").unwrap()..]);
+    let twice = format!(
+        "{}{}",
+        example(),
+        &example()[example().find("\n[[agent]]\n").unwrap()..]
+    );
     let error = scenario_file::parse(&twice).unwrap_err();
-    assert!(error.key == "agent[1].name" && error.reason.contains("'taxi' is taken"), "{error}");
+    assert!(
+        error.key == "agent[1].name" && error.reason.contains("'taxi' is taken"),
+        "{error}"
+    );
     let two_places = example().replace("[ego]", "[place.street]\nweather = \"clear\"\n[ego]");
     assert!(scenario_file::parse(&two_places).is_err());
 }
@@ -123,13 +323,21 @@ fn more_agents_than_allowed_are_refused() {
     scenario.agents[0].behaviors.clear();
     let agent = scenario.agents[0].clone();
     scenario.agents = (0..AGENTS_MAX)
-        .map(|index| decouplegs_scene::scenario::TrafficAgent { name: format!("a{index}"), ..agent.clone() })
+        .map(|index| decouplegs_scene::scenario::TrafficAgent {
+            name: format!("a{index}"),
+            ..agent.clone()
+        })
         .collect();
     let text = scenario_file::to_toml(&scenario).unwrap();
     assert_eq!(scenario_file::parse(&text).unwrap(), scenario);
-    let one_more = format!("{text}\n[[agent]]\nname = \"last\"\nasset = 0\nlane = \"1\"\nat_m = 0.0\nspeed_mps = 0.0\n");
+    let one_more = format!(
+        "{text}\n[[agent]]\nname = \"last\"\nasset = 0\nlane = \"1\"\nat_m = 0.0\nspeed_mps = 0.0\n"
+    );
     let error = scenario_file::parse(&one_more).unwrap_err();
-    assert!(error.reason.contains("10001 agents") && error.line > 10_000, "{error}");
+    assert!(
+        error.reason.contains("10001 agents") && error.line > 10_000,
+        "{error}"
+    );
 }
 
 #[test]
@@ -142,22 +350,56 @@ fn what_no_file_can_say_is_not_written() {
         assert!(error.contains("a.toml") && !path.exists(), "{error}");
         error
     };
-    assert!(refused(&Scenario { step_s: f64::NAN, ..good.clone() }).contains("step_s: NaN"));
-    assert!(refused(&Scenario { name: "a/b".into(), ..good.clone() }).contains("'a/b'"));
+    assert!(
+        refused(&Scenario {
+            step_s: f64::NAN,
+            ..good.clone()
+        })
+        .contains("step_s: NaN")
+    );
+    assert!(
+        refused(&Scenario {
+            name: "a/b".into(),
+            ..good.clone()
+        })
+        .contains("'a/b'")
+    );
     #[cfg(unix)]
     {
         use std::os::unix::ffi::OsStrExt;
         let map = std::ffi::OsStr::from_bytes(b"\xff.xodr").into();
-        let place = Place::Scene { scene: "s.toml".into(), map };
-        assert!(refused(&Scenario { place, ..good.clone() }).contains("not Unicode"));
+        let place = Place::Scene {
+            scene: "s.toml".into(),
+            map,
+        };
+        assert!(
+            refused(&Scenario {
+                place,
+                ..good.clone()
+            })
+            .contains("not Unicode")
+        );
     }
     write_scenario(&path, &good).unwrap();
     assert_eq!(read_scenario(&path).unwrap(), good);
-    assert!(std::fs::read_to_string(&path).unwrap().starts_with("# A scenario: "), "a person who opens it is told what it is");
+    assert!(
+        std::fs::read_to_string(&path)
+            .unwrap()
+            .starts_with("# A scenario: "),
+        "a person who opens it is told what it is"
+    );
     std::fs::write(&path, b"version = 1\n\xff").unwrap();
     let error = read_scenario(&path).unwrap_err().to_string();
-    assert!(error.contains("a.toml") && error.contains("line 2") && error.contains("UTF-8"), "{error}");
-    assert!(read_scenario(&directory.path().join("none.toml")).unwrap_err().to_string().contains("none.toml"));
+    assert!(
+        error.contains("a.toml") && error.contains("line 2") && error.contains("UTF-8"),
+        "{error}"
+    );
+    assert!(
+        read_scenario(&directory.path().join("none.toml"))
+            .unwrap_err()
+            .to_string()
+            .contains("none.toml")
+    );
 }
 
 proptest! {

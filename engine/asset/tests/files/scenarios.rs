@@ -1,6 +1,8 @@
 //! Generated scenarios, of which no number is rounder than it has to be.
 
-use decouplegs_scene::scenario::{Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger};
+use decouplegs_scene::scenario::{
+    Behavior, DriverKind, EgoTask, Maneuver, Place, TrafficAgent, Trigger,
+};
 use decouplegs_scene::{Level, Scenario, VehicleSize, Weather};
 use proptest::prelude::*;
 use proptest::sample::select;
@@ -14,26 +16,55 @@ fn sizes() -> impl Strategy<Value = VehicleSize> {
 
 fn places() -> impl Strategy<Value = Place> {
     let counts = (1usize..=200_000_000, 1usize..=10_000_000);
-    let street = (select(Weather::ALL.to_vec()), counts.clone(), any::<u64>())
-        .prop_map(|(weather, (background, agent_splats), seed)| Place::Street { weather, background, agent_splats, seed });
-    let roads = (ODD_TEXT, prop::option::of(ODD_TEXT), -20.0f64..=20.0, counts).prop_map(
-        |(map, probe, exposure_ev, (background, agent_splats))| Place::Roads {
-            map: map.into(),
-            probe: probe.map(Into::into),
-            exposure_ev,
+    let street = (select(Weather::ALL.to_vec()), counts.clone(), any::<u64>()).prop_map(
+        |(weather, (background, agent_splats), seed)| Place::Street {
+            weather,
             background,
             agent_splats,
+            seed,
         },
     );
-    let scene = (ODD_TEXT, ODD_TEXT).prop_map(|(scene, map)| Place::Scene { scene: scene.into(), map: map.into() });
+    let roads = (
+        ODD_TEXT,
+        prop::option::of(ODD_TEXT),
+        -20.0f64..=20.0,
+        counts,
+    )
+        .prop_map(
+            |(map, probe, exposure_ev, (background, agent_splats))| Place::Roads {
+                map: map.into(),
+                probe: probe.map(Into::into),
+                exposure_ev,
+                background,
+                agent_splats,
+            },
+        );
+    let scene = (ODD_TEXT, ODD_TEXT).prop_map(|(scene, map)| Place::Scene {
+        scene: scene.into(),
+        map: map.into(),
+    });
     prop_oneof![street, roads, scene]
 }
 
 fn egos() -> impl Strategy<Value = EgoTask> {
     let speeds = (0.0f64..=100.0, 0.0f64..=100.0);
-    (prop::collection::vec(ODD_TEXT, 1..5), 0.0f64..1e3, 1e3f64..=1e6, speeds, sizes()).prop_map(
-        |(route, start_m, end_m, (speed_mps, cruise_mps), size)| EgoTask { route, start_m, end_m, speed_mps, cruise_mps, size },
+    (
+        prop::collection::vec(ODD_TEXT, 1..5),
+        0.0f64..1e3,
+        1e3f64..=1e6,
+        speeds,
+        sizes(),
     )
+        .prop_map(
+            |(route, start_m, end_m, (speed_mps, cruise_mps), size)| EgoTask {
+                route,
+                start_m,
+                end_m,
+                speed_mps,
+                cruise_mps,
+                size,
+            },
+        )
 }
 
 fn behaviors() -> impl Strategy<Value = Behavior> {
@@ -43,47 +74,78 @@ fn behaviors() -> impl Strategy<Value = Behavior> {
     ];
     let duration_s = || 0.01f64..=3600.0;
     let maneuver = prop_oneof![
-        (0.01f64..=20.0, duration_s())
-            .prop_map(|(deceleration_mps2, duration_s)| Maneuver::Brake { deceleration_mps2, duration_s }),
+        (0.01f64..=20.0, duration_s()).prop_map(|(deceleration_mps2, duration_s)| {
+            Maneuver::Brake {
+                deceleration_mps2,
+                duration_s,
+            }
+        }),
         Just(Maneuver::CutIn),
-        (-20.0f64..=20.0, duration_s()).prop_map(|(amplitude_m, duration_s)| Maneuver::Swerve { amplitude_m, duration_s }),
+        (-20.0f64..=20.0, duration_s()).prop_map(|(amplitude_m, duration_s)| Maneuver::Swerve {
+            amplitude_m,
+            duration_s
+        }),
     ];
     (trigger, maneuver).prop_map(|(trigger, maneuver)| Behavior { trigger, maneuver })
 }
 
 fn agents() -> impl Strategy<Value = Vec<TrafficAgent>> {
     let agent = (
-        (0usize..65_536, sizes(), ODD_TEXT, 0.0f64..=1e6, 0.0f64..=100.0),
-        (select(DriverKind::ALL.to_vec()), any::<bool>(), prop::collection::vec(behaviors(), 0..3)),
+        (
+            0usize..65_536,
+            sizes(),
+            ODD_TEXT,
+            0.0f64..=1e6,
+            0.0f64..=100.0,
+        ),
+        (
+            select(DriverKind::ALL.to_vec()),
+            any::<bool>(),
+            prop::collection::vec(behaviors(), 0..3),
+        ),
     )
-        .prop_map(|((asset, size, lane, at_m, speed_mps), (driver, changes_lanes, behaviors))| TrafficAgent {
-            name: String::new(),
-            asset,
-            size,
-            lane,
-            at_m,
-            speed_mps,
-            driver,
-            changes_lanes,
-            behaviors,
-        });
+        .prop_map(
+            |((asset, size, lane, at_m, speed_mps), (driver, changes_lanes, behaviors))| {
+                TrafficAgent {
+                    name: String::new(),
+                    asset,
+                    size,
+                    lane,
+                    at_m,
+                    speed_mps,
+                    driver,
+                    changes_lanes,
+                    behaviors,
+                }
+            },
+        );
     prop::collection::vec(agent, 0..4).prop_map(|mut agents| {
-        agents.iter_mut().enumerate().for_each(|(index, agent)| agent.name = format!("car-{index}"));
+        agents
+            .iter_mut()
+            .enumerate()
+            .for_each(|(index, agent)| agent.name = format!("car-{index}"));
         agents
     })
 }
 
 pub fn scenarios() -> impl Strategy<Value = Scenario> {
     let times = (0.02f64..=3600.0, 0.02f64..=5.0);
-    let head = ("[A-Za-z0-9_-]{1,100}", prop::option::of(select(Level::ALL.to_vec())), any::<u64>(), times);
-    (head, places(), egos(), agents()).prop_map(|((name, level, seed, (duration_s, step_s)), place, ego, agents)| Scenario {
-        name,
-        level,
-        seed,
-        duration_s,
-        step_s,
-        place,
-        ego,
-        agents,
-    })
+    let head = (
+        "[A-Za-z0-9_-]{1,100}",
+        prop::option::of(select(Level::ALL.to_vec())),
+        any::<u64>(),
+        times,
+    );
+    (head, places(), egos(), agents()).prop_map(
+        |((name, level, seed, (duration_s, step_s)), place, ego, agents)| Scenario {
+            name,
+            level,
+            seed,
+            duration_s,
+            step_s,
+            place,
+            ego,
+            agents,
+        },
+    )
 }

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use decouplegs_asset::{
-    AssetError, LightTransferFile, SceneFile, SceneLight, inria_ply, open_scene, write_coded, write_light_transfer,
+    AssetError, LightTransferFile, SceneFile, SceneLight, inria_ply, open_scene, write_coded,
+    write_light_transfer,
 };
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs_scene::{AmbientDescriptor, Lens, LightTransfer, Pose, Rules, ShFrame, World};
@@ -13,7 +14,8 @@ use crate::sample::{cloud, coded_cone};
 
 /// The example of the format's page.
 fn example() -> String {
-    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scene-file.md")).unwrap();
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scene-file.md"))
+        .unwrap();
     let from = page.find("```toml\n").expect("the page has an example") + "```toml\n".len();
     let length = page[from..].find("```").expect("the example ends");
     page[from..from + length].to_owned()
@@ -23,27 +25,67 @@ fn example() -> String {
 fn the_documented_example_means_what_it_says() {
     let scene = SceneFile::parse(&example()).unwrap();
     assert_eq!(scene.origin, DVec3::new(458_000.0, 5_428_000.0, 112.0));
-    assert_eq!((scene.background.to_str(), scene.sky, scene.rules), (Some("street.ply"), [0.53, 0.68, 0.86], Rules::DEFAULT));
-    let [front, left, below] = scene.rig.cameras.as_slice() else { panic!("three cameras") };
-    assert!(front.intrinsics.lens == Lens::Pinhole && matches!(below.intrinsics.lens, Lens::Fisheye(_)));
-    assert_eq!((front.name.as_str(), front.intrinsics.width_px, front.intrinsics.cx_px), ("front", 1600, 816.3));
-    assert!((front.rig_from_camera.rotation * DVec3::Z - DVec3::X).length() < 1e-12, "the front camera looks along x");
+    assert_eq!(
+        (scene.background.to_str(), scene.sky, scene.rules),
+        (Some("street.ply"), [0.53, 0.68, 0.86], Rules::DEFAULT)
+    );
+    let [front, left, below] = scene.rig.cameras.as_slice() else {
+        panic!("three cameras")
+    };
+    assert!(
+        front.intrinsics.lens == Lens::Pinhole && matches!(below.intrinsics.lens, Lens::Fisheye(_))
+    );
+    assert_eq!(
+        (
+            front.name.as_str(),
+            front.intrinsics.width_px,
+            front.intrinsics.cx_px
+        ),
+        ("front", 1600, 816.3)
+    );
+    assert!(
+        (front.rig_from_camera.rotation * DVec3::Z - DVec3::X).length() < 1e-12,
+        "the front camera looks along x"
+    );
     let looks = left.rig_from_camera.rotation * DVec3::Z;
     assert!((looks - DVec3::new(0.57, 0.82, 0.0).normalize()).length() < 1e-12);
-    assert!((left.rig_from_camera.rotation * DVec3::Y + DVec3::Z).length() < 1e-12, "image down is vehicle down");
+    assert!(
+        (left.rig_from_camera.rotation * DVec3::Y + DVec3::Z).length() < 1e-12,
+        "image down is vehicle down"
+    );
     let ego = scene.ego.unwrap();
     assert!((ego.at(1.0).translation.x - 458_010.0).abs() < 1e-9);
-    assert!(ego.at(2.0).rotation.angle_between(DQuat::from_rotation_z(0.1)) < 1e-6);
-    let [parked, oncoming] = scene.agents.as_slice() else { panic!("two agents") };
-    assert_eq!((parked.name.as_str(), parked.sh_frame, oncoming.sh_frame), ("parked", Some(ShFrame::Canonical), None));
-    assert_eq!((parked.trajectory.poses().len(), oncoming.trajectory.poses().len()), (1, 2));
+    assert!(
+        ego.at(2.0)
+            .rotation
+            .angle_between(DQuat::from_rotation_z(0.1))
+            < 1e-6
+    );
+    let [parked, oncoming] = scene.agents.as_slice() else {
+        panic!("two agents")
+    };
+    assert_eq!(
+        (parked.name.as_str(), parked.sh_frame, oncoming.sh_frame),
+        ("parked", Some(ShFrame::Canonical), None)
+    );
+    assert_eq!(
+        (
+            parked.trajectory.poses().len(),
+            oncoming.trajectory.poses().len()
+        ),
+        (1, 2)
+    );
     assert!((oncoming.trajectory.at(2.0).translation.x - 458_035.0).abs() < 1e-9);
 }
 
 /// The example of the page with the light that it shows.
 fn lit_example() -> String {
-    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scene-file.md")).unwrap();
-    let from = page.find("```toml\n[light]").expect("the page shows a light") + "```toml\n".len();
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scene-file.md"))
+        .unwrap();
+    let from = page
+        .find("```toml\n[light]")
+        .expect("the page shows a light")
+        + "```toml\n".len();
     let length = page[from..].find("```").expect("the light ends");
     format!("{}\n{}", example(), &page[from..from + length])
 }
@@ -52,11 +94,24 @@ fn lit_example() -> String {
 fn the_documented_light_is_the_default_one() {
     let light = SceneFile::parse(&lit_example()).unwrap().light.unwrap();
     assert_eq!(light.transfer.unwrap().to_str(), Some("light.safetensors"));
-    assert_eq!((light.ambient, light.shadows), (AmbientOptions::default(), Some(ShadowOptions::default())));
-    let bare = SceneFile::parse(&format!("{}\n[light]\n[light.shadows]\n", example())).unwrap().light.unwrap();
-    let expected = SceneLight { shadows: Some(ShadowOptions::default()), ..SceneLight::default() };
+    assert_eq!(
+        (light.ambient, light.shadows),
+        (AmbientOptions::default(), Some(ShadowOptions::default()))
+    );
+    let bare = SceneFile::parse(&format!("{}\n[light]\n[light.shadows]\n", example()))
+        .unwrap()
+        .light
+        .unwrap();
+    let expected = SceneLight {
+        shadows: Some(ShadowOptions::default()),
+        ..SceneLight::default()
+    };
     assert_eq!(bare, expected);
-    let complaint = |from: &str, to: &str| SceneFile::parse(&lit_example().replacen(from, to, 1)).unwrap_err().to_string();
+    let complaint = |from: &str, to: &str| {
+        SceneFile::parse(&lit_example().replacen(from, to, 1))
+            .unwrap_err()
+            .to_string()
+    };
     assert!(complaint("sigma_m = 5.0", "sigma_m = -1.0").contains("light.sigma_m"));
     assert!(complaint("decay = 1.5", "decay = inf").contains("light.shadows.decay"));
     assert!(complaint("floor = 0.3", "flor = 0.3").contains("flor"));
@@ -68,7 +123,11 @@ fn a_lit_scene_is_baked_in_its_light() {
     let directory = tempfile::tempdir().unwrap();
     let mut ground = cloud(400, 1);
     for (splat, mean) in ground.means.iter_mut().enumerate() {
-        *mean = [(splat % 20) as f32 * 0.25 + 10.0, (splat / 20) as f32 * 0.25 + 1.0, 0.0];
+        *mean = [
+            (splat % 20) as f32 * 0.25 + 10.0,
+            (splat / 20) as f32 * 0.25 + 1.0,
+            0.0,
+        ];
     }
     inria_ply::write(&directory.path().join("street.ply"), &ground).unwrap();
     write_coded(&directory.path().join("cone.safetensors"), &coded_cone()).unwrap();
@@ -90,19 +149,37 @@ fn a_lit_scene_is_baked_in_its_light() {
     write_light_transfer(&directory.path().join("light.safetensors"), &file).unwrap();
     let open = |text: String| {
         let path = directory.path().join("scene.toml");
-        std::fs::write(&path, text.replace("car.ply", "cone.safetensors").replace("112.75", "112.5")).unwrap();
+        std::fs::write(
+            &path,
+            text.replace("car.ply", "cone.safetensors")
+                .replace("112.75", "112.5"),
+        )
+        .unwrap();
         open_scene(&path, 0.0)
     };
-    let (plain, lit) = (open(example()).unwrap().baked(0.0), open(lit_example()).unwrap().baked(0.0));
+    let (plain, lit) = (
+        open(example()).unwrap().baked(0.0),
+        open(lit_example()).unwrap().baked(0.0),
+    );
     assert_eq!(lit.splats.means, plain.splats.means);
     for splat in 400..lit.splats.len() {
         let (dc, without) = (lit.splats.sh_dc[splat], plain.splats.sh_dc[splat]);
-        assert!((dc[0] - without[0] - 0.25).abs() < 1e-6 && (dc[1] - without[1]).abs() < 1e-6, "{dc:?} {without:?}");
+        assert!(
+            (dc[0] - without[0] - 0.25).abs() < 1e-6 && (dc[1] - without[1]).abs() < 1e-6,
+            "{dc:?} {without:?}"
+        );
     }
-    let darker = (0..400).filter(|&splat| lit.splats.sh_dc[splat][0] < plain.splats.sh_dc[splat][0]).count();
+    let darker = (0..400)
+        .filter(|&splat| lit.splats.sh_dc[splat][0] < plain.splats.sh_dc[splat][0])
+        .count();
     assert!((20..400).contains(&darker), "{darker} splats are in shadow");
     std::fs::remove_file(directory.path().join("light.safetensors")).unwrap();
-    assert!(open(lit_example()).unwrap_err().to_string().contains("light.safetensors"));
+    assert!(
+        open(lit_example())
+            .unwrap_err()
+            .to_string()
+            .contains("light.safetensors")
+    );
 }
 
 #[test]
@@ -110,7 +187,11 @@ fn what_is_written_reads_back_the_same() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("scene.toml");
     let mut scene = SceneFile::parse(&lit_example()).unwrap();
-    scene.rules = Rules { antialias: true, near_m: 0.3, ..Rules::INRIA };
+    scene.rules = Rules {
+        antialias: true,
+        near_m: 0.3,
+        ..Rules::INRIA
+    };
     scene.agents[1].sh_frame = Some(ShFrame::World);
     scene.write(&path).unwrap();
     let back = SceneFile::read(&path).unwrap();
@@ -124,45 +205,131 @@ fn what_is_written_reads_back_the_same() {
 #[test]
 fn complaints_name_file_line_and_key() {
     let text = example();
-    let line_of =
-        |part: &str, nth: usize| 1 + text.lines().enumerate().filter(|(_, line)| line.contains(part)).nth(nth).unwrap().0;
+    let line_of = |part: &str, nth: usize| {
+        1 + text
+            .lines()
+            .enumerate()
+            .filter(|(_, line)| line.contains(part))
+            .nth(nth)
+            .unwrap()
+            .0
+    };
     for (from, to, key, part) in [
         ("version = 1", "version = 2", "version", "reads version 1"),
-        ("background = ", "backround = ", "backround", "unknown field"),
-        ("name = \"default\"", "name = \"fast\"", "rules.name", "gsplat15"),
+        (
+            "background = ",
+            "backround = ",
+            "backround",
+            "unknown field",
+        ),
+        (
+            "name = \"default\"",
+            "name = \"fast\"",
+            "rules.name",
+            "gsplat15",
+        ),
         ("near_m = 0.01", "near_m = -1.0", "rules.near_m", "positive"),
         ("cx_px = 826.6", "cx_px = nan", "rig[1].cx_px", "finite"),
         ("fx_px = 1266.4", "fx_px = 0.0", "rig[0].fx_px", "positive"),
         ("width_px = 1600", "width_px = -4", "width_px", "u32"),
-        ("rotation_wxyz = [0.5, -0.5, 0.5, -0.5]", "rotation_wxyz = [1.0, -0.5, 0.5, -0.5]", "rig[0].rotation_wxyz", "unit"),
-        ("look = [0.57, 0.82, 0.0]", "look = [0.0, 0.0, 1.0]", "rig[1].look", "vertical"),
-        ("name = \"front_left\"", "name = \"front\"", "rig[1].name", "taken"),
-        ("name = \"front_left\"", "name = \"../front\"", "rig[1].name", "slash"),
+        (
+            "rotation_wxyz = [0.5, -0.5, 0.5, -0.5]",
+            "rotation_wxyz = [1.0, -0.5, 0.5, -0.5]",
+            "rig[0].rotation_wxyz",
+            "unit",
+        ),
+        (
+            "look = [0.57, 0.82, 0.0]",
+            "look = [0.0, 0.0, 1.0]",
+            "rig[1].look",
+            "vertical",
+        ),
+        (
+            "name = \"front_left\"",
+            "name = \"front\"",
+            "rig[1].name",
+            "taken",
+        ),
+        (
+            "name = \"front_left\"",
+            "name = \"../front\"",
+            "rig[1].name",
+            "slash",
+        ),
         ("time_s = 2.0", "time_s = 0.0", "ego[1].time_s", "later"),
-        ("name = \"oncoming\"", "name = \"\"", "agent[1].name", "empty"),
-        ("time_s = 4.0", "time_s = inf", "agent[1].trajectory[1].time_s", "finite"),
-        ("sh_frame = \"canonical\"", "sh_frame = \"body\"", "sh_frame", "canonical"),
+        (
+            "name = \"oncoming\"",
+            "name = \"\"",
+            "agent[1].name",
+            "empty",
+        ),
+        (
+            "time_s = 4.0",
+            "time_s = inf",
+            "agent[1].trajectory[1].time_s",
+            "finite",
+        ),
+        (
+            "sh_frame = \"canonical\"",
+            "sh_frame = \"body\"",
+            "sh_frame",
+            "canonical",
+        ),
     ] {
-        let at = if from.starts_with("name = \"default") { "name = \"default\"" } else { from };
+        let at = if from.starts_with("name = \"default") {
+            "name = \"default\""
+        } else {
+            from
+        };
         let error = SceneFile::parse(&text.replacen(from, to, 1)).unwrap_err();
-        assert_eq!((error.line, error.key.as_str()), (line_of(at, 0), key), "{error}");
+        assert_eq!(
+            (error.line, error.key.as_str()),
+            (line_of(at, 0), key),
+            "{error}"
+        );
         assert!(error.reason.contains(part), "{error}");
     }
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("broken.toml");
     std::fs::write(&path, text.replacen("version = 1", "version = ", 1)).unwrap();
     let error = SceneFile::read(&path).unwrap_err().to_string();
-    assert!(error.contains("broken.toml") && error.contains("line 1"), "{error}");
+    assert!(
+        error.contains("broken.toml") && error.contains("line 1"),
+        "{error}"
+    );
     std::fs::write(&path, b"version = 1\n# \xff\n").unwrap();
-    assert!(SceneFile::read(&path).unwrap_err().to_string().contains("line 2"));
+    assert!(
+        SceneFile::read(&path)
+            .unwrap_err()
+            .to_string()
+            .contains("line 2")
+    );
 }
 
 #[test]
 fn a_pose_is_given_once() {
-    let twice = example().replacen("yaw_rad = 3.14159", "yaw_rad = 3.14159\nrotation_wxyz = [1.0, 0.0, 0.0, 0.0]", 1);
-    assert!(SceneFile::parse(&twice).unwrap_err().reason.contains("either"));
-    let both = example().replacen("name = \"oncoming\"", "name = \"oncoming\"\nposition_m = [0.0, 0.0, 0.0]", 1);
-    assert!(SceneFile::parse(&both).unwrap_err().reason.contains("trajectory"));
+    let twice = example().replacen(
+        "yaw_rad = 3.14159",
+        "yaw_rad = 3.14159\nrotation_wxyz = [1.0, 0.0, 0.0, 0.0]",
+        1,
+    );
+    assert!(
+        SceneFile::parse(&twice)
+            .unwrap_err()
+            .reason
+            .contains("either")
+    );
+    let both = example().replacen(
+        "name = \"oncoming\"",
+        "name = \"oncoming\"\nposition_m = [0.0, 0.0, 0.0]",
+        1,
+    );
+    assert!(
+        SceneFile::parse(&both)
+            .unwrap_err()
+            .reason
+            .contains("trajectory")
+    );
     let none = example().replacen("look = [0.57, 0.82, 0.0]", "", 1);
     assert!(SceneFile::parse(&none).unwrap_err().reason.contains("look"));
 }
@@ -177,18 +344,52 @@ fn a_scene_is_loaded_with_its_agents_where_they_are() {
     std::fs::write(&path, example()).unwrap();
     let early = open_scene(&path, 0.0).unwrap();
     let late = open_scene(&path, 2.0).unwrap();
-    assert_eq!((early.world.splats.len(), early.world.splats.sh_degree, early.rig.cameras.len()), (460, 2, 3));
+    assert_eq!(
+        (
+            early.world.splats.len(),
+            early.world.splats.sh_degree,
+            early.rig.cameras.len()
+        ),
+        (460, 2, 3)
+    );
     assert_eq!(early.agent_names, ["parked", "oncoming"]);
-    let of_instance = |id: u16| early.world.instance_from_splat.iter().filter(|&&instance| instance == id).count();
-    assert_eq!([of_instance(0), of_instance(1), of_instance(2)], [400, 30, 30]);
-    assert_eq!(early.world.splats.means[..430], late.world.splats.means[..430], "background and parked car stand");
+    let of_instance = |id: u16| {
+        early
+            .world
+            .instance_from_splat
+            .iter()
+            .filter(|&&instance| instance == id)
+            .count()
+    };
+    assert_eq!(
+        [of_instance(0), of_instance(1), of_instance(2)],
+        [400, 30, 30]
+    );
+    assert_eq!(
+        early.world.splats.means[..430],
+        late.world.splats.means[..430],
+        "background and parked car stand"
+    );
     let moved = late.world.splats.means[430][0] - early.world.splats.means[430][0];
     assert!((moved + 25.0).abs() < 1e-3, "{moved}");
     // Means are relative to the origin, so they are small whatever the world coordinates are.
-    assert!(early.world.splats.means.iter().flatten().all(|x| x.abs() < 200.0));
+    assert!(
+        early
+            .world
+            .splats
+            .means
+            .iter()
+            .flatten()
+            .all(|x| x.abs() < 200.0)
+    );
     let order = background.spatial_order();
-    assert_eq!(early.world.splats.means[0], background.means[order[0] as usize]);
-    assert!((early.ego.at(0.0).translation - DVec3::new(458_000.0, 5_428_000.0, 112.8)).length() < 1e-9);
+    assert_eq!(
+        early.world.splats.means[0],
+        background.means[order[0] as usize]
+    );
+    assert!(
+        (early.ego.at(0.0).translation - DVec3::new(458_000.0, 5_428_000.0, 112.8)).length() < 1e-9
+    );
 }
 
 #[test]
@@ -197,9 +398,25 @@ fn a_splat_file_is_a_scene_without_cameras() {
     let path = directory.path().join("a.ply");
     inria_ply::write(&path, &cloud(50, 0)).unwrap();
     let scene = open_scene(&path, 0.0).unwrap();
-    assert_eq!((scene.world.splats.len(), scene.world.origin, scene.rig.cameras.len()), (50, DVec3::ZERO, 0));
+    assert_eq!(
+        (
+            scene.world.splats.len(),
+            scene.world.origin,
+            scene.rig.cameras.len()
+        ),
+        (50, DVec3::ZERO, 0)
+    );
     assert_eq!(scene.ego.at(3.0), Pose::IDENTITY);
-    assert!(scene.world.splats.spatial_order().iter().enumerate().all(|(i, &splat)| i as u32 == splat), "already in order");
+    assert!(
+        scene
+            .world
+            .splats
+            .spatial_order()
+            .iter()
+            .enumerate()
+            .all(|(i, &splat)| i as u32 == splat),
+        "already in order"
+    );
 }
 
 #[test]
@@ -208,7 +425,10 @@ fn a_missing_asset_is_named() {
     let path = directory.path().join("scene.toml");
     std::fs::write(&path, example()).unwrap();
     let error = open_scene(&path, 0.0).unwrap_err();
-    assert!(matches!(&error, AssetError::Read { path, .. } if path.ends_with("street.ply")), "{error}");
+    assert!(
+        matches!(&error, AssetError::Read { path, .. } if path.ends_with("street.ply")),
+        "{error}"
+    );
 }
 
 /// The example with `car.ply` replaced for one of its agents: `parked` or `oncoming`.
@@ -230,20 +450,57 @@ fn agents_of_coded_assets_are_kept_apart_with_the_ids_of_their_place() {
     for (agent, instance, plain_instance) in [("parked", 1, 2), ("oncoming", 2, 1)] {
         std::fs::write(&path, example_with_asset(agent, "cone.safetensors")).unwrap();
         let scene = open_scene(&path, 0.0).unwrap();
-        let of_instance = |world: &World, id: u16| world.instance_from_splat.iter().filter(|&&found| found == id).count();
-        assert_eq!((scene.agent_names.len(), scene.assets.len(), scene.agents.len()), (2, 1, 1));
-        assert_eq!((scene.agents[0].name.as_str(), scene.agents[0].asset, scene.agents[0].instance), (agent, 0, instance));
-        assert_eq!((scene.world.splats.len(), of_instance(&scene.world, plain_instance)), (430, 30));
+        let of_instance = |world: &World, id: u16| {
+            world
+                .instance_from_splat
+                .iter()
+                .filter(|&&found| found == id)
+                .count()
+        };
+        assert_eq!(
+            (
+                scene.agent_names.len(),
+                scene.assets.len(),
+                scene.agents.len()
+            ),
+            (2, 1, 1)
+        );
+        assert_eq!(
+            (
+                scene.agents[0].name.as_str(),
+                scene.agents[0].asset,
+                scene.agents[0].instance
+            ),
+            (agent, 0, instance)
+        );
+        assert_eq!(
+            (
+                scene.world.splats.len(),
+                of_instance(&scene.world, plain_instance)
+            ),
+            (430, 30)
+        );
         assert_eq!(scene.assets[0], coded_cone().cloud);
 
         let twin = scene.baked(2.0);
-        assert_eq!((twin.splats.len(), of_instance(&twin, instance), of_instance(&twin, plain_instance)), (442, 12, 30));
+        assert_eq!(
+            (
+                twin.splats.len(),
+                of_instance(&twin, instance),
+                of_instance(&twin, plain_instance)
+            ),
+            (442, 12, 30)
+        );
         let pose = scene.agents[0].trajectory.at(2.0);
         let decoded = coded_cone().cloud.decoded(0);
         for (splat, mean) in decoded.means.iter().enumerate() {
-            let expected = pose.transform(glam::Vec3::from_array(*mean).as_dvec3()) - scene.world.origin;
+            let expected =
+                pose.transform(glam::Vec3::from_array(*mean).as_dvec3()) - scene.world.origin;
             let found = glam::Vec3::from_array(twin.splats.means[430 + splat]).as_dvec3();
-            assert!((found - expected).length() < 1e-5, "{splat}: {found} {expected}");
+            assert!(
+                (found - expected).length() < 1e-5,
+                "{splat}: {found} {expected}"
+            );
         }
     }
 }
@@ -256,13 +513,35 @@ fn an_asset_is_read_once_and_its_frame_of_colors_holds_unless_the_scene_says_oth
     let path = directory.path().join("scene.toml");
     std::fs::write(&path, example().replace("car.ply", "cone.safetensors")).unwrap();
     let scene = open_scene(&path, 0.0).unwrap();
-    assert_eq!((scene.assets.len(), scene.agents.len(), scene.world.instance_from_splat.len()), (1, 2, 0));
-    let found: Vec<_> = scene.agents.iter().map(|agent| (agent.asset, agent.instance, agent.sh_frame)).collect();
+    assert_eq!(
+        (
+            scene.assets.len(),
+            scene.agents.len(),
+            scene.world.instance_from_splat.len()
+        ),
+        (1, 2, 0)
+    );
+    let found: Vec<_> = scene
+        .agents
+        .iter()
+        .map(|agent| (agent.asset, agent.instance, agent.sh_frame))
+        .collect();
     assert_eq!(coded_cone().cloud.sh_frame, ShFrame::World);
-    assert_eq!(found, [(0, 1, ShFrame::Canonical), (0, 2, ShFrame::World)], "the first agent of the example says canonical");
-    // The parked cone stands turned by half a turn: its coefficients turn, those of the other do not.
+    assert_eq!(
+        found,
+        [(0, 1, ShFrame::Canonical), (0, 2, ShFrame::World)],
+        "the first agent of the example says canonical"
+    );
+    // The parked cone stands turned by half a turn: its coefficients turn, those of the other do
+    // not.
     let (twin, decoded) = (scene.baked(0.0), coded_cone().cloud.decoded(0));
-    assert_eq!(twin.instance_from_splat.iter().filter(|&&instance| instance == 0).count(), 40);
+    assert_eq!(
+        twin.instance_from_splat
+            .iter()
+            .filter(|&&instance| instance == 0)
+            .count(),
+        40
+    );
     assert_ne!(twin.splats.rest_of(40), decoded.rest_of(0));
     assert_eq!(twin.splats.rest_of(52), decoded.rest_of(0));
 }
@@ -278,5 +557,8 @@ fn a_coded_asset_alone_is_a_scene_and_a_broken_one_is_named() {
     let scene = directory.path().join("scene.toml");
     std::fs::write(&scene, example_with_asset("parked", "cone.safetensors")).unwrap();
     let error = open_scene(&scene, 0.0).unwrap_err().to_string();
-    assert!(error.contains("cone.safetensors: not a readable coded asset file"), "{error}");
+    assert!(
+        error.contains("cone.safetensors: not a readable coded asset file"),
+        "{error}"
+    );
 }

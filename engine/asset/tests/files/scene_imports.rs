@@ -1,8 +1,11 @@
-//! Checkpoints with actors, as scenes. The files are written by `checkpoints.py`, after what the trainers save.
+//! Checkpoints with actors, as scenes. The files are written by `checkpoints.py`, after what the
+//! trainers save.
 
 use std::path::Path;
 
-use decouplegs_asset::scene_import::{ImportOptions, ImportedScene, decode_checkpoint, decode_ply, read_scene};
+use decouplegs_asset::scene_import::{
+    ImportOptions, ImportedScene, decode_checkpoint, decode_ply, read_scene,
+};
 use decouplegs_asset::{SceneFile, checkpoint, inria_ply, open_scene, read_splats};
 use decouplegs_scene::{ShFrame, SplatCloud, Track, TrackPoint};
 use glam::{DVec2, DVec3};
@@ -11,33 +14,65 @@ use crate::errors::Errors;
 use crate::sample::{cone, seed};
 
 fn scene(name: &str, options: &ImportOptions) -> ImportedScene {
-    read_scene(&seed(&format!("scene_import/{name}")), options).unwrap().expect("it has actors")
+    read_scene(&seed(&format!("scene_import/{name}")), options)
+        .unwrap()
+        .expect("it has actors")
 }
 
 fn assert_same(found: &SplatCloud, expected: &SplatCloud) {
     let errors = Errors::between(expected, found);
-    assert!(errors.mean_m == 0.0 && errors.dc == 0.0 && errors.rest == 0.0, "{errors:?}");
-    assert!(errors.scale_ln < 1e-6 && errors.angle_rad < 1e-6 && errors.opacity < 1e-6, "{errors:?}");
+    assert!(
+        errors.mean_m == 0.0 && errors.dc == 0.0 && errors.rest == 0.0,
+        "{errors:?}"
+    );
+    assert!(
+        errors.scale_ln < 1e-6 && errors.angle_rad < 1e-6 && errors.opacity < 1e-6,
+        "{errors:?}"
+    );
 }
 
 #[test]
 fn drivestudio_gives_background_cars_and_their_ways() {
-    let scene = scene("drivestudio.pth", &ImportOptions { frame_rate_hz: 5.0, ..ImportOptions::default() });
+    let scene = scene(
+        "drivestudio.pth",
+        &ImportOptions {
+            frame_rate_hz: 5.0,
+            ..ImportOptions::default()
+        },
+    );
     assert_same(&scene.background, &cone());
-    let names: Vec<&str> = scene.actors.iter().map(|actor| actor.name.as_str()).collect();
-    assert_eq!(names, ["rigid_000", "rigid_001"], "the third instance has no splats");
+    let names: Vec<&str> = scene
+        .actors
+        .iter()
+        .map(|actor| actor.name.as_str())
+        .collect();
+    assert_eq!(
+        names,
+        ["rigid_000", "rigid_001"],
+        "the third instance has no splats"
+    );
     let of = |first: u32| cone().select(&(first..12).step_by(2).collect::<Vec<_>>());
     assert_same(&scene.actors[0].splats, &of(0));
     assert_same(&scene.actors[1].splats, &of(1));
     let way = scene.actors[0].trajectory.as_ref().unwrap().poses();
-    assert_eq!(way.iter().map(|pose| pose.time_s).collect::<Vec<_>>(), [0.0, 0.2, 0.4]);
+    assert_eq!(
+        way.iter().map(|pose| pose.time_s).collect::<Vec<_>>(),
+        [0.0, 0.2, 0.4]
+    );
     assert_eq!(way[1].pose.translation, DVec3::new(2.0, 0.0, 0.75));
     let late = scene.actors[1].trajectory.as_ref().unwrap().poses();
-    assert_eq!((late.len(), late[0].time_s, late[0].pose.translation), (2, 0.2, DVec3::new(12.0, 1.0, 0.75)));
+    assert_eq!(
+        (late.len(), late[0].time_s, late[0].pose.translation),
+        (2, 0.2, DVec3::new(12.0, 1.0, 0.75))
+    );
     // w first: a quarter turn to the left.
     assert!((late[0].pose.rotation * DVec3::X - DVec3::Y).length() < 1e-6);
     for part in ["SMPLNodes", "Sky", "1 instances", "5 a second"] {
-        assert!(scene.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", scene.notes);
+        assert!(
+            scene.notes.iter().any(|note| note.contains(part)),
+            "{part}: {:?}",
+            scene.notes
+        );
     }
 }
 
@@ -48,19 +83,57 @@ fn an_imported_scene_is_written_and_opened() {
     scene.write(folder.path()).unwrap();
     let path = folder.path().join("scene.toml");
     let file = SceneFile::read(&path).unwrap();
-    assert!(file.agents.iter().all(|agent| agent.sh_frame == Some(ShFrame::World)));
+    assert!(
+        file.agents
+            .iter()
+            .all(|agent| agent.sh_frame == Some(ShFrame::World))
+    );
     let loaded = open_scene(&path, 0.1).unwrap();
-    assert_eq!((loaded.world.splats.len(), loaded.agent_names.len()), (24, 2));
-    assert_eq!(loaded.world.instance_from_splat.iter().filter(|&&id| id == 2).count(), 6);
+    assert_eq!(
+        (loaded.world.splats.len(), loaded.agent_names.len()),
+        (24, 2)
+    );
+    assert_eq!(
+        loaded
+            .world
+            .instance_from_splat
+            .iter()
+            .filter(|&&id| id == 2)
+            .count(),
+        6
+    );
 }
 
 #[test]
 fn street_gaussians_places_actors_where_tracks_say() {
-    let point = |time_s: f64, x: f64| TrackPoint { time_s, position_m: DVec2::new(x, 2.0), z_m: Some(0.8), yaw_rad: Some(0.5) };
-    let track = Track { id: "7".into(), class: "car".into(), dims_m: None, points: vec![point(0.0, 1.0), point(0.1, 3.0)] };
-    let scene = scene("street_gaussians.pth", &ImportOptions { tracks: vec![track], ..ImportOptions::default() });
+    let point = |time_s: f64, x: f64| TrackPoint {
+        time_s,
+        position_m: DVec2::new(x, 2.0),
+        z_m: Some(0.8),
+        yaw_rad: Some(0.5),
+    };
+    let track = Track {
+        id: "7".into(),
+        class: "car".into(),
+        dims_m: None,
+        points: vec![point(0.0, 1.0), point(0.1, 3.0)],
+    };
+    let scene = scene(
+        "street_gaussians.pth",
+        &ImportOptions {
+            tracks: vec![track],
+            ..ImportOptions::default()
+        },
+    );
     assert_same(&scene.background, &cone());
-    assert_eq!(scene.actors.iter().map(|actor| actor.name.as_str()).collect::<Vec<_>>(), ["obj_007", "obj_012"]);
+    assert_eq!(
+        scene
+            .actors
+            .iter()
+            .map(|actor| actor.name.as_str())
+            .collect::<Vec<_>>(),
+        ["obj_007", "obj_012"]
+    );
     // Colors that change with time: the mean is the constant term.
     let first = cone().select(&[0, 1, 2, 3]);
     let errors = Errors::between(&first, &scene.actors[0].splats);
@@ -69,11 +142,18 @@ fn street_gaussians_places_actors_where_tracks_say() {
     assert_eq!(way.poses()[1].pose.translation, DVec3::new(3.0, 2.0, 0.8));
     assert_eq!(scene.actors[1].trajectory, None);
     for part in ["1 of 2 actors", "actor_pose", "2 models have colors"] {
-        assert!(scene.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", scene.notes);
+        assert!(
+            scene.notes.iter().any(|note| note.contains(part)),
+            "{part}: {:?}",
+            scene.notes
+        );
     }
     let folder = tempfile::tempdir().unwrap();
     assert_eq!(scene.write(folder.path()).unwrap().agents.len(), 1);
-    assert_same(&read_splats(&folder.path().join("assets/obj_012.ply")).unwrap(), &cone().select(&(4..12).collect::<Vec<_>>()));
+    assert_same(
+        &read_splats(&folder.path().join("assets/obj_012.ply")).unwrap(),
+        &cone().select(&(4..12).collect::<Vec<_>>()),
+    );
 }
 
 /// A PLY with an element for each of `models`.
@@ -82,7 +162,10 @@ fn several(models: &[(&str, SplatCloud)]) -> Vec<u8> {
     let mut body = Vec::new();
     for (name, cloud) in models {
         let file = inria_ply::encode(cloud);
-        let end = file.windows(11).position(|window| window == b"end_header\n").unwrap();
+        let end = file
+            .windows(11)
+            .position(|window| window == b"end_header\n")
+            .unwrap();
         let own = std::str::from_utf8(&file[..end]).unwrap();
         let (_, own) = own.split_once("1.0\n").unwrap();
         header += &own.replace("element vertex", &format!("element vertex_{name}"));
@@ -94,25 +177,52 @@ fn several(models: &[(&str, SplatCloud)]) -> Vec<u8> {
 #[test]
 fn a_ply_of_several_models_is_a_scene_and_one_of_a_single_is_not() {
     let car = cone().select(&[1, 5, 9]);
-    let file = several(&[("background", cone()), ("obj_003", car.clone()), ("sky", car.clone())]);
-    let scene = decode_ply(&file, &ImportOptions::default()).unwrap().unwrap();
+    let file = several(&[
+        ("background", cone()),
+        ("obj_003", car.clone()),
+        ("sky", car.clone()),
+    ]);
+    let scene = decode_ply(&file, &ImportOptions::default())
+        .unwrap()
+        .unwrap();
     assert_same(&scene.background, &cone());
     assert_eq!(scene.actors.len(), 1);
     assert_same(&scene.actors[0].splats, &car);
-    assert!(scene.notes.iter().any(|note| note.contains("sky")), "{:?}", scene.notes);
-    assert_eq!(decode_ply(&inria_ply::encode(&cone()), &ImportOptions::default()).unwrap(), None);
+    assert!(
+        scene.notes.iter().any(|note| note.contains("sky")),
+        "{:?}",
+        scene.notes
+    );
+    assert_eq!(
+        decode_ply(&inria_ply::encode(&cone()), &ImportOptions::default()).unwrap(),
+        None
+    );
 }
 
 #[test]
 fn checkpoints_of_splats_alone_are_no_scene_and_scenes_say_how_they_are_read() {
     let read = |name: &str| std::fs::read(seed(name)).unwrap();
-    assert_eq!(decode_checkpoint(&read("checkpoint/cone.pt"), &ImportOptions::default()).unwrap(), None);
-    for name in ["scene_import/drivestudio.pth", "scene_import/street_gaussians.pth"] {
+    assert_eq!(
+        decode_checkpoint(&read("checkpoint/cone.pt"), &ImportOptions::default()).unwrap(),
+        None
+    );
+    for name in [
+        "scene_import/drivestudio.pth",
+        "scene_import/street_gaussians.pth",
+    ] {
         let told = checkpoint::decode(&read(name)).unwrap_err().to_string();
         assert!(told.contains("convert"), "{told}");
     }
-    assert_eq!(read_scene(&seed("splat/cone.splat"), &ImportOptions::default()).unwrap(), None);
-    assert!(read_scene(Path::new("absent.pth"), &ImportOptions::default()).unwrap_err().to_string().contains("absent.pth"));
+    assert_eq!(
+        read_scene(&seed("splat/cone.splat"), &ImportOptions::default()).unwrap(),
+        None
+    );
+    assert!(
+        read_scene(Path::new("absent.pth"), &ImportOptions::default())
+            .unwrap_err()
+            .to_string()
+            .contains("absent.pth")
+    );
 }
 
 #[test]
@@ -120,14 +230,18 @@ fn broken_checkpoints_of_scenes_are_errors() {
     for name in ["drivestudio.pth", "street_gaussians.pth"] {
         let whole = std::fs::read(seed(&format!("scene_import/{name}"))).unwrap();
         for length in (0..whole.len()).step_by(7) {
-            assert!(decode_checkpoint(&whole[..length], &ImportOptions::default()).is_err(), "{name} cut to {length}");
+            assert!(
+                decode_checkpoint(&whole[..length], &ImportOptions::default()).is_err(),
+                "{name} cut to {length}"
+            );
         }
         let mut refused = 0;
         let mut bytes = whole;
         for at in 0..bytes.len() {
             for flip in [0x01, 0x80] {
                 bytes[at] ^= flip;
-                refused += usize::from(decode_checkpoint(&bytes, &ImportOptions::default()).is_err());
+                refused +=
+                    usize::from(decode_checkpoint(&bytes, &ImportOptions::default()).is_err());
                 bytes[at] ^= flip;
             }
         }

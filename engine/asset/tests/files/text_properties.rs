@@ -2,27 +2,42 @@
 
 use decouplegs_asset::{SceneAgent, SceneFile, SceneLight, cameras};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
-use decouplegs_scene::{Camera, Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory};
+use decouplegs_scene::{
+    Camera, Intrinsics, Lens, Pose, Rig, RigCamera, Rules, ShFrame, TimedPose, Trajectory,
+};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
 
 fn poses() -> impl Strategy<Value = Pose> {
-    (prop::array::uniform3(-1e6f64..1e6), prop::array::uniform3(-3.1f64..3.1))
-        .prop_map(|(place, [a, b, c])| Pose::new(DQuat::from_euler(EulerRot::ZYX, a, b, c), DVec3::from_array(place)))
+    (
+        prop::array::uniform3(-1e6f64..1e6),
+        prop::array::uniform3(-3.1f64..3.1),
+    )
+        .prop_map(|(place, [a, b, c])| {
+            Pose::new(
+                DQuat::from_euler(EulerRot::ZYX, a, b, c),
+                DVec3::from_array(place),
+            )
+        })
 }
 
 fn intrinsics() -> impl Strategy<Value = Intrinsics> {
-    (1u32..=65_536, 1u32..=65_536, prop::array::uniform4(1.0f64..5000.0)).prop_map(
-        |(width_px, height_px, [fx_px, fy_px, cx_px, cy_px])| Intrinsics {
-            width_px,
-            height_px,
-            fx_px,
-            fy_px,
-            cx_px,
-            cy_px,
-            lens: Lens::Pinhole,
-        },
+    (
+        1u32..=65_536,
+        1u32..=65_536,
+        prop::array::uniform4(1.0f64..5000.0),
     )
+        .prop_map(
+            |(width_px, height_px, [fx_px, fy_px, cx_px, cy_px])| Intrinsics {
+                width_px,
+                height_px,
+                fx_px,
+                fy_px,
+                cx_px,
+                cy_px,
+                lens: Lens::Pinhole,
+            },
+        )
 }
 
 fn trajectories() -> impl Strategy<Value = Trajectory> {
@@ -37,28 +52,49 @@ fn trajectories() -> impl Strategy<Value = Trajectory> {
 }
 
 fn lights() -> impl Strategy<Value = SceneLight> {
-    let shadows = (0.0f64..=1.0, 0.1f64..9.0, 0.01f64..1.0, 1e-4f64..1.0, 0.0f64..=1.0).prop_map(
-        |(strength, decay, slab_m, full_directionality, floor)| ShadowOptions {
-            strength,
-            decay,
-            slab_m,
-            full_directionality,
-            floor,
-        },
-    );
-    (prop::option::of("[a-z]{1,8}"), 1.0f64..9.0, 1.0f64..30.0, 0.7f64..4.0, prop::option::of(shadows)).prop_map(
-        |(transfer, sigma_m, radius_m, spacing_m, shadows)| SceneLight {
-            transfer: transfer.map(Into::into),
-            ambient: AmbientOptions { sigma_m, radius_m, spacing_m },
-            shadows,
-        },
+    let shadows = (
+        0.0f64..=1.0,
+        0.1f64..9.0,
+        0.01f64..1.0,
+        1e-4f64..1.0,
+        0.0f64..=1.0,
     )
+        .prop_map(
+            |(strength, decay, slab_m, full_directionality, floor)| ShadowOptions {
+                strength,
+                decay,
+                slab_m,
+                full_directionality,
+                floor,
+            },
+        );
+    (
+        prop::option::of("[a-z]{1,8}"),
+        1.0f64..9.0,
+        1.0f64..30.0,
+        0.7f64..4.0,
+        prop::option::of(shadows),
+    )
+        .prop_map(
+            |(transfer, sigma_m, radius_m, spacing_m, shadows)| SceneLight {
+                transfer: transfer.map(Into::into),
+                ambient: AmbientOptions {
+                    sigma_m,
+                    radius_m,
+                    spacing_m,
+                },
+                shadows,
+            },
+        )
 }
 
 fn scenes() -> impl Strategy<Value = SceneFile> {
     let agent = (prop::option::of(any::<bool>()), trajectories());
     (
-        (prop::array::uniform3(-1e7f64..1e7), prop::array::uniform3(0.0f32..1.0)),
+        (
+            prop::array::uniform3(-1e7f64..1e7),
+            prop::array::uniform3(0.0f32..1.0),
+        ),
         (0usize..3, any::<bool>(), 0.001f64..1.0),
         prop::collection::vec((intrinsics(), poses()), 0..4),
         prop::option::of(trajectories()),
@@ -66,31 +102,52 @@ fn scenes() -> impl Strategy<Value = SceneFile> {
         "[a-z\"\\\\\u{e9}# ]{1,12}",
         prop::option::of(lights()),
     )
-        .prop_map(|((origin, sky), (rules, antialias, near_m), cameras, ego, agents, name, light)| {
-            let rig_camera =
-                |(i, (intrinsics, rig_from_camera))| RigCamera { name: format!("c{i}"), intrinsics, rig_from_camera };
-            let scene_agent = |(i, (is_world, trajectory)): (usize, (Option<bool>, Trajectory))| SceneAgent {
-                name: format!("{name}{i}"),
-                asset: format!("{name}.ply").into(),
-                sh_frame: is_world.map(|is_world| if is_world { ShFrame::World } else { ShFrame::Canonical }),
-                trajectory,
-            };
-            SceneFile {
-                origin: DVec3::from_array(origin),
-                background: format!("{name}.spz").into(),
-                sky,
-                rules: Rules { antialias, near_m, ..Rules::by_name(Rules::NAMES[rules]).unwrap() },
-                rig: Rig { cameras: cameras.into_iter().enumerate().map(rig_camera).collect() },
-                ego,
-                agents: agents.into_iter().enumerate().map(scene_agent).collect(),
-                light,
-            }
-        })
+        .prop_map(
+            |((origin, sky), (rules, antialias, near_m), cameras, ego, agents, name, light)| {
+                let rig_camera = |(i, (intrinsics, rig_from_camera))| RigCamera {
+                    name: format!("c{i}"),
+                    intrinsics,
+                    rig_from_camera,
+                };
+                let scene_agent =
+                    |(i, (is_world, trajectory)): (usize, (Option<bool>, Trajectory))| SceneAgent {
+                        name: format!("{name}{i}"),
+                        asset: format!("{name}.ply").into(),
+                        sh_frame: is_world.map(|is_world| {
+                            if is_world {
+                                ShFrame::World
+                            } else {
+                                ShFrame::Canonical
+                            }
+                        }),
+                        trajectory,
+                    };
+                SceneFile {
+                    origin: DVec3::from_array(origin),
+                    background: format!("{name}.spz").into(),
+                    sky,
+                    rules: Rules {
+                        antialias,
+                        near_m,
+                        ..Rules::by_name(Rules::NAMES[rules]).unwrap()
+                    },
+                    rig: Rig {
+                        cameras: cameras.into_iter().enumerate().map(rig_camera).collect(),
+                    },
+                    ego,
+                    agents: agents.into_iter().enumerate().map(scene_agent).collect(),
+                    light,
+                }
+            },
+        )
 }
 
 /// True if `camera` is `intrinsics` at `pose`, up to rounding.
 fn is_camera(camera: &Camera, intrinsics: &Intrinsics, pose: &Pose) -> bool {
-    let Pose { rotation, translation } = camera.world_from_camera;
+    let Pose {
+        rotation,
+        translation,
+    } = camera.world_from_camera;
     let axes = DMat3::from_quat(rotation);
     camera.intrinsics == *intrinsics
         && translation == pose.translation

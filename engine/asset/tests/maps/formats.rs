@@ -1,4 +1,5 @@
-//! Each format by a small file whose lanes and tracks are known; the files also seed the fuzz targets.
+//! Each format by a small file whose lanes and tracks are known; the files also seed the fuzz
+//! targets.
 
 use decouplegs_asset::maps::{argoverse2, commonroad, lane_json, lanelet2};
 use decouplegs_asset::{read_map, tracks};
@@ -10,26 +11,62 @@ use super::{ids, lane, seed};
 #[test]
 fn lanelets_are_turned_joined_and_projected() {
     let map = lanelet2::decode(&seed("lanelet2/two.osm")).unwrap();
-    assert_eq!(map.lanes.iter().map(|lane| lane.id.as_str()).collect::<Vec<_>>(), ["21", "22", "23"]);
+    assert_eq!(
+        map.lanes
+            .iter()
+            .map(|lane| lane.id.as_str())
+            .collect::<Vec<_>>(),
+        ["21", "22", "23"]
+    );
     let (first, second, bicycle) = (lane(&map, "21"), lane(&map, "22"), lane(&map, "23"));
     // Its right way is drawn the other way round.
     assert!(first.centerline[0].x < first.centerline[1].x && first.right[0].x < first.right[1].x);
     assert_eq!(ids(&map, &first.successors), ["22"]);
-    assert_eq!((first.right_neighbor, bicycle.left_neighbor), (Some(2), Some(0)));
+    assert_eq!(
+        (first.right_neighbor, bicycle.left_neighbor),
+        (Some(2), Some(0))
+    );
     assert!(first.has_height && second.has_height && !bicycle.has_height);
-    assert_eq!((first.centerline[0].z, first.centerline[1].z, bicycle.left[0].z), (110.0, 111.0, 0.0));
-    assert_eq!((first.kind, bicycle.kind), (LaneKind::Driving, LaneKind::Bicycle));
-    assert_eq!((first.speed_limit_mps, second.speed_limit_mps), (Some(50.0 / 3.6), None));
+    assert_eq!(
+        (
+            first.centerline[0].z,
+            first.centerline[1].z,
+            bicycle.left[0].z
+        ),
+        (110.0, 111.0, 0.0)
+    );
+    assert_eq!(
+        (first.kind, bicycle.kind),
+        (LaneKind::Driving, LaneKind::Bicycle)
+    );
+    assert_eq!(
+        (first.speed_limit_mps, second.speed_limit_mps),
+        (Some(50.0 / 3.6), None)
+    );
     // 0.0004 degrees of longitude at 49 degrees north are 29.2 m, 0.00003 of latitude 3.3 m.
     assert!((first.left[0].distance(first.left[1]) - 29.2).abs() < 0.1);
     assert!((first.left[0].distance(first.right[0]) - 3.336).abs() < 0.01);
 
     let text = String::from_utf8(seed("lanelet2/two.osm")).unwrap();
     let local = |k: &str, v: u32| format!("<tag k='{k}' v='{v}'/>");
-    let mut with_local =
-        text.replace("<node id=\"7\" lat=\"48.99994\" lon=\"8.4000\"/>", "<node id=\"7\" lat=\"\" lon=\"\"></node>");
-    with_local = with_local.replace("<node id=\"8\" lat=\"48.99994\" lon=\"8.4004\"/>", "<node id=\"8\"></node>");
-    for (x, y, id) in [(0, 6, 1), (30, 6, 2), (60, 9, 3), (0, 3, 4), (30, 3, 5), (60, 6, 6), (0, 0, 7), (30, 0, 8)] {
+    let mut with_local = text.replace(
+        "<node id=\"7\" lat=\"48.99994\" lon=\"8.4000\"/>",
+        "<node id=\"7\" lat=\"\" lon=\"\"></node>",
+    );
+    with_local = with_local.replace(
+        "<node id=\"8\" lat=\"48.99994\" lon=\"8.4004\"/>",
+        "<node id=\"8\"></node>",
+    );
+    for (x, y, id) in [
+        (0, 6, 1),
+        (30, 6, 2),
+        (60, 9, 3),
+        (0, 3, 4),
+        (30, 3, 5),
+        (60, 6, 6),
+        (0, 0, 7),
+        (30, 0, 8),
+    ] {
         let at = with_local.find(&format!("<node id=\"{id}\"")).unwrap();
         let end = at + with_local[at..].find("</node>").unwrap();
         with_local.insert_str(end, &(local("local_x", x) + &local("local_y", y)));
@@ -37,16 +74,37 @@ fn lanelets_are_turned_joined_and_projected() {
     let map = lanelet2::decode(with_local.as_bytes()).unwrap();
     assert_eq!(lane(&map, "21").centerline[0], DVec3::new(0.0, 4.5, 110.0));
     for (from, to, part) in [
-        ("<nd ref=\"4\"/>", "<nd ref=\"44\"/>", "node 44 is not in the file"),
-        ("ref=\"14\" role", "ref=\"41\" role", "way 41 is not in the file"),
-        ("relation id=\"22\"", "relation id=\"21\"", "two lanes have the id 21"),
+        (
+            "<nd ref=\"4\"/>",
+            "<nd ref=\"44\"/>",
+            "node 44 is not in the file",
+        ),
+        (
+            "ref=\"14\" role",
+            "ref=\"41\" role",
+            "way 41 is not in the file",
+        ),
+        (
+            "relation id=\"22\"",
+            "relation id=\"21\"",
+            "two lanes have the id 21",
+        ),
         ("role=\"left\"", "role=\"middle\"", "no way is its left"),
-        ("lon=\"8.4008\"", "lon=\"98.4\"", "degrees from the middle of UTM zone 32"),
+        (
+            "lon=\"8.4008\"",
+            "lon=\"98.4\"",
+            "degrees from the middle of UTM zone 32",
+        ),
         ("lat=\"49.0000\"", "lat=\"91\"", "UTM reaches"),
         ("50 km/h", "fast", "speed_limit = 'fast'"),
     ] {
-        let error = lanelet2::decode(text.replace(from, to).as_bytes()).unwrap_err().to_string();
-        assert!(error.contains(part) && error.contains("line ") | error.contains("id 21"), "{from}: {error}");
+        let error = lanelet2::decode(text.replace(from, to).as_bytes())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains(part) && error.contains("line ") | error.contains("id 21"),
+            "{from}: {error}"
+        );
     }
 }
 
@@ -54,22 +112,49 @@ fn lanelets_are_turned_joined_and_projected() {
 fn argoverse_segments_are_lanes() {
     let map = argoverse2::decode(&seed("argoverse2/log_map_archive_two.json")).unwrap();
     let (first, second, oncoming) = (lane(&map, "7"), lane(&map, "8"), lane(&map, "9"));
-    // Shares of length are taken in space, where the right boundary, which bends, is a little longer.
-    let expected = [DVec3::new(0.0, 0.0, 10.0), DVec3::new(10.0, 0.0, 10.225), DVec3::new(20.0, 0.0, 10.5)];
-    assert!(first.centerline.len() == 3 && first.centerline.iter().zip(expected).all(|(a, b)| a.distance(b) < 1e-3));
+    // Shares of length are taken in space, where the right boundary, which bends, is a little
+    // longer.
+    let expected = [
+        DVec3::new(0.0, 0.0, 10.0),
+        DVec3::new(10.0, 0.0, 10.225),
+        DVec3::new(20.0, 0.0, 10.5),
+    ];
+    assert!(
+        first.centerline.len() == 3
+            && first
+                .centerline
+                .iter()
+                .zip(expected)
+                .all(|(a, b)| a.distance(b) < 1e-3)
+    );
     assert_eq!(second.centerline[1], DVec3::new(40.5, 3.0, 11.0));
-    assert_eq!((second.kind, oncoming.kind), (LaneKind::Bicycle, LaneKind::Driving));
+    assert_eq!(
+        (second.kind, oncoming.kind),
+        (LaneKind::Bicycle, LaneKind::Driving)
+    );
     // The lane 999 is not in the file, and 9 comes towards 7.
-    assert_eq!((ids(&map, &first.successors), ids(&map, &second.predecessors)), (vec!["8".to_owned()], vec!["7".to_owned()]));
+    assert_eq!(
+        (
+            ids(&map, &first.successors),
+            ids(&map, &second.predecessors)
+        ),
+        (vec!["8".to_owned()], vec!["7".to_owned()])
+    );
     assert!(first.left_neighbor.is_none() && oncoming.left_neighbor.is_none() && first.has_height);
     let text = String::from_utf8(seed("argoverse2/log_map_archive_two.json")).unwrap();
     for (from, to, part) in [
         ("\"id\": 9", "\"id\": 7", "two lanes have the id 7"),
         ("\"z\": 11}", "\"z\": 1e999}", "number out of range"),
-        ("\"left_lane_boundary\": [{\"x\": 0", "\"left_boundary\": [{\"x\": 0", "left_lane_boundary"),
+        (
+            "\"left_lane_boundary\": [{\"x\": 0",
+            "\"left_boundary\": [{\"x\": 0",
+            "left_lane_boundary",
+        ),
         ("\"x\": 41", "\"x\": 4e55", "no place on Earth"),
     ] {
-        let error = argoverse2::decode(text.replace(from, to).as_bytes()).unwrap_err().to_string();
+        let error = argoverse2::decode(text.replace(from, to).as_bytes())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(part), "{from}: {error}");
     }
 }
@@ -79,36 +164,77 @@ fn a_scenario_of_2020_has_types_signs_and_areas() {
     let bytes = seed("commonroad/2020a.xml");
     let map = commonroad::decode(&bytes).unwrap();
     let (first, bicycle, left) = (lane(&map, "1"), lane(&map, "2"), lane(&map, "3"));
-    assert_eq!((first.speed_limit_mps, left.speed_limit_mps), (Some(13.89), None));
-    assert_eq!((first.kind, bicycle.kind, left.kind), (LaneKind::Driving, LaneKind::Bicycle, LaneKind::Driving));
-    assert_eq!((first.has_height, first.centerline[1].z, bicycle.has_height), (true, 1.5, false));
     assert_eq!(
-        (ids(&map, &first.successors), first.left_neighbor, left.right_neighbor),
+        (first.speed_limit_mps, left.speed_limit_mps),
+        (Some(13.89), None)
+    );
+    assert_eq!(
+        (first.kind, bicycle.kind, left.kind),
+        (LaneKind::Driving, LaneKind::Bicycle, LaneKind::Driving)
+    );
+    assert_eq!(
+        (first.has_height, first.centerline[1].z, bicycle.has_height),
+        (true, 1.5, false)
+    );
+    assert_eq!(
+        (
+            ids(&map, &first.successors),
+            first.left_neighbor,
+            left.right_neighbor
+        ),
         (vec!["2".to_owned()], Some(2), Some(0))
     );
 
     let found = tracks::commonroad::decode(&bytes).unwrap();
-    let [truck, pedestrian] = found.as_slice() else { panic!("{found:?}") };
-    assert_eq!((truck.class.as_str(), truck.dims_m), ("truck", Some([8.0, 2.4, 3.2])));
+    let [truck, pedestrian] = found.as_slice() else {
+        panic!("{found:?}")
+    };
+    assert_eq!(
+        (truck.class.as_str(), truck.dims_m),
+        ("truck", Some([8.0, 2.4, 3.2]))
+    );
     let times_s: Vec<f64> = truck.points.iter().map(|point| point.time_s).collect();
     assert_eq!(times_s, [0.0, 0.5, 1.5]);
-    assert_eq!((truck.points[0].position_m, truck.points[2].position_m), (DVec2::new(1.0, 0.5), DVec2::new(11.0, 0.0)));
-    assert!((truck.points[0].yaw_rad.unwrap() - 0.1).abs() < 1e-12 && truck.points[2].yaw_rad.is_none());
-    assert_eq!((pedestrian.dims_m, pedestrian.points[0].position_m), (Some([0.6, 0.6, 1.75]), DVec2::new(3.0, 4.0)));
+    assert_eq!(
+        (truck.points[0].position_m, truck.points[2].position_m),
+        (DVec2::new(1.0, 0.5), DVec2::new(11.0, 0.0))
+    );
+    assert!(
+        (truck.points[0].yaw_rad.unwrap() - 0.1).abs() < 1e-12 && truck.points[2].yaw_rad.is_none()
+    );
+    assert_eq!(
+        (pedestrian.dims_m, pedestrian.points[0].position_m),
+        (Some([0.6, 0.6, 1.75]), DVec2::new(3.0, 4.0))
+    );
 
     let text = String::from_utf8(bytes).unwrap();
     for (from, to, part) in [
         ("2020a\"", "2017a\"", "version 2017a"),
         ("timeStepSize=\"0.5\"", "timeStepSize=\"0\"", "timeStepSize"),
-        ("<exact>1</exact>", "<exact>0</exact>", "point 1 at 0 s does not follow"),
-        ("dynamicObstacle id=\"62\"", "dynamicObstacle id=\"61\"", "a second obstacle with the id 61"),
+        (
+            "<exact>1</exact>",
+            "<exact>0</exact>",
+            "point 1 at 0 s does not follow",
+        ),
+        (
+            "dynamicObstacle id=\"62\"",
+            "dynamicObstacle id=\"61\"",
+            "a second obstacle with the id 61",
+        ),
         ("<length>8</length>", "<length>-8</length>", "-8 by 2.4 m"),
         ("<x>6</x>", "<x>six</x>", "'six' is no finite number"),
     ] {
-        let error = tracks::commonroad::decode(text.replace(from, to).as_bytes()).unwrap_err().to_string();
+        let error = tracks::commonroad::decode(text.replace(from, to).as_bytes())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(part), "{from}: {error}");
     }
-    let error = commonroad::decode(text.replace("lanelet id=\"2\"", "lanelet id=\"3\"").as_bytes()).unwrap_err().to_string();
+    let error = commonroad::decode(
+        text.replace("lanelet id=\"2\"", "lanelet id=\"3\"")
+            .as_bytes(),
+    )
+    .unwrap_err()
+    .to_string();
     assert!(error.contains("two lanes have the id 3"), "{error}");
 }
 
@@ -116,24 +242,60 @@ fn a_scenario_of_2020_has_types_signs_and_areas() {
 fn lane_json_is_read_and_written() {
     let map = lane_json::decode(&seed("lane_json/three.json")).unwrap();
     let (a, two, c) = (lane(&map, "a"), lane(&map, "2"), lane(&map, "c"));
-    assert_eq!((a.has_height, two.has_height, a.kind, c.kind), (false, true, LaneKind::Driving, LaneKind::Bicycle));
-    assert_eq!((ids(&map, &two.successors), &a.predecessors[..]), (vec!["a".to_owned()], &[1][..]));
-    assert_eq!((two.left_neighbor, c.right_neighbor, two.speed_limit_mps), (Some(2), Some(1), Some(13.9)));
+    assert_eq!(
+        (a.has_height, two.has_height, a.kind, c.kind),
+        (false, true, LaneKind::Driving, LaneKind::Bicycle)
+    );
+    assert_eq!(
+        (ids(&map, &two.successors), &a.predecessors[..]),
+        (vec!["a".to_owned()], &[1][..])
+    );
+    assert_eq!(
+        (two.left_neighbor, c.right_neighbor, two.speed_limit_mps),
+        (Some(2), Some(1), Some(13.9))
+    );
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("lanes.json");
     lane_json::write(&path, &map).unwrap();
     assert_eq!(read_map(&path).unwrap(), map);
     for (text, part) in [
         (r#"{"lanes": []}"#, "no lane"),
-        (r#"{"version": 2, "lanes": []}"#, "version 2; version 1 is read"),
-        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0]]}]}"#, "lane 1: a centerline of 1 points"),
-        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0, 0, 0], [1, 1]]}]}"#, "a point of 2 or 3 numbers"),
-        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]], "successors": ["x"]}]}"#, "lane 1 names lane x"),
-        (r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]], "succesors": []}]}"#, "succesors"),
-        (r#"{"lanes": [{"id": 1, "kind": "rail", "centerline": [[0, 0], [1, 1]]}]}"#, "the kind 'rail'"),
-        (r#"{"lanes": [{"id": 1, "has_height": true, "centerline": [[0, 0], [1, 1]]}]}"#, "has_height"),
-        (r#"{"lanes": [{"id": 1, "speed_limit_mps": -1, "centerline": [[0, 0], [1, 1]]}]}"#, "a speed limit of -1"),
-        (r#"{"lanes": [{"id": true, "centerline": [[0, 0], [1, 1]]}]}"#, "expected an id"),
+        (
+            r#"{"version": 2, "lanes": []}"#,
+            "version 2; version 1 is read",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0]]}]}"#,
+            "lane 1: a centerline of 1 points",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0, 0, 0], [1, 1]]}]}"#,
+            "a point of 2 or 3 numbers",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]], "successors": ["x"]}]}"#,
+            "lane 1 names lane x",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]], "succesors": []}]}"#,
+            "succesors",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "kind": "rail", "centerline": [[0, 0], [1, 1]]}]}"#,
+            "the kind 'rail'",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "has_height": true, "centerline": [[0, 0], [1, 1]]}]}"#,
+            "has_height",
+        ),
+        (
+            r#"{"lanes": [{"id": 1, "speed_limit_mps": -1, "centerline": [[0, 0], [1, 1]]}]}"#,
+            "a speed limit of -1",
+        ),
+        (
+            r#"{"lanes": [{"id": true, "centerline": [[0, 0], [1, 1]]}]}"#,
+            "expected an id",
+        ),
         (
             r#"{"lanes": [{"id": 1, "centerline": [[0, 0], [1, 1]]}, {"id": "1", "centerline": [[0, 0], [1, 1]]}]}"#,
             "two lanes have the id 1",
@@ -142,8 +304,23 @@ fn lane_json_is_read_and_written() {
         let error = lane_json::decode(text.as_bytes()).unwrap_err().to_string();
         assert!(error.contains(part), "{text}: {error}");
     }
-    let endless = Lane { id: "e".into(), centerline: vec![DVec3::ZERO, DVec3::INFINITY], ..Lane::default() };
-    let error = lane_json::write(&path, &LaneMap { lanes: vec![endless], offset: DVec3::ZERO }).unwrap_err().to_string();
-    assert!(error.contains("lane e") && error.contains("lanes.json"), "{error}");
+    let endless = Lane {
+        id: "e".into(),
+        centerline: vec![DVec3::ZERO, DVec3::INFINITY],
+        ..Lane::default()
+    };
+    let error = lane_json::write(
+        &path,
+        &LaneMap {
+            lanes: vec![endless],
+            offset: DVec3::ZERO,
+        },
+    )
+    .unwrap_err()
+    .to_string();
+    assert!(
+        error.contains("lane e") && error.contains("lanes.json"),
+        "{error}"
+    );
     assert_eq!(read_map(&path).unwrap(), map, "what stood there stays");
 }

@@ -1,4 +1,5 @@
-//! Whatever the bytes: an error, or a map and tracks that hold together. The same holds of every reader, so all read all.
+//! Whatever the bytes: an error, or a map and tracks that hold together. The same holds of every
+//! reader, so all read all.
 
 use std::time::{Duration, Instant};
 
@@ -9,9 +10,15 @@ use proptest::prelude::*;
 
 use super::seed;
 
-const MAP_FORMATS: [MapFormat; 5] =
-    [MapFormat::OpenDrive, MapFormat::Lanelet2, MapFormat::Argoverse2, MapFormat::CommonRoad, MapFormat::LaneJson];
-const TRACK_FORMATS: [TrackFormat; 3] = [TrackFormat::Csv, TrackFormat::Json, TrackFormat::CommonRoad];
+const MAP_FORMATS: [MapFormat; 5] = [
+    MapFormat::OpenDrive,
+    MapFormat::Lanelet2,
+    MapFormat::Argoverse2,
+    MapFormat::CommonRoad,
+    MapFormat::LaneJson,
+];
+const TRACK_FORMATS: [TrackFormat; 3] =
+    [TrackFormat::Csv, TrackFormat::Json, TrackFormat::CommonRoad];
 
 const SEEDS: [&str; 7] = [
     "open_drive/crossing.xodr",
@@ -46,18 +53,36 @@ fn read_all(bytes: &[u8]) -> usize {
     let mut taken = 0;
     let _ = MapFormat::detect(bytes);
     for format in MAP_FORMATS {
-        let Ok(map) = maps::decode(bytes, format) else { continue };
+        let Ok(map) = maps::decode(bytes, format) else {
+            continue;
+        };
         taken += 1;
         assert!(!map.lanes.is_empty() && map.check().is_ok());
         for (at, lane) in map.lanes.iter().enumerate() {
-            assert!(lane.successors.iter().all(|&next| map.lanes[next].predecessors.contains(&at)));
-            assert!(lane.has_height || lane.centerline.iter().chain(&lane.left).all(|point| point.z == 0.0));
+            assert!(
+                lane.successors
+                    .iter()
+                    .all(|&next| map.lanes[next].predecessors.contains(&at))
+            );
+            assert!(
+                lane.has_height
+                    || lane
+                        .centerline
+                        .iter()
+                        .chain(&lane.left)
+                        .all(|point| point.z == 0.0)
+            );
         }
         let written = lane_json::encode(&map).expect("a map that was read can be written");
-        assert_eq!(lane_json::decode(&written).expect("what was written can be read"), map);
+        assert_eq!(
+            lane_json::decode(&written).expect("what was written can be read"),
+            map
+        );
     }
     for format in TRACK_FORMATS {
-        let Ok(tracks) = tracks::decode(bytes, format) else { continue };
+        let Ok(tracks) = tracks::decode(bytes, format) else {
+            continue;
+        };
         taken += 1;
         assert!(!tracks.is_empty() && tracks.iter().all(|track| track.check().is_ok()));
     }
@@ -85,19 +110,34 @@ fn every_cut_of_every_seed_is_survived() {
 #[test]
 fn size_without_sense_costs_neither_stack_nor_time() {
     let deep_json = "[".repeat(300_000);
-    let deep_xml = ["<OpenDRIVE>", "<osm>", "<commonRoad commonRoadVersion='2018b'>"]
-        .map(|root| root.to_owned() + &"<road>".repeat(200_000));
+    let deep_xml = [
+        "<OpenDRIVE>",
+        "<osm>",
+        "<commonRoad commonRoadVersion='2018b'>",
+    ]
+    .map(|root| root.to_owned() + &"<road>".repeat(200_000));
     let many_sections = format!(
         "<OpenDRIVE><road id='1'><planView><geometry s='0' x='0' y='0' hdg='0' length='9'><line/></geometry></planView>\
          <lanes>{}</lanes></road></OpenDRIVE>",
         (0..20_000)
-            .map(|at| format!("<laneSection s='{}'><right><lane id='-1'/></right></laneSection>", f64::from(at) * 4e-4))
+            .map(|at| format!(
+                "<laneSection s='{}'><right><lane id='-1'/></right></laneSection>",
+                f64::from(at) * 4e-4
+            ))
             .collect::<String>()
     );
     let linked = |count: u32| {
         let all: Vec<String> = (0..count).map(|id| id.to_string()).collect();
-        let lane = |id: &String| format!("{{\"id\":{id},\"centerline\":[[0,0],[1,1]],\"successors\":[{}]}}", all.join(","));
-        format!("{{\"lanes\":[{}]}}", all.iter().map(lane).collect::<Vec<_>>().join(","))
+        let lane = |id: &String| {
+            format!(
+                "{{\"id\":{id},\"centerline\":[[0,0],[1,1]],\"successors\":[{}]}}",
+                all.join(",")
+            )
+        };
+        format!(
+            "{{\"lanes\":[{}]}}",
+            all.iter().map(lane).collect::<Vec<_>>().join(",")
+        )
     };
     let ways = "<nd ref='1'/>".repeat(20_000);
     let shared_way: String = (0..2_000)
@@ -108,17 +148,37 @@ fn size_without_sense_costs_neither_stack_nor_time() {
             )
         })
         .collect();
-    let lanelets = format!("<osm><node id='1' lat='1' lon='1'/><way id='1'>{ways}</way>{shared_way}</osm>");
+    let lanelets =
+        format!("<osm><node id='1' lat='1' lon='1'/><way id='1'>{ways}</way>{shared_way}</osm>");
     let endless_spiral = "<OpenDRIVE><road id='1'><planView><geometry s='0' x='0' y='0' hdg='0' length='9999'>\
         <spiral curvStart='0' curvEnd='0.003'/></geometry></planView><lanes><laneSection s='0'><right><lane id='-1'><width a='1'/>\
         </lane></right></laneSection></lanes></road></OpenDRIVE>";
-    let cubic = endless_spiral.replace("<spiral curvStart='0' curvEnd='0.003'/>", "<poly3 a='0' b='3' c='9e5' d='-1e9'/>");
-    let texts = [deep_json, many_sections, linked(600), lanelets, endless_spiral.to_owned(), cubic];
+    let cubic = endless_spiral.replace(
+        "<spiral curvStart='0' curvEnd='0.003'/>",
+        "<poly3 a='0' b='3' c='9e5' d='-1e9'/>",
+    );
+    let texts = [
+        deep_json,
+        many_sections,
+        linked(600),
+        lanelets,
+        endless_spiral.to_owned(),
+        cubic,
+    ];
     for text in texts.iter().chain(&deep_xml) {
         let start = Instant::now();
         let taken = read_all(text.as_bytes());
-        println!("{} bytes, {taken} readers, {:?}", text.len(), start.elapsed());
-        assert!(start.elapsed() < Duration::from_secs(20), "{} took {:?}", &text[..60], start.elapsed());
+        println!(
+            "{} bytes, {taken} readers, {:?}",
+            text.len(),
+            start.elapsed()
+        );
+        assert!(
+            start.elapsed() < Duration::from_secs(20),
+            "{} took {:?}",
+            &text[..60],
+            start.elapsed()
+        );
     }
 }
 

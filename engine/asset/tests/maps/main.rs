@@ -13,13 +13,18 @@ use decouplegs_scene::{Lane, LaneMap};
 
 /// The bytes of a file that seeds the fuzz targets.
 fn seed(name: &str) -> Vec<u8> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("fuzz/seeds")
+        .join(name);
     std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
 /// The lane of an id.
 fn lane<'a>(map: &'a LaneMap, id: &str) -> &'a Lane {
-    map.lanes.iter().find(|lane| lane.id == id).unwrap_or_else(|| panic!("no lane {id}"))
+    map.lanes
+        .iter()
+        .find(|lane| lane.id == id)
+        .unwrap_or_else(|| panic!("no lane {id}"))
 }
 
 /// The ids of lanes by their places.

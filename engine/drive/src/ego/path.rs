@@ -5,7 +5,8 @@ use glam::DVec2;
 
 use crate::polyline::Polyline;
 
-/// Points of a plan nearer than this to the one before show no direction, meters: planners that want to stand jitter.
+/// Points of a plan nearer than this to the one before show no direction, meters: planners that
+/// want to stand jitter.
 const DIRECTION_M: f64 = 0.2;
 /// Points of the line for each piece between two points of the plan.
 const PIECES: usize = 6;
@@ -19,7 +20,8 @@ pub(super) struct PlannedPath {
 }
 
 impl PlannedPath {
-    /// The way of `plan` from `ego` on, where it leads anywhere, and how far along it each point of the plan is, meters, never falling.
+    /// The way of `plan` from `ego` on, where it leads anywhere, and how far along it each point of
+    /// the plan is, meters, never falling.
     pub(super) fn of(plan: &Plan, ego: &VehicleState) -> (Option<Self>, Vec<f64>) {
         let (knots, reached) = knots(plan);
         let nowhere = || vec![0.0; plan.points().len()];
@@ -32,11 +34,17 @@ impl PlannedPath {
             let length_m = knots[at - 1].distance(knots[at]);
             points.extend((1..=PIECES).map(|piece| {
                 let share = piece as f64 / PIECES as f64;
-                hermite([knots[at - 1], knots[at]], [tangents[at - 1] * length_m, tangents[at] * length_m], share)
+                hermite(
+                    [knots[at - 1], knots[at]],
+                    [tangents[at - 1] * length_m, tangents[at] * length_m],
+                    share,
+                )
             }));
         }
         let world = points.iter().map(|point| ego.to_world(*point).extend(0.0));
-        let Some(line) = Polyline::new(world) else { return (None, nowhere()) };
+        let Some(line) = Polyline::new(world) else {
+            return (None, nowhere());
+        };
         let mut arc_m = 0.0;
         let mut arcs_m = vec![0.0];
         arcs_m.extend(points.windows(2).map(|pair| {
@@ -57,26 +65,42 @@ impl PlannedPath {
     /// The place `arc_m` along it.
     pub(super) fn at(&self, arc_m: f64) -> DVec2 {
         let past_m = arc_m - self.line.length_m();
-        if past_m > 0.0 { self.end + self.beyond * past_m } else { self.line.at(arc_m).truncate() }
+        if past_m > 0.0 {
+            self.end + self.beyond * past_m
+        } else {
+            self.line.at(arc_m).truncate()
+        }
     }
 
     /// Arc length of the nearest point to `at`, searched within the given distances behind and
     /// ahead of `near_m`, meters.
     pub(super) fn project(&self, at: DVec2, near_m: f64, reach_m: f64) -> f64 {
         let length_m = self.line.length_m();
-        let arc_m = self.line.project_within(at, near_m - reach_m, near_m + reach_m).arc_m;
-        if arc_m < length_m { arc_m } else { length_m + (at - self.end).dot(self.beyond).max(0.0) }
+        let arc_m = self
+            .line
+            .project_within(at, near_m - reach_m, near_m + reach_m)
+            .arc_m;
+        if arc_m < length_m {
+            arc_m
+        } else {
+            length_m + (at - self.end).dot(self.beyond).max(0.0)
+        }
     }
 }
 
-/// Points of the plan in the ego's frame that show where it goes, the ego's own place first; and for each point of the plan the knot
-/// that it has reached and how far past it it is, meters. They end where the plan turns back.
+/// Points of the plan in the ego's frame that show where it goes, the ego's own place first; and
+/// for each point of the plan the knot that it has reached and how far past it it is, meters. They
+/// end where the plan turns back.
 fn knots(plan: &Plan) -> (Vec<DVec2>, Vec<(usize, f64)>) {
     let (mut knots, mut heading, mut ended) = (vec![DVec2::ZERO], DVec2::X, false);
     let mut reached = Vec::with_capacity(plan.points().len());
     for point in plan.points() {
         let step = point.position_m - knots[knots.len() - 1];
-        let mut past_m = if ended { 0.0 } else { step.dot(heading).max(0.0) };
+        let mut past_m = if ended {
+            0.0
+        } else {
+            step.dot(heading).max(0.0)
+        };
         if !ended && step.length() >= DIRECTION_M {
             ended = step.dot(heading) < 0.0;
             if !ended {
@@ -90,17 +114,23 @@ fn knots(plan: &Plan) -> (Vec<DVec2>, Vec<(usize, f64)>) {
     (knots, reached)
 }
 
-/// Unit directions at the knots: the ego's own at the first, then those of the parabola through neighbors.
+/// Unit directions at the knots: the ego's own at the first, then those of the parabola through
+/// neighbors.
 fn tangents(knots: &[DVec2]) -> Vec<DVec2> {
     let mut tangents = vec![DVec2::X];
     for at in 1..knots.len() {
         let before = knots[at] - knots[at - 1];
         let Some(after) = knots.get(at + 1).map(|next| *next - knots[at]) else {
-            // As much beyond the last piece as its chord lies beyond the tangent before: an arc goes on as it came.
+            // As much beyond the last piece as its chord lies beyond the tangent before: an arc
+            // goes on as it came.
             let chord = before.normalize();
             let last = tangents[at - 1];
             let mirrored = chord * (2.0 * chord.dot(last)) - last;
-            tangents.push(if chord.dot(last) > 0.5 { mirrored } else { chord });
+            tangents.push(if chord.dot(last) > 0.5 {
+                mirrored
+            } else {
+                chord
+            });
             break;
         };
         let weights = (1.0 / before.length_squared(), 1.0 / after.length_squared());
@@ -113,6 +143,8 @@ fn tangents(knots: &[DVec2]) -> Vec<DVec2> {
 /// The cubic between two places with the derivatives at both.
 fn hermite(places: [DVec2; 2], derivatives: [DVec2; 2], share: f64) -> DVec2 {
     let (t, u) = (share, 1.0 - share);
-    places[0] * (u * u * (1.0 + 2.0 * t)) + places[1] * (t * t * (1.0 + 2.0 * u)) + derivatives[0] * (u * u * t)
+    places[0] * (u * u * (1.0 + 2.0 * t))
+        + places[1] * (t * t * (1.0 + 2.0 * u))
+        + derivatives[0] * (u * u * t)
         - derivatives[1] * (t * t * u)
 }

@@ -10,7 +10,7 @@ use super::random::Stream;
 use super::rules::{LevelRequirements, NEAR_M};
 use super::to_tenth;
 
-/// Somebody who stands cannot swerve, m/s.
+/// A standing vehicle cannot swerve, m/s.
 const SWERVE_MPS_MIN: f64 = 2.0;
 /// Distance to the ego at which a vehicle ahead on the same route swerves, meters: the ego can
 /// still brake.
@@ -24,12 +24,21 @@ const SWERVE_IN_LANE_M: (f64, f64) = (0.4, 0.7);
 const ALONG: f64 = 0.8;
 
 /// The agents among `vehicles`, of which the first is the ego.
-pub(super) fn agents(map: &LaneMap, level: Level, start: &EgoStart, vehicles: &[Vehicle], random: &Stream) -> Vec<TrafficAgent> {
+pub(super) fn agents(
+    map: &LaneMap,
+    level: Level,
+    start: &EgoStart,
+    vehicles: &[Vehicle],
+    random: &Stream,
+) -> Vec<TrafficAgent> {
     let rules = LevelRequirements::of(level);
     let mut draw = random.of(0);
     let mut agents: Vec<TrafficAgent> = Vec::with_capacity(vehicles.len());
     for (number, vehicle) in vehicles.iter().enumerate().skip(1) {
-        let driver = draw.pick(rules.drivers).copied().unwrap_or(DriverKind::Normal);
+        let driver = draw
+            .pick(rules.drivers)
+            .copied()
+            .unwrap_or(DriverKind::Normal);
         agents.push(TrafficAgent {
             name: match vehicle.role {
                 Role::Lead => "lead".into(),
@@ -49,12 +58,24 @@ pub(super) fn agents(map: &LaneMap, level: Level, start: &EgoStart, vehicles: &[
     let mut inject = random.of(1);
     let cuts_in = vehicles.iter().any(|vehicle| vehicle.role == Role::CutIn);
     for (agent, vehicle) in agents.iter_mut().zip(&vehicles[1..]) {
-        let distance_m = vehicle.outline.center_m.distance(vehicles[0].outline.center_m);
+        let distance_m = vehicle
+            .outline
+            .center_m
+            .distance(vehicles[0].outline.center_m);
         match vehicle.role {
             Role::CutIn => agent.behaviors.push(cut_in(&mut inject)),
-            Role::Lead if rules.lead_brakes => agent.behaviors.push(brake((6.0, 8.0), distance_m, &mut inject)),
-            // Where no lane lies beside the ego's, who drives ahead takes the gap away by other means.
-            Role::Lead if rules.cut_ins > 0 && !cuts_in => agent.behaviors.push(brake((3.0, 5.0), distance_m, &mut inject)),
+            Role::Lead if rules.lead_brakes => {
+                agent
+                    .behaviors
+                    .push(brake((6.0, 8.0), distance_m, &mut inject));
+            }
+            // Where no lane lies beside the ego's, who drives ahead takes the gap away by other
+            // means.
+            Role::Lead if rules.cut_ins > 0 && !cuts_in => {
+                agent
+                    .behaviors
+                    .push(brake((3.0, 5.0), distance_m, &mut inject));
+            }
             _ => {}
         }
     }
@@ -65,15 +86,24 @@ pub(super) fn agents(map: &LaneMap, level: Level, start: &EgoStart, vehicles: &[
 }
 
 fn cut_in(random: &mut Stream) -> Behavior {
-    Behavior { trigger: Trigger::Time { time_s: to_tenth(random.between((0.5, 3.0))) }, maneuver: Maneuver::CutIn }
+    Behavior {
+        trigger: Trigger::Time {
+            time_s: to_tenth(random.between((0.5, 3.0))),
+        },
+        maneuver: Maneuver::CutIn,
+    }
 }
 
 /// A brake after some seconds, or when the ego has come nearer than the `distance_m` of the start.
 fn brake(deceleration_mps2: (f64, f64), distance_m: f64, random: &mut Stream) -> Behavior {
     let trigger = if random.chance(0.5) {
-        Trigger::Time { time_s: to_tenth(random.between((2.0, 6.0))) }
+        Trigger::Time {
+            time_s: to_tenth(random.between((2.0, 6.0))),
+        }
     } else {
-        Trigger::NearEgo { distance_m: (random.between((0.6, 0.85)) * distance_m).round() }
+        Trigger::NearEgo {
+            distance_m: (random.between((0.6, 0.85)) * distance_m).round(),
+        }
     };
     let maneuver = Maneuver::Brake {
         deceleration_mps2: to_tenth(random.between(deceleration_mps2)),
@@ -88,7 +118,12 @@ fn swerve(reach_m: (f64, f64), random: &mut Stream) -> Behavior {
         amplitude_m: to_tenth(side * random.between(reach_m)),
         duration_s: to_tenth(random.between((2.0, 4.0))),
     };
-    Behavior { trigger: Trigger::NearEgo { distance_m: random.between(SWERVE_NEAR_M).round() }, maneuver }
+    Behavior {
+        trigger: Trigger::NearEgo {
+            distance_m: random.between(SWERVE_NEAR_M).round(),
+        },
+        maneuver,
+    }
 }
 
 /// Vehicles that swerve, and by how much. Among those near the ego: first vehicles ahead on its
@@ -96,15 +131,40 @@ fn swerve(reach_m: (f64, f64), random: &mut Stream) -> Behavior {
 fn swerving(start: &EgoStart, vehicles: &[Vehicle], count: usize) -> Vec<(usize, (f64, f64))> {
     let ego = &vehicles[0].outline;
     let mut near: Vec<(bool, bool, f64, usize)> = Vec::new();
-    for (at, vehicle) in vehicles.iter().enumerate().filter(|(_, vehicle)| vehicle.role == Role::Other) {
+    for (at, vehicle) in vehicles
+        .iter()
+        .enumerate()
+        .filter(|(_, vehicle)| vehicle.role == Role::Other)
+    {
         let local_m = ego.to_local(vehicle.outline.center_m);
         let along = DVec2::from_angle(vehicle.outline.yaw_rad - ego.yaw_rad).x;
         if local_m.length() <= NEAR_M {
             let ahead = along > ALONG && local_m.x > SWERVE_NEAR_M.0;
-            let off_m = start.route.line().project(vehicle.outline.center_m).distance_m;
+            let off_m = start
+                .route
+                .line()
+                .project(vehicle.outline.center_m)
+                .distance_m;
             near.push((!ahead, vehicle.speed_mps < SWERVE_MPS_MIN, off_m, at));
         }
     }
-    near.sort_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3)));
-    near.into_iter().take(count).map(|(not_ahead, .., at)| (at, if not_ahead { SWERVE_IN_LANE_M } else { SWERVE_M })).collect()
+    near.sort_by(|a, b| {
+        (a.0, a.1)
+            .cmp(&(b.0, b.1))
+            .then(a.2.total_cmp(&b.2))
+            .then(a.3.cmp(&b.3))
+    });
+    near.into_iter()
+        .take(count)
+        .map(|(not_ahead, .., at)| {
+            (
+                at,
+                if not_ahead {
+                    SWERVE_IN_LANE_M
+                } else {
+                    SWERVE_M
+                },
+            )
+        })
+        .collect()
 }

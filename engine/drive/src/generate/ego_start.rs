@@ -16,8 +16,8 @@ pub(super) const EGO: VehicleSize = VehicleSize::CAR;
 const ROUTE_M: (f64, f64) = (100.0, 180.0);
 /// A route that has to be shorter than this is none, meters.
 const ROUTE_M_MIN: f64 = 60.0;
-/// A route is so short that it can be driven in this time where nothing is in the way: it leaves a third of an episode to wait for others,
-/// seconds.
+/// A route is so short that it can be driven in this time where nothing is in the way: it leaves a
+/// third of an episode to wait for others, seconds.
 const FREE_TIME_S: f64 = 13.0;
 /// A route is over no more lanes than this: lanes of a meter are short, shorter ones a mistake.
 const LANES_MAX: usize = 300;
@@ -29,12 +29,14 @@ const CRUISE_MPS_MIN: f64 = 4.0;
 const STRAIGHT_SHARE: f64 = 0.65;
 /// A lane that turns by less leads straight on, radians.
 const STRAIGHT_RAD: f64 = 0.35;
-/// A route ends at least so far from the end of a lane that leads nowhere, meters: the ego needs somewhere to go.
+/// A route ends at least so far from the end of a lane that leads nowhere, meters: the ego needs
+/// somewhere to go.
 const DEAD_END_M: f64 = 5.0;
-/// Acceleration, braking and acceleration across of somebody who drives the route freely, m/s^2: comfortable ones.
+/// Acceleration, braking and acceleration across of a vehicle that drives the route freely, m/s^2:
+/// comfortable ones.
 const COMFORT_MPS2: f64 = 1.5;
 const LATERAL_MPS2: f64 = 2.0;
-/// Curvature is looked at in steps of this, meters.
+/// Curvature is examined in steps of this, meters.
 const STRIDE_M: f64 = 1.0;
 
 /// Area in which routes may start and end: a circle.
@@ -111,8 +113,15 @@ pub(super) fn choose(
 ) -> Option<EgoStart> {
     let mut draw = random.of(0);
     let before_crossing = draw.chance(rules.crossing_share) && wishes.crossing;
-    let lanes = if before_crossing { before_a_crossing(roads, rules, &mut draw)? } else { vec![roads.anywhere(&mut draw)?] };
-    let spot = Spot { at_m: to_centimeter(lanes[0].at_m), ..lanes[0] };
+    let lanes = if before_crossing {
+        before_a_crossing(roads, rules, &mut draw)?
+    } else {
+        vec![roads.anywhere(&mut draw)?]
+    };
+    let spot = Spot {
+        at_m: to_centimeter(lanes[0].at_m),
+        ..lanes[0]
+    };
     let inside = |spot: Spot| area.is_none_or(|area| area.holds(roads.position_m(spot)));
     let road = roads.graph.lane(spot.lane)?;
     let lacks_lane = wishes.beside && rules.cut_ins > 0 && road.left.or(road.right).is_none();
@@ -124,15 +133,28 @@ pub(super) fn choose(
     // Each time too long is made shorter; the same turns are taken.
     for _ in 0..6 {
         let (lanes, end_m) = onward(roads, spot, &led, length_m, random.of(1))?;
-        let end = Spot { lane: *lanes.last()?, at_m: end_m };
+        let end = Spot {
+            lane: *lanes.last()?,
+            at_m: end_m,
+        };
         let start = task(roads, spot, lanes, end_m)?;
         let time_s = free_time_s(&start.route, start.task.cruise_mps);
         if time_s <= FREE_TIME_S && inside(end) {
             let share = draw.between(rules.ego_speed_share);
             let speed_mps = down_to_tenth(share * start.task.cruise_mps);
-            return Some(EgoStart { task: EgoTask { speed_mps, ..start.task }, ..start });
+            return Some(EgoStart {
+                task: EgoTask {
+                    speed_mps,
+                    ..start.task
+                },
+                ..start
+            });
         }
-        let shorter = if inside(end) { 0.97 * FREE_TIME_S / time_s } else { 0.9 };
+        let shorter = if inside(end) {
+            0.97 * FREE_TIME_S / time_s
+        } else {
+            0.9
+        };
         length_m = start.route.length_m() * shorter;
         if length_m < ROUTE_M_MIN {
             return None;
@@ -142,9 +164,16 @@ pub(super) fn choose(
 }
 
 /// Lanes that lead to a crossing, the first with the place to start.
-fn before_a_crossing(roads: &Roads, rules: &LevelRequirements, draw: &mut Stream) -> Option<Vec<Spot>> {
+fn before_a_crossing(
+    roads: &Roads,
+    rules: &LevelRequirements,
+    draw: &mut Stream,
+) -> Option<Vec<Spot>> {
     let crossing = *draw.pick(&roads.crossings)?;
-    let mut lanes = vec![Spot { at_m: crossing.at_m - draw.between(rules.before_crossing_m) - 0.5 * EGO.length_m, ..crossing }];
+    let mut lanes = vec![Spot {
+        at_m: crossing.at_m - draw.between(rules.before_crossing_m) - 0.5 * EGO.length_m,
+        ..crossing
+    }];
     while lanes[0].at_m < 0.0 {
         let before = *draw.pick(&roads.graph.lane(lanes[0].lane)?.predecessors)?;
         if lanes.len() >= LANES_MAX || lanes.iter().any(|spot| spot.lane == before) {
@@ -157,8 +186,15 @@ fn before_a_crossing(roads: &Roads, rules: &LevelRequirements, draw: &mut Stream
     Some(lanes)
 }
 
-/// Lanes from `spot` on, first those it is `led` over, and how far along the last of them `length_m` leads. Less where the lanes end.
-fn onward(roads: &Roads, spot: Spot, led: &[usize], length_m: f64, mut random: Stream) -> Option<(Vec<usize>, f64)> {
+/// Lanes from `spot` on, first those it is `led` over, and how far along the last of them
+/// `length_m` leads. Less where the lanes end.
+fn onward(
+    roads: &Roads,
+    spot: Spot,
+    led: &[usize],
+    length_m: f64,
+    mut random: Stream,
+) -> Option<(Vec<usize>, f64)> {
     let (mut lanes, mut end_m) = (vec![spot.lane], spot.at_m + length_m);
     loop {
         let last = *lanes.last()?;
@@ -167,12 +203,35 @@ fn onward(roads: &Roads, spot: Spot, led: &[usize], length_m: f64, mut random: S
             break;
         }
         let road = roads.graph.lane(last)?;
-        let onward: Vec<usize> = road.successors.iter().copied().filter(|next| !lanes.contains(next)).collect();
-        let turn = |lane: usize| roads.graph.lane(lane).map_or(0.0, |lane| lane.turn_rad.abs());
-        let (straight, aside): (Vec<usize>, Vec<usize>) = onward.iter().partition(|&&lane| turn(lane) < STRAIGHT_RAD);
-        let rather = if random.chance(STRAIGHT_SHARE) { [&straight, &aside] } else { [&aside, &straight] };
-        let drawn = random.pick(if rather[0].is_empty() { rather[1] } else { rather[0] });
-        let Some(&next) = led.get(lanes.len()).or(drawn).filter(|_| lanes.len() < LANES_MAX) else {
+        let onward: Vec<usize> = road
+            .successors
+            .iter()
+            .copied()
+            .filter(|next| !lanes.contains(next))
+            .collect();
+        let turn = |lane: usize| {
+            roads
+                .graph
+                .lane(lane)
+                .map_or(0.0, |lane| lane.turn_rad.abs())
+        };
+        let (straight, aside): (Vec<usize>, Vec<usize>) =
+            onward.iter().partition(|&&lane| turn(lane) < STRAIGHT_RAD);
+        let rather = if random.chance(STRAIGHT_SHARE) {
+            [&straight, &aside]
+        } else {
+            [&aside, &straight]
+        };
+        let drawn = random.pick(if rather[0].is_empty() {
+            rather[1]
+        } else {
+            rather[0]
+        });
+        let Some(&next) = led
+            .get(lanes.len())
+            .or(drawn)
+            .filter(|_| lanes.len() < LANES_MAX)
+        else {
             end_m = own_m - DEAD_END_M;
             break;
         };
@@ -186,19 +245,38 @@ fn onward(roads: &Roads, spot: Spot, led: &[usize], length_m: f64, mut random: S
 }
 
 fn task(roads: &Roads, spot: Spot, lanes: Vec<usize>, end_m: f64) -> Option<EgoStart> {
-    let limit_mps = lanes.iter().map(|&lane| roads.speed_limit_mps(lane)).fold(CRUISE_MPS_MAX, f64::min);
+    let limit_mps = lanes
+        .iter()
+        .map(|&lane| roads.speed_limit_mps(lane))
+        .fold(CRUISE_MPS_MAX, f64::min);
     let task = EgoTask {
-        route: lanes.iter().map(|&lane| roads.map.lanes[lane].id.clone()).collect(),
+        route: lanes
+            .iter()
+            .map(|&lane| roads.map.lanes[lane].id.clone())
+            .collect(),
         start_m: spot.at_m,
         end_m,
         speed_mps: 0.0,
         cruise_mps: down_to_tenth(limit_mps),
         size: EGO,
     };
-    let route = Route::new(roads.map, &task).ok().filter(|_| task.cruise_mps >= CRUISE_MPS_MIN)?;
-    let crossed = |lane: &&usize| roads.graph.lane(**lane).is_some_and(|lane| !lane.conflicts.is_empty());
+    let route = Route::new(roads.map, &task)
+        .ok()
+        .filter(|_| task.cruise_mps >= CRUISE_MPS_MIN)?;
+    let crossed = |lane: &&usize| {
+        roads
+            .graph
+            .lane(**lane)
+            .is_some_and(|lane| !lane.conflicts.is_empty())
+    };
     let crossing = lanes.iter().find(crossed).copied();
-    Some(EgoStart { task, spot, lanes, route, crossing })
+    Some(EgoStart {
+        task,
+        spot,
+        lanes,
+        route,
+        crossing,
+    })
 }
 
 /// Duration of a comfortable drive along the route, from half of the cruise speed and without other
@@ -219,5 +297,8 @@ fn free_time_s(route: &Route, cruise_mps: f64) -> f64 {
     for at in 1..count {
         speeds[at] = speeds[at].min(reached(speeds[at - 1]));
     }
-    speeds.windows(2).map(|pair| 2.0 * STRIDE_M / (pair[0] + pair[1])).sum()
+    speeds
+        .windows(2)
+        .map(|pair| 2.0 * STRIDE_M / (pair[0] + pair[1]))
+        .sum()
 }

@@ -49,8 +49,8 @@ pub enum PlaceOptions {
     },
 }
 
-/// Brightness of a place, stops relative to a clear day. ObservationRenderer and cameras adapt: measured light
-/// differs by far more.
+/// Brightness of a place, stops relative to a clear day. ObservationRenderer and cameras adapt:
+/// measured light differs by far more.
 const fn brightness_ev(weather: Weather) -> f64 {
     match weather {
         Weather::Clear => 0.0,
@@ -60,8 +60,8 @@ const fn brightness_ev(weather: Weather) -> f64 {
     }
 }
 
-/// By how many stops a level makes its light more difficult: heavy clouds and late dusk at Hard; a sun that blinds, or a night without
-/// lamps, at Extreme.
+/// By how many stops a level makes its light more difficult: heavy clouds and late dusk at Hard; a
+/// sun that blinds, or a night without lamps, at Extreme.
 const fn difficulty_ev(level: Level, weather: Weather) -> f64 {
     match (level, weather) {
         (Level::Hard, _) => -0.5,
@@ -75,23 +75,48 @@ impl PlaceOptions {
     /// The place in a light of `level`.
     pub(super) fn lit_for(&self, level: Level, random: &mut Stream) -> Place {
         match self.clone() {
-            Self::Street { background, agent_splats, seed } => {
+            Self::Street {
+                background,
+                agent_splats,
+                seed,
+            } => {
                 let weather = random.pick(weathers(level)).copied().unwrap_or_default();
-                Place::Street { weather, background, agent_splats, seed }
+                Place::Street {
+                    weather,
+                    background,
+                    agent_splats,
+                    seed,
+                }
             }
-            Self::Roads { map, skies, background, agent_splats } => {
+            Self::Roads {
+                map,
+                skies,
+                background,
+                agent_splats,
+            } => {
                 let (probe, exposure_ev) = sky_for(level, &skies, random);
-                Place::Roads { map, probe, exposure_ev, background, agent_splats }
+                Place::Roads {
+                    map,
+                    probe,
+                    exposure_ev,
+                    background,
+                    agent_splats,
+                }
             }
             Self::Scene { scene, map } => Place::Scene { scene, map },
         }
     }
 }
 
-/// A sky of the level's weather; where none is offered, the one that looks most like it, made as bright or dark as that.
+/// A sky of the level's weather; where none is offered, the one that looks most like it, made as
+/// bright or dark as that.
 fn sky_for(level: Level, skies: &[Sky], random: &mut Stream) -> (Option<PathBuf>, f64) {
     let offered = |weather: Weather| skies.iter().any(|sky| sky.weather == weather);
-    let mut wanted: Vec<Weather> = weathers(level).iter().copied().filter(|&weather| offered(weather)).collect();
+    let mut wanted: Vec<Weather> = weathers(level)
+        .iter()
+        .copied()
+        .filter(|&weather| offered(weather))
+        .collect();
     if wanted.is_empty() {
         wanted.extend(weathers(level));
     }
@@ -111,29 +136,56 @@ mod tests {
     use super::*;
 
     fn sky(name: &str, weather: Weather) -> Sky {
-        Sky { probe: name.into(), weather }
+        Sky {
+            probe: name.into(),
+            weather,
+        }
     }
 
     #[test]
     fn the_level_has_its_light() {
-        let skies = [sky("noon", Weather::Clear), sky("gray", Weather::Overcast), sky("late", Weather::Dusk)];
+        let skies = [
+            sky("noon", Weather::Clear),
+            sky("gray", Weather::Overcast),
+            sky("late", Weather::Dusk),
+        ];
         let chosen = |level, skies: &[Sky], seed| sky_for(level, skies, &mut Stream::new(seed));
         for seed in 0..50 {
-            assert_eq!(chosen(Level::Easy, &skies, seed), (Some("noon".into()), 0.0));
+            assert_eq!(
+                chosen(Level::Easy, &skies, seed),
+                (Some("noon".into()), 0.0)
+            );
             let (probe, exposure_ev) = chosen(Level::Hard, &skies, seed);
-            assert!([Some("late".into()), Some("gray".into())].contains(&probe) && exposure_ev == -0.5);
+            assert!(
+                [Some("late".into()), Some("gray".into())].contains(&probe) && exposure_ev == -0.5
+            );
             // No night is offered: the low sun blinds.
-            assert_eq!(chosen(Level::Extreme, &skies, seed), (Some("late".into()), 2.0));
+            assert_eq!(
+                chosen(Level::Extreme, &skies, seed),
+                (Some("late".into()), 2.0)
+            );
             let (probe, exposure_ev) = chosen(Level::Extreme, &skies[..1], seed);
-            assert!(probe == Some("noon".into()) && [-4.0, 0.5].contains(&exposure_ev), "{exposure_ev}");
+            assert!(
+                probe == Some("noon".into()) && [-4.0, 0.5].contains(&exposure_ev),
+                "{exposure_ev}"
+            );
             assert_eq!(chosen(Level::Easy, &[], seed), (None, 0.5));
         }
     }
 
     #[test]
     fn a_captured_scene_keeps_its_light() {
-        let options = PlaceOptions::Scene { scene: "scene.toml".into(), map: "map.xodr".into() };
+        let options = PlaceOptions::Scene {
+            scene: "scene.toml".into(),
+            map: "map.xodr".into(),
+        };
         let place = options.lit_for(Level::Extreme, &mut Stream::new(1));
-        assert_eq!(place, Place::Scene { scene: "scene.toml".into(), map: "map.xodr".into() });
+        assert_eq!(
+            place,
+            Place::Scene {
+                scene: "scene.toml".into(),
+                map: "map.xodr".into()
+            }
+        );
     }
 }

@@ -30,9 +30,10 @@ const CLEARANCE_M: f64 = 0.5;
 const MERGE_APART_M: f64 = 25.0;
 /// Bumper to bumper, meters.
 const GAP_M_MIN: f64 = 3.0;
-/// Two that are as near as [`GAP_M_MIN`] are not farther apart along their lanes than two long vehicles are, meters from middle to middle.
+/// Two that are as near as [`GAP_M_MIN`] are not farther apart along their lanes than two long
+/// vehicles are, meters from middle to middle.
 const FOLLOWING_M: f64 = 45.0;
-/// Places are looked at in steps of this along lanes, meters.
+/// Places are examined in steps of this along lanes, meters.
 const STRIDE_M: f64 = 3.0;
 /// Distance ahead within which others matter, meters.
 const LOOK_AHEAD_M: f64 = 120.0;
@@ -86,9 +87,27 @@ impl<'a> Placement<'a> {
         random: Stream,
     ) -> Self {
         let (position, yaw_rad) = start.route.pose_at(0.0);
-        let outline = OrientedBox { center_m: position.truncate(), yaw_rad, ..roads.outline(start.spot, &EGO) };
-        let ego = Vehicle { role: Role::Ego, spot: start.spot, asset: 0, size: EGO, outline, speed_mps: start.task.speed_mps };
-        Self { roads, rules, start, assets, vehicles: vec![ego], random }
+        let outline = OrientedBox {
+            center_m: position.truncate(),
+            yaw_rad,
+            ..roads.outline(start.spot, &EGO)
+        };
+        let ego = Vehicle {
+            role: Role::Ego,
+            spot: start.spot,
+            asset: 0,
+            size: EGO,
+            outline,
+            speed_mps: start.task.speed_mps,
+        };
+        Self {
+            roads,
+            rules,
+            start,
+            assets,
+            vehicles: vec![ego],
+            random,
+        }
     }
 
     /// Places all vehicles, the ego first, with `least` to `most` agents within [`NEAR_M`] of it.
@@ -110,7 +129,11 @@ impl<'a> Placement<'a> {
         if near < least {
             return Err(TooFew(near));
         }
-        if self.settle_speeds() { Ok(self.vehicles) } else { Err(TooFew(0)) }
+        if self.settle_speeds() {
+            Ok(self.vehicles)
+        } else {
+            Err(TooFew(0))
+        }
     }
 
     fn is_near(&self, position_m: DVec2) -> bool {
@@ -119,13 +142,24 @@ impl<'a> Placement<'a> {
 
     /// Agents that the level counts.
     fn near(&self) -> usize {
-        self.vehicles[1..].iter().filter(|agent| self.is_near(agent.outline.center_m)).count()
+        self.vehicles[1..]
+            .iter()
+            .filter(|agent| self.is_near(agent.outline.center_m))
+            .count()
     }
 
     /// Puts a vehicle there if it has room.
     fn put(&mut self, spot: Spot, asset: usize, role: Role, wish_mps: f64) -> bool {
-        let Some(spot) = self.roads.on_its_lane(spot) else { return false };
-        let (size, spot) = (self.assets[asset], Spot { at_m: to_centimeter(spot.at_m), ..spot });
+        let Some(spot) = self.roads.on_its_lane(spot) else {
+            return false;
+        };
+        let (size, spot) = (
+            self.assets[asset],
+            Spot {
+                at_m: to_centimeter(spot.at_m),
+                ..spot
+            },
+        );
         if !self.roads.has_room(spot, &size) {
             return false;
         }
@@ -135,20 +169,36 @@ impl<'a> Placement<'a> {
         }
         let fits = self.vehicles.iter().all(|other| {
             let apart_m = other.outline.distance_m(&outline);
-            apart_m >= GAP_M_MIN || (apart_m >= CLEARANCE_M && !self.follow_each_other(spot, other.spot))
+            apart_m >= GAP_M_MIN
+                || (apart_m >= CLEARANCE_M && !self.follow_each_other(spot, other.spot))
         });
         if fits {
             let speed_mps = down_to_tenth(wish_mps.min(self.roads.speed_limit_mps(spot.lane)));
-            self.vehicles.push(Vehicle { role, spot, asset, size, outline, speed_mps });
+            self.vehicles.push(Vehicle {
+                role,
+                spot,
+                asset,
+                size,
+                outline,
+                speed_mps,
+            });
         }
         fits
     }
 
-    /// True if a vehicle at `spot` starts beside the ego, on another lane that leads to the same next lane: too near to yield.
+    /// True if a vehicle at `spot` starts beside the ego, on another lane that leads to the same
+    /// next lane: too near to yield.
     fn merges_beside_ego(&self, spot: Spot, outline: &OrientedBox) -> bool {
         let ego = &self.vehicles[0];
-        let onward = |lane: usize| self.roads.graph.lane(lane).map_or(&[][..], |lane| lane.successors.as_slice());
-        let merges = onward(spot.lane).iter().any(|next| onward(ego.spot.lane).contains(next));
+        let onward = |lane: usize| {
+            self.roads
+                .graph
+                .lane(lane)
+                .map_or(&[][..], |lane| lane.successors.as_slice())
+        };
+        let merges = onward(spot.lane)
+            .iter()
+            .any(|next| onward(ego.spot.lane).contains(next));
         spot.lane != ego.spot.lane && merges && ego.outline.distance_m(outline) < MERGE_APART_M
     }
 
@@ -166,24 +216,36 @@ impl<'a> Placement<'a> {
         for _ in 0..LEAD_DRAWS {
             let asset = self.draw_asset();
             // Rounding to centimeters stays within.
-            let gap_m = self.random.between((LEAD_GAP_M.0 + 0.1, LEAD_GAP_M.1 - 0.1));
+            let gap_m = self
+                .random
+                .between((LEAD_GAP_M.0 + 0.1, LEAD_GAP_M.1 - 0.1));
             let ahead_m = gap_m + 0.5 * (EGO.length_m + self.assets[asset].length_m);
-            let wish_mps = self.random.between(self.rules.lead_speed_share) * self.start.task.speed_mps;
-            if self.start.along(self.roads, ahead_m).is_some_and(|spot| self.put(spot, asset, Role::Lead, wish_mps)) {
+            let wish_mps =
+                self.random.between(self.rules.lead_speed_share) * self.start.task.speed_mps;
+            if self
+                .start
+                .along(self.roads, ahead_m)
+                .is_some_and(|spot| self.put(spot, asset, Role::Lead, wish_mps))
+            {
                 return true;
             }
         }
         false
     }
 
-    /// Puts somebody on a lane beside the ego's, a little ahead of it, where there is such a lane.
+    /// Places a vehicle on a lane beside the ego's, a little ahead of it, where there is such a
+    /// lane.
     fn put_cut_in(&mut self) {
-        let Some(road) = self.roads.graph.lane(self.start.spot.lane) else { return };
+        let Some(road) = self.roads.graph.lane(self.start.spot.lane) else {
+            return;
+        };
         let mut beside: Vec<usize> = road.left.into_iter().chain(road.right).collect();
         self.random.shuffle(&mut beside);
         let ego_m = self.vehicles[0].outline.center_m;
         for lane in beside {
-            let Some(line) = self.roads.index.line(lane) else { continue };
+            let Some(line) = self.roads.index.line(lane) else {
+                continue;
+            };
             let foot = line.project(ego_m);
             if foot.distance_m > BESIDE_M {
                 continue;
@@ -191,23 +253,41 @@ impl<'a> Placement<'a> {
             for _ in 0..LEAD_DRAWS {
                 let (asset, ahead_m) = (self.draw_asset(), self.random.between(CUT_IN_AHEAD_M));
                 let wish_mps = self.random.between((0.85, 1.0)) * self.start.task.speed_mps;
-                if self.put(Spot { lane, at_m: foot.arc_m + ahead_m }, asset, Role::CutIn, wish_mps) {
+                if self.put(
+                    Spot {
+                        lane,
+                        at_m: foot.arc_m + ahead_m,
+                    },
+                    asset,
+                    Role::CutIn,
+                    wish_mps,
+                ) {
                     return;
                 }
             }
         }
     }
 
-    /// Puts somebody before each stop line of the ego's crossing.
+    /// Places a vehicle before each stop line of the ego's crossing.
     fn fill_crossing(&mut self, wanted: usize, far: usize) {
-        let Some(crossing) = self.start.crossing else { return };
+        let Some(crossing) = self.start.crossing else {
+            return;
+        };
         let mut lines = self.roads.stop_lines(crossing);
         self.random.shuffle(&mut lines);
         for line in lines {
             let asset = self.draw_asset();
             let before_m = self.random.between(WAITING_M) + 0.5 * self.assets[asset].length_m;
             let wish_mps = self.random.between(WAITING_MPS);
-            self.put_where_wanted(Spot { at_m: line.at_m - before_m, ..line }, asset, wish_mps, (wanted, far));
+            self.put_where_wanted(
+                Spot {
+                    at_m: line.at_m - before_m,
+                    ..line
+                },
+                asset,
+                wish_mps,
+                (wanted, far),
+            );
         }
     }
 
@@ -215,16 +295,29 @@ impl<'a> Placement<'a> {
     fn fill_lanes(&mut self, wanted: usize, far: usize) {
         let ego_m = self.vehicles[0].outline.center_m;
         let crossing = self.start.crossing.filter(|_| self.rules.congested);
-        let crossing_m = crossing.map(|lane| self.roads.position_m(Spot { lane, at_m: 0.5 * self.roads.length_m(lane) }));
+        let crossing_m = crossing.map(|lane| {
+            self.roads.position_m(Spot {
+                lane,
+                at_m: 0.5 * self.roads.length_m(lane),
+            })
+        });
         let mut spots: Vec<(f64, Spot)> = Vec::new();
         for point in self.roads.index.lanes_near(ego_m, FAR_M) {
             let length_m = self.roads.length_m(point.lane);
             // Lanes may be kilometers long; what is near lies around the foot.
-            let (from_m, to_m) = ((point.foot.arc_m - 2.0 * FAR_M).max(0.0), (point.foot.arc_m + 2.0 * FAR_M).min(length_m));
+            let (from_m, to_m) = (
+                (point.foot.arc_m - 2.0 * FAR_M).max(0.0),
+                (point.foot.arc_m + 2.0 * FAR_M).min(length_m),
+            );
             let mut at_m = from_m + STRIDE_M * self.random.unit();
             while at_m < to_m {
-                let spot = Spot { lane: point.lane, at_m };
-                let off_m = crossing_m.map_or(0.0, |crossing_m| crossing_m.distance(self.roads.position_m(spot)));
+                let spot = Spot {
+                    lane: point.lane,
+                    at_m,
+                };
+                let off_m = crossing_m.map_or(0.0, |crossing_m| {
+                    crossing_m.distance(self.roads.position_m(spot))
+                });
                 spots.push((self.random.unit() + off_m / FAR_M, spot));
                 at_m += STRIDE_M;
             }
@@ -232,51 +325,97 @@ impl<'a> Placement<'a> {
         spots.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (_, spot) in spots {
             let asset = self.draw_asset();
-            let limit_mps = self.roads.speed_limit_mps(spot.lane).min(self.start.task.cruise_mps);
+            let limit_mps = self
+                .roads
+                .speed_limit_mps(spot.lane)
+                .min(self.start.task.cruise_mps);
             let wish_mps = self.random.between(self.rules.flow_speed_share) * limit_mps;
             self.put_where_wanted(spot, asset, wish_mps, (wanted, far));
         }
     }
 
-    /// Puts another vehicle there unless there are enough as near or far as it is, or it came between the ego and who drives ahead.
-    fn put_where_wanted(&mut self, spot: Spot, asset: usize, wish_mps: f64, (wanted, far): (usize, usize)) {
+    /// Puts another vehicle there unless there are enough as near or far as it is, or it came
+    /// between the ego and who drives ahead.
+    fn put_where_wanted(
+        &mut self,
+        spot: Spot,
+        asset: usize,
+        wish_mps: f64,
+        (wanted, far): (usize, usize),
+    ) {
         // Near or far is told by the place that it will have.
-        let Some(spot) = self.roads.on_its_lane(spot) else { return };
-        let spot = Spot { at_m: to_centimeter(spot.at_m), ..spot };
+        let Some(spot) = self.roads.on_its_lane(spot) else {
+            return;
+        };
+        let spot = Spot {
+            at_m: to_centimeter(spot.at_m),
+            ..spot
+        };
         let position_m = self.roads.position_m(spot);
         let near = self.near();
-        let enough = if self.is_near(position_m) { near >= wanted } else { self.vehicles.len() - 1 - near >= far };
+        let enough = if self.is_near(position_m) {
+            near >= wanted
+        } else {
+            self.vehicles.len() - 1 - near >= far
+        };
         let beyond = position_m.distance(self.vehicles[0].outline.center_m) > FAR_M;
-        let lead = self.vehicles.iter().find(|vehicle| vehicle.role == Role::Lead);
-        let lead_m = lead.and_then(|lead| self.start.ahead_m(self.roads, lead.spot)).unwrap_or(0.0);
-        let between = self.start.ahead_m(self.roads, spot).is_some_and(|ahead_m| (0.0..lead_m).contains(&ahead_m));
+        let lead = self
+            .vehicles
+            .iter()
+            .find(|vehicle| vehicle.role == Role::Lead);
+        let lead_m = lead
+            .and_then(|lead| self.start.ahead_m(self.roads, lead.spot))
+            .unwrap_or(0.0);
+        let between = self
+            .start
+            .ahead_m(self.roads, spot)
+            .is_some_and(|ahead_m| (0.0..lead_m).contains(&ahead_m));
         if !enough && !beyond && !between {
             self.put(spot, asset, Role::Other, wish_mps);
         }
     }
 
-    /// Slows everybody down to where all can stop in time. False where that leaves the ego nothing to do.
+    /// Slows all vehicles down until each can stop in time. False where that leaves the ego nothing
+    /// to do.
     fn settle_speeds(&mut self) -> bool {
         self.lower_speeds();
         let ego_mps = self.vehicles[0].speed_mps;
-        if let Some(lead) = self.vehicles.iter_mut().find(|vehicle| vehicle.role == Role::Lead) {
-            lead.speed_mps = lead.speed_mps.min(down_to_tenth(self.rules.lead_speed_share.1 * ego_mps));
+        if let Some(lead) = self
+            .vehicles
+            .iter_mut()
+            .find(|vehicle| vehicle.role == Role::Lead)
+        {
+            lead.speed_mps = lead
+                .speed_mps
+                .min(down_to_tenth(self.rules.lead_speed_share.1 * ego_mps));
             self.lower_speeds();
         }
         let ego_mps = self.vehicles[0].speed_mps;
-        let slower = |lead: &Vehicle| lead.speed_mps <= SLOWER_SHARE * ego_mps || self.rules.lead_speed_share.1 > SLOWER_SHARE;
-        let lead_is_right = self.vehicles.iter().filter(|vehicle| vehicle.role == Role::Lead).all(slower);
+        let slower = |lead: &Vehicle| {
+            lead.speed_mps <= SLOWER_SHARE * ego_mps || self.rules.lead_speed_share.1 > SLOWER_SHARE
+        };
+        let lead_is_right = self
+            .vehicles
+            .iter()
+            .filter(|vehicle| vehicle.role == Role::Lead)
+            .all(slower);
         lead_is_right && ego_mps >= EGO_SPEED_SHARE_MIN * self.start.task.cruise_mps
     }
 
-    /// Lowers speeds until each is safe behind all that is ahead. Each round lowers one by a tenth at least, so there is an end.
+    /// Lowers speeds until each is safe behind all that is ahead. Each round lowers one by a tenth
+    /// at least, so there is an end.
     fn lower_speeds(&mut self) {
-        let limits: Vec<Limits> = self.vehicles.iter().map(|vehicle| self.limits(vehicle)).collect();
+        let limits: Vec<Limits> = self
+            .vehicles
+            .iter()
+            .map(|vehicle| self.limits(vehicle))
+            .collect();
         loop {
             let mut lowered = false;
             for (at, limits) in limits.iter().enumerate() {
-                let behind =
-                    limits.leaders.iter().map(|&(other, gap_m)| safe_speed::behind(gap_m, self.vehicles[other].speed_mps));
+                let behind = limits.leaders.iter().map(|&(other, gap_m)| {
+                    safe_speed::behind(gap_m, self.vehicles[other].speed_mps)
+                });
                 let safe_mps = down_to_tenth(behind.fold(limits.stop_mps, f64::min));
                 if self.vehicles[at].speed_mps > safe_mps {
                     self.vehicles[at].speed_mps = safe_mps;
@@ -294,14 +433,22 @@ impl<'a> Placement<'a> {
         let stop_m = self.roads.until_stop_m(vehicle.spot, LOOK_AHEAD_M) - half_m;
         let mut leaders = Vec::new();
         for ahead in self.roads.ahead(vehicle.spot, LOOK_AHEAD_M) {
-            for (at, other) in self.vehicles.iter().enumerate().filter(|(_, other)| other.spot.lane == ahead.lane) {
+            for (at, other) in self
+                .vehicles
+                .iter()
+                .enumerate()
+                .filter(|(_, other)| other.spot.lane == ahead.lane)
+            {
                 let middles_m = ahead.begin_m + other.spot.at_m;
                 if middles_m > 0.0 {
                     leaders.push((at, middles_m - half_m - 0.5 * other.size.length_m));
                 }
             }
         }
-        Limits { stop_mps: safe_speed::behind(stop_m, 0.0), leaders }
+        Limits {
+            stop_mps: safe_speed::behind(stop_m, 0.0),
+            leaders,
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Random numbers addressed by what they are for: one more draw for one thing changes no other.
 
-/// 2^64 over the golden ratio: the increment of SplitMix64 (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators",
-/// 2014).
+/// 2^64 over the golden ratio: the increment of SplitMix64 (Steele, Lea and Flood, "Fast Splittable
+/// Pseudorandom Number Generators", 2014).
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// The finaliser of SplitMix64: a bijection in which every input bit moves every output bit.
@@ -20,13 +20,17 @@ pub(super) struct Stream {
 impl Stream {
     /// The sequence of a seed.
     pub fn new(seed: u64) -> Self {
-        Self { state: mix(seed.wrapping_add(GOLDEN)) }
+        Self {
+            state: mix(seed.wrapping_add(GOLDEN)),
+        }
     }
 
-    /// The sequence that belongs to `what` of this one. It depends on where this one began and on `what` alone if nothing is drawn
-    /// before.
+    /// The sequence that belongs to `what` of this one. It depends on where this one began and on
+    /// `what` alone if nothing is drawn before.
     pub fn of(&self, what: u64) -> Self {
-        Self { state: mix(mix(self.state).wrapping_add(what.wrapping_add(1).wrapping_mul(GOLDEN))) }
+        Self {
+            state: mix(mix(self.state).wrapping_add(what.wrapping_add(1).wrapping_mul(GOLDEN))),
+        }
     }
 
     pub fn bits(&mut self) -> u64 {
@@ -75,11 +79,26 @@ mod tests {
         let mut counts = [0_u32; 4];
         (0..40_000).for_each(|_| counts[stream.whole((0, 3))] += 1);
         // Five deviations of a binomial with 40,000 draws are 433.
-        assert!(counts.iter().all(|count| count.abs_diff(10_000) < 433), "{counts:?}");
+        assert!(
+            counts.iter().all(|count| count.abs_diff(10_000) < 433),
+            "{counts:?}"
+        );
         let first = |stream: Stream| stream.clone().bits();
         let base = Stream::new(5);
-        let others = [Stream::new(6), base.of(0), base.of(1), base.of(0).of(1), base.of(1).of(0)].map(first);
-        assert!(others.iter().enumerate().all(|(at, bits)| *bits != first(base.clone()) && !others[..at].contains(bits)));
+        let others = [
+            Stream::new(6),
+            base.of(0),
+            base.of(1),
+            base.of(0).of(1),
+            base.of(1).of(0),
+        ]
+        .map(first);
+        assert!(
+            others
+                .iter()
+                .enumerate()
+                .all(|(at, bits)| *bits != first(base.clone()) && !others[..at].contains(bits))
+        );
         assert_eq!(first(base.of(7)), first(Stream::new(5).of(7)));
     }
 

@@ -77,32 +77,67 @@ impl<'a> Roads<'a> {
             for fork in &lane.forks {
                 shared[at].push((0.0, fork.to_m));
             }
-            let first_m = lane.conflicts.iter().map(|conflict| conflict.from_m).fold(f64::INFINITY, f64::min);
+            let first_m = lane
+                .conflicts
+                .iter()
+                .map(|conflict| conflict.from_m)
+                .fold(f64::INFINITY, f64::min);
             if first_m.is_finite() {
-                crossings.push(Spot { lane: at, at_m: first_m });
+                crossings.push(Spot {
+                    lane: at,
+                    at_m: first_m,
+                });
             }
         }
         let line = |points: &[glam::DVec3]| Polyline::new(points.iter().copied());
-        let borders = map.lanes.iter().map(|lane| [line(&lane.left), line(&lane.right)]).collect();
-        let has_lanes_beside = graph.lanes().iter().flatten().any(|lane| lane.left.or(lane.right).is_some());
-        Ok(Self { index: LaneIndex::new(map), map, graph, borders, shared, yields, crossings, has_lanes_beside, reach })
+        let borders = map
+            .lanes
+            .iter()
+            .map(|lane| [line(&lane.left), line(&lane.right)])
+            .collect();
+        let has_lanes_beside = graph
+            .lanes()
+            .iter()
+            .flatten()
+            .any(|lane| lane.left.or(lane.right).is_some());
+        Ok(Self {
+            index: LaneIndex::new(map),
+            map,
+            graph,
+            borders,
+            shared,
+            yields,
+            crossings,
+            has_lanes_beside,
+            reach,
+        })
     }
 
     /// A place on any driving lane, all meters alike.
     pub fn anywhere(&self, random: &mut Stream) -> Option<Spot> {
         let total_m = self.reach.last()?.1;
         let drawn_m = random.between((0.0, total_m));
-        let at = self.reach.partition_point(|&(_, end_m)| end_m <= drawn_m).min(self.reach.len() - 1);
+        let at = self
+            .reach
+            .partition_point(|&(_, end_m)| end_m <= drawn_m)
+            .min(self.reach.len() - 1);
         let begin_m = at.checked_sub(1).map_or(0.0, |before| self.reach[before].1);
-        Some(Spot { lane: self.reach[at].0, at_m: drawn_m - begin_m })
+        Some(Spot {
+            lane: self.reach[at].0,
+            at_m: drawn_m - begin_m,
+        })
     }
 
     pub fn length_m(&self, lane: usize) -> f64 {
-        self.graph.lane(lane).map_or(0.0, |lane| lane.line.length_m())
+        self.graph
+            .lane(lane)
+            .map_or(0.0, |lane| lane.line.length_m())
     }
 
     pub fn speed_limit_mps(&self, lane: usize) -> f64 {
-        self.graph.lane(lane).map_or(0.0, |lane| lane.speed_limit_mps)
+        self.graph
+            .lane(lane)
+            .map_or(0.0, |lane| lane.speed_limit_mps)
     }
 
     pub fn position_m(&self, spot: Spot) -> DVec2 {
@@ -112,16 +147,28 @@ impl<'a> Roads<'a> {
     /// The outline of a vehicle of `size` at `spot`.
     pub fn outline(&self, spot: Spot, size: &VehicleSize) -> OrientedBox {
         let place = place_on(self.graph.lanes(), &[spot.lane], 0, spot.at_m);
-        OrientedBox::of(&VehicleState { position_m: place.position_m, yaw_rad: place.yaw_rad, ..VehicleState::default() }, size)
+        OrientedBox::of(
+            &VehicleState {
+                position_m: place.position_m,
+                yaw_rad: place.yaw_rad,
+                ..VehicleState::default()
+            },
+            size,
+        )
     }
 
     /// True if a vehicle of `size` may start at `spot` as far as the road is concerned: its lane is
     /// wide enough and continues, and no part of the vehicle is on a stretch that others may cross.
     pub fn has_room(&self, spot: Spot, size: &VehicleSize) -> bool {
-        let Some(lane) = self.graph.lane(spot.lane) else { return false };
+        let Some(lane) = self.graph.lane(spot.lane) else {
+            return false;
+        };
         let half_m = 0.5 * size.length_m;
-        let on_lane = (0.0..=lane.line.length_m()).contains(&spot.at_m) && lane.onward_m - spot.at_m >= ONWARD_M_MIN;
-        on_lane && self.is_free(spot.lane, spot.at_m - half_m, spot.at_m + half_m) && self.is_wide(spot, size)
+        let on_lane = (0.0..=lane.line.length_m()).contains(&spot.at_m)
+            && lane.onward_m - spot.at_m >= ONWARD_M_MIN;
+        on_lane
+            && self.is_free(spot.lane, spot.at_m - half_m, spot.at_m + half_m)
+            && self.is_wide(spot, size)
     }
 
     /// True if no other lane conflicts with `lane` between two positions. A stretch before its
@@ -130,37 +177,70 @@ impl<'a> Roads<'a> {
         let (mut open, mut looked_at) = (vec![(lane, from_m, to_m, 0_i32)], 0);
         while let Some((lane, from_m, to_m, way)) = open.pop() {
             looked_at += 1;
-            let Some(road) = self.graph.lane(lane).filter(|_| looked_at < LANES_UNDER_MAX) else { return false };
+            let Some(road) = self
+                .graph
+                .lane(lane)
+                .filter(|_| looked_at < LANES_UNDER_MAX)
+            else {
+                return false;
+            };
             let length_m = road.line.length_m();
             let (low_m, high_m) = (from_m - STRETCH_MARGIN_M, to_m + STRETCH_MARGIN_M);
             let (before, after) = (way <= 0 && from_m < 0.0, way >= 0 && to_m > length_m);
-            if self.shared[lane].iter().any(|&(begin_m, end_m)| begin_m <= high_m && low_m <= end_m)
+            if self.shared[lane]
+                .iter()
+                .any(|&(begin_m, end_m)| begin_m <= high_m && low_m <= end_m)
                 || (before && road.predecessors.is_empty())
                 || (after && road.successors.is_empty())
             {
                 return false;
             }
             if before {
-                open.extend(road.predecessors.iter().map(|&lane| (lane, self.length_m(lane) + from_m, self.length_m(lane), -1)));
+                open.extend(
+                    road.predecessors
+                        .iter()
+                        .map(|&lane| (lane, self.length_m(lane) + from_m, self.length_m(lane), -1)),
+                );
             }
             if after {
-                open.extend(road.successors.iter().map(|&lane| (lane, 0.0, to_m - length_m, 1)));
+                open.extend(
+                    road.successors
+                        .iter()
+                        .map(|&lane| (lane, 0.0, to_m - length_m, 1)),
+                );
             }
         }
         true
     }
 
-    /// The same place on the lane that it is on, where it is before the start of its lane or beyond its end: on those that bend least.
+    /// The same place on the lane that it is on, where it is before the start of its lane or beyond
+    /// its end: on those that bend least.
     pub fn on_its_lane(&self, mut spot: Spot) -> Option<Spot> {
-        let turn = |lane: &&usize| self.graph.lane(**lane).map_or(0.0, |lane| lane.turn_rad.abs());
+        let turn = |lane: &&usize| {
+            self.graph
+                .lane(**lane)
+                .map_or(0.0, |lane| lane.turn_rad.abs())
+        };
         for _ in 0..LANES_UNDER_MAX {
             let (road, length_m) = (self.graph.lane(spot.lane)?, self.length_m(spot.lane));
             if spot.at_m < 0.0 {
-                let before = *road.predecessors.iter().min_by(|a, b| turn(a).total_cmp(&turn(b)))?;
-                spot = Spot { lane: before, at_m: spot.at_m + self.length_m(before) };
+                let before = *road
+                    .predecessors
+                    .iter()
+                    .min_by(|a, b| turn(a).total_cmp(&turn(b)))?;
+                spot = Spot {
+                    lane: before,
+                    at_m: spot.at_m + self.length_m(before),
+                };
             } else if spot.at_m > length_m {
-                let after = *road.successors.iter().min_by(|a, b| turn(a).total_cmp(&turn(b)))?;
-                spot = Spot { lane: after, at_m: spot.at_m - length_m };
+                let after = *road
+                    .successors
+                    .iter()
+                    .min_by(|a, b| turn(a).total_cmp(&turn(b)))?;
+                spot = Spot {
+                    lane: after,
+                    at_m: spot.at_m - length_m,
+                };
             } else {
                 return Some(spot);
             }
@@ -168,11 +248,15 @@ impl<'a> Roads<'a> {
         None
     }
 
-    /// From the middle of one vehicle to that of another ahead of it, meters along the lanes; none within `reach_m`.
+    /// From the middle of one vehicle to that of another ahead of it, meters along the lanes; none
+    /// within `reach_m`.
     pub fn between_m(&self, behind: Spot, front: Spot, reach_m: f64) -> Option<f64> {
-        let apart = |ahead: LaneAhead| (ahead.lane == front.lane).then_some(ahead.begin_m + front.at_m);
+        let apart =
+            |ahead: LaneAhead| (ahead.lane == front.lane).then_some(ahead.begin_m + front.at_m);
         let ahead = self.ahead(behind, reach_m).into_iter().filter_map(apart);
-        ahead.filter(|apart_m| (0.0..=reach_m).contains(apart_m)).min_by(f64::total_cmp)
+        ahead
+            .filter(|apart_m| (0.0..=reach_m).contains(apart_m))
+            .min_by(f64::total_cmp)
     }
 
     /// True if both borders are beyond a vehicle's sides, at its middle, front and rear.
@@ -180,17 +264,28 @@ impl<'a> Roads<'a> {
         let least_m = 0.5 * size.width_m + BORDER_M;
         let beyond = |border: &Option<Polyline>, at_m: f64| {
             let position_m = self.position_m(Spot { at_m, ..spot });
-            border.as_ref().is_none_or(|border| border.project(position_m).distance_m >= least_m)
+            border
+                .as_ref()
+                .is_none_or(|border| border.project(position_m).distance_m >= least_m)
         };
         let half_m = 0.5 * size.length_m;
-        let places = [spot.at_m, (spot.at_m - half_m).max(0.0), (spot.at_m + half_m).min(self.length_m(spot.lane))];
-        self.borders[spot.lane].iter().all(|border| places.iter().all(|&at_m| beyond(border, at_m)))
+        let places = [
+            spot.at_m,
+            (spot.at_m - half_m).max(0.0),
+            (spot.at_m + half_m).min(self.length_m(spot.lane)),
+        ];
+        self.borders[spot.lane]
+            .iter()
+            .all(|border| places.iter().all(|&at_m| beyond(border, at_m)))
     }
 
-    /// Lanes that a vehicle at `spot` may come to within `reach_m`, its own first. A lane that several ways lead to is named once, by the
-    /// shortest.
+    /// Lanes that a vehicle at `spot` may come to within `reach_m`, its own first. A lane that
+    /// several ways lead to is named once, by the shortest.
     pub fn ahead(&self, spot: Spot, reach_m: f64) -> Vec<LaneAhead> {
-        let mut found = vec![LaneAhead { lane: spot.lane, begin_m: -spot.at_m }];
+        let mut found = vec![LaneAhead {
+            lane: spot.lane,
+            begin_m: -spot.at_m,
+        }];
         let mut next = 0;
         while let Some(&LaneAhead { lane, begin_m }) = found.get(next) {
             next += 1;
@@ -200,31 +295,51 @@ impl<'a> Roads<'a> {
             };
             for &successor in &road.successors {
                 // The own lane comes again on a circle, farther ahead.
-                let known = found.iter().position(|ahead| ahead.lane == successor && ahead.begin_m >= 0.0);
+                let known = found
+                    .iter()
+                    .position(|ahead| ahead.lane == successor && ahead.begin_m >= 0.0);
                 match known {
                     Some(at) if found[at].begin_m <= end_m => {}
                     _ if found.len() >= LANES_AHEAD_MAX => break,
-                    _ => found.push(LaneAhead { lane: successor, begin_m: end_m }),
+                    _ => found.push(LaneAhead {
+                        lane: successor,
+                        begin_m: end_m,
+                    }),
                 }
             }
         }
         found
     }
 
-    /// From `spot` to where a vehicle may have to stop for others, or where its lane ends, meters; infinite beyond `reach_m`.
+    /// From `spot` to where a vehicle may have to stop for others, or where its lane ends, meters;
+    /// infinite beyond `reach_m`.
     pub fn until_stop_m(&self, spot: Spot, reach_m: f64) -> f64 {
         let stops = |ahead: LaneAhead| {
-            let dead_end = self.graph.lane(ahead.lane).is_some_and(|lane| lane.successors.is_empty());
+            let dead_end = self
+                .graph
+                .lane(ahead.lane)
+                .is_some_and(|lane| lane.successors.is_empty());
             let end_m = dead_end.then(|| self.length_m(ahead.lane));
-            self.yields[ahead.lane].iter().copied().chain(end_m).map(move |at_m| ahead.begin_m + at_m)
+            self.yields[ahead.lane]
+                .iter()
+                .copied()
+                .chain(end_m)
+                .map(move |at_m| ahead.begin_m + at_m)
         };
-        self.ahead(spot, reach_m).into_iter().flat_map(stops).filter(|&at_m| at_m >= 0.0).fold(f64::INFINITY, f64::min)
+        self.ahead(spot, reach_m)
+            .into_iter()
+            .flat_map(stops)
+            .filter(|&at_m| at_m >= 0.0)
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Stop lines before the crossing that `lane` leads over, one per incoming lane.
     pub fn stop_lines(&self, lane: usize) -> Vec<Spot> {
         let others = |lane: usize| {
-            let conflicts = self.graph.lane(lane).map_or(&[][..], |lane| &lane.conflicts);
+            let conflicts = self
+                .graph
+                .lane(lane)
+                .map_or(&[][..], |lane| &lane.conflicts);
             conflicts.iter().map(|conflict| conflict.other)
         };
         let mut crossing: Vec<usize> = others(lane).chain([lane]).collect();
@@ -233,13 +348,28 @@ impl<'a> Roads<'a> {
         crossing.dedup();
         let mut lines = Vec::new();
         for &lane in &crossing {
-            let Some(road) = self.graph.lane(lane) else { continue };
-            let before = road.predecessors.iter().filter(|lane| crossing.binary_search(lane).is_err());
-            lines.extend(before.map(|&lane| Spot { lane, at_m: self.length_m(lane) }));
+            let Some(road) = self.graph.lane(lane) else {
+                continue;
+            };
+            let before = road
+                .predecessors
+                .iter()
+                .filter(|lane| crossing.binary_search(lane).is_err());
+            lines.extend(before.map(|&lane| Spot {
+                lane,
+                at_m: self.length_m(lane),
+            }));
             // A long lane has its crossing somewhere along it.
-            let first_m = road.conflicts.iter().map(|conflict| conflict.from_m).fold(f64::INFINITY, f64::min);
+            let first_m = road
+                .conflicts
+                .iter()
+                .map(|conflict| conflict.from_m)
+                .fold(f64::INFINITY, f64::min);
             if first_m.is_finite() {
-                lines.push(Spot { lane, at_m: first_m });
+                lines.push(Spot {
+                    lane,
+                    at_m: first_m,
+                });
             }
         }
         lines.sort_by(|a, b| a.lane.cmp(&b.lane).then(a.at_m.total_cmp(&b.at_m)));

@@ -1,12 +1,13 @@
 //! Numeric requirements of each level.
 //!
-//! Counts, light and behaviors are those of the paper's supplement ("Definition of Evaluation Scenarios"). Speeds and distances it does
-//! not give: they are ours.
+//! Counts, light and behaviors are those of the paper's supplement ("Definition of Evaluation
+//! Scenarios"). Speeds and distances it does not give: they are ours.
 
 use decouplegs_scene::scenario::DriverKind;
 use decouplegs_scene::{Level, Weather};
 
-/// Agents nearer than this to the ego at the start are those that a level counts, meters from middle to middle.
+/// Agents nearer than this to the ego at the start are those that a level counts, meters from
+/// middle to middle.
 pub const NEAR_M: f64 = 50.0;
 
 /// Least and greatest number of agents within [`NEAR_M`] of the ego at the start.
@@ -43,7 +44,7 @@ pub(super) struct LevelRequirements {
     pub ego_speed_share: (f64, f64),
     /// Share of the ego's speed, not of what the lane allows.
     pub lead_speed_share: (f64, f64),
-    /// In how many scenarios somebody drives ahead of the ego.
+    /// Share of the scenarios in which a vehicle drives ahead of the ego.
     pub lead_share: f64,
     pub flow_speed_share: (f64, f64),
     /// Initial distance of the ego's front from a crossing, meters.

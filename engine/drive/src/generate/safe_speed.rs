@@ -1,7 +1,8 @@
-//! Speeds at the start from which everybody can stop in time.
+//! Speeds at the start from which all vehicles can stop in time.
 //!
-//! The rule is that of Gipps ("A behavioral car-following model for computer simulation", 1981) and Krauss ("Microscopic modeling of
-//! traffic flow", 1998): whoever follows can stop behind a leader that brakes at once and as hard as it can, after a time to react.
+//! The rule is that of Gipps ("A behavioral car-following model for computer simulation", 1981) and
+//! Krauss ("Microscopic modeling of traffic flow", 1998): a follower can stop behind a leader
+//! that brakes at once and as hard as it can, after a time to react.
 
 /// A planner answers at steps of half a second; one step may be lost.
 const REACTION_S: f64 = 1.0;
@@ -12,7 +13,8 @@ const LEADER_BRAKING_MPS2: f64 = 8.0;
 /// Gap between two standing vehicles, meters.
 const STANDING_GAP_M: f64 = 2.0;
 
-/// The highest speed behind a leader `gap_m` ahead, bumper to bumper: that of v T + v^2 / 2b = gap + (its own braking distance).
+/// The highest speed behind a leader `gap_m` ahead, bumper to bumper: that of v T + v^2 / 2b = gap
+/// + (its own braking distance).
 pub(super) fn behind(gap_m: f64, leader_mps: f64) -> f64 {
     let room_m = gap_m - STANDING_GAP_M + leader_mps * leader_mps / (2.0 * LEADER_BRAKING_MPS2);
     let root = (REACTION_S * REACTION_S + 2.0 * room_m.max(0.0) / BRAKING_MPS2).sqrt();
@@ -32,13 +34,20 @@ mod tests {
                 let (mut gap_m, mut least_m, dt_s) = (gap_m, f64::INFINITY, 0.001);
                 let (mut own_mps, mut leader_mps) = (speed_mps, leader_mps);
                 for step in 0..10_000 {
-                    let braking = if f64::from(step) * dt_s < REACTION_S { 0.0 } else { BRAKING_MPS2 };
+                    let braking = if f64::from(step) * dt_s < REACTION_S {
+                        0.0
+                    } else {
+                        BRAKING_MPS2
+                    };
                     own_mps = (own_mps - braking * dt_s).max(0.0);
                     leader_mps = (leader_mps - LEADER_BRAKING_MPS2 * dt_s).max(0.0);
                     gap_m += (leader_mps - own_mps) * dt_s;
                     least_m = least_m.min(gap_m);
                 }
-                assert!((least_m - STANDING_GAP_M).abs() < 0.02, "{speed_mps} m/s leave {least_m} m");
+                assert!(
+                    (least_m - STANDING_GAP_M).abs() < 0.02,
+                    "{speed_mps} m/s leave {least_m} m"
+                );
             }
         }
         assert_eq!(behind(1.0, 0.0), 0.0);

@@ -6,8 +6,8 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::surfel::{Sample, SurfelGrid};
 
-/// Heights within so much of one another belong to one surface, meters: several times the noise of reconstructed roads, and less
-/// than a kerb is high twice.
+/// Heights within so much of one another belong to one surface, meters: several times the noise of
+/// reconstructed roads, and less than a kerb is high twice.
 const WINDOW_M: f32 = 0.12;
 /// Surfaces that one column may have. A canopy takes one for each half meter.
 const LAYERS_MAX: usize = 12;
@@ -36,7 +36,9 @@ pub struct Layer {
 impl Layer {
     /// Height at `offset` from the node, meters.
     pub fn height_at(&self, offset: DVec2) -> f64 {
-        f64::from(self.z) + f64::from(self.slope[0]) * offset.x + f64::from(self.slope[1]) * offset.y
+        f64::from(self.z)
+            + f64::from(self.slope[0]) * offset.x
+            + f64::from(self.slope[1]) * offset.y
     }
 }
 
@@ -60,13 +62,19 @@ fn layers_of(samples: &[Sample], support_min: f64) -> Vec<Layer> {
     let mut densities = densities(samples);
     let mut layers: Vec<Layer> = Vec::new();
     while layers.len() < LAYERS_MAX {
-        let best = (0..samples.len()).max_by(|&a, &b| densities[a].total_cmp(&densities[b]).then(b.cmp(&a)));
-        let Some(best) = best.filter(|&best| f64::from(densities[best]) >= support_min) else { break };
+        let best = (0..samples.len())
+            .max_by(|&a, &b| densities[a].total_cmp(&densities[b]).then(b.cmp(&a)));
+        let Some(best) = best.filter(|&best| f64::from(densities[best]) >= support_min) else {
+            break;
+        };
         let middle = samples[best].height;
         let from = samples.partition_point(|sample| sample.height < middle - 2.0 * WINDOW_M);
         let to = samples.partition_point(|sample| sample.height <= middle + 2.0 * WINDOW_M);
         densities[from..to].fill(0.0);
-        layers.extend(plane_of(&samples[from..to], middle).filter(|layer| f64::from(layer.support) >= support_min));
+        layers.extend(
+            plane_of(&samples[from..to], middle)
+                .filter(|layer| f64::from(layer.support) >= support_min),
+        );
     }
     layers.sort_by(|a, b| a.z.total_cmp(&b.z));
     layers
@@ -97,14 +105,20 @@ fn plane_of(samples: &[Sample], middle: f32) -> Option<Layer> {
     let mut found = None;
     for _ in 0..ROUNDS {
         let (mut normal, mut right, mut hold) = (DMat3::ZERO, DVec3::ZERO, 0.0);
-        let residual = |sample: &Sample, plane: DVec3| f64::from(sample.height - middle) - plane.dot(row(sample));
+        let residual = |sample: &Sample, plane: DVec3| {
+            f64::from(sample.height - middle) - plane.dot(row(sample))
+        };
         let weigh = |sample: &Sample, plane: DVec3| {
             let left = residual(sample, plane) / cut;
             f64::from(sample.share) * (1.0 - left * left).max(0.0).powi(2)
         };
         for sample in samples {
             let (weight, row) = (weigh(sample, plane), row(sample));
-            normal += DMat3::from_cols(row * (row.x * weight), row * (row.y * weight), row * (row.z * weight));
+            normal += DMat3::from_cols(
+                row * (row.x * weight),
+                row * (row.y * weight),
+                row * (row.z * weight),
+            );
             right += row * (weight * f64::from(sample.height - middle));
             hold += weight;
         }
@@ -114,7 +128,10 @@ fn plane_of(samples: &[Sample], middle: f32) -> Option<Layer> {
         let held = SLOPE_HOLD * (0.5 * (normal.y_axis.y + normal.z_axis.z)).max(1e-4 * hold);
         let fitted = (normal + DMat3::from_diagonal(DVec3::new(0.0, held, held))).inverse() * right;
         let counted = |sample: &Sample| (weigh(sample, plane), residual(sample, fitted));
-        let (support, squares) = samples.iter().map(counted).fold((0.0, 0.0), |(s, q), (w, r)| (s + w, q + w * r * r));
+        let (support, squares) = samples
+            .iter()
+            .map(counted)
+            .fold((0.0, 0.0), |(s, q), (w, r)| (s + w, q + w * r * r));
         let spread = (squares / support).sqrt();
         plane = fitted;
         cut = (OUTLIER_SPREADS * spread.max(SPREAD_MIN_M)).min(window);
@@ -123,9 +140,18 @@ fn plane_of(samples: &[Sample], middle: f32) -> Option<Layer> {
     let (support, spread) = found?;
     let finite = plane.is_finite() && spread.is_finite();
     let slope = [plane.y as f32, plane.z as f32];
-    finite.then_some(Layer { z: (f64::from(middle) + plane.x) as f32, slope, support: support as f32, spread: spread as f32 })
+    finite.then_some(Layer {
+        z: (f64::from(middle) + plane.x) as f32,
+        slope,
+        support: support as f32,
+        spread: spread as f32,
+    })
 }
 
 fn row(sample: &Sample) -> DVec3 {
-    DVec3::new(1.0, f64::from(sample.offset[0]), f64::from(sample.offset[1]))
+    DVec3::new(
+        1.0,
+        f64::from(sample.offset[0]),
+        f64::from(sample.offset[1]),
+    )
 }

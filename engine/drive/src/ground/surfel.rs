@@ -5,7 +5,8 @@ use decouplegs_scene::shape::{PrincipalAxes, triangular_factor};
 use glam::DVec2;
 use rayon::prelude::*;
 
-/// A splat spans so much height at one place and still counts half, meters. Road splats span millimeters, leaves decimeters.
+/// A splat spans so much height at one place and still counts half, meters. Road splats span
+/// millimeters, leaves decimeters.
 const FLAT_SPAN_M: f64 = 0.1;
 /// Least weight in the middle of a column: smaller surfels cannot carry a surface.
 const SHARE_MIN: f64 = 2e-3;
@@ -13,7 +14,8 @@ const SHARE_MIN: f64 = 2e-3;
 const REACH_SIGMAS: f64 = 3.0;
 /// Cells of the finest grid, meters; each further one has twice the size.
 const CELL_M: f64 = 0.5;
-/// Grids; a splat lies in the finest whose cells are as large as its reach. Wider ones count within the largest cell only.
+/// Grids; a splat lies in the finest whose cells are as large as its reach. Wider ones count within
+/// the largest cell only.
 const LEVELS: usize = 5;
 /// Farther from the origin f32 means have no centimeters left, meters.
 const EXTENT_M: f32 = 1e5;
@@ -50,7 +52,10 @@ impl Surfel {
         if cloud.defect_of(splat).is_some() || mean.iter().any(|x| x.abs() > EXTENT_M) {
             return None;
         }
-        let axes = PrincipalAxes { scales: cloud.scales[splat], rotation: cloud.rotations[splat] };
+        let axes = PrincipalAxes {
+            scales: cloud.scales[splat],
+            rotation: cloud.rotations[splat],
+        };
         let [xx, yx, yy, zx, zy, zz] = triangular_factor(&axes);
         // Sigma = L L^T; given x and y, z varies by the last diagonal entry alone.
         let (sxx, sxy, syy) = (xx * xx, xx * yx, yx * yx + yy * yy);
@@ -61,24 +66,39 @@ impl Surfel {
         let inverse = [wyy / determinant, -sxy / determinant, wxx / determinant];
         let flat = 1.0 / (1.0 + (zz / FLAT_SPAN_M).powi(2));
         let share = f64::from(cloud.opacities[splat]) * flat * (xx * yy / determinant.sqrt());
-        let slope = [szx * inverse[0] + szy * inverse[1], szx * inverse[1] + szy * inverse[2]];
+        let slope = [
+            szx * inverse[0] + szy * inverse[1],
+            szx * inverse[1] + szy * inverse[2],
+        ];
         let widest = 0.5 * (wxx + wyy) + (0.25 * (wxx - wyy).powi(2) + sxy * sxy).sqrt();
         let reach = REACH_SIGMAS * widest.sqrt();
-        let surfel = Self { mean, inverse: inverse.map(|x| x as f32), slope: slope.map(|x| x as f32), share: share as f32 };
+        let surfel = Self {
+            mean,
+            inverse: inverse.map(|x| x as f32),
+            slope: slope.map(|x| x as f32),
+            share: share as f32,
+        };
         let finite = reach.is_finite() && inverse.iter().chain(&slope).all(|x| x.is_finite());
         (finite && share >= SHARE_MIN).then_some((surfel, reach))
     }
 
     fn sample(&self, axis: DVec2, column_sigma_m: f64) -> Option<Sample> {
         let (dx, dy) = (axis.x as f32 - self.mean[0], axis.y as f32 - self.mean[1]);
-        let (ix, iy) = (self.inverse[0] * dx + self.inverse[1] * dy, self.inverse[1] * dx + self.inverse[2] * dy);
+        let (ix, iy) = (
+            self.inverse[0] * dx + self.inverse[1] * dy,
+            self.inverse[1] * dx + self.inverse[2] * dy,
+        );
         let squared = ix * dx + iy * dy;
         if squared > (REACH_SIGMAS * REACH_SIGMAS) as f32 {
             return None;
         }
         let column = (column_sigma_m * column_sigma_m) as f32;
         let height = self.mean[2] + self.slope[0] * dx + self.slope[1] * dy;
-        Some(Sample { height, offset: [-column * ix, -column * iy], share: self.share * (-0.5 * squared).exp() })
+        Some(Sample {
+            height,
+            offset: [-column * ix, -column * iy],
+            share: self.share * (-0.5 * squared).exp(),
+        })
     }
 }
 
@@ -99,15 +119,24 @@ struct Level {
 
 impl SurfelGrid {
     pub fn new(cloud: &SplatCloud, column_sigma_m: f64) -> Self {
-        let surfels = (0..cloud.len()).into_par_iter().filter_map(|splat| Surfel::of(cloud, splat, column_sigma_m));
+        let surfels = (0..cloud.len())
+            .into_par_iter()
+            .filter_map(|splat| Surfel::of(cloud, splat, column_sigma_m));
         let surfels: Vec<(Surfel, f64)> = surfels.collect();
-        let level_of = |reach: f64| ((reach / CELL_M).log2().ceil().max(0.0) as usize).min(LEVELS - 1);
+        let level_of =
+            |reach: f64| ((reach / CELL_M).log2().ceil().max(0.0) as usize).min(LEVELS - 1);
         let levels = (0..LEVELS).map(|level| {
-            let own: Vec<Surfel> =
-                surfels.iter().filter(|(_, reach)| level_of(*reach) == level).map(|(surfel, _)| *surfel).collect();
+            let own: Vec<Surfel> = surfels
+                .iter()
+                .filter(|(_, reach)| level_of(*reach) == level)
+                .map(|(surfel, _)| *surfel)
+                .collect();
             Level::new(own, CELL_M * f64::from(1u32 << level))
         });
-        Self { levels: levels.collect(), column_sigma_m }
+        Self {
+            levels: levels.collect(),
+            column_sigma_m,
+        }
     }
 
     /// Appends the samples of the column around `axis` to `samples`.
@@ -117,9 +146,19 @@ impl SurfelGrid {
             for near_x in x - 1..=x + 1 {
                 // The cells of one column of the grid follow one another.
                 let from = level.cells.partition_point(|cell| *cell < [near_x, y - 1]);
-                let to = from + level.cells[from..].iter().take(3).take_while(|cell| **cell <= [near_x, y + 1]).count();
-                let surfels = &level.surfels[level.starts[from] as usize..level.starts[to] as usize];
-                samples.extend(surfels.iter().filter_map(|surfel| surfel.sample(axis, self.column_sigma_m)));
+                let to = from
+                    + level.cells[from..]
+                        .iter()
+                        .take(3)
+                        .take_while(|cell| **cell <= [near_x, y + 1])
+                        .count();
+                let surfels =
+                    &level.surfels[level.starts[from] as usize..level.starts[to] as usize];
+                samples.extend(
+                    surfels
+                        .iter()
+                        .filter_map(|surfel| surfel.sample(axis, self.column_sigma_m)),
+                );
             }
         }
     }
@@ -128,17 +167,24 @@ impl SurfelGrid {
     pub fn reached(&self) -> impl Iterator<Item = (DVec2, f64)> + '_ {
         self.levels.iter().flat_map(|level| {
             let size = level.cell_m;
-            level
-                .cells
-                .iter()
-                .map(move |cell| (DVec2::new(f64::from(cell[0]) - 1.0, f64::from(cell[1]) - 1.0) * size, 3.0 * size))
+            level.cells.iter().map(move |cell| {
+                (
+                    DVec2::new(f64::from(cell[0]) - 1.0, f64::from(cell[1]) - 1.0) * size,
+                    3.0 * size,
+                )
+            })
         })
     }
 }
 
 impl Level {
     fn new(mut surfels: Vec<Surfel>, cell_m: f64) -> Self {
-        let cell = |surfel: &Surfel| cell_of(DVec2::new(f64::from(surfel.mean[0]), f64::from(surfel.mean[1])), cell_m);
+        let cell = |surfel: &Surfel| {
+            cell_of(
+                DVec2::new(f64::from(surfel.mean[0]), f64::from(surfel.mean[1])),
+                cell_m,
+            )
+        };
         // A stable sort: sums over a cell must not depend on the number of threads.
         surfels.par_sort_by_cached_key(cell);
         let (mut cells, mut starts): (Vec<[i32; 2]>, Vec<u32>) = (Vec::new(), Vec::new());
@@ -150,10 +196,18 @@ impl Level {
             }
         }
         starts.push(surfels.len() as u32);
-        Self { cell_m, cells, starts, surfels }
+        Self {
+            cell_m,
+            cells,
+            starts,
+            surfels,
+        }
     }
 }
 
 fn cell_of(at: DVec2, cell_m: f64) -> [i32; 2] {
-    [(at.x / cell_m).floor() as i32, (at.y / cell_m).floor() as i32]
+    [
+        (at.x / cell_m).floor() as i32,
+        (at.y / cell_m).floor() as i32,
+    ]
 }

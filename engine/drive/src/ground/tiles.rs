@@ -8,9 +8,11 @@ use glam::DVec2;
 use super::layers::Layer;
 use super::surfel::SurfelGrid;
 
-/// Between nodes, meters. A surface is a plane between four of them, so less than what bends on a road.
+/// Between nodes, meters. A surface is a plane between four of them, so less than what bends on a
+/// road.
 const NODE_M: f64 = 0.25;
-/// Squares of nodes along a side of a tile; one more node than that, so that a query needs one tile only.
+/// Squares of nodes along a side of a tile; one more node than that, so that a query needs one tile
+/// only.
 const TILE_NODES: i32 = 16;
 const TILE_M: f64 = NODE_M * TILE_NODES as f64;
 
@@ -51,23 +53,34 @@ impl Tiles {
         Self { tiles }
     }
 
-    /// The four nodes around `at`, the surfaces over a node being found by `find`; `None` where no splat is near.
+    /// The four nodes around `at`, the surfaces over a node being found by `find`; `None` where no
+    /// splat is near.
     pub fn around(&self, at: DVec2, find: impl Fn(DVec2) -> Vec<Layer>) -> Option<[Corner<'_>; 4]> {
         let key = tile_of(at);
         let corner_m = DVec2::new(f64::from(key[0]), f64::from(key[1])) * TILE_M;
-        let tile = self.tiles.get(&key)?.get_or_init(|| Tile::new(corner_m, find));
+        let tile = self
+            .tiles
+            .get(&key)?
+            .get_or_init(|| Tile::new(corner_m, find));
         let within = (at - corner_m) / NODE_M;
         let last = f64::from(TILE_NODES - 1);
         let cell = within.floor().clamp(DVec2::ZERO, DVec2::splat(last));
         let share = within - cell;
-        Some([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(|step| {
-            let step = DVec2::from_array(step);
-            let node = cell + step;
-            let place = (node.y as usize) * (TILE_NODES as usize + 1) + node.x as usize;
-            let layers = &tile.layers[tile.starts[place] as usize..tile.starts[place + 1] as usize];
-            let along = |step: f64, share: f64| if step > 0.0 { share } else { 1.0 - share };
-            Corner { layers, offset: (share - step) * NODE_M, weight: along(step.x, share.x) * along(step.y, share.y) }
-        }))
+        Some(
+            [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(|step| {
+                let step = DVec2::from_array(step);
+                let node = cell + step;
+                let place = (node.y as usize) * (TILE_NODES as usize + 1) + node.x as usize;
+                let layers =
+                    &tile.layers[tile.starts[place] as usize..tile.starts[place + 1] as usize];
+                let along = |step: f64, share: f64| if step > 0.0 { share } else { 1.0 - share };
+                Corner {
+                    layers,
+                    offset: (share - step) * NODE_M,
+                    weight: along(step.x, share.x) * along(step.y, share.y),
+                }
+            }),
+        )
     }
 }
 
@@ -76,7 +89,9 @@ impl Tile {
         let (mut starts, mut layers) = (vec![0], Vec::new());
         for y in 0..=TILE_NODES {
             for x in 0..=TILE_NODES {
-                layers.extend(find(corner_m + DVec2::new(f64::from(x), f64::from(y)) * NODE_M));
+                layers.extend(find(
+                    corner_m + DVec2::new(f64::from(x), f64::from(y)) * NODE_M,
+                ));
                 starts.push(layers.len() as u32);
             }
         }
@@ -84,7 +99,11 @@ impl Tile {
     }
 }
 
-/// The tile that holds `at`; coordinates beyond what an i32 counts meet at its ends, where there is none.
+/// The tile that holds `at`; coordinates beyond what an i32 counts meet at its ends, where there is
+/// none.
 fn tile_of(at: DVec2) -> [i32; 2] {
-    [(at.x / TILE_M).floor() as i32, (at.y / TILE_M).floor() as i32]
+    [
+        (at.x / TILE_M).floor() as i32,
+        (at.y / TILE_M).floor() as i32,
+    ]
 }

@@ -28,10 +28,12 @@ const MATCHES: usize = 12;
 const SCALE_FIRST_M: f64 = 1.0;
 /// Matching ends when the motion changes by less, meters and (times a hundred meters) radians.
 const SETTLED: f64 = 1e-5;
-/// Drivers keep to the middle of their lane to about so much, as a deviation in meters, and for about so many waypoints to the same side.
+/// Drivers keep to the middle of their lane to about so much, as a deviation in meters, and for
+/// about so many waypoints to the same side.
 const LANE_KEEPING_M: f64 = 0.2;
 pub(super) const KEEPING_WAYPOINTS: f64 = 5.0;
-/// Costs of a waypoint that is anywhere, of a lane change, and of a leg that does not follow the one before: logarithms of how rare they are.
+/// Costs of a waypoint that is anywhere, of a lane change, and of a leg that does not follow the
+/// one before: logarithms of how rare they are.
 pub(super) const OFF_COST_MAX: f64 = 9.0;
 const CHANGE_COST: f64 = 8.0;
 const JUMP_COST: f64 = 40.0;
@@ -51,7 +53,13 @@ pub struct Aligned {
 impl Aligned {
     /// A track that follows no lane, moved by `fit`.
     pub fn without_lanes(fit: &PlanarFit) -> Self {
-        Self { fit: *fit, legs: Vec::new(), lane_changes: Vec::new(), feet: Vec::new(), has_height: Vec::new() }
+        Self {
+            fit: *fit,
+            legs: Vec::new(),
+            lane_changes: Vec::new(),
+            feet: Vec::new(),
+            has_height: Vec::new(),
+        }
     }
 }
 
@@ -78,11 +86,14 @@ pub(super) struct Routed<'a, 'b> {
 }
 
 impl Register<'_> {
-    /// The track's own motion: the more probable one of that without and that with changes of lanes.
+    /// The track's own motion: the more probable one of that without and that with changes of
+    /// lanes.
     pub fn align(&self, prepared: &Prepared) -> Result<Aligned, String> {
         let believed = |aligned: Aligned| self.doubt(&aligned.fit).map_or(Ok(aligned), Err);
         let keeping = self.align_on(prepared, false).and_then(believed);
-        let keeping_cost = keeping.as_ref().map_or(f64::INFINITY, |aligned| self.cost(prepared, aligned));
+        let keeping_cost = keeping
+            .as_ref()
+            .map_or(f64::INFINITY, |aligned| self.cost(prepared, aligned));
         if keeping_cost <= CHANGE_COST {
             return keeping;
         }
@@ -93,7 +104,8 @@ impl Register<'_> {
         }
     }
 
-    /// Minus the logarithm of how probable `aligned` is, but for a constant: drift, distances from lanes, and changes from leg to leg.
+    /// Minus the logarithm of how probable `aligned` is, but for a constant: drift, distances from
+    /// lanes, and changes from leg to leg.
     fn cost(&self, prepared: &Prepared, aligned: &Aligned) -> f64 {
         self.drift_cost(&aligned.fit.motion) + self.lane_cost(prepared, aligned, 0.0)
     }
@@ -101,17 +113,26 @@ impl Register<'_> {
     /// The part of a motion.
     pub(super) fn drift_cost(&self, motion: &PlanarTransform) -> f64 {
         let prior = &self.options.prior;
-        0.5 * ((motion.shift_m / prior.shift_m).length_squared() + (motion.yaw_rad / prior.yaw_rad).powi(2))
+        0.5 * ((motion.shift_m / prior.shift_m).length_squared()
+            + (motion.yaw_rad / prior.yaw_rad).powi(2))
     }
 
-    /// The part of distances from lanes, of which the driver keeps `habit_m` to the left, and of changes from leg to leg.
+    /// The part of distances from lanes, of which the driver keeps `habit_m` to the left, and of
+    /// changes from leg to leg.
     pub(super) fn lane_cost(&self, prepared: &Prepared, aligned: &Aligned, habit_m: f64) -> f64 {
         let usual_m = LANE_KEEPING_M.hypot(prepared.smoothed.noise_m);
         let times_s = prepared.times_s();
         let off = |(foot, time_s): (&Option<(usize, Foot)>, &f64)| {
-            let changing = aligned.lane_changes.iter().any(|change| change.contains(*time_s));
+            let changing = aligned
+                .lane_changes
+                .iter()
+                .any(|change| change.contains(*time_s));
             let lateral_m = foot.map_or(f64::INFINITY, |(_, foot)| foot.lateral_m - habit_m);
-            if changing { 0.0 } else { 0.5 * (lateral_m / usual_m).powi(2).min(OFF_COST_MAX) }
+            if changing {
+                0.0
+            } else {
+                0.5 * (lateral_m / usual_m).powi(2).min(OFF_COST_MAX)
+            }
         };
         let off: f64 = aligned.feet.iter().zip(&times_s).map(off).sum();
         let changes = aligned.lane_changes.len();
@@ -133,10 +154,16 @@ impl Register<'_> {
                 Err(why) => reason = Some(why),
             }
         }
-        best.map(|(_, found)| found).ok_or_else(|| reason.unwrap_or_else(|| "no place of it was matched to a lane".into()))
+        best.map(|(_, found)| found)
+            .ok_or_else(|| reason.unwrap_or_else(|| "no place of it was matched to a lane".into()))
     }
 
-    pub(super) fn align_from(&self, prepared: &Prepared, start: PlanarTransform, lane_changes: bool) -> Result<Aligned, String> {
+    pub(super) fn align_from(
+        &self,
+        prepared: &Prepared,
+        start: PlanarTransform,
+        lane_changes: bool,
+    ) -> Result<Aligned, String> {
         let mut motion = start;
         for route in 0..ROUTES {
             let mut routed = self.route(prepared, &motion, lane_changes)?;
@@ -149,10 +176,15 @@ impl Register<'_> {
         Err("no lanes were chosen".into())
     }
 
-    /// Motions to begin at: none, and turns by headings alone. At the ends of a long track a turn of two degrees looks like another lane,
-    /// but its headings against those of any lanes along it show the turn: their median, or where the track changes lanes, which turns
-    /// nearly half of them, the middle of the half that agrees best.
-    fn starts(&self, prepared: &Prepared, lane_changes: bool) -> Result<Vec<PlanarTransform>, String> {
+    /// Motions to begin at: none, and turns by headings alone. At the ends of a long track a turn
+    /// of two degrees looks like another lane, but its headings against those of any lanes along it
+    /// show the turn: their median, or where the track changes lanes, which turns nearly half of
+    /// them, the middle of the half that agrees best.
+    fn starts(
+        &self,
+        prepared: &Prepared,
+        lane_changes: bool,
+    ) -> Result<Vec<PlanarTransform>, String> {
         let motion = PlanarTransform::identity(prepared.middle());
         let routed = self.route(prepared, &motion, lane_changes)?;
         let feet = self.feet(&routed, &motion);
@@ -160,16 +192,25 @@ impl Register<'_> {
             let (_, foot) = (*foot)?;
             Some(wrapped(foot.heading_rad - waypoint.heading_rad))
         };
-        let mut turns: Vec<f64> = prepared.waypoints.iter().zip(&feet).filter_map(turn).collect();
+        let mut turns: Vec<f64> = prepared
+            .waypoints
+            .iter()
+            .zip(&feet)
+            .filter_map(turn)
+            .collect();
         if turns.is_empty() {
             return Err("no place of it was matched to a lane".into());
         }
         turns.sort_by(f64::total_cmp);
         let half = turns.len() / 2;
-        let agreeing = turns.windows(half + 1).min_by(|a, b| (a[half] - a[0]).total_cmp(&(b[half] - b[0])));
+        let agreeing = turns
+            .windows(half + 1)
+            .min_by(|a, b| (a[half] - a[0]).total_cmp(&(b[half] - b[0])));
         let agreed = agreeing.map_or(0.0, |half_of_them| half_of_them[half / 2]);
         let turned = [agreed, turns[half]].map(|yaw_rad| PlanarTransform { yaw_rad, ..motion });
-        Ok(std::iter::once(motion).chain(turned.into_iter().filter(|turned| self.believed(turned))).collect())
+        Ok(std::iter::once(motion)
+            .chain(turned.into_iter().filter(|turned| self.believed(turned)))
+            .collect())
     }
 
     pub(super) fn route<'a, 'b>(
@@ -179,28 +220,54 @@ impl Register<'_> {
         changes_allowed: bool,
     ) -> Result<Routed<'a, 'b>, String> {
         let class = &prepared.track.class;
-        let legs = route::find(self.map, self.index, &prepared.moved(motion), class, changes_allowed, self.options)?;
+        let legs = route::find(
+            self.map,
+            self.index,
+            &prepared.moved(motion),
+            class,
+            changes_allowed,
+            self.options,
+        )?;
         let times_s = prepared.times_s();
         let guessed = changes(&legs, &times_s);
-        Ok(Routed { prepared, legs, lane_changes: guessed.clone(), guessed, times_s })
+        Ok(Routed {
+            prepared,
+            legs,
+            lane_changes: guessed.clone(),
+            guessed,
+            times_s,
+        })
     }
 
     /// Matches and moves in turn until nothing changes.
     fn settle(&self, routed: &mut Routed, start: PlanarTransform) -> Result<PlanarFit, String> {
         let pairs = self.pairs(routed, &start);
         if pairs.len() < PAIRS_MIN {
-            return Err(format!("{} places on lanes outside lane changes; a motion needs {PAIRS_MIN}", pairs.len()));
+            return Err(format!(
+                "{} places on lanes outside lane changes; a motion needs {PAIRS_MIN}",
+                pairs.len()
+            ));
         }
-        let weighted = pairs.iter().map(|pair| WeightedPair { from: pair.from, to: pair.on_line, weight: pair.weight });
+        let weighted = pairs.iter().map(|pair| WeightedPair {
+            from: pair.from,
+            to: pair.on_line,
+            weight: pair.weight,
+        });
         let first = procrustes(&weighted.collect::<Vec<_>>())?.about(start.pivot_m);
         let first = if self.believed(&first) { first } else { start };
         let mut found = fit(&pairs, &first, &self.options.prior, SCALE_FIRST_M);
         for scale_m in scales().skip(1) {
             let before = found.motion;
             self.measure_changes(routed, &found);
-            found = fit(&self.pairs(routed, &before), &before, &self.options.prior, scale_m);
+            found = fit(
+                &self.pairs(routed, &before),
+                &before,
+                &self.options.prior,
+                scale_m,
+            );
             let turned = 100.0 * (found.motion.yaw_rad - before.yaw_rad).abs();
-            let settled = turned < SETTLED && found.motion.shift_m.distance(before.shift_m) < SETTLED;
+            let settled =
+                turned < SETTLED && found.motion.shift_m.distance(before.shift_m) < SETTLED;
             if settled && scale_m <= RESIDUAL_MIN_M {
                 break;
             }
@@ -210,9 +277,19 @@ impl Register<'_> {
 
     fn finish(&self, routed: Routed, fit: PlanarFit) -> Aligned {
         let feet = self.feet(&routed, &fit.motion);
-        let has_height = |leg: &Leg| leg.lanes.iter().all(|&lane| self.map.lanes[lane].has_height);
+        let has_height = |leg: &Leg| {
+            leg.lanes
+                .iter()
+                .all(|&lane| self.map.lanes[lane].has_height)
+        };
         let has_height = routed.legs.iter().map(has_height).collect();
-        Aligned { fit, has_height, feet, legs: routed.legs, lane_changes: routed.lane_changes }
+        Aligned {
+            fit,
+            has_height,
+            feet,
+            legs: routed.legs,
+            lane_changes: routed.lane_changes,
+        }
     }
 
     /// The track on its lanes under a motion that is given.
@@ -223,7 +300,8 @@ impl Register<'_> {
     }
 
     pub(super) fn believed(&self, motion: &PlanarTransform) -> bool {
-        motion.shift_m.length() <= self.options.shift_max_m && wrapped(motion.yaw_rad).abs() <= self.options.yaw_max_rad
+        motion.shift_m.length() <= self.options.shift_max_m
+            && wrapped(motion.yaw_rad).abs() <= self.options.yaw_max_rad
     }
 
     /// Reason why a motion is implausible, if any.
@@ -239,7 +317,9 @@ impl Register<'_> {
         let (residual_m, most_m) = (fit.residual_m, options.residual_max_m);
         // A comparison that is false for what is no number.
         let follows = residual_m <= most_m;
-        (!follows).then(|| format!("does not follow its lanes: {residual_m:.2} m about them (at most {most_m} m)"))
+        (!follows).then(|| {
+            format!("does not follow its lanes: {residual_m:.2} m about them (at most {most_m} m)")
+        })
     }
 
     /// Each waypoint's place on its leg's line, by warping.
@@ -253,26 +333,37 @@ impl Register<'_> {
                 .map(|arc| (leg.line.at(arc).truncate(), leg.line.heading_at(arc)))
                 .collect();
             let middles: Vec<f64> = leg.arcs_m.iter().map(|arc| arc / STEP_M).collect();
-            let band = Band::around(&middles, (self.options.band_m / STEP_M).ceil() as usize, steps);
+            let band = Band::around(
+                &middles,
+                (self.options.band_m / STEP_M).ceil() as usize,
+                steps,
+            );
             let cost = |point: usize, step: usize| {
                 let waypoint = &moved[leg.waypoints[point]];
                 let (place, heading_rad) = samples[step];
                 let turned = waypoint.heading_rad - heading_rad;
-                place.distance(waypoint.position) + self.options.heading_weight * (1.0 - turned.cos())
+                place.distance(waypoint.position)
+                    + self.options.heading_weight * (1.0 - turned.cos())
             };
             for (point, step) in align(&band, cost).into_iter().flatten().enumerate() {
                 let arc_m = STEP_M * step as f64;
                 let waypoint = leg.waypoints[point];
-                let foot = leg.line.project_within(moved[waypoint].position, arc_m - 2.0 * STEP_M, arc_m + 2.0 * STEP_M);
+                let foot = leg.line.project_within(
+                    moved[waypoint].position,
+                    arc_m - 2.0 * STEP_M,
+                    arc_m + 2.0 * STEP_M,
+                );
                 feet[waypoint] = Some((number, foot));
             }
         }
         feet
     }
 
-    /// Points of the track as they were logged and the places that they belong to, those left out that are between lanes.
+    /// Points of the track as they were logged and the places that they belong to, those left out
+    /// that are between lanes.
     ///
-    /// The motion is told by what was logged, not by the smoothed track: smoothing cuts corners, always to the same side.
+    /// The motion is told by what was logged, not by the smoothed track: smoothing cuts corners,
+    /// always to the same side.
     pub(super) fn pairs(&self, routed: &Routed, motion: &PlanarTransform) -> Vec<LinePair> {
         let feet = self.feet(routed, motion);
         let prepared = routed.prepared;
@@ -280,9 +371,15 @@ impl Register<'_> {
         let mut pairs = Vec::new();
         for (at, (waypoint, foot)) in prepared.waypoints.iter().zip(&feet).enumerate() {
             let Some((leg, foot)) = *foot else { continue };
-            let next = prepared.waypoints.get(at + 1).map_or(points.len(), |next| next.index);
+            let next = prepared
+                .waypoints
+                .get(at + 1)
+                .map_or(points.len(), |next| next.index);
             let usable = |&point: &usize| {
-                let changing = routed.lane_changes.iter().any(|change| change.contains(points[point].time_s));
+                let changing = routed
+                    .lane_changes
+                    .iter()
+                    .any(|change| change.contains(points[point].time_s));
                 !changing && !prepared.smoothed.outliers[point]
             };
             let usable: Vec<usize> = (waypoint.index..next).filter(usable).collect();
@@ -290,19 +387,32 @@ impl Register<'_> {
             pairs.extend(usable.iter().map(|&point| {
                 let from = points[point].position_m;
                 let (moved, ahead_m) = (motion.apply(from), from.distance(waypoint.position));
-                let own = line.project_within(moved, foot.arc_m - 2.0 * STEP_M, foot.arc_m + ahead_m + 2.0 * STEP_M);
+                let own = line.project_within(
+                    moved,
+                    foot.arc_m - 2.0 * STEP_M,
+                    foot.arc_m + ahead_m + 2.0 * STEP_M,
+                );
                 // Where it waits, a track has many points that say the same.
                 let weight = (POINTS_A_WAYPOINT / usable.len() as f64).min(1.0);
-                LinePair { from, on_line: own.point.truncate(), across: line.across(&own, moved), weight }
+                LinePair {
+                    from,
+                    on_line: own.point.truncate(),
+                    across: line.across(&own, moved),
+                    weight,
+                }
             }));
         }
         pairs
     }
 
-    /// ObservationRequest how long the lane changes last under a motion that was found; always from the guess, which an earlier motion may not shorten.
+    /// ObservationRequest how long the lane changes last under a motion that was found; always from
+    /// the guess, which an earlier motion may not shorten.
     pub(super) fn measure_changes(&self, routed: &mut Routed, found: &PlanarFit) {
         let feet = self.feet(routed, &found.motion);
-        let laterals = feet.iter().zip(&routed.times_s).filter_map(|(foot, time_s)| Some((*time_s, foot.as_ref()?.1.lateral_m)));
+        let laterals = feet
+            .iter()
+            .zip(&routed.times_s)
+            .filter_map(|(foot, time_s)| Some((*time_s, foot.as_ref()?.1.lateral_m)));
         // Waypoints are smoothed: the noise of the log is not what they deviate by.
         let noise_m = routed.prepared.smoothed.noise_m;
         let deviation_m = (found.residual_m.powi(2) - noise_m.powi(2)).max(0.0).sqrt();

@@ -17,18 +17,24 @@ impl Band {
     pub fn around(middles: &[f64], half: usize, steps: usize) -> Self {
         let mut last = 0;
         let ranges = middles.iter().map(|middle| {
-            let middle = (middle.round().max(0.0) as usize).min(steps.saturating_sub(1)).max(last);
+            let middle = (middle.round().max(0.0) as usize)
+                .min(steps.saturating_sub(1))
+                .max(last);
             last = middle;
             middle.saturating_sub(half)..middle.saturating_add(half + 1).min(steps)
         });
-        Self { ranges: ranges.collect() }
+        Self {
+            ranges: ranges.collect(),
+        }
     }
 }
 
-/// The matches of least summed cost, one step for each point of the track and never falling; `cost(point, step)`.
+/// The matches of least summed cost, one step for each point of the track and never falling;
+/// `cost(point, step)`.
 ///
-/// The step pattern is the asymmetric one without a limit of slope: every point is matched once and any number of steps may be passed
-/// over, so a lane's sampling does not weigh on the result. `None` without points, or where the band holds no step for one.
+/// The step pattern is the asymmetric one without a limit of slope: every point is matched once and
+/// any number of steps may be passed over, so a lane's sampling does not weigh on the result.
+/// `None` without points, or where the band holds no step for one.
 #[must_use]
 pub fn align(band: &Band, cost: impl Fn(usize, usize) -> f64) -> Option<Vec<usize>> {
     let first = band.ranges.first()?;
@@ -36,7 +42,8 @@ pub fn align(band: &Band, cost: impl Fn(usize, usize) -> f64) -> Option<Vec<usiz
         return None;
     }
     let mut sums: Vec<f64> = first.clone().map(|step| cost(0, step)).collect();
-    // For each point and step, where the point before it was matched, counted from the start of that point's range.
+    // For each point and step, where the point before it was matched, counted from the start of
+    // that point's range.
     let mut from: Vec<Vec<u32>> = vec![Vec::new()];
     for (point, pair) in band.ranges.windows(2).enumerate() {
         let (before, own) = (&pair[0], &pair[1]);
@@ -73,8 +80,12 @@ mod tests {
 
     /// The least cost of every match that never falls, by trying all.
     fn least(costs: &[Vec<f64>], point: usize, from: usize) -> f64 {
-        let Some(row) = costs.get(point) else { return 0.0 };
-        (from..row.len()).map(|step| row[step] + least(costs, point + 1, step)).fold(f64::INFINITY, f64::min)
+        let Some(row) = costs.get(point) else {
+            return 0.0;
+        };
+        (from..row.len())
+            .map(|step| row[step] + least(costs, point + 1, step))
+            .fold(f64::INFINITY, f64::min)
     }
 
     proptest! {
@@ -95,12 +106,24 @@ mod tests {
         let track = [0.1, 2.1, 4.1, 4.1, 2.0, 0.1];
         let middles = [0.0, 2.0, 4.0, 6.0, 8.0, 10.0];
         let cost = |point: usize, step: usize| f64::abs(track[point] - lane[step]);
-        assert_eq!(align(&Band::around(&middles, 2, 11), cost).unwrap(), [0, 2, 4, 4, 8, 10]);
+        assert_eq!(
+            align(&Band::around(&middles, 2, 11), cost).unwrap(),
+            [0, 2, 4, 4, 8, 10]
+        );
         let narrow = align(&Band::around(&[5.0; 6], 1, 11), cost).unwrap();
-        assert!(narrow.iter().all(|step| (4..=6).contains(step)), "{narrow:?}");
+        assert!(
+            narrow.iter().all(|step| (4..=6).contains(step)),
+            "{narrow:?}"
+        );
         assert_eq!(align(&Band::around(&[], 2, 11), cost), None);
         assert_eq!(align(&Band::around(&[0.0], 2, 0), |_, _| 0.0), None);
         // Middles that fall, and such that are no numbers, still leave a way.
-        assert!(align(&Band::around(&[9.0, 1.0, f64::NAN, 1e300], 1, 11), |_, _| 0.0).is_some());
+        assert!(
+            align(
+                &Band::around(&[9.0, 1.0, f64::NAN, 1e300], 1, 11),
+                |_, _| 0.0
+            )
+            .is_some()
+        );
     }
 }

@@ -1,11 +1,13 @@
 //! Registration: tracks brought onto the lanes of a map and onto the ground.
 //!
-//! A log is moved only where lanes show that it drifted: first all tracks together, then single tracks, each by more than the habits of
-//! drivers explain. What is parked, or shows no drift, stays where it was logged and is set on the ground.
+//! A log is moved only where lanes show that it drifted: first all tracks together, then single
+//! tracks, each by more than the habits of drivers explain. What is parked, or shows no drift,
+//! stays where it was logged and is set on the ground.
 //!
-//! A track is smoothed ([`smooth`]), its lanes are chosen by the whole of it ([`route`]), its points are matched to their line in
-//! order ([`dtw`]) except where it changes lanes ([`lane_change`]), and one planar motion brings it there ([`procrustes`], then
-//! [`fit`]). Its poses are then set on the ground at the four bottom corners of its box ([`grounding`]).
+//! A track is smoothed ([`smooth`]), its lanes are chosen by the whole of it ([`route`]), its
+//! points are matched to their line in order ([`dtw`]) except where it changes lanes
+//! ([`lane_change`]), and one planar motion brings it there ([`procrustes`], then [`fit`]). Its
+//! poses are then set on the ground at the four bottom corners of its box ([`grounding`]).
 //!
 //! Registration is for background traffic, never for the ego vehicle.
 
@@ -42,8 +44,9 @@ pub struct RegisterOptions {
     pub band_m: f64,
     /// Lanes farther from a track are none of its, meters.
     pub radius_m: f64,
-    /// Deviation of drivers' habits: how far they keep from the middle of their lane, meters. A track is moved by itself only where its
-    /// lanes show more than that. 0: all tracks belong on the middles of their lanes.
+    /// Deviation of drivers' habits: how far they keep from the middle of their lane, meters. A
+    /// track is moved by itself only where its lanes show more than that. 0: all tracks belong on
+    /// the middles of their lanes.
     pub keeping_m: f64,
     /// Deviation of the tracks' noise along one axis, meters. None: told by each track itself.
     pub noise_m: Option<f64>,
@@ -74,7 +77,10 @@ impl Default for RegisterOptions {
             keeping_m: 0.3,
             noise_m: None,
             shared: false,
-            prior: MotionPrior { shift_m: 1.0, yaw_rad: 2f64.to_radians() },
+            prior: MotionPrior {
+                shift_m: 1.0,
+                yaw_rad: 2f64.to_radians(),
+            },
             shift_max_m: 3.0,
             yaw_max_rad: 6f64.to_radians(),
             residual_max_m: 0.8,
@@ -247,14 +253,19 @@ impl PoseFlags {
             (self.parked, "parked"),
             (self.lane_unsure, "lane-unsure"),
         ];
-        all.into_iter().filter(|(set, _)| *set).map(|(_, name)| name).collect()
+        all.into_iter()
+            .filter(|(set, _)| *set)
+            .map(|(_, name)| name)
+            .collect()
     }
 }
 
-/// Registers `tracks` to `map`, and sets them on `ground` where there is one; otherwise on the lanes' own heights.
+/// Registers `tracks` to `map`, and sets them on `ground` where there is one; otherwise on the
+/// lanes' own heights.
 ///
 /// # Errors
-/// [`RegisterError`], where map, tracks or options are none. A track that cannot be registered is an [`Outcome`].
+/// [`RegisterError`], where map, tracks or options are none. A track that cannot be registered is
+/// an [`Outcome`].
 pub fn register(
     map: &LaneMap,
     tracks: &[Track],
@@ -263,32 +274,55 @@ pub fn register(
 ) -> Result<Registration, RegisterError> {
     check(map, tracks, options)?;
     let index = LaneIndex::new(map);
-    let register = align::Register { map, index: &index, options };
-    let prepared: Vec<Result<Prepared, String>> = tracks.par_iter().map(Prepared::new(options)).collect();
+    let register = align::Register {
+        map,
+        index: &index,
+        options,
+    };
+    let prepared: Vec<Result<Prepared, String>> =
+        tracks.par_iter().map(Prepared::new(options)).collect();
     let long = |prepared: &&Prepared| prepared.traveled_m >= options.travel_min_m;
     let mut guides: Vec<&Prepared> = prepared.iter().flatten().filter(long).collect();
     // Sums do not depend on the order of the log.
     guides.sort_by(|a, b| a.track.id.cmp(&b.track.id));
     let trusts_lanes = options.keeping_m == 0.0;
-    let needs_shared = options.shared || !trusts_lanes || prepared.iter().flatten().any(|prepared| !long(&prepared));
+    let needs_shared = options.shared
+        || !trusts_lanes
+        || prepared.iter().flatten().any(|prepared| !long(&prepared));
     // Fewer tracks can never show that the log drifted, and not each by itself.
     let can_share = trusts_lanes || options.shared || guides.len() >= drift::LOG_TRACKS_MIN;
-    let shared = if needs_shared && can_share { register.shared(&guides) } else { None };
+    let shared = if needs_shared && can_share {
+        register.shared(&guides)
+    } else {
+        None
+    };
     let shared = shared.filter(|shared| trusts_lanes || register.is_log_drift(&guides, shared));
     let one = |prepared: &Result<Prepared, String>| -> Result<Box<Registered>, String> {
         let prepared = prepared.as_ref().map_err(Clone::clone)?;
         let base = shared.unwrap_or_else(|| drift::none_about(prepared.middle()));
         let with_log = |log: Treatment, kept: Treatment| if shared.is_some() { log } else { kept };
         let (aligned, treatment) = if !long(&prepared) {
-            (Aligned::without_lanes(&base), with_log(Treatment::LogParked, Treatment::KeptParked))
+            (
+                Aligned::without_lanes(&base),
+                with_log(Treatment::LogParked, Treatment::KeptParked),
+            )
         } else if options.shared {
-            (register.with_motion(prepared, &base)?, with_log(Treatment::Log, Treatment::Kept))
+            (
+                register.with_motion(prepared, &base)?,
+                with_log(Treatment::Log, Treatment::Kept),
+            )
         } else if trusts_lanes {
             (register.align(prepared)?, Treatment::Own)
         } else {
             // Who drives against lanes, or where none are, is refused.
             let stay = register.with_motion(prepared, &base)?;
-            let kept = |kept: Treatment| if shared.is_some() { Treatment::Log } else { kept };
+            let kept = |kept: Treatment| {
+                if shared.is_some() {
+                    Treatment::Log
+                } else {
+                    kept
+                }
+            };
             match register.align(prepared) {
                 Err(_) => (stay, kept(Treatment::Kept)),
                 Ok(own) => match register.is_drift(prepared, &own, &stay) {
@@ -298,15 +332,29 @@ pub fn register(
                 },
             }
         };
-        Ok(Box::new(grounding::Grounding { register: &register, ground, options }.place(prepared, aligned, treatment)))
+        Ok(Box::new(
+            grounding::Grounding {
+                register: &register,
+                ground,
+                options,
+            }
+            .place(prepared, aligned, treatment),
+        ))
     };
-    let registered = tracks.par_iter().zip(&prepared).map(|(track, prepared)| RegisteredTrack {
-        id: track.id.clone(),
-        class: track.class.clone(),
-        dims_m: track.dims_m.unwrap_or(options.dims_m),
-        outcome: one(prepared).map_or_else(|reason| Outcome::Refused { reason }, Outcome::Registered),
-    });
-    Ok(Registration { tracks: registered.collect(), shared })
+    let registered = tracks
+        .par_iter()
+        .zip(&prepared)
+        .map(|(track, prepared)| RegisteredTrack {
+            id: track.id.clone(),
+            class: track.class.clone(),
+            dims_m: track.dims_m.unwrap_or(options.dims_m),
+            outcome: one(prepared)
+                .map_or_else(|reason| Outcome::Refused { reason }, Outcome::Registered),
+        });
+    Ok(Registration {
+        tracks: registered.collect(),
+        shared,
+    })
 }
 
 fn check(map: &LaneMap, tracks: &[Track], options: &RegisterOptions) -> Result<(), RegisterError> {
@@ -322,7 +370,10 @@ fn check(map: &LaneMap, tracks: &[Track], options: &RegisterOptions) -> Result<(
         ("band_m", options.band_m),
         ("radius_m", options.radius_m),
         ("keeping_m", options.keeping_m + 1e-9),
-        ("noise_m", options.noise_m.map_or(1.0, |noise_m| noise_m + 1e-9)),
+        (
+            "noise_m",
+            options.noise_m.map_or(1.0, |noise_m| noise_m + 1e-9),
+        ),
         ("prior.shift_m", options.prior.shift_m),
         ("prior.yaw_rad", options.prior.yaw_rad),
         ("shift_max_m", options.shift_max_m),
@@ -330,8 +381,15 @@ fn check(map: &LaneMap, tracks: &[Track], options: &RegisterOptions) -> Result<(
         ("residual_max_m", options.residual_max_m),
         ("travel_min_m", options.travel_min_m),
         ("deck_m", options.deck_m),
-        ("dims_m", options.dims_m.into_iter().fold(f64::INFINITY, f64::min)),
+        (
+            "dims_m",
+            options.dims_m.into_iter().fold(f64::INFINITY, f64::min),
+        ),
     ];
-    let wrong = numbers.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0));
-    wrong.map_or(Ok(()), |(name, value)| Err(RegisterError::Option { name, value }))
+    let wrong = numbers
+        .into_iter()
+        .find(|(_, value)| !(value.is_finite() && *value > 0.0));
+    wrong.map_or(Ok(()), |(name, value)| {
+        Err(RegisterError::Option { name, value })
+    })
 }

@@ -29,21 +29,38 @@ impl<'a> Prepared<'a> {
             let half_height = 0.5 * track.dims_m.unwrap_or(options.dims_m)[2];
             let mut waypoints: Vec<Waypoint> = Vec::new();
             for (index, &position) in smoothed.positions.iter().enumerate() {
-                let far = waypoints.last().is_none_or(|last| last.position.distance(position) >= WAYPOINT_M);
+                let far = waypoints
+                    .last()
+                    .is_none_or(|last| last.position.distance(position) >= WAYPOINT_M);
                 if far && !smoothed.outliers[index] {
                     let ground_z_m = track.points[index].z_m.map(|z_m| z_m - half_height);
-                    waypoints.push(Waypoint { index, position, heading_rad: 0.0, ground_z_m });
+                    waypoints.push(Waypoint {
+                        index,
+                        position,
+                        heading_rad: 0.0,
+                        ground_z_m,
+                    });
                 }
             }
-            let positions: Vec<DVec2> = waypoints.iter().map(|waypoint| waypoint.position).collect();
+            let positions: Vec<DVec2> =
+                waypoints.iter().map(|waypoint| waypoint.position).collect();
             let last = positions.len().saturating_sub(1);
             for (at, waypoint) in waypoints.iter_mut().enumerate() {
-                // Over four steps where there are so many: two neighbors a meter apart point anywhere.
+                // Over four steps where there are so many: two neighbors a meter apart point
+                // anywhere.
                 let way = positions[(at + 2).min(last)] - positions[at.saturating_sub(2)];
                 waypoint.heading_rad = way.to_angle();
             }
-            let traveled_m = positions.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
-            Ok(Self { track, smoothed, waypoints, traveled_m })
+            let traveled_m = positions
+                .windows(2)
+                .map(|pair| pair[0].distance(pair[1]))
+                .sum();
+            Ok(Self {
+                track,
+                smoothed,
+                waypoints,
+                traveled_m,
+            })
         }
     }
 
@@ -59,13 +76,23 @@ impl<'a> Prepared<'a> {
 
     /// The middle of its waypoints.
     pub fn middle(&self) -> DVec2 {
-        let first = self.waypoints.first().map_or(DVec2::ZERO, |waypoint| waypoint.position);
-        let sum: DVec2 = self.waypoints.iter().map(|waypoint| waypoint.position - first).sum();
+        let first = self
+            .waypoints
+            .first()
+            .map_or(DVec2::ZERO, |waypoint| waypoint.position);
+        let sum: DVec2 = self
+            .waypoints
+            .iter()
+            .map(|waypoint| waypoint.position - first)
+            .sum();
         first + sum / self.waypoints.len().max(1) as f64
     }
 
     /// Time of each waypoint, seconds.
     pub fn times_s(&self) -> Vec<f64> {
-        self.waypoints.iter().map(|waypoint| self.track.points[waypoint.index].time_s).collect()
+        self.waypoints
+            .iter()
+            .map(|waypoint| self.track.points[waypoint.index].time_s)
+            .collect()
     }
 }

@@ -1,8 +1,9 @@
-//! The lanes that a track drives along: map matching by a hidden Markov model (Newson and Krumm, Hidden Markov Map Matching
-//! Through Noise and Sparseness, 2009).
+//! The lanes that a track drives along: map matching by a hidden Markov model (Newson and Krumm,
+//! Hidden Markov Map Matching Through Noise and Sparseness, 2009).
 //!
-//! States are the lanes near a point. A whole track decides: lanes that lie side by side are told apart by the sum over all
-//! points, and by which lanes go on in which. Where a lane is left sideways the route begins a new leg.
+//! States are the lanes near a point. A whole track decides: lanes that lie side by side are told
+//! apart by the sum over all points, and by which lanes continue in which. Where a lane is left
+//! sideways the route begins a new leg.
 
 use std::collections::HashMap;
 
@@ -26,7 +27,7 @@ pub struct Waypoint {
     pub ground_z_m: Option<f64>,
 }
 
-/// Lanes that go on in one another, and the part of the track on them.
+/// Lanes that continue in one another, and the part of the track on them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Leg {
     /// Places in [`LaneMap::lanes`], in driving order.
@@ -58,7 +59,7 @@ const FORBIDDEN_COST: f64 = 1e6;
 const ALONG_RAD: f64 = 1.3;
 /// Lanes of one way that may be passed between two waypoints.
 const HOPS_MAX: usize = 6;
-/// Lanes that are looked at for one waypoint.
+/// Lanes that are examined for one waypoint.
 const LANES_MAX: usize = 16;
 /// Neighboring lanes are so far apart at most, meters.
 const NEIGHBOR_MAX_M: f64 = 6.0;
@@ -89,8 +90,9 @@ enum Step {
     Jump,
 }
 
-/// The legs of the cheapest way along `waypoints`, those left out that have no lane for `class` within
-/// [`RegisterOptions::radius_m`]. Lanes are changed sideways only where `lane_changes` allows it.
+/// The legs of the cheapest way along `waypoints`, those left out that have no lane for `class`
+/// within [`RegisterOptions::radius_m`]. Lanes are changed sideways only where `lane_changes`
+/// allows it.
 ///
 /// # Errors
 /// A sentence: no lane near, or the track drives against its lanes.
@@ -102,13 +104,27 @@ pub fn find(
     lane_changes: bool,
     options: &RegisterOptions,
 ) -> Result<Vec<Leg>, String> {
-    let near: Vec<Vec<LanePoint>> = waypoints.iter().map(|waypoint| lanes_at(map, index, waypoint, class, options)).collect();
-    let along: Vec<Vec<LanePoint>> = near.iter().zip(waypoints).map(|(near, waypoint)| along_only(near, waypoint)).collect();
+    let near: Vec<Vec<LanePoint>> = waypoints
+        .iter()
+        .map(|waypoint| lanes_at(map, index, waypoint, class, options))
+        .collect();
+    let along: Vec<Vec<LanePoint>> = near
+        .iter()
+        .zip(waypoints)
+        .map(|(near, waypoint)| along_only(near, waypoint))
+        .collect();
     let matched = along.iter().filter(|lanes| !lanes.is_empty()).count();
     if 2 * matched < waypoints.len().max(1) {
-        let against = near.iter().zip(&along).filter(|(near, along)| along.is_empty() && !near.is_empty()).count();
+        let against = near
+            .iter()
+            .zip(&along)
+            .filter(|(near, along)| along.is_empty() && !near.is_empty())
+            .count();
         if 2 * against >= waypoints.len() {
-            return Err(format!("drives against its lanes at {against} of {} places", waypoints.len()));
+            return Err(format!(
+                "drives against its lanes at {against} of {} places",
+                waypoints.len()
+            ));
         }
         let radius_m = options.radius_m;
         return Err(format!(
@@ -117,16 +133,31 @@ pub fn find(
             waypoints.len()
         ));
     }
-    let kept: Vec<usize> = (0..waypoints.len()).filter(|&at| !along[at].is_empty()).collect();
-    let columns = Search { map, index, lane_changes }.cheapest_ways(waypoints, &kept, along);
+    let kept: Vec<usize> = (0..waypoints.len())
+        .filter(|&at| !along[at].is_empty())
+        .collect();
+    let columns = Search {
+        map,
+        index,
+        lane_changes,
+    }
+    .cheapest_ways(waypoints, &kept, along);
     legs(index, &kept, &columns)
 }
 
-fn lanes_at(map: &LaneMap, index: &LaneIndex, waypoint: &Waypoint, class: &str, options: &RegisterOptions) -> Vec<LanePoint> {
+fn lanes_at(
+    map: &LaneMap,
+    index: &LaneIndex,
+    waypoint: &Waypoint,
+    class: &str,
+    options: &RegisterOptions,
+) -> Vec<LanePoint> {
     let mut near = index.lanes_near(waypoint.position, options.radius_m);
     near.retain(|point| may_use(class, map.lanes[point.lane].kind));
     if let Some(z_m) = waypoint.ground_z_m {
-        let on_deck = |point: &LanePoint| !map.lanes[point.lane].has_height || (point.foot.point.z - z_m).abs() < options.deck_m;
+        let on_deck = |point: &LanePoint| {
+            !map.lanes[point.lane].has_height || (point.foot.point.z - z_m).abs() < options.deck_m
+        };
         if near.iter().any(on_deck) {
             near.retain(on_deck);
         }
@@ -135,13 +166,16 @@ fn lanes_at(map: &LaneMap, index: &LaneIndex, waypoint: &Waypoint, class: &str, 
 }
 
 fn along_only(near: &[LanePoint], waypoint: &Waypoint) -> Vec<LanePoint> {
-    let along = |point: &&LanePoint| wrapped(point.foot.heading_rad - waypoint.heading_rad).abs() < ALONG_RAD;
+    let along = |point: &&LanePoint| {
+        wrapped(point.foot.heading_rad - waypoint.heading_rad).abs() < ALONG_RAD
+    };
     near.iter().filter(along).take(LANES_MAX).copied().collect()
 }
 
 fn place_cost(at: &LanePoint, waypoint: &Waypoint) -> f64 {
     let turned = wrapped(at.foot.heading_rad - waypoint.heading_rad);
-    (at.foot.distance_m * at.foot.distance_m).min(OFF_COST_MAX) + HEADING_COST * (1.0 - turned.cos())
+    (at.foot.distance_m * at.foot.distance_m).min(OFF_COST_MAX)
+        + HEADING_COST * (1.0 - turned.cos())
 }
 
 /// Search space of routes.
@@ -151,30 +185,58 @@ struct Search<'a> {
     lane_changes: bool,
 }
 
-/// Lanes ahead of a lane: the meters from its start to theirs, and the lanes passed on the way, themselves the last.
+/// Lanes ahead of a lane: the meters from its start to theirs, and the lanes passed on the way,
+/// themselves the last.
 type Ahead = HashMap<usize, (f64, Vec<usize>)>;
 
 impl Search<'_> {
     /// For each kept waypoint its lanes, each with the cheapest way to it.
-    fn cheapest_ways(&self, waypoints: &[Waypoint], kept: &[usize], mut along: Vec<Vec<LanePoint>>) -> Vec<Vec<State>> {
+    fn cheapest_ways(
+        &self,
+        waypoints: &[Waypoint],
+        kept: &[usize],
+        mut along: Vec<Vec<LanePoint>>,
+    ) -> Vec<Vec<State>> {
         let mut columns: Vec<Vec<State>> = Vec::with_capacity(kept.len());
         for (place, &at) in kept.iter().enumerate() {
             let lanes = std::mem::take(&mut along[at]);
             let waypoint = &waypoints[at];
-            let first = |lane: LanePoint| State { cost: place_cost(&lane, waypoint), at: lane, from: 0, step: Step::Jump };
+            let first = |lane: LanePoint| State {
+                cost: place_cost(&lane, waypoint),
+                at: lane,
+                from: 0,
+                step: Step::Jump,
+            };
             let Some(before) = columns.last() else {
                 columns.push(lanes.into_iter().map(first).collect());
                 continue;
             };
-            let traveled_m = waypoint.position.distance(waypoints[kept[place - 1]].position);
-            let ahead: Vec<Ahead> = before.iter().map(|state| self.ways_ahead(state.at.lane, traveled_m)).collect();
+            let traveled_m = waypoint
+                .position
+                .distance(waypoints[kept[place - 1]].position);
+            let ahead: Vec<Ahead> = before
+                .iter()
+                .map(|state| self.ways_ahead(state.at.lane, traveled_m))
+                .collect();
             let reach = |lane: LanePoint| {
-                let steps = before.iter().zip(&ahead).enumerate().map(|(from, (state, ahead))| {
-                    let (cost, step) = self.step_between(&state.at, &lane, ahead, traveled_m);
-                    (state.cost + cost, from, step)
-                });
-                let (cost, from, step) = steps.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0, Step::Jump));
-                State { cost: cost + place_cost(&lane, waypoint), at: lane, from, step }
+                let steps = before
+                    .iter()
+                    .zip(&ahead)
+                    .enumerate()
+                    .map(|(from, (state, ahead))| {
+                        let (cost, step) = self.step_between(&state.at, &lane, ahead, traveled_m);
+                        (state.cost + cost, from, step)
+                    });
+                let (cost, from, step) =
+                    steps
+                        .min_by(|a, b| a.0.total_cmp(&b.0))
+                        .unwrap_or((0.0, 0, Step::Jump));
+                State {
+                    cost: cost + place_cost(&lane, waypoint),
+                    at: lane,
+                    from,
+                    step,
+                }
             };
             let column = lanes.into_iter().map(reach).collect();
             columns.push(column);
@@ -190,7 +252,9 @@ impl Search<'_> {
             let mut further = Vec::new();
             for (lane, way_m, passed) in open {
                 for &next in &self.map.lanes[lane].successors {
-                    let Some(line) = self.index.line(next) else { continue };
+                    let Some(line) = self.index.line(next) else {
+                        continue;
+                    };
                     if ahead.get(&next).is_some_and(|known| known.0 <= way_m) {
                         continue;
                     }
@@ -207,25 +271,46 @@ impl Search<'_> {
     }
 
     /// The cheapest step from a place on a lane to one at the next waypoint.
-    fn step_between(&self, from: &LanePoint, to: &LanePoint, ahead: &Ahead, traveled_m: f64) -> (f64, Step) {
+    fn step_between(
+        &self,
+        from: &LanePoint,
+        to: &LanePoint,
+        ahead: &Ahead,
+        traveled_m: f64,
+    ) -> (f64, Step) {
         let way_cost = |way_m: f64| WAY_COST * (way_m - traveled_m).abs();
         let mut steps = vec![];
         if from.lane == to.lane {
-            steps.push((way_cost(to.foot.arc_m - from.foot.arc_m), Step::On(Vec::new())));
+            steps.push((
+                way_cost(to.foot.arc_m - from.foot.arc_m),
+                Step::On(Vec::new()),
+            ));
         }
         if let Some((way_m, passed)) = ahead.get(&to.lane) {
-            steps.push((way_cost(way_m - from.foot.arc_m + to.foot.arc_m), Step::On(passed.clone())));
+            steps.push((
+                way_cost(way_m - from.foot.arc_m + to.foot.arc_m),
+                Step::On(passed.clone()),
+            ));
         }
         if from.lane != to.lane {
             let beside = |lane: usize| {
                 let lane = &self.map.lanes[lane];
                 [lane.left_neighbor, lane.right_neighbor].contains(&Some(to.lane))
             };
-            let linked = beside(from.lane) || self.map.lanes[from.lane].successors.iter().copied().any(beside);
+            let linked = beside(from.lane)
+                || self.map.lanes[from.lane]
+                    .successors
+                    .iter()
+                    .copied()
+                    .any(beside);
             let apart_m = (to.foot.point - from.foot.point).truncate().length();
             let same_way = wrapped(to.foot.heading_rad - from.foot.heading_rad).abs() < 0.5;
             let sideways = linked || (same_way && apart_m < traveled_m + NEIGHBOR_MAX_M);
-            let sideways_cost = if linked { LANE_CHANGE_COST } else { UNLINKED_CHANGE_COST };
+            let sideways_cost = if linked {
+                LANE_CHANGE_COST
+            } else {
+                UNLINKED_CHANGE_COST
+            };
             match (sideways, self.lane_changes) {
                 (true, true) => steps.push((sideways_cost, Step::LaneChange)),
                 (true, false) => {}
@@ -234,13 +319,21 @@ impl Search<'_> {
         } else if traveled_m > 0.0 {
             steps.push((JUMP_COST, Step::Jump));
         }
-        steps.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((FORBIDDEN_COST, Step::Jump))
+        steps
+            .into_iter()
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .unwrap_or((FORBIDDEN_COST, Step::Jump))
     }
 }
 
 fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec<Leg>, String> {
     let mut states: Vec<&State> = Vec::with_capacity(columns.len());
-    let last = columns.last().and_then(|column| column.iter().enumerate().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)));
+    let last = columns.last().and_then(|column| {
+        column
+            .iter()
+            .enumerate()
+            .min_by(|a, b| a.1.cost.total_cmp(&b.1.cost))
+    });
     let mut at = last.ok_or("no waypoints")?.0;
     for column in columns.iter().rev() {
         states.push(&column[at]);
@@ -268,9 +361,21 @@ fn legs(index: &LaneIndex, kept: &[usize], columns: &[Vec<State>]) -> Result<Vec
             }),
         }
     }
-    let leg = |Part { lanes, waypoints, arcs_m, by_lane_change, .. }: Part| {
+    let leg = |Part {
+                   lanes,
+                   waypoints,
+                   arcs_m,
+                   by_lane_change,
+                   ..
+               }: Part| {
         let line = joined(index, &lanes).ok_or("the lanes' centerlines make no line")?;
-        Ok(Leg { lanes, line, waypoints, arcs_m, by_lane_change })
+        Ok(Leg {
+            lanes,
+            line,
+            waypoints,
+            arcs_m,
+            by_lane_change,
+        })
     };
     parts.into_iter().map(leg).collect()
 }
@@ -285,8 +390,8 @@ struct Part {
     by_lane_change: bool,
 }
 
-/// The centerlines of `lanes` as one line. Where a lane begins a little before the end of the one before, the line would turn back:
-/// points that near to the one before are left out.
+/// The centerlines of `lanes` as one line. Where a lane begins a little before the end of the one
+/// before, the line would turn back: points that near to the one before are left out.
 fn joined(index: &LaneIndex, lanes: &[usize]) -> Option<Polyline> {
     const SEAM_M: f64 = 0.3;
     let mut points: Vec<DVec3> = Vec::new();

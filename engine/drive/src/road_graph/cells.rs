@@ -1,4 +1,5 @@
-//! Lanes cut into cells of two meters: what of the plane a vehicle on each may touch, and how fast it may be there.
+//! Lanes cut into cells of two meters: what of the plane a vehicle on each may touch, and how fast
+//! it may be there.
 
 use std::ops::Range;
 
@@ -8,8 +9,8 @@ use super::path::place_on;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::wrapped;
 
-/// Length of a cell, meters, a little less where the lane asks for it. Longer ones keep more room free than is needed, shorter ones cost
-/// time.
+/// Length of a cell, meters, a little less where the lane asks for it. Longer ones keep more room
+/// free than is needed, shorter ones cost time.
 const CELL_M: f64 = 2.0;
 /// Acceleration across that is comfortable in a curve, m/s^2.
 const LATERAL_MPS2: f64 = 2.0;
@@ -40,7 +41,8 @@ pub(crate) struct Cells {
     pub(super) lane_of: Vec<u32>,
     pub(super) corridors: Vec<OrientedBox>,
     pub(super) grid: Grid,
-    /// Cells of other lanes in each one's way: those of cell `c` are `conflicts[starts[c]..starts[c + 1]]`.
+    /// Cells of other lanes in each one's way: those of cell `c` are `conflicts[starts[c]..starts[c
+    /// + 1]]`.
     pub(super) starts: Vec<u32>,
     pub(super) conflicts: Vec<u32>,
     /// Conflicting cells on each lane, as rows.
@@ -55,10 +57,18 @@ impl Cells {
         for (number, lane) in lanes.iter().enumerate() {
             let length_m = lane.as_ref().map_or(0.0, |lane| lane.line.length_m());
             let count = (length_m / CELL_M).ceil() as usize;
-            cells.lanes.push(LaneCells { first: cells.lane_of.len(), count, length_m: length_m / count.max(1) as f64 });
-            cells.lane_of.extend(std::iter::repeat_n(number as u32, count));
+            cells.lanes.push(LaneCells {
+                first: cells.lane_of.len(),
+                count,
+                length_m: length_m / count.max(1) as f64,
+            });
+            cells
+                .lane_of
+                .extend(std::iter::repeat_n(number as u32, count));
             if let Some(lane) = lane {
-                cells.approach_mps.extend(approach_speeds(lanes, number, lane, count));
+                cells
+                    .approach_mps
+                    .extend(approach_speeds(lanes, number, lane, count));
             }
         }
         cells
@@ -70,7 +80,11 @@ impl Cells {
 
     /// Cells of `lane` between two places along it, clamped to the lane: at least one.
     pub(crate) fn range(&self, lane: usize, from_m: f64, to_m: f64) -> Range<usize> {
-        let LaneCells { first, count, length_m } = self.lanes[lane];
+        let LaneCells {
+            first,
+            count,
+            length_m,
+        } = self.lanes[lane];
         let cell = |at_m: f64| ((at_m / length_m).max(0.0) as usize).min(count.saturating_sub(1));
         first + cell(from_m)..first + (cell(to_m) + 1).min(count)
     }
@@ -78,9 +92,17 @@ impl Cells {
     /// The lane of a cell and where on it the cell is.
     pub(crate) fn stretch_of(&self, cell: usize) -> (usize, Stretch) {
         let lane = self.lane_of[cell] as usize;
-        let LaneCells { first, length_m, .. } = self.lanes[lane];
+        let LaneCells {
+            first, length_m, ..
+        } = self.lanes[lane];
         let from_m = (cell - first) as f64 * length_m;
-        (lane, Stretch { from_m, to_m: from_m + length_m })
+        (
+            lane,
+            Stretch {
+                from_m,
+                to_m: from_m + length_m,
+            },
+        )
     }
 
     /// Cells of other lanes on which a vehicle may touch one on `cell`.
@@ -105,18 +127,31 @@ impl Cells {
     }
 }
 
-/// For each cell of a lane: slow enough for its curve, and to become slow enough for those behind it.
-fn approach_speeds(lanes: &[Option<RoadLane>], number: usize, lane: &RoadLane, count: usize) -> Vec<f64> {
+/// For each cell of a lane: slow enough for its curve, and to become slow enough for those behind
+/// it.
+fn approach_speeds(
+    lanes: &[Option<RoadLane>],
+    number: usize,
+    lane: &RoadLane,
+    count: usize,
+) -> Vec<f64> {
     let length_m = lane.line.length_m() / count.max(1) as f64;
-    let yaw = |at_m: f64| place_on(lanes, &[number], 0, at_m.clamp(0.0, lane.line.length_m())).yaw_rad;
+    let yaw =
+        |at_m: f64| place_on(lanes, &[number], 0, at_m.clamp(0.0, lane.line.length_m())).yaw_rad;
     let mut speeds: Vec<f64> = (0..count)
         .map(|cell| {
             let from_m = cell as f64 * length_m;
             // Over more than a cell: corners of coarse lines are no curves.
-            let (before_m, after_m) = ((from_m - 1.0).max(0.0), (from_m + length_m + 1.0).min(lane.line.length_m()));
+            let (before_m, after_m) = (
+                (from_m - 1.0).max(0.0),
+                (from_m + length_m + 1.0).min(lane.line.length_m()),
+            );
             let turn_rad = wrapped(yaw(after_m) - yaw(before_m)).abs();
             let radius_m = (after_m - before_m) / turn_rad.max(1e-6);
-            (LATERAL_MPS2 * radius_m).sqrt().max(CURVE_MPS_MIN).min(lane.speed_limit_mps)
+            (LATERAL_MPS2 * radius_m)
+                .sqrt()
+                .max(CURVE_MPS_MIN)
+                .min(lane.speed_limit_mps)
         })
         .collect();
     for cell in (1..count).rev() {

@@ -9,16 +9,24 @@ use super::cells::Cells;
 use super::path::{length_of, place_on};
 use crate::oriented_box::OrientedBox;
 
-/// From one place of the box to the next, and the length of a slice, meters: on a circle of 6 m the box departs 5 mm between two places.
+/// From one place of the box to the next, and the length of a slice, meters: on a circle of 6 m the
+/// box departs 5 mm between two places.
 const STEP_M: f64 = 0.5;
-/// Added to each side of the box: for what it departs between places, and for the nose of one that changes lanes.
+/// Added to each side of the box: for what it departs between places, and for the nose of one that
+/// changes lanes.
 const MARGIN_M: f64 = 0.1;
 /// Ways on that are followed from an end of a lane. Junctions have fewer than ten.
 const WAYS_MAX: usize = 32;
 
 /// The least rectangle along each cell that holds its slices.
-pub(super) fn corridors(lanes: &[Option<RoadLane>], cells: &Cells, vehicle: VehicleSize) -> Vec<OrientedBox> {
-    let mut frames: Vec<Frame> = (0..cells.count()).map(|cell| Frame::of(lanes, cells, cell)).collect();
+pub(super) fn corridors(
+    lanes: &[Option<RoadLane>],
+    cells: &Cells,
+    vehicle: VehicleSize,
+) -> Vec<OrientedBox> {
+    let mut frames: Vec<Frame> = (0..cells.count())
+        .map(|cell| Frame::of(lanes, cells, cell))
+        .collect();
     let half_m = DVec2::new(0.5 * vehicle.length_m, 0.5 * vehicle.width_m + MARGIN_M);
     // The axles of a short vehicle lie beyond its box.
     let reach_m = half_m.x + 2.0;
@@ -31,8 +39,16 @@ pub(super) fn corridors(lanes: &[Option<RoadLane>], cells: &Cells, vehicle: Vehi
         for step in 0..=steps as u64 {
             let at_m = length_m * step as f64 / steps;
             // Only near an end of the lane does it matter where the path comes from or goes.
-            let back = if at_m < reach_m { &back[..] } else { &back[..1] };
-            let onward = if length_m - at_m < reach_m { &onward[..] } else { &onward[..1] };
+            let back = if at_m < reach_m {
+                &back[..]
+            } else {
+                &back[..1]
+            };
+            let onward = if length_m - at_m < reach_m {
+                &onward[..]
+            } else {
+                &onward[..1]
+            };
             for before in back {
                 for after in onward {
                     let mut path: Vec<usize> = before.iter().rev().copied().collect();
@@ -48,12 +64,21 @@ pub(super) fn corridors(lanes: &[Option<RoadLane>], cells: &Cells, vehicle: Vehi
 }
 
 /// Chains of lanes from an end of `lane` as far as `reach_m`; one empty chain where none goes on.
-fn ways(lanes: &[Option<RoadLane>], lane: usize, reach_m: f64, next: impl Fn(&RoadLane) -> &Vec<usize>) -> Vec<Vec<usize>> {
+fn ways(
+    lanes: &[Option<RoadLane>],
+    lane: usize,
+    reach_m: f64,
+    next: impl Fn(&RoadLane) -> &Vec<usize>,
+) -> Vec<Vec<usize>> {
     let (mut found, mut open) = (Vec::new(), vec![(Vec::new(), 0.0)]);
     while let Some((way, length_m)) = open.pop() {
         let last = *way.last().unwrap_or(&lane);
         let further = lanes[last].as_ref().map_or(&[][..], |lane| next(lane));
-        if length_m >= reach_m || further.is_empty() || way.len() > WAYS_MAX || open.len() > WAYS_MAX {
+        if length_m >= reach_m
+            || further.is_empty()
+            || way.len() > WAYS_MAX
+            || open.len() > WAYS_MAX
+        {
             found.push(way);
             continue;
         }
@@ -66,7 +91,15 @@ fn ways(lanes: &[Option<RoadLane>], lane: usize, reach_m: f64, next: impl Fn(&Ro
 }
 
 /// The box with its middle `at_m` along `path[here]`: each slice widens the cells that it is over.
-fn sweep(lanes: &[Option<RoadLane>], cells: &Cells, frames: &mut [Frame], path: &[usize], here: usize, at_m: f64, half_m: DVec2) {
+fn sweep(
+    lanes: &[Option<RoadLane>],
+    cells: &Cells,
+    frames: &mut [Frame],
+    path: &[usize],
+    here: usize,
+    at_m: f64,
+    half_m: DVec2,
+) {
     let place = place_on(lanes, path, here, at_m);
     let ahead = DVec2::from_angle(place.yaw_rad);
     let starts: Vec<f64> = starts_of(lanes, path, here);
@@ -74,15 +107,27 @@ fn sweep(lanes: &[Option<RoadLane>], cells: &Cells, frames: &mut [Frame], path: 
     for slice in 0..slices as u32 {
         let local = |share: f64| half_m.x * (2.0 * (f64::from(slice) + share) / slices - 1.0);
         let (low_m, high_m) = (local(0.0), local(1.0));
-        let corner = |along_m: f64, across_m: f64| place.position_m + ahead * along_m + ahead.perp() * across_m;
-        let corners = [corner(low_m, half_m.y), corner(low_m, -half_m.y), corner(high_m, half_m.y), corner(high_m, -half_m.y)];
+        let corner = |along_m: f64, across_m: f64| {
+            place.position_m + ahead * along_m + ahead.perp() * across_m
+        };
+        let corners = [
+            corner(low_m, half_m.y),
+            corner(low_m, -half_m.y),
+            corner(high_m, half_m.y),
+            corner(high_m, -half_m.y),
+        ];
         for (number, &lane) in path.iter().enumerate() {
-            let (from_m, to_m) = (at_m + low_m - starts[number], at_m + high_m - starts[number]);
+            let (from_m, to_m) = (
+                at_m + low_m - starts[number],
+                at_m + high_m - starts[number],
+            );
             // Beyond the path's ends a vehicle belongs to its last cells.
             let begins = number == 0 || to_m >= 0.0;
             let ends = number + 1 == path.len() || from_m <= length_of(lanes, lane);
             if begins && ends {
-                cells.range(lane, from_m, to_m).for_each(|cell| frames[cell].widen(corners));
+                cells
+                    .range(lane, from_m, to_m)
+                    .for_each(|cell| frames[cell].widen(corners));
             }
         }
     }
@@ -91,7 +136,10 @@ fn sweep(lanes: &[Option<RoadLane>], cells: &Cells, frames: &mut [Frame], path: 
 /// Start of each lane of `path`, meters from the start of `path[here]`.
 fn starts_of(lanes: &[Option<RoadLane>], path: &[usize], here: usize) -> Vec<f64> {
     let mut starts = Vec::with_capacity(path.len());
-    let mut at_m = -path[..here].iter().map(|&lane| length_of(lanes, lane)).sum::<f64>();
+    let mut at_m = -path[..here]
+        .iter()
+        .map(|&lane| length_of(lanes, lane))
+        .sum::<f64>();
     for &lane in path {
         starts.push(at_m);
         at_m += length_of(lanes, lane);
@@ -112,8 +160,15 @@ impl Frame {
         let (lane, stretch) = cells.stretch_of(cell);
         let at = |at_m: f64| place_on(lanes, &[lane], 0, at_m);
         let (from, to) = (at(stretch.from_m).position_m, at(stretch.to_m).position_m);
-        let along = (to - from).try_normalize().unwrap_or_else(|| DVec2::from_angle(at(stretch.from_m).yaw_rad));
-        Self { origin: from, along, low: DVec2::ZERO, high: DVec2::new(from.distance(to), 0.0) }
+        let along = (to - from)
+            .try_normalize()
+            .unwrap_or_else(|| DVec2::from_angle(at(stretch.from_m).yaw_rad));
+        Self {
+            origin: from,
+            along,
+            low: DVec2::ZERO,
+            high: DVec2::new(from.distance(to), 0.0),
+        }
     }
 
     fn widen(&mut self, corners: [DVec2; 4]) {

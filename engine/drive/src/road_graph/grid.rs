@@ -16,9 +16,14 @@ pub(crate) struct Grid {
 
 fn squares_of(outline: &OrientedBox) -> impl Iterator<Item = [i64; 2]> + use<> {
     let corners = outline.corners().into_iter();
-    let (low, high) = corners.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
+    let (low, high) = corners.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), at| {
+        (low.min(at), high.max(at))
+    });
     let square = |x: f64| (x / SQUARE_M).floor() as i64;
-    let (low, high) = ([square(low.x), square(low.y)], [square(high.x), square(high.y)]);
+    let (low, high) = (
+        [square(low.x), square(low.y)],
+        [square(high.x), square(high.y)],
+    );
     (low[0]..=high[0]).flat_map(move |x| (low[1]..=high[1]).map(move |y| [x, y]))
 }
 
@@ -42,7 +47,12 @@ impl Grid {
         found.clear();
         for square in squares_of(outline) {
             let first = self.squares.partition_point(|entry| entry.0 < square);
-            found.extend(self.squares[first..].iter().take_while(|entry| entry.0 == square).map(|entry| entry.1));
+            found.extend(
+                self.squares[first..]
+                    .iter()
+                    .take_while(|entry| entry.0 == square)
+                    .map(|entry| entry.1),
+            );
         }
         found.sort_unstable();
         found.dedup();

@@ -16,7 +16,8 @@ pub(super) struct TriangleTree {
     nodes: Vec<Node>,
 }
 
-/// A box around triangles: a leaf's own where `second` is 0, otherwise those of the node behind it and of `second`.
+/// A box around triangles: a leaf's own where `second` is 0, otherwise those of the node behind it
+/// and of `second`.
 #[derive(Clone, Debug)]
 struct Node {
     low: DVec2,
@@ -27,15 +28,24 @@ struct Node {
 
 impl TriangleTree {
     pub(super) fn new(triangles: Vec<Triangle>) -> Self {
-        let mut tree = Self { nodes: Vec::with_capacity(triangles.len()), triangles };
+        let mut tree = Self {
+            nodes: Vec::with_capacity(triangles.len()),
+            triangles,
+        };
         if !tree.triangles.is_empty() {
             tree.build(0..tree.triangles.len());
         }
         tree
     }
 
-    /// Shows every triangle within `radius_m` of a place, with its distance; `see` answers how far it still wants to look.
-    pub(super) fn visit(&self, at: DVec2, radius_m: f64, mut see: impl FnMut(&Triangle, f64) -> f64) {
+    /// Shows every triangle within `radius_m` of a place, with its distance; `see` answers how far
+    /// it still wants to look.
+    pub(super) fn visit(
+        &self,
+        at: DVec2,
+        radius_m: f64,
+        mut see: impl FnMut(&Triangle, f64) -> f64,
+    ) {
         if self.nodes.is_empty() || !at.is_finite() {
             return;
         }
@@ -58,14 +68,25 @@ impl TriangleTree {
         }
     }
 
-    /// The tree over a range of triangles: halves along the longer side. Its depth is the logarithm of their number.
+    /// The tree over a range of triangles: halves along the longer side. Its depth is the logarithm
+    /// of their number.
     fn build(&mut self, range: Range<usize>) -> usize {
         let part = &mut self.triangles[range.clone()];
-        let corners = part.iter().flat_map(|triangle| triangle.corners.map(|corner| corner.truncate()));
-        let (low, high) = corners.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
+        let corners = part
+            .iter()
+            .flat_map(|triangle| triangle.corners.map(|corner| corner.truncate()));
+        let (low, high) = corners
+            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), at| {
+                (low.min(at), high.max(at))
+            });
         let node = self.nodes.len();
         if part.len() <= LEAF_TRIANGLES {
-            self.nodes.push(Node { low, high, triangles: range, second: 0 });
+            self.nodes.push(Node {
+                low,
+                high,
+                triangles: range,
+                second: 0,
+            });
             return node;
         }
         let along_x = high.x - low.x >= high.y - low.y;
@@ -75,7 +96,12 @@ impl TriangleTree {
         };
         part.sort_by(|a, b| key(a).total_cmp(&key(b)));
         let middle = usize::midpoint(range.start, range.end);
-        self.nodes.push(Node { low, high, triangles: range.clone(), second: 0 });
+        self.nodes.push(Node {
+            low,
+            high,
+            triangles: range.clone(),
+            second: 0,
+        });
         self.build(range.start..middle);
         self.nodes[node].second = self.build(middle..range.end);
         node

@@ -1,4 +1,5 @@
-//! The lanes of a route as one line: one after the other, and from one beside the other by a smooth change.
+//! The lanes of a route as one line: one after the other, and from one beside the other by a smooth
+//! change.
 
 use std::collections::HashMap;
 
@@ -8,7 +9,8 @@ use glam::DVec3;
 
 use crate::polyline::Polyline;
 
-/// A change of lanes takes so much of the way where there is room, meters: at 12 m/s two and a half seconds.
+/// A change of lanes takes so much of the way where there is room, meters: at 12 m/s two and a half
+/// seconds.
 const CHANGE_M: f64 = 30.0;
 /// With less, no car could follow.
 const CHANGE_M_MIN: f64 = 8.0;
@@ -51,21 +53,42 @@ pub(super) fn join(map: &LaneMap, task: &EgoTask) -> Result<Joined, String> {
     for (what, at_m, entry) in [("starts", task.start_m, first), ("ends", task.end_m, last)] {
         let length_m = entry.line.length_m();
         if !(0.0..=length_m + STRIDE_M).contains(&at_m) {
-            return Err(format!("the route {what} {at_m} m along lane {}; expected 0 to {length_m:.1} m", id(entry)));
+            return Err(format!(
+                "the route {what} {at_m} m along lane {}; expected 0 to {length_m:.1} m",
+                id(entry)
+            ));
         }
     }
     let length_m: f64 = entries.iter().map(|entry| entry.line.length_m()).sum();
-    let mut way = Way { stride_m: STRIDE_M.max(length_m / STRIDES_MAX), points: Vec::new(), marks: Vec::new() };
+    let mut way = Way {
+        stride_m: STRIDE_M.max(length_m / STRIDES_MAX),
+        points: Vec::new(),
+        marks: Vec::new(),
+    };
     let mut begin = 0;
     while begin < entries.len() {
-        let end = (begin + 1..entries.len()).find(|&at| !entries[at].beside).unwrap_or(entries.len());
+        let end = (begin + 1..entries.len())
+            .find(|&at| !entries[at].beside)
+            .unwrap_or(entries.len());
         let from_m = if begin == 0 { task.start_m } else { 0.0 };
-        let to_m = if end == entries.len() { task.end_m } else { entries[end - 1].line.length_m() };
+        let to_m = if end == entries.len() {
+            task.end_m
+        } else {
+            entries[end - 1].line.length_m()
+        };
         way.along_section(map, &entries[begin..end], from_m, to_m)?;
         begin = end;
     }
-    let has_height = entries.iter().all(|entry| map.lanes[entry.place].has_height);
-    let too_short = || format!("the route has no length: it starts and ends on lane {} at {} m", id(last), task.end_m);
+    let has_height = entries
+        .iter()
+        .all(|entry| map.lanes[entry.place].has_height);
+    let too_short = || {
+        format!(
+            "the route has no length: it starts and ends on lane {} at {} m",
+            id(last),
+            task.end_m
+        )
+    };
     way.finish(has_height).ok_or_else(too_short)
 }
 
@@ -74,28 +97,45 @@ fn entries(map: &LaneMap, task: &EgoTask) -> Result<Vec<Entry>, String> {
     let mut places: HashMap<&str, usize> = HashMap::with_capacity(map.lanes.len());
     for (place, lane) in map.lanes.iter().enumerate() {
         if places.insert(&lane.id, place).is_some() {
-            return Err(format!("lane {} is in the map twice; expected each id once", lane.id));
+            return Err(format!(
+                "lane {} is in the map twice; expected each id once",
+                lane.id
+            ));
         }
     }
     let mut entries: Vec<Entry> = Vec::new();
     for id in &task.route {
         let Some(&place) = places.get(id.as_str()) else {
-            return Err(format!("the route names lane {id}, which is not among the map's {} lanes", map.lanes.len()));
+            return Err(format!(
+                "the route names lane {id}, which is not among the map's {} lanes",
+                map.lanes.len()
+            ));
         };
         let lane = &map.lanes[place];
         let Some(line) = Polyline::new(lane.centerline.iter().copied()) else {
-            return Err(format!("lane {id} has no centerline that could be driven: fewer than two places, or one not finite"));
+            return Err(format!(
+                "lane {id} has no centerline that could be driven: fewer than two places, or one not finite"
+            ));
         };
         let mut beside = false;
         if let Some(before) = entries.last().map(|entry| entry.place) {
             let from = &map.lanes[before];
             beside = !from.successors.contains(&place);
-            let named = |lane: &decouplegs_scene::Lane, other| [lane.left_neighbor, lane.right_neighbor].contains(&Some(other));
+            let named = |lane: &decouplegs_scene::Lane, other| {
+                [lane.left_neighbor, lane.right_neighbor].contains(&Some(other))
+            };
             if beside && !named(from, place) && !named(lane, before) {
-                return Err(format!("lane {id} neither follows lane {} of the route nor lies beside it", from.id));
+                return Err(format!(
+                    "lane {id} neither follows lane {} of the route nor lies beside it",
+                    from.id
+                ));
             }
         }
-        entries.push(Entry { place, line, beside });
+        entries.push(Entry {
+            place,
+            line,
+            beside,
+        });
     }
     if entries.is_empty() {
         return Err("the route names no lane; expected at least one".into());
@@ -104,20 +144,34 @@ fn entries(map: &LaneMap, task: &EgoTask) -> Result<Vec<Entry>, String> {
 }
 
 impl Way {
-    /// Lanes side by side, from `from_m` along the first to `to_m` along the last. What room there is is shared by all changes.
-    fn along_section(&mut self, map: &LaneMap, section: &[Entry], from_m: f64, to_m: f64) -> Result<(), String> {
+    /// Lanes side by side, from `from_m` along the first to `to_m` along the last. What room there
+    /// is is shared by all changes.
+    fn along_section(
+        &mut self,
+        map: &LaneMap,
+        section: &[Entry],
+        from_m: f64,
+        to_m: f64,
+    ) -> Result<(), String> {
         let (mut arc_m, last) = (from_m, section.len() - 1);
         let end = section[last].line.at(to_m).truncate();
         self.marks.push((self.points.len(), section[0].place));
         for (at, pair) in section.windows(2).enumerate() {
             let (here, there) = (&pair[0].line, &pair[1].line);
             let beside_m = |arc_m: f64| there.project(here.at(arc_m).truncate()).arc_m;
-            let there_end_m = if at + 1 == last { to_m } else { there.project(end).arc_m };
+            let there_end_m = if at + 1 == last {
+                to_m
+            } else {
+                there.project(end).arc_m
+            };
             let room_m = (here.project(end).arc_m - arc_m).min(there_end_m - beside_m(arc_m));
             let slot_m = room_m / (last - at) as f64;
             let change_m = slot_m.min(CHANGE_M);
             if change_m < CHANGE_M_MIN {
-                let ids = pair.iter().map(|entry| map.lanes[entry.place].id.as_str()).collect::<Vec<_>>();
+                let ids = pair
+                    .iter()
+                    .map(|entry| map.lanes[entry.place].id.as_str())
+                    .collect::<Vec<_>>();
                 return Err(format!(
                     "the route changes from lane {} to lane {} with {slot_m:.1} m of room; expected at least {CHANGE_M_MIN} m",
                     ids[0], ids[1]
@@ -132,7 +186,8 @@ impl Way {
                 }
                 let share = step as f64 / steps as f64;
                 let from = begin_m + share * change_m;
-                self.points.push(here.at(from).lerp(there.at(beside_m(from)), blend(share)));
+                self.points
+                    .push(here.at(from).lerp(there.at(beside_m(from)), blend(share)));
             }
             arc_m = beside_m(begin_m + change_m);
         }
@@ -145,7 +200,8 @@ impl Way {
         let steps = ((to_m - from_m) / self.stride_m).ceil().max(0.0) as usize;
         for step in 0..=steps {
             let share = step as f64 / steps.max(1) as f64;
-            self.points.push(line.at(from_m + share * (to_m - from_m).max(0.0)));
+            self.points
+                .push(line.at(from_m + share * (to_m - from_m).max(0.0)));
         }
     }
 
@@ -159,7 +215,9 @@ impl Way {
         }));
         let raw = Polyline::new(self.points)?;
         let steps = (raw.length_m() / self.stride_m).ceil().max(1.0) as usize;
-        let mut even: Vec<DVec3> = (0..=steps).map(|step| raw.at(raw.length_m() * step as f64 / steps as f64)).collect();
+        let mut even: Vec<DVec3> = (0..=steps)
+            .map(|step| raw.at(raw.length_m() * step as f64 / steps as f64))
+            .collect();
         for _ in 0..SMOOTHINGS {
             let before = even.clone();
             for (point, around) in even[1..].iter_mut().zip(before.windows(3)) {
@@ -167,15 +225,24 @@ impl Way {
             }
         }
         let line = Polyline::new(even)?;
-        // Rounding corners shortens the line by little, and evenly enough for saying where a lane begins.
+        // Rounding corners shortens the line by little, and evenly enough for saying where a lane
+        // begins.
         let shrink = line.length_m() / raw.length_m();
-        let lanes = self.marks.iter().map(|&(point, place)| (arcs_m[point.min(arcs_m.len() - 1)] * shrink, place)).collect();
-        Some(Joined { line, lanes, has_height })
+        let lanes = self
+            .marks
+            .iter()
+            .map(|&(point, place)| (arcs_m[point.min(arcs_m.len() - 1)] * shrink, place))
+            .collect();
+        Some(Joined {
+            line,
+            lanes,
+            has_height,
+        })
     }
 }
 
-/// From 0 to 1 with neither speed nor acceleration across at both ends (the quintic of least jerk: Flash and Hogan, "The coordination of
-/// arm movements", 1985).
+/// From 0 to 1 with neither speed nor acceleration across at both ends (the quintic of least jerk:
+/// Flash and Hogan, "The coordination of arm movements", 1985).
 fn blend(share: f64) -> f64 {
     share.powi(3) * (10.0 + share * (6.0 * share - 15.0))
 }

@@ -13,11 +13,13 @@ pub struct RouteTurn {
     pub angle_rad: f64,
 }
 
-/// A road that bends more than this is turned on, 1/m: a radius of 40 m. A change of lanes over 30 m bends by 1/45 m.
+/// A road that bends more than this is turned on, 1/m: a radius of 40 m. A change of lanes over 30
+/// m bends by 1/45 m.
 const TURN_CURVATURE: f64 = 1.0 / 40.0;
 /// A turn reaches out to where the way bends less than this, 1/m.
 const BEND_CURVATURE: f64 = 1.0 / 80.0;
-/// Parts of a turn may be so far apart, meters: a turn around a corner is often two bends with a straight piece between.
+/// Parts of a turn may be so far apart, meters: a turn around a corner is often two bends with a
+/// straight piece between.
 const TURN_GAP_M: f64 = 6.0;
 /// Least change of heading that counts as a turn; smaller ones are curves of the road, radians: 30
 /// degrees.
@@ -26,7 +28,7 @@ const TURN_ANGLE_RAD: f64 = std::f64::consts::FRAC_PI_6;
 const STRIDE_M: f64 = 1.0;
 /// Curvature is measured over this far before and behind, meters.
 const HALF_SPAN_M: f64 = 2.0;
-/// A line longer than so many strides is looked at in longer ones.
+/// A line longer than so many strides is examined in longer ones.
 const STRIDES_MAX: f64 = 200_000.0;
 
 /// All turns of `line`, in order.
@@ -42,17 +44,29 @@ pub(super) fn turns_of(line: &Polyline) -> Vec<RouteTurn> {
     let mut turns: Vec<RouteTurn> = Vec::new();
     for (begin, end) in bends(&curvatures) {
         let span = &curvatures[begin..end];
-        if span.iter().all(|curvature| curvature.abs() < TURN_CURVATURE) {
+        if span
+            .iter()
+            .all(|curvature| curvature.abs() < TURN_CURVATURE)
+        {
             continue;
         }
-        let (begin_m, end_m) = (begin as f64 * stride_m, ((end - 1) as f64 * stride_m).min(line.length_m()));
+        let (begin_m, end_m) = (
+            begin as f64 * stride_m,
+            ((end - 1) as f64 * stride_m).min(line.length_m()),
+        );
         let angle_rad = line.heading_at(end_m) - line.heading_at(begin_m);
         match turns.last_mut() {
-            Some(last) if last.angle_rad * angle_rad > 0.0 && begin_m - last.end_m <= TURN_GAP_M => {
+            Some(last)
+                if last.angle_rad * angle_rad > 0.0 && begin_m - last.end_m <= TURN_GAP_M =>
+            {
                 last.angle_rad = line.heading_at(end_m) - line.heading_at(last.begin_m);
                 last.end_m = end_m;
             }
-            _ => turns.push(RouteTurn { begin_m, end_m, angle_rad }),
+            _ => turns.push(RouteTurn {
+                begin_m,
+                end_m,
+                angle_rad,
+            }),
         }
     }
     turns.retain(|turn| turn.angle_rad.abs() >= TURN_ANGLE_RAD);
@@ -61,7 +75,13 @@ pub(super) fn turns_of(line: &Polyline) -> Vec<RouteTurn> {
 
 /// Spans in which the way bends to one side, from their first stride to the one after their last.
 fn bends(curvatures: &[f64]) -> Vec<(usize, usize)> {
-    let side = |curvature: f64| if curvature.abs() < BEND_CURVATURE { 0.0 } else { curvature.signum() };
+    let side = |curvature: f64| {
+        if curvature.abs() < BEND_CURVATURE {
+            0.0
+        } else {
+            curvature.signum()
+        }
+    };
     let (mut spans, mut begin) = (Vec::new(), 0);
     for at in 1..=curvatures.len() {
         let ends = at == curvatures.len() || side(curvatures[at]) != side(curvatures[begin]);

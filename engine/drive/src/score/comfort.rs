@@ -26,7 +26,8 @@ impl Comfort {
                 let turned_rad = wrapped(instant.ego.yaw_rad - before.ego.yaw_rad);
                 let speed_mps = 0.5 * (instant.ego.speed_mps + before.ego.speed_mps);
                 let lateral_mps2 = (speed_mps * turned_rad / span_s).abs();
-                comfort.lateral_acceleration_max_mps2 = comfort.lateral_acceleration_max_mps2.max(lateral_mps2);
+                comfort.lateral_acceleration_max_mps2 =
+                    comfort.lateral_acceleration_max_mps2.max(lateral_mps2);
             }
             before = instant;
         }

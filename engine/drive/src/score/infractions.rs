@@ -7,7 +7,8 @@ use super::fault::{Fault, fault};
 use super::{COLLISION_FACTOR, LAYOUT_FACTOR};
 use crate::oriented_box::OrientedBox;
 
-/// An excursion is over when the ego has been on the road for so long, seconds: who drives along the edge leaves the road once.
+/// An excursion is over when the ego has been on the road for so long, seconds: who drives along
+/// the edge leaves the road once.
 const BACK_ON_ROAD_S: f64 = 1.0;
 /// Two contacts with the same agent are one where the boxes were apart for less, seconds.
 const APART_S: f64 = 1.0;
@@ -73,7 +74,10 @@ fn excursions(instants: &[&EpisodeTick]) -> Vec<Infraction> {
         off_s = off_s.filter(|off_s| instant.time_s - off_s < BACK_ON_ROAD_S);
         if !instant.on_road {
             if off_s.is_none() {
-                excursions.push(Infraction { time_s: instant.time_s, kind: InfractionKind::Layout });
+                excursions.push(Infraction {
+                    time_s: instant.time_s,
+                    kind: InfractionKind::Layout,
+                });
             }
             off_s = Some(instant.time_s);
         }
@@ -86,15 +90,23 @@ fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
     for (agent, size) in episode.head.agent_sizes.iter().enumerate() {
         let mut touched_s: Option<f64> = None;
         for (at, instant) in instants.iter().enumerate() {
-            let Some(state) = instant.agents.get(agent) else { continue };
+            let Some(state) = instant.agents.get(agent) else {
+                continue;
+            };
             touched_s = touched_s.filter(|touched_s| instant.time_s - touched_s < APART_S);
             // The record's own word counts, too: it may have looked between its moments.
             let told = at + 1 == instants.len() && episode.end == EpisodeEnd::Collision { agent };
             let ego = OrientedBox::of(&instant.ego, &episode.head.scenario.ego.size);
             if told || ego.overlaps(&OrientedBox::of(state, size)) {
                 if touched_s.is_none() {
-                    let kind = InfractionKind::Collision { agent, fault: fault(episode, instants, at, agent) };
-                    collisions.push(Infraction { time_s: instant.time_s, kind });
+                    let kind = InfractionKind::Collision {
+                        agent,
+                        fault: fault(episode, instants, at, agent),
+                    };
+                    collisions.push(Infraction {
+                        time_s: instant.time_s,
+                        kind,
+                    });
                 }
                 touched_s = Some(instant.time_s);
             }

@@ -2,9 +2,11 @@
 
 use decouplegs_scene::{Episode, Plan, Pose, TimedPose, Trajectory};
 
-/// Mean distance, meters, from above, between where `plan` wants the ego and where `reference` has it at the same time. The plan was made
-/// at `time_s` of the reference, at `pose`. Points of the plan beyond the reference's end do not count; `None` where none does. (The
-/// average displacement error of trajectory forecasting: Pellegrini, Ess, Schindler and van Gool, "You'll Never Walk Alone", 2009.)
+/// Mean distance, meters, from above, between where `plan` wants the ego and where `reference` has
+/// it at the same time. The plan was made at `time_s` of the reference, at `pose`. Points of the
+/// plan beyond the reference's end do not count; `None` where none does. (The average displacement
+/// error of trajectory forecasting: Pellegrini, Ess, Schindler and van Gool, "You'll Never Walk
+/// Alone", 2009.)
 #[must_use]
 pub fn plan_ade_m(plan: &Plan, pose: &Pose, time_s: f64, reference: &Trajectory) -> Option<f64> {
     mean(displacements(plan, pose, time_s, reference))
@@ -14,7 +16,10 @@ pub fn plan_ade_m(plan: &Plan, pose: &Pose, time_s: f64, reference: &Trajectory)
 pub(super) fn episode_ade_m(episode: &Episode) -> Option<f64> {
     let poses = episode.instants().map(|instant| {
         let pose = Pose::from_yaw(instant.ego.yaw_rad, instant.ego.position_m.extend(0.0));
-        TimedPose { time_s: instant.time_s, pose }
+        TimedPose {
+            time_s: instant.time_s,
+            pose,
+        }
     });
     let driven = Trajectory::new(poses.collect()).ok()?;
     let mut at = 0;
@@ -28,15 +33,27 @@ pub(super) fn episode_ade_m(episode: &Episode) -> Option<f64> {
     mean(all.into_iter())
 }
 
-fn displacements(plan: &Plan, pose: &Pose, time_s: f64, reference: &Trajectory) -> impl Iterator<Item = f64> {
-    let within = plan.points().iter().filter(move |point| time_s + point.time_s <= reference.end_s() + 1e-9);
+fn displacements(
+    plan: &Plan,
+    pose: &Pose,
+    time_s: f64,
+    reference: &Trajectory,
+) -> impl Iterator<Item = f64> {
+    let within = plan
+        .points()
+        .iter()
+        .filter(move |point| time_s + point.time_s <= reference.end_s() + 1e-9);
     within.map(move |point| {
         let planned = pose.transform(point.position_m.extend(0.0));
-        (planned - reference.at(time_s + point.time_s).translation).truncate().length()
+        (planned - reference.at(time_s + point.time_s).translation)
+            .truncate()
+            .length()
     })
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_usize), |(sum, count), value| (sum + value, count + 1));
+    let (sum, count) = values.fold((0.0, 0_usize), |(sum, count), value| {
+        (sum + value, count + 1)
+    });
     (count > 0).then(|| sum / count as f64)
 }

@@ -23,11 +23,17 @@ pub struct RouteProgress {
 }
 
 impl RouteProgress {
-    /// At the start of the line through `route_m`, for a vehicle that stands at `start_m`; `None` where it is no line.
+    /// At the start of the line through `route_m`, for a vehicle that stands at `start_m`; `None`
+    /// where it is no line.
     #[must_use]
     pub fn new(route_m: &[DVec2], start_m: DVec2) -> Option<Self> {
         let route = Polyline::new(route_m.iter().map(|point| point.extend(0.0)))?;
-        Some(Self { route, progress_m: 0.0, driven_m: 0.0, last_m: start_m })
+        Some(Self {
+            route,
+            progress_m: 0.0,
+            driven_m: 0.0,
+            last_m: start_m,
+        })
     }
 
     /// The vehicle is at `position_m` now.
@@ -35,7 +41,9 @@ impl RouteProgress {
         self.driven_m += position_m.distance(self.last_m);
         self.last_m = position_m;
         let ahead_m = self.progress_m + SEARCH_FACTOR * self.driven_m + SEARCH_M;
-        let foot = self.route.project_within(position_m, self.progress_m, ahead_m);
+        let foot = self
+            .route
+            .project_within(position_m, self.progress_m, ahead_m);
         if foot.distance_m <= OFF_ROUTE_M && foot.arc_m >= self.progress_m {
             (self.progress_m, self.driven_m) = (foot.arc_m, 0.0);
         }
@@ -54,13 +62,20 @@ impl RouteProgress {
     }
 }
 
-/// Share of the route behind the ego where it had come farthest: 1 exactly where the episode ended with the route done.
+/// Share of the route behind the ego where it had come farthest: 1 exactly where the episode ended
+/// with the route done.
 pub(super) fn route_completion(episode: &Episode) -> f64 {
     if episode.end == EpisodeEnd::RouteDone {
         return 1.0;
     }
-    let Some(mut progress) = RouteProgress::new(&episode.head.route_m, episode.start.ego.position_m) else { return 0.0 };
-    episode.instants().for_each(|instant| progress.advance(instant.ego.position_m));
-    // Whoever came to the very end but was not done is not done.
+    let Some(mut progress) =
+        RouteProgress::new(&episode.head.route_m, episode.start.ego.position_m)
+    else {
+        return 0.0;
+    };
+    episode
+        .instants()
+        .for_each(|instant| progress.advance(instant.ego.position_m));
+    // An ego at the very end that was not done is not done.
     (progress.progress_m / progress.route.length_m()).clamp(0.0, 1.0 - f64::EPSILON)
 }

@@ -30,7 +30,11 @@ impl Moments {
         let count = values.len();
         let mean = values.iter().sum::<f64>() / count as f64;
         let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-        Some(Self { count, mean, std: (count > 1).then(|| (squares / (count - 1) as f64).sqrt()) })
+        Some(Self {
+            count,
+            mean,
+            std: (count > 1).then(|| (squares / (count - 1) as f64).sqrt()),
+        })
     }
 }
 
@@ -65,10 +69,16 @@ impl SetSummary {
             let values: Vec<f64> = scores.iter().filter_map(|score| figure(score)).collect();
             Moments::of(&values)
         };
-        let count = |counts: &dyn Fn(&EpisodeScore) -> usize| scores.iter().map(|score| counts(score)).sum();
+        let count = |counts: &dyn Fn(&EpisodeScore) -> usize| {
+            scores.iter().map(|score| counts(score)).sum()
+        };
         let at_fault = |score: &EpisodeScore| {
             let collided = |kind: &InfractionKind| matches!(kind, InfractionKind::Collision { fault, .. } if fault.at_fault());
-            score.infractions.iter().filter(|infraction| collided(&infraction.kind)).count()
+            score
+                .infractions
+                .iter()
+                .filter(|infraction| collided(&infraction.kind))
+                .count()
         };
         Some(Self {
             driving_score: moments(&|score| Some(score.driving_score))?,
@@ -91,7 +101,10 @@ impl SetSummary {
 
     fn check(&self, set: &str) -> Result<(), String> {
         let completion = self.route_completion.mean;
-        for (name, mean) in [("success rate", self.success.mean), ("mean driving score", self.driving_score.mean)] {
+        for (name, mean) in [
+            ("success rate", self.success.mean),
+            ("mean driving score", self.driving_score.mean),
+        ] {
             // Written so that what is no number fails.
             if !(0.0 <= mean && mean <= completion + ROUNDING && completion <= 1.0) {
                 return Err(format!(
@@ -120,12 +133,18 @@ impl Summary {
         for score in scores {
             by_level.entry(score.level).or_default().push(score);
         }
-        let levels = by_level.into_iter().filter_map(|(level, scores)| Some((level, SetSummary::of(&scores)?))).collect();
-        Self { levels, all: SetSummary::of(&scores.iter().collect::<Vec<_>>()) }
+        let levels = by_level
+            .into_iter()
+            .filter_map(|(level, scores)| Some((level, SetSummary::of(&scores)?)))
+            .collect();
+        Self {
+            levels,
+            all: SetSummary::of(&scores.iter().collect::<Vec<_>>()),
+        }
     }
 
-    /// Holds what must be true of any set of episodes: no more success than completion, no driving score above completion. Published tables
-    /// break it.
+    /// Holds what must be true of any set of episodes: no more success than completion, no driving
+    /// score above completion. Published tables break it.
     ///
     /// # Errors
     /// A sentence with the set and its figures.
@@ -133,6 +152,8 @@ impl Summary {
         for (level, set) in &self.levels {
             set.check(level.map_or("no level", Level::name))?;
         }
-        self.all.as_ref().map_or(Ok(()), |set| set.check("all levels"))
+        self.all
+            .as_ref()
+            .map_or(Ok(()), |set| set.check("all levels"))
     }
 }

@@ -95,7 +95,13 @@ pub(super) struct Agent {
 }
 
 impl Agent {
-    pub(super) fn new(number: usize, size: VehicleSize, driver: Driver, lane: usize, arc_m: f64) -> Self {
+    pub(super) fn new(
+        number: usize,
+        size: VehicleSize,
+        driver: Driver,
+        lane: usize,
+        arc_m: f64,
+    ) -> Self {
         Self {
             number,
             size,
@@ -139,12 +145,18 @@ impl Agent {
 
     /// Driver model at the desired speed here.
     pub(super) fn idm(&self) -> IdmParameters {
-        IdmParameters { speed_mps: self.free_mps, ..self.driver.idm }
+        IdmParameters {
+            speed_mps: self.free_mps,
+            ..self.driver.idm
+        }
     }
 
     /// Longer where needed: at crossings a way is chosen among those that lead on.
     pub(super) fn extend_path(&mut self, graph: &RoadGraph, seed: u64) {
-        let mut ahead_m: f64 = self.path[self.here..].iter().map(|&lane| length_of(graph.lanes(), lane)).sum();
+        let mut ahead_m: f64 = self.path[self.here..]
+            .iter()
+            .map(|&lane| length_of(graph.lanes(), lane))
+            .sum();
         while ahead_m - self.arc_m < PATH_AHEAD_M {
             let last = self.path[self.path.len() - 1];
             let ways = &graph.road(last).successors;
@@ -155,9 +167,15 @@ impl Agent {
             if count == 0 {
                 break;
             }
-            let chosen = if count == 1 { 0 } else { random::way(seed, self.number, self.choices, count) };
+            let chosen = if count == 1 {
+                0
+            } else {
+                random::way(seed, self.number, self.choices, count)
+            };
             self.choices += u32::from(count > 1);
-            let Some(&next) = ways.iter().filter(good).nth(chosen) else { break };
+            let Some(&next) = ways.iter().filter(good).nth(chosen) else {
+                break;
+            };
             self.path.push(next);
             ahead_m += length_of(graph.lanes(), next);
         }
@@ -167,11 +185,22 @@ impl Agent {
     pub(super) fn end_m(&self, graph: &RoadGraph) -> Option<f64> {
         let last = self.path[self.path.len() - 1];
         let ends = graph.road(last).successors.is_empty();
-        ends.then(|| self.path[self.here..].iter().map(|&lane| length_of(graph.lanes(), lane)).sum())
+        ends.then(|| {
+            self.path[self.here..]
+                .iter()
+                .map(|&lane| length_of(graph.lanes(), lane))
+                .sum()
+        })
     }
 
     /// One step on. Places are counted from the new lane where it comes to one.
-    pub(super) fn advance(&mut self, graph: &RoadGraph, seed: u64, acceleration_mps2: f64, dt_s: f64) {
+    pub(super) fn advance(
+        &mut self,
+        graph: &RoadGraph,
+        seed: u64,
+        acceleration_mps2: f64,
+        dt_s: f64,
+    ) {
         let (moved_m, after_mps) = advance(self.speed_mps, acceleration_mps2, dt_s);
         self.acceleration_mps2 = (after_mps - self.speed_mps) / dt_s;
         self.speed_mps = after_mps;
@@ -183,17 +212,22 @@ impl Agent {
                 self.aside = None;
             }
         }
-        while self.here + 1 < self.path.len() && self.arc_m >= length_of(graph.lanes(), self.lane()) {
+        while self.here + 1 < self.path.len() && self.arc_m >= length_of(graph.lanes(), self.lane())
+        {
             let length_m = length_of(graph.lanes(), self.lane());
             self.arc_m -= length_m;
             self.clear_m -= length_m;
             if let Some(crossing) = &mut self.crossing {
-                (crossing.from_m, crossing.to_m) = (crossing.from_m - length_m, crossing.to_m - length_m);
+                (crossing.from_m, crossing.to_m) =
+                    (crossing.from_m - length_m, crossing.to_m - length_m);
             }
             self.here += 1;
         }
         if self.here > LANES_BEHIND {
-            let behind_m: f64 = self.path[LANES_BEHIND / 2..self.here].iter().map(|&lane| length_of(graph.lanes(), lane)).sum();
+            let behind_m: f64 = self.path[LANES_BEHIND / 2..self.here]
+                .iter()
+                .map(|&lane| length_of(graph.lanes(), lane))
+                .sum();
             if behind_m > self.size.length_m {
                 self.path.drain(..LANES_BEHIND / 2);
                 self.here -= LANES_BEHIND / 2;
@@ -205,13 +239,25 @@ impl Agent {
     /// State of its box.
     pub(super) fn state(&self, graph: &RoadGraph) -> VehicleState {
         let (position_m, yaw_rad) = self.pose_at(graph, 0.0, self.aside.as_ref());
-        VehicleState { position_m, yaw_rad, speed_mps: self.speed_mps, acceleration_mps2: self.acceleration_mps2 }
+        VehicleState {
+            position_m,
+            yaw_rad,
+            speed_mps: self.speed_mps,
+            acceleration_mps2: self.acceleration_mps2,
+        }
     }
 
     /// Position and heading `ahead_m` farther on, at a place of a maneuver that it may be in.
-    pub(super) fn pose_at(&self, graph: &RoadGraph, ahead_m: f64, aside: Option<&Aside>) -> (DVec2, f64) {
+    pub(super) fn pose_at(
+        &self,
+        graph: &RoadGraph,
+        ahead_m: f64,
+        aside: Option<&Aside>,
+    ) -> (DVec2, f64) {
         let place = place_on(graph.lanes(), &self.path, self.here, self.arc_m + ahead_m);
-        let Some(aside) = aside else { return (place.position_m, place.yaw_rad) };
+        let Some(aside) = aside else {
+            return (place.position_m, place.yaw_rad);
+        };
         let (offset_m, slope) = aside.offset_after(ahead_m);
         let position_m = place.position_m + DVec2::from_angle(place.yaw_rad).rotate(offset_m);
         (position_m, wrapped(place.yaw_rad + slope.atan()))
@@ -219,18 +265,22 @@ impl Agent {
 
     /// To the left of the middle of its lane, meters.
     pub(super) fn lateral_m(&self) -> f64 {
-        self.aside.as_ref().map_or(0.0, |aside| aside.offset_after(0.0).0.y)
+        self.aside
+            .as_ref()
+            .map_or(0.0, |aside| aside.offset_after(0.0).0.y)
     }
 }
 
 impl Aside {
-    /// Offset along and to the left of the path after `ahead_m` more, meters, and how much to the left a meter ahead.
+    /// Offset along and to the left of the path after `ahead_m` more, meters, and how much to the
+    /// left a meter ahead.
     pub(super) fn offset_after(&self, ahead_m: f64) -> (DVec2, f64) {
         let t = ((self.traveled_m + ahead_m) / self.length_m).clamp(0.0, 1.0);
         match self.kind {
-            AsideKind::Change { offset_m, .. } => {
-                (offset_m * (1.0 - t * t * (3.0 - 2.0 * t)), -offset_m.y * 6.0 * t * (1.0 - t) / self.length_m)
-            }
+            AsideKind::Change { offset_m, .. } => (
+                offset_m * (1.0 - t * t * (3.0 - 2.0 * t)),
+                -offset_m.y * 6.0 * t * (1.0 - t) / self.length_m,
+            ),
             AsideKind::Swerve { amplitude_m, .. } => {
                 let (sin, cos) = (std::f64::consts::PI * t).sin_cos();
                 let slope = 2.0 * std::f64::consts::PI * amplitude_m * sin * cos / self.length_m;

@@ -13,7 +13,8 @@ use crate::oriented_box::OrientedBox;
 const SWERVE_M_PER_M: f64 = 12.0;
 /// Largest offset from the centerline of the own lane, meters.
 const SWERVE_M_MAX: f64 = 3.5;
-/// From one place to the next at which a swerve is looked at, meters, and what its box is widened by.
+/// From one place to the next at which a swerve is examined, meters, and what its box is widened
+/// by.
 const SWERVE_STEP_M: f64 = 1.0;
 const SWERVE_MARGIN_M: f64 = 0.15;
 /// Free time that vehicles beside a swerve need, seconds.
@@ -38,7 +39,9 @@ impl Traffic {
             agent.brake = agent.brake.filter(|(_, until_s)| *until_s > self.time_s);
             for which in 0..self.behaviors[number].len() {
                 let behavior = self.behaviors[number][which];
-                if self.agents[number].phases[which] == Phase::Waiting && self.is_due(number, behavior.trigger) {
+                if self.agents[number].phases[which] == Phase::Waiting
+                    && self.is_due(number, behavior.trigger)
+                {
                     let until_s = self.time_s + patience_s(&behavior.maneuver);
                     self.agents[number].phases[which] = Phase::Trying { until_s };
                 }
@@ -57,7 +60,9 @@ impl Traffic {
             Trigger::Time { time_s } => self.time_s >= time_s,
             Trigger::NearEgo { distance_m } => {
                 let at = self.states[number].position_m;
-                self.ego.as_ref().is_some_and(|ego| ego.position_m.distance(at) <= distance_m)
+                self.ego
+                    .as_ref()
+                    .is_some_and(|ego| ego.position_m.distance(at) <= distance_m)
             }
         }
     }
@@ -65,13 +70,19 @@ impl Traffic {
     /// Begins a maneuver; whether there is nothing more to try.
     fn attempt(&mut self, number: usize, maneuver: Maneuver) -> bool {
         match maneuver {
-            Maneuver::Brake { deceleration_mps2, duration_s } => {
+            Maneuver::Brake {
+                deceleration_mps2,
+                duration_s,
+            } => {
                 let braking_mps2 = deceleration_mps2.clamp(0.0, BRAKING_MPS2);
                 self.agents[number].brake = Some((braking_mps2, self.time_s + duration_s));
                 true
             }
             Maneuver::CutIn => self.cut_in(number).unwrap_or(true),
-            Maneuver::Swerve { amplitude_m, duration_s } => self.swerve(number, amplitude_m, duration_s),
+            Maneuver::Swerve {
+                amplitude_m,
+                duration_s,
+            } => self.swerve(number, amplitude_m, duration_s),
         }
     }
 
@@ -83,9 +94,17 @@ impl Traffic {
         }
         for share in SWERVE_SHARES {
             let amplitude_m = share * amplitude_m.clamp(-SWERVE_M_MAX, SWERVE_M_MAX);
-            let length_m = (agent.speed_mps * duration_s).clamp(SWERVE_M_PER_M * amplitude_m.abs() + 5.0, 150.0);
-            let kind = AsideKind::Swerve { amplitude_m, cells: Vec::new() };
-            let aside = Aside { traveled_m: 0.0, length_m, kind };
+            let length_m = (agent.speed_mps * duration_s)
+                .clamp(SWERVE_M_PER_M * amplitude_m.abs() + 5.0, 150.0);
+            let kind = AsideKind::Swerve {
+                amplitude_m,
+                cells: Vec::new(),
+            };
+            let aside = Aside {
+                traveled_m: 0.0,
+                length_m,
+                kind,
+            };
             if let Some(cells) = self.swerve_cells(number, &aside) {
                 let kind = AsideKind::Swerve { amplitude_m, cells };
                 self.agents[number].aside = Some(Aside { kind, ..aside });
@@ -96,29 +115,43 @@ impl Traffic {
         false
     }
 
-    /// Cells beside its path that a swerve touches, sorted; `None` where one of them, or one that conflicts with it, is somebody else's.
+    /// Cells beside its path that a swerve touches, sorted; `None` where one of them, or one that
+    /// conflicts with it, belongs to another.
     fn swerve_cells(&self, number: usize, aside: &Aside) -> Option<Vec<u32>> {
         let agent = &self.agents[number];
         let (mut cells, mut touched) = (Vec::new(), Vec::new());
         let steps = (aside.length_m / SWERVE_STEP_M).ceil() as u32;
         for step in 0..=steps {
-            let (center_m, yaw_rad) = agent.pose_at(&self.graph, f64::from(step) * SWERVE_STEP_M, Some(aside));
+            let (center_m, yaw_rad) =
+                agent.pose_at(&self.graph, f64::from(step) * SWERVE_STEP_M, Some(aside));
             let half_length_m = agent.half_m + 0.5 * SWERVE_STEP_M + SWERVE_MARGIN_M;
             let half_width_m = 0.5 * agent.size.width_m + SWERVE_MARGIN_M;
-            self.graph.cells().touched(&OrientedBox { center_m, yaw_rad, half_length_m, half_width_m }, &mut touched);
+            self.graph.cells().touched(
+                &OrientedBox {
+                    center_m,
+                    yaw_rad,
+                    half_length_m,
+                    half_width_m,
+                },
+                &mut touched,
+            );
             cells.extend_from_slice(&touched);
         }
         cells.sort_unstable();
         cells.dedup();
         let rear = agent.here.saturating_sub(4);
-        let own = |cell: u32| agent.path[rear..].contains(&self.graph.cells().stretch_of(cell as usize).0);
+        let own = |cell: u32| {
+            agent.path[rear..].contains(&self.graph.cells().stretch_of(cell as usize).0)
+        };
         cells.retain(|&cell| !own(cell));
         let free = |&cell: &u32| {
             let (lane, stretch) = self.graph.cells().stretch_of(cell as usize);
             // Who would have to brake hard for it leaves no room either.
             let comes = |entry: &Entry| {
                 let reach_m = entry.front_m + SWERVE_REACTION_S * entry.speed_mps;
-                entry.agent as usize != number && entry.rear_m < stretch.to_m && reach_m > stretch.from_m
+                entry.agent as usize != number
+                    && entry.rear_m < stretch.to_m
+                    && reach_m > stretch.from_m
             };
             !self.claims.taken(cell as usize, number) && !self.order.on(lane).iter().any(comes)
         };

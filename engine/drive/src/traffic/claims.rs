@@ -1,14 +1,15 @@
 //! Reservation of road cells: cells occupied by vehicles, cells of their stopping distances, and
 //! crossings granted to them.
 //!
-//! Nobody moves to where he could not stop before a cell that conflicts with somebody else's; so vehicles on different lanes never meet.
-//! (Reservations of cells at crossings: K. Dresner, P. Stone, A multiagent approach to autonomous intersection management, 2008.)
+//! No vehicle moves to where it could not stop before a cell that conflicts with another's; so
+//! vehicles on different lanes never meet. (Reservations of cells at crossings: K. Dresner, P.
+//! Stone, A multiagent approach to autonomous intersection management, 2008.)
 
 use super::agent::{Agent, AsideKind};
 use super::ego::EgoSeen;
 use crate::road_graph::{RoadGraph, length_of};
 
-/// A part of a lane that somebody's swerve takes up.
+/// Part of a lane that a swerve occupies.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block {
     pub lane: usize,
@@ -33,7 +34,12 @@ pub(super) struct Claims {
 
 impl Claims {
     pub(super) fn new(cells: usize) -> Self {
-        Self { owners: vec![(0, 0); cells], ego: vec![false; cells], wanted: vec![false; cells], ..Self::default() }
+        Self {
+            owners: vec![(0, 0); cells],
+            ego: vec![false; cells],
+            wanted: vec![false; cells],
+            ..Self::default()
+        }
     }
 
     pub(super) fn build(&mut self, graph: &RoadGraph, agents: &[Agent], ego: Option<&EgoSeen>) {
@@ -53,20 +59,33 @@ impl Claims {
 
     /// All that belongs to an agent.
     pub(super) fn claim(&mut self, graph: &RoadGraph, agent: &Agent) {
-        let granted_m =
-            agent.crossing.filter(|crossing| crossing.granted).map_or(f64::NEG_INFINITY, |crossing| crossing.to_m - 0.01);
+        let granted_m = agent
+            .crossing
+            .filter(|crossing| crossing.granted)
+            .map_or(f64::NEG_INFINITY, |crossing| crossing.to_m - 0.01);
         self.claim_between(graph, agent, agent.rear_m(), agent.stop_m().max(granted_m));
         match agent.aside.as_ref().map(|aside| &aside.kind) {
-            Some(AsideKind::Change { from, from_arc_m, .. }) => {
+            Some(AsideKind::Change {
+                from, from_arc_m, ..
+            }) => {
                 let reach_m = agent.stop_m() - agent.arc_m;
-                for cell in graph.cells().range(*from, from_arc_m - agent.half_m, from_arc_m + reach_m) {
+                for cell in
+                    graph
+                        .cells()
+                        .range(*from, from_arc_m - agent.half_m, from_arc_m + reach_m)
+                {
                     self.take(cell, agent.number);
                 }
             }
             Some(AsideKind::Swerve { cells, .. }) => {
                 for &cell in cells {
                     let (lane, stretch) = graph.cells().stretch_of(cell as usize);
-                    self.blocks.push(Block { lane, from_m: stretch.from_m, to_m: stretch.to_m, agent: agent.number });
+                    self.blocks.push(Block {
+                        lane,
+                        from_m: stretch.from_m,
+                        to_m: stretch.to_m,
+                        agent: agent.number,
+                    });
                     self.take(cell as usize, agent.number);
                 }
             }
@@ -75,7 +94,13 @@ impl Claims {
     }
 
     /// Cells of an agent's path.
-    pub(super) fn claim_between(&mut self, graph: &RoadGraph, agent: &Agent, from_m: f64, to_m: f64) {
+    pub(super) fn claim_between(
+        &mut self,
+        graph: &RoadGraph,
+        agent: &Agent,
+        from_m: f64,
+        to_m: f64,
+    ) {
         each_cell(graph, agent, from_m, to_m, |cell| {
             self.take(cell, agent.number);
             true
@@ -100,13 +125,21 @@ impl Claims {
 
     /// True if a cell that conflicts with `cell` is reserved by an agent other than `agent`.
     pub(super) fn conflict(&self, graph: &RoadGraph, cell: usize, agent: usize) -> bool {
-        graph.cells().conflicts_of(cell).iter().any(|&other| self.taken(other as usize, agent))
+        graph
+            .cells()
+            .conflicts_of(cell)
+            .iter()
+            .any(|&other| self.taken(other as usize, agent))
     }
 
     /// True if a vehicle that has waited longer has the next claim on a cell that conflicts with
     /// this one.
     pub(super) fn is_wanted(&self, graph: &RoadGraph, cell: usize) -> bool {
-        graph.cells().conflicts_of(cell).iter().any(|&other| self.wanted[other as usize])
+        graph
+            .cells()
+            .conflicts_of(cell)
+            .iter()
+            .any(|&other| self.wanted[other as usize])
     }
 
     pub(super) fn want(&mut self, cell: usize) {
@@ -120,9 +153,15 @@ impl Claims {
     }
 }
 
-/// Shows the cells of an agent's path between two places, meters from the start of its lane, until `see` has seen enough; whether it saw
-/// all.
-pub(super) fn each_cell(graph: &RoadGraph, agent: &Agent, from_m: f64, to_m: f64, mut see: impl FnMut(usize) -> bool) -> bool {
+/// Shows the cells of an agent's path between two places, meters from the start of its lane, until
+/// `see` has seen enough; whether it saw all.
+pub(super) fn each_cell(
+    graph: &RoadGraph,
+    agent: &Agent,
+    from_m: f64,
+    to_m: f64,
+    mut see: impl FnMut(usize) -> bool,
+) -> bool {
     let (mut at, mut start_m) = (agent.here, 0.0);
     while at > 0 && from_m < start_m {
         at -= 1;

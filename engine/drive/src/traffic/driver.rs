@@ -29,7 +29,16 @@ impl From<DriverKind> for Driver {
     ///
     /// The row of the normal driver is Treiber's; the others are chosen around it.
     fn from(kind: DriverKind) -> Self {
-        let ([speed_share, headway_s, acceleration_mps2, braking_mps2, standstill_gap_m], mobil) = match kind {
+        let (
+            [
+                speed_share,
+                headway_s,
+                acceleration_mps2,
+                braking_mps2,
+                standstill_gap_m,
+            ],
+            mobil,
+        ) = match kind {
             DriverKind::Calm => ([0.9, 2.2, 0.8, 2.0, 2.5], [0.5, 0.5, 3.0, 2.5]),
             DriverKind::Normal => ([1.0, 1.8, 1.0, 3.0, 2.0], [0.25, 0.2, 4.0, 1.5]),
             DriverKind::Hurried => ([1.1, 1.2, 1.5, 3.0, 1.5], [0.1, 0.1, 4.0, 1.0]),
@@ -37,8 +46,19 @@ impl From<DriverKind> for Driver {
         };
         let [politeness, threshold_mps2, safe_braking_mps2, gap_s] = mobil;
         Self {
-            idm: IdmParameters { headway_s, acceleration_mps2, braking_mps2, standstill_gap_m, ..IdmParameters::default() },
-            mobil: MobilParameters { politeness, threshold_mps2, safe_braking_mps2, ..MobilParameters::default() },
+            idm: IdmParameters {
+                headway_s,
+                acceleration_mps2,
+                braking_mps2,
+                standstill_gap_m,
+                ..IdmParameters::default()
+            },
+            mobil: MobilParameters {
+                politeness,
+                threshold_mps2,
+                safe_braking_mps2,
+                ..MobilParameters::default()
+            },
             speed_share,
             gap_s,
         }

@@ -32,7 +32,11 @@ impl EgoSeen {
             return None;
         }
         let speed_mps = state.speed_mps.clamp(0.0, SPEED_MPS_MAX);
-        let size = VehicleSize { length_m: size.length_m.clamp(0.1, 40.0), width_m: size.width_m.clamp(0.1, 10.0), ..*size };
+        let size = VehicleSize {
+            length_m: size.length_m.clamp(0.1, 40.0),
+            width_m: size.width_m.clamp(0.1, 10.0),
+            ..*size
+        };
         let outline = OrientedBox::of(state, &size);
         let mut cells = Vec::new();
         graph.cells().touched(&outline, &mut cells);
@@ -44,12 +48,21 @@ impl EgoSeen {
             ..outline
         };
         graph.cells().touched(&sweep, &mut cells);
-        Some(Self { position_m: state.position_m, entries, cells })
+        Some(Self {
+            position_m: state.position_m,
+            entries,
+            cells,
+        })
     }
 }
 
 /// Position of the box on each lane of `cells`.
-fn entries(graph: &RoadGraph, outline: &OrientedBox, velocity_mps: DVec2, cells: &[u32]) -> Vec<Entry> {
+fn entries(
+    graph: &RoadGraph,
+    outline: &OrientedBox,
+    velocity_mps: DVec2,
+    cells: &[u32],
+) -> Vec<Entry> {
     let mut entries = Vec::new();
     let stretch = |cell: &u32| graph.cells().stretch_of(*cell as usize);
     for group in cells.chunk_by(|a, b| stretch(a).0 == stretch(b).0) {
@@ -58,10 +71,21 @@ fn entries(graph: &RoadGraph, outline: &OrientedBox, velocity_mps: DVec2, cells:
         let line = &graph.road(lane).line;
         let foot = |at: DVec2| line.project_within(at, first.from_m - 2.0, last.to_m + 2.0);
         let arcs = outline.corners().map(|corner| foot(corner).arc_m);
-        let rear_m = arcs.iter().copied().fold(f64::INFINITY, f64::min).max(first.from_m);
-        let front_m = arcs.iter().copied().fold(f64::NEG_INFINITY, f64::max).min(last.to_m).max(rear_m + 0.1);
+        let rear_m = arcs
+            .iter()
+            .copied()
+            .fold(f64::INFINITY, f64::min)
+            .max(first.from_m);
+        let front_m = arcs
+            .iter()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max)
+            .min(last.to_m)
+            .max(rear_m + 0.1);
         // Who comes towards one counts as standing.
-        let speed_mps = velocity_mps.dot(DVec2::from_angle(foot(outline.center_m).heading_rad)).max(0.0);
+        let speed_mps = velocity_mps
+            .dot(DVec2::from_angle(foot(outline.center_m).heading_rad))
+            .max(0.0);
         entries.push(Entry {
             lane: lane as u32,
             agent: EGO,

@@ -6,7 +6,8 @@ use super::idm::{BRAKING_MPS2, IdmParameters, Leader, safe_acceleration};
 use super::lane_order::{DEAD_END, EGO, LaneOrder, NO_LANE, behind_fork};
 use crate::road_graph::{RoadGraph, length_of, speed_before};
 
-/// Agents never come nearer to each other than this, meters: what the places of boxes along curves, and rounding, are off by at most.
+/// Agents never come nearer to each other than this, meters: what the places of boxes along curves,
+/// and rounding, are off by at most.
 pub(super) const GAP_M: f64 = 0.5;
 /// Look-ahead distance beyond which leaders are ignored: meters, and seconds at the own speed.
 const HORIZON_M: f64 = 50.0;
@@ -16,7 +17,7 @@ const END_M: f64 = 50.0;
 /// Short of a line that one must not cross, meters.
 const LINE_M: f64 = 0.02;
 
-/// Somebody ahead; places are meters from the start of one's own lane.
+/// Leader; places are meters from the start of one's own lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     pub agent: u32,
@@ -28,7 +29,8 @@ pub(super) struct Seen {
     pub same_way: bool,
 }
 
-/// Shows everybody ahead of a place on a path, the nearest first, until `see` has seen enough. Who is on several lanes is seen on each.
+/// Visits all vehicles ahead of a place on a path, the nearest first, until `see` has seen enough.
+/// Who is on several lanes is seen on each.
 pub(super) fn each_ahead(
     graph: &RoadGraph,
     order: &LaneOrder,
@@ -42,11 +44,17 @@ pub(super) fn each_ahead(
         let next = path.get(at + 1).map_or(DEAD_END, |&next| next as u32);
         let entries = order.on(path[at]);
         let first = entries.partition_point(|entry| entry.middle_m + start_m <= arc_m);
-        for entry in entries[first..].iter().filter(|entry| entry.agent as usize != agent) {
+        for entry in entries[first..]
+            .iter()
+            .filter(|entry| entry.agent as usize != agent)
+        {
             let parts = entry.next < DEAD_END && entry.next != next && entry.stop_rear_m > length_m;
             let stop_rear_m = if parts {
                 let forks = &graph.road(entry.next as usize).forks;
-                let lead_m = forks.iter().find(|fork| fork.other as u32 == next).map_or(f64::INFINITY, |fork| fork.lead_m);
+                let lead_m = forks
+                    .iter()
+                    .find(|fork| fork.other as u32 == next)
+                    .map_or(f64::INFINITY, |fork| fork.lead_m);
                 length_m + behind_fork(entry.stop_rear_m - length_m, lead_m)
             } else {
                 entry.stop_rear_m
@@ -68,7 +76,7 @@ pub(super) fn each_ahead(
     }
 }
 
-/// Somebody behind a place on a lane; meters from the start of that lane.
+/// Follower of a place on a lane; meters from the start of that lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Behind {
     pub agent: u32,
@@ -78,15 +86,30 @@ pub(super) struct Behind {
 
 /// Followers of a position on a lane, back to the first agent that is wholly on it, over the lanes
 /// before it where there is none.
-pub(super) fn behind(graph: &RoadGraph, order: &LaneOrder, agent: usize, lane: usize, arc_m: f64, horizon_m: f64) -> Vec<Behind> {
+pub(super) fn behind(
+    graph: &RoadGraph,
+    order: &LaneOrder,
+    agent: usize,
+    lane: usize,
+    arc_m: f64,
+    horizon_m: f64,
+) -> Vec<Behind> {
     let (mut found, mut open) = (Vec::new(), vec![(lane, 0.0_f64)]);
     while let Some((at, start_m)) = open.pop() {
         let entries = order.on(at);
         let last = entries.partition_point(|entry| entry.middle_m + start_m <= arc_m);
         let mut ends = false;
-        for entry in entries[..last].iter().rev().filter(|entry| entry.agent as usize != agent) {
+        for entry in entries[..last]
+            .iter()
+            .rev()
+            .filter(|entry| entry.agent as usize != agent)
+        {
             let front_m = entry.front_m + start_m;
-            found.push(Behind { agent: entry.agent, front_m, speed_mps: entry.speed_mps });
+            found.push(Behind {
+                agent: entry.agent,
+                front_m,
+                speed_mps: entry.speed_mps,
+            });
             ends = entry.agent != EGO && entry.next != NO_LANE;
             if ends {
                 break;
@@ -94,7 +117,11 @@ pub(super) fn behind(graph: &RoadGraph, order: &LaneOrder, agent: usize, lane: u
         }
         if !ends && start_m > arc_m - horizon_m && open.len() < 16 {
             let road = graph.road(at);
-            open.extend(road.predecessors.iter().map(|&before| (before, start_m - length_of(graph.lanes(), before))));
+            open.extend(
+                road.predecessors
+                    .iter()
+                    .map(|&before| (before, start_m - length_of(graph.lanes(), before))),
+            );
         }
     }
     found
@@ -110,8 +137,13 @@ struct Bounds {
 
 impl Bounds {
     fn follow(&mut self, idm: &IdmParameters, speed_mps: f64, gap_m: f64, leader_mps: f64) {
-        let leader = Leader { gap_m, speed_mps: leader_mps };
-        self.acceleration_mps2 = self.acceleration_mps2.min(idm.acceleration(speed_mps, Some(leader)));
+        let leader = Leader {
+            gap_m,
+            speed_mps: leader_mps,
+        };
+        self.acceleration_mps2 = self
+            .acceleration_mps2
+            .min(idm.acceleration(speed_mps, Some(leader)));
     }
 
     fn stop_within(&mut self, room_m: f64) {
@@ -139,22 +171,39 @@ impl Traffic {
 
     /// Acceleration by the model alone, along a path: leaders and where the lanes end.
     pub(super) fn following(&self, agent: &Agent, path: &[usize], here: usize, arc_m: f64) -> f64 {
-        let mut bounds = Bounds { acceleration_mps2: agent.idm().free_acceleration(agent.speed_mps), room_m: f64::INFINITY };
+        let mut bounds = Bounds {
+            acceleration_mps2: agent.idm().free_acceleration(agent.speed_mps),
+            room_m: f64::INFINITY,
+        };
         self.follow_path(agent, (path, here, arc_m), &mut bounds);
         bounds.acceleration_mps2
     }
 
-    fn follow_path(&self, agent: &Agent, (path, here, arc_m): (&[usize], usize, f64), bounds: &mut Bounds) {
+    fn follow_path(
+        &self,
+        agent: &Agent,
+        (path, here, arc_m): (&[usize], usize, f64),
+        bounds: &mut Bounds,
+    ) {
         let idm = agent.idm();
         let (front_m, stop_m) = (arc_m + agent.half_m, agent.stop_m() - agent.arc_m + arc_m);
         let horizon_m = HORIZON_M + HORIZON_S * agent.speed_mps;
-        each_ahead(&self.graph, &self.order, (agent.number, path, here, arc_m), horizon_m, |seen| {
-            bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);
-            bounds.stop_within(seen.stop_rear_m - GAP_M - stop_m);
-            !seen.same_way
-        });
+        each_ahead(
+            &self.graph,
+            &self.order,
+            (agent.number, path, here, arc_m),
+            horizon_m,
+            |seen| {
+                bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);
+                bounds.stop_within(seen.stop_rear_m - GAP_M - stop_m);
+                !seen.same_way
+            },
+        );
         if self.graph.road(path[path.len() - 1]).successors.is_empty() {
-            let end_m: f64 = path[here..].iter().map(|&lane| length_of(self.graph.lanes(), lane)).sum();
+            let end_m: f64 = path[here..]
+                .iter()
+                .map(|&lane| length_of(self.graph.lanes(), lane))
+                .sum();
             bounds.stop_within(end_m - LINE_M - stop_m);
             if end_m - front_m < horizon_m + END_M {
                 bounds.follow(&idm, agent.speed_mps, end_m - front_m, 0.0);
@@ -165,9 +214,15 @@ impl Traffic {
     /// Acceleration of an agent in a step: the car-following model within safe limits.
     pub(super) fn acceleration(&self, agent: &Agent, dt_s: f64) -> f64 {
         let idm = agent.idm();
-        let mut bounds = Bounds { acceleration_mps2: idm.free_acceleration(agent.speed_mps), room_m: f64::INFINITY };
+        let mut bounds = Bounds {
+            acceleration_mps2: idm.free_acceleration(agent.speed_mps),
+            room_m: f64::INFINITY,
+        };
         self.follow_path(agent, (&agent.path, agent.here, agent.arc_m), &mut bounds);
-        if let Some(AsideKind::Change { from, from_arc_m, .. }) = agent.aside.as_ref().map(|aside| &aside.kind) {
+        if let Some(AsideKind::Change {
+            from, from_arc_m, ..
+        }) = agent.aside.as_ref().map(|aside| &aside.kind)
+        {
             self.follow_left_lane(agent, *from, *from_arc_m, &mut bounds);
         }
         let stop_m = agent.stop_m();
@@ -180,7 +235,12 @@ impl Traffic {
                 bounds.stop_within(crossing.from_m - LINE_M - stop_m);
             }
             if agent.held_up {
-                bounds.follow(&idm, agent.speed_mps, crossing.from_m - agent.front_m(), 0.0);
+                bounds.follow(
+                    &idm,
+                    agent.speed_mps,
+                    crossing.from_m - agent.front_m(),
+                    0.0,
+                );
             }
         }
         for at_m in self.blocks_ahead(agent) {
@@ -197,19 +257,32 @@ impl Traffic {
     /// Adds the leaders on the lane that an agent is leaving.
     fn follow_left_lane(&self, agent: &Agent, from: usize, from_arc_m: f64, bounds: &mut Bounds) {
         let idm = agent.idm();
-        let (front_m, stop_m) = (from_arc_m + agent.half_m, from_arc_m + agent.stop_m() - agent.arc_m);
+        let (front_m, stop_m) = (
+            from_arc_m + agent.half_m,
+            from_arc_m + agent.stop_m() - agent.arc_m,
+        );
         let horizon_m = HORIZON_M + HORIZON_S * agent.speed_mps;
-        each_ahead(&self.graph, &self.order, (agent.number, &[from], 0, from_arc_m), horizon_m, |seen| {
-            bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);
-            bounds.stop_within(seen.stop_rear_m - GAP_M - stop_m);
-            !seen.same_way
-        });
+        each_ahead(
+            &self.graph,
+            &self.order,
+            (agent.number, &[from], 0, from_arc_m),
+            horizon_m,
+            |seen| {
+                bounds.follow(&idm, agent.speed_mps, seen.rear_m - front_m, seen.speed_mps);
+                bounds.stop_within(seen.stop_rear_m - GAP_M - stop_m);
+                !seen.same_way
+            },
+        );
     }
 
     /// Positions at which a swerve of another agent blocks the path, meters from the start of its
     /// lane.
     fn blocks_ahead(&self, agent: &Agent) -> impl Iterator<Item = f64> {
-        let others = self.claims.blocks.iter().filter(|block| block.agent != agent.number);
+        let others = self
+            .claims
+            .blocks
+            .iter()
+            .filter(|block| block.agent != agent.number);
         others.filter_map(|block| {
             let mut start_m = 0.0;
             for &lane in &agent.path[agent.here..] {

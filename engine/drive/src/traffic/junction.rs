@@ -1,9 +1,12 @@
-//! Crossings: a row of conflicts on somebody's path is his as a whole, or he waits before it.
+//! Crossings: a row of conflicts on a vehicle's path is reserved as a whole, or the vehicle waits
+//! before it.
 //!
-//! It is granted when nobody else claims what conflicts with it, there will be room for the vehicle behind it, and nobody who goes first
-//! would be hindered. So whoever is in a crossing can always leave it, and nobody can block another for ever. Who has waited long does
-//! not give way any longer, and what he waits for is granted to nobody who has waited less: first the longest waiting, then the lower
-//! number. That breaks circles such as four vehicles that each have another to their right.
+//! It is granted when nobody else claims what conflicts with it, there will be room for the vehicle
+//! behind it, and no vehicle with priority would be hindered. So a vehicle in a crossing can always
+//! leave it, and nobody can block another for ever. Who has waited long does not give way any
+//! longer, and what he waits for is granted to nobody who has waited less: first the longest
+//! waiting, then the lower number. That breaks circles such as four vehicles that each have another
+//! to their right.
 
 use super::Traffic;
 use super::agent::{Agent, Crossing};
@@ -15,15 +18,19 @@ use crate::road_graph::{Conflict, length_of};
 
 /// Waiting time after which a vehicle no longer gives way, seconds.
 const PATIENCE_S: f64 = 5.0;
-/// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one, meters.
+/// Conflicts follow each other at less than this and a vehicle's length: they are crossed as one,
+/// meters.
 const BETWEEN_M: f64 = 1.5;
-/// Short vehicles leave as much room behind a crossing as this long one, meters: more than anybody drives in a step.
+/// Short vehicles leave as much room behind a crossing as this long one, meters: more than anybody
+/// drives in a step.
 const LENGTH_M_MIN: f64 = 4.5;
-/// The row of conflicts that is granted as a whole is at most so long, meters. A map may have lanes that lie on each other all along.
+/// The row of conflicts that is granted as a whole is at most so long, meters. A map may have lanes
+/// that lie on each other all along.
 const RUN_M_MAX: f64 = 150.0;
 /// Conflicts are looked for up to so far ahead of where a vehicle could stop, meters.
 const AHEAD_M: f64 = 100.0;
-/// Braking before a crossing that is not granted, m/s^2: it is asked for when one would have to begin.
+/// Braking before a crossing that is not granted, m/s^2: it is asked for when one would have to
+/// begin.
 const BRAKING_MPS2: f64 = 2.0;
 /// Distance from the conflict within which vehicles with priority are considered, meters.
 const GIVE_WAY_M: f64 = 80.0;
@@ -44,9 +51,14 @@ impl Traffic {
             self.find_crossing(number);
             let agent = &mut self.agents[number];
             agent.held_up = false;
-            let Some(crossing) = agent.crossing else { continue };
+            let Some(crossing) = agent.crossing else {
+                continue;
+            };
             let speed_mps = agent.speed_mps;
-            let asks_m = speed_mps * speed_mps / (2.0 * BRAKING_MPS2) + speed_mps + agent.driver.idm.standstill_gap_m + 3.0;
+            let asks_m = speed_mps * speed_mps / (2.0 * BRAKING_MPS2)
+                + speed_mps
+                + agent.driver.idm.standstill_gap_m
+                + 3.0;
             // Granted, but he could still stop before it: whether it holds is asked anew.
             let open = !crossing.granted || agent.stop_m() < crossing.from_m - 0.01;
             if open && crossing.from_m - agent.front_m() < asks_m {
@@ -88,8 +100,18 @@ impl Traffic {
                     continue;
                 }
                 match &mut found {
-                    None => found = Some(Crossing { from_m: from_m.max(stop_m), to_m, granted: false }),
-                    Some(run) if from_m - run.to_m < clearance_m && to_m - run.from_m < RUN_M_MAX => run.to_m = to_m,
+                    None => {
+                        found = Some(Crossing {
+                            from_m: from_m.max(stop_m),
+                            to_m,
+                            granted: false,
+                        });
+                    }
+                    Some(run)
+                        if from_m - run.to_m < clearance_m && to_m - run.from_m < RUN_M_MAX =>
+                    {
+                        run.to_m = to_m;
+                    }
                     Some(_) => return (found, f64::INFINITY),
                 }
             }
@@ -99,32 +121,54 @@ impl Traffic {
             }
         }
         // Beyond the path's end nothing is driven: its end is a wall of its own.
-        let ends = agent.end_m(&self.graph).is_some_and(|end_m| start_m >= end_m);
-        (found, if ends || found.is_some() { f64::INFINITY } else { start_m })
+        let ends = agent
+            .end_m(&self.graph)
+            .is_some_and(|end_m| start_m >= end_m);
+        (
+            found,
+            if ends || found.is_some() {
+                f64::INFINITY
+            } else {
+                start_m
+            },
+        )
     }
 
     /// Grants an agent its crossing, or makes it wait.
     fn ask(&mut self, number: usize, dt_s: f64) {
         let agent = &self.agents[number];
-        let Some(crossing) = agent.crossing else { return };
+        let Some(crossing) = agent.crossing else {
+            return;
+        };
         let patient = agent.waited_s < PATIENCE_S;
         let can_leave = self.can_leave(agent, &crossing);
         let free = can_leave && (crossing.granted || self.is_free(agent, &crossing));
-        let granted =
-            free && !self.ego_crosses(agent, &crossing) && !(patient && !crossing.granted && self.gives_way(agent, &crossing));
+        let granted = free
+            && !self.ego_crosses(agent, &crossing)
+            && !(patient && !crossing.granted && self.gives_way(agent, &crossing));
         if granted && !crossing.granted {
-            self.claims.claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
+            self.claims
+                .claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
         }
         if !granted && !patient && can_leave {
             let (graph, agent) = (&self.graph, &self.agents[number]);
             let claims = &mut self.claims;
-            each_cell(graph, agent, crossing.from_m, crossing.to_m - 0.01, |cell| {
-                claims.want(cell);
-                true
-            });
+            each_cell(
+                graph,
+                agent,
+                crossing.from_m,
+                crossing.to_m - 0.01,
+                |cell| {
+                    claims.want(cell);
+                    true
+                },
+            );
         }
         let agent = &mut self.agents[number];
-        agent.crossing = Some(Crossing { granted, ..crossing });
+        agent.crossing = Some(Crossing {
+            granted,
+            ..crossing
+        });
         agent.held_up = !granted;
         if granted {
             agent.waited_s = 0.0;
@@ -136,10 +180,16 @@ impl Traffic {
     /// Grants a crossing at the start, where nobody has the right of way yet.
     pub(super) fn grant_at_start(&mut self, number: usize) {
         let agent = &self.agents[number];
-        let Some(crossing) = agent.crossing.filter(|crossing| !crossing.granted) else { return };
+        let Some(crossing) = agent.crossing.filter(|crossing| !crossing.granted) else {
+            return;
+        };
         if self.can_leave(agent, &crossing) && self.is_free(agent, &crossing) {
-            self.claims.claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
-            self.agents[number].crossing = Some(Crossing { granted: true, ..crossing });
+            self.claims
+                .claim_between(&self.graph, agent, agent.rear_m(), crossing.to_m - 0.01);
+            self.agents[number].crossing = Some(Crossing {
+                granted: true,
+                ..crossing
+            });
         }
     }
 
@@ -152,36 +202,61 @@ impl Traffic {
         }
         let (mut can_leave, mut counted) = (true, Vec::new());
         let here = (agent.number, &agent.path[..], agent.here, agent.arc_m);
-        each_ahead(&self.graph, &self.order, here, GIVE_WAY_M + out_m - agent.arc_m, |seen| {
-            if seen.stop_rear_m >= out_m {
-                return !seen.same_way;
-            }
-            let on_its_way = seen.stop_rear_m > crossing.from_m;
-            if seen.same_way && on_its_way && !counted.contains(&seen.agent) {
-                out_m += self.clearance_m(&self.agents[seen.agent as usize]);
-                counted.push(seen.agent);
-            }
-            // Who goes another way only has to be on it.
-            can_leave &= seen.same_way && on_its_way || seen.agent != EGO && on_its_way && seen.speed_mps > 1.0;
-            can_leave
-        });
+        each_ahead(
+            &self.graph,
+            &self.order,
+            here,
+            GIVE_WAY_M + out_m - agent.arc_m,
+            |seen| {
+                if seen.stop_rear_m >= out_m {
+                    return !seen.same_way;
+                }
+                let on_its_way = seen.stop_rear_m > crossing.from_m;
+                if seen.same_way && on_its_way && !counted.contains(&seen.agent) {
+                    out_m += self.clearance_m(&self.agents[seen.agent as usize]);
+                    counted.push(seen.agent);
+                }
+                // Who goes another way only has to be on it.
+                can_leave &= seen.same_way && on_its_way
+                    || seen.agent != EGO && on_its_way && seen.speed_mps > 1.0;
+                can_leave
+            },
+        );
         can_leave
     }
 
     /// True if no other agent has reserved a cell that conflicts with a crossing.
     fn is_free(&self, agent: &Agent, crossing: &Crossing) -> bool {
-        let free = |cell| !self.claims.conflict(&self.graph, cell, agent.number) && !self.claims.is_wanted(&self.graph, cell);
-        each_cell(&self.graph, agent, crossing.from_m, crossing.to_m - 0.01, free)
+        let free = |cell| {
+            !self.claims.conflict(&self.graph, cell, agent.number)
+                && !self.claims.is_wanted(&self.graph, cell)
+        };
+        each_cell(
+            &self.graph,
+            agent,
+            crossing.from_m,
+            crossing.to_m - 0.01,
+            free,
+        )
     }
 
     /// True if the ego is in a crossing or approaches it, other than behind the agent.
     fn ego_crosses(&self, agent: &Agent, crossing: &Crossing) -> bool {
         let Some(ego) = &self.ego else { return false };
         let follows = ego.entries.iter().any(|entry| {
-            let lane = agent.path[..=agent.here].iter().position(|&lane| lane == entry.lane as usize);
+            let lane = agent.path[..=agent.here]
+                .iter()
+                .position(|&lane| lane == entry.lane as usize);
             lane.is_some_and(|lane| lane < agent.here || entry.middle_m < agent.arc_m)
         });
-        !follows && !each_cell(&self.graph, agent, crossing.from_m, crossing.to_m - 0.01, |cell| !self.claims.ego_on(cell))
+        !follows
+            && !each_cell(
+                &self.graph,
+                agent,
+                crossing.from_m,
+                crossing.to_m - 0.01,
+                |cell| !self.claims.ego_on(cell),
+            )
     }
 
     /// True if a vehicle with priority arrives before the agent has cleared its path.
@@ -194,7 +269,11 @@ impl Traffic {
             for conflict in &self.graph.road(lane).conflicts {
                 let (from_m, to_m) = (conflict.from_m + start_m, conflict.to_m + start_m);
                 if !conflict.goes_first && to_m > crossing.from_m && from_m < crossing.to_m {
-                    let out_s = seconds_for(to_m - agent.rear_m(), agent.speed_mps, agent.driver.idm.acceleration_mps2);
+                    let out_s = seconds_for(
+                        to_m - agent.rear_m(),
+                        agent.speed_mps,
+                        agent.driver.idm.acceleration_mps2,
+                    );
                     if self.somebody_comes(agent, conflict, out_s + agent.driver.gap_s) {
                         return true;
                     }
@@ -211,17 +290,29 @@ impl Traffic {
         let mut open = vec![(conflict.other, 0.0_f64)];
         while let Some((lane, start_m)) = open.pop() {
             let entries = self.order.on(lane);
-            let last = entries.partition_point(|entry| entry.middle_m + start_m < conflict.other_to_m);
+            let last =
+                entries.partition_point(|entry| entry.middle_m + start_m < conflict.other_to_m);
             let comes = |number: u32| {
                 let other = self.agents.get(number as usize);
-                other.is_none_or(|other| other.path[other.here..].iter().take(8).any(|&lane| lane == conflict.other))
+                other.is_none_or(|other| {
+                    other.path[other.here..]
+                        .iter()
+                        .take(8)
+                        .any(|&lane| lane == conflict.other)
+                })
             };
-            let others = entries[..last].iter().rev().filter(|entry| entry.agent as usize != agent.number);
+            let others = entries[..last]
+                .iter()
+                .rev()
+                .filter(|entry| entry.agent as usize != agent.number);
             if let Some(entry) = others.clone().find(|entry| comes(entry.agent)) {
                 let distance_m = conflict.other_from_m - entry.front_m - start_m;
-                // Whoever is in the conflict has claimed it: that is another matter.
-                let granted =
-                    self.agents.get(entry.agent as usize).and_then(|other| other.crossing).is_some_and(|run| run.granted);
+                // A vehicle in the conflict has reserved it: that is checked elsewhere.
+                let granted = self
+                    .agents
+                    .get(entry.agent as usize)
+                    .and_then(|other| other.crossing)
+                    .is_some_and(|run| run.granted);
                 if !granted && distance_m > -stopping_m(entry.speed_mps) {
                     if seconds_for(distance_m.max(0.0), entry.speed_mps, START_MPS2) < within_s {
                         return true;
@@ -231,7 +322,11 @@ impl Traffic {
             }
             if conflict.other_from_m - start_m < GIVE_WAY_M && open.len() < 16 {
                 let before = &self.graph.road(lane).predecessors;
-                open.extend(before.iter().map(|&before| (before, start_m - length_of(self.graph.lanes(), before))));
+                open.extend(
+                    before
+                        .iter()
+                        .map(|&before| (before, start_m - length_of(self.graph.lanes(), before))),
+                );
             }
         }
         false
@@ -240,5 +335,6 @@ impl Traffic {
 
 /// Duration of a distance from a speed at a constant acceleration, seconds.
 fn seconds_for(distance_m: f64, speed_mps: f64, acceleration_mps2: f64) -> f64 {
-    ((speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m).sqrt() - speed_mps) / acceleration_mps2
+    ((speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m).sqrt() - speed_mps)
+        / acceleration_mps2
 }

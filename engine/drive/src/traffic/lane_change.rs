@@ -1,5 +1,5 @@
-//! Changing lanes: who wants to, who may, and how it begins. The rest is a vehicle beside the middle of its lane (see `agent`), which
-//! counts as present on both lanes until it is over.
+//! Changing lanes: who wants to, who may, and how it begins. The rest is a vehicle beside the
+//! middle of its lane (see `agent`), which counts as present on both lanes until it is over.
 
 use glam::DVec2;
 
@@ -12,8 +12,8 @@ use super::mobil::{Change, Concerned, Side};
 use crate::polyline::wrapped;
 use crate::road_graph::length_of;
 
-/// A change takes so long, seconds, and at least so much of the road: meters, and lengths of the vehicle. Shorter ones would turn its nose
-/// out of the two lanes.
+/// A change takes so long, seconds, and at least so much of the road: meters, and lengths of the
+/// vehicle. Shorter ones would turn its nose out of the two lanes.
 const DURATION_S: f64 = 4.0;
 const HASTY_DURATION_S: f64 = 2.0;
 const LENGTH_M_MIN: f64 = 20.0;
@@ -25,7 +25,8 @@ const COOL_DOWN_S: f64 = 2.0;
 const SPEED_MPS_MIN: f64 = 1.5;
 /// Between the middles of two lanes, meters.
 const ASIDE_M: std::ops::Range<f64> = 1.5..6.0;
-/// By how much two lanes may differ in heading, and each of them turn meanwhile, radians: else their lengths differ.
+/// By how much two lanes may differ in heading, and each of them turn meanwhile, radians: else
+/// their lengths differ.
 const PARALLEL_RAD: f64 = 0.1;
 const TURN_RAD: f64 = 0.3;
 /// Distance within which followers are considered, meters: the fastest can stop within it.
@@ -44,12 +45,13 @@ struct Target {
 impl Traffic {
     /// Lets those change lanes whose turn it is to think of it.
     pub(super) fn change_lanes(&mut self, dt_s: f64) {
-        // Everybody once in a period, spread evenly over its steps.
+        // Each agent once per period, spread evenly over its steps.
         let steps = (PERIOD_S / dt_s).round().max(1.0) as u64;
         let first = (self.steps % steps) as usize;
         for number in (first..self.agents.len()).step_by(steps as usize) {
             let agent = &self.agents[number];
-            let ready = agent.changes_lanes && agent.cool_down_s == 0.0 && agent.speed_mps >= SPEED_MPS_MIN;
+            let ready =
+                agent.changes_lanes && agent.cool_down_s == 0.0 && agent.speed_mps >= SPEED_MPS_MIN;
             if ready && agent.brake.is_none() {
                 self.consider_change(number);
             }
@@ -61,9 +63,15 @@ impl Traffic {
         let road = self.graph.road(agent.lane());
         let mut best: Option<(f64, Target)> = None;
         for (lane, side) in [(road.left, Side::Left), (road.right, Side::Right)] {
-            let Some(target) = lane.and_then(|lane| self.target(agent, lane, DURATION_S)) else { continue };
-            let Some(incentive) = self.incentive(agent, &target, side) else { continue };
-            if incentive > best.as_ref().map_or(0.0, |best| best.0) && self.is_safe(agent, &target, true) {
+            let Some(target) = lane.and_then(|lane| self.target(agent, lane, DURATION_S)) else {
+                continue;
+            };
+            let Some(incentive) = self.incentive(agent, &target, side) else {
+                continue;
+            };
+            if incentive > best.as_ref().map_or(0.0, |best| best.0)
+                && self.is_safe(agent, &target, true)
+            {
                 best = Some((incentive, target));
             }
         }
@@ -72,8 +80,8 @@ impl Traffic {
         }
     }
 
-    /// Changes into the lane beside that the ego is on, whatever the gap to it. `None` where it is on none of them, else whether the
-    /// change began.
+    /// Changes into the lane beside that the ego is on, whatever the gap to it. `None` where it is
+    /// on none of them, else whether the change began.
     pub(super) fn cut_in(&mut self, number: usize) -> Option<bool> {
         let agent = &self.agents[number];
         let ego = self.ego.as_ref()?;
@@ -81,23 +89,35 @@ impl Traffic {
         let on_it = |lane: usize| {
             // The ego may still be on the lane before, or already on the next.
             let near = self.graph.road(lane);
-            let mut lanes = near.predecessors.iter().chain(&near.successors).chain([&lane]);
+            let mut lanes = near
+                .predecessors
+                .iter()
+                .chain(&near.successors)
+                .chain([&lane]);
             lanes.any(|&lane| ego.entries.iter().any(|entry| entry.lane as usize == lane))
         };
-        let own = ego.entries.iter().any(|entry| entry.lane as usize == agent.lane());
-        let lane = [road.left, road.right].into_iter().flatten().find(|&lane| on_it(lane) && !own)?;
+        let own = ego
+            .entries
+            .iter()
+            .any(|entry| entry.lane as usize == agent.lane());
+        let lane = [road.left, road.right]
+            .into_iter()
+            .flatten()
+            .find(|&lane| on_it(lane) && !own)?;
         if agent.aside.is_some() {
             return Some(false);
         }
-        let target = self.target(agent, lane, HASTY_DURATION_S).filter(|target| self.is_safe(agent, target, false));
+        let target = self
+            .target(agent, lane, HASTY_DURATION_S)
+            .filter(|target| self.is_safe(agent, target, false));
         if let Some(target) = &target {
             self.begin_change(number, target);
         }
         Some(target.is_some())
     }
 
-    /// The place beside an agent on another lane, where both lanes run side by side, and nobody crosses them, for as long as a change
-    /// takes.
+    /// The place beside an agent on another lane, where both lanes run side by side, and nobody
+    /// crosses them, for as long as a change takes.
     fn target(&self, agent: &Agent, lane: usize, duration_s: f64) -> Option<Target> {
         if agent.aside.is_some() {
             return None;
@@ -108,14 +128,23 @@ impl Traffic {
         let at = own.line.at(agent.arc_m).truncate();
         let foot = other.line.project(at);
         let reach_m = length_m + agent.half_m + 2.0;
-        let within =
-            |arc_m: f64, lane: usize| arc_m > agent.half_m + 1.0 && arc_m + reach_m < length_of(self.graph.lanes(), lane);
-        if !within(agent.arc_m, agent.lane()) || !within(foot.arc_m, lane) || !ASIDE_M.contains(&foot.distance_m) {
+        let within = |arc_m: f64, lane: usize| {
+            arc_m > agent.half_m + 1.0 && arc_m + reach_m < length_of(self.graph.lanes(), lane)
+        };
+        if !within(agent.arc_m, agent.lane())
+            || !within(foot.arc_m, lane)
+            || !ASIDE_M.contains(&foot.distance_m)
+        {
             return None;
         }
-        let turns = |line: &crate::Polyline, arc_m: f64| wrapped(line.heading_at(arc_m + reach_m) - line.heading_at(arc_m)).abs();
+        let turns = |line: &crate::Polyline, arc_m: f64| {
+            wrapped(line.heading_at(arc_m + reach_m) - line.heading_at(arc_m)).abs()
+        };
         let apart = wrapped(foot.heading_rad - own.line.heading_at(agent.arc_m)).abs();
-        if apart > PARALLEL_RAD || turns(&other.line, foot.arc_m) > TURN_RAD || turns(&own.line, agent.arc_m) > TURN_RAD {
+        if apart > PARALLEL_RAD
+            || turns(&other.line, foot.arc_m) > TURN_RAD
+            || turns(&own.line, agent.arc_m) > TURN_RAD
+        {
             return None;
         }
         let crossed = |lane: usize, arc_m: f64| {
@@ -123,12 +152,20 @@ impl Traffic {
             let stretches = self.graph.cells().stretches(lane).iter();
             let forks = &self.graph.road(lane).forks;
             let blocks = self.claims.blocks.iter().filter(|block| block.lane == lane);
-            stretches.clone().any(|stretch| stretch.from_m < to_m && stretch.to_m > from_m)
+            stretches
+                .clone()
+                .any(|stretch| stretch.from_m < to_m && stretch.to_m > from_m)
                 || forks.iter().any(|fork| fork.to_m > from_m)
-                || blocks.clone().any(|block| block.from_m < to_m && block.to_m > from_m)
+                || blocks
+                    .clone()
+                    .any(|block| block.from_m < to_m && block.to_m > from_m)
         };
         let clear = !crossed(agent.lane(), agent.arc_m) && !crossed(lane, foot.arc_m);
-        clear.then_some(Target { lane, arc_m: foot.arc_m, length_m })
+        clear.then_some(Target {
+            lane,
+            arc_m: foot.arc_m,
+            length_m,
+        })
     }
 
     /// Gain of a change by MOBIL; `None` if it violates the safety criterion.
@@ -146,8 +183,16 @@ impl Traffic {
             old_follower: old.of_follower(own_rear(agent.arc_m), old.leader),
         };
         let (own, other) = (self.graph.road(agent.lane()), self.graph.road(target.lane));
-        let onward = if other.onward_m - target.arc_m > own.onward_m - agent.arc_m + 100.0 { DEAD_END_MPS2 } else { 0.0 };
-        let urgent = if own.onward_m - agent.arc_m < 20.0 * agent.speed_mps { onward } else { 0.0 };
+        let onward = if other.onward_m - target.arc_m > own.onward_m - agent.arc_m + 100.0 {
+            DEAD_END_MPS2
+        } else {
+            0.0
+        };
+        let urgent = if own.onward_m - agent.arc_m < 20.0 * agent.speed_mps {
+            onward
+        } else {
+            0.0
+        };
         Some(agent.driver.mobil.incentive(&concerned, side)? + urgent)
     }
 
@@ -161,14 +206,30 @@ impl Traffic {
     /// Leader and follower of an agent on a lane.
     fn neighbors(&self, agent: &Agent, lane: usize, path: &[usize], arc_m: f64) -> Neighbors {
         let mut found = Neighbors::default();
-        each_ahead(&self.graph, &self.order, (agent.number, path, 0, arc_m), BEHIND_M, |seen| {
-            found.leader = Some((seen.rear_m, seen.speed_mps));
-            false
-        });
-        let behind = behind(&self.graph, &self.order, agent.number, lane, arc_m, BEHIND_M);
+        each_ahead(
+            &self.graph,
+            &self.order,
+            (agent.number, path, 0, arc_m),
+            BEHIND_M,
+            |seen| {
+                found.leader = Some((seen.rear_m, seen.speed_mps));
+                false
+            },
+        );
+        let behind = behind(
+            &self.graph,
+            &self.order,
+            agent.number,
+            lane,
+            arc_m,
+            BEHIND_M,
+        );
         let nearest = behind.iter().max_by(|a, b| a.front_m.total_cmp(&b.front_m));
         found.follower = nearest.map(|follower| {
-            let idm = self.agents.get(follower.agent as usize).map_or_else(IdmParameters::default, Agent::idm);
+            let idm = self
+                .agents
+                .get(follower.agent as usize)
+                .map_or_else(IdmParameters::default, Agent::idm);
             (idm, follower.front_m, follower.speed_mps)
         });
         found
@@ -181,16 +242,33 @@ impl Traffic {
         let own_stopping_m = stopping_m(agent.speed_mps);
         let counts = |number: u32| mind_ego || number != EGO;
         let mut safe = true;
-        each_ahead(&self.graph, &self.order, (agent.number, &[target.lane], 0, target.arc_m), BEHIND_M, |seen| {
-            let room = seen.rear_m - front_m >= GAP_M && seen.stop_rear_m - front_m - own_stopping_m >= GAP_M;
-            safe &= room || !counts(seen.agent);
-            safe && !seen.same_way
-        });
-        let behind = behind(&self.graph, &self.order, agent.number, target.lane, target.arc_m, BEHIND_M);
-        safe && behind.iter().filter(|other| counts(other.agent)).all(|other| {
-            let stop_m = other.front_m + stopping_m(other.speed_mps);
-            rear_m - other.front_m >= GAP_M && rear_m + own_stopping_m - stop_m >= GAP_M
-        })
+        each_ahead(
+            &self.graph,
+            &self.order,
+            (agent.number, &[target.lane], 0, target.arc_m),
+            BEHIND_M,
+            |seen| {
+                let room = seen.rear_m - front_m >= GAP_M
+                    && seen.stop_rear_m - front_m - own_stopping_m >= GAP_M;
+                safe &= room || !counts(seen.agent);
+                safe && !seen.same_way
+            },
+        );
+        let behind = behind(
+            &self.graph,
+            &self.order,
+            agent.number,
+            target.lane,
+            target.arc_m,
+            BEHIND_M,
+        );
+        safe && behind
+            .iter()
+            .filter(|other| counts(other.agent))
+            .all(|other| {
+                let stop_m = other.front_m + stopping_m(other.speed_mps);
+                rear_m - other.front_m >= GAP_M && rear_m + own_stopping_m - stop_m >= GAP_M
+            })
     }
 
     fn begin_change(&mut self, number: usize, target: &Target) {
@@ -201,9 +279,18 @@ impl Traffic {
         agent.extend_path(graph, self.seed);
         let (on_lane_m, yaw_rad) = agent.pose_at(graph, 0.0, None);
         let offset_m = DVec2::from_angle(-yaw_rad).rotate(position_m - on_lane_m);
-        let kind = AsideKind::Change { from, from_arc_m, offset_m };
-        agent.aside = Some(Aside { traveled_m: 0.0, length_m: target.length_m, kind });
-        (agent.crossing, agent.clear_m, agent.held_up, agent.waited_s) = (None, f64::NEG_INFINITY, false, 0.0);
+        let kind = AsideKind::Change {
+            from,
+            from_arc_m,
+            offset_m,
+        };
+        agent.aside = Some(Aside {
+            traveled_m: 0.0,
+            length_m: target.length_m,
+            kind,
+        });
+        (agent.crossing, agent.clear_m, agent.held_up, agent.waited_s) =
+            (None, f64::NEG_INFINITY, false, 0.0);
         agent.cool_down_s = target.length_m / agent.speed_mps.max(1.0) + COOL_DOWN_S;
         self.order.build(graph, &self.agents, self.ego.as_ref());
         self.claims.claim(graph, &self.agents[number]);
@@ -222,11 +309,19 @@ struct Neighbors {
 impl Neighbors {
     /// Change of the follower's acceleration when its leader's rear and speed change.
     fn of_follower(&self, before: Option<(f64, f64)>, after: Option<(f64, f64)>) -> Change {
-        let Some((idm, front_m, speed_mps)) = &self.follower else { return Change::default() };
+        let Some((idm, front_m, speed_mps)) = &self.follower else {
+            return Change::default();
+        };
         let behind = |leader: Option<(f64, f64)>| {
-            let leader = leader.map(|(rear_m, speed_mps)| Leader { gap_m: rear_m - front_m, speed_mps });
+            let leader = leader.map(|(rear_m, speed_mps)| Leader {
+                gap_m: rear_m - front_m,
+                speed_mps,
+            });
             idm.acceleration(*speed_mps, leader)
         };
-        Change { before_mps2: behind(before), after_mps2: behind(after) }
+        Change {
+            before_mps2: behind(before),
+            after_mps2: behind(after),
+        }
     }
 }

@@ -15,12 +15,13 @@ pub(super) const DEAD_END: u32 = u32::MAX - 1;
 /// little longer there.
 const LEAVING_SHARE: f64 = 0.9;
 
-/// A vehicle on a lane; one on several has an entry on each. Places are meters along the lane, before and beyond it too.
+/// A vehicle on a lane; one on several has an entry on each. Places are meters along the lane,
+/// before and beyond it too.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
     pub lane: u32,
     pub agent: u32,
-    /// The lane that it goes on in, [`NO_LANE`] or [`DEAD_END`].
+    /// The lane that it continues in, [`NO_LANE`] or [`DEAD_END`].
     pub next: u32,
     pub middle_m: f64,
     pub rear_m: f64,
@@ -44,8 +45,12 @@ impl LaneOrder {
             self.add(graph, agent);
         }
         self.entries.extend(ego.iter().flat_map(|ego| &ego.entries));
-        self.entries
-            .sort_unstable_by(|a, b| a.lane.cmp(&b.lane).then(a.middle_m.total_cmp(&b.middle_m)).then(a.agent.cmp(&b.agent)));
+        self.entries.sort_unstable_by(|a, b| {
+            a.lane
+                .cmp(&b.lane)
+                .then(a.middle_m.total_cmp(&b.middle_m))
+                .then(a.agent.cmp(&b.agent))
+        });
         self.starts.clear();
         self.starts.resize(graph.lanes_in_map() + 1, 0);
         for entry in &self.entries {
@@ -89,20 +94,34 @@ impl LaneOrder {
                     let rear_m = behind_fork(own.rear_m, fork.lead_m);
                     let stop_rear_m = behind_fork(own.stop_rear_m, fork.lead_m);
                     let middle_m = rear_m + agent.half_m;
-                    self.entries.push(Entry { rear_m, stop_rear_m, middle_m, front_m: rear_m + 2.0 * agent.half_m, ..own });
+                    self.entries.push(Entry {
+                        rear_m,
+                        stop_rear_m,
+                        middle_m,
+                        front_m: rear_m + 2.0 * agent.half_m,
+                        ..own
+                    });
                 }
             }
             middle_m -= length_of(graph.lanes(), lane);
             at += 1;
         }
-        if let Some(AsideKind::Change { from, from_arc_m, .. }) = agent.aside.as_ref().map(|aside| &aside.kind) {
-            self.entries.push(entry(*from, NO_LANE, *from_arc_m, LEAVING_SHARE));
+        if let Some(AsideKind::Change {
+            from, from_arc_m, ..
+        }) = agent.aside.as_ref().map(|aside| &aside.kind)
+        {
+            self.entries
+                .push(entry(*from, NO_LANE, *from_arc_m, LEAVING_SHARE));
         }
     }
 }
 
 /// Rear position on a lane of a vehicle on another lane of the same fork. It never falls while the
-/// vehicle moves on, so whoever could stop behind it still can.
+/// vehicle moves on, so a vehicle that could stop behind it still can.
 pub(super) fn behind_fork(rear_m: f64, lead_m: f64) -> f64 {
-    if rear_m < 0.0 { rear_m } else { (rear_m - lead_m).max(0.0) }
+    if rear_m < 0.0 {
+        rear_m
+    } else {
+        (rear_m - lead_m).max(0.0)
+    }
 }

@@ -70,13 +70,19 @@ pub enum TrafficError {
 }
 
 impl Traffic {
-    /// Traffic of `agents` on the lanes of `graph`, in the scenario's order. `seed` decides their ways at crossings.
+    /// Traffic of `agents` on the lanes of `graph`, in the scenario's order. `seed` decides their
+    /// ways at crossings.
     ///
-    /// Who asks for a speed at which he could not stop for who is ahead, or before a crossing that is not free, starts slower.
+    /// Who asks for a speed at which he could not stop for who is ahead, or before a crossing that
+    /// is not free, starts slower.
     ///
     /// # Errors
     /// An unknown lane, a place beyond it, a number that is no vehicle's, agents that overlap.
-    pub fn new(graph: Arc<RoadGraph>, agents: &[TrafficAgent], seed: u64) -> Result<Self, TrafficError> {
+    pub fn new(
+        graph: Arc<RoadGraph>,
+        agents: &[TrafficAgent],
+        seed: u64,
+    ) -> Result<Self, TrafficError> {
         agents.iter().try_for_each(check)?;
         let graph = roads_for(graph, agents)?;
         let mut placed = Vec::with_capacity(agents.len());
@@ -101,7 +107,10 @@ impl Traffic {
         traffic.order.build(&traffic.graph, &traffic.agents, None);
         traffic.claims.build(&traffic.graph, &traffic.agents, None);
         if let Some((first, second)) = traffic.first_overlap() {
-            return Err(TrafficError::Overlap { first: agents[first].name.clone(), second: agents[second].name.clone() });
+            return Err(TrafficError::Overlap {
+                first: agents[first].name.clone(),
+                second: agents[second].name.clone(),
+            });
         }
         traffic.raise_speeds(agents);
         for agent in &mut traffic.agents {
@@ -115,19 +124,33 @@ impl Traffic {
     fn first_overlap(&self) -> Option<(usize, usize)> {
         for agent in &self.agents {
             let mut other = None;
-            each_ahead(&self.graph, &self.order, (agent.number, &agent.path, agent.here, agent.arc_m), 60.0, |seen| {
-                if seen.rear_m - agent.front_m() < GAP_M {
-                    other = Some(seen.agent as usize);
-                }
-                other.is_none()
-            });
-            each_cell(&self.graph, agent, agent.rear_m(), agent.front_m(), |cell| {
-                if self.claims.conflict(&self.graph, cell, agent.number) {
-                    other = other.or_else(|| self.nearest(agent.number));
-                }
-                other.is_none()
-            });
-            other = other.or_else(|| self.beside_on_fork(agent)).or_else(|| self.touching(agent.number));
+            each_ahead(
+                &self.graph,
+                &self.order,
+                (agent.number, &agent.path, agent.here, agent.arc_m),
+                60.0,
+                |seen| {
+                    if seen.rear_m - agent.front_m() < GAP_M {
+                        other = Some(seen.agent as usize);
+                    }
+                    other.is_none()
+                },
+            );
+            each_cell(
+                &self.graph,
+                agent,
+                agent.rear_m(),
+                agent.front_m(),
+                |cell| {
+                    if self.claims.conflict(&self.graph, cell, agent.number) {
+                        other = other.or_else(|| self.nearest(agent.number));
+                    }
+                    other.is_none()
+                },
+            );
+            other = other
+                .or_else(|| self.beside_on_fork(agent))
+                .or_else(|| self.touching(agent.number));
             if let Some(other) = other {
                 return Some((agent.number.min(other), agent.number.max(other)));
             }
@@ -135,33 +158,55 @@ impl Traffic {
         None
     }
 
-    /// Somebody on another lane of a fork who is neither ahead of an agent nor behind it.
+    /// Vehicle on another lane of a fork that is neither ahead of an agent nor behind it.
     fn beside_on_fork(&self, agent: &Agent) -> Option<usize> {
-        self.graph.road(agent.lane()).forks.iter().filter(|fork| agent.rear_m() < fork.to_m).find_map(|fork| {
-            let back = self.graph.road(fork.other).forks.iter().find(|back| back.other == agent.lane())?;
-            let beside = |other: &&Agent| {
-                let apart_m = (other.arc_m - agent.arc_m).abs() - other.half_m - agent.half_m;
-                other.lane() == fork.other && other.rear_m() < back.to_m && apart_m < fork.lead_m.max(back.lead_m) + GAP_M
-            };
-            self.agents.iter().find(beside).map(|other| other.number)
-        })
+        self.graph
+            .road(agent.lane())
+            .forks
+            .iter()
+            .filter(|fork| agent.rear_m() < fork.to_m)
+            .find_map(|fork| {
+                let back = self
+                    .graph
+                    .road(fork.other)
+                    .forks
+                    .iter()
+                    .find(|back| back.other == agent.lane())?;
+                let beside = |other: &&Agent| {
+                    let apart_m = (other.arc_m - agent.arc_m).abs() - other.half_m - agent.half_m;
+                    other.lane() == fork.other
+                        && other.rear_m() < back.to_m
+                        && apart_m < fork.lead_m.max(back.lead_m) + GAP_M
+                };
+                self.agents.iter().find(beside).map(|other| other.number)
+            })
     }
 
-    /// Somebody whose box is at an agent's.
+    /// Vehicle whose box overlaps an agent's.
     fn touching(&self, number: usize) -> Option<usize> {
         let at_m = self.states[number].position_m;
-        let outline = |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
-        let reach_m = |other: usize| self.agents[number].size.length_m + self.agents[other].size.length_m;
-        let near = |&other: &usize| other != number && self.states[other].position_m.distance(at_m) < reach_m(other);
-        (0..self.agents.len()).filter(near).find(|&other| outline(number).distance_m(&outline(other)) < 0.1)
+        let outline =
+            |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
+        let reach_m =
+            |other: usize| self.agents[number].size.length_m + self.agents[other].size.length_m;
+        let near = |&other: &usize| {
+            other != number && self.states[other].position_m.distance(at_m) < reach_m(other)
+        };
+        (0..self.agents.len())
+            .filter(near)
+            .find(|&other| outline(number).distance_m(&outline(other)) < 0.1)
     }
 
     /// The agent whose box is nearest to another's.
     fn nearest(&self, number: usize) -> Option<usize> {
-        let outline = |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
+        let outline =
+            |number: usize| OrientedBox::of(&self.states[number], &self.agents[number].size);
         let own = outline(number);
         let others = (0..self.agents.len()).filter(|&other| other != number);
-        others.map(|other| (own.distance_m(&outline(other)), other)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|found| found.1)
+        others
+            .map(|other| (own.distance_m(&outline(other)), other))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|found| found.1)
     }
 
     /// Raises each agent's speed to its requested one, or to the fastest that is safe behind slow
@@ -171,7 +216,9 @@ impl Traffic {
             let mut raised = false;
             for (number, asked) in asked.iter().enumerate() {
                 self.find_crossing(number);
-                let crossed_m = self.agents[number].crossing.map_or(f64::INFINITY, |crossing| crossing.from_m);
+                let crossed_m = self.agents[number]
+                    .crossing
+                    .map_or(f64::INFINITY, |crossing| crossing.from_m);
                 let wants_m = self.agents[number].front_m() + stopping_m(asked.speed_mps);
                 if wants_m > crossed_m - 1.0 {
                     self.grant_at_start(number);
@@ -180,13 +227,25 @@ impl Traffic {
                 let mut limit_m = agent.clear_m - 1.0;
                 if let Some(crossing) = agent.crossing {
                     let clearance_m = self.clearance_m(agent);
-                    limit_m = limit_m.min(if crossing.granted { crossing.to_m + clearance_m } else { crossing.from_m } - 0.1);
+                    limit_m = limit_m.min(
+                        if crossing.granted {
+                            crossing.to_m + clearance_m
+                        } else {
+                            crossing.from_m
+                        } - 0.1,
+                    );
                 }
                 limit_m = limit_m.min(agent.end_m(&self.graph).unwrap_or(f64::INFINITY) - 0.1);
-                each_ahead(&self.graph, &self.order, (number, &agent.path, agent.here, agent.arc_m), 400.0, |seen| {
-                    limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
-                    !seen.same_way
-                });
+                each_ahead(
+                    &self.graph,
+                    &self.order,
+                    (number, &agent.path, agent.here, agent.arc_m),
+                    400.0,
+                    |seen| {
+                        limit_m = limit_m.min(seen.stop_rear_m - 2.0 * GAP_M);
+                        !seen.same_way
+                    },
+                );
                 let safe_mps = (2.0 * BRAKING_MPS2 * (limit_m - agent.front_m()).max(0.0)).sqrt();
                 let speed_mps = asked.speed_mps.min(safe_mps);
                 if speed_mps > agent.speed_mps + 1e-3 {
@@ -212,35 +271,69 @@ fn check(agent: &TrafficAgent) -> Result<(), TrafficError> {
     ];
     for (what, value, range, expected) in numbers {
         if !range.contains(&value) {
-            return Err(TrafficError::NotAVehicle { agent: agent.name.clone(), what, value, expected });
+            return Err(TrafficError::NotAVehicle {
+                agent: agent.name.clone(),
+                what,
+                value,
+                expected,
+            });
         }
     }
     Ok(())
 }
 
 /// The graph, or one for larger vehicles where some are.
-fn roads_for(graph: Arc<RoadGraph>, agents: &[TrafficAgent]) -> Result<Arc<RoadGraph>, TrafficError> {
+fn roads_for(
+    graph: Arc<RoadGraph>,
+    agents: &[TrafficAgent],
+) -> Result<Arc<RoadGraph>, TrafficError> {
     let mut largest = graph.vehicle();
-    for VehicleSize { length_m, width_m, .. } in agents.iter().map(|agent| agent.size) {
-        (largest.length_m, largest.width_m) = (largest.length_m.max(length_m), largest.width_m.max(width_m));
+    for VehicleSize {
+        length_m, width_m, ..
+    } in agents.iter().map(|agent| agent.size)
+    {
+        (largest.length_m, largest.width_m) =
+            (largest.length_m.max(length_m), largest.width_m.max(width_m));
     }
     if largest == graph.vehicle() {
         return Ok(graph);
     }
     let graph = Arc::try_unwrap(graph).unwrap_or_else(|graph| (*graph).clone());
-    graph.for_vehicle(largest).map(Arc::new).map_err(TrafficError::Roads)
+    graph
+        .for_vehicle(largest)
+        .map(Arc::new)
+        .map_err(TrafficError::Roads)
 }
 
 /// An agent on its lane, standing, its path known.
-fn place(graph: &RoadGraph, number: usize, agent: &TrafficAgent, seed: u64) -> Result<Agent, TrafficError> {
-    let unknown = || TrafficError::UnknownLane { agent: agent.name.clone(), lane: agent.lane.clone() };
+fn place(
+    graph: &RoadGraph,
+    number: usize,
+    agent: &TrafficAgent,
+    seed: u64,
+) -> Result<Agent, TrafficError> {
+    let unknown = || TrafficError::UnknownLane {
+        agent: agent.name.clone(),
+        lane: agent.lane.clone(),
+    };
     let lane = graph.find(&agent.lane).ok_or_else(unknown)?;
     let length_m = length_of(graph.lanes(), lane);
     if !(0.0..=length_m).contains(&agent.at_m) {
         let (name, lane) = (agent.name.clone(), agent.lane.clone());
-        return Err(TrafficError::BeyondLane { agent: name, lane, at_m: agent.at_m, length_m });
+        return Err(TrafficError::BeyondLane {
+            agent: name,
+            lane,
+            at_m: agent.at_m,
+            length_m,
+        });
     }
-    let mut placed = Agent::new(number, agent.size, Driver::from(agent.driver), lane, agent.at_m);
+    let mut placed = Agent::new(
+        number,
+        agent.size,
+        Driver::from(agent.driver),
+        lane,
+        agent.at_m,
+    );
     placed.changes_lanes = agent.changes_lanes;
     placed.phases = vec![Phase::Waiting; agent.behaviors.len()];
     // Its rear may be on the lane before: the one that bends least.
@@ -251,7 +344,13 @@ fn place(graph: &RoadGraph, number: usize, agent: &TrafficAgent, seed: u64) -> R
             let line = &graph.road(lane).line;
             wrapped(line.heading_at(line.length_m()) - road.line.heading_at(0.0)).abs()
         };
-        let Some(&before) = road.predecessors.iter().min_by(|a, b| bend(a).total_cmp(&bend(b))) else { break };
+        let Some(&before) = road
+            .predecessors
+            .iter()
+            .min_by(|a, b| bend(a).total_cmp(&bend(b)))
+        else {
+            break;
+        };
         placed.path.insert(0, before);
         placed.here += 1;
         behind_m += length_of(graph.lanes(), before);

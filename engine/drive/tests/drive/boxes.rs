@@ -8,19 +8,29 @@ use proptest::prelude::*;
 const HORIZON_S: f64 = 10.0;
 
 fn car(x: f64, y: f64, yaw_rad: f64) -> OrientedBox {
-    let state = VehicleState { position_m: DVec2::new(x, y), yaw_rad, ..VehicleState::default() };
+    let state = VehicleState {
+        position_m: DVec2::new(x, y),
+        yaw_rad,
+        ..VehicleState::default()
+    };
     OrientedBox::of(&state, &VehicleSize::CAR)
 }
 
 /// True if two outlines cross, or one is within the other.
 fn touch(a: &[DVec2; 4], b: &[DVec2; 4]) -> bool {
     let side = |from: DVec2, to: DVec2, at: DVec2| (to - from).perp_dot(at - from);
-    let within = |outline: &[DVec2; 4], at: DVec2| (0..4).all(|k| side(outline[k], outline[(k + 1) % 4], at) >= 0.0);
+    let within = |outline: &[DVec2; 4], at: DVec2| {
+        (0..4).all(|k| side(outline[k], outline[(k + 1) % 4], at) >= 0.0)
+    };
     let edges = |outline: &[DVec2; 4]| [0, 1, 2, 3].map(|k| (outline[k], outline[(k + 1) % 4]));
     let cross = |(p, q): (DVec2, DVec2), (r, s): (DVec2, DVec2)| {
         side(p, q, r) * side(p, q, s) <= 0.0 && side(r, s, p) * side(r, s, q) <= 0.0
     };
-    within(a, b[0]) || within(b, a[0]) || edges(a).iter().any(|&edge| edges(b).iter().any(|&other| cross(edge, other)))
+    within(a, b[0])
+        || within(b, a[0])
+        || edges(a)
+            .iter()
+            .any(|&edge| edges(b).iter().any(|&other| cross(edge, other)))
 }
 
 #[test]
@@ -32,41 +42,85 @@ fn closed_forms() {
     let ttc_s = time_to_collision(&a, 5.0 * east, &ahead, -5.0 * east, HORIZON_S).unwrap();
     assert!((ttc_s - 1.0).abs() < 1e-12);
     // As fast as the one ahead, or slower: never. Within the horizon or not.
-    assert_eq!(time_to_collision(&a, 5.0 * east, &ahead, 5.0 * east, HORIZON_S), None);
-    assert_eq!(time_to_collision(&a, 4.0 * east, &ahead, 5.0 * east, HORIZON_S), None);
+    assert_eq!(
+        time_to_collision(&a, 5.0 * east, &ahead, 5.0 * east, HORIZON_S),
+        None
+    );
+    assert_eq!(
+        time_to_collision(&a, 4.0 * east, &ahead, 5.0 * east, HORIZON_S),
+        None
+    );
     assert_eq!(time_to_collision(&a, east, &ahead, DVec2::ZERO, 9.9), None);
     assert!((time_to_collision(&a, east, &ahead, DVec2::ZERO, 10.1).unwrap() - 10.0).abs() < 1e-12);
     // In the next lane: past each other by 1.2 m, whatever the speed.
-    assert_eq!(time_to_collision(&a, 5.0 * east, &car(14.5, 3.0, 0.0), DVec2::ZERO, HORIZON_S), None);
-    // A corner first: one turned by 45 degrees reaches (4.5 + 1.8) / sqrt(8) from its middle, with a corner (4.5 - 1.8) / sqrt(8) aside.
+    assert_eq!(
+        time_to_collision(&a, 5.0 * east, &car(14.5, 3.0, 0.0), DVec2::ZERO, HORIZON_S),
+        None
+    );
+    // A corner first: one turned by 45 degrees reaches (4.5 + 1.8) / sqrt(8) from its middle, with
+    // a corner (4.5 - 1.8) / sqrt(8) aside.
     let turned = car(20.0, 2.7 / 8.0_f64.sqrt(), std::f64::consts::FRAC_PI_4);
     let gap_m = 20.0 - 2.25 - 6.3 / 8.0_f64.sqrt();
-    assert!((time_to_collision(&a, 10.0 * east, &turned, DVec2::ZERO, HORIZON_S).unwrap() - gap_m / 10.0).abs() < 1e-12);
+    assert!(
+        (time_to_collision(&a, 10.0 * east, &turned, DVec2::ZERO, HORIZON_S).unwrap()
+            - gap_m / 10.0)
+            .abs()
+            < 1e-12
+    );
     // Within one another.
-    assert_eq!(time_to_collision(&a, east, &car(0.5, 0.3, 1.0), -east, HORIZON_S), Some(0.0));
-    assert_eq!((a.distance_m(&car(4.0, 1.0, 0.2)), a.overlaps(&car(4.0, 1.0, 0.2))), (0.0, true));
+    assert_eq!(
+        time_to_collision(&a, east, &car(0.5, 0.3, 1.0), -east, HORIZON_S),
+        Some(0.0)
+    );
+    assert_eq!(
+        (
+            a.distance_m(&car(4.0, 1.0, 0.2)),
+            a.overlaps(&car(4.0, 1.0, 0.2))
+        ),
+        (0.0, true)
+    );
 }
 
 #[test]
 fn what_is_no_number_collides_with_nothing() {
     let a = car(0.0, 0.0, 0.0);
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        assert_eq!(time_to_collision(&a, DVec2::X, &car(bad, 0.0, 0.0), DVec2::ZERO, HORIZON_S), None);
-        assert_eq!(time_to_collision(&a, DVec2::splat(bad), &car(9.0, 0.0, 0.0), DVec2::ZERO, HORIZON_S), None);
+        assert_eq!(
+            time_to_collision(&a, DVec2::X, &car(bad, 0.0, 0.0), DVec2::ZERO, HORIZON_S),
+            None
+        );
+        assert_eq!(
+            time_to_collision(
+                &a,
+                DVec2::splat(bad),
+                &car(9.0, 0.0, 0.0),
+                DVec2::ZERO,
+                HORIZON_S
+            ),
+            None
+        );
         assert!(!a.overlaps(&car(bad, 0.0, 0.0)));
     }
-    assert_eq!(time_to_collision(&a, DVec2::X, &car(9.0, 0.0, 0.0), DVec2::ZERO, f64::NAN), None);
+    assert_eq!(
+        time_to_collision(&a, DVec2::X, &car(9.0, 0.0, 0.0), DVec2::ZERO, f64::NAN),
+        None
+    );
 }
 
 fn any_box() -> impl Strategy<Value = OrientedBox> {
-    (-15.0f64..15.0, -15.0f64..15.0, -3.2f64..3.2, 0.2f64..4.0, 0.2f64..2.0).prop_map(
-        |(x, y, yaw_rad, half_length_m, half_width_m)| OrientedBox {
+    (
+        -15.0f64..15.0,
+        -15.0f64..15.0,
+        -3.2f64..3.2,
+        0.2f64..4.0,
+        0.2f64..2.0,
+    )
+        .prop_map(|(x, y, yaw_rad, half_length_m, half_width_m)| OrientedBox {
             center_m: DVec2::new(x, y),
             yaw_rad,
             half_length_m,
             half_width_m,
-        },
-    )
+        })
 }
 
 fn any_velocity() -> impl Strategy<Value = DVec2> {
@@ -74,7 +128,10 @@ fn any_velocity() -> impl Strategy<Value = DVec2> {
 }
 
 fn moved(outline: &OrientedBox, by_m: DVec2) -> OrientedBox {
-    OrientedBox { center_m: outline.center_m + by_m, ..*outline }
+    OrientedBox {
+        center_m: outline.center_m + by_m,
+        ..*outline
+    }
 }
 
 proptest! {
@@ -88,7 +145,8 @@ proptest! {
         let at = |time_s: f64| touch(&a.corners(), &moved(&b, (vb - va) * time_s).corners());
         let stepped = (0..=4000).map(|step| f64::from(step) * STEP_S).find(|&time_s| at(time_s));
         match (found, stepped) {
-            // A touch shorter than a step may be stepped over: then the boxes hardly overlap in its middle.
+            // A touch shorter than a step may be stepped over: then the boxes hardly overlap in its
+            // middle.
             (Some(found_s), None) => prop_assert!(at(found_s + 1e-9) && !at(found_s + 2.0 * STEP_S), "{found_s}"),
             (Some(found_s), Some(stepped_s)) => {
                 prop_assert!(found_s <= stepped_s + 1e-9, "{found_s} {stepped_s}");

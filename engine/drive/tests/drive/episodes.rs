@@ -1,8 +1,11 @@
-//! Episodes that are made by hand: everybody moves as told.
+//! Episodes that are made by hand: all vehicles move as told.
 
 use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, PlannerRecord};
 use decouplegs_scene::scenario::{DriverKind, EgoTask, Place, TrafficAgent};
-use decouplegs_scene::{Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, Scenario, VehicleSize, VehicleState, Weather};
+use decouplegs_scene::{
+    Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, Scenario, VehicleSize, VehicleState,
+    Weather,
+};
 use glam::DVec2;
 
 pub(crate) const SIZE: VehicleSize = VehicleSize::CAR;
@@ -13,23 +16,48 @@ const SUBSTEPS: usize = 5;
 pub(crate) type Motion<'a> = Box<dyn Fn(f64) -> VehicleState + 'a>;
 
 pub(crate) fn state(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> VehicleState {
-    VehicleState { position_m: DVec2::new(x, y), yaw_rad, speed_mps, acceleration_mps2: 0.0 }
+    VehicleState {
+        position_m: DVec2::new(x, y),
+        yaw_rad,
+        speed_mps,
+        acceleration_mps2: 0.0,
+    }
 }
 
 /// At `x`, `y` at the start, straight on.
 pub(crate) fn straight<'a>(x: f64, y: f64, yaw_rad: f64, speed_mps: f64) -> Motion<'a> {
     Box::new(move |time_s| {
         let start = state(x, y, yaw_rad, speed_mps);
-        VehicleState { position_m: start.position_m + start.velocity() * time_s, ..start }
+        VehicleState {
+            position_m: start.position_m + start.velocity() * time_s,
+            ..start
+        }
     })
 }
 
 /// Along x from `x`, and from `y` to `to_y` between two moments.
-pub(crate) fn aside<'a>(x: f64, speed_mps: f64, [y, to_y]: [f64; 2], [from_s, to_s]: [f64; 2]) -> Motion<'a> {
+pub(crate) fn aside<'a>(
+    x: f64,
+    speed_mps: f64,
+    [y, to_y]: [f64; 2],
+    [from_s, to_s]: [f64; 2],
+) -> Motion<'a> {
     Box::new(move |time_s| {
-        let (share, going) = (((time_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0), (from_s..to_s).contains(&time_s));
-        let across_mps = if going { (to_y - y) / (to_s - from_s) } else { 0.0 };
-        state(x + speed_mps * time_s, y + share * (to_y - y), across_mps.atan2(speed_mps), speed_mps.hypot(across_mps))
+        let (share, going) = (
+            ((time_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0),
+            (from_s..to_s).contains(&time_s),
+        );
+        let across_mps = if going {
+            (to_y - y) / (to_s - from_s)
+        } else {
+            0.0
+        };
+        state(
+            x + speed_mps * time_s,
+            y + share * (to_y - y),
+            across_mps.atan2(speed_mps),
+            speed_mps.hypot(across_mps),
+        )
     })
 }
 
@@ -45,20 +73,32 @@ fn scenario(agents: usize) -> Scenario {
         changes_lanes: false,
         behaviors: vec![],
     };
-    let ego = EgoTask { route: vec!["lane".into()], start_m: 0.0, end_m: 100.0, speed_mps: 10.0, cruise_mps: 10.0, size: SIZE };
+    let ego = EgoTask {
+        route: vec!["lane".into()],
+        start_m: 0.0,
+        end_m: 100.0,
+        speed_mps: 10.0,
+        cruise_mps: 10.0,
+        size: SIZE,
+    };
     Scenario {
         name: "made".into(),
         level: Some(Level::Easy),
         seed: 0,
         duration_s: Scenario::DURATION_S,
         step_s: STEP_S,
-        place: Place::Street { weather: Weather::Clear, background: 0, agent_splats: 0, seed: 0 },
+        place: Place::Street {
+            weather: Weather::Clear,
+            background: 0,
+            agent_splats: 0,
+            seed: 0,
+        },
         ego,
         agents: (0..agents).map(agent).collect(),
     }
 }
 
-/// An episode of so many steps, in which everybody moves as told; the route leads 100 m along x.
+/// An episode of so many steps, in which all vehicles move as told; the route leads 100 m along x.
 pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: EpisodeEnd) -> Episode {
     let instant = |time_s: f64| EpisodeTick {
         time_s,
@@ -77,13 +117,23 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
     };
     let step = |step: usize| {
         let begin_s = step as f64 * STEP_S;
-        let at = |time_s: f64| PlanPoint { time_s, position_m: ego(begin_s).to_local(ego(begin_s + time_s).position_m) };
+        let at = |time_s: f64| PlanPoint {
+            time_s,
+            position_m: ego(begin_s).to_local(ego(begin_s + time_s).position_m),
+        };
         EpisodeStep {
             step: step as u32,
             images: vec![],
             plan: Plan::new((1..=6).map(|point| at(0.5 * f64::from(point))).collect()).unwrap(),
-            instants: (1..=SUBSTEPS).map(|sub| instant(begin_s + sub as f64 * STEP_S / SUBSTEPS as f64)).collect(),
+            instants: (1..=SUBSTEPS)
+                .map(|sub| instant(begin_s + sub as f64 * STEP_S / SUBSTEPS as f64))
+                .collect(),
         }
     };
-    Episode { head, start: instant(0.0), steps: (0..steps).map(step).collect(), end }
+    Episode {
+        head,
+        start: instant(0.0),
+        steps: (0..steps).map(step).collect(),
+        end,
+    }
 }

@@ -1,8 +1,11 @@
-//! Scenarios that are made up keep what their level promises, and begin with nothing that cannot be survived.
+//! Scenarios that are synthetic keep what their level promises, and begin with nothing that cannot
+//! be survived.
 
 use decouplegs_asset::read_map;
 use decouplegs_asset::street::{Street, StreetOptions};
-use decouplegs_drive::generate::{Area, GenerateError, Generator, PlaceOptions, agents_near, weathers};
+use decouplegs_drive::generate::{
+    Area, GenerateError, Generator, PlaceOptions, agents_near, weathers,
+};
 use decouplegs_drive::{OrientedBox, Polyline, RoadGraph, Route, Traffic};
 use decouplegs_scene::scenario::{DriverKind, Maneuver, Place, TrafficAgent};
 use decouplegs_scene::{Lane, LaneMap, Level, Scenario, VehicleSize, VehicleState};
@@ -20,12 +23,25 @@ struct Grounds {
 }
 
 fn street() -> Grounds {
-    let made = Street::generate(&StreetOptions { background: 0, agents: 1, agent_splats: 1, ..StreetOptions::default() });
-    let sizes = made.asset_dims_m.iter().map(|size| VehicleSize::from_array(size.map(f64::from))).collect();
+    let made = Street::generate(&StreetOptions {
+        background: 0,
+        agents: 1,
+        agent_splats: 1,
+        ..StreetOptions::default()
+    });
+    let sizes = made
+        .asset_dims_m
+        .iter()
+        .map(|size| VehicleSize::from_array(size.map(f64::from)))
+        .collect();
     Grounds {
         name: "street",
         map: made.lanes,
-        place: PlaceOptions::Street { background: 1000, agent_splats: 100, seed: 3 },
+        place: PlaceOptions::Street {
+            background: 1000,
+            agent_splats: 100,
+            seed: 3,
+        },
         sizes,
     }
 }
@@ -33,13 +49,29 @@ fn street() -> Grounds {
 /// A map of the test data, or nothing and a line that says so where there is none.
 fn roads(name: &'static str) -> Option<Grounds> {
     let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let path = std::env::var_os("DECOUPLEGS_DATA").map_or_else(default, PathBuf::from).join("maps").join(name);
+    let path = std::env::var_os("DECOUPLEGS_DATA")
+        .map_or_else(default, PathBuf::from)
+        .join("maps")
+        .join(name);
     if !path.exists() {
-        println!("skipped: {} is not there; set DECOUPLEGS_DATA to the folder of test data", path.display());
+        println!(
+            "skipped: {} is not there; set DECOUPLEGS_DATA to the folder of test data",
+            path.display()
+        );
         return None;
     }
-    let place = PlaceOptions::Roads { map: name.into(), skies: Vec::new(), background: 1000, agent_splats: 100 };
-    Some(Grounds { name, map: read_map(&path).unwrap(), place, sizes: vec![VehicleSize::CAR; 2] })
+    let place = PlaceOptions::Roads {
+        map: name.into(),
+        skies: Vec::new(),
+        background: 1000,
+        agent_splats: 100,
+    };
+    Some(Grounds {
+        name,
+        map: read_map(&path).unwrap(),
+        place,
+        sizes: vec![VehicleSize::CAR; 2],
+    })
 }
 
 impl Grounds {
@@ -48,9 +80,13 @@ impl Grounds {
     }
 }
 
-/// A lane of a map, looked at without the generator.
+/// A lane of a map, examined without the generator.
 fn lane_of<'a>(map: &'a LaneMap, id: &str) -> (usize, &'a Lane) {
-    map.lanes.iter().enumerate().find(|(_, lane)| lane.id == id).unwrap_or_else(|| panic!("no lane {id}"))
+    map.lanes
+        .iter()
+        .enumerate()
+        .find(|(_, lane)| lane.id == id)
+        .unwrap_or_else(|| panic!("no lane {id}"))
 }
 
 fn line_of(lane: &Lane) -> Polyline {
@@ -67,20 +103,49 @@ struct Starter {
     outline: OrientedBox,
 }
 
-fn starter(map: &LaneMap, name: &str, (lane, at_m): (&str, f64), speed_mps: f64, size: VehicleSize) -> Starter {
+fn starter(
+    map: &LaneMap,
+    name: &str,
+    (lane, at_m): (&str, f64),
+    speed_mps: f64,
+    size: VehicleSize,
+) -> Starter {
     let (lane, road) = lane_of(map, lane);
     let line = line_of(road);
-    let state = VehicleState { position_m: line.at(at_m).truncate(), yaw_rad: line.heading_at(at_m), ..VehicleState::default() };
-    Starter { name: name.into(), lane, at_m, speed_mps, size, outline: OrientedBox::of(&state, &size) }
+    let state = VehicleState {
+        position_m: line.at(at_m).truncate(),
+        yaw_rad: line.heading_at(at_m),
+        ..VehicleState::default()
+    };
+    Starter {
+        name: name.into(),
+        lane,
+        at_m,
+        speed_mps,
+        size,
+        outline: OrientedBox::of(&state, &size),
+    }
 }
 
 /// The ego, then the agents.
 fn starters(map: &LaneMap, scenario: &Scenario) -> Vec<Starter> {
     let ego = &scenario.ego;
-    let mut all = vec![starter(map, "the ego", (&ego.route[0], ego.start_m), ego.speed_mps, ego.size)];
-    all.extend(
-        scenario.agents.iter().map(|agent| starter(map, &agent.name, (&agent.lane, agent.at_m), agent.speed_mps, agent.size)),
-    );
+    let mut all = vec![starter(
+        map,
+        "the ego",
+        (&ego.route[0], ego.start_m),
+        ego.speed_mps,
+        ego.size,
+    )];
+    all.extend(scenario.agents.iter().map(|agent| {
+        starter(
+            map,
+            &agent.name,
+            (&agent.lane, agent.at_m),
+            agent.speed_mps,
+            agent.size,
+        )
+    }));
     all
 }
 
@@ -95,10 +160,17 @@ fn survives(gap_m: f64, follower_mps: f64, leader_mps: f64) -> bool {
 fn gaps_ahead(map: &LaneMap, all: &[Starter], from: usize, reach_m: f64) -> Vec<(usize, f64)> {
     let (mut open, mut gaps) = (vec![(all[from].lane, -all[from].at_m)], Vec::new());
     while let Some((lane, begin_m)) = open.pop() {
-        for (at, other) in all.iter().enumerate().filter(|(_, other)| other.lane == lane) {
+        for (at, other) in all
+            .iter()
+            .enumerate()
+            .filter(|(_, other)| other.lane == lane)
+        {
             let middles_m = begin_m + other.at_m;
             if middles_m > 0.0 {
-                gaps.push((at, middles_m - 0.5 * (all[from].size.length_m + other.size.length_m)));
+                gaps.push((
+                    at,
+                    middles_m - 0.5 * (all[from].size.length_m + other.size.length_m),
+                ));
             }
         }
         let end_m = begin_m + line_of(&map.lanes[lane]).length_m();
@@ -114,69 +186,135 @@ fn is_round(value: f64, parts: f64) -> bool {
 }
 
 fn has(agents: &[TrafficAgent], is: impl Fn(&Maneuver) -> bool) -> bool {
-    agents.iter().flat_map(|agent| &agent.behaviors).any(|behavior| is(&behavior.maneuver))
+    agents
+        .iter()
+        .flat_map(|agent| &agent.behaviors)
+        .any(|behavior| is(&behavior.maneuver))
 }
 
 fn check_behaviors(scenario: &Scenario, level: Level, what: &str) {
     let agents = &scenario.agents;
-    let brakes = has(agents, |maneuver| matches!(maneuver, Maneuver::Brake { .. }));
+    let brakes = has(agents, |maneuver| {
+        matches!(maneuver, Maneuver::Brake { .. })
+    });
     let cuts_in = has(agents, |maneuver| *maneuver == Maneuver::CutIn);
-    let swerves = has(agents, |maneuver| matches!(maneuver, Maneuver::Swerve { .. }));
+    let swerves = has(agents, |maneuver| {
+        matches!(maneuver, Maneuver::Swerve { .. })
+    });
     let drivers = |kinds: &[DriverKind]| agents.iter().all(|agent| kinds.contains(&agent.driver));
     match level {
         Level::Easy => {
-            assert!(agents.iter().all(|agent| agent.behaviors.is_empty() && !agent.changes_lanes), "{what}");
+            assert!(
+                agents
+                    .iter()
+                    .all(|agent| agent.behaviors.is_empty() && !agent.changes_lanes),
+                "{what}"
+            );
             assert!(drivers(&[DriverKind::Calm, DriverKind::Normal]), "{what}");
         }
         Level::Medium => {
-            assert!(agents.iter().all(|agent| agent.behaviors.is_empty()), "{what}");
+            assert!(
+                agents.iter().all(|agent| agent.behaviors.is_empty()),
+                "{what}"
+            );
             assert!(drivers(&[DriverKind::Calm, DriverKind::Normal]), "{what}");
         }
         Level::Hard => assert!(cuts_in || brakes, "{what}"),
         Level::Extreme => {
-            assert!(brakes && swerves && drivers(&[DriverKind::Hurried, DriverKind::Aggressive]), "{what}");
+            assert!(
+                brakes && swerves && drivers(&[DriverKind::Hurried, DriverKind::Aggressive]),
+                "{what}"
+            );
         }
     }
 }
 
-fn check_lead(scenario: &Scenario, all: &[Starter], gaps: &[(usize, f64)], level: Level, what: &str) {
+fn check_lead(
+    scenario: &Scenario,
+    all: &[Starter],
+    gaps: &[(usize, f64)],
+    level: Level,
+    what: &str,
+) {
     let Some(lead) = all.iter().position(|starter| starter.name == "lead") else {
         assert_eq!(level, Level::Easy, "{what}: nobody ahead");
         return;
     };
-    let (_, gap_m) = gaps.iter().find(|(at, _)| *at == lead).unwrap_or_else(|| panic!("{what}: the lead is not ahead"));
-    assert!((15.0..=40.0).contains(gap_m), "{what}: the lead is {gap_m} m ahead");
+    let (_, gap_m) = gaps
+        .iter()
+        .find(|(at, _)| *at == lead)
+        .unwrap_or_else(|| panic!("{what}: the lead is not ahead"));
+    assert!(
+        (15.0..=40.0).contains(gap_m),
+        "{what}: the lead is {gap_m} m ahead"
+    );
     if level != Level::Easy {
-        assert!(all[lead].speed_mps < all[0].speed_mps, "{what}: {} is no slower", all[lead].speed_mps);
+        assert!(
+            all[lead].speed_mps < all[0].speed_mps,
+            "{what}: {} is no slower",
+            all[lead].speed_mps
+        );
     }
-    assert!(scenario.ego.speed_mps >= 0.25 * scenario.ego.cruise_mps, "{what}: {}", scenario.ego.speed_mps);
+    assert!(
+        scenario.ego.speed_mps >= 0.25 * scenario.ego.cruise_mps,
+        "{what}: {}",
+        scenario.ego.speed_mps
+    );
 }
 
 /// All that a scenario promises at its start.
 fn check(grounds: &Grounds, scenario: &Scenario, level: Level, what: &str) {
     let (map, all) = (&grounds.map, starters(&grounds.map, scenario));
-    let near = |starter: &&Starter| starter.outline.center_m.distance(all[0].outline.center_m) <= 50.0;
+    let near =
+        |starter: &&Starter| starter.outline.center_m.distance(all[0].outline.center_m) <= 50.0;
     let (least, most) = agents_near(level);
     let count = all[1..].iter().filter(near).count();
-    assert!((least..=most).contains(&count), "{what}: {count} agents within 50 m");
+    assert!(
+        (least..=most).contains(&count),
+        "{what}: {count} agents within 50 m"
+    );
     for (at, a) in all.iter().enumerate() {
         for b in &all[..at] {
-            assert!(!a.outline.overlaps(&b.outline) && a.name != b.name, "{what}: {} and {}", a.name, b.name);
+            assert!(
+                !a.outline.overlaps(&b.outline) && a.name != b.name,
+                "{what}: {} and {}",
+                a.name,
+                b.name
+            );
         }
         let gaps = gaps_ahead(map, &all, at, 110.0);
         for &(other, gap_m) in &gaps {
             let told = || format!("{what}: {} {gap_m:.1} m behind {}", a.name, all[other].name);
-            assert!(survives(gap_m, a.speed_mps, all[other].speed_mps), "{}", told());
+            assert!(
+                survives(gap_m, a.speed_mps, all[other].speed_mps),
+                "{}",
+                told()
+            );
         }
         if at == 0 {
             check_lead(scenario, &all, &gaps, level, what);
         }
-        assert!(is_round(a.at_m, 100.0) && is_round(a.speed_mps, 10.0), "{what}: {} {}", a.at_m, a.speed_mps);
+        assert!(
+            is_round(a.at_m, 100.0) && is_round(a.speed_mps, 10.0),
+            "{what}: {} {}",
+            a.at_m,
+            a.speed_mps
+        );
     }
     let route = Route::new(map, &scenario.ego).unwrap_or_else(|fault| panic!("{what}: {fault}"));
-    assert!((55.0..=181.0).contains(&route.length_m()), "{what}: a route of {} m", route.length_m());
-    assert!(route.length_m() / scenario.ego.cruise_mps < 14.0 && scenario.ego.cruise_mps <= 13.9, "{what}");
-    assert_eq!((scenario.level, scenario.duration_s, scenario.step_s), (Some(level), 20.0, 0.5));
+    assert!(
+        (55.0..=181.0).contains(&route.length_m()),
+        "{what}: a route of {} m",
+        route.length_m()
+    );
+    assert!(
+        route.length_m() / scenario.ego.cruise_mps < 14.0 && scenario.ego.cruise_mps <= 13.9,
+        "{what}"
+    );
+    assert_eq!(
+        (scenario.level, scenario.duration_s, scenario.step_s),
+        (Some(level), 20.0, 0.5)
+    );
     if let Place::Street { weather, .. } = scenario.place {
         assert!(weathers(level).contains(&weather), "{what}: {weather:?}");
     }
@@ -194,20 +332,36 @@ struct BrakingEgo {
 impl BrakingEgo {
     fn state(&self) -> VehicleState {
         let (position, yaw_rad) = self.route.pose_at(self.progress_m);
-        VehicleState { position_m: position.truncate(), yaw_rad, speed_mps: self.speed_mps, acceleration_mps2: 0.0 }
+        VehicleState {
+            position_m: position.truncate(),
+            yaw_rad,
+            speed_mps: self.speed_mps,
+            acceleration_mps2: 0.0,
+        }
     }
 }
 
-/// Drives the start with an ego that brakes after a second: nobody may touch it until it stands, but for who cuts in. That is made to
-/// come whatever gap there is, and an ego that brakes beside it opens one.
+/// Drives the start with an ego that brakes after a second: nobody may touch it until it stands,
+/// but for who cuts in. That is made to come whatever gap there is, and an ego that brakes beside
+/// it opens one.
 fn check_start(graph: &Arc<RoadGraph>, map: &LaneMap, scenario: &Scenario, what: &str) {
-    let mut traffic = Traffic::new(graph.clone(), &scenario.agents, scenario.seed).unwrap_or_else(|why| panic!("{what}: {why}"));
+    let mut traffic = Traffic::new(graph.clone(), &scenario.agents, scenario.seed)
+        .unwrap_or_else(|why| panic!("{what}: {why}"));
     for (state, agent) in traffic.states().iter().zip(&scenario.agents) {
         let slower_mps = agent.speed_mps - state.speed_mps;
-        assert!(slower_mps.abs() < 1e-9, "{what}: {} starts {slower_mps} m/s slower than it should", agent.name);
+        assert!(
+            slower_mps.abs() < 1e-9,
+            "{what}: {} starts {slower_mps} m/s slower than it should",
+            agent.name
+        );
     }
     let route = Route::new(map, &scenario.ego).unwrap();
-    let mut ego = BrakingEgo { route, size: scenario.ego.size, progress_m: 0.0, speed_mps: scenario.ego.speed_mps };
+    let mut ego = BrakingEgo {
+        route,
+        size: scenario.ego.size,
+        progress_m: 0.0,
+        speed_mps: scenario.ego.speed_mps,
+    };
     for step in 0..40 {
         let state = ego.state();
         traffic.step(0.1, Some((&state, &ego.size)));
@@ -217,13 +371,22 @@ fn check_start(graph: &Arc<RoadGraph>, map: &LaneMap, scenario: &Scenario, what:
         let outline = OrientedBox::of(&ego.state(), &ego.size);
         for (state, agent) in traffic.states().iter().zip(&scenario.agents) {
             let touches = outline.overlaps(&OrientedBox::of(state, &agent.size));
-            let cuts_in = agent.behaviors.iter().any(|behavior| behavior.maneuver == Maneuver::CutIn);
-            assert!(!touches || cuts_in, "{what}: {} touches the ego at {:.1} s", agent.name, 0.1 * f64::from(step + 1));
+            let cuts_in = agent
+                .behaviors
+                .iter()
+                .any(|behavior| behavior.maneuver == Maneuver::CutIn);
+            assert!(
+                !touches || cuts_in,
+                "{what}: {} touches the ego at {:.1} s",
+                agent.name,
+                0.1 * f64::from(step + 1)
+            );
         }
     }
 }
 
-/// Makes `count` scenarios of each level and checks them; how many of each level there was room for.
+/// Makes `count` scenarios of each level and checks them; how many of each level there was room
+/// for.
 fn check_all(grounds: &Grounds, count: u32) -> [usize; 4] {
     let graph = Arc::new(RoadGraph::new(&grounds.map).unwrap());
     let generator = grounds.generator();
@@ -255,7 +418,11 @@ fn scenarios_of_the_street_keep_what_their_level_promises() {
 
 #[test]
 fn scenarios_of_real_maps_keep_what_their_level_promises() {
-    for name in ["esmini_fabriksgatan.xodr", "esmini_soderleden.xodr", "lanelet2_mapping_example.osm"] {
+    for name in [
+        "esmini_fabriksgatan.xodr",
+        "esmini_soderleden.xodr",
+        "lanelet2_mapping_example.osm",
+    ] {
         let Some(grounds) = roads(name) else { continue };
         let made = check_all(&grounds, 50);
         println!("{name}: {made:?} of 50 scenarios of each level");
@@ -272,7 +439,10 @@ fn the_same_numbers_give_the_same_scenario_and_others_give_others() {
         for (seed, index) in [(1, 0), (1, 1), (2, 0)] {
             let scenario = generator.scenario(level, seed, index).unwrap();
             assert_eq!(scenario, second.scenario(level, seed, index).unwrap());
-            assert!(seen.iter().all(|other| other.ego != scenario.ego && other.seed != scenario.seed));
+            assert!(
+                seen.iter()
+                    .all(|other| other.ego != scenario.ego && other.seed != scenario.seed)
+            );
             seen.push(scenario);
         }
     }
@@ -281,13 +451,20 @@ fn the_same_numbers_give_the_same_scenario_and_others_give_others() {
 #[test]
 fn routes_stay_in_the_area() {
     let grounds = street();
-    let area = Area { center_m: DVec2::new(40.0, 0.0), radius_m: 90.0 };
+    let area = Area {
+        center_m: DVec2::new(40.0, 0.0),
+        radius_m: 90.0,
+    };
     let generator = grounds.generator().within(area);
     for index in 0..40 {
         let scenario = generator.scenario(Level::Medium, 5, index).unwrap();
         let route = Route::new(&grounds.map, &scenario.ego).unwrap();
         for progress_m in [0.0, route.length_m()] {
-            let off_m = route.pose_at(progress_m).0.truncate().distance(area.center_m);
+            let off_m = route
+                .pose_at(progress_m)
+                .0
+                .truncate()
+                .distance(area.center_m);
             assert!(off_m <= area.radius_m + 0.5, "{off_m} m from the middle");
         }
     }
@@ -295,29 +472,74 @@ fn routes_stay_in_the_area() {
 
 fn straight(length_m: f64) -> LaneMap {
     let line = |y: f64| vec![DVec3::new(0.0, y, 0.0), DVec3::new(length_m, y, 0.0)];
-    let lane = Lane { id: "only".into(), centerline: line(0.0), left: line(1.6), right: line(-1.6), ..Lane::default() };
-    LaneMap { lanes: vec![lane], ..LaneMap::default() }
+    let lane = Lane {
+        id: "only".into(),
+        centerline: line(0.0),
+        left: line(1.6),
+        right: line(-1.6),
+        ..Lane::default()
+    };
+    LaneMap {
+        lanes: vec![lane],
+        ..LaneMap::default()
+    }
 }
 
 #[test]
 fn maps_that_are_too_small_say_what_they_have_room_for() {
     let place = street().place;
     let generate = |map: &LaneMap, sizes: &[VehicleSize], level| {
-        Generator::new(map, place.clone(), sizes).and_then(|generator| generator.scenario(level, 1, 2))
+        Generator::new(map, place.clone(), sizes)
+            .and_then(|generator| generator.scenario(level, 1, 2))
     };
     let cars = [VehicleSize::CAR];
     let why = generate(&straight(110.0), &cars, Level::Extreme).unwrap_err();
-    assert!(matches!(why, GenerateError::NoRoom { least: 16, most: 24, found: 1..16, .. }), "{why:?}");
-    assert!(why.to_string().contains("extreme_0002: expected 16 to 24 agents"), "{why}");
+    assert!(
+        matches!(
+            why,
+            GenerateError::NoRoom {
+                least: 16,
+                most: 24,
+                found: 1..16,
+                ..
+            }
+        ),
+        "{why:?}"
+    );
+    assert!(
+        why.to_string()
+            .contains("extreme_0002: expected 16 to 24 agents"),
+        "{why}"
+    );
     assert!(generate(&straight(300.0), &cars, Level::Easy).is_ok());
     let why = generate(&straight(40.0), &cars, Level::Easy).unwrap_err();
-    assert!(matches!(why, GenerateError::NoRoute { .. }) && why.to_string().contains("60 m"), "{why}");
-    assert!(matches!(generate(&LaneMap::default(), &cars, Level::Easy), Err(GenerateError::NoRoute { .. })));
-    assert_eq!(generate(&straight(300.0), &[], Level::Easy), Err(GenerateError::NoAssets));
-    let broken = VehicleSize { width_m: f64::NAN, ..VehicleSize::CAR };
-    assert!(generate(&straight(300.0), &[broken], Level::Easy).unwrap_err().to_string().contains("NaN"));
+    assert!(
+        matches!(why, GenerateError::NoRoute { .. }) && why.to_string().contains("60 m"),
+        "{why}"
+    );
+    assert!(matches!(
+        generate(&LaneMap::default(), &cars, Level::Easy),
+        Err(GenerateError::NoRoute { .. })
+    ));
+    assert_eq!(
+        generate(&straight(300.0), &[], Level::Easy),
+        Err(GenerateError::NoAssets)
+    );
+    let broken = VehicleSize {
+        width_m: f64::NAN,
+        ..VehicleSize::CAR
+    };
+    assert!(
+        generate(&straight(300.0), &[broken], Level::Easy)
+            .unwrap_err()
+            .to_string()
+            .contains("NaN")
+    );
     // A lane that is as wide as a motorcycle.
     let mut narrow = straight(300.0);
-    narrow.lanes[0].left.iter_mut().for_each(|point| point.y = 0.4);
+    narrow.lanes[0]
+        .left
+        .iter_mut()
+        .for_each(|point| point.y = 0.4);
     assert!(generate(&narrow, &cars, Level::Easy).is_err());
 }

@@ -6,8 +6,8 @@ use glam::{DVec2, DVec3};
 
 use crate::roads::Random;
 
-/// Lanes side by side, 3 m apart to the left, along `middle`, which is cut into `parts` that follow one another. The last lane runs
-/// the other way where `opposite`.
+/// Lanes side by side, 3 m apart to the left, along `middle`, which is cut into `parts` that follow
+/// one another. The last lane runs the other way where `opposite`.
 pub fn road(middle: &Polyline, lanes: usize, parts: usize, opposite: bool) -> LaneMap {
     let mut map = LaneMap::default();
     for lane in 0..lanes {
@@ -15,12 +15,16 @@ pub fn road(middle: &Polyline, lanes: usize, parts: usize, opposite: bool) -> La
         for part in 0..parts {
             let (from, to) = (part as f64 / parts as f64, (part + 1) as f64 / parts as f64);
             let place = |share: f64| beside(middle, share * middle.length_m(), 3.0 * lane as f64);
-            let mut centerline: Vec<DVec3> = (0..=100).map(|i| place(from + (to - from) * f64::from(i) / 100.0)).collect();
+            let mut centerline: Vec<DVec3> = (0..=100)
+                .map(|i| place(from + (to - from) * f64::from(i) / 100.0))
+                .collect();
             let own = lane * parts + part;
-            let neighbor = |lane: usize| (lane < lanes - usize::from(opposite)).then_some(lane * parts + part);
+            let neighbor =
+                |lane: usize| (lane < lanes - usize::from(opposite)).then_some(lane * parts + part);
             let next = (part + 1 < parts).then_some(own + 1);
             let last = part.checked_sub(1).map(|_| own - 1);
-            let (mut successors, mut predecessors) = (next.into_iter().collect(), last.into_iter().collect());
+            let (mut successors, mut predecessors) =
+                (next.into_iter().collect(), last.into_iter().collect());
             if against {
                 centerline.reverse();
                 std::mem::swap(&mut successors, &mut predecessors);
@@ -32,7 +36,11 @@ pub fn road(middle: &Polyline, lanes: usize, parts: usize, opposite: bool) -> La
                 successors,
                 predecessors,
                 left_neighbor: if against { None } else { neighbor(lane + 1) },
-                right_neighbor: if against { None } else { lane.checked_sub(1).and_then(neighbor) },
+                right_neighbor: if against {
+                    None
+                } else {
+                    lane.checked_sub(1).and_then(neighbor)
+                },
                 ..Lane::default()
             });
         }
@@ -66,19 +74,35 @@ pub fn drive(id: &str, length_m: f64, speed_mps: f64, place: impl Fn(f64) -> DVe
     let count = (10.0 * length_m / speed_mps) as usize;
     let point = |i: usize| {
         let time_s = 0.1 * i as f64;
-        TrackPoint { time_s, position_m: place(speed_mps * time_s).truncate(), z_m: None, yaw_rad: None }
+        TrackPoint {
+            time_s,
+            position_m: place(speed_mps * time_s).truncate(),
+            z_m: None,
+            yaw_rad: None,
+        }
     };
-    Track { id: id.into(), class: "car".into(), dims_m: Some([4.5, 1.9, 1.6]), points: (0..count).map(point).collect() }
+    Track {
+        id: id.into(),
+        class: "car".into(),
+        dims_m: Some([4.5, 1.9, 1.6]),
+        points: (0..count).map(point).collect(),
+    }
 }
 
-/// `truth` as a log that drifts has it: moved about its middle by `yaw_rad` and `shift_m`, and noisy.
+/// `truth` as a log that drifts has it: moved about its middle by `yaw_rad` and `shift_m`, and
+/// noisy.
 pub fn logged(truth: &Track, yaw_rad: f64, shift_m: DVec2, noise_m: f64, seed: u64) -> Track {
     let sum: DVec2 = truth.points.iter().map(|point| point.position_m).sum();
-    let drift = PlanarTransform { pivot_m: sum / truth.points.len() as f64, yaw_rad, shift_m };
+    let drift = PlanarTransform {
+        pivot_m: sum / truth.points.len() as f64,
+        yaw_rad,
+        shift_m,
+    };
     let mut random = Random(seed);
     let mut track = truth.clone();
     for point in &mut track.points {
-        point.position_m = drift.apply(point.position_m) + DVec2::new(random.normal(), random.normal()) * noise_m;
+        point.position_m =
+            drift.apply(point.position_m) + DVec2::new(random.normal(), random.normal()) * noise_m;
         point.yaw_rad = point.yaw_rad.map(|yaw| yaw + yaw_rad);
     }
     track

@@ -1,6 +1,8 @@
 //! Invariants of registration: the frame and the order of the tracks do not matter.
 
-use decouplegs_drive::{Outcome, PlanarTransform, RegisterError, RegisterOptions, Registration, register};
+use decouplegs_drive::{
+    Outcome, PlanarTransform, RegisterError, RegisterOptions, Registration, register,
+};
 use decouplegs_scene::{LaneMap, Track, TrackPoint};
 use glam::{DVec2, DVec3};
 use proptest::prelude::*;
@@ -8,20 +10,45 @@ use proptest::prelude::*;
 use crate::lanes::{beside, curved, drive, logged, road};
 
 fn place() -> (LaneMap, Vec<Track>) {
-    let middle = curved(120.0, |s| if (40.0..70.0).contains(&s) { 1.0 / 35.0 } else { 0.0 });
+    let middle = curved(120.0, |s| {
+        if (40.0..70.0).contains(&s) {
+            1.0 / 35.0
+        } else {
+            0.0
+        }
+    });
     let track = |lane: f64, seed: u64| {
-        let truth = drive(&format!("car {seed}"), 110.0, 9.0, |s| beside(&middle, s, 3.0 * lane));
+        let truth = drive(&format!("car {seed}"), 110.0, 9.0, |s| {
+            beside(&middle, s, 3.0 * lane)
+        });
         logged(&truth, 0.02, DVec2::new(0.4, -0.5), 0.05, seed)
     };
-    (road(&middle, 2, 3, false), vec![track(0.0, 1), track(1.0, 2), drive("parked", 1.0, 0.2, |_| beside(&middle, 30.0, -3.0))])
+    (
+        road(&middle, 2, 3, false),
+        vec![
+            track(0.0, 1),
+            track(1.0, 2),
+            drive("parked", 1.0, 0.2, |_| beside(&middle, 30.0, -3.0)),
+        ],
+    )
 }
 
 fn positions(registration: &Registration) -> Vec<Option<Vec<DVec3>>> {
     let of = |outcome: &Outcome| match outcome {
-        Outcome::Registered(registered) => Some(registered.poses.iter().map(|pose| pose.pose.translation).collect()),
+        Outcome::Registered(registered) => Some(
+            registered
+                .poses
+                .iter()
+                .map(|pose| pose.pose.translation)
+                .collect(),
+        ),
         Outcome::Refused { .. } => None,
     };
-    registration.tracks.iter().map(|track| of(&track.outcome)).collect()
+    registration
+        .tracks
+        .iter()
+        .map(|track| of(&track.outcome))
+        .collect()
 }
 
 proptest! {
@@ -84,13 +111,32 @@ proptest! {
 fn nothing_to_register_is_refused() {
     let (map, tracks) = place();
     let options = RegisterOptions::default();
-    assert_eq!(register(&LaneMap::default(), &tracks, None, &options).unwrap_err(), RegisterError::NoLanes);
-    assert_eq!(register(&map, &[], None, &options).unwrap_err(), RegisterError::NoTracks);
+    assert_eq!(
+        register(&LaneMap::default(), &tracks, None, &options).unwrap_err(),
+        RegisterError::NoLanes
+    );
+    assert_eq!(
+        register(&map, &[], None, &options).unwrap_err(),
+        RegisterError::NoTracks
+    );
     let mut broken = map.clone();
     broken.lanes[0].centerline[1].x = f64::NAN;
-    assert!(register(&broken, &tracks, None, &options).unwrap_err().to_string().contains("0/0"));
+    assert!(
+        register(&broken, &tracks, None, &options)
+            .unwrap_err()
+            .to_string()
+            .contains("0/0")
+    );
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let wrong = RegisterOptions { band_m: bad, ..options };
-        assert!(register(&map, &tracks, None, &wrong).unwrap_err().to_string().contains("band_m"));
+        let wrong = RegisterOptions {
+            band_m: bad,
+            ..options
+        };
+        assert!(
+            register(&map, &tracks, None, &wrong)
+                .unwrap_err()
+                .to_string()
+                .contains("band_m")
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Following, changing lanes and misbehaving on straight roads, against closed forms and what a driver would expect.
+//! Following, changing lanes and misbehaving on straight roads, against closed forms and what a
+//! driver would expect.
 
 use std::sync::Arc;
 
@@ -15,11 +16,20 @@ fn traffic(graph: &Arc<RoadGraph>, agents: &[TrafficAgent]) -> Traffic {
 }
 
 fn car_at(x: f64, y: f64, speed_mps: f64) -> VehicleState {
-    VehicleState { position_m: DVec2::new(x, y), speed_mps, ..VehicleState::default() }
+    VehicleState {
+        position_m: DVec2::new(x, y),
+        speed_mps,
+        ..VehicleState::default()
+    }
 }
 
 /// Steps of 0.1 s with an ego that drives straight on; what holds for agents is checked at each.
-fn drive(traffic: &mut Traffic, agents: &[TrafficAgent], steps: u32, mut ego: Option<&mut VehicleState>) {
+fn drive(
+    traffic: &mut Traffic,
+    agents: &[TrafficAgent],
+    steps: u32,
+    mut ego: Option<&mut VehicleState>,
+) {
     for step in 0..steps {
         if let Some(ego) = &mut ego {
             ego.position_m += ego.velocity() * 0.1;
@@ -34,14 +44,24 @@ fn a_free_road_is_driven_as_the_model_says() {
     let graph = straight(3000.0, 1, 15.0);
     let agents = [agent("a", "0", 10.0, 0.0)];
     let mut traffic = traffic(&graph, &agents);
-    let idm = IdmParameters { speed_mps: 15.0, ..IdmParameters::default() };
+    let idm = IdmParameters {
+        speed_mps: 15.0,
+        ..IdmParameters::default()
+    };
     let (mut speed_mps, mut x) = (0.0, 10.0);
     for _ in 0..600 {
         traffic.step(0.1, None);
-        let (moved_m, after_mps) = advance(speed_mps, 1.0 - f64::powi(speed_mps / idm.speed_mps, 4), 0.1);
+        let (moved_m, after_mps) = advance(
+            speed_mps,
+            1.0 - f64::powi(speed_mps / idm.speed_mps, 4),
+            0.1,
+        );
         (x, speed_mps) = (x + moved_m, after_mps);
         let state = traffic.states()[0];
-        assert!((state.position_m.x - x).abs() < 1e-6 && (state.speed_mps - speed_mps).abs() < 1e-9, "{state:?}, {x}");
+        assert!(
+            (state.position_m.x - x).abs() < 1e-6 && (state.speed_mps - speed_mps).abs() < 1e-9,
+            "{state:?}, {x}"
+        );
     }
     assert!(speed_mps > 14.99);
 }
@@ -56,29 +76,44 @@ fn who_follows_comes_to_the_equilibrium_gap_and_stops_two_metres_behind() {
     // The agent has driven a step after it saw the ego, and the ego has not.
     let gap_m = ego.position_m.x + 0.8 - traffic.states()[0].position_m.x - 4.5;
     let wanted_m = IdmParameters::default().equilibrium_gap_m(8.0);
-    assert!((gap_m - wanted_m).abs() < 0.01, "{gap_m} m, expected {wanted_m}");
+    assert!(
+        (gap_m - wanted_m).abs() < 0.01,
+        "{gap_m} m, expected {wanted_m}"
+    );
     ego.speed_mps = 0.0;
     ego.position_m.x += 30.0;
     drive(&mut traffic, &agents, 1200, Some(&mut ego));
     let gap_m = ego.position_m.x - traffic.states()[0].position_m.x - 4.5;
-    assert!((1.9..2.3).contains(&gap_m) && traffic.states()[0].speed_mps < 0.02, "stands {gap_m} m behind");
+    assert!(
+        (1.9..2.3).contains(&gap_m) && traffic.states()[0].speed_mps < 0.02,
+        "stands {gap_m} m behind"
+    );
 }
 
 #[test]
 fn lanes_that_end_are_not_left() {
     let graph = straight(300.0, 1, 25.0);
-    let agents = [agent("first", "0", 60.0, 25.0), agent("second", "0", 20.0, 25.0)];
+    let agents = [
+        agent("first", "0", 60.0, 25.0),
+        agent("second", "0", 20.0, 25.0),
+    ];
     let mut traffic = traffic(&graph, &agents);
     drive(&mut traffic, &agents, 900, None);
     let [first, second] = [0, 1].map(|number: usize| traffic.states()[number].position_m.x);
-    assert!((295.0..=300.0 - 2.25).contains(&first) && first - second < 7.5, "{first}, {second}");
+    assert!(
+        (295.0..=300.0 - 2.25).contains(&first) && first - second < 7.5,
+        "{first}, {second}"
+    );
 }
 
-/// By how much a slow wave of speed, `rate_radps`, grows or fades from each vehicle of a platoon to the one behind it: the amplitude of
-/// the last of `followers` over that of the first, for one of them.
+/// By how much a slow wave of speed, `rate_radps`, grows or fades from each vehicle of a platoon to
+/// the one behind it: the amplitude of the last of `followers` over that of the first, for one of
+/// them.
 fn growth(idm: &IdmParameters, even_mps: f64, rate_radps: f64, followers: usize) -> f64 {
     let gap_m = idm.equilibrium_gap_m(even_mps);
-    let mut places: Vec<f64> = (0..=followers).map(|number| -(gap_m + 4.5) * number as f64).collect();
+    let mut places: Vec<f64> = (0..=followers)
+        .map(|number| -(gap_m + 4.5) * number as f64)
+        .collect();
     let mut speeds = vec![even_mps; followers + 1];
     let mut widest = vec![0.0_f64; followers + 1];
     let steps = (12.0 * std::f64::consts::TAU / rate_radps / 0.02) as u32;
@@ -87,7 +122,13 @@ fn growth(idm: &IdmParameters, even_mps: f64, rate_radps: f64, followers: usize)
         let mut accelerations = vec![0.02 * rate_radps * phase.cos()];
         accelerations.extend((1..=followers).map(|number| {
             let gap_m = places[number - 1] - places[number] - 4.5;
-            idm.acceleration(speeds[number], Some(Leader { gap_m, speed_mps: speeds[number - 1] }))
+            idm.acceleration(
+                speeds[number],
+                Some(Leader {
+                    gap_m,
+                    speed_mps: speeds[number - 1],
+                }),
+            )
         }));
         for number in 0..=followers {
             let (moved_m, after_mps) = advance(speeds[number], accelerations[number], 0.02);
@@ -105,36 +146,72 @@ fn growth(idm: &IdmParameters, even_mps: f64, rate_radps: f64, followers: usize)
 fn derivatives(idm: &IdmParameters, speed_mps: f64) -> [f64; 3] {
     let (gap_m, h) = (idm.equilibrium_gap_m(speed_mps), 1e-4);
     let at = |gap: f64, own: f64, leader: f64| {
-        idm.acceleration(speed_mps + own, Some(Leader { gap_m: gap_m + gap, speed_mps: speed_mps + leader }))
+        idm.acceleration(
+            speed_mps + own,
+            Some(Leader {
+                gap_m: gap_m + gap,
+                speed_mps: speed_mps + leader,
+            }),
+        )
     };
-    [at(h, 0.0, 0.0) - at(-h, 0.0, 0.0), at(0.0, h, 0.0) - at(0.0, -h, 0.0), at(0.0, 0.0, h) - at(0.0, 0.0, -h)]
-        .map(|d| d / (2.0 * h))
+    [
+        at(h, 0.0, 0.0) - at(-h, 0.0, 0.0),
+        at(0.0, h, 0.0) - at(0.0, -h, 0.0),
+        at(0.0, 0.0, h) - at(0.0, 0.0, -h),
+    ]
+    .map(|d| d / (2.0 * h))
 }
 
 /// Growth rate by linear theory, for comparison with [`growth`]: the size of `(f_s + i w f_l) /
 /// (f_s - w^2 - i w f_v)` Treiber, A. Kesting: Traffic Flow Dynamics, 2013, chapter 15).
 fn growth_in_theory(idm: &IdmParameters, speed_mps: f64, rate_radps: f64) -> f64 {
     let [by_gap, by_own, by_leader] = derivatives(idm, speed_mps);
-    by_gap.hypot(rate_radps * by_leader) / (by_gap - rate_radps * rate_radps).hypot(rate_radps * by_own)
+    by_gap.hypot(rate_radps * by_leader)
+        / (by_gap - rate_radps * rate_radps).hypot(rate_radps * by_own)
 }
 
 #[test]
 fn waves_grow_and_fade_along_a_platoon_as_theory_says() {
-    let stable = IdmParameters { acceleration_mps2: 2.0, ..IdmParameters::default() };
-    let unstable = IdmParameters { acceleration_mps2: 0.4, headway_s: 1.0, ..IdmParameters::default() };
+    let stable = IdmParameters {
+        acceleration_mps2: 2.0,
+        ..IdmParameters::default()
+    };
+    let unstable = IdmParameters {
+        acceleration_mps2: 0.4,
+        headway_s: 1.0,
+        ..IdmParameters::default()
+    };
     // Slow waves fade where f_v^2 - f_l^2 > 2 f_s.
     let is_stable = |idm: &IdmParameters| {
         let [by_gap, by_own, by_leader] = derivatives(idm, 8.0);
         by_own * by_own - by_leader * by_leader > 2.0 * by_gap
     };
     assert!(is_stable(&stable) && !is_stable(&unstable));
-    for (idm, grows) in [(&stable, false), (&unstable, true), (&IdmParameters::default(), !is_stable(&IdmParameters::default()))]
-    {
+    for (idm, grows) in [
+        (&stable, false),
+        (&unstable, true),
+        (
+            &IdmParameters::default(),
+            !is_stable(&IdmParameters::default()),
+        ),
+    ] {
         for rate_radps in [0.05, 0.1] {
-            let (measured, theory) = (growth(idm, 8.0, rate_radps, 20), growth_in_theory(idm, 8.0, rate_radps));
-            println!("{rate_radps} rad/s, a = {}: {measured:.5}, theory {theory:.5}", idm.acceleration_mps2);
-            assert!((measured - theory).abs() < 2e-3, "{idm:?}: {measured}, theory {theory}");
-            assert!(rate_radps > 0.05 || (measured > 1.0) == grows, "{idm:?}: {measured}");
+            let (measured, theory) = (
+                growth(idm, 8.0, rate_radps, 20),
+                growth_in_theory(idm, 8.0, rate_radps),
+            );
+            println!(
+                "{rate_radps} rad/s, a = {}: {measured:.5}, theory {theory:.5}",
+                idm.acceleration_mps2
+            );
+            assert!(
+                (measured - theory).abs() < 2e-3,
+                "{idm:?}: {measured}, theory {theory}"
+            );
+            assert!(
+                rate_radps > 0.05 || (measured > 1.0) == grows,
+                "{idm:?}: {measured}"
+            );
         }
     }
 }
@@ -144,35 +221,78 @@ fn a_platoon_survives_a_leader_that_brakes_as_hard_as_tyres_hold() {
     let graph = straight(3000.0, 1, 50.0 / 3.6);
     for driver in DriverKind::ALL {
         let mut agents: Vec<TrafficAgent> = (0..25)
-            .map(|number| TrafficAgent { driver, ..agent(&number.to_string(), "0", 900.0 - 9.0 * f64::from(number), 12.0) })
+            .map(|number| TrafficAgent {
+                driver,
+                ..agent(
+                    &number.to_string(),
+                    "0",
+                    900.0 - 9.0 * f64::from(number),
+                    12.0,
+                )
+            })
             .collect();
-        let brake = Maneuver::Brake { deceleration_mps2: 99.0, duration_s: 5.0 };
-        agents[0].behaviors.push(Behavior { trigger: Trigger::Time { time_s: 2.0 }, maneuver: brake });
+        let brake = Maneuver::Brake {
+            deceleration_mps2: 99.0,
+            duration_s: 5.0,
+        };
+        agents[0].behaviors.push(Behavior {
+            trigger: Trigger::Time { time_s: 2.0 },
+            maneuver: brake,
+        });
         let mut traffic = traffic(&graph, &agents);
         for step in 0..45 {
             drive(&mut traffic, &agents, 1, None);
             // What is more than not to touch: all could stop where they are, one behind the other.
-            let stops: Vec<f64> = traffic.states().iter().map(|state| state.position_m.x + stopping_m(state.speed_mps)).collect();
-            assert!(stops.windows(2).all(|pair| pair[0] - pair[1] >= 4.5 + 0.49), "{driver:?}, step {step}: {stops:?}");
+            let stops: Vec<f64> = traffic
+                .states()
+                .iter()
+                .map(|state| state.position_m.x + stopping_m(state.speed_mps))
+                .collect();
+            assert!(
+                stops.windows(2).all(|pair| pair[0] - pair[1] >= 4.5 + 0.49),
+                "{driver:?}, step {step}: {stops:?}"
+            );
         }
-        assert_eq!(traffic.states()[0].speed_mps, 0.0, "12 m/s are gone in 1.5 s");
+        assert_eq!(
+            traffic.states()[0].speed_mps,
+            0.0,
+            "12 m/s are gone in 1.5 s"
+        );
         drive(&mut traffic, &agents, 800, None);
-        assert!(traffic.states().iter().all(|state| state.speed_mps > 5.0), "{driver:?}: they drive on");
+        assert!(
+            traffic.states().iter().all(|state| state.speed_mps > 5.0),
+            "{driver:?}: they drive on"
+        );
     }
 }
 
 #[test]
 fn slow_leaders_are_overtaken_where_there_is_room_and_only_then() {
     let graph = straight(2000.0, 2, 15.0);
-    let overtaker = TrafficAgent { changes_lanes: true, driver: DriverKind::Hurried, ..agent("fast", "0", 50.0, 10.0) };
+    let overtaker = TrafficAgent {
+        changes_lanes: true,
+        driver: DriverKind::Hurried,
+        ..agent("fast", "0", 50.0, 10.0)
+    };
     let mut slow = car_at(90.0, 0.0, 5.0);
     let agents = [overtaker.clone()];
     let mut alone = traffic(&graph, &agents);
     drive(&mut alone, &agents, 300, Some(&mut slow));
-    assert!(alone.states()[0].position_m.x > slow.position_m.x + 50.0, "it is past: {:?}", alone.states()[0]);
+    assert!(
+        alone.states()[0].position_m.x > slow.position_m.x + 50.0,
+        "it is past: {:?}",
+        alone.states()[0]
+    );
     // A row of cars as slow beside it leaves no room.
     let mut agents = vec![overtaker];
-    agents.extend((0..12).map(|number| agent(&format!("row {number}"), "1", 30.0 + 9.0 * f64::from(number), 5.0)));
+    agents.extend((0..12).map(|number| {
+        agent(
+            &format!("row {number}"),
+            "1",
+            30.0 + 9.0 * f64::from(number),
+            5.0,
+        )
+    }));
     let mut beside = traffic(&graph, &agents);
     let mut slow = car_at(90.0, 0.0, 5.0);
     drive(&mut beside, &agents, 40, Some(&mut slow));
@@ -183,7 +303,11 @@ fn slow_leaders_are_overtaken_where_there_is_room_and_only_then() {
 fn lane_changes_are_smooth_and_count_on_both_lanes() {
     let graph = straight(2000.0, 2, 15.0);
     let agents = [
-        TrafficAgent { changes_lanes: true, driver: DriverKind::Aggressive, ..agent("changes", "0", 100.0, 10.0) },
+        TrafficAgent {
+            changes_lanes: true,
+            driver: DriverKind::Aggressive,
+            ..agent("changes", "0", 100.0, 10.0)
+        },
         agent("behind", "0", 60.0, 12.0),
         agent("aside", "1", 40.0, 12.0),
     ];
@@ -194,22 +318,37 @@ fn lane_changes_are_smooth_and_count_on_both_lanes() {
         drive(&mut traffic, &agents, 1, Some(&mut slow));
         let after = traffic.states()[0];
         let moved_m = after.position_m.distance(before.position_m);
-        assert!(moved_m < 0.1 * (before.speed_mps + 1.0) * 1.1, "step {step}: {moved_m} m");
-        assert!((after.yaw_rad - before.yaw_rad).abs() < 0.06, "step {step}: {before:?}, {after:?}");
+        assert!(
+            moved_m < 0.1 * (before.speed_mps + 1.0) * 1.1,
+            "step {step}: {moved_m} m"
+        );
+        assert!(
+            (after.yaw_rad - before.yaw_rad).abs() < 0.06,
+            "step {step}: {before:?}, {after:?}"
+        );
         on_both += u32::from((0.2..3.3).contains(&after.position_m.y));
         before = after;
     }
-    assert!((10..80).contains(&on_both) && (before.position_m.y - 3.5).abs() < 1e-6, "{on_both} steps, {before:?}");
+    assert!(
+        (10..80).contains(&on_both) && (before.position_m.y - 3.5).abs() < 1e-6,
+        "{on_both} steps, {before:?}"
+    );
 }
 
 fn does(maneuver: Maneuver) -> Vec<Behavior> {
-    vec![Behavior { trigger: Trigger::Time { time_s: 1.0 }, maneuver }]
+    vec![Behavior {
+        trigger: Trigger::Time { time_s: 1.0 },
+        maneuver,
+    }]
 }
 
 #[test]
 fn who_cuts_in_minds_agents_but_not_the_ego() {
     let graph = straight(2000.0, 3, 15.0);
-    let cutter = TrafficAgent { behaviors: does(Maneuver::CutIn), ..agent("cutter", "1", 106.0, 10.0) };
+    let cutter = TrafficAgent {
+        behaviors: does(Maneuver::CutIn),
+        ..agent("cutter", "1", 106.0, 10.0)
+    };
     let run = |ego_y: f64, others: Vec<TrafficAgent>| {
         let agents: Vec<TrafficAgent> = [cutter.clone()].into_iter().chain(others).collect();
         let mut traffic = traffic(&graph, &agents);
@@ -220,7 +359,16 @@ fn who_cuts_in_minds_agents_but_not_the_ego() {
     assert_eq!(run(0.0, vec![]), 0, "1.5 m before the ego");
     assert_eq!(run(7.0, vec![]), 2, "to the other side too");
     assert_eq!(run(3.5, vec![]), 1, "the ego is on its own lane");
-    let wall = (0..30).map(|number| agent(&format!("{number}"), "0", 60.0 + 7.0 * f64::from(number), 10.0)).collect();
+    let wall = (0..30)
+        .map(|number| {
+            agent(
+                &format!("{number}"),
+                "0",
+                60.0 + 7.0 * f64::from(number),
+                10.0,
+            )
+        })
+        .collect();
     assert_eq!(run(0.0, wall), 1, "agents are in the way");
 }
 
@@ -228,7 +376,10 @@ fn who_cuts_in_minds_agents_but_not_the_ego() {
 fn a_swerve_is_as_wide_as_there_is_room() {
     let graph = straight(2000.0, 2, 15.0);
     let swerver = |amplitude_m: f64| TrafficAgent {
-        behaviors: does(Maneuver::Swerve { amplitude_m, duration_s: 3.0 }),
+        behaviors: does(Maneuver::Swerve {
+            amplitude_m,
+            duration_s: 3.0,
+        }),
         ..agent("swerver", "0", 100.0, 12.0)
     };
     let widest = |agents: &[TrafficAgent]| {
@@ -247,7 +398,10 @@ fn a_swerve_is_as_wide_as_there_is_room() {
     let hemmed_m = widest(&[swerver(1.6), beside.clone()]);
     assert!(hemmed_m < 1.25, "{hemmed_m} m");
     let away_m = widest(&[swerver(-1.6), beside]);
-    assert!((away_m - 1.6).abs() < 0.05, "nobody is to the right: {away_m} m");
+    assert!(
+        (away_m - 1.6).abs() < 0.05,
+        "nobody is to the right: {away_m} m"
+    );
 }
 
 #[test]
@@ -259,10 +413,18 @@ fn the_same_seed_drives_the_same_bits_on_any_number_of_threads() {
             ego.position_m += ego.velocity() * 0.1;
             traffic.step(0.1, Some((&ego, &VehicleSize::CAR)));
         }
-        let bits = |state: &VehicleState| [state.position_m.x, state.position_m.y, state.yaw_rad].map(f64::to_bits);
+        let bits = |state: &VehicleState| {
+            [state.position_m.x, state.position_m.y, state.yaw_rad].map(f64::to_bits)
+        };
         traffic.states().iter().map(bits).collect::<Vec<_>>()
     };
-    let on = |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| run(5));
+    let on = |threads: usize| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap()
+            .install(|| run(5))
+    };
     assert_eq!(on(1), on(2));
     assert_eq!(run(5), on(1));
     assert_ne!(run(5), run(6));
@@ -272,14 +434,50 @@ fn the_same_seed_drives_the_same_bits_on_any_number_of_threads() {
 fn agents_that_cannot_be_there_are_refused_by_name() {
     let graph = straight(100.0, 1, 15.0);
     let refused = |agents: &[TrafficAgent]| Traffic::new(graph.clone(), agents, 1).unwrap_err();
-    assert!(refused(&[agent("a", "9", 1.0, 1.0)]).to_string().contains("agent a: lane 9"));
-    assert!(refused(&[agent("a", "0", 100.5, 1.0)]).to_string().contains("0 to 100.00"));
-    assert!(refused(&[agent("a", "0", f64::NAN, 1.0)]).to_string().contains("NaN m along lane 0"));
-    assert!(refused(&[agent("a", "0", 9.0, -1.0)]).to_string().contains("a speed of -1"));
-    let giant = VehicleSize { length_m: 300.0, ..VehicleSize::CAR };
-    assert!(refused(&[TrafficAgent { size: giant, ..agent("a", "0", 9.0, 1.0) }]).to_string().contains("a length of 300"));
-    let error = refused(&[agent("a", "0", 9.0, 1.0), agent("b", "0", 60.0, 1.0), agent("c", "0", 13.0, 1.0)]);
-    assert_eq!(error, TrafficError::Overlap { first: "a".into(), second: "c".into() });
+    assert!(
+        refused(&[agent("a", "9", 1.0, 1.0)])
+            .to_string()
+            .contains("agent a: lane 9")
+    );
+    assert!(
+        refused(&[agent("a", "0", 100.5, 1.0)])
+            .to_string()
+            .contains("0 to 100.00")
+    );
+    assert!(
+        refused(&[agent("a", "0", f64::NAN, 1.0)])
+            .to_string()
+            .contains("NaN m along lane 0")
+    );
+    assert!(
+        refused(&[agent("a", "0", 9.0, -1.0)])
+            .to_string()
+            .contains("a speed of -1")
+    );
+    let giant = VehicleSize {
+        length_m: 300.0,
+        ..VehicleSize::CAR
+    };
+    assert!(
+        refused(&[TrafficAgent {
+            size: giant,
+            ..agent("a", "0", 9.0, 1.0)
+        }])
+        .to_string()
+        .contains("a length of 300")
+    );
+    let error = refused(&[
+        agent("a", "0", 9.0, 1.0),
+        agent("b", "0", 60.0, 1.0),
+        agent("c", "0", 13.0, 1.0),
+    ]);
+    assert_eq!(
+        error,
+        TrafficError::Overlap {
+            first: "a".into(),
+            second: "c".into()
+        }
+    );
     // Who is too fast for the gap starts slower.
     let agents = [agent("a", "0", 20.0, 20.0), agent("b", "0", 28.0, 0.0)];
     let traffic = traffic(&graph, &agents);

@@ -27,7 +27,12 @@ fn somewhere(graph: &RoadGraph, random: &mut Random) -> VehicleState {
         let Some(lane) = lane else { continue };
         let arc_m = random.unit() * lane.line.length_m();
         let position_m = lane.line.at(arc_m).truncate();
-        return VehicleState { position_m, yaw_rad: lane.line.heading_at(arc_m), speed_mps: 12.0, acceleration_mps2: 0.0 };
+        return VehicleState {
+            position_m,
+            yaw_rad: lane.line.heading_at(arc_m),
+            speed_mps: 12.0,
+            acceleration_mps2: 0.0,
+        };
     }
 }
 
@@ -47,23 +52,44 @@ fn drive(graph: &Arc<RoadGraph>, count: usize, steps: u32, seed: u64, stranger: 
             }
             Stranger::Jumping => {}
         }
-        let seen = if matches!(stranger, Stranger::Nobody) { None } else { Some((&ego, &VehicleSize::CAR)) };
+        let seen = if matches!(stranger, Stranger::Nobody) {
+            None
+        } else {
+            Some((&ego, &VehicleSize::CAR))
+        };
         traffic.step(0.1, seen);
-        check(&traffic, &agents, &|| format!("seed {seed}, step {step}, {stranger:?}"));
-        driven_m += traffic.states().iter().map(|state| 0.1 * state.speed_mps).sum::<f64>();
+        check(&traffic, &agents, &|| {
+            format!("seed {seed}, step {step}, {stranger:?}")
+        });
+        driven_m += traffic
+            .states()
+            .iter()
+            .map(|state| 0.1 * state.speed_mps)
+            .sum::<f64>();
     }
     driven_m
 }
 
 fn drive_all(graph: &Arc<RoadGraph>, seeds: u64, count: usize, steps: u32) {
-    let seeds = std::env::var("TRAFFIC_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(seeds);
+    let seeds = std::env::var("TRAFFIC_SEEDS")
+        .ok()
+        .and_then(|seeds| seeds.parse().ok())
+        .unwrap_or(seeds);
     let strangers = [Stranger::Nobody, Stranger::Blind, Stranger::Jumping];
-    let driven_m: Vec<f64> =
-        (0..seeds).into_par_iter().map(|seed| drive(graph, count, steps, seed, strangers[(seed % 3) as usize])).collect();
+    let driven_m: Vec<f64> = (0..seeds)
+        .into_par_iter()
+        .map(|seed| drive(graph, count, steps, seed, strangers[(seed % 3) as usize]))
+        .collect();
     let sum_m: f64 = driven_m.iter().sum();
-    println!("{seeds} seeds of {count} agents and {steps} steps: {:.0} km", sum_m / 1e3);
+    println!(
+        "{seeds} seeds of {count} agents and {steps} steps: {:.0} km",
+        sum_m / 1e3
+    );
     // Traffic that stands still keeps all of the above.
-    assert!(sum_m > seeds as f64 * f64::from(steps) * 0.1 * count as f64 * 1.5, "hardly anybody moves: {sum_m} m");
+    assert!(
+        sum_m > seeds as f64 * f64::from(steps) * 0.1 * count as f64 * 1.5,
+        "hardly anybody moves: {sum_m} m"
+    );
 }
 
 #[test]
@@ -73,8 +99,13 @@ fn nobody_meets_another_on_the_street() {
 
 #[test]
 fn nobody_meets_another_on_real_maps() {
-    // Curves and a junction with narrow turns; a motorway with ramps; a town of which a part is cut out, with many ends.
-    let maps = [("esmini_fabriksgatan.xodr", 150), ("esmini_soderleden.xodr", 40), ("lanelet2_mapping_example.osm", 40)];
+    // Curves and a junction with narrow turns; a motorway with ramps; a town of which a part is cut
+    // out, with many ends.
+    let maps = [
+        ("esmini_fabriksgatan.xodr", 150),
+        ("esmini_soderleden.xodr", 40),
+        ("lanelet2_mapping_example.osm", 40),
+    ];
     for (name, seeds) in maps {
         if let Some(graph) = roads(name) {
             println!("{name}");

@@ -9,26 +9,43 @@ use glam::DVec2;
 
 use crate::traffic_scenes::{agent, check, lane, random_traffic, street};
 
-/// A crossing of two roads with one lane each way. From each side `in-k` leads over `straight-k`, `left-k` and `right-k` to an `out`.
+/// A crossing of two roads with one lane each way. From each side `in-k` leads over `straight-k`,
+/// `left-k` and `right-k` to an `out`.
 fn crossing() -> Arc<RoadGraph> {
     let mut map = LaneMap::default();
     let turned = |side: usize, x: f64, y: f64| {
-        DVec2::from_angle(std::f64::consts::FRAC_PI_2 * side as f64).rotate(DVec2::new(x, y)).to_array()
+        DVec2::from_angle(std::f64::consts::FRAC_PI_2 * side as f64)
+            .rotate(DVec2::new(x, y))
+            .to_array()
     };
     for side in 0..4 {
         let at = |x: f64, y: f64| turned(side, x, y);
-        map.lanes.push(lane(&format!("in-{side}"), &[at(-120.0, -1.75), at(-12.0, -1.75)]));
-        map.lanes.push(lane(&format!("out-{side}"), &[at(12.0, -1.75), at(200.0, -1.75)]));
-        map.lanes.push(lane(&format!("straight-{side}"), &[at(-12.0, -1.75), at(12.0, -1.75)]));
+        map.lanes.push(lane(
+            &format!("in-{side}"),
+            &[at(-120.0, -1.75), at(-12.0, -1.75)],
+        ));
+        map.lanes.push(lane(
+            &format!("out-{side}"),
+            &[at(12.0, -1.75), at(200.0, -1.75)],
+        ));
+        map.lanes.push(lane(
+            &format!("straight-{side}"),
+            &[at(-12.0, -1.75), at(12.0, -1.75)],
+        ));
         let arc = |radius_m: f64, sign: f64| -> Vec<[f64; 2]> {
             let point = |step: u32| {
                 let (sin, cos) = (std::f64::consts::FRAC_PI_2 * f64::from(step) / 12.0).sin_cos();
-                at(-12.0 + radius_m * sin, -1.75 + sign * radius_m * (1.0 - cos))
+                at(
+                    -12.0 + radius_m * sin,
+                    -1.75 + sign * radius_m * (1.0 - cos),
+                )
             };
             (0..=12).map(point).collect()
         };
-        map.lanes.push(lane(&format!("left-{side}"), &arc(13.75, 1.0)));
-        map.lanes.push(lane(&format!("right-{side}"), &arc(10.25, -1.0)));
+        map.lanes
+            .push(lane(&format!("left-{side}"), &arc(13.75, 1.0)));
+        map.lanes
+            .push(lane(&format!("right-{side}"), &arc(10.25, -1.0)));
     }
     for side in 0..4 {
         for (way, to) in [(2, side), (3, (side + 1) % 4), (4, (side + 3) % 4)] {
@@ -42,7 +59,12 @@ fn crossing() -> Arc<RoadGraph> {
 /// True if a lane's name begins so for an agent.
 fn is_on(traffic: &Traffic, number: usize, name: &str) -> bool {
     let place = traffic.places().nth(number).unwrap();
-    traffic.graph().lane(place.lane).unwrap().id.starts_with(name)
+    traffic
+        .graph()
+        .lane(place.lane)
+        .unwrap()
+        .id
+        .starts_with(name)
 }
 
 /// A seed with which the first agent's first way over the crossing is `name`.
@@ -63,32 +85,71 @@ fn every_two_conflicting_lanes_agree_on_who_goes_first() {
     let mut conflicts = 0;
     for number in 0..graph.lanes_in_map() {
         for conflict in &graph.lane(number).unwrap().conflicts {
-            let back = graph.lane(conflict.other).unwrap().conflicts.iter().find(|back| back.other == number).unwrap();
+            let back = graph
+                .lane(conflict.other)
+                .unwrap()
+                .conflicts
+                .iter()
+                .find(|back| back.other == number)
+                .unwrap();
             assert_ne!(conflict.goes_first, back.goes_first);
-            assert_eq!((conflict.from_m, conflict.to_m), (back.other_from_m, back.other_to_m));
+            assert_eq!(
+                (conflict.from_m, conflict.to_m),
+                (back.other_from_m, back.other_to_m)
+            );
             conflicts += 1;
         }
     }
     let goes_first = |a: &str, b: &str| {
         let [a, b] = [a, b].map(|id| graph.find(id).unwrap());
-        graph.lane(a).unwrap().conflicts.iter().find(|conflict| conflict.other == b).map(|conflict| conflict.goes_first)
+        graph
+            .lane(a)
+            .unwrap()
+            .conflicts
+            .iter()
+            .find(|conflict| conflict.other == b)
+            .map(|conflict| conflict.goes_first)
     };
-    assert_eq!(goes_first("straight-0", "left-2"), Some(true), "straight on before who turns left from the front");
-    assert_eq!(goes_first("straight-0", "straight-1"), Some(false), "side 1 comes from the right");
-    assert_eq!(goes_first("right-0", "left-2"), Some(true), "to the right before to the left");
+    assert_eq!(
+        goes_first("straight-0", "left-2"),
+        Some(true),
+        "straight on before who turns left from the front"
+    );
+    assert_eq!(
+        goes_first("straight-0", "straight-1"),
+        Some(false),
+        "side 1 comes from the right"
+    );
+    assert_eq!(
+        goes_first("right-0", "left-2"),
+        Some(true),
+        "to the right before to the left"
+    );
     assert_eq!(goes_first("straight-0", "straight-2"), None);
     assert_eq!(goes_first("right-0", "right-2"), None);
     assert!(conflicts >= 40, "{conflicts}");
 }
 
 /// Time at which the first agent leaves the crossing, seconds.
-fn time_to_leave(graph: &Arc<RoadGraph>, agents: &[TrafficAgent], seed: u64, way: &str) -> (f64, Vec<f64>) {
+fn time_to_leave(
+    graph: &Arc<RoadGraph>,
+    agents: &[TrafficAgent],
+    seed: u64,
+    way: &str,
+) -> (f64, Vec<f64>) {
     let mut traffic = Traffic::new(graph.clone(), agents, seed).unwrap();
     for step in 0..900 {
         traffic.step(0.1, None);
         check(&traffic, agents, &|| format!("step {step}"));
         if is_on(&traffic, 0, way) {
-            return (0.1 * f64::from(step), traffic.states().iter().map(|state| state.position_m.x).collect());
+            return (
+                0.1 * f64::from(step),
+                traffic
+                    .states()
+                    .iter()
+                    .map(|state| state.position_m.x)
+                    .collect(),
+            );
         }
     }
     panic!("{way} is never reached");
@@ -100,20 +161,30 @@ fn who_turns_left_waits_for_who_comes_straight_on() {
     let mut agents = vec![agent("turns", "in-0", 95.0, 5.0)];
     let seed = seed_for(&graph, &agents, "left-0");
     let (alone_s, _) = time_to_leave(&graph, &agents, seed, "out-1");
-    // Somebody from the front who is too far away to ask for the crossing yet, with a seed by which he goes straight on.
-    agents.push(TrafficAgent { driver: DriverKind::Hurried, ..agent("comes", "in-2", 64.0, 10.0) });
+    // An oncoming vehicle that is too far away to request the crossing yet, with a seed by which
+    // he goes straight on.
+    agents.push(TrafficAgent {
+        driver: DriverKind::Hurried,
+        ..agent("comes", "in-2", 64.0, 10.0)
+    });
     let meet = |seed: &u64| {
         let mut probe = Traffic::new(graph.clone(), &agents, *seed).unwrap();
         let mut seen = [false; 2];
         for _ in 0..300 {
             probe.step(0.1, None);
-            seen = [seen[0] || is_on(&probe, 0, "left-0"), seen[1] || is_on(&probe, 1, "straight-2")];
+            seen = [
+                seen[0] || is_on(&probe, 0, "left-0"),
+                seen[1] || is_on(&probe, 1, "straight-2"),
+            ];
         }
         seen == [true; 2]
     };
     let seed = (0..200).find(meet).unwrap();
     let (waits_s, places) = time_to_leave(&graph, &agents, seed, "out-1");
-    assert!(waits_s > alone_s + 1.0, "{alone_s} s alone, {waits_s} s with somebody who goes first");
+    assert!(
+        waits_s > alone_s + 1.0,
+        "{alone_s} s alone, {waits_s} s with a vehicle that has priority"
+    );
     assert!(places[1] < -12.0, "he is through: {places:?}");
 }
 
@@ -126,7 +197,10 @@ fn a_crossing_full_of_cars_clears() {
             for number in 0..8 {
                 let (name, lane) = (format!("{side}.{number}"), format!("in-{side}"));
                 let driver = DriverKind::ALL[(side + number + seed as usize) % 4];
-                agents.push(TrafficAgent { driver, ..agent(&name, &lane, 104.0 - 8.0 * number as f64, 2.0) });
+                agents.push(TrafficAgent {
+                    driver,
+                    ..agent(&name, &lane, 104.0 - 8.0 * number as f64, 2.0)
+                });
             }
         }
         let mut traffic = Traffic::new(graph.clone(), &agents, seed).unwrap();
@@ -140,22 +214,33 @@ fn a_crossing_full_of_cars_clears() {
             }
         }
         println!("seed {seed}: 32 cars are across after {cleared_s:?} s");
-        assert!(cleared_s.is_some_and(|cleared_s| cleared_s < 200.0), "seed {seed}: {cleared_s:?}");
+        assert!(
+            cleared_s.is_some_and(|cleared_s| cleared_s < 200.0),
+            "seed {seed}: {cleared_s:?}"
+        );
     }
 }
 
 #[test]
 fn nobody_enters_while_the_ego_stands_across_and_all_go_on_when_it_is_gone() {
     let graph = crossing();
-    let agents: Vec<_> = (0..4).map(|side| agent(&format!("{side}"), &format!("in-{side}"), 60.0, 9.0)).collect();
+    let agents: Vec<_> = (0..4)
+        .map(|side| agent(&format!("{side}"), &format!("in-{side}"), 60.0, 9.0))
+        .collect();
     let mut traffic = Traffic::new(graph, &agents, 3).unwrap();
-    let ego = VehicleState { yaw_rad: 0.8, ..VehicleState::default() };
+    let ego = VehicleState {
+        yaw_rad: 0.8,
+        ..VehicleState::default()
+    };
     let outline = |state: &VehicleState| OrientedBox::of(state, &VehicleSize::CAR);
     for _ in 0..300 {
         traffic.step(0.1, Some((&ego, &VehicleSize::CAR)));
         for (number, state) in traffic.states().iter().enumerate() {
             let distance_m = outline(state).distance_m(&outline(&ego));
-            assert!(distance_m > 0.5 && !is_on(&traffic, number, "straight"), "agent {number}, {distance_m} m from the ego");
+            assert!(
+                distance_m > 0.5 && !is_on(&traffic, number, "straight"),
+                "agent {number}, {distance_m} m from the ego"
+            );
         }
     }
     for _ in 0..300 {
@@ -169,11 +254,20 @@ fn the_street_does_not_stand_still() {
     let mut driven = Vec::new();
     for seed in 0..6 {
         let (mut traffic, agents) = random_traffic(&street(), 40, seed);
-        let start: Vec<_> = traffic.states().iter().map(|state| state.position_m).collect();
+        let start: Vec<_> = traffic
+            .states()
+            .iter()
+            .map(|state| state.position_m)
+            .collect();
         for _ in 0..400 {
             traffic.step(0.1, None);
         }
-        let moved = traffic.states().iter().zip(start).filter(|(state, start)| state.position_m.distance(*start) > 30.0).count();
+        let moved = traffic
+            .states()
+            .iter()
+            .zip(start)
+            .filter(|(state, start)| state.position_m.distance(*start) > 30.0)
+            .count();
         driven.push(moved as f64 / agents.len() as f64);
     }
     assert!(driven.iter().all(|share| *share > 0.6), "{driven:?}");

@@ -17,7 +17,12 @@ use crate::roads::Random;
 pub fn street() -> Arc<RoadGraph> {
     static STREET: OnceLock<Arc<RoadGraph>> = OnceLock::new();
     let graph = || {
-        let options = StreetOptions { background: 0, agents: 1, agent_splats: 1, ..StreetOptions::default() };
+        let options = StreetOptions {
+            background: 0,
+            agents: 1,
+            agent_splats: 1,
+            ..StreetOptions::default()
+        };
         Arc::new(RoadGraph::new(&Street::generate(&options).lanes).unwrap())
     };
     STREET.get_or_init(graph).clone()
@@ -26,9 +31,15 @@ pub fn street() -> Arc<RoadGraph> {
 /// The lanes of a map of the test data, or nothing and a line that says so where there is none.
 pub fn roads(name: &str) -> Option<Arc<RoadGraph>> {
     let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let path = std::env::var_os("DECOUPLEGS_DATA").map_or_else(default, PathBuf::from).join("maps").join(name);
+    let path = std::env::var_os("DECOUPLEGS_DATA")
+        .map_or_else(default, PathBuf::from)
+        .join("maps")
+        .join(name);
     if !path.exists() {
-        println!("skipped: {} is not there; set DECOUPLEGS_DATA to the folder of test data", path.display());
+        println!(
+            "skipped: {} is not there; set DECOUPLEGS_DATA to the folder of test data",
+            path.display()
+        );
         return None;
     }
     Some(Arc::new(RoadGraph::new(&read_map(&path).unwrap()).unwrap()))
@@ -37,10 +48,15 @@ pub fn roads(name: &str) -> Option<Arc<RoadGraph>> {
 /// A lane along points.
 pub fn lane(id: &str, points: &[[f64; 2]]) -> Lane {
     let centerline = points.iter().map(|&[x, y]| DVec3::new(x, y, 0.0)).collect();
-    Lane { id: id.into(), centerline, ..Lane::default() }
+    Lane {
+        id: id.into(),
+        centerline,
+        ..Lane::default()
+    }
 }
 
-/// One straight lane of so many meters, and as many more beside it, each to the left of the one before.
+/// One straight lane of so many meters, and as many more beside it, each to the left of the one
+/// before.
 pub fn straight(length_m: f64, lanes: usize, speed_limit_mps: f64) -> Arc<RoadGraph> {
     let mut map = LaneMap::default();
     for number in 0..lanes {
@@ -72,22 +88,38 @@ pub fn agent(name: &str, lane: &str, at_m: f64, speed_mps: f64) -> TrafficAgent 
 
 fn random_behavior(random: &mut Random) -> Behavior {
     let maneuver = match (3.0 * random.unit()) as u32 {
-        0 => Maneuver::Brake { deceleration_mps2: random.between(2.0, 12.0), duration_s: random.between(0.5, 4.0) },
+        0 => Maneuver::Brake {
+            deceleration_mps2: random.between(2.0, 12.0),
+            duration_s: random.between(0.5, 4.0),
+        },
         1 => Maneuver::CutIn,
-        _ => Maneuver::Swerve { amplitude_m: random.between(-2.5, 2.5), duration_s: random.between(1.0, 4.0) },
+        _ => Maneuver::Swerve {
+            amplitude_m: random.between(-2.5, 2.5),
+            duration_s: random.between(1.0, 4.0),
+        },
     };
     let trigger = if random.unit() < 0.5 {
-        Trigger::Time { time_s: random.between(0.0, 15.0) }
+        Trigger::Time {
+            time_s: random.between(0.0, 15.0),
+        }
     } else {
-        Trigger::NearEgo { distance_m: random.between(5.0, 60.0) }
+        Trigger::NearEgo {
+            distance_m: random.between(5.0, 60.0),
+        }
     };
     Behavior { trigger, maneuver }
 }
 
 /// Up to `count` agents of all kinds at random; those who would overlap others are left out.
-pub fn random_traffic(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> (Traffic, Vec<TrafficAgent>) {
+pub fn random_traffic(
+    graph: &Arc<RoadGraph>,
+    count: usize,
+    seed: u64,
+) -> (Traffic, Vec<TrafficAgent>) {
     let mut random = Random(seed);
-    let lanes: Vec<_> = (0..graph.lanes_in_map()).filter_map(|lane| graph.lane(lane)).collect();
+    let lanes: Vec<_> = (0..graph.lanes_in_map())
+        .filter_map(|lane| graph.lane(lane))
+        .collect();
     let mut agents: Vec<TrafficAgent> = Vec::new();
     for number in 0..count {
         let lane = lanes[(random.unit() * lanes.len() as f64) as usize];
@@ -96,19 +128,32 @@ pub fn random_traffic(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> (Traff
             width_m: random.between(1.6, 2.0),
             height_m: random.between(1.4, 2.0),
         };
-        let behaviors = (0..2).filter(|_| random.unit() < 0.3).map(|_| ()).collect::<Vec<_>>();
+        let behaviors = (0..2)
+            .filter(|_| random.unit() < 0.3)
+            .map(|_| ())
+            .collect::<Vec<_>>();
         agents.push(TrafficAgent {
             size,
             driver: DriverKind::ALL[(4.0 * random.unit()) as usize],
             changes_lanes: random.unit() < 0.7,
-            behaviors: behaviors.into_iter().map(|()| random_behavior(&mut random)).collect(),
-            ..agent(&format!("{number}"), &lane.id, random.unit() * lane.line.length_m(), random.between(0.0, 16.0))
+            behaviors: behaviors
+                .into_iter()
+                .map(|()| random_behavior(&mut random))
+                .collect(),
+            ..agent(
+                &format!("{number}"),
+                &lane.id,
+                random.unit() * lane.line.length_m(),
+                random.between(0.0, 16.0),
+            )
         });
     }
     loop {
         match Traffic::new(graph.clone(), &agents, seed) {
             Ok(traffic) => return (traffic, agents),
-            Err(TrafficError::Overlap { second, .. }) => agents.retain(|agent| agent.name != second),
+            Err(TrafficError::Overlap { second, .. }) => {
+                agents.retain(|agent| agent.name != second);
+            }
             Err(other) => panic!("seed {seed}: {other}"),
         }
     }
@@ -118,16 +163,42 @@ pub fn random_traffic(graph: &Arc<RoadGraph>, count: usize, seed: u64) -> (Traff
 pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> String) {
     for ((state, agent), place) in traffic.states().iter().zip(agents).zip(traffic.places()) {
         let name = &agent.name;
-        assert!(state.position_m.is_finite() && state.yaw_rad.is_finite(), "{}: agent {name} is nowhere", what());
-        assert!(state.speed_mps >= 0.0, "{}: agent {name} at {} m/s", what(), state.speed_mps);
+        assert!(
+            state.position_m.is_finite() && state.yaw_rad.is_finite(),
+            "{}: agent {name} is nowhere",
+            what()
+        );
+        assert!(
+            state.speed_mps >= 0.0,
+            "{}: agent {name} at {} m/s",
+            what(),
+            state.speed_mps
+        );
         let acceleration = state.acceleration_mps2;
-        assert!((-BRAKING_MPS2 - 1e-9..=2.0 + 1e-9).contains(&acceleration), "{}: agent {name} at {acceleration} m/s^2", what());
+        assert!(
+            (-BRAKING_MPS2 - 1e-9..=2.0 + 1e-9).contains(&acceleration),
+            "{}: agent {name} at {acceleration} m/s^2",
+            what()
+        );
         let lane = traffic.graph().lane(place.lane).unwrap();
-        assert!((0.0..=lane.line.length_m() + 1e-9).contains(&place.arc_m), "{}: agent {name} is beyond its lane", what());
+        assert!(
+            (0.0..=lane.line.length_m() + 1e-9).contains(&place.arc_m),
+            "{}: agent {name} is beyond its lane",
+            what()
+        );
         let off_m = lane.line.project(state.position_m).distance_m;
-        assert!(off_m <= place.lateral_m.abs() + 0.05 && off_m < 6.0, "{}: agent {name} is {off_m} m off its lane", what());
+        assert!(
+            off_m <= place.lateral_m.abs() + 0.05 && off_m < 6.0,
+            "{}: agent {name} is {off_m} m off its lane",
+            what()
+        );
     }
-    let boxes: Vec<_> = traffic.states().iter().zip(agents).map(|(state, agent)| OrientedBox::of(state, &agent.size)).collect();
+    let boxes: Vec<_> = traffic
+        .states()
+        .iter()
+        .zip(agents)
+        .map(|(state, agent)| OrientedBox::of(state, &agent.size))
+        .collect();
     for (number, a) in boxes.iter().enumerate() {
         for (other, b) in boxes.iter().enumerate().skip(number + 1) {
             let near = a.center_m.distance_squared(b.center_m) < 36.0;
@@ -140,7 +211,13 @@ pub fn check(traffic: &Traffic, agents: &[TrafficAgent], what: &dyn Fn() -> Stri
                     traffic.states()[number],
                 )
             };
-            assert!(!near || !a.overlaps(b), "{}: overlap: {:?}, {:?}", what(), place(number), place(other));
+            assert!(
+                !near || !a.overlaps(b),
+                "{}: overlap: {:?}, {:?}",
+                what(),
+                place(number),
+                place(other)
+            );
         }
     }
 }

@@ -1,8 +1,10 @@
-//! The declarations of a SPIR-V module: everything before its first function, in tables by result id.
+//! The declarations of a SPIR-V module: everything before its first function, in tables by result
+//! id.
 //!
-//! Numbers of instructions, decorations and storage classes are those of the SPIR-V specification 1.6, section 3. We read them
-//! ourselves: the crate that reflects SPIR-V, spirq 1.3, folds specialization constants while it parses, and refuses the
-//! comparisons that `if (DEGREE > 0)` compiles to.
+//! Numbers of instructions, decorations and storage classes are those of the SPIR-V specification
+//! 1.6, section 3. We read them ourselves: the crate that reflects SPIR-V, spirq 1.3, folds
+//! specialization constants while it parses, and refuses the comparisons that `if (DEGREE > 0)`
+//! compiles to.
 
 use std::collections::HashMap;
 
@@ -139,17 +141,29 @@ impl Declarations {
         match (opcode, operands) {
             (op::CAPABILITY, [capability, ..]) => self.capabilities.push(*capability),
             (op::ENTRY_POINT, [MODEL_COMPUTE, _, name @ ..]) => self.entry_point = Some(text(name)),
-            (op::EXECUTION_MODE, [_, MODE_LOCAL_SIZE, x, y, z]) => self.local_size = Some([*x, *y, *z]),
-            (op::EXECUTION_MODE_ID, [_, MODE_LOCAL_SIZE_ID, x, y, z]) => self.local_size_ids = Some([*x, *y, *z]),
+            (op::EXECUTION_MODE, [_, MODE_LOCAL_SIZE, x, y, z]) => {
+                self.local_size = Some([*x, *y, *z]);
+            }
+            (op::EXECUTION_MODE_ID, [_, MODE_LOCAL_SIZE_ID, x, y, z]) => {
+                self.local_size_ids = Some([*x, *y, *z]);
+            }
             (op::NAME, [id, name @ ..]) => drop(self.names.insert(*id, text(name))),
-            (op::MEMBER_NAME, [id, member, name @ ..]) => drop(self.member_names.insert((*id, *member), text(name))),
+            (op::MEMBER_NAME, [id, member, name @ ..]) => {
+                self.member_names.insert((*id, *member), text(name));
+            }
             (op::DECORATE, [id, decoration, value @ ..]) => {
-                self.decorations.insert((*id, *decoration), value.first().copied().unwrap_or(0));
+                self.decorations
+                    .insert((*id, *decoration), value.first().copied().unwrap_or(0));
             }
             (op::MEMBER_DECORATE, [id, member, decoration, value @ ..]) => {
-                self.member_decorations.insert((*id, *member, *decoration), value.first().copied().unwrap_or(0));
+                self.member_decorations.insert(
+                    (*id, *member, *decoration),
+                    value.first().copied().unwrap_or(0),
+                );
             }
-            (op::CONSTANT | op::SPEC_CONSTANT, [of, id, value, ..]) => drop(self.constants.insert(*id, (*of, *value))),
+            (op::CONSTANT | op::SPEC_CONSTANT, [of, id, value, ..]) => {
+                self.constants.insert(*id, (*of, *value));
+            }
             (op::SPEC_CONSTANT_TRUE, [of, id]) => drop(self.constants.insert(*id, (*of, 1))),
             (op::SPEC_CONSTANT_FALSE, [of, id]) => drop(self.constants.insert(*id, (*of, 0))),
             (op::CONSTANT_COMPOSITE | op::SPEC_CONSTANT_COMPOSITE, [_, id, parts @ ..]) => {
@@ -162,16 +176,75 @@ impl Declarations {
 
     fn read_type(&mut self, opcode: u32, operands: &[u32]) {
         let (id, read) = match (opcode, operands) {
-            (op::TYPE_BOOL, [id]) => (id, Type::Scalar { kind: Kind::Bool, bytes: 4 }),
-            (op::TYPE_INT, [id, 32, 0]) => (id, Type::Scalar { kind: Kind::U32, bytes: 4 }),
-            (op::TYPE_INT, [id, 32, _]) => (id, Type::Scalar { kind: Kind::I32, bytes: 4 }),
-            (op::TYPE_FLOAT, [id, 32, ..]) => (id, Type::Scalar { kind: Kind::F32, bytes: 4 }),
-            (op::TYPE_INT | op::TYPE_FLOAT, [id, bits, ..]) => (id, Type::Scalar { kind: Kind::Other, bytes: bits / 8 }),
-            (op::TYPE_VECTOR, [id, component, count]) => (id, Type::Vector { component: *component, count: *count }),
-            (op::TYPE_MATRIX, [id, column, count]) => (id, Type::Matrix { column: *column, count: *count }),
-            (op::TYPE_ARRAY, [id, element, length]) => (id, Type::Array { element: *element, length: Some(*length) }),
-            (op::TYPE_RUNTIME_ARRAY, [id, element]) => (id, Type::Array { element: *element, length: None }),
-            (op::TYPE_STRUCT, [id, members @ ..]) => (id, Type::Struct { members: members.to_vec() }),
+            (op::TYPE_BOOL, [id]) => (
+                id,
+                Type::Scalar {
+                    kind: Kind::Bool,
+                    bytes: 4,
+                },
+            ),
+            (op::TYPE_INT, [id, 32, 0]) => (
+                id,
+                Type::Scalar {
+                    kind: Kind::U32,
+                    bytes: 4,
+                },
+            ),
+            (op::TYPE_INT, [id, 32, _]) => (
+                id,
+                Type::Scalar {
+                    kind: Kind::I32,
+                    bytes: 4,
+                },
+            ),
+            (op::TYPE_FLOAT, [id, 32, ..]) => (
+                id,
+                Type::Scalar {
+                    kind: Kind::F32,
+                    bytes: 4,
+                },
+            ),
+            (op::TYPE_INT | op::TYPE_FLOAT, [id, bits, ..]) => (
+                id,
+                Type::Scalar {
+                    kind: Kind::Other,
+                    bytes: bits / 8,
+                },
+            ),
+            (op::TYPE_VECTOR, [id, component, count]) => (
+                id,
+                Type::Vector {
+                    component: *component,
+                    count: *count,
+                },
+            ),
+            (op::TYPE_MATRIX, [id, column, count]) => (
+                id,
+                Type::Matrix {
+                    column: *column,
+                    count: *count,
+                },
+            ),
+            (op::TYPE_ARRAY, [id, element, length]) => (
+                id,
+                Type::Array {
+                    element: *element,
+                    length: Some(*length),
+                },
+            ),
+            (op::TYPE_RUNTIME_ARRAY, [id, element]) => (
+                id,
+                Type::Array {
+                    element: *element,
+                    length: None,
+                },
+            ),
+            (op::TYPE_STRUCT, [id, members @ ..]) => (
+                id,
+                Type::Struct {
+                    members: members.to_vec(),
+                },
+            ),
             (op::TYPE_POINTER, [id, _, pointee]) => (id, Type::Pointer { pointee: *pointee }),
             _ => return,
         };
@@ -179,7 +252,11 @@ impl Declarations {
     }
 
     pub(super) fn named(&self, id: u32) -> String {
-        self.names.get(&id).filter(|name| !name.is_empty()).cloned().unwrap_or_else(|| format!("variable {id}"))
+        self.names
+            .get(&id)
+            .filter(|name| !name.is_empty())
+            .cloned()
+            .unwrap_or_else(|| format!("variable {id}"))
     }
 
     pub(super) fn pointee(&self, pointer: u32) -> Result<u32, String> {
@@ -194,17 +271,26 @@ impl Declarations {
     }
 
     pub(super) fn members(&self, id: u32) -> Vec<(String, u32)> {
-        let Some(Type::Struct { members }) = self.types.get(&id) else { return Vec::new() };
+        let Some(Type::Struct { members }) = self.types.get(&id) else {
+            return Vec::new();
+        };
         let member = |i: u32| {
             let name = self.member_names.get(&(id, i)).cloned().unwrap_or_default();
-            (name, self.member_decorations.get(&(id, i, decoration::OFFSET)).copied().unwrap_or(0))
+            (
+                name,
+                self.member_decorations
+                    .get(&(id, i, decoration::OFFSET))
+                    .copied()
+                    .unwrap_or(0),
+            )
         };
         (0..members.len() as u32).map(member).collect()
     }
 
     /// Size of a type in memory; an array of open length counts nothing.
     pub(super) fn bytes(&self, id: u32, depth: usize) -> Result<u32, String> {
-        let too_large = || "the SPIR-V module has a structure that is too large or too deep".to_owned();
+        let too_large =
+            || "the SPIR-V module has a structure that is too large or too deep".to_owned();
         if depth > DEPTH_MAX {
             return Err(too_large());
         }
@@ -237,7 +323,9 @@ impl Declarations {
 
     /// Size of a matrix that is member `i` of structure `id`; `None` when it is none.
     fn matrix_bytes(&self, id: u32, i: u32, member: u32) -> Option<u32> {
-        let Some(Type::Matrix { column, count }) = self.types.get(&member) else { return None };
+        let Some(Type::Matrix { column, count }) = self.types.get(&member) else {
+            return None;
+        };
         let of = |decoration| self.member_decorations.get(&(id, i, decoration)).copied();
         let vectors = match (of(decoration::ROW_MAJOR), self.types.get(column)) {
             (Some(_), Some(Type::Vector { count: rows, .. })) => *rows,
@@ -249,6 +337,10 @@ impl Declarations {
 
 /// A literal string: UTF-8 in little-endian words, ended by a zero byte.
 fn text(words: &[u32]) -> String {
-    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).take_while(|&byte| byte != 0).collect();
+    let bytes: Vec<u8> = words
+        .iter()
+        .flat_map(|word| word.to_le_bytes())
+        .take_while(|&byte| byte != 0)
+        .collect();
     String::from_utf8_lossy(&bytes).into_owned()
 }

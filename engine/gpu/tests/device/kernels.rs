@@ -2,7 +2,9 @@
 
 use std::fs;
 
-use decouplegs_gpu::{Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole};
+use decouplegs_gpu::{
+    Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole,
+};
 
 use crate::{Watched, bytes, scale, scale_push, spirv};
 
@@ -10,14 +12,27 @@ use crate::{Watched, bytes, scale, scale_push, spirv};
 fn constants_are_given_by_name() {
     let gpu = Watched::open();
     let source: Vec<i32> = (0..1000).collect();
-    let constants = [("NEGATE", Constant::Bool(true)), ("GROUP_SIZE", Constant::U32(32)), ("FACTOR", Constant::U32(3))];
+    let constants = [
+        ("NEGATE", Constant::Bool(true)),
+        ("GROUP_SIZE", Constant::U32(32)),
+        ("FACTOR", Constant::U32(3)),
+    ];
     let kernel = gpu.kernel("scale", &spirv("scale"), &constants).unwrap();
     assert_eq!(kernel.workgroup_size(), [32, 1, 1]);
-    println!("subgroups pinned to {}: {}", gpu.limits().subgroup_size, kernel.subgroups_pinned());
+    println!(
+        "subgroups pinned to {}: {}",
+        gpu.limits().subgroup_size,
+        kernel.subgroups_pinned()
+    );
     let from = gpu.upload("source", "test", &source).unwrap();
-    let to = gpu.buffer::<i32>("target", "test", source.len(), MemoryKind::Device).unwrap();
+    let to = gpu
+        .buffer::<i32>("target", "test", source.len(), MemoryKind::Device)
+        .unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [("target_values", to.binding()), ("source_values", from.binding())];
+    let buffers = [
+        ("target_values", to.binding()),
+        ("source_values", from.binding()),
+    ];
     recorder.dispatch(&kernel, &buffers, &scale_push(1000, 7), [32, 1, 1]);
     gpu.submit(recorder, &[]).unwrap();
     let expected: Vec<i32> = source.iter().map(|value| -(value * 3 + 7)).collect();
@@ -28,19 +43,55 @@ fn constants_are_given_by_name() {
 fn bindings_say_name_access_and_layout() {
     let gpu = Watched::open();
     let kernel = gpu.kernel("layout", &spirv("layout"), &[]).unwrap();
-    let bindings: Vec<(&str, Access)> = kernel.bindings().iter().map(|binding| (binding.name.as_str(), binding.access)).collect();
-    // By binding number: the block with an instance name goes by it, the others by their only member.
-    assert_eq!(bindings, [("counted", Access::ReadWrite), ("item", Access::Write), ("items", Access::Read)]);
+    let bindings: Vec<(&str, Access)> = kernel
+        .bindings()
+        .iter()
+        .map(|binding| (binding.name.as_str(), binding.access))
+        .collect();
+    // By binding number: the block with an instance name goes by it, the others by their only
+    // member.
+    assert_eq!(
+        bindings,
+        [
+            ("counted", Access::ReadWrite),
+            ("item", Access::Write),
+            ("items", Access::Read)
+        ]
+    );
     assert_eq!(kernel.workgroup_size(), [8, 4, 2]);
-    let named =
-        |members: &[(&str, u32)]| Some(members.iter().map(|(name, offset)| ((*name).to_owned(), *offset)).collect::<Vec<_>>());
-    assert_eq!(kernel.member_offsets("items"), named(&[("mean", 0), ("id", 12), ("extent", 16)]));
-    assert_eq!(kernel.member_offsets("item"), named(&[("mean", 0), ("id", 12), ("extent", 16)]));
-    assert_eq!(kernel.member_offsets("counted"), named(&[("count", 0), ("weights", 4), ("ids", 20)]));
+    let named = |members: &[(&str, u32)]| {
+        Some(
+            members
+                .iter()
+                .map(|(name, offset)| ((*name).to_owned(), *offset))
+                .collect::<Vec<_>>(),
+        )
+    };
+    assert_eq!(
+        kernel.member_offsets("items"),
+        named(&[("mean", 0), ("id", 12), ("extent", 16)])
+    );
+    assert_eq!(
+        kernel.member_offsets("item"),
+        named(&[("mean", 0), ("id", 12), ("extent", 16)])
+    );
+    assert_eq!(
+        kernel.member_offsets("counted"),
+        named(&[("count", 0), ("weights", 4), ("ids", 20)])
+    );
     assert_eq!(kernel.member_offsets("nothing"), None);
-    assert_eq!((kernel.element_stride("items"), kernel.element_stride("counted")), (Some(24), None));
+    assert_eq!(
+        (
+            kernel.element_stride("items"),
+            kernel.element_stride("counted")
+        ),
+        (Some(24), None)
+    );
     assert_eq!(kernel.push_bytes(), 16 + 3 * 16);
-    assert_eq!(Some(kernel.push_member_offsets().to_vec()), named(&[("origin", 0), ("count", 12), ("turn", 16)]));
+    assert_eq!(
+        Some(kernel.push_member_offsets().to_vec()),
+        named(&[("origin", 0), ("count", 12), ("turn", 16)])
+    );
 }
 
 #[test]
@@ -50,15 +101,28 @@ fn indirect_dispatch_reads_its_arguments_behind_their_writer() {
     let arguments = gpu.kernel("arguments", &spirv("arguments"), &[]).unwrap();
     let kernel = scale(&gpu, 2);
     let from = gpu.upload("source", "test", &source).unwrap();
-    let to = gpu.upload("target", "test", &vec![-1; source.len()]).unwrap();
+    let to = gpu
+        .upload("target", "test", &vec![-1; source.len()])
+        .unwrap();
     let words = gpu.upload("arguments", "test", &[0_u32; 8]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch(&arguments, &[("arguments", words.binding())], &bytes(&[700, 64, 4]), [1, 1, 1]);
-    let buffers = [("source_values", from.binding()), ("target_values", to.binding())];
+    recorder.dispatch(
+        &arguments,
+        &[("arguments", words.binding())],
+        &bytes(&[700, 64, 4]),
+        [1, 1, 1],
+    );
+    let buffers = [
+        ("source_values", from.binding()),
+        ("target_values", to.binding()),
+    ];
     recorder.dispatch_indirect(&kernel, &buffers, &scale_push(1000, 0), words.binding(), 16);
     gpu.submit(recorder, &[]).unwrap();
     // 700 invocations in groups of 64 are 11 groups: 704 values.
-    let expected: Vec<i32> = source.iter().map(|&value| if value < 704 { value * 2 } else { -1 }).collect();
+    let expected: Vec<i32> = source
+        .iter()
+        .map(|&value| if value < 704 { value * 2 } else { -1 })
+        .collect();
     assert_eq!(gpu.read(&to).unwrap(), expected);
     assert_eq!(gpu.read(&words).unwrap(), [0, 0, 0, 0, 11, 1, 1, 0]);
 }
@@ -73,8 +137,14 @@ fn what_is_no_storage_buffer_and_what_is_no_spirv_is_refused() {
     assert!(refusal(&spirv("texture")).contains("picture is not a storage buffer"));
     assert!(refusal(&[1, 2, 3]).contains("not a SPIR-V module"));
     let large = Constant::U32(gpu.limits().workgroup_threads_max + 1);
-    let error = gpu.kernel("scale", &spirv("scale"), &[("GROUP_SIZE", large)]).unwrap_err().to_string();
-    assert!(error.contains(&format!("1 to {}", gpu.limits().workgroup_threads_max)), "{error}");
+    let error = gpu
+        .kernel("scale", &spirv("scale"), &[("GROUP_SIZE", large)])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains(&format!("1 to {}", gpu.limits().workgroup_threads_max)),
+        "{error}"
+    );
 }
 
 /// Dispatches `scale` with names and sizes that may be wrong.
@@ -82,11 +152,14 @@ fn dispatch(names: &[&str], push_bytes: usize, groups: [u32; 3]) {
     let gpu = Watched::open();
     let buffer = gpu.upload("values", "test", &[1_i32; 64]).unwrap();
     let buffers: Vec<_> = names.iter().map(|name| (*name, buffer.binding())).collect();
-    gpu.record(QueueRole::Main).dispatch(&scale(&gpu, 2), &buffers, &vec![0; push_bytes], groups);
+    gpu.record(QueueRole::Main)
+        .dispatch(&scale(&gpu, 2), &buffers, &vec![0; push_bytes], groups);
 }
 
 #[test]
-#[should_panic(expected = "no binding 'sauce_values', it has [\"source_values\", \"target_values\"]")]
+#[should_panic(
+    expected = "no binding 'sauce_values', it has [\"source_values\", \"target_values\"]"
+)]
 fn a_wrong_binding_name_asserts() {
     dispatch(&["sauce_values", "target_values"], 8, [1, 1, 1]);
 }
@@ -100,7 +173,11 @@ fn a_missing_binding_asserts() {
 #[test]
 #[should_panic(expected = "binding 'source_values' is not given exactly once")]
 fn a_binding_given_twice_asserts() {
-    dispatch(&["source_values", "target_values", "source_values"], 8, [1, 1, 1]);
+    dispatch(
+        &["source_values", "target_values", "source_values"],
+        8,
+        [1, 1, 1],
+    );
 }
 
 #[test]
@@ -116,14 +193,18 @@ fn too_many_workgroups_assert() {
 }
 
 #[test]
-#[should_panic(expected = "no specialization constant 'FAKTOR', it has [\"GROUP_SIZE\", \"FACTOR\"")]
+#[should_panic(
+    expected = "no specialization constant 'FAKTOR', it has [\"GROUP_SIZE\", \"FACTOR\""
+)]
 fn an_unknown_constant_asserts() {
     let gpu = Watched::open();
     let _ = gpu.kernel("scale", &spirv("scale"), &[("FAKTOR", Constant::U32(1))]);
 }
 
 #[test]
-#[should_panic(expected = "specialization constant 'FACTOR' is U32 in the shader, given is F32(1.0)")]
+#[should_panic(
+    expected = "specialization constant 'FACTOR' is U32 in the shader, given is F32(1.0)"
+)]
 fn a_constant_of_another_type_asserts() {
     let gpu = Watched::open();
     let _ = gpu.kernel("scale", &spirv("scale"), &[("FACTOR", Constant::F32(1.0))]);
@@ -134,7 +215,10 @@ fn a_constant_of_another_type_asserts() {
 fn a_second_start_finds_kernels_that_were_kept() {
     let folder = std::env::temp_dir().join(format!("decouplegs-kept-{}", std::process::id()));
     let start = || {
-        let options = DeviceOptions { kernels: KernelCache::Folder(folder.clone()), ..DeviceOptions::default() };
+        let options = DeviceOptions {
+            kernels: KernelCache::Folder(folder.clone()),
+            ..DeviceOptions::default()
+        };
         let gpu = Gpu::open(&options).unwrap();
         let kernel = scale(&gpu, 2);
         let counts = gpu.kernel_counts();
@@ -142,15 +226,26 @@ fn a_second_start_finds_kernels_that_were_kept() {
         assert_eq!(gpu.take_validation_messages(), Vec::<String>::new());
         (gpu.has_kept_kernels(), counts)
     };
-    let files = || fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).collect::<Vec<_>>();
+    let files = || {
+        fs::read_dir(&folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect::<Vec<_>>()
+    };
     let (read, counts) = start();
     assert!(!read && (counts.built, counts.found) == (1, 0));
-    let [file] = &files()[..] else { panic!("one file, found {:?}", files()) };
+    let [file] = &files()[..] else {
+        panic!("one file, found {:?}", files())
+    };
     let kept = fs::read(file).unwrap();
     let (read, counts) = start();
     assert!(read);
     println!("{counts:?}; drivers that keep nothing find nothing");
-    for damaged in [&kept[..kept.len() - 1], b"", &[&kept[..30], &[!kept[30]], &kept[31..]].concat()] {
+    for damaged in [
+        &kept[..kept.len() - 1],
+        b"",
+        &[&kept[..30], &[!kept[30]], &kept[31..]].concat(),
+    ] {
         fs::write(file, damaged).unwrap();
         assert!(!start().0, "what is damaged is ignored");
         assert!(start().0, "and written anew");

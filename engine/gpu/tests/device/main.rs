@@ -1,4 +1,5 @@
-//! The crate on a real Vulkan device (lavapipe will do), watched by the validation layer with synchronization validation.
+//! The crate on a real Vulkan device (lavapipe will do), watched by the validation layer with
+//! synchronization validation.
 
 mod kernels;
 mod memory;
@@ -9,7 +10,8 @@ use std::ops::Deref;
 
 use decouplegs_gpu::{Constant, DeviceOptions, Gpu, Kernel, QueueUse};
 
-/// On, unless a machine without the layers says `DECOUPLEGS_VALIDATION=0`: then the tests of what validation sees fail.
+/// On, unless a machine without the layers says `DECOUPLEGS_VALIDATION=0`: then the tests of what
+/// validation sees fail.
 fn validation() -> bool {
     std::env::var("DECOUPLEGS_VALIDATION").map_or(true, |value| value != "0")
 }
@@ -23,7 +25,11 @@ impl Watched {
     }
 
     fn open_with(queues: QueueUse) -> Self {
-        let options = DeviceOptions { validation: validation(), queues, ..DeviceOptions::default() };
+        let options = DeviceOptions {
+            validation: validation(),
+            queues,
+            ..DeviceOptions::default()
+        };
         Self(Gpu::open(&options).unwrap())
     }
 }
@@ -39,13 +45,19 @@ impl Deref for Watched {
 impl Drop for Watched {
     fn drop(&mut self) {
         let messages = self.0.take_validation_messages();
-        assert!(std::thread::panicking() || messages.is_empty(), "validation says: {messages:#?}");
+        assert!(
+            std::thread::panicking() || messages.is_empty(),
+            "validation says: {messages:#?}"
+        );
     }
 }
 
 /// The words of one of `tests/kernels`.
 fn words(bytes: &[u8]) -> Vec<u32> {
-    bytes.chunks_exact(4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]])).collect()
+    bytes
+        .chunks_exact(4)
+        .map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
+        .collect()
 }
 
 fn spirv(name: &str) -> Vec<u32> {
@@ -61,7 +73,15 @@ fn spirv(name: &str) -> Vec<u32> {
 
 /// `target = source * factor + add`, in groups of 64.
 fn scale(gpu: &Gpu, factor: u32) -> Kernel {
-    gpu.kernel("scale", &spirv("scale"), &[("GROUP_SIZE", Constant::U32(64)), ("FACTOR", Constant::U32(factor))]).unwrap()
+    gpu.kernel(
+        "scale",
+        &spirv("scale"),
+        &[
+            ("GROUP_SIZE", Constant::U32(64)),
+            ("FACTOR", Constant::U32(factor)),
+        ],
+    )
+    .unwrap()
 }
 
 /// Push constants of `scale`.

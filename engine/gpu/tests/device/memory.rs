@@ -7,14 +7,25 @@ use crate::{Watched, scale, scale_push};
 #[test]
 fn what_is_uploaded_is_read_back() {
     let gpu = Watched::open();
-    let words: Vec<u32> = (0..100_003_u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
+    let words: Vec<u32> = (0..100_003_u32)
+        .map(|i| i.wrapping_mul(2_654_435_761))
+        .collect();
     let buffer = gpu.upload("words", "test", &words).unwrap();
     assert_eq!(gpu.read(&buffer).unwrap(), words);
     gpu.write(&buffer, 5, &[1, 2, 3]).unwrap();
     let read = gpu.read(&buffer).unwrap();
-    assert_eq!((&read[..8], &read[8..]), (&[words[0], words[1], words[2], words[3], words[4], 1, 2, 3][..], &words[8..]));
+    assert_eq!(
+        (&read[..8], &read[8..]),
+        (
+            &[words[0], words[1], words[2], words[3], words[4], 1, 2, 3][..],
+            &words[8..]
+        )
+    );
     let odd: Vec<[u8; 3]> = vec![[1, 2, 3], [4, 5, 6], [7, 8, 9]];
-    assert_eq!(gpu.read(&gpu.upload("odd", "test", &odd).unwrap()).unwrap(), odd);
+    assert_eq!(
+        gpu.read(&gpu.upload("odd", "test", &odd).unwrap()).unwrap(),
+        odd
+    );
 }
 
 #[test]
@@ -23,7 +34,10 @@ fn a_buffer_of_nothing_can_be_bound_copied_and_read() {
     let nothing: Buffer<i32> = gpu.upload("nothing", "test", &[]).unwrap();
     let target = gpu.upload("target", "test", &[5_i32; 4]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [("source_values", nothing.binding()), ("target_values", target.binding())];
+    let buffers = [
+        ("source_values", nothing.binding()),
+        ("target_values", target.binding()),
+    ];
     recorder.dispatch(&scale(&gpu, 2), &buffers, &scale_push(0, 0), [1, 1, 1]);
     recorder.copy(&nothing, 0, &target, 4, 0);
     recorder.fill(nothing.binding(), 0, 0, 1);
@@ -35,7 +49,9 @@ fn a_buffer_of_nothing_can_be_bound_copied_and_read() {
 #[test]
 fn fill_and_copy_touch_their_ranges_only() {
     let gpu = Watched::open();
-    let from = gpu.upload("from", "test", &(0..10_u32).collect::<Vec<_>>()).unwrap();
+    let from = gpu
+        .upload("from", "test", &(0..10_u32).collect::<Vec<_>>())
+        .unwrap();
     let to = gpu.upload("to", "test", &[100_u32; 6]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     recorder.fill(from.binding(), 8, 4, 77);
@@ -48,12 +64,19 @@ fn fill_and_copy_touch_their_ranges_only() {
 #[test]
 fn mapped_buffers_are_written_and_read_by_the_host() {
     let gpu = Watched::open();
-    let upload = gpu.buffer::<i32>("upload", "test", 100, MemoryKind::Upload).unwrap();
-    let readback = gpu.buffer::<i32>("readback", "test", 100, MemoryKind::Readback).unwrap();
+    let upload = gpu
+        .buffer::<i32>("upload", "test", 100, MemoryKind::Upload)
+        .unwrap();
+    let readback = gpu
+        .buffer::<i32>("readback", "test", 100, MemoryKind::Readback)
+        .unwrap();
     upload.write_host(0, &[3; 100]);
     upload.write_host(50, &[4; 50]);
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [("source_values", upload.binding()), ("target_values", readback.binding())];
+    let buffers = [
+        ("source_values", upload.binding()),
+        ("target_values", readback.binding()),
+    ];
     recorder.dispatch(&scale(&gpu, 10), &buffers, &scale_push(100, 1), [2, 1, 1]);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let expected: Vec<i32> = (0..100).map(|i| if i < 50 { 31 } else { 41 }).collect();
@@ -72,7 +95,10 @@ fn writing_past_the_end_asserts() {
 #[should_panic(expected = "buffer values: lives on the device")]
 fn device_memory_is_out_of_the_hosts_reach() {
     let gpu = Watched::open();
-    let _ = gpu.upload("values", "test", &[1_u32; 4]).unwrap().read_host();
+    let _ = gpu
+        .upload("values", "test", &[1_u32; 4])
+        .unwrap()
+        .read_host();
 }
 
 #[test]
@@ -80,16 +106,30 @@ fn memory_is_counted_by_purpose_until_the_last_use_is_over() {
     let gpu = Watched::open();
     assert_eq!(gpu.memory().total_bytes, 0);
     let splats = gpu.upload("means", "splats", &[0_i32; 1000]).unwrap();
-    let image = gpu.buffer::<i32>("image", "images", 500, MemoryKind::Device).unwrap();
+    let image = gpu
+        .buffer::<i32>("image", "images", 500, MemoryKind::Device)
+        .unwrap();
     let report = gpu.memory();
     // Drivers round up to their alignment; nothing else may come on top, staging is gone.
-    assert!((4000..=4000 + 4096).contains(&report.bytes_by_purpose["splats"]), "{report:?}");
-    assert!((2000..=2000 + 4096).contains(&report.bytes_by_purpose["images"]), "{report:?}");
-    assert_eq!(report.total_bytes, report.bytes_by_purpose.values().sum::<u64>());
+    assert!(
+        (4000..=4000 + 4096).contains(&report.bytes_by_purpose["splats"]),
+        "{report:?}"
+    );
+    assert!(
+        (2000..=2000 + 4096).contains(&report.bytes_by_purpose["images"]),
+        "{report:?}"
+    );
+    assert_eq!(
+        report.total_bytes,
+        report.bytes_by_purpose.values().sum::<u64>()
+    );
     assert_eq!(report.bytes_by_purpose.len(), 2, "{report:?}");
 
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [("source_values", splats.binding()), ("target_values", image.binding())];
+    let buffers = [
+        ("source_values", splats.binding()),
+        ("target_values", image.binding()),
+    ];
     recorder.dispatch(&scale(&gpu, 2), &buffers, &scale_push(500, 0), [8, 1, 1]);
     // The recorder alone holds buffers and kernel now.
     drop((splats, image));
@@ -112,14 +152,20 @@ fn a_recorder_that_is_never_submitted_gives_back_what_it_held() {
 fn a_buffer_that_no_kernel_could_see_whole_is_refused_with_both_numbers() {
     let gpu = Watched::open();
     let limit = gpu.limits().storage_buffer_bytes_max;
-    let error = gpu.buffer::<u8>("everything", "test", limit as usize + 1, MemoryKind::Device).unwrap_err();
+    let error = gpu
+        .buffer::<u8>("everything", "test", limit as usize + 1, MemoryKind::Device)
+        .unwrap_err();
     let text = error.to_string();
     assert!(
-        text.contains(&limit.to_string()) && text.contains(&(limit + 1).to_string()) && text.contains("everything"),
+        text.contains(&limit.to_string())
+            && text.contains(&(limit + 1).to_string())
+            && text.contains("everything"),
         "{text}"
     );
     // A length whose bytes do not fit 64 bits is as much too large.
-    let error = gpu.buffer::<[u64; 4]>("absurd", "test", usize::MAX, MemoryKind::Device).unwrap_err();
+    let error = gpu
+        .buffer::<[u64; 4]>("absurd", "test", usize::MAX, MemoryKind::Device)
+        .unwrap_err();
     assert!(matches!(error, GpuError::BufferTooLarge { .. }), "{error}");
 }
 
@@ -131,17 +177,34 @@ fn memory_that_the_heap_does_not_have_is_refused_with_the_bytes() {
     let mut held = Vec::new();
     // Never touched: a driver that runs on the CPU does not really use these pages.
     let error = loop {
-        assert!(held.len() as u64 <= heap / each, "{} buffers of {each} bytes in a heap of {heap}", held.len());
+        assert!(
+            held.len() as u64 <= heap / each,
+            "{} buffers of {each} bytes in a heap of {heap}",
+            held.len()
+        );
         match gpu.buffer::<u8>("hoard", "greed", each as usize, MemoryKind::Device) {
             Ok(buffer) => held.push(buffer),
             Err(error) => break error,
         }
     };
-    let GpuError::OutOfMemory { wanted_bytes, used_bytes, heap_bytes, .. } = error else { panic!("{error}") };
-    assert!(wanted_bytes >= each && heap_bytes == heap && used_bytes >= held.len() as u64 * each, "{error}");
+    let GpuError::OutOfMemory {
+        wanted_bytes,
+        used_bytes,
+        heap_bytes,
+        ..
+    } = error
+    else {
+        panic!("{error}")
+    };
+    assert!(
+        wanted_bytes >= each && heap_bytes == heap && used_bytes >= held.len() as u64 * each,
+        "{error}"
+    );
     let text = error.to_string();
     assert!(
-        text.contains("hoard (greed)") && text.contains(&heap.to_string()) && text.contains(&used_bytes.to_string()),
+        text.contains("hoard (greed)")
+            && text.contains(&heap.to_string())
+            && text.contains(&used_bytes.to_string()),
         "{text}"
     );
     drop(held);
@@ -152,18 +215,30 @@ fn memory_that_the_heap_does_not_have_is_refused_with_the_bytes() {
 fn memory_for_others_is_a_buffer_like_any_or_is_refused_with_the_reason() {
     let gpu = Watched::open();
     if !gpu.can_export() {
-        let refused = gpu.buffer::<u32>("images", "test", 4, MemoryKind::Exported).map(|_| ()).unwrap_err().to_string();
+        let refused = gpu
+            .buffer::<u32>("images", "test", 4, MemoryKind::Exported)
+            .map(|_| ())
+            .unwrap_err()
+            .to_string();
         assert!(refused.contains("VK_KHR_external_memory_fd"), "{refused}");
         assert!(gpu.export_timeline(QueueRole::Main).is_err());
-        println!("{} exports nothing: what it would give was not tested", gpu.info());
+        println!(
+            "{} exports nothing: what it would give was not tested",
+            gpu.info()
+        );
         return;
     }
     let words: Vec<u32> = (0..70_001).collect();
     let before = gpu.memory().total_bytes;
-    let buffer: Buffer<u32> = gpu.buffer("images", "test", words.len(), MemoryKind::Exported).unwrap();
+    let buffer: Buffer<u32> = gpu
+        .buffer("images", "test", words.len(), MemoryKind::Exported)
+        .unwrap();
     gpu.write(&buffer, 0, &words).unwrap();
     let (first, second) = (buffer.export().unwrap(), buffer.export().unwrap());
-    assert!(first.allocation_bytes >= buffer.byte_len() && second.allocation_bytes == first.allocation_bytes);
+    assert!(
+        first.allocation_bytes >= buffer.byte_len()
+            && second.allocation_bytes == first.allocation_bytes
+    );
     assert_eq!(gpu.memory().total_bytes - before, first.allocation_bytes);
     assert_eq!(gpu.read(&buffer).unwrap(), words);
     gpu.export_timeline(QueueRole::Main).unwrap();

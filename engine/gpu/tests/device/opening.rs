@@ -14,11 +14,18 @@ fn the_device_found_can_be_named_by_index_name_and_uuid() {
     let found = Gpu::list().unwrap();
     for device in &found {
         println!("{}: {device}", device.index);
-        let choices =
-            [DeviceChoice::Index(device.index), DeviceChoice::Uuid(device.uuid), DeviceChoice::Name(device.name.to_uppercase())];
+        let choices = [
+            DeviceChoice::Index(device.index),
+            DeviceChoice::Uuid(device.uuid),
+            DeviceChoice::Name(device.name.to_uppercase()),
+        ];
         for choice in choices {
-            let options = DeviceOptions { choice, ..DeviceOptions::default() };
-            // Not every device that is listed can do the work; one that is opened is the one asked for.
+            let options = DeviceOptions {
+                choice,
+                ..DeviceOptions::default()
+            };
+            // Not every device that is listed can do the work; one that is opened is the one asked
+            // for.
             match Gpu::open(&options) {
                 Ok(gpu) => assert_eq!(gpu.info().name, device.name),
                 Err(error) => assert!(matches!(error, GpuError::MissingFeature { .. }), "{error}"),
@@ -36,7 +43,12 @@ fn limits_are_those_that_vulkan_guarantees_or_better() {
     assert!(limits.shared_memory_bytes >= 16 << 10 && limits.workgroup_threads_max >= 128);
     assert!(limits.storage_buffer_bytes_max >= 1 << 27 && limits.push_constant_bytes_max >= 128);
     assert!(limits.workgroup_subgroups_max * limits.subgroup_size >= 128);
-    assert!(limits.dispatch_groups_max.iter().all(|&groups| groups >= 65535));
+    assert!(
+        limits
+            .dispatch_groups_max
+            .iter()
+            .all(|&groups| groups >= 65535)
+    );
     assert!(limits.device_memory_bytes > 0 && limits.timestamp_period_ns > 0.0);
 }
 
@@ -47,9 +59,15 @@ fn one_queue_is_enough_where_it_is_asked_for() {
 
 #[test]
 fn an_unknown_device_is_refused_with_those_found() {
-    let options = DeviceOptions { choice: DeviceChoice::Name("voodoo 2".into()), ..DeviceOptions::default() };
+    let options = DeviceOptions {
+        choice: DeviceChoice::Name("voodoo 2".into()),
+        ..DeviceOptions::default()
+    };
     let text = Gpu::open(&options).unwrap_err().to_string();
-    assert!(text.contains("voodoo 2") && text.contains(&Gpu::list().unwrap()[0].name), "{text}");
+    assert!(
+        text.contains("voodoo 2") && text.contains(&Gpu::list().unwrap()[0].name),
+        "{text}"
+    );
 }
 
 #[test]
@@ -58,17 +76,33 @@ fn without_a_driver_the_error_says_what_to_install() {
         println!("{}", Gpu::list().unwrap_err());
         return;
     }
-    let text = in_a_child("without_a_driver_the_error_says_what_to_install", &["VK_ICD_FILENAMES", "VK_DRIVER_FILES"]);
-    assert!(text.contains("no Vulkan device found") && text.contains("mesa-vulkan-drivers"), "{text}");
+    let text = in_a_child(
+        "without_a_driver_the_error_says_what_to_install",
+        &["VK_ICD_FILENAMES", "VK_DRIVER_FILES"],
+    );
+    assert!(
+        text.contains("no Vulkan device found") && text.contains("mesa-vulkan-drivers"),
+        "{text}"
+    );
 }
 
 #[test]
 fn without_its_layer_validation_is_refused() {
     if std::env::var_os(CHILD).is_some() {
-        println!("{}", Gpu::open(&DeviceOptions { validation: true, ..DeviceOptions::default() }).unwrap_err());
+        println!(
+            "{}",
+            Gpu::open(&DeviceOptions {
+                validation: true,
+                ..DeviceOptions::default()
+            })
+            .unwrap_err()
+        );
         return;
     }
-    let text = in_a_child("without_its_layer_validation_is_refused", &["VK_LAYER_PATH"]);
+    let text = in_a_child(
+        "without_its_layer_validation_is_refused",
+        &["VK_LAYER_PATH"],
+    );
     assert!(text.contains("install vulkan-validationlayers"), "{text}");
 }
 
@@ -76,7 +110,9 @@ fn without_its_layer_validation_is_refused() {
 /// exist.
 fn in_a_child(name: &str, hidden: &[&str]) -> String {
     let mut child = Command::new(std::env::current_exe().unwrap());
-    child.args(["--exact", &format!("opening::{name}"), "--nocapture"]).env(CHILD, "1");
+    child
+        .args(["--exact", &format!("opening::{name}"), "--nocapture"])
+        .env(CHILD, "1");
     for variable in hidden {
         child.env(variable, "/nonexistent/vulkan");
     }

@@ -2,7 +2,9 @@
 
 use std::time::Instant;
 
-use decouplegs_gpu::{Buffer, DeviceOptions, Gpu, Kernel, MemoryKind, QueueRole, QueueUse, Recorder, Ticket};
+use decouplegs_gpu::{
+    Buffer, DeviceOptions, Gpu, Kernel, MemoryKind, QueueRole, QueueUse, Recorder, Ticket,
+};
 
 use crate::{Watched, bytes, scale, scale_push, spirv};
 
@@ -11,14 +13,21 @@ const COUNT: u32 = 4096;
 /// From `a` to `b` and back again to `a`: read after write, write after read.
 fn there_and_back(recorder: &mut Recorder, kernel: &Kernel, a: &Buffer<i32>, b: &Buffer<i32>) {
     for (from, to) in [(a, b), (b, a)] {
-        let buffers = [("source_values", from.binding()), ("target_values", to.binding())];
+        let buffers = [
+            ("source_values", from.binding()),
+            ("target_values", to.binding()),
+        ];
         recorder.dispatch(kernel, &buffers, &scale_push(COUNT, 1), [COUNT / 64, 1, 1]);
     }
 }
 
 fn two_buffers(gpu: &Gpu) -> (Buffer<i32>, Buffer<i32>) {
     let values: Vec<i32> = (0..COUNT as i32).collect();
-    (gpu.upload("a", "test", &values).unwrap(), gpu.buffer("b", "test", values.len(), MemoryKind::Device).unwrap())
+    (
+        gpu.upload("a", "test", &values).unwrap(),
+        gpu.buffer("b", "test", values.len(), MemoryKind::Device)
+            .unwrap(),
+    )
 }
 
 #[test]
@@ -33,7 +42,9 @@ fn derived_barriers_leave_synchronization_validation_nothing_to_say() {
     recorder.fill(b.binding(), 0, 4, 9);
     recorder.copy(&b, 0, &a, 1, 1);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
-    let mut expected: Vec<i32> = (0..COUNT as i32).map(|value| (0..6).fold(value, |value, _| value * 2 + 1)).collect();
+    let mut expected: Vec<i32> = (0..COUNT as i32)
+        .map(|value| (0..6).fold(value, |value, _| value * 2 + 1))
+        .collect();
     expected[1] = 9;
     assert_eq!(gpu.read(&a).unwrap(), expected);
     assert_eq!(gpu.take_validation_messages(), [""; 0]);
@@ -47,8 +58,18 @@ fn a_missing_barrier_is_seen_by_synchronization_validation() {
     there_and_back(&mut recorder, &scale(&gpu, 2), &a, &b);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let messages = gpu.take_validation_messages();
-    assert!(messages.iter().any(|message| message.contains("SYNC-HAZARD-READ-AFTER-WRITE")), "{messages:#?}");
-    assert!(messages.iter().any(|message| message.contains("SYNC-HAZARD-WRITE-AFTER-READ")), "{messages:#?}");
+    assert!(
+        messages
+            .iter()
+            .any(|message| message.contains("SYNC-HAZARD-READ-AFTER-WRITE")),
+        "{messages:#?}"
+    );
+    assert!(
+        messages
+            .iter()
+            .any(|message| message.contains("SYNC-HAZARD-WRITE-AFTER-READ")),
+        "{messages:#?}"
+    );
 }
 
 #[test]
@@ -60,7 +81,11 @@ fn tickets_order_the_queues() {
         let kernel = scale(&gpu, 1);
         let mut last: Option<Ticket> = None;
         for i in 0..20 {
-            let mut recorder = gpu.record(if i % 2 == 0 { QueueRole::Main } else { QueueRole::Update });
+            let mut recorder = gpu.record(if i % 2 == 0 {
+                QueueRole::Main
+            } else {
+                QueueRole::Update
+            });
             there_and_back(&mut recorder, &kernel, &a, &b);
             let after: Vec<&Ticket> = last.iter().collect();
             last = Some(gpu.submit(recorder, &after).unwrap());
@@ -77,10 +102,17 @@ fn tickets_order_the_queues() {
 fn submitted_work_keeps_what_it_uses() {
     let gpu = Watched::open();
     let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
-    let readback = gpu.buffer::<u32>("readback", "test", 64, MemoryKind::Readback).unwrap();
+    let readback = gpu
+        .buffer::<u32>("readback", "test", 64, MemoryKind::Readback)
+        .unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 64]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch(&spin, &[("values", values.binding())], &bytes(&[64, 60_000]), [1, 1, 1]);
+    recorder.dispatch(
+        &spin,
+        &[("values", values.binding())],
+        &bytes(&[64, 60_000]),
+        [1, 1, 1],
+    );
     recorder.copy(&values, 0, &readback, 0, 64);
     let ticket = gpu.submit(recorder, &[]).unwrap();
     drop((values, spin));
@@ -88,24 +120,36 @@ fn submitted_work_keeps_what_it_uses() {
     assert_eq!(readback.read_host(), [spun(60_000); 64]);
 }
 
-/// llvmpipe (Mesa 22.3) ends any loop after 65,535 rounds, without a word: a kernel that walks a longer list needs two loops,
-/// one inside the other. When a newer driver does better, this test says so.
+/// llvmpipe (Mesa 22.3) ends any loop after 65,535 rounds, without a word: a kernel that walks a
+/// longer list needs two loops, one inside the other. When a newer driver does better, this test
+/// says so.
 #[test]
 fn loops_run_to_their_end_but_on_llvmpipe() {
     let gpu = Watched::open();
     let rounds = 65_536 + 5;
-    let run = if gpu.info().name.contains("llvmpipe") { 65_535 } else { rounds };
+    let run = if gpu.info().name.contains("llvmpipe") {
+        65_535
+    } else {
+        rounds
+    };
     let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 64]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch(&spin, &[("values", values.binding())], &bytes(&[64, rounds]), [1, 1, 1]);
+    recorder.dispatch(
+        &spin,
+        &[("values", values.binding())],
+        &bytes(&[64, rounds]),
+        [1, 1, 1],
+    );
     gpu.submit(recorder, &[]).unwrap();
     assert_eq!(gpu.read(&values).unwrap(), [spun(run); 64]);
 }
 
 /// Result of the spin kernel for 1.
 fn spun(rounds: u32) -> u32 {
-    (0..rounds).fold(1_u32, |value, _| value.wrapping_mul(1_664_525).wrapping_add(1_013_904_223))
+    (0..rounds).fold(1_u32, |value, _| {
+        value.wrapping_mul(1_664_525).wrapping_add(1_013_904_223)
+    })
 }
 
 #[test]
@@ -118,21 +162,42 @@ fn stages_are_timed_in_order_and_do_not_overlap() {
         let mut recorder = gpu.record(QueueRole::Main);
         for (name, rounds) in [("short", 10), ("long", 50_000), ("last", 10)] {
             recorder.stage(name, |recorder| {
-                recorder.dispatch(&spin, &[("values", values.binding())], &bytes(&[1024, rounds]), [16, 1, 1]);
+                recorder.dispatch(
+                    &spin,
+                    &[("values", values.binding())],
+                    &bytes(&[1024, rounds]),
+                    [16, 1, 1],
+                );
             });
         }
         let before = Instant::now();
         let ticket = gpu.submit(recorder, &[]).unwrap();
         let stages = ticket.stage_times().unwrap();
         let wall_ns = before.elapsed().as_nanos() as u64;
-        println!("{stages:?}, whole {} ns, wall {wall_ns} ns", ticket.gpu_time_ns().unwrap());
-        assert_eq!(stages.iter().map(|stage| stage.name).collect::<Vec<_>>(), ["short", "long", "last"]);
+        println!(
+            "{stages:?}, whole {} ns, wall {wall_ns} ns",
+            ticket.gpu_time_ns().unwrap()
+        );
+        assert_eq!(
+            stages.iter().map(|stage| stage.name).collect::<Vec<_>>(),
+            ["short", "long", "last"]
+        );
         for pair in stages.windows(2) {
-            assert!(pair[0].start_ns + pair[0].duration_ns <= pair[1].start_ns, "{stages:?}");
+            assert!(
+                pair[0].start_ns + pair[0].duration_ns <= pair[1].start_ns,
+                "{stages:?}"
+            );
         }
-        assert!(stages[1].duration_ns > stages[0].duration_ns && stages[1].duration_ns > stages[2].duration_ns, "{stages:?}");
+        assert!(
+            stages[1].duration_ns > stages[0].duration_ns
+                && stages[1].duration_ns > stages[2].duration_ns,
+            "{stages:?}"
+        );
         let whole = ticket.gpu_time_ns().unwrap();
-        assert!(whole >= stages[2].start_ns + stages[2].duration_ns && whole <= wall_ns, "{whole} of {wall_ns}: {stages:?}");
+        assert!(
+            whole >= stages[2].start_ns + stages[2].duration_ns && whole <= wall_ns,
+            "{whole} of {wall_ns}: {stages:?}"
+        );
     }
 }
 
@@ -146,11 +211,18 @@ fn threads_may_record_and_submit_at_the_same_time() {
             scope.spawn(move || {
                 let (a, b) = two_buffers(gpu);
                 for _ in 0..8 {
-                    let mut recorder = gpu.record(if thread % 2 == 0 { QueueRole::Main } else { QueueRole::Update });
+                    let mut recorder = gpu.record(if thread % 2 == 0 {
+                        QueueRole::Main
+                    } else {
+                        QueueRole::Update
+                    });
                     there_and_back(&mut recorder, kernel, &a, &b);
                     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
                 }
-                assert_eq!(gpu.read(&a).unwrap()[1], (0..16).fold(1, |value, _| value * 2 + 1));
+                assert_eq!(
+                    gpu.read(&a).unwrap()[1],
+                    (0..16).fold(1, |value, _| value * 2 + 1)
+                );
             });
         }
     });
@@ -162,7 +234,12 @@ fn dropping_the_device_waits_for_its_work() {
     let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 4096]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch(&spin, &[("values", values.binding())], &bytes(&[4096, 60_000]), [64, 1, 1]);
+    recorder.dispatch(
+        &spin,
+        &[("values", values.binding())],
+        &bytes(&[4096, 60_000]),
+        [64, 1, 1],
+    );
     let ticket = gpu.submit(recorder, &[]).unwrap();
     drop(gpu);
     assert!(ticket.is_done().unwrap());
@@ -178,14 +255,20 @@ fn tickets_of_another_device_assert() {
 
 #[test]
 fn recording_a_frame_takes_little_of_the_host() {
-    let gpu = Gpu::open(&DeviceOptions { validation: false, ..DeviceOptions::default() }).unwrap();
+    let gpu = Gpu::open(&DeviceOptions {
+        validation: false,
+        ..DeviceOptions::default()
+    })
+    .unwrap();
     let (a, b) = two_buffers(&gpu);
     let kernel = scale(&gpu, 1);
     let record = || {
         let start = Instant::now();
         let mut recorder = gpu.record(QueueRole::Main);
         for _ in 0..20 {
-            recorder.stage("there and back", |recorder| there_and_back(recorder, &kernel, &a, &b));
+            recorder.stage("there and back", |recorder| {
+                there_and_back(recorder, &kernel, &a, &b);
+            });
         }
         let took = start.elapsed();
         gpu.submit(recorder, &[]).unwrap().wait().unwrap();
@@ -193,6 +276,7 @@ fn recording_a_frame_takes_little_of_the_host() {
     };
     let best = (0..50).map(|_| record()).min().unwrap();
     println!("40 dispatches in 20 stages recorded in {best:?}");
-    // A frame has about forty dispatches and a millisecond. Ten times what it takes on two slow cores.
+    // A frame has about forty dispatches and a millisecond. Ten times what it takes on two slow
+    // cores.
     assert!(best.as_micros() < 1000, "{best:?}");
 }

@@ -1,5 +1,6 @@
 #version 460
-// Writes indirect arguments for push.count invocations in groups of push.group_size, at word push.first_word.
+// Writes indirect arguments for push.count invocations in groups of push.group_size, at word
+// push.first_word.
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 1) in;
 layout(scalar, binding = 0) buffer Arguments { uint words[]; } arguments;

@@ -1,5 +1,6 @@
 #version 460
-// Buffers of several shapes, for reflection: an array of structures, a block with a counter, a bare structure.
+// Buffers of several shapes, for reflection: an array of structures, a block with a counter, a bare
+// structure.
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 8, local_size_y = 4, local_size_z = 2) in;
 struct Item { vec3 mean; uint id; vec2 extent; };

@@ -1,5 +1,6 @@
 #version 460
-// Work that takes a while: push.rounds steps of a linear congruential generator on each of push.count values.
+// Work that takes a while: push.rounds steps of a linear congruential generator on each of
+// push.count values.
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;
 layout(scalar, binding = 0) buffer Values { uint values[]; };

@@ -30,7 +30,8 @@ pub struct LensRecord {
     pub chord_limit: f32,
     /// Growth of the radius in the lens's plane per chord beyond the limit.
     pub slope_beyond: f32,
-    /// No two rays within [`STEEPEST_WITHIN_RAD`] of the axis fall farther apart, by the angle between them.
+    /// No two rays within [`STEEPEST_WITHIN_RAD`] of the axis fall farther apart, by the angle
+    /// between them.
     pub pixels_per_rad: f32,
     /// Intervals of the table by chord.
     pub chord_intervals: f32,
@@ -46,7 +47,8 @@ pub struct LensRecord {
     pub table: [[f32; 2]; LENS_INTERVALS + 1],
 }
 
-/// Means lie before the camera and points of the transform a little farther round: 90 degrees and twice an arc of a quarter.
+/// Means lie before the camera and points of the transform a little farther round: 90 degrees and
+/// twice an arc of a quarter.
 pub const STEEPEST_WITHIN_RAD: f64 = 2.08;
 
 /// Safety factor on the steepest slope found, because the search is in steps.
@@ -79,32 +81,45 @@ impl LensRecord {
         let interval = chord_limit / LENS_INTERVALS as f64;
         for (place, entry) in record.table.iter_mut().enumerate() {
             let angle_rad = (2.0 * (0.5 * interval * place as f64).asin()).min(map.limit_rad());
-            let Some((radius, by_rad)) = map.radius_at(angle_rad) else { break };
+            let Some((radius, by_rad)) = map.radius_at(angle_rad) else {
+                break;
+            };
             record.kind = LensKind::Radial as u32;
-            *entry = [radius as f32, (by_rad / (0.5 * angle_rad).cos() * interval) as f32];
+            *entry = [
+                radius as f32,
+                (by_rad / (0.5 * angle_rad).cos() * interval) as f32,
+            ];
         }
         record
     }
 }
 
-/// The most pixels a radian that the lens makes anywhere within [`STEEPEST_WITHIN_RAD`], beyond its end included.
+/// The most pixels a radian that the lens makes anywhere within [`STEEPEST_WITHIN_RAD`], beyond its
+/// end included.
 fn steepest(map: &RayMap) -> f64 {
     const STEPS: u32 = 40;
     const DIRECTIONS: u32 = 8;
     const STEP_RAD: f64 = 1e-4;
-    let pixel = |angle_rad: f64, direction: DVec2| map.project_extended((direction * angle_rad.sin()).extend(angle_rad.cos()));
+    let pixel = |angle_rad: f64, direction: DVec2| {
+        map.project_extended((direction * angle_rad.sin()).extend(angle_rad.cos()))
+    };
     let mut steepest = 0.0f64;
     for step in 0..=STEPS {
         let angle_rad = STEEPEST_WITHIN_RAD * (f64::from(step) + 0.01) / f64::from(STEPS);
         for around in 0..DIRECTIONS {
-            let direction = DVec2::from_angle((f64::from(around) + 0.3) * std::f64::consts::TAU / f64::from(DIRECTIONS));
+            let direction = DVec2::from_angle(
+                (f64::from(around) + 0.3) * std::f64::consts::TAU / f64::from(DIRECTIONS),
+            );
             let here = pixel(angle_rad, direction);
             let outward = (pixel(angle_rad + STEP_RAD, direction) - here) / STEP_RAD;
             let ray: DVec3 = (direction * angle_rad.sin()).extend(angle_rad.cos());
             let beside = ray + direction.perp().extend(0.0) * STEP_RAD;
             let around = (map.project_extended(beside) - here) / STEP_RAD;
             // The larger singular value of the two columns.
-            let (sum, product) = (outward.length_squared() + around.length_squared(), outward.perp_dot(around));
+            let (sum, product) = (
+                outward.length_squared() + around.length_squared(),
+                outward.perp_dot(around),
+            );
             let spread = (sum * sum - 4.0 * product * product).max(0.0).sqrt();
             steepest = steepest.max((0.5 * (sum + spread)).sqrt());
         }
@@ -119,17 +134,25 @@ mod tests {
 
     #[test]
     fn a_table_has_the_radius_of_its_lens_between_its_entries() {
-        let lens = Lens::Fisheye(Fisheye { radial: [-0.03, 0.01, -0.004, 0.0005], max_angle_rad: 1.5 });
-        let intrinsics = Intrinsics { lens, ..Intrinsics::from_horizontal_fov(1600, 900, 1.5) };
+        let lens = Lens::Fisheye(Fisheye {
+            radial: [-0.03, 0.01, -0.004, 0.0005],
+            max_angle_rad: 1.5,
+        });
+        let intrinsics = Intrinsics {
+            lens,
+            ..Intrinsics::from_horizontal_fov(1600, 900, 1.5)
+        };
         intrinsics.check().unwrap();
         let (record, map) = (LensRecord::new(&intrinsics), RayMap::new(&intrinsics));
         for step in 0..1000 {
             let angle_rad = map.limit_rad() * f64::from(step) / 1000.0;
             let place = 2.0 * (0.5 * angle_rad).sin() * f64::from(record.chord_intervals);
             let (interval, s) = (place as usize, place.fract());
-            let [[a, da], [b, db]] = [interval, interval + 1].map(|at| record.table[at].map(f64::from));
+            let [[a, da], [b, db]] =
+                [interval, interval + 1].map(|at| record.table[at].map(f64::from));
             let rise = b - a;
-            let found = a + s * (da + s * (3.0 * rise - 2.0 * da - db + s * (da + db - 2.0 * rise)));
+            let found =
+                a + s * (da + s * (3.0 * rise - 2.0 * da - db + s * (da + db - 2.0 * rise)));
             let error_px = (found - map.radius_at(angle_rad).unwrap().0).abs() * intrinsics.fx_px;
             assert!(error_px < 2e-4, "{error_px} px at {angle_rad}");
         }
@@ -137,12 +160,25 @@ mod tests {
 
     #[test]
     fn no_two_rays_fall_farther_apart_than_the_steepest_place_says() {
-        let lens = Lens::Fisheye(Fisheye { radial: [0.1, -0.02, 0.0, 0.0], max_angle_rad: 1.2 });
-        let intrinsics = Intrinsics { lens, ..Intrinsics::from_horizontal_fov(800, 600, 1.5) };
+        let lens = Lens::Fisheye(Fisheye {
+            radial: [0.1, -0.02, 0.0, 0.0],
+            max_angle_rad: 1.2,
+        });
+        let intrinsics = Intrinsics {
+            lens,
+            ..Intrinsics::from_horizontal_fov(800, 600, 1.5)
+        };
         let (record, map) = (LensRecord::new(&intrinsics), RayMap::new(&intrinsics));
         let ray = |i: u32| {
-            let (angle, around) = (STEEPEST_WITHIN_RAD * f64::from(i % 61) / 61.0, f64::from(i) * 0.618);
-            DVec3::new(angle.sin() * around.cos(), angle.sin() * around.sin(), angle.cos())
+            let (angle, around) = (
+                STEEPEST_WITHIN_RAD * f64::from(i % 61) / 61.0,
+                f64::from(i) * 0.618,
+            );
+            DVec3::new(
+                angle.sin() * around.cos(),
+                angle.sin() * around.sin(),
+                angle.cos(),
+            )
         };
         for i in 0..2000 {
             let (a, b) = (ray(i), ray(i * 7 + 3));

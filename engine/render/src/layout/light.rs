@@ -31,7 +31,8 @@ pub struct ShadowRecord {
 }
 
 impl ShadowRecord {
-    /// `shadow` in a world whose means are relative to `origin`, seen by all cameras. Made in f64: only the result is rounded.
+    /// `shadow` in a world whose means are relative to `origin`, seen by all cameras. Made in f64:
+    /// only the result is rounded.
     #[must_use]
     pub fn new(shadow: &ContactShadow, origin: DVec3) -> Self {
         let center = shadow.world_from_ground.translation - origin;
@@ -75,12 +76,16 @@ pub struct RelightRecord {
 }
 
 impl RelightRecord {
-    /// `colors` colors of degree `sh_degree` from `first_color` on, in the light of `transfer`; where they go is said later.
+    /// `colors` colors of degree `sh_degree` from `first_color` on, in the light of `transfer`;
+    /// where they go is said later.
     #[must_use]
     pub fn new(transfer: &ColorTransfer, sh_degree: u8, first_color: usize, colors: usize) -> Self {
         // What the colors have no coefficient for stays nothing.
-        let has = |number: usize| f32::from(u8::from(number / 3 < sh::coefficient_count(sh_degree)));
-        let numbers = |of: &[[f32; 3]; 16]| std::array::from_fn(|number| has(number) * of[number / 3][number % 3]);
+        let has =
+            |number: usize| f32::from(u8::from(number / 3 < sh::coefficient_count(sh_degree)));
+        let numbers = |of: &[[f32; 3]; 16]| {
+            std::array::from_fn(|number| has(number) * of[number / 3][number % 3])
+        };
         Self {
             gain: numbers(&transfer.gain),
             summand: numbers(&transfer.offset),

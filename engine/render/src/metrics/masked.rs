@@ -44,31 +44,59 @@ pub struct MaskedDifference {
     pub psnr_db: f64,
     /// Error of luminance: PIE is its `max`.
     pub intensity: Peak,
-    /// Angle between the colors as vectors, degrees: PAE is its `max`. `None` where no pixel is bright enough.
+    /// Angle between the colors as vectors, degrees: PAE is its `max`. `None` where no pixel is
+    /// bright enough.
     pub angle_deg: Option<Peak>,
     /// Pixels that were bright enough to have a hue.
     pub bright: usize,
 }
 
 impl MaskedErrors {
-    /// None yet. Pixels whose true color is shorter than `floor` as a vector, of at most sqrt(3), have no hue.
+    /// None yet. Pixels whose true color is shorter than `floor` as a vector, of at most sqrt(3),
+    /// have no hue.
     #[must_use]
     pub fn new(floor: f64) -> Self {
-        Self { floor: floor.max(1e-9), square_sum: 0.0, intensities: Vec::new(), angles_deg: Vec::new() }
+        Self {
+            floor: floor.max(1e-9),
+            square_sum: 0.0,
+            intensities: Vec::new(),
+            angles_deg: Vec::new(),
+        }
     }
 
-    /// Adds the errors of `found` against `truth` where `in_mask` is true of the pixel, counted row by row.
+    /// Adds the errors of `found` against `truth` where `in_mask` is true of the pixel, counted row
+    /// by row.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
-    pub fn add(&mut self, found: &Image, truth: &Image, in_mask: impl Fn(usize) -> bool) -> Result<(), DifferenceError> {
+    pub fn add(
+        &mut self,
+        found: &Image,
+        truth: &Image,
+        in_mask: impl Fn(usize) -> bool,
+    ) -> Result<(), DifferenceError> {
         check_sizes(found, truth)?;
         check_finite("first", found)?;
         check_finite("second", truth)?;
-        for (_, (found, truth)) in found.rgb.iter().zip(&truth.rgb).enumerate().filter(|(pixel, _)| in_mask(*pixel)) {
+        for (_, (found, truth)) in found
+            .rgb
+            .iter()
+            .zip(&truth.rgb)
+            .enumerate()
+            .filter(|(pixel, _)| in_mask(*pixel))
+        {
             let [found, truth] = [found, truth].map(|rgb| rgb.map(f64::from));
-            self.square_sum += found.iter().zip(truth).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-            let intensity: f64 = found.iter().zip(truth).zip(LUMA).map(|((a, b), weight)| weight * (a - b)).sum();
+            self.square_sum += found
+                .iter()
+                .zip(truth)
+                .map(|(a, b)| (a - b).powi(2))
+                .sum::<f64>();
+            let intensity: f64 = found
+                .iter()
+                .zip(truth)
+                .zip(LUMA)
+                .map(|((a, b), weight)| weight * (a - b))
+                .sum();
             self.intensities.push(intensity.abs());
             self.angles_deg.extend(angle_deg(found, truth, self.floor));
         }
@@ -90,8 +118,8 @@ impl MaskedErrors {
     }
 }
 
-/// The angle between two colors; `None` where the true one is dark. Black where there is color is off by a right angle, as
-/// far as two colors can be.
+/// The angle between two colors; `None` where the true one is dark. Black where there is color is
+/// off by a right angle, as far as two colors can be.
 fn angle_deg(found: [f64; 3], truth: [f64; 3], floor: f64) -> Option<f64> {
     let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let length = dot(truth, truth).sqrt();
@@ -104,15 +132,28 @@ fn angle_deg(found: [f64; 3], truth: [f64; 3], floor: f64) -> Option<f64> {
     }
     // From the cross product: the arc cosine knows nothing of angles below 1e-8.
     let [a, b] = [found, truth];
-    let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let cross = [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ];
     Some(dot(cross, cross).sqrt().atan2(dot(a, b)).to_degrees())
 }
 
 fn peak(values: &mut [f64]) -> Option<Peak> {
     values.sort_unstable_by(f64::total_cmp);
     let last = values.len().checked_sub(1)?;
-    let at = |share: f64| values[((share * values.len() as f64).ceil() as usize).saturating_sub(1).min(last)];
-    Some(Peak { max: values[last], p99: at(0.99), p95: at(0.95), mean: values.iter().sum::<f64>() / values.len() as f64 })
+    let at = |share: f64| {
+        values[((share * values.len() as f64).ceil() as usize)
+            .saturating_sub(1)
+            .min(last)]
+    };
+    Some(Peak {
+        max: values[last],
+        p99: at(0.99),
+        p95: at(0.95),
+        mean: values.iter().sum::<f64>() / values.len() as f64,
+    })
 }
 
 #[cfg(test)]
@@ -126,7 +167,11 @@ mod tests {
         image
     }
 
-    fn difference(found: &Image, truth: &Image, in_mask: impl Fn(usize) -> bool) -> Option<MaskedDifference> {
+    fn difference(
+        found: &Image,
+        truth: &Image,
+        in_mask: impl Fn(usize) -> bool,
+    ) -> Option<MaskedDifference> {
         let mut errors = MaskedErrors::new(0.05);
         errors.add(found, truth, in_mask).unwrap();
         errors.finish()
@@ -139,10 +184,20 @@ mod tests {
         let masked = difference(&found, &truth, |_| true).unwrap();
         let angle = masked.angle_deg.unwrap();
         // Red against gray: cos = 1 / sqrt(3). A gray that is brighter has the same hue.
-        assert!((angle.max - 54.735_61).abs() < 1e-4 && angle.p99 < 1e-4 && (angle.mean - 0.547_356).abs() < 1e-4);
-        assert!((masked.intensity.max - 0.5 * (1.0 - 0.2126)).abs() < 1e-6 && (masked.intensity.p95 - 0.1).abs() < 1e-6);
+        assert!(
+            (angle.max - 54.735_61).abs() < 1e-4
+                && angle.p99 < 1e-4
+                && (angle.mean - 0.547_356).abs() < 1e-4
+        );
+        assert!(
+            (masked.intensity.max - 0.5 * (1.0 - 0.2126)).abs() < 1e-6
+                && (masked.intensity.p95 - 0.1).abs() < 1e-6
+        );
         let mean_square = (0.5f64.powi(2) * 2.0 + 99.0 * 3.0 * 0.01) / 300.0;
-        assert!((masked.psnr_db + 10.0 * mean_square.log10()).abs() < 1e-4, "the mean over channels, not their sum");
+        assert!(
+            (masked.psnr_db + 10.0 * mean_square.log10()).abs() < 1e-4,
+            "the mean over channels, not their sum"
+        );
     }
 
     #[test]
@@ -150,22 +205,53 @@ mod tests {
         let truth = images([0.0, 0.0, 0.02], [0.5; 3]);
         let found = images([0.02, 0.0, 0.0], [0.1, 0.9, 0.1]);
         let masked = difference(&found, &truth, |pixel| pixel == 0).unwrap();
-        assert_eq!((masked.pixels, masked.bright, masked.angle_deg), (1, 0, None));
+        assert_eq!(
+            (masked.pixels, masked.bright, masked.angle_deg),
+            (1, 0, None)
+        );
         assert!(masked.intensity.max < 0.01);
         assert!(difference(&found, &truth, |_| false).is_none());
         let black = images([0.0; 3], [0.0; 3]);
-        assert_eq!(difference(&black, &truth, |pixel| pixel > 0).unwrap().angle_deg.unwrap().max, 90.0);
+        assert_eq!(
+            difference(&black, &truth, |pixel| pixel > 0)
+                .unwrap()
+                .angle_deg
+                .unwrap()
+                .max,
+            90.0
+        );
         let equal = difference(&truth, &truth, |_| true).unwrap();
-        assert_eq!((equal.psnr_db, equal.intensity.max, equal.angle_deg.unwrap().max), (f64::INFINITY, 0.0, 0.0));
+        assert_eq!(
+            (
+                equal.psnr_db,
+                equal.intensity.max,
+                equal.angle_deg.unwrap().max
+            ),
+            (f64::INFINITY, 0.0, 0.0)
+        );
     }
 
     #[test]
     fn images_that_cannot_be_compared_are_refused() {
         let mut errors = MaskedErrors::new(0.05);
-        assert!(errors.add(&Image::filled(2, 2, [0.5; 3]), &Image::filled(3, 2, [0.5; 3]), |_| true).is_err());
+        assert!(
+            errors
+                .add(
+                    &Image::filled(2, 2, [0.5; 3]),
+                    &Image::filled(3, 2, [0.5; 3]),
+                    |_| true
+                )
+                .is_err()
+        );
         let mut broken = Image::filled(2, 2, [0.5; 3]);
         broken.rgb[1][1] = f32::NAN;
-        assert!(errors.add(&broken, &Image::filled(2, 2, [0.5; 3]), |_| true).unwrap_err().to_string().contains("not finite"));
+        assert!(
+            errors
+                .add(&broken, &Image::filled(2, 2, [0.5; 3]), |_| true)
+                .unwrap_err()
+                .to_string()
+                .contains("not finite")
+        );
         assert!(errors.finish().is_none());
     }
 }

@@ -1,7 +1,8 @@
 //! Differences between images.
 //!
-//! Max abs, RMSE, PSNR and the share of channels are of the values as blended, unclamped; SSIM and FLIP model what is seen on
-//! a display, so they clamp to 0 to 1. Peak is 1. An image with a value that is not a number has no score: it is an error.
+//! Max abs, RMSE, PSNR and the share of channels are of the values as blended, unclamped; SSIM and
+//! FLIP model what is seen on a display, so they clamp to 0 to 1. Peak is 1. An image with a value
+//! that is not a number has no score: it is an error.
 
 mod false_color;
 mod flip;
@@ -19,23 +20,27 @@ use crate::rendered_image::Image;
 /// One level of an 8-bit image. A channel is 'off' where it differs by more.
 const LEVEL: f64 = 1.0 / 255.0;
 
-/// Added to [`LEVEL`]: two neighboring levels read from 8-bit files differ by one level and the rounding of both to f32.
+/// Added to [`LEVEL`]: two neighboring levels read from 8-bit files differ by one level and the
+/// rounding of both to f32.
 const LEVEL_ROUNDING: f64 = 1e-6;
 
-/// The error of an image against another, over all pixels and the channels R, G and B. Symmetric in the two.
+/// The error of an image against another, over all pixels and the channels R, G and B. Symmetric in
+/// the two.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Largest absolute difference of a channel.
     pub max_abs: f64,
     /// Root of the mean squared difference of the channels.
     pub rmse: f64,
-    /// Peak signal-to-noise ratio in decibels at peak 1, `-20 log10(rmse)`. Infinite for equal images; serialized as null then.
+    /// Peak signal-to-noise ratio in decibels at peak 1, `-20 log10(rmse)`. Infinite for equal
+    /// images; serialized as null then.
     #[serde(serialize_with = "null_where_infinite")]
     pub psnr_db: f64,
-    /// Structural similarity, mean over channels and over all windows inside the image (Wang et al., 2004); 1 for equal
-    /// images. `None` where no window of 11 by 11 pixels fits.
+    /// Structural similarity, mean over channels and over all windows inside the image (Wang et
+    /// al., 2004); 1 for equal images. `None` where no window of 11 by 11 pixels fits.
     pub ssim: Option<f64>,
-    /// Mean of the FLIP map at [`PIXELS_PER_DEGREE`] (Andersson et al., 2020); 0 for equal images, at most 1.
+    /// Mean of the FLIP map at [`PIXELS_PER_DEGREE`] (Andersson et al., 2020); 0 for equal images,
+    /// at most 1.
     pub flip: f64,
     /// Share of channels, 0 to 1, that differ by more than 1/255.
     pub share_off: f64,
@@ -53,7 +58,9 @@ pub enum DifferenceError {
         second: [u32; 2],
     },
     /// An image holds a value that is NaN or infinite, so nothing can be said for it.
-    #[error("the {which} image has {count} values that are not finite numbers, the first at column {column}, row {row}")]
+    #[error(
+        "the {which} image has {count} values that are not finite numbers, the first at column {column}, row {row}"
+    )]
     NotFinite {
         /// `first` or `second`.
         which: &'static str,
@@ -96,21 +103,34 @@ impl Difference {
 }
 
 fn null_where_infinite<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-    if value.is_finite() { serializer.serialize_some(value) } else { serializer.serialize_none() }
+    if value.is_finite() {
+        serializer.serialize_some(value)
+    } else {
+        serializer.serialize_none()
+    }
 }
 
 fn check_sizes(a: &Image, b: &Image) -> Result<(), DifferenceError> {
     let (first, second) = ([a.width, a.height], [b.width, b.height]);
-    if first == second { Ok(()) } else { Err(DifferenceError::Sizes { first, second }) }
+    if first == second {
+        Ok(())
+    } else {
+        Err(DifferenceError::Sizes { first, second })
+    }
 }
 
 fn check_finite(which: &'static str, image: &Image) -> Result<(), DifferenceError> {
     let depth = image.depth.iter().flatten().enumerate();
-    let mut faults = (image.rgb.iter().flatten().enumerate().map(|(at, value)| (at / 3, value)))
-        .chain(image.alpha.iter().enumerate())
-        .chain(depth)
-        .filter(|(_, value)| !value.is_finite())
-        .map(|(pixel, _)| pixel as u32);
+    let mut faults = (image
+        .rgb
+        .iter()
+        .flatten()
+        .enumerate()
+        .map(|(at, value)| (at / 3, value)))
+    .chain(image.alpha.iter().enumerate())
+    .chain(depth)
+    .filter(|(_, value)| !value.is_finite())
+    .map(|(pixel, _)| pixel as u32);
     match faults.next() {
         None => Ok(()),
         Some(pixel) => Err(DifferenceError::NotFinite {
@@ -124,7 +144,11 @@ fn check_finite(which: &'static str, image: &Image) -> Result<(), DifferenceErro
 
 /// One channel of an image clamped to 0 to 1, row-major.
 fn clamped_channel(image: &Image, channel: usize) -> Vec<f64> {
-    image.rgb.iter().map(|rgb| f64::from(rgb[channel]).clamp(0.0, 1.0)).collect()
+    image
+        .rgb
+        .iter()
+        .map(|rgb| f64::from(rgb[channel]).clamp(0.0, 1.0))
+        .collect()
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
-//! Structural similarity (Wang, Bovik, Sheikh and Simoncelli, Image Quality Assessment: From Error Visibility to Structural
-//! Similarity, 2004): windows of 11 by 11 weighted by a Gaussian of 1.5 pixels, K1 = 0.01, K2 = 0.03, peak 1.
+//! Structural similarity (Wang, Bovik, Sheikh and Simoncelli, Image Quality Assessment: From Error
+//! Visibility to Structural Similarity, 2004): windows of 11 by 11 weighted by a Gaussian of 1.5
+//! pixels, K1 = 0.01, K2 = 0.03, peak 1.
 
 use rayon::prelude::*;
 
@@ -24,12 +25,21 @@ pub fn mean_ssim(a: &Image, b: &Image) -> Option<f64> {
             windowed_mean(&values, width)
         };
         let (mean_x, mean_y) = (local_mean(|x, _| x), local_mean(|_, y| y));
-        let (mean_xx, mean_yy, mean_xy) = (local_mean(|x, _| x * x), local_mean(|_, y| y * y), local_mean(|x, y| x * y));
+        let (mean_xx, mean_yy, mean_xy) = (
+            local_mean(|x, _| x * x),
+            local_mean(|_, y| y * y),
+            local_mean(|x, y| x * y),
+        );
         let mut sum = 0.0;
         for at in 0..mean_x.len() {
             let (mx, my) = (mean_x[at], mean_y[at]);
-            let (variance_x, variance_y, covariance) = (mean_xx[at] - mx * mx, mean_yy[at] - my * my, mean_xy[at] - mx * my);
-            sum += (2.0 * mx * my + C1) * (2.0 * covariance + C2) / ((mx * mx + my * my + C1) * (variance_x + variance_y + C2));
+            let (variance_x, variance_y, covariance) = (
+                mean_xx[at] - mx * mx,
+                mean_yy[at] - my * my,
+                mean_xy[at] - mx * my,
+            );
+            sum += (2.0 * mx * my + C1) * (2.0 * covariance + C2)
+                / ((mx * mx + my * my + C1) * (variance_x + variance_y + C2));
         }
         sum / mean_x.len() as f64
     };
@@ -43,14 +53,26 @@ fn windowed_mean(values: &[f64], width: usize) -> Vec<f64> {
     let across: Vec<f64> = values
         .par_chunks_exact(width)
         .flat_map_iter(|row| {
-            row.windows(taps).map(|window| window.iter().zip(&weights).map(|(value, weight)| value * weight).sum())
+            row.windows(taps).map(|window| {
+                window
+                    .iter()
+                    .zip(&weights)
+                    .map(|(value, weight)| value * weight)
+                    .sum()
+            })
         })
         .collect();
     let columns = width + 1 - taps;
     let rows = values.len() / width + 1 - taps;
     (0..rows * columns)
         .into_par_iter()
-        .map(|at| weights.iter().enumerate().map(|(tap, weight)| across[at + tap * columns] * weight).sum())
+        .map(|at| {
+            weights
+                .iter()
+                .enumerate()
+                .map(|(tap, weight)| across[at + tap * columns] * weight)
+                .sum()
+        })
         .collect()
 }
 

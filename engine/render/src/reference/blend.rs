@@ -28,7 +28,8 @@ pub struct Pixel64 {
     pub alpha: f64,
     /// The mean depth of the blended splats by their weights, meters; 0 where nothing was blended.
     pub depth_m: f64,
-    /// Instance of the splat with the largest weight, the nearer one of equals; 0 where nothing was blended.
+    /// Instance of the splat with the largest weight, the nearer one of equals; 0 where nothing was
+    /// blended.
     pub instance: u16,
 }
 
@@ -45,13 +46,20 @@ pub fn alpha_at(splat: &Projected64, center_px: DVec2, rules: &Rules) -> Option<
 }
 
 /// Blends `splats`, which come front to back, at the pixel whose center is `center_px`, over `sky`.
-pub fn blend<'a>(splats: impl Iterator<Item = &'a Splat64>, center_px: DVec2, rules: &Rules, sky: [f32; 3]) -> Pixel64 {
+pub fn blend<'a>(
+    splats: impl Iterator<Item = &'a Splat64>,
+    center_px: DVec2,
+    rules: &Rules,
+    sky: [f32; 3],
+) -> Pixel64 {
     let mut transmittance = 1.0;
     let mut rgb = [0.0; 3];
     let (mut weighted_depth_m, mut weight_sum) = (0.0, 0.0);
     let (mut weight_max, mut instance) = (0.0, 0);
     for splat in splats {
-        let Some(alpha) = alpha_at(&splat.projected, center_px, rules) else { continue };
+        let Some(alpha) = alpha_at(&splat.projected, center_px, rules) else {
+            continue;
+        };
         let behind = transmittance * (1.0 - alpha);
         if rules.stop == EarlyStop::Exclusive && behind <= TRANSMITTANCE_MIN {
             break;
@@ -74,6 +82,15 @@ pub fn blend<'a>(splats: impl Iterator<Item = &'a Splat64>, center_px: DVec2, ru
     for (sum, color) in rgb.iter_mut().zip(sky) {
         *sum += transmittance * f64::from(color);
     }
-    let depth_m = if weight_sum > 0.0 { weighted_depth_m / weight_sum } else { 0.0 };
-    Pixel64 { rgb, alpha: 1.0 - transmittance, depth_m, instance }
+    let depth_m = if weight_sum > 0.0 {
+        weighted_depth_m / weight_sum
+    } else {
+        0.0
+    };
+    Pixel64 {
+        rgb,
+        alpha: 1.0 - transmittance,
+        depth_m,
+        instance,
+    }
 }

@@ -3,8 +3,8 @@
 use decouplegs_scene::{SplatCloud, sh};
 use glam::DVec3;
 
-/// `max(0, 0.5 + SH(d))` per channel, display-referred RGB, with `d` the unit vector from `center` (the camera's, relative
-/// to the world's origin) to the splat's mean.
+/// `max(0, 0.5 + SH(d))` per channel, display-referred RGB, with `d` the unit vector from `center`
+/// (the camera's, relative to the world's origin) to the splat's mean.
 #[must_use]
 pub fn color(splats: &SplatCloud, splat: usize, center: DVec3) -> [f64; 3] {
     let mean = DVec3::from_array(splats.means[splat].map(f64::from));
@@ -42,11 +42,20 @@ mod tests {
 
     #[test]
     fn a_positive_y_coefficient_is_dark_along_plus_y() {
-        // The first band of the original 3DGS is -y, z, -x; the direction runs from the camera to the splat.
+        // The first band of the original 3DGS is -y, z, -x; the direction runs from the camera to
+        // the splat.
         let cloud = cloud(vec![[0.5, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0; 3]]);
         let band_1 = 0.488_602_511_902_919_9;
-        assert!((color(&cloud, 0, DVec3::new(0.0, -3.0, 0.0))[0] - (0.5 - 0.5 * band_1)).abs() < 1e-15);
-        assert!((color(&cloud, 0, DVec3::new(0.0, 3.0, 0.0))[0] - (0.5 + 0.5 * band_1)).abs() < 1e-15);
-        assert!((color(&cloud, 0, DVec3::new(0.0, 0.0, -3.0))[1] - (0.5 + sh::Y0 + 0.25 * band_1)).abs() < 1e-15);
+        assert!(
+            (color(&cloud, 0, DVec3::new(0.0, -3.0, 0.0))[0] - (0.5 - 0.5 * band_1)).abs() < 1e-15
+        );
+        assert!(
+            (color(&cloud, 0, DVec3::new(0.0, 3.0, 0.0))[0] - (0.5 + 0.5 * band_1)).abs() < 1e-15
+        );
+        assert!(
+            (color(&cloud, 0, DVec3::new(0.0, 0.0, -3.0))[1] - (0.5 + sh::Y0 + 0.25 * band_1))
+                .abs()
+                < 1e-15
+        );
     }
 }

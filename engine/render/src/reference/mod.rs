@@ -1,9 +1,10 @@
 //! The definition of an image: every pixel by brute force in f64, from the stored f32 parameters.
 //!
-//! What 'error' means anywhere in the engine is the distance to this. There are no tiles, no approximations and no
-//! capacities. Splats are passed over only where they add exactly nothing: outside the box of [`project::Projected64`]
-//! alpha is below `ALPHA_MIN`. Projection after Zwicker et al., EWA Splatting, 2001, in the form of Kerbl et al., 2023;
-//! the clamp of the Jacobian is gsplat's. Through a lens that is no pinhole, by the unscented transform.
+//! What 'error' means anywhere in the engine is the distance to this. There are no tiles, no
+//! approximations and no capacities. Splats are passed over only where they add exactly nothing:
+//! outside the box of [`project::Projected64`] alpha is below `ALPHA_MIN`. Projection after Zwicker
+//! et al., EWA Splatting, 2001, in the form of Kerbl et al., 2023; the clamp of the Jacobian is
+//! gsplat's. Through a lens that is no pinhole, by the unscented transform.
 
 pub mod blend;
 pub mod color;
@@ -21,7 +22,8 @@ use crate::rendered_image::Image;
 use blend::{Pixel64, Splat64};
 use project::View;
 
-/// Pixels along each side of the blocks for which candidates are gathered once. Only speed depends on it.
+/// Pixels along each side of the blocks for which candidates are gathered once. Only speed depends
+/// on it.
 const BLOCK_PX: u32 = 8;
 
 /// An image in f64, row-major from the top left.
@@ -35,8 +37,8 @@ pub struct Image64 {
     pub rgb: Vec<[f64; 3]>,
     /// 1 - transmittance.
     pub alpha: Vec<f64>,
-    /// Expected depth: z (distance, where the order is radial) of the blended splats averaged by weight, meters; 0 where
-    /// nothing was blended.
+    /// Expected depth: z (distance, where the order is radial) of the blended splats averaged by
+    /// weight, meters; 0 where nothing was blended.
     pub depth: Vec<f64>,
     /// Instance of the splat with the largest weight; 0 where nothing was blended.
     pub instance: Vec<u16>,
@@ -49,7 +51,11 @@ impl Image64 {
         Image {
             width: self.width,
             height: self.height,
-            rgb: self.rgb.iter().map(|rgb| rgb.map(|value| value as f32)).collect(),
+            rgb: self
+                .rgb
+                .iter()
+                .map(|rgb| rgb.map(|value| value as f32))
+                .collect(),
             alpha: self.alpha.iter().map(|&alpha| alpha as f32).collect(),
             depth: Some(self.depth.iter().map(|&depth| depth as f32).collect()),
             instance: Some(self.instance.clone()),
@@ -74,17 +80,24 @@ impl Window {
     /// The whole image of a camera.
     #[must_use]
     pub fn whole(intrinsics: &Intrinsics) -> Self {
-        Self { left_px: 0, top_px: 0, width_px: intrinsics.width_px, height_px: intrinsics.height_px }
+        Self {
+            left_px: 0,
+            top_px: 0,
+            width_px: intrinsics.width_px,
+            height_px: intrinsics.height_px,
+        }
     }
 
     /// True if the bounding box of `splat` contains the center of a pixel of this window.
     fn is_reached_by(&self, splat: &Splat64) -> bool {
         let reaches = |mean_px: f64, half_extent_px: f64, first_px: u32, count_px: u32| {
             let first_center_px = f64::from(first_px) + 0.5;
-            mean_px + half_extent_px >= first_center_px && mean_px - half_extent_px <= first_center_px + f64::from(count_px) - 1.0
+            mean_px + half_extent_px >= first_center_px
+                && mean_px - half_extent_px <= first_center_px + f64::from(count_px) - 1.0
         };
         let (mean, half) = (splat.projected.mean_px, splat.projected.half_extent_px);
-        reaches(mean.x, half.x, self.left_px, self.width_px) && reaches(mean.y, half.y, self.top_px, self.height_px)
+        reaches(mean.x, half.x, self.left_px, self.width_px)
+            && reaches(mean.y, half.y, self.top_px, self.height_px)
     }
 }
 
@@ -99,8 +112,8 @@ pub fn render(world: &World, camera: &Camera, rules: &Rules) -> Image64 {
 
 /// The pixels of [`render`] that lie in `window`, bit for bit, in the time that the window takes.
 ///
-/// A camera cropped by [`Intrinsics::cropped`] is not the same thing: where the Jacobian is clamped depends on the image's
-/// size, so splats beyond a crop's edges spread otherwise.
+/// A camera cropped by [`Intrinsics::cropped`] is not the same thing: where the Jacobian is clamped
+/// depends on the image's size, so splats beyond a crop's edges spread otherwise.
 ///
 /// # Panics
 /// When the camera's intrinsics fail [`Intrinsics::check`] or the window does not lie in its image.
@@ -110,7 +123,9 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
     if let Err(fault) = intrinsics.check() {
         panic!("camera {}: {fault}", camera.name);
     }
-    let inside = |first: u32, count: u32, size: u32| count >= 1 && u64::from(first) + u64::from(count) <= u64::from(size);
+    let inside = |first: u32, count: u32, size: u32| {
+        count >= 1 && u64::from(first) + u64::from(count) <= u64::from(size)
+    };
     assert!(
         inside(window.left_px, window.width_px, intrinsics.width_px)
             && inside(window.top_px, window.height_px, intrinsics.height_px),
@@ -125,7 +140,11 @@ pub fn render_window(world: &World, camera: &Camera, rules: &Rules, window: Wind
         .into_par_iter()
         .step_by(BLOCK_PX as usize)
         .map(|top_px| {
-            let band = Window { top_px, height_px: BLOCK_PX.min(bottom_px - top_px), ..window };
+            let band = Window {
+                top_px,
+                height_px: BLOCK_PX.min(bottom_px - top_px),
+                ..window
+            };
             render_band(&splats, &band, rules, world.sky)
         })
         .collect();
@@ -159,22 +178,46 @@ fn front_to_back(world: &World, camera: &Camera, rules: &Rules, window: &Window)
             Some(splat)
         })
         .collect();
-    splats.par_sort_unstable_by(|a, b| a.projected.depth_m.total_cmp(&b.projected.depth_m).then(a.index.cmp(&b.index)));
+    splats.par_sort_unstable_by(|a, b| {
+        a.projected
+            .depth_m
+            .total_cmp(&b.projected.depth_m)
+            .then(a.index.cmp(&b.index))
+    });
     splats
 }
 
 /// A few rows of pixels, row-major.
 fn render_band(splats: &[Splat64], band: &Window, rules: &Rules, sky: [f32; 3]) -> Vec<Pixel64> {
-    let in_band: Vec<&Splat64> = splats.iter().filter(|splat| band.is_reached_by(splat)).collect();
-    let nothing = Pixel64 { rgb: [0.0; 3], alpha: 0.0, depth_m: 0.0, instance: 0 };
+    let in_band: Vec<&Splat64> = splats
+        .iter()
+        .filter(|splat| band.is_reached_by(splat))
+        .collect();
+    let nothing = Pixel64 {
+        rgb: [0.0; 3],
+        alpha: 0.0,
+        depth_m: 0.0,
+        instance: 0,
+    };
     let mut pixels = vec![nothing; band.width_px as usize * band.height_px as usize];
     for first_column in (0..band.width_px).step_by(BLOCK_PX as usize) {
         let width_px = BLOCK_PX.min(band.width_px - first_column);
-        let block = Window { left_px: band.left_px + first_column, width_px, ..*band };
-        let in_block: Vec<&Splat64> = in_band.iter().copied().filter(|splat| block.is_reached_by(splat)).collect();
+        let block = Window {
+            left_px: band.left_px + first_column,
+            width_px,
+            ..*band
+        };
+        let in_block: Vec<&Splat64> = in_band
+            .iter()
+            .copied()
+            .filter(|splat| block.is_reached_by(splat))
+            .collect();
         for row in 0..band.height_px {
             for column in first_column..first_column + width_px {
-                let center_px = DVec2::new(f64::from(band.left_px + column) + 0.5, f64::from(band.top_px + row) + 0.5);
+                let center_px = DVec2::new(
+                    f64::from(band.left_px + column) + 0.5,
+                    f64::from(band.top_px + row) + 0.5,
+                );
                 pixels[row as usize * band.width_px as usize + column as usize] =
                     blend::blend(in_block.iter().copied(), center_px, rules, sky);
             }

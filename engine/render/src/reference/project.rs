@@ -25,17 +25,19 @@ pub struct Projected64 {
     pub mean_px: DVec2,
     /// Conic: the inverse of the 2D covariance.
     pub conic: Conic64,
-    /// Peak alpha before the bound `alpha_max`, with the antialias factor where the rules ask for it.
+    /// Peak alpha before the bound `alpha_max`, with the antialias factor where the rules ask for
+    /// it.
     pub opacity: f64,
     /// Depth of the front-to-back order, meters: camera-space z of the mean, or its distance if the
     /// order is radial.
     pub depth_m: f64,
-    /// Half the size of a box around every pixel center where alpha can reach `ALPHA_MIN`, pixels; never too small.
+    /// Half the size of a box around every pixel center where alpha can reach `ALPHA_MIN`, pixels;
+    /// never too small.
     pub half_extent_px: DVec2,
 }
 
-/// The inverse of a dilated 2D covariance `[[xx, xy], [xy, yy]]` as a completed square, so that `q` is a sum of two squares:
-/// it cannot become negative, and needles lose no digits to cancellation.
+/// The inverse of a dilated 2D covariance `[[xx, xy], [xy, yy]]` as a completed square, so that `q`
+/// is a sum of two squares: it cannot become negative, and needles lose no digits to cancellation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conic64 {
     /// xy / xx.
@@ -68,8 +70,8 @@ impl View {
         }
     }
 
-    /// The projection of one splat, or `None` when it adds nothing to any pixel: defective, nearer than the near plane,
-    /// too faint everywhere, or so large that its covariance overflows f64.
+    /// The projection of one splat, or `None` when it adds nothing to any pixel: defective, nearer
+    /// than the near plane, too faint everywhere, or so large that its covariance overflows f64.
     #[must_use]
     pub fn project(&self, splats: &SplatCloud, splat: usize) -> Option<Projected64> {
         if splats.defect_of(splat).is_some() {
@@ -85,9 +87,14 @@ impl View {
             Some(lens) => unscented(lens, t, &axes)?,
         };
         let (det, mean_px) = (spread.det, spread.mean_px);
-        let (xx, xy, yy) = (spread.xx + DILATION_PX2, spread.xy, spread.yy + DILATION_PX2);
+        let (xx, xy, yy) = (
+            spread.xx + DILATION_PX2,
+            spread.xy,
+            spread.yy + DILATION_PX2,
+        );
         // det(S + d I) = det S + d trace S + d^2.
-        let det_dilated = det + DILATION_PX2 * (spread.xx + spread.yy) + DILATION_PX2 * DILATION_PX2;
+        let det_dilated =
+            det + DILATION_PX2 * (spread.xx + spread.yy) + DILATION_PX2 * DILATION_PX2;
         let mut opacity = f64::from(splats.opacities[splat]);
         if self.rules.antialias {
             opacity *= (det / det_dilated).max(0.0).sqrt();
@@ -97,7 +104,11 @@ impl View {
         }
         Some(Projected64 {
             mean_px,
-            conic: Conic64 { slope: xy / xx, inverse_xx: xx.recip(), inverse_yy_given_x: xx / det_dilated },
+            conic: Conic64 {
+                slope: xy / xx,
+                inverse_xx: xx.recip(),
+                inverse_yy_given_x: xx / det_dilated,
+            },
             opacity,
             depth_m: match self.rules.order {
                 DepthOrder::Z => t.z,
@@ -119,9 +130,16 @@ impl View {
         let k = &self.intrinsics;
         let tan_x = clamped_tangent(t.x / t.z, f64::from(k.width_px), k.fx_px, k.cx_px);
         let tan_y = clamped_tangent(t.y / t.z, f64::from(k.height_px), k.fy_px, k.cy_px);
-        let [row_x, row_y, row_z] = [camera_from_splat.row(0), camera_from_splat.row(1), camera_from_splat.row(2)];
+        let [row_x, row_y, row_z] = [
+            camera_from_splat.row(0),
+            camera_from_splat.row(1),
+            camera_from_splat.row(2),
+        ];
         // The two rows of J W R diag(s), pixels: the covariance in the image is their Gram matrix.
-        let [m0, m1] = [(row_x - tan_x * row_z) * (k.fx_px / t.z), (row_y - tan_y * row_z) * (k.fy_px / t.z)];
+        let [m0, m1] = [
+            (row_x - tan_x * row_z) * (k.fx_px / t.z),
+            (row_y - tan_y * row_z) * (k.fy_px / t.z),
+        ];
         Spread {
             mean_px: DVec2::new(k.fx_px * t.x / t.z + k.cx_px, k.fy_px * t.y / t.z + k.cy_px),
             xx: m0.length_squared(),
@@ -133,13 +151,18 @@ impl View {
     }
 }
 
-/// `tangent` held to the image and a margin of `JACOBIAN_MARGIN` times the tangent of half the field of view beyond each edge.
+/// `tangent` held to the image and a margin of `JACOBIAN_MARGIN` times the tangent of half the
+/// field of view beyond each edge.
 fn clamped_tangent(tangent: f64, size_px: f64, focal_px: f64, principal_px: f64) -> f64 {
     let margin = JACOBIAN_MARGIN * 0.5 * size_px / focal_px;
-    tangent.clamp(-principal_px / focal_px - margin, (size_px - principal_px) / focal_px + margin)
+    tangent.clamp(
+        -principal_px / focal_px - margin,
+        (size_px - principal_px) / focal_px + margin,
+    )
 }
 
-/// Half the box around the ellipse `opacity exp(-q / 2) >= ALPHA_MIN`, a little enlarged so that rounding loses no pixel.
+/// Half the box around the ellipse `opacity exp(-q / 2) >= ALPHA_MIN`, a little enlarged so that
+/// rounding loses no pixel.
 fn half_extent_px(opacity: f64, xx: f64, yy: f64) -> DVec2 {
     let q_max = 2.0 * (opacity / ALPHA_MIN).ln() + 1e-12;
     DVec2::new((q_max * xx).sqrt(), (q_max * yy).sqrt()) * (1.0 + 1e-9) + DVec2::splat(1e-9)

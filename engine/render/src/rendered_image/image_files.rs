@@ -10,12 +10,18 @@ use super::{DECODER_BYTES_MAX, Image, ImageError, ImageFileFormat, PIXELS_MAX};
 /// Most bytes that one byte of a deflated stream can stand for.
 const DEFLATE_RATIO_MAX: u64 = 1032;
 
-/// Bytes that a block of an OpenEXR file may always unpack to, however small the file: a tile is larger than a small image.
+/// Bytes that a block of an OpenEXR file may always unpack to, however small the file: a tile is
+/// larger than a small image.
 const BLOCK_BYTES_FREE: usize = 1 << 22;
 
-/// Most pixels that one byte of a file can stand for: one bit each in PNG, three 16-bit channels in OpenEXR.
+/// Most pixels that one byte of a file can stand for: one bit each in PNG, three 16-bit channels in
+/// OpenEXR.
 fn pixels_per_byte_max(format: ImageFileFormat) -> u64 {
-    if format == ImageFileFormat::Png { DEFLATE_RATIO_MAX * 8 } else { DEFLATE_RATIO_MAX / 6 }
+    if format == ImageFileFormat::Png {
+        DEFLATE_RATIO_MAX * 8
+    } else {
+        DEFLATE_RATIO_MAX / 6
+    }
 }
 
 pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Image, ImageError> {
@@ -23,7 +29,11 @@ pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Image, ImageError
         check_exr_sizes(bytes)?;
     }
     let refused = |error: image::ImageError| format.malformed(error.to_string());
-    let kind = if format == ImageFileFormat::Png { ImageFormat::Png } else { ImageFormat::OpenExr };
+    let kind = if format == ImageFileFormat::Png {
+        ImageFormat::Png
+    } else {
+        ImageFormat::OpenExr
+    };
     let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
     let mut limits = Limits::default();
     limits.max_alloc = Some(DECODER_BYTES_MAX);
@@ -38,11 +48,16 @@ pub fn decode(format: ImageFileFormat, bytes: &[u8]) -> Result<Image, ImageError
             bytes.len()
         )));
     }
-    let image = DynamicImage::from_decoder(decoder).map_err(refused)?.into_rgba32f();
+    let image = DynamicImage::from_decoder(decoder)
+        .map_err(refused)?
+        .into_rgba32f();
     Ok(Image {
         width,
         height,
-        rgb: image.pixels().map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect(),
+        rgb: image
+            .pixels()
+            .map(|pixel| [pixel[0], pixel[1], pixel[2]])
+            .collect(),
         alpha: image.pixels().map(|pixel| pixel[3]).collect(),
         depth: None,
         instance: None,
@@ -53,20 +68,29 @@ fn pixels_believed(format: ImageFileFormat, bytes: &[u8]) -> u64 {
     PIXELS_MAX.min(pixels_per_byte_max(format) * bytes.len() as u64)
 }
 
-/// Refuses claims about layers and blocks, which the decoder would take memory for before it looks at the pixels.
+/// Refuses claims about layers and blocks, which the decoder would take memory for before it looks
+/// at the pixels.
 fn check_exr_sizes(bytes: &[u8]) -> Result<(), ImageError> {
     let format = ImageFileFormat::Exr;
-    let meta = MetaData::read_from_buffered(bytes, false).map_err(|error| format.malformed(error.to_string()))?;
+    let meta = MetaData::read_from_buffered(bytes, false)
+        .map_err(|error| format.malformed(error.to_string()))?;
     let believed = pixels_believed(format, bytes) as usize;
     for header in &meta.headers {
         let layer = header.layer_size;
         let block = match header.blocks {
             BlockDescription::Tiles(tiles) => (tiles.tile_size.width(), tiles.tile_size.height()),
-            BlockDescription::ScanLines => (layer.width(), header.compression.scan_lines_per_block()),
+            BlockDescription::ScanLines => {
+                (layer.width(), header.compression.scan_lines_per_block())
+            }
         };
-        let block_bytes = block.0.saturating_mul(block.1).saturating_mul(header.channels.bytes_per_pixel);
-        let block_bytes_max = BLOCK_BYTES_FREE.max(believed.saturating_mul(header.channels.bytes_per_pixel));
-        if layer.width().saturating_mul(layer.height()) > believed || block_bytes > block_bytes_max {
+        let block_bytes = block
+            .0
+            .saturating_mul(block.1)
+            .saturating_mul(header.channels.bytes_per_pixel);
+        let block_bytes_max =
+            BLOCK_BYTES_FREE.max(believed.saturating_mul(header.channels.bytes_per_pixel));
+        if layer.width().saturating_mul(layer.height()) > believed || block_bytes > block_bytes_max
+        {
             return Err(format.malformed(format!(
                 "it claims a layer of {}x{} pixels in blocks of {}x{}, more than {} bytes of file can hold",
                 layer.width(),
@@ -82,17 +106,40 @@ fn check_exr_sizes(bytes: &[u8]) -> Result<(), ImageError> {
 
 pub fn encode_png(image: &Image) -> Result<Vec<u8>, ImageError> {
     let levels: Vec<u8> = image.rgb.iter().flatten().copied().map(level).collect();
-    encode(image, ImageFileFormat::Png, ImageFormat::Png, &levels, ColorType::Rgb8)
+    encode(
+        image,
+        ImageFileFormat::Png,
+        ImageFormat::Png,
+        &levels,
+        ColorType::Rgb8,
+    )
 }
 
 /// RGBA as the PNG specification has it, colors not premultiplied.
 pub fn encode_png_with_alpha(image: &Image) -> Result<Vec<u8>, ImageError> {
     let straight = |(rgb, alpha): (&[f32; 3], &f32)| {
-        let [r, g, b] = rgb.map(|premultiplied| if *alpha > 0.0 { level(premultiplied / alpha) } else { 0 });
+        let [r, g, b] = rgb.map(|premultiplied| {
+            if *alpha > 0.0 {
+                level(premultiplied / alpha)
+            } else {
+                0
+            }
+        });
         [r, g, b, level(*alpha)]
     };
-    let levels: Vec<u8> = image.rgb.iter().zip(&image.alpha).flat_map(straight).collect();
-    encode(image, ImageFileFormat::Png, ImageFormat::Png, &levels, ColorType::Rgba8)
+    let levels: Vec<u8> = image
+        .rgb
+        .iter()
+        .zip(&image.alpha)
+        .flat_map(straight)
+        .collect();
+    encode(
+        image,
+        ImageFileFormat::Png,
+        ImageFormat::Png,
+        &levels,
+        ColorType::Rgba8,
+    )
 }
 
 /// `value` of 0 to 1 as 8 bits.
@@ -101,8 +148,18 @@ fn level(value: f32) -> u8 {
 }
 
 pub fn encode_exr(image: &Image) -> Result<Vec<u8>, ImageError> {
-    let bytes: Vec<u8> = image.interleaved_rgba().iter().flat_map(|value| value.to_ne_bytes()).collect();
-    encode(image, ImageFileFormat::Exr, ImageFormat::OpenExr, &bytes, ColorType::Rgba32F)
+    let bytes: Vec<u8> = image
+        .interleaved_rgba()
+        .iter()
+        .flat_map(|value| value.to_ne_bytes())
+        .collect();
+    encode(
+        image,
+        ImageFileFormat::Exr,
+        ImageFormat::OpenExr,
+        &bytes,
+        ColorType::Rgba32F,
+    )
 }
 
 fn encode(
@@ -114,7 +171,12 @@ fn encode(
 ) -> Result<Vec<u8>, ImageError> {
     let mut file = Cursor::new(Vec::new());
     image::write_buffer_with_format(&mut file, samples, image.width, image.height, color, kind)
-        .map_err(|error| ImageError::Encoding { format, width: image.width, height: image.height, message: error.to_string() })?;
+        .map_err(|error| ImageError::Encoding {
+            format,
+            width: image.width,
+            height: image.height,
+            message: error.to_string(),
+        })?;
     Ok(file.into_inner())
 }
 
@@ -124,9 +186,12 @@ mod tests {
 
     /// The header of a PNG that claims to be very large, and no pixels.
     fn boastful_png() -> Vec<u8> {
-        let mut bytes = Image::filled(1, 1, [0.0; 3]).encode(ImageFileFormat::Png).unwrap();
+        let mut bytes = Image::filled(1, 1, [0.0; 3])
+            .encode(ImageFileFormat::Png)
+            .unwrap();
         bytes[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
-        // The checksum of the chunk that was changed (ISO 3309), or the claim would not be looked at.
+        // The checksum of the chunk that was changed (ISO 3309), or the claim would not be looked
+        // at.
         let mut crc = !0u32;
         for &byte in &bytes[12..29] {
             crc ^= u32::from(byte);
@@ -140,20 +205,38 @@ mod tests {
 
     #[test]
     fn a_claim_that_the_file_cannot_hold_is_refused_before_memory_is_taken() {
-        let error = decode(ImageFileFormat::Png, &boastful_png()).unwrap_err().to_string();
+        let error = decode(ImageFileFormat::Png, &boastful_png())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("65535x65535"), "{error}");
     }
 
     #[test]
     fn a_layer_or_tile_that_the_file_cannot_hold_is_refused_before_memory_is_taken() {
-        let bytes = Image::filled(5, 3, [0.3; 3]).encode(ImageFileFormat::Exr).unwrap();
-        let place_of = |name: &[u8]| bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len();
-        for (attribute, offset) in [(&b"dataWindow\0box2i\0"[..], 4 + 8), (b"tiles\0tiledesc\0", 4)] {
+        let bytes = Image::filled(5, 3, [0.3; 3])
+            .encode(ImageFileFormat::Exr)
+            .unwrap();
+        let place_of = |name: &[u8]| {
+            bytes
+                .windows(name.len())
+                .position(|window| window == name)
+                .unwrap()
+                + name.len()
+        };
+        for (attribute, offset) in [
+            (&b"dataWindow\0box2i\0"[..], 4 + 8),
+            (b"tiles\0tiledesc\0", 4),
+        ] {
             let mut boastful = bytes.clone();
             let at = place_of(attribute) + offset;
             boastful[at..at + 4].copy_from_slice(&0x0fff_0000u32.to_le_bytes());
-            let error = decode(ImageFileFormat::Exr, &boastful).unwrap_err().to_string();
-            assert!(error.contains("more than") && error.contains("26836992"), "{error}");
+            let error = decode(ImageFileFormat::Exr, &boastful)
+                .unwrap_err()
+                .to_string();
+            assert!(
+                error.contains("more than") && error.contains("26836992"),
+                "{error}"
+            );
         }
     }
 
@@ -161,7 +244,14 @@ mod tests {
     fn the_strongest_compression_is_still_believed() {
         let flat = Image::filled(4000, 2000, [0.25; 3]);
         for format in [ImageFileFormat::Png, ImageFileFormat::Exr] {
-            assert_eq!(decode(format, &flat.encode(format).unwrap()).unwrap().rgb.len(), 8_000_000, "{format}");
+            assert_eq!(
+                decode(format, &flat.encode(format).unwrap())
+                    .unwrap()
+                    .rgb
+                    .len(),
+                8_000_000,
+                "{format}"
+            );
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Images: what a render returns, and the files they are kept in.
 //!
-//! Values are display-referred RGB as blended: the sky is in them, nothing is clamped. Only PNG clamps and rounds.
+//! Values are display-referred RGB as blended: the sky is in them, nothing is clamped. Only PNG
+//! clamps and rounds.
 
 mod image_files;
 mod npy;
@@ -26,8 +27,8 @@ pub struct Image {
     pub rgb: Vec<[f32; 3]>,
     /// 1 - the transmittance left for the sky.
     pub alpha: Vec<f32>,
-    /// Expected depth, meters: camera-space z, or distance where the order is radial; 0 where nothing was blended.
-    /// `None` where it was not asked for.
+    /// Expected depth, meters: camera-space z, or distance where the order is radial; 0 where
+    /// nothing was blended. `None` where it was not asked for.
     pub depth: Option<Vec<f32>>,
     /// Instance with the largest weight, 0 the background; `None` where it was not asked for.
     pub instance: Option<Vec<u16>>,
@@ -96,7 +97,9 @@ impl ImageFileFormat {
     #[must_use]
     pub fn of_path(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-        [Self::Png, Self::Exr, Self::Npy].into_iter().find(|format| format.extension() == extension)
+        [Self::Png, Self::Exr, Self::Npy]
+            .into_iter()
+            .find(|format| format.extension() == extension)
     }
 
     /// File name extension of this format, without the dot.
@@ -110,7 +113,10 @@ impl ImageFileFormat {
     }
 
     fn malformed(self, message: impl Into<String>) -> ImageError {
-        ImageError::Malformed { format: self, message: message.into() }
+        ImageError::Malformed {
+            format: self,
+            message: message.into(),
+        }
     }
 }
 
@@ -125,7 +131,14 @@ impl Image {
     #[must_use]
     pub fn filled(width: u32, height: u32, rgb: [f32; 3]) -> Self {
         let count = width as usize * height as usize;
-        Self { width, height, rgb: vec![rgb; count], alpha: vec![1.0; count], depth: None, instance: None }
+        Self {
+            width,
+            height,
+            rgb: vec![rgb; count],
+            alpha: vec![1.0; count],
+            depth: None,
+            instance: None,
+        }
     }
 
     /// Reads an image; its name's extension tells the format. Alpha is 1 where the file has none.
@@ -133,18 +146,25 @@ impl Image {
     /// # Errors
     /// When the file cannot be read, its name tells no format, or its bytes are not such an image.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let format = ImageFileFormat::of_path(path).ok_or_else(|| ImageError::Extension { path: path.into() })?;
-        let unreadable = |source| ImageError::Unreadable { path: path.into(), source };
+        let format = ImageFileFormat::of_path(path)
+            .ok_or_else(|| ImageError::Extension { path: path.into() })?;
+        let unreadable = |source| ImageError::Unreadable {
+            path: path.into(),
+            source,
+        };
         // A device may have no end, and a FIFO may block forever.
         if std::fs::metadata(path).map_err(unreadable)?.is_file() {
             let bytes = std::fs::read(path).map_err(unreadable)?;
-            return Self::decode(format, &bytes)
-                .map_err(|source| ImageError::File { path: path.into(), source: Box::new(source) });
+            return Self::decode(format, &bytes).map_err(|source| ImageError::File {
+                path: path.into(),
+                source: Box::new(source),
+            });
         }
         Err(unreadable(std::io::Error::other("expected a regular file")))
     }
 
-    /// The image in the bytes of a file. Never allocates more than the length of `bytes` can account for.
+    /// The image in the bytes of a file. Never allocates more than the length of `bytes` can
+    /// account for.
     ///
     /// # Errors
     /// When the bytes are not an image of that format.
@@ -167,8 +187,9 @@ impl Image {
         }
     }
 
-    /// [`Image::encode`], for an image over a black sky that is to be laid over another: PNG holds alpha too, its colors
-    /// divided by it; the other formats hold colors premultiplied by alpha, as blended, as they always do.
+    /// [`Image::encode`], for an image over a black sky that is to be laid over another: PNG holds
+    /// alpha too, its colors divided by it; the other formats hold colors premultiplied by alpha,
+    /// as blended, as they always do.
     ///
     /// # Errors
     /// When the encoder refuses the image's size.
@@ -179,23 +200,36 @@ impl Image {
         }
     }
 
-    /// The depth as a NumPy file: float32 `[height, width]`, meters, 0 where nothing was blended. None where there is none.
+    /// The depth as a NumPy file: float32 `[height, width]`, meters, 0 where nothing was blended.
+    /// None where there is none.
     #[must_use]
     pub fn encode_depth(&self) -> Option<Vec<u8>> {
-        let values = self.depth.as_ref()?.iter().flat_map(|depth_m| depth_m.to_le_bytes());
+        let values = self
+            .depth
+            .as_ref()?
+            .iter()
+            .flat_map(|depth_m| depth_m.to_le_bytes());
         Some(npy::encode_plane(self, "<f4", values))
     }
 
     /// The instances as a NumPy file: uint16 `[height, width]`. None where there are none.
     #[must_use]
     pub fn encode_instance(&self) -> Option<Vec<u8>> {
-        let values = self.instance.as_ref()?.iter().flat_map(|instance| instance.to_le_bytes());
+        let values = self
+            .instance
+            .as_ref()?
+            .iter()
+            .flat_map(|instance| instance.to_le_bytes());
         Some(npy::encode_plane(self, "<u2", values))
     }
 
     /// RGBA of every pixel, interleaved: `[height, width, 4]`.
     fn interleaved_rgba(&self) -> Vec<f32> {
-        self.rgb.iter().zip(&self.alpha).flat_map(|(&[r, g, b], &a)| [r, g, b, a]).collect()
+        self.rgb
+            .iter()
+            .zip(&self.alpha)
+            .flat_map(|(&[r, g, b], &a)| [r, g, b, a])
+            .collect()
     }
 }
 
@@ -208,7 +242,9 @@ mod tests {
         let count = (width * height) as usize;
         let ramp = |k: usize| (k as f32 * 0.37).sin() * 1.3;
         Image {
-            rgb: (0..count).map(|i| [ramp(3 * i), ramp(3 * i + 1), ramp(3 * i + 2)]).collect(),
+            rgb: (0..count)
+                .map(|i| [ramp(3 * i), ramp(3 * i + 1), ramp(3 * i + 2)])
+                .collect(),
             alpha: (0..count).map(|i| i as f32 / count as f32).collect(),
             ..Image::filled(width, height, [0.0; 3])
         }
@@ -219,7 +255,11 @@ mod tests {
         for (width, height) in [(1, 1), (7, 5), (33, 2)] {
             let image = sample(width, height);
             for format in [ImageFileFormat::Exr, ImageFileFormat::Npy] {
-                assert_eq!(Image::decode(format, &image.encode(format).unwrap()).unwrap(), image, "{format}");
+                assert_eq!(
+                    Image::decode(format, &image.encode(format).unwrap()).unwrap(),
+                    image,
+                    "{format}"
+                );
             }
         }
     }
@@ -230,8 +270,17 @@ mod tests {
         let mut image = Image::filled(3, 1, [-0.5, 0.0, half_level - 1e-4]);
         image.rgb[1] = [half_level + 1e-4, 100.0 / 255.0, 254.6 / 255.0];
         image.rgb[2] = [1.0, 7.5, f32::NAN];
-        let back = Image::decode(ImageFileFormat::Png, &image.encode(ImageFileFormat::Png).unwrap()).unwrap();
-        let levels: Vec<f32> = back.rgb.iter().flatten().map(|value| value * 255.0).collect();
+        let back = Image::decode(
+            ImageFileFormat::Png,
+            &image.encode(ImageFileFormat::Png).unwrap(),
+        )
+        .unwrap();
+        let levels: Vec<f32> = back
+            .rgb
+            .iter()
+            .flatten()
+            .map(|value| value * 255.0)
+            .collect();
         assert_eq!(
             levels.iter().map(|level| level.round()).collect::<Vec<_>>(),
             [0.0, 0.0, 0.0, 1.0, 100.0, 255.0, 255.0, 255.0, 0.0]
@@ -244,20 +293,39 @@ mod tests {
         let mut image = Image::filled(2, 2, [0.1, 0.2, 0.25]);
         image.alpha = vec![0.25, 0.0, 1.0, 0.5];
         image.rgb[1] = [0.0; 3];
-        let back = Image::decode(ImageFileFormat::Png, &image.encode_with_alpha(ImageFileFormat::Png).unwrap()).unwrap();
-        let levels = |values: &[f32]| values.iter().map(|value| (value * 255.0).round()).collect::<Vec<_>>();
+        let back = Image::decode(
+            ImageFileFormat::Png,
+            &image.encode_with_alpha(ImageFileFormat::Png).unwrap(),
+        )
+        .unwrap();
+        let levels = |values: &[f32]| {
+            values
+                .iter()
+                .map(|value| (value * 255.0).round())
+                .collect::<Vec<_>>()
+        };
         assert_eq!(levels(&back.alpha), [64.0, 0.0, 255.0, 128.0]);
-        let expected = [102.0, 204.0, 255.0, 0.0, 0.0, 0.0, 26.0, 51.0, 64.0, 51.0, 102.0, 128.0];
+        let expected = [
+            102.0, 204.0, 255.0, 0.0, 0.0, 0.0, 26.0, 51.0, 64.0, 51.0, 102.0, 128.0,
+        ];
         assert_eq!(levels(back.rgb.as_flattened()), expected);
         for format in [ImageFileFormat::Exr, ImageFileFormat::Npy] {
-            assert_eq!(image.encode_with_alpha(format).unwrap(), image.encode(format).unwrap(), "{format}");
+            assert_eq!(
+                image.encode_with_alpha(format).unwrap(),
+                image.encode(format).unwrap(),
+                "{format}"
+            );
         }
     }
 
     #[test]
     fn cut_and_flipped_files_are_errors_and_never_a_panic() {
         let image = sample(5, 3);
-        for format in [ImageFileFormat::Png, ImageFileFormat::Exr, ImageFileFormat::Npy] {
+        for format in [
+            ImageFileFormat::Png,
+            ImageFileFormat::Exr,
+            ImageFileFormat::Npy,
+        ] {
             let bytes = image.encode(format).unwrap();
             for length in 0..bytes.len() {
                 // A PNG is complete before its last chunk, which holds nothing.
@@ -272,7 +340,8 @@ mod tests {
             for bit in 0..bytes.len() * 8 {
                 let mut flipped = bytes.clone();
                 flipped[bit / 8] ^= 1 << (bit % 8);
-                // Many flips leave an image, of other values; what matters is that all of them return.
+                // Many flips leave an image, of other values; what matters is that all of them
+                // return.
                 if let Ok(read) = Image::decode(format, &flipped) {
                     assert_eq!(read.rgb.len(), (read.width * read.height) as usize);
                 }
@@ -320,9 +389,22 @@ mod tests {
         let path = folder.join("broken.npy");
         std::fs::write(&path, b"no image").unwrap();
         let message = Image::read(&path).unwrap_err().to_string();
-        assert!(message.contains("broken.npy") && message.contains("NUMPY"), "{message}");
-        assert!(Image::read(&folder.join("a.jpeg")).unwrap_err().to_string().contains("*.png"));
-        assert!(Image::read(&folder.join("absent.png")).unwrap_err().to_string().contains("absent.png"));
+        assert!(
+            message.contains("broken.npy") && message.contains("NUMPY"),
+            "{message}"
+        );
+        assert!(
+            Image::read(&folder.join("a.jpeg"))
+                .unwrap_err()
+                .to_string()
+                .contains("*.png")
+        );
+        assert!(
+            Image::read(&folder.join("absent.png"))
+                .unwrap_err()
+                .to_string()
+                .contains("absent.png")
+        );
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -28,13 +28,28 @@ impl AgentBuffers {
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, agents: usize, clusters: usize, cameras: usize) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        agents: usize,
+        clusters: usize,
+        cameras: usize,
+    ) -> Result<Self, GpuError> {
         Ok(Self {
             agents: gpu.buffer("agents", PURPOSE, agents, MemoryKind::Device)?,
-            cameras: gpu.buffer("agent_cameras", PURPOSE, agents * cameras, MemoryKind::Device)?,
+            cameras: gpu.buffer(
+                "agent_cameras",
+                PURPOSE,
+                agents * cameras,
+                MemoryKind::Device,
+            )?,
             lenses: gpu.buffer("agent_lenses", PURPOSE, cameras, MemoryKind::Device)?,
             visible: Visible::new(gpu, cameras, clusters)?,
-            offsets: gpu.buffer("agent_offsets", PURPOSE, cameras * clusters + 1, MemoryKind::Device)?,
+            offsets: gpu.buffer(
+                "agent_offsets",
+                PURPOSE,
+                cameras * clusters + 1,
+                MemoryKind::Device,
+            )?,
         })
     }
 }
@@ -84,11 +99,19 @@ impl CullAgents {
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("LENSES", Constant::Bool(lenses)),
         ];
-        Ok(Self { kernel: kernel::<CullPush>(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)? })
+        Ok(Self {
+            kernel: kernel::<CullPush>(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)?,
+        })
     }
 
     /// Marks what is visible of the agents.
-    pub fn record(&self, recorder: &mut Recorder, pool: &PoolBuffers, buffers: &AgentBuffers, counts: AgentCounts) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        pool: &PoolBuffers,
+        buffers: &AgentBuffers,
+        counts: AgentCounts,
+    ) {
         let push = CullPush {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
@@ -104,7 +127,12 @@ impl CullAgents {
             ("visible_counts", buffers.visible.counts.binding()),
             ("lenses", buffers.lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.clusters));
+        recorder.dispatch(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            groups_for(counts.clusters),
+        );
     }
 }
 
@@ -114,12 +142,18 @@ pub struct ProjectAgents {
 }
 
 impl ProjectAgents {
-    /// The stage for images of the given rules and colors of the given degree; `relit` where some agents have colors of
-    /// their own, `lenses` where some camera is no pinhole.
+    /// The stage for images of the given rules and colors of the given degree; `relit` where some
+    /// agents have colors of their own, `lenses` where some camera is no pinhole.
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, sh_degree: u8, relit: bool, lenses: bool) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        rules: &Rules,
+        sh_degree: u8,
+        relit: bool,
+        lenses: bool,
+    ) -> Result<Self, GpuError> {
         let constants = [
             ("NEAR_M", Constant::F32(near_m(rules))),
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
@@ -128,12 +162,17 @@ impl ProjectAgents {
             ("RELIT", Constant::Bool(relit)),
             ("LENSES", Constant::Bool(lenses)),
         ];
-        Ok(Self { kernel: kernel::<ProjectPush>(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)? })
+        Ok(Self {
+            kernel: kernel::<ProjectPush>(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)?,
+        })
     }
 
-    /// Writes a record for every visible splat of the agents behind those of the background, whose `static_lists` lists begin
-    /// at `static_offsets`, and its depth key.
-    #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
+    /// Writes a record for every visible splat of the agents behind those of the background, whose
+    /// `static_lists` lists begin at `static_offsets`, and its depth key.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one argument a group of buffers that the stage reads or writes"
+    )]
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -169,6 +208,11 @@ impl ProjectAgents {
             ("keys", projected.keys.binding()),
             ("lenses", buffers.lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(counts.clusters));
+        recorder.dispatch(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            groups_for(counts.clusters),
+        );
     }
 }

@@ -19,7 +19,8 @@ pub struct PartialResults {
     pub instances: Buffer<[u32; 2]>,
     /// Bits of the largest transmittance by fine tile; zero before the frame.
     pub transmittances: Buffer<[u32; 32]>,
-    /// Fine tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0 where nothing is finished.
+    /// Fine tiles with pixels that are to be finished, as bits; zero before the frame. Of length 0
+    /// where nothing is finished.
     pub unfinished: Buffer<u32>,
 }
 
@@ -28,20 +29,46 @@ impl PartialResults {
     ///
     /// # Errors
     /// When the device is out of memory.
-    pub fn new(gpu: &Gpu, slots: usize, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        slots: usize,
+        rules: &Rules,
+        outputs: &Outputs,
+    ) -> Result<Self, GpuError> {
         let unfinished = if finishes(rules, outputs) { slots } else { 0 };
         let pixels = |asked: bool| if asked { slots * COARSE_PIXELS } else { 0 };
         Ok(Self {
             colors: gpu.buffer("partial_colors", PURPOSE, pixels(true), MemoryKind::Device)?,
-            depths: gpu.buffer("partial_depths", PURPOSE, pixels(outputs.depth), MemoryKind::Device)?,
-            instances: gpu.buffer("partial_instances", PURPOSE, pixels(outputs.instance), MemoryKind::Device)?,
-            transmittances: gpu.buffer("partial_transmittances", PURPOSE, slots, MemoryKind::Device)?,
-            unfinished: gpu.buffer("partial_unfinished", PURPOSE, unfinished, MemoryKind::Device)?,
+            depths: gpu.buffer(
+                "partial_depths",
+                PURPOSE,
+                pixels(outputs.depth),
+                MemoryKind::Device,
+            )?,
+            instances: gpu.buffer(
+                "partial_instances",
+                PURPOSE,
+                pixels(outputs.instance),
+                MemoryKind::Device,
+            )?,
+            transmittances: gpu.buffer(
+                "partial_transmittances",
+                PURPOSE,
+                slots,
+                MemoryKind::Device,
+            )?,
+            unfinished: gpu.buffer(
+                "partial_unfinished",
+                PURPOSE,
+                unfinished,
+                MemoryKind::Device,
+            )?,
         })
     }
 }
 
-/// True if segments of a list are blended again from what lies before them: by an exclusive stop, and where weights are counted.
+/// True if segments of a list are blended again from what lies before them: by an exclusive stop,
+/// and where weights are counted.
 #[must_use]
 pub fn finishes(rules: &Rules, outputs: &Outputs) -> bool {
     rules.stop == EarlyStop::Exclusive || outputs.contributions
@@ -68,9 +95,15 @@ push_constants! {
 /// Records that blend may stage at a time, most first.
 const BATCHES: [u32; 5] = [1024, 768, 512, 256, 128];
 
-/// Shared memory of blend when it stages `batch` records with `extra_words` more of each than color and footprint, bytes. See `batch.glsl`.
+/// Shared memory of blend when it stages `batch` records with `extra_words` more of each than color
+/// and footprint, bytes. See `batch.glsl`.
 fn shared_bytes(batch: u32, extra_words: u32) -> u32 {
-    let (records, tiles, scratch, counters) = ((9 + extra_words) * (batch + 1), batch + 32, batch.max(1536), 40);
+    let (records, tiles, scratch, counters) = (
+        (9 + extra_words) * (batch + 1),
+        batch + 32,
+        batch.max(1536),
+        40,
+    );
     4 * (records + tiles + scratch + counters)
 }
 
@@ -92,7 +125,13 @@ impl Blend {
     ///
     /// # Errors
     /// When the driver refuses the kernel.
-    pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs, pass: BlendPass, item_pairs_max: u32) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        rules: &Rules,
+        outputs: &Outputs,
+        pass: BlendPass,
+        item_pairs_max: u32,
+    ) -> Result<Self, GpuError> {
         let [u8_color, depth, instance] = outputs.constants();
         let batch = batch_records(gpu.limits().shared_memory_bytes, outputs);
         let constants = [
@@ -100,18 +139,27 @@ impl Blend {
             depth,
             instance,
             ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
-            ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive)),
+            (
+                "EXCLUSIVE_STOP",
+                Constant::Bool(rules.stop == EarlyStop::Exclusive),
+            ),
             ("LANES", Constant::U32(gpu.limits().subgroup_size)),
             ("BATCH", Constant::U32(batch)),
             ("ONE_BATCH", Constant::Bool(item_pairs_max <= batch)),
             ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
             ("FINISH", Constant::Bool(pass == BlendPass::Finish)),
         ];
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)?,
+        })
     }
 
-    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes images or partial results.
-    #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
+    /// Blends the items of `plan`, whose entries are `records` of `projected`; writes images or
+    /// partial results.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one argument a buffer that the stage reads or writes"
+    )]
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -166,9 +214,20 @@ mod tests {
 
     #[test]
     fn a_batch_fits_shared_memory() {
-        let plain = Outputs { contributions: false, ..Outputs::default() };
-        let all = Outputs { depth: true, instance: true, ..plain };
-        let batches = |kilobytes: u32| [plain, all].map(|outputs| batch_records(kilobytes << 10, &outputs));
-        assert_eq!([16, 32, 48, 64].map(batches), [[128, 128], [512, 512], [1024, 768], [1024, 1024]]);
+        let plain = Outputs {
+            contributions: false,
+            ..Outputs::default()
+        };
+        let all = Outputs {
+            depth: true,
+            instance: true,
+            ..plain
+        };
+        let batches =
+            |kilobytes: u32| [plain, all].map(|outputs| batch_records(kilobytes << 10, &outputs));
+        assert_eq!(
+            [16, 32, 48, 64].map(batches),
+            [[128, 128], [512, 512], [1024, 768], [1024, 1024]]
+        );
     }
 }

@@ -27,14 +27,22 @@ impl CompositeSegments {
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, outputs: &Outputs) -> Result<Self, GpuError> {
         let [u8_color, depth, instance] = outputs.constants();
-        let stop = ("EXCLUSIVE_STOP", Constant::Bool(rules.stop == EarlyStop::Exclusive));
+        let stop = (
+            "EXCLUSIVE_STOP",
+            Constant::Bool(rules.stop == EarlyStop::Exclusive),
+        );
         let contributions = ("CONTRIBUTIONS", Constant::Bool(outputs.contributions));
         let constants = [u8_color, depth, instance, stop, contributions];
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::COMPOSITE, &constants)?,
+        })
     }
 
     /// Writes the pixels of every coarse tile that `plan` cut.
-    #[expect(clippy::too_many_arguments, reason = "one argument a buffer that the stage reads or writes")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one argument a buffer that the stage reads or writes"
+    )]
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -46,7 +54,10 @@ impl CompositeSegments {
         partials: &PartialResults,
         images: &OutputBuffers,
     ) {
-        let push = Push { sky, camera_count: camera_count as u32 };
+        let push = Push {
+            sky,
+            camera_count: camera_count as u32,
+        };
         let [images_f32, images_u8, depths, instances] = images.bindings();
         let buffers = [
             ("cameras", cameras.binding()),
@@ -62,6 +73,12 @@ impl CompositeSegments {
             ("partial_unfinished", partials.unfinished.binding()),
         ];
         let offset = IndirectArguments::Composite.byte_offset();
-        recorder.dispatch_indirect(&self.kernel, &buffers, bytes_of(&push), counters.arguments.binding(), offset);
+        recorder.dispatch_indirect(
+            &self.kernel,
+            &buffers,
+            bytes_of(&push),
+            counters.arguments.binding(),
+            offset,
+        );
     }
 }

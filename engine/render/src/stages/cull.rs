@@ -25,7 +25,12 @@ impl Visible {
     pub fn new(gpu: &Gpu, cameras: usize, clusters: usize) -> Result<Self, GpuError> {
         let lists = cameras * clusters;
         Ok(Self {
-            words: gpu.buffer("visible_words", PURPOSE, lists * CLUSTER_SPLATS / 32, MemoryKind::Device)?,
+            words: gpu.buffer(
+                "visible_words",
+                PURPOSE,
+                lists * CLUSTER_SPLATS / 32,
+                MemoryKind::Device,
+            )?,
             counts: gpu.buffer("visible_counts", PURPOSE, lists, MemoryKind::Device)?,
         })
     }
@@ -55,7 +60,9 @@ impl Cull {
             ("ANTIALIAS", Constant::Bool(rules.antialias)),
             ("LENSES", Constant::Bool(lenses)),
         ];
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)?,
+        })
     }
 
     /// Marks what `cameras` see of `world`.
@@ -83,6 +90,11 @@ impl Cull {
             ("visible_counts", visible.counts.binding()),
             ("lenses", lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.cluster_count()));
+        recorder.dispatch(
+            &self.kernel,
+            &buffers,
+            bytes_of(&push),
+            groups_for(world.cluster_count()),
+        );
     }
 }

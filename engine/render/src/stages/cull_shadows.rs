@@ -24,7 +24,12 @@ impl ShadowBuffers {
     pub fn new(gpu: &Gpu, shadows: usize, clusters: usize) -> Result<Self, GpuError> {
         Ok(Self {
             shadows: gpu.buffer("shadows", PURPOSE, shadows, MemoryKind::Device)?,
-            words: gpu.buffer("shadow_words", PURPOSE, clusters * words_for(shadows), MemoryKind::Device)?,
+            words: gpu.buffer(
+                "shadow_words",
+                PURPOSE,
+                clusters * words_for(shadows),
+                MemoryKind::Device,
+            )?,
         })
     }
 }
@@ -53,19 +58,35 @@ impl CullShadows {
     /// # Errors
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])?,
+        })
     }
 
     /// Marks which of the first `shadow_count` shadows may lie on each cluster of `world`.
-    pub fn record(&self, recorder: &mut Recorder, world: &GpuScene, buffers: &ShadowBuffers, shadow_count: usize) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        world: &GpuScene,
+        buffers: &ShadowBuffers,
+        shadow_count: usize,
+    ) {
         let clusters = world.cluster_count();
-        let push = Push { cluster_count: clusters as u32, shadow_count: shadow_count as u32 };
+        let push = Push {
+            cluster_count: clusters as u32,
+            shadow_count: shadow_count as u32,
+        };
         let bound = [
             ("clusters", world.clusters.binding()),
             ("shadows", buffers.shadows.binding()),
             ("shadow_words", buffers.words.binding()),
         ];
         let threads = clusters * words_for(shadow_count);
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(threads.div_ceil(CLUSTER_SPLATS)));
+        recorder.dispatch(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            groups_for(threads.div_ceil(CLUSTER_SPLATS)),
+        );
     }
 }

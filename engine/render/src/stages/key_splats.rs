@@ -36,10 +36,13 @@ impl KeySplats {
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::KEY_SPLATS, &[])? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::KEY_SPLATS, &[])?,
+        })
     }
 
-    /// Writes the depth keys of all splats of `world` along the direction of camera `camera` as set `set` of `keys`.
+    /// Writes the depth keys of all splats of `world` along the direction of camera `camera` as set
+    /// `set` of `keys`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -48,8 +51,21 @@ impl KeySplats {
         (camera, set): (usize, usize),
         keys: &Buffer<u32>,
     ) {
-        let push = Push { splat_count: world.splats as u32, camera: camera as u32, key_set: set as u32 };
-        let bound = [("cameras", cameras.binding()), ("means_m", world.means.binding()), ("kept_keys", keys.binding())];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(world.splats.div_ceil(256)));
+        let push = Push {
+            splat_count: world.splats as u32,
+            camera: camera as u32,
+            key_set: set as u32,
+        };
+        let bound = [
+            ("cameras", cameras.binding()),
+            ("means_m", world.means.binding()),
+            ("kept_keys", keys.binding()),
+        ];
+        recorder.dispatch(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            groups_for(world.splats.div_ceil(256)),
+        );
     }
 }

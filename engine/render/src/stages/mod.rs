@@ -1,8 +1,9 @@
-//! The stages of a frame. A stage is one stem: `shaders/NAME.comp`, `stages/NAME.rs`, its twin in `twins/NAME.rs` and a
-//! case in `tests/stages/`. Its kernel is built once, its buffers once per capacity, its commands every frame.
+//! The stages of a frame. A stage is one stem: `shaders/NAME.comp`, `stages/NAME.rs`, its twin in
+//! `twins/NAME.rs` and a case in `tests/stages/`. Its kernel is built once, its buffers once per
+//! capacity, its commands every frame.
 //!
-//! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a named struct of buffers, made
-//! beforehand, that the next stage takes.
+//! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a
+//! named struct of buffers, made beforehand, that the next stage takes.
 
 mod agents;
 mod blend;
@@ -26,7 +27,9 @@ pub use plan_segments::{Plan, PlanSegments};
 pub use project::{Project, ProjectVariant, Projected};
 pub use relight::{RELIGHT_BLOCK, Relight, RelitColors};
 pub use scan::Scan;
-pub use tile_sort::{BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers};
+pub use tile_sort::{
+    BinPairs, BinPass, PlanBuckets, PlanLists, Records, SortBuckets, TileSort, TileSortBuffers,
+};
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind};
 use decouplegs_shaders::constants;
@@ -57,7 +60,8 @@ impl FrameCounters {
     }
 }
 
-/// Indirect dispatches, by their place in [`FrameCounters::arguments`]; the twins of `ARGUMENTS_*` in `frame.glsl`.
+/// Indirect dispatches, by their place in [`FrameCounters::arguments`]; the twins of `ARGUMENTS_*`
+/// in `frame.glsl`.
 #[derive(Clone, Copy, Debug)]
 pub enum IndirectArguments {
     /// Blocks of records to be binned.
@@ -115,14 +119,19 @@ fn kernel<P: PushConstants>(
 ) -> Result<Kernel, GpuError> {
     let kernel = gpu.kernel(shader.name, shader.spirv, constants)?;
     match push_fault::<P>(kernel.push_member_offsets(), kernel.push_bytes()) {
-        Some(reason) => Err(GpuError::Kernel { kernel: shader.name, reason }),
+        Some(reason) => Err(GpuError::Kernel {
+            kernel: shader.name,
+            reason,
+        }),
         None => Ok(kernel),
     }
 }
 
 /// Difference between the push constants of host and shader, if there is one.
 fn push_fault<P: PushConstants>(members: &[(String, u32)], bytes: u32) -> Option<String> {
-    let shader = members.iter().map(|(name, offset)| (name.as_str(), *offset as usize));
+    let shader = members
+        .iter()
+        .map(|(name, offset)| (name.as_str(), *offset as usize));
     let same = shader.eq(P::MEMBERS.iter().copied()) && bytes as usize == size_of::<P>();
     (!same).then(|| {
         let (host, host_bytes) = (P::MEMBERS, size_of::<P>());
@@ -143,15 +152,24 @@ mod tests {
 
     #[test]
     fn other_push_constants_are_refused() {
-        let members = |members: [(&str, u32); 2]| members.map(|(name, offset)| (name.to_owned(), offset));
-        assert_eq!(push_fault::<Push>(&members([("sky", 0), ("count", 12)]), 16), None);
+        let members =
+            |members: [(&str, u32); 2]| members.map(|(name, offset)| (name.to_owned(), offset));
+        assert_eq!(
+            push_fault::<Push>(&members([("sky", 0), ("count", 12)]), 16),
+            None
+        );
         for (wrong, bytes) in [
             ([("sky", 0), ("count", 16)], 20),
             ([("sky", 0), ("sum", 12)], 16),
             ([("count", 12), ("sky", 0)], 16),
             ([("sky", 0), ("count", 12)], 32),
         ] {
-            assert!(push_fault::<Push>(&members(wrong), bytes).unwrap().contains("on the host"), "{wrong:?}");
+            assert!(
+                push_fault::<Push>(&members(wrong), bytes)
+                    .unwrap()
+                    .contains("on the host"),
+                "{wrong:?}"
+            );
         }
         assert!(push_fault::<()>(&members([("sky", 0), ("count", 12)]), 16).is_some());
     }

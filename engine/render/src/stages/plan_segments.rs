@@ -9,7 +9,8 @@ use crate::layout::{BlendItem, Composite};
 
 /// The work of blend and composite.
 pub struct Plan {
-    /// Segments, in waves: those that are first in their coarse tile, then the second, then the third and fourth and so on.
+    /// Segments, in waves: those that are first in their coarse tile, then the second, then the
+    /// third and fourth and so on.
     pub items: Buffer<BlendItem>,
     /// Coarse tiles that were cut.
     pub composites: Buffer<Composite>,
@@ -23,7 +24,12 @@ impl Plan {
     pub fn new(gpu: &Gpu, capacity: &Capacity, bins: u32) -> Result<Self, GpuError> {
         Ok(Self {
             items: gpu.buffer("items", PURPOSE, capacity.items(bins), MemoryKind::Device)?,
-            composites: gpu.buffer("composites", PURPOSE, capacity.composites(bins), MemoryKind::Device)?,
+            composites: gpu.buffer(
+                "composites",
+                PURPOSE,
+                capacity.composites(bins),
+                MemoryKind::Device,
+            )?,
         })
     }
 }
@@ -50,7 +56,10 @@ impl PlanSegments {
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, segment_pairs: u32) -> Result<Self, GpuError> {
         let constants = [("SEGMENT_PAIRS", Constant::U32(segment_pairs))];
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &constants)?, segment_pairs })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &constants)?,
+            segment_pairs,
+        })
     }
 
     /// Writes `plan` for the lists of `tile_lists`, by first place and length.
@@ -77,11 +86,17 @@ impl PlanSegments {
             ("arguments", counters.arguments.binding()),
         ];
         let waves = waves_for(capacity.pairs.div_ceil(self.segment_pairs as usize));
-        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), [bin_count.div_ceil(256), waves, 1]);
+        recorder.dispatch(
+            &self.kernel,
+            &buffers,
+            bytes_of(&push),
+            [bin_count.div_ceil(256), waves, 1],
+        );
     }
 }
 
-/// Waves that hold `segments` of one coarse tile: wave 0 is segment 0, wave w the segments from 2^(w - 1) to 2^w - 1.
+/// Waves that hold `segments` of one coarse tile: wave 0 is segment 0, wave w the segments from
+/// 2^(w - 1) to 2^w - 1.
 fn waves_for(segments: usize) -> u32 {
     1 + segments.max(1).next_power_of_two().trailing_zeros()
 }
@@ -92,6 +107,9 @@ mod tests {
 
     #[test]
     fn waves_hold_all_segments() {
-        assert_eq!([0, 1, 2, 3, 4, 5, 8, 9].map(waves_for), [1, 1, 2, 3, 3, 4, 4, 5]);
+        assert_eq!(
+            [0, 1, 2, 3, 4, 5, 8, 9].map(waves_for),
+            [1, 1, 2, 3, 3, 4, 4, 5]
+        );
     }
 }

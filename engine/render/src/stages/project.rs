@@ -11,7 +11,8 @@ use crate::resident::GpuScene;
 
 /// One entry a visible (camera, splat): by camera, and by splat within a camera.
 pub struct Projected {
-    /// Two vectors a record: mean (px), slope, rate_x; rate_y, log2 opacity, depth (m), instance bits. See `footprint.glsl`.
+    /// Two vectors a record: mean (px), slope, rate_x; rate_y, log2 opacity, depth (m), instance
+    /// bits. See `footprint.glsl`.
     pub footprints: Buffer<[f32; 4]>,
     /// RGB and an unused fourth.
     pub colors: Buffer<[f32; 4]>,
@@ -28,7 +29,12 @@ impl Projected {
         Ok(Self {
             footprints: gpu.buffer("footprints", PURPOSE, 2 * records, MemoryKind::Device)?,
             colors: gpu.buffer("colors", PURPOSE, records, MemoryKind::Device)?,
-            keys: gpu.buffer("depth_keys", PURPOSE, records.max(pairs), MemoryKind::Device)?,
+            keys: gpu.buffer(
+                "depth_keys",
+                PURPOSE,
+                records.max(pairs),
+                MemoryKind::Device,
+            )?,
         })
     }
 }
@@ -79,15 +85,23 @@ impl Project {
             ("INSTANCES", Constant::Bool(variant.instances)),
             ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
             ("SHADOWS", Constant::Bool(variant.shadows)),
-            ("SHADOWS_BY_CAMERA", Constant::Bool(variant.shadows && variant.shadows_by_camera)),
+            (
+                "SHADOWS_BY_CAMERA",
+                Constant::Bool(variant.shadows && variant.shadows_by_camera),
+            ),
             ("LENSES", Constant::Bool(variant.lenses)),
         ];
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)?,
+        })
     }
 
-    /// Writes a record and a depth key for every bit of `visible`, the first of each list at `offsets`, darkened by the first
-    /// `shadow_count` of `shadows`.
-    #[expect(clippy::too_many_arguments, reason = "one argument a group of buffers that the stage reads or writes")]
+    /// Writes a record and a depth key for every bit of `visible`, the first of each list at
+    /// `offsets`, darkened by the first `shadow_count` of `shadows`.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one argument a group of buffers that the stage reads or writes"
+    )]
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -130,6 +144,11 @@ impl Project {
             ("shadow_words", shadows.words.binding()),
             ("lenses", lenses.binding()),
         ];
-        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups_for(world.cluster_count()));
+        recorder.dispatch(
+            &self.kernel,
+            &buffers,
+            bytes_of(&push),
+            groups_for(world.cluster_count()),
+        );
     }
 }

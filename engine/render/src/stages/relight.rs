@@ -50,7 +50,9 @@ impl Relight {
     /// When the driver refuses the kernel.
     pub fn new(gpu: &Gpu, sh_degree: u8) -> Result<Self, GpuError> {
         let constants = [("SH_DEGREE", Constant::U32(u32::from(sh_degree)))];
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::RELIGHT, &constants)? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::RELIGHT, &constants)?,
+        })
     }
 
     /// Makes the colors of the first `count` of `relights`, which take `groups` workgroups in all.
@@ -63,7 +65,9 @@ impl Relight {
         groups: usize,
         relit: &RelitColors,
     ) {
-        let push = Push { relight_count: count as u32 };
+        let push = Push {
+            relight_count: count as u32,
+        };
         let bound = [
             ("relights", relights.binding()),
             ("coded_dc", pool.color_dc.binding()),

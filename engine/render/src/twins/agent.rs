@@ -26,25 +26,39 @@ pub struct UnpackedSplat {
 #[must_use]
 pub fn unpack_splat([xy, z_opacity_size, codes]: [u32; 3], agent: &AgentRecord) -> UnpackedSplat {
     let position = [xy & 0xffff, xy >> 16, z_opacity_size & 0xffff];
-    let residual = [(codes >> 19 & 0x1f) as i32 - 16, (codes >> 24 & 0xf) as i32 - 8, (codes >> 28) as i32 - 8];
+    let residual = [
+        (codes >> 19 & 0x1f) as i32 - 16,
+        (codes >> 24 & 0xf) as i32 - 8,
+        (codes >> 28) as i32 - 8,
+    ];
     let size_code = (z_opacity_size >> 24) as f32;
     UnpackedSplat {
-        mean_m: std::array::from_fn(|axis| agent.box_min_m[axis] + position[axis] as f32 * agent.box_step_m[axis]),
+        mean_m: std::array::from_fn(|axis| {
+            agent.box_min_m[axis] + position[axis] as f32 * agent.box_step_m[axis]
+        }),
         opacity: (z_opacity_size >> 16 & 0xff) as f32 / 255.0,
         size: (agent.log2_size_min + size_code * agent.log2_size_step).exp2(),
         shape: codes & 0x1ff,
         color: codes >> 9 & 0x3ff,
-        dc_residual: rgb_from_ycocg(std::array::from_fn(|axis| residual[axis] as f32 * agent.dc_residual_step[axis])).into(),
+        dc_residual: rgb_from_ycocg(std::array::from_fn(|axis| {
+            residual[axis] as f32 * agent.dc_residual_step[axis]
+        }))
+        .into(),
     }
 }
 
-/// The agent that cluster `cluster` of a frame belongs to: the last whose clusters begin at or before it.
+/// The agent that cluster `cluster` of a frame belongs to: the last whose clusters begin at or
+/// before it.
 #[must_use]
 pub fn agent_of_cluster(cluster: u32, agents: &[AgentRecord]) -> usize {
-    agents.iter().rposition(|agent| agent.first_cluster <= cluster).unwrap_or(0)
+    agents
+        .iter()
+        .rposition(|agent| agent.first_cluster <= cluster)
+        .unwrap_or(0)
 }
 
-/// Columns whose products with themselves sum to the covariance, in the agent's frame: the splat's triangular factor.
+/// Columns whose products with themselves sum to the covariance, in the agent's frame: the splat's
+/// triangular factor.
 #[must_use]
 pub fn axes_of(agent: &AgentRecord, splat: &UnpackedSplat, coded_shapes: &[[f32; 6]]) -> Mat3 {
     let [xx, yx, yy, zx, zy, zz] = coded_shapes[(agent.first_shape + splat.shape) as usize];

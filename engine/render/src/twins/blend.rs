@@ -1,7 +1,9 @@
 //! Blends one segment of one coarse tile's list, front to back: `blend.comp`.
 
 use super::footprint::{LOG2_255, center_of, log2_alpha};
-use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, coarse_tile_origin, pixel_offset};
+use super::output::{
+    PIXEL_EMPTY, Pixel, TRANSMITTANCE_MIN, camera_of_bin, coarse_tile_origin, pixel_offset,
+};
 use super::projection::rgb_of;
 use super::record::load_footprint;
 use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
@@ -9,10 +11,14 @@ use crate::layout::{BlendItem, COARSE_PIXELS, CameraRecord, NO_PARTIAL};
 /// log2 of the alpha that record `record` has at pixel `(column, row)` of its image.
 #[must_use]
 pub fn log2_alpha_at(footprints: &[[f32; 4]], record: u32, column: u32, row: u32) -> f32 {
-    log2_alpha(&load_footprint(footprints, record as usize), center_of(column, row))
+    log2_alpha(
+        &load_footprint(footprints, record as usize),
+        center_of(column, row),
+    )
 }
 
-/// Adds one splat to a pixel. `full`: the pixel takes no more; `stops`: a splat that would fill it makes it so.
+/// Adds one splat to a pixel. `full`: the pixel takes no more; `stops`: a splat that would fill it
+/// makes it so.
 fn blend_pixel(
     pixel: &mut Pixel,
     full: &mut bool,
@@ -40,11 +46,12 @@ fn blend_pixel(
     }
 }
 
-/// The pixels of the item's coarse tile, by their place in a partial result ([`pixel_offset`]). Every record meets every pixel: the
-/// kernel's lists may leave out nothing that counts.
+/// The pixels of the item's coarse tile, by their place in a partial result ([`pixel_offset`]).
+/// Every record meets every pixel: the kernel's lists may leave out nothing that counts.
 ///
-/// `before` is what composite left to be finished, for the pass that finishes it: only pixels whose transmittance is negative
-/// there take part. In results of cut lists, a negative transmittance says that the pixel ends in this segment.
+/// `before` is what composite left to be finished, for the pass that finishes it: only pixels whose
+/// transmittance is negative there take part. In results of cut lists, a negative transmittance
+/// says that the pixel ends in this segment.
 #[must_use]
 pub fn blend(
     cameras: &[CameraRecord],
@@ -59,9 +66,14 @@ pub fn blend(
     let camera = &cameras[camera_of_bin(cameras, item.bin)];
     let origin = coarse_tile_origin(item.bin, camera);
     let mut pixels = before.map_or_else(|| vec![PIXEL_EMPTY; COARSE_PIXELS], <[Pixel]>::to_vec);
-    let mut full: Vec<bool> = pixels.iter().map(|pixel| before.is_some() && pixel.transmittance >= 0.0).collect();
+    let mut full: Vec<bool> = pixels
+        .iter()
+        .map(|pixel| before.is_some() && pixel.transmittance >= 0.0)
+        .collect();
     let takes_no_part = full.clone();
-    pixels.iter_mut().for_each(|pixel| pixel.transmittance = pixel.transmittance.abs());
+    pixels
+        .iter_mut()
+        .for_each(|pixel| pixel.transmittance = pixel.transmittance.abs());
     // Later segments do not know what lies before them.
     let stops = exclusive_stop && (before.is_some() || item.segment == 0);
     let first = item.first_pair as usize;

@@ -1,4 +1,5 @@
-//! Joins the segments of a coarse tile that was cut, front to back, until it is full: `composite.comp`.
+//! Joins the segments of a coarse tile that was cut, front to back, until it is full:
+//! `composite.comp`.
 
 use super::output::{PIXEL_EMPTY, Pixel, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN, over};
 use crate::layout::{COARSE_PIXELS, Composite};
@@ -15,10 +16,16 @@ pub struct Unfinished {
     pub before: Pixel,
 }
 
-/// The pixels of the coarse tile, in the order of `partials`: `COARSE_PIXELS` a slot, as [`super::blend`] keeps them. By an exclusive
-/// stop where `stops`, and with every segment behind the first left to be finished where `counts`: with that, what is left.
+/// The pixels of the coarse tile, in the order of `partials`: `COARSE_PIXELS` a slot, as
+/// [`super::blend`] keeps them. By an exclusive stop where `stops`, and with every segment behind
+/// the first left to be finished where `counts`: with that, what is left.
 #[must_use]
-pub fn composite(composite: &Composite, partials: &[Pixel], stops: bool, counts: bool) -> (Vec<Pixel>, Vec<Unfinished>) {
+pub fn composite(
+    composite: &Composite,
+    partials: &[Pixel],
+    stops: bool,
+    counts: bool,
+) -> (Vec<Pixel>, Vec<Unfinished>) {
     let mut left = Vec::new();
     let mut joined = |place: usize| {
         let mut pixel = PIXEL_EMPTY;
@@ -31,7 +38,14 @@ pub fn composite(composite: &Composite, partials: &[Pixel], stops: bool, counts:
             pixel = over(before, &farther);
             let ends = stops && segment > 0 && pixel.transmittance <= TRANSMITTANCE_MIN;
             if segment > 0 && (ends || counts) {
-                left.push(Unfinished { slot, place, before: Pixel { transmittance: -before.transmittance, ..before } });
+                left.push(Unfinished {
+                    slot,
+                    place,
+                    before: Pixel {
+                        transmittance: -before.transmittance,
+                        ..before
+                    },
+                });
             }
             if ended || ends || (!stops && pixel.transmittance <= TRANSMITTANCE_FULL) {
                 break;

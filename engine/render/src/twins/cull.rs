@@ -30,10 +30,18 @@ pub fn cull(
             }
             let shape = shapes[splat_index];
             let t = to_camera_axes(camera, from_camera_m(mean_m, camera));
-            let (splat, drawn) = project_splat_seen(camera, lens, t, axes_of(shape, rotations[splat_index]), shape[3], variant);
+            let (splat, drawn) = project_splat_seen(
+                camera,
+                lens,
+                t,
+                axes_of(shape, rotations[splat_index]),
+                shape[3],
+                variant,
+            );
             if drawn && splat_overlaps(&splat, camera) {
                 let list = camera_index * clusters.len() + cluster_index;
-                visible_words[list * CLUSTER_WORDS + splat_index % CLUSTER_SPLATS / 32] |= 1 << (splat_index % 32);
+                visible_words[list * CLUSTER_WORDS + splat_index % CLUSTER_SPLATS / 32] |=
+                    1 << (splat_index % 32);
                 visible_counts[list] += 1;
             }
         }

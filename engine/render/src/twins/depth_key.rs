@@ -12,11 +12,13 @@ const STEPS: f64 = KEY_STEPS as f64;
 /// Steps of one size to 1, below [`KEY_FLOATS_FROM`].
 const LINEAR_STEPS: f64 = KEY_LINEAR_STEPS as f64;
 
-/// Depth of a mean along the camera's direction, between -1 and 1, or its distance: from what the shader is given, f32 values
-/// and what rounding left.
+/// Depth of a mean along the camera's direction, between -1 and 1, or its distance: from what the
+/// shader is given, f32 values and what rounding left.
 #[must_use]
 pub fn scaled_depth(mean_m: [f32; 3], camera: &CameraRecord, radial: bool) -> f64 {
-    let both = |high: [f32; 3], low: [f32; 3]| Vec3::from_array(high).as_dvec3() + Vec3::from_array(low).as_dvec3();
+    let both = |high: [f32; 3], low: [f32; 3]| {
+        Vec3::from_array(high).as_dvec3() + Vec3::from_array(low).as_dvec3()
+    };
     let mean: DVec3 = Vec3::from_array(mean_m).as_dvec3();
     let scale = f64::from(camera.key_scale);
     if radial {
@@ -26,7 +28,8 @@ pub fn scaled_depth(mean_m: [f32; 3], camera: &CameraRecord, radial: bool) -> f6
     both(camera.row_z, camera.row_z_low).dot(mean) * scale + high + low
 }
 
-/// The key of a depth between -1 and 1. The shader may be one step away where a depth is a step's edge to within its 48 digits.
+/// The key of a depth between -1 and 1. The shader may be one step away where a depth is a step's
+/// edge to within its 48 digits.
 #[must_use]
 pub fn depth_key(depth: f64) -> u32 {
     let size = depth.abs();
@@ -36,10 +39,16 @@ pub fn depth_key(depth: f64) -> u32 {
     } else {
         let places = rounded.to_bits() - FLOATS_FROM.to_bits();
         let place = f64::from(f32::from_bits(rounded.to_bits() & 0x7f80_0000)) * 2f64.powi(-23);
-        let part = (((size - f64::from(rounded)) / place).clamp(-0.5, 0.5) * STEPS + 0.5).floor() as i64;
-        (i64::from(places.min(0x07ff_ffff)) * 16 + part + i64::from(KEY_LINEAR_CODES)).min(0x7fff_ffff) as u32
+        let part =
+            (((size - f64::from(rounded)) / place).clamp(-0.5, 0.5) * STEPS + 0.5).floor() as i64;
+        (i64::from(places.min(0x07ff_ffff)) * 16 + part + i64::from(KEY_LINEAR_CODES))
+            .min(0x7fff_ffff) as u32
     };
-    if depth < 0.0 { 0x8000_0000 - code } else { 0x8000_0000 + code }
+    if depth < 0.0 {
+        0x8000_0000 - code
+    } else {
+        0x8000_0000 + code
+    }
 }
 
 /// A depth whose key is `key`, or less by a step of the key.
@@ -89,16 +98,39 @@ mod tests {
     fn keys_order_what_f32_depths_cannot() {
         let depths: Vec<f64> = (0..1000).map(|i| 0.499_999 + 2e-8 * f64::from(i)).collect();
         let keys: Vec<u32> = depths.iter().map(|&depth| depth_key(depth)).collect();
-        assert!(keys.windows(2).all(|pair| pair[0] < pair[1]), "nothing is tied across a power of two");
+        assert!(
+            keys.windows(2).all(|pair| pair[0] < pair[1]),
+            "nothing is tied across a power of two"
+        );
         let floats = depths.iter().map(|&depth| depth as f32);
-        assert!(floats.clone().zip(floats.skip(1)).any(|(a, b)| a == b), "as f32 some would be");
+        assert!(
+            floats.clone().zip(floats.skip(1)).any(|(a, b)| a == b),
+            "as f32 some would be"
+        );
     }
 
     #[test]
     fn keys_rise_through_zero_and_over_the_change_of_steps() {
         let from = f64::from(FLOATS_FROM);
-        let depths = [-1.0 + 1e-7, -0.5, -from, -from * 0.999_999, -1e-12, 0.0, 1e-12, from * 0.999_999, from, 0.5, 1.0 - 1e-7];
-        assert!(depths.map(depth_key).windows(2).all(|pair| pair[0] < pair[1]));
+        let depths = [
+            -1.0 + 1e-7,
+            -0.5,
+            -from,
+            -from * 0.999_999,
+            -1e-12,
+            0.0,
+            1e-12,
+            from * 0.999_999,
+            from,
+            0.5,
+            1.0 - 1e-7,
+        ];
+        assert!(
+            depths
+                .map(depth_key)
+                .windows(2)
+                .all(|pair| pair[0] < pair[1])
+        );
         assert_eq!(depth_key(-0.0), depth_key(0.0));
     }
 

@@ -27,22 +27,30 @@ pub fn squared_reach(splat: &Footprint) -> f32 {
     splat.log2_opacity + LOG2_255
 }
 
-/// Pixel coordinates `[first, last]` along one axis whose centers lie in `[low, high]`, clipped to the image. Empty when
-/// first > last.
+/// Pixel coordinates `[first, last]` along one axis whose centers lie in `[low, high]`, clipped to
+/// the image. Empty when first > last.
 #[must_use]
 pub fn pixels_between(low: f32, high: f32, size_px: u32) -> [i32; 2] {
     let size = size_px as f32;
-    [(low - 0.5).ceil().max(0.0).min(size) as i32, (high - 0.5).floor().max(-1.0).min(size - 1.0) as i32]
+    [
+        (low - 0.5).ceil().max(0.0).min(size) as i32,
+        (high - 0.5).floor().max(-1.0).min(size - 1.0) as i32,
+    ]
 }
 
 /// Rows of pixels `[first, last]` that the splat can reach.
 #[must_use]
 pub fn reached_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
     let half_height = (squared_reach(splat) + REACH_SLACK).sqrt() / splat.rate_y;
-    pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px)
+    pixels_between(
+        splat.mean_px.y - half_height,
+        splat.mean_px.y + half_height,
+        height_px,
+    )
 }
 
-/// Columns of pixels `[first, last]` that the splat can reach in the rows whose centers lie in `[low_y, high_y]`.
+/// Columns of pixels `[first, last]` that the splat can reach in the rows whose centers lie in
+/// `[low_y, high_y]`.
 #[must_use]
 pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32) -> [i32; 2] {
     let r2 = squared_reach(splat) + REACH_SLACK;
@@ -50,7 +58,10 @@ pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32
     let low_v = ((low_y - splat.mean_px.y) * splat.rate_y).max(-r);
     let high_v = ((high_y - splat.mean_px.y) * splat.rate_y).min(r);
     // Written so that a NaN gives an empty range.
-    if !matches!(low_v.partial_cmp(&high_v), Some(std::cmp::Ordering::Less | std::cmp::Ordering::Equal)) {
+    if !matches!(
+        low_v.partial_cmp(&high_v),
+        Some(std::cmp::Ordering::Less | std::cmp::Ordering::Equal)
+    ) {
         return [0, -1];
     }
     let a = splat.slope / splat.rate_y;
@@ -61,23 +72,42 @@ pub fn reached_columns(splat: &Footprint, low_y: f32, high_y: f32, width_px: u32
     let right = a * right_v + b * (r2 - right_v * right_v).max(0.0).sqrt();
     let left = a * left_v - b * (r2 - left_v * left_v).max(0.0).sqrt();
     let rounding = 1e-6 * (a.abs() * r + b * r);
-    pixels_between(splat.mean_px.x + left - rounding, splat.mean_px.x + right + rounding, width_px)
+    pixels_between(
+        splat.mean_px.x + left - rounding,
+        splat.mean_px.x + right + rounding,
+        width_px,
+    )
 }
 
-/// Coarse tiles `[first, last]` of row `row` of the camera's tiles that the splat can reach; empty when first > last.
+/// Coarse tiles `[first, last]` of row `row` of the camera's tiles that the splat can reach; empty
+/// when first > last.
 #[must_use]
 pub fn reached_coarse_tiles(splat: &Footprint, row: u32, size_px: [u32; 2]) -> [i32; 2] {
     let top = (row * COARSE_HEIGHT_PX) as f32;
     let bottom = (top + COARSE_HEIGHT_PX as f32).min(size_px[1] as f32);
     let [first, last] = reached_columns(splat, top + 0.5, bottom - 0.5, size_px[0]);
-    if first > last { [0, -1] } else { [first / COARSE_WIDTH_PX as i32, last / COARSE_WIDTH_PX as i32] }
+    if first > last {
+        [0, -1]
+    } else {
+        [
+            first / COARSE_WIDTH_PX as i32,
+            last / COARSE_WIDTH_PX as i32,
+        ]
+    }
 }
 
 /// Rows `[first, last]` of coarse tiles that the splat can reach; empty when first > last.
 #[must_use]
 pub fn reached_coarse_rows(splat: &Footprint, height_px: u32) -> [i32; 2] {
     let [first, last] = reached_rows(splat, height_px);
-    if first > last { [0, -1] } else { [first / COARSE_HEIGHT_PX as i32, last / COARSE_HEIGHT_PX as i32] }
+    if first > last {
+        [0, -1]
+    } else {
+        [
+            first / COARSE_HEIGHT_PX as i32,
+            last / COARSE_HEIGHT_PX as i32,
+        ]
+    }
 }
 
 /// The exponent at a pixel center, log2 of alpha before its upper bound.

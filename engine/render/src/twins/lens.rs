@@ -4,7 +4,9 @@ use decouplegs_shaders::constants::{SIGMA_REACH, SQRT_SIXTH, UNSCENTED_REACH};
 use glam::{Mat3, Vec2, Vec3, vec2};
 
 use super::footprint::{Footprint, LOG2_255};
-use super::projection::{ALPHA_MIN, DILATION_PX2, HALF_LOG2_E, Variant, from_camera_m, project_splat, to_camera_axes};
+use super::projection::{
+    ALPHA_MIN, DILATION_PX2, HALF_LOG2_E, Variant, from_camera_m, project_splat, to_camera_axes,
+};
 use super::visibility::{DILATION_REACH_PX, cluster_overlaps, farthest};
 use crate::layout::{CameraRecord, ClusterRecord, LENS_INTERVALS, LensKind, LensRecord};
 
@@ -20,7 +22,10 @@ fn distorted(lens: &LensRecord, p: Vec2) -> Vec2 {
     let over = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
     let under = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
     let square = Vec2::splat(r2) + 2.0 * p * p;
-    let bent = vec2(2.0 * p.x * p.y * p1 + square.x * p2, square.y * p1 + 2.0 * p.x * p.y * p2);
+    let bent = vec2(
+        2.0 * p.x * p.y * p1 + square.x * p2,
+        square.y * p1 + 2.0 * p.x * p.y * p2,
+    );
     p * (over / under) + bent + r2 * (vec2(s1, s3) + r2 * vec2(s2, s4))
 }
 
@@ -31,7 +36,8 @@ fn radius_at(lens: &LensRecord, chord: f32) -> f32 {
     let [low, by_low] = lens.table[interval];
     let [high, by_high] = lens.table[interval + 1];
     let rise = high - low;
-    low + s * (by_low + s * (3.0 * rise - 2.0 * by_low - by_high + s * (by_low + by_high - 2.0 * rise)))
+    low + s
+        * (by_low + s * (3.0 * rise - 2.0 * by_low - by_high + s * (by_low + by_high - 2.0 * rise)))
 }
 
 /// Projection of a point in camera axes, pixels from the principal point.
@@ -39,13 +45,36 @@ fn radius_at(lens: &LensRecord, chord: f32) -> f32 {
 pub fn through_lens(lens: &LensRecord, t: Vec3) -> Vec2 {
     let ray = t.normalize();
     let across = ray.truncate().length();
-    let chord = if ray.z >= 0.0 { across * (2.0 / (1.0 + ray.z)).sqrt() } else { (2.0 - 2.0 * ray.z).sqrt() };
-    let direction = if across > 0.0 { ray.truncate() / across } else { vec2(if ray.z < 0.0 { 1.0 } else { 0.0 }, 0.0) };
+    let chord = if ray.z >= 0.0 {
+        across * (2.0 / (1.0 + ray.z)).sqrt()
+    } else {
+        (2.0 - 2.0 * ray.z).sqrt()
+    };
+    let direction = if across > 0.0 {
+        ray.truncate() / across
+    } else {
+        vec2(if ray.z < 0.0 { 1.0 } else { 0.0 }, 0.0)
+    };
     let shown = shows(lens, t);
     let mut p = if lens.kind == LensKind::Planar as u32 {
-        distorted(lens, if shown { t.truncate() / t.z } else { direction * lens.tan_limit })
+        distorted(
+            lens,
+            if shown {
+                t.truncate() / t.z
+            } else {
+                direction * lens.tan_limit
+            },
+        )
     } else {
-        direction * radius_at(lens, if shown { chord.min(lens.chord_limit) } else { lens.chord_limit })
+        direction
+            * radius_at(
+                lens,
+                if shown {
+                    chord.min(lens.chord_limit)
+                } else {
+                    lens.chord_limit
+                },
+            )
     };
     if !shown {
         p += direction * (lens.slope_beyond * (chord - lens.chord_limit));
@@ -69,7 +98,8 @@ fn project_splat_unscented(
         return nothing;
     }
     let middle = through_lens(lens, t);
-    let mut columns = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| to_camera_axes(camera, axis));
+    let mut columns =
+        [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| to_camera_axes(camera, axis));
     for (row, first, second) in [(0, 0, 1), (0, 0, 2), (1, 1, 2)] {
         let (a, b) = (columns[first], columns[second]);
         let side = vec2(a[row], b[row]).length();
@@ -79,7 +109,9 @@ fn project_splat_unscented(
         }
     }
     let offsets = columns.map(|column| SIGMA_REACH * column);
-    let around = offsets.into_iter().flat_map(|offset| [t + offset, t - offset]);
+    let around = offsets
+        .into_iter()
+        .flat_map(|offset| [t + offset, t - offset]);
     if !shows(lens, t) && !around.clone().any(|point| shows(lens, point)) {
         return nothing;
     }
@@ -89,17 +121,28 @@ fn project_splat_unscented(
     }
     let shift = points[1..].iter().sum::<Vec2>() / 6.0;
     points[0] = -std::f32::consts::SQRT_2 * shift;
-    points[1..].iter_mut().for_each(|point| *point = SQRT_SIXTH * (*point - shift));
-    let unit_px = points.iter().map(|point| point.abs().max_element()).fold(1.0, f32::max);
+    points[1..]
+        .iter_mut()
+        .for_each(|point| *point = SQRT_SIXTH * (*point - shift));
+    let unit_px = points
+        .iter()
+        .map(|point| point.abs().max_element())
+        .fold(1.0, f32::max);
     points.iter_mut().for_each(|point| *point /= unit_px);
     let sum = |f: fn(&Vec2) -> f32| points.iter().map(f).sum::<f32>();
     let (xx, xy, yy) = (sum(|p| p.x * p.x), sum(|p| p.x * p.y), sum(|p| p.y * p.y));
     let minors = (0..7).flat_map(|i| (0..i).map(move |j| (i, j)));
-    let undilated: f32 = minors.map(|(i, j)| points[i].perp_dot(points[j]).powi(2)).sum();
+    let undilated: f32 = minors
+        .map(|(i, j)| points[i].perp_dot(points[j]).powi(2))
+        .sum();
     let dilation = DILATION_PX2 / (unit_px * unit_px);
     let determinant = undilated + dilation * (xx + yy) + dilation * dilation;
     let variance_y = yy + dilation;
-    let opacity = if variant.antialias { opacity * (undilated / determinant).sqrt() } else { opacity };
+    let opacity = if variant.antialias {
+        opacity * (undilated / determinant).sqrt()
+    } else {
+        opacity
+    };
     let splat = Footprint {
         mean_px: Vec2::from_array(camera.principal_px) + (middle + shift),
         slope: xy / variance_y,
@@ -119,7 +162,9 @@ fn project_splat_unscented(
 /// The lens of camera `camera` among `lenses`, one a camera or none at all; `None` for a pinhole.
 #[must_use]
 pub fn lens_of(lenses: &[LensRecord], camera: usize) -> Option<&LensRecord> {
-    lenses.get(camera).filter(|lens| lens.kind != LensKind::Pinhole as u32)
+    lenses
+        .get(camera)
+        .filter(|lens| lens.kind != LensKind::Pinhole as u32)
 }
 
 /// [`project_splat`], whatever the camera's lens; `None` is a pinhole.
@@ -145,8 +190,15 @@ fn arc_sine_bound(s: f32) -> f32 {
 
 /// [`cluster_overlaps`], whatever the camera's lens; `None` is a pinhole.
 #[must_use]
-pub fn cluster_overlaps_any_lens(cluster: &ClusterRecord, camera: &CameraRecord, lens: Option<&LensRecord>, near_m: f32) -> bool {
-    let Some(lens) = lens else { return cluster_overlaps(cluster, camera, near_m) };
+pub fn cluster_overlaps_any_lens(
+    cluster: &ClusterRecord,
+    camera: &CameraRecord,
+    lens: Option<&LensRecord>,
+    near_m: f32,
+) -> bool {
+    let Some(lens) = lens else {
+        return cluster_overlaps(cluster, camera, near_m);
+    };
     let center = from_camera_m(cluster.center_m, camera);
     let half_extent = Vec3::from_array(cluster.half_extent_m);
     let slack = 1e-5 * (center.abs().element_sum() + half_extent.element_sum() + cluster.reach_m);
@@ -156,7 +208,10 @@ pub fn cluster_overlaps_any_lens(cluster: &ClusterRecord, camera: &CameraRecord,
     }
     let distance_m = center.length();
     let spread_m = half_extent.length() + slack;
-    let (spread, reach) = (spread_m / distance_m, cluster.reach_m / (distance_m - spread_m));
+    let (spread, reach) = (
+        spread_m / distance_m,
+        cluster.reach_m / (distance_m - spread_m),
+    );
     let t = to_camera_axes(camera, center);
     if !(spread < 0.25 && reach < 0.25 && t.z > 0.0) {
         return true;

@@ -1,13 +1,18 @@
 //! The stages once more, for reading: sequential, f32, un-clever.
 //!
-//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`, `lens`, `output`, `projection`,
-//! `record`, `sh`, `shadow`, `visibility` and `write_record` what the shared GLSL of the same name does. Arguments have the shader's names
-//! and order: buffers first (outputs are written in place, as there), then push constants, then specialization constants. The
-//! stage tests feed both sides the same bytes. They use no workgroups and no shared memory.
+//! `twins/NAME.rs` says what `shaders/NAME.comp` computes, and `agent`, `depth_key`, `footprint`,
+//! `lens`, `output`, `projection`, `record`, `sh`, `shadow`, `visibility` and `write_record` what
+//! the shared GLSL of the same name does. Arguments have the shader's names and order: buffers
+//! first (outputs are written in place, as there), then push constants, then specialization
+//! constants. The stage tests feed both sides the same bytes. They use no workgroups and no shared
+//! memory.
 //!
-//! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that the formulas are right:
-//! that is measured against [`crate::reference`].
-#![expect(clippy::too_many_arguments, reason = "one argument a buffer or constant of the shader")]
+//! A twin shares the shader's formulas, so it shows that a kernel is implemented right, not that
+//! the formulas are right: that is measured against [`crate::reference`].
+#![expect(
+    clippy::too_many_arguments,
+    reason = "one argument a buffer or constant of the shader"
+)]
 
 pub mod agent;
 pub mod depth_key;

@@ -1,6 +1,8 @@
 //! Accumulation of a pixel and its output: `output.glsl`.
 
-pub use decouplegs_shaders::constants::{COARSE_COLUMNS, FINE_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN};
+pub use decouplegs_shaders::constants::{
+    COARSE_COLUMNS, FINE_TILE_PX, TRANSMITTANCE_FULL, TRANSMITTANCE_MIN,
+};
 use glam::Vec3;
 
 use crate::layout::{COARSE_HEIGHT_PX, COARSE_PIXELS, COARSE_WIDTH_PX, CameraRecord};
@@ -8,10 +10,19 @@ use crate::layout::{COARSE_HEIGHT_PX, COARSE_PIXELS, COARSE_WIDTH_PX, CameraReco
 /// Position `[column, row]` in the coarse tile of the pixel at `place` of a partial result.
 #[must_use]
 pub fn pixel_offset(place: usize) -> [u32; 2] {
-    let (right, left_place) = ((place / (COARSE_PIXELS / 2)) as u32, (place % (COARSE_PIXELS / 2)) as u32);
+    let (right, left_place) = (
+        (place / (COARSE_PIXELS / 2)) as u32,
+        (place % (COARSE_PIXELS / 2)) as u32,
+    );
     let (tile, block, lane) = (left_place / 32, left_place / 8 % 4, left_place % 8);
-    let in_tile = [block % 2 * 4 + lane % 2 + 2 * right, block / 2 * 4 + lane / 2];
-    [tile % COARSE_COLUMNS * FINE_TILE_PX + in_tile[0], tile / COARSE_COLUMNS * FINE_TILE_PX + in_tile[1]]
+    let in_tile = [
+        block % 2 * 4 + lane % 2 + 2 * right,
+        block / 2 * 4 + lane / 2,
+    ];
+    [
+        tile % COARSE_COLUMNS * FINE_TILE_PX + in_tile[0],
+        tile / COARSE_COLUMNS * FINE_TILE_PX + in_tile[1],
+    ]
 }
 
 /// Accumulated color and transmittance of a pixel, front to back.
@@ -30,20 +41,34 @@ pub struct Pixel {
 }
 
 /// A pixel that nothing was added to.
-pub const PIXEL_EMPTY: Pixel =
-    Pixel { color: Vec3::ZERO, transmittance: 1.0, weighted_depth: 0.0, best_weight: 0.0, best_instance: 0 };
+pub const PIXEL_EMPTY: Pixel = Pixel {
+    color: Vec3::ZERO,
+    transmittance: 1.0,
+    weighted_depth: 0.0,
+    best_weight: 0.0,
+    best_instance: 0,
+};
 
 /// The camera whose image coarse tile `bin` belongs to.
 #[must_use]
 pub fn camera_of_bin(cameras: &[CameraRecord], bin: u32) -> usize {
-    (1..cameras.len()).fold(0, |camera, next| if cameras[next].first_bin <= bin { next } else { camera })
+    (1..cameras.len()).fold(0, |camera, next| {
+        if cameras[next].first_bin <= bin {
+            next
+        } else {
+            camera
+        }
+    })
 }
 
 /// Top left pixel of a coarse tile.
 #[must_use]
 pub fn coarse_tile_origin(bin: u32, camera: &CameraRecord) -> [u32; 2] {
     let tile = bin - camera.first_bin;
-    [tile % camera.coarse_tiles[0] * COARSE_WIDTH_PX, tile / camera.coarse_tiles[0] * COARSE_HEIGHT_PX]
+    [
+        tile % camera.coarse_tiles[0] * COARSE_WIDTH_PX,
+        tile / camera.coarse_tiles[0] * COARSE_HEIGHT_PX,
+    ]
 }
 
 /// Images in f32, of all cameras one after the other.
@@ -58,14 +83,26 @@ pub struct Images {
 }
 
 /// Writes a pixel of `camera`'s image, if it lies in it.
-pub fn write_pixel(images: &mut Images, camera: &CameraRecord, at: [u32; 2], pixel: &Pixel, sky: Vec3) {
+pub fn write_pixel(
+    images: &mut Images,
+    camera: &CameraRecord,
+    at: [u32; 2],
+    pixel: &Pixel,
+    sky: Vec3,
+) {
     if at[0] >= camera.size_px[0] || at[1] >= camera.size_px[1] {
         return;
     }
     let place = (camera.first_pixel + at[1] * camera.size_px[0] + at[0]) as usize;
     let alpha = 1.0 - pixel.transmittance;
-    images.images_f32[place] = (pixel.color + pixel.transmittance * sky).extend(alpha).to_array();
-    images.depths_m[place] = if alpha > 0.0 { pixel.weighted_depth / alpha } else { 0.0 };
+    images.images_f32[place] = (pixel.color + pixel.transmittance * sky)
+        .extend(alpha)
+        .to_array();
+    images.depths_m[place] = if alpha > 0.0 {
+        pixel.weighted_depth / alpha
+    } else {
+        0.0
+    };
     images.instance_ids[place] = pixel.best_instance;
 }
 

@@ -1,6 +1,8 @@
-//! Cuts each coarse tile's list into segments and plans how their results are joined: `plan_segments.comp`.
+//! Cuts each coarse tile's list into segments and plans how their results are joined:
+//! `plan_segments.comp`.
 //!
-//! Items come in waves: segment 0 of every tile, segment 1, segments 2 and 3, segments 4 to 7 and so on.
+//! Items come in waves: segment 0 of every tile, segment 1, segments 2 and 3, segments 4 to 7 and
+//! so on.
 
 use crate::capacity::groups_for;
 use crate::layout::{BlendItem, COARSE_PIXELS, Composite, NO_PARTIAL, RequiredCounts};
@@ -15,8 +17,8 @@ fn wanted_pairs(required: &RequiredCounts) -> u32 {
     u32::try_from(pairs).unwrap_or(u32::MAX)
 }
 
-/// Writes the segments of all coarse tiles as far as there is room, the coarse tiles that were cut, how many of each there
-/// are, and the dispatches that depend on it.
+/// Writes the segments of all coarse tiles as far as there is room, the coarse tiles that were cut,
+/// how many of each there are, and the dispatches that depend on it.
 pub fn plan_segments(
     required: &mut RequiredCounts,
     tile_lists: &[[u32; 2]],
@@ -37,25 +39,49 @@ pub fn plan_segments(
         let segments = segments_of(list);
         first_partials.push(partial);
         if segments > 1 {
-            composites[composite as usize] = Composite { bin, first_partial: partial, partials: segments };
+            composites[composite as usize] = Composite {
+                bin,
+                first_partial: partial,
+                partials: segments,
+            };
             composite += 1;
             partial += segments;
         }
     }
 
     let mut item = 0u32;
-    let longest = lists.iter().map(|&list| segments_of(list)).max().unwrap_or(0);
+    let longest = lists
+        .iter()
+        .map(|&list| segments_of(list))
+        .max()
+        .unwrap_or(0);
     let mut wave = 0..1;
     while wave.start < longest {
         for (bin, &list) in (0u32..).zip(lists) {
             for segment in wave.start..wave.end.min(segments_of(list)) {
                 let taken = segment * segment_pairs;
-                // Where there is no room for the partial result, any slot will do: the image is drawn again.
-                let slot = (first_partials[bin as usize] + segment).min(partials_max.wrapping_sub(1));
+                // Where there is no room for the partial result, any slot will do: the image is
+                // drawn again.
+                let slot =
+                    (first_partials[bin as usize] + segment).min(partials_max.wrapping_sub(1));
                 if let Some(place) = items.get_mut(item as usize) {
-                    let pairs = if segment + 1 < segments_of(list) { segment_pairs } else { list[1] - taken };
-                    let partial = if segments_of(list) > 1 { slot } else { NO_PARTIAL };
-                    *place = BlendItem { bin, first_pair: list[0] + taken, pairs, partial, segment };
+                    let pairs = if segment + 1 < segments_of(list) {
+                        segment_pairs
+                    } else {
+                        list[1] - taken
+                    };
+                    let partial = if segments_of(list) > 1 {
+                        slot
+                    } else {
+                        NO_PARTIAL
+                    };
+                    *place = BlendItem {
+                        bin,
+                        first_pair: list[0] + taken,
+                        pairs,
+                        partial,
+                        segment,
+                    };
                 }
                 item += 1;
             }
@@ -69,7 +95,15 @@ pub fn plan_segments(
     required.pairs = wanted_pairs(required);
     (required.items, required.partials, required.composites) = (item, partial, composite);
     let fits = required.pairs <= pairs_max;
-    let composite_groups = if fits && partial <= partials_max { composite * COMPOSITE_GROUPS } else { 0 };
-    arguments[IndirectArguments::Blend as usize] = groups_for(if fits { item.min(items.len() as u32) as usize } else { 0 });
+    let composite_groups = if fits && partial <= partials_max {
+        composite * COMPOSITE_GROUPS
+    } else {
+        0
+    };
+    arguments[IndirectArguments::Blend as usize] = groups_for(if fits {
+        item.min(items.len() as u32) as usize
+    } else {
+        0
+    });
     arguments[IndirectArguments::Composite as usize] = groups_for(composite_groups as usize);
 }

@@ -4,8 +4,8 @@ use glam::{Vec3, vec3};
 
 use crate::sh_codec;
 
-/// Coefficients of a splat on the device: DC as they are, bands by plane of words (word `w` of splat `i` is at
-/// `w * splat_count + i`).
+/// Coefficients of a splat on the device: DC as they are, bands by plane of words (word `w` of
+/// splat `i` is at `w * splat_count + i`).
 #[derive(Clone, Copy, Debug)]
 pub struct Stored<'a> {
     /// DC coefficients.
@@ -16,11 +16,19 @@ pub struct Stored<'a> {
 
 /// The splat's color seen along the unit vector `d`, from the camera to the splat.
 #[must_use]
-pub fn sh_color(stored: &Stored<'_>, splat: usize, splat_count: usize, d: Vec3, sh_degree: usize) -> Vec3 {
+pub fn sh_color(
+    stored: &Stored<'_>,
+    splat: usize,
+    splat_count: usize,
+    d: Vec3,
+    sh_degree: usize,
+) -> Vec3 {
     let mut color = 0.282_094_8 * Vec3::from_array(stored.sh_dc[splat]) + 0.5;
     for band in 1..=sh_degree {
         let planes = stored.sh_bands[band - 1];
-        let words: Vec<u32> = (0..sh_codec::words_of(band)).map(|word| planes[word * splat_count + splat]).collect();
+        let words: Vec<u32> = (0..sh_codec::words_of(band))
+            .map(|word| planes[word * splat_count + splat])
+            .collect();
         let coefficients = sh_codec::decode_band(&words, 2 * band + 1);
         for (coefficient, basis) in coefficients.iter().zip(band_basis(band, d)) {
             color += basis * Vec3::from_array(*coefficient);
@@ -32,7 +40,11 @@ pub fn sh_color(stored: &Stored<'_>, splat: usize, splat_count: usize, d: Vec3, 
 /// The basis functions of a band, in the order of its coefficients.
 fn band_basis(band: usize, d: Vec3) -> Vec<f32> {
     let Vec3 { x, y, z } = d;
-    let Vec3 { x: xx, y: yy, z: zz } = vec3(x * x, y * y, z * z);
+    let Vec3 {
+        x: xx,
+        y: yy,
+        z: zz,
+    } = vec3(x * x, y * y, z * z);
     match band {
         1 => vec![-0.488_602_5 * y, 0.488_602_5 * z, -0.488_602_5 * x],
         2 => vec![

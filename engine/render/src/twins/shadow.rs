@@ -5,7 +5,8 @@ use glam::Vec3;
 use crate::layout::{ClusterRecord, ShadowRecord};
 
 fn from_shadow_m(position_m: [f32; 3], shadow: &ShadowRecord) -> Vec3 {
-    (Vec3::from_array(position_m) - Vec3::from_array(shadow.center_high_m)) - Vec3::from_array(shadow.center_low_m)
+    (Vec3::from_array(position_m) - Vec3::from_array(shadow.center_high_m))
+        - Vec3::from_array(shadow.center_low_m)
 }
 
 /// Share of the light that remains for a splat with its mean at `mean_m`.
@@ -15,7 +16,8 @@ pub fn shadow_factor(shadow: &ShadowRecord, mean_m: [f32; 3]) -> f32 {
     if Vec3::from_array(shadow.normal).dot(offset).abs() > shadow.slab_m {
         return 1.0;
     }
-    let [x, y] = [shadow.along, shadow.across].map(|axis| Vec3::from_array(axis).dot(offset).powi(2));
+    let [x, y] =
+        [shadow.along, shadow.across].map(|axis| Vec3::from_array(axis).dot(offset).powi(2));
     let radius = (x * x + y * y).sqrt().sqrt();
     if radius > shadow.reach {
         return 1.0;

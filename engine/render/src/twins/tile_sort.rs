@@ -1,4 +1,5 @@
-//! Tile binning and the plan of its buckets: `bin_pairs.comp`, `plan_buckets.comp` and `depth_slab.glsl`.
+//! Tile binning and the plan of its buckets: `bin_pairs.comp`, `plan_buckets.comp` and
+//! `depth_slab.glsl`.
 
 use decouplegs_shaders::constants::{SLAB_FIRST_M, SLAB_SHIFT};
 
@@ -7,7 +8,8 @@ use super::footprint::{reached_coarse_rows, reached_coarse_tiles};
 use super::record::load_footprint;
 use crate::layout::{BUCKET_PAIRS, CameraRecord, SLABS, ViewLists};
 
-/// The depth slab of a key, where the camera has the depth `camera_depth`, scaled as keys are by `key_scale`.
+/// The depth slab of a key, where the camera has the depth `camera_depth`, scaled as keys are by
+/// `key_scale`.
 #[must_use]
 pub fn depth_slab(key: u32, camera_depth: f32, key_scale: f32) -> usize {
     let (distance, first) = (depth_of_key(key) - camera_depth, SLAB_FIRST_M * key_scale);
@@ -15,11 +17,21 @@ pub fn depth_slab(key: u32, camera_depth: f32, key_scale: f32) -> usize {
     (slab as usize).min(SLABS - 1)
 }
 
-/// The camera of a record: records of the background lie by camera, and behind them those of the agents.
+/// The camera of a record: records of the background lie by camera, and behind them those of the
+/// agents.
 fn camera_of(record: u32, lists: &[ViewLists], camera_count: usize) -> usize {
     let moving = record >= lists[0].first_moving;
-    let first = |camera: usize| if moving { lists[camera].first_moving } else { lists[camera].first_static };
-    (1..camera_count).fold(0, |camera, next| if first(next) <= record { next } else { camera })
+    let first = |camera: usize| {
+        if moving {
+            lists[camera].first_moving
+        } else {
+            lists[camera].first_static
+        }
+    };
+    (1..camera_count).fold(
+        0,
+        |camera, next| if first(next) <= record { next } else { camera },
+    )
 }
 
 /// Depth keys and records of all pairs, by `[coarse tile][depth slab]`, in the order of records.
@@ -36,7 +48,11 @@ pub fn bin_pairs(
     for (record, &key) in (0u32..).zip(keys) {
         let camera = &cameras[camera_of(record, lists, cameras.len())];
         let splat = load_footprint(footprints, record as usize);
-        let slab = depth_slab(key, if radial { 0.0 } else { camera.key_depth }, camera.key_scale);
+        let slab = depth_slab(
+            key,
+            if radial { 0.0 } else { camera.key_depth },
+            camera.key_scale,
+        );
         let [first_row, last_row] = reached_coarse_rows(&splat, camera.size_px[1]);
         for row in first_row..=last_row {
             let [left, right] = reached_coarse_tiles(&splat, row as u32, camera.size_px);

@@ -16,8 +16,13 @@ pub(super) fn farthest(cluster: &ClusterRecord, center: Vec3, normal: Vec3) -> f
 #[must_use]
 pub fn cluster_overlaps(cluster: &ClusterRecord, camera: &CameraRecord, near_m: f32) -> bool {
     let center = from_camera_m(cluster.center_m, camera);
-    let limit = Vec2::from_array(camera.slope_min).abs().max(Vec2::from_array(camera.slope_max).abs());
-    let spread = vec2((1.0 + limit.x * limit.x).sqrt(), (1.0 + limit.y * limit.y).sqrt());
+    let limit = Vec2::from_array(camera.slope_min)
+        .abs()
+        .max(Vec2::from_array(camera.slope_max).abs());
+    let spread = vec2(
+        (1.0 + limit.x * limit.x).sqrt(),
+        (1.0 + limit.y * limit.y).sqrt(),
+    );
     let half_extent = Vec3::from_array(cluster.half_extent_m);
     let slack = 1e-5 * (center.abs().element_sum() + half_extent.element_sum() + cluster.reach_m);
     let reach = cluster.reach_m * spread + slack;

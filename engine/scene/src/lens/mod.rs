@@ -1,7 +1,8 @@
 //! Lenses: where in the image the rays of a camera fall, beyond the pinhole.
 //!
-//! Parameters are those of the calibrations that are in use (OpenCV's and NVIDIA's), so that their numbers can be copied.
-//! [`RayMap`] is what a lens does, made ready; [`crate::Intrinsics::project`] and [`crate::Intrinsics::unproject`] are for single rays.
+//! Parameters are those of the calibrations that are in use (OpenCV's and NVIDIA's), so that their
+//! numbers can be copied. [`RayMap`] is what a lens does, made ready;
+//! [`crate::Intrinsics::project`] and [`crate::Intrinsics::unproject`] are for single rays.
 
 mod limit;
 mod radial;
@@ -12,7 +13,8 @@ mod tests;
 
 pub use ray_map::RayMap;
 
-/// No lens shows a ray farther off its axis than this, whatever its maximum angle: depth is counted along the axis.
+/// No lens shows a ray farther off its axis than this, whatever its maximum angle: depth is counted
+/// along the axis.
 pub const ANGLE_LIMIT_RAD: f64 = 1.57;
 
 /// Lens: the mapping from rays to pixels. Angles are those between a ray and the optical axis.
@@ -29,9 +31,10 @@ pub enum Lens {
     FTheta(FTheta),
 }
 
-/// OpenCV's pinhole with distortion, `cv::projectPoints`: with x, y the ray divided by its z and r2 = x^2 + y^2,
-/// `x' = x (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3) + 2 p1 x y + p2 (r2 + 2 x^2) + s1 r2 + s2 r2^2`,
-/// `y'` likewise with `p1 (r2 + 2 y^2) + 2 p2 x y + s3 r2 + s4 r2^2`, and `pixel = focal * (x', y') + principal`.
+/// OpenCV's pinhole with distortion, `cv::projectPoints`: with x, y the ray divided by its z and r2
+/// = x^2 + y^2, `x' = x (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3) + 2 p1 x
+/// y + p2 (r2 + 2 x^2) + s1 r2 + s2 r2^2`, `y'` likewise with `p1 (r2 + 2 y^2) + 2 p2 x y + s3 r2 +
+/// s4 r2^2`, and `pixel = focal * (x', y') + principal`.
 ///
 /// It is followed as long as it is one to one: rays beyond have no pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -57,7 +60,10 @@ pub struct Fisheye {
 impl Default for Fisheye {
     /// An equidistant lens of 180 degrees.
     fn default() -> Self {
-        Self { radial: [0.0; 4], max_angle_rad: ANGLE_LIMIT_RAD }
+        Self {
+            radial: [0.0; 4],
+            max_angle_rad: ANGLE_LIMIT_RAD,
+        }
     }
 }
 
@@ -70,18 +76,21 @@ pub enum FThetaReference {
     AngleToPixelDistance,
 }
 
-/// NVIDIA's f-theta lens: at the angle a, a ray falls `v = f(a) (x, y) / |(x, y)|` pixels from the principal point, at
-/// `(c v.x + d v.y, e v.x + v.y)`.
+/// NVIDIA's f-theta lens: at the angle a, a ray falls `v = f(a) (x, y) / |(x, y)|` pixels from the
+/// principal point, at `(c v.x + d v.y, e v.x + v.y)`.
 ///
-/// Focal lengths are not used: give those at the center of the image ([`FTheta::center_focal_px`]). NVIDIA counts pixels from the
-/// center of the first one, this engine from its corner: its principal point is theirs and half a pixel.
+/// Focal lengths are not used: give those at the center of the image ([`FTheta::center_focal_px`]).
+/// NVIDIA counts pixels from the center of the first one, this engine from its corner: its
+/// principal point is theirs and half a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FTheta {
     /// The polynomial that is followed. Only its coefficients matter.
     pub reference: FThetaReference,
-    /// The angle (radians) at a distance from the principal point (pixels), coefficients of its powers 0 to 5.
+    /// The angle (radians) at a distance from the principal point (pixels), coefficients of its
+    /// powers 0 to 5.
     pub pixel_distance_to_angle: [f64; 6],
-    /// The distance from the principal point (pixels) at an angle (radians), coefficients of its powers 0 to 5.
+    /// The distance from the principal point (pixels) at an angle (radians), coefficients of its
+    /// powers 0 to 5.
     pub angle_to_pixel_distance: [f64; 6],
     /// Rays farther off the axis have no pixel.
     pub max_angle_rad: f64,
@@ -113,8 +122,12 @@ impl FTheta {
     fn scaled(&self, sx: f64, sy: f64) -> Self {
         let [c, d, e] = self.linear_cde;
         Self {
-            pixel_distance_to_angle: std::array::from_fn(|power| self.pixel_distance_to_angle[power] / sy.powi(power as i32)),
-            angle_to_pixel_distance: self.angle_to_pixel_distance.map(|coefficient| coefficient * sy),
+            pixel_distance_to_angle: std::array::from_fn(|power| {
+                self.pixel_distance_to_angle[power] / sy.powi(power as i32)
+            }),
+            angle_to_pixel_distance: self
+                .angle_to_pixel_distance
+                .map(|coefficient| coefficient * sy),
             linear_cde: [c * sx / sy, d * sx / sy, e],
             ..*self
         }
@@ -148,20 +161,31 @@ impl Lens {
     /// # Errors
     /// A sentence naming the value at fault.
     pub fn check(&self) -> Result<(), String> {
-        let finite = |what: &str, values: &[f64]| match values.iter().find(|value| !value.is_finite()) {
-            Some(value) => Err(format!("lens: {what} {value} must be finite")),
-            None => Ok(()),
-        };
+        let finite =
+            |what: &str, values: &[f64]| match values.iter().find(|value| !value.is_finite()) {
+                Some(value) => Err(format!("lens: {what} {value} must be finite")),
+                None => Ok(()),
+            };
         let angle = |max_angle_rad: f64| {
-            if max_angle_rad.is_finite() && max_angle_rad > 1e-3 && max_angle_rad <= std::f64::consts::PI {
+            if max_angle_rad.is_finite()
+                && max_angle_rad > 1e-3
+                && max_angle_rad <= std::f64::consts::PI
+            {
                 return Ok(());
             }
-            Err(format!("lens: max angle {max_angle_rad} rad is outside 0.001 to pi"))
+            Err(format!(
+                "lens: max angle {max_angle_rad} rad is outside 0.001 to pi"
+            ))
         };
         match self {
             Self::Pinhole => Ok(()),
-            Self::OpenCv(lens) => finite("a distortion coefficient of", &lens.coefficients().collect::<Vec<_>>()),
-            Self::Fisheye(lens) => angle(lens.max_angle_rad).and_then(|()| finite("a coefficient of", &lens.radial)),
+            Self::OpenCv(lens) => finite(
+                "a distortion coefficient of",
+                &lens.coefficients().collect::<Vec<_>>(),
+            ),
+            Self::Fisheye(lens) => {
+                angle(lens.max_angle_rad).and_then(|()| finite("a coefficient of", &lens.radial))
+            }
             Self::FTheta(lens) => {
                 angle(lens.max_angle_rad)?;
                 finite("a coefficient of", lens.followed())?;
@@ -176,7 +200,9 @@ impl FTheta {
     fn check_shape(&self) -> Result<(), String> {
         let [c, d, e] = self.linear_cde;
         if c - d * e <= 1e-3 {
-            return Err(format!("lens: linear c {c}, d {d}, e {e} fold the image: c - d e must be positive"));
+            return Err(format!(
+                "lens: linear c {c}, d {d}, e {e} fold the image: c - d e must be positive"
+            ));
         }
         let [constant, first, ..] = *self.followed();
         // A hundredth of a pixel at the center is what calibrations leave there.
@@ -185,7 +211,9 @@ impl FTheta {
             FThetaReference::AngleToPixelDistance => constant,
         };
         if !(first > 0.0 && first < 1e12 && constant_px.abs() <= 0.01) {
-            return Err(format!("lens: a polynomial that begins {constant}, {first} is not 0 and rising at the center"));
+            return Err(format!(
+                "lens: a polynomial that begins {constant}, {first} is not 0 and rising at the center"
+            ));
         }
         Ok(())
     }
@@ -193,7 +221,11 @@ impl FTheta {
 
 impl OpenCv {
     fn coefficients(&self) -> impl Iterator<Item = f64> {
-        let Self { radial, tangential, thin_prism } = *self;
+        let Self {
+            radial,
+            tangential,
+            thin_prism,
+        } = *self;
         radial.into_iter().chain(tangential).chain(thin_prism)
     }
 }

@@ -33,12 +33,18 @@ impl Radial {
                 let [k1, k2, k3, k4] = lens.radial;
                 let s = at * at;
                 let value = at * (1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4))));
-                (value, 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4))))
+                (
+                    value,
+                    1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4))),
+                )
             }
             Self::FTheta(lens) => {
                 let [_, c1, c2, c3, c4, c5] = *lens.followed();
                 let value = at * (c1 + at * (c2 + at * (c3 + at * (c4 + at * c5))));
-                (value, c1 + at * (2.0 * c2 + at * (3.0 * c3 + at * (4.0 * c4 + at * 5.0 * c5))))
+                (
+                    value,
+                    c1 + at * (2.0 * c2 + at * (3.0 * c3 + at * (4.0 * c4 + at * 5.0 * c5))),
+                )
             }
         }
     }
@@ -55,8 +61,13 @@ impl Radial {
                 low = at;
             }
             let newton = at - (here - value) / slope;
-            // Newton's step where it stays between the bounds, half of what is between them where it does not.
-            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+            // Newton's step where it stays between the bounds, half of what is between them where
+            // it does not.
+            let next = if newton > low && newton < high {
+                newton
+            } else {
+                0.5 * (low + high)
+            };
             if (next - at).abs() <= f64::EPSILON * end {
                 return next;
             }

@@ -9,10 +9,11 @@ use crate::Intrinsics;
 
 /// Precomputed mapping of rays by a camera's lens.
 ///
-/// Rays are x right, y down, z forward, of any length. Up to [`RayMap::limit_rad`] the lens is followed. Beyond, where the image
-/// has no pixel that a ray of the lens falls on, [`RayMap::project_extended`] goes on in the same direction, linearly in the
-/// chord `2 sin(angle / 2)`: finite, rising and without a jump all the way to the ray that points back, so that what is at the
-/// edge of the image can be told from what is far beyond it.
+/// Rays are x right, y down, z forward, of any length. Up to [`RayMap::limit_rad`] the lens is
+/// followed. Beyond, where the image has no pixel that a ray of the lens falls on,
+/// [`RayMap::project_extended`] continues in the same direction, linearly in the chord `2 sin(angle
+/// / 2)`: finite, rising and without a jump all the way to the ray that points back, so that what
+/// is at the edge of the image can be told from what is far beyond it.
 #[derive(Clone, Copy, Debug)]
 pub struct RayMap {
     shape: Shape,
@@ -33,7 +34,11 @@ enum Shape {
 
 /// `2 sin(angle / 2)` for a ray of unit length.
 fn chord(ray: DVec3) -> f64 {
-    if ray.z >= 0.0 { ray.truncate().length() * (2.0 / (1.0 + ray.z)).sqrt() } else { (2.0 - 2.0 * ray.z).sqrt() }
+    if ray.z >= 0.0 {
+        ray.truncate().length() * (2.0 / (1.0 + ray.z)).sqrt()
+    } else {
+        (2.0 - 2.0 * ray.z).sqrt()
+    }
 }
 
 impl RayMap {
@@ -63,7 +68,8 @@ impl RayMap {
         let rate = match &shape {
             Shape::Planar(lens) => {
                 let radius = limit.angle_rad.tan();
-                // What a radian adds to the radius: that of the tangent, times that of the tangent by the angle.
+                // What a radian adds to the radius: that of the tangent, times that of the tangent
+                // by the angle.
                 lens.radial_slope(radius) * (1.0 + radius * radius)
             }
             Shape::Radial(lens) if lens.is_backward() => lens.polynomial(limit.radius).1.recip(),
@@ -72,7 +78,14 @@ impl RayMap {
         // By chord; never so flat that what is far beyond comes near.
         let mean = limit.radius / (2.0 * (0.5 * limit.angle_rad).sin()).max(1e-9);
         let slope = (rate / (0.5 * limit.angle_rad).cos()).max(0.25 * mean);
-        Self { shape, matrix, principal_px, limit, tan_limit: limit.angle_rad.tan(), slope }
+        Self {
+            shape,
+            matrix,
+            principal_px,
+            limit,
+            tan_limit: limit.angle_rad.tan(),
+            slope,
+        }
     }
 
     /// The angle up to which the lens is followed, radians.
@@ -93,11 +106,13 @@ impl RayMap {
         self.slope
     }
 
-    /// The image radius in the lens's plane at an angle up to the limit, and what it grows by a radian, for lenses that are the
-    /// same all around: `None` for a pinhole, distorted or not.
+    /// The image radius in the lens's plane at an angle up to the limit, and what it grows by a
+    /// radian, for lenses that are the same all around: `None` for a pinhole, distorted or not.
     #[must_use]
     pub fn radius_at(&self, angle_rad: f64) -> Option<(f64, f64)> {
-        let Shape::Radial(lens) = &self.shape else { return None };
+        let Shape::Radial(lens) = &self.shape else {
+            return None;
+        };
         Some(if lens.is_backward() {
             let radius = lens.solved(angle_rad, self.limit.radius);
             (radius, lens.polynomial(radius).1.recip())
@@ -127,13 +142,19 @@ impl RayMap {
     fn in_plane(&self, ray: DVec3) -> DVec2 {
         let across = ray.truncate();
         // Straight back is every direction at once: any of them.
-        let direction = if across == DVec2::ZERO && ray.z < 0.0 { DVec2::X } else { across.normalize_or_zero() };
+        let direction = if across == DVec2::ZERO && ray.z < 0.0 {
+            DVec2::X
+        } else {
+            across.normalize_or_zero()
+        };
         let angle_rad = across.length().atan2(ray.z);
         let held_rad = angle_rad.min(self.limit.angle_rad);
         let held = match &self.shape {
             Shape::Planar(lens) if held_rad == angle_rad => lens.distorted(across / ray.z).0,
             Shape::Planar(lens) => lens.distorted(direction * held_rad.tan()).0,
-            Shape::Radial(_) => direction * self.radius_at(held_rad).map_or(0.0, |(radius, _)| radius),
+            Shape::Radial(_) => {
+                direction * self.radius_at(held_rad).map_or(0.0, |(radius, _)| radius)
+            }
         };
         if held_rad == angle_rad {
             return held;
@@ -151,8 +172,11 @@ impl RayMap {
         match &self.shape {
             Shape::Planar(lens) => {
                 let tangent = self.limit.angle_rad.tan();
-                // A little beyond the limit: what rounding adds to a ray at it is none of its fault.
-                let point = lens.undistorted(v, tangent).filter(|point| point.length() <= tangent * (1.0 + 1e-12))?;
+                // A little beyond the limit: what rounding adds to a ray at it is none of its
+                // fault.
+                let point = lens
+                    .undistorted(v, tangent)
+                    .filter(|point| point.length() <= tangent * (1.0 + 1e-12))?;
                 Some(point.extend(1.0).normalize())
             }
             Shape::Radial(lens) => {
@@ -161,8 +185,11 @@ impl RayMap {
                     return None;
                 }
                 let radius = radius.min(self.limit.radius);
-                let angle_rad =
-                    if lens.is_backward() { lens.polynomial(radius).0 } else { lens.solved(radius, self.limit.angle_rad) };
+                let angle_rad = if lens.is_backward() {
+                    lens.polynomial(radius).0
+                } else {
+                    lens.solved(radius, self.limit.angle_rad)
+                };
                 Some((v.normalize_or_zero() * angle_rad.sin()).extend(angle_rad.cos()))
             }
         }
@@ -172,7 +199,11 @@ impl RayMap {
     /// reason if it does.
     pub(crate) fn check(&self, intrinsics: &Intrinsics) -> Result<(), String> {
         let corner = farthest_corner(intrinsics, &self.matrix, self.principal_px);
-        let Limit { angle_rad, radius, turns } = self.limit;
+        let Limit {
+            angle_rad,
+            radius,
+            turns,
+        } = self.limit;
         match &self.shape {
             Shape::Planar(_) if turns && radius < 0.5 * corner => Err(format!(
                 "lens: distortion folds the image {angle_rad:.3} rad off the axis, before half of the way to its farthest corner"
@@ -182,7 +213,9 @@ impl RayMap {
                  lower the max angle to where it still rises",
                 lens.max_angle_rad()
             )),
-            _ if !(self.slope.is_finite() && radius > 0.0) => Err("lens: it has no image at all".into()),
+            _ if !(self.slope.is_finite() && radius > 0.0) => {
+                Err("lens: it has no image at all".into())
+            }
             _ => Ok(()),
         }
     }
@@ -190,10 +223,16 @@ impl RayMap {
 
 /// The distance from the principal point to the farthest corner of the image, in the lens's plane.
 fn farthest_corner(intrinsics: &Intrinsics, matrix: &DMat2, principal_px: DVec2) -> f64 {
-    let (width, height) = (f64::from(intrinsics.width_px), f64::from(intrinsics.height_px));
+    let (width, height) = (
+        f64::from(intrinsics.width_px),
+        f64::from(intrinsics.height_px),
+    );
     let corners = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)];
     let back = matrix.inverse();
-    corners.into_iter().map(|(x, y)| (back * (DVec2::new(x, y) - principal_px)).length()).fold(0.0, f64::max)
+    corners
+        .into_iter()
+        .map(|(x, y)| (back * (DVec2::new(x, y) - principal_px)).length())
+        .fold(0.0, f64::max)
 }
 
 impl OpenCv {
@@ -205,7 +244,11 @@ impl OpenCv {
         let numerator_slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
         let denominator_slope = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
         let factor = numerator / denominator;
-        (factor, (numerator_slope - factor * denominator_slope) / denominator, denominator)
+        (
+            factor,
+            (numerator_slope - factor * denominator_slope) / denominator,
+            denominator,
+        )
     }
 
     /// Derivative of the distorted radius by the radius, without tangential terms and thin prism.
@@ -238,7 +281,8 @@ impl OpenCv {
         (point, DMat2::from_cols(by_x, by_y), denominator)
     }
 
-    /// The distorted point, by what factor areas about it grow, and the denominator of its radial factor.
+    /// The distorted point, by what factor areas about it grow, and the denominator of its radial
+    /// factor.
     pub(super) fn distorted(&self, p: DVec2) -> (DVec2, f64, f64) {
         let (point, jacobian, denominator) = self.with_jacobian(p);
         (point, jacobian.determinant(), denominator)

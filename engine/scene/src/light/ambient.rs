@@ -5,8 +5,9 @@ use glam::{DQuat, DVec3};
 use crate::light::LUMA;
 use crate::sh::{self, ShRotation};
 
-/// The light about a place: bands 0 to 2 of spherical harmonics of display-referred color, as a plain expansion
-/// `color(d) = sum_k coefficients[k] Y_k(d)`, without the 0.5 that splats' colors add. L(x) of the paper, in R^27.
+/// The light about a place: bands 0 to 2 of spherical harmonics of display-referred color, as a
+/// plain expansion `color(d) = sum_k coefficients[k] Y_k(d)`, without the 0.5 that splats' colors
+/// add. L(x) of the paper, in R^27.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AmbientDescriptor {
     /// `[coefficient][rgb]`.
@@ -33,7 +34,8 @@ impl AmbientDescriptor {
         std::array::from_fn(|index| f64::from(self.coefficients[index / 3][index % 3]))
     }
 
-    /// The light of a place that was turned by `rotation`. With the inverse of an agent's rotation: the light in its frame.
+    /// The light of a place that was turned by `rotation`. With the inverse of an agent's rotation:
+    /// the light in its frame.
     #[must_use]
     pub fn turned(&self, rotation: DQuat) -> Self {
         let mut turned = *self;
@@ -52,10 +54,20 @@ impl AmbientDescriptor {
     /// direction, not brightness.
     #[must_use]
     pub fn directionality(&self) -> f64 {
-        let luminance = |coefficient: &[f32; 3]| coefficient.iter().zip(LUMA).map(|(c, w)| f64::from(*c) * w).sum::<f64>();
+        let luminance = |coefficient: &[f32; 3]| {
+            coefficient
+                .iter()
+                .zip(LUMA)
+                .map(|(c, w)| f64::from(*c) * w)
+                .sum::<f64>()
+        };
         let [direct, y, z, x] = std::array::from_fn(|index| luminance(&self.coefficients[index]));
         let sideways = DVec3::new(x, y, z).length();
-        if direct > 0.0 { (sideways / (3f64.sqrt() * direct)).min(1.0) } else { 0.0 }
+        if direct > 0.0 {
+            (sideways / (3f64.sqrt() * direct)).min(1.0)
+        } else {
+            0.0
+        }
     }
 }
 
@@ -65,7 +77,9 @@ mod tests {
 
     fn point_light(direction: DVec3) -> AmbientDescriptor {
         let basis = sh::basis(direction);
-        AmbientDescriptor { coefficients: std::array::from_fn(|index| [basis[index] as f32; 3]) }
+        AmbientDescriptor {
+            coefficients: std::array::from_fn(|index| [basis[index] as f32; 3]),
+        }
     }
 
     #[test]

@@ -28,7 +28,11 @@ pub struct AmbientOptions {
 
 impl Default for AmbientOptions {
     fn default() -> Self {
-        Self { sigma_m: 5.0, radius_m: 15.0, spacing_m: 1.0 }
+        Self {
+            sigma_m: 5.0,
+            radius_m: 15.0,
+            spacing_m: 1.0,
+        }
     }
 }
 
@@ -38,13 +42,26 @@ impl AmbientOptions {
     /// # Errors
     /// A sentence naming the value at fault.
     pub fn check(&self) -> Result<(), String> {
-        let values = [("sigma_m", self.sigma_m), ("radius_m", self.radius_m), ("spacing_m", self.spacing_m)];
-        match values.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
-            Some((name, value)) => Err(format!("{name} is {value}; expected a number of meters above zero")),
-            None if self.radius_m > 100.0 * self.sigma_m || self.radius_m > 50.0 * self.spacing_m => Err(format!(
-                "radius_m is {}, out of proportion to sigma_m, {}, or spacing_m, {}",
-                self.radius_m, self.sigma_m, self.spacing_m
+        let values = [
+            ("sigma_m", self.sigma_m),
+            ("radius_m", self.radius_m),
+            ("spacing_m", self.spacing_m),
+        ];
+        match values
+            .iter()
+            .find(|(_, value)| !(value.is_finite() && *value > 0.0))
+        {
+            Some((name, value)) => Err(format!(
+                "{name} is {value}; expected a number of meters above zero"
             )),
+            None if self.radius_m > 100.0 * self.sigma_m
+                || self.radius_m > 50.0 * self.spacing_m =>
+            {
+                Err(format!(
+                    "radius_m is {}, out of proportion to sigma_m, {}, or spacing_m, {}",
+                    self.radius_m, self.sigma_m, self.spacing_m
+                ))
+            }
             None => Ok(()),
         }
     }
@@ -58,16 +75,22 @@ impl AmbientOptions {
     }
 }
 
-/// The ambient descriptor at `place`, relative to the cloud's origin: the mean of the splats' spherical harmonics of bands 0
-/// to 2, weighted by `opacity exp(-|x - mu|^2 / (2 sigma^2))` (DecoupleGS, section 3.4). `None` without a splat in reach.
+/// The ambient descriptor at `place`, relative to the cloud's origin: the mean of the splats'
+/// spherical harmonics of bands 0 to 2, weighted by `opacity exp(-|x - mu|^2 / (2 sigma^2))`
+/// (DecoupleGS, section 3.4). `None` without a splat in reach.
 ///
 /// This is the definition, summed over all splats; [`AmbientField`] is what a frame asks.
 #[must_use]
-pub fn ambient_by_definition(cloud: &SplatCloud, place: DVec3, options: &AmbientOptions) -> Option<AmbientDescriptor> {
+pub fn ambient_by_definition(
+    cloud: &SplatCloud,
+    place: DVec3,
+    options: &AmbientOptions,
+) -> Option<AmbientDescriptor> {
     let mut sum = [0.0; SUM];
     for splat in 0..cloud.len() {
         let mean = DVec3::from_array(cloud.means[splat].map(f64::from));
-        let weight = options.weight(mean.distance_squared(place)) * f64::from(cloud.opacities[splat]);
+        let weight =
+            options.weight(mean.distance_squared(place)) * f64::from(cloud.opacities[splat]);
         if weight > 0.0 {
             add(&mut sum, weight, &light_of(cloud, splat));
         }
@@ -80,7 +103,9 @@ fn light_of(cloud: &SplatCloud, splat: usize) -> [f64; AmbientDescriptor::LEN] {
     let rest = cloud.rest_of(splat);
     std::array::from_fn(|number| match number / 3 {
         0 => f64::from(cloud.sh_dc[splat][number]) + sh::DC_SHIFT,
-        k => rest.get(k - 1).map_or(0.0, |coefficient| f64::from(coefficient[number % 3])),
+        k => rest
+            .get(k - 1)
+            .map_or(0.0, |coefficient| f64::from(coefficient[number % 3])),
     })
 }
 
@@ -95,7 +120,9 @@ fn descriptor(sum: &[f64; SUM]) -> Option<AmbientDescriptor> {
     let weight = sum[SUM - 1];
     // Written so that a NaN fails.
     (weight > 1e-12).then(|| AmbientDescriptor {
-        coefficients: std::array::from_fn(|k| std::array::from_fn(|channel| (sum[3 * k + channel] / weight) as f32)),
+        coefficients: std::array::from_fn(|k| {
+            std::array::from_fn(|channel| (sum[3 * k + channel] / weight) as f32)
+        }),
     })
 }
 
@@ -108,9 +135,9 @@ struct Voxel {
 
 /// The ambient light over a background, ready to be asked anywhere.
 ///
-/// Splats are summed up in cubes of a fifth of sigma, and [`AmbientField::bake`] sums the cubes up at the points of a grid,
-/// between which sums are interpolated. Places that were not baked are summed from the cubes. Measured against the definition:
-/// see the tests.
+/// Splats are summed up in cubes of a fifth of sigma, and [`AmbientField::bake`] sums the cubes up
+/// at the points of a grid, between which sums are interpolated. Places that were not baked are
+/// summed from the cubes. Measured against the definition: see the tests.
 pub struct AmbientField {
     options: AmbientOptions,
     /// World coordinates of the point that everything below is relative to.
@@ -124,38 +151,64 @@ pub struct AmbientField {
 }
 
 impl AmbientField {
-    /// The field of the first `splats` of `cloud`, whose means are relative to `origin`. Nothing is baked yet.
+    /// The field of the first `splats` of `cloud`, whose means are relative to `origin`. Nothing is
+    /// baked yet.
     ///
     /// Splats without a finite mean, opacity or color are left out.
     #[must_use]
     pub fn new(cloud: &SplatCloud, splats: usize, origin: DVec3, options: &AmbientOptions) -> Self {
         let voxel_m = 0.2 * options.sigma_m;
         let key = |splat: usize| {
-            let cell = (DVec3::from_array(cloud.means[splat].map(f64::from)) / voxel_m).floor().as_ivec3();
+            let cell = (DVec3::from_array(cloud.means[splat].map(f64::from)) / voxel_m)
+                .floor()
+                .as_ivec3();
             let usable = cloud.defect_of(splat).is_none() && cloud.opacities[splat] > 0.0;
             usable.then_some((cell.x, cell.y, cell.z, splat as u32))
         };
-        let mut keys: Vec<(i32, i32, i32, u32)> = (0..splats).into_par_iter().filter_map(key).collect();
+        let mut keys: Vec<(i32, i32, i32, u32)> =
+            (0..splats).into_par_iter().filter_map(key).collect();
         keys.par_sort_unstable();
-        let runs: Vec<&[(i32, i32, i32, u32)]> = keys.chunk_by(|a, b| (a.0, a.1, a.2) == (b.0, b.1, b.2)).collect();
+        let runs: Vec<&[(i32, i32, i32, u32)]> = keys
+            .chunk_by(|a, b| (a.0, a.1, a.2) == (b.0, b.1, b.2))
+            .collect();
         let voxels = runs.par_iter().map(|run| voxel(cloud, run)).collect();
         let mut columns: HashMap<(i32, i32), Range<usize>> = HashMap::new();
         for (index, run) in runs.iter().enumerate() {
-            columns.entry((run[0].0, run[0].1)).or_insert(index..index).end = index + 1;
+            columns
+                .entry((run[0].0, run[0].1))
+                .or_insert(index..index)
+                .end = index + 1;
         }
-        Self { options: *options, origin, voxel_m, voxels, columns, probes: HashMap::new() }
+        Self {
+            options: *options,
+            origin,
+            voxel_m,
+            voxels,
+            columns,
+            probes: HashMap::new(),
+        }
     }
 
-    /// Sums up the probes about `places`, world coordinates, between which light is interpolated from then on. Returns how
-    /// many there are now.
+    /// Sums up the probes about `places`, world coordinates, between which light is interpolated
+    /// from then on. Returns how many there are now.
     pub fn bake(&mut self, places: impl IntoIterator<Item = DVec3>) -> usize {
         let cells: HashSet<IVec3> = places.into_iter().map(|place| self.cell(place)).collect();
-        let corners = cells.iter().flat_map(|cell| (0..8).map(move |corner| *cell + corner_offset(corner)));
-        let missing: HashSet<IVec3> = corners.filter(|probe| !self.probes.contains_key(probe)).collect();
+        let corners = cells
+            .iter()
+            .flat_map(|cell| (0..8).map(move |corner| *cell + corner_offset(corner)));
+        let missing: HashSet<IVec3> = corners
+            .filter(|probe| !self.probes.contains_key(probe))
+            .collect();
         let spacing_m = self.options.spacing_m;
         let baked: Vec<(IVec3, [f32; SUM])> = missing
             .into_par_iter()
-            .map(|probe| (probe, self.sum_at(probe.as_dvec3() * spacing_m).map(|sum| sum as f32)))
+            .map(|probe| {
+                (
+                    probe,
+                    self.sum_at(probe.as_dvec3() * spacing_m)
+                        .map(|sum| sum as f32),
+                )
+            })
             .collect();
         self.probes.extend(baked);
         self.probes.len()
@@ -168,11 +221,15 @@ impl AmbientField {
         (0..8).all(|corner| self.probes.contains_key(&(cell + corner_offset(corner))))
     }
 
-    /// L(x) at `place`, world coordinates: interpolated where it was baked, else summed from the cubes. `None` where no splat
-    /// is in reach.
+    /// L(x) at `place`, world coordinates: interpolated where it was baked, else summed from the
+    /// cubes. `None` where no splat is in reach.
     #[must_use]
     pub fn at(&self, place: DVec3) -> Option<AmbientDescriptor> {
-        descriptor(&self.interpolated(place).unwrap_or_else(|| self.sum_at(place - self.origin)))
+        descriptor(
+            &self
+                .interpolated(place)
+                .unwrap_or_else(|| self.sum_at(place - self.origin)),
+        )
     }
 
     /// Probes that were baked, and the cubes that they were summed from.
@@ -185,7 +242,8 @@ impl AmbientField {
     fn cell(&self, place: DVec3) -> IVec3 {
         // No farther than a neighbor can still be counted: an agent may claim to stand anywhere.
         let cell = ((place - self.origin) / self.options.spacing_m).floor();
-        cell.clamp(DVec3::splat(-CELLS_MAX), DVec3::splat(CELLS_MAX)).as_ivec3()
+        cell.clamp(DVec3::splat(-CELLS_MAX), DVec3::splat(CELLS_MAX))
+            .as_ivec3()
     }
 
     fn interpolated(&self, place: DVec3) -> Option<[f64; SUM]> {
@@ -195,25 +253,40 @@ impl AmbientField {
         for corner in 0..8 {
             let offset = corner_offset(corner);
             let probe = self.probes.get(&(cell + offset))?;
-            let along = |axis: usize| if offset[axis] == 1 { share[axis] } else { 1.0 - share[axis] };
+            let along = |axis: usize| {
+                if offset[axis] == 1 {
+                    share[axis]
+                } else {
+                    1.0 - share[axis]
+                }
+            };
             let weight = along(0) * along(1) * along(2);
-            sum.iter_mut().zip(probe).for_each(|(sum, value)| *sum += weight * f64::from(*value));
+            sum.iter_mut()
+                .zip(probe)
+                .for_each(|(sum, value)| *sum += weight * f64::from(*value));
         }
         Some(sum)
     }
 
     /// The sum over all cubes in reach of `place`, relative to the origin.
     fn sum_at(&self, place: DVec3) -> [f64; SUM] {
-        let (low, high) = ((place - self.options.radius_m) / self.voxel_m, (place + self.options.radius_m) / self.voxel_m);
+        let (low, high) = (
+            (place - self.options.radius_m) / self.voxel_m,
+            (place + self.options.radius_m) / self.voxel_m,
+        );
         let (low, high) = (low.floor().as_ivec3(), high.floor().as_ivec3());
         let mut sum = [0.0; SUM];
         for x in low.x..=high.x {
             for y in low.y..=high.y {
-                let Some(column) = self.columns.get(&(x, y)) else { continue };
+                let Some(column) = self.columns.get(&(x, y)) else {
+                    continue;
+                };
                 for voxel in &self.voxels[column.clone()] {
                     let weight = self.options.weight(voxel.center.distance_squared(place));
                     if weight > 0.0 {
-                        sum.iter_mut().zip(&voxel.sum).for_each(|(sum, value)| *sum += weight * f64::from(*value));
+                        sum.iter_mut()
+                            .zip(&voxel.sum)
+                            .for_each(|(sum, value)| *sum += weight * f64::from(*value));
                     }
                 }
             }
@@ -236,7 +309,10 @@ fn voxel(cloud: &SplatCloud, run: &[(i32, i32, i32, u32)]) -> Voxel {
         add(&mut sum, weight, &light_of(cloud, splat));
         center += weight * DVec3::from_array(cloud.means[splat].map(f64::from));
     }
-    Voxel { center: center / sum[SUM - 1], sum: sum.map(|value| value as f32) }
+    Voxel {
+        center: center / sum[SUM - 1],
+        sum: sum.map(|value| value as f32),
+    }
 }
 
 #[cfg(test)]
@@ -247,20 +323,36 @@ mod tests {
     fn street(count: usize) -> SplatCloud {
         let mut state = 9u64;
         let mut unit = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 40) as f32 / 16_777_216.0
         };
         let mut cloud = SplatCloud::with_degree(2);
         for i in 0..count {
             let (x, y) = (60.0 * unit() - 30.0, 24.0 * unit() - 12.0);
             let wall = i % 3 == 0;
-            cloud.means.push(if wall { [x, 12.0, 8.0 * unit()] } else { [x, y, 0.1 * unit()] });
+            cloud.means.push(if wall {
+                [x, 12.0, 8.0 * unit()]
+            } else {
+                [x, y, 0.1 * unit()]
+            });
             cloud.scales.push([0.1; 3]);
             cloud.rotations.push([1.0, 0.0, 0.0, 0.0]);
             cloud.opacities.push(0.1 + 0.9 * unit());
             let bright = 0.02 * x + 0.4 * (unit() - 0.5);
-            cloud.sh_dc.push(if wall { [bright + 1.0, bright - 0.5, bright - 0.5] } else { [bright; 3] });
-            cloud.sh_rest.extend((0..8).map(|k| if k == 2 { [-0.1; 3] } else { [0.05 * (unit() - 0.5); 3] }));
+            cloud.sh_dc.push(if wall {
+                [bright + 1.0, bright - 0.5, bright - 0.5]
+            } else {
+                [bright; 3]
+            });
+            cloud.sh_rest.extend((0..8).map(|k| {
+                if k == 2 {
+                    [-0.1; 3]
+                } else {
+                    [0.05 * (unit() - 0.5); 3]
+                }
+            }));
         }
         cloud
     }
@@ -271,13 +363,25 @@ mod tests {
         let options = AmbientOptions::default();
         let mut field = AmbientField::new(&cloud, cloud.len(), origin, &options);
         let places: Vec<DVec3> = (0..40)
-            .map(|i| DVec3::new(1.3 * f64::from(i) - 26.0, f64::from(i % 7) * 3.0 - 9.0, 0.5 + 0.05 * f64::from(i)))
+            .map(|i| {
+                DVec3::new(
+                    1.3 * f64::from(i) - 26.0,
+                    f64::from(i % 7) * 3.0 - 9.0,
+                    0.5 + 0.05 * f64::from(i),
+                )
+            })
             .collect();
         let error = |field: &AmbientField| {
             let of = |place: &DVec3| {
-                let (found, truth) =
-                    (field.at(origin + *place).unwrap(), ambient_by_definition(&cloud, *place, &options).unwrap());
-                let off = found.to_vector().iter().zip(truth.to_vector()).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
+                let (found, truth) = (
+                    field.at(origin + *place).unwrap(),
+                    ambient_by_definition(&cloud, *place, &options).unwrap(),
+                );
+                let off = found
+                    .to_vector()
+                    .iter()
+                    .zip(truth.to_vector())
+                    .fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
                 off / f64::from(truth.coefficients[0][0])
             };
             places.iter().map(of).fold(0.0, f64::max)
@@ -288,7 +392,10 @@ mod tests {
         let baked = error(&field);
         println!("of the mean light: {summed:.2e} from cubes, {baked:.2e} from {probes} probes");
         assert!(summed < 1e-3 && baked < 2e-3, "{summed} {baked}");
-        assert!(summed > 0.0 && baked != summed, "the three are not the same computation");
+        assert!(
+            summed > 0.0 && baked != summed,
+            "the three are not the same computation"
+        );
     }
 
     #[test]
@@ -296,19 +403,36 @@ mod tests {
         let (cloud, options) = (street(30_000), AmbientOptions::default());
         let field = AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &options);
         let mean = |x: f64, y: f64| field.at(DVec3::new(x, y, 0.8)).unwrap().mean();
-        assert!(mean(20.0, 0.0)[1] > mean(-20.0, 0.0)[1] + 0.1, "lighter towards +x");
-        assert!(mean(0.0, 10.0)[0] > mean(0.0, 10.0)[1] + 0.1, "red beside the wall");
-        assert!(field.at(DVec3::new(0.0, 0.0, 500.0)).is_none(), "nothing in reach");
+        assert!(
+            mean(20.0, 0.0)[1] > mean(-20.0, 0.0)[1] + 0.1,
+            "lighter towards +x"
+        );
+        assert!(
+            mean(0.0, 10.0)[0] > mean(0.0, 10.0)[1] + 0.1,
+            "red beside the wall"
+        );
+        assert!(
+            field.at(DVec3::new(0.0, 0.0, 500.0)).is_none(),
+            "nothing in reach"
+        );
         // All splats have the same band 1 term along x: the light has it as well, and nothing of y.
         let light = field.at(DVec3::ZERO).unwrap();
-        assert!((light.coefficients[3][0] + 0.1).abs() < 1e-3 && light.coefficients[1][0].abs() < 2e-3);
+        assert!(
+            (light.coefficients[3][0] + 0.1).abs() < 1e-3 && light.coefficients[1][0].abs() < 2e-3
+        );
     }
 
     #[test]
     fn places_beyond_all_measure_are_dark() {
         let cloud = street(300);
-        let mut field = AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &AmbientOptions::default());
-        for place in [DVec3::splat(1e12), DVec3::splat(-f64::MAX), DVec3::splat(f64::NAN), DVec3::new(f64::INFINITY, 0.0, 0.0)] {
+        let mut field =
+            AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &AmbientOptions::default());
+        for place in [
+            DVec3::splat(1e12),
+            DVec3::splat(-f64::MAX),
+            DVec3::splat(f64::NAN),
+            DVec3::new(f64::INFINITY, 0.0, 0.0),
+        ] {
             assert!(field.at(place).is_none(), "{place}");
             field.bake([place]);
             assert!(field.at(place).is_none(), "{place}");
@@ -322,10 +446,28 @@ mod tests {
         cloud.opacities[9] = f32::NAN;
         cloud.sh_dc[11][2] = f32::INFINITY;
         let field = AmbientField::new(&cloud, cloud.len(), DVec3::ZERO, &AmbientOptions::default());
-        assert!(field.at(DVec3::ZERO).unwrap().to_vector().iter().all(|value| value.is_finite()));
+        assert!(
+            field
+                .at(DVec3::ZERO)
+                .unwrap()
+                .to_vector()
+                .iter()
+                .all(|value| value.is_finite())
+        );
         AmbientOptions::default().check().unwrap();
-        let zero = AmbientOptions { sigma_m: 0.0, ..AmbientOptions::default() };
+        let zero = AmbientOptions {
+            sigma_m: 0.0,
+            ..AmbientOptions::default()
+        };
         assert!(zero.check().unwrap_err().contains("sigma_m is 0"));
-        assert!(AmbientOptions { radius_m: 1e9, ..AmbientOptions::default() }.check().unwrap_err().contains("proportion"));
+        assert!(
+            AmbientOptions {
+                radius_m: 1e9,
+                ..AmbientOptions::default()
+            }
+            .check()
+            .unwrap_err()
+            .contains("proportion")
+        );
     }
 }

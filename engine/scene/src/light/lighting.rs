@@ -9,22 +9,30 @@ use crate::{Pose, ShFrame};
 /// Options of contact shadows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShadowOptions {
-    /// lambda: share of the light that is gone under an agent in light that comes from one side, 0 to 1.
+    /// lambda: share of the light that is gone under an agent in light that comes from one side, 0
+    /// to 1.
     pub strength: f64,
     /// tau_decay: how fast a shadow fades outward.
     pub decay: f64,
     /// Splats whose mean is farther from the ground's plane are not darkened, meters.
     pub slab_m: f64,
-    /// [`AmbientDescriptor::directionality`] at which light counts as coming from one side. Splats show little of it: what
-    /// glitters in the sun, seen from all round.
+    /// [`AmbientDescriptor::directionality`] at which light counts as coming from one side. Splats
+    /// show little of it: what glitters in the sun, seen from all round.
     pub full_directionality: f64,
-    /// Share of its full strength that a shadow has in light from nowhere: under a car it is dark on an overcast day too.
+    /// Share of its full strength that a shadow has in light from nowhere: under a car it is dark
+    /// on an overcast day too.
     pub floor: f64,
 }
 
 impl Default for ShadowOptions {
     fn default() -> Self {
-        Self { strength: 1.0, decay: 1.5, slab_m: 0.15, full_directionality: 0.002, floor: 0.3 }
+        Self {
+            strength: 1.0,
+            decay: 1.5,
+            slab_m: 0.15,
+            full_directionality: 0.002,
+            floor: 0.3,
+        }
     }
 }
 
@@ -35,29 +43,48 @@ impl ShadowOptions {
     /// A sentence naming the value at fault.
     pub fn check(&self) -> Result<(), String> {
         let shares = [("strength", self.strength), ("floor", self.floor)];
-        if let Some((name, value)) = shares.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
+        if let Some((name, value)) = shares
+            .iter()
+            .find(|(_, value)| !(0.0..=1.0).contains(value))
+        {
             return Err(format!("{name} is {value}; expected 0 to 1"));
         }
-        let sizes = [("decay", self.decay), ("slab_m", self.slab_m), ("full_directionality", self.full_directionality)];
-        match sizes.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+        let sizes = [
+            ("decay", self.decay),
+            ("slab_m", self.slab_m),
+            ("full_directionality", self.full_directionality),
+        ];
+        match sizes
+            .iter()
+            .find(|(_, value)| !(value.is_finite() && *value > 0.0))
+        {
             Some((name, value)) => Err(format!("{name} is {value}; expected a number above zero")),
             None => Ok(()),
         }
     }
 
-    /// I_dom: how stark the shadows of `light` are, 0 to 1. It follows how much the light comes from one side, not how bright
-    /// it is, so that a bright overcast sky throws faint ones.
+    /// I_dom: how stark the shadows of `light` are, 0 to 1. It follows how much the light comes
+    /// from one side, not how bright it is, so that a bright overcast sky throws faint ones.
     #[must_use]
     pub fn starkness(&self, light: &AmbientDescriptor) -> f64 {
         let directed = (light.directionality() / self.full_directionality).min(1.0);
         self.floor + (1.0 - self.floor) * directed
     }
 
-    /// The shadow of an agent of size `dims_m` (length, width, height) that stands at `world_from_agent` in `light`.
+    /// The shadow of an agent of size `dims_m` (length, width, height) that stands at
+    /// `world_from_agent` in `light`.
     #[must_use]
-    pub fn shadow(&self, world_from_agent: &Pose, dims_m: [f32; 3], light: &AmbientDescriptor) -> ContactShadow {
+    pub fn shadow(
+        &self,
+        world_from_agent: &Pose,
+        dims_m: [f32; 3],
+        light: &AmbientDescriptor,
+    ) -> ContactShadow {
         let [length_m, width_m, height_m] = dims_m.map(f64::from);
-        let ground = Pose { translation: DVec3::new(0.0, 0.0, -0.5 * height_m), ..Pose::IDENTITY };
+        let ground = Pose {
+            translation: DVec3::new(0.0, 0.0, -0.5 * height_m),
+            ..Pose::IDENTITY
+        };
         ContactShadow {
             world_from_ground: world_from_agent.then(&ground),
             half_size_m: [0.5 * length_m, 0.5 * width_m].map(|half| half.max(1e-3)),
@@ -93,39 +120,64 @@ impl Lighting {
     /// Effect of the light on an agent of size `dims_m` at `world_from_agent` whose colors are in
     /// the frame `sh_frame`.
     #[must_use]
-    pub fn of_agent(&self, world_from_agent: &Pose, dims_m: [f32; 3], sh_frame: ShFrame) -> LitAgent {
+    pub fn of_agent(
+        &self,
+        world_from_agent: &Pose,
+        dims_m: [f32; 3],
+        sh_frame: ShFrame,
+    ) -> LitAgent {
         let (light, known) = self.at(world_from_agent.translation);
         LitAgent {
             relight: self.relight(&light, world_from_agent, sh_frame),
-            shadow: self.shadows.map(|shadows| shadows.shadow(world_from_agent, dims_m, &light)),
+            shadow: self
+                .shadows
+                .map(|shadows| shadows.shadow(world_from_agent, dims_m, &light)),
             known,
         }
     }
 
-    /// [`Lighting::of_agent`] for many: pose, size and frame of the colors of each. On as many threads as there are.
+    /// [`Lighting::of_agent`] for many: pose, size and frame of the colors of each. On as many
+    /// threads as there are.
     #[must_use]
     pub fn of_agents(&self, agents: &[(Pose, [f32; 3], ShFrame)]) -> Vec<LitAgent> {
-        let lit = |(pose, dims_m, sh_frame): &(Pose, [f32; 3], ShFrame)| self.of_agent(pose, *dims_m, *sh_frame);
+        let lit = |(pose, dims_m, sh_frame): &(Pose, [f32; 3], ShFrame)| {
+            self.of_agent(pose, *dims_m, *sh_frame)
+        };
         // Some microseconds an agent: fewer are not worth waking a thread for.
         agents.par_iter().with_min_len(8).map(lit).collect()
     }
 
-    /// The light at `place`, and whether the background told it: else it is the one that assets are shown in as they are.
+    /// The light at `place`, and whether the background told it: else it is the one that assets are
+    /// shown in as they are.
     #[must_use]
     pub fn at(&self, place: DVec3) -> (AmbientDescriptor, bool) {
         match self.field.at(place) {
             Some(light) => (light, true),
-            None => (self.transfer.as_ref().map_or(AmbientDescriptor::uniform([0.5; 3]), |transfer| transfer.neutral), false),
+            None => (
+                self.transfer
+                    .as_ref()
+                    .map_or(AmbientDescriptor::uniform([0.5; 3]), |transfer| {
+                        transfer.neutral
+                    }),
+                false,
+            ),
         }
     }
 
     /// Effect of `light` on the colors of an agent at `world_from_agent`, which are in the frame
     /// `sh_frame`.
     #[must_use]
-    pub fn relight(&self, light: &AmbientDescriptor, world_from_agent: &Pose, sh_frame: ShFrame) -> Option<ColorTransfer> {
+    pub fn relight(
+        &self,
+        light: &AmbientDescriptor,
+        world_from_agent: &Pose,
+        sh_frame: ShFrame,
+    ) -> Option<ColorTransfer> {
         let transfer = self.transfer.as_ref()?;
         Some(match sh_frame {
-            ShFrame::Canonical => transfer.at(&light.turned(world_from_agent.rotation.normalize().inverse())),
+            ShFrame::Canonical => {
+                transfer.at(&light.turned(world_from_agent.rotation.normalize().inverse()))
+            }
             ShFrame::World => transfer.at(light),
         })
     }
@@ -146,10 +198,20 @@ mod tests {
     #[test]
     fn overcast_shadows_are_fainter_than_sunny_ones_however_bright_the_sky() {
         let options = ShadowOptions::default();
-        let strength = |light: &AmbientDescriptor| options.shadow(&Pose::IDENTITY, [4.5, 1.9, 1.5], light).strength;
+        let strength = |light: &AmbientDescriptor| {
+            options
+                .shadow(&Pose::IDENTITY, [4.5, 1.9, 1.5], light)
+                .strength
+        };
         let (sunny, overcast) = (strength(&light(0.3, 0.0016)), strength(&light(0.9, 0.0002)));
-        assert!((sunny - 0.86).abs() < 1e-5 && (overcast - 0.37).abs() < 1e-5, "{sunny} {overcast}");
-        assert!((strength(&light(0.3, 0.5)) - 1.0).abs() < 1e-9, "never more than lambda");
+        assert!(
+            (sunny - 0.86).abs() < 1e-5 && (overcast - 0.37).abs() < 1e-5,
+            "{sunny} {overcast}"
+        );
+        assert!(
+            (strength(&light(0.3, 0.5)) - 1.0).abs() < 1e-9,
+            "never more than lambda"
+        );
     }
 
     #[test]
@@ -164,7 +226,23 @@ mod tests {
     #[test]
     fn options_that_make_no_shadow_are_named() {
         ShadowOptions::default().check().unwrap();
-        assert!(ShadowOptions { strength: 2.0, ..ShadowOptions::default() }.check().unwrap_err().contains("strength is 2"));
-        assert!(ShadowOptions { decay: 0.0, ..ShadowOptions::default() }.check().unwrap_err().contains("decay is 0"));
+        assert!(
+            ShadowOptions {
+                strength: 2.0,
+                ..ShadowOptions::default()
+            }
+            .check()
+            .unwrap_err()
+            .contains("strength is 2")
+        );
+        assert!(
+            ShadowOptions {
+                decay: 0.0,
+                ..ShadowOptions::default()
+            }
+            .check()
+            .unwrap_err()
+            .contains("decay is 0")
+        );
     }
 }

@@ -1,7 +1,9 @@
-//! Light about agents: what the background tells of it, what it does to their colors, and the shadow they stand in.
+//! Light about agents: what the background tells of it, what it does to their colors, and the
+//! shadow they stand in.
 //!
-//! DecoupleGS section 3.4 and supplement: an ambient descriptor L(x) from the background's spherical harmonics, an affine
-//! transfer c' = T(L) (.) c + b(L), and a contact shadow on the ground.
+//! DecoupleGS section 3.4 and supplement: an ambient descriptor L(x) from the background's
+//! spherical harmonics, an affine transfer c' = T(L) (.) c + b(L), and a contact shadow on the
+//! ground.
 
 /// Weights of red, green and blue in luminance (Rec. 709).
 pub const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];

@@ -1,4 +1,5 @@
-//! The contact shadow: a soft super-ellipse about an agent's footprint, laid on the ground that it stands on.
+//! The contact shadow: a soft super-ellipse about an agent's footprint, laid on the ground that it
+//! stands on.
 
 use glam::{DVec2, DVec3};
 
@@ -14,7 +15,8 @@ pub const MASK_MIN: f64 = 1.0 / 512.0;
 /// `M(u) = exp(-decay (|u_x / (L / 2)|^4 + |u_y / (W / 2)|^4)^(1/4))`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactShadow {
-    /// The ground under the agent: origin below its middle, x along it, z out of the ground. f64 world coordinates.
+    /// The ground under the agent: origin below its middle, x along it, z out of the ground. f64
+    /// world coordinates.
     pub world_from_ground: Pose,
     /// Half of its length and width, meters.
     pub half_size_m: [f64; 2],
@@ -33,14 +35,29 @@ impl ContactShadow {
     /// A sentence naming the value at fault.
     pub fn check(&self) -> Result<(), String> {
         let pose = &self.world_from_ground;
-        if !(pose.translation.is_finite() && pose.rotation.is_finite() && pose.rotation.length_squared() > 1e-12) {
+        if !(pose.translation.is_finite()
+            && pose.rotation.is_finite()
+            && pose.rotation.length_squared() > 1e-12)
+        {
             return Err(format!("its pose {pose:?} is not finite"));
         }
         let [length_m, width_m] = self.half_size_m;
-        let positive = [("half length", length_m), ("half width", width_m), ("decay", self.decay), ("slab", self.slab_m)];
-        match positive.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
-            Some((what, value)) => Err(format!("a {what} of {value}; expected a number above zero")),
-            None if !(0.0..=1.0).contains(&self.strength) => Err(format!("a strength of {}; expected 0 to 1", self.strength)),
+        let positive = [
+            ("half length", length_m),
+            ("half width", width_m),
+            ("decay", self.decay),
+            ("slab", self.slab_m),
+        ];
+        match positive
+            .iter()
+            .find(|(_, value)| !(value.is_finite() && *value > 0.0))
+        {
+            Some((what, value)) => {
+                Err(format!("a {what} of {value}; expected a number above zero"))
+            }
+            None if !(0.0..=1.0).contains(&self.strength) => {
+                Err(format!("a strength of {}; expected 0 to 1", self.strength))
+            }
             None => Ok(()),
         }
     }
@@ -75,7 +92,8 @@ impl ContactShadow {
     }
 }
 
-/// `world` as it looks under `shadows`, whose factors multiply: before agents are added to it, which shadows do not lie on.
+/// `world` as it looks under `shadows`, whose factors multiply: before agents are added to it,
+/// which shadows do not lie on.
 ///
 /// `max(0, 0.5 + SH) f = max(0, f (0.5 + SH))`, so a darkened splat is a splat again.
 pub fn bake_shadows(world: &mut World, shadows: &[ContactShadow]) {
@@ -83,12 +101,21 @@ pub fn bake_shadows(world: &mut World, shadows: &[ContactShadow]) {
         return;
     }
     let origin = world.origin;
-    let SplatCloud { means, sh_degree, sh_dc, sh_rest, .. } = &mut world.splats;
+    let SplatCloud {
+        means,
+        sh_degree,
+        sh_dc,
+        sh_rest,
+        ..
+    } = &mut world.splats;
     let stride = sh::coefficient_count(*sh_degree) - 1;
     let shift = sh::DC_SHIFT;
     for (splat, mean) in means.iter().enumerate() {
         let position = origin + DVec3::from_array(mean.map(f64::from));
-        let factor: f64 = shadows.iter().map(|shadow| shadow.factor(position)).product();
+        let factor: f64 = shadows
+            .iter()
+            .map(|shadow| shadow.factor(position))
+            .product();
         if factor == 1.0 {
             continue;
         }
@@ -105,7 +132,10 @@ mod tests {
 
     fn shadow() -> ContactShadow {
         ContactShadow {
-            world_from_ground: Pose::from_yaw(std::f64::consts::FRAC_PI_2, DVec3::new(4.5e6, 10.0, 0.0)),
+            world_from_ground: Pose::from_yaw(
+                std::f64::consts::FRAC_PI_2,
+                DVec3::new(4.5e6, 10.0, 0.0),
+            ),
             half_size_m: [2.0, 1.0],
             strength: 0.8,
             decay: 2.0,
@@ -119,7 +149,10 @@ mod tests {
         let at = |x: f64, y: f64, z: f64| shadow.factor(DVec3::new(4.5e6 + x, 10.0 + y, z));
         assert!((at(0.0, 0.0, 0.0) - 0.2).abs() < 1e-12);
         // The agent looks along y: its end is at y = 2, its side at x = 1, and both are as dark.
-        assert!((at(0.0, 2.0, 0.0) - at(1.0, 0.0, 0.0)).abs() < 1e-9 && at(1.0, 0.0, 0.0) < at(2.0, 0.0, 0.0));
+        assert!(
+            (at(0.0, 2.0, 0.0) - at(1.0, 0.0, 0.0)).abs() < 1e-9
+                && at(1.0, 0.0, 0.0) < at(2.0, 0.0, 0.0)
+        );
         assert_eq!((at(0.0, 0.0, 0.11), at(40.0, 0.0, 0.0)), (1.0, 1.0));
     }
 
@@ -134,10 +167,14 @@ mod tests {
             sh_dc: vec![[0.3; 3]; 2],
             sh_rest: vec![[0.2; 3]; 6],
         };
-        let mut world = World { origin: DVec3::new(4.5e6, 0.0, 0.0), ..World::of(splat) };
+        let mut world = World {
+            origin: DVec3::new(4.5e6, 0.0, 0.0),
+            ..World::of(splat)
+        };
         let before = world.clone();
         bake_shadows(&mut world, &[shadow(), shadow()]);
-        let shown = |world: &World, splat: usize| 0.5 + sh::Y0 * f64::from(world.splats.sh_dc[splat][0]);
+        let shown =
+            |world: &World, splat: usize| 0.5 + sh::Y0 * f64::from(world.splats.sh_dc[splat][0]);
         assert!((shown(&world, 0) - 0.04 * shown(&before, 0)).abs() < 1e-6);
         assert!((world.splats.sh_rest[0][0] - 0.04 * 0.2).abs() < 1e-6);
         assert_eq!(world.splats.sh_dc[1], before.splats.sh_dc[1]);

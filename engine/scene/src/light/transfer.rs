@@ -10,8 +10,8 @@ const DC_SHIFT: f32 = sh::DC_SHIFT as f32;
 /// Coefficients of the highest degree.
 const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);
 
-/// T and b of one agent in one light: a factor and a summand for each coefficient and channel. Both are meant for the plain
-/// expansion: DC without the 0.5 that splats' colors add.
+/// T and b of one agent in one light: a factor and a summand for each coefficient and channel. Both
+/// are meant for the plain expansion: DC without the 0.5 that splats' colors add.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColorTransfer {
     /// `[coefficient][rgb]`.
@@ -22,14 +22,18 @@ pub struct ColorTransfer {
 
 impl ColorTransfer {
     /// Leaves colors as they are.
-    pub const IDENTITY: Self = Self { gain: [[1.0; 3]; COEFFICIENTS], offset: [[0.0; 3]; COEFFICIENTS] };
+    pub const IDENTITY: Self = Self {
+        gain: [[1.0; 3]; COEFFICIENTS],
+        offset: [[0.0; 3]; COEFFICIENTS],
+    };
 
     /// `color`, the coefficients of one color with DC first, in this light.
     pub fn apply(&self, color: &mut [[f32; 3]]) {
         for (index, coefficient) in color.iter_mut().enumerate() {
             let shift = if index == 0 { DC_SHIFT } else { 0.0 };
             for (channel, value) in coefficient.iter_mut().enumerate() {
-                *value = self.gain[index][channel] * (*value + shift) + self.offset[index][channel] - shift;
+                *value = self.gain[index][channel] * (*value + shift) + self.offset[index][channel]
+                    - shift;
             }
         }
     }
@@ -45,7 +49,8 @@ impl ColorTransfer {
             color[1..].copy_from_slice(cloud.rest_of(splat));
             self.apply(&mut color);
             relit.sh_dc[splat] = color[0];
-            relit.sh_rest[splat * (stride - 1)..(splat + 1) * (stride - 1)].copy_from_slice(&color[1..]);
+            relit.sh_rest[splat * (stride - 1)..(splat + 1) * (stride - 1)]
+                .copy_from_slice(&color[1..]);
         }
         relit
     }
@@ -71,15 +76,32 @@ impl LightTransfer {
     /// A sentence naming the value at fault.
     pub fn check(&self) -> Result<(), String> {
         if self.sh_degree > sh::DEGREE_MAX {
-            return Err(format!("a light transfer of degree {}; 0 to {} are known", self.sh_degree, sh::DEGREE_MAX));
+            return Err(format!(
+                "a light transfer of degree {}; 0 to {} are known",
+                self.sh_degree,
+                sh::DEGREE_MAX
+            ));
         }
         let rows = 3 * sh::coefficient_count(self.sh_degree);
         if self.gain.len() != rows || self.offset.len() != rows {
-            return Err(format!("{} rows of gain and {} of offset; expected {rows} each", self.gain.len(), self.offset.len()));
+            return Err(format!(
+                "{} rows of gain and {} of offset; expected {rows} each",
+                self.gain.len(),
+                self.offset.len()
+            ));
         }
-        let rows = self.gain.iter().chain(&self.offset).flat_map(|(weights, constant)| weights.iter().chain([constant]));
-        match rows.chain(self.neutral.coefficients.as_flattened()).find(|value| !value.is_finite()) {
-            Some(value) => Err(format!("a light transfer holds {value}; expected finite numbers")),
+        let rows = self
+            .gain
+            .iter()
+            .chain(&self.offset)
+            .flat_map(|(weights, constant)| weights.iter().chain([constant]));
+        match rows
+            .chain(self.neutral.coefficients.as_flattened())
+            .find(|value| !value.is_finite())
+        {
+            Some(value) => Err(format!(
+                "a light transfer holds {value}; expected finite numbers"
+            )),
             None => Ok(()),
         }
     }
@@ -89,7 +111,11 @@ impl LightTransfer {
     pub fn at(&self, light: &AmbientDescriptor) -> ColorTransfer {
         let light = light.to_vector();
         let value = |(weights, constant): &([f32; AmbientDescriptor::LEN], f32)| {
-            let sum: f64 = weights.iter().zip(light).map(|(weight, l)| f64::from(*weight) * l).sum();
+            let sum: f64 = weights
+                .iter()
+                .zip(light)
+                .map(|(weight, l)| f64::from(*weight) * l)
+                .sum();
             (sum + f64::from(*constant)) as f32
         };
         let mut transfer = ColorTransfer::IDENTITY;
@@ -124,17 +150,24 @@ mod tests {
     #[test]
     fn black_stays_black_in_any_light() {
         let mut black = [[-DC_SHIFT; 3]];
-        transfer().at(&AmbientDescriptor::uniform([0.9, 0.1, 0.4])).apply(&mut black);
+        transfer()
+            .at(&AmbientDescriptor::uniform([0.9, 0.1, 0.4]))
+            .apply(&mut black);
         assert!(black[0].iter().all(|dc| (dc + DC_SHIFT).abs() < 1e-6));
     }
 
     #[test]
     fn gains_and_offsets_go_to_their_coefficients_and_channels() {
         let mut color = [[0.0; 3]; 4];
-        transfer().at(&AmbientDescriptor::uniform([1.0, 0.5, 0.0])).apply(&mut color);
-        // A color of 0.5 in light twice, once and no times as bright as the one that changes nothing.
+        transfer()
+            .at(&AmbientDescriptor::uniform([1.0, 0.5, 0.0]))
+            .apply(&mut color);
+        // A color of 0.5 in light twice, once and no times as bright as the one that changes
+        // nothing.
         let shown = color[0].map(|dc| 0.5 + sh::Y0 as f32 * dc);
-        assert!((shown[0] - 1.0).abs() < 1e-6 && (shown[1] - 0.5).abs() < 1e-6 && shown[2].abs() < 1e-6);
+        assert!(
+            (shown[0] - 1.0).abs() < 1e-6 && (shown[1] - 0.5).abs() < 1e-6 && shown[2].abs() < 1e-6
+        );
         assert_eq!(color[2], [0.0, 0.25, 0.0]);
     }
 
@@ -143,7 +176,11 @@ mod tests {
         let mut color = [[0.3, -0.2, 0.9]; 16];
         ColorTransfer::IDENTITY.apply(&mut color);
         assert!(
-            color.as_flattened().iter().zip([0.3, -0.2, 0.9].iter().cycle()).all(|(a, b): (&f32, &f32)| (a - b).abs() < 1e-6)
+            color
+                .as_flattened()
+                .iter()
+                .zip([0.3, -0.2, 0.9].iter().cycle())
+                .all(|(a, b): (&f32, &f32)| (a - b).abs() < 1e-6)
         );
         let mut broken = transfer();
         broken.gain.pop();

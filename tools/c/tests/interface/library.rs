@@ -14,26 +14,37 @@ pub enum Linked {
     Static,
 }
 
-/// The library called `name`, which Cargo builds before the tests of its package and puts beside them.
+/// The library called `name`, which Cargo builds before the tests of its package and puts beside
+/// them.
 fn library(name: &str) -> PathBuf {
     let test = env::current_exe().expect("a test knows its own path");
     let beside = test.parent().expect("a test is in a folder");
     let path = beside.join(name);
-    assert!(path.is_file(), "{} is missing: build it with `cargo build --package decouplegs-c`", path.display());
+    assert!(
+        path.is_file(),
+        "{} is missing: build it with `cargo build --package decouplegs-c`",
+        path.display()
+    );
     path
 }
 
 /// Output of `program`.
 pub fn run(program: &str, arguments: impl FnOnce(&mut Command) -> &mut Command) -> Output {
     let output = arguments(&mut Command::new(program)).output();
-    output.unwrap_or_else(|error| panic!("{program} cannot be run ({error}): `make packages` installs what is missing"))
+    output.unwrap_or_else(|error| {
+        panic!("{program} cannot be run ({error}): `make packages` installs what is missing")
+    })
 }
 
 /// Standard output of what must have gone well.
 pub fn succeed(output: Output) -> String {
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     let (said, complained) = (text(&output.stdout), text(&output.stderr));
-    assert!(output.status.success(), "{}\n{said}\n{complained}", output.status);
+    assert!(
+        output.status.success(),
+        "{}\n{said}\n{complained}",
+        output.status
+    );
     said
 }
 
@@ -53,12 +64,17 @@ pub fn compiled(source: &str, linked: Linked, folder: &Path) -> PathBuf {
             "-pthread",
             "-I",
         ]);
-        command.arg(Path::new(FOLDER).join("include")).arg(&source).arg("-o").arg(&program);
+        command
+            .arg(Path::new(FOLDER).join("include"))
+            .arg(&source)
+            .arg("-o")
+            .arg(&program);
         match linked {
             Linked::Shared => {
                 let library = library("libdecouplegs_c.so");
                 let beside = library.parent().expect("a library is in a folder");
-                // An older library in a folder of LD_LIBRARY_PATH, as Cargo sets it, must not come first: DT_RPATH does.
+                // An older library in a folder of LD_LIBRARY_PATH, as Cargo sets it, must not come
+                // first: DT_RPATH does.
                 command
                     .arg("-L")
                     .arg(beside)

@@ -10,18 +10,33 @@ use crate::street::small_street;
 fn ppm_pixels(path: &Path) -> Vec<u8> {
     let bytes = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let header = b"P6\n64 48\n255\n";
-    assert!(bytes.starts_with(header) && bytes.len() == header.len() + 3 * 64 * 48, "{}", path.display());
+    assert!(
+        bytes.starts_with(header) && bytes.len() == header.len() + 3 * 64 * 48,
+        "{}",
+        path.display()
+    );
     bytes[header.len()..].to_vec()
 }
 
 /// Files that the example writes: of two worlds, two cameras each.
 fn assert_two_worlds(out: &Path, said: &str) {
-    let mut names: Vec<_> = fs::read_dir(out).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut names: Vec<_> = fs::read_dir(out)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     names.sort();
     assert_eq!(names.len(), 4, "{said}");
     let images: Vec<Vec<u8>> = names.iter().map(|path| ppm_pixels(path)).collect();
-    assert!(images.iter().all(|image| image.iter().any(|&byte| byte != image[0])), "no image is of one color");
-    assert!(images[0] != images[2], "the car stands elsewhere in the second world");
+    assert!(
+        images
+            .iter()
+            .all(|image| image.iter().any(|&byte| byte != image[0])),
+        "no image is of one color"
+    );
+    assert!(
+        images[0] != images[2],
+        "the car stands elsewhere in the second world"
+    );
     for part in ["2 cameras, 1 agents", "0.1 s: ", " ms on the device"] {
         assert!(said.contains(part), "{part}: {said}");
     }
@@ -37,7 +52,9 @@ fn the_example_draws_two_worlds() {
         let program = compiled("examples/render_rig.c", linked, &out);
         let images = out.join("images");
         fs::create_dir(&images).unwrap();
-        let said = succeed(run(program.to_str().unwrap(), |command| command.args([&scene, &images]).arg("2")));
+        let said = succeed(run(program.to_str().unwrap(), |command| {
+            command.args([&scene, &images]).arg("2")
+        }));
         assert_two_worlds(&images, &said);
     }
 }
@@ -47,7 +64,9 @@ fn misuse_is_told_and_nothing_breaks() {
     let folder = tempfile::tempdir().unwrap();
     let scene = small_street(folder.path(), [64, 48]);
     let program = compiled("tests/interface/misuse.c", Linked::Static, folder.path());
-    let said = succeed(run(program.to_str().unwrap(), |command| command.arg(&scene)));
+    let said = succeed(run(program.to_str().unwrap(), |command| {
+        command.arg(&scene)
+    }));
     assert_eq!(said, "0 failures\n");
 }
 
@@ -56,7 +75,9 @@ fn images_of_every_kind_agree() {
     let folder = tempfile::tempdir().unwrap();
     let scene = small_street(folder.path(), [64, 48]);
     let program = compiled("tests/interface/images.c", Linked::Shared, folder.path());
-    let said = succeed(run(program.to_str().unwrap(), |command| command.arg(&scene)));
+    let said = succeed(run(program.to_str().unwrap(), |command| {
+        command.arg(&scene)
+    }));
     assert!(said.contains("pixels are the agent's"), "{said}");
 }
 
@@ -75,7 +96,11 @@ fn the_example_touches_only_its_own_memory_and_leaks_none() {
             "--show-leak-kinds=definite",
             "--errors-for-leak-kinds=definite",
         ]);
-        command.arg(format!("--suppressions={}", suppressions.display())).arg(&program).args([&scene, &out]).arg("2");
+        command
+            .arg(format!("--suppressions={}", suppressions.display()))
+            .arg(&program)
+            .args([&scene, &out])
+            .arg("2");
         // The validation layer is watched elsewhere, and takes minutes here.
         command.env("DECOUPLEGS_VALIDATION", "0")
     });

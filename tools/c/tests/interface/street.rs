@@ -8,22 +8,47 @@ use decouplegs::asset::{CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply
 use decouplegs::scene::{Pose, ShFrame, TimedPose, Trajectory};
 use glam::DVec3;
 
-/// A street of a few hundred splats with one car that drives before the ego, and two cameras that look ahead and to the left.
+/// A street of a few hundred splats with one car that drives before the ego, and two cameras that
+/// look ahead and to the left.
 pub fn small_street(folder: &Path, size_px: [u32; 2]) -> PathBuf {
-    let options = StreetOptions { background: 800, agents: 1, agent_splats: 200, sh_degree: 1, ..StreetOptions::default() };
+    let options = StreetOptions {
+        background: 800,
+        agents: 1,
+        agent_splats: 200,
+        sh_degree: 1,
+        ..StreetOptions::default()
+    };
     let mut street = Street::generate(&options);
     inria_ply::write(&folder.join("background.ply"), &street.background).unwrap();
     let car = &street.assets[0];
-    let books = CompressOptions { colors: 16, shapes: 16, iterations_max: 20, ..CompressOptions::default() };
-    let cloud = compress(car, &vec![1.0; car.len()], &books, &|_| ()).unwrap().cloud;
-    write_coded(&folder.join("car.safetensors"), &CodedAsset { cloud, provenance: Provenance::default() }).unwrap();
+    let books = CompressOptions {
+        colors: 16,
+        shapes: 16,
+        iterations_max: 20,
+        ..CompressOptions::default()
+    };
+    let cloud = compress(car, &vec![1.0; car.len()], &books, &|_| ())
+        .unwrap()
+        .cloud;
+    write_coded(
+        &folder.join("car.safetensors"),
+        &CodedAsset {
+            cloud,
+            provenance: Provenance::default(),
+        },
+    )
+    .unwrap();
 
     street.rig.cameras.truncate(2);
     for camera in &mut street.rig.cameras {
         camera.intrinsics = camera.intrinsics.resized(size_px[0], size_px[1]);
     }
-    let at = |time_s: f64, x_m: f64| TimedPose { time_s, pose: Pose::from_yaw(0.0, DVec3::new(x_m, 0.0, 0.8)) };
-    let way = |ahead_m: f64| Trajectory::new(vec![at(0.0, ahead_m), at(4.0, ahead_m + 20.0)]).unwrap();
+    let at = |time_s: f64, x_m: f64| TimedPose {
+        time_s,
+        pose: Pose::from_yaw(0.0, DVec3::new(x_m, 0.0, 0.8)),
+    };
+    let way =
+        |ahead_m: f64| Trajectory::new(vec![at(0.0, ahead_m), at(4.0, ahead_m + 20.0)]).unwrap();
     let agent = SceneAgent {
         name: "car".into(),
         asset: "car.safetensors".into(),

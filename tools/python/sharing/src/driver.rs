@@ -1,4 +1,5 @@
-//! The CUDA driver's functions, looked up at run time: what is built here runs where there is no CUDA.
+//! The CUDA driver's functions, looked up at run time: what is built here runs where there is no
+//! CUDA.
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 use std::sync::OnceLock;
@@ -19,7 +20,8 @@ pub const NOT_READY: Code = 600;
 
 /// `CU_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD`.
 pub const MEMORY_OPAQUE_FD: c_uint = 1;
-/// `CUDA_EXTERNAL_MEMORY_DEDICATED`: the memory belongs to one buffer alone. Without it imports of such memory may read elsewhere.
+/// `CUDA_EXTERNAL_MEMORY_DEDICATED`: the memory belongs to one buffer alone. Without it imports of
+/// such memory may read elsewhere.
 pub const MEMORY_DEDICATED: c_uint = 1;
 /// `CU_EXTERNAL_SEMAPHORE_HANDLE_TYPE_TIMELINE_SEMAPHORE_FD`.
 pub const TIMELINE_FD: c_uint = 9;
@@ -45,7 +47,8 @@ pub struct MemoryHandle {
     pub reserved: [c_uint; 16],
 }
 
-/// A union of a descriptor and two pointers, of which only the descriptor is used: the little end comes first.
+/// A union of a descriptor and two pointers, of which only the descriptor is used: the little end
+/// comes first.
 #[repr(C, align(8))]
 #[derive(Default)]
 pub struct FdOrPointers {
@@ -88,7 +91,10 @@ pub struct SemaphoreWait {
 // The sizes that cuda.h gives them on 64-bit Linux.
 const _: () = assert!(size_of::<MemoryHandle>() == 104 && size_of::<MappedBuffer>() == 88);
 const _: () = assert!(size_of::<SemaphoreHandle>() == 96 && size_of::<SemaphoreWait>() == 144);
-const _: () = assert!(std::mem::offset_of!(MemoryHandle, size) == 24 && std::mem::offset_of!(SemaphoreWait, flags) == 72);
+const _: () = assert!(
+    std::mem::offset_of!(MemoryHandle, size) == 24
+        && std::mem::offset_of!(SemaphoreWait, flags) == 72
+);
 
 macro_rules! functions {
     ($($field:ident = $name:literal: fn($($argument:ty),*);)*) => {
@@ -102,10 +108,12 @@ macro_rules! functions {
         impl Functions {
             fn load() -> Result<Self, InteropError> {
                 let missing = |error: libloading::Error| InteropError::Missing(error.to_string());
-                // SAFETY: the driver's library does nothing when it is loaded that has to be prepared for.
+                // SAFETY: the driver's library does nothing when it is loaded that has to be
+                // prepared for.
                 let library = unsafe { Library::new(LIBRARY) }.map_err(missing)?;
                 $(
-                    // SAFETY: the type is that of the function of this name in cuda.h, which its version in the name keeps.
+                    // SAFETY: the type is that of the function of this name in cuda.h, which its
+                    // version in the name keeps.
                     let $field = *unsafe { library.get::<unsafe extern "C" fn($($argument),*) -> Code>(concat!($name, "\0").as_bytes()) }
                         .map_err(missing)?;
                 )*
@@ -147,7 +155,9 @@ impl Functions {
             let functions = Self::load()?;
             // SAFETY: may be called at any time; flags must be 0.
             let code = unsafe { (functions.init)(0) };
-            functions.check("cuInit", code).map_err(|error| InteropError::Missing(error.to_string()))?;
+            functions
+                .check("cuInit", code)
+                .map_err(|error| InteropError::Missing(error.to_string()))?;
             Ok(functions)
         });
         loaded.as_ref().map_err(Clone::clone)
@@ -155,17 +165,27 @@ impl Functions {
 
     /// An error where `code` is one.
     pub fn check(&self, call: &'static str, code: Code) -> Result<(), InteropError> {
-        if code == SUCCESS { Ok(()) } else { Err(InteropError::Call { call, code: self.name_of(code) }) }
+        if code == SUCCESS {
+            Ok(())
+        } else {
+            Err(InteropError::Call {
+                call,
+                code: self.name_of(code),
+            })
+        }
     }
 
     fn name_of(&self, code: Code) -> String {
         let mut name: *const c_char = std::ptr::null();
-        // SAFETY: writes a pointer to a text that lives as long as the library, or leaves it null for an unknown code.
+        // SAFETY: writes a pointer to a text that lives as long as the library, or leaves it null
+        // for an unknown code.
         let found = unsafe { (self.error_name)(code, &raw mut name) };
         if found != SUCCESS || name.is_null() {
             return format!("CUDA error {code}");
         }
         // SAFETY: the driver's names are texts that end in a zero and are never freed.
-        unsafe { CStr::from_ptr(name) }.to_string_lossy().into_owned()
+        unsafe { CStr::from_ptr(name) }
+            .to_string_lossy()
+            .into_owned()
     }
 }

@@ -2,7 +2,8 @@
 
 use std::os::fd::OwnedFd;
 
-/// Memory that another API gave away, and how large its allocation is, which may be more than its buffer.
+/// Memory that another API gave away, and how large its allocation is, which may be more than its
+/// buffer.
 #[derive(Debug)]
 pub struct Exported {
     /// An opaque descriptor of the memory.
@@ -72,7 +73,7 @@ impl Stream {
         }
     }
 
-    /// Stream on which the event is recorded that ends the loan. The thread that lets go may be
+    /// Stream on which the event is recorded that ends the loan. The thread that releases it may be
     /// another than the one that took: the legacy stream is behind the default streams of all
     /// threads.
     #[must_use]
@@ -84,7 +85,8 @@ impl Stream {
     }
 }
 
-/// An API that memory and timelines can be imported into. Whatever it gives is released when it is dropped.
+/// An API that memory and timelines can be imported into. Whatever it gives is released when it is
+/// dropped.
 pub trait Interop: Send + Sync + 'static {
     /// Imported and mapped memory.
     type Memory: Send + Sync + 'static;
@@ -108,11 +110,17 @@ pub trait Interop: Send + Sync + 'static {
     /// When a call fails.
     fn import_timeline(&self, descriptor: OwnedFd) -> Result<Self::Timeline, InteropError>;
 
-    /// Makes what comes next on `stream` wait until `timeline` has counted to `value`. Nothing is waited for here.
+    /// Makes what comes next on `stream` wait until `timeline` has counted to `value`. Nothing is
+    /// waited for here.
     ///
     /// # Errors
     /// When a call fails.
-    fn wait(&self, timeline: &Self::Timeline, value: u64, stream: Stream) -> Result<(), InteropError>;
+    fn wait(
+        &self,
+        timeline: &Self::Timeline,
+        value: u64,
+        stream: Stream,
+    ) -> Result<(), InteropError>;
 
     /// A mark behind everything submitted to `stream` so far.
     ///

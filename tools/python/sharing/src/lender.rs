@@ -31,8 +31,8 @@ struct Import<M> {
 pub struct Lender<I: Interop, P: Send> {
     interop: Arc<I>,
     timeline: I::Timeline,
-    /// By [`Shared::id`]. A renderer draws into the same few buffers again and again, and importing one takes far longer
-    /// than handing it out.
+    /// By [`Shared::id`]. A renderer draws into the same few buffers again and again, and importing
+    /// one takes far longer than handing it out.
     imports: Mutex<HashMap<usize, Import<I::Memory>>>,
     returned: Mutex<Vec<Returned<I, P>>>,
 }
@@ -45,7 +45,8 @@ struct Returned<I: Interop, P> {
     lost: Option<InteropError>,
 }
 
-/// The images of one frame, lent. They go back when this and all that was handed out of it are dropped, and the device is done.
+/// The images of one frame, lent. They go back when this and all that was handed out of it are
+/// dropped, and the device is done.
 pub struct Loan<I: Interop, P: Send> {
     lender: Arc<Lender<I, P>>,
     /// Value of the timeline when the images are complete.
@@ -55,7 +56,8 @@ pub struct Loan<I: Interop, P: Send> {
     ends: Mutex<(Vec<I::Event>, Option<InteropError>)>,
 }
 
-/// Images in the hands of a consumer, who reads them on one stream. Dropped when he has submitted all that reads them.
+/// Images in the hands of a consumer, who reads them on one stream. Dropped when he has submitted
+/// all that reads them.
 pub struct Handed<I: Interop, P: Send> {
     loan: Arc<Loan<I, P>>,
     stream: Stream,
@@ -72,7 +74,12 @@ impl<I: Interop, P: Send> Lender<I, P> {
     /// When the timeline cannot be imported.
     pub fn new(interop: Arc<I>, timeline: OwnedFd) -> Result<Arc<Self>, InteropError> {
         let timeline = interop.import_timeline(timeline)?;
-        Ok(Arc::new(Self { interop, timeline, imports: Mutex::default(), returned: Mutex::new(Vec::new()) }))
+        Ok(Arc::new(Self {
+            interop,
+            timeline,
+            imports: Mutex::default(),
+            returned: Mutex::new(Vec::new()),
+        }))
     }
 
     /// The memory of `buffer` as the other API sees it, imported when it is first asked for.
@@ -85,20 +92,32 @@ impl<I: Interop, P: Send> Lender<I, P> {
             return Ok(import.memory.clone());
         }
         let memory = Arc::new(self.interop.import_memory(buffer.export()?)?);
-        imports.insert(buffer.id(), Import { memory: memory.clone(), buffer: Box::new(buffer) });
+        imports.insert(
+            buffer.id(),
+            Import {
+                memory: memory.clone(),
+                buffer: Box::new(buffer),
+            },
+        );
         Ok(memory)
     }
 
     /// Takes `images`, which are drawn when the timeline has counted to `drawn`.
     pub fn lend(self: &Arc<Self>, images: P, drawn: u64) -> Arc<Loan<I, P>> {
-        Arc::new(Loan { lender: self.clone(), drawn, images: Some(images), ends: Mutex::default() })
+        Arc::new(Loan {
+            lender: self.clone(),
+            drawn,
+            images: Some(images),
+            ends: Mutex::default(),
+        })
     }
 
-    /// Gives images back to the renderer that nobody reads any more, and forgets imports of buffers that it has let go of. How
-    /// many frames are still read. Waits for nothing.
+    /// Gives images back to the renderer that nobody reads any more, and forgets imports of buffers
+    /// that it has released. How many frames are still read. Waits for nothing.
     ///
     /// # Errors
-    /// When the other API failed: images of which nobody can tell when they are free are never given back.
+    /// When the other API failed: images of which nobody can tell when they are free are never
+    /// given back.
     pub fn collect(&self) -> Result<usize, InteropError> {
         let mut free = Vec::new();
         let mut failed = None;
@@ -110,7 +129,8 @@ impl<I: Interop, P: Send> Lender<I, P> {
                     Ok(false) => returned.push(entry),
                     Err(error) => {
                         failed = Some(error);
-                        // Drawing over what may be read is worse than memory that is never used again.
+                        // Drawing over what may be read is worse than memory that is never used
+                        // again.
                         std::mem::forget(entry.images);
                     }
                 }
@@ -142,10 +162,15 @@ impl<I: Interop, P: Send> Lender<I, P> {
 }
 
 impl<I: Interop, P: Send> Drop for Lender<I, P> {
-    /// The renderer is gone and nobody will collect: what is still read is waited for, as its memory goes with it.
+    /// The renderer is gone and nobody will collect: what is still read is waited for, as its
+    /// memory goes with it.
     fn drop(&mut self) {
         for entry in std::mem::take(&mut *lock(&self.returned)) {
-            let done = entry.lost.is_none() && entry.events.iter().all(|event| self.interop.finish(event).is_ok());
+            let done = entry.lost.is_none()
+                && entry
+                    .events
+                    .iter()
+                    .all(|event| self.interop.finish(event).is_ok());
             if !done {
                 std::mem::forget(entry.images);
             }
@@ -159,7 +184,9 @@ impl<I: Interop, P: Send> Loan<I, P> {
     /// # Panics
     /// Never: they are there until it is dropped.
     pub fn images(&self) -> &P {
-        self.images.as_ref().expect("the images are there until the loan is dropped")
+        self.images
+            .as_ref()
+            .expect("the images are there until the loan is dropped")
     }
 
     /// Lets `stream` read them: what comes next on it waits until they are drawn.
@@ -168,9 +195,14 @@ impl<I: Interop, P: Send> Loan<I, P> {
     /// When the other API failed.
     pub fn hand_out(self: &Arc<Self>, stream: Stream) -> Result<Handed<I, P>, InteropError> {
         if stream != Stream::Unordered {
-            self.lender.interop.wait(&self.lender.timeline, self.drawn, stream)?;
+            self.lender
+                .interop
+                .wait(&self.lender.timeline, self.drawn, stream)?;
         }
-        Ok(Handed { loan: self.clone(), stream })
+        Ok(Handed {
+            loan: self.clone(),
+            stream,
+        })
     }
 }
 
@@ -189,7 +221,11 @@ impl<I: Interop, P: Send> Drop for Loan<I, P> {
     fn drop(&mut self) {
         let (events, lost) = std::mem::take(&mut *lock(&self.ends));
         if let Some(images) = self.images.take() {
-            lock(&self.lender.returned).push(Returned { images, events, lost });
+            lock(&self.lender.returned).push(Returned {
+                images,
+                events,
+                lost,
+            });
         }
     }
 }

@@ -29,7 +29,10 @@ struct Mapping {
 impl Drop for Mapping {
     fn drop(&mut self) {
         self.alive.fetch_sub(1, Ordering::SeqCst);
-        assert!(Arc::strong_count(&self.holders) > 1, "the mapping went after the buffer");
+        assert!(
+            Arc::strong_count(&self.holders) > 1,
+            "the mapping went after the buffer"
+        );
     }
 }
 
@@ -57,8 +60,13 @@ impl Interop for Played {
     fn import_memory(&self, exported: Exported) -> Result<Mapping, InteropError> {
         self.alive.fetch_add(1, Ordering::SeqCst);
         let number = self.imported.fetch_add(1, Ordering::SeqCst) as u64;
-        let holders = LAST_EXPORTED.with(|last| last.borrow().clone().expect("a buffer was exported"));
-        Ok(Mapping { alive: self.alive.clone(), holders, address: 1000 * (number + 1) + exported.buffer_bytes })
+        let holders =
+            LAST_EXPORTED.with(|last| last.borrow().clone().expect("a buffer was exported"));
+        Ok(Mapping {
+            alive: self.alive.clone(),
+            holders,
+            address: 1000 * (number + 1) + exported.buffer_bytes,
+        })
     }
 
     fn address(memory: &Mapping) -> u64 {
@@ -76,7 +84,10 @@ impl Interop for Played {
 
     fn record(&self, stream: Stream) -> Result<(usize, usize), InteropError> {
         if self.broken.load(Ordering::SeqCst) > 0 {
-            return Err(InteropError::Call { call: "record", code: "the stream is gone".into() });
+            return Err(InteropError::Call {
+                call: "record",
+                code: "the stream is gone".into(),
+            });
         }
         let mut streams = self.streams.lock().unwrap();
         let (made, _) = streams.entry(key(stream)).or_default();
@@ -108,13 +119,18 @@ impl Shared for Memory {
     }
 
     fn holders(&self) -> usize {
-        // The mapping's own handle, which only checks the order of things, is not one that the renderer knows of.
+        // The mapping's own handle, which only checks the order of things, is not one that the
+        // renderer knows of.
         Arc::strong_count(&self.0) - 1
     }
 
     fn export(&self) -> Result<Exported, InteropError> {
         LAST_EXPORTED.with(|last| *last.borrow_mut() = Some(self.0.clone()));
-        Ok(Exported { descriptor: descriptor(), allocation_bytes: 64, buffer_bytes: 48 })
+        Ok(Exported {
+            descriptor: descriptor(),
+            allocation_bytes: 64,
+            buffer_bytes: 48,
+        })
     }
 }
 
@@ -131,7 +147,10 @@ struct Images {
 impl Images {
     fn new(memory: &Memory, out: &Arc<AtomicUsize>) -> Self {
         out.fetch_add(1, Ordering::SeqCst);
-        Self { memory: memory.clone(), out: out.clone() }
+        Self {
+            memory: memory.clone(),
+            out: out.clone(),
+        }
     }
 }
 
@@ -152,7 +171,12 @@ impl Case {
     fn new() -> Self {
         let played = Arc::new(Played::default());
         let lender = Lender::new(played.clone(), descriptor()).unwrap();
-        Self { played, lender, memory: Memory::default(), out: Arc::default() }
+        Self {
+            played,
+            lender,
+            memory: Memory::default(),
+            out: Arc::default(),
+        }
     }
 
     fn images(&self) -> Images {
@@ -170,13 +194,29 @@ fn images_come_back_when_the_stream_is_done_and_not_before() {
     let stream = Stream::Own(77);
     let loan = case.lender.lend(case.images(), 5);
     let handed = loan.hand_out(stream).unwrap();
-    assert_eq!(*case.played.waits.lock().unwrap(), [(5, stream)], "the stream waits for the frame");
+    assert_eq!(
+        *case.played.waits.lock().unwrap(),
+        [(5, stream)],
+        "the stream waits for the frame"
+    );
     drop(loan);
-    assert_eq!((case.lender.collect().unwrap(), case.out()), (0, 1), "somebody still holds them");
+    assert_eq!(
+        (case.lender.collect().unwrap(), case.out()),
+        (0, 1),
+        "they are still held"
+    );
     drop(handed);
-    assert_eq!((case.lender.collect().unwrap(), case.out()), (1, 1), "the device still reads them");
+    assert_eq!(
+        (case.lender.collect().unwrap(), case.out()),
+        (1, 1),
+        "the device still reads them"
+    );
     case.played.finish_stream(Stream::Own(78));
-    assert_eq!((case.lender.collect().unwrap(), case.out()), (1, 1), "another stream says nothing");
+    assert_eq!(
+        (case.lender.collect().unwrap(), case.out()),
+        (1, 1),
+        "another stream says nothing"
+    );
     case.played.finish_stream(stream);
     assert_eq!((case.lender.collect().unwrap(), case.out()), (0, 0));
 }
@@ -186,7 +226,10 @@ fn all_streams_that_read_have_to_be_done() {
     let case = Case::new();
     let loan = case.lender.lend(case.images(), 1);
     let streams = [Stream::Own(70), Stream::PerThread, Stream::Own(71)];
-    let handed: Vec<_> = streams.iter().map(|stream| loan.hand_out(*stream).unwrap()).collect();
+    let handed: Vec<_> = streams
+        .iter()
+        .map(|stream| loan.hand_out(*stream).unwrap())
+        .collect();
     drop((loan, handed));
     case.played.finish_stream(Stream::Own(70));
     case.played.finish_stream(Stream::Own(71));
@@ -216,17 +259,35 @@ fn a_buffer_is_imported_once_and_forgotten_when_the_renderer_lets_go_of_it() {
     drop(first);
     for frame in 0..100 {
         let loan = case.lender.lend(case.images(), frame);
-        assert_eq!(Played::address(&case.lender.memory(loan.images().memory.clone()).unwrap()), 1048);
+        assert_eq!(
+            Played::address(&case.lender.memory(loan.images().memory.clone()).unwrap()),
+            1048
+        );
         drop(loan);
         case.lender.collect().unwrap();
     }
-    assert_eq!((case.played.imported.load(Ordering::SeqCst), case.lender.imports()), (1, 1));
+    assert_eq!(
+        (
+            case.played.imported.load(Ordering::SeqCst),
+            case.lender.imports()
+        ),
+        (1, 1)
+    );
     let other = Memory::default();
-    assert_eq!(Played::address(&case.lender.memory(other.clone()).unwrap()), 2048);
+    assert_eq!(
+        Played::address(&case.lender.memory(other.clone()).unwrap()),
+        2048
+    );
     LAST_EXPORTED.with(|last| last.borrow_mut().take());
     drop(other);
     case.lender.collect().unwrap();
-    assert_eq!((case.lender.imports(), case.played.alive.load(Ordering::SeqCst)), (1, 1));
+    assert_eq!(
+        (
+            case.lender.imports(),
+            case.played.alive.load(Ordering::SeqCst)
+        ),
+        (1, 1)
+    );
 }
 
 #[test]
@@ -236,8 +297,18 @@ fn images_of_which_nobody_knows_who_reads_them_are_never_given_back() {
     let handed = loan.hand_out(Stream::Own(70)).unwrap();
     case.played.broken.store(1, Ordering::SeqCst);
     drop((handed, loan));
-    assert!(case.lender.collect().unwrap_err().to_string().contains("the stream is gone"));
-    assert_eq!((case.lender.collect().unwrap(), case.out()), (0, 1), "said once, and kept for ever");
+    assert!(
+        case.lender
+            .collect()
+            .unwrap_err()
+            .to_string()
+            .contains("the stream is gone")
+    );
+    assert_eq!(
+        (case.lender.collect().unwrap(), case.out()),
+        (0, 1),
+        "said once, and kept for ever"
+    );
 }
 
 #[test]
@@ -249,7 +320,11 @@ fn a_consumer_that_outlives_the_renderer_is_waited_for() {
     assert_eq!(case.out.load(Ordering::SeqCst), 1);
     drop(handed);
     assert_eq!(case.out.load(Ordering::SeqCst), 0);
-    assert_eq!(case.played.streams.lock().unwrap()[&70], (1, 1), "its stream was waited for");
+    assert_eq!(
+        case.played.streams.lock().unwrap()[&70],
+        (1, 1),
+        "its stream was waited for"
+    );
 }
 
 #[test]
@@ -258,9 +333,16 @@ fn streams_are_those_of_the_array_standard() {
     assert_eq!(Stream::of_dlpack(Some(1)), Ok(Stream::Legacy));
     assert_eq!(Stream::of_dlpack(Some(2)), Ok(Stream::PerThread));
     assert_eq!(Stream::of_dlpack(Some(-1)), Ok(Stream::Unordered));
-    assert_eq!(Stream::of_dlpack(Some(0x55_0000)), Ok(Stream::Own(0x55_0000)));
+    assert_eq!(
+        Stream::of_dlpack(Some(0x55_0000)),
+        Ok(Stream::Own(0x55_0000))
+    );
     for refused in [0, -2, i64::MIN] {
-        assert!(Stream::of_dlpack(Some(refused)).unwrap_err().contains("names no CUDA stream"));
+        assert!(
+            Stream::of_dlpack(Some(refused))
+                .unwrap_err()
+                .contains("names no CUDA stream")
+        );
     }
 }
 
@@ -268,6 +350,12 @@ fn streams_are_those_of_the_array_standard() {
 fn without_a_driver_there_is_a_reason() {
     // Where there is a driver, no device has this UUID.
     let refused = decouplegs_sharing::Cuda::open([0; 16]).err().unwrap();
-    assert!(matches!(refused, InteropError::Missing(_) | InteropError::NoSuchDevice { .. }), "{refused}");
+    assert!(
+        matches!(
+            refused,
+            InteropError::Missing(_) | InteropError::NoSuchDevice { .. }
+        ),
+        "{refused}"
+    );
     assert!(refused.to_string().contains("CUDA"), "{refused}");
 }

@@ -1,4 +1,5 @@
-//! Fits: what was planted comes back, what is not determined is refused, and nothing depends on threads.
+//! Fits: what was planted comes back, what is not determined is refused, and nothing depends on
+//! threads.
 
 use std::f64::consts::FRAC_PI_3;
 
@@ -13,10 +14,18 @@ use super::{ball, skies};
 use crate::compress::random::Random;
 
 fn options() -> CalibrateOptions {
-    CalibrateOptions { samples: 300, rotations: 5, ..CalibrateOptions::default() }
+    CalibrateOptions {
+        samples: 300,
+        rotations: 5,
+        ..CalibrateOptions::default()
+    }
 }
 
-fn calibrated(assets: &[(String, &SplatCloud)], probes: &[Probe], options: &CalibrateOptions) -> Calibration {
+fn calibrated(
+    assets: &[(String, &SplatCloud)],
+    probes: &[Probe],
+    options: &CalibrateOptions,
+) -> Calibration {
     calibrate(assets, probes, options, &|_| {}).expect("these lights determine a fit")
 }
 
@@ -36,8 +45,14 @@ fn random_transfer(sh_degree: u8, seed: u64) -> LightTransfer {
 fn distance(a: &LightTransfer, b: &LightTransfer, lights: &[Lighting<'_>]) -> f32 {
     let of_light = |light: &Lighting<'_>| {
         let (a, b) = (a.at(&light.descriptor), b.at(&light.descriptor));
-        let pairs = a.gain.iter().chain(&a.offset).zip(b.gain.iter().chain(&b.offset));
-        pairs.flat_map(|(a, b)| (0..3).map(move |channel| (a[channel] - b[channel]).abs())).fold(0.0, f32::max)
+        let pairs = a
+            .gain
+            .iter()
+            .chain(&a.offset)
+            .zip(b.gain.iter().chain(&b.offset));
+        pairs
+            .flat_map(|(a, b)| (0..3).map(move |channel| (a[channel] - b[channel]).abs()))
+            .fold(0.0, f32::max)
     };
     lights.iter().map(of_light).fold(0.0, f32::max)
 }
@@ -45,7 +60,10 @@ fn distance(a: &LightTransfer, b: &LightTransfer, lights: &[Lighting<'_>]) -> f3
 #[test]
 fn a_planted_transfer_is_found_and_a_broken_one_is_told_from_it() {
     let (ground, planted) = (Surroundings::default(), random_transfer(2, 4));
-    let probes: Vec<PreparedProbe> = skies(8).iter().map(|probe| PreparedProbe::new(probe, &ground)).collect();
+    let probes: Vec<PreparedProbe> = skies(8)
+        .iter()
+        .map(|probe| PreparedProbe::new(probe, &ground))
+        .collect();
     let lights = lightings(&probes, &ground, 5);
     let samples = samples(&ball(900, 2), 400, 1);
     for objective in [Objective::Seen, Objective::Coefficients] {
@@ -54,22 +72,34 @@ fn a_planted_transfer_is_found_and_a_broken_one_is_told_from_it() {
             let mut color = sample.surface.color;
             for (k, coefficient) in color.iter_mut().enumerate() {
                 for (channel, value) in coefficient.iter_mut().enumerate() {
-                    *value = f64::from(transfer.gain[k][channel]) * *value + f64::from(transfer.offset[k][channel]);
+                    *value = f64::from(transfer.gain[k][channel]) * *value
+                        + f64::from(transfer.offset[k][channel]);
                 }
             }
             color
         };
         let moments = Moments::of(&samples, &lights, 9, objective, relit);
         let all: Vec<_> = moments.lights.iter().collect();
-        let found = Ridge::new(&moments, &all).solve(1e-13, &zero(9)).to_transfer(2, ground.neutral());
+        let found = Ridge::new(&moments, &all)
+            .solve(1e-13, &zero(9))
+            .to_transfer(2, ground.neutral());
         let apart = distance(&planted, &found, &lights);
-        // f32 transfers of the planted Theta are the truth here: their rounding is amplified by the smallest singular values.
+        // f32 transfers of the planted Theta are the truth here: their rounding is amplified by the
+        // smallest singular values.
         assert!(apart < 2e-3, "{objective}: T and b are off by {apart}");
-        let worst = planted.gain.iter().zip(&found.gain).map(|(a, b)| (a.1 - b.1).abs()).fold(0.0, f32::max);
+        let worst = planted
+            .gain
+            .iter()
+            .zip(&found.gain)
+            .map(|(a, b)| (a.1 - b.1).abs())
+            .fold(0.0, f32::max);
         assert!(worst < 0.02, "{objective}: a constant is off by {worst}");
         let mut broken = found;
         broken.gain[4].0[7] += 0.5;
-        assert!(distance(&planted, &broken, &lights) > 2e-3, "the comparison cannot fail");
+        assert!(
+            distance(&planted, &broken, &lights) > 2e-3,
+            "the comparison cannot fail"
+        );
     }
 }
 
@@ -77,38 +107,143 @@ fn a_planted_transfer_is_found_and_a_broken_one_is_told_from_it() {
 fn lights_that_determine_nothing_are_refused_with_what_to_do() {
     let cloud = ball(200, 1);
     let assets = [("ball".to_owned(), &cloud)];
-    let refused = |probes: &[Probe], options: CalibrateOptions| calibrate(&assets, probes, &options, &|_| {}).unwrap_err();
-    let one = refused(&skies(1), CalibrateOptions { rotations: 1, ..options() });
-    assert_eq!(one, CalibrateError::TooFewLights { found: 10, probes: 1 });
+    let refused = |probes: &[Probe], options: CalibrateOptions| {
+        calibrate(&assets, probes, &options, &|_| {}).unwrap_err()
+    };
+    let one = refused(
+        &skies(1),
+        CalibrateOptions {
+            rotations: 1,
+            ..options()
+        },
+    );
+    assert_eq!(
+        one,
+        CalibrateError::TooFewLights {
+            found: 10,
+            probes: 1
+        }
+    );
     assert!(one.to_string().contains("at least 28"), "{one}");
     // Turned, mirrored and exposed it makes 60 lights, but all of one hue and one height.
-    let turned = refused(&skies(1), CalibrateOptions { rotations: 6, ..options() });
-    assert!(matches!(turned, CalibrateError::RankDeficient { lights: 61, probes: 1, rank: 1..28, .. }), "{turned}");
+    let turned = refused(
+        &skies(1),
+        CalibrateOptions {
+            rotations: 6,
+            ..options()
+        },
+    );
+    assert!(
+        matches!(
+            turned,
+            CalibrateError::RankDeficient {
+                lights: 61,
+                probes: 1,
+                rank: 1..28,
+                ..
+            }
+        ),
+        "{turned}"
+    );
     // Eight probes, none of them turned or colored.
     let gray: Vec<Probe> = skies(8)
         .iter()
-        .map(|sky| Probe::new("gray", sky.width(), sky.height(), sky.pixels().iter().map(|rgb| [rgb[0]; 3]).collect()))
+        .map(|sky| {
+            Probe::new(
+                "gray",
+                sky.width(),
+                sky.height(),
+                sky.pixels().iter().map(|rgb| [rgb[0]; 3]).collect(),
+            )
+        })
         .collect();
     let gray = refused(&gray, options());
-    assert!(matches!(gray, CalibrateError::RankDeficient { rank: ..=12, .. }), "{gray}");
+    assert!(
+        matches!(gray, CalibrateError::RankDeficient { rank: ..=12, .. }),
+        "{gray}"
+    );
     let dark = refused(&[Probe::from_fn("night", 32, |_| [0.0; 3])], options());
-    assert_eq!(dark, CalibrateError::TooFewLights { found: 0, probes: 1 });
+    assert_eq!(
+        dark,
+        CalibrateError::TooFewLights {
+            found: 0,
+            probes: 1
+        }
+    );
 }
 
 #[test]
 fn options_and_assets_that_make_no_sense_are_named() {
     let (cloud, probes) = (ball(50, 0), skies(8));
     let refused = |cloud: &SplatCloud, options| {
-        calibrate(&[("ball".to_owned(), cloud)], &probes, &options, &|_| {}).unwrap_err().to_string()
+        calibrate(&[("ball".to_owned(), cloud)], &probes, &options, &|_| {})
+            .unwrap_err()
+            .to_string()
     };
-    assert!(refused(&cloud, CalibrateOptions { ridge: Some(-1.0), ..options() }).contains("-1"));
-    assert!(refused(&cloud, CalibrateOptions { rotations: 65, ..options() }).contains("65"));
-    assert!(refused(&cloud, CalibrateOptions { sh_degree: Some(4), ..options() }).contains('4'));
-    assert!(refused(&cloud, CalibrateOptions { samples: 0, ..options() }).contains("1, one an asset"));
-    let dark = Surroundings { albedo: 0.0, ..Surroundings::default() };
-    assert!(refused(&cloud, CalibrateOptions { ground: dark, ..options() }).contains("albedo"));
-    assert!(calibrate(&[], &probes, &options(), &|_| {}).unwrap_err().to_string().contains("no asset"));
-    let clear = SplatCloud { opacities: vec![0.0; cloud.len()], ..cloud };
+    assert!(
+        refused(
+            &cloud,
+            CalibrateOptions {
+                ridge: Some(-1.0),
+                ..options()
+            }
+        )
+        .contains("-1")
+    );
+    assert!(
+        refused(
+            &cloud,
+            CalibrateOptions {
+                rotations: 65,
+                ..options()
+            }
+        )
+        .contains("65")
+    );
+    assert!(
+        refused(
+            &cloud,
+            CalibrateOptions {
+                sh_degree: Some(4),
+                ..options()
+            }
+        )
+        .contains('4')
+    );
+    assert!(
+        refused(
+            &cloud,
+            CalibrateOptions {
+                samples: 0,
+                ..options()
+            }
+        )
+        .contains("1, one an asset")
+    );
+    let dark = Surroundings {
+        albedo: 0.0,
+        ..Surroundings::default()
+    };
+    assert!(
+        refused(
+            &cloud,
+            CalibrateOptions {
+                ground: dark,
+                ..options()
+            }
+        )
+        .contains("albedo")
+    );
+    assert!(
+        calibrate(&[], &probes, &options(), &|_| {})
+            .unwrap_err()
+            .to_string()
+            .contains("no asset")
+    );
+    let clear = SplatCloud {
+        opacities: vec![0.0; cloud.len()],
+        ..cloud
+    };
     assert!(refused(&clear, options()).contains("ball"));
 }
 
@@ -117,13 +252,24 @@ fn the_same_bits_on_any_number_of_threads() {
     let cloud = ball(300, 1);
     let probes = skies(7);
     let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
-        let calibration = pool.install(|| calibrated(&[("ball".to_owned(), &cloud)], &probes, &options()));
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads start");
+        let calibration =
+            pool.install(|| calibrated(&[("ball".to_owned(), &cloud)], &probes, &options()));
         (calibration.transfer.clone(), calibration.total())
     };
     let one = on(1);
     assert_eq!(one, on(3));
-    let other = calibrated(&[("ball".to_owned(), &cloud)], &probes, &CalibrateOptions { seed: 2, ..options() });
+    let other = calibrated(
+        &[("ball".to_owned(), &cloud)],
+        &probes,
+        &CalibrateOptions {
+            seed: 2,
+            ..options()
+        },
+    );
     assert_ne!(one.0, other.transfer, "another seed looks at other splats");
 }
 
@@ -132,7 +278,11 @@ fn relit_colors_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
     let cloud = ball(600, 1);
     let calibration = calibrated(&[("ball".to_owned(), &cloud)], &skies(8), &options());
     assert_eq!(calibration.held_out.len(), 8);
-    let Comparison { none, relit, affine } = calibration.total();
+    let Comparison {
+        none,
+        relit,
+        affine,
+    } = calibration.total();
     assert!(
         affine.rmse() <= relit.rmse() && relit.rmse() < 0.6 * none.rmse(),
         "{} {} {}",
@@ -141,12 +291,26 @@ fn relit_colors_are_nearer_to_the_truth_in_light_that_the_fit_was_not_shown() {
         affine.rmse()
     );
     let angles = [&none, &relit, &affine].map(ColorError::angle_mean_deg);
-    assert!(angles[1] < angles[0] && relit.angle_p95_deg() >= relit.angle_mean_deg(), "{angles:?} {}", relit.angle_p95_deg());
-    // The neutral light is one of 401, so it is pinned, not met: nearer to right than other lights are without relighting.
+    assert!(
+        angles[1] < angles[0] && relit.angle_p95_deg() >= relit.angle_mean_deg(),
+        "{angles:?} {}",
+        relit.angle_p95_deg()
+    );
+    // The neutral light is one of 401, so it is pinned, not met: nearer to right than other lights
+    // are without relighting.
     let neutral = calibration.neutral.relit.rmse();
-    assert!(neutral < 0.5 * none.rmse(), "neutral light changes colors by {neutral}, others by {}", none.rmse());
+    assert!(
+        neutral < 0.5 * none.rmse(),
+        "neutral light changes colors by {neutral}, others by {}",
+        none.rmse()
+    );
     assert!(calibration.neutral.none.rmse() < 1e-6);
-    assert!(calibration.tried.iter().any(|(ridge, _)| *ridge == calibration.ridge));
+    assert!(
+        calibration
+            .tried
+            .iter()
+            .any(|(ridge, _)| *ridge == calibration.ridge)
+    );
 }
 
 #[test]
@@ -154,11 +318,24 @@ fn environments_that_are_made_up_calibrate_as_probes_from_files_do() {
     let cloud = ball(600, 1);
     let made_up = procedural_probes();
     let calibration = calibrated(&[("ball".to_owned(), &cloud)], &made_up, &options());
-    assert_eq!((calibration.held_out.len(), made_up.len()), (12, 12), "each can be told from the others");
-    assert!(calibration.lights > 28 * 10 && calibration.smallest_over_largest > 1e-6, "{}", calibration.smallest_over_largest);
+    assert_eq!(
+        (calibration.held_out.len(), made_up.len()),
+        (12, 12),
+        "each can be told from the others"
+    );
+    assert!(
+        calibration.lights > 28 * 10 && calibration.smallest_over_largest > 1e-6,
+        "{}",
+        calibration.smallest_over_largest
+    );
     // In their own light, and in light that is nothing like theirs.
     let Comparison { none, relit, .. } = calibration.total();
-    assert!(relit.rmse() < 0.6 * none.rmse(), "{} {}", none.rmse(), relit.rmse());
+    assert!(
+        relit.rmse() < 0.6 * none.rmse(),
+        "{} {}",
+        none.rmse(),
+        relit.rmse()
+    );
     let ground = Surroundings::default();
     for sky in skies(4) {
         let probe = PreparedProbe::new(&sky, &ground);
@@ -166,10 +343,23 @@ fn environments_that_are_made_up_calibrate_as_probes_from_files_do() {
         let truth = lit_cloud(&cloud, |normal| light.reflected_by_white(normal));
         let relit = calibration.transfer.at(&light.descriptor).relit(&cloud);
         let error = |found: &SplatCloud| {
-            let pairs = found.sh_dc.iter().flatten().zip(truth.sh_dc.iter().flatten());
-            pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
+            let pairs = found
+                .sh_dc
+                .iter()
+                .flatten()
+                .zip(truth.sh_dc.iter().flatten());
+            pairs
+                .map(|(a, b)| f64::from(a - b).powi(2))
+                .sum::<f64>()
+                .sqrt()
         };
-        assert!(error(&relit) < 0.8 * error(&cloud), "{}: {} and {} as they are", sky.name, error(&relit), error(&cloud));
+        assert!(
+            error(&relit) < 0.8 * error(&cloud),
+            "{}: {} and {} as they are",
+            sky.name,
+            error(&relit),
+            error(&cloud)
+        );
     }
 }
 
@@ -179,17 +369,29 @@ fn turning_light_and_asset_together_turns_the_colors() {
     let transfer = calibrated(&[("ball".to_owned(), &cloud)], &skies(8), &options()).transfer;
     let ground = Surroundings::default();
     let probe = PreparedProbe::new(&skies(9)[8], &ground);
-    let [there, turned] =
-        [0.0, FRAC_PI_3].map(|yaw| Lighting::of_probe((0, &probe), &ground, yaw, false, 0.4).unwrap().descriptor);
+    let [there, turned] = [0.0, FRAC_PI_3].map(|yaw| {
+        Lighting::of_probe((0, &probe), &ground, yaw, false, 0.4)
+            .unwrap()
+            .descriptor
+    });
     let turn = DQuat::from_rotation_z(FRAC_PI_3);
     // An agent that stands turned sees the turned light as the unturned one sees the other.
     let in_its_frame = turned.turned(turn.inverse());
     let relit = |light: &AmbientDescriptor| transfer.at(light).relit(&cloud);
     let pose = decouplegs_scene::Pose::new(turn, glam::DVec3::ZERO);
-    let (a, b) = (relit(&there).placed(&pose, true), relit(&in_its_frame).placed(&pose, true));
+    let (a, b) = (
+        relit(&there).placed(&pose, true),
+        relit(&in_its_frame).placed(&pose, true),
+    );
     let worst = |a: &SplatCloud, b: &SplatCloud| {
-        let pairs = a.sh_dc.iter().chain(&a.sh_rest).zip(b.sh_dc.iter().chain(&b.sh_rest));
-        pairs.flat_map(|(a, b)| (0..3).map(move |channel| (a[channel] - b[channel]).abs())).fold(0.0, f32::max)
+        let pairs = a
+            .sh_dc
+            .iter()
+            .chain(&a.sh_rest)
+            .zip(b.sh_dc.iter().chain(&b.sh_rest));
+        pairs
+            .flat_map(|(a, b)| (0..3).map(move |channel| (a[channel] - b[channel]).abs()))
+            .fold(0.0, f32::max)
     };
     assert!(worst(&a, &b) < 1e-4, "{}", worst(&a, &b));
     // Light that is not turned into the agent's frame gives other colors.

@@ -9,14 +9,19 @@ use glam::DVec3;
 use super::Probe;
 use crate::compress::random::Random;
 
-/// A sky of colored lobes over a gray ground: light that differs by direction, hue and contrast, the same for the same seed.
+/// A sky of colored lobes over a gray ground: light that differs by direction, hue and contrast,
+/// the same for the same seed.
 fn sky(seed: u64, width: usize) -> Probe {
     let mut random = Random::new(seed);
     let mut unit = || random.unit();
     let lobes: Vec<(DVec3, f64, [f64; 3])> = (0..4)
         .map(|_| {
             let towards = DVec3::new(unit() - 0.5, unit() - 0.5, unit()).normalize();
-            (towards, 2.0 + 30.0 * unit(), [unit() + 0.2, unit() + 0.2, unit() + 0.2].map(|value| 3.0 * value))
+            (
+                towards,
+                2.0 + 30.0 * unit(),
+                [unit() + 0.2, unit() + 0.2, unit() + 0.2].map(|value| 3.0 * value),
+            )
         })
         .collect();
     let even = [0.2 + 0.5 * unit(), 0.2 + 0.5 * unit(), 0.2 + 0.5 * unit()];
@@ -46,12 +51,18 @@ fn ball(splats: usize, sh_degree: u8) -> SplatCloud {
         let radius = (1.0 - z * z).sqrt();
         let normal = DVec3::new(radius * azimuth.cos(), radius * azimuth.sin(), z);
         let turn = glam::DQuat::from_rotation_arc(DVec3::Z, normal).as_quat();
-        cloud.means.push((normal * DVec3::new(2.0, 1.0, 0.7)).as_vec3().to_array());
+        cloud
+            .means
+            .push((normal * DVec3::new(2.0, 1.0, 0.7)).as_vec3().to_array());
         cloud.scales.push([0.05, 0.06, 0.002]);
         cloud.rotations.push([turn.w, turn.x, turn.y, turn.z]);
         cloud.opacities.push(0.9);
-        cloud.sh_dc.push(std::array::from_fn(|_| ((0.05 + 0.85 * random.unit() - 0.5) / sh::Y0) as f32));
-        cloud.sh_rest.extend((0..stride).map(|_| [(0.1 * (random.unit() - 0.5)) as f32; 3]));
+        cloud.sh_dc.push(std::array::from_fn(|_| {
+            ((0.05 + 0.85 * random.unit() - 0.5) / sh::Y0) as f32
+        }));
+        cloud
+            .sh_rest
+            .extend((0..stride).map(|_| [(0.1 * (random.unit() - 0.5)) as f32; 3]));
     }
     cloud
 }

@@ -46,7 +46,8 @@ pub struct Nearest {
     pub square: f32,
 }
 
-/// Entries transposed in blocks of [`LANES`]: `[block][component][lane]`, the last block filled up with infinities.
+/// Entries transposed in blocks of [`LANES`]: `[block][component][lane]`, the last block filled up
+/// with infinities.
 pub struct SearchBook {
     blocks: Vec<[f32; LANES]>,
     dimension: usize,
@@ -66,10 +67,14 @@ impl SearchBook {
         Self { blocks, dimension }
     }
 
-    /// The nearest entry to `vector` in L2. Differences are squared as they are: `|x|^2 - 2xy + |y|^2` would cancel.
+    /// The nearest entry to `vector` in L2. Differences are squared as they are: `|x|^2 - 2xy +
+    /// |y|^2` would cancel.
     #[must_use]
     pub fn nearest(&self, vector: &[f32]) -> Nearest {
-        let mut best = Nearest { entry: 0, square: f32::INFINITY };
+        let mut best = Nearest {
+            entry: 0,
+            square: f32::INFINITY,
+        };
         for (block, rows) in self.blocks.chunks_exact(self.dimension).enumerate() {
             let mut squares = [0.0f32; LANES];
             for (rows, values) in rows.chunks(STRETCH).zip(vector.chunks(STRETCH)) {
@@ -79,14 +84,18 @@ impl SearchBook {
                         *square += difference * difference;
                     }
                 }
-                // Sums only grow: a block in which all are beyond the best has nothing to say any more.
+                // Sums only grow: a block in which all are beyond the best has nothing to say any
+                // more.
                 if squares.iter().all(|&square| square >= best.square) {
                     break;
                 }
             }
             for (lane, &square) in squares.iter().enumerate() {
                 if square < best.square {
-                    best = Nearest { entry: block * LANES + lane, square };
+                    best = Nearest {
+                        entry: block * LANES + lane,
+                        square,
+                    };
                 }
             }
         }
@@ -96,7 +105,11 @@ impl SearchBook {
     /// The nearest entries to all `vectors`.
     #[must_use]
     pub fn nearest_of_all(&self, vectors: Vectors<'_>) -> Vec<Nearest> {
-        vectors.values.par_chunks_exact(self.dimension).map(|vector| self.nearest(vector)).collect()
+        vectors
+            .values
+            .par_chunks_exact(self.dimension)
+            .map(|vector| self.nearest(vector))
+            .collect()
     }
 }
 

@@ -5,7 +5,8 @@ use super::codebook::{Nearest, Vectors};
 /// Share of the past that an iteration keeps.
 const DECAY: f64 = 0.99;
 
-/// Laplace's smoothing of the counts, as a share of the mean count: keeps entries of few vectors from dividing by nothing.
+/// Laplace's smoothing of the counts, as a share of the mean count: keeps entries of few vectors
+/// from dividing by nothing.
 const SMOOTHING: f64 = 1e-5;
 
 /// An entry is dead when its count is below this share of the mean count.
@@ -19,8 +20,19 @@ pub(super) struct WeightedSum {
 }
 
 /// The sums of the vectors nearest to each of `entries` entries, made in the order of the vectors.
-pub(super) fn sums(vectors: Vectors<'_>, weights: &[f32], nearest: &[Nearest], entries: usize) -> Vec<WeightedSum> {
-    let mut sums = vec![WeightedSum { values: vec![0.0; vectors.dimension], weight: 0.0 }; entries];
+pub(super) fn sums(
+    vectors: Vectors<'_>,
+    weights: &[f32],
+    nearest: &[Nearest],
+    entries: usize,
+) -> Vec<WeightedSum> {
+    let mut sums = vec![
+        WeightedSum {
+            values: vec![0.0; vectors.dimension],
+            weight: 0.0
+        };
+        entries
+    ];
     for (index, (nearest, &weight)) in nearest.iter().zip(weights).enumerate() {
         let sum = &mut sums[nearest.entry];
         sum.weight += f64::from(weight);
@@ -41,8 +53,14 @@ pub(super) struct MovingAverage {
 impl MovingAverage {
     /// Starts as if every entry stood for the same weight of vectors equal to it.
     pub(super) fn new(entries: &[f32], dimension: usize) -> Self {
-        let sum = |entry: &[f32]| WeightedSum { values: entry.iter().map(|&value| f64::from(value)).collect(), weight: 1.0 };
-        Self { sums: entries.chunks_exact(dimension).map(sum).collect(), begun: false }
+        let sum = |entry: &[f32]| WeightedSum {
+            values: entry.iter().map(|&value| f64::from(value)).collect(),
+            weight: 1.0,
+        };
+        Self {
+            sums: entries.chunks_exact(dimension).map(sum).collect(),
+            begun: false,
+        }
     }
 
     /// Follows one batch.
@@ -69,13 +87,21 @@ impl MovingAverage {
     /// Entries that next to nothing uses.
     pub(super) fn dead(&self) -> Vec<usize> {
         let least = DEAD_SHARE * self.mean_weight();
-        (0..self.sums.len()).filter(|&entry| self.sums[entry].weight < least).collect()
+        (0..self.sums.len())
+            .filter(|&entry| self.sums[entry].weight < least)
+            .collect()
     }
 
     /// Lets an entry stand for `vector` with a mean count.
     pub(super) fn begin_again(&mut self, entry: usize, vector: &[f32]) {
         let weight = self.mean_weight();
-        self.sums[entry] = WeightedSum { values: vector.iter().map(|&value| f64::from(value) * weight).collect(), weight };
+        self.sums[entry] = WeightedSum {
+            values: vector
+                .iter()
+                .map(|&value| f64::from(value) * weight)
+                .collect(),
+            weight,
+        };
     }
 
     /// Writes m / N, N smoothed: `(N + e) / (sum N + K e) * sum N` for K entries.
@@ -87,7 +113,10 @@ impl MovingAverage {
         let dimension = entries.len() / self.sums.len();
         for (entry, sum) in entries.chunks_exact_mut(dimension).zip(&self.sums) {
             let smoothed = (sum.weight + SMOOTHING * mean) / (1.0 + SMOOTHING);
-            entry.iter_mut().zip(&sum.values).for_each(|(value, sum)| *value = (sum / smoothed) as f32);
+            entry
+                .iter_mut()
+                .zip(&sum.values)
+                .for_each(|(value, sum)| *value = (sum / smoothed) as f32);
         }
     }
 }

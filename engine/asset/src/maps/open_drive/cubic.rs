@@ -16,7 +16,10 @@ impl Cubic {
     /// The attributes a, b, c and d of `element` from `start_m` on.
     pub(super) fn read(element: Element, start_m: f64) -> Result<Self, DecodeError> {
         let factor = |name| element.number_or(name, 0.0);
-        Ok(Self { start_m, factors: [factor("a")?, factor("b")?, factor("c")?, factor("d")?] })
+        Ok(Self {
+            start_m,
+            factors: [factor("a")?, factor("b")?, factor("c")?, factor("d")?],
+        })
     }
 
     /// Value at `s_m` along the road.
@@ -27,7 +30,10 @@ impl Cubic {
 
 /// A polynomial, its factors from the constant up.
 pub(super) fn value(factors: &[f64; 4], at: f64) -> f64 {
-    factors.iter().rev().fold(0.0, |sum, factor| sum * at + factor)
+    factors
+        .iter()
+        .rev()
+        .fold(0.0, |sum, factor| sum * at + factor)
 }
 
 /// The derivative of a polynomial.
@@ -45,10 +51,17 @@ impl Profile {
         Self(cubics)
     }
 
-    /// The elements `name` in `parent`, their starts in the attribute `start`, counted from `from_m` along the road.
-    pub(super) fn read(parent: Option<Element>, name: &str, start: &str, from_m: f64) -> Result<Self, DecodeError> {
+    /// The elements `name` in `parent`, their starts in the attribute `start`, counted from
+    /// `from_m` along the road.
+    pub(super) fn read(
+        parent: Option<Element>,
+        name: &str,
+        start: &str,
+        from_m: f64,
+    ) -> Result<Self, DecodeError> {
         let elements = parent.into_iter().flat_map(|parent| parent.all(name));
-        let cubics = elements.map(|element| Cubic::read(element, from_m + element.number_or(start, 0.0)?));
+        let cubics =
+            elements.map(|element| Cubic::read(element, from_m + element.number_or(start, 0.0)?));
         cubics.collect::<Result<_, _>>().map(Self::new)
     }
 
@@ -56,16 +69,23 @@ impl Profile {
         self.0.is_empty()
     }
 
-    /// The polynomial that holds at `s_m`: the last to start there or before, else the first; zero where there is none.
+    /// The polynomial that holds at `s_m`: the last to start there or before, else the first; zero
+    /// where there is none.
     pub(super) fn piece(&self, s_m: f64) -> Cubic {
         let after = self.0.partition_point(|cubic| cubic.start_m <= s_m);
-        self.0.get(after.saturating_sub(1)).copied().unwrap_or_default()
+        self.0
+            .get(after.saturating_sub(1))
+            .copied()
+            .unwrap_or_default()
     }
 
     /// Starts of polynomials between two positions.
     pub(super) fn starts_within(&self, from_m: f64, to_m: f64) -> impl Iterator<Item = f64> {
         let first = self.0.partition_point(|cubic| cubic.start_m <= from_m);
-        self.0[first..].iter().map(|cubic| cubic.start_m).take_while(move |start_m| *start_m < to_m)
+        self.0[first..]
+            .iter()
+            .map(|cubic| cubic.start_m)
+            .take_while(move |start_m| *start_m < to_m)
     }
 }
 
@@ -75,7 +95,10 @@ mod tests {
 
     #[test]
     fn the_last_piece_that_started_holds() {
-        let cubic = |start_m, a| Cubic { start_m, factors: [a, 1.0, 0.5, 0.25] };
+        let cubic = |start_m, a| Cubic {
+            start_m,
+            factors: [a, 1.0, 0.5, 0.25],
+        };
         let profile = Profile::new(vec![cubic(10.0, 7.0), cubic(0.0, 3.0)]);
         assert_eq!(profile.piece(2.0).at(2.0), 3.0 + 2.0 + 2.0 + 2.0);
         assert_eq!(profile.piece(10.0).at(10.0), 7.0);

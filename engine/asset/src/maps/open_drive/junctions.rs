@@ -42,12 +42,15 @@ impl Network<'_> {
         for (road_at, road) in roads.iter().enumerate() {
             for (section_at, section) in road.sections.iter().enumerate() {
                 for lane in section.left.iter().chain(&section.right) {
-                    for (contact, linked) in [(Contact::Start, lane.predecessor), (Contact::End, lane.successor)] {
+                    for (contact, linked) in [
+                        (Contact::Start, lane.predecessor),
+                        (Contact::End, lane.successor),
+                    ] {
                         let Some(linked) = linked else { continue };
                         let from = self.end(road_at, section_at, lane.id, contact);
-                        let to = self
-                            .across(road_at, section_at, contact)
-                            .and_then(|(road, section, contact)| self.end(road, section, linked, contact));
+                        let to = self.across(road_at, section_at, contact).and_then(
+                            |(road, section, contact)| self.end(road, section, linked, contact),
+                        );
                         self.touch(from, to);
                     }
                 }
@@ -55,12 +58,20 @@ impl Network<'_> {
         }
     }
 
-    /// The section that touches an end of a section, and with which of its ends; none where a junction decides.
-    fn across(&self, road_at: usize, section_at: usize, contact: Contact) -> Option<(usize, usize, Contact)> {
+    /// The section that touches an end of a section, and with which of its ends; none where a
+    /// junction decides.
+    fn across(
+        &self,
+        road_at: usize,
+        section_at: usize,
+        contact: Contact,
+    ) -> Option<(usize, usize, Contact)> {
         let road = &self.roads[road_at];
         match contact {
             Contact::Start if section_at > 0 => Some((road_at, section_at - 1, Contact::End)),
-            Contact::End if section_at + 1 < road.sections.len() => Some((road_at, section_at + 1, Contact::Start)),
+            Contact::End if section_at + 1 < road.sections.len() => {
+                Some((road_at, section_at + 1, Contact::Start))
+            }
             _ => match road.link(contact)? {
                 LinkTarget::Road(id, contact) => {
                     let linked = *self.by_id.get(id)?;
@@ -81,10 +92,15 @@ impl Network<'_> {
 
     fn end(&self, road: usize, section: usize, id: i64, contact: Contact) -> Option<LaneEnd> {
         let (lane, is_forward) = *self.places[road].sections[section].get(&id)?;
-        Some(LaneEnd { lane, contact, is_forward })
+        Some(LaneEnd {
+            lane,
+            contact,
+            is_forward,
+        })
     }
 
-    /// Joins two lanes whose ends touch, in the direction in which traffic passes; not at all where it runs head-on.
+    /// Joins two lanes whose ends touch, in the direction in which traffic passes; not at all where
+    /// it runs head-on.
     fn touch(&mut self, a: Option<LaneEnd>, b: Option<LaneEnd>) {
         let (Some(a), Some(b)) = (a, b) else { return };
         let leaves = |end: LaneEnd| (end.contact == Contact::End) == end.is_forward;
@@ -99,15 +115,35 @@ impl Network<'_> {
     pub(super) fn join_junction(&mut self, junction: Element) -> Result<(), DecodeError> {
         let junction_id = junction.needed_attribute("id")?;
         for connection in junction.all("connection") {
-            let road = |name: &str| connection.attribute(name).and_then(|id| self.by_id.get(id)).copied();
+            let road = |name: &str| {
+                connection
+                    .attribute(name)
+                    .and_then(|id| self.by_id.get(id))
+                    .copied()
+            };
             let connecting = road("connectingRoad").or_else(|| road("linkedRoad"));
-            let (Some(incoming), Some(connecting)) = (road("incomingRoad"), connecting) else { continue };
+            let (Some(incoming), Some(connecting)) = (road("incomingRoad"), connecting) else {
+                continue;
+            };
             let contact = Contact::read(connection.attribute("contactPoint"));
-            let Some(section) = self.outer_section(connecting, contact) else { continue };
-            let Some(incoming_contact) = self.end_at_junction(incoming, junction_id, connecting, contact) else { continue };
-            let Some(incoming_section) = self.outer_section(incoming, incoming_contact) else { continue };
+            let Some(section) = self.outer_section(connecting, contact) else {
+                continue;
+            };
+            let Some(incoming_contact) =
+                self.end_at_junction(incoming, junction_id, connecting, contact)
+            else {
+                continue;
+            };
+            let Some(incoming_section) = self.outer_section(incoming, incoming_contact) else {
+                continue;
+            };
             for lane_link in connection.all("laneLink") {
-                let from = self.end(incoming, incoming_section, whole(lane_link, "from")?, incoming_contact);
+                let from = self.end(
+                    incoming,
+                    incoming_section,
+                    whole(lane_link, "from")?,
+                    incoming_contact,
+                );
                 let to = self.end(connecting, section, whole(lane_link, "to")?, contact);
                 self.touch(from, to);
             }
@@ -117,11 +153,19 @@ impl Network<'_> {
 
     /// End of `incoming` that lies at the junction. If both do, the one nearer to the connecting
     /// road.
-    fn end_at_junction(&self, incoming: usize, junction: &str, connecting: usize, contact: Contact) -> Option<Contact> {
+    fn end_at_junction(
+        &self,
+        incoming: usize,
+        junction: &str,
+        connecting: usize,
+        contact: Contact,
+    ) -> Option<Contact> {
         let road = &self.roads[incoming];
         let lies_there = |end: &Contact| matches!(road.link(*end), Some(LinkTarget::Junction(id)) if id == junction);
         let meeting = self.roads[connecting].end_position(contact);
-        let ends = [Contact::Start, Contact::End].into_iter().filter(lies_there);
+        let ends = [Contact::Start, Contact::End]
+            .into_iter()
+            .filter(lies_there);
         ends.min_by(|a, b| {
             let distance_m = |end: &Contact| road.end_position(*end).distance(meeting);
             distance_m(a).total_cmp(&distance_m(b))

@@ -1,4 +1,5 @@
-//! Lanes as a road lists them: sections, each with lanes to the left and to the right of the reference line.
+//! Lanes as a road lists them: sections, each with lanes to the left and to the right of the
+//! reference line.
 
 use decouplegs_scene::LaneKind;
 
@@ -43,31 +44,54 @@ pub(super) fn read(road: Element, length_m: f64) -> Result<Vec<Section>, DecodeE
         starts.push((element.number("s")?, element));
     }
     starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let ends: Vec<f64> = starts.iter().skip(1).map(|(start_m, _)| *start_m).chain([length_m]).collect();
-    let sections = starts.into_iter().zip(ends).filter(|((start_m, _), _)| *start_m >= 0.0 && *start_m < length_m);
-    sections.map(|((start_m, element), end_m)| read_section(element, start_m, end_m.min(length_m))).collect()
+    let ends: Vec<f64> = starts
+        .iter()
+        .skip(1)
+        .map(|(start_m, _)| *start_m)
+        .chain([length_m])
+        .collect();
+    let sections = starts
+        .into_iter()
+        .zip(ends)
+        .filter(|((start_m, _), _)| *start_m >= 0.0 && *start_m < length_m);
+    sections
+        .map(|((start_m, element), end_m)| read_section(element, start_m, end_m.min(length_m)))
+        .collect()
 }
 
 fn read_section(element: Element, start_m: f64, end_m: f64) -> Result<Section, DecodeError> {
     let side = |name: &str, sign: i64| -> Result<Vec<SectionLane>, DecodeError> {
         let elements = element.all(name).flat_map(|side| side.all("lane"));
-        let mut lanes = elements.map(|lane| read_lane(lane, start_m, sign)).collect::<Result<Vec<_>, _>>()?;
+        let mut lanes = elements
+            .map(|lane| read_lane(lane, start_m, sign))
+            .collect::<Result<Vec<_>, _>>()?;
         lanes.sort_by_key(|lane| lane.id.unsigned_abs());
         match lanes.windows(2).find(|pair| pair[0].id == pair[1].id) {
             Some(pair) => Err(element.fault(format!("two lanes have the id {}", pair[0].id))),
             None => Ok(lanes),
         }
     };
-    Ok(Section { start_m, end_m, left: side("left", 1)?, right: side("right", -1)? })
+    Ok(Section {
+        start_m,
+        end_m,
+        left: side("left", 1)?,
+        right: side("right", -1)?,
+    })
 }
 
 fn read_lane(element: Element, start_m: f64, sign: i64) -> Result<SectionLane, DecodeError> {
     let id = whole(element, "id")?;
     if id.signum() != sign {
-        return Err(element.fault(format!("the id {id}; expected one above zero on the left, below on the right")));
+        return Err(element.fault(format!(
+            "the id {id}; expected one above zero on the left, below on the right"
+        )));
     }
     let link = element.first("link");
-    let linked = |name| link.and_then(|link| link.first(name)).map(|linked| whole(linked, "id")).transpose();
+    let linked = |name| {
+        link.and_then(|link| link.first(name))
+            .map(|linked| whole(linked, "id"))
+            .transpose()
+    };
     Ok(SectionLane {
         id,
         kind: kind(element.attribute("type").unwrap_or_default()),
@@ -83,8 +107,16 @@ fn read_lane(element: Element, start_m: f64, sign: i64) -> Result<SectionLane, D
 /// The whole number in an attribute.
 pub(super) fn whole(element: Element, name: &str) -> Result<i64, DecodeError> {
     let text = element.needed_attribute(name)?;
-    let number = text.parse().ok().filter(|number: &i64| number.unsigned_abs() <= 1 << 31);
-    number.ok_or_else(|| element.fault(format!("{name}=\"{}\" is no whole number of lanes", excerpt(text))))
+    let number = text
+        .parse()
+        .ok()
+        .filter(|number: &i64| number.unsigned_abs() <= 1 << 31);
+    number.ok_or_else(|| {
+        element.fault(format!(
+            "{name}=\"{}\" is no whole number of lanes",
+            excerpt(text)
+        ))
+    })
 }
 
 /// The limit in a `speed` element; none where it says that there is none.
@@ -93,7 +125,12 @@ pub(super) fn speed_mps(element: Element) -> Result<Option<f64>, DecodeError> {
         None | Some("m/s") => 1.0,
         Some("km/h") => 1.0 / 3.6,
         Some("mph") => 0.447_04,
-        Some(unit) => return Err(element.fault(format!("unit=\"{}\"; expected m/s, km/h or mph", excerpt(unit)))),
+        Some(unit) => {
+            return Err(element.fault(format!(
+                "unit=\"{}\"; expected m/s, km/h or mph",
+                excerpt(unit)
+            )));
+        }
     };
     if matches!(element.attribute("max"), Some("no limit" | "undefined")) {
         return Ok(None);
@@ -106,8 +143,8 @@ pub(super) fn speed_mps(element: Element) -> Result<Option<f64>, DecodeError> {
 
 fn kind(name: &str) -> LaneKind {
     match name {
-        "driving" | "entry" | "exit" | "onRamp" | "offRamp" | "connectingRamp" | "slipLane" | "mwyEntry" | "mwyExit"
-        | "bidirectional" | "bus" | "taxi" | "HOV" => LaneKind::Driving,
+        "driving" | "entry" | "exit" | "onRamp" | "offRamp" | "connectingRamp" | "slipLane"
+        | "mwyEntry" | "mwyExit" | "bidirectional" | "bus" | "taxi" | "HOV" => LaneKind::Driving,
         "biking" => LaneKind::Bicycle,
         "sidewalk" | "walking" => LaneKind::Walking,
         "parking" => LaneKind::Parking,

@@ -1,15 +1,17 @@
-//! ASAM OpenDRIVE (`.xodr`, versions 1.4 to 1.8): roads along reference lines, with lanes to both sides.
+//! ASAM OpenDRIVE (`.xodr`, versions 1.4 to 1.8): roads along reference lines, with lanes to both
+//! sides.
 //!
-//! Read are the plan view (line, arc, spiral, poly3, paramPoly3), elevation, lane offset, lane sections, widths or borders,
-//! types, directions, speed limits, and the links of lanes, roads and junctions. Lanes are sampled at 2 m or less, so that no
-//! border leaves its line by 2 cm. A lane's id is `road/section/lane`, sections counted from 0; each section of a road has
-//! lanes of its own. The speed limit is the lane's or, where it has none, the road's where the section starts. Coordinates are
-//! those of the file: `geoReference` and the header's `offset` are not applied.
+//! Read are the plan view (line, arc, spiral, poly3, paramPoly3), elevation, lane offset, lane
+//! sections, widths or borders, types, directions, speed limits, and the links of lanes, roads and
+//! junctions. Lanes are sampled at 2 m or less, so that no border leaves its line by 2 cm. A lane's
+//! id is `road/section/lane`, sections counted from 0; each section of a road has lanes of its own.
+//! The speed limit is the lane's or, where it has none, the road's where the section starts.
+//! Coordinates are those of the file: `geoReference` and the header's `offset` are not applied.
 //!
 //! Lanes that taper to nothing beside the lane that follows are bent onto it ([`tapers`]).
 //!
-//! Not read: superelevation and the lateral shape (a bank of 5% lifts the outer border of a lane by some 20 cm, its middle
-//! by half of it), kerb heights, objects, signals, railways.
+//! Not read: superelevation and the lateral shape (a bank of 5% lifts the outer border of a lane by
+//! some 20 cm, its middle by half of it), kerb heights, objects, signals, railways.
 
 mod cubic;
 mod junctions;
@@ -40,7 +42,11 @@ enum Contact {
 
 impl Contact {
     fn read(text: Option<&str>) -> Self {
-        if text == Some("end") { Self::End } else { Self::Start }
+        if text == Some("end") {
+            Self::End
+        } else {
+            Self::Start
+        }
     }
 }
 
@@ -79,7 +85,10 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     for element in root.all("road") {
         let road = Road::read(element)?;
         if by_id.insert(road.id.clone(), roads.len()).is_some() {
-            return Err(element.fault(format!("a second road with the id {}; expected one", excerpt(&road.id))));
+            return Err(element.fault(format!(
+                "a second road with the id {}; expected one",
+                excerpt(&road.id)
+            )));
         }
         roads.push(road);
     }
@@ -89,7 +98,12 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
     for road in &roads {
         places.push(road.add_lanes(&mut lanes, &mut budget)?);
     }
-    let mut network = Network { roads: &roads, places: &places, by_id: &by_id, lanes: &mut lanes };
+    let mut network = Network {
+        roads: &roads,
+        places: &places,
+        by_id: &by_id,
+        lanes: &mut lanes,
+    };
     network.join_lanes();
     for junction in root.all("junction") {
         network.join_junction(junction)?;
@@ -101,12 +115,18 @@ pub fn decode(bytes: &[u8]) -> Result<LaneMap, DecodeError> {
 impl Road {
     fn read(element: Element) -> Result<Self, DecodeError> {
         let plan_view = plan_view::read(element)?;
-        let length_m = plan_view.last().map_or(0.0, |last| last.start_m + last.length_m);
+        let length_m = plan_view
+            .last()
+            .map_or(0.0, |last| last.start_m + last.length_m);
         let link = element.first("link");
         let target = |name: &str| link.and_then(|link| link.first(name)).and_then(link_target);
         let mut speed_limits = Vec::new();
         for kind in element.all("type") {
-            let limit = kind.first("speed").map(lanes::speed_mps).transpose()?.flatten();
+            let limit = kind
+                .first("speed")
+                .map(lanes::speed_mps)
+                .transpose()?
+                .flatten();
             speed_limits.push((kind.number_or("s", 0.0)?, limit));
         }
         speed_limits.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -144,17 +164,31 @@ impl Road {
             Contact::End => self.plan_view.last(),
         };
         piece.map_or(DVec2::ZERO, |piece| {
-            piece.at(if contact == Contact::Start { piece.start_m } else { piece.start_m + piece.length_m }).position
+            piece
+                .at(if contact == Contact::Start {
+                    piece.start_m
+                } else {
+                    piece.start_m + piece.length_m
+                })
+                .position
         })
     }
 
     fn speed_limit_mps(&self, s_m: f64) -> Option<f64> {
-        let started = self.speed_limits.partition_point(|(start_m, _)| *start_m <= s_m);
-        self.speed_limits[..started].last().and_then(|(_, limit)| *limit)
+        let started = self
+            .speed_limits
+            .partition_point(|(start_m, _)| *start_m <= s_m);
+        self.speed_limits[..started]
+            .last()
+            .and_then(|(_, limit)| *limit)
     }
 
     /// Adds its lanes to `all`, with their neighbors.
-    fn add_lanes(&self, all: &mut Vec<Lane>, budget: &mut Budget) -> Result<RoadPlaces, DecodeError> {
+    fn add_lanes(
+        &self,
+        all: &mut Vec<Lane>,
+        budget: &mut Budget,
+    ) -> Result<RoadPlaces, DecodeError> {
         let mut places = RoadPlaces::default();
         for (section_at, section) in self.sections.iter().enumerate() {
             let prefix = format!("{}/{section_at}", self.id);
@@ -180,13 +214,25 @@ impl Road {
 }
 
 /// Makes a lane and the next one outwards neighbors where their traffic runs the same way.
-fn make_neighbors(inner: &SectionLane, outer: &SectionLane, places: &HashMap<i64, (usize, bool)>, lanes: &mut [Lane]) {
-    let (Some(inner_place), Some(outer_place)) = (places.get(&inner.id), places.get(&outer.id)) else { return };
+fn make_neighbors(
+    inner: &SectionLane,
+    outer: &SectionLane,
+    places: &HashMap<i64, (usize, bool)>,
+    lanes: &mut [Lane],
+) {
+    let (Some(inner_place), Some(outer_place)) = (places.get(&inner.id), places.get(&outer.id))
+    else {
+        return;
+    };
     let ((inner_at, is_forward), (outer_at, outer_is_forward)) = (*inner_place, *outer_place);
     if is_forward != outer_is_forward {
         return;
     }
-    let (left, right) = if (outer.id > 0) == is_forward { (outer_at, inner_at) } else { (inner_at, outer_at) };
+    let (left, right) = if (outer.id > 0) == is_forward {
+        (outer_at, inner_at)
+    } else {
+        (inner_at, outer_at)
+    };
     lanes[left].right_neighbor = Some(right);
     lanes[right].left_neighbor = Some(left);
 }
@@ -195,6 +241,9 @@ fn link_target(element: Element) -> Option<LinkTarget> {
     let id = element.attribute("elementId")?.to_owned();
     match element.attribute("elementType") {
         Some("junction") => Some(LinkTarget::Junction(id)),
-        _ => Some(LinkTarget::Road(id, Contact::read(element.attribute("contactPoint")))),
+        _ => Some(LinkTarget::Road(
+            id,
+            Contact::read(element.attribute("contactPoint")),
+        )),
     }
 }

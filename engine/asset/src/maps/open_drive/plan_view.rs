@@ -10,7 +10,8 @@ use crate::xml::Element;
 const LENGTH_MAX_M: f64 = 1e6;
 /// A curve that turns by more winds up, radians; it would also cost as much to follow.
 const TURN_MAX_RAD: f64 = 30.0;
-/// A longer spiral or cubic is no road's; the places on them are integrals, which would cost as much as they are long, meters.
+/// A longer spiral or cubic is no road's; the places on them are integrals, which would cost as
+/// much as they are long, meters.
 const INTEGRATED_MAX_M: f64 = 1e4;
 
 /// A piece of a reference line.
@@ -51,12 +52,17 @@ pub(super) struct OnLine {
 /// The pieces of a road's reference line, in order.
 pub(super) fn read(road: Element) -> Result<Vec<Geometry>, DecodeError> {
     let plan_view = road.needed("planView")?;
-    let mut pieces = plan_view.all("geometry").map(read_geometry).collect::<Result<Vec<_>, _>>()?;
+    let mut pieces = plan_view
+        .all("geometry")
+        .map(read_geometry)
+        .collect::<Result<Vec<_>, _>>()?;
     pieces.sort_by(|a, b| a.start_m.total_cmp(&b.start_m));
     match pieces.last() {
         None => Err(plan_view.fault("it has no <geometry>")),
         Some(last) if pieces[0].start_m < 0.0 || last.start_m + last.length_m > LENGTH_MAX_M => {
-            Err(plan_view.fault(format!("a reference line must run from 0 to at most {LENGTH_MAX_M} m")))
+            Err(plan_view.fault(format!(
+                "a reference line must run from 0 to at most {LENGTH_MAX_M} m"
+            )))
         }
         _ => Ok(pieces),
     }
@@ -65,10 +71,15 @@ pub(super) fn read(road: Element) -> Result<Vec<Geometry>, DecodeError> {
 fn read_geometry(element: Element) -> Result<Geometry, DecodeError> {
     let length_m = element.number("length")?;
     if !(0.0..=LENGTH_MAX_M).contains(&length_m) {
-        return Err(element.fault(format!("a length of {length_m} m; expected 0 to {LENGTH_MAX_M}")));
+        return Err(element.fault(format!(
+            "a length of {length_m} m; expected 0 to {LENGTH_MAX_M}"
+        )));
     }
-    let shape = element.elements().find_map(|shape| read_shape(shape, length_m).transpose());
-    let shape = shape.ok_or_else(|| element.fault("it has no line, arc, spiral, poly3 or paramPoly3"))??;
+    let shape = element
+        .elements()
+        .find_map(|shape| read_shape(shape, length_m).transpose());
+    let shape = shape
+        .ok_or_else(|| element.fault("it has no line, arc, spiral, poly3 or paramPoly3"))??;
     Ok(Geometry {
         start_m: element.number("s")?,
         length_m,
@@ -93,9 +104,18 @@ fn read_shape(element: Element, length_m: f64) -> Result<Option<Shape>, DecodeEr
         "spiral" => Shape::Spiral(element.number("curvStart")?, element.number("curvEnd")?),
         "poly3" => Shape::Poly3(factors(["a", "b", "c", "d"])?),
         "paramPoly3" => {
-            // Without the attribute the parameter is normalized: so says version 1.4, which brought it.
-            let range = if element.attribute("pRange") == Some("arcLength") { length_m } else { 1.0 };
-            Shape::ParamPoly3(factors(["aU", "bU", "cU", "dU"])?, factors(["aV", "bV", "cV", "dV"])?, range)
+            // Without the attribute the parameter is normalized: so says version 1.4, which brought
+            // it.
+            let range = if element.attribute("pRange") == Some("arcLength") {
+                length_m
+            } else {
+                1.0
+            };
+            Shape::ParamPoly3(
+                factors(["aU", "bU", "cU", "dU"])?,
+                factors(["aV", "bV", "cV", "dV"])?,
+                range,
+            )
         }
         _ => return Ok(None),
     };
@@ -106,10 +126,14 @@ fn read_shape(element: Element, length_m: f64) -> Result<Option<Shape>, DecodeEr
     };
     if curvature * length_m > TURN_MAX_RAD {
         let turn_rad = curvature * length_m;
-        return Err(element.fault(format!("it would turn by {turn_rad} rad; expected at most {TURN_MAX_RAD}")));
+        return Err(element.fault(format!(
+            "it would turn by {turn_rad} rad; expected at most {TURN_MAX_RAD}"
+        )));
     }
     if matches!(shape, Shape::Spiral(..) | Shape::Poly3(_)) && length_m > INTEGRATED_MAX_M {
-        return Err(element.fault(format!("{length_m} m of one curve; expected at most {INTEGRATED_MAX_M}")));
+        return Err(element.fault(format!(
+            "{length_m} m of one curve; expected at most {INTEGRATED_MAX_M}"
+        )));
     }
     Ok(Some(shape))
 }
@@ -122,7 +146,11 @@ impl Geometry {
             Shape::Line => (DVec2::new(way_m, 0.0), 0.0),
             Shape::Arc(curvature) => along_arc(curvature, way_m),
             Shape::Spiral(start, end) => {
-                let change = if self.length_m > 0.0 { (end - start) / self.length_m } else { 0.0 };
+                let change = if self.length_m > 0.0 {
+                    (end - start) / self.length_m
+                } else {
+                    0.0
+                };
                 along_spiral(start, change, way_m)
             }
             Shape::Poly3(factors) => {
@@ -130,9 +158,16 @@ impl Geometry {
                 (DVec2::new(u, value(&factors, u)), slope(&factors, u).atan())
             }
             Shape::ParamPoly3(u, v, range) => {
-                let parameter = if self.length_m > 0.0 { way_m / self.length_m * range } else { 0.0 };
+                let parameter = if self.length_m > 0.0 {
+                    way_m / self.length_m * range
+                } else {
+                    0.0
+                };
                 let turn_rad = slope(&v, parameter).atan2(slope(&u, parameter));
-                (DVec2::new(value(&u, parameter), value(&v, parameter)), turn_rad)
+                (
+                    DVec2::new(value(&u, parameter), value(&v, parameter)),
+                    turn_rad,
+                )
             }
         };
         OnLine {
@@ -145,17 +180,24 @@ impl Geometry {
 fn along_arc(curvature: f64, way_m: f64) -> (DVec2, f64) {
     let half_turn = 0.5 * curvature * way_m;
     // The chord, exact for the straight line, too.
-    let sinc = if half_turn.abs() < 1e-8 { 1.0 } else { half_turn.sin() / half_turn };
+    let sinc = if half_turn.abs() < 1e-8 {
+        1.0
+    } else {
+        half_turn.sin() / half_turn
+    };
     (DVec2::from_angle(half_turn) * way_m * sinc, 2.0 * half_turn)
 }
 
-/// Along a curve whose curvature starts as given and changes by `change` with every meter: the Fresnel integrals, by
-/// quadrature in pieces that turn by a radian at most, which leaves an error far below a micrometer.
+/// Along a curve whose curvature starts as given and changes by `change` with every meter: the
+/// Fresnel integrals, by quadrature in pieces that turn by a radian at most, which leaves an error
+/// far below a micrometer.
 fn along_spiral(curvature: f64, change: f64, way_m: f64) -> (DVec2, f64) {
     let heading = |at_m: f64| at_m * (curvature + 0.5 * change * at_m);
     let turn_rad = way_m.abs() * curvature.abs().max((curvature + change * way_m).abs());
     let panels = turn_rad.min(2.0 * TURN_MAX_RAD).ceil().max(1.0);
-    let place = integral(way_m, panels as usize, |at_m| DVec2::from_angle(heading(at_m)));
+    let place = integral(way_m, panels as usize, |at_m| {
+        DVec2::from_angle(heading(at_m))
+    });
     (place, heading(way_m))
 }
 
@@ -167,7 +209,8 @@ fn abscissa(factors: &[f64; 4], way_m: f64) -> f64 {
     const NEWTON_STEPS_MAX: usize = 40;
     let speed = |u: f64| slope(factors, u).hypot(1.0);
     let length_m = |u: f64| integral(u, PANELS, |at| DVec2::new(speed(at), 0.0)).x;
-    // A curve is at least as long as its axis: the answer lies between, and Newton's steps stay there or are halved.
+    // A curve is at least as long as its axis: the answer lies between, and Newton's steps stay
+    // there or are halved.
     let (mut low, mut high) = (way_m.min(0.0), way_m.max(0.0));
     let mut u = way_m;
     for _ in 0..NEWTON_STEPS_MAX {
@@ -177,7 +220,11 @@ fn abscissa(factors: &[f64; 4], way_m: f64) -> f64 {
         }
         *(if excess_m > 0.0 { &mut high } else { &mut low }) = u;
         let newton = u - excess_m / speed(u);
-        u = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        u = if newton > low && newton < high {
+            newton
+        } else {
+            0.5 * (low + high)
+        };
     }
     u
 }
@@ -194,7 +241,10 @@ fn integral(end: f64, panels: usize, integrand: impl Fn(f64) -> DVec2) -> DVec2 
     let half = 0.5 * end / panels as f64;
     let panel = |panel: usize| {
         let middle = half * (2 * panel + 1) as f64;
-        NODES.iter().map(|(node, weight)| *weight * integrand(middle + half * node)).sum::<DVec2>()
+        NODES
+            .iter()
+            .map(|(node, weight)| *weight * integrand(middle + half * node))
+            .sum::<DVec2>()
     };
     half * (0..panels).map(panel).sum::<DVec2>()
 }
@@ -204,13 +254,23 @@ mod tests {
     use super::*;
 
     fn of(shape: Shape, length_m: f64) -> Geometry {
-        Geometry { start_m: 0.0, length_m, origin: DVec2::ZERO, heading_rad: 0.0, shape }
+        Geometry {
+            start_m: 0.0,
+            length_m,
+            origin: DVec2::ZERO,
+            heading_rad: 0.0,
+            shape,
+        }
     }
 
     #[test]
     fn an_arc_is_on_its_circle() {
-        let quarter = of(Shape::Arc(0.1), 10.0 * std::f64::consts::FRAC_PI_2).at(10.0 * std::f64::consts::FRAC_PI_2);
-        assert!((quarter.position - DVec2::new(10.0, 10.0)).length() < 1e-12, "{quarter:?}");
+        let quarter = of(Shape::Arc(0.1), 10.0 * std::f64::consts::FRAC_PI_2)
+            .at(10.0 * std::f64::consts::FRAC_PI_2);
+        assert!(
+            (quarter.position - DVec2::new(10.0, 10.0)).length() < 1e-12,
+            "{quarter:?}"
+        );
         assert!((quarter.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         let nearly_straight = of(Shape::Arc(1e-13), 100.0).at(100.0).position;
         assert!((nearly_straight - DVec2::new(100.0, 5e-10)).length() < 1e-11);
@@ -218,21 +278,33 @@ mod tests {
 
     #[test]
     fn a_spiral_ends_where_fresnel_says() {
-        // Curvature 0 to pi over the length 1: x + iy = C(1) + i S(1) of the normalized integrals (Abramowitz and Stegun,
-        // table 7.7).
+        // Curvature 0 to pi over the length 1: x + iy = C(1) + i S(1) of the normalized integrals
+        // (Abramowitz and Stegun, table 7.7).
         let end = of(Shape::Spiral(0.0, std::f64::consts::PI), 1.0).at(1.0);
         let expected = DVec2::new(0.779_893_400_376_823, 0.438_259_147_390_355);
         assert!((end.position - expected).length() < 1e-9, "{end:?}");
         assert!((end.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         // C(2) and S(2): two radians of curvature a meter more.
-        let end = of(Shape::Spiral(0.0, 2.0 * std::f64::consts::PI), 2.0).at(2.0).position;
-        assert!((end - DVec2::new(0.488_253_406_075_341, 0.343_415_678_363_698)).length() < 1e-9, "{end}");
+        let end = of(Shape::Spiral(0.0, 2.0 * std::f64::consts::PI), 2.0)
+            .at(2.0)
+            .position;
+        assert!(
+            (end - DVec2::new(0.488_253_406_075_341, 0.343_415_678_363_698)).length() < 1e-9,
+            "{end}"
+        );
         // From curved to straight is the same spiral from its other end.
         let back = of(Shape::Spiral(std::f64::consts::PI, 0.0), 1.0).at(1.0);
-        let turned = DVec2::from_angle(std::f64::consts::FRAC_PI_2).rotate(DVec2::new(expected.x, -expected.y));
-        assert!((back.position - turned).length() < 1e-9, "{back:?} {turned}");
+        let turned = DVec2::from_angle(std::f64::consts::FRAC_PI_2)
+            .rotate(DVec2::new(expected.x, -expected.y));
+        assert!(
+            (back.position - turned).length() < 1e-9,
+            "{back:?} {turned}"
+        );
         // Of constant curvature it is an arc.
-        let (spiral, arc) = (of(Shape::Spiral(0.05, 0.05), 80.0).at(77.0), of(Shape::Arc(0.05), 80.0).at(77.0));
+        let (spiral, arc) = (
+            of(Shape::Spiral(0.05, 0.05), 80.0).at(77.0),
+            of(Shape::Arc(0.05), 80.0).at(77.0),
+        );
         assert!((spiral.position - arc.position).length() < 1e-9);
     }
 
@@ -240,12 +312,18 @@ mod tests {
     fn a_cubic_is_walked_by_its_length() {
         // v = u: after the way s the place is (s, s) / sqrt(2).
         let straight = of(Shape::Poly3([0.0, 1.0, 0.0, 0.0]), 10.0).at(10.0);
-        assert!((straight.position - DVec2::splat(50.0_f64.sqrt())).length() < 1e-8, "{straight:?}");
+        assert!(
+            (straight.position - DVec2::splat(50.0_f64.sqrt())).length() < 1e-8,
+            "{straight:?}"
+        );
         // v = u²/2: the length up to u is (u sqrt(1 + u²) + asinh u) / 2.
         let u = 3.0_f64;
         let way_m = 0.5 * (u * u.hypot(1.0) + u.asinh());
         let parabola = of(Shape::Poly3([0.0, 0.0, 0.5, 0.0]), way_m).at(way_m);
-        assert!((parabola.position - DVec2::new(3.0, 4.5)).length() < 1e-6, "{parabola:?}");
+        assert!(
+            (parabola.position - DVec2::new(3.0, 4.5)).length() < 1e-6,
+            "{parabola:?}"
+        );
         assert!((parabola.heading_rad - 3.0_f64.atan()).abs() < 1e-6);
     }
 
@@ -254,10 +332,17 @@ mod tests {
         let (u, v) = ([0.0, 20.0, 0.0, 0.0], [0.0, 0.0, 4.0, 0.0]);
         let normalized = of(Shape::ParamPoly3(u, v, 1.0), 20.0).at(10.0);
         assert!((normalized.position - DVec2::new(10.0, 1.0)).length() < 1e-12);
-        let by_length = of(Shape::ParamPoly3([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.01, 0.0], 20.0), 20.0).at(10.0);
+        let by_length = of(
+            Shape::ParamPoly3([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.01, 0.0], 20.0),
+            20.0,
+        )
+        .at(10.0);
         assert!((by_length.position - DVec2::new(10.0, 1.0)).length() < 1e-12);
         for found in [normalized, by_length] {
-            assert!((found.heading_rad - 0.2_f64.atan()).abs() < 1e-12, "{found:?}");
+            assert!(
+                (found.heading_rad - 0.2_f64.atan()).abs() < 1e-12,
+                "{found:?}"
+            );
         }
     }
 }

@@ -13,7 +13,8 @@ use crate::maps::polyline::cleaned;
 
 /// Points stand no farther apart along the road, meters.
 const STEP_MAX_M: f64 = 2.0;
-/// No border leaves the line through its points by more, meters; a bend is looked at in its middle, where it is farthest.
+/// No border leaves the line through its points by more, meters; a bend is examined in its middle,
+/// where it is farthest.
 const CHORD_ERROR_MAX_M: f64 = 0.015;
 /// Steps are not halved below, whatever the chord's error, meters.
 const STEP_MIN_M: f64 = 0.05;
@@ -34,29 +35,47 @@ enum Edge {
     Border(Cubic),
 }
 
-/// The lanes of `section`, left ones first, each from the inside out. Ids are `prefix`, a slash and the lane's own.
-pub(super) fn lanes(road: &Road, section: &Section, prefix: &str, budget: &mut Budget) -> Result<Vec<Lane>, DecodeError> {
+/// The lanes of `section`, left ones first, each from the inside out. Ids are `prefix`, a slash and
+/// the lane's own.
+pub(super) fn lanes(
+    road: &Road,
+    section: &Section,
+    prefix: &str,
+    budget: &mut Budget,
+) -> Result<Vec<Lane>, DecodeError> {
     if section.left.is_empty() && section.right.is_empty() {
         return Ok(Vec::new());
     }
     let stations = stations(road, section, budget)?;
     let border = |at: usize| stations.iter().map(move |borders| borders[at]);
     let left_count = section.left.len();
-    let left = section.left.iter().enumerate().map(|(at, lane)| (lane, at, at + 1));
+    let left = section
+        .left
+        .iter()
+        .enumerate()
+        .map(|(at, lane)| (lane, at, at + 1));
     let right = section.right.iter().enumerate().map(|(at, lane)| {
         let inner = if at == 0 { 0 } else { left_count + at };
         (lane, inner, left_count + at + 1)
     });
     let lane_of = |(lane, inner, outer): (&SectionLane, usize, usize)| {
         let middle = border(inner).zip(border(outer)).map(|(a, b)| 0.5 * (a + b));
-        let mut lines = [cleaned(middle), cleaned(border(inner)), cleaned(border(outer))];
+        let mut lines = [
+            cleaned(middle),
+            cleaned(border(inner)),
+            cleaned(border(outer)),
+        ];
         let is_forward = road.is_forward(lane);
         if !is_forward {
             lines.iter_mut().for_each(|line| line.reverse());
         }
         let [centerline, inner, outer] = lines;
         // Along the road, what is outside of a lane on the left is its left border.
-        let (left, right) = if (lane.id > 0) == is_forward { (outer, inner) } else { (inner, outer) };
+        let (left, right) = if (lane.id > 0) == is_forward {
+            (outer, inner)
+        } else {
+            (inner, outer)
+        };
         Lane {
             id: format!("{prefix}/{}", lane.id),
             kind: lane.kind,
@@ -64,15 +83,22 @@ pub(super) fn lanes(road: &Road, section: &Section, prefix: &str, budget: &mut B
             left,
             right,
             has_height: road.has_height,
-            speed_limit_mps: lane.speed_limit_mps.or_else(|| road.speed_limit_mps(section.start_m)),
+            speed_limit_mps: lane
+                .speed_limit_mps
+                .or_else(|| road.speed_limit_mps(section.start_m)),
             ..Lane::default()
         }
     };
     Ok(left.chain(right).map(lane_of).collect())
 }
 
-/// The borders along a section: for each place the inner one, those of the lanes on the left and of those on the right.
-fn stations(road: &Road, section: &Section, budget: &mut Budget) -> Result<Vec<Vec<DVec3>>, DecodeError> {
+/// The borders along a section: for each place the inner one, those of the lanes on the left and of
+/// those on the right.
+fn stations(
+    road: &Road,
+    section: &Section,
+    budget: &mut Budget,
+) -> Result<Vec<Vec<DVec3>>, DecodeError> {
     let points_each = 3 * (section.left.len() + section.right.len());
     let mut stations = Vec::new();
     for ends in breaks(road, section).windows(2) {
@@ -107,7 +133,10 @@ fn refine(
     let middle_m = 0.5 * (from.0 + to.0);
     let middle = (middle_m, strip.borders(middle_m));
     let chords = from.1.iter().zip(&to.1).map(|(a, b)| 0.5 * (*a + *b));
-    if !chords.zip(&middle.1).any(|(chord, border)| chord.distance(*border) > CHORD_ERROR_MAX_M) {
+    if !chords
+        .zip(&middle.1)
+        .any(|(chord, border)| chord.distance(*border) > CHORD_ERROR_MAX_M)
+    {
         return Ok(());
     }
     budget.spend(3 * (middle.1.len() - 1))?;
@@ -119,11 +148,22 @@ fn refine(
 /// Positions within a section at which something begins, and its ends.
 fn breaks(road: &Road, section: &Section) -> Vec<f64> {
     let (start_m, end_m) = (section.start_m, section.end_m);
-    let first = road.plan_view.partition_point(|geometry| geometry.start_m <= start_m);
-    let pieces = road.plan_view[first..].iter().map(|geometry| geometry.start_m).take_while(|at_m| *at_m < end_m);
+    let first = road
+        .plan_view
+        .partition_point(|geometry| geometry.start_m <= start_m);
+    let pieces = road.plan_view[first..]
+        .iter()
+        .map(|geometry| geometry.start_m)
+        .take_while(|at_m| *at_m < end_m);
     let profiles = [&road.elevation, &road.lane_offset].into_iter();
-    let lanes = section.left.iter().chain(&section.right).flat_map(|lane| [&lane.widths, &lane.borders]);
-    let within = profiles.chain(lanes).flat_map(|profile| profile.starts_within(start_m, end_m));
+    let lanes = section
+        .left
+        .iter()
+        .chain(&section.right)
+        .flat_map(|lane| [&lane.widths, &lane.borders]);
+    let within = profiles
+        .chain(lanes)
+        .flat_map(|profile| profile.starts_within(start_m, end_m));
     let mut breaks: Vec<f64> = pieces.chain(within).chain([start_m, end_m]).collect();
     breaks.sort_by(f64::total_cmp);
     breaks.dedup();
@@ -133,7 +173,9 @@ fn breaks(road: &Road, section: &Section) -> Vec<f64> {
 impl<'a> Strip<'a> {
     /// Profile around `s_m`.
     fn at(road: &'a Road, section: &Section, s_m: f64) -> Self {
-        let after = road.plan_view.partition_point(|geometry| geometry.start_m <= s_m);
+        let after = road
+            .plan_view
+            .partition_point(|geometry| geometry.start_m <= s_m);
         let edge = |lane: &SectionLane| match lane.widths.is_empty() && !lane.borders.is_empty() {
             true => Edge::Border(lane.borders.piece(s_m)),
             false => Edge::Width(lane.widths.piece(s_m)),

@@ -20,10 +20,24 @@ fn the_nearer_of_two_covers_the_farther_whatever_their_order_in_the_file() {
 
 #[test]
 fn a_world_with_nothing_in_it_is_sky() {
-    let world = World { sky: [0.1, 0.2, 1.5], ..World::default() };
+    let world = World {
+        sky: [0.1, 0.2, 1.5],
+        ..World::default()
+    };
     let image = render(&world, &camera(3), &Rules::DEFAULT);
-    assert!(image.rgb.iter().all(|rgb| *rgb == [0.1f32, 0.2, 1.5].map(f64::from)));
-    assert!(image.alpha.iter().chain(&image.depth).all(|&value| value == 0.0));
+    assert!(
+        image
+            .rgb
+            .iter()
+            .all(|rgb| *rgb == [0.1f32, 0.2, 1.5].map(f64::from))
+    );
+    assert!(
+        image
+            .alpha
+            .iter()
+            .chain(&image.depth)
+            .all(|&value| value == 0.0)
+    );
 }
 
 #[test]
@@ -32,7 +46,11 @@ fn a_splat_counts_from_one_255th_on() {
     let nearest = 1.0f32 / 255.0;
     assert!(f64::from(nearest) > 1.0 / 255.0);
     let alpha = |opacity: f32| {
-        let image = render(&world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, opacity, WHITE)]), &camera(9), &Rules::DEFAULT);
+        let image = render(
+            &world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, opacity, WHITE)]),
+            &camera(9),
+            &Rules::DEFAULT,
+        );
         image.alpha[middle(&image)]
     };
     assert!((alpha(nearest.next_up()) - f64::from(nearest.next_up())).abs() < 1e-15);
@@ -44,7 +62,11 @@ fn a_splat_counts_from_one_255th_on() {
 #[test]
 fn alpha_has_the_bound_that_the_rules_say() {
     let alpha = |rules: &Rules| {
-        let image = render(&world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, 1.0, WHITE)]), &camera(9), rules);
+        let image = render(
+            &world_of(&[Plain::ball([0.0, 0.0, 4.0], 0.08, 1.0, WHITE)]),
+            &camera(9),
+            rules,
+        );
         image.alpha[middle(&image)]
     };
     assert!((alpha(&Rules::DEFAULT) - 0.99).abs() < 1e-15);
@@ -55,7 +77,9 @@ fn alpha_has_the_bound_that_the_rules_say() {
 #[test]
 fn the_exclusive_stop_leaves_out_the_splat_that_would_fill_the_pixel() {
     // Three splats of alpha 0.98: T would go 2e-2, 4e-4, 8e-6; the last is below 1e-4.
-    let layers: Vec<Plain> = (0..3).map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, 0.98, WHITE)).collect();
+    let layers: Vec<Plain> = (0..3)
+        .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, 0.98, WHITE))
+        .collect();
     let left = |rules: &Rules| {
         let image = render(&world_of(&layers), &camera(9), rules);
         1.0 - image.alpha[middle(&image)]
@@ -69,7 +93,11 @@ fn the_exclusive_stop_leaves_out_the_splat_that_would_fill_the_pixel() {
 fn equal_depths_are_blended_in_the_order_of_their_indices() {
     let ball = |rgb| Plain::ball([0.0, 0.0, 4.0], 0.2, 0.9, rgb);
     let many = |first: [f32; 3], second: [f32; 3]| {
-        world_of(&(0..64).map(|i| ball(if i == 0 { first } else { second })).collect::<Vec<_>>())
+        world_of(
+            &(0..64)
+                .map(|i| ball(if i == 0 { first } else { second }))
+                .collect::<Vec<_>>(),
+        )
     };
     let red_first = render(&many(RED, BLUE), &camera(9), &Rules::DEFAULT);
     let at = middle(&red_first);
@@ -82,40 +110,79 @@ fn equal_depths_are_blended_in_the_order_of_their_indices() {
 fn radial_order_can_turn_two_splats_around() {
     // Red is nearer by z (3 against 3.2) and farther by distance (3.98 against 3.2).
     let world = world_of(&[
-        Plain { mean: [2.6, 0.0, 3.0], scales: [3.0, 3.0, 0.0], opacity: 0.9, rgb: RED },
-        Plain { mean: [0.0, 0.0, 3.2], scales: [3.0, 3.0, 0.0], opacity: 0.9, rgb: BLUE },
+        Plain {
+            mean: [2.6, 0.0, 3.0],
+            scales: [3.0, 3.0, 0.0],
+            opacity: 0.9,
+            rgb: RED,
+        },
+        Plain {
+            mean: [0.0, 0.0, 3.2],
+            scales: [3.0, 3.0, 0.0],
+            opacity: 0.9,
+            rgb: BLUE,
+        },
     ]);
     let z = render(&world, &camera(9), &Rules::DEFAULT);
-    let radial = render(&world, &camera(9), &Rules { order: DepthOrder::Radial, ..Rules::DEFAULT });
+    let radial = render(
+        &world,
+        &camera(9),
+        &Rules {
+            order: DepthOrder::Radial,
+            ..Rules::DEFAULT
+        },
+    );
     let at = middle(&z);
     assert!(z.rgb[at][0] > 0.55 && z.rgb[at][2] < 0.5, "{:?}", z.rgb[at]);
     assert!(radial.rgb[at][2] > 0.85, "{:?}", radial.rgb[at]);
-    assert!(z.depth[at] > 3.0 && z.depth[at] < 3.2, "a mean of 3 and 3.2");
-    assert!(radial.depth[at] > 3.2 && radial.depth[at] < 3.3, "a mean of 3.2 and 3.97 that the nearer dominates");
+    assert!(
+        z.depth[at] > 3.0 && z.depth[at] < 3.2,
+        "a mean of 3 and 3.2"
+    );
+    assert!(
+        radial.depth[at] > 3.2 && radial.depth[at] < 3.3,
+        "a mean of 3.2 and 3.97 that the nearer dominates"
+    );
 }
 
 #[test]
 fn a_stack_of_a_hundred_thousand_layers_has_its_closed_form() {
     const LAYERS: i32 = 100_000;
     let opacity = 0.004f32;
-    let layers: Vec<Plain> =
-        (0..LAYERS).map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32 * 1e-4], 1e-7, opacity, [0.75; 3])).collect();
-    let world = World { sky: [1.0; 3], ..world_of(&layers) };
+    let layers: Vec<Plain> = (0..LAYERS)
+        .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32 * 1e-4], 1e-7, opacity, [0.75; 3]))
+        .collect();
+    let world = World {
+        sky: [1.0; 3],
+        ..world_of(&layers)
+    };
     let image = render(&world, &camera(1), &Rules::DEFAULT);
     let left = (1.0 - f64::from(opacity)).powi(LAYERS);
     assert!(left < 1e-170 && left > 0.0);
     assert!((image.alpha[0] - (1.0 - left)).abs() < 1e-11);
-    assert!((image.rgb[0][0] - (0.75 * (1.0 - left) + left)).abs() < 1e-6, "color is stored as f32");
+    assert!(
+        (image.rgb[0][0] - (0.75 * (1.0 - left) + left)).abs() < 1e-6,
+        "color is stored as f32"
+    );
     // Sum over i of (2 + i h) a (1 - a)^i is 2 + h (1 - a) / a.
     let depth_m = 2.0 + 1e-4 * (1.0 - f64::from(opacity)) / f64::from(opacity);
-    assert!((image.depth[0] - depth_m).abs() < 1e-6, "{} against {depth_m}: means are stored as f32", image.depth[0]);
+    assert!(
+        (image.depth[0] - depth_m).abs() < 1e-6,
+        "{} against {depth_m}: means are stored as f32",
+        image.depth[0]
+    );
 }
 
 #[test]
 fn the_instance_is_the_one_of_the_largest_weight_and_the_nearer_of_equals() {
     let instance = |opacities: [f32; 3]| {
-        let plain: Vec<Plain> = (0..3).map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, opacities[i], WHITE)).collect();
-        let world = World { instance_from_splat: vec![3, 0, 7], ..world_of(&plain) };
+        let plain: Vec<Plain> = (0..3)
+            .map(|i| Plain::ball([0.0, 0.0, 2.0 + i as f32], 0.5, opacities[i], WHITE))
+            .collect();
+        let world = World {
+            instance_from_splat: vec![3, 0, 7],
+            ..world_of(&plain)
+        };
         let image = render(&world, &camera(3), &Rules::DEFAULT);
         image.instance[middle(&image)]
     };
@@ -129,9 +196,18 @@ fn the_instance_is_the_one_of_the_largest_weight_and_the_nearer_of_equals() {
 #[test]
 fn equal_weights_belong_to_the_nearer() {
     // Weights 0.5 and (1 - 0.5) * 1 bounded to 0.5 by the rules, exactly equal.
-    let plain = [Plain::ball([0.0, 0.0, 2.0], 0.5, 0.5, WHITE), Plain::ball([0.0, 0.0, 3.0], 0.5, 1.0, WHITE)];
-    let world = World { instance_from_splat: vec![1, 2], ..world_of(&plain) };
-    let rules = Rules { alpha_max: 1.0, ..Rules::DEFAULT };
+    let plain = [
+        Plain::ball([0.0, 0.0, 2.0], 0.5, 0.5, WHITE),
+        Plain::ball([0.0, 0.0, 3.0], 0.5, 1.0, WHITE),
+    ];
+    let world = World {
+        instance_from_splat: vec![1, 2],
+        ..world_of(&plain)
+    };
+    let rules = Rules {
+        alpha_max: 1.0,
+        ..Rules::DEFAULT
+    };
     let image = render(&world, &camera(3), &rules);
     assert_eq!(image.instance[middle(&image)], 1);
     assert_eq!(image.alpha[middle(&image)], 1.0);

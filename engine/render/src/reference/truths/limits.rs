@@ -14,8 +14,16 @@ fn what_the_boxes_pass_over_adds_nothing() {
         .map(|i| {
             let a = f32::from(i);
             Plain {
-                mean: [(a * 0.37).sin() * 0.8, (a * 0.91).cos() * 0.8, 4.0 + (a * 0.13).sin() * 3.9],
-                scales: [0.12 * (a * 0.7).sin().abs(), 0.002, 0.01 * (a * 0.3).cos().abs()],
+                mean: [
+                    (a * 0.37).sin() * 0.8,
+                    (a * 0.91).cos() * 0.8,
+                    4.0 + (a * 0.13).sin() * 3.9,
+                ],
+                scales: [
+                    0.12 * (a * 0.7).sin().abs(),
+                    0.002,
+                    0.01 * (a * 0.3).cos().abs(),
+                ],
                 opacity: (a * 0.77).sin().abs(),
                 rgb: [1.0, a / 200.0, 0.0],
             }
@@ -25,38 +33,73 @@ fn what_the_boxes_pass_over_adds_nothing() {
     let view = camera(37);
     let image = render(&world, &view, &Rules::DEFAULT);
     let lens = View::new(world.origin, &view, &Rules::DEFAULT);
-    let mut splats: Vec<Projected64> = (0..world.splats.len()).filter_map(|index| lens.project(&world.splats, index)).collect();
+    let mut splats: Vec<Projected64> = (0..world.splats.len())
+        .filter_map(|index| lens.project(&world.splats, index))
+        .collect();
     splats.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
     for (at, &alpha) in image.alpha.iter().enumerate() {
         let center_px = DVec2::new((at % 37) as f64 + 0.5, (at / 37) as f64 + 0.5);
         let mut left = 1.0;
         for splat in &splats {
-            let a = (splat.opacity * (-0.5 * splat.conic.q(center_px - splat.mean_px)).exp()).min(0.99);
+            let a =
+                (splat.opacity * (-0.5 * splat.conic.q(center_px - splat.mean_px)).exp()).min(0.99);
             if a >= 1.0 / 255.0 {
                 left *= 1.0 - a;
             }
         }
         assert_eq!(alpha, 1.0 - left, "at pixel {at}");
     }
-    let pixels_with = |test: fn(f64) -> bool| image.alpha.iter().filter(|&&alpha| test(alpha)).count();
-    let (empty, dense) = (pixels_with(|alpha| alpha == 0.0), pixels_with(|alpha| alpha > 0.7));
-    assert!(empty > 50 && dense > 50, "the scene must have both: {empty} empty, {dense} dense of {}", image.alpha.len());
+    let pixels_with =
+        |test: fn(f64) -> bool| image.alpha.iter().filter(|&&alpha| test(alpha)).count();
+    let (empty, dense) = (
+        pixels_with(|alpha| alpha == 0.0),
+        pixels_with(|alpha| alpha > 0.7),
+    );
+    assert!(
+        empty > 50 && dense > 50,
+        "the scene must have both: {empty} empty, {dense} dense of {}",
+        image.alpha.len()
+    );
 }
 
 #[test]
 fn a_window_is_a_part_of_the_whole_bit_for_bit() {
     let plain: Vec<Plain> = (0..40u8)
-        .map(|i| Plain::ball([f32::from(i).sin(), f32::from(i).cos(), 2.0 + f32::from(i) * 0.1], 0.2, 0.4, RED))
+        .map(|i| {
+            Plain::ball(
+                [
+                    f32::from(i).sin(),
+                    f32::from(i).cos(),
+                    2.0 + f32::from(i) * 0.1,
+                ],
+                0.2,
+                0.4,
+                RED,
+            )
+        })
         .collect();
     let world = world_of(&plain);
     let view = camera(50);
     let whole = render(&world, &view, &Rules::DEFAULT);
-    let part = render_window(&world, &view, &Rules::DEFAULT, Window { left_px: 11, top_px: 23, width_px: 17, height_px: 19 });
+    let part = render_window(
+        &world,
+        &view,
+        &Rules::DEFAULT,
+        Window {
+            left_px: 11,
+            top_px: 23,
+            width_px: 17,
+            height_px: 19,
+        },
+    );
     assert_eq!((part.width, part.height, part.rgb.len()), (17, 19, 17 * 19));
     for y in 0..19usize {
         for x in 0..17usize {
             let (here, there) = (y * 17 + x, (y + 23) * 50 + x + 11);
-            assert_eq!((part.rgb[here], part.depth[here]), (whole.rgb[there], whole.depth[there]));
+            assert_eq!(
+                (part.rgb[here], part.depth[here]),
+                (whole.rgb[there], whole.depth[there])
+            );
         }
     }
 }
@@ -89,11 +132,34 @@ fn extreme_parameters_leave_finite_pixels() {
         Plain::ball([0.0, 0.0, 4.0], tiny, 0.5, WHITE),
         Plain::ball([0.1, 0.0, 0.02], f32::MAX, 1.0, WHITE),
         Plain::ball([f32::MAX, f32::MAX, f32::MAX], f32::MAX, 1.0, WHITE),
-        Plain { mean: [1e6, 0.0, 0.011], scales: [1e-3, 1e5, 1e-3], opacity: 1.0, rgb: RED },
+        Plain {
+            mean: [1e6, 0.0, 0.011],
+            scales: [1e-3, 1e5, 1e-3],
+            opacity: 1.0,
+            rgb: RED,
+        },
     ];
     for antialias in [false, true] {
-        let image = render(&world_of(&plain), &camera(17), &Rules { antialias, ..Rules::DEFAULT });
-        assert!(image.rgb.iter().flatten().chain(&image.alpha).chain(&image.depth).all(|value| value.is_finite()));
-        assert!(image.alpha[middle(&image)] > 0.9, "the one that covers the image is seen");
+        let image = render(
+            &world_of(&plain),
+            &camera(17),
+            &Rules {
+                antialias,
+                ..Rules::DEFAULT
+            },
+        );
+        assert!(
+            image
+                .rgb
+                .iter()
+                .flatten()
+                .chain(&image.alpha)
+                .chain(&image.depth)
+                .all(|value| value.is_finite())
+        );
+        assert!(
+            image.alpha[middle(&image)] > 0.9,
+            "the one that covers the image is seen"
+        );
     }
 }

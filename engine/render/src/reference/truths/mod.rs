@@ -20,7 +20,12 @@ struct Plain {
 
 impl Plain {
     fn ball(mean: [f32; 3], scale: f32, opacity: f32, rgb: [f32; 3]) -> Self {
-        Self { mean, scales: [scale; 3], opacity, rgb }
+        Self {
+            mean,
+            scales: [scale; 3],
+            opacity,
+            rgb,
+        }
     }
 }
 
@@ -31,12 +36,20 @@ fn world_of(plain: &[Plain]) -> World {
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; plain.len()],
         opacities: plain.iter().map(|splat| splat.opacity).collect(),
         sh_degree: 0,
-        sh_dc: plain.iter().map(|splat| splat.rgb.map(|value| ((f64::from(value) - 0.5) / sh::Y0) as f32)).collect(),
+        sh_dc: plain
+            .iter()
+            .map(|splat| {
+                splat
+                    .rgb
+                    .map(|value| ((f64::from(value) - 0.5) / sh::Y0) as f32)
+            })
+            .collect(),
         sh_rest: vec![],
     })
 }
 
-/// At the world's zero, looking along +z with x right and y down; an odd size puts a pixel's center on the axis.
+/// At the world's zero, looking along +z with x right and y down; an odd size puts a pixel's center
+/// on the axis.
 fn camera(size_px: u32) -> Camera {
     let focal_px = 100.0;
     let center_px = 0.5 * f64::from(size_px);
@@ -65,7 +78,11 @@ fn projected(world: &World, camera: &Camera, rules: &Rules) -> Option<Projected6
 
 fn largest_difference(a: &Image64, b: &Image64) -> f64 {
     let channels = |image: &Image64| image.rgb.iter().flatten().copied().collect::<Vec<_>>();
-    channels(a).iter().zip(channels(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    channels(a)
+        .iter()
+        .zip(channels(b))
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f64::max)
 }
 
 const WHITE: [f32; 3] = [1.0; 3];

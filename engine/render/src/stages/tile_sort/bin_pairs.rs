@@ -34,12 +34,23 @@ impl BinPairs {
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, pass: BinPass, radial: bool) -> Result<Self, GpuError> {
-        let constants = [("FILL", Constant::Bool(pass == BinPass::Fill)), ("RADIAL", Constant::Bool(radial))];
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::BIN_PAIRS, &constants)? })
+        let constants = [
+            ("FILL", Constant::Bool(pass == BinPass::Fill)),
+            ("RADIAL", Constant::Bool(radial)),
+        ];
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::BIN_PAIRS, &constants)?,
+        })
     }
 
     /// Counts or writes the pairs of `records`.
-    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, records: Records<'_>, buffers: &TileSortBuffers) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        counters: &FrameCounters,
+        records: Records<'_>,
+        buffers: &TileSortBuffers,
+    ) {
         let push = Push {
             camera_count: records.camera_count as u32,
             records_max: records.projected.colors.len() as u32,
@@ -56,6 +67,12 @@ impl BinPairs {
             ("pair_records", buffers.pair_records.binding()),
         ];
         let offset = IndirectArguments::PairBlocks.byte_offset();
-        recorder.dispatch_indirect(&self.kernel, &bound, bytes_of(&push), counters.arguments.binding(), offset);
+        recorder.dispatch_indirect(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            counters.arguments.binding(),
+            offset,
+        );
     }
 }

@@ -1,8 +1,10 @@
-//! Sorted lists of coarse tiles: from records in any order to one front-to-back list per coarse tile.
+//! Sorted lists of coarse tiles: from records in any order to one front-to-back list per coarse
+//! tile.
 //!
-//! A radix sort by the most significant digits, coarse tile and depth slab, which counts ([`BinPairs`]), plans ([`PlanBuckets`]) and
-//! fills; then each bucket, a run of slabs, is sorted by the rest of its digits in shared memory ([`SortBuckets`]). All that lies
-//! between is in [`TileSortBuffers`]. Who replaces the sort needs to read this folder only.
+//! A radix sort by the most significant digits, coarse tile and depth slab, which counts
+//! ([`BinPairs`]), plans ([`PlanBuckets`]) and fills; then each bucket, a run of slabs, is sorted
+//! by the rest of its digits in shared memory ([`SortBuckets`]). All that lies between is in
+//! [`TileSortBuffers`]. Who replaces the sort needs to read this folder only.
 
 mod bin_pairs;
 mod plan_buckets;
@@ -25,7 +27,8 @@ use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists};
 pub struct TileSortBuffers {
     /// First records of each camera.
     pub lists: Buffer<ViewLists>,
-    /// Pairs of each `[coarse tile][depth slab]`; zero before the frame. From the plan on, the next place in the pair buffer.
+    /// Pairs of each `[coarse tile][depth slab]`; zero before the frame. From the plan on, the next
+    /// place in the pair buffer.
     pub slab_counts: Buffer<u32>,
     /// First place and length of each coarse tile's list.
     pub tile_lists: Buffer<[u32; 2]>,
@@ -50,7 +53,12 @@ impl TileSortBuffers {
             lists: gpu.buffer("view_lists", PURPOSE, crate::layout::CAMERAS_MAX, device)?,
             slab_counts: gpu.buffer("slab_counts", PURPOSE, bin_count * SLABS, device)?,
             tile_lists: gpu.buffer("tile_lists", PURPOSE, bin_count, device)?,
-            buckets: gpu.buffer("buckets", PURPOSE, 2 * capacity.pairs / BUCKET_PAIRS + bin_count, device)?,
+            buckets: gpu.buffer(
+                "buckets",
+                PURPOSE,
+                2 * capacity.pairs / BUCKET_PAIRS + bin_count,
+                device,
+            )?,
             pair_keys: gpu.buffer("pair_keys", PURPOSE, capacity.pairs, device)?,
             pair_records: gpu.buffer("pair_records", PURPOSE, capacity.pairs, device)?,
             sorted_records: gpu.buffer("sorted_records", PURPOSE, capacity.pairs, device)?,

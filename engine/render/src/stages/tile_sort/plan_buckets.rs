@@ -1,4 +1,5 @@
-//! Stretches of the pair buffer for coarse tiles and their depth slabs, and the buckets that are sorted.
+//! Stretches of the pair buffer for coarse tiles and their depth slabs, and the buckets that are
+//! sorted.
 
 use bytemuck::bytes_of;
 use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
@@ -25,18 +26,34 @@ impl PlanBuckets {
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_BUCKETS, &[])? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_BUCKETS, &[])?,
+        })
     }
 
     /// Turns the counts of `bins` coarse tiles into places, and writes their lists and buckets.
-    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, buffers: &TileSortBuffers, bins: u32) {
-        let push = Push { bin_count: bins, buckets_max: buffers.buckets.len() as u32 };
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        counters: &FrameCounters,
+        buffers: &TileSortBuffers,
+        bins: u32,
+    ) {
+        let push = Push {
+            bin_count: bins,
+            buckets_max: buffers.buckets.len() as u32,
+        };
         let bound = [
             ("required", counters.required.binding()),
             ("slab_counts", buffers.slab_counts.binding()),
             ("tile_lists", buffers.tile_lists.binding()),
             ("buckets", buffers.buckets.binding()),
         ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(bins as usize));
+        recorder.dispatch(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            groups_for(bins as usize),
+        );
     }
 }

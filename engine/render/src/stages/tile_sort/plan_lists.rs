@@ -26,11 +26,19 @@ impl PlanLists {
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_LISTS, &[])? })
+        Ok(Self {
+            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_LISTS, &[])?,
+        })
     }
 
     /// Writes the lists of `records`, how many records there are, and the dispatch that bins them.
-    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, records: Records<'_>, buffers: &TileSortBuffers) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        counters: &FrameCounters,
+        records: Records<'_>,
+        buffers: &TileSortBuffers,
+    ) {
         let push = Push {
             camera_count: records.camera_count as u32,
             static_clusters: records.static_clusters as u32,

@@ -25,12 +25,27 @@ impl SortBuckets {
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, radial: bool) -> Result<Self, GpuError> {
-        Ok(Self { kernel: kernel::<Push>(gpu, &decouplegs_shaders::SORT_BUCKETS, &[("RADIAL", Constant::Bool(radial))])? })
+        Ok(Self {
+            kernel: kernel::<Push>(
+                gpu,
+                &decouplegs_shaders::SORT_BUCKETS,
+                &[("RADIAL", Constant::Bool(radial))],
+            )?,
+        })
     }
 
     /// Writes the sorted records. Their own depth keys are overwritten: the pairs have copies.
-    pub fn record(&self, recorder: &mut Recorder, counters: &FrameCounters, records: Records<'_>, buffers: &TileSortBuffers) {
-        let push = Push { pairs_max: buffers.sorted_records.len() as u32, camera_count: records.camera_count as u32 };
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        counters: &FrameCounters,
+        records: Records<'_>,
+        buffers: &TileSortBuffers,
+    ) {
+        let push = Push {
+            pairs_max: buffers.sorted_records.len() as u32,
+            camera_count: records.camera_count as u32,
+        };
         let bound = [
             ("required", counters.required.binding()),
             ("buckets", buffers.buckets.binding()),
@@ -42,6 +57,11 @@ impl SortBuckets {
             ("slab_ends", buffers.slab_counts.binding()),
         ];
         // As many workgroups as there may be buckets: one that finds none ends at once.
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups_for(buffers.buckets.len()));
+        recorder.dispatch(
+            &self.kernel,
+            &bound,
+            bytes_of(&push),
+            groups_for(buffers.buckets.len()),
+        );
     }
 }
