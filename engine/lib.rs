@@ -5,17 +5,19 @@
 //! pixel. All cameras of a vehicle's rig are drawn in one submission, on any Vulkan 1.3 device,
 //! including lavapipe, which is software.
 //!
-//! This crate joins the engine's crates under one name and adds [`LiveScene`], where files meet the
-//! device; [`session`], which is what other programs use: many scenes, worlds and views on one
-//! device; [`episode`], the closed loop; and [`planner`], its drivers.
+//! This crate joins the engine's crates under one name and adds [`LiveScene`], a loaded scene on the
+//! device; [`session`], the interface for other programs: many scenes, worlds and views on one
+//! device; [`episode`], the closed loop; and [`planner`], its planners.
 //!
-//! | module | what it is | reads on |
+//! | module | content | depends on |
 //! |---|---|---|
-//! | [`scene`] | what a world is: splats, poses, cameras, rules; plain data and mathematics | - |
-//! | [`asset`] | how it is stored: splat files, maps, tracks, scene files, calibrated light, the synthetic street | `scene` |
-//! | [`drive`] | how it moves: lanes, ground, registration of tracks, traffic, scores | `scene` |
-//! | [`gpu`] | how we speak Vulkan: device, queue, memory, kernel; the only `unsafe` code | - |
-//! | [`render`] | how it becomes images: the GPU frame, its f64 definition, and the error between two images | `scene`, `gpu` |
+//! | [`scene`] | data types: splats, poses, cameras, lenses, rules, light, lane maps, episodes | - |
+//! | [`asset`] | file formats: splats, maps, tracks, scene files, logs, probes | `scene` |
+//! | [`synth`] | procedural streets, roads of maps as splats, environment probes | `scene` |
+//! | [`train`] | compression by vector quantization, calibration of light | `scene` |
+//! | [`drive`] | lanes, ground, registration of tracks, traffic, scores | `scene` |
+//! | [`gpu`] | Vulkan: device, queues, memory, kernels; the only `unsafe` code | - |
+//! | [`render`] | images: the GPU frame, its f64 reference, differences between images | `scene`, `gpu` |
 //!
 //! Units are meters, seconds and radians. World: z up. Vehicle and agent: x forward, y left, z up.
 //! Camera: OpenCV (x right, y down, z forward). Coordinates of the world are f64, so that a world
@@ -25,6 +27,7 @@
 pub mod episode;
 pub mod explain;
 mod live_scene;
+mod movable_scene;
 pub mod planner;
 pub mod session;
 
@@ -33,4 +36,7 @@ pub use decouplegs_drive as drive;
 pub use decouplegs_gpu as gpu;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
+pub use decouplegs_synth as synth;
+pub use decouplegs_train as train;
 pub use live_scene::{AgentInstance, LiveEditError, LiveScene, SceneSnapshot};
+pub use movable_scene::{measure_movable_scene, open_movable_scene};

@@ -18,9 +18,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::street::{AssetLight, Capture, StreetOptions, Weather};
 use decouplegs::asset::{read_light_transfer, write_atomically};
 use decouplegs::gpu::Gpu;
+use decouplegs::synth::street::{AssetLight, Capture, StreetOptions, Weather};
 use serde_json::{Value, json};
 
 use crate::arguments::{Size, print};

@@ -8,15 +8,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::calibrate::{
-    CalibrateOptions, Calibration, Comparison, Objective, Probe, Progress, Surroundings, calibrate,
-    probe_paths,
-};
 use decouplegs::asset::{
-    LightTransferFile, Provenance, check_writable, read_bytes, read_splats, write_atomically,
-    write_light_transfer,
+    LightTransferFile, Provenance, check_writable, probe_paths, read_bytes, read_probe,
+    read_splats, write_atomically, write_light_transfer,
 };
 use decouplegs::scene::SplatCloud;
+use decouplegs::scene::light::{Probe, Surroundings};
+use decouplegs::train::calibrate::{
+    CalibrateOptions, Calibration, Comparison, Objective, Progress, calibrate,
+};
 
 use crate::arguments::{print, warn};
 use crate::progress;
@@ -180,7 +180,7 @@ fn read(arguments: &Arguments, sources: &mut BTreeMap<String, String>) -> Result
     let mut probes = Vec::new();
     for path in probe_paths(&arguments.probes)? {
         hashed(&path)?;
-        probes.push(Probe::read(&path)?);
+        probes.push(read_probe(&path)?);
     }
     ensure!(
         !probes.is_empty(),
@@ -262,7 +262,7 @@ fn row(name: &str, comparison: &Comparison) -> String {
         relit,
         affine,
     } = comparison;
-    let angle = |error: &decouplegs::asset::calibrate::ColorError| {
+    let angle = |error: &decouplegs::train::calibrate::ColorError| {
         format!(
             "{:6.2} / {:5.2} deg",
             error.angle_mean_deg(),

@@ -11,14 +11,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::compress::{
-    CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress,
-};
 use decouplegs::asset::{
     CodedAsset, Provenance, check_writable, read_bytes, read_splats, write_coded,
 };
 use decouplegs::scene::codebook::{COLORS_MAX, SHAPES_MAX};
 use decouplegs::scene::{ShFrame, SplatCloud};
+use decouplegs::train::compress::{
+    CompressOptions, Compressed, Progress, Prune, THRESHOLD, compress,
+};
 use indicatif::ProgressBar;
 
 use crate::arguments::print;

@@ -8,10 +8,10 @@ use anyhow::{Context, Result, ensure};
 use clap::{Subcommand, ValueEnum};
 use decouplegs::asset::maps::lane_json;
 use decouplegs::asset::memory::{self, cloud_bytes};
-use decouplegs::asset::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 use decouplegs::asset::tracks::{self, PoseRow};
 use decouplegs::asset::{SceneAgent, SceneFile, inria_ply, write_atomically};
 use decouplegs::scene::{Camera, Pose, Rules, SplatCloud, TimedPose, Trajectory, World};
+use decouplegs::synth::street::{AssetLight, Capture, Street, StreetOptions, Weather};
 use glam::DVec3;
 use serde_json::{Value, json};
 

@@ -1,16 +1,10 @@
 //! Places made ready: what an episode needs of where it takes place.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use decouplegs_asset::compress::{CompressError, compress_quickly};
 use decouplegs_asset::memory::{self, cloud_bytes};
-use decouplegs_asset::roads::{self, RoadsOptions};
-use decouplegs_asset::street::{AssetLight, Capture, Street, StreetOptions};
-use decouplegs_asset::{
-    AssetError, LoadedLight, LoadedScene, SceneFile, measure_movable_scene, open_movable_scene,
-    read_map,
-};
+use decouplegs_asset::{AssetError, LoadedLight, LoadedScene, SceneFile, read_map, read_probe};
 use decouplegs_drive::register::grounding::{corners, plane, pose_on};
 use decouplegs_drive::{Ground, GroundOptions, RoadGraph, RoadSurface};
 use decouplegs_scene::light::{AmbientOptions, ShadowOptions};
@@ -19,6 +13,9 @@ use decouplegs_scene::{
     CodedCloud, LaneMap, LightTransfer, Pose, Rig, SplatCloud, Trajectory, VehicleSize,
     VehicleState, Weather, World,
 };
+use decouplegs_synth::roads::{self, RoadsOptions};
+use decouplegs_synth::street::{AssetLight, Capture, Street, StreetOptions};
+use decouplegs_train::compress::{CompressError, compress_quickly};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -117,8 +114,9 @@ impl Site {
                 let Some(look) = look else {
                     return Self::bare(lanes, cars.sizes);
                 };
-                let probe = probe.as_ref().map(|probe| directory.join(probe));
-                let options = RoadsOptions::new(*background, probe.as_deref(), *exposure_ev)?;
+                let read = |probe: &PathBuf| read_probe(&directory.join(probe));
+                let probe = probe.as_ref().map(read).transpose()?;
+                let options = RoadsOptions::new(*background, probe, *exposure_ev);
                 let drawn = roads::generate(&lanes, &options);
                 let world = World {
                     origin: drawn.origin,
@@ -202,12 +200,12 @@ impl Site {
     fn captured(scene: &Path, lanes: LaneMap, look: Option<&Look>) -> Result<Self, SiteError> {
         let (mut loaded, dims_m) = match look {
             Some(_) => {
-                let loaded = open_movable_scene(scene)?.0;
+                let loaded = crate::open_movable_scene(scene)?.0;
                 let dims_m = loaded.assets.iter().map(|asset| asset.dims_m).collect();
                 (loaded, dims_m)
             }
             // Cars of plain splats take time to compress: only where they are seen.
-            None => measure_movable_scene(scene)?,
+            None => crate::measure_movable_scene(scene)?,
         };
         // Traffic replaces the vehicles that drove when the scene was captured.
         loaded.agents.clear();

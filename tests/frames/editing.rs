@@ -5,7 +5,6 @@ use std::path::Path;
 
 use decouplegs::LiveScene;
 use decouplegs::asset::scene_file::editing::{begun_at, shifted};
-use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::asset::{
     CodedAsset, Layer, LightTransferFile, LoadedScene, Provenance, SceneAgent, SceneFile,
     SceneLight, inria_ply, read_coded, read_splats, write_coded, write_light_transfer,
@@ -16,6 +15,7 @@ use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs::scene::{
     AmbientDescriptor, Camera, LightTransfer, Pose, Rules, ShFrame, TimedPose, Trajectory,
 };
+use decouplegs::synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
 use super::agents::coded_car;

@@ -1,10 +1,10 @@
 //! Images through lenses that are no pinhole.
 
-use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{Agent, AssetPool, RenderOptions, Renderer, Scene, reference};
 use decouplegs::scene::lens::{Fisheye, OpenCv};
 use decouplegs::scene::{AgentPlacement, Camera, Lens, Pose, Rules, ShFrame, World};
+use decouplegs::synth::street::{Street, StreetOptions};
 use glam::{DVec2, DVec3};
 
 use super::agents::{background, camera_towards, coded_car};

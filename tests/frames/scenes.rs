@@ -3,9 +3,9 @@
 //! `cargo test --test main frames::scenes -- --nocapture` prints the figures that the README
 //! quotes.
 
-use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::asset::{open_scene, read_splats};
 use decouplegs::scene::{Camera, Intrinsics, Pose, Rules, SplatCloud, World};
+use decouplegs::synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
 use super::assert_exact;

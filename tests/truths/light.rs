@@ -1,9 +1,9 @@
 //! Light of a synthetic street.
 
-use decouplegs::asset::street::{AssetLight, Street, StreetOptions, Weather};
 use decouplegs::scene::light::{
     AmbientField, AmbientOptions, ShadowOptions, ambient_by_definition,
 };
+use decouplegs::synth::street::{AssetLight, Street, StreetOptions, Weather};
 use glam::DVec3;
 
 fn street(weather: Weather) -> Street {

@@ -3,10 +3,10 @@
 use std::thread;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::compress::{CompressOptions, compress};
-use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::{CodedCloud, SplatCloud};
+use decouplegs::synth::street::{Street, StreetOptions};
+use decouplegs::train::compress::{CompressOptions, compress};
 
 use crate::compress::{views, visibility};
 use crate::progress;

@@ -8,6 +8,7 @@ use decouplegs::drive::alignment::{
     ade_to_lanes, against_truth, clearances, penetration_rate, size_quantile,
 };
 use decouplegs::drive::{Ground, GroundOptions, LaneIndex, Outcome, RegisterOptions, register};
+use decouplegs::scene::random;
 use decouplegs::scene::{LaneMap, Pose, Track, TrackPoint, Trajectory};
 use glam::DVec2;
 use serde_json::{Value, json};
@@ -229,17 +230,13 @@ fn placing(lanes: &LaneMap, truth: &[Track], ways: &[Trajectory], refused: usize
     }
 }
 
-/// SplitMix64 (Steele, Lea and Flood, 2014).
+/// Stream of random numbers.
 struct Random(u64);
 
 impl Random {
     /// From 0 to below 1.
     fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut bits = self.0;
-        bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((bits ^ bits >> 31) >> 11) as f64 / (1u64 << 53) as f64
+        (random::next(&mut self.0) >> 11) as f64 / (1u64 << 53) as f64
     }
 
     /// Two numbers of the normal distribution (Box and Muller, 1958).

@@ -1,12 +1,12 @@
 //! Cars put back where true ones stood, in several ways, and how far each is from the truth.
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::street::Weather;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::render::{Agent, AssetPool, Image, Outputs, RenderOptions, Renderer, Scene};
 use decouplegs::scene::light::{ShadowOptions, bake_shadows};
 use decouplegs::scene::{Camera, ContactShadow, ShFrame, World};
+use decouplegs::synth::street::Weather;
 use decouplegs::{LiveScene, SceneSnapshot};
 
 use super::affine;

@@ -1,13 +1,13 @@
 //! A street in one weather, with its cars ready to be put back into it.
 
 use anyhow::{Context, Result};
-use decouplegs::asset::street::{Street, StreetOptions, Weather};
 use decouplegs::asset::{LoadedAgent, LoadedLight, LoadedScene};
 use decouplegs::scene::light::{AmbientOptions, ShadowOptions};
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, LightTransfer, Pose, ShFrame, SplatCloud, TimedPose,
     Trajectory, World,
 };
+use decouplegs::synth::street::{Street, StreetOptions, Weather};
 
 use glam::DVec3;
 

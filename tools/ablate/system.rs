@@ -1,10 +1,10 @@
 //! The system in full, and without one part after the other.
 
 use anyhow::{Context, Result};
-use decouplegs::asset::street::Weather;
 use decouplegs::render::Image;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::scene::Trajectory;
+use decouplegs::synth::street::Weather;
 use decouplegs::{LiveScene, SceneSnapshot};
 
 use super::placing::{Drift, Placing, Tracks};

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use anyhow::Result;
-use decouplegs::asset::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR};
 use decouplegs::render::rendered_image::Image;
+use decouplegs::train::calibrate::{Calibration, ColorError, Comparison, HUE_FLOOR};
 
 use super::{Subject, views};
 use crate::data_uri;

@@ -1,11 +1,10 @@
 //! Images of an asset in the light of a probe: the truth, relit, and as it is.
 
-use decouplegs::asset::calibrate::{
-    Calibration, HeldOut, Lighting, PreparedProbe, Probe, Surroundings, lit_cloud, to_display,
-};
 use decouplegs::render::reference;
 use decouplegs::render::rendered_image::Image;
+use decouplegs::scene::light::{Probe, Surroundings, to_display};
 use decouplegs::scene::{AmbientDescriptor, Rules, SplatCloud, World};
+use decouplegs::train::calibrate::{Calibration, HeldOut, Lighting, PreparedProbe, lit_cloud};
 
 use super::Subject;
 use crate::compress::views::street;
@@ -38,7 +37,7 @@ pub struct Row {
 /// ground dark.
 pub fn row(subject: &Subject, held_out: &HeldOut) -> Option<Row> {
     let probe = &subject.probes[held_out.probe];
-    let small = probe.downsampled(decouplegs::asset::calibrate::PROBE_WIDTH);
+    let small = probe.downsampled(decouplegs::scene::light::PROBE_WIDTH);
     let ground: &Surroundings = &subject.options.ground;
     let prepared = PreparedProbe::new(&small, ground);
     let light = Lighting::of_probe(

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use anyhow::Result;
-use decouplegs::asset::compress::{BookReport, Compressed};
 use decouplegs::render::metrics::difference_image;
+use decouplegs::train::compress::{BookReport, Compressed};
 
 use super::image_quality::{QualityMeter, Score};
 use super::report::{Measured, Subject, Trial};

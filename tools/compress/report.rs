@@ -5,12 +5,12 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use decouplegs::asset::compress::{
-    CompressOptions, Compressed, Prune, ShapeSpace, compress, importance, prune,
-};
 use decouplegs::asset::write_atomically;
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::{CodedCloud, SplatCloud};
+use decouplegs::train::compress::{
+    CompressOptions, Compressed, Prune, ShapeSpace, compress, importance, prune,
+};
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
 

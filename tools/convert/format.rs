@@ -4,12 +4,12 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use decouplegs::asset::compress::{CompressOptions, Prune, compress};
 use decouplegs::asset::{
     CodedAsset, Provenance, inria_ply, khr_glb, read_bytes, read_splats, sog, splat, spz,
     write_coded,
 };
 use decouplegs::scene::SplatCloud;
+use decouplegs::train::compress::{CompressOptions, Prune, compress};
 
 /// A format that splats are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -3,9 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use decouplegs::asset::calibrate::probe_paths;
 use decouplegs::asset::maps::length_m;
-use decouplegs::asset::{read_scenario, write_scenario};
+use decouplegs::asset::{probe_paths, read_scenario, write_scenario};
 use decouplegs::drive::generate::{Area, Generator, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::scene::scenario::Place;

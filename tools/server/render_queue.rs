@@ -12,8 +12,9 @@ use std::thread::{Builder, JoinHandle};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::asset::{LoadedScene, open_movable_scene};
+use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::Gpu;
+use decouplegs::open_movable_scene;
 use decouplegs::render::ImageBytes;
 use tokio::sync::{oneshot, watch};
 use tonic::Status;

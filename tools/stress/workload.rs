@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use decouplegs::asset::compress::{CompressOptions, Progress, Prune, compress};
-use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::asset::{
     LoadedAgent, LoadedScene, SceneFile, coded_asset, is_scene_file, read_coded, read_splats,
 };
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::{CodedCloud, ShFrame, SplatCloud, TimedPose, Trajectory, World};
+use decouplegs::synth::street::{Street, StreetOptions};
+use decouplegs::train::compress::{CompressOptions, Progress, Prune, compress};
 use serde_json::{Value, json};
 
 use super::mode::Coding;

@@ -14,11 +14,9 @@ mod summary;
 mod toml_text;
 mod xml;
 
-pub mod calibrate;
 pub mod cameras;
 pub mod checkpoint;
 pub mod coded_asset;
-pub mod compress;
 pub mod compressed_ply;
 pub mod episode_log;
 pub mod inria_ply;
@@ -28,14 +26,13 @@ pub mod loss;
 pub mod maps;
 pub mod memory;
 pub mod packed_scene;
-pub mod roads;
+pub mod probe;
 pub mod scenario_file;
 pub mod scene_file;
 pub mod scene_import;
 pub mod sog;
 pub mod splat;
 pub mod spz;
-pub mod street;
 pub mod tracks;
 pub mod zip;
 
@@ -48,11 +45,12 @@ pub use light_transfer_file::{LightTransferFile, read_light_transfer, write_ligh
 pub use loss::{AttributeLoss, LossReport};
 pub use maps::read_map;
 pub use packed_scene::open_packed_scene;
+pub use probe::{probe_paths, read_probe};
 pub use read::{SplatFormat, read_splats};
 pub use scenario_file::{read_scenario, write_scenario};
 pub use scene_file::{
     EditError, Layer, LoadedAgent, LoadedLight, LoadedScene, SceneAgent, SceneFile, SceneLight,
-    is_scene_file, measure_movable_scene, open_movable_scene, open_scene,
+    is_scene_file, open_scene,
 };
 pub use summary::{DefectCounts, Histogram, SplatSummary, SummaryBounds};
 pub use tracks::read_tracks;

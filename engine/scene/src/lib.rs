@@ -16,6 +16,7 @@ pub mod lens;
 pub mod light;
 pub mod plan;
 pub mod pose;
+pub mod random;
 pub mod rules;
 pub mod scenario;
 pub mod sh;

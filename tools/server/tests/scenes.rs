@@ -3,12 +3,12 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use decouplegs::asset::compress::{CompressOptions, Prune, compress};
-use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::asset::{CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_coded};
 use decouplegs::scene::{
     Intrinsics, Pose, Rig, RigCamera, ShFrame, SplatCloud, TimedPose, Trajectory,
 };
+use decouplegs::synth::street::{Street, StreetOptions};
+use decouplegs::train::compress::{CompressOptions, Prune, compress};
 use glam::DVec3;
 
 /// A street of a few thousand splats with three cars in the folder `street` of `folder`: one of a

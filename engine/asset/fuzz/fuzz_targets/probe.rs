@@ -1,16 +1,16 @@
 //! Any bytes as a light probe: an error, or radiance that can be integrated.
 #![no_main]
 
-use decouplegs_asset::calibrate::Probe;
+use decouplegs_asset::probe;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    let Ok(probe) = Probe::decode("probe", bytes) else {
+    let Ok(light) = probe::decode("probe", bytes) else {
         return;
     };
-    assert_eq!(probe.pixels().len(), probe.width() * probe.height());
+    assert_eq!(light.pixels().len(), light.width() * light.height());
     assert!(
-        probe
+        light
             .pixels()
             .as_flattened()
             .iter()

@@ -8,7 +8,6 @@ mod form;
 mod layer;
 mod lens;
 mod load;
-mod movable;
 mod paths;
 
 use std::io::Write;
@@ -26,7 +25,6 @@ pub use editing::EditError;
 pub use layer::Layer;
 pub(crate) use load::SceneFiles;
 pub use load::{LoadedAgent, LoadedLight, LoadedScene, open_scene, places_along};
-pub use movable::{measure_movable_scene, open_movable_scene};
 pub use paths::path_from;
 
 /// The version that is written, and the only one there is.

@@ -1,6 +1,6 @@
 //! Light transfers and light probes as files: what they hold, and broken ones.
 
-use decouplegs_asset::calibrate::Probe;
+use decouplegs_asset::probe;
 use decouplegs_asset::{
     LightTransferFile, light_transfer_file, read_light_transfer, write_light_transfer,
 };
@@ -136,7 +136,7 @@ fn image(format: ImageFormat) -> (Rgb32FImage, Vec<u8>) {
 fn probes_are_read_from_both_formats() {
     for format in [ImageFormat::OpenExr, ImageFormat::Hdr] {
         let (rgb, bytes) = image(format);
-        let probe = Probe::decode("sky", &bytes).unwrap();
+        let probe = probe::decode("sky", &bytes).unwrap();
         assert_eq!((probe.width(), probe.height(), probe.clamped), (16, 8, 0));
         for (found, pixel) in probe.pixels().iter().zip(rgb.pixels()) {
             // Radiance HDR shares an exponent: the largest channel has 8 bits, the others fewer.
@@ -152,12 +152,12 @@ fn probes_are_read_from_both_formats() {
         }
     }
     assert!(
-        Probe::decode("sky", b"\x89PNG")
+        probe::decode("sky", b"\x89PNG")
             .unwrap_err()
             .to_string()
             .contains(".exr or .hdr")
     );
-    assert!(Probe::decode("sky", &[]).is_err());
+    assert!(probe::decode("sky", &[]).is_err());
 }
 
 #[test]
@@ -165,14 +165,14 @@ fn probes_that_claim_too_much_are_refused() {
     let mut claim = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4000 +X 8000\n".to_vec();
     claim.extend([2, 2, 31, 64]);
     assert!(
-        Probe::decode("sky", &claim)
+        probe::decode("sky", &claim)
             .unwrap_err()
             .to_string()
             .contains("8000 x 4000")
     );
     let large = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 90000 +X 90000\n";
     assert!(
-        Probe::decode("sky", large)
+        probe::decode("sky", large)
             .unwrap_err()
             .to_string()
             .contains("8192 x 4096")
@@ -185,13 +185,13 @@ fn cut_and_flipped_probes_never_panic() {
         let (_, bytes) = image(format);
         for length in 0..bytes.len() {
             // An image may be whole before its file is.
-            let _ = Probe::decode("cut", &bytes[..length]);
+            let _ = probe::decode("cut", &bytes[..length]);
         }
         for at in 0..bytes.len() {
             for bit in [0, 3, 7] {
                 let mut flipped = bytes.clone();
                 flipped[at] ^= 1 << bit;
-                if let Ok(probe) = Probe::decode("flipped", &flipped) {
+                if let Ok(probe) = probe::decode("flipped", &flipped) {
                     assert!(
                         probe
                             .pixels()

@@ -1,15 +1,6 @@
 //! Random numbers addressed by what they are for: one more draw for one thing changes no other.
 
-/// 2^64 over the golden ratio: the increment of SplitMix64 (Steele, Lea and Flood, "Fast Splittable
-/// Pseudorandom Number Generators", 2014).
-const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
-
-/// The finaliser of SplitMix64: a bijection in which every input bit moves every output bit.
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
+use decouplegs_scene::random::{GOLDEN, mix, next};
 
 /// A sequence of random numbers.
 #[derive(Clone, Debug)]
@@ -34,8 +25,7 @@ impl Stream {
     }
 
     pub fn bits(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(GOLDEN);
-        mix(self.state)
+        next(&mut self.state)
     }
 
     /// Uniform in [0, 1).

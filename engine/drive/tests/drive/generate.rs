@@ -2,13 +2,13 @@
 //! be survived.
 
 use decouplegs_asset::read_map;
-use decouplegs_asset::street::{Street, StreetOptions};
 use decouplegs_drive::generate::{
     Area, GenerateError, Generator, PlaceOptions, agents_near, weathers,
 };
 use decouplegs_drive::{OrientedBox, Polyline, RoadGraph, Route, Traffic};
 use decouplegs_scene::scenario::{DriverKind, Maneuver, Place, TrafficAgent};
 use decouplegs_scene::{Lane, LaneMap, Level, Scenario, VehicleSize, VehicleState};
+use decouplegs_synth::street::{Street, StreetOptions};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use decouplegs_asset::read_map;
-use decouplegs_asset::street::{Street, StreetOptions};
 use decouplegs_drive::idm::BRAKING_MPS2;
 use decouplegs_drive::{OrientedBox, RoadGraph, Traffic, TrafficError};
 use decouplegs_scene::scenario::{Behavior, DriverKind, Maneuver, TrafficAgent, Trigger};
 use decouplegs_scene::{Lane, LaneMap, VehicleSize};
+use decouplegs_synth::street::{Street, StreetOptions};
 use glam::DVec3;
 
 use crate::roads::Random;

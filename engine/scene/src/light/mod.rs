@@ -10,12 +10,17 @@ pub const LUMA: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 mod ambient;
 mod ambient_field;
+mod environment;
 mod lighting;
 mod shadow;
 mod transfer;
 
 pub use ambient::AmbientDescriptor;
 pub use ambient_field::{AmbientField, AmbientOptions, ambient_by_definition};
+pub use environment::{
+    DISPLAY_MAX, IrradianceMap, PROBE_WIDTH, Probe, Surroundings, reflected_by_white,
+    reflected_by_white_of_nine, to_display, to_linear,
+};
 pub use lighting::{Lighting, LitAgent, ShadowOptions};
 pub use shadow::{ContactShadow, bake_shadows};
 pub use transfer::{ColorTransfer, LightTransfer};

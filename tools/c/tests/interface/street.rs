@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use decouplegs::asset::compress::{CompressOptions, compress};
-use decouplegs::asset::street::{Street, StreetOptions};
 use decouplegs::asset::{CodedAsset, Provenance, SceneAgent, SceneFile, inria_ply, write_coded};
 use decouplegs::scene::{Pose, ShFrame, TimedPose, Trajectory};
+use decouplegs::synth::street::{Street, StreetOptions};
+use decouplegs::train::compress::{CompressOptions, compress};
 use glam::DVec3;
 
 /// A street of a few hundred splats with one car that drives before the ego, and two cameras that

@@ -225,7 +225,7 @@ fn brightness_of_road(scene: &RoadsScene) -> f32 {
 
 #[test]
 fn roads_are_as_bright_as_their_probe_and_exposure() {
-    let probes = crate::calibrate::procedural_probes();
+    let probes = crate::probes::procedural_probes();
     let under = |name: Option<&str>, exposure_ev: f64| {
         let probe = name.map(|name| {
             probes

@@ -5,7 +5,7 @@ use std::fmt;
 use thiserror::Error;
 
 use super::ridge::COLUMNS;
-use super::surroundings::Surroundings;
+use decouplegs_scene::light::Surroundings;
 
 /// Least lights that can tell the 27 weights and the constant of each row of Theta.
 pub const LIGHTS_MIN: usize = COLUMNS;

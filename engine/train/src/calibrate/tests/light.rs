@@ -2,6 +2,9 @@
 
 use std::f64::consts::PI;
 
+use decouplegs_scene::light::{
+    IrradianceMap, Surroundings, reflected_by_white, reflected_by_white_of_nine,
+};
 use glam::{DQuat, DVec3};
 
 use super::super::*;

@@ -18,14 +18,11 @@ mod strips;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
 use decouplegs_scene::{LaneMap, SplatCloud, sh};
 use glam::{DVec3, Vec3};
 
-use crate::AssetError;
-use crate::calibrate::Probe;
 use canvas::Canvas;
+use decouplegs_scene::light::Probe;
 use illumination::Illumination;
 use relief::Relief;
 use strip_index::StripIndex;
@@ -65,18 +62,15 @@ impl Default for RoadsOptions {
 }
 
 impl RoadsOptions {
-    /// `splats` in the light of the probe at `probe`, the rest by default.
-    ///
-    /// # Errors
-    /// [`AssetError::Read`] or [`AssetError::Decode`] of the probe.
-    pub fn new(splats: usize, probe: Option<&Path>, exposure_ev: f64) -> Result<Self, AssetError> {
-        let probe = probe.map(Probe::read).transpose()?;
-        Ok(Self {
+    /// `splats` in the light of `probe`, the rest by default.
+    #[must_use]
+    pub fn new(splats: usize, probe: Option<Probe>, exposure_ev: f64) -> Self {
+        Self {
             splats,
             probe,
             exposure_ev,
             ..Self::default()
-        })
+        }
     }
 }
 

@@ -1,14 +1,14 @@
 //! Draws the roads of a map as splats and writes them with a scene file whose camera stands on a
-//! lane, fit for `decouplegs render`: `cargo run --release -p decouplegs-asset --example draw_roads
+//! lane, fit for `decouplegs render`: `cargo run --release --example draw_roads
 //! -- MAP SPLATS PROBE|none EV OUT LANE AT_M`.
 
 use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
-use decouplegs_asset::roads::{self, RoadsOptions};
-use decouplegs_asset::{SceneFile, inria_ply, read_map};
-use decouplegs_scene::{Intrinsics, LaneKind, Lens, Pose, Rig, RigCamera, Trajectory};
+use decouplegs::asset::{SceneFile, inria_ply, read_map, read_probe};
+use decouplegs::scene::{Intrinsics, LaneKind, Lens, Pose, Rig, RigCamera, Trajectory};
+use decouplegs::synth::roads::{self, RoadsOptions};
 use glam::DVec3;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -17,8 +17,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("expected MAP SPLATS PROBE|none EV OUT LANE AT_M".into());
     };
     let map = read_map(Path::new(map))?;
-    let probe = (probe != "none").then(|| PathBuf::from(probe));
-    let options = RoadsOptions::new(splats.parse()?, probe.as_deref(), exposure_ev.parse()?)?;
+    let probe = (probe != "none")
+        .then(|| read_probe(Path::new(probe)))
+        .transpose()?;
+    let options = RoadsOptions::new(splats.parse()?, probe, exposure_ev.parse()?);
     let start = Instant::now();
     let drawn = roads::generate(&map, &options);
     println!(

@@ -6,8 +6,8 @@
 
 use std::f64::consts::PI;
 
-use decouplegs_scene::light::LUMA;
-use decouplegs_scene::{AmbientDescriptor, sh};
+use crate::light::LUMA;
+use crate::{AmbientDescriptor, sh};
 use glam::DVec3;
 
 use super::display::{to_display, to_linear};
@@ -45,7 +45,7 @@ impl Default for Surroundings {
 impl Surroundings {
     /// The descriptor where a white surface that faces up shows `up` (E / pi) and the sheen is
     /// `sheen`; both as exposed.
-    pub(super) fn descriptor(
+    pub fn descriptor(
         &self,
         up: [f64; 3],
         sheen: &[[f64; 3]; AmbientDescriptor::COEFFICIENTS],
@@ -63,7 +63,7 @@ impl Surroundings {
 
     /// Factor on the light that gives the ground the display value `display` in luminance. `up` is
     /// the value of a white, upward surface without the factor. None in the dark.
-    pub(super) fn exposure(&self, up: [f64; 3], display: f64) -> Option<f64> {
+    pub fn exposure(&self, up: [f64; 3], display: f64) -> Option<f64> {
         let luminance: f64 = up
             .iter()
             .zip(LUMA)

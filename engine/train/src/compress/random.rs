@@ -1,9 +1,7 @@
 //! The random numbers of a compression: all of them follow from its seed, and none is drawn by a
 //! thread of its own.
 
-/// 2^64 over the golden ratio: the increment of SplitMix64 (Steele, Lea and Flood, Fast Splittable
-/// Pseudorandom Number Generators, 2014).
-const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+use decouplegs_scene::random::{GOLDEN, next};
 
 /// A sequence of random numbers.
 #[derive(Clone, Debug)]
@@ -20,10 +18,7 @@ impl Random {
     }
 
     fn bits(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(GOLDEN);
-        let z = (self.state ^ (self.state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        next(&mut self.state)
     }
 
     /// Uniform in [0, 1).

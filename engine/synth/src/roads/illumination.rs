@@ -1,10 +1,9 @@
 //! The light of a probe on surfaces that nothing shades.
 
+use decouplegs_scene::light::{IrradianceMap, PROBE_WIDTH, Probe, Surroundings, to_display};
 use glam::{DVec3, Vec3};
 
-use crate::calibrate::{
-    IrradianceMap, PROBE_WIDTH, Probe, Surroundings, overcast_probe, to_display,
-};
+use crate::probes::overcast_probe;
 
 /// Illumination of a position by a probe.
 pub(super) struct Illumination {

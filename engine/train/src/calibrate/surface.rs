@@ -3,7 +3,7 @@
 use decouplegs_scene::{SplatCloud, sh};
 use glam::{DQuat, DVec3};
 
-use super::display::{DISPLAY_MAX, to_display, to_linear};
+use decouplegs_scene::light::{DISPLAY_MAX, to_display, to_linear};
 
 /// Coefficients of the highest degree.
 pub(super) const COEFFICIENTS: usize = sh::coefficient_count(sh::DEGREE_MAX);

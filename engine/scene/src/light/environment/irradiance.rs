@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use decouplegs_scene::sh;
+use crate::sh;
 use glam::DVec3;
 use rayon::prelude::*;
 

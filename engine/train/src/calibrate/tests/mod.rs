@@ -3,10 +3,10 @@
 mod fit;
 mod light;
 
+use decouplegs_scene::light::Probe;
 use decouplegs_scene::{SplatCloud, sh};
 use glam::DVec3;
 
-use super::Probe;
 use crate::compress::random::Random;
 
 /// A sky of colored lobes over a gray ground: light that differs by direction, hue and contrast,

@@ -8,44 +8,31 @@
 //! mirrored and exposed (`lighting`) so that lights span all of R^27; a fit that they leave
 //! undetermined is refused.
 
-mod display;
 mod held_out;
-mod irradiance;
 mod lighting;
 mod moments;
 mod options;
 mod prior;
-mod probe;
-mod procedural;
 mod ridge;
 mod sample;
 mod standard;
 mod surface;
-mod surroundings;
 #[cfg(test)]
 mod tests;
 
+use decouplegs_scene::light::{PROBE_WIDTH, Probe};
 use decouplegs_scene::{LightTransfer, SplatCloud, sh};
 use rayon::prelude::*;
 
-pub use display::{DISPLAY_MAX, to_display, to_linear};
 pub use held_out::{ColorError, Comparison, HUE_FLOOR};
-pub use irradiance::{IrradianceMap, reflected_by_white, reflected_by_white_of_nine};
 pub use lighting::{GROUND_DISPLAY, Lighting, PreparedProbe, lightings};
 pub use options::{CalibrateError, CalibrateOptions, LIGHTS_MIN, Objective};
-pub use probe::{Probe, probe_paths};
-pub use procedural::{overcast_probe, procedural_probes};
 pub use surface::lit_cloud;
-pub use surroundings::Surroundings;
 
 use moments::{LightMoments, Moments};
 use prior::prior;
 use ridge::{COLUMNS, Ridge, Theta, rank_of};
 use sample::{Sample, samples};
-
-/// Columns to which probes are made smaller: irradiance and bands 1 and 2 are smooth, and sums stay
-/// exact.
-pub const PROBE_WIDTH: usize = 128;
 
 /// The ridge where too few probes are given to leave one out.
 pub const DEFAULT_RIDGE: f64 = 1e-2;

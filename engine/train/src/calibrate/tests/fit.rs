@@ -3,7 +3,9 @@
 
 use std::f64::consts::FRAC_PI_3;
 
+use decouplegs_scene::light::Surroundings;
 use decouplegs_scene::{AmbientDescriptor, LightTransfer, SplatCloud, sh};
+use decouplegs_synth::probes::procedural_probes;
 use glam::DQuat;
 
 use super::super::moments::Moments;

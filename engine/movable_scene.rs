@@ -3,10 +3,11 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::load::{LoadedAgent, LoadedScene, open_scene};
-use super::{SceneAgent, SceneFile, is_scene_file};
-use crate::compress::{compress_quickly, quick_dims_m};
-use crate::{AssetError, coded_asset, read_splats};
+use decouplegs_asset::{
+    AssetError, LoadedAgent, LoadedScene, SceneAgent, SceneFile, coded_asset, is_scene_file,
+    open_scene, read_splats,
+};
+use decouplegs_train::compress::{compress_quickly, quick_dims_m};
 
 /// Opens a scene so that all its agents can be moved, and counts the assets that were compressed
 /// for it. [`open_scene`] leaves agents of plain splat files where they stand; here their assets
@@ -104,8 +105,8 @@ fn code_plain(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::inria_ply;
-    use crate::street::{Street, StreetOptions};
+    use decouplegs_asset::inria_ply;
+    use decouplegs_synth::street::{Street, StreetOptions};
 
     #[test]
     fn a_scene_that_is_only_measured_has_the_assets_it_would_be_drawn_with() {

@@ -6,9 +6,7 @@ use std::f64::consts::TAU;
 use decouplegs_scene::AmbientDescriptor;
 use glam::{DQuat, DVec3};
 
-use super::irradiance::IrradianceMap;
-use super::probe::Probe;
-use super::surroundings::Surroundings;
+use decouplegs_scene::light::{IrradianceMap, Probe, Surroundings};
 
 /// Display values of the reference ground to which each probe is exposed: from dusk to glaring.
 pub const GROUND_DISPLAY: [f64; 5] = [0.12, 0.25, 0.4, 0.55, 0.7];

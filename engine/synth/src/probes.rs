@@ -1,12 +1,10 @@
-//! Environments that are synthetic: enough different light to calibrate a
+//! Synthetic environment probes: enough different light to calibrate a
 //! [`LightTransfer`](decouplegs_scene::LightTransfer) without a probe from a file.
 
 use std::f64::consts::{PI, TAU};
 
+use decouplegs_scene::light::{PROBE_WIDTH, Probe};
 use glam::DVec3;
-
-use super::PROBE_WIDTH;
-use super::probe::Probe;
 
 /// A source of light: a lobe of radiance `peak exp(sharpness (cos - 1))` about a direction.
 #[derive(Clone, Copy)]
@@ -220,7 +218,7 @@ pub fn procedural_probes() -> Vec<Probe> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibrate::reflected_by_white;
+    use decouplegs_scene::light::reflected_by_white;
 
     #[test]
     fn a_lobe_brings_what_it_says_and_probes_are_as_bright_as_their_hour() {

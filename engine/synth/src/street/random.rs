@@ -1,17 +1,8 @@
 //! Random numbers addressed by what they are for, so that any order of work on any number of
 //! threads gives the same street.
 
+use decouplegs_scene::random::{GOLDEN, mix, next};
 use glam::Vec3;
-
-/// 2^64 over the golden ratio: the increment of SplitMix64 (Steele, Lea and Flood, 2014).
-const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
-
-/// The finaliser of SplitMix64: a bijection in which every input bit moves every output bit.
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
 
 /// A short sequence of random numbers that belongs to one item of one element.
 #[derive(Clone, Debug)]
@@ -36,8 +27,7 @@ impl Stream {
     }
 
     pub(crate) fn bits(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(GOLDEN);
-        mix(self.state)
+        next(&mut self.state)
     }
 
     /// Uniform in [0, 1).
